@@ -1,0 +1,70 @@
+# `make demo` and `make test` set up their own environment in .venv: a fresh checkout needs Python 3.11 and make only.
+
+PYTHON ?= python3
+VENV ?= .venv
+BIN := $(VENV)/bin
+PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
+
+# Folders of recordings for `make benchmark`, each with clips and their truth: make benchmark RUNS=/path/to/runs
+RUNS ?=
+DEMO_OUT := demo-output
+
+# What the environment was installed from: it is set up once, and again when one of these changes.
+REQUIREMENTS := pyproject.toml constraints.txt
+BASE := $(VENV)/.base-installed
+DEV := $(VENV)/.dev-installed
+
+# Keep pyright from asking the network for a newer version.
+export PYRIGHT_PYTHON_IGNORE_WARNINGS := 1
+
+.PHONY: help demo test lint format samples benchmark clean
+
+help:
+	@echo 'make demo       reconstruct the sample clip into $(DEMO_OUT)/'
+	@echo 'make test       ruff, pyright and the tests'
+	@echo 'make lint       ruff and pyright only'
+	@echo 'make format     let ruff fix and format the code'
+	@echo 'make samples    make the clips in data/samples again'
+	@echo 'make benchmark  tables of accuracy and speed; real recordings: RUNS=folder'
+	@echo 'make clean      remove outputs and caches; $(VENV) stays'
+
+demo: $(BASE)
+	$(BIN)/recon demo --out $(DEMO_OUT) --overwrite
+	@echo
+	@echo 'The results are in $(DEMO_OUT)/. To play them back: $(BIN)/recon view $(DEMO_OUT)'
+
+# pytest comes last, so that its summary is the last line.
+test: lint
+	$(BIN)/python -m pytest
+
+lint: $(DEV)
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/pyright
+
+format: $(DEV)
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+
+samples: $(BASE)
+	$(BIN)/python data/samples/make_samples.py
+
+benchmark: $(BASE)
+	$(BIN)/python benchmarks/cheetah_runs.py $(RUNS)
+	$(BIN)/python benchmarks/samples.py
+
+clean:
+	rm -rf $(DEMO_OUT) build dist .pytest_cache .ruff_cache
+	find recon tests benchmarks data -name __pycache__ -type d -prune -exec rm -rf {} +
+
+$(BIN)/python:
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "Python 3.11 or newer is needed: make PYTHON=python3.11")'
+	$(PYTHON) -m venv $(VENV)
+
+$(BASE): $(REQUIREMENTS) | $(BIN)/python
+	$(PIP) -e .
+	@touch $@
+
+$(DEV): $(REQUIREMENTS) | $(BIN)/python
+	$(PIP) -e '.[dev]'
+	@touch $(BASE) $@

@@ -1,0 +1,1 @@
+"""Functions of a reconstruction: what it says, and how good it is."""

@@ -1,0 +1,416 @@
+"""Calibration files: cameras in, cameras out.
+
+Formats, told apart by suffix and content:
+
+- OpenCV YAML, JSON and XML (`camera_matrix`, `distortion_coefficients`, `image_width`, `image_height`, and the other
+  spellings in use), including ROS camera_info YAML with `distortion_model`. The lens is a fisheye where the file says
+  `fisheye: 1` or `distortion_model: equidistant`, else radial-tangential. A pose is optional (`R`, `T`; `rotation`,
+  `translation`; `rvec`, `tvec`; world to camera). Whether z points up is only known where the file has `world_z_up: 1`.
+- AcinoSet JSON: a scene (`cameras` with `k`, `d`, `r`, `t` and perhaps `name`) or one camera (`k`, `d`). Fisheye
+  lenses, world to camera, metres, world z up.
+- Anipose and Pose2Sim TOML: one table per camera. World to camera in the length unit of the calibration board, which
+  the file does not name: it must have been metres. The board defines the world, so z need not point up.
+- This package's own TOML: one table `[camera]` with `format = "recon-camera"`, see `write_camera`.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import tomllib
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, get_args
+
+import cv2
+import numpy as np
+import tomli_w
+from scipy.spatial.transform import Rotation
+
+from recon.camera import COEFFICIENT_COUNTS, Camera, FloatArray, LensModel, is_rotation
+from recon.errors import InputError, Problem
+
+FORMAT = "recon-camera"
+VERSION = 1
+ROTATION_TOLERANCE = 1e-3
+
+OPENCV_KEYS = {
+    "matrix": ("camera_matrix", "cameraMatrix", "K"),
+    "distortion": ("distortion_coefficients", "dist_coeffs", "distCoeffs", "D"),
+    "rotation": ("rotation", "R", "rvec"),
+    "translation_m": ("translation", "T", "tvec"),
+}
+DISTORTION_MODELS: dict[str, LensModel] = {
+    "plumb_bob": "radtan",
+    "rational_polynomial": "radtan",
+    "radtan": "radtan",
+    "equidistant": "fisheye",
+    "fisheye": "fisheye",
+}
+
+
+@dataclass(frozen=True)
+class _Record:
+    """One camera as its file has it: unchecked values by field of `Camera`, and what the file calls each field."""
+
+    name: Any
+    place: str
+    model: Any
+    world_z_up: Any
+    values: dict[str, Any]
+    keys: dict[str, str]
+
+
+def read_cameras(path: str | Path, image_size_px: tuple[int, int] | None = None) -> tuple[Camera, ...]:
+    """All cameras of a calibration file, in its order. Cameras without a name are called cam1, cam2, ...
+
+    image_size_px: (width, height) for files that do not hold it. Raises InputError with every problem of the file,
+    also where image_size_px contradicts it (a calibration holds for one resolution only).
+    """
+    path = Path(path)
+    problems: list[Problem] = []
+    records = _read_records(path)
+    cameras = [_build(record, number, path, image_size_px, problems) for number, record in enumerate(records, 1)]
+    names = [camera.name for camera in cameras if camera]
+    problems += [
+        Problem(path, "camera names", f"{name!r} {names.count(name)} times", "a name of its own for each camera")
+        for name in dict.fromkeys(names)
+        if names.count(name) > 1
+    ]
+    if problems:
+        raise InputError(problems)
+    return tuple(camera for camera in cameras if camera)
+
+
+def read_camera(
+    path: str | Path, name: str | int | None = None, image_size_px: tuple[int, int] | None = None
+) -> Camera:
+    """One camera of a calibration file.
+
+    name: the camera's name; or a whole number N for the camera called camN, cam_N or cam_0N, which in a file without
+    names is the Nth, counted from 1. It may be left out where the file holds one camera. Raises InputError where the
+    file has a problem (see `read_cameras`), no such camera, or several and no name is given.
+    """
+    cameras = read_cameras(path, image_size_px)
+    choices = f"one of {', '.join(camera.name for camera in cameras)}"
+    if name is None:
+        if len(cameras) == 1:
+            return cameras[0]
+        raise InputError(Problem(path, "camera", f"{len(cameras)} cameras and no choice", choices))
+    wanted = str(name)
+    matches = [camera for camera in cameras if camera.name == wanted]
+    if not matches and wanted.isascii() and wanted.isdigit():
+        pattern = re.compile(rf"cam_?0*{int(wanted)}", re.IGNORECASE)
+        matches = [camera for camera in cameras if pattern.fullmatch(camera.name)]
+    if len(matches) != 1:
+        raise InputError(Problem(path, "camera", f"{len(matches)} cameras called {wanted!r}", choices))
+    return matches[0]
+
+
+def write_camera(camera: Camera, path: str | Path) -> None:
+    """Write one camera as TOML that `read_camera` reads back exactly; whole or not at all."""
+    path = Path(path)
+    text = tomli_w.dumps({"camera": {"format": FORMAT, "version": VERSION, **camera.to_dict()}})
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    try:
+        temporary.write_text(text, encoding="utf-8")
+        temporary.replace(path)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+# ---- from text to records ----
+
+
+def _read_records(path: Path) -> list[_Record]:
+    parsers: dict[str, Callable[[Path, str], list[_Record]]] = {
+        ".json": _parse_json,
+        ".toml": _parse_toml,
+        ".yaml": _parse_yaml,
+        ".yml": _parse_yaml,
+        ".xml": _parse_xml,
+    }
+    parse = parsers.get(path.suffix.lower())
+    if parse is None:
+        raise InputError(
+            Problem(path, "format", f"suffix {path.suffix!r}", f"a calibration file: {', '.join(sorted(parsers))}")
+        )
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except OSError as error:
+        raise InputError(Problem(path, "file", error.strerror or str(error), "a file that can be read")) from error
+    except UnicodeDecodeError as error:
+        raise InputError(Problem(path, "file", f"byte {error.start} that is not UTF-8", "text")) from error
+    if not text.strip():
+        raise InputError(Problem(path, "file", "an empty file", "a calibration"))
+    return parse(path, text)
+
+
+def _parse_json(path: Path, text: str) -> list[_Record]:
+    if '"opencv-matrix"' in text:
+        # OpenCV 4 writes whole numbers as "1.", which is not JSON.
+        return [_opencv_record(_load_file_storage(path, text))]
+    try:
+        document = json.loads(text)
+    except (json.JSONDecodeError, RecursionError) as error:
+        raise InputError(Problem(path, "file", f"malformed JSON: {error}", "JSON")) from error
+    if isinstance(document, dict) and ("cameras" in document or "k" in document):
+        return _acinoset_records(path, document)
+    if isinstance(document, dict) and any(key in document for key in OPENCV_KEYS["matrix"]):
+        return [_opencv_record(document)]
+    raise InputError(
+        Problem(path, "format", "JSON of another kind", "an AcinoSet scene (cameras), k and d, or a camera_matrix")
+    )
+
+
+def _parse_yaml(path: Path, text: str) -> list[_Record]:
+    # OpenCV 4 and 5 write different headers, ROS none. All versions read this one.
+    body = re.sub(r"\A(\s*#[^\n]*\n|\s*\n)*(%YAML[^\n]*\n)?(---[^\n]*\n)?", "", text)
+    return [_opencv_record(_load_file_storage(path, "%YAML:1.0\n---\n" + body))]
+
+
+def _parse_xml(path: Path, text: str) -> list[_Record]:
+    return [_opencv_record(_load_file_storage(path, text))]
+
+
+def _parse_toml(path: Path, text: str) -> list[_Record]:
+    try:
+        document = tomllib.loads(text)
+    except (tomllib.TOMLDecodeError, RecursionError) as error:
+        raise InputError(Problem(path, "file", f"malformed TOML: {error}", "TOML")) from error
+    own = document.get("camera")
+    if isinstance(own, dict) and "format" in own:
+        return [_own_record(path, own)]
+    tables = {key: table for key, table in document.items() if isinstance(table, dict) and key != "metadata"}
+    if not tables:
+        expected = f'[camera] with format = "{FORMAT}", or one table per camera as Anipose and Pose2Sim write'
+        raise InputError(Problem(path, "format", "no table of a camera", expected))
+    return [_anipose_record(key, table) for key, table in tables.items()]
+
+
+def _own_record(path: Path, table: dict[str, Any]) -> _Record:
+    if (table["format"], table.get("version")) != (FORMAT, VERSION):
+        found = f"format {table['format']!r}, version {table.get('version')!r}"
+        raise InputError(Problem(path, "camera.format", found, f"format {FORMAT!r}, version {VERSION}"))
+    fields = ("matrix", "distortion", "image_size_px", "rotation", "translation_m")
+    return _Record(
+        name=table.get("name"),
+        place="camera.",
+        model=table.get("model"),
+        world_z_up=table.get("world_z_up", True),
+        values={field: table.get(field) for field in fields},
+        keys={field: field for field in fields},
+    )
+
+
+def _anipose_record(section: str, table: dict[str, Any]) -> _Record:
+    keys = {
+        "matrix": "matrix",
+        "distortion": "distortions",
+        "image_size_px": "size",
+        "rotation": "rotation",
+        "translation_m": "translation",
+    }
+    values = {field: table.get(key) for field, key in keys.items()}
+    if isinstance(values["distortion"], list) and len(values["distortion"]) == 1:
+        values["distortion"] = values["distortion"] + [0.0] * 3  # k1 alone, the others were not estimated
+    return _Record(
+        name=table.get("name", section),
+        place=f"{section}.",
+        model="fisheye" if table.get("fisheye") else "radtan",
+        world_z_up=False,
+        values=values,
+        keys=keys,
+    )
+
+
+def _acinoset_records(path: Path, document: dict[str, Any]) -> list[_Record]:
+    entries = document.get("cameras", [document])
+    if not isinstance(entries, list) or not entries or not all(isinstance(entry, dict) for entry in entries):
+        raise InputError(Problem(path, "cameras", "no list of cameras", "a list with k, d, r and t of each camera"))
+    keys = {"matrix": "k", "distortion": "d", "rotation": "r", "translation_m": "t"}
+    return [
+        _Record(
+            name=entry.get("name"),
+            place=f"cameras[{index}]." if "cameras" in document else "",
+            model="fisheye",
+            world_z_up=True,
+            values={field: entry.get(key) for field, key in keys.items()}
+            | {"image_size_px": document.get("camera_resolution")},
+            keys=keys | {"image_size_px": "camera_resolution"},
+        )
+        for index, entry in enumerate(entries)
+    ]
+
+
+def _opencv_record(document: dict[str, Any]) -> _Record:
+    keys = {
+        field: next((alias for alias in aliases if alias in document), aliases[0])
+        for field, aliases in OPENCV_KEYS.items()
+    }
+    values = {field: document.get(key) for field, key in keys.items()}
+    if keys["rotation"] == "R" and values["translation_m"] is None:
+        values["rotation"] = None  # ROS: the rectification, not a pose
+    size = [document.get(f"image_{side}", document.get(side)) for side in ("width", "height")]
+    values["image_size_px"] = None if None in size else size
+    keys |= {"image_size_px": "image_width, image_height", "model": "distortion_model"}
+    model = document.get("distortion_model")
+    if model is None:
+        model = "fisheye" if document.get("fisheye") or document.get("fisheye_model") else "radtan"
+    return _Record(
+        name=document.get("camera_name"),
+        place="",
+        model=DISTORTION_MODELS.get(str(model), model),
+        world_z_up=bool(document.get("world_z_up", False)),
+        values=values,
+        keys=keys,
+    )
+
+
+def _load_file_storage(path: Path, text: str) -> dict[str, Any]:
+    """A document of OpenCV's FileStorage as plain dictionaries, lists, strings and numbers."""
+    try:
+        storage = cv2.FileStorage(text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
+        document = _plain(storage.root())
+    except (cv2.error, SystemError) as error:  # the constructor's cv2.error arrives wrapped in a SystemError
+        reason = str(error.__cause__ or error).strip().splitlines()[-1]
+        reason = reason.rpartition("error)")[2].strip()
+        raise InputError(
+            Problem(path, "file", f"text that OpenCV cannot parse: {reason}", "YAML, XML or JSON")
+        ) from error
+    if not isinstance(document, dict):
+        raise InputError(Problem(path, "file", "no keys", "camera_matrix, distortion_coefficients, ..."))
+    return document
+
+
+def _plain(node: Any) -> Any:
+    if node.isMap():
+        return {key: _plain(node.getNode(key)) for key in node.keys()}  # noqa: SIM118 (not a dict)
+    if node.isSeq():
+        return [_plain(node.at(index)) for index in range(node.size())]
+    if node.isString():
+        return node.string()
+    return node.real() if node.isInt() or node.isReal() else None
+
+
+# ---- from records to cameras ----
+
+
+def _build(
+    record: _Record, number: int, path: Path, image_size_px: tuple[int, int] | None, problems: list[Problem]
+) -> Camera | None:
+    """The camera of a record; or None, with every reason appended to problems."""
+    before = len(problems)
+
+    def fault(field: str, found: str, expected: str) -> None:
+        problems.append(Problem(path, record.place + record.keys.get(field, field), found, expected))
+
+    def block(field: str, sizes: tuple[int, ...], expected: str) -> FloatArray | None:
+        """The numbers of a field, where they have one of the sizes (any, for no sizes) and are finite."""
+        array = _numbers(record.values[field])
+        if record.values[field] is None:
+            fault(field, "nothing", expected)
+        elif array is None:
+            fault(field, "something other than a block of numbers", expected)
+        elif sizes and array.size not in sizes:
+            fault(field, f"shape {array.shape}", expected)
+        elif not np.isfinite(array).all():
+            fault(field, "values that are not finite", expected)
+        else:
+            return array
+        return None
+
+    expected = "[[fx, s, ox], [0, fy, oy], [0, 0, 1]], fx and fy > 0"
+    matrix = block("matrix", (9,), expected)
+    if matrix is not None:
+        matrix = matrix.reshape(3, 3)
+        if min(matrix[0, 0], matrix[1, 1]) <= 0 or matrix[1, 0] != 0 or (matrix[2] != (0, 0, 1)).any():
+            fault("matrix", str(matrix.tolist()), expected)
+
+    model = record.model
+    if model not in get_args(LensModel):
+        fault("model", repr(model), "a known lens model")
+    distortion = block("distortion", (), "the lens coefficients")
+    if distortion is not None and model in get_args(LensModel):
+        distortion = distortion.ravel()
+        if not distortion.size:
+            model = "pinhole"
+        counts = COEFFICIENT_COUNTS[model]
+        while distortion.size not in counts and distortion.size > min(counts) and distortion[-1] == 0:
+            distortion = distortion[:-1]  # such as OpenCV's thin prism and tilt, not estimated
+        if distortion.size not in counts:
+            expected = f"{' or '.join(map(str, counts))} coefficients of a {model} lens"
+            fault("distortion", f"{distortion.size} coefficients", expected)
+
+    size = _image_size(record.values["image_size_px"], image_size_px, fault)
+
+    rotation = translation = None
+    if record.values["rotation"] is not None or record.values["translation_m"] is not None:
+        rotation = block("rotation", (3, 9), "a rotation, world to camera: 3x3 or a Rodrigues vector")
+        translation = block("translation_m", (3,), "a translation of 3 numbers")
+        if rotation is not None:
+            rotation = _rotation(rotation)
+            if rotation is None:
+                expected = f"an orthonormal, right-handed matrix (to {ROTATION_TOLERANCE:g})"
+                fault("rotation", "a matrix that is not a rotation", expected)
+
+    if not isinstance(record.world_z_up, bool):
+        fault("world_z_up", repr(record.world_z_up), "true or false")
+    if len(problems) > before or matrix is None or distortion is None or size is None:
+        return None
+    return Camera(
+        name=f"cam{number}" if record.name is None else str(record.name),
+        matrix=matrix,
+        distortion=distortion,
+        model=model,
+        image_size_px=size,
+        rotation=rotation,
+        translation_m=None if translation is None else translation.ravel(),
+        world_z_up=record.world_z_up,
+    )
+
+
+def _image_size(
+    value: Any, given: tuple[int, int] | None, fault: Callable[[str, str, str], None]
+) -> tuple[int, int] | None:
+    """The image size from the file and from the caller, which must agree where both are known."""
+    expected = "the image size: width and height in pixels"
+    if value is None:
+        if given is None:
+            fault("image_size_px", "nothing", f"{expected}, in the file or given along with it")
+        return given
+    array = _numbers(value)
+    if array is None or array.shape != (2,) or not (array > 0).all() or (array != np.rint(array)).any():
+        fault("image_size_px", str(value), expected)
+        return None
+    size = (int(array[0]), int(array[1]))
+    if given is not None and size != tuple(given):
+        fault("image_size_px", f"{size[0]}x{size[1]}", f"{given[0]}x{given[1]}, as was given")
+    return size
+
+
+def _numbers(value: Any) -> FloatArray | None:
+    """Array of a number, a nested list, or {rows, cols, data}; None for anything else."""
+    try:
+        if isinstance(value, Mapping):
+            array = np.asarray(value["data"]).reshape(int(value["rows"]), int(value["cols"]))
+        else:
+            array = np.asarray(value)
+    except (KeyError, TypeError, ValueError):
+        return None
+    return array.astype(float) if array.dtype.kind in "iuf" else None
+
+
+def _rotation(array: FloatArray) -> FloatArray | None:
+    """Rotation matrix of a 3x3 matrix or a Rodrigues vector; None for a matrix that is no rotation."""
+    if array.size == 3:
+        return Rotation.from_rotvec(array.ravel()).as_matrix()
+    matrix = array.reshape(3, 3)
+    if not is_rotation(matrix, ROTATION_TOLERANCE):
+        return None
+    if is_rotation(matrix, 1e-9):
+        return matrix
+    left, _, right = np.linalg.svd(matrix)
+    return left @ right

@@ -1,0 +1,32 @@
+"""The one error that a user's input can cause."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+
+@dataclass(frozen=True)
+class Problem:
+    """One thing that is wrong with an input.
+
+    file: the file (or command-line option) it was found in; field: the place inside it (column, key, row);
+    found and expected: in the user's words, with units where they matter.
+    """
+
+    file: str | Path
+    field: str
+    found: str
+    expected: str
+
+    def __str__(self) -> str:
+        return f"{self.file}: {self.field}: found {self.found}, expected {self.expected}"
+
+
+class InputError(ValueError):
+    """An input cannot be used. Carries every problem that was found, not just the first."""
+
+    def __init__(self, problems: Problem | Iterable[Problem]) -> None:
+        self.problems: tuple[Problem, ...] = (problems,) if isinstance(problems, Problem) else tuple(problems)
+        super().__init__("\n".join(str(p) for p in self.problems))

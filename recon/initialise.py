@@ -1,0 +1,170 @@
+"""Where to start: direction of travel, side, and a rough placement of the skeleton, from geometry alone.
+
+A mean pose is put at the detections' bearings: for a given heading, the place that brings the joints nearest to their
+viewing rays is a small linear problem, and its distance follows from the skeleton's size. Over many headings and all
+frames of a stretch, the heading is chosen whose skeleton fits and which agrees with the path that it implies. The path
+decides what a single frame cannot: whether the animal comes nearer or goes away.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from recon.camera import Camera
+from recon.rotations import euler_angles
+from recon.skeleton import Side, Skeleton
+
+Array = NDArray[np.float64]
+
+MIN_JOINTS = 5
+"""Fewer detected joints than this do not place the chain."""
+
+_HEADINGS = 36
+_STRETCH_S = 1.0
+_MISFIT_M = 0.15
+"""Distance from a ray at which a joint of the mean pose counts half: a leg's swing."""
+_MIN_SPEED_M_S = 1.0
+"""Below this, the path says nothing about the heading."""
+
+
+@dataclass(frozen=True)
+class Travel:
+    """heading (T, 3): level unit vector in the camera frame, the way the animal faces; speed_m_s (T,): along its path,
+    0 where it is too slow or too rarely seen to have one."""
+
+    heading: Array
+    speed_m_s: Array
+
+
+def facing_side(skeleton: Skeleton, positions_px: dict[str, Array]) -> tuple[Side, str]:
+    """The side of the animal that faces an upright camera, and why.
+
+    positions_px: for each joint of `skeleton.forward` (T, 2), NaN where missing. An animal that faces the right of the
+    picture shows its right side.
+    """
+    rear, front = (positions_px[joint] for joint in skeleton.forward)
+    ahead = (front - rear)[:, 0]
+    ahead = ahead[np.isfinite(ahead)]
+    if len(ahead) == 0:
+        return "right", "no frame shows both ends of the trunk: right by default"
+    side: Side = "right" if np.median(ahead) > 0 else "left"
+    agree = np.mean((ahead > 0) == (side == "right"))
+    return side, f"the animal faces the {side} of the picture in {agree:.0%} of {len(ahead)} frames"
+
+
+def level_axes(up: Array) -> tuple[Array, Array]:
+    """Two level unit vectors in the camera frame: to the picture's right, and away from the camera."""
+    right = np.array([1.0, 0.0, 0.0]) - up * up[0]
+    right /= np.linalg.norm(right)
+    return right, np.cross(up, right)
+
+
+def upright_rotation(heading: Array, up: Array) -> Array:
+    """R_camera_local (..., 3, 3) of a level animal: U along heading (..., 3), V down, W to the side."""
+    down = np.broadcast_to(-up, heading.shape)
+    return np.stack([heading, down, np.cross(heading, down)], axis=-1)
+
+
+def mean_pose(skeleton: Skeleton) -> Array:
+    """State (D,) with expected angles and nominal size, at the origin."""
+    state = np.zeros(skeleton.n_state)
+    state[skeleton.theta_slice] = skeleton.theta.mean_rad
+    state[skeleton.phi_slice] = skeleton.phi.mean_rad
+    state[skeleton.base_index] = skeleton.nominal_base_length_m
+    return state
+
+
+def place_on_rays(joints_m: Array, rays: Array) -> tuple[Array, Array]:
+    """Translations (N, 3) that bring a rigid shape nearest to viewing rays, and the joints' distances (N, J) from them.
+
+    joints_m (J, 3): the shape, turned into the camera frame; rays (N, J, 3): unit vectors, NaN where missing.
+    Robust: iteratively reweighted with Geman-McClure weights.
+    """
+    seen = np.isfinite(rays[..., 0])
+    d = np.where(seen[..., None], rays, 0.0)
+    across = np.eye(3) - d[..., :, None] * d[..., None, :]
+    offsets = (across @ joints_m[..., None])[..., 0]
+    weight = seen.astype(float)
+    for _ in range(6):
+        normal = np.einsum("nj,njab->nab", weight, across) + 1e-9 * np.eye(3)
+        t = np.linalg.solve(normal, -np.einsum("nj,nja->na", weight, offsets)[..., None])[..., 0]
+        miss = np.linalg.norm((across @ t[:, None, :, None])[..., 0] + offsets, axis=-1)
+        weight = seen / (1.0 + (miss / _MISFIT_M) ** 2) ** 2
+    return t, np.where(seen, miss, np.nan)
+
+
+def estimate_travel(camera: Camera, skeleton: Skeleton, xy_px: Array, fps: float) -> Travel:
+    """Heading and speed over the clip from detections (T, J, 2), about one second of straight path at a time.
+
+    Stretches without five joints in at least five frames take the heading of the nearest stretch that has them.
+    """
+    T = len(xy_px)
+    rays, _ = camera.rays(xy_px)
+    usable = np.isfinite(rays[..., 0]).sum(axis=1) >= MIN_JOINTS
+    right, away = level_axes(camera.up)
+    angle = 2 * np.pi * np.arange(_HEADINGS) / _HEADINGS
+    headings = np.cos(angle)[:, None] * right + np.sin(angle)[:, None] * away
+    shapes = skeleton.local_joints(mean_pose(skeleton)[None])[0] @ upright_rotation(headings, camera.up).transpose(
+        0, 2, 1
+    )
+
+    stretches = np.array_split(np.arange(T), max(1, round(T / fps / _STRETCH_S)))
+    found = np.full((len(stretches), 4), np.nan)
+    for s, rows in enumerate(stretches):
+        rows = rows[usable[rows]]
+        if len(rows) >= MIN_JOINTS:
+            found[s] = _stretch_travel(headings, shapes, camera.up, rays[rows], rows / fps)
+    known = np.flatnonzero(np.isfinite(found[:, 0]))
+    if len(known) == 0:
+        return Travel(np.tile(right, (T, 1)), np.zeros(T))
+    nearest = known[np.argmin(np.abs(np.arange(len(stretches))[:, None] - known), axis=1)]
+    speed = np.where(np.isfinite(found[:, 3]), found[:, 3], 0.0)
+    lengths = [len(rows) for rows in stretches]
+    return Travel(np.repeat(found[nearest, :3], lengths, axis=0), np.repeat(speed, lengths))
+
+
+def _stretch_travel(headings: Array, shapes: Array, up: Array, rays: Array, time_s: Array) -> Array:
+    """(4,): heading and speed of one stretch; the speed is NaN where it says nothing."""
+    misfit, directions, speeds = np.empty(len(headings)), np.empty_like(headings), np.empty(len(headings))
+    for h, shape in enumerate(shapes):
+        places, miss = place_on_rays(shape, rays)
+        relative = (miss / _MISFIT_M) ** 2
+        behind = np.mean(places[:, 2] <= 0)
+        misfit[h] = np.nanmean(relative / (1 + relative)) + behind
+        velocity = _robust_slope(time_s, places)
+        speeds[h] = np.linalg.norm(velocity)
+        directions[h] = velocity / max(speeds[h], 1e-9)
+    moving = np.clip(speeds / _MIN_SPEED_M_S - 1.0, 0.0, 2.0) / 2.0
+    against = (1 - np.sum(directions * headings, axis=1)) / 2
+    best = int(np.argmin(misfit + moving * against))
+    if speeds[best] < _MIN_SPEED_M_S:
+        return np.append(headings[best], np.nan)
+    # The fitted shape and the path are two estimates of the same direction, both good to about 10 degrees.
+    both = headings[best] + directions[best] - up * (directions[best] @ up)
+    return np.append(both / np.linalg.norm(both), speeds[best])
+
+
+def _robust_slope(time_s: Array, places_m: Array) -> Array:
+    """Velocity (3,) of a straight path through places (N, 3), by least absolute distances."""
+    design = np.stack([np.ones_like(time_s), time_s - time_s.mean()], axis=1)
+    weight = np.ones(len(time_s))
+    for _ in range(10):
+        root = np.sqrt(weight)[:, None]
+        line = np.linalg.lstsq(design * root, places_m * root, rcond=None)[0]
+        weight = 1.0 / np.maximum(np.linalg.norm(places_m - design @ line, axis=1), 0.05)
+    return line[1]
+
+
+def geometric_start(camera: Camera, skeleton: Skeleton, rays: Array, heading: Array) -> Array:
+    """State (D,): the mean pose facing `heading` (3,), placed on one frame's rays (J, 3)."""
+    state = mean_pose(skeleton)
+    rotation = upright_rotation(heading, camera.up)
+    place, _ = place_on_rays(skeleton.local_joints(state[None])[0] @ rotation.T, rays[None])
+    # Contradictory rays can meet behind the camera; the solver needs a start that is in view.
+    in_front = place[0] if place[0, 2] > 0 else -place[0]
+    state[skeleton.place_slice] = rotation.T @ in_front
+    state[skeleton.euler_slice] = euler_angles(rotation)
+    return state

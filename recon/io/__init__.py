@@ -1,0 +1,74 @@
+"""Keypoint files: one module per format, and the table of them all.
+
+A new format is one module with `recognises(path)` and `read(path, individual)`, and one line in `READERS`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from recon.errors import InputError, Problem
+from recon.io import deeplabcut
+from recon.keypoints import Keypoints
+
+
+@dataclass(frozen=True)
+class Reader:
+    """One format that can be read.
+
+    recognises: whether a readable file, not empty, is of this format; it looks at the content, not at the name, and
+    raises InputError for a file so damaged that this cannot be told.
+    read: the keypoints of one animal, from a file that is recognised; raises InputError.
+    """
+
+    name: str
+    recognises: Callable[[Path], bool]
+    read: Callable[[Path, str | None], Keypoints]
+
+
+READERS: tuple[Reader, ...] = (Reader("DeepLabCut CSV or H5", deeplabcut.recognises, deeplabcut.read),)
+
+
+def read_keypoints(path: str | Path, individual: str | None = None) -> Keypoints:
+    """The keypoints of one animal, as the file states them (see `recon.keypoints.clean`), in any known format.
+
+    individual: the animal's name, needed where the file holds several. Raises InputError for a file that is missing,
+    empty, of no known format, or faulty.
+    """
+    path = Path(path)
+    head = file_head(path)
+    for reader in READERS:
+        if reader.recognises(path):
+            return reader.read(path, individual)
+    raise InputError(Problem(path, "format", describe(head), "one of: " + ", ".join(r.name for r in READERS)))
+
+
+def file_head(path: Path) -> bytes:
+    """The first bytes of a file. Raises InputError where there is no file to read, or nothing in it."""
+    try:
+        with path.open("rb") as file:
+            head = file.read(64)
+    except FileNotFoundError:
+        found = "no such file"
+    except IsADirectoryError:
+        found = "a folder"
+    except OSError as error:
+        found = f"a file that cannot be opened ({error.strerror})"
+    else:
+        if head:
+            return head
+        found = "an empty file"
+    raise InputError(Problem(path, "file", found, "a file that can be read"))
+
+
+def describe(head: bytes) -> str:
+    """What the first bytes of a file of no known format look like, in the user's words."""
+    if head.startswith(b"\x89HDF\r\n\x1a\n"):
+        return "an HDF5 file of another kind"
+    text = head.decode("utf-8", errors="ignore").lstrip("\ufeff").strip()
+    # The head may end in the middle of a character of up to 4 bytes; more than that is lost only from binary files.
+    if len(text.encode()) < len(head.strip()) - 6 or not all(c.isprintable() or c.isspace() for c in text):
+        return "a binary file"
+    return f"a file that begins with '{text.splitlines()[0][:40]}'" if text else "a file of blanks"

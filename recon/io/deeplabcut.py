@@ -1,0 +1,368 @@
+"""DeepLabCut's CSV and H5 files: predictions and labels, of one animal or several.
+
+Both are a table with one row per frame and a header of several levels: `scorer`, `individuals` (several animals only),
+`bodyparts`, `coords`. Prediction files number their rows by frame. Label files index them by image path, in one column
+or three, and have no likelihood.
+"""
+
+from __future__ import annotations
+
+import csv
+import re
+import warnings
+from array import array
+from collections.abc import Iterator, Sequence
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path, PureWindowsPath
+from typing import NamedTuple
+
+import numpy as np
+import pandas as pd
+import tables
+
+from recon.errors import InputError, Problem
+from recon.keypoints import Keypoints
+
+HEADERS = (
+    ("scorer", "bodyparts", "coords"),
+    ("scorer", "individuals", "bodyparts", "coords"),
+    ("bodyparts", "coords"),
+    ("individuals", "bodyparts", "coords"),
+)
+COORDS = ("x", "y", "z", "likelihood")
+# DeepLabCut files the bodyparts that belong to no animal, such as the corners of the arena, under this individual.
+UNIQUE_BODYPARTS = "single"
+MISSING_CELLS = ("", "nan", "na")
+# Enough to see what is wrong with a file; a file of the wrong kind has thousands.
+PROBLEMS_SHOWN = 10
+HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
+
+
+class Column(NamedTuple):
+    """One column of a file; individual is empty in a file of one animal."""
+
+    individual: str
+    bodypart: str
+    coord: str
+
+    def __str__(self) -> str:
+        return "/".join(part for part in self if part)
+
+
+@dataclass(frozen=True, eq=False)
+class Table:
+    """A whole file: numbers (T, C) float, NaN = empty cell, no infinities; frames (T,) int, strictly increasing."""
+
+    columns: tuple[Column, ...]
+    numbers: np.ndarray
+    frames: np.ndarray
+    notes: tuple[str, ...]
+
+
+def recognises(path: Path) -> bool:
+    """Whether a file is DeepLabCut's, by its content: header rows, or a pandas table inside HDF5.
+
+    Raises InputError for an HDF5 file that cannot be opened.
+    """
+    if _is_hdf5(path):
+        return bool(_pandas_keys(path))
+    with path.open("rb") as file:
+        head = file.read(64).removeprefix(b"\xef\xbb\xbf")
+    return re.match(rb'\s*"?\s*(scorer|individuals|bodyparts)\s*"?\s*([,;\t\r\n]|$)', head) is not None
+
+
+def read(path: Path, individual: str | None = None) -> Keypoints:
+    """The keypoints of one animal as the file states them: confidence is NaN where it has no likelihood.
+
+    individual: which animal, where there are several. Raises InputError naming what is wrong: header, cells, frame
+    numbers, or a choice that is missing.
+    """
+    table = _read_h5(path) if _is_hdf5(path) else read_csv(path)
+    table, animal = _of_one_animal(table, path, individual)
+    if any(c.coord == "z" for c in table.columns):
+        raise InputError(Problem(path, "coords", "x, y, z: 3D positions", "2D keypoints in pixels (x, y, likelihood)"))
+    names, values = gather(table, path, required=("x", "y"), optional=("likelihood",))
+    xy_px, likelihood = values[..., :2], values[..., 2]
+    notes = table.notes
+    if np.any((likelihood < 0) | (likelihood > 1)):
+        low, high = np.nanmin(likelihood), np.nanmax(likelihood)
+        notes += (f"Likelihoods range from {low:g} to {high:g}; those of DeepLabCut lie between 0 and 1.",)
+    return Keypoints(names, xy_px, likelihood, table.frames, individual=animal, source=str(path), notes=notes)
+
+
+def gather(
+    table: Table, path: Path, required: Sequence[str], optional: Sequence[str] = ()
+) -> tuple[tuple[str, ...], np.ndarray]:
+    """The table by bodypart: names (K), in the order of the file, and values (T, K, coords), required ones first.
+
+    Raises InputError for a bodypart that appears twice or lacks a required coordinate.
+    """
+    names = tuple(dict.fromkeys(c.bodypart for c in table.columns))
+    coords = (*required, *optional)
+    values = np.full((len(table.frames), len(names), len(coords)), np.nan)
+    where: dict[tuple[str, str], int] = {}
+    twice: dict[str, None] = {}
+    for j, column in enumerate(table.columns):
+        if (column.bodypart, column.coord) in where:
+            twice[column.bodypart] = None
+        where[column.bodypart, column.coord] = j
+    problems = [Problem(path, f"bodypart {name}", "more than one column of a kind", "one") for name in twice]
+    for k, name in enumerate(names):
+        lacking = [c for c in required if (name, c) not in where]
+        if lacking:
+            problems.append(Problem(path, f"bodypart {name}", f"no {', '.join(lacking)}", ", ".join(required)))
+        for i, coord in enumerate(coords):
+            if (name, coord) in where:
+                values[:, k, i] = table.numbers[:, where[name, coord]]
+    if problems:
+        raise InputError(_first(problems, path))
+    return names, values
+
+
+def read_csv(path: Path) -> Table:
+    """A file with DeepLabCut's header rows (see `HEADERS`), whatever its coordinates. Raises InputError."""
+    # utf-8-sig also reads files without a byte order mark.
+    with path.open(encoding="utf-8-sig", newline="") as file:
+        rows = csv.reader(file)
+        try:
+            columns, index_columns, notes = _read_header(path, rows)
+            index: list[tuple[str, ...]] = []
+            values = array("d")
+            bad: list[tuple[int, int, str]] = []
+            problems: list[Problem] = []
+            width = index_columns + len(columns)
+            for row in rows:
+                if len(row) != width:
+                    if any(cell.strip() for cell in row):
+                        problems.append(
+                            Problem(path, f"line {rows.line_num}", f"{len(row)} cells", f"{width}, as in the header")
+                        )
+                    continue
+                cells = row[index_columns:]
+                try:
+                    values.extend([float(cell) if cell else np.nan for cell in cells])
+                except ValueError:
+                    values.extend(_numbers(cells, len(index), bad))
+                index.append(tuple(row[:index_columns]))
+        except UnicodeDecodeError as error:
+            raise InputError(Problem(path, "text", "bytes that are not UTF-8", "a text file in UTF-8")) from error
+        except csv.Error as error:
+            raise InputError(Problem(path, f"line {rows.line_num}", str(error), "comma-separated text")) from error
+    return _table(path, columns, np.array(values).reshape(-1, len(columns)), index, bad, problems, notes)
+
+
+def _read_header(path: Path, rows: Iterator[list[str]]) -> tuple[tuple[Column, ...], int, tuple[str, ...]]:
+    """Columns, number of index columns, notes."""
+    header: dict[str, list[str]] = {}
+    first = ""
+    for row in rows:
+        first = row[0].strip() if row else ""
+        if first not in ("scorer", "individuals", "bodyparts", "coords") or first in header:
+            break
+        header[first] = row
+        if first == "coords":
+            break
+    if tuple(header) not in HEADERS:
+        for separator, name in ((";", "';'"), ("\t", "a tab")):
+            if separator in first:
+                raise InputError(Problem(path, "separator", name, "','"))
+        found = ", ".join(dict.fromkeys((*header, first[:40])))
+        raise InputError(_header_problem(path, f"rows that begin with '{found}'"))
+    if len({len(row) for row in header.values()}) != 1:
+        lengths = ", ".join(f"{len(row)} in {name}" for name, row in header.items())
+        raise InputError(Problem(path, "header rows", f"cells: {lengths}", "the same number of cells in each"))
+    # Label files name the image in three columns, which have blank cells in all header rows but for the first cell.
+    coords = header["coords"]
+    index_columns = 3 if [cell.strip() for cell in coords[1:3]] == ["", ""] else 1
+    blank = [""] * len(coords)
+    levels = (header.get("individuals", blank), header["bodyparts"], coords)
+    columns, notes = _columns(path, [level[index_columns:] for level in levels])
+    return columns, index_columns, notes
+
+
+def _read_h5(path: Path) -> Table:
+    keys = _pandas_keys(path)
+    if len(keys) != 1:
+        raise InputError(Problem(path, "keys", ", ".join(keys) or "none", "one table"))
+    try:
+        with warnings.catch_warnings():
+            # They concern whoever wrote the file.
+            warnings.simplefilter("ignore")
+            frame = pd.read_hdf(path, key=keys[0])
+    except Exception as error:
+        # Damage inside an HDF5 file surfaces as almost any exception of three libraries.
+        raise InputError(
+            Problem(path, f"key {keys[0]}", f"a table that cannot be read ({error})", "an undamaged file")
+        ) from error
+    if not isinstance(frame, pd.DataFrame):
+        raise InputError(Problem(path, f"key {keys[0]}", type(frame).__name__, "a table"))
+    levels = _h5_levels(path, frame.columns)
+    columns, notes = _columns(path, levels)
+    index = [tuple(str(part) for part in (row if isinstance(row, tuple) else (row,))) for row in frame.index]
+    bad: list[tuple[int, int, str]] = []
+    try:
+        values = frame.to_numpy(dtype=float)
+    except (TypeError, ValueError):
+        cells = frame.astype(object).where(frame.notna(), "").astype(str).to_numpy().tolist()
+        values = np.array([_numbers(row, i, bad) for i, row in enumerate(cells)])
+    return _table(path, columns, values, index, bad, [], notes)
+
+
+def _h5_levels(path: Path, columns: pd.Index) -> list[list[str]]:
+    """The individuals, bodyparts and coords of each column."""
+    names = list(columns.names)
+    if not any(names):
+        names = list({2: HEADERS[2], 3: HEADERS[0], 4: HEADERS[1]}.get(columns.nlevels, names))
+    if tuple(names) not in HEADERS:
+        raise InputError(_header_problem(path, f"column levels {', '.join(map(str, names))}"))
+    parts = [tuple(str(part) for part in column) for column in columns.to_list()]
+    wanted = (names.index(level) if level in names else None for level in ("individuals", "bodyparts", "coords"))
+    return [["" if i is None else part[i] for part in parts] for i in wanted]
+
+
+def _pandas_keys(path: Path) -> list[str]:
+    """The keys of an HDF5 file under which pandas stored something. Raises InputError if it cannot be opened."""
+    try:
+        with warnings.catch_warnings():
+            # PyTables warns of content in files of other kinds that it has no type for.
+            warnings.simplefilter("ignore")
+            with closing(tables.open_file(str(path))) as file:
+                return [g._v_pathname for g in file.walk_groups() if "pandas_type" in g._v_attrs]
+    except tables.HDF5ExtError as error:
+        raise InputError(Problem(path, "file", "an HDF5 file that is cut off or damaged", "a whole file")) from error
+
+
+def _is_hdf5(path: Path) -> bool:
+    with path.open("rb") as file:
+        return file.read(len(HDF5_SIGNATURE)) == HDF5_SIGNATURE
+
+
+def _columns(path: Path, levels: Sequence[Sequence[str]]) -> tuple[tuple[Column, ...], tuple[str, ...]]:
+    """Columns with stray blanks removed from their names, and a note for each name that had some."""
+    raw = [Column(*parts) for parts in zip(*levels, strict=True)]
+    columns = tuple(Column(*(part.strip() for part in column)) for column in raw)
+    problems = [
+        Problem(path, f"column {column or j + 1}", f"coordinate '{column.coord}'", ", ".join(COORDS))
+        for j, column in enumerate(columns)
+        if column.coord not in COORDS
+    ]
+    problems += [
+        Problem(path, f"column {j + 1} of the data", "no bodypart", "a name")
+        for j, column in enumerate(columns)
+        if not column.bodypart
+    ]
+    if not columns:
+        problems = [Problem(path, "header rows", "no columns", "at least one bodypart")]
+    if problems:
+        raise InputError(_first(problems, path))
+    names = dict.fromkeys(name for column in raw for name in column[:2])
+    return columns, tuple(f"'{name}' is read as '{name.strip()}'." for name in names if name != name.strip())
+
+
+def _table(
+    path: Path,
+    columns: tuple[Column, ...],
+    values: np.ndarray,
+    index: Sequence[tuple[str, ...]],
+    bad: Sequence[tuple[int, int, str]],
+    problems: list[Problem],
+    notes: tuple[str, ...],
+) -> Table:
+    """The table, once every cell and frame number of it is in order.
+
+    bad: (row, column, text) of the cells that are no numbers; problems: others that are known already.
+    """
+    if not index and not problems:
+        raise InputError(Problem(path, "rows", "no frames", "at least one row below the header"))
+    frames, frame_problems = _frame_numbers(path, index)
+    problems = problems + frame_problems
+    infinite = [(int(i), int(j), str(values[i, j])) for i, j in np.argwhere(np.isinf(values))]
+    problems += [
+        Problem(path, f"frame {frames[i]}, column {columns[j]}", f"'{cell}'", "a number or an empty cell")
+        for i, j, cell in sorted([*bad, *infinite])
+    ]
+    if not problems:
+        numbers, count = np.unique(np.array(frames), return_counts=True)
+        problems = [Problem(path, f"frame {number}", "more than one row", "one") for number in numbers[count > 1]]
+    if problems:
+        raise InputError(_first(problems, path))
+    order = np.argsort(frames)
+    if np.any(np.diff(order) != 1):
+        notes += ("The rows were not in the order of their frame numbers and have been sorted.",)
+    return Table(columns, values[order], np.array(frames, dtype=np.int64)[order], notes)
+
+
+def _frame_numbers(path: Path, index: Sequence[tuple[str, ...]]) -> tuple[list[int | str], list[Problem]]:
+    """Frame numbers from the index cells; a cell without one stays as it is and becomes a problem."""
+    first = "/".join(index[0]) if index else ""
+    images = re.search(r"[/\\]|\.[A-Za-z]\w*$", first)
+    frames: list[int | str] = []
+    problems: list[Problem] = []
+    folders: dict[str, None] = {}
+    for cells in index:
+        text = "/".join(cells).strip()
+        if images:
+            # A Windows path splits at both kinds of slash.
+            image = PureWindowsPath(text)
+            folders[image.parent.as_posix()] = None
+            match = re.search(r"([0-9]+)$", image.stem)
+        else:
+            match = re.fullmatch(r"([0-9]+)(\.0*)?", text)
+        # A longer number is a time stamp or an accident.
+        number = int(match[1]) if match and len(match[1]) <= 15 else None
+        if number is None:
+            expected = "an image name that ends in the frame number" if images else "a frame number (0, 1, 2, ...)"
+            problems.append(Problem(path, f"row {len(frames) + 1} below the header", f"'{text}'", expected))
+        frames.append(text if number is None else number)
+    if len(folders) > 1:
+        shown = ", ".join(list(folders)[:PROBLEMS_SHOWN]) + (", ..." if len(folders) > PROBLEMS_SHOWN else "")
+        problems.append(Problem(path, "images", f"{len(folders)} folders: {shown}", "the images of one video"))
+    return frames, problems
+
+
+def _numbers(cells: Sequence[str], row: int, bad: list[tuple[int, int, str]]) -> list[float]:
+    """The cells of one row as floats; those that are none are added to `bad` as (row, column, text)."""
+    numbers = []
+    for column, cell in enumerate(cells):
+        number = np.nan
+        if cell.strip().lower() not in MISSING_CELLS:
+            try:
+                number = float(cell)
+            except ValueError:
+                bad.append((row, column, cell))
+        numbers.append(number)
+    return numbers
+
+
+def _of_one_animal(table: Table, path: Path, individual: str | None) -> tuple[Table, str | None]:
+    """The columns of the chosen animal, and its name where the file names animals."""
+    everyone = list(dict.fromkeys(c.individual for c in table.columns))
+    if everyone == [""]:
+        if individual is not None:
+            raise InputError(Problem(path, "individual", "a file without named animals", f"an animal '{individual}'"))
+        return table, None
+    animals = [name for name in everyone if name != UNIQUE_BODYPARTS] or everyone
+    chosen = animals[0] if individual is None and len(animals) == 1 else individual
+    if chosen not in animals:
+        found = f"{len(animals)} animals and no choice" if chosen is None else f"'{chosen}'"
+        raise InputError(Problem(path, "individual", found, "one of: " + ", ".join(animals)))
+    notes = table.notes
+    if chosen != UNIQUE_BODYPARTS and UNIQUE_BODYPARTS in everyone:
+        left_out = dict.fromkeys(c.bodypart for c in table.columns if c.individual == UNIQUE_BODYPARTS)
+        notes += (f"Left out, because they are no part of an animal: {', '.join(left_out)}.",)
+    keep = [j for j, c in enumerate(table.columns) if c.individual == chosen]
+    columns = tuple(table.columns[j] for j in keep)
+    return Table(columns, table.numbers[:, keep], table.frames, notes), chosen
+
+
+def _header_problem(path: Path, found: str) -> Problem:
+    return Problem(path, "header", found, "; or ".join(", ".join(h) for h in HEADERS))
+
+
+def _first(problems: list[Problem], path: Path) -> list[Problem]:
+    """The first problems, and how many more there are."""
+    more = len(problems) - PROBLEMS_SHOWN
+    if more <= 0:
+        return problems
+    return [*problems[:PROBLEMS_SHOWN], Problem(path, "more", f"{more} problems like these", "none")]

@@ -1,0 +1,387 @@
+"""Objectives -> states: the only place that calls an optimiser.
+
+The frame method solves the 21 unknowns of the 8U chain one frame after the other with scipy's Levenberg-Marquardt
+(`least_squares(method="lm")`, MINPACK) on the stacked residuals of all objectives. A frame starts from the solution of
+the frame before, its place carried on along its path; the first starts from geometry (`recon.initialise`). Frames whose
+solution leaves points unexplained get further starts, and the lowest cost wins.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import eigh
+from scipy.optimize import OptimizeResult, least_squares
+
+from recon.camera import Camera
+from recon.initialise import MIN_JOINTS, Travel, estimate_travel, geometric_start
+from recon.objectives import (
+    AnglePrior,
+    AngleRange,
+    BaseLengthPrior,
+    Form,
+    HeadingTie,
+    Objective,
+    RateLimit,
+    Reprojection,
+    RollPrior,
+    TravelPrior,
+)
+from recon.skeleton import Posed, Skeleton
+
+Array = NDArray[np.float64]
+Status = Literal["converged", "not_converged", "no_data"]
+
+
+@dataclass(frozen=True)
+class FrameOptions:
+    """How the frame method weighs and searches.
+
+    form: of f1-f5, see `recon.objectives`. angle_prior: the Gaussian priors on angles, roll and heading, or none of
+    them. camera_rotation: "fixed" holds R at the first frame's. base_length_m, base_sigma_m: in place of the
+    skeleton's. sigma_px: the detector's noise; keypoint_sigma_m: how far keypoints lie from the model's joints, in
+    place of the skeleton's, and at most keypoint_sigma_max_px in the picture. robust_c: residuals of this many sigmas
+    count half.
+    """
+
+    form: Form = "deadband"
+    angle_prior: Literal["gaussian", "none"] = "gaussian"
+    camera_rotation: Literal["free", "fixed"] = "free"
+    base_length_m: float | None = None
+    base_sigma_m: float | None = None
+    sigma_px: float = 3.0
+    keypoint_sigma_m: float | None = None
+    keypoint_sigma_max_px: float = 15.0
+    robust_c: float = 4.0
+    tolerance: float = 1e-8
+    max_evaluations: int = 400
+
+
+@dataclass(frozen=True)
+class FrameReport:
+    """What the optimiser did for one frame (all residuals without unit).
+
+    starts: how many starts were solved. iterations: accepted and rejected Levenberg-Marquardt iterations of the start
+    that won (Jacobian evaluations, as MINPACK counts them). cost_shares: each term's part of the squared norm.
+    sigma_px: standard deviation of a detection. data_share (D,) and joint_data_share (J,): the part of the posterior
+    precision that comes from the pixels, 0 to 1, NaN where data and priors together leave a quantity undetermined.
+    joint_sigma_m (J, 3): posterior standard deviation in the camera frame, given the frame before.
+    """
+
+    status: Status
+    starts: int
+    iterations: int
+    function_evaluations: int
+    jacobian_evaluations: int
+    optimizer_status: int
+    message: str
+    squared_norm: float
+    mean_residual: float
+    cost_shares: dict[str, float]
+    optimality: float
+    step_norm: float
+    jacobian_mean_abs: float
+    jacobian_sparsity: float
+    gradient: Array
+    sigma_px: float
+    data_share: Array
+    joint_data_share: Array
+    joint_sigma_m: Array
+
+
+@dataclass(frozen=True)
+class Solution:
+    """states (T, D), NaN where a frame has no data; one report a frame; the travel that the start came from."""
+
+    states: Array
+    reports: tuple[FrameReport | None, ...]
+    travel: Travel
+    objectives: tuple[str, ...]
+
+
+def frame_objectives(
+    camera: Camera, skeleton: Skeleton, xy_px: Array, confidence: Array, travel: Travel, options: FrameOptions
+) -> tuple[Objective, ...]:
+    """f1-f5, the prior of the base length, and the Gaussian priors if they are on. Reprojection comes first.
+
+    xy_px (T, J, 2), NaN where missing; confidence (T, J).
+    """
+    s, form = skeleton.scales, options.form
+    terms: list[Objective] = [
+        Reprojection(camera, xy_px, confidence, np.full(len(xy_px), options.sigma_px), options.robust_c),
+        AngleRange("theta range", skeleton.theta_slice, skeleton.theta, s.range_softness_rad, form),
+        AngleRange("phi range", skeleton.phi_slice, skeleton.phi, s.range_softness_rad, form),
+        RateLimit("theta rate", skeleton.theta_slice, skeleton.theta.max_rate_rad_s, s.rate_softness_rad_s, form),
+        RateLimit("phi rate", skeleton.phi_slice, skeleton.phi.max_rate_rad_s, s.rate_softness_rad_s, form),
+        BaseLengthPrior(*base_length(skeleton, options)),
+    ]
+    if options.angle_prior == "gaussian":
+        moving = np.where(travel.speed_m_s[:, None] > 0, travel.heading, np.nan)
+        terms += [
+            AnglePrior("theta prior", skeleton.theta_slice, skeleton.theta.mean_rad, s.theta_rad),
+            AnglePrior("phi prior", skeleton.phi_slice, skeleton.phi.mean_rad, s.phi_rad),
+            RollPrior(camera.up, s.roll_rad, skeleton.euler_slice),
+            HeadingTie(camera.up, s.heading_rad_per_sqrt_s, skeleton.euler_slice),
+            TravelPrior(camera.up, moving, s.travel_rad, skeleton.euler_slice),
+        ]
+    return tuple(terms)
+
+
+def base_length(skeleton: Skeleton, options: FrameOptions) -> tuple[float, float]:
+    """Nominal value and standard deviation of the base length, metres."""
+    nominal = options.base_length_m or skeleton.nominal_base_length_m
+    relative = skeleton.scales.base_length_m / skeleton.nominal_base_length_m
+    return nominal, options.base_sigma_m or relative * nominal
+
+
+def solve_frames(
+    camera: Camera,
+    skeleton: Skeleton,
+    xy_px: Array,
+    confidence: Array,
+    fps: float,
+    options: FrameOptions,
+    progress: Callable[[int], None] = lambda frame: None,
+) -> Solution:
+    """Fit the chain frame by frame to detections xy_px (T, J, 2), NaN where missing, confidence (T, J).
+
+    The joints are in the skeleton's order, frames fps apart. Never raises for a frame that cannot be solved: its report
+    says so. progress is called with the number of each frame that is done.
+    """
+    skeleton = replace(skeleton, nominal_base_length_m=base_length(skeleton, options)[0])
+    travel = estimate_travel(camera, skeleton, xy_px, fps)
+    objectives = frame_objectives(camera, skeleton, xy_px, confidence, travel, options)
+    solver = _FrameSolver(camera, skeleton, objectives, options)
+    rays, _ = camera.rays(xy_px)
+    seen = np.isfinite(rays[..., 0]).sum(axis=1)
+
+    states = np.full((len(xy_px), skeleton.n_state), np.nan)
+    reports: list[FrameReport | None] = []
+    before: list[int] = []  # the last two solved frames, newest last
+    for frame in range(len(xy_px)):
+        progress(frame)
+        if seen[frame] < MIN_JOINTS:
+            reports.append(None)
+            continue
+        states[frame], report = solver.solve(frame, rays[frame], travel.heading[frame], states, before, fps)
+        reports.append(report)
+        before = [*before[-1:], frame]
+    return Solution(states, tuple(reports), travel, tuple(term.name for term in objectives))
+
+
+@dataclass(frozen=True)
+class _Candidate:
+    """One start that was solved."""
+
+    x: Array
+    cost: float
+    result: OptimizeResult
+    step_norm: float
+    objectives: tuple[Objective, ...]
+
+
+class _FrameSolver:
+    def __init__(
+        self, camera: Camera, skeleton: Skeleton, objectives: Sequence[Objective], options: FrameOptions
+    ) -> None:
+        self.camera, self.skeleton, self.options = camera, skeleton, options
+        self.reprojection = objectives[0]
+        self.objectives = tuple(objectives)
+        self.focal_px = float(np.sqrt(camera.matrix[0, 0] * camera.matrix[1, 1]))
+
+    def solve(
+        self, frame: int, rays: Array, heading: Array, states: Array, before: Sequence[int], fps: float
+    ) -> tuple[Array, FrameReport]:
+        previous = self.skeleton.pose(states[before[-1]][None]) if before else None
+        dt_s = (frame - before[-1]) / fps if before else 1.0 / fps
+        starts = self._first_starts(rays, heading) if not before else [self._carried_on(frame, states, before)]
+        tried = [self._solve_from(frame, start, previous, dt_s) for start in starts]
+        best = min(tried, key=lambda c: c.cost)
+        if before and not self._explained(frame, best):
+            tried += [
+                self._solve_from(frame, start, previous, dt_s)
+                for start in self._more_starts(rays, heading, states[before[-1]])
+            ]
+            best = min(tried, key=lambda c: c.cost)
+        return best.x, self._report(frame, best, previous, dt_s, len(tried))
+
+    # -- starts ---------------------------------------------------------------------------------------------------
+
+    def _first_starts(self, rays: Array, heading: Array) -> list[Array]:
+        """The mean pose along the direction of travel, and turned half a radian to either side of it."""
+        across = np.cross(self.camera.up, heading)
+        return [
+            geometric_start(self.camera, self.skeleton, rays, np.cos(turn) * heading + np.sin(turn) * across)
+            for turn in (0.0, 0.5, -0.5)
+        ]
+
+    def _carried_on(self, frame: int, states: Array, before: Sequence[int]) -> Array:
+        """The state before, its root moved on along its path. The place R p0 is moved, never p0: R turns it."""
+        last = self.skeleton.pose(states[before])
+        place = last.joints_m[-1, 0]
+        if len(before) == 2:
+            place = place + (place - last.joints_m[0, 0]) * (frame - before[1]) / (before[1] - before[0])
+        return self._placed(states[before[-1]], place if place[2] > 0 else last.joints_m[-1, 0])
+
+    def _more_starts(self, rays: Array, heading: Array, last: Array) -> list[Array]:
+        """The mean pose along the direction of travel, and the last pose where the rays put that."""
+        mean = geometric_start(self.camera, self.skeleton, rays, heading)
+        if self.options.camera_rotation == "fixed":
+            mean[self.skeleton.euler_slice] = last[self.skeleton.euler_slice]
+        place = self.skeleton.pose(mean[None]).joints_m[0, 0]
+        return [mean, self._placed(last, place)]
+
+    def _placed(self, state: Array, place_m: Array) -> Array:
+        moved = state.copy()
+        moved[self.skeleton.place_slice] = self.skeleton.pose(state[None]).rotation[0].T @ place_m
+        return moved
+
+    # -- one optimisation -----------------------------------------------------------------------------------------
+
+    def _solve_from(self, frame: int, start: Array, previous: Posed | None, dt_s: float) -> _Candidate:
+        terms = self._terms_at(frame, start, previous)
+        free = np.ones(self.skeleton.n_state, dtype=bool)
+        if self.options.camera_rotation == "fixed" and previous is not None:
+            free[self.skeleton.euler_slice] = False
+        x = start.copy()
+        last: dict[str, Array] = {}
+        steps: list[Array] = []
+
+        def residual(y: Array) -> Array:
+            x[free] = y
+            last["y"] = y.copy()
+            last["r"], last["J"] = evaluate(terms, self.skeleton, frame, x, previous, dt_s)
+            return last["r"]
+
+        def jacobian(y: Array) -> Array:
+            # MINPACK asks for the Jacobian at accepted points only: their differences are the steps taken.
+            steps.append(y.copy())
+            if not np.array_equal(last["y"], y):
+                residual(y)
+            return last["J"][:, free]
+
+        tolerance = self.options.tolerance
+        result = least_squares(
+            residual,
+            start[free],
+            jacobian,
+            method="lm",
+            x_scale="jac",
+            ftol=tolerance,
+            xtol=tolerance,
+            gtol=tolerance,
+            max_nfev=self.options.max_evaluations,
+        )
+        x[free] = result.x
+        path = [*steps, result.x]
+        step_norm = next(
+            (float(n) for a, b in zip(path[-2::-1], path[:0:-1], strict=True) if (n := np.linalg.norm(b - a)) > 0), 0.0
+        )
+        return _Candidate(x.copy(), float(result.cost), result, step_norm, terms)
+
+    def _terms_at(self, frame: int, start: Array, previous: Posed | None) -> tuple[Objective, ...]:
+        """The objectives with the detection noise of this distance; without a frame before, no ties to it."""
+        o = self.options
+        depth = max(float(self.skeleton.pose(start[None]).joints_m[0, :, 2].mean()), 0.1)
+        keypoint_m = self.skeleton.scales.keypoint_m if o.keypoint_sigma_m is None else o.keypoint_sigma_m
+        sigma = float(np.hypot(o.sigma_px, min(keypoint_m * self.focal_px / depth, o.keypoint_sigma_max_px)))
+        assert isinstance(self.reprojection, Reprojection)
+        sigma_px = np.broadcast_to(sigma, self.reprojection.sigma_px.shape)
+        terms = (replace(self.reprojection, sigma_px=sigma_px), *self.objectives[1:])
+        return terms if previous is not None else tuple(t for t in terms if t.stencil == (0,))
+
+    def _explained(self, frame: int, candidate: _Candidate) -> bool:
+        """Converged, and no detection further off than c sigma."""
+        reprojection = candidate.objectives[0]
+        assert isinstance(reprojection, Reprojection)
+        pixels, _ = self.camera.project(self.skeleton.pose(candidate.x[None]).joints_m[0])
+        detected = reprojection.xy_px[frame]
+        present = np.isfinite(detected[:, 0])
+        off = np.linalg.norm(pixels - detected, axis=1)[present]
+        within = off < reprojection.c * reprojection.sigma_px[frame]  # False for NaN: a joint that cannot be projected
+        return candidate.result.status in (1, 2, 3, 4) and bool(np.all(within))
+
+    # -- report ---------------------------------------------------------------------------------------------------
+
+    def _report(self, frame: int, best: _Candidate, previous: Posed | None, dt_s: float, starts: int) -> FrameReport:
+        result, terms = best.result, best.objectives
+        window = (previous, self.skeleton.pose_with_jacobian(best.x[None]))
+        frames, dt = np.array([frame]), np.array([dt_s])
+        parts = [term.evaluate(window_of(term, window), frames, dt) for term in terms]
+        costs = {term.name: float(np.sum(r**2)) for term, (r, _) in zip(terms, parts, strict=True)}
+        total = sum(costs.values())
+        J = np.concatenate([j[0, :, -1] for _, j in parts])
+        r = np.concatenate([r[0] for r, _ in parts])
+        data_share, joint_share, joint_sigma = precision_shares(parts[0][1][0, :, -1], J, self.skeleton, best.x)
+        reprojection = terms[0]
+        assert isinstance(reprojection, Reprojection)
+        return FrameReport(
+            status="converged" if result.status in (1, 2, 3, 4) else "not_converged",
+            starts=starts,
+            iterations=int(result.njev),
+            function_evaluations=int(result.nfev),
+            jacobian_evaluations=int(result.njev),
+            optimizer_status=int(result.status),
+            message=str(result.message),
+            squared_norm=total,
+            mean_residual=float(np.mean(np.abs(r))),
+            cost_shares={name: cost / total if total > 0 else 0.0 for name, cost in costs.items()},
+            optimality=float(np.max(np.abs(J.T @ r))),
+            step_norm=best.step_norm,
+            jacobian_mean_abs=float(np.mean(np.abs(J))),
+            jacobian_sparsity=float(np.mean(J == 0)),
+            gradient=J.T @ r,
+            sigma_px=float(reprojection.sigma_px[frame]),
+            data_share=data_share,
+            joint_data_share=joint_share,
+            joint_sigma_m=joint_sigma,
+        )
+
+
+def window_of(term: Objective, window: tuple[Posed | None, Posed]) -> tuple[Posed, ...]:
+    """The poses that a term reads, from the frame before (if any) and this one."""
+    before, now = window
+    return (now,) if before is None or len(term.stencil) == 1 else (before, now)
+
+
+def evaluate(
+    terms: Sequence[Objective], skeleton: Skeleton, frame: int, x: Array, previous: Posed | None, dt_s: float
+) -> tuple[Array, Array]:
+    """Stacked residuals (M,) of one frame and their Jacobian (M, D) with respect to its state x (D,).
+
+    previous: the frame before, held fixed, dt_s earlier; None for terms that read this frame only.
+    """
+    now = skeleton.pose_with_jacobian(x[None])
+    frames, dt = np.array([frame]), np.array([dt_s])
+    residuals, jacobians = [], []
+    for term in terms:
+        r, J = term.evaluate(window_of(term, (previous, now)), frames, dt)
+        residuals.append(r[0])
+        jacobians.append(J[0, :, -1])
+    return np.concatenate(residuals), np.concatenate(jacobians)
+
+
+def precision_shares(J_data: Array, J: Array, skeleton: Skeleton, x: Array) -> tuple[Array, Array, Array]:
+    """What the pixels contribute: shares of the unknowns (D,), of the joints (J,), and the joints' sigmas (J, 3) in m.
+
+    With H = J'J = H_data + H_priors and the posterior covariance C = H^-1, C = C H_data C + C H_priors C splits every
+    variance into two non-negative parts; the share is the first one's. J_data: the reprojection's rows of J. All NaN
+    where H is singular.
+    """
+    scale = np.maximum(np.linalg.norm(J, axis=0), 1e-12)
+    values, vectors = eigh((J / scale).T @ (J / scale))
+    n_joints = len(skeleton.joints)
+    if values[0] < 1e-10 * values[-1]:
+        return np.full(len(x), np.nan), np.full(n_joints, np.nan), np.full((n_joints, 3), np.nan)
+    C = (vectors / values) @ vectors.T / np.outer(scale, scale)
+    from_data = C @ (J_data.T @ J_data) @ C
+    joints = skeleton.pose_with_jacobian(x[None]).joints_jacobian
+    assert joints is not None
+    variance = np.einsum("jad,de,jae->ja", joints[0], C, joints[0])
+    data_variance = np.einsum("jad,de,jae->ja", joints[0], from_data, joints[0])
+    share = np.diag(from_data) / np.diag(C)
+    return share, data_variance.sum(axis=1) / variance.sum(axis=1), np.sqrt(variance)

@@ -1,0 +1,427 @@
+import json
+
+import cv2
+import numpy as np
+import pandas as pd
+import pytest
+import tomli_w
+from scipy.spatial.transform import Rotation
+
+from recon.calibration import read_camera, read_cameras, write_camera
+from recon.camera import Camera
+from recon.errors import InputError
+
+K = [[960.5, 0.0, 945.8], [0.0, 968.4, 584.5], [0.0, 0.0, 1.0]]
+FISHEYE = [0.129, -0.0481, -0.0122, 0.0133]
+RADTAN = [-0.28, 0.09, 1.1e-3, -7e-4, 0.02]
+R = Rotation.from_euler("xyz", (-1.8, 0.2, 0.1)).as_matrix()
+T = [0.3, 1.2, -0.4]
+SIZE = (1920, 1080)
+
+
+def opencv_text(suffix: str, **values) -> str:
+    """A file as OpenCV writes it; arrays and numbers by key."""
+    storage = cv2.FileStorage(suffix, cv2.FILE_STORAGE_WRITE | cv2.FILE_STORAGE_MEMORY)
+    for key, value in values.items():
+        storage.write(key, np.asarray(value, dtype=float) if isinstance(value, list | np.ndarray) else value)
+    return storage.releaseAndGetString()
+
+
+def opencv_values(**more):
+    defaults = {"camera_matrix": K, "distortion_coefficients": [RADTAN], "image_width": 1920, "image_height": 1080}
+    return {key: value for key, value in (defaults | more).items() if value is not None}
+
+
+def scene(**changes) -> dict:
+    camera = {"k": K, "d": [[x] for x in FISHEYE], "r": R.tolist(), "t": [[x] for x in T]} | changes
+    return {"camera_resolution": list(SIZE), "cameras": [camera, {**camera}]}
+
+
+def anipose(*sections: str, **changes) -> dict:
+    rotvec = Rotation.from_matrix(R).as_rotvec().tolist()
+    table = {"size": list(SIZE), "matrix": K, "distortions": RADTAN, "rotation": rotvec, "translation": T} | changes
+    cameras = {section: {"name": section, **table} for section in sections}
+    return cameras | {"metadata": {"adjusted": False, "error": 0.0}}
+
+
+def own_table(**changes) -> dict:
+    camera = Camera("left", K, FISHEYE, "fisheye", SIZE, R, T)
+    return {"camera": {"format": "recon-camera", "version": 1, **camera.to_dict(), **changes}}
+
+
+@pytest.fixture
+def write(tmp_path):
+    def write_file(name: str, content):
+        path = tmp_path / name
+        if isinstance(content, dict):
+            content = json.dumps(content) if path.suffix == ".json" else tomli_w.dumps(content)
+        path.write_text(content, encoding="utf-8")
+        return path
+
+    return write_file
+
+
+def problems_of(path, name=None, **options) -> str:
+    with pytest.raises(InputError) as caught:
+        read_camera(path, name, **options)
+    assert all(str(problem.file) == str(path) for problem in caught.value.problems)
+    return str(caught.value)
+
+
+def assert_camera(camera, distortion, model, posed=False, world_z_up=True):
+    np.testing.assert_array_equal(camera.matrix, K)
+    np.testing.assert_array_equal(camera.distortion, distortion)
+    assert (camera.model, camera.image_size_px, camera.world_z_up) == (model, SIZE, world_z_up)
+    assert camera.has_extrinsics == posed
+    if posed:
+        np.testing.assert_allclose(camera.rotation, R, atol=1e-12)
+        np.testing.assert_array_equal(camera.translation_m, T)
+
+
+class TestOpenCV:
+    @pytest.mark.parametrize("suffix", [".yml", ".yaml", ".json", ".xml"])
+    def test_as_opencv_writes_it(self, write, suffix):
+        path = write(f"camera{suffix}", opencv_text(suffix, **opencv_values()))
+        assert_camera(read_camera(path), RADTAN, "radtan", world_z_up=False)
+
+    @pytest.mark.parametrize(
+        "header", ["%YAML:1.0\n---\n", "%YAML 1.2\n---\n", "%YAML:1.0\n", "---\n", "", "# by hand\n\n"]
+    )
+    def test_every_header(self, write, header):
+        body = opencv_text(".yml", **opencv_values()).partition("---\n")[2]
+        assert_camera(read_camera(write("camera.yml", header + body)), RADTAN, "radtan", world_z_up=False)
+
+    def test_json_with_opencv_4_numbers(self, write):
+        text = opencv_text(".json", **opencv_values(distortion_coefficients=[[0, 0, 0, 0, 1.0]])).replace("1.0", "1.")
+        assert read_camera(write("camera.json", text)).distortion.tolist() == [0, 0, 0, 0, 1]
+
+    def test_plain_json(self, write):
+        values = {"K": K, "dist_coeffs": RADTAN, "width": 1920, "height": 1080, "camera_name": "left"}
+        camera = read_camera(write("camera.json", values))
+        assert camera.name == "left"
+        assert_camera(camera, RADTAN, "radtan", world_z_up=False)
+
+    @pytest.mark.parametrize("key", ["distortion_coefficients", "dist_coeffs", "distCoeffs", "D"])
+    def test_fisheye_flag_and_spellings(self, write, key):
+        values = opencv_values(distortion_coefficients=None, fisheye=1) | {key: [FISHEYE]}
+        assert_camera(
+            read_camera(write("camera.yml", opencv_text(".yml", **values))), FISHEYE, "fisheye", world_z_up=False
+        )
+
+    @pytest.mark.parametrize(("rotation", "translation"), [("R", "T"), ("rotation", "translation"), ("rvec", "tvec")])
+    def test_pose(self, write, rotation, translation):
+        turn = R if rotation == "R" else Rotation.from_matrix(R).as_rotvec()[:, None]
+        values = opencv_values(world_z_up=1) | {rotation: turn, translation: [[x] for x in T]}
+        path = write("camera.yml", opencv_text(".yml", **values))
+        assert_camera(read_camera(path), RADTAN, "radtan", posed=True)
+
+    @pytest.mark.parametrize(
+        ("distortion_model", "coefficients", "model"),
+        [
+            ("plumb_bob", RADTAN, "radtan"),
+            ("rational_polynomial", [*RADTAN, 0.1, 0.2, 0.3], "radtan"),
+            ("equidistant", FISHEYE, "fisheye"),
+        ],
+    )
+    def test_ros(self, write, distortion_model, coefficients, model):
+        text = f"""\
+image_width: 1920
+image_height: 1080
+camera_name: narrow_stereo
+camera_matrix:
+  rows: 3
+  cols: 3
+  data: {np.ravel(K).tolist()}
+distortion_model: {distortion_model}
+distortion_coefficients:
+  rows: 1
+  cols: {len(coefficients)}
+  data: {coefficients}
+rectification_matrix:
+  rows: 3
+  cols: 3
+  data: [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]
+"""
+        camera = read_camera(write("ost.yaml", text))
+        assert camera.name == "narrow_stereo"
+        assert_camera(camera, coefficients, model, world_z_up=False)
+
+    def test_ros_message_has_a_rectification_not_a_pose(self, write):
+        lists = {"D": RADTAN, "K": np.ravel(K).tolist(), "R": np.eye(3).ravel().tolist()}
+        values = {"width": 1920, "height": 1080, "distortion_model": "plumb_bob", **lists}
+        text = "".join(f"{key}: {value}\n" for key, value in values.items())
+        assert_camera(read_camera(write("info.yaml", text)), RADTAN, "radtan", world_z_up=False)
+
+    def test_unestimated_coefficients_are_dropped(self, write):
+        values = opencv_values(distortion_coefficients=[[*RADTAN, 0.1, 0.2, 0.3, 0, 0, 0, 0, 0, 0]])
+        camera = read_camera(write("camera.yml", opencv_text(".yml", **values)))
+        assert camera.distortion.tolist() == [*RADTAN, 0.1, 0.2, 0.3]
+
+    def test_unknown_lens_model(self, write):
+        path = write("camera.yml", opencv_text(".yml", **opencv_values(distortion_model="omni")))
+        assert "distortion_model: found 'omni'" in problems_of(path)
+
+
+class TestAcinoSet:
+    def test_scene(self, write):
+        cameras = read_cameras(write("scene.json", scene()))
+        assert [camera.name for camera in cameras] == ["cam1", "cam2"]
+        for camera in cameras:
+            assert_camera(camera, FISHEYE, "fisheye", posed=True)
+
+    def test_one_camera(self, write):
+        path = write("camera.json", {"camera_resolution": list(SIZE), "k": K, "d": [[x] for x in FISHEYE]})
+        assert_camera(read_camera(path), FISHEYE, "fisheye")
+
+    @pytest.mark.parametrize("off", [1e-4, 2e-3])
+    def test_rotation_is_made_orthonormal_when_it_nearly_is(self, write, off):
+        path = write("scene.json", scene(r=(R + off * np.eye(3)[::-1]).tolist()))
+        if off > 1e-3:
+            assert "cameras[0].r: found a matrix that is not a rotation" in problems_of(path, 1)
+        else:
+            rotation = read_camera(path, 1).rotation
+            np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-14)
+            np.testing.assert_allclose(rotation, R, atol=2 * off)
+
+    def test_reflection_is_refused(self, write):
+        assert "not a rotation" in problems_of(write("scene.json", scene(r=(-R).tolist())), 1)
+
+    @pytest.mark.parametrize("cameras", [[], {}, None, [1, 2]])
+    def test_no_cameras(self, write, cameras):
+        assert "no list of cameras" in problems_of(write("scene.json", {"cameras": cameras}))
+
+
+class TestAnipose:
+    def test_anipose(self, write):
+        content = anipose("cam_0", "cam_1")
+        content["cam_0"]["name"], content["cam_1"]["name"] = "A", "B"
+        cameras = read_cameras(write("calibration.toml", content))
+        assert [camera.name for camera in cameras] == ["A", "B"]
+        for camera in cameras:
+            assert_camera(camera, RADTAN, "radtan", posed=True, world_z_up=False)
+
+    def test_fisheye(self, write):
+        path = write("calibration.toml", anipose("A", fisheye=True, distortions=FISHEYE))
+        assert_camera(read_camera(path), FISHEYE, "fisheye", posed=True, world_z_up=False)
+
+    def test_one_coefficient(self, write):
+        path = write("calibration.toml", anipose("A", distortions=[-0.2]))
+        assert_camera(read_camera(path), [-0.2, 0, 0, 0], "radtan", posed=True, world_z_up=False)
+
+    def test_pose2sim(self, write):
+        content = anipose("cam_01", "cam_02", distortions=RADTAN[:4], size=[1920.0, 1080.0], fisheye=False)
+        del content["cam_01"]["name"]
+        path = write("Calib.toml", content)
+        assert read_cameras(path)[0].name == "cam_01"
+        assert_camera(read_camera(path, 2), RADTAN[:4], "radtan", posed=True, world_z_up=False)
+
+    def test_no_tables(self, write):
+        assert "no table of a camera" in problems_of(write("calibration.toml", "x = 1\n"))
+
+
+class TestOwnFormat:
+    @pytest.mark.parametrize(
+        "camera",
+        [
+            Camera("left", K, FISHEYE, "fisheye", SIZE, R, T),
+            Camera("left", K, RADTAN, "radtan", SIZE, R, T, world_z_up=False),
+            Camera.from_hfov(65.3, SIZE, name="Kamera Süd"),
+        ],
+    )
+    def test_round_trip_is_exact(self, tmp_path, camera):
+        path = tmp_path / "camera.toml"
+        write_camera(camera, path)
+        assert read_camera(path).to_dict() == camera.to_dict()
+        assert [file.name for file in tmp_path.iterdir()] == ["camera.toml"]
+
+    def test_other_version(self, write):
+        assert "version 2, expected format 'recon-camera', version 1" in problems_of(
+            write("camera.toml", own_table(version=2))
+        )
+
+    def test_bad_values(self, write):
+        found = problems_of(write("camera.toml", own_table(model="omni", world_z_up="yes")))
+        assert "camera.model: found 'omni'" in found
+        assert "camera.world_z_up: found 'yes'" in found
+
+    def test_failed_write_leaves_the_old_file(self, tmp_path, monkeypatch):
+        path = tmp_path / "camera.toml"
+        path.write_text("old")
+
+        def fail(*_):
+            raise OSError("disk full")
+
+        monkeypatch.setattr("pathlib.Path.replace", fail)
+        with pytest.raises(OSError, match="disk full"):
+            write_camera(Camera.from_hfov(60, SIZE), path)
+        assert path.read_text() == "old"
+        assert [file.name for file in tmp_path.iterdir()] == ["camera.toml"]
+
+
+class TestChoiceOfCamera:
+    @pytest.mark.parametrize(
+        ("names", "wanted", "found"),
+        [
+            (["cam1", "cam2", "cam6"], "cam6", "cam6"),
+            (["cam1", "cam2", "cam6"], 6, "cam6"),
+            (["cam1", "cam2", "cam6"], "2", "cam2"),
+            (["cam_01", "Cam_12"], "12", "Cam_12"),
+            (["0", "1"], "1", "1"),
+            (["cam1", "1"], 1, "1"),
+        ],
+    )
+    def test_by_name_or_number(self, write, names, wanted, found):
+        assert read_camera(write("calibration.toml", anipose(*names)), wanted).name == found
+
+    def test_by_place_in_a_file_without_names(self, write):
+        content = scene()
+        content["cameras"][1]["t"] = [[9.0], [9.0], [9.0]]
+        path = write("scene.json", content)
+        assert read_camera(path, 2).translation_m.tolist() == [9, 9, 9]
+        assert read_camera(path, "1").translation_m.tolist() == T
+
+    @pytest.mark.parametrize("wanted", [4, "3", "left", "cam", "-1", 0, "²", ""])
+    def test_no_such_camera(self, write, wanted):
+        found = problems_of(write("calibration.toml", anipose("cam1", "cam2", "cam6")), wanted)
+        assert "one of cam1, cam2, cam6" in found
+
+    def test_several_and_no_name(self, write):
+        found = problems_of(write("calibration.toml", anipose("cam1", "cam2")))
+        assert "2 cameras and no choice, expected one of cam1, cam2" in found
+
+    def test_number_that_two_names_fit(self, write):
+        assert "2 cameras called '1'" in problems_of(write("calibration.toml", anipose("cam1", "cam_1")), 1)
+
+    def test_names_must_differ(self, write):
+        content = scene(name="left")
+        assert "'left' 2 times" in problems_of(write("scene.json", content), "left")
+
+
+class TestImageSize:
+    def test_missing(self, write):
+        path = write("camera.yml", opencv_text(".yml", **opencv_values(image_width=None, image_height=None)))
+        assert "image_width, image_height: found nothing" in problems_of(path)
+        assert read_camera(path, image_size_px=(640, 480)).image_size_px == (640, 480)
+
+    def test_contradicted(self, write):
+        path = write("scene.json", scene())
+        assert read_camera(path, 1, image_size_px=SIZE).image_size_px == SIZE
+        assert "found 1920x1080, expected 640x480" in problems_of(path, 1, image_size_px=(640, 480))
+
+    @pytest.mark.parametrize("size", [[1920], [0, 1080], [-1, 5], ["a", "b"], "big", [1920.5, 1080], [[1, 2]]])
+    def test_malformed(self, write, size):
+        content = scene() | {"camera_resolution": size}
+        assert "camera_resolution" in problems_of(write("scene.json", content), 1)
+
+
+class TestMalformed:
+    @pytest.mark.parametrize(
+        ("name", "text", "message"),
+        [
+            ("a.json", '{"cameras": [', "malformed JSON"),
+            ("a.json", "[" * 100_000, "malformed JSON"),
+            ("a.json", "[1, 2]", "JSON of another kind"),
+            ("a.json", '{"x": "opencv-matrix"', "cannot parse"),
+            ("a.toml", "[cam_0\n", "malformed TOML"),
+            ("a.yml", "%YAML:1.0\n---\na: [1, 2\nfoo", "cannot parse"),
+            ("a.yaml", "just text", "cannot parse"),
+            ("a.xml", "<?xml version='1.0'?><opencv_storage><a>", "cannot parse"),
+            ("a.xml", "text", "cannot parse"),
+            ("a.yml", "%YAML:1.0\n---\n", "no keys"),
+            ("a.txt", "x", "suffix '.txt'"),
+            *((f"a{suffix}", " \n", "an empty file") for suffix in (".json", ".toml", ".yml", ".xml")),
+        ],
+    )
+    def test_text(self, write, capfd, name, text, message):
+        assert message in problems_of(write(name, text))
+        assert capfd.readouterr() == ("", "")
+
+    def test_files(self, tmp_path):
+        assert "No such file" in problems_of(tmp_path / "none.json")
+        (tmp_path / "folder.toml").mkdir()
+        assert "directory" in problems_of(tmp_path / "folder.toml")
+        (tmp_path / "binary.yml").write_bytes(b"\x80\x81")
+        assert "not UTF-8" in problems_of(tmp_path / "binary.yml")
+
+    @pytest.mark.parametrize(
+        ("changes", "message"),
+        [
+            ({"k": None}, "k: found nothing"),
+            ({"k": K[:2]}, "k: found shape (2, 3)"),
+            ({"k": [[1, 2], [3]]}, "k: found something other"),
+            ({"k": "wide"}, "k: found something other"),
+            ({"k": [["1", "0", "0"]] * 3}, "k: found something other"),
+            ({"k": [[float("nan"), 0, 0], *K[1:]]}, "k: found values that are not finite"),
+            ({"k": [[-1.0, 0, 0], *K[1:]]}, "fx and fy > 0"),
+            ({"k": np.transpose(K).tolist()}, "k: found [["),
+            ({"d": None}, "d: found nothing"),
+            ({"d": [0.1, 0.2]}, "d: found 2 coefficients, expected 4 coefficients of a fisheye lens"),
+            ({"d": [*FISHEYE, 0.5]}, "d: found 5 coefficients"),
+            ({"d": [float("inf"), 0, 0, 0]}, "d: found values that are not finite"),
+            ({"r": None}, "r: found nothing"),
+            ({"t": None}, "t: found nothing"),
+            ({"t": [1, 2]}, "t: found shape (2,)"),
+            ({"r": (2 * R).tolist()}, "r: found a matrix that is not a rotation"),
+            ({"r": [[float("nan")] * 3] * 3}, "r: found values that are not finite"),
+        ],
+    )
+    def test_values(self, write, changes, message):
+        found = problems_of(write("scene.json", scene(**changes)), 1)
+        assert message in found
+        assert "cameras[0]." in found
+        assert "cameras[1]." in found
+
+    def test_every_problem_at_once(self, write):
+        content = scene(k=None, d=[1, 2, 3], t=[1])
+        del content["camera_resolution"]
+        with pytest.raises(InputError) as caught:
+            read_cameras(write("scene.json", content))
+        fields = [problem.field for problem in caught.value.problems]
+        assert fields == [f"cameras[{i}].{key}" for i in (0, 1) for key in ("k", "d", "camera_resolution", "t")]
+
+
+class TestRealFiles:
+    @pytest.mark.parametrize(
+        ("name", "count", "size", "fx", "posed"),
+        [
+            ("2_cam_scene_sba", 2, (1920, 1080), 960.4869959766988, True),
+            ("4_cam_scene_static_sba", 2, (1920, 1080), 957.0183847467357, True),
+            ("camera_1", 1, (1920, 1080), 960.4869959766988, False),
+            ("dummy_scene", 6, (2704, 1520), 1239.734301643185, True),
+        ],
+    )
+    def test_acinoset(self, shared_data, name, count, size, fx, posed):
+        path = shared_data / "importer-files" / "acinoset" / f"{name}.json"
+        document = json.loads(path.read_text())
+        entries = document.get("cameras", [document])
+        cameras = read_cameras(path)
+        assert [camera.name for camera in cameras] == [f"cam{n}" for n in range(1, count + 1)]
+        assert cameras[0].matrix[0, 0] == fx
+        for camera, entry in zip(cameras, entries, strict=True):
+            assert (camera.model, camera.image_size_px, camera.has_extrinsics) == ("fisheye", size, posed)
+            np.testing.assert_array_equal(camera.distortion, np.ravel(entry["d"]))
+            if posed:
+                np.testing.assert_allclose(camera.rotation, entry["r"], atol=1e-8)
+                np.testing.assert_array_equal(camera.translation_m, np.ravel(entry["t"]))
+                assert camera.up[1] < -0.9  # filmed upright
+
+    def test_cheetah_runs_project_their_truth_onto_their_detections(self, shared_data):
+        """The published 3D truth is itself a fit, which lies 10 to 25 px from the detections."""
+        runs = sorted((shared_data / "cheetah-runs").glob("*/scene.json"))
+        assert len(runs) == 5
+        for scene_file in runs:
+            numbers = json.loads((scene_file.parent / "meta.json").read_text())["cameras"]
+            cameras = read_cameras(scene_file)
+            assert [camera.name for camera in cameras] == [f"cam{n}" for n in numbers]
+            truth = pd.read_csv(scene_file.parent / "truth.csv", header=[0, 1], index_col=0)
+            distances = []
+            for number, camera in zip(numbers, cameras, strict=True):
+                assert read_camera(scene_file, number).to_dict() == camera.to_dict()
+                detected = pd.read_csv(scene_file.parent / f"{camera.name}.csv", header=[1, 2], index_col=0)
+                frames = truth.index.intersection(detected.index)
+                for joint in truth.columns.unique(level=0).intersection(detected.columns.unique(level=0)):
+                    points = truth.loc[frames, joint].to_numpy(dtype=float)
+                    pixels, _ = camera.project(camera.world_to_camera(points))
+                    xy = detected.loc[frames, joint][["x", "y"]].to_numpy(dtype=float)
+                    distances.append(np.linalg.norm(pixels - xy, axis=-1))
+            assert 5 < np.nanmedian(np.concatenate(distances)) < 25

@@ -1,0 +1,323 @@
+import pickle
+
+import cv2
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from recon.camera import Camera, project_from_pose
+from recon.rotations import euler_rotation
+
+SIZE = (2704, 1520)
+K = np.array([[1240.0, 0, 1346.0], [0, 1210.0, 773.0], [0, 0, 1]])
+SKEWED = K + np.array([[0, 37.0, 0], [0, 0, 0], [0, 0, 0]])
+LENSES = {
+    "pinhole": ("pinhole", K, []),
+    "pinhole with skew": ("pinhole", SKEWED, []),
+    "radtan 4": ("radtan", K, [-0.28, 0.09, 1.1e-3, -7e-4]),
+    "radtan 4 with skew": ("radtan", SKEWED, [-0.28, 0.09, 1.1e-3, -7e-4]),
+    "radtan 5": ("radtan", K, [-0.31, 0.12, 1.3e-3, -9e-4, -0.025]),
+    "radtan 8": ("radtan", K, [0.42, 0.11, 1.2e-3, -8e-4, 0.01, 0.75, 0.2, 0.02]),
+    "fisheye mild": ("fisheye", K, [0.0366, 0.048, -0.0347, 0.0074]),
+    "fisheye strong": ("fisheye", K, [0.19, -0.23, 0.07, -0.021]),
+    "fisheye strong with skew": ("fisheye", SKEWED, [0.19, -0.23, 0.07, -0.021]),
+}
+
+
+def make_camera(lens: str, **pose) -> Camera:
+    model, matrix, distortion = LENSES[lens]
+    return Camera(lens, matrix, distortion, model, SIZE, **pose)
+
+
+def opencv_pixels(camera: Camera, points: np.ndarray) -> np.ndarray:
+    """Pixels of points in the camera frame from OpenCV, whose radial-tangential projection ignores the skew."""
+    skew = camera.matrix[0, 1]
+    unskewed = camera.matrix.copy()
+    unskewed[0, 1] = 0
+    zero = np.zeros(3)
+    if camera.model == "fisheye":
+        alpha = skew / camera.matrix[0, 0]
+        return cv2.fisheye.projectPoints(points[:, None], zero, zero, unskewed, camera.distortion, alpha=alpha)[0][:, 0]
+    ideal = np.eye(3)
+    distortion = camera.distortion if camera.distortion.size else None
+    distorted = cv2.projectPoints(points[:, None], zero, zero, ideal, distortion)[0][:, 0]
+    return (np.column_stack((distorted, np.ones(len(points)))) @ camera.matrix.T)[:, :2]
+
+
+@pytest.fixture
+def rng():
+    return np.random.default_rng(11)
+
+
+@pytest.mark.parametrize("lens", LENSES)
+class TestEveryLens:
+    @pytest.fixture
+    def camera(self, lens):
+        return make_camera(lens)
+
+    @pytest.fixture
+    def points(self, camera, rng):
+        """200 points all over the lens's range, up to 65 degrees off the axis and clear of its edge."""
+        widest = min(0.9 * np.arctan(camera.max_radius), np.deg2rad(65))
+        angle, around = rng.uniform(0, widest, 200), rng.uniform(-np.pi, np.pi, 200)
+        direction = np.stack((np.sin(angle) * np.cos(around), np.sin(angle) * np.sin(around), np.cos(angle)), axis=-1)
+        return direction * rng.uniform(1, 20, (200, 1))
+
+    def test_agrees_with_opencv(self, camera, points):
+        pixels, valid = camera.project(points)
+        assert valid.all()
+        np.testing.assert_allclose(pixels, opencv_pixels(camera, points), atol=1e-6)
+
+    def test_jacobian_by_central_differences(self, camera, points):
+        h = 1e-6
+        for point in points[:10]:
+            pixels, jacobian, _ = camera.project_with_jacobian(point)
+            np.testing.assert_array_equal(pixels, camera.project(point)[0])
+            steps = h * np.linalg.norm(point) * np.eye(3)
+            numeric = np.stack(
+                [(camera.project(point + s)[0] - camera.project(point - s)[0]) / (2 * s.max()) for s in steps], axis=-1
+            )
+            assert np.linalg.norm(jacobian - numeric) <= 1e-6 * np.linalg.norm(numeric)
+
+    def test_jacobian_on_the_optical_axis(self, camera):
+        pixels, jacobian, valid = camera.project_with_jacobian((0, 0, 2.0))
+        assert valid
+        np.testing.assert_allclose(pixels, camera.matrix[:2, 2])
+        np.testing.assert_allclose(jacobian, np.column_stack((camera.matrix[:2, :2] / 2, (0, 0))), atol=1e-9)
+
+    def test_pose_jacobian_by_central_differences(self, camera, rng):
+        h = 1e-6
+        for _ in range(10):
+            points = rng.uniform(-0.7, 0.7, (9, 3))
+            pose = np.concatenate((rng.uniform(-3, 3, 3), rng.uniform((-1, -0.5, 4), (1, 0.5, 8))))
+
+            def pixels_at(pose, points=points):
+                return project_from_pose(camera, points, pose[:3], pose[3:])[0]
+
+            pixels, d_point, d_pose, valid = project_from_pose(camera, points, pose[:3], pose[3:])
+            assert valid.all()
+            assert (d_point.shape, d_pose.shape) == ((9, 2, 3), (9, 2, 6))
+            np.testing.assert_allclose(
+                pixels, camera.project(points @ euler_rotation(pose[:3]).T + pose[3:])[0], atol=1e-9
+            )
+            numeric = [(pixels_at(pose + s) - pixels_at(pose - s)) / (2 * h) for s in h * np.eye(6)]
+            numeric = np.stack(numeric, axis=-1)
+            assert np.linalg.norm(d_pose - numeric) <= 1e-6 * np.linalg.norm(numeric)
+            numeric = [(pixels_at(pose, points + s) - pixels_at(pose, points - s)) / (2 * h) for s in h * np.eye(3)]
+            numeric = np.stack(numeric, axis=-1)
+            assert np.linalg.norm(d_point - numeric) <= 1e-6 * np.linalg.norm(numeric)
+
+    def test_rays_round_trip(self, camera, points):
+        pixels, _ = camera.project(points)
+        rays, valid = camera.rays(pixels)
+        assert valid.all()
+        np.testing.assert_allclose(rays, points / np.linalg.norm(points, axis=-1, keepdims=True), atol=1e-9)
+        np.testing.assert_allclose(camera.project(5 * rays)[0], pixels, atol=1e-9)
+
+    def test_rays_of_the_whole_image_round_trip_or_are_invalid(self, camera):
+        u, v = np.meshgrid(np.linspace(-0.5, SIZE[0] - 0.5, 41), np.linspace(-0.5, SIZE[1] - 0.5, 31))
+        pixels = np.stack((u, v), axis=-1)
+        rays, valid = camera.rays(pixels)
+        assert rays.shape == (31, 41, 3)
+        assert valid.mean() > 0.6
+        projected, inside = camera.project(rays)
+        assert inside[valid].all()
+        np.testing.assert_allclose(projected[valid], pixels[valid], atol=1e-9)
+        assert np.isnan(rays[~valid]).all()
+
+    def test_undistorted_pixels_are_those_of_a_pinhole(self, camera, points):
+        ideal = Camera("ideal", camera.matrix, [], "pinhole", SIZE)
+        found = camera.undistort(camera.project(points)[0])
+        np.testing.assert_allclose(found, ideal.project(points)[0], rtol=1e-9, atol=1e-7)
+
+    def test_behind_and_missing_points_are_invalid(self, camera):
+        points = np.array(
+            [(0.1, 0.2, 3.0), (0.1, 0.2, -3.0), (0.1, 0.2, 0.0), (0, 0, 0), (np.nan, 0, 3), (np.inf, 0, 3)]
+        )
+        pixels, jacobian, valid = camera.project_with_jacobian(points)
+        np.testing.assert_array_equal(valid, [True] + [False] * 5)
+        assert np.isfinite(pixels[0]).all()
+        assert np.isnan(pixels[1:]).all()
+        assert (jacobian[1:] == 0).all()
+
+    def test_missing_and_absurd_pixels_have_no_ray(self, camera):
+        rays, valid = camera.rays([(np.nan, 3.0), (np.inf, 3.0), (np.nan, np.nan)])
+        assert not valid.any()
+        assert np.isnan(rays).all()
+        assert np.isnan(camera.undistort((np.nan, 3.0))).all()
+        rays, valid = camera.rays((1e30, -1e200))
+        assert valid == np.isfinite(rays).all()
+
+    @pytest.mark.parametrize("shape", [(3,), (0, 3), (2, 3), (2, 5, 3)])
+    def test_shapes(self, camera, shape):
+        points = np.broadcast_to((0.1, 0.1, 2.1), shape)
+        pixels, jacobian, valid = camera.project_with_jacobian(points)
+        batch = shape[:-1]
+        assert (pixels.shape, jacobian.shape, valid.shape) == ((*batch, 2), (*batch, 2, 3), batch)
+        rays, valid = camera.rays(pixels)
+        assert (rays.shape, valid.shape) == (shape, batch)
+        assert camera.undistort(pixels).shape == pixels.shape
+        assert camera.in_image(pixels).shape == batch
+
+    def test_distorted_radius_increases_up_to_the_limit_and_no_further(self, camera):
+        if not np.isfinite(camera.max_radius):
+            angle = np.linspace(0, np.pi / 2 - 1e-3, 2000)
+        else:
+            angle = np.linspace(0, np.arctan(camera.max_radius), 2000)[:-1]
+        points = np.stack((np.tan(angle), 0 * angle, np.ones_like(angle)), axis=-1)
+        bare = Camera("radial", np.eye(3), without_tangential(camera), camera.model, (1, 1))
+        pixels, valid = bare.project(points)
+        assert valid.all()
+        assert (np.diff(pixels[:, 0]) > 0).all()
+        if np.isfinite(camera.max_radius):
+            beyond = (camera.max_radius * 1.001, 0, 1)
+            assert not camera.project(beyond)[1]
+            edge, near = opencv_pixels(bare, np.array([beyond, (camera.max_radius * 1.002, 0, 1)]))
+            assert near[0] < edge[0]
+
+
+def without_tangential(camera: Camera) -> np.ndarray:
+    distortion = camera.distortion.copy()
+    if camera.model == "radtan":
+        distortion[2:4] = 0
+    return distortion
+
+
+def test_some_lenses_have_a_limit():
+    assert make_camera("radtan 5").max_radius < 2
+    assert np.arctan(make_camera("fisheye strong").max_radius) < np.pi / 2
+    assert np.isinf(make_camera("fisheye mild").max_radius)
+    assert np.isinf(make_camera("pinhole").max_radius)
+
+
+def test_rational_lens_ends_at_its_pole():
+    camera = Camera("c", K, [0, 0, 0, 0, 0, -1.0, 0, 0], "radtan", SIZE)
+    assert camera.max_radius == pytest.approx(1.0)
+
+
+def test_tangential_distortion_folds_before_the_radial_limit():
+    """Where the true map folds, the point is invalid although its radius is below the limit, and so is its ray."""
+    camera = make_camera("radtan 5")
+    around = np.linspace(-np.pi, np.pi, 400)
+    radius = 0.999 * camera.max_radius
+    points = np.stack((radius * np.cos(around), radius * np.sin(around), np.ones_like(around)), axis=-1)
+    pixels, valid = camera.project(points)
+    assert 0 < valid.sum() < valid.size
+    rays, found = camera.rays(pixels)
+    np.testing.assert_array_equal(found, valid)
+    np.testing.assert_allclose(camera.project(rays[valid])[0], pixels[valid], atol=1e-9)
+
+
+def test_pixel_outside_the_lens_range_has_no_ray():
+    camera = make_camera("radtan 5")
+    edge = camera.project((-0.999 * camera.max_radius, 0, 1))[0]
+    assert camera.rays(edge)[1]
+    assert not camera.rays(edge - np.array((100, 0)))[1]
+
+
+def test_skew_by_the_formula():
+    camera = make_camera("pinhole with skew")
+    x, y, z = 0.4, -0.3, 2.5
+    np.testing.assert_allclose(
+        camera.project((x, y, z))[0], (1240 * x / z + 37 * y / z + 1346, 1210 * y / z + 773), rtol=1e-14
+    )
+
+
+def test_in_image():
+    camera = make_camera("pinhole")
+    pixels = [(0, 0), (-0.5, 1519.5), (-0.6, 0), (2703, 1519), (2703.6, 10), (10, 1520), (np.nan, 3)]
+    np.testing.assert_array_equal(camera.in_image(pixels), [True, True, False, True, False, False, False])
+
+
+def test_from_hfov():
+    camera = Camera.from_hfov(90, (640, 480))
+    np.testing.assert_allclose(camera.matrix, [[320, 0, 319.5], [0, 320, 239.5], [0, 0, 1]])
+    left, _ = camera.rays((-0.5, 239.5))
+    right, _ = camera.rays((639.5, 239.5))
+    assert np.degrees(np.arccos(left @ right)) == pytest.approx(90)
+
+
+@pytest.mark.parametrize("hfov", [0, -10, 180, 400, np.nan])
+def test_from_hfov_refuses_impossible_angles(hfov):
+    with pytest.raises(ValueError, match="field of view"):
+        Camera.from_hfov(hfov, (640, 480))
+
+
+def test_world_and_camera_frames():
+    # At (0, -5, 1), looking along world +y: camera x = world x, camera y = -world z, camera z = world y.
+    rotation = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
+    camera = make_camera("fisheye mild", rotation=rotation, translation_m=-rotation @ (0, -5, 1))
+    assert camera.has_extrinsics
+    np.testing.assert_allclose(camera.centre_world, (0, -5, 1))
+    np.testing.assert_allclose(camera.world_to_camera((0.5, 0, 1)), (0.5, 0, 5))
+    np.testing.assert_allclose(camera.up, (0, -1, 0))
+    points = np.arange(24.0).reshape(2, 4, 3)
+    np.testing.assert_allclose(camera.camera_to_world(camera.world_to_camera(points)), points, atol=1e-12)
+
+
+def test_up_follows_the_world_only_where_its_z_points_up():
+    rotation = Rotation.from_euler("xyz", (-1.9, 0.3, 0.2)).as_matrix()
+    known = make_camera("pinhole", rotation=rotation, translation_m=(0, 0, 0))
+    np.testing.assert_allclose(known.up, rotation @ (0, 0, 1))
+    board = make_camera("pinhole", rotation=rotation, translation_m=(0, 0, 0), world_z_up=False)
+    np.testing.assert_allclose(board.up, (0, -1, 0))
+    np.testing.assert_allclose(make_camera("pinhole").up, (0, -1, 0))
+
+
+def test_no_pose():
+    camera = make_camera("pinhole")
+    assert not camera.has_extrinsics
+    for call in (camera.world_to_camera, camera.camera_to_world):
+        with pytest.raises(ValueError, match="no rotation and translation"):
+            call(np.zeros(3))
+    with pytest.raises(ValueError, match="no rotation and translation"):
+        _ = camera.centre_world
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"matrix": np.eye(2)}, "matrix must be 3x3"),
+        ({"matrix": K * np.nan}, "finite"),
+        ({"matrix": -K}, "positive fx"),
+        ({"matrix": K.T}, "matrix must be"),
+        ({"distortion": [0.1, 0.2]}, "coefficients"),
+        ({"distortion": [0.1, np.inf, 0, 0]}, "distortion must be finite"),
+        ({"model": "omni"}, "model must be one of"),
+        ({"image_size_px": (0, 10)}, "image_size_px"),
+        ({"rotation": np.eye(3)}, "together"),
+        ({"rotation": 1.1 * np.eye(3), "translation_m": np.zeros(3)}, "rotation matrix"),
+        ({"rotation": -np.eye(3), "translation_m": np.zeros(3)}, "rotation matrix"),
+        ({"rotation": np.eye(3) * np.nan, "translation_m": np.zeros(3)}, "rotation matrix"),
+        ({"rotation": np.eye(3), "translation_m": np.zeros(2)}, "translation_m"),
+    ],
+)
+def test_impossible_cameras_are_refused(change, message):
+    good = {"name": "c", "matrix": K, "distortion": np.zeros(4), "model": "fisheye", "image_size_px": SIZE}
+    Camera(**good)
+    with pytest.raises(ValueError, match=message):
+        Camera(**good | change)
+
+
+def test_every_fault_is_named_at_once():
+    with pytest.raises(ValueError, match=r"(?s)matrix.*coefficients.*image_size_px"):
+        Camera("c", -K, np.zeros(3), "radtan", (0, 0))
+
+
+def test_does_not_change_with_its_inputs_and_is_read_only():
+    matrix = K.copy()
+    camera = Camera("c", matrix, [], "pinhole", SIZE)
+    matrix[0, 0] = 1
+    assert camera.matrix[0, 0] == 1240
+    with pytest.raises(ValueError, match="read-only"):
+        camera.matrix[0, 0] = 1
+
+
+@pytest.mark.parametrize("posed", [False, True])
+def test_dict_and_pickle_round_trips(posed):
+    pose = {"rotation": euler_rotation((0.1, 0.2, 0.3)), "translation_m": (1, 2, 3)} if posed else {}
+    camera = make_camera("fisheye mild", world_z_up=False, **pose)
+    camera.project((0, 0, 1))
+    for copy in (Camera.from_dict(camera.to_dict()), pickle.loads(pickle.dumps(camera))):
+        assert copy.to_dict() == camera.to_dict()
+        np.testing.assert_array_equal(copy.project((0.1, 0.2, 1))[0], camera.project((0.1, 0.2, 1))[0])

@@ -1,0 +1,197 @@
+"""Metrics of a reconstruction against the truth."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from scipy.optimize import minimize
+from scipy.spatial.transform import Rotation
+
+from recon.analysis.evaluation import (
+    align_scale,
+    align_similarity,
+    centre,
+    evaluate,
+    evaluate_files,
+    joint_errors,
+)
+from recon.errors import InputError
+from recon.io.pose3d import Pose3D
+
+NAN = float("nan")
+RNG = np.random.default_rng(5)
+
+
+def pose(xyz, names="abcdefgh", frames=None) -> Pose3D:
+    xyz = np.array(xyz, float)
+    return Pose3D(tuple(names[: xyz.shape[1]]), xyz, np.arange(len(xyz)) if frames is None else np.array(frames))
+
+
+TRUTH = RNG.normal(0, 0.5, (4, 6, 3))
+
+
+def test_the_truth_itself_has_no_error():
+    result = evaluate(pose(TRUTH), pose(TRUTH))
+    for score in (result.mpjpe_m, result.mpe_m, result.scale_mpjpe_m, result.pa_mpjpe_m):
+        assert score.mean == pytest.approx(0, abs=1e-12)
+    assert [s.mean for _, s in result.pck] == [1, 1, 1]
+
+
+def test_metrics_by_hand():
+    # Two joints, 2 m apart along x. The pose is 0.3 m too high, and its second joint is 0.16 m too far out.
+    truth = pose([[[-1, 0, 0], [1, 0, 0]]])
+    result = evaluate(pose([[[-1, 0, 0.3], [1.16, 0, 0.3]]]), truth)
+    assert result.mpe_m.mean == pytest.approx((0.3 + 0.34) / 2)
+    assert result.mpe_m.per_joint == pytest.approx([0.3, 0.34])
+    # Centred, the joints lie at -1.08 and 1.08.
+    assert result.mpjpe_m.mean == pytest.approx(0.08)
+    assert result.scale_mpjpe_m.mean == pytest.approx(0)
+    assert np.isnan(result.pa_mpjpe_m.mean)
+    assert result.frames_without_pa == 1
+    assert [(t, s.mean) for t, s in result.pck] == [(0.05, 0), (0.1, 1), (0.15, 1)]
+
+
+def test_each_alignment_undoes_its_own_change():
+    shift, scale = RNG.normal(0, 2, (4, 1, 3)), RNG.uniform(0.5, 2, (4, 1, 1))
+    turn = Rotation.random(4, RNG).as_matrix()
+    moved, scaled = pose(TRUTH + shift), pose(TRUTH * scale + shift)
+    turned = pose(np.einsum("tij,tkj->tki", turn, TRUTH) * scale + shift)
+
+    assert evaluate(moved, pose(TRUTH)).mpjpe_m.mean == pytest.approx(0, abs=1e-12)
+    assert evaluate(moved, pose(TRUTH)).mpe_m.per_frame == pytest.approx(np.linalg.norm(shift[:, 0], axis=1))
+    assert evaluate(scaled, pose(TRUTH)).mpjpe_m.mean > 0.05
+    assert evaluate(scaled, pose(TRUTH)).scale_mpjpe_m.mean == pytest.approx(0, abs=1e-12)
+    assert evaluate(turned, pose(TRUTH)).scale_mpjpe_m.mean > 0.05
+    assert evaluate(turned, pose(TRUTH)).pa_mpjpe_m.mean == pytest.approx(0, abs=1e-12)
+
+
+def test_a_mirrored_pose_is_not_mirrored_back():
+    mirrored = TRUTH * [1, -1, 1]
+    assert evaluate(pose(mirrored), pose(TRUTH)).pa_mpjpe_m.mean > 0.05
+    # A factor of -1 would make this one perfect.
+    opposite = pose(TRUTH.mean(axis=1, keepdims=True) * 2 - TRUTH)
+    spread = np.linalg.norm(TRUTH - TRUTH.mean(axis=1, keepdims=True), axis=2)
+    assert evaluate(opposite, pose(TRUTH)).scale_mpjpe_m.per_frame == pytest.approx(spread.mean(axis=1))
+
+
+def test_similarity_agrees_with_scipy():
+    noisy = TRUTH + RNG.normal(0, 0.2, TRUTH.shape)
+    mirrored = noisy * [1, 1, -1]
+    for candidate in (noisy, mirrored):
+        aligned = align_similarity(candidate, TRUTH)
+        for got, p, t in zip(aligned, candidate, TRUTH, strict=True):
+            p_0, t_0 = p - p.mean(axis=0), t - t.mean(axis=0)
+            rotated = Rotation.align_vectors(t_0, p_0)[0].apply(p_0)
+            expected = rotated * np.sum(rotated * t_0) / np.sum(p_0**2) + t.mean(axis=0)
+            np.testing.assert_allclose(got, expected, atol=1e-12)
+
+
+def test_similarity_and_scale_are_least_squares():
+    noisy = TRUTH[:1] + RNG.normal(0, 0.2, (1, 6, 3))
+
+    def similarity(x):
+        return np.sum((np.exp(x[6]) * Rotation.from_rotvec(x[:3]).apply(noisy[0]) + x[3:6] - TRUTH[0]) ** 2)
+
+    best = minimize(similarity, np.zeros(7), method="BFGS", tol=1e-10)
+    assert np.sum((align_similarity(noisy, TRUTH[:1]) - TRUTH[:1]) ** 2) == pytest.approx(best.fun, rel=1e-6)
+
+    centred, mean = noisy[0] - noisy[0].mean(axis=0), TRUTH[0].mean(axis=0)
+    best = minimize(lambda s: np.sum((s[0] * centred + mean - TRUTH[0]) ** 2), [1.0], tol=1e-12)
+    assert np.sum((align_scale(noisy, TRUTH[:1]) - TRUTH[:1]) ** 2) == pytest.approx(best.fun, rel=1e-9)
+
+
+@pytest.mark.parametrize("align", [centre, align_scale, align_similarity])
+def test_only_common_joints_count(align):
+    noisy = TRUTH + RNG.normal(0, 0.1, TRUTH.shape)
+    gone_pose, gone_truth = noisy.copy(), TRUTH.copy()
+    gone_pose[:, 1] = NAN
+    gone_truth[:, 4, 2] = NAN
+    keep = [0, 2, 3, 5]
+    errors = joint_errors(align(gone_pose, gone_truth), gone_truth)
+    assert np.isnan(errors[:, [1, 4]]).all()
+    expected = joint_errors(align(noisy[:, keep], TRUTH[:, keep]), TRUTH[:, keep])
+    np.testing.assert_allclose(errors[:, keep], expected, atol=1e-12)
+
+
+def test_frames_count_the_same_however_many_joints_they_have():
+    truth = np.zeros((3, 4, 3))
+    wrong = truth.copy()
+    wrong[0, :, 0] = [0.1, 0.1, 0.1, 0.1]
+    wrong[1, :, 0] = [0.4, NAN, NAN, NAN]
+    wrong[2] = NAN
+    result = evaluate(pose(wrong), pose(truth))
+    np.testing.assert_allclose(result.mpe_m.per_frame, [0.1, 0.4, NAN])
+    np.testing.assert_allclose(result.mpe_m.per_joint, [0.25, 0.1, 0.1, 0.1])
+    assert result.mpe_m.mean == pytest.approx(0.25)
+    assert (result.frames_not_scored, result.frames_without_pa) == (1, 2)
+
+
+def test_joints_that_coincide_have_no_scale():
+    flat = np.zeros((1, 4, 3))
+    result = evaluate(pose(flat), pose(TRUTH[:1, :4]))
+    spread = np.linalg.norm(TRUTH[0, :4] - TRUTH[0, :4].mean(axis=0), axis=1).mean()
+    for score in (result.mpjpe_m, result.scale_mpjpe_m, result.pa_mpjpe_m):
+        assert score.mean == pytest.approx(spread)
+
+
+def test_joints_match_by_name_and_frames_by_number():
+    truth = pose(TRUTH, frames=[10, 11, 12, 13])
+    order = [5, 0, 3]
+    extra = np.concatenate([TRUTH[1:, order], np.ones((3, 1, 3))], axis=1)
+    shuffled = pose(np.concatenate([extra, extra[:1]]), names="fadx", frames=[11, 12, 13, 20])
+    result = evaluate(shuffled, truth)
+    assert result.names == ("f", "a", "d")
+    assert result.frames.tolist() == [11, 12, 13]
+    assert result.mpe_m.mean == pytest.approx(0, abs=1e-12)
+    assert result.joints_only_in_pose == ("x",)
+    assert result.joints_only_in_truth == ("b", "c", "e")
+    assert result.frames_only_in_pose == ((20, 21),)
+    assert result.frames_only_in_truth == ((10, 11),)
+
+
+def test_nothing_in_common():
+    with pytest.raises(InputError) as error:
+        evaluate(pose(TRUTH, names="uvwxyz", frames=[5, 6, 7, 8]), pose(TRUTH))
+    said = [str(p) for p in error.value.problems]
+    assert len(said) == 2
+    assert "joints: found none in common (u, v, w, x, y and a, b, c, d, e)" in said[0]
+    assert "frames: found none in common (5 to 8 and 0 to 3)" in said[1]
+    with pytest.raises(InputError, match="no joint known on both sides"):
+        evaluate(pose(TRUTH * NAN), pose(TRUTH))
+
+
+def test_to_dict_is_json_in_millimetres():
+    wrong = TRUTH + np.array([0.05, 0, 0])
+    wrong[0] = NAN
+    result = evaluate(pose(wrong), pose(TRUTH))
+    written = json.loads(json.dumps(result.to_dict(), allow_nan=False))
+    assert written["mpe_mm"] == pytest.approx(50)
+    assert written["mpjpe_mm"] == pytest.approx(0, abs=1e-9)
+    assert written["mpe_per_frame_mm"] == [None, *[pytest.approx(50)] * 3]
+    assert written["mpe_per_joint_mm"] == {name: pytest.approx(50) for name in "abcdef"}
+    assert [(p["threshold_mm"], p["mean"]) for p in written["pck"]] == [(50, 1), (100, 1), (150, 1)]
+    assert written["frames"] == [0, 1, 2, 3]
+    assert written["frames_not_scored"] == 1
+
+
+def test_real_truth_moved(shared_data, tmp_path):
+    paths = sorted((shared_data / "cheetah-runs").glob("*/truth.csv"))
+    assert len(paths) == 5
+    for path in paths:
+        result = evaluate_files(path, path)
+        assert len(result.names) == 24
+        assert result.mpe_m.mean == 0
+        assert result.mpjpe_m.mean == pytest.approx(0, abs=1e-12)
+        assert result.frames_not_scored == 0
+
+    # The same file with every x 0.1 m larger, written by hand.
+    lines = paths[0].read_text().splitlines()
+    rows = [line.split(",") for line in lines[2:]]
+    moved = [[c if j % 3 != 1 else repr(float(c) + 0.1) for j, c in enumerate(row)] for row in rows]
+    copy = tmp_path / "moved.csv"
+    copy.write_text("\n".join([*lines[:2], *(",".join(row) for row in moved)]))
+    result = evaluate_files(copy, paths[0])
+    assert result.mpe_m.mean == pytest.approx(0.1)
+    assert result.mpjpe_m.mean == pytest.approx(0, abs=1e-12)

@@ -1,0 +1,538 @@
+"""Reading keypoints and 3D positions from files."""
+
+from __future__ import annotations
+
+import csv
+import time
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+import tables
+
+from recon.errors import InputError
+from recon.io import deeplabcut, read_keypoints
+from recon.io.pose3d import Pose3D, read_pose3d
+from recon.keypoints import Keypoints, clean
+
+NAN = float("nan")
+SINGLE = """\
+scorer,net,net,net,net,net,net
+bodyparts,nose,nose,nose,tail,tail,tail
+coords,x,y,likelihood,x,y,likelihood
+0,1.5,2.5,0.9,3,4,0.8
+1,5,6,0.7,,,
+2,0,0,0,7,8,1
+"""
+MULTI = """\
+scorer,net,net.1,net.2,net.3,net.4,net.5,net.6,net.7,net.8
+individuals,m1,m1,m1,m2,m2,m2,single,single,single
+bodyparts,nose,nose,nose,nose,nose,nose,corner,corner,corner
+coords,x,y,likelihood,x,y,likelihood,x,y,likelihood
+0,1,2,0.9,3,4,0.8,5,6,0.7
+"""
+LABELS = """\
+scorer,me,me,me,me
+bodyparts,nose,nose,tail,tail
+coords,x,y,x,y
+labeled-data/run/img0007.png,1,2,3,4
+labeled-data/run/img0009.png,,,5,6
+"""
+
+
+def save(folder: Path, text: str, name: str = "clip.csv") -> Path:
+    path = folder / name
+    path.write_text(text, encoding="utf-8", newline="")
+    return path
+
+
+def problems(path: Path, individual: str | None = None) -> list[str]:
+    with pytest.raises(InputError) as error:
+        read_keypoints(path, individual)
+    return [str(p) for p in error.value.problems]
+
+
+def naive_csv(path: Path, individual: str | None = None) -> dict[str, np.ndarray]:
+    """Column by column: "bodypart/coord" -> values, and "frame"."""
+    with path.open(newline="") as file:
+        rows = list(csv.reader(file))
+    start = next(i for i, row in enumerate(rows) if row[0] == "coords") + 1
+    header = {row[0]: row for row in rows[:start]}
+    columns = {"frame": np.array([row[0] for row in rows[start:]])}
+    for j in range(1, len(rows[0])):
+        if individual is None or header["individuals"][j] == individual:
+            name = f"{header['bodyparts'][j]}/{header['coords'][j]}"
+            assert name not in columns
+            columns[name] = np.array([float(row[j] or "nan") for row in rows[start:]])
+    return columns
+
+
+def assert_same(keypoints: Keypoints, columns: dict[str, np.ndarray]) -> None:
+    columns = dict(columns)
+    np.testing.assert_array_equal(keypoints.frames, columns.pop("frame").astype(int))
+    assert list(dict.fromkeys(name.rsplit("/", 1)[0] for name in columns)) == list(keypoints.names)
+    for k, name in enumerate(keypoints.names):
+        np.testing.assert_array_equal(keypoints.xy_px[:, k, 0], columns.pop(f"{name}/x"))
+        np.testing.assert_array_equal(keypoints.xy_px[:, k, 1], columns.pop(f"{name}/y"))
+        np.testing.assert_array_equal(keypoints.confidence[:, k], columns.pop(f"{name}/likelihood"))
+    assert not columns
+
+
+# Real files
+
+
+@pytest.mark.parametrize("name", ["deepof_single.csv", "deepof_two_animals_prefixed.csv"])
+def test_real_csv_of_one_animal(shared_data, name):
+    path = shared_data / "importer-files" / "deeplabcut" / name
+    keypoints = read_keypoints(path)
+    assert_same(keypoints, naive_csv(path))
+    assert keypoints.individual is None
+    assert keypoints.notes == ()
+
+
+@pytest.mark.parametrize("suffix", ["csv", "h5"])
+@pytest.mark.parametrize("animal", ["mouse_black_tail", "mouse_white_tail"])
+def test_real_file_of_several_animals(shared_data, suffix, animal):
+    path = shared_data / "importer-files" / "deeplabcut" / f"deepof_madlc.{suffix}"
+    keypoints = read_keypoints(path, animal)
+    if suffix == "csv":
+        columns = naive_csv(path, animal)
+    else:
+        frame = pd.read_hdf(path).droplevel("scorer", axis=1)[animal]
+        columns = {"frame": frame.index.to_numpy()} | {"/".join(c): frame[c].to_numpy() for c in frame.columns}
+    assert_same(keypoints, columns)
+    assert keypoints.individual == animal
+    assert len(keypoints.names) == 14
+
+    cleaned, report = clean(keypoints, 0.6)
+    zero = sum(
+        int(((columns[f"{n}/x"] == 0) & (columns[f"{n}/y"] == 0) & (columns[f"{n}/likelihood"] == 0)).sum())
+        for n in keypoints.names
+    )
+    assert zero > 0
+    assert report.total("missing_zero_zero") == report.total("missing") == zero
+    assert not (cleaned.xy_px == 0).any()
+    assert any("mouse_black_tail, mouse_white_tail" in p for p in problems(path))
+    assert any("mouse_black_tail, mouse_white_tail" in p for p in problems(path, "mouse"))
+
+
+@pytest.mark.parametrize("name", ["deepof_single.h5", "openfield_table.h5"])
+def test_real_h5_of_one_animal(shared_data, name):
+    path = shared_data / "importer-files" / "deeplabcut" / name
+    frame = pd.read_hdf(path).droplevel("scorer", axis=1)
+    columns = {"frame": frame.index.to_numpy()} | {"/".join(c): frame[c].to_numpy() for c in frame.columns}
+    assert_same(read_keypoints(path), columns)
+
+
+def test_every_real_run(shared_data):
+    paths = sorted((shared_data / "cheetah-runs").glob("*/cam*.csv"))
+    assert len(paths) == 28
+    for path in paths:
+        keypoints = read_keypoints(path)
+        assert_same(keypoints, naive_csv(path))
+        assert len(keypoints.names) == 24
+        report = clean(keypoints, 0.5)[1]
+        assert all(c.used + c.missing + c.rejected == c.frames for c in report.keypoints)
+        assert report.total("missing_nan_with_likelihood") == 0
+
+
+def test_every_real_truth(shared_data):
+    for path in (shared_data / "cheetah-runs").glob("*/truth.csv"):
+        pose, columns = read_pose3d(path), naive_csv(path)
+        np.testing.assert_array_equal(pose.frames, columns["frame"].astype(int))
+        for j, name in enumerate(pose.names):
+            np.testing.assert_array_equal(pose.xyz_m[:, j].T, [columns[f"{name}/{c}"] for c in "xyz"])
+        assert any("3D" in p for p in problems(path))
+
+
+def test_real_labels(shared_data):
+    path = shared_data / "horse-side" / "CollectedData_Byron.csv"
+    keypoints, columns = read_keypoints(path), naive_csv(path)
+    assert keypoints.frames.tolist() == list(range(50, 250))
+    for k, name in enumerate(keypoints.names):
+        np.testing.assert_array_equal(keypoints.xy_px[:, k].T, [columns[f"{name}/{c}"] for c in "xy"])
+    assert np.isnan(keypoints.confidence).all()
+    cleaned, report = clean(keypoints, 0.6)
+    labelled = sum(int((~np.isnan(columns[f"{name}/x"])).sum()) for name in keypoints.names)
+    assert report.total("used") == report.total("likelihood_unknown") == labelled > 0
+    assert report.total("missing_empty") == 200 * 22 - labelled
+    assert np.array_equal(cleaned.confidence == 1, cleaned.present)
+
+
+@pytest.mark.parametrize(
+    "name", ["sleap/small_robot.000_small_robot_3_frame.analysis.h5", "ndx-pose/0.3.0_poseestimation_one_camera.nwb"]
+)
+def test_real_hdf5_of_other_kinds_is_no_deeplabcut_file(shared_data, name):
+    assert not deeplabcut.recognises(shared_data / "importer-files" / name)
+
+
+def test_hdf5_of_another_kind(tmp_path):
+    path = tmp_path / "other.h5"
+    with tables.open_file(str(path), "w") as file:
+        file.create_array("/", "tracks", np.zeros(3))
+    assert "an HDF5 file of another kind" in problems(path)[0]
+
+
+@pytest.mark.parametrize("name", ["deepof_single.h5", "openfield_table.h5"])
+def test_h5_that_is_cut_off(shared_data, tmp_path, name):
+    whole = (shared_data / "importer-files" / "deeplabcut" / name).read_bytes()
+    for length in (8, 100, 2000, len(whole) // 2, len(whole) - 1):
+        path = tmp_path / "cut.h5"
+        path.write_bytes(whole[:length])
+        assert "cut off or damaged" in problems(path)[0]
+
+
+# What the files say
+
+
+def test_single_animal(tmp_path):
+    keypoints = read_keypoints(save(tmp_path, SINGLE))
+    assert keypoints.names == ("nose", "tail")
+    assert keypoints.frames.tolist() == [0, 1, 2]
+    np.testing.assert_array_equal(keypoints.xy_px[:, 0], [[1.5, 2.5], [5, 6], [0, 0]])
+    np.testing.assert_array_equal(keypoints.xy_px[:, 1], [[3, 4], [NAN, NAN], [7, 8]])
+    np.testing.assert_array_equal(keypoints.confidence, [[0.9, 0.8], [0.7, NAN], [0, 1]])
+    assert (keypoints.individual, keypoints.fps, keypoints.notes) == (None, None, ())
+    assert keypoints.source == str(tmp_path / "clip.csv")
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "\ufeff" + SINGLE,
+        SINGLE.replace("\n", "\r\n"),
+        SINGLE.rstrip("\n"),
+        SINGLE + "\n\n",
+        SINGLE.split("\n", 1)[1],
+        SINGLE.replace("net,", "net.1,", 1),
+        SINGLE.replace("\n0,", "\n0.0,").replace("\n1,", "\n1.,"),
+        SINGLE.replace("6,0.7,,,", "6,0.7,NaN, ,nan"),
+        SINGLE.replace("5,6,0.7", '" 5","6 ",7e-1'),
+    ],
+    ids=["bom", "crlf", "no-final-newline", "blank-lines", "no-scorer", "scorer-suffix", "float-index", "nan-cells",
+         "quotes-and-blanks"],
+)  # fmt: skip
+def test_variants_that_say_the_same(tmp_path, text):
+    plain, variant = read_keypoints(save(tmp_path, SINGLE)), read_keypoints(save(tmp_path, text, "variant.csv"))
+    assert plain.names == variant.names
+    for field in ("xy_px", "confidence", "frames"):
+        np.testing.assert_array_equal(getattr(plain, field), getattr(variant, field))
+    assert variant.notes == ()
+
+
+def test_the_name_of_the_file_does_not_matter(tmp_path):
+    assert read_keypoints(str(save(tmp_path, SINGLE, "clip.txt"))).names == ("nose", "tail")
+
+
+def test_columns_in_any_order(tmp_path):
+    text = "scorer,n,n,n,n,n,n\nbodyparts,b,a,b,a,b,a\ncoords,likelihood,y,x,x,y,likelihood\n4,0.1,2,3,4,5,0.6\n"
+    keypoints = read_keypoints(save(tmp_path, text))
+    assert keypoints.names == ("b", "a")
+    assert keypoints.xy_px.tolist() == [[[3, 5], [4, 2]]]
+    assert keypoints.confidence.tolist() == [[0.1, 0.6]]
+
+
+def test_several_animals(tmp_path):
+    path = save(tmp_path, MULTI)
+    keypoints = read_keypoints(path, "m2")
+    assert (keypoints.names, keypoints.individual) == (("nose",), "m2")
+    assert keypoints.xy_px.tolist() == [[[3, 4]]]
+    assert keypoints.notes == ("Left out, because they are no part of an animal: corner.",)
+    assert problems(path) == [f"{path}: individual: found 2 animals and no choice, expected one of: m1, m2"]
+    assert problems(path, "single") == [f"{path}: individual: found 'single', expected one of: m1, m2"]
+
+
+def test_the_only_animal_needs_no_choice(tmp_path):
+    text = (
+        "scorer,n,n,n,n,n,n\nindividuals,m1,m1,single,single,single,single\nbodyparts,nose,nose,post,post,door,door\n"
+        "coords,x,y,x,y,x,y\n0,1,2,3,4,5,6\n"
+    )
+    keypoints = read_keypoints(save(tmp_path, text))
+    assert (keypoints.names, keypoints.individual) == (("nose",), "m1")
+    assert keypoints.notes == ("Left out, because they are no part of an animal: post, door.",)
+    # A file of unique bodyparts only holds nothing else that could be meant.
+    assert read_keypoints(save(tmp_path, text.replace("m1", "single"))).names == ("nose", "post", "door")
+
+
+def test_individual_in_a_file_of_one_animal(tmp_path):
+    assert "without named animals" in problems(save(tmp_path, SINGLE), "m1")[0]
+
+
+def test_labels(tmp_path):
+    keypoints = read_keypoints(save(tmp_path, LABELS))
+    assert keypoints.frames.tolist() == [7, 9]
+    np.testing.assert_array_equal(keypoints.xy_px, [[[1, 2], [3, 4]], [[NAN, NAN], [5, 6]]])
+    assert np.isnan(keypoints.confidence).all()
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        LABELS.replace("/", "\\"),
+        LABELS.replace("/", ",").replace("rer,", "rer,,,").replace("parts,", "parts,,,").replace("ords,", "ords,,,"),
+        LABELS.replace("labeled-data/run/", ""),
+        LABELS.replace("img0007", "12_7").replace("img", ""),
+    ],
+    ids=["windows", "three-columns", "bare-names", "digits"],
+)
+def test_label_index_variants(tmp_path, text):
+    keypoints = read_keypoints(save(tmp_path, text))
+    assert keypoints.frames.tolist() == [7, 9]
+    np.testing.assert_array_equal(keypoints.xy_px[0], [[1, 2], [3, 4]])
+
+
+def test_labels_of_several_animals(tmp_path):
+    text = (
+        "scorer,,,me,me,me,me\nindividuals,,,m1,m1,m2,m2\nbodyparts,,,nose,nose,nose,nose\n"
+        "coords,,,x,y,x,y\nlabeled-data,run,img3.png,1,2,3,4\n"
+    )
+    keypoints = read_keypoints(save(tmp_path, text), "m2")
+    assert keypoints.frames.tolist() == [3]
+    assert keypoints.xy_px.tolist() == [[[3, 4]]]
+
+
+def test_unsorted_rows_are_sorted_with_a_note(tmp_path):
+    lines = SINGLE.splitlines()
+    keypoints = read_keypoints(save(tmp_path, "\n".join([*lines[:3], lines[5], lines[3], lines[4]])))
+    np.testing.assert_array_equal(keypoints.xy_px[:, 0], [[1.5, 2.5], [5, 6], [0, 0]])
+    assert "sorted" in keypoints.notes[0]
+
+
+def test_stray_blanks_in_names_are_noted(tmp_path):
+    text = SINGLE.replace("nose", " nose").replace("tail", "tail ")
+    keypoints = read_keypoints(save(tmp_path, text))
+    assert keypoints.names == ("nose", "tail")
+    assert keypoints.notes == ("' nose' is read as 'nose'.", "'tail ' is read as 'tail'.")
+    assert clean(keypoints, 0.5)[1].notes == keypoints.notes
+
+
+def test_odd_likelihoods_are_noted(tmp_path):
+    assert "range from 0 to 37" in read_keypoints(save(tmp_path, SINGLE.replace("0.9", "37"))).notes[0]
+
+
+# What is wrong with files
+
+
+def test_no_file(tmp_path):
+    assert "no such file" in problems(tmp_path / "none.csv")[0]
+    assert "a folder" in problems(tmp_path)[0]
+    assert "an empty file" in problems(save(tmp_path, ""))[0]
+
+
+def test_unknown_format(tmp_path):
+    assert "begins with 'frame,x,y'" in problems(save(tmp_path, "frame,x,y\n0,1,2\n"))[0]
+    assert "DeepLabCut CSV or H5" in problems(save(tmp_path, "frame,x,y\n0,1,2\n"))[0]
+    assert "a file of blanks" in problems(save(tmp_path, " \n\n"))[0]
+    binary = tmp_path / "binary.csv"
+    for content in (b"\x00\x01\x02\x03", bytes(range(128, 192)), b"\x89PNG\r\n\x1a\n\x00\x00"):
+        binary.write_bytes(content)
+        assert "a binary file" in problems(binary)[0]
+    assert "begins with 'äöü" in problems(save(tmp_path, "äöü" * 50))[0]
+
+
+def test_binary_after_the_header(tmp_path):
+    path = tmp_path / "clip.csv"
+    for junk in (bytes(range(128, 256)), b"\xff\xfe"):
+        path.write_bytes(SINGLE.encode() + junk)
+        assert "UTF-8" in problems(path)[0]
+    path.write_bytes(SINGLE.encode() + b"3,\x00,1,1,1,1,1\n")
+    assert problems(path)
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        (SINGLE.replace(",", ";"), "separator: found ';', expected ','"),
+        (SINGLE.replace(",", "\t"), "separator: found a tab, expected ','"),
+        ("scorer", "begin with 'scorer'"),
+        (SINGLE.replace("coords,x,y,likelihood,x,y,likelihood\n", ""), "begin with 'scorer, bodyparts, 0'"),
+        (SINGLE.replace("bodyparts", "parts"), "begin with 'scorer, parts'"),
+        ("\n".join(SINGLE.splitlines()[:2]), "begin with 'scorer, bodyparts'"),
+        ("\n".join(SINGLE.splitlines()[:3]), "rows: found no frames"),
+        ("scorer\nbodyparts\ncoords\n0\n", "found no columns"),
+        (SINGLE.replace(",x,y,likelihood\n", "\n"), "found cells: 7 in scorer, 7 in bodyparts, 4 in coords"),
+        (SINGLE.replace("x,y,l", "x,why,l", 1), "column nose/why: found coordinate 'why'"),
+        (SINGLE.replace("nose", ""), "column 1 of the data: found no bodypart"),
+        (SINGLE.replace("tail", "nose"), "bodypart nose: found more than one column"),
+        (SINGLE.replace("tail", "nose "), "bodypart nose: found more than one column"),
+        (SINGLE.replace("coords,x,y,", "coords,x,likelihood,"), "bodypart nose: found no y"),
+        (SINGLE.replace("likelihood", "z"), "3D positions"),
+        (SINGLE.replace("\n1,", "\n0,"), "frame 0: found more than one row"),
+        (SINGLE.replace("\n1,", "\n1.5,"), "row 2 below the header: found '1.5', expected a frame number"),
+        (SINGLE.replace("\n1,", "\n-1,"), "found '-1'"),
+        (SINGLE.replace("\n1,", "\none,"), "found 'one'"),
+        (SINGLE.replace("\n1,", "\n,"), "found ''"),
+        (SINGLE.replace("\n1,", "\n" + "9" * 5000 + ","), "expected a frame number"),
+        (SINGLE.replace("0.7,,,", "0.7"), "line 5: found 4 cells, expected 7, as in the header"),
+        (SINGLE[:-6], "line 6: found 5 cells"),
+        (SINGLE.replace("5,6", "5,six"), "frame 1, column nose/y: found 'six', expected a number"),
+        (SINGLE.replace("5,6", "5,inf"), "frame 1, column nose/y: found 'inf', expected a number"),
+        (SINGLE.replace("5,6", "True,6"), "frame 1, column nose/x: found 'True', expected a number"),
+        (LABELS.replace("img0007", "nose"), "found 'labeled-data/run/nose.png', expected an image name that ends"),
+        (LABELS.replace("run/img0009", "walk/img0009"), "2 folders: labeled-data/run, labeled-data/walk"),
+        (LABELS.replace("0009", "7"), "frame 7: found more than one row"),
+    ],
+)
+def test_what_is_wrong_is_said(tmp_path, text, expected):
+    assert expected in "\n".join(problems(save(tmp_path, text)))
+
+
+def test_all_bad_cells_are_named_up_to_ten(tmp_path):
+    rows = [f"{i},bad{i},2,0.5,inf,4,0.5" for i in range(100, 104)]
+    path = save(tmp_path, "\n".join([*SINGLE.splitlines()[:3], *rows]))
+    said = problems(path)
+    assert len(said) == 8
+    assert said[0] == f"{path}: frame 100, column nose/x: found 'bad100', expected a number or an empty cell"
+    assert "frame 103, column tail/x: found 'inf'" in said[7]
+    rows = [f"{i},x,x,x,x,x,x" for i in range(4)]
+    said = problems(save(tmp_path, "\n".join([*SINGLE.splitlines()[:3], *rows])))
+    assert len(said) == 11
+    assert "14 problems like these" in said[10]
+
+
+def test_problems_of_different_kinds_come_together(tmp_path):
+    said = problems(save(tmp_path, SINGLE.replace("5,6", "5,six").replace("\n2,0", "\ntwo,0") + "3,1\n"))
+    assert ["six" in "".join(said), "two" in "".join(said), "2 cells" in "".join(said)] == [True] * 3
+
+
+# H5
+
+
+def frame_of(names: list[str] | None, *columns: tuple[str, ...], index=(0, 1, 2), dtype=float) -> pd.DataFrame:
+    cells = np.arange(1, 1 + len(index) * len(columns)).reshape(len(index), len(columns)).astype(dtype)
+    return pd.DataFrame(cells, index=index, columns=pd.MultiIndex.from_tuples(columns, names=names))
+
+
+XYL = [("nose", "x"), ("nose", "y"), ("nose", "likelihood")]
+
+
+@pytest.mark.parametrize("kind", ["fixed", "table"])
+@pytest.mark.parametrize(
+    ("names", "prefix"),
+    [
+        (["bodyparts", "coords"], ()),
+        (None, ()),
+        (["scorer", "bodyparts", "coords"], ("net",)),
+        (None, ("net",)),
+        (["individuals", "bodyparts", "coords"], ("m1",)),
+        (["scorer", "individuals", "bodyparts", "coords"], ("net", "m1")),
+        (None, ("net", "m1")),
+    ],
+)
+def test_h5_levels(tmp_path, kind, names, prefix):
+    path = tmp_path / "clip.h5"
+    frame = frame_of(names, *[(*prefix, *c) for c in XYL], index=[5, 6, 8])
+    frame.to_hdf(path, key="any_key", format=kind)
+    keypoints = read_keypoints(path)
+    assert keypoints.names == ("nose",)
+    assert keypoints.frames.tolist() == [5, 6, 8]
+    assert keypoints.xy_px[:, 0].tolist() == [[1, 2], [4, 5], [7, 8]]
+    assert keypoints.confidence[:, 0].tolist() == [3, 6, 9]
+    assert keypoints.individual == ("m1" if "m1" in prefix else None)
+
+
+def test_h5_without_likelihood(tmp_path):
+    path = tmp_path / "clip.h5"
+    frame = frame_of(["bodyparts", "coords"], *XYL)
+    frame[("nose", "likelihood")] = NAN
+    frame.to_hdf(path, key="fte_df")
+    cleaned, report = clean(read_keypoints(path), 0.9)
+    assert cleaned.confidence[:, 0].tolist() == [1, 1, 1]
+    assert report.total("likelihood_unknown") == report.total("used") == 3
+
+
+@pytest.mark.parametrize(
+    "index",
+    [
+        ["labeled-data/run/img3.png", "labeled-data/run/img4.png"],
+        pd.MultiIndex.from_tuples([("labeled-data", "run", "img3.png"), ("labeled-data", "run", "img4.png")]),
+        [3.0, 4.0],
+    ],
+    ids=["paths", "three-levels", "floats"],
+)
+def test_h5_index(tmp_path, index):
+    path = tmp_path / "clip.h5"
+    frame_of(["bodyparts", "coords"], *XYL[:2], index=index).to_hdf(path, key="df_with_missing")
+    keypoints = read_keypoints(path)
+    assert keypoints.frames.tolist() == [3, 4]
+    assert keypoints.xy_px[:, 0].tolist() == [[1, 2], [3, 4]]
+
+
+def test_h5_problems(tmp_path):
+    good = frame_of(["bodyparts", "coords"], *XYL)
+    path = tmp_path / "two.h5"
+    good.to_hdf(path, key="b")
+    good.to_hdf(path, key="a")
+    assert "keys: found /a, /b, expected one table" in problems(path)[0]
+
+    path = tmp_path / "series.h5"
+    good[("nose", "x")].rename("x").to_hdf(path, key="a")
+    assert "Series" in problems(path)[0]
+
+    path = tmp_path / "levels.h5"
+    pd.DataFrame({"nose_x": [1.0], "nose_y": [2.0]}).to_hdf(path, key="a")
+    assert "header: found column levels None" in problems(path)[0]
+
+    path = tmp_path / "inf.h5"
+    good.replace(2.0, np.inf).to_hdf(path, key="a")
+    assert "frame 0, column nose/y: found 'inf'" in problems(path)[0]
+
+    path = tmp_path / "duplicate.h5"
+    frame_of(["bodyparts", "coords"], *XYL, index=[0, 4, 4]).to_hdf(path, key="a")
+    assert "frame 4: found more than one row" in problems(path)[0]
+
+    path = tmp_path / "text.h5"
+    words = good.astype(object)
+    words.iloc[1, 0] = "four"
+    with pytest.warns(pd.errors.PerformanceWarning):
+        words.to_hdf(path, key="a")
+    assert problems(path) == [f"{path}: frame 1, column nose/x: found 'four', expected a number or an empty cell"]
+
+
+def test_reading_is_fast(tmp_path):
+    columns = [(f"p{i}", c) for i in range(25) for c in ("x", "y", "likelihood")]
+    frame = pd.DataFrame(np.random.default_rng(0).random((10_000, 75)), columns=pd.MultiIndex.from_tuples(columns))
+    frame.columns.names = ["bodyparts", "coords"]
+    path = tmp_path / "clip.csv"
+    frame.to_csv(path)
+    start = time.perf_counter()
+    keypoints = read_keypoints(path)
+    # Generous, for slow machines: it takes a third of a second.
+    assert time.perf_counter() - start < 3
+    np.testing.assert_array_equal(keypoints.xy_px[:, 24, 1], frame[("p24", "y")])
+
+
+# 3D positions
+
+
+def test_pose3d(tmp_path):
+    text = "bodyparts,a,a,a,b,b,b\ncoords,x,y,z,x,y,z\n7,1,2,3,4,5,6\n9,1,2,3,,,\n"
+    for path in (save(tmp_path, text), save(tmp_path, "scorer,s,s,s,s,s,s\n" + text, "scorer.csv")):
+        pose = read_pose3d(path)
+        assert pose.names == ("a", "b")
+        assert pose.frames.tolist() == [7, 9]
+        np.testing.assert_array_equal(pose.xyz_m, [[[1, 2, 3], [4, 5, 6]], [[1, 2, 3], [NAN, NAN, NAN]]])
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        (SINGLE, "bodypart nose: found no z"),
+        (MULTI, "several animals"),
+        ("frame,x,y,z\n", "begins with 'frame,x,y,z'"),
+        ("", "an empty file"),
+    ],
+)
+def test_pose3d_problems(tmp_path, text, expected):
+    with pytest.raises(InputError, match=expected):
+        read_pose3d(save(tmp_path, text))
+
+
+def test_pose3d_fields_must_fit_together():
+    with pytest.raises(ValueError, match="positions"):
+        Pose3D(("a",), np.zeros((2, 2, 3)), np.arange(2))
+    with pytest.raises(ValueError, match="unique"):
+        Pose3D(("a", "a"), np.zeros((2, 2, 3)), np.arange(2))
+    with pytest.raises(ValueError, match="infinite"):
+        Pose3D(("a",), np.full((2, 1, 3), np.inf), np.arange(2))
