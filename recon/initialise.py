@@ -168,3 +168,47 @@ def geometric_start(camera: Camera, skeleton: Skeleton, rays: Array, heading: Ar
     state[skeleton.place_slice] = rotation.T @ in_front
     state[skeleton.euler_slice] = euler_angles(rotation)
     return state
+
+
+def state_from_joints(skeleton: Skeleton, joints_m: Array, up: Array) -> Array:
+    """State (D,) read off nine 3D joints (J, 3) in the camera frame whose links have about the right proportions.
+
+    U lies along the first link without angles, the roll about it is taken as zero (W level), which 3D joints leave
+    open, and of the two pairs of angles of a link's direction, (T, P) and (pi - T, P + pi), the one is taken that is
+    nearer to what is expected. Exact up to these choices for joints that the chain can reach.
+    """
+    state = mean_pose(skeleton)
+    position = dict(zip(skeleton.joints, joints_m, strict=True))
+    vectors = np.array([position[link.end] - position[link.start] for link in skeleton.links])
+    lengths = np.linalg.norm(vectors, axis=1)
+    state[skeleton.base_index] = lengths.sum() / skeleton.length_ratios.sum()
+
+    fixed = next(i for i, link in enumerate(skeleton.links) if not link.free)
+    U = vectors[fixed] / lengths[fixed]
+    W = np.cross(U, -up)
+    W /= np.linalg.norm(W)
+    rotation = np.stack([U, np.cross(W, U), W], axis=1)
+    directions = vectors / lengths[:, None] @ rotation
+
+    T_at, P_at = {skeleton.joints[0]: 0.0}, {skeleton.joints[0]: 0.0}
+    theta, phi = [], []
+    for link, (du, dv, dw) in zip(skeleton.links, directions, strict=True):
+        if not link.free:
+            T_at[link.end], P_at[link.end] = T_at[link.start], P_at[link.start]
+            continue
+        a = len(theta)
+        T, P = np.arcsin(np.clip(dv, -1, 1)), np.arctan2(dw, du)
+        pairs = [
+            (T - T_at[link.start], P - P_at[link.start]),
+            (np.pi - T - T_at[link.start], P + np.pi - P_at[link.start]),
+        ]
+        means = skeleton.theta.mean_rad[a], skeleton.phi.mean_rad[a]
+        near = [tuple(m + np.angle(np.exp(1j * (x - m))) for x, m in zip(pair, means, strict=True)) for pair in pairs]
+        best = min(near, key=lambda pair: abs(pair[0] - means[0]) + abs(pair[1] - means[1]))
+        theta.append(best[0])
+        phi.append(best[1])
+        T_at[link.end], P_at[link.end] = T_at[link.start] + best[0], P_at[link.start] + best[1]
+    state[skeleton.theta_slice], state[skeleton.phi_slice] = theta, phi
+    state[skeleton.place_slice] = rotation.T @ joints_m[0]
+    state[skeleton.euler_slice] = euler_angles(rotation)
+    return state

@@ -6,8 +6,8 @@ M rows and D unknowns a frame:
 
     evaluate(window, frames, dt_s) -> residual (N, M), jacobian (N, M, S, D)
 
-window holds one Posed of N states per offset, frames (N,) are row numbers of the clip, and dt_s (N,) is the time between
-the first and the last offset. A new term is one class here and one line in the tests' list.
+window holds one Posed of N states per offset, frames (N,) are row numbers of the clip, and dt_s (N,) is the time
+between the first and the last offset. A new term is one class here and one line in the tests' list.
 
 f1 to f5 and their names are those of C. van der Leek, MSc(Eng), University of Cape Town, 2022. `form` chooses between
 what is meant, a penalty outside the range only ("deadband"), and the two-sided penalty as published ("printed"), which
@@ -118,29 +118,28 @@ class RateLimit:
 
     For a relative angle change a over the interval dt the tip moves along a chord of 2 r |sin(a / 2)|. deadband: that
     chord over dt, beyond the limit only (a link that turns over cannot hide). printed: the chord's rate of change,
-    r |cos(a / 2)| |a| / dt, two-sided; the publication's missing da/dt and squared limit are mended. Both are divided
-    by length times softness, which cancels the length: rows are in units of rate_softness.
+    r |cos(a / 2)| |a| / dt, two-sided; the publication's missing da/dt and squared limit are mended. The excess is
+    weighed as what it is over the interval, an angle: divided by r softness / dt, which cancels the length.
     """
 
     name: str
     where: slice
     max_rate_rad_s: Array
-    softness_rad_s: float
+    softness_rad: float
     form: Form
     stencil: tuple[int, ...] = (-1, 0)
 
     def evaluate(self, window: Window, frames: NDArray[np.intp], dt_s: Array) -> tuple[Array, Array]:
         before, now = window[0].state, window[1].state
         a = now[:, self.where] - before[:, self.where]
-        dt = dt_s[:, None]
         if self.form == "deadband":
-            rate = 2.0 * np.abs(np.sin(a / 2)) / dt
-            slope = np.sign(np.sin(a / 2)) * np.cos(a / 2) / dt
+            swept = 2.0 * np.abs(np.sin(a / 2))
+            slope = np.sign(np.sin(a / 2)) * np.cos(a / 2)
         else:
-            rate = np.abs(np.cos(a / 2) * a) / dt
-            slope = np.sign(np.cos(a / 2) * a) * (np.cos(a / 2) - 0.5 * a * np.sin(a / 2)) / dt
-        residual = (rate - self.max_rate_rad_s) / self.softness_rad_s
-        slope = slope / self.softness_rad_s
+            swept = np.abs(np.cos(a / 2) * a)
+            slope = np.sign(np.cos(a / 2) * a) * (np.cos(a / 2) - 0.5 * a * np.sin(a / 2))
+        residual = (swept - self.max_rate_rad_s * dt_s[:, None]) / self.softness_rad
+        slope = slope / self.softness_rad
         if self.form == "deadband":
             slope = np.where(residual > 0, slope, 0.0)
             residual = np.maximum(residual, 0.0)
@@ -182,7 +181,7 @@ class BaseLengthPrior:
 
 @dataclass(frozen=True)
 class RollPrior:
-    """Gaussian prior on the animal's roll: its lateral axis W is level, (W . up) / sigma = sin(roll) cos(pitch) / sigma.
+    """Gaussian prior on the roll: the lateral axis W is level, (W . up) / sigma = sin(roll) cos(pitch) / sigma.
 
     up (3,): unit vector, camera frame. Measured against the vertical and not as one of R's angles, because R's axes
     are the camera's and mean roll only for an animal seen from the side.
@@ -253,3 +252,26 @@ class TravelPrior:
         d = level @ posed.rotation_jacobian[..., 0].transpose(0, 2, 1) / self.sigma_rad
         jacobian[:, :, 0, self.euler] = d * known[..., None]
         return residual, jacobian
+
+
+@dataclass(frozen=True)
+class JointPositions:
+    """Joints against known places in the camera frame, as from several cameras: (joint - target) / sigma.
+
+    target_m (T, J, 3), NaN where unknown (zero rows).
+    """
+
+    target_m: Array
+    sigma_m: float
+    name: str = "joint positions"
+    stencil: tuple[int, ...] = (0,)
+
+    def evaluate(self, window: Window, frames: NDArray[np.intp], dt_s: Array) -> tuple[Array, Array]:
+        posed = window[0]
+        assert posed.joints_jacobian is not None
+        target = self.target_m[frames]
+        known = np.isfinite(target)
+        residual = np.where(known, posed.joints_m - target, 0.0) / self.sigma_m
+        jacobian = posed.joints_jacobian * known[..., None] / self.sigma_m
+        N, J, _, D = jacobian.shape
+        return residual.reshape(N, 3 * J), jacobian.reshape(N, 3 * J, 1, D)

@@ -48,7 +48,7 @@ class Link:
 class AngleRanges:
     """Expected ranges of the free links' angles, in the order of the state: each array has shape (A,).
 
-    mean_rad, tolerance_rad: the expected range is mean +- tolerance. max_rate_rad_s: the fastest change that is expected.
+    mean_rad, tolerance_rad: the expected range is mean +- tolerance. max_rate_rad_s: the fastest expected change.
     """
 
     mean_rad: Array
@@ -60,8 +60,7 @@ class AngleRanges:
 class PriorScales:
     """Standard deviations of the skeleton's soft expectations (see docs/skeletons.md for the fields)."""
 
-    range_softness_rad: float
-    rate_softness_rad_s: float
+    softness_rad: float
     theta_rad: float
     phi_rad: float
     roll_rad: float

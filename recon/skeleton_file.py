@@ -45,11 +45,6 @@ class _BaseLength(_Table):
     sigma_m: PositiveFloat
 
 
-class _Softness(_Table):
-    range_rad: PositiveFloat
-    rate_rad_s: PositiveFloat
-
-
 class _Prior(_Table):
     theta_sigma_rad: PositiveFloat
     phi_sigma_rad: PositiveFloat
@@ -66,7 +61,7 @@ class _SkeletonFile(_Table):
     forward: tuple[str, str]
     keypoint_sigma_m: PositiveFloat
     base_length: _BaseLength
-    softness: _Softness
+    softness_rad: PositiveFloat
     prior: _Prior
     links: tuple[_Link, ...] = Field(min_length=1)
 
@@ -113,10 +108,18 @@ def _read(name_or_path: str | Path) -> tuple[dict[str, Any], str]:
 
 def _extended(raw: dict[str, Any], source: str) -> dict[str, Any]:
     """`extends` takes another skeleton's tables; `length_m` gives its links measured lengths."""
-    parent, _ = _read(raw["extends"])
+    name, lengths = raw["extends"], raw.get("length_m", {})
+    if not isinstance(name, str):
+        raise InputError(Problem(source, "extends", repr(name), f"one of {', '.join(builtin_names())}, or a file"))
+    if not isinstance(lengths, dict):
+        raise InputError(Problem(source, "length_m", repr(lengths), "a table of lengths in metres by link"))
+    parent, parent_source = _read(name)
+    if "extends" in parent:
+        raise InputError(Problem(source, "extends", parent_source, "a skeleton that does not extend another"))
+    if lengths and "links" in raw:
+        raise InputError(Problem(source, "length_m", "links beside it", "one of the two"))
     links = [dict(link) for link in parent.get("links", [])]
     base = raw.get("base_length", parent.get("base_length", {})).get("nominal_m")
-    lengths = raw.get("length_m", {})
     names = {link.get("name") for link in links}
     problems = [
         Problem(source, f"length_m.{name}", repr(length), f"a length in metres of one of {', '.join(sorted(names))}")
@@ -170,8 +173,7 @@ def _skeleton(f: _SkeletonFile) -> Skeleton:
         theta=_ranges(f.links, "theta"),
         phi=_ranges(f.links, "phi"),
         scales=PriorScales(
-            range_softness_rad=f.softness.range_rad,
-            rate_softness_rad_s=f.softness.rate_rad_s,
+            softness_rad=f.softness_rad,
             theta_rad=f.prior.theta_sigma_rad,
             phi_rad=f.prior.phi_sigma_rad,
             roll_rad=f.prior.roll_sigma_rad,

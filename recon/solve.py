@@ -18,13 +18,14 @@ from scipy.linalg import eigh
 from scipy.optimize import OptimizeResult, least_squares
 
 from recon.camera import Camera
-from recon.initialise import MIN_JOINTS, Travel, estimate_travel, geometric_start
+from recon.initialise import MIN_JOINTS, Travel, estimate_travel, geometric_start, state_from_joints
 from recon.objectives import (
     AnglePrior,
     AngleRange,
     BaseLengthPrior,
     Form,
     HeadingTie,
+    JointPositions,
     Objective,
     RateLimit,
     Reprojection,
@@ -55,7 +56,7 @@ class FrameOptions:
     base_sigma_m: float | None = None
     sigma_px: float = 3.0
     keypoint_sigma_m: float | None = None
-    keypoint_sigma_max_px: float = 15.0
+    keypoint_sigma_max_px: float = 12.0
     robust_c: float = 4.0
     tolerance: float = 1e-8
     max_evaluations: int = 400
@@ -113,10 +114,10 @@ def frame_objectives(
     s, form = skeleton.scales, options.form
     terms: list[Objective] = [
         Reprojection(camera, xy_px, confidence, np.full(len(xy_px), options.sigma_px), options.robust_c),
-        AngleRange("theta range", skeleton.theta_slice, skeleton.theta, s.range_softness_rad, form),
-        AngleRange("phi range", skeleton.phi_slice, skeleton.phi, s.range_softness_rad, form),
-        RateLimit("theta rate", skeleton.theta_slice, skeleton.theta.max_rate_rad_s, s.rate_softness_rad_s, form),
-        RateLimit("phi rate", skeleton.phi_slice, skeleton.phi.max_rate_rad_s, s.rate_softness_rad_s, form),
+        AngleRange("theta range", skeleton.theta_slice, skeleton.theta, s.softness_rad, form),
+        AngleRange("phi range", skeleton.phi_slice, skeleton.phi, s.softness_rad, form),
+        RateLimit("theta rate", skeleton.theta_slice, skeleton.theta.max_rate_rad_s, s.softness_rad, form),
+        RateLimit("phi rate", skeleton.phi_slice, skeleton.phi.max_rate_rad_s, s.softness_rad, form),
         BaseLengthPrior(*base_length(skeleton, options)),
     ]
     if options.angle_prior == "gaussian":
@@ -171,6 +172,29 @@ def solve_frames(
         reports.append(report)
         before = [*before[-1:], frame]
     return Solution(states, tuple(reports), travel, tuple(term.name for term in objectives))
+
+
+def solve_joints(skeleton: Skeleton, joints_m: Array, up: Array, tolerance: float = 1e-15) -> Array:
+    """States (T, D) whose joints are nearest to known ones, joints_m (T, J, 3) in the camera frame.
+
+    For joints from several cameras or motion capture. The roll about the first link is not determined by joints and
+    stays near zero against the unit vector up (3,). NaN for frames in which a joint is missing.
+    """
+    target = JointPositions(joints_m, sigma_m=0.01)
+    states = np.full((len(joints_m), skeleton.n_state), np.nan)
+    for frame in np.flatnonzero(np.isfinite(joints_m).all(axis=(1, 2))):
+        start = state_from_joints(skeleton, joints_m[frame], up)
+        result = least_squares(
+            lambda x, f=frame: evaluate((target,), skeleton, f, x, None, 0.0)[0],
+            start,
+            lambda x, f=frame: evaluate((target,), skeleton, f, x, None, 0.0)[1],
+            method="lm",
+            ftol=tolerance,
+            xtol=tolerance,
+            gtol=tolerance,
+        )
+        states[frame] = result.x
+    return states
 
 
 @dataclass(frozen=True)

@@ -37,6 +37,7 @@ LAYERS = (
     "analysis",
     "ik",
     "robot",
+    "report",
     "export",
     "view",
     "settings",
@@ -88,7 +89,8 @@ def violations(module: str, source: str, base: set[str]) -> list[str]:
 def all_imports(module: str, tree: ast.Module) -> Iterator[tuple[int, tuple[str, ...]]]:
     """Line and dotted name (as parts) of every import, those inside functions and by `import_module` included.
 
-    `from recon import x` is recon.x where that is a module, and otherwise the public API, recon.
+    `from recon import x` is recon.x where that is a module, and otherwise the public API, recon; `__version__` and its
+    like are no API.
     """
     for node in ast.walk(tree):
         if isinstance(node, ast.Import):
@@ -97,7 +99,8 @@ def all_imports(module: str, tree: ast.Module) -> Iterator[tuple[int, tuple[str,
             package = module.split(".")[: -node.level] if node.level else []
             origin = (*package, *(node.module.split(".") if node.module else ()))
             if origin == ("recon",):
-                yield from ((node.lineno, ("recon", a.name) if is_module(a.name) else origin) for a in node.names)
+                names = [alias.name for alias in node.names if not alias.name.startswith("__")]
+                yield from ((node.lineno, ("recon", name) if is_module(name) else origin) for name in names)
             else:
                 yield node.lineno, origin
         elif isinstance(node, ast.Call) and called_name(node) in ("import_module", "__import__"):
@@ -121,7 +124,7 @@ def imports_on_import(node: ast.AST) -> Iterator[tuple[int, str]]:
         yield from ((node.lineno, alias.name.split(".")[0]) for alias in node.names)
     elif isinstance(node, ast.ImportFrom) and not node.level and node.module:
         yield node.lineno, node.module.split(".")[0]
-    elif isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test):
+    elif isinstance(node, ast.If) and ast.unparse(node.test) in ("TYPE_CHECKING", "typing.TYPE_CHECKING"):
         for child in node.orelse:
             yield from imports_on_import(child)
     elif not isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.Lambda):
@@ -176,6 +179,8 @@ def test_catches_a_module_without_a_place(module):
         "from dask import delayed",
         "try:\n    import torch\nexcept ImportError:\n    torch = None",
         "if True:\n    import torch",
+        "if not TYPE_CHECKING:\n    import torch",
+        "if TYPE_CHECKING:\n    pass\nelse:\n    import torch",
         "class A:\n    import torch",
         "with b:\n    import torch",
     ],
@@ -202,6 +207,7 @@ def test_catches_an_optional_import_at_the_top(module, source):
             "recon.io.pose3d",
             "from recon.io import describe\nfrom .deeplabcut import read\nfrom ..errors import Problem",
         ),
+        ("recon.cli", "from recon import __version__"),
         ("recon.view", "def f():\n    import torch"),
         ("recon.view", "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    import torch"),
         ("recon.view", "import json\nimport numpy as np\nimport rerun.blueprint as rrb\nimport cv2"),

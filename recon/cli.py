@@ -1,0 +1,257 @@
+"""Command line: arguments in, a pipeline called, nothing else."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.table import Table
+
+from recon import __version__
+from recon.errors import InputError, Problem
+
+app = typer.Typer(
+    help="Metric 3D motion of a running animal from one camera and DeepLabCut keypoints.",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+EXIT_UNSOLVED = 1
+EXIT_BAD_INPUT = 2
+
+
+def main() -> None:
+    """Run the command line; a user's mistake ends with one message and exit code 2."""
+    try:
+        app()
+    except InputError as error:
+        console = Console(stderr=True, soft_wrap=True, highlight=False)
+        for problem in error.problems:
+            console.print(f"[bold red]error:[/] {_plain(problem)}")
+        sys.exit(EXIT_BAD_INPUT)
+    except OSError as error:
+        sys.stderr.write(f"error: {error.filename or ''}: {error.strerror or error}\n")
+        sys.exit(EXIT_BAD_INPUT)
+
+
+def _plain(problem: Problem) -> str:
+    return str(problem).replace("[", r"\[")
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"recon {__version__}")
+        raise typer.Exit()
+
+
+@app.callback()
+def _root(
+    version: Annotated[bool, typer.Option("--version", callback=_version, is_eager=True, help="Print it.")] = False,
+) -> None:
+    pass
+
+
+@app.command()
+def fit(
+    keypoints: Annotated[
+        Path | None, typer.Argument(help="DeepLabCut file, CSV or H5, as in clip.csv.", show_default=False)
+    ] = None,
+    camera: Annotated[
+        Path | None,
+        typer.Option(help="Calibration: OpenCV yaml/json/xml, AcinoSet scene.json, Anipose or recon toml."),
+    ] = None,
+    camera_name: Annotated[
+        str | None, typer.Option(help="Which camera of the file, by name or number, as in cam2 or 2.")
+    ] = None,
+    fps: Annotated[float | None, typer.Option(help="Frame rate of the video in Hz, as in 120.")] = None,
+    out: Annotated[Path | None, typer.Option(help="Folder for the results, as in results/clip1.")] = None,
+    skeleton: Annotated[
+        str | None, typer.Option(help="Name of a built-in skeleton or a TOML file.  [default: cheetah-8u]")
+    ] = None,
+    method: Annotated[str | None, typer.Option(help="frame: one frame after the other.  [default: frame]")] = None,
+    frames: Annotated[
+        str | None, typer.Option(help="Only these frame numbers, from A up to but without B, as in 100:160.")
+    ] = None,
+    individual: Annotated[str | None, typer.Option(help="Which animal of a multi-animal file, as in animal1.")] = None,
+    likelihood_min: Annotated[
+        float | None, typer.Option(help="Leave out points less likely than this, 0 to 1.  [default: 0.5]")
+    ] = None,
+    side: Annotated[
+        str | None, typer.Option(help="Side of the animal to fit: auto, left or right.  [default: auto]")
+    ] = None,
+    hfov_deg: Annotated[
+        float | None,
+        typer.Option(help="Without a calibration: horizontal field of view in degrees, as in 64."),
+    ] = None,
+    image_size: Annotated[
+        str | None, typer.Option(help="Size of the video in pixels, if the camera file lacks it, as in 1920x1080.")
+    ] = None,
+    form: Annotated[
+        str | None,
+        typer.Option(help="Ranges and rates: deadband (beyond the limit) or printed (two-sided).  [default: deadband]"),
+    ] = None,
+    angle_prior: Annotated[
+        str | None, typer.Option(help="Gaussian priors on angles and heading: gaussian or none.  [default: gaussian]")
+    ] = None,
+    camera_rotation: Annotated[
+        str | None, typer.Option(help="The body's rotation: free, or fixed to the first frame's.  [default: free]")
+    ] = None,
+    base_length_m: Annotated[
+        float | None, typer.Option(help="Base length of the chain in metres, as in 0.203.  [default: the skeleton's]")
+    ] = None,
+    base_sigma_m: Annotated[
+        float | None, typer.Option(help="Its standard deviation in metres, as in 0.001 for a measured animal.")
+    ] = None,
+    sigma_px: Annotated[
+        float | None, typer.Option(help="Noise of the detector in pixels, one standard deviation.  [default: 3]")
+    ] = None,
+    keypoint_sigma_m: Annotated[
+        float | None,
+        typer.Option(help="How far keypoints lie from the joints, metres, as in 0.05.  [default: the skeleton's]"),
+    ] = None,
+    config: Annotated[
+        Path | None, typer.Option(help="config.toml of an earlier run; options given here overrule it.")
+    ] = None,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace results in the folder.")] = False,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print errors only.")] = False,
+) -> None:
+    """Reconstruct one clip: keypoints and a camera in, 3D poses, angles, report and playback out.
+
+    Example: recon fit clip.csv --camera scene.json --camera-name cam2 --fps 90 --out results/clip
+
+    Exit code 0: done. 1: no frame could be solved. 2: the input cannot be used.
+    """
+    from recon.pipelines.clip import run_clip
+    from recon.settings import read_settings
+
+    given = {
+        "keypoints": _absolute(keypoints),
+        "camera": _absolute(camera),
+        "camera_name": camera_name,
+        "fps": fps,
+        "skeleton": str(Path(skeleton).absolute()) if skeleton and skeleton.endswith(".toml") else skeleton,
+        "method": method,
+        "frames": frames,
+        "individual": individual,
+        "likelihood_min": likelihood_min,
+        "side": side,
+        "hfov_deg": hfov_deg,
+        "image_size_px": _image_size(image_size),
+        "form": form,
+        "angle_prior": angle_prior,
+        "camera_rotation": camera_rotation,
+        "base_length_m": base_length_m,
+        "base_sigma_m": base_sigma_m,
+        "sigma_px": sigma_px,
+        "keypoint_sigma_m": keypoint_sigma_m,
+    }
+    settings = read_settings(config, given)
+    if out is None:
+        raise InputError(Problem("--out", "folder", "nothing", "a folder for the results, as in results/clip1"))
+    console = Console(quiet=quiet)
+    with _progress(console) as progress:
+        report = run_clip(settings, out, overwrite, progress)
+    _finish(console, report, out)
+
+
+@app.command()
+def evaluate(
+    pose3d: Annotated[Path, typer.Argument(help="Reconstruction, as in results/clip/pose3d.csv (m).")],
+    truth: Annotated[Path, typer.Argument(help="Reference of the same layout and frame numbers, as in truth.csv (m).")],
+    as_json: Annotated[bool, typer.Option("--json", help="Print everything as JSON, per joint and frame.")] = False,
+) -> None:
+    """Compare a reconstruction with a reference, over the joints and frames that both have.
+
+    Example: recon evaluate results/clip/pose3d.csv truth.csv
+    """
+    from recon.analysis.evaluation import evaluate_files
+
+    result = evaluate_files(pose3d, truth)
+    if as_json:
+        typer.echo(json.dumps(result.to_dict(), indent=1))
+        return
+    table = Table(title=f"{pose3d} against {truth}", title_justify="left")
+    for column in ("", "MPJPE mm", "MPE mm", "scaled mm", "PA mm", *(f"PCK {t * 1000:.0f} mm" for t, _ in result.pck)):
+        table.add_column(column, justify="left" if column == "" else "right")
+    scores = (result.mpjpe_m, result.mpe_m, result.scale_mpjpe_m, result.pa_mpjpe_m)
+    table.add_row(
+        "all", *(f"{1000 * s.mean:.1f}" for s in scores), *(f"{s.mean:.0%}" for _, s in result.pck), end_section=True
+    )
+    for j, name in enumerate(result.joints):
+        table.add_row(
+            name,
+            *(f"{1000 * s.per_joint[j]:.1f}" for s in scores),
+            *(f"{s.per_joint[j]:.0%}" for _, s in result.pck),
+        )
+    console = Console()
+    console.print(table)
+    console.print("MPJPE: after centring each frame; MPE: as it is; scaled, PA: after scaling, after a similarity.")
+
+
+@app.command()
+def view(folder: Annotated[Path, typer.Argument(help="Folder of results, as in results/clip.")]) -> None:
+    """Open the playback of a reconstruction in the rerun viewer.
+
+    Example: recon view results/clip
+    """
+    from recon.view import open_viewer
+
+    open_viewer(folder / "motion.rrd")
+
+
+@app.command()
+def demo(
+    out: Annotated[Path, typer.Option(help="Folder for the results.")] = Path("demo-output"),
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace results in the folder.")] = False,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print errors only.")] = False,
+) -> None:
+    """Reconstruct the bundled sample, a noisy synthetic gallop, and compare it with its truth.
+
+    Example: recon demo --out demo-output
+    """
+    from recon.pipelines.demo import run_demo
+
+    console = Console(quiet=quiet)
+    with _progress(console) as progress:
+        report, evaluation = run_demo(out, overwrite, progress)
+    _finish(console, report, out)
+    console.print(f"Error against the sample's truth: {1000 * evaluation.mpjpe_m.mean:.0f} mm (MPJPE)")
+
+
+@contextmanager
+def _progress(console: Console) -> Iterator[Any]:
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=console, transient=True, disable=console.quiet) as bar:
+        task = bar.add_task("fitting frames", total=None)
+        yield lambda done, total: bar.update(task, completed=done, total=total)
+
+
+def _finish(console: Console, report: dict[str, Any], out: Path) -> None:
+    from recon.report import console_summary
+
+    console.print(console_summary(report))
+    console.print(f"Results are in {out}. Watch them with: recon view {out}", soft_wrap=True)
+    if report["summary"]["frames_converged"] == 0:
+        Console(stderr=True).print("No frame could be solved: see report.json.")
+        raise typer.Exit(EXIT_UNSOLVED)
+
+
+def _absolute(path: Path | None) -> Path | None:
+    return None if path is None else path.absolute()
+
+
+def _image_size(text: str | None) -> tuple[int, int] | None:
+    if text is None:
+        return None
+    width, _, height = text.lower().partition("x")
+    if not (width.isdecimal() and height.isdecimal()):
+        raise InputError(Problem("--image-size", "size", repr(text), "width x height in pixels, as in 1920x1080"))
+    return int(width), int(height)

@@ -1,0 +1,1 @@
+"""Workflows: each file is a readable list of calls."""

@@ -1,0 +1,150 @@
+"""One clip: a keypoint file and a camera in, a folder with its 3D motion out."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from recon.calibration import read_camera
+from recon.camera import Camera
+from recon.errors import InputError, Problem
+from recon.export import CLIP_OUTPUTS
+from recon.files import staged_folder
+from recon.initialise import facing_side
+from recon.io import read_keypoints
+from recon.keypoints import Keypoints, clean, parse_frame_range
+from recon.motion import Motion
+from recon.report import build_report, write_report
+from recon.settings import FitSettings
+from recon.skeleton import Side, Skeleton
+from recon.skeleton_file import load_skeleton
+from recon.solve import solve_frames
+
+Progress = Callable[[int, int], None]
+"""Called with the number of frames done and the number of all."""
+
+OUTPUT_FILES = (*CLIP_OUTPUTS, "report.json", "motion.rrd", "config.toml")
+
+
+def fit_clip(settings: FitSettings, progress: Progress = lambda done, total: None) -> Motion:
+    """Reconstruct one clip.
+
+    Raises InputError for files and settings that cannot be used, with the problems of all of them. Frames that cannot
+    be solved are part of the result.
+    """
+    skeleton, camera, file, frames = _all_of(
+        lambda: load_skeleton(settings.skeleton),
+        lambda: _camera(settings),
+        lambda: read_keypoints(settings.keypoints, settings.individual),
+        lambda: parse_frame_range(settings.frames) if settings.frames else None,
+    )
+    _require_keypoints_of(skeleton, file)
+    keypoints, cleaning = clean(replace(file, fps=settings.fps), settings.likelihood_min, frames)
+    side, reason = _side(skeleton, keypoints, settings)
+    fitted = arrange(keypoints, skeleton.keypoint_names(side))
+    solution = solve_frames(
+        camera,
+        skeleton,
+        fitted.xy_px,
+        fitted.confidence,
+        settings.fps,
+        settings.frame_options(),
+        lambda done: progress(done, len(fitted.frames)),
+    )
+    return Motion(skeleton, camera, side, reason, fitted, cleaning, file.names, solution)
+
+
+def write_clip(motion: Motion, settings: FitSettings, out: Path, solve_s: float | None = None) -> dict[str, Any]:
+    """Write every output of a clip into the folder `out`, all or none, and give back the report."""
+    from recon import view  # rerun takes half a second to import
+
+    report = build_report(motion, settings.model_dump(mode="json"), None if solve_s is None else {"solve_s": solve_s})
+    with staged_folder(out) as folder:
+        for name, write in CLIP_OUTPUTS.items():
+            write(motion, folder / name)
+        write_report(report, folder / "report.json")
+        (folder / "config.toml").write_text(settings.to_toml(), encoding="utf-8")
+        view.write(motion, folder / "motion.rrd")
+    return report
+
+
+def run_clip(
+    settings: FitSettings, out: Path, overwrite: bool = False, progress: Progress = lambda done, total: None
+) -> dict[str, Any]:
+    """`recon fit`: reconstruct a clip and write its folder; the report. Raises InputError before any work is done if
+    `out` holds results already and may not be overwritten."""
+    check_output_folder(out, overwrite)
+    start = time.perf_counter()
+    motion = fit_clip(settings, progress)
+    return write_clip(motion, settings, out, time.perf_counter() - start)
+
+
+def check_output_folder(out: Path, overwrite: bool) -> None:
+    if out.exists() and not out.is_dir():
+        raise InputError(Problem("--out", "folder", f"the file {out}", "a folder, which is made if need be"))
+    present = [name for name in OUTPUT_FILES if (out / name).exists()]
+    if present and not overwrite:
+        found = f"{', '.join(present)} in {out}"
+        raise InputError(Problem("--out", "folder", found, "a folder without results, or --overwrite"))
+
+
+def arrange(keypoints: Keypoints, names: tuple[str, ...]) -> Keypoints:
+    """The named keypoints in that order, all missing where the file does not have them."""
+    T = len(keypoints.frames)
+    xy, confidence = np.full((T, len(names), 2), np.nan), np.zeros((T, len(names)))
+    for column, name in enumerate(names):
+        if name in keypoints.names:
+            xy[:, column] = keypoints.xy_px[:, keypoints.names.index(name)]
+            confidence[:, column] = keypoints.confidence[:, keypoints.names.index(name)]
+    return replace(keypoints, names=names, xy_px=xy, confidence=confidence)
+
+
+def _all_of(*reads: Callable[[], Any]) -> Iterable[Any]:
+    """Every result, or one InputError with the problems of all."""
+    results, problems = [], []
+    for read in reads:
+        try:
+            results.append(read())
+        except InputError as error:
+            problems.extend(error.problems)
+    if problems:
+        raise InputError(problems)
+    return results
+
+
+def _camera(settings: FitSettings) -> Camera:
+    if settings.camera is not None:
+        return read_camera(settings.camera, settings.camera_name, settings.image_size_px)
+    assert settings.hfov_deg is not None  # settings have one of the two
+    assert settings.image_size_px is not None
+    return Camera.from_hfov(settings.hfov_deg, settings.image_size_px)
+
+
+def _require_keypoints_of(skeleton: Skeleton, keypoints: Keypoints) -> None:
+    wanted = sorted({name for pair in skeleton.keypoints for name in pair})
+    if not set(wanted) & set(keypoints.names):
+        raise InputError(
+            Problem(
+                keypoints.source or "keypoints",
+                "bodyparts",
+                ", ".join(keypoints.names),
+                f"keypoints of the skeleton {skeleton.name}: {', '.join(wanted)}",
+            )
+        )
+
+
+def _side(skeleton: Skeleton, keypoints: Keypoints, settings: FitSettings) -> tuple[Side, str]:
+    if settings.side != "auto":
+        return settings.side, "as given"
+    ends = {}
+    for joint in skeleton.forward:
+        names = skeleton.keypoints[skeleton.joints.index(joint)]
+        both = arrange(keypoints, names if names[0] != names[1] else names[:1]).xy_px
+        counts = np.isfinite(both).sum(axis=1, keepdims=True)
+        ends[joint] = np.nansum(both, axis=1) / np.where(counts[:, 0] > 0, counts[:, 0], np.nan)
+    return facing_side(skeleton, ends)
