@@ -37,6 +37,9 @@ from recon.skeleton import Posed, Skeleton
 Array = NDArray[np.float64]
 Status = Literal["converged", "not_converged", "no_data"]
 
+CONVERGED = (1, 2, 3, 4)
+"""Status values of scipy's least_squares that name a tolerance that was met."""
+
 
 @dataclass(frozen=True)
 class FrameOptions:
@@ -205,7 +208,16 @@ class _Candidate:
     cost: float
     result: OptimizeResult
     step_norm: float
-    objectives: tuple[Objective, ...]
+
+
+@dataclass(frozen=True)
+class _Given:
+    """What does not change while a frame is solved. previous: the pose before, dt_s earlier, None at the start."""
+
+    frame: int
+    previous: Posed | None
+    dt_s: float
+    sigma_px: float
 
 
 class _FrameSolver:
@@ -213,25 +225,27 @@ class _FrameSolver:
         self, camera: Camera, skeleton: Skeleton, objectives: Sequence[Objective], options: FrameOptions
     ) -> None:
         self.camera, self.skeleton, self.options = camera, skeleton, options
-        self.reprojection = objectives[0]
-        self.objectives = tuple(objectives)
+        reprojection, *self.others = objectives
+        assert isinstance(reprojection, Reprojection)
+        self.reprojection = reprojection
         self.focal_px = float(np.sqrt(camera.matrix[0, 0] * camera.matrix[1, 1]))
 
     def solve(
         self, frame: int, rays: Array, heading: Array, states: Array, before: Sequence[int], fps: float
     ) -> tuple[Array, FrameReport]:
-        previous = self.skeleton.pose(states[before[-1]][None]) if before else None
-        dt_s = (frame - before[-1]) / fps if before else 1.0 / fps
-        starts = self._first_starts(rays, heading) if not before else [self._carried_on(frame, states, before)]
-        tried = [self._solve_from(frame, start, previous, dt_s) for start in starts]
+        starts = [self._carried_on(frame, states, before)] if before else self._first_starts(rays, heading)
+        fixed = _Given(
+            frame=frame,
+            previous=self.skeleton.pose(states[before[-1]][None]) if before else None,
+            dt_s=(frame - before[-1]) / fps if before else 1.0 / fps,
+            sigma_px=self._noise_px(starts[0]),
+        )
+        tried = [self._solve_from(start, fixed) for start in starts]
         best = min(tried, key=lambda c: c.cost)
-        if before and not self._explained(frame, best):
-            tried += [
-                self._solve_from(frame, start, previous, dt_s)
-                for start in self._more_starts(rays, heading, states[before[-1]])
-            ]
+        if before and not self._explained(fixed, best):
+            tried += [self._solve_from(start, fixed) for start in self._more_starts(rays, heading, states[before[-1]])]
             best = min(tried, key=lambda c: c.cost)
-        return best.x, self._report(frame, best, previous, dt_s, len(tried))
+        return best.x, self._report(fixed, best, len(tried))
 
     # -- starts ---------------------------------------------------------------------------------------------------
 
@@ -266,10 +280,21 @@ class _FrameSolver:
 
     # -- one optimisation -----------------------------------------------------------------------------------------
 
-    def _solve_from(self, frame: int, start: Array, previous: Posed | None, dt_s: float) -> _Candidate:
-        terms = self._terms_at(frame, start, previous)
+    def _solve_from(self, start: Array, fixed: _Given) -> _Candidate:
+        """The minimum from one start, approached with a wide loss where the start is far off for the noise.
+
+        Geman-McClure residuals beyond c sigma hardly pull: a start that far off would stay there.
+        """
+        off = float(np.nanmedian(self._distances_px(fixed, start))) / fixed.sigma_px
+        if not off <= self.options.robust_c / 2:
+            wide = fixed.sigma_px * min(off, 50.0) if np.isfinite(off) else fixed.sigma_px * 10.0
+            start = self._minimise(start, replace(fixed, sigma_px=wide), tolerance=1e-3).x
+        return self._minimise(start, fixed, self.options.tolerance)
+
+    def _minimise(self, start: Array, fixed: _Given, tolerance: float) -> _Candidate:
+        terms = self._terms(fixed)
         free = np.ones(self.skeleton.n_state, dtype=bool)
-        if self.options.camera_rotation == "fixed" and previous is not None:
+        if self.options.camera_rotation == "fixed" and fixed.previous is not None:
             free[self.skeleton.euler_slice] = False
         x = start.copy()
         last: dict[str, Array] = {}
@@ -278,7 +303,7 @@ class _FrameSolver:
         def residual(y: Array) -> Array:
             x[free] = y
             last["y"] = y.copy()
-            last["r"], last["J"] = evaluate(terms, self.skeleton, frame, x, previous, dt_s)
+            last["r"], last["J"] = evaluate(terms, self.skeleton, fixed.frame, x, fixed.previous, fixed.dt_s)
             return last["r"]
 
         def jacobian(y: Array) -> Array:
@@ -288,11 +313,10 @@ class _FrameSolver:
                 residual(y)
             return last["J"][:, free]
 
-        tolerance = self.options.tolerance
         result = least_squares(
             residual,
             start[free],
-            jacobian,
+            jacobian,  # type: ignore[arg-type]  # the stubs want a function of any array type
             method="lm",
             x_scale="jac",
             ftol=tolerance,
@@ -301,50 +325,49 @@ class _FrameSolver:
             max_nfev=self.options.max_evaluations,
         )
         x[free] = result.x
-        path = [*steps, result.x]
-        step_norm = next(
-            (float(n) for a, b in zip(path[-2::-1], path[:0:-1], strict=True) if (n := np.linalg.norm(b - a)) > 0), 0.0
-        )
-        return _Candidate(x.copy(), float(result.cost), result, step_norm, terms)
+        moves = np.linalg.norm(np.diff([*steps, result.x], axis=0), axis=1)
+        step_norm = float(moves[moves > 0][-1]) if np.any(moves > 0) else 0.0
+        return _Candidate(x.copy(), float(result.cost), result, step_norm)
 
-    def _terms_at(self, frame: int, start: Array, previous: Posed | None) -> tuple[Objective, ...]:
-        """The objectives with the detection noise of this distance; without a frame before, no ties to it."""
+    def _noise_px(self, start: Array) -> float:
+        """Standard deviation of a detection: the detector's noise and, at a start's distance, the keypoints'."""
         o = self.options
         depth = max(float(self.skeleton.pose(start[None]).joints_m[0, :, 2].mean()), 0.1)
         keypoint_m = self.skeleton.scales.keypoint_m if o.keypoint_sigma_m is None else o.keypoint_sigma_m
-        sigma = float(np.hypot(o.sigma_px, min(keypoint_m * self.focal_px / depth, o.keypoint_sigma_max_px)))
-        assert isinstance(self.reprojection, Reprojection)
-        sigma_px = np.broadcast_to(sigma, self.reprojection.sigma_px.shape)
-        terms = (replace(self.reprojection, sigma_px=sigma_px), *self.objectives[1:])
-        return terms if previous is not None else tuple(t for t in terms if t.stencil == (0,))
+        return float(np.hypot(o.sigma_px, min(keypoint_m * self.focal_px / depth, o.keypoint_sigma_max_px)))
 
-    def _explained(self, frame: int, candidate: _Candidate) -> bool:
+    def _terms(self, fixed: _Given) -> tuple[Objective, ...]:
+        """The objectives with this frame's noise; without a frame before, no ties to it."""
+        sigma_px = np.broadcast_to(fixed.sigma_px, self.reprojection.sigma_px.shape)
+        terms = (replace(self.reprojection, sigma_px=sigma_px), *self.others)
+        return terms if fixed.previous is not None else tuple(t for t in terms if t.stencil == (0,))
+
+    def _distances_px(self, fixed: _Given, state: Array) -> Array:
+        """(n,) from the frame's detections to the state's reprojections, infinite where a joint cannot be projected."""
+        pixels, valid = self.camera.project(self.skeleton.pose(state[None]).joints_m[0])
+        detected = self.reprojection.xy_px[fixed.frame]
+        off = np.where(valid, np.linalg.norm(pixels - detected, axis=1), np.inf)
+        return off[np.isfinite(detected[:, 0])]
+
+    def _explained(self, fixed: _Given, candidate: _Candidate) -> bool:
         """Converged, and no detection further off than c sigma."""
-        reprojection = candidate.objectives[0]
-        assert isinstance(reprojection, Reprojection)
-        pixels, _ = self.camera.project(self.skeleton.pose(candidate.x[None]).joints_m[0])
-        detected = reprojection.xy_px[frame]
-        present = np.isfinite(detected[:, 0])
-        off = np.linalg.norm(pixels - detected, axis=1)[present]
-        within = off < reprojection.c * reprojection.sigma_px[frame]  # False for NaN: a joint that cannot be projected
-        return candidate.result.status in (1, 2, 3, 4) and bool(np.all(within))
+        within = self._distances_px(fixed, candidate.x) < self.options.robust_c * fixed.sigma_px
+        return candidate.result.status in CONVERGED and bool(np.all(within))
 
     # -- report ---------------------------------------------------------------------------------------------------
 
-    def _report(self, frame: int, best: _Candidate, previous: Posed | None, dt_s: float, starts: int) -> FrameReport:
-        result, terms = best.result, best.objectives
-        window = (previous, self.skeleton.pose_with_jacobian(best.x[None]))
-        frames, dt = np.array([frame]), np.array([dt_s])
+    def _report(self, fixed: _Given, best: _Candidate, starts: int) -> FrameReport:
+        result, terms = best.result, self._terms(fixed)
+        window = (fixed.previous, self.skeleton.pose_with_jacobian(best.x[None]))
+        frames, dt = np.array([fixed.frame]), np.array([fixed.dt_s])
         parts = [term.evaluate(window_of(term, window), frames, dt) for term in terms]
         costs = {term.name: float(np.sum(r**2)) for term, (r, _) in zip(terms, parts, strict=True)}
         total = sum(costs.values())
         J = np.concatenate([j[0, :, -1] for _, j in parts])
         r = np.concatenate([r[0] for r, _ in parts])
         data_share, joint_share, joint_sigma = precision_shares(parts[0][1][0, :, -1], J, self.skeleton, best.x)
-        reprojection = terms[0]
-        assert isinstance(reprojection, Reprojection)
         return FrameReport(
-            status="converged" if result.status in (1, 2, 3, 4) else "not_converged",
+            status="converged" if result.status in CONVERGED else "not_converged",
             starts=starts,
             iterations=int(result.njev),
             function_evaluations=int(result.nfev),
@@ -359,7 +382,7 @@ class _FrameSolver:
             jacobian_mean_abs=float(np.mean(np.abs(J))),
             jacobian_sparsity=float(np.mean(J == 0)),
             gradient=J.T @ r,
-            sigma_px=float(reprojection.sigma_px[frame]),
+            sigma_px=fixed.sigma_px,
             data_share=data_share,
             joint_data_share=joint_share,
             joint_sigma_m=joint_sigma,

@@ -143,9 +143,9 @@ def add_noise(
 ) -> tuple[Keypoints, NDArray[np.bool_]]:
     """Detections as a network would give them, and which of them are gross outliers, (T, K) bool.
 
-    sigma_px: standard deviation of the Gaussian noise of each coordinate; dropout: share of points that go missing (to a whole point);
+    sigma_px: standard deviation of the Gaussian noise of each coordinate; dropout: share of points that go missing;
     outlier: share of points that land 40 to 300 px away (uniform) in any direction, within the picture if its size is
-    known. Good points have likelihoods of 0.9 to 1, outliers 0.6 to 0.98.
+    known. Both shares are kept to a whole point. Good points have likelihoods of 0.9 to 1, outliers 0.6 to 0.98.
     """
     rng = np.random.default_rng(seed)
     shape = keypoints.confidence.shape
@@ -185,9 +185,9 @@ class _Waves:
 
     @classmethod
     def draw(cls, rng: np.random.Generator, count: int) -> _Waves:
-        """Waves with standard deviations of 0.05 to 0.13 and means within 0.08."""
+        """Waves with standard deviations of 0.05 to 0.13 and means within 0.04."""
         return cls(
-            mean=rng.uniform(-0.08, 0.08, count),
+            mean=rng.uniform(-0.04, 0.04, count),
             amplitude=math.sqrt(2) * rng.uniform(0.05, 0.13, count),
             frequency_hz=rng.uniform(0.8, 1.6, count),
             phase_rad=rng.uniform(0, 2 * np.pi, count),
@@ -285,6 +285,7 @@ def _place_camera(model: CameraModel, points_m: Array) -> Camera:
     for _ in range(200):
         camera = _look(bare, np.array([0.3, -distance_m, 1.5]), target_m=np.array([0.0, 0.0, 0.7]), roll_rad=0.01)
         assert camera.rotation is not None
+        assert camera.translation_m is not None
         xy_px, valid = camera.project(points_m @ camera.rotation.T + camera.translation_m)
         inside = (xy_px >= MARGIN_PX) & (xy_px <= np.array([width, height]) - 1 - MARGIN_PX)
         if valid.all() and inside.all():

@@ -1,0 +1,103 @@
+"""Kinematics of a point's path: speed, acceleration and distance from a cubic spline.
+
+The spline goes through every frame that has the point (scipy's `CubicSpline`, not-a-knot ends) and is evaluated at ten
+times the frame rate. Nothing is extrapolated, and a gap longer than `MAX_GAP_S` is not bridged: there, all is NaN.
+Frames that are missing in a shorter gap are interpolated. An exact spline passes a jitter of s metres on to the
+acceleration as about s times the square of the frame rate times four: give `smoothing_m` where that matters.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline, UnivariateSpline
+
+Array = NDArray[np.float64]
+
+MAX_GAP_S = 0.2
+"""Missing frames are bridged if the frames on their two sides are not further apart than this."""
+MIN_POINTS = 4
+"""A cubic needs this many."""
+
+
+@dataclass(frozen=True, eq=False)
+class PathKinematics:
+    """A path on a fine time grid: N = (T - 1) oversampling + 1 times, in as many dimensions d as its points.
+
+    time_s (N,), every `oversampling`-th is a frame; position_m, velocity_m_s (N, d); speed_m_s (N,);
+    acceleration_m_s2 (N,): norm of the second derivative. All NaN where the path is unknown. distance_m: arc length
+    over the stretches that are known; mean_speed_m_s: over the time that they take; peak_speed_m_s: NaN without any.
+    smoothing_m: as given, None for the exact spline.
+    """
+
+    time_s: Array
+    position_m: Array
+    velocity_m_s: Array
+    speed_m_s: Array
+    acceleration_m_s2: Array
+    distance_m: float
+    peak_speed_m_s: float
+    mean_speed_m_s: float
+    oversampling: int
+    smoothing_m: float | None
+
+
+def path_kinematics(
+    time_s: Array, points_m: Array, oversampling: int = 10, smoothing_m: float | None = None
+) -> PathKinematics:
+    """Kinematics of a path given at T frames: time_s (T,), increasing, points_m (T, d), NaN where missing.
+
+    smoothing_m: expected standard deviation of a coordinate's noise, metres; the spline of each coordinate is then the
+    smoothest whose squared residuals sum to no more than n smoothing_m^2 (scipy's `UnivariateSpline`). None: exact.
+    Fewer than four points in a stretch without a long gap give NaN. Raises ValueError for times that do not increase.
+    """
+    if np.any(np.diff(time_s) <= 0):
+        raise ValueError("times must increase")
+    T, d = points_m.shape
+    N = (T - 1) * oversampling + 1 if T else 0
+    fine_s = np.interp(np.arange(N) / oversampling, np.arange(T), time_s) if T else np.empty(0)
+    position, velocity, acceleration = (np.full((N, d), np.nan) for _ in range(3))
+    distance = covered = 0.0
+    for rows in _stretches(time_s, points_m):
+        where = slice(rows[0] * oversampling, rows[-1] * oversampling + 1)
+        curve = _spline(time_s[rows], points_m[rows], smoothing_m)
+        position[where], velocity[where], acceleration[where] = (curve(fine_s[where], order) for order in range(3))
+        distance += float(np.linalg.norm(np.diff(position[where], axis=0), axis=1).sum())
+        covered += float(time_s[rows[-1]] - time_s[rows[0]])
+    speed = np.linalg.norm(velocity, axis=1)
+    return PathKinematics(
+        time_s=fine_s,
+        position_m=position,
+        velocity_m_s=velocity,
+        speed_m_s=speed,
+        acceleration_m_s2=np.linalg.norm(acceleration, axis=1),
+        distance_m=distance if covered else np.nan,
+        peak_speed_m_s=float(np.nanmax(speed)) if covered else np.nan,
+        mean_speed_m_s=distance / covered if covered else np.nan,
+        oversampling=oversampling,
+        smoothing_m=smoothing_m,
+    )
+
+
+def speed_at_frames(time_s: Array, points_m: Array, smoothing_m: float | None = None) -> Array:
+    """Speed (T,) in m/s of a path at its frames: as `path_kinematics`, for time series."""
+    return path_kinematics(time_s, points_m, 1, smoothing_m).speed_m_s
+
+
+def _stretches(time_s: Array, points_m: Array) -> list[NDArray[np.intp]]:
+    """Rows of the known points, split at the gaps that are too long; those with enough points."""
+    known = np.flatnonzero(np.isfinite(points_m).all(axis=1))
+    too_long = (np.diff(known) > 1) & (np.diff(time_s[known]) > MAX_GAP_S * (1 + 1e-9))
+    return [rows for rows in np.split(known, np.flatnonzero(too_long) + 1) if len(rows) >= MIN_POINTS]
+
+
+def _spline(time_s: Array, points_m: Array, smoothing_m: float | None) -> Callable[[Array, int], Array]:
+    """curve(time (M,), order of the derivative) -> (M, d)."""
+    if smoothing_m is None:
+        return CubicSpline(time_s, points_m, bc_type="not-a-knot")
+    allowed = len(time_s) * smoothing_m**2
+    curves = [UnivariateSpline(time_s, column, k=3, s=allowed) for column in points_m.T]
+    return lambda t, order: np.stack([curve(t, nu=order) for curve in curves], axis=1)
