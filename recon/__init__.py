@@ -1,3 +1,47 @@
+"""Metric 3D motion of a running animal from one camera and DeepLabCut keypoints.
+
+import recon
+
+settings = recon.FitSettings(keypoints="clip.csv", camera="camera.toml", fps=120)
+motion = recon.fit_clip(settings)
+motion.joints_m  # (frames, joints, 3), metres
+"""
+
 from importlib import metadata
 
-__version__ = "0.1.0"
+from recon.analysis.evaluation import Evaluation, evaluate, evaluate_files
+from recon.calibration import read_camera, read_cameras, write_camera
+from recon.camera import Camera
+from recon.errors import InputError
+from recon.io import read_keypoints
+from recon.io.pose3d import Pose3D, read_pose3d
+from recon.keypoints import Keypoints, clean
+from recon.motion import Motion
+from recon.pipelines.clip import fit_clip, write_clip
+from recon.settings import FitSettings
+from recon.skeleton import Skeleton
+from recon.skeleton_file import load_skeleton
+
+__version__ = metadata.version("recon")
+
+__all__ = [
+    "Camera",
+    "Evaluation",
+    "FitSettings",
+    "InputError",
+    "Keypoints",
+    "Motion",
+    "Pose3D",
+    "Skeleton",
+    "clean",
+    "evaluate",
+    "evaluate_files",
+    "fit_clip",
+    "load_skeleton",
+    "read_camera",
+    "read_cameras",
+    "read_keypoints",
+    "read_pose3d",
+    "write_camera",
+    "write_clip",
+]

@@ -185,7 +185,7 @@ def evaluate(
     table.add_row(
         "all", *(f"{1000 * s.mean:.1f}" for s in scores), *(f"{s.mean:.0%}" for _, s in result.pck), end_section=True
     )
-    for j, name in enumerate(result.joints):
+    for j, name in enumerate(result.names):
         table.add_row(
             name,
             *(f"{1000 * s.per_joint[j]:.1f}" for s in scores),

@@ -58,8 +58,8 @@ def facing_side(skeleton: Skeleton, positions_px: dict[str, Array]) -> tuple[Sid
 def level_axes(up: Array) -> tuple[Array, Array]:
     """Two level unit vectors in the camera frame: to the picture's right, and away from the camera."""
     right = np.array([1.0, 0.0, 0.0]) - up * up[0]
-    right /= np.linalg.norm(right)
-    return right, np.cross(up, right)
+    right /= float(np.linalg.norm(right))
+    return right, np.asarray(np.cross(up, right), dtype=float)
 
 
 def upright_rotation(heading: Array, up: Array) -> Array:
@@ -80,19 +80,39 @@ def mean_pose(skeleton: Skeleton) -> Array:
 def place_on_rays(joints_m: Array, rays: Array) -> tuple[Array, Array]:
     """Translations (N, 3) that bring a rigid shape nearest to viewing rays, and the joints' distances (N, J) from them.
 
-    joints_m (J, 3): the shape, turned into the camera frame; rays (N, J, 3): unit vectors, NaN where missing.
-    Robust: iteratively reweighted with Geman-McClure weights.
+    joints_m (J, 3): the shape, turned into the camera frame; rays (N, J, 3): unit vectors, NaN where missing, at least
+    two a row. The first guess is the median over joints, at the median distance over pairs of joints; Gauss-Newton
+    steps on the angles, with Geman-McClure weights, follow (distances from the rays themselves would draw the shape
+    towards the camera, where they vanish).
     """
     seen = np.isfinite(rays[..., 0])
+    middle = np.nanmedian(rays, axis=1)
+    middle /= np.linalg.norm(middle, axis=1, keepdims=True)
+    i, j = np.triu_indices(len(joints_m), 1)
+    between = joints_m[i] - joints_m[j]
+    along = middle @ between.T
+    apart_m = np.sqrt(np.maximum(np.sum(between**2, axis=1) - along**2, 0.0))
+    apart_rad = np.linalg.norm(rays[:, i] - rays[:, j], axis=2)
+    depth = np.nanmedian(apart_m / np.maximum(apart_rad, 1e-6) + 0.0 * apart_rad, axis=1)
+    t = np.nanmedian(rays * depth[:, None, None] - joints_m, axis=1)
+
     d = np.where(seen[..., None], rays, 0.0)
     across = np.eye(3) - d[..., :, None] * d[..., None, :]
-    offsets = (across @ joints_m[..., None])[..., 0]
-    weight = seen.astype(float)
     for _ in range(6):
-        normal = np.einsum("nj,njab->nab", weight, across) + 1e-9 * np.eye(3)
-        t = np.linalg.solve(normal, -np.einsum("nj,nja->na", weight, offsets)[..., None])[..., 0]
-        miss = np.linalg.norm((across @ t[:, None, :, None])[..., 0] + offsets, axis=-1)
+        q = joints_m + t[:, None]
+        distance = np.linalg.norm(q, axis=2, keepdims=True)
+        q = q / distance
+        off = (across @ q[..., None])[..., 0]
+        miss = np.linalg.norm(off, axis=2) * depth[:, None]
         weight = seen / (1.0 + (miss / _MISFIT_M) ** 2) ** 2
+        slope = across @ (np.eye(3) - q[..., :, None] * q[..., None, :]) / distance[..., None]
+        weighted = slope * weight[..., None, None]
+        normal = np.einsum("njab,njac->nbc", weighted, slope) + 1e-9 * np.eye(3)
+        step = np.linalg.solve(normal, -np.einsum("njab,nja->nb", weighted, off)[..., None])[..., 0]
+        length = np.linalg.norm(step, axis=1)
+        t = t + step * np.minimum(1.0, 0.3 * depth / np.maximum(length, 1e-9))[:, None]
+    q = joints_m + t[:, None]
+    miss = np.linalg.norm((across @ q[..., None])[..., 0], axis=2)
     return t, np.where(seen, miss, np.nan)
 
 
@@ -127,30 +147,67 @@ def estimate_travel(camera: Camera, skeleton: Skeleton, xy_px: Array, fps: float
 
 
 def _stretch_travel(headings: Array, shapes: Array, up: Array, rays: Array, time_s: Array) -> Array:
-    """(4,): heading and speed of one stretch; the speed is NaN where it says nothing."""
-    misfit, directions, speeds = np.empty(len(headings)), np.empty_like(headings), np.empty(len(headings))
+    """(4,): heading and speed of one stretch; the speed is NaN where it says nothing.
+
+    For every heading the mean pose runs straight ahead, with a constant acceleration and a slope of the ground; the
+    heading whose run fits all the rays best decides. It is seen in the shape's foreshortening and in the path alike.
+    """
+    time_s = time_s - time_s.mean()
+    misfit, speeds = np.empty(len(headings)), np.empty(len(headings))
     for h, shape in enumerate(shapes):
-        places, miss = place_on_rays(shape, rays)
-        relative = (miss / _MISFIT_M) ** 2
-        behind = np.mean(places[:, 2] <= 0)
-        misfit[h] = np.nanmean(relative / (1 + relative)) + behind
-        velocity = _robust_slope(time_s, places)
-        speeds[h] = np.linalg.norm(velocity)
-        directions[h] = velocity / max(speeds[h], 1e-9)
-    moving = np.clip(speeds / _MIN_SPEED_M_S - 1.0, 0.0, 2.0) / 2.0
-    against = (1 - np.sum(directions * headings, axis=1)) / 2
-    best = int(np.argmin(misfit + moving * against))
-    if speeds[best] < _MIN_SPEED_M_S:
-        return np.append(headings[best], np.nan)
-    # The fitted shape and the path are two estimates of the same direction, both good to about 10 degrees.
-    both = headings[best] + directions[best] - up * (directions[best] @ up)
-    return np.append(both / np.linalg.norm(both), speeds[best])
+        misfit[h], speeds[h] = _straight_run(headings[h], shape, up, rays, time_s)
+    best = int(np.argmin(misfit))
+    # The minimum between grid points, from the parabola through the best three.
+    left, here, right = misfit[[best - 1, best, (best + 1) % len(headings)]]
+    bend = left - 2 * here + right
+    turn = 0.5 * (left - right) / bend * 2 * np.pi / len(headings) if bend > 0 else 0.0
+    heading = np.cos(turn) * headings[best] + np.sin(turn) * np.cross(up, headings[best])
+    return np.append(heading, speeds[best] if speeds[best] >= _MIN_SPEED_M_S else np.nan)
+
+
+def _straight_run(heading: Array, shape: Array, up: Array, rays: Array, time_s: Array) -> tuple[float, float]:
+    """Misfit and speed of a shape (J, 3) that runs along heading, fitted to rays (F, J, 3) at times (F,), mean zero.
+
+    Unknown: place, speed and acceleration along the heading, climb. Gauss-Newton with Geman-McClure weights.
+    """
+    places, _ = place_on_rays(shape, rays)
+    depth = float(np.median(np.linalg.norm(places, axis=1)))
+    seen = np.isfinite(rays[..., 0])
+    d = np.where(seen[..., None], rays, 0.0)
+    across = np.eye(3) - d[..., :, None] * d[..., None, :]
+    motion = np.zeros((len(time_s), 3, 6))
+    motion[:, :, :3] = np.eye(3)
+    motion[:, :, 3] = heading * time_s[:, None]
+    motion[:, :, 4] = heading * (time_s**2)[:, None] / 2
+    motion[:, :, 5] = up * time_s[:, None]
+    # A wide, soft preference keeps what short clips do not show in bounds: m, m/s, m/s^2, m/s.
+    prior = np.diag(1.0 / np.array([1e3, 1e3, 1e3, 15.0, 10.0, 1.0]) ** 2)
+    x = np.zeros(6)
+    x[:3] = np.median(places, axis=0)
+    x[3] = max(float(_robust_slope(time_s, places) @ heading), 0.0)
+    weight = seen.astype(float)
+    miss = np.zeros(seen.shape)
+    for _ in range(8):
+        q = shape + (motion @ x)[:, None]
+        distance = np.linalg.norm(q, axis=2, keepdims=True)
+        q = q / distance
+        off = (across @ q[..., None])[..., 0] * depth / _MISFIT_M
+        miss = np.where(np.sum(q * d, axis=2) > 0, np.linalg.norm(off, axis=2), np.inf)
+        weight = seen / (1.0 + miss**2) ** 2
+        slope = across @ (np.eye(3) - q[..., :, None] * q[..., None, :]) / distance[..., None] * depth / _MISFIT_M
+        weighted = slope * weight[..., None, None]
+        curvature = np.einsum("fjab,fjac->fbc", weighted, slope)
+        pull = np.einsum("fjab,fja->fb", weighted, off)
+        normal = np.einsum("fap,fab,fbq->pq", motion, curvature, motion) + prior + 1e-9 * np.eye(6)
+        x = x - np.linalg.solve(normal, np.einsum("fap,fa->p", motion, pull) + prior @ x)
+    share = 1.0 - 1.0 / (1.0 + miss**2)
+    return float(np.mean(share[seen])) + (1.0 if x[3] < 0 else 0.0), float(abs(x[3]))
 
 
 def _robust_slope(time_s: Array, places_m: Array) -> Array:
     """Velocity (3,) of a straight path through places (N, 3), by least absolute distances."""
     design = np.stack([np.ones_like(time_s), time_s - time_s.mean()], axis=1)
-    weight = np.ones(len(time_s))
+    weight, line = np.ones(len(time_s)), np.zeros((2, 3))
     for _ in range(10):
         root = np.sqrt(weight)[:, None]
         line = np.linalg.lstsq(design * root, places_m * root, rcond=None)[0]

@@ -7,6 +7,7 @@ import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import fields
+from importlib import metadata
 from pathlib import Path
 from typing import Any
 
@@ -15,8 +16,7 @@ from numpy.typing import NDArray
 from rich.table import Table
 from rich.text import Text
 
-from recon import __version__
-from recon.analysis.path import path_kinematics
+from recon.analysis.path import frame_jitter_m, path_kinematics
 from recon.initialise import level_axes
 from recon.keypoints import KeypointCounts
 from recon.motion import OUTLIER_SIGMAS, Motion
@@ -52,7 +52,7 @@ def build_report(
     """
     report = {
         "schema": {"name": SCHEMA_NAME, "version": SCHEMA_VERSION},
-        "recon_version": __version__,
+        "recon_version": metadata.version("recon"),
         "input": _input(motion),
         "settings": settings,
         "timing_s": timing,
@@ -131,8 +131,8 @@ def _skeleton(motion: Motion) -> dict[str, Any]:
 def _assumptions(motion: Motion, settings: Mapping[str, Any]) -> dict[str, Any]:
     """What the data does not say, in numbers and in sentences."""
     camera = motion.camera
-    given = {name: settings.get(name) for name in ("base_length_m", "base_sigma_m")}
-    nominal, sigma = base_length(motion.skeleton, FrameOptions(**given))
+    options = FrameOptions(base_length_m=settings.get("base_length_m"), base_sigma_m=settings.get("base_sigma_m"))
+    nominal, sigma = base_length(motion.skeleton, options)
     share = _median(_stacked(motion, "data_share", motion.skeleton.n_state)[:, motion.skeleton.base_index])
     measured = bool(share >= MEASURED_SHARE)
     level = not (camera.has_extrinsics and camera.world_z_up)
@@ -169,6 +169,7 @@ def _summary(motion: Motion) -> dict[str, Any]:
     by_joint = np.array([_mean(column) for column in motion.distance_px.T])
     worst = int(np.nanargmax(by_joint)) if len(errors) else None
     solved = [r for r in motion.reports if r is not None]
+    sigma = _stacked(motion, "joint_sigma_m", len(motion.names), 3)
     return {
         "frames": len(motion.frames),
         **{f"frames_{s}": motion.status.count(s) for s in ("converged", "not_converged", "no_data")},
@@ -182,7 +183,8 @@ def _summary(motion: Motion) -> dict[str, Any]:
             "worst_joint": None if worst is None else motion.names[worst],
             "worst_joint_mean": np.nan if worst is None else by_joint[worst],
         },
-        "joint_sigma_m": _median(np.linalg.norm(_stacked(motion, "joint_sigma_m", len(motion.names), 3), axis=-1)),
+        "joint_sigma_across_m": _median(np.sqrt((sigma[..., :2] ** 2).mean(axis=-1))),
+        "joint_sigma_depth_m": _median(sigma[..., 2]),
         "iterations_median": _median(np.array([r.iterations for r in solved], dtype=float)),
         "function_evaluations_median": _median(np.array([r.function_evaluations for r in solved], dtype=float)),
     }
@@ -253,8 +255,7 @@ def _limits(motion: Motion) -> dict[str, Any]:
 
 def _passed(motion: Motion, beyond: Array, largest: str) -> dict[str, Any]:
     counts = [
-        {"passed": int((column > 0).sum()), largest: float(max(np.max(column, initial=0.0, where=column > 0), 0.0))}
-        for column in beyond.T
+        {"passed": int((column > 0).sum()), largest: float(np.max(_finite(column), initial=0.0))} for column in beyond.T
     ]
     return _by_name(motion.skeleton.angle_names, counts)
 
@@ -294,21 +295,30 @@ def _travel(motion: Motion) -> dict[str, Any]:
 
 
 def _root_path(motion: Motion) -> dict[str, Any]:
-    path = path_kinematics(motion.time_s, motion.root_m)
-    at_frames = slice(None, None, path.oversampling)
+    """Exactly as reconstructed, and without the jitter from frame to frame, if that can be told."""
+    jitter = frame_jitter_m(motion.root_m)
     return {
         "joint": motion.skeleton.joints[0],
         "keypoint": motion.names[0],
+        "time_s": motion.time_s,
+        "position_m": motion.root_m,
+        "jitter_m": jitter,
+        "exact": _kinematics(motion, None),
+        "smoothed": _kinematics(motion, jitter) if np.isfinite(jitter).all() else None,
+    }
+
+
+def _kinematics(motion: Motion, smoothing_m: Array | None) -> dict[str, Any]:
+    path = path_kinematics(motion.time_s, motion.root_m, smoothing_m=smoothing_m)
+    acceleration = _finite(path.acceleration_m_s2)
+    at_frames = slice(None, None, path.oversampling)
+    return {
+        "smoothing_m": smoothing_m,
         "oversampling": path.oversampling,
-        "smoothing_m": path.smoothing_m,
         "distance_m": path.distance_m,
         "peak_speed_m_s": path.peak_speed_m_s,
         "mean_speed_m_s": path.mean_speed_m_s,
-        "peak_acceleration_m_s2": float(np.max(_finite(path.acceleration_m_s2), initial=0.0))
-        if np.isfinite(path.acceleration_m_s2).any()
-        else np.nan,
-        "time_s": motion.time_s,
-        "position_m": motion.root_m,
+        "peak_acceleration_m_s2": float(acceleration.max()) if len(acceleration) else np.nan,
         "speed_m_s": path.speed_m_s[at_frames],
         "acceleration_m_s2": path.acceleration_m_s2[at_frames],
     }
@@ -377,12 +387,15 @@ def _warn(report: Mapping[str, Any]) -> Iterator[str]:
 def summary_lines(report: Mapping[str, Any]) -> list[tuple[str, str]]:
     """(label, value) of what one wants to see after a fit; the warnings come last."""
     given, summary, errors = report["input"], report["summary"], report["summary"]["reprojection_px"]
-    base, path = report["assumptions"]["base_length"], report["root_path"]
+    base = report["assumptions"]["base_length"]
+    smoothed = report["root_path"]["smoothed"]
+    path = smoothed or report["root_path"]["exact"]
     fitted = [row for row in report["keypoints"] if row["joint"] is not None]
     used, missing, rejected = (sum(row[count] or 0 for row in fitted) for count in ("used", "missing", "rejected"))
     first, stop = given["frames"]
     file = Path(given["keypoints"]).name if given["keypoints"] else "keypoints"
-    named = sorted((row["outliers"], row["name"]) for row in fitted)[-1]
+    off = sorted(((row["outliers"], row["name"]) for row in fitted if row["outliers"]), reverse=True)
+    most = ", ".join(f"{name} {count}" for count, name in off[:3]) + (", ..." if len(off) > 3 else "")
     heading = report["travel"]["heading_to_picture_rad"]
     lines = [
         ("clip", f"{file}, frames {first} to {stop - 1} at {given['fps']:g} fps"),
@@ -398,23 +411,24 @@ def summary_lines(report: Mapping[str, Any]) -> list[tuple[str, str]]:
             f"{_number(errors['mean'], '.1f')} px mean, {_number(errors['median'], '.1f')} px median; "
             f"worst joint {errors['worst_joint']}, {_number(errors['worst_joint_mean'], '.1f')} px",
         ),
-        (
-            "outliers",
-            f"{summary['outliers']} beyond {OUTLIER_SIGMAS:g} sigma"
-            + (f", most of them of {named[1]} ({named[0]})" if named[0] else ""),
-        ),
+        ("outliers", f"{summary['outliers']} beyond {OUTLIER_SIGMAS:g} sigma" + (f": {most}" if off else "")),
         (
             "path",
-            f"{_number(path['distance_m'], '.1f')} m in {report['frame_of_reference']} frame, speed "
-            f"{_number(path['mean_speed_m_s'], '.1f')} m/s mean, {_number(path['peak_speed_m_s'], '.1f')} m/s peak",
+            f"{_number(path['distance_m'], '.1f')} m, speed {_number(path['mean_speed_m_s'], '.1f')} m/s mean, "
+            f"{_number(path['peak_speed_m_s'], '.1f')} m/s peak "
+            f"({report['frame_of_reference']} frame, {'smoothed' if smoothed else 'not smoothed'})",
         ),
         ("heading", _heading(heading)),
         (
             "base length",
             f"{_number(report['base_length_m']['mean'], '.3f')} m; expected {base['nominal_m']:.3f} ± "
-            f"{base['sigma_m']:.3f} m; {_number(base['data_share'], '.0%')} of its precision from the pixels",
+            f"{base['sigma_m']:.3f} m; {_number(base['data_share'], '.0%').lstrip('-')} of its precision from pixels",
         ),
-        ("uncertainty", f"{_number(summary['joint_sigma_m'], '.2f')} m a joint (median, one sigma, mostly in depth)"),
+        (
+            "uncertainty",
+            f"{_number(summary['joint_sigma_across_m'], '.2f')} m across the picture, "
+            f"{_number(summary['joint_sigma_depth_m'], '.2f')} m in depth (place of a joint, one sigma, median)",
+        ),
         ("effort", _effort(report)),
     ]
     return lines + [("warning", text) for text in report["warnings"]]
@@ -434,8 +448,10 @@ def console_summary(report: Mapping[str, Any]) -> Table:
 def _heading(angle_rad: float | None) -> str:
     if angle_rad is None:
         return "unknown"
-    degrees = math.degrees(angle_rad)
-    return f"{abs(degrees):.0f}° out of the picture's plane, {'away from' if degrees >= 0 else 'towards'} the camera"
+    degrees = round(math.degrees(angle_rad))
+    if degrees == 0:
+        return "in the picture's plane"
+    return f"{abs(degrees)}° out of the picture's plane, {'away from' if degrees > 0 else 'towards'} the camera"
 
 
 def _effort(report: Mapping[str, Any]) -> str:

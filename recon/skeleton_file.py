@@ -120,7 +120,7 @@ def _extended(raw: dict[str, Any], source: str) -> dict[str, Any]:
         raise InputError(Problem(source, "length_m", "links beside it", "one of the two"))
     links = [dict(link) for link in parent.get("links", [])]
     base = raw.get("base_length", parent.get("base_length", {})).get("nominal_m")
-    names = {link.get("name") for link in links}
+    names = {str(link.get("name")) for link in links}
     problems = [
         Problem(source, f"length_m.{name}", repr(length), f"a length in metres of one of {', '.join(sorted(names))}")
         for name, length in lengths.items()

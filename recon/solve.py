@@ -60,7 +60,7 @@ class FrameOptions:
     sigma_px: float = 3.0
     keypoint_sigma_m: float | None = None
     keypoint_sigma_max_px: float = 12.0
-    robust_c: float = 4.0
+    robust_c: float = 4.5
     tolerance: float = 1e-8
     max_evaluations: int = 400
 
@@ -431,4 +431,5 @@ def precision_shares(J_data: Array, J: Array, skeleton: Skeleton, x: Array) -> t
     variance = np.einsum("jad,de,jae->ja", joints[0], C, joints[0])
     data_variance = np.einsum("jad,de,jae->ja", joints[0], from_data, joints[0])
     share = np.diag(from_data) / np.diag(C)
-    return share, data_variance.sum(axis=1) / variance.sum(axis=1), np.sqrt(variance)
+    joint_share = data_variance.sum(axis=1) / variance.sum(axis=1)
+    return np.clip(share, 0, 1), np.clip(joint_share, 0, 1), np.sqrt(variance)

@@ -6,7 +6,8 @@ Entities of the recording; those without "(static)" have a row a frame, which is
   `world/trail` of the reference joint, `world/ground` (static), `world/camera` (static), its frustum.
 - `picture`: pixels of the distorted picture. `picture/frame` (static), its edge; `picture/detections`,
   `picture/outliers`, `picture/reprojections` with the skeleton's lines in it, `picture/links` between the two.
-- `angles/theta/*` and `angles/phi/*` in degrees, `speed` in m/s, `residuals/mean` and `residuals/worst joint` in px.
+- `angles/theta` and `angles/phi`, the free links' in degrees; `speed` of the reference joint in m/s; `residuals`, mean
+  and largest of the frame in px.
 
 Timelines: `frame`, the frame number of the keypoint file, and `time`, seconds since its frame 0.
 """
@@ -24,7 +25,9 @@ import rerun as rr
 import rerun.blueprint as rrb
 from numpy.typing import NDArray
 from rerun.blueprint.archetypes import PlotBackground
+from rerun.encodings import AbsoluteTimeRange
 
+from recon.analysis.path import speed_at_frames
 from recon.errors import InputError, Problem
 from recon.initialise import level_axes
 from recon.motion import Motion
@@ -35,17 +38,15 @@ Colour = tuple[int, int, int]
 APPLICATION = "recon"
 
 # Okabe and Ito's palette, which the colour-blind can tell apart.
-LIMB_COLOURS: tuple[Colour, ...] = ((0, 158, 115), (86, 180, 233), (230, 159, 0), (204, 121, 167), (240, 228, 66))
+LIMB_COLOURS: tuple[Colour, ...] = ((0, 158, 115), (86, 180, 233), (230, 159, 0), (0, 114, 178), (240, 228, 66))
 """Of the skeleton's limbs, in their order: hind leg, spine, front leg, and two to spare."""
-DETECTION, OUTLIER, LINK = (255, 255, 255), (235, 60, 40), (150, 150, 160)
+DETECTION, OUTLIER, LINK = (255, 255, 255), (235, 60, 40), (204, 121, 167)
 PATH, TRAIL, GRID, CAMERA, EDGE = (110, 110, 120), (240, 228, 66), (58, 64, 74), (190, 190, 200), (130, 130, 140)
 BACKGROUND = (18, 21, 27)
 
 GRID_SPACING_M = 1.0
 GRID_MARGIN_M = 1.5
 MAX_GRID_LINES = 200
-FRAMED_M = 7.0
-"""A path up to this length is shown as a whole; along a longer one the view follows the animal."""
 
 
 def write(motion: Motion, path: Path, start_frame: int | None = None) -> None:
@@ -147,7 +148,9 @@ def _write_world(motion: Motion, scene: _Scene, send: Send, fix: Fix) -> None:
 
     limbs = _limb_indices(motion)
     fix("world/skeleton", rr.LineStrips3D.from_fields(class_ids=range(len(limbs)), radii=0.017, show_labels=False))
-    strips = [[pose[limb] for limb in limbs] if solved else [] for pose, solved in zip(joints, motion.solved, strict=True)]
+    strips = [
+        [pose[limb] for limb in limbs] if solved else [] for pose, solved in zip(joints, motion.solved, strict=True)
+    ]
     send("world/skeleton", _strips(rr.LineStrips3D, strips))
     fix(
         "world/skeleton/joints",
@@ -173,9 +176,9 @@ def _write_world(motion: Motion, scene: _Scene, send: Send, fix: Fix) -> None:
             image_from_camera=camera.matrix,
             resolution=camera.image_size_px,
             camera_xyz=rr.ViewCoordinates.RDF,
-            image_plane_distance=max(0.25, 0.12 * distance),
+            image_plane_distance=max(0.25, 0.15 * distance),
             color=CAMERA,
-            line_width=1.5,
+            line_width=-1.0,  # negative: on the screen, not in metres
         ),
     )
 
@@ -188,7 +191,7 @@ def _write_picture(motion: Motion, scene: _Scene, send: Send, fix: Fix) -> None:
     low, high = _picture_bounds(motion)
     arm = 0.007 * float(np.max(high - low))
     for entity, colour, chosen in (("detections", DETECTION, ~outliers), ("outliers", OUTLIER, outliers)):
-        fix(f"picture/{entity}", rr.LineStrips2D.from_fields(colors=colour, radii=rr.Radius.ui_points(1.2)))
+        fix(f"picture/{entity}", rr.LineStrips2D.from_fields(colors=colour, radii=rr.Radius.ui_points(1.0)))
         points = [xy[keep & np.isfinite(xy[:, 0])] for xy, keep in zip(detected, chosen, strict=True)]
         send(f"picture/{entity}", _strips(rr.LineStrips2D, [_crosses(xy, arm) for xy in points]))
 
@@ -210,63 +213,83 @@ def _write_picture(motion: Motion, scene: _Scene, send: Send, fix: Fix) -> None:
         strips=list(ends[both]), colors=np.where(outliers[both][:, None], OUTLIER, LINK).astype(np.uint8)
     )
     send("picture/links", columns.partition(both.sum(axis=1)))
-    fix("picture/links", rr.LineStrips2D.from_fields(radii=rr.Radius.ui_points(1.0)))
+    fix("picture/links", rr.LineStrips2D.from_fields(radii=rr.Radius.ui_points(1.5)))
 
 
 def _write_series(motion: Motion, send: Send, fix: Fix) -> None:
-    def series(entity: str, values: Array, name: str, colour: Colour) -> None:
-        """values (T,), NaN where there is none: the line breaks there."""
-        known = np.isfinite(values)
-        send(entity, rr.Scalars.columns(scalars=values[known]).partition(known.astype(int)))
-        fix(entity, rr.SeriesLines(colors=colour, names=name, widths=1.8))
+    def series(entity: str, values: Array, names: Sequence[str], colours: Sequence[Colour]) -> None:
+        """values (T, lines): a row with NaN is left empty, which breaks the lines there."""
+        known = np.isfinite(values).all(axis=1)
+        columns = rr.Scalars.columns(scalars=values[known].ravel())
+        send(entity, columns.partition(np.where(known, values.shape[1], 0)))
+        fix(entity, rr.SeriesLines(names=names, colors=colours, widths=[1.8] * len(names)))
 
-    free = [link for link in motion.skeleton.links if link.free]
+    theta, phi = np.split(np.rad2deg(motion.angles_rad), 2, axis=1)
+    names, colours = _angle_lines(motion)
+    series("angles/theta", theta, [f"θ{name}" for name in names], colours)
+    series("angles/phi", phi, [f"φ{name}" for name in names], colours)
+    smoothed = f"smoothed within {1000 * motion.skeleton.scales.keypoint_m:.0f} mm"
+    series("speed", np.stack(_speeds_m_s(motion), axis=1), ["cubic spline", smoothed], [EDGE, TRAIL])
+    lines = ["mean of the joints", "worst joint"]
+    series("residuals", np.stack(_residuals_px(motion), axis=1), lines, [LIMB_COLOURS[1], OUTLIER])
+
+
+def _angle_lines(motion: Motion) -> tuple[list[str], list[Colour]]:
+    """For each free link, in the order of the angles: the number of its end, with its limb; a tint of its limb's
+    colour."""
     limbs = list(motion.skeleton.limbs)
-    angles = np.rad2deg(motion.angles_rad)
-    for column, angle in enumerate(motion.skeleton.angle_names):
-        link = free[column % len(free)]
-        same = [other.name for other in free if other.limb == link.limb]
-        colour = _shade(LIMB_COLOURS[limbs.index(link.limb) % 5], same.index(link.name), len(same))
-        kind, _, number = angle.partition("_")
-        letter = {"theta": "θ", "phi": "φ"}[kind]
-        series(f"angles/{kind}/{number}", angles[:, column], f"{letter}{number} {link.limb}", colour)
-    series("speed", _speed_m_s(motion), "reference joint", TRAIL)
-    distance, known = motion.distance_px, np.isfinite(motion.distance_px)
-    any_known = known.any(axis=1)
+    free = [link for link in motion.skeleton.links if link.free]
+    names = [f"{link.end.lstrip('J')} {link.limb}" for link in free]
+    colours = []
+    for link in free:
+        same = [other for other in free if other.limb == link.limb]
+        colours.append(_shade(LIMB_COLOURS[limbs.index(link.limb) % 5], same.index(link), len(same)))
+    return names, colours
+
+
+def _speeds_m_s(motion: Motion) -> tuple[Array, Array]:
+    """(T,), (T,): speed of the reference joint in solved frames, from the exact spline and from a smoothed one."""
+    solved = motion.solved
+    exact = speed_at_frames(motion.time_s, motion.root_m)
+    smooth = speed_at_frames(motion.time_s, motion.root_m, motion.skeleton.scales.keypoint_m)
+    return np.where(solved, exact, np.nan), np.where(solved, smooth, np.nan)
+
+
+def _residuals_px(motion: Motion) -> tuple[Array, Array]:
+    """(T,), (T,): mean and largest distance of detections from reprojections, NaN in frames without any."""
+    distance = motion.distance_px
+    known = np.isfinite(distance).any(axis=1)
     mean, worst = np.full((2, len(distance)), np.nan)
-    mean[any_known] = np.nanmean(distance[any_known], axis=1)
-    worst[any_known] = np.nanmax(distance[any_known], axis=1)
-    series("residuals/mean", mean, "mean of the joints", LIMB_COLOURS[1])
-    series("residuals/worst joint", worst, "worst joint", OUTLIER)
-
-
-def _speed_m_s(motion: Motion) -> Array:
-    """(T,): speed of the reference joint from central differences between solved frames, NaN elsewhere."""
-    speed = np.full(len(motion.frames), np.nan)
-    if motion.solved.sum() > 1:
-        velocity = np.gradient(motion.root_m[motion.solved], motion.time_s[motion.solved], axis=0)
-        speed[motion.solved] = np.linalg.norm(velocity, axis=1)
-    return speed
+    mean[known], worst[known] = np.nanmean(distance[known], axis=1), np.nanmax(distance[known], axis=1)
+    return mean, worst
 
 
 # ---- layout ----
 
 
 def _blueprint(motion: Motion, scene: _Scene, start_frame: int | None) -> rrb.Blueprint:
-    first, last = int(motion.frames[0]), int(motion.frames[-1])
     upto_now = rrb.VisibleTimeRanges(
         [
             rr.VisibleTimeRange(t, start=rr.TimeRangeBoundary.infinite(), end=rr.TimeRangeBoundary.cursor_relative())
             for t in ("frame", "time")
         ]
     )
-    world = rrb.Spatial3DView(
+    trail = {"world/trail": [upto_now]}
+    animal = rrb.Spatial3DView(
         origin="world",
         name=f"3D, {motion.frame_of_reference} frame, grid of {GRID_SPACING_M:g} m",
         background=BACKGROUND,
         line_grid=False,
-        eye_controls=_eye(motion, scene),
-        overrides={"world/trail": [upto_now]},  # pyright: ignore[reportArgumentType]
+        eye_controls=_eye_on_animal(motion, scene),
+        overrides=trail,  # pyright: ignore[reportArgumentType]
+    )
+    overview = rrb.Spatial3DView(
+        origin="world",
+        name="Overview with the camera",
+        background=BACKGROUND,
+        line_grid=False,
+        eye_controls=_eye_behind_camera(motion, scene),
+        overrides=trail,  # pyright: ignore[reportArgumentType]
     )
     low, high = _picture_bounds(motion)
     picture = rrb.Spatial2DView(
@@ -276,35 +299,53 @@ def _blueprint(motion: Motion, scene: _Scene, start_frame: int | None) -> rrb.Bl
         visual_bounds=rrb.VisualBounds2D(x_range=(low[0], high[0]), y_range=(low[1], high[1])),
     )
 
-    def plot(origin: str, name: str) -> rrb.TimeSeriesView:
+    def plot(origin: str, name: str, values: Array) -> rrb.TimeSeriesView:
+        """values: what it is to show, NaN where there is none."""
+        known = np.append(values[np.isfinite(values)], 0.0)  # all of them have zero in sight
+        least, most = known.min(), known.max()
+        margin = 0.06 * (most - least) + 1e-3
         return rrb.TimeSeriesView(
             origin=origin,
             name=name,
+            axis_y=rrb.ScalarAxis(range=(least - margin, most + margin)),
             plot_legend=rrb.PlotLegend(rrb.Corner2D.LeftTop),
             background=PlotBackground(color=BACKGROUND),
         )
 
-    angles = rrb.Tabs(
-        plot("angles/theta", "θ, sagittal angles (°)"), plot("angles/phi", "φ, transverse angles (°)"), active_tab=0
-    )
+    degrees = np.rad2deg(motion.angles_rad)
+    theta, phi = np.split(degrees, 2, axis=1)
+    exact, smooth = _speeds_m_s(motion)
+    # Splines overshoot, at the ends above all.
+    speeds = smooth[smooth <= 1.5 * np.nanpercentile(exact, 90)] if np.isfinite(exact).any() else smooth
     plots = rrb.Horizontal(
-        angles,
-        plot("speed", "Speed (m/s)"),
-        plot("residuals", "Reprojection error (px)"),
+        rrb.Tabs(
+            plot("angles/theta", "θ, sagittal angles (°)", theta),
+            plot("angles/phi", "φ, transverse angles (°)", phi),
+            active_tab=0,
+        ),
+        plot("speed", "Speed of the reference joint (m/s)", speeds),
+        plot("residuals", "Reprojection error (px)", np.stack(_residuals_px(motion))),
         column_shares=[4, 3, 3],
     )
     if start_frame is None:
         fps = min(motion.fps, max(5.0, len(motion.frames) / 5))
         time = rrb.TimePanel(state="collapsed", timeline="frame", fps=fps, play_state="playing", loop_mode="all")
     else:
-        # A blueprint has no place for the current time, but a loop over one frame stays there.
-        held = rr.encodings.AbsoluteTimeRange(start_frame, start_frame)  # pyright: ignore[reportAttributeAccessIssue]
-        fps = 100.0 * (last - first + 1)
+        # A blueprint has no place for the current time, but a loop over one frame, soon reached, stays there.
         time = rrb.TimePanel(
-            state="collapsed", timeline="frame", fps=fps, play_state="playing", loop_mode="selection", time_selection=held
+            state="collapsed",
+            timeline="frame",
+            fps=100.0 * len(motion.frames),
+            play_state="playing",
+            loop_mode="selection",
+            time_selection=AbsoluteTimeRange(start_frame, start_frame),  # pyright: ignore[reportArgumentType]
         )
     return rrb.Blueprint(
-        rrb.Vertical(rrb.Horizontal(world, picture, column_shares=[11, 9]), plots, row_shares=[5, 3]),
+        rrb.Vertical(
+            rrb.Horizontal(animal, rrb.Vertical(picture, overview, row_shares=[5, 4]), column_shares=[11, 9]),
+            plots,
+            row_shares=[5, 3],
+        ),
         rrb.BlueprintPanel(state="hidden"),
         rrb.SelectionPanel(state="hidden"),
         time,
@@ -313,29 +354,41 @@ def _blueprint(motion: Motion, scene: _Scene, start_frame: int | None) -> rrb.Bl
     )
 
 
-def _eye(motion: Motion, scene: _Scene) -> rrb.EyeControls3D:
-    """From the camera's side of the path, slightly raised: the whole path, or following the animal along a long one."""
-    extent = scene.high_m - scene.low_m
-    ends = motion.root_m[motion.solved][[0, -1]] if motion.solved.any() else np.zeros((2, 3))
+def _eye_on_animal(motion: Motion, scene: _Scene) -> rrb.EyeControls3D:
+    """Going along with the animal, on the camera's side of it and slightly raised."""
     up = scene.axes[2]
-    travel = ends[1] - ends[0]
+    poses = motion.joints_m[motion.solved]
+    if not len(poses):
+        return rrb.EyeControls3D(eye_up=up)
+    size = float(np.median(np.linalg.norm(poses.max(axis=1) - poses.min(axis=1), axis=1)))
+    travel = poses[-1, 0] - poses[0, 0]
     travel -= up * (travel @ up)
-    to_camera = scene.camera_m - scene.centre_m
-    to_camera -= up * (to_camera @ up)
-    to_camera /= max(float(np.linalg.norm(to_camera)), 1e-9)
-    length = float(np.linalg.norm(travel))
-    side = to_camera
-    if length > 0.5:
-        across = np.cross(up, travel / length)
-        side = across if across @ to_camera >= 0 else -across
-    span = max(float(np.hypot(*extent[:2])), float(extent[2]), 1.5)
-    distance = 0.62 * span + 0.5
-    target = scene.centre_m
-    direction = side + 0.35 * up
-    direction /= np.linalg.norm(direction)
+    side = scene.camera_m - scene.centre_m
+    side -= up * (side @ up)
+    if np.linalg.norm(travel) > size:
+        across = np.cross(up, travel)
+        side = across if across @ side >= 0 else -across
+    direction = side / max(float(np.linalg.norm(side)), 1e-9) + 0.3 * up
+    target = (poses[0].max(axis=0) + poses[0].min(axis=0)) / 2
+    position = target + (1.35 * size + 0.4) * direction
     return rrb.EyeControls3D(
-        kind=rrb.Eye3DKind.Orbital, position=target + distance * direction, look_target=target, eye_up=up
+        kind=rrb.Eye3DKind.Orbital,
+        position=position,
+        look_target=target,
+        eye_up=up,
+        tracking_entity="world/skeleton",
     )
+
+
+def _eye_behind_camera(motion: Motion, scene: _Scene) -> rrb.EyeControls3D:
+    """From behind and above the camera over its shoulder, so that left and right are as in the picture."""
+    up = scene.axes[2]
+    ahead = scene.centre_m - scene.camera_m
+    distance = max(float(np.linalg.norm(ahead)), 1.0)
+    ahead = ahead / distance
+    position = scene.camera_m + distance * (0.28 * up - 0.3 * ahead + 0.2 * np.cross(ahead, up))
+    target = scene.camera_m + 0.4 * distance * ahead
+    return rrb.EyeControls3D(kind=rrb.Eye3DKind.Orbital, position=position, look_target=target, eye_up=up)
 
 
 def _picture_bounds(motion: Motion) -> tuple[Array, Array]:
@@ -369,7 +422,9 @@ def _joint_limbs(motion: Motion) -> NDArray[np.int64]:
     return np.array([ends.get(joint, forward) for joint in motion.skeleton.joints])
 
 
-def _strips(archetype: type[rr.LineStrips2D | rr.LineStrips3D], frames: Sequence[Sequence[Array]]) -> rr.ComponentColumnList:
+def _strips(
+    archetype: type[rr.LineStrips2D | rr.LineStrips3D], frames: Sequence[Sequence[Array]]
+) -> rr.ComponentColumnList:
     """Columns of line strips: any number a frame, each of shape (points, 2 or 3)."""
     columns = archetype.columns(strips=[strip for strips in frames for strip in strips])
     return columns.partition([len(strips) for strips in frames])

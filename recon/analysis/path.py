@@ -2,12 +2,14 @@
 
 The spline goes through every frame that has the point (scipy's `CubicSpline`, not-a-knot ends) and is evaluated at ten
 times the frame rate. Nothing is extrapolated, and a gap longer than `MAX_GAP_S` is not bridged: there, all is NaN.
-Frames that are missing in a shorter gap are interpolated. An exact spline passes a jitter of s metres on to the
-acceleration as about s times the square of the frame rate times four: give `smoothing_m` where that matters.
+Frames that are missing in a shorter gap are interpolated. An exact spline turns a jitter of s metres in a coordinate
+into one of about 6 s fps^2 in its acceleration. Frame-by-frame poses jitter in depth by decimetres, which makes an
+exact path too long and too fast: `smoothing_m=frame_jitter_m(points)` smooths by as much.
 """
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -42,16 +44,17 @@ class PathKinematics:
     peak_speed_m_s: float
     mean_speed_m_s: float
     oversampling: int
-    smoothing_m: float | None
+    smoothing_m: float | Array | None
 
 
 def path_kinematics(
-    time_s: Array, points_m: Array, oversampling: int = 10, smoothing_m: float | None = None
+    time_s: Array, points_m: Array, oversampling: int = 10, smoothing_m: float | Array | None = None
 ) -> PathKinematics:
     """Kinematics of a path given at T frames: time_s (T,), increasing, points_m (T, d), NaN where missing.
 
-    smoothing_m: expected standard deviation of a coordinate's noise, metres; the spline of each coordinate is then the
-    smoothest whose squared residuals sum to no more than n smoothing_m^2 (scipy's `UnivariateSpline`). None: exact.
+    smoothing_m: expected standard deviation of the coordinates' noise, metres, one for all or (d,); each coordinate
+    then has the smoothest spline whose squared residuals sum to no more than n smoothing_m^2 (scipy's
+    `UnivariateSpline`). None: exact.
     Fewer than four points in a stretch without a long gap give NaN. Raises ValueError for times that do not increase.
     """
     if np.any(np.diff(time_s) <= 0):
@@ -82,9 +85,22 @@ def path_kinematics(
     )
 
 
-def speed_at_frames(time_s: Array, points_m: Array, smoothing_m: float | None = None) -> Array:
+def speed_at_frames(time_s: Array, points_m: Array, smoothing_m: float | Array | None = None) -> Array:
     """Speed (T,) in m/s of a path at its frames: as `path_kinematics`, for time series."""
     return path_kinematics(time_s, points_m, 1, smoothing_m).speed_m_s
+
+
+def frame_jitter_m(points_m: Array) -> Array:
+    """Standard deviation (d,) of what is independent from frame to frame in each coordinate of points (T, d), metres.
+
+    Robust (median absolute value), from third differences over four frames in a row, in which a smooth motion nearly
+    vanishes and white noise has a standard deviation of sqrt(20). NaN with fewer than three of them.
+    """
+    differences = np.diff(points_m, 3, axis=0)
+    differences = differences[np.isfinite(differences).all(axis=1)]
+    if len(differences) < 3:
+        return np.full(points_m.shape[1], np.nan)
+    return np.median(np.abs(differences), axis=0) / (0.6745 * np.sqrt(20.0))
 
 
 def _stretches(time_s: Array, points_m: Array) -> list[NDArray[np.intp]]:
@@ -94,10 +110,15 @@ def _stretches(time_s: Array, points_m: Array) -> list[NDArray[np.intp]]:
     return [rows for rows in np.split(known, np.flatnonzero(too_long) + 1) if len(rows) >= MIN_POINTS]
 
 
-def _spline(time_s: Array, points_m: Array, smoothing_m: float | None) -> Callable[[Array, int], Array]:
+def _spline(
+    time_s: Array, points_m: Array, smoothing_m: float | Array | None
+) -> Callable[[Array, int], NDArray[np.float64]]:
     """curve(time (M,), order of the derivative) -> (M, d)."""
     if smoothing_m is None:
         return CubicSpline(time_s, points_m, bc_type="not-a-knot")
-    allowed = len(time_s) * smoothing_m**2
-    curves = [UnivariateSpline(time_s, column, k=3, s=allowed) for column in points_m.T]
+    allowed = len(time_s) * np.broadcast_to(smoothing_m, points_m.shape[1]) ** 2
+    with warnings.catch_warnings():
+        # FITPACK warns where rounding keeps it from spending exactly what is allowed.
+        warnings.simplefilter("ignore")
+        curves = [UnivariateSpline(time_s, x, k=3, s=s) for x, s in zip(points_m.T, allowed, strict=True)]
     return lambda t, order: np.stack([curve(t, nu=order) for curve in curves], axis=1)

@@ -1,0 +1,80 @@
+"""Direction of travel, side and placement from geometry."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from recon.initialise import (
+    estimate_travel,
+    facing_side,
+    geometric_start,
+    mean_pose,
+    place_on_rays,
+    state_from_joints,
+    upright_rotation,
+)
+from recon.skeleton_file import load_skeleton
+from recon.synthetic import gallop
+
+SK = load_skeleton("cheetah-8u")
+
+
+def near_detections(clip) -> np.ndarray:
+    return clip.keypoints.xy_px[:, [clip.keypoints.names.index(n) for n in SK.keypoint_names(clip.side)]]
+
+
+@pytest.mark.parametrize("direction", ["left", "right"])
+@pytest.mark.parametrize("heading_rad", [-0.6, 0.0, 0.35, 0.6])
+def test_travel_and_side_of_a_gallop(direction, heading_rad: float):
+    clip = gallop(heading_rad=heading_rad, direction=direction)
+    travel = estimate_travel(clip.camera, SK, near_detections(clip), 30)
+    path = clip.camera.world_to_camera(clip.truth_m[:, clip.names.index("tail_base")])
+    truth = (path[-1] - path[0]) / np.linalg.norm(path[-1] - path[0])
+    assert np.degrees(np.arccos(travel.heading @ truth)).max() < 10
+    assert travel.speed_m_s[0] == pytest.approx(np.linalg.norm(path[-1] - path[0]) / (29 / 30), rel=0.15)
+    ends = {"J0": near_detections(clip)[:, 0], "J1": near_detections(clip)[:, SK.joints.index("J1")]}
+    assert facing_side(SK, ends)[0] == direction == clip.side
+
+
+def test_travel_without_data_is_not_moving():
+    clip = gallop()
+    travel = estimate_travel(clip.camera, SK, np.full((30, 9, 2), np.nan), 30)
+    assert np.all(travel.speed_m_s == 0)
+    np.testing.assert_allclose(np.linalg.norm(travel.heading, axis=1), 1)
+
+
+def test_placing_a_known_shape_on_its_own_rays_is_exact_and_survives_a_wrong_ray():
+    heading, up = np.array([0.8, 0, 0.6]), np.array([0.0, -1, 0])
+    shape = SK.local_joints(mean_pose(SK)[None])[0] @ upright_rotation(heading, up).T
+    place = np.array([1.0, 0.5, 8.0])
+    rays = shape + place
+    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+    np.testing.assert_allclose(place_on_rays(shape, rays[None])[0][0], place, atol=1e-5)
+    rays[3] = [1, 0, 0]
+    found, miss = place_on_rays(shape, rays[None])
+    np.testing.assert_allclose(found[0], place, atol=0.05)
+    assert np.argmax(miss[0]) == 3
+
+
+def test_geometric_start_faces_the_heading_and_lies_in_front():
+    clip = gallop(heading_rad=0.35)
+    rays, _ = clip.camera.rays(near_detections(clip)[0])
+    heading = estimate_travel(clip.camera, SK, near_detections(clip), 30).heading[0]
+    start = geometric_start(clip.camera, SK, rays, heading)
+    posed = SK.pose(start[None])
+    np.testing.assert_allclose(posed.rotation[0, :, 0], heading, atol=1e-12)
+    truth = clip.camera.world_to_camera(clip.truth_m[0, clip.names.index("tail_base")])
+    assert np.linalg.norm(posed.joints_m[0, 0] - truth) < 0.15 * np.linalg.norm(truth)
+
+
+def test_state_from_joints_is_exact_for_a_level_animal():
+    rng = np.random.default_rng(3)
+    up = np.array([0.0, -1, 0])
+    state = mean_pose(SK)
+    state[SK.theta_slice] += rng.uniform(-0.4, 0.4, 7)
+    state[SK.phi_slice] = rng.uniform(-0.3, 0.3, 7)
+    state[SK.place_slice] = [0.3, 0.2, 9]
+    state[SK.euler_slice] = [0, 0.4, -0.1]
+    state[SK.base_index] = 0.17
+    np.testing.assert_allclose(state_from_joints(SK, SK.pose(state[None]).joints_m[0], up), state, atol=1e-9)

@@ -1,0 +1,157 @@
+"""Every objective: its exact Jacobian, and what its residual means. A new term is one line in TERMS."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from recon.camera import Camera
+from recon.objectives import (
+    AnglePrior,
+    AngleRange,
+    BaseLengthPrior,
+    HeadingTie,
+    JointPositions,
+    Objective,
+    RateLimit,
+    Reprojection,
+    RollPrior,
+    TravelPrior,
+)
+from recon.skeleton import Posed
+from recon.skeleton_file import load_skeleton
+
+SK = load_skeleton("cheetah-8u")
+RNG = np.random.default_rng(1)
+N = 10
+UP = np.array([0.05, -0.99, 0.1]) / np.linalg.norm([0.05, -0.99, 0.1])
+CAMERA = Camera(
+    "cam", np.array([[860.0, 3, 957], [0, 864, 545], [0, 0, 1]]), np.array([0.12, -0.05, 0.015, -0.001]), "fisheye",
+    (1920, 1080),
+)  # fmt: skip
+
+
+def states(seed: int) -> np.ndarray:
+    """Poses in front of the camera, with angles within and beyond their ranges."""
+    rng = np.random.default_rng(seed)
+    x = np.zeros((N, SK.n_state))
+    x[:, SK.theta_slice] = SK.theta.mean_rad + rng.normal(0, 1.2, (N, 7))
+    x[:, SK.phi_slice] = rng.normal(0, 0.6, (N, 7))
+    x[:, SK.euler_slice] = rng.normal(0, 0.3, (N, 3))
+    x[:, SK.place_slice] = rng.normal([0, 0, 6], 0.3, (N, 3))
+    x[:, SK.base_index] = 0.2
+    return x
+
+
+NOW, BEFORE = states(1), states(2)
+DETECTED = CAMERA.project(SK.pose(NOW).joints_m)[0] + RNG.normal(0, 20, (N, 9, 2))
+DETECTED[2, 3] = np.nan
+HEADING = np.tile(np.array([1.0, 0, 0]), (N, 1))
+
+TERMS: list[Objective] = [
+    Reprojection(CAMERA, DETECTED, RNG.uniform(0.2, 1, (N, 9)), np.full(N, 8.0), 4.0),
+    *(AngleRange("theta range", SK.theta_slice, SK.theta, 0.15, form) for form in ("deadband", "printed")),
+    *(AngleRange("phi range", SK.phi_slice, SK.phi, 0.15, form) for form in ("deadband", "printed")),
+    *(RateLimit("theta rate", SK.theta_slice, SK.theta.max_rate_rad_s, 0.15, f) for f in ("deadband", "printed")),
+    *(RateLimit("phi rate", SK.phi_slice, SK.phi.max_rate_rad_s, 0.15, f) for f in ("deadband", "printed")),
+    AnglePrior("theta prior", SK.theta_slice, SK.theta.mean_rad, 0.8),
+    BaseLengthPrior(0.2, 0.02),
+    RollPrior(UP, 0.12, SK.euler_slice),
+    HeadingTie(UP, 1.0, SK.euler_slice),
+    TravelPrior(UP, HEADING, 0.25, SK.euler_slice),
+    JointPositions(RNG.normal(0, 3, (N, 9, 3)), 0.01),
+]
+
+
+def evaluate(term: Objective, window: list[np.ndarray], dt: float = 1 / 90):
+    posed = tuple(SK.pose_with_jacobian(x) for x in window[-len(term.stencil) :])
+    return term.evaluate(posed, np.arange(N), np.full(N, dt))
+
+
+@pytest.mark.parametrize("term", TERMS, ids=lambda t: f"{t.name}-{getattr(t, 'form', '')}")
+def test_jacobian_against_central_differences(term: Objective):
+    """Ten random configurations, every slot of the stencil."""
+    h = 1e-6
+    residual, jacobian = evaluate(term, [BEFORE, NOW])
+    slots = len(term.stencil)
+    assert jacobian.shape == (*residual.shape, slots, SK.n_state)
+    for slot in range(slots):
+        window = [BEFORE, NOW][-slots:]
+        columns = []
+        for step in h * np.eye(SK.n_state):
+            ahead, behind = list(window), list(window)
+            ahead[slot], behind[slot] = ahead[slot] + step, behind[slot] - step
+            columns.append((evaluate(term, ahead)[0] - evaluate(term, behind)[0]) / (2 * h))
+        numeric = np.stack(columns, axis=-1)
+        error = np.linalg.norm(jacobian[:, :, slot] - numeric, axis=(1, 2))
+        assert np.all(error <= 1e-6 * np.maximum(np.linalg.norm(numeric, axis=(1, 2)), 1.0))
+
+
+def test_every_deadband_term_is_active_somewhere_and_zero_within():
+    for term in TERMS:
+        if getattr(term, "form", None) == "deadband":
+            assert np.any(evaluate(term, [BEFORE, NOW])[0] > 0), term.name
+            assert np.any(evaluate(term, [BEFORE, NOW])[0] == 0), term.name
+
+
+def test_printed_form_pulls_towards_the_edge():
+    at_mean = NOW.copy()
+    at_mean[:, SK.theta_slice] = SK.theta.mean_rad
+    printed, deadband = (AngleRange("f2", SK.theta_slice, SK.theta, 0.15, f) for f in ("printed", "deadband"))
+    np.testing.assert_allclose(evaluate(printed, [at_mean])[0], np.tile(-SK.theta.tolerance_rad / 0.15, (N, 1)))
+    assert np.all(evaluate(deadband, [at_mean])[0] == 0)
+
+
+def test_rate_limit_counts_the_chord_so_that_a_flip_is_not_free():
+    """A link that turns by pi in one interval sweeps the chord 2: (2 - limit dt) / softness."""
+    after = BEFORE.copy()
+    after[:, 0] += np.pi
+    for form, swept in (("deadband", 2.0), ("printed", 0.0)):
+        term = RateLimit("f4", SK.theta_slice, SK.theta.max_rate_rad_s, 0.15, form)
+        residual = evaluate(term, [BEFORE, after], dt=0.01)[0][:, 0]
+        np.testing.assert_allclose(residual, (swept - 30 * 0.01) / 0.15, atol=1e-12)
+
+
+def test_reprojection_is_zero_at_the_target_and_saturates():
+    exact = CAMERA.project(SK.pose(NOW).joints_m)[0]
+    term = Reprojection(CAMERA, exact, np.ones((N, 9)), np.full(N, 2.0), 4.0)
+    np.testing.assert_allclose(evaluate(term, [NOW])[0], 0, atol=1e-9)
+    far = replace(term, xy_px=exact + np.array([1e5, 0]))
+    np.testing.assert_allclose(np.linalg.norm(evaluate(far, [NOW])[0].reshape(N, 9, 2), axis=2), 4.0, rtol=1e-6)
+
+
+def test_reprojection_rows_of_missing_points_are_zero_and_of_hidden_joints_at_the_limit():
+    term = TERMS[0]
+    residual, jacobian = evaluate(term, [NOW])
+    assert np.all(residual[2, 6:8] == 0)
+    assert np.all(jacobian[2, 6:8] == 0)
+    behind = NOW.copy()
+    behind[:, SK.place_slice] *= -1
+    residual, jacobian = evaluate(term, [behind])
+    np.testing.assert_allclose(np.linalg.norm(residual[0].reshape(9, 2), axis=1), 4.5 - 0.5)
+    assert np.all(jacobian == 0)
+
+
+def test_reprojection_weighs_by_confidence():
+    term = replace(TERMS[0], c=1e9, confidence=np.ones((N, 9)))
+    half = replace(term, confidence=np.full((N, 9), 0.5))
+    np.testing.assert_allclose(evaluate(half, [NOW])[0] * np.sqrt(2), evaluate(term, [NOW])[0])
+
+
+def test_roll_prior_is_zero_for_a_level_animal_and_grows_with_roll():
+    level = np.zeros((1, SK.n_state))
+    term = RollPrior(np.array([0.0, -1, 0]), 0.1, SK.euler_slice)
+    posed: Posed = SK.pose_with_jacobian(level)
+    assert term.evaluate((posed,), np.arange(1), np.ones(1))[0][0, 0] == 0
+    level[0, SK.euler_slice] = [0.1, 0, 0]
+    rolled = term.evaluate((SK.pose_with_jacobian(level),), np.arange(1), np.ones(1))[0][0, 0]
+    assert abs(rolled) == pytest.approx(np.sin(0.1) / 0.1)
+
+
+def test_travel_that_says_nothing_gives_no_rows():
+    silent = TravelPrior(UP, np.full((N, 3), np.nan), 0.25, SK.euler_slice)
+    residual, jacobian = evaluate(silent, [NOW])
+    assert np.all(residual == 0)
+    assert np.all(jacobian == 0)

@@ -1,0 +1,136 @@
+"""Speed, acceleration and distance of a path against motions known in closed form."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from recon.analysis.path import MAX_GAP_S, frame_jitter_m, path_kinematics, speed_at_frames
+
+FPS = 30.0
+TIME_S = np.arange(40) / FPS
+DIRECTION = np.array([2.0, -1.0, 2.0]) / 3.0
+
+
+def straight(time_s: np.ndarray) -> np.ndarray:
+    """Starts at 5 m/s, accelerates with 4 m/s^2."""
+    return (5.0 * time_s + 2.0 * time_s**2)[:, None] * DIRECTION + [1.0, 2.0, 3.0]
+
+
+def circle(time_s: np.ndarray) -> np.ndarray:
+    """Radius 2 m, 1.5 rad/s."""
+    return 2.0 * np.stack([np.cos(1.5 * time_s), np.sin(1.5 * time_s), 0 * time_s], axis=1)
+
+
+def test_accelerated_straight_motion_is_exact():
+    path = path_kinematics(TIME_S, straight(TIME_S))
+    end = TIME_S[-1]
+    assert len(path.time_s) == 391
+    np.testing.assert_allclose(path.time_s[::10], TIME_S, atol=1e-15)
+    np.testing.assert_allclose(path.position_m, straight(path.time_s), atol=1e-12)
+    np.testing.assert_allclose(path.velocity_m_s, (5 + 4 * path.time_s)[:, None] * DIRECTION, atol=1e-10)
+    np.testing.assert_allclose(path.acceleration_m_s2, 4.0, atol=1e-8)
+    assert path.distance_m == pytest.approx(5 * end + 2 * end**2)
+    assert path.peak_speed_m_s == pytest.approx(5 + 4 * end)
+    assert path.mean_speed_m_s == pytest.approx(5 + 2 * end)
+
+
+def test_circle():
+    path = path_kinematics(TIME_S, circle(TIME_S))
+    np.testing.assert_allclose(path.speed_m_s, 3.0, rtol=1e-4)
+    np.testing.assert_allclose(path.acceleration_m_s2[50:-50], 4.5, rtol=1e-3)
+    np.testing.assert_allclose(path.acceleration_m_s2, 4.5, rtol=0.02)  # the ends of a spline are its weakest part
+    assert path.distance_m == pytest.approx(3.0 * TIME_S[-1], rel=1e-5)
+
+
+def test_speed_at_frames_is_the_fine_one_there():
+    points = circle(TIME_S)
+    np.testing.assert_array_equal(speed_at_frames(TIME_S, points), path_kinematics(TIME_S, points).speed_m_s[::10])
+
+
+def test_short_gaps_are_bridged_and_nothing_is_extrapolated():
+    points = straight(TIME_S)
+    points[:3], points[-2:], points[10:14] = np.nan, np.nan, np.nan
+    path = path_kinematics(TIME_S, points)
+    known = np.isfinite(path.speed_m_s)
+    assert not known[:30].any()
+    assert not known[-20:].any()
+    assert known[30:-20].all()
+    np.testing.assert_allclose(path.position_m[known], straight(path.time_s[known]), atol=1e-12)
+
+
+def test_long_gaps_are_not_bridged():
+    points = straight(TIME_S)
+    points[12:18] = np.nan  # 7 intervals, 0.233 s
+    path = path_kinematics(TIME_S, points)
+    assert np.isnan(path.speed_m_s[111:180]).all()
+    assert np.isnan(path.acceleration_m_s2[111:180]).all()
+    assert np.isfinite(path.speed_m_s[:111]).all()
+    assert np.isfinite(path.speed_m_s[180:]).all()
+    moved = np.linalg.norm(straight(TIME_S[[0, 11, 18, 39]])[1::2] - straight(TIME_S[[0, 11, 18, 39]])[::2], axis=1)
+    assert path.distance_m == pytest.approx(moved.sum())
+    assert path.mean_speed_m_s == pytest.approx(moved.sum() / (32 / FPS))
+
+
+def test_a_gap_is_a_missing_frame_however_slow_the_frames():
+    time_s = np.arange(8) * 2 * MAX_GAP_S
+    assert np.isfinite(path_kinematics(time_s, straight(time_s)).speed_m_s).all()
+
+
+def test_short_stretches_between_long_gaps_give_nothing():
+    points = straight(TIME_S)
+    points[20:30] = points[33:] = np.nan  # leaves 30, 31, 32
+    assert np.isnan(speed_at_frames(TIME_S, points)[20:]).all()
+
+
+@pytest.mark.parametrize("known", [0, 1, 3])
+def test_too_few_points_give_nan(known):
+    points = straight(TIME_S)
+    points[known:] = np.nan
+    path = path_kinematics(TIME_S, points)
+    assert np.isnan(path.speed_m_s).all()
+    assert np.isnan([path.distance_m, path.peak_speed_m_s, path.mean_speed_m_s]).all()
+
+
+@pytest.mark.parametrize("n", [0, 1, 2])
+def test_short_clips(n):
+    path = path_kinematics(TIME_S[:n], straight(TIME_S[:n]))
+    assert np.isnan(path.speed_m_s).all()
+    assert len(speed_at_frames(TIME_S[:n], straight(TIME_S[:n]))) == n
+    assert np.isnan(path.distance_m)
+
+
+def test_smoothing_takes_the_noise_out_of_the_acceleration():
+    noisy = straight(TIME_S) + np.random.default_rng(1).normal(0, 0.02, (40, 3))
+    exact, smooth = (path_kinematics(TIME_S, noisy, smoothing_m=s) for s in (None, 0.02))
+    assert np.abs(exact.acceleration_m_s2 - 4).max() > 50
+    assert np.abs(smooth.acceleration_m_s2 - 4)[30:-30].max() < 4
+    assert np.sqrt(np.mean((smooth.position_m[::10] - noisy) ** 2)) < 0.0205
+    assert (exact.smoothing_m, smooth.smoothing_m) == (None, 0.02)
+
+
+def test_jitter_is_estimated_and_taken_out():
+    time_s = np.arange(60) / FPS
+    sigma = np.array([0.01, 0.3, 0.05])
+    noisy = straight(time_s) + np.random.default_rng(2).normal(0, 1, (60, 3)) * sigma
+    noisy[20], noisy[40, 1] = np.nan, 50.0
+    jitter = frame_jitter_m(noisy)
+    np.testing.assert_allclose(jitter, sigma, rtol=0.4)
+    noisy[40] = np.nan
+    exact, smooth = (path_kinematics(time_s, noisy, smoothing_m=s) for s in (None, jitter))
+    true = path_kinematics(time_s, straight(time_s))
+    assert exact.distance_m > 1.3 * true.distance_m
+    assert smooth.distance_m == pytest.approx(true.distance_m, rel=0.03)
+    assert smooth.peak_speed_m_s == pytest.approx(true.peak_speed_m_s, rel=0.15)
+
+
+def test_no_jitter():
+    points = circle(TIME_S)
+    assert frame_jitter_m(points).max() < 1e-4
+    np.testing.assert_allclose(path_kinematics(TIME_S, points, smoothing_m=0.0).speed_m_s, 3.0, rtol=1e-2)
+    assert np.isnan(frame_jitter_m(points[:5])).all()
+
+
+def test_times_must_increase():
+    with pytest.raises(ValueError, match="times must increase"):
+        path_kinematics(TIME_S[::-1], straight(TIME_S))

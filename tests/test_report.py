@@ -1,0 +1,217 @@
+"""The report: complete, plain JSON, and its counts are right."""
+
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import fields, replace
+from io import StringIO
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+from recon.report import SCHEMA_VERSION, build_report, console_summary, summary_lines, to_plain, write_report
+from recon.solve import FrameReport
+
+DOCS = Path(__file__).resolve().parents[1] / "docs" / "report.md"
+
+
+@pytest.fixture(scope="module")
+def report(small_motion):
+    return build_report(small_motion, {"form": "deadband", "base_length_m": None}, {"solve_s": 0.3})
+
+
+def with_states(motion, states):
+    return replace(motion, solution=replace(motion.solution, states=states))
+
+
+def test_is_plain_json_that_reads_back(report, tmp_path):
+    write_report(report, tmp_path / "report.json")
+    text = (tmp_path / "report.json").read_text(encoding="utf-8")
+    assert json.loads(text, parse_constant=lambda name: pytest.fail(name)) == report
+    assert len(text) < 300_000 / 30 * 6
+    assert report["schema"] == {"name": "recon.fit.report", "version": SCHEMA_VERSION}
+
+
+def test_text_with_brackets_and_lists_stays_as_it_is(tmp_path):
+    report = {"a": "x [ y\nz ] [", "b": [1.5, None], "c": ["[ \\n ]", 'q"']}
+    write_report(report, tmp_path / "report.json")
+    text = (tmp_path / "report.json").read_text(encoding="utf-8")
+    assert json.loads(text) == report
+    assert '"b": [ 1.5, null ]' in text
+
+
+def test_to_plain():
+    given = {"a": np.float64(np.nan), "b": (np.int64(2), True, np.bool_(False)), "p": Path("x"), "f": 0.1 + 0.2}
+    assert to_plain(given) == {"a": None, "b": [2, True, False], "p": "x", "f": 0.3}
+
+
+def test_frames(report, small_motion):
+    frames = report["frames"]
+    assert [f["frame"] for f in frames] == list(range(10, 16))
+    names = {f.name for f in fields(FrameReport)}
+    for frame in frames:
+        assert names <= frame.keys()
+        if frame["status"] != "no_data":
+            assert all(frame[name] is not None for name in names)
+    assert all(frames[3][name] is None for name in names - {"status"})
+    assert [f["flags"] for f in frames] == [[], [], [], ["no data"], ["outliers"], ["few points"]]
+    assert [f["detections"] for f in frames] == [9, 8, 9, 0, 9, 6]
+    assert len(frames[0]["gradient"]) == 21
+    assert np.array(frames[0]["joint_sigma_m"]).shape == (9, 3)
+    assert frames[0]["cost_shares"].keys() < frames[1]["cost_shares"].keys() == report["cost_shares"].keys()
+    assert frames[1]["mean_reprojection_px"] == pytest.approx(np.nanmean(small_motion.distance_px[1]), rel=1e-6)
+
+
+def test_summary_adds_up(report, small_motion):
+    summary = report["summary"]
+    assert summary["frames"] == 6
+    assert summary["frames_converged"] + summary["frames_not_converged"] + summary["frames_no_data"] == 6
+    assert summary["frames_no_data"] == 1
+    assert summary["detections"] == 41
+    errors = np.sort(small_motion.distance_px[np.isfinite(small_motion.distance_px)])
+    assert summary["reprojection_px"]["mean"] == pytest.approx(errors.mean())
+    assert summary["reprojection_px"]["mean_best_90_percent"] == pytest.approx(errors[:37].mean())
+    assert summary["reprojection_px"]["worst_joint"] == "neck_base"
+
+
+def test_outlier_is_named(report):
+    (outlier,) = report["outliers"]
+    assert (outlier["frame"], outlier["keypoint"]) == (14, "neck_base")
+    assert outlier["error_px"] == pytest.approx(300, abs=10)
+    assert report["summary"]["outliers"] == 1
+
+
+def test_keypoints(report, small_motion):
+    rows = {row["name"]: row for row in report["keypoints"]}
+    assert list(rows) == [*small_motion.names, "nose"]
+    for row in rows.values():
+        assert row["used"] + row["missing"] + row["rejected"] == row["frames"] == 6
+    assert rows["spine"]["rejected"] == 1
+    assert rows["neck_base"]["outliers"] == 1
+    assert rows["nose"]["joint"] is None
+    assert report["unused_keypoints"] == ["nose"]
+    assert report["missing_keypoints"] == []
+    assert sum(r["used"] for r in rows.values() if r["joint"]) == report["summary"]["detections"]
+
+
+def test_a_keypoint_that_the_file_lacks(small_motion):
+    counts = tuple(k for k in small_motion.cleaning.keypoints if k.name != "spine")
+    names = tuple(name for name in small_motion.file_names if name != "spine")
+    motion = replace(small_motion, cleaning=replace(small_motion.cleaning, keypoints=counts), file_names=names)
+    report = build_report(motion, {})
+    row = report["keypoints"][small_motion.names.index("spine")]
+    assert (row["in_file"], row["used"], row["joint"]) == (False, None, "J9")
+    assert report["missing_keypoints"] == ["spine"]
+    assert any("spine" in warning for warning in report["warnings"])
+
+
+def test_scale_is_not_called_measured(report):
+    base = report["assumptions"]["base_length"]
+    assert (base["nominal_m"], base["sigma_m"], base["measured"]) == (0.203, 0.02, False)
+    assert base["data_share"] == report["data_share"]["states"]["base_length_m"] < 0.01
+    assert any("scale not measured" in warning for warning in report["warnings"])
+    assert report["assumptions"]["camera_level"] is True
+
+
+def test_prior_of_the_base_length_as_given(small_motion):
+    base = build_report(small_motion, {"base_length_m": 0.175, "base_sigma_m": 0.001})["assumptions"]["base_length"]
+    assert (base["nominal_m"], base["sigma_m"]) == (0.175, 0.001)
+
+
+def test_limits_are_counted(small_motion):
+    skeleton, states = small_motion.skeleton, small_motion.states.copy()
+    theta, phi = skeleton.theta_slice.start, skeleton.phi_slice.start
+    states[small_motion.solved, : 2 * skeleton.n_angles] = np.r_[skeleton.theta.mean_rad, skeleton.phi.mean_rad]
+    states[1, theta + 3] += skeleton.theta.tolerance_rad[3] + 0.1
+    states[[1, 2], phi] -= skeleton.phi.tolerance_rad[0] + 0.2
+    report = build_report(with_states(small_motion, states), {})
+    limits = report["limits"]
+    assert (limits["frames"], limits["intervals"]) == (5, 4)
+    assert limits["ranges"]["theta_1"] == {"passed": 1, "largest_excess_rad": pytest.approx(0.1)}
+    assert limits["ranges"]["phi_6"] == {"passed": 2, "largest_excess_rad": pytest.approx(0.2)}
+    assert sum(r["passed"] for r in limits["ranges"].values()) == 3
+    # theta_1 is away and back by 0.55 rad in 1/30 s; phi_6 goes by 0.7 rad, and comes back over two intervals.
+    change = skeleton.theta.tolerance_rad[3] + 0.1
+    excess = 2 * np.sin(change / 2) * 30 - skeleton.theta.max_rate_rad_s[3]
+    assert limits["rates"]["theta_1"] == {"passed": 2, "largest_excess_rad_s": pytest.approx(excess)}
+    assert limits["rates"]["phi_6"]["passed"] == 2 - (2 * np.sin(0.35) * 15 < skeleton.phi.max_rate_rad_s[0])
+    assert [("at range limit" in f["flags"], "at rate limit" in f["flags"]) for f in report["frames"]][:3] == [
+        *((False, False), (True, True), (True, True))
+    ]
+
+
+def test_root_path(report, small_motion):
+    path, exact = report["root_path"], report["root_path"]["exact"]
+    assert exact["distance_m"] == pytest.approx(1.5, abs=0.02)
+    assert exact["peak_speed_m_s"] >= exact["mean_speed_m_s"] == pytest.approx(9, abs=0.1)
+    assert len(exact["speed_m_s"]) == len(exact["acceleration_m_s2"]) == len(path["position_m"]) == 6
+    assert exact["smoothing_m"] is None
+    assert exact["speed_m_s"][3] == pytest.approx(9, abs=0.5)
+    assert path["smoothed"] is None  # too few frames in a row to tell the jitter
+    assert path["position_m"][3] == [None, None, None]
+    np.testing.assert_allclose(path["time_s"], small_motion.time_s)
+    assert report["travel"]["median_speed_m_s"] == pytest.approx(9, abs=1)
+    assert abs(report["travel"]["heading_to_picture_rad"]) < 0.1
+
+
+def test_smoothed_root_path(small_motion):
+    states = np.tile(small_motion.states[0], (6, 1))
+    rotation = small_motion.skeleton.pose(states[:1]).rotation[0]
+    jitter = 0.01 * np.array([1, -1, 1, -1, 1, -1])
+    states[:, small_motion.skeleton.place_slice] += (
+        np.stack([0.3 * np.arange(6), 0 * jitter, jitter], axis=1) @ rotation
+    )
+    path = build_report(with_states(small_motion, states), {})["root_path"]
+    assert path["smoothed"]["smoothing_m"] == path["jitter_m"]
+    np.testing.assert_allclose(path["jitter_m"][:2], 0, atol=1e-6)
+    assert path["smoothed"]["distance_m"] == pytest.approx(1.5, abs=5e-3)
+    assert path["exact"]["distance_m"] > path["smoothed"]["distance_m"]
+    assert path["smoothed"].keys() == path["exact"].keys()
+
+
+def test_image_errors(report, small_motion):
+    values = np.array(report["image_error_px"]["values"], dtype=float)
+    assert values.shape == (9, 2, 6)
+    np.testing.assert_allclose(values.transpose(2, 0, 1), small_motion.image_error_px, rtol=1e-8)
+
+
+def test_nothing_solved(small_motion):
+    solution = small_motion.solution
+    none = replace(solution, states=np.full_like(solution.states, np.nan), reports=(None,) * 6)
+    report = build_report(replace(small_motion, solution=none), {})
+    json.dumps(report, allow_nan=False)
+    assert report["summary"]["frames_no_data"] == 6
+    assert report["summary"]["reprojection_px"]["worst_joint"] is None
+    assert dict(summary_lines(report))["heading"]
+
+
+def test_console_summary(report):
+    out = StringIO()
+    Console(file=out, width=120).print(console_summary(report))
+    text = out.getvalue()
+    for expected in ("glide.csv", "5 of 6 converged", "neck_base", "9.0 m/s", "0.203 m", "scale not measured"):
+        assert expected in text
+    assert 10 <= len(summary_lines(report)) <= 16
+
+
+def test_every_field_is_documented(report):
+    documented = set(re.findall(r"`([\w ]+)`", DOCS.read_text(encoding="utf-8")))
+    open_names = {"settings", "timing_s", "camera"}  # others' fields
+    open_names |= {"cost_shares", "states", "ranges", "rates", "joint_sigma_m", "total"}  # by name
+    by_name = {*report["skeleton"]["state_names"], *report["skeleton"]["keypoints"]}
+
+    def keys(node):
+        if isinstance(node, dict):
+            for key, item in node.items():
+                yield key
+                if key not in open_names or isinstance(item, list):
+                    yield from keys(item)
+        elif isinstance(node, list):
+            for item in node:
+                yield from keys(item)
+
+    assert set(keys(report)) - by_name - documented == set()
+    assert {flag for f in report["frames"] for flag in f["flags"]} <= documented
