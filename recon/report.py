@@ -413,10 +413,14 @@ def summary_lines(report: Mapping[str, Any]) -> list[tuple[str, str]]:
         ),
         ("outliers", f"{summary['outliers']} beyond {OUTLIER_SIGMAS:g} sigma" + (f": {most}" if off else "")),
         (
+            "speed",
+            f"{_number(report['travel']['median_speed_m_s'], '.1f')} m/s, of a straight run through all frames",
+        ),
+        (
             "path",
-            f"{_number(path['distance_m'], '.1f')} m, speed {_number(path['mean_speed_m_s'], '.1f')} m/s mean, "
-            f"{_number(path['peak_speed_m_s'], '.1f')} m/s peak "
-            f"({report['frame_of_reference']} frame, {'smoothed' if smoothed else 'not smoothed'})",
+            f"{_number(path['distance_m'], '.1f')} m, peak {_number(path['peak_speed_m_s'], '.1f')} m/s "
+            f"({report['frame_of_reference']} frame, {'smoothed' if smoothed else 'not smoothed'}; "
+            "too long and too fast by the jitter in depth)",
         ),
         ("heading", _heading(heading)),
         (

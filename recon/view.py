@@ -308,7 +308,7 @@ def _blueprint(motion: Motion, scene: _Scene, start_frame: int | None) -> rrb.Bl
             origin=origin,
             name=name,
             axis_y=rrb.ScalarAxis(range=(least - margin, most + margin)),
-            plot_legend=rrb.PlotLegend(rrb.Corner2D.LeftTop),
+            plot_legend=rrb.PlotLegend(rrb.Corner2D.LeftTop, visible=True),
             background=PlotBackground(color=BACKGROUND),
         )
 

@@ -1,0 +1,207 @@
+"""The frame solver: what it recovers, what it cannot know, and what it reports."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from recon.initialise import mean_pose
+from recon.objectives import JointPositions, Reprojection
+from recon.skeleton_file import load_skeleton
+from recon.solve import CONVERGED, FrameOptions, evaluate, precision_shares, solve_frames, solve_joints
+from recon.synthetic import add_noise, gallop
+
+SK = load_skeleton("cheetah-8u")
+UP = np.array([0.0, -1, 0])
+EXACT = FrameOptions(sigma_px=1.0, keypoint_sigma_m=0.0, base_sigma_m=0.001)
+NOISY = FrameOptions(sigma_px=2.0, keypoint_sigma_m=0.0)
+
+
+def level_states(n: int) -> np.ndarray:
+    """Random poses of a level animal, each link on the side of its twin that is expected."""
+    rng = np.random.default_rng(5)
+    states = np.tile(mean_pose(SK), (n, 1))
+    states[:, SK.theta_slice] += rng.uniform(-0.5, 0.5, (n, 7))
+    states[:, SK.phi_slice] = rng.uniform(-0.25, 0.25, (n, 7))
+    states[:, SK.place_slice] = rng.normal([0, 0, 9], 0.5, (n, 3))
+    states[:, SK.euler_slice.start + 1] = rng.uniform(-0.6, 0.6, n)
+    states[:, SK.euler_slice.start + 2] = rng.uniform(-0.2, 0.2, n)
+    states[:, SK.base_index] = rng.uniform(0.15, 0.23, n)
+    return states
+
+
+def near(clip, values: np.ndarray) -> np.ndarray:
+    return values[:, [clip.keypoints.names.index(n) for n in SK.keypoint_names(clip.side)]]
+
+
+def fit(clip, keypoints, options: FrameOptions):
+    return solve_frames(
+        clip.camera, SK, near(clip, keypoints.xy_px), near(clip, keypoints.confidence), clip.keypoints.fps, options
+    )
+
+
+def mpjpe_mm(clip, states: np.ndarray) -> float:
+    truth = clip.camera.world_to_camera(near(clip, clip.truth_m))
+    joints = SK.pose(states).joints_m
+    off = (joints - joints.mean(1, keepdims=True)) - (truth - truth.mean(1, keepdims=True))
+    return float(1000 * np.linalg.norm(off, axis=2).mean())
+
+
+def reprojection_px(clip, keypoints, states: np.ndarray) -> np.ndarray:
+    pixels, _ = clip.camera.project(SK.pose(states).joints_m)
+    return np.linalg.norm(pixels - near(clip, keypoints.xy_px), axis=2)
+
+
+def test_forward_and_back_from_joints():
+    """Joints to 1e-6 m, and all 21 variables of a level animal (roll and twins settled by what is expected)."""
+    truth = level_states(12)
+    joints = SK.pose(truth).joints_m
+    found = solve_joints(SK, joints, UP)
+    np.testing.assert_allclose(SK.pose(found).joints_m, joints, atol=1e-6)
+    np.testing.assert_allclose(found, truth, atol=1e-5)
+
+
+def test_forward_and_back_leaves_only_the_roll_open():
+    """A rolled animal: the joints come back, and so does everything that the roll does not touch."""
+    truth = level_states(6)
+    truth[:, SK.euler_slice.start] = 0.3
+    joints = SK.pose(truth).joints_m
+    found = solve_joints(SK, joints, UP)
+    np.testing.assert_allclose(SK.pose(found).joints_m, joints, atol=1e-6)
+    np.testing.assert_allclose(found[:, SK.base_index], truth[:, SK.base_index], atol=1e-7)
+    roots = SK.pose(found).rotation[:, :, 0], SK.pose(truth).rotation[:, :, 0]
+    np.testing.assert_allclose(*roots, atol=1e-6)
+    assert np.abs(found - truth)[:, SK.euler_slice].max() > 0.1
+
+
+def test_joints_that_are_not_known_give_no_state():
+    joints = SK.pose(level_states(2)).joints_m
+    joints[1, 3] = np.nan
+    found = solve_joints(SK, joints, UP)
+    assert np.isfinite(found[0]).all()
+    assert np.isnan(found[1]).all()
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_rank_18_from_pixels_and_20_from_joints(seed: int):
+    """Pixels leave scale, roll and a mode of depth open; joints only the roll."""
+    camera = gallop().camera
+    state = level_states(5)[seed]
+    joints = SK.pose(state[None]).joints_m
+    pixels = Reprojection(camera, camera.project(joints)[0], np.ones((1, 9)), np.ones(1), 1e9)
+    for term, rank in ((pixels, 18), (JointPositions(joints, 1.0), 20)):
+        _, J = evaluate((term,), SK, 0, state, None, 0.0)
+        singular = np.linalg.svd(J / np.linalg.norm(J, axis=0), compute_uv=False)
+        assert len(J) >= rank
+        assert np.sum(singular > 1e-9 * singular[0]) == rank
+
+
+@pytest.mark.parametrize("direction", ["left", "right"])
+@pytest.mark.parametrize("heading_rad", [0.0, 0.35, 0.6])
+def test_clean_gallop(direction, heading_rad: float):
+    clip = gallop(heading_rad=heading_rad, direction=direction)
+    solution = fit(clip, clip.keypoints, EXACT)
+    assert all(r is not None and r.status == "converged" for r in solution.reports)
+    assert reprojection_px(clip, clip.keypoints, solution.states).mean(axis=1).max() <= 0.5
+    assert mpjpe_mm(clip, solution.states) <= 50
+
+
+@pytest.mark.parametrize("camera_model", ["pinhole", "fisheye"])
+def test_noisy_gallop(camera_model):
+    clip = gallop(camera_model=camera_model)
+    keypoints, _ = add_noise(clip.keypoints, seed=3)
+    solution = fit(clip, keypoints, NOISY)
+    assert all(r is not None and r.status == "converged" for r in solution.reports)
+    assert mpjpe_mm(clip, solution.states) <= 80
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        replace(NOISY, form="printed"),
+        replace(NOISY, angle_prior="none"),
+        replace(NOISY, angle_prior="none", form="printed"),
+        replace(NOISY, camera_rotation="fixed"),
+        replace(NOISY, max_evaluations=3),
+    ],
+)
+def test_every_option_ends_with_a_report(options: FrameOptions):
+    clip = gallop(n_frames=6)
+    keypoints, _ = add_noise(clip.keypoints, seed=1)
+    solution = fit(clip, keypoints, options)
+    for report in solution.reports:
+        assert report is not None
+        assert (report.optimizer_status in CONVERGED) == (report.status == "converged")
+        assert sum(report.cost_shares.values()) == pytest.approx(1)
+        assert set(report.cost_shares) <= set(solution.objectives)
+    if options.max_evaluations == 3:
+        assert any(r is not None and r.status == "not_converged" for r in solution.reports)
+    if options.camera_rotation == "fixed":
+        np.testing.assert_allclose(solution.states[:, SK.euler_slice], solution.states[[0] * 6, SK.euler_slice])
+
+
+def test_frames_without_data_are_skipped_and_the_clip_goes_on():
+    clip = gallop()
+    xy = clip.keypoints.xy_px.copy()
+    xy[10:15] = np.nan
+    xy[20, :12] = np.nan
+    solution = fit(clip, replace(clip.keypoints, xy_px=xy), EXACT)
+    empty = [i for i, report in enumerate(solution.reports) if report is None]
+    assert empty == [10, 11, 12, 13, 14, 20]
+    assert np.isnan(solution.states[empty]).all()
+    solved = [i for i in range(30) if i not in empty]
+    assert np.isfinite(solution.states[solved]).all()
+    assert reprojection_px(clip, clip.keypoints, solution.states)[solved].mean(axis=1).max() < 0.5
+
+
+def test_a_clip_without_any_data():
+    clip = gallop(n_frames=3)
+    solution = fit(clip, replace(clip.keypoints, xy_px=np.full_like(clip.keypoints.xy_px, np.nan)), EXACT)
+    assert solution.reports == (None, None, None)
+
+
+def test_report_against_the_problem_by_hand():
+    """One frame's report restates the residuals at the solution."""
+    clip = gallop(n_frames=1)
+    solution = fit(clip, clip.keypoints, EXACT)
+    report = solution.reports[0]
+    assert report is not None
+    distance = reprojection_px(clip, clip.keypoints, solution.states)[0]
+    u2 = (distance / report.sigma_px) ** 2
+    reprojection = np.sum(u2 / (1 + u2 / EXACT.robust_c**2))
+    assert report.cost_shares["reprojection"] * report.squared_norm == pytest.approx(reprojection, rel=1e-6)
+    theta = solution.states[0, SK.theta_slice] - SK.theta.mean_rad
+    prior = np.sum((theta / SK.scales.theta_rad) ** 2)
+    assert report.cost_shares["theta prior"] * report.squared_norm == pytest.approx(prior, rel=1e-9)
+    assert report.optimality == pytest.approx(np.abs(report.gradient).max())
+    assert report.sigma_px == 1.0
+    assert report.iterations == report.jacobian_evaluations
+    assert report.function_evaluations >= report.jacobian_evaluations
+
+
+def test_the_base_length_comes_back_as_its_prior_says():
+    """A wrong nominal scale is returned as it was given, and the report says that the data had no part in it."""
+    clip = gallop(n_frames=10)
+    wrong = replace(EXACT, base_length_m=0.25, base_sigma_m=0.01)
+    solution = fit(clip, clip.keypoints, wrong)
+    assert np.abs(solution.states[:, SK.base_index] - 0.25).max() < 0.002
+    shares = np.array([r.data_share for r in solution.reports if r is not None])
+    assert shares[:, SK.base_index].max() < 0.05
+    assert shares.min() >= 0
+    assert shares.max() <= 1
+
+
+def test_precision_shares_of_a_problem_done_by_hand():
+    """Two unknowns observed once by data and once by priors: variance 1 / (1/s^2 + 1/p^2), share p^2 / (s^2 + p^2)."""
+    D = SK.n_state
+    s, p = 0.5, 2.0
+    share, _, _ = precision_shares(np.eye(D) / s, np.concatenate([np.eye(D) / s, np.eye(D) / p]), SK, mean_pose(SK))
+    np.testing.assert_allclose(share, p**2 / (s**2 + p**2))
+    assert np.isnan(precision_shares(np.eye(D)[:5], np.eye(D)[:5], SK, mean_pose(SK))[0]).all()
+
+
+def test_the_same_input_gives_the_same_states():
+    clip = gallop(n_frames=8)
+    np.testing.assert_array_equal(fit(clip, clip.keypoints, NOISY).states, fit(clip, clip.keypoints, NOISY).states)
