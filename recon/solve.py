@@ -8,6 +8,7 @@ solution leaves points unexplained get further starts, and the lowest cost wins.
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
@@ -73,7 +74,8 @@ class FrameReport:
     that won (Jacobian evaluations, as MINPACK counts them). cost_shares: each term's part of the squared norm.
     sigma_px: standard deviation of a detection. data_share (D,) and joint_data_share (J,): the part of the posterior
     precision that comes from the pixels, 0 to 1, NaN where data and priors together leave a quantity undetermined.
-    joint_sigma_m (J, 3): posterior standard deviation in the camera frame, given the frame before.
+    joint_sigma_m (J, 3): posterior standard deviation in the camera frame, given the frame before. solve_s: time spent
+    on the frame, all starts.
     """
 
     status: Status
@@ -95,6 +97,7 @@ class FrameReport:
     data_share: Array
     joint_data_share: Array
     joint_sigma_m: Array
+    solve_s: float
 
 
 @dataclass(frozen=True)
@@ -233,6 +236,7 @@ class _FrameSolver:
     def solve(
         self, frame: int, rays: Array, heading: Array, states: Array, before: Sequence[int], fps: float
     ) -> tuple[Array, FrameReport]:
+        began = time.perf_counter()
         starts = [self._carried_on(frame, states, before)] if before else self._first_starts(rays, heading)
         fixed = _Given(
             frame=frame,
@@ -245,7 +249,7 @@ class _FrameSolver:
         if before and not self._explained(fixed, best):
             tried += [self._solve_from(start, fixed) for start in self._more_starts(rays, heading, states[before[-1]])]
             best = min(tried, key=lambda c: c.cost)
-        return best.x, self._report(fixed, best, len(tried))
+        return best.x, replace(self._report(fixed, best, len(tried)), solve_s=time.perf_counter() - began)
 
     # -- starts ---------------------------------------------------------------------------------------------------
 
@@ -366,14 +370,15 @@ class _FrameSolver:
         J = np.concatenate([j[0, :, -1] for _, j in parts])
         r = np.concatenate([r[0] for r, _ in parts])
         data_share, joint_share, joint_sigma = precision_shares(parts[0][1][0, :, -1], J, self.skeleton, best.x)
+        in_view = bool(np.all(np.isfinite(self._distances_px(fixed, best.x))))
         return FrameReport(
-            status="converged" if result.status in CONVERGED else "not_converged",
+            status="converged" if result.status in CONVERGED and in_view else "not_converged",
             starts=starts,
             iterations=int(result.njev),
             function_evaluations=int(result.nfev),
             jacobian_evaluations=int(result.njev),
             optimizer_status=int(result.status),
-            message=str(result.message),
+            message=str(result.message) + ("" if in_view else " Detected joints ended out of the camera's view."),
             squared_norm=total,
             mean_residual=float(np.mean(np.abs(r))),
             cost_shares={name: cost / total if total > 0 else 0.0 for name, cost in costs.items()},
@@ -386,6 +391,7 @@ class _FrameSolver:
             data_share=data_share,
             joint_data_share=joint_share,
             joint_sigma_m=joint_sigma,
+            solve_s=0.0,
         )
 
 

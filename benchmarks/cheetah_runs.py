@@ -1,0 +1,148 @@
+"""The frame method on every camera view of a folder of real runs, scored against the multi-camera reconstruction.
+
+    python benchmarks/cheetah_runs.py FOLDER [--csv TABLE.csv]
+
+Each run is a folder with camN.csv (DeepLabCut), scene.json (AcinoSet), truth.csv and meta.json (subject, fps, cameras,
+monocular_camera). Every view is fitted as `recon fit` does it, with the default settings: with the published link
+ratios and with the lengths measured for the subject, and, on the named camera, without the Gaussian priors. Without
+FOLDER: the cheetah-runs of $RECON_SHARED_DATA, or of ../shared/data.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import time
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from recon import FitSettings, InputError, Motion, Pose3D, evaluate, fit_clip, read_pose3d
+from recon.skeleton_file import builtin_names
+
+PUBLISHED = "cheetah-8u"
+
+
+def view_row(run: Path, camera: int, skeleton: str, meta: dict, **options) -> dict:
+    """One view as one row of the table."""
+    settings = FitSettings(
+        keypoints=run / f"cam{camera}.csv",
+        camera=run / "scene.json",
+        camera_name=f"cam{camera}",
+        fps=meta["fps"],
+        skeleton=skeleton,
+        **options,
+    )
+    start = time.perf_counter()
+    motion = fit_clip(settings)
+    seconds = time.perf_counter() - start
+    score = evaluate(Pose3D(motion.names, motion.joints_m, motion.frames), read_pose3d(run / "truth.csv"))
+    reports = [r for r in motion.reports if r is not None]
+    base = motion.states[motion.solved, motion.skeleton.base_index]
+    return {
+        "run": run.name,
+        "cam": camera,
+        "named": camera == meta.get("monocular_camera"),
+        "skeleton": skeleton,
+        "side": motion.side,
+        "frames": len(motion.frames),
+        "converged": motion.status.count("converged"),
+        "failed": motion.status.count("not_converged"),
+        "no_data": motion.status.count("no_data"),
+        "best90_px": best_90_px(motion),
+        "mpjpe_mm": 1000 * score.mpjpe_m.mean,
+        "mpe_mm": 1000 * score.mpe_m.mean,
+        "pa_mm": 1000 * score.pa_mpjpe_m.mean,
+        "base_m": base.mean() if len(base) else np.nan,
+        "base_min_m": base.min() if len(base) else np.nan,
+        "base_max_m": base.max() if len(base) else np.nan,
+        "iterations": np.median([r.iterations for r in reports]) if reports else np.nan,
+        "evaluations": np.median([r.function_evaluations for r in reports]) if reports else np.nan,
+        "starts": np.mean([r.starts for r in reports]) if reports else np.nan,
+        "ms_per_frame": 1000 * np.median([r.solve_s for r in reports]) if reports else np.nan,
+        "clip_s": seconds,
+    }
+
+
+def best_90_px(motion: Motion) -> float:
+    """Mean reprojection error of the best 90 % of the detections."""
+    distance = np.sort(motion.distance_px[np.isfinite(motion.distance_px)])
+    return float(distance[: int(0.9 * len(distance))].mean()) if len(distance) else np.nan
+
+
+def print_table(rows: list[dict], title: str) -> None:
+    columns = {
+        "run": "{:.34}",
+        "cam": "{}",
+        "side": "{}",
+        "frames": "{}",
+        "failed": "{}",
+        "no_data": "{}",
+        "best90_px": "{:.1f}",
+        "mpjpe_mm": "{:.0f}",
+        "mpe_mm": "{:.0f}",
+        "pa_mm": "{:.0f}",
+        "base_m": "{:.3f}",
+        "base_min_m": "{:.3f}",
+        "base_max_m": "{:.3f}",
+        "iterations": "{:.0f}",
+        "evaluations": "{:.0f}",
+        "starts": "{:.2f}",
+        "ms_per_frame": "{:.1f}",
+    }
+    print(f"\n### {title}\n")
+    print("| " + " | ".join(columns) + " |")
+    print("|" + " --- |" * len(columns))
+    for row in rows:
+        cells = [form.format(row[name]) for name, form in columns.items()]
+        cells[1] += " *" if row["named"] else ""
+        print("| " + " | ".join(cells) + " |")
+    table = pd.DataFrame(rows)
+    named = table[table["named"]]
+    print(
+        f"\n{len(table)} views: reprojection of the best 90 % median {table['best90_px'].median():.1f} px, "
+        f"worst {table['best90_px'].max():.1f} px; MPJPE median {table['mpjpe_mm'].median():.0f} mm, mean "
+        f"{table['mpjpe_mm'].mean():.0f} mm; MPE mean {table['mpe_mm'].mean():.0f} mm; frames that did not converge: "
+        f"{table['failed'].sum()} of {table['frames'].sum()}; {table['ms_per_frame'].median():.1f} ms a frame.\n"
+        f"Named views (*): MPJPE mean {named['mpjpe_mm'].mean():.1f} mm, MPE mean {named['mpe_mm'].mean():.0f} mm."
+    )
+
+
+def main() -> None:
+    here = Path(__file__).resolve().parents[1]
+    default = Path(os.environ.get("RECON_SHARED_DATA", here.parent / "shared" / "data")) / "cheetah-runs"
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folder", type=Path, nargs="?", default=default)
+    parser.add_argument("--csv", type=Path, help="write all rows here")
+    arguments = parser.parse_args()
+    runs = sorted(p.parent for p in arguments.folder.glob("*/meta.json"))
+    if not runs:
+        parser.exit(message=f"no runs in {arguments.folder}: nothing measured\n")
+
+    tables: dict[str, list[dict]] = {"published link ratios": [], "measured lengths": [], "without Gaussian priors": []}
+    for run in runs:
+        meta = json.loads((run / "meta.json").read_text())
+        measured = f"{PUBLISHED}-{meta['subject']}"
+        for camera in meta["cameras"]:
+            jobs = [("published link ratios", PUBLISHED, {})]
+            if measured in builtin_names():
+                jobs.append(("measured lengths", measured, {}))
+            if camera == meta.get("monocular_camera"):
+                jobs.append(("without Gaussian priors", PUBLISHED, {"angle_prior": "none"}))
+            for title, skeleton, options in jobs:
+                try:
+                    tables[title].append(view_row(run, camera, skeleton, meta, **options))
+                except InputError as error:
+                    print(f"{run.name} cam{camera}: left out: {error}")
+    for title, rows in tables.items():
+        if rows:
+            print_table(rows, title)
+    if arguments.csv:
+        rows = [{"table": title, **row} for title, table in tables.items() for row in table]
+        pd.DataFrame(rows).to_csv(arguments.csv, index=False)
+
+
+if __name__ == "__main__":
+    main()
