@@ -3,19 +3,25 @@
 from __future__ import annotations
 
 import json
+import shlex
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-from rich.table import Table
+from rich.table import Column, Table
+from rich.text import Text
 
 from recon import __version__
 from recon.errors import InputError, Problem
+
+if TYPE_CHECKING:
+    from recon.analysis.evaluation import Evaluation
 
 app = typer.Typer(
     help="Metric 3D motion of a running animal from one camera and DeepLabCut keypoints.",
@@ -30,20 +36,21 @@ EXIT_BAD_INPUT = 2
 
 def main() -> None:
     """Run the command line; a user's mistake ends with one message and exit code 2."""
+    console = Console(stderr=True, soft_wrap=True)
     try:
         app()
     except InputError as error:
-        console = Console(stderr=True, soft_wrap=True, highlight=False)
         for problem in error.problems:
-            console.print(f"[bold red]error:[/] {_plain(problem)}")
+            console.print(_error(str(problem)))
         sys.exit(EXIT_BAD_INPUT)
     except OSError as error:
-        sys.stderr.write(f"error: {error.filename or ''}: {error.strerror or error}\n")
+        where = f"{error.filename}: " if error.filename else ""
+        console.print(_error(f"{where}{error.strerror or error}"))
         sys.exit(EXIT_BAD_INPUT)
 
 
-def _plain(problem: Problem) -> str:
-    return str(problem).replace("[", r"\[")
+def _error(message: str) -> Text:
+    return Text.assemble(("error:", "bold red"), " ", message)
 
 
 def _version(wanted: bool) -> None:
@@ -54,7 +61,9 @@ def _version(wanted: bool) -> None:
 
 @app.callback()
 def _root(
-    version: Annotated[bool, typer.Option("--version", callback=_version, is_eager=True, help="Print it.")] = False,
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")
+    ] = False,
 ) -> None:
     pass
 
@@ -62,7 +71,8 @@ def _root(
 @app.command()
 def fit(
     keypoints: Annotated[
-        Path | None, typer.Argument(help="DeepLabCut file, CSV or H5, as in clip.csv.", show_default=False)
+        Path | None,
+        typer.Argument(metavar="KEYPOINTS", help="DeepLabCut file, CSV or H5, as in clip.csv.", show_default=False),
     ] = None,
     camera: Annotated[
         Path | None,
@@ -74,18 +84,18 @@ def fit(
     fps: Annotated[float | None, typer.Option(help="Frame rate of the video in Hz, as in 120.")] = None,
     out: Annotated[Path | None, typer.Option(help="Folder for the results, as in results/clip1.")] = None,
     skeleton: Annotated[
-        str | None, typer.Option(help="Name of a built-in skeleton or a TOML file.  [default: cheetah-8u]")
+        str | None, typer.Option(help="Name of a built-in skeleton or a TOML file. (default: cheetah-8u)")
     ] = None,
-    method: Annotated[str | None, typer.Option(help="frame: one frame after the other.  [default: frame]")] = None,
+    method: Annotated[str | None, typer.Option(help="frame: one frame after the other. (default: frame)")] = None,
     frames: Annotated[
         str | None, typer.Option(help="Only these frame numbers, from A up to but without B, as in 100:160.")
     ] = None,
     individual: Annotated[str | None, typer.Option(help="Which animal of a multi-animal file, as in animal1.")] = None,
     likelihood_min: Annotated[
-        float | None, typer.Option(help="Leave out points less likely than this, 0 to 1.  [default: 0.5]")
+        float | None, typer.Option(help="Leave out points less likely than this, 0 to 1. (default: 0.5)")
     ] = None,
     side: Annotated[
-        str | None, typer.Option(help="Side of the animal to fit: auto, left or right.  [default: auto]")
+        str | None, typer.Option(help="Side of the animal to fit: auto, left or right. (default: auto)")
     ] = None,
     hfov_deg: Annotated[
         float | None,
@@ -96,26 +106,27 @@ def fit(
     ] = None,
     form: Annotated[
         str | None,
-        typer.Option(help="Ranges and rates: deadband (beyond the limit) or printed (two-sided).  [default: deadband]"),
+        typer.Option(help="Ranges and rates: deadband (beyond the limit) or printed (two-sided). (default: deadband)"),
     ] = None,
     angle_prior: Annotated[
-        str | None, typer.Option(help="Gaussian priors on angles and heading: gaussian or none.  [default: gaussian]")
+        str | None, typer.Option(help="Gaussian priors on angles and heading: gaussian or none. (default: gaussian)")
     ] = None,
     camera_rotation: Annotated[
-        str | None, typer.Option(help="The body's rotation: free, or fixed to the first frame's.  [default: free]")
+        str | None, typer.Option(help="The body's rotation: free, or fixed to the first frame's. (default: free)")
     ] = None,
     base_length_m: Annotated[
-        float | None, typer.Option(help="Base length of the chain in metres, as in 0.203.  [default: the skeleton's]")
+        float | None, typer.Option(help="Base length of the chain in metres, as in 0.203. (default: the skeleton's)")
     ] = None,
     base_sigma_m: Annotated[
-        float | None, typer.Option(help="Its standard deviation in metres, as in 0.001 for a measured animal.")
+        float | None,
+        typer.Option(help="Standard deviation of the base length in metres, as in 0.001. (default: the skeleton's)"),
     ] = None,
     sigma_px: Annotated[
-        float | None, typer.Option(help="Noise of the detector in pixels, one standard deviation.  [default: 3]")
+        float | None, typer.Option(help="Noise of the detector in pixels, one standard deviation. (default: 3)")
     ] = None,
     keypoint_sigma_m: Annotated[
         float | None,
-        typer.Option(help="How far keypoints lie from the joints, metres, as in 0.05.  [default: the skeleton's]"),
+        typer.Option(help="How far keypoints lie from the joints, metres, as in 0.05. (default: the skeleton's)"),
     ] = None,
     config: Annotated[
         Path | None, typer.Option(help="config.toml of an earlier run; options given here overrule it.")
@@ -133,18 +144,18 @@ def fit(
     from recon.settings import read_settings
 
     given = {
-        "keypoints": _absolute(keypoints),
-        "camera": _absolute(camera),
+        "keypoints": keypoints,
+        "camera": camera,
         "camera_name": camera_name,
         "fps": fps,
-        "skeleton": str(Path(skeleton).absolute()) if skeleton and skeleton.endswith(".toml") else skeleton,
+        "skeleton": skeleton,
         "method": method,
         "frames": frames,
         "individual": individual,
         "likelihood_min": likelihood_min,
         "side": side,
         "hfov_deg": hfov_deg,
-        "image_size_px": _image_size(image_size),
+        "image_size_px": image_size,
         "form": form,
         "angle_prior": angle_prior,
         "camera_rotation": camera_rotation,
@@ -153,9 +164,13 @@ def fit(
         "sigma_px": sigma_px,
         "keypoint_sigma_m": keypoint_sigma_m,
     }
-    settings = read_settings(config, given)
+    no_out = Problem("--out", "folder", "nothing", "a folder for the results, as in results/clip1")
+    try:
+        settings = read_settings(config, given)
+    except InputError as error:
+        raise InputError(error.problems if out else (*error.problems, no_out)) from None
     if out is None:
-        raise InputError(Problem("--out", "folder", "nothing", "a folder for the results, as in results/clip1"))
+        raise InputError(no_out)
     console = Console(quiet=quiet)
     with _progress(console) as progress:
         report = run_clip(settings, out, overwrite, progress)
@@ -178,22 +193,9 @@ def evaluate(
     if as_json:
         typer.echo(json.dumps(result.to_dict(), indent=1))
         return
-    table = Table(title=f"{pose3d} against {truth}", title_justify="left")
-    for column in ("", "MPJPE mm", "MPE mm", "scaled mm", "PA mm", *(f"PCK {t * 1000:.0f} mm" for t, _ in result.pck)):
-        table.add_column(column, justify="left" if column == "" else "right")
-    scores = (result.mpjpe_m, result.mpe_m, result.scale_mpjpe_m, result.pa_mpjpe_m)
-    table.add_row(
-        "all", *(f"{1000 * s.mean:.1f}" for s in scores), *(f"{s.mean:.0%}" for _, s in result.pck), end_section=True
-    )
-    for j, name in enumerate(result.names):
-        table.add_row(
-            name,
-            *(f"{1000 * s.per_joint[j]:.1f}" for s in scores),
-            *(f"{s.per_joint[j]:.0%}" for _, s in result.pck),
-        )
-    console = Console()
-    console.print(table)
-    console.print("MPJPE: after centring each frame; MPE: as it is; scaled, PA: after scaling, after a similarity.")
+    Console().print(_table(result))
+    for line in _table_notes(result):
+        typer.echo(line)
 
 
 @app.command()
@@ -229,7 +231,7 @@ def demo(
 @contextmanager
 def _progress(console: Console) -> Iterator[Any]:
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=console, transient=True, disable=console.quiet) as bar:
+    with Progress(*columns, console=console, transient=True, disable=console.quiet or not console.is_terminal) as bar:
         task = bar.add_task("fitting frames", total=None)
         yield lambda done, total: bar.update(task, completed=done, total=total)
 
@@ -238,20 +240,50 @@ def _finish(console: Console, report: dict[str, Any], out: Path) -> None:
     from recon.report import console_summary
 
     console.print(console_summary(report))
-    console.print(f"Results are in {out}. Watch them with: recon view {out}", soft_wrap=True)
+    console.print(Text(f"Results are in {out}. Watch them with: recon view {shlex.quote(str(out))}"), soft_wrap=True)
     if report["summary"]["frames_converged"] == 0:
-        Console(stderr=True).print("No frame could be solved: see report.json.")
+        message = f"no frame could be solved: see {out / 'report.json'}"
+        Console(stderr=True, soft_wrap=True).print(_error(message))
         raise typer.Exit(EXIT_UNSOLVED)
 
 
-def _absolute(path: Path | None) -> Path | None:
-    return None if path is None else path.absolute()
+def _table(result: Evaluation) -> Table:
+    """Errors in millimetres and shares of good points, over all and by joint."""
+    scores = (result.mpjpe_m, result.mpe_m, result.scale_mpjpe_m, result.pa_mpjpe_m)
+    shares = [score for _, score in result.pck]
+    table = Table(Column("errors in mm", no_wrap=True), box=SIMPLE_HEAD)
+    for name in ("MPJPE", "MPE", "scaled", "PA", *(f"PCK {1000 * t:.0f}" for t, _ in result.pck)):
+        table.add_column(name, justify="right")
+
+    def add_row(name: str, errors_m: Iterable[float], shares: Iterable[float], last: bool = False) -> None:
+        cells = [f"{1000 * e:.1f}" for e in errors_m] + [f"{share:.0%}" for share in shares]
+        table.add_row(Text(name), *(cell.replace("nan%", "-").replace("nan", "-") for cell in cells), end_section=last)
+
+    add_row("all", (s.mean for s in scores), (s.mean for s in shares), last=True)
+    for j, name in enumerate(result.names):
+        add_row(name, (s.per_joint[j] for s in scores), (s.per_joint[j] for s in shares))
+    return table
 
 
-def _image_size(text: str | None) -> tuple[int, int] | None:
-    if text is None:
-        return None
-    width, _, height = text.lower().partition("x")
-    if not (width.isdecimal() and height.isdecimal()):
-        raise InputError(Problem("--image-size", "size", repr(text), "width x height in pixels, as in 1920x1080"))
-    return int(width), int(height)
+def _table_notes(result: Evaluation) -> Iterator[str]:
+    thresholds = ", ".join(f"{1000 * t:.0f}" for t, _ in result.pck)
+    yield "MPJPE   mean distance of the joints from the reference, each frame centred"
+    yield "MPE     without centring"
+    yield "scaled  centred, and scaled to the size of the reference"
+    yield "PA      centred, scaled and turned onto the reference"
+    yield f"PCK     share of the joints within {thresholds} mm, centred"
+    yield f"Compared: {len(result.frames) - result.frames_not_scored} frames, {len(result.names)} joints."
+    for what, reconstruction, reference in (
+        ("Joints", result.joints_only_in_pose, result.joints_only_in_truth),
+        ("Frames", _ranges(result.frames_only_in_pose), _ranges(result.frames_only_in_truth)),
+    ):
+        if reconstruction:
+            yield f"{what} only in the reconstruction: {', '.join(reconstruction)}"
+        if reference:
+            yield f"{what} only in the reference: {', '.join(reference)}"
+    if result.frames_not_scored:
+        yield f"Frames of both without a joint known on both sides: {result.frames_not_scored}"
+
+
+def _ranges(ranges: Iterable[tuple[int, int]]) -> list[str]:
+    return [f"{first}" if stop == first + 1 else f"{first} to {stop - 1}" for first, stop in ranges]

@@ -21,16 +21,18 @@ def staged_folder(folder: str | Path) -> Iterator[Path]:
     """
     folder = Path(folder)
     made = [p for p in (folder, *folder.parents) if not p.exists()]
-    folder.mkdir(parents=True, exist_ok=True)
-    for stale in folder.glob(f"{_PREFIX}*"):
-        shutil.rmtree(stale, ignore_errors=True)
-    staging = Path(tempfile.mkdtemp(prefix=_PREFIX, dir=folder))
+    staging = None
     try:
+        folder.mkdir(parents=True, exist_ok=True)
+        for stale in folder.glob(f"{_PREFIX}*"):
+            shutil.rmtree(stale, ignore_errors=True)
+        staging = Path(tempfile.mkdtemp(prefix=_PREFIX, dir=folder))
         yield staging
         for file in sorted(staging.iterdir()):
             os.replace(file, folder / file.name)
     except BaseException:
-        shutil.rmtree(staging, ignore_errors=True)
+        if staging is not None:
+            shutil.rmtree(staging, ignore_errors=True)
         for empty in made:
             if empty.exists() and not any(empty.iterdir()):
                 empty.rmdir()

@@ -2,51 +2,84 @@
 
 from __future__ import annotations
 
+import re
 import tomllib
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import tomli_w
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
 from recon.errors import InputError, Problem
+from recon.keypoints import parse_frame_range
 from recon.solve import FrameOptions
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+FilePath = Annotated[Path, AfterValidator(Path.absolute)]
+
+
+def _absolute_file(skeleton: str) -> str:
+    return str(Path(skeleton).absolute()) if skeleton.endswith(".toml") else skeleton
+
+
+def _width_height(size: Any) -> Any:
+    """The text "1920x1080" as (1920, 1080); anything else as it is."""
+    match = re.fullmatch(r"\s*([0-9]{1,9})\s*[xX]\s*([0-9]{1,9})\s*", size) if isinstance(size, str) else None
+    return (int(match[1]), int(match[2])) if match else size
+
+
+def _frame_range(text: str) -> str:
+    parse_frame_range(text)
+    return text
 
 
 class FitSettings(BaseModel):
-    """What `recon fit` is told. Paths are kept absolute in config.toml, so that it can be run again from anywhere.
+    """What `recon fit` is told. Paths are kept absolute, so that config.toml can be run again from anywhere.
 
     One of camera (a calibration file) and hfov_deg with image_size_px is needed. Fields without a unit in their name
-    are counts, names or shares; the solver's are explained at `recon.solve.FrameOptions`.
+    are counts, names or shares; the solver's are explained at `recon.solve.FrameOptions`. The descriptions end the
+    sentence "expected ..." of an error message.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    keypoints: Path
-    fps: Positive
-    skeleton: str = "cheetah-8u"
-    method: Literal["frame"] = "frame"
-    camera: Path | None = None
-    camera_name: str | None = None
-    hfov_deg: Annotated[float, Field(gt=0, lt=180)] | None = None
-    image_size_px: tuple[Annotated[int, Field(gt=0)], Annotated[int, Field(gt=0)]] | None = None
-    individual: str | None = None
-    frames: str | None = None
-    likelihood_min: Annotated[float, Field(ge=0, le=1)] = 0.5
-    side: Literal["auto", "left", "right"] = "auto"
-    form: Literal["deadband", "printed"] = "deadband"
-    angle_prior: Literal["gaussian", "none"] = "gaussian"
-    camera_rotation: Literal["free", "fixed"] = "free"
-    base_length_m: Positive | None = None
-    base_sigma_m: Positive | None = None
-    sigma_px: Positive = FrameOptions.sigma_px
-    keypoint_sigma_m: Annotated[float, Field(ge=0)] | None = None
-    keypoint_sigma_max_px: Positive = FrameOptions.keypoint_sigma_max_px
-    robust_c: Positive = FrameOptions.robust_c
-    tolerance: Positive = FrameOptions.tolerance
-    max_evaluations: Annotated[int, Field(gt=0)] = FrameOptions.max_evaluations
+    keypoints: FilePath = Field(description="a DeepLabCut file, CSV or H5")
+    fps: Positive = Field(description="frames per second above 0, as in 120")
+    skeleton: Annotated[str, AfterValidator(_absolute_file)] = Field(
+        default="cheetah-8u", description="the name of a built-in skeleton, or a TOML file"
+    )
+    method: Literal["frame"] = Field(default="frame", description="frame")
+    camera: FilePath | None = Field(default=None, description="a camera file")
+    camera_name: str | None = Field(default=None, description="the name or number of a camera in the camera file")
+    hfov_deg: Annotated[float, Field(gt=0, lt=180)] | None = Field(
+        default=None, description="a field of view in degrees, above 0 and below 180"
+    )
+    image_size_px: Annotated[
+        tuple[Annotated[int, Field(gt=0)], Annotated[int, Field(gt=0)]] | None, BeforeValidator(_width_height)
+    ] = Field(default=None, description="width x height in pixels, as in 1920x1080")
+    individual: str | None = Field(default=None, description="the name of an animal in the keypoint file")
+    frames: Annotated[str, AfterValidator(_frame_range)] | None = Field(
+        default=None, description="frame numbers A:B with A < B, from A up to but without B, as in 100:160"
+    )
+    likelihood_min: Annotated[float, Field(ge=0, le=1)] = Field(default=0.5, description="a number from 0 to 1")
+    side: Literal["auto", "left", "right"] = Field(default="auto", description="auto, left or right")
+    form: Literal["deadband", "printed"] = Field(default="deadband", description="deadband or printed")
+    angle_prior: Literal["gaussian", "none"] = Field(default="gaussian", description="gaussian or none")
+    camera_rotation: Literal["free", "fixed"] = Field(default="free", description="free or fixed")
+    base_length_m: Positive | None = Field(default=None, description="metres above 0, as in 0.203")
+    base_sigma_m: Positive | None = Field(default=None, description="metres above 0, as in 0.001")
+    sigma_px: Positive = Field(default=FrameOptions.sigma_px, description="pixels above 0, as in 3")
+    keypoint_sigma_m: Annotated[float, Field(ge=0, allow_inf_nan=False)] | None = Field(
+        default=None, description="metres, 0 or more, as in 0.05"
+    )
+    keypoint_sigma_max_px: Positive = Field(
+        default=FrameOptions.keypoint_sigma_max_px, description="pixels above 0, as in 12"
+    )
+    robust_c: Positive = Field(default=FrameOptions.robust_c, description="a number above 0, as in 4.5")
+    tolerance: Positive = Field(default=FrameOptions.tolerance, description="a number above 0, as in 1e-8")
+    max_evaluations: Annotated[int, Field(gt=0)] = Field(
+        default=FrameOptions.max_evaluations, description="a whole number above 0, as in 400"
+    )
 
     def frame_options(self) -> FrameOptions:
         return FrameOptions(**{name: getattr(self, name) for name in FrameOptions.__dataclass_fields__})
@@ -71,19 +104,38 @@ def read_settings(config: Path | None, given: dict[str, Any]) -> FitSettings:
     if "hfov_deg" in given:
         plain = {k: v for k, v in plain.items() if k not in ("camera", "camera_name")}
     plain |= given
+
+    def problem(name: str, found: str, expected: str) -> Problem:
+        return Problem(option(name) if name in given or config is None else config, name, found, expected)
+
+    settings, problems = None, []
     try:
         settings = FitSettings.model_validate(plain)
     except ValidationError as error:
-        raise InputError(_problem(e, given, config) for e in error.errors()) from None
-    if settings.camera is None and settings.hfov_deg is None:
-        raise InputError(
-            Problem("--camera", "calibration", "none", "a camera file, or --hfov-deg with --image-size for a rough one")
-        )
-    if settings.camera is not None and settings.hfov_deg is not None:
-        raise InputError(Problem("--hfov-deg", "with --camera", str(settings.hfov_deg), "one of the two, not both"))
-    if settings.hfov_deg is not None and settings.image_size_px is None:
-        raise InputError(Problem("--image-size", "with --hfov-deg", "none", "the video's size, as in 1920x1080"))
+        # One message a setting: both numbers of an image size may be wrong.
+        for name in dict.fromkeys(str(e["loc"][0]) for e in error.errors()):
+            field = FitSettings.model_fields.get(name)
+            expected = str(field.description) if field else f"one of {', '.join(FitSettings.model_fields)}"
+            found = "an unknown setting" if field is None else repr(plain[name]) if name in plain else "nothing"
+            problems.append(problem(name, found, expected))
+    has = {name for name, value in plain.items() if value is not None}
+    if not has & {"camera", "hfov_deg"}:
+        expected = "a camera file, or --hfov-deg with --image-size for a rough one"
+        problems.append(problem("camera", "nothing", expected))
+    if "camera" in has and "hfov_deg" in has:
+        problems.append(problem("hfov_deg", f"{plain['hfov_deg']} beside a camera file", "one of the two"))
+    if "camera" not in has and "camera_name" in has:
+        problems.append(problem("camera_name", f"{plain['camera_name']!r} without a camera file", "--camera with it"))
+    if "camera" not in has and "hfov_deg" in has and "image_size_px" not in has:
+        problems.append(problem("image_size_px", "nothing", "the size of the video beside --hfov-deg, as in 1920x1080"))
+    if settings is None or problems:
+        raise InputError(problems)
     return settings
+
+
+def option(name: str) -> str:
+    """The command line's name for a setting."""
+    return {"keypoints": "KEYPOINTS", "image_size_px": "--image-size"}.get(name, "--" + name.replace("_", "-"))
 
 
 def _read_config(config: Path) -> dict[str, Any]:
@@ -98,11 +150,3 @@ def _read_config(config: Path) -> dict[str, Any]:
     if not isinstance(table, dict):
         raise InputError(Problem(config, "table", ", ".join(document) or "nothing", "[recon.fit]"))
     return table
-
-
-def _problem(error: Any, given: dict[str, Any], config: Path | None) -> Problem:
-    name = str(error["loc"][0]) if error["loc"] else "settings"
-    option = "--" + name.removesuffix("_px").replace("_", "-")
-    where = option if name in given or config is None else config
-    found = "nothing" if error["type"] == "missing" else repr(error["input"])
-    return Problem(where, name, found, error["msg"])

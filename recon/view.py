@@ -3,7 +3,8 @@
 Entities of the recording; those without "(static)" have a row a frame, which is empty where the frame has no pose:
 
 - `world`: metres, in the motion's frame of reference. `world/skeleton` and its joints, `world/path` (static) and
-  `world/trail` of the reference joint, `world/ground` (static), `world/camera` (static), its frustum.
+  `world/trail` of the reference joint, `world/ground` (static), `world/camera` (static), its
+  frustum, and `world/followed`, invisible.
 - `picture`: pixels of the distorted picture. `picture/frame` (static), its edge; `picture/detections`,
   `picture/outliers`, `picture/reprojections` with the skeleton's lines in it, `picture/links` between the two.
 - `angles/theta` and `angles/phi`, the free links' in degrees; `speed` of the reference joint in m/s; `residuals`, mean
@@ -104,13 +105,15 @@ class _Scene:
     """Geometry that views and entities share, in the motion's frame of reference.
 
     axes (3, 3): rows are two level unit vectors and the upward one. ground_m: height of the ground along the latter.
-    low_m, high_m (3,): bounds of the animal over the clip along the axes. camera_m (3,): centre of projection.
+    low_m, high_m (3,): bounds of the animal over the clip along the axes. size_m: diagonal of the animal.
+    camera_m (3,): centre of projection.
     """
 
     axes: Array
     ground_m: float
     low_m: Array
     high_m: Array
+    size_m: float
     camera_m: Array
 
     @classmethod
@@ -123,12 +126,13 @@ class _Scene:
             axes = np.eye(3) if camera.world_z_up else camera.camera_to_world(axes) - centre
         joints = motion.joints_m[motion.solved] @ axes.T
         if not len(joints):
-            return cls(axes, 0.0, -np.ones(3), np.ones(3), centre)
+            return cls(axes, 0.0, -np.ones(3), np.ones(3), 1.0, centre)
         starts = {link.start for link in motion.skeleton.links}
         feet = [j for j, joint in enumerate(motion.skeleton.joints) if joint not in starts]
         # Single poses that went astray do not enlarge the scene.
         low, high = np.percentile(joints.reshape(-1, 3), (1, 99), axis=0)
-        return cls(axes, float(np.percentile(joints[:, feet, 2], 10)), low, high, centre)
+        size = float(np.median(np.linalg.norm(np.ptp(joints, axis=1), axis=1)))
+        return cls(axes, float(np.percentile(joints[:, feet, 2], 10)), low, high, size, centre)
 
     @property
     def centre_m(self) -> Array:
@@ -158,6 +162,13 @@ def _write_world(motion: Motion, scene: _Scene, send: Send, fix: Fix) -> None:
     )
     counts = np.where(motion.solved, joints.shape[1], 0)
     send("world/skeleton/joints", rr.Points3D.columns(positions=joints[motion.solved].reshape(-1, 3)).partition(counts))
+
+    # The viewer frames what it follows by its bounds: more than the animal, and without the flutter of its legs.
+    fix("world/followed", rr.Points3D.from_fields(colors=(0, 0, 0, 0), radii=0.0))
+    half = scene.size_m * np.ones(3)
+    corners = np.stack((joints.mean(axis=1) - half, joints.mean(axis=1) + half), axis=1)
+    counts = np.where(motion.solved, 2, 0)
+    send("world/followed", rr.Points3D.columns(positions=corners[motion.solved].reshape(-1, 3)).partition(counts))
 
     root = motion.root_m
     fix("world/path", rr.LineStrips3D(_unbroken(root), colors=PATH, radii=rr.Radius.ui_points(1.5)))
@@ -360,23 +371,22 @@ def _eye_on_animal(motion: Motion, scene: _Scene) -> rrb.EyeControls3D:
     poses = motion.joints_m[motion.solved]
     if not len(poses):
         return rrb.EyeControls3D(eye_up=up)
-    size = float(np.median(np.linalg.norm(poses.max(axis=1) - poses.min(axis=1), axis=1)))
     travel = poses[-1, 0] - poses[0, 0]
     travel -= up * (travel @ up)
     side = scene.camera_m - scene.centre_m
     side -= up * (side @ up)
-    if np.linalg.norm(travel) > size:
+    if np.linalg.norm(travel) > scene.size_m:
         across = np.cross(up, travel)
         side = across if across @ side >= 0 else -across
     direction = side / max(float(np.linalg.norm(side)), 1e-9) + 0.3 * up
-    target = (poses[0].max(axis=0) + poses[0].min(axis=0)) / 2
-    position = target + (1.35 * size + 0.4) * direction
+    target = poses[0].mean(axis=0)
+    position = target + (1.35 * scene.size_m + 0.4) * direction
     return rrb.EyeControls3D(
         kind=rrb.Eye3DKind.Orbital,
         position=position,
         look_target=target,
         eye_up=up,
-        tracking_entity="world/skeleton",
+        tracking_entity="world/followed",
     )
 
 

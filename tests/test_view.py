@@ -22,6 +22,7 @@ LOOKING_ALONG_Y = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 PER_FRAME = {
     "/world/skeleton": "LineStrips3D:strips",
     "/world/skeleton/joints": "Points3D:positions",
+    "/world/followed": "Points3D:positions",
     "/world/trail": "LineStrips3D:strips",
     "/picture/detections": "LineStrips2D:strips",
     "/picture/outliers": "LineStrips2D:strips",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Callable, Iterable
 from dataclasses import replace
@@ -85,8 +86,11 @@ def run_clip(
 
 
 def check_output_folder(out: Path, overwrite: bool) -> None:
-    if out.exists() and not out.is_dir():
-        raise InputError(Problem("--out", "folder", f"the file {out}", "a folder, which is made if need be"))
+    there = next(path for path in (out, *out.absolute().parents) if path.exists())
+    if not there.is_dir():
+        raise InputError(Problem("--out", "folder", f"the file {there}", "a folder, which is made if need be"))
+    if not os.access(there, os.W_OK | os.X_OK):
+        raise InputError(Problem("--out", "folder", f"{there}, which may not be written to", "a folder of your own"))
     present = [name for name in OUTPUT_FILES if (out / name).exists()]
     if present and not overwrite:
         found = f"{', '.join(present)} in {out}"
@@ -120,8 +124,8 @@ def _all_of(*reads: Callable[[], Any]) -> Iterable[Any]:
 def _camera(settings: FitSettings) -> Camera:
     if settings.camera is not None:
         return read_camera(settings.camera, settings.camera_name, settings.image_size_px)
-    assert settings.hfov_deg is not None  # settings have one of the two
-    assert settings.image_size_px is not None
+    if settings.hfov_deg is None or settings.image_size_px is None:
+        raise InputError(Problem("settings", "camera", "nothing", "a camera file, or hfov_deg with image_size_px"))
     return Camera.from_hfov(settings.hfov_deg, settings.image_size_px)
 
 
