@@ -70,13 +70,16 @@ def main() -> None:
             print(
                 "| " + " | ".join([f"clean, heading {heading} rad", label, *fit(clip, clip.keypoints, options)]) + " |"
             )
-    for model, direction in (("pinhole", "right"), ("fisheye", "left")):
+    for clip in (gallop(), gallop(camera_model="fisheye", direction="left")):
         for seed in range(5):
-            clip = gallop(camera_model=model, direction=direction)
             keypoints, wrong = add_noise(clip.keypoints, seed=seed)
             for label, options in (("noise 2 px", NOISY), ("defaults", DEFAULT)):
                 row = fit(clip, keypoints, options, wrong)
-                print("| " + " | ".join([f"noisy {model} to the {direction}, seed {seed}", label, *row]) + " |")
+                print(
+                    "| "
+                    + " | ".join([f"noisy {clip.camera.model} to the {clip.side}, seed {seed}", label, *row])
+                    + " |"
+                )
     with tempfile.TemporaryDirectory() as folder:
         command = [sys.executable, "-c", "from recon.cli import main; main()", "demo", "--quiet", "--out"]
         walls = []

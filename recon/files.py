@@ -6,7 +6,7 @@ import os
 import shutil
 import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 _PREFIX = ".recon-partial-"
@@ -33,8 +33,8 @@ def staged_folder(folder: str | Path) -> Iterator[Path]:
     except BaseException:
         if staging is not None:
             shutil.rmtree(staging, ignore_errors=True)
-        for empty in made:
-            if empty.exists() and not any(empty.iterdir()):
-                empty.rmdir()
+        for folder_made in made:
+            with suppress(OSError):  # it was not made after all, or others have put something into it
+                folder_made.rmdir()
         raise
     staging.rmdir()

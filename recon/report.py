@@ -403,15 +403,19 @@ def summary_lines(report: Mapping[str, Any]) -> list[tuple[str, str]]:
         (
             "frames",
             f"{summary['frames_converged']} of {summary['frames']} converged, "
-            f"{summary['frames_not_converged']} not, {summary['frames_no_data']} without data",
+            f"{summary['frames_not_converged']} did not, {summary['frames_no_data']} without data",
         ),
         ("points", f"{used} used, {missing} missing, {rejected} rejected as unlikely"),
         (
             "reprojection",
             f"{_number(errors['mean'], '.1f')} px mean, {_number(errors['median'], '.1f')} px median; "
-            f"worst joint {errors['worst_joint']}, {_number(errors['worst_joint_mean'], '.1f')} px",
+            f"worst joint {errors['worst_joint']}, {_number(errors['worst_joint_mean'], '.1f')} px (outliers included)",
         ),
-        ("outliers", f"{summary['outliers']} beyond {OUTLIER_SIGMAS:g} sigma" + (f": {most}" if off else "")),
+        (
+            "outliers",
+            f"{summary['outliers']} points further off than {OUTLIER_SIGMAS:g} sigma of the detector"
+            + (f": {most}" if off else ""),
+        ),
         (
             "speed",
             f"{_number(report['travel']['median_speed_m_s'], '.1f')} m/s, of a straight run through all frames",
@@ -420,18 +424,18 @@ def summary_lines(report: Mapping[str, Any]) -> list[tuple[str, str]]:
             "path",
             f"{_number(path['distance_m'], '.1f')} m, peak {_number(path['peak_speed_m_s'], '.1f')} m/s "
             f"({report['frame_of_reference']} frame, {'smoothed' if smoothed else 'not smoothed'}; "
-            "too long and too fast by the jitter in depth)",
+            "the jitter in depth makes it too long and too fast)",
         ),
         ("heading", _heading(heading)),
         (
-            "base length",
-            f"{_number(report['base_length_m']['mean'], '.3f')} m; expected {base['nominal_m']:.3f} ± "
+            "size",
+            f"base length {_number(report['base_length_m']['mean'], '.3f')} m; expected {base['nominal_m']:.3f} ± "
             f"{base['sigma_m']:.3f} m; {_number(base['data_share'], '.0%').lstrip('-')} of its precision from pixels",
         ),
         (
             "uncertainty",
             f"{_number(summary['joint_sigma_across_m'], '.2f')} m across the picture, "
-            f"{_number(summary['joint_sigma_depth_m'], '.2f')} m in depth (place of a joint, one sigma, median)",
+            f"{_number(summary['joint_sigma_depth_m'], '.2f')} m in depth, size and distance included (one sigma)",
         ),
         ("effort", _effort(report)),
     ]

@@ -157,7 +157,7 @@ def solve_frames(
     """Fit the chain frame by frame to detections xy_px (T, J, 2), NaN where missing, confidence (T, J).
 
     The joints are in the skeleton's order, frames fps apart. Never raises for a frame that cannot be solved: its report
-    says so. progress is called with the number of each frame that is done.
+    says so. progress is called with the count of frames, the one in hand included.
     """
     skeleton = replace(skeleton, nominal_base_length_m=base_length(skeleton, options)[0])
     travel = estimate_travel(camera, skeleton, xy_px, fps)
@@ -170,7 +170,7 @@ def solve_frames(
     reports: list[FrameReport | None] = []
     before: list[int] = []  # the last two solved frames, newest last
     for frame in range(len(xy_px)):
-        progress(frame)
+        progress(frame + 1)
         if seen[frame] < MIN_JOINTS:
             reports.append(None)
             continue

@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 from rerun.blueprint.archetypes import PlotBackground
 from rerun.encodings import AbsoluteTimeRange
 
-from recon.analysis.path import speed_at_frames
+from recon.analysis.path import frame_jitter_m, speed_at_frames
 from recon.errors import InputError, Problem
 from recon.initialise import level_axes
 from recon.motion import Motion
@@ -165,7 +165,7 @@ def _write_world(motion: Motion, scene: _Scene, send: Send, fix: Fix) -> None:
 
     # The viewer frames what it follows by its bounds: more than the animal, and without the flutter of its legs.
     fix("world/followed", rr.Points3D.from_fields(colors=(0, 0, 0, 0), radii=0.0))
-    half = scene.size_m * np.ones(3)
+    half = 0.85 * scene.size_m * np.ones(3)
     corners = np.stack((joints.mean(axis=1) - half, joints.mean(axis=1) + half), axis=1)
     counts = np.where(motion.solved, 2, 0)
     send("world/followed", rr.Points3D.columns(positions=corners[motion.solved].reshape(-1, 3)).partition(counts))
@@ -239,8 +239,8 @@ def _write_series(motion: Motion, send: Send, fix: Fix) -> None:
     names, colours = _angle_lines(motion)
     series("angles/theta", theta, [f"θ{name}" for name in names], colours)
     series("angles/phi", phi, [f"φ{name}" for name in names], colours)
-    smoothed = f"smoothed within {1000 * motion.skeleton.scales.keypoint_m:.0f} mm"
-    series("speed", np.stack(_speeds_m_s(motion), axis=1), ["cubic spline", smoothed], [EDGE, TRAIL])
+    lines = ["cubic spline", "smoothed by its jitter", "straight run"]
+    series("speed", np.stack(_speeds_m_s(motion), axis=1), lines, [EDGE, TRAIL, LIMB_COLOURS[0]])
     lines = ["mean of the joints", "worst joint"]
     series("residuals", np.stack(_residuals_px(motion), axis=1), lines, [LIMB_COLOURS[1], OUTLIER])
 
@@ -258,12 +258,14 @@ def _angle_lines(motion: Motion) -> tuple[list[str], list[Colour]]:
     return names, colours
 
 
-def _speeds_m_s(motion: Motion) -> tuple[Array, Array]:
-    """(T,), (T,): speed of the reference joint in solved frames, from the exact spline and from a smoothed one."""
-    solved = motion.solved
+def _speeds_m_s(motion: Motion) -> tuple[Array, Array, Array]:
+    """Speed of the reference joint in solved frames, (T,) each: from the exact spline, from one smoothed by the
+    jitter from frame to frame (the exact one where that cannot be told), and of the straight run through the clip."""
     exact = speed_at_frames(motion.time_s, motion.root_m)
-    smooth = speed_at_frames(motion.time_s, motion.root_m, motion.skeleton.scales.keypoint_m)
-    return np.where(solved, exact, np.nan), np.where(solved, smooth, np.nan)
+    jitter = frame_jitter_m(motion.root_m)
+    smooth = speed_at_frames(motion.time_s, motion.root_m, jitter) if np.isfinite(jitter).all() else exact
+    straight = np.where(motion.solved, motion.solution.travel.speed_m_s, np.nan)
+    return np.where(motion.solved, exact, np.nan), np.where(motion.solved, smooth, np.nan), straight
 
 
 def _residuals_px(motion: Motion) -> tuple[Array, Array]:
@@ -325,7 +327,7 @@ def _blueprint(motion: Motion, scene: _Scene, start_frame: int | None) -> rrb.Bl
 
     degrees = np.rad2deg(motion.angles_rad)
     theta, phi = np.split(degrees, 2, axis=1)
-    exact, smooth = _speeds_m_s(motion)
+    exact, smooth, _ = _speeds_m_s(motion)
     # Splines overshoot, at the ends above all.
     speeds = smooth[smooth <= 1.5 * np.nanpercentile(exact, 90)] if np.isfinite(exact).any() else smooth
     plots = rrb.Horizontal(

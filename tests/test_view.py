@@ -162,8 +162,9 @@ def test_series_have_the_units_of_plots(recording: Recording, world_motion: Moti
     assert recording.static["/angles/theta"]["SeriesLines:names"][:2] == ["θ6 hind leg", "θ7 hind leg"]
     distance = world_motion.distance_px[4]
     np.testing.assert_allclose(recording.values("/residuals", 14), [np.nanmean(distance), np.nanmax(distance)])
-    exact, smooth = recording.values("/speed", 12)
+    exact, smooth, straight = recording.values("/speed", 12)
     assert exact == pytest.approx(9.0, abs=2.0)
+    assert straight == pytest.approx(world_motion.solution.travel.speed_m_s[2])
     assert smooth == pytest.approx(9.0, abs=2.0)
 
 

@@ -143,12 +143,18 @@ def _require_keypoints_of(skeleton: Skeleton, keypoints: Keypoints) -> None:
 
 
 def _side(skeleton: Skeleton, keypoints: Keypoints, settings: FitSettings) -> tuple[Side, str]:
+    """The side as given, or the one that faces the camera unless the file has far more points of the other."""
     if settings.side != "auto":
         return settings.side, "as given"
     ends = {}
     for joint in skeleton.forward:
         names = skeleton.keypoints[skeleton.joints.index(joint)]
-        both = arrange(keypoints, names if names[0] != names[1] else names[:1]).xy_px
+        both = arrange(keypoints, tuple(dict.fromkeys(names))).xy_px
         counts = np.isfinite(both).sum(axis=1, keepdims=True)
         ends[joint] = np.nansum(both, axis=1) / np.where(counts[:, 0] > 0, counts[:, 0], np.nan)
-    return facing_side(skeleton, ends)
+    facing, reason = facing_side(skeleton, ends)
+    other: Side = "left" if facing == "right" else "right"
+    of_facing, of_other = (int(arrange(keypoints, skeleton.keypoint_names(s)).present.sum()) for s in (facing, other))
+    if of_facing < of_other / 2:
+        return other, f"{reason}, but that side has {of_facing} points and the other {of_other}"
+    return facing, reason

@@ -23,13 +23,6 @@ def samples_folder() -> Path:
 def run_demo(out: Path, overwrite: bool, progress: Progress) -> tuple[dict[str, Any], Evaluation]:
     """Fit the noisy sample into the folder `out`: the report, and the errors against the sample's truth."""
     samples = samples_folder()
-    settings = FitSettings(
-        keypoints=samples / "noisy.csv",
-        camera=samples / "camera.toml",
-        fps=30,
-        # The sample's points lie on the joints but for 2 px of noise.
-        sigma_px=2.0,
-        keypoint_sigma_m=0.0,
-    )
+    settings = FitSettings(keypoints=samples / "noisy.csv", camera=samples / "camera.toml", fps=30)
     report = run_clip(settings, out, overwrite, progress)
     return report, evaluate_files(out / "pose3d.csv", samples / "noisy_truth.csv")

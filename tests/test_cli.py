@@ -1,0 +1,632 @@
+"""The command line from end to end: what it writes, what it says, and how it ends."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Callable
+from contextlib import redirect_stderr, redirect_stdout
+from importlib import metadata
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import recon.export
+import recon.view
+from recon.analysis.evaluation import evaluate_files
+from recon.cli import main
+from recon.io import read_keypoints
+from recon.pipelines.clip import OUTPUT_FILES
+from recon.settings import FitSettings, read_settings
+from recon.solve import MIN_JOINTS
+
+SAMPLES = Path(__file__).parents[1] / "data" / "samples"
+CLIP, CAMERA, TRUTH = SAMPLES / "noisy.csv", SAMPLES / "camera.toml", SAMPLES / "noisy_truth.csv"
+FITTED = {f"r_{leg}_{joint}" for leg in ("front", "back") for joint in ("knee", "ankle", "paw")} | {
+    "neck_base",
+    "spine",
+    "tail_base",
+}
+needs_sigkill = pytest.mark.skipif(os.name != "posix", reason="SIGKILL is of POSIX")
+
+
+class Ended(NamedTuple):
+    code: int
+    out: str
+    err: str
+
+
+def run(*args: object) -> Ended:
+    """`recon ARGS` in this process: `main()` with its handling of errors."""
+    out, err = io.StringIO(), io.StringIO()
+    with pytest.MonkeyPatch.context() as patch, redirect_stdout(out), redirect_stderr(err):
+        patch.setattr(sys, "argv", ["recon", *map(str, args)])
+        patch.setenv("COLUMNS", "80")
+        with pytest.raises(SystemExit) as caught:
+            main()
+    code = caught.value.code or 0
+    assert isinstance(code, int)
+    return Ended(code, out.getvalue(), err.getvalue())
+
+
+def run_process(*args: object, before: str = "") -> Ended:
+    """`recon ARGS` in a process of its own, after some lines of Python."""
+    command = [sys.executable, "-W", "error", "-c", f"{before}\nfrom recon.cli import main\nmain()", *map(str, args)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
+    return Ended(done.returncode, done.stdout, done.stderr)
+
+
+def fit_args(out: Path, *more: object, keypoints: Path = CLIP, camera: Path | None = CAMERA, fps: object = 30) -> list:
+    return ["fit", keypoints, *(["--camera", camera] if camera else []), "--fps", fps, "--out", out, *more]
+
+
+def report_of(folder: Path) -> dict:
+    return json.loads((folder / "report.json").read_text(encoding="utf-8"))
+
+
+def without_timing(report: dict) -> dict:
+    frames = [{key: value for key, value in frame.items() if key != "solve_s"} for frame in report["frames"]]
+    return {key: value for key, value in report.items() if key != "timing_s"} | {"frames": frames}
+
+
+def files(folder: Path) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in folder.iterdir()}
+
+
+def rewrite(path: Path, change: Callable[[list[list[str]]], object]) -> Path:
+    """The noisy sample with some cells changed, as another file."""
+    with CLIP.open(newline="") as file:
+        rows = list(csv.reader(file))
+    change(rows)
+    with path.open("w", newline="") as file:
+        csv.writer(file).writerows(rows)
+    return path
+
+
+def keep_only(*names: str) -> Callable[[list[list[str]]], None]:
+    def change(rows: list[list[str]]) -> None:
+        for row in rows[3:]:
+            for column, name in enumerate(rows[1]):
+                if column and name not in names:
+                    row[column] = "0" if rows[2][column] == "likelihood" else ""
+
+    return change
+
+
+@pytest.fixture(scope="module")
+def fitted(tmp_path_factory) -> tuple[Path, Ended]:
+    """The folder of `recon fit` on the noisy sample, and how it ended."""
+    out = tmp_path_factory.mktemp("fit") / "results" / "clip"
+    return out, run(*fit_args(out))
+
+
+@pytest.fixture(scope="module")
+def inputs(tmp_path_factory) -> Path:
+    """A folder of inputs, most of which cannot be used."""
+    folder = tmp_path_factory.mktemp("inputs")
+    (folder / "empty.csv").touch()
+    (folder / "header.csv").write_text("frame,x,y\n0,1,2\n")
+    (folder / "binary.csv").write_bytes(bytes(range(256)))
+    (folder / "camera.txt").write_text("f = 3")
+    (folder / "empty.toml").touch()
+    (folder / "skeleton.toml").write_text('name = "mine"\n')
+    (folder / "config.toml").write_text("[recon.fit\n")
+    size = {"camera_matrix": [[1600, 0, 960], [0, 1600, 540], [0, 0, 1]], "dist_coeffs": [0, 0, 0, 0]}
+    (folder / "no_size.json").write_text(json.dumps(size))
+    two = "".join(f'[{name}]\nname = "{name}"\n' + ANIPOSE for name in ("cam_a", "cam_b"))
+    (folder / "two.toml").write_text(two)
+
+    def set_cell(rows: list[list[str]]) -> None:
+        rows[8][4] = "abc"
+
+    def rename(rows: list[list[str]]) -> None:
+        rows[1] = [rows[1][0], *(f"wing_{name}" for name in rows[1][1:])]
+
+    def two_animals(rows: list[list[str]]) -> None:
+        for i, row in enumerate(rows):
+            rows[i] = [*row, *row[1:]]
+        half = (len(rows[0]) - 1) // 2
+        rows.insert(1, ["individuals", *["animal1"] * half, *["animal2"] * half])
+
+    rewrite(folder / "cell.csv", set_cell)
+    rewrite(folder / "missing.csv", keep_only())
+    rewrite(folder / "wings.csv", rename)
+    rewrite(folder / "animals.csv", two_animals)
+    return folder
+
+
+ANIPOSE = """size = [1920, 1080]
+matrix = [[1600, 0, 960], [0, 1600, 540], [0, 0, 1]]
+distortions = [0, 0, 0, 0, 0]
+rotation = [0, 0, 0]
+translation = [0, 0, 0]
+
+"""
+
+# ---- a whole fit ----
+
+
+def test_fit_writes_every_output(fitted):
+    out, ended = fitted
+    assert ended.code == 0
+    assert ended.err == ""
+    assert sorted(path.name for path in out.iterdir()) == sorted(OUTPUT_FILES)
+    assert all(path.stat().st_size for path in out.iterdir())
+    assert "30 of 30 converged" in ended.out
+    assert f"recon view {out}" in ended.out
+    assert ended.out == ended.out.strip("\n") + "\n"
+
+
+def test_pose3d_has_two_header_rows_and_the_frames_of_the_clip(fitted):
+    out, _ = fitted
+    lines = (out / "pose3d.csv").read_text().splitlines()
+    assert lines[0].startswith("bodyparts,")
+    assert lines[1].startswith("coords,x,y,z,x,y,z")
+    assert lines[2].startswith("0,")
+    table = pd.read_csv(out / "pose3d.csv", header=[0, 1], index_col=0)
+    assert table.index.tolist() == list(range(30))
+    assert set(table.columns.get_level_values(0)) == FITTED
+    assert table.shape == (30, 27)
+    assert evaluate_files(out / "pose3d.csv", TRUTH).mpjpe_m.mean < 0.06
+
+
+def test_the_other_outputs_read_back(fitted):
+    out, _ = fitted
+    angles = pd.read_csv(out / "angles.csv", index_col="frame")
+    assert angles.index.tolist() == list(range(30))
+    assert np.isfinite(angles.to_numpy()).all()
+    assert {str(name).rsplit("_", 1)[1] for name in angles} == {"rad", "m"}
+    assert angles["base_length_m"].between(0.15, 0.25).all()
+    pixels = read_keypoints(out / "reprojection.csv")
+    detected = read_keypoints(CLIP)
+    shared = [pixels.names.index(name) for name in sorted(FITTED)]
+    of_file = [detected.names.index(name) for name in sorted(FITTED)]
+    distance = np.linalg.norm(pixels.xy_px[:, shared] - detected.xy_px[:, of_file], axis=-1)
+    assert np.nanmedian(distance) == pytest.approx(report_of(out)["summary"]["reprojection_px"]["median"], rel=1e-6)
+    assert (out / "motion.rrd").read_bytes()[:3] == b"RRF"
+
+
+def test_report_and_config_say_what_was_done(fitted):
+    out, _ = fitted
+    report = report_of(out)
+    assert report["schema"]["name"] == "recon.fit.report"
+    assert report["recon_version"] == metadata.version("recon")
+    assert report["summary"]["frames"] == report["summary"]["frames_converged"] == 30
+    assert report["side"]["fitted"] == "right"
+    assert report["frame_of_reference"] == "world"
+    assert report["timing_s"]["solve_s"] > 0
+    assert set(report["unused_keypoints"]) == {name.replace("r_", "l_", 1) for name in FITTED if name[:2] == "r_"}
+    settings = read_settings(out / "config.toml", {})
+    assert settings == FitSettings(keypoints=CLIP, camera=CAMERA, fps=30)
+    assert report["settings"] == settings.model_dump(mode="json")
+
+
+def test_config_repeats_the_run_bit_for_bit(fitted, tmp_path, monkeypatch):
+    out, _ = fitted
+    monkeypatch.chdir(tmp_path)
+    assert run("fit", "--config", out / "config.toml", "--out", "other").code == 0
+    other = tmp_path / "other"
+    for name in ("pose3d.csv", "angles.csv", "reprojection.csv", "config.toml"):
+        assert (other / name).read_bytes() == (out / name).read_bytes(), name
+    assert without_timing(report_of(other)) == without_timing(report_of(out))
+
+
+def test_options_overrule_the_config(fitted, tmp_path):
+    out, _ = fitted
+    other = tmp_path / "other"
+    more = ("--frames", "5:9", "--side", "left", "--likelihood-min", "0.95", "--fps", "60")
+    assert run("fit", "--config", out / "config.toml", "--out", other, *more).code == 0
+    report = report_of(other)
+    assert (
+        report["settings"] | {"frames": None, "side": "auto", "likelihood_min": 0.5, "fps": 30.0}
+        == (report_of(out)["settings"])
+    )
+    assert report["input"]["frames"] == [5, 9]
+    assert report["side"]["fitted"] == "left"
+    table = pd.read_csv(other / "pose3d.csv", header=[0, 1], index_col=0)
+    assert table.index.tolist() == [5, 6, 7, 8]
+    assert "l_front_paw" in table.columns.get_level_values(0)
+
+
+def test_relative_paths_are_kept_absolute_in_the_config(tmp_path, monkeypatch):
+    monkeypatch.chdir(SAMPLES)
+    args = fit_args(tmp_path / "out", "--frames", ":3", keypoints=Path("noisy.csv"), camera=Path("camera.toml"))
+    assert run(*args).code == 0
+    settings = read_settings(tmp_path / "out" / "config.toml", {})
+    assert (settings.keypoints, settings.camera) == (CLIP, CAMERA)
+
+
+def test_camera_from_its_field_of_view(tmp_path):
+    args = fit_args(tmp_path, "--hfov-deg", 60, "--image-size", "1920x1080", camera=None)
+    assert run(*args).code == 0
+    report = report_of(tmp_path)
+    assert report["frame_of_reference"] == "camera"
+    assert report["summary"]["frames_converged"] == 30
+    assert report["assumptions"]["camera_level"] is True
+    # In front of the camera, at about the distance of the sample's own.
+    depth = pd.read_csv(tmp_path / "pose3d.csv", header=[0, 1], index_col=0).xs("z", axis=1, level=1)
+    assert 8 < depth.to_numpy().mean() < 22
+
+
+def test_size_of_the_image_from_the_command_line(inputs, tmp_path):
+    args = fit_args(tmp_path, "--image-size", "1920x1080", "--frames", ":3", camera=inputs / "no_size.json")
+    assert run(*args).code == 0
+    assert report_of(tmp_path)["summary"]["frames_converged"] == 3
+
+
+def test_choice_of_camera_and_animal(inputs, tmp_path):
+    more = ("--camera-name", "cam_b", "--individual", "animal2", "--frames", ":3")
+    assert run(*fit_args(tmp_path, *more, keypoints=inputs / "animals.csv", camera=inputs / "two.toml")).code == 0
+    assert report_of(tmp_path)["settings"]["camera_name"] == "cam_b"
+
+
+@pytest.mark.parametrize("command", ["fit", "demo"])
+def test_quiet_prints_nothing(command, tmp_path):
+    args = fit_args(tmp_path / "a", "--frames", ":3") if command == "fit" else ["demo", "--out", tmp_path / "a"]
+    assert run(*args, "--quiet") == Ended(0, "", "")
+
+
+def test_brackets_in_names_are_printed_as_they_are(tmp_path):
+    out = tmp_path / "[red]run [1]"
+    ended = run(*fit_args(out, "--frames", ":3"))
+    assert f"Results are in {out}." in ended.out
+    assert f"recon view '{out}'" in ended.out
+    ended = run(*fit_args(tmp_path / "b", keypoints=tmp_path / "[bold]:smile:.csv"))
+    assert f"error: {tmp_path}/[bold]:smile:.csv: file: found no such file" in ended.err
+
+
+# ---- bad input ----
+
+BAD_INPUT: dict[str, tuple[list[str], list[str]]] = {
+    "missing file": (["{in}/no.csv"], ["{in}/no.csv: file: found no such file"]),
+    "folder for a file": (["{in}"], ["{in}: file: found a folder"]),
+    "empty file": (["{in}/empty.csv"], ["{in}/empty.csv: file: found an empty file"]),
+    "wrong header": (["{in}/header.csv"], ["{in}/header.csv: format: found a file that begins with 'frame,x,y'"]),
+    "binary file": (["{in}/binary.csv"], ["{in}/binary.csv: format: found a binary file"]),
+    "missing camera file": (["{clip}", "--camera", "{in}/no.toml"], ["{in}/no.toml: file: found No such file"]),
+    "empty camera file": (["{clip}", "--camera", "{in}/empty.toml"], ["{in}/empty.toml: file: found an empty file"]),
+    "camera of no known format": (["{clip}", "--camera", "{in}/camera.txt"], ["{in}/camera.txt: format: found suffix"]),
+    "no such camera": (
+        ["{clip}", "--camera", "{in}/two.toml", "--camera-name", "cam9"],
+        ["{in}/two.toml: camera: found 0 cameras called 'cam9', expected one of cam_a, cam_b"],
+    ),
+    "no camera chosen": (
+        ["{clip}", "--camera", "{in}/two.toml"],
+        ["{in}/two.toml: camera: found 2 cameras and no choice, expected one of cam_a, cam_b"],
+    ),
+    "no such individual": (
+        ["{in}/animals.csv", "--individual", "animal3"],
+        ["{in}/animals.csv: individual: found 'animal3', expected one of: animal1, animal2"],
+    ),
+    "no individual chosen": (["{in}/animals.csv"], ["{in}/animals.csv: individual: found 2 animals and no choice"]),
+    "individual in a file of one": (
+        ["{clip}", "--individual", "a"],
+        ["{clip}: individual: found a file without named"],
+    ),
+    "non-numeric cell": (["{in}/cell.csv"], ["{in}/cell.csv: frame 5, column spine/x: found 'abc', expected a number"]),
+    "all points missing": (["{in}/missing.csv"], ["{in}/missing.csv: points: found every point of the clip missing"]),
+    "none of the skeleton's keypoints": (
+        ["{in}/wings.csv"],
+        ["{in}/wings.csv: bodyparts: found wing_neck_base, wing_spine, "],
+    ),
+    "fps 0": (["{clip}", "--fps", "0"], ["--fps: fps: found 0.0, expected frames per second above 0"]),
+    "no image size in the camera file": (
+        ["{clip}", "--camera", "{in}/no_size.json"],
+        ["{in}/no_size.json: image_width, image_height: found nothing, expected the image size"],
+    ),
+    "image size against the camera file's": (
+        ["{clip}", "--image-size", "640x480"],
+        ["{camera}: camera.image_size_px: found 1920x1080, expected 640x480"],
+    ),
+    "image size that is none": (["{clip}", "--image-size", "big"], ["--image-size: image_size_px: found 'big'"]),
+    "frames outside the clip": (
+        ["{clip}", "--frames", "100:200"],
+        ["{clip}: frames: found none in the range 100:200, expected a range within its frames (0 to 29)"],
+    ),
+    "frames that are no range": (["{clip}", "--frames", "9"], ["--frames: frames: found '9', expected frame numbers"]),
+    "unknown skeleton": (
+        ["{clip}", "--skeleton", "zebra"],
+        ["--skeleton: name or file: found 'zebra', expected one of cheetah-8u, "],
+    ),
+    "incomplete skeleton file": (
+        ["{clip}", "--skeleton", "{in}/skeleton.toml"],
+        ["{in}/skeleton.toml: title: found", "{in}/skeleton.toml: links: found"],
+    ),
+    "unknown form": (["{clip}", "--form", "soft"], ["--form: form: found 'soft', expected deadband or printed"]),
+    "unknown side": (["{clip}", "--side", "up"], ["--side: side: found 'up', expected auto, left or right"]),
+    "unknown method": (["{clip}", "--method", "x"], ["--method: method: found 'x', expected frame"]),
+    "broken config": (["{clip}", "--config", "{in}/config.toml"], ["{in}/config.toml: content: found "]),
+    "missing config": (["--config", "{in}/no.toml"], ["{in}/no.toml: file: found no such file"]),
+    "camera and keypoints": (
+        ["{in}/no.csv", "--camera", "{in}/no.toml", "--skeleton", "zebra"],
+        ["--skeleton: name or file: found", "{in}/no.toml: file: found", "{in}/no.csv: file: found"],
+    ),
+    "several settings": (
+        ["{clip}", "--fps", "0", "--side", "up", "--frames", "5:2"],
+        ["--fps: fps:", "--frames: frames:", "--side: side:"],
+    ),
+}
+
+
+@pytest.mark.parametrize("case", BAD_INPUT)
+def test_bad_input_ends_with_a_message_and_no_folder(case, inputs, tmp_path):
+    args, messages = (
+        [text.replace("{in}", str(inputs)).replace("{clip}", str(CLIP)).replace("{camera}", str(CAMERA)) for text in x]
+        for x in BAD_INPUT[case]
+    )
+    if "--fps" not in args:
+        args += ["--fps", "30"]
+    if "--camera" not in args:
+        args += ["--camera", str(CAMERA)]
+    ended = run("fit", *args, "--out", tmp_path / "a" / "b")
+    lines = ended.err.splitlines()
+    assert ended.code == 2
+    assert ended.out == ""
+    assert all(line.startswith("error: ") and ": found " in line and ", expected " in line for line in lines)
+    assert len(lines) == len(set(lines))
+    for message in messages:
+        assert sum(line.startswith(f"error: {message}") for line in lines) == 1, ended.err
+    if case != "incomplete skeleton file":
+        assert len(lines) == len(messages), ended.err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_everything_that_is_needed_and_not_given_is_named():
+    ended = run("fit")
+    assert ended.code == 2
+    named = [line.split(": ")[1] for line in ended.err.splitlines()]
+    assert named == ["KEYPOINTS", "--fps", "--camera", "--out"]
+
+
+def test_no_out():
+    ended = run("fit", CLIP, "--camera", CAMERA, "--fps", 30)
+    message = "error: --out: folder: found nothing, expected a folder for the results, as in results/clip1\n"
+    assert ended == Ended(2, "", message)
+
+
+def test_no_camera(tmp_path):
+    ended = run(*fit_args(tmp_path / "a", camera=None))
+    assert ended.code == 2
+    assert ended.err.startswith("error: --camera: camera: found nothing, expected a camera file, or --hfov-deg with")
+    ended = run(*fit_args(tmp_path / "a", "--hfov-deg", 60, camera=None))
+    assert ended.code == 2
+    assert ended.err.startswith("error: --image-size: image_size_px: found nothing, expected the size of the video")
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("below", [False, True])
+def test_out_is_a_file(tmp_path, below):
+    file = tmp_path / "file"
+    file.write_text("mine")
+    ended = run(*fit_args(file / "clip" if below else file))
+    assert ended.code == 2
+    assert ended.err.startswith(f"error: --out: folder: found the file {file}, expected a folder")
+    assert file.read_text() == "mine"
+
+
+def test_results_are_not_replaced_unasked(tmp_path):
+    (tmp_path / "angles.csv").write_text("mine")
+    # Said at once, before any other file is looked at.
+    ended = run(*fit_args(tmp_path, keypoints=tmp_path / "no.csv"))
+    assert ended.code == 2
+    assert ended.err == (
+        f"error: --out: folder: found angles.csv in {tmp_path}, expected a folder without results, or --overwrite\n"
+    )
+    assert files(tmp_path) == {"angles.csv": b"mine"}
+
+
+@pytest.mark.parametrize(
+    "args",
+    [["fit", "--fps", "fast"], ["fit", "--frames"], ["fit", "--fpps", "3"], ["fits"], ["evaluate", "one.csv"]],
+)
+def test_options_that_cannot_be_parsed(args):
+    ended = run(*args)
+    assert ended.code == 2
+    assert ended.out == ""
+    assert "Traceback" not in ended.err
+
+
+@pytest.mark.parametrize(
+    ("args", "message"),
+    [
+        (fit_args(Path("a/b"), keypoints=Path("no.csv")), "error: {here}/no.csv: file: found no such file, expected "),
+        (fit_args(Path("a/b"), fps=0), "error: --fps: fps: found 0.0, expected "),
+        (["evaluate", "no.csv", TRUTH], "error: no.csv: file: found no such file, expected "),
+        (["view", "no"], "error: no/motion.rrd: file: found no such file, expected "),
+    ],
+)
+def test_bad_input_as_a_process(args, message, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    ended = run_process(*args)
+    assert ended.code == 2
+    assert ended.out == ""
+    assert ended.err.startswith(message.replace("{here}", str(tmp_path)))
+    assert ended.err.count("\n") == 1
+    assert list(tmp_path.iterdir()) == []
+
+
+# ---- clips that cannot be solved ----
+
+
+def test_exit_code_1_when_no_frame_can_be_solved(tmp_path):
+    few = ("spine", "neck_base", "tail_base", "r_front_knee")
+    assert len(few) < MIN_JOINTS
+    clip = rewrite(tmp_path / "few.csv", keep_only(*few))
+    out = tmp_path / "out"
+    ended = run(*fit_args(out, keypoints=clip))
+    assert ended.code == 1
+    assert ended.err == f"error: no frame could be solved: see {out / 'report.json'}\n"
+    assert sorted(path.name for path in out.iterdir()) == sorted(OUTPUT_FILES)
+    report = report_of(out)
+    assert {row["status"] for row in report["frames"]} == {"no_data"}
+    assert report["summary"]["frames_no_data"] == 30
+    assert "0 of 30 converged" in ended.out
+    quiet = run(*fit_args(out, "--overwrite", "-q", keypoints=clip))
+    assert quiet == Ended(1, "", ended.err)
+
+
+# ---- overwriting, and runs that are cut short ----
+
+
+def test_overwrite_keeps_other_files(fitted, tmp_path):
+    out, _ = fitted
+    for name in OUTPUT_FILES:
+        (tmp_path / name).write_text("old")
+    (tmp_path / "notes.txt").write_text("mine")
+    stale = tmp_path / ".recon-partial-abc"
+    stale.mkdir()
+    (stale / "pose3d.csv").write_text("half")
+    assert run(*fit_args(tmp_path, "--overwrite")).code == 0
+    assert sorted(path.name for path in tmp_path.iterdir()) == sorted((*OUTPUT_FILES, "notes.txt"))
+    assert (tmp_path / "notes.txt").read_text() == "mine"
+    for name in ("pose3d.csv", "angles.csv", "reprojection.csv", "config.toml"):
+        assert (tmp_path / name).read_bytes() == (out / name).read_bytes()
+
+
+KILLED_FITTING = """
+import os, signal
+import recon.pipelines.clip as clip
+solve = clip.solve_frames
+def until_frame_3(*args):
+    return solve(*args[:-1], lambda frame: os.kill(os.getpid(), signal.SIGKILL) if frame == 3 else None)
+clip.solve_frames = until_frame_3
+"""
+KILLED_WRITING = """
+import os, signal
+import recon.view
+def half(motion, path):
+    path.write_bytes(b"half")
+    os.kill(os.getpid(), signal.SIGKILL)
+recon.view.write = half
+"""
+
+
+@needs_sigkill
+@pytest.mark.parametrize("before", [KILLED_FITTING, KILLED_WRITING], ids=["fitting", "writing"])
+def test_killed_run_leaves_no_output_and_the_next_works(before, tmp_path):
+    out = tmp_path / "out"
+    args = fit_args(out, "--frames", ":6")
+    assert run_process(*args, before=before).code == -signal.SIGKILL
+    left = [path.name for path in out.iterdir()] if out.exists() else []
+    assert len(left) == (before is KILLED_WRITING)
+    assert all(name.startswith(".recon-partial-") for name in left)
+    assert run(*args).code == 0
+    assert sorted(path.name for path in out.iterdir()) == sorted(OUTPUT_FILES)
+
+
+@needs_sigkill
+def test_killed_overwriting_leaves_the_earlier_results(tmp_path):
+    for name in OUTPUT_FILES:
+        (tmp_path / name).write_text("old")
+    args = fit_args(tmp_path, "--frames", ":6", "--overwrite")
+    assert run_process(*args, before=KILLED_WRITING).code == -signal.SIGKILL
+    assert {(tmp_path / name).read_text() for name in OUTPUT_FILES} == {"old"}
+
+
+@pytest.mark.parametrize("full", ["motion.rrd", "reprojection.csv"])
+def test_failing_writer_leaves_nothing(full, tmp_path, monkeypatch):
+    def write(motion, path):
+        path.write_bytes(b"half")
+        raise OSError(28, "No space left on device", str(path))
+
+    if full == "motion.rrd":
+        monkeypatch.setattr(recon.view, "write", write)
+    else:
+        monkeypatch.setitem(recon.export.CLIP_OUTPUTS, full, write)
+    ended = run(*fit_args(tmp_path / "a" / "b", "--frames", ":3"))
+    assert ended.code == 2
+    assert ended.out == ""
+    assert ended.err.startswith("error: ")
+    assert ended.err.endswith(f"{full}: No space left on device\n")
+    assert list(tmp_path.iterdir()) == []
+
+
+# ---- the other commands ----
+
+
+def test_evaluate_prints_the_numbers_of_the_function(fitted):
+    pose = fitted[0] / "pose3d.csv"
+    result = evaluate_files(pose, TRUTH)
+    ended = run("evaluate", pose, TRUTH)
+    assert ended.code == 0
+    lines = [line.rstrip() for line in ended.out.splitlines()]
+    assert max(map(len, lines[:16])) <= 80
+    rows = {line.split()[0]: line.split()[1:] for line in lines if line}
+    scores = (result.mpjpe_m, result.mpe_m, result.scale_mpjpe_m, result.pa_mpjpe_m)
+    shares = [score for _, score in result.pck]
+    assert rows["all"] == [*(f"{1000 * s.mean:.1f}" for s in scores), *(f"{s.mean:.0%}" for s in shares)]
+    for j, name in enumerate(result.names):
+        expected = [*(f"{1000 * s.per_joint[j]:.1f}" for s in scores), *(f"{s.per_joint[j]:.0%}" for s in shares)]
+        assert rows[name] == expected
+    assert "Compared: 30 frames, 9 joints." in lines
+    assert any(line.startswith("Joints only in the reference: l_front_knee, ") for line in lines)
+
+
+def test_evaluate_as_json(fitted):
+    pose = fitted[0] / "pose3d.csv"
+    ended = run("evaluate", pose, TRUTH, "--json")
+    assert (ended.code, ended.err) == (0, "")
+    assert json.loads(ended.out) == evaluate_files(pose, TRUTH).to_dict()
+
+
+def test_evaluate_names_what_could_not_be_compared(tmp_path):
+    header = "bodyparts,a,a,a,[b],[b],[b],c,c,c\ncoords,x,y,z,x,y,z,x,y,z\n"
+    (tmp_path / "pose.csv").write_text(header + "0,0,0,0,1,1,1,,,\n1,,,,,,,,,\n2,0,0,0,1,1,1,,,\n")
+    (tmp_path / "truth.csv").write_text(header + "0,0,0,0,1,1,1,2,2,2\n1,0,0,0,1,1,1,2,2,2\n4,0,0,0,1,1,1,2,2,2\n")
+    ended = run("evaluate", tmp_path / "pose.csv", tmp_path / "truth.csv")
+    assert ended.code == 0
+    rows = {line.split()[0]: line.split()[1:] for line in ended.out.splitlines() if line.split()}
+    assert rows["[b]"] == ["0.0", "0.0", "0.0", "-", "100%", "100%", "100%"]
+    assert rows["c"] == ["-"] * 7
+    assert "Compared: 1 frames, 3 joints." in ended.out
+    assert "Frames only in the reconstruction: 2\n" in ended.out
+    assert "Frames only in the reference: 4\n" in ended.out
+    assert "Frames of both without a joint known on both sides: 1\n" in ended.out
+
+
+def test_demo(tmp_path):
+    ended = run("demo", "--out", tmp_path / "demo")
+    assert (ended.code, ended.err) == (0, "")
+    assert sorted(path.name for path in (tmp_path / "demo").iterdir()) == sorted(OUTPUT_FILES)
+    error_mm = 1000 * evaluate_files(tmp_path / "demo" / "pose3d.csv", TRUTH).mpjpe_m.mean
+    assert error_mm < 80
+    assert f"Error against the sample's truth: {error_mm:.0f} mm (MPJPE)" in ended.out
+    again = run("demo", "--out", tmp_path / "demo")
+    assert again.code == 2
+    assert "--overwrite" in again.err
+
+
+def test_view_without_a_recording(tmp_path):
+    ended = run("view", tmp_path)
+    assert ended.code == 2
+    assert ended.err.startswith(f"error: {tmp_path / 'motion.rrd'}: file: found no such file")
+
+
+def test_view_opens_the_recording(fitted, monkeypatch):
+    opened = []
+    monkeypatch.setattr(recon.view, "open_viewer", opened.append)
+    assert run("view", fitted[0]).code == 0
+    assert opened == [fitted[0] / "motion.rrd"]
+
+
+def test_version():
+    assert run("--version") == Ended(0, f"recon {metadata.version('recon')}\n", "")
+
+
+@pytest.mark.parametrize("command", ["fit", "evaluate", "view", "demo"])
+def test_help_has_an_example_and_units(command):
+    ended = run(command, "--help")
+    assert ended.code == 0
+    assert f"Example: recon {command} " in ended.out
+    if command == "fit":
+        text = " ".join(ended.out.replace("│", " ").split())
+        for phrase in ("Hz", "in degrees", "in metres", "in pixels", "(default: 0.5)", "(default: cheetah-8u)"):
+            assert phrase in text

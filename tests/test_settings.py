@@ -1,0 +1,263 @@
+"""Settings: what the command line and config.toml may say, and what is said about mistakes."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+
+import pytest
+import typer
+
+from recon.cli import app
+from recon.errors import InputError
+from recon.settings import FitSettings, option, read_settings
+from recon.solve import FrameOptions
+
+GIVEN = {"keypoints": Path("/data/clip.csv"), "camera": Path("/data/camera.toml"), "fps": 30.0}
+SOLVER_ONLY = {"keypoint_sigma_max_px", "robust_c", "tolerance", "max_evaluations"}
+"""Settings that only config.toml has."""
+
+
+def messages(given: dict, config: Path | None = None) -> list[str]:
+    with pytest.raises(InputError) as caught:
+        read_settings(config, given)
+    return [str(problem) for problem in caught.value.problems]
+
+
+def write_config(folder: Path, text: str) -> Path:
+    path = folder / "config.toml"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def saved(folder: Path, **given) -> Path:
+    return write_config(folder, FitSettings(**{**GIVEN, **given}).to_toml())
+
+
+def test_what_is_not_given_has_its_default():
+    settings = read_settings(None, {**GIVEN, "side": None, "likelihood_min": None})
+    assert settings.side == "auto"
+    assert settings.likelihood_min == 0.5
+    assert settings.frame_options() == FrameOptions()
+
+
+def test_every_solver_option_is_a_setting():
+    changed = {
+        "form": "printed",
+        "angle_prior": "none",
+        "camera_rotation": "fixed",
+        "base_length_m": 0.21,
+        "base_sigma_m": 0.001,
+        "sigma_px": 2.5,
+        "keypoint_sigma_m": 0.04,
+        "keypoint_sigma_max_px": 9.0,
+        "robust_c": 5.0,
+        "tolerance": 1e-7,
+        "max_evaluations": 50,
+    }
+    assert set(changed) == set(FrameOptions.__dataclass_fields__)
+    assert FitSettings(**GIVEN, **changed).frame_options() == FrameOptions(**changed)
+
+
+@pytest.mark.parametrize(
+    "given",
+    [
+        GIVEN,
+        {
+            **GIVEN,
+            "camera_name": "cam2",
+            "frames": "3:9",
+            "individual": "a",
+            "fps": 29.97,
+            "keypoint_sigma_m": 0.1 + 0.2,
+        },
+        {"keypoints": Path("/c.csv"), "fps": 120.0, "hfov_deg": 63.7, "image_size_px": "1920x1080"},
+    ],
+)
+def test_config_reads_back_as_it_was(tmp_path, given):
+    settings = read_settings(None, given)
+    assert read_settings(write_config(tmp_path, settings.to_toml()), {}) == settings
+
+
+def test_config_holds_every_setting_that_has_a_value():
+    plain = tomllib.loads(FitSettings(**GIVEN).to_toml())["recon"]["fit"]
+    unset = {"camera_name", "hfov_deg", "image_size_px", "individual", "frames", "base_length_m", "base_sigma_m"}
+    assert set(plain) == set(FitSettings.model_fields) - unset - {"keypoint_sigma_m"}
+    assert plain["keypoints"] == "/data/clip.csv"
+
+
+def test_paths_become_absolute(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    settings = FitSettings(keypoints="a/clip.csv", camera="camera.toml", fps=30, skeleton="mine.toml")  # pyright: ignore[reportArgumentType]
+    assert settings.keypoints == tmp_path / "a" / "clip.csv"
+    assert settings.camera == tmp_path / "camera.toml"
+    assert settings.skeleton == str(tmp_path / "mine.toml")
+    assert FitSettings(**GIVEN).skeleton == "cheetah-8u"
+
+
+@pytest.mark.parametrize("size", ["1920x1080", "1920X1080", " 1920 x 1080 ", [1920, 1080], (1920, 1080)])
+def test_image_size_as_text_or_as_numbers(size):
+    assert FitSettings(**GIVEN, image_size_px=size).image_size_px == (1920, 1080)
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "message"),
+    [
+        ("fps", 0.0, "--fps: fps: found 0.0, expected frames per second above 0, as in 120"),
+        ("fps", -5.0, "--fps: fps: found -5.0, expected frames per second above 0, as in 120"),
+        ("fps", float("nan"), "--fps: fps: found nan, expected frames per second above 0, as in 120"),
+        ("fps", float("inf"), "--fps: fps: found inf, expected frames per second above 0, as in 120"),
+        ("likelihood_min", 2.0, "--likelihood-min: likelihood_min: found 2.0, expected a number from 0 to 1"),
+        ("likelihood_min", float("nan"), "--likelihood-min: likelihood_min: found nan, expected a number from 0 to 1"),
+        ("side", "up", "--side: side: found 'up', expected auto, left or right"),
+        ("form", "soft", "--form: form: found 'soft', expected deadband or printed"),
+        ("method", "window", "--method: method: found 'window', expected frame"),
+        ("angle_prior", "flat", "--angle-prior: angle_prior: found 'flat', expected gaussian or none"),
+        ("camera_rotation", "still", "--camera-rotation: camera_rotation: found 'still', expected free or fixed"),
+        ("base_length_m", 0.0, "--base-length-m: base_length_m: found 0.0, expected metres above 0, as in 0.203"),
+        ("base_sigma_m", -1.0, "--base-sigma-m: base_sigma_m: found -1.0, expected metres above 0, as in 0.001"),
+        ("sigma_px", 0.0, "--sigma-px: sigma_px: found 0.0, expected pixels above 0, as in 3"),
+        ("keypoint_sigma_m", -1.0, "--keypoint-sigma-m: keypoint_sigma_m: found -1.0, expected metres, 0 or more"),
+        (
+            "keypoint_sigma_m",
+            float("inf"),
+            "--keypoint-sigma-m: keypoint_sigma_m: found inf, expected metres, 0 or more",
+        ),
+        (
+            "image_size_px",
+            "1920",
+            "--image-size: image_size_px: found '1920', expected width x height in pixels, as in 192",
+        ),
+        (
+            "image_size_px",
+            "0x0",
+            "--image-size: image_size_px: found '0x0', expected width x height in pixels, as in 192",
+        ),
+        ("image_size_px", "1x2x3", "--image-size: image_size_px: found '1x2x3', expected width x height in pixels"),
+        ("frames", "9", "--frames: frames: found '9', expected frame numbers A:B with A < B"),
+        ("frames", "9:3", "--frames: frames: found '9:3', expected frame numbers A:B with A < B"),
+        ("frames", "a:b", "--frames: frames: found 'a:b', expected frame numbers A:B with A < B"),
+    ],
+)
+def test_wrong_value_is_named_in_plain_words(name, value, message):
+    (found,) = messages({**GIVEN, name: value})
+    assert found.startswith(message)
+
+
+@pytest.mark.parametrize("degrees", [0.0, 180.0, float("nan")])
+def test_field_of_view_lies_between_0_and_180(degrees):
+    (found,) = messages({"keypoints": Path("c.csv"), "fps": 30.0, "hfov_deg": degrees, "image_size_px": "1920x1080"})
+    assert found == (
+        f"--hfov-deg: hfov_deg: found {degrees}, expected a field of view in degrees, above 0 and below 180"
+    )
+
+
+def test_every_wrong_setting_is_named_at_once():
+    found = messages({"fps": 0.0, "side": "up", "frames": "9:3", "image_size_px": "big", "camera_name": "cam2"})
+    assert [message.partition(":")[0] for message in found] == [
+        "KEYPOINTS",
+        "--fps",
+        "--image-size",
+        "--frames",
+        "--side",
+        "--camera",
+        "--camera-name",
+    ]
+    assert found[0] == "KEYPOINTS: keypoints: found nothing, expected a DeepLabCut file, CSV or H5"
+
+
+def test_no_message_is_in_the_language_of_the_validator():
+    wrong = dict.fromkeys(FitSettings.model_fields, object())
+    found = messages(wrong)
+    assert {message.partition(":")[0] for message in found} == {option(name) for name in FitSettings.model_fields}
+    assert not [message for message in found if "Input" in message or "valid" in message]
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        (
+            {"keypoints": Path("c.csv"), "fps": 30.0},
+            "--camera: camera: found nothing, expected a camera file, or --hfov-deg with --image-size for a rough one",
+        ),
+        (
+            {"keypoints": Path("c.csv"), "fps": 30.0, "hfov_deg": 60.0},
+            "--image-size: image_size_px: found nothing, "
+            "expected the size of the video beside --hfov-deg, as in 1920x1080",
+        ),
+        (
+            {**GIVEN, "hfov_deg": 60.0},
+            "--hfov-deg: hfov_deg: found 60.0 beside a camera file, expected one of the two",
+        ),
+        (
+            {"keypoints": Path("c.csv"), "fps": 30.0, "hfov_deg": 60.0, "image_size_px": "9x9", "camera_name": "cam2"},
+            "--camera-name: camera_name: found 'cam2' without a camera file, expected --camera with it",
+        ),
+    ],
+)
+def test_settings_that_do_not_go_together(given, message):
+    assert messages(given) == [message]
+
+
+def test_command_line_overrules_config(tmp_path):
+    config = saved(tmp_path, side="left", frames="0:9")
+    settings = read_settings(config, {"fps": 60.0, "side": "right", "frames": None})
+    assert (settings.fps, settings.side, settings.frames) == (60.0, "right", "0:9")
+    assert settings.camera == Path("/data/camera.toml")
+
+
+def test_another_camera_replaces_the_one_of_the_config(tmp_path):
+    config = saved(tmp_path, camera_name="cam2", image_size_px=(1920, 1080))
+    other = read_settings(config, {"camera": Path("/other.json")})
+    assert (other.camera, other.camera_name, other.image_size_px) == (Path("/other.json"), None, None)
+    rough = read_settings(config, {"hfov_deg": 60.0})
+    assert (rough.camera, rough.camera_name, rough.image_size_px) == (None, None, (1920, 1080))
+    again = read_settings(write_config(tmp_path, rough.to_toml()), {"camera": Path("/c.toml")})
+    assert (again.camera, again.hfov_deg, again.image_size_px) == (Path("/c.toml"), None, None)
+
+
+def test_mistakes_in_a_config_name_the_file(tmp_path):
+    config = write_config(tmp_path, '[recon.fit]\nkeypoints = "c.csv"\nfps = "fast"\nspeed = 3\n')
+    assert messages({}, config) == [
+        f"{config}: fps: found 'fast', expected frames per second above 0, as in 120",
+        f"{config}: speed: found an unknown setting, expected one of {', '.join(FitSettings.model_fields)}",
+        f"{config}: camera: found nothing, expected a camera file, or --hfov-deg with --image-size for a rough one",
+    ]
+    # A mistake on the command line is the command line's.
+    assert "--fps: fps: found 0.0, expected frames per second above 0, as in 120" in messages({"fps": 0.0}, config)
+
+
+@pytest.mark.parametrize(
+    ("text", "field", "found"),
+    [
+        ("fps = = 3", "content", "Invalid value"),
+        ("[other]\nfps = 3", "table", "other"),
+        ("", "table", "nothing"),
+        ("recon = 3", "table", "recon"),
+        ("[recon]\nfit = 3", "table", "recon"),
+    ],
+)
+def test_broken_config(tmp_path, text, field, found):
+    config = write_config(tmp_path, text)
+    (message,) = messages(GIVEN, config)
+    assert message.startswith(f"{config}: {field}: found {found}")
+
+
+def test_config_that_is_not_text(tmp_path):
+    config = tmp_path / "config.toml"
+    config.write_bytes(b"\xff\xfe\x00")
+    (message,) = messages(GIVEN, config)
+    assert message.startswith(f"{config}: content: found ")
+    assert message.endswith("expected a TOML file")
+
+
+def test_missing_config(tmp_path):
+    config = tmp_path / "no.toml"
+    assert messages(GIVEN, config) == [f"{config}: file: found no such file, expected a config.toml of an earlier run"]
+
+
+def test_settings_and_options_of_the_command_line_are_the_same():
+    parameters = typer.main.get_command(app).commands["fit"].params  # type: ignore[attr-defined]
+    names = {p.metavar if p.param_type_name == "argument" else p.opts[0] for p in parameters}
+    settings = {option(name) for name in FitSettings.model_fields if name not in SOLVER_ONLY}
+    assert names == settings | {"--out", "--config", "--overwrite", "--quiet"}
