@@ -7,6 +7,7 @@ Entities of the recording; those without "(static)" have a row a frame, which is
   frustum, and `world/followed`, invisible.
 - `picture`: pixels of the distorted picture. `picture/frame` (static), its edge; `picture/detections`,
   `picture/outliers`, `picture/reprojections` with the skeleton's lines in it, `picture/links` between the two.
+- `closeup`: the same points, relative to the middle of the reprojected skeleton in each frame.
 - `angles/theta` and `angles/phi`, the free links' in degrees; `speed` of the reference joint in m/s; `residuals`, mean
   and largest of the frame in px.
 
@@ -195,36 +196,43 @@ def _write_world(motion: Motion, scene: _Scene, send: Send, fix: Fix) -> None:
 
 
 def _write_picture(motion: Motion, scene: _Scene, send: Send, fix: Fix) -> None:
-    detected, reprojected, outliers = motion.detected_px, motion.reprojected_px, motion.outliers
+    """The points twice: where they are in the picture, and around the middle of the animal, for a close look."""
     size = np.array(motion.camera.image_size_px, dtype=float)
     fix("picture/frame", rr.Boxes2D(array=[-0.5, -0.5, *size], array_format=rr.Box2DFormat.XYWH, colors=EDGE))
-
     low, high = _picture_bounds(motion)
-    arm = 0.007 * float(np.max(high - low))
+    _write_points("picture", np.zeros((len(motion.frames), 2)), 0.007 * float(np.max(high - low)), motion, send, fix)
+    middle, radius = _middle_and_radius_px(motion)
+    _write_points("closeup", middle, 0.03 * radius, motion, send, fix)
+
+
+def _write_points(root: str, origin_px: Array, arm: float, motion: Motion, send: Send, fix: Fix) -> None:
+    """origin_px (T, 2): what is drawn at (0, 0); arm: of a detection's cross, px."""
+    outliers = motion.outliers
+    detected, reprojected = (xy - origin_px[:, None] for xy in (motion.detected_px, motion.reprojected_px))
     for entity, colour, chosen in (("detections", DETECTION, ~outliers), ("outliers", OUTLIER, outliers)):
-        fix(f"picture/{entity}", rr.LineStrips2D.from_fields(colors=colour, radii=rr.Radius.ui_points(1.0)))
+        fix(f"{root}/{entity}", rr.LineStrips2D.from_fields(colors=colour, radii=rr.Radius.ui_points(1.0)))
         points = [xy[keep & np.isfinite(xy[:, 0])] for xy, keep in zip(detected, chosen, strict=True)]
-        send(f"picture/{entity}", _strips(rr.LineStrips2D, [_crosses(xy, arm) for xy in points]))
+        send(f"{root}/{entity}", _strips(rr.LineStrips2D, [_crosses(xy, arm) for xy in points]))
 
     limbs = _limb_indices(motion)
     lines = [[(c, part) for c, limb in enumerate(limbs) for part in _unbroken(pose[limb])] for pose in reprojected]
     classes = [c for frame in lines for c, _ in frame]
     columns = rr.LineStrips2D.columns(strips=[xy for frame in lines for _, xy in frame], class_ids=classes)
-    send("picture/reprojections", columns.partition([len(frame) for frame in lines]))
-    fix("picture/reprojections", rr.LineStrips2D.from_fields(radii=rr.Radius.ui_points(1.5), show_labels=False))
+    send(f"{root}/reprojections", columns.partition([len(frame) for frame in lines]))
+    fix(f"{root}/reprojections", rr.LineStrips2D.from_fields(radii=rr.Radius.ui_points(1.5), show_labels=False))
     seen = np.isfinite(reprojected[..., 0])
     classes = np.broadcast_to(_joint_limbs(motion), seen.shape)[seen]
     columns = rr.Points2D.columns(positions=reprojected[seen], class_ids=classes)
-    send("picture/reprojections/joints", columns.partition(seen.sum(axis=1)))
-    fix("picture/reprojections/joints", rr.Points2D.from_fields(radii=rr.Radius.ui_points(3.5), show_labels=False))
+    send(f"{root}/reprojections/joints", columns.partition(seen.sum(axis=1)))
+    fix(f"{root}/reprojections/joints", rr.Points2D.from_fields(radii=rr.Radius.ui_points(3.5), show_labels=False))
 
     both = np.isfinite(motion.distance_px)
     ends = np.stack((detected, reprojected), axis=2)
     columns = rr.LineStrips2D.columns(
         strips=list(ends[both]), colors=np.where(outliers[both][:, None], OUTLIER, LINK).astype(np.uint8)
     )
-    send("picture/links", columns.partition(both.sum(axis=1)))
-    fix("picture/links", rr.LineStrips2D.from_fields(radii=rr.Radius.ui_points(1.5)))
+    send(f"{root}/links", columns.partition(both.sum(axis=1)))
+    fix(f"{root}/links", rr.LineStrips2D.from_fields(radii=rr.Radius.ui_points(1.5)))
 
 
 def _write_series(motion: Motion, send: Send, fix: Fix) -> None:
@@ -307,9 +315,16 @@ def _blueprint(motion: Motion, scene: _Scene, start_frame: int | None) -> rrb.Bl
     low, high = _picture_bounds(motion)
     picture = rrb.Spatial2DView(
         origin="picture",
-        name="Picture: + detected, ● reprojected, red: outlier",
+        name="Whole picture",
         background=BACKGROUND,
         visual_bounds=rrb.VisualBounds2D(x_range=(low[0], high[0]), y_range=(low[1], high[1])),
+    )
+    reach = 0.85 * _middle_and_radius_px(motion)[1]
+    closeup = rrb.Spatial2DView(
+        origin="closeup",
+        name="Picture, close up: + detected, ● reprojected, red: outlier",
+        background=BACKGROUND,
+        visual_bounds=rrb.VisualBounds2D(x_range=(-reach, reach), y_range=(-reach, reach)),
     )
 
     def plot(origin: str, name: str, values: Array) -> rrb.TimeSeriesView:
@@ -355,7 +370,11 @@ def _blueprint(motion: Motion, scene: _Scene, start_frame: int | None) -> rrb.Bl
         )
     return rrb.Blueprint(
         rrb.Vertical(
-            rrb.Horizontal(animal, rrb.Vertical(picture, overview, row_shares=[5, 4]), column_shares=[11, 9]),
+            rrb.Horizontal(
+                animal,
+                rrb.Vertical(rrb.Tabs(closeup, picture, active_tab=0), overview, row_shares=[5, 4]),
+                column_shares=[11, 9],
+            ),
             plots,
             row_shares=[5, 3],
         ),
@@ -401,6 +420,16 @@ def _eye_behind_camera(motion: Motion, scene: _Scene) -> rrb.EyeControls3D:
     position = scene.camera_m + distance * (0.28 * up - 0.3 * ahead + 0.2 * np.cross(ahead, up))
     target = scene.camera_m + 0.4 * distance * ahead
     return rrb.EyeControls3D(kind=rrb.Eye3DKind.Orbital, position=position, look_target=target, eye_up=up)
+
+
+def _middle_and_radius_px(motion: Motion) -> tuple[Array, float]:
+    """(T, 2): middle of the reprojected skeleton, 0 without one; and the largest distance of a joint from it."""
+    middle = np.zeros((len(motion.frames), 2))
+    seen = np.isfinite(motion.reprojected_px[..., 0])
+    known = np.any(seen, axis=-1)
+    middle[known] = np.nanmean(motion.reprojected_px[known], axis=1)
+    distance = np.linalg.norm(motion.reprojected_px - middle[:, None], axis=2)[seen]
+    return middle, float(distance.max(initial=1.0))
 
 
 def _picture_bounds(motion: Motion) -> tuple[Array, Array]:

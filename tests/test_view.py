@@ -24,11 +24,17 @@ PER_FRAME = {
     "/world/skeleton/joints": "Points3D:positions",
     "/world/followed": "Points3D:positions",
     "/world/trail": "LineStrips3D:strips",
-    "/picture/detections": "LineStrips2D:strips",
-    "/picture/outliers": "LineStrips2D:strips",
-    "/picture/reprojections": "LineStrips2D:strips",
-    "/picture/reprojections/joints": "Points2D:positions",
-    "/picture/links": "LineStrips2D:strips",
+    **{
+        f"/{root}/{entity}": component
+        for root in ("picture", "closeup")
+        for entity, component in {
+            "detections": "LineStrips2D:strips",
+            "outliers": "LineStrips2D:strips",
+            "reprojections": "LineStrips2D:strips",
+            "reprojections/joints": "Points2D:positions",
+            "links": "LineStrips2D:strips",
+        }.items()
+    },
     "/angles/theta": "Scalars:scalars",
     "/angles/phi": "Scalars:scalars",
     "/speed": "Scalars:scalars",
@@ -153,6 +159,12 @@ def test_picture_has_the_pixels_of_the_motion(recording: Recording, world_motion
 
 def test_the_outlier_is_shown_as_one(recording: Recording) -> None:
     assert [frame for frame in range(10, 16) if recording.values("/picture/outliers", frame)] == [14]
+
+
+def test_the_close_up_is_the_picture_around_the_skeletons_middle(recording: Recording, world_motion: Motion) -> None:
+    pixels = world_motion.reprojected_px[2]
+    shown = np.array(recording.values("/closeup/reprojections/joints", 12))
+    np.testing.assert_allclose(shown, pixels - pixels.mean(axis=0), atol=1e-3)
 
 
 def test_series_have_the_units_of_plots(recording: Recording, world_motion: Motion) -> None:
