@@ -1,6 +1,6 @@
 """The frame method on every camera view of a folder of real runs, scored against the multi-camera reconstruction.
 
-    python benchmarks/cheetah_runs.py FOLDER [--csv TABLE.csv]
+    python benchmarks/cheetah_runs.py FOLDER [--csv TABLE.csv] [--set robust_c=6 ...]
 
 Each run is a folder with camN.csv (DeepLabCut), scene.json (AcinoSet), truth.csv and meta.json (subject, fps, cameras,
 monocular_camera). Every view is fitted as `recon fit` does it, with the default settings: with the published link
@@ -116,7 +116,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path, nargs="?", default=default)
     parser.add_argument("--csv", type=Path, help="write all rows here")
+    parser.add_argument("--set", action="append", default=[], metavar="NAME=VALUE", help="a setting of every fit")
     arguments = parser.parse_args()
+    changed = dict(item.split("=", 1) for item in arguments.set)
     runs = sorted(p.parent for p in arguments.folder.glob("*/meta.json"))
     if not runs:
         parser.exit(message=f"no runs in {arguments.folder}: nothing measured\n")
@@ -133,7 +135,7 @@ def main() -> None:
                 jobs.append(("without Gaussian priors", PUBLISHED, {"angle_prior": "none"}))
             for title, skeleton, options in jobs:
                 try:
-                    tables[title].append(view_row(run, camera, skeleton, meta, **options))
+                    tables[title].append(view_row(run, camera, skeleton, meta, **options, **changed))
                 except InputError as error:
                     print(f"{run.name} cam{camera}: left out: {error}")
     for title, rows in tables.items():

@@ -105,7 +105,11 @@ def read_camera(
         pattern = re.compile(rf"cam_?0*{int(wanted)}", re.IGNORECASE)
         matches = [camera for camera in cameras if pattern.fullmatch(camera.name)]
     if len(matches) != 1:
-        raise InputError(Problem(path, "camera", f"{len(matches)} cameras called {wanted!r}", choices))
+        raise InputError(
+            Problem(
+                path, "camera", f"{len(matches) or 'no'} camera{'s' * (len(matches) > 1)} called {wanted!r}", choices
+            )
+        )
     return matches[0]
 
 
@@ -379,7 +383,7 @@ def _image_size(
     expected = "the image size: width and height in pixels"
     if value is None:
         if given is None:
-            fault("image_size_px", "nothing", f"{expected}, in the file or given along with it")
+            fault("image_size_px", "nothing", f"{expected}, in the file or by --image-size")
         return given
     array = _numbers(value)
     if array is None or array.shape != (2,) or not (array > 0).all() or (array != np.rint(array)).any():

@@ -296,7 +296,7 @@ BAD_INPUT: dict[str, tuple[list[str], list[str]]] = {
     "camera of no known format": (["{clip}", "--camera", "{in}/camera.txt"], ["{in}/camera.txt: format: found suffix"]),
     "no such camera": (
         ["{clip}", "--camera", "{in}/two.toml", "--camera-name", "cam9"],
-        ["{in}/two.toml: camera: found 0 cameras called 'cam9', expected one of cam_a, cam_b"],
+        ["{in}/two.toml: camera: found no camera called 'cam9', expected one of cam_a, cam_b"],
     ),
     "no camera chosen": (
         ["{clip}", "--camera", "{in}/two.toml"],
