@@ -416,10 +416,7 @@ def summary_lines(report: Mapping[str, Any]) -> list[tuple[str, str]]:
             f"{summary['outliers']} points further off than {OUTLIER_SIGMAS:g} sigma of the detector"
             + (f": {most}" if off else ""),
         ),
-        (
-            "speed",
-            f"{_number(report['travel']['median_speed_m_s'], '.1f')} m/s, of a straight run through all frames",
-        ),
+        ("speed", _speed(report["travel"]["median_speed_m_s"])),
         (
             "path",
             f"{_number(path['distance_m'], '.1f')} m, peak {_number(path['peak_speed_m_s'], '.1f')} m/s "
@@ -451,6 +448,12 @@ def console_summary(report: Mapping[str, Any]) -> Table:
         warning = label == "warning"
         table.add_row(Text(label, style="bold yellow" if warning else "bold"), Text(value, "yellow" if warning else ""))
     return table
+
+
+def _speed(speed_m_s: float | None) -> str:
+    if speed_m_s is None:
+        return "the animal does not move on far enough to tell it from all frames"
+    return f"{speed_m_s:.1f} m/s, of a straight run through all frames"
 
 
 def _heading(angle_rad: float | None) -> str:
