@@ -14,8 +14,8 @@ from pathlib import Path
 
 import numpy as np
 
-from recon.initialise import MIN_JOINTS
 from recon.motion import OUTLIER_SIGMAS
+from recon.skeleton import MIN_JOINTS
 from recon.skeleton_file import load_skeleton
 from recon.solve import FrameOptions, solve_frames
 from recon.synthetic import SyntheticClip, add_noise, gallop

@@ -15,19 +15,17 @@ from numpy.typing import NDArray
 
 from recon.camera import Camera
 from recon.rotations import euler_angles
-from recon.skeleton import Side, Skeleton
+from recon.skeleton import MIN_JOINTS, Side, Skeleton
 
 Array = NDArray[np.float64]
-
-MIN_JOINTS = 5
-"""Fewer detected joints than this do not place the chain."""
 
 _HEADINGS = 36
 _STRETCH_S = 1.0
 _MISFIT_M = 0.15
 """Distance from a ray at which a joint of the mean pose counts half: a leg's swing."""
 _MIN_SPEED_M_S = 1.0
-"""Below this, the path says nothing about the heading."""
+_MIN_STRETCH_S = 0.15
+"""Slower, or over a shorter time (half a stride), the path says nothing about the heading."""
 
 
 @dataclass(frozen=True)
@@ -162,7 +160,8 @@ def _stretch_travel(headings: Array, shapes: Array, up: Array, rays: Array, time
     bend = left - 2 * here + right
     turn = 0.5 * (left - right) / bend * 2 * np.pi / len(headings) if bend > 0 else 0.0
     heading = np.cos(turn) * headings[best] + np.sin(turn) * np.cross(up, headings[best])
-    return np.append(heading, speeds[best] if speeds[best] >= _MIN_SPEED_M_S else np.nan)
+    told = speeds[best] >= _MIN_SPEED_M_S and np.ptp(time_s) >= _MIN_STRETCH_S
+    return np.append(heading, speeds[best] if told else np.nan)
 
 
 def _straight_run(heading: Array, shape: Array, up: Array, rays: Array, time_s: Array) -> tuple[float, float]:

@@ -452,7 +452,7 @@ def console_summary(report: Mapping[str, Any]) -> Table:
 
 def _speed(speed_m_s: float | None) -> str:
     if speed_m_s is None:
-        return "the animal does not move on far enough to tell it from all frames"
+        return "not told by a path this short or slow"
     return f"{speed_m_s:.1f} m/s, of a straight run through all frames"
 
 
@@ -469,7 +469,9 @@ def _effort(report: Mapping[str, Any]) -> str:
     summary, timing = report["summary"], report["timing_s"] or {}
     text = f"{_number(summary['iterations_median'], '.0f')} iterations a frame (median)"
     if "solve_s" in timing:
-        text += f", {timing['solve_s']:.1f} s, {1000 * timing['solve_s'] / max(summary['frames'], 1):.0f} ms a frame"
+        times = [frame["solve_s"] for frame in report["frames"] if frame.get("solve_s") is not None]
+        median = f", {1000 * float(np.median(times)):.0f} ms a frame (median)" if times else ""
+        text += f"{median}; {timing['solve_s']:.1f} s with reading"
     return text
 
 

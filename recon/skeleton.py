@@ -31,6 +31,9 @@ from recon.rotations import euler_rotation, euler_rotation_with_jacobian
 Array = NDArray[np.float64]
 Side = Literal["left", "right"]
 
+MIN_JOINTS = 5
+"""Fewer detected joints than this do not place a chain."""
+
 
 @dataclass(frozen=True)
 class Link:

@@ -11,7 +11,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, PositiveFloat, ValidationError
 
 from recon.errors import InputError, Problem
-from recon.skeleton import AngleRanges, Link, PriorScales, Skeleton
+from recon.skeleton import MIN_JOINTS, AngleRanges, Link, PriorScales, Skeleton
 
 
 class _Table(BaseModel):
@@ -147,6 +147,13 @@ def _chain_problems(parsed: _SkeletonFile, source: str):
         if (link.theta is None) != (link.phi is None):
             yield Problem(source, f"links.{i}", "only one of theta and phi", "both or neither")
         known.add(link.end)
+    if len(parsed.links) + 1 < MIN_JOINTS:
+        yield Problem(
+            source, "links", f"{len(parsed.links)}", f"at least {MIN_JOINTS - 1}: fewer joints do not place it"
+        )
+    if not any(link.theta is None and link.start == parsed.root for link in parsed.links):
+        expected = f"one from {parsed.root} without theta and phi: the body's forward axis lies along it"
+        yield Problem(source, "links", "none without angles from the root", expected)
     for joint in parsed.forward:
         if joint not in known:
             yield Problem(source, "forward", repr(joint), f"one of {', '.join(sorted(known))}")

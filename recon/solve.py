@@ -19,7 +19,7 @@ from scipy.linalg import eigh
 from scipy.optimize import OptimizeResult, least_squares
 
 from recon.camera import Camera
-from recon.initialise import MIN_JOINTS, Travel, estimate_travel, geometric_start, state_from_joints
+from recon.initialise import Travel, estimate_travel, geometric_start, state_from_joints
 from recon.objectives import (
     AnglePrior,
     AngleRange,
@@ -33,13 +33,16 @@ from recon.objectives import (
     RollPrior,
     TravelPrior,
 )
-from recon.skeleton import Posed, Skeleton
+from recon.skeleton import MIN_JOINTS, Posed, Skeleton
 
 Array = NDArray[np.float64]
 Status = Literal["converged", "not_converged", "no_data"]
 
 CONVERGED = (1, 2, 3, 4)
 """Status values of scipy's least_squares that name a tolerance that was met."""
+
+MIN_REACH_PX = 50.0
+"""All links end to end shorter than this in the picture: too far away to have been detected."""
 
 
 @dataclass(frozen=True)
@@ -75,7 +78,7 @@ class FrameReport:
     sigma_px: standard deviation of a detection. data_share (D,) and joint_data_share (J,): the part of the posterior
     precision that comes from the pixels, 0 to 1, NaN where data and priors together leave a quantity undetermined.
     joint_sigma_m (J, 3): posterior standard deviation in the camera frame, given the frame before. solve_s: time spent
-    on the frame, all starts.
+    on the frame, all starts. in_view: the camera can see the pose; a pose that it cannot is not converged.
     """
 
     status: Status
@@ -98,6 +101,7 @@ class FrameReport:
     joint_data_share: Array
     joint_sigma_m: Array
     solve_s: float
+    in_view: bool
 
 
 @dataclass(frozen=True)
@@ -176,7 +180,8 @@ def solve_frames(
             continue
         states[frame], report = solver.solve(frame, rays[frame], travel.heading[frame], states, before, fps)
         reports.append(report)
-        before = [*before[-1:], frame]
+        if report.in_view:  # a pose that ran away is no start for the next frame
+            before = [*before[-1:], frame]
     return Solution(states, tuple(reports), travel, tuple(term.name for term in objectives))
 
 
@@ -353,6 +358,13 @@ class _FrameSolver:
         off = np.where(valid, np.linalg.norm(pixels - detected, axis=1), np.inf)
         return off[np.isfinite(detected[:, 0])]
 
+    def _in_view(self, fixed: _Given, state: Array) -> bool:
+        """Whether every detected joint can be projected, and the animal is near enough to be seen (MIN_REACH_PX)."""
+        depth = float(np.median(self.skeleton.pose(state[None]).joints_m[0, :, 2]))
+        reach_m = float(self.skeleton.length_ratios.sum()) * abs(float(state[self.skeleton.base_index]))
+        seen = reach_m * self.focal_px > MIN_REACH_PX * depth
+        return seen and bool(np.all(np.isfinite(self._distances_px(fixed, state))))
+
     def _explained(self, fixed: _Given, candidate: _Candidate) -> bool:
         """Converged, and no detection further off than c sigma."""
         within = self._distances_px(fixed, candidate.x) < self.options.robust_c * fixed.sigma_px
@@ -370,7 +382,7 @@ class _FrameSolver:
         J = np.concatenate([j[0, :, -1] for _, j in parts])
         r = np.concatenate([r[0] for r, _ in parts])
         data_share, joint_share, joint_sigma = precision_shares(parts[0][1][0, :, -1], J, self.skeleton, best.x)
-        in_view = bool(np.all(np.isfinite(self._distances_px(fixed, best.x))))
+        in_view = self._in_view(fixed, best.x)
         return FrameReport(
             status="converged" if result.status in CONVERGED and in_view else "not_converged",
             starts=starts,
@@ -378,7 +390,8 @@ class _FrameSolver:
             function_evaluations=int(result.nfev),
             jacobian_evaluations=int(result.njev),
             optimizer_status=int(result.status),
-            message=str(result.message) + ("" if in_view else " Detected joints ended out of the camera's view."),
+            message=str(result.message)
+            + ("" if in_view else " The pose left the camera's view, or ended out of sight."),
             squared_norm=total,
             mean_residual=float(np.mean(np.abs(r))),
             cost_shares={name: cost / total if total > 0 else 0.0 for name, cost in costs.items()},
@@ -392,6 +405,7 @@ class _FrameSolver:
             joint_data_share=joint_share,
             joint_sigma_m=joint_sigma,
             solve_s=0.0,
+            in_view=in_view,
         )
 
 

@@ -459,8 +459,8 @@ def _joint_limbs(motion: Motion) -> NDArray[np.int64]:
     """(J,): the limb that each joint is drawn with, that of the link that ends in it; the root's is the spine's."""
     limbs = list(motion.skeleton.limbs)
     ends = {link.end: limbs.index(link.limb) for link in motion.skeleton.links}
-    forward = ends[motion.skeleton.forward[1]]
-    return np.array([ends.get(joint, forward) for joint in motion.skeleton.joints])
+    trunk = next(limbs.index(link.limb) for link in motion.skeleton.links if not link.free)
+    return np.array([ends.get(joint, trunk) for joint in motion.skeleton.joints])
 
 
 def _strips(

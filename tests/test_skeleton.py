@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -118,3 +120,27 @@ def test_bad_files(tmp_path, text: str, field: str):
 def test_unknown_name_lists_the_known_ones():
     with pytest.raises(InputError, match="cheetah-8u, cheetah-8u-jules"):
         load_skeleton("unicorn")
+
+
+def test_the_documented_examples_are_skeletons(tmp_path):
+    text = (Path(__file__).parents[1] / "docs" / "skeletons.md").read_text()
+    examples = [block.split("```")[0] for block in text.split("```toml")[1:]]
+    assert len(examples) == 2
+    for i, example in enumerate(examples):
+        (tmp_path / f"{i}.toml").write_text(example)
+        assert len(load_skeleton(tmp_path / f"{i}.toml").joints) >= 5
+
+
+def test_a_chain_that_cannot_be_placed_is_refused(tmp_path):
+    text = (Path(__file__).parents[1] / "docs" / "skeletons.md").read_text()
+    example = text.split("```toml")[2].split("```")[0]
+    short = tmp_path / "short.toml"
+    short.write_text("[[links]]".join(example.split("[[links]]")[:4]))
+    with pytest.raises(InputError, match="at least 4"):
+        load_skeleton(short)
+    free = tmp_path / "free.toml"
+    angle = "{ mean_rad = 0.0, tolerance_rad = 1.0, max_rate_rad_s = 9.0 }"
+    with_angles = f'keypoint = "spine"\ntheta = {angle}\nphi = {angle}'
+    free.write_text(example.replace('keypoint = "spine"', with_angles))
+    with pytest.raises(InputError, match="forward axis"):
+        load_skeleton(free)

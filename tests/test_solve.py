@@ -133,7 +133,7 @@ def test_every_option_ends_with_a_report(options: FrameOptions):
     solution = fit(clip, keypoints, options)
     for report in solution.reports:
         assert report is not None
-        assert (report.optimizer_status in CONVERGED) == (report.status == "converged")
+        assert (report.optimizer_status in CONVERGED and report.in_view) == (report.status == "converged")
         assert sum(report.cost_shares.values()) == pytest.approx(1)
         assert set(report.cost_shares) <= set(solution.objectives)
     if options.max_evaluations == 3:

@@ -46,6 +46,7 @@ def fit_clip(settings: FitSettings, progress: Progress = lambda done, total: Non
     )
     _require_keypoints_of(skeleton, file)
     keypoints, cleaning = clean(replace(file, fps=settings.fps), settings.likelihood_min, frames)
+    _require_inside(camera, keypoints, settings)
     side, reason = _side(skeleton, keypoints, settings)
     fitted = arrange(keypoints, skeleton.keypoint_names(side))
     solution = solve_frames(
@@ -142,10 +143,24 @@ def _require_keypoints_of(skeleton: Skeleton, keypoints: Keypoints) -> None:
         )
 
 
+def _require_inside(camera: Camera, keypoints: Keypoints, settings: FitSettings) -> None:
+    """A picture smaller than the points' is another camera's, or the wrong size was given."""
+    points = keypoints.xy_px[keypoints.present]
+    if np.mean(camera.in_image(points)) < 0.9:
+        (x0, y0), (x1, y1) = np.percentile(points, [1, 99], axis=0)
+        width, height = camera.image_size_px
+        raise InputError(
+            Problem(
+                settings.camera or "--image-size",
+                "image size",
+                f"{width}x{height}, but keypoints at x {x0:.0f} to {x1:.0f}, y {y0:.0f} to {y1:.0f} px",
+                "the camera and the size of the video that the keypoints were found in",
+            )
+        )
+
+
 def _side(skeleton: Skeleton, keypoints: Keypoints, settings: FitSettings) -> tuple[Side, str]:
     """The side as given, or the one that faces the camera unless the file has far more points of the other."""
-    if settings.side != "auto":
-        return settings.side, "as given"
     ends = {}
     for joint in skeleton.forward:
         names = skeleton.keypoints[skeleton.joints.index(joint)]
@@ -153,6 +168,8 @@ def _side(skeleton: Skeleton, keypoints: Keypoints, settings: FitSettings) -> tu
         counts = np.isfinite(both).sum(axis=1, keepdims=True)
         ends[joint] = np.nansum(both, axis=1) / np.where(counts[:, 0] > 0, counts[:, 0], np.nan)
     facing, reason = facing_side(skeleton, ends)
+    if settings.side != "auto":
+        return settings.side, f"as given; {reason}"
     other: Side = "left" if facing == "right" else "right"
     of_facing, of_other = (int(arrange(keypoints, skeleton.keypoint_names(s)).present.sum()) for s in (facing, other))
     if of_facing < of_other / 2:
