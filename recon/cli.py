@@ -240,11 +240,11 @@ def _finish(console: Console, report: dict[str, Any], out: Path) -> None:
     from recon.report import console_summary
 
     console.print(console_summary(report))
-    console.print(Text(f"Results are in {out}. Watch them with: recon view {shlex.quote(str(out))}"), soft_wrap=True)
     if report["summary"]["frames_converged"] == 0:
         message = f"no frame could be solved: see {out / 'report.json'}"
         Console(stderr=True, soft_wrap=True).print(_error(message))
         raise typer.Exit(EXIT_UNSOLVED)
+    console.print(Text(f"Results are in {out}. Watch them with: recon view {shlex.quote(str(out))}"), soft_wrap=True)
 
 
 def _table(result: Evaluation) -> Table:

@@ -406,11 +406,7 @@ def summary_lines(report: Mapping[str, Any]) -> list[tuple[str, str]]:
             f"{summary['frames_not_converged']} did not, {summary['frames_no_data']} without data",
         ),
         ("points", f"{used} used, {missing} missing, {rejected} rejected as unlikely"),
-        (
-            "reprojection",
-            f"{_number(errors['mean'], '.1f')} px mean, {_number(errors['median'], '.1f')} px median; "
-            f"worst joint {errors['worst_joint']}, {_number(errors['worst_joint_mean'], '.1f')} px (outliers included)",
-        ),
+        ("reprojection", _reprojection(errors)),
         (
             "outliers",
             f"{summary['outliers']} points further off than {OUTLIER_SIGMAS:g} sigma of the detector"
@@ -448,6 +444,15 @@ def console_summary(report: Mapping[str, Any]) -> Table:
         warning = label == "warning"
         table.add_row(Text(label, style="bold yellow" if warning else "bold"), Text(value, "yellow" if warning else ""))
     return table
+
+
+def _reprojection(errors: Mapping[str, Any]) -> str:
+    if errors["worst_joint"] is None:
+        return "none: no pose"
+    return (
+        f"{errors['mean']:.1f} px mean, {errors['median']:.1f} px median; "
+        f"worst joint {errors['worst_joint']}, {errors['worst_joint_mean']:.1f} px (outliers included)"
+    )
 
 
 def _speed(speed_m_s: float | None) -> str:

@@ -250,10 +250,10 @@ class _FrameSolver:
             sigma_px=self._noise_px(starts[0]),
         )
         tried = [self._solve_from(start, fixed) for start in starts]
-        best = min(tried, key=lambda c: c.cost)
+        best = self._best(fixed, tried)
         if before and not self._explained(fixed, best):
             tried += [self._solve_from(start, fixed) for start in self._more_starts(rays, heading, states[before[-1]])]
-            best = min(tried, key=lambda c: c.cost)
+            best = self._best(fixed, tried)
         return best.x, replace(self._report(fixed, best, len(tried)), solve_s=time.perf_counter() - began)
 
     # -- starts ---------------------------------------------------------------------------------------------------
@@ -357,6 +357,10 @@ class _FrameSolver:
         detected = self.reprojection.xy_px[fixed.frame]
         off = np.where(valid, np.linalg.norm(pixels - detected, axis=1), np.inf)
         return off[np.isfinite(detected[:, 0])]
+
+    def _best(self, fixed: _Given, tried: Sequence[_Candidate]) -> _Candidate:
+        """The lowest cost among the poses that the camera can see, or among all if it can see none."""
+        return min(tried, key=lambda c: (not self._in_view(fixed, c.x), c.cost))
 
     def _in_view(self, fixed: _Given, state: Array) -> bool:
         """Whether every detected joint can be projected, and the animal is near enough to be seen (MIN_REACH_PX)."""

@@ -138,7 +138,8 @@ def _require_keypoints_of(skeleton: Skeleton, keypoints: Keypoints) -> None:
                 keypoints.source or "keypoints",
                 "bodyparts",
                 ", ".join(keypoints.names),
-                f"keypoints of the skeleton {skeleton.name}: {', '.join(wanted)}",
+                f"those of the skeleton {skeleton.name}, none of which is there: {', '.join(wanted)} "
+                "(another animal needs its own --skeleton)",
             )
         )
 
