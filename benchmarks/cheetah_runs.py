@@ -38,7 +38,9 @@ def view_row(run: Path, camera: int, skeleton: str, meta: dict, **options) -> di
     start = time.perf_counter()
     motion = fit_clip(settings)
     seconds = time.perf_counter() - start
-    score = evaluate(Pose3D(motion.names, motion.joints_m, motion.frames), read_pose3d(run / "truth.csv"))
+    truth = read_pose3d(run / "truth.csv")
+    score = evaluate(Pose3D(motion.names, motion.joints_m, motion.frames), truth)
+    off = heading_off_deg(motion, truth)
     reports = [r for r in motion.reports if r is not None]
     base = motion.states[motion.solved, motion.skeleton.base_index]
     return {
@@ -55,6 +57,7 @@ def view_row(run: Path, camera: int, skeleton: str, meta: dict, **options) -> di
         "mpjpe_mm": 1000 * score.mpjpe_m.mean,
         "mpe_mm": 1000 * score.mpe_m.mean,
         "pa_mm": 1000 * score.pa_mpjpe_m.mean,
+        "heading_off_deg": off,
         "base_m": base.mean() if len(base) else np.nan,
         "base_min_m": base.min() if len(base) else np.nan,
         "base_max_m": base.max() if len(base) else np.nan,
@@ -72,6 +75,16 @@ def best_90_px(motion: Motion) -> float:
     return float(distance[: int(0.9 * len(distance))].mean()) if len(distance) else np.nan
 
 
+def heading_off_deg(motion: Motion, truth: Pose3D) -> float:
+    """Angle between the fit's direction of travel and the truth's trunk, both level: median over frames."""
+    rear, front = (motion.names[motion.skeleton.joints.index(joint)] for joint in motion.skeleton.forward)
+    _, here, there = np.intersect1d(motion.frames, truth.frames, return_indices=True)
+    trunk = truth.xyz_m[there, truth.names.index(front)] - truth.xyz_m[there, truth.names.index(rear)]
+    heading = motion.camera.camera_to_world(motion.solution.travel.heading[here]) - motion.camera.centre_world
+    cosine = np.sum(heading[:, :2] * trunk[:, :2], axis=1) / np.linalg.norm(trunk[:, :2], axis=1)
+    return float(np.degrees(np.median(np.arccos(np.clip(cosine, -1, 1)))))
+
+
 def print_table(rows: list[dict], title: str) -> None:
     columns = {
         "run": "{:.34}",
@@ -84,6 +97,7 @@ def print_table(rows: list[dict], title: str) -> None:
         "mpjpe_mm": "{:.0f}",
         "mpe_mm": "{:.0f}",
         "pa_mm": "{:.0f}",
+        "heading_off_deg": "{:.0f}",
         "base_m": "{:.3f}",
         "base_min_m": "{:.3f}",
         "base_max_m": "{:.3f}",
@@ -104,7 +118,9 @@ def print_table(rows: list[dict], title: str) -> None:
     print(
         f"\n{len(table)} views: reprojection of the best 90 % median {table['best90_px'].median():.1f} px, "
         f"worst {table['best90_px'].max():.1f} px; MPJPE median {table['mpjpe_mm'].median():.0f} mm, mean "
-        f"{table['mpjpe_mm'].mean():.0f} mm; MPE mean {table['mpe_mm'].mean():.0f} mm; frames that did not converge: "
+        f"{table['mpjpe_mm'].mean():.0f} mm; MPE mean {table['mpe_mm'].mean():.0f} mm; heading off by "
+        f"{table['heading_off_deg'].median():.0f} (median), {table['heading_off_deg'].max():.0f} degrees (worst); "
+        "frames that did not converge: "
         f"{table['failed'].sum()} of {table['frames'].sum()}; {table['ms_per_frame'].median():.1f} ms a frame.\n"
         f"Named views (*): MPJPE mean {named['mpjpe_mm'].mean():.1f} mm, MPE mean {named['mpe_mm'].mean():.0f} mm."
     )

@@ -91,19 +91,14 @@ def place_on_rays(joints_m: Array, rays: Array) -> tuple[Array, Array]:
     along = middle @ between.T
     apart_m = np.sqrt(np.maximum(np.sum(between**2, axis=1) - along**2, 0.0))
     apart_rad = np.linalg.norm(rays[:, i] - rays[:, j], axis=2)
-    depth = np.nanmedian(apart_m / np.maximum(apart_rad, 1e-6) + 0.0 * apart_rad, axis=1)
+    depth = np.nanmedian(apart_m / np.maximum(apart_rad, 1e-6), axis=1)
     t = np.nanmedian(rays * depth[:, None, None] - joints_m, axis=1)
 
-    d = np.where(seen[..., None], rays, 0.0)
-    across = np.eye(3) - d[..., :, None] * d[..., None, :]
+    across = _across(rays)
     for _ in range(6):
-        q = joints_m + t[:, None]
-        distance = np.linalg.norm(q, axis=2, keepdims=True)
-        q = q / distance
-        off = (across @ q[..., None])[..., 0]
+        off, slope, _ = _off_rays(joints_m + t[:, None], across)
         miss = np.linalg.norm(off, axis=2) * depth[:, None]
         weight = seen / (1.0 + (miss / _MISFIT_M) ** 2) ** 2
-        slope = across @ (np.eye(3) - q[..., :, None] * q[..., None, :]) / distance[..., None]
         weighted = slope * weight[..., None, None]
         normal = np.einsum("njab,njac->nbc", weighted, slope) + 1e-9 * np.eye(3)
         step = np.linalg.solve(normal, -np.einsum("njab,nja->nb", weighted, off)[..., None])[..., 0]
@@ -112,6 +107,21 @@ def place_on_rays(joints_m: Array, rays: Array) -> tuple[Array, Array]:
     q = joints_m + t[:, None]
     miss = np.linalg.norm((across @ q[..., None])[..., 0], axis=2)
     return t, np.where(seen, miss, np.nan)
+
+
+def _across(rays: Array) -> Array:
+    """(N, J, 3, 3): what of a vector lies across each ray (N, J, 3); all of it where the ray is missing (NaN)."""
+    d = np.nan_to_num(rays)
+    return np.eye(3) - d[..., :, None] * d[..., None, :]
+
+
+def _off_rays(points_m: Array, across: Array) -> tuple[Array, Array, Array]:
+    """How far points (N, J, 3) lie off their rays as seen from the camera, (N, J, 3) without unit, the derivative
+    (N, J, 3, 3) by the points, and the directions (N, J, 3) of the points."""
+    distance = np.linalg.norm(points_m, axis=2, keepdims=True)
+    q = points_m / distance
+    slope = across @ (np.eye(3) - q[..., :, None] * q[..., None, :]) / distance[..., None]
+    return (across @ q[..., None])[..., 0], slope, q
 
 
 def estimate_travel(camera: Camera, skeleton: Skeleton, xy_px: Array, fps: float) -> Travel:
@@ -172,8 +182,7 @@ def _straight_run(heading: Array, shape: Array, up: Array, rays: Array, time_s: 
     places, _ = place_on_rays(shape, rays)
     depth = float(np.median(np.linalg.norm(places, axis=1)))
     seen = np.isfinite(rays[..., 0])
-    d = np.where(seen[..., None], rays, 0.0)
-    across = np.eye(3) - d[..., :, None] * d[..., None, :]
+    across = _across(rays)
     motion = np.zeros((len(time_s), 3, 6))
     motion[:, :, :3] = np.eye(3)
     motion[:, :, 3] = heading * time_s[:, None]
@@ -184,16 +193,13 @@ def _straight_run(heading: Array, shape: Array, up: Array, rays: Array, time_s: 
     x = np.zeros(6)
     x[:3] = np.median(places, axis=0)
     x[3] = max(float(_robust_slope(time_s, places) @ heading), 0.0)
-    weight = seen.astype(float)
     miss = np.zeros(seen.shape)
     for _ in range(8):
-        q = shape + (motion @ x)[:, None]
-        distance = np.linalg.norm(q, axis=2, keepdims=True)
-        q = q / distance
-        off = (across @ q[..., None])[..., 0] * depth / _MISFIT_M
-        miss = np.where(np.sum(q * d, axis=2) > 0, np.linalg.norm(off, axis=2), np.inf)
+        off, slope, direction = _off_rays(shape + (motion @ x)[:, None], across)
+        off, slope = off * depth / _MISFIT_M, slope * depth / _MISFIT_M
+        ahead = np.sum(direction * np.nan_to_num(rays), axis=2) > 0
+        miss = np.where(ahead, np.linalg.norm(off, axis=2), np.inf)
         weight = seen / (1.0 + miss**2) ** 2
-        slope = across @ (np.eye(3) - q[..., :, None] * q[..., None, :]) / distance[..., None] * depth / _MISFIT_M
         weighted = slope * weight[..., None, None]
         curvature = np.einsum("fjab,fjac->fbc", weighted, slope)
         pull = np.einsum("fjab,fja->fb", weighted, off)

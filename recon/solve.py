@@ -73,12 +73,13 @@ class FrameOptions:
 class FrameReport:
     """What the optimiser did for one frame (all residuals without unit).
 
-    starts: how many starts were solved. iterations: accepted and rejected Levenberg-Marquardt iterations of the start
-    that won (Jacobian evaluations, as MINPACK counts them). cost_shares: each term's part of the squared norm.
-    sigma_px: standard deviation of a detection. data_share (D,) and joint_data_share (J,): the part of the posterior
-    precision that comes from the pixels, 0 to 1, NaN where data and priors together leave a quantity undetermined.
-    joint_sigma_m (J, 3): posterior standard deviation in the camera frame, given the frame before. solve_s: time spent
-    on the frame, all starts. in_view: the camera can see the pose; a pose that it cannot is not converged.
+    starts: how many starts were solved. iterations: Levenberg-Marquardt iterations of the start that won, counted by
+    their Jacobian evaluations; these and the function evaluations include its approach with a wide loss. cost_shares:
+    each term's part of the squared norm. sigma_px: standard deviation of a detection. data_share (D,) and
+    joint_data_share (J,): the part of the posterior precision that comes from the pixels, 0 to 1, NaN where data and
+    priors together leave a quantity undetermined. joint_sigma_m (J, 3): posterior standard deviation in the camera
+    frame, given the frame before. solve_s: time spent on the frame, all starts. in_view: the camera can see the pose; a
+    pose that it cannot is not converged.
     """
 
     status: Status
@@ -216,6 +217,8 @@ class _Candidate:
     cost: float
     result: OptimizeResult
     step_norm: float
+    function_evaluations: int
+    jacobian_evaluations: int
 
 
 @dataclass(frozen=True)
@@ -254,7 +257,7 @@ class _FrameSolver:
         if before and not self._explained(fixed, best):
             tried += [self._solve_from(start, fixed) for start in self._more_starts(rays, heading, states[before[-1]])]
             best = self._best(fixed, tried)
-        return best.x, replace(self._report(fixed, best, len(tried)), solve_s=time.perf_counter() - began)
+        return best.x, self._report(fixed, best, len(tried), began)
 
     # -- starts ---------------------------------------------------------------------------------------------------
 
@@ -297,7 +300,13 @@ class _FrameSolver:
         off = float(np.nanmedian(self._distances_px(fixed, start))) / fixed.sigma_px
         if not off <= self.options.robust_c / 2:
             wide = fixed.sigma_px * min(off, 50.0) if np.isfinite(off) else fixed.sigma_px * 10.0
-            start = self._minimise(start, replace(fixed, sigma_px=wide), tolerance=1e-3).x
+            near = self._minimise(start, replace(fixed, sigma_px=wide), tolerance=1e-3)
+            best = self._minimise(near.x, fixed, self.options.tolerance)
+            return replace(
+                best,
+                function_evaluations=near.function_evaluations + best.function_evaluations,
+                jacobian_evaluations=near.jacobian_evaluations + best.jacobian_evaluations,
+            )
         return self._minimise(start, fixed, self.options.tolerance)
 
     def _minimise(self, start: Array, fixed: _Given, tolerance: float) -> _Candidate:
@@ -336,7 +345,7 @@ class _FrameSolver:
         x[free] = result.x
         moves = np.linalg.norm(np.diff([*steps, result.x], axis=0), axis=1)
         step_norm = float(moves[moves > 0][-1]) if np.any(moves > 0) else 0.0
-        return _Candidate(x.copy(), float(result.cost), result, step_norm)
+        return _Candidate(x.copy(), float(result.cost), result, step_norm, int(result.nfev), int(result.njev or 0))
 
     def _noise_px(self, start: Array) -> float:
         """Standard deviation of a detection: the detector's noise and, at a start's distance, the keypoints'."""
@@ -376,23 +385,24 @@ class _FrameSolver:
 
     # -- report ---------------------------------------------------------------------------------------------------
 
-    def _report(self, fixed: _Given, best: _Candidate, starts: int) -> FrameReport:
+    def _report(self, fixed: _Given, best: _Candidate, starts: int, began: float) -> FrameReport:
         result, terms = best.result, self._terms(fixed)
-        window = (fixed.previous, self.skeleton.pose_with_jacobian(best.x[None]))
+        now = self.skeleton.pose_with_jacobian(best.x[None])
+        assert now.joints_jacobian is not None
         frames, dt = np.array([fixed.frame]), np.array([fixed.dt_s])
-        parts = [term.evaluate(window_of(term, window), frames, dt) for term in terms]
+        parts = [term.evaluate(window_of(term, (fixed.previous, now)), frames, dt) for term in terms]
         costs = {term.name: float(np.sum(r**2)) for term, (r, _) in zip(terms, parts, strict=True)}
         total = sum(costs.values())
         J = np.concatenate([j[0, :, -1] for _, j in parts])
         r = np.concatenate([r[0] for r, _ in parts])
-        data_share, joint_share, joint_sigma = precision_shares(parts[0][1][0, :, -1], J, self.skeleton, best.x)
+        data_share, joint_share, joint_sigma = precision_shares(parts[0][1][0, :, -1], J, now.joints_jacobian[0])
         in_view = self._in_view(fixed, best.x)
         return FrameReport(
             status="converged" if result.status in CONVERGED and in_view else "not_converged",
             starts=starts,
-            iterations=int(result.njev),
-            function_evaluations=int(result.nfev),
-            jacobian_evaluations=int(result.njev),
+            iterations=best.jacobian_evaluations,
+            function_evaluations=best.function_evaluations,
+            jacobian_evaluations=best.jacobian_evaluations,
             optimizer_status=int(result.status),
             message=str(result.message)
             + ("" if in_view else " The pose left the camera's view, or ended out of sight."),
@@ -408,7 +418,7 @@ class _FrameSolver:
             data_share=data_share,
             joint_data_share=joint_share,
             joint_sigma_m=joint_sigma,
-            solve_s=0.0,
+            solve_s=time.perf_counter() - began,
             in_view=in_view,
         )
 
@@ -436,24 +446,22 @@ def evaluate(
     return np.concatenate(residuals), np.concatenate(jacobians)
 
 
-def precision_shares(J_data: Array, J: Array, skeleton: Skeleton, x: Array) -> tuple[Array, Array, Array]:
+def precision_shares(J_data: Array, J: Array, joints_jacobian: Array) -> tuple[Array, Array, Array]:
     """What the pixels contribute: shares of the unknowns (D,), of the joints (J,), and the joints' sigmas (J, 3) in m.
 
     With H = J'J = H_data + H_priors and the posterior covariance C = H^-1, C = C H_data C + C H_priors C splits every
-    variance into two non-negative parts; the share is the first one's. J_data: the reprojection's rows of J. All NaN
-    where H is singular.
+    variance into two non-negative parts; the share is the first one's. J_data: the reprojection's rows of J.
+    joints_jacobian (J, 3, D). All NaN where H is singular.
     """
     scale = np.maximum(np.linalg.norm(J, axis=0), 1e-12)
     values, vectors = eigh((J / scale).T @ (J / scale))
-    n_joints = len(skeleton.joints)
     if values[0] < 1e-10 * values[-1]:
-        return np.full(len(x), np.nan), np.full(n_joints, np.nan), np.full((n_joints, 3), np.nan)
+        n_joints, _, n_state = joints_jacobian.shape
+        return np.full(n_state, np.nan), np.full(n_joints, np.nan), np.full((n_joints, 3), np.nan)
     C = (vectors / values) @ vectors.T / np.outer(scale, scale)
     from_data = C @ (J_data.T @ J_data) @ C
-    joints = skeleton.pose_with_jacobian(x[None]).joints_jacobian
-    assert joints is not None
-    variance = np.einsum("jad,de,jae->ja", joints[0], C, joints[0])
-    data_variance = np.einsum("jad,de,jae->ja", joints[0], from_data, joints[0])
+    variance = np.einsum("jad,de,jae->ja", joints_jacobian, C, joints_jacobian)
+    data_variance = np.einsum("jad,de,jae->ja", joints_jacobian, from_data, joints_jacobian)
     share = np.diag(from_data) / np.diag(C)
     joint_share = data_variance.sum(axis=1) / variance.sum(axis=1)
     return np.clip(share, 0, 1), np.clip(joint_share, 0, 1), np.sqrt(variance)

@@ -197,9 +197,10 @@ def test_precision_shares_of_a_problem_done_by_hand():
     """Two unknowns observed once by data and once by priors: variance 1 / (1/s^2 + 1/p^2), share p^2 / (s^2 + p^2)."""
     D = SK.n_state
     s, p = 0.5, 2.0
-    share, _, _ = precision_shares(np.eye(D) / s, np.concatenate([np.eye(D) / s, np.eye(D) / p]), SK, mean_pose(SK))
+    joints = SK.pose_with_jacobian(mean_pose(SK)[None]).joints_jacobian[0]
+    share, _, _ = precision_shares(np.eye(D) / s, np.concatenate([np.eye(D) / s, np.eye(D) / p]), joints)
     np.testing.assert_allclose(share, p**2 / (s**2 + p**2))
-    assert np.isnan(precision_shares(np.eye(D)[:5], np.eye(D)[:5], SK, mean_pose(SK))[0]).all()
+    assert np.isnan(precision_shares(np.eye(D)[:5], np.eye(D)[:5], joints)[0]).all()
 
 
 def test_the_same_input_gives_the_same_states():

@@ -63,7 +63,7 @@ def fit_clip(settings: FitSettings, progress: Progress = lambda done, total: Non
 
 def write_clip(motion: Motion, settings: FitSettings, out: Path, solve_s: float | None = None) -> dict[str, Any]:
     """Write every output of a clip into the folder `out`, all or none, and give back the report."""
-    from recon import view  # rerun takes half a second to import
+    from recon import view  # rerun is slow to import
 
     report = build_report(motion, settings.model_dump(mode="json"), None if solve_s is None else {"solve_s": solve_s})
     with staged_folder(out) as folder:
