@@ -12,27 +12,39 @@ is the joint's local position, p0 the root's, R = Rx(xi) Ry(psi) Rz(zeta). One f
 
     [theta of every free link, phi of every free link, x0, y0, z0, xi, psi, zeta, base_length]
 
-with base_length in metres scaling all links. Source: C. van der Leek, "Kinematic Modeling and Dynamic Aspects of an
-Accelerating Quadruped", MSc(Eng), University of Cape Town, 2022, with the link direction corrected (printed sin T cos P
-for the first component does not keep the length).
+with base_length in metres scaling all links. The links are posed as a tree of segments (`Skeleton.body`).
+
+Source: C. van der Leek, "Kinematic Modeling and Dynamic Aspects of an Accelerating Quadruped", MSc(Eng), University of
+Cape Town, 2022, with the link direction corrected (printed sin T cos P for the first component does not keep the
+length).
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from recon.rotations import euler_rotation, euler_rotation_with_jacobian
+from recon.body import Body
+from recon.kinematics import PITCH, ROLL, ROOT, Joint, Marker, Segment, Tree
+from recon.rotations import euler_angles, euler_rotation, euler_rotation_with_jacobian
 
 Array = NDArray[np.float64]
+Index = NDArray[np.intp]
 Side = Literal["left", "right"]
 
 MIN_JOINTS = 5
 """Fewer detected joints than this do not place a chain."""
+
+_UVW_BODY = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+"""Takes the body's axes x forwards, y left, z up to U, V (down), W."""
+_PITCH_RAD = 0.3
+"""Standard deviation of a running animal's pitch."""
+_LEG_RAD_S2, _SPINE_RAD_S2 = 150.0, 40.0
+"""Standard deviations of the angular acceleration of legs in the sagittal plane, and of the trunk and sideways."""
 
 
 @dataclass(frozen=True)
@@ -170,41 +182,97 @@ class Skeleton:
         return np.array([link.length_ratio for link in self.links])
 
     @cached_property
-    def free_length_ratios(self) -> Array:
-        """(A,): of the links that have angles, in the order of the state."""
-        return np.array([link.length_ratio for link in self.links if link.free])
+    def body(self) -> Body:
+        """The same chain as a tree of segments in metres, root first: one per link, named after the joint it ends in.
+
+        The segments' x axes lie along the links. The root's axes are x = U, y = W, z = -V, its origin is the root
+        joint, and every joint is a marker: theta is pitch, phi is yaw, both summed.
+        """
+        length = {link.end: link.length_ratio * self.nominal_base_length_m for link in self.links}
+        segments = [Segment(self.joints[0], None, "free")]
+        for link in self.links:
+            joint: Joint = "summed" if link.free else "fixed"
+            segments.append(Segment(link.end, link.start, joint, (length.get(link.start, 0.0), 0.0, 0.0)))
+        markers = (Marker(self.joints[0], self.joints[0]), *(Marker(j, j, (length[j], 0.0, 0.0)) for j in length))
+        tree = Tree(tuple(segments), markers)
+
+        rear, front = (self._way(joint) for joint in self.forward)
+        spine = rear ^ front
+        free = [link for link in self.links if link.free]
+        theta_acceleration = [_SPINE_RAD_S2 if link.end in spine else _LEG_RAD_S2 for link in free]
+        A = self.n_angles
+        expected = np.zeros((3, tree.n_state))
+        expected[:, PITCH] = 0.0, _PITCH_RAD, _SPINE_RAD_S2
+        expected[:, ROLL] = 0.0, self.scales.roll_rad, _SPINE_RAD_S2
+        expected[0, self.body_angles] = np.concatenate([self.theta.mean_rad, self.phi.mean_rad])
+        expected[1, self.body_angles] = np.repeat([self.scales.theta_rad, self.scales.phi_rad], A)
+        expected[2, self.body_angles] = [*theta_acceleration, *([_SPINE_RAD_S2] * A)]
+        return Body(
+            name=self.name,
+            title=self.title,
+            tree=tree,
+            limbs=self.limbs,
+            forward=self.forward,
+            feet=tuple(joints[-1] for limb, joints in self.limbs.items() if "leg" in limb.lower()),
+            keypoint_sigma_m=self.scales.keypoint_m,
+            size_sigma=self.scales.base_length_m / self.nominal_base_length_m,
+            mean_rad=expected[0, 4:],
+            sigma_rad=expected[1, 4:],
+            acceleration_rad_s2=expected[2, 4:],
+        )
+
+    def _way(self, joint: str) -> set[str]:
+        """The ends of the links between the root and a joint."""
+        start = {link.end: link.start for link in self.links}
+        way = set[str]()
+        while joint in start:
+            way.add(joint)
+            joint = start[joint]
+        return way
 
     @cached_property
-    def _paths(self) -> Array:
-        """(J, L): 1 where a link lies between the root and a joint."""
-        paths = {self.joints[0]: np.zeros(len(self.links))}
-        for i, link in enumerate(self.links):
-            paths[link.end] = paths[link.start] + np.eye(len(self.links))[i]
-        return np.array([paths[joint] for joint in self.joints])
+    def body_angles(self) -> Index:
+        """(2 A,): where the body's state has this state's angles."""
+        # After the root's six unknowns, every free link has its yaw and then its pitch.
+        pitch = 7 + 2 * np.arange(self.n_angles)
+        return np.concatenate([pitch, pitch - 1])
+
+    def state_from_body(self, body_state: Array, size: Array | float, R_camera_level: Array) -> Array:
+        """States (N, D) of this chain from states of its body (N, D'), whose size is one or (N,).
+
+        The body's world is the level frame: its origin is the camera's centre, its z axis points up; R_camera_level
+        (3, 3) takes it to the camera frame.
+        """
+        root = self.body.tree.orientations(body_state)[:, 0]
+        R_camera_local = R_camera_level @ root @ _UVW_BODY.T
+        place = (body_state[:, None, ROOT] @ R_camera_level.T @ R_camera_local)[:, 0]
+        state = np.empty((len(body_state), self.n_state))
+        state[:, : 2 * self.n_angles] = body_state[:, self.body_angles]
+        state[:, self.place_slice] = place
+        state[:, self.euler_slice] = euler_angles(R_camera_local)
+        state[:, self.base_index] = np.asarray(size) * self.nominal_base_length_m
+        return state
 
     @cached_property
-    def _sums(self) -> Array:
-        """(A, L): 1 where a free link's angle adds to a link's cumulated angle."""
-        free = np.flatnonzero([link.free for link in self.links])
-        return self._paths[1:][:, free].T.copy()
+    def _local_tree(self) -> Tree:
+        """The body with its root held at the origin of the world, whose axes are the body's."""
+        root, *links = self.body.tree.segments
+        return Tree((replace(root, joint="fixed"), *links), self.body.tree.markers)
+
+    def _local_state(self, state: Array) -> Array:
+        """The chain's angles as the state of `_local_tree`."""
+        local_state = np.zeros((len(state), self._local_tree.n_state))
+        local_state[:, self._local_angles] = state[:, : 2 * self.n_angles]
+        return local_state
 
     @cached_property
-    def _sweep(self) -> Array:
-        """(L, J A): how far a change of each angle moves each joint through each link, per base length."""
-        sweep = np.einsum("jl,l,al->lja", self._paths, self.length_ratios, self._sums)
-        return np.ascontiguousarray(sweep.reshape(len(self.links), -1))
-
-    def _directions(self, state: Array) -> tuple[Array, Array, Array, Array]:
-        T = state[:, self.theta_slice] @ self._sums
-        P = state[:, self.phi_slice] @ self._sums
-        return np.cos(T), np.sin(T), np.cos(P), np.sin(P)
+    def _local_angles(self) -> Index:
+        return self.body_angles - 3
 
     def local_joints(self, state: Array) -> Array:
         """Joint positions relative to the root in the local frame UVW, metres: states (N, D) -> (N, J, 3)."""
-        cT, sT, cP, sP = self._directions(state)
-        directions = np.stack([cT * cP, sT, cT * sP], axis=1)
-        per_base = directions @ (self._paths * self.length_ratios).T
-        return per_base.transpose(0, 2, 1) * state[:, self.base_index, None, None]
+        size = state[:, self.base_index] / self.nominal_base_length_m
+        return self._local_tree.pose(self._local_state(state), size).points_m @ _UVW_BODY.T
 
     def pose(self, state: Array) -> Posed:
         """Joints in the camera frame for states (N, D), without Jacobian."""
@@ -215,21 +283,20 @@ class Skeleton:
     def pose_with_jacobian(self, state: Array) -> Posed:
         """Joints in the camera frame and their exact derivatives with respect to the state (N, D)."""
         N, J, A = len(state), len(self.joints), self.n_angles
-        cT, sT, cP, sP = self._directions(state)
-        base = state[:, self.base_index, None, None]
-        directions = np.stack([cT * cP, sT, cT * sP], axis=1)
-        c_per_base = directions @ (self._paths * self.length_ratios).T  # (N, 3, J)
-        p = c_per_base * base + state[:, self.place_slice, None]
-        R, dR = euler_rotation_with_jacobian(state[:, self.euler_slice])
+        tree = self._local_tree.pose_with_jacobian(self._local_state(state))
+        assert tree.jacobian is not None
+        size = state[:, self.base_index, None, None] / self.nominal_base_length_m
+        c_per_size = _UVW_BODY @ tree.points_m.transpose(0, 2, 1)  # (N, 3, J)
+        p = c_per_size * size + state[:, self.place_slice, None]
+        # One frame is the frame method's inner loop, and one rotation by itself is several times quicker.
+        angles = state[:, self.euler_slice]
+        R, dR = euler_rotation_with_jacobian(angles[0] if N == 1 else angles)
+        R, dR = R.reshape(N, 3, 3), dR.reshape(N, 3, 3, 3)
 
-        local = np.empty((N, 3, J, self.n_state))
-        d_theta = np.stack([-sT * cP, cT, -sT * sP], axis=1) * base
-        d_phi = np.stack([-cT * sP, np.zeros_like(sP), cT * cP], axis=1) * base
-        local[..., self.theta_slice] = (d_theta @ self._sweep).reshape(N, 3, J, A)
-        local[..., self.phi_slice] = (d_phi @ self._sweep).reshape(N, 3, J, A)
-        local[..., self.place_slice] = np.eye(3)[:, None, :]
-        local[..., self.euler_slice] = 0.0
-        local[..., self.base_index] = c_per_base
-        jacobian = (R @ local.reshape(N, 3, -1)).reshape(local.shape)
+        jacobian = np.empty((N, 3, J, self.n_state))
+        turned = tree.jacobian.take(self._local_angles, axis=-1).transpose(0, 2, 1, 3).reshape(N, 3, J * 2 * A)
+        jacobian[..., : 2 * A] = (size * (R @ _UVW_BODY) @ turned).reshape(N, 3, J, 2 * A)
+        jacobian[..., self.place_slice] = R[:, :, None]
         jacobian[..., self.euler_slice] = (dR @ p[:, None]).transpose(0, 2, 3, 1)
+        jacobian[..., self.base_index] = R @ (c_per_size / self.nominal_base_length_m)
         return Posed(state, R, (R @ p).transpose(0, 2, 1), jacobian.transpose(0, 2, 1, 3), dR)

@@ -1,16 +1,23 @@
-"""Skeleton files (TOML) -> Skeleton. Built-in skeletons are the files of `recon/skeletons`."""
+"""Skeleton files (TOML) -> Skeleton, a chain of `[[links]]`, or Body, a tree of `[[segments]]`.
+
+Built-in skeletons are the files of `recon/skeletons`, built-in subjects (one animal's lengths) those of
+`recon/subjects`.
+"""
 
 from __future__ import annotations
 
 import tomllib
+from collections.abc import Callable, Iterable, Iterator
 from importlib import resources
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal, TypeVar, overload
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, PositiveFloat, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, PositiveFloat, ValidationError
 
+from recon.body import Body, other_side
 from recon.errors import InputError, Problem
+from recon.kinematics import ANGLES, AXES, Marker, Segment, Tree
 from recon.skeleton import MIN_JOINTS, AngleRanges, Link, PriorScales, Skeleton
 
 
@@ -66,44 +73,149 @@ class _SkeletonFile(_Table):
     links: tuple[_Link, ...] = Field(min_length=1)
 
 
+Offset = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
+Sigma = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+
+
+class _Expectation(_Table):
+    mean_rad: FiniteFloat
+    sigma_rad: Sigma
+    acceleration_rad_s2: Sigma
+
+    def mirrored(self) -> _Expectation:
+        return self.model_copy(update={"mean_rad": -self.mean_rad})
+
+
+class _Segment(_Table):
+    name: str
+    joint: Literal["free", "ball", "universal", "hinge", "fixed"]
+    parent: str | None = None
+    at_m: Offset = (0.0, 0.0, 0.0)
+    mirrored: bool = False
+    yaw: _Expectation | None = None
+    pitch: _Expectation | None = None
+    roll: _Expectation | None = None
+
+
+class _Marker(_Table):
+    name: str
+    segment: str
+    at_m: Offset = (0.0, 0.0, 0.0)
+    mirrored: bool = False
+
+
+class _BodyFile(_Table):
+    name: str
+    title: str
+    forward: tuple[str, str]
+    feet: tuple[str, ...]
+    keypoint_sigma_m: Sigma
+    size_sigma: Sigma
+    segments: tuple[_Segment, ...] = Field(min_length=1)
+    markers: tuple[_Marker, ...]
+    limbs: dict[str, tuple[str, ...]]
+
+
+class _SubjectFile(_Table):
+    skeleton: str
+    title: str
+    size_sigma: Sigma
+    at_m: dict[str, Offset]
+
+
 def builtin_names() -> tuple[str, ...]:
     """Names of the skeletons that come with the package."""
-    files = resources.files("recon") / "skeletons"
+    return _names("skeletons")
+
+
+def builtin_chains() -> tuple[str, ...]:
+    """Those of them that are chains, for the frame method."""
+    return tuple(name for name in builtin_names() if "segments" not in _read(name)[0])
+
+
+def builtin_subjects() -> tuple[str, ...]:
+    """Names of the subjects that come with the package."""
+    return _names("subjects")
+
+
+@overload  # the default is known to be a chain
+def load_skeleton(name_or_path: Literal["cheetah-8u"], subject: None = None) -> Skeleton: ...
+@overload
+def load_skeleton(name_or_path: str | Path, subject: str | Path | None = None) -> Skeleton | Body: ...
+def load_skeleton(name_or_path: str | Path, subject: str | Path | None = None) -> Skeleton | Body:
+    """The built-in skeleton of that name, or the one in a TOML file.
+
+    subject: name or file of a measured animal, for a body only. Raises InputError: no such name or file, a file that
+    does not describe a skeleton, or a subject of another one; every problem is named.
+    """
+    raw, source = _read(name_or_path)
+    if "segments" in raw:
+        return _load_body(raw, source, subject)
+    if subject is not None:
+        expected = f"none: {source} is a chain, and a measured chain is a skeleton of its own"
+        raise InputError(Problem("--subject", "name or file", repr(str(subject)), expected))
+    return _load_chain(raw, source)
+
+
+def load_chain(name_or_path: str | Path) -> Skeleton:
+    """The same for a skeleton that has to be a chain. Raises InputError for a body, too."""
+    raw, source = _read(name_or_path, suggested=builtin_chains)
+    if "segments" in raw:
+        expected = f"a chain for the frame method: one of {', '.join(builtin_chains())}, or a file with [[links]]"
+        raise InputError(Problem("--skeleton", "name or file", repr(str(name_or_path)), expected))
+    return _load_chain(raw, source)
+
+
+def _names(folder: str) -> tuple[str, ...]:
+    files = resources.files("recon") / folder
     return tuple(sorted(f.name.removesuffix(".toml") for f in files.iterdir() if f.name.endswith(".toml")))
 
 
-def load_skeleton(name_or_path: str | Path) -> Skeleton:
-    """The built-in skeleton of that name, or the one in a TOML file.
-
-    Raises InputError: no such name or file, or a file that does not describe a chain; every problem is named.
-    """
-    raw, source = _read(name_or_path)
-    if "extends" in raw:
-        raw = _extended(raw, source)
-    try:
-        parsed = _SkeletonFile.model_validate(raw)
-    except ValidationError as error:
-        raise InputError(
-            Problem(source, ".".join(str(p) for p in e["loc"]), repr(e["input"])[:60], e["msg"]) for e in error.errors()
-        ) from None
-    problems = list(_chain_problems(parsed, source))
-    if problems:
-        raise InputError(problems)
-    return _skeleton(parsed)
-
-
-def _read(name_or_path: str | Path) -> tuple[dict[str, Any], str]:
-    if str(name_or_path) in builtin_names():
-        file = resources.files("recon") / "skeletons" / f"{name_or_path}.toml"
-        return tomllib.loads(file.read_text(encoding="utf-8")), f"skeleton {name_or_path}"
+def _read(
+    name_or_path: str | Path,
+    kind: Literal["skeleton", "subject"] = "skeleton",
+    suggested: Callable[[], Iterable[str]] | None = None,
+) -> tuple[dict[str, Any], str]:
+    """A file's tables, and what to call it in messages. suggested: names to choose from, if not all."""
+    folder = f"{kind}s"
+    if str(name_or_path) in _names(folder):
+        file = resources.files("recon") / folder / f"{name_or_path}.toml"
+        return tomllib.loads(file.read_text(encoding="utf-8")), f"{kind} {name_or_path}"
     path = Path(name_or_path)
     if not path.is_file():
-        expected = f"one of {', '.join(builtin_names())}, or a skeleton file (.toml)"
-        raise InputError(Problem("--skeleton", "name or file", repr(str(name_or_path)), expected))
+        names = _names(folder) if suggested is None else suggested()
+        expected = f"one of {', '.join(names)}, or a {kind} file (.toml)"
+        raise InputError(Problem(f"--{kind}", "name or file", repr(str(name_or_path)), expected))
     try:
         return tomllib.loads(path.read_text(encoding="utf-8")), str(path)
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise InputError(Problem(path, "content", str(error), "a TOML file")) from None
+
+
+_File = TypeVar("_File", bound=_Table)
+
+
+def _parsed(kind: type[_File], raw: dict[str, Any], source: str) -> tuple[_File | None, list[Problem]]:
+    try:
+        return kind.model_validate(raw), []
+    except ValidationError as error:
+        return None, [
+            Problem(source, ".".join(str(p) for p in e["loc"]), repr(e["input"])[:60], e["msg"]) for e in error.errors()
+        ]
+
+
+# -- chains -------------------------------------------------------------------------------------------------------
+
+
+def _load_chain(raw: dict[str, Any], source: str) -> Skeleton:
+    if "extends" in raw:
+        raw = _extended(raw, source)
+    parsed, problems = _parsed(_SkeletonFile, raw, source)
+    if parsed is not None:
+        problems = list(_chain_problems(parsed, source))
+    if parsed is None or problems:
+        raise InputError(problems)
+    return _skeleton(parsed)
 
 
 def _extended(raw: dict[str, Any], source: str) -> dict[str, Any]:
@@ -114,6 +226,8 @@ def _extended(raw: dict[str, Any], source: str) -> dict[str, Any]:
     if not isinstance(lengths, dict):
         raise InputError(Problem(source, "length_m", repr(lengths), "a table of lengths in metres by link"))
     parent, parent_source = _read(name)
+    if "segments" in parent:
+        raise InputError(Problem(source, "extends", parent_source, "a chain; a body's lengths stand in a subject file"))
     if "extends" in parent:
         raise InputError(Problem(source, "extends", parent_source, "a skeleton that does not extend another"))
     if lengths and "links" in raw:
@@ -190,4 +304,142 @@ def _skeleton(f: _SkeletonFile) -> Skeleton:
             keypoint_m=f.keypoint_sigma_m,
         ),
         nominal_base_length_m=f.base_length.nominal_m,
+    )
+
+
+# -- bodies -------------------------------------------------------------------------------------------------------
+
+
+def _load_body(raw: dict[str, Any], source: str, subject: str | Path | None) -> Body:
+    file, problems = _parsed(_BodyFile, raw, source)
+    if subject is not None:
+        raw, subject_source = _read(subject, "subject")
+        animal, more = _parsed(_SubjectFile, raw, subject_source)
+        problems += more
+        if file is not None and animal is not None:
+            problems += _subject_problems(animal, file, subject_source)
+            file = _measured(file, animal)
+    if file is not None:
+        problems += _body_problems(file, source)
+    if file is None or problems:
+        raise InputError(dict.fromkeys(problems))  # both sides of a mirrored segment can have the same
+    return _body(file)
+
+
+def _subject_problems(animal: _SubjectFile, file: _BodyFile, source: str) -> Iterator[Problem]:
+    if animal.skeleton != file.name:
+        yield Problem(source, "skeleton", repr(animal.skeleton), f"{file.name!r}, the skeleton that it is used with")
+        return
+    names = [item.name for item in (*file.segments[1:], *file.markers)]
+    for name in animal.at_m:
+        if name not in names:
+            expected = f"a segment but the root, or a marker, of {file.name}: {', '.join(names)}"
+            yield Problem(source, f"at_m.{name}", repr(name), expected)
+
+
+def _measured(file: _BodyFile, animal: _SubjectFile) -> _BodyFile:
+    def placed(items: tuple[_Item, ...]) -> tuple[_Item, ...]:
+        return tuple(x.model_copy(update={"at_m": animal.at_m.get(x.name, x.at_m)}) for x in items)
+
+    changed = {"segments": (file.segments[0], *placed(file.segments[1:])), "markers": placed(file.markers)}
+    return file.model_copy(update={"title": animal.title, "size_sigma": animal.size_sigma, **changed})
+
+
+_Item = TypeVar("_Item", _Segment, _Marker)
+
+
+def _both_sides(items: Iterable[_Item]) -> Iterator[tuple[int, _Item]]:
+    """Every segment or marker with its row in the file; the mirrored ones are followed by their right counterpart."""
+    for i, item in enumerate(items):
+        yield i, item
+        if item.mirrored and item.name.startswith("l_"):
+            x, y, z = item.at_m
+            changed: dict[str, Any] = {"name": other_side(item.name), "at_m": (x, -y, z), "mirrored": False}
+            if isinstance(item, _Marker):
+                changed["segment"] = other_side(item.segment)
+            else:
+                changed["parent"] = None if item.parent is None else other_side(item.parent)
+                changed |= {a: e.mirrored() for a in ("yaw", "roll") if (e := getattr(item, a)) is not None}
+            yield i, item.model_copy(update=changed)
+
+
+def _expected_angles(segment: _Segment) -> list[str]:
+    """The angles that have an expectation, in the order of the state: all but the heading of the root."""
+    return [ANGLES[axis] for axis in AXES[segment.joint] if (segment.joint, axis) != ("free", "z")]
+
+
+def _body_problems(file: _BodyFile, source: str) -> Iterator[Problem]:
+    segments, used = set[str](), set[str]()
+    for i, segment in _both_sides(file.segments):
+        at = f"segments.{i}"
+        yield from _name_problems(segment, at, used, source)
+        if i == 0:
+            yield from _root_problems(segment, source)
+        elif segment.joint == "free":
+            yield Problem(source, f"{at}.joint", "'free'", "ball, universal, hinge or fixed: only the root is free")
+        if i > 0 and segment.parent not in segments:
+            yield Problem(source, f"{at}.parent", repr(segment.parent), "the name of an earlier segment")
+        expected = _expected_angles(segment)
+        for angle in ANGLES.values():
+            given = getattr(segment, angle) is not None
+            if given != (angle in expected):
+                found = "an expectation" if given else "none"
+                wanted = f"{' and '.join(expected) or 'no angle'}, since its joint is {segment.joint}"
+                yield Problem(source, f"{at}.{angle}", found, wanted)
+        segments.add(segment.name)
+        used.add(segment.name)
+    markers = set[str]()
+    for i, marker in _both_sides(file.markers):
+        yield from _name_problems(marker, f"markers.{i}", used, source)
+        if marker.segment not in segments:
+            yield Problem(source, f"markers.{i}.segment", repr(marker.segment), "the name of a segment")
+        markers.add(marker.name)
+        used.add(marker.name)
+    if len(markers) < MIN_JOINTS:
+        yield Problem(source, "markers", f"{len(markers)}", f"at least {MIN_JOINTS}: fewer do not place it")
+    named = [("forward", file.forward), ("feet", file.feet), *((f"limbs.{k}", v) for k, v in file.limbs.items())]
+    for field, names in named:
+        for name in names:
+            if name not in markers:
+                yield Problem(source, field, repr(name), f"one of {', '.join(sorted(markers)) or 'the markers'}")
+    if file.forward[0] == file.forward[1]:
+        yield Problem(source, "forward", f"{file.forward[0]!r} twice", "two markers, from rear to front")
+
+
+def _name_problems(item: _Segment | _Marker, field: str, used: set[str], source: str) -> Iterator[Problem]:
+    if item.name in used:
+        yield Problem(source, f"{field}.name", repr(item.name), "a name that no earlier segment or marker has")
+    if item.mirrored and not item.name.startswith("l_"):
+        yield Problem(source, f"{field}.mirrored", repr(item.name), "a name that begins with l_")
+
+
+def _root_problems(root: _Segment, source: str) -> Iterator[Problem]:
+    if root.joint != "free":
+        yield Problem(source, "segments.0.joint", repr(root.joint), "free: the first segment is the root")
+    if root.parent is not None:
+        yield Problem(source, "segments.0.parent", repr(root.parent), "none: the first segment is the root")
+    if any(root.at_m):
+        yield Problem(source, "segments.0.at_m", f"{list(root.at_m)}", "none: the root's origin is an unknown")
+    if root.mirrored:
+        yield Problem(source, "segments.0.mirrored", "true", "one root")
+
+
+def _body(f: _BodyFile) -> Body:
+    segments = [segment for _, segment in _both_sides(f.segments)]
+    expected = [getattr(s, angle) for s in segments for angle in _expected_angles(s)]
+    return Body(
+        name=f.name,
+        title=f.title,
+        tree=Tree(
+            segments=tuple(Segment(s.name, s.parent, s.joint, s.at_m) for s in segments),
+            markers=tuple(Marker(m.name, m.segment, m.at_m) for _, m in _both_sides(f.markers)),
+        ),
+        limbs=f.limbs,
+        forward=f.forward,
+        feet=f.feet,
+        keypoint_sigma_m=f.keypoint_sigma_m,
+        size_sigma=f.size_sigma,
+        mean_rad=np.array([e.mean_rad for e in expected]),
+        sigma_rad=np.array([e.sigma_rad for e in expected]),
+        acceleration_rad_s2=np.array([e.acceleration_rad_s2 for e in expected]),
     )

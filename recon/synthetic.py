@@ -24,7 +24,7 @@ from recon.camera import Camera
 from recon.keypoints import Keypoints
 from recon.rotations import euler_angles, euler_rotation
 from recon.skeleton import Side, Skeleton
-from recon.skeleton_file import load_skeleton
+from recon.skeleton_file import load_chain
 
 Array = NDArray[np.float64]
 Direction = Literal["right", "left"]
@@ -101,7 +101,7 @@ def gallop(
     """
     if abs(heading_rad) > 1.2:
         raise ValueError(f"the heading must lie within 1.2 rad of the picture's plane, got {heading_rad}")
-    skeleton = load_skeleton("cheetah-8u")
+    skeleton = load_chain("cheetah-8u")
     side: Side = "right" if direction == "right" else "left"
     rng = np.random.default_rng(seed)
     waves = [_Waves.draw(rng, 2 * skeleton.n_angles + 3) for _ in range(2)]

@@ -12,7 +12,7 @@ from recon.errors import InputError
 from recon.pipelines.clip import OUTPUT_FILES, fit_clip, write_clip
 from recon.pipelines.demo import samples_folder
 from recon.settings import FitSettings
-from recon.skeleton_file import builtin_names, load_skeleton
+from recon.skeleton_file import builtin_chains, load_skeleton
 from recon.solve import FrameOptions, solve_frames
 
 EXAMPLE = (Path(__file__).parents[1] / "docs" / "skeletons.md").read_text().split("```toml")[2].split("```")[0]
@@ -34,7 +34,7 @@ def sample(**options) -> FitSettings:
     return FitSettings.model_validate(files | options)
 
 
-@pytest.mark.parametrize("skeleton", [*builtin_names(), "example", "front root"])
+@pytest.mark.parametrize("skeleton", [*builtin_chains(), "example", "front root"])
 def test_every_skeleton_is_fitted_and_written(tmp_path, skeleton: str):
     texts = {"example": EXAMPLE, "front root": FRONT_ROOT}
     if skeleton in texts:

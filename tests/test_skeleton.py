@@ -9,7 +9,7 @@ import pytest
 
 from recon.errors import InputError
 from recon.skeleton import Skeleton
-from recon.skeleton_file import builtin_names, load_skeleton
+from recon.skeleton_file import builtin_chains, load_chain
 
 LINKS = ("r5", "r1", "r2", "r3", "r4", "r6", "r7", "r8")
 MEASURED_M = {
@@ -18,9 +18,9 @@ MEASURED_M = {
 }
 
 
-@pytest.fixture(params=builtin_names())
+@pytest.fixture(params=builtin_chains())
 def skeleton(request: pytest.FixtureRequest) -> Skeleton:
-    return load_skeleton(request.param)
+    return load_chain(request.param)
 
 
 def random_states(skeleton: Skeleton, n: int) -> np.ndarray:
@@ -51,7 +51,7 @@ def test_jacobian_against_central_differences(skeleton: Skeleton):
 
 
 def test_the_chain_of_the_design():
-    skeleton = load_skeleton("cheetah-8u")
+    skeleton = load_chain("cheetah-8u")
     assert skeleton.state_names == (
         *(f"theta_{i}" for i in (6, 7, 8, 1, 2, 3, 4)),
         *(f"phi_{i}" for i in (6, 7, 8, 1, 2, 3, 4)),
@@ -66,7 +66,7 @@ def test_the_chain_of_the_design():
 
 def test_a_pose_by_hand():
     """Spine straight along U; the front leg's first link turned down (V) by theta, then to the side (W) by phi."""
-    skeleton = load_skeleton("cheetah-8u")
+    skeleton = load_chain("cheetah-8u")
     state = np.zeros((1, 21))
     state[0, 20] = 0.2
     state[0, skeleton.state_names.index("theta_2")] = np.pi / 2
@@ -81,7 +81,7 @@ def test_a_pose_by_hand():
 
 @pytest.mark.parametrize("name", MEASURED_M)
 def test_measured_lengths(name: str):
-    skeleton = load_skeleton(name)
+    skeleton = load_chain(name)
     lengths = {link.name: link.length_ratio * skeleton.nominal_base_length_m for link in skeleton.links}
     assert lengths == pytest.approx(dict(zip(LINKS, MEASURED_M[name], strict=True)), abs=1e-12)
 
@@ -94,7 +94,7 @@ def test_every_problem_of_a_file_is_named(tmp_path):
     file = tmp_path / "x.toml"
     file.write_text(text)
     with pytest.raises(InputError) as error:
-        load_skeleton(file)
+        load_chain(file)
     assert {p.field for p in error.value.problems} == {"keypoint_sigma_m", "base_length.sigma_m", "colour"}
 
 
@@ -113,22 +113,22 @@ def test_bad_files(tmp_path, text: str, field: str):
     file = tmp_path / "x.toml"
     file.write_text(text)
     with pytest.raises(InputError) as error:
-        load_skeleton(file)
+        load_chain(file)
     assert [p.field for p in error.value.problems] == [field]
 
 
 def test_unknown_name_lists_the_known_ones():
     with pytest.raises(InputError, match="cheetah-8u, cheetah-8u-jules"):
-        load_skeleton("unicorn")
+        load_chain("unicorn")
 
 
-def test_the_documented_examples_are_skeletons(tmp_path):
+def test_the_documented_examples_are_chains(tmp_path):
     text = (Path(__file__).parents[1] / "docs" / "skeletons.md").read_text()
     examples = [block.split("```")[0] for block in text.split("```toml")[1:]]
-    assert len(examples) == 2
-    for i, example in enumerate(examples):
+    assert len(examples) == 4  # the last two are a subject and a body, see test_body.py
+    for i, example in enumerate(examples[:2]):
         (tmp_path / f"{i}.toml").write_text(example)
-        assert len(load_skeleton(tmp_path / f"{i}.toml").joints) >= 5
+        assert len(load_chain(tmp_path / f"{i}.toml").joints) >= 5
 
 
 def test_a_chain_that_cannot_be_placed_is_refused(tmp_path):
@@ -137,10 +137,10 @@ def test_a_chain_that_cannot_be_placed_is_refused(tmp_path):
     short = tmp_path / "short.toml"
     short.write_text("[[links]]".join(example.split("[[links]]")[:4]))
     with pytest.raises(InputError, match="at least 4"):
-        load_skeleton(short)
+        load_chain(short)
     free = tmp_path / "free.toml"
     angle = "{ mean_rad = 0.0, tolerance_rad = 1.0, max_rate_rad_s = 9.0 }"
     with_angles = f'keypoint = "spine"\ntheta = {angle}\nphi = {angle}'
     free.write_text(example.replace('keypoint = "spine"', with_angles))
     with pytest.raises(InputError, match="forward axis"):
-        load_skeleton(free)
+        load_chain(free)

@@ -23,7 +23,7 @@ from recon.motion import Motion
 from recon.report import build_report, write_report
 from recon.settings import FitSettings
 from recon.skeleton import Side, Skeleton
-from recon.skeleton_file import load_skeleton
+from recon.skeleton_file import load_chain
 from recon.solve import solve_frames
 
 Progress = Callable[[int, int], None]
@@ -39,7 +39,7 @@ def fit_clip(settings: FitSettings, progress: Progress = lambda done, total: Non
     be solved are part of the result.
     """
     skeleton, camera, file, frames = _all_of(
-        lambda: load_skeleton(settings.skeleton),
+        lambda: load_chain(settings.skeleton),
         lambda: _camera(settings),
         lambda: read_keypoints(settings.keypoints, settings.individual),
         lambda: parse_frame_range(settings.frames) if settings.frames else None,

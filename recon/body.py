@@ -1,0 +1,71 @@
+"""A whole animal: a tree of segments (`recon.kinematics`), its markers, and what is expected of its pose.
+
+The states are the tree's. Right-handed frames, x forwards, y left, z up; names that begin with l_ and r_ belong to the
+left and the right side.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from recon.kinematics import Tree
+
+Array = NDArray[np.float64]
+
+SIDES = {"l_": "r_", "r_": "l_"}
+
+
+def other_side(name: str) -> str:
+    """l_paw -> r_paw and back; names of the middle stay."""
+    return SIDES[name[:2]] + name[2:] if name[:2] in SIDES else name
+
+
+@dataclass(frozen=True)
+class Body:
+    """A tree with J markers and D unknowns per frame, and the expectations of them.
+
+    limbs: marker names along each limb, for drawing. forward: two markers, from rear to front. feet: the markers that
+    touch the ground. keypoint_sigma_m: how far keypoints lie from the markers. size_sigma: of the size, the factor on
+    all lengths, around 1. mean_rad, sigma_rad, acceleration_rad_s2 (D - 4,): the Gaussian expectation of the angles
+    state[:, 4:], that is the root's pitch and roll and the joints' angles, and one sigma of their acceleration.
+    """
+
+    name: str
+    title: str
+    tree: Tree
+    limbs: dict[str, tuple[str, ...]]
+    forward: tuple[str, str]
+    feet: tuple[str, ...]
+    keypoint_sigma_m: float
+    size_sigma: float
+    mean_rad: Array
+    sigma_rad: Array
+    acceleration_rad_s2: Array
+
+    @cached_property
+    def markers(self) -> tuple[str, ...]:
+        """(J,)"""
+        return tuple(m.name for m in self.tree.markers)
+
+    @property
+    def n_state(self) -> int:
+        return self.tree.n_state
+
+    @property
+    def state_names(self) -> tuple[str, ...]:
+        return self.tree.state_names
+
+    @cached_property
+    def mirror(self) -> tuple[NDArray[np.intp], Array]:
+        """Permutation and sign, both (D,): state[..., permutation] * sign is the animal mirrored left to right.
+
+        The mirror is the world's x-z plane. What has no counterpart on the other side is taken for the middle.
+        """
+        at = {name: i for i, name in enumerate(self.state_names)}
+        permutation = np.array([at.get(other_side(name), i) for name, i in at.items()])
+        flips = [name == "y_m" or name.endswith(("_yaw", "_roll")) for name in at]
+        return permutation, np.where(flips, -1.0, 1.0)
