@@ -26,7 +26,7 @@ from recon.cli import main
 from recon.io import read_keypoints
 from recon.pipelines.clip import OUTPUT_FILES
 from recon.settings import FitSettings, read_settings
-from recon.solve import MIN_JOINTS
+from recon.skeleton import MIN_JOINTS
 
 SAMPLES = Path(__file__).parents[1] / "data" / "samples"
 CLIP, CAMERA, TRUTH = SAMPLES / "noisy.csv", SAMPLES / "camera.toml", SAMPLES / "noisy_truth.csv"

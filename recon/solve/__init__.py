@@ -1,0 +1,32 @@
+"""Objectives -> states: the only place that calls an optimiser.
+
+frame: one frame of a chain after the other. trajectory: a whole animal over a whole clip.
+"""
+
+from recon.solve.frame import (
+    CONVERGED,
+    FrameOptions,
+    FrameReport,
+    Solution,
+    base_length,
+    evaluate,
+    precision_shares,
+    solve_frames,
+    solve_joints,
+)
+from recon.solve.result import Ground, Start, TrajectorySolution
+
+__all__ = [
+    "CONVERGED",
+    "FrameOptions",
+    "FrameReport",
+    "Ground",
+    "Solution",
+    "Start",
+    "TrajectorySolution",
+    "base_length",
+    "evaluate",
+    "precision_shares",
+    "solve_frames",
+    "solve_joints",
+]
