@@ -19,7 +19,8 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from recon import FitSettings, InputError, Motion, Pose3D, evaluate, fit_clip, read_pose3d
+from recon import FitSettings, FrameMotion, InputError, Motion, Pose3D, evaluate, read_pose3d
+from recon.pipelines.clip import fit_frames
 from recon.skeleton_file import builtin_names
 
 PUBLISHED = "cheetah-8u"
@@ -32,11 +33,12 @@ def view_row(run: Path, camera: int, skeleton: str, meta: dict, **options) -> di
         camera=run / "scene.json",
         camera_name=f"cam{camera}",
         fps=meta["fps"],
+        method="frame",
         skeleton=skeleton,
         **options,
     )
     start = time.perf_counter()
-    motion = fit_clip(settings)
+    motion = fit_frames(settings)
     seconds = time.perf_counter() - start
     truth = read_pose3d(run / "truth.csv")
     score = evaluate(Pose3D(motion.names, motion.joints_m, motion.frames), truth)
@@ -75,7 +77,7 @@ def best_90_px(motion: Motion) -> float:
     return float(distance[: int(0.9 * len(distance))].mean()) if len(distance) else np.nan
 
 
-def heading_off_deg(motion: Motion, truth: Pose3D) -> float:
+def heading_off_deg(motion: FrameMotion, truth: Pose3D) -> float:
     """Angle between the fit's direction of travel and the truth's trunk, both level: median over frames."""
     rear, front = (motion.names[motion.skeleton.joints.index(joint)] for joint in motion.skeleton.forward)
     _, here, there = np.intersect1d(motion.frames, truth.frames, return_indices=True)

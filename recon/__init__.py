@@ -10,13 +10,14 @@ motion.joints_m  # (frames, joints, 3), metres
 from importlib import metadata
 
 from recon.analysis.evaluation import Evaluation, evaluate, evaluate_files
+from recon.body import Body
 from recon.calibration import read_camera, read_cameras, write_camera
 from recon.camera import Camera
 from recon.errors import InputError
 from recon.io import read_keypoints
 from recon.io.pose3d import Pose3D, read_pose3d
 from recon.keypoints import Keypoints, clean
-from recon.motion import Motion
+from recon.motion import FrameMotion, Motion, TrajectoryMotion
 from recon.pipelines.clip import fit_clip, write_clip
 from recon.settings import FitSettings
 from recon.skeleton import Skeleton
@@ -25,14 +26,17 @@ from recon.skeleton_file import load_skeleton
 __version__ = metadata.version("recon")
 
 __all__ = [
+    "Body",
     "Camera",
     "Evaluation",
     "FitSettings",
+    "FrameMotion",
     "InputError",
     "Keypoints",
     "Motion",
     "Pose3D",
     "Skeleton",
+    "TrajectoryMotion",
     "clean",
     "evaluate",
     "evaluate_files",

@@ -6,7 +6,7 @@ left and the right side.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -32,6 +32,7 @@ class Body:
     touch the ground. keypoint_sigma_m: how far keypoints lie from the markers. size_sigma: of the size, the factor on
     all lengths, around 1. mean_rad, sigma_rad, acceleration_rad_s2 (D - 4,): the Gaussian expectation of the angles
     state[:, 4:], that is the root's pitch and roll and the joints' angles, and one sigma of their acceleration.
+    keypoint_offset_m: how far a detector's keypoint lies from a marker, (x, y, z) in the marker's segment, by marker.
     """
 
     name: str
@@ -45,6 +46,20 @@ class Body:
     mean_rad: Array
     sigma_rad: Array
     acceleration_rad_s2: Array
+    keypoint_offset_m: dict[str, tuple[float, float, float]] = field(default_factory=dict)
+
+    @cached_property
+    def detected(self) -> Tree:
+        """The tree with its markers where a detector sees them."""
+        if not self.keypoint_offset_m:
+            return self.tree
+        zero = (0.0, 0.0, 0.0)
+        shifts = [self.keypoint_offset_m.get(m.name, zero) for m in self.tree.markers]
+        markers = (
+            replace(m, offset_m=(m.offset_m[0] + x, m.offset_m[1] + y, m.offset_m[2] + z))
+            for m, (x, y, z) in zip(self.tree.markers, shifts, strict=True)
+        )
+        return replace(self.tree, markers=tuple(markers))
 
     @cached_property
     def markers(self) -> tuple[str, ...]:

@@ -16,6 +16,7 @@ Formats, told apart by suffix and content:
 from __future__ import annotations
 
 import json
+import math
 import os
 import re
 import tomllib
@@ -61,6 +62,7 @@ class _Record:
     world_z_up: Any
     values: dict[str, Any]
     keys: dict[str, str]
+    tilt_rad: Any = 0.0
 
 
 def read_cameras(path: str | Path, image_size_px: tuple[int, int] | None = None) -> tuple[Camera, ...]:
@@ -206,6 +208,7 @@ def _own_record(path: Path, table: dict[str, Any]) -> _Record:
         world_z_up=table.get("world_z_up", True),
         values={field: table.get(field) for field in fields},
         keys={field: field for field in fields},
+        tilt_rad=table.get("tilt_rad", 0.0),
     )
 
 
@@ -362,6 +365,10 @@ def _build(
 
     if not isinstance(record.world_z_up, bool):
         fault("world_z_up", repr(record.world_z_up), "true or false")
+    knows_up = rotation is not None and record.world_z_up
+    tilt = record.tilt_rad
+    if not isinstance(tilt, int | float) or not abs(tilt) < math.pi / 2 or (tilt and knows_up):
+        fault("tilt_rad", repr(tilt), "radians between -pi/2 and pi/2, and 0 beside a pose that says which way is up")
     if len(problems) > before or matrix is None or distortion is None or size is None:
         return None
     return Camera(
@@ -373,6 +380,7 @@ def _build(
         rotation=rotation,
         translation_m=None if translation is None else translation.ravel(),
         world_z_up=record.world_z_up,
+        tilt_rad=float(tilt),
     )
 
 

@@ -40,10 +40,12 @@ class Camera:
     name: the name in its calibration file. matrix: (3, 3), K with skew s = K[0, 1]. distortion: (n,) coefficients of
     `model`. image_size_px: (width, height). rotation, translation_m: (3, 3) and (3,), T_camera_world, that is
     X_camera = rotation X_world + translation_m; both None when the pose is unknown. world_z_up: whether the world
-    frame's z axis points up (False where a calibration board defines the world).
+    frame's z axis points up (False where a calibration board defines the world). tilt_rad: how far a camera that does
+    not know which way is up looks down; 0 is level.
 
     Raises ValueError, naming every fault, for wrong shapes or numbers of coefficients, values that are not finite,
-    focal lengths or image sizes that are not positive, and a rotation that is not orthonormal and right-handed to 1e-6.
+    focal lengths or image sizes that are not positive, a rotation that is not orthonormal and right-handed to 1e-6, and
+    a tilt of a right angle or more, or beside a pose that says which way is up.
     """
 
     name: str
@@ -54,6 +56,7 @@ class Camera:
     rotation: FloatArray | None = None
     translation_m: FloatArray | None = None
     world_z_up: bool = True
+    tilt_rad: float = 0.0
 
     def __post_init__(self) -> None:
         for field in ("matrix", "distortion", "rotation", "translation_m"):
@@ -89,6 +92,10 @@ class Camera:
             faults.append("rotation must be a 3x3 rotation matrix")
         if t is not None and (t.shape != (3,) or not np.isfinite(t).all()):
             faults.append(f"translation_m must be 3 finite numbers, got shape {t.shape}")
+        if not abs(self.tilt_rad) < math.pi / 2:
+            faults.append(f"tilt_rad must lie between -pi/2 and pi/2, got {self.tilt_rad}")
+        elif self.tilt_rad and self.knows_up:
+            faults.append(f"tilt_rad must be 0 beside a pose that says which way is up, got {self.tilt_rad}")
         return faults
 
     @classmethod
@@ -321,14 +328,20 @@ class Camera:
         return self.rotation is not None
 
     @property
+    def knows_up(self) -> bool:
+        """Whether the pose says which way is up."""
+        return self.rotation is not None and self.world_z_up
+
+    @property
     def up(self) -> FloatArray:
         """Unit vector (3,), camera frame, that points up.
 
-        From the pose where the world's z axis points up; otherwise (0, -1, 0): the camera is taken to be level.
+        From the pose where the world's z axis points up; otherwise the camera's x axis is taken to be level, and its
+        tilt is `tilt_rad`: (0, -1, 0) for a level camera.
         """
         if self.rotation is not None and self.world_z_up:
             return self.rotation[:, 2].copy()
-        return np.array((0.0, -1.0, 0.0))
+        return np.array((0.0, -math.cos(self.tilt_rad), 0.0 - math.sin(self.tilt_rad)))
 
     @property
     def centre_world(self) -> FloatArray:
@@ -353,7 +366,7 @@ class Camera:
     # ---- plain data ----
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain strings, numbers and lists, in the order of the fields; an unknown pose is left out."""
+        """Plain strings, numbers and lists, in the order of the fields; an unknown pose and no tilt are left out."""
         plain: dict[str, Any] = {
             "name": self.name,
             "model": self.model,
@@ -363,6 +376,8 @@ class Camera:
         }
         if self.rotation is not None and self.translation_m is not None:
             plain |= {"rotation": self.rotation.tolist(), "translation_m": self.translation_m.tolist()}
+        if self.tilt_rad:
+            plain["tilt_rad"] = self.tilt_rad
         return plain | {"world_z_up": self.world_z_up}
 
     @classmethod
@@ -377,6 +392,7 @@ class Camera:
             rotation=plain.get("rotation"),
             translation_m=plain.get("translation_m"),
             world_z_up=plain["world_z_up"],
+            tilt_rad=plain.get("tilt_rad", 0.0),
         )
 
 

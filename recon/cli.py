@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 from rich.table import Column, Table
 from rich.text import Text
 
@@ -29,6 +29,8 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
+
+_TRAJECTORY, _FRAME = "Trajectory method", "Frame method"
 
 EXIT_UNSOLVED = 1
 EXIT_BAD_INPUT = 2
@@ -83,10 +85,19 @@ def fit(
     ] = None,
     fps: Annotated[float | None, typer.Option(help="Frame rate of the video in Hz, as in 120.")] = None,
     out: Annotated[Path | None, typer.Option(help="Folder for the results, as in results/clip1.")] = None,
-    skeleton: Annotated[
-        str | None, typer.Option(help="Name of a built-in skeleton or a TOML file. (default: cheetah-8u)")
+    method: Annotated[
+        str | None,
+        typer.Option(
+            help="trajectory: the whole animal over the whole clip; frame: one side, one frame after the other. "
+            "(default: trajectory)"
+        ),
     ] = None,
-    method: Annotated[str | None, typer.Option(help="frame: one frame after the other. (default: frame)")] = None,
+    skeleton: Annotated[
+        str | None,
+        typer.Option(
+            help="Name of a built-in skeleton or a TOML file. (default: cheetah-24; cheetah-8u for the frame method)"
+        ),
+    ] = None,
     frames: Annotated[
         str | None, typer.Option(help="Only these frame numbers, from A up to but without B, as in 100:160.")
     ] = None,
@@ -95,7 +106,8 @@ def fit(
         float | None, typer.Option(help="Leave out points less likely than this, 0 to 1. (default: 0.5)")
     ] = None,
     side: Annotated[
-        str | None, typer.Option(help="Side of the animal to fit: auto, left or right. (default: auto)")
+        str | None,
+        typer.Option(help="With a skeleton of one side, which to fit: auto, left or right. (default: auto)"),
     ] = None,
     hfov_deg: Annotated[
         float | None,
@@ -104,22 +116,9 @@ def fit(
     image_size: Annotated[
         str | None, typer.Option(help="Size of the video in pixels, if the camera file lacks it, as in 1920x1080.")
     ] = None,
-    form: Annotated[
-        str | None,
-        typer.Option(help="Ranges and rates: deadband (beyond the limit) or printed (two-sided). (default: deadband)"),
-    ] = None,
-    angle_prior: Annotated[
-        str | None, typer.Option(help="Gaussian priors on angles and heading: gaussian or none. (default: gaussian)")
-    ] = None,
-    camera_rotation: Annotated[
-        str | None, typer.Option(help="The body's rotation: free, or fixed to the first frame's. (default: free)")
-    ] = None,
-    base_length_m: Annotated[
-        float | None, typer.Option(help="Base length of the chain in metres, as in 0.203. (default: the skeleton's)")
-    ] = None,
-    base_sigma_m: Annotated[
+    tilt_deg: Annotated[
         float | None,
-        typer.Option(help="Standard deviation of the base length in metres, as in 0.001. (default: the skeleton's)"),
+        typer.Option(help="Without extrinsics: how far the camera looks down, in degrees, as in 5. (default: level)"),
     ] = None,
     sigma_px: Annotated[
         float | None, typer.Option(help="Noise of the detector in pixels, one standard deviation. (default: 3)")
@@ -127,6 +126,72 @@ def fit(
     keypoint_sigma_m: Annotated[
         float | None,
         typer.Option(help="How far keypoints lie from the joints, metres, as in 0.05. (default: the skeleton's)"),
+    ] = None,
+    subject: Annotated[
+        str | None,
+        typer.Option(
+            help="Lengths measured on one animal: built-in name or TOML file, as in jules. (default: the skeleton's)",
+            rich_help_panel=_TRAJECTORY,
+        ),
+    ] = None,
+    prior: Annotated[
+        str | None,
+        typer.Option(
+            help="What motions are like: a built-in name, a file of `recon prior fit`, or none. "
+            "(default: the built-in one for this skeleton, if any)",
+            rich_help_panel=_TRAJECTORY,
+        ),
+    ] = None,
+    ground: Annotated[
+        str | None,
+        typer.Option(
+            help="auto: feet that stand are still and on one plane; none: nothing is said about them. (default: auto)",
+            rich_help_panel=_TRAJECTORY,
+        ),
+    ] = None,
+    size_sigma: Annotated[
+        float | None,
+        typer.Option(
+            help="Standard deviation of the animal's size, relative, as in 0.1. (default: the skeleton's)",
+            rich_help_panel=_TRAJECTORY,
+        ),
+    ] = None,
+    fast: Annotated[
+        bool | None,
+        typer.Option("--fast/--no-fast", help="Quicker: fewer directions to start from.", rich_help_panel=_TRAJECTORY),
+    ] = None,
+    form: Annotated[
+        str | None,
+        typer.Option(
+            help="Ranges and rates: deadband (beyond the limit) or printed (two-sided). (default: deadband)",
+            rich_help_panel=_FRAME,
+        ),
+    ] = None,
+    angle_prior: Annotated[
+        str | None,
+        typer.Option(
+            help="Gaussian priors on angles and heading: gaussian or none. (default: gaussian)",
+            rich_help_panel=_FRAME,
+        ),
+    ] = None,
+    camera_rotation: Annotated[
+        str | None,
+        typer.Option(
+            help="The body's rotation: free, or fixed to the first frame's. (default: free)", rich_help_panel=_FRAME
+        ),
+    ] = None,
+    base_length_m: Annotated[
+        float | None,
+        typer.Option(
+            help="Base length of the chain in metres, as in 0.203. (default: the skeleton's)", rich_help_panel=_FRAME
+        ),
+    ] = None,
+    base_sigma_m: Annotated[
+        float | None,
+        typer.Option(
+            help="Standard deviation of the base length in metres, as in 0.001. (default: the skeleton's)",
+            rich_help_panel=_FRAME,
+        ),
     ] = None,
     config: Annotated[
         Path | None, typer.Option(help="config.toml of an earlier run; options given here overrule it.")
@@ -148,14 +213,20 @@ def fit(
         "camera": camera,
         "camera_name": camera_name,
         "fps": fps,
-        "skeleton": skeleton,
         "method": method,
+        "skeleton": skeleton,
+        "subject": subject,
+        "prior": prior,
         "frames": frames,
         "individual": individual,
         "likelihood_min": likelihood_min,
         "side": side,
         "hfov_deg": hfov_deg,
         "image_size_px": image_size,
+        "tilt_deg": tilt_deg,
+        "ground": ground,
+        "size_sigma": size_sigma,
+        "fast": fast,
         "form": form,
         "angle_prior": angle_prior,
         "camera_rotation": camera_rotation,
@@ -228,19 +299,80 @@ def demo(
     console.print(f"Error against the sample's truth: {1000 * evaluation.mpjpe_m.mean:.0f} mm (MPJPE)")
 
 
+prior_app = typer.Typer(help="Motion priors: which poses occur, and how they change.", no_args_is_help=True)
+app.add_typer(prior_app, name="prior")
+
+
+@prior_app.command("fit")
+def prior_fit(
+    poses: Annotated[
+        list[Path], typer.Argument(metavar="POSES", help="3D poses as in pose3d.csv: metres, world z up.")
+    ],
+    skeleton: Annotated[
+        str, typer.Option(help="Built-in skeleton of a whole animal or a TOML file, as in cheetah-24.")
+    ],
+    fps: Annotated[str, typer.Option(help='Frame rate in Hz, or a JSON file with {"fps": [...]}, one per piece.')],
+    out: Annotated[Path, typer.Option(help="File for the prior, as in my-dog.npz.")],
+    subject: Annotated[str | None, typer.Option(help="Measured animal, by name or TOML file, as in phantom.")] = None,
+    estimate_size: Annotated[
+        bool, typer.Option("--estimate-size", help="Scale the skeleton to the animal of each file.")
+    ] = False,
+    components: Annotated[int, typer.Option(help="Gaussians in the mixture of poses.")] = 16,
+    min_speed_m_s: Annotated[float, typer.Option(help="Leave out slower segments, as in 8.5.")] = 0.0,
+    apart: Annotated[
+        list[str] | None, typer.Option(help="Segment whose movement says nothing of the others', as in tail_1.")
+    ] = None,
+    name: Annotated[str | None, typer.Option(help="Name of the prior. (default: the file's)")] = None,
+    source: Annotated[str, typer.Option(help="Where the poses come from, for the record.")] = "",
+    check: Annotated[bool, typer.Option("--check", help="Score each segment under a prior from the others.")] = False,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the file.")] = False,
+) -> None:
+    """Fit a motion prior to 3D poses, and list what it was fitted to.
+
+    Example: recon prior fit run1.csv run2.csv --skeleton cheetah-24 --fps 120 --out running.npz
+    """
+    from recon.pipelines.prior import run_prior_fit
+
+    done = run_prior_fit(
+        poses=poses,
+        skeleton=skeleton,
+        fps=fps,
+        out=out,
+        subject=subject,
+        name=name,
+        source=source,
+        components=components,
+        min_speed_m_s=min_speed_m_s,
+        estimate_size=estimate_size,
+        apart=apart or (),
+        check=check,
+        overwrite=overwrite,
+    )
+    table = Table(Column("segment", no_wrap=True), box=SIMPLE_HEAD)
+    for title in ("frames", "fps", "speed m/s", "misfit mm", "used"):
+        table.add_column(title, justify="right")
+    for row, rms_mm in zip(done.prior.segments, done.rms_mm, strict=True):
+        numbers = f"{row.frames}", f"{row.fps:g}", f"{row.speed_m_s:.1f}", f"{rms_mm:.1f}".replace("nan", "-")
+        table.add_row(Text(row.name), *numbers, "yes" if row.used else "no")
+    Console().print(table)
+    for line in done.notes():
+        typer.echo(line)
+    typer.echo(f"The prior is in {out}.")
+
+
 @contextmanager
 def _progress(console: Console) -> Iterator[Any]:
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
     with Progress(*columns, console=console, transient=True, disable=console.quiet or not console.is_terminal) as bar:
-        task = bar.add_task("fitting frames", total=None)
-        yield lambda done, total: bar.update(task, completed=done, total=total)
+        task = bar.add_task("reading", total=1.0)
+        yield lambda stage, share: bar.update(task, description=f"fitting: {stage}", completed=share)
 
 
 def _finish(console: Console, report: dict[str, Any], out: Path) -> None:
-    from recon.report import console_summary
+    from recon.report import console_summary, is_unsolved
 
     console.print(console_summary(report))
-    if report["summary"]["frames_converged"] == 0:
+    if is_unsolved(report):
         message = f"no frame could be solved: see {out / 'report.json'}"
         Console(stderr=True, soft_wrap=True).print(_error(message))
         raise typer.Exit(EXIT_UNSOLVED)

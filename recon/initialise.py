@@ -163,7 +163,8 @@ def _stretch_travel(headings: Array, shapes: Array, up: Array, rays: Array, time
     time_s = time_s - time_s.mean()
     misfit, speeds = np.empty(len(headings)), np.empty(len(headings))
     for h, shape in enumerate(shapes):
-        misfit[h], speeds[h] = _straight_run(headings[h], shape, up, rays, time_s)
+        misfit[h], run = straight_run(headings[h], shape, up, rays, time_s)
+        speeds[h] = abs(run[3])
     best = int(np.argmin(misfit))
     # The minimum between grid points, from the parabola through the best three.
     left, here, right = misfit[[best - 1, best, (best + 1) % len(headings)]]
@@ -174,20 +175,27 @@ def _stretch_travel(headings: Array, shapes: Array, up: Array, rays: Array, time
     return np.append(heading, speeds[best] if told else np.nan)
 
 
-def _straight_run(heading: Array, shape: Array, up: Array, rays: Array, time_s: Array) -> tuple[float, float]:
-    """Misfit and speed of a shape (J, 3) that runs along heading, fitted to rays (F, J, 3) at times (F,), mean zero.
-
-    Unknown: place, speed and acceleration along the heading, climb. Gauss-Newton with Geman-McClure weights.
-    """
-    places, _ = place_on_rays(shape, rays)
-    depth = float(np.median(np.linalg.norm(places, axis=1)))
-    seen = np.isfinite(rays[..., 0])
-    across = _across(rays)
+def run_path(heading: Array, up: Array, time_s: Array) -> Array:
+    """(F, 3, 6): places at times (F,) by the unknowns of `straight_run`."""
     motion = np.zeros((len(time_s), 3, 6))
     motion[:, :, :3] = np.eye(3)
     motion[:, :, 3] = heading * time_s[:, None]
     motion[:, :, 4] = heading * (time_s**2)[:, None] / 2
     motion[:, :, 5] = up * time_s[:, None]
+    return motion
+
+
+def straight_run(heading: Array, shape: Array, up: Array, rays: Array, time_s: Array) -> tuple[float, Array]:
+    """A shape (J, 3) that runs along heading, fitted to rays (F, J, 3) at times (F,), which have mean zero.
+
+    Returns its misfit, 0 to 1 (or 2 where it would run backwards), and the unknowns (6,): place at time zero, m, speed
+    and acceleration along the heading, m/s and m/s^2, and climb, m/s. Gauss-Newton with Geman-McClure weights.
+    """
+    places, _ = place_on_rays(shape, rays)
+    depth = float(np.median(np.linalg.norm(places, axis=1)))
+    seen = np.isfinite(rays[..., 0])
+    across = _across(rays)
+    motion = run_path(heading, up, time_s)
     # A wide, soft preference keeps what short clips do not show in bounds: m, m/s, m/s^2, m/s.
     prior = np.diag(1.0 / np.array([1e3, 1e3, 1e3, 15.0, 10.0, 1.0]) ** 2)
     x = np.zeros(6)
@@ -206,7 +214,7 @@ def _straight_run(heading: Array, shape: Array, up: Array, rays: Array, time_s: 
         normal = np.einsum("fap,fab,fbq->pq", motion, curvature, motion) + prior + 1e-9 * np.eye(6)
         x = x - np.linalg.solve(normal, np.einsum("fap,fa->p", motion, pull) + prior @ x)
     share = 1.0 - 1.0 / (1.0 + miss**2)
-    return float(np.mean(share[seen])) + (1.0 if x[3] < 0 else 0.0), float(abs(x[3]))
+    return float(np.mean(share[seen])) + (1.0 if x[3] < 0 else 0.0), x
 
 
 def _robust_slope(time_s: Array, places_m: Array) -> Array:

@@ -1,17 +1,23 @@
-"""The result of a fit: the skeleton's motion, what it was fitted to, and how far it can be trusted."""
+"""The result of a fit: the animal's motion, what it was fitted to, and how far it can be trusted.
+
+`Motion` is what both methods give; `FrameMotion` and `TrajectoryMotion` add what is particular to each.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from recon.body import Body
 from recon.camera import Camera
 from recon.keypoints import CleaningReport, Keypoints
+from recon.kinematics import ROOT, YAW
 from recon.skeleton import Side, Skeleton
-from recon.solve import FrameReport, Solution
+from recon.solve import FrameReport, Solution, TrajectorySolution
 
 Array = NDArray[np.float64]
 
@@ -21,27 +27,101 @@ OUTLIER_SIGMAS = 3.0
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """T frames of a skeleton with J joints, A free links and D unknowns.
+    """T frames of an animal with J joints and D unknowns, of which A are angles.
 
-    side: whose limbs were fitted, and side_reason why. keypoints: what was fitted, cleaned, in the order of the joints,
-    all-missing for joints that the file does not have. cleaning: what happened to the file's points. file_names: all
-    keypoints of the file.
+    keypoints: what was fitted, cleaned, in the order of the joints, all-missing for joints that the file does not have.
+    cleaning: what happened to the file's points. file_names: all keypoints of the file. side: whose limbs were fitted,
+    None for both, and side_reason why.
     """
 
-    skeleton: Skeleton
     camera: Camera
-    side: Side
-    side_reason: str
     keypoints: Keypoints
     cleaning: CleaningReport
     file_names: tuple[str, ...]
-    solution: Solution
+    side: Side | None
+    side_reason: str
 
     def __post_init__(self) -> None:
         if self.keypoints.fps is None:
             raise ValueError("keypoints without a frame rate")
-        if self.keypoints.names != self.names:
-            raise ValueError(f"keypoints {self.keypoints.names} are not those of the joints {self.names}")
+        if self.keypoints.names != self._expected_names():
+            raise ValueError(f"keypoints {self.keypoints.names} are not those of the joints {self._expected_names()}")
+
+    # -- what each method has in its own way ----------------------------------------------------------------------
+
+    def _expected_names(self) -> tuple[str, ...]:
+        raise NotImplementedError
+
+    @property
+    def title(self) -> str:
+        """Of the skeleton, one line."""
+        raise NotImplementedError
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """(J,): what the skeleton calls them."""
+        raise NotImplementedError
+
+    @property
+    def limbs(self) -> dict[str, tuple[int, ...]]:
+        """Joints along each limb, as indices, for drawing."""
+        raise NotImplementedError
+
+    @property
+    def forward(self) -> tuple[int, int]:
+        """Two joints, from rear to front."""
+        raise NotImplementedError
+
+    @property
+    def feet(self) -> tuple[int, ...]:
+        raise NotImplementedError
+
+    @property
+    def state_names(self) -> tuple[str, ...]:
+        """(D,)"""
+        raise NotImplementedError
+
+    @cached_property
+    def states(self) -> Array:
+        """(T, D), NaN where a frame has no pose."""
+        raise NotImplementedError
+
+    @property
+    def angle_names(self) -> tuple[str, ...]:
+        """(A,)"""
+        raise NotImplementedError
+
+    @property
+    def angles_rad(self) -> Array:
+        """(T, A)"""
+        raise NotImplementedError
+
+    @cached_property
+    def joints_camera_m(self) -> Array:
+        """(T, J, 3) in the camera frame, NaN without a pose."""
+        raise NotImplementedError
+
+    @property
+    def root_name(self) -> str:
+        """What the skeleton calls the reference point that `root_m` is the path of."""
+        raise NotImplementedError
+
+    @cached_property
+    def root_m(self) -> Array:
+        """(T, 3): path of the reference point, the skeleton's root, in the frame of reference."""
+        raise NotImplementedError
+
+    @cached_property
+    def sigma_px(self) -> Array:
+        """(T, J): standard deviation that a detection was given."""
+        raise NotImplementedError
+
+    # -- what both have -------------------------------------------------------------------------------------------
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """(J,): the joints' keypoints, as the file calls them."""
+        return self.keypoints.names
 
     @property
     def fps(self) -> float:
@@ -53,15 +133,10 @@ class Motion:
         """(T,): frame numbers of the keypoint file."""
         return self.keypoints.frames
 
-    @property
-    def states(self) -> Array:
-        """(T, D), NaN where a frame has no data."""
-        return self.solution.states
-
-    @property
-    def reports(self) -> tuple[FrameReport | None, ...]:
-        """One a frame, None without data."""
-        return self.solution.reports
+    @cached_property
+    def time_s(self) -> Array:
+        """(T,): since frame 0 of the file."""
+        return self.frames / self.fps
 
     @property
     def detected_px(self) -> Array:
@@ -78,51 +153,27 @@ class Motion:
         """Of the skeleton, but not of the file."""
         return tuple(name for name in self.names if name not in self.file_names)
 
-    @property
-    def names(self) -> tuple[str, ...]:
-        """(J,): the joints' keypoints, as the file calls them."""
-        return self.skeleton.keypoint_names(self.side)
-
-    @cached_property
-    def time_s(self) -> Array:
-        """(T,): since frame 0 of the file."""
-        return self.frames / self.fps
-
     @cached_property
     def solved(self) -> NDArray[np.bool_]:
         """(T,): frames that have a pose."""
-        return np.isfinite(self.states[:, 0])
-
-    @cached_property
-    def status(self) -> tuple[str, ...]:
-        """(T,): converged, not_converged or no_data."""
-        return tuple("no_data" if r is None else r.status for r in self.reports)
-
-    @cached_property
-    def joints_camera_m(self) -> Array:
-        """(T, J, 3) in the camera frame, NaN without data."""
-        joints = np.full((len(self.frames), len(self.skeleton.joints), 3), np.nan)
-        joints[self.solved] = self.skeleton.pose(self.states[self.solved]).joints_m
-        return joints
+        return np.asarray(np.isfinite(self.joints_camera_m[:, 0, 0]))
 
     @property
-    def frame_of_reference(self) -> str:
+    def frame_of_reference(self) -> Literal["world", "camera"]:
         """ "world" where the camera file has extrinsics, otherwise "camera"."""
         return "world" if self.camera.has_extrinsics else "camera"
 
     @cached_property
     def joints_m(self) -> Array:
         """(T, J, 3) in the frame of reference."""
-        return self.camera.camera_to_world(self.joints_camera_m) if self.camera.has_extrinsics else self.joints_camera_m
+        return self._in_reference(self.joints_camera_m)
 
-    @cached_property
-    def root_m(self) -> Array:
-        """(T, 3): path of the reference joint, the skeleton's root, in the frame of reference."""
-        return self.joints_m[:, 0]
+    def _in_reference(self, points_camera_m: Array) -> Array:
+        return self.camera.camera_to_world(points_camera_m) if self.camera.has_extrinsics else points_camera_m
 
     @cached_property
     def reprojected_px(self) -> Array:
-        """(T, J, 2): the joints in the picture, NaN without data."""
+        """(T, J, 2): the joints in the picture, where the detector sees them; NaN without a pose."""
         return self.camera.project(self.joints_camera_m)[0]
 
     @cached_property
@@ -136,16 +187,269 @@ class Motion:
         return np.linalg.norm(self.image_error_px, axis=-1)
 
     @cached_property
-    def sigma_px(self) -> Array:
-        """(T,): standard deviation that a detection was given."""
-        return np.array([np.nan if r is None else r.sigma_px for r in self.reports])
-
-    @cached_property
     def outliers(self) -> NDArray[np.bool_]:
         """(T, J): detections that the pose does not explain."""
-        return self.distance_px > OUTLIER_SIGMAS * self.sigma_px[:, None]
+        return self.distance_px > OUTLIER_SIGMAS * self.sigma_px
+
+
+@dataclass(frozen=True, eq=False)
+class FrameMotion(Motion):
+    """Of the frame method: one side of the animal as a chain, one frame after the other."""
+
+    skeleton: Skeleton
+    solution: Solution
+
+    def _expected_names(self) -> tuple[str, ...]:
+        assert self.side is not None
+        return self.skeleton.keypoint_names(self.side)
+
+    @property
+    def title(self) -> str:
+        return self.skeleton.title
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        return self.skeleton.joints
+
+    @property
+    def limbs(self) -> dict[str, tuple[int, ...]]:
+        return _indices(self.skeleton.limbs, self.joints)
+
+    @property
+    def forward(self) -> tuple[int, int]:
+        rear, front = self.skeleton.forward
+        return self.joints.index(rear), self.joints.index(front)
+
+    @property
+    def feet(self) -> tuple[int, ...]:
+        """Joints that no link starts from."""
+        starts = {link.start for link in self.skeleton.links}
+        return tuple(j for j, joint in enumerate(self.joints) if joint not in starts)
+
+    @property
+    def state_names(self) -> tuple[str, ...]:
+        return self.skeleton.state_names
 
     @cached_property
+    def states(self) -> Array:
+        return self.solution.states
+
+    @property
+    def angle_names(self) -> tuple[str, ...]:
+        return self.skeleton.angle_names
+
+    @property
     def angles_rad(self) -> Array:
-        """(T, A): theta and phi of the links, in the order of `skeleton.angle_names`."""
+        """(T, A): theta and phi of the links."""
         return self.states[:, : 2 * self.skeleton.n_angles]
+
+    @cached_property
+    def joints_camera_m(self) -> Array:
+        solved = np.isfinite(self.states[:, 0])
+        joints = np.full((len(self.frames), len(self.joints), 3), np.nan)
+        joints[solved] = self.skeleton.pose(self.states[solved]).joints_m
+        return joints
+
+    @property
+    def root_name(self) -> str:
+        return self.joints[0]
+
+    @cached_property
+    def root_m(self) -> Array:
+        return self.joints_m[:, 0]
+
+    @cached_property
+    def sigma_px(self) -> Array:
+        by_frame = np.array([np.nan if r is None else r.sigma_px for r in self.reports])
+        return np.repeat(by_frame[:, None], len(self.joints), axis=1)
+
+    @property
+    def reports(self) -> tuple[FrameReport | None, ...]:
+        """One a frame, None without data."""
+        return self.solution.reports
+
+    @cached_property
+    def status(self) -> tuple[str, ...]:
+        """(T,): converged, not_converged or no_data."""
+        return tuple("no_data" if r is None else r.status for r in self.reports)
+
+
+@dataclass(frozen=True, eq=False)
+class TrajectoryMotion(Motion):
+    """Of the trajectory method: a whole body over the whole clip. skeleton: the chain that the body stands for, if any.
+
+    `states` are the chain's where there is one, otherwise the body's, in the world frame if its z axis is known to
+    point up, else in the level frame (`states_frame`).
+    """
+
+    solution: TrajectorySolution
+    skeleton: Skeleton | None = None
+
+    def _expected_names(self) -> tuple[str, ...]:
+        if self.skeleton is None:
+            return self.body.markers
+        assert self.side is not None
+        return self.skeleton.keypoint_names(self.side)
+
+    @property
+    def body(self) -> Body:
+        return self.solution.body
+
+    @property
+    def title(self) -> str:
+        return self.body.title
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        return self.body.markers
+
+    @property
+    def limbs(self) -> dict[str, tuple[int, ...]]:
+        return _indices(self.body.limbs, self.joints)
+
+    @property
+    def forward(self) -> tuple[int, int]:
+        rear, front = self.body.forward
+        return self.joints.index(rear), self.joints.index(front)
+
+    @property
+    def feet(self) -> tuple[int, ...]:
+        return tuple(self.joints.index(foot) for foot in self.body.feet)
+
+    # -- the states -----------------------------------------------------------------------------------------------
+
+    @property
+    def states_frame(self) -> Literal["world", "level", "camera"]:
+        """What the place and the rotation in `states` refer to. Level: origin in the camera's centre, x to the
+        picture's right, y away from the camera, z up."""
+        if self.skeleton is not None:
+            return "camera"
+        return "world" if self.camera.knows_up else "level"
+
+    @property
+    def state_names(self) -> tuple[str, ...]:
+        return self.body.state_names if self.skeleton is None else self.skeleton.state_names
+
+    @cached_property
+    def states(self) -> Array:
+        of_body, known = self.solution.states, np.isfinite(self.solution.states).all(axis=1)
+        if self.skeleton is None:
+            states = of_body.copy()
+            states[:, ROOT] = self.in_upright(of_body[:, ROOT])
+            x_axis = self.in_upright(np.eye(3)[0]) - self.in_upright(np.zeros(3))
+            states[:, YAW] += np.arctan2(x_axis[1], x_axis[0])
+            return states
+        states = np.full((len(of_body), self.skeleton.n_state), np.nan)
+        states[known] = self.skeleton.state_from_body(
+            of_body[known], self.solution.size, self.solution.camera_from_level
+        )
+        return states
+
+    @property
+    def angle_names(self) -> tuple[str, ...]:
+        return self.state_names[YAW:] if self.skeleton is None else self.skeleton.angle_names
+
+    @property
+    def angles_rad(self) -> Array:
+        """(T, A): theta and phi of a chain's links; else yaw, pitch and roll of the root and the joints' angles."""
+        return self.states[:, YAW:] if self.skeleton is None else self.states[:, : 2 * self.skeleton.n_angles]
+
+    def in_upright(self, level_m: Array) -> Array:
+        """Points (..., 3) of the level frame in the world frame, if its z axis is known to point up."""
+        if not self.camera.knows_up:
+            return level_m
+        return self.camera.camera_to_world(level_m @ self.solution.camera_from_level.T)
+
+    def in_reference(self, level_m: Array) -> Array:
+        """Points (..., 3) of the level frame in the frame of reference."""
+        return self._in_reference(level_m @ self.solution.camera_from_level.T)
+
+    @cached_property
+    def below_m(self) -> Array | None:
+        """(3,): the ground below the middle of the root's path, level frame; None where the ground is not known."""
+        ground, xy_m = self.solution.ground, self.solution.states[self.solved, :2]
+        if ground is None or not len(xy_m):
+            return None
+        middle = xy_m.mean(axis=0)
+        return np.append(middle, ground.height_m + ground.slope @ middle)
+
+    # -- joints and picture ---------------------------------------------------------------------------------------
+
+    @cached_property
+    def joints_camera_m(self) -> Array:
+        return self.solution.joints_camera_m
+
+    @property
+    def root_name(self) -> str:
+        """The marker in the root's origin, or the root segment."""
+        root = self.body.tree.segments[0].name
+        return next((m.name for m in self.body.tree.markers if m.segment == root and not any(m.offset_m)), root)
+
+    @cached_property
+    def root_m(self) -> Array:
+        return self.in_reference(self.solution.states[:, ROOT])
+
+    @cached_property
+    def reprojected_px(self) -> Array:
+        states, known = self.solution.states, self.solved
+        seen = self.joints_camera_m.copy()
+        seen[known] += (
+            self.body.detected.pose(states[known], self.solution.size).points_m
+            - self.body.tree.pose(states[known], self.solution.size).points_m
+        ) @ self.solution.camera_from_level.T
+        return self.camera.project(seen)[0]
+
+    @cached_property
+    def sigma_px(self) -> Array:
+        return self.solution.noise_px
+
+    # -- how far it can be trusted --------------------------------------------------------------------------------
+
+    @cached_property
+    def joint_sigma_m(self) -> Array:
+        """(T, J, 3): standard deviation along the axes of the frame of reference, place and size included."""
+        return self._along_axes(self.solution.covariance_m2)
+
+    @cached_property
+    def relative_covariance_m2(self) -> Array:
+        """(T, J, 3, 3): of the joints relative to the mean of all joints, in the frame of reference."""
+        return self._turned(self.solution.relative_covariance_m2)
+
+    @cached_property
+    def relative_sigma_m(self) -> Array:
+        """(T, J, 3): the same along the axes."""
+        return self._along_axes(self.solution.relative_covariance_m2)
+
+    @cached_property
+    def relative_rms_m(self) -> Array:
+        """(T,): what is expected of a joint's distance from its true place once both poses are centred, root mean
+        square over the joints."""
+        return np.sqrt(np.trace(self.solution.relative_covariance_m2, axis1=2, axis2=3).mean(axis=1))
+
+    @cached_property
+    def place_sigma_m(self) -> Array:
+        """(T,): standard deviation of the mean of all joints along the line of sight."""
+        # Joints are the mean plus offsets that sum to zero: mean covariances differ by the mean's own.
+        of_mean = (self.solution.covariance_m2 - self.solution.relative_covariance_m2).mean(axis=1)
+        ray = self.joints_camera_m.mean(axis=1)
+        ray /= np.linalg.norm(ray, axis=1, keepdims=True)
+        return np.sqrt(np.maximum(np.einsum("ta,tab,tb->t", ray, of_mean, ray), 0.0))
+
+    @cached_property
+    def mean_weight(self) -> Array:
+        """(T,): how far the detections were trusted on average, NaN without any."""
+        weight = self.solution.weight
+        seen = np.isfinite(weight).sum(axis=1)
+        return np.where(seen > 0, np.nansum(weight, axis=1) / np.maximum(seen, 1), np.nan)
+
+    def _turned(self, covariance_m2: Array) -> Array:
+        R = self.camera.rotation
+        return covariance_m2 if R is None else R.T @ covariance_m2 @ R
+
+    def _along_axes(self, covariance_m2: Array) -> Array:
+        return np.sqrt(np.diagonal(self._turned(covariance_m2), axis1=2, axis2=3))
+
+
+def _indices(limbs: dict[str, tuple[str, ...]], joints: tuple[str, ...]) -> dict[str, tuple[int, ...]]:
+    index = {joint: j for j, joint in enumerate(joints)}
+    return {limb: tuple(index[joint] for joint in along) for limb, along in limbs.items()}

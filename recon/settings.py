@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import tomllib
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -12,14 +13,26 @@ from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Fie
 
 from recon.errors import InputError, Problem
 from recon.keypoints import parse_frame_range
-from recon.solve import FrameOptions
+from recon.solve import FrameOptions, TrajectoryOptions
+
+DEFAULT_SKELETONS = {"trajectory": "cheetah-24", "frame": "cheetah-8u"}
+"""By method."""
+OF_METHOD = {
+    "trajectory": ("subject", "prior", "ground", "size_sigma", "fast"),
+    "frame": ("form", "angle_prior", "camera_rotation", "base_length_m", "base_sigma_m"),
+}
+"""Settings of the command line that only this method reads."""
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 FilePath = Annotated[Path, AfterValidator(Path.absolute)]
 
 
-def _absolute_file(skeleton: str) -> str:
-    return str(Path(skeleton).absolute()) if skeleton.endswith(".toml") else skeleton
+def _absolute_file(name: str) -> str:
+    """A file as its absolute path; the name of something built in as it is."""
+    return str(Path(name).absolute()) if name.endswith((".toml", ".npz")) else name
+
+
+NameOrFile = Annotated[str, AfterValidator(_absolute_file)]
 
 
 def _width_height(size: Any) -> Any:
@@ -37,18 +50,23 @@ class FitSettings(BaseModel):
     """What `recon fit` is told. Paths are kept absolute, so that config.toml can be run again from anywhere.
 
     One of camera (a calibration file) and hfov_deg with image_size_px is needed. Fields without a unit in their name
-    are counts, names or shares; the solver's are explained at `recon.solve.FrameOptions`. The descriptions end the
-    sentence "expected ..." of an error message.
+    are counts, names or shares; the solvers' are explained at `recon.solve.FrameOptions` and
+    `recon.solve.TrajectoryOptions`. What only the other method reads (`OF_METHOD`) is kept, and has no effect. The
+    descriptions end the sentence "expected ..." of an error message.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     keypoints: FilePath = Field(description="a DeepLabCut file, CSV or H5")
     fps: Positive = Field(description="frames per second above 0, as in 120")
-    skeleton: Annotated[str, AfterValidator(_absolute_file)] = Field(
-        default="cheetah-8u", description="the name of a built-in skeleton, or a TOML file"
+    method: Literal["trajectory", "frame"] = Field(default="trajectory", description="trajectory or frame")
+    skeleton: NameOrFile | None = Field(default=None, description="the name of a built-in skeleton, or a TOML file")
+    subject: NameOrFile | None = Field(
+        default=None, description="the name of a built-in subject, or a TOML file with one animal's lengths"
     )
-    method: Literal["frame"] = Field(default="frame", description="frame")
+    prior: NameOrFile | None = Field(
+        default=None, description="the name of a built-in prior, a file that `recon prior fit` wrote, or none"
+    )
     camera: FilePath | None = Field(default=None, description="a camera file")
     camera_name: str | None = Field(default=None, description="the name or number of a camera in the camera file")
     hfov_deg: Annotated[float, Field(gt=0, lt=180)] | None = Field(
@@ -57,12 +75,18 @@ class FitSettings(BaseModel):
     image_size_px: Annotated[
         tuple[Annotated[int, Field(gt=0)], Annotated[int, Field(gt=0)]] | None, BeforeValidator(_width_height)
     ] = Field(default=None, description="width x height in pixels, as in 1920x1080")
+    tilt_deg: Annotated[float, Field(gt=-90, lt=90)] | None = Field(
+        default=None, description="degrees that the camera looks down, above -90 and below 90, as in 5"
+    )
     individual: str | None = Field(default=None, description="the name of an animal in the keypoint file")
     frames: Annotated[str, AfterValidator(_frame_range)] | None = Field(
         default=None, description="frame numbers A:B with A < B, from A up to but without B, as in 100:160"
     )
     likelihood_min: Annotated[float, Field(ge=0, le=1)] = Field(default=0.5, description="a number from 0 to 1")
     side: Literal["auto", "left", "right"] = Field(default="auto", description="auto, left or right")
+    ground: Literal["auto", "none"] = Field(default="auto", description="auto or none")
+    size_sigma: Positive | None = Field(default=None, description="a share of the size above 0, as in 0.1")
+    fast: bool = Field(default=False, description="true or false")
     form: Literal["deadband", "printed"] = Field(default="deadband", description="deadband or printed")
     angle_prior: Literal["gaussian", "none"] = Field(default="gaussian", description="gaussian or none")
     camera_rotation: Literal["free", "fixed"] = Field(default="free", description="free or fixed")
@@ -81,8 +105,17 @@ class FitSettings(BaseModel):
         default=FrameOptions.max_evaluations, description="a whole number above 0, as in 400"
     )
 
+    @property
+    def skeleton_name(self) -> str:
+        """As given, or the method's default."""
+        return DEFAULT_SKELETONS[self.method] if self.skeleton is None else self.skeleton
+
     def frame_options(self) -> FrameOptions:
         return FrameOptions(**{name: getattr(self, name) for name in FrameOptions.__dataclass_fields__})
+
+    def trajectory_options(self) -> TrajectoryOptions:
+        names = ("fast", "ground", "sigma_px", "keypoint_sigma_m", "size_sigma")
+        return TrajectoryOptions(**{name: getattr(self, name) for name in names})
 
     def to_toml(self) -> str:
         """The text of config.toml. Settings that are not given are left out."""
@@ -100,7 +133,7 @@ def read_settings(config: Path | None, given: dict[str, Any]) -> FitSettings:
         plain = _read_config(config)
     given = {name: value for name, value in given.items() if value is not None}
     if "camera" in given:
-        plain = {k: v for k, v in plain.items() if k not in ("hfov_deg", "image_size_px", "camera_name")}
+        plain = {k: v for k, v in plain.items() if k not in ("hfov_deg", "image_size_px", "camera_name", "tilt_deg")}
     if "hfov_deg" in given:
         plain = {k: v for k, v in plain.items() if k not in ("camera", "camera_name")}
     plain |= given
@@ -128,9 +161,21 @@ def read_settings(config: Path | None, given: dict[str, Any]) -> FitSettings:
         problems.append(problem("camera_name", f"{plain['camera_name']!r} without a camera file", "--camera with it"))
     if "camera" not in has and "hfov_deg" in has and "image_size_px" not in has:
         problems.append(problem("image_size_px", "nothing", "the size of the video beside --hfov-deg, as in 1920x1080"))
+    method = plain.get("method", FitSettings.model_fields["method"].default)
+    problems += _of_the_other_method(method, given)
     if settings is None or problems:
         raise InputError(problems)
     return settings
+
+
+def _of_the_other_method(method: Any, given: Mapping[str, Any]) -> Iterator[Problem]:
+    """A config.toml has the settings of both methods, a command line must not."""
+    for other, names in OF_METHOD.items():
+        if method in OF_METHOD and method != other:
+            for name in names:
+                if name in given:
+                    found = f"{given[name]!r} with the {method} method"
+                    yield Problem(option(name), name, found, f"--method {other} with it")
 
 
 def option(name: str) -> str:

@@ -101,6 +101,7 @@ class _Marker(_Table):
     name: str
     segment: str
     at_m: Offset = (0.0, 0.0, 0.0)
+    keypoint_offset_m: Offset = (0.0, 0.0, 0.0)
     mirrored: bool = False
 
 
@@ -121,6 +122,7 @@ class _SubjectFile(_Table):
     title: str
     size_sigma: Sigma
     at_m: dict[str, Offset]
+    keypoint_offset_m: dict[str, Offset] = {}
 
 
 def builtin_names() -> tuple[str, ...]:
@@ -335,13 +337,25 @@ def _subject_problems(animal: _SubjectFile, file: _BodyFile, source: str) -> Ite
         if name not in names:
             expected = f"a segment but the root, or a marker, of {file.name}: {', '.join(names)}"
             yield Problem(source, f"at_m.{name}", repr(name), expected)
+    markers = [marker.name for marker in file.markers]
+    for name in animal.keypoint_offset_m:
+        if name not in markers:
+            expected = f"a marker of {file.name}: {', '.join(markers)}"
+            yield Problem(source, f"keypoint_offset_m.{name}", repr(name), expected)
 
 
 def _measured(file: _BodyFile, animal: _SubjectFile) -> _BodyFile:
     def placed(items: tuple[_Item, ...]) -> tuple[_Item, ...]:
         return tuple(x.model_copy(update={"at_m": animal.at_m.get(x.name, x.at_m)}) for x in items)
 
-    changed = {"segments": (file.segments[0], *placed(file.segments[1:])), "markers": placed(file.markers)}
+    def detected(marker: _Marker) -> _Marker:
+        offset = animal.keypoint_offset_m.get(marker.name, marker.keypoint_offset_m)
+        return marker.model_copy(update={"keypoint_offset_m": offset})
+
+    changed = {
+        "segments": (file.segments[0], *placed(file.segments[1:])),
+        "markers": tuple(detected(marker) for marker in placed(file.markers)),
+    }
     return file.model_copy(update={"title": animal.title, "size_sigma": animal.size_sigma, **changed})
 
 
@@ -356,7 +370,8 @@ def _both_sides(items: Iterable[_Item]) -> Iterator[tuple[int, _Item]]:
             x, y, z = item.at_m
             changed: dict[str, Any] = {"name": other_side(item.name), "at_m": (x, -y, z), "mirrored": False}
             if isinstance(item, _Marker):
-                changed["segment"] = other_side(item.segment)
+                dx, dy, dz = item.keypoint_offset_m
+                changed |= {"segment": other_side(item.segment), "keypoint_offset_m": (dx, -dy, dz)}
             else:
                 changed["parent"] = None if item.parent is None else other_side(item.parent)
                 changed |= {a: e.mirrored() for a in ("yaw", "roll") if (e := getattr(item, a)) is not None}
@@ -426,13 +441,14 @@ def _root_problems(root: _Segment, source: str) -> Iterator[Problem]:
 
 def _body(f: _BodyFile) -> Body:
     segments = [segment for _, segment in _both_sides(f.segments)]
+    markers = [marker for _, marker in _both_sides(f.markers)]
     expected = [getattr(s, angle) for s in segments for angle in _expected_angles(s)]
     return Body(
         name=f.name,
         title=f.title,
         tree=Tree(
             segments=tuple(Segment(s.name, s.parent, s.joint, s.at_m) for s in segments),
-            markers=tuple(Marker(m.name, m.segment, m.at_m) for _, m in _both_sides(f.markers)),
+            markers=tuple(Marker(m.name, m.segment, m.at_m) for m in markers),
         ),
         limbs=f.limbs,
         forward=f.forward,
@@ -442,4 +458,5 @@ def _body(f: _BodyFile) -> Body:
         mean_rad=np.array([e.mean_rad for e in expected]),
         sigma_rad=np.array([e.sigma_rad for e in expected]),
         acceleration_rad_s2=np.array([e.acceleration_rad_s2 for e in expected]),
+        keypoint_offset_m={m.name: m.keypoint_offset_m for m in markers if any(m.keypoint_offset_m)},
     )

@@ -9,12 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from recon.body import Body
 from recon.camera import Camera
 from recon.initialise import mean_pose
 from recon.keypoints import Keypoints, clean
-from recon.motion import Motion
+from recon.motion import FrameMotion, TrajectoryMotion
 from recon.skeleton_file import load_skeleton
-from recon.solve import FrameOptions, solve_frames
+from recon.solve import FrameOptions, Ground, Start, TrajectorySolution, solve_frames
 
 
 @pytest.fixture(scope="session")
@@ -28,7 +29,7 @@ def shared_data() -> Path:
 
 
 @pytest.fixture(scope="session")
-def small_motion() -> Motion:
+def small_motion() -> FrameMotion:
     """Six frames (10 to 15) of a mean pose that glides to the right at 9 m/s and 30 fps, 9 m from a pinhole camera.
 
     Pixels are exact, but for the `neck_base` of frame 14, 300 px off. Frame 13 has no data, frame 15 only six points.
@@ -59,4 +60,76 @@ def small_motion() -> Motion:
         cleaned, names=names, xy_px=cleaned.xy_px[:, : len(names)], confidence=cleaned.confidence[:, : len(names)]
     )
     solution = solve_frames(camera, skeleton, fitted.xy_px, fitted.confidence, 30.0, FrameOptions())
-    return Motion(skeleton, camera, "right", "as given", fitted, cleaning, file.names, solution)
+    return FrameMotion(camera, fitted, cleaning, file.names, "right", "as given", skeleton, solution)
+
+
+@pytest.fixture(scope="session")
+def small_trajectory() -> TrajectoryMotion:
+    """Eight frames (10 to 17) of a whole cheetah's mean pose that glides to the right at 9 m/s and 30 fps, 9 m from a
+    pinhole camera, as the trajectory method would give it.
+
+    Pixels are those that the detector would see, but for the `nose` of frame 14, 300 px off and hardly trusted. Frame
+    13 has no detections. Frame 15 has a second solution. `ear` is in the file but not in the skeleton, `r_eye` is the
+    other way round. The left front paw stands in frames 11 and 12.
+    """
+    body = load_skeleton("cheetah-24")
+    assert isinstance(body, Body)
+    camera = Camera.from_hfov(64.0, (1920, 1080))
+    camera_from_level = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+    states = np.zeros((8, body.n_state))
+    states[:, :3] = [-1.5, 9.0, 0.2] + 0.3 * np.arange(8)[:, None] * [1.0, 0.0, 0.0]
+    states[:, 4:] = body.mean_rad
+    joints = body.tree.pose(states).points_m
+    xy_px, _ = camera.project(body.detected.pose(states).points_m @ camera_from_level.T)
+    nose, eye, paw = (body.markers.index(name) for name in ("nose", "r_eye", "l_front_paw"))
+    xy_px[4, nose, 1] -= 300.0
+    xy_px[3], xy_px[:, eye] = np.nan, np.nan
+    known = [j for j in range(24) if j != eye]
+    file = Keypoints(
+        (*(body.markers[j] for j in known), "ear"),
+        np.concatenate([xy_px[:, known], np.full((8, 1, 2), 100.0)], axis=1),
+        np.ones((8, 24)),
+        np.arange(10, 18),
+        fps=30.0,
+        source="run.csv",
+    )
+    cleaned, cleaning = clean(file, 0.5)
+    weight = np.where(np.isnan(xy_px[..., 0]), np.nan, 1.0)
+    weight[4, nose] = 0.05
+    contact = np.zeros((8, 4))
+    contact[1:3, body.feet.index("l_front_paw")] = 0.9
+    relative = np.tile(np.diag([0.02, 0.02, 0.08]) ** 2, (8, 24, 1, 1))
+    solution = TrajectorySolution(
+        body=body,
+        states=states,
+        camera_from_level=camera_from_level,
+        size=1.0,
+        size_sigma=0.06,
+        joints_camera_m=joints @ camera_from_level.T,
+        covariance_m2=relative + np.diag([0.05, 0.05, 0.3]) ** 2,
+        relative_covariance_m2=relative,
+        data_share=np.linspace(0.5, 0.9, 24),
+        noise_px=np.full((8, 24), 10.0),
+        weight=weight,
+        flags=((), (), (), ("no data",), (), ("data poor", "ambiguous depth"), (), ()),
+        alternative_m=np.array([0.05] * 5 + [0.3] + [0.05] * 2),
+        alternative_cost=3.5,
+        contact=contact,
+        ground=Ground(float(joints[0, paw, 2]), np.array([0.0, 0.02]), 0.03),
+        prior="running-cheetah",
+        status="converged",
+        cost_by_term={"reprojection": 120.0, "pose prior": 30.0},
+        iterations=25,
+        starts=(Start(0.1, 150.0, True), Start(np.pi - 0.1, 155.0, False)),
+        stage_s={"starts": 0.2, "all": 0.5},
+    )
+    fitted = replace(cleaned, names=body.markers, xy_px=xy_px, confidence=np.where(np.isnan(xy_px[..., 0]), 0.0, 1.0))
+    return TrajectoryMotion(camera, fitted, cleaning, file.names, None, "both sides are fitted", solution)
+
+
+@pytest.fixture(scope="session")
+def world_trajectory(small_trajectory: TrajectoryMotion) -> TrajectoryMotion:
+    """The same, seen by a camera at (1, 2, 3) that looks along x with its own right along -y, z up."""
+    rotation = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
+    camera = replace(small_trajectory.camera, rotation=rotation, translation_m=-rotation @ [1.0, 2.0, 3.0])
+    return replace(small_trajectory, camera=camera)

@@ -226,6 +226,7 @@ class TestOwnFormat:
             Camera("left", K, FISHEYE, "fisheye", SIZE, R, T),
             Camera("left", K, RADTAN, "radtan", SIZE, R, T, world_z_up=False),
             Camera.from_hfov(65.3, SIZE, name="Kamera Süd"),
+            Camera("low", K, [], "pinhole", SIZE, tilt_rad=-0.1),
         ],
     )
     def test_round_trip_is_exact(self, tmp_path, camera):

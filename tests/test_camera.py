@@ -264,6 +264,20 @@ def test_up_follows_the_world_only_where_its_z_points_up():
     np.testing.assert_allclose(make_camera("pinhole").up, (0, -1, 0))
 
 
+def test_a_camera_without_a_pose_may_look_down_by_a_known_angle():
+    tilt = 0.2
+    camera = make_camera("pinhole", tilt_rad=tilt)
+    # The same camera in a world: its axis, level at first, is lowered about its x axis.
+    level = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
+    rotation = Rotation.from_euler("x", tilt).as_matrix() @ level
+    posed = make_camera("pinhole", rotation=rotation, translation_m=(0, 0, 0))
+    assert (posed.camera_to_world((0, 0, 1)))[2] == pytest.approx(-np.sin(tilt))  # down
+    np.testing.assert_allclose(camera.up, posed.up)
+    assert Camera.from_dict(camera.to_dict()).tilt_rad == tilt
+    board = make_camera("pinhole", rotation=rotation, translation_m=(0, 0, 0), world_z_up=False, tilt_rad=tilt)
+    np.testing.assert_allclose(board.up, posed.up)
+
+
 def test_no_pose():
     camera = make_camera("pinhole")
     assert not camera.has_extrinsics
@@ -290,6 +304,9 @@ def test_no_pose():
         ({"rotation": -np.eye(3), "translation_m": np.zeros(3)}, "rotation matrix"),
         ({"rotation": np.eye(3) * np.nan, "translation_m": np.zeros(3)}, "rotation matrix"),
         ({"rotation": np.eye(3), "translation_m": np.zeros(2)}, "translation_m"),
+        ({"tilt_rad": 1.6}, "tilt_rad must lie between"),
+        ({"tilt_rad": np.nan}, "tilt_rad must lie between"),
+        ({"tilt_rad": 0.1, "rotation": np.eye(3), "translation_m": np.zeros(3)}, "tilt_rad must be 0 beside a pose"),
     ],
 )
 def test_impossible_cameras_are_refused(change, message):

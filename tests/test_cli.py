@@ -23,6 +23,7 @@ import recon.export
 import recon.view
 from recon.analysis.evaluation import evaluate_files
 from recon.cli import main
+from recon.export import TRAJECTORY_OUTPUTS
 from recon.io import read_keypoints
 from recon.pipelines.clip import OUTPUT_FILES
 from recon.settings import FitSettings, read_settings
@@ -35,6 +36,7 @@ FITTED = {f"r_{leg}_{joint}" for leg in ("front", "back") for joint in ("knee", 
     "spine",
     "tail_base",
 }
+OF_FRAMES = [name for name in OUTPUT_FILES if name not in TRAJECTORY_OUTPUTS]
 needs_sigkill = pytest.mark.skipif(os.name != "posix", reason="SIGKILL is of POSIX")
 
 
@@ -64,8 +66,16 @@ def run_process(*args: object, before: str = "") -> Ended:
     return Ended(done.returncode, done.stdout, done.stderr)
 
 
-def fit_args(out: Path, *more: object, keypoints: Path = CLIP, camera: Path | None = CAMERA, fps: object = 30) -> list:
+def whole_args(
+    out: Path, *more: object, keypoints: Path = CLIP, camera: Path | None = CAMERA, fps: object = 30
+) -> list:
+    """With the default method."""
     return ["fit", keypoints, *(["--camera", camera] if camera else []), "--fps", fps, "--out", out, *more]
+
+
+def fit_args(out: Path, *more: object, **options) -> list:
+    """With the frame method."""
+    return whole_args(out, "--method", "frame", *more, **options)
 
 
 def report_of(folder: Path) -> dict:
@@ -106,6 +116,13 @@ def fitted(tmp_path_factory) -> tuple[Path, Ended]:
     """The folder of `recon fit` on the noisy sample, and how it ended."""
     out = tmp_path_factory.mktemp("fit") / "results" / "clip"
     return out, run(*fit_args(out))
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory) -> tuple[Path, Ended]:
+    """The same with the default method, which fits the whole animal over the whole clip."""
+    out = tmp_path_factory.mktemp("fit") / "whole"
+    return out, run(*whole_args(out))
 
 
 @pytest.fixture(scope="module")
@@ -158,7 +175,7 @@ def test_fit_writes_every_output(fitted):
     out, ended = fitted
     assert ended.code == 0
     assert ended.err == ""
-    assert sorted(path.name for path in out.iterdir()) == sorted(OUTPUT_FILES)
+    assert sorted(path.name for path in out.iterdir()) == sorted(OF_FRAMES)
     assert all(path.stat().st_size for path in out.iterdir())
     assert "30 of 30 converged" in ended.out
     assert f"recon view {out}" in ended.out
@@ -205,7 +222,7 @@ def test_report_and_config_say_what_was_done(fitted):
     assert report["timing_s"]["solve_s"] > 0
     assert set(report["unused_keypoints"]) == {name.replace("r_", "l_", 1) for name in FITTED if name[:2] == "r_"}
     settings = read_settings(out / "config.toml", {})
-    assert settings == FitSettings(keypoints=CLIP, camera=CAMERA, fps=30)
+    assert settings == FitSettings(keypoints=CLIP, camera=CAMERA, fps=30, method="frame")
     assert report["settings"] == settings.model_dump(mode="json")
 
 
@@ -238,7 +255,7 @@ def test_options_overrule_the_config(fitted, tmp_path):
 
 def test_relative_paths_are_kept_absolute_in_the_config(tmp_path, monkeypatch):
     monkeypatch.chdir(SAMPLES)
-    args = fit_args(tmp_path / "out", "--frames", ":3", keypoints=Path("noisy.csv"), camera=Path("camera.toml"))
+    args = whole_args(tmp_path / "out", "--frames", ":3", keypoints=Path("noisy.csv"), camera=Path("camera.toml"))
     assert run(*args).code == 0
     settings = read_settings(tmp_path / "out" / "config.toml", {})
     assert (settings.keypoints, settings.camera) == (CLIP, CAMERA)
@@ -281,6 +298,104 @@ def test_brackets_in_names_are_printed_as_they_are(tmp_path):
     assert f"recon view '{out}'" in ended.out
     ended = run(*fit_args(tmp_path / "b", keypoints=tmp_path / "[bold]:smile:.csv"))
     assert f"error: {tmp_path}/[bold]:smile:.csv: file: found no such file" in ended.err
+
+
+# ---- the default: the whole animal over the whole clip ----
+
+
+def test_trajectory_writes_every_output(whole):
+    out, ended = whole
+    assert (ended.code, ended.err) == (0, "")
+    assert sorted(path.name for path in out.iterdir()) == sorted(OUTPUT_FILES)
+    assert all(path.stat().st_size for path in out.iterdir())
+    assert "30 of 30 with a pose" in ended.out
+    assert "running-cheetah" in ended.out
+    assert f"recon view {out}" in ended.out
+
+
+def test_tables_of_a_trajectory_read_back(whole):
+    out, _ = whole
+    pose = pd.read_csv(out / "pose3d.csv", header=[0, 1], index_col=0)
+    sigma = pd.read_csv(out / "pose3d_sigma.csv", header=[0, 1], index_col=0)
+    quality = pd.read_csv(out / "quality.csv", index_col="frame")
+    angles = pd.read_csv(out / "angles.csv", index_col="frame")
+    assert pose.shape == (30, 24 * 3)
+    assert set(pose.columns.get_level_values(0)) >= FITTED | {"nose", "tail2", "l_front_paw"}
+    assert sigma.shape == (30, 24 * 6)
+    assert (sigma.to_numpy() > 0).all()
+    for table in (pose, sigma, quality, angles):
+        assert table.index.tolist() == list(range(30))
+    assert np.isfinite(angles.to_numpy()).all()
+    assert {str(name).rsplit("_", 1)[1] for name in angles} == {"rad", "m"}
+    pixels, detected = read_keypoints(out / "reprojection.csv"), read_keypoints(CLIP)
+    shared = [name for name in pixels.names if name in detected.names]
+    assert len(shared) == len(detected.names) == 15
+    of_pose, of_file = ([k.names.index(name) for name in shared] for k in (pixels, detected))
+    distance = np.linalg.norm(pixels.xy_px[:, of_pose] - detected.xy_px[:, of_file], axis=-1)
+    assert np.nanmedian(distance) == pytest.approx(report_of(out)["summary"]["reprojection_px"]["median"], rel=1e-6)
+
+
+def test_report_and_config_of_a_trajectory_say_what_was_done(whole):
+    out, _ = whole
+    report = report_of(out)
+    assert report["method"] == "trajectory"
+    assert report["skeleton"]["name"] == "cheetah-24"
+    assert (report["skeleton"]["states_frame"], report["frame_of_reference"]) == ("world", "world")
+    assert report["side"]["fitted"] is None
+    assert report["prior"]["name"] == "running-cheetah"
+    assert report["summary"]["frames"] == report["summary"]["frames_with_pose"] == 30
+    assert set(report["missing_keypoints"]) == {"nose", "l_eye", "r_eye", "tail1", "tail2"} | {
+        f"{side}_{name}" for side in "lr" for name in ("shoulder", "hip")
+    }
+    assert report["timing_s"]["solve_s"] > 0
+    settings = read_settings(out / "config.toml", {})
+    assert settings == FitSettings(keypoints=CLIP, camera=CAMERA, fps=30)
+    assert report["settings"] == settings.model_dump(mode="json")
+
+
+def test_config_repeats_a_trajectory_bit_for_bit(whole, tmp_path, monkeypatch):
+    out, _ = whole
+    monkeypatch.chdir(tmp_path)
+    assert run("fit", "--config", out / "config.toml", "--out", "other").code == 0
+    other = tmp_path / "other"
+    for name in OUTPUT_FILES:
+        if name not in ("report.json", "motion.rrd"):
+            assert (other / name).read_bytes() == (out / name).read_bytes(), name
+    assert without_timing(report_of(other)) == without_timing(report_of(out))
+
+
+def test_options_of_a_trajectory(tmp_path):
+    more = ("--skeleton", "cheetah-24", "--subject", "jules", "--prior", "none", "--ground", "none", "--fast")
+    assert run(*whole_args(tmp_path, *more, "--size-sigma", "0.01", "--frames", ":10")).code == 0
+    report = report_of(tmp_path)
+    assert "Jules" in report["size"]["lengths"]
+    assert (report["size"]["measured"], report["size"]["prior_sigma"]) == (True, 0.01)
+    assert report["size"]["factor"] == pytest.approx(1, abs=0.1)
+    assert (report["prior"]["name"], report["ground"]) == ("none", None)
+    assert any("fast" in sentence for sentence in report["assumptions"]["sentences"])
+    again = tmp_path / "again"
+    assert run("fit", "--config", tmp_path / "config.toml", "--no-fast", "--out", again).code == 0
+    assert report_of(again)["settings"] == report["settings"] | {"fast": False}
+
+
+def test_a_chain_over_the_whole_clip(tmp_path):
+    assert run(*whole_args(tmp_path, "--skeleton", "cheetah-8u")).code == 0
+    table = pd.read_csv(tmp_path / "pose3d.csv", header=[0, 1], index_col=0)
+    assert set(table.columns.get_level_values(0)) == FITTED
+    angles = pd.read_csv(tmp_path / "angles.csv", index_col="frame")
+    assert angles.columns[0] == "theta_6_rad"
+    assert angles.columns[-1] == "base_length_m"
+    report = report_of(tmp_path)
+    assert (report["side"]["fitted"], report["skeleton"]["states_frame"]) == ("right", "camera")
+    assert set(report["stances"]) == {"r_front_paw", "r_back_paw"}
+
+
+def test_tilted_camera(tmp_path):
+    args = ("--hfov-deg", 60, "--image-size", "1920x1080", "--tilt-deg", 3, "--frames", ":6")
+    assert run(*whole_args(tmp_path, *args, camera=None)).code == 0
+    assumptions = report_of(tmp_path)["assumptions"]
+    assert assumptions["camera_level"] is False
+    assert assumptions["camera_tilt_rad"] == pytest.approx(np.deg2rad(3))
 
 
 # ---- bad input ----
@@ -334,15 +449,58 @@ BAD_INPUT: dict[str, tuple[list[str], list[str]]] = {
     "frames that are no range": (["{clip}", "--frames", "9"], ["--frames: frames: found '9', expected frame numbers"]),
     "unknown skeleton": (
         ["{clip}", "--skeleton", "zebra"],
+        ["--skeleton: name or file: found 'zebra', expected one of cheetah-24, cheetah-8u, "],
+    ),
+    "unknown chain": (
+        ["{clip}", "--skeleton", "zebra", "--method", "frame"],
         ["--skeleton: name or file: found 'zebra', expected one of cheetah-8u, "],
+    ),
+    "whole animal for the frame method": (
+        ["{clip}", "--skeleton", "cheetah-24", "--method", "frame"],
+        ["--skeleton: name or file: found 'cheetah-24', expected a chain for the frame method: one of cheetah-8u, "],
+    ),
+    "unknown subject": (
+        ["{clip}", "--subject", "tom"],
+        ["--subject: name or file: found 'tom', expected one of jules, phantom, or a subject file"],
+    ),
+    "subject of a chain": (
+        ["{clip}", "--subject", "jules", "--skeleton", "cheetah-8u"],
+        ["--subject: name or file: found 'jules', expected none: "],
+    ),
+    "unknown prior": (["{clip}", "--prior", "zebras"], ["--prior: name or file: found 'zebras', expected "]),
+    "prior of another skeleton": (
+        ["{clip}", "--prior", "running-cheetah", "--skeleton", "cheetah-8u"],
+        ["prior running-cheetah: angles: found "],
+    ),
+    "side of a whole animal": (
+        ["{clip}", "--side", "left"],
+        ["--side: side: found 'left', expected nothing: cheetah-24 is a whole animal"],
+    ),
+    "tilt beside extrinsics": (
+        ["{clip}", "--tilt-deg", "5"],
+        ["--tilt-deg: tilt_deg: found 5 beside the pose in {camera}, which says which way is up, expected one of the"],
+    ),
+    "options of the frame method": (
+        ["{clip}", "--form", "printed", "--base-length-m", "0.2"],
+        [
+            "--form: form: found 'printed' with the trajectory method, expected --method frame with it",
+            "--base-length-m: base_length_m: found 0.2 with the trajectory method, expected --method frame with it",
+        ],
+    ),
+    "options of the trajectory method": (
+        ["{clip}", "--method", "frame", "--fast", "--ground", "none"],
+        ["--ground: ground: found 'none' with the frame method", "--fast: fast: found True with the frame method"],
     ),
     "incomplete skeleton file": (
         ["{clip}", "--skeleton", "{in}/skeleton.toml"],
         ["{in}/skeleton.toml: title: found", "{in}/skeleton.toml: links: found"],
     ),
-    "unknown form": (["{clip}", "--form", "soft"], ["--form: form: found 'soft', expected deadband or printed"]),
+    "unknown form": (
+        ["{clip}", "--form", "soft", "--method", "frame"],
+        ["--form: form: found 'soft', expected deadband or printed"],
+    ),
     "unknown side": (["{clip}", "--side", "up"], ["--side: side: found 'up', expected auto, left or right"]),
-    "unknown method": (["{clip}", "--method", "x"], ["--method: method: found 'x', expected frame"]),
+    "unknown method": (["{clip}", "--method", "x"], ["--method: method: found 'x', expected trajectory or frame"]),
     "broken config": (["{clip}", "--config", "{in}/config.toml"], ["{in}/config.toml: content: found "]),
     "missing config": (["--config", "{in}/no.toml"], ["{in}/no.toml: file: found no such file"]),
     "camera and keypoints": (
@@ -456,6 +614,18 @@ def test_bad_input_as_a_process(args, message, tmp_path, monkeypatch):
 # ---- clips that cannot be solved ----
 
 
+def test_exit_code_1_when_no_pose_can_be_found(tmp_path):
+    few = ("spine", "neck_base", "tail_base", "r_front_knee")
+    clip = rewrite(tmp_path / "few.csv", keep_only(*few))
+    out = tmp_path / "out"
+    ended = run(*whole_args(out, keypoints=clip))
+    assert ended.code == 1
+    assert ended.err == f"error: no frame could be solved: see {out / 'report.json'}\n"
+    assert sorted(path.name for path in out.iterdir()) == sorted(OUTPUT_FILES)
+    assert "0 of 30 with a pose" in ended.out
+    assert report_of(out)["warnings"] == ["no pose: too few points detected in every frame"]
+
+
 def test_exit_code_1_when_no_frame_can_be_solved(tmp_path):
     few = ("spine", "neck_base", "tail_base", "r_front_knee")
     assert len(few) < MIN_JOINTS
@@ -464,7 +634,7 @@ def test_exit_code_1_when_no_frame_can_be_solved(tmp_path):
     ended = run(*fit_args(out, keypoints=clip))
     assert ended.code == 1
     assert ended.err == f"error: no frame could be solved: see {out / 'report.json'}\n"
-    assert sorted(path.name for path in out.iterdir()) == sorted(OUTPUT_FILES)
+    assert sorted(path.name for path in out.iterdir()) == sorted(OF_FRAMES)
     report = report_of(out)
     assert {row["status"] for row in report["frames"]} == {"no_data"}
     assert report["summary"]["frames_no_data"] == 30
@@ -485,7 +655,8 @@ def test_overwrite_keeps_other_files(fitted, tmp_path):
     stale.mkdir()
     (stale / "pose3d.csv").write_text("half")
     assert run(*fit_args(tmp_path, "--overwrite")).code == 0
-    assert sorted(path.name for path in tmp_path.iterdir()) == sorted((*OUTPUT_FILES, "notes.txt"))
+    # Nothing of the other method's results stays behind.
+    assert sorted(path.name for path in tmp_path.iterdir()) == sorted((*OF_FRAMES, "notes.txt"))
     assert (tmp_path / "notes.txt").read_text() == "mine"
     for name in ("pose3d.csv", "angles.csv", "reprojection.csv", "config.toml"):
         assert (tmp_path / name).read_bytes() == (out / name).read_bytes()
@@ -499,6 +670,12 @@ def until_frame_3(*args):
     return solve(*args[:-1], lambda frame: os.kill(os.getpid(), signal.SIGKILL) if frame == 3 else None)
 clip.solve_frames = until_frame_3
 """
+KILLED_APPROACHING = """
+import os, signal
+import recon.pipelines.clip as clip
+solve = clip.solve_trajectory
+clip.solve_trajectory = lambda *args: solve(*args[:-1], lambda stage, share: os.kill(os.getpid(), signal.SIGKILL))
+"""
 KILLED_WRITING = """
 import os, signal
 import recon.view
@@ -510,23 +687,25 @@ recon.view.write = half
 
 
 @needs_sigkill
-@pytest.mark.parametrize("before", [KILLED_FITTING, KILLED_WRITING], ids=["fitting", "writing"])
+@pytest.mark.parametrize(
+    "before", [KILLED_FITTING, KILLED_APPROACHING, KILLED_WRITING], ids=["frames", "trajectory", "writing"]
+)
 def test_killed_run_leaves_no_output_and_the_next_works(before, tmp_path):
     out = tmp_path / "out"
-    args = fit_args(out, "--frames", ":6")
+    args = fit_args(out, "--frames", ":6") if "solve_frames" in before else whole_args(out, "--frames", ":6")
     assert run_process(*args, before=before).code == -signal.SIGKILL
     left = [path.name for path in out.iterdir()] if out.exists() else []
     assert len(left) == (before is KILLED_WRITING)
     assert all(name.startswith(".recon-partial-") for name in left)
     assert run(*args).code == 0
-    assert sorted(path.name for path in out.iterdir()) == sorted(OUTPUT_FILES)
+    assert sorted(path.name for path in out.iterdir()) == sorted(OF_FRAMES if "--method" in args else OUTPUT_FILES)
 
 
 @needs_sigkill
 def test_killed_overwriting_leaves_the_earlier_results(tmp_path):
     for name in OUTPUT_FILES:
         (tmp_path / name).write_text("old")
-    args = fit_args(tmp_path, "--frames", ":6", "--overwrite")
+    args = whole_args(tmp_path, "--frames", ":6", "--overwrite")
     assert run_process(*args, before=KILLED_WRITING).code == -signal.SIGKILL
     assert {(tmp_path / name).read_text() for name in OUTPUT_FILES} == {"old"}
 
@@ -628,5 +807,5 @@ def test_help_has_an_example_and_units(command):
     assert f"Example: recon {command} " in ended.out
     if command == "fit":
         text = " ".join(ended.out.replace("│", " ").split())
-        for phrase in ("Hz", "in degrees", "in metres", "in pixels", "(default: 0.5)", "(default: cheetah-8u)"):
+        for phrase in ("Hz", "in degrees", "in metres", "in pixels", "(default: 0.5)", "(default: trajectory)"):
             assert phrase in text

@@ -9,10 +9,12 @@ import pytest
 
 from recon.calibration import read_camera
 from recon.errors import InputError
-from recon.pipelines.clip import OUTPUT_FILES, fit_clip, write_clip
+from recon.export import TRAJECTORY_OUTPUTS
+from recon.motion import FrameMotion, TrajectoryMotion
+from recon.pipelines.clip import OUTPUT_FILES, fit_clip, fit_frames, fit_trajectory, write_clip
 from recon.pipelines.demo import samples_folder
 from recon.settings import FitSettings
-from recon.skeleton_file import builtin_chains, load_skeleton
+from recon.skeleton_file import builtin_chains, builtin_names, load_skeleton
 from recon.solve import FrameOptions, solve_frames
 
 EXAMPLE = (Path(__file__).parents[1] / "docs" / "skeletons.md").read_text().split("```toml")[2].split("```")[0]
@@ -28,39 +30,112 @@ for old, new in (
     FRONT_ROOT = FRONT_ROOT.replace(old, new)
 
 
+def files_of(method: str) -> list[str]:
+    return [name for name in OUTPUT_FILES if method == "trajectory" or name not in TRAJECTORY_OUTPUTS]
+
+
 def sample(**options) -> FitSettings:
     folder = samples_folder()
     files = {"keypoints": folder / "noisy.csv", "camera": folder / "camera.toml", "fps": 30, "frames": "0:6"}
     return FitSettings.model_validate(files | options)
 
 
+@pytest.mark.parametrize("method", ["frame", "trajectory"])
 @pytest.mark.parametrize("skeleton", [*builtin_chains(), "example", "front root"])
-def test_every_skeleton_is_fitted_and_written(tmp_path, skeleton: str):
+def test_every_chain_is_fitted_and_written(tmp_path, skeleton: str, method: str):
     texts = {"example": EXAMPLE, "front root": FRONT_ROOT}
     if skeleton in texts:
         (tmp_path / "chain.toml").write_text(texts[skeleton])
         skeleton = str(tmp_path / "chain.toml")
-    settings = sample(skeleton=skeleton)
+    settings = sample(skeleton=skeleton, method=method)
     motion = fit_clip(settings)
     report = write_clip(motion, settings, tmp_path / "out")
-    assert sorted(p.name for p in (tmp_path / "out").iterdir()) == sorted(OUTPUT_FILES)
+    assert sorted(p.name for p in (tmp_path / "out").iterdir()) == sorted(files_of(method))
     assert report["summary"]["frames"] == 6
+    assert report["method"] == method
     assert motion.solved.sum() >= 3
+    assert isinstance(motion, FrameMotion if method == "frame" else TrajectoryMotion)
+    assert motion.side == "right"
+    assert {"theta_2", "base_length_m"} & {*motion.state_names}
+    assert "neck_base" in motion.names
 
 
-def test_points_outside_the_picture_are_another_cameras():
+@pytest.mark.parametrize("subject", [None, "jules"])
+def test_every_whole_animal_is_fitted_and_written(tmp_path, subject):
+    for skeleton in builtin_names():
+        if skeleton in builtin_chains():
+            continue
+        settings = sample(skeleton=skeleton, subject=subject)
+        motion = fit_clip(settings)
+        report = write_clip(motion, settings, tmp_path / skeleton)
+        assert sorted(p.name for p in (tmp_path / skeleton).iterdir()) == sorted(OUTPUT_FILES)
+        assert isinstance(motion, TrajectoryMotion)
+        assert (motion.side, motion.skeleton) == (None, None)
+        assert report["size"]["measured"] == (subject is not None)
+        assert ("Jules" in report["size"]["lengths"]) == (subject is not None)
+        assert motion.solved.all()
+
+
+def test_default_prior_is_the_one_for_the_skeleton():
+    assert fit_trajectory(sample()).solution.prior == "running-cheetah"
+    assert fit_trajectory(sample(prior="none")).solution.prior == "none"
+    assert fit_trajectory(sample(skeleton="cheetah-8u")).solution.prior == "none"
+    with pytest.raises(InputError, match="angles"):
+        fit_clip(sample(skeleton="cheetah-8u", prior="running-cheetah"))
+
+
+def test_the_other_methods_results_are_replaced_as_a_whole(tmp_path):
+    for method in ("trajectory", "frame"):
+        settings = sample(method=method, frames="0:4")
+        write_clip(fit_clip(settings), settings, tmp_path)
+        assert sorted(p.name for p in tmp_path.iterdir()) == sorted(files_of(method))
+
+
+def test_a_whole_animal_is_nothing_for_the_frame_method_and_has_no_side():
+    with pytest.raises(InputError, match="--skeleton: name or file: found 'cheetah-24', expected a chain for the fr"):
+        fit_clip(sample(method="frame", skeleton="cheetah-24"))
+    with pytest.raises(InputError, match="--side: side: found 'left', expected nothing: cheetah-24 is a whole animal"):
+        fit_clip(sample(side="left"))
+    with pytest.raises(InputError) as caught:
+        fit_clip(sample(side="left", prior="no.npz", camera="no.toml", keypoints="no.csv"))
+    assert [problem.file for problem in caught.value.problems][:2] == ["--prior", "--side"]
+    assert len(caught.value.problems) == 4
+
+
+def test_tilt_of_a_camera_that_does_not_know_which_way_is_up():
+    rough = {"camera": None, "hfov_deg": 60.0, "image_size_px": (1920, 1080)}
+    motion = fit_frames(sample(method="frame", tilt_deg=4.0, frames="0:2", **rough))
+    np.testing.assert_allclose(motion.camera.up, [0, -np.cos(np.deg2rad(4)), -np.sin(np.deg2rad(4))])
+    message = "--tilt-deg: tilt_deg: found 4 beside the pose in .*camera.toml, which says which way is up, expected one"
+    with pytest.raises(InputError, match=message):
+        fit_clip(sample(tilt_deg=4.0))
+
+
+def test_progress_goes_from_nothing_to_all():
+    for method in ("trajectory", "frame"):
+        seen = []
+        fit_clip(sample(method=method), lambda stage, share, seen=seen: seen.append((stage, share)))
+        shares = [share for _, share in seen]
+        assert all(stage for stage, _ in seen)
+        assert shares == sorted(shares)
+        assert 0 <= shares[0] < shares[-1] == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("method", ["trajectory", "frame"])
+def test_points_outside_the_picture_are_another_cameras(method):
     camera = {"camera": None, "hfov_deg": 64.0, "image_size_px": (320, 240)}
     with pytest.raises(InputError, match="320x240, but keypoints at x"):
-        fit_clip(sample(**camera))
+        fit_clip(sample(method=method, **camera))
 
 
-def test_the_side_with_points_is_fitted_when_the_facing_one_has_none(tmp_path):
+@pytest.mark.parametrize("method", ["trajectory", "frame"])
+def test_the_side_with_points_is_fitted_when_the_facing_one_has_none(tmp_path, method):
     """The sample faces right; a file with its left legs only is fitted by those."""
     lines = (samples_folder() / "noisy.csv").read_text().splitlines()
     keep = [i for i, name in enumerate(lines[1].split(",")) if not name.startswith("r_")]
     left = "\n".join(",".join(line.split(",")[i] for i in keep) for line in lines)
     (tmp_path / "left.csv").write_text(left + "\n")
-    motion = fit_clip(sample(keypoints=tmp_path / "left.csv"))
+    motion = fit_clip(sample(keypoints=tmp_path / "left.csv", skeleton="cheetah-8u", method=method))
     assert motion.side == "left"
     assert "but that side has" in motion.side_reason
     assert motion.solved.all()

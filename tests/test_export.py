@@ -6,7 +6,16 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from recon.export import CLIP_OUTPUTS, angles_csv, pose3d_csv, reprojection_csv
+from recon.export import (
+    CLIP_OUTPUTS,
+    TRAJECTORY_OUTPUTS,
+    angles_csv,
+    pose3d_csv,
+    pose3d_sigma_csv,
+    quality_csv,
+    reprojection_csv,
+    write_tables,
+)
 from recon.io import read_keypoints
 from recon.io.pose3d import read_pose3d
 
@@ -53,9 +62,44 @@ def test_reprojection_is_a_deeplabcut_file(small_motion, tmp_path):
     np.testing.assert_array_equal(table["recon", "spine", "likelihood"], [1, 1, 1, 0, 1, 1])
 
 
-@pytest.mark.parametrize("name", CLIP_OUTPUTS)
-def test_every_writer_writes(name, small_motion, tmp_path):
-    CLIP_OUTPUTS[name](small_motion, tmp_path / name)
-    text = (tmp_path / name).read_bytes()
-    assert b"\r" not in text
-    assert b"nan" not in text
+def test_angles_of_a_whole_animal(world_trajectory, tmp_path):
+    angles_csv.write(world_trajectory, tmp_path / "angles.csv")
+    table = pd.read_csv(tmp_path / "angles.csv", index_col="frame")
+    assert list(table.columns[:5]) == ["x_m", "y_m", "z_m", "rear_trunk_yaw_rad", "rear_trunk_pitch_rad"]
+    assert table.columns[-1] == "r_hind_foot_pitch_rad"
+    np.testing.assert_allclose(table.to_numpy(), world_trajectory.states, rtol=1e-15)
+
+
+def test_pose3d_sigma_has_the_layout_of_pose3d(world_trajectory, tmp_path):
+    pose3d_sigma_csv.write(world_trajectory, tmp_path / "pose3d_sigma.csv")
+    table = pd.read_csv(tmp_path / "pose3d_sigma.csv", header=[0, 1], index_col=0)
+    assert table.columns.names == ["bodyparts", "coords"]
+    assert list(table.columns.get_level_values(0).unique()) == list(world_trajectory.names)
+    coords = ["x_sigma", "y_sigma", "z_sigma", "x_rel", "y_rel", "z_rel"]
+    assert list(table["nose"].columns) == coords
+    values = np.concatenate((world_trajectory.joint_sigma_m, world_trajectory.relative_sigma_m), axis=2)
+    np.testing.assert_array_equal(table.to_numpy().reshape(8, 24, 6), values)
+    np.testing.assert_array_equal(table.index, world_trajectory.frames)
+
+
+def test_quality_names_what_is_doubtful(small_trajectory, tmp_path):
+    quality_csv.write(small_trajectory, tmp_path / "quality.csv")
+    table = pd.read_csv(tmp_path / "quality.csv", index_col="frame")
+    assert table["flags"].fillna("").tolist() == ["", "", "", "no data", "", "data poor;ambiguous depth", "", ""]
+    assert table["detections"].tolist() == [23, 23, 23, 0, 23, 23, 23, 23]
+    np.testing.assert_array_equal(table["alternative_m"], small_trajectory.solution.alternative_m)
+    np.testing.assert_array_equal(table["mean_weight"], small_trajectory.mean_weight)
+    np.testing.assert_array_equal(table["place_sigma_m"], small_trajectory.place_sigma_m)
+    np.testing.assert_array_equal(table["relative_rms_m"], small_trajectory.relative_rms_m)
+
+
+@pytest.mark.parametrize("motion", ["small_motion", "small_trajectory"])
+def test_every_writer_writes(motion, tmp_path, request):
+    write_tables(request.getfixturevalue(motion), tmp_path)
+    outputs = [*CLIP_OUTPUTS, *(TRAJECTORY_OUTPUTS if motion == "small_trajectory" else ())]
+    assert sorted(path.name for path in tmp_path.iterdir()) == sorted(outputs)
+    for path in tmp_path.iterdir():
+        text = path.read_bytes()
+        assert text.count(b"\n") >= 7
+        assert b"\r" not in text
+        assert b"nan" not in text

@@ -32,6 +32,7 @@ LAYERS = (
     "body",
     "skeleton",
     "skeleton_file",
+    "prior",
     "synthetic",
     "objectives",
     "initialise",

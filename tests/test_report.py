@@ -12,7 +12,15 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from recon.report import SCHEMA_VERSION, build_report, console_summary, summary_lines, to_plain, write_report
+from recon.report import (
+    SCHEMA_VERSION,
+    build_report,
+    console_summary,
+    is_unsolved,
+    summary_lines,
+    to_plain,
+    write_report,
+)
 from recon.solve import FrameReport
 
 DOCS = Path(__file__).resolve().parents[1] / "docs" / "report.md"
@@ -23,15 +31,27 @@ def report(small_motion):
     return build_report(small_motion, {"form": "deadband", "base_length_m": None}, {"solve_s": 0.3})
 
 
+@pytest.fixture(scope="module")
+def trajectory(small_trajectory):
+    return build_report(small_trajectory, {"subject": None, "size_sigma": None}, {"solve_s": 0.5})
+
+
+def with_solution(motion, **changes):
+    return replace(motion, solution=replace(motion.solution, **changes))
+
+
 def with_states(motion, states):
     return replace(motion, solution=replace(motion.solution, states=states))
 
 
-def test_is_plain_json_that_reads_back(report, tmp_path):
+@pytest.mark.parametrize("method", ["frame", "trajectory"])
+def test_is_plain_json_that_reads_back(method, request, tmp_path):
+    report = request.getfixturevalue("report" if method == "frame" else method)
     write_report(report, tmp_path / "report.json")
     text = (tmp_path / "report.json").read_text(encoding="utf-8")
     assert json.loads(text, parse_constant=lambda name: pytest.fail(name)) == report
-    assert len(text) < 300_000 / 30 * 6
+    assert len(text) < 300_000 / 30 * 8
+    assert report["method"] == method
     assert report["schema"] == {"name": "recon.fit.report", "version": SCHEMA_VERSION}
 
 
@@ -46,6 +66,9 @@ def test_text_with_brackets_and_lists_stays_as_it_is(tmp_path):
 def test_to_plain():
     given = {"a": np.float64(np.nan), "b": (np.int64(2), True, np.bool_(False)), "p": Path("x"), "f": 0.1 + 0.2}
     assert to_plain(given) == {"a": None, "b": [2, True, False], "p": "x", "f": 0.3}
+
+
+# -- frame method ---------------------------------------------------------------------------------------------------
 
 
 def test_frames(report, small_motion):
@@ -197,10 +220,193 @@ def test_console_summary(report):
     assert 10 <= len(summary_lines(report)) <= 16
 
 
-def test_every_field_is_documented(report):
+# -- trajectory method ----------------------------------------------------------------------------------------------
+
+
+def test_frames_of_a_trajectory(trajectory, small_trajectory):
+    frames = trajectory["frames"]
+    assert [f["frame"] for f in frames] == list(range(10, 18))
+    assert [f["flags"] for f in frames] == [[], [], [], ["no data"], [], ["data poor", "ambiguous depth"], [], []]
+    assert [f["detections"] for f in frames] == [23, 23, 23, 0, 23, 23, 23, 23]
+    assert frames[3]["mean_weight"] is frames[3]["mean_reprojection_px"] is None
+    assert frames[5]["alternative_m"] == 0.3
+    assert frames[1]["contact"] == [0.9, 0, 0, 0]
+    assert frames[0]["place_sigma_m"] == pytest.approx(small_trajectory.place_sigma_m[0])
+    assert frames[0]["relative_rms_m"] == pytest.approx(np.sqrt(2 * 0.02**2 + 0.08**2))
+
+
+def test_summary_of_a_trajectory_adds_up(trajectory):
+    summary = trajectory["summary"]
+    assert (summary["frames"], summary["frames_with_pose"], summary["frames_flagged"]) == (8, 8, 2)
+    assert summary["flags"] == {"no data": 1, "data poor": 1, "ambiguous depth": 1, "second solution": 0}
+    assert summary["detections"] == 7 * 23
+    assert summary["reprojection_px"]["mean"] == pytest.approx(300 / (7 * 23))
+    assert summary["reprojection_px"]["worst_joint"] == "nose"
+    assert summary["mean_weight"] == pytest.approx(1 - 0.95 / (7 * 23))
+    (outlier,) = trajectory["outliers"]
+    assert (outlier["frame"], outlier["keypoint"]) == (14, "nose")
+
+
+def test_keypoints_of_a_trajectory(trajectory, small_trajectory):
+    rows = {row["name"]: row for row in trajectory["keypoints"]}
+    assert list(rows) == [*small_trajectory.names, "ear"]
+    assert (rows["nose"]["noise_px"], rows["nose"]["outliers"]) == (10, 1)
+    assert rows["nose"]["mean_weight"] == pytest.approx((6 + 0.05) / 7)
+    assert rows["ear"]["joint"] is rows["ear"]["noise_px"] is rows["ear"]["mean_weight"] is None
+    assert (rows["r_eye"]["in_file"], rows["r_eye"]["mean_weight"]) == (False, None)
+    assert trajectory["missing_keypoints"] == ["r_eye"]
+
+
+def test_starts_are_told_by_their_angle_to_the_picture(trajectory):
+    first, second = trajectory["convergence"]["starts"]
+    assert (first["cost"], first["kept"]) == (150, True)
+    assert first["heading_rad"] == first["heading_to_picture_rad"] == pytest.approx(0.1)
+    # To the left of the picture, and as far away from the camera.
+    assert second["heading_rad"] == pytest.approx(np.pi - 0.1)
+    assert second["heading_to_picture_rad"] == pytest.approx(0.1)
+    assert trajectory["convergence"]["cost_by_term"] == {"reprojection": 120, "pose prior": 30}
+
+
+def test_size_says_what_it_comes_from(trajectory, small_trajectory):
+    size = trajectory["size"]
+    assert (size["factor"], size["sigma"], size["prior_sigma"], size["measured"]) == (1, 0.06, 0.1, False)
+    assert size["data_share"] == pytest.approx(1 - 0.36)
+    assert not any("scale" in w for w in trajectory["warnings"])
+    given = build_report(small_trajectory, {"subject": "jules", "size_sigma": 0.06})
+    assert (given["size"]["prior_sigma"], given["size"]["data_share"]) == (0.06, 0)
+    assert given["size"]["measured"] is True
+    assert not any("scale" in w for w in given["warnings"])
+    assumed = build_report(small_trajectory, {"size_sigma": 0.06})
+    assert any("scale not measured" in w for w in assumed["warnings"])
+    odd = build_report(with_solution(small_trajectory, size=0.7), {})
+    assert any("size 0.70 is far from what is expected, 1 ± 0.1" in w for w in odd["warnings"])
+
+
+def test_ground_and_stances(trajectory, small_trajectory, world_trajectory):
+    ground, below = trajectory["ground"], small_trajectory.below_m[2]
+    assert (ground["frame"], ground["sigma_m"], ground["slope"]) == ("level", 0.03, [0, 0.02])
+    assert ground["height_m"] == pytest.approx(below) == -ground["camera_height_m"]
+    assert trajectory["stances"] == {"l_front_paw": [[11, 13]], "r_front_paw": [], "l_back_paw": [], "r_back_paw": []}
+    ground = build_report(world_trajectory, {})["ground"]
+    assert (ground["frame"], ground["height_m"]) == ("world", pytest.approx(3 + below))
+    assert ground["slope"] == pytest.approx([0.02, 0])  # away from this camera is along x
+    unknown = with_solution(small_trajectory, ground=None)
+    for settings, text in (({}, "not found"), ({"ground": "none"}, "not looked for")):
+        report = build_report(unknown, settings)
+        assert report["ground"] is None
+        assert dict(summary_lines(report))["ground"] == text
+
+
+def test_prior_and_uncertainty(trajectory):
+    assert trajectory["prior"]["name"] == "running-cheetah"
+    assert trajectory["prior"]["data_share"]["nose"] == 0.5
+    assert trajectory["prior"]["mean_data_share"] == pytest.approx(0.7)
+    assert trajectory["uncertainty"]["relative_sigma_m"]["nose"] == [0.02, 0.02, 0.08]
+    expected = np.hypot([0.02, 0.02, 0.08], [0.05, 0.05, 0.3])
+    assert trajectory["uncertainty"]["joint_sigma_m"]["nose"] == pytest.approx(expected)
+
+
+def test_alternative(trajectory, small_trajectory):
+    found = trajectory["alternative"]
+    assert found == {"cost_difference": 3.5, "frames": 8, "mean_m": pytest.approx(0.65 / 8), "max_m": 0.3}
+    assert any("another solution explains 1 frame nearly as well, up to 0.30 m" in w for w in trajectory["warnings"])
+    none = with_solution(small_trajectory, alternative_m=np.full(8, np.nan), flags=((),) * 8)
+    report = build_report(none, {})
+    assert report["alternative"] is None
+    assert not any("another solution" in w for w in report["warnings"])
+    assert dict(summary_lines(report))["alternative"] == "no other solution nearly as good"
+
+
+def test_path_and_heading_of_a_trajectory(trajectory, world_trajectory):
+    path = trajectory["root_path"]
+    assert (path["joint"], path["keypoint"], path["smoothed"]) == ("spine", "spine", None)
+    assert path["exact"]["mean_speed_m_s"] == pytest.approx(9)
+    assert path["exact"]["distance_m"] == pytest.approx(2.1)
+    assert trajectory["heading"]["heading_to_picture_rad"] == pytest.approx(0, abs=1e-9)
+    assert trajectory["heading"]["heading_camera"][0] == pytest.approx([1, 0, 0])
+    assert build_report(world_trajectory, {})["heading"]["heading_camera"][0] == pytest.approx([1, 0, 0])
+
+
+def test_which_way_is_up_is_an_assumption_or_not(trajectory, small_trajectory, world_trajectory):
+    assert (trajectory["assumptions"]["camera_level"], trajectory["assumptions"]["camera_tilt_rad"]) == (True, 0)
+    known = build_report(world_trajectory, {})
+    assert (known["assumptions"]["camera_level"], known["assumptions"]["camera_tilt_rad"]) == (False, None)
+    assert known["skeleton"]["states_frame"] == "world"
+    given = replace(small_trajectory, camera=replace(small_trajectory.camera, tilt_rad=0.1))
+    given = build_report(given, {})
+    assert (given["assumptions"]["camera_level"], given["assumptions"]["camera_tilt_rad"]) == (False, 0.1)
+    assert any("look down by 5.73 degrees" in sentence for sentence in given["assumptions"]["sentences"])
+    for report, warned in ((trajectory, True), (known, False), (given, False)):
+        assert any("taken to be level" in warning for warning in report["warnings"]) == warned
+
+
+def test_warnings_where_a_trajectory_is_not_to_be_trusted(small_trajectory):
+    poor = (("data poor",),) * 8
+    motion = with_solution(small_trajectory, status="not_converged", data_share=np.full(24, 0.3), flags=poor)
+    warnings = build_report(motion, {})["warnings"]
+    for expected in ("before it had converged", "few data: 8 frames of 8", "30% of their precision", "not in the file"):
+        assert any(expected in warning for warning in warnings), expected
+    states, joints = small_trajectory.solution.states.copy(), small_trajectory.solution.joints_camera_m.copy()
+    states[:2], joints[:2] = np.nan, np.nan
+    gaps = (("no data",),) * 4 + ((),) * 4
+    report = build_report(with_solution(small_trajectory, states=states, joints_camera_m=joints, flags=gaps), {})
+    assert report["warnings"][:2] == [
+        "2 frames of 8 without a pose: nothing detected",
+        "2 frames without detections: the pose comes from the frames around",
+    ]
+    assert report["root_path"]["position_m"][0] == [None] * 3
+
+
+def test_no_pose_at_all(small_trajectory):
+    solution = small_trajectory.solution
+    arrays = {
+        name: np.full_like(getattr(solution, name), np.nan)
+        for name in ("states", "joints_camera_m", "covariance_m2", "relative_covariance_m2", "alternative_m", "contact")
+    } | {"noise_px": np.full((8, 24), np.nan), "weight": np.full((8, 24), np.nan), "data_share": np.full(24, np.nan)}
+    motion = with_solution(
+        small_trajectory, **arrays, ground=None, flags=(("no data",),) * 8, starts=(), status="not_converged"
+    )
+    report = build_report(motion, {})
+    json.dumps(report, allow_nan=False)
+    assert is_unsolved(report)
+    assert report["warnings"] == ["no pose: too few points detected in every frame"]
+    lines = dict(summary_lines(report))
+    assert lines["frames"] == "0 of 8 with a pose, 8 doubtful (8 no data)"
+    assert "nan" not in str(lines)
+
+
+def test_console_summary_of_a_trajectory(trajectory):
+    out = StringIO()
+    Console(file=out, width=160).print(console_summary(trajectory))
+    text = out.getvalue()
+    for expected in (
+        "run.csv, frames 10 to 17 at 30 fps",
+        "8 of 8 with a pose, 2 doubtful (1 no data, 1 data poor, 1 ambiguous depth)",
+        "161 used, 23 missing",
+        "9.0 m/s mean",
+        "in the picture's plane",
+        "1.000 ± 0.060 of the assumed lengths (1 ± 0.1 expected): cheetah, whole animal with 24 markers",
+        "0.08 m of a joint within the pose, 0.30 m of the animal's place in depth",
+        "running-cheetah; 70%",
+        "stances: l_front_paw 1, r_front_paw 0",
+        "at a cost higher by 3.5",
+        "0.5 s, 25 iterations",
+        "camera taken to be level",
+    ):
+        assert expected in text
+    assert "side" not in dict(summary_lines(trajectory))
+    assert 10 <= len(summary_lines(trajectory)) <= 18
+
+
+# -- both -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("method", ["report", "trajectory"])
+def test_every_field_is_documented(method, request):
+    report = request.getfixturevalue(method)
     documented = set(re.findall(r"`([\w ]+)`", DOCS.read_text(encoding="utf-8")))
     open_names = {"settings", "timing_s", "camera"}  # others' fields
-    open_names |= {"cost_shares", "states", "ranges", "rates", "joint_sigma_m", "total"}  # by name
+    open_names |= {"cost_shares", "states", "ranges", "rates", "total", "cost_by_term", "stances"}  # by name
     by_name = {*report["skeleton"]["state_names"], *report["skeleton"]["keypoints"]}
 
     def keys(node):

@@ -10,8 +10,8 @@ import typer
 
 from recon.cli import app
 from recon.errors import InputError
-from recon.settings import FitSettings, option, read_settings
-from recon.solve import FrameOptions
+from recon.settings import OF_METHOD, FitSettings, option, read_settings
+from recon.solve import FrameOptions, TrajectoryOptions
 
 GIVEN = {"keypoints": Path("/data/clip.csv"), "camera": Path("/data/camera.toml"), "fps": 30.0}
 SOLVER_ONLY = {"keypoint_sigma_max_px", "robust_c", "tolerance", "max_evaluations"}
@@ -39,6 +39,18 @@ def test_what_is_not_given_has_its_default():
     assert settings.side == "auto"
     assert settings.likelihood_min == 0.5
     assert settings.frame_options() == FrameOptions()
+    assert settings.trajectory_options() == TrajectoryOptions()
+    assert (settings.method, settings.skeleton_name) == ("trajectory", "cheetah-24")
+
+
+def test_default_skeleton_is_the_methods():
+    assert FitSettings(**GIVEN, method="frame").skeleton_name == "cheetah-8u"
+    assert FitSettings(**GIVEN, method="frame", skeleton="mine").skeleton_name == "mine"
+
+
+def test_options_of_the_trajectory_method():
+    changed = {"fast": True, "ground": "none", "sigma_px": 2.5, "keypoint_sigma_m": 0.04, "size_sigma": 0.02}
+    assert FitSettings(**GIVEN, **changed).trajectory_options() == TrajectoryOptions(**changed)
 
 
 def test_every_solver_option_is_a_setting():
@@ -81,18 +93,22 @@ def test_config_reads_back_as_it_was(tmp_path, given):
 
 def test_config_holds_every_setting_that_has_a_value():
     plain = tomllib.loads(FitSettings(**GIVEN).to_toml())["recon"]["fit"]
-    unset = {"camera_name", "hfov_deg", "image_size_px", "individual", "frames", "base_length_m", "base_sigma_m"}
-    assert set(plain) == set(FitSettings.model_fields) - unset - {"keypoint_sigma_m"}
+    unset = {"camera_name", "hfov_deg", "image_size_px", "tilt_deg", "individual", "frames", "skeleton", "subject"}
+    unset |= {"prior", "size_sigma", "base_length_m", "base_sigma_m", "keypoint_sigma_m"}
+    assert set(plain) == set(FitSettings.model_fields) - unset
     assert plain["keypoints"] == "/data/clip.csv"
 
 
 def test_paths_become_absolute(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    settings = FitSettings(keypoints="a/clip.csv", camera="camera.toml", fps=30, skeleton="mine.toml")  # pyright: ignore[reportArgumentType]
+    given = {"skeleton": "mine.toml", "subject": "my-cat.toml", "prior": "cats.npz"}
+    settings = FitSettings(keypoints="a/clip.csv", camera="camera.toml", fps=30, **given)  # pyright: ignore[reportArgumentType]
     assert settings.keypoints == tmp_path / "a" / "clip.csv"
     assert settings.camera == tmp_path / "camera.toml"
     assert settings.skeleton == str(tmp_path / "mine.toml")
-    assert FitSettings(**GIVEN).skeleton == "cheetah-8u"
+    assert settings.subject == str(tmp_path / "my-cat.toml")
+    assert settings.prior == str(tmp_path / "cats.npz")
+    assert FitSettings(**GIVEN, subject="jules", prior="none").subject == "jules"
 
 
 @pytest.mark.parametrize("size", ["1920x1080", "1920X1080", " 1920 x 1080 ", [1920, 1080], (1920, 1080)])
@@ -111,7 +127,11 @@ def test_image_size_as_text_or_as_numbers(size):
         ("likelihood_min", float("nan"), "--likelihood-min: likelihood_min: found nan, expected a number from 0 to 1"),
         ("side", "up", "--side: side: found 'up', expected auto, left or right"),
         ("form", "soft", "--form: form: found 'soft', expected deadband or printed"),
-        ("method", "window", "--method: method: found 'window', expected frame"),
+        ("method", "window", "--method: method: found 'window', expected trajectory or frame"),
+        ("ground", "flat", "--ground: ground: found 'flat', expected auto or none"),
+        ("size_sigma", 0.0, "--size-sigma: size_sigma: found 0.0, expected a share of the size above 0, as in 0.1"),
+        ("tilt_deg", 90.0, "--tilt-deg: tilt_deg: found 90.0, expected degrees that the camera looks down, above -90"),
+        ("fast", "very", "--fast: fast: found 'very', expected true or false"),
         ("angle_prior", "flat", "--angle-prior: angle_prior: found 'flat', expected gaussian or none"),
         ("camera_rotation", "still", "--camera-rotation: camera_rotation: found 'still', expected free or fixed"),
         ("base_length_m", 0.0, "--base-length-m: base_length_m: found 0.0, expected metres above 0, as in 0.203"),
@@ -140,7 +160,8 @@ def test_image_size_as_text_or_as_numbers(size):
     ],
 )
 def test_wrong_value_is_named_in_plain_words(name, value, message):
-    (found,) = messages({**GIVEN, name: value})
+    method = {"method": "frame"} if name in OF_METHOD["frame"] else {}
+    (found,) = messages({**GIVEN, **method, name: value})
     assert found.startswith(message)
 
 
@@ -199,6 +220,36 @@ def test_settings_that_do_not_go_together(given, message):
     assert messages(given) == [message]
 
 
+@pytest.mark.parametrize(
+    ("name", "value", "method"),
+    [
+        ("form", "printed", "frame"),
+        ("angle_prior", "none", "frame"),
+        ("camera_rotation", "free", "frame"),
+        ("base_length_m", 0.2, "frame"),
+        ("base_sigma_m", 0.01, "frame"),
+        ("subject", "jules", "trajectory"),
+        ("prior", "none", "trajectory"),
+        ("ground", "auto", "trajectory"),
+        ("size_sigma", 0.1, "trajectory"),
+        ("fast", True, "trajectory"),
+    ],
+)
+def test_options_of_the_other_method_are_refused(tmp_path, name, value, method):
+    other = "frame" if method == "trajectory" else "trajectory"
+    assert name in OF_METHOD[method]
+    expected = f"{option(name)}: {name}: found {value!r} with the {other} method, expected --method {method} with it"
+    assert messages({**GIVEN, "method": other, name: value}) == [expected]
+    # They are part of every config.toml, and say nothing there.
+    settings = read_settings(saved(tmp_path, method=method, **{name: value}), {"method": other})
+    assert (settings.method, getattr(settings, name)) == (other, value)
+
+
+def test_every_option_of_the_other_method_is_named():
+    found = messages({**GIVEN, "form": "printed", "base_length_m": 0.2})
+    assert [message.partition(":")[0] for message in found] == ["--form", "--base-length-m"]
+
+
 def test_command_line_overrules_config(tmp_path):
     config = saved(tmp_path, side="left", frames="0:9")
     settings = read_settings(config, {"fps": 60.0, "side": "right", "frames": None})
@@ -207,9 +258,10 @@ def test_command_line_overrules_config(tmp_path):
 
 
 def test_another_camera_replaces_the_one_of_the_config(tmp_path):
-    config = saved(tmp_path, camera_name="cam2", image_size_px=(1920, 1080))
+    config = saved(tmp_path, camera_name="cam2", image_size_px=(1920, 1080), tilt_deg=5)
     other = read_settings(config, {"camera": Path("/other.json")})
     assert (other.camera, other.camera_name, other.image_size_px) == (Path("/other.json"), None, None)
+    assert other.tilt_deg is None
     rough = read_settings(config, {"hfov_deg": 60.0})
     assert (rough.camera, rough.camera_name, rough.image_size_px) == (None, None, (1920, 1080))
     again = read_settings(write_config(tmp_path, rough.to_toml()), {"camera": Path("/c.toml")})

@@ -11,14 +11,16 @@ from typing import Any
 import numpy as np
 import pytest
 from rerun.chunk import RrdReader
+from scipy.spatial.transform import Rotation
 
 from recon.errors import InputError
-from recon.motion import Motion
+from recon.motion import FrameMotion, TrajectoryMotion
 from recon.view import open_viewer, write
 
 # World axes x, y (ahead), z (up) seen from 2 m above the origin, looking along y.
 LOOKING_ALONG_Y = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 
+FEET = ("l_front_paw", "r_front_paw", "l_back_paw", "r_back_paw")
 PER_FRAME = {
     "/world/skeleton": "LineStrips3D:strips",
     "/world/skeleton/joints": "Points3D:positions",
@@ -39,6 +41,20 @@ PER_FRAME = {
     "/angles/phi": "Scalars:scalars",
     "/speed": "Scalars:scalars",
     "/residuals": "Scalars:scalars",
+}
+
+
+TRAJECTORY = {
+    **{entity: component for entity, component in PER_FRAME.items() if not entity.startswith("/angles")},
+    "/angles/left": "Scalars:scalars",
+    "/angles/right": "Scalars:scalars",
+    "/angles/middle": "Scalars:scalars",
+    "/uncertainty": "Scalars:scalars",
+    "/world/uncertainty": "Ellipsoids3D:centers",
+    "/world/doubt": "Points3D:positions",
+    "/world/stance": "Points3D:positions",
+    "/states/doubt": "StateChange:state",
+    **{f"/states/{foot}": "StateChange:state" for foot in FEET},
 }
 
 
@@ -64,11 +80,11 @@ class Recording:
                     self.time_s[row["frame"]] = row["time"].total_seconds()
 
     def values(self, entity: str, frame: int) -> list[Any]:
-        return self.frames[entity][frame][PER_FRAME[entity]] or []
+        return self.frames[entity][frame][{**PER_FRAME, **TRAJECTORY}[entity]] or []
 
 
 @pytest.fixture(scope="module")
-def world_motion(small_motion: Motion) -> Motion:
+def world_motion(small_motion: FrameMotion) -> FrameMotion:
     """The small motion seen by a camera 2 m above the ground."""
     height = np.array([0.0, 0.0, 2.0])
     camera = replace(small_motion.camera, rotation=LOOKING_ALONG_Y, translation_m=-LOOKING_ALONG_Y @ height)
@@ -76,13 +92,13 @@ def world_motion(small_motion: Motion) -> Motion:
 
 
 @pytest.fixture(scope="module")
-def recording(world_motion: Motion, tmp_path_factory: pytest.TempPathFactory) -> Recording:
+def recording(world_motion: FrameMotion, tmp_path_factory: pytest.TempPathFactory) -> Recording:
     path = tmp_path_factory.mktemp("view") / "motion.rrd"
     write(world_motion, path)
     return Recording(path)
 
 
-def test_holds_every_entity_at_every_frame(recording: Recording, world_motion: Motion) -> None:
+def test_holds_every_entity_at_every_frame(recording: Recording, world_motion: FrameMotion) -> None:
     assert set(recording.frames) == set(PER_FRAME)
     for rows in recording.frames.values():
         assert sorted(rows) == list(world_motion.frames)
@@ -94,14 +110,14 @@ def test_times_are_seconds_since_frame_zero(recording: Recording) -> None:
     assert recording.time_s == pytest.approx({frame: frame / 30.0 for frame in range(10, 16)}, abs=1e-8)
 
 
-def test_joints_are_those_of_the_motion(recording: Recording, world_motion: Motion) -> None:
+def test_joints_are_those_of_the_motion(recording: Recording, world_motion: FrameMotion) -> None:
     for frame, joints in zip(world_motion.frames, world_motion.joints_m, strict=True):
         if frame != 13:
             np.testing.assert_allclose(recording.values("/world/skeleton/joints", frame), joints, atol=1e-5)
     assert recording.static["/world/skeleton/joints"]["Points3D:labels"] == list(world_motion.names)
 
 
-def test_limbs_join_their_joints(recording: Recording, world_motion: Motion) -> None:
+def test_limbs_join_their_joints(recording: Recording, world_motion: FrameMotion) -> None:
     limbs = world_motion.skeleton.limbs
     for strip, joints in zip(recording.values("/world/skeleton", 12), limbs.values(), strict=True):
         rows = [world_motion.skeleton.joints.index(joint) for joint in joints]
@@ -109,19 +125,19 @@ def test_limbs_join_their_joints(recording: Recording, world_motion: Motion) -> 
     assert recording.static["/world/skeleton"]["LineStrips3D:class_ids"] == list(range(len(limbs)))
 
 
-def test_a_frame_without_data_shows_nothing(recording: Recording, world_motion: Motion) -> None:
+def test_a_frame_without_data_shows_nothing(recording: Recording, world_motion: FrameMotion) -> None:
     assert not world_motion.solved[3]
     for entity in PER_FRAME:
         assert recording.values(entity, 13) == [], entity
 
 
-def test_trail_follows_the_root_and_does_not_bridge_the_gap(recording: Recording, world_motion: Motion) -> None:
+def test_trail_follows_the_root_and_does_not_bridge_the_gap(recording: Recording, world_motion: FrameMotion) -> None:
     (step,) = recording.values("/world/trail", 12)
     np.testing.assert_allclose(step, world_motion.root_m[1:3], atol=1e-5)
     assert [frame for frame in range(10, 16) if recording.values("/world/trail", frame)] == [11, 12, 15]
 
 
-def test_ground_lies_under_the_paws(recording: Recording, world_motion: Motion) -> None:
+def test_ground_lies_under_the_paws(recording: Recording, world_motion: FrameMotion) -> None:
     lines = np.array(recording.static["/world/ground"]["LineStrips3D:strips"])
     paws = [world_motion.names.index(name) for name in ("r_front_paw", "r_back_paw")]
     heights = world_motion.joints_m[world_motion.solved][:, paws, 2]
@@ -134,7 +150,7 @@ def test_ground_lies_under_the_paws(recording: Recording, world_motion: Motion) 
     np.testing.assert_allclose(np.diff(np.unique(lines[..., 0])), 1.0)
 
 
-def test_camera_stands_where_its_extrinsics_say(recording: Recording, world_motion: Motion) -> None:
+def test_camera_stands_where_its_extrinsics_say(recording: Recording, world_motion: FrameMotion) -> None:
     camera = recording.static["/world/camera"]
     np.testing.assert_allclose(camera["Transform3D:translation"], [[0.0, 0.0, 2.0]], atol=1e-6)
     (columns,) = camera["Transform3D:mat3x3"]
@@ -143,7 +159,7 @@ def test_camera_stands_where_its_extrinsics_say(recording: Recording, world_moti
     np.testing.assert_allclose(np.reshape(columns, (3, 3)).T, world_motion.camera.matrix, rtol=1e-6)
 
 
-def test_picture_has_the_pixels_of_the_motion(recording: Recording, world_motion: Motion) -> None:
+def test_picture_has_the_pixels_of_the_motion(recording: Recording, world_motion: FrameMotion) -> None:
     for row, frame in enumerate(world_motion.frames):
         seen = np.isfinite(world_motion.detected_px[row, :, 0])
         outlier = world_motion.outliers[row]
@@ -161,13 +177,15 @@ def test_the_outlier_is_shown_as_one(recording: Recording) -> None:
     assert [frame for frame in range(10, 16) if recording.values("/picture/outliers", frame)] == [14]
 
 
-def test_the_close_up_is_the_picture_around_the_skeletons_middle(recording: Recording, world_motion: Motion) -> None:
+def test_the_close_up_is_the_picture_around_the_skeletons_middle(
+    recording: Recording, world_motion: FrameMotion
+) -> None:
     pixels = world_motion.reprojected_px[2]
     shown = np.array(recording.values("/closeup/reprojections/joints", 12))
     np.testing.assert_allclose(shown, pixels - pixels.mean(axis=0), atol=1e-3)
 
 
-def test_series_have_the_units_of_plots(recording: Recording, world_motion: Motion) -> None:
+def test_series_have_the_units_of_plots(recording: Recording, world_motion: FrameMotion) -> None:
     degrees = np.rad2deg(world_motion.angles_rad[2])
     np.testing.assert_allclose(recording.values("/angles/theta", 12), degrees[:7])
     np.testing.assert_allclose(recording.values("/angles/phi", 12), degrees[7:], atol=1e-12)
@@ -180,7 +198,7 @@ def test_series_have_the_units_of_plots(recording: Recording, world_motion: Moti
     assert smooth == pytest.approx(9.0, abs=2.0)
 
 
-def test_without_extrinsics_the_camera_is_the_origin(small_motion: Motion, tmp_path: Path) -> None:
+def test_without_extrinsics_the_camera_is_the_origin(small_motion: FrameMotion, tmp_path: Path) -> None:
     write(small_motion, tmp_path / "motion.rrd", start_frame=12)
     recording = Recording(tmp_path / "motion.rrd")
     assert "Transform3D:translation" not in recording.static["/world/camera"]
@@ -191,7 +209,7 @@ def test_without_extrinsics_the_camera_is_the_origin(small_motion: Motion, tmp_p
     assert np.ptp(np.array(recording.static["/world/ground"]["LineStrips3D:strips"])[..., 1]) == 0
 
 
-def test_a_motion_without_any_pose_can_be_written(small_motion: Motion, tmp_path: Path) -> None:
+def test_a_motion_without_any_pose_can_be_written(small_motion: FrameMotion, tmp_path: Path) -> None:
     nothing = replace(
         small_motion,
         solution=replace(small_motion.solution, states=np.full_like(small_motion.states, np.nan), reports=(None,) * 6),
@@ -200,6 +218,113 @@ def test_a_motion_without_any_pose_can_be_written(small_motion: Motion, tmp_path
     write(nothing, tmp_path / "motion.rrd")
     recording = Recording(tmp_path / "motion.rrd")
     assert all(not recording.values(entity, 12) for entity in recording.frames)
+
+
+# -- the trajectory method ------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def played(world_trajectory: TrajectoryMotion, tmp_path_factory: pytest.TempPathFactory) -> Recording:
+    path = tmp_path_factory.mktemp("view") / "motion.rrd"
+    write(world_trajectory, path)
+    return Recording(path)
+
+
+def test_a_trajectory_has_every_entity_at_every_frame(played: Recording, world_trajectory: TrajectoryMotion) -> None:
+    assert set(played.frames) == set(TRAJECTORY)
+    for rows in played.frames.values():
+        assert sorted(rows) == list(world_trajectory.frames)
+
+
+def test_limbs_of_a_whole_animal_are_coloured_by_side(played: Recording, world_trajectory: TrajectoryMotion) -> None:
+    context = played.static["/"]["AnnotationContext:context"][0]
+    colours = {c["class_description"]["info"]["label"]: c["class_description"]["info"]["color"] for c in context}
+    assert list(colours) == list(world_trajectory.limbs)
+    left, right, middle = colours["left front leg"], colours["right front leg"], colours["trunk"]
+    assert len({left, right, middle}) == 3
+    assert colours["left hind leg"] == left
+    assert colours["right hind leg"] == right
+    assert colours["tail"] == colours["head"] == colours["eyes"] == middle
+    limbs = list(colours)
+    joints = played.static["/world/skeleton/joints"]["Points3D:class_ids"]
+    at = dict(zip(world_trajectory.names, (limbs[i] for i in joints), strict=True))
+    assert at["l_front_paw"] == at["l_shoulder"] == "left front leg"
+    assert at["neck_base"] == at["tail_base"] == at["spine"] == "trunk"
+    assert (at["nose"], at["tail2"]) == ("head", "tail")
+
+
+def test_shells_are_one_sigma_of_the_pose(played: Recording, world_trajectory: TrajectoryMotion) -> None:
+    row = played.frames["/world/uncertainty"][12]
+    np.testing.assert_allclose(row["Ellipsoids3D:centers"], world_trajectory.joints_m[2], atol=1e-5)
+    axes = Rotation.from_quat(row["Ellipsoids3D:quaternions"]).as_matrix()
+    half = np.array(row["Ellipsoids3D:half_sizes"])
+    covariance = np.einsum("jab,jb,jcb->jac", axes, half**2, axes)
+    np.testing.assert_allclose(covariance, world_trajectory.relative_covariance_m2[2], atol=1e-7)
+
+
+def test_doubtful_frames_are_marked(played: Recording, world_trajectory: TrajectoryMotion) -> None:
+    shown = {frame: played.values("/states/doubt", frame) for frame in range(10, 18)}
+    assert {frame: value for frame, value in shown.items() if value} == {
+        13: ["no data"],
+        15: ["data poor, ambiguous depth"],
+    }
+    assert [frame for frame in range(10, 18) if played.values("/world/doubt", frame)] == [13, 15]
+    assert played.frames["/world/doubt"][15]["Points3D:labels"] == ["data poor, ambiguous depth"]
+    ((x, y, z),) = played.values("/world/doubt", 15)
+    middle = world_trajectory.joints_m[5].mean(axis=0)
+    np.testing.assert_allclose([x, y], middle[:2], atol=1e-5)
+    assert z > world_trajectory.joints_m[5, :, 2].max()
+    red, plain = (played.frames["/world/uncertainty"][f]["Ellipsoids3D:colors"] for f in (15, 14))
+    assert len(set(red)) == 1 < len(set(plain))
+
+
+def test_feet_that_stand_are_marked(played: Recording, world_trajectory: TrajectoryMotion) -> None:
+    paw = world_trajectory.names.index("l_front_paw")
+    for frame in range(10, 18):
+        stands = frame in (11, 12)
+        assert played.values("/states/l_front_paw", frame) == (["stance"] if stands else [])
+        assert len(played.values("/world/stance", frame)) == stands
+        assert played.values("/states/r_back_paw", frame) == []
+    np.testing.assert_allclose(played.values("/world/stance", 12), world_trajectory.joints_m[2, [paw]], atol=1e-5)
+
+
+def test_ground_that_was_found_is_drawn(played: Recording, world_trajectory: TrajectoryMotion) -> None:
+    points = np.reshape(played.static["/world/ground"]["LineStrips3D:strips"], (-1, 3))
+    ground = world_trajectory.solution.ground
+    assert ground is not None
+    # The level frame's y axis is the world's x, from the camera at (1, 2, 3) on.
+    np.testing.assert_allclose(points[:, 2], 3 + ground.height_m + 0.02 * (points[:, 0] - 1), atol=1e-5)
+    assert np.ptp(points[:, 2]) > 0.05
+
+
+def test_series_of_a_whole_animal(played: Recording, world_trajectory: TrajectoryMotion) -> None:
+    names = world_trajectory.angle_names
+    left = [i for i, name in enumerate(names) if name.startswith("l_")]
+    degrees = np.rad2deg(world_trajectory.angles_rad[2])
+    np.testing.assert_allclose(played.values("/angles/left", 12), degrees[left])
+    assert played.static["/angles/left"]["SeriesLines:names"][0] == "fore upper pitch"
+    middle = [i for i, name in enumerate(names) if name[:2] not in ("l_", "r_")]
+    np.testing.assert_allclose(played.values("/angles/middle", 12), degrees[middle], atol=1e-12)
+    assert len(left) * 2 + len(middle) == len(names)
+    assert played.values("/speed", 12) == pytest.approx([9.0])
+    expected = [world_trajectory.relative_rms_m[2], world_trajectory.place_sigma_m[2]]
+    np.testing.assert_allclose(played.values("/uncertainty", 12), expected)
+
+
+def test_a_trajectory_without_any_pose_can_be_written(small_trajectory: TrajectoryMotion, tmp_path: Path) -> None:
+    solution = small_trajectory.solution
+    fields = ("states", "joints_camera_m", "covariance_m2", "relative_covariance_m2", "noise_px", "weight", "contact")
+    nothing = {name: np.full_like(getattr(solution, name), np.nan) for name in fields}
+    flags = (("no data",),) * 8
+    motion = replace(
+        small_trajectory,
+        solution=replace(solution, **nothing, flags=flags, ground=None),
+        keypoints=replace(small_trajectory.keypoints, xy_px=np.full_like(small_trajectory.detected_px, np.nan)),
+    )
+    write(motion, tmp_path / "motion.rrd")
+    recording = Recording(tmp_path / "motion.rrd")
+    assert recording.values("/states/doubt", 12) == ["no data"]
+    assert all(not recording.values(entity, 12) for entity in TRAJECTORY if entity != "/states/doubt")
 
 
 def test_viewer_needs_a_file(tmp_path: Path) -> None:

@@ -9,6 +9,6 @@ from recon.motion import Motion
 
 
 def write(motion: Motion, path: Path) -> None:
-    """Link angles and rotation in rad, place and base length in metres."""
-    columns = [name if name.endswith("_m") else f"{name}_rad" for name in motion.skeleton.state_names]
+    """Angles in rad, place and base length in metres."""
+    columns = [name if name.endswith("_m") else f"{name}_rad" for name in motion.state_names]
     write_table(path, [["frame", *columns]], motion.frames, motion.states)

@@ -2,53 +2,65 @@
 
 from __future__ import annotations
 
+import math
 import os
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from recon.body import Body
 from recon.calibration import read_camera
 from recon.camera import Camera
 from recon.errors import InputError, Problem
-from recon.export import CLIP_OUTPUTS
+from recon.export import CLIP_OUTPUTS, TRAJECTORY_OUTPUTS, write_tables
 from recon.files import staged_folder
 from recon.initialise import facing_side
 from recon.io import read_keypoints
-from recon.keypoints import Keypoints, clean, parse_frame_range
-from recon.motion import Motion
+from recon.keypoints import CleaningReport, Keypoints, clean, parse_frame_range
+from recon.motion import FrameMotion, Motion, TrajectoryMotion
+from recon.prior import MotionPrior, builtin_priors, load_prior, prior_from_body
 from recon.report import build_report, write_report
 from recon.settings import FitSettings
 from recon.skeleton import Side, Skeleton
-from recon.skeleton_file import load_chain
-from recon.solve import solve_frames
+from recon.skeleton_file import load_chain, load_skeleton
+from recon.solve import solve_frames, solve_trajectory
 
-Progress = Callable[[int, int], None]
-"""Called with the number of frames done and the number of all."""
+Progress = Callable[[str, float], None]
+"""Called with what is being done, and how much of all is done, 0 to 1."""
 
-OUTPUT_FILES = (*CLIP_OUTPUTS, "report.json", "motion.rrd", "config.toml")
+OUTPUT_FILES = (*CLIP_OUTPUTS, *TRAJECTORY_OUTPUTS, "report.json", "motion.rrd", "config.toml")
+"""Every file that a clip can get; `TRAJECTORY_OUTPUTS` come with the trajectory method only."""
 
 
-def fit_clip(settings: FitSettings, progress: Progress = lambda done, total: None) -> Motion:
-    """Reconstruct one clip.
+def _silent(stage: str, share: float) -> None:
+    pass
+
+
+def fit_clip(settings: FitSettings, progress: Progress = _silent) -> Motion:
+    """Reconstruct one clip: a `FrameMotion` or a `TrajectoryMotion`, by `settings.method`.
 
     Raises InputError for files and settings that cannot be used, with the problems of all of them. Frames that cannot
     be solved are part of the result.
     """
-    skeleton, camera, file, frames = _all_of(
-        lambda: load_chain(settings.skeleton),
+    return fit_frames(settings, progress) if settings.method == "frame" else fit_trajectory(settings, progress)
+
+
+def fit_frames(settings: FitSettings, progress: Progress = _silent) -> FrameMotion:
+    """One side of the animal, one frame after the other. Raises InputError as `fit_clip`."""
+    skeleton, camera, file = _all_of(
+        lambda: load_chain(settings.skeleton_name),
         lambda: _camera(settings),
         lambda: read_keypoints(settings.keypoints, settings.individual),
-        lambda: parse_frame_range(settings.frames) if settings.frames else None,
     )
-    _require_keypoints_of(skeleton, file)
-    keypoints, cleaning = clean(replace(file, fps=settings.fps), settings.likelihood_min, frames)
-    _require_inside(camera, keypoints, settings)
+    keypoints, cleaning = _cleaned(file, _keypoints_of(skeleton), skeleton.name, camera, settings)
     side, reason = _side(skeleton, keypoints, settings)
     fitted = arrange(keypoints, skeleton.keypoint_names(side))
+    T = len(fitted.frames)
     solution = solve_frames(
         camera,
         skeleton,
@@ -56,9 +68,36 @@ def fit_clip(settings: FitSettings, progress: Progress = lambda done, total: Non
         fitted.confidence,
         settings.fps,
         settings.frame_options(),
-        lambda done: progress(done, len(fitted.frames)),
+        lambda done: progress("frames", done / T),
     )
-    return Motion(skeleton, camera, side, reason, fitted, cleaning, file.names, solution)
+    return FrameMotion(camera, fitted, cleaning, file.names, side, reason, skeleton, solution)
+
+
+def fit_trajectory(settings: FitSettings, progress: Progress = _silent) -> TrajectoryMotion:
+    """The whole animal, or a chain, over all frames at once. Raises InputError as `fit_clip`."""
+    (skeleton, body, prior), camera, file = _all_of(
+        lambda: _body_and_prior(settings),
+        lambda: _camera(settings),
+        lambda: read_keypoints(settings.keypoints, settings.individual),
+    )
+    wanted = body.markers if skeleton is None else _keypoints_of(skeleton)
+    keypoints, cleaning = _cleaned(file, wanted, body.name, camera, settings)
+    side, reason, names = None, "both sides are fitted", body.markers
+    if skeleton is not None:
+        side, reason = _side(skeleton, keypoints, settings)
+        names = skeleton.keypoint_names(side)
+    fitted = arrange(keypoints, names)
+    solution = solve_trajectory(
+        camera,
+        body,
+        prior,
+        fitted.xy_px,
+        fitted.confidence,
+        settings.fps,
+        settings.trajectory_options(),
+        progress,
+    )
+    return TrajectoryMotion(camera, fitted, cleaning, file.names, side, reason, solution, skeleton)
 
 
 def write_clip(motion: Motion, settings: FitSettings, out: Path, solve_s: float | None = None) -> dict[str, Any]:
@@ -67,17 +106,17 @@ def write_clip(motion: Motion, settings: FitSettings, out: Path, solve_s: float 
 
     report = build_report(motion, settings.model_dump(mode="json"), None if solve_s is None else {"solve_s": solve_s})
     with staged_folder(out) as folder:
-        for name, write in CLIP_OUTPUTS.items():
-            write(motion, folder / name)
+        write_tables(motion, folder)
         write_report(report, folder / "report.json")
         (folder / "config.toml").write_text(settings.to_toml(), encoding="utf-8")
         view.write(motion, folder / "motion.rrd")
+        written = {path.name for path in folder.iterdir()}
+    for name in set(OUTPUT_FILES) - written:  # of an earlier run with the other method
+        (out / name).unlink(missing_ok=True)
     return report
 
 
-def run_clip(
-    settings: FitSettings, out: Path, overwrite: bool = False, progress: Progress = lambda done, total: None
-) -> dict[str, Any]:
+def run_clip(settings: FitSettings, out: Path, overwrite: bool = False, progress: Progress = _silent) -> dict[str, Any]:
     """`recon fit`: reconstruct a clip and write its folder; the report. Raises InputError before any work is done if
     `out` holds results already and may not be overwritten."""
     check_output_folder(out, overwrite)
@@ -124,21 +163,69 @@ def _all_of(*reads: Callable[[], Any]) -> Iterable[Any]:
 
 def _camera(settings: FitSettings) -> Camera:
     if settings.camera is not None:
-        return read_camera(settings.camera, settings.camera_name, settings.image_size_px)
-    if settings.hfov_deg is None or settings.image_size_px is None:
+        camera = read_camera(settings.camera, settings.camera_name, settings.image_size_px)
+    elif settings.hfov_deg is not None and settings.image_size_px is not None:
+        camera = Camera.from_hfov(settings.hfov_deg, settings.image_size_px)
+    else:
         raise InputError(Problem("settings", "camera", "nothing", "a camera file, or hfov_deg with image_size_px"))
-    return Camera.from_hfov(settings.hfov_deg, settings.image_size_px)
+    if settings.tilt_deg is None:
+        return camera
+    if camera.knows_up:
+        found = f"{settings.tilt_deg:g} beside the pose in {settings.camera}, which says which way is up"
+        raise InputError(Problem("--tilt-deg", "tilt_deg", found, "one of the two"))
+    return replace(camera, tilt_rad=math.radians(settings.tilt_deg))
 
 
-def _require_keypoints_of(skeleton: Skeleton, keypoints: Keypoints) -> None:
-    wanted = sorted({name for pair in skeleton.keypoints for name in pair})
+def _body_and_prior(settings: FitSettings) -> tuple[Skeleton | None, Body, MotionPrior]:
+    """The chain, if it is one, the body, and what is expected of its motion."""
+    skeleton = load_skeleton(settings.skeleton_name, settings.subject)
+    chain = skeleton if isinstance(skeleton, Skeleton) else None
+    body = skeleton.body if isinstance(skeleton, Skeleton) else skeleton
+    prior, _ = _all_of(lambda: _prior(settings, body), lambda: _require_no_side(settings, None if chain else body))
+    return chain, body, prior
+
+
+def _prior(settings: FitSettings, body: Body) -> MotionPrior:
+    """As given; else a built-in one for a body with these angles, if there is one."""
+    if settings.prior is not None:
+        return load_prior(settings.prior, body)
+    for name in builtin_priors():
+        with suppress(InputError):  # it is another animal's
+            return load_prior(name, body)
+    return prior_from_body(body)
+
+
+def _require_no_side(settings: FitSettings, whole: Body | None) -> None:
+    if whole is not None and settings.side != "auto":
+        expected = f"nothing: {whole.name} is a whole animal, and both sides are fitted"
+        raise InputError(Problem("--side", "side", repr(settings.side), expected))
+
+
+def _cleaned(
+    file: Keypoints, wanted: Sequence[str], skeleton: str, camera: Camera, settings: FitSettings
+) -> tuple[Keypoints, CleaningReport]:
+    """wanted: the keypoints that the skeleton, by its name, may be fitted to. Raises InputError without any of them,
+    or where they lie outside the camera's picture."""
+    _require_keypoints_of(wanted, skeleton, file)
+    frames = parse_frame_range(settings.frames) if settings.frames else None
+    keypoints, cleaning = clean(replace(file, fps=settings.fps), settings.likelihood_min, frames)
+    _require_inside(camera, keypoints, settings)
+    return keypoints, cleaning
+
+
+def _keypoints_of(skeleton: Skeleton) -> tuple[str, ...]:
+    """Those of both sides."""
+    return tuple(sorted({name for pair in skeleton.keypoints for name in pair}))
+
+
+def _require_keypoints_of(wanted: Sequence[str], skeleton: str, keypoints: Keypoints) -> None:
     if not set(wanted) & set(keypoints.names):
         raise InputError(
             Problem(
                 keypoints.source or "keypoints",
                 "bodyparts",
                 ", ".join(keypoints.names),
-                f"those of the skeleton {skeleton.name}, none of which is there: {', '.join(wanted)} "
+                f"those of the skeleton {skeleton}, none of which is there: {', '.join(wanted)} "
                 "(another animal needs its own --skeleton)",
             )
         )

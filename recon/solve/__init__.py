@@ -14,7 +14,9 @@ from recon.solve.frame import (
     solve_frames,
     solve_joints,
 )
+from recon.solve.points import solve_points
 from recon.solve.result import Ground, Start, TrajectorySolution
+from recon.solve.trajectory import TrajectoryOptions, solve_trajectory
 
 __all__ = [
     "CONVERGED",
@@ -23,10 +25,13 @@ __all__ = [
     "Ground",
     "Solution",
     "Start",
+    "TrajectoryOptions",
     "TrajectorySolution",
     "base_length",
     "evaluate",
     "precision_shares",
     "solve_frames",
     "solve_joints",
+    "solve_points",
+    "solve_trajectory",
 ]

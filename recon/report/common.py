@@ -1,0 +1,229 @@
+"""The parts of a report that both methods have."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from recon.analysis.path import frame_jitter_m, path_kinematics
+from recon.keypoints import KeypointCounts
+from recon.motion import OUTLIER_SIGMAS, Motion
+from recon.report.plain import Array, finite, mean, median
+
+BEST_SHARE = 0.9
+MEASURED_SHARE = 0.5
+"""A quantity with less of its precision from the pixels is not called measured."""
+WARN_OUTLIERS = 0.05
+"""Share of the detections from which the report warns."""
+
+Lines = list[tuple[str, str]]
+"""(label, value)."""
+
+
+# -- sections -----------------------------------------------------------------------------------------------------
+
+
+def head(motion: Motion) -> dict[str, Any]:
+    """What was fitted."""
+    keypoints = motion.keypoints
+    return {
+        "input": {
+            "keypoints": keypoints.source,
+            "individual": keypoints.individual,
+            "fps": motion.fps,
+            "frames": motion.cleaning.frames,
+            "camera": motion.camera.to_dict(),
+        },
+        "side": {"fitted": motion.side, "reason": motion.side_reason},
+        "frame_of_reference": motion.frame_of_reference,
+    }
+
+
+def tail(motion: Motion, jitters: bool) -> dict[str, Any]:
+    """The keypoints, and arrays over all frames. jitters: whether the path is worth smoothing."""
+    return {
+        "cleaning": {k: v for k, v in motion.cleaning.to_dict().items() if k != "keypoints"},
+        "keypoints": _keypoints(motion),
+        "unused_keypoints": motion.unused_keypoints,
+        "missing_keypoints": motion.missing_keypoints,
+        "outliers": [
+            {"frame": motion.frames[t], "keypoint": motion.names[j], "error_px": motion.distance_px[t, j]}
+            for t, j in np.argwhere(motion.outliers)
+        ],
+        "root_path": _root_path(motion, jitters),
+        "image_error_px": {"joints": motion.names, "values": motion.image_error_px.transpose(1, 2, 0)},
+    }
+
+
+def skeleton(name: str, motion: Motion) -> dict[str, Any]:
+    return {
+        "name": name,
+        "title": motion.title,
+        "joints": motion.joints,
+        "keypoints": motion.names,
+        "state_names": motion.state_names,
+    }
+
+
+def counts(motion: Motion) -> dict[str, Any]:
+    """For the summary."""
+    errors = finite(motion.distance_px)
+    best = np.sort(errors)[: math.ceil(BEST_SHARE * len(errors))]
+    by_joint = np.array([mean(column) for column in motion.distance_px.T])
+    worst = int(np.nanargmax(by_joint)) if len(errors) else None
+    return {
+        "detections": int(motion.keypoints.present.sum()),
+        "outliers": int(motion.outliers.sum()),
+        "reprojection_px": {
+            "mean": mean(errors),
+            "median": median(errors),
+            "mad": median(np.abs(errors - median(errors))),
+            "mean_best_90_percent": mean(best),
+            "worst_joint": None if worst is None else motion.names[worst],
+            "worst_joint_mean": np.nan if worst is None else by_joint[worst],
+        },
+    }
+
+
+def upright(motion: Motion) -> dict[str, Any]:
+    """Which way is up, and how that is known; for the assumptions."""
+    camera = motion.camera
+    return {
+        "camera_level": not camera.knows_up and camera.tilt_rad == 0,
+        "camera_tilt_rad": None if camera.knows_up else camera.tilt_rad,
+        "camera_up": camera.up,
+    }
+
+
+def sentences(motion: Motion, settings: Mapping[str, Any]) -> Iterator[str]:
+    """Assumptions in words."""
+    camera = motion.camera
+    yield "The camera stands still: where it pans or moves, its movement is part of the path."
+    if motion.side is not None:
+        yield f"Only the limbs of the animal's {motion.side} side are fitted."
+    if not camera.knows_up and camera.tilt_rad == 0:
+        yield "The camera is taken to be level, because its file does not say which way is up."
+    elif not camera.knows_up:
+        degrees = math.degrees(camera.tilt_rad)
+        yield f"The camera is taken to look down by {degrees:.3g} degrees, as given, and not to be rolled."
+    if settings.get("hfov_deg") is not None:
+        yield (
+            f"The camera has no calibration: its focal length follows from a horizontal field of view of "
+            f"{settings['hfov_deg']:g} degrees, and its lens is taken to be free of distortion."
+        )
+
+
+def _keypoints(motion: Motion) -> list[dict[str, Any]]:
+    """The fitted keypoints in the order of the joints, then those of the file that are not used."""
+    counted = {k.name: k for k in motion.cleaning.keypoints}
+    counts = [f.name for f in fields(KeypointCounts) if f.name != "name"]
+    rows = []
+    for name in (*motion.names, *motion.unused_keypoints):
+        fitted, known = name in motion.names, counted.get(name)
+        column = motion.names.index(name) if fitted else None
+        rows.append(
+            {
+                "name": name,
+                "joint": None if column is None else motion.joints[column],
+                "in_file": known is not None,
+                **{count: getattr(known, count, None) for count in counts},
+                "outliers": None if column is None else int(motion.outliers[:, column].sum()),
+                "mean_error_px": None if column is None else mean(motion.distance_px[:, column]),
+            }
+        )
+    return rows
+
+
+def _root_path(motion: Motion, jitters: bool) -> dict[str, Any]:
+    """Exactly as reconstructed, and without the jitter from frame to frame, if that can be told."""
+    jitter = frame_jitter_m(motion.root_m)
+    root = motion.root_name
+    return {
+        "joint": root,
+        "keypoint": motion.names[motion.joints.index(root)] if root in motion.joints else None,
+        "time_s": motion.time_s,
+        "position_m": motion.root_m,
+        "jitter_m": jitter,
+        "exact": _kinematics(motion, None),
+        "smoothed": _kinematics(motion, jitter) if jitters and np.isfinite(jitter).all() else None,
+    }
+
+
+def _kinematics(motion: Motion, smoothing_m: Array | None) -> dict[str, Any]:
+    path = path_kinematics(motion.time_s, motion.root_m, smoothing_m=smoothing_m)
+    acceleration = finite(path.acceleration_m_s2)
+    at_frames = slice(None, None, path.oversampling)
+    return {
+        "smoothing_m": smoothing_m,
+        "oversampling": path.oversampling,
+        "distance_m": path.distance_m,
+        "peak_speed_m_s": path.peak_speed_m_s,
+        "mean_speed_m_s": path.mean_speed_m_s,
+        "peak_acceleration_m_s2": float(acceleration.max()) if len(acceleration) else np.nan,
+        "speed_m_s": path.speed_m_s[at_frames],
+        "acceleration_m_s2": path.acceleration_m_s2[at_frames],
+    }
+
+
+# -- summing up ---------------------------------------------------------------------------------------------------
+
+
+def keypoint_warnings(report: Mapping[str, Any]) -> Iterator[str]:
+    summary = report["summary"]
+    if report["missing_keypoints"]:
+        yield f"not in the file: {', '.join(report['missing_keypoints'])}"
+    if summary["outliers"] > WARN_OUTLIERS * max(summary["detections"], 1):
+        share = summary["outliers"] / summary["detections"]
+        yield f"many outliers: {summary['outliers']} detections ({share:.0%}) do not agree with the pose"
+
+
+def camera_warnings(report: Mapping[str, Any]) -> Iterator[str]:
+    if report["assumptions"]["camera_level"]:
+        yield "camera taken to be level: its file does not say which way is up"
+
+
+def clip_line(report: Mapping[str, Any]) -> tuple[str, str]:
+    given = report["input"]
+    first, stop = given["frames"]
+    file = Path(given["keypoints"]).name if given["keypoints"] else "keypoints"
+    return "clip", f"{file}, frames {first} to {stop - 1} at {given['fps']:g} fps"
+
+
+def point_lines(report: Mapping[str, Any]) -> Lines:
+    summary = report["summary"]
+    fitted = [row for row in report["keypoints"] if row["joint"] is not None]
+    used, missing, rejected = (sum(row[count] or 0 for row in fitted) for count in ("used", "missing", "rejected"))
+    off = sorted(((row["outliers"], row["name"]) for row in fitted if row["outliers"]), reverse=True)
+    most = ", ".join(f"{name} {count}" for count, name in off[:3]) + (", ..." if len(off) > 3 else "")
+    return [
+        ("points", f"{used} used, {missing} missing, {rejected} rejected as unlikely"),
+        ("reprojection", _reprojection(summary["reprojection_px"])),
+        (
+            "outliers",
+            f"{summary['outliers']} points further off than {OUTLIER_SIGMAS:g} sigma of the detector"
+            + (f": {most}" if off else ""),
+        ),
+    ]
+
+
+def _reprojection(errors: Mapping[str, Any]) -> str:
+    if errors["worst_joint"] is None:
+        return "none: no pose"
+    return (
+        f"{errors['mean']:.1f} px mean, {errors['median']:.1f} px median; "
+        f"worst joint {errors['worst_joint']}, {errors['worst_joint_mean']:.1f} px (outliers included)"
+    )
+
+
+def heading_text(angle_rad: float | None) -> str:
+    if angle_rad is None:
+        return "unknown"
+    degrees = round(math.degrees(angle_rad))
+    if degrees == 0:
+        return "in the picture's plane"
+    return f"{abs(degrees)}° out of the picture's plane, {'away from' if degrees > 0 else 'towards'} the camera"

@@ -1,0 +1,74 @@
+"""Plain JSON types, and the few statistics that a report needs."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+DIGITS = 9
+"""Significant digits of the numbers in the report."""
+
+
+def write_report(report: Mapping[str, Any], path: Path) -> None:
+    """report.json: indented, with each list of numbers on one line."""
+    text = json.dumps(report, indent=1, allow_nan=False, ensure_ascii=False)
+    # A line break never stands inside a JSON string, so that this changes only the white space between values.
+    text = re.sub(r"\[[^\[\]{}]*\]", lambda match: re.sub(r"\s*\n\s*", " ", match[0]), text)
+    path.write_text(text + "\n", encoding="utf-8")
+
+
+def to_plain(value: Any) -> Any:
+    """Arrays, tuples, mappings and numbers as JSON types; NaN and infinities are None."""
+    if isinstance(value, Mapping):
+        return {str(key): to_plain(item) for key, item in value.items()}
+    if isinstance(value, np.ndarray | np.generic):
+        return to_plain(value.tolist())
+    if isinstance(value, list | tuple):
+        return [to_plain(item) for item in value]
+    if isinstance(value, float):
+        return float(f"{value:.{DIGITS}g}") if math.isfinite(value) else None
+    if value is None or isinstance(value, bool | int | str):
+        return value
+    return str(value)
+
+
+def by_name(names: Sequence[str], values: Sequence[Any]) -> dict[str, Any]:
+    return dict(zip(names, values, strict=True))
+
+
+def spread(values: Array) -> dict[str, float]:
+    known = finite(values)
+    low, high = (float(known.min()), float(known.max())) if len(known) else (np.nan, np.nan)
+    return {"mean": mean(values), "min": low, "max": high}
+
+
+def finite(values: Array) -> Array:
+    return values[np.isfinite(values)]
+
+
+def mean(values: Array) -> float:
+    known = finite(values)
+    return float(known.mean()) if len(known) else np.nan
+
+
+def median(values: Array) -> float:
+    known = finite(values)
+    return float(np.median(known)) if len(known) else np.nan
+
+
+def number(value: float | None, spec: str) -> str:
+    """For a summary: ? where it is unknown."""
+    return "?" if value is None else format(value, spec)
+
+
+def frame_count(n: int) -> str:
+    return "1 frame" if n == 1 else f"{n} frames"

@@ -1,0 +1,335 @@
+"""The report of the trajectory method."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from recon.initialise import level_axes
+from recon.motion import TrajectoryMotion
+from recon.prior import NONE
+from recon.report import common
+from recon.report.plain import Array, by_name, finite, frame_count, mean, median, number
+
+FLAGS = ("no data", "data poor", "ambiguous depth", "second solution")
+STANCE = 0.5
+"""A foot with more contact than this stands."""
+WARN_POOR = 0.2
+"""Share of the frames from which the report warns."""
+WARN_SIZE = 2.5
+"""A size further off what is expected, in standard deviations, says that something else is wrong."""
+
+
+def sections(motion: TrajectoryMotion, settings: Mapping[str, Any]) -> dict[str, Any]:
+    size = _size(motion, settings)
+    prior = {
+        "name": motion.solution.prior,
+        "mean_data_share": mean(motion.solution.data_share),
+        "data_share": by_name(motion.names, list(motion.solution.data_share)),
+    }
+    return {
+        **common.head(motion),
+        "skeleton": common.skeleton(motion.body.name, motion) | {"states_frame": motion.states_frame},
+        "assumptions": _assumptions(motion, settings, size),
+        "summary": _summary(motion),
+        "convergence": _convergence(motion),
+        "size": size,
+        "ground": _ground(motion),
+        "prior": prior,
+        "alternative": _alternative(motion),
+        "stances": by_name([motion.names[foot] for foot in motion.feet], _stances(motion)),
+        "heading": _heading(motion),
+        "uncertainty": _uncertainty(motion),
+        "frames": _frames(motion),
+        **_tail(motion),
+    }
+
+
+def is_unsolved(report: Mapping[str, Any]) -> bool:
+    return report["summary"]["frames_with_pose"] == 0
+
+
+# -- sections -----------------------------------------------------------------------------------------------------
+
+
+def _size(motion: TrajectoryMotion, settings: Mapping[str, Any]) -> dict[str, Any]:
+    """The factor on the skeleton's lengths: what was expected, and what came out."""
+    solution, given = motion.solution, settings.get("size_sigma")
+    prior_sigma = motion.body.size_sigma if given is None else given
+    subject = settings.get("subject")
+    return {
+        "factor": solution.size,
+        "sigma": solution.size_sigma,
+        "prior_sigma": prior_sigma,
+        "data_share": max(0.0, 1.0 - (solution.size_sigma / prior_sigma) ** 2),
+        "subject": subject,
+        "lengths": motion.body.title,
+        "measured": subject is not None,
+    }
+
+
+def _assumptions(motion: TrajectoryMotion, settings: Mapping[str, Any], size: Mapping[str, Any]) -> dict[str, Any]:
+    """What the data does not say, in numbers and in sentences."""
+    solution = motion.solution
+    of_animal = "measured on this animal" if size["measured"] else "assumed"
+    sentences = [
+        f"The scale: the lengths are those of {size['lengths']!r}, {of_animal}, times a size that is expected to be "
+        f"1 with a standard deviation of {size['prior_sigma']:.2g}. Distances, speeds and sizes scale with it.",
+        "Poses and their changes are expected to be "
+        + (
+            "as the skeleton's file says, each angle on its own."
+            if solution.prior == NONE
+            else f"as in the motions that the prior {solution.prior} was made from."
+        ),
+        *common.sentences(motion, settings),
+    ]
+    if solution.ground is not None:
+        sentences.append("The ground is a plane, and feet that stand stand still on it.")
+    if settings.get("fast"):
+        sentences.append("The fast search was asked for: fewer headings to start from, and looser tolerances.")
+    return {**common.upright(motion), "sentences": sentences}
+
+
+def _summary(motion: TrajectoryMotion) -> dict[str, Any]:
+    solution = motion.solution
+    return {
+        "frames": len(motion.frames),
+        "frames_with_pose": int(motion.solved.sum()),
+        "frames_flagged": sum(bool(flags) for flags in solution.flags),
+        "flags": {flag: sum(flag in flags for flags in solution.flags) for flag in _flag_names(motion)},
+        **common.counts(motion),
+        "mean_weight": mean(solution.weight),
+        "place_sigma_m": median(motion.place_sigma_m),
+        "relative_rms_m": median(motion.relative_rms_m),
+    }
+
+
+def _flag_names(motion: TrajectoryMotion) -> tuple[str, ...]:
+    return tuple(dict.fromkeys((*FLAGS, *(flag for flags in motion.solution.flags for flag in flags))))
+
+
+def _convergence(motion: TrajectoryMotion) -> dict[str, Any]:
+    solution = motion.solution
+    return {
+        "status": solution.status,
+        "iterations": solution.iterations,
+        "cost_by_term": solution.cost_by_term,
+        "starts": [
+            {
+                "heading_rad": float(np.angle(np.exp(1j * start.heading_rad))),
+                "heading_to_picture_rad": math.asin(math.sin(start.heading_rad)),
+                "cost": start.cost,
+                "kept": start.kept,
+            }
+            for start in solution.starts
+        ],
+    }
+
+
+def _ground(motion: TrajectoryMotion) -> dict[str, Any] | None:
+    """Below the middle of the root's path."""
+    ground, below = motion.solution.ground, motion.below_m
+    if ground is None or below is None:
+        return None
+    slope = np.append(ground.slope, 0.0)
+    return {
+        "height_m": motion.in_upright(below)[2],
+        "slope": (motion.in_upright(slope) - motion.in_upright(np.zeros(3)))[:2],
+        "sigma_m": ground.sigma_m,
+        "camera_height_m": -below[2],
+        "frame": "world" if motion.camera.knows_up else "level",
+    }
+
+
+def _alternative(motion: TrajectoryMotion) -> dict[str, Any] | None:
+    apart = finite(motion.solution.alternative_m)
+    if not len(apart):
+        return None
+    return {
+        "cost_difference": motion.solution.alternative_cost,
+        "frames": len(apart),
+        "mean_m": apart.mean(),
+        "max_m": apart.max(),
+    }
+
+
+def _stances(motion: TrajectoryMotion) -> list[list[tuple[int, int]]]:
+    """By foot: the ranges of frame numbers in which it stands."""
+    return [_ranges(contact > STANCE, motion.frames) for contact in motion.solution.contact.T]
+
+
+def _ranges(which: NDArray[np.bool_], frames: NDArray[np.int64]) -> list[tuple[int, int]]:
+    edges = np.flatnonzero(np.diff(np.concatenate(([False], which, [False]))))
+    return [(int(frames[first]), int(frames[stop - 1]) + 1) for first, stop in edges.reshape(-1, 2)]
+
+
+def _heading(motion: TrajectoryMotion) -> dict[str, Any]:
+    """The way the animal faces, level."""
+    rear, front = motion.forward
+    trunk = motion.joints_camera_m[:, front] - motion.joints_camera_m[:, rear]
+    up = motion.camera.up
+    level = trunk - (trunk @ up)[:, None] * up
+    level /= np.linalg.norm(level, axis=1, keepdims=True)
+    _, away = level_axes(up)
+    return {
+        "heading_to_picture_rad": median(np.arcsin(np.clip(level @ away, -1.0, 1.0))),
+        "heading_camera": level,
+    }
+
+
+def _uncertainty(motion: TrajectoryMotion) -> dict[str, Any]:
+    """Medians over the frames."""
+
+    def medians(values: Array) -> dict[str, Any]:
+        return by_name(motion.names, [[median(column) for column in joint.T] for joint in values.swapaxes(0, 1)])
+
+    return {"joint_sigma_m": medians(motion.joint_sigma_m), "relative_sigma_m": medians(motion.relative_sigma_m)}
+
+
+def _frames(motion: TrajectoryMotion) -> list[dict[str, Any]]:
+    solution, present = motion.solution, motion.keypoints.present.sum(axis=1)
+    return [
+        {
+            "frame": motion.frames[t],
+            "flags": flags,
+            "detections": present[t],
+            "mean_reprojection_px": mean(motion.distance_px[t]),
+            "mean_weight": motion.mean_weight[t],
+            "alternative_m": solution.alternative_m[t],
+            "place_sigma_m": motion.place_sigma_m[t],
+            "relative_rms_m": motion.relative_rms_m[t],
+            "contact": solution.contact[t],
+        }
+        for t, flags in enumerate(solution.flags)
+    ]
+
+
+def _tail(motion: TrajectoryMotion) -> dict[str, Any]:
+    tail = common.tail(motion, jitters=False)
+    for row in tail["keypoints"]:
+        column = motion.names.index(row["name"]) if row["joint"] is not None else None
+        for field, values in (("noise_px", motion.sigma_px), ("mean_weight", motion.solution.weight)):
+            row[field] = None if column is None else mean(values[:, column])
+    return tail
+
+
+# -- summing up ---------------------------------------------------------------------------------------------------
+
+
+def warnings(report: Mapping[str, Any]) -> Iterator[str]:
+    """What a reader should know before using the numbers, most serious first."""
+    summary, size = report["summary"], report["size"]
+    flags, solved = summary["flags"], summary["frames_with_pose"]
+    if not solved:
+        yield "no pose: too few points detected in every frame"
+        return
+    if report["convergence"]["status"] != "converged":
+        yield "the search ended before it had converged"
+    if abs(size["factor"] - 1) > WARN_SIZE * size["prior_sigma"]:
+        yield (
+            f"size {size['factor']:.2f} is far from what is expected, 1 ± {size['prior_sigma']:.2g}: check the camera, "
+            "the frame rate and the skeleton"
+        )
+    if second := _second(report):
+        yield (
+            f"another solution explains {frame_count(len(second))} nearly as well, up to "
+            f"{max(frame['alternative_m'] or 0.0 for frame in second):.2f} m away"
+        )
+    if solved < summary["frames"]:
+        yield f"{frame_count(summary['frames'] - solved)} of {summary['frames']} without a pose: nothing detected"
+    bridged = flags["no data"] - (summary["frames"] - solved)
+    if bridged > 0:
+        yield f"{frame_count(bridged)} without detections: the pose comes from the frames around"
+    if flags["data poor"] > WARN_POOR * solved:
+        yield f"few data: {frame_count(flags['data poor'])} of {solved} with few joints seen and trusted"
+    yield from common.keypoint_warnings(report)
+    share = report["prior"]["mean_data_share"]
+    if share is not None and share < common.MEASURED_SHARE:
+        yield f"the poses come from what is expected for the most part: {share:.0%} of their precision is the pixels'"
+    if not size["measured"] and size["data_share"] < common.MEASURED_SHARE:
+        yield "scale not measured: it comes from the expected size of the animal"
+    yield from common.camera_warnings(report)
+
+
+def _second(report: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """The frames that another solution explains nearly as well."""
+    return [frame for frame in report["frames"] if {"ambiguous depth", "second solution"} & {*frame["flags"]}]
+
+
+def lines(report: Mapping[str, Any]) -> common.Lines:
+    """For the summary."""
+    summary, size = report["summary"], report["size"]
+    path = report["root_path"]["exact"]
+    lengths = "measured lengths" if size["measured"] else "assumed lengths"
+    return [
+        common.clip_line(report),
+        *([("side", f"{report['side']['fitted']}: {report['side']['reason']}")] if report["side"]["fitted"] else []),
+        ("frames", _frames_text(report)),
+        *common.point_lines(report),
+        (
+            "speed",
+            f"{number(path['mean_speed_m_s'], '.1f')} m/s mean, {number(path['peak_speed_m_s'], '.1f')} m/s peak, over "
+            f"{number(path['distance_m'], '.1f')} m",
+        ),
+        ("heading", common.heading_text(report["heading"]["heading_to_picture_rad"])),
+        (
+            "size",
+            f"{size['factor']:.3f} ± {size['sigma']:.3f} of the {lengths} "
+            f"(1 ± {size['prior_sigma']:.2g} expected): {size['lengths']}",
+        ),
+        (
+            "uncertainty",
+            f"{number(summary['relative_rms_m'], '.2f')} m of a joint within the pose, "
+            f"{number(summary['place_sigma_m'], '.2f')} m of the animal's place in depth (one sigma, median)",
+        ),
+        (
+            "prior",
+            f"{_prior_text(report['prior']['name'])}; {number(report['prior']['mean_data_share'], '.0%')} of the "
+            "joints' precision from pixels",
+        ),
+        ("ground", _ground_text(report)),
+        ("alternative", _alternative_text(report)),
+        ("effort", _effort(report)),
+    ]
+
+
+def _frames_text(report: Mapping[str, Any]) -> str:
+    summary = report["summary"]
+    why = [f"{count} {flag}" for flag, count in summary["flags"].items() if count]
+    flagged = f"{summary['frames_flagged']} doubtful ({', '.join(why)})" if why else "none doubtful"
+    return f"{summary['frames_with_pose']} of {summary['frames']} with a pose, {flagged}"
+
+
+def _prior_text(name: str) -> str:
+    return "none, the skeleton's own expectations" if name == NONE else name
+
+
+def _ground_text(report: Mapping[str, Any]) -> str:
+    ground = report["ground"]
+    if ground is None:
+        return "not looked for" if report["settings"].get("ground") == "none" else "not found"
+    stances = ", ".join(f"{foot} {len(ranges)}" for foot, ranges in report["stances"].items())
+    return f"{ground['camera_height_m']:.2f} ± {ground['sigma_m']:.2f} m below the camera; stances: {stances}"
+
+
+def _alternative_text(report: Mapping[str, Any]) -> str:
+    alternative = report["alternative"]
+    if alternative is None:
+        return "no other solution nearly as good"
+    if not _second(report):
+        return f"another start ended nearby, with joints {alternative['mean_m']:.2f} m away on average"
+    return (
+        f"joints {alternative['mean_m']:.2f} m away on average in {frame_count(alternative['frames'])}, "
+        f"at a cost higher by {number(alternative['cost_difference'], '.1f')}"
+    )
+
+
+def _effort(report: Mapping[str, Any]) -> str:
+    timing, convergence = report["timing_s"], report["convergence"]
+    seconds = timing.get("solve_s", timing.get("all"))
+    text = f"{number(seconds, '.1f')} s, {convergence['iterations']} iterations"
+    return text if convergence["status"] == "converged" else f"{text}, not converged"

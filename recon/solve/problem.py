@@ -1,0 +1,146 @@
+"""A clip as one non-linear least-squares problem, and its Levenberg-Marquardt solution on the banded normal equations.
+
+Unknown are the states (T, D) of all frames. Every term reads a few neighbouring frames, so that the curvature of the
+sum is block-banded (`recon.banded`). A step solves
+
+    (H + damping) step = -gradient
+
+with H the Gauss-Newton curvature of all terms, reweighted for the robust ones; it is accepted on the robust cost.
+The damping is the same for all unknowns, in radians and metres, and not the usual multiple of the diagonal: a slow
+change of the whole path, such as its distance from the camera, is stiff in every single frame and soft only for all of
+them together, and damping relative to the diagonal would freeze it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from recon.banded import BlockBanded, add_normal, factor
+from recon.kinematics import Tree
+from recon.solve.terms import Linear, Span, Term
+
+Array = NDArray[np.float64]
+
+BANDS = 2
+"""Frames before and after that a frame is coupled with."""
+_FRAMES_AT_ONCE = 256
+_FIRST_DAMPING, _LEAST_DAMPING, _MOST_DAMPING = 1e-3, 1e-4, 1e6
+_SHORTER = (1.0, 0.5, 0.2)
+"""Steps tried along a direction before it is damped more."""
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """states (T, D); cost: half the squared norm, robust; iterations; converged: the tolerance was met."""
+
+    states: Array
+    cost: float
+    iterations: int
+    converged: bool
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """tree: whose markers the terms read. linear, terms: see `recon.solve.terms`."""
+
+    tree: Tree
+    linear: Sequence[Linear]
+    terms: Sequence[Term]
+
+    def costs(self, states: Array) -> dict[str, float]:
+        """By name of the term."""
+        costs: dict[str, float] = {}
+        for term in self.linear:
+            costs[term.name] = costs.get(term.name, 0.0) + 0.5 * float(np.sum(term.residual(states) ** 2))
+        for span in self._spans(states, jacobian=False):
+            for term in self.terms:
+                costs[term.name] = costs.get(term.name, 0.0) + float(term.evaluate(span, jacobian=False).cost.sum())
+        return costs
+
+    def cost(self, states: Array) -> float:
+        return sum(self.costs(states).values())
+
+    def normal(self, states: Array, without: Sequence[str] = ()) -> tuple[BlockBanded, Array]:
+        """Curvature H and gradient (T, D) at a point; without: names of terms that are left out."""
+        T, D = states.shape
+        blocks, gradient = self._linear_blocks(T, without).copy(), np.zeros((T, D))
+        for term in self.linear:
+            if term.name not in without:
+                at, r = term.frames(T), term.residual(states)
+                for offset, slot in zip(term.stencil, term.slots, strict=True):
+                    gradient[at + offset] += r @ slot
+        terms = [term for term in self.terms if term.name not in without]
+        for span in self._spans(states, jacobian=True):
+            for term in terms:
+                rows = term.evaluate(span, jacobian=True)
+                assert rows.residual is not None
+                assert rows.jacobian is not None
+                add_normal(blocks, gradient, rows.frames, term.stencil, rows.residual, rows.jacobian)
+        return BlockBanded(blocks), gradient
+
+    def minimise(self, states: Array, tolerance: float, max_iterations: int) -> Estimate:
+        """The minimum from a start; stops when a step lowers the cost by less than tolerance times the cost."""
+        here = _Point(states, self.cost(states), _FIRST_DAMPING)
+        for iteration in range(1, max_iterations + 1):
+            lower = self._lower(here)
+            done = lower is None or here.cost - lower.cost < tolerance * here.cost
+            here = lower or here
+            if done:  # without a direction that leads down, a minimum to rounding
+                return Estimate(here.states, here.cost, iteration, True)
+        return Estimate(here.states, here.cost, max_iterations, False)
+
+    def _lower(self, here: _Point) -> _Point | None:
+        """A point of lower cost along a step, damped as much as that needs."""
+        (H, gradient), damping = self.normal(here.states), here.damping
+        while damping <= _MOST_DAMPING:
+            try:
+                step, _ = factor(H, damping=np.full(gradient.shape, damping)).solve(-gradient)
+                for share in _SHORTER:
+                    trial = here.states + share * step
+                    cost = self.cost(trial)
+                    if cost < here.cost:
+                        return _Point(trial, cost, max(damping * (0.2 if share == 1.0 else 0.6), _LEAST_DAMPING))
+            except np.linalg.LinAlgError:  # not positive definite to rounding: more damping
+                pass
+            damping = max(20.0 * damping, _FIRST_DAMPING)
+        return None
+
+    def _spans(self, states: Array, jacobian: bool) -> Iterator[Span]:
+        """The clip in pieces that overlap by one frame."""
+        pose = self.tree.pose_with_jacobian if jacobian else self.tree.pose
+        for first in range(0, len(states), _FRAMES_AT_ONCE):
+            piece = states[first : first + _FRAMES_AT_ONCE + 1]
+            last = first + len(piece) == len(states)
+            yield Span(first, piece, pose(piece), last)
+            if last:
+                return
+
+    @cached_property
+    def _linear_cache(self) -> dict[tuple[int, Sequence[str]], Array]:
+        return {}
+
+    def _linear_blocks(self, T: int, without: Sequence[str]) -> Array:
+        """(T, BANDS + 1, D, D): the curvature of the linear terms, the same at every point."""
+        key = (T, tuple(without))
+        if key not in self._linear_cache:
+            blocks = np.zeros((T, BANDS + 1, self.tree.n_state, self.tree.n_state))
+            for term in self.linear:
+                if term.name not in without:
+                    at = term.frames(T)
+                    for a, column in enumerate(term.stencil):
+                        for b, row in enumerate(term.stencil[a:], start=a):
+                            blocks[at + column, row - column] += term.slots[b].T @ term.slots[a]
+            self._linear_cache[key] = blocks
+        return self._linear_cache[key]
+
+
+@dataclass(frozen=True, eq=False)
+class _Point:
+    states: Array
+    cost: float
+    damping: float

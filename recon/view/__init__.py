@@ -1,0 +1,83 @@
+"""Playback: a Motion as a rerun recording that opens ready to read, and the viewer on such a file.
+
+Entities of the recording; those without "(static)" have a row a frame, which is empty where the frame has no pose:
+
+- `world`: metres, in the motion's frame of reference. `world/skeleton` and its joints, `world/path` (static) and
+  `world/trail` of the reference point, `world/ground` (static), `world/camera` (static), its frustum, and
+  `world/followed`, invisible. With the trajectory method: `world/uncertainty`, one sigma of the joints' positions
+  relative to their mean, `world/stance`, the feet that stand, and `world/doubt`, a label in frames with a flag.
+- `picture`: pixels of the distorted picture. `picture/frame` (static), its edge; `picture/detections`,
+  `picture/outliers`, `picture/reprojections` with the skeleton's lines in it, `picture/links` between the two.
+- `closeup`: the same points, relative to the middle of the reprojected skeleton in each frame.
+- `angles/...` in degrees: a chain's `theta` and `phi`, or the `left`, `right` and `middle` of a whole animal; `speed`
+  of the reference point in m/s; `residuals`, mean and largest of the frame in px.
+- With the trajectory method: `uncertainty` in m, and states over time: `states/doubt`, the frames' flags, and
+  `states/<foot>`, where it stands.
+
+Timelines: `frame`, the frame number of the keypoint file, and `time`, seconds since its frame 0.
+"""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import rerun as rr
+
+from recon.errors import InputError, Problem
+from recon.motion import Motion, TrajectoryMotion
+from recon.view.layout import blueprint
+from recon.view.picture import write_picture
+from recon.view.scene import Scene, limb_colours
+from recon.view.series import write_series, write_states
+from recon.view.world import write_doubt, write_world
+
+APPLICATION = "recon"
+
+
+def write(motion: Motion, path: Path, start_frame: int | None = None) -> None:
+    """Write the recording `motion.rrd`, with the blueprint that lays out its views.
+
+    The viewer plays it in a loop, slowly where it is short. start_frame: a frame number to hold instead, for pictures.
+    """
+    scene = Scene.of(motion)
+    stream = rr.RecordingStream(APPLICATION)
+    stream.save(path, default_blueprint=blueprint(motion, scene, start_frame))
+    stream.send_recording_name(Path(motion.keypoints.source or motion.title).stem)
+    times = [
+        rr.TimeColumn("frame", sequence=motion.frames),
+        rr.TimeColumn("time", duration=motion.time_s),
+    ]
+
+    def send(entity: str, columns: rr.ComponentColumnList) -> None:
+        stream.send_columns(entity, times, columns)
+
+    def fix(entity: str, archetype: rr.AsComponents) -> None:
+        stream.log(entity, archetype, static=True)
+
+    labels = zip(motion.limbs, limb_colours(motion), strict=True)
+    fix("/", rr.AnnotationContext([(i, limb, colour) for i, (limb, colour) in enumerate(labels)]))
+    write_world(motion, scene, send, fix)
+    write_picture(motion, scene, send, fix)
+    write_series(motion, send, fix)
+    if isinstance(motion, TrajectoryMotion):
+        write_doubt(motion, scene, send, fix)
+        write_states(motion, send, fix)
+    stream.flush()
+    stream.disconnect()
+
+
+def open_viewer(path: Path) -> None:
+    """Show a recording in rerun's viewer; returns when the viewer is closed.
+
+    Raises InputError where there is no such file or the viewer cannot run.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise InputError(Problem(path, "file", "no such file", "a recording (.rrd) that `recon fit` has written"))
+    command = [sys.executable, "-m", "rerun", "--bind", "127.0.0.1", str(path)]
+    code = subprocess.run(command, check=False).returncode
+    if code:
+        found = f"a viewer that ended with exit code {code}"
+        raise InputError(Problem(path, "viewer", found, "a display, or the recording opened on a machine with one"))

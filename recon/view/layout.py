@@ -1,0 +1,149 @@
+"""Which views there are, where they are, and from where they look."""
+
+from __future__ import annotations
+
+import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
+from rerun.blueprint.archetypes import PlotBackground
+from rerun.encodings import AbsoluteTimeRange
+
+from recon.motion import Motion, TrajectoryMotion
+from recon.view.picture import middle_and_reach_px, picture_bounds
+from recon.view.scene import BACKGROUND, GRID_SPACING_M, Scene
+from recon.view.series import Series, angle_series, other_series
+
+
+def blueprint(motion: Motion, scene: Scene, start_frame: int | None) -> rrb.Blueprint:
+    upto_now = rrb.VisibleTimeRanges(
+        [
+            rr.VisibleTimeRange(t, start=rr.TimeRangeBoundary.infinite(), end=rr.TimeRangeBoundary.cursor_relative())
+            for t in ("frame", "time")
+        ]
+    )
+    trail = {"world/trail": [upto_now]}
+    animal = rrb.Spatial3DView(
+        origin="world",
+        name=_title(motion),
+        background=BACKGROUND,
+        line_grid=False,
+        eye_controls=_eye_on_animal(motion, scene),
+        overrides=trail,  # pyright: ignore[reportArgumentType]
+    )
+    overview = rrb.Spatial3DView(
+        origin="world",
+        name="Overview with the camera",
+        contents=["$origin/**", "- world/doubt"],
+        background=BACKGROUND,
+        line_grid=False,
+        eye_controls=_eye_behind_camera(motion, scene),
+        overrides=trail,  # pyright: ignore[reportArgumentType]
+    )
+    low, high = picture_bounds(motion)
+    picture = rrb.Spatial2DView(
+        origin="picture",
+        name="Whole picture",
+        background=BACKGROUND,
+        visual_bounds=rrb.VisualBounds2D(x_range=(low[0], high[0]), y_range=(low[1], high[1])),
+    )
+    wide, high = 1.1 * middle_and_reach_px(motion)[1]
+    closeup = rrb.Spatial2DView(
+        origin="closeup",
+        name="Picture, close up: + detected, ● reprojected, red: outlier",
+        background=BACKGROUND,
+        visual_bounds=rrb.VisualBounds2D(x_range=(-wide, wide), y_range=(-high, high)),
+    )
+
+    angles, others = angle_series(motion), other_series(motion)
+    plots: list[rrb.View | rrb.Container] = [rrb.Tabs(*(_plot(series) for series in angles), active_tab=0)]
+    plots += [_plot(series) for series in others]
+    shares = [4, *([3] * len(others))]
+    if isinstance(motion, TrajectoryMotion):
+        plots.append(rrb.StateTimelineView(origin="states", name="Doubtful frames, feet that stand"))
+        shares.append(4)
+    if start_frame is None:
+        fps = min(motion.fps, max(5.0, len(motion.frames) / 5))
+        time = rrb.TimePanel(state="collapsed", timeline="frame", fps=fps, play_state="playing", loop_mode="all")
+    else:
+        # A blueprint has no place for the current time, but a loop over one frame, soon reached, stays there.
+        time = rrb.TimePanel(
+            state="collapsed",
+            timeline="frame",
+            fps=100.0 * len(motion.frames),
+            play_state="playing",
+            loop_mode="selection",
+            time_selection=AbsoluteTimeRange(start_frame, start_frame),  # pyright: ignore[reportArgumentType]
+        )
+    return rrb.Blueprint(
+        rrb.Vertical(
+            rrb.Horizontal(
+                animal,
+                rrb.Vertical(rrb.Tabs(closeup, picture, active_tab=0), overview, row_shares=[5, 4]),
+                column_shares=[11, 9],
+            ),
+            rrb.Horizontal(*plots, column_shares=shares),
+            row_shares=[5, 3],
+        ),
+        rrb.BlueprintPanel(state="hidden"),
+        rrb.SelectionPanel(state="hidden"),
+        time,
+        auto_layout=False,
+        auto_views=False,
+    )
+
+
+def _title(motion: Motion) -> str:
+    title = f"3D, {motion.frame_of_reference} frame, grid of {GRID_SPACING_M:g} m"
+    if motion.side is None:
+        title += "; left blue, right orange"
+    return title + ("; shells: one sigma" if isinstance(motion, TrajectoryMotion) else "")
+
+
+def _plot(series: Series) -> rrb.TimeSeriesView:
+    values = series.values if series.shown is None else series.shown
+    known = np.append(values[np.isfinite(values)], 0.0)  # all of them have zero in sight
+    least, most = known.min(), known.max()
+    margin = 0.06 * (most - least) + 1e-3
+    return rrb.TimeSeriesView(
+        origin=series.entity,
+        name=series.title,
+        axis_y=rrb.ScalarAxis(range=(least - margin, most + margin)),
+        plot_legend=rrb.PlotLegend(rrb.Corner2D.LeftTop, visible=True),
+        background=PlotBackground(color=BACKGROUND),
+    )
+
+
+def _eye_on_animal(motion: Motion, scene: Scene) -> rrb.EyeControls3D:
+    """Going along with the animal, on the camera's side of it and slightly raised."""
+    up = scene.axes[2]
+    poses, path = motion.joints_m[motion.solved], motion.root_m[motion.solved]
+    if not len(poses):
+        return rrb.EyeControls3D(eye_up=up)
+    travel = path[-1] - path[0]
+    travel -= up * (travel @ up)
+    side = scene.camera_m - scene.centre_m
+    side -= up * (side @ up)
+    if np.linalg.norm(travel) > scene.size_m:
+        across = np.cross(up, travel)
+        side = across if across @ side >= 0 else -across
+    direction = side / max(float(np.linalg.norm(side)), 1e-9) + 0.3 * up
+    target = poses[0].mean(axis=0)
+    position = target + (1.05 * scene.size_m + 0.4) * direction
+    return rrb.EyeControls3D(
+        kind=rrb.Eye3DKind.Orbital,
+        position=position,
+        look_target=target,
+        eye_up=up,
+        tracking_entity="world/followed",
+    )
+
+
+def _eye_behind_camera(motion: Motion, scene: Scene) -> rrb.EyeControls3D:
+    """From behind and above the camera over its shoulder, so that left and right are as in the picture."""
+    up = scene.axes[2]
+    ahead = scene.centre_m - scene.camera_m
+    distance = max(float(np.linalg.norm(ahead)), 1.0)
+    ahead = ahead / distance
+    position = scene.camera_m + distance * (0.28 * up - 0.3 * ahead + 0.2 * np.cross(ahead, up))
+    target = scene.camera_m + 0.4 * distance * ahead
+    return rrb.EyeControls3D(kind=rrb.Eye3DKind.Orbital, position=position, look_target=target, eye_up=up)

@@ -1,0 +1,90 @@
+"""The animal in the picture."""
+
+from __future__ import annotations
+
+import numpy as np
+import rerun as rr
+
+from recon.motion import Motion
+from recon.view.scene import (
+    DETECTION,
+    EDGE,
+    LINK,
+    OUTLIER,
+    Array,
+    Fix,
+    Scene,
+    Send,
+    joint_limbs,
+    strips,
+    unbroken,
+)
+
+
+def write_picture(motion: Motion, scene: Scene, send: Send, fix: Fix) -> None:
+    """The points twice: where they are in the picture, and around the middle of the animal, for a close look."""
+    size = np.array(motion.camera.image_size_px, dtype=float)
+    fix("picture/frame", rr.Boxes2D(array=[-0.5, -0.5, *size], array_format=rr.Box2DFormat.XYWH, colors=EDGE))
+    low, high = picture_bounds(motion)
+    _write_points("picture", np.zeros((len(motion.frames), 2)), 0.007 * float(np.max(high - low)), motion, send, fix)
+    middle, reach = middle_and_reach_px(motion)
+    _write_points("closeup", middle, 0.03 * float(reach.max()), motion, send, fix)
+
+
+def _write_points(root: str, origin_px: Array, arm: float, motion: Motion, send: Send, fix: Fix) -> None:
+    """origin_px (T, 2): what is drawn at (0, 0); arm: of a detection's cross, px."""
+    outliers = motion.outliers
+    detected, reprojected = (xy - origin_px[:, None] for xy in (motion.detected_px, motion.reprojected_px))
+    for entity, colour, chosen in (("detections", DETECTION, ~outliers), ("outliers", OUTLIER, outliers)):
+        fix(f"{root}/{entity}", rr.LineStrips2D.from_fields(colors=colour, radii=rr.Radius.ui_points(1.0)))
+        points = [xy[keep & np.isfinite(xy[:, 0])] for xy, keep in zip(detected, chosen, strict=True)]
+        send(f"{root}/{entity}", strips(rr.LineStrips2D, [_crosses(xy, arm) for xy in points]))
+
+    limbs = [list(limb) for limb in motion.limbs.values()]
+    lines = [[(c, part) for c, limb in enumerate(limbs) for part in unbroken(pose[limb])] for pose in reprojected]
+    classes = [c for frame in lines for c, _ in frame]
+    columns = rr.LineStrips2D.columns(strips=[xy for frame in lines for _, xy in frame], class_ids=classes)
+    send(f"{root}/reprojections", columns.partition([len(frame) for frame in lines]))
+    fix(f"{root}/reprojections", rr.LineStrips2D.from_fields(radii=rr.Radius.ui_points(1.5), show_labels=False))
+    seen = np.isfinite(reprojected[..., 0])
+    classes = np.broadcast_to(joint_limbs(motion), seen.shape)[seen]
+    columns = rr.Points2D.columns(positions=reprojected[seen], class_ids=classes)
+    send(f"{root}/reprojections/joints", columns.partition(seen.sum(axis=1)))
+    fix(f"{root}/reprojections/joints", rr.Points2D.from_fields(radii=rr.Radius.ui_points(3.5), show_labels=False))
+
+    both = np.isfinite(motion.distance_px)
+    ends = np.stack((detected, reprojected), axis=2)
+    columns = rr.LineStrips2D.columns(
+        strips=list(ends[both]), colors=np.where(outliers[both][:, None], OUTLIER, LINK).astype(np.uint8)
+    )
+    send(f"{root}/links", columns.partition(both.sum(axis=1)))
+    fix(f"{root}/links", rr.LineStrips2D.from_fields(radii=rr.Radius.ui_points(1.5)))
+
+
+def middle_and_reach_px(motion: Motion) -> tuple[Array, Array]:
+    """(T, 2): middle of the reprojected skeleton, 0 without one; (2,): how far its joints lie from there in x and y."""
+    middle = np.zeros((len(motion.frames), 2))
+    seen = np.isfinite(motion.reprojected_px[..., 0])
+    known = np.any(seen, axis=-1)
+    middle[known] = np.nanmean(motion.reprojected_px[known], axis=1)
+    return middle, np.abs(motion.reprojected_px - middle[:, None])[seen].max(axis=0, initial=1.0)
+
+
+def picture_bounds(motion: Motion) -> tuple[Array, Array]:
+    """Corners (2,), (2,) of the part of the picture that the animal passes through, with a margin."""
+    size = np.array(motion.camera.image_size_px, dtype=float)
+    explained = np.where(motion.outliers[..., None], np.nan, motion.detected_px)
+    points = np.concatenate((explained.reshape(-1, 2), motion.reprojected_px.reshape(-1, 2)))
+    points = points[np.isfinite(points).all(axis=1)]
+    points = points[motion.camera.in_image(points)]
+    if not len(points):
+        return np.full(2, -0.5), size - 0.5
+    low, high = points.min(axis=0), points.max(axis=0)
+    margin = 0.08 * float(np.max(high - low)) + 10.0
+    return low - margin, high + margin
+
+
+def _crosses(points_px: Array, arm_px: float) -> list[Array]:
+    """Upright crosses at points (N, 2): two strips each."""
+    arms = np.array([[[-arm_px, 0.0], [arm_px, 0.0]], [[0.0, -arm_px], [0.0, arm_px]]])
+    return list((points_px[:, None, None] + arms).reshape(-1, 2, 2))

@@ -1,0 +1,142 @@
+"""What the views share: colours, the geometry of the scene, and how to write lines."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import rerun as rr
+from numpy.typing import NDArray
+
+from recon.initialise import level_axes
+from recon.motion import Motion, TrajectoryMotion
+
+Array = NDArray[np.float64]
+Colour = tuple[int, int, int]
+Send = Callable[[str, rr.ComponentColumnList], None]
+Fix = Callable[[str, rr.AsComponents], None]
+
+# Okabe and Ito's palette, which the colour-blind can tell apart.
+LIMB_COLOURS: tuple[Colour, ...] = ((0, 158, 115), (86, 180, 233), (230, 159, 0), (0, 114, 178), (240, 228, 66))
+"""Of the limbs of one side, in their order: hind leg, spine, front leg, and two to spare."""
+LEFT, RIGHT, MIDDLE = (86, 180, 233), (230, 159, 0), (0, 158, 115)
+"""Of the limbs of a whole animal."""
+DETECTION, OUTLIER, LINK = (255, 255, 255), (235, 60, 40), (204, 121, 167)
+PATH, TRAIL, GRID, CAMERA, EDGE = (110, 110, 120), (240, 228, 66), (58, 64, 74), (190, 190, 200), (130, 130, 140)
+BACKGROUND = (18, 21, 27)
+
+GRID_SPACING_M = 1.0
+GRID_MARGIN_M = 1.5
+MAX_GRID_LINES = 200
+
+
+@dataclass(frozen=True)
+class Scene:
+    """Geometry that views and entities share, in the motion's frame of reference.
+
+    axes (3, 3): rows are two level unit vectors and the upward one. ground: a point of it, and its normal (3,) each.
+    low_m, high_m (3,): bounds of the animal over the clip along the axes. size_m: diagonal of the animal.
+    camera_m (3,): centre of projection.
+    """
+
+    axes: Array
+    ground: tuple[Array, Array]
+    low_m: Array
+    high_m: Array
+    size_m: float
+    camera_m: Array
+
+    @classmethod
+    def of(cls, motion: Motion) -> Scene:
+        camera = motion.camera
+        right, away = level_axes(camera.up)
+        axes, centre = np.stack((right, away, camera.up)), np.zeros(3)
+        if camera.has_extrinsics:
+            centre = camera.centre_world
+            axes = np.eye(3) if camera.world_z_up else camera.camera_to_world(axes) - centre
+        joints = motion.joints_m[motion.solved] @ axes.T
+        if not len(joints):
+            return cls(axes, (np.zeros(3), axes[2]), -np.ones(3), np.ones(3), 1.0, centre)
+        # Single poses that went astray do not enlarge the scene.
+        low, high = np.percentile(joints.reshape(-1, 3), (1, 99), axis=0)
+        size = float(np.median(np.linalg.norm(np.ptp(joints, axis=1), axis=1)))
+        ground = _known_ground(motion)
+        if ground is None:
+            lowest = joints[:, motion.feet or slice(None), 2]
+            ground = float(np.percentile(lowest, 10)) * axes[2], axes[2]
+        return cls(axes, ground, low, high, size, centre)
+
+    @property
+    def centre_m(self) -> Array:
+        """(3,): middle of the clip's motion."""
+        return (self.low_m + self.high_m) / 2 @ self.axes
+
+    def on_ground(self, level: Array) -> Array:
+        """(N, 3) in the frame of reference: the ground at (N, 2) along the level axes."""
+        point, normal = self.ground
+        flat = level @ self.axes[:2]
+        return flat + ((point - flat) @ normal / (self.axes[2] @ normal))[:, None] * self.axes[2]
+
+
+def _known_ground(motion: Motion) -> tuple[Array, Array] | None:
+    if not isinstance(motion, TrajectoryMotion) or motion.below_m is None or motion.solution.ground is None:
+        return None
+    normal = np.append(-motion.solution.ground.slope, 1.0)
+    below, above = motion.in_reference(np.stack((motion.below_m, motion.below_m + normal)))
+    return below, (above - below) / np.linalg.norm(above - below)
+
+
+# -- limbs --------------------------------------------------------------------------------------------------------
+
+
+def limb_colours(motion: Motion) -> list[Colour]:
+    """One per limb: of a whole animal by its side, otherwise one after the other."""
+    if motion.side is not None:
+        return [LIMB_COLOURS[i % len(LIMB_COLOURS)] for i in range(len(motion.limbs))]
+    colours = []
+    for joints in motion.limbs.values():
+        sides = {motion.names[j][:2] for j in joints} & {"l_", "r_"}
+        colours.append(LEFT if sides == {"l_"} else RIGHT if sides == {"r_"} else MIDDLE)
+    return colours
+
+
+def joint_limbs(motion: Motion) -> NDArray[np.int64]:
+    """(J,): the limb that each joint is drawn with: the trunk if it is part of it, or else the one that it ends or
+    continues."""
+    limbs = list(motion.limbs.values())
+    trunk = max(range(len(limbs)), key=lambda i: len({*motion.forward} & {*limbs[i]}), default=0)
+    chosen = []
+    for j in range(len(motion.joints)):
+        on = [i for i, limb in enumerate(limbs) if j in limb]
+        later = [i for i in on if limbs[i][0] != j]
+        chosen.append(trunk if trunk in on or not on else (later or on)[0])
+    return np.array(chosen)
+
+
+def shade(colour: Colour, number: int, count: int) -> Colour:
+    """The number-th of count tints of a colour, from dark to light."""
+    if count == 1:
+        return colour
+    share = number / (count - 1)
+    target, amount = (0.0, 0.35 * (1 - 2 * share)) if share < 0.5 else (255.0, 0.55 * (2 * share - 1))
+    red, green, blue = (round(c + (target - c) * amount) for c in colour)
+    return red, green, blue
+
+
+# -- lines --------------------------------------------------------------------------------------------------------
+
+
+def strips(
+    archetype: type[rr.LineStrips2D | rr.LineStrips3D], frames: Sequence[Sequence[Array]]
+) -> rr.ComponentColumnList:
+    """Columns of line strips: any number a frame, each of shape (points, 2 or 3)."""
+    columns = archetype.columns(strips=[strip for strips in frames for strip in strips])
+    return columns.partition([len(strips) for strips in frames])
+
+
+def unbroken(points: Array) -> list[Array]:
+    """The stretches of a line (N, 2 or 3) without NaN that have at least two points."""
+    known = np.isfinite(points[:, 0])
+    runs = np.split(np.arange(len(points)), np.flatnonzero(np.diff(known)) + 1)
+    return [points[run] for run in runs if len(run) > 1 and known[run[0]]]

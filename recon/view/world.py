@@ -1,0 +1,137 @@
+"""The animal in space."""
+
+from __future__ import annotations
+
+import numpy as np
+import rerun as rr
+from rerun.components import FillMode
+from scipy.spatial.transform import Rotation
+
+from recon.motion import Motion, TrajectoryMotion
+from recon.view.scene import (
+    CAMERA,
+    DETECTION,
+    GRID,
+    GRID_MARGIN_M,
+    GRID_SPACING_M,
+    MAX_GRID_LINES,
+    OUTLIER,
+    PATH,
+    TRAIL,
+    Array,
+    Fix,
+    Scene,
+    Send,
+    joint_limbs,
+    limb_colours,
+    strips,
+    unbroken,
+)
+
+STANCE = 0.5
+"""A foot with more contact than this stands."""
+
+
+def write_world(motion: Motion, scene: Scene, send: Send, fix: Fix) -> None:
+    camera, joints = motion.camera, motion.joints_m
+    if motion.frame_of_reference == "camera":
+        fix("world", rr.ViewCoordinates.RDF)
+    elif camera.world_z_up:
+        fix("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP)
+
+    limbs = [list(limb) for limb in motion.limbs.values()]
+    fix("world/skeleton", rr.LineStrips3D.from_fields(class_ids=range(len(limbs)), radii=0.017, show_labels=False))
+    lines = [
+        [pose[limb] for limb in limbs] if solved else [] for pose, solved in zip(joints, motion.solved, strict=True)
+    ]
+    send("world/skeleton", strips(rr.LineStrips3D, lines))
+    fix(
+        "world/skeleton/joints",
+        rr.Points3D.from_fields(class_ids=joint_limbs(motion), radii=0.028, labels=motion.names, show_labels=False),
+    )
+    counts = np.where(motion.solved, joints.shape[1], 0)
+    send("world/skeleton/joints", rr.Points3D.columns(positions=joints[motion.solved].reshape(-1, 3)).partition(counts))
+
+    # The viewer frames what it follows by its bounds: more than the animal, and without the flutter of its legs.
+    fix("world/followed", rr.Points3D.from_fields(colors=(0, 0, 0, 0), radii=0.0))
+    half = 0.65 * scene.size_m * np.ones(3)
+    corners = np.stack((joints.mean(axis=1) - half, joints.mean(axis=1) + half), axis=1)
+    counts = np.where(motion.solved, 2, 0)
+    send("world/followed", rr.Points3D.columns(positions=corners[motion.solved].reshape(-1, 3)).partition(counts))
+
+    root = motion.root_m
+    fix("world/path", rr.LineStrips3D(unbroken(root), colors=PATH, radii=rr.Radius.ui_points(1.5)))
+    fix("world/trail", rr.LineStrips3D.from_fields(colors=TRAIL, radii=rr.Radius.ui_points(2.5)))
+    # The view shows this entity's rows up to the current one: a step each.
+    steps = [[root[i - 1 : i + 1]] if i and motion.solved[i - 1 : i + 1].all() else [] for i in range(len(root))]
+    send("world/trail", strips(rr.LineStrips3D, steps))
+
+    fix("world/ground", rr.LineStrips3D(_grid(scene), colors=GRID, radii=rr.Radius.ui_points(0.75)))
+    if camera.rotation is not None:
+        fix("world/camera", rr.Transform3D(translation=scene.camera_m, mat3x3=camera.rotation.T))
+    distance = float(np.linalg.norm(scene.centre_m - scene.camera_m))
+    fix(
+        "world/camera",
+        rr.Pinhole(
+            image_from_camera=camera.matrix,
+            resolution=camera.image_size_px,
+            camera_xyz=rr.ViewCoordinates.RDF,
+            image_plane_distance=max(0.25, 0.15 * distance),
+            color=CAMERA,
+            line_width=-1.0,  # negative: on the screen, not in metres
+        ),
+    )
+
+
+def write_doubt(motion: TrajectoryMotion, scene: Scene, send: Send, fix: Fix) -> None:
+    """How far the pose can be trusted: an ellipsoid around every joint, and a label in frames with a flag. And the feet
+    that stand."""
+    solved, flags = motion.solved, motion.solution.flags
+    counts = np.where(solved, len(motion.joints), 0)
+    variance, axes = np.linalg.eigh(motion.relative_covariance_m2[solved].reshape(-1, 3, 3))
+    axes[np.linalg.det(axes) < 0, :, 0] *= -1
+    of_limb = np.array(limb_colours(motion))[joint_limbs(motion)]
+    doubtful = np.array([bool(f) for f in flags])[solved]
+    colours = np.where(doubtful[:, None, None], OUTLIER, of_limb).reshape(-1, 3)
+    columns = rr.Ellipsoids3D.columns(
+        centers=motion.joints_m[solved].reshape(-1, 3),
+        half_sizes=np.sqrt(np.maximum(variance, 1e-8)),
+        quaternions=Rotation.from_matrix(axes).as_quat() if len(axes) else np.empty((0, 4)),
+        colors=np.column_stack((colours, np.full(len(colours), 70))).astype(np.uint8),
+    )
+    send("world/uncertainty", columns.partition(counts))
+    fix(
+        "world/uncertainty",
+        rr.Ellipsoids3D.from_fields(
+            fill_mode=FillMode.MajorWireframe, line_radii=rr.Radius.ui_points(0.8), show_labels=False
+        ),
+    )
+
+    shown = [bool(f) and bool(s) for f, s in zip(flags, solved, strict=True)]
+    above = motion.joints_m.mean(axis=1) + 0.35 * scene.size_m * scene.axes[2]
+    labels = [", ".join(f) for f, is_shown in zip(flags, shown, strict=True) if is_shown]
+    columns = rr.Points3D.columns(positions=above[shown], labels=labels)
+    send("world/doubt", columns.partition(np.array(shown, dtype=int)))
+    fix("world/doubt", rr.Points3D.from_fields(colors=OUTLIER, radii=rr.Radius.ui_points(3.0), show_labels=True))
+
+    stands = motion.solution.contact > STANCE
+    feet = motion.joints_m[:, motion.feet]
+    send("world/stance", rr.Points3D.columns(positions=feet[stands]).partition(stands.sum(axis=1)))
+    fix("world/stance", rr.Points3D.from_fields(colors=DETECTION, radii=0.05))
+
+
+def _grid(scene: Scene) -> list[Array]:
+    """Lines (2, 3) on the ground under the whole path, at whole metres of the level axes."""
+    low = np.floor(scene.low_m[:2] - GRID_MARGIN_M)
+    high = np.ceil(scene.high_m[:2] + GRID_MARGIN_M)
+    spacing = GRID_SPACING_M
+    while np.max(high - low) / spacing > MAX_GRID_LINES:
+        spacing *= 10
+    lines = []
+    for axis in (0, 1):
+        for at in np.arange(low[axis], high[axis] + spacing / 2, spacing):
+            line = np.empty((2, 2))
+            line[:, axis] = at
+            line[:, 1 - axis] = low[1 - axis], high[1 - axis]
+            lines.append(scene.on_ground(line))
+    return lines

@@ -1,0 +1,210 @@
+"""Motions of both methods: the same quantities in the same frames, whatever they were made from."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from recon.motion import FrameMotion, Motion, TrajectoryMotion
+from recon.skeleton import Skeleton
+from recon.skeleton_file import load_skeleton
+from recon.solve import TrajectorySolution
+
+
+@pytest.fixture(params=["small_motion", "small_trajectory", "world_trajectory"])
+def motion(request) -> Motion:
+    return request.getfixturevalue(request.param)
+
+
+def chain_trajectory(of: TrajectoryMotion, small_motion: FrameMotion) -> TrajectoryMotion:
+    """A trajectory of the 8U chain's body, whose poses lie around its mean pose."""
+    skeleton = load_skeleton("cheetah-8u")
+    body, T = skeleton.body, 6
+    states = np.zeros((T, body.n_state))
+    states[:, :3] = [-1.0, 9.0, 0.3] + 0.3 * np.arange(T)[:, None] * [1.0, 0.0, 0.0]
+    states[:, 3] = 0.3
+    states[:, 4:] = body.mean_rad + np.random.default_rng(3).normal(0, 0.1, (T, body.n_state - 4))
+    states[3] = np.nan
+    R = of.solution.camera_from_level
+    arrays = {
+        "states": states,
+        "joints_camera_m": body.tree.pose(states, 1.1).points_m @ R.T,
+        "covariance_m2": np.tile(np.eye(3), (T, 9, 1, 1)),
+        "relative_covariance_m2": np.tile(np.eye(3), (T, 9, 1, 1)),
+        "data_share": np.ones(9),
+        "noise_px": np.full((T, 9), 5.0),
+        "weight": np.ones((T, 9)),
+        "flags": ((),) * T,
+        "alternative_m": np.full(T, np.nan),
+        "contact": np.zeros((T, 2)),
+    }
+    solution = replace(of.solution, body=body, size=1.1, **arrays)
+    return TrajectoryMotion(
+        small_motion.camera,
+        small_motion.keypoints,
+        small_motion.cleaning,
+        small_motion.file_names,
+        "right",
+        "as given",
+        solution,
+        skeleton,
+    )
+
+
+def test_shapes_and_names_agree(motion: Motion):
+    T, J, D = len(motion.frames), len(motion.names), len(motion.state_names)
+    assert motion.joints_m.shape == motion.joints_camera_m.shape == (T, J, 3)
+    assert motion.states.shape == (T, D)
+    assert motion.angles_rad.shape == (T, len(motion.angle_names))
+    assert motion.root_m.shape == (T, 3)
+    assert motion.sigma_px.shape == motion.outliers.shape == motion.distance_px.shape == (T, J)
+    assert len(motion.joints) == J
+    assert {j for limb in motion.limbs.values() for j in limb} <= set(range(J))
+    assert all(len(limb) > 1 for limb in motion.limbs.values())
+    rear, front = motion.forward
+    ahead = motion.joints_camera_m[motion.solved][:, front] - motion.joints_camera_m[motion.solved][:, rear]
+    assert (ahead[:, 0] > 0).all()
+    lowest = np.argsort(motion.joints_camera_m[0, :, 1])[-len(motion.feet) :]
+    assert set(motion.feet) == set(lowest)
+
+
+def test_root_is_the_joint_it_is_called_after(motion: Motion):
+    at = motion.joints.index(motion.root_name)
+    np.testing.assert_allclose(motion.root_m, motion.joints_m[:, at], atol=1e-12)
+    assert motion.root_name == ("J0" if isinstance(motion, FrameMotion) else "spine")
+
+
+def test_detections_that_the_pose_does_not_explain(small_motion, small_trajectory):
+    for motion, frame, name in ((small_motion, 14, "neck_base"), (small_trajectory, 14, "nose")):
+        ((t, j),) = np.argwhere(motion.outliers)
+        assert (motion.frames[t], motion.names[j]) == (frame, name)
+    assert small_trajectory.distance_px[4, 0] == pytest.approx(300.0)
+
+
+def test_keypoints_of_the_file_and_of_the_skeleton(small_trajectory):
+    assert small_trajectory.unused_keypoints == ("ear",)
+    assert small_trajectory.missing_keypoints == ("r_eye",)
+
+
+def test_reprojections_lie_where_the_detector_sees_the_joints(small_trajectory):
+    """A skeleton whose shoulder keypoints lie beside the joints."""
+    body = small_trajectory.body
+    shifted = replace(body, keypoint_offset_m={"l_shoulder": (0.0, 0.0, 0.1)})
+    motion = replace(small_trajectory, solution=replace(small_trajectory.solution, body=shifted))
+    j = body.markers.index("l_shoulder")
+    np.testing.assert_array_equal(motion.joints_m, small_trajectory.joints_m)
+    depth, focal = motion.joints_camera_m[0, j, 2], motion.camera.matrix[1, 1]
+    difference = motion.reprojected_px - motion.camera.project(motion.joints_camera_m)[0]
+    assert difference[0, j, 1] == pytest.approx(-0.1 * focal / depth, rel=0.01)
+    assert np.abs(np.delete(difference, j, axis=1)).max() == 0
+
+
+# -- states ---------------------------------------------------------------------------------------------------------
+
+
+def test_states_of_a_body_give_its_joints_in_the_world(world_trajectory):
+    motion = world_trajectory
+    assert motion.states_frame == "world"
+    points = motion.body.tree.pose(motion.states, motion.solution.size).points_m
+    np.testing.assert_allclose(points, motion.joints_m, atol=1e-12)
+    # Seen by a camera that looks along x, the animal runs along -y.
+    np.testing.assert_allclose(motion.states[:, 3], -np.pi / 2)
+    np.testing.assert_allclose(np.diff(motion.root_m, axis=0), np.tile([0, -0.3, 0], (7, 1)), atol=1e-12)
+
+
+def test_without_a_world_they_are_in_the_level_frame(small_trajectory):
+    motion = small_trajectory
+    assert motion.states_frame == "level"
+    np.testing.assert_array_equal(motion.states, motion.solution.states)
+    points = motion.body.tree.pose(motion.states).points_m
+    np.testing.assert_allclose(motion.in_reference(points), motion.joints_m, atol=1e-12)
+    # A board's world need not be upright, and is none that yaw could refer to.
+    board = replace(
+        motion, camera=replace(motion.camera, rotation=np.eye(3), translation_m=np.zeros(3), world_z_up=False)
+    )
+    assert (board.states_frame, board.frame_of_reference) == ("level", "world")
+    np.testing.assert_array_equal(board.states, motion.solution.states)
+
+
+def test_states_of_a_chain_are_the_chains(small_trajectory, small_motion):
+    motion = chain_trajectory(small_trajectory, small_motion)
+    skeleton = motion.skeleton
+    assert isinstance(skeleton, Skeleton)
+    assert motion.states_frame == "camera"
+    assert motion.state_names == skeleton.state_names
+    assert motion.angle_names == small_motion.angle_names
+    assert list(motion.solved) == [True, True, True, False, True, True]
+    assert np.isnan(motion.states[3]).all()
+    joints = skeleton.pose(motion.states[motion.solved]).joints_m
+    np.testing.assert_allclose(joints, motion.joints_camera_m[motion.solved], atol=1e-9)
+    np.testing.assert_allclose(motion.states[0, skeleton.base_index], 1.1 * skeleton.nominal_base_length_m)
+    assert motion.names == skeleton.keypoint_names("right")
+    assert [motion.names[foot] for foot in motion.feet] == ["r_back_paw", "r_front_paw"]
+
+
+# -- uncertainty ----------------------------------------------------------------------------------------------------
+
+
+def test_sigmas_are_along_the_axes_of_the_frame_of_reference(small_trajectory, world_trajectory):
+    np.testing.assert_allclose(small_trajectory.relative_sigma_m[0, 0], [0.02, 0.02, 0.08])
+    # The camera looks along x.
+    np.testing.assert_allclose(world_trajectory.relative_sigma_m[0, 0], [0.08, 0.02, 0.02])
+    place = np.array([0.3, 0.05, 0.05])
+    np.testing.assert_allclose(world_trajectory.joint_sigma_m[0, 0], np.hypot([0.08, 0.02, 0.02], place))
+    np.testing.assert_allclose(world_trajectory.relative_rms_m, np.sqrt(2 * 0.02**2 + 0.08**2))
+
+
+def test_place_sigma_is_that_of_the_mean_along_the_line_of_sight(small_trajectory):
+    """From joints that are drawn: a common place, and offsets that are taken relative to their mean."""
+    rng = np.random.default_rng(5)
+    J, draws = 24, 4000
+    mixing = rng.normal(0, 0.05, (3 * J, 3 * J)) / np.sqrt(J)
+    offsets = (rng.normal(size=(draws, 3 * J)) @ mixing.T).reshape(draws, J, 3)
+    # Where the offsets and the place are correlated, the joints' covariances are not their sums.
+    place = rng.normal(0, [0.05, 0.05, 0.3], (draws, 3)) + 2 * offsets[:, 0]
+    points = place[:, None] + offsets
+    centred = points - points.mean(axis=1, keepdims=True)
+
+    def covariance(values):
+        return np.einsum("nja,njb->jab", values - values.mean(axis=0), values - values.mean(axis=0)) / draws
+
+    solution: TrajectorySolution = replace(
+        small_trajectory.solution,
+        covariance_m2=np.tile(covariance(points), (8, 1, 1, 1)),
+        relative_covariance_m2=np.tile(covariance(centred), (8, 1, 1, 1)),
+    )
+    motion = replace(small_trajectory, solution=solution)
+    ray = motion.joints_camera_m.mean(axis=1)
+    ray /= np.linalg.norm(ray, axis=1, keepdims=True)
+    expected = (points.mean(axis=1) @ ray.T).std(axis=0)
+    np.testing.assert_allclose(motion.place_sigma_m, expected, rtol=1e-9)
+
+
+def test_mean_weight(small_trajectory):
+    weight = small_trajectory.mean_weight
+    assert weight[0] == 1
+    assert np.isnan(weight[3])
+    assert weight[4] == pytest.approx((22 + 0.05) / 23)
+
+
+def test_ground_below_the_animal(small_trajectory, world_trajectory):
+    below = small_trajectory.below_m
+    assert below is not None
+    ground = small_trajectory.solution.ground
+    assert below[:2] == pytest.approx([-1.5 + 0.15 * 7, 9.0])
+    assert below[2] == pytest.approx(ground.height_m + 0.02 * 9.0)
+    # The camera stands 3 m high.
+    assert world_trajectory.in_upright(below)[2] == pytest.approx(3 + below[2])
+    unknown = replace(small_trajectory, solution=replace(small_trajectory.solution, ground=None))
+    assert unknown.below_m is None
+
+
+def test_refuses_keypoints_of_another_skeleton(small_motion, small_trajectory):
+    with pytest.raises(ValueError, match="are not those of the joints"):
+        replace(small_trajectory, keypoints=small_motion.keypoints)
+    with pytest.raises(ValueError, match="are not those of the joints"):
+        replace(small_motion, side="left")
+    with pytest.raises(ValueError, match="without a frame rate"):
+        replace(small_motion, keypoints=replace(small_motion.keypoints, fps=None))

@@ -1,0 +1,140 @@
+"""The clip's least-squares problem: the banded solution equals a dense one."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.optimize import least_squares
+
+from recon.kinematics import Marker, Segment, Tree
+from recon.solve import problem as problem_module
+from recon.solve.problem import Problem
+from recon.solve.terms import Linear, climb_term, dynamics_term, pose_term, root_term
+from tests.test_terms import BODY, FPS, PRIOR, T, gradient, some_states, terms
+
+
+def whole_problem() -> Problem:
+    every = terms()
+    return Problem(
+        BODY.tree, [t for t in every if isinstance(t, Linear)], [t for t in every if not isinstance(t, Linear)]
+    )
+
+
+def dense_rows(problem: Problem, states: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The slow oracle: all rows of all terms, stacked with their Jacobian (M, TD)."""
+    residuals, jacobians = [], []
+    D = states.shape[1]
+
+    def put(frame: int, stencil, r: np.ndarray, slots: np.ndarray) -> None:
+        J = np.zeros((len(r), states.size))
+        for offset, slot in zip(stencil, slots, strict=True):
+            J[:, (frame + offset) * D : (frame + offset + 1) * D] += slot
+        residuals.append(r)
+        jacobians.append(J)
+
+    for term in problem.linear:
+        for frame, r in zip(term.frames(len(states)), term.residual(states), strict=True):
+            put(frame, term.stencil, r, term.slots)
+    (span,) = problem._spans(states, jacobian=True)
+    for term in problem.terms:
+        rows = term.evaluate(span, jacobian=True)
+        for i, frame in enumerate(rows.frames):
+            put(frame, term.stencil, rows.residual[i], rows.jacobian[i].transpose(1, 0, 2))
+    return np.concatenate(residuals), np.concatenate(jacobians)
+
+
+def test_normal_equations_equal_dense_ones():
+    problem, states = whole_problem(), some_states()
+    r, J = dense_rows(problem, states)
+    H, g = problem.normal(states)
+    np.testing.assert_allclose(H.to_dense(), J.T @ J, rtol=1e-9, atol=1e-9 * np.abs(J.T @ J).max())
+    np.testing.assert_allclose(g.ravel(), J.T @ r, rtol=1e-9, atol=1e-9 * np.abs(J.T @ r).max())
+
+
+def test_a_step_equals_the_dense_one():
+    from recon.banded import factor
+
+    problem, states = whole_problem(), some_states()
+    r, J = dense_rows(problem, states)
+    H, g = problem.normal(states)
+    step, _ = factor(H, damping=np.full(g.shape, 1e-3)).solve(-g)
+    dense = np.linalg.solve(J.T @ J + 1e-3 * np.eye(states.size), -J.T @ r)
+    np.testing.assert_allclose(step.ravel(), dense, rtol=1e-6, atol=1e-8)
+
+
+def test_pieces_of_a_clip_add_up(monkeypatch):
+    """Cut into pieces of two frames, cost and equations are the same."""
+    problem, states = whole_problem(), some_states()
+    whole_cost, (H, g) = problem.cost(states), problem.normal(states)
+    monkeypatch.setattr(problem_module, "_FRAMES_AT_ONCE", 2)
+    assert problem.cost(states) == pytest.approx(whole_cost)
+    cut, cut_g = problem.normal(states)
+    np.testing.assert_allclose(cut.to_dense(), H.to_dense(), rtol=1e-9, atol=1e-6)
+    np.testing.assert_allclose(cut_g, g, rtol=1e-9, atol=1e-6)
+
+
+def test_minimum_of_a_linear_problem_takes_one_step():
+    """All terms linear: least squares in closed form."""
+    D = BODY.n_state
+    place = Linear("place", (0,), np.eye(D)[None, :4], np.array([1.0, 5.0, -0.3, 0.2]))
+    linear = [
+        pose_term(PRIOR, D, FPS, 1.0),
+        dynamics_term(PRIOR, D, FPS, 1.0),
+        root_term(D, FPS, np.array([12.0, 12.0, 9.0]), 40.0),
+        climb_term(D, FPS, 0.5),
+        place,
+    ]
+    problem, states = Problem(BODY.tree, linear, []), some_states()
+    r, J = dense_rows_of_linear(linear, states)
+    found = problem.minimise(states, 1e-12, 20)
+    assert found.converged
+    np.testing.assert_allclose(found.states.ravel(), states.ravel() - np.linalg.lstsq(J, r, rcond=None)[0], atol=1e-5)
+
+
+def dense_rows_of_linear(linear, states):
+    return dense_rows(_Quiet(BODY.tree, linear, []), states)
+
+
+class _Quiet(Problem):
+    """Without nonlinear terms, no span is posed."""
+
+
+def test_minimum_of_the_whole_problem_is_a_minimum():
+    """No direction leads down, and scipy's dense solver, started there, stays."""
+    problem = whole_problem()
+    found = problem.minimise(some_states(), 1e-10, 200)
+    assert found.converged
+    _, g = problem.normal(found.states)
+    H, _ = problem.normal(found.states)
+    assert np.abs(g).max() < 1e-3 * np.sqrt(H.diagonal().max())
+    other = least_squares(lambda x: np.sqrt(2 * problem.cost(x.reshape(T, -1)) + 1e4), found.states.ravel(), max_nfev=2)
+    assert problem.cost(other.x.reshape(T, -1)) > found.cost - 1e-3
+
+
+def test_reports_when_it_did_not_converge():
+    found = whole_problem().minimise(some_states(), 1e-12, 2)
+    assert not found.converged
+    assert found.iterations == 2
+
+
+def test_costs_are_named():
+    problem, states = whole_problem(), some_states()
+    costs = problem.costs(states)
+    assert set(costs) == {t.name for t in terms()}
+    assert sum(costs.values()) == pytest.approx(problem.cost(states))
+    H, g = problem.normal(states, without=("reprojection",))
+    reprojection = next(t for t in terms() if t.name == "reprojection")
+    np.testing.assert_allclose(g + gradient(reprojection, states), problem.normal(states)[1], atol=1e-6)
+    assert np.abs(H.to_dense()).max() > 0
+
+
+def test_a_slow_shift_in_depth_is_found():
+    """A single marker on a moving root, seen by pixels only through its distance: the whole path is off by one metre,
+    every frame is stiff against its neighbours, and few steps bring it back (damping by the diagonal would not)."""
+    tree = Tree((Segment("root", None, "free"),), (Marker("m", "root"),))
+    D, frames = tree.n_state, 60
+    stiff = np.array([np.eye(D), -2 * np.eye(D), np.eye(D)]) * 1e4
+    smooth = Linear("smooth", (-1, 0, 1), stiff, np.zeros(D))
+    weak = Linear("weak", (0,), np.eye(D)[None] * 0.1, np.full(D, 0.1))
+    found = Problem(tree, [smooth, weak], []).minimise(np.zeros((frames, D)), 1e-9, 6)
+    np.testing.assert_allclose(found.states, 1.0, atol=2e-2)

@@ -1,0 +1,245 @@
+"""The trajectory method on a simulated animal: a smooth gait within the prior, seen by one camera."""
+
+from __future__ import annotations
+
+import dataclasses
+from functools import cache
+
+import numpy as np
+import pytest
+
+from recon.analysis.evaluation import evaluate
+from recon.camera import Camera
+from recon.io.pose3d import Pose3D
+from recon.prior import load_prior, prior_from_body
+from recon.skeleton_file import load_chain, load_skeleton
+from recon.solve import TrajectoryOptions, TrajectorySolution, solve_trajectory
+from recon.synthetic import add_noise, gallop
+
+FPS = 90.0
+CAMERA = Camera.from_hfov(60.0, (1920, 1080))
+BODY = load_skeleton("cheetah-24", "phantom")
+PRIOR = load_prior("running-cheetah", BODY)
+CAMERA_FROM_LEVEL = np.array([[1.0, 0, 0], [0, 0, -1.0], [0, 1.0, 0]])
+
+
+def run(T: int = 40, heading_rad: float = 0.4, speed_m_s: float = 9.0) -> np.ndarray:
+    """Joints (T, J, 3), camera frame: two strides a half second, along the covariance's two widest directions."""
+    values, vectors = np.linalg.eigh(PRIOR.covariance)
+    t = np.arange(T) / FPS
+    swing = 2 * np.pi * 3.0 * t
+    states = np.zeros((T, BODY.n_state))
+    states[:, 4:] = (
+        PRIOR.mean
+        + np.outer(np.cos(swing), vectors[:, -1] * np.sqrt(values[-1]))
+        + np.outer(np.sin(swing), vectors[:, -2] * np.sqrt(values[-2]))
+    )
+    along = np.array([np.cos(heading_rad), np.sin(heading_rad), 0.0])
+    states[:, :3] = [0.0, 9.0, -0.3] + np.outer((t - t.mean()) * speed_m_s, along)
+    states[:, 3] = heading_rad
+    return BODY.tree.pose(states).points_m @ CAMERA_FROM_LEVEL.T
+
+
+def seen(joints_m: np.ndarray, sigma_px: float = 2.0, seed: int = 0) -> np.ndarray:
+    xy_px, _ = CAMERA.project(joints_m)
+    return xy_px + sigma_px * np.random.default_rng(seed).normal(size=xy_px.shape)
+
+
+def solve(xy_px: np.ndarray, body=BODY, prior=PRIOR, camera=CAMERA, **options) -> TrajectorySolution:
+    confidence = np.isfinite(xy_px[..., 0]).astype(float)
+    return solve_trajectory(camera, body, prior, xy_px, confidence, FPS, TrajectoryOptions(**options))
+
+
+@cache
+def plain() -> TrajectorySolution:
+    return solve(seen(run()))
+
+
+def errors_m(solution: TrajectorySolution, truth: np.ndarray) -> np.ndarray:
+    """(T,): mean distance of the joints, both centred."""
+    found = solution.joints_camera_m
+    centred = found - found.mean(axis=1, keepdims=True) - truth + truth.mean(axis=1, keepdims=True)
+    return np.linalg.norm(centred, axis=-1).mean(axis=1)
+
+
+def test_finds_the_motion():
+    """Noise of 2 px, 9 m away: within 30 mm and the priors' pull; the path within 4 per cent of the distance."""
+    solution, truth = plain(), run()
+    assert solution.status == "converged"
+    assert errors_m(solution, truth).mean() < 0.03
+    assert np.linalg.norm(solution.joints_camera_m - truth, axis=-1).mean() < 0.35
+    assert not any(solution.flags)
+    assert solution.size == pytest.approx(1.0, abs=0.01)
+
+
+@pytest.mark.parametrize("heading_rad", [-1.1, 2.6])
+def test_finds_other_headings(heading_rad):
+    truth = run(heading_rad=heading_rad)
+    assert errors_m(solve(seen(truth)), truth).mean() < 0.045
+
+
+def test_is_the_same_every_time():
+    again = solve(seen(run()))
+    np.testing.assert_array_equal(again.states, plain().states)
+    np.testing.assert_array_equal(again.covariance_m2, plain().covariance_m2)
+
+
+def test_result_is_consistent():
+    """The joints are those of the states, and covariances are covariances."""
+    solution = plain()
+    posed = solution.body.tree.pose(solution.states, solution.size).points_m @ solution.camera_from_level.T
+    np.testing.assert_allclose(posed, solution.joints_camera_m, atol=1e-9)
+    for covariance in (solution.covariance_m2, solution.relative_covariance_m2):
+        assert np.linalg.eigvalsh(covariance).min() > 0
+    total, parts = np.trace(solution.covariance_m2, axis1=2, axis2=3), solution.relative_covariance_m2
+    assert (total > np.trace(parts, axis1=2, axis2=3)).mean() > 0.99
+    share = solution.data_share
+    assert ((share >= 0) & (share <= 1)).all()
+    assert share[BODY.markers.index("r_front_paw")] > 0.5
+    assert solution.starts[0].kept
+
+
+def test_depth_is_less_certain_than_the_picture():
+    variance = np.diagonal(plain().covariance_m2, axis1=2, axis2=3).mean(axis=(0, 1))
+    assert variance[2] > 4 * variance[0]
+    assert variance[2] > 4 * variance[1]
+
+
+def test_bridges_a_hole_with_growing_uncertainty():
+    """Ten frames of nothing: flagged, less certain in their middle, and the rest is as good as before."""
+    truth = run()
+    xy_px = seen(truth)
+    xy_px[15:25] = np.nan
+    solution = solve(xy_px)
+    hole = np.arange(15, 25)
+    assert all("no data" in solution.flags[t] for t in hole)
+    assert not any(solution.flags[:15] + solution.flags[25:])
+    spread = np.sqrt(np.trace(solution.relative_covariance_m2, axis1=2, axis2=3)).mean(axis=1)
+    assert spread[20] > 1.5 * spread[[5, 35]].max()
+    assert spread[20] > spread[15] > spread[12]
+    outside = np.setdiff1d(np.arange(len(truth)), hole)
+    assert errors_m(solution, truth)[outside].mean() < 1.5 * errors_m(plain(), truth)[outside].mean()
+
+
+def test_outliers_swaps_and_missing_legs_do_not_break_it():
+    """30 % outliers; left and right swapped for ten frames; the hind legs missing in the first half."""
+    truth, rng = run(), np.random.default_rng(5)
+    base = errors_m(plain(), truth).mean()
+    wild = seen(truth)
+    wrong = rng.uniform(size=wild.shape[:2]) < 0.3
+    wild[wrong] += rng.uniform(-300, 300, (wrong.sum(), 2))
+    assert errors_m(solve(wild), truth).mean() < max(1.5 * base, 0.04)
+
+    swapped = seen(truth)
+    other = [
+        BODY.markers.index({"l": "r", "r": "l"}.get(m[0], m[0]) + m[1:] if m[1] == "_" else m) for m in BODY.markers
+    ]
+    swapped[12:22] = swapped[12:22][:, other]
+    solution = solve(swapped)
+    assert errors_m(solution, truth).mean() < 2 * base
+    assert np.nanmean(solution.weight[12:22]) < np.nanmean(solution.weight[25:])
+
+    legless = seen(truth)
+    hind = [j for j, m in enumerate(BODY.markers) if "back" in m]
+    legless[:20, hind] = np.nan
+    solution = solve(legless)
+    spread = np.sqrt(np.trace(solution.relative_covariance_m2, axis1=2, axis2=3))[:, hind].mean(axis=1)
+    assert spread[5] > 1.5 * spread[35]
+    assert errors_m(solution, truth)[20:].mean() < 1.5 * base
+
+
+def test_long_holes_split_the_clip():
+    """More than two seconds without an animal: two clips, and nothing far from either."""
+    truth = run(30)
+    xy_px = np.full((30 + 240 + 30, len(BODY.markers), 2), np.nan)
+    xy_px[:30], xy_px[-30:] = seen(truth), seen(truth, seed=1)
+    solution = solve(xy_px)
+    assert np.isnan(solution.states[100:200]).all()
+    assert all("no data" in flags for flags in solution.flags[60:230])
+    for part in (slice(0, 30), slice(270, 300)):
+        assert (
+            errors_m(dataclasses.replace(solution, joints_camera_m=solution.joints_camera_m[part]), truth).mean()
+            < 0.045
+        )
+
+
+@pytest.mark.parametrize("T", [1, 2, 3])
+def test_very_short_clips(T):
+    solution = solve(seen(run(T)))
+    assert np.isfinite(solution.joints_camera_m).all()
+    assert errors_m(solution, run(T)).mean() < 0.2
+
+
+def test_a_clip_without_animal():
+    solution = solve(np.full((5, len(BODY.markers), 2), np.nan))
+    assert solution.status == "not_converged"
+    assert np.isnan(solution.states).all()
+    assert all(flags == ("no data",) for flags in solution.flags)
+
+
+def test_windows_are_joined():
+    """Three seconds: started in three windows, solved as one; the path has no jump."""
+    truth = run(270, heading_rad=0.1, speed_m_s=1.5)
+    solution = solve(seen(truth))
+    assert solution.status == "converged"
+    assert errors_m(solution, truth).mean() < 0.045
+    steps = np.linalg.norm(np.diff(solution.joints_camera_m.mean(axis=1), axis=0), axis=1)
+    assert steps.max() < 0.1
+
+
+def test_fast_is_near_the_full_solution():
+    quick = solve(seen(run()), fast=True)
+    assert errors_m(quick, run()).mean() < errors_m(plain(), run()).mean() + 0.004
+    assert sum(start.kept for start in quick.starts) == 1
+
+
+def test_without_a_learned_prior():
+    """The skeleton's own expectations do, less well."""
+    solution = solve(seen(run()), prior=prior_from_body(BODY))
+    assert solution.prior == "none"
+    assert errors_m(solution, run()).mean() < 0.1
+
+
+def test_scale_cannot_be_seen():
+    """A body twice too large is twice as far away, and its size keeps its prior's uncertainty."""
+    tree = BODY.tree
+    segments = tuple(dataclasses.replace(s, offset_m=tuple(2 * x for x in s.offset_m)) for s in tree.segments)
+    markers = tuple(dataclasses.replace(m, offset_m=tuple(2 * x for x in m.offset_m)) for m in tree.markers)
+    large = dataclasses.replace(
+        BODY, tree=dataclasses.replace(tree, segments=segments, markers=markers), size_sigma=0.1
+    )
+    solution = solve(seen(run()), body=large)
+    assert solution.size_sigma == pytest.approx(0.1)
+    distance = np.linalg.norm(solution.joints_camera_m.mean(axis=1), axis=1)
+    assert np.median(distance / np.linalg.norm(run().mean(axis=1), axis=1)) == pytest.approx(2.0, rel=0.1)
+
+
+def test_the_size_follows_from_the_ground():
+    """A camera 3 m above the ground, and a skeleton 10 % too large: the feet tell."""
+    clip = gallop(fps=FPS, n_frames=80, heading_rad=0.2)
+    chain = load_chain("cheetah-8u")
+    body = dataclasses.replace(chain.body, size_sigma=0.1)
+    names = chain.keypoint_names(clip.side)
+    xy_px = clip.keypoints.xy_px[:, [clip.keypoints.names.index(n) for n in names]]
+    known = solve(xy_px, body=body, prior=prior_from_body(body), camera=clip.camera)
+    assert known.ground is not None
+    assert known.size_sigma < 0.1
+    unknown = solve(xy_px, body=body, prior=prior_from_body(body), camera=clip.camera, ground="none")
+    assert unknown.ground is None
+    assert unknown.size_sigma == pytest.approx(0.1)
+
+
+@pytest.mark.parametrize("camera_model", ["pinhole", "fisheye"])
+def test_the_noisy_sample_with_the_chain(camera_model):
+    """The 8U chain on the project's simulated gallop: at most 40 mm."""
+    clip = gallop(camera_model=camera_model, seed=3)
+    noisy, _ = add_noise(clip.keypoints, seed=3)
+    chain = load_chain("cheetah-8u")
+    names = chain.keypoint_names(clip.side)
+    at = [noisy.names.index(n) for n in names]
+    body = chain.body
+    solution = solve_trajectory(
+        clip.camera, body, prior_from_body(body), noisy.xy_px[:, at], noisy.confidence[:, at], 30.0
+    )
+    found = Pose3D(names, clip.camera.camera_to_world(solution.joints_camera_m), np.arange(30))
+    assert evaluate(found, Pose3D(clip.names, clip.truth_m, np.arange(30))).mpjpe_m.mean < 0.04
