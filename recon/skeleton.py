@@ -43,8 +43,8 @@ _UVW_BODY = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 """Takes the body's axes x forwards, y left, z up to U, V (down), W."""
 _PITCH_RAD = 0.3
 """Standard deviation of a running animal's pitch."""
-_LEG_RAD_S2, _SPINE_RAD_S2 = 150.0, 40.0
-"""Standard deviations of the angular acceleration of legs in the sagittal plane, and of the trunk and sideways."""
+_ROOT_RAD_S2 = 40.0
+"""Standard deviation of the acceleration of its pitch and roll."""
 
 
 @dataclass(frozen=True)
@@ -196,17 +196,16 @@ class Skeleton:
         markers = (Marker(self.joints[0], self.joints[0]), *(Marker(j, j, (length[j], 0.0, 0.0)) for j in length))
         tree = Tree(tuple(segments), markers)
 
-        rear, front = (self._way(joint) for joint in self.forward)
-        spine = rear ^ front
-        free = [link for link in self.links if link.free]
-        theta_acceleration = [_SPINE_RAD_S2 if link.end in spine else _LEG_RAD_S2 for link in free]
-        A = self.n_angles
+        ranges = [self.theta, self.phi]
         expected = np.zeros((3, tree.n_state))
-        expected[:, PITCH] = 0.0, _PITCH_RAD, _SPINE_RAD_S2
-        expected[:, ROLL] = 0.0, self.scales.roll_rad, _SPINE_RAD_S2
-        expected[0, self.body_angles] = np.concatenate([self.theta.mean_rad, self.phi.mean_rad])
-        expected[1, self.body_angles] = np.repeat([self.scales.theta_rad, self.scales.phi_rad], A)
-        expected[2, self.body_angles] = [*theta_acceleration, *([_SPINE_RAD_S2] * A)]
+        expected[:, PITCH] = 0.0, _PITCH_RAD, _ROOT_RAD_S2
+        expected[:, ROLL] = 0.0, self.scales.roll_rad, _ROOT_RAD_S2
+        expected[0, self.body_angles] = np.concatenate([r.mean_rad for r in ranges])
+        expected[1, self.body_angles] = np.repeat([self.scales.theta_rad, self.scales.phi_rad], self.n_angles)
+        # A swing through the expected range that just reaches the fastest rate, w = rate / tolerance, accelerates by
+        # w^2 tolerance at most, and by that over sqrt(2) on the average.
+        swing = [r.max_rate_rad_s**2 / r.tolerance_rad / np.sqrt(2) for r in ranges]
+        expected[2, self.body_angles] = np.concatenate(swing)
         return Body(
             name=self.name,
             title=self.title,
@@ -220,15 +219,6 @@ class Skeleton:
             sigma_rad=expected[1, 4:],
             acceleration_rad_s2=expected[2, 4:],
         )
-
-    def _way(self, joint: str) -> set[str]:
-        """The ends of the links between the root and a joint."""
-        start = {link.end: link.start for link in self.links}
-        way = set[str]()
-        while joint in start:
-            way.add(joint)
-            joint = start[joint]
-        return way
 
     @cached_property
     def body_angles(self) -> Index:

@@ -4,17 +4,21 @@ from __future__ import annotations
 
 import dataclasses
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from recon.analysis.evaluation import evaluate
+from recon.body import other_side
 from recon.camera import Camera
-from recon.io.pose3d import Pose3D
+from recon.io.pose3d import Pose3D, read_pose3d
+from recon.pipelines.clip import fit_clip
 from recon.prior import load_prior, prior_from_body
+from recon.settings import FitSettings
 from recon.skeleton_file import load_chain, load_skeleton
 from recon.solve import TrajectoryOptions, TrajectorySolution, solve_trajectory
-from recon.synthetic import add_noise, gallop
+from recon.synthetic import gallop
 
 FPS = 90.0
 CAMERA = Camera.from_hfov(60.0, (1920, 1080))
@@ -35,7 +39,7 @@ def run(T: int = 40, heading_rad: float = 0.4, speed_m_s: float = 9.0) -> np.nda
         + np.outer(np.sin(swing), vectors[:, -2] * np.sqrt(values[-2]))
     )
     along = np.array([np.cos(heading_rad), np.sin(heading_rad), 0.0])
-    states[:, :3] = [0.0, 9.0, -0.3] + np.outer((t - t.mean()) * speed_m_s, along)
+    states[:, :3] = np.array([0.0, 9.0, -0.3]) + np.outer((t - t.mean()) * speed_m_s, along)
     states[:, 3] = heading_rad
     return BODY.tree.pose(states).points_m @ CAMERA_FROM_LEVEL.T
 
@@ -121,31 +125,41 @@ def test_bridges_a_hole_with_growing_uncertainty():
     assert errors_m(solution, truth)[outside].mean() < 1.5 * errors_m(plain(), truth)[outside].mean()
 
 
-def test_outliers_swaps_and_missing_legs_do_not_break_it():
-    """30 % outliers; left and right swapped for ten frames; the hind legs missing in the first half."""
+SWAPPED = [BODY.markers.index(other_side(marker)) for marker in BODY.markers]
+
+
+def test_survives_outliers():
+    """A third of the points up to 300 px off in both directions: hardly worse."""
     truth, rng = run(), np.random.default_rng(5)
-    base = errors_m(plain(), truth).mean()
-    wild = seen(truth)
-    wrong = rng.uniform(size=wild.shape[:2]) < 0.3
-    wild[wrong] += rng.uniform(-300, 300, (wrong.sum(), 2))
-    assert errors_m(solve(wild), truth).mean() < max(1.5 * base, 0.04)
+    xy_px = seen(truth)
+    wrong = rng.uniform(size=xy_px.shape[:2]) < 0.3
+    xy_px[wrong] += rng.uniform(-300, 300, (wrong.sum(), 2))
+    solution = solve(xy_px)
+    assert errors_m(solution, truth).mean() < 0.03
+    assert np.nanmean(solution.weight[wrong]) < 0.3 * np.nanmean(solution.weight[~wrong])
 
-    swapped = seen(truth)
-    other = [
-        BODY.markers.index({"l": "r", "r": "l"}.get(m[0], m[0]) + m[1:] if m[1] == "_" else m) for m in BODY.markers
-    ]
-    swapped[12:22] = swapped[12:22][:, other]
-    solution = solve(swapped)
-    assert errors_m(solution, truth).mean() < 2 * base
-    assert np.nanmean(solution.weight[12:22]) < np.nanmean(solution.weight[25:])
 
-    legless = seen(truth)
-    hind = [j for j, m in enumerate(BODY.markers) if "back" in m]
-    legless[:20, hind] = np.nan
-    solution = solve(legless)
+def test_survives_swapped_sides():
+    """Left and right mistaken for each other in ten frames: trusted less, and the other frames are good."""
+    truth = run()
+    xy_px = seen(truth)
+    xy_px[12:22] = xy_px[12:22][:, SWAPPED]
+    solution = solve(xy_px)
+    outside = np.r_[0:10, 24:40]
+    assert errors_m(solution, truth)[outside].mean() < 0.03
+    assert np.nanmean(solution.weight[12:22]) < np.nanmean(solution.weight[outside])
+
+
+def test_survives_missing_legs():
+    """No hind legs in the first half: less certain there, and as good as before in the second."""
+    truth, base = run(), errors_m(plain(), run())
+    xy_px = seen(truth)
+    hind = [j for j, marker in enumerate(BODY.markers) if "back" in marker]
+    xy_px[:20, hind] = np.nan
+    solution = solve(xy_px)
     spread = np.sqrt(np.trace(solution.relative_covariance_m2, axis1=2, axis2=3))[:, hind].mean(axis=1)
     assert spread[5] > 1.5 * spread[35]
-    assert errors_m(solution, truth)[20:].mean() < 1.5 * base
+    assert errors_m(solution, truth)[22:].mean() < 1.5 * base[22:].mean() + 0.003
 
 
 def test_long_holes_split_the_clip():
@@ -229,17 +243,31 @@ def test_the_size_follows_from_the_ground():
     assert unknown.size_sigma == pytest.approx(0.1)
 
 
-@pytest.mark.parametrize("camera_model", ["pinhole", "fisheye"])
-def test_the_noisy_sample_with_the_chain(camera_model):
-    """The 8U chain on the project's simulated gallop: at most 40 mm."""
-    clip = gallop(camera_model=camera_model, seed=3)
-    noisy, _ = add_noise(clip.keypoints, seed=3)
-    chain = load_chain("cheetah-8u")
-    names = chain.keypoint_names(clip.side)
-    at = [noisy.names.index(n) for n in names]
-    body = chain.body
-    solution = solve_trajectory(
-        clip.camera, body, prior_from_body(body), noisy.xy_px[:, at], noisy.confidence[:, at], 30.0
+def test_the_noisy_sample_with_the_chain():
+    """The 8U chain on the bundled sample: at most 40 mm."""
+    samples = Path(__file__).resolve().parents[1] / "data" / "samples"
+    settings = FitSettings(
+        keypoints=samples / "noisy.csv", camera=samples / "camera.toml", fps=30, skeleton="cheetah-8u"
     )
-    found = Pose3D(names, clip.camera.camera_to_world(solution.joints_camera_m), np.arange(30))
-    assert evaluate(found, Pose3D(clip.names, clip.truth_m, np.arange(30))).mpjpe_m.mean < 0.04
+    motion = fit_clip(settings)
+    found = Pose3D(motion.names, motion.joints_m, motion.frames)
+    assert evaluate(found, read_pose3d(samples / "noisy_truth.csv")).mpjpe_m.mean < 0.04
+
+
+def test_real_views(shared_data):
+    """Two real views, subject given: with a margin, what the benchmark measures."""
+    for name, camera, below_m in (
+        ("2017_08_29-top-phantom-run1_1", "cam5", 0.06),
+        ("2017_08_29-top-jules-run1_1", "cam2", 0.06),
+    ):
+        folder = shared_data / "cheetah-runs" / name
+        settings = FitSettings(
+            keypoints=folder / f"{camera}.csv",
+            camera=folder / "scene.json",
+            camera_name=camera,
+            fps=90,
+            subject="jules" if "jules" in name else "phantom",
+        )
+        motion = fit_clip(settings)
+        found = Pose3D(motion.names, motion.joints_m, motion.frames)
+        assert evaluate(found, read_pose3d(folder / "truth.csv")).mpjpe_m.mean < below_m
