@@ -228,6 +228,7 @@ def test_samples_are_small():
         ("clean_heading_20deg", "camera_heading_20deg"),
         ("clean_heading_34deg", "camera_heading_34deg"),
         ("fisheye_left", "camera_fisheye"),
+        ("whole", "camera"),
     ],
 )
 def test_samples_read_back(name, camera):

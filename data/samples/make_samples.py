@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
+from recon.body import Body
 from recon.calibration import write_camera
 from recon.keypoints import Keypoints
+from recon.skeleton_file import load_skeleton
+from recon.solve import solve_points
 from recon.synthetic import SyntheticClip, add_noise, gallop
 
 SCORER = "recon_synthetic"
@@ -29,14 +33,14 @@ def write_keypoints(keypoints: Keypoints, path: Path, decimals: int) -> None:
     _write(path, rows)
 
 
-def write_truth(clip: SyntheticClip, path: Path) -> None:
+def write_truth(clip: SyntheticClip, path: Path, decimals: int = 6) -> None:
     """Joint positions in the world, metres."""
     rows = [
         ["bodyparts"] + [name for name in clip.names for _ in range(3)],
         ["coords"] + ["x", "y", "z"] * len(clip.names),
     ]
     for frame, joints in zip(clip.keypoints.frames, clip.truth_m, strict=True):
-        rows.append([str(frame)] + [f"{v:.6f}" for v in joints.ravel()])
+        rows.append([str(frame)] + [f"{v:.{decimals}f}" for v in joints.ravel()])
     _write(path, rows)
 
 
@@ -48,6 +52,38 @@ def write_outliers(keypoints: Keypoints, outliers: np.ndarray, path: Path) -> No
 
 def _write(path: Path, rows: list[list[str]]) -> None:
     path.write_text("".join(",".join(row) + "\n" for row in rows), encoding="utf-8", newline="\n")
+
+
+def whole_animal() -> SyntheticClip:
+    """The skeleton `cheetah-24` in the gallop of `recon.synthetic`, at 60 fps.
+
+    It takes the poses that are nearest to the gallop's trunk and legs; the head stays level and the tail swings.
+    """
+    clip = gallop(fps=60, n_frames=60)
+    body = load_skeleton("cheetah-24")
+    assert isinstance(body, Body)
+    points_m = np.full((len(clip.truth_m), len(body.markers), 3), np.nan)
+    at = [body.markers.index(name) for name in clip.names]
+    points_m[:, at] = clip.truth_m
+    states, _ = solve_points(body, points_m)
+    column = {name: states[:, i] for i, name in enumerate(body.state_names)}
+    t = np.arange(len(states)) / 60
+    column["head_pitch"][:] = -0.7 * (column["rear_trunk_pitch"] + column["front_trunk_pitch"])
+    column["tail_1_yaw"][:] = 0.3 * np.sin(2 * np.pi * 1.3 * t)
+    column["tail_2_yaw"][:] = 0.3 * np.sin(2 * np.pi * 1.3 * t - 0.8)
+    column["tail_1_pitch"][:] = -0.45 + 0.2 * np.cos(2 * np.pi * 3.3 * t)
+    truth_m = body.tree.pose(states).points_m
+    xy_px, valid = clip.camera.project(clip.camera.world_to_camera(truth_m))
+    visible = valid & clip.camera.in_image(xy_px)
+    keypoints = Keypoints(
+        names=body.markers,
+        xy_px=np.where(visible[..., None], xy_px, np.nan),
+        confidence=visible.astype(float),
+        frames=clip.keypoints.frames,
+        fps=60.0,
+        image_size_px=clip.camera.image_size_px,
+    )
+    return replace(clip, keypoints=keypoints, truth_m=truth_m, names=body.markers)
 
 
 def make(folder: Path) -> None:
@@ -72,6 +108,13 @@ def make(folder: Path) -> None:
         write_keypoints(noisy, folder / f"{name}.csv", decimals=4)
         write_truth(clip, folder / f"{name}_truth.csv")
         write_outliers(noisy, outliers, folder / f"{outliers_name}.csv")
+
+    # Fewer digits: these poses are the result of an optimisation, whose last digits differ between machines.
+    whole = whole_animal()
+    noisy, outliers = add_noise(whole.keypoints, sigma_px=2.0, dropout=0.05, outlier=0.02, seed=2)
+    write_keypoints(noisy, folder / "whole.csv", decimals=2)
+    write_truth(whole, folder / "whole_truth.csv", decimals=4)
+    write_outliers(noisy, outliers, folder / "whole_outliers.csv")
 
 
 if __name__ == "__main__":
