@@ -50,6 +50,7 @@ samples: $(BASE)
 	$(BIN)/python data/samples/make_samples.py
 
 benchmark: $(BASE)
+	$(BIN)/python benchmarks/trajectory.py $(RUNS)
 	$(BIN)/python benchmarks/cheetah_runs.py $(RUNS)
 	$(BIN)/python benchmarks/samples.py
 

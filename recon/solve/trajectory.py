@@ -376,8 +376,8 @@ def _noise_factors(clip: _Clip, points_m: Array, factor: Array) -> Array:
     """(J,): variance of each joint's detections relative to the expected one, as the robust loss would have it.
 
     The mean of weight times squared residual per coordinate, with eight detections' worth of the expectation. Between
-    1/4 and 6, that is half and two and a half times the expected standard deviation: a joint is neither followed blindly
-    nor given up.
+    1/4 and 6, that is half and two and a half times the expected standard deviation: a joint is neither followed
+    blindly nor given up.
     """
     e = Reprojection(
         clip.camera,
