@@ -26,6 +26,7 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
 
 from recon.body import Body
 from recon.camera import Camera
@@ -132,15 +133,19 @@ def solve_trajectory(
 
     xy_px (T, J, 2), NaN where missing; confidence (T, J), 0 to 1. Deterministic. Frames too far from any detection have
     NaN states and the flag "no data". A minimum that was not reached is the solution's status, not an exception.
+
+    Runs on one core: the matrices are small, and threads of the numerical library would wait for each other, for many
+    times as long on a machine that is busy otherwise.
     """
     began = time.perf_counter()
     clip = _Clip(camera, body, prior, xy_px, confidence, fps, options or TrajectoryOptions())
     spells = _spells(np.isfinite(xy_px[..., 0]).sum(axis=1) >= MIN_JOINTS, fps)
     solved = []
-    for i, spell in enumerate(spells):
-        report = lambda stage, share, i=i: progress(stage, (i + share) / len(spells))  # noqa: E731
-        solved.append((spell, _solve_spell(clip.part(spell), report)))
-    return _assembled(clip, solved, began)
+    with threadpool_limits(1, user_api="blas"):
+        for i, spell in enumerate(spells):
+            report = lambda stage, share, i=i: progress(stage, (i + share) / len(spells))  # noqa: E731
+            solved.append((spell, _solve_spell(clip.part(spell), report)))
+        return _assembled(clip, solved, began)
 
 
 @dataclass(frozen=True, eq=False)
