@@ -238,7 +238,12 @@ def test_frames_of_a_trajectory(trajectory, small_trajectory):
 def test_summary_of_a_trajectory_adds_up(trajectory):
     summary = trajectory["summary"]
     assert (summary["frames"], summary["frames_with_pose"], summary["frames_flagged"]) == (8, 8, 2)
-    assert summary["flags"] == {"no data": 1, "data poor": 1, "ambiguous depth": 1, "second solution": 0}
+    assert summary["flags"] == {
+        "no data": 1,
+        "data poor": 1,
+        "ambiguous depth": 1,
+        "second solution": 0,
+    }
     assert summary["detections"] == 7 * 23
     assert summary["reprojection_px"]["mean"] == pytest.approx(300 / (7 * 23))
     assert summary["reprojection_px"]["worst_joint"] == "nose"

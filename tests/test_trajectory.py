@@ -139,6 +139,12 @@ def test_survives_outliers():
     assert np.nanmean(solution.weight[wrong]) < 0.3 * np.nanmean(solution.weight[~wrong])
 
 
+def test_an_animal_seen_end_on_is_ambiguous():
+    """Running straight away from the camera: its depth shows in its perspective only."""
+    solution = solve(seen(run(heading_rad=np.pi / 2, speed_m_s=4.0)))
+    assert all("ambiguous depth" in flags for flags in solution.flags)
+
+
 def test_survives_swapped_sides():
     """Left and right mistaken for each other in ten frames: trusted less, and the other frames are good."""
     truth = run()
@@ -159,6 +165,8 @@ def test_survives_missing_legs():
     solution = solve(xy_px)
     spread = np.sqrt(np.trace(solution.relative_covariance_m2, axis1=2, axis2=3))[:, hind].mean(axis=1)
     assert spread[5] > 1.5 * spread[35]
+    assert all("data poor" in flags for flags in solution.flags[:20])
+    assert not any("data poor" in flags for flags in solution.flags[20:])
     assert errors_m(solution, truth)[22:].mean() < 1.5 * base[22:].mean() + 0.003
 
 

@@ -14,6 +14,7 @@ from recon.motion import TrajectoryMotion
 from recon.prior import NONE
 from recon.report import common
 from recon.report.plain import Array, by_name, finite, frame_count, mean, median, number
+from recon.solve.trajectory import ALTERNATIVE_M
 
 FLAGS = ("no data", "data poor", "ambiguous depth", "second solution")
 STANCE = 0.5
@@ -257,7 +258,12 @@ def warnings(report: Mapping[str, Any]) -> Iterator[str]:
 
 def _second(report: Mapping[str, Any]) -> list[dict[str, Any]]:
     """The frames that another solution explains nearly as well."""
-    return [frame for frame in report["frames"] if {"ambiguous depth", "second solution"} & {*frame["flags"]}]
+    return [
+        frame
+        for frame in report["frames"]
+        if {"ambiguous depth", "second solution"} & {*frame["flags"]}
+        and (frame["alternative_m"] or 0.0) > ALTERNATIVE_M
+    ]
 
 
 def lines(report: Mapping[str, Any]) -> common.Lines:

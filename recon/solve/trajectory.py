@@ -69,8 +69,11 @@ _WIDE = (8.0, 4.0, 2.0, 1.0)
 """Factors on the noise on the way in."""
 _TEMPERATURES = (8.0, 3.0, 1.0)
 """Of the mixture of poses."""
-POOR_SHARE = 1 / 3
-"""Frames in which less than this part of the joints is seen and trusted are "data poor"."""
+POOR_SHARE, POORER_SHARE = 1 / 3, 0.8
+"""Frames are "data poor" in which less than this part of the joints is seen and trusted, or less than this part of what
+it is in the clip's good frames (their 90th percentile)."""
+END_ON_RAD = np.radians(30)
+"""Seen along its trunk within this angle, an animal's depth shows in its perspective only: "ambiguous depth"."""
 ALTERNATIVE_M, ALTERNATIVE_COST = 0.1, 20.0
 """A second solution is worth a flag if it is further away than this, and its cost not higher than this."""
 
@@ -90,8 +93,8 @@ class TrajectoryOptions:
     Where the values come from: in the reconstructions that the prior `running-cheetah` is made of, the root accelerates
     by 5 to 18 m/s^2 horizontally and 5 to 11 vertically, its yaw by 16 to 55 rad/s^2, it climbs at 0.2 to 0.55 m/s, and
     feet near the ground move at 2 to 4 m/s (standard deviations and medians by segment). lateral_m_s is an angle of
-    0.05 rad at 10 m/s. robust_c, the weights of 1 and the rest are round numbers, none of which matters much
-    (docs/benchmarks.md). error_time_s was set so that 90 % regions hold about 90 % of real joints.
+    0.05 rad at 10 m/s. The rest are round numbers; docs/benchmarks.md shows what they matter. error_time_s was set on
+    the real runs of the benchmark, so that 90 % regions hold about 90 % of the joints.
     """
 
     fast: bool = False
@@ -346,7 +349,7 @@ def _solve_spell(clip: _Clip, progress: Progress) -> _Solved:
     temperatures = [t for t in _TEMPERATURES if t > 1 and not o.fast and len(clip.prior.weights) > 1]
     steps: list[tuple[float | None, bool]] = [
         *((t, False) for t in temperatures),
-        *((1.0, True) for _ in range(1 if o.fast else o.noise_rounds)),
+        *((1.0, True) for _ in range(1 if o.fast else max(o.noise_rounds, 1))),
     ]
     if len(windows) > 1:
         steps.insert(0, (None, False))
@@ -485,7 +488,7 @@ def _assembled(clip: _Clip, solved: Sequence[tuple[slice, _Solved]], began: floa
         data_share=np.sum(shares, axis=0) / np.isfinite(states[:, 0]).sum() if shares else np.full(J, np.nan),
         noise_px=noise_px,
         weight=weight,
-        flags=_flags(clip, states, weight, alternative, mirrored),
+        flags=_flags(clip, joints, weight, alternative, mirrored),
         alternative_m=alternative,
         alternative_cost=extra_cost if np.isfinite(extra_cost) else np.nan,
         contact=contact,
@@ -529,15 +532,21 @@ def _alternative(clip: _Clip, points_m: Array, tried: Sequence[_Approached]) -> 
 
 
 def _flags(
-    clip: _Clip, states: Array, weight: Array, alternative_m: Array, mirrored: NDArray[np.bool_]
+    clip: _Clip,
+    joints_m: Array,
+    weight: Array,
+    alternative_m: Array,
+    mirrored: NDArray[np.bool_],
 ) -> tuple[tuple[str, ...], ...]:
-    J = weight.shape[1]
-    detected = clip.present().sum(axis=1)
-    trusted = np.nansum(weight, axis=1)
+    detected, trusted = clip.present().sum(axis=1), np.nansum(weight, axis=1)
+    good = np.percentile(trusted[detected > 0], 90) if detected.any() else 0.0
+    rear, front = (joints_m[:, clip.body.markers.index(marker)] for marker in clip.body.forward)
+    sight, trunk = joints_m.mean(axis=1), front - rear
+    cosine = np.abs(np.sum(sight * trunk, axis=1)) / (np.linalg.norm(sight, axis=1) * np.linalg.norm(trunk, axis=1))
     doubtful = {
-        "no data": ~np.isfinite(states[:, 0]) | (detected == 0),
-        "data poor": (detected > 0) & (trusted < POOR_SHARE * J),
-        "ambiguous depth": mirrored & (alternative_m > ALTERNATIVE_M),
+        "no data": ~np.isfinite(joints_m[:, 0, 0]) | (detected == 0),
+        "data poor": (detected > 0) & (trusted < max(POOR_SHARE * weight.shape[1], POORER_SHARE * good)),
+        "ambiguous depth": (cosine > np.cos(END_ON_RAD)) | (mirrored & (alternative_m > ALTERNATIVE_M)),
         "second solution": ~mirrored & (alternative_m > ALTERNATIVE_M),
     }
-    return tuple(tuple(name for name, which in doubtful.items() if which[t]) for t in range(len(states)))
+    return tuple(tuple(name for name, which in doubtful.items() if which[t]) for t in range(len(joints_m)))

@@ -1,0 +1,749 @@
+"""The trajectory method on real runs, scored against the multi-camera reconstruction, and on simulated clips.
+
+    python benchmarks/trajectory.py [FOLDER] [--only accuracy] [--csv TABLE.csv]
+
+Each run is a folder as in `cheetah_runs.py`; every camera view is a problem of its own, and the other cameras are for
+scoring, except where keypoint offsets are fitted (on other runs). Errors are over all 24 joints. Without FOLDER: the
+cheetah-runs of $RECON_SHARED_DATA, or of ../shared/data; without any runs, what is simulated. One thread; two processes
+where no times are measured.
+"""
+
+from __future__ import annotations
+
+import os
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import argparse
+import json
+import multiprocessing
+import resource
+import tempfile
+import time
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field, fields, replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from cheetah_runs import PUBLISHED, view_row
+
+from recon import Body, Camera, load_skeleton, read_camera, read_keypoints, read_pose3d
+from recon.analysis.evaluation import centre, joint_errors, score
+from recon.body import other_side
+from recon.keypoints import clean
+from recon.pipelines.clip import arrange
+from recon.pipelines.prior import run_prior_fit
+from recon.prior import MotionPrior, as_one_gaussian, load_prior
+from recon.skeleton_file import load_chain
+from recon.solve import TrajectoryOptions, TrajectorySolution, solve_trajectory
+from recon.solve.points import solve_points, solve_points_and_size
+from recon.synthetic import gallop
+
+SKELETON, PRIOR = "cheetah-24", "running-cheetah"
+ONE_GAUSSIAN = "one Gaussian"
+VISIBLE = 0.8
+"""Views with a larger share of the truth inside the picture count in the worst one."""
+INSIDE_90 = 6.251
+"""Squared Mahalanobis distance in three dimensions that 90 % stay below."""
+OFFSET_SHARE = 0.6
+"""The part of the fitted keypoint offsets that is applied: the truth is itself a model fitted to such detections."""
+OFFSET_SIGMA_M, OFFSET_C, OFFSET_ROUNDS, ALIKE = 0.03, 4.0, 8, 10
+"""Of the offsets' fit: prior, robust constant, rounds; and how many neighbouring frames say the same."""
+HOLE = 10
+GROUPS = {
+    "head": ("nose", "l_eye", "r_eye"),
+    "trunk": ("neck_base", "spine", "tail_base", "l_shoulder", "r_shoulder", "l_hip", "r_hip"),
+    "tail": ("tail1", "tail2"),
+    "fore legs": tuple(f"{s}_front_{part}" for s in "lr" for part in ("knee", "ankle", "paw")),
+    "hind legs": tuple(f"{s}_back_{part}" for s in "lr" for part in ("knee", "ankle", "paw")),
+}
+FPS = 90.0
+SIMULATED_CAMERA = Camera.from_hfov(60.0, (1920, 1080))
+CAMERA_FROM_LEVEL = np.array([[1.0, 0, 0], [0, 0, -1.0], [0, 1.0, 0]])
+
+Rows = list[dict]
+
+
+# -- one fit --------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Job:
+    """One view and how it is fitted. subject: with the animal's own lengths, all lengths times scale. offsets_m: of the
+    keypoints, by marker. change: a key of `CHANGES`, or "projected": the truth's projections for detections."""
+
+    run: Path
+    camera: int
+    subject: bool = True
+    scale: float = 1.0
+    prior: str = PRIOR
+    options: dict = field(default_factory=dict)
+    offsets_m: dict[str, tuple[float, float, float]] = field(default_factory=dict)
+    change: str = "nothing"
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """Errors (T, J) in m, centred and not; inside_relative, inside_place (T, J): the truth in the 90 % regions;
+    sigma_m (T,): root mean square over the joints of the relative sigma; too_far_m: distance of the
+    animal's middle from the camera less the true one, mean; visible: share of the truth in the picture."""
+
+    job: Job
+    centred_m: np.ndarray
+    off_m: np.ndarray
+    inside_relative: np.ndarray
+    inside_place: np.ndarray
+    sigma_m: np.ndarray
+    too_far_m: float
+    visible: float
+    flags: tuple[tuple[str, ...], ...]
+    status: str
+    size: float
+    size_sigma: float
+    solve_s: float
+
+    @property
+    def named(self) -> bool:
+        return self.job.camera == meta_of(self.job.run)["monocular_camera"]
+
+    @property
+    def mpjpe_mm(self) -> float:
+        return 1000 * score(self.centred_m).mean
+
+    @property
+    def mpe_mm(self) -> float:
+        return 1000 * score(self.off_m).mean
+
+
+@cache
+def meta_of(run: Path) -> dict:
+    return json.loads((run / "meta.json").read_text())
+
+
+@cache
+def body_of(subject: str | None = None, scale: float = 1.0) -> Body:
+    body = load_skeleton(SKELETON, subject)
+    assert isinstance(body, Body)
+    segments = tuple(replace(s, offset_m=tuple(scale * x for x in s.offset_m)) for s in body.tree.segments)
+    markers = tuple(replace(m, offset_m=tuple(scale * x for x in m.offset_m)) for m in body.tree.markers)
+    return replace(body, tree=replace(body.tree, segments=segments, markers=markers))
+
+
+def prior_of(name: str) -> MotionPrior:
+    body = body_of()
+    return as_one_gaussian(load_prior(PRIOR, body)) if name == ONE_GAUSSIAN else load_prior(name, body)
+
+
+@cache
+def truth_of(run: Path) -> tuple[np.ndarray, np.ndarray]:
+    """Frame numbers (T,), and the truth (T, J, 3) in the world, in the order of the body's markers."""
+    truth = read_pose3d(run / "truth.csv")
+    return truth.frames, truth.xyz_m[:, [truth.names.index(m) for m in body_of().markers]]
+
+
+@cache
+def view_of(run: Path, camera: int) -> tuple[Camera, np.ndarray, np.ndarray, np.ndarray]:
+    """The camera, detections (T, J, 2), confidence (T, J) and the truth (T, J, 3) in the camera frame, NaN if none."""
+    keypoints, _ = clean(replace(read_keypoints(run / f"cam{camera}.csv"), fps=meta_of(run)["fps"]), 0.5)
+    keypoints, lens = arrange(keypoints, body_of().markers), read_camera(run / "scene.json", f"cam{camera}")
+    frames, points_m = truth_of(run)
+    _, here, there = np.intersect1d(keypoints.frames, frames, return_indices=True)
+    truth_m = np.full((*keypoints.xy_px.shape[:2], 3), np.nan)
+    truth_m[here] = lens.world_to_camera(points_m[there])
+    return lens, keypoints.xy_px, keypoints.confidence, truth_m
+
+
+def _hole(xy_px: np.ndarray) -> slice:
+    return slice(len(xy_px) // 2 - HOLE // 2, len(xy_px) // 2 - HOLE // 2 + HOLE)
+
+
+def _without_middle(xy_px: np.ndarray) -> slice:
+    xy_px[_hole(xy_px)] = np.nan
+    return _hole(xy_px)
+
+
+def _without_hind_legs(xy_px: np.ndarray) -> slice:
+    xy_px[: len(xy_px) // 2, [body_of().markers.index(m) for m in GROUPS["hind legs"]]] = np.nan
+    return slice(0, len(xy_px) // 2)
+
+
+def _swapped(xy_px: np.ndarray) -> slice:
+    markers = body_of().markers
+    xy_px[_hole(xy_px)] = xy_px[_hole(xy_px)][:, [markers.index(other_side(m)) for m in markers]]
+    return _hole(xy_px)
+
+
+def _moved(xy_px: np.ndarray) -> slice:
+    rng = np.random.default_rng(5)
+    wrong = rng.uniform(size=xy_px.shape[:2]) < 0.3
+    xy_px[wrong] += rng.uniform(-300, 300, (int(wrong.sum()), 2))
+    return slice(0, 0)
+
+
+CHANGES: dict[str, Callable[[np.ndarray], slice]] = {
+    "nothing": lambda xy_px: slice(0, 0),
+    "ten frames of nothing": _without_middle,
+    "no hind legs in the first half": _without_hind_legs,
+    "left and right swapped for ten frames": _swapped,
+    "30 % moved by up to 300 px in x and y": _moved,
+}
+"""Each changes detections (T, J, 2) in place, and gives back the frames that are not scored."""
+
+
+def fit(job: Job) -> Fit:
+    lens, xy_px, confidence, truth_m = view_of(job.run, job.camera)
+    projected, valid = lens.project(truth_m)
+    if job.change == "projected":
+        xy_px = projected
+    else:
+        CHANGES[job.change](xy_px := xy_px.copy())
+    meta = meta_of(job.run)
+    body = body_of(meta["subject"] if job.subject else None, job.scale)
+    solution = solve_trajectory(
+        lens,
+        replace(body, keypoint_offset_m=job.offsets_m),
+        prior_of(job.prior),
+        xy_px,
+        np.where(np.isfinite(xy_px[..., 0]), 1.0 if job.change == "projected" else confidence, 0.0),
+        meta["fps"],
+        TrajectoryOptions(**job.options),
+    )
+    found = solution.joints_camera_m
+    centred = found - found.mean(axis=1, keepdims=True) - truth_m + truth_m.mean(axis=1, keepdims=True)
+    return Fit(
+        job=job,
+        centred_m=joint_errors(centre(found, truth_m), truth_m),
+        off_m=joint_errors(found, truth_m),
+        inside_relative=_inside(centred, solution.relative_covariance_m2),
+        inside_place=_inside(found - truth_m, solution.covariance_m2),
+        sigma_m=np.sqrt(np.trace(solution.relative_covariance_m2, axis1=2, axis2=3).mean(axis=1)),
+        too_far_m=float(np.nanmean(_distance_m(found) - _distance_m(truth_m))),
+        visible=float(np.mean(valid & lens.in_image(projected))),
+        flags=solution.flags,
+        status=solution.status,
+        size=solution.size,
+        size_sigma=solution.size_sigma,
+        solve_s=solution.stage_s["all"],
+    )
+
+
+def _distance_m(points_m: np.ndarray) -> np.ndarray:
+    """(T,)"""
+    return np.linalg.norm(points_m.mean(axis=1), axis=-1)
+
+
+def _inside(error_m: np.ndarray, covariance_m2: np.ndarray) -> np.ndarray:
+    """(T, J) 1.0 inside the 90 % region, 0.0 outside, NaN without truth or solution."""
+    known = np.isfinite(error_m).all(axis=-1)
+    inside = np.full(known.shape, np.nan)
+    e, C = error_m[known], covariance_m2[known]
+    # Relative covariances may be singular to rounding.
+    C = C + 1e-12 * np.eye(3)
+    inside[known] = np.sum(e * np.linalg.solve(C, e[..., None])[..., 0], axis=-1) < INSIDE_90
+    return inside
+
+
+def fits(jobs: Iterable[Job], processes: int = 2) -> list[Fit]:
+    jobs = list(jobs)
+    if processes == 1:
+        return [fit(job) for job in jobs]
+    with multiprocessing.Pool(processes) as pool:
+        return pool.map(fit, jobs, chunksize=1)
+
+
+def views(runs: Sequence[Path], named_only: bool = False) -> list[Job]:
+    return [
+        Job(run, camera)
+        for run in runs
+        for camera in meta_of(run)["cameras"]
+        if not named_only or camera == meta_of(run)["monocular_camera"]
+    ]
+
+
+def mean(values: Iterable[float]) -> float:
+    return float(np.mean(list(values)))
+
+
+def without_2019(found: Sequence[Fit]) -> list[Fit]:
+    return [f for f in found if not f.job.run.name.startswith("2019")]
+
+
+def summary(label: str, found: Sequence[Fit]) -> dict:
+    """The figures of one way to fit all views, or the named ones only."""
+    named = [f for f in found if f.named]
+    row = {
+        "method": label,
+        "named mpjpe_mm": mean(f.mpjpe_mm for f in named),
+        "named mpe_mm": mean(f.mpe_mm for f in named),
+        "mpe_mm without 2019": mean(f.mpe_mm for f in without_2019(named)),
+    }
+    if len(found) > len(named):
+        row["median of all views mpjpe_mm"] = float(np.median([f.mpjpe_mm for f in found]))
+        row["worst seen view mpjpe_mm"] = max(f.mpjpe_mm for f in found if f.visible >= VISIBLE)
+    return row
+
+
+# -- tables ---------------------------------------------------------------------------------------------------------
+
+
+def accuracy(runs: Sequence[Path]) -> dict[str, Rows]:
+    full = fits(views(runs), processes=1)
+    fast = fits([replace(job, options={"fast": True}) for job in views(runs)], processes=1)
+    rows = [
+        {
+            "run": f.job.run.name,
+            "cam": f"{f.job.camera}{' *' if f.named else ''}",
+            "frames": len(f.flags),
+            "visible": f.visible,
+            "mpjpe_mm": f.mpjpe_mm,
+            "mpe_mm": f.mpe_mm,
+            "too far m": f.too_far_m,
+            "inside 90 %": float(np.nanmean(f.inside_relative)),
+            "solve_s": f.solve_s,
+            "frames flagged": sum(map(bool, f.flags)),
+            "status": f.status,
+            "fast mpjpe_mm": g.mpjpe_mm,
+            "fast solve_s": g.solve_s,
+        }
+        for f, g in zip(full, fast, strict=True)
+    ]
+    compared = [
+        summary("trajectory, subject", full) | {"solve_s": mean(f.solve_s for f in full)},
+        summary("trajectory, subject, fast", fast) | {"solve_s": mean(f.solve_s for f in fast)},
+    ]
+    metas = [meta_of(run) for run in runs]
+    frame = [view_row(run, meta["monocular_camera"], PUBLISHED, meta) for run, meta in zip(runs, metas, strict=True)]
+    compared.append(
+        {
+            "method": "frame, nine joints, published ratios",
+            "named mpjpe_mm": mean(r["mpjpe_mm"] for r in frame),
+            "named mpe_mm": mean(r["mpe_mm"] for r in frame),
+            "mpe_mm without 2019": mean(r["mpe_mm"] for r in frame if not r["run"].startswith("2019")),
+            "solve_s": mean(r["clip_s"] for r in frame),
+        }
+    )
+    for name in metas[0].get("published", {}):
+        published = [meta["published"][name] for meta in metas]
+        ours = [p for p, run in zip(published, runs, strict=True) if not run.name.startswith("2019")]
+        compared.append(
+            {
+                "method": f"published: {name}",
+                "named mpjpe_mm": mean(p["mpjpe_mm"] for p in published),
+                "named mpe_mm": mean(p["mpe_mm"] for p in published),
+                "mpe_mm without 2019": mean(p["mpe_mm"] for p in ours),
+                "solve_s": mean(p["solve_s"] for p in published),
+            }
+        )
+    by_run = [
+        {"run": run.name, "trajectory mm": next(f.mpjpe_mm for f in full if f.named and f.job.run == run)}
+        | {f"{name} mm": p["mpjpe_mm"] for name, p in meta.get("published", {}).items()}
+        for run, meta in zip(runs, metas, strict=True)
+    ]
+    return {
+        "accuracy, all views": rows,
+        "accuracy, compared": compared,
+        "accuracy, MPJPE of the named views by run": by_run,
+    }
+
+
+def offsets(runs: Sequence[Path]) -> dict[str, Rows]:
+    with multiprocessing.Pool(2) as pool:
+        others = [[other for other in runs if other != run] for run in runs]
+        fitted = dict(zip(runs, pool.map(fitted_offsets, others), strict=True))
+    rows = []
+    for share in (0.0, OFFSET_SHARE, 1.0):
+        jobs = [
+            replace(job, offsets_m={m: tuple(share * x) for m, x in zip(body_of().markers, fitted[job.run])})  # noqa: B905
+            for job in views(runs)
+        ]
+        rows.append(summary(f"{share:g} of the offsets" if share else "no offsets", fits(jobs)))
+    spread = np.array(list(fitted.values()))
+    length = [
+        {
+            "marker": m,
+            "x_mm": 1000 * spread[:, j, 0].mean(),
+            "y_mm": 1000 * spread[:, j, 1].mean(),
+            "z_mm": 1000 * spread[:, j, 2].mean(),
+            "spread between folds mm": 1000 * float(np.linalg.norm(spread[:, j].std(axis=0))),
+        }
+        for j, m in enumerate(body_of().markers)
+        if not m.startswith("r_")
+    ]
+    return {"offsets of the keypoints, leave one run out": rows, "offsets, mean of the five fits": length}
+
+
+def fitted_offsets(runs: Sequence[Path]) -> np.ndarray:
+    """(J, 3): from the markers to the keypoints, in the markers' segments, on all cameras of those runs.
+
+    Robust least squares of the reprojection, the poses of the truth held; left and right are each other's mirror image.
+    """
+    markers = body_of().markers
+    mirror, sign = [markers.index(other_side(m)) for m in markers], np.array([1.0, -1.0, 1.0])
+    data = [item for run in runs for item in _offset_data(run)]
+    offset_m = np.zeros((len(markers), 3))
+    for _ in range(OFFSET_ROUNDS):
+        H = np.tile(np.eye(3) / OFFSET_SIGMA_M**2, (len(markers), 1, 1))
+        g = -offset_m / OFFSET_SIGMA_M**2
+        for lens, xy_px, points_m, turned in data:
+            at = points_m + (turned @ offset_m[..., None])[..., 0]
+            projected, by_point, valid = lens.project_with_jacobian(at)
+            depth = np.maximum(np.median(points_m[..., 2], axis=1), 0.3)
+            focal_px = np.sqrt(lens.matrix[0, 0] * lens.matrix[1, 1])
+            sigma_px = np.hypot(3.0, 0.05 * focal_px / depth)[:, None, None]
+            seen = np.isfinite(xy_px[..., 0]) & valid
+            e = np.where(seen[..., None], xy_px - projected, 0.0) / sigma_px
+            w = seen / (1 + np.sum(e**2, axis=-1) / OFFSET_C**2) / ALIKE
+            A = by_point @ turned / sigma_px[..., None]
+            H += np.einsum("tj,tjac,tjad->jcd", w, A, A)
+            g += np.einsum("tj,tjac,tja->jc", w, A, e)
+        H, g = H + H[mirror] * np.outer(sign, sign), g + g[mirror] * sign
+        offset_m = offset_m + np.linalg.solve(H, g[..., None])[..., 0]
+    return offset_m
+
+
+def _offset_data(run: Path) -> list[tuple[Camera, np.ndarray, np.ndarray, np.ndarray]]:
+    """For every camera: it, detections (T, J, 2), and in its frame the truth's markers (T, J, 3) and their segments'
+    orientations (T, J, 3, 3)."""
+    body = body_of(meta_of(run)["subject"])
+    names = [s.name for s in body.tree.segments]
+    on = [names.index(m.segment) for m in body.tree.markers]
+    states, _ = solve_points(body, truth_of(run)[1])
+    points_m, turned = body.tree.pose(states).points_m, body.tree.orientations(states)[:, on]
+    data = []
+    for camera in meta_of(run)["cameras"]:
+        lens, xy_px, _, truth_m = view_of(run, camera)
+        scored, rotation = np.isfinite(truth_m[:, 0, 0]), lens.rotation
+        assert rotation is not None
+        data.append((lens, xy_px[scored], lens.world_to_camera(points_m), rotation @ turned))
+    return data
+
+
+def size(runs: Sequence[Path]) -> dict[str, Rows]:
+    rows = []
+    for label, own, scale in (
+        ("subject", True, 1.0),
+        ("default proportions", False, 1.0),
+        ("default x 0.85", False, 0.85),
+        ("default x 1.15", False, 1.15),
+    ):
+        found = fits(replace(job, subject=own, scale=scale) for job in views(runs))
+        bodies = {run: body_of(meta_of(run)["subject"] if own else None, scale) for run in runs}
+        true = {run: solve_points_and_size(body, truth_of(run)[1])[2] for run, body in bodies.items()}
+        for part, some in (("named", [f for f in found if f.named]), ("all", found)):
+            off = [(f.size - true[f.job.run]) / f.size_sigma for f in some]
+            rows.append(
+                {
+                    "lengths": label,
+                    "views": part,
+                    "mpjpe_mm": mean(f.mpjpe_mm for f in some),
+                    "mpe_mm": mean(f.mpe_mm for f in some),
+                    "size found": mean(f.size for f in some),
+                    "its sigma": mean(f.size_sigma for f in some),
+                    "true size": mean(true[f.job.run] for f in some),
+                    "within 2 sigma": mean(abs(z) < 2 for z in off),
+                }
+            )
+    return {"size": rows}
+
+
+def uncertainty(runs: Sequence[Path]) -> dict[str, Rows]:
+    found = fits(views(runs))
+    groups = {"all joints": body_of().markers, **GROUPS}
+    rows = []
+    for part, some in (("named", [f for f in found if f.named]), ("all", found)):
+        for label, inside in (("relative", "inside_relative"), ("place", "inside_place")):
+            row: dict[str, object] = {"views": part, "covariance": label}
+            for group, markers in groups.items():
+                columns = [body_of().markers.index(m) for m in markers]
+                values = np.concatenate([getattr(f, inside)[:, columns].ravel() for f in some])
+                row[group] = float(np.nanmean(values))
+            row["worst view"] = min(float(np.nanmean(getattr(f, inside))) for f in some)
+            rows.append(row)
+    holes = fits(replace(job, change="ten frames of nothing") for job in views(runs, named_only=True))
+    grown = []
+    for f in holes:
+        hole = np.zeros(len(f.sigma_m), dtype=bool)
+        hole[_hole(f.sigma_m)] = True
+        centred_mm = 1000 * score(f.centred_m).per_frame
+        inside, outside = np.nanmean(f.sigma_m[hole]), np.nanmean(f.sigma_m[~hole])
+        grown.append(
+            {
+                "run": f.job.run.name,
+                "sigma in the hole mm": 1000 * float(inside),
+                "outside mm": 1000 * float(outside),
+                "ratio": float(inside / outside),
+                "mpjpe_mm in the hole": float(np.nanmean(centred_mm[hole])),
+                "mpjpe_mm outside": float(np.nanmean(centred_mm[~hole])),
+            }
+        )
+    return {"uncertainty: share of the truth in the 90 % regions": rows, "uncertainty: a hole of ten frames": grown}
+
+
+def ablation(runs: Sequence[Path]) -> dict[str, Rows]:
+    one_gaussian, none = {"prior": ONE_GAUSSIAN}, {"prior": "none"}
+    variants: list[tuple[str, dict, dict]] = [
+        ("everything", {}, {}),
+        ("no learned prior", none, {}),
+        ("one Gaussian for the mixture", one_gaussian, {}),
+        ("no motion prior (weight 1e-3)", {}, {"motion_weight": 1e-3}),
+        ("no heading (1e3 m/s across)", {}, {"lateral_m_s": 1e3}),
+        ("no root acceleration (1e3 m/s2)", {}, {"acceleration_m_s2": (1e3, 1e3, 1e3)}),
+        ("no climb (1e3 m/s)", {}, {"climb_m_s": 1e3}),
+        ("no ground, no stance", {}, {"ground": "none"}),
+        ("wide robust loss (c = 30)", {}, {"robust_c": 30.0}),
+        ("one noise round of three", {}, {"noise_rounds": 1}),
+        ("fewer starts, looser (fast)", {}, {"fast": True}),
+    ]
+    poses = runs[0].parents[1] / "cheetah-poses"
+    with tempfile.TemporaryDirectory() as folder:
+        if poses.is_dir():
+            path = Path(folder) / "all-segments.npz"
+            run_prior_fit(
+                [poses / "training_positions.csv"], SKELETON, str(poses / "segments.json"), path, "phantom",
+                apart=("tail_1", "tail_2"),
+            )  # fmt: skip
+            variants.append(("prior of all segments, slow ones too", {"prior": str(path)}, {}))
+        rows = [
+            summary(label, fits(replace(job, options=options, **how) for job in views(runs)))
+            for label, how, options in variants
+        ]
+    for row in rows:
+        row["change mm"] = row["named mpjpe_mm"] - rows[0]["named mpjpe_mm"]
+    return {"ablation": [{"left out": row.pop("method"), **row} for row in rows]}
+
+
+def robustness(runs: Sequence[Path]) -> dict[str, Rows]:
+    rows = []
+    base = {f.job.run: f for f in fits(views(runs, named_only=True))}
+    for change in list(CHANGES)[1:]:
+        found = fits(replace(job, change=change) for job in views(runs, named_only=True))
+        before, after, flagged, disturbed = [], [], 0, 0
+        for f in found:
+            hit = CHANGES[change](np.zeros((*f.centred_m.shape, 2)))
+            scored = np.ones(len(f.flags), dtype=bool)
+            scored[hit] = False
+            after.append(1000 * np.nanmean(f.centred_m[scored]))
+            before.append(1000 * np.nanmean(base[f.job.run].centred_m[scored]))
+            flagged += sum(map(bool, f.flags[hit]))
+            disturbed += len(f.flags[hit])
+        ratio = np.array(after) / before
+        rows.append(
+            {
+                "change": change,
+                "untouched mpjpe_mm": mean(before),
+                "mpjpe_mm": mean(after),
+                "ratio of means": mean(after) / mean(before),
+                "worst run's ratio": float(ratio.max()),
+                "flagged in it": f"{flagged} of {disturbed}" if disturbed else "-",
+                "flagged outside": sum(sum(map(bool, f.flags)) for f in found) - flagged,
+            }
+        )
+    return {"robustness, named views": rows, "noise-free: the truth projected": noise_free(runs)}
+
+
+def noise_free(runs: Sequence[Path]) -> Rows:
+    exact = {"sigma_px": 1.0, "keypoint_sigma_m": 0.005}
+    rows = []
+    for label, options in (
+        ("as it is", {}),
+        ("no ground, no stance", {"ground": "none"}),
+        ("pose priors / 100", {"pose_weight": 0.01, "mixture_weight": 0.01}),
+        ("motion prior / 100", {"motion_weight": 0.01}),
+        ("all three / 100", {"pose_weight": 0.01, "mixture_weight": 0.01, "motion_weight": 0.01}),
+        ("no heading", {"lateral_m_s": 1e3}),
+        ("noise 0.1 px, 0.5 mm", {"sigma_px": 0.1, "keypoint_sigma_m": 0.0005}),
+    ):
+        found = fits(replace(job, change="projected", options=exact | options) for job in views(runs))
+        worst = max(found, key=lambda f: f.mpjpe_mm)
+        rows.append(
+            {
+                "options": label,
+                "mpjpe_mm mean": mean(f.mpjpe_mm for f in found),
+                "median mm": float(np.median([f.mpjpe_mm for f in found])),
+                "worst mm": worst.mpjpe_mm,
+                "worst view": f"{worst.job.run.name} cam{worst.job.camera}",
+                "named mean mm": mean(f.mpjpe_mm for f in found if f.named),
+                "mpe_mm mean": mean(f.mpe_mm for f in found),
+                "not converged": sum(f.status != "converged" for f in found),
+            }
+        )
+    return rows
+
+
+def times(runs: Sequence[Path]) -> dict[str, Rows]:
+    rows = []
+    for label, options in (("full", {}), ("fast", {"fast": True})):
+        found = fits([replace(job, options=options) for job in views(runs)], processes=1)
+        seconds = np.array([f.solve_s for f in found])
+        rows.append(
+            {
+                "method": label,
+                "median s": float(np.median(seconds)),
+                "worst s": float(seconds.max()),
+                "median ms a frame": 1000 * float(np.median(seconds / [len(f.flags) for f in found])),
+                "named mpjpe_mm": mean(f.mpjpe_mm for f in found if f.named),
+            }
+        )
+    return {"time of a clip, one thread": rows}
+
+
+# -- simulated clips ------------------------------------------------------------------------------------------------
+
+
+def circling(T: int, fps: float = FPS) -> tuple[np.ndarray, np.ndarray]:
+    """Detections (T, J, 2) of an animal that runs in a circle, 6 m around, 10 to 22 m away, 3 px of noise, 5 % missing;
+    its joints (T, J, 3), camera frame. Three strides a second along the prior's two widest directions."""
+    body, prior, rng = body_of("phantom"), prior_of(PRIOR), np.random.default_rng(0)
+    values, vectors = np.linalg.eigh(prior.covariance)
+    t = np.arange(T) / fps
+    swing, round_rad = 2 * np.pi * 3.0 * t, 2 * np.pi * t / 6.0
+    states = np.zeros((T, body.n_state))
+    states[:, 4:] = (
+        prior.mean
+        + np.outer(np.cos(swing), vectors[:, -1] * np.sqrt(values[-1]))
+        + np.outer(np.sin(swing), vectors[:, -2] * np.sqrt(values[-2]))
+    )
+    states[:, 0], states[:, 1], states[:, 2] = 6 * np.cos(round_rad), 16 + 6 * np.sin(round_rad), -0.3
+    states[:, 3] = round_rad + np.pi / 2
+    joints_m = body.tree.pose(states).points_m @ CAMERA_FROM_LEVEL.T
+    xy_px = SIMULATED_CAMERA.project(joints_m)[0] + 3.0 * rng.normal(size=(*joints_m.shape[:2], 2))
+    xy_px[rng.random(joints_m.shape[:2]) < 0.05] = np.nan
+    return xy_px, joints_m
+
+
+def solved(xy_px: np.ndarray) -> TrajectorySolution:
+    confidence = np.isfinite(xy_px[..., 0]).astype(float)
+    return solve_trajectory(SIMULATED_CAMERA, body_of("phantom"), prior_of(PRIOR), xy_px, confidence, FPS)
+
+
+def errors_mm(solution: TrajectorySolution, joints_m: np.ndarray) -> np.ndarray:
+    """(T,)"""
+    return 1000 * score(joint_errors(centre(solution.joints_camera_m, joints_m), joints_m)).per_frame
+
+
+def scaling_row(T: int) -> dict:
+    xy_px, joints_m = circling(T)
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    start = time.perf_counter()
+    solution = solved(xy_px)
+    seconds = time.perf_counter() - start
+    return {
+        "frames": T,
+        "seconds": seconds,
+        "ms a frame": 1000 * seconds / T,
+        "peak memory MB": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
+        "of it before MB": before,
+        "mpjpe_mm": float(np.nanmean(errors_mm(solution, joints_m))),
+        "worst frame mm": float(np.nanmax(errors_mm(solution, joints_m))),
+        "flagged": sum(map(bool, solution.flags)),
+        "status": solution.status,
+    }
+
+
+def scaling() -> dict[str, Rows]:
+    rows = []
+    for T in (100, 1000, 10000):  # a process each: the peak of memory is a process's
+        with multiprocessing.get_context("spawn").Pool(1) as pool:
+            rows.append(pool.apply(scaling_row, (T,)))
+    return {"scaling: a simulated animal runs in circles": rows}
+
+
+def long_hole() -> dict[str, Rows]:
+    """200 frames, of which 40 in a row have no detections."""
+    rows, hole, scored = [], slice(80, 120), np.r_[0:80, 120:200]
+    xy_px, joints_m = circling(200)
+    clip, chain = gallop(fps=200.0, n_frames=200), load_chain("cheetah-8u")
+    columns = [clip.keypoints.names.index(name) for name in chain.keypoint_names(clip.side)]
+    gallop_m = clip.camera.world_to_camera(clip.truth_m[:, columns])
+    gallop_px = clip.keypoints.xy_px[:, columns] + 2.0 * np.random.default_rng(0).normal(size=(200, len(columns), 2))
+
+    def chain_solved(xy_px: np.ndarray) -> TrajectorySolution:
+        confidence, prior = np.isfinite(xy_px[..., 0]).astype(float), load_prior("none", chain.body)
+        return solve_trajectory(clip.camera, chain.body, prior, xy_px, confidence, 200.0)
+
+    for label, solve, seen_px, truth_m in (
+        ("whole animal in a circle, 90 Hz", solved, xy_px, joints_m),
+        ("the chain's gallop, 200 Hz", chain_solved, gallop_px, gallop_m),
+    ):
+        before = errors_mm(solve(seen_px), truth_m)
+        missing_px = seen_px.copy()
+        missing_px[hole] = np.nan
+        solution = solve(missing_px)
+        after = errors_mm(solution, truth_m)
+        rows.append(
+            {
+                "clip": label,
+                "untouched mpjpe_mm": float(np.nanmean(before[scored])),
+                "mpjpe_mm outside the hole": float(np.nanmean(after[scored])),
+                "ratio": float(np.nanmean(after[scored]) / np.nanmean(before[scored])),
+                "mpjpe_mm in the hole": float(np.nanmean(after[hole])),
+                "flagged in it": f"{sum(map(bool, solution.flags[hole]))} of 40",
+                "flagged outside": sum(map(bool, solution.flags)) - sum(map(bool, solution.flags[hole])),
+            }
+        )
+    return {"robustness: 40 of 200 simulated frames without detections": rows}
+
+
+# -- the command ----------------------------------------------------------------------------------------------------
+
+
+def print_table(title: str, rows: Rows) -> None:
+    columns = list(dict.fromkeys(name for row in rows for name in row))
+    print(f"\n### {title}\n")
+    print("| " + " | ".join(columns) + " |")
+    print("|" + " --- |" * len(columns))
+    for row in rows:
+        print("| " + " | ".join(cell(name, row.get(name)) for name in columns) + " |")
+
+
+def cell(name: str, value: object) -> str:
+    if not isinstance(value, float):
+        return "-" if value is None else str(value)
+    return f"{value:.1f}" if "mm" in name or "ms " in name or "MB" in name else f"{value:.3g}"
+
+
+REAL: dict[str, Callable[[Sequence[Path]], dict[str, Rows]]] = {
+    "accuracy": accuracy,
+    "offsets": offsets,
+    "size": size,
+    "uncertainty": uncertainty,
+    "ablation": ablation,
+    "robustness": robustness,
+    "time": times,
+}
+SIMULATED: dict[str, Callable[[], dict[str, Rows]]] = {"robustness": long_hole, "scaling": scaling}
+
+
+def main() -> None:
+    here = Path(__file__).resolve().parents[1]
+    default = Path(os.environ.get("RECON_SHARED_DATA", here.parent / "shared" / "data")) / "cheetah-runs"
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folder", type=Path, nargs="?", default=default)
+    parser.add_argument("--only", choices=sorted({*REAL, *SIMULATED}), help="one kind of table")
+    parser.add_argument("--csv", type=Path, help="write all rows here")
+    arguments = parser.parse_args()
+
+    runs = sorted(p.parent for p in arguments.folder.resolve().glob("*/meta.json"))
+    if not runs:
+        print(f"no runs in {arguments.folder}: simulated clips only")
+    print_table(
+        f"{SKELETON}, prior {PRIOR}",
+        [{"hyper-parameter": f.name, "value": str(f.default)} for f in fields(TrajectoryOptions)],
+    )
+    written: Rows = []
+    for name in dict.fromkeys((*REAL, *SIMULATED)):
+        tables: dict[str, Rows] = {}
+        if arguments.only in (None, name):
+            tables |= REAL[name](runs) if runs and name in REAL else {}
+            tables |= SIMULATED[name]() if name in SIMULATED else {}
+        for title, rows in tables.items():
+            print_table(title, rows)
+            written += [{"table": title, **row} for row in rows]
+    if arguments.csv:
+        pd.DataFrame(written).to_csv(arguments.csv, index=False)
+
+
+if __name__ == "__main__":
+    main()
