@@ -1,0 +1,556 @@
+"""Gait: stances by two methods, strides, duty factors, footfall order and the gait's name.
+
+Feet are LH, RH, LF, RF (left and right, hind and fore). World frame, z up, metres; the ground may lie anywhere and
+slope. Paths are cubic splines on a grid of ten times the frame rate (`recon.analysis.kinematics`), and so are the
+events' times. The body is the mean of `body`'s joints; its direction of travel at a time is the horizontal chord of its
+path over `CHORD_S` on either side.
+
+Method "body" (end effector): a foot's horizontal position relative to the body along the direction of travel, x = (foot
+- body) . d, rises in the swing and falls in the stance. The published rule is "stance where the horizontal position is
+a local minimum, the height an extremum and the horizontal velocity crosses zero". In the world neither a minimum nor a
+zero is well defined, as a standing foot has zero velocity all the time; relative to the body both are: the velocity
+crosses zero at the foremost and at the rearmost position, and the rearmost, a minimum, ends the stance. A stance is
+here the time from a foremost to the next rearmost position (the retraction), if the sweep between them is at least
+`SWEEP` of the leg's length and the foot is lowest, a minimum of its height, somewhere within it rather than at one of
+its ends (an end that the clip cuts excepted). The rule needs no ground and no speed, but it begins early and ends late:
+a foot at an extremum moves over the ground as fast as the body.
+
+Method "ground": a foot may stand where its speed over the ground is below `SLOW[1]` of the body's speed and its height
+below `LOW[1]` of the leg's length; such a time is a stance if at least one instant in it is below `SLOW[0]` and
+`LOW[0]` too (hysteresis), and the stance lasts from the first to the last instant in it below `SLOW[0]`. Reasons: at
+half the body's speed a foot is as near to standing as to travelling with the body; a quarter leaves room for a marker
+that rolls over the paw and for the noise of a reconstruction. A foot starts from rest into the swing, so that a lower
+threshold would be nearer to the lift-off, but noise would cut the stance: a swing with a half sine of speed makes it
+0.05 of a stride too long in all. A marker lies some centimetres above the sole and rises with the heel, hence 0.15 of
+the leg (9 cm of 0.6 m) to count as low at all, and 0.3 for the end of the push-off. Stances shorter than `MIN_STANCE_S`
+are noise. The ground is a plane through the slow feet's positions, fitted with Tukey weights; clips of a few strides
+hardly fix its slope across the track, so that slopes have a prior of 0 +- `SLOPE_SIGMA`.
+
+The leg's length is the body's median height above the ground, the length of Froude numbers.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from itertools import pairwise
+from types import MappingProxyType
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from recon.analysis.kinematics import Series, frame_times, joint_index, series_kinematics
+from recon.analysis.path import MIN_POINTS
+from recon.io.pose3d import Pose3D
+
+Array = NDArray[np.float64]
+Method = Literal["body", "ground"]
+
+FEET: Mapping[str, str] = MappingProxyType(
+    {"LH": "l_back_paw", "RH": "r_back_paw", "LF": "l_front_paw", "RF": "r_front_paw"}
+)
+BODY = ("neck_base", "tail_base")
+
+OVERSAMPLING = 10
+MAX_GAP_S = 0.05
+"""Longer gaps of a foot or the body are not bridged: they could hide a touchdown."""
+CHORD_S = 0.25
+SWEEP = 0.25
+"""Least sweep of a stance relative to the body, leg lengths. Galloping cheetahs sweep 1.3 to 2.1."""
+SLOW = (0.25, 0.5)
+"""Speed over the ground of a standing foot, of the body's: surely, and at most."""
+LOW = (0.15, 0.3)
+"""Height of a standing foot above the ground, leg lengths: surely, and at most."""
+MIN_STANCE_S = 0.02
+"""Far below a galloping cheetah's stances, some 0.06 s."""
+SLOPE_SIGMA, HEIGHT_SIGMA_M = 0.1, 0.03
+"""One sigma of the ground's slopes, and of a standing foot's marker about the plane."""
+
+TOGETHER = 0.05
+"""Two feet of a pair land together if less than this of a stride lies between: bound."""
+ALTERNATE = 0.4
+"""They alternate if at least this lies between (0.5 is exact): a symmetrical gait."""
+IN_PHASE = 0.125
+"""Trot and pace: how far the fore foot may be from its diagonal or same-sided hind foot (Hildebrand's eighths)."""
+
+
+@dataclass(frozen=True)
+class Stance:
+    """A foot's time on the ground. start_frame and end_frame count rows of the clip and have fractions.
+
+    begins, ends: False where the clip, or a gap in it, cuts the stance, so that the time is only a bound.
+    """
+
+    foot: str
+    start_s: float
+    end_s: float
+    start_frame: float
+    end_frame: float
+    begins: bool = True
+    ends: bool = True
+
+    @property
+    def duration_s(self) -> float:
+        return self.end_s - self.start_s
+
+
+@dataclass(frozen=True)
+class Plane:
+    """Ground z = height_m + slope[0] (x - x0) + slope[1] (y - y0), through the middle (x0, y0) of the slow feet.
+
+    spread_m: robust standard deviation of the slow feet about it; samples: their number (fine grid), 0 if there was no
+    slow foot and the plane is level, through the lowest position of any foot.
+    """
+
+    middle_m: tuple[float, float]
+    height_m: float
+    slope: tuple[float, float]
+    spread_m: float
+    samples: int
+
+    def above(self, xyz_m: Array) -> Array:
+        """Heights (...) of points (..., 3) above the plane."""
+        return xyz_m[..., 2] - self.height_m - (xyz_m[..., :2] - self.middle_m) @ np.array(self.slope)
+
+
+@dataclass(frozen=True, eq=False)
+class Tracks:
+    """The feet's and the body's motion on the fine grid, N times, F feet; NaN where unknown.
+
+    time_s, frame (N,); foot_m (N, F, 3); body_m (N, 3); foot_speed_m_s (N, F) and body_speed_m_s (N,): horizontal;
+    reach_m (N, F): of the foot before the body along the travel; height_m (N, F): above the ground; leg_m.
+    """
+
+    feet: tuple[str, ...]
+    time_s: Array
+    frame: Array
+    foot_m: Array
+    body_m: Array
+    foot_speed_m_s: Array
+    body_speed_m_s: Array
+    reach_m: Array
+    height_m: Array
+    ground: Plane
+    leg_m: float
+
+
+@dataclass(frozen=True)
+class Stride:
+    """From one touchdown of a foot to its next (`at` touchdown), or from one lift-off to the next where the clip holds
+    no two touchdowns (`at` lift-off). length_m: the body's horizontal travel; duty_factor: of its stance, which lies
+    in the clip from its beginning to its end."""
+
+    foot: str
+    start_s: float
+    end_s: float
+    length_m: float
+    duty_factor: float
+    at: Literal["touchdown", "lift-off"]
+
+    @property
+    def frequency_hz(self) -> float:
+        return 1.0 / (self.end_s - self.start_s)
+
+
+@dataclass(frozen=True)
+class GaitName:
+    """name: walk, trot, pace, bound, half-bound, rotary gallop, transverse gallop, or unknown. criterion: what it was
+    decided on. phase: each foot's touchdown after the first foot's, in strides, [0, 1). duty_factor: mean, or NaN."""
+
+    name: str
+    criterion: str
+    phase: Mapping[str, float]
+    duty_factor: float
+
+
+@dataclass(frozen=True, eq=False)
+class Gait:
+    """The gait of a clip by one method. Means are over complete strides, NaN without any.
+
+    order: the feet in the order of their touchdowns (those the clip holds).
+    """
+
+    method: Method
+    tracks: Tracks
+    stances: tuple[Stance, ...]
+    strides: tuple[Stride, ...]
+    order: tuple[str, ...]
+    stride_length_m: float
+    stride_frequency_hz: float
+    duty_factor: Mapping[str, float]
+    speed_m_s: float
+    name: GaitName
+
+
+@dataclass(frozen=True)
+class Match:
+    """Stances of two methods, paired one to one. Lags are second less first, in frames; means over pairs whose ends
+    both lie in the clip, NaN without any."""
+
+    pairs: tuple[tuple[Stance, Stance], ...]
+    only_first: tuple[Stance, ...]
+    only_second: tuple[Stance, ...]
+    start_lag_frames: float
+    end_lag_frames: float
+
+    @property
+    def share(self) -> float:
+        """Pairs among all stances, a pair counting once; NaN without stances."""
+        total = len(self.pairs) + len(self.only_first) + len(self.only_second)
+        return len(self.pairs) / total if total else np.nan
+
+
+# -- tracks ----------------------------------------------------------------------------------------------------------
+
+
+def tracks(
+    time_s: Array,
+    feet_m: Array,
+    body_m: Array,
+    feet: tuple[str, ...],
+    feet_sigma_m: Array | None = None,
+    body_sigma_m: Array | None = None,
+) -> Tracks:
+    """Feet (T, F, 3) and body (T, 3) at times (T,), metres, z up, NaN where missing. With standard deviations, of the
+    same shapes, the splines smooth by as much; without, they are exact. Raises ValueError."""
+    if feet_m.shape != (len(time_s), len(feet), 3) or body_m.shape != (len(time_s), 3):
+        raise ValueError(f"{len(time_s)} times, {len(feet)} feet, but positions {feet_m.shape} and {body_m.shape}")
+    if len(time_s) < MIN_POINTS:
+        raise ValueError(f"a gait needs at least {MIN_POINTS} frames, got {len(time_s)}")
+    sigmas = [None] * len(feet) if feet_sigma_m is None else [*np.moveaxis(feet_sigma_m, 1, 0)]
+    paths = [_path(time_s, points, sigma) for points, sigma in zip(np.moveaxis(feet_m, 1, 0), sigmas, strict=True)]
+    body = _path(time_s, body_m, body_sigma_m)
+    foot = np.stack([p.value for p in paths], axis=1)
+    foot_speed = np.stack([np.linalg.norm(p.rate[:, :2], axis=1) for p in paths], axis=1)
+    body_speed = np.linalg.norm(body.rate[:, :2], axis=1)
+    reach = np.einsum("nfk,nk->nf", (foot - body.value[:, None])[..., :2], _travel(body.time_s, body.value))
+    slow = foot_speed < SLOW[0] * body_speed[:, None]
+    ground = ground_plane(foot[slow]) if slow.any() else _level(foot)
+    return Tracks(
+        feet=feet,
+        time_s=body.time_s,
+        frame=np.arange(len(body.time_s)) / OVERSAMPLING,
+        foot_m=foot,
+        body_m=body.value,
+        foot_speed_m_s=foot_speed,
+        body_speed_m_s=body_speed,
+        reach_m=reach,
+        height_m=ground.above(foot),
+        ground=ground,
+        leg_m=_median(ground.above(body.value)),
+    )
+
+
+def pose_tracks(
+    pose: Pose3D,
+    fps: float,
+    sigma_m: Array | None = None,
+    feet: Mapping[str, str] = FEET,
+    body: tuple[str, ...] = BODY,
+) -> Tracks:
+    """The tracks of a pose; sigma_m (T, J, 3) smooths as in `tracks`; feet: joint of each foot, by LH, RH, LF, RF;
+    body: joints whose mean stands for the body. Raises InputError with every joint that the pose lacks, ValueError."""
+    where, n = joint_index(pose, (*feet.values(), *body)), len(feet)
+    points = pose.xyz_m[:, where]
+    feet_sigma = body_sigma = None
+    if sigma_m is not None:
+        feet_sigma = sigma_m[:, where[:n]]
+        # Errors of a body's joints go together: the mean is no better than they are.
+        body_sigma = np.sqrt(np.mean(sigma_m[:, where[n:]] ** 2, axis=1))
+    body_m = points[:, n:].mean(axis=1)
+    return tracks(frame_times(pose.frames, fps), points[:, :n], body_m, tuple(feet), feet_sigma, body_sigma)
+
+
+def _path(time_s: Array, points_m: Array, sigma_m: Array | None) -> Series:
+    return series_kinematics(
+        time_s,
+        points_m,
+        sigma_m,
+        smooth=sigma_m is not None,
+        propagate=False,
+        oversampling=OVERSAMPLING,
+        max_gap_s=MAX_GAP_S,
+    )
+
+
+def ground_plane(points_m: Array) -> Plane:
+    """The plane through points (M, 3), by least squares with Tukey's weights and a prior on its slopes."""
+    middle = np.median(points_m[:, :2], axis=0)
+    design = np.column_stack([np.ones(len(points_m)), points_m[:, :2] - middle])
+    # Samples of the fine grid within one stance say the same: the prior counts as one of them, not less.
+    prior = np.diag([0.0, 1.0, 1.0]) * (HEIGHT_SIGMA_M / SLOPE_SIGMA) ** 2
+    weight = np.ones(len(points_m))
+    parameters, spread = np.zeros(3), 0.0
+    for _ in range(20):
+        normal = design.T @ (weight[:, None] * design) / OVERSAMPLING + prior
+        parameters = np.linalg.solve(normal, design.T @ (weight * points_m[:, 2]) / OVERSAMPLING)
+        off = points_m[:, 2] - design @ parameters
+        spread = float(np.median(np.abs(off)) / 0.6745)
+        limit = 4.685 * max(spread, HEIGHT_SIGMA_M)
+        weight = np.where(np.abs(off) < limit, (1 - (off / limit) ** 2) ** 2, 0.0)
+    return Plane(
+        middle_m=(float(middle[0]), float(middle[1])),
+        height_m=float(parameters[0]),
+        slope=(float(parameters[1]), float(parameters[2])),
+        spread_m=spread,
+        samples=len(points_m),
+    )
+
+
+def _level(foot_m: Array) -> Plane:
+    lowest = float(np.nanmin(foot_m[..., 2])) if np.isfinite(foot_m).any() else np.nan
+    return Plane((0.0, 0.0), lowest, (0.0, 0.0), np.nan, 0)
+
+
+def _travel(time_s: Array, body_m: Array) -> Array:
+    """Horizontal direction of travel (N, 2), unit length; NaN while the body is unknown or does not move."""
+    known = np.isfinite(body_m.sum(axis=1))
+    if not known.any():
+        return np.full((len(time_s), 2), np.nan)
+    t = time_s[known]
+    ends = [
+        np.stack([np.interp(np.clip(time_s + s, t[0], t[-1]), t, x) for x in body_m[known, :2].T], axis=1)
+        for s in (-CHORD_S, CHORD_S)
+    ]
+    chord = ends[1] - ends[0]
+    length = np.linalg.norm(chord, axis=1, keepdims=True)
+    return np.divide(chord, length, out=np.full_like(chord, np.nan), where=(length > 1e-9) & known[:, None])
+
+
+def _median(values: Array) -> float:
+    known = values[np.isfinite(values)]
+    return float(np.median(known)) if len(known) else np.nan
+
+
+# -- stances ---------------------------------------------------------------------------------------------------------
+
+
+def stances(moved: Tracks, method: Method = "ground") -> tuple[Stance, ...]:
+    """All feet's stances in the order of their beginnings (see the module)."""
+    find = _body_stances if method == "body" else _ground_stances
+    found = [s for k in range(len(moved.feet)) for s in find(moved, k)]
+    return tuple(sorted(found, key=lambda s: (s.start_s, s.foot)))
+
+
+def _ground_stances(moved: Tracks, k: int) -> list[Stance]:
+    speed, height = moved.foot_speed_m_s[:, k], moved.height_m[:, k]
+    still = np.flatnonzero(speed < SLOW[0] * moved.body_speed_m_s)
+    sure = still[height[still] < LOW[0] * moved.leg_m]
+    known = np.isfinite(speed + moved.body_speed_m_s)
+    found = []
+    for first, last in _runs(np.less(speed, SLOW[1] * moved.body_speed_m_s) & np.less(height, LOW[1] * moved.leg_m)):
+        if np.any((sure >= first) & (sure <= last)):
+            inside = still[(still >= first) & (still <= last)]
+            # A time that the clip cuts may have begun earlier, even if the foot is not quite still at the edge.
+            begins, ends = _inside(known, first - 1), _inside(known, last + 1)
+            found.append(_stance(moved, k, int(inside[0]), int(inside[-1]), begins, ends))
+    return [s for s in found if s.duration_s >= MIN_STANCE_S or not (s.begins and s.ends)]
+
+
+def _body_stances(moved: Tracks, k: int) -> list[Stance]:
+    reach, height = moved.reach_m[:, k], moved.height_m[:, k]
+    known = np.isfinite(reach) & np.isfinite(height)
+    found = []
+    for first, last in _runs(known):
+        for a, b in pairwise(_turning_points(reach[first : last + 1], SWEEP * moved.leg_m)):
+            if reach[first + a] <= reach[first + b]:
+                continue
+            a, b = first + a, first + b
+            lowest = a + int(np.argmin(height[a : b + 1]))
+            begins, ends = a > first, b < last
+            if (lowest > a or not begins) and (lowest < b or not ends):
+                found.append(_stance(moved, k, a, b, begins, ends))
+    return found
+
+
+def _turning_points(x: Array, least: float) -> list[int]:
+    """Indices of the maxima and minima of x in turn, each at least `least` from the next, the two ends included."""
+    points, low, high, rising = [], 0, 0, None
+    for i in range(len(x)):
+        if x[i] > x[high]:
+            high = i
+        if x[i] < x[low]:
+            low = i
+        if rising is not False and x[high] - x[i] >= least:
+            points.append(high)
+            rising, low = False, i
+        elif rising is not True and x[i] - x[low] >= least:
+            points.append(low)
+            rising, high = True, i
+        if rising is True:
+            low = i
+        elif rising is False:
+            high = i
+    if rising is not None:
+        points.append(high if rising else low)
+    return points
+
+
+def _runs(flags: NDArray[np.bool_]) -> list[tuple[int, int]]:
+    """First and last index, inclusive, of each run of True."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(int)))
+    return [(int(a), int(b) - 1) for a, b in edges.reshape(-1, 2)]
+
+
+def _inside(known: NDArray[np.bool_], i: int) -> bool:
+    return 0 <= i < len(known) and bool(known[i])
+
+
+def _stance(moved: Tracks, k: int, a: int, b: int, begins: bool, ends: bool) -> Stance:
+    t, f = moved.time_s, moved.frame
+    return Stance(moved.feet[k], float(t[a]), float(t[b]), float(f[a]), float(f[b]), begins, ends)
+
+
+def match_stances(first: tuple[Stance, ...], second: tuple[Stance, ...]) -> Match:
+    """Pairs stances of the same foot that overlap, each with the one it overlaps most, if that is mutual."""
+
+    def overlap(a: Stance, b: Stance) -> float:
+        return min(a.end_s, b.end_s) - max(a.start_s, b.start_s) if a.foot == b.foot else -np.inf
+
+    def best(one: Stance, others: tuple[Stance, ...]) -> Stance | None:
+        other = max(others, key=lambda o: overlap(one, o), default=None)
+        return other if other is not None and overlap(one, other) > 0 else None
+
+    pairs = []
+    for a in first:
+        b = best(a, second)
+        if b is not None and best(b, first) is a:
+            pairs.append((a, b))
+    starts = [b.start_frame - a.start_frame for a, b in pairs if a.begins and b.begins]
+    ends = [b.end_frame - a.end_frame for a, b in pairs if a.ends and b.ends]
+    return Match(
+        pairs=tuple(pairs),
+        only_first=tuple(s for s in first if all(s is not a for a, _ in pairs)),
+        only_second=tuple(s for s in second if all(s is not b for _, b in pairs)),
+        start_lag_frames=float(np.mean(starts)) if starts else np.nan,
+        end_lag_frames=float(np.mean(ends)) if ends else np.nan,
+    )
+
+
+# -- strides and gait ------------------------------------------------------------------------------------------------
+
+
+def gait(moved: Tracks, method: Method = "ground") -> Gait:
+    """Stances, strides and the gait's name by one method."""
+    found = stances(moved, method)
+    taken = strides(moved, found)
+    lengths, durations = [s.length_m for s in taken], [s.end_s - s.start_s for s in taken]
+    landed = sorted((s for s in found if s.begins), key=lambda s: s.start_s)
+    return Gait(
+        method=method,
+        tracks=moved,
+        stances=found,
+        strides=taken,
+        order=tuple(s.foot for s in landed),
+        stride_length_m=_mean(lengths),
+        stride_frequency_hz=1.0 / _mean(durations) if durations else np.nan,
+        duty_factor={foot: _mean([s.duty_factor for s in taken if s.foot == foot]) for foot in moved.feet},
+        speed_m_s=_mean([s for s in moved.body_speed_m_s if np.isfinite(s)]),
+        name=name_gait(found, taken),
+    )
+
+
+def pose_gait(pose: Pose3D, fps: float, method: Method = "ground", sigma_m: Array | None = None, **options) -> Gait:
+    """The gait of a pose; options as `pose_tracks`. Raises InputError, ValueError."""
+    return gait(pose_tracks(pose, fps, sigma_m, **options), method)
+
+
+def strides(moved: Tracks, found: tuple[Stance, ...]) -> tuple[Stride, ...]:
+    """Complete strides: both touchdowns (or, for a foot without two, both lift-offs) and the stance are in the clip."""
+    taken = []
+    for foot in moved.feet:
+        own = [s for s in found if s.foot == foot]
+        landings = [(a.start_s, b.start_s, a.duration_s) for a, b in pairwise(own) if a.begins and a.ends and b.begins]
+        liftings = [(a.end_s, b.end_s, b.duration_s) for a, b in pairwise(own) if a.ends and b.begins and b.ends]
+        at: Literal["touchdown", "lift-off"] = "touchdown" if landings else "lift-off"
+        for start, end, stance in landings or liftings:
+            a, b = np.searchsorted(moved.time_s, [start, end])
+            # A foot or a body that was lost in between may have hidden a stance.
+            step = np.diff(moved.body_m[a : b + 1, :2], axis=0)
+            if np.isfinite(step).all() and np.isfinite(moved.foot_m[a : b + 1, moved.feet.index(foot)]).all():
+                length = float(np.linalg.norm(step, axis=1).sum())
+                taken.append(Stride(foot, start, end, length, stance / (end - start), at))
+    return tuple(sorted(taken, key=lambda s: (s.start_s, s.foot)))
+
+
+def footfall_table(found: tuple[Stance, ...]) -> list[tuple[str, float, float]]:
+    """Hildebrand's diagram as rows (foot, start, end), seconds, by foot and time; bounds where the clip cuts."""
+    return [(s.foot, s.start_s, s.end_s) for s in sorted(found, key=lambda s: (s.foot, s.start_s))]
+
+
+def name_gait(found: tuple[Stance, ...], taken: tuple[Stride, ...]) -> GaitName:
+    """The gait by the four feet's phases: see `classify`. The stride's period is the median over the strides."""
+    duty = _mean([s.duty_factor for s in taken])
+    lacking = [foot for foot in FEET if not any(s.foot == foot for s in found)]
+    if lacking or not taken:
+        landed = ", ".join(s.foot for s in found if s.begins) or "none"
+        why = f"no stance of {', '.join(lacking)}" if lacking else f"no complete stride; landed in the clip: {landed}"
+        return GaitName("unknown", why, dict.fromkeys(FEET, np.nan), duty)
+    period = float(np.median([s.end_s - s.start_s for s in taken]))
+    phase = {"LH": 0.0} | {foot: _lag(found, "LH", foot, period) for foot in ("RH", "LF", "RF")}
+    # A foot that never landed together with LH in view may have done so with RH.
+    for foot in ("LF", "RF"):
+        if np.isnan(phase[foot]):
+            phase[foot] = (phase["RH"] + _lag(found, "RH", foot, period)) % 1.0
+    name, criterion = classify(phase, duty)
+    return GaitName(name, criterion, phase, duty)
+
+
+def _lag(found: tuple[Stance, ...], reference: str, foot: str, period_s: float) -> float:
+    """Circular mean, [0, 1), of the time from a foot's touchdown to the nearest of another, in strides.
+
+    Of the lift-offs where the clip holds no touchdown of one of them; NaN if it holds neither.
+    """
+    for known, event in (("begins", "start_s"), ("ends", "end_s")):
+        a, b = (
+            np.array([getattr(s, event) for s in found if s.foot == f and getattr(s, known)]) for f in (reference, foot)
+        )
+        if len(a) and len(b):
+            off = b - a[np.argmin(np.abs(b[:, None] - a), axis=1)]
+            # Events further apart than a stride have drifted out of step.
+            near = off[np.abs(off) <= max(period_s, np.abs(off).min())]
+            return float(np.angle(np.mean(np.exp(2j * np.pi * near / period_s))) / (2 * np.pi) % 1.0)
+    return np.nan
+
+
+def classify(phase: Mapping[str, float], duty_factor: float) -> tuple[str, str]:
+    """Name and criterion from touchdown phases (strides, of LH, RH, LF, RF) and the mean duty factor.
+
+    After Hildebrand (1965, 1977). Symmetrical, both pairs at least 0.4 apart: walk if the duty factor is over 0.5;
+    otherwise trot or pace if the fore feet land within 0.125 of the diagonal or of the same-sided hind foot.
+    Asymmetrical, both pairs less than 0.4 apart: bound if both pairs land within 0.05, half-bound if only the hind pair
+    does; gallop if neither does, transverse if the same side leads (lands second) in both pairs, rotary if not.
+    """
+    if any(np.isnan(phase[foot]) for foot in FEET):
+        return "unknown", "phases not known for " + ", ".join(foot for foot in FEET if np.isnan(phase[foot]))
+    hind, fore = _signed(phase["RH"] - phase["LH"]), _signed(phase["RF"] - phase["LF"])
+    seen = f"hind pair {hind:+.2f}, fore pair {fore:+.2f} of a stride apart (right after left)"
+    if min(abs(hind), abs(fore)) >= ALTERNATE:
+        sides = np.exp(2j * np.pi * np.array([phase["LF"] - phase["LH"], phase["RF"] - phase["RH"]]))
+        lateral = float(np.angle(sides.mean()) / (2 * np.pi) % 1.0)
+        seen += f", fore {lateral:.2f} after the same-sided hind foot, duty factor {duty_factor:.2f}"
+        if np.isnan(duty_factor):
+            return "unknown", seen + ": walk or run is open"
+        if duty_factor > 0.5:
+            return "walk", seen
+        if abs(_signed(lateral - 0.5)) <= IN_PHASE:
+            return "trot", seen
+        return ("pace", seen) if abs(_signed(lateral)) <= IN_PHASE else ("unknown", seen + ": between trot and pace")
+    if max(abs(hind), abs(fore)) >= ALTERNATE:
+        return "unknown", seen + ": one pair alternates, the other does not"
+    if abs(hind) < TOGETHER:
+        return ("bound" if abs(fore) < TOGETHER else "half-bound"), seen
+    if abs(fore) < TOGETHER:
+        return "unknown", seen + ": the fore pair lands together, the hind pair does not"
+    leads = ["right" if lag > 0 else "left" for lag in (hind, fore)]
+    return ("transverse" if leads[0] == leads[1] else "rotary") + " gallop", f"{seen}, leads {leads[0]} and {leads[1]}"
+
+
+def _signed(phase: float) -> float:
+    """[-0.5, 0.5)"""
+    return (phase + 0.5) % 1.0 - 0.5
+
+
+def _mean(values: list[float]) -> float:
+    return float(np.mean(values)) if len(values) else np.nan

@@ -1,0 +1,303 @@
+"""Stances, strides and names of gaits against simulated motion with known footfalls, and on real runs."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from recon.analysis.gait import (
+    FEET,
+    SLOW,
+    Stance,
+    classify,
+    footfall_table,
+    gait,
+    ground_plane,
+    match_stances,
+    pose_gait,
+    pose_tracks,
+    stances,
+    strides,
+    tracks,
+)
+from recon.errors import InputError
+from recon.io.pose3d import Pose3D, read_pose3d
+from recon.synthetic import KEYPOINT_NAMES, gallop
+
+FPS = 90.0
+NAMES = (*FEET.values(), "neck_base", "tail_base")
+PATTERNS = {
+    "walk": ({"LH": 0.0, "LF": 0.25, "RH": 0.5, "RF": 0.75}, 0.65),
+    "trot": ({"LH": 0.0, "LF": 0.5, "RH": 0.5, "RF": 0.0}, 0.4),
+    "pace": ({"LH": 0.0, "LF": 0.02, "RH": 0.5, "RF": 0.52}, 0.4),
+    "bound": ({"LH": 0.0, "LF": 0.5, "RH": 0.0, "RF": 0.5}, 0.3),
+    "half-bound": ({"LH": 0.0, "LF": 0.5, "RH": 0.0, "RF": 0.62}, 0.3),
+    "rotary gallop": ({"LH": 0.0, "LF": 0.55, "RH": 0.1, "RF": 0.42}, 0.25),
+    "transverse gallop": ({"LH": 0.0, "LF": 0.42, "RH": 0.1, "RF": 0.55}, 0.25),
+}
+
+
+def runner(
+    phase: dict[str, float],
+    duty: float,
+    speed_m_s: float = 6.0,
+    stride_s: float = 0.4,
+    n: int = 150,
+    heading: float = 0.7,
+    slope: float = 0.05,
+    height_m: float = -0.4,
+) -> Pose3D:
+    """Feet that stand still for `duty` of a stride and swing forwards smoothly otherwise, on sloping ground.
+
+    Phase: of each foot's touchdown. The swing's speed is half a sine.
+    """
+    t = np.arange(n) / FPS
+    step = speed_m_s * stride_s
+    ahead = np.array([np.cos(heading), np.sin(heading), slope])
+    left = np.array([-np.sin(heading), np.cos(heading), 0.0])
+    points = []
+    for foot in FEET:
+        strides_in, into = np.divmod(t / stride_s - phase[foot], 1.0)
+        s = np.clip((into - duty) / (1 - duty), 0, 1)
+        x = step * (strides_in + phase[foot] + duty / 2 + 0.5 - 0.5 * np.cos(np.pi * s))
+        x += 0.5 if foot.endswith("F") else -0.5
+        side = 0.1 if foot.startswith("L") else -0.1
+        lift = 0.15 * np.sin(np.pi * s) ** 2
+        points.append(x[:, None] * ahead + side * left + (lift + height_m)[:, None] * [0, 0, 1])
+    for x in (0.5, -0.5):
+        points.append((speed_m_s * t + x)[:, None] * ahead + [0, 0, height_m + 0.65])
+    return Pose3D(NAMES, np.stack(points, axis=1), np.arange(n))
+
+
+def simulated(fps: float, n: int) -> Pose3D:
+    clip = gallop(fps=fps, n_frames=n)
+    return Pose3D(KEYPOINT_NAMES, clip.truth_m, np.arange(n))
+
+
+@pytest.mark.parametrize("name", PATTERNS)
+def test_gaits_are_named(name):
+    phase, duty = PATTERNS[name]
+    found = pose_gait(runner(phase, duty), FPS)
+    assert found.name.name == name, found.name
+    for foot in FEET:
+        assert (found.name.phase[foot] - phase[foot] + 0.5) % 1 == pytest.approx(0.5, abs=0.02)
+        # A foot counts as standing until it has a quarter of the body's speed: a little more than it stands still.
+        swing = 1 - duty
+        extra = 2 * swing * np.arcsin(SLOW[0] * 2 * swing / np.pi) / np.pi
+        assert found.duty_factor[foot] == pytest.approx(duty + extra, abs=0.015)
+    assert found.stride_frequency_hz == pytest.approx(2.5, rel=1e-3)
+    assert found.stride_length_m == pytest.approx(2.4, rel=1e-3)
+    assert found.speed_m_s == pytest.approx(6.0, rel=1e-3)
+    assert found.name.criterion
+
+
+def test_footfall_order_and_table():
+    phase, duty = PATTERNS["rotary gallop"]
+    found = pose_gait(runner(phase, duty), FPS)
+    joined = "".join(f" {foot}" for foot in found.order)
+    assert " LH RH RF LF LH RH RF LF" in joined
+    table = footfall_table(found.stances)
+    assert [row[0] for row in table] == sorted(row[0] for row in table)
+    touchdowns = np.array([start for foot, start, _ in table if foot == "RF"])
+    np.testing.assert_allclose(np.diff(touchdowns), 0.4, atol=2e-3)
+
+
+def test_events_of_still_feet():
+    """The body method's stances enclose the times of standing still; those of the ground method, tightly."""
+    phase, duty = PATTERNS["trot"]
+    moved = pose_tracks(runner(phase, duty), FPS)
+    for method, slack_s in (("ground", 0.02), ("body", 0.06)):
+        whole = [s for s in stances(moved, method) if s.begins and s.ends and s.foot == "LF"]
+        assert len(whole) >= 3
+        for s in whole:
+            k = round((s.start_s + s.end_s) / 2 / 0.4 - 0.5 - duty / 2)
+            start, end = (k + 0.5) * 0.4, (k + 0.5 + duty) * 0.4
+            assert start - slack_s < s.start_s <= start + 0.011
+            assert end - 0.011 <= s.end_s < end + slack_s
+
+
+def test_ground_is_found_where_it_lies():
+    moved = pose_tracks(runner(*PATTERNS["trot"]), FPS)
+    ahead = np.array([np.cos(0.7), np.sin(0.7)])
+    assert np.array(moved.ground.slope) @ ahead == pytest.approx(0.05, abs=5e-3)
+    assert moved.leg_m == pytest.approx(0.65, abs=0.03)
+    rng = np.random.default_rng(0)
+    xyz = np.column_stack([rng.uniform(0, 10, 300), rng.uniform(-1, 1, 300), np.zeros(300)])
+    xyz[:, 2] = 1.0 + 0.04 * xyz[:, 0] + rng.normal(0, 0.01, 300)
+    xyz[::10, 2] += 0.5
+    plane = ground_plane(xyz)
+    assert plane.slope[0] == pytest.approx(0.04, abs=2e-3)
+    np.testing.assert_allclose(plane.above(xyz)[1::10], 0.0, atol=0.05)
+    assert plane.spread_m == pytest.approx(0.01, rel=0.4)
+
+
+def test_stances_of_the_simulated_gallop():
+    """At 90 fps, against the slow phases and the turning points of the formula at 3600 fps, within one frame.
+
+    Later in the clip a simulated forefoot slides at over a quarter of the body's speed: the ground method does not call
+    that a stance, and neither do the slow phases.
+    """
+    moved = pose_tracks(simulated(90.0, 90), 90.0)
+    truth = simulated(3600.0, 3560)
+    where = {name: i for i, name in enumerate(truth.names)}
+    body = truth.xyz_m[:, [where["neck_base"], where["tail_base"]], :2].mean(axis=1)
+    body_speed = np.linalg.norm(np.gradient(body, axis=0), axis=1) * 3600
+    total = 0
+    for foot, joint in FEET.items():
+        paw = truth.xyz_m[:, where[joint], :2]
+        speed = np.linalg.norm(np.gradient(paw, axis=0), axis=1) * 3600
+        edges = np.flatnonzero(np.diff(np.r_[0, (speed < SLOW[0] * body_speed).astype(int), 0]))
+        slow = [(a, b - 1) for a, b in edges.reshape(-1, 2)]
+        found = [s for s in stances(moved, "ground") if s.foot == foot]
+        assert len(found) == len(slow)
+        for (a, b), s in zip(slow, found, strict=True):
+            total += 1
+            assert s.start_frame == pytest.approx(a / 40, abs=1.0)
+            assert s.end_frame == pytest.approx(b / 40, abs=1.0)
+        reach = (paw - body)[:, 0]
+        for s in (s for s in stances(moved, "body") if s.foot == foot and s.begins and s.ends):
+            for frame, sign in ((s.start_frame, 1), (s.end_frame, -1)):
+                near = np.arange(max(int(40 * frame) - 120, 0), int(40 * frame) + 120)
+                assert near[np.argmax(sign * reach[near])] / 40 == pytest.approx(frame, abs=1.0)
+    assert total == 12
+    assert len(match_stances(stances(moved, "body"), stances(moved, "ground")).pairs) == 12
+
+
+def test_the_simulated_gallop_is_transverse():
+    """The far leg follows the near one by 0.08 of a stride behind and 0.11 in front: the same side leads."""
+    found = gait(pose_tracks(simulated(90.0, 90), 90.0))
+    assert found.name.name == "transverse gallop"
+    assert (found.name.phase["LH"] - found.name.phase["RH"]) % 1 == pytest.approx(0.08, abs=0.01)
+    assert (found.name.phase["LF"] - found.name.phase["RF"]) % 1 == pytest.approx(0.11, abs=0.01)
+    assert 3.2 < found.stride_frequency_hz < 3.4
+    assert found.stride_length_m == pytest.approx(found.speed_m_s / found.stride_frequency_hz, rel=0.05)
+
+
+def test_noise_is_smoothed_where_its_size_is_known():
+    clean = runner(*PATTERNS["rotary gallop"], n=100)
+    sigma = np.full(clean.xyz_m.shape, 0.01)
+    noisy = replace(clean, xyz_m=clean.xyz_m + np.random.default_rng(3).normal(0, 0.01, clean.xyz_m.shape))
+    found, true = pose_gait(noisy, FPS, sigma_m=sigma), pose_gait(clean, FPS)
+    assert found.name.name == "rotary gallop"
+    match = match_stances(found.stances, true.stances)
+    assert match.share > 0.9
+    assert abs(match.start_lag_frames) < 1
+    assert abs(match.end_lag_frames) < 1
+
+
+def test_gaps_cut_stances_and_hide_strides():
+    pose = runner(*PATTERNS["trot"])
+    whole = pose_gait(pose, FPS)
+    lf = NAMES.index("l_front_paw")
+    stance = next(s for s in whole.stances if s.foot == "LF" and s.begins and s.ends)
+    middle = round((stance.start_frame + stance.end_frame) / 2)
+    xyz = pose.xyz_m.copy()
+    xyz[middle : middle + 30, lf] = np.nan
+    found = pose_gait(replace(pose, xyz_m=xyz), FPS)
+    cut = next(s for s in found.stances if s.foot == "LF" and s.start_s == pytest.approx(stance.start_s, abs=0.005))
+    assert (cut.begins, cut.ends) == (True, False)
+    assert cut.end_frame == middle - 1
+    assert all(not (s.start_frame < middle + 20 and s.end_frame > middle) for s in found.stances if s.foot == "LF")
+    assert len([s for s in found.strides if s.foot == "LF"]) < len([s for s in whole.strides if s.foot == "LF"])
+    # Two missing frames are bridged.
+    xyz = pose.xyz_m.copy()
+    xyz[middle : middle + 2, lf] = np.nan
+    assert len(pose_gait(replace(pose, xyz_m=xyz), FPS).stances) == len(whole.stances)
+
+
+def test_only_complete_strides_count():
+    pose = runner(*PATTERNS["rotary gallop"], n=40)  # 0.43 s, a stride is 0.4 s
+    moved = pose_tracks(pose, FPS)
+    for s in strides(moved, stances(moved)):
+        assert s.end_s - s.start_s == pytest.approx(0.4, abs=0.01)
+    short = pose_gait(runner(*PATTERNS["rotary gallop"], n=28), FPS)
+    assert short.strides == ()
+    assert short.name.name == "unknown"
+    assert "no " in short.name.criterion
+    assert np.isnan(short.stride_length_m)
+    assert np.isnan(short.stride_frequency_hz)
+
+
+def test_an_animal_that_stands_has_no_gait():
+    pose = runner(*PATTERNS["trot"], n=20)
+    still = replace(pose, xyz_m=np.tile(pose.xyz_m[:1], (20, 1, 1)))
+    for method in ("ground", "body"):
+        found = pose_gait(still, FPS, method)
+        assert found.stances == ()
+        assert found.name.name == "unknown"
+
+
+@pytest.mark.parametrize(
+    ("phase", "duty", "why"),
+    [
+        ({"LH": 0.0, "RH": 0.5, "LF": 0.5, "RF": 0.0}, np.nan, "open"),
+        ({"LH": 0.0, "RH": 0.5, "LF": 0.25, "RF": 0.75}, 0.4, "between trot and pace"),
+        ({"LH": 0.0, "RH": 0.5, "LF": 0.5, "RF": 0.7}, 0.4, "one pair alternates"),
+        ({"LH": 0.0, "RH": 0.2, "LF": 0.5, "RF": 0.5}, 0.4, "fore pair lands together"),
+        ({"LH": 0.0, "RH": 0.2, "LF": np.nan, "RF": 0.5}, 0.4, "not known for LF"),
+    ],
+)
+def test_what_has_no_name(phase, duty, why):
+    name, criterion = classify(phase, duty)
+    assert name == "unknown"
+    assert why in criterion
+
+
+def test_names_do_not_depend_on_where_phases_start():
+    for name, (phase, duty) in PATTERNS.items():
+        for shift in (0.3, 0.77):
+            assert classify({foot: (p + shift) % 1 for foot, p in phase.items()}, duty)[0] == name
+
+
+def test_matching_is_one_to_one():
+    def stance(foot: str, start: float, end: float, begins: bool = True) -> Stance:
+        return Stance(foot, start, end, 10 * start, 10 * end, begins)
+
+    first = (stance("LF", 0.0, 1.0), stance("LF", 2.0, 3.0), stance("RF", 0.0, 1.0, begins=False), stance("LH", 0, 1))
+    second = (stance("LF", 0.1, 0.4), stance("LF", 0.5, 1.2), stance("LF", 2.1, 2.8), stance("RF", 0.3, 0.9))
+    match = match_stances(first, second)
+    assert match.pairs == ((first[0], second[1]), (first[1], second[2]), (first[2], second[3]))
+    assert match.only_first == (first[3],)
+    assert match.only_second == (second[0],)
+    assert match.share == pytest.approx(3 / 5)
+    assert match.start_lag_frames == pytest.approx((5 + 1) / 2)
+    assert match.end_lag_frames == pytest.approx((2 - 2 - 1) / 3)
+    assert np.isnan(match_stances((), ()).share)
+
+
+def test_bad_input():
+    pose = runner(*PATTERNS["trot"], n=20)
+    lacking = Pose3D(pose.names[2:-1], pose.xyz_m[:, 2:-1], pose.frames)
+    with pytest.raises(InputError) as error:
+        pose_gait(lacking, FPS)
+    assert len(error.value.problems) == 3
+    with pytest.raises(ValueError, match="positive frame rate"):
+        pose_gait(pose, -1.0)
+    with pytest.raises(ValueError, match="at least 4 frames"):
+        pose_gait(Pose3D(pose.names, pose.xyz_m[:3], pose.frames[:3]), FPS)
+    with pytest.raises(ValueError, match="but positions"):
+        tracks(np.arange(5.0), np.zeros((5, 3, 3)), np.zeros((5, 3)), ("LH", "RH"))
+    empty = replace(pose, xyz_m=np.full(pose.xyz_m.shape, np.nan))
+    assert pose_gait(empty, FPS).stances == ()
+
+
+def test_the_methods_agree_on_real_runs(shared_data: Path):
+    """Nine in ten of the stances that end at least ten frames before the clip does match one to one."""
+    folders = sorted(p.parent for p in (shared_data / "cheetah-runs").glob("*/truth.csv"))
+    if not folders:
+        pytest.skip("no cheetah runs")
+    pairs = total = 0
+    for folder in folders:
+        fps = json.loads((folder / "meta.json").read_text(encoding="utf-8"))["fps"]
+        moved = pose_tracks(read_pose3d(folder / "truth.csv"), fps)
+        match = match_stances(stances(moved, "body"), stances(moved, "ground"))
+        last = moved.frame[-1] - 10
+        pairs += sum(min(a.end_frame, b.end_frame) <= last for a, b in match.pairs)
+        total += sum(min(a.end_frame, b.end_frame) <= last for a, b in match.pairs)
+        total += sum(s.end_frame <= last for s in (*match.only_first, *match.only_second))
+    assert total >= 10
+    assert pairs >= 0.9 * total

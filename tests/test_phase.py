@@ -1,0 +1,133 @@
+"""Vector fields of links, phase portraits and degrees of closure."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from recon.analysis.kinematics import angle_kinematics
+from recon.analysis.phase import (
+    Portrait,
+    closure,
+    degree_of_closure,
+    field_means,
+    phase_portrait,
+    portrait_between,
+    pose_vector_field,
+    scaled,
+    vector_field,
+)
+from recon.errors import InputError
+from recon.io.pose3d import Pose3D
+
+FPS = 90.0
+TIME_S = np.arange(90) / FPS
+
+
+def chain(angles: list[np.ndarray], lengths: list[np.ndarray], heading: float, place: np.ndarray) -> np.ndarray:
+    """Links at inclinations (T,) to the level, upwards positive, of lengths (T,), from a moving place (T, 3)."""
+    ahead = np.array([np.cos(heading), np.sin(heading), 0.0])
+    joints = [place]
+    for angle, length in zip(angles, lengths, strict=True):
+        link = np.cos(angle)[:, None] * ahead + np.sin(angle)[:, None] * [0, 0, 1]
+        joints.append(joints[-1] + length[:, None] * link)
+    return np.stack(joints, axis=1)
+
+
+@pytest.mark.parametrize("heading", [0.0, 2.0])
+def test_a_rotating_link(heading):
+    """Whatever the parent does, the tip of a rigid link of 0.3 m that turns at w relative to it moves at 0.3 |w|."""
+    parent = -1.2 + 0.8 * np.sin(9 * TIME_S)
+    relative = 0.4 + 0.5 * np.sin(6 * TIME_S)
+    rate = 3.0 * np.cos(6 * TIME_S)
+    place = np.stack([9 * TIME_S, 0.3 * TIME_S, 0.5 + 0.1 * np.sin(8 * TIME_S)], axis=1)
+    one = np.ones(90)
+    joints = chain([parent, parent + relative], [0.5 * one, 0.3 * one], heading, place)
+    forward = np.tile([np.cos(heading), np.sin(heading), 0.2], (90, 1))
+    (field,) = vector_field(TIME_S, joints, ("a", "b", "c"), forward)
+    assert (field.link, field.parent) == (("b", "c"), ("a", "b"))
+    np.testing.assert_allclose(field.radius_m, 0.3, atol=1e-12)
+    np.testing.assert_allclose(field.position_m[:, 2], 0.0, atol=1e-12)
+    np.testing.assert_allclose(np.arctan2(*field.position_m[:, 1::-1].T), relative, atol=1e-9)
+    np.testing.assert_allclose(field.dtheta_rad_s, rate, atol=2e-3)
+    np.testing.assert_allclose(field.dr_m_s, 0.0, atol=1e-3)
+    np.testing.assert_allclose(field.speed_m_s, 0.3 * np.abs(rate), atol=1e-3)
+    (means,) = field_means((field,))
+    assert means.speed_m_s == pytest.approx(0.3 * np.mean(np.abs(rate)), rel=1e-3)
+    assert means.frames == 90
+
+
+def test_a_link_that_stretches_and_an_unmoved_one():
+    one, stretch = np.ones(90), 0.3 + 0.1 * np.sin(5 * TIME_S)
+    angles = [0.1 * one, -0.2 * one, 0.5 * one]
+    joints = chain(angles, [one, stretch, 0.2 * one], 0.0, np.zeros((90, 3)))
+    fields = vector_field(TIME_S, joints, ("a", "b", "c", "d"), np.tile([1.0, 0, 0], (90, 1)))
+    np.testing.assert_allclose(fields[0].dr_m_s, 0.5 * np.cos(5 * TIME_S), atol=1e-4)
+    np.testing.assert_allclose(fields[0].dtheta_rad_s, 0.0, atol=1e-9)
+    np.testing.assert_allclose(fields[1].speed_m_s, 0.0, atol=1e-9)
+
+
+def test_what_leaves_the_plane_counts_in_space():
+    swing = 0.5 * np.sin(4 * TIME_S)
+    b = np.zeros((90, 3))
+    c = np.stack([np.cos(swing), -np.sin(swing), 0 * swing], axis=1)
+    joints = np.stack([b - [1, 0, 0], b, c], axis=1)
+    (field,) = vector_field(TIME_S, joints, ("a", "b", "c"), np.tile([1.0, 0, 0], (90, 1)))
+    np.testing.assert_allclose(field.position_m[:, 2], np.sin(swing), atol=1e-12)  # to the right
+    np.testing.assert_allclose(np.linalg.norm(field.velocity_m_s, axis=1), np.abs(2 * np.cos(4 * TIME_S)), atol=1e-3)
+
+
+def test_poses_with_gaps():
+    one = np.ones(90)
+    joints = chain([0 * one, 5 * TIME_S], [one, one], 0.0, np.zeros((90, 3)))
+    joints[30:60, 2] = np.nan
+    pose = Pose3D(("tail_base", "neck_base", "paw"), joints, np.arange(90))
+    (field,) = pose_vector_field(pose, ("tail_base", "neck_base", "paw"), FPS)
+    assert np.isnan(field.speed_m_s[30:60]).all()
+    (means,) = field_means((field,))
+    assert means.frames == 60
+    assert means.dtheta_rad_s == pytest.approx(5.0, rel=1e-4)
+    joints[:] = np.nan
+    empty = pose_vector_field(Pose3D(pose.names, joints, pose.frames), ("tail_base", "neck_base", "paw"), FPS)
+    assert np.isnan(field_means(empty)[0].speed_m_s)
+    with pytest.raises(InputError, match="no 'hoof'"):
+        pose_vector_field(pose, ("tail_base", "neck_base", "hoof"), FPS)
+    with pytest.raises(ValueError, match="three joints"):
+        pose_vector_field(pose, ("tail_base", "paw"), FPS)
+
+
+def test_a_parent_across_the_travel_has_no_frame():
+    joints = np.array([[[0.0, 0, 0], [0, 1, 0], [1, 1, 0]]] * 5)
+    (field,) = vector_field(TIME_S[:5], joints, ("a", "b", "c"), np.tile([1.0, 0, 0], (5, 1)))
+    assert np.isnan(field.speed_m_s).all()
+
+
+def test_closure_of_a_full_and_of_a_half_turn():
+    """0.3 cos(w t), a turn in 72 frames. Half a turn from the least to the greatest angle, in the scaled plane, runs
+    from (0, 0) to (1, 0) over the half ellipse (u, 2 sqrt(u (1 - u))), whose farthest point from an end is at u = 2/3:
+    d_max = sqrt(4/9 + 8/9)."""
+    portrait = phase_portrait(angle_kinematics(TIME_S, 0.3 * np.cos(2 * np.pi * 1.25 * TIME_S)))
+    full, half = (closure(portrait_between(portrait, a / FPS, b / FPS)) for a, b in ((5, 77), (36, 72)))
+    assert full.angle == pytest.approx(100.0, abs=0.01)
+    assert full.plane == pytest.approx(100.0, abs=0.1)
+    assert half.angle == pytest.approx(0.0, abs=1e-9)
+    assert half.plane == pytest.approx(100 * (1 - np.sqrt(3) / 2), abs=0.01)
+
+
+def test_closure_of_a_quarter_circle_by_hand():
+    turn = np.linspace(0, 1.5 * np.pi, 1001)
+    path = np.column_stack([np.cos(turn), np.sin(turn)])
+    assert degree_of_closure(path) == pytest.approx(100 * (1 - np.sqrt(2) / 2), abs=1e-3)
+    assert degree_of_closure(path[:, :1]) == pytest.approx(50.0, abs=1e-3)
+    np.testing.assert_allclose(np.ptp(scaled(path * [3.0, 50.0]), axis=0), 1.0)
+    assert degree_of_closure(scaled(path * [3.0, 50.0])) == pytest.approx(degree_of_closure(path))
+
+
+def test_closure_of_nothing():
+    still = Portrait(TIME_S, np.ones(90), np.zeros(90))
+    assert np.isnan(closure(still).angle)
+    assert np.isnan(closure(still).plane)
+    with pytest.raises(ValueError, match="without gaps"):
+        closure(Portrait(TIME_S, np.full(90, np.nan), np.zeros(90)))
+    with pytest.raises(ValueError, match="two points"):
+        closure(portrait_between(still, 5.0, 6.0))
