@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import os
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -16,7 +16,7 @@ import numpy as np
 from recon.body import Body
 from recon.calibration import read_camera
 from recon.camera import Camera
-from recon.errors import InputError, Problem
+from recon.errors import InputError, Problem, all_of
 from recon.export import CLIP_OUTPUTS, TRAJECTORY_OUTPUTS, write_tables
 from recon.files import staged_folder
 from recon.initialise import facing_side
@@ -52,7 +52,7 @@ def fit_clip(settings: FitSettings, progress: Progress = _silent) -> Motion:
 
 def fit_frames(settings: FitSettings, progress: Progress = _silent) -> FrameMotion:
     """One side of the animal, one frame after the other. Raises InputError as `fit_clip`."""
-    skeleton, camera, file = _all_of(
+    skeleton, camera, file = all_of(
         lambda: load_chain(settings.skeleton_name),
         lambda: _camera(settings),
         lambda: read_keypoints(settings.keypoints, settings.individual),
@@ -75,7 +75,7 @@ def fit_frames(settings: FitSettings, progress: Progress = _silent) -> FrameMoti
 
 def fit_trajectory(settings: FitSettings, progress: Progress = _silent) -> TrajectoryMotion:
     """The whole animal, or a chain, over all frames at once. Raises InputError as `fit_clip`."""
-    (skeleton, body, prior), camera, file = _all_of(
+    (skeleton, body, prior), camera, file = all_of(
         lambda: _body_and_prior(settings),
         lambda: _camera(settings),
         lambda: read_keypoints(settings.keypoints, settings.individual),
@@ -148,19 +148,6 @@ def arrange(keypoints: Keypoints, names: tuple[str, ...]) -> Keypoints:
     return replace(keypoints, names=names, xy_px=xy, confidence=confidence)
 
 
-def _all_of(*reads: Callable[[], Any]) -> Iterable[Any]:
-    """Every result, or one InputError with the problems of all."""
-    results, problems = [], []
-    for read in reads:
-        try:
-            results.append(read())
-        except InputError as error:
-            problems.extend(error.problems)
-    if problems:
-        raise InputError(problems)
-    return results
-
-
 def _camera(settings: FitSettings) -> Camera:
     if settings.camera is not None:
         camera = read_camera(settings.camera, settings.camera_name, settings.image_size_px)
@@ -181,7 +168,7 @@ def _body_and_prior(settings: FitSettings) -> tuple[Skeleton | None, Body, Motio
     skeleton = load_skeleton(settings.skeleton_name, settings.subject)
     chain = skeleton if isinstance(skeleton, Skeleton) else None
     body = skeleton.body if isinstance(skeleton, Skeleton) else skeleton
-    prior, _ = _all_of(lambda: _prior(settings, body), lambda: _require_no_side(settings, None if chain else body))
+    prior, _ = all_of(lambda: _prior(settings, body), lambda: _require_no_side(settings, None if chain else body))
     return chain, body, prior
 
 

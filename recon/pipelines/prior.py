@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from recon.body import Body
-from recon.errors import InputError, Problem
+from recon.errors import InputError, Problem, all_of
 from recon.io.pose3d import Pose3D, read_pose_segments
 from recon.prior import FRAMES_PER_COMPONENT, MotionPrior, as_one_gaussian, fit_prior, log_likelihood, save_prior
 from recon.skeleton_file import load_skeleton
@@ -84,13 +83,13 @@ def run_prior_fit(
     fps: a number, or a JSON file with one for every piece of motion, in the order of the files. Raises InputError for
     files and options that cannot be used, with the problems of all of them.
     """
-    body, files, rates, _ = _all_of(
+    body, files, rates, _ = all_of(
         lambda: _body(skeleton, subject),
-        lambda: dict(zip(poses, _all_of(*(_reader(path) for path in poses)), strict=True)),
+        lambda: dict(zip(poses, all_of(*(_reader(path) for path in poses)), strict=True)),
         lambda: _rates(fps),
         lambda: _check_options(out, overwrite, components, min_speed_m_s),
     )
-    _all_of(lambda: _require_markers(body, files), lambda: _require_rates(rates, files, fps))
+    all_of(lambda: _require_markers(body, files), lambda: _require_rates(rates, files, fps))
     if len(rates) == 1:
         rates = rates * sum(len(pieces) for pieces in files.values())
 
@@ -135,19 +134,6 @@ def _held_out(body: Body, segments: Sequence[Segment], prior: MotionPrior) -> He
 
 
 # -- input --------------------------------------------------------------------------------------------------------
-
-
-def _all_of(*reads: Callable[[], Any]) -> Iterable[Any]:
-    """Every result, or one InputError with the problems of all."""
-    results, problems = [], []
-    for read in reads:
-        try:
-            results.append(read())
-        except InputError as error:
-            problems.extend(error.problems)
-    if problems:
-        raise InputError(problems)
-    return results
 
 
 def _body(skeleton: str, subject: str | None) -> Body:
