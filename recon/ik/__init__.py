@@ -1,0 +1,1 @@
+"""Inverse kinematics of serial chains at the rate level: chains, methods, driving and following, fits (docs/ik.md)."""

@@ -1,0 +1,205 @@
+"""Chains, their derivatives, costs, the two-link arm and the spine-front-leg chain."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from recon.ik.chain import PlanarChain, SummedChain, chain_angles, manipulability, null_basis, reach, spine_front_leg
+from recon.ik.costs import HarmonicMap, UserCost, joint_differences, rotational_energy
+from recon.ik.two_link import two_link
+from recon.skeleton_file import load_chain
+from recon.synthetic import gallop
+
+LENGTHS = (0.4, 0.3, 0.25, 0.28, 0.2)
+CHAINS = {"planar": PlanarChain(LENGTHS), "summed": SummedChain(LENGTHS)}
+
+
+def differences(function, q, step=1e-6):
+    """Central differences (..., n)."""
+    h = step * np.eye(len(q))
+    return np.stack([(function(q + e) - function(q - e)) / (2 * step) for e in h], axis=-1)
+
+
+@pytest.mark.parametrize("chain", CHAINS.values(), ids=CHAINS)
+def test_derivatives_agree_with_differences(chain):
+    rng = np.random.default_rng(0)
+    for _ in range(5):
+        q, mu = rng.normal(size=chain.n), rng.normal(size=chain.dim)
+        np.testing.assert_allclose(chain.jacobian(q), differences(chain.end, q), atol=1e-8)
+        np.testing.assert_allclose(chain.hessian(q), differences(chain.jacobian, q), atol=1e-8)
+        np.testing.assert_allclose(chain.curvature(q, mu), np.tensordot(mu, chain.hessian(q), 1), atol=1e-12)
+
+
+@pytest.mark.parametrize("chain", CHAINS.values(), ids=CHAINS)
+def test_positions(chain):
+    q = np.random.default_rng(1).normal(size=chain.n)
+    points = chain.positions(q)
+    assert points.shape == (6, chain.dim)
+    np.testing.assert_allclose(np.linalg.norm(np.diff(points, axis=0), axis=1), LENGTHS)
+    np.testing.assert_allclose(points[-1], chain.end(q), atol=1e-15)
+    np.testing.assert_array_equal(points[0], 0)
+
+
+def test_planar_and_spatial_chain_agree_without_phi():
+    q = np.array([0.2, -0.4, 1.1, 0.3, -0.8])
+    u, v, w = CHAINS["summed"].end(np.concatenate([q, np.zeros(5)]))
+    np.testing.assert_allclose((u, v, w), (*CHAINS["planar"].end(q), 0.0), atol=1e-15)
+
+
+@pytest.mark.parametrize("chain", CHAINS.values(), ids=CHAINS)
+def test_null_basis(chain):
+    rng = np.random.default_rng(2)
+    q, turn = rng.normal(size=chain.n), rng.normal(size=chain.n)
+    J = chain.jacobian(q)
+    N = null_basis(J)
+    np.testing.assert_allclose(J @ N, 0, atol=1e-14)
+    np.testing.assert_allclose(N.T @ N, np.eye(chain.n - chain.dim), atol=1e-14)
+    # Along a path, a basis that is told its neighbour does not jump.
+    for k in range(1, 200):
+        before, N = N, null_basis(chain.jacobian(q + 0.01 * k * turn), N)
+        assert np.abs(N - before).max() < 0.1
+
+
+def test_bad_chains_are_refused():
+    with pytest.raises(ValueError, match="positive lengths"):
+        PlanarChain((1.0, 0.0))
+    with pytest.raises(ValueError, match="above"):
+        PlanarChain((1.0, 1.0), (1.0, -1.0))
+    with pytest.raises(ValueError, match="rate"):
+        SummedChain((1.0, 1.0), max_rate_rad_s=np.inf)
+
+
+def test_reach_and_manipulability():
+    assert reach(PlanarChain((1.0, 0.5))) == pytest.approx((0.5, 1.5))
+    assert reach(PlanarChain((1.0, 0.5, 0.6))) == pytest.approx((0.0, 2.1))
+    # Of two links: r1 r2 |sin q2|.
+    arm = PlanarChain((1.0, 0.5))
+    assert manipulability(arm.jacobian(np.array([0.3, 0.7]))) == pytest.approx(0.5 * np.sin(0.7))
+    assert manipulability(arm.jacobian(np.zeros(2))) == 0
+
+
+@pytest.mark.parametrize("chain", CHAINS.values(), ids=CHAINS)
+@pytest.mark.parametrize("kind", ["differences", "energy", "harmonic", "user"])
+def test_costs_agree_with_differences(chain, kind):
+    cost = {
+        "differences": joint_differences(chain),
+        "energy": rotational_energy(chain),
+        "harmonic": HarmonicMap(a=0.7, b=0.3),
+        "user": UserCost(lambda q: float(np.sin(q[0]) * q[1] + np.sum(q**4))),
+    }[kind]
+    q = np.random.default_rng(3).normal(size=chain.n)
+    # Its own differences have their own errors.
+    rtol, atol = (1e-4, 1e-3) if kind == "user" else (1e-7, 1e-7)
+    np.testing.assert_allclose(cost.gradient(q), differences(cost.value, q), rtol=rtol, atol=atol)
+    np.testing.assert_allclose(cost.hessian(q), differences(cost.gradient, q), rtol=rtol, atol=atol)
+    np.testing.assert_allclose(cost.hessian(q), cost.hessian(q).T)
+
+
+def test_cost_values():
+    q = np.array([0.1, 0.3, 0.6, 1.0, 1.5])
+    planar, spatial = CHAINS["planar"], CHAINS["summed"]
+    assert joint_differences(planar).value(q) == pytest.approx(0.04 + 0.09 + 0.16 + 0.25)
+    # Not from the last theta to the first phi.
+    assert joint_differences(spatial).value(np.concatenate([q, q])) == pytest.approx(2 * 0.54)
+    assert rotational_energy(planar).value(q) == pytest.approx(np.sum((np.array(LENGTHS) * q) ** 2))
+    assert HarmonicMap().value(q) == pytest.approx(0.5 * -0.4 * np.sqrt(1.16))
+
+
+# -- the two-link arm ------------------------------------------------------------------------------------------------
+
+
+def test_two_link_known_answer():
+    found = two_link((1.0, 0.5), (1.359462, 0.211309))
+    assert found.reachable
+    assert found.reason == ""
+    np.testing.assert_allclose(found.branches_rad, [(0.4363, -0.8727), (-0.1279, 0.8727)], atol=5e-5)
+
+
+def test_two_link_reaches_its_target():
+    rng = np.random.default_rng(4)
+    for _ in range(50):
+        r1, r2 = rng.uniform(0.2, 1.0, 2)
+        arm = PlanarChain((r1, r2))
+        target = arm.end(rng.uniform(-3, 3, 2))
+        for q in two_link((r1, r2), target).branches_rad:
+            np.testing.assert_allclose(arm.end(q), target, atol=1e-12)
+
+
+@pytest.mark.parametrize("target", [(1.6, 0.0), (0.0, -0.4), (0.0, 0.0), (np.nan, 0.0)])
+def test_two_link_outside_the_annulus(target):
+    found = two_link((1.0, 0.5), target)
+    assert not found.reachable
+    assert np.isnan(found.branches_rad).all()
+    assert found.reason.startswith("unreachable")
+    if target[0] == 1.6:
+        assert found.reason == "unreachable: 1.600 m from the base, the chain reaches 0.500 to 1.500 m"
+
+
+def test_two_link_on_the_edge():
+    for target, how in (((1.5, 0.0), "stretched"), ((0.0, 0.5), "folded")):
+        found = two_link((1.0, 0.5), target)
+        assert found.reachable
+        assert how in found.reason
+        np.testing.assert_allclose(PlanarChain((1.0, 0.5)).end(found.branches_rad[0]), target, atol=1e-12)
+
+
+# -- the spine-front-leg chain ---------------------------------------------------------------------------------------
+
+
+def test_spine_front_leg_has_the_skeleton_s_links():
+    skeleton = load_chain("cheetah-8u")
+    chain = spine_front_leg(skeleton)
+    np.testing.assert_allclose(chain.lengths_m, 0.203 * np.array([2.045, 1.545, 1.273, 1.364, 1.0]))
+    assert (chain.n, chain.dim) == (10, 3)
+    np.testing.assert_allclose(chain.lower_rad, [-0.9, -0.4, 0.8, -2.1, -0.8, -0.75, -0.5, -0.5, -0.5, -0.5])
+    np.testing.assert_allclose(chain.upper_rad, [0.9, 0.5, 3.0, 0.3, 1.8, 0.75, 0.5, 0.5, 0.5, 0.5])
+    np.testing.assert_allclose(chain.max_rate_rad_s, [8, 8, 30, 30, 30, 5, 5, 10, 10, 10])
+    flat = spine_front_leg(skeleton, base_length_m=0.1, dim=2, limited=False)
+    np.testing.assert_allclose(flat.lengths_m, [0.2045, 0.1545, 0.1273, 0.1364, 0.1])
+    assert flat.n == 5
+    assert np.isinf(flat.upper_rad).all()
+
+
+@pytest.mark.parametrize("direction", ["left", "right"])
+def test_chain_angles_put_the_joints_where_the_state_has_them(direction):
+    skeleton = load_chain("cheetah-8u")
+    clip = gallop(n_frames=20, heading_rad=0.3, direction=direction)
+    up = clip.camera.up
+    q = chain_angles(skeleton, clip.state, up)
+    names = ["J0", "J9", "J1", "J2", "J3", "J4"]
+    where = [skeleton.joints.index(name) for name in names]
+    joints = skeleton.pose(clip.state).joints_m[:, where]
+    root = joints[:, 0]
+    ahead = root[-1] - root[0]
+    ahead = ahead - (ahead @ up) * up
+    ahead /= np.linalg.norm(ahead)
+    base = np.stack([ahead, -up, np.cross(ahead, -up)])
+    chain = spine_front_leg(skeleton)
+    for t in range(20):
+        np.testing.assert_allclose(chain.positions(q[t]), (joints[t] - root[t]) @ base.T, atol=1e-12)
+    # No link turns by a jump to the other pair of angles.
+    assert np.abs(np.diff(q[:, :5], axis=0)).max() < 1.5
+    np.testing.assert_allclose(chain_angles(skeleton, clip.state, up, travel=ahead), q, atol=1e-12)
+    np.testing.assert_array_equal(chain_angles(skeleton, clip.state, up, dim=2), q[:, :5])
+
+
+def test_chain_angles_of_a_level_animal_are_the_skeleton_s():
+    skeleton = load_chain("cheetah-8u")
+    state = np.zeros((2, skeleton.n_state))
+    state[:, skeleton.theta_slice] = skeleton.theta.mean_rad
+    state[:, skeleton.base_index] = 0.2
+    q = chain_angles(skeleton, state, np.array([0.0, -1.0, 0.0]))
+    at = [skeleton.angle_names.index(f"theta_{k}") for k in (1, 2, 3, 4)]
+    np.testing.assert_allclose(q[:, 1:5], state[:, at], atol=1e-12)
+    np.testing.assert_allclose(np.delete(q, [1, 2, 3, 4], axis=1), 0, atol=1e-12)
+
+
+def test_chain_angles_leave_missing_frames_missing():
+    skeleton = load_chain("cheetah-8u")
+    clip = gallop(n_frames=6)
+    state = clip.state.copy()
+    state[2] = np.nan
+    q = chain_angles(skeleton, state, clip.camera.up)
+    assert np.isnan(q[2]).all()
+    assert np.isfinite(np.delete(q, 2, axis=0)).all()

@@ -1,0 +1,217 @@
+"""Rates of the methods, and their parameters from given rates."""
+
+from __future__ import annotations
+
+from functools import partial
+
+import numpy as np
+import pytest
+
+from recon.ik.chain import PlanarChain, SummedChain, null_basis
+from recon.ik.costs import HarmonicMap, UserCost, joint_differences, rotational_energy
+from recon.ik.fit import SumOfCosts, fit_damped, fit_gradient, fit_least_norm, fit_transpose, fit_weights
+from recon.ik.methods import (
+    DampedLeastSquares,
+    ExtendedJacobian,
+    GradientProjection,
+    JacobianTranspose,
+    LeastNorm,
+    SelectivelyDamped,
+    WeightedLeastNorm,
+    extended_jacobian,
+)
+
+LENGTHS = (0.4, 0.3, 0.25, 0.28, 0.2)
+CHAINS = {"planar": PlanarChain(LENGTHS), "summed": SummedChain(LENGTHS)}
+EACH = pytest.mark.parametrize("chain", CHAINS.values(), ids=CHAINS)
+
+
+def methods(chain):
+    cost = rotational_energy(chain)
+    return (
+        LeastNorm(),
+        JacobianTranspose(),
+        GradientProjection(cost),
+        WeightedLeastNorm(np.linspace(0.5, 1.5, chain.n)),
+        DampedLeastSquares(),
+        SelectivelyDamped(),
+        ExtendedJacobian(cost),
+        ExtendedJacobian(cost, full=False),
+        ExtendedJacobian(HarmonicMap(), gain_per_s=90.0),
+    )
+
+
+def configuration(chain, seed=0):
+    rng = np.random.default_rng(seed)
+    return rng.uniform(0.2, 1.0, chain.n), rng.normal(size=chain.dim) * 0.5
+
+
+@EACH
+def test_formulas(chain):
+    q, dx = configuration(chain)
+    J = chain.jacobian(q)
+    P = np.eye(chain.n) - np.linalg.pinv(J) @ J
+    W = np.diag(np.linspace(0.5, 1.5, chain.n))
+    g = rotational_energy(chain).gradient(q)
+    least = np.linalg.pinv(J) @ dx
+    weighted = np.linalg.inv(W) @ J.T @ np.linalg.inv(J @ np.linalg.inv(W) @ J.T) @ dx
+    damped = J.T @ np.linalg.inv(J @ J.T + 0.2**2 * np.eye(chain.dim)) @ dx
+    for method, expected in (
+        (LeastNorm(), least),
+        (GradientProjection(rotational_energy(chain), k=-0.7), least - 0.7 * P @ g),
+        (GradientProjection(lambda _: np.ones(chain.n), k=2.0), least + 2 * P @ np.ones(chain.n)),
+        (WeightedLeastNorm(np.diag(W)), weighted),
+        (DampedLeastSquares(0.2), damped),
+        # With room in gamma_max nothing is damped.
+        (SelectivelyDamped(gamma_max_rad=1e6), least),
+    ):
+        step = method.rates(chain, q, dx)
+        assert not step.singular
+        np.testing.assert_allclose(step.dq, expected, atol=1e-12)
+
+
+def test_one_damped_link():
+    # One link of length r at angle q: J = r (-sin q, cos q), and J' (J J' + l^2)^-1 dx = r t . dx / (r^2 + l^2).
+    chain, q, dx = PlanarChain((0.7,)), np.array([0.6]), np.array([0.3, -0.2])
+    expected = 0.7 * (-np.sin(0.6) * 0.3 - np.cos(0.6) * 0.2) / (0.7**2 + 0.1**2)
+    np.testing.assert_allclose(DampedLeastSquares(0.1).rates(chain, q, dx).dq, [expected], atol=1e-12)
+
+
+@EACH
+def test_transpose_is_the_nearest_along_its_direction(chain):
+    q, dx = configuration(chain)
+    J = chain.jacobian(q)
+    dq = JacobianTranspose().rates(chain, q, dx).dq
+    assert abs(J @ dq @ (dx - J @ dq)) < 1e-12
+    np.testing.assert_allclose(JacobianTranspose(0.5).rates(chain, q, dx).dq, 0.5 * J.T @ dx)
+
+
+def test_selectively_damped_holds_each_direction():
+    # Nearly stretched: along the arm s is small and the direction damped, across it hardly.
+    chain, q = PlanarChain((0.5, 0.5)), np.array([0.0, 0.02])
+    method = SelectivelyDamped(gamma_max_rad=0.5, interval_s=1.0)
+    along = method.rates(chain, q, np.array([-0.1, 0.0])).dq
+    assert np.abs(along).max() < 0.02
+    assert np.abs(LeastNorm().rates(chain, q, np.array([-0.1, 0.0])).dq).max() > 5
+    across = method.rates(chain, q, np.array([0.0, 0.1])).dq
+    np.testing.assert_allclose(chain.jacobian(q) @ across, [0.0, 0.1], atol=2e-3)
+
+
+@EACH
+@pytest.mark.parametrize("full", [True, False])
+def test_extended_jacobian_solves_the_square_system(chain, full):
+    q, dx = configuration(chain)
+    cost = rotational_energy(chain)
+    J = chain.jacobian(q)
+    dq = ExtendedJacobian(cost, full).rates(chain, q, dx).dq
+    turned = np.linalg.qr(np.random.default_rng(1).normal(size=(chain.n - chain.dim,) * 2))[0]
+    for N in (null_basis(J), null_basis(J) @ turned):
+        E = extended_jacobian(chain, cost, q, N, full)
+        right = np.concatenate([dx, np.zeros(chain.n - chain.dim)])
+        np.testing.assert_allclose(dq, np.linalg.solve(E, right), atol=1e-9)
+
+
+@EACH
+def test_full_derivative_of_g(chain):
+    """dG/dq against differences of G = N' grad g with the basis that does not turn."""
+    cost = UserCost(lambda q: float(np.sum(np.cos(q)) + q[0] * q[2] ** 2))
+    q, _ = configuration(chain)
+    N = null_basis(chain.jacobian(q))
+
+    def G(x):
+        return null_basis(chain.jacobian(x), N).T @ cost.gradient(x)
+
+    h = 1e-5 * np.eye(chain.n)
+    numeric = np.stack([(G(q + e) - G(q - e)) / 2e-5 for e in h], axis=1)
+    np.testing.assert_allclose(extended_jacobian(chain, cost, q, N)[chain.dim :], numeric, atol=1e-5)
+
+
+@EACH
+def test_rates_are_finite_and_bounded_everywhere(chain):
+    rng = np.random.default_rng(5)
+    stretched = np.zeros(chain.n)
+    folded = np.tile([0.0, np.pi, np.pi, np.pi, np.pi], len(chain.groups))
+    wild = [rng.normal(size=chain.n) * 10 for _ in range(20)]
+    for q in (stretched, folded, stretched + 1e-9, np.full(chain.n, np.pi / 2), *wild):
+        for dx in (*np.eye(chain.dim), np.zeros(chain.dim), np.full(chain.dim, 1e6), np.full(chain.dim, 1e-300)):
+            for method in methods(chain):
+                step = method.rates(chain, q, dx)
+                assert np.isfinite(step.dq).all()
+                assert (np.abs(step.dq) <= chain.max_rate_rad_s * (1 + 1e-12)).all()
+    for method in methods(chain):
+        step = method.rates(chain, stretched, np.eye(chain.dim)[0])
+        assert step.singular
+        assert step.note.startswith("singular")
+        assert np.isfinite(method.rates(chain, np.full(chain.n, np.nan), np.ones(chain.dim)).dq).all()
+
+
+@EACH
+def test_joints_taken_out_do_not_move(chain):
+    q, dx = configuration(chain)
+    free = np.ones(chain.n, bool)
+    free[[0, chain.n - 1]] = False
+    for method in methods(chain)[:-1]:
+        dq = method.rates(chain, q, dx, free).dq
+        assert not dq[~free].any()
+        if not isinstance(method, JacobianTranspose | DampedLeastSquares):
+            np.testing.assert_allclose(chain.jacobian(q) @ dq, dx, atol=1e-9)
+
+
+def test_a_limit_of_the_rates_spares_the_end_effector():
+    chain = PlanarChain(LENGTHS, max_rate_rad_s=3.0)
+    q, dx = configuration(chain)
+    step = GradientProjection(rotational_energy(chain), k=-1e3).rates(chain, q, dx)
+    assert step.note.startswith("rate limit")
+    assert np.abs(step.dq).max() == pytest.approx(3.0)
+    np.testing.assert_allclose(chain.jacobian(q) @ step.dq, dx, atol=1e-12)
+
+
+def test_singular_extended_jacobian_is_reported():
+    # A cost that does not depend on the angles leaves dG/dq without rank.
+    chain = CHAINS["planar"]
+    q, dx = configuration(chain)
+    step = ExtendedJacobian(UserCost(lambda _: 0.0)).rates(chain, q, dx)
+    assert step.singular
+    assert step.note == "singular: the extended Jacobian"
+    np.testing.assert_allclose(chain.jacobian(q) @ step.dq, dx, atol=1e-9)
+
+
+# -- parameters from rates -------------------------------------------------------------------------------------------
+
+
+@EACH
+def test_fits_find_the_parameters_again(chain):
+    rng = np.random.default_rng(6)
+    q, dx = rng.uniform(0.2, 1.0, (40, chain.n)), rng.normal(size=(40, chain.dim))
+    weights = rng.uniform(0.4, 1.6, chain.n)
+    weights /= weights.mean()
+    constant = rng.normal(size=chain.n)
+    costs = (joint_differences(chain), rotational_energy(chain))
+    combined = SumOfCosts(np.array([-0.8, 1.7]), costs)
+    for true, fit, parameter in (
+        (DampedLeastSquares(0.13), fit_damped, [0.13]),
+        (WeightedLeastNorm(weights), fit_weights, weights),
+        (JacobianTranspose(0.6), fit_transpose, [0.6]),
+        (GradientProjection(lambda _: constant, k=1.0), fit_gradient, constant),
+        (GradientProjection(combined, k=1.0), partial(fit_gradient, costs=costs), [-0.8, 1.7]),
+        (LeastNorm(), fit_least_norm, []),
+    ):
+        dq = np.stack([true.rates(chain, x, v).dq for x, v in zip(q, dx, strict=True)])
+        dq[3] = np.nan
+        found = fit(chain, q, dx, dq)
+        np.testing.assert_allclose(found.parameter, parameter, rtol=1e-4)
+        assert found.explained > 1 - 1e-8
+        assert found.rms_rad_s < 1e-3
+        again = found.method.rates(chain, q[0], dx[0]).dq
+        np.testing.assert_allclose(again, dq[0], atol=1e-3)
+
+
+def test_fit_says_where_a_parameter_is_at_its_edge():
+    chain = CHAINS["planar"]
+    q, dx = np.random.default_rng(7).uniform(0.2, 1.0, (10, 5)), np.ones((10, 2))
+    dq = np.stack([LeastNorm().rates(chain, x, v).dq for x, v in zip(q, dx, strict=True)])
+    assert "edge" in fit_damped(chain, q, dx, dq).note
+    with pytest.raises(ValueError, match="no frame"):
+        fit_damped(chain, q * np.nan, dx, dq)
+    with pytest.raises(ValueError, match="expected"):
+        fit_damped(chain, q, dx[:, :1], dq)
