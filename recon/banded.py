@@ -1,16 +1,10 @@
 """Normal equations of a clip: each of T frames has D unknowns and is coupled with the W frames before and after it.
 
-    | H        border | | x |   | b |     H (TD, TD): block (t + k, t), D x D, is zero for k > W
-    | border'  corner | | g | = | c |     border (TD, G), corner (G, G): a few unknowns g that all frames share
+H (TD, TD) is symmetric and positive definite; its block (t + k, t), D x D, is zero for k > W. Time and memory are
+linear in T. H = L L', and L has the band of H.
 
-The whole matrix is symmetric and positive definite. Time and memory are linear in T. The frames are eliminated first
-and the border last, H = L L' (L has the band of H) and
-
-    V = H^-1 border,   S = corner - border' V = (root root')^-1,   log det = log det H + log det S
-    g = S^-1 (c - V' b),   x = H^-1 b - V g
-
-The inverse of the whole matrix is the covariance of a Gaussian (x, g), and is full; only its blocks near the diagonal
-are needed. Without the border, L' x = z with z white. Its block row t gives frame t from the W frames after it,
+The inverse of H is the covariance of a Gaussian x, and is full; only its blocks near the diagonal are needed. L' x = z
+with z white. Its block row t gives frame t from the W frames after it,
 
     x_t = gain_t x_later + L_tt^-T z_t,   gain_t = -L_tt^-T [L_t+1,t' ... L_t+W,t'],   later = t + 1, ..., t + W
 
@@ -19,8 +13,7 @@ so that Z = H^-1 follows backwards from the last frame, the window Z[later, late
     Z[t, later] = gain_t Z[later, later],   Z[t, t] = L_tt^-T L_tt^-1 + Z[t, later] gain_t'
 
 These are Takahashi's equations in blocks, and the smoother of Rauch, Tung and Striebel. Both terms of Z[t, t] are
-positive semidefinite: nothing is lost by a difference. The border adds V S^-1 V' to Z; g has the covariance S^-1, and x
-with g has -V S^-1.
+positive semidefinite: nothing is lost by a difference.
 """
 
 from __future__ import annotations
@@ -44,20 +37,6 @@ class BlockBanded:
     """
 
     blocks: Array
-
-    def diagonal(self) -> Array:
-        """(T, D)."""
-        return np.diagonal(self.blocks[:, 0], axis1=1, axis2=2)
-
-    def matvec(self, x: Array) -> Array:
-        """H x, (T, D), for x (T, D)."""
-        T, n_blocks, _, _ = self.blocks.shape
-        product = (self.blocks[:, 0] @ x[:, :, None])[:, :, 0]
-        for k in range(1, min(n_blocks, T)):
-            below = self.blocks[: T - k, k]
-            product[k:] += (below @ x[: T - k, :, None])[:, :, 0]
-            product[: T - k] += (x[k:, None, :] @ below)[:, 0]
-        return product
 
     def to_lower_band(self) -> Array:
         """LAPACK's lower band storage, ((W+1)D, TD) in Fortran order: band[i - j, j] = H[i, j] for i >= j."""
@@ -107,46 +86,20 @@ def add_normal(
 
 
 @dataclass(frozen=True)
-class Marginals:
-    """The blocks near the diagonal of the inverse of the whole matrix, border included.
-
-    blocks (T, W+1, D, D): blocks[t, k] is the covariance of frame t + k (rows) with frame t (columns), of which
-    blocks[:, 0] are the frames' own; zero where t + k >= T. cross (T, D, G): frames with the border's unknowns.
-    corner (G, G): the border's unknowns.
-    """
-
-    blocks: Array
-    cross: Array
-    corner: Array
-
-
-@dataclass(frozen=True)
 class Factor:
-    """The factored system; `factor` makes it. Letters as in the module's text.
-
-    band ((W+1)D, TD): L in LAPACK's lower band storage. V (T, D, G). root (G, G): upper triangle.
-    """
+    """The factored system; `factor` makes it. band ((W+1)D, TD): L in LAPACK's lower band storage. shape: (T, D)."""
 
     band: Array
-    V: Array
-    root: Array
+    shape: tuple[int, int]
 
-    def solve(self, gradient: Array, corner_gradient: Array | None = None) -> tuple[Array, Array]:
-        """x (T, D) and g (G,) for the right-hand side b (T, D) and c (G,), by default zero."""
-        rest = -np.tensordot(gradient, self.V, axes=2)
-        if corner_gradient is not None:
-            rest += corner_gradient
-        g = self.root @ (rest @ self.root)
-        return _solve_band(self.band, gradient.reshape(-1, 1)).reshape(gradient.shape) - self.V @ g, g
+    def solve(self, gradient: Array) -> Array:
+        """x (T, D) for the right-hand side b (T, D)."""
+        return cho_solve_banded((self.band, True), gradient.ravel(), check_finite=False).reshape(self.shape)
 
-    def log_determinant(self) -> float:
-        """Natural logarithm of the whole matrix's determinant."""
-        return float(2.0 * (np.log(self.band[0]).sum() - np.log(np.diagonal(self.root)).sum()))
-
-    def marginal_blocks(self) -> Marginals:
-        """What the band's pattern holds of the inverse of the whole matrix."""
-        T, D, _ = self.V.shape
-        P = len(self.band)
+    def marginal_blocks(self) -> Array:
+        """(T, W+1, D, D), the inverse's blocks: [t, k] is the covariance of frame t + k (rows) with frame t (columns),
+        of which [:, 0] are the frames' own; zero where t + k >= T."""
+        (T, D), P = self.shape, len(self.band)
         columns = self.band.T.reshape(T, D, P)
         rows = np.zeros((T, D, P))  # rows[t] is L_tt', L_t+1,t', ... at first, and Z[t, t], Z[t, later] in the end
         for j in range(D):
@@ -166,45 +119,19 @@ class Factor:
             window[:D, D:] = across
             window[D:, :D] = across.T
             rows[t] = window[:D]
-
-        blocks = rows.reshape(T, D, P // D, D).transpose(0, 2, 3, 1)
-        V_root = self.V @ self.root
-        for k in range(min(P // D, T)):
-            blocks[: T - k, k] += V_root[k:] @ V_root[: T - k].swapaxes(1, 2)
-        return Marginals(blocks, -V_root @ self.root.T, self.root @ self.root.T)
+        return rows.reshape(T, D, P // D, D).transpose(0, 2, 3, 1)
 
 
-def factor(
-    H: BlockBanded,
-    border: Array | None = None,
-    corner: Array | None = None,
-    damping: Array | None = None,
-    corner_damping: Array | None = None,
-) -> Factor:
-    """Factor the system of H, border (T, D, G) and corner (G, G), by default without border.
+def factor(H: BlockBanded, damping: Array | None = None) -> Factor:
+    """Factor H, with damping (T, D) added to its diagonal.
 
-    damping (T, D) is added to the diagonal of H, corner_damping (G,) to that of the corner. Raises
-    numpy.linalg.LinAlgError if the whole matrix is not positive definite.
+    Raises numpy.linalg.LinAlgError if that is not positive definite.
     """
     T, _, D, _ = H.blocks.shape
-    border = np.zeros((T, D, 0)) if border is None else border
-    G = border.shape[2]
-    corner = np.zeros((G, G)) if corner is None else corner
     band = H.to_lower_band()
     if damping is not None:
         band[0] += damping.ravel()
-    if corner_damping is not None:
-        corner = corner + np.diag(corner_damping)
     band = cholesky_banded(band, lower=True, overwrite_ab=True, check_finite=False)
-    flat = border.reshape(T * D, G)
-    V = _solve_band(band, flat)
-    root = np.asarray(np.linalg.inv(np.linalg.cholesky(corner - flat.T @ V).T), dtype=np.float64)
-    factored = Factor(band, V.reshape(T, D, G), root)
-    if not np.isfinite(factored.log_determinant()):  # LAPACK lets NaN pass
+    if not np.isfinite(band[0]).all():  # LAPACK lets NaN pass
         raise np.linalg.LinAlgError("a matrix that is not finite is not positive definite")
-    return factored
-
-
-def _solve_band(band: Array, right: Array) -> Array:
-    """H^-1 right (TD, n), where band is L; n may be zero, which LAPACK does not take."""
-    return cho_solve_banded((band, True), right, check_finite=False) if right.size else right.copy()
+    return Factor(band, (T, D))

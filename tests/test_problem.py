@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.optimize import least_squares
@@ -57,7 +59,7 @@ def test_a_step_equals_the_dense_one():
     problem, states = whole_problem(), some_states()
     r, J = dense_rows(problem, states)
     H, g = problem.normal(states)
-    step, _ = factor(H, damping=np.full(g.shape, 1e-3)).solve(-g)
+    step = factor(H, np.full(g.shape, 1e-3)).solve(-g)
     dense = np.linalg.solve(J.T @ J + 1e-3 * np.eye(states.size), -J.T @ r)
     np.testing.assert_allclose(step.ravel(), dense, rtol=1e-6, atol=1e-8)
 
@@ -106,7 +108,7 @@ def test_minimum_of_the_whole_problem_is_a_minimum():
     assert found.converged
     _, g = problem.normal(found.states)
     H, _ = problem.normal(found.states)
-    assert np.abs(g).max() < 1e-3 * np.sqrt(H.diagonal().max())
+    assert np.abs(g).max() < 1e-3 * np.sqrt(np.diagonal(H.blocks[:, 0], axis1=1, axis2=2).max())
     other = least_squares(lambda x: np.sqrt(2 * problem.cost(x.reshape(T, -1)) + 1e4), found.states.ravel(), max_nfev=2)
     assert problem.cost(other.x.reshape(T, -1)) > found.cost - 1e-3
 
@@ -122,8 +124,9 @@ def test_costs_are_named():
     costs = problem.costs(states)
     assert set(costs) == {t.name for t in terms()}
     assert sum(costs.values()) == pytest.approx(problem.cost(states))
-    H, g = problem.normal(states, without=("reprojection",))
     reprojection = next(t for t in terms() if t.name == "reprojection")
+    rest = replace(problem, terms=[t for t in problem.terms if t.name != "reprojection"])
+    H, g = rest.normal(states)
     np.testing.assert_allclose(g + gradient(reprojection, states), problem.normal(states)[1], atol=1e-6)
     assert np.abs(H.to_dense()).max() > 0
 

@@ -11,7 +11,7 @@ and relative to the mean of all joints with the means of J and p taken off.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -58,7 +58,8 @@ def data_share(problem: Problem, H: BlockBanded, body: Body, states: Array) -> A
     """
     held = np.zeros(states.shape)
     held[:, ROOT] = held[:, YAW, None] = _HELD
-    without, _ = problem.normal(states, without=("reprojection",))
+    priors = replace(problem, terms=[term for term in problem.terms if term.name != "reprojection"])
+    without, _ = priors.normal(states)
     variances = [np.trace(_joints(h, body, states, held)[1], axis1=2, axis2=3) for h in (H, without)]
     with np.errstate(divide="ignore", invalid="ignore"):
         share = np.median(1.0 - variances[0] / variances[1], axis=0)
@@ -67,7 +68,7 @@ def data_share(problem: Problem, H: BlockBanded, body: Body, states: Array) -> A
 
 def _joints(H: BlockBanded, body: Body, states: Array, damping: Array | None) -> tuple[Array, Array]:
     """Covariances of the joints, absolute and relative, (T, J, 3, 3)."""
-    own = factor(H, damping=damping).marginal_blocks().blocks[:, 0]
+    own = factor(H, damping).marginal_blocks()[:, 0]
     T, J = len(own), len(body.markers)
     absolute, relative = np.empty((T, J, 3, 3)), np.empty((T, J, 3, 3))
     for first in range(0, T, _FRAMES_AT_ONCE):

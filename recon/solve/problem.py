@@ -65,18 +65,16 @@ class Problem:
     def cost(self, states: Array) -> float:
         return sum(self.costs(states).values())
 
-    def normal(self, states: Array, without: Sequence[str] = ()) -> tuple[BlockBanded, Array]:
-        """Curvature H and gradient (T, D) at a point; without: names of terms that are left out."""
+    def normal(self, states: Array) -> tuple[BlockBanded, Array]:
+        """Curvature H and gradient (T, D) at a point."""
         T, D = states.shape
-        blocks, gradient = self._linear_blocks(T, without).copy(), np.zeros((T, D))
+        blocks, gradient = self._linear_blocks(T).copy(), np.zeros((T, D))
         for term in self.linear:
-            if term.name not in without:
-                at, r = term.frames(T), term.residual(states)
-                for offset, slot in zip(term.stencil, term.slots, strict=True):
-                    gradient[at + offset] += r @ slot
-        terms = [term for term in self.terms if term.name not in without]
+            at, r = term.frames(T), term.residual(states)
+            for offset, slot in zip(term.stencil, term.slots, strict=True):
+                gradient[at + offset] += r @ slot
         for span in self._spans(states, jacobian=True):
-            for term in terms:
+            for term in self.terms:
                 rows = term.evaluate(span, jacobian=True)
                 assert rows.residual is not None
                 assert rows.jacobian is not None
@@ -84,11 +82,12 @@ class Problem:
         return BlockBanded(blocks), gradient
 
     def minimise(self, states: Array, tolerance: float, max_iterations: int) -> Estimate:
-        """The minimum from a start; stops when a step lowers the cost by less than tolerance times the cost."""
+        """The minimum from a start; stops when a step lowers the cost by less than tolerance times the cost, or times
+        one: what a residual of a sigma and a half costs, below which rounding is all that is left to lower."""
         here = _Point(states, self.cost(states), _FIRST_DAMPING)
         for iteration in range(1, max_iterations + 1):
             lower = self._lower(here)
-            done = lower is None or here.cost - lower.cost < tolerance * here.cost
+            done = lower is None or here.cost - lower.cost < tolerance * max(here.cost, 1.0)
             here = lower or here
             if done:  # without a direction that leads down, a minimum to rounding
                 return Estimate(here.states, here.cost, iteration, True)
@@ -99,7 +98,7 @@ class Problem:
         (H, gradient), damping = self.normal(here.states), here.damping
         while damping <= _MOST_DAMPING:
             try:
-                step, _ = factor(H, damping=np.full(gradient.shape, damping)).solve(-gradient)
+                step = factor(H, np.full(gradient.shape, damping)).solve(-gradient)
                 for share in _SHORTER:
                     trial = here.states + share * step
                     cost = self.cost(trial)
@@ -121,22 +120,20 @@ class Problem:
                 return
 
     @cached_property
-    def _linear_cache(self) -> dict[tuple[int, Sequence[str]], Array]:
+    def _linear_cache(self) -> dict[int, Array]:
         return {}
 
-    def _linear_blocks(self, T: int, without: Sequence[str]) -> Array:
+    def _linear_blocks(self, T: int) -> Array:
         """(T, BANDS + 1, D, D): the curvature of the linear terms, the same at every point."""
-        key = (T, tuple(without))
-        if key not in self._linear_cache:
+        if T not in self._linear_cache:
             blocks = np.zeros((T, BANDS + 1, self.tree.n_state, self.tree.n_state))
             for term in self.linear:
-                if term.name not in without:
-                    at = term.frames(T)
-                    for a, column in enumerate(term.stencil):
-                        for b, row in enumerate(term.stencil[a:], start=a):
-                            blocks[at + column, row - column] += term.slots[b].T @ term.slots[a]
-            self._linear_cache[key] = blocks
-        return self._linear_cache[key]
+                at = term.frames(T)
+                for a, column in enumerate(term.stencil):
+                    for b, row in enumerate(term.stencil[a:], start=a):
+                        blocks[at + column, row - column] += term.slots[b].T @ term.slots[a]
+            self._linear_cache[T] = blocks
+        return self._linear_cache[T]
 
 
 @dataclass(frozen=True, eq=False)

@@ -90,11 +90,10 @@ class TrajectoryOptions:
     error_time_s: how long errors last; what is seen in that time counts once in the uncertainty.
     fast: fewer starts, one of them to the end, and looser tolerances.
 
-    Where the values come from: in the reconstructions that the prior `running-cheetah` is made of, the root accelerates
-    by 5 to 18 m/s^2 horizontally and 5 to 11 vertically, its yaw by 16 to 55 rad/s^2, it climbs at 0.2 to 0.55 m/s, and
-    feet near the ground move at 2 to 4 m/s (standard deviations and medians by segment). lateral_m_s is an angle of
-    0.05 rad at 10 m/s. The rest are round numbers; docs/benchmarks.md shows what they matter. error_time_s was set on
-    the real runs of the benchmark, so that 90 % regions hold about 90 % of the joints.
+    Where the values come from: those of the root's movement and of feet that stand have the size of what is seen in the
+    reconstructions that the prior `running-cheetah` is made of; lateral_m_s is an angle of 0.05 rad at 10 m/s. The rest
+    are round numbers; docs/benchmarks.md shows what they matter. error_time_s was set on the real runs of the
+    benchmark, so that 90 % regions hold about 90 % of the joints.
     """
 
     fast: bool = False
@@ -387,17 +386,10 @@ def _noise_factors(clip: _Clip, points_m: Array, factor: Array) -> Array:
     1/4 and 6, that is half and two and a half times the expected standard deviation: a joint is neither followed
     blindly nor given up.
     """
-    e = Reprojection(
-        clip.camera,
-        clip.level_from_camera.T,
-        clip.xy_px,
-        clip.confidence,
-        clip.noise_px(points_m, np.ones_like(factor)),
-        1.0,
-    )
-    projected, valid = clip.camera.project(points_m @ e.camera_from_level.T)
+    projected, valid = clip.camera.project(points_m @ clip.level_from_camera)
     seen = clip.present() & valid
-    q = np.where(seen, np.sum((projected - clip.xy_px) ** 2, axis=-1) / e.sigma_px**2, 0.0)
+    expected_px = clip.noise_px(points_m, np.ones_like(factor))
+    q = np.where(seen, np.sum((projected - clip.xy_px) ** 2, axis=-1) / expected_px**2, 0.0)
     for _ in range(10):
         weight = seen / (1.0 + q / factor / clip.options.robust_c**2)
         factor = (np.sum(weight * q, axis=0) / 2 + 8.0) / (seen.sum(axis=0) + 8.0)
