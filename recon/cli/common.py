@@ -1,0 +1,40 @@
+"""What several commands print."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
+from rich.text import Text
+
+EXIT_UNSOLVED = 1
+EXIT_BAD_INPUT = 2
+
+
+def error_text(message: str) -> Text:
+    return Text.assemble(("error:", "bold red"), " ", message)
+
+
+@contextmanager
+def progress_bar(console: Console) -> Iterator[Any]:
+    columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=console, transient=True, disable=console.quiet or not console.is_terminal) as bar:
+        task = bar.add_task("reading", total=1.0)
+        yield lambda stage, share: bar.update(task, description=f"fitting: {stage}", completed=share)
+
+
+def finish(console: Console, report: dict[str, Any], out: Path) -> None:
+    from recon.report import console_summary, is_unsolved
+
+    console.print(console_summary(report))
+    if is_unsolved(report):
+        message = f"no frame could be solved: see {out / 'report.json'}"
+        Console(stderr=True, soft_wrap=True).print(error_text(message))
+        raise typer.Exit(EXIT_UNSOLVED)
+    console.print(Text(f"Results are in {out}. Watch them with: recon view {shlex.quote(str(out))}"), soft_wrap=True)

@@ -1,0 +1,29 @@
+"""`recon demo`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+
+from recon.cli.common import finish, progress_bar
+
+
+def demo(
+    out: Annotated[Path, typer.Option(help="Folder for the results.")] = Path("demo-output"),
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace results in the folder.")] = False,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print errors only.")] = False,
+) -> None:
+    """Reconstruct the bundled sample, a noisy synthetic gallop, and compare it with its truth.
+
+    Example: recon demo --out demo-output
+    """
+    from recon.pipelines.demo import run_demo
+
+    console = Console(quiet=quiet)
+    with progress_bar(console) as progress:
+        report, evaluation = run_demo(out, overwrite, progress)
+    finish(console, report, out)
+    console.print(f"Error against the sample's truth: {1000 * evaluation.mpjpe_m.mean:.0f} mm (MPJPE)")

@@ -1,0 +1,79 @@
+"""`recon evaluate`."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from rich.box import SIMPLE_HEAD
+from rich.console import Console
+from rich.table import Column, Table
+from rich.text import Text
+
+if TYPE_CHECKING:
+    from recon.analysis.evaluation import Evaluation
+
+
+def evaluate(
+    pose3d: Annotated[Path, typer.Argument(help="Reconstruction, as in results/clip/pose3d.csv (m).")],
+    truth: Annotated[Path, typer.Argument(help="Reference of the same layout and frame numbers, as in truth.csv (m).")],
+    as_json: Annotated[bool, typer.Option("--json", help="Print everything as JSON, per joint and frame.")] = False,
+) -> None:
+    """Compare a reconstruction with a reference, over the joints and frames that both have.
+
+    Example: recon evaluate results/clip/pose3d.csv truth.csv
+    """
+    from recon.analysis.evaluation import evaluate_files
+
+    result = evaluate_files(pose3d, truth)
+    if as_json:
+        typer.echo(json.dumps(result.to_dict(), indent=1))
+        return
+    Console().print(_table(result))
+    for line in _table_notes(result):
+        typer.echo(line)
+
+
+def _table(result: Evaluation) -> Table:
+    """Errors in millimetres and shares of good points, over all and by joint."""
+    scores = (result.mpjpe_m, result.mpe_m, result.scale_mpjpe_m, result.pa_mpjpe_m)
+    shares = [score for _, score in result.pck]
+    table = Table(Column("errors in mm", no_wrap=True), box=SIMPLE_HEAD)
+    for name in ("MPJPE", "MPE", "scaled", "PA", *(f"PCK {1000 * t:.0f}" for t, _ in result.pck)):
+        table.add_column(name, justify="right")
+
+    def add_row(name: str, errors_m: Iterable[float], shares: Iterable[float], last: bool = False) -> None:
+        cells = [f"{1000 * e:.1f}" for e in errors_m] + [f"{share:.0%}" for share in shares]
+        table.add_row(Text(name), *(cell.replace("nan%", "-").replace("nan", "-") for cell in cells), end_section=last)
+
+    add_row("all", (s.mean for s in scores), (s.mean for s in shares), last=True)
+    for j, name in enumerate(result.names):
+        add_row(name, (s.per_joint[j] for s in scores), (s.per_joint[j] for s in shares))
+    return table
+
+
+def _table_notes(result: Evaluation) -> Iterator[str]:
+    thresholds = ", ".join(f"{1000 * t:.0f}" for t, _ in result.pck)
+    yield "MPJPE   mean distance of the joints from the reference, each frame centred"
+    yield "MPE     without centring"
+    yield "scaled  centred, and scaled to the size of the reference"
+    yield "PA      centred, scaled and turned onto the reference"
+    yield f"PCK     share of the joints within {thresholds} mm, centred"
+    yield f"Compared: {len(result.frames) - result.frames_not_scored} frames, {len(result.names)} joints."
+    for what, reconstruction, reference in (
+        ("Joints", result.joints_only_in_pose, result.joints_only_in_truth),
+        ("Frames", _ranges(result.frames_only_in_pose), _ranges(result.frames_only_in_truth)),
+    ):
+        if reconstruction:
+            yield f"{what} only in the reconstruction: {', '.join(reconstruction)}"
+        if reference:
+            yield f"{what} only in the reference: {', '.join(reference)}"
+    if result.frames_not_scored:
+        yield f"Frames of both without a joint known on both sides: {result.frames_not_scored}"
+
+
+def _ranges(ranges: Iterable[tuple[int, int]]) -> list[str]:
+    return [f"{first}" if stop == first + 1 else f"{first} to {stop - 1}" for first, stop in ranges]

@@ -1,0 +1,68 @@
+"""`recon prior`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.box import SIMPLE_HEAD
+from rich.console import Console
+from rich.table import Column, Table
+from rich.text import Text
+
+
+def prior_fit(
+    poses: Annotated[
+        list[Path], typer.Argument(metavar="POSES", help="3D poses as in pose3d.csv: metres, world z up.")
+    ],
+    skeleton: Annotated[
+        str, typer.Option(help="Built-in skeleton of a whole animal or a TOML file, as in cheetah-24.")
+    ],
+    fps: Annotated[str, typer.Option(help='Frame rate in Hz, or a JSON file with {"fps": [...]}, one per piece.')],
+    out: Annotated[Path, typer.Option(help="File for the prior, as in my-dog.npz.")],
+    subject: Annotated[str | None, typer.Option(help="Measured animal, by name or TOML file, as in phantom.")] = None,
+    estimate_size: Annotated[
+        bool, typer.Option("--estimate-size", help="Scale the skeleton to the animal of each file.")
+    ] = False,
+    components: Annotated[int, typer.Option(help="Gaussians in the mixture of poses.")] = 16,
+    min_speed_m_s: Annotated[float, typer.Option(help="Leave out slower segments, as in 8.5.")] = 0.0,
+    apart: Annotated[
+        list[str] | None, typer.Option(help="Segment whose movement says nothing of the others', as in tail_1.")
+    ] = None,
+    name: Annotated[str | None, typer.Option(help="Name of the prior. (default: the file's)")] = None,
+    source: Annotated[str, typer.Option(help="Where the poses come from, for the record.")] = "",
+    check: Annotated[bool, typer.Option("--check", help="Score each segment under a prior from the others.")] = False,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the file.")] = False,
+) -> None:
+    """Fit a motion prior to 3D poses, and list what it was fitted to.
+
+    Example: recon prior fit run1.csv run2.csv --skeleton cheetah-24 --fps 120 --out running.npz
+    """
+    from recon.pipelines.prior import run_prior_fit
+
+    done = run_prior_fit(
+        poses=poses,
+        skeleton=skeleton,
+        fps=fps,
+        out=out,
+        subject=subject,
+        name=name,
+        source=source,
+        components=components,
+        min_speed_m_s=min_speed_m_s,
+        estimate_size=estimate_size,
+        apart=apart or (),
+        check=check,
+        overwrite=overwrite,
+    )
+    table = Table(Column("segment", no_wrap=True), box=SIMPLE_HEAD)
+    for title in ("frames", "fps", "speed m/s", "misfit mm", "used"):
+        table.add_column(title, justify="right")
+    for row, rms_mm in zip(done.prior.segments, done.rms_mm, strict=True):
+        numbers = f"{row.frames}", f"{row.fps:g}", f"{row.speed_m_s:.1f}", f"{rms_mm:.1f}".replace("nan", "-")
+        table.add_row(Text(row.name), *numbers, "yes" if row.used else "no")
+    Console().print(table)
+    for line in done.notes():
+        typer.echo(line)
+    typer.echo(f"The prior is in {out}.")
