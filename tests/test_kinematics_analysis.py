@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from recon.analysis.kinematics import (
+    Errors,
     _curve,
     _evaluate,
     angle_between,
@@ -74,7 +75,7 @@ def test_gaps_split_and_nothing_is_extrapolated():
 def test_too_few_points_give_nan(known):
     points = parabola(TIME_S)
     points[known:] = np.nan
-    moved = point_kinematics(TIME_S, points, np.full((60, 3), 0.01))
+    moved = point_kinematics(TIME_S, points, [Errors(np.full((60, 3), 0.01))])
     assert moved.series.spans == ()
     assert np.isnan(moved.speed_m_s).all()
     assert np.isnan([moved.distance_m, moved.mean_speed_m_s, moved.peak_speed_m_s, moved.peak_speed_time_s]).all()
@@ -87,12 +88,12 @@ def test_deviations_are_those_of_many_draws(smooth, correlation_s):
     time_s = np.arange(20) / FPS
     sigma = np.linspace(0.005, 0.015, 20)
     lag = np.abs(time_s[:, None] - time_s)
-    covariance = np.outer(sigma, sigma) * (np.exp(-lag / correlation_s) if correlation_s else np.eye(20))
+    covariance = np.outer(sigma, sigma) * (np.exp(-0.5 * (lag / correlation_s) ** 2) if correlation_s else np.eye(20))
     noise = rng.multivariate_normal(np.zeros(20), covariance, 400).T
     sigma = sigma[:, None]
     # One smoothing for all draws: what is propagated is the noise under a given lam.
     given = series_kinematics(
-        time_s, np.sin(20 * time_s)[:, None] + noise[:, :1], sigma, smooth=smooth, correlation_s=correlation_s
+        time_s, np.sin(20 * time_s)[:, None] + noise[:, :1], [Errors(sigma, correlation_s)], smooth=smooth
     )
     if smooth:
         assert given.lam is not None
@@ -107,9 +108,24 @@ def test_deviations_are_those_of_many_draws(smooth, correlation_s):
         np.testing.assert_allclose(found[big, 0], expected[big], rtol=0.2)
 
 
+def test_deviations_of_a_long_clip_are_those_of_its_whole_spline():
+    """Worked out in pieces, against the operator on all values at once; two errors add up."""
+    rng = np.random.default_rng(1)
+    time_s = np.arange(450) / FPS
+    errors = [Errors(rng.uniform(0.01, 0.02, (450, 1))), Errors(rng.uniform(0.1, 0.2, (450, 1)), 0.1)]
+    moved = series_kinematics(time_s, np.sin(time_s)[:, None], errors, oversampling=2)
+    operator = _evaluate(_curve(time_s, np.eye(450), np.ones(450), 0.0), moved.time_s)
+    smooth = np.exp(-0.5 * ((time_s[:, None] - time_s) / 0.1) ** 2)
+    covariance = np.diag(errors[0].sigma[:, 0] ** 2) + errors[1].sigma * smooth * errors[1].sigma[:, 0]
+    expected = np.sqrt(np.einsum("omi,ij,omj->om", operator, covariance, operator, optimize=True))
+    for found, whole in zip((moved.value_sigma, moved.rate_sigma, moved.acceleration_sigma), expected, strict=True):
+        assert found is not None
+        np.testing.assert_allclose(found[:, 0], whole, rtol=1e-6)
+
+
 def test_deviations_of_an_exact_spline_in_numbers():
     """What the module says: 1.2 s fps and 6 s fps^2 at frames, and how much worse the ends are."""
-    moved = series_kinematics(TIME_S, circle(TIME_S), np.full((60, 3), 0.01))
+    moved = series_kinematics(TIME_S, circle(TIME_S), [Errors(np.full((60, 3), 0.01))])
     assert moved.rate_sigma is not None
     assert moved.acceleration_sigma is not None
     rate, acceleration = moved.rate_sigma[::10, 0], moved.acceleration_sigma[::10, 0]
@@ -124,7 +140,7 @@ def test_deviations_of_an_exact_spline_in_numbers():
 def test_smoothing_takes_out_what_it_is_told():
     sigma = np.full((60, 3), 0.01)
     noisy = circle(TIME_S) + np.random.default_rng(1).normal(0, 0.01, (60, 3))
-    exact, smooth = (point_kinematics(TIME_S, noisy, sigma, smooth=s) for s in (False, True))
+    exact, smooth = (point_kinematics(TIME_S, noisy, [Errors(sigma)], smooth=s) for s in (False, True))
     assert smooth.series.smoothed
     chi2 = np.mean(((smooth.series.value[::10] - noisy) / sigma)[:, :2] ** 2, axis=0)
     np.testing.assert_allclose(chi2, 1.0, atol=0.01)
@@ -136,7 +152,7 @@ def test_smoothing_takes_out_what_it_is_told():
 
 
 def test_smoothing_a_straight_line_gives_a_straight_line():
-    moved = series_kinematics(TIME_S, 3.0 * TIME_S[:, None], np.full((60, 1), 0.01), smooth=True)
+    moved = series_kinematics(TIME_S, 3.0 * TIME_S[:, None], [Errors(np.full((60, 1), 0.01))], smooth=True)
     np.testing.assert_allclose(moved.rate, 3.0, atol=1e-6)
 
 
@@ -168,7 +184,7 @@ def leg(bend_rad: np.ndarray) -> Pose3D:
 def test_joint_angle_and_its_deviation():
     bend = 1.8 + 0.5 * np.sin(4 * TIME_S)
     sigma = np.full((60, 3, 3), 0.01)
-    angle = joint_angle(leg(bend), ("hip", "knee", "foot"), FPS, sigma)
+    angle = joint_angle(leg(bend), ("hip", "knee", "foot"), FPS, [Errors(sigma)])
     np.testing.assert_allclose(angle.series.value[::10, 0], bend, atol=1e-9)
     # Each end turns its link by sigma / 1 m; the knee moves both, against one another by the angle between them.
     expected = 0.01 * np.sqrt(2 + 2 - 2 * np.cos(bend))
@@ -196,7 +212,7 @@ def test_spine_flexion_is_positive_when_arched_up(heading):
         np.stack([np.tile(ahead, (60, 1)), spine, np.zeros((60, 3))], axis=1),
         np.arange(60),
     )
-    angle = spine_flexion(pose, FPS, np.full((60, 3, 3), 0.01))
+    angle = spine_flexion(pose, FPS, [Errors(np.full((60, 3, 3), 0.01))])
     np.testing.assert_allclose(angle.series.value[::10, 0], 2 * np.arctan(rise), atol=1e-12)
 
 
@@ -234,6 +250,6 @@ def test_bad_input():
     with pytest.raises(ValueError, match="smoothing needs"):
         point_kinematics(TIME_S, circle(TIME_S), smooth=True)
     with pytest.raises(ValueError, match="must be positive"):
-        point_kinematics(TIME_S, circle(TIME_S), np.zeros((60, 3)))
+        point_kinematics(TIME_S, circle(TIME_S), [Errors(np.zeros((60, 3)))])
     with pytest.raises(ValueError, match="not negative"):
-        point_kinematics(TIME_S, circle(TIME_S), correlation_s=-1.0)
+        point_kinematics(TIME_S, circle(TIME_S), [Errors(np.ones((60, 3)), -1.0)])

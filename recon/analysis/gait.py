@@ -40,7 +40,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from recon.analysis.kinematics import Series, frame_times, joint_index, series_kinematics
+from recon.analysis.kinematics import Errors, Series, frame_times, joint_index, series_kinematics
 from recon.analysis.path import MIN_POINTS
 from recon.io.pose3d import Pose3D
 
@@ -266,7 +266,7 @@ def _path(time_s: Array, points_m: Array, sigma_m: Array | None) -> Series:
     return series_kinematics(
         time_s,
         points_m,
-        sigma_m,
+        () if sigma_m is None else (Errors(sigma_m),),
         smooth=sigma_m is not None,
         propagate=False,
         oversampling=OVERSAMPLING,

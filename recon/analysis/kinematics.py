@@ -14,15 +14,15 @@ within 10 %. The standard deviations say so. Nothing is extrapolated, and a gap 
 into spans; a shorter one is interpolated.
 
 For a given lam a spline is linear in its values, so that their covariance C propagates exactly: C' = W C W^T, with W
-the splines through unit vectors. `sigma` are the values' standard deviations, coordinates independent of one another;
-C_ij = sigma_i sigma_j exp(-|t_i - t_j| / correlation_s). What a fit over time leaves is correlated: with 0, taken for
-independent frames, the rates' deviations are then too large. The choice of lam is not part of the propagation, nor is
+the splines through unit vectors. Coordinates are independent of one another, and so are the `Errors` that add up; each
+has C_ij = sigma_i sigma_j exp(-((t_i - t_j) / correlation_s)^2 / 2). What a fit over time leaves is smooth: taken for
+independent frames, the rates' deviations would be too large. The choice of lam is not part of the propagation, nor is
 what smoothing takes away from the motion itself.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -42,6 +42,24 @@ MIN_SMOOTHING_POINTS = 5
 """`make_smoothing_spline` needs this many."""
 _LOG10_LAM = (-16.0, 8.0)
 """Range of lam, relative to (span / number of values)^3: from an exact spline to a straight line."""
+
+
+_WINDOW, _MARGIN = 200, 40
+"""Frames of an exact spline whose deviations are worked out at once, and how many on either side count: a value's share
+in the spline falls by 2 - sqrt(3) from frame to frame, to 1e-23 over the margin."""
+
+
+@dataclass(frozen=True, eq=False)
+class Errors:
+    """sigma: standard deviations of values, in their shape and unit, positive; correlation_s: how long an error lasts
+    (see the module), 0 for frames that have nothing to do with each other."""
+
+    sigma: Array
+    correlation_s: float = 0.0
+
+    def __getitem__(self, at) -> Errors:
+        """Of a part of the values."""
+        return Errors(self.sigma[at], self.correlation_s)
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,7 +93,7 @@ class JointKinematics:
     """A point's motion, world frame. series: position (m), velocity (m/s) and acceleration (m/s^2) vectors, (N, 3).
 
     speed_m_s, acceleration_m_s2 (N,): norms of the vectors; speed_sigma_m_s, acceleration_sigma_m_s2 (N,): linear,
-    None without sigma_m (noise also biases a norm upwards, by about sigma^2 / norm, which is not taken out).
+    None without errors (noise also biases a norm upwards, by about sigma^2 / norm, which is not taken out).
     distance_m: arc length of the known spans; mean_speed_m_s: over the time they take; peaks with their times. NaN
     where nothing is known.
     """
@@ -110,41 +128,38 @@ class AngleKinematics:
 def series_kinematics(
     time_s: Array,
     values: Array,
-    sigma: Array | None = None,
+    errors: Sequence[Errors] = (),
     *,
     smooth: bool = False,
     propagate: bool = True,
-    correlation_s: float = 0.0,
     oversampling: int = OVERSAMPLING,
     max_gap_s: float = MAX_GAP_S,
 ) -> Series:
     """Values (T, d) at increasing times (T,) -> their spline; NaN in any dimension is a missing frame.
 
-    sigma: standard deviations (T, d) in the values' unit, positive; with smooth they are the weights as well. A span
-    needs four values (five with smooth). propagate: whether to work out deviations, which takes memory of 8 bytes x N x
-    T, and with smooth a spline for each value. Raises ValueError.
+    errors: what adds up to the values' errors, sigma (T, d) each; with smooth, all together are the weights as well. A
+    span needs four values (five with smooth). propagate: whether to work out deviations, which with smooth takes memory
+    of 8 bytes x N x T, and a spline for each value. Raises ValueError.
     """
     time_s, values = np.asarray(time_s, float), np.asarray(values, float)
-    _check_series(time_s, values, sigma, smooth, correlation_s)
+    _check_series(time_s, values, errors, smooth)
     T, d = values.shape
     N = (T - 1) * oversampling + 1 if T else 0
     fine_s = np.interp(np.arange(N) / oversampling, np.arange(T), time_s) if T else np.empty(0)
     out = np.full((3, N, d), np.nan)
-    spread = None if sigma is None or not propagate else np.full((3, N, d), np.nan)
+    spread = np.full((3, N, d), np.nan) if len(errors) and propagate else None
+    weight = 1.0 / np.sqrt(sum(e.sigma**2 for e in errors)) if smooth else np.ones((T, d))
     spans, lams = [], []
     for rows in _spans(time_s, values, max_gap_s, MIN_SMOOTHING_POINTS if smooth else MIN_POINTS):
         where = slice(rows[0] * oversampling, rows[-1] * oversampling + 1)
         t, at = time_s[rows], fine_s[where]
         lam = np.zeros(d)
         for k in range(d):
-            weight = None if sigma is None else 1.0 / sigma[rows, k]
             if smooth:
-                assert weight is not None
-                lam[k] = _discrepancy_lam(t, values[rows, k], weight)
-            out[:, where, k] = _evaluate(_curve(t, values[rows, k], weight, lam[k]), at)
-            if spread is not None and sigma is not None:
-                operator = _evaluate(_curve(t, np.eye(len(t)), weight, lam[k]), at)
-                spread[:, where, k] = _propagate(operator * sigma[rows, k], t, correlation_s)
+                lam[k] = _discrepancy_lam(t, values[rows, k], weight[rows, k])
+            out[:, where, k] = _evaluate(_curve(t, values[rows, k], weight[rows, k], lam[k]), at)
+        if spread is not None:
+            spread[:, where] = _spread(t, at, [e[rows] for e in errors], weight[rows], lam)
         spans.append((int(rows[0]), int(rows[-1])))
         lams.append(lam)
     value_sigma, rate_sigma, acceleration_sigma = (None, None, None) if spread is None else spread
@@ -162,19 +177,19 @@ def series_kinematics(
     )
 
 
-def _check_series(time_s: Array, values: Array, sigma: Array | None, smooth: bool, correlation_s: float) -> None:
+def _check_series(time_s: Array, values: Array, errors: Sequence[Errors], smooth: bool) -> None:
     if values.ndim != 2 or time_s.shape != values.shape[:1]:
         raise ValueError(f"values (T, d) at times (T,) expected, got {values.shape} and {time_s.shape}")
     if np.any(np.diff(time_s) <= 0):
         raise ValueError("times must increase")
-    if smooth and sigma is None:
+    if smooth and not len(errors):
         raise ValueError("smoothing needs the values' standard deviations")
-    if sigma is not None:
-        known = np.isfinite(values).all(axis=1)
-        if np.shape(sigma) != values.shape or not np.all(np.asarray(sigma)[known] > 0):
+    known = np.isfinite(values).all(axis=1)
+    for error in errors:
+        if np.shape(error.sigma) != values.shape or not np.all(np.asarray(error.sigma)[known] > 0):
             raise ValueError("standard deviations must be positive, one for each known value")
-    if correlation_s < 0:
-        raise ValueError("a correlation time is not negative")
+        if error.correlation_s < 0:
+            raise ValueError("a correlation time is not negative")
 
 
 def _spans(time_s: Array, values: Array, max_gap_s: float, min_points: int) -> list[NDArray[np.intp]]:
@@ -184,12 +199,11 @@ def _spans(time_s: Array, values: Array, max_gap_s: float, min_points: int) -> l
     return [rows for rows in np.split(known, np.flatnonzero(too_long) + 1) if len(rows) >= min_points]
 
 
-def _curve(t: Array, x: Array, weight: Array | None, lam: float) -> Curve:
+def _curve(t: Array, x: Array, weight: Array, lam: float) -> Curve:
     """curve(time (M,), order of the derivative) -> (M, ...) through x (n, ...); lam 0: exact."""
     if lam == 0:
         return CubicSpline(t, x, bc_type="not-a-knot")
     # Least squares weighs by w, not by its square.
-    assert weight is not None
     columns = x.reshape(len(t), -1).T
     curves = [make_smoothing_spline(t, column, w=weight**2, lam=lam) for column in columns]
     return lambda at, order: np.stack([c(at, nu=order) for c in curves], axis=-1).reshape(len(at), *x.shape[1:])
@@ -215,12 +229,35 @@ def _discrepancy_lam(t: Array, x: Array, weight: Array) -> float:
     return 10.0 ** float(brentq(excess, low, high, xtol=1e-3)) * scale
 
 
+def _spread(t: Array, at: Array, errors: Sequence[Errors], weight: Array, lam: Array) -> Array:
+    """Standard deviations (3, M, d) of value, rate and acceleration at times (M,) of the splines of a span (n,)."""
+    variance = np.zeros((3, len(at), len(lam)))
+    smooth = bool(lam.any())
+    for values, samples in [(slice(None), slice(None))] if smooth else _windows(t, at):
+        unit, operator = np.eye(len(t[values])), np.empty(0)
+        for k in range(len(lam)):
+            if smooth or k == 0:  # an exact spline is the same for all dimensions
+                operator = _evaluate(_curve(t[values], unit, weight[values, k], lam[k]), at[samples])
+            for error in errors:
+                variance[:, samples, k] += _propagate(operator * error.sigma[values, k], t[values], error.correlation_s)
+    return np.sqrt(variance)
+
+
+def _windows(t: Array, at: Array) -> Iterator[tuple[slice, slice]]:
+    """Pieces of the times `at`, each with the values of a span that its samples depend on."""
+    for first in range(0, max(len(t) - 1, 1), _WINDOW):
+        last = min(first + _WINDOW, len(t) - 1)
+        begin, end = np.searchsorted(at, [t[first], t[last]])
+        final = last == len(t) - 1
+        yield slice(max(first - _MARGIN, 0), last + _MARGIN + 1), slice(begin, len(at) if final else end)
+
+
 def _propagate(weighted: Array, t: Array, correlation_s: float) -> Array:
-    """Standard deviations (3, M) of operators (3, M, n), already times sigma."""
+    """Variances (3, M) of operators (3, M, n), already times sigma."""
     if correlation_s == 0:
-        return np.sqrt(np.sum(weighted**2, axis=-1))
-    correlation = np.exp(-np.abs(t[:, None] - t) / correlation_s)
-    return np.sqrt(np.maximum(np.sum((weighted @ correlation) * weighted, axis=-1), 0.0))
+        return np.sum(weighted**2, axis=-1)
+    correlation = np.exp(-0.5 * ((t[:, None] - t) / correlation_s) ** 2)
+    return np.maximum(np.sum((weighted @ correlation) * weighted, axis=-1), 0.0)
 
 
 # -- points ----------------------------------------------------------------------------------------------------------
@@ -243,9 +280,9 @@ def joint_index(pose: Pose3D, names: tuple[str, ...]) -> list[int]:
     return [pose.names.index(name) for name in names]
 
 
-def point_kinematics(time_s: Array, xyz_m: Array, sigma_m: Array | None = None, **options) -> JointKinematics:
-    """A point's path (T, 3) in metres at times (T,); sigma_m (T, 3); options as `series_kinematics`."""
-    series = series_kinematics(time_s, xyz_m, sigma_m, **options)
+def point_kinematics(time_s: Array, xyz_m: Array, errors: Sequence[Errors] = (), **options) -> JointKinematics:
+    """A point's path (T, 3) in metres at times (T,), errors (T, 3); options as `series_kinematics`."""
+    series = series_kinematics(time_s, xyz_m, errors, **options)
     speed, speed_sigma = _norm(series.rate, series.rate_sigma)
     acceleration, acceleration_sigma = _norm(series.acceleration, series.acceleration_sigma)
     distance = covered = 0.0
@@ -267,11 +304,11 @@ def point_kinematics(time_s: Array, xyz_m: Array, sigma_m: Array | None = None, 
     )
 
 
-def joint_kinematics(pose: Pose3D, joint: str, fps: float, sigma_m: Array | None = None, **options) -> JointKinematics:
-    """Motion of one joint of a pose; sigma_m (T, J, 3) of all. Raises InputError, ValueError."""
+def joint_kinematics(pose: Pose3D, joint: str, fps: float, errors: Sequence[Errors] = (), **options) -> JointKinematics:
+    """Motion of one joint of a pose; errors (T, J, 3) of all, metres. Raises InputError, ValueError."""
     (j,) = joint_index(pose, (joint,))
-    sigma = None if sigma_m is None else sigma_m[:, j]
-    return point_kinematics(frame_times(pose.frames, fps), pose.xyz_m[:, j], sigma, **options)
+    of_joint = [error[:, j] for error in errors]
+    return point_kinematics(frame_times(pose.frames, fps), pose.xyz_m[:, j], of_joint, **options)
 
 
 def _norm(vector: Array, sigma: Array | None) -> tuple[Array, Array | None]:
@@ -311,13 +348,13 @@ def sagittal_flexion(rear_m: Array, middle_m: Array, front_m: Array) -> Array:
     return np.pi - np.mod(np.pi - (rise[0] - rise[1]), 2 * np.pi)
 
 
-def angle_kinematics(time_s: Array, angle_rad: Array, sigma_rad: Array | None = None, **options) -> AngleKinematics:
-    """An angle (T,) over times (T,), jumps of 2 pi between known frames taken out; options as `series_kinematics`."""
+def angle_kinematics(time_s: Array, angle_rad: Array, errors: Sequence[Errors] = (), **options) -> AngleKinematics:
+    """An angle (T,) over times (T,), errors (T,) in rad, jumps of 2 pi between known frames taken out; options as
+    `series_kinematics`."""
     angle = np.array(angle_rad, float)
     known = np.isfinite(angle)
     angle[known] = np.unwrap(angle[known])
-    sigma = None if sigma_rad is None else sigma_rad[:, None]
-    series = series_kinematics(time_s, angle[:, None], sigma, **options)
+    series = series_kinematics(time_s, angle[:, None], [error[:, None] for error in errors], **options)
     value = series.value[np.isfinite(series.value)]
     low, high = (float(value.min()), float(value.max())) if len(value) else (np.nan, np.nan)
     return AngleKinematics(
@@ -330,21 +367,22 @@ def angle_kinematics(time_s: Array, angle_rad: Array, sigma_rad: Array | None = 
 
 
 def joint_angle(
-    pose: Pose3D, joints: tuple[str, str, str], fps: float, sigma_m: Array | None = None, **options
+    pose: Pose3D, joints: tuple[str, str, str], fps: float, errors: Sequence[Errors] = (), **options
 ) -> AngleKinematics:
-    """The angle at joints[1] between joints[0] and joints[2], 0 to pi. sigma_m (T, J, 3). Raises InputError."""
-    return _pose_angle(pose, joints, fps, angle_between, sigma_m, options)
+    """The angle at joints[1] between joints[0] and joints[2], 0 to pi. errors (T, J, 3), metres, of joints independent
+    of each other. Raises InputError."""
+    return _pose_angle(pose, joints, fps, angle_between, errors, options)
 
 
 def spine_flexion(
     pose: Pose3D,
     fps: float,
-    sigma_m: Array | None = None,
+    errors: Sequence[Errors] = (),
     joints: tuple[str, str, str] = ("tail_base", "spine", "neck_base"),
     **options,
 ) -> AngleKinematics:
     """Flexion of the back, positive when arched upwards (`sagittal_flexion`); joints: rear, middle, front."""
-    return _pose_angle(pose, joints, fps, sagittal_flexion, sigma_m, options)
+    return _pose_angle(pose, joints, fps, sagittal_flexion, errors, options)
 
 
 def _pose_angle(
@@ -352,18 +390,17 @@ def _pose_angle(
     joints: tuple[str, str, str],
     fps: float,
     angle_of: Callable[[Array, Array, Array], Array],
-    sigma_m: Array | None,
+    errors: Sequence[Errors],
     options: dict,
 ) -> AngleKinematics:
     where = joint_index(pose, joints)
     points = pose.xyz_m[:, where]
     angle = angle_of(*np.moveaxis(points, 1, 0))
-    sigma = None
-    if sigma_m is not None:
-        sigma = angle_sigma(angle_of, points, sigma_m[:, where])
+    of_angle = [Errors(angle_sigma(angle_of, points, e.sigma[:, where]), e.correlation_s) for e in errors]
+    for error in of_angle:
         # Where the angle has no first derivative there is no linear deviation either.
-        angle = np.where(np.isfinite(sigma) & (sigma > 0), angle, np.nan)
-    return angle_kinematics(frame_times(pose.frames, fps), angle, sigma, **options)
+        angle = np.where(np.isfinite(error.sigma) & (error.sigma > 0), angle, np.nan)
+    return angle_kinematics(frame_times(pose.frames, fps), angle, of_angle, **options)
 
 
 def angle_sigma(angle_of: Callable[[Array, Array, Array], Array], points_m: Array, sigma_m: Array) -> Array:
