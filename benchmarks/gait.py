@@ -1,11 +1,12 @@
-"""Stances, gaits and links' motion of a folder of real runs, from their multi-camera reconstructions.
+"""Kinematics and gait of the samples against their formula, and of real runs from their multi-camera reconstructions.
 
     python benchmarks/gait.py [FOLDER]
 
-Each run is a folder with truth.csv and meta.json (fps). Prints how well the two methods of `recon.analysis.gait` agree
+The samples: speeds and stance events of the true joints, and of reconstructions, against the formula at 3600 fps. Each
+run is a folder with truth.csv and meta.json (fps). Prints how well the two methods of `recon.analysis.gait` agree
 on the stances, what the clips show of the gait, and the mean magnitudes of the links' motion relative to their parents.
 Stances that end in the last ten frames by both methods are not counted. Without FOLDER: the cheetah-runs of
-$RECON_SHARED_DATA, or of ../shared/data.
+$RECON_SHARED_DATA, or of ../shared/data; without any runs, the samples only.
 """
 
 from __future__ import annotations
@@ -13,15 +14,23 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import tempfile
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 
-from recon import Pose3D, read_pose3d
-from recon.analysis.gait import gait, match_stances, pose_tracks
-from recon.analysis.kinematics import spine_flexion
+from recon import FitSettings, Pose3D, read_pose3d
+from recon.analysis.clip import analyse
+from recon.analysis.gait import FEET, gait, match_stances, pose_tracks, stances
+from recon.analysis.kinematics import joint_kinematics, spine_flexion
 from recon.analysis.phase import field_means, pose_vector_field
+from recon.pipelines.clip import run_clip
+from recon.results import read_results
+from recon.synthetic import gallop
 
+SAMPLES = Path(__file__).resolve().parents[1] / "data" / "samples"
+REFERENCE = "spine"
 LAST_FRAMES = 10
 CHAINS = {
     "hind": ("spine", "tail_base", "{}_back_knee", "{}_back_ankle", "{}_back_paw"),
@@ -57,7 +66,9 @@ def run_row(pose: Pose3D, fps: float) -> dict:
         "stance_ms": f"{1000 * np.mean([s.duration_s for s in whole]):.0f}" if whole else "-",
         "landed": " ".join(ground.order),
         "strides": len(ground.strides),
-        "gait": ground.name.name,
+        "gait by ground": ground.name.name,
+        "gait by body": body.name.name,
+        "criterion": ground.name.criterion,
         "slope_percent": f"{100 * np.hypot(*tracks.ground.slope):.1f}",
         "spread_mm": f"{1000 * tracks.ground.spread_m:.0f}",
         "flexion_deg": "{:+.0f} to {:+.0f}".format(*np.degrees(flexion.range_rad)),
@@ -76,6 +87,72 @@ def link_speeds(pose: Pose3D, fps: float) -> dict[str, float]:
     return found
 
 
+# -- the samples -----------------------------------------------------------------------------------------------------
+
+FORMULA_FPS = 3600
+
+
+def sample_rows() -> list[dict]:
+    """True joints and reconstructions of the samples; errors against the formula, or the true joints for `whole`."""
+    formula = gallop(fps=float(FORMULA_FPS), n_frames=29 * FORMULA_FPS // 30 + 1)
+    fine = Pose3D(formula.names, formula.truth_m, np.arange(len(formula.truth_m)))
+    clean, whole = (read_pose3d(SAMPLES / f"{name}_truth.csv") for name in ("clean", "whole"))
+    rows = [sample_row("clean, true joints", clean, 30, fine, FORMULA_FPS, FEET)]
+    fits = (
+        ("noisy, frame method", {"method": "frame"}),
+        ("noisy, trajectory method, same chain", {"skeleton": "cheetah-8u"}),
+    )
+    for name, options in fits:
+        rows.append(fitted_row(name, "noisy", 30, options, fine, FORMULA_FPS))
+    rows.append(fitted_row("whole, trajectory method", "whole", 60, {}, whole, 60))
+    return rows
+
+
+def fitted_row(name: str, sample: str, fps: int, options: dict, truth: Pose3D, truth_fps: int) -> dict:
+    with tempfile.TemporaryDirectory() as folder:
+        settings = FitSettings(keypoints=SAMPLES / f"{sample}.csv", camera=SAMPLES / "camera.toml", fps=fps, **options)
+        run_clip(settings, Path(folder) / "fit")
+        found = analyse(read_results(Path(folder) / "fit"))
+    row = sample_row(name, found.pose, fps, truth, truth_fps, found.results.feet)
+    sigma = found.joints[REFERENCE].speed_sigma_m_s
+    return row | {"stated sigma m/s": "-" if sigma is None else f"{np.nanmedian(sigma):.1f}"}
+
+
+def sample_row(name: str, pose: Pose3D, fps: int, truth: Pose3D, truth_fps: int, feet: Mapping[str, str]) -> dict:
+    moved, true = (joint_kinematics(p, REFERENCE, f) for p, f in ((pose, fps), (truth, truth_fps)))
+    every = truth_fps // fps
+    at_frames = moved.speed_m_s[::10], true.speed_m_s[:: 10 * every][: len(pose.frames)]
+    of_joints = [
+        joint_kinematics(pose, j, fps).peak_speed_m_s / joint_kinematics(truth, j, truth_fps).peak_speed_m_s - 1
+        for j in pose.names
+        if j in truth.names
+    ]
+    tracks = [pose_tracks(p, f, feet=feet) for p, f in ((pose, fps), (truth, truth_fps))]
+    row = {
+        "joints": name,
+        "fps": fps,
+        f"peak speed of {REFERENCE} m/s (error)": f"{moved.peak_speed_m_s:.2f} "
+        f"({moved.peak_speed_m_s / true.peak_speed_m_s - 1:+.1%})",
+        "mean (error)": f"{moved.mean_speed_m_s:.2f} ({moved.mean_speed_m_s / true.mean_speed_m_s - 1:+.1%})",
+        "speed, rms error m/s": f"{np.sqrt(np.nanmean((at_frames[0] - at_frames[1]) ** 2)):.2f}",
+        "stated sigma m/s": "-",
+        "largest error of any joint's peak": f"{max(of_joints, key=abs):+.1%}",
+        "peak acceleration m/s2 (true)": f"{moved.peak_acceleration_m_s2:.0f} ({true.peak_acceleration_m_s2:.0f})",
+    }
+    for method in ("ground", "body"):
+        found, exact = (stances(t, method) for t in tracks)
+        match = match_stances(exact, found)
+        off = [fps * (b.start_s - a.start_s) for a, b in match.pairs if a.begins and b.begins]
+        off += [fps * (b.end_s - a.end_s) for a, b in match.pairs if a.ends and b.ends]
+        row[f"stances by {method}: paired, missed, extra"] = (
+            f"{len(match.pairs)}, {len(match.only_first)}, {len(match.only_second)}"
+        )
+        row[f"events by {method}: median, worst error, frames"] = (
+            f"{np.median(np.abs(off)):.1f}, {np.max(np.abs(off)):.1f}" if off else "-"
+        )
+    return row
+
+
 def print_table(rows: list[dict]) -> None:
     print("| " + " | ".join(rows[0]) + " |")
     print("|" + " --- |" * len(rows[0]))
@@ -90,8 +167,10 @@ def main() -> None:
     parser.add_argument("folder", type=Path, nargs="?", default=default)
     arguments = parser.parse_args()
     runs = sorted(p.parent for p in arguments.folder.glob("*/meta.json") if (p.parent / "truth.csv").is_file())
+    print("### Samples\n")
+    print_table(sample_rows())
     if not runs:
-        parser.exit(message=f"no runs in {arguments.folder}: nothing measured\n")
+        parser.exit(message=f"no runs in {arguments.folder}\n")
     rows, links = [], []
     for run in runs:
         fps = json.loads((run / "meta.json").read_text(encoding="utf-8"))["fps"]
@@ -100,7 +179,7 @@ def main() -> None:
         links.append(link_speeds(pose, fps))
     columns = list(rows[0])
     at = columns.index("landed")
-    print("### Stances\n")
+    print("\n### Stances\n")
     print_table([{name: row[name] for name in columns[:at]} for row in rows])
     matched, counted = (sum(row[name] for row in rows) for name in ("matched", "counted"))
     share = f"{matched / counted:.0%}" if counted else "none"

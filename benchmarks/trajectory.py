@@ -30,7 +30,9 @@ import pandas as pd
 from cheetah_runs import PUBLISHED, view_row
 
 from recon import Body, Camera, load_skeleton, read_camera, read_keypoints, read_pose3d
+from recon.analysis.clip import PLACE_LASTS_S, POSE_LASTS_S
 from recon.analysis.evaluation import centre, joint_errors, score
+from recon.analysis.kinematics import Errors, series_kinematics
 from recon.body import other_side
 from recon.keypoints import clean
 from recon.pipelines.clip import arrange
@@ -192,16 +194,15 @@ CHANGES: dict[str, Callable[[np.ndarray], slice]] = {
 """Each changes detections (T, J, 2) in place, and gives back the frames that are not scored."""
 
 
-def fit(job: Job) -> Fit:
+def solution_of(job: Job) -> TrajectorySolution:
     lens, xy_px, confidence, truth_m = view_of(job.run, job.camera)
-    projected, valid = lens.project(truth_m)
     if job.change == "projected":
-        xy_px = projected
+        xy_px, _ = lens.project(truth_m)
     else:
         CHANGES[job.change](xy_px := xy_px.copy())
     meta = meta_of(job.run)
     body = body_of(meta["subject"] if job.subject else None, job.scale)
-    solution = solve_trajectory(
+    return solve_trajectory(
         lens,
         replace(body, keypoint_offset_m=job.offsets_m),
         prior_of(job.prior),
@@ -210,6 +211,12 @@ def fit(job: Job) -> Fit:
         meta["fps"],
         TrajectoryOptions(**job.options),
     )
+
+
+def fit(job: Job) -> Fit:
+    lens, _, _, truth_m = view_of(job.run, job.camera)
+    solution = solution_of(job)
+    projected, valid = lens.project(truth_m)
     found = solution.joints_camera_m
     centred = found - found.mean(axis=1, keepdims=True) - truth_m + truth_m.mean(axis=1, keepdims=True)
     return Fit(
@@ -481,6 +488,51 @@ def uncertainty(runs: Sequence[Path]) -> dict[str, Rows]:
     return {"uncertainty: share of the truth in the 90 % regions": rows, "uncertainty: a hole of ten frames": grown}
 
 
+def rates(runs: Sequence[Path]) -> dict[str, Rows]:
+    """How large velocities' and accelerations' errors are beside what `recon.analysis.clip` says of them."""
+    with multiprocessing.Pool(2) as pool:
+        found = pool.map(_rate_errors, views(runs), chunksize=1)
+    rows = []
+    for part, lasts_s in (("pose", POSE_LASTS_S), ("place", PLACE_LASTS_S)):
+        values = np.concatenate([f[part] for f in found])
+        root = np.sqrt(np.mean(values**2, axis=0))
+        row: dict[str, object] = {"errors of the": part, "last s": lasts_s}
+        for name, i in (("position m", 0), ("velocity m/s", 2), ("acceleration m/s2", 4)):
+            row |= {f"{name}, error": root[i], f"{name}, sigma": root[i + 1]}
+        rows.append(row)
+    return {"rates: root mean square errors and what is stated": rows}
+
+
+def _rate_errors(job: Job) -> dict[str, np.ndarray]:
+    """By part rows of errors and standard deviations (three dimensions together): position, velocity, acceleration."""
+    solution, truth_m = solution_of(job), view_of(job.run, job.camera)[3]
+    time_s = np.arange(len(truth_m)) / meta_of(job.run)["fps"]
+    found, middle = solution.joints_camera_m, solution.joints_camera_m.mean(axis=1, keepdims=True)
+    true_middle = truth_m.mean(axis=1, keepdims=True)
+    of_middle = (solution.covariance_m2 - solution.relative_covariance_m2).mean(axis=1, keepdims=True)
+    parts = {
+        "pose": (found - middle - truth_m + true_middle, solution.relative_covariance_m2, POSE_LASTS_S),
+        "place": (middle - true_middle, of_middle, PLACE_LASTS_S),
+    }
+    rows = {}
+    for part, (off, covariance, lasts_s) in parts.items():
+        sigma = np.sqrt(np.maximum(np.diagonal(covariance, axis1=2, axis2=3), 1e-12))
+        rows[part] = np.concatenate(
+            [_rate_rows(time_s, off[:, j], Errors(sigma[:, j], lasts_s)) for j in range(off.shape[1])]
+        )
+    return rows
+
+
+def _rate_rows(time_s: np.ndarray, off_m: np.ndarray, errors: Errors) -> np.ndarray:
+    moved = series_kinematics(time_s, off_m, [errors], oversampling=1)
+    columns = (
+        *(moved.value, moved.value_sigma, moved.rate, moved.rate_sigma),
+        *(moved.acceleration, moved.acceleration_sigma),
+    )
+    rows = np.stack([np.linalg.norm(np.asarray(c, float), axis=1) for c in columns], axis=1)
+    return rows[np.isfinite(rows).all(axis=1)]
+
+
 def ablation(runs: Sequence[Path]) -> dict[str, Rows]:
     one_gaussian, none = {"prior": ONE_GAUSSIAN}, {"prior": "none"}
     variants: list[tuple[str, dict, dict]] = [
@@ -709,6 +761,7 @@ REAL: dict[str, Callable[[Sequence[Path]], dict[str, Rows]]] = {
     "offsets": offsets,
     "size": size,
     "uncertainty": uncertainty,
+    "rates": rates,
     "ablation": ablation,
     "robustness": robustness,
     "time": times,

@@ -14,6 +14,8 @@ from recon.camera import Camera
 from recon.initialise import mean_pose
 from recon.keypoints import Keypoints, clean
 from recon.motion import FrameMotion, TrajectoryMotion
+from recon.pipelines.clip import run_clip
+from recon.settings import FitSettings
 from recon.skeleton_file import load_skeleton
 from recon.solve import FrameOptions, Ground, Start, TrajectorySolution, solve_frames
 
@@ -26,6 +28,38 @@ def shared_data() -> Path:
     if not path.is_dir():
         pytest.skip(f"no real recordings at {path} (set RECON_SHARED_DATA)")
     return path
+
+
+SAMPLES = Path(__file__).resolve().parents[1] / "data" / "samples"
+
+
+@pytest.fixture(scope="session")
+def whole_results(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folder of `recon fit` on the whole-animal sample, all options by default. Not to be written to."""
+    settings = FitSettings(keypoints=SAMPLES / "whole.csv", camera=SAMPLES / "camera.toml", fps=60)
+    out = tmp_path_factory.mktemp("whole") / "fit"
+    run_clip(settings, out)
+    return out
+
+
+@pytest.fixture(scope="session")
+def level_results(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The same, without a calibration and with a tilt: results in the camera frame. Not to be written to."""
+    settings = FitSettings(
+        keypoints=SAMPLES / "whole.csv", hfov_deg=60, image_size_px=(1920, 1080), tilt_deg=3, fps=60, fast=True
+    )
+    out = tmp_path_factory.mktemp("level") / "fit"
+    run_clip(settings, out)
+    return out
+
+
+@pytest.fixture(scope="session")
+def frame_results(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folder of `recon fit --method frame` on the noisy sample. Not to be written to."""
+    settings = FitSettings(keypoints=SAMPLES / "noisy.csv", camera=SAMPLES / "camera.toml", fps=30, method="frame")
+    out = tmp_path_factory.mktemp("frame") / "fit"
+    run_clip(settings, out)
+    return out
 
 
 @pytest.fixture(scope="session")

@@ -3,26 +3,21 @@
 from __future__ import annotations
 
 import csv
-import io
 import json
 import os
 import signal
-import subprocess
-import sys
 from collections.abc import Callable
-from contextlib import redirect_stderr, redirect_stdout
 from importlib import metadata
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
 import pytest
+from command_line import Ended, run, run_process
 
 import recon.export
 import recon.view
 from recon.analysis.evaluation import evaluate_files
-from recon.cli import main
 from recon.export import TRAJECTORY_OUTPUTS
 from recon.io import read_keypoints
 from recon.pipelines.clip import OUTPUT_FILES
@@ -38,32 +33,6 @@ FITTED = {f"r_{leg}_{joint}" for leg in ("front", "back") for joint in ("knee", 
 }
 OF_FRAMES = [name for name in OUTPUT_FILES if name not in TRAJECTORY_OUTPUTS]
 needs_sigkill = pytest.mark.skipif(os.name != "posix", reason="SIGKILL is of POSIX")
-
-
-class Ended(NamedTuple):
-    code: int
-    out: str
-    err: str
-
-
-def run(*args: object) -> Ended:
-    """`recon ARGS` in this process: `main()` with its handling of errors."""
-    out, err = io.StringIO(), io.StringIO()
-    with pytest.MonkeyPatch.context() as patch, redirect_stdout(out), redirect_stderr(err):
-        patch.setattr(sys, "argv", ["recon", *map(str, args)])
-        patch.setenv("COLUMNS", "80")
-        with pytest.raises(SystemExit) as caught:
-            main()
-    code = caught.value.code or 0
-    assert isinstance(code, int)
-    return Ended(code, out.getvalue(), err.getvalue())
-
-
-def run_process(*args: object, before: str = "") -> Ended:
-    """`recon ARGS` in a process of its own, after some lines of Python."""
-    command = [sys.executable, "-W", "error", "-c", f"{before}\nfrom recon.cli import main\nmain()", *map(str, args)]
-    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
-    return Ended(done.returncode, done.stdout, done.stderr)
 
 
 def whole_args(

@@ -14,6 +14,7 @@ from recon.analysis.gait import (
     SLOW,
     Stance,
     classify,
+    classify_within,
     footfall_table,
     gait,
     ground_plane,
@@ -220,6 +221,31 @@ def test_only_complete_strides_count():
     assert "no " in short.name.criterion
     assert np.isnan(short.stride_length_m)
     assert np.isnan(short.stride_frequency_hz)
+
+
+@pytest.mark.parametrize("name", PATTERNS)
+def test_gaits_in_less_than_a_stride_are_named_right_or_not_at_all(name):
+    """Windows of 0.33 and 0.42 s of strides of 0.4 s."""
+    whole, names = runner(*PATTERNS[name]), set()
+    for first in range(30, 66, 4):
+        for n in (30, 38):
+            found = pose_gait(Pose3D(NAMES, whole.xyz_m[first : first + n], np.arange(n)), FPS)
+            if not found.strides:
+                names.add(found.name.name)
+                assert "no " in found.name.criterion
+                assert np.isnan(found.stride_length_m)
+    if name in ("walk", "trot", "pace"):
+        assert names == {"unknown"}
+    else:
+        assert names in ({name}, {name, "unknown"})
+
+
+def test_within_a_stride_a_pair_may_be_too_near_to_call():
+    landed = {"LH": 0.0, "RH": 0.02, "LF": 0.15, "RF": 0.17}
+    assert classify_within(landed, 0.3)[0] == "unknown"  # 20 ms are 0.07 of 0.3 s, and might be 0.03 of a stride
+    assert classify_within(landed, 0.19)[0] == "transverse gallop"
+    assert classify_within(landed, 0.5)[0] == "bound"
+    assert classify_within(landed | {"RF": 0.29}, 0.3)[0] == "unknown"
 
 
 def test_an_animal_that_stands_has_no_gait():

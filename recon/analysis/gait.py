@@ -447,7 +447,7 @@ def gait(moved: Tracks, method: Method = "ground") -> Gait:
         stride_frequency_hz=1.0 / _mean(durations) if durations else np.nan,
         duty_factor={foot: _mean([s.duty_factor for s in taken if s.foot == foot]) for foot in moved.feet},
         speed_m_s=_mean([s for s in moved.body_speed_m_s if np.isfinite(s)]),
-        name=name_gait(found, taken),
+        name=name_gait(found, taken, float(moved.time_s[-1])),
     )
 
 
@@ -479,14 +479,16 @@ def footfall_table(found: tuple[Stance, ...]) -> list[tuple[str, float, float]]:
     return [(s.foot, s.start_s, s.end_s) for s in sorted(found, key=lambda s: (s.foot, s.start_s))]
 
 
-def name_gait(found: tuple[Stance, ...], taken: tuple[Stride, ...]) -> GaitName:
-    """The gait by the four feet's phases: see `classify`. The stride's period is the median over the strides."""
+def name_gait(found: tuple[Stance, ...], taken: tuple[Stride, ...], until_s: float) -> GaitName:
+    """The gait by the four feet's phases: see `classify`. The stride's period is the median over the strides; without a
+    complete one see `classify_within`. until_s: the end of the clip."""
     duty = _mean([s.duty_factor for s in taken])
     lacking = [foot for foot in FEET if not any(s.foot == foot for s in found)]
-    if lacking or not taken:
-        landed = ", ".join(s.foot for s in found if s.begins) or "none"
-        why = f"no stance of {', '.join(lacking)}" if lacking else f"no complete stride; landed in the clip: {landed}"
-        return GaitName("unknown", why, dict.fromkeys(FEET, np.nan), duty)
+    if lacking:
+        return GaitName("unknown", f"no stance of {', '.join(lacking)}", dict.fromkeys(FEET, np.nan), duty)
+    if not taken:
+        landed = {s.foot: s.start_s for s in reversed(found) if s.begins}
+        return GaitName(*classify_within(landed, until_s), dict.fromkeys(FEET, np.nan), duty)
     period = float(np.median([s.end_s - s.start_s for s in taken]))
     phase = {"LH": 0.0} | {foot: _lag(found, "LH", foot, period) for foot in ("RH", "LF", "RF")}
     # A foot that never landed together with LH in view may have done so with RH.
@@ -539,12 +541,42 @@ def classify(phase: Mapping[str, float], duty_factor: float) -> tuple[str, str]:
         return ("pace", seen) if abs(_signed(lateral)) <= IN_PHASE else ("unknown", seen + ": between trot and pace")
     if max(abs(hind), abs(fore)) >= ALTERNATE:
         return "unknown", seen + ": one pair alternates, the other does not"
+    return _asymmetrical(hind, fore, seen)
+
+
+def _asymmetrical(hind: float, fore: float, seen: str) -> tuple[str, str]:
+    """Lags within the pairs, right after left, strides."""
     if abs(hind) < TOGETHER:
         return ("bound" if abs(fore) < TOGETHER else "half-bound"), seen
     if abs(fore) < TOGETHER:
         return "unknown", seen + ": the fore pair lands together, the hind pair does not"
     leads = ["right" if lag > 0 else "left" for lag in (hind, fore)]
     return ("transverse" if leads[0] == leads[1] else "rotary") + " gallop", f"{seen}, leads {leads[0]} and {leads[1]}"
+
+
+def classify_within(landed_s: Mapping[str, float], until_s: float) -> tuple[str, str]:
+    """Name and criterion from the first touchdown of every foot in a clip without a complete stride, seconds.
+
+    No foot has landed again until the clip ends, so that a stride takes at least the time from the first touchdown to
+    then, and lags are at most so many strides: enough to tell that a gait is asymmetrical, which pairs land together,
+    and in gallops which feet lead. Pairs count as apart if they were even in a stride of twice that time. Symmetrical
+    gaits need a stride.
+    """
+    order = " ".join(sorted(landed_s, key=lambda foot: landed_s[foot])) or "none"
+    if any(foot not in landed_s for foot in FEET):
+        return "unknown", f"no complete stride; landed in the clip: {order}"
+    least_s = until_s - min(landed_s.values())
+    lags = landed_s["RH"] - landed_s["LH"], landed_s["RF"] - landed_s["LF"]
+    hind, fore = (lag / least_s for lag in lags)
+    seen = (
+        f"no complete stride, but one takes at least {least_s:.2f} s: hind pair {1000 * lags[0]:+.0f} ms, fore pair "
+        f"{1000 * lags[1]:+.0f} ms apart (right after left)"
+    )
+    if max(abs(hind), abs(fore)) >= ALTERNATE:
+        return "unknown", seen + ": open whether they alternate"
+    if any(TOGETHER < abs(lag) <= 2 * TOGETHER for lag in (hind, fore)):
+        return "unknown", seen + ": open whether a pair lands together"
+    return _asymmetrical(hind, fore, seen)
 
 
 def _signed(phase: float) -> float:

@@ -9,6 +9,7 @@ import typer
 from rich.console import Console
 
 from recon import __version__
+from recon.cli.analyse import analyse
 from recon.cli.common import EXIT_BAD_INPUT, error_text
 from recon.cli.demo import demo
 from recon.cli.evaluate import evaluate
@@ -23,7 +24,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-for command in (fit, evaluate, view, demo):
+for command in (fit, analyse, evaluate, view, demo):
     app.command()(command)
 
 prior_app = typer.Typer(help="Motion priors: which poses occur, and how they change.", no_args_is_help=True)

@@ -15,9 +15,7 @@ from rich.text import Text
 from recon.motion import FrameMotion, Motion, TrajectoryMotion
 from recon.report import frame, trajectory
 from recon.report.plain import to_plain, write_report
-
-SCHEMA_NAME = "recon.fit.report"
-SCHEMA_VERSION = 2
+from recon.results import SCHEMA_NAME, SCHEMA_VERSION
 
 __all__ = [
     "SCHEMA_NAME",

@@ -13,6 +13,7 @@ Entities of the recording; those without "(static)" have a row a frame, which is
   of the reference point in m/s; `residuals`, mean and largest of the frame in px.
 - With the trajectory method: `uncertainty` in m, and states over time: `states/doubt`, the frames' flags, and
   `states/<foot>`, where it stands.
+- `analysis/...`, where `recon.view.added` has added it: any lines and states, with samples between frames on `time`.
 
 Timelines: `frame`, the frame number of the keypoint file, and `time`, seconds since its frame 0.
 """

@@ -55,8 +55,8 @@ def blueprint(motion: Motion, scene: Scene, start_frame: int | None) -> rrb.Blue
     )
 
     angles, others = angle_series(motion), other_series(motion)
-    plots: list[rrb.View | rrb.Container] = [rrb.Tabs(*(_plot(series) for series in angles), active_tab=0)]
-    plots += [_plot(series) for series in others]
+    plots: list[rrb.View | rrb.Container] = [rrb.Tabs(*(plot(series) for series in angles), active_tab=0)]
+    plots += [plot(series) for series in others]
     shares = [4, *([3] * len(others))]
     if isinstance(motion, TrajectoryMotion):
         plots.append(rrb.StateTimelineView(origin="states", name="Doubtful frames, feet that stand"))
@@ -65,15 +65,7 @@ def blueprint(motion: Motion, scene: Scene, start_frame: int | None) -> rrb.Blue
         fps = min(motion.fps, max(5.0, len(motion.frames) / 5))
         time = rrb.TimePanel(state="collapsed", timeline="frame", fps=fps, play_state="playing", loop_mode="all")
     else:
-        # A blueprint has no place for the current time, but a loop over one frame, soon reached, stays there.
-        time = rrb.TimePanel(
-            state="collapsed",
-            timeline="frame",
-            fps=100.0 * len(motion.frames),
-            play_state="playing",
-            loop_mode="selection",
-            time_selection=AbsoluteTimeRange(start_frame, start_frame),  # pyright: ignore[reportArgumentType]
-        )
+        time = held_at(start_frame, len(motion.frames))
     return rrb.Blueprint(
         rrb.Vertical(
             rrb.Horizontal(
@@ -92,6 +84,19 @@ def blueprint(motion: Motion, scene: Scene, start_frame: int | None) -> rrb.Blue
     )
 
 
+def held_at(frame: int, count: int) -> rrb.TimePanel:
+    """The time held at one of `count` frames."""
+    # A blueprint has no place for the current time, but a loop over one frame, soon reached, stays there.
+    return rrb.TimePanel(
+        state="collapsed",
+        timeline="frame",
+        fps=100.0 * count,
+        play_state="playing",
+        loop_mode="selection",
+        time_selection=AbsoluteTimeRange(frame, frame),  # pyright: ignore[reportArgumentType]
+    )
+
+
 def _title(motion: Motion) -> str:
     title = f"3D, {motion.frame_of_reference} frame, grid of {GRID_SPACING_M:g} m"
     if motion.side is None:
@@ -99,7 +104,7 @@ def _title(motion: Motion) -> str:
     return title + ("; shells: one sigma" if isinstance(motion, TrajectoryMotion) else "")
 
 
-def _plot(series: Series) -> rrb.TimeSeriesView:
+def plot(series: Series) -> rrb.TimeSeriesView:
     values = series.values if series.shown is None else series.shown
     known = np.append(values[np.isfinite(values)], 0.0)  # all of them have zero in sight
     least, most = known.min(), known.max()

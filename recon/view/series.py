@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -50,17 +50,15 @@ def write_series(motion: Motion, send: Send, fix: Fix) -> None:
         known = np.isfinite(s.values).all(axis=1)
         columns = rr.Scalars.columns(scalars=s.values[known].ravel())
         send(s.entity, columns.partition(np.where(known, s.values.shape[1], 0)))
-        fix(s.entity, rr.SeriesLines(names=s.names, colors=s.colours, widths=[1.8] * len(s.names)))
+        fix(s.entity, line_style(s))
 
 
 def write_states(motion: TrajectoryMotion, send: Send, fix: Fix) -> None:
     """Which flags a frame has, and which feet stand."""
 
     def state(entity: str, values: list[str], colours: dict[str, Colour]) -> None:
-        """Empty texts are gaps."""
-        known = [value for value in values if value]
-        send(entity, rr.StateChange.columns(state=known).partition([int(bool(value)) for value in values]))
-        fix(entity, rr.StateConfiguration(values=list(colours), colors=list(colours.values())))
+        send(entity, state_columns(values))
+        fix(entity, state_style(colours))
 
     doubts = [", ".join(flags) for flags in motion.solution.flags]
     state("states/doubt", doubts, dict.fromkeys(dict.fromkeys(filter(None, doubts)), OUTLIER))
@@ -68,6 +66,22 @@ def write_states(motion: TrajectoryMotion, send: Send, fix: Fix) -> None:
         name = motion.names[foot]
         colour = {"l_": LEFT, "r_": RIGHT}.get(name[:2], MIDDLE)
         state(f"states/{name}", ["stance" if c > STANCE else "" for c in contact], {"stance": colour})
+
+
+# -- how it is written ----------------------------------------------------------------------------------------------
+
+
+def line_style(series: Series) -> rr.SeriesLines:
+    return rr.SeriesLines(names=series.names, colors=series.colours, widths=[1.8] * len(series.names))
+
+
+def state_columns(texts: Sequence[str]) -> rr.ComponentColumnList:
+    """Empty texts are gaps."""
+    return rr.StateChange.columns(state=[t for t in texts if t]).partition([int(bool(t)) for t in texts])
+
+
+def state_style(colours: Mapping[str, Colour]) -> rr.StateConfiguration:
+    return rr.StateConfiguration(values=list(colours), colors=list(colours.values()))
 
 
 # -- what is shown ------------------------------------------------------------------------------------------------

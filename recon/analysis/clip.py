@@ -1,0 +1,188 @@
+"""All that `recon.analysis` says of a fitted clip: kinematics, angles, gait by both methods, vector fields, closures.
+
+Where the fit gives no uncertainty (the frame method), its joints jitter from frame to frame, and derivatives of the
+exact splines are mostly noise: paths and angles are then smoothed by their own jitter, unless told otherwise, and all
+the rest is worked out from the smoothed ones.
+
+Errors of a fit with uncertainty are taken for two kinds that last for different times: the place of the whole animal,
+and the pose. The times are those at which the deviations of velocities are right in the mean for real runs (`python
+benchmarks/trajectory.py --only rates`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from recon.analysis.gait import BODY, Gait, Match, Method, Stride, gait, match_stances, pose_tracks
+from recon.analysis.kinematics import (
+    AngleKinematics,
+    Errors,
+    JointKinematics,
+    angle_kinematics,
+    joint_angle,
+    joint_kinematics,
+    spine_flexion,
+)
+from recon.analysis.path import MIN_POINTS, frame_jitter_m
+from recon.analysis.phase import (
+    Closure,
+    LinkField,
+    Portrait,
+    closure,
+    phase_portrait,
+    portrait_between,
+    pose_vector_field,
+)
+from recon.errors import InputError, Problem
+from recon.io.pose3d import Pose3D
+from recon.results import Results
+
+Array = NDArray[np.float64]
+
+PLACE_LASTS_S, POSE_LASTS_S = 0.2, 0.05
+"""`Errors.correlation_s` of the animal's place and of the joints relative to their mean."""
+
+
+@dataclass(frozen=True, eq=False)
+class ClipAnalysis:
+    """T frames of a clip, N times on the grid of ten times the frame rate.
+
+    pose: what all is worked out from, upright, smoothed where `smoothed` says so. reference: the joint that stands for
+    the animal's place. joints, angles, skeleton_angles: motion by joint; the angle at every inner joint of a chain and
+    the flexion of the spine, where the skeleton has one; the fit's own angles. gaits: by method, none without feet.
+    match: of the stances of "body" (first) and "ground". fields: by limb.
+    """
+
+    results: Results
+    pose: Pose3D
+    smoothed: bool
+    reference: str
+    joints: Mapping[str, JointKinematics]
+    angles: Mapping[str, AngleKinematics]
+    skeleton_angles: Mapping[str, AngleKinematics]
+    gaits: Mapping[Method, Gait]
+    match: Match | None
+    fields: Mapping[str, tuple[LinkField, ...]]
+
+    @cached_property
+    def stride(self) -> Stride | None:
+        """The complete stride that phase portraits are shown for: the first of the foot with the most; None without."""
+        strides = self.gaits["ground"].strides if "ground" in self.gaits else ()
+        feet = [stride.foot for stride in strides]
+        return min(strides, key=lambda s: (-feet.count(s.foot), s.start_s), default=None)
+
+    @cached_property
+    def portraits(self) -> dict[str, Portrait]:
+        """Of the fit's own angles: over `stride`, or without one over the whole clip."""
+        portraits = {name: phase_portrait(angle) for name, angle in self.skeleton_angles.items()}
+        if (stride := self.stride) is None:
+            return portraits
+        return {name: portrait_between(p, stride.start_s, stride.end_s) for name, p in portraits.items()}
+
+    @cached_property
+    def closures(self) -> dict[str, Closure]:
+        """Of the portraits over `stride`, of those without gaps; empty without a stride."""
+        if self.stride is None:
+            return {}
+        known = {n: p for n, p in self.portraits.items() if len(p.time_s) > 1 and np.isfinite(p.rate_rad_s).all()}
+        return {name: closure(portrait) for name, portrait in known.items()}
+
+
+def analyse(results: Results, smooth: bool | None = None) -> ClipAnalysis:
+    """smooth: whether to smooth paths and angles by their jitter; None: where the fit gives no uncertainty.
+
+    Raises InputError for a clip with fewer than four frames with a pose.
+    """
+    known = np.isfinite(results.pose.xyz_m).all(axis=(1, 2))
+    if known.sum() < MIN_POINTS:
+        found = f"{known.sum()} frames with a pose"
+        raise InputError(Problem(results.folder, "frames", found, f"at least {MIN_POINTS}"))
+    smooth = results.sigma_m is None if smooth is None else smooth
+    pose, fps, options = results.pose, results.fps, {"smooth": smooth}
+    errors = _jitter(pose.xyz_m) if smooth else _errors(results)
+    joints = {name: joint_kinematics(pose, name, fps, errors, **options) for name in pose.names}
+    if smooth:
+        paths = [j.series.value[:: j.series.oversampling] for j in joints.values()]
+        pose = replace(pose, xyz_m=np.stack(paths, axis=1))
+    # A common displacement of all joints turns none of the angles.
+    of_pose = [] if smooth else errors[1:]
+    chains = limb_chains(results)
+    gaits = _gaits(results, pose)
+    return ClipAnalysis(
+        results=results,
+        pose=pose,
+        smoothed=smooth,
+        reference=results.report["root_path"]["keypoint"],
+        joints=joints,
+        angles=_angles(results, pose, chains, of_pose),
+        skeleton_angles={
+            name: angle_kinematics(results.time_s, angle, _jitter(angle) if smooth else (), **options)
+            for name, angle in zip(results.angle_names, results.angles_rad.T, strict=True)
+        },
+        gaits=gaits,
+        match=match_stances(gaits["body"].stances, gaits["ground"].stances) if gaits else None,
+        fields={limb: pose_vector_field(pose, chain, fps, results.forward) for limb, chain in chains.items()},
+    )
+
+
+def limb_chains(results: Results) -> dict[str, tuple[str, ...]]:
+    """The joints along every limb that hangs on the trunk, at least three, begun with the trunk's joint before it, so
+    that the limb's first link has a parent; and the trunk itself."""
+    limbs = {limb: tuple(results.pose.names[j] for j in along) for limb, along in results.limbs.items()}
+    trunk = next((along for along in limbs.values() if set(results.forward) <= {*along}), results.forward)
+    chains = {}
+    for limb, along in limbs.items():
+        if along[0] in trunk and along != trunk:
+            at = trunk.index(along[0])
+            along = (trunk[at - 1] if at else trunk[1], *along)
+        elif along != trunk:
+            continue
+        if len(along) > 2:
+            chains[limb] = along
+    return chains
+
+
+def _errors(results: Results) -> list[Errors]:
+    """Of the place, of the pose; none where the fit does not give them."""
+    if results.sigma_m is None or results.relative_sigma_m is None:
+        return []
+    # What is common to all joints; the relative errors of a single one can be larger than its absolute ones.
+    floor = 1e-4
+    place = np.sqrt(np.maximum(results.sigma_m**2 - results.relative_sigma_m**2, floor**2))
+    pose = np.maximum(results.relative_sigma_m, floor)
+    return [Errors(place, PLACE_LASTS_S), Errors(pose, POSE_LASTS_S)]
+
+
+def _jitter(values: Array) -> list[Errors]:
+    """Independent errors of the size that values (T, ...) jitter with from frame to frame."""
+    jitter = frame_jitter_m(values.reshape(len(values), -1)).reshape(values.shape[1:])
+    smallest = 1e-9  # an exact series has none
+    return [Errors(np.broadcast_to(np.maximum(np.nan_to_num(jitter, nan=smallest), smallest), values.shape))]
+
+
+def _angles(
+    results: Results, pose: Pose3D, chains: Mapping[str, tuple[str, ...]], errors: Sequence[Errors]
+) -> dict[str, AngleKinematics]:
+    found = {}
+    rear, front = results.forward
+    for along in chains.values():
+        for i in range(1, len(along) - 1):
+            found.setdefault(along[i], joint_angle(pose, (along[i - 1], along[i], along[i + 1]), results.fps, errors))
+        if {rear, front} <= {*along} and len(along) > 2:
+            middle = along[len(along) // 2]
+            found["spine_flexion"] = spine_flexion(pose, results.fps, errors, (rear, middle, front))
+    return found
+
+
+def _gaits(results: Results, pose: Pose3D) -> dict[Method, Gait]:
+    if not results.feet:
+        return {}
+    body = BODY if set(BODY) <= {*pose.names} else results.forward
+    moved = pose_tracks(pose, results.fps, feet=results.feet, body=body)
+    methods: tuple[Method, ...] = ("ground", "body")
+    return {method: gait(moved, method) for method in methods}

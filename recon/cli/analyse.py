@@ -1,0 +1,96 @@
+"""`recon analyse`."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import numpy as np
+import typer
+from rich.box import SIMPLE_HEAD
+from rich.console import Console
+from rich.table import Column, Table
+from rich.text import Text
+
+if TYPE_CHECKING:
+    from recon.pipelines.analyse import Analysed
+
+
+def analyse(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of results, as in results/clip.")],
+    out: Annotated[
+        Path | None, typer.Option(help="Folder for tables and figures. (default: analysis in DIR)", show_default=False)
+    ] = None,
+    smooth: Annotated[
+        bool | None,
+        typer.Option(
+            "--smooth/--no-smooth",
+            help="Smooth paths and angles by their jitter. (default: only where the fit gives no uncertainty)",
+            show_default=False,
+        ),
+    ] = None,
+    figures: Annotated[bool, typer.Option("--figures/--no-figures", help="PNG and SVG; needs recon[plots].")] = True,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace an earlier analysis.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the summary as JSON.")] = False,
+) -> None:
+    """Kinematics, gait, vector fields and phase portraits of a reconstruction.
+
+    Writes tables (CSV) and figures (PNG, SVG), and adds its time series to the playback.
+
+    Example: recon analyse results/clip
+    """
+    from recon.pipelines.analyse import run_analyse, to_json
+
+    done = run_analyse(folder, out, smooth, figures, overwrite)
+    if as_json:
+        typer.echo(to_json(done.summary), nl=False)
+        return
+    console = Console()
+    for line in _lines(done):
+        console.print(Text(line), soft_wrap=True)
+    if done.found.gaits:
+        console.print(_stances(done))
+    for note in done.summary["notes"]:
+        console.print(Text(f"note: {note}"), soft_wrap=True)
+    playback = "" if done.playback is None else f", and plots in {done.playback}"
+    console.print(Text(f"{len(done.files)} files are in {done.out}{playback}."), soft_wrap=True)
+
+
+def _lines(done: Analysed) -> Iterator[str]:
+    speed, found = done.summary["speed"], done.found
+    sigma = speed["peak_sigma_m_s"]
+    spread = "" if sigma is None else f" ± {sigma:.1f}"
+    yield (
+        f"{found.reference}: {speed['distance_m']:.2f} m, mean {speed['mean_m_s']:.1f} m/s, "
+        f"peak {speed['peak_m_s']:.1f}{spread} m/s at {speed['peak_time_s']:.2f} s"
+    )
+    if "spine_flexion" in found.angles:
+        low, high = np.degrees(found.angles["spine_flexion"].range_rad)
+        yield f"spine: {low:+.0f}° to {high:+.0f}° (positive: arched up)"
+    for method, gait in found.gaits.items():
+        yield f"gait by {method}: {gait.name.name} ({gait.name.criterion})"
+        if gait.strides:
+            yield (
+                f"  {len(gait.strides)} strides: {gait.stride_length_m:.2f} m, {gait.stride_frequency_hz:.2f} Hz, "
+                f"duty factor {gait.name.duty_factor:.2f}"
+            )
+
+
+def _stances(done: Analysed) -> Table:
+    """By foot: what both methods found."""
+    table = Table(Column("foot", no_wrap=True), box=SIMPLE_HEAD)
+    found = done.found
+    for method in found.gaits:
+        table.add_column(f"stances by {method}, s")
+    for foot, joint in found.results.feet.items():
+        cells = []
+        for gait in found.gaits.values():
+            spans = [
+                f"{'' if s.begins else '≤'}{s.start_s:.3f}-{s.end_s:.3f}{'' if s.ends else '+'}"
+                for s in gait.stances
+                if s.foot == foot
+            ]
+            cells.append(", ".join(spans) or "none")
+        table.add_row(f"{foot} {joint}", *cells)
+    return table

@@ -1,0 +1,163 @@
+"""What a fitted clip says of the animal's movement: tables, figures, and plots in the playback."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from recon.analysis.clip import ClipAnalysis, analyse
+from recon.analysis.gait import Gait
+from recon.errors import InputError, Problem
+from recon.export import analysis_csv
+from recon.files import staged_folder
+from recon.report import to_plain
+from recon.results import read_results
+
+SUMMARY = "analysis.json"
+
+
+@dataclass(frozen=True, eq=False)
+class Analysed:
+    """found: all of it; summary: what analysis.json holds; files: the names of what was written, in the folder out;
+    playback: where the plots were added, None without a playback."""
+
+    found: ClipAnalysis
+    summary: dict[str, Any]
+    out: Path
+    files: tuple[str, ...]
+    playback: Path | None
+
+
+def run_analyse(
+    folder: Path, out: Path | None = None, smooth: bool | None = None, figures: bool = True, overwrite: bool = False
+) -> Analysed:
+    """`recon analyse`: into `out`, by default the folder analysis in the results' own. smooth: see `analyse`.
+
+    Raises InputError: no results, too few frames, files in the way, or figures wanted without matplotlib.
+    """
+    out = folder / "analysis" if out is None else out
+    results = read_results(folder)
+    _check_output(out, overwrite)
+    with threadpool_limits(1, user_api="blas"):  # of small matrices, threads cost more than they bring
+        found = analyse(results, smooth)
+    summary = summarise(found)
+    playback = folder / "motion.rrd"
+    with staged_folder(out) as staging:
+        analysis_csv.write(found, staging)
+        (staging / SUMMARY).write_text(to_json(summary), encoding="utf-8")
+        if figures:
+            write_figures(found, staging)
+        files = tuple(sorted(path.name for path in staging.iterdir()))
+        if playback.is_file():
+            from recon.view.analysis import add_analysis  # rerun is slow to import
+
+            add_analysis(found, playback)
+    return Analysed(found, summary, out, files, playback if playback.is_file() else None)
+
+
+def _check_output(out: Path, overwrite: bool) -> None:
+    if out.exists() and not out.is_dir():
+        raise InputError(Problem("--out", "folder", f"the file {out}", "a folder, which is made if need be"))
+    present = [name for name in (SUMMARY, *analysis_csv.TABLES) if (out / name).exists()]
+    if present and not overwrite:
+        found = f"{len(present)} files of an earlier analysis in {out}"
+        raise InputError(Problem("--out", "folder", found, "a folder without an analysis, or --overwrite"))
+
+
+# -- summary ---------------------------------------------------------------------------------------------------------
+
+
+def to_json(summary: Mapping[str, Any]) -> str:
+    return json.dumps(to_plain(summary), indent=1, ensure_ascii=False) + "\n"
+
+
+def summarise(found: ClipAnalysis) -> dict[str, Any]:
+    """The figures of a clip in short; what they are is in docs/gait.md."""
+    moved = found.joints[found.reference]
+    peak = int(np.nanargmax(moved.speed_m_s))
+    return {
+        "schema": {"name": "recon.analysis", "version": 1},
+        "results": str(found.results.folder),
+        "fps": found.results.fps,
+        "frames": len(found.pose.frames),
+        "smoothed": found.smoothed,
+        "reference_joint": found.reference,
+        "speed": {
+            "distance_m": moved.distance_m,
+            "mean_m_s": moved.mean_speed_m_s,
+            "peak_m_s": moved.peak_speed_m_s,
+            "peak_sigma_m_s": None if moved.speed_sigma_m_s is None else float(moved.speed_sigma_m_s[peak]),
+            "peak_time_s": moved.peak_speed_time_s,
+            "peak_acceleration_m_s2": moved.peak_acceleration_m_s2,
+        },
+        "spine_flexion_rad": found.angles["spine_flexion"].range_rad if "spine_flexion" in found.angles else None,
+        "gait": {method: _gait_summary(gait) for method, gait in found.gaits.items()},
+        "methods_agree": None
+        if found.match is None
+        else {
+            "pairs": len(found.match.pairs),
+            "only_body": len(found.match.only_first),
+            "only_ground": len(found.match.only_second),
+            "ground_starts_later_frames": found.match.start_lag_frames,
+            "ground_ends_later_frames": found.match.end_lag_frames,
+        },
+        "notes": notes(found),
+    }
+
+
+def notes(found: ClipAnalysis) -> list[str]:
+    """What a reader should know before using the numbers."""
+    said = []
+    if found.smoothed:
+        said.append("Paths and angles are smoothed by their jitter from frame to frame.")
+    elif found.results.sigma_m is None:
+        said.append("Nothing is smoothed and the fit gives no uncertainty: rates and accelerations hold its jitter.")
+    if not found.gaits:
+        said.append("The skeleton has no feet: no gait.")
+    elif len(found.results.feet) < 4:
+        said.append(f"Only the feet {', '.join(found.results.feet)} were fitted: the gait has no name.")
+    if found.gaits and found.stride is None:
+        said.append("No complete stride in the clip: no stride figures, and phase portraits are of the whole clip.")
+    return said
+
+
+def _gait_summary(gait: Gait) -> dict[str, Any]:
+    return {
+        "name": gait.name.name,
+        "criterion": gait.name.criterion,
+        "footfalls": list(gait.order),
+        "stances": len(gait.stances),
+        "strides": len(gait.strides),
+        "stride_length_m": gait.stride_length_m,
+        "stride_frequency_hz": gait.stride_frequency_hz,
+        "duty_factor": gait.name.duty_factor,
+        "duty_factor_by_foot": dict(gait.duty_factor),
+    }
+
+
+# -- figures ---------------------------------------------------------------------------------------------------------
+
+
+def write_figures(found: ClipAnalysis, folder: Path) -> None:
+    """PNG and SVG of composites, speed, footfalls, vector fields by limb, and phase portraits. Raises InputError without
+    matplotlib."""
+    from recon import plots
+
+    results = found.results
+    ground = found.gaits["ground"].tracks.ground if found.gaits else None
+    plots.save(plots.composites(found.pose.xyz_m, results.limbs, results.time_s, ground), folder, "composites")
+    plots.save(plots.speeds({found.reference: found.joints[found.reference]}), folder, "speed")
+    if found.gaits:
+        plots.save(plots.footfall(found.gaits, results.fps), folder, "footfalls")
+    for limb, fields in found.fields.items():
+        figure = plots.vector_fields(fields, results.time_s, title=limb)
+        plots.save(figure, folder, f"vector_field_{limb.replace(' ', '_')}")
+    title = "whole clip: no complete stride" if found.stride is None else f"one stride of {found.stride.foot}"
+    figure = plots.phase_portraits(found.portraits, found.closures, title=title)
+    plots.save(figure, folder, "phase_portraits")

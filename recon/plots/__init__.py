@@ -1,0 +1,25 @@
+"""Figures of a result, for print: one function for each, which returns matplotlib's Figure. `save` writes it."""
+
+from recon.plots.closure import closures
+from recon.plots.composite import composites
+from recon.plots.field import vector_fields
+from recon.plots.footfall import footfall
+from recon.plots.phase import phase_portraits
+from recon.plots.reach import distances, joint_space, task_space
+from recon.plots.speed import speeds
+from recon.plots.style import COLUMN_MM, WIDTH_MM, save
+
+__all__ = [
+    "COLUMN_MM",
+    "WIDTH_MM",
+    "closures",
+    "composites",
+    "distances",
+    "footfall",
+    "joint_space",
+    "phase_portraits",
+    "save",
+    "speeds",
+    "task_space",
+    "vector_fields",
+]

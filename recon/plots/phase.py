@@ -1,0 +1,90 @@
+"""Phase portraits: rate over angle, coloured by time."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from recon.analysis.phase import Closure, Portrait
+from recon.plots.style import COLUMN_MM, SMALL, WIDTH_MM, blank, drawing, grid_shape, time_colours
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.colors import ListedColormap, Normalize
+    from matplotlib.figure import Figure
+
+Array = NDArray[np.float64]
+
+SHADES = 60
+"""Pieces of one colour in a path."""
+_ASPECT, _REST_MM = 0.9, 24.0
+
+
+def phase_portraits(
+    portraits: Mapping[str, Portrait], closed: Mapping[str, Closure] | None = None, title: str = ""
+) -> Figure:
+    """(angle, rate) in degrees and degrees per second, one panel for each angle, on one page.
+
+    closed: degrees of closure, by the same names. Each panel has its own axes.
+    """
+    count = len(portraits)
+    width = COLUMN_MM if count == 1 else WIDTH_MM
+    rows, columns = grid_shape(count, width, _ASPECT, 2 if count == 4 else 3) if count else (0, 1)
+    with drawing(rows * _ASPECT * min(width / columns, 60.0) + _REST_MM, width) as figure:
+        figure.suptitle(title)
+        if not count:
+            return figure
+        from matplotlib.cm import ScalarMappable
+
+        panels = figure.subplots(rows, columns, squeeze=False).ravel()
+        colours = time_colours(np.concatenate([p.time_s[_known(p)] for p in portraits.values()]))
+        for axes, (name, portrait) in zip(panels, portraits.items(), strict=False):
+            value = (closed or {}).get(name)
+            heading = name.removesuffix("_rad")
+            if value is not None:
+                heading += f"\n{_percent(value.angle)} / {_percent(value.plane)} %"
+            axes.set_title(heading, fontsize=SMALL, pad=3)
+            _draw(axes, portrait, colours)
+        for axes in panels[count:]:
+            axes.set_axis_off()
+        gap = "\n" if count == 1 else "   "
+        marks = "○ start   ■ end" + (f"{gap}%: degree of closure, of the angle / in the plane" if closed else "")
+        figure.supxlabel(f"angle (deg)\n{marks}", fontsize=8)
+        figure.supylabel("rate (deg/s)", fontsize=8)
+        scale = ScalarMappable(colours[1], colours[0])
+        figure.colorbar(scale, ax=panels.tolist(), location="right", aspect=50, label="time (s)", pad=0.01)
+    return figure
+
+
+def _known(portrait: Portrait) -> NDArray[np.bool_]:
+    return np.isfinite(portrait.angle_rad) & np.isfinite(portrait.rate_rad_s)
+
+
+def _draw(axes: Axes, portrait: Portrait, colours: tuple[ListedColormap, Normalize]) -> None:
+    from matplotlib.collections import LineCollection
+
+    known = np.flatnonzero(_known(portrait))
+    if not len(known):
+        blank(axes)
+        return
+    path = np.degrees(np.column_stack([portrait.angle_rad, portrait.rate_rad_s]))
+    cuts = np.unique(np.linspace(known[0], known[-1], SHADES + 1).astype(int))
+    pieces = [path[a : b + 1] for a, b in pairwise(cuts)]
+    middles = [float(np.mean(portrait.time_s[[a, b]])) for a, b in pairwise(cuts)]
+    lines = LineCollection(pieces, cmap=colours[0], norm=colours[1], lw=1.2, capstyle="round")
+    lines.set_array(np.array(middles))
+    axes.add_collection(lines, autolim=False)
+    axes.update_datalim(path[known])
+    axes.autoscale_view()
+    axes.plot(*path[known[0]], "o", ms=4, mfc="w", mec="k", mew=0.9, zorder=3)
+    axes.plot(*path[known[-1]], "s", ms=4, mfc="k", mec="k", zorder=3)
+    axes.locator_params(nbins=4, steps=[1, 2, 5, 10])
+    axes.tick_params(labelsize=6, pad=1.5, length=2)
+
+
+def _percent(value: float) -> str:
+    return f"{value:.0f}" if np.isfinite(value) else "–"

@@ -1,0 +1,146 @@
+"""How the figures look, and how they are written.
+
+Widths are those of a page (180 mm) or a column (85 mm), text is 8 points. Colours are those of Okabe and Ito without
+yellow, which is pale on paper; lines that have to be told apart differ in dashes too. Time is viridis without its
+palest tenth.
+
+A figure is laid out once, when it is drawn. All files are the same byte for byte for the same data and version of
+matplotlib, whatever the user's own settings of matplotlib are, and those are left alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from recon.errors import InputError, Problem
+from recon.files import staged_folder
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.colors import ListedColormap, Normalize
+    from matplotlib.figure import Figure
+
+Array = NDArray[np.float64]
+
+WIDTH_MM, COLUMN_MM = 180.0, 85.0
+PAGE_MM = 235.0
+"""Height of a page within its margins."""
+MM = 1 / 25.4
+"""Inches."""
+
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#000000")
+DASHES = ("-", (0, (5, 1.5)), (0, (1, 1)), (0, (5, 1, 1, 1)))
+MARKERS = ("o", "s", "^", "D", "v", "P", "X")
+GREY, PALE = "#666666", "#BBBBBB"
+SMALL = 7.0
+"""Points: ticks, legends, captions."""
+
+_SETTINGS: dict[Any, Any] = {
+    "font.family": "sans-serif",
+    "font.sans-serif": ["DejaVu Sans"],
+    "font.size": 8.0,
+    "axes.titlesize": 8.0,
+    "axes.labelsize": 8.0,
+    "figure.titlesize": 9.0,
+    "xtick.labelsize": SMALL,
+    "ytick.labelsize": SMALL,
+    "legend.fontsize": SMALL,
+    "legend.frameon": False,
+    "legend.handlelength": 3.0,
+    "axes.linewidth": 0.6,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "xtick.major.width": 0.6,
+    "ytick.major.width": 0.6,
+    "lines.linewidth": 1.1,
+    "hatch.linewidth": 0.6,
+    "svg.fonttype": "none",
+    "svg.hashsalt": "recon",
+}
+
+
+@contextmanager
+def drawing(height_mm: float, width_mm: float = WIDTH_MM) -> Iterator[Figure]:
+    """A new figure to draw on, laid out for good at the end of the block. Raises InputError without matplotlib."""
+    with _settings():
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
+        from matplotlib.figure import Figure
+
+        figure = Figure(figsize=(width_mm * MM, height_mm * MM), layout="constrained")
+        FigureCanvasAgg(figure)
+        yield figure
+        if not figure.axes:
+            figure.text(0.5, 0.5, "no data", ha="center", va="center", color=GREY)
+        figure.draw_without_rendering()
+        figure.set_layout_engine("none")
+
+
+def save(figure: Figure, folder: str | Path, stem: str) -> tuple[Path, Path]:
+    """Writes stem.png (200 dpi) and stem.svg (text as text) into the folder, which is made; returns their paths."""
+    paths = Path(folder) / f"{stem}.png", Path(folder) / f"{stem}.svg"
+    with _settings(), staged_folder(folder) as staging:
+        figure.savefig(staging / paths[0].name, dpi=200, metadata={"Software": None})
+        figure.savefig(staging / paths[1].name, metadata={"Date": None, "Creator": None})
+    return paths
+
+
+@contextmanager
+def _settings() -> Iterator[None]:
+    try:
+        import matplotlib as mpl
+    except ImportError:
+        found, expected = "none", "matplotlib: pip install 'recon[plots]'"
+        raise InputError(Problem("figures", "package that draws them", found, expected)) from None
+    with mpl.rc_context():
+        mpl.rcdefaults()
+        mpl.rcParams.update(_SETTINGS)
+        yield
+
+
+def look(i: int) -> dict[str, Any]:
+    """Colour and dashes of the i-th of several lines; 28 differ."""
+    return {"color": COLOURS[i % len(COLOURS)], "linestyle": DASHES[i % len(DASHES)]}
+
+
+def legend_shape(labels: Sequence[str], width_mm: float = WIDTH_MM) -> tuple[int, float]:
+    """Columns of a legend that fits a width, and its height (mm)."""
+    longest = max((len(label) for label in labels), default=0)
+    columns = int(np.clip((width_mm - 4) / (1.2 * longest + 15), 1, max(len(labels), 1)))
+    return columns, 3.9 * -(-len(labels) // columns)
+
+
+def add_legend(figure: Figure, handles: Sequence[Any], labels: Sequence[str], width_mm: float = WIDTH_MM) -> None:
+    """Below everything else."""
+    figure.legend(handles, labels, loc="outside lower left", ncols=legend_shape(labels, width_mm)[0])
+
+
+def blank(axes: Axes) -> None:
+    """Says that there is nothing to show."""
+    axes.text(0.5, 0.5, "no data", transform=axes.transAxes, ha="center", va="center", color=GREY)
+    axes.set_xticks([])
+    axes.set_yticks([])
+
+
+def time_colours(time_s: Array) -> tuple[ListedColormap, Normalize]:
+    """The colours of times, from the first to the last that is known."""
+    import matplotlib as mpl
+    from matplotlib.colors import ListedColormap, Normalize
+
+    known = time_s[np.isfinite(time_s)]
+    low, high = (float(known.min()), float(known.max())) if len(known) else (0.0, 1.0)
+    colours = mpl.colormaps["viridis"](np.linspace(0.0, 0.9, 256))
+    return ListedColormap(colours), Normalize(low, high if high > low else low + 1.0)
+
+
+def grid_shape(count: int, width_mm: float, aspect: float, least: int = 1) -> tuple[int, int]:
+    """Rows and columns of count small figures of height aspect x width, as few columns as fit on a page."""
+    columns = min(least, count)
+    while -(-count // columns) * aspect * width_mm / columns > PAGE_MM:
+        columns += 1
+    return -(-count // columns), columns

@@ -1,0 +1,226 @@
+"""What a fit wrote into a folder, read back for what comes after: analysis, inverse kinematics, pictures.
+
+Everything stands in the upright frame, metres, z up: the world frame where that is known to have z up, otherwise the
+level frame (docs/report.md). The files read are report.json, pose3d.csv, angles.csv and, where there is one,
+pose3d_sigma.csv.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from recon.body import Body
+from recon.camera import Camera
+from recon.errors import InputError, Problem, all_of
+from recon.initialise import level_axes
+from recon.io.pose3d import Pose3D, read_pose3d
+from recon.skeleton import Skeleton
+from recon.skeleton_file import load_skeleton
+
+Array = NDArray[np.float64]
+
+SCHEMA_NAME, SCHEMA_VERSION = "recon.fit.report", 2
+"""Of report.json."""
+
+
+@dataclass(frozen=True, eq=False)
+class Results:
+    """T frames of J joints, which are called as their keypoints.
+
+    pose: in the upright frame. states (T, D): the rows of angles.csv, in the units and the frame that it has. sigma_m,
+    relative_sigma_m (T, J, 3): one standard deviation along the upright frame's axes, of the joints' positions and of
+    those relative to the mean of all joints; None where the method gives none. camera: as it was for the fit.
+    """
+
+    folder: Path
+    report: dict[str, Any]
+    fps: float
+    camera: Camera
+    skeleton: Skeleton | Body
+    pose: Pose3D
+    states: Array
+    sigma_m: Array | None
+    relative_sigma_m: Array | None
+
+    @property
+    def method(self) -> str:
+        """trajectory or frame."""
+        return self.report["method"]
+
+    @property
+    def body(self) -> Body:
+        return self.skeleton if isinstance(self.skeleton, Body) else self.skeleton.body
+
+    @cached_property
+    def time_s(self) -> Array:
+        """(T,): since frame 0 of the keypoint file."""
+        return self.pose.frames / self.fps
+
+    @cached_property
+    def keypoint_of(self) -> dict[str, str]:
+        """The keypoint that a joint of the skeleton is called by."""
+        return dict(zip(self.report["skeleton"]["joints"], self.report["skeleton"]["keypoints"], strict=True))
+
+    @cached_property
+    def limbs(self) -> dict[str, tuple[int, ...]]:
+        """Joints along each limb, as indices, for drawing."""
+        at = {joint: j for j, joint in enumerate(self.report["skeleton"]["joints"])}
+        return {limb: tuple(at[joint] for joint in along) for limb, along in self.skeleton.limbs.items()}
+
+    @cached_property
+    def forward(self) -> tuple[str, str]:
+        """Two joints, from rear to front."""
+        rear, front = self.skeleton.forward
+        return self.keypoint_of[rear], self.keypoint_of[front]
+
+    @cached_property
+    def feet(self) -> dict[str, str]:
+        """Joints of the feet by LH, RH, LF, RF (left or right, hind or fore), those that there are.
+
+        Fore feet are those before the middle of the trunk, in the median of the frames.
+        """
+        at = {name: j for j, name in enumerate(self.pose.names)}
+        rear, front = (self.pose.xyz_m[:, at[name]] for name in self.forward)
+        found = {}
+        for name in (self.keypoint_of[foot] for foot in self.body.feet):
+            ahead = np.einsum("ti,ti->t", self.pose.xyz_m[:, at[name]] - 0.5 * (rear + front), front - rear)
+            side = self.report["side"]["fitted"] or {"l_": "left", "r_": "right"}.get(name[:2], "")
+            fore = np.isfinite(ahead).any() and float(np.nanmedian(ahead)) > 0
+            found[f"{side[:1].upper()}{'F' if fore else 'H'}"] = name
+        return found
+
+    @cached_property
+    def state_names(self) -> tuple[str, ...]:
+        """(D,)"""
+        return tuple(self.report["skeleton"]["state_names"])
+
+    @cached_property
+    def angle_names(self) -> tuple[str, ...]:
+        """(A,): of a chain theta and phi of its links; else of the root's pitch and roll and of the joints."""
+        if isinstance(self.skeleton, Skeleton):
+            return self.skeleton.angle_names
+        return self.state_names[4:]
+
+    @cached_property
+    def angles_rad(self) -> Array:
+        """(T, A)"""
+        return self.states[:, [self.state_names.index(name) for name in self.angle_names]]
+
+    @cached_property
+    def size(self) -> float:
+        """The factor on a whole animal's lengths; 1 for a chain, whose states have its base length."""
+        return 1.0 if isinstance(self.skeleton, Skeleton) else float(self.report["size"]["factor"])
+
+    @cached_property
+    def title(self) -> str:
+        return self.report["skeleton"]["title"]
+
+
+def read_results(folder: str | Path) -> Results:
+    """Raises InputError for a folder without a fit's results, or with those of an incompatible version."""
+    folder = Path(folder)
+    report = _report(folder)
+    skeleton, pose, states = all_of(
+        lambda: load_skeleton(_skeleton_name(report), report["settings"].get("subject")),
+        lambda: read_pose3d(folder / "pose3d.csv"),
+        lambda: _states(folder / "angles.csv", report["skeleton"]["state_names"]),
+    )
+    if len(states) != len(pose.frames):
+        found = f"{len(states)} rows, but {len(pose.frames)} in pose3d.csv"
+        raise InputError(Problem(folder / "angles.csv", "rows", found, "both files of the same fit"))
+    camera = Camera.from_dict(report["input"]["camera"])
+    R = _upright_from_reference(camera)
+    sigma, relative = _sigmas(folder / "pose3d_sigma.csv", pose, R)
+    return Results(
+        folder=folder,
+        report=report,
+        fps=float(report["input"]["fps"]),
+        camera=camera,
+        skeleton=skeleton,
+        pose=Pose3D(pose.names, _upright(camera, pose.xyz_m), pose.frames, pose.source),
+        states=states,
+        sigma_m=sigma,
+        relative_sigma_m=relative,
+    )
+
+
+def _report(folder: Path) -> dict[str, Any]:
+    path = folder / "report.json"
+    if not path.is_file():
+        found = "no report.json" if folder.is_dir() else "no such folder"
+        raise InputError(Problem(folder, "folder", found, "results that `recon fit` wrote"))
+    try:
+        report = json.loads(path.read_text(encoding="utf-8"))
+        schema = (report["schema"]["name"], report["schema"]["version"])
+    except (ValueError, KeyError, TypeError):
+        raise InputError(Problem(path, "content", "something else", "the report of `recon fit`")) from None
+    if schema != (SCHEMA_NAME, SCHEMA_VERSION):
+        found = f"{schema[0]}, version {schema[1]}"
+        raise InputError(Problem(path, "schema", found, f"{SCHEMA_NAME}, version {SCHEMA_VERSION}: fit the clip again"))
+    return report
+
+
+def _skeleton_name(report: dict[str, Any]) -> str:
+    """As it was given, which may be a file, or the name."""
+    return report["settings"].get("skeleton") or report["skeleton"]["name"]
+
+
+def _states(path: Path, names: list[str]) -> Array:
+    """(T, D)"""
+    expected = [name if name.endswith("_m") else f"{name}_rad" for name in names]
+    return _table(path, 1, expected)
+
+
+def _sigmas(path: Path, pose: Pose3D, R: Array) -> tuple[Array, Array] | tuple[None, None]:
+    """Of the positions and of the relative ones, along the upright axes. Off the axes, a correlation between two
+    coordinates is not in the file, and not taken into account."""
+    if not path.is_file():
+        return None, None
+    coords = ("x_sigma", "y_sigma", "z_sigma", "x_rel", "y_rel", "z_rel")
+    values = _table(path, 2, [(name, coord) for name in pose.names for coord in coords])
+    if len(values) != len(pose.frames):
+        raise InputError(Problem(path, "rows", str(len(values)), f"{len(pose.frames)}, as in pose3d.csv"))
+    turned = np.sqrt(values.reshape(*pose.xyz_m.shape[:2], 2, 3) ** 2 @ (R**2).T)
+    return turned[:, :, 0], turned[:, :, 1]
+
+
+def _table(path: Path, header_rows: int, columns: list[Any]) -> Array:
+    """The numbers of a table of `recon fit` with these columns after the frame's."""
+    expected = f"the {path.name} that `recon fit` wrote beside report.json"
+    try:
+        table = pd.read_csv(path, header=list(range(header_rows)) if header_rows > 1 else 0, index_col=0)
+        values = table.to_numpy(float)
+    except (OSError, ValueError, IndexError):
+        raise InputError(Problem(path, "content", "no such table" if path.exists() else "no file", expected)) from None
+    if list(table.columns) != columns:
+        raise InputError(Problem(path, "columns", ", ".join(map(str, table.columns))[:80], expected))
+    return values
+
+
+def _upright_from_reference(camera: Camera) -> Array:
+    """(3, 3): rotation from the frame of reference to the upright frame."""
+    if camera.knows_up:
+        return np.eye(3)
+    level = _level_from_camera(camera)
+    return level if camera.rotation is None else level @ camera.rotation
+
+
+def _upright(camera: Camera, points_m: Array) -> Array:
+    """Points (..., 3) of the frame of reference in the upright frame."""
+    if camera.knows_up:
+        return points_m
+    in_camera = camera.world_to_camera(points_m) if camera.has_extrinsics else points_m
+    return in_camera @ _level_from_camera(camera).T
+
+
+def _level_from_camera(camera: Camera) -> Array:
+    right, away = level_axes(camera.up)
+    return np.stack([right, away, camera.up])

@@ -1,0 +1,154 @@
+"""Time series added to a playback that is written already, of which only the file is needed.
+
+Entities are `analysis/...`, and their views are tabs beside the row of plots that the playback opens with. On `time`
+they have all their samples, on `frame` those that lie on a frame of the playback.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
+from numpy.typing import NDArray
+
+from recon.errors import InputError, Problem
+from recon.view.layout import held_at, plot
+from recon.view.scene import Array, Colour
+from recon.view.series import Series, line_style, state_columns, state_style
+from recon.view.stored import Playback
+
+ROOT = "analysis"
+PRESENT = "Reconstruction"
+"""The tab of the plots that the playback has without additions."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class AddedSeries(Series):
+    """A plot of lines: values (N, lines) at time_s (N,), increasing, seconds since frame 0; NaN is a gap in its line.
+
+    tab: the name of the tab that it stands in, side by side with others of that name.
+    """
+
+    time_s: Array
+    tab: str
+
+
+@dataclass(frozen=True)
+class StateRow:
+    """One row of a plot of states: a text for each of N samples, "" for none, and the texts' colours."""
+
+    name: str
+    texts: Sequence[str]
+    colours: Mapping[str, Colour]
+
+
+@dataclass(frozen=True, kw_only=True)
+class AddedStates:
+    """A plot of states over time, at time_s (N,). The viewer sorts the rows by their names, paths such as
+    `l_front_paw/ground`."""
+
+    entity: str
+    title: str
+    rows: Sequence[StateRow]
+    time_s: Array
+    tab: str
+
+
+_Placed = tuple[AddedSeries | AddedStates, tuple[NDArray[np.intp], NDArray[np.int64]]]
+"""A plot, which of its samples lie on frames, and on which."""
+
+
+def add_to_playback(
+    path: Path, series: Sequence[AddedSeries], states: Sequence[AddedStates], start_frame: int | None = None
+) -> None:
+    """Add plots to the recording at `path`, in place of those that were added before; without any, they are removed.
+
+    Everything else stays as it is, and the file is replaced in one step. start_frame: a frame number to hold, with the
+    first added tab in front, for pictures.
+
+    Raises InputError where there is no such recording, or where samples lie on none of its frames; ValueError where two
+    plots have the same entity.
+    """
+    path = Path(path)
+    series = [replace(s, entity=f"{ROOT}/{s.entity}") for s in series]
+    states = [replace(s, entity=f"{ROOT}/{s.entity}") for s in states]
+    plots = [*series, *states]
+    entities = [p.entity for p in plots]
+    if len({*entities}) < len(entities):
+        raise ValueError(f"entities must differ: {', '.join(entities)}")
+    playback = Playback.read(path)
+    found = [playback.on_frames(p.time_s) for p in plots]
+    problems = [
+        Problem(path, "frames", f"none at the {len(p.time_s)} times of {p.title!r}", "the playback of the same clip")
+        for p, (rows, _) in zip(plots, found, strict=True)
+        if not len(rows)  # an empty chunk would make the viewer crash
+    ]
+    if problems:
+        raise InputError(problems)
+
+    # Not a staged_folder: a caller may have one open in the same place, which a second would remove.
+    with TemporaryDirectory(prefix=".recon-partial-", dir=path.parent) as folder:
+        new = Path(folder) / path.name
+        _write(playback, list(zip(plots, found, strict=True)), _layout(playback, plots, start_frame), new)
+        os.replace(new, path)
+
+
+def _write(playback: Playback, plots: Sequence[_Placed], layout: rrb.Blueprint, path: Path) -> None:
+    store = playback.store
+    stream = rr.RecordingStream(store.application_id, recording_id=store.recording_id, send_properties=False)
+    stream.save(path, default_blueprint=layout)
+    stream.send_chunks([c for c in playback.data if not c.entity_path.startswith(f"/{ROOT}/")])
+    for p, (rows, frames) in plots:
+        # Two chunks, each on one timeline: the samples between frames have no place on the other.
+        for entity, values, columns, style in _lines(p) if isinstance(p, AddedSeries) else _states(p):
+            stream.send_columns(entity, [rr.TimeColumn("frame", sequence=frames)], columns(values[rows]))
+            stream.send_columns(entity, [rr.TimeColumn("time", duration=p.time_s)], columns(values))
+            stream.log(entity, style, static=True)
+    stream.flush()
+    stream.disconnect()
+
+
+_Entity = tuple[str, NDArray[Any], Callable[[NDArray[Any]], rr.ComponentColumnList], rr.AsComponents]
+"""Its path, what it has over time (N, ...), how to write that, and what is static."""
+
+
+def _lines(series: AddedSeries) -> Iterator[_Entity]:
+    lines = len(series.names)
+    yield (
+        series.entity,
+        series.values,
+        lambda values: rr.Scalars.columns(scalars=values.ravel()).partition([lines] * len(values)),
+        line_style(series),
+    )
+
+
+def _states(states: AddedStates) -> Iterator[_Entity]:
+    for row in states.rows:
+        path = "/".join(rr.escape_entity_path_part(part) for part in row.name.split("/"))
+        texts = np.array(row.texts, dtype=object)
+        yield f"{states.entity}/{path}", texts, lambda values: state_columns(values.tolist()), state_style(row.colours)
+
+
+def _layout(playback: Playback, plots: Sequence[AddedSeries | AddedStates], start_frame: int | None) -> rrb.Blueprint:
+    tabs = {
+        tab: rrb.Horizontal(
+            *(
+                plot(p) if isinstance(p, AddedSeries) else rrb.StateTimelineView(origin=p.entity, name=p.title)
+                for p in plots
+                if p.tab == tab
+            ),
+            name=tab,
+        )
+        for tab in dict.fromkeys(p.tab for p in plots)
+    }
+    if start_frame is None:
+        return playback.layout.with_tabs(PRESENT, list(tabs.values()), 0, None)
+    time = held_at(start_frame, len(playback.frames))
+    return playback.layout.with_tabs(PRESENT, list(tabs.values()), 1, time)

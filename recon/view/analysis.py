@@ -1,0 +1,74 @@
+"""The plots that an analysis adds to the playback."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from recon.analysis.clip import ClipAnalysis
+from recon.view.added import AddedSeries, AddedStates, StateRow, add_to_playback
+from recon.view.scene import LEFT, LIMB_COLOURS, LINK, MIDDLE, RIGHT, TRAIL
+
+Array = NDArray[np.float64]
+
+
+def add_analysis(found: ClipAnalysis, playback: Path) -> None:
+    """Add speed, acceleration and flexion with one sigma, the links' speeds, and the stances by both methods. Raises
+    InputError as `add_to_playback`."""
+    add_to_playback(playback, [*_kinematics(found), *_links(found)], _stances(found))
+
+
+def _kinematics(found: ClipAnalysis) -> Iterator[AddedSeries]:
+    moved = found.joints[found.reference]
+    yield _with_sigma(found, "speed", f"Speed of {found.reference} (m/s)", moved.speed_m_s, moved.speed_sigma_m_s)
+    title = f"Acceleration of {found.reference} (m/s²)"
+    yield _with_sigma(found, "acceleration", title, moved.acceleration_m_s2, moved.acceleration_sigma_m_s2)
+    if "spine_flexion" in found.angles:
+        series = found.angles["spine_flexion"].series
+        sigma = None if series.value_sigma is None else np.degrees(series.value_sigma[:, 0])
+        yield _with_sigma(found, "spine", "Flexion of the spine (°)", np.degrees(series.value[:, 0]), sigma)
+
+
+def _with_sigma(found: ClipAnalysis, entity: str, title: str, values: Array, sigma: Array | None) -> AddedSeries:
+    names: Sequence[str] = [entity] if sigma is None else [entity, "minus one sigma", "plus one sigma"]
+    lines = [values] if sigma is None else [values, values - sigma, values + sigma]
+    return AddedSeries(
+        entity=entity,
+        title=title,
+        names=names,
+        colours=[TRAIL, LINK, LINK][: len(lines)],
+        values=np.stack(lines, axis=1),
+        shown=values[:, None],
+        time_s=found.joints[found.reference].series.time_s,
+        tab="Kinematics",
+    )
+
+
+def _links(found: ClipAnalysis) -> Iterator[AddedSeries]:
+    for limb, fields in found.fields.items():
+        yield AddedSeries(
+            entity=f"links/{limb.replace(' ', '_')}",
+            title=f"{limb}: tips about their parents (m/s)",
+            names=[field.link[1].replace("_", " ") for field in fields],
+            colours=[LIMB_COLOURS[i % len(LIMB_COLOURS)] for i in range(len(fields))],
+            values=np.stack([field.speed_m_s for field in fields], axis=1),
+            time_s=found.results.time_s,
+            tab="Links",
+        )
+
+
+def _stances(found: ClipAnalysis) -> list[AddedStates]:
+    time_s = found.joints[found.reference].series.time_s
+    plots = []
+    for method, gait in found.gaits.items():
+        rows = []
+        for foot, joint in found.results.feet.items():
+            spans = [(s.start_s, s.end_s) for s in gait.stances if s.foot == foot]
+            texts = ["stance" if any(a <= t <= b for a, b in spans) else "" for t in time_s]
+            rows.append(StateRow(joint, texts, {"stance": {"L": LEFT, "R": RIGHT}.get(foot[0], MIDDLE)}))
+        title = f"Stances by {method}: {gait.name.name}"
+        plots.append(AddedStates(entity=f"gait/{method}", title=title, rows=rows, time_s=time_s, tab="Gait"))
+    return plots

@@ -1,0 +1,39 @@
+"""Running `recon ARGS` in tests."""
+
+from __future__ import annotations
+
+import io
+import subprocess
+import sys
+from contextlib import redirect_stderr, redirect_stdout
+from typing import NamedTuple
+
+import pytest
+
+from recon.cli import main
+
+
+class Ended(NamedTuple):
+    code: int
+    out: str
+    err: str
+
+
+def run(*args: object) -> Ended:
+    """`recon ARGS` in this process: `main()` with its handling of errors."""
+    out, err = io.StringIO(), io.StringIO()
+    with pytest.MonkeyPatch.context() as patch, redirect_stdout(out), redirect_stderr(err):
+        patch.setattr(sys, "argv", ["recon", *map(str, args)])
+        patch.setenv("COLUMNS", "80")
+        with pytest.raises(SystemExit) as caught:
+            main()
+    code = caught.value.code or 0
+    assert isinstance(code, int)
+    return Ended(code, out.getvalue(), err.getvalue())
+
+
+def run_process(*args: object, before: str = "") -> Ended:
+    """`recon ARGS` in a process of its own, after some lines of Python."""
+    command = [sys.executable, "-W", "error", "-c", f"{before}\nfrom recon.cli import main\nmain()", *map(str, args)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
+    return Ended(done.returncode, done.stdout, done.stderr)

@@ -1,0 +1,215 @@
+"""`recon analyse`: the analysis of a clip against independent arithmetic, and what it writes and says."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import sys
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from command_line import run
+
+from recon.analysis.clip import ClipAnalysis, analyse, limb_chains
+from recon.errors import InputError
+from recon.export import analysis_csv
+from recon.io.pose3d import read_pose3d
+from recon.results import read_results
+
+SAMPLES = Path(__file__).parents[1] / "data" / "samples"
+
+
+@pytest.fixture(scope="module")
+def whole(whole_results) -> ClipAnalysis:
+    return analyse(read_results(whole_results))
+
+
+@pytest.fixture(scope="module")
+def one_sided(frame_results) -> ClipAnalysis:
+    return analyse(read_results(frame_results))
+
+
+@pytest.fixture(scope="module")
+def tables(whole, tmp_path_factory) -> dict[str, pd.DataFrame]:
+    folder = tmp_path_factory.mktemp("tables")
+    analysis_csv.write(whole, folder)
+    assert {path.name for path in folder.iterdir()} == {*analysis_csv.TABLES}
+    return {path.stem: pd.read_csv(path) for path in folder.iterdir()}
+
+
+@pytest.fixture
+def folder(whole_results, tmp_path) -> Path:
+    """A copy of the whole animal's results, to write into."""
+    return Path(shutil.copytree(whole_results, tmp_path / "fit"))
+
+
+def test_velocities_are_central_differences_but_for_their_third_order(whole, tables):
+    position = whole.pose.xyz_m[:, whole.pose.names.index("spine")]
+    central = (position[2:] - position[:-2]) * 30
+    found = tables["velocities"][[f"spine_v{axis}_m_s" for axis in "xyz"]].to_numpy()
+    assert np.abs(found[2:-2] - central[1:-1]).max() < 0.06
+    np.testing.assert_array_equal(tables["velocities"]["frame"], np.arange(60))
+    # Halves of steps of the fine grid add up to the way.
+    path = tables["reference"][["x_m", "y_m", "z_m"]].to_numpy()
+    row = tables["joints"].set_index("joint").loc["spine"]
+    assert row["distance_m"] == pytest.approx(np.linalg.norm(np.diff(path, axis=0), axis=1).sum())
+    assert row["mean_speed_m_s"] == pytest.approx(row["distance_m"] / (59 / 60))
+    peak = tables["reference"]["speed_m_s"].idxmax()
+    assert row["peak_speed_m_s"] == tables["reference"]["speed_m_s"][peak]
+    assert row["peak_speed_sigma_m_s"] == tables["reference"]["speed_sigma_m_s"][peak]
+    assert row["peak_speed_time_s"] == pytest.approx(tables["reference"]["time_s"][peak])
+
+
+def test_stated_velocity_errors_have_the_size_of_the_true_ones(whole):
+    truth = read_pose3d(SAMPLES / "whole_truth.csv").xyz_m
+    z = []
+    for j, moved in enumerate(whole.joints.values()):
+        assert moved.series.rate_sigma is not None
+        true = (truth[2:, j] - truth[:-2, j]) * 30
+        z.append((moved.series.rate[10:-10:10] - true) / moved.series.rate_sigma[10:-10:10])
+    assert 0.3 < np.sqrt(np.mean(np.square(z))) < 1.5
+
+
+def test_a_place_that_moves_as_a_whole_turns_no_angle(whole):
+    """The uncertainty of angles comes from the pose alone; that of the place would make it several times as large."""
+    knee = whole.angles["l_back_knee"]
+    assert knee.series.value_sigma is not None
+    assert np.degrees(np.median(knee.series.value_sigma)) < 30
+    points = whole.pose.xyz_m[:, [whole.pose.names.index(n) for n in ("l_hip", "l_back_knee", "l_back_ankle")]]
+    u, v = points[:, 0] - points[:, 1], points[:, 2] - points[:, 1]
+    cosine = np.sum(u * v, axis=1) / np.linalg.norm(u, axis=1) / np.linalg.norm(v, axis=1)
+    np.testing.assert_allclose(knee.series.value[::10, 0], np.arccos(cosine), atol=1e-9)
+
+
+def test_chains_begin_with_the_trunk(whole, one_sided):
+    chains = limb_chains(whole.results)
+    assert chains["trunk"] == ("tail_base", "spine", "neck_base")
+    assert chains["left hind leg"][:3] == ("spine", "tail_base", "l_hip")
+    assert chains["right front leg"][:3] == ("spine", "neck_base", "r_shoulder")
+    assert "eyes" not in chains
+    assert limb_chains(one_sided.results) == {
+        "hind leg": ("spine", "tail_base", "r_back_knee", "r_back_ankle", "r_back_paw"),
+        "spine": ("tail_base", "spine", "neck_base"),
+        "front leg": ("spine", "neck_base", "r_front_knee", "r_front_ankle", "r_front_paw"),
+    }
+
+
+def test_events_are_near_those_of_the_true_joints(whole, tables):
+    """Every stance of the truth is found, and its edges are within two frames."""
+    assert whole.gaits["ground"].name.name == "transverse gallop"
+    table = tables["stances"]
+    ground = table[(table.method == "ground") & (table.begins == "yes") & (table.ends == "yes")]
+    assert len(ground) >= 10
+    assert ground["pair"].notna().all()
+    np.testing.assert_allclose(ground["start_frame"], 60 * ground["start_s"], atol=1e-9)
+    np.testing.assert_allclose(ground["duration_s"], ground["end_s"] - ground["start_s"])
+    # A foot that stands goes slowly: less than a quarter of the body's speed at the middle of its stance.
+    for row in ground.itertuples():
+        moved = whole.joints[str(row.joint)]
+        at = int(np.argmin(np.abs(moved.series.time_s - (row.start_s + row.end_s) / 2)))  # pyright: ignore[reportOperatorIssue]
+        assert np.linalg.norm(moved.series.rate[at, :2]) < 0.25 * whole.joints["spine"].speed_m_s[at]
+
+
+def test_strides_and_closures(whole, tables):
+    strides = tables["strides"]
+    assert (strides["frequency_hz"] * strides["duration_s"]).to_numpy() == pytest.approx(1.0)
+    row = tables["gait"].set_index("method").loc["ground"]
+    of_method = strides[strides.method == "ground"]
+    assert row["strides"] == len(of_method)
+    assert row["stride_length_m"] == pytest.approx(of_method["length_m"].mean())
+    assert whole.stride is not None
+    closures = tables["closures"].set_index("angle")
+    assert {*closures.index} == {*whole.results.angle_names}
+    angle = whole.skeleton_angles["l_hind_thigh_pitch"].series
+    inside = (angle.time_s >= whole.stride.start_s - 1e-9) & (angle.time_s <= whole.stride.end_s + 1e-9)
+    path = angle.value[inside, 0]
+    expected = 100 * (1 - abs(path[-1] - path[0]) / np.ptp(path))
+    assert closures.loc["l_hind_thigh_pitch", "closure_angle_percent"] == pytest.approx(expected)
+
+
+def test_vector_field_of_a_knee(whole, tables):
+    """The speed about the hip is the thigh's length times the rate of its angle, in the plane."""
+    field = tables["vector_field"]
+    rows = field[(field.limb == "left hind leg") & (field.link == "l_back_knee-l_back_ankle")]
+    radius, dtheta, dr = (rows[name].to_numpy() for name in ("radius_m", "dtheta_rad_s", "dr_m_s"))
+    np.testing.assert_allclose(rows["speed_m_s"], np.hypot(dr, radius * dtheta), rtol=1e-9)
+    means = tables["vector_field_means"].set_index("link")
+    assert means.loc["l_back_knee-l_back_ankle", "speed_m_s"] == pytest.approx(rows["speed_m_s"].mean())
+    assert means.loc["l_back_knee-l_back_ankle", "frames"] == 60
+
+
+def test_the_frame_method_is_smoothed_by_its_jitter(one_sided, frame_results):
+    """Against the speed of the true joints; unsmoothed, the error is several times as large."""
+    truth = read_pose3d(SAMPLES / "noisy_truth.csv")
+    true = truth.xyz_m[:, truth.names.index("tail_base")]
+    speed = np.linalg.norm(true[2:] - true[:-2], axis=1) * 15
+    raw = analyse(read_results(frame_results), smooth=False)
+    assert one_sided.smoothed
+    assert not raw.smoothed
+    errors = [
+        float(np.sqrt(np.mean((a.joints["tail_base"].speed_m_s[10:-10:10] - speed) ** 2))) for a in (one_sided, raw)
+    ]
+    assert errors[0] < 0.6
+    assert errors[1] > 3 * errors[0]
+    np.testing.assert_allclose(
+        one_sided.pose.xyz_m[:, 0], one_sided.joints[one_sided.pose.names[0]].series.value[::10], atol=1e-12
+    )
+
+
+def test_too_few_poses(frame_results, tmp_path):
+    folder = Path(shutil.copytree(frame_results, tmp_path / "fit"))
+    for name, header in (("pose3d.csv", 2), ("angles.csv", 1)):
+        lines = (folder / name).read_text().splitlines()
+        (folder / name).write_text("\n".join(lines[: header + 3]) + "\n")
+    with pytest.raises(InputError, match="found 3 frames with a pose, expected at least 4"):
+        analyse(read_results(folder))
+
+
+# -- the command -----------------------------------------------------------------------------------------------------
+
+
+def test_command_writes_tables_figures_and_plots(folder):
+    from rerun.chunk import RrdReader
+
+    done = run("analyse", folder)
+    assert (done.code, done.err) == (0, "")
+    assert "transverse gallop" in done.out
+    assert "peak" in done.out
+    written = {path.name for path in (folder / "analysis").iterdir()}
+    assert {*analysis_csv.TABLES, "analysis.json"} <= written
+    for figure in ("composites", "speed", "footfalls", "vector_field_left_front_leg", "phase_portraits"):
+        assert {f"{figure}.png", f"{figure}.svg"} <= written
+    summary = json.loads((folder / "analysis" / "analysis.json").read_text(encoding="utf-8"))
+    assert summary["gait"]["ground"]["name"] == "transverse gallop"
+    assert summary["speed"]["peak_m_s"] == pytest.approx(16.05, abs=0.3)
+    entities = {chunk.entity_path for chunk in RrdReader(folder / "motion.rrd").stream()}
+    assert {"/analysis/speed", "/analysis/gait/ground/l_back_paw", "/analysis/links/trunk", "/speed"} <= entities
+
+    again = run("analyse", folder)
+    assert again.code == 2
+    assert "--overwrite" in again.err
+    as_json = run("analyse", folder, "--overwrite", "--no-figures", "--json")
+    assert json.loads(as_json.out) == summary
+
+
+def test_command_says_what_is_missing(frame_results, tmp_path):
+    folder = shutil.copytree(frame_results, tmp_path / "fit")
+    done = run("analyse", folder, "--out", tmp_path / "a", "--no-figures")
+    assert done.code == 0
+    assert "Only the feet" in " ".join(done.out.split())
+    assert "smoothed by their jitter" in " ".join(done.out.split())
+    nothing = run("analyse", tmp_path / "nothing")
+    assert nothing.code == 2
+    assert "no such folder" in nothing.err
+
+
+def test_without_matplotlib_nothing_is_written(whole_results, tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    for module in [name for name in sys.modules if name.startswith("matplotlib.")]:
+        monkeypatch.setitem(sys.modules, module, None)
+    done = run("analyse", whole_results, "--out", tmp_path / "a")
+    assert done.code == 2
+    assert "recon[plots]" in done.err
+    assert not (tmp_path / "a").exists()

@@ -1,0 +1,123 @@
+"""Reading a result folder: against the fit's own tables, forward kinematics of its states, and the upright frame."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from recon.body import Body
+from recon.camera import Camera
+from recon.errors import InputError
+from recon.io.pose3d import read_pose3d
+from recon.results import read_results
+from recon.skeleton import Skeleton
+
+
+def copy(folder: Path, to: Path) -> Path:
+    return Path(shutil.copytree(folder, to / "copy"))
+
+
+def test_a_world_with_z_up_stays_as_it_is(whole_results):
+    found = read_results(whole_results)
+    pose = read_pose3d(whole_results / "pose3d.csv")
+    np.testing.assert_array_equal(found.pose.xyz_m, pose.xyz_m)
+    assert found.pose.names == pose.names
+    assert found.fps == 60
+    assert found.method == "trajectory"
+    table = pd.read_csv(whole_results / "pose3d_sigma.csv", header=[0, 1], index_col=0)
+    assert found.sigma_m is not None
+    assert found.relative_sigma_m is not None
+    np.testing.assert_allclose(found.sigma_m[:, 3], table["neck_base"][["x_sigma", "y_sigma", "z_sigma"]])
+    np.testing.assert_allclose(found.relative_sigma_m[:, 3], table["neck_base"][["x_rel", "y_rel", "z_rel"]])
+
+
+@pytest.mark.parametrize("results", ["whole_results", "level_results"])
+def test_states_and_size_give_the_joints(results, request):
+    """Also where the fit's frame of reference is the camera's: the states are upright."""
+    found = read_results(request.getfixturevalue(results))
+    assert isinstance(found.skeleton, Body)
+    joints = found.skeleton.tree.pose(found.states, found.size).points_m
+    np.testing.assert_allclose(joints, found.pose.xyz_m, atol=1e-6)
+
+
+def test_the_camera_frame_is_turned_upright(level_results):
+    found = read_results(level_results)
+    assert json.loads((level_results / "report.json").read_text())["frame_of_reference"] == "camera"
+    in_camera = read_pose3d(level_results / "pose3d.csv").xyz_m
+    up = np.array([0.0, -np.cos(np.radians(3)), -np.sin(np.radians(3))])
+    np.testing.assert_allclose(found.pose.xyz_m[..., 2], in_camera @ up, atol=1e-9)
+    np.testing.assert_allclose(found.pose.xyz_m[..., 0], in_camera[..., 0], atol=1e-9)
+    np.testing.assert_allclose(np.linalg.norm(found.pose.xyz_m, axis=2), np.linalg.norm(in_camera, axis=2), rtol=1e-12)
+    # The camera's y and z mix by the tilt; their variances with them.
+    table = pd.read_csv(level_results / "pose3d_sigma.csv", header=[0, 1], index_col=0)["spine"]
+    expected = table["y_sigma"] ** 2 * np.cos(np.radians(3)) ** 2 + table["z_sigma"] ** 2 * np.sin(np.radians(3)) ** 2
+    assert found.sigma_m is not None
+    j = found.pose.names.index("spine")
+    np.testing.assert_allclose(found.sigma_m[:, j, 2], np.sqrt(expected), rtol=1e-9)
+
+
+def test_a_chain_is_called_by_its_keypoints(frame_results):
+    found = read_results(frame_results)
+    assert isinstance(found.skeleton, Skeleton)
+    assert found.method == "frame"
+    assert found.sigma_m is None
+    assert found.forward == ("tail_base", "neck_base")
+    assert found.feet == {"RH": "r_back_paw", "RF": "r_front_paw"}
+    assert found.keypoint_of["J0"] == "tail_base"
+    names = [found.pose.names[j] for j in found.limbs["front leg"]]
+    assert names == ["neck_base", "r_front_knee", "r_front_ankle", "r_front_paw"]
+    camera = Camera.from_dict(found.report["input"]["camera"])
+    world = camera.camera_to_world(found.skeleton.pose(found.states).joints_m)
+    np.testing.assert_allclose(world, found.pose.xyz_m, atol=1e-6)
+    assert found.angle_names[:2] == ("theta_6", "theta_7")
+    np.testing.assert_array_equal(found.angles_rad[:, 0], found.states[:, 0])
+
+
+def test_feet_of_a_whole_animal(whole_results):
+    assert read_results(whole_results).feet == {
+        "LF": "l_front_paw",
+        "RF": "r_front_paw",
+        "LH": "l_back_paw",
+        "RH": "r_back_paw",
+    }
+
+
+def problem(folder: Path) -> str:
+    with pytest.raises(InputError) as caught:
+        read_results(folder)
+    return str(caught.value)
+
+
+def test_what_is_no_result_folder(tmp_path, whole_results):
+    assert "no such folder" in problem(tmp_path / "nothing")
+    assert "no report.json" in problem(tmp_path)
+    folder = copy(whole_results, tmp_path)
+    (folder / "angles.csv").unlink()
+    (folder / "pose3d.csv").unlink()
+    both = problem(folder)
+    assert "angles.csv" in both
+    assert "pose3d.csv" in both
+
+
+@pytest.mark.parametrize(
+    ("name", "change", "said"),
+    [
+        ("report.json", lambda text: "{", "the report of `recon fit`"),
+        ("report.json", lambda text: text.replace('"version": 2', '"version": 1'), "fit the clip again"),
+        ("angles.csv", lambda text: "\n".join(text.splitlines()[:-1]) + "\n", "59 rows, but 60"),
+        ("angles.csv", lambda text: text.replace("head_yaw", "neck_yaw"), "columns: found x_m"),
+        ("angles.csv", lambda text: text.replace("0.", "0,", 1), "angles.csv: "),
+        ("pose3d_sigma.csv", lambda text: "\n".join(text.splitlines()[:-1]) + "\n", "found 59, expected 60"),
+        ("pose3d_sigma.csv", lambda text: text.replace("z_rel", "z_abs"), "pose3d_sigma.csv: columns"),
+    ],
+)
+def test_files_that_do_not_fit_together(tmp_path, whole_results, name, change, said):
+    folder = copy(whole_results, tmp_path)
+    path = folder / name
+    path.write_text(change(path.read_text(encoding="utf-8")), encoding="utf-8")
+    assert said in problem(folder)
