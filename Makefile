@@ -53,6 +53,8 @@ benchmark: $(BASE)
 	$(BIN)/python benchmarks/trajectory.py $(RUNS)
 	$(BIN)/python benchmarks/cheetah_runs.py $(RUNS)
 	$(BIN)/python benchmarks/samples.py
+	$(BIN)/python benchmarks/gait.py $(RUNS)
+	$(BIN)/python benchmarks/ik.py $(RUNS)
 
 clean:
 	rm -rf $(DEMO_OUT) build dist .pytest_cache .ruff_cache

@@ -1,23 +1,45 @@
-"""Inverse kinematics of the spine-front-leg chain: time per step, success rates, iterations and closures.
+"""Inverse kinematics: time per step, success rates, iterations and closures, and strides of a folder of real runs.
 
-    python benchmarks/ik.py
+    python benchmarks/ik.py [FOLDER] [--only steps targets circle strides fits]
 
-Joints of `cheetah-8u` in their level base frame. One core, warm. Tables in Markdown, as in docs/ik.md.
+Joints of `cheetah-8u`'s spine and front leg in their level base frame, and of `cheetah-24`'s left front leg. One core,
+warm. Tables in Markdown, as in docs/ik.md. The last two need real runs: each is a folder with truth.csv and meta.json
+(fps), by default those of cheetah-runs in $RECON_SHARED_DATA, or in ../shared/data.
 """
 
 from __future__ import annotations
 
+import argparse
+import json
 import os
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import time
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 
-from recon.ik.chain import PlanarChain, SummedChain, spine_front_leg
+from recon import Pose3D, read_pose3d
+from recon.body import Body
+from recon.ik.animal import body_chain, body_chain_angles, chain_angles, planar_chain, spine_front_leg
+from recon.ik.chain import SerialChain
 from recon.ik.costs import HarmonicMap, joint_differences, rotational_energy
-from recon.ik.drive import drive_to, follow, to_null_space_optimum
+from recon.ik.drive import Closures, degree_of_closure, drive_to, follow
+from recon.ik.fit import (
+    Fitted,
+    fit_damped,
+    fit_gradient,
+    fit_least_norm,
+    fit_selectively_damped,
+    fit_transpose,
+    fit_weights,
+)
+from recon.ik.joint_chain import JointChain
 from recon.ik.methods import (
     DampedLeastSquares,
     ExtendedJacobian,
@@ -28,36 +50,68 @@ from recon.ik.methods import (
     SelectivelyDamped,
     WeightedLeastNorm,
 )
-from recon.skeleton_file import load_chain
+from recon.ik.null_space import to_null_space_optimum
+from recon.ik.stride import Stride, find_stride
+from recon.skeleton_file import load_chain, load_skeleton
+from recon.solve.frame import solve_joints
+from recon.solve.points import solve_points_and_size
 
 Array = np.ndarray
 
 TASKS, SEED = 50, 0
 STEPS, WARM = 4000, 500
 TURNS, POINTS, RADIUS_M = 10, 400, 0.1
+SLOWER = 10
+"""Strides are followed in slow motion, so that the limits of the rates do not hold the methods back."""
+UP = np.array([0.0, 0.0, 1.0])
+SIDES = ("left", "right")
+PUBLISHED = {
+    "gradient projection (differences)": "264, ended 11 mm away",
+    "weighted (lengths)": "6,100",
+    "damped (0.05 m)": "765",
+    "extended Jacobian (energy)": "587, ended 32.7 mm away",
+}
+"""Iterations to a target that the publication does not state; its cost is not stated either."""
 
 
-def chain_of(dim: int, limited: bool) -> PlanarChain | SummedChain:
-    return spine_front_leg(load_chain("cheetah-8u"), dim=3 if dim == 3 else 2, limited=limited)
-
-
-def methods(chain: PlanarChain | SummedChain) -> dict[str, Method]:
-    differences, energy = joint_differences(chain), rotational_energy(chain)
+def chains(limited: bool) -> dict[str, SerialChain]:
+    skeleton, body = load_chain("cheetah-8u"), load_skeleton("cheetah-24")
+    assert isinstance(body, Body)
     return {
+        "2D, 5 joints": spine_front_leg(skeleton, dim=2, limited=limited),
+        "3D, 10 joints": spine_front_leg(skeleton, limited=limited),
+        "whole animal, 9 joints": body_chain(body, "l_front_paw", limited=limited)[0],
+    }
+
+
+def methods(chain: SerialChain) -> dict[str, Method]:
+    differences, energy = joint_differences(chain), rotational_energy(chain)
+    every: dict[str, Method] = {
         "least norm": LeastNorm(),
         "Jacobian transpose": JacobianTranspose(),
         "gradient projection (differences)": GradientProjection(differences),
-        "weighted (lengths)": WeightedLeastNorm(np.tile(chain.lengths_m, len(chain.groups))),
+        "weighted (lengths)": WeightedLeastNorm(chain.joint_lengths_m),
         "damped (0.05 m)": DampedLeastSquares(),
         "selectively damped": SelectivelyDamped(),
         "extended Jacobian (differences)": ExtendedJacobian(differences),
         "extended Jacobian (energy)": ExtendedJacobian(energy),
         "extended Jacobian (energy), N constant": ExtendedJacobian(energy, full=False),
-        "extended Jacobian (harmonic map)": ExtendedJacobian(HarmonicMap()),
     }
+    if not isinstance(chain, JointChain):  # the map is one of the 8U chain's joints
+        every["extended Jacobian (harmonic map)"] = ExtendedJacobian(HarmonicMap())
+    return every
 
 
-def step_us(chain: PlanarChain | SummedChain, method: Method) -> float:
+def print_table(header: list[str], rows: list[list[str]]) -> None:
+    print(f"| {' | '.join(header)} |\n|{' --- |' * len(header)}")
+    for row in rows:
+        print(f"| {' | '.join(row)} |")
+
+
+# -- steps and targets -----------------------------------------------------------------------------------------------
+
+
+def step_us(chain: SerialChain, method: Method) -> float:
     """Median time of `rates` at random configurations within the limits, microseconds."""
     rng = np.random.default_rng(SEED)
     q = rng.uniform(chain.lower_rad, chain.upper_rad, (STEPS, chain.n))
@@ -70,21 +124,62 @@ def step_us(chain: PlanarChain | SummedChain, method: Method) -> float:
     return 1e6 * float(np.median(times[WARM:]))
 
 
-def tasks(dim: int) -> tuple[Array, Array]:
+def time_of(chain: SerialChain, name: str) -> str:
+    method = methods(chain).get(name)
+    return f"{step_us(chain, method):.0f}" if method else ""
+
+
+def print_steps() -> None:
+    print("Microseconds per step:\n")
+    every = chains(True)
+    names = methods(next(iter(every.values())))
+    rows = [[name, *(time_of(chain, name) for chain in every.values())] for name in names]
+    print_table(["method", *every], rows)
+
+
+def tasks(chain: SerialChain) -> list[tuple[Array, Array]]:
     """Starts and targets from random poses within the limits."""
-    chain, rng = chain_of(dim, True), np.random.default_rng(SEED)
-    starts, ends = rng.uniform(chain.lower_rad, chain.upper_rad, (2, TASKS, chain.n))
-    return starts, np.array([chain.end(q) for q in ends])
+    starts, ends = np.random.default_rng(SEED).uniform(chain.lower_rad, chain.upper_rad, (2, TASKS, chain.n))
+    return [(q, chain.end(end)) for q, end in zip(starts, ends, strict=True)]
 
 
-def closure(chain: PlanarChain | SummedChain, method: Method) -> str:
-    """Least closures of any joint after the turns on a circle, from the optimum of the method's cost (or the energy's):
-    angle / (angle, rate) plane."""
-    limited = chain_of(chain.dim, True)
-    q = (limited.lower_rad + limited.upper_rad) / 2
-    q[5:] = [0.1, 0.15, -0.1, 0.2, 0.15][: len(q[5:])]
+def print_targets() -> None:
+    for (title, free), limited in zip(chains(False).items(), chains(True).values(), strict=True):
+        print(f"\n{title}, {TASKS} targets, seed {SEED}:\n")
+        rows = []
+        for name, method in methods(free).items():
+            drives = [drive_to(free, q, x, method) for q, x in tasks(limited)]
+            within = [drive_to(limited, q, x, method).reached for q, x in tasks(limited)]
+            done = [d for d in drives if d.reached]
+            steps = [d.iterations for d in done]
+            rows.append(
+                [
+                    *(name, f"{100 * len(done) / TASKS:.0f} %", f"{np.median(steps):.0f} ({max(steps)})"),
+                    *([PUBLISHED.get(name, "")] if free.dim == 2 else []),
+                    *(f"{np.mean([d.length_m for d in done]):.3f}",),
+                    *(f"{np.median([d.roughness_rad2 for d in done]):.1e}", f"{100 * np.mean(within):.0f} %"),
+                ]
+            )
+        context = ["published, another target"] if free.dim == 2 else []
+        measures = ["path, m", "roughness, rad2", "reached within limits"]
+        print_table(["method", "reached", "iterations, median (max)", *context, *measures], rows)
+
+
+# -- closed paths ----------------------------------------------------------------------------------------------------
+
+
+def start_of(chain: SerialChain, q: Array, method: Method) -> Array:
+    """The optimum of the method's cost (or the energy's) that the null space leads to."""
     cost = method.cost if isinstance(method, ExtendedJacobian) else rotational_energy(chain)
-    q = to_null_space_optimum(chain, q, cost).q[-1]
+    return to_null_space_optimum(chain, q, cost).q[-1]
+
+
+def circle_closure(chain: SerialChain, q: Array, name: str) -> str:
+    """Least closures of any joint after the turns on a circle: angle / (angle, rate) plane."""
+    method = methods(chain).get(name)
+    if method is None:
+        return ""
+    q = start_of(chain, q, method)
     angle, start = np.linspace(0, 2 * np.pi, POINTS + 1), chain.end(q)
     u, v = np.array([1.0, 0.0, 0.0])[: chain.dim], np.array([0.0, 0.8, 0.6])[: chain.dim]
     path = start + RADIUS_M * ((np.cos(angle) - 1)[:, None] * u + np.sin(angle)[:, None] * v)
@@ -92,34 +187,168 @@ def closure(chain: PlanarChain | SummedChain, method: Method) -> str:
     run = follow(chain, q, path, method, turns=TURNS)
     closures = run.closures()
     singular = ", singular on the way" if run.singular.any() else ""
-    return f"{closures.angle.min():.2f} / {closures.plane.min():.2f}{singular}"
+    return f"{np.nanmin(closures.angle):.2f} / {np.nanmin(closures.plane):.2f}{singular}"
+
+
+def print_circle() -> None:
+    print(f"\nLeast closure of any joint after {TURNS} turns on a circle of {RADIUS_M} m, percent, angle / plane:\n")
+    every, bounds = chains(False), chains(True).values()
+    middles = [(chain.lower_rad + chain.upper_rad) / 2 for chain in bounds]
+    middles[1][5:] = [0.1, 0.15, -0.1, 0.2, 0.15]
+    rows = []
+    for name in methods(next(iter(every.values()))):
+        starts = zip(every.values(), middles, strict=True)
+        rows.append([name, *(circle_closure(chain, q, name) for chain, q in starts)])
+    print_table(["method", *every], rows)
+
+
+# -- real strides ----------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Leg:
+    """A run's front leg: name of run and side, the chain with the animal's size, its angles (T, n), the frame rate."""
+
+    name: str
+    chain: SerialChain
+    q: Array
+    fps: float
+
+
+@cache
+def real_legs(folder: Path) -> dict[str, list[Leg]]:
+    """All runs' legs, by chain: "2D" in the plane of the travel, "3D", "whole animal"."""
+    skeleton, body = load_chain("cheetah-8u"), load_skeleton("cheetah-24")
+    assert isinstance(body, Body)
+    legs: dict[str, list[Leg]] = {"2D": [], "3D": [], "whole animal": []}
+    for meta in sorted(folder.glob("*/meta.json")):
+        fps = json.loads(meta.read_text(encoding="utf-8"))["fps"]
+        pose = read_pose3d(meta.parent / "truth.csv")
+
+        def points(names: Sequence[str], pose: Pose3D = pose) -> Array:
+            return pose.xyz_m[:, [pose.names.index(name) for name in names]]
+
+        root = points(["tail_base"])[:, 0]
+        body_states, _, size = solve_points_and_size(body, points(body.markers))
+        for side in SIDES:
+            name = f"{meta.parent.name}, {side}"
+            leg = ("tail_base", "spine", "neck_base", *(f"{side[0]}_front_{part}" for part in ("knee", "ankle", "paw")))
+            known = np.isfinite(root[:, 0])
+            flat, q, _ = planar_chain(points(leg), root[known][-1] - root[known][0])
+            legs["2D"].append(Leg(name, flat, q, fps))
+            states = solve_joints(skeleton, points(skeleton.keypoint_names(side)), UP)
+            summed = spine_front_leg(skeleton, float(np.nanmedian(states[:, skeleton.base_index])), 3, limited=False)
+            legs["3D"].append(Leg(name, summed, chain_angles(skeleton, states, UP), fps))
+            whole, _ = body_chain(body, leg[-1], size, limited=False)
+            legs["whole animal"].append(Leg(name, whole, body_chain_angles(body, leg[-1], body_states), fps))
+    return legs
+
+
+def stride_cell(stride: Stride) -> str:
+    whole = " (whole clip)" if stride.how == "whole clip" else ""
+    return f"{1000 * (stride.end_s - stride.start_s):.0f} ms, {stride.gap_percent:.0f} %{whole}"
+
+
+def animal_closures(stride: Stride, fps: float) -> Closures:
+    """Of the animal itself."""
+    q = stride.q[np.isfinite(stride.q).all(axis=1)]
+    paths = np.stack([q, np.gradient(q, 1 / fps, axis=0)], axis=2).transpose(1, 0, 2)
+    return Closures(
+        np.array([degree_of_closure(path[:, 0]) for path in paths]), np.array([degree_of_closure(p) for p in paths])
+    )
+
+
+def print_strides(folder: Path) -> None:
+    legs_of = real_legs(folder)
+    found = {kind: [find_stride(leg.chain, leg.q, leg.fps) for leg in legs] for kind, legs in legs_of.items()}
+    print("\nStrides of the end effector, and the gap that was closed, in percent of the path's diameter:\n")
+    cells = [[stride_cell(s) for s in strides] for strides in found.values()]
+    print_table(["run, side", *found], [[leg.name, *row] for leg, *row in zip(legs_of["2D"], *cells, strict=True)])
+    for kind, legs in legs_of.items():
+        strides = found[kind]
+        n = legs[0].chain.n
+        animal = [animal_closures(s, leg.fps) for leg, s in zip(legs, strides, strict=True)]
+        rows = [closure_row("the animal", animal, 0.0, 0)]
+        for name in methods(legs[0].chain):
+            runs = []
+            for leg, stride in zip(legs, strides, strict=True):
+                method, q = methods(leg.chain)[name], stride.q[0]
+                # The extended Jacobian keeps G = 0, where the animal is not.
+                q = start_of(leg.chain, q, method) if isinstance(method, ExtendedJacobian) else q
+                runs.append(follow(leg.chain, q, stride.path_m, method, interval_s=SLOWER * stride.interval_s))
+            off = float(np.median([run.distance_m.max() for run in runs]))
+            rows.append(closure_row(name, [r.closures() for r in runs], off, sum(r.singular.any() for r in runs)))
+        print(f"\n{kind}, median closure in the (angle, rate) plane over {len(legs)} strides, percent:\n")
+        joints = [f"{angle} {k}" for angle in ("theta", "phi") for k in (9, 1, 2, 3, 4)][:n]
+        if kind == "whole animal":
+            joints = [f"{angle} {part}" for part in ("rear", "front") for angle in ("yaw", "pitch", "roll")]
+            joints += [f"pitch {part}" for part in ("upper", "lower", "foot")]
+        print_table(["method", *joints, "least", "angle alone", "off the path, mm", "singular strides"], rows)
+
+
+def closure_row(name: str, closures: list[Closures], off_m: float, singular: int) -> list[str]:
+    plane, angle = np.array([c.plane for c in closures]), np.array([c.angle for c in closures])
+    cells = [*np.nanmedian(plane, axis=0), np.nanmin(plane), np.nanmedian(angle)]
+    return [name, *(f"{v:.0f}" for v in cells), f"{1000 * off_m:.1f}", str(singular)]
+
+
+def print_fits(folder: Path) -> None:
+    """Of the 8U chain in space there are none: its phi jump where a link stands upright, and so do their rates."""
+    for kind in ("2D", "whole animal"):
+        data = []
+        for leg in real_legs(folder)[kind]:
+            known = np.isfinite(leg.q).all(axis=1)
+            q, time_s = leg.q[known], np.flatnonzero(known) / leg.fps
+            dq = CubicSpline(time_s, q).derivative()(time_s)
+            data.append((leg.chain, q, np.array([leg.chain.jacobian(x) @ v for x, v in zip(q, dq, strict=True)]), dq))
+        print(f"\n{kind}, parameters of {len(data)} legs' joint rates, medians:\n")
+        rows = []
+        for name, fit, unit in FITS:
+            found = [fit(*leg) for leg in data]
+            values = np.median([f.parameter for f in found], axis=0)
+            explained = [100 * f.explained for f in found]
+            rows.append(
+                [
+                    *(name, ", ".join(f"{v:.2g}" for v in values) + unit),
+                    f"{np.median(explained):.0f} ({min(explained):.0f} to {max(explained):.0f})",
+                    str(sum(bool(f.note) for f in found)),
+                ]
+            )
+        print_table(["method", "parameter", "explained, percent (range)", "legs at an edge"], rows)
+
+
+def fit_costs(chain: SerialChain, q: Array, dx: Array, dq: Array) -> Fitted:
+    return fit_gradient(chain, q, dx, dq, (joint_differences(chain), rotational_energy(chain)))
+
+
+FITS: tuple[tuple[str, Callable[..., Fitted], str], ...] = (
+    ("least norm", fit_least_norm, ""),
+    ("Jacobian transpose, alpha", fit_transpose, " 1/m2"),
+    ("gradient projection, constant g", fit_gradient, ""),
+    ("gradient projection, differences and energy", fit_costs, ""),
+    ("weighted, diag W", fit_weights, ""),
+    ("damped, lambda", fit_damped, " m"),
+    ("selectively damped, gamma_max", fit_selectively_damped, " rad"),
+)
 
 
 def main() -> None:
-    print("| method | 2D, us a step | 3D, us a step |\n| --- | --- | --- |")
-    flat, space = chain_of(2, True), chain_of(3, True)
-    for name, method in methods(flat).items():
-        print(f"| {name} | {step_us(flat, method):.0f} | {step_us(space, methods(space)[name]):.0f} |")
-    for dim in (2, 3):
-        print(f"\n{dim}D, {TASKS} targets, seed {SEED}:\n")
-        print("| method | reached | iterations, median (max) | path, m | roughness, rad2 | reached within limits |")
-        print("| --- | --- | --- | --- | --- | --- |")
-        free, limited = chain_of(dim, False), chain_of(dim, True)
-        for name, method in methods(free).items():
-            drives = [drive_to(free, q, x, method) for q, x in zip(*tasks(dim), strict=True)]
-            within = [drive_to(limited, q, x, method).reached for q, x in zip(*tasks(dim), strict=True)]
-            done = [d for d in drives if d.reached]
-            steps = [d.iterations for d in done]
-            print(
-                f"| {name} | {100 * len(done) / TASKS:.0f} % | {np.median(steps):.0f} ({max(steps)}) | "
-                f"{np.mean([d.length_m for d in done]):.3f} | {np.median([d.roughness_rad2 for d in done]):.1e} | "
-                f"{100 * np.mean(within):.0f} % |"
-            )
-    print(f"\nLeast closure of any joint after {TURNS} turns on a circle of {RADIUS_M} m, percent, angle / plane:\n")
-    print("| method | 2D | 3D |\n| --- | --- | --- |")
-    flat, space = chain_of(2, False), chain_of(3, False)
-    for name, method in methods(flat).items():
-        print(f"| {name} | {closure(flat, method)} | {closure(space, methods(space)[name])} |")
+    here = Path(__file__).resolve().parents[1]
+    default = Path(os.environ.get("RECON_SHARED_DATA", here.parent / "shared" / "data")) / "cheetah-runs"
+    tables = {"steps": print_steps, "targets": print_targets, "circle": print_circle}
+    real = {"strides": print_strides, "fits": print_fits}
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folder", type=Path, nargs="?", default=default)
+    parser.add_argument("--only", nargs="+", choices=[*tables, *real], default=[*tables, *real])
+    arguments = parser.parse_args()
+    for name, table in tables.items():
+        if name in arguments.only:
+            table()
+    if not any(arguments.folder.glob("*/meta.json")):
+        parser.exit(message=f"no runs in {arguments.folder}: no real strides\n")
+    for name, table in real.items():
+        if name in arguments.only:
+            table(arguments.folder)
 
 
 if __name__ == "__main__":

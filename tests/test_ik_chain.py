@@ -1,15 +1,13 @@
-"""Chains, their derivatives, costs, the two-link arm and the spine-front-leg chain."""
+"""Chains whose angles add up, their derivatives, costs, and the two-link arm."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from recon.ik.chain import PlanarChain, SummedChain, chain_angles, manipulability, null_basis, reach, spine_front_leg
+from recon.ik.chain import PlanarChain, SummedChain, manipulability, null_basis
 from recon.ik.costs import HarmonicMap, UserCost, joint_differences, rotational_energy
 from recon.ik.two_link import two_link
-from recon.skeleton_file import load_chain
-from recon.synthetic import gallop
 
 LENGTHS = (0.4, 0.3, 0.25, 0.28, 0.2)
 CHAINS = {"planar": PlanarChain(LENGTHS), "summed": SummedChain(LENGTHS)}
@@ -71,8 +69,8 @@ def test_bad_chains_are_refused():
 
 
 def test_reach_and_manipulability():
-    assert reach(PlanarChain((1.0, 0.5))) == pytest.approx((0.5, 1.5))
-    assert reach(PlanarChain((1.0, 0.5, 0.6))) == pytest.approx((0.0, 2.1))
+    assert PlanarChain((1.0, 0.5)).reach_m == pytest.approx((0.5, 1.5))
+    assert PlanarChain((1.0, 0.5, 0.6)).reach_m == pytest.approx((0.0, 2.1))
     # Of two links: r1 r2 |sin q2|.
     arm = PlanarChain((1.0, 0.5))
     assert manipulability(arm.jacobian(np.array([0.3, 0.7]))) == pytest.approx(0.5 * np.sin(0.7))
@@ -142,64 +140,3 @@ def test_two_link_on_the_edge():
         assert found.reachable
         assert how in found.reason
         np.testing.assert_allclose(PlanarChain((1.0, 0.5)).end(found.branches_rad[0]), target, atol=1e-12)
-
-
-# -- the spine-front-leg chain ---------------------------------------------------------------------------------------
-
-
-def test_spine_front_leg_has_the_skeleton_s_links():
-    skeleton = load_chain("cheetah-8u")
-    chain = spine_front_leg(skeleton)
-    np.testing.assert_allclose(chain.lengths_m, 0.203 * np.array([2.045, 1.545, 1.273, 1.364, 1.0]))
-    assert (chain.n, chain.dim) == (10, 3)
-    np.testing.assert_allclose(chain.lower_rad, [-0.9, -0.4, 0.8, -2.1, -0.8, -0.75, -0.5, -0.5, -0.5, -0.5])
-    np.testing.assert_allclose(chain.upper_rad, [0.9, 0.5, 3.0, 0.3, 1.8, 0.75, 0.5, 0.5, 0.5, 0.5])
-    np.testing.assert_allclose(chain.max_rate_rad_s, [8, 8, 30, 30, 30, 5, 5, 10, 10, 10])
-    flat = spine_front_leg(skeleton, base_length_m=0.1, dim=2, limited=False)
-    np.testing.assert_allclose(flat.lengths_m, [0.2045, 0.1545, 0.1273, 0.1364, 0.1])
-    assert flat.n == 5
-    assert np.isinf(flat.upper_rad).all()
-
-
-@pytest.mark.parametrize("direction", ["left", "right"])
-def test_chain_angles_put_the_joints_where_the_state_has_them(direction):
-    skeleton = load_chain("cheetah-8u")
-    clip = gallop(n_frames=20, heading_rad=0.3, direction=direction)
-    up = clip.camera.up
-    q = chain_angles(skeleton, clip.state, up)
-    names = ["J0", "J9", "J1", "J2", "J3", "J4"]
-    where = [skeleton.joints.index(name) for name in names]
-    joints = skeleton.pose(clip.state).joints_m[:, where]
-    root = joints[:, 0]
-    ahead = root[-1] - root[0]
-    ahead = ahead - (ahead @ up) * up
-    ahead /= np.linalg.norm(ahead)
-    base = np.stack([ahead, -up, np.cross(ahead, -up)])
-    chain = spine_front_leg(skeleton)
-    for t in range(20):
-        np.testing.assert_allclose(chain.positions(q[t]), (joints[t] - root[t]) @ base.T, atol=1e-12)
-    # No link turns by a jump to the other pair of angles.
-    assert np.abs(np.diff(q[:, :5], axis=0)).max() < 1.5
-    np.testing.assert_allclose(chain_angles(skeleton, clip.state, up, travel=ahead), q, atol=1e-12)
-    np.testing.assert_array_equal(chain_angles(skeleton, clip.state, up, dim=2), q[:, :5])
-
-
-def test_chain_angles_of_a_level_animal_are_the_skeleton_s():
-    skeleton = load_chain("cheetah-8u")
-    state = np.zeros((2, skeleton.n_state))
-    state[:, skeleton.theta_slice] = skeleton.theta.mean_rad
-    state[:, skeleton.base_index] = 0.2
-    q = chain_angles(skeleton, state, np.array([0.0, -1.0, 0.0]))
-    at = [skeleton.angle_names.index(f"theta_{k}") for k in (1, 2, 3, 4)]
-    np.testing.assert_allclose(q[:, 1:5], state[:, at], atol=1e-12)
-    np.testing.assert_allclose(np.delete(q, [1, 2, 3, 4], axis=1), 0, atol=1e-12)
-
-
-def test_chain_angles_leave_missing_frames_missing():
-    skeleton = load_chain("cheetah-8u")
-    clip = gallop(n_frames=6)
-    state = clip.state.copy()
-    state[2] = np.nan
-    q = chain_angles(skeleton, state, clip.camera.up)
-    assert np.isnan(q[2]).all()
-    assert np.isfinite(np.delete(q, 2, axis=0)).all()

@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from recon.ik.chain import PlanarChain, null_basis, spine_front_leg
+from recon.ik.animal import spine_front_leg
+from recon.ik.chain import PlanarChain, null_basis
 from recon.ik.costs import HarmonicMap, UserCost, joint_differences, rotational_energy
-from recon.ik.drive import degree_of_closure, drive_to, follow, roughness, to_null_space_optimum
+from recon.ik.drive import degree_of_closure, drive_to, follow, roughness
 from recon.ik.methods import (
     DampedLeastSquares,
     ExtendedJacobian,
@@ -17,6 +18,7 @@ from recon.ik.methods import (
     SelectivelyDamped,
     WeightedLeastNorm,
 )
+from recon.ik.null_space import to_null_space_optimum
 from recon.skeleton_file import load_chain
 
 STARTS = 50
@@ -28,7 +30,7 @@ def methods(chain):
         "least norm": LeastNorm(),
         "transpose": JacobianTranspose(),
         "gradient projection": GradientProjection(joint_differences(chain)),
-        "weighted": WeightedLeastNorm(np.tile(chain.lengths_m, len(chain.groups))),
+        "weighted": WeightedLeastNorm(chain.joint_lengths_m),
         "damped": DampedLeastSquares(),
         "selectively damped": SelectivelyDamped(),
         "extended, differences": ExtendedJacobian(joint_differences(chain)),
@@ -114,6 +116,9 @@ def test_measures_of_a_drive():
     assert drive.iterations == pytest.approx(straight / 0.02, abs=2)
     assert drive.roughness_rad2 == roughness(drive.q)
     assert roughness(np.arange(5.0)[:, None] ** 2) == pytest.approx(4.0)
+    np.testing.assert_allclose(np.diff(drive.q, axis=0), drive.dq[:-1] / 90, atol=1e-15)
+    np.testing.assert_array_equal(drive.dq[-1], 0)
+    assert (drive.solve_s > 0).all()
     J = chain.jacobian(drive.q[3])
     assert drive.manipulability[3] == pytest.approx(np.sqrt(np.linalg.det(J @ J.T)))
 
@@ -156,7 +161,7 @@ def test_extended_jacobian_closes_paths_and_least_norm_drifts(dim):
         )
     }
     for run in runs.values():
-        assert run.error_m.max() < 1e-3
+        assert run.distance_m.max() < 1e-3
         assert run.turns == 10
     closures = {name: run.closures() for name, run in runs.items()}
     assert not runs["full"].singular.any()
@@ -170,13 +175,11 @@ def test_without_correction_the_error_shrinks_with_the_step():
     chain = front_leg(2)
     cost = rotational_energy(chain)
     q = to_null_space_optimum(chain, bent(chain), cost).q[-1]
-    errors = [
-        follow(chain, q, circle(chain, q, points=n), ExtendedJacobian(cost), interval_s=2 / n, correct=False).error_m[
-            -1
-        ]
+    coarse, fine = (
+        follow(chain, q, circle(chain, q, points=n), ExtendedJacobian(cost), interval_s=2 / n, correct=False)
         for n in (200, 400)
-    ]
-    assert errors[1] == pytest.approx(errors[0] / 2, rel=0.2)
+    )
+    assert fine.distance_m[-1] == pytest.approx(coarse.distance_m[-1] / 2, rel=0.2)
 
 
 def test_follow_refuses_what_is_no_path():

@@ -9,7 +9,15 @@ import pytest
 
 from recon.ik.chain import PlanarChain, SummedChain, null_basis
 from recon.ik.costs import HarmonicMap, UserCost, joint_differences, rotational_energy
-from recon.ik.fit import SumOfCosts, fit_damped, fit_gradient, fit_least_norm, fit_transpose, fit_weights
+from recon.ik.fit import (
+    SumOfCosts,
+    fit_damped,
+    fit_gradient,
+    fit_least_norm,
+    fit_selectively_damped,
+    fit_transpose,
+    fit_weights,
+)
 from recon.ik.methods import (
     DampedLeastSquares,
     ExtendedJacobian,
@@ -204,6 +212,27 @@ def test_fits_find_the_parameters_again(chain):
         assert found.rms_rad_s < 1e-3
         again = found.method.rates(chain, q[0], dx[0]).dq
         np.testing.assert_allclose(again, dq[0], atol=1e-3)
+
+
+@EACH
+def test_fit_finds_gamma_max_again(chain):
+    rng = np.random.default_rng(8)
+    q, dx = rng.uniform(0.2, 1.0, (40, chain.n)), rng.normal(size=(40, chain.dim))
+    true = SelectivelyDamped(0.02)
+    dq, least = (
+        np.stack([method.rates(chain, x, v).dq for x, v in zip(q, dx, strict=True)]) for method in (true, LeastNorm())
+    )
+    assert np.abs(dq - least).max() > 0.5
+    found = fit_selectively_damped(chain, q, dx, dq)
+    np.testing.assert_allclose(found.parameter, [0.02], rtol=1e-5)
+    assert found.explained > 1 - 1e-9
+    assert found.note == ""
+    again = [found.method.rates(chain, x, v).dq for x, v in zip(q, dx, strict=True)]
+    np.testing.assert_allclose(again, dq, atol=1e-3)
+    # Without damping the rates are those of least norm, whatever gamma_max.
+    found = fit_selectively_damped(chain, q, dx, least)
+    assert found.explained > 1 - 1e-12
+    assert found.note.startswith("nothing is damped")
 
 
 def test_fit_says_where_a_parameter_is_at_its_edge():

@@ -19,10 +19,12 @@ began has 100, one that ends as far away as it ever gets 0. Source: C. van der L
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import ConvexHull, QhullError
 
 from recon.analysis.kinematics import AngleKinematics, frame_times, joint_index, series_kinematics
 from recon.io.pose3d import Pose3D
@@ -177,8 +179,8 @@ def closure(portrait: Portrait) -> Closure:
 
 def degree_of_closure(path: Array) -> float:
     """D = 100 (1 - d / d_max) of a path (N, d) as it stands, in percent; NaN if all points coincide."""
-    diameter = _diameter(path)
-    return float(100 * (1 - np.linalg.norm(path[-1] - path[0]) / diameter)) if diameter > 0 else np.nan
+    extent = diameter(path)
+    return float(100 * (1 - np.linalg.norm(path[-1] - path[0]) / extent)) if extent > 0 else np.nan
 
 
 def scaled(path: Array) -> Array:
@@ -187,8 +189,11 @@ def scaled(path: Array) -> Array:
     return np.divide(path - path.min(axis=0), span, out=np.zeros_like(path), where=span > 0)
 
 
-def _diameter(path: Array) -> float:
+def diameter(path: Array) -> float:
+    """Largest distance between any two points of a path (N, d)."""
     if path.shape[1] == 1:
         return float(np.ptp(path))
+    with suppress(QhullError):  # flat
+        path = path[ConvexHull(path).vertices]  # two of its corners are the farthest from each other
     rows = [path[i : i + CHUNK] for i in range(0, len(path), CHUNK)]
     return max(float(np.sqrt(np.sum((a[:, None] - b) ** 2, axis=2)).max()) for a in rows for b in rows)

@@ -14,6 +14,8 @@ from recon.cli.common import EXIT_BAD_INPUT, error_text
 from recon.cli.demo import demo
 from recon.cli.evaluate import evaluate
 from recon.cli.fit import fit
+from recon.cli.ik import ik
+from recon.cli.overlay import overlay
 from recon.cli.prior import prior_fit
 from recon.cli.view import view
 from recon.errors import InputError
@@ -24,7 +26,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-for command in (fit, analyse, evaluate, view, demo):
+for command in (fit, analyse, ik, evaluate, view, demo, overlay):
     app.command()(command)
 
 prior_app = typer.Typer(help="Motion priors: which poses occur, and how they change.", no_args_is_help=True)

@@ -61,7 +61,7 @@ def joint_differences(chain: SerialChain) -> Quadratic:
 
 def rotational_energy(chain: SerialChain) -> Quadratic:
     """sum (r_k q_k)^2 with each joint's own link length r_k, m^2: least rotation, least in the long links."""
-    return Quadratic(2 * np.diag(np.tile(chain.lengths_m, len(chain.groups)) ** 2))
+    return Quadratic(2 * np.diag(chain.joint_lengths_m**2))
 
 
 @dataclass(frozen=True)

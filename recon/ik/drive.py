@@ -1,4 +1,4 @@
-"""Moving a chain: the end effector to a target or along a path, and the joints along the null space to an optimum.
+"""Moving a chain's end effector to a target or along a path.
 
 One iteration is an interval of time: the end effector is sent to the next point at the velocity that gets it there
 (which takes away the drift of the one before), no faster than `MAX_STEP_M` an interval, the method gives the rates, and
@@ -12,14 +12,15 @@ from __future__ import annotations
 import math
 import time
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from recon.analysis import phase
-from recon.ik.chain import SerialChain, manipulability, null_basis, unreachable
-from recon.ik.costs import Cost
-from recon.ik.methods import INTERVAL_S, ExtendedJacobian, LeastNorm, Method, Step, reduced_gradient
+from recon.ik.chain import SerialChain, manipulability, unreachable
+from recon.ik.methods import INTERVAL_S, ExtendedJacobian, Method, Step
+from recon.ik.null_space import inside_limits, listed, to_null_space_optimum
 
 Array = NDArray[np.float64]
 
@@ -31,39 +32,6 @@ PATIENCE = 100
 PROGRESS = 0.01
 STILL_RAD = 1e-10
 """Rounding, no motion."""
-_NULL_STEP_RAD = 0.3
-"""Longest step along the null space."""
-
-
-@dataclass(frozen=True, eq=False)
-class Drive:
-    """The way to a target; K = iterations + 1 configurations.
-
-    reason: "reached", or what stopped it: "unreachable: ...", "singular: ...", "limits: ..." or "no progress: ...".
-    q (K, n), rad; end_m (K, dim); distance_m (K,) to the target; manipulability (K,): sqrt(det J J'). singular
-    (K - 1,): whether the step was damped at a singular configuration; solve_s (K - 1,): computing time of each step.
-    length_m: of the end effector's path; roughness_rad2: mean over the inner configurations of
-    |q_{k+1} - 2 q_k + q_{k-1}|^2, 0 is smoothest; limits_hit: the joints that were stopped by a limit.
-    """
-
-    reason: str
-    q: Array
-    end_m: Array
-    distance_m: Array
-    manipulability: Array
-    singular: NDArray[np.bool_]
-    solve_s: Array
-    length_m: float
-    roughness_rad2: float
-    limits_hit: tuple[int, ...]
-
-    @property
-    def reached(self) -> bool:
-        return self.reason == "reached"
-
-    @property
-    def iterations(self) -> int:
-        return len(self.q) - 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,25 +44,40 @@ class Closures:
 
 
 @dataclass(frozen=True, eq=False)
-class Follow:
-    """Joints along a path of K points, turns times: N = turns (K - 1) + 1 configurations.
+class Run:
+    """What the chain did: K configurations, K - 1 steps.
 
-    q (N, n), rad; dq (N, n), rad/s: the method's at each configuration, at the last one for the velocity with which a
-    closed path begins anew, or an open one ends; end_m (N, dim); error_m (N,) from the path; singular (N - 1,); note:
-    the first thing that went wrong, with its step, or empty; limits_hit: the joints that were stopped by a limit.
+    q (K, n), rad; dq (K, n), rad/s: the rates with which each configuration is left; end_m (K, dim); distance_m (K,):
+    from the target, or from the path; manipulability (K,): sqrt(det J J'); singular (K - 1,): whether the step was
+    damped at a singular configuration; solve_s (K - 1,): computing time of each step; limits_hit: the joints that were
+    stopped by a limit.
     """
 
     q: Array
     dq: Array
     end_m: Array
-    error_m: Array
+    distance_m: Array
+    manipulability: Array
     singular: NDArray[np.bool_]
-    note: str
+    solve_s: Array
     limits_hit: tuple[int, ...]
-    turns: int
+
+    @property
+    def iterations(self) -> int:
+        return len(self.q) - 1
+
+    @property
+    def length_m(self) -> float:
+        """Of the end effector's path."""
+        return float(np.linalg.norm(np.diff(self.end_m, axis=0), axis=1).sum())
+
+    @property
+    def roughness_rad2(self) -> float:
+        """Mean over the inner configurations of |q_{k+1} - 2 q_k + q_{k-1}|^2: 0 is smoothest."""
+        return roughness(self.q)
 
     def closures(self) -> Closures:
-        """Of each joint, from the start of the first turn to the end of the last."""
+        """Of each joint, from the first configuration to the last."""
         joints = range(self.q.shape[1])
         return Closures(
             np.array([degree_of_closure(self.q[:, j]) for j in joints]),
@@ -103,18 +86,26 @@ class Follow:
 
 
 @dataclass(frozen=True, eq=False)
-class Optimum:
-    """Where the null space leads; K configurations q (K, n). reason: "reached", or what stopped it. gradient: |G| at
-    the end; kind: "minimum", "saddle" or "maximum" of the cost with the end effector held, or "degenerate"."""
+class Drive(Run):
+    """The way to a target, where the chain stops: the last rates are 0.
+
+    reason: "reached", or what stopped it: "unreachable: ...", "singular: ...", "limits: ..." or "no progress: ...".
+    """
 
     reason: str
-    q: Array
-    gradient: float
-    kind: str
 
     @property
     def reached(self) -> bool:
         return self.reason == "reached"
+
+
+@dataclass(frozen=True, eq=False)
+class Follow(Run):
+    """The way along a path, turns times. The last rates are those with which a closed path begins anew, or an open one
+    ends. note: the first thing that went wrong, with its step, or empty."""
+
+    note: str
+    turns: int
 
 
 def drive_to(
@@ -132,7 +123,7 @@ def drive_to(
 
     settle: with the extended Jacobian, go to G = 0 first (those configurations are not part of the path).
     """
-    q, target = _inside(chain, np.asarray(q0, float)), np.asarray(target_m, float)
+    q, target = inside_limits(chain, np.asarray(q0, float)), np.asarray(target_m, float)
     reason = unreachable(chain, target, tolerance_m)
     if not np.isfinite(q).all():
         reason = "no progress: the start is not finite"
@@ -141,42 +132,22 @@ def drive_to(
         q = to_null_space_optimum(chain, q, method.cost).q[-1]
     method = _kept(method, interval_s)
 
-    end = chain.end(q)
-    distance = float(np.linalg.norm(target - end))
-    path, ends, distances, singular, times, hit = [q], [end], [distance], [], [], set()
-    best, best_at, last = distance, 0, Step(np.zeros(chain.n))
+    taken = _Taken(chain, q)
+    distance = float(np.linalg.norm(target - taken.end))
+    distances, best, best_at, last = [distance], distance, 0, Step(np.zeros(chain.n))
     stopped: tuple[int, ...] = ()
     while not reason and distance > tolerance_m:
-        k = len(path) - 1
+        k = len(taken.rates)
         if k >= max_iterations or k - best_at >= PATIENCE or (k and float(np.abs(last.dq).max()) <= STILL_RAD):
             reason = _why(k, max_iterations, distance, last, stopped)
             break
-        started = time.perf_counter()
-        dx = (target - end) * (min(1.0, max_step_m / distance) / interval_s)
-        last, q, stopped = _move(chain, q, dx, method, interval_s)
-        times.append(time.perf_counter() - started)
-        hit.update(stopped)
-        end = chain.end(q)
-        distance = float(np.linalg.norm(target - end))
+        dx = (target - taken.end) * (min(1.0, max_step_m / distance) / interval_s)
+        last, stopped = taken.step(dx, method, interval_s)
+        distance = float(np.linalg.norm(target - taken.end))
         if distance < (1 - PROGRESS) * best:
             best, best_at = distance, k + 1
-        path.append(q)
-        ends.append(end)
         distances.append(distance)
-        singular.append(last.singular)
-    joints, end_path = np.array(path), np.array(ends)
-    return Drive(
-        reason=reason or "reached",
-        q=joints,
-        end_m=end_path,
-        distance_m=np.array(distances),
-        manipulability=np.array([manipulability(chain.jacobian(x)) for x in path]),
-        singular=np.array(singular, bool),
-        solve_s=np.array(times),
-        length_m=float(np.linalg.norm(np.diff(end_path, axis=0), axis=1).sum()),
-        roughness_rad2=roughness(joints),
-        limits_hit=tuple(sorted(hit)),
-    )
+    return Drive(**taken.run(np.zeros(chain.n), np.array(distances)), reason=reason or "reached")
 
 
 def follow(
@@ -203,116 +174,54 @@ def follow(
     points = np.concatenate([path[:1], *[path[1:]] * turns])
     if correct:
         method = _kept(method, interval_s)
-    q = _inside(chain, np.asarray(q0, float))
-    joints, rates, ends, singular, note, hit = [q], [], [chain.end(q)], [], "", set()
+    taken, note = _Taken(chain, inside_limits(chain, np.asarray(q0, float))), ""
     for k in range(len(points) - 1):
-        dx = (points[k + 1] - (ends[-1] if correct else points[k])) / interval_s
-        step, q, stopped = _move(chain, q, dx, method, interval_s)
+        dx = (points[k + 1] - (taken.end if correct else points[k])) / interval_s
+        step, _ = taken.step(dx, method, interval_s)
         if not note and step.note:
             note = f"{step.note} (step {k})"
-        hit.update(stopped)
-        joints.append(q)
-        rates.append(step.dq)
-        ends.append(chain.end(q))
-        singular.append(step.singular)
     again = path[1] - path[0] if closed else path[-1] - path[-2]
-    rates.append(_move(chain, q, again / interval_s, method, interval_s)[0].dq)
-    end_m = np.array(ends)
-    return Follow(
-        q=np.array(joints),
-        dq=np.array(rates),
-        end_m=end_m,
-        error_m=np.linalg.norm(end_m - points, axis=1),
-        singular=np.array(singular, bool),
-        note=note,
-        limits_hit=tuple(sorted(hit)),
-        turns=turns,
-    )
+    last = _move(chain, taken.q, again / interval_s, method, interval_s)[0].dq
+    error = np.linalg.norm(np.array(taken.ends) - points, axis=1)
+    return Follow(**taken.run(last, error), note=note, turns=turns)
 
 
-def to_null_space_optimum(
-    chain: SerialChain,
-    q0: ArrayLike,
-    cost: Cost,
-    tolerance: float = 1e-10,
-    max_iterations: int = 500,
-    descend: bool = True,
-) -> Optimum:
-    """Moves along the null space of J to G = N' grad g = 0 and keeps the end effector where it is at q0 (n,).
+class _Taken:
+    """The steps of a run so far."""
 
-    Newton steps on N' M N (see `ExtendedJacobian`). descend: with the eigenvalues' magnitudes and a line search, down
-    to a minimum; otherwise, and where that finds none, plain ones to the stationary point nearby, which can be a
-    saddle. tolerance: on |G|, relative to 1 + |Hess g|. Limits hold; a joint at one is taken out.
-    """
-    q0 = _inside(chain, np.asarray(q0, float))
-    found = _null_space_newton(chain, q0, cost, tolerance, max_iterations, descend)
-    if descend and not found.reached:
-        other = _null_space_newton(chain, q0, cost, tolerance, max_iterations, False)
-        return other if other.reached else found
-    return found
+    def __init__(self, chain: SerialChain, q: Array) -> None:
+        self.chain, self.q, self.end = chain, q, chain.end(q)
+        self.path, self.ends = [q], [self.end]
+        self.rates: list[Array] = []
+        self.singular: list[bool] = []
+        self.times: list[float] = []
+        self.hit: set[int] = set()
 
+    def step(self, dx: Array, method: Method, interval_s: float) -> tuple[Step, tuple[int, ...]]:
+        """One interval at the velocity dx; what the method gave, and the joints that a limit stopped."""
+        started = time.perf_counter()
+        step, self.q, stopped = _move(self.chain, self.q, dx, method, interval_s)
+        self.times.append(time.perf_counter() - started)
+        self.end = self.chain.end(self.q)
+        self.path.append(self.q)
+        self.ends.append(self.end)
+        self.rates.append(step.dq)
+        self.singular.append(step.singular)
+        self.hit.update(stopped)
+        return step, stopped
 
-def _null_space_newton(
-    chain: SerialChain, q0: Array, cost: Cost, tolerance: float, max_iterations: int, descend: bool
-) -> Optimum:
-    home, path = chain.end(q0), [q0]
-    q, stuck = q0, np.zeros(chain.n, bool)
-    reason, gradient, values = "no progress: out of iterations", math.inf, np.zeros(0)
-    for _ in range(max_iterations):
-        free = ~stuck
-        J = chain.jacobian(q)[:, free]
-        if J.shape[1] <= chain.dim:
-            reason = f"limits: joints {_listed(stuck.nonzero()[0])}"
-            break
-        N = null_basis(J)
-        g, M = reduced_gradient(chain, cost, q, J, free)
-        G = N.T @ g
-        gradient = float(np.linalg.norm(G))
-        if not (np.isfinite(gradient) and np.isfinite(M).all()):
-            reason = "no progress: the cost's derivatives are not finite"
-            break
-        values, vectors = np.linalg.eigh(N.T @ M @ N)
-        if gradient <= tolerance * (1 + float(np.abs(M).max())):
-            reason = "reached"
-            break
-        floor = 1e-8 * float(np.abs(values).max()) + 1e-300
-        size = np.maximum(np.abs(values), floor)
-        parts = (vectors.T @ G) / (size if descend else np.where(values < 0, -size, size))
-        step = np.zeros(chain.n)
-        step[free] = -N @ (vectors @ parts)
-        step *= min(1.0, _NULL_STEP_RAD / max(float(np.linalg.norm(step)), 1e-300))
-        moved, here, share = q, cost.value(q), 1.0
-        for _ in range(30):
-            moved = _returned(chain, q + share * step, home, free)
-            if moved is not None and (not descend or cost.value(moved) <= here + 1e-14 * (1 + abs(here))):
-                break
-            share /= 2
-        else:
-            reason = "singular: no step along the null space keeps the end effector and lowers the cost"
-            break
-        assert moved is not None
-        inside = _inside(chain, moved)
-        outside = (inside != moved) & free
-        if outside.any():
-            # The joint stays where it is, which is within its limits, and the others go on.
-            stuck = stuck | outside
-            continue
-        q = moved
-        path.append(q)
-    kind = "degenerate"
-    if len(values) and np.abs(values).min() > 1e-8 * np.abs(values).max():
-        kind = "minimum" if values[0] > 0 else "maximum" if values[-1] < 0 else "saddle"
-    return Optimum(reason, np.array(path), gradient, kind)
-
-
-def _returned(chain: SerialChain, q: Array, home: Array, free: NDArray[np.bool_]) -> Array | None:
-    """q with the end effector back at home, by least-norm steps; None if they do not lead there."""
-    for _ in range(12):
-        miss = home - chain.end(q)
-        if float(np.linalg.norm(miss)) <= 1e-13:
-            return q
-        q = q + LeastNorm().rates(chain, q, miss, free).dq
-    return q if float(np.linalg.norm(home - chain.end(q))) <= 1e-9 else None
+    def run(self, last_dq: Array, distance_m: Array) -> dict[str, Any]:
+        """The fields of `Run`."""
+        return {
+            "q": np.array(self.path),
+            "dq": np.array([*self.rates, last_dq]),
+            "end_m": np.array(self.ends),
+            "distance_m": distance_m,
+            "manipulability": np.array([manipulability(self.chain.jacobian(q)) for q in self.path]),
+            "singular": np.array(self.singular, bool),
+            "solve_s": np.array(self.times),
+            "limits_hit": tuple(sorted(self.hit)),
+        }
 
 
 def degree_of_closure(path: Array) -> float:
@@ -337,7 +246,7 @@ def _move(
     """One interval: the step, where it leads, and the joints that a limit stopped."""
     step = method.rates(chain, q, dx)
     moved = q + interval_s * step.dq
-    inside = _inside(chain, moved)
+    inside = inside_limits(chain, moved)
     if (inside == moved).all():
         return step, moved, ()
     free = np.ones(chain.n, bool)
@@ -348,12 +257,8 @@ def _move(
             return Step(np.zeros(chain.n), step.singular, step.note), q, tuple(range(chain.n))
         step = method.rates(chain, q, dx, free)
         moved = q + interval_s * step.dq
-        inside = _inside(chain, moved)
+        inside = inside_limits(chain, moved)
     return step, moved, tuple((~free).nonzero()[0].tolist())
-
-
-def _inside(chain: SerialChain, q: Array) -> Array:
-    return np.minimum(np.maximum(q, chain.lower_rad), chain.upper_rad)
 
 
 def _kept(method: Method, interval_s: float) -> Method:
@@ -366,11 +271,7 @@ def _kept(method: Method, interval_s: float) -> Method:
 def _why(k: int, max_iterations: int, distance: float, step: Step, stopped: tuple[int, ...]) -> str:
     left = f"{1000 * distance:.1f} mm left after {k} iterations"
     if stopped:
-        return f"limits: joints {_listed(stopped)} at theirs, {left}"
+        return f"limits: joints {listed(stopped)} at theirs, {left}"
     if step.singular:
         return f"{step.note}, {left}"
     return f"no progress: {left}" + (", the most that are allowed" if k >= max_iterations else "")
-
-
-def _listed(joints: ArrayLike) -> str:
-    return ", ".join(str(int(j)) for j in np.asarray(joints))

@@ -6,7 +6,7 @@ without limits. To make the parameters identifiable, diag W has mean 1, and of t
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,11 +16,14 @@ from scipy.optimize import least_squares, minimize_scalar
 from recon.ik.chain import SerialChain
 from recon.ik.costs import Cost
 from recon.ik.methods import (
+    INTERVAL_S,
+    LOST,
     DampedLeastSquares,
     GradientProjection,
     JacobianTranspose,
     LeastNorm,
     Method,
+    SelectivelyDamped,
     WeightedLeastNorm,
 )
 
@@ -28,6 +31,8 @@ Array = NDArray[np.float64]
 
 DAMPING_M = (1e-4, 1e2)
 """Range of lambda: beyond, it makes no difference, or no motion."""
+GAMMA_RAD = (1e-4, 1e2)
+"""Range of gamma_max."""
 WEIGHT_RANGE = 1e3
 """Greatest ratio of a weight to the one it starts from."""
 
@@ -71,16 +76,33 @@ def fit_damped(chain: SerialChain, q: Array, dx: Array, dq: Array) -> Fitted:
         gram = J @ J.transpose(0, 2, 1) + np.exp(2 * log_damping) * np.eye(chain.dim)
         return np.einsum("tdn,td->tn", J, np.linalg.solve(gram, dx[..., None])[..., 0])
 
-    def cost(log_damping: float) -> float:
-        return float(np.sum((rates(log_damping) - dq) ** 2))
-
-    grid = np.linspace(np.log(DAMPING_M[0]), np.log(DAMPING_M[1]), 61)
-    i = int(np.argmin([cost(x) for x in grid]))
-    low, high = grid[max(i - 1, 0)], grid[min(i + 1, len(grid) - 1)]
-    best = float(minimize_scalar(cost, bounds=(low, high), method="bounded", options={"xatol": 1e-8}).x)
-    note = f"lambda at the edge of {DAMPING_M[0]:g} to {DAMPING_M[1]:g} m" if i in (0, len(grid) - 1) else ""
+    best, edge = _best_log(rates, dq, DAMPING_M)
+    note = f"lambda at the edge of {DAMPING_M[0]:g} to {DAMPING_M[1]:g} m" if edge else ""
     value = float(np.exp(best))
     return _fitted(DampedLeastSquares(value), np.array([value]), rates(best), dq, note)
+
+
+def fit_selectively_damped(
+    chain: SerialChain, q: Array, dx: Array, dq: Array, interval_s: float = INTERVAL_S
+) -> Fitted:
+    """gamma_max, rad, for an interval: the best of a logarithmic grid, refined. Above some value nothing is damped."""
+    _, J, dx, dq = _frames(chain, q, dx, dq)
+    u, s, vt = np.linalg.svd(J, full_matrices=False)
+    kept = s > LOST * s[:, :1]
+    value = np.where(kept, s, 1.0)
+    turns = (kept * np.einsum("tdi,td->ti", u, dx) / value)[..., None] * vt
+    sways = np.einsum("tin,tn->ti", np.abs(vt), np.linalg.norm(J, axis=1))
+    room = np.minimum(1.0, np.divide(s, sways, out=np.ones_like(s), where=sways > 0))
+
+    def rates(log_gamma: float) -> Array:
+        limit = np.exp(log_gamma) / interval_s
+        return _clamped(_clamped(turns, room * limit).sum(axis=1), np.full(len(dq), limit))
+
+    best, _ = _best_log(rates, dq, GAMMA_RAD)
+    free = np.array_equal(rates(best), rates(np.log(GAMMA_RAD[1])))
+    gamma = float(np.exp(best))
+    note = f"nothing is damped, with this gamma_max or any from there to {GAMMA_RAD[1]:g} rad" if free else ""
+    return _fitted(SelectivelyDamped(gamma, interval_s), np.array([gamma]), rates(best), dq, note)
 
 
 def fit_weights(chain: SerialChain, q: Array, dx: Array, dq: Array) -> Fitted:
@@ -135,6 +157,25 @@ def _frames(chain: SerialChain, q: Array, dx: Array, dq: Array) -> tuple[Array, 
         raise ValueError("no frame without a missing value")
     q, dx, dq = q[known], dx[known], dq[known]
     return q, np.stack([chain.jacobian(x) for x in q]), dx, dq
+
+
+def _best_log(rates: Callable[[float], Array], dq: Array, bounds: tuple[float, float]) -> tuple[float, bool]:
+    """The logarithm of a parameter within bounds whose rates (T, n) are nearest to dq, and whether it is at an edge."""
+
+    def cost(log_value: float) -> float:
+        return float(np.sum((rates(log_value) - dq) ** 2))
+
+    grid = np.linspace(np.log(bounds[0]), np.log(bounds[1]), 61)
+    i = int(np.argmin([cost(x) for x in grid]))
+    around = grid[max(i - 1, 0)], grid[min(i + 1, len(grid) - 1)]
+    refined = float(minimize_scalar(cost, bounds=around, method="bounded", options={"xatol": 1e-8}).x)
+    return refined if cost(refined) < cost(grid[i]) else float(grid[i]), i in (0, len(grid) - 1)
+
+
+def _clamped(values: Array, limit: Array) -> Array:
+    """Scaled down, along the last axis, to a largest magnitude of `limit`, whose shape lacks that axis."""
+    largest = np.abs(values).max(axis=-1)
+    return values * np.divide(limit, largest, out=np.ones_like(largest), where=largest > limit)[..., None]
 
 
 def _weighted(J: Array, weights: Array, dx: Array) -> Array:

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import lapack
 
-from recon.ik.chain import SerialChain, null_basis
+from recon.ik.chain import Curvature, SerialChain, null_basis
 from recon.ik.costs import Cost
 
 Array = NDArray[np.float64]
@@ -31,6 +31,8 @@ INTERVAL_S = 1 / 90
 """What one iteration of `recon.ik.drive` takes."""
 SINGULAR = 1e-6
 """Of the eigenvalues of J J', least over largest: a ratio of singular values of a thousandth."""
+LOST = 1e-12
+"""Of the singular values of J: directions without motion."""
 EXTENDED_SINGULAR = 1e-3
 """Of the eigenvalues of N' M N, least over largest by magnitude."""
 MAX_CORRECTION_RAD = 0.05
@@ -57,9 +59,8 @@ class LeastNorm:
     """J+ dx = J' (J J')^-1 dx: the smallest rates."""
 
     def rates(self, chain: SerialChain, q: Array, dx: Array, free: Mask | None = None) -> Step:
-        J = _jacobian(chain, q, free)
-        y, singular = _solve(J @ J.T, dx)
-        return _step(chain, J.T @ y, "", free, singular)
+        pseudo, singular = right_inverse(_jacobian(chain, q, free))
+        return _step(chain, pseudo @ dx, free, singular)
 
 
 @dataclass(frozen=True)
@@ -76,8 +77,8 @@ class JacobianTranspose:
             moved = J @ dq
             square = float(moved @ moved)
             alpha = float(dx @ moved) / square if square > 0 else 0.0
-        _, singular = _solve(J @ J.T, dx)
-        return _step(chain, alpha * dq, "", free, singular)
+        _, singular = _inverse(J @ J.T)
+        return _step(chain, alpha * dq, free, singular)
 
 
 @dataclass(frozen=True)
@@ -94,10 +95,8 @@ class GradientProjection:
         J = _jacobian(chain, q, free)
         g = self.gradient(q) if callable(self.gradient) else self.gradient.gradient(q)
         g = self.k * (g if free is None else g[free])
-        gram = J @ J.T
-        y, singular = _solve(gram, dx)
-        across, _ = _solve(gram, J @ g)
-        return _step(chain, *_with_priority(chain, J.T @ y, g - J.T @ across, free), free, singular)
+        pseudo, singular = right_inverse(J)
+        return _step(chain, pseudo @ dx, free, singular, g - pseudo @ (J @ g))
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,9 +107,8 @@ class WeightedLeastNorm:
 
     def rates(self, chain: SerialChain, q: Array, dx: Array, free: Mask | None = None) -> Step:
         J = _jacobian(chain, q, free)
-        scaled = J / (self.weights if free is None else self.weights[free])
-        y, singular = _solve(scaled @ J.T, dx)
-        return _step(chain, scaled.T @ y, "", free, singular)
+        inverse, singular = right_inverse(J, J / (self.weights if free is None else self.weights[free]))
+        return _step(chain, inverse @ dx, free, singular)
 
 
 @dataclass(frozen=True)
@@ -121,8 +119,8 @@ class DampedLeastSquares:
 
     def rates(self, chain: SerialChain, q: Array, dx: Array, free: Mask | None = None) -> Step:
         J = _jacobian(chain, q, free)
-        y, singular = _solve(J @ J.T, dx, self.damping_m**2)
-        return _step(chain, J.T @ y, "", free, singular)
+        inverse, singular = right_inverse(J, J, self.damping_m**2)
+        return _step(chain, inverse @ dx, free, singular)
 
 
 @dataclass(frozen=True)
@@ -141,17 +139,17 @@ class SelectivelyDamped:
         J = _jacobian(chain, q, free)
         limit = self.gamma_max_rad / self.interval_s
         if not J.size or not np.isfinite(J).all():
-            return _step(chain, np.zeros(J.shape[1]), "", free, True)
+            return _step(chain, np.zeros(J.shape[1]), free, True)
         u, s, vt, _ = lapack.dgesdd(J, full_matrices=False)
         along = (dx @ u).tolist()
         sways = (np.abs(vt) @ np.sqrt((J * J).sum(axis=0))).tolist()
         dq, values = np.zeros(J.shape[1]), s.tolist()
         for i, (value, part, sway) in enumerate(zip(values, along, sways, strict=True)):
-            if value <= 1e-12 * values[0]:
+            if value <= LOST * values[0]:
                 continue
             turn = vt[i] * (part / value)
             dq += _clamped(turn, min(1.0, value / sway) * limit)
-        return _step(chain, _clamped(dq, limit), "", free, values[-1] ** 2 <= SINGULAR * values[0] ** 2)
+        return _step(chain, _clamped(dq, limit), free, values[-1] ** 2 <= SINGULAR * values[0] ** 2)
 
 
 @dataclass(frozen=True)
@@ -162,10 +160,13 @@ class ExtendedJacobian:
     constant, N' Hess g. gain_per_s: 0 keeps G as it is; 1 / interval takes away what an integration step has left.
 
     The rates do not depend on which basis N is (another one multiplies the lower rows, and G, by an orthogonal matrix),
-    so that a continuous one need not be tracked. With dq = J+ dx + N z the square system becomes
-    (N' M N) z = -N' (M J+ dx + gain grad g), M the bracket above; the gain takes away `MAX_CORRECTION_RAD` at most. The
-    extended matrix is singular where J is or where N' M N is: there, its small eigenvalues are damped, and the step
-    says so.
+    so that a continuous one need not be tracked. With M the bracket above and K = N (N' M N)^-1 N' the square system's
+    solution is
+
+        dq = J+ dx - K (M J+ dx + gain grad g)
+
+    where the gain takes away `MAX_CORRECTION_RAD` at most. The extended matrix is singular where J is or where N' M N
+    is: there, its small eigenvalues are damped, and the step says so.
     """
 
     cost: Cost
@@ -173,41 +174,37 @@ class ExtendedJacobian:
     gain_per_s: float = 0.0
 
     def rates(self, chain: SerialChain, q: Array, dx: Array, free: Mask | None = None) -> Step:
-        J = _jacobian(chain, q, free)
-        dim, n = J.shape
-        y, singular = _solve(J @ J.T, dx)
-        dq = J.T @ y
-        if n <= dim or not np.isfinite(J).all():
-            return _step(chain, dq, "", free, singular)
-        N = null_basis(J)
-        g, M = reduced_gradient(chain, self.cost, q, J, free, self.full)
-        z, lost = _solve_damped(N.T @ M @ N, np.array((M @ dq, g)) @ N)
-        along, back = -(z @ N.T)
+        J, curvature = derivatives(chain, q, free)
+        pseudo, singular = right_inverse(J)
+        dq = pseudo @ dx
+        if J.shape[1] <= J.shape[0] or (singular and not np.isfinite(J).all()):
+            return _step(chain, dq, free, singular)
+        g, M = reduced_gradient(self.cost, q, pseudo, curvature if self.full else None, free)
+        K, lost = _reduced_inverse(M, null_basis(J))
+        along = -(K @ (M @ dq))
         if self.gain_per_s:
+            back = K @ g
             size = math.sqrt(float(back @ back))
-            along = along + back * (self.gain_per_s * min(1.0, MAX_CORRECTION_RAD / size if size > 0 else 1.0))
-        dq, held = _with_priority(chain, dq, along, free)
-        return _step(chain, dq, "singular: the extended Jacobian" if lost else held, free, singular or lost)
+            along -= back * (self.gain_per_s * min(1.0, MAX_CORRECTION_RAD / size if size > 0 else 1.0))
+        return _step(chain, dq, free, singular or lost, along, "singular: the extended Jacobian" if lost else "")
 
 
 def extended_jacobian(chain: SerialChain, cost: Cost, q: Array, N: Array, full: bool = True) -> Array:
     """The matrix [J; dG/dq] (n, n) with a basis N (n, n - dim) of the null space."""
-    J = chain.jacobian(q)
-    return np.concatenate([J, N.T @ reduced_gradient(chain, cost, q, J, None, full)[1]])
+    J, curvature = chain.derivatives(q)
+    _, M = reduced_gradient(cost, q, right_inverse(J)[0], curvature if full else None)
+    return np.concatenate([J, N.T @ M])
 
 
 def reduced_gradient(
-    chain: SerialChain, cost: Cost, q: Array, J: Array, free: Mask | None = None, full: bool = True
+    cost: Cost, q: Array, pseudo: Array, curvature: Curvature | None, free: Mask | None = None
 ) -> tuple[Array, Array]:
-    """grad g (n,) and M = Hess g - sum_i mu_i Hess f_i (n, n) of the free joints, for their J (dim, n)."""
+    """grad g (n,) and M = Hess g - sum_i mu_i Hess f_i (n, n) of the free joints, whose J+ is pseudo (n, dim) and whose
+    curvature is given; None leaves the sum out."""
     g, M = cost.gradient(q), cost.hessian(q)
     if free is not None:
         g, M = g[free], M[np.ix_(free, free)]
-    if not full:
-        return g, M
-    mu, _ = _solve(J @ J.T, J @ g)
-    curvature = chain.curvature(q, mu)
-    return g, M - (curvature if free is None else curvature[np.ix_(free, free)])
+    return g, M if curvature is None else M - curvature(g @ pseudo)
 
 
 # -- small linear algebra --------------------------------------------------------------------------------------------
@@ -217,69 +214,82 @@ def _jacobian(chain: SerialChain, q: Array, free: Mask | None) -> Array:
     return chain.jacobian(q) if free is None else chain.jacobian(q)[:, free]
 
 
-def _solve(gram: Array, b: Array, damping: float = 0.0) -> tuple[Array, bool]:
-    """(gram + damping I)^-1 b for a symmetric gram (2, 2) or (3, 3) of no negative eigenvalue, and whether it is
-    singular without the damping; if so, at least SINGULAR trace is added.
+def derivatives(chain: SerialChain, q: Array, free: Mask | None = None) -> tuple[Array, Curvature]:
+    """Those of the free joints: J (dim, n), and the curvature (n, n)."""
+    J, curvature = chain.derivatives(q)
+    if free is None:
+        return J, curvature
+    return J[:, free], lambda mu: curvature(mu)[np.ix_(free, free)]
+
+
+def right_inverse(J: Array, along: Array | None = None, damping: float = 0.0) -> tuple[Array, bool]:
+    """A' (J A' + damping I)^-1 (n, dim) with A (dim, n) = along, or J, which gives J+; and whether J A' is singular
+    without the damping."""
+    turned = J.T if along is None else along.T
+    inverse, singular = _inverse(J @ turned, damping)
+    return turned @ inverse, singular
+
+
+def _inverse(gram: Array, damping: float = 0.0) -> tuple[Array, bool]:
+    """(gram + damping I)^-1 of a symmetric gram (dim, dim) of no negative eigenvalue, and whether it is singular
+    without the damping; if so, at least SINGULAR trace is added. Of a gram that is zero or not finite: zero.
 
     The closed forms are a tenth of the time of a general solver. The ratio of the eigenvalues is estimated from below.
     """
-    trace = float(gram.trace())
-    if not math.isfinite(trace) or trace <= 0.0:
-        return np.zeros(len(b)), True
-    if len(b) == 2:
+    if len(gram) == 2:
         (a, c), (_, d) = gram.tolist()
+        trace = a + d
+        if not 0.0 < trace < math.inf:
+            return np.zeros((2, 2)), True
         singular = a * d - c * c <= SINGULAR * trace * trace
         if singular:
             damping = max(damping, SINGULAR * trace)
         a, d = a + damping, d + damping
         determinant = a * d - c * c
-        x, y = b.tolist()
-        return np.array(((d * x - c * y) / determinant, (a * y - c * x) / determinant)), singular
-    if len(b) == 3:
+        c = -c / determinant
+        return np.array(((d / determinant, c), (c, a / determinant))), singular
+    if len(gram) == 3:
         (a, p, r), (_, d, s), (_, _, f) = gram.tolist()
+        trace = a + d + f
+        if not 0.0 < trace < math.inf:
+            return np.zeros((3, 3)), True
         determinant = a * (d * f - s * s) - p * (p * f - s * r) + r * (p * s - d * r)
         # The two larger eigenvalues' product is at most trace^2 / 4.
         singular = determinant <= SINGULAR * trace**3 / 4
         if singular:
             damping = max(damping, SINGULAR * trace)
         a, d, f = a + damping, d + damping, f + damping
-        x, y, z = b.tolist()
         aa, pp, rr = d * f - s * s, r * s - p * f, p * s - d * r
         dd, ss, ff = a * f - r * r, p * r - a * s, a * d - p * p
         determinant = a * aa + p * pp + r * rr
         if determinant <= 0.0:
-            return np.zeros(3), True
-        return (
-            np.array(
-                (
-                    (aa * x + pp * y + rr * z) / determinant,
-                    (pp * x + dd * y + ss * z) / determinant,
-                    (rr * x + ss * y + ff * z) / determinant,
-                )
-            ),
-            singular,
-        )
+            return np.zeros((3, 3)), True
+        return np.array(((aa, pp, rr), (pp, dd, ss), (rr, ss, ff))) / determinant, singular
+    trace = float(gram.trace())
+    if not 0.0 < trace < math.inf:
+        return np.zeros(gram.shape), True
     values, vectors = np.linalg.eigh(gram)
     singular = bool(values[0] <= SINGULAR * values[-1])
     if singular:
         damping = max(damping, SINGULAR * trace)
-    return vectors @ ((vectors.T @ b) / (np.maximum(values, 0.0) + damping)), singular
+    return (vectors / (np.maximum(values, 0.0) + damping)) @ vectors.T, singular
 
 
-def _solve_damped(A: Array, B: Array) -> tuple[Array, bool]:
-    """The rows of B (k, m) times A^-1, for a symmetric A (m, m), and whether an eigenvalue is lost against the largest;
-    those are damped."""
-    if not math.isfinite(float(A.sum())):
-        return np.zeros(B.shape), True
+def _reduced_inverse(M: Array, N: Array) -> tuple[Array, bool]:
+    """N (N' M N)^-1 N' (n, n), for a symmetric M (n, n) and a basis N (n, m), and whether an eigenvalue of N' M N is
+    lost against the largest; those are damped."""
+    A = N.T @ M @ N
+    if not math.isfinite(sum(map(sum, A.tolist()))):
+        return np.zeros(M.shape), True
     values, vectors, _ = lapack.dsyev(A)
     sizes = [abs(value) for value in values.tolist()]
     largest, least = max(sizes), min(sizes)
     if not largest > 0.0:
-        return np.zeros(B.shape), True
+        return np.zeros(M.shape), True
     lost = least <= EXTENDED_SINGULAR * largest
     floor = EXTENDED_SINGULAR * largest if lost else 0.0
-    inverse = values / (values * values + floor * floor)
-    return ((B @ vectors) * inverse) @ vectors.T, lost
+    turned = N @ vectors
+    return (turned * (values / (values * values + floor * floor))) @ turned.T, lost
 
 
 def _clamped(values: Array, limit: float) -> Array:
@@ -288,27 +298,34 @@ def _clamped(values: Array, limit: float) -> Array:
     return values * (limit / largest) if largest > limit else values
 
 
-def _with_priority(chain: SerialChain, dq: Array, along: Array, free: Mask | None) -> tuple[Array, str]:
-    """dq and as much of a motion along the null space as the limits of the rates leave to it; a note if not all."""
-    both = dq + along
+def _step(
+    chain: SerialChain, dq: Array, free: Mask | None, singular: bool, along: Array | None = None, note: str = ""
+) -> Step:
+    """Rates dq of the free joints, and as much of a motion along the null space as the limits leave to it; 0 for the
+    others. The note says what was held back, and where."""
     limit = chain.max_rate_rad_s if free is None else chain.max_rate_rad_s[free]
-    if (np.abs(both) <= limit).all():
-        return both, ""
-    share = 1.0
-    for rate, more, most in zip(dq.tolist(), along.tolist(), limit.tolist(), strict=True):
-        if abs(rate + share * more) > most:
-            share = max(0.0, (math.copysign(most, more) - rate) / more) if more else 0.0
-    return dq + share * along, "rate limit: part of the motion along the null space"
-
-
-def _step(chain: SerialChain, dq: Array, note: str, free: Mask | None, singular: bool) -> Step:
-    """Rates of the free joints within the limits, 0 for the others."""
-    if free is not None:
-        some, dq = dq, np.zeros(chain.n)
-        dq[free] = some
-    share = float((np.abs(dq) / chain.max_rate_rad_s).max())
-    if not math.isfinite(share):
-        return Step(np.zeros(chain.n), True, "singular: rates that are not finite")
+    total = dq if along is None else dq + along
+    limits = limit.tolist()
+    if not all(abs(rate) <= most for rate, most in zip(total.tolist(), limits, strict=True)):
+        if along is not None:
+            total = dq + _share(dq.tolist(), along.tolist(), limits) * along
+            note = note or "rate limit: part of the motion along the null space"
+        most = float((np.abs(total) / limit).max())
+        if not math.isfinite(most):
+            return Step(np.zeros(chain.n), True, "singular: rates that are not finite")
+        total = total / max(most, 1.0)
     if singular and not note.startswith("singular"):
         note = "singular: the Jacobian"
-    return Step(dq / share if share > 1.0 else dq, singular, note)
+    if free is not None:
+        some, total = total, np.zeros(chain.n)
+        total[free] = some
+    return Step(total, singular, note)
+
+
+def _share(rates: list[float], along: list[float], limits: list[float]) -> float:
+    """The largest share of `along`, up to 1, that brings no rate beyond its limit."""
+    share = 1.0
+    for rate, more, most in zip(rates, along, limits, strict=True):
+        if abs(rate + share * more) > most:
+            share = max(0.0, (math.copysign(most, more) - rate) / more) if more else 0.0
+    return share

@@ -81,9 +81,9 @@ def composites(
             axes.set_xlim(*limits[i])
             axes.set_ylim(*limits[j])
             axes.set_aspect("equal")
-            for axis, at, label_mm in ((axes.xaxis, i, 10.0), (axes.yaxis, j, 5.0)):
-                room = mm_per_m * (limits[at][1] - limits[at][0])
-                bins = int(np.clip(room / label_mm, 1, 9))
+            for axis, at, label_mm in ((axes.xaxis, i, 5.0), (axes.yaxis, j, 4.0)):
+                span = limits[at][1] - limits[at][0]
+                bins = int(np.clip(mm_per_m * span / (label_mm if span > 0.2 else 2 * label_mm), 1, 9))
                 axis.set_major_locator(MaxNLocator(bins, steps=[1, 2, 5, 10], min_n_ticks=1))
         if ground is not None:
             for axes, i, limits in ((side, 0, boxes), (ahead, 1, close)):

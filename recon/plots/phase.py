@@ -21,6 +21,8 @@ Array = NDArray[np.float64]
 
 SHADES = 60
 """Pieces of one colour in a path."""
+_LEAST = (0.05, 0.5)
+"""Half of the least range of an axis, degrees and degrees per second."""
 _ASPECT, _REST_MM = 0.9, 24.0
 
 
@@ -79,10 +81,14 @@ def _draw(axes: Axes, portrait: Portrait, colours: tuple[ListedColormap, Normali
     lines.set_array(np.array(middles))
     axes.add_collection(lines, autolim=False)
     axes.update_datalim(path[known])
+    # What does not move should not look as if it did.
+    middle = (path[known].min(axis=0) + path[known].max(axis=0)) / 2
+    axes.update_datalim([middle - _LEAST, middle + _LEAST])
     axes.autoscale_view()
     axes.plot(*path[known[0]], "o", ms=4, mfc="w", mec="k", mew=0.9, zorder=3)
     axes.plot(*path[known[-1]], "s", ms=4, mfc="k", mec="k", zorder=3)
     axes.locator_params(nbins=4, steps=[1, 2, 5, 10])
+    axes.ticklabel_format(useOffset=False)
     axes.tick_params(labelsize=6, pad=1.5, length=2)
 
 

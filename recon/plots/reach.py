@@ -82,8 +82,8 @@ def task_space(
 def joint_space(moves: Mapping[str, Drive | Follow], names: Sequence[str] | None = None, title: str = "") -> Figure:
     """Each joint's angle (deg) by method, over the iterations to a target or the points of a path. names (n,)."""
     n = next((m.q.shape[1] for m in moves.values()), 0)
-    aspect = 0.62
-    rows, columns = grid_shape(n, WIDTH_MM, aspect, 3) if n else (0, 0)
+    least, aspect = (3, 0.62) if n <= 6 else (5, 0.9)
+    rows, columns = grid_shape(n, WIDTH_MM, aspect, least) if n else (0, 0)
     labels = [f"{name}{_outcome(move)}" for name, move in moves.items()]
     with drawing(rows * aspect * WIDTH_MM / max(columns, 1) + 14 + legend_shape(labels)[1]) as figure:
         figure.suptitle(title)

@@ -1,0 +1,153 @@
+"""`recon ik`."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+import typer
+from rich.box import SIMPLE_HEAD
+from rich.console import Console
+from rich.table import Column, Table
+from rich.text import Text
+
+from recon.errors import InputError, Problem
+
+
+def ik(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of results, as in results/clip.")],
+    method: Annotated[
+        str,
+        typer.Option(
+            help="least-norm, transpose, gradient-projection, weighted, damped, selectively-damped, "
+            "extended-differences, extended-energy or extended-harmonic."
+        ),
+    ] = "damped",
+    target: Annotated[
+        str | None,
+        typer.Option(
+            help="Drive the foot there: stride-max, its foremost place in the stride, from its rearmost; or x,y,z in "
+            "metres from the chain's base, as in 0.8,0.1,-0.5."
+        ),
+    ] = None,
+    follow: Annotated[
+        str | None, typer.Option(help="Follow a path with the foot: stride, one of its own, closed.")
+    ] = None,
+    compare: Annotated[
+        bool, typer.Option("--compare", help="All methods in one table; both jobs unless one is asked for.")
+    ] = False,
+    foot: Annotated[
+        str | None, typer.Option(help="LF, RF, LH, RH, or the joint's name. (default: the first fore foot)")
+    ] = None,
+    dim: Annotated[int, typer.Option(help="2: in the vertical plane of travel; 3: in space.", min=2, max=3)] = 3,
+    turns: Annotated[int, typer.Option(help="How often to follow the stride.", min=1)] = 1,
+    limits: Annotated[bool, typer.Option("--limits/--no-limits", help="Limits of the joints.")] = True,
+    fitted: Annotated[bool, typer.Option("--fitted", help="With the methods' parameters fitted to this clip.")] = False,
+    out: Annotated[
+        Path | None, typer.Option(help="Folder for tables and figures. (default: ik in DIR)", show_default=False)
+    ] = None,
+    figures: Annotated[bool, typer.Option("--figures/--no-figures", help="PNG and SVG; needs recon[plots].")] = True,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace earlier ones.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the summary as JSON.")] = False,
+) -> None:
+    """Inverse kinematics of the chain from the trunk to a foot: to a target, or along a stride.
+
+    Example: recon ik results/clip --compare
+    """
+    from recon.pipelines.ik import METHODS, STRIDE_MAX, run_ik
+    from recon.report import to_plain
+
+    problems = []
+    if follow not in (None, "stride"):
+        problems.append(Problem("--follow", "path", repr(follow), "stride"))
+    if target is None and follow is None and not compare:
+        problems.append(Problem("options", "job", "none", "--target, --follow stride or --compare"))
+    if problems:
+        raise InputError(problems)
+    both = target is None and follow is None
+    solved = run_ik(
+        folder,
+        METHODS if compare else (method,),
+        STRIDE_MAX if both else target,
+        both or follow is not None,
+        foot,
+        _dimension(dim),
+        turns,
+        limits,
+        fitted,
+        out,
+        figures,
+        overwrite,
+    )
+    if as_json:
+        typer.echo(json.dumps(to_plain(solved.summary), indent=1, ensure_ascii=False))
+        return
+    _print(Console(), solved.summary, folder / "ik" if out is None else out)
+
+
+def _dimension(dim: int) -> Literal[2, 3]:
+    return 2 if dim == 2 else 3
+
+
+def _print(console: Console, summary: dict[str, Any], out: Path) -> None:
+    def say(text: str) -> None:
+        console.print(Text(text), soft_wrap=True)
+
+    stride = summary["stride"]
+    how = {
+        "given": "from touchdown to touchdown",
+        "return": "the clip has no complete one: the nearest return of the foot to the same place",
+        "whole clip": "the clip has no complete one: the whole clip",
+    }[stride["how"]]
+    joints = summary["joints"]
+    say(f"{summary['foot']}: {len(joints)} joints, {summary['dimensions']}D ({summary['base_frame']})")
+    if summary["misfit_m"]:
+        say(f"the chain's end lies {1000 * summary['misfit_m']:.0f} mm from the foot's projection (median)")
+    say(
+        f"stride: {stride['start_s']:.3f} to {stride['end_s']:.3f} s, {how}; gap {1000 * stride['gap_m']:.0f} mm "
+        f"({stride['gap_percent']:.1f} % of its extent), closed"
+    )
+    if summary["to_target"]:
+        place = ", ".join(f"{x:.3f}" for x in np.asarray(summary["target_m"]))
+        columns = ("reached", "steps", "µs each", "path m", "limits")
+        table = _table(f"to ({place}) m", columns)
+        for name, row in summary["to_target"].items():
+            table.add_row(name, "yes" if row["reached"] else "no", str(row["iterations"]), *_shared(row))
+        console.print(table)
+        for name, row in summary["to_target"].items():
+            if not row["reached"]:
+                say(f"{name}: {row['reason']}")
+    if summary["along_stride"]:
+        columns = ("worst mm", "µs each", "path m", "limits", "closure %")
+        table = _table(f"along the stride, turns: {summary['turns']}", columns)
+        for name, row in summary["along_stride"].items():
+            closed = f"{row['least_closure_angle_percent']:.1f}/{row['least_closure_plane_percent']:.1f}"
+            table.add_row(name, f"{1000 * row['worst_error_m']:.1f}", *_shared(row), closed)
+        console.print(table)
+        for name, row in summary["along_stride"].items():
+            if row["note"]:
+                say(f"{name}: {row['note']}")
+    if summary["along_stride"]:
+        say("closure: the least of any joint, of its angle/of the angle with its rate; limits: joints that reached one")
+    parameters = summary["parameters"]
+    explained = ", ".join(f"{name} {fit['explained']:.0%}" for name, fit in parameters["fitted"].items())
+    say(f"parameters: {parameters['used']}. Fitted to the clip, they explain of its joint rates: {explained}")
+    say(f"Tables and figures are in {out}.")
+
+
+def _table(title: str, columns: tuple[str, ...]) -> Table:
+    table = Table(Column("method", no_wrap=True), box=SIMPLE_HEAD, title=title, title_justify="left")
+    for name in columns:
+        table.add_column(name, justify="right" if name else "left")
+    return table
+
+
+def _shared(row: dict[str, Any]) -> tuple[str, ...]:
+    us = row["us_per_step"]
+    return (
+        "-" if us is None else f"{us:.0f}",
+        f"{row['length_m']:.2f}",
+        str(len(row["limits_hit"])),
+    )

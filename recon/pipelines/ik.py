@@ -1,0 +1,428 @@
+"""Inverse kinematics on a fitted clip: its chain from the trunk to a foot is driven to a target, or along a stride."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+from threadpoolctl import threadpool_limits
+
+from recon.analysis.clip import analyse, limb_chains
+from recon.analysis.path import MIN_POINTS
+from recon.errors import InputError, Problem
+from recon.export.table import write_rows
+from recon.files import staged_folder
+from recon.ik.animal import body_chain, body_chain_angles, body_travel, chain_angles, planar_chain, spine_front_leg
+from recon.ik.chain import SerialChain
+from recon.ik.costs import Cost, HarmonicMap, joint_differences, rotational_energy
+from recon.ik.drive import Drive, Follow, drive_to, follow
+from recon.ik.fit import (
+    Fitted,
+    fit_damped,
+    fit_gradient,
+    fit_least_norm,
+    fit_selectively_damped,
+    fit_transpose,
+    fit_weights,
+)
+from recon.ik.methods import (
+    DampedLeastSquares,
+    ExtendedJacobian,
+    GradientProjection,
+    JacobianTranspose,
+    LeastNorm,
+    Method,
+    SelectivelyDamped,
+)
+from recon.ik.null_space import to_null_space_optimum
+from recon.ik.stride import Stride, farthest_reach, find_stride
+from recon.report import to_plain
+from recon.results import Results, read_results
+from recon.skeleton import Skeleton
+
+Array = NDArray[np.float64]
+Dim = Literal[2, 3]
+
+COSTS = ("differences", "energy", "harmonic")
+METHODS = (
+    "least-norm",
+    "transpose",
+    "gradient-projection",
+    "weighted",
+    "damped",
+    "selectively-damped",
+    *(f"extended-{cost}" for cost in COSTS),
+)
+FITTED = METHODS[:6]
+"""Methods with a parameter that can be fitted, and least norm for comparison."""
+STRIDE_MAX = "stride-max"
+SLOWER = 10
+"""How many times slower than the animal a stride is followed: rate limits are what is expected of its joints, and would
+hold back a method that moves others than the animal does. Closures do not depend on it."""
+TARGET_TABLE = (
+    "method, reached, reason, iterations, us_per_step, length_m, roughness_rad2, least_manipulability, limits_hit"
+)
+FOLLOW_TABLE = (
+    "method, worst_error_m, note, us_per_step, length_m, roughness_rad2, least_manipulability, limits_hit, "
+    "least_closure_angle_percent, least_closure_plane_percent"
+)
+SUMMARY = "ik.json"
+
+
+@dataclass(frozen=True, eq=False)
+class Limb:
+    """A chain of the animal, and its joint angles q (T, n) in the clip. base: what the base frame's axes mean, U
+    forwards, V down and W left, or x forwards, y left and z up. misfit_m: distance of the chain's end from the foot,
+    median."""
+
+    foot: str
+    chain: SerialChain
+    names: tuple[str, ...]
+    q: Array
+    fps: float
+    base: Literal["UVW", "xyz"]
+    misfit_m: float
+
+
+@dataclass(frozen=True, eq=False)
+class Solved:
+    """limb, stride: what was moved; drives, follows: by method, empty where not asked for; target_m (dim,); parameters:
+    fitted to the clip, by method; summary: what ik.json holds."""
+
+    limb: Limb
+    stride: Stride
+    target_m: Array | None
+    drives: Mapping[str, Drive]
+    follows: Mapping[str, Follow]
+    parameters: Mapping[str, Fitted]
+    summary: dict[str, Any]
+
+
+# -- the animal's chain ----------------------------------------------------------------------------------------------
+
+
+def limb_of(results: Results, foot: str | None = None, dim: Dim = 3, limited: bool = True) -> Limb:
+    """The chain to a foot, by its label (LF) or joint, by default the first fore foot. Raises InputError.
+
+    Of the 8U chain that is the spine and the front leg. Of a whole animal, in space, all joints from the root to the
+    foot, and in the plane the joints' projections onto the vertical plane of travel.
+    """
+    label = _foot(results, foot)
+    name = results.feet[label]
+    if isinstance(results.skeleton, Skeleton):
+        return _spine_front_leg(results, results.skeleton, label, dim, limited)
+    travel = body_travel(results.states)
+    if dim == 3:
+        marker = next(joint for joint, keypoint in results.keypoint_of.items() if keypoint == name)
+        chain, names = body_chain(results.body, marker, results.size, limited)
+        q = body_chain_angles(results.body, marker, results.states)
+        return Limb(name, chain, names, q, results.fps, "xyz", 0.0)
+    along = next(along for along in limb_chains(results).values() if along[-1] == name)
+    points = results.pose.xyz_m[:, [results.pose.names.index(joint) for joint in along]]
+    chain, q, misfit = planar_chain(points, travel)
+    return Limb(name, chain, along[:-1], q, results.fps, "UVW", float(np.nanmedian(misfit)))
+
+
+def _foot(results: Results, foot: str | None) -> str:
+    """LH, RH, LF or RF."""
+    chain = isinstance(results.skeleton, Skeleton)
+    there = [label for label in results.feet if label.endswith("F")] if chain else list(results.feet)
+    if foot is None and there:
+        return next((label for label in there if label.endswith("F")), there[0])
+    found = next((label for label in there if foot in (label, results.feet[label])), None)
+    if found is None:
+        expected = ", ".join(f"{label} ({results.feet[label]})" for label in there) or "a skeleton with feet"
+        raise InputError(Problem("--foot", "foot", repr(foot or "none"), expected))
+    return found
+
+
+def _spine_front_leg(results: Results, skeleton: Skeleton, label: str, dim: Dim, limited: bool) -> Limb:
+    base = float(np.nanmedian(results.states[:, skeleton.base_index]))
+    chain = spine_front_leg(skeleton, base, dim, limited)
+    q = chain_angles(skeleton, results.states, results.camera.up, dim=dim)
+    links = len(chain.lengths_m)
+    names = tuple(f"{kind}_{k}" for kind in ("theta", "phi")[: dim - 1] for k in range(1, links + 1))
+    return Limb(results.feet[label], chain, names, q, results.fps, "UVW", 0.0)
+
+
+# -- methods ---------------------------------------------------------------------------------------------------------
+
+
+def methods_of(
+    limb: Limb, names: tuple[str, ...], parameters: Mapping[str, Fitted], fitted: bool = False
+) -> dict[str, Method]:
+    """The methods by name (`METHODS`), with their standard parameters, or those fitted to the clip (`fit_parameters`).
+    Weights have no standard, and are fitted in any case."""
+    chain = limb.chain
+    last = max(chain.groups, key=len)[-3:]
+    costs: dict[str, Callable[[], Cost]] = {
+        "differences": lambda: joint_differences(chain),
+        "energy": lambda: rotational_energy(chain),
+        "harmonic": lambda: HarmonicMap(joints=(last[0], last[1], last[2])),
+    }
+    standard: dict[str, Callable[[], Method]] = {
+        "least-norm": LeastNorm,
+        "transpose": JacobianTranspose,
+        "gradient-projection": lambda: GradientProjection(joint_differences(chain)),
+        "weighted": lambda: parameters["weighted"].method,
+        "damped": DampedLeastSquares,
+        "selectively-damped": SelectivelyDamped,
+    }
+    chosen: dict[str, Method] = {}
+    for name in names:
+        if name.startswith("extended-"):
+            chosen[name] = ExtendedJacobian(costs[name.removeprefix("extended-")]())
+        elif fitted:
+            chosen[name] = parameters[name].method
+        else:
+            chosen[name] = standard[name]()
+    return chosen
+
+
+def fit_parameters(limb: Limb) -> dict[str, Fitted]:
+    """Of `FITTED`, by least squares to the joint rates of the clip, from a spline through its angles. Raises InputError
+    for fewer than four frames in a row."""
+    known = np.flatnonzero(np.isfinite(limb.q).all(axis=1))
+    if len(known) < MIN_POINTS:
+        raise InputError(Problem("results", "frames", f"{len(known)} with a pose", f"at least {MIN_POINTS}"))
+    q, dq = limb.q[known], CubicSpline(known / limb.fps, limb.q[known])(known / limb.fps, 1)
+    chain = limb.chain
+    dx = np.stack([chain.jacobian(x) @ rate for x, rate in zip(q, dq, strict=True)])
+    fits: dict[str, Callable[[SerialChain, Array, Array, Array], Fitted]] = {
+        "least-norm": fit_least_norm,
+        "transpose": fit_transpose,
+        "gradient-projection": fit_gradient,
+        "weighted": fit_weights,
+        "damped": fit_damped,
+        "selectively-damped": fit_selectively_damped,
+    }
+    return {name: fit(chain, q, dx, dq) for name, fit in fits.items()}
+
+
+# -- the jobs --------------------------------------------------------------------------------------------------------
+
+
+def run_ik(
+    folder: Path,
+    methods: tuple[str, ...],
+    target: str | None = None,
+    along_stride: bool = False,
+    foot: str | None = None,
+    dim: Dim = 3,
+    turns: int = 1,
+    limited: bool = True,
+    fitted: bool = False,
+    out: Path | None = None,
+    figures: bool = True,
+    overwrite: bool = False,
+) -> Solved:
+    """`recon ik`: tables and figures into `out`, by default the folder ik in the results' own.
+
+    methods: of `METHODS`. target: `STRIDE_MAX`, or coordinates in the chain's base frame, as in "0.8,0.3"; None: none.
+    along_stride: follow a stride of the foot, closed, turns times. fitted: with parameters fitted to the clip. Raises
+    InputError.
+    """
+    out = folder / "ik" if out is None else out
+    results = read_results(folder)
+    _check(out, overwrite, methods)
+    limb = limb_of(results, foot, dim, limited)
+    goal = _coordinates(target, dim) if target not in (None, STRIDE_MAX) else None
+    with threadpool_limits(1, user_api="blas"):
+        stride = _stride(results, limb)
+        parameters = fit_parameters(limb)
+        by_name = methods_of(limb, methods, parameters, fitted)
+        start, foremost = farthest_reach(limb.chain, stride.q)
+        goal = foremost if target == STRIDE_MAX else goal
+        drives = {} if goal is None else {n: drive_to(limb.chain, start, goal, m) for n, m in by_name.items()}
+        follows = {n: _follow(limb.chain, stride, m, turns) for n, m in by_name.items()} if along_stride else {}
+    summary = _summary(limb, stride, goal, drives, follows, parameters, fitted, turns)
+    solved = Solved(limb, stride, goal, drives, follows, parameters, summary)
+    with staged_folder(out) as staging:
+        _write(solved, staging)
+        if figures:
+            write_figures(solved, staging)
+    return solved
+
+
+def _check(out: Path, overwrite: bool, methods: tuple[str, ...]) -> None:
+    problems = [
+        Problem("--method", "method", repr(name), ", ".join(METHODS)) for name in methods if name not in METHODS
+    ]
+    if out.exists() and not out.is_dir():
+        problems.append(Problem("--out", "folder", f"the file {out}", "a folder, which is made if need be"))
+    elif (out / SUMMARY).exists() and not overwrite:
+        problems.append(Problem("--out", "folder", f"{SUMMARY} in {out}", "a folder without it, or --overwrite"))
+    if problems:
+        raise InputError(problems)
+
+
+def _coordinates(target: str, dim: Dim) -> Array:
+    parts = re.split(r"\s*,\s*", target.strip())
+    try:
+        values = np.array([float(part) for part in parts])
+    except ValueError:
+        values = np.empty(0)
+    if len(values) != dim or not np.isfinite(values).all():
+        expected = f"{STRIDE_MAX}, or {dim} coordinates in metres, as in {'0.8,0.3,0.1'[: 4 * dim - 1]}"
+        raise InputError(Problem("--target", "target", repr(target), expected))
+    return values
+
+
+def _stride(results: Results, limb: Limb) -> Stride:
+    """A complete stride of the foot, if the clip has one; otherwise where the foot comes back to nearest."""
+    gaits = analyse(results).gaits
+    label = next(label for label, joint in results.feet.items() if joint == limb.foot)
+    complete = next((s for s in gaits["ground"].strides if s.foot == label), None)
+    first_s = float(results.time_s[0])
+    try:
+        if complete is not None:
+            return find_stride(limb.chain, limb.q, limb.fps, complete.start_s - first_s, complete.end_s - first_s)
+        return find_stride(limb.chain, limb.q, limb.fps)
+    except ValueError as error:
+        raise InputError(Problem(results.folder, "stride", str(error), "a clip that shows more of one")) from None
+
+
+def _follow(chain: SerialChain, stride: Stride, method: Method, turns: int) -> Follow:
+    """The extended Jacobian starts where its cost is stationary, with the foot in the same place."""
+    q0 = stride.q[0]
+    if isinstance(method, ExtendedJacobian):
+        q0 = to_null_space_optimum(chain, q0, method.cost).q[-1]
+    return follow(chain, q0, stride.path_m, method, turns, SLOWER * stride.interval_s)
+
+
+# -- what is written -------------------------------------------------------------------------------------------------
+
+
+def _summary(
+    limb: Limb,
+    stride: Stride,
+    target_m: Array | None,
+    drives: Mapping[str, Drive],
+    follows: Mapping[str, Follow],
+    parameters: Mapping[str, Fitted],
+    fitted: bool,
+    turns: int,
+) -> dict[str, Any]:
+    def names(joints: tuple[int, ...]) -> list[str]:
+        return [limb.names[j] for j in joints]
+
+    def shared(run: Drive | Follow) -> dict[str, Any]:
+        return {
+            "us_per_step": 1e6 * float(np.median(run.solve_s)) if len(run.solve_s) else None,
+            "length_m": run.length_m,
+            "roughness_rad2": run.roughness_rad2,
+            "least_manipulability": float(run.manipulability.min()),
+            "limits_hit": names(run.limits_hit),
+        }
+
+    followed = {}
+    for name, run in follows.items():
+        closed = run.closures()
+        followed[name] = {
+            "worst_error_m": float(run.distance_m.max()),
+            "note": run.note,
+            **shared(run),
+            "least_closure_angle_percent": _least(closed.angle),
+            "least_closure_plane_percent": _least(closed.plane),
+            "closure_angle_percent": dict(zip(limb.names, closed.angle.tolist(), strict=True)),
+            "closure_plane_percent": dict(zip(limb.names, closed.plane.tolist(), strict=True)),
+        }
+    return {
+        "schema": {"name": "recon.ik", "version": 1},
+        "foot": limb.foot,
+        "dimensions": limb.chain.dim,
+        "joints": list(limb.names),
+        "base_frame": "U forwards, V down, W left" if limb.base == "UVW" else "x forwards, y left, z up",
+        "misfit_m": limb.misfit_m,
+        "stride": {
+            "start_s": stride.start_s,
+            "end_s": stride.end_s,
+            "how": stride.how,
+            "gap_m": stride.gap_m,
+            "gap_percent": stride.gap_percent,
+        },
+        "parameters": {
+            "used": "fitted to the clip" if fitted else "standard",
+            "fitted": {
+                name: {"value": f.parameter, "rms_rad_s": f.rms_rad_s, "explained": f.explained, "note": f.note}
+                for name, f in parameters.items()
+            },
+        },
+        "target_m": target_m,
+        "to_target": {
+            name: {"reached": run.reached, "reason": run.reason, "iterations": run.iterations, **shared(run)}
+            for name, run in drives.items()
+        },
+        "turns": turns if follows else None,
+        "along_stride": followed,
+    }
+
+
+def _least(values: Array) -> float:
+    """NaN where nothing moves."""
+    return float(np.nanmin(values)) if np.isfinite(values).any() else np.nan
+
+
+def _write(solved: Solved, folder: Path) -> None:
+    summary, names = solved.summary, solved.limb.names
+    text = json.dumps(to_plain(summary), indent=1, ensure_ascii=False)
+    (folder / SUMMARY).write_text(text + "\n", encoding="utf-8")
+    for file, columns, rows in (
+        ("target.csv", TARGET_TABLE.split(", "), summary["to_target"]),
+        ("follow.csv", FOLLOW_TABLE.split(", "), summary["along_stride"]),
+    ):
+        if rows:
+            write_rows(
+                folder / file, [columns], [[n, *(_cell(row[c]) for c in columns[1:])] for n, row in rows.items()]
+            )
+    if summary["along_stride"]:
+        columns = ["joint", *(f"{n}_{kind}" for n in summary["along_stride"] for kind in ("angle", "plane"))]
+        rows = [
+            [
+                j,
+                *(
+                    row[f"closure_{k}_percent"][j]
+                    for row in summary["along_stride"].values()
+                    for k in ("angle", "plane")
+                ),
+            ]
+            for j in names
+        ]
+        write_rows(folder / "closures.csv", [columns], rows)
+    axes = list(solved.limb.base)[: solved.limb.chain.dim]
+    for job, runs in (("target", solved.drives), ("follow", solved.follows)):
+        for name, run in runs.items():
+            columns = ["step", *(f"{joint}_rad" for joint in names), *(f"end_{axis}_m" for axis in axes), "distance_m"]
+            values = np.column_stack((run.q, run.end_m, run.distance_m)).tolist()
+            write_rows(folder / f"{job}_{name}.csv", [columns], [[k, *row] for k, row in enumerate(values)])
+
+
+def _cell(value: Any) -> Any:
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    return " ".join(value) if isinstance(value, list) else "" if value is None else value
+
+
+def write_figures(solved: Solved, folder: Path) -> None:
+    """Paths in task and joint space, distances, closures, PNG and SVG. Raises InputError without matplotlib."""
+    from recon import plots
+
+    limb = solved.limb
+    if solved.drives:
+        figure = plots.task_space(solved.drives, solved.target_m, chain=limb.chain, base=limb.base)
+        plots.save(figure, folder, "target_task_space")
+        plots.save(plots.joint_space(solved.drives, limb.names), folder, "target_joint_space")
+        plots.save(plots.distances(solved.drives), folder, "target_distance")
+    if solved.follows:
+        figure = plots.task_space(solved.follows, path_m=solved.stride.path_m, chain=limb.chain, base=limb.base)
+        plots.save(figure, folder, "follow_task_space")
+        plots.save(plots.joint_space(solved.follows, limb.names), folder, "follow_joint_space")
+        found = {name: run.closures() for name, run in solved.follows.items()}
+        plots.save(plots.closures(found, limb.names), folder, "follow_closures")

@@ -1,0 +1,160 @@
+"""`recon ik`: the chain of a result against its joints, the jobs, and what is written and said."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from command_line import run
+
+from recon.errors import InputError
+from recon.pipelines.ik import FITTED, METHODS, fit_parameters, limb_of, methods_of, run_ik
+from recon.results import read_results
+
+
+@pytest.fixture
+def folder(whole_results, tmp_path) -> Path:
+    """A copy of the whole animal's results, to write into."""
+    return Path(shutil.copytree(whole_results, tmp_path / "fit"))
+
+
+def ends(limb) -> np.ndarray:
+    return np.array([limb.chain.end(x) for x in limb.q])
+
+
+@pytest.mark.parametrize("foot", ["LF", "r_front_paw", "LH"])
+def test_chain_of_a_whole_animal_ends_at_its_foot(whole_results, foot):
+    """Relative to the root, along and across the travel, from the joints in pose3d.csv."""
+    results = read_results(whole_results)
+    limb = limb_of(results, foot)
+    name = results.feet.get(foot, foot)
+    at = results.pose.names.index
+    root, paw = results.pose.xyz_m[:, at("spine")], results.pose.xyz_m[:, at(name)]
+    ahead = (root[-1] - root[0]) * (1, 1, 0) / np.linalg.norm((root[-1] - root[0])[:2])
+    left = np.cross([0, 0, 1], ahead)
+    expected = (paw - root) @ np.stack([ahead, left, [0, 0, 1]], axis=1)
+    assert limb.base == "xyz"
+    assert limb.foot == name
+    np.testing.assert_allclose(ends(limb), expected, atol=1e-6)
+
+
+def test_planar_chain_of_a_whole_animal(whole_results):
+    results = read_results(whole_results)
+    limb = limb_of(results, "LF", dim=2)
+    assert limb.names[:3] == ("spine", "neck_base", "l_shoulder")
+    at = results.pose.names.index
+    base, paw = results.pose.xyz_m[:, at("spine")], results.pose.xyz_m[:, at("l_front_paw")]
+    down = base[:, 2] - paw[:, 2]
+    # Its lengths are those of the projections in the median: to the misfit, the foot's place.
+    assert np.median(np.abs(ends(limb)[:, 1] - down)) < 2 * limb.misfit_m
+    assert limb.misfit_m < 0.05
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_chain_of_the_8u_skeleton(frame_results, dim):
+    results = read_results(frame_results)
+    limb = limb_of(results, dim=dim)
+    assert limb.foot == "r_front_paw"
+    assert limb.chain.n == 5 * (dim - 1)
+    root, paw = results.pose.xyz_m[:, 0], results.pose.xyz_m[:, results.pose.names.index("r_front_paw")]
+    if dim == 3:
+        # The base length is its median over the clip.
+        base = results.states[:, results.skeleton.base_index]
+        scaled = np.linalg.norm(paw - root, axis=1) * np.median(base) / base
+        np.testing.assert_allclose(np.linalg.norm(ends(limb), axis=1), scaled, rtol=1e-6)
+    with pytest.raises(InputError, match="expected RF"):
+        limb_of(results, "RH")
+
+
+def test_fitted_parameters_explain_more_than_nothing(whole_results):
+    limb = limb_of(read_results(whole_results))
+    parameters = fit_parameters(limb)
+    assert set(parameters) == set(FITTED)
+    least = parameters["least-norm"].explained
+    for name in ("weighted", "gradient-projection", "damped"):
+        assert parameters[name].explained >= least - 1e-9
+    assert np.mean(parameters["weighted"].parameter) == pytest.approx(1.0)
+    fitted = methods_of(limb, METHODS, parameters, fitted=True)
+    assert fitted["damped"] is parameters["damped"].method
+    assert methods_of(limb, METHODS, parameters)["damped"] != fitted["damped"]
+
+
+def test_both_jobs_with_all_methods(folder):
+    done = run("ik", folder, "--compare", "--no-limits", "--no-figures")
+    assert (done.code, done.err) == (0, "")
+    summary = json.loads((folder / "ik" / "ik.json").read_text(encoding="utf-8"))
+    assert summary["stride"]["how"] == "given"  # the sample holds complete strides
+    assert {*summary["to_target"]} == {*summary["along_stride"]} == {*METHODS}
+    target = np.array(summary["target_m"])
+    for name in METHODS:
+        row = summary["to_target"][name]
+        table = pd.read_csv(folder / "ik" / f"target_{name}.csv")
+        assert len(table) == row["iterations"] + 1
+        end = table[["end_x_m", "end_y_m", "end_z_m"]].to_numpy()
+        np.testing.assert_allclose(np.linalg.norm(end - target, axis=1), table["distance_m"], atol=1e-9)
+        assert (table["distance_m"].iloc[-1] <= 0.003) == row["reached"]
+    assert sum(row["reached"] for row in summary["to_target"].values()) >= 8
+    closures = pd.read_csv(folder / "ik" / "closures.csv", index_col="joint")
+    assert list(closures.index) == summary["joints"]
+    # One turn: least norm drifts, the extended Jacobian does not.
+    assert summary["along_stride"]["extended-energy"]["least_closure_angle_percent"] > 99
+    assert summary["along_stride"]["least-norm"]["least_closure_angle_percent"] < 90
+    assert closures["extended-energy_angle"].min() > 99
+    assert summary["along_stride"]["least-norm"]["worst_error_m"] < 0.003
+    assert pd.read_csv(folder / "ik" / "target.csv").set_index("method").loc["damped", "reached"] == "yes"
+
+
+def test_one_method_to_a_place_of_ones_own(folder):
+    done = run(
+        "ik", folder, "--method", "least-norm", "--target", "0.7,0.1,-0.4", "--foot", "RF", "--out", folder / "x"
+    )
+    assert done.code == 0
+    summary = json.loads((folder / "x" / "ik.json").read_text(encoding="utf-8"))
+    assert summary["target_m"] == [0.7, 0.1, -0.4]
+    assert {*summary["to_target"]} == {"least-norm"}
+    assert summary["along_stride"] == {}
+    for figure in ("target_task_space", "target_joint_space", "target_distance"):
+        assert (folder / "x" / f"{figure}.svg").is_file()
+    far = run("ik", folder, "--method", "damped", "--target", "5,0,0", "--out", folder / "y", "--no-figures")
+    assert far.code == 0
+    assert "unreachable" in " ".join(far.out.split())
+
+
+def test_clip_without_a_stride_is_said(frame_results, tmp_path):
+    folder = Path(shutil.copytree(frame_results, tmp_path / "fit"))
+    for name, header in (("pose3d.csv", 2), ("angles.csv", 1)):
+        lines = (folder / name).read_text().splitlines()
+        (folder / name).write_text("\n".join(lines[: header + 9]) + "\n")
+    done = run_ik(folder, ("damped",), along_stride=True, dim=2, out=tmp_path / "a", figures=False)
+    assert done.summary["stride"]["how"] in ("return", "whole clip")
+    assert done.follows["damped"].distance_m.max() < 0.02
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ((), "--target, --follow stride or --compare"),
+        (("--follow", "circle"), "--follow: path: found 'circle'"),
+        (("--method", "magic", "--target", "stride-max"), "found 'magic', expected least-norm, transpose"),
+        (("--target", "1,2"), "expected stride-max, or 3 coordinates in metres"),
+        (("--target", "here"), "expected stride-max, or 3 coordinates"),
+        (("--target", "stride-max", "--foot", "XX"), "expected LF (l_front_paw)"),
+    ],
+)
+def test_bad_options(whole_results, tmp_path, options, said):
+    done = run("ik", whole_results, "--out", tmp_path / "a", *options)
+    assert done.code == 2
+    assert said in done.err
+    assert not (tmp_path / "a").exists()
+
+
+def test_earlier_results_are_kept(folder):
+    first = run("ik", folder, "--target", "stride-max", "--no-figures")
+    assert first.code == 0
+    second = run("ik", folder, "--target", "stride-max", "--no-figures")
+    assert second.code == 2
+    assert "--overwrite" in second.err

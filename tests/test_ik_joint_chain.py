@@ -1,0 +1,164 @@
+"""Chains of joints that turn or slide, in space."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from recon.ik.chain import PlanarChain, unreachable
+from recon.ik.costs import joint_differences, rotational_energy
+from recon.ik.drive import drive_to
+from recon.ik.joint_chain import JointChain
+from recon.ik.methods import DampedLeastSquares, ExtendedJacobian, LeastNorm
+
+SLIDING = np.array([False, True, False, False, False, True])
+
+
+def random_parts(seed=0):
+    rng = np.random.default_rng(seed)
+    return {
+        "offsets_m": rng.normal(size=(6, 3)) * 0.4,
+        "axes": rng.normal(size=(6, 3)),
+        "rotations": Rotation.random(6, rng),
+        "tool_m": rng.normal(size=3) * 0.3,
+        "tool_rotation": Rotation.random(None, rng),
+    }
+
+
+def random_chain(seed=0, **more):
+    return JointChain(**random_parts(seed), sliding=SLIDING, **more)
+
+
+def differences(function, q, step=1e-6):
+    """Central differences (..., n)."""
+    h = step * np.eye(len(q))
+    return np.stack([(function(q + e) - function(q - e)) / (2 * step) for e in h], axis=-1)
+
+
+def test_pose_is_the_product_of_placements_and_motions():
+    parts, q = random_parts(), np.random.default_rng(1).normal(size=6)
+    turn, place, origins = Rotation.identity(), np.zeros(3), []
+    for j in range(6):
+        place = place + turn.apply(parts["offsets_m"][j])
+        turn = turn * parts["rotations"][j]
+        axis = parts["axes"][j] / np.linalg.norm(parts["axes"][j])
+        if SLIDING[j]:
+            place = place + turn.apply(axis * q[j])
+        else:
+            turn = turn * Rotation.from_rotvec(axis * q[j])
+        origins.append(place)
+    chain = random_chain()
+    R, p = chain.pose(q)
+    np.testing.assert_allclose(p, place + turn.apply(parts["tool_m"]), atol=1e-14)
+    np.testing.assert_allclose(R, (turn * parts["tool_rotation"]).as_matrix(), atol=1e-14)
+    np.testing.assert_allclose(chain.end(q), p)
+    np.testing.assert_allclose(chain.positions(q), [*origins, p], atol=1e-14)
+    assert (chain.n, chain.dim, chain.groups) == (6, 3, (tuple(range(6)),))
+
+
+def test_derivatives_agree_with_differences():
+    chain, rng = random_chain(), np.random.default_rng(2)
+    for _ in range(5):
+        q, mu = rng.normal(size=6), rng.normal(size=3)
+        J = chain.jacobian(q)
+        np.testing.assert_allclose(J, differences(chain.end, q), atol=1e-8)
+        np.testing.assert_allclose(chain.hessian(q), differences(chain.jacobian, q), atol=1e-8)
+        np.testing.assert_allclose(chain.hessian(q), chain.hessian(q).transpose(0, 2, 1), atol=1e-14)
+        np.testing.assert_allclose(chain.curvature(q, mu), np.tensordot(mu, chain.hessian(q), 1), atol=1e-14)
+        # dR R' = [w]x
+        spin = differences(lambda x: chain.pose(x)[0], q).transpose(2, 0, 1) @ chain.pose(q)[0].T
+        angular = np.stack([spin[:, 2, 1], spin[:, 0, 2], spin[:, 1, 0]])
+        np.testing.assert_allclose(chain.geometric_jacobian(q), np.concatenate([J, angular]), atol=1e-8)
+
+
+def test_a_denavit_hartenberg_chain():
+    # The Stanford arm, whose third joint slides: a = 0; (alpha, d) of the links; T = Rz(theta) Tz(d) Tx(a) Rx(alpha).
+    alpha = np.array([-1, 1, 0, -1, 1, 0]) * np.pi / 2
+    d = np.array([0.4, 0.15, 0.0, 0.0, 0.0, 0.25])
+    sliding = np.arange(6) == 2
+    # The next joint's z axis is turned by alpha about x; d comes before.
+    offsets, twists = np.zeros((6, 3)), np.concatenate([[0.0], alpha[:-1]])
+    offsets[1:, 2] = d[:-1]
+    chain = JointChain(
+        offsets, [(0, 0, 1)] * 6, Rotation.from_euler("x", twists[:, None]), sliding, (0, 0, d[5]), Rotation.identity()
+    )
+    q = np.array([0.3, -0.8, 0.5, 1.1, 0.7, -0.4])
+    T = np.eye(4)
+    for j in range(6):
+        theta, along = (0.0, q[j]) if sliding[j] else (q[j], d[j])
+        c, s, ca, sa = np.cos(theta), np.sin(theta), np.cos(alpha[j]), np.sin(alpha[j])
+        T = T @ [[c, -s * ca, s * sa, 0], [s, c * ca, -c * sa, 0], [0, sa, ca, along], [0, 0, 0, 1]]
+    R, p = chain.pose(q)
+    np.testing.assert_allclose(p, T[:3, 3], atol=1e-15)
+    np.testing.assert_allclose(R, T[:3, :3], atol=1e-15)
+
+
+def test_a_planar_chain_is_one_of_these():
+    lengths, q, mu = (0.4, 0.3, 0.2), np.array([0.3, -0.7, 1.2]), np.array([0.6, -1.1])
+    flat = PlanarChain(lengths)
+    chain = JointChain([(0, 0, 0), (0.4, 0, 0), (0.3, 0, 0)], [(0, 0, 2.0)] * 3, tool_m=(0.2, 0, 0))
+    np.testing.assert_allclose(chain.positions(q)[:, :2], flat.positions(q), atol=1e-15)
+    np.testing.assert_allclose(chain.jacobian(q)[:2], flat.jacobian(q), atol=1e-15)
+    np.testing.assert_allclose(chain.curvature(q, np.array([*mu, 0])), flat.curvature(q, mu), atol=1e-15)
+    np.testing.assert_allclose(chain.reach_m, flat.reach_m)
+    np.testing.assert_allclose(chain.joint_lengths_m, flat.joint_lengths_m)
+
+
+def test_joints_at_one_place_turn_the_same_link():
+    chain = JointChain(
+        [(0, 0, 0), (0, 0, 0), (0.5, 0, 0), (0, 0, 0)], [(0, 0, 1), (0, 1, 0), (0, 1, 0), (1, 0, 0)], tool_m=(0.2, 0, 0)
+    )
+    np.testing.assert_allclose(chain.lengths_m, [0, 0.5, 0, 0.2])
+    np.testing.assert_allclose(chain.joint_lengths_m, [0.5, 0.5, 0.2, 0.2])
+
+
+def test_reach_holds_everywhere():
+    rng, sliding_reach = np.random.default_rng(3), (-0.2, 0.3)
+    bounds = np.where(SLIDING, sliding_reach[0], -np.pi), np.where(SLIDING, sliding_reach[1], np.pi)
+    for seed in range(5):
+        chain = random_chain(seed, limits_rad=bounds)
+        least, most = chain.reach_m
+        distance = [np.linalg.norm(chain.end(q)) for q in rng.uniform(*bounds, (500, 6))]
+        assert least <= min(distance)
+        assert max(distance) <= most < np.inf
+    assert random_chain().reach_m == (0.0, np.inf)
+    # A long link with a short one: the hole in the middle; a slide of 0.1 to 0.2 m makes it smaller by as much.
+    parts = {"axes": [(0, 0, 1), (0, 0, 1)], "tool_m": (0.3, 0, 0)}
+    assert JointChain([(0, 0, 0), (1.0, 0, 0)], **parts).reach_m == pytest.approx((0.7, 1.3))
+    slide = JointChain(
+        [(0, 0, 0), (1.0, 0, 0), (0.3, 0, 0)],
+        [(0, 0, 1), (0, 0, 1), (1, 0, 0)],
+        sliding=[False, False, True],
+        limits_rad=([-3, -3, 0.1], [3, 3, 0.2]),
+    )
+    assert slide.reach_m == pytest.approx((0.5, 1.5))
+    assert unreachable(slide, np.array([1.45, 0, 0])) == ""
+    assert "reaches 0.500 to 1.500 m" in unreachable(slide, np.array([0.4, 0.0, 0.0]))
+
+
+def test_bad_chains_are_refused():
+    with pytest.raises(ValueError, match=r"\(n, 3\)"):
+        JointChain([(0, 0)], [(0, 0, 1)])
+    with pytest.raises(ValueError, match="no axis zero"):
+        JointChain([(0, 0, 0)], [(0, 0, 0)])
+    with pytest.raises(ValueError, match="2 rotations"):
+        JointChain(np.zeros((2, 3)), np.eye(3)[:2], Rotation.identity(3))
+    with pytest.raises(ValueError, match="above"):
+        JointChain([(0, 0, 0)], [(0, 0, 1)], limits_rad=(1.0, -1.0))
+
+
+@pytest.mark.parametrize("kind", ["damped", "least norm", "energy", "differences"])
+def test_methods_drive_these_chains(kind):
+    chain = random_chain()
+    method = {
+        "damped": DampedLeastSquares(),
+        "least norm": LeastNorm(),
+        "energy": ExtendedJacobian(rotational_energy(chain)),
+        "differences": ExtendedJacobian(joint_differences(chain)),
+    }[kind]
+    rng = np.random.default_rng(4)
+    for q, other in rng.uniform(-1, 1, (5, 2, 6)):
+        drive = drive_to(chain, q, chain.end(other), method)
+        assert drive.reached, drive.reason
+        assert drive.distance_m[-1] <= 0.003

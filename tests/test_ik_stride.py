@@ -1,0 +1,85 @@
+"""Strides of a chain as tasks."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from recon.ik.chain import PlanarChain
+from recon.ik.drive import follow
+from recon.ik.methods import LeastNorm
+from recon.ik.stride import farthest_reach, find_stride
+
+CHAIN = PlanarChain((0.5, 0.4, 0.3))
+
+
+def swings(frames, period=20.0, drift=0.0):
+    """Joint angles (T, 3), periodic but for their drift."""
+    phase = 2 * np.pi * np.arange(frames)[:, None] / period
+    mean, size, shift = np.array([0.9, 0.8, -0.6]), np.array([0.3, 0.4, 0.5]), np.array([0.0, 1.0, 2.0])
+    return mean + size * np.sin(phase + shift) + drift * np.arange(frames)[:, None]
+
+
+def test_the_stride_of_a_periodic_motion_is_one_period():
+    found = find_stride(CHAIN, swings(55), fps=100)
+    assert found.how == "return"
+    assert found.end_s - found.start_s == pytest.approx(0.2)
+    assert found.gap_m < 1e-4
+    np.testing.assert_array_equal(found.path_m[0], found.path_m[-1])
+    np.testing.assert_allclose(found.path_m[::10], [CHAIN.end(q) for q in found.q], atol=1e-4)
+    assert (len(found.q), len(found.path_m)) == (21, 201)
+    assert found.interval_s == pytest.approx(0.001)
+    run = follow(CHAIN, found.q[0], found.path_m, LeastNorm(), interval_s=found.interval_s)
+    assert run.note == ""
+    assert run.distance_m.max() < 1e-3
+
+
+def test_the_gap_is_spread_over_the_path():
+    q = swings(25, drift=0.004)
+    # To the nearest frames, 2 and 22.
+    found = find_stride(CHAIN, q, fps=100, start_s=0.018, end_s=0.224)
+    assert (found.how, found.start_s, found.end_s) == ("given", 0.02, 0.22)
+    np.testing.assert_array_equal(found.q, q[2:23])
+    ends = np.array([CHAIN.end(x) for x in found.q])
+    gap = ends[-1] - ends[0]
+    assert found.gap_m == pytest.approx(np.linalg.norm(gap))
+    diameter = max(np.linalg.norm(ends - x, axis=1).max() for x in ends)
+    assert found.gap_percent == pytest.approx(100 * found.gap_m / diameter, rel=1e-2)
+    np.testing.assert_array_equal(found.path_m[-1], found.path_m[0])
+    np.testing.assert_allclose(found.path_m[::10], ends - np.linspace(0, 1, 21)[:, None] * gap, atol=1e-12)
+
+
+def test_a_clip_without_a_return_is_taken_whole():
+    found = find_stride(CHAIN, swings(9), fps=100)
+    assert found.how == "whole clip"
+    assert (found.start_s, found.end_s) == (0.0, 0.08)
+    assert found.gap_percent > 50
+
+
+def test_missing_frames():
+    q = swings(60)
+    q[[4, 33]] = np.nan
+    q[5:15] = np.nan
+    found = find_stride(CHAIN, q, fps=100)
+    # Of the two stretches the longer one, over its short gap.
+    assert found.start_s >= 0.15
+    assert found.end_s - found.start_s == pytest.approx(0.2)
+    assert np.isfinite(found.path_m).all()
+    with pytest.raises(ValueError, match="known frames in a row"):
+        find_stride(CHAIN, np.full((20, 3), np.nan), fps=100)
+    with pytest.raises(ValueError, match=r"within 0.150 to 0.590 s expected, got 0.050"):
+        find_stride(CHAIN, q, fps=100, start_s=0.05, end_s=0.3)
+    with pytest.raises(ValueError, match="or neither"):
+        find_stride(CHAIN, q, fps=100, start_s=0.05)
+
+
+def test_farthest_reach():
+    q = swings(30)
+    q[3] = np.nan
+    start, target = farthest_reach(CHAIN, q)
+    ends = np.array([CHAIN.end(x) for x in q])
+    assert CHAIN.end(start)[0] == np.nanmin(ends[:, 0])
+    assert target[0] == np.nanmax(ends[:, 0])
+    np.testing.assert_array_equal(target, ends[np.nanargmax(ends[:, 0])])
+    with pytest.raises(ValueError, match="missing value"):
+        farthest_reach(CHAIN, np.full((2, 3), np.nan))

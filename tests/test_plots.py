@@ -1,0 +1,520 @@
+"""Figures: what is drawn is what was given, in the right units, and everything can be read."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+
+import matplotlib as mpl
+import numpy as np
+import pytest
+from matplotlib.collections import LineCollection, PolyCollection
+from matplotlib.colors import to_rgb
+from matplotlib.quiver import Quiver
+from PIL import Image
+
+from recon import plots
+from recon.analysis.gait import Plane, Stance, Stride, gait, tracks
+from recon.analysis.kinematics import Errors, angle_kinematics, point_kinematics
+from recon.analysis.phase import Closure, Portrait, phase_portrait, vector_field
+from recon.errors import InputError
+from recon.ik.chain import PlanarChain, SummedChain
+from recon.ik.drive import Closures, drive_to, follow
+from recon.ik.methods import DampedLeastSquares, JacobianTranspose, LeastNorm
+from recon.plots import composite, style
+
+FPS = 50.0
+LIMBS = {"trunk": (0, 1), "left leg": (0, 2), "right leg": (0, 3)}
+
+
+@pytest.fixture(autouse=True)
+def _without_pyplot(monkeypatch):
+    """Its figures stay in memory for good, and it asks for a display."""
+    monkeypatch.setitem(sys.modules, "matplotlib.pyplot", None)
+
+
+def times(T):
+    return 1.0 + np.arange(T) / FPS
+
+
+def running(T=31, heading=2.0, speed_m_s=8.0):
+    """An animal of four joints that glides along a heading (rad) without turning: (T, 4, 3)."""
+    animal = np.array([[0.0, 0.0, 0.7], [0.6, 0.0, 0.7], [-0.1, 0.1, 0.1], [0.1, -0.1, 0.1]])
+    along = animal + speed_m_s * (times(T) - 1.0)[:, None, None] * [1.0, 0.0, 0.0]
+    c, s = np.cos(heading), np.sin(heading)
+    return along @ np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]) + [3.0, -2.0, 0.0]
+
+
+def path(T=21):
+    """A point whose speed is t m/s: along a parabola of an axis, at times of `times`."""
+    t = times(T)
+    return np.stack([t**2 / 2, np.zeros(T), np.zeros(T)], axis=1)
+
+
+def swinging(T=31):
+    """A chain of three links of which only the second swings: (T, 4, 3), in the plane of x and z."""
+    angle = 0.5 * np.sin(2 * np.pi * 2 * times(T))
+    joints = np.zeros((T, 4, 3))
+    joints[:, 1, 0] = 1.0
+    joints[:, 2] = joints[:, 1] + 0.5 * np.stack([np.sin(angle), 0 * angle, -np.cos(angle)], axis=1)
+    joints[:, 3] = joints[:, 2] + 0.3 * np.stack([np.sin(angle), 0 * angle, -np.cos(angle)], axis=1)
+    return joints
+
+
+def still_tracks(T=41):
+    return tracks(times(T), np.zeros((T, 4, 3)), np.full((T, 3), 0.5), ("LH", "RH", "LF", "RF"))
+
+
+def gaits():
+    """By hand: `ground` has a stance that the clip cuts at its end and a complete stride, `body` one stance."""
+    found = gait(still_tracks())
+    first = (
+        Stance("LH", 1.1, 1.2, 5.0, 10.0),
+        Stance("LH", 1.4, 1.5, 20.0, 25.0),
+        Stance("RF", 1.7, 1.8, 35.0, 40.0, ends=False),
+    )
+    stride = Stride("LH", 1.1, 1.4, 2.0, 1 / 3, "touchdown")
+    second = (Stance("RF", 1.65, 1.75, 32.5, 37.5),)
+    return {
+        "ground": replace(found, stances=first, strides=(stride,), stride_length_m=2.0, stride_frequency_hz=1 / 0.3),
+        "body": replace(found, method="body", stances=second, strides=()),
+    }
+
+
+def drives(dim=2):
+    chain = PlanarChain([0.5, 0.4, 0.3]) if dim == 2 else SummedChain([0.5, 0.4, 0.3])
+    q = np.full(chain.n, 0.4)
+    target = chain.end(q) + [-0.1, 0.1, 0.05][:dim]
+    found = {name: drive_to(chain, q, target, m) for name, m in (("a", LeastNorm()), ("b", JacobianTranspose()))}
+    found["far"] = drive_to(chain, q, 5 * target, DampedLeastSquares())
+    return chain, target, found
+
+
+def texts(figure):
+    """All that is written in a figure."""
+    return "\n".join(t.get_text() for t in figure.findobj(mpl.text.Text) if t.get_visible())
+
+
+def thick_lines(axes, least=0.85):
+    """Lines of at least a width, without the markers."""
+    return [line for line in axes.get_lines() if line.get_linewidth() >= least and line.get_linestyle() != "None"]
+
+
+def every_figure():
+    t, ahead = times(31), np.tile([1.0, 0.0, 0.0], (31, 1))
+    curves = {"fit": point_kinematics(times(21), path()), "noisy": point_kinematics(times(21), path() * 1.1)}
+    portraits = {f"l_fore_upper_pitch_{k}_rad": phase_portrait(angle_kinematics(t, np.sin(9 * t))) for k in range(26)}
+    (chain, target, found), (chain3, target3, found3) = drives(2), drives(3)
+    circle = found["a"].end_m[0] + 0.05 * np.stack([np.cos(t) - 1, np.sin(t)], axis=1)
+    turns = {"a": follow(chain, found["a"].q[0], circle, LeastNorm())}
+    closed = {name: Closure(50.0, 40.0) for name in portraits}
+    names = {f"extended Jacobian (energy), variant {i}": d for i, d in enumerate([*found.values()] * 4)}
+    return {
+        "composites": plots.composites(running(), LIMBS, t, 0.0, "a title"),
+        "composites of a long run": plots.composites(running(speed_m_s=40.0), LIMBS, t, 0.0, "a title"),
+        "composites of an animal that stands": plots.composites(running(speed_m_s=0.0), LIMBS, t, 0.0, "a title"),
+        "composites of a mouse": plots.composites(running(speed_m_s=20.0) / 20, LIMBS, t, 0.0, "a title"),
+        "speeds": plots.speeds(curves, "a title"),
+        "speeds in a column": plots.speeds(curves, "a title", plots.COLUMN_MM),
+        "fields": plots.vector_fields(vector_field(t, swinging(), ("a", "b", "c", "d"), ahead), t, "x"),
+        "ten fields": plots.vector_fields(
+            vector_field(t, swinging(), ("a", "l_back_knee", "l_back_ankle", "d"), ahead) * 5, t, "x"
+        ),
+        "portraits": plots.phase_portraits(portraits, closed, "a title"),
+        "one portrait": plots.phase_portraits(dict([*portraits.items()][:1]), closed, "a title"),
+        "four portraits": plots.phase_portraits(dict([*portraits.items()][:4])),
+        "footfall": plots.footfall(gaits(), FPS, "a title"),
+        "task space": plots.task_space(found, target, chain=chain, title="a title"),
+        "task space in 3D": plots.task_space(found3, target3, chain=chain3, title="a title"),
+        "task space of a stride": plots.task_space(turns, path_m=circle),
+        "joint space": plots.joint_space(found3, title="a title"),
+        "joint space, many": plots.joint_space(names),
+        "distances": plots.distances(found, title="a title"),
+        "distances, many": plots.distances(names),
+        "closures": plots.closures({k: m.closures() for k, m in names.items()}, title="a title"),
+    }
+
+
+@pytest.fixture(scope="module")
+def figures():
+    return every_figure()
+
+
+def test_everything_is_on_the_page_and_no_text_covers_another(figures, monkeypatch):
+    draw, drawn = mpl.text.Text.draw, []
+    monkeypatch.setattr(mpl.text.Text, "draw", lambda text, *options: (drawn.append(text), draw(text, *options)))
+    problems = []
+    for name, figure in figures.items():
+        width, height = figure.get_size_inches() / style.MM
+        assert min(abs(width - plots.WIDTH_MM), abs(width - plots.COLUMN_MM)) < 1e-9, name
+        assert height < 275, name
+        renderer = figure.canvas.get_renderer()
+        drawn.clear()
+        figure.draw(renderer)
+        shown = [t for t in drawn if t.get_visible() and t.get_text().strip()]
+        low, high = np.moveaxis([t.get_window_extent(renderer).get_points() for t in shown], 1, 0)
+        for k in np.flatnonzero((low < -1).any(axis=1) | (high > figure.bbox.max + 1).any(axis=1)):
+            problems.append(f"{name}: '{shown[k].get_text()}' is off the page")
+        overlap = (low[:, None] < high - 2).all(axis=2) & (low < high[:, None] - 2).all(axis=2)
+        for a, b in np.argwhere(np.triu(overlap, 1)):
+            problems.append(f"{name}: '{shown[a].get_text()}' covers '{shown[b].get_text()}'")
+    assert "\n".join(problems) == ""
+
+
+# -- writing ---------------------------------------------------------------------------------------------------------
+
+
+def test_files_are_reproducible_whatever_the_users_settings(tmp_path):
+    def written(folder):
+        figure = plots.speeds({"fit": point_kinematics(times(21), path())}, "peak at the end")
+        return [p.read_bytes() for p in plots.save(figure, tmp_path / folder, "speed")]
+
+    first = written("a")
+    with mpl.rc_context({"font.size": 20.0, "axes.facecolor": "red", "svg.fonttype": "path", "lines.linewidth": 9.0}):
+        mine = mpl.rcParams.copy()
+        assert written("b") == first
+        assert {key for key in mine if mine._get(key) != mpl.rcParams._get(key)} == set()
+    figure = plots.speeds({"fit": point_kinematics(times(21), path())}, "peak at the end")
+    plots.save(figure, tmp_path / "c", "speed")
+    again = plots.save(figure, tmp_path / "c", "speed")
+    assert [p.read_bytes() for p in again] == first
+    assert again == (tmp_path / "c" / "speed.png", tmp_path / "c" / "speed.svg")
+    assert sorted(p.name for p in (tmp_path / "c").iterdir()) == ["speed.png", "speed.svg"]
+
+
+def test_resolution_and_text(tmp_path):
+    png, svg = plots.save(plots.distances(drives()[2], title="way & aim"), tmp_path, "d")
+    with Image.open(png) as image:
+        assert image.width == int(180 / 25.4 * 200)
+        assert image.info["dpi"] == pytest.approx((200, 200), abs=0.1)
+    text = svg.read_text(encoding="utf-8")
+    assert ">way &amp; aim</text>" in text
+    assert ">distance to the target (mm)</text>" in text
+    assert "date" not in text.lower()
+
+
+def test_without_matplotlib(monkeypatch):
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    with pytest.raises(InputError, match=r"pip install 'recon\[plots\]'"):
+        plots.distances({})
+
+
+def test_lines_differ_in_more_than_colour():
+    looks = [tuple(style.look(i).values()) for i in range(28)]
+    assert len(set(map(str, looks))) == 28
+    assert all(style.look(i)["linestyle"] != style.look(i + 1)["linestyle"] for i in range(27))
+
+
+# -- nothing to draw -------------------------------------------------------------------------------------------------
+
+
+def test_nothing_known_is_said():
+    t, nan = times(31), np.full((31, 4, 3), np.nan)
+    nothing = point_kinematics(t, nan[:, 0])
+    unknown = Portrait(t, nan[:, 0, 0], nan[:, 0, 0])
+    empty = [
+        plots.composites(nan, LIMBS, t),
+        plots.speeds({"fit": nothing}),
+        plots.vector_fields(vector_field(t, nan, ("a", "b", "c", "d"), nan[:, 0]), t),
+        plots.phase_portraits({"a": unknown}),
+        plots.speeds({}),
+        plots.vector_fields((), t),
+        plots.phase_portraits({}),
+        plots.footfall({}, FPS),
+        plots.task_space({}),
+        plots.joint_space({}),
+        plots.distances({}),
+        plots.closures({}),
+    ]
+    for i, figure in enumerate(empty):
+        assert "no data" in texts(figure), i
+    still = gait(still_tracks())
+    assert "no stances" in texts(plots.footfall({"ground": replace(still, stances=(), strides=())}, FPS))
+    unmoved = plots.closures({"a": Closures(np.array([99.0, np.nan]), np.array([98.0, np.nan]))})
+    assert texts(unmoved).count("does not move") == 2
+
+
+# -- composites ------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("heading", [0.0, 2.0, -2.5])
+def test_composites_turn_the_run_to_the_right(heading):
+    t = times(31)
+    figure = plots.composites(running(heading=heading), LIMBS, t, ground=0.05)
+    side, top, front, *_ = figure.axes
+    at = [0, 3, 7, 10, 13, 17, 20, 23, 27, 30]
+    for axes in (side, top, front):
+        assert len(thick_lines(axes)) == 10 * 3
+    # Places count from the mean of the first configuration, which is 0.15 m ahead of joint 0.
+    rear = 8.0 * (t[at] - 1.0) - 0.15
+    trunk, left, right = (thick_lines(side)[k::3] for k in range(3))
+    np.testing.assert_allclose([line.get_xdata() for line in trunk], rear[:, None] + [0.0, 0.6], atol=1e-9)
+    np.testing.assert_allclose([line.get_ydata() for line in left], np.tile([0.7, 0.1], (10, 1)), atol=1e-9)
+    np.testing.assert_allclose([line.get_xdata() for line in right], rear[:, None] + [0.0, 0.1], atol=1e-9)
+    for lines, y in ((thick_lines(top)[1::3], 0.1), (thick_lines(top)[2::3], -0.1)):
+        np.testing.assert_allclose([line.get_ydata() for line in lines], np.tile([0, y], (10, 1)), atol=1e-9)
+    for lines, y in ((thick_lines(front)[1::3], 0.1), (thick_lines(front)[2::3], -0.1)):
+        np.testing.assert_allclose([line.get_xdata() for line in lines], np.tile([0, y], (10, 1)), atol=1e-9)
+    assert {line.get_linestyle() for line in left} == {"--"}
+    assert {line.get_linestyle() for line in (*right, *trunk)} == {"-"}
+
+
+def test_composites_colours_are_the_times_of_the_bar():
+    figure = plots.composites(running(), LIMBS, times(31))
+    side, *_, bar = figure.axes
+    assert bar.get_xlabel() == "time (s)"
+    np.testing.assert_allclose(bar.get_xlim(), [1.0, 1.6])
+    colours = np.array([to_rgb(line.get_color()) for line in thick_lines(side)[::3]])
+    lightness = colours @ [0.2126, 0.7152, 0.0722]
+    assert np.all(np.diff(lightness) > 0)
+    assert lightness[-1] < 0.8
+
+
+def test_composites_have_equal_axes():
+    figure = plots.composites(running(), LIMBS, times(31))
+    size = figure.get_size_inches()
+    for axes in figure.axes[:3]:
+        box = axes.get_position(original=True)
+        across, upwards = box.size * size / [np.ptp(axes.get_xlim()), np.ptp(axes.get_ylim())]
+        assert across == pytest.approx(upwards)
+    assert figure.axes[0].get_xlim() == figure.axes[1].get_xlim()
+
+
+def test_composites_ground():
+    joints, t = running(heading=np.pi / 2), times(31)
+    plane = Plane((0.0, 0.0), 0.2, (0.0, 0.1), 0.0, 10)
+    side, _, front, *_ = plots.composites(joints, LIMBS, t, plane).axes
+    origin_y = joints[0, :, 1].mean()
+    for axes, slope in ((side, 0.1), (front, 0.0)):
+        (line,) = (line for line in axes.get_lines() if line.get_gid() == "ground")
+        x, z = line.get_xdata(), line.get_ydata()
+        assert (z[1] - z[0]) / (x[1] - x[0]) == pytest.approx(slope, abs=1e-12)
+        if slope:
+            np.testing.assert_allclose(z, 0.2 + 0.1 * (x + origin_y))
+    (level,) = (line for line in plots.composites(joints, LIMBS, t, 0.05).axes[0].get_lines() if line.get_gid())
+    np.testing.assert_allclose(level.get_ydata(), 0.05)
+
+
+def test_composites_choose_among_the_known():
+    joints = running()
+    joints[5:] = np.nan
+    joints[2, 1:] = np.nan
+    np.testing.assert_array_equal(composite.chosen(joints, LIMBS), [0, 1, 3, 4])
+    side = plots.composites(joints, LIMBS, times(31)).axes[0]
+    assert len(thick_lines(side)) == 4 * 3
+    assert [composite.side_of(n) for n in ("left leg", "r_paw", "Right", "tail", "lung")] == [
+        "left",
+        "right",
+        "right",
+        "",
+        "",
+    ]
+
+
+# -- speed -----------------------------------------------------------------------------------------------------------
+
+
+def test_speed_and_acceleration():
+    known = point_kinematics(times(8), path(8), (Errors(np.full((8, 3), 0.001)),))
+    points = 2 * path()
+    points[8:12] = np.nan
+    gap = point_kinematics(times(21), points, max_gap_s=0.05)
+    figure = plots.speeds({"first": known, "second": gap})
+    above, below = figure.axes
+    first, second = thick_lines(above, 1.05)[::1][:2]
+    np.testing.assert_array_equal(first.get_xdata(), known.series.time_s)
+    np.testing.assert_array_equal(first.get_ydata(), known.speed_m_s)
+    np.testing.assert_allclose(first.get_ydata(), first.get_xdata(), rtol=1e-9)
+    np.testing.assert_array_equal(second.get_ydata(), gap.speed_m_s)
+    assert np.isnan(second.get_ydata()[75:115]).all()
+    assert first.get_markevery() == 10
+    assert first.get_linestyle() != second.get_linestyle()
+    np.testing.assert_array_equal(thick_lines(below, 1.05)[0].get_ydata(), known.acceleration_m_s2)
+
+    (band,) = (c for c in above.collections if isinstance(c, PolyCollection))
+    edge = band.get_paths()[0].vertices
+    k = 33
+    at = edge[np.isclose(edge[:, 0], known.series.time_s[k])][:, 1]
+    expected = known.speed_m_s[k] + np.array([-1, 1]) * known.speed_sigma_m_s[k]
+    np.testing.assert_allclose([at.min(), at.max()], expected)
+    rings = [line.get_xydata()[0] for line in above.get_lines() if line.get_markerfacecolor() == "none"]
+    np.testing.assert_allclose(rings[1], [gap.peak_speed_time_s, gap.peak_speed_m_s])
+    assert "second: peak 2.80 m/s at 1.400 s, 2 m/s²" in texts(figure)
+    assert above.get_ylabel() == "speed (m/s)"
+
+
+# -- vector fields ---------------------------------------------------------------------------------------------------
+
+
+def test_arrows_are_velocities_to_one_scale():
+    t = times(31)
+    fields = vector_field(t, swinging(), ("a", "b", "c", "d"), np.tile([1.0, 0.0, 0.0], (31, 1)))
+    figure = plots.vector_fields(fields, t)
+    panels = np.reshape(figure.axes, (2, 2))
+    scales = set()
+    for (left, right), field in zip(panels, fields, strict=True):
+        (arrows,) = (c for c in left.collections if isinstance(c, Quiver))
+        np.testing.assert_array_equal(arrows.U, field.velocity_m_s[:, 0])
+        np.testing.assert_array_equal(arrows.V, field.velocity_m_s[:, 1])
+        np.testing.assert_array_equal(arrows.X, t)
+        scales.add((arrows.scale, arrows.scale_units, arrows.angles))
+        (line,) = right.get_lines()
+        np.testing.assert_array_equal(line.get_xydata(), np.column_stack([t, field.speed_m_s]))
+    assert len(scales) == 1
+    # The second link keeps its angle to the first: no arrows, but a mean.
+    assert f"mean {fields[0].speed_m_s.mean():.2f} m/s" in texts(figure)
+    assert "mean 0.00 m/s" in texts(figure)
+    (key,) = figure.findobj(mpl.quiver.QuiverKey)
+    assert f"{key.U:g} m/s" == key.label == "1 m/s"
+    assert "b → c  in the frame of  a → b" in texts(figure)
+
+
+def test_long_clips_leave_out_arrows_evenly():
+    t = times(200)
+    fields = vector_field(t, swinging(200), ("a", "b", "c", "d"), np.tile([1.0, 0.0, 0.0], (200, 1)))
+    figure = plots.vector_fields(fields, t)
+    (arrows,) = (c for c in figure.axes[0].collections if isinstance(c, Quiver))
+    np.testing.assert_array_equal(arrows.X, t[::5])
+    (key,) = figure.findobj(mpl.quiver.QuiverKey)
+    assert key.label == "1 m/s (one frame of 5)"
+    assert len(figure.axes[1].get_lines()[0].get_xdata()) == 200
+
+
+# -- phase portraits -------------------------------------------------------------------------------------------------
+
+
+def test_portraits_in_degrees():
+    t = times(31)
+    found = angle_kinematics(t, 0.5 * np.sin(9 * t))
+    portrait = phase_portrait(found)
+    broken = Portrait(portrait.time_s, portrait.angle_rad.copy(), portrait.rate_rad_s)
+    broken.angle_rad[100:120] = np.nan
+    figure = plots.phase_portraits({"knee_rad": portrait, "hip_rad": broken}, {"knee_rad": Closure(91.4, np.nan)})
+    first, second = figure.axes[:2]
+    (lines,) = (c for c in first.collections if isinstance(c, LineCollection))
+    drawn = np.concatenate([piece[:-1] for piece in lines.get_segments()])
+    expected = np.degrees(np.column_stack([portrait.angle_rad, portrait.rate_rad_s]))
+    np.testing.assert_allclose(drawn, expected[:-1])
+    assert np.all(np.diff(lines.get_array()) > 0)
+    assert first.get_title() == "knee\n91 / – %"
+    assert second.get_title() == "hip"
+    start, end = (line.get_xydata()[0] for line in first.get_lines())
+    np.testing.assert_allclose([start, end], expected[[0, -1]])
+    (lines,) = (c for c in second.collections if isinstance(c, LineCollection))
+    points = np.concatenate([path.vertices for path in lines.get_paths()])
+    assert np.isnan(points).any(axis=1).sum() >= 20
+    assert figure.axes[-1].get_ylabel() == "time (s)"
+
+
+def test_an_angle_that_is_held_is_shown_as_still():
+    t = times(31)
+    held = phase_portrait(angle_kinematics(t, 0.5 + 1e-7 * np.sin(9 * t)))
+    axes = plots.phase_portraits({"held": held}).axes[0]
+    assert np.ptp(axes.get_xlim()) >= 0.1
+    assert np.ptp(axes.get_ylim()) >= 1.0
+    assert np.mean(axes.get_xlim()) == pytest.approx(np.degrees(0.5), abs=1e-3)
+    assert axes.xaxis.get_offset_text().get_text() == ""
+
+
+def test_portraits_fit_on_a_page(figures):
+    (figure, single, four) = (figures[name] for name in ("portraits", "one portrait", "four portraits"))
+    assert [f.axes[0].get_gridspec().get_geometry() for f in (figure, single, four)] == [(6, 5), (1, 1), (2, 2)]
+    assert sum(axes.axison for axes in figure.axes[:-1]) == 26
+    assert all(min(axes.bbox.width, axes.bbox.height) / 100 / style.MM > 18 for axes in figure.axes[:26])
+
+
+# -- footfall --------------------------------------------------------------------------------------------------------
+
+
+def test_bars_stand_where_feet_do():
+    figure = plots.footfall(gaits(), FPS)
+    (axes,) = figure.axes
+    assert [label.get_text() for label in axes.get_yticklabels()] == ["LH", "RH", "RF", "LF"]
+    bars = [(p.get_x(), p.get_x() + p.get_width(), p.get_y() + p.get_height() / 2, p.get_hatch()) for p in axes.patches]
+    expected = [(1.1, 1.2, -0.19, ""), (1.4, 1.5, -0.19, ""), (1.7, 1.8, 1.81, ""), (1.65, 1.75, 2.19, "////")]
+    for bar, (start, end, y, hatch) in zip(bars, expected, strict=True):
+        assert bar[:3] == pytest.approx((start, end, y))
+        assert (bar[3] or "") == hatch
+    ends = [line.get_xdata() for line in axes.get_lines() if len(line.get_xdata()) == 2]
+    assert sorted(a for a, b in ends if a == b) == pytest.approx([1.1, 1.2, 1.4, 1.5, 1.65, 1.7, 1.75])  # not 1.8
+    (arrow,) = (line for line in axes.get_lines() if line.get_marker() in "<>")
+    assert (arrow.get_marker(), arrow.get_xdata()[0]) == (">", 1.8)
+    (stride,) = (line for line in axes.get_lines() if line.get_marker() == "|")
+    assert list(stride.get_xdata()) == [1.1, 1.4]
+    (frames,) = axes.child_axes
+    np.testing.assert_allclose(frames.get_xlim(), FPS * np.array(axes.get_xlim()))
+    for said in ("ground: unknown (", "stride 2.00 m, 3.33 Hz", "cut by the clip", "complete stride"):
+        assert said in texts(figure)
+
+
+# -- inverse kinematics ----------------------------------------------------------------------------------------------
+
+
+def test_paths_in_the_plane():
+    chain, target, found = drives()
+    figure = plots.task_space(found, target, chain=chain)
+    (axes,) = figure.axes
+    ways = {line.get_label(): line for line in axes.get_lines() if not line.get_label().startswith("_")}
+    assert list(ways) == ["a", "b", "far (not reached, unreachable)"]
+    np.testing.assert_array_equal(ways["b"].get_xydata(), found["b"].end_m)
+    (cross,) = (line for line in axes.get_lines() if line.get_gid() == "target")
+    np.testing.assert_array_equal(cross.get_xydata()[0], target)
+    shapes = [line.get_xydata() for line in axes.get_lines() if len(line.get_xdata()) == 4]
+    np.testing.assert_allclose(shapes[0], chain.positions(found["a"].q[0]))
+    np.testing.assert_allclose(shapes[1], chain.positions(found["a"].q[-1]))
+    assert axes.get_ylabel() == "down (m)"
+    assert axes.yaxis_inverted()
+    assert axes.get_aspect() == 1.0
+
+
+@pytest.mark.parametrize(("base", "columns"), [("UVW", ((0, 1), (0, 2))), ("xyz", ((0, 2), (0, 1)))])
+def test_paths_in_space_from_the_side_and_from_above(base, columns):
+    _, target, found = drives(3)
+    figure = plots.task_space(found, target, base=base)
+    for axes, view, name in zip(figure.axes, columns, ("side", "top"), strict=True):
+        assert axes.get_title(loc="left") == name
+        np.testing.assert_array_equal(axes.get_lines()[0].get_xydata(), found["a"].end_m[:, view])
+    assert figure.axes[0].yaxis_inverted() == (base == "UVW")
+    assert not figure.axes[1].yaxis_inverted()
+
+
+def test_joint_angles_in_degrees():
+    _, _, found = drives()
+    figure = plots.joint_space(found, names=("shoulder", "elbow", "wrist"))
+    for joint, axes in enumerate(figure.axes):
+        assert axes.get_title() == ("shoulder", "elbow", "wrist")[joint]
+        for line, drive in zip(axes.get_lines(), found.values(), strict=True):
+            np.testing.assert_allclose(line.get_ydata(), np.degrees(drive.q[:, joint]))
+            np.testing.assert_array_equal(line.get_xdata(), np.arange(len(drive.q)))
+        assert axes.get_xlabel() == "iteration"
+
+
+def test_distances_in_millimetres():
+    _, _, found = drives()
+    figure = plots.distances(found)
+    (axes,) = figure.axes
+    assert axes.get_yscale() == "log"
+    lines = axes.get_lines()
+    for k, drive in enumerate(found.values()):
+        np.testing.assert_allclose(lines[2 * k].get_ydata(), 1000 * drive.distance_m)
+    assert [line.get_marker() for line in lines[1:6:2]] == ["o", "o", "X"]
+    (tolerance,) = (line for line in lines if line.get_gid() == "tolerance")
+    assert set(tolerance.get_ydata()) == {3.0}
+    assert f"a: {found['a'].iterations}\n" in texts(figure) + "\n"
+    assert "far: 0 (not reached, unreachable)" in texts(figure)
+
+
+def test_closures_by_joint_and_method():
+    found = {
+        "a": Closures(np.array([90.0, 80.0]), np.array([70.0, 60.0])),
+        "b": Closures(*np.array([[99.0, np.nan]] * 2)),
+    }
+    figure = plots.closures(found, names=("hip", "knee"))
+    left, right = figure.axes
+    assert [label.get_text() for label in left.get_yticklabels()] == ["hip", "knee"]
+    for axes, kind in ((left, "angle"), (right, "plane")):
+        dots = [line for line in axes.get_lines() if line.get_linestyle() == "None"]
+        for line, values in zip(dots, found.values(), strict=True):
+            np.testing.assert_array_equal(line.get_xdata(), getattr(values, kind))
+            assert np.all(np.abs(np.array(line.get_ydata()) - [0, 1]) < 0.5)
+        assert dots[0].get_marker() != dots[1].get_marker()
