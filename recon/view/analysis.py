@@ -41,22 +41,23 @@ def _with_sigma(found: ClipAnalysis, entity: str, title: str, values: Array, sig
         names=names,
         colours=[TRAIL, LINK, LINK][: len(lines)],
         values=np.stack(lines, axis=1),
-        shown=values[:, None],
+        shown=values[:, None] if entity == "acceleration" else None,  # its deviations are many times as large
         time_s=found.joints[found.reference].series.time_s,
         tab="Kinematics",
     )
 
 
 def _links(found: ClipAnalysis) -> Iterator[AddedSeries]:
+    paws = {*found.results.feet.values()}
     for limb, fields in found.fields.items():
         yield AddedSeries(
             entity=f"links/{limb.replace(' ', '_')}",
-            title=f"{limb}: tips about their parents (m/s)",
+            title=f"{limb} (m/s)",
             names=[field.link[1].replace("_", " ") for field in fields],
             colours=[LIMB_COLOURS[i % len(LIMB_COLOURS)] for i in range(len(fields))],
             values=np.stack([field.speed_m_s for field in fields], axis=1),
             time_s=found.results.time_s,
-            tab="Links",
+            tab="Legs, tips about parents" if paws & {fields[-1].link[1]} else "Trunk, tips about parents",
         )
 
 
