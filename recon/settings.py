@@ -57,8 +57,8 @@ class FitSettings(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    keypoints: FilePath = Field(description="a DeepLabCut file, CSV or H5")
-    fps: Positive = Field(description="frames per second above 0, as in 120")
+    keypoints: FilePath = Field(description="a keypoint file, as of DeepLabCut or SLEAP")
+    fps: Positive | None = Field(default=None, description="frames per second above 0, as in 120")
     method: Literal["trajectory", "frame"] = Field(default="trajectory", description="trajectory or frame")
     skeleton: NameOrFile | None = Field(default=None, description="the name of a built-in skeleton, or a TOML file")
     subject: NameOrFile | None = Field(

@@ -510,7 +510,21 @@ def test_everything_that_is_needed_and_not_given_is_named():
     ended = run("fit")
     assert ended.code == 2
     named = [line.split(": ")[1] for line in ended.err.splitlines()]
-    assert named == ["KEYPOINTS", "--fps", "--camera", "--out"]
+    assert named == ["KEYPOINTS", "--camera", "--out"]
+
+
+def test_the_frame_rate_comes_from_the_file_or_has_to_be_given(tmp_path):
+    missing = run("fit", CLIP, "--camera", tmp_path / "none.toml", "--out", tmp_path / "a")
+    assert missing.code == 2
+    assert "--fps: fps: found nothing, and noisy.csv does not say" in missing.err
+    assert "none.toml" in missing.err  # together with what is wrong with the camera
+    stated = tmp_path / "stated.nc"
+    assert run("convert", CLIP, stated, "--fps", 30).code == 0
+    args = ("--camera", CAMERA, "--method", "frame", "--frames", ":3", "-q")
+    assert run("fit", stated, *args, "--out", tmp_path / "b") == Ended(0, "", "")
+    assert report_of(tmp_path / "b")["input"]["fps"] == 30.0
+    assert run("fit", stated, *args, "--fps", 60, "--out", tmp_path / "c") == Ended(0, "", "")
+    assert report_of(tmp_path / "c")["input"]["fps"] == 60.0
 
 
 def test_no_out():

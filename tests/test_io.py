@@ -518,9 +518,10 @@ def test_pose3d(tmp_path):
 @pytest.mark.parametrize(
     ("text", "expected"),
     [
-        (SINGLE, "bodypart nose: found no z"),
-        (MULTI, "several animals"),
+        (SINGLE, "found no z .DeepLabCut"),
+        (MULTI, "found no z .DeepLabCut"),
         ("frame,x,y,z\n", "begins with 'frame,x,y,z'"),
+        (SINGLE.replace("coords,x,y,likelihood", "coords,x,y,z"), "bodypart tail: found no z"),
         ("", "an empty file"),
     ],
 )

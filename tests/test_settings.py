@@ -184,7 +184,7 @@ def test_every_wrong_setting_is_named_at_once():
         "--camera",
         "--camera-name",
     ]
-    assert found[0] == "KEYPOINTS: keypoints: found nothing, expected a DeepLabCut file, CSV or H5"
+    assert found[0] == "KEYPOINTS: keypoints: found nothing, expected a keypoint file, as of DeepLabCut or SLEAP"
 
 
 def test_no_message_is_in_the_language_of_the_validator():

@@ -17,7 +17,11 @@ _TRAJECTORY, _FRAME = "Trajectory method", "Frame method"
 def fit(
     keypoints: Annotated[
         Path | None,
-        typer.Argument(metavar="KEYPOINTS", help="DeepLabCut file, CSV or H5, as in clip.csv.", show_default=False),
+        typer.Argument(
+            metavar="KEYPOINTS",
+            help="Keypoint file, as in clip.csv: DeepLabCut, SLEAP, movement, NWB, COCO or a plain table.",
+            show_default=False,
+        ),
     ] = None,
     camera: Annotated[
         Path | None,
@@ -26,7 +30,10 @@ def fit(
     camera_name: Annotated[
         str | None, typer.Option(help="Which camera of the file, by name or number, as in cam2 or 2.")
     ] = None,
-    fps: Annotated[float | None, typer.Option(help="Frame rate of the video in Hz, as in 120.")] = None,
+    fps: Annotated[
+        float | None,
+        typer.Option(help="Frame rate of the video in Hz, as in 120. (default: what the file says, if it does)"),
+    ] = None,
     out: Annotated[Path | None, typer.Option(help="Folder for the results, as in results/clip1.")] = None,
     method: Annotated[
         str | None,

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from recon.errors import InputError, Problem
-from recon.io import deeplabcut
+from recon.io import coco, columns, deeplabcut, movement, nwb, sleap
 from recon.keypoints import Keypoints
 
 
@@ -28,7 +28,14 @@ class Reader:
     read: Callable[[Path, str | None], Keypoints]
 
 
-READERS: tuple[Reader, ...] = (Reader("DeepLabCut CSV or H5", deeplabcut.recognises, deeplabcut.read),)
+READERS: tuple[Reader, ...] = (
+    Reader("DeepLabCut CSV or H5", deeplabcut.recognises, deeplabcut.read),
+    Reader("SLEAP analysis H5", sleap.recognises, sleap.read),
+    Reader("movement netCDF", movement.recognises, movement.read),
+    Reader("ndx-pose NWB", nwb.recognises, nwb.read),
+    Reader("COCO JSON", coco.recognises, coco.read),
+    Reader("plain CSV, long or wide", columns.recognises, columns.read),
+)
 
 
 def read_keypoints(path: str | Path, individual: str | None = None) -> Keypoints:

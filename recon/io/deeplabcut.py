@@ -13,7 +13,7 @@ import warnings
 from array import array
 from collections.abc import Iterator, Sequence
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path, PureWindowsPath
 from typing import NamedTuple
 
@@ -22,6 +22,7 @@ import pandas as pd
 import tables
 
 from recon.errors import InputError, Problem
+from recon.io.common import PROBLEMS_SHOWN, first_problems, is_hdf5, rate
 from recon.keypoints import Keypoints
 
 HEADERS = (
@@ -34,9 +35,8 @@ COORDS = ("x", "y", "z", "likelihood")
 # DeepLabCut files the bodyparts that belong to no animal, such as the corners of the arena, under this individual.
 UNIQUE_BODYPARTS = "single"
 MISSING_CELLS = ("", "nan", "na")
-# Enough to see what is wrong with a file; a file of the wrong kind has thousands.
-PROBLEMS_SHOWN = 10
-HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
+SCORER = "recon"
+"""Of our own files; where the frame rate is known, it stands in it: recon_90fps."""
 
 
 class Column(NamedTuple):
@@ -52,12 +52,14 @@ class Column(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Table:
-    """A whole file: numbers (T, C) float, NaN = empty cell, no infinities; frames (T,) int, strictly increasing."""
+    """A whole file: numbers (T, C) float, NaN = empty cell, no infinities; frames (T,) int, strictly increasing; fps
+    as the scorer of our own files has it."""
 
     columns: tuple[Column, ...]
     numbers: np.ndarray
     frames: np.ndarray
     notes: tuple[str, ...]
+    fps: float | None = None
 
 
 def recognises(path: Path) -> bool:
@@ -65,7 +67,7 @@ def recognises(path: Path) -> bool:
 
     Raises InputError for an HDF5 file that cannot be opened.
     """
-    if _is_hdf5(path):
+    if is_hdf5(path):
         return bool(_pandas_keys(path))
     with path.open("rb") as file:
         head = file.read(64).removeprefix(b"\xef\xbb\xbf")
@@ -78,8 +80,7 @@ def read(path: Path, individual: str | None = None) -> Keypoints:
     individual: which animal, where there are several. Raises InputError naming what is wrong: header, cells, frame
     numbers, or a choice that is missing.
     """
-    table = _read_h5(path) if _is_hdf5(path) else read_csv(path)
-    table, animal = _of_one_animal(table, path, individual)
+    table, animal = of_one_animal(read_table(path), path, individual)
     if any(c.coord == "z" for c in table.columns):
         raise InputError(Problem(path, "coords", "x, y, z: 3D positions", "2D keypoints in pixels (x, y, likelihood)"))
     names, values = gather(table, path, required=("x", "y"), optional=("likelihood",))
@@ -88,7 +89,14 @@ def read(path: Path, individual: str | None = None) -> Keypoints:
     if np.any((likelihood < 0) | (likelihood > 1)):
         low, high = np.nanmin(likelihood), np.nanmax(likelihood)
         notes += (f"Likelihoods range from {low:g} to {high:g}; those of DeepLabCut lie between 0 and 1.",)
-    return Keypoints(names, xy_px, likelihood, table.frames, individual=animal, source=str(path), notes=notes)
+    return Keypoints(
+        names, xy_px, likelihood, table.frames, fps=table.fps, individual=animal, source=str(path), notes=notes
+    )
+
+
+def read_table(path: Path) -> Table:
+    """A file that is recognised, 2D or 3D, with all its animals. Raises InputError."""
+    return _read_h5(path) if is_hdf5(path) else read_csv(path)
 
 
 def gather(
@@ -116,7 +124,7 @@ def gather(
             if (name, coord) in where:
                 values[:, k, i] = table.numbers[:, where[name, coord]]
     if problems:
-        raise InputError(_first(problems, path))
+        raise InputError(first_problems(problems, path))
     return names, values
 
 
@@ -126,7 +134,7 @@ def read_csv(path: Path) -> Table:
     with path.open(encoding="utf-8-sig", newline="") as file:
         rows = csv.reader(file)
         try:
-            columns, index_columns, notes = _read_header(path, rows)
+            columns, index_columns, notes, fps = _read_header(path, rows)
             index: list[tuple[str, ...]] = []
             values = array("d")
             bad: list[tuple[int, int, str]] = []
@@ -149,11 +157,14 @@ def read_csv(path: Path) -> Table:
             raise InputError(Problem(path, "text", "bytes that are not UTF-8", "a text file in UTF-8")) from error
         except csv.Error as error:
             raise InputError(Problem(path, f"line {rows.line_num}", str(error), "comma-separated text")) from error
-    return _table(path, columns, np.array(values).reshape(-1, len(columns)), index, bad, problems, notes)
+    table = _table(path, columns, np.array(values).reshape(-1, len(columns)), index, bad, problems, notes)
+    return replace(table, fps=fps)
 
 
-def _read_header(path: Path, rows: Iterator[list[str]]) -> tuple[tuple[Column, ...], int, tuple[str, ...]]:
-    """Columns, number of index columns, notes."""
+def _read_header(
+    path: Path, rows: Iterator[list[str]]
+) -> tuple[tuple[Column, ...], int, tuple[str, ...], float | None]:
+    """Columns, number of index columns, notes, frame rate."""
     header: dict[str, list[str]] = {}
     first = ""
     for row in rows:
@@ -178,7 +189,13 @@ def _read_header(path: Path, rows: Iterator[list[str]]) -> tuple[tuple[Column, .
     blank = [""] * len(coords)
     levels = (header.get("individuals", blank), header["bodyparts"], coords)
     columns, notes = _columns(path, [level[index_columns:] for level in levels])
-    return columns, index_columns, notes
+    return columns, index_columns, notes, _fps(header.get("scorer", [])[index_columns:])
+
+
+def _fps(scorers: Sequence[str]) -> float | None:
+    """The frame rate, if the file is ours and has it."""
+    match = re.fullmatch(rf"{SCORER}_([0-9.e+-]+)fps", scorers[0]) if scorers else None
+    return rate(match[1]) if match else None
 
 
 def _read_h5(path: Path) -> Table:
@@ -206,7 +223,8 @@ def _read_h5(path: Path) -> Table:
     except (TypeError, ValueError):
         cells = frame.astype(object).where(frame.notna(), "").astype(str).to_numpy().tolist()
         values = np.array([_numbers(row, i, bad) for i, row in enumerate(cells)])
-    return _table(path, columns, values, index, bad, [], notes)
+    scorers = frame.columns.get_level_values("scorer")[:1] if "scorer" in frame.columns.names else ()
+    return replace(_table(path, columns, values, index, bad, [], notes), fps=_fps([str(s) for s in scorers]))
 
 
 def _h5_levels(path: Path, columns: pd.Index) -> list[list[str]]:
@@ -233,11 +251,6 @@ def _pandas_keys(path: Path) -> list[str]:
         raise InputError(Problem(path, "file", "an HDF5 file that is cut off or damaged", "a whole file")) from error
 
 
-def _is_hdf5(path: Path) -> bool:
-    with path.open("rb") as file:
-        return file.read(len(HDF5_SIGNATURE)) == HDF5_SIGNATURE
-
-
 def _columns(path: Path, levels: Sequence[Sequence[str]]) -> tuple[tuple[Column, ...], tuple[str, ...]]:
     """Columns with stray blanks removed from their names, and a note for each name that had some."""
     raw = [Column(*parts) for parts in zip(*levels, strict=True)]
@@ -255,7 +268,7 @@ def _columns(path: Path, levels: Sequence[Sequence[str]]) -> tuple[tuple[Column,
     if not columns:
         problems = [Problem(path, "header rows", "no columns", "at least one bodypart")]
     if problems:
-        raise InputError(_first(problems, path))
+        raise InputError(first_problems(problems, path))
     names = dict.fromkeys(name for column in raw for name in column[:2])
     return columns, tuple(f"'{name}' is read as '{name.strip()}'." for name in names if name != name.strip())
 
@@ -286,7 +299,7 @@ def _table(
         numbers, count = np.unique(np.array(frames), return_counts=True)
         problems = [Problem(path, f"frame {number}", "more than one row", "one") for number in numbers[count > 1]]
     if problems:
-        raise InputError(_first(problems, path))
+        raise InputError(first_problems(problems, path))
     order = np.argsort(frames)
     if np.any(np.diff(order) != 1):
         notes += ("The rows were not in the order of their frame numbers and have been sorted.",)
@@ -335,8 +348,8 @@ def _numbers(cells: Sequence[str], row: int, bad: list[tuple[int, int, str]]) ->
     return numbers
 
 
-def _of_one_animal(table: Table, path: Path, individual: str | None) -> tuple[Table, str | None]:
-    """The columns of the chosen animal, and its name where the file names animals."""
+def of_one_animal(table: Table, path: Path, individual: str | None) -> tuple[Table, str | None]:
+    """The columns of the chosen animal, and its name where the file names animals. Raises InputError."""
     everyone = list(dict.fromkeys(c.individual for c in table.columns))
     if everyone == [""]:
         if individual is not None:
@@ -353,16 +366,8 @@ def _of_one_animal(table: Table, path: Path, individual: str | None) -> tuple[Ta
         notes += (f"Left out, because they are no part of an animal: {', '.join(left_out)}.",)
     keep = [j for j, c in enumerate(table.columns) if c.individual == chosen]
     columns = tuple(table.columns[j] for j in keep)
-    return Table(columns, table.numbers[:, keep], table.frames, notes), chosen
+    return replace(table, columns=columns, numbers=table.numbers[:, keep], notes=notes), chosen
 
 
 def _header_problem(path: Path, found: str) -> Problem:
     return Problem(path, "header", found, "; or ".join(", ".join(h) for h in HEADERS))
-
-
-def _first(problems: list[Problem], path: Path) -> list[Problem]:
-    """The first problems, and how many more there are."""
-    more = len(problems) - PROBLEMS_SHOWN
-    if more <= 0:
-        return problems
-    return [*problems[:PROBLEMS_SHOWN], Problem(path, "more", f"{more} problems like these", "none")]

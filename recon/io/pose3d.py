@@ -1,56 +1,104 @@
-"""3D positions by joint and frame, as CSV files with the header rows `bodyparts, coords`."""
+"""3D positions by joint and frame: the table of their formats, and motions for priors.
+
+A new format is one module with `recognises(path)` and `read_pose(path, individual)`, and one line in `POSE_READERS`.
+"""
 
 from __future__ import annotations
 
 import csv
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from recon.errors import InputError, Problem
-from recon.io import describe, file_head
-from recon.io.deeplabcut import PROBLEMS_SHOWN, Column, Table, gather, read_csv, recognises
+from recon.io import READERS, bvh, c3d, columns, describe, file_head, movement, npz, nwb, parquet, trc
+from recon.io import deeplabcut_pose as dlc
+from recon.io.common import PROBLEMS_SHOWN
+from recon.io.deeplabcut import Column, Table, gather
+from recon.io.pose import PER_METRE, Pose3D, StoredPose, z_up_from_y_up
 
 
-@dataclass(frozen=True, eq=False)
-class Pose3D:
-    """names: J joints; xyz_m: (T, J, 3) float, metres, NaN = missing; frames: (T,) int, strictly increasing.
+@dataclass(frozen=True)
+class PoseReader:
+    """One format of 3D positions.
 
-    Raises ValueError where they do not fit together.
+    recognises: whether a readable file, not empty, is of this format and 3D; it looks at the content, not at the name.
+    read: the positions of one animal as the file has them; raises InputError. unit and up: where the file does not say
+    them; None for a unit that the user has to give.
     """
 
-    names: tuple[str, ...]
-    xyz_m: np.ndarray
-    frames: np.ndarray
-    source: str | None = None
-
-    def __post_init__(self) -> None:
-        if self.xyz_m.shape != (len(self.frames), len(self.names), 3):
-            raise ValueError(f"{len(self.frames)} frames of {len(self.names)} joints, but positions {self.xyz_m.shape}")
-        if len(set(self.names)) != len(self.names) or np.any(np.diff(self.frames) <= 0):
-            raise ValueError("names must be unique and frames strictly increasing")
-        if np.isinf(self.xyz_m).any():
-            raise ValueError("a position is infinite")
+    name: str
+    recognises: Callable[[Path], bool]
+    read: Callable[[Path, str | None], StoredPose]
+    unit: str | None = None
+    up: str = "z"
 
 
-def read_pose3d(path: str | Path) -> Pose3D:
-    """Reads x, y, z per joint from a CSV file; DeepLabCut's third header row, `scorer`, is optional.
+POSE_READERS: tuple[PoseReader, ...] = (
+    PoseReader("pose3d.csv, DeepLabCut 3D CSV or H5", dlc.recognises_pose, dlc.read_pose, unit="m"),
+    PoseReader("TRC", trc.recognises, trc.read_pose, up="y"),
+    PoseReader("C3D", c3d.recognises, c3d.read_pose),
+    PoseReader("BVH", bvh.recognises, bvh.read_pose, up="y"),
+    PoseReader("NPZ", npz.recognises, npz.read_pose),
+    PoseReader("Parquet", parquet.recognises, parquet.read_pose),
+    PoseReader("movement netCDF", movement.recognises_pose, movement.read_pose),
+    PoseReader("ndx-pose NWB", nwb.recognises_pose, nwb.read_pose),
+    PoseReader("plain CSV", columns.recognises_pose, columns.read_pose),
+)
 
-    The file does not say its unit: it must be metres. Raises InputError.
+
+def read_pose3d(
+    path: str | Path, individual: str | None = None, unit: str | None = None, up: str | None = None
+) -> Pose3D:
+    """Positions in any known format, in metres, z up.
+
+    unit (m, cm, mm) and up (y, z): what the file does not say of itself. Where neither says it, DeepLabCut's layouts
+    are metres, TRC and BVH y up, and all others z up. individual: the animal's name, needed where there are several.
+    Raises InputError for a file that is missing, of no known format, or faulty, and for a unit that nobody states.
     """
     path = Path(path)
     head = file_head(path)
-    if not recognises(path) or head.startswith(b"\x89HDF"):
-        raise InputError(
-            Problem(path, "format", describe(head), "CSV with the header rows bodyparts, coords (x, y, z)")
-        )
-    table = read_csv(path)
-    if any(column.individual for column in table.columns):
-        raise InputError(Problem(path, "header", "several animals", "the joints of one animal"))
-    names, xyz_m = gather(table, path, required=("x", "y", "z"))
-    return Pose3D(names, xyz_m, table.frames, source=str(path))
+    for reader in POSE_READERS:
+        if reader.recognises(path):
+            return in_metres(path, reader, reader.read(path, individual), unit, up)
+    known = next((r.name for r in READERS if r.recognises(path)), None)
+    if known is None:
+        expected = "one of: " + ", ".join(r.name for r in POSE_READERS)
+        raise InputError(Problem(path, "format", describe(head), expected))
+    raise InputError(Problem(path, "coords", f"no z ({known})", "x, y, z: 3D positions"))
+
+
+def in_metres(path: Path, reader: PoseReader, stored: StoredPose, unit: str | None, up: str | None) -> Pose3D:
+    """The positions of a file in our unit and axes; unit and up as for `read_pose3d`. Raises InputError."""
+    notes = list(stored.notes)
+    problems = [
+        Problem(path, name, f"{given} as given, but {stated} in the file", "one of the two")
+        for name, given, stated in (("unit", unit, stored.unit), ("up", up, stored.up))
+        if given is not None and stated is not None and given != stated
+    ]
+    unit = unit or stored.unit or reader.unit
+    if unit not in PER_METRE:
+        found = "none in the file" if unit is None else unit
+        problems.append(Problem(path, "unit", found, f"one of: {', '.join(PER_METRE)} (--unit)"))
+    if up is None and stored.up is None and reader.up != "z":
+        notes.append(f"The file does not say which way is up: read as {reader.up} up, as is the custom (or --up z).")
+    up = up or stored.up or reader.up
+    if up not in ("y", "z"):
+        problems.append(Problem(path, "up", up, "y or z (--up)"))
+    if problems or unit is None:
+        raise InputError(problems)
+    xyz_m = stored.xyz / PER_METRE[unit]
+    return Pose3D(
+        stored.names,
+        z_up_from_y_up(xyz_m) if up == "y" else xyz_m,
+        stored.frames,
+        source=str(path),
+        fps=stored.fps,
+        edges=stored.edges,
+        notes=tuple(notes),
+    )
 
 
 def read_pose_segments(path: str | Path) -> dict[str, Pose3D]:

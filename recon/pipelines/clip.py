@@ -55,7 +55,7 @@ def fit_frames(settings: FitSettings, progress: Progress = _silent) -> FrameMoti
     skeleton, camera, file = all_of(
         lambda: load_chain(settings.skeleton_name),
         lambda: _camera(settings),
-        lambda: read_keypoints(settings.keypoints, settings.individual),
+        lambda: read_clip(settings),
     )
     keypoints, cleaning = _cleaned(file, _keypoints_of(skeleton), skeleton.name, camera, settings)
     side, reason = _side(skeleton, keypoints, settings)
@@ -66,7 +66,7 @@ def fit_frames(settings: FitSettings, progress: Progress = _silent) -> FrameMoti
         skeleton,
         fitted.xy_px,
         fitted.confidence,
-        settings.fps,
+        file.fps,
         settings.frame_options(),
         lambda done: progress("frames", done / T),
     )
@@ -78,7 +78,7 @@ def fit_trajectory(settings: FitSettings, progress: Progress = _silent) -> Traje
     (skeleton, body, prior), camera, file = all_of(
         lambda: _body_and_prior(settings),
         lambda: _camera(settings),
-        lambda: read_keypoints(settings.keypoints, settings.individual),
+        lambda: read_clip(settings),
     )
     wanted = body.markers if skeleton is None else _keypoints_of(skeleton)
     keypoints, cleaning = _cleaned(file, wanted, body.name, camera, settings)
@@ -93,7 +93,7 @@ def fit_trajectory(settings: FitSettings, progress: Progress = _silent) -> Traje
         prior,
         fitted.xy_px,
         fitted.confidence,
-        settings.fps,
+        file.fps,
         settings.trajectory_options(),
         progress,
     )
@@ -148,6 +148,16 @@ def arrange(keypoints: Keypoints, names: tuple[str, ...]) -> Keypoints:
     return replace(keypoints, names=names, xy_px=xy, confidence=confidence)
 
 
+def read_clip(settings: FitSettings) -> Keypoints:
+    """The keypoint file, with the frame rate as given or its own. Raises InputError, also without a frame rate."""
+    file = read_keypoints(settings.keypoints, settings.individual)
+    fps = file.fps if settings.fps is None else settings.fps
+    if fps is None:
+        found = f"nothing, and {settings.keypoints.name} does not say"
+        raise InputError(Problem("--fps", "fps", found, "frames per second above 0, as in 120"))
+    return replace(file, fps=fps)
+
+
 def _camera(settings: FitSettings) -> Camera:
     if settings.camera is not None:
         camera = read_camera(settings.camera, settings.camera_name, settings.image_size_px)
@@ -195,7 +205,7 @@ def _cleaned(
     or where they lie outside the camera's picture."""
     _require_keypoints_of(wanted, skeleton, file)
     frames = parse_frame_range(settings.frames) if settings.frames else None
-    keypoints, cleaning = clean(replace(file, fps=settings.fps), settings.likelihood_min, frames)
+    keypoints, cleaning = clean(file, settings.likelihood_min, frames)
     _require_inside(camera, keypoints, settings)
     return keypoints, cleaning
 

@@ -1,0 +1,92 @@
+"""The table of formats that keypoints and 3D positions can be written in, for `recon convert`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from recon.errors import InputError, Problem
+from recon.export import bvh, c3d, coco, deeplabcut, movement, npz, nwb, parquet, plain_csv, sleap, trc
+from recon.io.pose import Pose3D
+from recon.keypoints import Keypoints
+
+
+@dataclass(frozen=True)
+class Format:
+    """name: for `--to`; extensions: the first is the usual one; fps: where it has the frame rate, or needed if it
+    cannot be without; frames: where it has the frame numbers; axes: unit and axes of 3D positions."""
+
+    name: str
+    title: str
+    extensions: tuple[str, ...]
+    keypoints: Callable[[Keypoints, Path], None] | None
+    pose: Callable[[Pose3D, Path], None] | None
+    fps: str
+    frames: str
+    axes: str = ""
+
+    @property
+    def kinds(self) -> str:
+        return ", ".join(kind for kind, writer in (("2D", self.keypoints), ("3D", self.pose)) if writer)
+
+
+FORMATS: tuple[Format, ...] = (
+    Format(
+        "deeplabcut",
+        "DeepLabCut CSV",
+        (".csv",),
+        deeplabcut.write_keypoints_csv,
+        deeplabcut.write_pose_csv,
+        "in the scorer",
+        "kept",
+        "m, z up",
+    ),
+    Format(
+        "deeplabcut",
+        "DeepLabCut H5",
+        (".h5", ".hdf5"),
+        deeplabcut.write_keypoints_h5,
+        deeplabcut.write_pose_h5,
+        "in the scorer",
+        "kept",
+        "m, z up",
+    ),
+    Format("long", "long CSV", (".csv",), plain_csv.write_long, None, "as a column", "kept"),
+    Format("wide", "wide CSV", (".csv",), plain_csv.write_wide, None, "as a column", "kept"),
+    Format("sleap", "SLEAP analysis H5", (".analysis.h5", ".h5"), sleap.write, None, "in provenance", "from frame 0"),
+    Format(
+        "movement",
+        "movement netCDF",
+        (".nc",),
+        movement.write_keypoints,
+        movement.write_pose,
+        "kept",
+        "as times",
+        "m, z up",
+    ),
+    Format("nwb", "ndx-pose NWB", (".nwb",), nwb.write_keypoints, nwb.write_pose, "needed", "as times", "m, z up"),
+    Format("coco", "COCO JSON", (".json",), coco.write, None, "in info", "kept"),
+    Format("parquet", "Parquet", (".parquet",), None, parquet.write, "in metadata", "kept", "m, z up"),
+    Format("trc", "TRC", (".trc",), None, trc.write, "needed", "kept", "m, y up"),
+    Format("c3d", "C3D", (".c3d",), None, c3d.write, "needed", "RECON:FRAMES", "mm, z up"),
+    Format("bvh", "BVH", (".bvh",), None, bvh.write, "needed", "in ROOT", "m, y up"),
+    Format("npz", "NPZ", (".npz",), None, npz.write, "kept", "kept", "m, z up"),
+)
+"""Where an extension has several, the first is meant unless `--to` names another."""
+
+
+def choose_format(out: Path, name: str | None) -> Format:
+    """By the name of a format, if given, and the file's extension; the longest extension that fits counts.
+
+    Raises InputError for names and extensions that are not there.
+    """
+    names = tuple(dict.fromkeys(f.name for f in FORMATS))
+    if name is not None and name not in names:
+        raise InputError(Problem("--to", "format", f"'{name}'", f"one of: {', '.join(names)}"))
+    named = [f for f in FORMATS if name in (None, f.name)]
+    fitting = [(len(e), -i, f) for i, f in enumerate(named) for e in f.extensions if out.name.lower().endswith(e)]
+    if not fitting:
+        expected = ", ".join(dict.fromkeys(e for f in named for e in f.extensions))
+        raise InputError(Problem(out, "extension", f"'{out.suffix}'", f"one of: {expected}"))
+    return max(fitting, key=lambda fit: fit[:2])[2]

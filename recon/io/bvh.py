@@ -1,0 +1,181 @@
+"""BVH files of moving skeletons: the joints' positions, by forward kinematics. y up by custom; the unit is not stated.
+
+Channels of position take the place of a joint's OFFSET, as most programs have it. End sites are joints, called as
+their parents with `_end`, unless they have no length. In our own files the root says the unit and the frame numbers,
+and a joint that turns by 360 degrees is missing in that frame (see `recon.export.bvh`).
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from recon.errors import InputError, Problem
+from recon.io.common import frames_of_text, name_problems
+from recon.io.pose import StoredPose
+
+OWN_ROOT = "recon_m_yup_frames_"
+MISSING_DEG = 360.0
+AXES = "XYZ"
+
+
+@dataclass
+class _Joint:
+    """parent: its place in the list, -1 for the root; channels: such as Xposition, with their columns."""
+
+    name: str
+    parent: int
+    offset: list[float] = field(default_factory=list)
+    channels: list[str] = field(default_factory=list)
+    column: int = 0
+    end: bool = False
+
+
+def recognises(path: Path) -> bool:
+    with path.open("rb") as file:
+        return file.read(64).removeprefix(b"\xef\xbb\xbf").lstrip().startswith(b"HIERARCHY")
+
+
+def read_pose(path: Path, individual: str | None = None) -> StoredPose:
+    """Raises InputError for a file that is cut off or no BVH, and for a choice of animals: BVH has one."""
+    if individual is not None:
+        raise InputError(Problem(path, "individual", "a file without named animals", f"an animal '{individual}'"))
+    try:
+        lines = iter([line.strip() for line in path.read_text(encoding="utf-8-sig").splitlines() if line.strip()])
+    except UnicodeDecodeError:
+        raise InputError(Problem(path, "text", "bytes that are not UTF-8", "a text file in UTF-8")) from None
+    try:
+        joints = _hierarchy(lines)
+        count = int(_value(lines, r"Frames:\s*(\S+)"))
+        frame_time_s = float(_value(lines, r"Frame Time:\s*(\S+)"))
+        rows = [[float(cell) for cell in line.split()] for line in lines]
+    except (ValueError, StopIteration) as error:
+        raise InputError(Problem(path, "content", f"{error or 'the end of the file'}", "a whole BVH file")) from None
+    width = sum(len(joint.channels) for joint in joints)
+    problems = [
+        Problem(path, f"frame {i + 1} of MOTION", f"{len(row)} numbers", f"{width}, one for each channel")
+        for i, row in enumerate(rows)
+        if len(row) != width
+    ][:3]
+    if len(rows) != count or not count:
+        problems.append(Problem(path, "MOTION", f"{len(rows)} rows, and Frames: {count}", "as many, at least one"))
+    if not 0 < frame_time_s < float("inf"):
+        problems.append(Problem(path, "Frame Time", f"{frame_time_s:g}", "seconds above 0"))
+    kept = [j for j, joint in enumerate(joints) if not joint.end or any(joint.offset)]
+    own = (
+        frames_of_text(joints[0].name.removeprefix(OWN_ROOT).split("_"))
+        if joints[0].name.startswith(OWN_ROOT)
+        else None
+    )
+    if own is not None:
+        kept = [j for j in kept if j > 0 and not joints[j].end]
+    names = tuple(joints[j].name for j in kept)
+    problems += name_problems(path, "joints", names)
+    motion = np.array(rows) if not problems else np.zeros((0, width))
+    if not np.isfinite(motion).all():
+        problems.append(Problem(path, "MOTION", "numbers that are not finite", "numbers"))
+    if problems:
+        raise InputError(problems)
+    xyz = _positions(joints, motion)[:, kept]
+    frames = np.arange(count)
+    fps = float(f"{1 / frame_time_s:.9g}")
+    if own is not None and len(own) <= count and own[-1] - own[0] == count - 1:
+        xyz[_marked(joints, motion)[:, kept]] = np.nan
+        frames, xyz = own, xyz[own - own[0]]
+    inner = {j: joints[j].parent for j in kept}
+    edges = tuple((joints[p].name, joints[j].name) for j, p in inner.items() if p in inner)
+    known = own is not None
+    return StoredPose(names, xyz, frames, fps=fps, unit="m" if known else None, up="y" if known else None, edges=edges)
+
+
+def _hierarchy(lines: Iterator[str]) -> list[_Joint]:
+    """The joints in the order of their channels, each after its parent. Raises ValueError, StopIteration."""
+    if next(lines) != "HIERARCHY":
+        raise ValueError("no HIERARCHY")
+    joints: list[_Joint] = []
+    open_: list[int] = []
+    columns = 0
+    for line in lines:
+        word, *rest = line.split()
+        if word == "MOTION":
+            break
+        if word in ("ROOT", "JOINT", "End"):
+            if (word == "ROOT") != (not joints):
+                raise ValueError(f"'{line}', which is a second ROOT or before one")
+            parent = open_[-1] if open_ else -1
+            name = f"{joints[parent].name}_end" if word == "End" else line[len(word) :].strip()
+            joints.append(_Joint(name, parent, end=word == "End"))
+        elif word == "{":
+            open_.append(len(joints) - 1)
+        elif word == "}" and open_:
+            open_.pop()
+        elif word == "OFFSET" and len(rest) == 3 and open_:
+            joints[open_[-1]].offset = [float(cell) for cell in rest]
+        elif word == "CHANNELS" and open_:
+            joint = joints[open_[-1]]
+            joint.channels = rest[1:]
+            if len(joint.channels) != int(rest[0]) or not all(
+                re.fullmatch(r"[XYZ](position|rotation)", c) for c in joint.channels
+            ):
+                raise ValueError(f"'{line}', which are no channels")
+            joint.column = columns
+            columns += len(joint.channels)
+        else:
+            raise ValueError(f"'{line[:60]}' in the hierarchy")
+    if open_ or not joints or not all(joint.offset for joint in joints):
+        raise ValueError("a hierarchy that is not closed, or a joint without OFFSET")
+    return joints
+
+
+def _value(lines: Iterator[str], pattern: str) -> str:
+    line = next(lines)
+    match = re.fullmatch(pattern, line)
+    if match is None:
+        raise ValueError(f"'{line[:60]}' where '{pattern.split(':')[0]}:' should be")
+    return match[1]
+
+
+def _positions(joints: list[_Joint], motion: np.ndarray) -> np.ndarray:
+    """(T, J, 3): p = p_parent + R_parent t, with R = R_parent R_1 R_2 R_3 in the order of the channels."""
+    T = len(motion)
+    xyz = np.zeros((T, len(joints), 3))
+    turned: list[np.ndarray] = []
+    for j, joint in enumerate(joints):
+        local = np.tile(joint.offset, (T, 1)).astype(float)
+        turn = np.tile(np.eye(3), (T, 1, 1))
+        for c, channel in enumerate(joint.channels):
+            axis, values = AXES.index(channel[0]), motion[:, joint.column + c]
+            if channel.endswith("position"):
+                local[:, axis] = values
+            else:
+                turn = turn @ _rotation(axis, np.radians(values % 360.0))
+        if joint.parent >= 0:
+            above = turned[joint.parent]
+            local = xyz[:, joint.parent] + np.einsum("tij,tj->ti", above, local)
+            turn = above @ turn
+        xyz[:, j] = local
+        turned.append(turn)
+    return xyz
+
+
+def _rotation(axis: int, angle_rad: np.ndarray) -> np.ndarray:
+    """(T, 3, 3): about one axis, right-handed."""
+    i, j = (axis + 1) % 3, (axis + 2) % 3
+    R = np.tile(np.eye(3), (len(angle_rad), 1, 1))
+    R[:, i, i] = R[:, j, j] = np.cos(angle_rad)
+    R[:, j, i], R[:, i, j] = np.sin(angle_rad), -np.sin(angle_rad)
+    return R
+
+
+def _marked(joints: list[_Joint], motion: np.ndarray) -> np.ndarray:
+    """(T, J) bool: turned by 360 degrees."""
+    marked = np.zeros((len(motion), len(joints)), bool)
+    for j, joint in enumerate(joints):
+        for c, channel in enumerate(joint.channels):
+            if channel.endswith("rotation"):
+                marked[:, j] |= motion[:, joint.column + c] == MISSING_DEG
+    return marked

@@ -1,0 +1,246 @@
+"""Plain tables, long (one row for each frame and point) or wide (one row for each frame), as CSV.
+
+Which column is what: see `recon.io.column_map`.
+"""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from recon.errors import InputError, Problem
+from recon.io.column_map import Layout, find_layout, layout_by_name
+from recon.io.common import choose, first_problems, frames_of_times, is_hdf5, name_problems, rate
+from recon.io.pose import StoredPose
+from recon.keypoints import Keypoints
+
+SEPARATORS = (",", ";", "\t")
+MISSING = ("", "nan", "na", "none", "null")
+
+Columns = Mapping[str, Sequence[Any] | np.ndarray]
+"""A table by column: text cells, or numbers."""
+
+
+@dataclass(frozen=True, eq=False)
+class Points:
+    """values (T, K, C), by coordinate; likelihood (T, K), NaN = unknown; frames (T,)."""
+
+    names: tuple[str, ...]
+    values: np.ndarray
+    likelihood: np.ndarray
+    frames: np.ndarray
+    fps: float | None
+    individual: str | None
+    notes: tuple[str, ...]
+
+
+def recognises(path: Path) -> bool:
+    """Whether it is a text table whose columns are obvious, 2D or 3D."""
+    return _obvious(path) is not None
+
+
+def recognises_pose(path: Path) -> bool:
+    layout = _obvious(path)
+    return layout is not None and layout.has_z
+
+
+def read(path: Path, individual: str | None = None, columns: Mapping[str, str] | None = None) -> Keypoints:
+    """The 2D keypoints of one animal; columns: a map as `parse_map` gives it. Raises InputError."""
+    table = _read_csv(path)
+    layout = find_layout(path, list(table), columns)
+    if layout.has_z:
+        raise InputError(Problem(path, "columns", "x, y, z: 3D positions", "2D keypoints in pixels (x, y)"))
+    points = gather(path, table, layout, ("x", "y"), individual)
+    return Keypoints(
+        points.names,
+        points.values,
+        points.likelihood,
+        points.frames,
+        fps=points.fps,
+        individual=points.individual,
+        source=str(path),
+        notes=points.notes,
+    )
+
+
+def read_pose(path: Path, individual: str | None = None, columns: Mapping[str, str] | None = None) -> StoredPose:
+    """The 3D positions of one animal. Raises InputError."""
+    table = _read_csv(path)
+    return stored_pose(path, table, find_layout(path, list(table), columns), individual)
+
+
+def stored_pose(path: Path, table: Columns, layout: Layout, individual: str | None) -> StoredPose:
+    points = gather(path, table, layout, ("x", "y", "z"), individual)
+    unit = layout.unit if layout.unit != "px" else None
+    return StoredPose(points.names, points.values, points.frames, fps=points.fps, unit=unit, notes=points.notes)
+
+
+def gather(path: Path, table: Columns, layout: Layout, coords: Sequence[str], individual: str | None) -> Points:
+    """The table by frame and point, of one animal. Raises InputError for cells that are no numbers, points that appear
+    twice in a frame, coordinates that are missing."""
+    rows = np.arange(len(next(iter(table.values()), ())))
+    animal = None
+    if "individual" in layout.of_role:
+        whose = [str(cell).strip() for cell in table[layout.of_role["individual"]]]
+        animals = list(dict.fromkeys(whose)) or [""]
+        animal = animals[choose(path, animals, individual)]
+        rows = np.flatnonzero([w == animal for w in whose])
+    elif individual is not None:
+        raise InputError(Problem(path, "individual", "a file without named animals", f"an animal '{individual}'"))
+    problems: list[Problem] = []
+
+    def numbers(column: str) -> np.ndarray:
+        return _numbers(path, column, table[column], rows, problems)
+
+    if not len(rows):
+        raise InputError(Problem(path, "rows", "no frames", "at least one row below the header"))
+    fps = None
+    if "fps" in layout.of_role:
+        rates = set(numbers(layout.of_role["fps"]).tolist())
+        fps = rate(rates.pop()) if len(rates) == 1 else None
+    clock = layout.of_role.get("frame") or layout.of_role["time"]
+    ticks = numbers(clock)
+    if np.isnan(ticks).any() or ("frame" in layout.of_role and ((ticks % 1) != 0).any()):
+        line = rows[np.flatnonzero(np.isnan(ticks) | ((ticks % 1) != 0))[0]] + 2
+        problems.append(Problem(path, f"line {line}, {clock}", "no number of a frame", "0, 1, 2, ..."))
+    if problems:
+        raise InputError(first_problems(problems, path))
+    distinct, row_of = np.unique(ticks, return_inverse=True)
+    if layout.of_part:
+        names = tuple(dict.fromkeys(part for part, _ in layout.of_part))
+        values, likelihood = _from_wide(path, layout, names, coords, row_of, len(distinct), numbers, problems)
+    else:
+        labels = table[layout.of_role["bodypart"]]
+        points = [str(labels[row]).strip() for row in rows.tolist()]
+        names = tuple(dict.fromkeys(points))
+        values, likelihood = _from_long(path, layout, names, points, coords, row_of, len(distinct), numbers, problems)
+    problems += name_problems(path, "bodypart", names)
+    if problems:
+        raise InputError(first_problems(problems, path))
+    if "frame" in layout.of_role:
+        frames = distinct.astype(np.int64)
+    else:
+        frames, fps = frames_of_times(path, distinct, fps)
+    ignored = [column for column in layout.ignored if column.strip()]
+    notes = (f"Columns left out: {', '.join(ignored)}.",) if ignored else ()
+    return Points(names, values, likelihood, frames, fps, animal or None, notes)
+
+
+def _from_wide(
+    path: Path,
+    layout: Layout,
+    names: Sequence[str],
+    coords: Sequence[str],
+    row_of: np.ndarray,
+    T: int,
+    numbers: Callable[[str], np.ndarray],
+    problems: list[Problem],
+) -> tuple[np.ndarray, np.ndarray]:
+    """values (T, K, C) and likelihood (T, K)."""
+    if len(row_of) != T:
+        problems.append(Problem(path, "frames", f"{len(row_of)} rows for {T} frames", "one row for each"))
+        return np.empty((T, len(names), len(coords))), np.empty((T, len(names)))
+    both = np.full((T, len(names), len(coords) + 1), np.nan)
+    for k, name in enumerate(names):
+        for c, coord in enumerate((*coords, "likelihood")):
+            if (name, coord) in layout.of_part:
+                both[row_of, k, c] = numbers(layout.of_part[name, coord])
+            elif coord != "likelihood":
+                problems.append(Problem(path, f"bodypart {name}", f"no {coord}", ", ".join(coords)))
+    return both[..., :-1], both[..., -1]
+
+
+def _from_long(
+    path: Path,
+    layout: Layout,
+    names: Sequence[str],
+    points: Sequence[str],
+    coords: Sequence[str],
+    row_of: np.ndarray,
+    T: int,
+    numbers: Callable[[str], np.ndarray],
+    problems: list[Problem],
+) -> tuple[np.ndarray, np.ndarray]:
+    """values (T, K, C) and likelihood (T, K)."""
+    index = {name: k for k, name in enumerate(names)}
+    column_of = np.array([index[point] for point in points])
+    cells, count = np.unique(row_of * len(names) + column_of, return_counts=True)
+    problems += [
+        Problem(path, f"bodypart {names[cell % len(names)]}", f"{n} rows in one frame", "one")
+        for cell, n in zip(cells, count, strict=True)
+        if n > 1
+    ]
+    both = np.full((T, len(names), len(coords) + 1), np.nan)
+    for c, coord in enumerate((*coords, "likelihood")):
+        if coord in layout.of_role:
+            both[row_of, column_of, c] = numbers(layout.of_role[coord])
+    return both[..., :-1], both[..., -1]
+
+
+def _numbers(path: Path, column: str, cells: Any, rows: np.ndarray, problems: list[Problem]) -> np.ndarray:
+    """The cells of some rows as floats; those that are no numbers, or infinite, become problems."""
+    if isinstance(cells, np.ndarray) and cells.dtype.kind in "fiu":
+        values = cells[rows].astype(float)
+    else:
+        values = np.full(len(rows), np.nan)
+        for i, row in enumerate(rows):
+            cell = "" if cells[row] is None else str(cells[row]).strip()
+            if cell.lower() not in MISSING:
+                try:
+                    values[i] = float(cell)
+                except ValueError:
+                    expected = "a number or an empty cell"
+                    problems.append(Problem(path, f"line {row + 2}, {column}", f"'{cell}'", expected))
+    for i in np.flatnonzero(np.isinf(values)):
+        problems.append(Problem(path, f"line {rows[i] + 2}, {column}", f"'{values[i]}'", "a number or an empty cell"))
+    return values
+
+
+def _obvious(path: Path) -> Layout | None:
+    """The layout of a text table by its first line."""
+    if is_hdf5(path):
+        return None
+    with path.open("rb") as file:
+        first = file.readline(1 << 20).removeprefix(b"\xef\xbb\xbf")
+    try:
+        header = _cells(first.decode("utf-8"))
+    except (UnicodeDecodeError, csv.Error):
+        return None
+    return layout_by_name(header) if len(set(header)) == len(header) else None
+
+
+def _cells(line: str) -> list[str]:
+    separator = max(SEPARATORS, key=line.count)
+    return next(csv.reader([line.rstrip("\r\n")], delimiter=separator), [])
+
+
+def _read_csv(path: Path) -> dict[str, list[str]]:
+    """Text cells by column. Raises InputError for text that is no table."""
+    problems: list[Problem] = []
+    with path.open(encoding="utf-8-sig", newline="") as file:
+        try:
+            first = file.readline()
+            header = _cells(first)
+            rows = csv.reader(file, delimiter=max(SEPARATORS, key=first.count))
+            table = []
+            for row in rows:
+                if len(row) == len(header):
+                    table.append(row)
+                elif any(cell.strip() for cell in row):
+                    found = f"{len(row)} cells"
+                    problems.append(Problem(path, f"line {rows.line_num + 1}", found, f"{len(header)}, as in line 1"))
+        except UnicodeDecodeError:
+            raise InputError(Problem(path, "text", "bytes that are not UTF-8", "a text file in UTF-8")) from None
+        except csv.Error as error:
+            raise InputError(Problem(path, "text", str(error), "a table of text")) from None
+    if len(set(header)) != len(header):
+        problems.append(Problem(path, "header", "a column more than once", "unique columns"))
+    if problems:
+        raise InputError(first_problems(problems, path))
+    columns = list(zip(*table, strict=True)) or [()] * len(header)
+    return {name: list(cells) for name, cells in zip(header, columns, strict=True)}

@@ -1,0 +1,142 @@
+"""What readers of several formats share: HDF5 outlines, optional libraries, the choice of an animal, frame numbers."""
+
+from __future__ import annotations
+
+import re
+import warnings
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import closing, contextmanager
+from pathlib import Path
+
+import numpy as np
+import tables
+
+from recon.errors import InputError, Problem
+from recon.keypoints import frame_ranges
+
+HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
+# What tools call the only animal of a file when nobody named it.
+UNNAMED = ("individual_0", "id_0", "track_0")
+# Enough to see what is wrong with a file; a file of the wrong kind has thousands.
+PROBLEMS_SHOWN = 10
+IRREGULAR = 0.25
+"""By how much of a frame a time may miss its frame."""
+
+
+@contextmanager
+def formats_extra(path: str | Path) -> Iterator[None]:
+    """Around the import of a library of the extra `formats`: an InputError says what to install where it is missing."""
+    try:
+        yield
+    except ModuleNotFoundError as error:
+        found = f"a format that needs the package {(error.name or '').split('.')[0]}, which is not installed"
+        raise InputError(Problem(path, "format", found, "pip install 'recon[formats]'")) from None
+
+
+def starts_with(path: Path, signature: bytes) -> bool:
+    with path.open("rb") as file:
+        return file.read(len(signature)) == signature
+
+
+def is_hdf5(path: Path) -> bool:
+    return starts_with(path, HDF5_SIGNATURE)
+
+
+def hdf5_outline(path: Path) -> frozenset[str]:
+    """The names at the root of an HDF5 file, of its groups, datasets and attributes; empty for a file of another kind.
+
+    Raises InputError where it cannot be opened.
+    """
+    if not is_hdf5(path):
+        return frozenset()
+    try:
+        with warnings.catch_warnings():
+            # PyTables warns of content that it has no type for.
+            warnings.simplefilter("ignore")
+            with closing(tables.open_file(str(path))) as file:
+                return frozenset((*file.root._v_children, *file.root._v_attrs._f_list("all")))
+    except tables.HDF5ExtError as error:
+        raise InputError(Problem(path, "file", "an HDF5 file that is cut off or damaged", "a whole file")) from error
+
+
+def choose(path: Path, animals: Sequence[str], individual: str | None) -> int:
+    """Which of a file's animals is meant; the only one may be unnamed, "". Raises InputError for a name that the file
+    lacks, or none where there are several."""
+    if individual is None and len(animals) == 1:
+        return 0
+    if list(animals) == [""]:
+        raise InputError(Problem(path, "individual", "a file without named animals", f"an animal '{individual}'"))
+    if individual not in animals:
+        found = f"{len(animals)} animals and no choice" if individual is None else f"'{individual}'"
+        raise InputError(Problem(path, "individual", found, "one of: " + ", ".join(animals)))
+    return animals.index(individual)
+
+
+def first_problems(problems: Sequence[Problem], path: Path) -> list[Problem]:
+    """The first problems, and how many more there are."""
+    more = len(problems) - PROBLEMS_SHOWN
+    if more <= 0:
+        return list(problems)
+    return [*problems[:PROBLEMS_SHOWN], Problem(path, "more", f"{more} problems like these", "none")]
+
+
+def name_problems(path: Path, field: str, names: Iterable[str]) -> list[Problem]:
+    """Names that are empty or appear twice."""
+    names = list(names)
+    twice = [name for name in dict.fromkeys(names) if names.count(name) > 1]
+    problems = [Problem(path, field, f"'{name}' more than once", "unique names") for name in twice if name]
+    if "" in names:
+        problems.append(Problem(path, field, "an empty name", "a name"))
+    if not names:
+        problems.append(Problem(path, field, "none", "at least one"))
+    return problems
+
+
+def frames_of_times(path: Path, times_s: np.ndarray, fps: float | None) -> tuple[np.ndarray, float | None]:
+    """Frame numbers (T,) int, of the frame rate that is given or that regular times have, and that rate.
+
+    Frame 0 is at 0 s. A gap must be a whole number of frames. Without a rate, a single time is frame 0.
+    Raises InputError for times that do not increase or that no frame rate fits.
+    """
+    steps_s = np.diff(times_s)
+    if not np.isfinite(times_s).all() or (steps_s <= 0).any():
+        raise InputError(Problem(path, "time", "times that do not increase", "one increasing time for each frame"))
+    if fps is None and len(times_s) == 1:
+        return np.zeros(1, np.int64), None
+    step_s = 1 / fps if fps is not None else float(np.median(steps_s))
+    since_start = np.concatenate([[0.0], np.cumsum(np.rint(steps_s / step_s))]).astype(np.int64)
+    off = np.abs(steps_s / step_s - np.diff(since_start))
+    if (np.diff(since_start) < 1).any() or (off > IRREGULAR).any():
+        found = f"times that are no multiples of {step_s:.6g} s apart"
+        raise InputError(Problem(path, "time", found, "a frame rate; gaps are whole frames"))
+    if fps is None:
+        fps = float(f"{since_start[-1] / (times_s[-1] - times_s[0]):.9g}")
+    return since_start + round(float(times_s[0]) * fps), fps
+
+
+def frames_text(frames: np.ndarray) -> list[str]:
+    """Increasing frame numbers as ranges with both ends: 10, 11, 12, 15 is ["10-12", "15"]."""
+    return [f"{a}" if b == a + 1 else f"{a}-{b - 1}" for a, b in frame_ranges(frames)]
+
+
+def frames_of_text(ranges: Iterable[str]) -> np.ndarray | None:
+    """The opposite of `frames_text`; None for anything else."""
+    frames: list[np.ndarray] = []
+    last = -1
+    for text in ranges:
+        match = re.fullmatch(r"([0-9]{1,15})(?:-([0-9]{1,15}))?", text)
+        first, end = (int(match[1]), int(match[2] or match[1])) if match else (0, -1)
+        if not last < first <= end or end - first > 10**7:
+            return None
+        frames.append(np.arange(first, end + 1))
+        last = end
+    return np.concatenate(frames) if frames else None
+
+
+def rate(value: object) -> float | None:
+    """A frame rate as a file has it; None for anything that is none."""
+    try:
+        fps = float(value)  # type: ignore[arg-type]
+    except (TypeError, ValueError):
+        return None
+    return fps if 0 < fps < float("inf") else None

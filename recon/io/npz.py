@@ -1,0 +1,69 @@
+"""Our own NumPy archives of 3D positions: `names`, `xyz_m`, `frames`, `fps` (NaN if not known), `edges`; z up."""
+
+from __future__ import annotations
+
+import zipfile
+import zlib
+from pathlib import Path
+
+import numpy as np
+
+from recon.errors import InputError, Problem
+from recon.io.common import name_problems, rate, starts_with
+from recon.io.pose import StoredPose
+
+WANTED = {"names": "U", "xyz_m": "f", "frames": "i", "fps": "f", "edges": "i"}
+"""Arrays and the kinds of their types."""
+
+
+def recognises(path: Path) -> bool:
+    """Whether it is a NumPy archive with positions. Of a damaged archive `read_pose` says so."""
+    if not starts_with(path, b"PK\x03\x04"):
+        return False
+    try:
+        with zipfile.ZipFile(path) as archive:
+            return "xyz_m.npy" in archive.namelist()
+    except zipfile.BadZipFile:
+        return True
+
+
+def read_pose(path: Path, individual: str | None = None) -> StoredPose:
+    """Raises InputError for a damaged file or arrays that do not fit, and for a choice of animals: it has one."""
+    if individual is not None:
+        raise InputError(Problem(path, "individual", "a file without named animals", f"an animal '{individual}'"))
+    try:
+        with path.open("rb") as opened, np.load(opened, allow_pickle=False) as file:
+            arrays = {name: file[name] for name in file.files}
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error) as error:
+        raise InputError(Problem(path, "content", f"data that cannot be read ({error})", "a whole file")) from None
+    problems = [
+        Problem(path, name, "nothing" if name not in arrays else f"values of type {arrays[name].dtype}", expected)
+        for name, kind in WANTED.items()
+        for expected in [{"U": "texts", "f": "floats", "i": "whole numbers"}[kind]]
+        if name not in arrays or arrays[name].dtype.kind != kind
+    ]
+    if problems:
+        raise InputError(problems)
+    names = [str(name) for name in np.atleast_1d(arrays["names"])]
+    xyz, frames, edges = arrays["xyz_m"].astype(float), np.atleast_1d(arrays["frames"]), arrays["edges"]
+    problems = name_problems(path, "names", names)
+    if xyz.shape != (len(frames), len(names), 3) or not len(frames):
+        found = f"{xyz.shape}, with {len(frames)} frames and {len(names)} names"
+        problems.append(Problem(path, "xyz_m", found, "(frames, names, 3)"))
+    if (np.diff(frames) <= 0).any():
+        problems.append(Problem(path, "frames", "numbers that do not increase", "increasing frame numbers"))
+    if np.isinf(xyz).any():
+        problems.append(Problem(path, "xyz_m", "infinite coordinates", "numbers, or NaN where missing"))
+    if edges.ndim != 2 or edges.shape[1] != 2 or ((edges < 0) | (edges >= len(names))).any():
+        problems.append(Problem(path, "edges", f"{edges.shape}", "(E, 2), places in names"))
+    if problems:
+        raise InputError(problems)
+    return StoredPose(
+        tuple(names),
+        xyz,
+        frames.astype(np.int64),
+        fps=rate(arrays["fps"]),
+        unit="m",
+        up="z",
+        edges=tuple((names[a], names[b]) for a, b in edges),
+    )

@@ -1,0 +1,76 @@
+"""3D positions: as the rest of the package takes them, and as a file has them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+PER_METRE = {"m": 1.0, "cm": 100.0, "mm": 1000.0}
+UNIT_NAMES = {
+    **dict.fromkeys(("m", "metre", "metres", "meter", "meters"), "m"),
+    **dict.fromkeys(("cm", "centimetre", "centimetres", "centimeter", "centimeters"), "cm"),
+    **dict.fromkeys(("mm", "millimetre", "millimetres", "millimeter", "millimeters"), "mm"),
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Pose3D:
+    """names: J joints; xyz_m: (T, J, 3) float, metres, NaN = missing; frames: (T,) int, strictly increasing.
+
+    fps: frames per second, where they are known; edges: pairs of joints that are linked, where they are known; notes:
+    what a reader had to decide, in plain sentences. Raises ValueError where they do not fit together.
+    """
+
+    names: tuple[str, ...]
+    xyz_m: np.ndarray
+    frames: np.ndarray
+    source: str | None = None
+    fps: float | None = None
+    edges: tuple[tuple[str, str], ...] = ()
+    notes: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        if self.xyz_m.shape != (len(self.frames), len(self.names), 3):
+            raise ValueError(f"{len(self.frames)} frames of {len(self.names)} joints, but positions {self.xyz_m.shape}")
+        if len(set(self.names)) != len(self.names) or np.any(np.diff(self.frames) <= 0):
+            raise ValueError("names must be unique and frames strictly increasing")
+        if np.isinf(self.xyz_m).any():
+            raise ValueError("a position is infinite")
+        if self.fps is not None and not 0 < self.fps < float("inf"):
+            raise ValueError(f"fps must be positive: {self.fps}")
+        if not {name for edge in self.edges for name in edge} <= set(self.names):
+            raise ValueError("an edge links a joint that is not there")
+
+
+@dataclass(frozen=True, eq=False)
+class StoredPose:
+    """What a file says: as `Pose3D`, but xyz (T, J, 3) in the file's own unit and axes.
+
+    unit: m, cm or mm, and up: the axis that points up, y or z; None where the file does not say.
+    """
+
+    names: tuple[str, ...]
+    xyz: np.ndarray
+    frames: np.ndarray
+    fps: float | None = None
+    unit: str | None = None
+    up: str | None = None
+    edges: tuple[tuple[str, str], ...] = ()
+    notes: tuple[str, ...] = ()
+
+
+def z_up_from_y_up(xyz: np.ndarray) -> np.ndarray:
+    """Positions (..., 3) with x forwards, y up, z right, as ours: x forwards, y left, z up."""
+    return np.stack([xyz[..., 0], -xyz[..., 2], xyz[..., 1]], axis=-1)
+
+
+def y_up_from_z_up(xyz: np.ndarray) -> np.ndarray:
+    """The opposite of `z_up_from_y_up`."""
+    return np.stack([xyz[..., 0], xyz[..., 2], -xyz[..., 1]], axis=-1)
+
+
+def index_edges(names: Sequence[str], edges: Sequence[tuple[str, str]]) -> np.ndarray:
+    """(E, 2) int: the pairs of names as indices."""
+    return np.array([[names.index(a), names.index(b)] for a, b in edges], dtype=np.int64).reshape(-1, 2)

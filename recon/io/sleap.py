@@ -1,0 +1,127 @@
+"""SLEAP's analysis files (HDF5): `tracks`, `point_scores`, `track_occupancy`, `node_names`, `track_names`.
+
+The order of the axes stands in the attribute `dims` of each dataset; files without it have SLEAP's first order. The
+frame axis counts from frame 0 of the video. Frames in which a track is not occupied are left out.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from recon.errors import InputError, Problem
+from recon.io.common import choose, formats_extra, hdf5_outline, name_problems, rate
+from recon.keypoints import Keypoints
+
+ORDERS = {
+    "tracks": ("track", "xy", "node", "frame"),
+    "point_scores": ("track", "node", "frame"),
+    "track_occupancy": ("frame", "track"),
+}
+"""Without `dims`."""
+WANTED = {
+    "tracks": ("frame", "track", "node", "xy"),
+    "point_scores": ("frame", "track", "node"),
+    "track_occupancy": ("frame", "track"),
+}
+
+
+def recognises(path: Path) -> bool:
+    return {"tracks", "node_names"} <= hdf5_outline(path)
+
+
+def read(path: Path, individual: str | None = None) -> Keypoints:
+    """The keypoints of one track. Raises InputError for a file that is damaged or whose arrays do not fit."""
+    with formats_extra(path):
+        import h5py
+    try:
+        with h5py.File(path, "r") as file:
+            names = _texts(file, "node_names")
+            tracks = _texts(file, "track_names")
+            arrays = {name: _array(path, file, name) for name in ORDERS if name in file}
+            fps = _fps(file)
+    except InputError:
+        raise
+    except (OSError, KeyError, TypeError, ValueError, RuntimeError, AttributeError) as error:
+        raise InputError(Problem(path, "content", f"data that cannot be read ({error})", "an undamaged file")) from None
+    xy, score, occupied = _fitting(path, names, tracks, arrays)
+    animals = tracks or [f"track_{i}" for i in range(xy.shape[1])]
+    which = choose(path, animals, individual)
+    frames = np.flatnonzero(occupied[:, which])
+    if not len(frames):
+        raise InputError(Problem(path, f"track {animals[which]}", "no frame with it", "at least one"))
+    return Keypoints(
+        tuple(names),
+        xy[frames, which],
+        score[frames, which],
+        frames,
+        fps=fps,
+        individual=animals[which] if tracks else None,
+        source=str(path),
+    )
+
+
+def _texts(file: Any, name: str) -> list[str]:
+    """A list of names; empty where there is none, as SLEAP writes it without tracks."""
+    if name not in file or not file[name].size:
+        return []
+    return [t.decode("utf-8") if isinstance(t, bytes) else str(t) for t in file[name][()].ravel().tolist()]
+
+
+def _array(path: Path, file: Any, name: str) -> np.ndarray:
+    """One array with its axes in the order that is wanted."""
+    dataset = file[name]
+    order, wanted = ORDERS[name], WANTED[name]
+    if "dims" in dataset.attrs:
+        order = tuple(json.loads(dataset.attrs["dims"]))
+    elif name == "tracks" and not file.attrs.get("transpose", True):
+        order = ("frame", "node", "xy", "track")
+    if sorted(order) != sorted(wanted) or dataset.ndim != len(wanted) or dataset.dtype.kind not in "fiub":
+        found = f"{dataset.dtype} {dataset.shape} with the axes {', '.join(map(str, order))}"
+        raise InputError(
+            Problem(path, name, found, f"numbers with the axes {', '.join(ORDERS[name])}, or as dims says")
+        )
+    return np.transpose(dataset[()].astype(float), [order.index(axis) for axis in wanted])
+
+
+def _fps(file: Any) -> float | None:
+    """As our own files have it; SLEAP's have none."""
+    if "provenance" not in file:
+        return None
+    text: Any = file["provenance"][()]
+    try:
+        provenance = json.loads(text)
+    except (TypeError, ValueError):
+        return None
+    return rate(provenance.get("fps")) if isinstance(provenance, dict) else None
+
+
+def _fitting(
+    path: Path, names: list[str], tracks: list[str], arrays: dict[str, np.ndarray]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """xy (T, N, K, 2), scores (T, N, K) and occupancy (T, N) bool of N tracks. Raises InputError where they do not fit
+    together; a file without scores has unknown ones, without occupancy every track in every frame."""
+    xy = arrays["tracks"]
+    T, N, K, two = xy.shape
+    problems = name_problems(path, "node_names", names)
+    if two != 2:
+        problems.append(Problem(path, "tracks", f"{two} coordinates", "2: x, y"))
+    if len(names) != K:
+        problems.append(Problem(path, "node_names", f"{len(names)} names", f"{K}, as in tracks"))
+    if tracks and len(tracks) != N:
+        problems.append(Problem(path, "track_names", f"{len(tracks)} names", f"{N}, as in tracks"))
+    problems += name_problems(path, "track_names", tracks) if tracks else []
+    score = arrays.get("point_scores", np.full((T, N, K), np.nan))
+    occupied = arrays.get("track_occupancy", np.ones((T, N)))
+    for name, array, shape in (("point_scores", score, (T, N, K)), ("track_occupancy", occupied, (T, N))):
+        if array.shape != shape:
+            axes = ", ".join(WANTED[name])
+            problems.append(Problem(path, name, f"{array.shape} ({axes})", f"{shape}, as in tracks"))
+    if np.isinf(xy).any():
+        problems.append(Problem(path, "tracks", "infinite coordinates", "numbers, or NaN where missing"))
+    if problems:
+        raise InputError(problems)
+    return xy, score, occupied > 0

@@ -1,0 +1,94 @@
+"""TRC files of marker positions: text, separated by tabs or commas, the unit in the header, y up by custom."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from recon.errors import InputError, Problem
+from recon.io.common import first_problems, name_problems, rate
+from recon.io.pose import UNIT_NAMES, StoredPose
+
+UP_TEXT = "y up: x forwards, y up, z right"
+"""At the end of the first line of our own files."""
+HEADER_LINES = 5
+
+
+def recognises(path: Path) -> bool:
+    with path.open("rb") as file:
+        return file.read(64).removeprefix(b"\xef\xbb\xbf").lstrip().startswith(b"PathFileType")
+
+
+def read_pose(path: Path, individual: str | None = None) -> StoredPose:
+    """Raises InputError for a header or cells that cannot be used, and for a choice of animals: TRC has one."""
+    if individual is not None:
+        raise InputError(Problem(path, "individual", "a file without named animals", f"an animal '{individual}'"))
+    try:
+        lines = path.read_text(encoding="utf-8-sig").splitlines()
+    except UnicodeDecodeError:
+        raise InputError(Problem(path, "text", "bytes that are not UTF-8", "a text file in UTF-8")) from None
+    separator = "\t" if "\t" in lines[0] else ","
+    cells = [[cell.strip() for cell in line.split(separator)] for line in lines]
+    if len(cells) < HEADER_LINES:
+        raise InputError(Problem(path, "header", f"{len(cells)} lines", f"{HEADER_LINES}"))
+    header = dict(zip(cells[1], cells[2], strict=False))
+    names = tuple(name for name in cells[3][2:] if name)
+    fps = rate(header.get("DataRate"))
+    unit = UNIT_NAMES.get(header.get("Units", ""))
+    problems = name_problems(path, "line 4", names)
+    if fps is None:
+        problems.append(Problem(path, "line 3, DataRate", f"'{header.get('DataRate', '')}'", "frames per second"))
+    if unit is None:
+        problems.append(Problem(path, "line 3, Units", f"'{header.get('Units', '')}'", "m, cm or mm"))
+    if header.get("NumMarkers") != str(len(names)):
+        found = f"{len(names)} names, but NumMarkers {header.get('NumMarkers', 'is missing')}"
+        problems.append(Problem(path, "line 4", found, "as many"))
+    frames, rows = [], []
+    width = 2 + 3 * len(names)
+    for number, row in enumerate(cells[HEADER_LINES:], start=HEADER_LINES + 1):
+        if any(row):
+            frame, values, faults = _row(path, number, row, width)
+            problems += faults
+            frames.append(frame)
+            rows.append(values)
+    if not rows:
+        problems.append(Problem(path, "rows", "no frames", "at least one below the header"))
+    if not problems and (np.diff(frames) <= 0).any():
+        problems.append(Problem(path, "Frame#", "numbers that do not increase", "an increasing number in each row"))
+    if problems:
+        raise InputError(first_problems(problems, path))
+    notes = ()
+    if header.get("NumFrames") != str(len(rows)):
+        notes = (f"The header announces {header.get('NumFrames', 'no number of')} frames, the file has {len(rows)}.",)
+    return StoredPose(
+        names,
+        np.array(rows).reshape(len(rows), len(names), 3),
+        np.array(frames, dtype=np.int64),
+        fps=fps,
+        unit=unit,
+        up="y" if UP_TEXT in cells[0] else None,
+        notes=notes,
+    )
+
+
+def _row(path: Path, number: int, row: list[str], width: int) -> tuple[int, list[float], list[Problem]]:
+    """Frame number, numbers (NaN where a cell is empty), problems."""
+    problems = []
+    if len(row) < width or any(row[width:]):
+        problems.append(Problem(path, f"line {number}", f"{len(row)} cells", f"{width}, as in the header"))
+        return 0, [], problems
+    frame = 0
+    if row[0].isdecimal():
+        frame = int(row[0])
+    else:
+        problems.append(Problem(path, f"line {number}, Frame#", f"'{row[0]}'", "a frame number"))
+    values = [np.nan] * (width - 2)
+    for i, cell in enumerate(row[2:width]):
+        try:
+            values[i] = float(cell or "nan")
+        except ValueError:
+            problems.append(Problem(path, f"line {number}, column {i + 3}", f"'{cell}'", "a number or an empty cell"))
+        if np.isinf(values[i]):
+            problems.append(Problem(path, f"line {number}, column {i + 3}", f"'{cell}'", "a number or an empty cell"))
+    return frame, values, problems

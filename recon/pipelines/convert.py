@@ -1,0 +1,128 @@
+"""From one file format to another: 2D keypoints among themselves, 3D positions among themselves."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from pathlib import Path
+
+from recon.errors import InputError, Problem, all_of
+from recon.export.formats import Format, choose_format
+from recon.files import staged_folder
+from recon.io import columns, file_head, read_keypoints
+from recon.io.column_map import parse_map
+from recon.io.common import rate
+from recon.io.pose import Pose3D
+from recon.io.pose3d import POSE_READERS, PoseReader, in_metres, read_pose3d
+from recon.keypoints import Keypoints, mark_missing
+from recon.results import read_results
+
+
+@dataclass(frozen=True)
+class Options:
+    """fps: in place of the file's; individual: which animal; columns: of a plain CSV (see `recon.io.column_map`);
+    unit (m, cm, mm) and up (y, z): of 3D positions, where the file does not say."""
+
+    fps: float | None = None
+    individual: str | None = None
+    columns: str | None = None
+    unit: str | None = None
+    up: str | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Conversion:
+    """What was read, and the format that it was written in."""
+
+    data: Keypoints | Pose3D
+    format: Format
+    notes: tuple[str, ...]
+
+
+def convert(
+    source: str | Path, out: str | Path, to: str | None = None, options: Options | None = None, overwrite: bool = False
+) -> Conversion:
+    """Read a file, or a folder of results (its 3D positions), and write it as `out`, whole or not at all.
+
+    to: the name of a format where the extension of `out` leaves a choice. A missing point is written as the format has
+    it, whichever way the source had it. Raises InputError for what cannot be read or written.
+    """
+    source, out = Path(source), Path(out)
+    data, target, _ = all_of(
+        lambda: read_any(source, options or Options()),
+        lambda: choose_format(out, to),
+        lambda: _require_free(out, overwrite),
+    )
+    notes = data.notes
+    if isinstance(data, Keypoints):
+        if target.keypoints is None:
+            expected = f"3D positions for {target.title}: fit the clip first (recon fit)"
+            raise InputError(Problem(source, "content", "2D keypoints", expected))
+        data, missing = mark_missing(data)
+        if missing.zero_zero.sum():
+            notes += (f"{missing.zero_zero.sum()} points that were stored as (0, 0) are missing ones.",)
+        with staged_folder(out.parent) as folder:
+            target.keypoints(data, folder / out.name)
+    else:
+        if target.pose is None:
+            raise InputError(Problem(source, "content", "3D positions", f"2D keypoints for {target.title}"))
+        with staged_folder(out.parent) as folder:
+            target.pose(data, folder / out.name)
+    return Conversion(data, target, notes)
+
+
+def read_any(source: Path, options: Options) -> Keypoints | Pose3D:
+    """2D keypoints or 3D positions, whichever the source holds. Raises InputError."""
+    if options.fps is not None and rate(options.fps) is None:
+        raise InputError(Problem("--fps", "fps", f"{options.fps:g}", "frames per second above 0, as in 90"))
+    if source.is_dir():
+        data = _of_results(source)
+    elif options.columns is not None:
+        data = _by_map(source, options)
+    elif _is_pose(source):
+        data = read_pose3d(source, options.individual, options.unit, options.up)
+    else:
+        data = read_keypoints(source, options.individual)
+    if options.fps is None or options.fps == data.fps:
+        return data
+    notes = data.notes
+    if data.fps is not None:
+        notes += (f"{data.fps:g} frames per second in the source, {options.fps:g} as given.",)
+    return replace(data, fps=options.fps, notes=notes)
+
+
+def _is_pose(source: Path) -> bool:
+    file_head(source)
+    return any(reader.recognises(source) for reader in POSE_READERS)
+
+
+def _by_map(source: Path, options: Options) -> Keypoints | Pose3D:
+    """A plain CSV by its map of columns, which has a z or has none."""
+    given = parse_map(options.columns or "")
+    file_head(source)
+    if "z" not in given:
+        return columns.read(source, options.individual, given)
+    stored = columns.read_pose(source, options.individual, given)
+    reader = PoseReader("plain CSV", columns.recognises, columns.read_pose)
+    return in_metres(source, reader, stored, options.unit, options.up)
+
+
+def _of_results(folder: Path) -> Pose3D:
+    """The joints of a fit, upright, with their frame rate and limbs."""
+    results = read_results(folder)
+    names = results.pose.names
+    edges = [(names[a], names[b]) for along in results.limbs.values() for a, b in pairwise(along)]
+    notes = ()
+    if not results.camera.knows_up:
+        notes = ("Positions are in the level frame, z up: the camera file does not say where the camera is.",)
+    return replace(results.pose, fps=results.fps, edges=tuple(dict.fromkeys(edges)), notes=notes)
+
+
+def _require_free(out: Path, overwrite: bool) -> None:
+    if out.is_dir():
+        raise InputError(Problem(out, "file", "a folder", "a file to write"))
+    if out.exists() and not overwrite:
+        raise InputError(Problem(out, "file", "one that is there already", "another name, or --overwrite"))
+    above = next(path for path in out.absolute().parents if path.exists())
+    if not above.is_dir():
+        raise InputError(Problem(out, "folder", f"the file {above}", "a folder, which is made if need be"))

@@ -1,0 +1,590 @@
+"""Every format keeps what it should, among all pairs, and is what independent readers of it expect."""
+
+from __future__ import annotations
+
+import csv
+import json
+import warnings
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+import tables
+from typer.testing import CliRunner
+
+from recon.cli import app, main
+from recon.errors import InputError
+from recon.export.formats import FORMATS, Format, choose_format
+from recon.io import read_keypoints
+from recon.io.pose3d import Pose3D, read_pose3d
+from recon.keypoints import Keypoints
+from recon.pipelines.convert import Options, convert
+
+NAN = float("nan")
+FRAMES = np.array([7, 8, 9, 10, 14])
+FPS = 119.88
+OF_2D = [f for f in FORMATS if f.keypoints]
+OF_3D = [f for f in FORMATS if f.pose]
+# C3D has 32 bits and millimetres; sums along BVH's hierarchy round.
+TOLERANCE_M = {"c3d": 3e-7, "bvh": 1e-14}
+
+
+def label(f: Format) -> str:
+    return f.name + f.extensions[0]
+
+
+def a_clip(frames: np.ndarray = FRAMES) -> Keypoints:
+    """Three keypoints; a frame and single points are missing, one likelihood is not known."""
+    rng = np.random.default_rng(0)
+    xy, confidence = rng.uniform(0, 1000, (len(frames), 3, 2)), rng.uniform(0.1, 1, (len(frames), 3))
+    xy[-1, 2], confidence[-1, 2] = NAN, 0.0
+    xy[1:2, :], confidence[1:2, :] = NAN, 0.0
+    xy[0, 1], confidence[0, 0] = 0.0, NAN
+    names = ("nose", "ñandú 鼻", "tail base")
+    return Keypoints(names, xy, confidence, frames, fps=FPS, individual="Phantom é")
+
+
+def a_pose(frames: np.ndarray = FRAMES) -> Pose3D:
+    xyz_m = np.random.default_rng(1).normal(size=(len(frames), 4, 3))
+    xyz_m[-1, 2] = xyz_m[1:2] = xyz_m[:1, 3] = NAN
+    edges = (("tail", "鼻"), ("鼻", "ear"))
+    return Pose3D(("鼻", "tail", "ear", "paw"), xyz_m, frames, fps=FPS, edges=edges)
+
+
+def assert_same_keypoints(found: Keypoints, expected: Keypoints) -> None:
+    assert found.names == expected.names
+    assert found.fps == expected.fps
+    assert found.individual == expected.individual
+    np.testing.assert_array_equal(found.frames, expected.frames)
+    np.testing.assert_array_equal(found.xy_px, expected.xy_px)
+    known = expected.present
+    np.testing.assert_array_equal(found.confidence[known], expected.confidence[known])
+    assert not (found.confidence[~known] > 0).any()
+
+
+def assert_same_pose(found: Pose3D, expected: Pose3D, tolerance_m: float = 0.0) -> None:
+    assert sorted(found.names) == sorted(expected.names)
+    assert found.fps == expected.fps
+    np.testing.assert_array_equal(found.frames, expected.frames)
+    at = [found.names.index(name) for name in expected.names]
+    np.testing.assert_allclose(found.xyz_m[:, at], expected.xyz_m, rtol=0, atol=tolerance_m)
+
+
+@pytest.fixture(scope="module")
+def files_2d(tmp_path_factory) -> dict[str, Path]:
+    folder = tmp_path_factory.mktemp("2d")
+    paths = {label(f): folder / f"clip_{f.name}{f.extensions[0]}" for f in OF_2D}
+    for f in OF_2D:
+        f.keypoints(a_clip(), paths[label(f)])
+    return paths
+
+
+@pytest.fixture(scope="module")
+def files_3d(tmp_path_factory) -> dict[str, Path]:
+    folder = tmp_path_factory.mktemp("3d")
+    paths = {label(f): folder / f"clip_{f.name}{f.extensions[0]}" for f in OF_3D}
+    for f in OF_3D:
+        f.pose(a_pose(), paths[label(f)])
+    return paths
+
+
+# Round trips
+
+
+@pytest.mark.parametrize("end", OF_2D, ids=label)
+@pytest.mark.parametrize("start", OF_2D, ids=label)
+def test_pairs_of_2d_formats(files_2d, start, end, tmp_path):
+    out = tmp_path / f"out{end.extensions[0]}"
+    done = convert(files_2d[label(start)], out, end.name)
+    assert done.format is end
+    assert done.notes == ()
+    assert_same_keypoints(read_keypoints(out), a_clip())
+
+
+@pytest.mark.parametrize("end", OF_3D, ids=label)
+@pytest.mark.parametrize("start", OF_3D, ids=label)
+def test_pairs_of_3d_formats(files_3d, start, end, tmp_path):
+    out = tmp_path / f"out{end.extensions[0]}"
+    done = convert(files_3d[label(start)], out)
+    assert done.format is end
+    assert done.notes == ()
+    tolerance_m = max(TOLERANCE_M.get(start.name, 0), TOLERANCE_M.get(end.name, 0))
+    assert_same_pose(read_pose3d(out), a_pose(), tolerance_m)
+
+
+@pytest.mark.parametrize(
+    "frames", [np.array([0]), np.array([120]), np.arange(3), np.arange(70_000, 70_004)], ids=["0", "120", "0-2", "7e4"]
+)
+@pytest.mark.parametrize("target", FORMATS, ids=label)
+def test_one_frame_and_other_beginnings(target, frames, tmp_path):
+    path = tmp_path / f"clip{target.extensions[0]}"
+    if target.keypoints:
+        target.keypoints(a_clip(frames), path)
+        assert_same_keypoints(read_keypoints(path), a_clip(frames))
+    if target.pose:
+        target.pose(a_pose(frames), path)
+        assert_same_pose(read_pose3d(path), a_pose(frames), TOLERANCE_M.get(target.name, 0.0))
+
+
+@pytest.mark.parametrize("target", FORMATS, ids=label)
+def test_without_a_frame_rate(target, tmp_path):
+    path = tmp_path / f"clip{target.extensions[0]}"
+    for write, data, read in (
+        (target.keypoints, replace(a_clip(), fps=None, individual=None), read_keypoints),
+        (target.pose, replace(a_pose(), fps=None), read_pose3d),
+    ):
+        if write and target.fps == "needed":
+            with pytest.raises(InputError, match=r"--fps: fps: found nothing.*as in 90"):
+                write(data, path)
+            assert not path.exists()
+        elif write:
+            write(data, path)
+            found = read(path)
+            assert found.fps is None
+            assert found.frames.tolist() == FRAMES.tolist()
+            assert getattr(found, "individual", None) is None
+
+
+@pytest.mark.parametrize("name", ["nwb", "bvh"])
+def test_edges_are_kept(files_3d, name):
+    found = {frozenset(edge) for edge in read_pose3d(files_3d[f"{name}.{name}"]).edges}
+    assert found == {frozenset(edge) for edge in a_pose().edges}
+
+
+def test_image_size_and_time_gaps(tmp_path):
+    coco = next(f for f in FORMATS if f.name == "coco")
+    coco.keypoints(replace(a_clip(), image_size_px=(1920, 1080)), tmp_path / "a.json")
+    assert read_keypoints(tmp_path / "a.json").image_size_px == (1920, 1080)
+
+
+@pytest.mark.parametrize(
+    ("target", "names", "said"),
+    [
+        ("nwb", ("a/b",), "ndx-pose NWB: name: found 'a/b', with '/' in it"),
+        ("trc", ("a\tb",), "TRC: name"),
+        ("bvh", ("left ear",), "BVH: name: found 'left ear', with ' ' in it"),
+        ("c3d", ("鼻" * 100,), "C3D: name: .*300 bytes in UTF-8, expected at most 255"),
+    ],
+)
+def test_names_that_a_format_cannot_hold(target, names, said, tmp_path):
+    write = next(f.pose for f in FORMATS if f.name == target)
+    with pytest.raises(InputError, match=said):
+        write(Pose3D(names, np.zeros((2, 1, 3)), np.arange(2), fps=10.0), tmp_path / "a")
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("target", [f for f in FORMATS if f.name in ("sleap", "c3d", "bvh")], ids=label)
+def test_frame_numbers_far_apart(target, tmp_path):
+    frames = np.array([0, 10**9])
+    write, data = (target.keypoints, a_clip(frames)) if target.keypoints else (target.pose, a_pose(frames))
+    with pytest.raises(InputError, match="frames: found"):
+        write(data, tmp_path / "a")
+
+
+# Independent readers, 2D
+
+
+@pytest.mark.parametrize("name", ["deeplabcut.csv", "deeplabcut.h5"])
+def test_deeplabcut_by_pandas(files_2d, files_3d, name):
+    for path, coords, values in (
+        (files_2d[name], "x y likelihood", np.dstack([a_clip().xy_px, a_clip().confidence])),
+        (files_3d[name], "x y z", a_pose().xyz_m),
+    ):
+        levels = ["scorer", "individuals", "bodyparts", "coords"]
+        if path is files_3d[name]:
+            levels.remove("individuals")
+        if name.endswith("csv"):
+            table = pd.read_csv(path, header=list(range(len(levels))), index_col=0)
+        else:
+            table = pd.read_hdf(path, key="df_with_missing")
+        assert list(table.columns.names) == levels
+        assert set(table.columns.get_level_values("scorer")) == {"recon_119.88fps"}
+        assert table.columns.get_level_values("coords").tolist() == coords.split() * values.shape[1]
+        assert table.index.tolist() == FRAMES.tolist()
+        np.testing.assert_array_equal(table.to_numpy(), values.reshape(5, -1))
+
+
+def test_deeplabcut_h5_for_every_pandas(files_2d):
+    """pandas 2 reads a table format that says it is of an old version, and whose header is of plain text."""
+    with tables.open_file(str(files_2d["deeplabcut.h5"])) as file:
+        attributes = file.root.df_with_missing._v_attrs
+        assert attributes.pandas_version == "0.15.2"
+        assert attributes.pandas_type == "frame_table"
+        ((axis, columns),) = attributes.non_index_axes
+        assert axis == 1
+        assert columns[0] == ("recon_119.88fps", "Phantom é", "nose", "x")
+        assert {type(text) for column in columns for text in column} == {str}
+
+
+def test_sleap_by_h5py(files_2d):
+    import h5py
+
+    clip = a_clip()
+    with h5py.File(files_2d["sleap.analysis.h5"]) as file:
+        assert [n.decode() for n in file["node_names"]] == list(clip.names)
+        assert [n.decode() for n in file["track_names"]] == ["Phantom é"]
+        assert file["tracks"].shape == (1, 2, 3, 15)
+        assert json.loads(file["tracks"].attrs["dims"]) == ["track", "xy", "node", "frame"]
+        np.testing.assert_array_equal(file["tracks"][0][:, :, FRAMES], clip.xy_px.transpose(1, 2, 0).swapaxes(0, 1))
+        np.testing.assert_array_equal(file["point_scores"][0][:, FRAMES], clip.confidence.T)
+        assert np.flatnonzero(file["track_occupancy"][:, 0]).tolist() == FRAMES.tolist()
+        assert np.isnan(np.delete(file["tracks"][()], FRAMES, axis=3)).all()
+        assert json.loads(file["provenance"][()])["fps"] == FPS
+
+
+@pytest.mark.parametrize("kind", ["2D", "3D"])
+def test_movement_by_xarray(files_2d, files_3d, kind):
+    import xarray
+
+    path = (files_2d if kind == "2D" else files_3d)["movement.nc"]
+    values = a_clip().xy_px if kind == "2D" else a_pose().xyz_m
+    with xarray.open_dataset(path) as data:
+        assert data["position"].dims == ("time", "space", "keypoint", "individual")
+        assert data["confidence"].dims == ("time", "keypoint", "individual")
+        assert data["space"].to_numpy().tolist() == list("xyz"[: int(kind[0])])
+        assert data.attrs["ds_type"] == "poses"
+        assert data.attrs["fps"] == FPS
+        assert data.attrs["time_unit"] == "seconds"
+        assert data.attrs.get("length_unit") == (None if kind == "2D" else "m")
+        np.testing.assert_allclose(data["time"].to_numpy(), FRAMES / FPS, rtol=1e-15)
+        if kind == "2D":
+            assert data["individual"].to_numpy().tolist() == ["Phantom é"]
+            one = data["position"].sel(keypoint="tail base", individual="Phantom é", space="y")
+            np.testing.assert_array_equal(one.to_numpy(), values[:, 2, 1])
+        np.testing.assert_array_equal(data["position"].to_numpy()[..., 0], values.transpose(0, 2, 1))
+
+
+@pytest.mark.parametrize("kind", ["2D", "3D"])
+def test_nwb_by_pynwb(files_2d, files_3d, kind):
+    from ndx_pose import PoseEstimation
+    from pynwb import NWBHDF5IO, validate
+
+    path = (files_2d if kind == "2D" else files_3d)["nwb.nwb"]
+    with NWBHDF5IO(str(path), "r") as io:
+        file = io.read()
+        assert validate(io=io) == []
+        behavior = file.processing["behavior"]
+        (poses,) = (p for p in behavior.data_interfaces.values() if isinstance(p, PoseEstimation))
+        data = a_clip() if kind == "2D" else a_pose()
+        assert tuple(poses.skeleton.nodes) == data.names
+        assert poses.name == ("Phantom é" if kind == "2D" else "PoseEstimation")
+        for k, name in enumerate(data.names):
+            series = poses.pose_estimation_series[name]
+            np.testing.assert_allclose(series.timestamps[:], FRAMES / FPS, rtol=1e-15)
+            if isinstance(data, Keypoints):
+                np.testing.assert_array_equal(series.data[:], data.xy_px[:, k])
+                np.testing.assert_array_equal(series.confidence[:], data.confidence[:, k])
+                assert series.unit == "pixels"
+            else:
+                np.testing.assert_array_equal(series.data[:], data.xyz_m[:, k])
+                assert series.unit == "metres"
+                assert series.reference_frame.endswith("z up")
+        if kind == "3D":
+            assert np.array(poses.skeleton.edges[:]).tolist() == [[1, 0], [0, 2]]
+
+
+def test_regular_nwb_has_a_rate(tmp_path):
+    from pynwb import NWBHDF5IO
+
+    nwb = next(f for f in FORMATS if f.name == "nwb")
+    nwb.keypoints(replace(a_clip(np.arange(30, 34)), fps=30.0), tmp_path / "a.nwb")
+    with NWBHDF5IO(str(tmp_path / "a.nwb"), "r") as io:
+        poses = io.read().processing["behavior"]["Phantom é"]
+        assert poses.pose_estimation_series["nose"].rate == 30.0
+        assert poses.pose_estimation_series["nose"].starting_time == 1.0
+
+
+def test_coco_by_json(files_2d):
+    content = json.loads(files_2d["coco.json"].read_text(encoding="utf-8"))
+    assert [image["frame_id"] for image in content["images"]] == FRAMES.tolist()
+    assert content["images"][0]["file_name"] == "frame_000007.png"
+    assert content["categories"][0]["keypoints"] == list(a_clip().names)
+    assert content["info"]["fps"] == FPS
+    # The second frame has no point.
+    assert [a["image_id"] for a in content["annotations"]] == [1, 3, 4, 5]
+    last = content["annotations"][-1]
+    assert last["keypoints"][6:] == [0.0, 0.0, 0]
+    assert last["keypoints"][:2] == a_clip().xy_px[4, 0].tolist()
+    assert last["keypoints"][2::3] == [2, 2, 0]
+    assert last["num_keypoints"] == 2
+    (x, y, width, height) = last["bbox"]
+    corners = [[x, y], [x + width, y + height]]
+    np.testing.assert_allclose(corners, [f(a_clip().xy_px[4, :2], axis=0) for f in (np.min, np.max)])
+    assert last["area"] == width * height
+    assert content["annotations"][0]["keypoint_scores"][0] is None
+
+
+def test_plain_csv_by_csv(files_2d):
+    with files_2d["long.csv"].open(encoding="utf-8", newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert list(rows[0]) == ["frame", "individual", "bodypart", "x", "y", "likelihood", "fps"]
+    assert len(rows) == 15
+    assert rows[2] == {
+        "frame": "7",
+        "individual": "Phantom é",
+        "bodypart": "tail base",
+        "x": repr(float(a_clip().xy_px[0, 2, 0])),
+        "y": repr(float(a_clip().xy_px[0, 2, 1])),
+        "likelihood": repr(float(a_clip().confidence[0, 2])),
+        "fps": "119.88",
+    }
+    assert rows[3]["x"] == rows[3]["y"] == ""
+    wide = pd.read_csv(files_2d["wide.csv"], index_col="frame")
+    assert wide.index.tolist() == FRAMES.tolist()
+    np.testing.assert_array_equal(wide["tail base_y"], a_clip().xy_px[:, 2, 1])
+
+
+# Independent readers, 3D
+
+
+def test_parquet_by_pandas(files_3d):
+    table = pd.read_parquet(files_3d["parquet.parquet"])
+    assert list(table.columns) == ["frame", "joint", "x_m", "y_m", "z_m"]
+    for axis, i in (("x_m", 0), ("z_m", 2)):
+        wide = table.pivot_table(index="frame", columns="joint", values=axis, dropna=False)
+        np.testing.assert_array_equal(wide[list(a_pose().names)].to_numpy(), a_pose().xyz_m[..., i])
+
+
+def test_c3d_by_ezc3d(files_3d):
+    """A point is missing where its residual is -1; the frames of the gap are there, all missing."""
+    import ezc3d
+
+    file = ezc3d.c3d(str(files_3d["c3d.c3d"]))
+    point = file["parameters"]["POINT"]
+    assert point["LABELS"]["value"] == list(a_pose().names)
+    assert point["UNITS"]["value"] == ["mm"]
+    assert point["RATE"]["value"] == pytest.approx([FPS], rel=1e-7)
+    assert point["X_SCREEN"]["value"] == ["+X"]
+    assert point["Y_SCREEN"]["value"] == ["+Z"]
+    assert file["parameters"]["RECON"]["FRAMES"]["value"] == ["7-10", "14"]
+    assert file["header"]["points"]["first_frame"] == 7
+    expected_mm = np.full((8, 4, 3), NAN)
+    expected_mm[FRAMES - 7] = a_pose().xyz_m * 1000
+    missing = np.isnan(expected_mm[..., 0])
+    residual = file["data"]["meta_points"]["residuals"][0].T
+    np.testing.assert_array_equal(residual, np.where(missing, -1, 0))
+    points_mm = file["data"]["points"][:3].transpose(2, 1, 0)
+    np.testing.assert_allclose(points_mm[~missing], expected_mm[~missing], rtol=1e-6)
+
+
+def test_more_points_than_one_list_of_labels_holds(tmp_path):
+    names = tuple(f"p{i}" for i in range(300))
+    pose = Pose3D(names, np.random.default_rng(0).normal(size=(2, 300, 3)), np.arange(2), fps=100.0)
+    next(f for f in FORMATS if f.name == "c3d").pose(pose, tmp_path / "a.c3d")
+    assert_same_pose(read_pose3d(tmp_path / "a.c3d"), pose, 3e-7)
+
+
+def test_trc_by_its_layout(files_3d):
+    """x forwards, y up, z right is x, z, -y of ours; metres; a missing point is three empty cells."""
+    lines = files_3d["trc.trc"].read_text(encoding="utf-8").splitlines()
+    assert lines[0].split("\t")[:3] == ["PathFileType", "4", "(X/Y/Z)"]
+    header = dict(zip(lines[1].split("\t"), lines[2].split("\t"), strict=True))
+    assert header["Units"] == "m"
+    assert float(header["DataRate"]) == FPS
+    assert (header["NumFrames"], header["NumMarkers"], header["OrigDataStartFrame"]) == ("5", "4", "7")
+    assert lines[3].split("\t") == ["Frame#", "Time", "鼻", "", "", "tail", "", "", "ear", "", "", "paw", "", ""]
+    assert lines[4].split("\t")[:5] == ["", "", "X1", "Y1", "Z1"]
+    table = pd.read_csv(files_3d["trc.trc"], sep="\t", skiprows=5, header=None)
+    assert table[0].tolist() == FRAMES.tolist()
+    np.testing.assert_allclose(table[1], FRAMES / FPS)
+    x, y, z = a_pose().xyz_m[..., 0], a_pose().xyz_m[..., 1], a_pose().xyz_m[..., 2]
+    np.testing.assert_array_equal(table.to_numpy()[:, 2:].reshape(5, 4, 3), np.stack([x, z, -y], axis=2))
+    assert lines[6].split("\t")[2:] == [""] * 12
+
+
+def test_bvh_by_bvhio(files_3d):
+    """Missing points stay where they were last; the paw, missing at first, is where it will be."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of its dependencies
+        import bvhio
+
+        root = bvhio.readAsHierarchy(str(files_3d["bvh.bvh"]))
+        raw = bvhio.readAsBvh(str(files_3d["bvh.bvh"]))
+    assert root.Name == "recon_m_yup_frames_7-10_14"
+    assert raw.FrameCount == 8
+    assert 1 / raw.FrameTime == pytest.approx(FPS, rel=1e-6)
+    held = a_pose().xyz_m.copy()
+    held[1] = held[0]
+    held[:2, 3] = held[2, 3]
+    held[4, 2] = held[3, 2]
+    expected = np.stack([held[..., 0], held[..., 2], -held[..., 1]], axis=2)
+    for t, row in ((0, 0), (1, 1), (2, 2), (3, 3), (5, 3), (7, 4)):
+        root.loadPose(t)
+        found = {joint.Name: tuple(joint.PositionWorld) for joint, _, _ in root.layout()}
+        for j, name in enumerate(a_pose().names):
+            np.testing.assert_allclose(found[name], expected[row, j], atol=1e-5)
+    parents = {joint.Name: joint.Parent.Name for joint, _, _ in root.layout() if joint.Parent}
+    assert parents == {"鼻": root.Name, "tail": "鼻", "ear": "鼻", "paw": root.Name}
+
+
+def test_npz_by_numpy(files_3d):
+    with np.load(files_3d["npz.npz"]) as file:
+        np.testing.assert_array_equal(file["xyz_m"], a_pose().xyz_m)
+        assert file["names"].tolist() == list(a_pose().names)
+        assert file["frames"].tolist() == FRAMES.tolist()
+        assert float(file["fps"]) == FPS
+
+
+# The pipeline
+
+
+def test_choice_of_format():
+    def chosen(name: str, to: str | None = None) -> str:
+        return choose_format(Path(name), to).title
+
+    assert chosen("a.csv") == "DeepLabCut CSV"
+    assert chosen("a.CSV", "long") == "long CSV"
+    assert chosen("a.h5") == "DeepLabCut H5"
+    assert chosen("a.h5", "sleap") == chosen("clip.analysis.h5") == "SLEAP analysis H5"
+    assert chosen("clip.analysis.h5", "deeplabcut") == "DeepLabCut H5"
+    with pytest.raises(InputError, match=r"extension: found '.xyz', expected one of: .csv, .h5"):
+        choose_format(Path("a.xyz"), None)
+    with pytest.raises(InputError, match=r"extension: found '.csv', expected one of: .trc$"):
+        choose_format(Path("a.csv"), "trc")
+    with pytest.raises(InputError, match=r"--to: format: found 'fbx', expected one of: deeplabcut, long"):
+        choose_format(Path("a.csv"), "fbx")
+
+
+def test_2d_does_not_become_3d_nor_3d_2d(files_2d, files_3d, tmp_path):
+    with pytest.raises(InputError, match=r"found 2D keypoints, expected 3D positions for TRC: fit the clip first"):
+        convert(files_2d["movement.nc"], tmp_path / "a.trc")
+    with pytest.raises(InputError, match=r"found 3D positions, expected 2D keypoints for COCO JSON"):
+        convert(files_3d["movement.nc"], tmp_path / "a.json")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_every_problem_at_once(tmp_path):
+    (tmp_path / "a.csv").write_text("nothing of use\n")
+    with pytest.raises(InputError) as error:
+        convert(tmp_path / "a.csv", tmp_path / "a.csv", "fbx")
+    said = [str(p) for p in error.value.problems]
+    assert len(said) == 3
+    assert "begins with 'nothing of use'" in said[0]
+    assert "'fbx'" in said[1]
+    assert "there already" in said[2]
+    assert (tmp_path / "a.csv").read_text() == "nothing of use\n"
+
+
+def test_whole_or_not_at_all(files_2d, tmp_path):
+    out = tmp_path / "new" / "a.nwb"
+    no_rate = replace(a_clip(), fps=None)
+    FORMATS[0].keypoints(no_rate, tmp_path / "a.csv")
+    with pytest.raises(InputError, match="--fps"):
+        convert(tmp_path / "a.csv", out)
+    assert not out.parent.exists()
+    convert(tmp_path / "a.csv", out, options=Options(fps=50))
+    found = read_keypoints(out)
+    assert found.fps == 50
+    assert found.frames.tolist() == FRAMES.tolist()
+    assert [p.name for p in out.parent.iterdir()] == ["a.nwb"]
+    with pytest.raises(InputError, match="found one that is there already, expected another name, or --overwrite"):
+        convert(files_2d["coco.json"], out)
+    convert(files_2d["coco.json"], out, overwrite=True)
+    assert read_keypoints(out).fps == FPS
+
+
+def test_frame_rate_as_given_overrules_the_file(files_2d, tmp_path):
+    done = convert(files_2d["movement.nc"], tmp_path / "a.nc", options=Options(fps=240))
+    assert done.notes == ("119.88 frames per second in the source, 240 as given.",)
+    found = read_keypoints(tmp_path / "a.nc")
+    assert found.fps == 240
+    assert found.frames.tolist() == FRAMES.tolist()
+    with pytest.raises(InputError, match="--fps: fps: found -3"):
+        convert(files_2d["movement.nc"], tmp_path / "b.nc", options=Options(fps=-3))
+
+
+def test_zero_zero_is_missing_everywhere(tmp_path):
+    text = "scorer,n,n,n\nbodyparts,nose,nose,nose\ncoords,x,y,likelihood\n0,0,0,0\n1,0,0,0.9\n2,3,4,\n"
+    (tmp_path / "a.csv").write_text(text)
+    done = convert(tmp_path / "a.csv", tmp_path / "a.nc")
+    assert done.notes == ("1 points that were stored as (0, 0) are missing ones.",)
+    found = read_keypoints(tmp_path / "a.nc")
+    np.testing.assert_array_equal(found.xy_px[:, 0], [[NAN, NAN], [0, 0], [3, 4]])
+    np.testing.assert_array_equal(found.confidence[:, 0], [0, 0.9, NAN])
+
+
+def test_columns_by_a_map(tmp_path):
+    (tmp_path / "a.csv").write_text("Nr;Node;U;V;Q\n3;nose;1.5;2;0.5\n4;nose;;;\n", encoding="utf-8")
+    named = "frame=Nr, bodypart=Node, x=U, y=V, likelihood=Q"
+    convert(tmp_path / "a.csv", tmp_path / "b.csv", options=Options(columns=named, fps=25))
+    found = read_keypoints(tmp_path / "b.csv")
+    assert (found.names, found.frames.tolist(), found.fps) == (("nose",), [3, 4], 25)
+    np.testing.assert_array_equal(found.xy_px[:, 0], [[1.5, 2], [NAN, NAN]])
+    (tmp_path / "c.csv").write_text("t,X of a,Y of a,Z of a\n0,1,2,3\n0.5,4,5,6\n", encoding="utf-8")
+    wide = "time=t,x=X of {bodypart},y=Y of {bodypart},z=Z of {bodypart}"
+    with pytest.raises(InputError, match=r"unit: found none in the file, expected one of: m, cm, mm"):
+        convert(tmp_path / "c.csv", tmp_path / "c.trc", options=Options(columns=wide))
+    convert(tmp_path / "c.csv", tmp_path / "c.trc", options=Options(columns=wide, unit="cm", up="y"))
+    pose = read_pose3d(tmp_path / "c.trc")
+    np.testing.assert_allclose(pose.xyz_m[:, 0], [[0.01, -0.03, 0.02], [0.04, -0.06, 0.05]])
+    assert (pose.fps, pose.frames.tolist()) == (2, [0, 1])
+
+
+@pytest.fixture(scope="module")
+def results(small_trajectory, tmp_path_factory) -> Path:
+    from recon.pipelines.clip import write_clip
+    from recon.settings import FitSettings
+
+    folder = tmp_path_factory.mktemp("results")
+    settings = FitSettings.model_validate(
+        {"keypoints": "run.csv", "fps": 30, "hfov_deg": 64.0, "image_size_px": "1920x1080"}
+    )
+    write_clip(small_trajectory, settings, folder)
+    return folder
+
+
+def test_folder_of_results(results, tmp_path):
+    """The joints upright, with the frame rate of the report and the limbs of the skeleton."""
+    from recon.results import read_results
+
+    done = convert(results, tmp_path / "a.bvh")
+    assert "level frame" in done.notes[0]
+    expected = read_results(results).pose
+    found = read_pose3d(tmp_path / "a.bvh")
+    assert_same_pose(found, replace(expected, fps=30.0), 1e-12)
+    assert ("neck_base", "nose") in found.edges or ("nose", "neck_base") in found.edges
+    with pytest.raises(InputError, match=r"no report\.json"):
+        convert(tmp_path, tmp_path / "b.bvh")
+
+
+# The command
+
+
+def run(*arguments: str | Path):
+    return CliRunner().invoke(app, ["convert", *map(str, arguments)])
+
+
+def test_command(files_3d, tmp_path):
+    done = run(files_3d["trc.trc"], tmp_path / "a.c3d")
+    assert done.exit_code == 0
+    expected = f"{tmp_path}/a.c3d: C3D, 4 joints, 3D, frames 7 to 14 (5), 119.88 frames per second\n"
+    assert done.output == expected
+
+
+def test_command_lists_formats():
+    listed = json.loads(run("--list", "--json").output)
+    assert [row["--to"] for row in listed] == [f.name for f in FORMATS]
+    shown = run("--list").output
+    assert all(f.name in shown for f in FORMATS)
+
+
+def test_command_names_problems(monkeypatch, capsys, tmp_path):
+    monkeypatch.setattr("sys.argv", ["recon", "convert", str(tmp_path / "none.csv"), str(tmp_path / "a.xyz")])
+    with pytest.raises(SystemExit) as exit_:
+        main()
+    assert exit_.value.code == 2
+    said = capsys.readouterr().err
+    assert "no such file" in said
+    assert "extension: found '.xyz'" in said
+    monkeypatch.setattr("sys.argv", ["recon", "convert", "a.csv"])
+    with pytest.raises(SystemExit):
+        main()
+    assert "IN and OUT" in capsys.readouterr().err
+
+
+def test_missing_library_says_what_to_install(monkeypatch, files_2d, tmp_path):
+    monkeypatch.setitem(__import__("sys").modules, "h5py", None)
+    with pytest.raises(InputError, match=r"needs the package h5py, which is not installed.*recon\[formats\]"):
+        convert(files_2d["sleap.analysis.h5"], tmp_path / "a.csv")

@@ -1,0 +1,639 @@
+"""Formats beside DeepLabCut's: layouts that occur in the field, and files that are broken."""
+
+from __future__ import annotations
+
+import json
+import warnings
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from recon.errors import InputError
+from recon.export.formats import FORMATS
+from recon.io import read_keypoints
+from recon.io.column_map import parse_map
+from recon.io.common import frames_of_text, frames_of_times, frames_text
+from recon.io.pose3d import Pose3D, read_pose3d
+from recon.keypoints import Keypoints
+
+NAN = float("nan")
+
+
+def refused(path: Path, individual: str | None = None, read=read_keypoints) -> list[str]:
+    with pytest.raises(InputError) as error:
+        read(path, individual)
+    return [str(problem) for problem in error.value.problems]
+
+
+def save(path: Path, text: str) -> Path:
+    path.write_text(text, encoding="utf-8", newline="")
+    return path
+
+
+# SLEAP
+
+NODES, TRACKS = ["nose", "tail", "ear"], ["a", "b"]
+XY = np.random.default_rng(0).uniform(0, 100, (5, 2, 3, 2))  # frame, track, node, xy
+SCORE = np.random.default_rng(1).uniform(0, 1, (5, 2, 3))
+SLEAP_AXES = {"f": "frame", "t": "track", "n": "node", "c": "xy"}
+
+
+def sleap_file(path: Path, tracks="tcnf", scores="tnf", occupancy="ft", dims: bool = True, **more) -> Path:
+    """An analysis file with its axes in this order; `more` replaces datasets, None leaves one out."""
+    import h5py
+
+    occupied = np.ones((5, 2), np.uint8)
+    occupied[0, 1] = 0
+    arrays = {
+        "tracks": (np.einsum(f"ftnc->{tracks}", XY), tracks),
+        "point_scores": (np.einsum(f"ftn->{scores}", SCORE), scores),
+        "track_occupancy": (np.einsum(f"ft->{occupancy}", occupied), occupancy),
+    }
+    datasets = {name: array for name, (array, _) in arrays.items()}
+    datasets |= {"node_names": np.array([n.encode() for n in NODES]), "track_names": np.array([b"a", b"b"])}
+    with h5py.File(path, "w") as file:
+        for name, data in (datasets | more).items():
+            if data is not None:
+                file[name] = data
+                if dims and name in arrays:
+                    file[name].attrs["dims"] = json.dumps([SLEAP_AXES[axis] for axis in arrays[name][1]])
+    return path
+
+
+@pytest.mark.parametrize(
+    ("orders", "dims"),
+    [
+        (("tcnf", "tnf", "ft"), False),
+        (("tcnf", "tnf", "ft"), True),
+        (("ftnc", "ftn", "ft"), True),
+        (("nfct", "nft", "tf"), True),
+    ],
+    ids=["no-dims", "matlab", "standard", "custom"],
+)
+def test_sleap(tmp_path, orders, dims):
+    path = sleap_file(tmp_path / "a.h5", *orders, dims=dims)
+    a, b = read_keypoints(path, "a"), read_keypoints(path, "b")
+    assert (a.names, a.individual, a.fps) == (tuple(NODES), "a", None)
+    assert a.frames.tolist() == [0, 1, 2, 3, 4]
+    assert b.frames.tolist() == [1, 2, 3, 4]  # not occupied in the first
+    np.testing.assert_array_equal(a.xy_px, XY[:, 0])
+    np.testing.assert_array_equal(b.xy_px, XY[1:, 1])
+    np.testing.assert_array_equal(b.confidence, SCORE[1:, 1])
+    assert refused(path) == [f"{path}: individual: found 2 animals and no choice, expected one of: a, b"]
+    assert "found 'c'" in refused(path, "c")[0]
+
+
+def test_sleap_without_scores_and_names(tmp_path):
+    path = sleap_file(tmp_path / "a.h5", point_scores=None, track_occupancy=None, track_names=np.zeros(0))
+    found = read_keypoints(path, "track_1")
+    assert np.isnan(found.confidence).all()
+    assert found.individual is None
+    np.testing.assert_array_equal(found.xy_px, XY[:, 1])
+
+
+def test_sleap_problems(tmp_path):
+    said = refused(sleap_file(tmp_path / "a.h5", node_names=np.array([b"x", b"x"]), point_scores=np.ones((2, 3, 4))))
+    assert len(said) == 3
+    assert "'x' more than once" in said[0]
+    assert "2 names, expected 3, as in tracks" in said[1]
+    assert "point_scores: found (4, 2, 3)" in said[2]
+    said = refused(sleap_file(tmp_path / "c.h5", dims=False, point_scores=np.ones((5, 2))))
+    assert "point_scores: found float64 (5, 2) with the axes track, node, frame" in said[0]
+    said = refused(sleap_file(tmp_path / "d.h5", dims=False, track_occupancy=np.zeros((5, 2))), "a")
+    assert "track a: found no frame with it" in said[0]
+
+
+def test_real_sleap(shared_data):
+    path = next((shared_data / "importer-files" / "sleap").glob("*.h5"))
+    found = read_keypoints(path)
+    assert found.names == ("top", "front", "rear")
+    import h5py
+
+    with h5py.File(path) as file:
+        np.testing.assert_array_equal(found.xy_px[:, 1, 0], file["tracks"][0, 0, 1, :])
+        np.testing.assert_array_equal(found.confidence[:, 2], file["point_scores"][0, 2, :])
+
+
+# movement
+
+
+def movement_data(plural: bool, space: str = "xy", **attributes):
+    import xarray
+
+    s = "s" if plural else ""
+    values = np.random.default_rng(0).uniform(0, 9, (4, len(space), 3, 2))
+    return xarray.Dataset(
+        {
+            "position": (("time", "space", f"keypoint{s}", f"individual{s}"), values),
+            "confidence": (("time", f"keypoint{s}", f"individual{s}"), values[:, 0] / 10),
+        },
+        coords={
+            "time": np.arange(4) / 25.0,
+            "space": list(space),
+            f"keypoint{s}": NODES,
+            f"individual{s}": TRACKS,
+        },
+        attrs={"ds_type": "poses", "fps": 25.0, "time_unit": "seconds", "source_software": "SLEAP"} | attributes,
+    )
+
+
+@pytest.mark.parametrize("engine", ["h5netcdf", "scipy"])
+@pytest.mark.parametrize("plural", [False, True])
+def test_movement(tmp_path, plural, engine):
+    data = movement_data(plural)
+    data.to_netcdf(tmp_path / "a.nc", engine=engine)
+    found = read_keypoints(tmp_path / "a.nc", "b")
+    assert (found.names, found.individual, found.fps) == (tuple(NODES), "b", 25.0)
+    assert found.frames.tolist() == [0, 1, 2, 3]
+    np.testing.assert_array_equal(found.xy_px, data["position"].to_numpy()[..., 1].transpose(0, 2, 1))
+    np.testing.assert_array_equal(found.confidence, data["confidence"].to_numpy()[..., 1])
+    assert "one of: a, b" in refused(tmp_path / "a.nc")[0]
+
+
+def test_movement_in_frames(tmp_path):
+    data = movement_data(True, time_unit="frames").assign_coords(time=[3, 4, 8, 9])
+    del data.attrs["fps"]
+    data.isel(individuals=[0]).to_netcdf(tmp_path / "a.nc", engine="h5netcdf")
+    found = read_keypoints(tmp_path / "a.nc")
+    assert found.frames.tolist() == [3, 4, 8, 9]
+    assert found.fps is None
+
+
+def test_movement_3d(tmp_path):
+    """The unit is not part of movement's format: it has to be given, unless the file is ours."""
+    data = movement_data(False, "xyz")
+    data.to_netcdf(tmp_path / "a.nc", engine="h5netcdf")
+    assert "x, y, z: 3D positions" in refused(tmp_path / "a.nc", "a")[0]
+    assert "unit: found none in the file" in refused(tmp_path / "a.nc", "a", read_pose3d)[0]
+    pose = read_pose3d(tmp_path / "a.nc", "a", unit="mm")
+    values = data["position"].to_numpy()[..., 0].transpose(0, 2, 1)
+    np.testing.assert_allclose(pose.xyz_m, values / 1000)
+    turned = read_pose3d(tmp_path / "a.nc", "a", unit="m", up="y").xyz_m
+    np.testing.assert_array_equal(turned, np.stack([values[..., 0], -values[..., 2], values[..., 1]], axis=2))
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda d: d.rename({"keypoint": "node"}), "position: found float64 with the dimensions time, space, node"),
+        (lambda d: d.assign_coords(space=["y", "x"]), "space: found y, x, expected x, y or x, y, z"),
+        (lambda d: d.assign_coords(keypoint=["a", "a", "b"]), "keypoint: found 'a' more than once"),
+        (lambda d: d.assign_coords(time=[0, 1, 1, 2]), "time: found times that do not increase"),
+        (lambda d: d.assign_coords(time=[0, 0.04, 0.1, 0.2]), "time: found times that are no multiples of 0.04 s"),
+        (lambda d: d.assign_attrs(ds_type="bboxes"), "ds_type: found bboxes"),
+        (lambda d: d.isel(time=[]), "time: found no frames"),
+    ],
+)
+def test_movement_problems(tmp_path, change, said):
+    change(movement_data(False)).to_netcdf(tmp_path / "a.nc", engine="h5netcdf")
+    assert said in refused(tmp_path / "a.nc", "a")[0]
+
+
+# NWB
+
+
+def test_real_nwb(shared_data):
+    folder = shared_data / "importer-files" / "ndx-pose"
+    for name in ("0.3.0_poseestimation_one_camera.nwb", "0.3.0_poseestimation_two_cameras.nwb"):
+        found = read_keypoints(folder / name)
+        assert found.names == ("front_left_paw", "front_right_paw")
+        assert found.frames.tolist() == list(range(10))
+        assert found.fps == pytest.approx(0.9)
+        import h5py
+
+        with h5py.File(folder / name) as file:
+            series = file["processing/behavior/PoseEstimation/front_right_paw"]
+            np.testing.assert_array_equal(found.xy_px[:, 1], series["data"])
+            np.testing.assert_array_equal(found.confidence[:, 1], series["confidence"])
+    (said,) = refused(folder / "0.1.1_poseestimation_nodes_edges.nwb")
+    assert "front_right_paw: found 2 coordinates, and 3 in front_left_paw" in said
+    (said,) = refused(folder / "0.1.1_poseestimation_no_cameras.nwb")
+    assert "PoseEstimationSeries: found none" in said
+
+
+def nwb_file(path: Path, edit=None) -> Path:
+    """Two animals, a and b, of our own writer, which `edit` may change."""
+    import h5py
+
+    write = next(f.keypoints for f in FORMATS if f.name == "nwb")
+    clip = Keypoints(("nose", "tail"), XY[:, 0, :2], SCORE[:, 0, :2], np.arange(5), fps=20.0, individual="a")
+    write(clip, path)
+    with h5py.File(path, "a") as file:
+        behavior = file["processing/behavior"]
+        behavior.copy("a", "b")
+        for name in ("nose", "tail"):
+            behavior[f"b/{name}/data"][:] += 1
+        if edit:
+            edit(behavior)
+    return path
+
+
+def test_nwb_of_several_animals(tmp_path):
+    path = nwb_file(tmp_path / "a.nwb")
+    assert "one of: a, b" in refused(path)[0]
+    found = read_keypoints(path, "b")
+    assert found.individual == "b"
+    np.testing.assert_array_equal(found.xy_px, XY[:, 0, :2] + 1)
+
+
+def test_nwb_problems(tmp_path):
+    def shift(behavior):
+        behavior["a/tail/starting_time"][()] = 7.0
+        behavior["a/nose/data"][2] = np.inf
+
+    said = refused(nwb_file(tmp_path / "a.nwb", shift), "a")
+    assert len(said) == 2
+    assert "a/nose: found infinite coordinates" in said[0]
+    assert "a/tail: found other times than in nose" in said[1]
+
+    def shorten(behavior):
+        del behavior["a/tail/confidence"]
+        behavior["a/tail/confidence"] = np.ones(3)
+
+    assert "tail: found 5 positions, 3 confidences" in refused(nwb_file(tmp_path / "b.nwb", shorten), "a")[0]
+
+
+# COCO
+
+COCO = {
+    "images": [
+        {"id": 5, "file_name": "v/img012.png", "width": 64, "height": 48},
+        {"id": 6, "file_name": "v/img010.png"},
+    ],
+    "annotations": [
+        {"id": 1, "image_id": 5, "category_id": 1, "keypoints": [1, 2, 2, 0, 0, 0], "track_id": 3},
+        {"id": 2, "image_id": 6, "category_id": 1, "keypoints": [3, 4, 1, 5, 6, 2], "track_id": 3},
+    ],
+    "categories": [{"id": 1, "name": "cheetah", "keypoints": ["nose", "tail"]}],
+}
+
+
+def test_coco(tmp_path):
+    found = read_keypoints(save(tmp_path / "a.json", json.dumps(COCO)))
+    assert found.names == ("nose", "tail")
+    assert found.frames.tolist() == [10, 12]
+    np.testing.assert_array_equal(found.xy_px, [[[3, 4], [5, 6]], [[1, 2], [NAN, NAN]]])
+    np.testing.assert_array_equal(found.confidence, [[NAN, NAN], [NAN, 0]])
+    assert found.individual is found.fps is found.image_size_px is None
+    assert found.notes == ("Frames are numbered as the images' file names.",)
+
+
+def test_coco_of_several_animals(tmp_path):
+    second = [dict(a, track_id=4, id=9, keypoints=[9] * 6) for a in COCO["annotations"]]
+    path = save(tmp_path / "a.json", json.dumps(COCO | {"annotations": COCO["annotations"] + second}))
+    assert "one of: 3, 4" in refused(path)[0]
+    assert read_keypoints(path, "4").xy_px.tolist() == [[[9, 9], [9, 9]]] * 2
+    assert read_keypoints(path, "4").individual == "4"
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"annotations": [*COCO["annotations"], COCO["annotations"][0]]}, "a second animal in image 5"),
+        ({"annotations": [dict(COCO["annotations"][0], keypoints=[1, 2])]}, "found 2 numbers and 0 scores"),
+        ({"annotations": [dict(COCO["annotations"][0], image_id=8)]}, "found image 8"),
+        ({"annotations": [dict(COCO["annotations"][0], keypoints=["x"] * 6)]}, "an entry of another form"),
+        ({"categories": [{"id": 1, "name": "cheetah"}]}, "0 lists of keypoints"),
+        ({"categories": [{"id": 1, "keypoints": ["a", "a"]}]}, "'a' more than once"),
+        ({"images": [{"file_name": "x.png"}]}, "an entry without 'id'"),
+        ({"images": {}}, "images: found no list"),
+        ({"images": [{"id": 5}, {"id": 5}]}, "frame numbers that are not unique"),
+    ],
+)
+def test_coco_problems(tmp_path, change, said):
+    assert said in refused(save(tmp_path / "a.json", json.dumps(COCO | change)))[0]
+
+
+# Plain CSV
+
+TABS = """\
+frame|nose x (px)|nose y (px)|nose conf|tail x (px)|tail y (px)|tail conf
+6|||0|5|6|
+5|1|2|0.5|3|4|.25
+"""
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "frame,bodypart,x,y,likelihood\n5,nose,1,2,0.5\n5,tail,3,4,0.25\n6,tail,5,6,\n6,nose,,,0\n",
+        "Keypoint;Frame_Idx;X_px;Y_px;Score\ntail;5;3;4;0.25\nnose;5;1;2;.5\nnose;6;nan;NaN;0\ntail;6;5;6;NA\n",
+        ",frame,nose_x,nose_y,nose_likelihood,tail_x,tail_y,tail_likelihood\n0,5,1,2,0.5,3,4,0.25\n1,6,,,0,5,6,\n",
+        TABS.replace("|", "\t"),
+        "fnum,tail.x,tail.y,nose.x,nose.y,nose.p,tail.p\r\n5,3,4,1,2,0.5,0.25\r\n6.0,5,6,,,0,\r\n",
+        "\ufefftime_s,nose:x,nose:y,nose:score,tail:x,tail:y,tail:score\n0.5,1,2,0.5,3,4,0.25\n0.6,,,0,5,6,\n",
+    ],
+    ids=["long", "long-semicolons", "wide-index", "wide-tabs", "wide-dots", "wide-times"],
+)
+def test_plain_csv(tmp_path, text):
+    found = read_keypoints(save(tmp_path / "a.csv", text))
+    order = [found.names.index(name) for name in ("nose", "tail")]
+    assert len(found.names) == 2
+    assert found.frames.tolist() == [5, 6]
+    assert found.fps == (10.0 if "time_s" in text else None)
+    np.testing.assert_array_equal(found.xy_px[:, order], [[[1, 2], [3, 4]], [[NAN, NAN], [5, 6]]])
+    np.testing.assert_array_equal(found.confidence[:, order], [[0.5, 0.25], [0, NAN]])
+
+
+def test_plain_csv_of_several_animals(tmp_path):
+    path = save(tmp_path / "a.csv", "frame,animal,node,x,y\n0,m1,nose,1,2\n0,m2,nose,3,4\n1,m2,nose,5,6\n")
+    assert "one of: m1, m2" in refused(path)[0]
+    found = read_keypoints(path, "m2")
+    assert (found.individual, found.frames.tolist(), found.xy_px[:, 0].tolist()) == ("m2", [0, 1], [[3, 4], [5, 6]])
+
+
+def test_columns_that_mean_nothing_are_named(tmp_path):
+    found = read_keypoints(save(tmp_path / "a.csv", "frame,nose_x,nose_y,speed\n0,1,2,3\n"))
+    assert found.notes == ("Columns left out: speed.",)
+
+
+def test_anipose_3d_csv(tmp_path):
+    """Its unit is the calibration board's, which the file does not say."""
+    header = "nose_x,nose_y,nose_z,nose_error,nose_ncams,nose_score,M_00,M_01,center_0,fnum"
+    path = save(tmp_path / "a.csv", f"{header}\n10,20,30,1,2,0.9,1,0,0,7\n,,,,,,1,0,0,8\n")
+    pose = read_pose3d(path, unit="mm")
+    assert (pose.names, pose.frames.tolist()) == (("nose",), [7, 8])
+    np.testing.assert_allclose(pose.xyz_m[:, 0], [[0.01, 0.02, 0.03], [NAN] * 3])
+    assert "unit" in refused(path, None, read_pose3d)[0]
+    assert "3D positions" in refused(path)[0]
+    metres = save(tmp_path / "b.csv", "frame,nose_x_m,nose_y_m,nose_z_m\n0,1,2,3\n")
+    assert read_pose3d(metres).xyz_m.tolist() == [[[1, 2, 3]]]
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("frame,node,x,y\n0,a,1,one\n0.5,a,1,2\n", ["line 3, frame: found no number of a frame"]),
+        ("frame,node,x,y\n0,a,1,one\n1,a,inf,2\n", ["line 3, x: found 'inf'", "line 2, y: found 'one'"]),
+        ("frame,node,x,y\n0,a,1,2\n0,a,3,4\n", ["bodypart a: found 2 rows in one frame"]),
+        ("frame,node,x,y\n0,,1,2\n", ["bodypart: found an empty name"]),
+        ("frame,node,x,y\n0,a,1\n1,a,2,3,4\n", ["line 2: found 3 cells, expected 4", "line 3: found 5 cells"]),
+        ("frame,node,x,y\n", ["rows: found no frames"]),
+        ("frame,a_x,a_y\n0,1,2\n0,3,4\n", ["frames: found 2 rows for 1 frames"]),
+    ],
+)
+def test_plain_csv_problems(tmp_path, text, said):
+    found = refused(save(tmp_path / "a.csv", text))
+    assert len(found) == len(said)
+    assert all(part in problem for part, problem in zip(said, found, strict=True))
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("frame=F,x=X,y=Y", "no bodypart"),
+        ("bodypart=B,x=X,y=Y", "no frame"),
+        ("frame=F,where=B,x=X,y=Y", "'where=B'"),
+        ("frame=F,frame=G,bodypart=B,x=X,y=Y", "'frame=G'"),
+        ("frame=F,x={bodypart}_x,y=Y", "{bodypart} in x"),
+        ("frame", "'frame'"),
+    ],
+)
+def test_column_maps_that_are_wrong(text, said):
+    with pytest.raises(InputError, match="--columns: map") as error:
+        parse_map(text)
+    assert said in str(error.value)
+
+
+# Frame numbers
+
+
+def test_frames_of_times():
+    def frames(times, fps=None):
+        found, rate = frames_of_times(Path("a"), np.array(times, dtype=float), fps)
+        return found.tolist(), rate
+
+    assert frames([0, 0.1, 0.2, 0.5]) == ([0, 1, 2, 5], 10)
+    assert frames(np.arange(100, 10_000) / 29.97) == (list(range(100, 10_000)), 29.97)
+    assert frames([1 / 3], 30) == ([10], 30)
+    assert frames([7.0]) == ([0], None)
+    # A clock that is 100 ppm off, and noise of a tenth of a frame, shift no frame.
+    noisy = np.arange(5000) * 1.0001 / 120 + np.random.default_rng(0).uniform(-0.1, 0.1, 5000) / 120
+    assert frames(noisy + 1.0, 120)[0] == list(range(120, 5120))
+
+
+@pytest.mark.parametrize(("frames", "text"), [([0], ["0"]), ([3, 4, 5, 9, 11, 12], ["3-5", "9", "11-12"])])
+def test_frames_as_text(frames, text):
+    assert frames_text(np.array(frames)) == text
+    assert frames_of_text(text).tolist() == frames
+
+
+@pytest.mark.parametrize("text", [[], ["a"], ["3-1"], ["1", "1"], ["5", "2"], ["1-2-3"]])
+def test_other_text_is_no_frames(text):
+    assert frames_of_text(text) is None
+
+
+# 3D files of others
+
+
+def test_real_trc(shared_data):
+    """Commas for tabs, millimetres, a header that announces more frames than there are."""
+    path = shared_data / "importer-files" / "c3d-trc" / "markers.trc"
+    pose = read_pose3d(path, up="z")
+    table = pd.read_csv(path, skiprows=6, header=None)
+    assert pose.names[:2] == ("ASISl", "ASISr")
+    assert (len(pose.names), pose.fps, pose.frames[0], len(pose.frames)) == (51, 100, 1, 93)
+    np.testing.assert_allclose(pose.xyz_m.reshape(93, -1), table.to_numpy()[:, 2:155] / 1000)
+    assert pose.notes == ("The header announces 652 frames, the file has 93.",)
+    assert "which way is up" in read_pose3d(path).notes[1]
+    # Under y up, which is wrong for this file, what it calls y is our z.
+    np.testing.assert_array_equal(read_pose3d(path).xyz_m[..., 2], pose.xyz_m[..., 1])
+
+
+def test_real_c3d(shared_data):
+    import ezc3d
+
+    path = shared_data / "importer-files" / "c3d-trc" / "markers_analogs.c3d"
+    pose = read_pose3d(path)
+    raw = ezc3d.c3d(str(path))
+    assert pose.names == tuple(raw["parameters"]["POINT"]["LABELS"]["value"])
+    assert (pose.fps, pose.frames[0], len(pose.frames)) == (100, 0, 580)
+    np.testing.assert_allclose(pose.xyz_m, raw["data"]["points"][:3].transpose(2, 1, 0) / 1000)
+    missing = raw["data"]["meta_points"]["residuals"][0].T < 0
+    assert missing.sum() == 305
+    np.testing.assert_array_equal(np.isnan(pose.xyz_m[..., 0]), missing)
+
+
+BVH = """\
+HIERARCHY
+ROOT hips
+{
+  OFFSET 0.0 1.0 0.0
+  CHANNELS 6 Xposition Yposition Zposition Zrotation Xrotation Yrotation
+  JOINT knee
+  {
+    OFFSET 0.0 -2.0 0.0
+    CHANNELS 3 Zrotation Xrotation Yrotation
+    End Site
+    {
+      OFFSET 1.0 0.0 0.0
+    }
+  }
+}
+MOTION
+Frames: 2
+Frame Time: 0.0333333
+0 0 0 0 0 0 0 0 0
+1 2 3 90 0 0 0 90 0
+"""
+
+
+def test_bvh_by_hand(tmp_path):
+    """At rest the knee is 2 below, its end 1 along x. In the second frame the hips, at (1, 2, 3), turn by 90 degrees
+    about z, so that -y becomes x: the knee is at (3, 2, 3). A turn of the knee about its own x leaves its end, which
+    lies on that axis, 1 along what x has become, y."""
+    pose = read_pose3d(save(tmp_path / "a.bvh", BVH), unit="m", up="z")
+    assert pose.names == ("hips", "knee", "knee_end")
+    expected = [[[0, 0, 0], [0, -2, 0], [1, -2, 0]], [[1, 2, 3], [3, 2, 3], [3, 3, 3]]]
+    np.testing.assert_allclose(pose.xyz_m, expected, atol=1e-12)
+    assert pose.fps == pytest.approx(30, rel=1e-5)
+    assert pose.edges == (("hips", "knee"), ("knee", "knee_end"))
+    assert "--unit" in refused(tmp_path / "a.bvh", None, read_pose3d)[0]
+    centimetres = read_pose3d(tmp_path / "a.bvh", unit="cm")
+    np.testing.assert_allclose(centimetres.xyz_m[1, 1], [0.03, -0.03, 0.02])
+    assert "read as y up" in centimetres.notes[0]
+
+
+def test_bvh_against_another_reader(tmp_path):
+    rows = np.random.default_rng(0).uniform(-180, 180, (20, 9))
+    head = BVH[: BVH.index("Frames:")].replace(
+        "Zrotation Xrotation Yrotation\n    End", "Yrotation Zrotation Xrotation\n    End"
+    )
+    numbers = "\n".join(" ".join(map(str, row)) for row in rows)
+    path = save(tmp_path / "a.bvh", f"{head}Frames: 20\nFrame Time: 0.01\n{numbers}\n")
+    pose = read_pose3d(path, unit="m", up="z")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of its dependencies
+        import bvhio
+
+        root = bvhio.readAsHierarchy(str(path))
+    for t in range(20):
+        root.loadPose(t)
+        for j, (joint, _, _) in enumerate(root.layout()):
+            assert joint.Name == pose.names[j]
+            np.testing.assert_allclose(pose.xyz_m[t, j], tuple(joint.PositionWorld), atol=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (("Frames: 2", "Frames: 3"), "MOTION: found 2 rows, and Frames: 3"),
+        (("1 2 3 90 0 0 0 90 0", "1 2 3 90"), "frame 2 of MOTION: found 4 numbers, expected 9"),
+        (("Frame Time: 0.0333333", "Frame Time: 0"), "Frame Time: found 0"),
+        (("CHANNELS 3", "CHANNELS 2"), "which are no channels"),
+        (("1 2 3 90 0 0 0 90 0", "1 2 3 90 0 0 0 90 x"), "could not convert string to float: 'x'"),
+        (("MOTION", ""), "in the hierarchy"),
+        (("JOINT knee", "JOINT hips"), "'hips' more than once"),
+    ],
+)
+def test_bvh_problems(tmp_path, change, said):
+    assert change[0] in BVH
+    assert any(said in p for p in refused(save(tmp_path / "a.bvh", BVH.replace(*change)), None, read_pose3d))
+
+
+TRC = """\
+PathFileType\t4\t(X/Y/Z)\ta.trc
+DataRate\tCameraRate\tNumFrames\tNumMarkers\tUnits\tOrigDataRate\tOrigDataStartFrame\tOrigNumFrames
+50\t50\t2\t2\tmm\t50\t1\t2
+Frame#\tTime\ta\t\t\tb\t\t
+\t\tX1\tY1\tZ1\tX2\tY2\tZ2
+1\t0\t1\t2\t3\t\t\t
+2\t0.02\t4\t5\t6\t7\t8\t9
+"""
+
+
+def test_trc(tmp_path):
+    pose = read_pose3d(save(tmp_path / "a.trc", TRC))
+    assert (pose.names, pose.frames.tolist(), pose.fps) == (("a", "b"), [1, 2], 50)
+    expected = np.array([[[1, -3, 2], [NAN] * 3], [[4, -6, 5], [7, -9, 8]]]) / 1000
+    np.testing.assert_allclose(pose.xyz_m, expected)
+    with pytest.raises(InputError, match="unit: found m as given, but mm in the file"):
+        read_pose3d(tmp_path / "a.trc", unit="m")
+
+
+def test_trc_problems_come_together(tmp_path):
+    text = TRC.replace("\tmm\t", "\tin\t").replace("50\t50\t2\t2", "x\t50\t2\t3").replace("\n1\t0\t1", "\nI\t0\tone")
+    said = refused(save(tmp_path / "a.trc", text), None, read_pose3d)
+    assert len(said) == 5
+    for part, problem in zip(("DataRate", "Units", "NumMarkers 3", "Frame#", "'one'"), said, strict=True):
+        assert part in problem
+    said = refused(save(tmp_path / "a.trc", TRC[:-4]), None, read_pose3d)
+    assert "line 7: found 7 cells, expected 8, as in the header" in said[0]
+
+
+def test_npz_problems(tmp_path):
+    np.savez(tmp_path / "a.npz", xyz_m=np.zeros((2, 1, 3)), names=np.array([1]), frames=np.arange(2), fps=1.0)
+    said = refused(tmp_path / "a.npz", None, read_pose3d)
+    assert ["names: found values of type int64" in said[0], "edges: found nothing" in said[1]] == [True, True]
+    np.savez(
+        tmp_path / "b.npz",
+        xyz_m=np.zeros((2, 1, 3)),
+        names=np.array(["a"]),
+        frames=np.array([3, 3]),
+        fps=1.0,
+        edges=np.zeros((1, 2), int) + 5,
+    )
+    said = refused(tmp_path / "b.npz", None, read_pose3d)
+    assert ["do not increase" in said[0], "edges" in said[1]] == [True, True]
+
+
+def test_parquet_of_others(tmp_path):
+    table = pd.DataFrame({"frame": [1, 2], "nose_x_mm": [1.0, NAN], "nose_y_mm": [2.0, NAN], "nose_z_mm": [3.0, NAN]})
+    table.to_parquet(tmp_path / "a.parquet")
+    np.testing.assert_allclose(read_pose3d(tmp_path / "a.parquet").xyz_m[:, 0], [[0.001, 0.002, 0.003], [NAN] * 3])
+    table.drop(columns="nose_z_mm").to_parquet(tmp_path / "b.parquet")
+    assert "expected x, y, z" in refused(tmp_path / "b.parquet", None, read_pose3d)[0]
+
+
+# Broken files of every format
+
+
+def written(folder: Path) -> list[tuple[Path, object]]:
+    clip = Keypoints(("nose", "tail"), XY[:, 0, :2], SCORE[:, 0, :2], np.arange(5), fps=20.0)
+    pose = Pose3D(("nose", "tail"), np.random.default_rng(0).normal(size=(5, 2, 3)), np.arange(5), fps=20.0)
+    files = []
+    for f in FORMATS:
+        for write, data, read in ((f.keypoints, clip, read_keypoints), (f.pose, pose, read_pose3d)):
+            if write:
+                path = folder / f"{'2d' if data is clip else '3d'}_{f.name}{f.extensions[0]}"
+                write(data, path)
+                files.append((path, read))
+    return files
+
+
+def test_cut_off_files_are_refused(tmp_path):
+    """But for a text table that happens to end with a full row, which cannot be told from a shorter one."""
+    for path, read in written(tmp_path):
+        content = path.read_bytes()
+        for share in (0.02, 0.3, 0.6):
+            cut = tmp_path / f"cut_{path.name}"
+            cut.write_bytes(content[: max(4, int(share * len(content)))])
+            lines = cut.read_bytes().splitlines()
+            full_row = path.suffix == ".csv" and lines[-1].count(b",") == lines[0].count(b",") and len(lines) > 4
+            if not full_row:
+                assert refused(cut, None, read)
+
+
+def test_the_content_counts_not_the_extension(tmp_path):
+    for path, read in written(tmp_path):
+        renamed = path.rename(tmp_path / f"{path.stem}.dat")
+        assert len(read(renamed).frames) == 5
+
+
+def test_a_choice_that_is_none(tmp_path):
+    for path, read in written(tmp_path):
+        (said,) = refused(path, "rex", read)
+        assert "individual: found" in said
+        assert "rex" in said
+
+
+def test_pose_fps_and_edges():
+    pose = Pose3D(("a", "b"), np.zeros((1, 2, 3)), np.arange(1))
+    assert pose.fps is None
+    with pytest.raises(ValueError, match="fps"):
+        replace(pose, fps=0.0)
+    with pytest.raises(ValueError, match="edge"):
+        replace(pose, edges=(("a", "c"),))
