@@ -1,13 +1,14 @@
 """A whole animal: a tree of segments (`recon.kinematics`), its markers, and what is expected of its pose.
 
-The states are the tree's. Right-handed frames, x forwards, y left, z up; names that begin with l_ and r_ belong to the
-left and the right side.
+The states are the tree's. Right-handed frames, x forwards, y left, z up. Names say by their beginning which side they
+belong to (`SIDES`).
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,12 +17,25 @@ from recon.kinematics import Tree
 
 Array = NDArray[np.float64]
 
-SIDES = {"l_": "r_", "r_": "l_"}
+SIDES = {"l_": "r_", "left_": "right_", "Left": "Right", "Near": "Off"}
+"""How names of the left side begin, and those of the right. A horse's near side is its left one, wherever it is seen
+from."""
+
+
+def side_of(name: str) -> Literal["left", "right"] | None:
+    """None: the middle."""
+    if name.startswith(tuple(SIDES)):
+        return "left"
+    return "right" if name.startswith(tuple(SIDES.values())) else None
 
 
 def other_side(name: str) -> str:
     """l_paw -> r_paw and back; names of the middle stay."""
-    return SIDES[name[:2]] + name[2:] if name[:2] in SIDES else name
+    for left, right in SIDES.items():
+        for one, other in ((left, right), (right, left)):
+            if name.startswith(one):
+                return other + name.removeprefix(one)
+    return name
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from recon.body import Body
+from recon.body import Body, side_of
 from recon.camera import Camera
 from recon.errors import InputError, Problem, all_of
 from recon.initialise import level_axes
@@ -92,7 +92,7 @@ class Results:
         found = {}
         for name in (self.keypoint_of[foot] for foot in self.body.feet):
             ahead = np.einsum("ti,ti->t", self.pose.xyz_m[:, at[name]] - 0.5 * (rear + front), front - rear)
-            side = self.report["side"]["fitted"] or {"l_": "left", "r_": "right"}.get(name[:2], "")
+            side = self.report["side"]["fitted"] or side_of(name) or ""
             fore = np.isfinite(ahead).any() and float(np.nanmedian(ahead)) > 0
             found[f"{side[:1].upper()}{'F' if fore else 'H'}"] = name
         return found

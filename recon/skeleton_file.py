@@ -15,7 +15,7 @@ from typing import Annotated, Any, Literal, TypeVar, overload
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, PositiveFloat, ValidationError
 
-from recon.body import Body, other_side
+from recon.body import SIDES, Body, other_side, side_of
 from recon.errors import InputError, Problem
 from recon.kinematics import ANGLES, AXES, Marker, Segment, Tree
 from recon.skeleton import MIN_JOINTS, AngleRanges, Link, PriorScales, Skeleton
@@ -227,7 +227,7 @@ def _extended(raw: dict[str, Any], source: str) -> dict[str, Any]:
         raise InputError(Problem(source, "extends", repr(name), f"one of {', '.join(builtin_names())}, or a file"))
     if not isinstance(lengths, dict):
         raise InputError(Problem(source, "length_m", repr(lengths), "a table of lengths in metres by link"))
-    parent, parent_source = _read(name)
+    parent, parent_source = _read(_beside(name, source))
     if "segments" in parent:
         raise InputError(Problem(source, "extends", parent_source, "a chain; a body's lengths stand in a subject file"))
     if "extends" in parent:
@@ -251,6 +251,12 @@ def _extended(raw: dict[str, Any], source: str) -> dict[str, Any]:
             link["length_ratio"] = lengths[link["name"]] / base
     own = {key: value for key, value in raw.items() if key not in ("extends", "length_m")}
     return {**parent, "links": links, **own}
+
+
+def _beside(name: str, source: str) -> str:
+    """A skeleton that a file names: built in, or a file that lies beside it, or is found from where the user is."""
+    file = Path(source).parent / name
+    return str(file) if file.is_file() and name not in builtin_names() else name
 
 
 def _chain_problems(parsed: _SkeletonFile, source: str):
@@ -366,7 +372,7 @@ def _both_sides(items: Iterable[_Item]) -> Iterator[tuple[int, _Item]]:
     """Every segment or marker with its row in the file; the mirrored ones are followed by their right counterpart."""
     for i, item in enumerate(items):
         yield i, item
-        if item.mirrored and item.name.startswith("l_"):
+        if item.mirrored and side_of(item.name) == "left":
             x, y, z = item.at_m
             changed: dict[str, Any] = {"name": other_side(item.name), "at_m": (x, -y, z), "mirrored": False}
             if isinstance(item, _Marker):
@@ -424,8 +430,8 @@ def _body_problems(file: _BodyFile, source: str) -> Iterator[Problem]:
 def _name_problems(item: _Segment | _Marker, field: str, used: set[str], source: str) -> Iterator[Problem]:
     if item.name in used:
         yield Problem(source, f"{field}.name", repr(item.name), "a name that no earlier segment or marker has")
-    if item.mirrored and not item.name.startswith("l_"):
-        yield Problem(source, f"{field}.mirrored", repr(item.name), "a name that begins with l_")
+    if item.mirrored and side_of(item.name) != "left":
+        yield Problem(source, f"{field}.mirrored", repr(item.name), f"a name that begins with {', '.join(SIDES)}")
 
 
 def _root_problems(root: _Segment, source: str) -> Iterator[Problem]:

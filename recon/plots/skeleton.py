@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -27,7 +28,7 @@ _SAME = 0.01
 
 
 def views(body: Body, title: str = "") -> Figure:
-    """The expected pose from the side, from above and from ahead, with names. The scale is that of the side view."""
+    """The expected pose from the side, from above and from ahead, with names."""
     points = expected_pose(body)
     labels = {view: _labels(points[:, axes], body.markers) for view, axes in VIEWS.items()}
     across = np.ptp(points[:, [0]])
@@ -44,8 +45,8 @@ def views(body: Body, title: str = "") -> Figure:
             for point, marker in zip(points[:, coordinates], body.markers, strict=True):
                 axes.plot(*point, ".", color=_SIDE_COLOURS[side_of(marker)], markersize=4)
             _name(axes, points[:, coordinates], labels[view], across)
+            _scale(axes, points[:, coordinates], across)
             _frame(axes, view)
-        _scale(panels[0], points, across)
     return figure
 
 
@@ -77,7 +78,7 @@ def angle_ranges(body: Body, low: Sequence[str], high: Sequence[str], reach_rad:
 
 
 def expected_pose(body: Body, angle: int | None = None, off_rad: float = 0.0) -> Array:
-    """(J, 3): markers with all angles at their means, but for one of state[4:]; the root is at the origin and faces x."""
+    """(J, 3): markers with all angles at their means, but for one of state[4:]; the root's origin is zero."""
     state = np.concatenate([np.zeros(4), body.mean_rad])
     if angle is not None:
         state[4 + angle] += off_rad
@@ -87,15 +88,18 @@ def expected_pose(body: Body, angle: int | None = None, off_rad: float = 0.0) ->
 def _limbs(
     axes: Axes, body: Body, points: Array, colour: str | None = None, only: NDArray[np.bool_] | None = None
 ) -> None:
-    """Lines along the limbs; only: those with a marker that is in it."""
+    """Lines along the limbs; only: those that lead to a marker that is in it. One call for each colour: lines are slow
+    to lay out."""
     at = {marker: j for j, marker in enumerate(body.markers)}
+    lines: dict[str, list[Array]] = {}
     for along in body.limbs.values():
-        rows = [at[marker] for marker in along]
         sides = {side_of(marker) for marker in along} - {None}
-        own = _SIDE_COLOURS[next(iter(sides)) if len(sides) == 1 else None]
-        for a, b in zip(rows, rows[1:], strict=False):
+        own = colour or _SIDE_COLOURS[next(iter(sides)) if len(sides) == 1 else None]
+        for a, b in pairwise(at[marker] for marker in along):
             if only is None or only[a] or only[b]:
-                axes.plot(*points[[a, b]].T, color=colour or own, linewidth=1.2, solid_capstyle="round")
+                lines.setdefault(own, []).append(np.stack([points[a], points[b], [np.nan, np.nan]]))
+    for own, parts in lines.items():
+        axes.plot(*np.concatenate(parts).T, color=own, linewidth=1.2, solid_capstyle="round")
 
 
 def _labels(points: Array, markers: Sequence[str]) -> list[tuple[float, float, str]]:
@@ -146,15 +150,17 @@ def _name(axes: Axes, points: Array, labels: Sequence[tuple[float, float, str]],
 
 
 def _scale(axes: Axes, points: Array, across: float) -> None:
-    """A bar of a tenth to a half of the animal's length, below the feet."""
+    """A bar of at most a half of the animal's length, below it."""
     length = max(x for x in (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0) if x < 0.5 * across or x == 0.01)
-    x, z = float(points[:, 0].min() + points[:, 0].max() - length) / 2, float(points[:, 2].min() - 0.08 * across)
-    axes.plot([x, x + length], [z, z], color=GREY, linewidth=2, solid_capstyle="butt")
-    axes.text(x + length / 2, z - 0.02 * across, f"{length:g} m", ha="center", va="top", fontsize=SMALL, color=GREY)
+    x, y = float(points[:, 0].min() + points[:, 0].max() - length) / 2, float(points[:, 1].min() - 0.08 * across)
+    axes.plot([x, x + length], [y, y], color=GREY, linewidth=2, solid_capstyle="butt")
+    axes.text(x + length / 2, y - 0.02 * across, f"{length:g} m", ha="center", va="top", fontsize=SMALL, color=GREY)
 
 
 def _frame(axes: Axes, title: str) -> None:
     axes.set_aspect("equal")
+    axes.set_xticks([])  # an axis that is off is laid out with its ticks, for most of the time that a picture takes
+    axes.set_yticks([])
     axes.axis("off")
     if title:
         axes.set_title(title, loc="left")

@@ -9,6 +9,7 @@ import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
+from recon.body import side_of
 from recon.initialise import level_axes
 from recon.motion import Motion, TrajectoryMotion
 
@@ -96,8 +97,8 @@ def limb_colours(motion: Motion) -> list[Colour]:
         return [LIMB_COLOURS[i % len(LIMB_COLOURS)] for i in range(len(motion.limbs))]
     colours = []
     for joints in motion.limbs.values():
-        sides = {motion.names[j][:2] for j in joints} & {"l_", "r_"}
-        colours.append(LEFT if sides == {"l_"} else RIGHT if sides == {"r_"} else MIDDLE)
+        sides = {side_of(motion.names[j]) for j in joints} - {None}
+        colours.append(LEFT if sides == {"left"} else RIGHT if sides == {"right"} else MIDDLE)
     return colours
 
 

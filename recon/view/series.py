@@ -9,6 +9,7 @@ import numpy as np
 import rerun as rr
 
 from recon.analysis.path import frame_jitter_m, speed_at_frames
+from recon.body import side_of
 from recon.motion import FrameMotion, Motion, TrajectoryMotion
 from recon.skeleton import Skeleton
 from recon.view.scene import (
@@ -64,7 +65,7 @@ def write_states(motion: TrajectoryMotion, send: Send, fix: Fix) -> None:
     state("states/doubt", doubts, dict.fromkeys(dict.fromkeys(filter(None, doubts)), OUTLIER))
     for foot, contact in zip(motion.feet, motion.solution.contact.T, strict=True):
         name = motion.names[foot]
-        colour = {"l_": LEFT, "r_": RIGHT}.get(name[:2], MIDDLE)
+        colour = {"left": LEFT, "right": RIGHT}.get(side_of(name) or "", MIDDLE)
         state(f"states/{name}", ["stance" if c > STANCE else "" for c in contact], {"stance": colour})
 
 

@@ -1,0 +1,257 @@
+"""`recon batch`."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from rich.box import SIMPLE_HEAD
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
+from rich.table import Column, Table
+from rich.text import Text
+
+if TYPE_CHECKING:
+    from recon.errors import Problem
+    from recon.pipelines.batch import Event, Planned, Summary
+
+EXIT_STRICT = 1
+EXIT_INTERRUPTED = 130
+_STYLES = {"done": "green", "done earlier": "green", "unsolved": "yellow", "failed": "red", "pending": ""}
+_COMMON, _WORK = "Settings of every clip", "How the work is done"
+
+
+def batch(
+    inputs: Annotated[
+        list[str],
+        typer.Argument(
+            metavar="INPUT...",
+            help="Keypoint files, quoted patterns as in 'clips/*.csv', folders, or manifests: CSV tables with a column "
+            "keypoints, and one for every setting that differs between clips.",
+        ),
+    ],
+    out: Annotated[Path, typer.Option(help="Folder for the results: one folder a clip, and summary.csv.")],
+    config: Annotated[
+        Path | None,
+        typer.Option(
+            help="Settings as in the config.toml of a fit; options here overrule it.", rich_help_panel=_COMMON
+        ),
+    ] = None,
+    camera: Annotated[Path | None, typer.Option(help="Calibration, as for recon fit.", rich_help_panel=_COMMON)] = None,
+    camera_name: Annotated[
+        str | None, typer.Option(help="Which camera of the file, as in cam2 or 2.", rich_help_panel=_COMMON)
+    ] = None,
+    fps: Annotated[
+        float | None, typer.Option(help="Frame rate of the videos in Hz, as in 120.", rich_help_panel=_COMMON)
+    ] = None,
+    method: Annotated[
+        str | None, typer.Option(help="trajectory or frame. (default: trajectory)", rich_help_panel=_COMMON)
+    ] = None,
+    skeleton: Annotated[
+        str | None, typer.Option(help="Built-in skeleton or TOML file, as in cheetah-24.", rich_help_panel=_COMMON)
+    ] = None,
+    subject: Annotated[
+        str | None, typer.Option(help="Measured animal: name or TOML file, as in jules.", rich_help_panel=_COMMON)
+    ] = None,
+    prior: Annotated[
+        str | None, typer.Option(help="What motions are like: name, file or none.", rich_help_panel=_COMMON)
+    ] = None,
+    hfov_deg: Annotated[
+        float | None,
+        typer.Option(help="Without a calibration: field of view in degrees, as in 64.", rich_help_panel=_COMMON),
+    ] = None,
+    image_size: Annotated[
+        str | None, typer.Option(help="Size of the videos in pixels, as in 1920x1080.", rich_help_panel=_COMMON)
+    ] = None,
+    fast: Annotated[
+        bool | None, typer.Option("--fast/--no-fast", help="Quicker: fewer starts.", rich_help_panel=_COMMON)
+    ] = None,
+    jobs: Annotated[
+        int | None,
+        typer.Option(
+            min=1, help="Clips at a time, each in a process. (default: one for each core)", rich_help_panel=_WORK
+        ),
+    ] = None,
+    scheduler: Annotated[
+        str | None,
+        typer.Option(help="Run on this Dask cluster instead, as in tcp://host:8786.", rich_help_panel=_WORK),
+    ] = None,
+    retries: Annotated[
+        int, typer.Option(min=0, help="Tries more for a clip at which a worker died.", rich_help_panel=_WORK)
+    ] = 1,
+    overwrite: Annotated[
+        bool, typer.Option("--overwrite", help="Fit everything again, and replace any results.", rich_help_panel=_WORK)
+    ] = False,
+    dry_run: Annotated[
+        bool,
+        typer.Option("--dry-run", help="Only look: what would be done, and what inputs lack.", rich_help_panel=_WORK),
+    ] = False,
+    strict: Annotated[
+        bool, typer.Option("--strict", help="Exit code 1 if any clip failed or is unsolved.", rich_help_panel=_WORK)
+    ] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the summary as JSON.")] = False,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print errors only.")] = False,
+) -> None:
+    """Reconstruct many clips in parallel. The same command again goes on where it was stopped.
+
+    A clip is done when its folder holds results of the same keypoints, camera and other files (by their content), the
+    same settings and the same version of recon. Where one of these has changed it is fitted again and its results are
+    replaced. Folders with results that are not of a batch, or of another clip, are never touched without --overwrite.
+
+    Example: recon batch 'clips/*.csv' --camera camera.toml --fps 120 --out results
+
+    Exit code 0: done, whatever became of single clips (see --strict). 2: the input as a whole cannot be used; nothing
+    was done. 130: stopped with Ctrl-C; what is done is kept.
+    """
+    from recon.pipelines.batch import check_shared, find_clips, input_problems, plan_batch, run_batch
+
+    console = Console(quiet=quiet, stderr=as_json)
+    common = {
+        "camera": camera,
+        "camera_name": camera_name,
+        "fps": fps,
+        "method": method,
+        "skeleton": skeleton,
+        "subject": subject,
+        "prior": prior,
+        "hfov_deg": hfov_deg,
+        "image_size_px": image_size,
+        "fast": fast,
+    }
+    summary: Summary | None = None
+    try:
+        clips, notes = find_clips(inputs, common, config)
+        for note in notes:
+            console.print(Text(note, "yellow"), soft_wrap=True)
+        plan = plan_batch(clips, out, overwrite)
+        if dry_run:
+            problems = input_problems(clips)
+            _print_plan(console, plan, problems, as_json)
+            raise typer.Exit(EXIT_STRICT if strict and any(problems) else 0)
+        check_shared(clips)
+        began = time.monotonic()
+        with _shown(console, plan) as show:
+
+            def on_event(event: Event, so_far: Summary) -> None:
+                nonlocal summary
+                summary = so_far
+                show(event, so_far)
+
+            summary = run_batch(plan, out, jobs, retries, scheduler, on_event)
+    except KeyboardInterrupt:
+        counts = {} if summary is None else summary.counts()
+        said = ", ".join(f"{n} {status}" for status, n in counts.items()) or "nothing was done"
+        message = f"Stopped: {said}. What is done is kept: the same command again goes on from here."
+        Console(stderr=True, soft_wrap=True).print(Text(message, "bold"))
+        raise typer.Exit(EXIT_INTERRUPTED) from None
+    if as_json:
+        typer.echo(
+            json.dumps({"summary": str(summary.path), "counts": summary.counts(), "clips": [*summary.rows.values()]})
+        )
+    _print_end(console, summary, time.monotonic() - began)
+    if strict and any(row["status"] in ("failed", "unsolved") for row in summary.rows.values()):
+        raise typer.Exit(EXIT_STRICT)
+
+
+# -- before and after ---------------------------------------------------------------------------------------------
+
+
+def _print_plan(
+    console: Console, plan: Sequence[Planned], problems: Sequence[Sequence[Problem]], as_json: bool
+) -> None:
+    rows = [
+        {
+            "clip": planned.clip.name,
+            "keypoints": str(planned.clip.settings.keypoints),
+            "out": str(planned.out),
+            "action": planned.action,
+            "reason": planned.reason,
+            "problems": [str(problem) for problem in found],
+        }
+        for planned, found in zip(plan, problems, strict=True)
+    ]
+    if as_json:
+        typer.echo(json.dumps({"clips": rows}))
+        return
+    table = Table(Column("clip", overflow="fold"), Column("out", overflow="fold"), "what", box=SIMPLE_HEAD)
+    for row in rows:
+        reason = f" ({row['reason']})" if row["reason"] else ""
+        table.add_row(Text(row["clip"]), Text(row["out"]), Text(row["action"] + reason))
+    console.print(table)
+    for row in rows:
+        for problem in row["problems"]:
+            console.print(Text.assemble((f"{row['clip']}: ", "bold red"), problem), soft_wrap=True)
+    count = [row["action"] for row in rows]
+    bad = sum(bool(row["problems"]) for row in rows)
+    console.print(
+        f"{len(rows)} clips: {count.count('new')} new, {count.count('refit')} to fit again, {count.count('done')} done"
+        + (f"; {bad} with problems" if bad else "")
+    )
+
+
+def _print_end(console: Console, summary: Summary, seconds: float) -> None:
+    counts = summary.counts()
+    parts = [Text(f"{n} {status}", _STYLES[status]) for status, n in counts.items()]
+    console.print(
+        Text.assemble(Text(", ").join(parts), f" in {seconds:.0f} s. Summary: {summary.path}"), soft_wrap=True
+    )
+
+
+# -- meanwhile ----------------------------------------------------------------------------------------------------
+
+
+@contextmanager
+def _shown(console: Console, plan: Sequence[Planned]) -> Iterator[Any]:
+    """A function of an event and the summary that shows it: bars on a terminal, a line a clip elsewhere. Trouble goes
+    to stderr, even where nothing else is printed."""
+    left = sum(planned.action != "done" for planned in plan)
+    earlier = len(plan) - left
+    if earlier:
+        console.print(f"{earlier} of {len(plan)} clips are done already.")
+    errors = Console(stderr=True, soft_wrap=True)
+    if console.quiet or not console.is_terminal:
+        ended = 0
+
+        def line(event: Event, summary: Summary) -> None:
+            nonlocal ended
+            if event.kind == "ended":
+                ended += 1
+                row = summary.rows[event.clip]
+                (errors if row["status"] == "failed" else console).print(
+                    Text(f"[{ended}/{left}] ").append_text(_said(row)), soft_wrap=True
+                )
+
+        yield line
+        return
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=console, transient=True) as bar:
+        overall = bar.add_task("all clips", total=left)
+        running: dict[str, TaskID] = {}
+
+        def bars(event: Event, summary: Summary) -> None:
+            if event.kind == "progress":
+                if event.clip not in running:
+                    running[event.clip] = bar.add_task(event.clip, total=100)
+                bar.update(
+                    running[event.clip], description=f"{event.clip}: {event.stage}", completed=int(100 * event.share)
+                )
+            else:
+                if event.clip in running:
+                    bar.remove_task(running.pop(event.clip))
+                bar.advance(overall)
+                row = summary.rows[event.clip]
+                if row["status"] != "done":
+                    bar.console.print(_said(row), soft_wrap=True)
+
+        yield bars
+
+
+def _said(row: Mapping[str, Any]) -> Text:
+    """One clip's end in a line."""
+    text = Text.assemble((row["status"], _STYLES[row["status"]]), f"  {row['clip']}")
+    return text.append(f": {row['error']}" if row["error"] else f"  {row['frames']} frames, {row['seconds']:.1f} s")

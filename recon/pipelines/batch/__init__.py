@@ -1,0 +1,89 @@
+"""Many clips: `find_clips`, `plan_batch`, `run_batch`, each with what the one before gives."""
+
+from __future__ import annotations
+
+import os
+import queue
+import uuid
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from recon.errors import InputError, Problem
+from recon.pipelines.batch.checks import check_shared, input_problems
+from recon.pipelines.batch.inputs import Clip, find_clips
+from recon.pipelines.batch.pool import DaskPool, Event, LocalPool, Pool
+from recon.pipelines.batch.record import Planned, plan_batch
+from recon.pipelines.batch.summary import COLUMNS, STATUSES, Summary
+from recon.pipelines.batch.worker import task_of
+
+__all__ = [
+    "COLUMNS",
+    "STATUSES",
+    "Clip",
+    "Event",
+    "Planned",
+    "Summary",
+    "available_cores",
+    "check_shared",
+    "find_clips",
+    "input_problems",
+    "plan_batch",
+    "run_batch",
+]
+
+TICK_S = 0.5
+
+
+def run_batch(
+    plan: Sequence[Planned],
+    out: Path,
+    jobs: int | None = None,
+    retries: int = 1,
+    scheduler: str | None = None,
+    on_event: Callable[[Event, Summary], None] = lambda event, summary: None,
+) -> Summary:
+    """`recon batch`: fit what is not done, each clip in a folder of its own, and keep `out / summary.csv` up to date.
+
+    jobs: processes on this machine, by default one for each core; scheduler: the address of a Dask cluster instead.
+    retries: how often a clip at which a worker died is tried again. A clip that fails stops nothing. KeyboardInterrupt
+    stops the fits under way, writes the summary and is raised again. Raises InputError where the cluster is not there,
+    or goes away.
+    """
+    summary, run = Summary(plan, out), uuid.uuid4().hex
+    tasks = [(p.clip.name, task_of(p, run)) for p in plan if p.action != "done"]
+    pool: Pool
+    pool = DaskPool(scheduler, retries, run) if scheduler else LocalPool(jobs or available_cores(), retries)
+    events: queue.SimpleQueue[Event] = queue.SimpleQueue()
+    left = len(tasks)
+    try:
+        summary.write()
+        pool.start(tasks, events.put)
+        while left:
+            try:
+                event = events.get(timeout=TICK_S)
+            except queue.Empty:
+                fault = pool.fault()
+                if fault is not None:
+                    expected = "workers until the end: the same command again goes on from here"
+                    raise InputError(Problem("recon batch", "workers", fault, expected)) from None
+            else:
+                if event.kind == "ended":
+                    summary.end(event.clip, event.outcome)
+                    left -= 1
+                on_event(event, summary)
+            summary.write_now_and_then()
+    finally:
+        try:
+            pool.stop()
+        finally:
+            while not events.empty():
+                event = events.get()
+                if event.kind == "ended":
+                    summary.end(event.clip, event.outcome)
+            summary.write()
+    return summary
+
+
+def available_cores() -> int:
+    """Those that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

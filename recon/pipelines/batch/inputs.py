@@ -1,0 +1,308 @@
+"""Which clips a batch has: files, globs, folders and manifests in, one `Clip` with its settings and name each out."""
+
+from __future__ import annotations
+
+import csv
+import glob
+import io
+import re
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from recon.errors import InputError, Problem
+from recon.io import READERS, file_head
+from recon.settings import OF_METHOD, FitSettings, read_settings
+
+SUMMARY = "summary.csv"
+MANIFEST_PATHS = ("keypoints", "camera")
+MANIFEST_NAMES_OR_FILES = ("skeleton", "subject", "prior")
+"""Cells that are relative to the manifest where they end like a file."""
+_UNFIT = re.compile(r'[<>:"/\\|?*\x00-\x1f]')
+"""Characters that some file system does not take in a name."""
+NOTED = 5
+"""Files left out are listed up to this number."""
+
+
+@dataclass(frozen=True)
+class Clip:
+    """One fit of a batch. name: of its folder, unique among the batch's clips whatever their case."""
+
+    name: str
+    settings: FitSettings
+
+
+@dataclass(frozen=True)
+class _Draft:
+    """A clip without a name of its own: its file, what the manifest says of it, and where."""
+
+    path: Path
+    row: Mapping[str, Any] = field(default_factory=dict)
+    name: str | None = None
+    where: tuple[Path, str] | None = None
+
+    @property
+    def tag(self) -> str:
+        """What tells clips of one file apart: the animal and the frames."""
+        parts = [str(self.row[key]).replace(":", "-") for key in ("individual", "frames") if key in self.row]
+        return "".join(f"-{part}" for part in parts)
+
+
+def find_clips(
+    inputs: Sequence[str | Path], common: Mapping[str, Any], config: Path | None = None
+) -> tuple[list[Clip], list[str]]:
+    """The clips of all inputs in their order, and notes about files that were left out.
+
+    inputs: keypoint files, quoted globs, folders (every file that a reader recognises; of files that differ in their
+    suffix only the last one, .h5 rather than .csv, as DeepLabCut writes its tables twice) and CSV manifests (a header
+    with `keypoints`). common: settings of every clip by name, None where not given; a manifest's cells overrule them,
+    and they overrule those of config. Raises InputError with the problems of all inputs and rows.
+    """
+    drafts, notes, problems = [], [], []
+    for given in inputs:
+        try:
+            found, said = _expand(str(given))
+        except InputError as error:
+            problems += error.problems
+        else:
+            drafts += found
+            notes += said
+    drafts = _without_repeats(drafts)
+    settings: list[FitSettings] = []
+    for draft in drafts:
+        try:
+            settings.append(_settings(draft, common, config))
+        except InputError as error:
+            problems += error.problems
+    problems += _name_problems(drafts)
+    if problems:
+        raise InputError(dict.fromkeys(problems))  # what all clips have in common is said once
+    if not drafts:
+        raise InputError(Problem("INPUT", "clips", "none", "keypoint files, a folder of them, or a manifest"))
+    return [Clip(*pair) for pair in zip(_names(drafts), settings, strict=True)], notes
+
+
+# -- inputs -------------------------------------------------------------------------------------------------------
+
+
+def _expand(given: str) -> tuple[list[_Draft], list[str]]:
+    path = Path(given)
+    if path.is_dir():
+        return _of_folder(path)
+    if not path.exists() and glob.has_magic(given):
+        matches = [Path(match) for match in sorted(glob.glob(given, recursive=True))]
+        files = [match for match in matches if not match.is_dir()]
+        if not files:
+            raise InputError(Problem(given, "files", "none that match", "a pattern such as 'clips/*.csv'"))
+        return [draft for file in files for draft in _of_file(file)], []
+    file_head(path)  # a typing error ends the batch before it begins
+    return _of_file(path), []
+
+
+def _of_file(path: Path) -> list[_Draft]:
+    return _of_manifest(path) if is_manifest(path) else [_Draft(path.absolute())]
+
+
+def _of_folder(folder: Path) -> tuple[list[_Draft], list[str]]:
+    chosen: dict[str, Path] = {}
+    twins, others = [], []
+    for path in sorted(p for p in folder.iterdir() if p.is_file() and not p.name.startswith(".")):
+        if not _recognised(path):
+            others.append(path)
+        else:
+            if path.stem in chosen:
+                twins.append(chosen[path.stem])
+            chosen[path.stem] = path
+    if not chosen:
+        raise InputError(Problem(folder, "files", "no keypoint files", f"files of a known format: {_formats()}"))
+    notes = []
+    for left_out, why in ((twins, "beside a file of the same name"), (others, "of no known format")):
+        if left_out:
+            more = "" if len(left_out) <= NOTED else f" and {len(left_out) - NOTED} more"
+            names = ", ".join(path.name for path in left_out[:NOTED])
+            notes.append(f"Left out of {folder}, {why}: {names}{more}")
+    return [_Draft(path.absolute()) for path in chosen.values()], notes
+
+
+def _recognised(path: Path) -> bool:
+    """Whether a reader takes the file; one that is too damaged to tell is a clip, which will say so."""
+    try:
+        file_head(path)
+    except InputError:
+        return False
+    try:
+        return any(reader.recognises(path) for reader in READERS)
+    except InputError:
+        return True
+
+
+def _formats() -> str:
+    return ", ".join(reader.name for reader in READERS)
+
+
+def _without_repeats(drafts: Sequence[_Draft]) -> list[_Draft]:
+    """A file that two patterns name is one clip; the rows of a manifest are all meant."""
+    seen: set[Path] = set()
+    kept = []
+    for draft in drafts:
+        if draft.where is not None or draft.path not in seen:
+            kept.append(draft)
+        if draft.where is None:
+            seen.add(draft.path)
+    return kept
+
+
+# -- manifests ----------------------------------------------------------------------------------------------------
+
+
+def is_manifest(path: Path) -> bool:
+    """Whether a file is a CSV table whose header has a column `keypoints`."""
+    return path.suffix.lower() == ".csv" and path.is_file() and "keypoints" in _header(path)
+
+
+def _header(path: Path) -> list[str]:
+    with path.open("rb") as file:
+        line = file.readline(65536).decode("utf-8-sig", errors="replace")
+    return [cell.strip() for cell in next(csv.reader([line.strip()], delimiter=_delimiter(line)), [])]
+
+
+def _delimiter(line: str) -> str:
+    """Spreadsheets of some languages separate by semicolons."""
+    return ";" if ";" in line and "," not in line else ","
+
+
+def _of_manifest(path: Path) -> list[_Draft]:
+    """One draft a row. Raises InputError with everything that is wrong with the table itself."""
+    header = _header(path)
+    known = ("out", *FitSettings.model_fields)
+    problems = [
+        Problem(path, f"column {name!r}" if name else "header", "an unknown column", f"one of {', '.join(known)}")
+        for name in header
+        if name not in known
+    ]
+    twice = [name for name, count in Counter(header).items() if count > 1 and name in known]
+    problems += [Problem(path, f"column {name!r}", "more than one", "one") for name in twice]
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise InputError(Problem(path, "content", str(error), "text in UTF-8")) from None
+    rows = csv.reader(io.StringIO(text, newline=""), delimiter=_delimiter(text.partition("\n")[0]))
+    next(rows)
+    drafts = []
+    for cells in rows:
+        line = f"line {rows.line_num}"
+        if not any(cell.strip() for cell in cells):
+            continue
+        if len(cells) > len(header):
+            problems.append(Problem(path, line, f"{len(cells)} cells", f"{len(header)}, as in the header"))
+        row = {name: cell.strip() for name, cell in zip(header, cells, strict=False) if cell.strip()}
+        if "keypoints" not in row:
+            problems.append(Problem(path, f"{line}, keypoints", "nothing", "a keypoint file"))
+            continue
+        out = row.pop("out", None)
+        row = {name: _relative(path.parent, name, cell) for name, cell in row.items()}
+        drafts.append(_Draft(Path(row.pop("keypoints")), row, out, (path, line)))
+    if not drafts and not problems:
+        problems.append(Problem(path, "rows", "none", "one row a clip below the header"))
+    if problems:
+        raise InputError(problems)
+    return drafts
+
+
+def _relative(folder: Path, name: str, cell: str) -> str:
+    if name in MANIFEST_PATHS or (name in MANIFEST_NAMES_OR_FILES and cell.endswith((".toml", ".npz"))):
+        return str((folder / cell).absolute())
+    return cell
+
+
+# -- settings -----------------------------------------------------------------------------------------------------
+
+
+def _settings(draft: _Draft, common: Mapping[str, Any], config: Path | None) -> FitSettings:
+    """A row over the common options over config. Problems of a row are said of the manifest's line."""
+    row = draft.row
+    under = {name: value for name, value in common.items() if value is not None and name not in row}
+    if "camera" in row and under.pop("hfov_deg", None) is not None:
+        under.pop("image_size_px", None)
+    if "hfov_deg" in row:
+        under = {name: value for name, value in under.items() if name not in ("camera", "camera_name")}
+    if "method" in row:  # the common options are for the clips of the other method
+        others = [names for method, names in OF_METHOD.items() if method != row["method"]]
+        under = {name: value for name, value in under.items() if not any(name in names for names in others)}
+    try:
+        return read_settings(config, {"keypoints": draft.path, **under, **row})
+    except InputError as error:
+        raise InputError(_of_row(problem, draft, under) for problem in error.problems) from None
+
+
+def _of_row(problem: Problem, draft: _Draft, common: Mapping[str, Any]) -> Problem:
+    in_row = problem.field in draft.row or (problem.found == "nothing" and problem.field not in common)
+    if draft.where is None or not in_row:
+        return problem
+    manifest, line = draft.where
+    return replace(problem, file=manifest, field=f"{line}, {problem.field}")
+
+
+# -- names --------------------------------------------------------------------------------------------------------
+
+
+def _name_problems(drafts: Sequence[_Draft]) -> list[Problem]:
+    """Of names given in manifests: they must be plain, and different."""
+    problems = []
+    first: dict[str, str] = {}
+    for draft in drafts:
+        if draft.name is None or draft.where is None:
+            continue
+        manifest, line = draft.where
+        if _UNFIT.search(draft.name) or draft.name.startswith(".") or draft.name.casefold() == SUMMARY:
+            expected = f"a plain name of a folder below --out, other than {SUMMARY}"
+            problems.append(Problem(manifest, f"{line}, out", repr(draft.name), expected))
+        elif draft.name.casefold() in first:
+            found = f"{draft.name!r}, as in {first[draft.name.casefold()]}"
+            problems.append(Problem(manifest, f"{line}, out", found, "a name of its own"))
+        else:
+            first[draft.name.casefold()] = line
+    return problems
+
+
+def _names(drafts: Sequence[_Draft]) -> list[str]:
+    """As given; else the file's name, with its suffix or its folders where files share it, the animal and the frames
+    where the row says them, and a number where that is still not enough."""
+    base = _file_names(dict.fromkeys(draft.path for draft in drafts))
+    taken = {SUMMARY, *(draft.name.casefold() for draft in drafts if draft.name is not None)}
+    names = []
+    for draft in drafts:
+        name = draft.name
+        if name is None:
+            plain = _UNFIT.sub("_", base[draft.path] + draft.tag).strip(". ") or "clip"
+            name, count = plain, 1
+            while name.casefold() in taken:
+                count += 1
+                name = f"{plain}-{count}"
+            taken.add(name.casefold())
+        names.append(name)
+    return names
+
+
+def _file_names(paths: Sequence[Path] | Mapping[Path, None]) -> dict[Path, str]:
+    """A name for each file: those that share it get their suffix or as many folders in front as it takes."""
+    siblings = Counter((path.parent, path.stem.casefold()) for path in paths)
+    stems = {
+        path: f"{path.stem}-{path.suffix[1:]}" if siblings[path.parent, path.stem.casefold()] > 1 else path.stem
+        for path in paths
+    }
+    depth = dict.fromkeys(paths, 0)
+
+    def name(path: Path) -> str:
+        folders = [part for part in path.parent.parts if part != path.anchor]
+        return "-".join([*folders[len(folders) - depth[path] :], stems[path]])
+
+    while True:
+        count = Counter(name(path).casefold() for path in paths)
+        shared = [p for p in paths if count[name(p).casefold()] > 1 and depth[p] < len(p.parent.parts) - 1]
+        if not shared:
+            return {path: name(path) for path in paths}
+        for path in shared:
+            depth[path] += 1

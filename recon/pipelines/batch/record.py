@@ -1,0 +1,203 @@
+"""`batch.json` in the folder of each clip: what its results were made from, so that a later run knows them again.
+
+It is written first, with the state "started", which makes the folder the batch's own, and again when all results are
+in place, with the state "finished". A run that is killed at any moment therefore leaves no folder that looks finished.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import cache
+from importlib import metadata
+from pathlib import Path
+from typing import Any, Literal
+
+from recon.errors import InputError, Problem
+from recon.files import staged_folder
+from recon.pipelines.batch.inputs import Clip
+from recon.pipelines.clip import OUTPUT_FILES, check_output_folder
+from recon.settings import OF_METHOD, FitSettings
+
+RECORD = "batch.json"
+CRASH_LOG = "crash.log"
+SCHEMA = {"name": "recon.batch.clip", "version": 1}
+Action = Literal["new", "refit", "done"]
+
+
+@dataclass(frozen=True)
+class Planned:
+    """A clip with what is to be done with it, and why. identity: see `identity`. row: of the summary, if it is done."""
+
+    clip: Clip
+    out: Path
+    action: Action
+    reason: str
+    identity: Mapping[str, Any]
+    row: Mapping[str, Any] | None = None
+
+
+def plan_batch(clips: Sequence[Clip], out: Path, overwrite: bool = False) -> list[Planned]:
+    """What is to be done with each clip, whose results belong into `out / clip.name`.
+
+    Results of the same input files, settings and version are done. Those that a batch made of the same keypoints with
+    other settings are made again. Raises InputError for folders with any other results, unless they may be overwritten.
+    """
+    check_output_folder(out, overwrite=True)
+    file_sha256.cache_clear()  # files may have changed since the last plan of this process
+    planned, problems = [], []
+    for clip in clips:
+        try:
+            planned.append(_planned(clip, out / clip.name, overwrite))
+        except InputError as error:
+            problems += error.problems
+    if problems:
+        raise InputError(problems)
+    return planned
+
+
+def _planned(clip: Clip, out: Path, overwrite: bool) -> Planned:
+    mine = identity(clip.settings)
+    record = read_record(out)
+    there = [name for name in OUTPUT_FILES if (out / name).exists()]
+    if not there:
+        return Planned(clip, out, "new", "", mine)
+    if overwrite:
+        return Planned(clip, out, "refit", "--overwrite", mine)
+    if record is None or (record["state"] == "finished" and not _reported(out, record)):
+        raise InputError(_occupied(out, "results that no batch has made"))
+    theirs = record["identity"]
+    same_clip = record["keypoints"] == str(clip.settings.keypoints)
+    if not same_clip and theirs["inputs"].get("keypoints") != mine["inputs"]["keypoints"]:
+        raise InputError(_occupied(out, f"results of {record['keypoints']}"))
+    if record["state"] != "finished":
+        return Planned(clip, out, "refit", "not finished before", mine)
+    if theirs != mine:
+        return Planned(clip, out, "refit", f"changed: {', '.join(_changed(theirs, mine))}", mine)
+    if any(not (out / name).is_file() or (out / name).stat().st_size != n for name, n in record["files"].items()):
+        return Planned(clip, out, "refit", "not complete", mine)
+    return Planned(clip, out, "done", "", mine, record["row"])
+
+
+def _occupied(out: Path, found: str) -> Problem:
+    return Problem(
+        out, "folder", found, "a folder without results, or of an earlier batch of this clip; or --overwrite"
+    )
+
+
+def _changed(theirs: Mapping[str, Any], mine: Mapping[str, Any]) -> list[str]:
+    """Names of the input files and settings that differ, and the version."""
+    names = []
+    for part in ("inputs", "settings"):
+        old, new = theirs[part], mine[part]
+        names += [name for name in sorted({*old, *new}) if old.get(name) != new.get(name)]
+    return names + (["version of recon"] if theirs["version"] != mine["version"] else [])
+
+
+# -- identity -----------------------------------------------------------------------------------------------------
+
+
+def identity(settings: FitSettings) -> dict[str, Any]:
+    """What the results follow from: the content of the input files by their role, the settings, the version.
+
+    Where a file lies is not part of it, nor are settings that only the other method reads. A file that cannot be read
+    has no content, None.
+    """
+    files = input_files(settings)
+    idle = {name for method, names in OF_METHOD.items() if method != settings.method for name in names}
+    plain = settings.model_dump(mode="json", exclude={*files, *idle}, exclude_none=True)
+    return {
+        "inputs": {role: file_sha256(path) for role, path in files.items()},
+        "settings": plain,
+        "version": metadata.version("recon"),
+    }
+
+
+def input_files(settings: FitSettings) -> dict[str, Path]:
+    """By the setting that names them; built-in skeletons, subjects and priors are no files."""
+    files = {"keypoints": settings.keypoints}
+    if settings.camera is not None:
+        files["camera"] = settings.camera
+    for role in ("skeleton", "subject", "prior"):
+        name = getattr(settings, role)
+        if name is not None and Path(name).is_absolute():
+            files[role] = Path(name)
+    return files
+
+
+@cache
+def file_sha256(path: Path) -> str | None:
+    try:
+        with path.open("rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
+    except OSError:
+        return None
+
+
+def short_hash(part: Any) -> str:
+    """Sixteen digits for a table."""
+    return hashlib.sha256(json.dumps(part, sort_keys=True).encode()).hexdigest()[:16]
+
+
+# -- the file -----------------------------------------------------------------------------------------------------
+
+
+def read_record(out: Path) -> dict[str, Any] | None:
+    try:
+        record = json.loads((out / RECORD).read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None
+    return record if isinstance(record, dict) and record.get("schema") == SCHEMA else None
+
+
+def start_record(out: Path, run: str, settings: FitSettings, known: Mapping[str, Any]) -> int:
+    """Make a clip's folder the batch's own; which attempt of this run it is, 1 or more."""
+    before = read_record(out)
+    attempt = before["attempt"] + 1 if before is not None and before["run"] == run else 1
+    _write(out, "started", run, attempt, settings, known)
+    return attempt
+
+
+def finish_record(
+    out: Path, run: str, attempt: int, settings: FitSettings, known: Mapping[str, Any], row: Mapping[str, Any]
+) -> None:
+    """When all results are in place."""
+    (out / CRASH_LOG).unlink(missing_ok=True)
+    files = {name: (out / name).stat().st_size for name in OUTPUT_FILES if (out / name).is_file()}
+    report = file_digest(out / "report.json")
+    _write(out, "finished", run, attempt, settings, known, {"files": files, "report_sha256": report, "row": row})
+
+
+def drop_record(out: Path) -> None:
+    """After a fit that failed: the record goes, and the folder with it, unless there are older results."""
+    if not any((out / name).exists() for name in OUTPUT_FILES):
+        (out / RECORD).unlink(missing_ok=True)
+        with suppress(OSError):  # there is something of the user's in it
+            out.rmdir()
+
+
+def file_digest(path: Path) -> str | None:
+    return file_sha256.__wrapped__(path)
+
+
+def _reported(out: Path, record: Mapping[str, Any]) -> bool:
+    """Whether the report is the one that the batch has written: each has its own times."""
+    return not (out / "report.json").exists() or file_digest(out / "report.json") == record["report_sha256"]
+
+
+def _write(
+    out: Path,
+    state: str,
+    run: str,
+    attempt: int,
+    settings: FitSettings,
+    known: Mapping[str, Any],
+    results: Mapping[str, Any] | None = None,
+) -> None:
+    head = {"schema": SCHEMA, "state": state, "run": run, "attempt": attempt, "keypoints": str(settings.keypoints)}
+    with staged_folder(out) as folder:
+        text = json.dumps({**head, "identity": known, **(results or {})}, indent=1)
+        (folder / RECORD).write_text(text + "\n", encoding="utf-8")

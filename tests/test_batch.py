@@ -1,0 +1,636 @@
+"""Many clips: which they are, what is done again and what is not, and what faults do to the others."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+import uuid
+from collections.abc import Iterator
+from contextlib import redirect_stderr, redirect_stdout
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import pytest
+
+import recon.pipelines.batch.worker as worker_module
+from recon.cli import main
+from recon.errors import InputError
+from recon.pipelines.batch import COLUMNS, Clip, Event, Summary, find_clips, input_problems, plan_batch, run_batch
+from recon.pipelines.batch.record import RECORD, read_record
+from recon.pipelines.batch.worker import Worker, WorkerDied, fit_one, task_of
+from recon.pipelines.clip import run_clip
+from recon.settings import FitSettings
+
+SAMPLES = Path(__file__).parents[1] / "data" / "samples"
+CAMERA = SAMPLES / "camera.toml"
+QUICK = {"camera": CAMERA, "fps": 30, "method": "frame", "frames": "0:6"}
+linux = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="looks at processes in /proc")
+
+
+@pytest.fixture
+def clips(tmp_path) -> Path:
+    """A folder with three clips of the frame method."""
+    folder = tmp_path / "clips"
+    folder.mkdir()
+    for name in ("a", "b", "c"):
+        shutil.copy(SAMPLES / "noisy.csv", folder / f"{name}.csv")
+    return folder
+
+
+def found(*inputs: object, **common: Any) -> list[Clip]:
+    return find_clips([str(one) for one in inputs], QUICK | common)[0]
+
+
+def names(*inputs: object) -> list[str]:
+    return [clip.name for clip in found(*inputs)]
+
+
+def manifest(folder: Path, text: str, name: str = "manifest.csv") -> Path:
+    (folder / name).write_text(text)
+    return folder / name
+
+
+def problems(*inputs: object, common: dict[str, Any] | None = None) -> list[str]:
+    with pytest.raises(InputError) as caught:
+        find_clips([str(one) for one in inputs], QUICK if common is None else common)
+    return [str(problem) for problem in caught.value.problems]
+
+
+class Ended(NamedTuple):
+    code: int
+    out: str
+    err: str
+
+
+def run(*args: object) -> Ended:
+    """`recon batch ARGS` in this process; the clips are fitted in others."""
+    out, err = io.StringIO(), io.StringIO()
+    with pytest.MonkeyPatch.context() as patch, redirect_stdout(out), redirect_stderr(err):
+        patch.setattr(sys, "argv", ["recon", "batch", *map(str, args)])
+        with pytest.raises(SystemExit) as caught:
+            main()
+    code = caught.value.code or 0
+    assert isinstance(code, int)
+    return Ended(code, out.getvalue(), err.getvalue())
+
+
+def table(out: Path) -> dict[str, dict[str, str]]:
+    """summary.csv by clip, which stands in it once."""
+    with (out / "summary.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    by_clip = {row["clip"]: row for row in rows}
+    assert len(by_clip) == len(rows)
+    assert tuple(rows[0]) == COLUMNS
+    return by_clip
+
+
+def staging_folders(out: Path) -> list[Path]:
+    return list(out.rglob(".recon-partial-*"))
+
+
+# ---- inputs ----
+
+
+def test_files_patterns_and_folders(clips):
+    (clips / "video.mp4").write_bytes(bytes(range(256)))
+    (clips / "notes.csv").write_text("day,weather\n1,rain\n")
+    assert names(clips / "b.csv", clips / "a.csv") == ["b", "a"]
+    assert names(clips / "[ab].csv") == ["a", "b"]
+    assert names(clips / "a.csv", clips / "[ab].csv", clips) == ["a", "b", "c"]
+    of_folder, notes = find_clips([clips], QUICK)
+    assert [clip.settings.keypoints for clip in of_folder] == [clips / f"{name}.csv" for name in "abc"]
+    assert notes == [f"Left out of {clips}, of no known format: notes.csv, video.mp4"]
+    assert {clip.settings.fps for clip in of_folder} == {30}
+
+
+def test_a_folder_has_one_clip_for_a_table_in_two_formats(clips):
+    (clips / "b.h5").write_bytes(b"\x89HDF\r\n\x1a\n" + bytes(600))  # damaged: the clip will say so
+    of_folder, notes = find_clips([clips], QUICK)
+    assert [clip.settings.keypoints.name for clip in of_folder] == ["a.csv", "b.h5", "c.csv"]
+    assert notes == [f"Left out of {clips}, beside a file of the same name: b.csv"]
+
+
+def test_names_are_unique_and_follow_from_the_paths(tmp_path):
+    for name in ("x/day1/run.csv", "y/day1/run.csv", "z/day2/run.csv", "z/day2/RUN.h5", "z/walk.csv", "walk.csv"):
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text("data")
+    files = sorted(tmp_path.rglob("*.*"))
+    expected = {
+        "x/day1/run.csv": "x-day1-run",
+        "y/day1/run.csv": "y-day1-run",
+        "z/day2/run.csv": "run-csv",
+        "z/day2/RUN.h5": "RUN-h5",
+        "z/walk.csv": "z-walk",
+        "walk.csv": f"{tmp_path.name}-walk",
+    }
+    assert dict(zip([f.relative_to(tmp_path).as_posix() for f in files], names(*files), strict=True)) == expected
+    backwards = files[::-1]
+    assert [expected[f.relative_to(tmp_path).as_posix()] for f in backwards] == names(*backwards)
+
+
+def test_manifest_rows_overrule_the_common_options(clips):
+    shutil.copy(CAMERA, clips / "mine.toml")
+    path = manifest(
+        clips,
+        "\ufeffkeypoints,out,fps,camera,hfov_deg,image_size_px,method,fast,frames\n"
+        "a.csv,first,60,,,,trajectory,true,\n"
+        "b.csv,,,mine.toml,,,,,2:6\n"
+        "\n"
+        f"{SAMPLES / 'whole.csv'},,,,64,1920x1080,,,\n",
+    )
+    first, second, third = found(path)
+    assert (first.name, second.name, third.name) == ("first", "b-2-6", "whole")
+    assert first.settings == FitSettings(
+        keypoints=clips / "a.csv", camera=CAMERA, fps=60, method="trajectory", fast=True, frames="0:6"
+    )
+    assert second.settings == FitSettings(
+        keypoints=clips / "b.csv", camera=clips / "mine.toml", fps=30, method="frame", frames="2:6"
+    )
+    assert third.settings == FitSettings(
+        keypoints=SAMPLES / "whole.csv", hfov_deg=64, image_size_px=(1920, 1080), fps=30, method="frame", frames="0:6"
+    )
+
+
+def test_common_options_lie_over_config(clips, tmp_path):
+    config = tmp_path / "settings.toml"
+    config.write_text(f'[recon.fit]\nfps = 25\nsigma_px = 5.0\ncamera = "{CAMERA.as_posix()}"\nmethod = "frame"\n')
+    (clip,), _ = find_clips([clips / "a.csv"], {"fps": 50.0, "camera": None}, config)
+    assert (clip.settings.fps, clip.settings.sigma_px, clip.settings.camera) == (50, 5, CAMERA)
+
+
+def test_common_options_of_one_method_are_not_for_rows_of_the_other(clips):
+    path = manifest(clips, "keypoints,method,form\na.csv,,\nb.csv,frame,printed\n")
+    common = {"camera": CAMERA, "fps": 30, "fast": True}
+    first, second = (clip.settings for clip in find_clips([path], common)[0])
+    assert (first.method, first.fast) == ("trajectory", True)
+    assert (second.method, second.fast, second.form) == ("frame", False, "printed")
+
+
+def test_clips_of_one_file_are_told_apart(clips):
+    path = manifest(
+        clips, "keypoints;individual;out\na.csv;wolf;\na.csv;dog;\na.csv;dog;\nb.csv;;a-dog-2\nb.csv;;\nc.csv;a/b:c;\n"
+    )
+    assert names(path) == ["a-wolf", "a-dog", "a-dog-3", "a-dog-2", "b", "c-a_b-c"]
+
+
+def test_all_problems_of_a_manifest_at_once(clips):
+    path = manifest(
+        clips,
+        "keypoints,fps,method,out,frames\na.csv,-3,frame,x,\nb.csv,30,walk,X,9:2\n,30,,,\nc.csv,,,../up,\n",
+    )
+    without_line_4 = problems(path, common={})
+    assert without_line_4 == [f"{path}: line 4, keypoints: found nothing, expected a keypoint file"]
+    path.write_text(path.read_text().replace(",30,,,\n", ""))
+    said = problems(path, common={"camera": "camera.toml", "likelihood_min": 2})
+    assert said == [
+        f"{path}: line 2, fps: found '-3', expected frames per second above 0, as in 120",
+        "--likelihood-min: likelihood_min: found 2, expected a number from 0 to 1",
+        f"{path}: line 3, method: found 'walk', expected trajectory or frame",
+        f"{path}: line 3, frames: found '9:2', expected frame numbers A:B with A < B, from A up to but without B, "
+        "as in 100:160",
+        f"{path}: line 3, out: found 'X', as in line 2, expected a name of its own",
+        f"{path}: line 4, out: found '../up', expected a plain name of a folder below --out, other than summary.csv",
+    ]
+
+
+def test_problems_of_several_inputs_at_once(clips, tmp_path):
+    path = manifest(clips, "keypoints,speed,fps,fps\na.csv,1,2,3,4\n")
+    empty = manifest(clips, "keypoints\n", "empty_manifest.csv")
+    (tmp_path / "none").mkdir()
+    said = problems(tmp_path / "typo.csv", tmp_path / "*.h5", tmp_path / "none", path, empty)
+    starts = [
+        f"{tmp_path / 'typo.csv'}: file: found no such file",
+        f"{tmp_path / '*.h5'}: files: found none that match",
+        f"{tmp_path / 'none'}: files: found no keypoint files",
+        f"{path}: column 'speed': found an unknown column, expected one of out, keypoints, fps",
+        f"{path}: column 'fps': found more than one",
+        f"{path}: line 2: found 5 cells, expected 4",
+        f"{empty}: rows: found none",
+    ]
+    assert len(said) == len(starts)
+    assert all(text.startswith(start) for text, start in zip(said, starts, strict=True))
+
+
+def test_what_every_clip_lacks_is_said_once(clips):
+    assert [text.split(",")[0] for text in problems(clips, common={})] == [
+        "--camera: camera: found nothing",
+    ]
+
+
+# ---- what is done, and what is done again ----
+
+
+def fit(clips: list[Clip], out: Path, overwrite: bool = False) -> list[tuple[str, str]]:
+    """(action, reason) of each clip, and do it, in this process."""
+    plan = plan_batch(clips, out, overwrite)
+    for planned in plan:
+        if planned.action != "done":
+            outcome = fit_one(task_of(planned, uuid.uuid4().hex), lambda stage, share: None)
+            assert outcome["status"] == "done"
+    return [(planned.action, planned.reason) for planned in plan]
+
+
+def test_finished_clips_are_known_by_their_content(clips, tmp_path):
+    out, one = tmp_path / "out", clips / "a.csv"
+    camera = shutil.copy(CAMERA, tmp_path / "camera.toml")
+    assert fit(found(one, camera=camera), out) == [("new", "")]
+    first = {path.name: path.read_bytes() for path in (out / "a").iterdir()}
+    assert json.loads(first["report.json"])["summary"]["frames"] == 6
+
+    os.utime(one, (1, 1))
+    assert fit(found(one, camera=camera), out) == [("done", "")]
+    moved = tmp_path / "elsewhere"
+    moved.mkdir()
+    shutil.move(one, moved / "a.csv")
+    shutil.move(camera, moved / "other.toml")
+    camera = moved / "other.toml"
+    assert fit(found(moved / "a.csv", camera=camera), out) == [("done", "")]
+    shutil.move(moved / "a.csv", one)
+    # the trajectory method's settings have no effect on the frame method
+    config = tmp_path / "config.toml"
+    config.write_text("[recon.fit]\nfast = true\n")
+    assert plan_batch(find_clips([one], QUICK | {"camera": camera}, config)[0], out)[0].action == "done"
+    assert {path.name: path.read_bytes() for path in (out / "a").iterdir()} == first
+
+    one.write_text(one.read_text() + "\n")
+    assert fit(found(one, camera=camera), out) == [("refit", "changed: keypoints")]
+    camera.write_text(camera.read_text() + "# moved\n")
+    assert fit(found(one, camera=camera), out) == [("refit", "changed: camera")]
+    assert fit(found(one, camera=camera, fps=60, likelihood_min=0.6), out) == [
+        ("refit", "changed: fps, likelihood_min")
+    ]
+    assert fit(found(one, camera=camera, fps=60, likelihood_min=0.6), out, overwrite=True) == [("refit", "--overwrite")]
+    (out / "a" / "angles.csv").unlink()
+    assert fit(found(one, camera=camera, fps=60, likelihood_min=0.6), out) == [("refit", "not complete")]
+    assert fit(found(one, camera=camera, fps=60, likelihood_min=0.6), out) == [("done", "")]
+
+
+def test_another_version_does_not_count(clips, tmp_path):
+    out = tmp_path / "out"
+    fit(found(clips / "a.csv"), out)
+    record = out / "a" / RECORD
+    record.write_text(record.read_text().replace('"version": "', '"version": "0.0.'))
+    assert plan_batch(found(clips / "a.csv"), out)[0].reason == "changed: version of recon"
+
+
+def test_a_fit_that_was_killed_is_not_finished(clips, tmp_path):
+    """Between the results' arrival and the end of the record."""
+    out = tmp_path / "out"
+    fit(found(clips / "a.csv"), out)
+    record = out / "a" / RECORD
+    plain = json.loads(record.read_text()) | {"state": "started"}
+    record.write_text(json.dumps(plain))
+    assert fit(found(clips / "a.csv"), out) == [("refit", "not finished before")]
+    assert fit(found(clips / "a.csv"), out) == [("done", "")]
+
+
+def test_results_of_others_are_left_alone(clips, tmp_path):
+    out = tmp_path / "out"
+    fit(found(clips / "a.csv"), out)
+    run_clip(FitSettings(keypoints=clips / "b.csv", **QUICK), out / "b")  # by hand
+    run_clip(FitSettings(keypoints=clips / "a.csv", **QUICK), out / "a", overwrite=True)  # over a batch's
+    other = tmp_path / "other"
+    other.mkdir()
+    (other / "c.csv").write_text((clips / "c.csv").read_text())
+    fit(found(other / "c.csv"), out)
+    (clips / "c.csv").write_text((clips / "c.csv").read_text() + "\n")
+    with pytest.raises(InputError) as caught:
+        plan_batch(found(clips), out)
+    said = [(Path(p.file).name, p.found) for p in caught.value.problems]
+    unknown = "results that no batch has made"
+    assert said == [("a", unknown), ("b", unknown), ("c", f"results of {other / 'c.csv'}")]
+    assert [p.reason for p in plan_batch(found(clips), out, overwrite=True)] == ["--overwrite"] * 3
+
+
+def test_a_clip_that_fails_leaves_nothing_but_older_results(clips, tmp_path):
+    out = tmp_path / "out"
+    fit(found(clips / "a.csv"), out)
+    for name in "ab":
+        (clips / f"{name}.csv").write_text("scorer,x\n")
+    (out / "c").mkdir()
+    for planned in plan_batch(found(clips / "a.csv", clips / "b.csv"), out):
+        outcome = fit_one(task_of(planned, "run"), lambda stage, share: None)
+        assert outcome["status"] == "failed"
+        assert outcome["error"].startswith(f"{planned.clip.settings.keypoints}: header: ")
+        assert outcome["attempts"] == 1
+    assert sorted(path.name for path in out.iterdir()) == ["a", "c"]
+    assert (out / "a" / "pose3d.csv").is_file()
+    assert plan_batch(found(clips / "a.csv"), out)[0].reason == "not finished before"
+
+
+def test_a_clip_is_fitted_once_in_a_run(clips, tmp_path):
+    """A cluster's scheduler asks again where a worker has died after it was done."""
+    (planned,) = plan_batch(found(clips / "a.csv"), tmp_path / "out")
+    first = fit_one(task_of(planned, "run"), lambda stage, share: None)
+    written = (tmp_path / "out" / "a" / "report.json").stat().st_mtime_ns
+    assert fit_one(task_of(planned, "run"), lambda stage, share: None) == first
+    assert (tmp_path / "out" / "a" / "report.json").stat().st_mtime_ns == written
+    fit_one(task_of(planned, "another run"), lambda stage, share: None)
+    assert (tmp_path / "out" / "a" / "report.json").stat().st_mtime_ns > written
+
+
+def test_another_version_on_the_worker(clips, tmp_path):
+    (planned,) = plan_batch(found(clips / "a.csv"), tmp_path / "out")
+    task = task_of(planned, "run")
+    task["identity"]["version"] = "99"
+    outcome = fit_one(task, lambda stage, share: None)
+    assert outcome["status"] == "failed"
+    assert "99 where the batch runs" in outcome["error"]
+    assert not (tmp_path / "out" / "a").exists()
+
+
+def test_input_problems(clips, tmp_path):
+    (clips / "a.csv").write_text("scorer,x\n")
+    (clips / "b.csv").unlink()
+    path = manifest(clips, "keypoints,camera\na.csv,none.toml\nb.csv,\nc.csv,\n")
+    first, second, third = input_problems(found(path))
+    assert [Path(p.file).name for p in first] == ["a.csv", "none.toml"]
+    assert [p.found for p in second] == ["no such file"]
+    assert third == ()
+
+
+# ---- processes ----
+
+
+def killer(*, once: str = "", always: str = "") -> Any:
+    """Kills the worker of a clip at its first, or at every sign of life."""
+    killed: set[int] = set()
+
+    def on_event(event: Event, summary: Summary) -> None:
+        wanted = event.clip == always or (event.clip == once and not killed)
+        if event.kind == "progress" and wanted and event.pid not in killed:
+            assert event.pid is not None
+            if event.clip == once:
+                killed.add(event.pid)
+            os.kill(event.pid, signal.SIGKILL)
+
+    return on_event
+
+
+@pytest.mark.skipif(os.name != "posix", reason="SIGKILL is of POSIX")
+def test_faults_take_only_their_clip(clips, tmp_path):
+    (clips / "broken.csv").write_text("scorer,x\n")
+    (clips / "empty.csv").touch()
+    shutil.copy(clips / "a.csv", clips / "d.csv")
+    out = tmp_path / "out"
+    plan = plan_batch(found(clips / "*.csv"), out)
+    on_event = killer(once="a")
+    also = killer(always="b")
+
+    def both(event: Event, summary: Summary) -> None:
+        on_event(event, summary)
+        if event.clip != "a":
+            also(event, summary)
+
+    run_batch(plan, out, jobs=2, retries=1, on_event=both)
+    rows = table(out)
+    assert {name: (row["status"], row["attempts"]) for name, row in rows.items()} == {
+        "a": ("done", "2"),
+        "b": ("failed", "2"),
+        "broken": ("failed", "1"),
+        "c": ("done", "1"),
+        "d": ("done", "1"),
+        "empty": ("failed", "1"),
+    }
+    assert rows["b"]["error"] == "the worker was killed (SIGKILL, as the system does when memory runs out)"
+    assert rows["empty"]["error"].startswith(f"{clips / 'empty.csv'}: file: found an empty file")
+    assert (out / "b" / "crash.log").read_text().startswith(rows["b"]["error"])
+    assert staging_folders(out) == []
+
+    report = json.loads((out / "c" / "report.json").read_text())
+    row, speeds = rows["c"], report["root_path"]["smoothed"] or report["root_path"]["exact"]
+    assert row["keypoints"] == str(clips / "c.csv")
+    assert row["out"] == str(out / "c")
+    assert row["frames"] == row["frames_with_pose"] == "6"
+    assert float(row["mean_reprojection_px"]) == report["summary"]["reprojection_px"]["mean"]
+    assert int(row["outliers"]) == report["summary"]["outliers"]
+    assert float(row["peak_speed_m_s"]) == speeds["peak_speed_m_s"]
+    assert float(row["mean_speed_m_s"]) == speeds["mean_speed_m_s"]
+    assert row["size"] == ""
+    assert rows["d"]["inputs_hash"] == rows["c"]["inputs_hash"] != rows["broken"]["inputs_hash"]
+    assert len({row["settings_hash"] for row in rows.values()}) == 1
+
+    again = plan_batch(found(clips / "*.csv"), out)
+    assert [planned.action for planned in again] == ["done", "new", "new", "done", "done", "new"]
+    run_batch(again[:2], out, jobs=1)
+    later = table(out)
+    assert (later["a"]["status"], later["a"]["attempts"], later["b"]["status"]) == ("done earlier", "0", "done")
+    assert later["a"]["peak_speed_m_s"] == rows["a"]["peak_speed_m_s"]
+    assert not (out / "b" / "crash.log").exists()
+
+
+@linux
+def test_worker(clips, tmp_path, monkeypatch):
+    """Its threads, a crash of Python, its replacement after some clips, and its end."""
+    monkeypatch.setattr(worker_module, "CLIPS_PER_WORKER", 2)
+    (clips / "a.csv").write_text("scorer,x\n")
+    (planned,) = plan_batch(found(clips / "a.csv"), tmp_path / "out")
+    task = task_of(planned, "run")
+    worker, pids = Worker(), []
+    for _ in range(3):
+        assert worker.fit(task, 0, lambda stage, share: None)["status"] == "failed"
+        pids.append(worker.pid)
+    assert pids[0] == pids[1] != pids[2]
+    environment = Path(f"/proc/{worker.pid}/environ").read_bytes().split(b"\0")
+    assert {b"OMP_NUM_THREADS=1", b"OPENBLAS_NUM_THREADS=1"} <= {*environment}
+
+    crash = {**task, "identity": {}, "out": str(tmp_path / "crash")}
+    assert worker.fit(crash, 0, lambda stage, share: None) == {
+        "status": "failed",
+        "error": "the worker crashed: KeyError: 'version'",
+        "attempts": 1,
+    }
+    log = (tmp_path / "crash" / "crash.log").read_text()
+    assert "Traceback" in log
+    assert "fit_one" in log
+    worker.start()
+    last = worker.pid
+    worker.stop()
+    with pytest.raises(WorkerDied):
+        worker.fit(task, 5, lambda stage, share: None)
+    worker.end()
+    assert not Path(f"/proc/{last}").exists()
+
+
+# ---- the command ----
+
+
+def args(clips: Path, out: Path, *more: object) -> list[object]:
+    return [clips, "--camera", CAMERA, "--fps", 30, "--method", "frame", "--out", out, *more]
+
+
+def test_dry_run_looks_only(clips, tmp_path):
+    out = tmp_path / "out"
+    (clips / "c.csv").write_text("scorer,x\n")
+    fit(found(clips / "a.csv", clips / "b.csv", frames=None), out)
+    before = {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*")}
+    ended = run(*args(clips, out, "--dry-run", "--json"))
+    rows = json.loads(ended.out)["clips"]
+    assert [(row["clip"], row["action"]) for row in rows] == [("a", "done"), ("b", "done"), ("c", "new")]
+    assert rows[2]["out"] == str(out / "c")
+    assert len(rows[2]["problems"]) == 1
+    assert "header" in rows[2]["problems"][0]
+    assert (ended.code, run(*args(clips, out, "--dry-run", "--strict")).code) == (0, 1)
+    ended = run(*args(clips, out, "--dry-run", "--fps", 60))
+    assert "3 clips: 1 new, 2 to fit again, 0 done; 1 with problems" in ended.out
+    assert "refit (changed: fps)" in ended.out
+    assert {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*")} == before
+
+
+def test_command(clips, tmp_path):
+    """A line for each clip, --strict and the summary as JSON."""
+    out = tmp_path / "out"
+    (clips / "c.csv").write_text("scorer,x\n")
+    fit(found(clips / "a.csv", clips / "b.csv", frames=None), out)
+    ended = run(*args(clips, out))
+    assert ended.code == 0
+    assert ended.out.startswith("2 of 3 clips are done already.\n2 done earlier, 1 failed in ")
+    assert ended.err.startswith(f"[1/1] failed  c: {clips / 'c.csv'}: header: ")
+    ended = run(*args(clips, out, "--strict", "--quiet", "--json"))
+    assert ended.code == 1
+    summary = json.loads(ended.out)
+    assert summary["counts"] == {"done earlier": 2, "failed": 1}
+    assert [row["clip"] for row in summary["clips"]] == ["a", "b", "c"]
+    assert {name: row["status"] for name, row in table(out).items()} == {
+        "a": "done earlier",
+        "b": "done earlier",
+        "c": "failed",
+    }
+
+
+def test_unusable_input_ends_it_before_any_work(clips, tmp_path):
+    out = tmp_path / "out"
+    ended = run(clips, "--fps", 30, "--out", out)
+    assert ended.code == 2
+    assert "--camera: camera: found nothing" in ended.err
+    ended = run(clips, "--camera", clips / "none.toml", "--fps", 30, "--skeleton", "unicorn", "--out", out)
+    assert ended.code == 2
+    assert ended.err.count("error:") == 2
+    (tmp_path / "file").touch()
+    assert run(*args(clips, tmp_path / "file")).code == 2
+    assert not out.exists()
+
+
+def children(pid: int) -> list[int]:
+    """Also those that threads have started."""
+    lists = Path(f"/proc/{pid}/task").glob("*/children")
+    return [int(child) for path in lists for child in path.read_text().split()]
+
+
+def wait_for(condition: Any, seconds: float = 60) -> None:
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end, "nothing happened"
+        time.sleep(0.02)
+
+
+def statuses(out: Path) -> list[str]:
+    return [row["status"] for row in table(out).values()] if (out / "summary.csv").exists() else []
+
+
+@pytest.fixture
+def in_the_middle(clips, tmp_path) -> Iterator[tuple[subprocess.Popen[str], Path, list[object]]]:
+    """`recon batch` on six clips in a process of its own, after the first is done; its folder and its arguments."""
+    for name in "def":
+        shutil.copy(clips / "a.csv", clips / f"{name}.csv")
+    command = args(clips, tmp_path / "out", "--jobs", 1)
+    code = [sys.executable, "-c", "from recon.cli import main; main()", "batch", *map(str, command)]
+    with subprocess.Popen(code, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        try:
+            wait_for(lambda: "done" in statuses(tmp_path / "out"))
+            yield process, tmp_path / "out", command
+        finally:
+            process.kill()
+
+
+def finished(out: Path) -> dict[str, int]:
+    """The moment of each finished clip."""
+    records = {path.name: read_record(path) for path in out.iterdir() if path.is_dir()}
+    done = [name for name, record in records.items() if record is not None and record["state"] == "finished"]
+    return {name: (out / name / "report.json").stat().st_mtime_ns for name in done}
+
+
+@linux
+def test_ctrl_c_keeps_what_is_done(in_the_middle):
+    process, out, command = in_the_middle
+    (worker,) = children(process.pid)
+    process.send_signal(signal.SIGINT)
+    said, errors = process.communicate(timeout=30)
+    assert process.returncode == 130
+    assert not Path(f"/proc/{worker}").exists()
+    done = finished(out)
+    assert 1 <= len(done) < 6
+    assert statuses(out) == ["done"] * len(done) + ["pending"] * (6 - len(done))
+    assert errors == (
+        f"Stopped: {len(done)} done, {6 - len(done)} pending. What is done is kept: the same command again goes on "
+        "from here.\n"
+    )
+    assert "Traceback" not in said
+    assert staging_folders(out) == []
+    assert sorted(path.name for path in out.iterdir() if path.is_dir()) == sorted(done)
+    assert run(*command).code == 0
+    assert statuses(out) == ["done earlier"] * len(done) + ["done"] * (6 - len(done))
+    assert finished(out).items() >= done.items()
+
+
+@linux
+def test_after_a_kill_nothing_that_is_finished_is_done_again(in_the_middle):
+    process, out, command = in_the_middle
+    (worker,) = children(process.pid)
+    process.kill()
+    wait_for(lambda: not Path(f"/proc/{worker}").exists() or "Z" in Path(f"/proc/{worker}/stat").read_text().split())
+    done = finished(out)
+    assert 1 <= len(done) < 6
+    assert run(*command).code == 0
+    assert statuses(out).count("done earlier") == len(done)
+    assert statuses(out).count("done") == 6 - len(done)
+    assert finished(out).items() >= done.items()
+    assert staging_folders(out) == []
+
+
+# ---- a cluster ----
+
+
+@pytest.mark.filterwarnings("default")  # Dask's own
+def test_dask_cluster(clips, tmp_path):
+    distributed = pytest.importorskip("distributed")
+    for name in "def":
+        shutil.copy(clips / "a.csv", clips / f"{name}.csv")
+    (clips / "broken.csv").write_text("scorer,x\n")
+    out = tmp_path / "out"
+    plan = plan_batch(found(clips / "*.csv", frames=None), out)
+    with (
+        distributed.LocalCluster(n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None) as cluster,
+        distributed.Client(cluster) as client,
+    ):
+        pids = client.run(os.getpid)
+        killed: list[int] = []
+
+        def kill_one(event: Event, summary: Summary) -> None:
+            if summary.rows[event.clip]["status"] == "done" and not killed:
+                killed.append(next(iter(pids.values())))
+                os.kill(killed[0], signal.SIGKILL)
+
+        run_batch(plan, out, scheduler=cluster.scheduler_address, on_event=kill_one)
+        assert killed
+    rows = table(out)
+    assert {name: row["status"] for name, row in rows.items()} == {
+        **dict.fromkeys("abcdef", "done"),
+        "broken": "failed",
+    }
+    assert set(finished(out)) == set("abcdef")
+    assert [planned.action for planned in plan_batch(found(clips / "*.csv", frames=None), out)].count("done") == 6
+
+
+def test_no_cluster(clips, tmp_path):
+    pytest.importorskip("distributed")
+    ended = run(*args(clips, tmp_path / "out", "--scheduler", "nonsense://here"))
+    assert ended.code == 2
+    assert "expected a running Dask scheduler" in ended.err
