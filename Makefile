@@ -17,13 +17,14 @@ DEV := $(VENV)/.dev-installed
 # Keep pyright from asking the network for a newer version.
 export PYRIGHT_PYTHON_IGNORE_WARNINGS := 1
 
-.PHONY: help demo test lint format samples benchmark clean
+.PHONY: help demo test lint format notebooks samples benchmark clean
 
 help:
 	@echo 'make demo       reconstruct the sample clip into $(DEMO_OUT)/'
 	@echo 'make test       ruff, pyright and the tests'
 	@echo 'make lint       ruff and pyright only'
 	@echo 'make format     let ruff fix and format the code'
+	@echo 'make notebooks  run the notebooks and save their outputs'
 	@echo 'make samples    make the clips in data/samples again'
 	@echo 'make benchmark  tables of accuracy and speed; real recordings: RUNS=folder'
 	@echo 'make clean      remove outputs and caches; $(VENV) stays'
@@ -46,6 +47,9 @@ format: $(DEV)
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 
+notebooks: $(DEV)
+	$(BIN)/python notebooks/run.py
+
 samples: $(BASE)
 	$(BIN)/python data/samples/make_samples.py
 
@@ -55,6 +59,8 @@ benchmark: $(BASE)
 	$(BIN)/python benchmarks/samples.py
 	$(BIN)/python benchmarks/gait.py $(RUNS)
 	$(BIN)/python benchmarks/ik.py $(RUNS)
+	$(BIN)/python benchmarks/calibration.py
+	$(BIN)/python benchmarks/batch.py
 
 clean:
 	rm -rf $(DEMO_OUT) build dist .pytest_cache .ruff_cache

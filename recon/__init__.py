@@ -9,6 +9,7 @@ motion.joints_m  # (frames, joints, 3), metres
 
 from importlib import metadata
 
+from recon.analysis.clip import ClipAnalysis, analyse
 from recon.analysis.evaluation import Evaluation, evaluate, evaluate_files
 from recon.body import Body
 from recon.calibration import read_camera, read_cameras, write_camera
@@ -19,6 +20,8 @@ from recon.io.pose3d import Pose3D, read_pose3d
 from recon.keypoints import Keypoints, clean
 from recon.motion import FrameMotion, Motion, TrajectoryMotion
 from recon.pipelines.clip import fit_clip, write_clip
+from recon.pipelines.demo import samples_folder
+from recon.results import Results, read_results
 from recon.settings import FitSettings
 from recon.skeleton import Skeleton
 from recon.skeleton_file import load_skeleton
@@ -28,6 +31,7 @@ __version__ = metadata.version("recon")
 __all__ = [
     "Body",
     "Camera",
+    "ClipAnalysis",
     "Evaluation",
     "FitSettings",
     "FrameMotion",
@@ -35,8 +39,10 @@ __all__ = [
     "Keypoints",
     "Motion",
     "Pose3D",
+    "Results",
     "Skeleton",
     "TrajectoryMotion",
+    "analyse",
     "clean",
     "evaluate",
     "evaluate_files",
@@ -46,6 +52,8 @@ __all__ = [
     "read_cameras",
     "read_keypoints",
     "read_pose3d",
+    "read_results",
+    "samples_folder",
     "write_camera",
     "write_clip",
 ]

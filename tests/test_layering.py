@@ -41,6 +41,7 @@ LAYERS = (
     "solve",
     "motion",
     "results",
+    "overlay",
     "analysis",
     "ik",
     "robot",

@@ -11,12 +11,14 @@ from rich.console import Console
 from recon import __version__
 from recon.cli.analyse import analyse
 from recon.cli.batch import batch
+from recon.cli.calibrate import calibrate
 from recon.cli.common import EXIT_BAD_INPUT, error_text
 from recon.cli.convert import convert
 from recon.cli.demo import demo
 from recon.cli.evaluate import evaluate
 from recon.cli.fit import fit
 from recon.cli.ik import ik
+from recon.cli.overlay import overlay
 from recon.cli.prior import prior_fit
 from recon.cli.skeleton import skeleton_app
 from recon.cli.view import view
@@ -28,7 +30,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-for command in (fit, batch, analyse, ik, evaluate, view, demo, convert):
+for command in (fit, batch, analyse, ik, evaluate, view, demo, calibrate, convert, overlay):
     app.command()(command)
 
 prior_app = typer.Typer(help="Motion priors: which poses occur, and how they change.", no_args_is_help=True)

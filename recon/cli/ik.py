@@ -15,6 +15,8 @@ from rich.text import Text
 
 from recon.errors import InputError, Problem
 
+WIDE_GAP_PERCENT = 25
+
 
 def ik(
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of results, as in results/clip.")],
@@ -109,6 +111,8 @@ def _print(console: Console, summary: dict[str, Any], out: Path) -> None:
         f"stride: {stride['start_s']:.3f} to {stride['end_s']:.3f} s, {how}; gap {1000 * stride['gap_m']:.0f} mm "
         f"({stride['gap_percent']:.1f} % of its extent), closed"
     )
+    if stride["gap_percent"] > WIDE_GAP_PERCENT:
+        say("note: so wide a gap is not of one stride: a touchdown may have been missed, or the clip is too short")
     if summary["to_target"]:
         place = ", ".join(f"{x:.3f}" for x in np.asarray(summary["target_m"]))
         columns = ("reached", "steps", "µs each", "path m", "limits")

@@ -1,1 +1,51 @@
 """Inverse kinematics of serial chains at the rate level: chains, methods, driving and following, fits (docs/ik.md)."""
+
+from recon.ik.animal import body_chain, body_chain_angles, chain_angles, planar_chain, spine_front_leg
+from recon.ik.chain import PlanarChain, SerialChain, SummedChain
+from recon.ik.costs import HarmonicMap, UserCost, joint_differences, rotational_energy
+from recon.ik.drive import Drive, Follow, drive_to, follow
+from recon.ik.joint_chain import JointChain
+from recon.ik.methods import (
+    DampedLeastSquares,
+    ExtendedJacobian,
+    GradientProjection,
+    JacobianTranspose,
+    LeastNorm,
+    SelectivelyDamped,
+    WeightedLeastNorm,
+)
+from recon.ik.null_space import to_null_space_optimum
+from recon.ik.stride import Stride, farthest_reach, find_stride
+from recon.ik.two_link import two_link
+
+__all__ = [
+    "DampedLeastSquares",
+    "Drive",
+    "ExtendedJacobian",
+    "Follow",
+    "GradientProjection",
+    "HarmonicMap",
+    "JacobianTranspose",
+    "JointChain",
+    "LeastNorm",
+    "PlanarChain",
+    "SelectivelyDamped",
+    "SerialChain",
+    "Stride",
+    "SummedChain",
+    "UserCost",
+    "WeightedLeastNorm",
+    "body_chain",
+    "body_chain_angles",
+    "chain_angles",
+    "drive_to",
+    "farthest_reach",
+    "find_stride",
+    "follow",
+    "joint_differences",
+    "planar_chain",
+    "rotational_energy",
+    "spine_front_leg",
+    "to_null_space_optimum",
+    "two_link",
+]

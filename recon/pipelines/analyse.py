@@ -145,8 +145,8 @@ def _gait_summary(gait: Gait) -> dict[str, Any]:
 
 
 def write_figures(found: ClipAnalysis, folder: Path) -> None:
-    """PNG and SVG of composites, speed, footfalls, vector fields by limb, and phase portraits. Raises InputError without
-    matplotlib."""
+    """PNG and SVG of composites, speed, footfalls, vector fields by limb, and phase portraits. Raises InputError
+    without matplotlib."""
     from recon import plots
 
     results = found.results

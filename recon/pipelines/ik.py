@@ -235,13 +235,13 @@ def run_ik(
     limb = limb_of(results, foot, dim, limited)
     goal = _coordinates(target, dim) if target not in (None, STRIDE_MAX) else None
     with threadpool_limits(1, user_api="blas"):
-        stride = _stride(results, limb)
+        stride = stride_of(results, limb)
         parameters = fit_parameters(limb)
         by_name = methods_of(limb, methods, parameters, fitted)
         start, foremost = farthest_reach(limb.chain, stride.q)
         goal = foremost if target == STRIDE_MAX else goal
         drives = {} if goal is None else {n: drive_to(limb.chain, start, goal, m) for n, m in by_name.items()}
-        follows = {n: _follow(limb.chain, stride, m, turns) for n, m in by_name.items()} if along_stride else {}
+        follows = {n: follow_stride(limb.chain, stride, m, turns) for n, m in by_name.items()} if along_stride else {}
     summary = _summary(limb, stride, goal, drives, follows, parameters, fitted, turns)
     solved = Solved(limb, stride, goal, drives, follows, parameters, summary)
     with staged_folder(out) as staging:
@@ -275,8 +275,9 @@ def _coordinates(target: str, dim: Dim) -> Array:
     return values
 
 
-def _stride(results: Results, limb: Limb) -> Stride:
-    """A complete stride of the foot, if the clip has one; otherwise where the foot comes back to nearest."""
+def stride_of(results: Results, limb: Limb) -> Stride:
+    """A complete stride of the foot, if the clip has one; otherwise where the foot comes back to nearest. Raises
+    InputError for a clip that shows too little."""
     gaits = analyse(results).gaits
     label = next(label for label, joint in results.feet.items() if joint == limb.foot)
     complete = next((s for s in gaits["ground"].strides if s.foot == label), None)
@@ -289,8 +290,9 @@ def _stride(results: Results, limb: Limb) -> Stride:
         raise InputError(Problem(results.folder, "stride", str(error), "a clip that shows more of one")) from None
 
 
-def _follow(chain: SerialChain, stride: Stride, method: Method, turns: int) -> Follow:
-    """The extended Jacobian starts where its cost is stationary, with the foot in the same place."""
+def follow_stride(chain: SerialChain, stride: Stride, method: Method, turns: int = 1) -> Follow:
+    """Along the stride, `SLOWER` than the animal. The extended Jacobian starts where its cost is stationary, with the
+    foot in the same place."""
     q0 = stride.q[0]
     if isinstance(method, ExtendedJacobian):
         q0 = to_null_space_optimum(chain, q0, method.cost).q[-1]

@@ -8,6 +8,7 @@ Entities of the recording; those without "(static)" have a row a frame, which is
   relative to their mean, `world/stance`, the feet that stand, and `world/doubt`, a label in frames with a flag.
 - `picture`: pixels of the distorted picture. `picture/frame` (static), its edge; `picture/detections`,
   `picture/outliers`, `picture/reprojections` with the skeleton's lines in it, `picture/links` between the two.
+- `picture/video`, where `recon.view.video` has added it: the video's frames.
 - `closeup`: the same points, relative to the middle of the reprojected skeleton in each frame.
 - `angles/...` in degrees: a chain's `theta` and `phi`, or the `left`, `right` and `middle` of a whole animal; `speed`
   of the reference point in m/s; `residuals`, mean and largest of the frame in px.

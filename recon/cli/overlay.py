@@ -1,0 +1,50 @@
+"""`recon overlay`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
+from rich.text import Text
+
+
+def overlay(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of results, as in results/clip.")],
+    video: Annotated[Path, typer.Option(help="The video that the keypoints came from, as in clip.mp4.")],
+    out: Annotated[Path, typer.Option(help="The new video, .mp4 (MPEG-4) or .avi (Motion JPEG), as in overlay.mp4.")],
+    first_frame: Annotated[
+        int, typer.Option(help="Number that the video's first frame has in the keypoint file, if it was cut.")
+    ] = 0,
+    speed: Annotated[
+        float | None,
+        typer.Option(help="Of the playback, 1 is real time. (default: so that 30 frames are shown in a second)"),
+    ] = None,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the new video.")] = False,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print errors only.")] = False,
+) -> None:
+    """Draw a reconstruction on its video: detections, skeleton, doubtful frames, and the pose from three sides.
+
+    Example: recon overlay results/clip --video clip.mp4 --out overlay.mp4
+    """
+    from recon.pipelines.overlay import run_overlay
+
+    console = Console(quiet=quiet)
+    columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=console, transient=True, disable=quiet or not console.is_terminal) as bar:
+        task = bar.add_task("reading", total=1.0)
+        run = run_overlay(
+            folder,
+            video,
+            out,
+            first_frame=first_frame,
+            speed=speed,
+            overwrite=overwrite,
+            progress=lambda stage, share: bar.update(task, description=stage, completed=share),
+        )
+    console.print(
+        Text(f"{run.frames} frames at {run.speed:.3g} times their speed ({run.fps:.4g} a second) are in {out}."),
+        soft_wrap=True,
+    )

@@ -1,0 +1,86 @@
+"""Pictures of a board as a camera with known intrinsics takes them: calibrations with a truth.
+
+The outlines of everything dark are projected through `Camera.project` and filled on a finer grid, which is then
+averaged over each pixel: no picture is warped, so that nothing but the camera model decides where a corner is.
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from recon.camera import Camera, FloatArray
+from recon.intrinsics.board import Board, Gray
+
+EDGE_PARTS = 8
+FRACTION_BITS = 6
+
+
+def render(
+    board: Board,
+    camera: Camera,
+    rotation: FloatArray,
+    translation_m: FloatArray,
+    *,
+    oversample: int = 8,
+    blur_px: float = 0.0,
+    noise: float = 0.0,
+    rng: np.random.Generator | None = None,
+) -> Gray:
+    """Picture (height, width) of a board at X_camera = rotation X_board + translation_m.
+
+    oversample: finer cells along each side of a pixel. blur_px: standard deviation of a Gaussian blur. noise: standard
+    deviation of white noise, in grey levels of 255, drawn from `rng`.
+    """
+    width, height = camera.image_size_px
+    image = np.full((height * oversample, width * oversample), 120, dtype=np.uint8)
+    margin = board.square_m / np.linalg.norm(board.outline_m[0] - board.outline_m[1])
+    centre = board.outline_m.mean(axis=0)
+    sheet = centre + (1 + 2 * margin) * (board.outline_m - centre)
+    for quads, level in ((sheet[None], 225), (board.dark_quads_m(), 30)):
+        share = np.linspace(0, 1, EDGE_PARTS, endpoint=False)[:, None]
+        following = np.roll(quads, -1, axis=1)
+        outlines = (quads[:, :, None] * (1 - share) + following[:, :, None] * share).reshape(len(quads), -1, 3)
+        xy_px, valid = camera.project(outlines @ rotation.T + translation_m)
+        # Pixel centres lie at whole numbers in both grids.
+        fine = ((xy_px + 0.5) * oversample - 0.5) * 2**FRACTION_BITS
+        for outline in fine[np.asarray(valid.all(axis=1))]:
+            if np.abs(outline).max() < 2**30:
+                cv2.fillPoly(image, [np.rint(outline).astype(np.int32)], level, shift=FRACTION_BITS)
+    picture = cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA).astype(np.float32)
+    if blur_px:
+        picture = cv2.GaussianBlur(picture, (0, 0), blur_px)
+    if noise:
+        picture += (rng or np.random.default_rng(0)).normal(0.0, noise, picture.shape)
+    return np.clip(np.rint(picture), 0, 255).astype(np.uint8)
+
+
+def poses(
+    board: Board, camera: Camera, count: int, rng: np.random.Generator, max_tilt_rad: float = 0.7, fill: float = 0.55
+) -> list[tuple[FloatArray, FloatArray]]:
+    """Rotations (3, 3) and translations (3,) of a board held by hand: tilted every way, over the whole picture.
+
+    The tilt is up to `max_tilt_rad`; a board in the middle fills about `fill` of the picture's height. Every pose has
+    all corners in the picture.
+    """
+    size = np.array(camera.image_size_px)
+    found = []
+    while len(found) < count:
+        axis = rng.uniform(0, 2 * np.pi)
+        tilt = rng.uniform(0.2, 1.0) * max_tilt_rad
+        turn = Rotation.from_rotvec([0, 0, rng.normal(0, 0.2)])
+        rotation = (Rotation.from_rotvec(tilt * np.array([np.cos(axis), np.sin(axis), 0])) * turn).as_matrix()
+        ray, valid = camera.rays(rng.uniform(0.1, 0.9, 2) * (size - 1))
+        extent = np.linalg.norm(board.outline_m[0] - board.outline_m[2])
+        distance = extent * camera.matrix[1, 1] / (size[1] * fill) * rng.uniform(0.7, 1.4)
+        if not valid:
+            continue
+        # Held towards the camera, as one does at the edge of a wide picture.
+        facing, _ = Rotation.align_vectors([ray], [[0.0, 0.0, 1.0]])
+        rotation = facing.as_matrix() @ rotation
+        translation = ray * distance - rotation @ board.outline_m.mean(axis=0)
+        xy_px, seen = camera.project(board.points_m @ rotation.T + translation)
+        if seen.all() and camera.in_image(xy_px - 4).all() and camera.in_image(xy_px + 4).all():
+            found.append((rotation, translation))
+    return found

@@ -1,0 +1,122 @@
+"""Videos: frames in, one after the other, and frames out.
+
+Frames are counted from 0 in the order in which they are decoded, never by seeking: seeking is inexact in many formats,
+and a detector that went through the video counted its frames in this way. The number of frames that a file states is
+only an estimate.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from recon.errors import InputError, Problem
+
+Image = npt.NDArray[np.uint8]
+CODECS = {".mp4": "mp4v", ".avi": "MJPG"}
+"""What OpenCV's own wheels can encode quickly: MPEG-4 part 2, which players show but browsers do not, and Motion JPEG.
+They hold no encoder for H.264, and VP9 takes half a second for a picture of 1920x1080."""
+
+SUFFIXES = (".mp4", ".avi", ".mov", ".mkv", ".webm", ".m4v", ".mpg", ".mpeg", ".wmv", ".mts")
+
+
+@dataclass(frozen=True)
+class VideoInfo:
+    """size_px: (width, height). fps: None where the file does not say. stated_frames: what the file says, None where it
+    says nothing; the frames that can be decoded may be fewer or more."""
+
+    size_px: tuple[int, int]
+    fps: float | None
+    stated_frames: int | None
+
+
+def probe(path: str | Path) -> VideoInfo:
+    """What a video says about itself; its first frame is decoded. Raises InputError for a file that is no video."""
+    capture = _open(Path(path))
+    try:
+        fps, count = capture.get(cv2.CAP_PROP_FPS), capture.get(cv2.CAP_PROP_FRAME_COUNT)
+        found, image = capture.read()
+    finally:
+        capture.release()
+    if not found:
+        raise InputError(Problem(path, "video", "no frame that can be decoded", "a video"))
+    known = np.isfinite(fps) and 0 < fps < 1e5
+    return VideoInfo((image.shape[1], image.shape[0]), float(fps) if known else None, int(count) if count > 0 else None)
+
+
+def read_frames(
+    path: str | Path, first: int = 0, stop: int | None = None, step: int = 1
+) -> Iterator[tuple[int, Image]]:
+    """Numbers and pictures (height, width, 3; blue, green, red) of every `step`th frame from `first` up to, but
+    without, `stop`, as far as the video goes. One picture is held at a time."""
+    capture = _open(Path(path))
+    try:
+        number = 0
+        while (stop is None or number < stop) and capture.grab():
+            if number >= first and (number - first) % step == 0:
+                found, image = capture.retrieve()
+                if not found:
+                    return
+                yield number, np.asarray(image, dtype=np.uint8)
+            number += 1
+    finally:
+        capture.release()
+
+
+@contextmanager
+def video_writer(path: str | Path, size_px: tuple[int, int], fps: float) -> Iterator[Callable[[Image], None]]:
+    """A function that appends a picture (height, width, 3; blue, green, red) to a new video.
+
+    size_px: (width, height), even. The file appears, or replaces its predecessor, when the block ends without an
+    exception; otherwise nothing is left. Raises InputError for a suffix that is not in `CODECS`, or where OpenCV lacks
+    the encoder.
+    """
+    path = Path(path)
+    codec = require_codec(path)
+    temporary = path.with_name(f".{path.stem}.{os.getpid()}.tmp{path.suffix.lower()}")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary.touch()  # an OSError with the reason, where OpenCV would only say no
+    writer: Any = cv2.VideoWriter(str(temporary), cv2.CAP_FFMPEG, cv2.VideoWriter.fourcc(*codec), fps, size_px)
+    try:
+        if not writer.isOpened():
+            found = f"an OpenCV without an encoder for {codec} of {size_px[0]}x{size_px[1]} px"
+            raise InputError(Problem(path, "video", found, "one of the suffixes " + ", ".join(CODECS)))
+
+        def write(image: Image) -> None:
+            if image.shape != (size_px[1], size_px[0], 3):
+                raise ValueError(f"a picture of shape {image.shape} in a video of {size_px[0]}x{size_px[1]} px")
+            writer.write(image)
+
+        yield write
+        writer.release()
+        if not temporary.stat().st_size:
+            raise OSError(f"{path}: the video could not be written")
+        temporary.replace(path)
+    finally:
+        writer.release()
+        temporary.unlink(missing_ok=True)
+
+
+def require_codec(path: Path) -> str:
+    """The codec for a video of this name. Raises InputError for a suffix without one."""
+    codec = CODECS.get(path.suffix.lower())
+    if codec is None:
+        raise InputError(Problem(path, "suffix", repr(path.suffix), "one of " + ", ".join(CODECS)))
+    return codec
+
+
+def _open(path: Path) -> cv2.VideoCapture:
+    if not path.is_file():
+        raise InputError(Problem(path, "video", "a folder" if path.is_dir() else "no such file", "a video"))
+    capture = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
+    if not capture.isOpened():
+        raise InputError(Problem(path, "video", "a file that cannot be decoded", "a video"))
+    return capture

@@ -1,0 +1,151 @@
+"""The video's frames in a playback that is written already, in step with the 3D.
+
+They are `picture/video`, a JPEG for each frame of the playback on both of its timelines, and the view of the whole
+picture comes to the front. JPEG is what every viewer shows; of the codecs of videos it decodes only AV1 by itself, and
+the others jump from key frame to key frame where there is no ffmpeg. rerun has the corner of the top left pixel at (0,
+0), where the points have its centre: the picture lies half a pixel to the right and below.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import cv2
+import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
+from rerun.blueprint.archetypes import ContainerBlueprint
+
+from recon.errors import InputError, Problem
+from recon.video import Image, probe, read_frames
+from recon.view.stored import Layout, Playback
+
+ENTITY = "picture/video"
+QUALITIES = (90, 75, 60, 45, 30)
+"""Of the JPEGs: the best with which all of them stay below `MAX_BYTES`."""
+MAX_BYTES = 400_000_000
+SAMPLED = 5
+"""Frames from which the size of all is estimated."""
+BATCH = 8
+"""Frames that are held in memory."""
+
+Progress = Callable[[str, float], None]
+
+
+def add_video(
+    path: Path,
+    video: Path,
+    first_frame: int = 0,
+    progress: Progress = lambda stage, share: None,
+    max_bytes: int = MAX_BYTES,
+) -> int:
+    """Add the frames of a video to the recording at `path`, in place of those that were added before.
+
+    first_frame: the number that the video's first frame has in the recording. Everything else stays as it is, and the
+    file is replaced in one step. Returns the quality of the JPEGs, 0 to 100. Raises InputError where there is no such
+    recording or video, where they differ in size, where the video lacks frames of the recording, and where the pictures
+    would take more than `max_bytes` even at the lowest quality.
+    """
+    path = Path(path)
+    playback, info = Playback.read(path), probe(video)
+    first, last = int(playback.frames.min()), int(playback.frames.max())
+    problems = []
+    size = _size_px(playback)
+    if info.size_px != size:
+        expected = f"{size[0]}x{size[1]}, the size that the camera is calibrated for"
+        problems.append(Problem(video, "size", f"{info.size_px[0]}x{info.size_px[1]}", expected))
+    if first_frame > first:
+        expected = f"{first} or less: the playback begins with frame {first}"
+        problems.append(Problem("--first-frame", "number", str(first_frame), expected))
+    if problems:
+        raise InputError(problems)
+    quality = _quality(video, first - first_frame, last + 1 - first_frame, len(playback.frames), max_bytes)
+    with TemporaryDirectory(prefix=".recon-partial-", dir=path.parent) as folder:
+        new = Path(folder) / path.name
+        _write(playback, video, first_frame, quality, new, progress)
+        os.replace(new, path)
+    return quality
+
+
+def _write(playback: Playback, video: Path, first_frame: int, quality: int, path: Path, progress: Progress) -> None:
+    store = playback.store
+    stream = rr.RecordingStream(store.application_id, recording_id=store.recording_id, send_properties=False)
+    stream.save(path, default_blueprint=_InFront(playback.layout, "picture"))
+    try:
+        stream.send_chunks([c for c in playback.data if c.entity_path != f"/{ENTITY}"])
+        at = dict(zip(playback.frames.tolist(), playback.time_s.tolist(), strict=True))
+        first, last = min(at), max(at)
+        batch: list[tuple[int, bytes]] = []
+        read = 0
+
+        def send() -> None:
+            frames = [frame for frame, _ in batch]
+            columns = rr.EncodedImage.columns(blob=[jpeg for _, jpeg in batch], media_type=["image/jpeg"] * len(batch))
+            times = [
+                rr.TimeColumn("frame", sequence=frames),
+                rr.TimeColumn("time", duration=[at[frame] for frame in frames]),
+            ]
+            stream.send_columns(ENTITY, times, columns)
+            batch.clear()
+
+        for index, image in read_frames(video, first - first_frame, last + 1 - first_frame):
+            read += 1
+            progress("adding the video", read / (last + 1 - first))
+            if index + first_frame in at:
+                batch.append((index + first_frame, _jpeg(image, quality)))
+            if len(batch) == BATCH:
+                send()
+        if batch:
+            send()
+        stream.flush()
+    finally:
+        stream.disconnect()
+    if read < last + 1 - first:
+        found = f"{first - first_frame + read} frames that can be decoded"
+        expected = f"{last + 1 - first_frame} or more, for the playback's frames {first} to {last}"
+        raise InputError(Problem(video, "video", found, f"{expected}: the video of this clip, or --first-frame"))
+
+
+def _quality(video: Path, first: int, stop: int, count: int, max_bytes: int) -> int:
+    """The best of `QUALITIES` with which `count` frames are small enough."""
+    step = max(1, (stop - first) // SAMPLED)
+    images = [image for _, image in read_frames(video, first, stop, step)]
+    total = 0.0
+    for quality in QUALITIES:
+        total = count * float(np.mean([len(_jpeg(image, quality)) for image in images] or [0.0]))
+        if total <= max_bytes:
+            return quality
+    found = f"{count} frames that take {total / 1e6:.0f} MB as JPEG"
+    raise InputError(Problem(video, "video", found, f"at most {max_bytes / 1e6:.0f} MB: a shorter clip (--frames)"))
+
+
+def _jpeg(image: Image, quality: int) -> bytes:
+    return cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, quality])[1].tobytes()
+
+
+def _size_px(playback: Playback) -> tuple[int, int]:
+    """(width, height) of the playback's picture."""
+    for chunk in playback.data:
+        if chunk.entity_path == "/picture/frame":
+            (half,) = chunk.to_record_batch().to_pylist()[0]["Boxes2D:half_sizes"]
+            return round(2 * half[0]), round(2 * half[1])
+    raise ValueError("a playback without a picture")
+
+
+class _InFront(rrb.Blueprint):
+    """A stored layout, with the tab in front that shows this entity."""
+
+    def __init__(self, layout: Layout, origin: str) -> None:
+        super().__init__(auto_layout=False, auto_views=False)
+        self.layout, self.origin = layout, origin
+
+    def _log_to_stream(self, stream: rr.RecordingStream) -> None:
+        stream.send_chunks(self.layout.chunks)
+        values = self.layout.values
+        view = next(p for p, v in values.items() if v.get("ViewBlueprint:space_origin") == [self.origin])
+        for path, fields in values.items():
+            if view in fields.get("ContainerBlueprint:contents", []) and "ContainerBlueprint:active_tab" in fields:
+                stream.log(path, ContainerBlueprint.from_fields(active_tab=view))

@@ -1,0 +1,101 @@
+"""The notebooks run from top to bottom, and what is saved in them is what they give."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import nbformat
+import pytest
+
+FOLDER = Path(__file__).resolve().parents[1] / "notebooks"
+NOTEBOOKS = sorted(FOLDER.glob("*.ipynb"))
+TIMEOUT_S = 600
+NUMBER = re.compile(r"(?<![\w.])-?\d+(?:\.\d+)?(?:e[-+]?\d+)?(?!\w)")
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, tuple[subprocess.Popen[str], Path]]]:
+    """All notebooks at once, each in its own process: what it wrote is waited for by its own test."""
+    started = {}
+    for notebook in NOTEBOOKS:
+        out = tmp_path_factory.mktemp(notebook.stem)
+        command = [sys.executable, str(FOLDER / "run.py"), "--out", str(out), notebook.stem]
+        process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+        started[notebook.stem] = process, out / notebook.name
+    yield started
+    for process, _ in started.values():
+        process.kill()
+        process.communicate()
+
+
+def test_there_are_four() -> None:
+    assert [path.stem[:2] for path in NOTEBOOKS] == ["1_", "2_", "3_", "4_"]
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+def test_saved_as_run_from_top_to_bottom_with_figures(path: Path) -> None:
+    node = nbformat.read(path, as_version=4)
+    nbformat.validate(node)
+    code = [cell for cell in node.cells if cell.cell_type == "code"]
+    outputs = [output for cell in code for output in cell.outputs]
+    assert [cell.execution_count for cell in code] == list(range(1, len(code) + 1))
+    assert not [o for o in outputs if o.output_type == "error" or o.get("name") == "stderr"]
+    assert sum("image/png" in o.get("data", {}) for o in outputs) >= 4
+    assert "/tmp" not in "".join(text_of(cell) for cell in code)
+    assert path.stat().st_size < 600_000
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+def test_runs_without_a_warning_and_gives_what_is_saved(
+    path: Path, runs: dict[str, tuple[subprocess.Popen[str], Path]]
+) -> None:
+    process, written = runs[path.stem]
+    _, complaints = process.communicate(timeout=TIMEOUT_S)
+    assert process.returncode == 0, complaints
+    before, after = (nbformat.read(p, as_version=4).cells for p in (path, written))
+    assert [cell.source for cell in before] == [cell.source for cell in after]
+    for number, (was, now) in enumerate(zip(before, after, strict=True)):
+        if was.cell_type == "code" and "varies" not in was.metadata.get("tags", ()):
+            assert kinds(was) == kinds(now), f"cell {number}: run `make notebooks`"
+            different = difference(text_of(was), text_of(now))
+            assert not different, f"cell {number}: {different}; if that is meant, run `make notebooks`"
+
+
+@pytest.mark.parametrize(
+    ("was", "now", "same"),
+    [
+        ("peak 16.05 m/s at -0.87", "peak  16.1 m/s at -0.88", True),
+        ("reached 46", "reached 47", True),
+        ("reached 46", "reached 60", False),
+        ("error 1.3e-05", "error 1.3e-04", False),
+        ("l_front_paw 3", "r_front_paw 3", False),
+    ],
+)
+def test_texts_are_compared_by_words_and_rounded_numbers(was: str, now: str, same: bool) -> None:
+    assert (difference(was, now) == "") == same
+
+
+def kinds(cell: nbformat.NotebookNode) -> list[tuple[str, ...]]:
+    """What each output is: text, a table, a figure."""
+    return [tuple(sorted(output.get("data", {"text": ""}))) for output in cell.outputs]
+
+
+def text_of(cell: nbformat.NotebookNode) -> str:
+    texts = [o["text"] if "text" in o else o["data"].get("text/plain", "") for o in cell.outputs]
+    return "\n".join(text for text in texts if not text.startswith("<Figure"))
+
+
+def difference(was: str, now: str) -> str:
+    """The first difference beyond blanks and the rounding of numbers, "" without one."""
+    words = [NUMBER.sub("#", text).split() for text in (was, now)]
+    if words[0] != words[1]:
+        return f"{' '.join(words[0])!r} is now {' '.join(words[1])!r}"
+    for a, b in zip(NUMBER.findall(was), NUMBER.findall(now), strict=True):
+        place = 10.0 ** -max(len(x.partition("e")[0].partition(".")[2]) for x in (a, b)) if "e" not in a + b else 0.0
+        if abs(float(a) - float(b)) > max(2.01 * place, 0.05 * abs(float(a))):
+            return f"{a} is now {b}"
+    return ""

@@ -1,0 +1,215 @@
+"""The overlay: what is drawn where, in which colour, on which frame, and what does not belong together."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from typer.testing import CliRunner
+
+from recon.cli import app
+from recon.errors import InputError
+from recon.motion import TrajectoryMotion
+from recon.overlay import (
+    DETECTION,
+    DOUBT,
+    LEFT,
+    OUTLIER,
+    RIGHT,
+    Overlay,
+    canvas_size,
+    draw_frame,
+    shade,
+    smoothed_headings,
+)
+from recon.pipelines.clip import write_clip
+from recon.pipelines.overlay import overlay_of, run_overlay
+from recon.results import read_results
+from recon.settings import FitSettings
+from recon.video import probe, read_frames, video_writer
+
+SIZE = (1920, 1080)
+GREY = np.full((1080, 1920, 3), 128, np.uint8)
+
+
+def folder_of(motion: TrajectoryMotion, path: Path) -> Path:
+    write_clip(motion, FitSettings(keypoints=Path("run.csv"), camera=Path("camera.toml"), fps=30), path)
+    return path
+
+
+@pytest.fixture(scope="module")
+def folder(small_trajectory, tmp_path_factory) -> Path:
+    return folder_of(small_trajectory, tmp_path_factory.mktemp("level") / "run")
+
+
+@pytest.fixture(scope="module")
+def overlay(folder) -> Overlay:
+    return overlay_of(read_results(folder))
+
+
+@pytest.fixture(scope="module")
+def video(tmp_path_factory) -> Path:
+    """Twelve frames of 1920x1080, ten times the number as their grey level."""
+    path = tmp_path_factory.mktemp("video") / "clip.avi"
+    with video_writer(path, SIZE, 30.0) as write:
+        for number in range(12):
+            write(np.full((1080, 1920, 3), 10 * number, np.uint8))
+    return path
+
+
+def test_folder_holds_what_is_drawn(overlay, small_trajectory):
+    motion = small_trajectory
+    np.testing.assert_array_equal(overlay.frames, motion.frames)
+    np.testing.assert_allclose(overlay.reprojected_px, motion.reprojected_px, atol=1e-6)
+    # Where there is no detection, both are NaN.
+    np.testing.assert_allclose(overlay.detected_px, motion.detected_px, atol=1e-5)
+    np.testing.assert_array_equal(overlay.outliers, motion.outliers)
+    assert [tuple(flags) for flags in overlay.flags] == list(motion.solution.flags)
+    names = [motion.names[limb[-1]] for limb in overlay.limbs]
+    colours = dict(zip(names, overlay.colours, strict=True))
+    assert {name: colours[name] for name in ("l_front_paw", "r_back_paw")} == {"l_front_paw": LEFT, "r_back_paw": RIGHT}
+
+
+@pytest.mark.parametrize("fixture", ["small_trajectory", "world_trajectory"])
+def test_near_and_far_are_along_the_camera_axis(fixture, request, tmp_path):
+    motion = request.getfixturevalue(fixture)
+    overlay = overlay_of(read_results(folder_of(motion, tmp_path / "run")))
+    depth = motion.joints_camera_m[..., 2]
+    relative = depth - depth.mean(axis=1, keepdims=True)
+    scale = np.percentile(np.abs(relative), 95)
+    np.testing.assert_allclose(overlay.nearness, np.clip(-relative / scale, -1, 1), atol=1e-6)
+
+
+def test_limbs_and_marks_are_where_and_in_the_colour_they_should_be(overlay):
+    t = 4  # with an outlier
+    overlay = replace(overlay, detected_px=np.where(overlay.outliers[..., None], overlay.detected_px, np.nan))
+    image = draw_frame(overlay, t, 14, GREY)
+    on_top = max(  # the nearest piece of a leg, which nothing is drawn upon
+        (overlay.nearness[t, [a, b]].mean(), a, b, colour)
+        for limb, colour in zip(overlay.limbs, overlay.colours, strict=True)
+        for a, b in pairwise(limb)
+    )
+    nearness, a, b, colour = on_top
+    x, y = np.rint(overlay.reprojected_px[t, [a, b]].mean(axis=0)).astype(int)
+    assert np.abs(image[y, x].astype(int) - shade(colour, nearness)).max() <= 3
+    (nose,) = np.flatnonzero(overlay.outliers[t])
+    x, y = np.rint(overlay.detected_px[t, nose]).astype(int)
+    assert np.abs(image[y, x].astype(int) - OUTLIER).max() <= 3
+
+
+def test_detections_are_rings(overlay):
+    alone = np.full_like(overlay.detected_px, np.nan)
+    alone[0, 0] = [300.0, 900.0]
+    drawn = draw_frame(replace(overlay, detected_px=alone), 0, 10, GREY)
+    patch = np.abs(drawn[890:911, 290:311].astype(int) - DETECTION).max(axis=2) < 40
+    radius = np.hypot(*(np.argwhere(patch) - 10).T)
+    assert len(radius) > 8
+    assert np.ptp(radius) < 3
+    assert (drawn[900, 300] == 128).all()
+
+
+def test_doubtful_frames_have_a_border(overlay):
+    borders = [tuple(draw_frame(overlay, t, 10 + t, GREY)[540, 1]) == DOUBT for t in range(8)]
+    assert borders == [bool(flags) for flags in overlay.flags]
+    assert tuple(draw_frame(overlay, None, 3, GREY)[540, 1]) == DOUBT
+
+
+def test_near_is_lighter_than_far():
+    brightness = [sum(shade(LEFT, n)) for n in (-1.0, -0.5, 0.0, 0.5, 1.0)]
+    assert brightness == sorted(brightness)
+    assert shade(LEFT, 0.0) == LEFT
+
+
+def test_views_turn_with_the_animal(overlay):
+    """A turn about the vertical changes none of them."""
+    turned = replace(overlay, upright_m=overlay.upright_m @ Rotation.from_rotvec([0, 0, 2.1]).as_matrix().T + [5, 6, 7])
+    for name, points in overlay.views.items():
+        np.testing.assert_allclose(turned.views[name], points, atol=1e-9)
+
+
+def test_views_are_the_side_the_top_and_the_front(overlay, small_trajectory):
+    """The animal runs to the right, level, its left away from the camera."""
+    at = small_trajectory.names.index
+    nose, left, right, tail = (at(n) for n in ("nose", "l_front_paw", "r_front_paw", "tail_base"))
+    side, above, ahead = (overlay.views[name][0] for name in ("side", "from above", "from ahead"))
+    assert side[nose, 0] > side[tail, 0]
+    assert side[nose, 1] > side[left, 1]
+    assert side[right, 2] > side[left, 2]
+    assert above[left, 1] > above[right, 1]
+    assert above[nose, 0] > above[tail, 0]
+    assert ahead[left, 0] > ahead[right, 0]
+    assert ahead[nose, 2] > ahead[tail, 2]
+    upright = overlay.upright_m[0]
+    for points in (side, above, ahead):
+        distances = np.linalg.norm(points[:, None] - points, axis=2)
+        np.testing.assert_allclose(distances, np.linalg.norm(upright[:, None] - upright, axis=2), atol=1e-9)
+
+
+def test_a_mirrored_run_is_seen_from_its_other_side(overlay):
+    mirrored = replace(overlay, reprojected_px=[1919, 0] + overlay.reprojected_px * [-1, 1])
+    np.testing.assert_allclose(mirrored.views["side"], overlay.views["side"] * [-1, 1, -1])
+    np.testing.assert_allclose(mirrored.views["from above"], overlay.views["from above"] * [-1, -1, 1])
+    np.testing.assert_allclose(mirrored.views["from ahead"], overlay.views["from ahead"])
+
+
+def test_headings_are_averaged_and_reach_into_gaps():
+    angle = np.array([0.0, 0.1, 0.2, np.nan, np.nan, np.nan, np.nan, np.nan])
+    forward = np.stack((np.cos(angle), np.sin(angle), np.full(8, 9.0)), axis=1)
+    found = smoothed_headings(forward, fps=8.0)  # three frames
+    expected = [0.05, 0.1, 0.15, 0.2, 0.2, 0.2, 0.2, 0.2]
+    np.testing.assert_allclose(np.arctan2(found[:, 1], found[:, 0]), expected, atol=1e-9)
+    np.testing.assert_array_equal(smoothed_headings(np.full((2, 3), np.nan), 8.0), [[1, 0], [1, 0]])
+
+
+def test_every_frame_of_the_clip_is_drawn_on_its_own_picture(folder, video, tmp_path):
+    """The result has frames 10 to 17; the video begins with number 7, so that they are its pictures 3 to 10."""
+    out = tmp_path / "o.avi"
+    run = run_overlay(folder, video, out, first_frame=7, speed=0.5)
+    assert (run.frames, run.fps, run.speed) == (8, 15.0, 0.5)
+    info = probe(out)
+    assert (info.size_px, info.fps) == (canvas_size(SIZE), 15.0)
+    levels = [float(image[1000, 1800].mean()) for _, image in read_frames(out)]
+    np.testing.assert_allclose(levels, 10.0 * np.arange(3, 11), atol=4)
+    assert {path.name for path in tmp_path.iterdir()} == {"o.avi"}
+
+
+def test_a_video_that_is_too_short_is_said_so(folder, video, tmp_path):
+    message = r"found 12 frames that can be decoded, expected 18 or more, for the result's frames 10 to 17"
+    with pytest.raises(InputError, match=message):
+        run_overlay(folder, video, tmp_path / "o.mp4")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_what_does_not_fit_is_named_at_once(folder, tmp_path):
+    small = tmp_path / "small.avi"
+    with video_writer(small, (64, 48), 30.0) as write:
+        write(np.zeros((48, 64, 3), np.uint8))
+    with pytest.raises(InputError) as caught:
+        run_overlay(folder, small, tmp_path / "o.mp4", first_frame=11, speed=-1)
+    assert [problem.field for problem in caught.value.problems] == ["size", "number", "factor"]
+    with pytest.raises(InputError) as caught:
+        run_overlay(tmp_path, tmp_path / "none.mp4", small)
+    assert [problem.field for problem in caught.value.problems] == ["folder", "video", "file"]
+
+
+def test_a_table_of_another_fit_is_refused(folder, tmp_path):
+    for file in folder.iterdir():
+        (tmp_path / file.name).write_bytes(file.read_bytes())
+    lines = (tmp_path / "reprojection.csv").read_text().splitlines()
+    (tmp_path / "reprojection.csv").write_text("\n".join(lines[:-1]) + "\n")
+    with pytest.raises(InputError, match=r"reprojection\.csv.*other joints or frames"):
+        overlay_of(read_results(tmp_path))
+
+
+def test_command(folder, video, tmp_path):
+    out = tmp_path / "o.mp4"
+    args = ["overlay", str(folder), "--video", str(video), "--out", str(out), "--first-frame", "10"]
+    done = CliRunner().invoke(app, args)
+    assert done.exit_code == 0, done.output
+    assert "8 frames at 1 times their speed (30 a second)" in done.stdout
+    assert isinstance(CliRunner().invoke(app, args).exception, InputError)
+    assert CliRunner().invoke(app, [*args, "--overwrite", "-q"]).stdout == ""

@@ -1,0 +1,82 @@
+"""Videos in and out: which frame is which, and nothing half written."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from recon.errors import InputError
+from recon.video import probe, read_frames, video_writer
+
+
+def grey(level: int) -> np.ndarray:
+    return np.full((48, 64, 3), level, np.uint8)
+
+
+@pytest.fixture(scope="module", params=[".avi", ".mp4"])
+def counted(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Twenty frames, the number times ten as their grey level."""
+    path = tmp_path_factory.mktemp("video") / f"counted{request.param}"
+    with video_writer(path, (64, 48), 25.0) as write:
+        for number in range(20):
+            write(grey(10 * number))
+    return path
+
+
+def levels(path: Path, *args: int, **kwargs: int) -> list[tuple[int, int]]:
+    return [(number, round(float(image.mean()) / 10)) for number, image in read_frames(path, *args, **kwargs)]
+
+
+def test_frames_are_counted_from_zero(counted):
+    assert levels(counted) == [(n, n) for n in range(20)]
+
+
+def test_a_part_of_the_frames_keeps_their_numbers(counted):
+    assert levels(counted, 3, 15, 4) == [(3, 3), (7, 7), (11, 11)]
+    assert levels(counted, 18, 30) == [(18, 18), (19, 19)]
+
+
+def test_probe_says_what_the_file_says(counted):
+    info = probe(counted)
+    assert (info.size_px, info.fps, info.stated_frames) == ((64, 48), 25.0, 20)
+
+
+def test_an_interrupted_video_leaves_nothing_and_the_old_one_stays(tmp_path):
+    path = tmp_path / "new" / "v.mp4"
+    path.parent.mkdir()
+    path.write_bytes(b"old")
+
+    def interrupted() -> None:
+        with video_writer(path, (64, 48), 25.0) as write:
+            write(grey(0))
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        interrupted()
+    assert {file.name: file.read_bytes() for file in path.parent.iterdir()} == {"v.mp4": b"old"}
+
+
+def test_pictures_of_another_size_are_refused(tmp_path):
+    with (
+        pytest.raises(ValueError, match="a picture of shape"),
+        video_writer(tmp_path / "v.mp4", (64, 64), 25.0) as write,
+    ):
+        write(grey(0))
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(("name", "found"), [("none.mp4", "no such file"), ("text.mp4", "cannot be decoded")])
+def test_what_is_no_video_is_an_input_error(tmp_path, name, found, capfd):
+    (tmp_path / "text.mp4").write_text("no video")
+    with pytest.raises(InputError, match=found):
+        probe(tmp_path / name)
+    with pytest.raises(InputError, match=found):
+        next(read_frames(tmp_path / name))
+
+
+def test_a_suffix_without_a_codec_is_an_input_error(tmp_path):
+    with pytest.raises(InputError, match=r"one of \.mp4, \.avi"), video_writer(tmp_path / "v.gif", (64, 48), 25.0):
+        pass
+    assert list(tmp_path.iterdir()) == []

@@ -1,0 +1,113 @@
+"""The video's frames in a playback, read back with rerun's own reader."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from rerun.chunk import RrdReader
+
+from recon.errors import InputError
+from recon.motion import TrajectoryMotion
+from recon.video import video_writer
+from recon.view import write
+from recon.view.video import add_video
+
+FRAMES = list(range(10, 18))
+
+
+@pytest.fixture
+def playback(small_trajectory: TrajectoryMotion, tmp_path: Path) -> Path:
+    """Frames 10 to 17 at 30 fps."""
+    write(small_trajectory, tmp_path / "motion.rrd")
+    return tmp_path / "motion.rrd"
+
+
+@pytest.fixture(scope="module")
+def video(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Eleven frames of 1920x1080, ten times the number as their grey level."""
+    path = tmp_path_factory.mktemp("video") / "clip.avi"
+    with video_writer(path, (1920, 1080), 30.0) as write_frame:
+        for number in range(11):
+            write_frame(np.full((1080, 1920, 3), 10 * number, np.uint8))
+    return path
+
+
+def rows(path: Path, kind: str) -> dict[str, list[dict[str, Any]]]:
+    """By entity, what is stored about it; row ids are left out."""
+    reader = RrdReader(path)
+    (store,) = getattr(reader, kind)()
+    found: dict[str, list[dict[str, Any]]] = {}
+    for chunk in reader.stream(store=store).to_chunks():
+        for row in chunk.to_record_batch().to_pylist():
+            known = {name: value for name, value in row.items() if name != "rerun.controls.RowId" and value is not None}
+            found.setdefault(chunk.entity_path, []).append(known)
+    return found
+
+
+def test_every_frame_has_its_picture(playback, video):
+    """The video begins with frame 8, so that the playback has its pictures 2 to 9."""
+    before = rows(playback, "recordings")
+    assert add_video(playback, video, first_frame=8) == 90
+    after = rows(playback, "recordings")
+    pictures = after.pop("/picture/video")
+    assert after == before
+    assert [row["frame"] for row in pictures] == FRAMES
+    np.testing.assert_allclose([row["time"].total_seconds() for row in pictures], np.array(FRAMES) / 30, atol=1e-6)
+    for number, row in enumerate(pictures, 2):
+        image = cv2.imdecode(np.array(row["EncodedImage:blob"][0], np.uint8), cv2.IMREAD_COLOR)
+        assert image is not None
+        assert image.shape == (1080, 1920, 3)
+        assert float(image.mean()) == pytest.approx(10 * number, abs=3)
+
+
+def test_a_second_video_replaces_the_first_and_the_whole_picture_is_in_front(playback, video):
+    before = rows(playback, "blueprints")
+    add_video(playback, video, first_frame=8)
+    add_video(playback, video, first_frame=7)
+    pictures = rows(playback, "recordings")["/picture/video"]
+    assert len(pictures) == len(FRAMES)
+    image = cv2.imdecode(np.array(pictures[0]["EncodedImage:blob"][0], np.uint8), cv2.IMREAD_COLOR)
+    assert image is not None
+    assert float(image.mean()) == pytest.approx(30, abs=3)
+    after = rows(playback, "blueprints")
+    name, origin, active = "ViewBlueprint:display_name", "ViewBlueprint:space_origin", "ContainerBlueprint:active_tab"
+    (view,) = [path for path, (row, *_) in after.items() if row.get(origin) == ["picture"]]
+    assert after[view][0][name] == ["Whole picture"]
+    changed = {path for path in after if after[path] != before.get(path)}
+    assert [after[path][-1][active] for path in changed if active in after[path][-1]] == [[view[1:]]]
+    assert {path for path in changed if path.startswith(("/view/", "/container/"))} == {
+        path for path in changed if active in after[path][-1]
+    }
+    assert before.keys() <= after.keys()
+
+
+def test_large_pictures_are_stored_at_a_lower_quality(playback, tmp_path):
+    rng = np.random.default_rng(0)
+    noisy = tmp_path / "noisy.avi"
+    with video_writer(noisy, (1920, 1080), 30.0) as write_frame:
+        for _ in FRAMES:
+            write_frame(rng.integers(0, 255, (1080, 1920, 3)).astype(np.uint8))
+    size = playback.stat().st_size
+    quality = add_video(playback, noisy, first_frame=10, max_bytes=8_000_000)
+    assert quality < 90
+    assert playback.stat().st_size - size < 8_800_000
+    with pytest.raises(InputError, match=r"8 frames that take [\d.]+ MB as JPEG, expected at most 1 MB"):
+        add_video(playback, noisy, first_frame=10, max_bytes=1_000_000)
+
+
+def test_what_does_not_fit_leaves_the_playback_as_it_is(playback, video, tmp_path):
+    content = playback.read_bytes()
+    small = tmp_path / "small.avi"
+    with video_writer(small, (64, 48), 30.0) as write_frame:
+        write_frame(np.zeros((48, 64, 3), np.uint8))
+    with pytest.raises(InputError) as caught:
+        add_video(playback, small, first_frame=11)
+    assert [problem.field for problem in caught.value.problems] == ["size", "number"]
+    with pytest.raises(InputError, match="found 11 frames that can be decoded, expected 18 or more"):
+        add_video(playback, video)
+    assert playback.read_bytes() == content
+    assert {path.name for path in tmp_path.iterdir()} == {"motion.rrd", "small.avi"}
