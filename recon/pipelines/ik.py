@@ -78,15 +78,18 @@ SUMMARY = "ik.json"
 
 @dataclass(frozen=True, eq=False)
 class Limb:
-    """A chain of the animal, and its joint angles q (T, n) in the clip. base: what the base frame's axes mean, U
-    forwards, V down and W left, or x forwards, y left and z up. misfit_m: distance of the chain's end from the foot,
-    median."""
+    """A chain of the animal, and its joint angles q (T, n) in the clip, whose first frame is at first_s.
+
+    base: what the base frame's axes mean, U forwards, V down and W left, or x forwards, y left and z up. misfit_m:
+    distance of the chain's end from the foot, median.
+    """
 
     foot: str
     chain: SerialChain
     names: tuple[str, ...]
     q: Array
     fps: float
+    first_s: float
     base: Literal["UVW", "xyz"]
     misfit_m: float
 
@@ -118,16 +121,16 @@ def limb_of(results: Results, foot: str | None = None, dim: Dim = 3, limited: bo
     name = results.feet[label]
     if isinstance(results.skeleton, Skeleton):
         return _spine_front_leg(results, results.skeleton, label, dim, limited)
-    travel = body_travel(results.states)
+    travel, first_s = body_travel(results.states), float(results.time_s[0])
     if dim == 3:
         marker = next(joint for joint, keypoint in results.keypoint_of.items() if keypoint == name)
         chain, names = body_chain(results.body, marker, results.size, limited)
         q = body_chain_angles(results.body, marker, results.states)
-        return Limb(name, chain, names, q, results.fps, "xyz", 0.0)
+        return Limb(name, chain, names, q, results.fps, first_s, "xyz", 0.0)
     along = next(along for along in limb_chains(results).values() if along[-1] == name)
     points = results.pose.xyz_m[:, [results.pose.names.index(joint) for joint in along]]
     chain, q, misfit = planar_chain(points, travel)
-    return Limb(name, chain, along[:-1], q, results.fps, "UVW", float(np.nanmedian(misfit)))
+    return Limb(name, chain, along[:-1], q, results.fps, first_s, "UVW", float(np.nanmedian(misfit)))
 
 
 def _foot(results: Results, foot: str | None) -> str:
@@ -149,7 +152,7 @@ def _spine_front_leg(results: Results, skeleton: Skeleton, label: str, dim: Dim,
     q = chain_angles(skeleton, results.states, results.camera.up, dim=dim)
     links = len(chain.lengths_m)
     names = tuple(f"{kind}_{k}" for kind in ("theta", "phi")[: dim - 1] for k in range(1, links + 1))
-    return Limb(results.feet[label], chain, names, q, results.fps, "UVW", 0.0)
+    return Limb(results.feet[label], chain, names, q, results.fps, float(results.time_s[0]), "UVW", 0.0)
 
 
 # -- methods ---------------------------------------------------------------------------------------------------------
@@ -281,10 +284,11 @@ def stride_of(results: Results, limb: Limb) -> Stride:
     gaits = analyse(results).gaits
     label = next(label for label, joint in results.feet.items() if joint == limb.foot)
     complete = next((s for s in gaits["ground"].strides if s.foot == label), None)
-    first_s = float(results.time_s[0])
     try:
         if complete is not None:
-            return find_stride(limb.chain, limb.q, limb.fps, complete.start_s - first_s, complete.end_s - first_s)
+            return find_stride(
+                limb.chain, limb.q, limb.fps, complete.start_s - limb.first_s, complete.end_s - limb.first_s
+            )
         return find_stride(limb.chain, limb.q, limb.fps)
     except ValueError as error:
         raise InputError(Problem(results.folder, "stride", str(error), "a clip that shows more of one")) from None
@@ -344,8 +348,8 @@ def _summary(
         "base_frame": "U forwards, V down, W left" if limb.base == "UVW" else "x forwards, y left, z up",
         "misfit_m": limb.misfit_m,
         "stride": {
-            "start_s": stride.start_s,
-            "end_s": stride.end_s,
+            "start_s": limb.first_s + stride.start_s,
+            "end_s": limb.first_s + stride.end_s,
             "how": stride.how,
             "gap_m": stride.gap_m,
             "gap_percent": stride.gap_percent,
