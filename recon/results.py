@@ -7,6 +7,7 @@ pose3d_sigma.csv.
 
 from __future__ import annotations
 
+import csv
 import json
 from dataclasses import dataclass
 from functools import cached_property
@@ -196,13 +197,16 @@ def _table(path: Path, header_rows: int, columns: list[Any]) -> Array:
     """The numbers of a table of `recon fit` with these columns after the frame's."""
     expected = f"the {path.name} that `recon fit` wrote beside report.json"
     try:
-        table = pd.read_csv(path, header=list(range(header_rows)) if header_rows > 1 else 0, index_col=0)
-        values = table.to_numpy(float)
-    except (OSError, ValueError, IndexError):
+        with path.open(encoding="utf-8", newline="") as file:
+            header = [row for _, row in zip(range(header_rows), csv.reader(file), strict=False)]
+        # Not with the header: pandas takes a first frame without a pose for a part of it.
+        values = pd.read_csv(path, header=None, skiprows=header_rows, dtype=float, skip_blank_lines=False).to_numpy()
+    except (OSError, ValueError):
         raise InputError(Problem(path, "content", "no such table" if path.exists() else "no file", expected)) from None
-    if list(table.columns) != columns:
-        raise InputError(Problem(path, "columns", ", ".join(map(str, table.columns))[:80], expected))
-    return values
+    found = [names[0] if header_rows == 1 else names for names in zip(*header, strict=False)][1:]
+    if found != columns or values.shape[1:] != (len(columns) + 1,):
+        raise InputError(Problem(path, "columns", ", ".join(map(str, found))[:80], expected))
+    return values[:, 1:]
 
 
 def _upright_from_reference(camera: Camera) -> Array:

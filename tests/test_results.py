@@ -104,6 +104,21 @@ def test_what_is_no_result_folder(tmp_path, whole_results):
     assert "pose3d.csv" in both
 
 
+def test_a_first_frame_without_a_pose(tmp_path, whole_results):
+    """pandas would take its row of empty cells for a part of the header."""
+    folder = copy(whole_results, tmp_path)
+    for name, header in (("pose3d.csv", 2), ("pose3d_sigma.csv", 2), ("angles.csv", 1)):
+        lines = (folder / name).read_text(encoding="utf-8").splitlines()
+        lines[header] = "0" + "," * lines[header].count(",")
+        (folder / name).write_text("\n".join(lines) + "\n", encoding="utf-8")
+    found = read_results(folder)
+    assert found.sigma_m is not None
+    for values in (found.pose.xyz_m, found.states, found.sigma_m):
+        assert len(values) == 60
+        assert np.isnan(values[0]).all()
+        assert np.isfinite(values[1:]).all()
+
+
 @pytest.mark.parametrize(
     ("name", "change", "said"),
     [

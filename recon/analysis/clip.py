@@ -173,9 +173,11 @@ def _angles(
     for along in chains.values():
         for i in range(1, len(along) - 1):
             found.setdefault(along[i], joint_angle(pose, (along[i - 1], along[i], along[i + 1]), results.fps, errors))
-        if {rear, front} <= {*along} and len(along) > 2:
-            middle = along[len(along) // 2]
-            found["spine_flexion"] = spine_flexion(pose, results.fps, errors, (rear, middle, front))
+        if {rear, front} <= {*along}:
+            first, last = sorted((along.index(rear), along.index(front)))
+            if between := along[first + 1 : last]:
+                middle = between[len(between) // 2]
+                found["spine_flexion"] = spine_flexion(pose, results.fps, errors, (rear, middle, front))
     return found
 
 
