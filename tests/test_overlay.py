@@ -74,6 +74,13 @@ def test_folder_holds_what_is_drawn(overlay, small_trajectory):
     assert {name: colours[name] for name in ("l_front_paw", "r_back_paw")} == {"l_front_paw": LEFT, "r_back_paw": RIGHT}
 
 
+def test_small_videos_are_enlarged(folder):
+    """Twice as large: the middle of pixel 10 lies between the new pixels 20 and 21."""
+    small, large = (overlay_of(read_results(folder), zoom=zoom) for zoom in (1, 2))
+    np.testing.assert_allclose(large.reprojected_px, 2 * small.reprojected_px + 0.5)
+    np.testing.assert_allclose(large.detected_px, 2 * small.detected_px + 0.5)
+
+
 @pytest.mark.parametrize("fixture", ["small_trajectory", "world_trajectory"])
 def test_near_and_far_are_along_the_camera_axis(fixture, request, tmp_path):
     motion = request.getfixturevalue(fixture)

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+import cv2
 import numpy as np
 
 from recon.body import side_of
@@ -23,6 +24,9 @@ SLOW_FPS = 30.0
 SIDES: dict[str | None, Colour] = {"left": LEFT, "right": RIGHT, None: MIDDLE}
 
 Progress = Callable[[str, float], None]
+
+MIN_WIDTH_PX = 640
+"""Smaller videos are enlarged, by a whole number: the text would not be read."""
 
 
 @dataclass(frozen=True)
@@ -52,17 +56,21 @@ def run_overlay(
     result, info, _ = all_of(lambda: read_results(folder), lambda: probe(video), lambda: _check_out(out, overwrite))
     if speed is None:
         speed = min(1.0, SLOW_FPS / result.fps)
+    zoom = -(-MIN_WIDTH_PX // info.size_px[0])
     overlay, *_ = all_of(
-        lambda: overlay_of(result, speed), lambda: _check_video(result, video, info, first_frame), lambda: _speed(speed)
+        lambda: overlay_of(result, speed, zoom),
+        lambda: _check_video(result, video, info, first_frame),
+        lambda: _speed(speed),
     )
     rows = {int(frame): t for t, frame in enumerate(result.pose.frames)}
     first, last = min(rows), max(rows)
     fps = result.fps * speed
     written = 0
-    with video_writer(out, canvas_size(info.size_px), fps) as write:
+    with video_writer(out, canvas_size((zoom * info.size_px[0], zoom * info.size_px[1])), fps) as write:
         for index, picture in read_frames(video, first - first_frame, last + 1 - first_frame):
             frame = index + first_frame
-            write(draw_frame(overlay, rows.get(frame), frame, picture))
+            enlarged = np.asarray(cv2.resize(picture, None, fx=zoom, fy=zoom), dtype=np.uint8)
+            write(draw_frame(overlay, rows.get(frame), frame, enlarged))
             written += 1
             progress("drawing", written / (last + 1 - first))
         if written < last + 1 - first:
@@ -74,8 +82,9 @@ def run_overlay(
     return OverlayRun(written, fps, speed)
 
 
-def overlay_of(result: Results, speed: float = 1.0) -> Overlay:
-    """What there is to draw of a result. Raises InputError where its files do not fit each other."""
+def overlay_of(result: Results, speed: float = 1.0, zoom: int = 1) -> Overlay:
+    """What there is to draw of a result, on pictures enlarged by zoom. Raises InputError where its files do not fit
+    each other."""
     reprojected = _reprojection(result)
     # Reprojected less detected, joints x {x, y} x frames; null is None, which becomes NaN.
     errors = np.array(result.report["image_error_px"]["values"], dtype=float).transpose(2, 0, 1)
@@ -91,8 +100,8 @@ def overlay_of(result: Results, speed: float = 1.0) -> Overlay:
         fps=result.fps,
         limbs=limbs,
         colours=[SIDES[_side(result, limb)] for limb in limbs],
-        detected_px=reprojected.xy_px - errors,
-        reprojected_px=reprojected.xy_px,
+        detected_px=_enlarged(reprojected.xy_px - errors, zoom),
+        reprojected_px=_enlarged(reprojected.xy_px, zoom),
         outliers=outliers,
         depth_m=result.pose.xyz_m @ viewing_direction(result.camera),
         upright_m=result.pose.xyz_m,
@@ -100,6 +109,11 @@ def overlay_of(result: Results, speed: float = 1.0) -> Overlay:
         flags=[frame["flags"] for frame in result.report["frames"]],
         speed=speed,
     )
+
+
+def _enlarged(xy_px: FloatArray, zoom: int) -> FloatArray:
+    """Pixels' centres are whole numbers, before and after."""
+    return zoom * xy_px + 0.5 * (zoom - 1)
 
 
 def viewing_direction(camera: Camera) -> FloatArray:
