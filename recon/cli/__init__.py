@@ -20,6 +20,7 @@ from recon.cli.fit import fit
 from recon.cli.ik import ik
 from recon.cli.overlay import overlay
 from recon.cli.prior import prior_fit
+from recon.cli.retarget import retarget
 from recon.cli.skeleton import skeleton_app
 from recon.cli.view import view
 from recon.errors import InputError
@@ -30,7 +31,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-for command in (fit, batch, analyse, ik, evaluate, view, demo, calibrate, convert, overlay):
+for command in (fit, batch, analyse, ik, evaluate, view, demo, calibrate, convert, overlay, retarget):
     app.command()(command)
 
 prior_app = typer.Typer(help="Motion priors: which poses occur, and how they change.", no_args_is_help=True)

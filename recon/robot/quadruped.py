@@ -1,0 +1,211 @@
+"""Four-legged robots: hips, legs with their joints' names, limits and rates, from a TOML file or a URDF file.
+
+Body axes: x forwards, y left, z up. Legs are LF, RF, LH, RH (left or right, fore or hind). Joint angles are the robot's
+own: of the bundled robots, and of others described by their dimensions, those of `recon.robot.leg` with signs; of URDF
+files, the file's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from recon.ik.drive import drive_to
+from recon.ik.joint_chain import JointChain
+from recon.ik.methods import LeastNorm
+from recon.robot.leg import FlapLeg, Leg, SwingLeg
+
+Array = NDArray[np.float64]
+
+LEGS = ("LF", "RF", "LH", "RH")
+IK_TOLERANCE_M = 1e-5
+_BISECTIONS = 12
+
+
+class RobotLeg(Protocol):
+    """n joints, in their order from the hip down; feet are points in body axes, from the body's origin.
+
+    joints (n): their names; lower_rad, upper_rad, max_rate_rad_s (n,); neutral_m (3,): the foot of the standing leg.
+    """
+
+    @property
+    def joints(self) -> tuple[str, ...]: ...
+    @property
+    def lower_rad(self) -> Array: ...
+    @property
+    def upper_rad(self) -> Array: ...
+    @property
+    def max_rate_rad_s(self) -> Array: ...
+    @property
+    def neutral_m(self) -> Array: ...
+    def angles(self, feet_m: Array) -> Array:
+        """Angles (T, n) of feet (T, 3) that follow each other, NaN where there are none within the limits."""
+        ...
+
+    def foot(self, angles_rad: Array) -> Array:
+        """(T, 3)"""
+        ...
+
+    def points(self, angles_rad: Array) -> Array:
+        """The hip, the joints after it and the foot (T, n + 1, 3)."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class ClosedLeg:
+    """A leg in closed form. leg: in leg axes; hip_m (3,) in body axes; signs (3,): of the joints' own angles, in the
+    order of the joints."""
+
+    leg: Leg
+    hip_m: Array
+    joints: tuple[str, ...]
+    signs: Array
+    max_rate_rad_s: Array
+    stand_m: float
+
+    @cached_property
+    def _order(self) -> list[int]:
+        geometry = self.leg.geometry
+        assert isinstance(geometry, SwingLeg | FlapLeg)
+        return list(geometry.order)
+
+    @cached_property
+    def _limits(self) -> Array:
+        ends = np.stack([self.leg.lower_rad, self.leg.upper_rad])[:, self._order] * self.signs
+        return np.sort(ends, axis=0)
+
+    @property
+    def lower_rad(self) -> Array:
+        return self._limits[0]
+
+    @property
+    def upper_rad(self) -> Array:
+        return self._limits[1]
+
+    @cached_property
+    def neutral_m(self) -> Array:
+        geometry = self.leg.geometry
+        lateral = geometry.lateral_m if isinstance(geometry, FlapLeg) else 0.0
+        return self.hip_m + _from_leg_axes(np.array([lateral, 0.0, -self.stand_m]) * self.leg.mirror)
+
+    def angles(self, feet_m: Array) -> Array:
+        solved = self.leg.inverse(_to_leg_axes(feet_m - self.hip_m)).angles_rad
+        inside = np.all(self.leg.margins(solved) >= 0, axis=-1)
+        return np.where(inside[..., None], solved[..., self._order] * self.signs, np.nan)
+
+    def foot(self, angles_rad: Array) -> Array:
+        return self.hip_m + _from_leg_axes(self.leg.forward(self._own(angles_rad)))
+
+    def points(self, angles_rad: Array) -> Array:
+        chain = self.leg.geometry.chain()
+        own = self._own(angles_rad)[..., self._order]
+        along = np.array([chain.positions(q) for q in own]) * self.leg.mirror
+        return self.hip_m + _from_leg_axes(along)
+
+    def _own(self, angles_rad: Array) -> Array:
+        """Swing, flap and knee of the joints' angles."""
+        own = np.empty_like(angles_rad)
+        own[..., self._order] = angles_rad * self.signs
+        return own
+
+
+@dataclass(frozen=True, eq=False)
+class ChainLeg:
+    """A leg of any joints, from the body's origin on, solved by `recon.ik`. home_rad (n,): the standing leg."""
+
+    chain: JointChain
+    joints: tuple[str, ...]
+    neutral_m: Array
+    home_rad: Array
+
+    @property
+    def lower_rad(self) -> Array:
+        return self.chain.lower_rad
+
+    @property
+    def upper_rad(self) -> Array:
+        return self.chain.upper_rad
+
+    @property
+    def max_rate_rad_s(self) -> Array:
+        return self.chain.max_rate_rad_s
+
+    def angles(self, feet_m: Array) -> Array:
+        out, q = np.full((len(feet_m), self.chain.n), np.nan), self.home_rad
+        for k, foot in enumerate(feet_m):
+            found = reach(self.chain, q, foot)
+            if found is None and q is not self.home_rad:
+                found = reach(self.chain, self.home_rad, foot)
+            if found is not None:
+                out[k] = q = found
+        return out
+
+    def foot(self, angles_rad: Array) -> Array:
+        return np.array([self.chain.end(q) for q in angles_rad])
+
+    def points(self, angles_rad: Array) -> Array:
+        return np.array([self.chain.positions(q) for q in angles_rad])
+
+
+@dataclass(frozen=True, eq=False)
+class Quadruped:
+    """legs: by LF, RF, LH, RH. stand_m: the height that its hips stand at."""
+
+    name: str
+    title: str
+    legs: Mapping[str, RobotLeg]
+    stand_m: float
+    source: str = ""
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """All legs', in the order of `LEGS`."""
+        return tuple(name for label in LEGS for name in self.legs[label].joints)
+
+    @cached_property
+    def ground_m(self) -> float:
+        """Of the standing robot, in body axes: the mean of the feet."""
+        return float(np.mean([leg.neutral_m[2] for leg in self.legs.values()]))
+
+    @cached_property
+    def folding_m(self) -> Array:
+        """(4,): how high the legs lift their feet straight up from where they stand, in the order of `LEGS`."""
+        heights = []
+        for leg in (self.legs[label] for label in LEGS):
+            near, far = 0.0, -float(leg.neutral_m[2])
+            for _ in range(_BISECTIONS):
+                height = (near + far) / 2
+                reached = np.isfinite(leg.angles((leg.neutral_m + np.array([0.0, 0.0, height]))[None])).all()
+                near, far = (height, far) if reached else (near, height)
+            heights.append(near)
+        return np.array(heights)
+
+
+def reach(chain: JointChain, q: Array, foot_m: Array) -> Array | None:
+    """Angles (n,) within the limits that put the end effector there, from nearby ones; None if they are not found."""
+    # Rates do not limit a single place: an iteration is given the time that the slowest joint takes for a turn.
+    interval = 2 * np.pi / float(chain.max_rate_rad_s.min())
+    run = drive_to(chain, q, foot_m, LeastNorm(), IK_TOLERANCE_M, max_iterations=200, interval_s=interval)
+    return run.q[-1] if run.reached else None
+
+
+def standing(chain: JointChain, foot_m: Array, seeds: int = 30) -> Array | None:
+    """Angles (n,) of the standing leg: reached from the middle of the limits, or else from random places in them."""
+    lower, upper = np.maximum(chain.lower_rad, -np.pi), np.minimum(chain.upper_rad, np.pi)
+    starts = [(lower + upper) / 2, *np.random.default_rng(0).uniform(lower, upper, (seeds, chain.n))]
+    found = (reach(chain, q, foot_m) for q in starts)
+    return next((q for q in found if q is not None), None)
+
+
+def _to_leg_axes(v: Array) -> Array:
+    return np.stack([-v[..., 1], v[..., 0], v[..., 2]], axis=-1)
+
+
+def _from_leg_axes(v: ArrayLike) -> Array:
+    v = np.asarray(v, float)
+    return np.stack([v[..., 1], -v[..., 0], v[..., 2]], axis=-1)

@@ -1,0 +1,177 @@
+"""Playback of a robot's motion, with the animal that it follows beside it, as a rerun recording.
+
+Entities: `world/robot`, its legs and body, and `world/robot/feet`, those that stand; `world/animal`, scaled to the
+robot's size; `world/ground` and `world/path` (static); `world/followed`, invisible; `angles/<leg>` in degrees;
+`stands/<leg>`. Timelines: `frame`, the sample, and `time`, the robot's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
+from numpy.typing import NDArray
+
+from recon.robot.quadruped import LEGS
+from recon.robot.retarget import RobotMotion
+from recon.view.layout import held_at, plot
+from recon.view.scene import BACKGROUND, DETECTION, GRID, LEFT, LIMB_COLOURS, MIDDLE, PATH, RIGHT, TRAIL, strips
+from recon.view.series import Series, line_style, state_columns, state_style
+
+Array = NDArray[np.float64]
+
+APPLICATION = "recon"
+ROBOT = DETECTION
+GRID_LINES = 60
+"""Across the path, at most."""
+
+
+@dataclass(frozen=True, eq=False)
+class Companion:
+    """The animal: points (N, J, 3) in the robot's world and of its size, and the limbs, by name, as their indices."""
+
+    points_m: Array
+    limbs: dict[str, tuple[int, ...]]
+    title: str
+
+
+def write_robot(
+    motion: RobotMotion, path: Path, companion: Companion | None = None, start_frame: int | None = None
+) -> None:
+    """The recording; start_frame: a sample to hold, for pictures."""
+    legs = np.stack([motion.points(label)[..., :, :] for label in LEGS], axis=1)
+    series = [_angles(motion, label) for label in LEGS]
+    stream = rr.RecordingStream(APPLICATION)
+    stream.save(path, default_blueprint=_blueprint(motion, companion, series, start_frame))
+    stream.send_recording_name(f"{motion.robot.name} {path.stem}")
+    count = len(motion.time_s)
+    times = [
+        rr.TimeColumn("frame", sequence=np.arange(count)),
+        rr.TimeColumn("time", duration=motion.time_s),
+    ]
+    stream.log("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+    size = motion.robot.stand_m
+
+    hips = legs[:, :, 0]
+    body = hips[:, [LEGS.index(label) for label in ("LF", "RF", "RH", "LH", "LF")]]
+    colours = [LEFT if label[0] == "L" else RIGHT for label in LEGS]
+    style = rr.LineStrips3D.from_fields(colors=[*colours, ROBOT], radii=0.025 * size)
+    stream.log("world/robot", style, static=True)
+    lines = [[*of_legs, of_body] for of_legs, of_body in zip(legs, body, strict=True)]
+    stream.send_columns("world/robot", times, strips(rr.LineStrips3D, lines))
+    stream.log("world/robot/feet", rr.Points3D.from_fields(colors=TRAIL, radii=0.06 * size), static=True)
+    down = motion.feet_m[motion.standing]
+    columns = rr.Points3D.columns(positions=down).partition(motion.standing.sum(axis=1))
+    stream.send_columns("world/robot/feet", times, columns)
+    if companion is not None:
+        animal = companion.points_m
+        limbs = [list(along) for along in companion.limbs.values()]
+        style = rr.LineStrips3D.from_fields(colors=_limb_colours(companion), radii=0.02 * size)
+        stream.log("world/animal", style, static=True)
+        lines = [[pose[along] for along in limbs] for pose in animal]
+        stream.send_columns("world/animal", times, strips(rr.LineStrips3D, lines))
+    # The viewer frames what it follows by its bounds.
+    stream.log("world/followed", rr.Points3D.from_fields(colors=(0, 0, 0, 0), radii=0.0), static=True)
+    middle, half = _middle(motion, companion)
+    corners = np.stack([middle - half, middle + half], axis=1).reshape(-1, 3)
+    columns = rr.Points3D.columns(positions=corners).partition([2] * count)
+    stream.send_columns("world/followed", times, columns)
+    _still(stream, motion, companion)
+    for s in series:
+        columns = rr.Scalars.columns(scalars=s.values.ravel()).partition([s.values.shape[1]] * count)
+        stream.send_columns(s.entity, times, columns)
+        stream.log(s.entity, line_style(s), static=True)
+    for k, label in enumerate(LEGS):
+        texts = ["stance" if stands else "" for stands in motion.standing[:, k]]
+        stream.send_columns(f"stands/{label}", times, state_columns(texts))
+        stream.log(f"stands/{label}", state_style({"stance": colours[k]}), static=True)
+    stream.flush()
+    stream.disconnect()
+
+
+def _angles(motion: RobotMotion, label: str) -> Series:
+    names, values = motion.robot.legs[label].joints, np.degrees(motion.leg_angles(label))
+    colours = [LIMB_COLOURS[k % len(LIMB_COLOURS)] for k in range(len(names))]
+    return Series(f"angles/{label}", f"{label}, degrees", names, colours, values)
+
+
+def _limb_colours(companion: Companion) -> list[tuple[int, int, int]]:
+    sides = [name.split()[0] for name in companion.limbs]
+    return [{"left": LEFT, "right": RIGHT}.get(side, MIDDLE) for side in sides]
+
+
+def _middle(motion: RobotMotion, companion: Companion | None) -> tuple[Array, float]:
+    """Between the robot and the animal (N, 3), near the ground, and half the size of what is to be seen."""
+    base = motion.pose.translation * (1.0, 1.0, 0.1)
+    size = 1.2 * motion.robot.stand_m
+    if companion is None:
+        return base, size
+    across = companion.points_m[..., 1].mean(axis=1) - base[:, 1]
+    return base + np.outer(across / 2, (0.0, 1.0, 0.0)), size + float(np.abs(across).mean()) / 4
+
+
+def _extent(motion: RobotMotion, companion: Companion | None) -> tuple[Array, Array]:
+    """Bounds (3,) of all that moves."""
+    clouds = [motion.feet_m.reshape(-1, 3), motion.pose.translation]
+    if companion is not None:
+        clouds.append(companion.points_m.reshape(-1, 3))
+    every = np.concatenate(clouds)
+    return every.min(axis=0), every.max(axis=0)
+
+
+def _still(stream: rr.RecordingStream, motion: RobotMotion, companion: Companion | None) -> None:
+    """The ground's grid and the base's path."""
+    margin = 1.5 * motion.robot.stand_m
+    low, high = _extent(motion, companion)
+    low, high = low[:2] - margin, high[:2] + margin
+    spacing = 0.1
+    while np.max(high - low) / spacing > GRID_LINES:
+        spacing *= 2
+    first, last = np.floor(low / spacing), np.ceil(high / spacing)
+    lines = []
+    for axis in (0, 1):
+        for at in np.arange(first[axis], last[axis] + 1) * spacing:
+            line = np.zeros((2, 3))
+            line[:, axis] = at
+            line[:, 1 - axis] = first[1 - axis] * spacing, last[1 - axis] * spacing
+            lines.append(line)
+    stream.log("world/ground", rr.LineStrips3D(lines, colors=GRID, radii=0.004 * motion.robot.stand_m), static=True)
+    path = motion.pose.translation
+    stream.log("world/path", rr.LineStrips3D([path], colors=PATH, radii=0.008 * motion.robot.stand_m), static=True)
+
+
+def _blueprint(
+    motion: RobotMotion, companion: Companion | None, series: Sequence[Series], start_frame: int | None
+) -> rrb.Blueprint:
+    middle, half = _middle(motion, companion)
+    eye = rrb.EyeControls3D(
+        kind=rrb.Eye3DKind.Orbital,
+        position=middle[0] + half * np.array([0.5, -2.0, 0.9]),
+        look_target=middle[0],
+        eye_up=(0.0, 0.0, 1.0),
+        tracking_entity="world/followed",
+    )
+    title = motion.robot.title
+    if companion is not None:
+        title += f"; beside it {companion.title}, at {motion.scale:.2f} of its size"
+    if motion.slower != 1:
+        title += f"; {motion.slower:.3g} times slower than the animal"
+    scene = rrb.Spatial3DView(origin="world", name=title, background=BACKGROUND, line_grid=False, eye_controls=eye)
+    stands = rrb.StateTimelineView(origin="stands", name="Feet that stand")
+    if start_frame is None:
+        fps = min(len(motion.time_s) / float(motion.time_s[-1]), len(motion.time_s) / 4)
+        time = rrb.TimePanel(state="collapsed", timeline="frame", fps=fps, play_state="playing", loop_mode="all")
+    else:
+        time = held_at(start_frame, len(motion.time_s))
+    return rrb.Blueprint(
+        rrb.Vertical(scene, rrb.Horizontal(*(plot(s) for s in series), stands), row_shares=[3, 2]),
+        rrb.BlueprintPanel(state="hidden"),
+        rrb.SelectionPanel(state="hidden"),
+        time,
+        auto_layout=False,
+        auto_views=False,
+    )

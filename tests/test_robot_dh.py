@@ -1,0 +1,189 @@
+"""Denavit-Hartenberg chains against an independent library, and driven by every method of inverse kinematics."""
+
+import numpy as np
+import pytest
+
+from recon.ik.costs import joint_differences
+from recon.ik.drive import drive_to
+from recon.ik.methods import (
+    DampedLeastSquares,
+    ExtendedJacobian,
+    GradientProjection,
+    JacobianTranspose,
+    LeastNorm,
+    SelectivelyDamped,
+    WeightedLeastNorm,
+)
+from recon.robot.dh import DHRow, dh_chain
+from recon.robot.lift_arm import lift_arm, lift_arm_chain, lift_arm_hand
+
+QUARTER = np.pi / 2
+PUMA_MODIFIED = tuple(
+    DHRow(a, alpha, d)
+    for a, alpha, d in (
+        (0.0, 0.0, 0.0),
+        (0.0, -QUARTER, 0.0),
+        (0.4318, 0.0, 0.15005),
+        (-0.0203, -QUARTER, 0.4318),
+        (0.0, QUARTER, 0.0),
+        (0.0, -QUARTER, 0.0),
+    )
+)
+PUMA_STANDARD = tuple(
+    DHRow(a, alpha, d)
+    for a, alpha, d in (
+        (0.0, QUARTER, 0.0),
+        (0.4318, 0.0, 0.0),
+        (0.0203, -QUARTER, 0.15005),
+        (0.0, QUARTER, 0.4318),
+        (0.0, -QUARTER, 0.0),
+        (0.0, 0.0, 0.0),
+    )
+)
+METHODS = {
+    "least norm": LeastNorm(),
+    "transpose": JacobianTranspose(),
+    "damped": DampedLeastSquares(),
+    "selectively damped": SelectivelyDamped(),
+    "weighted": WeightedLeastNorm(np.array([3.0, 2.0, 1.0, 1.0, 1.0, 1.0])),
+}
+
+
+@pytest.mark.parametrize(
+    ("rows", "convention", "name"),
+    [(PUMA_MODIFIED, "modified", "modified"), (PUMA_STANDARD, "standard", "classic")],
+    ids=["modified", "standard"],
+)
+def test_puma_560_against_ikpy(rows, convention, name):
+    from ikpy.chain import Chain
+    from ikpy.link import DHLink
+
+    chain = dh_chain(rows, convention)
+    links = [DHLink(d=r.d_m, a=r.a_m, alpha=r.alpha_rad, theta=r.theta_rad, convention=name) for r in rows]
+    oracle = Chain(links, active_links_mask=[True] * 6)
+    for q in np.random.default_rng(0).uniform(-np.pi, np.pi, (30, 6)):
+        R, p = chain.pose(q)
+        T = oracle.forward_kinematics(q)
+        np.testing.assert_allclose(R, T[:3, :3], atol=1e-12)
+        np.testing.assert_allclose(p, T[:3, 3], atol=1e-12)
+
+
+def elementary(convention, row, q):
+    """One row, multiplied out."""
+
+    def turn(axis, angle):
+        c, s = np.cos(angle), np.sin(angle)
+        T = np.eye(4)
+        T[:3, :3] = [[1, 0, 0], [0, c, -s], [0, s, c]] if axis == "x" else [[c, -s, 0], [s, c, 0], [0, 0, 1]]
+        return T
+
+    def shift(x, z):
+        T = np.eye(4)
+        T[:3, 3] = x, 0, z
+        return T
+
+    theta, d = row.theta_rad + (0 if row.slides else q), row.d_m + (q if row.slides else 0)
+    link = turn("x", row.alpha_rad) @ shift(row.a_m, 0)
+    joint = turn("z", theta) @ shift(0, d)
+    return link @ joint if convention == "modified" else joint @ link
+
+
+@pytest.mark.parametrize("convention", ["modified", "standard"])
+def test_sliding_joints_and_the_jacobian(convention):
+    rng = np.random.default_rng(2)
+    rows = [DHRow(*rng.uniform(-1, 1, 4), slides=slides) for slides in (False, True, False, True, False)]
+    chain = dh_chain(rows, convention)
+    q = rng.uniform(-1, 1, 5)
+    T = np.eye(4)
+    for row, value in zip(rows, q, strict=True):
+        T = T @ elementary(convention, row, value)
+    R, p = chain.pose(q)
+    np.testing.assert_allclose(R, T[:3, :3], atol=1e-12)
+    np.testing.assert_allclose(p, T[:3, 3], atol=1e-12)
+    step = 1e-6
+    for j in range(5):
+        (Ra, pa), (Rb, pb) = (chain.pose(q + sign * step * np.eye(5)[j]) for sign in (1, -1))
+        spin = (Ra - Rb) @ R.T / (2 * step)
+        expected = [*(pa - pb) / (2 * step), spin[2, 1], spin[0, 2], spin[1, 0]]
+        np.testing.assert_allclose(chain.geometric_jacobian(q)[:, j], expected, atol=1e-8)
+
+
+@pytest.mark.parametrize("name", [*METHODS, "gradient projection", "extended Jacobian"])
+@pytest.mark.parametrize("convention", ["modified", "standard"])
+def test_every_method_drives_it(name, convention):
+    # The wrist's axes meet: without a tool the last three joints do not move the end effector.
+    rows = list(PUMA_MODIFIED if convention == "modified" else PUMA_STANDARD)
+    rows.append(DHRow(a_m=0.1)) if convention == "modified" else rows.__setitem__(5, DHRow(a_m=0.1))
+    chain = dh_chain(rows, convention)
+    costs = {
+        "gradient projection": lambda: GradientProjection(joint_differences(chain)),
+        "extended Jacobian": lambda: ExtendedJacobian(joint_differences(chain)),
+        "weighted": lambda: WeightedLeastNorm(np.linspace(3.0, 1.0, chain.n)),
+    }
+    method = costs[name]() if name in costs else METHODS[name]
+    start = np.linspace(0.1, 0.8, chain.n)
+    target = chain.end(start + 0.3 * np.cos(np.arange(chain.n)))
+    run = drive_to(chain, start, target, method)
+    assert run.reason == "reached"
+    assert np.linalg.norm(chain.end(run.q[-1]) - target) <= 0.003
+
+
+def test_rows_and_convention_are_checked():
+    with pytest.raises(ValueError, match="standard"):
+        dh_chain(PUMA_MODIFIED, "craig")  # pyright: ignore[reportArgumentType]
+    with pytest.raises(ValueError, match="rows"):
+        dh_chain([], "standard")
+
+
+# -- the four-joint arm ------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("hand", "height", "expected"),
+    [
+        ((3.165, -7.811, -45), 0.5, [(0.5, -60.8874, -15, 30.8874), (0.5, -75, 15, 15)]),
+        ((7.328, 2.828, 75), 0.25, [(0.25, 42.2085, -45, 77.7915), (0.25, 0, 45, 30)]),
+    ],
+)
+def test_lift_arm_published_values(hand, height, expected):
+    """Links of 4.5 and 4 inches. The wrist angles in print take the hand's angle in radians among degrees; these are
+    in degrees throughout."""
+    x, y, degrees = hand
+    solution = lift_arm((4.5, 4.0), (x, y, np.radians(degrees)), height)
+    assert solution.reason == ""
+    found = np.column_stack([solution.branches[:, 0], np.degrees(solution.branches[:, 1:])])
+    # The published place has three decimals, and angles near the stretched arm hang on them.
+    np.testing.assert_allclose(found, expected, atol=0.05)
+
+
+def test_lift_arm_there_and_back():
+    rng = np.random.default_rng(3)
+    lengths = (0.45, 0.4)
+    chain = lift_arm_chain(lengths)
+    for q in rng.uniform(-3, 3, (50, 4)):
+        hand, height = lift_arm_hand(lengths, q)
+        assert chain.end(q) == pytest.approx([hand[0], hand[1], height])
+        solution = lift_arm(lengths, hand, float(height))
+        again, heights = lift_arm_hand(lengths, solution.branches)
+        turns = np.exp(1j * (again[:, 2] - hand[2]))
+        np.testing.assert_allclose(again[:, :2], np.tile(hand[:2], (2, 1)), atol=1e-9)
+        np.testing.assert_allclose(turns, 1.0, atol=1e-9)
+        np.testing.assert_allclose(heights, height)
+        k = int(q[2] > 0)
+        np.testing.assert_allclose(np.exp(1j * solution.branches[k, 1:]), np.exp(1j * q[1:]), atol=1e-6)
+
+
+def test_lift_arm_out_of_reach():
+    solution = lift_arm((0.45, 0.4), (1.0, 0.0, 0.0), 0.1)
+    assert "unreachable" in solution.reason
+    assert np.isnan(solution.branches).all()
+
+
+@pytest.mark.parametrize("name", list(METHODS))
+def test_methods_drive_the_lift_arm(name):
+    chain = lift_arm_chain((0.45, 0.4))
+    method = WeightedLeastNorm(np.array([1.0, 2.0, 1.0, 1.0])) if name == "weighted" else METHODS[name]
+    hand = lift_arm((0.45, 0.4), (0.5, 0.3, 0.0), 0.2).branches[1]
+    run = drive_to(chain, (0.0, 0.1, 0.5, 0.0), chain.end(hand), method)
+    assert run.reason == "reached"
+    assert chain.end(run.q[-1]) == pytest.approx([0.5, 0.3, 0.2], abs=0.003)

@@ -1,0 +1,111 @@
+"""Legs in closed form against their chains of joints, and there and back."""
+
+import numpy as np
+import pytest
+
+from recon.robot.leg import NOT_FINITE, REASONS, TOO_FAR, TOO_LATERAL, TOO_NEAR, FlapLeg, Leg, SwingLeg
+
+AIBO = SwingLeg(thigh_m=0.0695, shin_m=0.0715, knee_offset_m=0.009, foot_offset_m=-0.009)
+FLAP = FlapLeg(thigh_m=0.213, shin_m=0.213, lateral_m=0.08)
+GEOMETRIES = pytest.mark.parametrize("geometry", [AIBO, FLAP], ids=["swing first", "flap first"])
+MIRRORS = pytest.mark.parametrize("mirror", [(1, 1, 1), (-1, 1, 1), (1, -1, 1), (-1, -1, 1)])
+
+
+def random_angles(n, geometry, seed=0):
+    rng = np.random.default_rng(seed)
+    s0 = geometry.stretched_rad
+    return np.column_stack([rng.uniform(-1.9, 1.9, n), rng.uniform(-1.5, 1.5, n), rng.uniform(s0, s0 + 3.0, n)])
+
+
+@GEOMETRIES
+def test_agrees_with_the_chain_of_its_joints(geometry):
+    chain = geometry.chain()
+    for angles in random_angles(50, geometry):
+        assert geometry.forward(angles) == pytest.approx(chain.end(angles[list(geometry.order)]), abs=1e-15)
+
+
+@GEOMETRIES
+@MIRRORS
+def test_forward_of_inverse_is_the_identity(geometry, mirror):
+    leg = Leg(geometry, mirror)
+    feet = leg.forward(random_angles(10_000, geometry))
+    solution = leg.inverse(feet)
+    assert solution.reached.all()
+    np.testing.assert_allclose(leg.forward(solution.angles_rad), feet, rtol=0, atol=1e-9)
+    assert (solution.angles_rad[:, 2] >= geometry.stretched_rad).all()
+
+
+@GEOMETRIES
+def test_inverse_of_forward_is_the_identity_with_the_leg_down(geometry):
+    angles = random_angles(1000, geometry)
+    angles[:, 0] /= 2
+    angles[:, 2] = np.minimum(angles[:, 2], 1.5)
+    # The flap is taken within 90 degrees of down, seen from the swing joint where that comes after it.
+    down = geometry.forward(angles * [1, 0, 1])[:, 2] < 0
+    assert down.mean() > 0.9
+    np.testing.assert_allclose(geometry.inverse(geometry.forward(angles)).angles_rad[down], angles[down], atol=1e-6)
+
+
+def test_published_formulas_at_right_angles():
+    # Knee at 90 degrees: P = l2 + uo, Q = l1 - lo.
+    assert AIBO.forward(np.array([0.0, 0.0, np.pi / 2])) == pytest.approx([0, 0.0805, -0.0785])
+    # Flapped by 90 degrees the leg points outwards.
+    assert AIBO.forward(np.array([0.0, np.pi / 2, np.pi / 2])) == pytest.approx([0.0785, 0.0805, 0])
+    # Swung forward by 90 degrees, down is forward.
+    assert AIBO.forward(np.array([np.pi / 2, 0.0, np.pi / 2])) == pytest.approx([0, 0.0785, 0.0805])
+
+
+def test_the_stretched_and_the_folded_leg_are_reached():
+    for s in (AIBO.stretched_rad, AIBO.stretched_rad + np.pi):
+        foot = AIBO.forward(np.array([0.3, 0.2, s]))
+        solution = AIBO.inverse(foot)
+        assert solution.reached
+        assert AIBO.forward(solution.angles_rad) == pytest.approx(foot, abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("geometry", "foot", "code"),
+    [
+        (AIBO, (0.0, 0.0, -0.15), TOO_FAR),
+        (AIBO, (0.0, 0.001, 0.0), TOO_NEAR),
+        (AIBO, (0.13, 0.001, 0.0), TOO_LATERAL),
+        (AIBO, (np.nan, 0.0, -0.1), NOT_FINITE),
+        (FLAP, (0.08, 0.0, -0.5), TOO_FAR),
+        (FlapLeg(0.2, 0.1, lateral_m=0.08), (0.08, 0.0, -0.05), TOO_NEAR),
+        (FLAP, (0.05, 0.2, 0.0), TOO_LATERAL),
+    ],
+)
+def test_out_of_reach_has_a_reason(geometry, foot, code):
+    solution = Leg(geometry).inverse(foot)
+    assert (int(solution.code), solution.reasons()) == (code, [REASONS[code]])
+    assert np.isnan(solution.angles_rad).all()
+
+
+def test_margins_and_the_configuration_space():
+    leg = Leg(AIBO, limits_rad=((-1.0, -0.2, 0.0), (1.0, 1.5, 2.0)))
+    angles = np.array([[0.0, 0.0, 1.0], [1.2, 0.0, 1.0], [0.0, -0.15, 1.9]])
+    np.testing.assert_allclose(leg.margins(angles), [[1.0, 0.2, 1.0], [-0.2, 0.2, 1.0], [1.0, 0.05, 0.1]])
+    feet = leg.forward(angles)
+    assert leg.allowed(feet).tolist() == [True, False, True]
+    assert leg.allowed(feet, 0.1).tolist() == [True, False, False]
+    assert not leg.allowed((0.0, 0.0, -1.0))
+
+
+def test_any_leading_dimensions():
+    angles = random_angles(24, AIBO).reshape(2, 3, 4, 3)
+    solution = AIBO.inverse(AIBO.forward(angles))
+    assert solution.angles_rad.shape == (2, 3, 4, 3)
+    assert solution.code.shape == (2, 3, 4)
+
+
+@pytest.mark.parametrize("lengths", [(0.0, 0.1), (0.1, -1.0), (0.1, np.nan)])
+def test_lengths_are_positive(lengths):
+    with pytest.raises(ValueError, match="positive"):
+        SwingLeg(*lengths)
+
+
+def test_limits_and_mirror_are_checked():
+    with pytest.raises(ValueError, match="signs"):
+        Leg(AIBO, (1, 2, 1))
+    with pytest.raises(ValueError, match="signs"):
+        Leg(AIBO, limits_rad=(1.0, -1.0))

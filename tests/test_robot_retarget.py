@@ -1,0 +1,335 @@
+"""A reconstruction on a robot: footholds, closed strides, and what is promised of the motion."""
+
+import csv
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from command_line import run
+from robot_urdf import a1_urdf
+
+from recon.errors import InputError
+from recon.pipelines.retarget import repeated, run_retarget, solve
+from recon.results import read_results
+from recon.robot.body_pose import feet_in_world
+from recon.robot.footholds import planted, stances
+from recon.robot.quadruped import LEGS
+from recon.robot.reference import closed_stride, reference_of, stride_window, with_other_side
+from recon.robot.retarget import drawn_in, place, retarget
+from recon.robot.robot_file import load_robot
+
+# -- footholds ---------------------------------------------------------------------------------------------------------
+
+
+def hops(n=400):
+    """A path that hops forwards in half sines, sliding while it should stand."""
+    t = np.linspace(0, 2, n)
+    path = np.column_stack([t + 0.1 * np.sin(np.pi * t), 0.1 * np.cos(t), 0.1 * np.sin(np.pi * t) - 0.01])
+    return t, path, (np.abs(np.sin(np.pi * t)) < 0.2)
+
+
+def test_feet_stand_still_on_the_ground_and_leave_it_without_a_jump():
+    t, path, standing = hops(4000)
+    foot = planted(t, path, standing)
+    assert len(stances(standing)) == 3
+    for first, last in stances(standing):
+        np.testing.assert_allclose(foot[first : last + 1], np.tile(foot[first], (last - first + 1, 1)), atol=1e-15)
+        assert foot[first, :2] == pytest.approx(path[first : last + 1, :2].mean(axis=0))
+        assert foot[first, 2] == 0
+    assert (foot[:, 2] >= 0).all()
+    # No jump of the speed where a stance ends: the steepest change of rate shrinks with the step.
+    change = [np.abs(np.diff(planted(*hops(n))[:, :2], 2, axis=0)).max() * n for n in (1000, 2000, 4000)]
+    assert change[2] < 0.6 * change[1] < 0.4 * change[0]
+
+
+def test_a_foot_that_never_stands_only_stays_above_the_ground():
+    t, path, _ = hops()
+    foot = planted(t, path, np.zeros(len(t), bool))
+    np.testing.assert_array_equal(foot[:, :2], path[:, :2])
+    np.testing.assert_array_equal(foot[:, 2], np.maximum(path[:, 2], 0))
+
+
+def test_a_stride_repeats_with_a_stance_over_its_seam():
+    t = np.linspace(0, 1, 201)
+    path = np.column_stack([t - 0.1 * np.sin(2 * np.pi * t), 0 * t, 0.05 - 0.05 * np.cos(2 * np.pi * t)])
+    standing = (t < 0.2) | (t > 0.9)
+    foot = planted(t, path, standing, np.array([1.0, 0.0]))
+    np.testing.assert_allclose(foot[-1], foot[0] + [1, 0, 0], atol=1e-15)
+    # The stance before the seam and the one after it are one: in the same place, a stride on.
+    np.testing.assert_allclose(foot[standing & (t > 0.5)] - [1, 0, 0], np.tile(foot[0], (20, 1)), atol=1e-12)
+
+
+# -- the reference -----------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def whole(whole_results):
+    return reference_of(read_results(whole_results))
+
+
+@pytest.fixture(scope="module")
+def chain(frame_results):
+    return reference_of(read_results(frame_results))
+
+
+def test_reference_of_a_whole_animal(whole):
+    """Trunk and feet are those of pose3d.csv, turned along the travel."""
+    reference, results = whole.reference, whole.analysis.results
+    assert reference.feet == LEGS
+    at = results.pose.names.index
+    rows = whole.rows[::10] // 10
+    trunk = (results.pose.xyz_m[:, at("neck_base")] + results.pose.xyz_m[:, at("tail_base")])[rows] / 2
+    way = np.linalg.norm((trunk - trunk[0])[:, :2], axis=1)
+    np.testing.assert_allclose(np.linalg.norm(reference.base_m[::10, :2], axis=1), way, atol=1e-9)
+    assert reference.base_m[-1, 0] == pytest.approx(way[-1])
+    # A foot is the paw from the trunk in heading axes, up to its middle place, which is constant.
+    ahead = (trunk[-1] - trunk[0])[:2] / way[-1]
+    left = np.array([-ahead[1], ahead[0]])
+    yaw = reference.roll_pitch_yaw_rad[::10, 2]
+    for k, label in enumerate(LEGS):
+        paw = (results.pose.xyz_m[rows, at(results.feet[label])] - trunk)[:, :2]
+        along, aside = paw @ ahead, paw @ left
+        turned = np.column_stack([np.cos(yaw) * along + np.sin(yaw) * aside, np.cos(yaw) * aside - np.sin(yaw) * along])
+        np.testing.assert_allclose(np.ptp(turned - reference.feet_m[::10, k, :2], axis=0), 0, atol=1e-9)
+    world = whole.in_world(results.pose.xyz_m[rows, at("spine")])
+    assert (world[:, 2] > 0.3).all()
+    assert world[-1, 0] - world[0, 0] == pytest.approx(way[-1], rel=0.02)
+
+
+def test_stride_of_a_whole_animal_is_complete_and_closes(whole):
+    window = stride_window(whole)
+    assert window.how == "stride"
+    stride = closed_stride(whole, window)
+    for values in (stride.feet_m, stride.roll_pitch_yaw_rad, stride.base_m[:, 2], stride.standing):
+        np.testing.assert_allclose(values[-1], values[0], atol=1e-12)
+    assert stride.advance_m is not None
+    np.testing.assert_allclose((stride.base_m[-1] - stride.base_m[0])[:2], stride.advance_m, atol=1e-12)
+    assert stride.standing.any(axis=0).all()
+    # Nothing is moved by more than the gap that is spread.
+    own = whole.reference.feet_m[window.first : window.last + 1]
+    gap = np.abs(own[-1] - own[0]).max()
+    assert np.abs(stride.feet_m - own).max() < gap + 0.05
+
+
+def test_other_side_of_a_chain(chain):
+    """Mirrored, and later by the share of a stride."""
+    reference = chain.reference
+    assert len(reference.feet) == 2
+    own, other = (reference.feet.index(f) for f in reference.feet), {"R": "L", "L": "R"}
+    k = next(own)
+    mirrored = other[reference.feet[k][0]] + reference.feet[k][1]
+    together = with_other_side(reference, 0.0, 0.1)
+    np.testing.assert_allclose(
+        together.feet_m[:, LEGS.index(mirrored)], reference.feet_m[:, k] * (1, -1, 1), atol=1e-15
+    )
+    late = with_other_side(reference, 0.25, 0.1)
+    shift = round(0.025 / reference.interval_s)
+    assert len(late.time_s) == len(reference.time_s) - shift
+    np.testing.assert_allclose(late.feet_m[:, LEGS.index(mirrored), 2], reference.feet_m[:-shift, k, 2], atol=1e-15)
+    np.testing.assert_array_equal(late.standing[:, LEGS.index(mirrored)], reference.standing[:-shift, k])
+    np.testing.assert_array_equal(late.time_s, reference.time_s[shift:])
+
+    stride = closed_stride(chain, stride_window(chain))
+    round_trip = with_other_side(stride, 0.25, float(stride.time_s[-1]))
+    n = len(stride.time_s) - 1
+    shift = round(0.25 * n)
+    expected = np.roll(stride.feet_m[:-1, k, 2], shift)
+    np.testing.assert_allclose(round_trip.feet_m[:-1, LEGS.index(mirrored), 2], expected, atol=1e-15)
+
+
+# -- on the robot ------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("robot", ["a1", "aibo"])
+@pytest.mark.parametrize("animal", ["whole", "chain"])
+def test_what_is_promised(animal, robot, request):
+    solved = solve(request.getfixturevalue(animal), load_robot(robot), lag=0.1)
+    assert not [
+        note for note in solved.report["notes"] if not note.startswith(("LF and", "RF and", "the clip", "fore and"))
+    ]
+    for motion in (solved.motion.clip, solved.motion.stride):
+        assert motion.slip_m.max() < 0.002
+        assert motion.lowest_m > -1e-9
+        assert motion.margin_rad.min() >= 0
+        assert motion.rate_share.max() <= 1 + 1e-9
+        assert not motion.short.any()
+        for k, label in enumerate(LEGS):
+            leg = motion.robot.legs[label]
+            foot = feet_in_world(motion.pose, np.zeros(3), leg.foot(motion.leg_angles(label))[:, None])[:, 0]
+            np.testing.assert_allclose(foot, motion.feet_m[:, k], atol=1e-9)
+    assert solved.motion.stride.closing_percent < 1
+    assert max(solved.motion.clip.rate_share.max(), solved.motion.stride.rate_share.max()) > 0.99 or (
+        solved.motion.clip.slower == 1
+    )
+
+
+def test_the_robot_goes_where_the_scaled_animal_goes(whole):
+    robot = load_robot("a1")
+    pose, feet, standing = place(whole.reference, robot, 0.4)
+    np.testing.assert_allclose(pose.translation[:, :2], 0.4 * whole.reference.base_m[:, :2])
+    hips = pose.translation[:, 2] + robot.ground_m
+    assert np.abs(hips).max() <= 0.15 * robot.stand_m
+    assert (feet[standing][:, 2] == 0).all()
+
+
+def test_given_factors_are_kept_and_what_they_break_is_said(whole):
+    solved = solve(whole, load_robot("aibo"), scale=0.3, slower=1.0)
+    assert (solved.motion.clip.scale, solved.motion.clip.slower) == (0.3, 1.0)
+    notes = "; ".join(solved.report["notes"])
+    assert "out of reach" in notes
+    assert "faster than the limit" in notes
+    # Limits hold all the same: feet are drawn in.
+    assert solved.motion.clip.margin_rad.min() >= 0
+    assert solved.motion.clip.short.any()
+
+
+def test_drawn_in_as_little_as_needed():
+    leg = load_robot("a1").legs["LF"]
+    far = leg.neutral_m + np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -0.2]])
+    angles, short = drawn_in(leg, far)
+    assert short.tolist() == [False, True, True]
+    feet = leg.foot(angles)
+    assert feet[0] == pytest.approx(leg.neutral_m)
+    # Straight down the knee stops at its limit: 0.4 cos(0.9163 / 2).
+    assert feet[2] == pytest.approx([*leg.neutral_m[:2], -0.4 * np.cos(0.9163 / 2)], abs=1e-6)
+    assert feet[1, 0] > leg.neutral_m[0] + 0.2
+    assert feet[1, 1:] == pytest.approx(leg.neutral_m[1:])
+
+
+def test_legs_are_kept_apart(whole):
+    robot = load_robot("a1")
+    motion = solve(whole, robot).motion
+    for part in (motion.clip, motion.stride):
+        # At the feet alone they are no nearer than anywhere along the legs.
+        feet = np.linalg.norm(part.feet_m[:, :2] - part.feet_m[:, 2:], axis=-1).min()
+        assert 0.15 * robot.stand_m <= part.apart_m <= feet + 0.002
+    # Without going outside they would meet.
+    assert motion.spread_m > 0
+    pose, feet, _ = place(whole.reference, robot, motion.clip.scale)
+    assert np.linalg.norm(feet[:, :2] - feet[:, 2:], axis=-1).min() < 0.02
+    # The hind feet are farther out by the spread, the fore feet where they were.
+    _, wider, _ = place(whole.reference, robot, motion.clip.scale, 0.05)
+    turn = pose.rotation.as_matrix()[:, :2, 1]
+    left = turn / np.linalg.norm(turn, axis=1)[:, None]
+    out = np.einsum("tlj,tj->tl", (wider - feet)[..., :2], left)
+    np.testing.assert_allclose(out[:, :2], 0, atol=0.003)
+    np.testing.assert_allclose(out[:, 2:], np.tile([0.05, -0.05], (len(out), 1)), atol=0.003)
+
+
+def test_legs_that_meet_are_told(whole):
+    # Too large for legs that go past each other.
+    solved = solve(whole, load_robot("aibo"), scale=0.25)
+    assert solved.motion.apart_m < 0.15 * 0.11
+    assert any("of each other" in note for note in solved.report["notes"])
+
+
+def test_distance_of_legs(whole):
+    still = replace(
+        whole.reference,
+        feet_m=0 * whole.reference.feet_m,
+        base_m=0 * whole.reference.base_m,
+        roll_pitch_yaw_rad=0 * whole.reference.roll_pitch_yaw_rad,
+    )
+    # Hips 0.361 m apart, and thighs side by side that lean by acos(0.7); points along them are 25 mm apart.
+    found = retarget(still, still, load_robot("a1"), scale=0.4).clip.apart_m
+    assert 0.361 * 0.7 <= found < 0.361 * 0.7 + 0.013
+
+
+def test_a_repeated_stride_goes_on(whole):
+    stride = solve(whole, load_robot("a1")).motion.stride
+    three = repeated(stride, 3)
+    n = len(stride.time_s) - 1
+    assert len(three.time_s) == 3 * n + 1
+    np.testing.assert_allclose(np.diff(three.time_s), stride.time_s[1], rtol=1e-9)
+    np.testing.assert_allclose(three.angles_rad[n : 2 * n], stride.angles_rad[:-1], atol=1e-12)
+    assert three.slip_m.max() < 0.002
+    assert three.rate_share.max() <= stride.rate_share.max() * 1.05
+
+
+# -- the command -------------------------------------------------------------------------------------------------------
+
+
+def table(path):
+    with path.open() as file:
+        header, *rows = csv.reader(file)
+    return header, np.array(rows, float)
+
+
+def test_command(whole_results, tmp_path):
+    out = tmp_path / "robot"
+    ended = run("retarget", whole_results, "--robot", "a1", "--out", out)
+    assert ended.code == 0, ended.err
+    assert "Unitree A1" in ended.out
+    assert {f.name for f in out.iterdir()} == {
+        *(f"{prefix}{name}.csv" for prefix in ("", "stride_") for name in ("joints", "base", "feet")),
+        "report.json",
+        "motion.rrd",
+        "stride.rrd",
+    }
+    robot = load_robot("a1")
+    report = json.loads((out / "report.json").read_text())
+    assert list(report["robot"]["joints"]) == list(robot.joints)
+    for prefix in ("", "stride_"):
+        header, joints = table(out / f"{prefix}joints.csv")
+        assert header == ["time_s", *robot.joints]
+        _, base = table(out / f"{prefix}base.csv")
+        names, feet = table(out / f"{prefix}feet.csv")
+        # Feet from the tables of the joints and the base, as a controller would have them.
+        from scipy.spatial.transform import Rotation
+
+        R = Rotation.from_quat(base[:, 4:])
+        for k, label in enumerate(LEGS):
+            foot = R.apply(robot.legs[label].foot(joints[:, 1 + 3 * k : 4 + 3 * k])) + base[:, 1:4]
+            column = names.index(f"{label}_x_m")
+            np.testing.assert_allclose(foot, feet[:, column : column + 3], atol=1e-9)
+            stands = feet[:, names.index(f"{label}_stands")] == 1
+            assert np.abs(foot[stands, 2]).max() < 1e-9
+    assert run("retarget", whole_results, "--robot", "a1", "--out", out).code == 2
+    ended = run("retarget", whole_results, "--robot", "a1", "--out", tmp_path / "late", "--lag", "0.1")
+    assert "both sides are measured" in ended.err
+
+
+def test_urdf_file(whole, tmp_path):
+    """The same robot joint by joint, solved by the methods of recon.ik."""
+    path = tmp_path / "a1.urdf"
+    path.write_text(a1_urdf())
+    stride = closed_stride(whole, stride_window(whole))
+    found = [retarget(stride, stride, load_robot(robot), scale=0.35).stride for robot in ("a1", path)]
+    np.testing.assert_allclose(found[1].angles_rad, found[0].angles_rad, atol=1e-3)
+    assert found[1].slip_m.max() < 0.0005
+    assert found[1].closing_percent < 0.1
+    ended = run("retarget", tmp_path, "--robot", path, "--out", tmp_path / "out")
+    assert "no report.json" in ended.err
+
+
+def test_every_problem_at_once(tmp_path):
+    with pytest.raises(InputError) as error:
+        run_retarget(tmp_path / "none", "spot", tmp_path / "out", scale=-1, slower=0, lag=3)
+    found = [(str(p.file), p.field) for p in error.value.problems]
+    assert found[:3] == [("--scale", "factor"), ("--slower", "factor"), ("--lag", "share of a stride")]
+    assert ("spot", "robot") in found
+    assert len(found) == 5
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_real_run(shared_data, tmp_path):
+    """A clip without a complete stride: nearest return, said so."""
+    from recon.pipelines.clip import run_clip
+    from recon.settings import FitSettings
+
+    run_folder = shared_data / "cheetah-runs" / "2017_09_02-top-phantom-run1_2"
+    meta = json.loads((run_folder / "meta.json").read_text())
+    camera = f"cam{meta['monocular_camera']}"
+    settings = FitSettings(
+        keypoints=run_folder / f"{camera}.csv", camera=run_folder / "scene.json", camera_name=camera, fps=meta["fps"]
+    )
+    run_clip(settings, tmp_path / "fit", False, lambda *_: None)
+    solved = run_retarget(tmp_path / "fit", "a1", tmp_path / "robot")
+    assert solved.report["stride"]["how"] == "return"
+    assert "no complete stride" in solved.report["notes"][0]
+    for motion in (solved.motion.clip, solved.motion.stride):
+        assert motion.slip_m.max() < 0.002
+        assert motion.margin_rad.min() >= 0
+        assert motion.rate_share.max() <= 1 + 1e-9
+    assert solved.motion.stride.closing_percent < 1

@@ -1,0 +1,153 @@
+"""Chains and quadrupeds from URDF against yourdfpy's own kinematics and against the same robot in closed form."""
+
+import sys
+
+import numpy as np
+import pytest
+from robot_urdf import HEAD, JOINT, a1_urdf, moving
+
+from recon.errors import InputError
+from recon.ik.costs import joint_differences
+from recon.ik.drive import drive_to
+from recon.ik.methods import (
+    DampedLeastSquares,
+    ExtendedJacobian,
+    GradientProjection,
+    JacobianTranspose,
+    LeastNorm,
+    SelectivelyDamped,
+    WeightedLeastNorm,
+)
+from recon.robot.quadruped import LEGS
+from recon.robot.robot_file import load_robot
+from recon.robot.urdf import read_urdf, urdf_chain
+
+ARM = (
+    (
+        "turn",
+        "continuous",
+        "base",
+        "a",
+        "0 0 0.1",
+        "0.3 -0.2 0.5",
+        '<axis xyz="0 0 1"/><limit effort="1" velocity="3"/>',
+    ),
+    ("stay", "fixed", "a", "b", "0.1 0.05 0", "0 0.4 0", ""),
+    ("slide", "prismatic", "b", "c", "0.2 0 0", "0.1 0.1 0.1", moving("0 0.6 0.8", -0.1, 0.3)),
+    ("swing", "revolute", "c", "d", "0 0.1 0.1", "1.5 0 0", moving("0.6 0.8 0", -1.5, 1.5)),
+    ("bend", "revolute", "d", "e", "0.3 0 0", "0 0 0", moving("0 0 1", -2, 2)),
+    ("hold", "fixed", "e", "hand", "0.1 0.2 0.3", "0 0 1", ""),
+)
+
+
+@pytest.fixture
+def arm(tmp_path):
+    joints = "".join(
+        JOINT.format(name=name, kind=kind, parent=parent, child=child, xyz=xyz, rpy=rpy, rest=rest)
+        for name, kind, parent, child, xyz, rpy, rest in ARM
+    )
+    path = tmp_path / "arm.urdf"
+    path.write_text(f'<?xml version="1.0"?>\n<robot name="arm"><link name="base"/>{joints}</robot>\n')
+    return path
+
+
+def write_a1(folder):
+    path = folder / "a1.urdf"
+    path.write_text(a1_urdf())
+    return path
+
+
+def test_chain_against_the_readers_own_kinematics(arm):
+    from yourdfpy import URDF
+
+    found = urdf_chain(arm, "hand")
+    assert found.joints == ("turn", "slide", "swing", "bend")
+    np.testing.assert_allclose(found.chain.lower_rad, [-np.inf, -0.1, -1.5, -2])
+    np.testing.assert_allclose(found.chain.upper_rad, [np.inf, 0.3, 1.5, 2])
+    np.testing.assert_allclose(found.chain.max_rate_rad_s, [3, 21, 21, 21])
+    oracle = URDF.load(str(arm), load_meshes=False)
+    for q in np.random.default_rng(0).uniform(-1, 1, (10, 4)):
+        oracle.update_cfg(dict(zip(found.joints, q, strict=True)))
+        T = oracle.get_transform("hand", "base")
+        R, p = found.chain.pose(q)
+        np.testing.assert_allclose(R, T[:3, :3], atol=1e-9)
+        np.testing.assert_allclose(p, T[:3, 3], atol=1e-9)
+
+
+def test_part_of_a_chain(arm):
+    found = urdf_chain(arm, "e", base="b")
+    assert found.joints == ("slide", "swing", "bend")
+    whole = urdf_chain(arm, "e").chain
+    R, p = urdf_chain(arm, "b").chain.pose(np.zeros(1))
+    assert R @ found.chain.end(np.array([0.1, 0.2, 0.3])) + p == pytest.approx(whole.end(np.array([0, 0.1, 0.2, 0.3])))
+
+
+def test_every_method_drives_it(arm):
+    chain = urdf_chain(arm, "hand").chain
+    start, goal = np.array([0.0, 0.1, 0.2, 0.3]), np.array([0.2, 0.15, 0.5, -0.1])
+    for method in (
+        LeastNorm(),
+        JacobianTranspose(),
+        DampedLeastSquares(),
+        SelectivelyDamped(),
+        WeightedLeastNorm(np.array([1.0, 2.0, 1.0, 1.0])),
+        GradientProjection(joint_differences(chain)),
+        ExtendedJacobian(joint_differences(chain)),
+    ):
+        assert drive_to(chain, start, chain.end(goal), method).reason == "reached", method
+
+
+def test_quadruped_is_the_same_as_in_closed_form(tmp_path):
+    read, closed = load_robot(write_a1(tmp_path)), load_robot("a1")
+    assert read.joints == closed.joints
+    assert read.stand_m == pytest.approx(closed.stand_m)
+    rng = np.random.default_rng(1)
+    for label in LEGS:
+        one, other = read.legs[label], closed.legs[label]
+        np.testing.assert_allclose(one.neutral_m, other.neutral_m, atol=1e-12)
+        np.testing.assert_allclose([one.lower_rad, one.upper_rad], [other.lower_rad, other.upper_rad], atol=1e-4)
+        angles = rng.uniform(other.lower_rad, other.upper_rad, (20, 3))
+        np.testing.assert_allclose(one.foot(angles), other.foot(angles), atol=1e-12)
+        np.testing.assert_allclose(one.points(angles), other.points(angles), atol=1e-12)
+        feet = other.neutral_m + rng.uniform(-0.04, 0.04, (20, 3))
+        np.testing.assert_allclose(one.angles(feet), other.angles(feet), atol=1e-3)
+        np.testing.assert_allclose(one.foot(one.angles(feet)), feet, atol=1e-5)
+        assert np.isnan(one.angles(other.neutral_m[None] - [0, 0, 0.5])).all()
+
+
+@pytest.mark.parametrize(
+    ("change", "field"),
+    [
+        (lambda text: text.replace('<child link="RR_foot"/>', '<child link="nowhere"/>'), "joints"),
+        (lambda text: text.replace("</robot>", '<link name="loose"/></robot>'), "links"),
+        (lambda text: text.replace("</robot>", ""), "content"),
+        (lambda text: HEAD + "</robot>", "legs"),
+        (
+            lambda text: text.replace('name="RR_calf_joint" type="revolute"', 'name="RR_calf_joint" type="floating"'),
+            "legs",
+        ),
+        (lambda text: text.replace("-0.1805 0.047", "-0.1805 -0.2"), "hips"),
+        (lambda text: text.replace('lower="-2.69653"', 'lower="2.69653"'), "joint FL_calf_joint"),
+    ],
+)
+def test_files_that_cannot_be_used(tmp_path, change, field):
+    path = tmp_path / "bad.urdf"
+    path.write_text(change(a1_urdf()))
+    with pytest.raises(InputError) as error:
+        load_robot(path)
+    assert error.value.problems[0].field == field
+
+
+def test_links_that_are_not_there(arm):
+    with pytest.raises(InputError, match=r"'finger'.*base, a, b"):
+        urdf_chain(arm, "finger")
+    with pytest.raises(InputError, match="none that moves from hand to a"):
+        urdf_chain(read_urdf(arm), "a", base="hand")
+    with pytest.raises(InputError, match="no such file"):
+        read_urdf(arm.with_name("none.urdf"))
+
+
+def test_without_the_reader(arm, monkeypatch):
+    monkeypatch.setitem(sys.modules, "yourdfpy", None)
+    with pytest.raises(InputError, match=r"recon\[urdf\]"):
+        read_urdf(arm)
