@@ -60,6 +60,9 @@ benchmark: $(BASE)
 	$(BIN)/python benchmarks/gait.py $(RUNS)
 	$(BIN)/python benchmarks/ik.py $(RUNS)
 	$(BIN)/python benchmarks/calibration.py
+	$(BIN)/python benchmarks/dog.py
+	$(BIN)/python benchmarks/retarget.py $(RUNS)
+	$(BIN)/python benchmarks/climb.py
 	$(BIN)/python benchmarks/batch.py
 
 clean:

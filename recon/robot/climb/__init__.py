@@ -1,0 +1,23 @@
+"""Climbing a step by potential fields: the torso moves by fields, the feet follow given paths (docs/climb.md).
+
+After D. Cohen, SUNFEST, University of Pennsylvania, 2005. World: x to the right, y forward, z up.
+"""
+
+from recon.robot.climb.check import Check, check
+from recon.robot.climb.plan import Climb, plan
+from recon.robot.climb.playback import write_playback
+from recon.robot.climb.recipe import Recipe, bundled, load_recipe, save_recipe
+from recon.robot.climb.walker import Walker
+
+__all__ = [
+    "Check",
+    "Climb",
+    "Recipe",
+    "Walker",
+    "bundled",
+    "check",
+    "load_recipe",
+    "plan",
+    "save_recipe",
+    "write_playback",
+]

@@ -1,0 +1,344 @@
+"""Climbing by potential fields: fields against their formula and differences, equilibria, paths, margins, climbs."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.integrate import quad
+from scipy.optimize import root
+from scipy.spatial.transform import Rotation
+
+from recon.errors import InputError
+from recon.robot.climb import Walker, bundled, check, load_recipe, plan, save_recipe, write_playback
+from recon.robot.climb.design import Design, sampled
+from recon.robot.climb.equilibrium import MAX_EVALUATIONS, Motion, Torso, between, capped, moved, ride, solve
+from recon.robot.climb.fields import PLANAR, SPATIAL, Fields, Stand, Well, evaluate, leg_forces, wrench
+from recon.robot.climb.margins import NONE, margins, support_m
+from recon.robot.climb.paths import Step, along, corners
+from recon.robot.climb.recipe import PUBLISHED, published
+from recon.robot.climb.search import coarse, improve, tracked
+from recon.robot.robot_file import load_robot
+
+HIPS = np.array([[-0.0625, 0.065, 0], [-0.0625, -0.065, 0], [0.0625, 0.065, 0], [0.0625, -0.065, 0]])
+SIDE = np.sign(HIPS[:, 0])
+FIELDS = Fields(
+    Well(1.0, 0.12, 0.1, 0.135, 120.0, 150.0),
+    Well(0.02, 0.1, -0.6, 0.7, 8.0, 9.0),
+    Well(0.02, 0.05, -0.1, 0.5, 7.0, 8.0),
+    0.3,
+    60.0,
+)
+MOTION = Motion(mass=30.0, inertia=0.12, max_step_m=0.01, max_turn_rad=0.1)
+
+
+def stand(seed: int) -> Stand:
+    rng = np.random.default_rng(seed)
+    feet = HIPS * [1.2, 1, 1] + [0, 0, -0.12] + rng.normal(size=(4, 3)) * 0.01
+    return Stand(HIPS, SIDE, feet, rng.normal(size=2) * 0.01)
+
+
+def torso(seed: int) -> Torso:
+    rng = np.random.default_rng(100 + seed)
+    return Torso(rng.normal(size=3) * 0.01, Rotation.from_rotvec(rng.normal(size=3) * 0.15).as_matrix())
+
+
+@pytest.fixture(scope="module")
+def walker() -> Walker:
+    return Walker.of(load_robot("aibo"))
+
+
+# -- fields ----------------------------------------------------------------------------------------------------------
+
+
+def test_slope_of_a_well_is_the_published_form_and_its_energy_the_integral():
+    well = Well(2.0, 0.12, 0.1, 0.135, 120.0, 150.0)
+    for x in (0.08, 0.1, 0.12, 0.135, 0.15):
+        slope = 2.0 * (x - 0.12) * (np.exp(150 * (x - 0.135)) + np.exp(120 * (0.1 - x)))
+        assert float(well.of(np.array(x))[1]) == pytest.approx(slope, rel=1e-12, abs=1e-15)
+    work, _ = quad(lambda x: float(well.of(np.array(x))[1]), 0.09, 0.15)
+    energy = well.of(np.array([0.09, 0.15]))[0]
+    assert energy[1] - energy[0] == pytest.approx(work, rel=1e-9)
+
+
+def test_a_leg_in_the_dead_zone_pulls_little_and_hard_beyond():
+    well = FIELDS.radial
+    inside, beyond = abs(well.of(np.array([0.11, 0.125]))[1]), abs(well.of(np.array([0.08, 0.155]))[1])
+    assert inside.max() < 0.01
+    assert beyond.min() > 20 * inside.max()
+    assert float(well.of(np.array(0.12))[1]) == 0
+
+
+def test_fields_act_along_the_published_directions():
+    r, x, y = np.array([0.03, 0.05, -0.1]), np.array([1.0, 0, 0]), np.array([0, 1.0, 0])
+    radial, swing, flap = leg_forces(FIELDS, r[None], np.array([1.0]))[:, 0]
+    a, b = np.cross(x, r), np.cross(r, y)
+    slopes = (
+        float(well.of(np.array(q))[1])
+        for well, q in (
+            (FIELDS.radial, np.linalg.norm(r)),
+            (FIELDS.swing, np.arctan(0.05 / 0.1)),  # from straight down, in the plane whose normal is lateral
+            (FIELDS.flap, np.arctan(0.03 / 0.1)),
+        )
+    )
+    np.testing.assert_allclose(radial, next(slopes) * r / np.linalg.norm(r), rtol=1e-12)
+    np.testing.assert_allclose(swing, next(slopes) * a / (a @ a), rtol=1e-12)
+    np.testing.assert_allclose(flap, next(slopes) * b / (b @ b), rtol=1e-12)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_wrench_is_the_gradient_and_the_jacobian_its_derivative(seed):
+    s, t, h = stand(seed), torso(seed), 1e-6
+    here = evaluate(FIELDS, s, *t)
+    ways = [(moved(t, h * e), moved(t, -h * e)) for e in np.eye(6)]
+    falls = [-(evaluate(FIELDS, s, *a).energy - evaluate(FIELDS, s, *b).energy) / (2 * h) for a, b in ways]
+    turns = [(wrench(FIELDS, s, *a) - wrench(FIELDS, s, *b)) / (2 * h) for a, b in ways]
+    np.testing.assert_allclose(here.wrench, falls, atol=1e-8)
+    np.testing.assert_allclose(here.jacobian, np.transpose(turns), atol=2e-6)
+    np.testing.assert_allclose(wrench(FIELDS, s, *t), here.wrench, rtol=1e-12, atol=1e-14)
+
+
+def test_balance_pulls_to_the_centroid_with_a_gain_that_saturates():
+    far = replace(stand(0), target_m=np.array([3.0, 4.0]))
+    nowhere = Well(1e-12, 0.12, 0.1, 0.135, 1.0, 1.0)
+    only = Fields(nowhere, nowhere, nowhere, 0.3, 60.0)
+    at = Torso(np.zeros(3), np.eye(3))
+    np.testing.assert_allclose(wrench(only, far, *at)[:2], 0.3 * np.array([0.6, 0.8]), atol=1e-9)
+    near = replace(far, target_m=np.array([0.003, 0.004]))
+    np.testing.assert_allclose(wrench(only, near, *at)[:2], 0.3 * np.tanh(60 * 0.005) * np.array([0.6, 0.8]), atol=1e-9)
+    level = evaluate(only, replace(far, target_m=np.zeros(2)), *at)
+    np.testing.assert_allclose(level.jacobian[:2, :2], -0.3 * 60 * np.eye(2), atol=1e-9)
+
+
+# -- equilibria ------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("dofs", [PLANAR, SPATIAL])
+def test_the_equilibrium_is_the_ridden_minimum_and_that_of_scipy(dofs):
+    s, at, motion = stand(1), Torso(np.zeros(3), np.eye(3)), replace(MOTION, dofs=dofs)
+    solved, ridden = solve(FIELDS, s, at, motion), ride(FIELDS, s, at, motion, 5000)
+    assert solved.settled
+    assert ridden.settled
+    assert solved.evaluations < 12 < MAX_EVALUATIONS < ridden.evaluations
+    assert np.abs(between(solved.torso, ridden.torso)).max() < 1e-5
+
+    def balance(v: np.ndarray) -> np.ndarray:
+        step = np.zeros(6)
+        step[list(dofs)] = v
+        return wrench(FIELDS, s, *moved(at, step))[list(dofs)]
+
+    # A turn about one fixed axis, or none at all: the same rotation vector from both.
+    oracle = np.zeros(6)
+    oracle[list(dofs)] = root(balance, np.zeros(len(dofs)), tol=1e-13).x
+    np.testing.assert_allclose(between(at, solved.torso), oracle, atol=1e-8)
+
+
+def test_a_torso_of_four_degrees_of_freedom_neither_rolls_nor_yaws():
+    found = solve(FIELDS, stand(2), Torso(np.zeros(3), np.eye(3)), MOTION).torso
+    np.testing.assert_allclose(found.rotation[0], [1, 0, 0], atol=1e-14)
+
+
+def test_many_equilibria_at_once_are_those_one_by_one():
+    stands, at = [stand(k) for k in range(4)], Torso(np.zeros(3), np.eye(3))
+    feet, target = np.array([s.feet_m for s in stands]), np.array([s.target_m for s in stands])
+    together = solve(FIELDS, Stand(HIPS, SIDE, feet, target), at, MOTION)
+    for k, s in enumerate(stands):
+        alone = solve(FIELDS, s, at, MOTION).torso
+        assert np.abs(between(alone, Torso(*(x[k] for x in together.torso)))).max() < 1e-7
+
+
+def test_caps_shorten_a_step_as_a_whole():
+    step = np.array([0.03, 0.04, 0, 0.02, 0, 0])
+    np.testing.assert_allclose(capped(step, 0.01, 1.0), step / 5)
+    np.testing.assert_allclose(capped(step, 1.0, 0.01), step / 2)
+    np.testing.assert_array_equal(capped(step, 1.0, 1.0), step)
+
+
+# -- paths, the step and margins -------------------------------------------------------------------------------------
+
+
+def test_a_path_rises_and_sinks_at_its_angles_and_goes_sideways_only_across():
+    start, end = np.array([0.07, 0.0, 0.0]), np.array([0.09, 0.08, 0.05])
+    a, b, c, d = corners(start, end, 0.01, np.radians(75), np.radians(60))
+    assert np.degrees(np.arctan2(b[2] - a[2], b[1] - a[1])) == pytest.approx(75)
+    assert np.degrees(np.arctan2(c[2] - d[2], d[1] - c[1])) == pytest.approx(60)
+    assert b[2] == c[2] == pytest.approx(0.06)
+    np.testing.assert_array_equal([a[0], b[0], c[0], d[0]], [0.07, 0.07, 0.09, 0.09])
+    np.testing.assert_allclose(along(np.array([a, b, c, d]), 1, np.array([0.5])), [(b + c) / 2])
+
+
+def test_slopes_that_are_too_long_meet_above_the_clearance():
+    path = corners(np.zeros(3), np.array([0, 0.01, 0.0]), 0.02, np.radians(45), np.radians(45))
+    np.testing.assert_allclose(path[:, 1], [0, 0.005, 0.005, 0.01])
+    np.testing.assert_allclose(path[:, 2], [0, 0.02, 0.02, 0])
+
+
+def test_distance_from_ground_and_step():
+    step = Step(edge_m=0.1, height_m=0.05)
+    points = np.array(
+        [[0, 0, 0.02], [0, 0.09, 0.02], [0, 0.12, 0.06], [0, 0.12, 0.02], [0, 0.07, 0.09], [0, 0.05, -0.01]]
+    )
+    np.testing.assert_allclose(step.distance_m(points), [0.02, 0.01, 0.01, -0.02, 0.05, -0.01], atol=1e-12)
+    np.testing.assert_allclose(step.corner_m(points[3:5]), [-np.hypot(0.02, 0.03), 0.05])
+
+
+def test_support_is_the_distance_to_the_nearest_side_of_the_triangle_or_the_quadrangle():
+    square = np.array([[-1.0, 1], [-1, -1], [1, 1], [1, -1]])
+    assert support_m(np.zeros(2), square, np.array(NONE)).min() == pytest.approx(1)
+    assert support_m(np.array([0.0, -0.5]), square, np.array(NONE)).min() == pytest.approx(0.5)
+    for lifted in range(4):
+        assert support_m(np.zeros(2), square, np.array(lifted)).min() == pytest.approx(0)
+        away = -0.3 * square[lifted]
+        assert support_m(away, square, np.array(lifted)).min() == pytest.approx(0.3 * np.sqrt(2))
+        assert support_m(-away, square, np.array(lifted)).min() == pytest.approx(-0.3 * np.sqrt(2))
+
+
+def test_postures_agree_with_the_legs(walker):
+    feet, at = HIPS * [1.2, 1, 0] + [0, 0.01, 0], Torso(np.array([0, 0, 0.11]), np.eye(3))
+    posture = walker.posture(at, feet)
+    for k, leg in enumerate(walker.legs):
+        foot = leg.forward(posture.angles_rad[k])
+        np.testing.assert_allclose(posture.hips_m[k] + foot, feet[k], atol=1e-12)
+        knee = leg.geometry.chain().positions(posture.angles_rad[k])[-2] * leg.mirror  # type: ignore[attr-defined]
+        np.testing.assert_allclose(posture.knees_m[k] - posture.hips_m[k], knee, atol=1e-12)
+    far = walker.posture(Torso(np.array([0, 0, 0.2]), np.eye(3)), feet)
+    assert (far.slack_m < 0).all()
+    assert np.isfinite(far.angles_rad).all()
+
+
+# -- recipes and climbs ----------------------------------------------------------------------------------------------
+
+
+def test_published_footfalls():
+    assert [len(f) for f in PUBLISHED.values()] == [4, 4, 4]
+    for height in (0.05, 0.035):
+        falls = [f for p in published(height).values() for f in p]
+        rise = np.zeros(4)
+        for f in falls:
+            rise[f.leg] += f.up_m
+        np.testing.assert_allclose(rise, height)
+    last = published(0.05)["rear-up"][-1]
+    assert (last.leg, last.forward_m, last.up_m) == (3, 0.06, 0.05)
+    for name in ("published-50", "published-35"):
+        recipe = load_recipe(name)
+        for mine, theirs in zip(
+            recipe.footfalls, [f for p in published(recipe.step.height_m).values() for f in p], strict=True
+        ):
+            assert (mine.leg, mine.forward_m) == (theirs.leg, pytest.approx(theirs.forward_m))
+            assert mine.up_m == pytest.approx(theirs.up_m)
+
+
+@pytest.mark.parametrize("name", bundled())
+def test_every_bundled_climb_is_valid_in_every_frame(walker, name):
+    recipe = load_recipe(name)
+    climb = plan(walker, recipe)
+    found = check(climb)
+    assert found.problems() == []
+    assert found.settled
+    assert found.rate_share <= 1
+    assert np.isfinite(climb.angles_rad).all()
+    # By other means: the feet of the angles, the triangle by barycentric coordinates, limits of the description.
+    for k, leg in enumerate(walker.legs):
+        body = np.einsum("tij,tj->ti", climb.rotation.transpose(0, 2, 1), climb.feet_m[:, k] - climb.position_m)
+        np.testing.assert_allclose(leg.forward(climb.angles_rad[:, k]), body - walker.hips_m[k], atol=1e-9)
+    for k in np.flatnonzero(climb.lifted >= 0):
+        planted = climb.feet_m[k][np.arange(4) != climb.lifted[k], :2]
+        shares = np.linalg.solve(np.vstack([planted.T, np.ones(3)]), [*climb.position_m[k, :2], 1])
+        assert shares.min() > 0
+    still = climb.lifted[1:, None] != np.arange(4)
+    assert np.abs(np.diff(climb.feet_m, axis=0)[still]).max() == 0
+    np.testing.assert_allclose(climb.feet_m[-1, :, 2], recipe.step.height_m, atol=1e-9)
+    steps = between(Torso(*(x[:-1] for x in climb.torso)), Torso(*(x[1:] for x in climb.torso)))
+    assert np.linalg.norm(steps[:, :3], axis=1).max() <= recipe.motion.max_step_m * (1 + 1e-9)
+    assert np.linalg.norm(steps[:, 3:], axis=1).max() <= recipe.motion.max_turn_rad * (1 + 1e-9)
+    if len(recipe.motion.dofs) == 4:
+        np.testing.assert_allclose(climb.rotation[:, 0], np.broadcast_to([1.0, 0, 0], (len(climb), 3)), atol=1e-12)
+
+
+def test_a_climb_that_is_not_valid_says_why(walker):
+    recipe = load_recipe("published-50")
+    climb = plan(walker, replace(recipe, step=replace(recipe.step, edge_m=recipe.step.edge_m - 0.03)))
+    problems = check(climb).problems()
+    assert any("planted feet from the step's edge" in p for p in problems)
+    front = plan(walker, replace(recipe, primitives=recipe.primitives[:1]))
+    assert check(front).problems() == ["not all feet end on top of the step"]
+    assert not check(front).valid
+
+
+def test_riding_goes_where_solving_goes(walker):
+    recipe = load_recipe("published-35")
+    short = replace(recipe, primitives=(replace(recipe.primitives[0], footfalls=recipe.footfalls[:1]),))
+    solved, ridden = plan(walker, short), plan(walker, short, "ride")
+    assert ridden.evaluations.max() <= MAX_EVALUATIONS
+    assert solved.evaluations.mean() < 6 < ridden.evaluations.mean()
+    assert np.abs(solved.position_m[-1] - ridden.position_m[-1]).max() < 2e-3
+
+
+def test_a_recipe_survives_its_file(tmp_path, walker):
+    recipe = load_recipe("published-50")
+    save_recipe(recipe, tmp_path / "again.toml")
+    again = load_recipe(tmp_path / "again.toml")
+    np.testing.assert_array_equal(again.stance_m, recipe.stance_m)
+    assert again.footfalls == recipe.footfalls
+    assert again.motion == recipe.motion
+    assert again.swing == recipe.swing
+    np.testing.assert_array_equal(again.primitives[1].fields.swing.natural, recipe.primitives[1].fields.swing.natural)
+
+
+def test_every_problem_of_a_recipe_is_named(tmp_path):
+    text = (tmp_path / "bad.toml").write_text
+    save_recipe(load_recipe("published-50"), tmp_path / "good.toml")
+    good = (tmp_path / "good.toml").read_text()
+    text(good.replace("fps =", "fsp =").replace("leg = 1", "leg = 7").replace("edge_m =", "egde_m ="))
+    with pytest.raises(InputError) as caught:
+        load_recipe(tmp_path / "bad.toml")
+    fields = {p.field for p in caught.value.problems}
+    assert {"recipe.fps", "step.edge_m", "primitives[0].footfalls[1].leg"} <= fields
+    with pytest.raises(InputError, match="published-50"):
+        load_recipe(tmp_path / "none.toml")
+
+
+def test_robots_with_other_legs_are_refused():
+    with pytest.raises(InputError, match="swing joint first"):
+        Walker.of(load_robot("a1"))
+
+
+# -- the search ------------------------------------------------------------------------------------------------------
+
+
+def test_the_coarse_climb_is_that_of_the_plan(walker):
+    recipe = load_recipe("published-50")
+    design = Design.of(recipe, footfalls=True)
+    x = design.vector()
+    found = coarse(walker, design, x[None], tracked(walker, design, x))
+    assert found.settled
+    assert found.least > 0
+    again = design.recipe_of(x)
+    np.testing.assert_allclose(again.stance_m, recipe.stance_m, atol=1e-12)
+    np.testing.assert_allclose(again.primitives[2].fields.swing.most, recipe.primitives[2].fields.swing.most)
+    one = sampled(recipe, design.read(x[None]), np.array([0, 1, 2]))
+    assert np.shape(one.radial.natural) == (1, 3, 4)
+    np.testing.assert_allclose(one.balance_gain[0], [p.fields.balance_gain for p in recipe.primitives])  # type: ignore[index]
+
+
+def test_a_step_that_is_too_high_for_a_recipe_is_made_better(walker):
+    recipe = load_recipe("published-35").raised(0.04)
+    recipe = replace(recipe, primitives=recipe.primitives[:1])
+    design = Design.of(recipe, footfalls=False)
+    x = design.vector()
+    before = coarse(walker, design, x[None], tracked(walker, design, x)).least
+    found = improve(walker, recipe, footfalls=False, rounds=1)
+    assert found.least > before
+    assert found.recipe.step.height_m == pytest.approx(0.04)
+
+
+def test_playback_is_written(walker, tmp_path):
+    recipe = load_recipe("published-35")
+    short = replace(recipe, primitives=(replace(recipe.primitives[0], footfalls=recipe.footfalls[:1]),))
+    climb = plan(walker, short)
+    write_playback(climb, tmp_path / "climb.rrd")
+    assert (tmp_path / "climb.rrd").stat().st_size > 10_000
+    assert [p.name for p in tmp_path.iterdir()] == ["climb.rrd"]
+    inside = margins(walker, short.step, climb.torso, climb.feet_m, climb.lifted)
+    assert inside["support"].shape == (len(climb), 8)
