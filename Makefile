@@ -17,13 +17,14 @@ DEV := $(VENV)/.dev-installed
 # Keep pyright from asking the network for a newer version.
 export PYRIGHT_PYTHON_IGNORE_WARNINGS := 1
 
-.PHONY: help demo test lint format notebooks samples benchmark clean
+.PHONY: help demo test lint format docs docs-figures notebooks samples benchmark clean
 
 help:
 	@echo 'make demo       reconstruct the sample clip into $(DEMO_OUT)/'
 	@echo 'make test       ruff, pyright and the tests'
 	@echo 'make lint       ruff and pyright only'
 	@echo 'make format     let ruff fix and format the code'
+	@echo 'make docs       the documentation site into site/'
 	@echo 'make notebooks  run the notebooks and save their outputs'
 	@echo 'make samples    make the clips in data/samples again'
 	@echo 'make benchmark  tables of accuracy and speed; real recordings: RUNS=folder'
@@ -47,6 +48,12 @@ format: $(DEV)
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 
+docs: $(DEV)
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
+
+docs-figures: $(DEV)
+	$(BIN)/python docs/figures.py
+
 notebooks: $(DEV)
 	$(BIN)/python notebooks/run.py
 
@@ -59,6 +66,7 @@ benchmark: $(BASE)
 	$(BIN)/python benchmarks/samples.py
 	$(BIN)/python benchmarks/gait.py $(RUNS)
 	$(BIN)/python benchmarks/ik.py $(RUNS)
+	$(BIN)/python benchmarks/sides.py $(RUNS)
 	$(BIN)/python benchmarks/calibration.py
 	$(BIN)/python benchmarks/dog.py
 	$(BIN)/python benchmarks/retarget.py $(RUNS)
@@ -66,7 +74,7 @@ benchmark: $(BASE)
 	$(BIN)/python benchmarks/batch.py
 
 clean:
-	rm -rf $(DEMO_OUT) build dist .pytest_cache .ruff_cache
+	rm -rf $(DEMO_OUT) build dist site .pytest_cache .ruff_cache
 	find recon tests benchmarks data -name __pycache__ -type d -prune -exec rm -rf {} +
 
 $(BIN)/python:

@@ -50,9 +50,9 @@ LAYERS = (
     "export",
     "view",
     "settings",
+    "net",
     "pipelines",
     "cli",
-    "__main__",
 )
 
 IMPORT_NAMES = {"opencv-python-headless": "cv2", "rerun-sdk": "rerun"}

@@ -15,6 +15,7 @@ from recon.cli.calibrate import calibrate
 from recon.cli.common import EXIT_BAD_INPUT, error_text
 from recon.cli.convert import convert
 from recon.cli.demo import demo
+from recon.cli.doctor import doctor
 from recon.cli.evaluate import evaluate
 from recon.cli.fit import fit
 from recon.cli.ik import ik
@@ -31,7 +32,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-for command in (fit, batch, analyse, ik, evaluate, view, demo, calibrate, convert, overlay, retarget):
+for command in (fit, batch, analyse, ik, evaluate, view, demo, calibrate, convert, overlay, retarget, doctor):
     app.command()(command)
 
 prior_app = typer.Typer(help="Motion priors: which poses occur, and how they change.", no_args_is_help=True)

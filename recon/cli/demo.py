@@ -14,6 +14,7 @@ from recon.cli.common import finish, progress_bar
 def demo(
     out: Annotated[Path, typer.Option(help="Folder for the results.")] = Path("demo-output"),
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace results in the folder.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the report's summary as JSON.")] = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print errors only.")] = False,
 ) -> None:
     """Reconstruct the bundled sample, a noisy synthetic gallop, and compare it with its truth.
@@ -22,8 +23,9 @@ def demo(
     """
     from recon.pipelines.demo import run_demo
 
-    console = Console(quiet=quiet)
+    console = Console(quiet=quiet, stderr=as_json)
     with progress_bar(console) as progress:
         report, evaluation = run_demo(out, overwrite, progress)
-    finish(console, report, out)
-    console.print(f"Error against the sample's truth: {1000 * evaluation.mpjpe_m.mean:.0f} mm (MPJPE)")
+    finish(console, report, out, as_json, mpjpe_mm=1000 * evaluation.mpjpe_m.mean)
+    if not as_json:
+        console.print(f"Error against the sample's truth: {1000 * evaluation.mpjpe_m.mean:.0f} mm (MPJPE)")

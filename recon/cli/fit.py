@@ -147,6 +147,7 @@ def fit(
         Path | None, typer.Option(help="config.toml of an earlier run; options given here overrule it.")
     ] = None,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace results in the folder.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the report's summary as JSON.")] = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print errors only.")] = False,
 ) -> None:
     """Reconstruct one clip: keypoints and a camera in, 3D poses, angles, report and playback out.
@@ -192,7 +193,7 @@ def fit(
         raise InputError(error.problems if out else (*error.problems, no_out)) from None
     if out is None:
         raise InputError(no_out)
-    console = Console(quiet=quiet)
+    console = Console(quiet=quiet, stderr=as_json)
     with progress_bar(console) as progress:
         report = run_clip(settings, out, overwrite, progress)
-    finish(console, report, out)
+    finish(console, report, out, as_json)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import Annotated
 
@@ -34,6 +35,9 @@ def prior_fit(
     source: Annotated[str, typer.Option(help="Where the poses come from, for the record.")] = "",
     check: Annotated[bool, typer.Option("--check", help="Score each segment under a prior from the others.")] = False,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the file.")] = False,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="Print the table and what else there is to say as JSON.")
+    ] = False,
 ) -> None:
     """Fit a motion prior to 3D poses, and list what it was fitted to.
 
@@ -56,6 +60,9 @@ def prior_fit(
         check=check,
         overwrite=overwrite,
     )
+    if as_json:
+        typer.echo(json.dumps({"out": str(out), **done.to_dict()}, indent=1))
+        return
     table = Table(Column("segment", no_wrap=True), box=SIMPLE_HEAD)
     for title in ("frames", "fps", "speed m/s", "misfit mm", "used"):
         table.add_column(title, justify="right")

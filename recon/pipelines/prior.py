@@ -5,8 +5,9 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,6 +45,17 @@ class PriorFit:
     sizes: dict[Path, float]
     lacking: tuple[str, ...]
     held_out: HeldOut | None
+
+    def to_dict(self) -> dict[str, Any]:
+        """The table of segments and what is said beside it, as plain types; unknown is None."""
+        rows = zip(self.prior.segments, self.rms_mm, strict=True)
+        return {
+            "segments": [asdict(row) | {"misfit_mm": rms if math.isfinite(rms) else None} for row, rms in rows],
+            "components": len(self.prior.weights),
+            "sizes": {str(path): size for path, size in self.sizes.items()},
+            "lacking": list(self.lacking),
+            "held_out": None if self.held_out is None else asdict(self.held_out),
+        }
 
     def notes(self) -> Iterator[str]:
         """What there is to say beside the table of segments."""

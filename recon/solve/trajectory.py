@@ -5,7 +5,7 @@ z up. The body has its nominal size: a scene that is scaled about the camera giv
 known as well as its prior says, and better only where the ground's distance below the camera is known. The result is
 scaled by it in the end. The way to the minimum:
 
-1. Starts. The prior's mean pose runs straight through about a second of clip, in 36 headings, and is fitted to the
+1. Starts. The prior's mean pose runs straight through about a second of clip, in 18 headings, and is fitted to the
    viewing rays (`recon.initialise`); the best headings, and the best one mirrored in depth, start the clip.
 2. Approach, each start with one Gaussian of poses and wide noise that narrows; the two best starts go to the end.
 3. The mixture of poses takes the Gaussian's place, flattened at first.

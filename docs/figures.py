@@ -1,0 +1,84 @@
+"""Makes the pictures of these pages again: python docs/figures.py
+
+They are what `recon analyse`, `recon overlay` and `recon skeleton check` draw of the bundled sample and of the skeleton
+in writing-a-skeleton.md, made smaller. `playback.png` is a screenshot of the viewer and is not made here.
+"""
+
+from __future__ import annotations
+
+import re
+import tempfile
+from pathlib import Path
+
+import cv2
+import numpy as np
+from PIL import Image
+
+from recon import FitSettings, read_results, samples_folder
+from recon.pipelines.analyse import run_analyse
+from recon.pipelines.clip import run_clip
+from recon.pipelines.overlay import run_overlay
+from recon.pipelines.skeleton_check import run_skeleton_check
+from recon.video import read_frames, video_writer
+
+HERE = Path(__file__).resolve().parent
+COLOURS = 255
+FRAME = 30
+"""Of the sample, for the overlay."""
+
+
+def save(picture: Path, name: str, width: int) -> None:
+    """As a PNG with a palette, not wider than that."""
+    with Image.open(picture) as image:
+        plain = image.convert("RGB")
+        height = round(plain.height * width / plain.width)
+        plain.resize((width, height), Image.Resampling.LANCZOS).quantize(COLOURS).save(
+            HERE / "images" / name, optimize=True
+        )
+    print(f"{name}: {(HERE / 'images' / name).stat().st_size / 1000:.0f} kB")
+
+
+def plain_video(path: Path, size_px: tuple[int, int], fps: float, frames: int) -> None:
+    """The sample was simulated: there is nothing to film but a floor."""
+    width, height = size_px
+    picture = np.full((height, width, 3), (196, 190, 180), np.uint8)
+    picture[height // 2 :] = (150, 160, 165)
+    with video_writer(path, size_px, fps) as write:
+        for _ in range(frames):
+            write(picture)
+
+
+def cropped(image: np.ndarray, size_px: tuple[int, int]) -> np.ndarray:
+    """The animal, which is small in the picture, and below it the strip with the views at half its size."""
+    width, height = size_px
+    strip = image[height:]
+    views = cv2.resize(strip, (width // 2, len(strip) // 2), interpolation=cv2.INTER_AREA)
+    left, top = width // 2 - 480, height // 2 - 100
+    return np.vstack([image[top : top + 300, left : left + width // 2], views])
+
+
+def main() -> None:
+    samples = samples_folder()
+    (HERE / "images").mkdir(exist_ok=True)
+    with tempfile.TemporaryDirectory() as folder:
+        out = Path(folder)
+        clip = out / "clip"
+        run_clip(FitSettings(keypoints=samples / "whole.csv", camera=samples / "camera.toml", fps=60), clip)
+        result = read_results(clip)
+        run_analyse(clip)
+        for name in ("speed", "footfalls", "phase_portraits"):
+            save(clip / "analysis" / f"{name}.png", f"{name}.png", 900)
+        plain_video(out / "clip.avi", result.camera.image_size_px, result.fps, len(result.pose.frames))
+        run_overlay(clip, out / "clip.avi", out / "overlay.avi")
+        ((_, image),) = read_frames(out / "overlay.avi", FRAME, FRAME + 1)
+        cv2.imwrite(str(out / "overlay.png"), cropped(image, result.camera.image_size_px))
+        save(out / "overlay.png", "overlay.png", 960)
+        page = (HERE / "writing-a-skeleton.md").read_text(encoding="utf-8")
+        toml = re.findall(r"```toml\n(.*?)```", page, re.DOTALL)[-1]
+        (out / "my-cat.toml").write_text(toml, encoding="utf-8")
+        run_skeleton_check(str(out / "my-cat.toml"), None, out / "my-cat")
+        save(out / "my-cat" / "skeleton.png", "skeleton.png", 900)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,204 @@
+"""The files that the pages of docs/ speak of, made from the samples."""
+
+from __future__ import annotations
+
+import re
+import shutil
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from recon.body import Body
+from recon.calibration import read_camera
+from recon.camera import Camera
+from recon.export import plain_csv, sleap
+from recon.export.deeplabcut import write_keypoints_csv, write_pose_csv
+from recon.export.formats import FORMATS
+from recon.intrinsics.board import parse_board
+from recon.intrinsics.render import poses, render
+from recon.io import read_keypoints
+from recon.io.pose3d import Pose3D, read_pose3d
+from recon.keypoints import Keypoints
+from recon.skeleton_file import load_skeleton
+from recon.video import video_writer
+
+ROOT = Path(__file__).resolve().parents[1]
+SAMPLES = ROOT / "data" / "samples"
+CAT_FPS = 100.0
+
+
+def toml_of(page: str) -> list[str]:
+    return re.findall(r"```toml\n(.*?)```", (ROOT / "docs" / page).read_text(encoding="utf-8"), re.DOTALL)
+
+
+def sample(name: str) -> Callable[[Path], None]:
+    return lambda path: Path(shutil.copy(SAMPLES / name, path)).touch()
+
+
+def keypoints() -> Keypoints:
+    return replace(read_keypoints(SAMPLES / "whole.csv"), fps=60.0)
+
+
+def pose() -> Pose3D:
+    return replace(read_pose3d(SAMPLES / "whole_truth.csv"), fps=60.0)
+
+
+def _clips(path: Path) -> None:
+    path.mkdir()
+    for name in ("run1", "run2"):
+        shutil.copy(SAMPLES / "whole.csv", path / f"{name}.csv")
+
+
+def _video(path: Path) -> None:
+    """Of the size that the sample's camera is calibrated for."""
+    with video_writer(path, read_camera(SAMPLES / "camera.toml").image_size_px, 60.0) as write:
+        for number in range(60):
+            write(np.full((1080, 1920, 3), 2 * number, np.uint8))
+
+
+def _sleap(path: Path) -> None:
+    sleap.write(keypoints(), path)
+
+
+def _two_animals(path: Path) -> None:
+    """As DeepLabCut writes them: a level of individuals in the header."""
+    import pandas as pd
+
+    columns, values = [], []
+    for animal in ("animal1", "animal2"):
+        table = pd.read_csv(SAMPLES / "whole.csv", header=[0, 1, 2], index_col=0)
+        columns += [(scorer, animal, *rest) for scorer, *rest in table.columns]
+        values.append(table.to_numpy())
+    names = ["scorer", "individuals", "bodyparts", "coords"]
+    both = pd.DataFrame(np.concatenate(values, axis=1), columns=pd.MultiIndex.from_tuples(columns, names=names))
+    both.to_hdf(path, key="df_with_missing")
+
+
+def _bvh(path: Path) -> None:
+    """In centimetres, and without our own statement of the unit."""
+    next(f for f in FORMATS if f.name == "bvh").pose(replace(pose(), xyz_m=100 * pose().xyz_m), path)
+    text = path.read_text()
+    path.write_text(re.sub(r"(?m)^ROOT .*$", "ROOT reference", text, count=1))
+
+
+def _renamed_columns(names: dict[str, str], write: Callable[[Keypoints, Path], None]) -> Callable[[Path], None]:
+    def make(path: Path) -> None:
+        write(replace(keypoints(), fps=None), path)
+        head, _, rest = path.read_text().partition("\n")
+        cells = head.strip().split(",")
+        for pattern, new in names.items():
+            cells = [re.sub(pattern, new, cell) for cell in cells]
+        path.write_text(",".join(cells) + "\n" + rest)
+
+    return make
+
+
+LONG = {
+    "^frame$": "Nr",
+    "^(keypoint|bodypart)$": "Node",
+    "^x(_px)?$": "X pos",
+    "^y(_px)?$": "Y pos",
+    "^likelihood$": "Q",
+}
+WIDE = {"^frame$": "Nr", r"^(.*)_x(_px)?$": r"X of \1", r"^(.*)_y(_px)?$": r"Y of \1"}
+
+
+def _runs(path: Path) -> None:
+    """The sample forwards, backwards and forwards again: a prior of 16 components needs 320 frames in two files."""
+    there = pose().xyz_m
+    write_pose_csv(replace(pose(), xyz_m=np.concatenate([there, there[::-1], there]), frames=np.arange(180)), path)
+
+
+def _board(description: str, model: str, count: int) -> list[np.ndarray]:
+    """Pictures of a board of 640x480, as a camera with a wide or a normal lens takes them."""
+    board, rng = parse_board(description), np.random.default_rng(1)
+    matrix = np.array([[420.0, 0, 320], [0, 420, 240], [0, 0, 1]])
+    distortion = {"radtan": [-0.1, 0.02, 0, 0, 0], "fisheye": [-0.02, 0.003, 0, 0]}[model]
+    camera = Camera("made", matrix, np.array(distortion), model, (640, 480))  # pyright: ignore[reportArgumentType]
+    return [
+        render(board, camera, R, t, oversample=4, blur_px=0.6, noise=2.0, rng=rng)
+        for R, t in poses(board, camera, count, rng)
+    ]
+
+
+def _pictures(path: Path) -> None:
+    path.mkdir()
+    for i, picture in enumerate(_board("chessboard:9x6:25mm", "radtan", 20)):
+        cv2.imwrite(str(path / f"{i:02}.png"), picture)
+
+
+def _board_video(path: Path) -> None:
+    """Five frames of each view, as a video has them."""
+    with video_writer(path, (640, 480), 25.0) as write:
+        for picture in _board("charuco:9x6:30mm:22mm:DICT_4X4_50", "fisheye", 20):
+            for _ in range(5):
+                write(np.repeat(picture[..., None], 3, axis=2))
+
+
+def _toml(page: str, number: int) -> Callable[[Path], None]:
+    return lambda path: path.write_text(toml_of(page)[number], encoding="utf-8") and None
+
+
+def _cat(folder: Path, seed: int = 0) -> tuple[Body, Pose3D]:
+    """400 frames of the cat of writing-a-skeleton.md in slow waves of all its angles, as it trots past at 3 m/s."""
+    file = folder / "my-cat.toml"
+    if not file.exists():
+        _toml("writing-a-skeleton.md", -1)(file)
+    body = load_skeleton(str(file))
+    assert isinstance(body, Body)
+    rng, time_s = np.random.default_rng(seed), np.arange(400) / CAT_FPS
+    states = np.zeros((400, body.n_state))
+    waves = np.sin(2 * np.pi * 2.5 * time_s[:, None] + rng.uniform(0, 6, len(body.mean_rad)))
+    states[:, 0], states[:, 2], states[:, 4:] = 3 * time_s - 3, 0.3, body.mean_rad + 0.6 * body.sigma_rad * waves
+    return body, Pose3D(body.markers, body.tree.pose(states).points_m, np.arange(400), fps=CAT_FPS)
+
+
+def _cat_poses(path: Path) -> None:
+    write_pose_csv(_cat(path.parent)[1], path)
+
+
+def _cat_clip(path: Path) -> None:
+    """Seen by the samples' camera, nearer."""
+    _, truth = _cat(path.parent, seed=1)
+    camera = read_camera(SAMPLES / "camera.toml")
+    near = truth.xyz_m[70:130] + camera.centre_world + camera.rotation[2] * 6 - [0, 0, 0.3]
+    xy_px, seen = camera.project(camera.world_to_camera(near))
+    xy_px = np.where(seen[..., None], xy_px, np.nan)
+    clip = Keypoints(truth.names, xy_px, seen.astype(float), np.arange(60), fps=CAT_FPS)
+    write_keypoints_csv(clip, path)
+
+
+FILES: dict[str, Callable[[Path], None]] = {
+    "clip.csv": sample("whole.csv"),
+    "camera.toml": sample("camera.toml"),
+    "truth.csv": sample("whole_truth.csv"),
+    "clips": _clips,
+    "clip.mp4": _video,
+    "clip.analysis.h5": _sleap,
+    "pair.h5": _two_animals,
+    "capture.bvh": _bvh,
+    "long.csv": _renamed_columns(LONG, plain_csv.write_long),
+    "wide.csv": _renamed_columns(WIDE, plain_csv.write_wide),
+    "board": _pictures,
+    "board.mp4": _board_video,
+    "run1.csv": _runs,
+    "run2.csv": _runs,
+    "my-dog.toml": lambda path: Path(shutil.copy(ROOT / "recon" / "skeletons" / "cheetah-24.toml", path)).touch(),
+    "data/samples/whole.csv": sample("whole.csv"),
+    "data/samples/whole_truth.csv": sample("whole_truth.csv"),
+    "data/samples/noisy.csv": sample("noisy.csv"),
+    "data/samples/camera.toml": sample("camera.toml"),
+}
+"""What a page may name without making it."""
+
+OF_PAGE: dict[str, dict[str, Callable[[Path], None]]] = {
+    "writing-a-skeleton.md": {
+        "my-cat.toml": _toml("writing-a-skeleton.md", -1),
+        "poses.csv": _cat_poses,
+        "clip.csv": _cat_clip,
+    },
+}
+"""What single pages mean by a name."""

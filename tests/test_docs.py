@@ -1,0 +1,289 @@
+"""Every command and every piece of Python in README.md and docs/ is run, and what they print is what the pages show.
+
+Each page is run from its top to its bottom in a folder of its own, in which a file that the page names is made when it
+is first named (`docs_files`). Commands are run in this process. What cannot be run is in `NOT_RUN`, with the reason.
+"""
+
+from __future__ import annotations
+
+import io
+import os
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+import tomllib
+from collections.abc import Iterator
+from contextlib import redirect_stdout
+from pathlib import Path
+from typing import NamedTuple
+
+import pytest
+import typer
+from command_line import run
+from docs_files import FILES, OF_PAGE
+
+from recon.cli import app
+from recon.pipelines.batch import find_clips
+
+ROOT = Path(__file__).resolve().parents[1]
+DOCS = ROOT / "docs"
+PAGES = [ROOT / "README.md", *sorted(DOCS.rglob("*.md"))]
+
+NOT_RUN = {
+    r"make (demo|test)": "sets up an environment; .ci/run does it",
+    r"(\.venv/bin/)?recon view ": "opens a window: needs a display",
+    r"python3 -m venv |\. \.venv/bin/activate": "an environment of its own",
+    r"pip install ": "needs the package index",
+    r"dask (scheduler|worker) |recon batch manifest\.csv .*--scheduler": "needs a cluster, as in tests/test_batch.py",
+    r"recon prior fit training_positions\.csv ": "needs recordings; tests/test_prior.py runs it",
+    r"recon retarget .* --robot robot\.urdf ": "takes half a minute; tests/test_robot_retarget.py",
+    r"recon --install-completion": "changes the user's shell; tests/test_doctor.py",
+    r"recon doctor": "looks at this machine; tests/test_doctor.py",
+}
+"""Commands, from their beginning, and why they are not run."""
+
+FENCE = re.compile(r"^(?P<indent> *)```(?P<language>\S*)\n(?P<text>.*?)^(?P=indent)```$", re.DOTALL | re.MULTILINE)
+LANGUAGES = {"sh", "python", "toml", "csv", "text"}
+
+
+class Block(NamedTuple):
+    page: Path
+    line: int
+    language: str
+    text: str
+
+
+def blocks(page: Path) -> Iterator[Block]:
+    content = page.read_text(encoding="utf-8")
+    for match in FENCE.finditer(content):
+        indent = match["indent"]
+        text = "".join(line.removeprefix(indent) for line in match["text"].splitlines(keepends=True))
+        yield Block(page, content.count("\n", 0, match.start()) + 1, match["language"], text)
+
+
+def commands(block: Block) -> Iterator[str]:
+    """Of a shell block, one by one, without comments."""
+    for line in re.sub(r"\\\n\s*", "", block.text).splitlines():
+        words = shlex.split(line, comments=True)
+        if words:
+            yield shlex.join(words) if words[0] == "recon" else line.strip()
+
+
+def name_of(page: Path) -> str:
+    return str(page.relative_to(DOCS if DOCS in page.parents else ROOT))
+
+
+def reason_not_to_run(command: str) -> str | None:
+    return next(
+        (why for pattern, why in NOT_RUN.items() if re.match(pattern, shlex.join(shlex.split(command)) + " ")), None
+    )
+
+
+Ran = dict[tuple[str, bytes], str]
+ONCE = {"recon analyse results/clip", "recon ik results/clip --compare"}
+"""Slow commands that several pages have. On the same result, what they printed the first time is taken."""
+
+
+@pytest.fixture(scope="module")
+def ran() -> Ran:
+    """What the commands of `ONCE` have printed."""
+    return {}
+
+
+# -- running a page -----------------------------------------------------------------------------------------------
+
+
+class Workshop:
+    """A folder in which the files of `docs_files` appear when they are named."""
+
+    def __init__(self, folder: Path, page: str, results: Path, ran: Ran) -> None:
+        self.folder, self.results, self.ran = folder, results, ran
+        self.files = FILES | OF_PAGE.get(page, {})
+
+    def provide(self, text: str) -> None:
+        """Every file that the text names, unless it is there."""
+        for name, make in self.files.items():
+            path = self.folder / name
+            if re.search(rf"(?<![\w./-])(?<!--out ){re.escape(name)}(?![\w-]|\.\w)", text) and not path.exists():
+                path.parent.mkdir(parents=True, exist_ok=True)
+                make(path)
+        if re.search(r"(?<!--out )\bresults/clip\b", text) and not (self.folder / "results" / "clip").exists():
+            shutil.copytree(self.results, self.folder / "results" / "clip")
+
+    def shell(self, command: str) -> str:
+        """What it prints."""
+        words = shlex.split(command)
+        if words[0] != "recon":
+            pytest.fail(f"{command}: neither a command of recon nor named in NOT_RUN")
+        self.provide(command)
+        key = (command, self.pose()) if command in ONCE else None
+        if key in self.ran:
+            return self.ran[key]
+        ended = run(*words[1:])
+        assert ended.code == 0, f"{command}\n{ended.out}{ended.err}"
+        if key:
+            self.ran[key] = ended.out
+        return ended.out
+
+    def pose(self) -> bytes:
+        """What the commands of `ONCE` go by."""
+        return (self.folder / "results" / "clip" / "pose3d.csv").read_bytes()
+
+    def python(self, text: str, names: dict) -> str:
+        self.provide(text)
+        out = io.StringIO()
+        with redirect_stdout(out):
+            exec(compile(text, "a block of the page", "exec"), names)
+        return out.getvalue()
+
+
+@pytest.mark.parametrize("page", [p for p in PAGES if any(b.language != "toml" for b in blocks(p))], ids=name_of)
+def test_page(page, tmp_path, monkeypatch, whole_results, ran):
+    monkeypatch.chdir(tmp_path)
+    workshop, names, printed = Workshop(tmp_path, name_of(page), whole_results, ran), {"__name__": "page"}, ""
+    for block in blocks(page):
+        where = f"{page.name}, line {block.line}"
+        if block.language == "sh":
+            printed = "".join(workshop.shell(c) for c in commands(block) if reason_not_to_run(c) is None)
+        elif block.language == "python":
+            printed = workshop.python(block.text, names)
+            expected = re.findall(r"^print\(.*\)  # (.*)$", block.text, re.MULTILINE)
+            assert not expected or alike(printed) == alike("\n".join(expected)), where
+        elif block.language == "text":
+            assert alike(printed) == alike(block.text), f"{where}:\n{printed}"
+        elif block.language == "csv":
+            Path("manifest.csv").write_text(block.text, encoding="utf-8")
+            assert find_clips(["manifest.csv"], {}, None)[0], where
+
+
+def alike(text: str) -> str:
+    """A text without its numbers, blanks and line ends: those differ between machines."""
+    return re.sub(r"\s+", " ", re.sub(r"\d+(\.\d+)?", "0", text)).strip()
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        "recon fits clip.csv",
+        "recon skeleton check cheetah-25",
+        "recon fit clip.csv --camera camera.toml --fps 60 --size-sigmas 0.1 --out x",
+        "recon fit klip.csv --camera camera.toml --fps 60 --out x",
+    ],
+)
+def test_a_wrong_name_in_a_command_is_noticed(command, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(AssertionError, match=re.escape(command)):
+        Workshop(tmp_path, "a page", tmp_path, {}).shell(command)
+
+
+def test_a_wrong_name_in_python_is_noticed(tmp_path):
+    with pytest.raises(AttributeError):
+        Workshop(tmp_path, "a page", tmp_path, {}).python("import recon; recon.fit_klip", {})
+
+
+# -- what no page may have ----------------------------------------------------------------------------------------
+
+
+def test_blocks_have_a_language_that_is_checked():
+    assert [(b.page.name, b.line, b.language) for p in PAGES for b in blocks(p) if b.language not in LANGUAGES] == []
+    for page in PAGES:
+        assert page.read_text(encoding="utf-8").count("```") == 2 * len(list(blocks(page))), page
+
+
+def test_toml_blocks_can_be_read():
+    """Their fields are checked with the readers in the tests of skeletons."""
+    for page in PAGES:
+        for block in blocks(page):
+            if block.language == "toml":
+                tomllib.loads(block.text)
+
+
+def test_reasons_are_used():
+    everything = [c for p in PAGES for b in blocks(p) if b.language == "sh" for c in commands(b)]
+    for pattern in NOT_RUN:
+        assert any(re.match(pattern, command + " ") for command in everything), pattern
+
+
+def options_of(command: typer.core.TyperGroup | object) -> Iterator[str]:
+    for parameter in getattr(command, "params", ()):
+        yield from (*parameter.opts, *parameter.secondary_opts)
+    for inner in getattr(command, "commands", {}).values():
+        yield from options_of(inner)
+
+
+OTHERS_OPTIONS = {"--only", "--set", "--write-prior", "--nthreads", "--help"}
+"""Of the benchmarks, and of other programs."""
+
+
+def test_options_in_the_text_exist():
+    known = {*options_of(typer.main.get_command(app)), *OTHERS_OPTIONS}
+    for page in PAGES:
+        text = FENCE.sub("", page.read_text(encoding="utf-8"))
+        unknown = {
+            o for code in re.findall(r"`([^`\n]+)`", text) for o in re.findall(r"(?<![\w-])--[a-z][\w-]*", code)
+        } - known
+        assert not unknown, f"{page.name}: {', '.join(sorted(unknown))}"
+
+
+def test_commands_and_scripts_in_the_text_exist():
+    group = typer.main.get_command(app)
+    for page in PAGES:
+        text = page.read_text(encoding="utf-8")
+        for word in re.findall(r"(?:`|\n {4})recon ([a-z]+)", FENCE.sub("", text)):
+            assert word in group.commands, f"{page.name}: recon {word}"  # pyright: ignore[reportAttributeAccessIssue]
+        for script in re.findall(r"python (\S+\.py)", text):
+            assert (ROOT / script).is_file(), f"{page.name}: {script}"
+        for module in re.findall(r"`(recon/[\w/.-]+)`", text):
+            assert (ROOT / module).exists(), f"{page.name}: {module}"
+
+
+def test_links_of_the_readme_lead_somewhere():
+    """Those of docs/ are checked when the site is built."""
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    for link in re.findall(r"\]\((?!https?://)([^)#]+)", text):
+        assert (ROOT / link).exists(), link
+
+
+# -- the site -----------------------------------------------------------------------------------------------------
+
+OFFLINE = """
+import socket, sys
+def refuse(*args, **kwargs): raise OSError("the net was asked")
+socket.socket.connect = socket.create_connection = socket.getaddrinfo = refuse
+from mkdocs.__main__ import cli
+cli(prog_name="mkdocs")
+"""
+
+
+def test_the_site_is_built_and_read_without_the_net(tmp_path):
+    pytest.importorskip("mkdocs")
+    site = tmp_path / "site"
+    command = [
+        sys.executable,
+        "-c",
+        OFFLINE,
+        "build",
+        "--strict",
+        "--quiet",
+        "-f",
+        str(ROOT / "mkdocs.yml"),
+        "-d",
+        str(site),
+    ]
+    environment = {**os.environ, "NO_MKDOCS_2_WARNING": "1"}
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False, timeout=300)
+    assert done.returncode == 0, done.stdout + done.stderr
+    made = {str(page.relative_to(site)) for page in site.rglob("*.html")}
+    assert made >= {name_of(p).removesuffix(".md") + ".html" for p in PAGES[1:]} | {
+        "changelog.html",
+        "contributing.html",
+    }
+    for page in site.rglob("*.html"):
+        text = page.read_text(encoding="utf-8")
+        assert not re.search(r"""<(?:script|img|iframe)[^>]+src=["']?(?:https?:)?//""", text), page
+        assert not re.search(r"""<link[^>]+rel=["']?stylesheet[^>]+href=["']?(?:https?:)?//""", text), page
+        assert 'class="arithmatex"' not in text, f"{page}: a formula that was not converted"
+    assert (site / "method" / "trajectory.html").read_text(encoding="utf-8").count("<math") > 15
+    assert "joint_sigma_m" in (site / "api.html").read_text(encoding="utf-8")
