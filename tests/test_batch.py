@@ -541,7 +541,9 @@ def in_the_middle(clips, tmp_path) -> Iterator[tuple[subprocess.Popen[str], Path
     for name in "def":
         shutil.copy(clips / "a.csv", clips / f"{name}.csv")
     command = args(clips, tmp_path / "out", "--jobs", 1)
-    code = [sys.executable, "-c", "from recon.cli import main; main()", "batch", *map(str, command)]
+    # Where the tests run in the background, Ctrl-C is ignored, and children inherit that.
+    before = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)"
+    code = [sys.executable, "-c", f"{before}; from recon.cli import main; main()", "batch", *map(str, command)]
     with subprocess.Popen(code, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         try:
             wait_for(lambda: "done" in statuses(tmp_path / "out"))
