@@ -312,4 +312,4 @@ def test_settings_and_options_of_the_command_line_are_the_same():
     parameters = typer.main.get_command(app).commands["fit"].params  # type: ignore[attr-defined]
     names = {p.metavar if p.param_type_name == "argument" else p.opts[0] for p in parameters}
     settings = {option(name) for name in FitSettings.model_fields if name not in SOLVER_ONLY}
-    assert names == settings | {"--out", "--config", "--overwrite", "--quiet"}
+    assert names == settings | {"--out", "--config", "--overwrite", "--quiet", "--json"}
