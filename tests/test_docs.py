@@ -39,6 +39,7 @@ NOT_RUN = {
     r"dask (scheduler|worker) |recon batch manifest\.csv .*--scheduler": "needs a cluster, as in tests/test_batch.py",
     r"recon prior fit training_positions\.csv ": "needs recordings; tests/test_prior.py runs it",
     r"recon retarget .* --robot robot\.urdf ": "takes half a minute; tests/test_robot_retarget.py",
+    r"recon (train|predict|evaluate-2d) |recon fit run\.csv ": "trains for minutes; tests/test_net_train.py",
     r"recon --install-completion": "changes the user's shell; tests/test_doctor.py",
     r"recon doctor": "looks at this machine; tests/test_doctor.py",
 }

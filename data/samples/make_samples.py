@@ -54,12 +54,12 @@ def _write(path: Path, rows: list[list[str]]) -> None:
     path.write_text("".join(",".join(row) + "\n" for row in rows), encoding="utf-8", newline="\n")
 
 
-def whole_animal() -> SyntheticClip:
-    """The skeleton `cheetah-24` in the gallop of `recon.synthetic`, at 60 fps.
+def whole_animal(fps: float = 60, n_frames: int = 60) -> SyntheticClip:
+    """The skeleton `cheetah-24` in the gallop of `recon.synthetic`.
 
     It takes the poses that are nearest to the gallop's trunk and legs; the head stays level and the tail swings.
     """
-    clip = gallop(fps=60, n_frames=60)
+    clip = gallop(fps=fps, n_frames=n_frames)
     body = load_skeleton("cheetah-24")
     assert isinstance(body, Body)
     points_m = np.full((len(clip.truth_m), len(body.markers), 3), np.nan)
@@ -67,7 +67,7 @@ def whole_animal() -> SyntheticClip:
     points_m[:, at] = clip.truth_m
     states, _ = solve_points(body, points_m)
     column = {name: states[:, i] for i, name in enumerate(body.state_names)}
-    t = np.arange(len(states)) / 60
+    t = np.arange(len(states)) / fps
     column["head_pitch"][:] = -0.7 * (column["rear_trunk_pitch"] + column["front_trunk_pitch"])
     column["tail_1_yaw"][:] = 0.3 * np.sin(2 * np.pi * 1.3 * t)
     column["tail_2_yaw"][:] = 0.3 * np.sin(2 * np.pi * 1.3 * t - 0.8)
@@ -80,7 +80,7 @@ def whole_animal() -> SyntheticClip:
         xy_px=np.where(visible[..., None], xy_px, np.nan),
         confidence=visible.astype(float),
         frames=clip.keypoints.frames,
-        fps=60.0,
+        fps=float(fps),
         image_size_px=clip.camera.image_size_px,
     )
     return replace(clip, keypoints=keypoints, truth_m=truth_m, names=body.markers)

@@ -17,12 +17,15 @@ from recon.cli.convert import convert
 from recon.cli.demo import demo
 from recon.cli.doctor import doctor
 from recon.cli.evaluate import evaluate
+from recon.cli.evaluate_2d import evaluate_2d
 from recon.cli.fit import fit
 from recon.cli.ik import ik
 from recon.cli.overlay import overlay
+from recon.cli.predict import predict
 from recon.cli.prior import prior_fit
 from recon.cli.retarget import retarget
 from recon.cli.skeleton import skeleton_app
+from recon.cli.train import train
 from recon.cli.view import view
 from recon.errors import InputError
 
@@ -34,6 +37,9 @@ app = typer.Typer(
 )
 for command in (fit, batch, analyse, ik, evaluate, view, demo, calibrate, convert, overlay, retarget, doctor):
     app.command()(command)
+for command in (train, predict):
+    app.command()(command)
+app.command("evaluate-2d")(evaluate_2d)
 
 prior_app = typer.Typer(help="Motion priors: which poses occur, and how they change.", no_args_is_help=True)
 prior_app.command("fit")(prior_fit)

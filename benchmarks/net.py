@@ -1,0 +1,169 @@
+"""The keypoint network: the rendered sample through the whole circle, speed of prediction, and a labelled real video.
+
+    python benchmarks/net.py circle [--minutes 15 | --steps N]
+    python benchmarks/net.py speed [--model DIR]
+    python benchmarks/net.py horse [--minutes 15 | --steps N] [--seeds 0 1 2] [--random-half]
+
+Tables in Markdown, as in docs/net.md. `horse` needs horse-side in $RECON_SHARED_DATA, or in ../shared/data: it trains
+on the labelled frames 0-149 of the video, of which 110-149 are judged first, and tests on 150-199; with --random-half,
+on a random half of all of them, beside plain interpolation of the labels in time.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import tempfile
+import time
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from recon.net.calibrate import Calibration
+from recon.net.evaluate2d import Evaluation2D, evaluate_2d_files
+from recon.net.labels import read_label_file
+from recon.net.model import build_network
+from recon.net.predict import predict_video
+from recon.net.run import TrainSettings
+from recon.net.torch_extra import choose_device, fast_half, require_torch, use_threads
+from recon.net.trained import CHANNELS, Spec, Trained, load_model, prepared
+from recon.pipelines.net import LabelSource, run_prediction, run_training
+from recon.pipelines.net_circle import run_circle
+from recon.video import video_writer
+
+FIRST = 50
+"""Number that the horse's labels give to the video's first frame."""
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("what", choices=("circle", "speed", "horse"))
+    parser.add_argument("--minutes", type=float, default=15.0)
+    parser.add_argument("--steps", type=int)
+    parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2])
+    parser.add_argument("--random-half", action="store_true")
+    parser.add_argument("--model", type=Path)
+    parser.add_argument("--device", default="auto")
+    parser.add_argument("--threads", type=int, default=2)
+    parser.add_argument("--out", type=Path, help="where the networks go (default: a folder that is removed)")
+    args = parser.parse_args()
+    require_torch()
+    with tempfile.TemporaryDirectory() as temporary:
+        out = args.out or Path(temporary)
+        {"circle": circle, "speed": speed, "horse": horse}[args.what](args, out)
+
+
+def settings(args: argparse.Namespace, seed: int) -> TrainSettings:
+    return TrainSettings(steps=args.steps, minutes=args.minutes, seed=seed)
+
+
+def circle(args: argparse.Namespace, out: Path) -> None:
+    print("| seed | steps | s | median, px | PCK@5px | MPJPE, mm | with true points and 2 px noise, mm | ratio |")
+    print("| --- | --- | --- | --- | --- | --- | --- | --- |")
+    for seed in args.seeds:
+        found = run_circle(out / f"circle{seed}", settings(args, seed), device=args.device, threads=args.threads)
+        score = found.points.all
+        cells = (
+            seed, found.training["steps"], round(found.training["seconds"]), f"{score.median_px:.2f}",
+            f"{score.pck_px[1]:.2f}", f"{1000 * found.predicted_m:.1f}", f"{1000 * found.noisy_m:.1f}",
+            f"{found.ratio:.2f}",
+        )  # fmt: skip
+        print("| " + " | ".join(map(str, cells)) + " |", flush=True)
+
+
+def speed(args: argparse.Namespace, out: Path) -> None:
+    """Frames a second, decoding included, with the weights of a network or random ones, which are as fast."""
+    device = choose_device(args.device)
+    use_threads(args.threads)
+    names = tuple(f"point{k}" for k in range(22))
+    spec = Spec(names, 1.0, 120.0, 5.0, tuple(range(22)), False, Calibration())
+    trained = Trained(spec, prepared(build_network(22, CHANNELS), device), device)
+    if args.model:
+        trained = load_model(args.model, device)
+    print("| video | type | frames/s |")
+    print("| --- | --- | --- |")
+    rng = np.random.default_rng(0)
+    for size, frames in (((288, 162), 900), ((640, 360), 300)):
+        video = out / f"noise{size[0]}.mp4"
+        grain = rng.integers(0, 256, (size[1], size[0], 3)).astype(np.uint8)
+        scene = np.asarray(cv2.GaussianBlur(grain, (0, 0), 2), np.uint8)
+        with video_writer(video, size, 30.0) as write:
+            for n in range(frames):
+                write(np.roll(scene, n % 7, axis=1))
+        for half in (False, True) if fast_half(device) else (False,):
+            start = time.perf_counter()
+            predict_video(trained, video, half=half)
+            rate = frames / (time.perf_counter() - start)
+            print(f"| {size[0]}x{size[1]} | {'16 bits' if half else 'float32'} | {rate:.0f} |", flush=True)
+
+
+def horse(args: argparse.Namespace, out: Path) -> None:
+    shared = Path(os.environ.get("RECON_SHARED_DATA", Path(__file__).resolve().parents[2] / "shared" / "data"))
+    video = shared / "horse-side" / "BrownHorseinShadow.mp4"
+    labels = shared / "horse-side" / "CollectedData_Byron.csv"
+    print("| seed | quality | steps | s | median, px | PCK@2.5/5/10px | swaps forgiven | ECE |")
+    print("| --- | --- | --- | --- | --- | --- | --- | --- |")
+    for seed in args.seeds:
+        folder = out / f"horse{seed}{'random' if args.random_half else ''}"
+        validation, test = f"{FIRST + 110}:{FIRST + 150}", f"{FIRST + 150}:"
+        file = held_out = labels
+        if args.random_half:
+            out.mkdir(parents=True, exist_ok=True)
+            file, held_out = _random_half(labels, out, seed)
+            validation, test = "0.1", "0"
+        report = run_training(
+            LabelSource(video, file, FIRST, None, validation, test), settings(args, seed), folder,
+            device=args.device, threads=args.threads, overwrite=True,
+        )  # fmt: skip
+        for quality in ("fast", "best"):
+            points = folder / f"{quality}.csv"
+            run_prediction(
+                video, folder, points, quality=quality, device=args.device, threads=args.threads, overwrite=True
+            )
+            if args.random_half:
+                result = evaluate_2d_files(points, held_out, first_frame=FIRST)
+            else:
+                result = evaluate_2d_files(points, labels, first_frame=FIRST, frames=(FIRST + 150, FIRST + 200))
+            print(_row(seed, quality, report, result), flush=True)
+        if args.random_half:
+            print(f"Interpolation of the labels in time: {_interpolated(file, held_out):.2f} px (median)", flush=True)
+
+
+def _row(seed: int, quality: str, report: dict, result: Evaluation2D) -> str:
+    score, forgiven, table = result.all, result.swaps_forgiven, result.reliability
+    assert forgiven is not None
+    assert table is not None
+    pck = "/".join(f"{share:.2f}" for share in score.pck_px)
+    swaps = f"{forgiven.median_px:.2f} px, {forgiven.pck_px[1]:.2f}"
+    seconds = round(report["seconds"])
+    return (
+        f"| {seed} | {quality} | {report['steps']} | {seconds} | {score.median_px:.2f} | {pck} | {swaps} | "
+        f"{table.error:.3f} |"
+    )
+
+
+def _random_half(labels: Path, out: Path, seed: int) -> tuple[Path, Path]:
+    """Two label files, of one half of the rows and of the other."""
+    rows = labels.read_text(encoding="utf-8").splitlines()
+    order = np.random.default_rng(seed).permutation(len(rows) - 3)
+    paths = []
+    for name, which in (("learned", order[: len(order) // 2]), ("held_out", order[len(order) // 2 :])):
+        paths.append(out / f"{name}{seed}.csv")
+        paths[-1].write_text("\n".join(rows[:3] + [rows[3 + i] for i in sorted(which)]) + "\n", encoding="utf-8")
+    return paths[0], paths[1]
+
+
+def _interpolated(learned: Path, held_out: Path) -> float:
+    """Median error (px) of the line through the learned labels before and after, where both are there."""
+    known, other = read_label_file(learned)[0], read_label_file(held_out)[0]
+    errors = []
+    for k in range(len(known.names)):
+        there = np.isfinite(known.xy_px[:, k]).all(axis=1)
+        at = [np.interp(other.frames, known.frames[there], known.xy_px[there, k, i], np.nan, np.nan) for i in (0, 1)]
+        errors.append(np.linalg.norm(np.stack(at, axis=1) - other.xy_px[:, k], axis=1))
+    return float(np.nanmedian(np.concatenate(errors)))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,118 @@
+"""Training pictures in batches, made in the background while the network learns from the last ones."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from recon.net.augment import Augmentation, Example, augment
+from recon.net.background import moving_mask
+from recon.net.labels import Labels, body_length_px, known_points
+from recon.video import Image
+
+Array = NDArray[np.float64]
+NETWORK_LENGTH_PX = 120.0
+"""Length of the animal in the pictures that the network sees; clips are scaled to it, unless they are near."""
+CROP = 1.4
+"""Size of training pictures, relative to the animal's length."""
+MARGIN = 0.12
+"""Of the animal around its labelled points, relative to its length."""
+NO_BACKGROUND = 0.2
+"""Share of the training pictures whose difference to the background is left out."""
+AHEAD = 3
+
+
+@dataclass(frozen=True, eq=False)
+class Batch:
+    """pictures (B, H, W, 3) and backgrounds of the same shape; where there is none, the picture itself, which makes the
+    difference 0. xy_px (B, K, 2), NaN where a point is not labelled or not in the picture."""
+
+    pictures: NDArray[np.uint8]
+    backgrounds: NDArray[np.uint8]
+    xy_px: Array
+
+
+def network_scale(xy_px: Array) -> float:
+    """By which pictures are scaled for the network, from labels (N, K, 2)."""
+    length = body_length_px(xy_px)
+    scale = NETWORK_LENGTH_PX / length if np.isfinite(length) and length > 0 else 1.0
+    return 1.0 if 0.75 < scale < 1.35 else float(np.clip(round(scale, 3), 0.1, 2.0))
+
+
+def crop_size(labels: Labels) -> tuple[int, int]:
+    """(width, height) of training pictures: that of the clips' pictures, or less where the animal is small in them."""
+    length = body_length_px(labels.xy_px)
+    length = length if np.isfinite(length) else NETWORK_LENGTH_PX
+    widest, highest = np.max([p.shape[1::-1] for p in labels.pictures], axis=0)
+    sides = np.minimum([widest, highest], [CROP * 1.15 * length, CROP * 0.85 * length])
+    width, height = (max(64, 32 * round(float(side) / 32)) for side in sides)
+    return width, height
+
+
+def examples_of(labels: Labels, backgrounds: tuple[Image | None, ...], paste: bool) -> list[Example]:
+    length = body_length_px(labels.xy_px)
+    length = length if np.isfinite(length) else NETWORK_LENGTH_PX
+    found = []
+    for picture, clip, xy in zip(labels.pictures, labels.clip, labels.xy_px, strict=True):
+        background = backgrounds[clip]
+        mask = None
+        if paste and background is not None and known_points(xy).sum() >= 4:
+            mask = moving_mask(picture, background, xy, MARGIN * length)
+        found.append(Example(picture, background, mask, xy, length))
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class Source:
+    """Makes the batch of a step: a function of the seed, the step and the pictures to draw from only."""
+
+    examples: list[Example]
+    size_px: tuple[int, int]
+    options: Augmentation
+    size: int
+    seed: int
+
+    def batch(self, step: int, pool: NDArray[np.int64]) -> Batch:
+        pictures, backgrounds, points = [], [], []
+        for i in range(self.size):
+            rng = np.random.default_rng((self.seed, step, i))
+            example = self.examples[int(rng.choice(pool))]
+            if rng.random() < NO_BACKGROUND:
+                example = replace(example, background=None, mask=None)
+            picture, background, xy = augment(example, self.size_px, self.options, rng)
+            pictures.append(picture)
+            backgrounds.append(picture if background is None else background)
+            points.append(xy)
+        return Batch(np.stack(pictures), np.stack(backgrounds), np.stack(points))
+
+
+class Ahead:
+    """Batches of the steps to come, asked for before they are needed. A change of the pool drops those in flight."""
+
+    def __init__(self, source: Source, executor: ThreadPoolExecutor) -> None:
+        self._source, self._executor = source, executor
+        self._waiting: dict[int, Future[Batch]] = {}
+        self._pool: NDArray[np.int64] = np.zeros(0, np.int64)
+
+    def get(self, step: int, pool: NDArray[np.int64]) -> Batch:
+        if not np.array_equal(pool, self._pool):
+            self._waiting.clear()
+            self._pool = pool
+        for s in range(step, step + AHEAD):
+            if s not in self._waiting:
+                self._waiting[s] = self._executor.submit(self._source.batch, s, pool)
+        return self._waiting.pop(step).result()
+
+
+@contextmanager
+def ahead(source: Source) -> Iterator[Ahead]:
+    with ThreadPoolExecutor(max_workers=1, thread_name_prefix="pictures") as executor:
+        try:
+            yield Ahead(source, executor)
+        finally:
+            executor.shutdown(wait=True, cancel_futures=True)

@@ -1,0 +1,95 @@
+"""What a likelihood means: the share of points that are right, among those with this likelihood.
+
+A network is surer on the pictures that it knows than it may be on others. On the validation pictures it is known which
+points are right (within the tolerance of their label); a logistic function of the raw likelihood's logit is fitted to
+them, and a table of reliability says how well it holds.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import minimize
+from scipy.special import expit, logit
+
+Array = NDArray[np.float64]
+BINS = 10
+_EDGE = 1e-4
+_PRIOR = (1.0, 0.0)
+_PRIOR_SIGMA = (0.5, 2.0)
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """likelihood = expit(slope * logit(raw) + offset). points: how many it was fitted to; 0: it changes nothing."""
+
+    slope: float = 1.0
+    offset: float = 0.0
+    points: int = 0
+
+    def apply(self, raw: Array) -> Array:
+        """Of raw likelihoods; NaN stays NaN."""
+        if not self.points:
+            return np.clip(raw, 0.0, 1.0)
+        return expit(self.slope * logit(np.clip(raw, _EDGE, 1 - _EDGE)) + self.offset)
+
+
+def fit_calibration(raw: Array, right: NDArray[np.bool_]) -> Calibration:
+    """From raw likelihoods (N,) and whether their points are right (N,), by maximum likelihood with a weak prior on
+    slope and offset, which keeps both finite where all points are right."""
+    if not len(raw):
+        return Calibration()
+    x, y = logit(np.clip(raw, _EDGE, 1 - _EDGE)), right.astype(float)
+    mean, sigma = np.array(_PRIOR), np.array(_PRIOR_SIGMA)
+
+    def cost(p: Array) -> tuple[float, Array]:
+        z = p[0] * x + p[1]
+        value = float((np.logaddexp(0, z) - y * z).sum() + 0.5 * (((p - mean) / sigma) ** 2).sum())
+        slack = expit(z) - y
+        return value, np.array([(slack * x).sum(), slack.sum()]) + (p - mean) / sigma**2
+
+    found = minimize(cost, mean, jac=True, method="L-BFGS-B", bounds=[(0.05, 5.0), (-10.0, 10.0)])
+    return Calibration(float(found.x[0]), float(found.x[1]), len(raw))
+
+
+@dataclass(frozen=True)
+class Bin:
+    """Points whose likelihood lies in [low, high): how many, their mean likelihood, and the share that is right."""
+
+    low: float
+    high: float
+    points: int
+    likelihood: float
+    right: float
+
+
+@dataclass(frozen=True)
+class Reliability:
+    """Likelihoods against shares of right points. error: expected calibration error, the mean difference of the two
+    weighted by the points; NaN without any."""
+
+    bins: tuple[Bin, ...]
+    points: int
+    error: float
+
+    def to_dict(self) -> dict[str, Any]:
+        rows = [{"low": b.low, "high": b.high, "points": b.points, "likelihood": b.likelihood, "right": b.right}
+                for b in self.bins if b.points]  # fmt: skip
+        return {"points": self.points, "expected_calibration_error": self.error, "bins": rows}
+
+
+def reliability(likelihood: Array, right: NDArray[np.bool_], bins: int = BINS) -> Reliability:
+    """Over likelihoods (N,) in 0 to 1 and whether their points are right (N,), in bins of equal width."""
+    which = np.minimum((likelihood * bins).astype(int), bins - 1)
+    rows = []
+    for b in range(bins):
+        here = which == b
+        n = int(here.sum())
+        mean = (float(likelihood[here].mean()), float(right[here].mean())) if n else (float("nan"),) * 2
+        rows.append(Bin(b / bins, (b + 1) / bins, n, *mean))
+    total = len(likelihood)
+    error = sum(r.points * abs(r.likelihood - r.right) for r in rows if r.points) / total if total else float("nan")
+    return Reliability(tuple(rows), total, float(error))

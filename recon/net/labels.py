@@ -1,0 +1,287 @@
+"""Labelled pictures: DeepLabCut's label files with the images of a project folder, or with the frames of one video."""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path, PureWindowsPath
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from recon.errors import InputError, Problem, all_of
+from recon.io import deeplabcut, file_head
+from recon.io.common import first_problems
+from recon.keypoints import Keypoints, mark_missing
+from recon.video import Image, probe, read_frames
+
+Array = NDArray[np.float64]
+PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
+
+
+@dataclass(frozen=True, eq=False)
+class Labels:
+    """N labelled pictures of K keypoints.
+
+    xy_px: (N, K, 2), NaN where a point is not labelled. numbers: (N,) int, the frame numbers that the labels' image
+    names end in. images: N names, as in labeled-data/run/img0050.png. clip: (N,) int, which of `clips` a picture comes
+    from: a folder of the project, or the video. pictures: N arrays (height, width, 3; blue, green, red), one size
+    within a clip. source: what was read. notes: what had to be decided, in sentences.
+    """
+
+    names: tuple[str, ...]
+    xy_px: Array
+    numbers: NDArray[np.int64]
+    images: tuple[str, ...]
+    clip: NDArray[np.int64]
+    clips: tuple[str, ...]
+    pictures: tuple[Image, ...]
+    source: str
+    notes: tuple[str, ...] = ()
+
+    @property
+    def labelled(self) -> NDArray[np.bool_]:
+        """(N, K)."""
+        return known_points(self.xy_px)
+
+    def scaled(self, scale: float) -> Labels:
+        """Pictures and labels at another size; the centres of pixels lie at whole numbers."""
+        pictures = tuple(resize(picture, scale) for picture in self.pictures)
+        return replace(self, pictures=pictures, xy_px=scale_points(self.xy_px, scale))
+
+
+def known_points(xy_px: Array) -> NDArray[np.bool_]:
+    """Which points (..., 2) have both coordinates, (...)."""
+    return np.asarray(np.isfinite(xy_px).all(axis=-1), dtype=np.bool_)
+
+
+def resize(picture: Image, scale: float) -> Image:
+    """Of the size that `scaled_size` says; pixel (x, y) moves to `scale_points`."""
+    if scale == 1.0:
+        return picture
+    size = scaled_size((picture.shape[1], picture.shape[0]), scale)
+    to = np.array([[scale, 0.0, (scale - 1) / 2], [0.0, scale, (scale - 1) / 2]])
+    if scale < 0.8:  # each pixel averages those that it covers
+        blurred = cv2.GaussianBlur(picture, (0, 0), 0.5 * (1 / scale - 1) ** 0.5 + 0.15 / scale)
+        return np.asarray(cv2.warpAffine(blurred, to, size, borderMode=cv2.BORDER_REPLICATE), np.uint8)
+    return np.asarray(cv2.warpAffine(picture, to, size, borderMode=cv2.BORDER_REPLICATE), np.uint8)
+
+
+def scaled_size(size_px: tuple[int, int], scale: float) -> tuple[int, int]:
+    return max(1, round(size_px[0] * scale)), max(1, round(size_px[1] * scale))
+
+
+def scale_points(xy_px: Array, scale: float) -> Array:
+    """Of pixel coordinates with whole numbers at the centres of pixels, from one size of picture to another."""
+    return (xy_px + 0.5) * scale - 0.5
+
+
+def read_labels(data: Path, labels: Path | None = None, first_frame: int = 0, individual: str | None = None) -> Labels:
+    """A project folder, or a video with its label file.
+
+    first_frame: the number that the label file gives to the video's first frame. Raises InputError with every problem:
+    labels without a picture, pictures that cannot be read, files that do not fit each other.
+    """
+    if labels is None:
+        if data.is_file():
+            raise InputError(Problem("--labels", "file", "none", f"the label file (CSV or H5) of the video {data}"))
+        return _read_project(data, individual)
+    if data.is_dir():
+        raise InputError(Problem("--labels", "file", str(labels), f"none: the folder {data} has its own label files"))
+    return _read_video(data, labels, first_frame, individual)
+
+
+def read_label_file(path: Path, individual: str | None = None) -> tuple[Keypoints, tuple[str, ...]]:
+    """Points as labelled, NaN where there is none, and the name of each row's image (its number, where it has none).
+
+    Raises InputError for a file that is no table of DeepLabCut's, or that has no label in it.
+    """
+    file_head(path)
+    if not deeplabcut.recognises(path):
+        raise InputError(Problem(path, "format", "another kind of file", "labels in DeepLabCut's layout, CSV or H5"))
+    keypoints, _ = mark_missing(deeplabcut.read(path, individual))
+    if not keypoints.present.any():
+        raise InputError(Problem(path, "labels", "none: every cell is empty", "at least one labelled point"))
+    named = dict(_image_names(path))
+    return keypoints, tuple(named.get(int(n), str(n)) for n in keypoints.frames)
+
+
+def _image_names(path: Path) -> list[tuple[int, str]]:
+    """Frame numbers and image names of a CSV file of labels."""
+    if path.suffix.lower() != ".csv":
+        return _h5_image_names(path)
+    found, wide = [], False
+    with path.open(encoding="utf-8-sig", newline="") as file:
+        for row in csv.reader(file):
+            if row and row[0].strip() in ("scorer", "individuals", "bodyparts", "coords"):
+                wide = len(row) > 3 and not row[1].strip() and not row[2].strip()
+                continue
+            cells = row[: 3 if wide else 1]
+            found.append("/".join(cell for cell in cells if cell))
+    return [(int(m[1]), text) for text in found if (m := re.search(r"([0-9]+)$", PureWindowsPath(text).stem))]
+
+
+def _h5_image_names(path: Path) -> list[tuple[int, str]]:
+    import pandas as pd
+
+    index = pd.DataFrame(pd.read_hdf(path)).index
+    texts = ["/".join(map(str, i)) if isinstance(i, tuple) else str(i) for i in index]
+    return [(int(m[1]), text) for text in texts if (m := re.search(r"([0-9]+)$", PureWindowsPath(text).stem))]
+
+
+def _read_video(video: Path, path: Path, first_frame: int, individual: str | None) -> Labels:
+    (keypoints, images), info = all_of(lambda: read_label_file(path, individual), lambda: probe(video))
+    problems = []
+    if keypoints.frames[0] < first_frame:
+        expected = f"{keypoints.frames[0]} or less: the labels begin with frame {keypoints.frames[0]}"
+        problems.append(Problem("--first-frame", "number", str(first_frame), expected))
+    wanted = {int(n) - first_frame: i for i, n in enumerate(keypoints.frames)}
+    pictures: list[Image | None] = [None] * len(wanted)
+    decoded = 0
+    if not problems:
+        for number, picture in read_frames(video, 0, max(wanted) + 1):
+            decoded = number + 1
+            if number in wanted:
+                pictures[wanted[number]] = picture
+    found = [p for p in pictures if p is not None]
+    if not problems and len(found) < len(pictures):
+        stated = "" if info.stated_frames in (None, decoded) else f" (the file states {info.stated_frames})"
+        missing = [images[i] for i, p in enumerate(pictures) if p is None]
+        expected = (
+            f"a picture for each of the {len(pictures)} labelled frames; none for {len(missing)} of them, "
+            f"{missing[0]} first. --first-frame says which number the labels give to the video's first frame"
+        )
+        problems.append(Problem(video, "frames", f"{decoded} frames that can be decoded{stated}", expected))
+    if problems:
+        raise InputError(problems)
+    zeros = np.zeros(len(images), np.int64)
+    return Labels(
+        keypoints.names, keypoints.xy_px, keypoints.frames, images, zeros, (str(video),), tuple(found), str(path),
+        keypoints.notes,
+    )  # fmt: skip
+
+
+def _read_project(folder: Path, individual: str | None) -> Labels:
+    if not folder.is_dir():
+        raise InputError(Problem(folder, "data", "nothing there", "a video, or a DeepLabCut project folder"))
+    files = _label_files(folder)
+    if not files:
+        expected = "labeled-data/*/CollectedData_*.csv, as in a DeepLabCut project"
+        raise InputError(Problem(folder, "label files", "none", expected))
+    parts = [part for part in all_of(*(lambda f=f: _read_folder(f, individual) for f in files)) if part is not None]
+    if not parts:
+        raise InputError(Problem(folder, "labels", "none in any label file", "at least one labelled point"))
+    names = parts[0].names
+    problems = [
+        Problem(p.source, "bodyparts", ", ".join(p.names), f"those of {parts[0].source}: {', '.join(names)}")
+        for p in parts
+        if sorted(p.names) != sorted(names)
+    ]
+    if problems:
+        raise InputError(problems)
+    return Labels(
+        names,
+        np.concatenate([p.xy_px[:, [p.names.index(n) for n in names]] for p in parts]),
+        np.concatenate([p.numbers for p in parts]),
+        tuple(image for p in parts for image in p.images),
+        np.concatenate([np.full(len(p.images), i) for i, p in enumerate(parts)]),
+        tuple(p.clips[0] for p in parts),
+        tuple(picture for p in parts for picture in p.pictures),
+        str(folder),
+        tuple(note for p in parts for note in p.notes),
+    )
+
+
+def _label_files(folder: Path) -> list[Path]:
+    """One a folder; where several people labelled it, H5 and CSV of the first in the alphabet."""
+    for pattern in ("labeled-data/*/CollectedData_*.csv", "*/CollectedData_*.csv", "CollectedData_*.csv"):
+        by_folder: dict[Path, Path] = {}
+        for file in sorted(folder.glob(pattern)):
+            by_folder.setdefault(file.parent, file)
+        if by_folder:
+            return list(by_folder.values())
+    return []
+
+
+def _read_folder(path: Path, individual: str | None) -> Labels | None:
+    """The pictures beside a label file; None where nothing is labelled in it, as in folders that wait for it."""
+    file_head(path)
+    if not deeplabcut.recognises(path):
+        raise InputError(Problem(path, "format", "another kind of file", "labels in DeepLabCut's layout, CSV"))
+    table = deeplabcut.read(path, individual)
+    if not mark_missing(table)[0].present.any():
+        return None
+    keypoints, images = read_label_file(path, individual)
+    problems, pictures = [], []
+    for image in images:
+        file = path.parent / PureWindowsPath(image).name
+        picture = cv2.imread(str(file), cv2.IMREAD_COLOR) if file.is_file() else None
+        if picture is None:
+            found = "a picture that cannot be read" if file.is_file() else "no such picture"
+            problems.append(Problem(file, "picture", found, f"the picture that {path.name} labels"))
+        else:
+            pictures.append(np.asarray(picture, np.uint8))
+    sizes = sorted({p.shape[1::-1] for p in pictures})
+    if len(sizes) > 1:
+        shown = ", ".join(f"{w}x{h}" for w, h in sizes)
+        problems.append(Problem(path.parent, "pictures", f"several sizes: {shown} px", "one size, that of the video"))
+    if problems:
+        raise InputError(first_problems(problems, path))
+    zeros = np.zeros(len(images), np.int64)
+    return Labels(
+        keypoints.names, keypoints.xy_px, keypoints.frames, images, zeros, (str(path.parent),), tuple(pictures),
+        str(path), keypoints.notes,
+    )  # fmt: skip
+
+
+def extents_px(xy_px: Array) -> Array:
+    """(N,): diagonals of the boxes around the labelled points (N, K, 2); NaN with fewer than two."""
+    known = known_points(xy_px)
+    low = np.where(known[..., None], xy_px, np.inf).min(axis=1)
+    high = np.where(known[..., None], xy_px, -np.inf).max(axis=1)
+    several = known.sum(axis=1, keepdims=True) > 1
+    return np.linalg.norm(np.where(several, high - low, np.nan), axis=1)
+
+
+def body_length_px(xy_px: Array) -> float:
+    """Of the animal in the pictures: the median diagonal of the box around its points, over the pictures that show
+    most of it (NaN where nothing has two points)."""
+    known = known_points(xy_px).sum(axis=1)
+    extents = extents_px(xy_px)
+    whole = known >= max(2, 0.7 * known.max(initial=0))
+    return float(np.median(extents[whole])) if whole.any() else float("nan")
+
+
+def sides(names: Sequence[str]) -> tuple[int, ...]:
+    """For each keypoint, the one that it becomes in a mirror: names that differ in left/right, near/off, near/far or
+    l/r as a word of their own, or as how the name begins. A keypoint without a partner is its own."""
+    found = list(range(len(names)))
+    by_name = {name.lower(): i for i, name in enumerate(names)}
+    for i, name in enumerate(names):
+        for other in _mirrored(name.lower()):
+            if other in by_name:
+                found[i] = by_name[other]
+                break
+    return tuple(found)
+
+
+_WORDS = (("left", "right"), ("near", "off"), ("near", "far"), ("l", "r"))
+
+
+def _mirrored(name: str) -> list[str]:
+    out = []
+    for pair in _WORDS:
+        for a, b in (pair, pair[::-1]):
+            if len(a) > 1 and name.startswith(a):
+                out.append(b + name[len(a) :])
+            if len(a) > 1 and name.endswith(a):
+                out.append(name[: -len(a)] + b)
+            swapped = re.sub(rf"(?<![a-z0-9]){a}(?![a-z0-9])", b, name)
+            if swapped != name:
+                out.append(swapped)
+            if len(a) == 1:  # as in pawFL and pawFR the case is lost here; as in hind_paw1_l it is a word
+                continue
+    return out

@@ -1,0 +1,152 @@
+"""Prediction: the frames of a video in batches through a trained network, the next ones decoded meanwhile.
+
+Pictures are held for a few batches only; what grows with the video are the points, 12 bytes each.
+"""
+
+from __future__ import annotations
+
+import queue
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from recon.errors import InputError, Problem
+from recon.keypoints import Keypoints
+from recon.net.background import background_of_video
+from recon.net.draw import draw_points
+from recon.net.labels import resize
+from recon.net.torch_extra import fast_half
+from recon.net.trained import Trained
+from recon.video import Image, VideoInfo, probe, read_frames, video_writer
+
+PIXELS = 2**20
+"""Of a batch, at the network's scale."""
+WAITING = 2
+"""Batches that are decoded ahead."""
+LOST_SHARE, LOST_FRAMES = 0.01, 3
+"""So many frames fewer than the video states are its count's fault; more are the video's."""
+
+Progress = Callable[[str, float, str], None]
+
+
+@dataclass(frozen=True, eq=False)
+class Chunk:
+    """Consecutive frames: numbers; pictures at the network's scale; originals, empty unless they are drawn on."""
+
+    numbers: list[int]
+    pictures: list[Image]
+    originals: list[Image]
+
+
+def predict_video(
+    trained: Trained,
+    video: Path,
+    *,
+    quality: str = "fast",
+    still_background: bool = True,
+    half: bool = True,
+    overlay: Path | None = None,
+    likelihood_min: float = 0.5,
+    partial: bool = False,
+    progress: Progress = lambda stage, share, text: None,
+) -> Keypoints:
+    """Every frame's points as the network sees them, without smoothing, with calibrated likelihoods.
+
+    overlay: a new video with the points drawn, those less likely than likelihood_min small and pale. partial: whether
+    a video that ends before its stated end is good enough. Raises InputError.
+    """
+    info = probe(video)
+    spec = trained.spec
+    progress("background", 0.0, "")
+    background = background_of_video(video, spec.scale) if still_background else None
+    precision = fast_half(trained.device) if half else None
+    numbers: list[int] = []
+    xy_px: list[NDArray[np.float32]] = []
+    likelihood: list[NDArray[np.float32]] = []
+    total = max(info.stated_frames or 0, 1)
+    with ExitStack() as stack:
+        write = None
+        if overlay is not None:
+            even = (info.size_px[0] // 2 * 2, info.size_px[1] // 2 * 2)
+            write = stack.enter_context(video_writer(overlay, even, info.fps or 30.0))
+        for chunk in chunks(video, info, spec.scale, keep=write is not None):
+            xy, raw = trained.points(chunk.pictures, background, quality, precision)
+            sure = spec.calibration.apply(raw)
+            numbers += chunk.numbers
+            xy_px.append(xy.astype(np.float32))
+            likelihood.append(sure.astype(np.float32))
+            if write is not None:
+                for picture, points, how in zip(chunk.originals, xy, sure, strict=True):
+                    drawn = draw_points(picture, points, how, likelihood_min)
+                    write(drawn[: drawn.shape[0] // 2 * 2, : drawn.shape[1] // 2 * 2])
+            progress("predicting", min(1.0, len(numbers) / total), f"frame {numbers[-1]}")
+        _check_count(video, info, len(numbers), partial)
+    return Keypoints(
+        spec.names,
+        np.concatenate(xy_px).astype(float),
+        np.concatenate(likelihood).astype(float),
+        np.array(numbers, dtype=np.int64),
+        fps=info.fps,
+        image_size_px=info.size_px,
+        source=str(video),
+    )
+
+
+def chunks(video: Path, info: VideoInfo, scale: float, keep: bool) -> Iterator[Chunk]:
+    """The frames of a video in batches, decoded in a thread of their own, a few batches ahead."""
+    width, height = info.size_px
+    size = int(np.clip(PIXELS / (width * height * scale**2), 1, 32))
+    waiting: queue.Queue[Chunk | BaseException | None] = queue.Queue(WAITING)
+    given_up = threading.Event()
+
+    def put(item: Chunk | BaseException | None) -> None:
+        while not given_up.is_set():
+            try:
+                waiting.put(item, timeout=0.1)
+                break
+            except queue.Full:
+                continue
+
+    def decode() -> None:
+        try:
+            chunk = Chunk([], [], [])
+            for number, picture in read_frames(video):
+                if given_up.is_set():
+                    return
+                chunk.numbers.append(number)
+                chunk.pictures.append(resize(picture, scale))
+                if keep:
+                    chunk.originals.append(picture)
+                if len(chunk.numbers) == size:
+                    put(chunk)
+                    chunk = Chunk([], [], [])
+            if chunk.numbers:
+                put(chunk)
+            put(None)
+        except (OSError, ValueError, cv2.error, MemoryError) as error:
+            put(error)
+
+    thread = threading.Thread(target=decode, name="decoding", daemon=True)
+    thread.start()
+    try:
+        while (item := waiting.get()) is not None:
+            if isinstance(item, BaseException):
+                raise item
+            yield item
+    finally:
+        given_up.set()
+        thread.join()
+
+
+def _check_count(video: Path, info: VideoInfo, decoded: int, partial: bool) -> None:
+    stated = info.stated_frames or 0
+    if partial or stated - decoded <= max(LOST_FRAMES, LOST_SHARE * stated):
+        return
+    expected = f"the {stated} that the file states; --partial takes what can be decoded"
+    raise InputError(Problem(video, "frames", f"{decoded} that can be decoded", expected))

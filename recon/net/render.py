@@ -1,0 +1,205 @@
+"""A film of a simulated cheetah: shaded limbs with a spotted coat, a textured ground with the animal's shadow, motion
+blur and sensor noise. Drawn with OpenCV; it stands for a real video where the truth has to be known.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from recon.camera import Camera
+from recon.video import Image
+
+Array = NDArray[np.float64]
+Colour = tuple[float, float, float]
+
+# Markers at both ends of a part of `cheetah-24`, its radii there and how far it hangs below the markers, metres.
+_LEG = (("knee", 0.075, 0.05), ("ankle", 0.045, 0.028), ("paw", 0.028, 0.03))
+PARTS: tuple[tuple[str, str, float, float, float], ...] = (
+    ("tail_base", "tail1", 0.035, 0.03, 0.0),
+    ("tail1", "tail2", 0.03, 0.025, 0.0),
+    ("spine", "tail_base", 0.15, 0.13, 0.1),
+    ("neck_base", "spine", 0.16, 0.16, 0.11),
+    ("neck_base", "head", 0.1, 0.075, 0.03),
+    ("head", "nose", 0.075, 0.035, 0.0),
+)
+COAT, SPOT, BELLY = (70.0, 130.0, 185.0), (30.0, 50.0, 75.0), (140.0, 180.0, 210.0)
+SKY, HAZE, SAND, SHRUB = (205.0, 165.0, 120.0), (215.0, 205.0, 195.0), (105.0, 150.0, 180.0), (50.0, 90.0, 85.0)
+"""Blue, green, red."""
+EXPOSURE, EXPOSURES = 0.4, 5
+"""Share of the time between two frames in which a picture is taken, and in how many moments it is drawn."""
+NOISE = 2.5
+"""Grey levels, standard deviation."""
+LIGHT = np.array([-0.35, 0.25, 0.9])
+"""Towards the sun, in the world."""
+_SHIFT = 4
+
+
+def render_frames(
+    points_m: Array, names: tuple[str, ...], camera: Camera, ground_m: float, seed: int = 0
+) -> Iterator[Image]:
+    """A picture (height, width, 3; blue, green, red) for each row of the markers' places (T, J, 3) in the world, taken
+    evenly around its moment. ground_m: height of the ground."""
+    rng = np.random.default_rng(seed)
+    still = draw_scene(camera, ground_m, rng)
+    spots = {part[:2]: _spots(rng) for part in _parts()}
+    for t in range(len(points_m)):
+        total = np.zeros_like(still)
+        for share in (np.arange(EXPOSURES) - (EXPOSURES - 1) / 2) * EXPOSURE / EXPOSURES:
+            total += _draw_animal(still, _between(points_m, t + share), names, camera, ground_m, spots)
+        noisy = total / EXPOSURES + rng.normal(0, NOISE, still.shape)
+        yield np.clip(np.rint(noisy), 0, 255).astype(np.uint8)
+
+
+def _parts() -> list[tuple[str, str, float, float, float]]:
+    """All parts of the body, those of the legs included."""
+    found = list(PARTS)
+    for side in "lr":
+        for leg, root in (("front", "shoulder"), ("back", "hip")):
+            above = f"{side}_{root}"
+            for joint, upper, lower in _LEG:
+                below = f"{side}_{leg}_{joint}"
+                found.append((above, below, upper * (1.25 if leg == "back" else 1.0), lower, 0.0))
+                above = below
+    return found
+
+
+def _between(points_m: Array, t: float) -> Array:
+    """At a fraction of a frame, by a line through the two nearest frames, which goes on at the ends."""
+    a = min(max(math.floor(t), 0), len(points_m) - 2)
+    return points_m[a] + (t - a) * (points_m[a + 1] - points_m[a])
+
+
+def draw_scene(camera: Camera, ground_m: float, rng: np.random.Generator) -> Array:
+    """(height, width, 3), grey levels: sky, a line of shrubs on the horizon, and sand whose grain gets finer with the
+    distance."""
+    width, height = camera.image_size_px
+    x, y = np.meshgrid(np.arange(width, dtype=float), np.arange(height, dtype=float))
+    rays, _ = camera.rays(np.stack([x, y], axis=-1).reshape(-1, 2))
+    assert camera.rotation is not None
+    world = (rays @ camera.rotation).reshape(height, width, 3)
+    world = world / np.linalg.norm(world, axis=2, keepdims=True)
+    eye = camera.centre_world
+    down = np.minimum(world[..., 2], -1e-4)
+    distance = (ground_m - eye[2]) / down
+    below = world[..., 2] < -2e-3
+    at = (eye[:2] + world[..., :2] * np.minimum(distance, 500.0)[..., None]).astype(np.float32)
+    grain = np.zeros(below.shape)
+    for cell_m, weight in ((0.05, 0.3), (0.17, 0.5), (0.6, 0.8), (2.5, 1.0), (9.0, 0.8)):
+        grain += weight * _noise(rng, at, cell_m)
+    haze = np.clip(distance / 150, 0, 0.8)[..., None]
+    ground = np.array(SAND) * (1 + 0.11 * grain)[..., None]
+    ground = ground * (1 - haze) + np.array(HAZE) * haze
+    up = np.clip(world[..., 2], 0, 1)[..., None]
+    sky = np.array(HAZE) + (np.array(SKY) - np.array(HAZE)) * np.sqrt(np.clip(up * 2.5, 0, 1))
+    scene = np.where(below[..., None], ground, sky)
+    bearing = np.arctan2(world[..., 1], world[..., 0]).astype(np.float32)
+    crown = np.stack([bearing * 300, world[..., 2].astype(np.float32) * 300], axis=-1)
+    shrubs = _noise(rng, crown, 2.0) + 0.7 * _noise(rng, crown, 6.0) > 25 * np.abs(world[..., 2] - 0.01) * 6 - 0.3
+    shade = 0.8 + 0.25 * _noise(rng, crown, 0.8)
+    return np.where(
+        (shrubs & (np.abs(world[..., 2] - 0.01) < 0.04))[..., None], np.array(SHRUB) * shade[..., None], scene
+    )
+
+
+def _noise(rng: np.random.Generator, at: NDArray[np.float32], cell: float) -> Array:
+    """Smooth noise of mean 0 and standard deviation of about 1 at places (h, w, 2), its grains of the given size."""
+    table = np.pad(rng.standard_normal((256, 256)).astype(np.float32), (0, 1), mode="wrap")
+    place = np.mod(at / cell, 256).astype(np.float32)
+    return np.asarray(cv2.remap(table, place[..., 0], place[..., 1], cv2.INTER_LINEAR), float) * 1.5
+
+
+def _spots(rng: np.random.Generator) -> Array:
+    """(n, 3): place along a part (0 to 1), across it (-1 to 1), and size."""
+    return np.column_stack([rng.uniform(0.03, 0.97, 22), rng.uniform(-0.8, 0.6, 22), rng.uniform(0.012, 0.022, 22)])
+
+
+def _draw_animal(
+    scene: Array,
+    points_m: Array,
+    names: tuple[str, ...],
+    camera: Camera,
+    ground_m: float,
+    spots: dict[tuple[str, ...], Array],
+) -> Array:
+    place = dict(zip(names, points_m, strict=True))
+    place["head"] = 0.5 * (place["l_eye"] + place["r_eye"])
+    parts = []
+    for part in _parts():
+        ends = np.stack([place[part[0]], place[part[1]]])
+        ends[:, 2] -= part[4]
+        parts.append((float(np.mean(camera.world_to_camera(ends)[:, 2])), ends, part))
+    picture = _draw_shadow(scene, [(ends, part) for _, ends, part in parts], camera, ground_m)
+    canvas = np.clip(picture, 0, 255).astype(np.uint8)
+    nearest = min(depth for depth, _, _ in parts)
+    for depth, ends, part in sorted(parts, key=lambda p: -p[0]):
+        far = 1.0 - 0.45 * min(1.0, (depth - nearest) / 0.35)  # the far legs stand in the body's shade
+        _draw_part(canvas, ends, part, camera, far, spots[part[:2]])
+    return canvas.astype(float)
+
+
+def _draw_part(
+    canvas: Image, ends: Array, part: tuple[str, str, float, float, float], camera: Camera, light: float, spots: Array
+) -> None:
+    """Lit from above: from the dark outline to a bright line near the top, then the spots."""
+    at_camera = camera.world_to_camera(ends)
+    xy, _ = camera.project(at_camera)
+    focal = camera.matrix[0, 0]
+    radius = np.array(part[2:4]) * focal / at_camera[:, 2]
+    along = xy[1] - xy[0]
+    length = max(float(np.linalg.norm(along)), 1e-6)
+    across = np.array([-along[1], along[0]]) / length
+    if across[1] > 0:
+        across = -across  # towards the top of the picture
+    layers = 6
+    for i in range(layers):
+        share = i / (layers - 1)
+        colour = np.array(COAT) * (0.5 + 0.75 * share)
+        if "tail" not in part[0]:
+            colour = colour + (np.array(BELLY) - colour) * 0.25 * (1 - share)
+        shift = 0.35 * share * radius[:, None] * across
+        _capsule(canvas, xy + shift, radius * (1 - 0.75 * share), colour * light)
+    for u, v, size in spots:
+        r = radius[0] + (radius[1] - radius[0]) * u
+        if size * focal / at_camera[0, 2] < 0.6 * r:
+            centre = xy[0] + u * along + v * r * across
+            _disc(canvas, centre, max(0.6, size * focal / at_camera[0, 2]), np.array(SPOT) * light)
+
+
+def _draw_shadow(
+    scene: Array, parts: list[tuple[Array, tuple[str, str, float, float, float]]], camera: Camera, ground_m: float
+) -> Array:
+    # Seen at a grazing angle, a shadow is flat: it is drawn upright on a taller canvas, which is then pressed down.
+    steep = abs(camera.centre_world[2] - ground_m) / float(np.mean([camera.world_to_camera(e)[:, 2] for e, _ in parts]))
+    tall = np.zeros((round(scene.shape[0] / steep) + 1, scene.shape[1]), np.uint8)
+    for ends, part in parts:
+        at_camera = camera.world_to_camera(ends - ((ends[:, 2:] - ground_m) / LIGHT[2]) * LIGHT)
+        xy, _ = camera.project(at_camera)
+        radius = np.array(part[2:4]) * camera.matrix[0, 0] / at_camera[:, 2]
+        _capsule(tall, xy * [1, 1 / steep], radius, np.array([255.0]))
+    mask = cv2.resize(tall, scene.shape[1::-1], interpolation=cv2.INTER_AREA)
+    soft = cv2.GaussianBlur(mask, (0, 0), 1.2).astype(float)[..., None] / 255
+    return scene * (1 - 0.55 * soft)
+
+
+def _capsule(canvas: Image, xy: Array, radius: Array, colour: Array) -> None:
+    """Two discs and what lies between them."""
+    along = xy[1] - xy[0]
+    across = np.array([-along[1], along[0]]) / max(float(np.linalg.norm(along)), 1e-6)
+    corners = np.stack(
+        [xy[0] + across * radius[0], xy[1] + across * radius[1], xy[1] - across * radius[1], xy[0] - across * radius[0]]
+    )
+    cv2.fillConvexPoly(
+        canvas, np.rint(corners * 2**_SHIFT).astype(np.int32), tuple(colour.tolist()), cv2.LINE_AA, _SHIFT
+    )
+    for centre, r in zip(xy, radius, strict=True):
+        _disc(canvas, centre, float(r), colour)
+
+
+def _disc(canvas: Image, centre: Array, radius: float, colour: Array) -> None:
+    x, y = np.rint(centre * 2**_SHIFT).astype(int).tolist()
+    cv2.circle(canvas, (x, y), max(1, round(radius * 2**_SHIFT)), tuple(colour.tolist()), -1, cv2.LINE_AA, _SHIFT)

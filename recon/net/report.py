@@ -1,0 +1,210 @@
+"""What a training run tells about itself: figures, curves, the worst pictures, doubtful labels, reliability."""
+
+from __future__ import annotations
+
+import csv
+import dataclasses
+import json
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from recon import __version__
+from recon.net.batches import crop_size
+from recon.net.calibrate import Reliability, reliability
+from recon.net.draw import draw_comparison
+from recon.net.evaluate2d import Evaluation2D, evaluate_2d
+from recon.net.labels import Labels, extents_px
+from recon.net.model import count_parameters
+from recon.net.run import Run, State
+from recon.net.suspicious import Suspect, suspicious_labels
+from recon.net.torch_extra import require_torch
+from recon.net.train import judge
+from recon.net.trained import Trained, prepared
+from recon.plots.style import COLOURS, GREY, drawing, save
+
+Array = NDArray[np.float64]
+REPORT_FILES = (
+    "training.json", "suspicious.csv", "curves.png", "curves.svg", "keypoints.png", "keypoints.svg",
+    "reliability.png", "reliability.svg", "worst.png",
+)  # fmt: skip
+WORST = 6
+CURVE_POINTS = 400
+
+
+def write_training_report(run: Run, state: State, folder: Path) -> dict[str, Any]:
+    """Into an existing folder; returns what stands in training.json."""
+    spec = dataclasses.replace(run.spec, calibration=state.calibration or run.spec.calibration)
+    trained = Trained(spec, prepared(state.average, run.device), run.device)
+    everything = np.arange(len(run.labels.images))
+    errors, raw, xy_px = judge(trained, run, everything)
+    likelihood = spec.calibration.apply(raw)
+    parts = {name: getattr(run.split, name) for name in ("train", "validation", "test")}
+    judged = {name: _evaluation(run, which, xy_px, likelihood) for name, which in parts.items() if len(which)}
+    before = _validation_reliability(run, state) if len(run.split.validation) else None
+    suspects = suspicious_labels(run.labels, xy_px, spec.body_length_px)
+    report = {
+        "recon": __version__,
+        "torch": str(require_torch().__version__),
+        "device": str(run.device),
+        "source": run.labels.source,
+        "keypoints": list(spec.names),
+        "mirror_partners": {
+            n: spec.names[p] for n, p in zip(spec.names, spec.partner, strict=True) if spec.names[p] != n
+        },
+        "parameters": count_parameters(state.network),
+        "scale": spec.scale,
+        "training_picture_px": list(crop_size(run.scaled)),
+        "body_length_px": spec.body_length_px,
+        "tolerance_px": spec.tolerance_px,
+        "still_background": [b is not None for b in run.still],
+        "settings": dataclasses.asdict(run.settings),
+        "split": run.split.to_dict(run.labels),
+        "labelled_points": {name: int(run.labels.labelled[which].sum()) for name, which in parts.items()},
+        "steps": state.step,
+        "seconds": round(state.seconds, 1),
+        "stopped_early": state.stopped_early,
+        "best_validation": None if state.best is None else {"median_px": state.best_error_px, "step": state.best_step},
+        "validation_in_training_from": _finish_step(state),
+        "calibration": dataclasses.asdict(spec.calibration),
+        "reliability_validation": before.to_dict() if before else None,
+        "errors": {name: e.to_dict() for name, e in judged.items()},
+        "suspicious_labels": [dataclasses.asdict(s) for s in suspects],
+        "history": _thinned(state.history),
+        "notes": list(run.labels.notes),
+    }
+    (folder / "training.json").write_text(json.dumps(_finite(report), indent=1) + "\n", encoding="utf-8")
+    _write_suspects(suspects, folder / "suspicious.csv")
+    held_out = np.concatenate([run.split.validation, run.split.test])
+    _write_worst(run.labels, errors, xy_px, held_out if len(held_out) else run.split.train, folder / "worst.png")
+    _draw_curves(state, folder)
+    _draw_keypoints(judged, folder)
+    tables = {"validation": before, "test": judged["test"].reliability if "test" in judged else None}
+    _draw_reliability({name: table for name, table in tables.items() if table is not None}, folder)
+    return report
+
+
+def _evaluation(run: Run, which: NDArray[np.int64], xy_px: Array, likelihood: Array) -> Evaluation2D:
+    length = extents_px(run.labels.xy_px[which])
+    length_px = float(np.nanmedian(length)) if np.isfinite(length).any() else run.spec.body_length_px
+    names, truth = run.spec.names, run.labels.xy_px[which]
+    return evaluate_2d(names, xy_px[which], likelihood[which], truth, length_px, tolerance_px=run.spec.tolerance_px)
+
+
+def _validation_reliability(run: Run, state: State) -> Reliability | None:
+    """Of the network as it was calibrated: before it learned from the validation pictures."""
+    return reliability(*state.judged) if state.judged is not None and len(state.judged[0]) else None
+
+
+def _finish_step(state: State) -> int | None:
+    return next((int(h["step"]) for h in state.history if h.get("finishing")), None)
+
+
+def _thinned(history: list[dict[str, float]]) -> list[dict[str, float]]:
+    """Every evaluation, and as many other steps as a curve needs, with the mean loss since the last."""
+    every = max(1, len(history) // CURVE_POINTS)
+    found, since = [], []
+    for i, row in enumerate(history):
+        since.append(row["loss"])
+        if i % every == every - 1 or "validation_px" in row or i == len(history) - 1:
+            found.append({**row, "loss": float(np.mean(since))})
+            since = []
+    return found
+
+
+def _finite(value: Any) -> Any:
+    """JSON has no NaN."""
+    if isinstance(value, dict):
+        return {k: _finite(v) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(v) for v in value]
+    return None if isinstance(value, float) and not np.isfinite(value) else value
+
+
+def _write_suspects(suspects: list[Suspect], path: Path) -> None:
+    with path.open("w", encoding="utf-8", newline="") as file:
+        rows = csv.writer(file, lineterminator="\n")
+        rows.writerow(["image", "keypoint", "x_px", "y_px", "network", "others", "time", "reasons"])
+        for s in suspects:
+            values = ["" if np.isnan(v) else f"{v:.3f}" for v in (s.network, s.others, s.time)]
+            rows.writerow([s.image, s.keypoint, f"{s.x_px:.2f}", f"{s.y_px:.2f}", *values, "; ".join(s.reasons)])
+
+
+def _write_worst(labels: Labels, errors: Array, xy_px: Array, which: NDArray[np.int64], path: Path) -> None:
+    """The pictures with the largest mean error, no two of them neighbours in time."""
+    known = np.isfinite(errors[which]).any(axis=1)
+    mean = np.full(len(which), -np.inf)
+    mean[known] = np.nanmean(errors[which][known], axis=1)
+    chosen: list[int] = []
+    for i in which[np.argsort(-mean)]:
+        apart = all(labels.clip[i] != labels.clip[j] or abs(labels.numbers[i] - labels.numbers[j]) > 2 for j in chosen)
+        if apart and np.isfinite(errors[i]).any() and len(chosen) < WORST:
+            chosen.append(int(i))
+    tiles = [
+        draw_comparison(
+            labels.pictures[i], labels.xy_px[i], xy_px[i], f"{labels.images[i]}: mean {np.nanmean(errors[i]):.1f} px"
+        )
+        for i in chosen
+    ]
+    size = np.max([t.shape[:2] for t in tiles], axis=0)
+    padded = [np.pad(t, ((0, size[0] - t.shape[0]), (0, size[1] - t.shape[1]), (0, 0))) for t in tiles]
+    padded += [np.zeros_like(padded[0])] * (len(padded) % 2)
+    rows = [np.hstack(padded[i : i + 2]) for i in range(0, len(padded), 2)]
+    cv2.imwrite(str(path), np.vstack(rows))
+
+
+def _draw_curves(state: State, folder: Path) -> None:
+    rows = _thinned(state.history)
+    judged = [row for row in rows if "validation_px" in row]
+    with drawing(60) as figure:
+        left, right = figure.subplots(1, 2)
+        left.plot([r["step"] for r in rows], [r["loss"] for r in rows], color=COLOURS[0])
+        left.set(xlabel="step", ylabel="loss")
+        if judged:
+            right.plot([r["step"] for r in judged], [r["validation_px"] for r in judged], color=COLOURS[1], marker=".")
+            right.set(yscale="log")
+            right.yaxis.set_major_formatter("{x:g}")
+            right.yaxis.set_minor_formatter("{x:g}")
+        else:
+            right.text(0.5, 0.5, "no validation pictures", transform=right.transAxes, ha="center", color=GREY)
+        right.set(xlabel="step", ylabel="median validation error (px)")
+        begin = _finish_step(state)
+        if begin is not None and judged:
+            right.axvspan(begin, rows[-1]["step"], color=GREY, alpha=0.15, lw=0)
+            right.set_title("grey: learned from, too", color=GREY)
+    save(figure, folder, "curves")
+
+
+def _draw_keypoints(judged: dict[str, Evaluation2D], folder: Path) -> None:
+    """Median error of each keypoint on each part of the labels."""
+    names = list(next(iter(judged.values())).per_keypoint)
+    with drawing(20 + 4.5 * len(names)) as figure:
+        axes = figure.subplots()
+        for i, (part, evaluation) in enumerate(judged.items()):
+            medians = [evaluation.per_keypoint[name].median_px for name in names]
+            axes.plot(medians, np.arange(len(names)), ls="", marker="os^"[i], ms=4, color=COLOURS[i], label=part)
+        axes.set_yticks(np.arange(len(names)), names)
+        axes.invert_yaxis()
+        axes.grid(axis="x", lw=0.4, color="#DDDDDD")
+        axes.set(xlabel="median error (px)", xscale="log")
+        axes.legend()
+    save(figure, folder, "keypoints")
+
+
+def _draw_reliability(tables: dict[str, Reliability], folder: Path) -> None:
+    with drawing(80, 100) as figure:
+        axes = figure.subplots()
+        axes.plot([0, 1], [0, 1], color=GREY, lw=0.6)
+        for i, (part, table) in enumerate(tables.items()):
+            bins = [b for b in table.bins if b.points]
+            label = f"{part}: {table.points} points, error {table.error:.3f}"
+            axes.plot(
+                [b.likelihood for b in bins], [b.right for b in bins], marker="os"[i], color=COLOURS[i], label=label
+            )
+        axes.set(xlabel="likelihood", ylabel="share of right points", xlim=(0, 1), ylim=(0, 1), aspect="equal")
+        if tables:
+            axes.legend(loc="upper left")
+    save(figure, folder, "reliability")

@@ -1,0 +1,204 @@
+"""One training run: its settings, what it learns from, what it carries from step to step, and its checkpoints."""
+
+from __future__ import annotations
+
+import copy
+import dataclasses
+import math
+import os
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from recon.errors import InputError, Problem
+from recon.net.augment import Augmentation
+from recon.net.background import backgrounds
+from recon.net.batches import network_scale
+from recon.net.calibrate import Calibration
+from recon.net.labels import Labels, body_length_px, sides
+from recon.net.model import build_network
+from recon.net.split import Split
+from recon.net.torch_extra import placed, require_torch
+from recon.net.trained import CHANNELS, Spec, load_file
+from recon.video import Image
+
+if TYPE_CHECKING:
+    import torch  # pyright: ignore[reportMissingImports]
+
+Array = NDArray[np.float64]
+CHECKPOINT_FILE = "checkpoint.pt"
+TOLERANCE = 0.04
+"""Within this, relative to the body length, a point counts as right for its likelihood."""
+
+
+@dataclass(frozen=True)
+class TrainSettings:
+    """steps: how many, or None for as many as fit into `minutes`. patience: evaluations without improvement after which
+    the first part ends. finish: whether the last part learns from the validation pictures, too."""
+
+    steps: int | None = None
+    minutes: float = 15.0
+    batch: int = 8
+    learning_rate: float = 2e-3
+    weight_decay: float = 0.05
+    seed: int = 0
+    mirror: bool = False
+    still_background: bool = True
+    patience: int = 12
+    finish: bool = True
+    half: bool = True
+    augmentation: Augmentation = field(default_factory=Augmentation)
+
+    def __post_init__(self) -> None:
+        problems = [
+            Problem(f"--{name}", "number", f"{value:g}", expected)
+            for name, value, low, expected in (
+                ("steps", 1 if self.steps is None else self.steps, 1, "1 or more"),
+                ("minutes", self.minutes, 0.05, "0.05 or more"),
+                ("batch", self.batch, 1, "1 or more"),
+                ("seed", self.seed, 0, "0 or more"),
+                ("patience", self.patience, 1, "1 or more"),
+            )
+            if not value >= low
+        ]
+        if problems:
+            raise InputError(problems)
+
+
+@dataclass
+class State:
+    """All that a run carries from step to step. share: of the run that is done; it decides the learning rate. seconds:
+    of all its parts. judged: calibrated likelihoods of the labelled validation points, and which of them are right.
+    skipped: share of the run that stopping early left out. best, best_error_px: averaged weights with the lowest
+    validation error, None without one."""
+
+    network: torch.nn.Module
+    average: torch.nn.Module
+    optimizer: torch.optim.Optimizer
+    step: int = 0
+    share: float = 0.0
+    seconds: float = 0.0
+    finishing: bool = False
+    best: dict[str, Any] | None = None
+    best_error_px: float = math.inf
+    best_step: int = 0
+    since_best: int = 0
+    stopped_early: bool = False
+    skipped: float = 0.0
+    calibration: Calibration | None = None
+    judged: tuple[Array, NDArray[np.bool_]] | None = None
+    history: list[dict[str, float]] = field(default_factory=list)
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """What stays the same from step to step; pictures are at the network's scale."""
+
+    settings: TrainSettings
+    spec: Spec
+    labels: Labels
+    scaled: Labels
+    split: Split
+    still: tuple[Image | None, ...]
+    device: torch.device
+
+
+def prepare(labels: Labels, split: Split, settings: TrainSettings, device: torch.device) -> Run:
+    known = np.concatenate([split.train, split.validation])
+    scale = network_scale(labels.xy_px[known])
+    length = body_length_px(labels.xy_px[known])
+    length = length if np.isfinite(length) else 100.0
+    partner = sides(labels.names)
+    spec = Spec(labels.names, scale, float(length), float(TOLERANCE * length), partner, settings.mirror, Calibration())
+    scaled = labels.scaled(scale)
+    still = backgrounds(scaled, split.test) if settings.still_background else (None,) * len(labels.clips)
+    return Run(settings, spec, labels, scaled, split, still, device)
+
+
+def begin(run: Run) -> State:
+    torch = require_torch()
+    with torch.random.fork_rng():
+        torch.manual_seed(run.settings.seed)
+        network = build_network(len(run.spec.names), CHANNELS)
+    network = placed(network, run.device)
+    return State(network, copy.deepcopy(network).requires_grad_(False), _optimizer(network, run.settings))
+
+
+def _optimizer(network: torch.nn.Module, settings: TrainSettings) -> torch.optim.Optimizer:
+    torch = require_torch()
+    decayed = [p for p in network.parameters() if p.ndim > 1]
+    others = [p for p in network.parameters() if p.ndim <= 1]
+    groups = [{"params": decayed, "weight_decay": settings.weight_decay}, {"params": others, "weight_decay": 0.0}]
+    return torch.optim.AdamW(groups, lr=settings.learning_rate)
+
+
+def save_checkpoint(state: State, run: Run, out: Path) -> None:
+    """Everything that the rest of a run depends on, whole or not at all."""
+    torch = require_torch()
+    path = out / CHECKPOINT_FILE
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    content = {
+        "settings": dataclasses.asdict(run.settings),
+        "names": list(run.spec.names),
+        "split": run.split.to_dict(run.labels),
+        "network": state.network.state_dict(),
+        "average": state.average.state_dict(),
+        "optimizer": state.optimizer.state_dict(),
+        "best": state.best,
+        "calibration": dataclasses.asdict(state.calibration) if state.calibration else None,
+        "judged": [part.tolist() for part in state.judged] if state.judged else None,
+        "history": state.history,
+        **{name: getattr(state, name) for name in _PLAIN},
+    }
+    try:
+        torch.save(content, temporary)
+        os.replace(temporary, path)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+_PLAIN = ("step", "share", "seconds", "finishing", "best_error_px", "best_step", "since_best", "stopped_early",
+          "skipped")  # fmt: skip
+
+
+def resumed(run: Run, out: Path) -> State:
+    """The state of a checkpoint. Raises InputError where it belongs to other keypoints, settings or pictures."""
+    path = out / CHECKPOINT_FILE
+    if not path.is_file():
+        raise InputError(Problem(path, "checkpoint", "no such file", "one to go on from; without --resume, a new run"))
+    content = load_file(path)
+    if not isinstance(content, dict) or "optimizer" not in content:
+        raise InputError(Problem(path, "checkpoint", "a file of another kind", "one that `recon train` wrote"))
+    problems = []
+    if content["names"] != list(run.spec.names):
+        expected = f"those of the labels: {', '.join(run.spec.names)}"
+        problems.append(Problem(path, "keypoints", ", ".join(content["names"]), expected))
+    given = dataclasses.asdict(run.settings)
+    for name, value in content["settings"].items():
+        if _plain(value) != _plain(given.get(name)):
+            problems.append(Problem(path, f"setting {name}", str(value), f"{given.get(name)}, as now given"))
+    if not problems and content["split"] != run.split.to_dict(run.labels):
+        problems.append(Problem(path, "pictures", "another split of them", "the labels and split of the run so far"))
+    if problems:
+        raise InputError(problems)
+    state = begin(run)
+    state.network.load_state_dict(content["network"])
+    state.average.load_state_dict(content["average"])
+    state.optimizer.load_state_dict(content["optimizer"])
+    state.best, state.history = content["best"], content["history"]
+    state.calibration = Calibration(**content["calibration"]) if content["calibration"] else None
+    if content["judged"]:
+        state.judged = np.array(content["judged"][0], float), np.array(content["judged"][1], bool)
+    for name in _PLAIN:
+        setattr(state, name, content[name])
+    return state
+
+
+def _plain(value: Any) -> Any:
+    """Tuples as lists, also inside."""
+    if isinstance(value, dict):
+        return {k: _plain(v) for k, v in value.items()}
+    return [_plain(v) for v in value] if isinstance(value, list | tuple) else value

@@ -1,0 +1,207 @@
+"""Training: from labelled pictures to weights.
+
+AdamW with a warm-up and a cosine down to nothing, twice; the weights that count are a moving average of those that it
+moves. The first part of a run learns from the training pictures and is judged by the validation pictures, which also
+calibrate the likelihoods; the last part, from `FINISH` on, learns from both, so that no label is lost.
+
+A run is a function of its settings, its labels and its device: augmentation depends on the seed and the step only, and
+a checkpoint holds everything else. With a number of steps, a run that was stopped and goes on ends in the same weights
+bit for bit; with a number of minutes, the speed of the machine decides how many steps there are.
+"""
+
+from __future__ import annotations
+
+import copy
+import dataclasses
+import math
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from recon.net.batches import Batch, Source, ahead, crop_size, examples_of
+from recon.net.calibrate import Calibration, fit_calibration
+from recon.net.decode import loss
+from recon.net.model import STRIDE
+from recon.net.run import Run, State, TrainSettings, begin, resumed, save_checkpoint
+from recon.net.torch_extra import fast_half, require_torch
+from recon.net.trained import MODEL_FILE, Trained, as_input, prepared, save_model
+
+if TYPE_CHECKING:
+    pass
+
+Array = NDArray[np.float64]
+FINISH = 0.6
+"""Share of a run after which the validation pictures are learned from, too."""
+FINISH_RATE = 0.5
+"""The learning rate with which that begins, relative to the highest before."""
+WARM_UP = 0.04
+SIGMA = 0.9
+"""Of the Gaussian that the network is to give, in places of the grid."""
+EVALUATIONS = 30
+MOST_AVERAGED = 300.0
+"""Steps over which the weights are averaged, at most; fewer at the beginning."""
+
+Progress = Callable[[str, float, str], None]
+"""What is being done, how much of all is done (0 to 1), and the figures so far."""
+
+
+def train(run: Run, out: Path, resume: bool = False, progress: Progress = lambda stage, share, text: None) -> State:
+    """Trains, or goes on, to the end; `out` gets a checkpoint at each evaluation, and the model at the end."""
+    torch = require_torch()
+    torch.backends.cudnn.deterministic, torch.backends.cudnn.benchmark = True, False
+    state = resumed(run, out) if resume else begin(run)
+    settings, split = run.settings, run.split
+    half = fast_half(run.device) if settings.half else None
+    augmentation = dataclasses.replace(settings.augmentation, partner=run.spec.partner if settings.mirror else None)
+    source = Source(
+        examples_of(run.scaled, run.still, augmentation.paste > 0),
+        crop_size(run.scaled),
+        augmentation,
+        settings.batch,
+        settings.seed,
+    )
+    shown = np.flatnonzero(run.labels.labelled.any(axis=1))
+    first = np.intersect1d(split.train, shown)
+    both = np.intersect1d(np.concatenate([split.train, split.validation]), shown)
+    clock = _Clock(state.seconds)
+    with ahead(source) as batches:
+        while state.share < 1.0:
+            batch = batches.get(state.step, both if state.finishing else first)
+            held_out = not state.finishing
+            rate = settings.learning_rate * schedule(state.share, settings.finish)
+            value = _learn(state, batch, rate, run, half)
+            _advance(state, settings, clock)
+            state.seconds = clock.seconds
+            row = {"step": state.step, "loss": value, "rate": rate, "share": state.share}
+            state.history.append(row | ({} if held_out else {"finishing": 1.0}))
+            if _due(state):
+                _evaluate(state, run, held_out)
+                _stop_early(state, settings)
+                save_checkpoint(state, run, out)
+            progress("finishing" if state.finishing else "learning", state.share, _figures(state))
+    if not state.finishing and state.best is not None:
+        state.average.load_state_dict(state.best)
+    spec = dataclasses.replace(run.spec, calibration=state.calibration or Calibration())
+    save_model(spec, state.average.state_dict(), out / MODEL_FILE)
+    return state
+
+
+def schedule(share: float, finish: bool) -> float:
+    """Factor of the learning rate at a share of the run: a warm-up and a cosine, and another one for the last part.
+
+    The network is at rest when it is calibrated, as it is at the end.
+    """
+    warm = min(1.0, (share + 1e-3) / WARM_UP)
+    if not finish:
+        return warm * _cosine(share)
+    if share < FINISH:
+        return warm * _cosine(share / FINISH)
+    return FINISH_RATE * _cosine((share - FINISH) / (1 - FINISH))
+
+
+def _cosine(share: float) -> float:
+    """From 1 down to nearly 0."""
+    return 1e-3 + (0.5 + 0.5 * math.cos(math.pi * share))
+
+
+class _Clock:
+    def __init__(self, before_s: float) -> None:
+        self._start, self._before = time.monotonic(), before_s
+
+    @property
+    def seconds(self) -> float:
+        return self._before + time.monotonic() - self._start
+
+
+def _learn(state: State, batch: Batch, rate: float, run: Run, half: Any) -> float:
+    import torch  # pyright: ignore[reportMissingImports]
+
+    state.network.train()
+    for group in state.optimizer.param_groups:
+        group["lr"] = rate
+    x = as_input(batch.pictures, batch.backgrounds, run.device)
+    xy = torch.from_numpy((batch.xy_px / STRIDE).astype(np.float32)).to(run.device)
+    state.optimizer.zero_grad(set_to_none=True)
+    with torch.autocast(run.device.type, half, enabled=half is not None):
+        scores = state.network(x)
+    value = loss(scores, xy, SIGMA)
+    value.backward()
+    torch.nn.utils.clip_grad_norm_(state.network.parameters(), 5.0)
+    state.optimizer.step()
+    state.step += 1
+    keep = 1 - 1 / min(MOST_AVERAGED, 1 + 0.2 * state.step)
+    with torch.no_grad():
+        for a, b in zip(state.average.state_dict().values(), state.network.state_dict().values(), strict=True):
+            if a.dtype.is_floating_point:
+                a.lerp_(b, 1 - keep)
+            else:
+                a.copy_(b)
+    return float(value.detach())
+
+
+def _advance(state: State, settings: TrainSettings, clock: _Clock) -> None:
+    """The share of the run that is done: of its steps, or of its time."""
+    if settings.steps is not None:
+        share = state.share + 1 / settings.steps
+    else:
+        share = max(state.share, clock.seconds / (60 * settings.minutes) + state.skipped)
+    state.share = 1.0 if share > 1 - 1e-9 else share
+    state.finishing = settings.finish and state.share >= FINISH
+
+
+def _stop_early(state: State, settings: TrainSettings) -> None:
+    """Where the validation error has not fallen for long, the first part of the run ends."""
+    if state.finishing or state.since_best < settings.patience:
+        return
+    to = FINISH if settings.finish else 1.0
+    state.skipped += to - state.share
+    state.share, state.stopped_early, state.finishing = to, True, settings.finish
+
+
+def _due(state: State) -> bool:
+    """At each `EVALUATIONS`th of the run."""
+    before = state.history[-2]["share"] if len(state.history) > 1 else 0.0
+    return math.floor(state.share * EVALUATIONS) > math.floor(before * EVALUATIONS) or state.share >= 1
+
+
+def _evaluate(state: State, run: Run, held_out: bool) -> None:
+    """held_out: whether the validation pictures have not been learned from yet."""
+    which = run.split.validation
+    if not len(which) or not run.labels.labelled[which].any():
+        return
+    errors, raw, _ = judge(Trained(run.spec, prepared(state.average, run.device), run.device), run, which)
+    known = errors[np.isfinite(errors)]
+    median = float(np.median(known))
+    state.history[-1].update({"validation_px": median, "validation_mean_px": float(known.mean())})
+    if not held_out:
+        return
+    if median < state.best_error_px:
+        state.best, state.best_error_px = copy.deepcopy(state.average.state_dict()), median
+        state.best_step, state.since_best = state.step, 0
+    else:
+        state.since_best += 1
+    labelled = np.isfinite(errors)
+    right = errors[labelled] <= run.spec.tolerance_px
+    state.calibration = fit_calibration(raw[labelled], right)
+    state.judged = (state.calibration.apply(raw[labelled]), right)
+
+
+def judge(trained: Trained, run: Run, which: NDArray[np.int64], quality: str = "fast") -> tuple[Array, Array, Array]:
+    """Errors (n, K) in px of the clip, NaN where there is no label; raw likelihoods (n, K); points (n, K, 2)."""
+    xy, raw = np.zeros((len(which), len(run.spec.names), 2)), np.zeros((len(which), len(run.spec.names)))
+    for c in np.unique(run.scaled.clip[which]):
+        here = np.flatnonzero(run.scaled.clip[which] == c)
+        for part in np.array_split(here, -(-len(here) // 8)):
+            xy[part], raw[part] = trained.points([run.scaled.pictures[which[i]] for i in part], run.still[c], quality)
+    return np.linalg.norm(xy - run.labels.xy_px[which], axis=2), raw, xy
+
+
+def _figures(state: State) -> str:
+    recent = [h["loss"] for h in state.history[-50:]]
+    judged = next((h["validation_px"] for h in reversed(state.history) if "validation_px" in h), None)
+    error = "" if judged is None else f", validation error {judged:.2f} px"
+    return f"step {state.step}, loss {np.mean(recent):.3f}{error}"

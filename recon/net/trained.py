@@ -1,0 +1,203 @@
+"""A trained network with all that it takes to use it: saved in one file, and applied to pictures."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+import pickle
+import zipfile
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from recon.errors import InputError, Problem
+from recon.net.calibrate import Calibration
+from recon.net.decode import decode, probabilities
+from recon.net.labels import scale_points
+from recon.net.model import STRIDE, build_network
+from recon.net.torch_extra import placed, require_torch
+from recon.video import Image
+
+if TYPE_CHECKING:
+    import torch  # pyright: ignore[reportMissingImports]
+
+Array = NDArray[np.float64]
+FORMAT = 1
+MODEL_FILE = "model.pt"
+CHANNELS = 6
+"""Three colours, and their differences to the still background."""
+GREY, SPREAD, DIFFERENCE = 115.0, 64.0, 64.0
+"""Levels that become 0 and 1, and the difference that becomes 1."""
+VIEWS = {"fast": (), "flip": ("mirror",), "best": ("mirror", 0.8, 1.25)}
+"""Besides the picture as it is: its mirror picture, and each at other scales. Probabilities are averaged."""
+
+
+@dataclass(frozen=True)
+class Spec:
+    """What belongs to a network's weights.
+
+    names: of the keypoints. scale: of the network's pictures to those of the clip. body_length_px: of the animal in the
+    labelled pictures, before scaling. tolerance_px: within which a point counts as right, for its likelihood, likewise.
+    partner: of each keypoint in a mirror; mirrored: whether training used it.
+    """
+
+    names: tuple[str, ...]
+    scale: float
+    body_length_px: float
+    tolerance_px: float
+    partner: tuple[int, ...]
+    mirrored: bool
+    calibration: Calibration
+
+    @property
+    def tolerance_places(self) -> float:
+        return self.tolerance_px * self.scale / STRIDE
+
+
+@dataclass(frozen=True, eq=False)
+class Trained:
+    spec: Spec
+    network: torch.nn.Module
+    device: torch.device
+
+    def points(
+        self, pictures: Sequence[Image], background: Image | None, quality: str = "fast", half: Any = None
+    ) -> tuple[Array, Array]:
+        """Points (B, K, 2) in pixels of the clip and raw likelihoods (B, K), of pictures of one size, scaled already.
+
+        quality: one of `VIEWS`. half: a 16-bit type to compute in, or None.
+        """
+        torch = require_torch()
+        with torch.inference_mode():
+            x = as_input(np.stack(pictures), background, self.device)
+            found = self._probability(x, half)
+            views = VIEWS[quality]
+            if views:
+                found = self._averaged(found, x, views, half)
+            xy, raw = decode(found, self.spec.tolerance_places)
+        xy_px = scale_points(xy.double().cpu().numpy() * STRIDE, 1 / self.spec.scale)
+        return xy_px, raw.double().cpu().numpy()
+
+    def _probability(self, x: torch.Tensor, half: Any) -> torch.Tensor:
+        import torch  # pyright: ignore[reportMissingImports]
+
+        with torch.autocast(x.device.type, half, enabled=half is not None):
+            scores = self.network(x)
+        return probabilities(scores)
+
+    def _averaged(self, first: torch.Tensor, x: torch.Tensor, views: tuple[Any, ...], half: Any) -> torch.Tensor:
+        import torch  # pyright: ignore[reportMissingImports]
+
+        functional = torch.nn.functional
+        height, width = x.shape[2:]
+        mirror = "mirror" in views and self.spec.mirrored
+        total, count = torch.zeros_like(first), 0
+        for scale in (1.0, *(v for v in views if v != "mirror")):
+            size = (round(height * scale), round(width * scale))
+            view = x if scale == 1 else functional.interpolate(x, size=size, mode="bilinear", antialias=scale < 1)
+            for mirrored in (False, True) if mirror else (False,):
+                found = first
+                if scale != 1 or mirrored:
+                    # The mirror picture's places must be those of the picture: a width of whole strides and one pixel.
+                    wide = -(-(view.shape[3] - 1) // STRIDE) * STRIDE + 1
+                    padded = functional.pad(view, (0, wide - view.shape[3], 0, 0), mode="replicate")
+                    found = self._probability(padded.flip(3) if mirrored else padded, half)
+                    if mirrored:
+                        found = found.flip(3)[:, list(self.spec.partner)]
+                    found = _on_grid(found, first.shape[2:], (size[0] / height, size[1] / width))
+                total, count = total + found, count + 1
+        return total / count
+
+
+def _on_grid(found: torch.Tensor, shape: Sequence[int], scale: tuple[float, float]) -> torch.Tensor:
+    """Probabilities (B, K, h, w) of a picture at another scale, on the grid of the first, again adding up to 1."""
+    import torch  # pyright: ignore[reportMissingImports]
+
+    h, w = found.shape[2:]
+    if scale == (1.0, 1.0):
+        return found[:, :, : shape[0], : shape[1]]
+    ends = []
+    for size, old, factor in zip(shape, (h, w), scale, strict=True):
+        pixels = torch.arange(size, device=found.device) * STRIDE
+        places = ((pixels + 0.5) * factor - 0.5) / STRIDE
+        ends.append(2 * places / max(old - 1, 1) - 1)
+    grid = torch.stack(torch.meshgrid(ends[1], ends[0], indexing="xy"), dim=-1)[None].expand(len(found), -1, -1, -1)
+    moved = torch.nn.functional.grid_sample(found, grid, align_corners=True, padding_mode="zeros")
+    return moved / moved.sum(dim=(2, 3), keepdim=True).clamp_min(1e-12)
+
+
+def as_input(pictures: NDArray[np.uint8], background: Image | None, device: torch.device) -> torch.Tensor:
+    """(B, 6, H, W): what the network sees of pictures (B, H, W, 3) with one background, or one for each."""
+    torch = require_torch()
+    x = torch.from_numpy(pictures).to(device).permute(0, 3, 1, 2).float()
+    if background is None:
+        difference = torch.zeros_like(x)
+    else:
+        still = torch.from_numpy(np.ascontiguousarray(background)).to(device).float()
+        still = still.permute(2, 0, 1)[None] if still.ndim == 3 else still.permute(0, 3, 1, 2)
+        difference = (x - still) / DIFFERENCE
+    whole = torch.cat([(x - GREY) / SPREAD, difference], dim=1)
+    return whole.contiguous(memory_format=torch.channels_last)
+
+
+def save_model(spec: Spec, weights: dict[str, Any], path: Path) -> None:
+    torch = require_torch()
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    try:
+        torch.save({"format": FORMAT, "spec": dataclasses.asdict(spec), "weights": weights}, temporary)
+        os.replace(temporary, path)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def load_model(folder: Path, device: torch.device) -> Trained:
+    """The network of a folder that `recon train` wrote, with its normalisation folded in. Raises InputError."""
+    require_torch()
+    path = folder / MODEL_FILE if folder.is_dir() else folder
+    if not path.is_file():
+        raise InputError(
+            Problem(path, "model", "no such file", f"the {MODEL_FILE} of a folder that `recon train` wrote")
+        )
+    content = load_file(path)
+    if not isinstance(content, dict) or content.get("format") != FORMAT:
+        raise InputError(Problem(path, "model", "a file of another kind or version", "one that `recon train` wrote"))
+    kept = content["spec"]
+    calibration = Calibration(**kept.pop("calibration"))
+    kept |= {name: tuple(kept[name]) for name in ("names", "partner")}
+    spec = Spec(**kept, calibration=calibration)
+    network = build_network(len(spec.names), CHANNELS)
+    network.load_state_dict(content["weights"])
+    return Trained(spec, prepared(network, device), device)
+
+
+def load_file(path: Path) -> Any:
+    """What torch saved: numbers and plain types only. Raises InputError for another kind of file, or a damaged one."""
+    torch = require_torch()
+    try:
+        # torch writes a zip archive; what it makes of other files is almost any exception.
+        if not zipfile.is_zipfile(path):
+            raise EOFError
+        return torch.load(path, map_location="cpu", weights_only=True)
+    except (RuntimeError, EOFError, KeyError, ValueError, pickle.UnpicklingError) as error:
+        found = "a file that torch cannot read, of another kind or damaged"
+        raise InputError(Problem(path, "model", found, "a file that `recon train` wrote")) from error
+
+
+def prepared(network: Any, device: torch.device) -> torch.nn.Module:
+    """A copy for use only: each normalisation goes into the convolution before it."""
+    import copy
+
+    torch = require_torch()
+    from torch.nn.utils.fusion import fuse_conv_bn_eval  # pyright: ignore[reportMissingImports]
+
+    network = copy.deepcopy(network).eval()
+    for module in list(network.modules()):
+        if isinstance(module, torch.nn.Sequential) and len(module) >= 2:
+            first, second = module[0], module[1]
+            if isinstance(first, torch.nn.Conv2d) and isinstance(second, torch.nn.BatchNorm2d):
+                module[0], module[1] = fuse_conv_bn_eval(first, second), torch.nn.Identity()
+    return placed(network, device)

@@ -1,0 +1,146 @@
+"""The keypoint network: labels in, a trained network out; a video in, a keypoint file out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from recon.errors import InputError, Problem, all_of
+from recon.export.deeplabcut import write_keypoints_csv, write_keypoints_h5
+from recon.files import staged_folder
+from recon.keypoints import Keypoints
+from recon.net.labels import read_labels
+from recon.net.predict import predict_video
+from recon.net.report import write_training_report
+from recon.net.run import CHECKPOINT_FILE, TrainSettings, prepare
+from recon.net.split import parse_choice, split_labels
+from recon.net.torch_extra import choose_device, require_torch, use_threads
+from recon.net.train import train
+from recon.net.trained import MODEL_FILE, VIEWS, load_model
+from recon.video import require_codec
+
+Progress = Callable[[str, float, str], None]
+WRITERS = {".csv": write_keypoints_csv, ".h5": write_keypoints_h5}
+
+
+def _silent(stage: str, share: float, text: str) -> None:
+    pass
+
+
+@dataclass(frozen=True)
+class LabelSource:
+    """data: a DeepLabCut project folder, or a video with its label file. first_frame: the number that the label file
+    gives to the video's first frame. validation, test: a share of the labelled pictures, or a range "A:B"."""
+
+    data: Path
+    labels: Path | None = None
+    first_frame: int = 0
+    individual: str | None = None
+    validation: str = "0.2"
+    test: str = "0"
+
+
+def run_training(
+    source: LabelSource,
+    settings: TrainSettings,
+    out: Path,
+    *,
+    device: str = "auto",
+    threads: int | None = None,
+    resume: bool = False,
+    overwrite: bool = False,
+    progress: Progress = _silent,
+) -> dict[str, Any]:
+    """`recon train`: `out` gets the network, a checkpoint and the training report, which is returned.
+
+    Raises InputError, with every problem, before anything is written.
+    """
+    require_torch()
+    chosen, labels, validation, test, _ = all_of(
+        lambda: choose_device(device),
+        lambda: read_labels(source.data, source.labels, source.first_frame, source.individual),
+        lambda: parse_choice(source.validation, "--validation"),
+        lambda: parse_choice(source.test, "--test"),
+        lambda: _check_folder(out, resume, overwrite),
+    )
+    use_threads(threads)
+    run = prepare(labels, split_labels(labels, validation, test, settings.seed), settings, chosen)
+    out.mkdir(parents=True, exist_ok=True)
+    state = train(run, out, resume, progress)
+    progress("report", 1.0, "")
+    with staged_folder(out) as staging:
+        return write_training_report(run, state, staging)
+
+
+def run_prediction(
+    video: Path,
+    model: Path,
+    out: Path,
+    *,
+    overlay: Path | None = None,
+    quality: str = "fast",
+    likelihood_min: float = 0.5,
+    half: bool = True,
+    still_background: bool = True,
+    device: str = "auto",
+    threads: int | None = None,
+    partial: bool = False,
+    overwrite: bool = False,
+    progress: Progress = _silent,
+) -> Keypoints:
+    """`recon predict`: a keypoint file in DeepLabCut's layout. Raises InputError; then nothing is written."""
+    require_torch()
+    chosen, *_ = all_of(
+        lambda: choose_device(device),
+        lambda: _check_out(out, WRITERS, overwrite),
+        lambda: _check_overlay(overlay, overwrite),
+        lambda: _check_quality(quality),
+    )
+    use_threads(threads)
+    trained = load_model(model, chosen)
+    keypoints = predict_video(
+        trained,
+        video,
+        quality=quality,
+        still_background=still_background,
+        half=half,
+        overlay=overlay,
+        likelihood_min=likelihood_min,
+        partial=partial,
+        progress=progress,
+    )
+    with staged_folder(out.parent) as staging:
+        WRITERS[out.suffix.lower()](keypoints, staging / out.name)
+    return keypoints
+
+
+def _check_folder(out: Path, resume: bool, overwrite: bool) -> None:
+    there = [name for name in (MODEL_FILE, CHECKPOINT_FILE) if (out / name).exists()]
+    if there and not resume and not overwrite:
+        expected = "a new folder, --resume to go on, or --overwrite to begin again"
+        raise InputError(Problem("--out", "folder", f"{out}, which has a {there[0]}", expected))
+    if out.exists() and not out.is_dir():
+        raise InputError(Problem("--out", "folder", f"{out}, which is a file", "a folder"))
+
+
+def _check_out(out: Path, suffixes: dict[str, Any], overwrite: bool) -> None:
+    if out.suffix.lower() not in suffixes:
+        raise InputError(Problem("--out", "suffix", repr(out.suffix), "one of " + ", ".join(suffixes)))
+    if out.exists() and not overwrite:
+        raise InputError(Problem("--out", "file", f"{out}, which is there already", "a new name, or --overwrite"))
+
+
+def _check_overlay(overlay: Path | None, overwrite: bool) -> None:
+    if overlay is None:
+        return
+    require_codec(overlay)
+    if overlay.exists() and not overwrite:
+        found = f"{overlay}, which is there already"
+        raise InputError(Problem("--overlay", "file", found, "a new name, or --overwrite"))
+
+
+def _check_quality(quality: str) -> None:
+    if quality not in VIEWS:
+        raise InputError(Problem("--quality", "quality", f"'{quality}'", "one of: " + ", ".join(VIEWS)))

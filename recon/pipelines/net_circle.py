@@ -1,0 +1,92 @@
+"""The circle closed: the rendered sample's labels train a network, which finds the points of the film, which are
+fitted, and the motion is compared with the truth."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from recon.analysis.evaluation import evaluate_files
+from recon.export.deeplabcut import write_keypoints_csv
+from recon.io import read_keypoints
+from recon.keypoints import Keypoints
+from recon.net.evaluate2d import Evaluation2D, evaluate_2d
+from recon.net.labels import body_length_px, read_label_file
+from recon.net.run import TrainSettings
+from recon.pipelines.clip import run_clip
+from recon.pipelines.demo import samples_folder
+from recon.pipelines.net import LabelSource, Progress, run_prediction, run_training
+from recon.settings import FitSettings
+
+NOISE_PX = 2.0
+"""Of the points that the fit of predicted ones is compared with."""
+
+
+def _silent(stage: str, share: float, text: str) -> None:
+    pass
+
+
+@dataclass(frozen=True)
+class Circle:
+    """training: its report. points: predictions against the truth, in the frames that were not labelled. predicted_m,
+    noisy_m: mean distance in 3D (MPJPE) over all frames, fitted to predictions and to true points with noise."""
+
+    training: dict[str, Any]
+    points: Evaluation2D
+    predicted_m: float
+    noisy_m: float
+
+    @property
+    def ratio(self) -> float:
+        return self.predicted_m / self.noisy_m
+
+
+def run_circle(
+    out: Path,
+    settings: TrainSettings,
+    *,
+    samples: Path | None = None,
+    device: str = "auto",
+    threads: int | None = None,
+    seed: int = 0,
+    progress: Progress = _silent,
+    **fit: Any,
+) -> Circle:
+    """Into the folder `out`: the network, its points, and two fits. samples: a folder with the files of the film, by
+    default the project's own. fit: settings of both fits."""
+    samples = samples or samples_folder()
+    film, labels = samples / "rendered.mp4", samples / "rendered_labels.csv"
+    training = run_training(
+        LabelSource(film, labels), settings, out / "network", device=device, threads=threads, overwrite=True,
+        progress=progress,
+    )  # fmt: skip
+    points = out / "points.csv"
+    run_prediction(film, out / "network", points, device=device, threads=threads, overwrite=True, progress=progress)
+    truth, found = read_keypoints(samples / "rendered_points.csv"), read_keypoints(points)
+    labelled, _ = read_label_file(labels)
+    others = ~np.isin(truth.frames, labelled.frames)
+    score = evaluate_2d(
+        truth.names, found.xy_px[others], found.confidence[others], truth.xy_px[others], body_length_px(truth.xy_px)
+    )
+    noisy = out / "noisy.csv"
+    write_keypoints_csv(with_noise(truth, NOISE_PX, seed), noisy)
+    errors = []
+    for name, file in (("predicted", points), ("noisy", noisy)):
+        progress(f"fitting {name}", 1.0, "")
+        options = FitSettings(
+            keypoints=file,
+            camera=samples / "rendered_camera.toml",
+            fps=found.fps,
+            **fit,
+        )
+        run_clip(options, out / name, overwrite=True)
+        errors.append(evaluate_files(out / name / "pose3d.csv", samples / "rendered_truth.csv").mpjpe_m.mean)
+    return Circle(training, score, errors[0], errors[1])
+
+
+def with_noise(truth: Keypoints, sigma_px: float, seed: int) -> Keypoints:
+    noise = np.random.default_rng(seed).normal(0, sigma_px, truth.xy_px.shape)
+    return replace(truth, xy_px=truth.xy_px + noise)

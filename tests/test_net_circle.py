@@ -1,0 +1,68 @@
+"""The rendered film: its truth is where its pixels are, and at a small size it goes through the whole circle."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from recon.io import read_keypoints
+from recon.net.labels import read_labels
+from recon.video import probe, read_frames
+
+SAMPLES = Path(__file__).resolve().parents[1] / "data" / "samples"
+
+
+def test_the_film_is_what_its_files_say():
+    info = probe(SAMPLES / "rendered.mp4")
+    assert (info.size_px, info.fps) == ((640, 360), 120)
+    truth = read_keypoints(SAMPLES / "rendered_points.csv")
+    labels = read_labels(SAMPLES / "rendered.mp4", SAMPLES / "rendered_labels.csv")
+    assert len(labels.images) == 40
+    rows = np.searchsorted(truth.frames, labels.numbers)
+    np.testing.assert_allclose(labels.xy_px, truth.xy_px[rows][:, [truth.names.index(n) for n in labels.names]])
+
+
+def test_the_animal_is_drawn_where_its_points_are():
+    """What differs from the median of the film: its middle is that of the points, in every tenth frame."""
+    truth = read_keypoints(SAMPLES / "rendered_points.csv")
+    pictures = [picture.astype(float) for _, picture in read_frames(SAMPLES / "rendered.mp4", 5, None, 10)]
+    still = np.median(pictures, axis=0)
+    for picture, points in zip(pictures, truth.xy_px[5::10], strict=True):
+        y, x = np.nonzero(np.abs(picture - still).max(axis=2) > 50)
+        low, high = np.nanmin(points, axis=0), np.nanmax(points, axis=0)
+        near = (x > low[0] - 15) & (x < high[0] + 15) & (y > low[1] - 15) & (y < high[1] + 15)
+        assert near.mean() > 0.8
+        assert abs(np.median(x[near]) - np.nanmedian(points[:, 0])) < 12
+        assert abs(np.median(y[near]) - np.nanmedian(points[:, 1])) < 10
+
+
+def test_the_script_draws_the_film_again(tmp_path, monkeypatch):
+    """Its first frames; another encoder may differ in the last digits."""
+    monkeypatch.syspath_prepend(str(SAMPLES))
+    monkeypatch.delitem(sys.modules, "make_samples", raising=False)
+    from make_rendered import film
+
+    from recon.net.render import render_frames
+
+    clip, ground_m = film()
+    drawn = next(iter(render_frames(clip.truth_m, clip.names, clip.camera, ground_m)))
+    _, stored = next(iter(read_frames(SAMPLES / "rendered.mp4")))
+    assert np.abs(drawn.astype(float) - stored).mean() < 4
+
+
+def test_the_circle_at_a_small_size(tmp_path):
+    """A few steps only: the points are poor, but every part gives what the next one takes."""
+    pytest.importorskip("torch")
+    from recon.net.run import TrainSettings
+    from recon.pipelines.net_circle import run_circle
+
+    settings = TrainSettings(steps=20, batch=2)
+    circle = run_circle(tmp_path, settings, device="cpu", threads=1, likelihood_min=0.0, fast=True, frames="30:50")
+    assert circle.points.frames == 50
+    assert circle.training["labelled_points"]["train"] > 600
+    assert 0.01 < circle.noisy_m < 0.2
+    assert circle.ratio > 0.5
+    assert (tmp_path / "predicted" / "pose3d.csv").is_file()

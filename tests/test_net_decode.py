@@ -1,0 +1,94 @@
+"""From scores to points: exact for the Gaussians that the network is trained on; missing labels change nothing."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch")
+
+from recon.net.decode import decode, loss, probabilities, targets  # noqa: E402
+from recon.net.model import MAX_PARAMETERS, build_network, count_parameters  # noqa: E402
+
+
+def gaussian_scores(xy: np.ndarray, size: tuple[int, int], sigma: float) -> torch.Tensor:
+    """Logarithms of Gaussians (1, K, h, w)."""
+    y, x = np.mgrid[: size[0], : size[1]]
+    d2 = (x - xy[:, 0, None, None]) ** 2 + (y - xy[:, 1, None, None]) ** 2
+    return torch.from_numpy(-0.5 * d2 / sigma**2).float()[None]
+
+
+@pytest.mark.parametrize("sigma", [0.9, 1.5, 2.5])
+def test_points_between_places_are_found_exactly(sigma):
+    xy = np.random.default_rng(0).uniform(5, 18, (40, 2))
+    found, _ = decode(probabilities(gaussian_scores(xy, (24, 26), sigma)), 1.0)
+    np.testing.assert_allclose(found[0].numpy(), xy, atol=2e-3)
+
+
+def test_a_broad_peak_beats_a_sharp_one_of_less_weight():
+    broad = torch.exp(gaussian_scores(np.array([[6.0, 6.0]]), (16, 30), 1.5))
+    probability = 0.9 * broad / broad.sum()
+    probability[0, 0, 6, 24] += 0.1  # higher than any one place of the broad peak
+    assert probability.flatten().argmax() == 6 * 30 + 24
+    xy, within = decode(probability, 6.0)
+    np.testing.assert_allclose(xy[0, 0].numpy(), [6, 6], atol=0.01)
+    assert float(within) == pytest.approx(0.9, abs=0.01)
+
+
+def test_the_raw_likelihood_is_the_probability_within_the_tolerance():
+    """Of a Gaussian of two dimensions within a radius r: 1 - exp(-r^2 / 2 sigma^2)."""
+    sigma, radius = 2.0, 3.0
+    _, within = decode(probabilities(gaussian_scores(np.array([[20.3, 19.6]]), (40, 40), sigma)), radius)
+    assert float(within) == pytest.approx(1 - math.exp(-0.5 * (radius / sigma) ** 2), abs=0.01)
+
+
+def test_a_peak_in_a_corner_stays_in_the_picture():
+    xy, within = decode(probabilities(gaussian_scores(np.array([[0.0, 0.0], [9.0, 7.0]]), (8, 10), 0.9)), 1.0)
+    np.testing.assert_allclose(xy[0].numpy(), [[0, 0], [9, 7]], atol=0.01)
+    assert (within > 0.2).all()
+
+
+def test_targets_are_gaussians_that_add_up_to_one():
+    xy = torch.tensor([[[4.25, 3.5]]])
+    aim = targets(xy, (8, 10), 0.9)[0, 0].numpy()
+    y, x = np.mgrid[:8, :10]
+    expected = np.exp(-0.5 * ((x - 4.25) ** 2 + (y - 3.5) ** 2) / 0.9**2)
+    np.testing.assert_allclose(aim, expected / expected.sum(), atol=1e-6)
+
+
+def test_the_loss_is_the_mean_cross_entropy_of_the_labelled_points():
+    scores = torch.randn(2, 3, 6, 7, generator=torch.Generator().manual_seed(1))
+    xy = torch.full((2, 3, 2), math.nan)
+    xy[0, 0], xy[1, 2] = torch.tensor([2.0, 3.0]), torch.tensor([4.5, 1.25])
+    by_hand = []
+    for b, k in ((0, 0), (1, 2)):
+        p = np.exp(scores[b, k].double().numpy())
+        aim = targets(xy[b : b + 1, k : k + 1], (6, 7), 0.9)[0, 0].double().numpy()
+        by_hand.append(-(aim * np.log(p / p.sum())).sum())
+    assert float(loss(scores, xy, 0.9)) == pytest.approx(np.mean(by_hand), rel=1e-5)
+
+
+def test_missing_labels_pull_at_nothing():
+    scores = torch.randn(2, 3, 6, 7, requires_grad=True)
+    xy = torch.full((2, 3, 2), math.nan)
+    xy[0, 1] = torch.tensor([2.0, 3.0])
+    loss(scores, xy, 0.9).backward()
+    assert scores.grad is not None
+    pulled = scores.grad.abs().sum(dim=(2, 3)) > 0
+    assert pulled.tolist() == [[False, True, False], [False, False, False]]
+    assert float(loss(scores.detach(), torch.full((2, 3, 2), math.nan), 0.9)) == 0
+
+
+@pytest.mark.parametrize(("keypoints", "height", "width"), [(1, 40, 64), (22, 53, 71)])
+def test_any_number_of_keypoints_and_any_size_go_through(keypoints, height, width):
+    network = build_network(keypoints, 6).eval()
+    with torch.inference_mode():
+        scores = network(torch.zeros(2, 6, height, width))
+    assert scores.shape == (2, keypoints, -(-height // 4), -(-width // 4))
+
+
+@pytest.mark.parametrize("keypoints", [1, 22, 200])
+def test_the_network_is_small(keypoints):
+    assert count_parameters(build_network(keypoints, 6)) <= MAX_PARAMETERS

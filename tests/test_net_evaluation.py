@@ -1,0 +1,147 @@
+"""Scores, calibration and suspicious labels, against cases done by hand."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from command_line import run
+from scipy.special import expit, logit
+
+from recon.errors import InputError
+from recon.net.calibrate import Calibration, fit_calibration, reliability
+from recon.net.evaluate2d import evaluate_2d, evaluate_2d_files
+from recon.net.labels import Labels
+from recon.net.suspicious import suspicious_labels
+
+NAN = float("nan")
+
+
+def test_expected_calibration_error_by_hand():
+    """Three bins: 2 points at 0.05 of which none is right, 4 at 0.55 (3 right), 4 at 1.0 (3 right):
+    (2 * 0.05 + 4 * 0.2 + 4 * 0.25) / 10."""
+    likelihood = np.array([0.05, 0.05, *[0.55] * 4, *[1.0] * 4])
+    right = np.array([0, 0, 1, 1, 1, 0, 1, 1, 1, 0], bool)
+    table = reliability(likelihood, right)
+    assert table.error == pytest.approx(0.19)
+    assert [b.points for b in table.bins] == [2, 0, 0, 0, 0, 4, 0, 0, 0, 4]
+    assert table.bins[5].likelihood == pytest.approx(0.55)
+    assert table.bins[9].right == pytest.approx(0.75)
+
+
+def test_calibration_finds_what_made_the_points():
+    rng = np.random.default_rng(0)
+    raw = rng.uniform(0.02, 0.98, 20_000)
+    right = rng.random(20_000) < expit(0.6 * logit(raw) - 0.8)
+    found = fit_calibration(raw, right)
+    assert (found.slope, found.offset) == (pytest.approx(0.6, abs=0.03), pytest.approx(-0.8, abs=0.05))
+    assert reliability(found.apply(raw), right).error < 0.01
+    assert reliability(raw, right).error > 0.1
+
+
+def test_calibration_stays_finite_where_all_points_are_right():
+    found = fit_calibration(np.full(50, 0.9), np.ones(50, bool))
+    assert 0.9 < float(found.apply(np.array([0.9]))[0]) < 1
+    np.testing.assert_array_equal(Calibration().apply(np.array([0.3])), [0.3])
+
+
+def test_scores_by_hand():
+    """Errors 3, 4 and 12 px of four labelled points, one not found; one unlabelled point, which counts for nothing."""
+    label = np.array([[[0, 0], [10, 0], [0, 10]], [[0, 0], [10, 0], [NAN, NAN]]], float)
+    xy = np.array([[[3, 0], [10, 4], [NAN, NAN]], [[0, 12], [10, 0.5], [5, 5]]], float)
+    xy[1, 1] = [10, 0.5]
+    label[1, 1] = [NAN, NAN]
+    likelihood = np.array([[0.9, 0.4, 0.0], [0.8, 0.9, 0.9]])
+    result = evaluate_2d(("nose", "l_paw", "r_paw"), xy, likelihood, label, 50.0, 0.5, 5.0)
+    score = result.all
+    assert score.points == 4
+    assert score.found == pytest.approx(0.75)
+    assert score.rmse_px == pytest.approx(np.sqrt((9 + 16 + 144) / 3))
+    assert score.median_px == pytest.approx(4)
+    assert score.pck_px == pytest.approx((0, 0.5, 0.5))
+    assert score.pck_relative == pytest.approx((0, 0.5, 0.5))  # 2.5, 5 and 10 px
+    assert result.likely.found == pytest.approx(0.5)
+    assert result.likely.median_px == pytest.approx(7.5)
+    assert result.per_keypoint["nose"].median_px == pytest.approx(7.5)
+    assert result.reliability is not None
+    assert result.reliability.points == 3
+
+
+def test_swapped_sides_are_forgiven_by_the_pair():
+    label = np.array([[[0, 0], [20, 0], [0, 30], [20, 30]]], float)
+    xy = label[:, [1, 0, 2, 3]] + [[[1, 0], [1, 0], [2, 0], [19, 0]]]
+    names = ("l_knee", "r_knee", "l_paw", "r_paw")
+    result = evaluate_2d(names, xy, np.ones((1, 4)), label, 40.0)
+    assert result.swaps_forgiven is not None
+    # The knees are swapped: errors of 1. The right paw is 19 px off and not swapped: its pair stays as it is.
+    assert result.swaps_forgiven.pck_px == pytest.approx((0.75, 0.75, 0.75))
+    assert result.all.pck_px == pytest.approx((0.25, 0.25, 0.25))
+    assert evaluate_2d(("nose", "hip"), xy[:, :2], np.ones((1, 2)), label[:, :2], 40.0).swaps_forgiven is None
+
+
+def write(path, kind, rows, names):
+    coords = ("x", "y", "likelihood") if kind == "points" else ("x", "y")
+    lines = [
+        "scorer," + ",".join(["me"] * len(coords) * len(names)),
+        "bodyparts," + ",".join(n for n in names for _ in coords),
+        "coords," + ",".join(list(coords) * len(names)),
+        *(",".join([str(index), *map(str, values)]) for index, values in rows),
+    ]
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return path
+
+
+def test_files_are_matched_by_frame_and_name(tmp_path):
+    points = write(tmp_path / "p.csv", "points", [(n, (n, 0, 0.9, 5, 5, 0.9)) for n in range(4)], ("nose", "hip"))
+    rows = [(f"labeled-data/a/{n + 50}.png", (5, 8, n + 1, 0)) for n in range(2, 6)]
+    labels = write(tmp_path / "l.csv", "labels", rows, ("hip", "nose"))
+    result = evaluate_2d_files(points, labels, first_frame=50)
+    assert result.frames == 2
+    assert result.per_keypoint["nose"].median_px == pytest.approx(1)
+    assert result.per_keypoint["hip"].median_px == pytest.approx(3)
+    assert evaluate_2d_files(points, labels, first_frame=50, frames=(53, None)).frames == 1
+    with pytest.raises(InputError, match="--first-frame"):
+        evaluate_2d_files(points, labels)
+
+
+def test_the_command_prints_a_table(tmp_path):
+    points = write(tmp_path / "p.csv", "points", [(n, (n, 0, 0.9)) for n in range(4)], ("nose",))
+    labels = write(tmp_path / "l.csv", "labels", [(f"a/{n}.png", (n, 3)) for n in range(4)], ("nose",))
+    ended = run("evaluate-2d", points, labels)
+    assert ended.code == 0, ended.err
+    assert "3.00" in ended.out
+    assert "Expected calibration error: 0.100" in ended.out
+
+
+def marching(n: int = 40) -> Labels:
+    """Four keypoints of an animal 30 px long that moves 2 px a frame and swings a little."""
+    t = np.arange(n, dtype=float)
+    shape = np.array([[0, 0], [30, 0], [5, 15], [25, 15]], float)
+    xy = np.repeat(shape[None], n, axis=0) + np.stack([2 * t, np.zeros(n)], axis=1)[:, None]
+    xy[:, 2, 0] += 3 * np.sin(t)
+    pictures = tuple(np.zeros((4, 4, 3), np.uint8) for _ in range(n))
+    images = tuple(f"img{i}.png" for i in range(n))
+    return Labels(("a", "b", "c", "d"), xy, np.arange(n), images, np.zeros(n, np.int64), ("x",), pictures, "x")
+
+
+def test_a_wrong_label_is_found_by_the_network_the_shape_and_the_time():
+    labels = marching()
+    truth = labels.xy_px.copy()
+    labels.xy_px[20, 3] += [0, 60]
+    found = suspicious_labels(labels, truth, 34.0)
+    assert (found[0].image, found[0].keypoint) == ("img20.png", "d")
+    assert len(found[0].reasons) == 3
+    assert found[0].network == pytest.approx(60 / 34)
+    assert found[0].time == pytest.approx(60 / 34)
+
+
+def test_a_wrong_label_is_found_without_neighbours_and_with_a_network_that_learned_it():
+    labels = marching()
+    labels.xy_px[0, 1:3] = NAN
+    labels.xy_px[0, 3] = [200.0, 40.0]
+    found = suspicious_labels(labels, labels.xy_px.copy(), 34.0)
+    assert {(s.image, s.keypoint) for s in found} == {("img0.png", "a"), ("img0.png", "d")}
+
+
+def test_good_labels_are_not_suspicious():
+    labels = marching()
+    assert suspicious_labels(labels, labels.xy_px + 1.0, 34.0) == []

@@ -1,0 +1,190 @@
+"""Labels and their pictures: which belongs to which, what is missing, and every kind of input that cannot be used."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from recon.errors import InputError
+from recon.net.labels import body_length_px, read_labels, resize, scale_points, sides
+from recon.net.split import parse_choice, split_labels
+from recon.video import video_writer
+
+NAMES = ("nose", "left_paw", "right_paw")
+
+
+def write_labels(path: Path, images: list[str], xy: np.ndarray, names: tuple[str, ...] = NAMES) -> Path:
+    """DeepLabCut's label file: one index column, empty cells where NaN."""
+    lines = [
+        "scorer," + ",".join(["me"] * 2 * len(names)),
+        "bodyparts," + ",".join(n for n in names for _ in range(2)),
+        "coords," + ",".join(["x", "y"] * len(names)),
+    ]
+    for image, points in zip(images, xy.reshape(len(images), -1), strict=True):
+        lines.append(",".join([image, *("" if np.isnan(v) else f"{v:g}" for v in points)]))
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return path
+
+
+def grey(level: int, size: tuple[int, int] = (64, 48)) -> np.ndarray:
+    return np.full((size[1], size[0], 3), level, np.uint8)
+
+
+@pytest.fixture
+def clip(tmp_path: Path) -> tuple[Path, Path]:
+    """A video of ten frames whose level is ten times the frame, and labels 50 to 57 for frames 0 to 7."""
+    video = tmp_path / "run.avi"
+    with video_writer(video, (64, 48), 25.0) as write:
+        for number in range(10):
+            write(grey(10 * number))
+    xy = np.arange(8 * 6, dtype=float).reshape(8, 3, 2) % 40
+    xy[2, 1] = np.nan
+    xy[3, 0, 0] = np.nan
+    return video, write_labels(tmp_path / "labels.csv", [f"labeled-data/run/{50 + n:04d}.png" for n in range(8)], xy)
+
+
+def test_labels_name_the_frames_of_a_video(clip):
+    labels = read_labels(*clip, first_frame=50)
+    assert labels.names == NAMES
+    assert labels.numbers.tolist() == list(range(50, 58))
+    assert labels.images[3] == "labeled-data/run/0053.png"
+    assert [round(float(p.mean()) / 10) for p in labels.pictures] == list(range(8))
+
+
+def test_a_label_that_is_missing_in_part_is_missing(clip):
+    labels = read_labels(*clip, first_frame=50)
+    assert np.argwhere(~labels.labelled).tolist() == [[2, 1], [3, 0]]
+
+
+@pytest.mark.parametrize(
+    ("first_frame", "text"),
+    [(0, "found 10 frames that can be decoded, expected a picture for each of the 8"), (51, "50 or less")],
+)
+def test_labels_that_match_no_frame(clip, first_frame, text):
+    with pytest.raises(InputError, match=text):
+        read_labels(*clip, first_frame=first_frame)
+
+
+def test_a_project_folder(tmp_path):
+    for folder, levels in (("a", (10, 20)), ("b", (30, 40, 50))):
+        names = [f"img{n:03d}.png" for n in range(len(levels))]
+        xy = np.full((len(levels), 3, 2), 5.0)
+        path = tmp_path / "labeled-data" / folder / "CollectedData_me.csv"
+        write_labels(path, [f"labeled-data,{folder},{n}" for n in names], xy)
+        # Three index columns, as newer versions write them.
+        text = path.read_text(encoding="utf-8").splitlines()
+        path.write_text("\n".join([row.replace(",", ",,,", 1) for row in text[:3]] + text[3:]) + "\n", encoding="utf-8")
+        for name, level in zip(names, levels, strict=True):
+            cv2.imwrite(str(path.parent / name), grey(level))
+    labels = read_labels(tmp_path)
+    assert [int(p.mean()) for p in labels.pictures] == [10, 20, 30, 40, 50]
+    assert labels.clip.tolist() == [0, 0, 1, 1, 1]
+    assert labels.images[4] == "labeled-data/b/img002.png"
+
+
+def test_a_project_whose_pictures_are_gone(tmp_path):
+    folder = tmp_path / "labeled-data" / "a"
+    write_labels(folder / "CollectedData_me.csv", ["img0.png", "img1.png"], np.ones((2, 3, 2)))
+    cv2.imwrite(str(folder / "img0.png"), grey(9))
+    (folder / "img1.png").write_bytes(b"no picture")
+    write_labels(tmp_path / "labeled-data" / "b" / "CollectedData_me.csv", ["img7.png"], np.ones((1, 3, 2)))
+    with pytest.raises(InputError) as error:
+        read_labels(tmp_path)
+    assert [p.found for p in error.value.problems] == ["a picture that cannot be read", "no such picture"]
+
+
+def test_folders_of_other_keypoints(tmp_path):
+    for folder, names in (("a", NAMES), ("b", ("nose", "tail"))):
+        path = tmp_path / "labeled-data" / folder
+        write_labels(path / "CollectedData_me.csv", ["img0.png"], np.ones((1, len(names), 2)), names)
+        cv2.imwrite(str(path / "img0.png"), grey(9))
+    with pytest.raises(InputError, match="nose, tail"):
+        read_labels(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("content", "text"),
+    [
+        ("", "an empty file"),
+        ("a,b\n1,2\n", "labels in DeepLabCut's layout"),
+        ("scorer,me,me\nbodyparts,nose,nose\ncoords,x,y\nimg0.png,,\n", "at least one labelled point"),
+        ("scorer,me,me\nbodyparts,nose,nose\ncoords,x,y\n", "no frames"),
+    ],
+)
+def test_label_files_without_labels(clip, tmp_path, content, text):
+    path = tmp_path / "bad.csv"
+    path.write_text(content, encoding="utf-8")
+    with pytest.raises(InputError, match=text):
+        read_labels(clip[0], path)
+
+
+def test_a_video_that_is_none(clip, tmp_path):
+    path = tmp_path / "bad.mp4"
+    path.write_bytes(b"not a video")
+    with pytest.raises(InputError, match="cannot be decoded"):
+        read_labels(path, clip[1], 50)
+    with pytest.raises(InputError, match="--labels"):
+        read_labels(clip[0])
+    with pytest.raises(InputError, match="nothing there"):
+        read_labels(tmp_path / "nowhere")
+
+
+@pytest.mark.parametrize("scale", [0.3, 0.5, 0.75, 1.5])
+def test_points_stay_on_their_pixels_when_a_picture_is_scaled(scale):
+    y, x = np.mgrid[:90, :120]
+    at = np.array([50.4, 41.7])
+    blob = 250 * np.exp(-0.5 * ((x - at[0]) ** 2 + (y - at[1]) ** 2) / 5.0**2)
+    small = resize(np.repeat(blob[..., None], 3, axis=2).astype(np.uint8), scale).astype(float)[..., 0]
+    y, x = np.mgrid[: small.shape[0], : small.shape[1]]
+    found = np.array([(small * x).sum(), (small * y).sum()]) / small.sum()
+    np.testing.assert_allclose(found, scale_points(at, scale), atol=0.05)
+    np.testing.assert_allclose(scale_points(scale_points(at, scale), 1 / scale), at)
+
+
+@pytest.mark.parametrize(
+    ("names", "partners"),
+    [
+        (("nose", "left_paw", "right_paw"), (0, 2, 1)),
+        (("Nearknee", "Offknee", "Girth"), (1, 0, 2)),
+        (("l_eye", "r_eye", "tail", "l_ear"), (1, 0, 2, 3)),
+        (("paw_l", "paw_r", "PawLeft", "PawRight"), (1, 0, 3, 2)),
+        (("hip", "eye", "collar"), (0, 1, 2)),
+    ],
+)
+def test_partners_in_the_mirror(names, partners):
+    assert sides(names) == partners
+
+
+def test_the_body_length_is_that_of_whole_animals():
+    xy = np.full((4, 3, 2), np.nan)
+    xy[:3] = [[0, 0], [30, 40], [10, 10]]
+    xy[2] *= 2
+    xy[3, :2] = [[0, 0], [1, 1]]  # an animal that is half out of the picture
+    assert body_length_px(xy) == pytest.approx(50)
+
+
+def test_splits_are_disjoint_runs_that_repeat(clip):
+    labels = read_labels(*clip, first_frame=50)
+    split = split_labels(labels, 0.25, (55, 57), seed=3)
+    assert split.test.tolist() == [5, 6]
+    assert sorted([*split.train, *split.validation, *split.test]) == list(range(8))
+    assert len(split.validation) == 2
+    again = split_labels(labels, 0.25, (55, 57), seed=3)
+    assert all(np.array_equal(getattr(split, p), getattr(again, p)) for p in ("train", "validation", "test"))
+    assert split.to_dict(labels)["test"] == {labels.clips[0]: ["55-56"]}
+
+
+def test_splits_that_leave_nothing(clip):
+    labels = read_labels(*clip, first_frame=50)
+    with pytest.raises(InputError, match="none in the range 90:"):
+        split_labels(labels, (90, None), 0.0, seed=0)
+    with pytest.raises(InputError, match="left to train on"):
+        split_labels(labels, 0.0, (50, 58), seed=0)
+    with pytest.raises(InputError, match="--test"):
+        parse_choice("many", "--test")
+    assert parse_choice("0.2", "--test") == 0.2
+    assert parse_choice("110:", "--test") == (110, None)

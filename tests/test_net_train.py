@@ -1,0 +1,258 @@
+"""Training, resuming and predicting on a small clip of three coloured blobs, and the ways in which they can fail."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from command_line import run
+
+torch = pytest.importorskip("torch")
+
+from recon.errors import InputError  # noqa: E402
+from recon.export.deeplabcut import write_keypoints_h5  # noqa: E402
+from recon.io import read_keypoints  # noqa: E402
+from recon.net import predict as predict_module  # noqa: E402
+from recon.net import train as train_module  # noqa: E402
+from recon.net.run import TrainSettings  # noqa: E402
+from recon.net.train import schedule  # noqa: E402
+from recon.net.trained import load_file, load_model  # noqa: E402
+from recon.pipelines.net import LabelSource, run_prediction, run_training  # noqa: E402
+from recon.video import VideoInfo, probe, video_writer  # noqa: E402
+
+SIZE, FRAMES = (96, 64), 20
+NAMES = ("nose", "l_paw", "r_paw")
+COLOURS = ((250, 60, 60), (60, 250, 60), (60, 60, 250))
+
+
+def places(frame: int) -> np.ndarray:
+    """(3, 2): of the three points in a frame of the clip, px."""
+    x = 20.0 + 2.5 * frame
+    swing = 4 * np.sin(0.7 * frame)
+    return np.array([[x, 20.0], [x - 8 + swing, 40.0], [x + 8 - swing, 42.0]])
+
+
+@pytest.fixture(scope="module")
+def clip(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """clip.avi, and labels.csv with frames 50, 52, ... for 0, 2, ...; the label of l_paw in frame 54 is missing."""
+    folder = tmp_path_factory.mktemp("clip")
+    rng = np.random.default_rng(0)
+    scene = rng.integers(90, 130, (SIZE[1], SIZE[0], 3)).astype(float)
+    y, x = np.mgrid[: SIZE[1], : SIZE[0]]
+    with video_writer(folder / "clip.avi", SIZE, 25.0) as write:
+        for frame in range(FRAMES):
+            picture = scene.copy()
+            for (px, py), colour in zip(places(frame), COLOURS, strict=True):
+                spot = np.exp(-0.5 * ((x - px) ** 2 + (y - py) ** 2) / 2.5**2)[..., None]
+                picture = picture * (1 - spot) + np.array(colour) * spot
+            write(picture.astype(np.uint8))
+    lines = ["scorer" + ",me" * 6, "bodyparts," + ",".join(n for n in NAMES for _ in "xy"), "coords" + ",x,y" * 3]
+    for frame in range(0, FRAMES, 2):
+        cells = [f"{v:.2f}" for v in places(frame).ravel()]
+        if frame == 4:
+            cells[2:4] = ["", ""]
+        lines.append(",".join([f"labeled-data/clip/{50 + frame:04d}.png", *cells]))
+    (folder / "labels.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return folder
+
+
+def source(clip: Path, **changes: str) -> LabelSource:
+    return LabelSource(clip / "clip.avi", clip / "labels.csv", 50, validation=changes.get("validation", "0.2"))
+
+
+SHORT = TrainSettings(steps=9, batch=2, seed=3)
+
+
+def train_in(out: Path, clip: Path, settings: TrainSettings = SHORT, **options: bool) -> dict:
+    return run_training(source(clip), settings, out, device="cpu", threads=1, **options)
+
+
+@pytest.fixture(scope="module")
+def model(clip: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A network that knows the blobs."""
+    out = tmp_path_factory.mktemp("model")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(train_module, "EVALUATIONS", 3)
+        train_in(out, clip, TrainSettings(steps=110, batch=4, seed=1, mirror=True))
+    return out
+
+
+@pytest.fixture(autouse=True)
+def few_evaluations(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(train_module, "EVALUATIONS", 3)
+
+
+class Killed(Exception):
+    pass
+
+
+@pytest.fixture(scope="module")
+def whole(clip: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A short run that nobody stopped."""
+    out = tmp_path_factory.mktemp("whole")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(train_module, "EVALUATIONS", 3)
+        train_in(out, clip)
+    return out
+
+
+@pytest.mark.parametrize("at", [0.5, 0.85])
+def test_a_run_that_is_killed_and_resumed_ends_in_the_same_weights(clip, whole, tmp_path, at):
+    """Before the validation pictures are learned from, too, and after; both times between two checkpoints."""
+
+    def stop(stage: str, share: float, text: str) -> None:
+        if share >= at:
+            raise Killed
+
+    with pytest.raises(Killed):
+        run_training(source(clip), SHORT, tmp_path / "broken", device="cpu", threads=1, progress=stop)
+    assert not (tmp_path / "broken" / "model.pt").exists()
+    train_in(tmp_path / "broken", clip, resume=True)
+    one, other = (load_file(folder / "model.pt") for folder in (whole, tmp_path / "broken"))
+    assert one["spec"] == other["spec"]
+    assert all(torch.equal(w, other["weights"][name]) for name, w in one["weights"].items())
+    assert len(one["weights"]) > 50
+
+
+def test_another_seed_gives_other_weights(clip, tmp_path):
+    for seed in (3, 4):
+        train_in(tmp_path / str(seed), clip, TrainSettings(steps=2, batch=1, seed=seed))
+    a, b = (load_file(tmp_path / name / "model.pt")["weights"]["scores.weight"] for name in "34")
+    assert not torch.equal(a, b)
+
+
+def test_the_network_learns_the_blobs_and_the_report_says_so(clip, model):
+    report = json.loads((model / "training.json").read_text(encoding="utf-8"))
+    assert report["errors"]["validation"]["all"]["median_px"] < 2.5
+    assert report["split"]["validation"] != {}
+    assert report["steps"] == 110
+    assert report["parameters"] <= 3_000_000
+    assert report["mirror_partners"] == {"l_paw": "r_paw", "r_paw": "l_paw"}
+    assert report["labelled_points"]["train"] + report["labelled_points"]["validation"] == 29
+    files = {"curves.png", "keypoints.png", "reliability.png", "worst.png", "suspicious.csv", "model.pt"}
+    assert files <= {file.name for file in model.iterdir()}
+
+
+def test_predictions_have_deeplabcuts_layout(clip, model, tmp_path):
+    out = tmp_path / "points.csv"
+    run_prediction(clip / "clip.avi", model, out, overlay=tmp_path / "points.avi", device="cpu", threads=1)
+    lines = out.read_text(encoding="utf-8").splitlines()
+    assert lines[0] == "scorer" + ",recon_25fps" * 9
+    assert lines[1] == "bodyparts," + ",".join(n for n in NAMES for _ in range(3))
+    assert lines[2] == "coords" + ",x,y,likelihood" * 3
+    table = pd.read_csv(out, header=[0, 1, 2], index_col=0)
+    assert table.shape == (FRAMES, 9)
+    assert table.index.tolist() == list(range(FRAMES))
+    assert list(table.columns.names) == ["scorer", "bodyparts", "coords"]
+    keypoints = read_keypoints(out)
+    errors = np.linalg.norm(keypoints.xy_px - np.stack([places(f) for f in range(FRAMES)]), axis=2)
+    assert np.median(errors) < 2.5
+    assert ((keypoints.confidence >= 0) & (keypoints.confidence <= 1)).all()
+    assert probe(tmp_path / "points.avi").size_px == SIZE
+    assert probe(tmp_path / "points.avi").stated_frames == FRAMES
+
+
+def test_h5_and_csv_hold_the_same(clip, model, tmp_path):
+    for name in ("points.csv", "points.h5"):
+        run_prediction(clip / "clip.avi", model, tmp_path / name, device="cpu", threads=1)
+    one, other = read_keypoints(tmp_path / "points.csv"), read_keypoints(tmp_path / "points.h5")
+    np.testing.assert_allclose(one.xy_px, other.xy_px, atol=1e-9)
+    assert pd.DataFrame(pd.read_hdf(tmp_path / "points.h5")).columns.names == ["scorer", "bodyparts", "coords"]
+    assert write_keypoints_h5.__module__ == "recon.export.deeplabcut"
+
+
+def test_averaged_views_agree_with_the_plain_one(clip, model):
+    trained = load_model(model, torch.device("cpu"))
+    from recon.net.labels import read_labels
+
+    labels = read_labels(clip / "clip.avi", clip / "labels.csv", 50).scaled(trained.spec.scale)
+    truth = np.stack([places(int(n) - 50) for n in labels.numbers])
+    for quality in ("fast", "flip", "best"):
+        xy, raw = trained.points(labels.pictures, None, quality)
+        assert np.median(np.linalg.norm(xy - truth, axis=2)) < 3.0, quality
+        assert ((raw >= 0) & (raw <= 1)).all()
+
+
+def test_a_video_that_ends_before_its_stated_end(clip, model, tmp_path, monkeypatch):
+    def lying(path: Path) -> VideoInfo:
+        return VideoInfo(SIZE, 25.0, 4 * FRAMES)
+
+    monkeypatch.setattr(predict_module, "probe", lying)
+    out = tmp_path / "points.csv"
+    with pytest.raises(InputError, match=f"found {FRAMES} that can be decoded, expected the {4 * FRAMES}"):
+        run_prediction(clip / "clip.avi", model, out, overlay=tmp_path / "o.avi", device="cpu", threads=1)
+    assert list(tmp_path.iterdir()) == []
+    found = run_prediction(clip / "clip.avi", model, out, device="cpu", threads=1, partial=True)
+    assert len(found.frames) == FRAMES
+
+
+def test_a_checkpoint_of_other_keypoints(clip, tmp_path):
+    train_in(tmp_path / "out", clip, TrainSettings(steps=1, batch=1))
+    text = (clip / "labels.csv").read_text(encoding="utf-8").replace("nose", "tail")
+    (tmp_path / "other.csv").write_text(text, encoding="utf-8")
+    before = {f.name: f.read_bytes() for f in (tmp_path / "out").iterdir()}
+    other = LabelSource(clip / "clip.avi", tmp_path / "other.csv", 50)
+    with pytest.raises(InputError, match="keypoints: found nose, l_paw, r_paw, expected those of the labels: tail"):
+        run_training(other, TrainSettings(steps=1, batch=1), tmp_path / "out", device="cpu", threads=1, resume=True)
+    with pytest.raises(InputError, match="setting batch: found 1, expected 2"):
+        train_in(tmp_path / "out", clip, TrainSettings(steps=1, batch=2), resume=True)
+    with pytest.raises(InputError, match="--resume to go on"):
+        train_in(tmp_path / "out", clip)
+    assert {f.name: f.read_bytes() for f in (tmp_path / "out").iterdir()} == before
+
+
+@pytest.mark.parametrize(
+    ("arguments", "text"),
+    [
+        (("predict", "{clip}/labels.csv", "--model", "{model}", "--out", "p.csv"), "cannot be decoded"),
+        (("predict", "{clip}/clip.avi", "--model", "{clip}", "--out", "p.csv"), "no such file"),
+        (("predict", "{clip}/clip.avi", "--model", "{clip}/labels.csv", "--out", "p.csv"), "torch cannot read"),
+        (("predict", "{clip}/clip.avi", "--model", "{model}", "--out", "p.txt"), "one of .csv, .h5"),
+        (
+            ("predict", "{clip}/clip.avi", "--model", "{model}", "--out", "p.csv", "--quality", "odd"),
+            "fast, flip, best",
+        ),
+        (("predict", "{clip}/clip.avi", "--model", "{model}", "--out", "p.csv", "--device", "tpu"), "--device"),
+        (("train", "{clip}/clip.avi", "--labels", "{clip}/labels.csv", "--out", "o", "--steps", "0"), "1 or more"),
+        (
+            ("train", "{clip}/clip.avi", "--labels", "{clip}/labels.csv", "--out", "o", "--first-frame", "9"),
+            "--first-frame",
+        ),
+        (("train", "{clip}/clip.avi", "--labels", "{clip}/no.csv", "--out", "o"), "no such file"),
+        (("train", "{clip}", "--out", "o", "--resume"), "label files"),
+    ],
+)
+def test_bad_input_is_one_message_and_nothing_is_written(arguments, text, clip, model, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    ended = run(*(a.format(clip=clip, model=model) for a in arguments))
+    assert ended.code == 2
+    assert text in ended.err
+    assert "Traceback" not in ended.err
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("finish", [False, True])
+def test_the_learning_rate_warms_up_and_falls_to_nothing(finish):
+    shares = np.linspace(0, 1, 501)
+    rates = np.array([schedule(s, finish) for s in shares])
+    assert rates[0] < 0.05
+    assert rates.max() == pytest.approx(1, abs=0.02)
+    assert shares[rates.argmax()] <= 0.05
+    assert rates[-1] < 0.002
+    rises = shares[1:][(np.diff(rates) > 0) & (shares[1:] > 0.06)]
+    assert len(rises) == finish  # where the last part begins, from a rest to half the rate
+    if finish:
+        assert rates[shares < train_module.FINISH][-1] < 0.01
+        assert rates[shares >= train_module.FINISH][0] == pytest.approx(0.5, abs=0.01)
+
+
+def test_without_torch_the_command_says_what_to_install(clip, monkeypatch, tmp_path):
+    import sys
+
+    monkeypatch.setitem(sys.modules, "torch", None)
+    ended = run("predict", clip / "clip.avi", "--model", clip, "--out", tmp_path / "p.csv")
+    assert ended.code == 2
+    assert "pip install 'recon[net]'" in ended.err
