@@ -59,6 +59,7 @@ notebooks: $(DEV)
 
 samples: $(BASE)
 	$(BIN)/python data/samples/make_samples.py
+	$(BIN)/python data/samples/make_rendered.py
 
 benchmark: $(BASE)
 	$(BIN)/python benchmarks/trajectory.py $(RUNS)
