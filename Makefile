@@ -8,6 +8,8 @@ PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c const
 # Folders of recordings for `make benchmark`, each with clips and their truth: make benchmark RUNS=/path/to/runs
 RUNS ?=
 DEMO_OUT := demo-output
+# Where the tests' torch comes from.
+TORCH_INDEX ?= https://download.pytorch.org/whl/cpu
 
 # What the environment was installed from: it is set up once, and again when one of these changes.
 REQUIREMENTS := pyproject.toml constraints.txt
@@ -86,6 +88,9 @@ $(BASE): $(REQUIREMENTS) | $(BIN)/python
 	$(PIP) -e .
 	@touch $@
 
+# torch by itself first: its build for the CPU, a tenth of the size of the one with CUDA, comes from an index of its own.
+# Where that cannot be reached, pip looks in the usual places.
 $(DEV): $(REQUIREMENTS) | $(BIN)/python
-	$(PIP) -e '.[dev]'
+	$(PIP) --quiet --no-deps --retries 1 --extra-index-url $(TORCH_INDEX) torch
+	$(PIP) -e '.[dev,net]'
 	@touch $(BASE) $@

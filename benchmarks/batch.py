@@ -22,6 +22,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from markdown_table import print_table
 
 from recon.io import read_keypoints
 from recon.keypoints import Keypoints
@@ -152,12 +153,6 @@ def finished(out: Path) -> dict[str, int]:
 
 def count(rows: dict[str, dict], status: str) -> int:
     return sum(row["status"] == status for row in rows.values())
-
-
-def print_table(header: list[str], rows: list[list[object]]) -> None:
-    for cells in (header, ["---"] * len(header), *rows):
-        print("| " + " | ".join(map(str, cells)) + " |")
-    print(flush=True)
 
 
 # -- memory -------------------------------------------------------------------------------------------------------

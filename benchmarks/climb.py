@@ -15,6 +15,7 @@ from pathlib import Path
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
+from markdown_table import print_table
 
 from recon.robot.climb import Climb, Walker, bundled, check, load_recipe, plan, write_playback
 from recon.robot.climb.equilibrium import MAX_EVALUATIONS
@@ -24,13 +25,6 @@ from recon.robot.climb.playback import lines, step_lines
 from recon.robot.robot_file import load_robot
 
 RUNS = 5
-
-
-def print_table(header: list[str], rows: list[list[str]]) -> None:
-    print(f"| {' | '.join(header)} |\n|{' --- |' * len(header)}")
-    for row in rows:
-        print(f"| {' | '.join(row)} |")
-    print()
 
 
 def margin_table(climbs: dict[str, Climb]) -> None:

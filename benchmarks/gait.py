@@ -19,6 +19,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
+from markdown_table import print_table
 
 from recon import FitSettings, Pose3D, read_pose3d
 from recon.analysis.clip import analyse
@@ -153,11 +154,8 @@ def sample_row(name: str, pose: Pose3D, fps: int, truth: Pose3D, truth_fps: int,
     return row
 
 
-def print_table(rows: list[dict]) -> None:
-    print("| " + " | ".join(rows[0]) + " |")
-    print("|" + " --- |" * len(rows[0]))
-    for row in rows:
-        print("| " + " | ".join(str(cell) for cell in row.values()) + " |")
+def print_rows(rows: list[dict]) -> None:
+    print_table(list(rows[0]), [row.values() for row in rows])
 
 
 def main() -> None:
@@ -168,7 +166,7 @@ def main() -> None:
     arguments = parser.parse_args()
     runs = sorted(p.parent for p in arguments.folder.glob("*/meta.json") if (p.parent / "truth.csv").is_file())
     print("### Samples\n")
-    print_table(sample_rows())
+    print_rows(sample_rows())
     if not runs:
         parser.exit(message=f"no runs in {arguments.folder}\n")
     rows, links = [], []
@@ -180,18 +178,18 @@ def main() -> None:
     columns = list(rows[0])
     at = columns.index("landed")
     print("\n### Stances\n")
-    print_table([{name: row[name] for name in columns[:at]} for row in rows])
+    print_rows([{name: row[name] for name in columns[:at]} for row in rows])
     matched, counted = (sum(row[name] for row in rows) for name in ("matched", "counted"))
     share = f"{matched / counted:.0%}" if counted else "none"
     print(f"\nMatched one to one: {matched} of {counted} that end {LAST_FRAMES} frames before the clip does ({share}).")
     print("\n### Gait\n")
-    print_table([{name: row[name] for name in ("run", *columns[at:])} for row in rows])
+    print_rows([{name: row[name] for name in ("run", *columns[at:])} for row in rows])
     print("\n### Mean speed of links relative to their parents, m/s\n")
     named = [
         {"run": row["run"], **{k: f"{v:.2f}" for k, v in link.items()}} for row, link in zip(rows, links, strict=True)
     ]
     mean = {k: f"{np.mean([link[k] for link in links]):.2f}" for k in links[0]}
-    print_table([*named, {"run": "mean", **mean}])
+    print_rows([*named, {"run": "mean", **mean}])
 
 
 if __name__ == "__main__":

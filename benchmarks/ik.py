@@ -22,6 +22,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import time
 
 import numpy as np
+from markdown_table import print_table
 from scipy.interpolate import CubicSpline
 
 from recon import Pose3D, read_pose3d
@@ -100,12 +101,6 @@ def methods(chain: SerialChain) -> dict[str, Method]:
     if not isinstance(chain, JointChain):  # the map is one of the 8U chain's joints
         every["extended Jacobian (harmonic map)"] = ExtendedJacobian(HarmonicMap())
     return every
-
-
-def print_table(header: list[str], rows: list[list[str]]) -> None:
-    print(f"| {' | '.join(header)} |\n|{' --- |' * len(header)}")
-    for row in rows:
-        print(f"| {' | '.join(row)} |")
 
 
 # -- steps and targets -----------------------------------------------------------------------------------------------

@@ -20,7 +20,6 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from recon.net.calibrate import Calibration
 from recon.net.evaluate2d import Evaluation2D, evaluate_2d_files
 from recon.net.labels import read_label_file
 from recon.net.model import build_network
@@ -77,7 +76,7 @@ def speed(args: argparse.Namespace, out: Path) -> None:
     device = choose_device(args.device)
     use_threads(args.threads)
     names = tuple(f"point{k}" for k in range(22))
-    spec = Spec(names, 1.0, 120.0, 5.0, tuple(range(22)), False, Calibration())
+    spec = Spec(names, 1.0, 120.0, 5.0, tuple(range(22)), False, {})
     trained = Trained(spec, prepared(build_network(22, CHANNELS), device), device)
     if args.model:
         trained = load_model(args.model, device)

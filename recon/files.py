@@ -1,13 +1,15 @@
-"""Writing files whole or not at all."""
+"""Writing files whole or not at all, and not over others."""
 
 from __future__ import annotations
 
 import os
 import shutil
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+
+from recon.errors import InputError, Problem
 
 _PREFIX = ".recon-partial-"
 
@@ -38,3 +40,23 @@ def staged_folder(folder: str | Path) -> Iterator[Path]:
                 folder_made.rmdir()
         raise
     staging.rmdir()
+
+
+def require_free_folder(out: Path, names: Iterable[str], overwrite: bool, expected: str = "results") -> None:
+    """Raises InputError where `out` cannot become a folder to write to, or has files of these names (what is expected
+    not to be there) that may not be replaced."""
+    there = next(path for path in (out, *out.absolute().parents) if path.exists())
+    if not there.is_dir():
+        raise InputError(Problem("--out", "folder", f"the file {there}", "a folder, which is made if need be"))
+    if not os.access(there, os.W_OK | os.X_OK):
+        raise InputError(Problem("--out", "folder", f"{there}, which may not be written to", "a folder of your own"))
+    present = [name for name in names if (out / name).exists()]
+    if present and not overwrite:
+        found = f"{', '.join(present)} in {out}"
+        raise InputError(Problem("--out", "folder", found, f"a folder without {expected}, or --overwrite"))
+
+
+def require_free_file(out: Path, overwrite: bool, option: str = "--out") -> None:
+    """Raises InputError where a file is there already that may not be replaced."""
+    if out.exists() and not overwrite:
+        raise InputError(Problem(option, "file", f"{out}, which is there already", "a new name, or --overwrite"))

@@ -132,6 +132,9 @@ def test_the_network_learns_the_blobs_and_the_report_says_so(clip, model):
     assert report["parameters"] <= 3_000_000
     assert report["mirror_partners"] == {"l_paw": "r_paw", "r_paw": "l_paw"}
     assert report["labelled_points"]["train"] + report["labelled_points"]["validation"] == 29
+    assert set(report["calibrations"]) == {"fast", "best"}
+    for quality, calibration in report["calibrations"].items():
+        assert calibration["points"] == report["reliability_validation"][quality]["points"] > 0
     files = {"curves.png", "keypoints.png", "reliability.png", "worst.png", "suspicious.csv", "model.pt"}
     assert files <= {file.name for file in model.iterdir()}
 
@@ -170,7 +173,7 @@ def test_averaged_views_agree_with_the_plain_one(clip, model):
 
     labels = read_labels(clip / "clip.avi", clip / "labels.csv", 50).scaled(trained.spec.scale)
     truth = np.stack([places(int(n) - 50) for n in labels.numbers])
-    for quality in ("fast", "flip", "best"):
+    for quality in ("fast", "best"):
         xy, raw = trained.points(labels.pictures, None, quality)
         assert np.median(np.linalg.norm(xy - truth, axis=2)) < 3.0, quality
         assert ((raw >= 0) & (raw <= 1)).all()
@@ -213,7 +216,7 @@ def test_a_checkpoint_of_other_keypoints(clip, tmp_path):
         (("predict", "{clip}/clip.avi", "--model", "{model}", "--out", "p.txt"), "one of .csv, .h5"),
         (
             ("predict", "{clip}/clip.avi", "--model", "{model}", "--out", "p.csv", "--quality", "odd"),
-            "fast, flip, best",
+            "fast, best",
         ),
         (("predict", "{clip}/clip.avi", "--model", "{model}", "--out", "p.csv", "--device", "tpu"), "--device"),
         (("train", "{clip}/clip.avi", "--labels", "{clip}/labels.csv", "--out", "o", "--steps", "0"), "1 or more"),

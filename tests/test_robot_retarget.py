@@ -307,8 +307,9 @@ def test_every_problem_at_once(tmp_path):
     with pytest.raises(InputError) as error:
         run_retarget(tmp_path / "none", "spot", tmp_path / "out", scale=-1, slower=0, lag=3)
     found = [(str(p.file), p.field) for p in error.value.problems]
-    assert found[:3] == [("--scale", "factor"), ("--slower", "factor"), ("--lag", "share of a stride")]
-    assert ("spot", "robot") in found
+    assert {("--scale", "factor"), ("--slower", "factor"), ("--lag", "share of a stride"), ("spot", "robot")} < set(
+        found
+    )
     assert len(found) == 5
     assert not (tmp_path / "out").exists()
 

@@ -11,7 +11,7 @@ benchmarks/trajectory.py --only rates`).
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -107,8 +107,7 @@ def analyse(results: Results, smooth: bool | None = None) -> ClipAnalysis:
     errors = _jitter(pose.xyz_m) if smooth else _errors(results)
     joints = {name: joint_kinematics(pose, name, fps, errors, **options) for name in pose.names}
     if smooth:
-        paths = [j.series.value[:: j.series.oversampling] for j in joints.values()]
-        pose = replace(pose, xyz_m=np.stack(paths, axis=1))
+        pose = _on_paths(pose, joints.values())
     # A common displacement of all joints turns none of the angles.
     of_pose = [] if smooth else errors[1:]
     chains = limb_chains(results)
@@ -128,6 +127,18 @@ def analyse(results: Results, smooth: bool | None = None) -> ClipAnalysis:
         match=match_stances(gaits["body"].stances, gaits["ground"].stances) if gaits else None,
         fields={limb: pose_vector_field(pose, chain, fps, results.forward) for limb, chain in chains.items()},
     )
+
+
+def gaits_of(results: Results, smooth: bool | None = None) -> dict[Method, Gait]:
+    """Only the gaits of `analyse`, by method; none without feet."""
+    pose = results.pose
+    if results.sigma_m is None if smooth is None else smooth:
+        errors = _jitter(pose.xyz_m)
+        pose = _on_paths(
+            pose,
+            [joint_kinematics(pose, n, results.fps, errors, smooth=True, propagate=False) for n in pose.names],
+        )
+    return _gaits(results, pose)
 
 
 def limb_chains(results: Results) -> dict[str, tuple[str, ...]]:
@@ -156,6 +167,12 @@ def _errors(results: Results) -> list[Errors]:
     place = np.sqrt(np.maximum(results.sigma_m**2 - results.relative_sigma_m**2, floor**2))
     pose = np.maximum(results.relative_sigma_m, floor)
     return [Errors(place, PLACE_LASTS_S), Errors(pose, POSE_LASTS_S)]
+
+
+def _on_paths(pose: Pose3D, joints: Iterable[JointKinematics]) -> Pose3D:
+    """The frames' positions on the joints' splines."""
+    paths = [joint.series.value[:: joint.series.oversampling] for joint in joints]
+    return replace(pose, xyz_m=np.stack(paths, axis=1))
 
 
 def _jitter(values: Array) -> list[Errors]:

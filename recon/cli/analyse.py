@@ -40,7 +40,8 @@ def analyse(
 
     Example: recon analyse results/clip
     """
-    from recon.pipelines.analyse import run_analyse, to_json
+    from recon.pipelines.analyse import run_analyse
+    from recon.report import to_json
 
     done = run_analyse(folder, out, smooth, figures, overwrite)
     if as_json:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -59,7 +58,7 @@ def ik(
     Example: recon ik results/clip --compare
     """
     from recon.pipelines.ik import METHODS, STRIDE_MAX, run_ik
-    from recon.report import to_plain
+    from recon.report import to_json
 
     problems = []
     if follow not in (None, "stride"):
@@ -84,7 +83,7 @@ def ik(
         overwrite,
     )
     if as_json:
-        typer.echo(json.dumps(to_plain(solved.summary), indent=1, ensure_ascii=False))
+        typer.echo(to_json(solved.summary), nl=False)
         return
     _print(Console(), solved.summary, folder / "ik" if out is None else out)
 

@@ -20,7 +20,11 @@ def predict(
         Path | None, typer.Option(help="A new video with the points drawn, .mp4 (MPEG-4) or .avi (Motion JPEG).")
     ] = None,
     quality: Annotated[
-        str, typer.Option(help="fast; flip: averaged with the mirror picture; best: and over three scales.")
+        str,
+        typer.Option(
+            help="fast, or best: averaged over three scales and, if trained with them, mirror pictures; three to six "
+            "times as slow."
+        ),
     ] = "fast",
     likelihood_min: Annotated[
         float, typer.Option(help="Points less likely than this are small rings in the overlay; the file has them all.")

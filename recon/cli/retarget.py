@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -38,11 +37,11 @@ def retarget(
     Example: recon retarget results/clip --robot a1 --out results/robot
     """
     from recon.pipelines.retarget import run_retarget
-    from recon.report import to_plain
+    from recon.report import to_json
 
     solved = run_retarget(folder, robot, out, scale, slower, lag, overwrite)
     if as_json:
-        typer.echo(json.dumps(to_plain(solved.report), indent=1, ensure_ascii=False))
+        typer.echo(to_json(solved.report), nl=False)
         return
     _print(Console(), solved.report, out)
 

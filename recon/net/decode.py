@@ -32,29 +32,30 @@ def decode(probability: torch.Tensor, tolerance: float) -> tuple[torch.Tensor, t
     offsets = torch.arange(-_REACH, _REACH + 1, dtype=torch.float32, device=probability.device)
     kernel = torch.exp(-0.5 * (offsets / BLUR) ** 2)
     kernel = kernel / kernel.sum()
-    flat = probability.reshape(b * k, 1, h, w)
-    blurred = torch.nn.functional.conv2d(flat, kernel.view(1, 1, 1, -1), padding=(0, _REACH))
-    blurred = torch.nn.functional.conv2d(blurred, kernel.view(1, 1, -1, 1), padding=(_REACH, 0))
+    across = kernel.view(1, 1, 1, -1).expand(k, 1, 1, -1).contiguous()
+    down = kernel.view(1, 1, -1, 1).expand(k, 1, -1, 1).contiguous()
+    blurred = torch.nn.functional.conv2d(probability, across, padding=(0, _REACH), groups=k)
+    blurred = torch.nn.functional.conv2d(blurred, down, padding=(_REACH, 0), groups=k).reshape(b * k, h, w)
+    flat = probability.reshape(b * k, h, w)
     peak = blurred.flatten(1).argmax(dim=1)
     row, column = peak // w, peak % w
-    log = blurred[:, 0].clamp_min(1e-30).log()
     n = torch.arange(b * k, device=probability.device)
 
     def refined(along: torch.Tensor, size: int, at: list[torch.Tensor]) -> torch.Tensor:
-        before, here, after = at
+        before, here, after = (value.clamp_min(1e-30).log() for value in at)
         bend = before - 2 * here + after
         shift = torch.where(bend < -1e-6, 0.5 * (before - after) / bend.clamp(max=-1e-6), torch.zeros_like(bend))
         inside = (along > 0) & (along < size - 1)
         return along + torch.where(inside, shift.clamp(-0.5, 0.5), torch.zeros_like(shift))
 
-    x = refined(column, w, [log[n, row, (column + d).clamp(0, w - 1)] for d in (-1, 0, 1)])
-    y = refined(row, h, [log[n, (row + d).clamp(0, h - 1), column] for d in (-1, 0, 1)])
+    x = refined(column, w, [blurred[n, row, (column + d).clamp(0, w - 1)] for d in (-1, 0, 1)])
+    y = refined(row, h, [blurred[n, (row + d).clamp(0, h - 1), column] for d in (-1, 0, 1)])
     # The probability within the tolerance, from the places around the peak; one at the edge counts in part.
     reach = int(tolerance + 1.5)
     steps = torch.arange(-reach, reach + 1, device=probability.device)
     rows, columns = row[:, None, None] + steps[None, :, None], column[:, None, None] + steps[None, None, :]
     known = (rows >= 0) & (rows < h) & (columns >= 0) & (columns < w)
-    values = flat[:, 0][n[:, None, None], rows.clamp(0, h - 1), columns.clamp(0, w - 1)]
+    values = flat[n[:, None, None], rows.clamp(0, h - 1), columns.clamp(0, w - 1)]
     distance = ((rows - y[:, None, None]) ** 2 + (columns - x[:, None, None]) ** 2).sqrt()
     within = (values * known * (tolerance + 0.5 - distance).clamp(0, 1)).sum(dim=(1, 2))
     return torch.stack([x, y], dim=1).view(b, k, 2), within.clamp(0, 1).view(b, k)

@@ -77,7 +77,7 @@ def predict_video(
             write = stack.enter_context(video_writer(overlay, even, info.fps or 30.0))
         for chunk in chunks(video, info, spec.scale, keep=write is not None):
             xy, raw = trained.points(chunk.pictures, background, quality, precision)
-            sure = spec.calibration.apply(raw)
+            sure = spec.likelihood(raw, quality)
             numbers += chunk.numbers
             xy_px.append(xy.astype(np.float32))
             likelihood.append(sure.astype(np.float32))

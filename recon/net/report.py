@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import dataclasses
-import json
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +24,7 @@ from recon.net.torch_extra import require_torch
 from recon.net.train import judge
 from recon.net.trained import Trained, prepared
 from recon.plots.style import COLOURS, GREY, drawing, save
+from recon.report import to_json
 
 Array = NDArray[np.float64]
 REPORT_FILES = (
@@ -37,14 +37,15 @@ CURVE_POINTS = 400
 
 def write_training_report(run: Run, state: State, folder: Path) -> dict[str, Any]:
     """Into an existing folder; returns what stands in training.json."""
-    spec = dataclasses.replace(run.spec, calibration=state.calibration or run.spec.calibration)
+    spec = dataclasses.replace(run.spec, calibrations=state.calibrations)
     trained = Trained(spec, prepared(state.average, run.device), run.device)
     everything = np.arange(len(run.labels.images))
     errors, raw, xy_px = judge(trained, run, everything)
-    likelihood = spec.calibration.apply(raw)
+    likelihood = spec.likelihood(raw, "fast")
     parts = {name: getattr(run.split, name) for name in ("train", "validation", "test")}
     judged = {name: _evaluation(run, which, xy_px, likelihood) for name, which in parts.items() if len(which)}
-    before = _validation_reliability(run, state) if len(run.split.validation) else None
+    # Of the network as it was calibrated: before it learned from the validation pictures.
+    before = {quality: reliability(*judged) for quality, judged in state.judged.items()}
     suspects = suspicious_labels(run.labels, xy_px, spec.body_length_px)
     report = {
         "recon": __version__,
@@ -69,20 +70,20 @@ def write_training_report(run: Run, state: State, folder: Path) -> dict[str, Any
         "stopped_early": state.stopped_early,
         "best_validation": None if state.best is None else {"median_px": state.best_error_px, "step": state.best_step},
         "validation_in_training_from": _finish_step(state),
-        "calibration": dataclasses.asdict(spec.calibration),
-        "reliability_validation": before.to_dict() if before else None,
+        "calibrations": {quality: dataclasses.asdict(c) for quality, c in spec.calibrations.items()},
+        "reliability_validation": {quality: table.to_dict() for quality, table in before.items()},
         "errors": {name: e.to_dict() for name, e in judged.items()},
         "suspicious_labels": [dataclasses.asdict(s) for s in suspects],
         "history": _thinned(state.history),
         "notes": list(run.labels.notes),
     }
-    (folder / "training.json").write_text(json.dumps(_finite(report), indent=1) + "\n", encoding="utf-8")
+    (folder / "training.json").write_text(to_json(report), encoding="utf-8")
     _write_suspects(suspects, folder / "suspicious.csv")
     held_out = np.concatenate([run.split.validation, run.split.test])
     _write_worst(run.labels, errors, xy_px, held_out if len(held_out) else run.split.train, folder / "worst.png")
     _draw_curves(state, folder)
     _draw_keypoints(judged, folder)
-    tables = {"validation": before, "test": judged["test"].reliability if "test" in judged else None}
+    tables = {"validation": before.get("fast"), "test": judged["test"].reliability if "test" in judged else None}
     _draw_reliability({name: table for name, table in tables.items() if table is not None}, folder)
     return report
 
@@ -92,11 +93,6 @@ def _evaluation(run: Run, which: NDArray[np.int64], xy_px: Array, likelihood: Ar
     length_px = float(np.nanmedian(length)) if np.isfinite(length).any() else run.spec.body_length_px
     names, truth = run.spec.names, run.labels.xy_px[which]
     return evaluate_2d(names, xy_px[which], likelihood[which], truth, length_px, tolerance_px=run.spec.tolerance_px)
-
-
-def _validation_reliability(run: Run, state: State) -> Reliability | None:
-    """Of the network as it was calibrated: before it learned from the validation pictures."""
-    return reliability(*state.judged) if state.judged is not None and len(state.judged[0]) else None
 
 
 def _finish_step(state: State) -> int | None:
@@ -113,15 +109,6 @@ def _thinned(history: list[dict[str, float]]) -> list[dict[str, float]]:
             found.append({**row, "loss": float(np.mean(since))})
             since = []
     return found
-
-
-def _finite(value: Any) -> Any:
-    """JSON has no NaN."""
-    if isinstance(value, dict):
-        return {k: _finite(v) for k, v in value.items()}
-    if isinstance(value, list | tuple):
-        return [_finite(v) for v in value]
-    return None if isinstance(value, float) and not np.isfinite(value) else value
 
 
 def _write_suspects(suspects: list[Suspect], path: Path) -> None:

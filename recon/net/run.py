@@ -71,7 +71,8 @@ class TrainSettings:
 @dataclass
 class State:
     """All that a run carries from step to step. share: of the run that is done; it decides the learning rate. seconds:
-    of all its parts. judged: calibrated likelihoods of the labelled validation points, and which of them are right.
+    of all its parts. calibrations, judged: by quality; of the labelled validation points, calibrated likelihoods, and
+    which of them are right.
     skipped: share of the run that stopping early left out. best, best_error_px: averaged weights with the lowest
     validation error, None without one."""
 
@@ -88,8 +89,8 @@ class State:
     since_best: int = 0
     stopped_early: bool = False
     skipped: float = 0.0
-    calibration: Calibration | None = None
-    judged: tuple[Array, NDArray[np.bool_]] | None = None
+    calibrations: dict[str, Calibration] = field(default_factory=dict)
+    judged: dict[str, tuple[Array, NDArray[np.bool_]]] = field(default_factory=dict)
     history: list[dict[str, float]] = field(default_factory=list)
 
 
@@ -112,7 +113,7 @@ def prepare(labels: Labels, split: Split, settings: TrainSettings, device: torch
     length = body_length_px(labels.xy_px[known])
     length = length if np.isfinite(length) else 100.0
     partner = sides(labels.names)
-    spec = Spec(labels.names, scale, float(length), float(TOLERANCE * length), partner, settings.mirror, Calibration())
+    spec = Spec(labels.names, scale, float(length), float(TOLERANCE * length), partner, settings.mirror, {})
     scaled = labels.scaled(scale)
     still = backgrounds(scaled, split.test) if settings.still_background else (None,) * len(labels.clips)
     return Run(settings, spec, labels, scaled, split, still, device)
@@ -148,8 +149,8 @@ def save_checkpoint(state: State, run: Run, out: Path) -> None:
         "average": state.average.state_dict(),
         "optimizer": state.optimizer.state_dict(),
         "best": state.best,
-        "calibration": dataclasses.asdict(state.calibration) if state.calibration else None,
-        "judged": [part.tolist() for part in state.judged] if state.judged else None,
+        "calibrations": {quality: dataclasses.asdict(c) for quality, c in state.calibrations.items()},
+        "judged": {quality: [part.tolist() for part in parts] for quality, parts in state.judged.items()},
         "history": state.history,
         **{name: getattr(state, name) for name in _PLAIN},
     }
@@ -189,9 +190,11 @@ def resumed(run: Run, out: Path) -> State:
     state.average.load_state_dict(content["average"])
     state.optimizer.load_state_dict(content["optimizer"])
     state.best, state.history = content["best"], content["history"]
-    state.calibration = Calibration(**content["calibration"]) if content["calibration"] else None
-    if content["judged"]:
-        state.judged = np.array(content["judged"][0], float), np.array(content["judged"][1], bool)
+    state.calibrations = {quality: Calibration(**values) for quality, values in content["calibrations"].items()}
+    state.judged = {
+        quality: (np.array(likelihood, float), np.array(right, bool))
+        for quality, (likelihood, right) in content["judged"].items()
+    }
     for name in _PLAIN:
         setattr(state, name, content[name])
     return state

@@ -17,21 +17,18 @@ import math
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from recon.net.batches import Batch, Source, ahead, crop_size, examples_of
-from recon.net.calibrate import Calibration, fit_calibration
+from recon.net.calibrate import fit_calibration
 from recon.net.decode import loss
 from recon.net.model import STRIDE
 from recon.net.run import Run, State, TrainSettings, begin, resumed, save_checkpoint
 from recon.net.torch_extra import fast_half, require_torch
-from recon.net.trained import MODEL_FILE, Trained, as_input, prepared, save_model
-
-if TYPE_CHECKING:
-    pass
+from recon.net.trained import MODEL_FILE, VIEWS, Trained, as_input, prepared, save_model
 
 Array = NDArray[np.float64]
 FINISH = 0.6
@@ -78,14 +75,14 @@ def train(run: Run, out: Path, resume: bool = False, progress: Progress = lambda
             state.seconds = clock.seconds
             row = {"step": state.step, "loss": value, "rate": rate, "share": state.share}
             state.history.append(row | ({} if held_out else {"finishing": 1.0}))
-            if _due(state):
+            if _due(state) or (held_out and state.finishing):
                 _evaluate(state, run, held_out)
                 _stop_early(state, settings)
+                if held_out and (state.finishing or state.share >= 1):
+                    _end_first_part(state, run)
                 save_checkpoint(state, run, out)
             progress("finishing" if state.finishing else "learning", state.share, _figures(state))
-    if not state.finishing and state.best is not None:
-        state.average.load_state_dict(state.best)
-    spec = dataclasses.replace(run.spec, calibration=state.calibration or Calibration())
+    spec = dataclasses.replace(run.spec, calibrations=state.calibrations)
     save_model(spec, state.average.state_dict(), out / MODEL_FILE)
     return state
 
@@ -173,7 +170,7 @@ def _evaluate(state: State, run: Run, held_out: bool) -> None:
     which = run.split.validation
     if not len(which) or not run.labels.labelled[which].any():
         return
-    errors, raw, _ = judge(Trained(run.spec, prepared(state.average, run.device), run.device), run, which)
+    errors, _, _ = judge(Trained(run.spec, prepared(state.average, run.device), run.device), run, which)
     known = errors[np.isfinite(errors)]
     median = float(np.median(known))
     state.history[-1].update({"validation_px": median, "validation_mean_px": float(known.mean())})
@@ -184,10 +181,24 @@ def _evaluate(state: State, run: Run, held_out: bool) -> None:
         state.best_step, state.since_best = state.step, 0
     else:
         state.since_best += 1
-    labelled = np.isfinite(errors)
-    right = errors[labelled] <= run.spec.tolerance_px
-    state.calibration = fit_calibration(raw[labelled], right)
-    state.judged = (state.calibration.apply(raw[labelled]), right)
+
+
+def _end_first_part(state: State, run: Run) -> None:
+    """Calibrates by the validation pictures, which have not been learned from so far. Where they never are, the best
+    weights are the result."""
+    if not run.settings.finish and state.best is not None:
+        state.average.load_state_dict(state.best)
+    which = run.split.validation
+    if not len(which) or not run.labels.labelled[which].any():
+        return
+    trained = Trained(run.spec, prepared(state.average, run.device), run.device)
+    for quality in VIEWS:
+        errors, raw, _ = judge(trained, run, which, quality)
+        labelled = np.isfinite(errors)
+        right = errors[labelled] <= run.spec.tolerance_px
+        calibration = fit_calibration(raw[labelled], right)
+        state.calibrations[quality] = calibration
+        state.judged[quality] = (calibration.apply(raw[labelled]), right)
 
 
 def judge(trained: Trained, run: Run, which: NDArray[np.int64], quality: str = "fast") -> tuple[Array, Array, Array]:

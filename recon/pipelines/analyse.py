@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,10 +11,9 @@ from threadpoolctl import threadpool_limits
 
 from recon.analysis.clip import ClipAnalysis, analyse
 from recon.analysis.gait import Gait
-from recon.errors import InputError, Problem
 from recon.export import analysis_csv
-from recon.files import staged_folder
-from recon.report import to_plain
+from recon.files import require_free_folder, staged_folder
+from recon.report import to_json
 from recon.results import read_results
 
 SUMMARY = "analysis.json"
@@ -43,7 +40,7 @@ def run_analyse(
     """
     out = folder / "analysis" if out is None else out
     results = read_results(folder)
-    _check_output(out, overwrite)
+    require_free_folder(out, (SUMMARY, *analysis_csv.TABLES), overwrite, "an analysis")
     with threadpool_limits(1, user_api="blas"):  # of small matrices, threads cost more than they bring
         found = analyse(results, smooth)
     summary = summarise(found)
@@ -61,20 +58,7 @@ def run_analyse(
     return Analysed(found, summary, out, files, playback if playback.is_file() else None)
 
 
-def _check_output(out: Path, overwrite: bool) -> None:
-    if out.exists() and not out.is_dir():
-        raise InputError(Problem("--out", "folder", f"the file {out}", "a folder, which is made if need be"))
-    present = [name for name in (SUMMARY, *analysis_csv.TABLES) if (out / name).exists()]
-    if present and not overwrite:
-        found = f"{len(present)} files of an earlier analysis in {out}"
-        raise InputError(Problem("--out", "folder", found, "a folder without an analysis, or --overwrite"))
-
-
 # -- summary ---------------------------------------------------------------------------------------------------------
-
-
-def to_json(summary: Mapping[str, Any]) -> str:
-    return json.dumps(to_plain(summary), indent=1, ensure_ascii=False) + "\n"
 
 
 def summarise(found: ClipAnalysis) -> dict[str, Any]:

@@ -13,7 +13,7 @@ import cv2
 from recon.calibration import write_camera
 from recon.camera import LensModel
 from recon.errors import InputError, Problem, all_of
-from recon.files import staged_folder
+from recon.files import require_free_file, staged_folder
 from recon.intrinsics import Calibration, Check, Views, calibrate, check, collect, draw, find_views, parse_board
 from recon.intrinsics.views import Progress
 
@@ -117,5 +117,4 @@ def _model(model: str) -> LensModel:
 def _check_out(out: Path, overwrite: bool) -> None:
     if out.suffix.lower() != ".toml":
         raise InputError(Problem("--out", "file", str(out), "a name that ends in .toml"))
-    if out.exists() and not overwrite:
-        raise InputError(Problem("--out", "file", f"{out}, which is there already", "a new name, or --overwrite"))
+    require_free_file(out, overwrite)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
@@ -18,7 +17,7 @@ from recon.calibration import read_camera
 from recon.camera import Camera
 from recon.errors import InputError, Problem, all_of
 from recon.export import CLIP_OUTPUTS, TRAJECTORY_OUTPUTS, write_tables
-from recon.files import staged_folder
+from recon.files import require_free_folder, staged_folder
 from recon.initialise import facing_side
 from recon.io import read_keypoints
 from recon.keypoints import CleaningReport, Keypoints, clean, parse_frame_range
@@ -119,22 +118,10 @@ def write_clip(motion: Motion, settings: FitSettings, out: Path, solve_s: float 
 def run_clip(settings: FitSettings, out: Path, overwrite: bool = False, progress: Progress = _silent) -> dict[str, Any]:
     """`recon fit`: reconstruct a clip and write its folder; the report. Raises InputError before any work is done if
     `out` holds results already and may not be overwritten."""
-    check_output_folder(out, overwrite)
+    require_free_folder(out, OUTPUT_FILES, overwrite)
     start = time.perf_counter()
     motion = fit_clip(settings, progress)
     return write_clip(motion, settings, out, time.perf_counter() - start)
-
-
-def check_output_folder(out: Path, overwrite: bool) -> None:
-    there = next(path for path in (out, *out.absolute().parents) if path.exists())
-    if not there.is_dir():
-        raise InputError(Problem("--out", "folder", f"the file {there}", "a folder, which is made if need be"))
-    if not os.access(there, os.W_OK | os.X_OK):
-        raise InputError(Problem("--out", "folder", f"{there}, which may not be written to", "a folder of your own"))
-    present = [name for name in OUTPUT_FILES if (out / name).exists()]
-    if present and not overwrite:
-        found = f"{', '.join(present)} in {out}"
-        raise InputError(Problem("--out", "folder", found, "a folder without results, or --overwrite"))
 
 
 def arrange(keypoints: Keypoints, names: tuple[str, ...]) -> Keypoints:

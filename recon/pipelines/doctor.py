@@ -18,6 +18,8 @@ from typing import Any, Literal
 
 from threadpoolctl import threadpool_info
 
+from recon.pipelines.batch import available_cores
+
 Status = Literal["ok", "absent", "note", "broken"]
 Progress = Callable[[str, float], None]
 
@@ -170,7 +172,7 @@ def _numbers(version: str) -> list[int]:
 
 
 def processor() -> Iterator[Check]:
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    cores = available_cores()
     yield Check("machine", "cores", "ok", f"{cores}: as many clips at a time in recon batch")
     pools = [pool for pool in threadpool_info() if pool["user_api"] == "blas"]
     names = ", ".join(dict.fromkeys(str(pool["internal_api"]) for pool in pools)) or "unknown"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -14,11 +13,11 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from threadpoolctl import threadpool_limits
 
-from recon.analysis.clip import analyse, limb_chains
+from recon.analysis.clip import gaits_of, limb_chains
 from recon.analysis.path import MIN_POINTS
 from recon.errors import InputError, Problem
 from recon.export.table import write_rows
-from recon.files import staged_folder
+from recon.files import require_free_folder, staged_folder
 from recon.ik.animal import body_chain, body_chain_angles, body_travel, chain_angles, planar_chain, spine_front_leg
 from recon.ik.chain import SerialChain
 from recon.ik.costs import Cost, HarmonicMap, joint_differences, rotational_energy
@@ -43,7 +42,7 @@ from recon.ik.methods import (
 )
 from recon.ik.null_space import to_null_space_optimum
 from recon.ik.stride import Stride, farthest_reach, find_stride
-from recon.report import to_plain
+from recon.report import to_json
 from recon.results import Results, read_results
 from recon.skeleton import Skeleton
 
@@ -234,7 +233,8 @@ def run_ik(
     """
     out = folder / "ik" if out is None else out
     results = read_results(folder)
-    _check(out, overwrite, methods)
+    _check(methods)
+    require_free_folder(out, (SUMMARY,), overwrite)
     limb = limb_of(results, foot, dim, limited)
     goal = _coordinates(target, dim) if target not in (None, STRIDE_MAX) else None
     with threadpool_limits(1, user_api="blas"):
@@ -254,14 +254,10 @@ def run_ik(
     return solved
 
 
-def _check(out: Path, overwrite: bool, methods: tuple[str, ...]) -> None:
+def _check(methods: tuple[str, ...]) -> None:
     problems = [
         Problem("--method", "method", repr(name), ", ".join(METHODS)) for name in methods if name not in METHODS
     ]
-    if out.exists() and not out.is_dir():
-        problems.append(Problem("--out", "folder", f"the file {out}", "a folder, which is made if need be"))
-    elif (out / SUMMARY).exists() and not overwrite:
-        problems.append(Problem("--out", "folder", f"{SUMMARY} in {out}", "a folder without it, or --overwrite"))
     if problems:
         raise InputError(problems)
 
@@ -281,7 +277,7 @@ def _coordinates(target: str, dim: Dim) -> Array:
 def stride_of(results: Results, limb: Limb) -> Stride:
     """A complete stride of the foot, if the clip has one; otherwise where the foot comes back to nearest. Raises
     InputError for a clip that shows too little."""
-    gaits = analyse(results).gaits
+    gaits = gaits_of(results)
     label = next(label for label, joint in results.feet.items() if joint == limb.foot)
     complete = next((s for s in gaits["ground"].strides if s.foot == label), None)
     try:
@@ -378,8 +374,7 @@ def _least(values: Array) -> float:
 
 def _write(solved: Solved, folder: Path) -> None:
     summary, names = solved.summary, solved.limb.names
-    text = json.dumps(to_plain(summary), indent=1, ensure_ascii=False)
-    (folder / SUMMARY).write_text(text + "\n", encoding="utf-8")
+    (folder / SUMMARY).write_text(to_json(summary), encoding="utf-8")
     for file, columns, rows in (
         ("target.csv", TARGET_TABLE.split(", "), summary["to_target"]),
         ("follow.csv", FOLLOW_TABLE.split(", "), summary["along_stride"]),

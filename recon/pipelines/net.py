@@ -9,7 +9,7 @@ from typing import Any
 
 from recon.errors import InputError, Problem, all_of
 from recon.export.deeplabcut import write_keypoints_csv, write_keypoints_h5
-from recon.files import staged_folder
+from recon.files import require_free_file, staged_folder
 from recon.keypoints import Keypoints
 from recon.net.labels import read_labels
 from recon.net.predict import predict_video
@@ -128,17 +128,14 @@ def _check_folder(out: Path, resume: bool, overwrite: bool) -> None:
 def _check_out(out: Path, suffixes: dict[str, Any], overwrite: bool) -> None:
     if out.suffix.lower() not in suffixes:
         raise InputError(Problem("--out", "suffix", repr(out.suffix), "one of " + ", ".join(suffixes)))
-    if out.exists() and not overwrite:
-        raise InputError(Problem("--out", "file", f"{out}, which is there already", "a new name, or --overwrite"))
+    require_free_file(out, overwrite)
 
 
 def _check_overlay(overlay: Path | None, overwrite: bool) -> None:
     if overlay is None:
         return
     require_codec(overlay)
-    if overlay.exists() and not overwrite:
-        found = f"{overlay}, which is there already"
-        raise InputError(Problem("--overlay", "file", found, "a new name, or --overwrite"))
+    require_free_file(overlay, overwrite, "--overlay")
 
 
 def _check_quality(quality: str) -> None:

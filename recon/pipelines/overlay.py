@@ -12,6 +12,7 @@ import numpy as np
 from recon.body import side_of
 from recon.camera import Camera, FloatArray
 from recon.errors import InputError, Problem, all_of
+from recon.files import require_free_file
 from recon.initialise import level_axes
 from recon.io import read_keypoints
 from recon.keypoints import Keypoints
@@ -161,5 +162,4 @@ def _speed(speed: float) -> None:
 
 def _check_out(out: Path, overwrite: bool) -> None:
     require_codec(out)
-    if out.exists() and not overwrite:
-        raise InputError(Problem("--out", "file", f"{out}, which is there already", "a new name, or --overwrite"))
+    require_free_file(out, overwrite)

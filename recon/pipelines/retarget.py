@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -13,8 +12,8 @@ from scipy.spatial.transform import RigidTransform
 
 from recon.errors import InputError, Problem, all_of
 from recon.export.table import write_rows
-from recon.files import staged_folder
-from recon.report import to_plain
+from recon.files import require_free_folder, staged_folder
+from recon.report import to_json
 from recon.results import read_results
 from recon.robot.quadruped import LEGS, Quadruped
 from recon.robot.reference import (
@@ -63,8 +62,11 @@ def run_retarget(
     scale, slower: as `recon.robot.retarget.retarget`; lag: of a chain, of which one side is measured, by how much of a
     stride the other side follows it.
     """
-    _, results, machine = all_of(
-        lambda: _check(out, scale, slower, lag, overwrite), lambda: read_results(folder), lambda: load_robot(robot)
+    results, machine, *_ = all_of(
+        lambda: read_results(folder),
+        lambda: load_robot(robot),
+        lambda: _check(scale, slower, lag),
+        lambda: require_free_folder(out, (REPORT,), overwrite),
     )
     animal = reference_of(results)
     if lag and len(animal.reference.feet) == len(LEGS):
@@ -88,7 +90,7 @@ def solve(
     return Solved(animal, window, clip, motion, report)
 
 
-def _check(out: Path, scale: float | None, slower: float | None, lag: float, overwrite: bool) -> None:
+def _check(scale: float | None, slower: float | None, lag: float) -> None:
     problems = [
         Problem(option, "factor", f"{value:g}", "a positive number")
         for option, value in (("--scale", scale), ("--slower", slower))
@@ -96,10 +98,6 @@ def _check(out: Path, scale: float | None, slower: float | None, lag: float, ove
     ]
     if not -0.5 <= lag <= 0.5:
         problems.append(Problem("--lag", "share of a stride", f"{lag:g}", "-0.5 to 0.5"))
-    if out.exists() and not out.is_dir():
-        problems.append(Problem("--out", "folder", f"the file {out}", "a folder, which is made if need be"))
-    elif (out / REPORT).exists() and not overwrite:
-        problems.append(Problem("--out", "folder", f"{REPORT} in {out}", "a folder without it, or --overwrite"))
     if problems:
         raise InputError(problems)
 
@@ -217,8 +215,8 @@ def write(solved: Solved, folder: Path) -> None:
 
     _write_tables(solved.motion.clip, folder, "")
     _write_tables(solved.motion.stride, folder, "stride_")
-    text = json.dumps(to_plain(solved.report), indent=1, ensure_ascii=False)
-    (folder / REPORT).write_text(text + "\n", encoding="utf-8")
+    text = to_json(solved.report)
+    (folder / REPORT).write_text(text, encoding="utf-8")
     write_robot(solved.motion.clip, folder / "motion.rrd", companion(solved))
     write_robot(repeated(solved.motion.stride, REPEATS), folder / "stride.rrd")
 

@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 
 from recon.body import Body, other_side, side_of
-from recon.errors import InputError, Problem
+from recon.errors import InputError
+from recon.files import require_free_folder
 from recon.kinematics import ANGLES, AXES
 from recon.prior import NONE, builtin_priors, load_prior
 from recon.skeleton import AngleRanges, Skeleton
@@ -263,12 +264,8 @@ def _draw(check: SkeletonCheck, out: Path, overwrite: bool) -> None:
     from recon.plots.skeleton import angle_ranges, views
     from recon.plots.style import save
 
-    if out.exists() and not out.is_dir():
-        raise InputError(Problem("--out", "folder", f"the file {out}", "a folder, which is made if need be"))
-    present = [f"{stem}{end}" for stem in STEMS for end in (".png", ".svg") if (out / f"{stem}{end}").exists()]
-    if present and not overwrite:
-        found = f"{', '.join(present)} in {out}"
-        raise InputError(Problem("--out", "folder", found, "a folder without these pictures, or --overwrite"))
+    pictures = [f"{stem}{end}" for stem in STEMS for end in (".png", ".svg")]
+    require_free_folder(out, pictures, overwrite, "these pictures")
     rows = _by_angle(check)
     reach_rad = np.deg2rad([(row.high_deg - row.low_deg) / 2 for row in rows])
     low, high = [f"{row.low_deg:.0f}°" for row in rows], [f"{row.high_deg:.0f}°" for row in rows]

@@ -14,7 +14,7 @@ from rich.text import Text
 
 from recon.motion import FrameMotion, Motion, TrajectoryMotion
 from recon.report import frame, trajectory
-from recon.report.plain import to_plain, write_report
+from recon.report.plain import to_json, to_plain, write_report
 from recon.results import SCHEMA_NAME, SCHEMA_VERSION
 
 __all__ = [
@@ -24,6 +24,7 @@ __all__ = [
     "console_summary",
     "is_unsolved",
     "summary_lines",
+    "to_json",
     "to_plain",
     "write_report",
 ]

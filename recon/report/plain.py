@@ -26,6 +26,11 @@ def write_report(report: Mapping[str, Any], path: Path) -> None:
     path.write_text(text + "\n", encoding="utf-8")
 
 
+def to_json(value: Any) -> str:
+    """The text of a file, and what `--json` prints."""
+    return json.dumps(to_plain(value), indent=1, allow_nan=False, ensure_ascii=False) + "\n"
+
+
 def to_plain(value: Any) -> Any:
     """Arrays, tuples, mappings and numbers as JSON types; NaN and infinities are None."""
     if isinstance(value, Mapping):

@@ -17,9 +17,9 @@ from pathlib import Path
 from typing import Any, Literal
 
 from recon.errors import InputError, Problem
-from recon.files import staged_folder
+from recon.files import require_free_folder, staged_folder
 from recon.pipelines.batch.inputs import Clip
-from recon.pipelines.clip import OUTPUT_FILES, check_output_folder
+from recon.pipelines.clip import OUTPUT_FILES
 from recon.settings import OF_METHOD, FitSettings
 
 RECORD = "batch.json"
@@ -46,7 +46,7 @@ def plan_batch(clips: Sequence[Clip], out: Path, overwrite: bool = False) -> lis
     Results of the same input files, settings and version are done. Those that a batch made of the same keypoints with
     other settings are made again. Raises InputError for folders with any other results, unless they may be overwritten.
     """
-    check_output_folder(out, overwrite=True)
+    require_free_folder(out, (), overwrite=True)
     file_sha256.cache_clear()  # files may have changed since the last plan of this process
     planned, problems = [], []
     for clip in clips:
