@@ -6,6 +6,17 @@ from collections.abc import Iterable, Sequence
 
 
 def print_table(header: Sequence[object], rows: Iterable[Iterable[object]]) -> None:
-    for cells in (header, ["---"] * len(header), *rows):
-        print("| " + " | ".join(map(str, cells)) + " |")
+    print_header(header)
+    for cells in rows:
+        print_row(cells)
     print(flush=True)
+
+
+def print_header(header: Sequence[object]) -> None:
+    """Of a table whose rows follow as they are found, by `print_row`."""
+    print_row(header)
+    print_row(["---"] * len(header))
+
+
+def print_row(cells: Iterable[object]) -> None:
+    print("| " + " | ".join(map(str, cells)) + " |", flush=True)

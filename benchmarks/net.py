@@ -13,12 +13,16 @@ from __future__ import annotations
 
 import argparse
 import os
+import sys
 import tempfile
 import time
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
 from pathlib import Path
 
 import cv2
 import numpy as np
+from markdown_table import print_header, print_row
 
 from recon.net.evaluate2d import Evaluation2D, evaluate_2d_files
 from recon.net.labels import read_label_file
@@ -58,51 +62,75 @@ def settings(args: argparse.Namespace, seed: int) -> TrainSettings:
 
 
 def circle(args: argparse.Namespace, out: Path) -> None:
-    print("| seed | steps | s | median, px | PCK@5px | MPJPE, mm | with true points and 2 px noise, mm | ratio |")
-    print("| --- | --- | --- | --- | --- | --- | --- | --- |")
+    print_header(
+        ("seed", "steps", "s", "median, px", "PCK@5px", "MPJPE, mm", "with true points + 2 px, mm", "ratio")
+    )
     for seed in args.seeds:
         found = run_circle(out / f"circle{seed}", settings(args, seed), device=args.device, threads=args.threads)
         score = found.points.all
-        cells = (
+        print_row((
             seed, found.training["steps"], round(found.training["seconds"]), f"{score.median_px:.2f}",
             f"{score.pck_px[1]:.2f}", f"{1000 * found.predicted_m:.1f}", f"{1000 * found.noisy_m:.1f}",
             f"{found.ratio:.2f}",
-        )  # fmt: skip
-        print("| " + " | ".join(map(str, cells)) + " |", flush=True)
+        ))  # fmt: skip
 
 
 def speed(args: argparse.Namespace, out: Path) -> None:
-    """Frames a second, decoding included, with the weights of a network or random ones, which are as fast."""
+    """Frames a second, decoding included, and the most memory that a process takes for videos of two lengths.
+
+    With the weights of a network or random ones, which are as fast; pictures are not scaled then.
+    """
     device = choose_device(args.device)
     use_threads(args.threads)
-    names = tuple(f"point{k}" for k in range(22))
-    spec = Spec(names, 1.0, 120.0, 5.0, tuple(range(22)), False, {})
-    trained = Trained(spec, prepared(build_network(22, CHANNELS), device), device)
-    if args.model:
-        trained = load_model(args.model, device)
-    print("| video | type | frames/s |")
-    print("| --- | --- | --- |")
-    rng = np.random.default_rng(0)
+    trained = _network(args.model, args.device)
+    print_header(("video", "type", "frames/s"))
     for size, frames in (((288, 162), 900), ((640, 360), 300)):
         video = out / f"noise{size[0]}.mp4"
-        grain = rng.integers(0, 256, (size[1], size[0], 3)).astype(np.uint8)
-        scene = np.asarray(cv2.GaussianBlur(grain, (0, 0), 2), np.uint8)
-        with video_writer(video, size, 30.0) as write:
-            for n in range(frames):
-                write(np.roll(scene, n % 7, axis=1))
+        _noise_video(video, size, frames)
         for half in (False, True) if fast_half(device) else (False,):
             start = time.perf_counter()
             predict_video(trained, video, half=half)
             rate = frames / (time.perf_counter() - start)
-            print(f"| {size[0]}x{size[1]} | {'16 bits' if half else 'float32'} | {rate:.0f} |", flush=True)
+            print_row((f"{size[0]}x{size[1]}", "16 bits" if half else "float32", f"{rate:.0f}"))
+    print()
+    print_header(("frames of 640x360", "most memory, MB"))
+    for frames in (300, 3000):
+        video = out / f"long{frames}.mp4"
+        _noise_video(video, (640, 360), frames)
+        with ProcessPoolExecutor(1, get_context("spawn")) as pool:
+            megabytes = pool.submit(_most_memory, args.model, args.device, args.threads, video).result()
+        print_row((frames, f"{megabytes:.0f}"))
+
+
+def _network(model: Path | None, device: str) -> Trained:
+    if model:
+        return load_model(model, choose_device(device))
+    spec = Spec(tuple(f"point{k}" for k in range(22)), 1.0, 120.0, 5.0, tuple(range(22)), False, {})
+    return Trained(spec, prepared(build_network(22, CHANNELS), choose_device(device)), choose_device(device))
+
+
+def _noise_video(path: Path, size_px: tuple[int, int], frames: int) -> None:
+    grain = np.random.default_rng(0).integers(0, 256, (size_px[1], size_px[0], 3)).astype(np.uint8)
+    scene = np.asarray(cv2.GaussianBlur(grain, (0, 0), 2), np.uint8)
+    with video_writer(path, size_px, 30.0) as write:
+        for n in range(frames):
+            write(np.roll(scene, n % 7, axis=1))
+
+
+def _most_memory(model: Path | None, device: str, threads: int, video: Path) -> float:
+    import resource
+
+    use_threads(threads)
+    predict_video(_network(model, device), video)
+    most = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return most / (2**20 if sys.platform == "darwin" else 2**10)
 
 
 def horse(args: argparse.Namespace, out: Path) -> None:
     shared = Path(os.environ.get("RECON_SHARED_DATA", Path(__file__).resolve().parents[2] / "shared" / "data"))
     video = shared / "horse-side" / "BrownHorseinShadow.mp4"
     labels = shared / "horse-side" / "CollectedData_Byron.csv"
-    print("| seed | quality | steps | s | median, px | PCK@2.5/5/10px | swaps forgiven | ECE |")
-    print("| --- | --- | --- | --- | --- | --- | --- | --- |")
+    print_header(("seed", "quality", "steps", "s", "median, px", "PCK@2.5/5/10px", "swaps forgiven", "ECE"))
     for seed in args.seeds:
         folder = out / f"horse{seed}{'random' if args.random_half else ''}"
         validation, test = f"{FIRST + 110}:{FIRST + 150}", f"{FIRST + 150}:"
@@ -124,22 +152,20 @@ def horse(args: argparse.Namespace, out: Path) -> None:
                 result = evaluate_2d_files(points, held_out, first_frame=FIRST)
             else:
                 result = evaluate_2d_files(points, labels, first_frame=FIRST, frames=(FIRST + 150, FIRST + 200))
-            print(_row(seed, quality, report, result), flush=True)
+            print_row(_row(seed, quality, report, result))
         if args.random_half:
             print(f"Interpolation of the labels in time: {_interpolated(file, held_out):.2f} px (median)", flush=True)
 
 
-def _row(seed: int, quality: str, report: dict, result: Evaluation2D) -> str:
+def _row(seed: int, quality: str, report: dict, result: Evaluation2D) -> tuple[object, ...]:
     score, forgiven, table = result.all, result.swaps_forgiven, result.reliability
     assert forgiven is not None
     assert table is not None
-    pck = "/".join(f"{share:.2f}" for share in score.pck_px)
-    swaps = f"{forgiven.median_px:.2f} px, {forgiven.pck_px[1]:.2f}"
-    seconds = round(report["seconds"])
     return (
-        f"| {seed} | {quality} | {report['steps']} | {seconds} | {score.median_px:.2f} | {pck} | {swaps} | "
-        f"{table.error:.3f} |"
-    )
+        seed, quality, report["steps"], round(report["seconds"]), f"{score.median_px:.2f}",
+        "/".join(f"{share:.2f}" for share in score.pck_px), f"{forgiven.median_px:.2f} px, {forgiven.pck_px[1]:.2f}",
+        f"{table.error:.3f}",
+    )  # fmt: skip
 
 
 def _random_half(labels: Path, out: Path, seed: int) -> tuple[Path, Path]:
