@@ -142,6 +142,17 @@ def test_a_wrong_label_is_found_without_neighbours_and_with_a_network_that_learn
     assert {(s.image, s.keypoint) for s in found} == {("img0.png", "a"), ("img0.png", "d")}
 
 
+def test_of_two_labels_too_far_apart_the_one_on_the_line_in_time_comes_second():
+    """The wrong one has no neighbours in time that are labelled."""
+    labels = marching()
+    labels.xy_px[0, 1:3] = NAN
+    labels.xy_px[1:6, 3] = NAN
+    labels.xy_px[0, 3] = [200.0, 40.0]
+    found = suspicious_labels(labels, labels.xy_px.copy(), 34.0)
+    assert [(s.image, s.keypoint) for s in found] == [("img0.png", "d"), ("img0.png", "a")]
+    assert np.isnan(found[0].time)
+
+
 def test_good_labels_are_not_suspicious():
     labels = marching()
     assert suspicious_labels(labels, labels.xy_px + 1.0, 34.0) == []

@@ -152,6 +152,9 @@ def test_points_stay_on_their_pixels_when_a_picture_is_scaled(scale):
         (("Nearknee", "Offknee", "Girth"), (1, 0, 2)),
         (("l_eye", "r_eye", "tail", "l_ear"), (1, 0, 2, 3)),
         (("paw_l", "paw_r", "PawLeft", "PawRight"), (1, 0, 3, 2)),
+        (("pawFL", "pawFR", "pawRL", "pawRR"), (1, 0, 3, 2)),
+        (("LF_Hoof", "RF_Hoof", "lr-hoof", "rr-hoof"), (1, 0, 3, 2)),
+        (("LEye", "REye", "wing1_L", "wing1_R"), (1, 0, 3, 2)),
         (("hip", "eye", "collar"), (0, 1, 2)),
     ],
 )

@@ -117,6 +117,30 @@ def test_a_run_that_is_killed_and_resumed_ends_in_the_same_weights(clip, whole, 
     assert len(one["weights"]) > 50
 
 
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA device")
+def test_training_and_prediction_on_cuda(clip, tmp_path):
+    """The blobs are learned there, too, a stopped run ends in the same weights, and a CPU reads the network."""
+    settings = TrainSettings(steps=110, batch=4, seed=1)
+
+    def stop(stage: str, share: float, text: str) -> None:
+        if share >= 0.5:
+            raise Killed
+
+    run_training(source(clip), settings, tmp_path / "whole", device="cuda")
+    with pytest.raises(Killed):
+        run_training(source(clip), settings, tmp_path / "broken", device="cuda", progress=stop)
+    run_training(source(clip), settings, tmp_path / "broken", device="cuda", resume=True)
+    one, other = (load_file(tmp_path / name / "model.pt")["weights"] for name in ("whole", "broken"))
+    assert all(torch.equal(w, other[name]) for name, w in one.items())
+    points = [
+        run_prediction(clip / "clip.avi", tmp_path / "whole", tmp_path / f"{device}.csv", device=device, half=False)
+        for device in ("cuda", "cpu")
+    ]
+    truth = np.stack([places(frame) for frame in range(FRAMES)])
+    assert np.median(np.linalg.norm(points[0].xy_px - truth, axis=2)) < 2.5
+    np.testing.assert_allclose(points[0].xy_px, points[1].xy_px, atol=0.1)
+
+
 def test_another_seed_gives_other_weights(clip, tmp_path):
     for seed in (3, 4):
         train_in(tmp_path / str(seed), clip, TrainSettings(steps=2, batch=1, seed=seed))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path, PureWindowsPath
 
@@ -256,32 +256,32 @@ def body_length_px(xy_px: Array) -> float:
 
 
 def sides(names: Sequence[str]) -> tuple[int, ...]:
-    """For each keypoint, the one that it becomes in a mirror: names that differ in left/right, near/off, near/far or
-    l/r as a word of their own, or as how the name begins. A keypoint without a partner is its own."""
-    found = list(range(len(names)))
-    by_name = {name.lower(): i for i, name in enumerate(names)}
-    for i, name in enumerate(names):
-        for other in _mirrored(name.lower()):
-            if other in by_name:
-                found[i] = by_name[other]
-                break
-    return tuple(found)
+    """For each keypoint, the one that it becomes in a mirror: names that differ in left/right, near/off or near/far at
+    their beginning or end, or in those, l/r or a leg's letters (fl/fr, lf/rf) as a word, as in paw_l, pawFL and l-eye.
+    A keypoint without a partner is its own."""
+    plain = [_as_words(name) for name in names]
+    by_name = {name: i for i, name in enumerate(plain)}
+    return tuple(next((by_name[m] for m in _mirrored(name) if m in by_name), i) for i, name in enumerate(plain))
 
 
-_WORDS = (("left", "right"), ("near", "off"), ("near", "far"), ("l", "r"))
+_LONG = (("left", "right"), ("near", "off"), ("near", "far"))
+_SHORT = (("l", "r"), *((leg + "l", leg + "r") for leg in "fhbr"), *(("l" + leg, "r" + leg) for leg in "fhbr"))
+"""Front, hind, back and rear legs."""
 
 
-def _mirrored(name: str) -> list[str]:
-    out = []
-    for pair in _WORDS:
+def _as_words(name: str) -> str:
+    """pawFL and PawLeft as paw_fl and paw_left."""
+    return re.sub(r"(?<=[a-z0-9])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])", "_", name).lower()
+
+
+def _mirrored(name: str) -> Iterator[str]:
+    """Names that the mirror picture of a keypoint may have."""
+    for pair in (*_LONG, *_SHORT):
         for a, b in (pair, pair[::-1]):
-            if len(a) > 1 and name.startswith(a):
-                out.append(b + name[len(a) :])
-            if len(a) > 1 and name.endswith(a):
-                out.append(name[: -len(a)] + b)
             swapped = re.sub(rf"(?<![a-z0-9]){a}(?![a-z0-9])", b, name)
             if swapped != name:
-                out.append(swapped)
-            if len(a) == 1:  # as in pawFL and pawFR the case is lost here; as in hind_paw1_l it is a word
-                continue
-    return out
+                yield swapped
+            if pair in _LONG and name.startswith(a):
+                yield b + name[len(a) :]
+            if pair in _LONG and name.endswith(a):
+                yield name[: -len(a)] + b

@@ -153,8 +153,7 @@ def _draw_curves(state: State, folder: Path) -> None:
         if judged:
             right.plot([r["step"] for r in judged], [r["validation_px"] for r in judged], color=COLOURS[1], marker=".")
             right.set(yscale="log")
-            right.yaxis.set_major_formatter("{x:g}")
-            right.yaxis.set_minor_formatter("{x:g}")
+            _plain_numbers(right.yaxis)
         else:
             right.text(0.5, 0.5, "no validation pictures", transform=right.transAxes, ha="center", color=GREY)
         right.set(xlabel="step", ylabel="median validation error (px)")
@@ -177,8 +176,18 @@ def _draw_keypoints(judged: dict[str, Evaluation2D], folder: Path) -> None:
         axes.invert_yaxis()
         axes.grid(axis="x", lw=0.4, color="#DDDDDD")
         axes.set(xlabel="median error (px)", xscale="log")
+        _plain_numbers(axes.xaxis)
         axes.legend()
     save(figure, folder, "keypoints")
+
+
+def _plain_numbers(axis: Any) -> None:
+    """1, 2, 5, 10 and so on along a logarithmic axis."""
+    from matplotlib.ticker import LogLocator, NullLocator
+
+    axis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+    axis.set_major_formatter("{x:g}")
+    axis.set_minor_locator(NullLocator())
 
 
 def _draw_reliability(tables: dict[str, Reliability], folder: Path) -> None:

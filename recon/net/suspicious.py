@@ -4,7 +4,8 @@
 - The label is farther from every other label of its picture than this keypoint is anywhere else from them.
 - It leaves the line through its neighbours in time.
 
-The distances are in body lengths; a label's rank is the sum of those in which it stands out.
+The distances are in body lengths; a label's rank is the sum of those in which it stands out, half of it where the label
+lies on the line in time: of two labels that are too far from each other, that is the right one.
 """
 
 from __future__ import annotations
@@ -55,6 +56,8 @@ def suspicious_labels(labels: Labels, xy_px: Array, length_px: float) -> list[Su
         reasons = tuple(text.format(value) for value, limit, text in parts if value > limit)
         if reasons:
             rank = sum(value for value, limit, _ in parts if value > limit)
+            if time[i, k] <= JUMP:
+                rank *= 0.5
             x, y = labels.xy_px[i, k]
             found.append(
                 Suspect(

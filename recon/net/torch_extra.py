@@ -50,10 +50,11 @@ def available_cores() -> int:
 
 
 def fast_half(device: torch.device) -> Any:
-    """The 16-bit type that is faster than float32 on a device, or None: on a CPU that needs units for bfloat16."""
+    """bfloat16 where a device computes faster with it than with float32, or None. Not float16, whose range is too small
+    for gradients unless they are scaled."""
     torch = require_torch()
     if device.type == "cuda":
-        return torch.bfloat16 if torch.cuda.is_bf16_supported() else torch.float16
+        return torch.bfloat16 if torch.cuda.is_bf16_supported() else None
     if device.type == "cpu" and getattr(torch.cpu, "_is_amx_tile_supported", lambda: False)():
         return torch.bfloat16
     return None
