@@ -46,7 +46,11 @@ def write_training_report(run: Run, state: State, folder: Path) -> dict[str, Any
     judged = {name: _evaluation(run, which, xy_px, likelihood) for name, which in parts.items() if len(which)}
     # Of the network as it was calibrated: before it learned from the validation pictures.
     before = {quality: reliability(*judged) for quality, judged in state.judged.items()}
-    suspects = suspicious_labels(run.labels, xy_px, spec.body_length_px)
+    # Elsewhere, that the network disagrees says more about the network.
+    learned = np.concatenate([run.split.train, *([run.split.validation] if run.settings.finish else [])])
+    seen = np.full_like(xy_px, np.nan)
+    seen[learned] = xy_px[learned]
+    suspects = suspicious_labels(run.labels, seen, spec.body_length_px)
     report = {
         "recon": __version__,
         "torch": str(require_torch().__version__),

@@ -43,7 +43,8 @@ class Suspect:
 
 
 def suspicious_labels(labels: Labels, xy_px: Array, length_px: float) -> list[Suspect]:
-    """The most suspicious first. xy_px (N, K, 2): what the network says, in pixels of the clip."""
+    """The most suspicious first. xy_px (N, K, 2): what the network says, in pixels of the clip, NaN in pictures that it
+    has not learned from."""
     network = np.linalg.norm(xy_px - labels.xy_px, axis=2) / length_px
     others, time = _apart(labels.xy_px) / length_px, _jump(labels) / length_px
     found = []

@@ -82,8 +82,8 @@ class Trained:
             if views:
                 found = self._averaged(found, x, views, half)
             xy, raw = decode(found, self.spec.tolerance_places)
-        xy_px = scale_points(xy.double().cpu().numpy() * STRIDE, 1 / self.spec.scale)
-        return xy_px, raw.double().cpu().numpy()
+        xy_px = scale_points(xy.cpu().double().numpy() * STRIDE, 1 / self.spec.scale)
+        return xy_px, raw.cpu().double().numpy()
 
     def _probability(self, x: torch.Tensor, half: Any) -> torch.Tensor:
         import torch  # pyright: ignore[reportMissingImports]
