@@ -62,9 +62,7 @@ def settings(args: argparse.Namespace, seed: int) -> TrainSettings:
 
 
 def circle(args: argparse.Namespace, out: Path) -> None:
-    print_header(
-        ("seed", "steps", "s", "median, px", "PCK@5px", "MPJPE, mm", "with true points + 2 px, mm", "ratio")
-    )
+    print_header(("seed", "steps", "s", "median, px", "PCK@5px", "MPJPE, mm", "with true points + 2 px, mm", "ratio"))
     for seed in args.seeds:
         found = run_circle(out / f"circle{seed}", settings(args, seed), device=args.device, threads=args.threads)
         score = found.points.all
