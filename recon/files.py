@@ -56,7 +56,9 @@ def require_free_folder(out: Path, names: Iterable[str], overwrite: bool, expect
         raise InputError(Problem("--out", "folder", found, f"a folder without {expected}, or --overwrite"))
 
 
-def require_free_file(out: Path, overwrite: bool, option: str = "--out") -> None:
-    """Raises InputError where a file is there already that may not be replaced."""
+def require_free_file(out: Path, overwrite: bool, option: str = "--out", source: Path | None = None) -> None:
+    """Raises InputError where a file is there already that may not be replaced, as the source never may."""
+    if source is not None and out.resolve() == source.resolve():
+        raise InputError(Problem(option, "file", f"{out}, which is the input", "a new name"))
     if out.exists() and not overwrite:
         raise InputError(Problem(option, "file", f"{out}, which is there already", "a new name, or --overwrite"))

@@ -214,7 +214,7 @@ def options_of(command: typer.core.TyperGroup | object) -> Iterator[str]:
         yield from options_of(inner)
 
 
-OTHERS_OPTIONS = {"--only", "--set", "--write-prior", "--nthreads", "--help"}
+OTHERS_OPTIONS = {"--only", "--set", "--write-prior", "--nthreads", "--help", "--index-url", "--random-half"}
 """Of the benchmarks, and of other programs."""
 
 

@@ -153,6 +153,13 @@ def test_of_two_labels_too_far_apart_the_one_on_the_line_in_time_comes_second():
     assert np.isnan(found[0].time)
 
 
+def test_a_network_that_does_not_know_a_keypoint_speaks_against_none_of_its_labels():
+    labels = marching()
+    seen = labels.xy_px.copy()
+    seen[:, 3] += np.where(np.arange(len(seen)) % 2, 15.0, 45.0)[:, None]
+    assert suspicious_labels(labels, seen, 34.0) == []
+
+
 def test_good_labels_are_not_suspicious():
     labels = marching()
     assert suspicious_labels(labels, labels.xy_px + 1.0, 34.0) == []

@@ -117,6 +117,35 @@ def test_a_run_that_is_killed_and_resumed_ends_in_the_same_weights(clip, whole, 
     assert len(one["weights"]) > 50
 
 
+def test_what_a_run_needs_is_checked_before_a_folder_is_made(clip, tmp_path):
+    with pytest.raises(InputError, match="no such file"):
+        train_in(tmp_path / "none", clip, resume=True)
+    assert not (tmp_path / "none").exists()
+
+
+def test_the_video_is_never_written_over(clip, model, tmp_path):
+    video = tmp_path / "clip.avi"
+    video.write_bytes((clip / "clip.avi").read_bytes())
+    with pytest.raises(InputError, match="which is the input"):
+        run_prediction(video, model, tmp_path / "p.csv", overlay=tmp_path / "." / "clip.avi", overwrite=True)
+    assert video.read_bytes() == (clip / "clip.avi").read_bytes()
+    assert not (tmp_path / "p.csv").exists()
+
+
+def test_ctrl_c_says_how_to_go_on(clip, tmp_path, monkeypatch):
+    def interrupted(*args: object, **options: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("recon.pipelines.net.train", interrupted)
+    arguments = ["train", clip / "clip.avi", "--labels", clip / "labels.csv", "--first-frame", "50", "--steps", "3"]
+    ended = run(*arguments, "--out", tmp_path / "out")
+    assert ended.code == 130
+    assert "Stopped: there is no checkpoint yet." in ended.err
+    (tmp_path / "out" / "checkpoint.pt").write_bytes(b"")
+    ended = run(*arguments, "--out", tmp_path / "out", "--overwrite")
+    assert "with --resume goes on" in ended.err
+
+
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA device")
 def test_training_and_prediction_on_cuda(clip, tmp_path):
     """The blobs are learned there, too, a stopped run ends in the same weights, and a CPU reads the network."""

@@ -75,7 +75,8 @@ def predict(
     console.print(
         Text(
             f"{frames} frames in {seconds:.1f} s ({frames / seconds:.0f} a second); {sure:.0%} of the points have a "
-            f"likelihood of {likelihood_min:g} or more. They are in {out}."
+            f"likelihood of {likelihood_min:g} or more. They are in {out}"
+            + (f", drawn on the video in {overlay}." if overlay else ".")
         ),
         soft_wrap=True,
     )

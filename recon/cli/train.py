@@ -80,7 +80,7 @@ def train(
 
     Example: recon train run.mp4 --labels CollectedData_me.csv --out models/run
     """
-    from recon.net.run import TrainSettings
+    from recon.net.run import CHECKPOINT_FILE, TrainSettings
     from recon.pipelines.net import LabelSource, run_training
 
     settings = TrainSettings(
@@ -98,18 +98,25 @@ def train(
         TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeElapsedColumn(),
         TextColumn("{task.fields[figures]}"),
     )  # fmt: skip
-    with Progress(*columns, console=console, transient=True, disable=quiet or not console.is_terminal) as bar:
-        task = bar.add_task("reading", total=1.0, figures="")
-        report = run_training(
-            LabelSource(data, labels, first_frame, individual, validation, test),
-            settings,
-            out,
-            device=device,
-            threads=threads,
-            resume=resume,
-            overwrite=overwrite,
-            progress=lambda stage, share, text: bar.update(task, description=stage, completed=share, figures=text),
-        )
+    try:
+        with Progress(*columns, console=console, transient=True, disable=quiet or not console.is_terminal) as bar:
+            task = bar.add_task("reading", total=1.0, figures="")
+            report = run_training(
+                LabelSource(data, labels, first_frame, individual, validation, test),
+                settings,
+                out,
+                device=device,
+                threads=threads,
+                resume=resume,
+                overwrite=overwrite,
+                progress=lambda stage, share, text: bar.update(task, description=stage, completed=share, figures=text),
+            )
+    except KeyboardInterrupt:
+        message = "the same command with --resume goes on from the last checkpoint"
+        if not (out / CHECKPOINT_FILE).is_file():
+            message = "there is no checkpoint yet"
+        Console(stderr=True, soft_wrap=True).print(Text(f"Stopped: {message}.", "bold"))
+        raise typer.Exit(130) from None
     for line in _summary(report, out):
         console.print(Text(line), soft_wrap=True)
 
@@ -120,6 +127,11 @@ def _summary(report: dict[str, Any], out: Path) -> Iterator[str]:
     best = report["best_validation"]
     if best:
         yield f"Validation pictures, before any was learned from: median error {best['median_px']:.2f} px at best."
+        if best["median_px"] > 2 * report["tolerance_px"]:
+            yield (
+                f"That is too far off to be of use: a point counts as right within {report['tolerance_px']:.1f} px. "
+                "Train longer (--minutes), with --threads 1 where the machine is busy, or label more."
+            )
     if "test" in report["errors"]:
         score = report["errors"]["test"]["all"]
         yield f"Test pictures: median error {score['median_px']:.2f} px, {score['pck_px']['5.0']:.0%} within 5 px."

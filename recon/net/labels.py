@@ -19,7 +19,8 @@ from recon.keypoints import Keypoints, mark_missing
 from recon.video import Image, probe, read_frames
 
 Array = NDArray[np.float64]
-PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
+OUTSIDE = 0.1
+"""Share of the labels that may lie outside of their pictures."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,10 +89,26 @@ def read_labels(data: Path, labels: Path | None = None, first_frame: int = 0, in
     if labels is None:
         if data.is_file():
             raise InputError(Problem("--labels", "file", "none", f"the label file (CSV or H5) of the video {data}"))
-        return _read_project(data, individual)
+        return _inside(_read_project(data, individual))
     if data.is_dir():
         raise InputError(Problem("--labels", "file", str(labels), f"none: the folder {data} has its own label files"))
-    return _read_video(data, labels, first_frame, individual)
+    return _inside(_read_video(data, labels, first_frame, individual))
+
+
+def _inside(labels: Labels) -> Labels:
+    """Raises InputError where too many labels lie outside of their pictures to be theirs."""
+    sizes = np.array([picture.shape[1::-1] for picture in labels.pictures], float)[:, None]
+    outside = labels.labelled & ((labels.xy_px < -0.5) | (labels.xy_px > sizes - 0.5)).any(axis=2)
+    if outside.sum() > OUTSIDE * labels.labelled.sum():
+        i, k = np.argwhere(outside)[0]
+        x, y = labels.xy_px[i, k]
+        width, height = labels.pictures[i].shape[1::-1]
+        found = (
+            f"{outside.sum()} of {labels.labelled.sum()} points outside of their pictures, {labels.names[k]} in "
+            f"{labels.images[i]} first: at ({x:.0f}, {y:.0f}) in {width}x{height} px"
+        )
+        raise InputError(Problem(labels.source, "labels", found, "labels of these pictures"))
+    return labels
 
 
 def read_label_file(path: Path, individual: str | None = None) -> tuple[Keypoints, tuple[str, ...]]:

@@ -118,9 +118,9 @@ def _thinned(history: list[dict[str, float]]) -> list[dict[str, float]]:
 def _write_suspects(suspects: list[Suspect], path: Path) -> None:
     with path.open("w", encoding="utf-8", newline="") as file:
         rows = csv.writer(file, lineterminator="\n")
-        rows.writerow(["image", "keypoint", "x_px", "y_px", "network", "others", "time", "reasons"])
+        rows.writerow(["image", "keypoint", "x_px", "y_px", "rank", "network", "others", "time", "reasons"])
         for s in suspects:
-            values = ["" if np.isnan(v) else f"{v:.3f}" for v in (s.network, s.others, s.time)]
+            values = ["" if np.isnan(v) else f"{v:.3f}" for v in (s.rank, s.network, s.others, s.time)]
             rows.writerow([s.image, s.keypoint, f"{s.x_px:.2f}", f"{s.y_px:.2f}", *values, "; ".join(s.reasons)])
 
 

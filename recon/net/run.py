@@ -168,8 +168,6 @@ _PLAIN = ("step", "share", "seconds", "finishing", "best_error_px", "best_step",
 def resumed(run: Run, out: Path) -> State:
     """The state of a checkpoint. Raises InputError where it belongs to other keypoints, settings or pictures."""
     path = out / CHECKPOINT_FILE
-    if not path.is_file():
-        raise InputError(Problem(path, "checkpoint", "no such file", "one to go on from; without --resume, a new run"))
     content = load_file(path)
     if not isinstance(content, dict) or "optimizer" not in content:
         raise InputError(Problem(path, "checkpoint", "a file of another kind", "one that `recon train` wrote"))

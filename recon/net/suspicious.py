@@ -10,6 +10,7 @@ lies on the line in time: of two labels that are too far from each other, that i
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,6 +21,8 @@ from recon.net.labels import Labels
 Array = NDArray[np.float64]
 FAR, APART, JUMP = 0.2, 0.15, 0.15
 """Body lengths from which on a label stands out: from the network's point, from the others, from the line in time."""
+LEARNED = 5.0
+"""Times a keypoint's median distance that the network's point must be away, too: it has to know the keypoint."""
 USUAL = 0.95
 """A distance between two keypoints is usual up to this quantile of it."""
 MOST = 30
@@ -47,10 +50,13 @@ def suspicious_labels(labels: Labels, xy_px: Array, length_px: float) -> list[Su
     has not learned from."""
     network = np.linalg.norm(xy_px - labels.xy_px, axis=2) / length_px
     others, time = _apart(labels.xy_px) / length_px, _jump(labels) / length_px
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # a keypoint that the network says nothing about
+        far = np.fmax(FAR, LEARNED * np.nanmedian(network, axis=0))
     found = []
     for i, k in np.argwhere(labels.labelled):
         parts = (
-            (float(network[i, k]), FAR, "{:.2f} body lengths from where the network sees it"),
+            (float(network[i, k]), float(far[k]), "{:.2f} body lengths from where the network sees it"),
             (float(others[i, k]), APART, "{:.2f} body lengths farther from every other label than usual"),
             (float(time[i, k]), JUMP, "{:.2f} body lengths off the line through its neighbours in time"),
         )

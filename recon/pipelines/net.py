@@ -95,7 +95,7 @@ def run_prediction(
     chosen, *_ = all_of(
         lambda: choose_device(device),
         lambda: _check_out(out, WRITERS, overwrite),
-        lambda: _check_overlay(overlay, overwrite),
+        lambda: _check_overlay(overlay, overwrite, video),
         lambda: _check_quality(quality),
     )
     use_threads(threads)
@@ -117,6 +117,9 @@ def run_prediction(
 
 
 def _check_folder(out: Path, resume: bool, overwrite: bool) -> None:
+    if resume and not (out / CHECKPOINT_FILE).is_file():
+        expected = "one to go on from; without --resume, a new run"
+        raise InputError(Problem(out / CHECKPOINT_FILE, "checkpoint", "no such file", expected))
     there = [name for name in (MODEL_FILE, CHECKPOINT_FILE) if (out / name).exists()]
     if there and not resume and not overwrite:
         expected = "a new folder, --resume to go on, or --overwrite to begin again"
@@ -131,11 +134,11 @@ def _check_out(out: Path, suffixes: dict[str, Any], overwrite: bool) -> None:
     require_free_file(out, overwrite)
 
 
-def _check_overlay(overlay: Path | None, overwrite: bool) -> None:
+def _check_overlay(overlay: Path | None, overwrite: bool, video: Path) -> None:
     if overlay is None:
         return
     require_codec(overlay)
-    require_free_file(overlay, overwrite, "--overlay")
+    require_free_file(overlay, overwrite, "--overlay", video)
 
 
 def _check_quality(quality: str) -> None:

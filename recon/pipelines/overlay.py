@@ -54,7 +54,9 @@ def run_overlay(
     first_frame: the number that the video's first frame has in the result. speed: of the playback. Raises InputError,
     with every problem, for inputs that do not belong together; then nothing is written.
     """
-    result, info, _ = all_of(lambda: read_results(folder), lambda: probe(video), lambda: _check_out(out, overwrite))
+    result, info, _ = all_of(
+        lambda: read_results(folder), lambda: probe(video), lambda: _check_out(out, overwrite, video)
+    )
     if speed is None:
         speed = min(1.0, SLOW_FPS / result.fps)
     zoom = -(-MIN_WIDTH_PX // info.size_px[0])
@@ -160,6 +162,6 @@ def _speed(speed: float) -> None:
         raise InputError(Problem("--speed", "factor", f"{speed:g}", "more than 0 and at most 10; 1 is real time"))
 
 
-def _check_out(out: Path, overwrite: bool) -> None:
+def _check_out(out: Path, overwrite: bool, video: Path) -> None:
     require_codec(out)
-    require_free_file(out, overwrite)
+    require_free_file(out, overwrite, source=video)
