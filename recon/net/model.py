@@ -1,7 +1,7 @@
 """The network: a picture in, for each keypoint a score for each place of a grid in it.
 
 An encoder of residual blocks down to 1/32 of the picture, and a decoder back up to 1/4 (`STRIDE`). Convolutions only,
-so that any size of picture goes in; about 2.6 million parameters for any number of keypoints. The softmax of a
+so that any size of picture goes in; about 2.7 million parameters for any number of keypoints. The softmax of a
 keypoint's scores over the grid is the probability that it is there (`recon.net.decode`).
 """
 
