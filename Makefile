@@ -88,7 +88,7 @@ $(BASE): $(REQUIREMENTS) | $(BIN)/python
 	$(PIP) -e .
 	@touch $@
 
-# torch by itself first: its build for the CPU, a tenth of the size of the one with CUDA, comes from an index of its own.
+# torch by itself first: its build for the CPU, much smaller than the one with CUDA, comes from an index of its own.
 # Where that cannot be reached, pip looks in the usual places.
 $(DEV): $(REQUIREMENTS) | $(BIN)/python
 	$(PIP) --quiet --no-deps --retries 1 --extra-index-url $(TORCH_INDEX) torch

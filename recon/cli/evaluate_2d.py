@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -37,6 +36,7 @@ def evaluate_2d(
     """
     from recon.keypoints import parse_frame_range
     from recon.net.evaluate2d import evaluate_2d_files
+    from recon.report import to_json
 
     result = evaluate_2d_files(
         predicted,
@@ -48,7 +48,7 @@ def evaluate_2d(
         tolerance_px=tolerance_px,
     )
     if as_json:
-        typer.echo(json.dumps(_finite(result.to_dict()), indent=1))
+        typer.echo(to_json(result.to_dict()), nl=False)
         return
     Console().print(_table(result))
     for line in _notes(result):
@@ -94,12 +94,3 @@ def _notes(result: Evaluation2D) -> Iterator[str]:
                 shares = f"likelihood {b.likelihood:.2f}  right {b.right:.2f}"
                 yield f"  {b.low:.1f} to {b.high:.1f}  {b.points:6d} points  {shares}"
         yield f"Expected calibration error: {table.error:.3f}"
-
-
-def _finite(value: object) -> object:
-    """JSON has no NaN."""
-    if isinstance(value, dict):
-        return {k: _finite(v) for k, v in value.items()}
-    if isinstance(value, list | tuple):
-        return [_finite(v) for v in value]
-    return None if isinstance(value, float) and value != value else value

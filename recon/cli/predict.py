@@ -8,8 +8,9 @@ from typing import Annotated
 
 import typer
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 from rich.text import Text
+
+from recon.cli.common import progress_bar
 
 
 def predict(
@@ -23,7 +24,7 @@ def predict(
         str,
         typer.Option(
             help="fast, or best: averaged over three scales and, if trained with them, mirror pictures; three to six "
-            "times as slow."
+            "times the work."
         ),
     ] = "fast",
     likelihood_min: Annotated[
@@ -51,10 +52,8 @@ def predict(
     from recon.pipelines.net import run_prediction
 
     console = Console(quiet=quiet)
-    columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
     start = time.monotonic()
-    with Progress(*columns, console=console, transient=True, disable=quiet or not console.is_terminal) as bar:
-        task = bar.add_task("reading", total=1.0)
+    with progress_bar(console, "predicting") as progress:
         keypoints = run_prediction(
             video,
             model,
@@ -68,7 +67,7 @@ def predict(
             threads=threads,
             partial=partial,
             overwrite=overwrite,
-            progress=lambda stage, share, text: bar.update(task, description=f"{stage} {text}", completed=share),
+            progress=lambda stage, share, text: progress(text or stage, share),
         )
     frames, seconds = len(keypoints.frames), time.monotonic() - start
     sure = float((keypoints.confidence >= likelihood_min).mean())

@@ -116,12 +116,17 @@ def read_label_file(path: Path, individual: str | None = None) -> tuple[Keypoint
 
     Raises InputError for a file that is no table of DeepLabCut's, or that has no label in it.
     """
+    keypoints, images = _read_rows(path, individual)
+    if not keypoints.present.any():
+        raise InputError(Problem(path, "labels", "none: every cell is empty", "at least one labelled point"))
+    return keypoints, images
+
+
+def _read_rows(path: Path, individual: str | None) -> tuple[Keypoints, tuple[str, ...]]:
     file_head(path)
     if not deeplabcut.recognises(path):
         raise InputError(Problem(path, "format", "another kind of file", "labels in DeepLabCut's layout, CSV or H5"))
     keypoints, _ = mark_missing(deeplabcut.read(path, individual))
-    if not keypoints.present.any():
-        raise InputError(Problem(path, "labels", "none: every cell is empty", "at least one labelled point"))
     named = dict(_image_names(path))
     return keypoints, tuple(named.get(int(n), str(n)) for n in keypoints.frames)
 
@@ -225,13 +230,9 @@ def _label_files(folder: Path) -> list[Path]:
 
 def _read_folder(path: Path, individual: str | None) -> Labels | None:
     """The pictures beside a label file; None where nothing is labelled in it, as in folders that wait for it."""
-    file_head(path)
-    if not deeplabcut.recognises(path):
-        raise InputError(Problem(path, "format", "another kind of file", "labels in DeepLabCut's layout, CSV"))
-    table = deeplabcut.read(path, individual)
-    if not mark_missing(table)[0].present.any():
+    keypoints, images = _read_rows(path, individual)
+    if not keypoints.present.any():
         return None
-    keypoints, images = read_label_file(path, individual)
     problems, pictures = [], []
     for image in images:
         file = path.parent / PureWindowsPath(image).name

@@ -23,6 +23,7 @@ from recon.net.model import build_network
 from recon.net.split import Split
 from recon.net.torch_extra import placed, require_torch
 from recon.net.trained import CHANNELS, Spec, load_file
+from recon.report import to_plain
 from recon.video import Image
 
 if TYPE_CHECKING:
@@ -177,7 +178,7 @@ def resumed(run: Run, out: Path) -> State:
         problems.append(Problem(path, "keypoints", ", ".join(content["names"]), expected))
     given = dataclasses.asdict(run.settings)
     for name, value in content["settings"].items():
-        if _plain(value) != _plain(given.get(name)):
+        if to_plain(value) != to_plain(given.get(name)):
             problems.append(Problem(path, f"setting {name}", str(value), f"{given.get(name)}, as now given"))
     if not problems and content["split"] != run.split.to_dict(run.labels):
         problems.append(Problem(path, "pictures", "another split of them", "the labels and split of the run so far"))
@@ -196,10 +197,3 @@ def resumed(run: Run, out: Path) -> State:
     for name in _PLAIN:
         setattr(state, name, content[name])
     return state
-
-
-def _plain(value: Any) -> Any:
-    """Tuples as lists, also inside."""
-    if isinstance(value, dict):
-        return {k: _plain(v) for k, v in value.items()}
-    return [_plain(v) for v in value] if isinstance(value, list | tuple) else value

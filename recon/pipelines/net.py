@@ -94,7 +94,7 @@ def run_prediction(
     require_torch()
     chosen, *_ = all_of(
         lambda: choose_device(device),
-        lambda: _check_out(out, WRITERS, overwrite),
+        lambda: _check_out(out, overwrite),
         lambda: _check_overlay(overlay, overwrite, video),
         lambda: _check_quality(quality),
     )
@@ -128,9 +128,9 @@ def _check_folder(out: Path, resume: bool, overwrite: bool) -> None:
         raise InputError(Problem("--out", "folder", f"{out}, which is a file", "a folder"))
 
 
-def _check_out(out: Path, suffixes: dict[str, Any], overwrite: bool) -> None:
-    if out.suffix.lower() not in suffixes:
-        raise InputError(Problem("--out", "suffix", repr(out.suffix), "one of " + ", ".join(suffixes)))
+def _check_out(out: Path, overwrite: bool) -> None:
+    if out.suffix.lower() not in WRITERS:
+        raise InputError(Problem("--out", "suffix", repr(out.suffix), "one of " + ", ".join(WRITERS)))
     require_free_file(out, overwrite)
 
 
