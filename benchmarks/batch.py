@@ -26,6 +26,7 @@ from markdown_table import print_table
 
 from recon.io import read_keypoints
 from recon.keypoints import Keypoints
+from recon.package import install_command
 from recon.pipelines.batch.record import read_record
 from recon.pipelines.demo import samples_folder
 from recon.synthetic import add_noise
@@ -245,7 +246,7 @@ def on_dask(clips: Path, work: Path, total: int, broken: int) -> None:
     try:
         from distributed import Client, LocalCluster
     except ImportError:
-        print("no Dask here: pip install 'recon[cluster]'")
+        print(f"no Dask here: {install_command('cluster')}")
         return
     out = work / "dask"
     cluster: Any = LocalCluster(n_workers=2, threads_per_worker=1, processes=True, dashboard_address=":0")

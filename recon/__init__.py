@@ -7,8 +7,6 @@ motion = recon.fit_clip(settings)
 motion.joints_m  # (frames, joints, 3), metres
 """
 
-from importlib import metadata
-
 from recon.analysis.clip import ClipAnalysis, analyse
 from recon.analysis.evaluation import Evaluation, evaluate, evaluate_files
 from recon.body import Body
@@ -19,6 +17,7 @@ from recon.io import read_keypoints
 from recon.io.pose3d import Pose3D, read_pose3d
 from recon.keypoints import Keypoints, clean
 from recon.motion import FrameMotion, Motion, TrajectoryMotion
+from recon.package import version
 from recon.pipelines.clip import fit_clip, write_clip
 from recon.pipelines.demo import samples_folder
 from recon.results import Results, read_results
@@ -26,7 +25,7 @@ from recon.settings import FitSettings
 from recon.skeleton import Skeleton
 from recon.skeleton_file import load_skeleton
 
-__version__ = metadata.version("recon")
+__version__ = version()
 
 __all__ = [
     "Body",

@@ -184,7 +184,7 @@ def test_report_and_config_say_what_was_done(fitted):
     out, _ = fitted
     report = report_of(out)
     assert report["schema"]["name"] == "recon.fit.report"
-    assert report["recon_version"] == metadata.version("recon")
+    assert report["recon_version"] == metadata.version("recon-motion")
     assert report["summary"]["frames"] == report["summary"]["frames_converged"] == 30
     assert report["side"]["fitted"] == "right"
     assert report["frame_of_reference"] == "world"
@@ -780,7 +780,7 @@ def test_view_opens_the_recording(fitted, monkeypatch):
 
 
 def test_version():
-    assert run("--version") == Ended(0, f"recon {metadata.version('recon')}\n", "")
+    assert run("--version") == Ended(0, f"recon {metadata.version('recon-motion')}\n", "")
 
 
 @pytest.mark.parametrize("command", ["fit", "evaluate", "view", "demo"])

@@ -20,6 +20,7 @@ from command_line import run, run_process
 
 import recon.pipelines.doctor as module
 from recon.cli import app
+from recon.package import install_command
 from recon.pipelines.doctor import Check, Doctor, extras, run_doctor, self_test, temporary_folder, versions, viewer
 
 SAMPLES = Path(__file__).parents[1] / "data" / "samples"
@@ -42,7 +43,7 @@ def test_all_is_well_here(doctor, monkeypatch):
     assert doctor.ok, [check for check in doctor.checks if check.status == "broken"]
     found = {check.name: check.found for check in doctor.checks}
     assert found["numpy"] == metadata.version("numpy")
-    assert found["recon"].startswith(metadata.version("recon"))
+    assert found["recon"].startswith(metadata.version("recon-motion"))
     assert found["python"].startswith(".".join(map(str, sys.version_info[:3])))
     assert found["viewer"] == f"rerun-cli {metadata.version('rerun-sdk')}"
     assert found["GPU"].startswith("not needed")
@@ -76,7 +77,7 @@ def test_prints_a_table_of_80_columns_or_json_and_ends_with_0_or_1(doctor, monke
 def test_versions_that_are_too_old_or_missing_are_broken():
     found = {
         check.name: check
-        for check in versions(["numpy>=1.2", "scipy>=999", "no-such-thing>=2.5", "rich; extra == 'plots'"])
+        for check in versions(["numpy>=1.2", "scipy>=999", "no-such-thing>=2.5", "rich; extra == 'urdf'"])
     }
     assert statuses(found.values()) == {
         "recon": "ok",
@@ -117,16 +118,27 @@ def test_a_module_of_another_distribution_counts(monkeypatch):
     assert statuses(versions(["opencv-python-headless>=4.9"]))["opencv-python-headless"] == "ok"
 
 
+def test_the_package_of_somebody_else_is_found(monkeypatch):
+    """It has files of the same names."""
+    assert "another recon" not in {check.name for check in versions([])}
+    real = metadata.version
+    monkeypatch.setattr(metadata, "version", lambda name: "3.1" if name == "recon" else real(name))
+    found = {check.name: check for check in versions([])}["another recon"]
+    assert found.status == "broken"
+    assert found.found == "the package recon 3.1 is here too, whose files have the same names"
+    assert found.hint == "pip uninstall recon recon-motion, and install recon-motion again"
+
+
 def test_optional_parts_say_how_to_get_them():
     requires = [
-        "rich>=1; extra == 'plots'",
+        "rich>=1; extra == 'urdf'",
         "no-such-thing>=1; extra == 'formats'",
         "rich>=999; extra == 'formats'",
         "x; extra == 'dev'",
     ]
     found = {check.name: check for check in extras(requires)}
-    assert statuses(found.values()) == {"plots": "ok", "formats": "absent", "GPU": "ok"}
-    assert found["formats"].hint == "pip install 'recon[formats]'"
+    assert statuses(found.values()) == {"urdf": "ok", "formats": "absent", "GPU": "ok"}
+    assert found["formats"].hint == install_command("formats")
     assert f"no no-such-thing, rich {metadata.version('rich')} < 999" in found["formats"].found
 
 

@@ -152,6 +152,17 @@ def test_bad_options(whole_results, tmp_path, options, said):
     assert not (tmp_path / "a").exists()
 
 
+def test_tables_are_written_where_figures_fail(whole_results, tmp_path, monkeypatch):
+    def full(*args: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("recon.pipelines.ik.write_figures", full)
+    done = run("ik", whole_results, "--method", "damped", "--target", "0.7,0.1,-0.4", "--out", tmp_path / "a")
+    assert done.code == 2
+    assert "No space left on device" in done.err
+    assert {"ik.json", "target.csv"} <= {path.name for path in (tmp_path / "a").iterdir()}
+
+
 def test_earlier_results_are_kept(folder):
     first = run("ik", folder, "--target", "stride-max", "--no-figures")
     assert first.code == 0

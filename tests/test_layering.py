@@ -20,6 +20,7 @@ ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "recon"
 
 LAYERS = (
+    "package",
     "errors",
     "files",
     "video",
@@ -184,7 +185,7 @@ def test_catches_a_module_without_a_place(module):
     "source",
     [
         "import torch",
-        "import matplotlib.pyplot as plt",
+        "import xarray as xr",
         "from dask import delayed",
         "try:\n    import torch\nexcept ImportError:\n    torch = None",
         "if True:\n    import torch",

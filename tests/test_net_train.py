@@ -20,6 +20,7 @@ from recon.net import train as train_module  # noqa: E402
 from recon.net.run import TrainSettings  # noqa: E402
 from recon.net.train import schedule  # noqa: E402
 from recon.net.trained import load_file, load_model  # noqa: E402
+from recon.package import install_command  # noqa: E402
 from recon.pipelines.net import LabelSource, run_prediction, run_training  # noqa: E402
 from recon.video import VideoInfo, probe, video_writer  # noqa: E402
 
@@ -311,4 +312,4 @@ def test_without_torch_the_command_says_what_to_install(clip, monkeypatch, tmp_p
     monkeypatch.setitem(sys.modules, "torch", None)
     ended = run("predict", clip / "clip.avi", "--model", clip, "--out", tmp_path / "p.csv")
     assert ended.code == 2
-    assert "pip install 'recon[net]'" in ended.err
+    assert f"torch: {install_command('net')}" in ended.err

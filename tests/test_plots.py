@@ -17,7 +17,6 @@ from recon import plots
 from recon.analysis.gait import Plane, Stance, Stride, gait, tracks
 from recon.analysis.kinematics import Errors, angle_kinematics, point_kinematics
 from recon.analysis.phase import Closure, Portrait, phase_portrait, vector_field
-from recon.errors import InputError
 from recon.ik.chain import PlanarChain, SummedChain
 from recon.ik.drive import Closures, drive_to, follow
 from recon.ik.methods import DampedLeastSquares, JacobianTranspose, LeastNorm
@@ -191,12 +190,6 @@ def test_resolution_and_text(tmp_path):
     assert ">way &amp; aim</text>" in text
     assert ">distance to the target (mm)</text>" in text
     assert "date" not in text.lower()
-
-
-def test_without_matplotlib(monkeypatch):
-    monkeypatch.setitem(sys.modules, "matplotlib", None)
-    with pytest.raises(InputError, match=r"pip install 'recon\[plots\]'"):
-        plots.distances({})
 
 
 def test_lines_differ_in_more_than_colour():

@@ -343,7 +343,6 @@ def test_every_fault_is_named(tmp_path):
 
 
 def test_pictures(tmp_path):
-    pytest.importorskip("matplotlib")
     file, out = in_file(tmp_path, CAT), tmp_path / "pictures"
     run_skeleton_check(str(file), out=out)
     names = ["angles.png", "angles.svg", "skeleton.png", "skeleton.svg"]

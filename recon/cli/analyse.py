@@ -30,7 +30,7 @@ def analyse(
             show_default=False,
         ),
     ] = None,
-    figures: Annotated[bool, typer.Option("--figures/--no-figures", help="PNG and SVG; needs recon[plots].")] = True,
+    figures: Annotated[bool, typer.Option("--figures/--no-figures", help="PNG and SVG beside the tables.")] = True,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace an earlier analysis.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print the summary as JSON.")] = False,
 ) -> None:

@@ -49,7 +49,7 @@ def ik(
     out: Annotated[
         Path | None, typer.Option(help="Folder for tables and figures. (default: ik in DIR)", show_default=False)
     ] = None,
-    figures: Annotated[bool, typer.Option("--figures/--no-figures", help="PNG and SVG; needs recon[plots].")] = True,
+    figures: Annotated[bool, typer.Option("--figures/--no-figures", help="PNG and SVG beside the tables.")] = True,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace earlier ones.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print the summary as JSON.")] = False,
 ) -> None:

@@ -13,6 +13,7 @@ import tables
 
 from recon.errors import InputError, Problem
 from recon.keypoints import frame_ranges
+from recon.package import install_command
 
 HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
 # What tools call the only animal of a file when nobody named it.
@@ -30,7 +31,7 @@ def formats_extra(path: str | Path) -> Iterator[None]:
         yield
     except ModuleNotFoundError as error:
         found = f"a format that needs the package {(error.name or '').split('.')[0]}, which is not installed"
-        raise InputError(Problem(path, "format", found, "pip install 'recon[formats]'")) from None
+        raise InputError(Problem(path, "format", found, install_command("formats"))) from None
 
 
 def starts_with(path: Path, signature: bytes) -> bool:

@@ -1,4 +1,4 @@
 """A small keypoint network: trained on a few labels, it turns a video into a keypoint file.
 
-It needs torch (`pip install 'recon[net]'`), which is imported where it is used.
+It needs torch (extra `net`), which is imported where it is used.
 """

@@ -6,6 +6,7 @@ import os
 from typing import TYPE_CHECKING, Any
 
 from recon.errors import InputError, Problem
+from recon.package import install_command
 
 if TYPE_CHECKING:
     import torch  # pyright: ignore[reportMissingImports]
@@ -18,7 +19,7 @@ def require_torch() -> Any:
     try:
         import torch  # pyright: ignore[reportMissingImports]
     except ImportError:
-        found, expected = "none", "torch: pip install 'recon[net]'"
+        found, expected = "none", f"torch: {install_command('net')}"
         raise InputError(Problem("recon train, recon predict", "package for networks", found, expected)) from None
     return torch
 

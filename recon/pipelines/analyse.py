@@ -36,7 +36,8 @@ def run_analyse(
 ) -> Analysed:
     """`recon analyse`: into `out`, by default the folder analysis in the results' own. smooth: see `analyse`.
 
-    Raises InputError: no results, too few frames, files in the way, or figures wanted without matplotlib.
+    Figures come last: whatever befalls them, the tables are there. Raises InputError: no results, too few frames, or
+    files in the way.
     """
     out = folder / "analysis" if out is None else out
     results = read_results(folder)
@@ -48,14 +49,16 @@ def run_analyse(
     with staged_folder(out) as staging:
         analysis_csv.write(found, staging)
         (staging / SUMMARY).write_text(to_json(summary), encoding="utf-8")
-        if figures:
-            write_figures(found, staging)
-        files = tuple(sorted(path.name for path in staging.iterdir()))
+        files = [path.name for path in staging.iterdir()]
         if playback.is_file():
             from recon.view.analysis import add_analysis  # rerun is slow to import
 
             add_analysis(found, playback)
-    return Analysed(found, summary, out, files, playback if playback.is_file() else None)
+    if figures:
+        with staged_folder(out) as staging:
+            write_figures(found, staging)
+            files += [path.name for path in staging.iterdir()]
+    return Analysed(found, summary, out, tuple(sorted(files)), playback if playback.is_file() else None)
 
 
 # -- summary ---------------------------------------------------------------------------------------------------------
@@ -129,8 +132,7 @@ def _gait_summary(gait: Gait) -> dict[str, Any]:
 
 
 def write_figures(found: ClipAnalysis, folder: Path) -> None:
-    """PNG and SVG of composites, speed, footfalls, vector fields by limb, and phase portraits. Raises InputError
-    without matplotlib."""
+    """PNG and SVG of composites, speed, footfalls, vector fields by limb, and phase portraits."""
     from recon import plots
 
     results = found.results

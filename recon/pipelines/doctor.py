@@ -11,6 +11,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass
 from importlib import import_module, metadata, util
 from pathlib import Path
@@ -18,13 +19,13 @@ from typing import Any, Literal
 
 from threadpoolctl import threadpool_info
 
+from recon.package import DISTRIBUTION, install_command, version
 from recon.pipelines.batch import available_cores
 
 Status = Literal["ok", "absent", "note", "broken"]
 Progress = Callable[[str, float], None]
 
 EXTRAS = {
-    "plots": "figures of analyse, ik and skeleton check",
     "formats": "SLEAP, movement, NWB, C3D and Parquet files",
     "cluster": "batches on a Dask cluster",
     "net": "the keypoint network",
@@ -90,7 +91,8 @@ def run_doctor(progress: Progress = lambda stage, share: None) -> Doctor:
 
 def versions(requires: Sequence[str] | None = None) -> Iterator[Check]:
     """recon, Python, and what recon cannot do without. requires: as in the distribution's metadata."""
-    yield Check("versions", "recon", "ok", f"{metadata.version('recon')}, in {Path(__file__).parents[1]}")
+    yield Check("versions", "recon", "ok", f"{version()}, in {Path(__file__).parents[1]}")
+    yield from _stranger()
     yield Check("versions", "python", "ok", f"{platform.python_version()}, {platform.system()} {platform.machine()}")
     for name, least, extra in _requirements(requires):
         if not extra:
@@ -101,6 +103,14 @@ def versions(requires: Sequence[str] | None = None) -> Iterator[Check]:
                 yield Check("versions", name, "broken", f"{found}, older than {least}", f"pip install -U {name}")
             else:
                 yield Check("versions", name, "ok", found)
+
+
+def _stranger() -> Iterator[Check]:
+    """The distribution that is named as this package is: the last that was installed has its files over the other's."""
+    with suppress(metadata.PackageNotFoundError):
+        found = f"the package recon {metadata.version('recon')} is here too, whose files have the same names"
+        hint = f"pip uninstall recon {DISTRIBUTION}, and install {DISTRIBUTION} again"
+        yield Check("versions", "another recon", "broken", found, hint)
 
 
 def extras(requires: Sequence[str] | None = None) -> Iterator[Check]:
@@ -118,8 +128,8 @@ def extras(requires: Sequence[str] | None = None) -> Iterator[Check]:
                 if found is None or _older(found, least)
             ]
             if lacking:
-                install = f"pip install 'recon[{extra}]'"
-                yield Check("optional parts", extra, "absent", f"{what}: no {', '.join(lacking)}", install)
+                found = f"{what}: no {', '.join(lacking)}"
+                yield Check("optional parts", extra, "absent", found, install_command(extra))
             else:
                 there = ", ".join(f"{name} {found}" for name, _, found in versions)
                 yield Check("optional parts", extra, "ok", f"{what}: {there}")
@@ -139,7 +149,7 @@ def _gpu() -> Check:
 
 def _requirements(requires: Sequence[str] | None) -> Iterator[tuple[str, str, str]]:
     """(distribution, least version or "0", extra or "") of the distribution's requirements."""
-    for line in metadata.requires("recon") or () if requires is None else requires:
+    for line in metadata.requires(DISTRIBUTION) or () if requires is None else requires:
         name = re.match(r"[\w.-]+", line)
         least = re.search(r">=\s*([\w.]+)", line)
         extra = re.search(r"extra\s*==\s*['\"]([\w-]+)['\"]", line)

@@ -249,7 +249,8 @@ def run_ik(
     solved = Solved(limb, stride, goal, drives, follows, parameters, summary)
     with staged_folder(out) as staging:
         _write(solved, staging)
-        if figures:
+    if figures:  # after the tables, which are there whatever befalls them
+        with staged_folder(out) as staging:
             write_figures(solved, staging)
     return solved
 
@@ -412,7 +413,7 @@ def _cell(value: Any) -> Any:
 
 
 def write_figures(solved: Solved, folder: Path) -> None:
-    """Paths in task and joint space, distances, closures, PNG and SVG. Raises InputError without matplotlib."""
+    """Paths in task and joint space, distances, closures, PNG and SVG."""
     from recon import plots
 
     limb = solved.limb

@@ -18,7 +18,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from recon.errors import InputError, Problem
 from recon.files import staged_folder
 
 if TYPE_CHECKING:
@@ -67,7 +66,7 @@ _SETTINGS: dict[Any, Any] = {
 
 @contextmanager
 def drawing(height_mm: float, width_mm: float = WIDTH_MM) -> Iterator[Figure]:
-    """A new figure to draw on, laid out for good at the end of the block. Raises InputError without matplotlib."""
+    """A new figure to draw on, laid out for good at the end of the block."""
     with _settings():
         from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.figure import Figure
@@ -92,11 +91,8 @@ def save(figure: Figure, folder: str | Path, stem: str) -> tuple[Path, Path]:
 
 @contextmanager
 def _settings() -> Iterator[None]:
-    try:
-        import matplotlib as mpl
-    except ImportError:
-        found, expected = "none", "matplotlib: pip install 'recon[plots]'"
-        raise InputError(Problem("figures", "package that draws them", found, expected)) from None
+    import matplotlib as mpl
+
     with mpl.rc_context():
         mpl.rcdefaults()
         mpl.rcParams.update(_SETTINGS)

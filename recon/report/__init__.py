@@ -6,13 +6,13 @@ common: what both methods have. frame, trajectory: what each adds, its warnings 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from importlib import metadata
 from typing import Any
 
 from rich.table import Table
 from rich.text import Text
 
 from recon.motion import FrameMotion, Motion, TrajectoryMotion
+from recon.package import version
 from recon.report import frame, trajectory
 from recon.report.plain import to_json, to_plain, write_report
 from recon.results import SCHEMA_NAME, SCHEMA_VERSION
@@ -49,7 +49,7 @@ def build_report(
         raise TypeError(f"a motion of neither method: {type(motion).__name__}")
     head = {
         "schema": {"name": SCHEMA_NAME, "version": SCHEMA_VERSION},
-        "recon_version": metadata.version("recon"),
+        "recon_version": version(),
         "method": method,
         "settings": settings,
         "timing_s": seconds,

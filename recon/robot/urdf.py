@@ -15,6 +15,7 @@ from scipy.spatial.transform import Rotation
 from recon.errors import InputError, Problem
 from recon.ik.chain import MAX_RATE_RAD_S
 from recon.ik.joint_chain import JointChain
+from recon.package import install_command
 
 Array = NDArray[np.float64]
 
@@ -64,7 +65,7 @@ def read_urdf(path: str | Path) -> UrdfRobot:
     try:
         from yourdfpy import URDF
     except ImportError:
-        expected = "the package yourdfpy: pip install 'recon[urdf]'"
+        expected = f"the package yourdfpy: {install_command('urdf')}"
         raise InputError(Problem(path, "format", "URDF, which is not installed", expected)) from None
     if not path.is_file():
         raise InputError(Problem(path, "file", "no such file", "a URDF file"))

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Literal, Protocol
 
 from recon.errors import InputError, Problem
+from recon.package import install_command
 from recon.pipelines.batch.worker import Worker, WorkerDied
 
 if TYPE_CHECKING:
@@ -107,7 +108,7 @@ class DaskPool:
         try:
             from distributed import Client
         except ImportError:
-            expected = "Dask: pip install 'recon[cluster]'"
+            expected = f"Dask: {install_command('cluster')}"
             raise InputError(Problem("--scheduler", "package", "no package distributed", expected)) from None
         try:
             self._client = Client(address, timeout=CONNECT_S, set_as_default=False)

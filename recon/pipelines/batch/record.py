@@ -12,12 +12,12 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
-from importlib import metadata
 from pathlib import Path
 from typing import Any, Literal
 
 from recon.errors import InputError, Problem
 from recon.files import require_free_folder, staged_folder
+from recon.package import version
 from recon.pipelines.batch.inputs import Clip
 from recon.pipelines.clip import OUTPUT_FILES
 from recon.settings import OF_METHOD, FitSettings
@@ -112,7 +112,7 @@ def identity(settings: FitSettings) -> dict[str, Any]:
     return {
         "inputs": {role: file_sha256(path) for role, path in files.items()},
         "settings": plain,
-        "version": metadata.version("recon"),
+        "version": version(),
     }
 
 

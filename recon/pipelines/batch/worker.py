@@ -18,13 +18,13 @@ import tempfile
 import threading
 import time
 from collections.abc import Mapping
-from importlib import metadata
 from pathlib import Path
 from typing import IO, Any
 
 from threadpoolctl import threadpool_limits
 
 from recon.errors import InputError
+from recon.package import version
 from recon.pipelines.batch.record import CRASH_LOG, Planned, drop_record, finish_record, read_record, start_record
 from recon.pipelines.batch.summary import results_of
 from recon.pipelines.clip import Progress, fit_clip, write_clip
@@ -55,7 +55,7 @@ def fit_one(task: Mapping[str, Any], progress: Progress) -> dict[str, Any]:
     settings, out = FitSettings.model_validate(task["settings"]), Path(task["out"])
     attempt, finished, row = 1, False, {}
     try:
-        here, there = metadata.version("recon"), task["identity"]["version"]
+        here, there = version(), task["identity"]["version"]
         if here != there:
             return {"status": "failed", "error": f"recon {here} on the worker, {there} where the batch runs"}
         before = read_record(out)

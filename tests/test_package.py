@@ -1,0 +1,86 @@
+"""The distribution's name, and the text that says how to add an extra."""
+
+from __future__ import annotations
+
+import json
+import sys
+import tomllib
+from importlib import metadata
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+
+import recon
+from recon import package
+from recon.package import DISTRIBUTION, install_command
+
+ROOT = Path(__file__).parents[1]
+
+
+@pytest.fixture
+def installed(monkeypatch, tmp_path):
+    """Says where the package comes from, as pip notes it: None is the index. pip is beside Python."""
+    pip = tmp_path / "bin" / "pip"
+    monkeypatch.setattr(sys, "executable", str(pip.with_name("python")))
+    monkeypatch.setattr(package.shutil, "which", lambda name: str(pip))
+
+    def note(direct_url: dict | None) -> None:
+        text = None if direct_url is None else json.dumps(direct_url)
+        monkeypatch.setattr(metadata, "distribution", lambda name: SimpleNamespace(read_text=lambda file: text))
+
+    return note
+
+
+def test_the_name_of_the_distribution_is_that_of_pyproject():
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    assert project["name"] == DISTRIBUTION != "recon"
+    assert recon.__version__ == package.version() == project["version"]
+    own = [line for lines in project["optional-dependencies"].values() for line in lines if line.startswith("recon")]
+    assert all(line.startswith(f"{DISTRIBUTION}[") for line in own)
+
+
+def test_extras_come_from_where_the_package_came(installed, monkeypatch, tmp_path):
+    checkout = tmp_path / "my checkout"
+    checkout.mkdir()
+    wheel = tmp_path / "recon_motion-0.1.0-py3-none-any.whl"
+    wheel.touch()
+    monkeypatch.chdir(tmp_path / "my checkout")
+    installed(None)
+    assert install_command("net") == "pip install 'recon-motion[net]'"
+    installed({"url": "https://example.org/recon.git", "vcs_info": {"vcs": "git", "commit_id": "1"}})
+    assert install_command("net") == "pip install 'recon-motion[net]'"
+    installed({"url": checkout.as_uri(), "dir_info": {"editable": True}})
+    assert install_command("net") == "pip install -e '.[net]'"
+    installed({"url": checkout.as_uri(), "dir_info": {}})
+    assert install_command("formats") == "pip install '.[formats]'"
+    monkeypatch.chdir("/")
+    assert install_command("formats") == f"pip install '{checkout.relative_to('/')}[formats]'"
+    installed({"url": wheel.as_uri(), "archive_info": {}})
+    assert install_command("urdf").endswith(f"{wheel.name}[urdf]'")
+    checkout.rmdir()
+    installed({"url": checkout.as_uri(), "dir_info": {}})
+    assert install_command("net") == "pip install 'recon-motion[net]'"
+
+
+def test_extras_go_into_the_environment_that_lacks_them(installed, monkeypatch, tmp_path):
+    """A `pip` on the path may be another environment's."""
+    installed(None)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(package.shutil, "which", lambda name: "/usr/bin/pip")
+    assert install_command("net") == "bin/python -m pip install 'recon-motion[net]'"
+    monkeypatch.setattr(package.shutil, "which", lambda name: None)
+    assert install_command("net") == "bin/python -m pip install 'recon-motion[net]'"
+
+
+def test_no_text_names_the_package_of_somebody_else():
+    """`pip install recon`, with or without an extra, would fetch it."""
+    texts = [
+        ROOT / "README.md",
+        *(p for folder in ("recon", "docs", "notebooks", "benchmarks") for p in (ROOT / folder).rglob("*")),
+    ]
+    for path in texts:
+        if path.suffix in (".py", ".md", ".ipynb", ".toml"):
+            text = path.read_text(encoding="utf-8")
+            assert "recon[" not in text, path
+            assert "pip install recon " not in text, path
