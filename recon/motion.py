@@ -17,7 +17,7 @@ from recon.camera import Camera
 from recon.keypoints import CleaningReport, Keypoints
 from recon.kinematics import ROOT, YAW
 from recon.skeleton import Side, Skeleton
-from recon.solve import FrameReport, Solution, TrajectorySolution
+from recon.solve import FrameReport, Solution, Spell, TrajectorySolution
 
 Array = NDArray[np.float64]
 
@@ -364,14 +364,12 @@ class TrajectoryMotion(Motion):
         """Points (..., 3) of the level frame in the frame of reference."""
         return self._in_reference(level_m @ self.solution.camera_from_level.T)
 
-    @cached_property
-    def below_m(self) -> Array | None:
-        """(3,): the ground below the middle of the root's path, level frame; None where the ground is not known."""
-        ground, xy_m = self.solution.ground, self.solution.states[self.solved, :2]
-        if ground is None or not len(xy_m):
+    def below_m(self, spell: Spell) -> Array | None:
+        """(3,): the ground below the middle of the root's path in a spell, level frame; None where it is not known."""
+        if spell.ground is None:
             return None
-        middle = xy_m.mean(axis=0)
-        return np.append(middle, ground.height_m + ground.slope @ middle)
+        middle = self.solution.states[spell.rows, :2].mean(axis=0)
+        return np.append(middle, spell.ground.height_m + spell.ground.slope @ middle)
 
     # -- joints and picture ---------------------------------------------------------------------------------------
 

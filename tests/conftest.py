@@ -17,7 +17,7 @@ from recon.motion import FrameMotion, TrajectoryMotion
 from recon.pipelines.clip import run_clip
 from recon.settings import FitSettings
 from recon.skeleton_file import load_skeleton
-from recon.solve import FrameOptions, Ground, Start, TrajectorySolution, solve_frames
+from recon.solve import FrameOptions, Ground, Spell, Start, TrajectorySolution, solve_frames
 
 
 @pytest.fixture(scope="session")
@@ -149,7 +149,7 @@ def small_trajectory() -> TrajectoryMotion:
         alternative_m=np.array([0.05] * 5 + [0.3] + [0.05] * 2),
         alternative_cost=3.5,
         contact=contact,
-        ground=Ground(float(joints[0, paw, 2]), np.array([0.0, 0.02]), 0.03),
+        spells=(Spell(slice(0, 8), Ground(float(joints[0, paw, 2]), np.array([0.0, 0.02]), 0.03)),),
         prior="running-cheetah",
         status="converged",
         cost_by_term={"reprojection": 120.0, "pose prior": 30.0},

@@ -190,15 +190,14 @@ def test_mean_weight(small_trajectory):
 
 
 def test_ground_below_the_animal(small_trajectory, world_trajectory):
-    below = small_trajectory.below_m
+    (spell,) = small_trajectory.solution.spells
+    below, ground = small_trajectory.below_m(spell), spell.ground
     assert below is not None
-    ground = small_trajectory.solution.ground
     assert below[:2] == pytest.approx([-1.5 + 0.15 * 7, 9.0])
     assert below[2] == pytest.approx(ground.height_m + 0.02 * 9.0)
     # The camera stands 3 m high.
     assert world_trajectory.in_upright(below)[2] == pytest.approx(3 + below[2])
-    unknown = replace(small_trajectory, solution=replace(small_trajectory.solution, ground=None))
-    assert unknown.below_m is None
+    assert small_trajectory.below_m(replace(spell, ground=None)) is None
 
 
 def test_refuses_keypoints_of_another_skeleton(small_motion, small_trajectory):

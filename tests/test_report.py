@@ -21,7 +21,7 @@ from recon.report import (
     to_plain,
     write_report,
 )
-from recon.solve import FrameReport
+from recon.solve import FrameReport, Spell
 
 DOCS = Path(__file__).resolve().parents[1] / "docs" / "report.md"
 
@@ -288,18 +288,43 @@ def test_size_says_what_it_comes_from(trajectory, small_trajectory):
 
 
 def test_ground_and_stances(trajectory, small_trajectory, world_trajectory):
-    ground, below = trajectory["ground"], small_trajectory.below_m[2]
+    (spell,) = small_trajectory.solution.spells
+    ground, below = trajectory["ground"], small_trajectory.below_m(spell)[2]
     assert (ground["frame"], ground["sigma_m"], ground["slope"]) == ("level", 0.03, [0, 0.02])
     assert ground["height_m"] == pytest.approx(below) == -ground["camera_height_m"]
     assert trajectory["stances"] == {"l_front_paw": [[11, 13]], "r_front_paw": [], "l_back_paw": [], "r_back_paw": []}
     ground = build_report(world_trajectory, {})["ground"]
     assert (ground["frame"], ground["height_m"]) == ("world", pytest.approx(3 + below))
     assert ground["slope"] == pytest.approx([0.02, 0])  # away from this camera is along x
-    unknown = with_solution(small_trajectory, ground=None)
+    unknown = with_solution(small_trajectory, spells=(replace(spell, ground=None),))
     for settings, text in (({}, "not found"), ({"ground": "none"}, "not looked for")):
         report = build_report(unknown, settings)
         assert report["ground"] is None
         assert dict(summary_lines(report))["ground"] == text
+
+
+def test_every_spell_keeps_its_ground(small_trajectory):
+    """The second one's ground, 0.4 m lower, stands in the report; between them is nothing."""
+    solution = small_trajectory.solution
+    ground = solution.spells[0].ground
+    states = solution.states.copy()
+    states[3:5] = np.nan
+    first, second = Spell(slice(0, 3), ground), Spell(slice(5, 8), replace(ground, height_m=ground.height_m - 0.4))
+    report = build_report(with_solution(small_trajectory, states=states, spells=(first, second)), {})
+    assert [spell["frames"] for spell in report["spells"]] == [[10, 13], [15, 18]]
+    one, other = (spell["ground"] for spell in report["spells"])
+    assert report["ground"] == one
+    assert one["middle_m"] == pytest.approx([-1.2, 9.0])
+    assert other["middle_m"] == pytest.approx([0.3, 9.0])
+    assert other["height_m"] == pytest.approx(one["height_m"] - 0.4)
+    heights = [f"{spell['camera_height_m']:.2f} ± 0.03 m below the camera" for spell in (one, other)]
+    text = dict(summary_lines(report))["ground"]
+    assert text.startswith(f"{heights[0]} (frames 10 to 12), {heights[1]} (frames 15 to 17); stances")
+    assert any("2 spells" in sentence for sentence in report["assumptions"]["sentences"])
+    spells = (replace(first, ground=None), second)
+    report = build_report(with_solution(small_trajectory, states=states, spells=spells), {})
+    assert report["spells"][0]["ground"] is None
+    assert report["ground"] == other
 
 
 def test_prior_and_uncertainty(trajectory):
@@ -369,7 +394,7 @@ def test_no_pose_at_all(small_trajectory):
         for name in ("states", "joints_camera_m", "covariance_m2", "relative_covariance_m2", "alternative_m", "contact")
     } | {"noise_px": np.full((8, 24), np.nan), "weight": np.full((8, 24), np.nan), "data_share": np.full(24, np.nan)}
     motion = with_solution(
-        small_trajectory, **arrays, ground=None, flags=(("no data",),) * 8, starts=(), status="not_converged"
+        small_trajectory, **arrays, spells=(), flags=(("no data",),) * 8, starts=(), status="not_converged"
     )
     report = build_report(motion, {})
     json.dumps(report, allow_nan=False)

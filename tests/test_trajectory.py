@@ -171,11 +171,20 @@ def test_survives_missing_legs():
 
 
 def test_long_holes_split_the_clip():
-    """More than two seconds without an animal: two clips, and nothing far from either."""
+    """More than two seconds without an animal: two clips, each with its own ground, and nothing far from either."""
     truth = run(30)
     xy_px = np.full((30 + 240 + 30, len(BODY.markers), 2), np.nan)
-    xy_px[:30], xy_px[-30:] = seen(truth), seen(truth, seed=1)
+    lower = truth + np.array([0.0, 0.6, 0.0])
+    xy_px[:30], xy_px[-30:] = seen(truth), seen(lower, seed=1)
     solution = solve(xy_px)
+    paws = [BODY.markers.index(foot) for foot in BODY.feet]
+    for spell in solution.spells:
+        assert np.isfinite(solution.states[spell.rows]).all()
+        assert spell.ground is not None
+        down = solution.joints_camera_m[spell.rows][:, paws, 1]
+        assert -spell.ground.height_m == pytest.approx(np.percentile(down, 90), abs=0.15)
+    first, second = (spell.ground.height_m for spell in solution.spells if spell.ground is not None)
+    assert first - second == pytest.approx(0.6, abs=0.1)
     assert np.isnan(solution.states[100:200]).all()
     assert all("no data" in flags for flags in solution.flags[60:230])
     for part in (slice(0, 30), slice(270, 300)):
@@ -244,10 +253,10 @@ def test_the_size_follows_from_the_ground():
     names = chain.keypoint_names(clip.side)
     xy_px = clip.keypoints.xy_px[:, [clip.keypoints.names.index(n) for n in names]]
     known = solve(xy_px, body=body, prior=prior_from_body(body), camera=clip.camera)
-    assert known.ground is not None
+    assert [spell.ground is not None for spell in known.spells] == [True]
     assert known.size_sigma < 0.1
     unknown = solve(xy_px, body=body, prior=prior_from_body(body), camera=clip.camera, ground="none")
-    assert unknown.ground is None
+    assert [spell.ground for spell in unknown.spells] == [None]
     assert unknown.size_sigma == pytest.approx(0.1)
 
 

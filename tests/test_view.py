@@ -15,6 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from recon.errors import InputError
 from recon.motion import FrameMotion, TrajectoryMotion
+from recon.solve import Spell
 from recon.view import open_viewer, write
 
 # World axes x, y (ahead), z (up) seen from 2 m above the origin, looking along y.
@@ -290,11 +291,28 @@ def test_feet_that_stand_are_marked(played: Recording, world_trajectory: Traject
 
 def test_ground_that_was_found_is_drawn(played: Recording, world_trajectory: TrajectoryMotion) -> None:
     points = np.reshape(played.static["/world/ground"]["LineStrips3D:strips"], (-1, 3))
-    ground = world_trajectory.solution.ground
+    ground = world_trajectory.solution.spells[0].ground
     assert ground is not None
     # The level frame's y axis is the world's x, from the camera at (1, 2, 3) on.
     np.testing.assert_allclose(points[:, 2], 3 + ground.height_m + 0.02 * (points[:, 0] - 1), atol=1e-5)
     assert np.ptp(points[:, 2]) > 0.05
+
+
+def test_every_spell_has_its_ground(world_trajectory: TrajectoryMotion, tmp_path: Path) -> None:
+    """Two spells, the second one's ground 0.4 m lower: each is drawn under its path, from its first frame on."""
+    solution = world_trajectory.solution
+    ground = solution.spells[0].ground
+    assert ground is not None
+    lower = replace(ground, height_m=ground.height_m - 0.4)
+    solution = replace(solution, spells=(Spell(slice(0, 3), ground), Spell(slice(5, 8), lower)))
+    write(replace(world_trajectory, solution=solution), tmp_path / "motion.rrd")
+    recording = Recording(tmp_path / "motion.rrd")
+    assert "LineStrips3D:strips" not in recording.static["/world/ground"]
+    rows = recording.frames["/world/ground"]
+    assert list(rows) == [10, 15]
+    for frame, height in ((10, ground.height_m), (15, lower.height_m)):
+        points = np.reshape(rows[frame]["LineStrips3D:strips"], (-1, 3))
+        np.testing.assert_allclose(points[:, 2], 3 + height + 0.02 * (points[:, 0] - 1), atol=1e-5)
 
 
 def test_series_of_a_whole_animal(played: Recording, world_trajectory: TrajectoryMotion) -> None:
@@ -318,7 +336,7 @@ def test_a_trajectory_without_any_pose_can_be_written(small_trajectory: Trajecto
     flags = (("no data",),) * 8
     motion = replace(
         small_trajectory,
-        solution=replace(solution, **nothing, flags=flags, ground=None),
+        solution=replace(solution, **nothing, flags=flags, spells=()),
         keypoints=replace(small_trajectory.keypoints, xy_px=np.full_like(small_trajectory.detected_px, np.nan)),
     )
     write(motion, tmp_path / "motion.rrd")

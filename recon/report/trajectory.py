@@ -14,6 +14,8 @@ from recon.motion import TrajectoryMotion
 from recon.prior import NONE
 from recon.report import common
 from recon.report.plain import Array, by_name, finite, frame_count, mean, median, number
+from recon.solve import TrajectoryOptions
+from recon.solve.result import Spell
 from recon.solve.trajectory import ALTERNATIVE_M
 
 FLAGS = ("no data", "data poor", "ambiguous depth", "second solution")
@@ -26,7 +28,7 @@ WARN_SIZE = 2.5
 
 
 def sections(motion: TrajectoryMotion, settings: Mapping[str, Any]) -> dict[str, Any]:
-    size = _size(motion, settings)
+    size, spells = _size(motion, settings), _spells(motion)
     prior = {
         "name": motion.solution.prior,
         "mean_data_share": mean(motion.solution.data_share),
@@ -38,8 +40,14 @@ def sections(motion: TrajectoryMotion, settings: Mapping[str, Any]) -> dict[str,
         "assumptions": _assumptions(motion, settings, size),
         "summary": _summary(motion),
         "convergence": _convergence(motion),
+        "solver": common.solver(
+            common.given_options(TrajectoryOptions, settings).as_run(),
+            keypoint_sigma_m=motion.body.keypoint_sigma_m,
+            size_sigma=motion.body.size_sigma,
+        ),
         "size": size,
-        "ground": _ground(motion),
+        "ground": next((spell["ground"] for spell in spells if spell["ground"] is not None), None),
+        "spells": spells,
         "prior": prior,
         "alternative": _alternative(motion),
         "stances": by_name([motion.names[foot] for foot in motion.feet], _stances(motion)),
@@ -88,8 +96,13 @@ def _assumptions(motion: TrajectoryMotion, settings: Mapping[str, Any], size: Ma
         ),
         *common.sentences(motion, settings),
     ]
-    if solution.ground is not None:
+    if any(spell.ground is not None for spell in solution.spells):
         sentences.append("The ground is a plane, and feet that stand stand still on it.")
+    if len(solution.spells) > 1:
+        sentences.append(
+            f"The clip has {len(solution.spells)} spells, between which nothing was seen for long: each was solved by "
+            "itself, with a ground of its own."
+        )
     if settings.get("fast"):
         sentences.append("The fast search was asked for: fewer headings to start from, and looser tolerances.")
     return {**common.upright(motion), "sentences": sentences}
@@ -131,14 +144,26 @@ def _convergence(motion: TrajectoryMotion) -> dict[str, Any]:
     }
 
 
-def _ground(motion: TrajectoryMotion) -> dict[str, Any] | None:
-    """Below the middle of the root's path."""
-    ground, below = motion.solution.ground, motion.below_m
+def _spells(motion: TrajectoryMotion) -> list[dict[str, Any]]:
+    return [
+        {
+            "frames": (motion.frames[spell.rows.start], motion.frames[spell.rows.stop - 1] + 1),
+            "ground": _ground(motion, spell),
+        }
+        for spell in motion.solution.spells
+    ]
+
+
+def _ground(motion: TrajectoryMotion, spell: Spell) -> dict[str, Any] | None:
+    """Below the middle of the root's path in the spell."""
+    ground, below = spell.ground, motion.below_m(spell)
     if ground is None or below is None:
         return None
     slope = np.append(ground.slope, 0.0)
+    upright = motion.in_upright(below)
     return {
-        "height_m": motion.in_upright(below)[2],
+        "height_m": upright[2],
+        "middle_m": upright[:2],
         "slope": (motion.in_upright(slope) - motion.in_upright(np.zeros(3)))[:2],
         "sigma_m": ground.sigma_m,
         "camera_height_m": -below[2],
@@ -315,11 +340,16 @@ def _prior_text(name: str) -> str:
 
 
 def _ground_text(report: Mapping[str, Any]) -> str:
-    ground = report["ground"]
-    if ground is None:
+    spells = report["spells"]
+    if all(spell["ground"] is None for spell in spells):
         return "not looked for" if report["settings"].get("ground") == "none" else "not found"
     stances = ", ".join(f"{foot} {len(ranges)}" for foot, ranges in report["stances"].items())
-    return f"{ground['camera_height_m']:.2f} ± {ground['sigma_m']:.2f} m below the camera; stances: {stances}"
+    found = []
+    for (first, stop), ground in ((spell["frames"], spell["ground"]) for spell in spells):
+        height = f"{ground['camera_height_m']:.2f} ± {ground['sigma_m']:.2f} m below the camera" if ground else ""
+        text = height or "not found"
+        found.append(text if len(spells) == 1 else f"{text} (frames {first} to {stop - 1})")
+    return f"{', '.join(found)}; stances: {stances}"
 
 
 def _alternative_text(report: Mapping[str, Any]) -> str:

@@ -15,7 +15,7 @@ from recon.solve.frame import (
     solve_joints,
 )
 from recon.solve.points import solve_points
-from recon.solve.result import Ground, Start, TrajectorySolution
+from recon.solve.result import Ground, Spell, Start, TrajectorySolution
 from recon.solve.trajectory import TrajectoryOptions, solve_trajectory
 
 __all__ = [
@@ -24,6 +24,7 @@ __all__ = [
     "FrameReport",
     "Ground",
     "Solution",
+    "Spell",
     "Start",
     "TrajectoryOptions",
     "TrajectorySolution",

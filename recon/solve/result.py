@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -32,6 +32,19 @@ class Ground:
     slope: Array
     sigma_m: float
 
+    def scaled(self, size: float) -> Ground:
+        """The same under a scene that is scaled about the origin."""
+        return replace(self, height_m=size * self.height_m, sigma_m=size * self.sigma_m)
+
+
+@dataclass(frozen=True)
+class Spell:
+    """A stretch of the clip that was solved by itself, as nothing was seen for long before and after: its rows of the
+    clip, and the ground under its feet, None where none stood. Spells lie in the order of their rows, and apart."""
+
+    rows: slice
+    ground: Ground | None
+
 
 @dataclass(frozen=True, eq=False)
 class TrajectorySolution:
@@ -45,8 +58,8 @@ class TrajectorySolution:
     weight (T, J): how far it was trusted, 1 to 0, NaN where missing. flags (T,): what is doubtful about a frame:
     "no data", "data poor", "ambiguous depth", "second solution". alternative_m (T,): mean distance
     of the joints in the second best solution, NaN where there is none; alternative_cost: by how much its cost is
-    higher (half squared sigmas). contact (T, F): 0 to 1. cost_by_term: half the squared norm, robust. stage_s:
-    seconds by stage.
+    higher (half squared sigmas). contact (T, F): 0 to 1. spells: the stretches of the clip
+    that have a pose, each with its own ground. cost_by_term: half the squared norm, robust. stage_s: seconds by stage.
     """
 
     body: Body
@@ -64,7 +77,7 @@ class TrajectorySolution:
     alternative_m: Array
     alternative_cost: float
     contact: Array
-    ground: Ground | None
+    spells: tuple[Spell, ...]
     prior: str
     status: Literal["converged", "not_converged"]
     cost_by_term: dict[str, float]

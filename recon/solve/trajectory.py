@@ -36,7 +36,7 @@ from recon.prior import MotionPrior
 from recon.skeleton import MIN_JOINTS
 from recon.solve.posterior import Posterior, posterior, with_size
 from recon.solve.problem import Estimate, Problem
-from recon.solve.result import Ground, Start, TrajectorySolution
+from recon.solve.result import Ground, Spell, Start, TrajectorySolution
 from recon.solve.terms import (
     ANGLES,
     REFERENCE_HZ,
@@ -119,6 +119,12 @@ class TrajectoryOptions:
     noise_rounds: int = 3
     tolerance: float = 1e-4
     max_iterations: int = 30
+
+    def as_run(self) -> TrajectoryOptions:
+        """With what `fast` makes of the last rounds."""
+        if self.fast:
+            return replace(self, tolerance=10 * self.tolerance, noise_rounds=1)
+        return replace(self, noise_rounds=max(self.noise_rounds, 1))
 
 
 def solve_trajectory(
@@ -339,7 +345,6 @@ def _solve_spell(clip: _Clip, progress: Progress) -> _Solved:
     began, clock = clock, time.perf_counter()
     stage_s = {"starts": clock - began}
 
-    tolerance = 10 * o.tolerance if o.fast else o.tolerance
     ones = np.ones(len(clip.body.markers))
     estimate = Estimate(states, np.inf, 0, False)
     problem = None
@@ -348,7 +353,7 @@ def _solve_spell(clip: _Clip, progress: Progress) -> _Solved:
     temperatures = [t for t in _TEMPERATURES if t > 1 and not o.fast and len(clip.prior.weights) > 1]
     steps: list[tuple[float | None, bool]] = [
         *((t, False) for t in temperatures),
-        *((1.0, True) for _ in range(1 if o.fast else max(o.noise_rounds, 1))),
+        *((1.0, True) for _ in range(o.noise_rounds)),
     ]
     if len(windows) > 1:
         steps.insert(0, (None, False))
@@ -362,7 +367,7 @@ def _solve_spell(clip: _Clip, progress: Progress) -> _Solved:
         noise_px = clip.noise_px(points, noise)
         problem = clip.problem(noise_px, temperature, contact_terms)
         limit = o.max_iterations if whole else 8
-        estimate = problem.minimise(estimate.states, tolerance if whole else 1e-3, limit)
+        estimate = problem.minimise(estimate.states, o.tolerance if whole else 1e-3, limit)
         iterations += estimate.iterations
         progress("whole clip", 0.4 + 0.6 * (i + 1) / len(steps))
     assert problem is not None
@@ -467,7 +472,6 @@ def _assembled(clip: _Clip, solved: Sequence[tuple[slice, _Solved]], began: floa
         for name, seconds in one.stage_s.items():
             stage_s[name] = stage_s.get(name, 0.0) + seconds
     states[:, ROOT] *= size
-    ground = next((one.ground for _, one in solved if one.ground is not None), None)
     return TrajectorySolution(
         body=body,
         states=states,
@@ -484,7 +488,7 @@ def _assembled(clip: _Clip, solved: Sequence[tuple[slice, _Solved]], began: floa
         alternative_m=alternative,
         alternative_cost=extra_cost if np.isfinite(extra_cost) else np.nan,
         contact=contact,
-        ground=ground and replace(ground, height_m=size * ground.height_m, sigma_m=size * ground.sigma_m),
+        spells=tuple(Spell(frames, one.ground and one.ground.scaled(size)) for frames, one in solved),
         prior=clip.prior.name,
         status="converged" if solved and all(one.estimate.converged for _, one in solved) else "not_converged",
         cost_by_term=costs,

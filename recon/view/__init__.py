@@ -3,9 +3,10 @@
 Entities of the recording; those without "(static)" have a row a frame, which is empty where the frame has no pose:
 
 - `world`: metres, in the motion's frame of reference. `world/skeleton` and its joints, `world/path` (static) and
-  `world/trail` of the reference point, `world/ground` (static), `world/camera` (static), its frustum, and
-  `world/followed`, invisible. With the trajectory method: `world/uncertainty`, one sigma of the joints' positions
-  relative to their mean, `world/stance`, the feet that stand, and `world/doubt`, a label in frames with a flag.
+  `world/trail` of the reference point, `world/ground` (static; of a clip with several spells each one's, from its
+  first frame on), `world/camera` (static), its frustum, and `world/followed`, invisible. With the trajectory method:
+  `world/uncertainty`, one sigma of the joints' positions relative to their mean, `world/stance`, the feet that stand,
+  and `world/doubt`, a label in frames with a flag.
 - `picture`: pixels of the distorted picture. `picture/frame` (static), its edge; `picture/detections`,
   `picture/outliers`, `picture/reprojections` with the skeleton's lines in it, `picture/links` between the two.
 - `picture/video`, where `recon.view.video` has added it: the video's frames.
@@ -23,6 +24,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 import rerun as rr
@@ -47,12 +49,12 @@ def write(motion: Motion, path: Path, start_frame: int | None = None) -> None:
     stream = rr.RecordingStream(APPLICATION)
     stream.save(path, default_blueprint=blueprint(motion, scene, start_frame))
     stream.send_recording_name(Path(motion.keypoints.source or motion.title).stem)
-    times = [
-        rr.TimeColumn("frame", sequence=motion.frames),
-        rr.TimeColumn("time", duration=motion.time_s),
-    ]
 
-    def send(entity: str, columns: rr.ComponentColumnList) -> None:
+    def send(entity: str, columns: rr.ComponentColumnList, rows: Sequence[int] | slice = slice(None)) -> None:
+        times = [
+            rr.TimeColumn("frame", sequence=motion.frames[rows]),
+            rr.TimeColumn("time", duration=motion.time_s[rows]),
+        ]
         stream.send_columns(entity, times, columns)
 
     def fix(entity: str, archetype: rr.AsComponents) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 import rerun as rr
@@ -12,10 +13,18 @@ from numpy.typing import NDArray
 from recon.body import side_of
 from recon.initialise import level_axes
 from recon.motion import Motion, TrajectoryMotion
+from recon.solve import Spell
 
 Array = NDArray[np.float64]
 Colour = tuple[int, int, int]
-Send = Callable[[str, rr.ComponentColumnList], None]
+
+
+class Send(Protocol):
+    def __call__(self, entity: str, columns: rr.ComponentColumnList, rows: Sequence[int] | slice = slice(None)) -> None:
+        """Columns of an entity with a row for each of these rows of the clip."""
+        ...
+
+
 Fix = Callable[[str, rr.AsComponents], None]
 
 # Okabe and Ito's palette, which the colour-blind can tell apart.
@@ -33,16 +42,28 @@ MAX_GRID_LINES = 200
 
 
 @dataclass(frozen=True)
+class Floor:
+    """The ground from a row of the clip on: a point of it and its normal (3,), in the motion's frame of reference, and
+    the bounds (2,) along the level axes of where the animal was meanwhile."""
+
+    start: int
+    point_m: Array
+    normal: Array
+    low_m: Array
+    high_m: Array
+
+
+@dataclass(frozen=True)
 class Scene:
     """Geometry that views and entities share, in the motion's frame of reference.
 
-    axes (3, 3): rows are two level unit vectors and the upward one. ground: a point of it, and its normal (3,) each.
+    axes (3, 3): rows are two level unit vectors and the upward one. floors: the ground of every spell of the clip.
     low_m, high_m (3,): bounds of the animal over the clip along the axes. size_m: diagonal of the animal.
     camera_m (3,): centre of projection.
     """
 
     axes: Array
-    ground: tuple[Array, Array]
+    floors: tuple[Floor, ...]
     low_m: Array
     high_m: Array
     size_m: float
@@ -58,34 +79,44 @@ class Scene:
             axes = np.eye(3) if camera.world_z_up else camera.camera_to_world(axes) - centre
         joints = motion.joints_m[motion.solved] @ axes.T
         if not len(joints):
-            return cls(axes, (np.zeros(3), axes[2]), -np.ones(3), np.ones(3), 1.0, centre)
-        # Single poses that went astray do not enlarge the scene.
-        low, high = np.percentile(joints.reshape(-1, 3), (1, 99), axis=0)
+            floor = Floor(0, np.zeros(3), axes[2], -np.ones(2), np.ones(2))
+            return cls(axes, (floor,), -np.ones(3), np.ones(3), 1.0, centre)
+        low, high = _bounds(joints)
         size = float(np.median(np.linalg.norm(np.ptp(joints, axis=1), axis=1)))
-        ground = _known_ground(motion)
-        if ground is None:
-            lowest = joints[:, motion.feet or slice(None), 2]
-            ground = float(np.percentile(lowest, 10)) * axes[2], axes[2]
-        return cls(axes, ground, low, high, size, centre)
+        spells = motion.solution.spells if isinstance(motion, TrajectoryMotion) else ()
+        floors = tuple(_floor(motion, axes, spell) for spell in spells or (Spell(slice(0, None), None),))
+        return cls(axes, floors, low, high, size, centre)
 
     @property
     def centre_m(self) -> Array:
         """(3,): middle of the clip's motion."""
         return (self.low_m + self.high_m) / 2 @ self.axes
 
-    def on_ground(self, level: Array) -> Array:
+    def on_ground(self, floor: Floor, level: Array) -> Array:
         """(N, 3) in the frame of reference: the ground at (N, 2) along the level axes."""
-        point, normal = self.ground
         flat = level @ self.axes[:2]
-        return flat + ((point - flat) @ normal / (self.axes[2] @ normal))[:, None] * self.axes[2]
+        rise = (floor.point_m - flat) @ floor.normal / (self.axes[2] @ floor.normal)
+        return flat + rise[:, None] * self.axes[2]
 
 
-def _known_ground(motion: Motion) -> tuple[Array, Array] | None:
-    if not isinstance(motion, TrajectoryMotion) or motion.below_m is None or motion.solution.ground is None:
-        return None
-    normal = np.append(-motion.solution.ground.slope, 1.0)
-    below, above = motion.in_reference(np.stack((motion.below_m, motion.below_m + normal)))
-    return below, (above - below) / np.linalg.norm(above - below)
+def _bounds(joints_m: Array) -> tuple[Array, Array]:
+    """Of joints (N, J, 3). Single poses that went astray do not enlarge them."""
+    low, high = np.percentile(joints_m.reshape(-1, 3), (1, 99), axis=0)
+    return low, high
+
+
+def _floor(motion: Motion, axes: Array, spell: Spell) -> Floor:
+    """Where no foot stood, the ground is level, and as low as the feet."""
+    joints = motion.joints_m[spell.rows][motion.solved[spell.rows]] @ axes.T
+    low, high = _bounds(joints)
+    below = motion.below_m(spell) if isinstance(motion, TrajectoryMotion) else None
+    if below is None or spell.ground is None:
+        lowest = joints[:, motion.feet or slice(None), 2]
+        return Floor(spell.rows.start, float(np.percentile(lowest, 10)) * axes[2], axes[2], low[:2], high[:2])
+    assert isinstance(motion, TrajectoryMotion)
+    below, above = motion.in_reference(np.stack((below, below + np.append(-spell.ground.slope, 1.0))))
+    normal = (above - below) / np.linalg.norm(above - below)
+    return Floor(spell.rows.start, below, normal, low[:2], high[:2])
 
 
 # -- limbs --------------------------------------------------------------------------------------------------------

@@ -20,6 +20,7 @@ from recon.view.scene import (
     TRAIL,
     Array,
     Fix,
+    Floor,
     Scene,
     Send,
     joint_limbs,
@@ -66,7 +67,7 @@ def write_world(motion: Motion, scene: Scene, send: Send, fix: Fix) -> None:
     steps = [[root[i - 1 : i + 1]] if i and motion.solved[i - 1 : i + 1].all() else [] for i in range(len(root))]
     send("world/trail", strips(rr.LineStrips3D, steps))
 
-    fix("world/ground", rr.LineStrips3D(_grid(scene), colors=GRID, radii=rr.Radius.ui_points(0.75)))
+    _write_ground(scene, send, fix)
     if camera.rotation is not None:
         fix("world/camera", rr.Transform3D(translation=scene.camera_m, mat3x3=camera.rotation.T))
     distance = float(np.linalg.norm(scene.centre_m - scene.camera_m))
@@ -120,10 +121,21 @@ def write_doubt(motion: TrajectoryMotion, scene: Scene, send: Send, fix: Fix) ->
     fix("world/stance", rr.Points3D.from_fields(colors=DETECTION, radii=0.05))
 
 
-def _grid(scene: Scene) -> list[Array]:
-    """Lines (2, 3) on the ground under the whole path, at whole metres of the level axes."""
-    low = np.floor(scene.low_m[:2] - GRID_MARGIN_M)
-    high = np.ceil(scene.high_m[:2] + GRID_MARGIN_M)
+def _write_ground(scene: Scene, send: Send, fix: Fix) -> None:
+    """A clip with several spells shows each one's ground from the spell's first frame on."""
+    radii = rr.Radius.ui_points(0.75)
+    grids = [_grid(scene, floor) for floor in scene.floors]
+    if len(grids) == 1:
+        fix("world/ground", rr.LineStrips3D(grids[0], colors=GRID, radii=radii))
+        return
+    fix("world/ground", rr.LineStrips3D.from_fields(colors=GRID, radii=radii))
+    send("world/ground", strips(rr.LineStrips3D, grids), [floor.start for floor in scene.floors])
+
+
+def _grid(scene: Scene, floor: Floor) -> list[Array]:
+    """Lines (2, 3) on the ground under the path over it, at whole metres of the level axes."""
+    low = np.floor(floor.low_m - GRID_MARGIN_M)
+    high = np.ceil(floor.high_m + GRID_MARGIN_M)
     spacing = GRID_SPACING_M
     while np.max(high - low) / spacing > MAX_GRID_LINES:
         spacing *= 10
@@ -133,5 +145,5 @@ def _grid(scene: Scene) -> list[Array]:
             line = np.empty((2, 2))
             line[:, axis] = at
             line[:, 1 - axis] = low[1 - axis], high[1 - axis]
-            lines.append(scene.on_ground(line))
+            lines.append(scene.on_ground(floor, line))
     return lines
