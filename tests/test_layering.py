@@ -22,6 +22,7 @@ PACKAGE = ROOT / "recon"
 LAYERS = (
     "package",
     "errors",
+    "manifest",
     "files",
     "video",
     "rotations",
