@@ -78,18 +78,18 @@ def mean_pose(skeleton: Skeleton) -> Array:
 def place_on_rays(joints_m: Array, rays: Array) -> tuple[Array, Array]:
     """Translations (N, 3) that bring a rigid shape nearest to viewing rays, and the joints' distances (N, J) from them.
 
-    joints_m (J, 3): the shape, turned into the camera frame; rays (N, J, 3): unit vectors, NaN where missing, at least
-    two a row. The first guess is the median over joints, at the median distance over pairs of joints; Gauss-Newton
-    steps on the angles, with Geman-McClure weights, follow (distances from the rays themselves would draw the shape
-    towards the camera, where they vanish).
+    joints_m (J, 3) or (N, J, 3): the shape, turned into the camera frame; rays (N, J, 3): unit vectors, NaN where
+    missing, at least two a row. The first guess is the median over joints, at the median distance over pairs of joints;
+    Gauss-Newton steps on the angles, with Geman-McClure weights, follow (distances from the rays themselves would draw
+    the shape towards the camera, where they vanish).
     """
     seen = np.isfinite(rays[..., 0])
     middle = np.nanmedian(rays, axis=1)
     middle /= np.linalg.norm(middle, axis=1, keepdims=True)
-    i, j = np.triu_indices(len(joints_m), 1)
-    between = joints_m[i] - joints_m[j]
-    along = middle @ between.T
-    apart_m = np.sqrt(np.maximum(np.sum(between**2, axis=1) - along**2, 0.0))
+    i, j = np.triu_indices(rays.shape[1], 1)
+    between = joints_m[..., i, :] - joints_m[..., j, :]
+    along = (between @ middle[..., None])[..., 0]
+    apart_m = np.sqrt(np.maximum(np.sum(between**2, axis=-1) - along**2, 0.0))
     apart_rad = np.linalg.norm(rays[:, i] - rays[:, j], axis=2)
     depth = np.nanmedian(apart_m / np.maximum(apart_rad, 1e-6), axis=1)
     t = np.nanmedian(rays * depth[:, None, None] - joints_m, axis=1)
@@ -99,9 +99,8 @@ def place_on_rays(joints_m: Array, rays: Array) -> tuple[Array, Array]:
         off, slope, _ = _off_rays(joints_m + t[:, None], across)
         miss = np.linalg.norm(off, axis=2) * depth[:, None]
         weight = seen / (1.0 + (miss / _MISFIT_M) ** 2) ** 2
-        weighted = slope * weight[..., None, None]
-        normal = np.einsum("njab,njac->nbc", weighted, slope) + 1e-9 * np.eye(3)
-        step = np.linalg.solve(normal, -np.einsum("njab,nja->nb", weighted, off)[..., None])[..., 0]
+        normal, pull = _normal(off, slope, weight)
+        step = -np.linalg.solve(normal + 1e-9 * np.eye(3), pull)[..., 0]
         length = np.linalg.norm(step, axis=1)
         t = t + step * np.minimum(1.0, 0.3 * depth / np.maximum(length, 1e-9))[:, None]
     q = joints_m + t[:, None]
@@ -117,11 +116,19 @@ def _across(rays: Array) -> Array:
 
 def _off_rays(points_m: Array, across: Array) -> tuple[Array, Array, Array]:
     """How far points (N, J, 3) lie off their rays as seen from the camera, (N, J, 3) without unit, the derivative
-    (N, J, 3, 3) by the points, and the directions (N, J, 3) of the points."""
-    distance = np.linalg.norm(points_m, axis=2, keepdims=True)
+    (N, J, 3, 3) by the points, and the directions (N, J, 3) of the points;
+    leading axes broadcast."""
+    distance = np.linalg.norm(points_m, axis=-1, keepdims=True)
     q = points_m / distance
     slope = across @ (np.eye(3) - q[..., :, None] * q[..., None, :]) / distance[..., None]
     return (across @ q[..., None])[..., 0], slope, q
+
+
+def _normal(off: Array, slope: Array, weight: Array) -> tuple[Array, Array]:
+    """Normal equations (..., 3, 3) and (..., 3, 1) of a translation, summed over the J joints of off (..., J, 3)."""
+    rows = slope.reshape(*slope.shape[:-3], -1, 3)
+    weighted = (slope * weight[..., None, None]).reshape(rows.shape).swapaxes(-1, -2)
+    return weighted @ rows, weighted @ off.reshape(*rows.shape[:-1], 1)
 
 
 def estimate_travel(camera: Camera, skeleton: Skeleton, xy_px: Array, fps: float) -> Travel:
@@ -161,10 +168,8 @@ def _stretch_travel(headings: Array, shapes: Array, up: Array, rays: Array, time
     heading whose run fits all the rays best decides. It is seen in the shape's foreshortening and in the path alike.
     """
     time_s = time_s - time_s.mean()
-    misfit, speeds = np.empty(len(headings)), np.empty(len(headings))
-    for h, shape in enumerate(shapes):
-        misfit[h], run = straight_run(headings[h], shape, up, rays, time_s)
-        speeds[h] = abs(run[3])
+    misfit, runs = straight_runs(headings, shapes, up, rays, time_s)
+    speeds = np.abs(runs[:, 3])
     best = int(np.argmin(misfit))
     # The minimum between grid points, from the parabola through the best three.
     left, here, right = misfit[[best - 1, best, (best + 1) % len(headings)]]
@@ -176,7 +181,7 @@ def _stretch_travel(headings: Array, shapes: Array, up: Array, rays: Array, time
 
 
 def run_path(heading: Array, up: Array, time_s: Array) -> Array:
-    """(F, 3, 6): places at times (F,) by the unknowns of `straight_run`."""
+    """(F, 3, 6): places at times (F,) by the unknowns of `straight_runs`."""
     motion = np.zeros((len(time_s), 3, 6))
     motion[:, :, :3] = np.eye(3)
     motion[:, :, 3] = heading * time_s[:, None]
@@ -185,47 +190,51 @@ def run_path(heading: Array, up: Array, time_s: Array) -> Array:
     return motion
 
 
-def straight_run(heading: Array, shape: Array, up: Array, rays: Array, time_s: Array) -> tuple[float, Array]:
-    """A shape (J, 3) that runs along heading, fitted to rays (F, J, 3) at times (F,), which have mean zero.
+def straight_runs(headings: Array, shapes: Array, up: Array, rays: Array, time_s: Array) -> tuple[Array, Array]:
+    """Shapes (H, J, 3), each running along its heading (H, 3), fitted to rays (F, J, 3) at times (F,) of mean zero.
 
-    Returns its misfit, 0 to 1 (or 2 where it would run backwards), and the unknowns (6,): place at time zero, m, speed
-    and acceleration along the heading, m/s and m/s^2, and climb, m/s. Gauss-Newton with Geman-McClure weights.
+    Returns their misfits (H,), 0 to 1 (or up to 2 where one would run backwards), and their unknowns (H, 6): place at
+    time zero, m, speed and acceleration along the heading, m/s and m/s^2, and climb, m/s. Gauss-Newton with
+    Geman-McClure weights, all headings at once.
     """
-    places, _ = place_on_rays(shape, rays)
-    depth = float(np.median(np.linalg.norm(places, axis=1)))
+    (H, J), F = shapes.shape[:2], len(rays)
+    each = np.broadcast_to(rays, (H, F, J, 3)).reshape(H * F, J, 3)
+    places = place_on_rays(np.repeat(shapes, F, axis=0), each)[0].reshape(H, F, 3)
+    depth = np.median(np.linalg.norm(places, axis=2), axis=1)[:, None, None, None]
     seen = np.isfinite(rays[..., 0])
     across = _across(rays)
-    motion = run_path(heading, up, time_s)
+    motion = np.stack([run_path(heading, up, time_s) for heading in headings])  # (H, F, 3, 6)
     # A wide, soft preference keeps what short clips do not show in bounds: m, m/s, m/s^2, m/s.
     prior = np.diag(1.0 / np.array([1e3, 1e3, 1e3, 15.0, 10.0, 1.0]) ** 2)
-    x = np.zeros(6)
-    x[:3] = np.median(places, axis=0)
-    x[3] = max(float(_robust_slope(time_s, places) @ heading), 0.0)
-    miss = np.zeros(seen.shape)
+    x = np.zeros((H, 6))
+    x[:, :3] = np.median(places, axis=1)
+    x[:, 3] = np.maximum(np.sum(_robust_slopes(time_s, places) * headings, axis=1), 0.0)
+    miss = np.zeros((H, F, J))
     for _ in range(8):
-        off, slope, direction = _off_rays(shape + (motion @ x)[:, None], across)
-        off, slope = off * depth / _MISFIT_M, slope * depth / _MISFIT_M
-        ahead = np.sum(direction * np.nan_to_num(rays), axis=2) > 0
-        miss = np.where(ahead, np.linalg.norm(off, axis=2), np.inf)
+        path = (motion @ x[:, None, :, None])[..., 0]  # (H, F, 3)
+        off, slope, direction = _off_rays(shapes[:, None] + path[:, :, None], across)
+        off, slope = off * (depth / _MISFIT_M), slope * (depth / _MISFIT_M)[..., None]
+        ahead = np.sum(direction * np.nan_to_num(rays), axis=-1) > 0
+        miss = np.where(ahead, np.linalg.norm(off, axis=-1), np.inf)
         weight = seen / (1.0 + miss**2) ** 2
-        weighted = slope * weight[..., None, None]
-        curvature = np.einsum("fjab,fjac->fbc", weighted, slope)
-        pull = np.einsum("fjab,fja->fb", weighted, off)
-        normal = np.einsum("fap,fab,fbq->pq", motion, curvature, motion) + prior + 1e-9 * np.eye(6)
-        x = x - np.linalg.solve(normal, np.einsum("fap,fa->p", motion, pull) + prior @ x)
-    share = 1.0 - 1.0 / (1.0 + miss**2)
-    return float(np.mean(share[seen])) + (1.0 if x[3] < 0 else 0.0), x
+        curvature, pull = _normal(off, slope, weight)
+        turned = motion.swapaxes(-1, -2)
+        normal = np.sum(turned @ curvature @ motion, axis=1) + prior + 1e-9 * np.eye(6)
+        gradient = np.sum(turned @ pull, axis=1)[..., 0] + x @ prior
+        x = x - np.linalg.solve(normal, gradient[..., None])[..., 0]
+    share = np.where(seen, 1.0 - 1.0 / (1.0 + miss**2), 0.0)
+    return share.sum(axis=(1, 2)) / max(int(seen.sum()), 1) + (x[:, 3] < 0), x
 
 
-def _robust_slope(time_s: Array, places_m: Array) -> Array:
-    """Velocity (3,) of a straight path through places (N, 3), by least absolute distances."""
+def _robust_slopes(time_s: Array, places_m: Array) -> Array:
+    """Velocities (H, 3) of straight paths through places (H, N, 3), by least absolute distances."""
     design = np.stack([np.ones_like(time_s), time_s - time_s.mean()], axis=1)
-    weight, line = np.ones(len(time_s)), np.zeros((2, 3))
+    weight, line = np.ones(places_m.shape[:2]), np.zeros((len(places_m), 2, 3))
     for _ in range(10):
-        root = np.sqrt(weight)[:, None]
-        line = np.linalg.lstsq(design * root, places_m * root, rcond=None)[0]
-        weight = 1.0 / np.maximum(np.linalg.norm(places_m - design @ line, axis=1), 0.05)
-    return line[1]
+        weighted = (design * weight[..., None]).swapaxes(1, 2)  # (H, 2, N)
+        line = np.asarray(np.linalg.solve(weighted @ design + 1e-12 * np.eye(2), weighted @ places_m), dtype=float)
+        weight = 1.0 / np.maximum(np.linalg.norm(places_m - design @ line, axis=2), 0.05)
+    return line[:, 1]
 
 
 def geometric_start(camera: Camera, skeleton: Skeleton, rays: Array, heading: Array) -> Array:

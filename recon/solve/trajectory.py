@@ -7,7 +7,8 @@ scaled by it in the end. The way to the minimum:
 
 1. Starts. The prior's mean pose runs straight through about a second of clip, in 18 headings, and is fitted to the
    viewing rays (`recon.initialise`); the best headings, and the best one mirrored in depth, start the clip.
-2. Approach, each start with one Gaussian of poses and wide noise that narrows; the two best starts go to the end.
+2. Approach, at a lower frame rate, each start with one Gaussian of poses and wide noise that narrows; the two best
+   starts go to the end.
 3. The mixture of poses takes the Gaussian's place, flattened at first.
 4. Rounds of: the noise of every joint from its residuals (maximum likelihood under the robust loss), contacts and the
    ground from the feet, and the minimum again.
@@ -30,7 +31,7 @@ from threadpoolctl import threadpool_limits
 
 from recon.body import Body
 from recon.camera import Camera
-from recon.initialise import level_axes, run_path, straight_run
+from recon.initialise import level_axes, run_path, straight_runs
 from recon.kinematics import ROOT, YAW
 from recon.prior import MotionPrior
 from recon.skeleton import MIN_JOINTS
@@ -62,6 +63,8 @@ BRIDGED_S = 2.0
 MARGIN_S = 0.25
 """How far a clip is carried on beyond its first and last detections."""
 WINDOW_S = 1.0
+APPROACH_HZ = 30.0
+"""Frames a second that are enough on the way in."""
 _HEADINGS = 18
 _APART_RAD = 0.5
 """Starts nearer to each other than this are one."""
@@ -264,16 +267,17 @@ def _headings(clip: _Clip) -> list[tuple[float, float, Array]]:
     rays, _ = clip.camera.rays(clip.xy_px[some])
     time_s = np.arange(T) / clip.fps
     middle = time_s[some].mean()
+    headings_rad = 2 * np.pi * np.arange(count) / count
+    turned = np.zeros((count, clip.body.n_state))
+    turned[:, YAW], turned[:, ANGLES] = headings_rad, clip.prior.mean
+    headings = np.stack([np.cos(headings_rad), np.sin(headings_rad), np.zeros(count)], axis=1) @ level
+    shapes = clip.markers(turned) @ level
+    misfits, runs = straight_runs(headings, shapes, clip.camera.up, rays, time_s[some] - middle)
     found = []
-    for heading_rad in 2 * np.pi * np.arange(count) / count:
-        state = np.zeros((1, clip.body.n_state))
-        state[0, YAW], state[0, ANGLES] = heading_rad, clip.prior.mean
-        heading = np.array([np.cos(heading_rad), np.sin(heading_rad), 0.0]) @ level
-        shape = clip.markers(state)[0] @ level
-        misfit, run = straight_run(heading, shape, clip.camera.up, rays, time_s[some] - middle)
-        states = np.repeat(state, T, axis=0)
+    for misfit, heading, heading_rad, run, state in zip(misfits, headings, headings_rad, runs, turned, strict=True):
+        states = np.repeat(state[None], T, axis=0)
         states[:, ROOT] = run_path(heading, clip.camera.up, time_s - middle) @ run @ level.T
-        found.append((misfit, float(heading_rad), states))
+        found.append((float(misfit), float(heading_rad), states))
     return found
 
 
@@ -292,24 +296,33 @@ def _starts(clip: _Clip) -> list[tuple[float, Array]]:
     return [found[i][1:] for i in chosen]
 
 
+def _thinned(clip: _Clip) -> tuple[_Clip, NDArray[np.intp]]:
+    """A clip of fewer frames a second, each of which counts for those left out, and which frames they are (n,)."""
+    step = max(1, round(clip.fps / APPROACH_HZ))
+    every = np.arange(0, len(clip.xy_px), step)
+    return replace(clip, xy_px=clip.xy_px[every], confidence=step * clip.confidence[every], fps=clip.fps / step), every
+
+
 def _approach(clip: _Clip) -> list[_Approached]:
     """The starts of one window, approached with noise that narrows: best first, only the first ones to the end."""
     fast, ones = clip.options.fast, np.ones(len(clip.body.markers))
+    thin, every = _thinned(clip)
 
     def minimum(states: Array, widen: float, tolerance: float, iterations: int) -> Estimate:
-        noise = clip.noise_px(clip.markers(states), ones) * widen
-        return clip.problem(noise).minimise(states, tolerance, iterations)
+        noise = thin.noise_px(thin.markers(states), ones) * widen
+        return thin.problem(noise).minimise(states, tolerance, iterations)
 
     tried = []
     for heading_rad, states in _starts(clip):
-        estimate = minimum(states, _WIDE[0], 1e-2, 12)
+        estimate = minimum(states[every], _WIDE[0], 1e-2, 12)
         tried.append(_Approached(heading_rad, estimate.cost, estimate))
     tried.sort(key=lambda a: a.first_cost)
     for i, start in enumerate(tried[: 1 if fast else 2]):
         estimate = start.estimate
         for widen in _WIDE[1:]:
             estimate = minimum(estimate.states, widen, 3e-3 if fast else 1e-3, 15)
-        tried[i] = replace(start, estimate=estimate, finished=True)
+        full = replace(estimate, states=_between(estimate.states, every, len(clip.xy_px)))
+        tried[i] = replace(start, estimate=full, finished=True)
     return sorted(tried, key=lambda a: (not a.finished, a.estimate.cost))
 
 
@@ -379,7 +392,12 @@ def _joined(T: int, windows: Sequence[tuple[slice, list[_Approached]]]) -> Array
     """States (T, D) of the windows' best starts, the frames between them filled up along straight lines."""
     pieces = [(frames, starts[0].estimate) for frames, starts in windows]
     at = np.concatenate([np.arange(T)[frames] for frames, _ in pieces])
-    states = np.concatenate([estimate.states for _, estimate in pieces])
+    return _between(np.concatenate([estimate.states for _, estimate in pieces]), at, T)
+
+
+def _between(states: Array, at: NDArray[np.intp], T: int) -> Array:
+    """States (T, D) through those (n, D) at some frames (n,), along straight lines between them."""
+    states = states.copy()
     states[:, YAW] = np.unwrap(states[:, YAW])
     return np.stack([np.interp(np.arange(T), at, column) for column in states.T], axis=1)
 
