@@ -7,25 +7,28 @@ motion = recon.fit_clip(settings)
 motion.joints_m  # (frames, joints, 3), metres
 """
 
-from recon.analysis.clip import ClipAnalysis, analyse
-from recon.analysis.evaluation import Evaluation, evaluate, evaluate_files
-from recon.body import Body
-from recon.calibration import read_camera, read_cameras, write_camera
-from recon.camera import Camera
-from recon.errors import InputError
-from recon.io import read_keypoints
-from recon.io.pose3d import Pose3D, read_pose3d
-from recon.keypoints import Keypoints, clean
-from recon.motion import FrameMotion, Motion, TrajectoryMotion
-from recon.package import version
-from recon.pipelines.clip import fit_clip, write_clip
-from recon.pipelines.demo import samples_folder
-from recon.results import Results, read_results
-from recon.settings import FitSettings
-from recon.skeleton import Skeleton
-from recon.skeleton_file import load_skeleton
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
 
-__version__ = version()
+if TYPE_CHECKING:
+    from recon.analysis.clip import ClipAnalysis, analyse
+    from recon.analysis.evaluation import Evaluation, evaluate, evaluate_files
+    from recon.body import Body
+    from recon.calibration import read_camera, read_cameras, write_camera
+    from recon.camera import Camera
+    from recon.errors import InputError
+    from recon.io import read_keypoints
+    from recon.io.pose3d import Pose3D, read_pose3d
+    from recon.keypoints import Keypoints, clean
+    from recon.motion import FrameMotion, Motion, TrajectoryMotion
+    from recon.pipelines.clip import fit_clip, write_clip
+    from recon.pipelines.demo import samples_folder
+    from recon.results import Results, read_results
+    from recon.settings import FitSettings
+    from recon.skeleton import Skeleton
+    from recon.skeleton_file import load_skeleton
+
+    __version__: str
 
 __all__ = [
     "Body",
@@ -56,3 +59,41 @@ __all__ = [
     "write_camera",
     "write_clip",
 ]
+
+_NAMES_OF = {
+    "recon.analysis.clip": ("ClipAnalysis", "analyse"),
+    "recon.analysis.evaluation": ("Evaluation", "evaluate", "evaluate_files"),
+    "recon.body": ("Body",),
+    "recon.calibration": ("read_camera", "read_cameras", "write_camera"),
+    "recon.camera": ("Camera",),
+    "recon.errors": ("InputError",),
+    "recon.io": ("read_keypoints",),
+    "recon.io.pose3d": ("Pose3D", "read_pose3d"),
+    "recon.keypoints": ("Keypoints", "clean"),
+    "recon.motion": ("FrameMotion", "Motion", "TrajectoryMotion"),
+    "recon.pipelines.clip": ("fit_clip", "write_clip"),
+    "recon.pipelines.demo": ("samples_folder",),
+    "recon.results": ("Results", "read_results"),
+    "recon.settings": ("FitSettings",),
+    "recon.skeleton": ("Skeleton",),
+    "recon.skeleton_file": ("load_skeleton",),
+}
+"""Where each name comes from. It is imported when it is first used: `recon --help` needs none of them."""
+_MODULE_OF = {name: module for module, names in _NAMES_OF.items() for name in names}
+
+
+def __getattr__(name: str) -> Any:
+    if name == "__version__":
+        from recon.package import version
+
+        value: Any = version()
+    elif name in _MODULE_OF:
+        value = getattr(import_module(_MODULE_OF[name]), name)
+    else:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__, "__version__"})

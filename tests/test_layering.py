@@ -20,10 +20,12 @@ ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "recon"
 
 LAYERS = (
+    "interrupts",
     "package",
     "errors",
     "manifest",
     "files",
+    "recording",
     "video",
     "rotations",
     "banded",
@@ -55,6 +57,7 @@ LAYERS = (
     "net",
     "pipelines",
     "cli",
+    "__main__",
 )
 
 IMPORT_NAMES = {"opencv-python-headless": "cv2", "rerun-sdk": "rerun"}

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import sys
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 from rich.console import Console
+from typer.core import TyperGroup
 
-from recon import __version__
 from recon.cli.analyse import analyse
 from recon.cli.batch import batch
 from recon.cli.calibrate import calibrate
-from recon.cli.common import EXIT_BAD_INPUT, error_text
+from recon.cli.common import EXIT_BAD_INPUT, error_text, stop
 from recon.cli.convert import convert
 from recon.cli.demo import demo
 from recon.cli.doctor import doctor
@@ -28,8 +28,27 @@ from recon.cli.skeleton import skeleton_app
 from recon.cli.train import train
 from recon.cli.view import view
 from recon.errors import InputError
+from recon.interrupts import Interrupts, installed
+
+
+class _Commands(TyperGroup):
+    """Any command ends at Ctrl-C with one line and exit code 130."""
+
+    def invoke(self, ctx: Any) -> Any:
+        interrupts = installed() or Interrupts()
+        try:
+            interrupts.in_command = True
+            return super().invoke(ctx)
+        except KeyboardInterrupt:
+            stop()
+        finally:
+            interrupts.in_command = False
+            if interrupts.received and not interrupts.said:  # a library has made another exception of it, or none
+                stop()
+
 
 app = typer.Typer(
+    cls=_Commands,
     help="Metric 3D motion of a running animal from one camera and DeepLabCut keypoints.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
@@ -64,6 +83,8 @@ def main() -> None:
 
 def _version(wanted: bool) -> None:
     if wanted:
+        from recon import __version__
+
         typer.echo(f"recon {__version__}")
         raise typer.Exit()
 

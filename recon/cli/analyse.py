@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import numpy as np
 import typer
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
@@ -67,7 +67,7 @@ def _lines(done: Analysed) -> Iterator[str]:
         f"peak {speed['peak_m_s']:.1f}{spread} m/s at {speed['peak_time_s']:.2f} s"
     )
     if "spine_flexion" in found.angles:
-        low, high = np.degrees(found.angles["spine_flexion"].range_rad)
+        low, high = (math.degrees(angle) for angle in found.angles["spine_flexion"].range_rad)
         yield f"spine: {low:+.0f}° to {high:+.0f}° (positive: arched up)"
     for method, gait in found.gaits.items():
         yield f"gait by {method}: {gait.name.name} ({gait.name.criterion})"

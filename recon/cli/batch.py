@@ -16,12 +16,13 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextC
 from rich.table import Column, Table
 from rich.text import Text
 
+from recon.cli.common import stop
+
 if TYPE_CHECKING:
     from recon.errors import Problem
     from recon.pipelines.batch import Event, Planned, Summary
 
 EXIT_STRICT = 1
-EXIT_INTERRUPTED = 130
 _STYLES = {"done": "green", "done earlier": "green", "unsolved": "yellow", "failed": "red", "pending": ""}
 _COMMON, _WORK = "Settings of every clip", "How the work is done"
 
@@ -146,9 +147,7 @@ def batch(
     except KeyboardInterrupt:
         counts = {} if summary is None else summary.counts()
         said = ", ".join(f"{n} {status}" for status, n in counts.items()) or "nothing was done"
-        message = f"Stopped: {said}. What is done is kept: the same command again goes on from here."
-        Console(stderr=True, soft_wrap=True).print(Text(message, "bold"))
-        raise typer.Exit(EXIT_INTERRUPTED) from None
+        stop(f"Stopped: {said}. What is done is kept: the same command again goes on from here.")
     if as_json:
         typer.echo(
             json.dumps({"summary": str(summary.path), "counts": summary.counts(), "clips": [*summary.rows.values()]})

@@ -7,12 +7,14 @@ import shlex
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import typer
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 from rich.text import Text
+
+from recon.interrupts import EXIT_INTERRUPTED, MESSAGE, installed
 
 EXIT_UNSOLVED = 1
 EXIT_BAD_INPUT = 2
@@ -20,6 +22,15 @@ EXIT_BAD_INPUT = 2
 
 def error_text(message: str) -> Text:
     return Text.assemble(("error:", "bold red"), " ", message)
+
+
+def stop(message: str = MESSAGE) -> NoReturn:
+    """End a command at Ctrl-C: one line, and exit code 130."""
+    interrupts = installed()
+    if interrupts is not None:
+        interrupts.said = True
+    Console(stderr=True, soft_wrap=True).print(Text(message, "bold"))
+    raise typer.Exit(EXIT_INTERRUPTED)
 
 
 @contextmanager

@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-import numpy as np
 import typer
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
@@ -113,7 +112,7 @@ def _print(console: Console, summary: dict[str, Any], out: Path) -> None:
     if stride["gap_percent"] > WIDE_GAP_PERCENT:
         say("note: so wide a gap is not of one stride: a touchdown may have been missed, or the clip is too short")
     if summary["to_target"]:
-        place = ", ".join(f"{x:.3f}" for x in np.asarray(summary["target_m"]))
+        place = ", ".join(f"{x:.3f}" for x in summary["target_m"])
         columns = ("reached", "steps", "µs each", "path m", "limits")
         table = _table(f"to ({place}) m", columns)
         for name, row in summary["to_target"].items():

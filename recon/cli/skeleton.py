@@ -13,8 +13,6 @@ from rich.console import Console
 from rich.table import Column, Table
 from rich.text import Text
 
-from recon.body import other_side, side_of
-
 if TYPE_CHECKING:
     from recon.pipelines.skeleton_check import AngleRow, MarkerRow, PartRow, SkeletonCheck
 
@@ -111,6 +109,8 @@ _Row = TypeVar("_Row", "PartRow", "MarkerRow")
 
 def _pairs_as_one(rows: Sequence[_Row], alike: Callable[[_Row, _Row], bool]) -> Iterator[tuple[_Row, str]]:
     """Rows without the right ones that are alike their left counterparts, and the star of these."""
+    from recon.body import other_side, side_of
+
     named = {row.name: row for row in rows}
     for row in rows:
         twin = named.get(other_side(row.name)) if side_of(row.name) else None
@@ -133,6 +133,8 @@ def _alike(part: PartRow, twin: PartRow) -> bool:
 
 
 def _opposite(marker: MarkerRow, twin: MarkerRow) -> bool:
+    from recon.body import other_side
+
     (x, y, z), on = marker.at_m, other_side(marker.segment)
     return on == twin.segment and max(abs(a - b) for a, b in zip((x, -y, z), twin.at_m, strict=True)) < 1e-9
 
@@ -165,7 +167,7 @@ def _notes(check: SkeletonCheck, out: Path | None) -> Iterator[str]:
         yield "Angles: the expected range, relative to the link before; - for none."
     else:
         yield "Angles: mean ± 2 standard deviations. *: the same on the right, mirrored."
-    yield f"Feet: {', '.join(check.feet) or 'none'}"
+    yield f"Feet: {', '.join(f'{foot} ({label})' for label, foot in check.feet.items()) or 'none'}"
     for limb, markers in check.limbs.items():
         yield f"Limb {limb}: {', '.join(markers)}"
     if check.kind == "whole animal":

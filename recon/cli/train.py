@@ -10,6 +10,8 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
 from rich.text import Text
 
+from recon.cli.common import stop
+
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
@@ -115,8 +117,7 @@ def train(
         message = "the same command with --resume goes on from the last checkpoint"
         if not (out / CHECKPOINT_FILE).is_file():
             message = "there is no checkpoint yet"
-        Console(stderr=True, soft_wrap=True).print(Text(f"Stopped: {message}.", "bold"))
-        raise typer.Exit(130) from None
+        stop(f"Stopped: {message}.")
     for line in _summary(report, out):
         console.print(Text(line), soft_wrap=True)
 

@@ -1,0 +1,119 @@
+"""Ctrl-C on the command line: one line on stderr and exit code 130, at any moment from the start to the end.
+
+This is imported before anything else, and therefore imports next to nothing.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import time
+from types import FrameType
+from typing import TYPE_CHECKING, NoReturn
+
+if TYPE_CHECKING:
+    from sys import UnraisableHookArgs
+
+EXIT_INTERRUPTED = 130
+MESSAGE = "Stopped."
+STUCK_S = 3.0
+"""A library that has not come back by then from what it was called for is not waited for."""
+CLEAN_UP_S = 10.0
+"""Time to remove what is half written, and for a batch to stop its workers."""
+TICK_S = 0.05
+
+
+class Interrupts:
+    """The handler of SIGINT in a process that runs one command.
+
+    While the command runs, the first Ctrl-C is a KeyboardInterrupt, so that the command can clean up. At any other
+    time the process ends at once, and within imports, too: there, libraries turn exceptions into others, or print them.
+    So it does at a second Ctrl-C, and where the command does not end in time.
+
+    in_command: whether a command runs that can clean up. said: whether the one line has been printed.
+    """
+
+    def __init__(self) -> None:
+        self.in_command = False
+        self.said = False
+        self._raised = False
+        self._swallowed = False
+        self._leaving = False
+
+    @property
+    def received(self) -> bool:
+        """Whether the command has been told to stop."""
+        return self._raised or self._swallowed
+
+    def install(self) -> None:
+        """In the main thread. Where SIGINT is ignored, as in the background jobs of a shell script, it stays so."""
+        if signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
+            return
+        signal.signal(signal.SIGINT, self)
+        if os.name == "posix":
+            self._start_watch()
+
+    def leave(self) -> NoReturn:
+        """End the process here and now. From any thread."""
+        while self._leaving:  # another thread is about to
+            time.sleep(1.0)
+        self._leaving = True
+        if os.isatty(2):
+            os.write(2, b"\r\x1b[K\x1b[?25h")  # a progress bar may stand there, and has hidden the cursor
+        if not self.said:
+            os.write(2, f"{MESSAGE}\n".encode())
+        os._exit(EXIT_INTERRUPTED)
+
+    def __call__(self, number: int, frame: FrameType | None) -> None:
+        if self._leaving:
+            return
+        if not self.in_command or self._raised or _is_importing(frame):
+            self.leave()
+        self._raised = True
+        # What a library makes of the exception is of no use to anybody.
+        sys.excepthook = lambda *_: None
+        sys.unraisablehook = self._on_swallowed
+        raise KeyboardInterrupt
+
+    def _on_swallowed(self, unraisable: UnraisableHookArgs) -> None:
+        """Python drops exceptions in destructors and the like."""
+        if issubclass(unraisable.exc_type, KeyboardInterrupt):
+            self._swallowed = True
+
+    def _start_watch(self) -> None:
+        import threading
+
+        reader, writer = os.pipe()
+        os.set_blocking(writer, False)
+        signal.set_wakeup_fd(writer, warn_on_full_buffer=False)
+        os.register_at_fork(after_in_child=lambda: signal.set_wakeup_fd(-1))
+        main = threading.get_ident()
+        threading.Thread(target=self._watch, args=(reader, main), name="interrupts", daemon=True).start()
+
+    def _watch(self, reader: int, main: int) -> None:
+        """Python runs signal handlers between two steps of the main thread, which may be in a library for long."""
+        while signal.SIGINT not in os.read(reader, 64):
+            pass
+        began = time.monotonic()
+        while True:
+            time.sleep(TICK_S)
+            if self._swallowed:
+                self._swallowed = self._raised = False
+                signal.pthread_kill(main, signal.SIGINT)
+            if time.monotonic() - began > (CLEAN_UP_S if self.received else STUCK_S):
+                self.leave()
+
+
+def installed() -> Interrupts | None:
+    """This process's handler, where it is a `recon` of its own."""
+    handler = signal.getsignal(signal.SIGINT)
+    return handler if isinstance(handler, Interrupts) else None
+
+
+def _is_importing(frame: FrameType | None) -> bool:
+    while frame is not None:
+        if frame.f_code.co_filename.startswith("<frozen importlib"):
+            return True
+        frame = frame.f_back
+    return False
