@@ -528,9 +528,7 @@ def results(small_trajectory, tmp_path_factory) -> Path:
     from recon.settings import FitSettings
 
     folder = tmp_path_factory.mktemp("results")
-    settings = FitSettings.model_validate(
-        {"keypoints": "run.csv", "fps": 30, "hfov_deg": 64.0, "image_size_px": "1920x1080"}
-    )
+    settings = FitSettings(Path("run.csv"), fps=30, hfov_deg=64.0, image_size_px=(1920, 1080))
     write_clip(small_trajectory, settings, folder)
     return folder
 
@@ -584,7 +582,7 @@ def test_command_names_problems(monkeypatch, capsys, tmp_path):
     assert "IN and OUT" in capsys.readouterr().err
 
 
-def test_missing_library_says_what_to_install(monkeypatch, files_2d, tmp_path):
-    monkeypatch.setitem(__import__("sys").modules, "h5py", None)
-    with pytest.raises(InputError, match=r"needs the package h5py, which is not installed.*recon\[formats\]"):
-        convert(files_2d["sleap.analysis.h5"], tmp_path / "a.csv")
+def test_missing_library_says_what_to_install(monkeypatch, files_3d, tmp_path):
+    monkeypatch.setitem(__import__("sys").modules, "pyarrow", None)
+    with pytest.raises(InputError, match=r"needs the package pyarrow, which is not installed.*\[formats\]"):
+        convert(files_3d["parquet.parquet"], tmp_path / "a.csv")

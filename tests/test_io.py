@@ -6,10 +6,10 @@ import csv
 import time
 from pathlib import Path
 
+import h5py
 import numpy as np
 import pandas as pd
 import pytest
-import tables
 
 from recon.errors import InputError
 from recon.io import deeplabcut, read_keypoints
@@ -169,8 +169,8 @@ def test_real_hdf5_of_other_kinds_is_no_deeplabcut_file(shared_data, name):
 
 def test_hdf5_of_another_kind(tmp_path):
     path = tmp_path / "other.h5"
-    with tables.open_file(str(path), "w") as file:
-        file.create_array("/", "tracks", np.zeros(3))
+    with h5py.File(path, "w") as file:
+        file["tracks"] = np.zeros(3)
     assert "an HDF5 file of another kind" in problems(path)[0]
 
 
@@ -487,6 +487,13 @@ def test_h5_problems(tmp_path):
     words.iloc[1, 0] = "four"
     with pytest.warns(pd.errors.PerformanceWarning):
         words.to_hdf(path, key="a")
+    (said,) = problems(path)
+    assert said.startswith(f"{path}: key /a: found cells that are pickled Python objects, expected a table of numbers")
+
+    path = tmp_path / "words.h5"
+    words = good.astype({("nose", "x"): str})
+    words.iloc[1, 0] = "four"
+    words.to_hdf(path, key="a", format="table")
     assert problems(path) == [f"{path}: frame 1, column nose/x: found 'four', expected a number or an empty cell"]
 
 

@@ -5,13 +5,12 @@ The scorer is `recon`, or with the frame rate, `recon_90fps`: the format has no 
 
 from __future__ import annotations
 
-import warnings
-from contextlib import closing
+import io
+import pickle
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-import pandas as pd
-import tables
 
 from recon.export.table import write_table
 from recon.io.deeplabcut import SCORER
@@ -21,6 +20,9 @@ from recon.keypoints import Keypoints
 KEY = "df_with_missing"
 ANY_PANDAS = "0.15.2"
 """As the version of pandas that wrote a file: with it, pandas 2 and 3 read it alike."""
+BLOCK = "values_block_0"
+MAX_SMALL_ATTRIBUTE = 60_000
+"""Bytes; larger ones need HDF5's format of version 1.8."""
 
 
 def write_keypoints_csv(keypoints: Keypoints, path: Path) -> None:
@@ -72,11 +74,59 @@ def _shortest(fps: float) -> str:
 
 
 def _write_h5(path: Path, header: dict[str, list[str]], frames: np.ndarray, values: np.ndarray) -> None:
-    levels = [np.array(cells, dtype=object) for cells in header.values()]
-    columns = pd.MultiIndex.from_arrays(levels, names=list(header))
-    with warnings.catch_warnings():
-        # PyTables' remark that a name of ours is no Python name, and on the width of the header.
-        warnings.simplefilter("ignore")
-        pd.DataFrame(values, index=frames, columns=columns).to_hdf(path, key=KEY, format="table", mode="w")
-        with closing(tables.open_file(str(path), "a")) as file:
-            file.get_node(f"/{KEY}")._v_attrs.pandas_version = ANY_PANDAS
+    """As `pandas.DataFrame.to_hdf(key=KEY, format="table")` would, but without PyTables' index of the frames."""
+    import h5py
+
+    columns = list(zip(*header.values(), strict=True))
+    rows = np.empty(len(frames), [("index", "<i8"), (BLOCK, "<f8", (len(columns),))])
+    rows["index"], rows[BLOCK] = frames, values
+    group_attributes = {
+        "pandas_type": "frame_table",
+        "pandas_version": ANY_PANDAS,
+        "encoding": "UTF-8",
+        "errors": "strict",
+        "table_type": "appendable_frame",
+        "index_cols": [(0, "index")],
+        "values_cols": [BLOCK],
+        "data_columns": [],
+        "non_index_axes": [(1, columns)],
+        "nan_rep": "nan",
+        "levels": 1,
+        "info": {1: {"names": list(header), "type": "MultiIndex"}, "index": {}},
+    }
+    table_attributes = {
+        "CLASS": "TABLE",
+        "VERSION": "2.7",
+        "FIELD_0_NAME": "index",
+        "FIELD_1_NAME": BLOCK,
+        "FIELD_0_FILL": 0,
+        "FIELD_1_FILL": 0.0,
+        "NROWS": len(frames),
+        "index_kind": "integer",
+        f"{BLOCK}_dtype": "float64",
+        f"{BLOCK}_kind": columns,
+        f"{BLOCK}_meta": None,
+    }
+    large = len(pickle.dumps(columns, 0)) > MAX_SMALL_ATTRIBUTE
+    content = io.BytesIO()
+    with h5py.File(content, "w", libver=("v108", "latest") if large else ("earliest", "latest")) as file:
+        _describe(file, {"CLASS": "GROUP", "VERSION": "1.0", "PYTABLES_FORMAT_VERSION": "2.1"})
+        group = file.create_group(KEY)
+        _describe(group, {"CLASS": "GROUP", "VERSION": "1.0", **group_attributes})
+        _describe(group.create_dataset("table", data=rows, chunks=True, maxshape=(None,)), table_attributes)
+    path.write_bytes(content.getvalue())
+
+
+def _describe(holder: Any, attributes: dict[str, Any]) -> None:
+    """Attributes as PyTables has them: texts and numbers as they are, everything else pickled."""
+    import h5py
+
+    holder.attrs["TITLE"] = h5py.Empty("S1")
+    for name, value in attributes.items():
+        if isinstance(value, str):
+            text = value.encode()
+            holder.attrs.create(name, np.array(text), dtype=h5py.string_dtype("utf-8", len(text)))
+        elif isinstance(value, int | float):
+            holder.attrs[name] = value
+        else:
+            holder.attrs[name] = np.bytes_(pickle.dumps(value, 0))

@@ -15,7 +15,8 @@ import numpy as np
 
 from recon.errors import InputError, Problem
 from recon.io.column_map import Layout, find_layout, layout_by_name
-from recon.io.common import choose, first_problems, frames_of_times, is_hdf5, name_problems, rate
+from recon.io.common import choose, first_problems, frames_of_times, name_problems, rate
+from recon.io.hdf5 import is_hdf5
 from recon.io.pose import StoredPose
 from recon.keypoints import Keypoints
 

@@ -1,21 +1,18 @@
-"""What readers of several formats share: HDF5 outlines, optional libraries, the choice of an animal, frame numbers."""
+"""What readers of several formats share: optional libraries, the choice of an animal, frame numbers."""
 
 from __future__ import annotations
 
 import re
-import warnings
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import closing, contextmanager
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
-import tables
 
 from recon.errors import InputError, Problem
 from recon.keypoints import frame_ranges
 from recon.package import install_command
 
-HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
 # What tools call the only animal of a file when nobody named it.
 UNNAMED = ("individual_0", "id_0", "track_0")
 # Enough to see what is wrong with a file; a file of the wrong kind has thousands.
@@ -37,27 +34,6 @@ def formats_extra(path: str | Path) -> Iterator[None]:
 def starts_with(path: Path, signature: bytes) -> bool:
     with path.open("rb") as file:
         return file.read(len(signature)) == signature
-
-
-def is_hdf5(path: Path) -> bool:
-    return starts_with(path, HDF5_SIGNATURE)
-
-
-def hdf5_outline(path: Path) -> frozenset[str]:
-    """The names at the root of an HDF5 file, of its groups, datasets and attributes; empty for a file of another kind.
-
-    Raises InputError where it cannot be opened.
-    """
-    if not is_hdf5(path):
-        return frozenset()
-    try:
-        with warnings.catch_warnings():
-            # PyTables warns of content that it has no type for.
-            warnings.simplefilter("ignore")
-            with closing(tables.open_file(str(path))) as file:
-                return frozenset((*file.root._v_children, *file.root._v_attrs._f_list("all")))
-    except tables.HDF5ExtError as error:
-        raise InputError(Problem(path, "file", "an HDF5 file that is cut off or damaged", "a whole file")) from error
 
 
 def choose(path: Path, animals: Sequence[str], individual: str | None) -> int:

@@ -9,20 +9,18 @@ from __future__ import annotations
 
 import csv
 import re
-import warnings
 from array import array
 from collections.abc import Iterator, Sequence
-from contextlib import closing
 from dataclasses import dataclass, replace
 from pathlib import Path, PureWindowsPath
 from typing import NamedTuple
 
 import numpy as np
-import pandas as pd
-import tables
 
 from recon.errors import InputError, Problem
-from recon.io.common import PROBLEMS_SHOWN, first_problems, is_hdf5, rate
+from recon.io import pandas_hdf
+from recon.io.common import PROBLEMS_SHOWN, first_problems, rate
+from recon.io.hdf5 import is_hdf5
 from recon.keypoints import Keypoints
 
 HEADERS = (
@@ -68,7 +66,7 @@ def recognises(path: Path) -> bool:
     Raises InputError for an HDF5 file that cannot be opened.
     """
     if is_hdf5(path):
-        return bool(_pandas_keys(path))
+        return bool(pandas_hdf.keys(path))
     with path.open("rb") as file:
         head = file.read(64).removeprefix(b"\xef\xbb\xbf")
     return re.match(rb'\s*"?\s*(scorer|individuals|bodyparts)\s*"?\s*([,;\t\r\n]|$)', head) is not None
@@ -199,56 +197,36 @@ def _fps(scorers: Sequence[str]) -> float | None:
 
 
 def _read_h5(path: Path) -> Table:
-    keys = _pandas_keys(path)
+    keys = pandas_hdf.keys(path)
     if len(keys) != 1:
         raise InputError(Problem(path, "keys", ", ".join(keys) or "none", "one table"))
-    try:
-        with warnings.catch_warnings():
-            # They concern whoever wrote the file.
-            warnings.simplefilter("ignore")
-            frame = pd.read_hdf(path, key=keys[0])
-    except Exception as error:
-        # Damage inside an HDF5 file surfaces as almost any exception of three libraries.
-        raise InputError(
-            Problem(path, f"key {keys[0]}", f"a table that cannot be read ({error})", "an undamaged file")
-        ) from error
-    if not isinstance(frame, pd.DataFrame):
-        raise InputError(Problem(path, f"key {keys[0]}", type(frame).__name__, "a table"))
-    levels = _h5_levels(path, frame.columns)
+    frame = pandas_hdf.read_frame(path, keys[0])
+    levels = _h5_levels(path, frame)
     columns, notes = _columns(path, levels)
-    index = [tuple(str(part) for part in (row if isinstance(row, tuple) else (row,))) for row in frame.index]
     bad: list[tuple[int, int, str]] = []
-    try:
-        values = frame.to_numpy(dtype=float)
-    except (TypeError, ValueError):
-        cells = frame.astype(object).where(frame.notna(), "").astype(str).to_numpy().tolist()
-        values = np.array([_numbers(row, i, bad) for i, row in enumerate(cells)])
-    scorers = frame.columns.get_level_values("scorer")[:1] if "scorer" in frame.columns.names else ()
-    return replace(_table(path, columns, values, index, bad, [], notes), fps=_fps([str(s) for s in scorers]))
+    values = frame.cells
+    if values.dtype == object:
+        rows = [["" if cell != cell else str(cell) for cell in row] for row in values.tolist()]
+        values = np.array([_numbers(row, i, bad) for i, row in enumerate(rows)]).reshape(-1, len(columns))
+    scorer = [column[frame.levels.index("scorer")] for column in frame.columns[:1] if "scorer" in frame.levels]
+    return replace(_table(path, columns, values, frame.index, bad, [], notes), fps=_fps(scorer))
 
 
-def _h5_levels(path: Path, columns: pd.Index) -> list[list[str]]:
+def _h5_levels(path: Path, frame: pandas_hdf.Frame) -> list[list[str]]:
     """The individuals, bodyparts and coords of each column."""
-    names = list(columns.names)
+    names = list(frame.levels)
     if not any(names):
-        names = list({2: HEADERS[2], 3: HEADERS[0], 4: HEADERS[1]}.get(columns.nlevels, names))
+        names = list({2: HEADERS[2], 3: HEADERS[0], 4: HEADERS[1]}.get(len(names), names))
     if tuple(names) not in HEADERS:
         raise InputError(_header_problem(path, f"column levels {', '.join(map(str, names))}"))
-    parts = [tuple(str(part) for part in column) for column in columns.to_list()]
     wanted = (names.index(level) if level in names else None for level in ("individuals", "bodyparts", "coords"))
-    return [["" if i is None else part[i] for part in parts] for i in wanted]
+    return [["" if i is None else column[i] for column in frame.columns] for i in wanted]
 
 
-def _pandas_keys(path: Path) -> list[str]:
-    """The keys of an HDF5 file under which pandas stored something. Raises InputError if it cannot be opened."""
-    try:
-        with warnings.catch_warnings():
-            # PyTables warns of content in files of other kinds that it has no type for.
-            warnings.simplefilter("ignore")
-            with closing(tables.open_file(str(path))) as file:
-                return [g._v_pathname for g in file.walk_groups() if "pandas_type" in g._v_attrs]
-    except tables.HDF5ExtError as error:
-        raise InputError(Problem(path, "file", "an HDF5 file that is cut off or damaged", "a whole file")) from error
+def image_names(path: Path) -> list[str]:
+    """The labels of the rows of an HDF5 file's table, parts of paths joined. Raises InputError."""
+    (key,) = pandas_hdf.keys(path)
+    return ["/".join(label) for label in pandas_hdf.read_frame(path, key).index]
 
 
 def _columns(path: Path, levels: Sequence[Sequence[str]]) -> tuple[tuple[Column, ...], tuple[str, ...]]:

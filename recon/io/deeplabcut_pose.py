@@ -7,8 +7,8 @@ from itertools import islice
 from pathlib import Path
 
 from recon.errors import InputError
-from recon.io.common import is_hdf5
 from recon.io.deeplabcut import gather, of_one_animal, read_table, recognises
+from recon.io.hdf5 import is_hdf5
 from recon.io.pose import StoredPose
 
 HEADER_ROWS = 4

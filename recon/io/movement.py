@@ -6,28 +6,51 @@ x, y, z in a unit that only our own files state.
 
 from __future__ import annotations
 
+import io
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from recon.errors import InputError, Problem
-from recon.io.common import (
-    UNNAMED,
-    choose,
-    formats_extra,
-    frames_of_times,
-    hdf5_outline,
-    name_problems,
-    rate,
-    starts_with,
-)
+from recon.io.common import UNNAMED, choose, frames_of_times, name_problems, rate, starts_with
+from recon.io.hdf5 import DAMAGE, attribute, child, is_text, numbers, opened, outline, texts
 from recon.io.pose import UNIT_NAMES, StoredPose
 from recon.keypoints import Keypoints
 
+CLASSIC = b"CDF"
+VARIABLES = ("position", "confidence", "time", "space", "keypoint", "individual", "keypoints", "individuals")
+ATTRIBUTES = ("ds_type", "fps", "time_unit", "length_unit", "up_axis")
+PACKING = {"scale_factor": 1.0, "add_offset": 0.0}
+FACTS = ("_FillValue", "missing_value", *PACKING)
+NO_VARIABLE = "This is a netCDF dimension but not a netCDF variable"
+"""At the beginning of the attribute NAME of a dimension without labels."""
 PLURAL = {"keypoints": "keypoint", "individuals": "individual"}
 POSITION = ("time", "individual", "keypoint", "space")
 CONFIDENCE = ("time", "individual", "keypoint")
+
+
+@dataclass(frozen=True, eq=False)
+class _Variable:
+    """An array with the names of its axes."""
+
+    dims: tuple[str, ...]
+    values: np.ndarray
+
+    def along(self, dims: tuple[str, ...]) -> np.ndarray:
+        """With its axes in this order, as floats."""
+        return self.values.transpose([self.dims.index(dim) for dim in dims]).astype(float)
+
+    def joined(self) -> _Variable:
+        """Texts that are stored letter by letter, along one axis more."""
+        if self.values.dtype.kind == "O" and self.values.ndim == 2:
+            return _Variable(self.dims[:1], np.array(["".join(row) for row in self.values.tolist()], object))
+        if self.values.dtype.kind == "S" and self.values.ndim == 2:
+            words = [b"".join(row).rstrip(b"\0").decode("utf-8") for row in self.values.tolist()]
+            return _Variable(self.dims[:1], np.array(words, object))
+        return self
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,9 +69,9 @@ class _File:
 
 def recognises(path: Path) -> bool:
     """Whether the file is movement's, 2D or 3D."""
-    if starts_with(path, b"CDF"):
+    if starts_with(path, CLASSIC):
         return b"position" in path.read_bytes()[:4096]
-    return {"position", "space"} <= hdf5_outline(path)
+    return {"position", "space"} <= outline(path)
 
 
 def recognises_pose(path: Path) -> bool:
@@ -74,60 +97,140 @@ def read_pose(path: Path, individual: str | None = None) -> StoredPose:
 
 
 def _load(path: Path) -> _File:
-    with formats_extra(path):
-        import xarray
-    try:
-        with xarray.open_dataset(path, decode_times=False) as opened:
-            data = opened.load()
-    except (OSError, ValueError, KeyError, TypeError, RuntimeError, AttributeError) as error:
-        found = f"data that cannot be read ({error})"
-        raise InputError(Problem(path, "content", found, "an undamaged netCDF file")) from None
-    data = data.rename({old: new for old, new in PLURAL.items() if old in data.dims})
-    kind = data.attrs.get("ds_type", "poses")
+    stored, attributes = _read_classic(path) if starts_with(path, CLASSIC) else _read_hdf5(path)
+    kind = attributes.get("ds_type") or "poses"
     if kind != "poses":
         raise InputError(Problem(path, "ds_type", str(kind), "poses: keypoints, not boxes"))
-    problems = [
-        Problem(path, name, f"{values.dtype} with the dimensions {', '.join(map(str, values.dims))}", ", ".join(dims))
+    problems = [] if "position" in stored else [Problem(path, "position", "none", ", ".join(POSITION))]
+    problems += [
+        Problem(path, name, f"{stored[name].values.dtype} with the dimensions {', '.join(stored[name].dims)}", expected)
         for name, dims in (("position", POSITION), ("confidence", CONFIDENCE))
-        if name in data
-        for values in [data[name]]
-        if sorted(map(str, values.dims)) != sorted(dims) or values.dtype.kind not in "fiu"
+        for expected in [", ".join(dims)]
+        if name in stored
+        if sorted(stored[name].dims) != sorted(dims) or stored[name].values.dtype.kind not in "fiu"
     ]
     if problems:
         raise InputError(problems)
-    labels = {dim: [str(t) for t in data[dim].values.tolist()] if dim in data.coords else [] for dim in POSITION[1:]}
-    sizes = {str(dim): size for dim, size in data["position"].sizes.items()}
+    position = stored["position"]
+    sizes = dict(zip(position.dims, position.values.shape, strict=True))
+    problems += [
+        Problem(path, name, f"{v.values.shape} ({', '.join(v.dims)})", f"{sizes[name]}, along {name}")
+        for name, v in stored.items()
+        if name in POSITION and v.values.shape != (sizes[name],)
+    ]
+    if not sizes["time"]:
+        problems.append(Problem(path, "time", "no frames", "at least one"))
+    confidence = stored.get("confidence")
+    if confidence is not None and dict(zip(confidence.dims, confidence.values.shape, strict=True)) != {
+        dim: n for dim, n in sizes.items() if dim != "space"
+    }:
+        problems.append(Problem(path, "confidence", f"{confidence.values.shape}", "as large as position"))
+    if problems:
+        raise InputError(problems)
+    labels = {dim: [str(t) for t in stored[dim].values.tolist()] if dim in stored else [] for dim in POSITION[1:]}
     labels["individual"] = labels["individual"] or [f"individual_{i}" for i in range(sizes["individual"])]
     labels["space"] = labels["space"] or list("xyz"[: sizes["space"]])
     if labels["space"] not in (["x", "y"], ["x", "y", "z"]):
-        problems.append(Problem(path, "space", ", ".join(labels["space"]), "x, y or x, y, z"))
+        problems.append(Problem(path, "space", ", ".join(labels["space"])[:80], "x, y or x, y, z"))
     problems += name_problems(path, "keypoint", labels["keypoint"])
     problems += name_problems(path, "individual", labels["individual"])
-    values = data["position"].transpose(*POSITION).values.astype(float)
-    if not sizes["time"]:
-        problems.append(Problem(path, "time", "no frames", "at least one"))
+    values = position.along(POSITION)
     if np.isinf(values).any():
         problems.append(Problem(path, "position", "infinite coordinates", "numbers, or NaN where missing"))
-    if problems:
+    frames, fps = None, None
+    try:
+        frames, fps = _frames(path, stored.get("time"), sizes["time"], attributes)
+    except InputError as error:
+        problems += error.problems
+    if problems or frames is None:
         raise InputError(problems)
-    confidence = np.full(values.shape[:-1], np.nan)
-    if "confidence" in data:
-        confidence = data["confidence"].transpose(*CONFIDENCE).values.astype(float)
-    fps = rate(data.attrs.get("fps"))
-    time = data["time"].values if "time" in data.coords else np.arange(sizes["time"])
-    # Without the attribute, whole numbers are frames.
-    in_frames = data.attrs.get("time_unit", "frames" if time.dtype.kind in "iu" else "seconds") == "frames"
-    if in_frames:
-        frames, _ = frames_of_times(path, time.astype(float), 1.0)
-    else:
-        frames, fps = frames_of_times(path, time.astype(float), fps)
     return _File(
         names=tuple(labels["keypoint"]),
         animals=labels["individual"],
         values=values,
-        confidence=confidence,
+        confidence=np.full(values.shape[:-1], np.nan) if confidence is None else confidence.along(CONFIDENCE),
         frames=frames,
         fps=fps,
-        unit=UNIT_NAMES.get(str(data.attrs.get("length_unit"))),
-        up={"x": "x", "y": "y", "z": "z"}.get(str(data.attrs.get("up_axis"))),
+        unit=UNIT_NAMES.get(str(attributes.get("length_unit"))),
+        up={"x": "x", "y": "y", "z": "z"}.get(str(attributes.get("up_axis"))),
     )
+
+
+def _frames(
+    path: Path, time: _Variable | None, T: int, attributes: Mapping[str, Any]
+) -> tuple[np.ndarray, float | None]:
+    """Frame numbers and rate. Without the attribute `time_unit`, whole numbers are frames."""
+    fps = rate(attributes.get("fps"))
+    ticks = np.arange(T) if time is None else time.values
+    if ticks.dtype.kind not in "fiu":
+        raise InputError(Problem(path, "time", f"values of type {ticks.dtype}", "seconds, or frames"))
+    unit = attributes.get("time_unit") or ("frames" if ticks.dtype.kind in "iu" else "seconds")
+    if unit == "frames":
+        return frames_of_times(path, ticks.astype(float), 1.0)[0], fps
+    return frames_of_times(path, ticks.astype(float), fps)
+
+
+def _read_hdf5(path: Path) -> tuple[dict[str, _Variable], dict[str, Any]]:
+    """The variables that are needed, and the attributes of a netCDF 4 file."""
+    import h5py
+
+    found = {}
+    with opened(path) as file:
+        for name in VARIABLES:
+            dataset = child(file, name)
+            about = "" if dataset is None else str(attribute(dataset, "NAME") or "")
+            if not isinstance(dataset, h5py.Dataset) or about.startswith(NO_VARIABLE):
+                continue
+            dims = tuple(_scale(dim) or name for dim in dataset.dims)
+            values = np.array(texts(dataset), object).reshape(dataset.shape) if is_text(dataset) else numbers(dataset)
+            facts = {key: attribute(dataset, key) for key in FACTS}
+            found[_singular(name)] = _Variable(tuple(map(_singular, dims)), _decoded(values, facts)).joined()
+        attributes = {name: attribute(file, name) for name in ATTRIBUTES}
+    return found, attributes
+
+
+def _scale(dim: Any) -> str:
+    """The name of a dimension; a dimension's own variable has none."""
+    return str(dim[0].name).rpartition("/")[2] if len(dim) else ""
+
+
+def _read_classic(path: Path) -> tuple[dict[str, _Variable], dict[str, Any]]:
+    """The same of a netCDF 3 file."""
+    from scipy.io import netcdf_file
+
+    try:
+        # From memory, where a size that is wrong reads no more than there is.
+        with netcdf_file(io.BytesIO(path.read_bytes()), mmap=False) as opened_file:
+            file: Any = opened_file  # its attributes have no types
+            found = {
+                _singular(name): _Variable(
+                    tuple(map(_singular, file.variables[name].dimensions)),
+                    _decoded(np.array(file.variables[name].data), file.variables[name]._attributes),
+                ).joined()
+                for name in VARIABLES
+                if name in file.variables
+            }
+            attributes = {name: _plain(file._attributes.get(name)) for name in ATTRIBUTES}
+    except DAMAGE as error:
+        found = f"data that cannot be read ({' '.join(str(error).split())[:200]})"
+        raise InputError(Problem(path, "content", found, "an undamaged netCDF file")) from None
+    return found, attributes
+
+
+def _plain(value: Any) -> Any:
+    return value.decode("utf-8") if isinstance(value, bytes) else value
+
+
+def _singular(name: str) -> str:
+    return PLURAL.get(name, name)
+
+
+def _decoded(values: np.ndarray, facts: Mapping[str, Any]) -> np.ndarray:
+    """Packed numbers as they are meant, NaN where they are missing."""
+    if values.dtype.kind not in "fiu" or all(facts.get(name) is None for name in FACTS):
+        return values
+    missing = [float(facts[name]) for name in FACTS[:2] if facts.get(name) is not None]
+    scale, offset = (float(facts[name]) if facts.get(name) is not None else n for name, n in PACKING.items())
+    if values.dtype.kind in "iu" and scale == 1 and offset == 0 and not np.isin(values, missing).any():
+        return values
+    return np.where(np.isin(values, missing), np.nan, values.astype(float) * scale + offset)

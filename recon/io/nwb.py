@@ -14,7 +14,8 @@ from typing import Any
 import numpy as np
 
 from recon.errors import InputError, Problem
-from recon.io.common import choose, formats_extra, frames_of_times, hdf5_outline, name_problems, rate
+from recon.io.common import choose, frames_of_times, name_problems, rate
+from recon.io.hdf5 import attribute, child, groups, names, numbers, opened, outline, texts
 from recon.io.pose import UNIT_NAMES, StoredPose
 from recon.keypoints import Keypoints
 
@@ -47,7 +48,7 @@ class _Container:
 
 def recognises(path: Path) -> bool:
     """Whether the file is NWB's, with poses or without."""
-    return "nwb_version" in hdf5_outline(path)
+    return "nwb_version" in outline(path)
 
 
 def recognises_pose(path: Path) -> bool:
@@ -80,12 +81,12 @@ def read_pose(path: Path, individual: str | None = None) -> StoredPose:
     containers = _load(path)
     container = containers[choose(path, [c.name for c in containers], individual)]
     series, frames, fps = _checked(path, container)
-    names = tuple(s.name for s in series)
+    points = tuple(s.name for s in series)
     edges = ()
-    if set(container.nodes) == set(names):
+    if set(container.nodes) == set(points):
         edges = tuple((container.nodes[a], container.nodes[b]) for a, b in container.edges)
     return StoredPose(
-        names,
+        points,
         np.stack([s.values for s in series], axis=1),
         frames,
         fps=fps,
@@ -97,76 +98,76 @@ def read_pose(path: Path, individual: str | None = None) -> StoredPose:
 
 def _load(path: Path) -> list[_Container]:
     """Every container of points. Raises InputError for a damaged file, or one without any."""
-    with formats_extra(path):
-        import h5py
+    import h5py
+
     found: list[_Container] = []
-
-    def visit(_: str, group: Any) -> None:
-        if not isinstance(group, h5py.Group):
-            return
-        points = [g for g in group.values() if _type(g) == "PoseEstimationSeries"]
-        if points:
-            nodes, edges = _skeleton(group)
-            series = [_series(path, point) for point in points]
-            order = {node: i for i, node in enumerate(nodes)}
-            series.sort(key=lambda s: order.get(s.name, len(order)))
-            found.append(_Container(_last(group.name), series, nodes, edges))
-
-    try:
-        with h5py.File(path, "r") as file:
-            file.visititems(visit)
-    except InputError:
-        raise
-    except (OSError, KeyError, TypeError, ValueError, RuntimeError, AttributeError) as error:
-        raise InputError(Problem(path, "content", f"data that cannot be read ({error})", "an undamaged file")) from None
+    with opened(path) as file:
+        for group in groups(file):
+            inside = [child(group, name) for name in names(group)]
+            points = [g for g in inside if isinstance(g, h5py.Group) and _type(g) == "PoseEstimationSeries"]
+            if points:
+                nodes, edges = _skeleton(group, inside)
+                series = [_series(path, point) for point in points]
+                order = {node: i for i, node in enumerate(nodes)}
+                series.sort(key=lambda s: order.get(s.name, len(order)))
+                found.append(_Container(_last(group.name), series, nodes, edges))
     if not found:
         raise InputError(Problem(path, "PoseEstimationSeries", "none", "poses of the extension ndx-pose"))
     return found
 
 
 def _last(name: str | None) -> str:
-    return (name or "").rsplit("/", 1)[-1]
+    return str(name or "").rsplit("/", 1)[-1]
 
 
-def _type(group: Any) -> str:
-    return _text(group.attrs.get("neurodata_type", ""))
+def _type(group: Any) -> Any:
+    return attribute(group, "neurodata_type")
 
 
-def _text(value: Any) -> str:
-    return value.decode("utf-8") if isinstance(value, bytes) else str(value)
-
-
-def _skeleton(group: Any) -> tuple[list[str], np.ndarray]:
+def _skeleton(group: Any, inside: list[Any]) -> tuple[list[str], np.ndarray]:
     """Nodes and edges (E, 2) of a container's skeleton, or of the container itself, as the first version had it."""
-    for holder in (group, *(g for g in group.values() if _type(g) == "Skeleton")):
-        if "nodes" in holder:
-            nodes = [_text(t) for t in holder["nodes"][()].tolist()]
-            edges = holder["edges"][()] if "edges" in holder else np.zeros((0, 2))
-            edges = np.asarray(edges, dtype=np.int64).reshape(-1, 2)
-            return nodes, edges[(edges < len(nodes)).all(axis=1)]
+    for holder in (group, *(g for g in inside if g is not None and _type(g) == "Skeleton")):
+        stored = child(holder, "nodes")
+        if stored is not None:
+            nodes, linked = texts(stored), child(holder, "edges")
+            edges = np.zeros((0, 2)) if linked is None else numbers(linked)
+            edges = edges.astype(np.int64).reshape(-1, 2)
+            return nodes, edges[((edges >= 0) & (edges < len(nodes))).all(axis=1)]
     return [], np.zeros((0, 2), np.int64)
 
 
 def _series(path: Path, group: Any) -> _Series:
-    data, name = group["data"], _last(group.name)
-    if data.ndim != 2 or data.shape[1] not in (2, 3) or data.dtype.kind not in "fiu":
-        raise InputError(Problem(path, name, f"{data.dtype} {data.shape}", "numbers, (frames, 2) or (frames, 3)"))
-    T = len(data)
-    values = data[()].astype(float) * float(data.attrs.get("conversion", 1.0)) + float(data.attrs.get("offset", 0.0))
-    confidence = group["confidence"][()].astype(float) if "confidence" in group else np.full(T, np.nan)
-    comments = re.search(re.escape(RATE_TEXT).replace(r"\{fps!r\}", "([0-9.e+-]+)"), _text(group.attrs.get("comments")))
+    data, name = child(group, "data"), _last(group.name)
+    values = numbers(data)
+    if values.ndim != 2 or values.shape[1] not in (2, 3) or values.dtype.kind not in "fiu":
+        raise InputError(Problem(path, name, f"{values.dtype} {values.shape}", "numbers, (frames, 2) or (frames, 3)"))
+    T = len(values)
+    values = values.astype(float) * _number(data, "conversion", 1.0) + _number(data, "offset", 0.0)
+    confidence = child(group, "confidence")
+    sure = np.full(T, np.nan) if confidence is None else numbers(confidence).astype(float)
+    comment = str(attribute(group, "comments") or "")
+    comments = re.search(re.escape(RATE_TEXT).replace(r"\{fps!r\}", "([0-9.e+-]+)"), comment)
     fps = rate(comments[1]) if comments else None
-    if "timestamps" in group:
-        times_s = group["timestamps"][()].astype(float)
+    stamps, start = child(group, "timestamps"), child(group, "starting_time")
+    if stamps is not None:
+        times_s = numbers(stamps).astype(float)
+    elif start is not None:
+        fps = rate(attribute(start, "rate"))
+        times_s = float(numbers(start)) + np.arange(T) / (fps or np.nan)
     else:
-        fps = rate(group["starting_time"].attrs["rate"])
-        times_s = float(group["starting_time"][()]) + np.arange(T) / (fps or np.nan)
-    if len(confidence) != T or len(times_s) != T:
-        found = f"{T} positions, {len(confidence)} confidences and {len(times_s)} times"
+        raise InputError(Problem(path, name, "no times", "timestamps, or starting_time with a rate"))
+    if sure.shape != (T,) or times_s.shape != (T,):
+        found = f"{T} positions, {len(sure)} confidences and {len(times_s)} times"
         raise InputError(Problem(path, name, found, "as many of each"))
-    reference = _text(group["reference_frame"][()]) if "reference_frame" in group else ""
-    unit = _text(data.attrs.get("unit", ""))
-    return _Series(name, values, confidence, times_s, fps, unit, reference.endswith(UP_TEXT))
+    reference = "".join(texts(frame)) if (frame := child(group, "reference_frame")) is not None else ""
+    unit = str(attribute(data, "unit") or "")
+    return _Series(name, values, sure, times_s, fps, unit, reference.endswith(UP_TEXT))
+
+
+def _number(dataset: Any, name: str, otherwise: float) -> float:
+    """An attribute that is a number."""
+    value = attribute(dataset, name)
+    return otherwise if value is None else float(value)
 
 
 def _checked(path: Path, container: _Container) -> tuple[list[_Series], np.ndarray, float | None]:

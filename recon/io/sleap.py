@@ -13,7 +13,8 @@ from typing import Any
 import numpy as np
 
 from recon.errors import InputError, Problem
-from recon.io.common import choose, formats_extra, hdf5_outline, name_problems, rate
+from recon.io.common import choose, name_problems, rate
+from recon.io.hdf5 import attribute, child, numbers, opened, outline, texts
 from recon.keypoints import Keypoints
 
 ORDERS = {
@@ -30,23 +31,19 @@ WANTED = {
 
 
 def recognises(path: Path) -> bool:
-    return {"tracks", "node_names"} <= hdf5_outline(path)
+    return {"tracks", "node_names"} <= outline(path)
 
 
 def read(path: Path, individual: str | None = None) -> Keypoints:
     """The keypoints of one track. Raises InputError for a file that is damaged or whose arrays do not fit."""
-    with formats_extra(path):
-        import h5py
-    try:
-        with h5py.File(path, "r") as file:
-            names = _texts(file, "node_names")
-            tracks = _texts(file, "track_names")
-            arrays = {name: _array(path, file, name) for name in ORDERS if name in file}
-            fps = _fps(file)
-    except InputError:
-        raise
-    except (OSError, KeyError, TypeError, ValueError, RuntimeError, AttributeError) as error:
-        raise InputError(Problem(path, "content", f"data that cannot be read ({error})", "an undamaged file")) from None
+    with opened(path) as file:
+        names = _texts(file, "node_names")
+        tracks = _texts(file, "track_names")
+        stored = {name: child(file, name) for name in ORDERS}
+        if stored["tracks"] is None:
+            raise InputError(Problem(path, "tracks", "a link to nowhere", "a dataset"))
+        arrays = {name: _array(path, dataset, name) for name, dataset in stored.items() if dataset is not None}
+        fps = _fps(file)
     xy, score, occupied = _fitting(path, names, tracks, arrays)
     animals = tracks or [f"track_{i}" for i in range(xy.shape[1])]
     which = choose(path, animals, individual)
@@ -66,35 +63,33 @@ def read(path: Path, individual: str | None = None) -> Keypoints:
 
 def _texts(file: Any, name: str) -> list[str]:
     """A list of names; empty where there is none, as SLEAP writes it without tracks."""
-    if name not in file or not file[name].size:
-        return []
-    return [t.decode("utf-8") if isinstance(t, bytes) else str(t) for t in file[name][()].ravel().tolist()]
+    dataset = child(file, name)
+    return texts(dataset) if dataset is not None and getattr(dataset, "size", 0) else []
 
 
-def _array(path: Path, file: Any, name: str) -> np.ndarray:
+def _array(path: Path, dataset: Any, name: str) -> np.ndarray:
     """One array with its axes in the order that is wanted."""
-    dataset = file[name]
     order, wanted = ORDERS[name], WANTED[name]
-    if "dims" in dataset.attrs:
-        order = tuple(json.loads(dataset.attrs["dims"]))
-    elif name == "tracks" and not file.attrs.get("transpose", True):
+    dims = attribute(dataset, "dims")
+    if dims is not None:
+        order = tuple(str(axis) for axis in json.loads(dims))
+    elif name == "tracks" and attribute(dataset.file, "transpose") in (False, 0):
         order = ("frame", "node", "xy", "track")
-    if sorted(order) != sorted(wanted) or dataset.ndim != len(wanted) or dataset.dtype.kind not in "fiub":
-        found = f"{dataset.dtype} {dataset.shape} with the axes {', '.join(map(str, order))}"
+    values = numbers(dataset)
+    if sorted(order) != sorted(wanted) or values.ndim != len(wanted):
+        found = f"{values.dtype} {values.shape} with the axes {', '.join(order)[:80]}"
         raise InputError(
             Problem(path, name, found, f"numbers with the axes {', '.join(ORDERS[name])}, or as dims says")
         )
-    return np.transpose(dataset[()].astype(float), [order.index(axis) for axis in wanted])
+    return np.transpose(values.astype(float), [order.index(axis) for axis in wanted])
 
 
 def _fps(file: Any) -> float | None:
     """As our own files have it; SLEAP's have none."""
-    if "provenance" not in file:
-        return None
-    text: Any = file["provenance"][()]
+    dataset = child(file, "provenance")
     try:
-        provenance = json.loads(text)
-    except (TypeError, ValueError):
+        provenance = json.loads("".join(texts(dataset)))
+    except (ValueError, RecursionError):
         return None
     return rate(provenance.get("fps")) if isinstance(provenance, dict) else None
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path, PureWindowsPath
 
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from recon.errors import InputError, Problem, all_of
 from recon.io import deeplabcut, file_head
 from recon.io.common import first_problems
+from recon.io.hdf5 import is_hdf5
 from recon.keypoints import Keypoints, mark_missing
 from recon.video import Image, probe, read_frames
 
@@ -133,8 +134,8 @@ def _read_rows(path: Path, individual: str | None) -> tuple[Keypoints, tuple[str
 
 def _image_names(path: Path) -> list[tuple[int, str]]:
     """Frame numbers and image names of a CSV file of labels."""
-    if path.suffix.lower() != ".csv":
-        return _h5_image_names(path)
+    if is_hdf5(path):
+        return _numbered(deeplabcut.image_names(path))
     found, wide = [], False
     with path.open(encoding="utf-8-sig", newline="") as file:
         for row in csv.reader(file):
@@ -143,15 +144,11 @@ def _image_names(path: Path) -> list[tuple[int, str]]:
                 continue
             cells = row[: 3 if wide else 1]
             found.append("/".join(cell for cell in cells if cell))
-    return [(int(m[1]), text) for text in found if (m := re.search(r"([0-9]+)$", PureWindowsPath(text).stem))]
+    return _numbered(found)
 
 
-def _h5_image_names(path: Path) -> list[tuple[int, str]]:
-    import pandas as pd
-
-    index = pd.DataFrame(pd.read_hdf(path)).index
-    texts = ["/".join(map(str, i)) if isinstance(i, tuple) else str(i) for i in index]
-    return [(int(m[1]), text) for text in texts if (m := re.search(r"([0-9]+)$", PureWindowsPath(text).stem))]
+def _numbered(images: Iterable[str]) -> list[tuple[int, str]]:
+    return [(int(m[1]), text) for text in images if (m := re.search(r"([0-9]+)$", PureWindowsPath(text).stem))]
 
 
 def _read_video(video: Path, path: Path, first_frame: int, individual: str | None) -> Labels:

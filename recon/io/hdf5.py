@@ -1,0 +1,311 @@
+"""HDF5 files of unknown origin, read with h5py: numbers and texts, and nothing else.
+
+h5py runs nothing that a file holds. What the HDF5 library itself hangs in, or asks too much memory for, is checked
+before: heaps of texts that lead nowhere, sizes that the file cannot fill, data in other files, types of other kinds.
+"""
+
+from __future__ import annotations
+
+import mmap
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from recon.errors import InputError, Problem
+
+if TYPE_CHECKING:
+    import h5py
+
+SIGNATURE = b"\x89HDF\r\n\x1a\n"
+FREE_BYTES = 1 << 26
+"""What a dataset or a piece of it may take in any case; beyond that `MAX_RATIO` times what it takes in the file."""
+MAX_RATIO = 1100
+"""The most that gzip can compress is 1032 times."""
+FILTERS = (1, 2, 3, 32000)
+"""gzip, shuffle, Fletcher's checksum, LZF: those that every h5py has, and whose decoders hold."""
+MAX_ATTRIBUTE_BYTES = 1 << 24
+MAX_TEXTS = 100_000
+MAX_DEPTH = 12
+MAX_GROUPS = 20_000
+MAX_HOPS = 8
+
+
+def is_hdf5(path: Path) -> bool:
+    with path.open("rb") as file:
+        return file.read(len(SIGNATURE)) == SIGNATURE
+
+
+DAMAGE = (
+    *(OSError, KeyError, TypeError, ValueError, RuntimeError, AttributeError, IndexError),
+    *(ArithmeticError, MemoryError, SystemError, NotImplementedError),
+)
+"""What h5py says of damaged files."""
+
+
+@contextmanager
+def opened(path: Path, outline: bool = False) -> Iterator[h5py.File]:
+    """A file to read. Raises InputError where it is damaged, also for what h5py says of that inside the block.
+
+    outline: only names and types are looked at, which is safe without `_require_sound_heaps`.
+    """
+    import h5py
+
+    try:
+        if not outline:
+            _require_sound_heaps(path)
+        try:
+            file = h5py.File(path, "r")
+        except OSError:
+            found = "an HDF5 file that is cut off or damaged"
+            raise InputError(Problem(path, "file", found, "a whole file")) from None
+        with file:
+            yield file
+    except InputError:
+        raise
+    except DAMAGE as error:
+        raise InputError(_damaged(path, error)) from None
+
+
+def _damaged(path: Path, error: Exception) -> Problem:
+    found = f"data that cannot be read ({' '.join(str(error).split())[:200] or type(error).__name__})"
+    return Problem(path, "content", found, "an undamaged file")
+
+
+def _require_sound_heaps(path: Path) -> None:
+    """Raises ValueError where a global heap, which holds texts of any length, has an object without an end: the
+    library would look for the next one for ever."""
+    with path.open("rb") as file:
+        head = file.read(24)
+        sizes = head[13:15] if head[8:9] < b"\2" else head[9:11]
+        if sizes != b"\x08\x08":
+            raise ValueError("addresses of another size than 8 bytes")
+        with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
+            at = content.find(b"GCOL\1")
+            while at >= 0:
+                _require_sound_heap(content, at)
+                at = content.find(b"GCOL\1", at + 5)
+
+
+def _require_sound_heap(content: mmap.mmap, start: int) -> None:
+    """Header: signature, version, 3 bytes, size (8); objects: number (2), references (2), 4 bytes, size (8), data in
+    steps of 8 bytes; number 0 is the free rest, which counts its header in its size."""
+    size = int.from_bytes(content[start + 8 : start + 16], "little")
+    at, end = start + 16, min(start + size, len(content))
+    while at + 16 <= end:
+        number = int.from_bytes(content[at : at + 2], "little")
+        length = int.from_bytes(content[at + 8 : at + 16], "little")
+        step = 16 + (length + 7) // 8 * 8 if number else length
+        if step < 16 or at + step > start + size:
+            raise ValueError("a damaged heap of texts")
+        at += step
+
+
+def outline(path: Path) -> frozenset[str]:
+    """The names at the root of a file, of its groups, datasets and attributes; empty for a file of another kind.
+
+    Raises InputError where it cannot be opened.
+    """
+    if not is_hdf5(path):
+        return frozenset()
+    with opened(path, outline=True) as file:
+        return frozenset((*names(file), *(name for name in file.attrs if isinstance(name, str))))
+
+
+# -- finding things -----------------------------------------------------------------------------------------------
+
+
+def names(group: h5py.Group) -> tuple[str, ...]:
+    """Of what a group holds."""
+    return tuple(name for name in group if isinstance(name, str))
+
+
+def child(group: h5py.Group, path: str, hops: int = MAX_HOPS) -> Any:
+    """The group or dataset that a group holds under a name, or a path; None where there is nothing, or a link into
+    another file."""
+    import h5py
+
+    found: Any = group.file["/"] if path.startswith("/") else group
+    for name in path.split("/"):
+        if name in ("", ".") or found is None:
+            continue
+        if not isinstance(found, h5py.Group) or not found.id.links.exists(name.encode()):
+            return None
+        link = found.get(name, getlink=True)
+        if isinstance(link, h5py.HardLink):
+            found = found[name]
+        elif isinstance(link, h5py.SoftLink) and hops > 0:
+            found = child(found, link.path, hops - 1)
+        else:
+            return None
+    return found if isinstance(found, h5py.Group | h5py.Dataset) else None
+
+
+def groups(file: h5py.File) -> Iterator[h5py.Group]:
+    """All groups, the root first, each once. Raises ValueError for more than a file of poses can have."""
+    import h5py
+
+    seen: set[Any] = set()
+    pending: list[tuple[h5py.Group, int]] = [(file["/"], 0)]  # pyright: ignore[reportAssignmentType]
+    while pending:
+        group, depth = pending.pop()
+        if group in seen or depth > MAX_DEPTH:
+            continue
+        seen.add(group)
+        if len(seen) > MAX_GROUPS:
+            raise ValueError(f"more than {MAX_GROUPS} groups")
+        yield group
+        for name in reversed(names(group)):
+            if isinstance(group.get(name, getlink=True), h5py.HardLink):
+                found = group[name]
+                if isinstance(found, h5py.Group):
+                    pending.append((found, depth + 1))
+
+
+# -- reading ------------------------------------------------------------------------------------------------------
+
+
+def attribute(holder: h5py.Group | h5py.Dataset, name: str) -> Any:
+    """A number, a text, an array of numbers or a list of texts; None where there is none. Bytes are read as UTF-8.
+
+    Raises ValueError for anything else."""
+    value = raw_attribute(holder, name)
+    if isinstance(value, bytes):
+        return value.decode("utf-8")
+    if isinstance(value, np.ndarray) and value.dtype.kind in "SUO":
+        return [_text(item) for item in value.ravel().tolist()]
+    if isinstance(value, np.ndarray) and value.ndim and value.size == 1:
+        return value.ravel()[0]
+    return value
+
+
+def raw_attribute(holder: h5py.Group | h5py.Dataset, name: str) -> Any:
+    """The same, with bytes as they are."""
+    import h5py
+
+    if not h5py.h5a.exists(holder.id, name.encode()):
+        return None
+    stored = h5py.h5a.open(holder.id, name.encode())
+    kind = stored.get_type()
+    if not _readable(kind) or kind.get_class() == h5py.h5t.COMPOUND:
+        raise ValueError(f"attribute {name} is neither number nor text")
+    many = int(np.prod(stored.shape or (1,), dtype=float))
+    if many * kind.get_size() > MAX_ATTRIBUTE_BYTES or (many > MAX_TEXTS and _of_any_length(kind)):
+        raise ValueError(f"attribute {name} is too large")
+    value = holder.attrs[name]
+    if isinstance(value, h5py.Empty):
+        return b"" if value.dtype.kind == "S" else None
+    return bytes(value) if isinstance(value, np.bytes_) else value
+
+
+def numbers(dataset: Any) -> np.ndarray:
+    """A dataset of numbers. Raises ValueError for one of another kind, or that asks for more than the file has."""
+    values = read(dataset)
+    if values.dtype.kind not in "fiub":
+        raise ValueError(f"{dataset.name} has no numbers")
+    return values
+
+
+def is_text(dataset: h5py.Dataset) -> bool:
+    from h5py import h5t
+
+    return dataset.id.get_type().get_class() == h5t.STRING
+
+
+def texts(dataset: Any) -> list[str]:
+    """A dataset of texts, of any shape, one after the other. Raises ValueError as `numbers` does."""
+    import h5py
+
+    _require_readable(dataset)
+    if not dataset.size:
+        return []
+    if not _of_any_length(dataset.id.get_type()):
+        return [_text(item) for item in read(dataset).ravel().tolist()]
+    if dataset.size > MAX_TEXTS:
+        raise ValueError(f"{dataset.name} has {dataset.size} texts")
+    _require_short_texts(dataset)
+    left, found = FREE_BYTES, []
+    for index in np.ndindex(dataset.shape):
+        item = dataset[index]
+        left -= len(item)
+        if left < 0 or not isinstance(item, bytes | str) or isinstance(item, h5py.Empty):
+            raise ValueError(f"{dataset.name} has no texts, or too many")
+        found.append(_text(item))
+    return found
+
+
+def read(dataset: Any) -> np.ndarray:
+    """A dataset of numbers, of texts of one length, or of records of those. Raises ValueError as `numbers` does."""
+    _require_readable(dataset)
+    if _of_any_length(dataset.id.get_type()):
+        raise ValueError(f"{dataset.name} has texts of any length")
+    return np.asarray(dataset[()])
+
+
+def _text(item: Any) -> str:
+    return item.decode("utf-8") if isinstance(item, bytes) else str(item)
+
+
+def _require_readable(dataset: Any) -> None:
+    """Raises ValueError for a dataset that is none, whose type is none of ours, whose data lie in other files, or that
+    asks for more than the file has."""
+    import h5py
+
+    if not isinstance(dataset, h5py.Dataset):
+        raise ValueError(f"{getattr(dataset, 'name', 'something')} is no dataset")
+    kind, layout = dataset.id.get_type(), dataset.id.get_create_plist()
+    if not _readable(kind):
+        raise ValueError(f"{dataset.name} has neither numbers nor texts")
+    if layout.get_layout() == h5py.h5d.VIRTUAL or layout.get_external_count():
+        raise ValueError(f"the data of {dataset.name} lie in another file")
+    for i in range(layout.get_nfilters()):
+        if (code := layout.get_filter(i)[0]) not in FILTERS:
+            raise ValueError(f"{dataset.name} is compressed in another way than by gzip (HDF5 filter {code})")
+    if dataset.shape is None:
+        raise ValueError(f"{dataset.name} is empty")
+    stored, item = dataset.id.get_storage_size(), kind.get_size()
+    sizes = [dataset.shape]
+    if layout.get_layout() == h5py.h5d.CHUNKED:
+        sizes.append(layout.get_chunk())
+    for shape in sizes:
+        wanted = item
+        for n in shape:
+            wanted *= int(n)
+        if wanted > max(FREE_BYTES, MAX_RATIO * stored):
+            raise ValueError(f"{dataset.name} asks for {wanted:.3g} bytes, of which the file has {stored}")
+
+
+def _readable(kind: Any, inside: bool = False) -> bool:
+    """Whether a type is of numbers or texts, or of records or short rows of those."""
+    from h5py import h5t
+
+    which = kind.get_class()
+    if which == h5t.COMPOUND:
+        members = [kind.get_member_type(i) for i in range(kind.get_nmembers())]
+        return not inside and not any(_of_any_length(m) for m in members) and all(_readable(m, True) for m in members)
+    if which == h5t.ARRAY:
+        return inside and kind.get_super().get_class() in (h5t.INTEGER, h5t.FLOAT, h5t.STRING, h5t.BITFIELD)
+    return which in (h5t.INTEGER, h5t.FLOAT, h5t.STRING, h5t.ENUM, h5t.BITFIELD)
+
+
+def _of_any_length(kind: Any) -> bool:
+    from h5py import h5t
+
+    return kind.get_class() == h5t.STRING and bool(kind.is_variable_str())
+
+
+def _require_short_texts(dataset: Any) -> None:
+    """Raises ValueError where a text claims to be longer than the file, for which the library would take memory. Each
+    stands in the data as its length (4), the address of its heap (8), and its number there (4)."""
+    where = dataset.id.get_offset()
+    if where is None:
+        return
+    with Path(dataset.file.filename).open("rb") as file:
+        file.seek(where)
+        stored = file.read(16 * int(dataset.size))
+        size = file.seek(0, 2)
+    lengths = np.frombuffer(stored[: len(stored) // 16 * 16], "<u4")[::4]
+    if len(lengths) != dataset.size or (lengths > size).any():
+        raise ValueError(f"{dataset.name} has texts that are longer than the file")

@@ -1,0 +1,185 @@
+"""Files that were made to harm: none runs anything, none takes the memory, and each is answered in words."""
+
+from __future__ import annotations
+
+import os
+import pickle
+import warnings
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pandas as pd
+import pytest
+from typer.testing import CliRunner
+
+from recon.cli import app
+from recon.errors import InputError
+from recon.export import deeplabcut, movement, nwb
+from recon.io import plain_pickle, read_keypoints
+from recon.keypoints import Keypoints
+
+CLIP = Keypoints(("nose", "tail"), np.arange(12.0).reshape(3, 2, 2), np.ones((3, 2)), np.arange(3), fps=50.0)
+
+
+@dataclass(frozen=True)
+class Touch:
+    """Unpickled, it makes a file."""
+
+    path: str
+
+    def __reduce__(self):
+        return os.system, (f"touch '{self.path}'",)
+
+
+def harm(marker: Path) -> np.bytes_:
+    """As PyTables stores an attribute that is no text or number: a pickle, which ends in a dot."""
+    return np.bytes_(pickle.dumps(Touch(str(marker)), 0))
+
+
+def attribute_of(where: str, name: str) -> Callable[[Path, Path], None]:
+    """A table of DeepLabCut's with one attribute replaced."""
+
+    def make(path: Path, marker: Path) -> None:
+        deeplabcut.write_keypoints_h5(CLIP, path)
+        with h5py.File(path, "a") as file:
+            file[where].attrs[name] = harm(marker)
+
+    return make
+
+
+def object_cells(path: Path, marker: Path) -> None:
+    columns = pd.MultiIndex.from_product([["nose"], ["x", "y"]], names=["bodyparts", "coords"])
+    cells = pd.DataFrame([[1.0, 2.0]], columns=columns).astype(object)
+    cells.iloc[0, 0] = Touch(str(marker))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # pandas' remark that it pickles
+        cells.to_hdf(path, key="a", format="fixed")
+
+
+def in_netcdf(path: Path, marker: Path) -> None:
+    movement.write_keypoints(CLIP, path)
+    with h5py.File(path, "a") as file:
+        for holder in (file, file["position"]):
+            holder.attrs["CLASS"] = harm(marker)
+            holder.attrs["fps"] = harm(marker)
+
+
+def in_nwb(path: Path, marker: Path) -> None:
+    nwb.write_keypoints(CLIP, path)
+    with h5py.File(path, "a") as file:
+        for holder in (file, file["processing"]):
+            holder.attrs["CLASS"] = harm(marker)
+            holder.attrs["comments"] = harm(marker)
+
+
+HOSTILE: dict[str, Callable[[Path, Path], None]] = {
+    "root.h5": attribute_of("/", "FILTERS"),
+    "group.h5": attribute_of("df_with_missing", "pandas_type"),
+    "dataset.h5": attribute_of("df_with_missing/table", "CLASS"),
+    "labels.h5": attribute_of("df_with_missing", "non_index_axes"),
+    "cells.h5": object_cells,
+    "attributes.nc": in_netcdf,
+    "attributes.nwb": in_nwb,
+}
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+def test_hostile_hdf5_runs_nothing(tmp_path, name):
+    marker, path = tmp_path / "ran", tmp_path / name
+    HOSTILE[name](path, marker)
+    with suppress(InputError):
+        read_keypoints(path)
+    assert not marker.exists()
+
+
+def test_the_hostile_files_are_hostile(tmp_path):
+    """PyTables runs what is in them, so that the test above can fail."""
+    ran = []
+    for name in ("root.h5", "group.h5", "labels.h5", "cells.h5"):
+        marker, path = tmp_path / f"ran-{name}", tmp_path / name
+        HOSTILE[name](path, marker)
+        tables = pytest.importorskip("tables")
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            with tables.open_file(str(path)) as file:
+                for node in file.walk_nodes():
+                    [node._v_attrs[attribute] for attribute in node._v_attrs._f_list("all")]
+                    if isinstance(node, tables.VLArray):
+                        node[:]
+        ran.append(marker.exists())
+    assert ran == [True] * 4
+
+
+def test_hostile_hdf5_in_a_batch(tmp_path):
+    marker, clips = tmp_path / "ran", tmp_path / "clips"
+    clips.mkdir()
+    for name, make in HOSTILE.items():
+        make(clips / name, marker)
+    result = CliRunner().invoke(
+        app,
+        ["batch", str(clips), "--hfov-deg", "60", "--image-size", "640x480", "--out", str(tmp_path / "o"), "--dry-run"],
+    )
+    assert result.exit_code in (0, 1, 2), result.output
+    assert not marker.exists()
+
+
+def test_what_is_pickled_is_named(tmp_path):
+    HOSTILE["labels.h5"](tmp_path / "a.h5", tmp_path / "ran")
+    with pytest.raises(InputError, match=r"key /df_with_missing: found non_index_axes is a pickled Python object"):
+        read_keypoints(tmp_path / "a.h5")
+
+
+@pytest.mark.parametrize("protocol", range(6))
+def test_plain_pickles(protocol):
+    value = {1: {"names": ["a", "ä"], "none": None, "numbers": [1, -5, 2**70, 3.5, True]}, "labels": [("a",) * 5, ()]}
+    assert plain_pickle.loads(pickle.dumps(value, protocol)) == value
+    for other in (Touch("x"), {1}, 1j, np.float64(3), len, [Touch("x")]):
+        with pytest.raises(ValueError, match="a pickled Python object"):
+            plain_pickle.loads(pickle.dumps(other, protocol))
+
+
+@pytest.mark.parametrize("content", [b"", b".", b"(", b"l.", b"N", b"g1\n.", b"I1\n0.", b"(I1\nd.", b"Na."])
+def test_damaged_pickles(content):
+    with pytest.raises(ValueError):  # noqa: PT011 (in its own or in pickletools' words)
+        plain_pickle.loads(content)
+
+
+def test_small_file_that_asks_for_terabytes(tmp_path):
+    path = tmp_path / "a.h5"
+    with h5py.File(path, "w") as file:
+        file.create_dataset("tracks", (1, 2, 10**6, 300_000), "f8", chunks=(1, 2, 100, 100), compression="gzip")
+        file["node_names"] = np.array([b"a"])
+    assert path.stat().st_size < 10_000
+    with pytest.raises(InputError, match=r"/tracks asks for 4.8e\+12 bytes, of which the file has 0"):
+        read_keypoints(path)
+
+
+def test_heap_without_an_end(tmp_path):
+    """The library would look for the next object for ever."""
+    movement.write_keypoints(CLIP, tmp_path / "a.nc")
+    content = bytearray((tmp_path / "a.nc").read_bytes())
+    heap = content.index(b"GCOL")
+    content[heap + 24 : heap + 32] = (2**64 - 16).to_bytes(8, "little")  # the first object's size
+    (tmp_path / "a.nc").write_bytes(content)
+    with pytest.raises(InputError, match="a damaged heap of texts"):
+        read_keypoints(tmp_path / "a.nc")
+
+
+def test_data_in_other_files(tmp_path):
+    """A file does not say which other files are opened."""
+    (tmp_path / "secret").write_bytes(np.arange(30.0).tobytes())
+    path = tmp_path / "a.h5"
+    with h5py.File(path, "w") as file:
+        file.create_dataset("tracks", (1, 2, 1, 5), "f8", external=[(str(tmp_path / "secret"), 0, 80)])
+        file["node_names"] = np.array([b"a"])
+    with pytest.raises(InputError, match="the data of /tracks lie in another file"):
+        read_keypoints(path)
+    with h5py.File(path, "w") as file:
+        file["tracks"] = h5py.ExternalLink(str(tmp_path / "other.h5"), "/tracks")
+        file["node_names"] = np.array([b"a"])
+    with pytest.raises(InputError, match="tracks: found a link to nowhere"):
+        read_keypoints(path)
