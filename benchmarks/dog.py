@@ -212,7 +212,7 @@ def write_view(clip: Clip, folder: Path, seed: int) -> tuple[FitSettings, float]
 
 def fit_row(clip: Clip, prior: str, folder: Path, seed: int) -> dict:
     settings, hfov_deg = write_view(clip, folder, seed)
-    motion = fit_clip(settings.model_copy(update={"prior": prior}))
+    motion = fit_clip(replace(settings, prior=prior))
     assert isinstance(motion, TrajectoryMotion)
     solution, truth_m = motion.solution, motion.camera.world_to_camera(clip.markers(motion.solution.body))
     found_m = solution.joints_camera_m

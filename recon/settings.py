@@ -1,109 +1,346 @@
-"""All settings of a fit, as they stand in config.toml."""
+"""All settings of a fit: the one table that config.toml, the report and the command line's options are made of.
+
+A setting is one field of `FitSettings` with its `Setting`. Nothing slow is imported here: the command line reads the
+table whenever it starts.
+"""
 
 from __future__ import annotations
 
+import dataclasses
+import math
 import re
 import tomllib
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import MISSING, dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
-
-import tomli_w
-from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
+from typing import TYPE_CHECKING, Any, Literal
 
 from recon.errors import InputError, Problem
-from recon.keypoints import parse_frame_range
-from recon.solve import FrameOptions, TrajectoryOptions
 
-DEFAULT_SKELETONS = {"trajectory": "cheetah-24", "frame": "cheetah-8u"}
+if TYPE_CHECKING:
+    from recon.solve import FrameOptions, TrajectoryOptions
+
+Method = Literal["trajectory", "frame"]
+DEFAULT_SKELETONS: dict[Method, str] = {"trajectory": "cheetah-24", "frame": "cheetah-8u"}
 """By method."""
-OF_METHOD = {
-    "trajectory": ("subject", "prior", "ground", "size_sigma", "fast"),
-    "frame": ("form", "angle_prior", "camera_rotation", "base_length_m", "base_sigma_m"),
-}
-"""Settings of the command line that only this method reads."""
-
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-FilePath = Annotated[Path, AfterValidator(Path.absolute)]
+NUMBER = "<number>"
+"""Stands for one in the help of the command line."""
 
 
-def _absolute_file(name: str) -> str:
+# -- kinds of values ----------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Kind:
+    """read: the value from what TOML, an option or a table's cell holds; raises ValueError. option_type: what the
+    command line makes of an option before that; metavar: how its help calls it, if not by that type."""
+
+    read: Callable[[Any], Any]
+    metavar: str | None = None
+    option_type: type = str
+
+
+def _number(fits: Callable[[float], bool]) -> Kind:
+    """A finite number, also as text."""
+
+    def read(given: Any) -> float:
+        number = math.nan if isinstance(given, bool) or not isinstance(given, int | float | str) else float(given)
+        if not math.isfinite(number) or not fits(number):
+            raise ValueError(given)
+        return number
+
+    return Kind(read, NUMBER)
+
+
+def _count(given: Any) -> int:
+    number = _POSITIVE.read(given)
+    if not number.is_integer():
+        raise ValueError(given)
+    return int(number)
+
+
+def _one_of(*words: str) -> Kind:
+    def read(given: Any) -> str:
+        if given not in words:
+            raise ValueError(given)
+        return given
+
+    return Kind(read)
+
+
+def _text(given: Any) -> str:
+    if not isinstance(given, str):
+        raise ValueError(given)
+    return given
+
+
+def _flag(given: Any) -> bool:
+    words = {"true": True, "yes": True, "1": True, "false": False, "no": False, "0": False}
+    if not isinstance(given, bool) and str(given).lower() not in words:
+        raise ValueError(given)
+    return given if isinstance(given, bool) else words[str(given).lower()]
+
+
+def _file(given: Any) -> Path:
+    """As an absolute path, so that config.toml can be run again from anywhere."""
+    if not isinstance(given, str | Path):
+        raise ValueError(given)
+    return Path(given).absolute()
+
+
+def _name_or_file(given: Any) -> str:
     """A file as its absolute path; the name of something built in as it is."""
+    name = _text(str(given) if isinstance(given, Path) else given)
     return str(Path(name).absolute()) if name.endswith((".toml", ".npz")) else name
 
 
-NameOrFile = Annotated[str, AfterValidator(_absolute_file)]
+def _size(given: Any) -> tuple[int, int]:
+    """(width, height), from two numbers or the text "1920x1080"."""
+    match = re.fullmatch(r"\s*([0-9]{1,9})\s*[xX]\s*([0-9]{1,9})\s*", given) if isinstance(given, str) else None
+    numbers = match.groups() if match else given
+    if not isinstance(numbers, tuple | list) or len(numbers) != 2:
+        raise ValueError(given)
+    return _count(numbers[0]), _count(numbers[1])
 
 
-def _width_height(size: Any) -> Any:
-    """The text "1920x1080" as (1920, 1080); anything else as it is."""
-    match = re.fullmatch(r"\s*([0-9]{1,9})\s*[xX]\s*([0-9]{1,9})\s*", size) if isinstance(size, str) else None
-    return (int(match[1]), int(match[2])) if match else size
+def _frames(given: Any) -> str:
+    from recon.keypoints import parse_frame_range  # numpy is slow to import
+
+    parse_frame_range(_text(given))
+    return given
 
 
-def _frame_range(text: str) -> str:
-    parse_frame_range(text)
-    return text
+_POSITIVE = _number(lambda number: number > 0)
+_COUNT = Kind(_count, NUMBER)
+_TEXT, _NAME_OR_FILE, _FRAMES = Kind(_text), Kind(_name_or_file), Kind(_frames)
+_FLAG, _FILE = Kind(_flag, option_type=bool), Kind(_file, option_type=Path)
 
 
-class FitSettings(BaseModel):
-    """What `recon fit` is told. Paths are kept absolute, so that config.toml can be run again from anywhere.
+# -- the table ----------------------------------------------------------------------------------------------------
 
-    One of camera (a calibration file) and hfov_deg with image_size_px is needed. Fields without a unit in their name
-    are counts, names or shares; the solvers' are explained at `recon.solve.FrameOptions` and
-    `recon.solve.TrajectoryOptions`. What only the other method reads (`OF_METHOD`) is kept, and has no effect. The
-    descriptions end the sentence "expected ..." of an error message.
+
+@dataclass(frozen=True)
+class Setting:
+    """What is known of a setting besides its name.
+
+    help: for the command line; where there is no default, it says in brackets what happens instead. expected: ends the
+    sentence "expected ..." of an error message. default: where it is not given, None for nothing. method: the only one
+    that reads it. is_option: whether the command line has it, or config.toml and manifests only.
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    kind: Kind
+    help: str
+    expected: str
+    default: Any = None
+    method: Method | None = None
+    is_option: bool = True
 
-    keypoints: FilePath = Field(description="a keypoint file, as of DeepLabCut or SLEAP")
-    fps: Positive | None = Field(default=None, description="frames per second above 0, as in 120")
-    method: Literal["trajectory", "frame"] = Field(default="trajectory", description="trajectory or frame")
-    skeleton: NameOrFile | None = Field(default=None, description="the name of a built-in skeleton, or a TOML file")
-    subject: NameOrFile | None = Field(
-        default=None, description="the name of a built-in subject, or a TOML file with one animal's lengths"
+
+def _field(
+    kind: Kind, help: str, expected: str, default: Any = None, method: Method | None = None, is_option: bool = True
+) -> Any:
+    setting = Setting(kind, help, expected, default, method, is_option)
+    return dataclasses.field(default=None if method else default, metadata={"setting": setting})
+
+
+@dataclass(frozen=True)
+class FitSettings:
+    """What `recon fit` is told. Raises InputError with everything that is wrong with it.
+
+    One of camera (a calibration file) and hfov_deg with image_size_px is needed. None: not given, so that a setting has
+    its default, and those that only the other method reads stay None. Text is taken for numbers, sizes and files.
+    Fields without a unit in their name are counts, names or shares; the solvers' are explained at
+    `recon.solve.FrameOptions` and `recon.solve.TrajectoryOptions`.
+    """
+
+    keypoints: Path = _field(  # noqa: RUF009
+        _FILE,
+        "Keypoint file, as in clip.csv: DeepLabCut, SLEAP, movement, NWB, COCO or a plain table.",
+        "a keypoint file, as of DeepLabCut or SLEAP",
+        default=MISSING,
     )
-    prior: NameOrFile | None = Field(
-        default=None, description="the name of a built-in prior, a file that `recon prior fit` wrote, or none"
+    camera: Path | None = _field(  # noqa: RUF009
+        _FILE, "Calibration: OpenCV yaml/json/xml, AcinoSet scene.json, Anipose or recon toml.", "a camera file"
     )
-    camera: FilePath | None = Field(default=None, description="a camera file")
-    camera_name: str | None = Field(default=None, description="the name or number of a camera in the camera file")
-    hfov_deg: Annotated[float, Field(gt=0, lt=180)] | None = Field(
-        default=None, description="a field of view in degrees, above 0 and below 180"
+    camera_name: str | None = _field(
+        _TEXT,
+        "Which camera of the file, by name or number, as in cam2 or 2.",
+        "the name or number of a camera in the camera file, as text",
     )
-    image_size_px: Annotated[
-        tuple[Annotated[int, Field(gt=0)], Annotated[int, Field(gt=0)]] | None, BeforeValidator(_width_height)
-    ] = Field(default=None, description="width x height in pixels, as in 1920x1080")
-    tilt_deg: Annotated[float, Field(gt=-90, lt=90)] | None = Field(
-        default=None, description="degrees that the camera looks down, above -90 and below 90, as in 5"
+    fps: float | None = _field(
+        _POSITIVE,
+        "Frame rate of the video in Hz, as in 120. (default: what the file says, if it does)",
+        "a number of frames per second above 0, as in 120",
     )
-    individual: str | None = Field(default=None, description="the name of an animal in the keypoint file")
-    frames: Annotated[str, AfterValidator(_frame_range)] | None = Field(
-        default=None, description="frame numbers A:B with A < B, from A up to but without B, as in 100:160"
+    method: Method = _field(  # noqa: RUF009
+        _one_of("trajectory", "frame"),
+        "trajectory: the whole animal over the whole clip; frame: one side, one frame after the other.",
+        "trajectory or frame",
+        default="trajectory",
     )
-    likelihood_min: Annotated[float, Field(ge=0, le=1)] = Field(default=0.5, description="a number from 0 to 1")
-    side: Literal["auto", "left", "right"] = Field(default="auto", description="auto, left or right")
-    ground: Literal["auto", "none"] = Field(default="auto", description="auto or none")
-    size_sigma: Positive | None = Field(default=None, description="a share of the size above 0, as in 0.1")
-    fast: bool = Field(default=False, description="true or false")
-    form: Literal["deadband", "printed"] = Field(default="deadband", description="deadband or printed")
-    angle_prior: Literal["gaussian", "none"] = Field(default="gaussian", description="gaussian or none")
-    camera_rotation: Literal["free", "fixed"] = Field(default="free", description="free or fixed")
-    base_length_m: Positive | None = Field(default=None, description="metres above 0, as in 0.203")
-    base_sigma_m: Positive | None = Field(default=None, description="metres above 0, as in 0.001")
-    sigma_px: Positive = Field(default=FrameOptions.sigma_px, description="pixels above 0, as in 3")
-    keypoint_sigma_m: Annotated[float, Field(ge=0, allow_inf_nan=False)] | None = Field(
-        default=None, description="metres, 0 or more, as in 0.05"
+    skeleton: str | None = _field(
+        _NAME_OR_FILE,
+        "Name of a built-in skeleton or a TOML file. (default: cheetah-24; cheetah-8u for the frame method)",
+        "the name of a built-in skeleton, or a TOML file",
     )
-    keypoint_sigma_max_px: Positive = Field(
-        default=FrameOptions.keypoint_sigma_max_px, description="pixels above 0, as in 12"
+    subject: str | None = _field(
+        _NAME_OR_FILE,
+        "Lengths measured on one animal: built-in name or TOML file, as in jules. (default: the skeleton's)",
+        "the name of a built-in subject, or a TOML file with one animal's lengths",
+        method="trajectory",
     )
-    robust_c: Positive = Field(default=FrameOptions.robust_c, description="a number above 0, as in 4.5")
-    tolerance: Positive = Field(default=FrameOptions.tolerance, description="a number above 0, as in 1e-8")
-    max_evaluations: Annotated[int, Field(gt=0)] = Field(
-        default=FrameOptions.max_evaluations, description="a whole number above 0, as in 400"
+    prior: str | None = _field(
+        _NAME_OR_FILE,
+        "What motions are like: a built-in name, a file of `recon prior fit`, or none. "
+        "(default: the built-in one for this skeleton, if any)",
+        "the name of a built-in prior, a file that `recon prior fit` wrote, or none",
+        method="trajectory",
     )
+    hfov_deg: float | None = _field(
+        _number(lambda number: 0 < number < 180),
+        "Without a calibration: horizontal field of view in degrees, as in 64.",
+        "a field of view in degrees, above 0 and below 180",
+    )
+    image_size_px: tuple[int, int] | None = _field(
+        Kind(_size),
+        "Size of the video in pixels, if the camera file lacks it, as in 1920x1080.",
+        "width x height in pixels, as in 1920x1080",
+    )
+    tilt_deg: float | None = _field(
+        _number(lambda number: -90 < number < 90),
+        "Without extrinsics: how far the camera looks down, in degrees, as in 5. (default: level)",
+        "degrees that the camera looks down, above -90 and below 90, as in 5",
+    )
+    individual: str | None = _field(
+        _TEXT, "Which animal of a multi-animal file, as in animal1.", "the name of an animal in the keypoint file"
+    )
+    frames: str | None = _field(
+        _FRAMES,
+        "Only these frame numbers, from A up to but without B, as in 100:160.",
+        "frame numbers A:B with A < B, from A up to but without B, as in 100:160",
+    )
+    likelihood_min: float = _field(
+        _number(lambda number: 0 <= number <= 1),
+        "Leave out points less likely than this, 0 to 1.",
+        "a number from 0 to 1",
+        default=0.5,
+    )
+    side: Literal["auto", "left", "right"] = _field(
+        _one_of("auto", "left", "right"),
+        "With a skeleton of one side, which to fit: auto, left or right.",
+        "auto, left or right",
+        default="auto",
+    )
+    ground: Literal["auto", "none"] | None = _field(
+        _one_of("auto", "none"),
+        "auto: feet that stand are still and on one plane; none: nothing is said about them.",
+        "auto or none",
+        default="auto",
+        method="trajectory",
+    )
+    size_sigma: float | None = _field(
+        _POSITIVE,
+        "Standard deviation of the animal's size, relative, as in 0.1. (default: the skeleton's)",
+        "a share of the size above 0, as in 0.1",
+        method="trajectory",
+    )
+    fast: bool | None = _field(
+        _FLAG, "Quicker: fewer directions to start from.", "true or false", default=False, method="trajectory"
+    )
+    form: Literal["deadband", "printed"] | None = _field(
+        _one_of("deadband", "printed"),
+        "Ranges and rates: deadband (beyond the limit) or printed (two-sided).",
+        "deadband or printed",
+        default="deadband",
+        method="frame",
+    )
+    angle_prior: Literal["gaussian", "none"] | None = _field(
+        _one_of("gaussian", "none"),
+        "Gaussian priors on angles and heading: gaussian or none.",
+        "gaussian or none",
+        default="gaussian",
+        method="frame",
+    )
+    camera_rotation: Literal["free", "fixed"] | None = _field(
+        _one_of("free", "fixed"),
+        "The body's rotation: free, or fixed to the first frame's.",
+        "free or fixed",
+        default="free",
+        method="frame",
+    )
+    base_length_m: float | None = _field(
+        _POSITIVE,
+        "Base length of the chain in metres, as in 0.203. (default: the skeleton's)",
+        "metres above 0, as in 0.203",
+        method="frame",
+    )
+    base_sigma_m: float | None = _field(
+        _POSITIVE,
+        "Standard deviation of the base length in metres, as in 0.001. (default: the skeleton's)",
+        "metres above 0, as in 0.001",
+        method="frame",
+    )
+    sigma_px: float = _field(
+        _POSITIVE,
+        "Noise of the detector in pixels, one standard deviation.",
+        "pixels above 0, as in 3",
+        default=3.0,
+    )
+    keypoint_sigma_m: float | None = _field(
+        _number(lambda number: number >= 0),
+        "How far keypoints lie from the joints, metres, as in 0.05. (default: the skeleton's)",
+        "metres, 0 or more, as in 0.05",
+    )
+    keypoint_sigma_max_px: float | None = _field(
+        _POSITIVE,
+        "The most that keypoint_sigma_m may be in the picture, pixels.",
+        "pixels above 0, as in 12",
+        default=12.0,
+        method="frame",
+        is_option=False,
+    )
+    robust_c: float | None = _field(
+        _POSITIVE,
+        "Residuals of this many standard deviations count half.",
+        "a number above 0, as in 4.5",
+        default=4.5,
+        method="frame",
+        is_option=False,
+    )
+    tolerance: float | None = _field(
+        _POSITIVE,
+        "When the optimiser stops.",
+        "a number above 0, as in 1e-8",
+        default=1e-8,
+        method="frame",
+        is_option=False,
+    )
+    max_evaluations: int | None = _field(
+        _COUNT,
+        "How often the optimiser may evaluate a frame.",
+        "a whole number above 0, as in 400",
+        default=400,
+        method="frame",
+        is_option=False,
+    )
+
+    def __post_init__(self) -> None:
+        given = {name: value for name in SETTINGS if (value := getattr(self, name)) is not None}
+        problems = []
+        for name, setting in SETTINGS.items():
+            if name in given:
+                try:
+                    object.__setattr__(self, name, setting.kind.read(given[name]))
+                except (ValueError, OverflowError):
+                    problems.append(Problem("settings", name, repr(given[name]), setting.expected))
+            elif setting.default is MISSING:
+                problems.append(Problem("settings", name, "nothing", setting.expected))
+            elif setting.method in (None, self.method):
+                object.__setattr__(self, name, setting.default)
+        problems += _camera_problems(given)
+        problems += _of_the_other_method(self.method, given)
+        if problems:
+            raise InputError(problems)
 
     @property
     def skeleton_name(self) -> str:
@@ -111,71 +348,102 @@ class FitSettings(BaseModel):
         return DEFAULT_SKELETONS[self.method] if self.skeleton is None else self.skeleton
 
     def frame_options(self) -> FrameOptions:
+        from recon.solve import FrameOptions  # scipy is slow to import
+
         return FrameOptions(**{name: getattr(self, name) for name in FrameOptions.__dataclass_fields__})
 
     def trajectory_options(self) -> TrajectoryOptions:
+        from recon.solve import TrajectoryOptions
+
         names = ("fast", "ground", "sigma_px", "keypoint_sigma_m", "size_sigma")
         return TrajectoryOptions(**{name: getattr(self, name) for name in names})
 
+    def plain(self) -> dict[str, Any]:
+        """All that the method reads, as plain JSON types; None for what is not given and has no default."""
+        values = {name: getattr(self, name) for name, it in SETTINGS.items() if it.method in (None, self.method)}
+        return {
+            name: str(value) if isinstance(value, Path) else list(value) if isinstance(value, tuple) else value
+            for name, value in values.items()
+        }
+
     def to_toml(self) -> str:
         """The text of config.toml. Settings that are not given are left out."""
-        plain = self.model_dump(mode="json", exclude_none=True)
+        import tomli_w
+
+        plain = {name: value for name, value in self.plain().items() if value is not None}
         return tomli_w.dumps({"recon": {"fit": plain}})
 
 
-def read_settings(config: Path | None, given: dict[str, Any]) -> FitSettings:
+SETTINGS: dict[str, Setting] = {one.name: one.metadata["setting"] for one in dataclasses.fields(FitSettings)}
+"""By name, in the order of `FitSettings`."""
+
+
+def of_method(method: Method) -> tuple[str, ...]:
+    """Names of the settings that only this method reads."""
+    return tuple(name for name, setting in SETTINGS.items() if setting.method == method)
+
+
+def _camera_problems(given: Mapping[str, Any]) -> Iterator[Problem]:
+    """A camera is given in one way, with what belongs to it."""
+    if not given.keys() & {"camera", "hfov_deg"}:
+        expected = "a camera file, or --hfov-deg with --image-size for a rough one"
+        yield Problem("settings", "camera", "nothing", expected)
+    if "camera" in given and "hfov_deg" in given:
+        yield Problem("settings", "hfov_deg", f"{given['hfov_deg']} beside a camera file", "one of the two")
+    if "camera" not in given and "camera_name" in given:
+        found = f"{given['camera_name']!r} without a camera file"
+        yield Problem("settings", "camera_name", found, "--camera with it")
+    if "camera" not in given and "hfov_deg" in given and "image_size_px" not in given:
+        expected = "the size of the video beside --hfov-deg, as in 1920x1080"
+        yield Problem("settings", "image_size_px", "nothing", expected)
+
+
+def _of_the_other_method(method: str, given: Mapping[str, Any]) -> Iterator[Problem]:
+    """What would have no effect."""
+    for name, value in given.items():
+        other = SETTINGS[name].method
+        if method in DEFAULT_SKELETONS and other not in (None, method):
+            found = f"{value!r} with the {method} method, which does not read it"
+            yield Problem("settings", name, found, f"nothing, or --method {other} with it")
+
+
+# -- from config.toml and the command line ------------------------------------------------------------------------
+
+
+def read_settings(config: Path | None, given: Mapping[str, Any]) -> FitSettings:
     """Settings from a config.toml, overruled by those given on the command line (None: not given).
 
-    Raises InputError, naming every setting that is wrong.
+    Another camera or method given there replaces the one of the config together with all that belongs to it. Raises
+    InputError, naming every setting that is wrong, and where it was given.
     """
-    plain: dict[str, Any] = {}
-    if config is not None:
-        plain = _read_config(config)
     given = {name: value for name, value in given.items() if value is not None}
+    under = {} if config is None else _read_config(config)
+    left_out = set(given)
     if "camera" in given:
-        plain = {k: v for k, v in plain.items() if k not in ("hfov_deg", "image_size_px", "camera_name", "tilt_deg")}
+        left_out |= {"hfov_deg", "image_size_px", "camera_name", "tilt_deg"}
     if "hfov_deg" in given:
-        plain = {k: v for k, v in plain.items() if k not in ("camera", "camera_name")}
-    plain |= given
+        left_out |= {"camera", "camera_name"}
+    before = under.get("method", SETTINGS["method"].default)
+    if given.get("method", before) != before:
+        left_out |= {name for name, setting in SETTINGS.items() if setting.method == before}
+    plain = {name: value for name, value in under.items() if name not in left_out} | given
 
-    def problem(name: str, found: str, expected: str) -> Problem:
-        return Problem(option(name) if name in given or config is None else config, name, found, expected)
-
-    settings, problems = None, []
+    known: dict[str, Any] = {"keypoints": None} | {name: plain[name] for name in plain if name in SETTINGS}
+    unknown = [name for name in plain if name not in SETTINGS]
+    problems = []
     try:
-        settings = FitSettings.model_validate(plain)
-    except ValidationError as error:
-        # One message a setting: both numbers of an image size may be wrong.
-        for name in dict.fromkeys(str(e["loc"][0]) for e in error.errors()):
-            field = FitSettings.model_fields.get(name)
-            expected = str(field.description) if field else f"one of {', '.join(FitSettings.model_fields)}"
-            found = "an unknown setting" if field is None else repr(plain[name]) if name in plain else "nothing"
-            problems.append(problem(name, found, expected))
-    has = {name for name, value in plain.items() if value is not None}
-    if not has & {"camera", "hfov_deg"}:
-        expected = "a camera file, or --hfov-deg with --image-size for a rough one"
-        problems.append(problem("camera", "nothing", expected))
-    if "camera" in has and "hfov_deg" in has:
-        problems.append(problem("hfov_deg", f"{plain['hfov_deg']} beside a camera file", "one of the two"))
-    if "camera" not in has and "camera_name" in has:
-        problems.append(problem("camera_name", f"{plain['camera_name']!r} without a camera file", "--camera with it"))
-    if "camera" not in has and "hfov_deg" in has and "image_size_px" not in has:
-        problems.append(problem("image_size_px", "nothing", "the size of the video beside --hfov-deg, as in 1920x1080"))
-    method = plain.get("method", FitSettings.model_fields["method"].default)
-    problems += _of_the_other_method(method, given)
-    if settings is None or problems:
-        raise InputError(problems)
-    return settings
-
-
-def _of_the_other_method(method: Any, given: Mapping[str, Any]) -> Iterator[Problem]:
-    """A config.toml has the settings of both methods, a command line must not."""
-    for other, names in OF_METHOD.items():
-        if method in OF_METHOD and method != other:
-            for name in names:
-                if name in given:
-                    found = f"{given[name]!r} with the {method} method"
-                    yield Problem(option(name), name, found, f"--method {other} with it")
+        settings = FitSettings(**known)
+        if not unknown:
+            return settings
+    except InputError as error:
+        problems += error.problems
+    problems += [Problem("settings", name, "an unknown setting", f"one of {', '.join(SETTINGS)}") for name in unknown]
+    raise InputError(
+        dataclasses.replace(
+            problem, file=config if config is not None and problem.field not in given else option(problem.field)
+        )
+        for problem in problems
+    )
 
 
 def option(name: str) -> str:

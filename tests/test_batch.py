@@ -170,7 +170,12 @@ def test_common_options_of_one_method_are_not_for_rows_of_the_other(clips):
     common = {"camera": CAMERA, "fps": 30, "fast": True}
     first, second = (clip.settings for clip in find_clips([path], common)[0])
     assert (first.method, first.fast) == ("trajectory", True)
-    assert (second.method, second.fast, second.form) == ("frame", False, "printed")
+    assert (second.method, second.fast, second.form) == ("frame", None, "printed")
+    path.write_text("keypoints,method\na.csv,frame\nb.csv,frame\n")
+    assert problems(path, common=common) == [
+        "--fast: fast: found True, and no clip of the trajectory method, "
+        "expected nothing, or --method trajectory with it"
+    ]
 
 
 def test_clips_of_one_file_are_told_apart(clips):
@@ -190,7 +195,7 @@ def test_all_problems_of_a_manifest_at_once(clips):
     path.write_text(path.read_text().replace(",30,,,\n", ""))
     said = problems(path, common={"camera": "camera.toml", "likelihood_min": 2})
     assert said == [
-        f"{path}: line 2, fps: found '-3', expected frames per second above 0, as in 120",
+        f"{path}: line 2, fps: found '-3', expected a number of frames per second above 0, as in 120",
         "--likelihood-min: likelihood_min: found 2, expected a number from 0 to 1",
         f"{path}: line 3, method: found 'walk', expected trajectory or frame",
         f"{path}: line 3, frames: found '9:2', expected frame numbers A:B with A < B, from A up to but without B, "
@@ -209,7 +214,7 @@ def test_problems_of_several_inputs_at_once(clips, tmp_path):
         f"{tmp_path / 'typo.csv'}: file: found no such file",
         f"{tmp_path / '*.h5'}: files: found none that match",
         f"{tmp_path / 'none'}: files: found no keypoint files",
-        f"{path}: column 'speed': found an unknown column, expected one of out, keypoints, fps",
+        f"{path}: column 'speed': found an unknown column, expected one of out, keypoints, camera",
         f"{path}: column 'fps': found more than one",
         f"{path}: line 2: found 5 cells, expected 4",
         f"{empty}: rows: found none",

@@ -37,7 +37,7 @@ def files_of(method: str) -> list[str]:
 def sample(**options) -> FitSettings:
     folder = samples_folder()
     files = {"keypoints": folder / "noisy.csv", "camera": folder / "camera.toml", "fps": 30, "frames": "0:6"}
-    return FitSettings.model_validate(files | options)
+    return FitSettings(**(files | options))
 
 
 @pytest.mark.parametrize("method", ["frame", "trajectory"])

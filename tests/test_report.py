@@ -291,6 +291,8 @@ def test_ground_and_stances(trajectory, small_trajectory, world_trajectory):
     (spell,) = small_trajectory.solution.spells
     ground, below = trajectory["ground"], small_trajectory.below_m(spell)[2]
     assert (ground["frame"], ground["sigma_m"], ground["slope"]) == ("level", 0.03, [0, 0.02])
+    feet = {"LF": "l_front_paw", "RF": "r_front_paw", "LH": "l_back_paw", "RH": "r_back_paw"}
+    assert trajectory["skeleton"]["feet"] == feet
     assert ground["height_m"] == pytest.approx(below) == -ground["camera_height_m"]
     assert trajectory["stances"] == {"l_front_paw": [[11, 13]], "r_front_paw": [], "l_back_paw": [], "r_back_paw": []}
     ground = build_report(world_trajectory, {})["ground"]
@@ -428,6 +430,22 @@ def test_console_summary_of_a_trajectory(trajectory):
     assert 10 <= len(summary_lines(trajectory)) <= 18
 
 
+def test_the_values_that_ran_are_in_the_report(report, trajectory, small_motion, small_trajectory):
+    ran = trajectory["solver"]
+    assert (ran["robust_c"], ran["tolerance"], ran["max_iterations"], ran["noise_rounds"]) == (3.0, 1e-4, 30, 3)
+    body = small_trajectory.body
+    assert (ran["keypoint_sigma_m"], ran["size_sigma"]) == (body.keypoint_sigma_m, body.size_sigma)
+    given = {"fast": True, "size_sigma": 0.06, "sigma_px": 2.0}
+    fast = build_report(small_trajectory, given)["solver"]
+    assert fast == ran | given | {"tolerance": 1e-3, "noise_rounds": 1}
+
+    ran = report["solver"]
+    assert (ran["robust_c"], ran["tolerance"], ran["max_evaluations"], ran["form"]) == (4.5, 1e-8, 400, "deadband")
+    assert ran["base_length_m"] == small_motion.skeleton.nominal_base_length_m
+    assert ran["keypoint_sigma_m"] == small_motion.skeleton.scales.keypoint_m
+    assert build_report(small_motion, {"robust_c": 5.0})["solver"] == ran | {"robust_c": 5.0}
+
+
 # -- both -----------------------------------------------------------------------------------------------------------
 
 
@@ -435,7 +453,7 @@ def test_console_summary_of_a_trajectory(trajectory):
 def test_every_field_is_documented(method, request):
     report = request.getfixturevalue(method)
     documented = set(re.findall(r"`([\w ]+)`", DOCS.read_text(encoding="utf-8")))
-    open_names = {"settings", "timing_s", "camera"}  # others' fields
+    open_names = {"settings", "solver", "timing_s", "camera"}  # others' fields
     open_names |= {"cost_shares", "states", "ranges", "rates", "total", "cost_by_term", "stances"}  # by name
     by_name = {*report["skeleton"]["state_names"], *report["skeleton"]["keypoints"]}
 

@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 import tomllib
 from pathlib import Path
 
 import pytest
 import typer
+from rich.text import Text
 
 from recon.cli import app
 from recon.errors import InputError
-from recon.settings import OF_METHOD, FitSettings, option, read_settings
+from recon.settings import SETTINGS, FitSettings, of_method, option, read_settings
 from recon.solve import FrameOptions, TrajectoryOptions
 
 GIVEN = {"keypoints": Path("/data/clip.csv"), "camera": Path("/data/camera.toml"), "fps": 30.0}
-SOLVER_ONLY = {"keypoint_sigma_max_px", "robust_c", "tolerance", "max_evaluations"}
-"""Settings that only config.toml has."""
 
 
 def messages(given: dict, config: Path | None = None) -> list[str]:
@@ -38,7 +39,7 @@ def test_what_is_not_given_has_its_default():
     settings = read_settings(None, {**GIVEN, "side": None, "likelihood_min": None})
     assert settings.side == "auto"
     assert settings.likelihood_min == 0.5
-    assert settings.frame_options() == FrameOptions()
+    assert FitSettings(**GIVEN, method="frame").frame_options() == FrameOptions()
     assert settings.trajectory_options() == TrajectoryOptions()
     assert (settings.method, settings.skeleton_name) == ("trajectory", "cheetah-24")
 
@@ -68,7 +69,7 @@ def test_every_solver_option_is_a_setting():
         "max_evaluations": 50,
     }
     assert set(changed) == set(FrameOptions.__dataclass_fields__)
-    assert FitSettings(**GIVEN, **changed).frame_options() == FrameOptions(**changed)
+    assert FitSettings(**GIVEN, **changed, method="frame").frame_options() == FrameOptions(**changed)
 
 
 @pytest.mark.parametrize(
@@ -94,8 +95,8 @@ def test_config_reads_back_as_it_was(tmp_path, given):
 def test_config_holds_every_setting_that_has_a_value():
     plain = tomllib.loads(FitSettings(**GIVEN).to_toml())["recon"]["fit"]
     unset = {"camera_name", "hfov_deg", "image_size_px", "tilt_deg", "individual", "frames", "skeleton", "subject"}
-    unset |= {"prior", "size_sigma", "base_length_m", "base_sigma_m", "keypoint_sigma_m"}
-    assert set(plain) == set(FitSettings.model_fields) - unset
+    unset |= {"prior", "size_sigma", "keypoint_sigma_m"}
+    assert set(plain) == set(SETTINGS) - unset - set(of_method("frame"))
     assert plain["keypoints"] == "/data/clip.csv"
 
 
@@ -119,10 +120,13 @@ def test_image_size_as_text_or_as_numbers(size):
 @pytest.mark.parametrize(
     ("name", "value", "message"),
     [
-        ("fps", 0.0, "--fps: fps: found 0.0, expected frames per second above 0, as in 120"),
-        ("fps", -5.0, "--fps: fps: found -5.0, expected frames per second above 0, as in 120"),
-        ("fps", float("nan"), "--fps: fps: found nan, expected frames per second above 0, as in 120"),
-        ("fps", float("inf"), "--fps: fps: found inf, expected frames per second above 0, as in 120"),
+        ("fps", 0.0, "--fps: fps: found 0.0, expected a number of frames per second above 0, as in 120"),
+        ("fps", "90fps", "--fps: fps: found '90fps', expected a number of frames per second above 0, as in 120"),
+        ("fps", True, "--fps: fps: found True, expected a number of frames per second above 0, as in 120"),
+        ("max_evaluations", 2.5, "--max-evaluations: max_evaluations: found 2.5, expected a whole number above 0"),
+        ("fps", -5.0, "--fps: fps: found -5.0, expected a number of frames per second above 0, as in 120"),
+        ("fps", float("nan"), "--fps: fps: found nan, expected a number of frames per second above 0, as in 120"),
+        ("fps", float("inf"), "--fps: fps: found inf, expected a number of frames per second above 0, as in 120"),
         ("likelihood_min", 2.0, "--likelihood-min: likelihood_min: found 2.0, expected a number from 0 to 1"),
         ("likelihood_min", float("nan"), "--likelihood-min: likelihood_min: found nan, expected a number from 0 to 1"),
         ("side", "up", "--side: side: found 'up', expected auto, left or right"),
@@ -160,7 +164,7 @@ def test_image_size_as_text_or_as_numbers(size):
     ],
 )
 def test_wrong_value_is_named_in_plain_words(name, value, message):
-    method = {"method": "frame"} if name in OF_METHOD["frame"] else {}
+    method = {"method": "frame"} if name in of_method("frame") else {}
     (found,) = messages({**GIVEN, **method, name: value})
     assert found.startswith(message)
 
@@ -188,9 +192,9 @@ def test_every_wrong_setting_is_named_at_once():
 
 
 def test_no_message_is_in_the_language_of_the_validator():
-    wrong = dict.fromkeys(FitSettings.model_fields, object())
+    wrong = dict.fromkeys(SETTINGS, object())
     found = messages(wrong)
-    assert {message.partition(":")[0] for message in found} == {option(name) for name in FitSettings.model_fields}
+    assert {message.partition(":")[0] for message in found} == {option(name) for name in SETTINGS}
     assert not [message for message in found if "Input" in message or "valid" in message]
 
 
@@ -228,6 +232,10 @@ def test_settings_that_do_not_go_together(given, message):
         ("camera_rotation", "free", "frame"),
         ("base_length_m", 0.2, "frame"),
         ("base_sigma_m", 0.01, "frame"),
+        ("robust_c", 4.5, "frame"),
+        ("tolerance", 1e-8, "frame"),
+        ("max_evaluations", 400, "frame"),
+        ("keypoint_sigma_max_px", 12.0, "frame"),
         ("subject", "jules", "trajectory"),
         ("prior", "none", "trajectory"),
         ("ground", "auto", "trajectory"),
@@ -237,12 +245,38 @@ def test_settings_that_do_not_go_together(given, message):
 )
 def test_options_of_the_other_method_are_refused(tmp_path, name, value, method):
     other = "frame" if method == "trajectory" else "trajectory"
-    assert name in OF_METHOD[method]
-    expected = f"{option(name)}: {name}: found {value!r} with the {other} method, expected --method {method} with it"
-    assert messages({**GIVEN, "method": other, name: value}) == [expected]
-    # They are part of every config.toml, and say nothing there.
-    settings = read_settings(saved(tmp_path, method=method, **{name: value}), {"method": other})
-    assert (settings.method, getattr(settings, name)) == (other, value)
+    assert name in of_method(method)
+    expected = (
+        f"{name}: found {value!r} with the {other} method, which does not read it, "
+        f"expected nothing, or --method {method} with it"
+    )
+    assert messages({**GIVEN, "method": other, name: value}) == [f"{option(name)}: {expected}"]
+    with pytest.raises(InputError, match=f"settings: {name}: found"):
+        FitSettings(**{**GIVEN, "method": other, name: value})
+    # By hand, a default that would have no effect is refused as well.
+    config = saved(tmp_path, method=other)
+    toml_value = str(value).lower() if isinstance(value, bool | int | float) else f'"{value}"'
+    config.write_text(f"{config.read_text()}{name} = {toml_value}\n")
+    assert messages({}, config) == [f"{config}: {expected}"]
+
+
+@pytest.mark.parametrize(("method", "other"), [("trajectory", "frame"), ("frame", "trajectory")])
+def test_config_and_report_hold_no_setting_of_the_other_method(method, other):
+    settings = FitSettings(**GIVEN, method=method)
+    in_config = tomllib.loads(settings.to_toml())["recon"]["fit"]
+    assert not {*in_config, *settings.plain()} & set(of_method(other))
+    assert set(settings.plain()) == set(SETTINGS) - set(of_method(other))
+    assert all(getattr(settings, name) is None for name in of_method(other))
+
+
+def test_another_method_replaces_the_settings_of_the_one_in_the_config(tmp_path):
+    config = saved(tmp_path, fast=True, subject="jules", sigma_px=2.0)
+    settings = read_settings(config, {"method": "frame"})
+    assert settings == FitSettings(**GIVEN, method="frame", sigma_px=2.0)
+    config.write_text(config.read_text().replace('method = "trajectory"', 'form = "printed"'))
+    assert read_settings(config, {"method": "frame"}).form == "printed"
+    (found,) = messages({"method": "trajectory"}, config)
+    assert found.startswith(f"{config}: form: found 'printed' with the trajectory method")
 
 
 def test_every_option_of_the_other_method_is_named():
@@ -271,12 +305,14 @@ def test_another_camera_replaces_the_one_of_the_config(tmp_path):
 def test_mistakes_in_a_config_name_the_file(tmp_path):
     config = write_config(tmp_path, '[recon.fit]\nkeypoints = "c.csv"\nfps = "fast"\nspeed = 3\n')
     assert messages({}, config) == [
-        f"{config}: fps: found 'fast', expected frames per second above 0, as in 120",
-        f"{config}: speed: found an unknown setting, expected one of {', '.join(FitSettings.model_fields)}",
+        f"{config}: fps: found 'fast', expected a number of frames per second above 0, as in 120",
         f"{config}: camera: found nothing, expected a camera file, or --hfov-deg with --image-size for a rough one",
+        f"{config}: speed: found an unknown setting, expected one of {', '.join(SETTINGS)}",
     ]
     # A mistake on the command line is the command line's.
-    assert "--fps: fps: found 0.0, expected frames per second above 0, as in 120" in messages({"fps": 0.0}, config)
+    assert "--fps: fps: found 0.0, expected a number of frames per second above 0, as in 120" in messages(
+        {"fps": 0.0}, config
+    )
 
 
 @pytest.mark.parametrize(
@@ -311,5 +347,53 @@ def test_missing_config(tmp_path):
 def test_settings_and_options_of_the_command_line_are_the_same():
     parameters = typer.main.get_command(app).commands["fit"].params  # type: ignore[attr-defined]
     names = {p.metavar if p.param_type_name == "argument" else p.opts[0] for p in parameters}
-    settings = {option(name) for name in FitSettings.model_fields if name not in SOLVER_ONLY}
+    settings = {option(name) for name, it in SETTINGS.items() if it.is_option}
     assert names == settings | {"--out", "--config", "--overwrite", "--quiet", "--json"}
+    of_batch = {p.opts[0] for p in typer.main.get_command(app).commands["batch"].params}  # type: ignore[attr-defined]
+    assert settings - {"KEYPOINTS"} <= of_batch
+
+
+def test_the_help_of_an_option_is_the_tables():
+    parameters = typer.main.get_command(app).commands["fit"].params  # type: ignore[attr-defined]
+    helps = {parameter.name: parameter.help for parameter in parameters}
+    assert all(helps[name].startswith(it.help) for name, it in SETTINGS.items() if it.is_option)
+    assert helps["likelihood_min"].endswith("0 to 1. (default: 0.5)")
+    assert helps["form"].endswith("(two-sided). (default: deadband)")
+
+
+def test_nothing_slow_is_imported_with_the_table():
+    code = "import sys, recon.settings; print({'numpy', 'scipy', 'pydantic', 'pandas'} & {*sys.modules})"
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout == "set()\n"
+
+
+def commands(command, path=()):
+    yield path, command
+    for name, inner in getattr(command, "commands", {}).items():
+        yield from commands(inner, (*path, name))
+
+
+def test_help_is_printed_whole():
+    """What looks like markup, as in recon[plots], would be swallowed."""
+    for path, command in commands(typer.main.get_command(app)):
+        texts = [command.help, *(parameter.help for parameter in command.params if hasattr(parameter, "help"))]
+        for text in filter(None, texts):
+            assert Text.from_markup(text).plain == text, path
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["convert", "a.csv", "b.csv", "--fps", "90fps"],
+        ["overlay", "dir", "a.mp4", "b.mp4", "--speed", "90fps"],
+        ["retarget", "dir", "--lag", "90fps"],
+        ["evaluate-2d", "a.csv", "b.csv", "--likelihood-min", "90fps"],
+        ["train", "a.csv", "--minutes", "90fps"],
+        ["predict", "dir", "a.mp4", "--likelihood-min", "90fps"],
+        ["prior", "fit", "a.csv", "--min-speed-m-s", "90fps"],
+    ],
+)
+def test_options_that_are_numbers(arguments):
+    with pytest.raises(InputError) as caught:
+        app(arguments)
+    (problem,) = caught.value.problems
+    assert (problem.file, problem.found) == (arguments[-2], "'90fps'")

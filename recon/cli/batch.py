@@ -17,6 +17,7 @@ from rich.table import Column, Table
 from rich.text import Text
 
 from recon.cli.common import stop
+from recon.cli.settings import OPTIONS, takes_settings
 
 if TYPE_CHECKING:
     from recon.errors import Problem
@@ -27,7 +28,9 @@ _STYLES = {"done": "green", "done earlier": "green", "unsolved": "yellow", "fail
 _COMMON, _WORK = "Settings of every clip", "How the work is done"
 
 
+@takes_settings([name for name in OPTIONS if name != "keypoints"], _COMMON)
 def batch(
+    *,
     inputs: Annotated[
         list[str],
         typer.Argument(
@@ -43,35 +46,7 @@ def batch(
             help="Settings as in the config.toml of a fit; options here overrule it.", rich_help_panel=_COMMON
         ),
     ] = None,
-    camera: Annotated[Path | None, typer.Option(help="Calibration, as for recon fit.", rich_help_panel=_COMMON)] = None,
-    camera_name: Annotated[
-        str | None, typer.Option(help="Which camera of the file, as in cam2 or 2.", rich_help_panel=_COMMON)
-    ] = None,
-    fps: Annotated[
-        float | None, typer.Option(help="Frame rate of the videos in Hz, as in 120.", rich_help_panel=_COMMON)
-    ] = None,
-    method: Annotated[
-        str | None, typer.Option(help="trajectory or frame. (default: trajectory)", rich_help_panel=_COMMON)
-    ] = None,
-    skeleton: Annotated[
-        str | None, typer.Option(help="Built-in skeleton or TOML file, as in cheetah-24.", rich_help_panel=_COMMON)
-    ] = None,
-    subject: Annotated[
-        str | None, typer.Option(help="Measured animal: name or TOML file, as in jules.", rich_help_panel=_COMMON)
-    ] = None,
-    prior: Annotated[
-        str | None, typer.Option(help="What motions are like: name, file or none.", rich_help_panel=_COMMON)
-    ] = None,
-    hfov_deg: Annotated[
-        float | None,
-        typer.Option(help="Without a calibration: field of view in degrees, as in 64.", rich_help_panel=_COMMON),
-    ] = None,
-    image_size: Annotated[
-        str | None, typer.Option(help="Size of the videos in pixels, as in 1920x1080.", rich_help_panel=_COMMON)
-    ] = None,
-    fast: Annotated[
-        bool | None, typer.Option("--fast/--no-fast", help="Quicker: fewer starts.", rich_help_panel=_COMMON)
-    ] = None,
+    given: dict[str, Any],
     jobs: Annotated[
         int | None,
         typer.Option(
@@ -112,21 +87,9 @@ def batch(
     from recon.pipelines.batch import check_shared, find_clips, input_problems, plan_batch, run_batch
 
     console = Console(quiet=quiet, stderr=as_json)
-    common = {
-        "camera": camera,
-        "camera_name": camera_name,
-        "fps": fps,
-        "method": method,
-        "skeleton": skeleton,
-        "subject": subject,
-        "prior": prior,
-        "hfov_deg": hfov_deg,
-        "image_size_px": image_size,
-        "fast": fast,
-    }
     summary: Summary | None = None
     try:
-        clips, notes = find_clips(inputs, common, config)
+        clips, notes = find_clips(inputs, given, config)
         for note in notes:
             console.print(Text(note, "yellow"), soft_wrap=True)
         plan = plan_batch(clips, out, overwrite)

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import json
 import shlex
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from importlib import import_module
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -14,7 +16,12 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 from rich.text import Text
 
+from recon.errors import InputError, Problem
 from recon.interrupts import EXIT_INTERRUPTED, MESSAGE, installed
+from recon.settings import NUMBER, SETTINGS
+
+FPS = SETTINGS["fps"].expected
+"""What is expected of an option --fps."""
 
 EXIT_UNSOLVED = 1
 EXIT_BAD_INPUT = 2
@@ -31,6 +38,38 @@ def stop(message: str = MESSAGE) -> NoReturn:
         interrupts.said = True
     Console(stderr=True, soft_wrap=True).print(Text(message, "bold"))
     raise typer.Exit(EXIT_INTERRUPTED)
+
+
+class _NoPandas:
+    @staticmethod
+    def find_spec(name: str, *_: Any) -> None:
+        if name == "pandas":
+            raise ModuleNotFoundError(name=name)
+
+
+def leave_pandas_out() -> None:
+    """In a process that only fits, for its playback: rerun writes with pyarrow, which imports pandas (0.3 to 0.4 s) to
+    ask whether a list of names is a column of pandas'. It asks once, and is content if there is none."""
+    if installed() is None or "pandas" in sys.modules:
+        return
+    lib = import_module("pyarrow.lib")
+    sys.meta_path.insert(0, _NoPandas)
+    try:
+        getattr(getattr(lib, "_pandas_api", None), "have_pandas", None)
+    finally:
+        sys.meta_path.remove(_NoPandas)
+
+
+def number_option(help: str, expected: str, **more: Any) -> Any:
+    """An option that is a number; anything else is said to be one in the form of all other mistakes."""
+
+    def number(parameter: typer.CallbackParam, given: str | None) -> float | None:
+        try:
+            return None if given is None else float(given)
+        except ValueError:
+            raise InputError(Problem(parameter.opts[0], str(parameter.name), repr(given), expected)) from None
+
+    return typer.Option(help=help, metavar=NUMBER, parser=str, callback=number, **more)
 
 
 @contextmanager

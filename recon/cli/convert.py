@@ -12,6 +12,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from recon.cli.common import FPS, number_option
 from recon.errors import InputError, Problem
 
 if TYPE_CHECKING:
@@ -31,7 +32,7 @@ def convert(
         typer.Option(help="Format, where the extension has several, as in long or sleap. (default: see --list)"),
     ] = None,
     fps: Annotated[
-        float | None, typer.Option(help="Frame rate in Hz, as in 120, if the file does not say it or is wrong.")
+        float | None, number_option("Frame rate in Hz, as in 120, if the file does not say it or is wrong.", FPS)
     ] = None,
     individual: Annotated[str | None, typer.Option(help="Which animal of a multi-animal file, as in animal1.")] = None,
     columns: Annotated[

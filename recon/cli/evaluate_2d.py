@@ -12,6 +12,8 @@ from rich.console import Console
 from rich.table import Column, Table
 from rich.text import Text
 
+from recon.cli.common import number_option
+
 if TYPE_CHECKING:
     from recon.net.evaluate2d import Evaluation2D, Score
 
@@ -24,9 +26,11 @@ def evaluate_2d(
         str | None, typer.Option(help="Frame numbers of the labels to compare, A:B (B excluded).")
     ] = None,
     individual: Annotated[str | None, typer.Option(help="The animal, where the files name several.")] = None,
-    likelihood_min: Annotated[float, typer.Option(help="Cut-off for the rows of likely points.")] = 0.5,
+    likelihood_min: Annotated[
+        float, number_option("Cut-off for the rows of likely points.", "a number from 0 to 1")
+    ] = 0.5,
     tolerance_px: Annotated[
-        float, typer.Option(help="Within this a point is right, for the likelihoods' reliability.")
+        float, number_option("Within this a point is right, for the likelihoods' reliability.", "pixels above 0")
     ] = 5.0,
     as_json: Annotated[bool, typer.Option("--json", help="Print everything as JSON.")] = False,
 ) -> None:

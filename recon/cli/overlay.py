@@ -10,6 +10,8 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 from rich.text import Text
 
+from recon.cli.common import number_option
+
 
 def overlay(
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of results, as in results/clip.")],
@@ -20,7 +22,10 @@ def overlay(
     ] = 0,
     speed: Annotated[
         float | None,
-        typer.Option(help="Of the playback, 1 is real time. (default: so that 30 frames are shown in a second)"),
+        number_option(
+            "Of the playback, 1 is real time. (default: so that 30 frames are shown in a second)",
+            "a number above 0, as in 0.25",
+        ),
     ] = None,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the new video.")] = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print errors only.")] = False,

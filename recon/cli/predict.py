@@ -10,7 +10,7 @@ import typer
 from rich.console import Console
 from rich.text import Text
 
-from recon.cli.common import progress_bar
+from recon.cli.common import number_option, progress_bar
 
 
 def predict(
@@ -28,7 +28,11 @@ def predict(
         ),
     ] = "fast",
     likelihood_min: Annotated[
-        float, typer.Option(help="Points less likely than this are small rings in the overlay; the file has them all.")
+        float,
+        number_option(
+            "Points less likely than this are small rings in the overlay; the file has them all.",
+            "a number from 0 to 1",
+        ),
     ] = 0.5,
     background: Annotated[
         bool,

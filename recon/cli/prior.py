@@ -12,6 +12,8 @@ from rich.console import Console
 from rich.table import Column, Table
 from rich.text import Text
 
+from recon.cli.common import number_option
+
 
 def prior_fit(
     poses: Annotated[
@@ -27,7 +29,9 @@ def prior_fit(
         bool, typer.Option("--estimate-size", help="Scale the skeleton to the animal of each file.")
     ] = False,
     components: Annotated[int, typer.Option(help="Gaussians in the mixture of poses.")] = 16,
-    min_speed_m_s: Annotated[float, typer.Option(help="Leave out slower segments, as in 8.5.")] = 0.0,
+    min_speed_m_s: Annotated[
+        float, number_option("Leave out slower segments, as in 8.5.", "metres per second, as in 8.5")
+    ] = 0.0,
     apart: Annotated[
         list[str] | None, typer.Option(help="Segment whose movement says nothing of the others', as in tail_1.")
     ] = None,

@@ -9,6 +9,8 @@ import typer
 from rich.console import Console
 from rich.text import Text
 
+from recon.cli.common import number_option
+
 
 def retarget(
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of results, as in results/clip.")],
@@ -16,17 +18,22 @@ def retarget(
     out: Annotated[Path, typer.Option(help="Folder for tables, report and playback.", show_default=False)],
     scale: Annotated[
         float | None,
-        typer.Option(help="Factor on the animal's lengths. (default: the largest within reach and limits)"),
+        number_option(
+            "Factor on the animal's lengths. (default: the largest within reach and limits)", "a number above 0"
+        ),
     ] = None,
     slower: Annotated[
         float | None,
-        typer.Option(help="Factor on the animal's times. (default: what the joints' rates ask for, at least 1)"),
+        number_option(
+            "Factor on the animal's times. (default: what the joints' rates ask for, at least 1)", "a number above 0"
+        ),
     ] = None,
     lag: Annotated[
         float,
-        typer.Option(
-            help="Of a chain, of which one side is measured: by how much of a stride the other side follows it; 0 is a "
-            "bound, some 0.1 a gallop, 0.5 a trot."
+        number_option(
+            "Of a chain, of which one side is measured: by how much of a stride the other side follows it; 0 is a "
+            "bound, some 0.1 a gallop, 0.5 a trot.",
+            "a share of a stride, as in 0.5",
         ),
     ] = 0.0,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace earlier ones.")] = False,

@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
 from rich.text import Text
 
-from recon.cli.common import stop
+from recon.cli.common import number_option, stop
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -45,7 +45,9 @@ def train(
             "--finish/--no-finish", help="Learn from the validation pictures, too, at the end.", rich_help_panel=SPLIT
         ),
     ] = True,
-    minutes: Annotated[float, typer.Option(help="Time to train.", rich_help_panel=TRAINING)] = 15.0,
+    minutes: Annotated[
+        float, number_option("Time to train.", "minutes above 0, as in 15", rich_help_panel=TRAINING)
+    ] = 15.0,
     steps: Annotated[
         int | None,
         typer.Option(help="Steps to train, instead of a time: the same in every run.", rich_help_panel=TRAINING),

@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator, Mapping
 from dataclasses import fields
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -14,6 +14,7 @@ from recon.analysis.path import frame_jitter_m, path_kinematics
 from recon.keypoints import KeypointCounts
 from recon.motion import OUTLIER_SIGMAS, Motion
 from recon.report.plain import Array, finite, mean, median
+from recon.solve import FrameOptions, TrajectoryOptions
 
 BEST_SHARE = 0.9
 MEASURED_SHARE = 0.5
@@ -21,6 +22,7 @@ MEASURED_SHARE = 0.5
 WARN_OUTLIERS = 0.05
 """Share of the detections from which the report warns."""
 
+Options = TypeVar("Options", FrameOptions, TrajectoryOptions)
 Lines = list[tuple[str, str]]
 """(label, value)."""
 
@@ -60,12 +62,25 @@ def tail(motion: Motion, jitters: bool) -> dict[str, Any]:
     }
 
 
+def solver(options: FrameOptions | TrajectoryOptions, **of_the_skeleton: Any) -> dict[str, Any]:
+    """Every value that the solver ran with, those that are no settings included. of_the_skeleton: in place of None."""
+    values = {field.name: getattr(options, field.name) for field in fields(options)}
+    return {name: of_the_skeleton.get(name) if value is None else value for name, value in values.items()}
+
+
+def given_options(kind: type[Options], settings: Mapping[str, Any]) -> Options:
+    """What is not among the settings has its default."""
+    names = [field.name for field in fields(kind) if settings.get(field.name) is not None]
+    return kind(**{name: settings[name] for name in names})
+
+
 def skeleton(name: str, motion: Motion) -> dict[str, Any]:
     return {
         "name": name,
         "title": motion.title,
         "joints": motion.joints,
         "keypoints": motion.names,
+        "feet": {label: motion.names[foot] for label, foot in zip(motion.foot_labels, motion.feet, strict=True)},
         "state_names": motion.state_names,
     }
 

@@ -27,6 +27,7 @@ def sections(motion: FrameMotion, settings: Mapping[str, Any]) -> dict[str, Any]
         "skeleton": common.skeleton(motion.skeleton.name, motion) | {"objectives": motion.solution.objectives},
         "assumptions": _assumptions(motion, settings),
         "summary": _summary(motion),
+        "solver": _solver(motion, settings),
         "base_length_m": spread(motion.states[:, motion.skeleton.base_index]),
         "data_share": _data_share(motion),
         "joint_sigma_m": _joint_sigma(motion),
@@ -47,8 +48,7 @@ def is_unsolved(report: Mapping[str, Any]) -> bool:
 
 def _assumptions(motion: FrameMotion, settings: Mapping[str, Any]) -> dict[str, Any]:
     """What the data does not say, in numbers and in sentences."""
-    options = FrameOptions(base_length_m=settings.get("base_length_m"), base_sigma_m=settings.get("base_sigma_m"))
-    nominal, sigma = base_length(motion.skeleton, options)
+    nominal, sigma = base_length(motion.skeleton, common.given_options(FrameOptions, settings))
     share = median(_stacked(motion, "data_share", motion.skeleton.n_state)[:, motion.skeleton.base_index])
     measured = bool(share >= common.MEASURED_SHARE)
     sentences = [
@@ -67,6 +67,12 @@ def _assumptions(motion: FrameMotion, settings: Mapping[str, Any]) -> dict[str, 
         **common.upright(motion),
         "sentences": sentences,
     }
+
+
+def _solver(motion: FrameMotion, settings: Mapping[str, Any]) -> dict[str, Any]:
+    options, scales = common.given_options(FrameOptions, settings), motion.skeleton.scales
+    nominal, sigma = base_length(motion.skeleton, options)
+    return common.solver(options, keypoint_sigma_m=scales.keypoint_m, base_length_m=nominal, base_sigma_m=sigma)
 
 
 def _summary(motion: FrameMotion) -> dict[str, Any]:

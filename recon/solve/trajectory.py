@@ -344,7 +344,7 @@ class _Solved:
 
 
 def _solve_spell(clip: _Clip, progress: Progress) -> _Solved:
-    o, T = clip.options, len(clip.xy_px)
+    o, T = clip.options.as_run(), len(clip.xy_px)
     clock = time.perf_counter()
     windows = []
     parts = np.array_split(np.arange(T), max(1, round(T / clip.fps / WINDOW_S)))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -38,7 +39,7 @@ def _model_problems(clips: Iterable[Clip]) -> list[Problems]:
     known: dict[FitSettings, Problems] = {}
     each = []
     for clip in clips:
-        shared = clip.settings.model_copy(update={"keypoints": Path(), "individual": None, "frames": None})
+        shared = replace(clip.settings, keypoints=Path(), individual=None, frames=None)
         if shared not in known:
             known[shared] = _problems_of(lambda s=shared: _read_model(s), lambda s=shared: _read_camera(s))
         each.append(known[shared])

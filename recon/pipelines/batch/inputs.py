@@ -7,14 +7,14 @@ import glob
 import io
 import re
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from recon.errors import InputError, Problem
 from recon.io import READERS, file_head
-from recon.settings import OF_METHOD, FitSettings, read_settings
+from recon.settings import SETTINGS, FitSettings, option, read_settings
 
 SUMMARY = "summary.csv"
 MANIFEST_PATHS = ("keypoints", "camera")
@@ -77,6 +77,7 @@ def find_clips(
         except InputError as error:
             problems += error.problems
     problems += _name_problems(drafts)
+    problems += _without_effect(common, settings)
     if problems:
         raise InputError(dict.fromkeys(problems))  # what all clips have in common is said once
     if not drafts:
@@ -176,7 +177,7 @@ def _delimiter(line: str) -> str:
 def _of_manifest(path: Path) -> list[_Draft]:
     """One draft a row. Raises InputError with everything that is wrong with the table itself."""
     header = _header(path)
-    known = ("out", *FitSettings.model_fields)
+    known = ("out", *SETTINGS)
     problems = [
         Problem(path, f"column {name!r}" if name else "header", "an unknown column", f"one of {', '.join(known)}")
         for name in header
@@ -229,12 +230,21 @@ def _settings(draft: _Draft, common: Mapping[str, Any], config: Path | None) -> 
     if "hfov_deg" in row:
         under = {name: value for name, value in under.items() if name not in ("camera", "camera_name")}
     if "method" in row:  # the common options are for the clips of the other method
-        others = [names for method, names in OF_METHOD.items() if method != row["method"]]
-        under = {name: value for name, value in under.items() if not any(name in names for names in others)}
+        under = {name: value for name, value in under.items() if SETTINGS[name].method in (None, row["method"])}
     try:
         return read_settings(config, {"keypoints": draft.path, **under, **row})
     except InputError as error:
         raise InputError(_of_row(problem, draft, under) for problem in error.problems) from None
+
+
+def _without_effect(common: Mapping[str, Any], settings: Sequence[FitSettings]) -> Iterator[Problem]:
+    """Of the common options: where every clip has the other method, nothing reads them."""
+    methods = {clip.method for clip in settings}
+    for name, value in common.items():
+        method = SETTINGS[name].method
+        if value is not None and settings and method is not None and method not in methods:
+            found = f"{value!r}, and no clip of the {method} method"
+            yield Problem(option(name), name, found, f"nothing, or --method {method} with it")
 
 
 def _of_row(problem: Problem, draft: _Draft, common: Mapping[str, Any]) -> Problem:

@@ -20,7 +20,7 @@ from recon.files import require_free_folder, staged_folder
 from recon.package import version
 from recon.pipelines.batch.inputs import Clip
 from recon.pipelines.clip import OUTPUT_FILES
-from recon.settings import OF_METHOD, FitSettings
+from recon.settings import FitSettings
 
 RECORD = "batch.json"
 CRASH_LOG = "crash.log"
@@ -67,7 +67,7 @@ def _planned(clip: Clip, out: Path, overwrite: bool) -> Planned:
         return Planned(clip, out, "new", "", mine)
     if overwrite:
         return Planned(clip, out, "refit", "--overwrite", mine)
-    if record is None or (record["state"] == "finished" and not _reported(out, record)):
+    if record is None or (record["state"] == "finished" and not _own(out, record)):
         raise InputError(_occupied(out, "results that no batch has made"))
     theirs = record["identity"]
     same_clip = record["keypoints"] == str(clip.settings.keypoints)
@@ -77,7 +77,7 @@ def _planned(clip: Clip, out: Path, overwrite: bool) -> Planned:
         return Planned(clip, out, "refit", "not finished before", mine)
     if theirs != mine:
         return Planned(clip, out, "refit", f"changed: {', '.join(_changed(theirs, mine))}", mine)
-    if any(not (out / name).is_file() or (out / name).stat().st_size != n for name, n in record["files"].items()):
+    if read_manifest(out).changed():
         return Planned(clip, out, "refit", "not complete", mine)
     return Planned(clip, out, "done", "", mine, record["row"])
 
@@ -107,8 +107,7 @@ def identity(settings: FitSettings) -> dict[str, Any]:
     has no content, None.
     """
     files = input_files(settings)
-    idle = {name for method, names in OF_METHOD.items() if method != settings.method for name in names}
-    plain = settings.model_dump(mode="json", exclude={*files, *idle}, exclude_none=True)
+    plain = {name: value for name, value in settings.plain().items() if value is not None and name not in files}
     return {
         "inputs": {role: file_sha256(path) for role, path in files.items()},
         "settings": plain,
@@ -166,9 +165,8 @@ def finish_record(
 ) -> None:
     """When all results are in place."""
     (out / CRASH_LOG).unlink(missing_ok=True)
-    files = {name: (out / name).stat().st_size for name in OUTPUT_FILES if (out / name).is_file()}
-    report = file_digest(out / "report.json")
-    _write(out, "finished", run, attempt, settings, known, {"files": files, "report_sha256": report, "row": row})
+    results = {"manifest_sha256": file_digest(out / MANIFEST), "row": row}
+    _write(out, "finished", run, attempt, settings, known, results)
 
 
 def drop_record(out: Path) -> None:
@@ -183,9 +181,10 @@ def file_digest(path: Path) -> str | None:
     return file_sha256.__wrapped__(path)
 
 
-def _reported(out: Path, record: Mapping[str, Any]) -> bool:
-    """Whether the report is the one that the batch has written: each has its own times."""
-    return not (out / "report.json").exists() or file_digest(out / "report.json") == record["report_sha256"]
+def _own(out: Path, record: Mapping[str, Any]) -> bool:
+    """Whether the results are those that the batch has written: each report has its own times, and so each manifest its
+    own hashes. Without a manifest they are what is left of some run."""
+    return not (out / MANIFEST).exists() or file_digest(out / MANIFEST) == record["manifest_sha256"]
 
 
 def _write(

@@ -42,7 +42,7 @@ LOG_BYTES = 20_000
 
 def task_of(planned: Planned, run: str) -> dict[str, Any]:
     """What a worker is told, as plain JSON types. run: which run of the batch it is."""
-    settings = planned.clip.settings.model_dump(mode="json")
+    settings = planned.clip.settings.plain()
     return {"settings": settings, "out": str(planned.out.absolute()), "run": run, "identity": dict(planned.identity)}
 
 
@@ -52,7 +52,7 @@ def task_of(planned: Planned, run: str) -> dict[str, Any]:
 def fit_one(task: Mapping[str, Any], progress: Progress) -> dict[str, Any]:
     """Fit and write one clip: columns of the summary. Input that cannot be used is an outcome; a fault is not."""
     began = time.perf_counter()
-    settings, out = FitSettings.model_validate(task["settings"]), Path(task["out"])
+    settings, out = FitSettings(**task["settings"]), Path(task["out"])
     attempt, finished, row = 1, False, {}
     try:
         here, there = version(), task["identity"]["version"]
