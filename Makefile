@@ -51,7 +51,8 @@ format: $(DEV)
 	$(BIN)/ruff format .
 
 docs: $(DEV)
-	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
+	rm -rf site
+	PYTHONPATH=docs $(BIN)/python -m zensical build --clean --strict
 
 docs-figures: $(DEV)
 	$(BIN)/python docs/figures.py
@@ -77,7 +78,7 @@ benchmark: $(BASE)
 	$(BIN)/python benchmarks/batch.py
 
 clean:
-	rm -rf $(DEMO_OUT) build dist site .pytest_cache .ruff_cache
+	rm -rf $(DEMO_OUT) build dist site .cache .pytest_cache .ruff_cache
 	find recon tests benchmarks data -name __pycache__ -type d -prune -exec rm -rf {} +
 
 $(BIN)/python:
