@@ -1,11 +1,15 @@
 """A whole animal: a tree of segments (`recon.kinematics`), its markers, and what is expected of its pose.
 
-The states are the tree's. Right-handed frames, x forwards, y left, z up. Names say by their beginning which side they
-belong to (`SIDES`).
+The states are the tree's. Right-handed frames, x forwards, y left, z up.
+
+What is left and right, fore and hind, stands here and nowhere else: names of segments and markers say by their
+beginning which side they belong to (`SIDES`), the skeleton's file says where each foot is (`PLACES`), and a limb has
+the side of its markers.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Literal
@@ -16,13 +20,20 @@ from numpy.typing import NDArray
 from recon.kinematics import Tree
 
 Array = NDArray[np.float64]
+Side = Literal["left", "right"]
 
 SIDES = {"l_": "r_", "left_": "right_", "Left": "Right", "Near": "Off"}
 """How names of the left side begin, and those of the right. A horse's near side is its left one, wherever it is seen
 from."""
 
+PLACES = {"left_fore": "LF", "right_fore": "RF", "left_hind": "LH", "right_hind": "RH"}
+"""Where a foot of a whole animal is, and its label."""
+_LABELLED: dict[str, Side] = {"L": "left", "R": "right"}
+CHAIN_PLACES = {"fore": "F", "hind": "H"}
+"""The same of a chain, which stands for either side: the label gets that of the fit in front of it."""
 
-def side_of(name: str) -> Literal["left", "right"] | None:
+
+def side_of(name: str) -> Side | None:
     """None: the middle."""
     if name.startswith(tuple(SIDES)):
         return "left"
@@ -38,15 +49,35 @@ def other_side(name: str) -> str:
     return name
 
 
+def common_side(sides: Iterable[Side | None]) -> Side | None:
+    """Of what has points of these sides: None where they are of both, or all in the middle."""
+    found: set[Side] = {side for side in sides if side is not None}
+    return found.pop() if len(found) == 1 else None
+
+
+def feet_by_label(labels: Sequence[str], feet: Sequence[str], side: Side | None) -> dict[str, str]:
+    """By LF, RF, LH, RH; labels without a side get the given one."""
+    start = "" if side is None else side[0].upper()
+    return {
+        label if label in PLACES.values() else start + label: foot for label, foot in zip(labels, feet, strict=True)
+    }
+
+
+def without_side(name: str) -> str:
+    """l_fore_upper -> fore_upper; names of the middle stay."""
+    return next((name.removeprefix(start) for pair in SIDES.items() for start in pair if name.startswith(start)), name)
+
+
 @dataclass(frozen=True)
 class Body:
     """A tree with J markers and D unknowns per frame, and the expectations of them.
 
     limbs: marker names along each limb, for drawing. forward: two markers, from rear to front. feet: the markers that
-    touch the ground. keypoint_sigma_m: how far keypoints lie from the markers. size_sigma: of the size, the factor on
-    all lengths, around 1. mean_rad, sigma_rad, acceleration_rad_s2 (D - 4,): the Gaussian expectation of the angles
-    state[:, 4:], that is the root's pitch and roll and the joints' angles, and one sigma of their acceleration.
-    keypoint_offset_m: how far a detector's keypoint lies from a marker, (x, y, z) in the marker's segment, by marker.
+    touch the ground; foot_labels: where they are, of `PLACES`, or of a chain `CHAIN_PLACES`. keypoint_sigma_m: how far
+    keypoints lie from the markers. size_sigma: of the size, the factor on all lengths, around 1. mean_rad, sigma_rad,
+    acceleration_rad_s2 (D - 4,): the Gaussian expectation of the angles state[:, 4:], that is the root's pitch and roll
+    and the joints' angles, and one sigma of their acceleration. keypoint_offset_m: how far a detector's keypoint lies
+    from a marker, (x, y, z) in the marker's segment, by marker.
     """
 
     name: str
@@ -55,6 +86,7 @@ class Body:
     limbs: dict[str, tuple[str, ...]]
     forward: tuple[str, str]
     feet: tuple[str, ...]
+    foot_labels: tuple[str, ...]
     keypoint_sigma_m: float
     size_sigma: float
     mean_rad: Array
@@ -79,6 +111,19 @@ class Body:
     def markers(self) -> tuple[str, ...]:
         """(J,)"""
         return tuple(m.name for m in self.tree.markers)
+
+    def feet_by_label(self, side: Side | None = None) -> dict[str, str]:
+        """Markers of the feet by LF, RF, LH, RH. side: the fitted one, of a chain."""
+        return feet_by_label(self.foot_labels, self.feet, side)
+
+    def side_of(self, marker: str) -> Side | None:
+        """By what is said of it as a foot, or else by its name."""
+        label = dict(zip(self.feet, self.foot_labels, strict=True)).get(marker, "")
+        return _LABELLED[label[0]] if label in PLACES.values() else side_of(marker)
+
+    def limb_sides(self, side: Side | None = None) -> dict[str, Side | None]:
+        """The side of each limb; None: the middle, or both. side: nothing to a whole animal."""
+        return {limb: common_side(map(self.side_of, along)) for limb, along in self.limbs.items()}
 
     @property
     def n_state(self) -> int:

@@ -12,11 +12,11 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from recon.body import Body
+from recon.body import Body, Side
 from recon.camera import Camera
 from recon.keypoints import CleaningReport, Keypoints
 from recon.kinematics import ROOT, YAW
-from recon.skeleton import Side, Skeleton
+from recon.skeleton import Skeleton
 from recon.solve import FrameReport, Solution, Spell, TrajectorySolution
 
 Array = NDArray[np.float64]
@@ -53,27 +53,13 @@ class Motion:
         raise NotImplementedError
 
     @property
-    def title(self) -> str:
-        """Of the skeleton, one line."""
+    def animal(self) -> Skeleton | Body:
+        """What was fitted: a chain, or a whole animal."""
         raise NotImplementedError
 
     @property
     def joints(self) -> tuple[str, ...]:
         """(J,): what the skeleton calls them."""
-        raise NotImplementedError
-
-    @property
-    def limbs(self) -> dict[str, tuple[int, ...]]:
-        """Joints along each limb, as indices, for drawing."""
-        raise NotImplementedError
-
-    @property
-    def forward(self) -> tuple[int, int]:
-        """Two joints, from rear to front."""
-        raise NotImplementedError
-
-    @property
-    def feet(self) -> tuple[int, ...]:
         raise NotImplementedError
 
     @property
@@ -117,6 +103,37 @@ class Motion:
         raise NotImplementedError
 
     # -- what both have -------------------------------------------------------------------------------------------
+
+    @property
+    def title(self) -> str:
+        """Of the skeleton, one line."""
+        return self.animal.title
+
+    @cached_property
+    def limbs(self) -> dict[str, tuple[int, ...]]:
+        """Joints along each limb, as indices, for drawing."""
+        index = {joint: j for j, joint in enumerate(self.joints)}
+        return {limb: tuple(index[joint] for joint in along) for limb, along in self.animal.limbs.items()}
+
+    @cached_property
+    def limb_sides(self) -> dict[str, Side | None]:
+        """The side of each limb; None: the middle."""
+        return self.animal.limb_sides(self.side)
+
+    @property
+    def forward(self) -> tuple[int, int]:
+        """Two joints, from rear to front."""
+        rear, front = self.animal.forward
+        return self.joints.index(rear), self.joints.index(front)
+
+    @cached_property
+    def feet(self) -> tuple[int, ...]:
+        return tuple(self.joints.index(foot) for foot in self.animal.feet)
+
+    @cached_property
+    def foot_labels(self) -> tuple[str, ...]:
+        """Of the feet: LF, RF, LH, RH."""
+        return tuple(self.animal.feet_by_label(self.side))
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -204,27 +221,12 @@ class FrameMotion(Motion):
         return self.skeleton.keypoint_names(self.side)
 
     @property
-    def title(self) -> str:
-        return self.skeleton.title
+    def animal(self) -> Skeleton:
+        return self.skeleton
 
     @property
     def joints(self) -> tuple[str, ...]:
         return self.skeleton.joints
-
-    @property
-    def limbs(self) -> dict[str, tuple[int, ...]]:
-        return _indices(self.skeleton.limbs, self.joints)
-
-    @property
-    def forward(self) -> tuple[int, int]:
-        rear, front = self.skeleton.forward
-        return self.joints.index(rear), self.joints.index(front)
-
-    @property
-    def feet(self) -> tuple[int, ...]:
-        """Joints that no link starts from."""
-        starts = {link.start for link in self.skeleton.links}
-        return tuple(j for j, joint in enumerate(self.joints) if joint not in starts)
 
     @property
     def state_names(self) -> tuple[str, ...]:
@@ -296,25 +298,12 @@ class TrajectoryMotion(Motion):
         return self.solution.body
 
     @property
-    def title(self) -> str:
-        return self.body.title
+    def animal(self) -> Skeleton | Body:
+        return self.skeleton or self.body
 
     @property
     def joints(self) -> tuple[str, ...]:
         return self.body.markers
-
-    @property
-    def limbs(self) -> dict[str, tuple[int, ...]]:
-        return _indices(self.body.limbs, self.joints)
-
-    @property
-    def forward(self) -> tuple[int, int]:
-        rear, front = self.body.forward
-        return self.joints.index(rear), self.joints.index(front)
-
-    @property
-    def feet(self) -> tuple[int, ...]:
-        return tuple(self.joints.index(foot) for foot in self.body.feet)
 
     # -- the states -----------------------------------------------------------------------------------------------
 
@@ -446,8 +435,3 @@ class TrajectoryMotion(Motion):
 
     def _along_axes(self, covariance_m2: Array) -> Array:
         return np.sqrt(np.diagonal(self._turned(covariance_m2), axis1=2, axis2=3))
-
-
-def _indices(limbs: dict[str, tuple[str, ...]], joints: tuple[str, ...]) -> dict[str, tuple[int, ...]]:
-    index = {joint: j for j, joint in enumerate(joints)}
-    return {limb: tuple(index[joint] for joint in along) for limb, along in limbs.items()}

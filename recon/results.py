@@ -18,7 +18,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from recon.body import Body, side_of
+from recon.body import Body, Side
 from recon.camera import Camera
 from recon.errors import InputError, Problem, all_of
 from recon.initialise import level_axes
@@ -84,19 +84,18 @@ class Results:
 
     @cached_property
     def feet(self) -> dict[str, str]:
-        """Joints of the feet by LH, RH, LF, RF (left or right, hind or fore), those that there are.
+        """Joints of the feet by LH, RH, LF, RF (left or right, hind or fore), those that there are: as the fit wrote it
+        down, or the skeleton's where it did not yet."""
+        written = self.report["skeleton"].get("feet")
+        if written is not None:
+            return written
+        feet = self.skeleton.feet_by_label(self.report["side"]["fitted"])
+        return {label: self.keypoint_of[joint] for label, joint in feet.items()}
 
-        Fore feet are those before the middle of the trunk, in the median of the frames.
-        """
-        at = {name: j for j, name in enumerate(self.pose.names)}
-        rear, front = (self.pose.xyz_m[:, at[name]] for name in self.forward)
-        found = {}
-        for name in (self.keypoint_of[foot] for foot in self.body.feet):
-            ahead = np.einsum("ti,ti->t", self.pose.xyz_m[:, at[name]] - 0.5 * (rear + front), front - rear)
-            side = self.report["side"]["fitted"] or side_of(name) or ""
-            fore = np.isfinite(ahead).any() and float(np.nanmedian(ahead)) > 0
-            found[f"{side[:1].upper()}{'F' if fore else 'H'}"] = name
-        return found
+    @cached_property
+    def limb_sides(self) -> dict[str, Side | None]:
+        """The side of each of the limbs; None: the middle."""
+        return self.skeleton.limb_sides(self.report["side"]["fitted"])
 
     @cached_property
     def state_names(self) -> tuple[str, ...]:

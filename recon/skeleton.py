@@ -23,18 +23,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from recon.body import Body
+from recon.body import Body, Side, common_side, feet_by_label
 from recon.kinematics import PITCH, ROLL, ROOT, Joint, Marker, Segment, Tree
 from recon.rotations import euler_angles, euler_rotation, euler_rotation_with_jacobian
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
-Side = Literal["left", "right"]
 
 MIN_JOINTS = 5
 """Fewer detected joints than this do not place a chain."""
@@ -105,7 +103,8 @@ class Skeleton:
     """A chain's geometry, its keypoints and what is expected of its angles.
 
     joints: names, root first, then the links' ends in the order of the links. keypoints: for each joint its keypoint's
-    name on the (left, right) side. forward: two joints, from rear to front.
+    name on the (left, right) side. forward: two joints, from rear to front. feet: the joints that touch the ground;
+    foot_labels: where they are, of `recon.body.CHAIN_PLACES`.
     """
 
     name: str
@@ -114,6 +113,8 @@ class Skeleton:
     joints: tuple[str, ...]
     keypoints: tuple[tuple[str, str], ...]
     forward: tuple[str, str]
+    feet: tuple[str, ...]
+    foot_labels: tuple[str, ...]
     theta: AngleRanges
     phi: AngleRanges
     scales: PriorScales
@@ -174,6 +175,18 @@ class Skeleton:
             limbs.setdefault(link.limb, [link.start]).append(link.end)
         return {name: tuple(joints) for name, joints in limbs.items()}
 
+    def feet_by_label(self, side: Side | None) -> dict[str, str]:
+        """Joints of the feet by LF, RF, LH, RH, when the limbs of that side are fitted."""
+        return feet_by_label(self.foot_labels, self.feet, side)
+
+    def limb_sides(self, side: Side | None) -> dict[str, Side | None]:
+        """The side of each limb, when the limbs of that side are fitted: it is known of joints whose keypoints are not
+        the same on both sides. None: the middle."""
+        sided = {joint for joint, (left, right) in zip(self.joints, self.keypoints, strict=True) if left != right}
+        return {
+            limb: common_side(side if joint in sided else None for joint in along) for limb, along in self.limbs.items()
+        }
+
     # -- kinematics ----------------------------------------------------------------------------------------------
 
     @cached_property
@@ -212,7 +225,8 @@ class Skeleton:
             tree=tree,
             limbs=self.limbs,
             forward=self.forward,
-            feet=tuple(joints[-1] for limb, joints in self.limbs.items() if "leg" in limb.lower()),
+            feet=self.feet,
+            foot_labels=self.foot_labels,
             keypoint_sigma_m=self.scales.keypoint_m,
             size_sigma=self.scales.base_length_m / self.nominal_base_length_m,
             mean_rad=expected[0, 4:],

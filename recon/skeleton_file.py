@@ -13,9 +13,9 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar, overload
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, PositiveFloat, ValidationError
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, FiniteFloat, PositiveFloat, ValidationError
 
-from recon.body import SIDES, Body, other_side, side_of
+from recon.body import CHAIN_PLACES, PLACES, SIDES, Body, other_side, side_of
 from recon.errors import InputError, Problem
 from recon.kinematics import ANGLES, AXES, Marker, Segment, Tree
 from recon.skeleton import MIN_JOINTS, AngleRanges, Link, PriorScales, Skeleton
@@ -60,12 +60,35 @@ class _Prior(_Table):
     travel_sigma_rad: PositiveFloat
 
 
+def _foot_table(places: Iterable[str], example: str) -> BeforeValidator:
+    """One message for whatever else stands there, and for nothing."""
+
+    def checked(value: Any) -> Any:
+        if isinstance(value, dict) and {*value} <= {*places} and all(isinstance(foot, str) for foot in value.values()):
+            return value
+        raise ValueError(f"a table that says where each foot is, as {example}")
+
+    return BeforeValidator(checked)
+
+
+_ChainFeet = Annotated[dict[str, str], _foot_table(CHAIN_PLACES, '{ fore = "J4", hind = "J8" }, with its joints')]
+_BodyFeet = Annotated[
+    dict[str, str],
+    _foot_table(
+        PLACES,
+        '{ left_fore = "l_front_paw", right_fore = "r_front_paw", left_hind = "l_back_paw", right_hind = '
+        '"r_back_paw" }, with its markers',
+    ),
+]
+
+
 class _SkeletonFile(_Table):
     name: str
     title: str
     root: str
     root_keypoint: str | _Sides
     forward: tuple[str, str]
+    feet: _ChainFeet = Field(default=None, validate_default=True)
     keypoint_sigma_m: PositiveFloat
     base_length: _BaseLength
     softness_rad: PositiveFloat
@@ -109,7 +132,7 @@ class _BodyFile(_Table):
     name: str
     title: str
     forward: tuple[str, str]
-    feet: tuple[str, ...]
+    feet: _BodyFeet = Field(default=None, validate_default=True)
     keypoint_sigma_m: Sigma
     size_sigma: Sigma
     segments: tuple[_Segment, ...] = Field(min_length=1)
@@ -202,7 +225,13 @@ def _parsed(kind: type[_File], raw: dict[str, Any], source: str) -> tuple[_File 
         return kind.model_validate(raw), []
     except ValidationError as error:
         return None, [
-            Problem(source, ".".join(str(p) for p in e["loc"]), repr(e["input"])[:60], e["msg"]) for e in error.errors()
+            Problem(
+                source,
+                ".".join(str(p) for p in e["loc"]),
+                repr(e["input"])[:60],
+                e["msg"].removeprefix("Value error, "),  # pydantic's, before a message of our own
+            )
+            for e in error.errors()
         ]
 
 
@@ -276,9 +305,11 @@ def _chain_problems(parsed: _SkeletonFile, source: str):
     if not any(link.theta is None and link.start == parsed.root for link in parsed.links):
         expected = f"one from {parsed.root} without theta and phi: the body's forward axis lies along it"
         yield Problem(source, "links", "none without angles from the root", expected)
-    for joint in parsed.forward:
-        if joint not in known:
-            yield Problem(source, "forward", repr(joint), f"one of {', '.join(sorted(known))}")
+    for field, joints in (("forward", parsed.forward), ("feet", parsed.feet.values())):
+        for joint in joints:
+            if joint not in known:
+                yield Problem(source, field, repr(joint), f"one of {', '.join(sorted(known))}")
+    yield from _foot_problems(parsed.feet, source)
 
 
 def _sides(keypoint: str | _Sides) -> tuple[str, str]:
@@ -299,6 +330,8 @@ def _skeleton(f: _SkeletonFile) -> Skeleton:
         joints=(f.root, *(x.end for x in f.links)),
         keypoints=(_sides(f.root_keypoint), *(_sides(x.keypoint) for x in f.links)),
         forward=f.forward,
+        feet=tuple(f.feet.values()),
+        foot_labels=tuple(CHAIN_PLACES[place] for place in f.feet),
         theta=_ranges(f.links, "theta"),
         phi=_ranges(f.links, "phi"),
         scales=PriorScales(
@@ -418,13 +451,24 @@ def _body_problems(file: _BodyFile, source: str) -> Iterator[Problem]:
         used.add(marker.name)
     if len(markers) < MIN_JOINTS:
         yield Problem(source, "markers", f"{len(markers)}", f"at least {MIN_JOINTS}: fewer do not place it")
-    named = [("forward", file.forward), ("feet", file.feet), *((f"limbs.{k}", v) for k, v in file.limbs.items())]
+    feet = tuple(file.feet.values())
+    named = [("forward", file.forward), ("feet", feet), *((f"limbs.{k}", v) for k, v in file.limbs.items())]
     for field, names in named:
         for name in names:
             if name not in markers:
                 yield Problem(source, field, repr(name), f"one of {', '.join(sorted(markers)) or 'the markers'}")
     if file.forward[0] == file.forward[1]:
         yield Problem(source, "forward", f"{file.forward[0]!r} twice", "two markers, from rear to front")
+    yield from _foot_problems(file.feet, source)
+
+
+def _foot_problems(feet: dict[str, str], source: str) -> Iterator[Problem]:
+    for place, foot in feet.items():
+        side = side_of(foot)
+        if side is not None and place in PLACES and not place.startswith(side):
+            yield Problem(source, f"feet.{place}", repr(foot), f"a {place.split('_')[0]} one: by its name it is {side}")
+    if len({*feet.values()}) < len(feet):
+        yield Problem(source, "feet", ", ".join(feet.values()), "every foot once")
 
 
 def _name_problems(item: _Segment | _Marker, field: str, used: set[str], source: str) -> Iterator[Problem]:
@@ -458,7 +502,8 @@ def _body(f: _BodyFile) -> Body:
         ),
         limbs=f.limbs,
         forward=f.forward,
-        feet=f.feet,
+        feet=tuple(f.feet.values()),
+        foot_labels=tuple(PLACES[place] for place in f.feet),
         keypoint_sigma_m=f.keypoint_sigma_m,
         size_sigma=f.size_sigma,
         mean_rad=np.array([e.mean_rad for e in expected]),

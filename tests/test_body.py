@@ -218,7 +218,11 @@ def test_mirrored_segments_expect_the_mirror_image(tmp_path: Path):
         ("roll = {", "yaw = {", "segments.0.yaw", "pitch and roll, since its joint is free"),
         ('["tail_base", "neck_base"]', '["tail", "neck_base"]', "forward", "one of l_front_knee"),
         ('["tail_base", "neck_base"]', '["spine", "spine"]', "forward", "two markers, from rear to front"),
-        ('feet = ["l_', 'feet = ["x_', "feet", "one of l_front_knee"),
+        ('left_fore = "l_', 'left_fore = "x_', "feet", "one of l_front_knee"),
+        ("[feet]", "[foot]", "feet", "a table that says where each foot is, as { left_fore = "),
+        ("left_fore =", "front_left =", "feet", "a table that says where each foot is, as { left_fore = "),
+        ("left_fore =", "right_hind =", "feet.right_hind", "a right one: by its name it is left"),
+        ('"r_front_paw"\n', '"l_front_paw"\n', "feet", "every foot once"),
         ('trunk = ["tail_base"', 'trunk = ["tail"', "limbs.trunk", "one of l_front_knee"),
         ('name = "spine"', 'name = "spine"\nmirrored = true', "markers.0.mirrored", "a name that begins with l_"),
         ("sigma_rad = 0.25", "sigma_rad = 0.0", "segments.0.pitch.sigma_rad", "greater than 0"),
@@ -237,7 +241,7 @@ def test_bad_files(tmp_path: Path, old: str, new: str, field: str, expected: str
 
 
 def test_every_problem_is_named(tmp_path: Path):
-    text = EXAMPLE.replace('parent = "front_trunk"', 'parent = "trunk"').replace('feet = ["l_', 'feet = ["x_')
+    text = EXAMPLE.replace('parent = "front_trunk"', 'parent = "trunk"').replace('left_fore = "l_', 'left_fore = "x_')
     subject = SUBJECT.replace("l_lower_leg", "r_lower_leg").replace("l_front_paw", "rear_trunk")
     found = problems(in_file(tmp_path, text), in_file(tmp_path, subject, "subject.toml"))
     assert {*found} == {"segments.2.parent", "feet", "at_m.r_lower_leg", "at_m.rear_trunk"}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -85,6 +86,28 @@ def test_feet_of_a_whole_animal(whole_results):
         "LH": "l_back_paw",
         "RH": "r_back_paw",
     }
+
+
+def test_feet_do_not_depend_on_what_the_clip_shows(whole_results, tmp_path):
+    """A few frames in which a forefoot is behind the middle of the trunk: it stays the forefoot. And a folder that does
+    not say where the feet are has them from the skeleton."""
+    found = read_results(whole_results)
+    paw, tail = (found.pose.names.index(name) for name in ("l_front_paw", "tail_base"))
+    swung = found.pose.xyz_m.copy()
+    swung[:, paw, :2] = swung[:, tail, :2]
+    behind = replace(found, pose=replace(found.pose, xyz_m=swung))
+    assert behind.feet == found.feet
+    folder = copy(whole_results, tmp_path)
+    report = json.loads((folder / "report.json").read_text(encoding="utf-8"))
+    assert report["skeleton"].pop("feet") == found.feet
+    (folder / "report.json").write_text(json.dumps(report), encoding="utf-8")
+    assert read_results(folder).feet == found.feet
+
+
+def test_sides_of_limbs(whole_results, frame_results):
+    whole, chain = read_results(whole_results).limb_sides, read_results(frame_results).limb_sides
+    assert (whole["left hind leg"], whole["right front leg"], whole["trunk"]) == ("left", "right", None)
+    assert chain == {"hind leg": "right", "spine": None, "front leg": "right"}
 
 
 def problem(folder: Path) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -304,11 +305,16 @@ def test_check_of_a_chain():
             '["withers", "tail_base"]',
             "forward: in the expected pose tail_base is not ahead",
         ),
-        ('["left_front_paw"', '["left_ear", "left_front_paw"', "feet: in the expected pose left_ear not below"),
+        ('left_fore = "left_front_paw"', 'left_fore = "left_ear"', "feet: in the expected pose left_ear not below"),
+        (
+            '"left_front_paw"\nright_fore = "right_front_paw"\nleft_hind = "left_hind_paw"',
+            '"left_hind_paw"\nright_fore = "right_front_paw"\nleft_hind = "left_front_paw"',
+            "feet: in the expected pose left_hind_paw lies behind the middle of the trunk, but is a fore foot",
+        ),
         ("at_m = [0.0, 0.0, -0.07]", "at_m = [0.0, 0.0, 0.03]", "feet: in the expected pose left_hind_paw is"),
         ('tail = ["tail_base", "tail_tip"]', "", "limbs: no line leads to tail_tip."),
         ("at_m = [0.0, 0.03, 0.04]", "at_m = [0.0, -0.03, 0.04]", "(y is to the left) left_ear, right_ear."),
-        ("feet = [", "feet = []\n# [", "feet: none."),
+        (CAT[CAT.index("left_fore") : CAT.index("# The root:")], "", "feet: none."),
         ('segment = "tail"\nat_m = [-0.25, 0.0, 0.0]', 'segment = "tail"', "moved by tail_yaw, tail_pitch"),
         (
             'name = "left_knee"\nsegment = "l_hind_shin"\nmirrored = true',
@@ -330,8 +336,38 @@ def test_remarks(tmp_path, old, new, remark):
     assert "Look at this: " in output("skeleton", "check", file)
 
 
+def test_sides_and_ends_stand_in_the_file(tmp_path):
+    """Near is left, off is right. What a foot is said to be counts where its name says nothing."""
+    horse = load_skeleton("horse-22")
+    assert isinstance(horse, Body)
+    assert horse.feet_by_label() == {
+        "LF": "Nearfrontfoot",
+        "RF": "Offfrontfoot",
+        "LH": "Nearhindfoot",
+        "RH": "Offhindfoot",
+    }
+    sides = horse.limb_sides()
+    assert [sides[f"{side} {end} leg"] for side in ("near", "off") for end in ("fore", "hind")] == [
+        "left",
+        "left",
+        "right",
+        "right",
+    ]
+    assert {sides[limb] for limb in ("trunk", "head", "shoulder", "thigh")} == {None}
+    paw = 'name = "left_front_paw"\nsegment = "l_fore_foot"\nmirrored = true'
+    assert paw in CAT
+    two = 'name = "FL"\nsegment = "l_fore_foot"\n\n[[markers]]\nname = "FR"\nsegment = "r_fore_foot"'
+    text = CAT.replace(paw, two).replace('"left_front_paw"', '"FL"').replace('"right_front_paw"', '"FR"')
+    cat = load_skeleton(in_file(tmp_path, text))
+    assert isinstance(cat, Body)
+    assert [cat.side_of(m) for m in ("FL", "FR", "left_ear", "withers")] == ["left", "right", "left", None]
+    assert cat.feet_by_label()["RF"] == "FR"
+    leg = dict(cat.limbs, alone=("withers", "FR"))
+    assert replace(cat, limbs=leg).limb_sides()["alone"] == "right"
+
+
 def test_every_fault_is_named(tmp_path):
-    text = CAT.replace('parent = "loin"', 'parent = "lion"', 1).replace('feet = ["left', 'feet = ["lift')
+    text = CAT.replace('parent = "loin"', 'parent = "lion"', 1).replace('left_fore = "left', 'left_fore = "lift')
     text = text.replace('tail = ["tail_base"', 'tail = ["tail"').replace('segment = "tail"', 'segment = "tale"', 1)
     with pytest.raises(InputError) as error:
         run_skeleton_check(str(in_file(tmp_path, text)), out=tmp_path / "out")

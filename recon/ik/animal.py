@@ -125,16 +125,16 @@ def _direction_of_travel(skeleton: Skeleton, states: Array, R: Array, down: Arra
 
 
 def _path(skeleton: Skeleton) -> list[int]:
-    """Indices of the links from the root to the foot that hangs from the front end of the spine."""
+    """Indices of the links from the root to the fore foot."""
+    joint = skeleton.feet_by_label(None).get("F")
+    if joint is None:
+        raise ValueError(f"{skeleton.name} has no fore foot")
     into = {link.end: i for i, link in enumerate(skeleton.links)}
-    for foot in skeleton.body.feet:
-        links, joint = [], foot
-        while joint in into:
-            links.insert(0, into[joint])
-            joint = skeleton.links[links[0]].start
-        if any(skeleton.links[i].end == skeleton.forward[1] for i in links):
-            return links
-    raise ValueError(f"{skeleton.name} has no leg beyond {skeleton.forward[1]}")
+    links = []
+    while joint in into:
+        links.insert(0, into[joint])
+        joint = skeleton.links[links[0]].start
+    return links
 
 
 def _angle_index(skeleton: Skeleton, links: list[int]) -> list[int | None]:

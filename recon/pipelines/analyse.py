@@ -137,7 +137,8 @@ def write_figures(found: ClipAnalysis, folder: Path) -> None:
 
     results = found.results
     ground = found.gaits["ground"].tracks.ground if found.gaits else None
-    plots.save(plots.composites(found.pose.xyz_m, results.limbs, results.time_s, ground), folder, "composites")
+    poses = plots.composites(found.pose.xyz_m, results.limbs, results.time_s, ground, sides=results.limb_sides)
+    plots.save(poses, folder, "composites")
     plots.save(plots.speeds({found.reference: found.joints[found.reference]}), folder, "speed")
     if found.gaits:
         plots.save(plots.footfall(found.gaits, results.fps), folder, "footfalls")

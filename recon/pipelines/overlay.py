@@ -9,7 +9,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from recon.body import side_of
+from recon.body import Side
 from recon.camera import Camera, FloatArray
 from recon.errors import InputError, Problem, all_of
 from recon.files import require_free_file
@@ -22,7 +22,7 @@ from recon.video import VideoInfo, probe, read_frames, require_codec, video_writ
 
 SLOW_FPS = 30.0
 """Every frame is shown, and no more than this many in a second, unless a speed is given."""
-SIDES: dict[str | None, Colour] = {"left": LEFT, "right": RIGHT, None: MIDDLE}
+SIDES: dict[Side | None, Colour] = {"left": LEFT, "right": RIGHT, None: MIDDLE}
 
 Progress = Callable[[str, float], None]
 
@@ -97,12 +97,11 @@ def overlay_of(result: Results, speed: float = 1.0, zoom: int = 1) -> Overlay:
     for outlier in result.report["outliers"]:
         outliers[row[outlier["frame"]], at[outlier["keypoint"]]] = True
     rear, front = (at[name] for name in result.forward)
-    limbs = list(result.limbs.values())
     return Overlay(
         frames=result.pose.frames,
         fps=result.fps,
-        limbs=limbs,
-        colours=[SIDES[_side(result, limb)] for limb in limbs],
+        limbs=list(result.limbs.values()),
+        colours=[SIDES[result.limb_sides[limb]] for limb in result.limbs],
         detected_px=_enlarged(reprojected.xy_px - errors, zoom),
         reprojected_px=_enlarged(reprojected.xy_px, zoom),
         outliers=outliers,
@@ -125,12 +124,6 @@ def viewing_direction(camera: Camera) -> FloatArray:
         return camera.rotation[2]
     right, away = level_axes(camera.up)
     return np.array([right[2], away[2], camera.up[2]])
-
-
-def _side(result: Results, limb: tuple[int, ...]) -> str | None:
-    """Of a limb, by the names of its joints; None for the trunk."""
-    sides = {side for side in (side_of(result.pose.names[j]) for j in limb) if side}
-    return sides.pop() if len(sides) == 1 else None
 
 
 def _reprojection(result: Results) -> Keypoints:

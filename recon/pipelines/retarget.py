@@ -252,7 +252,7 @@ def companion(solved: Solved) -> Any:
     hips = np.array([motion.points(label)[0, 0] for label in LEGS])
     beside = np.ptp(hips[:, 1]) + 2 * motion.robot.stand_m
     placed = motion.scale * animal.in_world(points) + [0.0, beside, 0.0]
-    return Companion(placed, results.limbs, results.title)
+    return Companion(placed, results.limbs, results.limb_sides, results.title)
 
 
 def repeated(stride: RobotMotion, times: int) -> RobotMotion:

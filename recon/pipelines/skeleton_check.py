@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from recon.body import Body, other_side, side_of
+from recon.body import Body, other_side
 from recon.errors import InputError
 from recon.files import require_free_folder
 from recon.kinematics import ANGLES, AXES
@@ -69,8 +69,9 @@ class MarkerRow:
 
 @dataclass(frozen=True, eq=False)
 class SkeletonCheck:
-    """kind: "whole animal" or "chain". unknowns: per frame. height_m, length_m: of the expected pose. remarks: what is
-    allowed, but looks like a mistake. prior: the one that a fit takes by default, "none" if there is none."""
+    """kind: "whole animal" or "chain". unknowns: per frame. height_m, length_m: of the expected pose. feet: markers by
+    label, LF, RF, LH, RH, of a chain F, H. remarks: what is allowed, but looks like a mistake. prior: the one that a
+    fit takes by default, "none" if there is none."""
 
     name: str
     title: str
@@ -84,7 +85,7 @@ class SkeletonCheck:
     prior: str
     parts: tuple[PartRow, ...]
     markers: tuple[MarkerRow, ...]
-    feet: tuple[str, ...]
+    feet: dict[str, str]
     limbs: dict[str, tuple[str, ...]]
     remarks: tuple[str, ...]
 
@@ -143,7 +144,7 @@ def check_skeleton(name_or_path: str | Path, subject: str | Path | None = None) 
         prior=_default_prior(body),
         parts=tuple(_links(skeleton) if isinstance(skeleton, Skeleton) else _segments(skeleton)),
         markers=tuple(MarkerRow(m.name, m.segment, m.offset_m) for m in body.tree.markers),
-        feet=body.feet,
+        feet=body.feet_by_label(),
         limbs=body.limbs,
         remarks=tuple(_remarks(body)),
     )
@@ -218,6 +219,13 @@ def _remarks(body: Body) -> Iterator[str]:
         if np.ptp(heights) > _EVEN * np.ptp(points[:, 2]):
             lowest, highest = body.feet[int(heights.argmin())], body.feet[int(heights.argmax())]
             yield f"feet: in the expected pose {highest} is {100 * np.ptp(heights):.0f} cm higher than {lowest}."
+    trunk = front - rear
+    middle = (rear + front) / 2
+    for label, foot in body.feet_by_label().items():
+        fore = (at[foot] - middle) @ trunk > 0
+        if fore != (label[-1] == "F"):
+            there, said = ("before", "hind") if fore else ("behind", "fore")
+            yield f"feet: in the expected pose {foot} lies {there} the middle of the trunk, but is a {said} foot."
     drawn = {marker for limb in body.limbs.values() for marker in limb}
     if lacking := [marker for marker in body.markers if marker not in drawn]:
         yield f"limbs: no line leads to {_listed(lacking)}."
@@ -227,6 +235,7 @@ def _remarks(body: Body) -> Iterator[str]:
 
 
 def _side_remarks(body: Body, at: dict[str, np.ndarray]) -> Iterator[str]:
+    side_of = body.side_of
     single = [m for m in body.markers if side_of(m) is not None and other_side(m) not in at]
     if single:
         yield f"markers: only one side has {_listed(single)}."

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from recon.analysis.gait import Plane
+from recon.body import Side
 from recon.plots.style import GREY, SMALL, WIDTH_MM, blank, drawing, time_colours
 
 if TYPE_CHECKING:
@@ -21,7 +23,13 @@ Array = NDArray[np.float64]
 CONFIGURATIONS = 10
 STILL = 0.1
 """A path shorter than this part of the animal has no direction."""
-LEFT, RIGHT, MIDDLE = (0, (2.2, 1.0)), "-", "-"
+STYLES: dict[Side | None, tuple[Any, float, str]] = {
+    "left": ((0, (2.2, 1.0)), 0.9, "left side"),
+    "right": ("-", 0.9, "right side"),
+    None: ("-", 1.6, "the rest"),
+}
+"""Of the limbs of each side: dashes, width, and what to call them."""
+NO_SIDES: Mapping[str, Side | None] = MappingProxyType({})
 _LEFT_MM, _RIGHT_MM, _TOP_MM, _GAP_MM, _LABELS_MM = 14.0, 4.0, 6.0, 3.0, 10.0
 _HEIGHT_MM, _FRONT_MM = 120.0, 45.0
 """Side and top view together, and the front view, at most."""
@@ -35,13 +43,14 @@ def composites(
     time_s: Array,
     ground: float | Plane | None = None,
     title: str = "",
+    sides: Mapping[str, Side | None] = NO_SIDES,
 ) -> Figure:
     """Up to `CONFIGURATIONS` configurations, evenly spaced among the known ones, coloured by time.
 
-    joints_m (T, J, 3): metres, upright, z up; time_s (T,). limbs: joints along each, by name; those that begin with
-    "left" (or "l_") are dashed. ground: height of a level one, or a plane. The mean motion is turned to run to the
-    right; places count from the mean of the first configuration, heights are as given. The front view looks back at
-    the animal and has its own scale.
+    joints_m (T, J, 3): metres, upright, z up; time_s (T,). limbs: joints along each, by name; sides: of the limbs,
+    those on the left are dashed, and those without a side thick. ground: height of a level one, or a plane. The mean
+    motion is turned to run to the right; places count from the mean of the first configuration, heights are as given.
+    The front view looks back at the animal and has its own scale.
     """
     rows = chosen(joints_m, limbs)
     if not len(rows):
@@ -77,7 +86,7 @@ def composites(
         cmap, norm = time_colours(time_s[rows])
         for axes, i, j, limits, mm_per_m in views:
             for pose, t in zip(points, time_s[rows], strict=True):
-                _draw(axes, pose[:, [i, j]], limbs, cmap(norm(t)))
+                _draw(axes, pose[:, [i, j]], limbs, sides, cmap(norm(t)))
             axes.set_xlim(*limits[i])
             axes.set_ylim(*limits[j])
             axes.set_aspect("equal")
@@ -107,7 +116,7 @@ def composites(
         figure.colorbar(ScalarMappable(norm, cmap), cax=bar, orientation="horizontal", label="time (s)")
         bar.plot(time_s[rows], np.full(len(rows), 0.5), "k|", ms=5, transform=bar.get_xaxis_transform(), clip_on=False)
         corner = left / WIDTH_MM, 1 - (lowest + 26) / height
-        handles = _handles(limbs, ground is not None)
+        handles = _handles({sides.get(limb) for limb in limbs}, ground is not None)
         figure.legend(handles=handles, loc="upper left", ncols=2, bbox_to_anchor=corner)
     return figure
 
@@ -140,25 +149,22 @@ def run_frame(joints_m: Array, time_s: Array, rows: NDArray[np.intp]) -> tuple[A
     return np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]), origin
 
 
-def side_of(limb: str) -> str:
-    """ "left", "right" or "" by a limb's name."""
-    name = limb.lower()
-    return next((s for s in ("left", "right") if name.startswith((s, f"{s[0]}_"))), "")
-
-
-def _draw(axes: Axes, points: Array, limbs: Mapping[str, Sequence[int]], colour: tuple) -> None:
+def _draw(
+    axes: Axes,
+    points: Array,
+    limbs: Mapping[str, Sequence[int]],
+    sides: Mapping[str, Side | None],
+    colour: tuple,
+) -> None:
     for limb, joints in limbs.items():
-        side = side_of(limb)
-        dashes = {"left": LEFT, "right": RIGHT}.get(side, MIDDLE)
-        axes.plot(*points[list(joints)].T, color=colour, lw=0.9 if side else 1.6, linestyle=dashes, zorder=2)
+        dashes, wide, _ = STYLES[sides.get(limb)]
+        axes.plot(*points[list(joints)].T, color=colour, lw=wide, linestyle=dashes, zorder=2)
 
 
-def _handles(limbs: Mapping[str, Sequence[int]], ground: bool) -> list[Line2D]:
+def _handles(sides: set[Side | None], ground: bool) -> list[Line2D]:
     from matplotlib.lines import Line2D
 
-    sides = {side_of(limb) for limb in limbs}
-    styles = {"left": (LEFT, 0.9, "left side"), "right": (RIGHT, 0.9, "right side"), "": (MIDDLE, 1.6, "the rest")}
-    shown = [style for side, style in styles.items() if side in sides] if sides != {""} else []
+    shown = [style for side, style in STYLES.items() if side in sides] if sides != {None} else []
     lines = [Line2D([], [], color="k", lw=lw, linestyle=dashes, label=label) for dashes, lw, label in shown]
     return lines + [Line2D([], [], color=GREY, lw=0.8, label="ground")] * ground
 

@@ -43,7 +43,7 @@ def views(body: Body, title: str = "") -> Figure:
         for axes, (view, coordinates) in zip(panels, VIEWS.items(), strict=True):
             _limbs(axes, body, points[:, coordinates])
             for point, marker in zip(points[:, coordinates], body.markers, strict=True):
-                axes.plot(*point, ".", color=_SIDE_COLOURS[side_of(marker)], markersize=4)
+                axes.plot(*point, ".", color=_SIDE_COLOURS[body.side_of(marker)], markersize=4)
             _name(axes, points[:, coordinates], labels[view], across)
             _scale(axes, points[:, coordinates], across)
             _frame(axes, view)
@@ -92,9 +92,9 @@ def _limbs(
     to lay out."""
     at = {marker: j for j, marker in enumerate(body.markers)}
     lines: dict[str, list[Array]] = {}
-    for along in body.limbs.values():
-        sides = {side_of(marker) for marker in along} - {None}
-        own = colour or _SIDE_COLOURS[next(iter(sides)) if len(sides) == 1 else None]
+    sides = body.limb_sides()
+    for limb, along in body.limbs.items():
+        own = colour or _SIDE_COLOURS[sides[limb]]
         for a, b in pairwise(at[marker] for marker in along):
             if only is None or only[a] or only[b]:
                 lines.setdefault(own, []).append(np.stack([points[a], points[b], [np.nan, np.nan]]))

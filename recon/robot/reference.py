@@ -22,7 +22,6 @@ from scipy.spatial.transform import Rotation
 
 from recon.analysis.clip import ClipAnalysis, analyse
 from recon.analysis.gait import Method, Stance, Tracks
-from recon.body import other_side, side_of
 from recon.errors import InputError, Problem
 from recon.results import Results
 
@@ -185,11 +184,12 @@ def _angles(analysis: ClipAnalysis, rows: NDArray[np.intp], to_world: Rotation, 
 
 
 def _pairs(results: Results) -> list[tuple[str, str]]:
-    """Where the legs hang on the trunk: the first joint of a limb to a foot that has a side, left and right."""
-    feet = {*results.feet.values()}
+    """Where the legs hang on the trunk: the first joints of the limbs to a left and a right foot that differ."""
     limbs = [[results.pose.names[j] for j in along] for along in results.limbs.values()]
-    first = [next((n for n in along if side_of(n)), "") for along in limbs if along[-1] in feet]
-    return [(name, other_side(name)) for name in first if side_of(name) == "left" and other_side(name) in first]
+    to_foot = {label: next((a for a in limbs if a[-1] == foot), []) for label, foot in results.feet.items()}
+    legs = [(to_foot.get(f"L{end}", []), to_foot.get(f"R{end}", [])) for end in "FH"]
+    first = [next((pair for pair in zip(*both, strict=False) if pair[0] != pair[1]), None) for both in legs]
+    return [pair for pair in first if pair is not None]
 
 
 def _above_standing(tracks: Tracks, rows: NDArray[np.intp], standing: Mask) -> Array:

@@ -16,10 +16,11 @@ import rerun as rr
 import rerun.blueprint as rrb
 from numpy.typing import NDArray
 
+from recon.body import Side
 from recon.robot.quadruped import LEGS
 from recon.robot.retarget import RobotMotion
 from recon.view.layout import held_at, plot
-from recon.view.scene import BACKGROUND, DETECTION, GRID, LEFT, LIMB_COLOURS, MIDDLE, PATH, RIGHT, TRAIL, strips
+from recon.view.scene import BACKGROUND, DETECTION, GRID, LEFT, LIMB_COLOURS, PATH, RIGHT, SIDE_COLOURS, TRAIL, strips
 from recon.view.series import Series, line_style, state_columns, state_style
 
 Array = NDArray[np.float64]
@@ -32,10 +33,12 @@ GRID_LINES = 60
 
 @dataclass(frozen=True, eq=False)
 class Companion:
-    """The animal: points (N, J, 3) in the robot's world and of its size, and the limbs, by name, as their indices."""
+    """The animal: points (N, J, 3) in the robot's world and of its size, and the limbs, by name, as their indices, with
+    the side of each."""
 
     points_m: Array
     limbs: dict[str, tuple[int, ...]]
+    limb_sides: dict[str, Side | None]
     title: str
 
 
@@ -70,7 +73,8 @@ def write_robot(
     if companion is not None:
         animal = companion.points_m
         limbs = [list(along) for along in companion.limbs.values()]
-        style = rr.LineStrips3D.from_fields(colors=_limb_colours(companion), radii=0.02 * size)
+        colours_of_limbs = [SIDE_COLOURS[companion.limb_sides[limb]] for limb in companion.limbs]
+        style = rr.LineStrips3D.from_fields(colors=colours_of_limbs, radii=0.02 * size)
         stream.log("world/animal", style, static=True)
         lines = [[pose[along] for along in limbs] for pose in animal]
         stream.send_columns("world/animal", times, strips(rr.LineStrips3D, lines))
@@ -97,11 +101,6 @@ def _angles(motion: RobotMotion, label: str) -> Series:
     names, values = motion.robot.legs[label].joints, np.degrees(motion.leg_angles(label))
     colours = [LIMB_COLOURS[k % len(LIMB_COLOURS)] for k in range(len(names))]
     return Series(f"angles/{label}", f"{label}, degrees", names, colours, values)
-
-
-def _limb_colours(companion: Companion) -> list[tuple[int, int, int]]:
-    sides = [name.split()[0] for name in companion.limbs]
-    return [{"left": LEFT, "right": RIGHT}.get(side, MIDDLE) for side in sides]
 
 
 def _middle(motion: RobotMotion, companion: Companion | None) -> tuple[Array, float]:

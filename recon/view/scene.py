@@ -10,7 +10,7 @@ import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
-from recon.body import side_of
+from recon.body import Side
 from recon.initialise import level_axes
 from recon.motion import Motion, TrajectoryMotion
 from recon.solve import Spell
@@ -32,6 +32,7 @@ LIMB_COLOURS: tuple[Colour, ...] = ((0, 158, 115), (86, 180, 233), (230, 159, 0)
 """Of the limbs of one side, in their order: hind leg, spine, front leg, and two to spare."""
 LEFT, RIGHT, MIDDLE = (86, 180, 233), (230, 159, 0), (0, 158, 115)
 """Of the limbs of a whole animal."""
+SIDE_COLOURS: dict[Side | None, Colour] = {"left": LEFT, "right": RIGHT, None: MIDDLE}
 DETECTION, OUTLIER, LINK = (255, 255, 255), (235, 60, 40), (204, 121, 167)
 PATH, TRAIL, GRID, CAMERA, EDGE = (110, 110, 120), (240, 228, 66), (58, 64, 74), (190, 190, 200), (130, 130, 140)
 BACKGROUND = (18, 21, 27)
@@ -126,11 +127,7 @@ def limb_colours(motion: Motion) -> list[Colour]:
     """One per limb: of a whole animal by its side, otherwise one after the other."""
     if motion.side is not None:
         return [LIMB_COLOURS[i % len(LIMB_COLOURS)] for i in range(len(motion.limbs))]
-    colours = []
-    for joints in motion.limbs.values():
-        sides = {side_of(motion.names[j]) for j in joints} - {None}
-        colours.append(LEFT if sides == {"left"} else RIGHT if sides == {"right"} else MIDDLE)
-    return colours
+    return [SIDE_COLOURS[side] for side in motion.limb_sides.values()]
 
 
 def joint_limbs(motion: Motion) -> NDArray[np.int64]:

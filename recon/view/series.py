@@ -9,7 +9,7 @@ import numpy as np
 import rerun as rr
 
 from recon.analysis.path import frame_jitter_m, speed_at_frames
-from recon.body import side_of
+from recon.body import side_of, without_side
 from recon.motion import FrameMotion, Motion, TrajectoryMotion
 from recon.skeleton import Skeleton
 from recon.view.scene import (
@@ -17,7 +17,6 @@ from recon.view.scene import (
     LEFT,
     LIMB_COLOURS,
     LINK,
-    MIDDLE,
     OUTLIER,
     RIGHT,
     TRAIL,
@@ -63,10 +62,10 @@ def write_states(motion: TrajectoryMotion, send: Send, fix: Fix) -> None:
 
     doubts = [", ".join(flags) for flags in motion.solution.flags]
     state("states/doubt", doubts, dict.fromkeys(dict.fromkeys(filter(None, doubts)), OUTLIER))
-    for foot, contact in zip(motion.feet, motion.solution.contact.T, strict=True):
-        name = motion.names[foot]
-        colour = {"left": LEFT, "right": RIGHT}.get(side_of(name) or "", MIDDLE)
-        state(f"states/{name}", ["stance" if c > STANCE else "" for c in contact], {"stance": colour})
+    colours = {"L": LEFT, "R": RIGHT}
+    for foot, label, contact in zip(motion.feet, motion.foot_labels, motion.solution.contact.T, strict=True):
+        stances = ["stance" if c > STANCE else "" for c in contact]
+        state(f"states/{motion.names[foot]}", stances, {"stance": colours[label[0]]})
 
 
 # -- how it is written ----------------------------------------------------------------------------------------------
@@ -99,16 +98,14 @@ def angle_series(motion: Motion) -> list[Series]:
             Series("angles/phi", "φ, transverse angles (°)", [f"φ{name}" for name in names], colours, phi),
         ]
     found = []
-    for entity, title, prefix in (
-        ("angles/left", "Left legs (°)", "l_"),
-        ("angles/right", "Right legs (°)", "r_"),
-        ("angles/middle", "Middle (°)", ""),
+    for entity, title, side in (
+        ("angles/left", "Left legs (°)", "left"),
+        ("angles/right", "Right legs (°)", "right"),
+        ("angles/middle", "Middle (°)", None),
     ):
-        chosen = [
-            i for i, n in enumerate(motion.angle_names) if (n[:2] == prefix if prefix else n[:2] not in ("l_", "r_"))
-        ]
+        chosen = [i for i, name in enumerate(motion.angle_names) if side_of(name) == side]
         if chosen:
-            names = [motion.angle_names[i].removeprefix(prefix).replace("_", " ") for i in chosen]
+            names = [without_side(motion.angle_names[i]).replace("_", " ") for i in chosen]
             colours = [_ANGLE_COLOURS[i % len(_ANGLE_COLOURS)] for i in range(len(names))]
             found.append(Series(entity, title, names, colours, degrees[:, chosen]))
     return found
