@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import struct
 import warnings
 from dataclasses import replace
 from pathlib import Path
@@ -441,6 +442,48 @@ def test_real_trc(shared_data):
     assert "which way is up" in read_pose3d(path).notes[1]
     # Under y up, which is wrong for this file, what it calls y is our z.
     np.testing.assert_array_equal(read_pose3d(path).xyz_m[..., 2], pose.xyz_m[..., 1])
+
+
+def c3d_bytes(processor: int, integers: bool) -> bytes:
+    """Two frames, 5 and 6, of two points and one analog channel, on the computer of choice (84 Intel, 85 DEC, 86 MIPS);
+    the second point is missing in the first frame."""
+    order = ">" if processor == 86 else "<"
+
+    def floats(*values: float) -> bytes:
+        if processor != 85:
+            return struct.pack(f"{order}{len(values)}f", *values)
+        return b"".join(data[2:] + data[:2] for v in values for data in [struct.pack("<f", 4 * v)])
+
+    def words(*values: int) -> bytes:
+        return struct.pack(f"{order}{len(values)}h", *values)
+
+    def record(name: str, group: int, rest: bytes) -> bytes:
+        return struct.pack("bb", len(name), group) + name.encode() + words(2 + len(rest)) + rest
+
+    scale = 0.5 if integers else -1.0
+    records = record("POINT", -1, b"\0") + record("RATE", 1, b"\4\0" + floats(50.0) + b"\0")
+    records += record("LABELS", 1, b"\xff\2\4\2" + b"noseear " + b"\0") + record("UNITS", 1, b"\xff\1\2mm\0")
+    records += record("SCALE", 1, b"\4\0" + floats(scale) + b"\0") + record("Y_SCREEN", 1, b"\xff\1\2+Y\0")
+    section = (bytes([1, 0x50, 1, processor]) + records).ljust(512, b"\0")
+    header = bytes([2, 0x50]) + words(2, 1, 5, 6, 0) + floats(scale) + words(3, 1) + floats(50.0)
+    rows = [(2, 4, 6, 0, 0, 0, 0, -1, 9), (8, 10, 12, 0, 14, 16, 18, 0, 9)]
+    data = b"".join(words(*row) if integers else floats(*row) for row in rows)
+    return header.ljust(512, b"\0") + section + data
+
+
+@pytest.mark.parametrize("integers", [False, True])
+@pytest.mark.parametrize("processor", [84, 85, 86])
+def test_c3d_of_other_computers(tmp_path, processor, integers):
+    path = tmp_path / "a.c3d"
+    path.write_bytes(c3d_bytes(processor, integers))
+    pose = read_pose3d(path)
+    assert (pose.names, pose.fps, pose.frames.tolist()) == (("nose", "ear"), 50.0, [4, 5])
+    scale = 0.5 if integers else 1.0
+    # y up: x forwards, y up, z right becomes x, -z, y
+    expected = np.array([[[2, -6, 4], [NAN, NAN, NAN]], [[8, -12, 10], [14, -18, 16]]]) * scale / 1000
+    np.testing.assert_allclose(pose.xyz_m, expected, rtol=1e-6)
+    path.write_bytes(c3d_bytes(processor, integers)[:-1])
+    assert "bytes of" in refused(path, read=read_pose3d)[0]
 
 
 def test_real_c3d(shared_data):

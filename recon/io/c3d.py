@@ -1,107 +1,209 @@
 """C3D files of marker positions: the unit and the screen's axes in the header; a missing point has residual -1.
 
-C3D counts frames from 1: its frame 1 is frame 0 here. Our own files list their frame numbers.
+C3D counts frames from 1: its frame 1 is frame 0 here. Our own files list their frame numbers. The format (c3d.org,
+user guide): blocks of 512 bytes; a header, a section of parameters in groups, and for each frame four numbers of every
+point, x, y, z and a word with the residual, followed by the analog samples. Numbers are those of one of three kinds of
+processor.
 """
 
 from __future__ import annotations
 
 import struct
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from recon.errors import InputError, Problem
-from recon.io.common import formats_extra, frames_of_text, name_problems, rate
+from recon.io.common import frames_of_text, name_problems, rate
 from recon.io.pose import UNIT_NAMES, StoredPose
 
 OWN_GROUP = "RECON"
-SIGN_BYTE = {84: 15, 85: 13, 86: 12}
-"""By kind of processor (Intel, DEC, MIPS): the byte of the header with the sign of the scale, negative for floats."""
+BLOCK = 512
+KEY = 0x50
+INTEL, DEC, MIPS = 84, 85, 86
+"""Kinds of processor: the order of bytes, and DEC's own floats."""
+
+Parameters = dict[str, dict[str, Any]]
+"""By group and name: lists of texts, or arrays."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Content:
+    """xyz (T, J, 3), NaN where a point is missing; first: the number of the first frame, from 1."""
+
+    parameters: Parameters
+    xyz: np.ndarray
+    first: int
 
 
 def recognises(path: Path) -> bool:
     """By the key of the header and the kind of processor of the parameters."""
     with path.open("rb") as file:
         head = file.read(2)
-        if len(head) < 2 or head[1] != 0x50 or not head[0]:
+        if len(head) < 2 or head[1] != KEY or not head[0]:
             return False
-        file.seek(512 * (head[0] - 1) + 3)
-        return file.read(1) in {bytes([p]) for p in SIGN_BYTE}
+        file.seek(BLOCK * (head[0] - 1) + 3)
+        return file.read(1) in {bytes([p]) for p in (INTEL, DEC, MIPS)}
 
 
 def read_pose(path: Path, individual: str | None = None) -> StoredPose:
     """Raises InputError for a damaged file, and for a choice of animals: C3D has one."""
     if individual is not None:
         raise InputError(Problem(path, "individual", "a file without named animals", f"an animal '{individual}'"))
-    _require_whole(path)
-    with formats_extra(path):
-        import ezc3d
     try:
-        file = ezc3d.c3d(str(path))
-        xyz = np.array(file["data"]["points"][:3], dtype=float).transpose(2, 1, 0)
-        residual = np.array(file["data"]["meta_points"]["residuals"][0], dtype=float).T
-        parameters = {
-            group: {name: entry["value"] for name, entry in entries.items() if "value" in entry}
-            for group, entries in file["parameters"].items()
-        }
-        first = int(file["header"]["points"]["first_frame"])
-    except (OSError, ValueError, RuntimeError, IndexError, KeyError, TypeError, MemoryError) as error:
+        content = _content(path.read_bytes())
+    except (ValueError, IndexError, struct.error) as error:
         raise InputError(Problem(path, "content", f"data that cannot be read ({error})", "a whole C3D file")) from None
-    point = parameters.get("POINT", {})
+    xyz, point = content.xyz, content.parameters.get("POINT", {})
     T, J = xyz.shape[:2]
-    names = tuple(str(name).strip() for name in _labels(point))[:J]
+    names = tuple(_labels(point))[:J]
     problems = name_problems(path, "POINT:LABELS", names)
-    fps = rate(str(np.float32(point["RATE"][0]))) if len(point.get("RATE", ())) else None
-    unit = UNIT_NAMES.get(str(point["UNITS"][0]).strip()) if len(point.get("UNITS", ())) else None
+    fps = rate(str(np.float32(number))) if (number := _first(point.get("RATE"))) is not None else None
     if len(names) != J:
         problems.append(Problem(path, "POINT:LABELS", f"{len(names)} names", f"{J}, one for each point"))
     if not T:
         problems.append(Problem(path, "points", "no frames", "at least one"))
     if fps is None:
         problems.append(Problem(path, "POINT:RATE", "nothing", "frames per second"))
-    xyz[residual < 0] = np.nan
     if np.isinf(xyz).any():
         problems.append(Problem(path, "points", "infinite coordinates", "numbers"))
     if problems:
         raise InputError(problems)
-    frames, listed = _frames(parameters, first, T), frames_of_text(parameters.get(OWN_GROUP, {}).get("FRAMES", ()))
+    listed = frames_of_text(_texts(content.parameters.get(OWN_GROUP, {}).get("FRAMES")))
+    frames = np.arange(T) + content.first - 1
     if listed is not None and len(listed) <= T and listed[-1] - listed[0] == T - 1:
         frames, xyz = listed, xyz[listed - listed[0]]
+    unit = UNIT_NAMES.get("".join(_texts(point.get("UNITS"))[:1]))
     return StoredPose(names, xyz, frames, fps=fps, unit=unit, up=_up(point))
-
-
-def _require_whole(path: Path) -> None:
-    """Raises InputError for a file that is shorter than its header says: the library would crash."""
-    content = path.read_bytes()
-    parameters = 512 * (content[0] - 1)
-    processor = content[parameters + 3]
-    order = ">" if processor == 86 else "<"
-    header = content[:18].ljust(18, b"\0")
-    points, analogs, first, last, _, _, _, block = struct.unpack_from(f"{order}8H", header, 2)
-    floats = bool(header[SIGN_BYTE[processor]] & 0x80)
-    size = 512 * (block - 1) + (last - first + 1) * (4 * points + analogs) * (4 if floats else 2)
-    shortest = max(size, parameters + 512 * content[parameters + 2])
-    if block < 2 or len(content) < shortest:
-        found = f"{len(content)} bytes of {shortest} that the header announces"
-        raise InputError(Problem(path, "content", found, "a whole C3D file"))
 
 
 def _labels(point: dict[str, Any]) -> list[str]:
     """LABELS holds 255 names; more follow in LABELS2, LABELS3, ..."""
-    more = sorted((name for name in point if name.startswith("LABELS")), key=lambda n: int(n[6:] or 1))
-    return [label for name in more for label in point[name]]
-
-
-def _frames(parameters: dict[str, Any], first: int, T: int) -> np.ndarray:
-    """Frame numbers from 0; the two words of TRIAL:ACTUAL_START_FIELD hold what the header is too small for."""
-    words = parameters.get("TRIAL", {}).get("ACTUAL_START_FIELD", ())
-    if len(words) == 2:
-        first = (int(words[0]) & 0xFFFF) + ((int(words[1]) & 0xFFFF) << 16) - 1
-    return np.arange(T) + max(first, 0)
+    found = _texts(point.get("LABELS"))
+    more = 2
+    while f"LABELS{more}" in point:
+        found += _texts(point[f"LABELS{more}"])
+        more += 1
+    return found
 
 
 def _up(point: dict[str, Any]) -> str | None:
     """The axis that points up on the screen."""
-    screen = [str(text).strip().upper() for text in point.get("Y_SCREEN", ())]
+    screen = [text.upper() for text in _texts(point.get("Y_SCREEN"))]
     return {"+Z": "z", "Z": "z", "+Y": "y", "Y": "y"}.get(screen[0]) if screen else None
+
+
+# -- the file -----------------------------------------------------------------------------------------------------
+
+
+def _content(content: bytes) -> _Content:
+    """Raises ValueError, IndexError or struct.error for a file that is damaged or cut off."""
+    start = BLOCK * (content[0] - 1)
+    processor = content[start + 3]
+    order = ">" if processor == MIPS else "<"
+    points, analogs, first, last, _ = struct.unpack_from(f"{order}5H", content, 2)
+    block = struct.unpack_from(f"{order}H", content, 16)[0]
+    scale = float(_floats(content[12:16], processor)[0])
+    parameters = _parameters(content[start : start + BLOCK * content[start + 2]], processor)
+    point = parameters.get("POINT", {})
+    if (stated := _first(point.get("SCALE"))) is not None:
+        scale = float(stated)
+    first, last = _range(parameters, first, last)
+    T, width = max(last - first + 1, 0) if points or analogs else 0, 4 * points + analogs
+    begin, item = BLOCK * (block - 1), 4 if scale < 0 else 2
+    if block < 2 or not np.isfinite(scale) or begin + T * width * item > len(content):
+        raise ValueError(f"{len(content)} bytes of {begin + T * width * item} that the header announces")
+    values = content[begin : begin + T * width * item]
+    if item == 4:
+        rows = _floats(values, processor).reshape(T, width)[:, : 4 * points].reshape(T, points, 4)
+        xyz, word = rows[..., :3].astype(float), rows[..., 3]
+    else:
+        rows = np.frombuffer(values, f"{order}i2").reshape(T, width)[:, : 4 * points].reshape(T, points, 4)
+        xyz, word = rows[..., :3] * scale, rows[..., 3]
+    xyz[~(word >= 0)] = np.nan
+    return _Content(parameters, xyz, max(first, 1))
+
+
+def _range(parameters: Parameters, first: int, last: int) -> tuple[int, int]:
+    """First and last frame, from 1: of TRIAL, whose two words hold what the header is too small for, or the header."""
+    trial = parameters.get("TRIAL", {})
+    return _of_words(trial.get("ACTUAL_START_FIELD"), first), _of_words(trial.get("ACTUAL_END_FIELD"), last)
+
+
+def _of_words(value: Any, otherwise: int) -> int:
+    """The number that two words make, the lower first; another one for anything else than two words."""
+    if not isinstance(value, np.ndarray) or value.size != 2 or value.dtype.kind != "i":
+        return otherwise
+    low, high = (int(word) & 0xFFFF for word in value.ravel())
+    return low | high << 16
+
+
+def _parameters(section: bytes, processor: int) -> Parameters:
+    """Records: length of the name (negative: locked), number of the group (negative: a group itself), name, distance
+    to the next record from here, and for a parameter its type, dimensions and data."""
+    groups: dict[int, str] = {}
+    found: dict[int, dict[str, Any]] = {}
+    order = ">h" if processor == MIPS else "<h"
+    at = 4
+    while at + 2 <= len(section):
+        length, group = struct.unpack_from("bb", section, at)
+        if not length or not group:
+            break
+        name = section[at + 2 : at + 2 + abs(length)].decode("latin-1").upper()
+        at += 2 + abs(length)
+        distance = struct.unpack_from(order, section, at)[0]
+        if group < 0:
+            groups[-group] = name
+        else:
+            found.setdefault(group, {})[name] = _value(section, at + 2, processor)
+        if not distance:
+            break
+        if distance < 2:
+            raise ValueError("parameters that do not follow one another")
+        at += distance
+    return {groups.get(group, f"{group}"): values for group, values in found.items()}
+
+
+def _value(section: bytes, at: int, processor: int) -> Any:
+    """A parameter's data: texts of type -1, bytes of 1, whole numbers of 2, floats of 4."""
+    kind, dimensions = struct.unpack_from("bB", section, at)
+    shape = tuple(section[at + 2 : at + 2 + dimensions])
+    at += 2 + dimensions
+    if len(shape) != dimensions or dimensions > 7 or kind not in (-1, 1, 2, 4):
+        raise ValueError("a parameter of an unknown type")
+    size = int(np.prod(shape, dtype=np.int64)) * abs(kind)
+    data = section[at : at + size]
+    if len(data) < size:
+        raise ValueError("a parameter that is cut off")
+    if kind == -1:
+        width = shape[0] if shape else 1
+        return [_text(data[i : i + width]) for i in range(0, size, width or 1)]
+    order = ">" if processor == MIPS else "<"
+    values = _floats(data, processor) if kind == 4 else np.frombuffer(data, "i1" if kind == 1 else f"{order}i2")
+    return values.reshape(shape[::-1])
+
+
+def _floats(data: bytes, processor: int) -> np.ndarray:
+    """(N,): DEC's have their halves swapped, and another exponent."""
+    if processor == DEC:
+        halves = np.frombuffer(data, "<u2").reshape(-1, 2)
+        return np.ascontiguousarray(halves[:, ::-1]).view("<f4").ravel() / 4
+    return np.frombuffer(data, ">f4" if processor == MIPS else "<f4")
+
+
+def _text(data: bytes) -> str:
+    try:
+        return data.decode("utf-8").strip(" \0")
+    except UnicodeDecodeError:
+        return data.decode("latin-1").strip(" \0")
+
+
+def _texts(value: Any) -> list[str]:
+    return list(value) if isinstance(value, list) else []
+
+
+def _first(value: Any) -> float | None:
+    """The first number of a parameter."""
+    return float(value.ravel()[0]) if isinstance(value, np.ndarray) and value.size else None
