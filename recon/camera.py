@@ -173,6 +173,17 @@ class Camera:
         uv = np.asarray(pixels, dtype=float)
         return np.asarray(((uv >= -0.5) & (uv <= np.array(self.image_size_px) - 0.5)).all(axis=-1))
 
+    def sees(self, pixels: npt.ArrayLike) -> BoolArray:
+        """Whether something found at pixels (..., 2) can be in the picture: no further outside than the picture is
+        wide and high, and with a ray. False for NaN.
+
+        Trackers and interpolation carry points a little over the edge. What lies further out is a mistake, and a lens
+        model has no say there.
+        """
+        uv, size = np.asarray(pixels, dtype=float), np.array(self.image_size_px)
+        near = np.asarray(((uv >= -size) & (uv <= 2 * size)).all(axis=-1))
+        return near & self.rays(np.where(near[..., None], uv, np.nan))[1]
+
     # ---- the way back ----
 
     def rays(self, pixels: npt.ArrayLike) -> tuple[FloatArray, BoolArray]:

@@ -1,4 +1,5 @@
 import pickle
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -338,3 +339,15 @@ def test_dict_and_pickle_round_trips(posed):
     for copy in (Camera.from_dict(camera.to_dict()), pickle.loads(pickle.dumps(camera))):
         assert copy.to_dict() == camera.to_dict()
         np.testing.assert_array_equal(copy.project((0.1, 0.2, 1))[0], camera.project((0.1, 0.2, 1))[0])
+
+
+def test_points_that_no_detector_can_have_found_are_not_seen():
+    """A picture's size outside the picture is the limit, and the lens's range; no size of a number is too much."""
+    wide = Camera.from_hfov(60.0, (1920, 1080))
+    points = np.array(
+        [[0, 0], [-1900, 500], [-1930, 500], [3830, 500], [500, 2170], [np.nan, 1], [1e300, 1], [1, -np.inf]],
+        dtype=float,
+    )
+    assert wide.sees(points).tolist() == [True, True, False, True, False, False, False, False]
+    fisheye = replace(wide, model="fisheye", distortion=np.array([-0.3, 0.0, 0.0, 0.0]))
+    assert fisheye.sees([[960.0, 900.0], [960.0, 1900.0]]).tolist() == [True, False]

@@ -10,7 +10,16 @@ import pytest
 from recon.initialise import mean_pose
 from recon.objectives import JointPositions, Reprojection
 from recon.skeleton_file import load_skeleton
-from recon.solve import CONVERGED, FrameOptions, evaluate, precision_shares, solve_frames, solve_joints
+from recon.solve import (
+    CONVERGED,
+    FrameOptions,
+    evaluate,
+    frame,
+    posterior_covariance,
+    precision_shares,
+    solve_frames,
+    solve_joints,
+)
 from recon.synthetic import add_noise, gallop
 
 SK = load_skeleton("cheetah-8u")
@@ -198,11 +207,71 @@ def test_precision_shares_of_a_problem_done_by_hand():
     D = SK.n_state
     s, p = 0.5, 2.0
     joints = SK.pose_with_jacobian(mean_pose(SK)[None]).joints_jacobian[0]
-    share, _, _ = precision_shares(np.eye(D) / s, np.concatenate([np.eye(D) / s, np.eye(D) / p]), joints)
+    C = posterior_covariance(np.concatenate([np.eye(D) / s, np.eye(D) / p]))
+    np.testing.assert_allclose(C, np.eye(D) / (1 / s**2 + 1 / p**2), atol=1e-15)
+    share, _, _ = precision_shares(C, np.eye(D) / s, joints)
     np.testing.assert_allclose(share, p**2 / (s**2 + p**2))
-    assert np.isnan(precision_shares(np.eye(D)[:5], np.eye(D)[:5], joints)[0]).all()
+    undetermined = posterior_covariance(np.eye(D)[:5])
+    assert np.isnan(undetermined).all()
+    assert np.isnan(precision_shares(undetermined, np.eye(D)[:5], joints)[0]).all()
 
 
 def test_the_same_input_gives_the_same_states():
     clip = gallop(n_frames=8)
     np.testing.assert_array_equal(fit(clip, clip.keypoints, NOISY).states, fit(clip, clip.keypoints, NOISY).states)
+
+
+def test_a_pose_that_runs_away_is_no_part_of_the_solution():
+    """All points of a frame in one place: the best explanation is an animal far out of sight."""
+    clip = gallop(n_frames=4)
+    xy = clip.keypoints.xy_px.copy()
+    xy[2] = xy[2, :1]
+    solution = fit(clip, replace(clip.keypoints, xy_px=xy), NOISY)
+    assert np.isnan(solution.states[2]).all()
+    assert np.isfinite(solution.states[[0, 1, 3]]).all()
+    away, after = solution.reports[2], solution.reports[3]
+    assert away is not None
+    assert after is not None
+    assert (away.status, away.in_view, after.status, after.in_view) == ("not_converged", False, "converged", True)
+    assert "left the camera's view" in away.message
+    shares = (away.data_share, away.joint_data_share, away.joint_sigma_m, away.place_sigma_m, away.mean_weight)
+    assert all(np.isnan(values).all() for values in shares)
+
+
+def test_detections_outside_of_what_the_lens_can_see_are_left_out():
+    """All points of a frame 2,500 px off: without the frame, the solution is the same."""
+    clip = gallop(n_frames=3, camera_model="fisheye")
+    xy = clip.keypoints.xy_px.copy()
+    off, missing = xy.copy(), xy.copy()
+    off[1] += (2500.0, 300.0)
+    missing[1] = np.nan
+    solutions = [fit(clip, replace(clip.keypoints, xy_px=points), NOISY) for points in (off, missing)]
+    np.testing.assert_array_equal(solutions[0].states, solutions[1].states)
+    assert solutions[0].reports[1] is None
+
+
+def test_uncertainty_of_place_and_shape_done_by_hand():
+    """An uncertain root moves all joints alike; an uncertain size moves them in proportion."""
+    joints_m = np.array([[0.0, 0.0, 4.0], [0.0, 3.0, 4.0], [0.0, -3.0, 4.0]])
+    by_place, by_size = np.tile(np.eye(3), (3, 1, 1)), joints_m[..., None]
+    C = np.diag([0.1, 0.2, 0.3, 0.01]) ** 2
+    place, shape = frame.place_and_shape(C, np.concatenate([by_place, by_size], axis=2), joints_m)
+    assert place == pytest.approx(np.hypot(0.3, 0.01 * 4))
+    assert shape == pytest.approx(0.01 * 3 * np.sqrt(2 / 3))
+
+
+def test_what_a_clip_may_take_is_bounded(monkeypatch):
+    """Points at random have no pose: every start of every frame would take all the evaluations of a search."""
+    clip, done = gallop(n_frames=8), []
+    xy = np.random.default_rng(0).uniform((0, 0), (1920, 1080), clip.keypoints.xy_px.shape)
+    counted = frame.evaluate
+    monkeypatch.setattr(frame, "evaluate", lambda *given: done.append(1) or counted(*given))
+    options = replace(NOISY, max_evaluations=4, tolerance=1e-15)
+    solution = fit(clip, replace(clip.keypoints, xy_px=xy), options)
+    spent = 4 * (frame.SEARCHES * 8 + frame.SPARE_SEARCHES)
+    assert spent <= len(done) <= spent + 2 * 8  # a search that has begun takes one at least
+    stopped = [r for r in solution.reports if r is not None and r.stopped]
+    assert len(stopped) > 2
+    assert all("evaluations that the clip may take" in r.message for r in stopped)
+    ample = fit(clip, clip.keypoints, NOISY)
+    assert not any(r is not None and r.stopped for r in ample.reports)

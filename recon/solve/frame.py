@@ -11,12 +11,10 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import eigh
-from scipy.optimize import OptimizeResult, least_squares
 
 from recon.camera import Camera
 from recon.initialise import Travel, estimate_travel, geometric_start, state_from_joints
@@ -35,6 +33,9 @@ from recon.objectives import (
 )
 from recon.skeleton import MIN_JOINTS, Posed, Skeleton
 
+if TYPE_CHECKING:
+    from scipy.optimize import OptimizeResult
+
 Array = NDArray[np.float64]
 Status = Literal["converged", "not_converged", "no_data"]
 
@@ -43,6 +44,10 @@ CONVERGED = (1, 2, 3, 4)
 
 MIN_REACH_PX = 50.0
 """All links end to end shorter than this in the picture: too far away to have been detected."""
+MOST_SIZE = 10.0
+"""A base length so many times larger or smaller than expected is no animal's."""
+SEARCHES, SPARE_SEARCHES = 2, 10
+"""The clip may take so many times `FrameOptions.max_evaluations` for each frame, and so many times for all of them."""
 
 
 @dataclass(frozen=True)
@@ -53,7 +58,7 @@ class FrameOptions:
     them. camera_rotation: "fixed" holds R at the first frame's. base_length_m, base_sigma_m: in place of the
     skeleton's. sigma_px: the detector's noise; keypoint_sigma_m: how far keypoints lie from the model's joints, in
     place of the skeleton's, and at most keypoint_sigma_max_px in the picture. robust_c: residuals of this many sigmas
-    count half.
+    count half. max_evaluations: of the residuals, in one search; `SEARCHES` and `SPARE_SEARCHES` bound those in all.
     """
 
     form: Form = "deadband"
@@ -78,8 +83,12 @@ class FrameReport:
     each term's part of the squared norm. sigma_px: standard deviation of a detection. data_share (D,) and
     joint_data_share (J,): the part of the posterior precision that comes from the pixels, 0 to 1, NaN where data and
     priors together leave a quantity undetermined. joint_sigma_m (J, 3): posterior standard deviation in the camera
-    frame, given the frame before. solve_s: time spent on the frame, all starts. in_view: the camera can see the pose; a
-    pose that it cannot is not converged.
+    frame, given the frame before. mean_weight: how far the detections were trusted, 0 to 1. place_sigma_m: standard
+    deviation of the mean of all joints along the line of sight; relative_rms_m: what is expected of a joint's distance
+    from its true place once both poses are centred, root mean square over the joints. solve_s: time spent on the frame,
+    all starts. in_view: the camera can see the pose, and it has an animal's size; a pose that ran away is not
+    converged, not part of the solution, and has no shares and sigmas (NaN). stopped: the evaluations that the clip may
+    take up to this frame were spent before the frame's searches ended.
     """
 
     status: Status
@@ -101,13 +110,18 @@ class FrameReport:
     data_share: Array
     joint_data_share: Array
     joint_sigma_m: Array
+    mean_weight: float
+    place_sigma_m: float
+    relative_rms_m: float
     solve_s: float
     in_view: bool
+    stopped: bool
 
 
 @dataclass(frozen=True)
 class Solution:
-    """states (T, D), NaN where a frame has no data; one report a frame; the travel that the start came from."""
+    """states (T, D), NaN where a frame has no data or its pose ran away; one report a frame, None without data; the
+    travel that the start came from."""
 
     states: Array
     reports: tuple[FrameReport | None, ...]
@@ -162,8 +176,10 @@ def solve_frames(
     """Fit the chain frame by frame to detections xy_px (T, J, 2), NaN where missing, confidence (T, J).
 
     The joints are in the skeleton's order, frames fps apart. Never raises for a frame that cannot be solved: its report
-    says so. progress is called with the count of frames, the one in hand included.
+    says so. Detections that no detector can have found in the camera's picture are left out (`Camera.sees`). progress
+    is called with the count of frames, the one in hand included.
     """
+    xy_px = np.where(camera.sees(xy_px)[..., None], xy_px, np.nan)
     skeleton = replace(skeleton, nominal_base_length_m=base_length(skeleton, options)[0])
     travel = estimate_travel(camera, skeleton, xy_px, fps)
     objectives = frame_objectives(camera, skeleton, xy_px, confidence, travel, options)
@@ -179,9 +195,10 @@ def solve_frames(
         if seen[frame] < MIN_JOINTS:
             reports.append(None)
             continue
-        states[frame], report = solver.solve(frame, rays[frame], travel.heading[frame], states, before, fps)
+        state, report = solver.solve(frame, rays[frame], travel.heading[frame], states, before, fps)
         reports.append(report)
         if report.in_view:  # a pose that ran away is no start for the next frame
+            states[frame] = state
             before = [*before[-1:], frame]
     return Solution(states, tuple(reports), travel, tuple(term.name for term in objectives))
 
@@ -192,6 +209,8 @@ def solve_joints(skeleton: Skeleton, joints_m: Array, up: Array, tolerance: floa
     For joints from several cameras or motion capture. The roll about the first link is not determined by joints and
     stays near zero against the unit vector up (3,). NaN for frames in which a joint is missing.
     """
+    from scipy.optimize import least_squares  # slow to import
+
     target = JointPositions(joints_m, sigma_m=0.01)
     states = np.full((len(joints_m), skeleton.n_state), np.nan)
     for frame in np.flatnonzero(np.isfinite(joints_m).all(axis=(1, 2))):
@@ -240,11 +259,15 @@ class _FrameSolver:
         assert isinstance(reprojection, Reprojection)
         self.reprojection = reprojection
         self.focal_px = float(np.sqrt(camera.matrix[0, 0] * camera.matrix[1, 1]))
+        self.evaluations_left = SPARE_SEARCHES * options.max_evaluations
+        self.stopped = False
 
     def solve(
         self, frame: int, rays: Array, heading: Array, states: Array, before: Sequence[int], fps: float
     ) -> tuple[Array, FrameReport]:
         began = time.perf_counter()
+        self.evaluations_left += SEARCHES * self.options.max_evaluations
+        self.stopped = False
         starts = [self._carried_on(frame, states, before)] if before else self._first_starts(rays, heading)
         fixed = _Given(
             frame=frame,
@@ -252,10 +275,10 @@ class _FrameSolver:
             dt_s=(frame - before[-1]) / fps if before else 1.0 / fps,
             sigma_px=self._noise_px(starts[0]),
         )
-        tried = [self._solve_from(start, fixed) for start in starts]
+        tried = self._tried(starts, fixed)
         best = self._best(fixed, tried)
         if before and not self._explained(fixed, best):
-            tried += [self._solve_from(start, fixed) for start in self._more_starts(rays, heading, states[before[-1]])]
+            tried += self._tried(self._more_starts(rays, heading, states[before[-1]]), fixed)
             best = self._best(fixed, tried)
         return best.x, self._report(fixed, best, len(tried), began)
 
@@ -291,6 +314,16 @@ class _FrameSolver:
         return moved
 
     # -- one optimisation -----------------------------------------------------------------------------------------
+
+    def _tried(self, starts: Sequence[Array], fixed: _Given) -> list[_Candidate]:
+        """The minima from the starts, as far as the frame's evaluations go. At the frame's beginning there are some."""
+        tried = []
+        for start in starts:
+            if self.evaluations_left <= 0:
+                self.stopped = True
+                break
+            tried.append(self._solve_from(start, fixed))
+        return tried
 
     def _solve_from(self, start: Array, fixed: _Given) -> _Candidate:
         """The minimum from one start, approached with a wide loss where the start is far off for the noise.
@@ -331,6 +364,8 @@ class _FrameSolver:
                 residual(y)
             return last["J"][:, free]
 
+        from scipy.optimize import least_squares  # slow to import
+
         result = least_squares(
             residual,
             start[free],
@@ -340,8 +375,10 @@ class _FrameSolver:
             ftol=tolerance,
             xtol=tolerance,
             gtol=tolerance,
-            max_nfev=self.options.max_evaluations,
+            max_nfev=max(min(self.options.max_evaluations, self.evaluations_left), 1),
         )
+        self.evaluations_left -= int(result.nfev)
+        self.stopped |= self.evaluations_left <= 0 and result.status not in CONVERGED
         x[free] = result.x
         moves = np.linalg.norm(np.diff([*steps, result.x], axis=0), axis=1)
         step_norm = float(moves[moves > 0][-1]) if np.any(moves > 0) else 0.0
@@ -372,10 +409,13 @@ class _FrameSolver:
         return min(tried, key=lambda c: (not self._in_view(fixed, c.x), c.cost))
 
     def _in_view(self, fixed: _Given, state: Array) -> bool:
-        """Whether every detected joint can be projected, and the animal is near enough to be seen (MIN_REACH_PX)."""
+        """Whether every detected joint can be projected, and the animal has a size (MOST_SIZE) and is near enough to be
+        seen (MIN_REACH_PX)."""
+        base, nominal = float(state[self.skeleton.base_index]), self.skeleton.nominal_base_length_m
+        if not nominal / MOST_SIZE < base < nominal * MOST_SIZE:
+            return False
         depth = float(np.median(self.skeleton.pose(state[None]).joints_m[0, :, 2]))
-        reach_m = float(self.skeleton.length_ratios.sum()) * abs(float(state[self.skeleton.base_index]))
-        seen = reach_m * self.focal_px > MIN_REACH_PX * depth
+        seen = float(self.skeleton.length_ratios.sum()) * base * self.focal_px > MIN_REACH_PX * depth
         return seen and bool(np.all(np.isfinite(self._distances_px(fixed, state))))
 
     def _explained(self, fixed: _Given, candidate: _Candidate) -> bool:
@@ -395,8 +435,11 @@ class _FrameSolver:
         total = sum(costs.values())
         J = np.concatenate([j[0, :, -1] for _, j in parts])
         r = np.concatenate([r[0] for r, _ in parts])
-        data_share, joint_share, joint_sigma = precision_shares(parts[0][1][0, :, -1], J, now.joints_jacobian[0])
         in_view = self._in_view(fixed, best.x)
+        C = posterior_covariance(J) if in_view else np.full((len(best.x), len(best.x)), np.nan)
+        data_share, joint_share, joint_sigma = precision_shares(C, parts[0][1][0, :, -1], now.joints_jacobian[0])
+        place_sigma, relative_rms = place_and_shape(C, now.joints_jacobian[0], now.joints_m[0])
+        far = self._distances_px(fixed, best.x) / fixed.sigma_px
         return FrameReport(
             status="converged" if result.status in CONVERGED and in_view else "not_converged",
             starts=starts,
@@ -405,6 +448,7 @@ class _FrameSolver:
             jacobian_evaluations=best.jacobian_evaluations,
             optimizer_status=int(result.status),
             message=str(result.message)
+            + (" The evaluations that the clip may take up to here were spent." if self.stopped else "")
             + ("" if in_view else " The pose left the camera's view, or ended out of sight."),
             squared_norm=total,
             mean_residual=float(np.mean(np.abs(r))),
@@ -418,8 +462,12 @@ class _FrameSolver:
             data_share=data_share,
             joint_data_share=joint_share,
             joint_sigma_m=joint_sigma,
+            mean_weight=float(np.mean((1.0 + (far / self.options.robust_c) ** 2) ** -2.0)) if in_view else np.nan,
+            place_sigma_m=place_sigma,
+            relative_rms_m=relative_rms,
             solve_s=time.perf_counter() - began,
             in_view=in_view,
+            stopped=self.stopped,
         )
 
 
@@ -446,22 +494,38 @@ def evaluate(
     return np.concatenate(residuals), np.concatenate(jacobians)
 
 
-def precision_shares(J_data: Array, J: Array, joints_jacobian: Array) -> tuple[Array, Array, Array]:
-    """What the pixels contribute: shares of the unknowns (D,), of the joints (J,), and the joints' sigmas (J, 3) in m.
+def posterior_covariance(J: Array) -> Array:
+    """(D, D): C = (J'J)^-1 for the Jacobian J (M, D) of all residuals; all NaN where J'J is singular."""
+    from scipy.linalg import eigh  # slow to import
 
-    With H = J'J = H_data + H_priors and the posterior covariance C = H^-1, C = C H_data C + C H_priors C splits every
-    variance into two non-negative parts; the share is the first one's. J_data: the reprojection's rows of J.
-    joints_jacobian (J, 3, D). All NaN where H is singular.
-    """
     scale = np.maximum(np.linalg.norm(J, axis=0), 1e-12)
     values, vectors = eigh((J / scale).T @ (J / scale))
     if values[0] < 1e-10 * values[-1]:
-        n_joints, _, n_state = joints_jacobian.shape
-        return np.full(n_state, np.nan), np.full(n_joints, np.nan), np.full((n_joints, 3), np.nan)
-    C = (vectors / values) @ vectors.T / np.outer(scale, scale)
+        return np.full((J.shape[1], J.shape[1]), np.nan)
+    return (vectors / values) @ vectors.T / np.outer(scale, scale)
+
+
+def precision_shares(C: Array, J_data: Array, joints_jacobian: Array) -> tuple[Array, Array, Array]:
+    """What the pixels contribute: shares of the unknowns (D,), of the joints (J,), and the joints' sigmas (J, 3) in m.
+
+    With C^-1 = H_data + H_priors, C = C H_data C + C H_priors C splits every variance of the posterior covariance
+    C (D, D) into two non-negative parts; the share is the first one's. J_data: the reprojection's rows of the Jacobian.
+    joints_jacobian (J, 3, D). All NaN where C is.
+    """
     from_data = C @ (J_data.T @ J_data) @ C
     variance = np.einsum("jad,de,jae->ja", joints_jacobian, C, joints_jacobian)
     data_variance = np.einsum("jad,de,jae->ja", joints_jacobian, from_data, joints_jacobian)
     share = np.diag(from_data) / np.diag(C)
     joint_share = data_variance.sum(axis=1) / variance.sum(axis=1)
     return np.clip(share, 0, 1), np.clip(joint_share, 0, 1), np.sqrt(variance)
+
+
+def place_and_shape(C: Array, joints_jacobian: Array, joints_m: Array) -> tuple[float, float]:
+    """Standard deviation of the mean of all joints along the line of sight, and of the joints relative to their mean,
+    root mean square; from the covariance C (D, D) of the state, joints_jacobian (J, 3, D), joints_m (J, 3)."""
+    mean = joints_jacobian.mean(axis=0)
+    middle = joints_m.mean(axis=0)
+    along = middle / np.linalg.norm(middle) @ mean
+    apart = joints_jacobian - mean
+    relative = np.einsum("jad,de,jae->j", apart, C, apart)
+    return float(np.sqrt(along @ C @ along)), float(np.sqrt(relative.mean()))
