@@ -76,8 +76,10 @@ def drawing(height_mm: float, width_mm: float = WIDTH_MM) -> Iterator[Figure]:
         yield figure
         if not figure.axes:
             figure.text(0.5, 0.5, "no data", ha="center", va="center", color=GREY)
-        figure.draw_without_rendering()
-        figure.set_layout_engine("none")
+        layout = figure.get_layout_engine()
+        assert layout is not None
+        layout.execute(figure)
+        figure.set_layout_engine(None)
 
 
 def save(figure: Figure, folder: str | Path, stem: str) -> tuple[Path, Path]:
