@@ -37,9 +37,9 @@ demo: $(BASE)
 	@echo
 	@echo 'The results are in $(DEMO_OUT)/. To play them back: $(BIN)/recon view $(DEMO_OUT)'
 
-# pytest comes last, so that its summary is the last line.
+# pytest comes last, so that its summary is the last line. Tests run in one process for each processor.
 test: lint
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest --numprocesses logical --maxprocesses 8 --dist worksteal
 
 lint: $(DEV)
 	$(BIN)/ruff check .

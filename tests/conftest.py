@@ -3,8 +3,13 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
+
+# Before numpy is loaded: matrices are small here, and several processes share the cores.
+os.environ.update(dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1"))
 
 import numpy as np
 import pytest
@@ -34,32 +39,47 @@ SAMPLES = Path(__file__).resolve().parents[1] / "data" / "samples"
 
 
 @pytest.fixture(scope="session")
-def whole_results(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Folder of `recon fit` on the whole-animal sample, all options by default. Not to be written to."""
-    settings = FitSettings(keypoints=SAMPLES / "whole.csv", camera=SAMPLES / "camera.toml", fps=60)
-    out = tmp_path_factory.mktemp("whole") / "fit"
-    run_clip(settings, out)
-    return out
+def made_once(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str, Callable[[Path], object]], Path]:
+    """A folder that all processes of the tests share: `made_once(name, make)` is its path, `make(path)` writes it.
+
+    Two processes that need it at the same time both make it, and one of them is thrown away. Not to be written to.
+    """
+    own = tmp_path_factory.getbasetemp()
+    shared = own.parent if "PYTEST_XDIST_WORKER" in os.environ else own
+
+    def once(name: str, make: Callable[[Path], object]) -> Path:
+        path = shared / f"shared-{name}"
+        if not path.exists():
+            making = tmp_path_factory.mktemp(name) / name
+            make(making)
+            with suppress(OSError):  # the other process was first
+                making.rename(path)
+        return path
+
+    return once
 
 
 @pytest.fixture(scope="session")
-def level_results(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def whole_results(made_once) -> Path:
+    """Folder of `recon fit` on the whole-animal sample, all options by default. Not to be written to."""
+    settings = FitSettings(keypoints=SAMPLES / "whole.csv", camera=SAMPLES / "camera.toml", fps=60)
+    return made_once("whole", lambda out: run_clip(settings, out))
+
+
+@pytest.fixture(scope="session")
+def level_results(made_once) -> Path:
     """The same, without a calibration and with a tilt: results in the camera frame. Not to be written to."""
     settings = FitSettings(
         keypoints=SAMPLES / "whole.csv", hfov_deg=60, image_size_px=(1920, 1080), tilt_deg=3, fps=60, fast=True
     )
-    out = tmp_path_factory.mktemp("level") / "fit"
-    run_clip(settings, out)
-    return out
+    return made_once("level", lambda out: run_clip(settings, out))
 
 
 @pytest.fixture(scope="session")
-def frame_results(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def frame_results(made_once) -> Path:
     """Folder of `recon fit --method frame` on the noisy sample. Not to be written to."""
     settings = FitSettings(keypoints=SAMPLES / "noisy.csv", camera=SAMPLES / "camera.toml", fps=30, method="frame")
-    out = tmp_path_factory.mktemp("frame") / "fit"
-    run_clip(settings, out)
-    return out
+    return made_once("frame", lambda out: run_clip(settings, out))
 
 
 @pytest.fixture(scope="session")

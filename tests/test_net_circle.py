@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import re
+import shutil
 import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
+from networks import narrow_networks
 
 from recon.io import read_keypoints
 from recon.net.labels import read_labels
-from recon.video import probe, read_frames
+from recon.video import probe, read_frames, video_writer
 
 SAMPLES = Path(__file__).resolve().parents[1] / "data" / "samples"
 
@@ -53,16 +56,34 @@ def test_the_script_draws_the_film_again(tmp_path, monkeypatch):
     assert np.abs(drawn.astype(float) - stored).mean() < 4
 
 
-def test_the_circle_at_a_small_size(tmp_path):
-    """A few steps only: the points are poor, but every part gives what the next one takes."""
+def first_frames(folder: Path, count: int) -> Path:
+    """The beginning of the film, with its files, in a folder."""
+    shutil.copytree(SAMPLES, folder, ignore=lambda path, names: {n for n in names if not n.startswith("rendered")})
+    info = probe(SAMPLES / "rendered.mp4")
+    assert info.fps
+    with video_writer(folder / "rendered.mp4", info.size_px, info.fps) as write:
+        for _, picture in read_frames(SAMPLES / "rendered.mp4", 0, count):
+            write(picture)
+    for name in ("rendered_points.csv", "rendered_labels.csv"):
+        lines = (folder / name).read_text(encoding="utf-8").splitlines(keepends=True)
+        of_frame = [int(re.sub(r"\D", "", line.partition(",")[0])) for line in lines[3:]]
+        kept = [line for line, frame in zip(lines[3:], of_frame, strict=True) if frame < count]
+        (folder / name).write_text("".join(lines[:3] + kept), encoding="utf-8")
+    return folder
+
+
+def test_the_circle_at_a_small_size(tmp_path, monkeypatch):
+    """A few steps of a narrow network: the points are poor, but every part gives what the next one takes."""
     pytest.importorskip("torch")
     from recon.net.run import TrainSettings
     from recon.pipelines.net_circle import run_circle
 
-    settings = TrainSettings(steps=20, batch=2)
-    circle = run_circle(tmp_path, settings, device="cpu", threads=1, likelihood_min=0.0, fast=True, frames="30:50")
-    assert circle.points.frames == 50
-    assert circle.training["labelled_points"]["train"] > 600
+    narrow_networks(monkeypatch)
+    settings, film = TrainSettings(steps=6, batch=2), first_frames(tmp_path / "film", 50)
+    fit = {"likelihood_min": 0.0, "fast": True, "frames": "30:50"}
+    circle = run_circle(tmp_path, settings, samples=film, device="cpu", threads=1, **fit)
+    assert circle.points.frames == 50 - 22
+    assert circle.training["labelled_points"]["train"] > 330
     assert 0.01 < circle.noisy_m < 0.2
     assert circle.ratio > 0.5
     assert (tmp_path / "predicted" / "pose3d.csv").is_file()

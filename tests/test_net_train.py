@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from command_line import run
+from networks import EVALUATIONS, narrow_networks
 
 torch = pytest.importorskip("torch")
 
@@ -73,17 +74,28 @@ def train_in(out: Path, clip: Path, settings: TrainSettings = SHORT, **options: 
 
 @pytest.fixture(scope="module")
 def model(clip: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A network that knows the blobs."""
+    """A network of the users' size that knows the blobs."""
     out = tmp_path_factory.mktemp("model")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(train_module, "EVALUATIONS", 3)
-        train_in(out, clip, TrainSettings(steps=110, batch=4, seed=1, mirror=True))
+        patch.setattr(train_module, "EVALUATIONS", EVALUATIONS)
+        train_in(out, clip, TrainSettings(steps=50, batch=2, seed=1, mirror=True))
     return out
 
 
 @pytest.fixture(autouse=True)
 def few_evaluations(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(train_module, "EVALUATIONS", 3)
+    monkeypatch.setattr(train_module, "EVALUATIONS", EVALUATIONS)
+
+
+@pytest.fixture
+def quick(monkeypatch: pytest.MonkeyPatch) -> None:
+    quick_training(monkeypatch)
+
+
+def quick_training(patch: pytest.MonkeyPatch) -> None:
+    """Narrow networks, and no report."""
+    narrow_networks(patch)
+    patch.setattr("recon.pipelines.net.write_training_report", lambda run, state, folder: {})
 
 
 class Killed(Exception):
@@ -92,16 +104,16 @@ class Killed(Exception):
 
 @pytest.fixture(scope="module")
 def whole(clip: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A short run that nobody stopped."""
+    """A short run of a narrow network that nobody stopped."""
     out = tmp_path_factory.mktemp("whole")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(train_module, "EVALUATIONS", 3)
+        quick_training(patch)
         train_in(out, clip)
     return out
 
 
 @pytest.mark.parametrize("at", [0.5, 0.85])
-def test_a_run_that_is_killed_and_resumed_ends_in_the_same_weights(clip, whole, tmp_path, at):
+def test_a_run_that_is_killed_and_resumed_ends_in_the_same_weights(clip, whole, quick, tmp_path, at):
     """Before the validation pictures are learned from, too, and after; both times between two checkpoints."""
 
     def stop(stage: str, share: float, text: str) -> None:
@@ -171,7 +183,7 @@ def test_training_and_prediction_on_cuda(clip, tmp_path):
     np.testing.assert_allclose(points[0].xy_px, points[1].xy_px, atol=0.1)
 
 
-def test_another_seed_gives_other_weights(clip, tmp_path):
+def test_another_seed_gives_other_weights(clip, quick, tmp_path):
     for seed in (3, 4):
         train_in(tmp_path / str(seed), clip, TrainSettings(steps=2, batch=1, seed=seed))
     a, b = (load_file(tmp_path / name / "model.pt")["weights"]["scores.weight"] for name in "34")
@@ -182,7 +194,7 @@ def test_the_network_learns_the_blobs_and_the_report_says_so(clip, model):
     report = json.loads((model / "training.json").read_text(encoding="utf-8"))
     assert report["errors"]["validation"]["all"]["median_px"] < 2.5
     assert report["split"]["validation"] != {}
-    assert report["steps"] == 110
+    assert report["steps"] == 50
     assert report["parameters"] <= 3_000_000
     assert report["mirror_partners"] == {"l_paw": "r_paw", "r_paw": "l_paw"}
     assert report["labelled_points"]["train"] + report["labelled_points"]["validation"] == 29
@@ -246,7 +258,7 @@ def test_a_video_that_ends_before_its_stated_end(clip, model, tmp_path, monkeypa
     assert len(found.frames) == FRAMES
 
 
-def test_a_checkpoint_of_other_keypoints(clip, tmp_path):
+def test_a_checkpoint_of_other_keypoints(clip, quick, tmp_path):
     train_in(tmp_path / "out", clip, TrainSettings(steps=1, batch=1))
     text = (clip / "labels.csv").read_text(encoding="utf-8").replace("nose", "tail")
     (tmp_path / "other.csv").write_text(text, encoding="utf-8")
