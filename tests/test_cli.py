@@ -734,6 +734,8 @@ def test_evaluate_prints_the_numbers_of_the_function(fitted):
         assert rows[name] == expected
     assert "Compared: 30 frames, 9 joints." in lines
     assert any(line.startswith("Joints only in the reference: l_front_knee, ") for line in lines)
+    assert "Look at this" not in ended.out
+    assert run("evaluate", fitted[0], TRUTH).out == ended.out
 
 
 def test_evaluate_as_json(fitted):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -21,6 +22,7 @@ from recon.errors import InputError
 from recon.io.pose3d import Pose3D
 
 NAN = float("nan")
+SAMPLES = Path(__file__).parents[1] / "data" / "samples"
 RNG = np.random.default_rng(5)
 
 
@@ -174,6 +176,56 @@ def test_to_dict_is_json_in_millimetres():
     assert [(p["threshold_mm"], p["mean"]) for p in written["pck"]] == [(50, 1), (100, 1), (150, 1)]
     assert written["frames"] == [0, 1, 2, 3]
     assert written["frames_not_scored"] == 1
+
+
+NAMES = ("l_paw", "r_paw", "l_ear", "r_ear", "nose", "tail")
+RUN = TRUTH + np.arange(4)[:, None, None] * [1.0, 0.0, 0.0]
+TURN = Rotation.from_rotvec([1.2, -0.7, 0.4]).as_matrix()
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda xyz: xyz @ TURN.T + [3.0, 1.0, 2.0], "One turn of the whole clip, by 8"),
+        (lambda xyz: xyz[:, [1, 0, 3, 2, 4, 5]], "named the other way round."),
+        (
+            lambda xyz: xyz[:, [1, 0, 3, 2, 4, 5]] @ TURN,
+            "the other way round, and the two are probably in",
+        ),
+        (lambda xyz: xyz * [1.0, 1.0, -1.0], "left-handed axes"),
+        (lambda xyz: 1000 * xyz, "One scale, by 0.00"),
+        (lambda xyz: 1000 * xyz @ TURN, "One scale and one turn of the whole clip, by 0.00"),
+        (lambda xyz: xyz + np.array([0.0, 9.0, 0.0]), "m apart in all frames: they probably have different origins"),
+    ],
+)
+def test_what_is_probably_wrong(change, said):
+    """One change of the whole clip on top of a fit's own errors, and a joint that is missing here and there."""
+    fit = RUN + RNG.normal(0, 0.03, RUN.shape)
+    fit[1, 4] = NAN
+    assert evaluate(pose(fit, NAMES), pose(RUN, NAMES)).notes == ()
+    (note,) = evaluate(pose(change(fit), NAMES), pose(RUN, NAMES)).notes
+    assert said in note
+    assert evaluate(pose(change(fit), NAMES), pose(RUN, NAMES)).to_dict()["notes"] == [note]
+
+
+def test_poor_fits_and_depths_are_no_mistakes():
+    """Errors of every frame's own, a place that is 1 m off, and an animal that is 20 % too large."""
+    turns = Rotation.from_rotvec(RNG.normal(0, 0.5, (4, 3))).as_matrix()
+    turned = np.einsum("tij,tkj->tki", turns, RUN - RUN.mean(axis=1, keepdims=True))
+    for fit in (RUN + RNG.normal(0, 0.5, RUN.shape), RUN + np.array([0.0, 1.0, 0.0]), turned, 1.2 * RUN):
+        assert evaluate(pose(fit, NAMES), pose(RUN, NAMES)).notes == ()
+
+
+def test_a_result_folder(whole_results, level_results, tmp_path):
+    """The same clip in the world's frame and, without a calibration, in the camera's."""
+    truth = SAMPLES / "whole_truth.csv"
+    found = evaluate_files(whole_results, truth)
+    assert found.to_dict() == evaluate_files(whole_results / "pose3d.csv", truth).to_dict()
+    assert found.notes == ()
+    (note,) = evaluate_files(level_results, truth).notes
+    assert "different frames of reference" in note
+    with pytest.raises(InputError, match=r"no pose3d\.csv, expected results"):
+        evaluate_files(tmp_path, truth)
 
 
 def test_real_truth_moved(shared_data, tmp_path):

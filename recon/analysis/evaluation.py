@@ -15,7 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from recon.errors import InputError, Problem
+from recon.analysis.mismatch import mismatches
+from recon.errors import InputError, Problem, all_of
 from recon.io.pose3d import Pose3D, read_pose3d
 from recon.keypoints import frame_ranges
 
@@ -40,7 +41,8 @@ class Evaluation:
 
     mpjpe_m: centred on the mean of the frame's common joints; mpe_m: as is; scale_mpjpe_m: centred, with one scale per
     frame; pa_mpjpe_m: after a similarity (Procrustes) per frame; pck: for each threshold (m), the fraction of centred
-    errors up to it. Frame ranges are half-open.
+    errors up to it. notes: what is probably wrong, where one motion of the whole clip, or an exchange of names, takes
+    most of the error away. Frame ranges are half-open.
     """
 
     names: tuple[str, ...]
@@ -56,6 +58,7 @@ class Evaluation:
     joints_only_in_truth: tuple[str, ...]
     frames_only_in_pose: tuple[tuple[int, int], ...]
     frames_only_in_truth: tuple[tuple[int, int], ...]
+    notes: tuple[str, ...]
 
     def to_dict(self) -> dict[str, Any]:
         """Plain JSON types: keys that end in `_mm` are millimetres, pck are fractions, NaN is None."""
@@ -80,12 +83,21 @@ class Evaluation:
         for side in ("pose", "truth"):
             result[f"joints_only_in_{side}"] = list(getattr(self, f"joints_only_in_{side}"))
             result[f"frames_only_in_{side}"] = [list(r) for r in getattr(self, f"frames_only_in_{side}")]
+        result["notes"] = list(self.notes)
         return result
 
 
 def evaluate_files(pose_path: str | Path, truth_path: str | Path) -> Evaluation:
-    """Evaluates one CSV file of 3D positions (see `read_pose3d`) against another. Raises InputError."""
-    return evaluate(read_pose3d(pose_path), read_pose3d(truth_path))
+    """Evaluates a file of 3D positions (see `read_pose3d`), or the results that `recon fit` wrote into a folder,
+    against another file. Raises InputError."""
+    pose, truth = all_of(lambda: read_pose3d(_of_results(Path(pose_path))), lambda: read_pose3d(truth_path))
+    return evaluate(pose, truth)
+
+
+def _of_results(path: Path) -> Path:
+    if path.is_dir() and not (path / "pose3d.csv").is_file():
+        raise InputError(Problem(path, "folder", "no pose3d.csv", "results that `recon fit` wrote, or a file"))
+    return path / "pose3d.csv" if path.is_dir() else path
 
 
 def evaluate(pose: Pose3D, truth: Pose3D) -> Evaluation:
@@ -128,6 +140,7 @@ def evaluate(pose: Pose3D, truth: Pose3D) -> Evaluation:
         joints_only_in_truth=tuple(name for name in truth.names if name not in names),
         frames_only_in_pose=frame_ranges(np.setdiff1d(pose.frames, frames)),
         frames_only_in_truth=frame_ranges(np.setdiff1d(truth.frames, frames)),
+        notes=mismatches(pose_m, truth_m, names),
     )
 
 

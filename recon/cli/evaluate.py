@@ -18,13 +18,13 @@ if TYPE_CHECKING:
 
 
 def evaluate(
-    pose3d: Annotated[Path, typer.Argument(help="Reconstruction, as in results/clip/pose3d.csv (m).")],
+    pose3d: Annotated[Path, typer.Argument(help="Results of recon fit, or a file of 3D positions, as pose3d.csv (m).")],
     truth: Annotated[Path, typer.Argument(help="Reference of the same layout and frame numbers, as in truth.csv (m).")],
     as_json: Annotated[bool, typer.Option("--json", help="Print everything as JSON, per joint and frame.")] = False,
 ) -> None:
     """Compare a reconstruction with a reference, over the joints and frames that both have.
 
-    Example: recon evaluate results/clip/pose3d.csv truth.csv
+    Example: recon evaluate results/clip truth.csv
     """
     from recon.analysis.evaluation import evaluate_files
 
@@ -35,6 +35,8 @@ def evaluate(
     Console().print(_table(result))
     for line in _table_notes(result):
         typer.echo(line)
+    for note in result.notes:
+        typer.echo(f"Look at this: {note}")
 
 
 def _table(result: Evaluation) -> Table:
