@@ -25,7 +25,7 @@ from recon.errors import InputError
 from recon.pipelines.batch import COLUMNS, Clip, Event, Summary, find_clips, input_problems, plan_batch, run_batch
 from recon.pipelines.batch.record import RECORD, read_record
 from recon.pipelines.batch.worker import Worker, WorkerDied, fit_one, task_of
-from recon.pipelines.clip import run_clip
+from recon.pipelines.clip import fit_clip, run_clip
 from recon.settings import FitSettings
 
 SAMPLES = Path(__file__).parents[1] / "data" / "samples"
@@ -356,9 +356,46 @@ def test_input_problems(clips, tmp_path):
     (clips / "b.csv").unlink()
     path = manifest(clips, "keypoints,camera\na.csv,none.toml\nb.csv,\nc.csv,\n")
     first, second, third = input_problems(found(path))
-    assert [Path(p.file).name for p in first] == ["a.csv", "none.toml"]
+    assert [Path(p.file).name for p in first] == ["none.toml", "a.csv"]
     assert [p.found for p in second] == ["no such file"]
     assert third == ()
+
+
+@pytest.mark.parametrize(
+    ("wrong", "field"),
+    [
+        ({"tilt_deg": 5}, "tilt_deg"),
+        ({"side": "left", "method": "trajectory"}, "side"),
+        ({"skeleton": "dog-27"}, "name or file"),
+        ({"frames": "900:950"}, "frames"),
+        ({"camera": None, "hfov_deg": 60, "image_size_px": "300x200"}, "image size"),
+    ],
+)
+def test_a_look_finds_what_the_fit_refuses(clips, wrong, field):
+    (clip,) = found(clips / "a.csv", **wrong)
+    with pytest.raises(InputError) as caught:
+        fit_clip(clip.settings)
+    (seen,) = input_problems([clip])
+    assert seen == caught.value.problems
+    assert [problem.field for problem in seen] == [field]
+
+
+def test_what_many_clips_lack_is_said_once(clips, tmp_path):
+    """Each with a camera file of its own, as one folder a recording has it."""
+    plain = "matrix = [[1600, 0, 960], [0, 1600, 540], [0, 0, 1]]\nsize = [1920, 1080]\ndistortions = [0, 0, 0, 0, 0]\n"
+    pose = "rotation = [0, 0, 0]\ntranslation = [0, 0, 0]\n"
+    for name in "abc":
+        two = "".join(f'[{camera}]\nname = "{camera}"\n{plain}{pose}' for camera in ("cam_a", "cam_b"))
+        (clips / f"{name}.toml").write_text(two)
+    path = manifest(clips, "keypoints,camera\na.csv,a.toml\nb.csv,b.toml\nc.csv,c.toml\n")
+    expected = "found 2 cameras and no choice, expected one of cam_a, cam_b by --camera-name"
+    ended = run(path, "--method", "frame", "--fps", 30, "--out", tmp_path / "out")
+    assert ended.err == f"error: {clips / 'a.toml'} and 2 more files: camera: {expected}\n"
+    assert not (tmp_path / "out").exists()
+    ended = run(path, "--method", "frame", "--fps", 30, "--out", tmp_path / "out", "--dry-run")
+    assert f"a, b, c: {clips / 'a.toml'}: camera: {expected}" in ended.out
+    assert ended.out.count("no choice") == 1
+    assert "3 clips: 0 new, 0 to fit again, 0 done, 3 that cannot be fitted" in ended.out
 
 
 # ---- processes ----
@@ -478,13 +515,13 @@ def test_dry_run_looks_only(clips, tmp_path):
     before = {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*")}
     ended = run(*args(clips, out, "--dry-run", "--json"))
     rows = json.loads(ended.out)["clips"]
-    assert [(row["clip"], row["action"]) for row in rows] == [("a", "done"), ("b", "done"), ("c", "new")]
+    assert [(row["clip"], row["action"]) for row in rows] == [("a", "done"), ("b", "done"), ("c", "cannot be fitted")]
     assert rows[2]["out"] == str(out / "c")
     assert len(rows[2]["problems"]) == 1
     assert "header" in rows[2]["problems"][0]
     assert (ended.code, run(*args(clips, out, "--dry-run", "--strict")).code) == (0, 1)
     ended = run(*args(clips, out, "--dry-run", "--fps", 60))
-    assert "3 clips: 1 new, 2 to fit again, 0 done; 1 with problems" in ended.out
+    assert "3 clips: 0 new, 2 to fit again, 0 done, 1 that cannot be fitted" in ended.out
     assert "refit (changed: fps)" in ended.out
     assert {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*")} == before
 

@@ -383,6 +383,20 @@ def test_command(body, tmp_path):
     np.testing.assert_allclose(prior.mean, expected, rtol=0, atol=0.01)
 
 
+def test_files_of_one_name_and_too_few_frames(body, tmp_path):
+    files = []
+    for k, (_, states, _) in enumerate(swinging(body, 2, 60, 100.0)):
+        (tmp_path / f"run{k}").mkdir()
+        files.append(pose_csv(tmp_path / f"run{k}" / "truth.csv", body, states, np.arange(60)))
+    done = run_prior_fit(files, "cheetah-24", "100", tmp_path / "a.npz")
+    assert [row.name for row in done.prior.segments] == ["run0-truth", "run1-truth"]
+    assert len(done.prior.weights) == 6
+    assert "6 components in place of 16: each takes 20 frames." in list(done.notes())
+    assert (done.to_dict()["components"], done.to_dict()["components_asked"]) == (6, 16)
+    few = run_prior_fit(files, "cheetah-24", "100", tmp_path / "b.npz", components=6)
+    assert not [note for note in few.notes() if "in place of" in note]
+
+
 def test_every_problem_of_a_command(body, tmp_path):
     states = swinging(body, 1, 5, 100.0)[0][1]
     few = pose_csv(tmp_path / "few.csv", body, states, np.arange(5), without=body.markers[5:])

@@ -24,6 +24,9 @@ if TYPE_CHECKING:
     from recon.pipelines.batch import Event, Planned, Summary
 
 EXIT_STRICT = 1
+CANNOT = "cannot be fitted"
+NAMED = 3
+"""Clips with the same problem are named up to this number."""
 _STYLES = {"done": "green", "done earlier": "green", "unsolved": "yellow", "failed": "red", "pending": ""}
 _COMMON, _WORK = "Settings of every clip", "How the work is done"
 
@@ -126,12 +129,14 @@ def batch(
 def _print_plan(
     console: Console, plan: Sequence[Planned], problems: Sequence[Sequence[Problem]], as_json: bool
 ) -> None:
+    from recon.pipelines.batch import repeated
+
     rows = [
         {
             "clip": planned.clip.name,
             "keypoints": str(planned.clip.settings.keypoints),
             "out": str(planned.out),
-            "action": planned.action,
+            "action": planned.action if planned.action == "done" or not found else CANNOT,
             "reason": planned.reason,
             "problems": [str(problem) for problem in found],
         }
@@ -145,14 +150,15 @@ def _print_plan(
         reason = f" ({row['reason']})" if row["reason"] else ""
         table.add_row(Text(row["clip"]), Text(row["out"]), Text(row["action"] + reason))
     console.print(table)
-    for row in rows:
-        for problem in row["problems"]:
-            console.print(Text.assemble((f"{row['clip']}: ", "bold red"), problem), soft_wrap=True)
+    for same in repeated(problems):
+        names = ", ".join(rows[place]["clip"] for place in same.clips[:NAMED])
+        more = "" if len(same.clips) <= NAMED else f" and {len(same.clips) - NAMED} more clips"
+        console.print(Text.assemble((f"{names}{more}: ", "bold red"), str(same.problem)), soft_wrap=True)
     count = [row["action"] for row in rows]
-    bad = sum(bool(row["problems"]) for row in rows)
+    bad = count.count(CANNOT)
     console.print(
         f"{len(rows)} clips: {count.count('new')} new, {count.count('refit')} to fit again, {count.count('done')} done"
-        + (f"; {bad} with problems" if bad else "")
+        + (f", {bad} that cannot be fitted" if bad else "")
     )
 
 

@@ -28,7 +28,9 @@ def prior_fit(
     estimate_size: Annotated[
         bool, typer.Option("--estimate-size", help="Scale the skeleton to the animal of each file.")
     ] = False,
-    components: Annotated[int, typer.Option(help="Gaussians in the mixture of poses.")] = 16,
+    components: Annotated[
+        int, typer.Option(help="Gaussians in the mixture of poses; fewer if there are not 20 frames for each.")
+    ] = 16,
     min_speed_m_s: Annotated[
         float, number_option("Leave out slower segments, as in 8.5.", "metres per second, as in 8.5")
     ] = 0.0,

@@ -6,7 +6,7 @@ import math
 import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,10 +17,11 @@ from recon.calibration import read_camera
 from recon.camera import Camera
 from recon.errors import InputError, Problem, all_of
 from recon.export import CLIP_OUTPUTS, TRAJECTORY_OUTPUTS, write_tables
-from recon.files import require_free_folder, staged_folder
+from recon.files import require_free_folder, sole_writer, staged_results
 from recon.initialise import facing_side
 from recon.io import read_keypoints
 from recon.keypoints import CleaningReport, Keypoints, clean, parse_frame_range
+from recon.manifest import MANIFEST
 from recon.motion import FrameMotion, Motion, TrajectoryMotion
 from recon.prior import MotionPrior, builtin_priors, load_prior, prior_from_body
 from recon.report import build_report, write_report
@@ -32,7 +33,7 @@ from recon.solve import solve_frames, solve_trajectory
 Progress = Callable[[str, float], None]
 """Called with what is being done, and how much of all is done, 0 to 1."""
 
-OUTPUT_FILES = (*CLIP_OUTPUTS, *TRAJECTORY_OUTPUTS, "report.json", "motion.rrd", "config.toml")
+OUTPUT_FILES = (*CLIP_OUTPUTS, *TRAJECTORY_OUTPUTS, "report.json", "motion.rrd", "config.toml", MANIFEST)
 """Every file that a clip can get; `TRAJECTORY_OUTPUTS` come with the trajectory method only."""
 
 
@@ -51,77 +52,125 @@ def fit_clip(settings: FitSettings, progress: Progress = _silent) -> Motion:
 
 def fit_frames(settings: FitSettings, progress: Progress = _silent) -> FrameMotion:
     """One side of the animal, one frame after the other. Raises InputError as `fit_clip`."""
-    skeleton, camera, file = all_of(
-        lambda: load_chain(settings.skeleton_name),
-        lambda: _camera(settings),
-        lambda: read_clip(settings),
-    )
-    keypoints, cleaning = _cleaned(file, _keypoints_of(skeleton), skeleton.name, camera, settings)
-    side, reason = _side(skeleton, keypoints, settings)
-    fitted = arrange(keypoints, skeleton.keypoint_names(side))
+    given = prepare(settings)
+    skeleton, fitted, side = given.model.skeleton, given.fitted, given.side
+    assert skeleton is not None
+    assert side is not None
     T = len(fitted.frames)
     solution = solve_frames(
-        camera,
+        given.camera,
         skeleton,
         fitted.xy_px,
         fitted.confidence,
-        file.fps,
+        given.fps,
         settings.frame_options(),
         lambda done: progress("frames", done / T),
     )
-    return FrameMotion(camera, fitted, cleaning, file.names, side, reason, skeleton, solution)
+    return FrameMotion(
+        given.camera, fitted, given.cleaning, given.file.names, side, given.side_reason, skeleton, solution
+    )
 
 
 def fit_trajectory(settings: FitSettings, progress: Progress = _silent) -> TrajectoryMotion:
     """The whole animal, or a chain, over all frames at once. Raises InputError as `fit_clip`."""
-    (skeleton, body, prior), camera, file = all_of(
-        lambda: _body_and_prior(settings),
-        lambda: _camera(settings),
-        lambda: read_clip(settings),
-    )
-    wanted = body.markers if skeleton is None else _keypoints_of(skeleton)
-    keypoints, cleaning = _cleaned(file, wanted, body.name, camera, settings)
-    side, reason, names = None, "both sides are fitted", body.markers
-    if skeleton is not None:
-        side, reason = _side(skeleton, keypoints, settings)
-        names = skeleton.keypoint_names(side)
-    fitted = arrange(keypoints, names)
+    given = prepare(settings)
+    model, fitted = given.model, given.fitted
+    assert model.prior is not None
     solution = solve_trajectory(
-        camera,
-        body,
-        prior,
+        given.camera,
+        model.body,
+        model.prior,
         fitted.xy_px,
         fitted.confidence,
-        file.fps,
+        given.fps,
         settings.trajectory_options(),
         progress,
     )
-    return TrajectoryMotion(camera, fitted, cleaning, file.names, side, reason, solution, skeleton)
+    return TrajectoryMotion(
+        given.camera,
+        fitted,
+        given.cleaning,
+        given.file.names,
+        given.side,
+        given.side_reason,
+        solution,
+        model.skeleton,
+    )
+
+
+@dataclass(frozen=True)
+class Model:
+    """What is fitted: the chain, if it is one, the body, and what the trajectory method expects of its motion."""
+
+    skeleton: Skeleton | None
+    body: Body
+    prior: MotionPrior | None
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """All that a fit works on. file: as it was read; fitted: the model's keypoints, cleaned, in its order; side: whose
+    limbs, None for a whole animal."""
+
+    model: Model
+    camera: Camera
+    file: Keypoints
+    fps: float
+    fitted: Keypoints
+    cleaning: CleaningReport
+    side: Side | None
+    side_reason: str
+
+
+def prepare(
+    settings: FitSettings, read_shared: Callable[[FitSettings], tuple[Model, Camera]] | None = None
+) -> Prepared:
+    """Everything that comes before solving: the one list of checks, of a fit and of who asks whether it can be done.
+
+    read_shared: `read_model_and_camera`, or one that remembers. Raises InputError as `fit_clip`.
+    """
+    (model, camera), file = all_of(
+        lambda: (read_shared or read_model_and_camera)(settings),
+        lambda: read_clip(settings),
+    )
+    skeleton = model.skeleton
+    wanted = model.body.markers if skeleton is None else _keypoints_of(skeleton)
+    keypoints, cleaning = _cleaned(file, wanted, model.body.name, camera, settings)
+    side, reason, names = None, "both sides are fitted", model.body.markers
+    if skeleton is not None:
+        side, reason = _side(skeleton, keypoints, settings)
+        names = skeleton.keypoint_names(side)
+    assert file.fps is not None
+    return Prepared(model, camera, file, file.fps, arrange(keypoints, names), cleaning, side, reason)
+
+
+def read_model_and_camera(settings: FitSettings) -> tuple[Model, Camera]:
+    """What clips of one animal before one camera share. Raises InputError with the problems of both."""
+    model, camera = all_of(lambda: _model(settings), lambda: _camera(settings))
+    return model, camera
 
 
 def write_clip(motion: Motion, settings: FitSettings, out: Path, solve_s: float | None = None) -> dict[str, Any]:
     """Write every output of a clip into the folder `out`, all or none, and give back the report."""
     from recon import view  # rerun is slow to import
 
-    report = build_report(motion, settings.model_dump(mode="json"), None if solve_s is None else {"solve_s": solve_s})
-    with staged_folder(out) as folder:
+    report = build_report(motion, settings.plain(), None if solve_s is None else {"solve_s": solve_s})
+    with staged_results(out, OUTPUT_FILES) as folder:
         write_tables(motion, folder)
         write_report(report, folder / "report.json")
         (folder / "config.toml").write_text(settings.to_toml(), encoding="utf-8")
         view.write(motion, folder / "motion.rrd")
-        written = {path.name for path in folder.iterdir()}
-    for name in set(OUTPUT_FILES) - written:  # of an earlier run with the other method
-        (out / name).unlink(missing_ok=True)
     return report
 
 
 def run_clip(settings: FitSettings, out: Path, overwrite: bool = False, progress: Progress = _silent) -> dict[str, Any]:
     """`recon fit`: reconstruct a clip and write its folder; the report. Raises InputError before any work is done if
-    `out` holds results already and may not be overwritten."""
-    require_free_folder(out, OUTPUT_FILES, overwrite)
-    start = time.perf_counter()
-    motion = fit_clip(settings, progress)
-    return write_clip(motion, settings, out, time.perf_counter() - start)
+    `out` holds results already and may not be overwritten, or if another process is writing to it."""
+    with sole_writer(out):
+        require_free_folder(out, OUTPUT_FILES, overwrite)
+        start = time.perf_counter()
+        motion = fit_clip(settings, progress)
+        return write_clip(motion, settings, out, time.perf_counter() - start)
 
 
 def arrange(keypoints: Keypoints, names: tuple[str, ...]) -> Keypoints:
@@ -160,13 +209,15 @@ def _camera(settings: FitSettings) -> Camera:
     return replace(camera, tilt_rad=math.radians(settings.tilt_deg))
 
 
-def _body_and_prior(settings: FitSettings) -> tuple[Skeleton | None, Body, MotionPrior]:
-    """The chain, if it is one, the body, and what is expected of its motion."""
+def _model(settings: FitSettings) -> Model:
+    if settings.method == "frame":
+        chain = load_chain(settings.skeleton_name)
+        return Model(chain, chain.body, None)
     skeleton = load_skeleton(settings.skeleton_name, settings.subject)
     chain = skeleton if isinstance(skeleton, Skeleton) else None
     body = skeleton.body if isinstance(skeleton, Skeleton) else skeleton
     prior, _ = all_of(lambda: _prior(settings, body), lambda: _require_no_side(settings, None if chain else body))
-    return chain, body, prior
+    return Model(chain, body, prior)
 
 
 def _prior(settings: FitSettings, body: Body) -> MotionPrior:

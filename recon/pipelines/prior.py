@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import json
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -13,9 +13,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recon.body import Body
+from recon.documents import read_json
 from recon.errors import InputError, Problem, all_of
 from recon.io.pose3d import Pose3D, read_pose_segments
-from recon.prior import FRAMES_PER_COMPONENT, MotionPrior, as_one_gaussian, fit_prior, log_likelihood, save_prior
+from recon.pipelines.batch.inputs import file_names
+from recon.prior import (
+    FRAMES_PER_COMPONENT,
+    MotionPrior,
+    as_one_gaussian,
+    fit_prior,
+    log_likelihood,
+    mean_speed_m_s,
+    save_prior,
+)
 from recon.skeleton_file import load_skeleton
 from recon.solve.points import MIN_MARKERS, solve_points_and_size
 
@@ -38,13 +48,15 @@ class HeldOut:
 class PriorFit:
     """prior; rms_mm: the body's misfit in each segment of prior.segments, NaN where no frame had enough markers; sizes:
     the factor on the body's lengths by file; lacking: markers of the body that no file has; held_out: None if it was
-    not asked for, or if no segment can be left out."""
+    not asked for, or if no segment can be left out; components_asked: the prior has as many, or what its frames
+    allow."""
 
     prior: MotionPrior
     rms_mm: tuple[float, ...]
     sizes: dict[Path, float]
     lacking: tuple[str, ...]
     held_out: HeldOut | None
+    components_asked: int
 
     def to_dict(self) -> dict[str, Any]:
         """The table of segments and what is said beside it, as plain types; unknown is None."""
@@ -52,6 +64,7 @@ class PriorFit:
         return {
             "segments": [asdict(row) | {"misfit_mm": rms if math.isfinite(rms) else None} for row, rms in rows],
             "components": len(self.prior.weights),
+            "components_asked": self.components_asked,
             "sizes": {str(path): size for path, size in self.sizes.items()},
             "lacking": list(self.lacking),
             "held_out": None if self.held_out is None else asdict(self.held_out),
@@ -63,6 +76,11 @@ class PriorFit:
         used = [row for row in rows if row.used]
         frames = sum(row.frames for row in used)
         yield f"Used: {len(used)} of {len(rows)} segments, {frames} frames and their mirror images."
+        if len(self.prior.weights) < self.components_asked:
+            yield (
+                f"{len(self.prior.weights)} components in place of {self.components_asked}: each takes "
+                f"{FRAMES_PER_COMPONENT} frames."
+            )
         if self.lacking:
             yield f"Markers that no file has: {', '.join(self.lacking)}"
         for path, size in self.sizes.items():
@@ -105,6 +123,7 @@ def run_prior_fit(
     if len(rates) == 1:
         rates = rates * sum(len(pieces) for pieces in files.values())
 
+    labels = _labels(files)
     segments: list[Segment] = []
     rms_mm: list[float] = []
     sizes: dict[Path, float] = {}
@@ -114,18 +133,43 @@ def run_prior_fit(
         states, rms_m, sizes[path] = _solved(body, points_m, None if estimate_size else 1.0, path)
         first = 0
         for piece, pose in pieces.items():
-            label, piece_fps = piece if len(files) == 1 or len(pieces) == 1 else f"{path.stem} {piece}", next(rate)
+            label, piece_fps = labels[path, piece], next(rate)
             for part, suffix in _without_gaps(pose.frames):
                 own = slice(first + part.start, first + part.stop)
                 segments.append((label + suffix, states[own], piece_fps))
                 known = rms_m[own][np.isfinite(rms_m[own])]
                 rms_mm.append(1e3 * float(np.sqrt(np.mean(known**2))) if len(known) else math.nan)
             first += len(pose.frames)
-    prior = fit_prior(body, segments, name or out.stem, source, components, min_speed_m_s=min_speed_m_s, apart=apart)
+    fits = min(components, max(_used_frames(segments, min_speed_m_s) // FRAMES_PER_COMPONENT, 1))
+    prior = fit_prior(body, segments, name or out.stem, source, fits, min_speed_m_s=min_speed_m_s, apart=apart)
     held_out = _held_out(body, segments, prior) if check else None
     save_prior(prior, out)
     there = {joint for pieces in files.values() for pose in pieces.values() for joint in pose.names}
-    return PriorFit(prior, tuple(rms_mm), sizes, tuple(m for m in body.markers if m not in there), held_out)
+    lacking = tuple(marker for marker in body.markers if marker not in there)
+    return PriorFit(prior, tuple(rms_mm), sizes, lacking, held_out, components)
+
+
+def _labels(files: Mapping[Path, Mapping[str, Pose3D]]) -> dict[tuple[Path, str], str]:
+    """A name of its own for every piece of motion: that in the file, or the file's with as many folders as it takes."""
+    names = file_names([*dict.fromkeys(path.absolute() for path in files)])
+    count = Counter(piece for pieces in files.values() for piece in pieces)
+    labels = {}
+    for path, pieces in files.items():
+        for piece in pieces:
+            if piece == path.stem and len(files) > 1:
+                labels[path, piece] = names[path.absolute()]
+            else:
+                plain = len(files) == 1 or (len(pieces) == 1 and count[piece] == 1)
+                labels[path, piece] = piece if plain else f"{names[path.absolute()]} {piece}"
+    return labels
+
+
+def _used_frames(segments: Sequence[Segment], min_speed_m_s: float) -> int:
+    return sum(
+        int(np.isfinite(states).all(axis=1).sum())
+        for _, states, fps in segments
+        if mean_speed_m_s(states, fps) >= min_speed_m_s
+    )
 
 
 def _held_out(body: Body, segments: Sequence[Segment], prior: MotionPrior) -> HeldOut | None:
@@ -169,9 +213,11 @@ def _rates(fps: str) -> list[float]:
         if not path.is_file():
             raise InputError(Problem("--fps", "frame rate", repr(fps), expected)) from None
         try:
-            rates = json.loads(path.read_text(encoding="utf-8"))["fps"]
+            rates = read_json(path, expected)["fps"]
             rates = [float(rate) for rate in (rates if isinstance(rates, list) else [rates])]
-        except (ValueError, KeyError, TypeError):
+        except InputError:
+            raise
+        except (ValueError, KeyError, TypeError, OverflowError):
             raise InputError(Problem(path, "fps", "no such list of numbers", expected)) from None
     if not rates or not all(math.isfinite(rate) and rate > 0 for rate in rates):
         raise InputError(Problem("--fps", "frame rate", ", ".join(f"{rate:g}" for rate in rates) or "none", expected))

@@ -9,7 +9,8 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from recon.errors import InputError, Problem
-from recon.pipelines.batch.checks import check_shared, input_problems
+from recon.files import sole_writer
+from recon.pipelines.batch.checks import check_shared, input_problems, repeated
 from recon.pipelines.batch.inputs import Clip, find_clips
 from recon.pipelines.batch.pool import DaskPool, Event, LocalPool, Pool
 from recon.pipelines.batch.record import Planned, plan_batch
@@ -28,6 +29,7 @@ __all__ = [
     "find_clips",
     "input_problems",
     "plan_batch",
+    "repeated",
     "run_batch",
 ]
 
@@ -47,12 +49,24 @@ def run_batch(
     jobs: processes on this machine, by default one for each core; scheduler: the address of a Dask cluster instead.
     retries: how often a clip at which a worker died is tried again. A clip that fails stops nothing. KeyboardInterrupt
     stops the fits under way, writes the summary and is raised again. Raises InputError where the cluster is not there,
-    or goes away.
+    or goes away, and where another batch is writing to `out`.
     """
+    with sole_writer(out):
+        return _run(plan, out, jobs or available_cores(), retries, scheduler, on_event)
+
+
+def _run(
+    plan: Sequence[Planned],
+    out: Path,
+    jobs: int,
+    retries: int,
+    scheduler: str | None,
+    on_event: Callable[[Event, Summary], None],
+) -> Summary:
     summary, run = Summary(plan, out), uuid.uuid4().hex
     tasks = [(p.clip.name, task_of(p, run)) for p in plan if p.action != "done"]
     pool: Pool
-    pool = DaskPool(scheduler, retries, run) if scheduler else LocalPool(jobs or available_cores(), retries)
+    pool = DaskPool(scheduler, retries, run) if scheduler else LocalPool(jobs, retries)
     events: queue.SimpleQueue[Event] = queue.SimpleQueue()
     left = len(tasks)
     try:

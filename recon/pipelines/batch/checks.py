@@ -1,68 +1,88 @@
-"""What is wrong with a batch's inputs, as far as it can be told without fitting."""
+"""What is wrong with a batch's inputs, as far as it can be told without fitting: the checks of the fit itself."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from recon.body import Body
-from recon.calibration import read_camera
-from recon.errors import InputError, Problem, all_of
+from recon.camera import Camera
+from recon.errors import InputError, Problem
 from recon.pipelines.batch.inputs import Clip
-from recon.pipelines.clip import read_clip
-from recon.prior import load_prior
+from recon.pipelines.clip import Model, prepare, read_model_and_camera
 from recon.settings import FitSettings
-from recon.skeleton_file import load_chain, load_skeleton
 
 Problems = tuple[Problem, ...]
 
 
 def input_problems(clips: Sequence[Clip]) -> list[Problems]:
-    """Of each clip: everything that reading its files brings to light."""
-    models = _model_problems(clips)
-    return [
-        _problems_of(lambda s=clip.settings: read_clip(s)) + model for clip, model in zip(clips, models, strict=True)
-    ]
+    """Of each clip: everything that its fit would raise before solving."""
+    read_shared = _Shared()
+    return [_problems_of(lambda s=clip.settings: prepare(s, read_shared)) for clip in clips]
 
 
 def check_shared(clips: Sequence[Clip]) -> None:
-    """Raises InputError for problems with cameras, skeletons, subjects and priors that every clip has."""
-    common = set.intersection(*map(set, _model_problems(clips))) if clips else set()
-    if common:
-        raise InputError(sorted(common, key=str))
+    """Raises InputError for problems with cameras, skeletons, subjects and priors that every clip has, be it each with
+    a file of its own."""
+    read_shared = _Shared()
+    each = [_problems_of(lambda s=clip.settings: read_shared(s)) for clip in clips]
+    same = set.intersection(*({_what(problem) for problem in problems} for problems in each)) if each else set()
+    if same:
+        first = [problem for problem in each[0] if _what(problem) in same]
+        raise InputError(dict.fromkeys(_of_all(problem, each) for problem in first))
 
 
-def _model_problems(clips: Iterable[Clip]) -> list[Problems]:
-    """Of each clip, but for its keypoints; what clips share is read once."""
-    known: dict[FitSettings, Problems] = {}
-    each = []
-    for clip in clips:
-        shared = replace(clip.settings, keypoints=Path(), individual=None, frames=None)
-        if shared not in known:
-            known[shared] = _problems_of(lambda s=shared: _read_model(s), lambda s=shared: _read_camera(s))
-        each.append(known[shared])
-    return each
+@dataclass(frozen=True)
+class Repeated:
+    """A problem, as it was found first, and the places among all clips of those that have the same."""
+
+    problem: Problem
+    clips: tuple[int, ...]
 
 
-def _read_model(settings: FitSettings) -> None:
-    if settings.method == "frame":
-        load_chain(settings.skeleton_name)
-        return
-    skeleton = load_skeleton(settings.skeleton_name, settings.subject)
-    if settings.prior is not None:
-        load_prior(settings.prior, skeleton if isinstance(skeleton, Body) else skeleton.body)
+def repeated(each: Sequence[Problems]) -> list[Repeated]:
+    """What several clips have in common is said once, whatever the files are called."""
+    found: dict[tuple[str, str, str], list[int]] = {}
+    first: dict[tuple[str, str, str], Problem] = {}
+    for place, problems in enumerate(each):
+        for problem in problems:
+            first.setdefault(_what(problem), problem)
+            found.setdefault(_what(problem), []).append(place)
+    return [Repeated(first[what], tuple(dict.fromkeys(places))) for what, places in found.items()]
 
 
-def _read_camera(settings: FitSettings) -> None:
-    if settings.camera is not None:
-        read_camera(settings.camera, settings.camera_name, settings.image_size_px)
+def _what(problem: Problem) -> tuple[str, str, str]:
+    return problem.field, problem.found, problem.expected
 
 
-def _problems_of(*reads: Callable[[], Any]) -> Problems:
+def _of_all(problem: Problem, each: Sequence[Problems]) -> Problem:
+    files = {other.file for problems in each for other in problems if _what(other) == _what(problem)}
+    return problem if len(files) == 1 else replace(problem, file=f"{problem.file} and {len(files) - 1} more files")
+
+
+class _Shared:
+    """`read_model_and_camera` for many clips: what they share is read once."""
+
+    def __init__(self) -> None:
+        self._known: dict[FitSettings, tuple[Model, Camera] | InputError] = {}
+
+    def __call__(self, settings: FitSettings) -> tuple[Model, Camera]:
+        shared = replace(settings, keypoints=Path(), individual=None, frames=None)
+        if shared not in self._known:
+            try:
+                self._known[shared] = read_model_and_camera(shared)
+            except InputError as error:
+                self._known[shared] = error
+        known = self._known[shared]
+        if isinstance(known, InputError):
+            raise InputError(known.problems)
+        return known
+
+
+def _problems_of(read: Callable[[], Any]) -> Problems:
     try:
-        all_of(*reads)
+        read()
     except InputError as error:
         return error.problems
     return ()

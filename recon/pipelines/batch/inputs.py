@@ -280,7 +280,7 @@ def _name_problems(drafts: Sequence[_Draft]) -> list[Problem]:
 def _names(drafts: Sequence[_Draft]) -> list[str]:
     """As given; else the file's name, with its suffix or its folders where files share it, the animal and the frames
     where the row says them, and a number where that is still not enough."""
-    base = _file_names(dict.fromkeys(draft.path for draft in drafts))
+    base = file_names(dict.fromkeys(draft.path for draft in drafts))
     taken = {SUMMARY, *(draft.name.casefold() for draft in drafts if draft.name is not None)}
     names = []
     for draft in drafts:
@@ -296,7 +296,7 @@ def _names(drafts: Sequence[_Draft]) -> list[str]:
     return names
 
 
-def _file_names(paths: Sequence[Path] | Mapping[Path, None]) -> dict[Path, str]:
+def file_names(paths: Sequence[Path] | Mapping[Path, None]) -> dict[Path, str]:
     """A name for each file: those that share it get their suffix or as many folders in front as it takes."""
     siblings = Counter((path.parent, path.stem.casefold()) for path in paths)
     stems = {
