@@ -33,6 +33,7 @@ from scipy.spatial.transform import Rotation
 from recon.camera import COEFFICIENT_COUNTS, Camera, FloatArray, LensModel, is_rotation
 from recon.errors import InputError, Problem
 
+AS_GIVEN = ", as was given"
 FORMAT = "recon-camera"
 VERSION = 1
 ROTATION_TOLERANCE = 1e-3
@@ -82,8 +83,18 @@ def read_cameras(path: str | Path, image_size_px: tuple[int, int] | None = None)
         if names.count(name) > 1
     ]
     if problems:
-        raise InputError(problems)
+        raise InputError(_contradicted_once(problems))
     return tuple(camera for camera in cameras if camera)
+
+
+def _contradicted_once(problems: list[Problem]) -> list[Problem]:
+    """The size that was given contradicts all cameras of a file alike."""
+    kept: list[Problem] = []
+    for problem in problems:
+        said = (problem.found, problem.expected) in [(other.found, other.expected) for other in kept]
+        if not (said and problem.expected.endswith(AS_GIVEN)):
+            kept.append(problem)
+    return kept
 
 
 def read_camera(
@@ -100,7 +111,9 @@ def read_camera(
     if name is None:
         if len(cameras) == 1:
             return cameras[0]
-        raise InputError(Problem(path, "camera", f"{len(cameras)} cameras and no choice", choices))
+        raise InputError(
+            Problem(path, "camera", f"{len(cameras)} cameras and no choice", f"{choices} by --camera-name")
+        )
     wanted = str(name)
     matches = [camera for camera in cameras if camera.name == wanted]
     if not matches and wanted.isascii() and wanted.isdigit():
@@ -399,7 +412,7 @@ def _image_size(
         return None
     size = (int(array[0]), int(array[1]))
     if given is not None and size != tuple(given):
-        fault("image_size_px", f"{size[0]}x{size[1]}", f"{given[0]}x{given[1]}, as was given")
+        fault("image_size_px", f"{size[0]}x{size[1]}", f"{given[0]}x{given[1]}{AS_GIVEN}")
     return size
 
 

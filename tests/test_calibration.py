@@ -290,6 +290,15 @@ class TestChoiceOfCamera:
         found = problems_of(write("calibration.toml", anipose("cam1", "cam2")))
         assert "2 cameras and no choice, expected one of cam1, cam2" in found
 
+    def test_another_size_is_said_once_for_all_cameras(self, write):
+        path = write("calibration.toml", anipose("cam1", "cam2", "cam3"))
+        width, height = read_camera(path, "cam1").image_size_px
+        with pytest.raises(InputError) as caught:
+            read_camera(path, "cam2", (width, height + 10))
+        (problem,) = caught.value.problems
+        assert problem.found == f"{width}x{height}"
+        assert problem.expected == f"{width}x{height + 10}, as was given"
+
     def test_number_that_two_names_fit(self, write):
         assert "2 cameras called '1'" in problems_of(write("calibration.toml", anipose("cam1", "cam_1")), 1)
 
@@ -319,16 +328,22 @@ class TestMalformed:
     @pytest.mark.parametrize(
         ("name", "text", "message"),
         [
-            ("a.json", '{"cameras": [', "malformed JSON"),
-            ("a.json", "[" * 100_000, "malformed JSON"),
+            ("a.json", '{"cameras": [', "expected JSON"),
+            ("a.json", "[" * 100_000, "expected JSON"),
             ("a.json", "[1, 2]", "JSON of another kind"),
             ("a.json", '{"x": "opencv-matrix"', "cannot parse"),
-            ("a.toml", "[cam_0\n", "malformed TOML"),
+            ("a.toml", "[cam_0\n", "expected TOML"),
             ("a.yml", "%YAML:1.0\n---\na: [1, 2\nfoo", "cannot parse"),
             ("a.yaml", "just text", "cannot parse"),
             ("a.xml", "<?xml version='1.0'?><opencv_storage><a>", "cannot parse"),
             ("a.xml", "text", "cannot parse"),
             ("a.yml", "%YAML:1.0\n---\n", "no keys"),
+            *(
+                ("a.yml", "%YAML:1.0\n---\n" + text, "nested too deeply")
+                for text in ("a: " + "[" * 100_000, "a: " + "{a:" * 50_000, "a:\n  " + "- " * 50_000, "a: " * 50_000)
+            ),
+            ("a.xml", "<?xml version='1.0'?><opencv_storage>" + "<a>" * 50_000, "nested too deeply"),
+            ("a.json", '{"x": "opencv-matrix", "a": ' + "[" * 100_000, "nested too deeply"),
             ("a.txt", "x", "suffix '.txt'"),
             *((f"a{suffix}", " \n", "an empty file") for suffix in (".json", ".toml", ".yml", ".xml")),
         ],
@@ -338,9 +353,9 @@ class TestMalformed:
         assert capfd.readouterr() == ("", "")
 
     def test_files(self, tmp_path):
-        assert "No such file" in problems_of(tmp_path / "none.json")
+        assert "no such file" in problems_of(tmp_path / "none.json")
         (tmp_path / "folder.toml").mkdir()
-        assert "directory" in problems_of(tmp_path / "folder.toml")
+        assert "a folder" in problems_of(tmp_path / "folder.toml")
         (tmp_path / "binary.yml").write_bytes(b"\x80\x81")
         assert "not UTF-8" in problems_of(tmp_path / "binary.yml")
 
