@@ -76,9 +76,8 @@ def drawing(height_mm: float, width_mm: float = WIDTH_MM) -> Iterator[Figure]:
         yield figure
         if not figure.axes:
             figure.text(0.5, 0.5, "no data", ha="center", va="center", color=GREY)
-        layout = figure.get_layout_engine()
-        assert layout is not None
-        layout.execute(figure)
+        elif layout := figure.get_layout_engine():
+            layout.execute(figure)
         figure.set_layout_engine(None)
 
 
