@@ -15,27 +15,26 @@ Formats, told apart by suffix and content:
 
 from __future__ import annotations
 
-import json
 import math
-import os
 import re
-import tomllib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, get_args
 
-import cv2
 import numpy as np
-import tomli_w
-from scipy.spatial.transform import Rotation
 
 from recon.camera import COEFFICIENT_COUNTS, Camera, FloatArray, LensModel, is_rotation
+from recon.documents import parse_json, parse_toml, read_text
 from recon.errors import InputError, Problem
+from recon.files import staged_file
 
-AS_GIVEN = ", as was given"
 FORMAT = "recon-camera"
+AS_GIVEN = ", as was given"
 VERSION = 1
+MAX_BYTES = 1 << 23
+MAX_NESTING = 5_000
+"""OpenCV dies at 20,000."""
 ROTATION_TOLERANCE = 1e-3
 
 OPENCV_KEYS = {
@@ -130,14 +129,12 @@ def read_camera(
 
 def write_camera(camera: Camera, path: str | Path) -> None:
     """Write one camera as TOML that `read_camera` reads back exactly; whole or not at all."""
+    import tomli_w
+
     path = Path(path)
     text = tomli_w.dumps({"camera": {"format": FORMAT, "version": VERSION, **camera.to_dict()}})
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    try:
-        temporary.write_text(text, encoding="utf-8")
-        temporary.replace(path)
-    finally:
-        temporary.unlink(missing_ok=True)
+    with staged_file(path) as staged:
+        staged.write_text(text, encoding="utf-8")
 
 
 # ---- from text to records ----
@@ -156,12 +153,7 @@ def _read_records(path: Path) -> list[_Record]:
         raise InputError(
             Problem(path, "format", f"suffix {path.suffix!r}", f"a calibration file: {', '.join(sorted(parsers))}")
         )
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except OSError as error:
-        raise InputError(Problem(path, "file", error.strerror or str(error), "a file that can be read")) from error
-    except UnicodeDecodeError as error:
-        raise InputError(Problem(path, "file", f"byte {error.start} that is not UTF-8", "text")) from error
+    text = read_text(path, "a calibration", MAX_BYTES)
     if not text.strip():
         raise InputError(Problem(path, "file", "an empty file", "a calibration"))
     return parse(path, text)
@@ -171,10 +163,7 @@ def _parse_json(path: Path, text: str) -> list[_Record]:
     if '"opencv-matrix"' in text:
         # OpenCV 4 writes whole numbers as "1.", which is not JSON.
         return [_opencv_record(_load_file_storage(path, text))]
-    try:
-        document = json.loads(text)
-    except (json.JSONDecodeError, RecursionError) as error:
-        raise InputError(Problem(path, "file", f"malformed JSON: {error}", "JSON")) from error
+    document = parse_json(text, path)
     if isinstance(document, dict) and ("cameras" in document or "k" in document):
         return _acinoset_records(path, document)
     if isinstance(document, dict) and any(key in document for key in OPENCV_KEYS["matrix"]):
@@ -195,10 +184,7 @@ def _parse_xml(path: Path, text: str) -> list[_Record]:
 
 
 def _parse_toml(path: Path, text: str) -> list[_Record]:
-    try:
-        document = tomllib.loads(text)
-    except (tomllib.TOMLDecodeError, RecursionError) as error:
-        raise InputError(Problem(path, "file", f"malformed TOML: {error}", "TOML")) from error
+    document = parse_toml(text, path)
     own = document.get("camera")
     if isinstance(own, dict) and "format" in own:
         return [_own_record(path, own)]
@@ -291,6 +277,10 @@ def _opencv_record(document: dict[str, Any]) -> _Record:
 
 def _load_file_storage(path: Path, text: str) -> dict[str, Any]:
     """A document of OpenCV's FileStorage as plain dictionaries, lists, strings and numbers."""
+    import cv2  # slow to import
+
+    if _nesting(text) > MAX_NESTING:
+        raise InputError(Problem(path, "content", "lists or tables that are nested too deeply", "a calibration"))
     try:
         storage = cv2.FileStorage(text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
         document = _plain(storage.root())
@@ -303,6 +293,15 @@ def _load_file_storage(path: Path, text: str) -> dict[str, Any]:
     if not isinstance(document, dict):
         raise InputError(Problem(path, "file", "no keys", "camera_matrix, distortion_coefficients, ..."))
     return document
+
+
+def _nesting(text: str) -> int:
+    """A bound on how deeply OpenCV's parsers, which know no limit, go into a text: brackets, elements, or what stands
+    in one line of YAML, times the lines that are indented ever more. Whether they are closed does not matter: what
+    looks like it may be a comment."""
+    inline = max((len(re.findall(r"[-:?](?=\s)", line)) for line in text.splitlines()), default=0)
+    indents = {len(spaces) for spaces in re.findall(r"(?m)^ *(?=\S)", text)}
+    return max(len(re.findall(r"[\[{]", text)), len(re.findall(r"<[^/?!]", text)), inline * len(indents))
 
 
 def _plain(node: Any) -> Any:
@@ -431,6 +430,8 @@ def _numbers(value: Any) -> FloatArray | None:
 def _rotation(array: FloatArray) -> FloatArray | None:
     """Rotation matrix of a 3x3 matrix or a Rodrigues vector; None for a matrix that is no rotation."""
     if array.size == 3:
+        from scipy.spatial.transform import Rotation  # slow to import
+
         return Rotation.from_rotvec(array.ravel()).as_matrix()
     matrix = array.reshape(3, 3)
     if not is_rotation(matrix, ROTATION_TOLERANCE):

@@ -9,12 +9,12 @@ from __future__ import annotations
 import dataclasses
 import math
 import re
-import tomllib
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import MISSING, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+from recon.documents import read_toml
 from recon.errors import InputError, Problem
 
 if TYPE_CHECKING:
@@ -452,14 +452,9 @@ def option(name: str) -> str:
 
 
 def _read_config(config: Path) -> dict[str, Any]:
-    if not config.is_file():
-        raise InputError(Problem(config, "file", "no such file", "a config.toml of an earlier run"))
-    try:
-        document = tomllib.loads(config.read_text(encoding="utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise InputError(Problem(config, "content", str(error), "a TOML file")) from None
+    document = read_toml(config, "a config.toml of an earlier run")
     table = document.get("recon", {})
     table = table.get("fit") if isinstance(table, dict) else None
     if not isinstance(table, dict):
-        raise InputError(Problem(config, "table", ", ".join(document) or "nothing", "[recon.fit]"))
+        raise InputError(Problem(config, "table", ", ".join(document)[:120] or "nothing", "[recon.fit]"))
     return table

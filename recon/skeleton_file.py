@@ -6,7 +6,6 @@ Built-in skeletons are the files of `recon/skeletons`, built-in subjects (one an
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Callable, Iterable, Iterator
 from importlib import resources
 from pathlib import Path
@@ -16,6 +15,7 @@ import numpy as np
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, FiniteFloat, PositiveFloat, ValidationError
 
 from recon.body import CHAIN_PLACES, PLACES, SIDES, Body, other_side, side_of
+from recon.documents import parse_toml, read_toml
 from recon.errors import InputError, Problem
 from recon.kinematics import ANGLES, AXES, Marker, Segment, Tree
 from recon.skeleton import MIN_JOINTS, AngleRanges, Link, PriorScales, Skeleton
@@ -205,16 +205,13 @@ def _read(
     folder = f"{kind}s"
     if str(name_or_path) in _names(folder):
         file = resources.files("recon") / folder / f"{name_or_path}.toml"
-        return tomllib.loads(file.read_text(encoding="utf-8")), f"{kind} {name_or_path}"
+        return parse_toml(file.read_text(encoding="utf-8"), name_or_path), f"{kind} {name_or_path}"
     path = Path(name_or_path)
     if not path.is_file():
         names = _names(folder) if suggested is None else suggested()
         expected = f"one of {', '.join(names)}, or a {kind} file (.toml)"
         raise InputError(Problem(f"--{kind}", "name or file", repr(str(name_or_path)), expected))
-    try:
-        return tomllib.loads(path.read_text(encoding="utf-8")), str(path)
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise InputError(Problem(path, "content", str(error), "a TOML file")) from None
+    return read_toml(path), str(path)
 
 
 _File = TypeVar("_File", bound=_Table)

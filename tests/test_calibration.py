@@ -252,7 +252,7 @@ class TestOwnFormat:
         def fail(*_):
             raise OSError("disk full")
 
-        monkeypatch.setattr("pathlib.Path.replace", fail)
+        monkeypatch.setattr("os.replace", fail)
         with pytest.raises(OSError, match="disk full"):
             write_camera(Camera.from_hfov(60, SIZE), path)
         assert path.read_text() == "old"

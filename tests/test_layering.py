@@ -23,6 +23,7 @@ LAYERS = (
     "interrupts",
     "package",
     "errors",
+    "documents",
     "manifest",
     "files",
     "recording",

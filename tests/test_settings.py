@@ -335,8 +335,10 @@ def test_config_that_is_not_text(tmp_path):
     config = tmp_path / "config.toml"
     config.write_bytes(b"\xff\xfe\x00")
     (message,) = messages(GIVEN, config)
-    assert message.startswith(f"{config}: content: found ")
-    assert message.endswith("expected a TOML file")
+    assert message == (
+        f"{config}: text: found byte 1 of the file is not UTF-8, "
+        "expected a config.toml of an earlier run, as text in UTF-8"
+    )
 
 
 def test_missing_config(tmp_path):

@@ -9,6 +9,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+from recon.documents import require_file
 from recon.errors import InputError, Problem
 from recon.io import coco, columns, deeplabcut, movement, nwb, sleap
 from recon.keypoints import Keypoints
@@ -54,13 +55,10 @@ def read_keypoints(path: str | Path, individual: str | None = None) -> Keypoints
 
 def file_head(path: Path) -> bytes:
     """The first bytes of a file. Raises InputError where there is no file to read, or nothing in it."""
+    require_file(path)
     try:
         with path.open("rb") as file:
             head = file.read(64)
-    except FileNotFoundError:
-        found = "no such file"
-    except IsADirectoryError:
-        found = "a folder"
     except OSError as error:
         found = f"a file that cannot be opened ({error.strerror})"
     else:

@@ -6,13 +6,13 @@ annotation is its `individual`, as our own files have it, or its `track_id`.
 
 from __future__ import annotations
 
-import json
 import re
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from recon.documents import read_json
 from recon.errors import InputError, Problem
 from recon.io.common import choose, first_problems, name_problems, rate
 from recon.keypoints import Keypoints
@@ -31,10 +31,9 @@ def recognises(path: Path) -> bool:
 
 def read(path: Path, individual: str | None = None) -> Keypoints:
     """The keypoints of one animal. Raises InputError."""
-    try:
-        content = json.loads(path.read_text(encoding="utf-8-sig"))
-    except (UnicodeDecodeError, ValueError) as error:
-        raise InputError(Problem(path, "JSON", f"text that is none ({error})", "a whole file")) from None
+    content = read_json(path, "a whole file of JSON")
+    if not isinstance(content, dict):
+        raise InputError(Problem(path, "content", "something else than a table", "COCO keypoints"))
     missing = [key for key in ("images", "annotations", "categories") if not isinstance(content.get(key), list)]
     if missing:
         raise InputError([Problem(path, key, "no list", "a list") for key in missing])

@@ -5,14 +5,14 @@ Built-in robots are the files of `recon/robot/robots`.
 
 from __future__ import annotations
 
-import tomllib
 from importlib import resources
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, FiniteFloat, PositiveFloat, ValidationError
 
+from recon.documents import parse_toml, read_toml
 from recon.errors import InputError, Problem
 from recon.robot.leg import ANGLES, FlapLeg, Leg, SwingLeg
 from recon.robot.quadruped import LEGS, ChainLeg, ClosedLeg, Quadruped, standing
@@ -81,22 +81,20 @@ def load_robot(robot: str | Path) -> Quadruped:
     text = str(robot)
     if text in builtin_robots():
         content = (resources.files("recon.robot") / "robots" / f"{text}.toml").read_text(encoding="utf-8")
-        return _from_toml(text, content)
+        return _from_table(text, parse_toml(content, text))
     path = Path(robot)
     if path.suffix.lower() == ".urdf":
         return quadruped_from_urdf(read_urdf(path))
     if path.suffix.lower() == ".toml" and path.is_file():
-        return _from_toml(text, path.read_text(encoding="utf-8"))
+        return _from_table(text, read_toml(path))
     found = "no such file" if path.suffix.lower() in (".toml", ".urdf") else "no such robot"
     expected = f"{', '.join(builtin_robots())}, or a file .toml or .urdf"
     raise InputError(Problem(text, "robot", found, expected))
 
 
-def _from_toml(source: str, content: str) -> Quadruped:
+def _from_table(source: str, table: dict[str, Any]) -> Quadruped:
     try:
-        file = _RobotFile.model_validate(tomllib.loads(content))
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(Problem(source, "content", str(error), "TOML")) from None
+        file = _RobotFile.model_validate(table)
     except ValidationError as error:
         problems = [
             Problem(source, ".".join(map(str, e["loc"])), repr(e["input"])[:60], e["msg"]) for e in error.errors()

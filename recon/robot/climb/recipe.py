@@ -6,7 +6,6 @@ rear-up are printed as 0, 30, -10, 30 mm, with the plastic casings of the feet; 
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
@@ -16,8 +15,9 @@ import numpy as np
 import tomli_w
 from numpy.typing import NDArray
 
+from recon.documents import read_toml
 from recon.errors import InputError, Problem
-from recon.files import staged_folder
+from recon.files import staged_file
 from recon.robot.climb.equilibrium import Motion
 from recon.robot.climb.fields import PLANAR, SPATIAL, Fields, Well
 from recon.robot.climb.paths import Step
@@ -117,13 +117,7 @@ def bundled() -> list[str]:
 def load_recipe(recipe: str | Path) -> Recipe:
     """A bundled recipe by name, or a file. Raises InputError."""
     path = RECIPES / f"{recipe}.toml" if str(recipe) in bundled() else Path(recipe)
-    try:
-        table = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError) as error:
-        expected = f"a recipe of a climb: a TOML file, or one of {', '.join(bundled())}"
-        raise InputError(Problem(recipe, "file", str(error), expected)) from error
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(Problem(recipe, "file", str(error), "TOML")) from error
+    table = read_toml(path, f"a recipe of a climb: a TOML file, or one of {', '.join(bundled())}")
     reader = _Reader(path)
     found = reader.recipe(table)
     if reader.problems or found is None:
@@ -263,8 +257,8 @@ def save_recipe(recipe: Recipe, path: str | Path) -> None:
             for p in recipe.primitives
         ],
     }
-    with staged_folder(path.parent) as staging:
-        (staging / path.name).write_text(tomli_w.dumps(table), encoding="utf-8")
+    with staged_file(path) as staged:
+        staged.write_text(tomli_w.dumps(table), encoding="utf-8")
 
 
 def _table(of: Any) -> dict[str, Any]:

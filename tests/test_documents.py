@@ -1,0 +1,65 @@
+"""Texts that the parsers of the standard library choke on, and files that are none."""
+
+from __future__ import annotations
+
+import os
+
+import pytest
+
+from recon.documents import MAX_TOML_BYTES, read_content, read_json, read_toml
+from recon.errors import InputError
+from recon.io import read_keypoints
+from recon.io.pose3d import read_pose3d
+from recon.robot.robot_file import load_robot
+from recon.settings import read_settings
+from recon.skeleton_file import load_skeleton
+
+DIGITS = "1" * 5000
+TEXTS = {
+    "deep.json": ("[" * 100_000, "nested too deeply"),
+    "deep.toml": ("a = " + "{x = " * 5000, "nested too deeply"),
+    "lists.toml": ("a = " + "[" * 50_000, "nested too deeply"),
+    "digits.json": (DIGITS, "5000 digits"),
+    "digits.toml": (f"a = {DIGITS}", "5000 digits"),
+    "date.toml": ("a = 2020-02-31", "Invalid"),
+    "latin.toml": ("a = 'ä'".encode("latin-1"), "byte 6 of the file is not UTF-8"),
+    "latin.json": ('"ä"'.encode("latin-1"), "byte 2 of the file is not UTF-8"),
+    "huge.toml": ("#" * (MAX_TOML_BYTES + 1), "more than 8 MB"),
+}
+
+
+@pytest.mark.parametrize("name", TEXTS)
+def test_text_that_is_refused(tmp_path, name):
+    text, said = TEXTS[name]
+    (tmp_path / name).write_bytes(text if isinstance(text, bytes) else text.encode())
+    read = read_json if name.endswith("json") else read_toml
+    with pytest.raises(InputError, match=said):
+        read(tmp_path / name, "some settings")
+
+
+def test_byte_order_mark(tmp_path):
+    (tmp_path / "a.toml").write_bytes(b"\xef\xbb\xbfa = 1")
+    (tmp_path / "a.json").write_bytes(b'\xef\xbb\xbf{"a": 1}')
+    assert read_toml(tmp_path / "a.toml") == read_json(tmp_path / "a.json", "a table") == {"a": 1}
+
+
+def test_no_file(tmp_path):
+    for name, said in (("none", "no such file"), (".", "a folder"), ("a\0b", "no such file|cannot be opened")):
+        with pytest.raises(InputError, match=said):
+            read_content(tmp_path / name, "a table")
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes with names")
+def test_a_pipe_is_not_waited_for(tmp_path):
+    path = tmp_path / "pipe.toml"
+    os.mkfifo(path)
+    for read in (
+        read_keypoints,
+        read_pose3d,
+        load_robot,
+        load_skeleton,
+        lambda path: load_skeleton("cheetah-24", path),
+        lambda path: read_settings(path, {}),
+    ):
+        with pytest.raises(InputError):
+            read(path)
