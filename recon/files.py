@@ -109,7 +109,7 @@ def _staging(folder: Path) -> Iterator[Path]:
         staging, lock = _new_staging(folder)
         yield staging
     except BaseException as error:
-        if isinstance(error, OSError):
+        if isinstance(error, OSError) and error.errno is not None:
             error.filename = _in_place(error.filename, staging, folder)
         if staging is not None:
             shutil.rmtree(staging, ignore_errors=True)
@@ -137,8 +137,7 @@ def _new_staging(folder: Path) -> tuple[Path, int]:
             continue  # another process has just taken it for a dead one's, or removed the folder that it had made
         try:
             if _locked(lock) is not False:
-                for part in (_NEW, _OLD):
-                    (staging / part).mkdir()
+                (staging / _NEW).mkdir()
                 return staging, lock
         except FileNotFoundError:
             pass  # likewise
@@ -199,6 +198,7 @@ def _exchange(staging: Path, folder: Path, obsolete: Iterable[str]) -> None:
     new, old = staging / _NEW, staging / _OLD
     names = [name for name in _names(new) if name != MANIFEST]
     _require_places(folder, [*names, MANIFEST])
+    old.mkdir()
     moved: list[tuple[Path, Path]] = []
 
     def move(source: Path, target: Path) -> None:

@@ -76,9 +76,7 @@ def read_manifest(folder: Path) -> Manifest:
         content = json.loads(path.read_text(encoding="utf-8"))
         if content["schema"] != SCHEMA:
             raise ValueError
-        files = {
-            str(name): Entry(int(entry["size"]), str(entry["sha256"])) for name, entry in content["files"].items()
-        }
+        files = {str(name): Entry(int(entry["size"]), str(entry["sha256"])) for name, entry in content["files"].items()}
     except FileNotFoundError:
         found = f"no {MANIFEST}: of an interrupted run, or of an earlier version"
         raise InputError(Problem(folder, "folder", found, AGAIN)) from None

@@ -15,12 +15,10 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import solve_triangular
-from scipy.special import logsumexp
 
 from recon.body import Body
 from recon.errors import InputError, Problem
-from recon.files import staged_folder
+from recon.files import staged_file, write_bytes
 
 Array = NDArray[np.float64]
 
@@ -223,6 +221,8 @@ def mean_speed_m_s(states: Array, fps: float) -> float:
 
 def log_likelihood(prior: MotionPrior, states: Array) -> float:
     """Mean over frames of the natural logarithm of the mixture's density (per rad^A) at states (T, D)."""
+    from scipy.special import logsumexp  # slow to import
+
     poses = states[np.isfinite(states).all(axis=1)][:, ANGLES]
     return float(logsumexp(_log_densities(poses, prior.weights, prior.means, prior.covariances), axis=1).mean())
 
@@ -261,6 +261,8 @@ def _mixture(
     poses: Array, components: int, shrink: float, extra: Array, rng: np.random.Generator
 ) -> tuple[Array, Array, Array]:
     """Weights (K,), means (K, A), covariances (K, A, A) of poses (N, A), by expectation-maximisation."""
+    from scipy.special import logsumexp  # slow to import
+
     nearest = _k_means(poses / np.maximum(poses.std(axis=0), MISSING_BELOW_RAD), components, rng)
     share = np.eye(components)[nearest]
     weights, means, covariances = _maximised(poses, share, shrink, extra)
@@ -285,6 +287,8 @@ def _maximised(poses: Array, share: Array, shrink: float, extra: Array) -> tuple
 
 def _log_densities(poses: Array, weights: Array, means: Array, covariances: Array) -> Array:
     """(N, K): the logarithm of each component's density times its weight."""
+    from scipy.linalg import solve_triangular  # slow to import
+
     densities = np.empty((len(poses), len(weights)))
     for k, (center, root) in enumerate(zip(means, np.linalg.cholesky(covariances), strict=True)):
         white = solve_triangular(root, (poses - center).T, lower=True)
@@ -349,8 +353,10 @@ def save_prior(prior: MotionPrior, path: str | Path) -> None:
         "segments": [asdict(row) for row in prior.segments],
     }
     arrays = {name: getattr(prior, name).astype(np.float32) for name in _SHAPES}
-    with staged_folder(path.parent) as folder, (folder / path.name).open("wb") as file:
-        np.savez_compressed(file, about=np.array(json.dumps(about)), **arrays)
+    made = io.BytesIO()
+    np.savez_compressed(made, about=np.array(json.dumps(about)), **arrays)
+    with staged_file(path) as staged:
+        write_bytes(staged, made.getvalue())
 
 
 def load_prior(name_or_path: str | Path, body: Body) -> MotionPrior:

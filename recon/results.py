@@ -2,34 +2,37 @@
 
 Everything stands in the upright frame, metres, z up: the world frame where that is known to have z up, otherwise the
 level frame (docs/report.md). The files read are report.json, pose3d.csv, angles.csv and, where there is one,
-pose3d_sigma.csv.
+pose3d_sigma.csv, all as one run of `recon fit` wrote them: manifest.json says which that are.
 """
 
 from __future__ import annotations
 
 import csv
-import json
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pandas as pd
 from numpy.typing import NDArray
 
 from recon.body import Body, Side
 from recon.camera import Camera
+from recon.documents import read_json
 from recon.errors import InputError, Problem, all_of
 from recon.initialise import level_axes
 from recon.io.pose3d import Pose3D, read_pose3d
+from recon.manifest import Manifest, read_manifest
 from recon.skeleton import Skeleton
 from recon.skeleton_file import load_skeleton
+from recon.solve.result import Ground, Spell
 
 Array = NDArray[np.float64]
 
 SCHEMA_NAME, SCHEMA_VERSION = "recon.fit.report", 2
 """Of report.json."""
+REPORT, TABLES, SIGMAS = "report.json", ("pose3d.csv", "angles.csv"), "pose3d_sigma.csv"
+"""What is read, the last if it is there."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,10 +41,12 @@ class Results:
 
     pose: in the upright frame. states (T, D): the rows of angles.csv, in the units and the frame that it has. sigma_m,
     relative_sigma_m (T, J, 3): one standard deviation along the upright frame's axes, of the joints' positions and of
-    those relative to the mean of all joints; None where the method gives none. camera: as it was for the fit.
+    those relative to the mean of all joints; None where the method gives none. camera: as it was for the fit. manifest:
+    of the run, for those who read more of its files.
     """
 
     folder: Path
+    manifest: Manifest
     report: dict[str, Any]
     fps: float
     camera: Camera
@@ -98,6 +103,21 @@ class Results:
         return self.skeleton.limb_sides(self.report["side"]["fitted"])
 
     @cached_property
+    def spells(self) -> tuple[Spell, ...]:
+        """The stretches of the clip that were solved, each by itself, and the ground that was found under them, in the
+        upright frame. One with all frames where the fit wrote none down."""
+        spells = []
+        for spell in self.report.get("spells", ()):
+            first, stop = np.searchsorted(self.pose.frames, spell["frames"])
+            ground = spell["ground"]
+            if ground is not None:
+                slope = np.array(ground["slope"], dtype=float)
+                origin = float(ground["height_m"] - slope @ np.array(ground["middle_m"], dtype=float))
+                ground = Ground(origin, slope, float(ground["sigma_m"]))
+            spells.append(Spell(slice(int(first), int(stop)), ground))
+        return tuple(spells) or (Spell(slice(0, len(self.pose.frames)), None),)
+
+    @cached_property
     def state_names(self) -> tuple[str, ...]:
         """(D,)"""
         return tuple(self.report["skeleton"]["state_names"])
@@ -125,9 +145,10 @@ class Results:
 
 
 def read_results(folder: str | Path) -> Results:
-    """Raises InputError for a folder without a fit's results, or with those of an incompatible version."""
+    """Raises InputError for a folder without a fit's results, with those of an incompatible version, or of two runs."""
     folder = Path(folder)
-    report = _report(folder)
+    manifest = _manifest(folder)
+    report = _report(folder / REPORT)
     skeleton, pose, states = all_of(
         lambda: load_skeleton(_skeleton_name(report), report["settings"].get("subject")),
         lambda: read_pose3d(folder / "pose3d.csv"),
@@ -138,9 +159,11 @@ def read_results(folder: str | Path) -> Results:
         raise InputError(Problem(folder / "angles.csv", "rows", found, "both files of the same fit"))
     camera = Camera.from_dict(report["input"]["camera"])
     R = _upright_from_reference(camera)
-    sigma, relative = _sigmas(folder / "pose3d_sigma.csv", pose, R)
+    sigma, relative = _sigmas(folder / SIGMAS, pose, R) if SIGMAS in manifest else (None, None)
+    manifest.require_same()
     return Results(
         folder=folder,
+        manifest=manifest,
         report=report,
         fps=float(report["input"]["fps"]),
         camera=camera,
@@ -152,13 +175,19 @@ def read_results(folder: str | Path) -> Results:
     )
 
 
-def _report(folder: Path) -> dict[str, Any]:
-    path = folder / "report.json"
-    if not path.is_file():
-        found = "no report.json" if folder.is_dir() else "no such folder"
+def _manifest(folder: Path) -> Manifest:
+    """Of results whose files are all there and as they were written."""
+    if not (folder / REPORT).is_file():
+        found = f"no {REPORT}" if folder.is_dir() else "no such folder"
         raise InputError(Problem(folder, "folder", found, "results that `recon fit` wrote"))
+    manifest = read_manifest(folder)
+    manifest.require(*(name for name in (REPORT, *TABLES, SIGMAS) if name in manifest))
+    return manifest
+
+
+def _report(path: Path) -> dict[str, Any]:
     try:
-        report = json.loads(path.read_text(encoding="utf-8"))
+        report = read_json(path, "the report of `recon fit`")
         schema = (report["schema"]["name"], report["schema"]["version"])
     except (ValueError, KeyError, TypeError):
         raise InputError(Problem(path, "content", "something else", "the report of `recon fit`")) from None
@@ -179,11 +208,9 @@ def _states(path: Path, names: list[str]) -> Array:
     return _table(path, 1, expected)
 
 
-def _sigmas(path: Path, pose: Pose3D, R: Array) -> tuple[Array, Array] | tuple[None, None]:
+def _sigmas(path: Path, pose: Pose3D, R: Array) -> tuple[Array, Array]:
     """Of the positions and of the relative ones, along the upright axes. Off the axes, a correlation between two
     coordinates is not in the file, and not taken into account."""
-    if not path.is_file():
-        return None, None
     coords = ("x_sigma", "y_sigma", "z_sigma", "x_rel", "y_rel", "z_rel")
     values = _table(path, 2, [(name, coord) for name in pose.names for coord in coords])
     if len(values) != len(pose.frames):
@@ -198,6 +225,8 @@ def _table(path: Path, header_rows: int, columns: list[Any]) -> Array:
     try:
         with path.open(encoding="utf-8", newline="") as file:
             header = [row for _, row in zip(range(header_rows), csv.reader(file), strict=False)]
+        import pandas as pd  # slow to import
+
         # Not with the header: pandas takes a first frame without a pose for a part of it.
         values = pd.read_csv(path, header=None, skiprows=header_rows, dtype=float, skip_blank_lines=False).to_numpy()
     except (OSError, ValueError):

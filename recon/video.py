@@ -7,7 +7,7 @@ only an estimate.
 
 from __future__ import annotations
 
-import os
+import errno
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -19,6 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from recon.errors import InputError, Problem
+from recon.files import staged_file
 
 Image = npt.NDArray[np.uint8]
 CODECS = {".mp4": "mp4v", ".avi": "MJPG"}
@@ -77,32 +78,43 @@ def video_writer(path: str | Path, size_px: tuple[int, int], fps: float) -> Iter
 
     size_px: (width, height), even. The file appears, or replaces its predecessor, when the block ends without an
     exception; otherwise nothing is left. Raises InputError for a suffix that is not in `CODECS`, or where OpenCV lacks
-    the encoder.
+    the encoder; OSError where the disk does not hold all of it.
     """
     path = Path(path)
     codec = require_codec(path)
-    temporary = path.with_name(f".{path.stem}.{os.getpid()}.tmp{path.suffix.lower()}")
-    path.parent.mkdir(parents=True, exist_ok=True)
-    temporary.touch()  # an OSError with the reason, where OpenCV would only say no
-    writer: Any = cv2.VideoWriter(str(temporary), cv2.CAP_FFMPEG, cv2.VideoWriter.fourcc(*codec), fps, size_px)
+    with staged_file(path) as staged:
+        staged.touch()  # an OSError with the reason, where OpenCV would only say no
+        writer: Any = cv2.VideoWriter(str(staged), cv2.CAP_FFMPEG, cv2.VideoWriter.fourcc(*codec), fps, size_px)
+        written = 0
+        try:
+            if not writer.isOpened():
+                found = f"an OpenCV without an encoder for {codec} of {size_px[0]}x{size_px[1]} px"
+                raise InputError(Problem(path, "video", found, "one of the suffixes " + ", ".join(CODECS)))
+
+            def write(image: Image) -> None:
+                nonlocal written
+                if image.shape != (size_px[1], size_px[0], 3):
+                    raise ValueError(f"a picture of shape {image.shape} in a video of {size_px[0]}x{size_px[1]} px")
+                writer.write(image)
+                written += 1
+
+            yield write
+        finally:
+            writer.release()
+        if _frames_in(staged) != written:  # OpenCV says nothing of a full disk
+            raise OSError(errno.ENOSPC, "the video could not be written: is the disk full?", str(path))
+
+
+def _frames_in(path: Path) -> int:
+    """How many can be decoded."""
+    capture = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
+    count = 0
     try:
-        if not writer.isOpened():
-            found = f"an OpenCV without an encoder for {codec} of {size_px[0]}x{size_px[1]} px"
-            raise InputError(Problem(path, "video", found, "one of the suffixes " + ", ".join(CODECS)))
-
-        def write(image: Image) -> None:
-            if image.shape != (size_px[1], size_px[0], 3):
-                raise ValueError(f"a picture of shape {image.shape} in a video of {size_px[0]}x{size_px[1]} px")
-            writer.write(image)
-
-        yield write
-        writer.release()
-        if not temporary.stat().st_size:
-            raise OSError(f"{path}: the video could not be written")
-        temporary.replace(path)
+        while capture.grab():
+            count += 1
     finally:
-        writer.release()
-        temporary.unlink(missing_ok=True)
+        capture.release()
+    return count
 
 
 def require_codec(path: Path) -> str:

@@ -15,6 +15,7 @@ from recon.analysis.clip import ClipAnalysis, analyse, limb_chains
 from recon.errors import InputError
 from recon.export import analysis_csv
 from recon.io.pose3d import read_pose3d
+from recon.manifest import write_manifest
 from recon.results import read_results
 
 SAMPLES = Path(__file__).parents[1] / "data" / "samples"
@@ -162,6 +163,7 @@ def test_too_few_poses(frame_results, tmp_path):
     for name, header in (("pose3d.csv", 2), ("angles.csv", 1)):
         lines = (folder / name).read_text().splitlines()
         (folder / name).write_text("\n".join(lines[: header + 3]) + "\n")
+    write_manifest(folder)
     with pytest.raises(InputError, match="found 3 frames with a pose, expected at least 4"):
         analyse(read_results(folder))
 
@@ -172,19 +174,22 @@ def test_too_few_poses(frame_results, tmp_path):
 def test_command_writes_tables_figures_and_plots(folder):
     from rerun.chunk import RrdReader
 
+    results = {path.name: path.read_bytes() for path in folder.iterdir()}
     done = run("analyse", folder)
     assert (done.code, done.err) == (0, "")
     assert "transverse gallop" in done.out
     assert "peak" in done.out
     written = {path.name for path in (folder / "analysis").iterdir()}
-    assert {*analysis_csv.TABLES, "analysis.json"} <= written
+    assert {*analysis_csv.TABLES, "analysis.json", "analysis.rrd"} <= written
+    assert {path.name: path.read_bytes() for path in folder.iterdir() if path.is_file()} == results
+    assert f"with: recon view {folder}\n" in done.out
     for figure in ("composites", "speed", "footfalls", "vector_field_left_front_leg", "phase_portraits"):
         assert {f"{figure}.png", f"{figure}.svg"} <= written
     summary = json.loads((folder / "analysis" / "analysis.json").read_text(encoding="utf-8"))
     assert summary["gait"]["ground"]["name"] == "transverse gallop"
     assert summary["speed"]["peak_m_s"] == pytest.approx(16.05, abs=0.3)
-    entities = {chunk.entity_path for chunk in RrdReader(folder / "motion.rrd").stream()}
-    assert {"/analysis/speed", "/analysis/gait/ground/l_back_paw", "/analysis/links/trunk", "/speed"} <= entities
+    entities = {chunk.entity_path for chunk in RrdReader(folder / "analysis" / "analysis.rrd").stream()}
+    assert {"/analysis/speed", "/analysis/gait/ground/l_back_paw", "/analysis/links/trunk"} <= entities
 
     again = run("analyse", folder)
     assert again.code == 2
@@ -212,4 +217,5 @@ def test_tables_are_written_where_figures_fail(whole_results, tmp_path, monkeypa
     done = run("analyse", whole_results, "--out", tmp_path / "a")
     assert done.code == 2
     assert "No space left on device" in done.err
-    assert {path.name for path in (tmp_path / "a").iterdir()} == {*analysis_csv.TABLES, "analysis.json"}
+    written = {*analysis_csv.TABLES, "analysis.json", "analysis.rrd"}
+    assert {path.name for path in (tmp_path / "a").iterdir()} == written

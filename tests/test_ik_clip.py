@@ -12,6 +12,7 @@ import pytest
 from command_line import run
 
 from recon.errors import InputError
+from recon.manifest import write_manifest
 from recon.pipelines.ik import FITTED, METHODS, fit_parameters, limb_of, methods_of, run_ik
 from recon.results import read_results
 
@@ -129,6 +130,7 @@ def test_clip_without_a_stride_is_said(frame_results, tmp_path):
     for name, header in (("pose3d.csv", 2), ("angles.csv", 1)):
         lines = (folder / name).read_text().splitlines()
         (folder / name).write_text("\n".join(lines[: header + 9]) + "\n")
+    write_manifest(folder)
     done = run_ik(folder, ("damped",), along_stride=True, dim=2, out=tmp_path / "a", figures=False)
     assert done.summary["stride"]["how"] in ("return", "whole clip")
     assert done.follows["damped"].distance_m.max() < 0.02

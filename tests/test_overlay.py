@@ -13,6 +13,7 @@ from typer.testing import CliRunner
 
 from recon.cli import app
 from recon.errors import InputError
+from recon.manifest import write_manifest
 from recon.motion import TrajectoryMotion
 from recon.overlay import (
     DETECTION,
@@ -208,6 +209,9 @@ def test_a_table_of_another_fit_is_refused(folder, tmp_path):
         (tmp_path / file.name).write_bytes(file.read_bytes())
     lines = (tmp_path / "reprojection.csv").read_text().splitlines()
     (tmp_path / "reprojection.csv").write_text("\n".join(lines[:-1]) + "\n")
+    with pytest.raises(InputError, match=r"reprojection\.csv: content: found other than manifest\.json says"):
+        overlay_of(read_results(tmp_path))
+    write_manifest(tmp_path)
     with pytest.raises(InputError, match=r"reprojection\.csv.*other joints or frames"):
         overlay_of(read_results(tmp_path))
 

@@ -15,6 +15,7 @@ from recon.body import Body
 from recon.camera import Camera
 from recon.errors import InputError
 from recon.io.pose3d import read_pose3d
+from recon.manifest import write_manifest
 from recon.results import read_results
 from recon.skeleton import Skeleton
 
@@ -101,6 +102,7 @@ def test_feet_do_not_depend_on_what_the_clip_shows(whole_results, tmp_path):
     report = json.loads((folder / "report.json").read_text(encoding="utf-8"))
     assert report["skeleton"].pop("feet") == found.feet
     (folder / "report.json").write_text(json.dumps(report), encoding="utf-8")
+    write_manifest(folder)
     assert read_results(folder).feet == found.feet
 
 
@@ -134,6 +136,7 @@ def test_a_first_frame_without_a_pose(tmp_path, whole_results):
         lines = (folder / name).read_text(encoding="utf-8").splitlines()
         lines[header] = "0" + "," * lines[header].count(",")
         (folder / name).write_text("\n".join(lines) + "\n", encoding="utf-8")
+    write_manifest(folder)
     found = read_results(folder)
     assert found.sigma_m is not None
     for values in (found.pose.xyz_m, found.states, found.sigma_m):
@@ -158,4 +161,58 @@ def test_files_that_do_not_fit_together(tmp_path, whole_results, name, change, s
     folder = copy(whole_results, tmp_path)
     path = folder / name
     path.write_text(change(path.read_text(encoding="utf-8")), encoding="utf-8")
+    assert f"{path}: content: found other than manifest.json says" in problem(folder)
+    write_manifest(folder)
     assert said in problem(folder)
+
+
+# -- of one run ------------------------------------------------------------------------------------------------------
+
+
+def test_without_a_manifest_they_are_no_results(whole_results, tmp_path):
+    """As after a run that was killed while it wrote."""
+    folder = copy(whole_results, tmp_path)
+    (folder / "manifest.json").unlink()
+    said = problem(folder)
+    assert said.startswith(f"{folder}: folder: found no manifest.json: of an interrupted run")
+    assert "run the command again, with --overwrite" in said
+
+
+@pytest.mark.parametrize(
+    "content", ["", "[]", "{}", '{"schema": {"name": "recon.manifest", "version": 1}}', "9" * 5000]
+)
+def test_a_manifest_of_another_kind(whole_results, tmp_path, content):
+    folder = copy(whole_results, tmp_path)
+    (folder / "manifest.json").write_text(content)
+    assert problem(folder).startswith(f"{folder / 'manifest.json'}: content: found something else")
+
+
+def test_a_table_that_was_removed_is_missed(whole_results, tmp_path):
+    """Also one that other methods do not write: without it, nothing would be said of the uncertainty."""
+    folder = copy(whole_results, tmp_path)
+    (folder / "pose3d_sigma.csv").unlink()
+    assert f"{folder / 'pose3d_sigma.csv'}: file: found no such file, which manifest.json names" in problem(folder)
+
+
+def test_what_is_not_read_may_be_removed_and_files_added(whole_results, tmp_path):
+    folder = copy(whole_results, tmp_path)
+    (folder / "motion.rrd").unlink()
+    (folder / "notes.txt").write_text("mine")
+    assert read_results(folder).fps == 60
+
+
+def test_a_table_that_no_manifest_names_is_not_read(frame_results, whole_results, tmp_path):
+    folder = copy(frame_results, tmp_path)
+    shutil.copy(whole_results / "pose3d_sigma.csv", folder)
+    assert read_results(folder).sigma_m is None
+
+
+def test_results_that_are_replaced_while_they_are_read(whole_results, tmp_path, monkeypatch):
+    folder = copy(whole_results, tmp_path)
+
+    def replaced(path):
+        (folder / "manifest.json").unlink()
+        return read_pose3d(path)
+
+    monkeypatch.setattr("recon.results.read_pose3d", replaced)
+    assert "no manifest.json" in problem(folder)

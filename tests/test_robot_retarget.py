@@ -266,6 +266,7 @@ def test_command(whole_results, tmp_path):
         "report.json",
         "motion.rrd",
         "stride.rrd",
+        "manifest.json",
     }
     robot = load_robot("a1")
     report = json.loads((out / "report.json").read_text())

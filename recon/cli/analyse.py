@@ -36,7 +36,7 @@ def analyse(
 ) -> None:
     """Kinematics, gait, vector fields and phase portraits of a reconstruction.
 
-    Writes tables (CSV) and figures (PNG, SVG), and adds its time series to the playback.
+    Writes tables (CSV), figures (PNG, SVG), and plots that recon view shows beside the playback.
 
     Example: recon analyse results/clip
     """
@@ -54,8 +54,11 @@ def analyse(
         console.print(_stances(done))
     for note in done.summary["notes"]:
         console.print(Text(f"note: {note}"), soft_wrap=True)
-    playback = "" if done.playback is None else f", and plots in {done.playback}"
-    console.print(Text(f"{len(done.files)} files are in {done.out}{playback}."), soft_wrap=True)
+    console.print(Text(f"{len(done.files)} files are in {done.out}."), soft_wrap=True)
+    if done.plots is not None:
+        results = done.found.results.folder
+        own = "" if done.out == results / "analysis" else f" --analysis {done.out}"
+        console.print(Text(f"See them beside the playback with: recon view {results}{own}"), soft_wrap=True)
 
 
 def _lines(done: Analysed) -> Iterator[str]:
@@ -63,12 +66,12 @@ def _lines(done: Analysed) -> Iterator[str]:
     sigma = speed["peak_sigma_m_s"]
     spread = "" if sigma is None else f" ± {sigma:.1f}"
     yield (
-        f"{found.reference}: {speed['distance_m']:.2f} m, mean {speed['mean_m_s']:.1f} m/s, "
+        f"path of {found.reference}: {speed['distance_m']:.2f} m, mean {speed['mean_m_s']:.1f} m/s, "
         f"peak {speed['peak_m_s']:.1f}{spread} m/s at {speed['peak_time_s']:.2f} s"
     )
     if "spine_flexion" in found.angles:
         low, high = (math.degrees(angle) for angle in found.angles["spine_flexion"].range_rad)
-        yield f"spine: {low:+.0f}° to {high:+.0f}° (positive: arched up)"
+        yield f"flexion of the spine: {low:+.0f}° to {high:+.0f}° (positive: arched up)"
     for method, gait in found.gaits.items():
         yield f"gait by {method}: {gait.name.name} ({gait.name.criterion})"
         if gait.strides:

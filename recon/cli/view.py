@@ -7,28 +7,24 @@ from typing import Annotated
 
 import typer
 
-from recon.errors import InputError, Problem
-
 
 def view(
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of results, as in results/clip.")],
+    analysis: Annotated[
+        Path | None,
+        typer.Option(help="Folder of recon analyse. (default: analysis in DIR, if there is one)", show_default=False),
+    ] = None,
     video: Annotated[
-        Path | None, typer.Option(help="Put the frames of this video into the playback first, as in clip.mp4.")
+        Path | None, typer.Option(help="Show the frames of this video with it from now on, as in clip.mp4.")
     ] = None,
     first_frame: Annotated[
         int, typer.Option(help="Number that the video's first frame has in the keypoint file, if the video was cut.")
     ] = 0,
 ) -> None:
-    """Open the playback of a reconstruction in the rerun viewer.
+    """Open the playback of a reconstruction in the rerun viewer, with the plots of its analysis.
 
     Example: recon view results/clip --video clip.mp4
     """
-    from recon.view import open_viewer
+    from recon.pipelines.view import run_view
 
-    if video is not None:
-        from recon.view.video import add_video
-
-        add_video(folder / "motion.rrd", video, first_frame)
-    elif first_frame:
-        raise InputError(Problem("--first-frame", "video", "no --video", "one beside the other"))
-    open_viewer(folder / "motion.rrd")
+    run_view(folder, analysis, video, first_frame, lambda note: typer.echo(note, err=True))

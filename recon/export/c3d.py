@@ -6,12 +6,17 @@ a gap are there, with all points missing.
 
 from __future__ import annotations
 
+import errno
+import os
 from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
 
 import numpy as np
 
 from recon.errors import InputError, Problem
 from recon.export.checks import require_names, required_fps, without_gaps
+from recon.files import write_bytes
 from recon.io.c3d import OWN_GROUP
 from recon.io.common import formats_extra, frames_text
 from recon.io.pose import PER_METRE, Pose3D
@@ -47,4 +52,27 @@ def write(pose: Pose3D, path: Path) -> None:
     file.add_parameter("POINT", "X_SCREEN", ["+X"])
     file.add_parameter("POINT", "Y_SCREEN", ["+Z"])
     file.add_parameter(OWN_GROUP, "FRAMES", ranges)
-    file.write(str(path))
+    write_bytes(path, _encoded(file, points))
+
+
+def _encoded(file: Any, points: np.ndarray) -> bytes:
+    """The content of the file, with its points (4, J, T).
+
+    The library writes to a path only, and does not say when a disk is full: it writes to memory, where the system has a
+    folder for that, and the points are compared.
+    """
+    memory = "/dev/shm"
+    with TemporaryDirectory(dir=memory if os.access(memory, os.W_OK | os.X_OK) else None) as folder:
+        path = Path(folder) / "positions.c3d"
+        file.write(str(path))
+        content = path.read_bytes()
+        start = 512 * (int.from_bytes(content[16:18], "little") - 1)
+        stored = content[max(start, 0) :][: 4 * points.size]
+        if len(stored) != 4 * points.size or not _same(stored, points):
+            raise OSError(errno.ENOSPC, "a temporary file could not be written: is the disk full?", str(folder))
+        return content
+
+
+def _same(stored: bytes, points: np.ndarray) -> bool:
+    found = np.frombuffer(stored, "<f4").reshape(points.shape[::-1]).T
+    return np.array_equal(found[:3], points[:3].astype(np.float32))

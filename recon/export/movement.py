@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from recon.files import write_bytes
 from recon.io.common import UNNAMED, formats_extra
 from recon.io.pose import Pose3D
 from recon.keypoints import Keypoints
@@ -59,4 +60,4 @@ def _write(
         },
         attrs=attributes,
     )
-    data.to_netcdf(path, engine="h5netcdf")
+    write_bytes(path, bytes(data.to_netcdf(None, engine="h5netcdf")))

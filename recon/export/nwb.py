@@ -6,6 +6,7 @@ A session's start, which NWB asks for and nobody knows here, is given as 1970-01
 from __future__ import annotations
 
 from datetime import UTC, datetime
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 from uuid import uuid4
@@ -13,6 +14,7 @@ from uuid import uuid4
 import numpy as np
 
 from recon.export.checks import require_names, required_fps
+from recon.files import write_bytes
 from recon.io.common import formats_extra
 from recon.io.nwb import RATE_TEXT, UP_TEXT
 from recon.io.pose import Pose3D, index_edges
@@ -51,6 +53,7 @@ def _write(
     fps = required_fps(fps, TITLE)
     require_names((container, *names), NO_NAMES, TITLE)
     with formats_extra(TITLE):
+        import h5py
         from ndx_pose import PoseEstimation, PoseEstimationSeries, Skeleton, Skeletons
         from pynwb import NWBHDF5IO, NWBFile
     regular = int(frames[-1] - frames[0]) + 1 == len(frames)
@@ -88,5 +91,7 @@ def _write(
     behavior = file.create_processing_module("behavior", "processed behavioral data")
     behavior.add([Skeletons(skeletons=[skeleton]), poses])
     writer: Any = NWBHDF5IO
-    with writer(str(path), "w") as io:
+    made = BytesIO()
+    with h5py.File(made, "w") as stored, writer(file=stored, mode="w") as io:
         io.write(file)
+    write_bytes(path, made.getvalue())

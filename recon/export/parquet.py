@@ -6,10 +6,12 @@ The frame rate is in the metadata, as JSON under the key `recon`.
 from __future__ import annotations
 
 import json
+from io import BytesIO
 from pathlib import Path
 
 import numpy as np
 
+from recon.files import write_bytes
 from recon.io.common import formats_extra
 from recon.io.parquet import METADATA
 from recon.io.pose import Pose3D
@@ -28,4 +30,6 @@ def write(pose: Pose3D, path: Path) -> None:
         }
     )
     about = {"fps": pose.fps, "unit": "m", "up": "z"}
-    pq.write_table(table.replace_schema_metadata({METADATA: json.dumps(about)}), path)
+    made = BytesIO()
+    pq.write_table(table.replace_schema_metadata({METADATA: json.dumps(about)}), made)
+    write_bytes(path, made.getvalue())

@@ -6,11 +6,13 @@ Frames that the input lacks are not occupied. The frame rate, for which there is
 from __future__ import annotations
 
 import json
+from io import BytesIO
 from pathlib import Path
 
 import numpy as np
 
 from recon.export.checks import require_span
+from recon.files import write_bytes
 from recon.io.common import formats_extra
 from recon.io.sleap import ORDERS
 from recon.keypoints import Keypoints
@@ -31,7 +33,8 @@ def write(keypoints: Keypoints, path: Path) -> None:
     instance_scores = np.where(occupied.T == 1, 1.0, np.nan)
     named = [] if keypoints.individual is None else [keypoints.individual.encode()]
     provenance = {"written_by": "recon"} | ({} if keypoints.fps is None else {"fps": keypoints.fps})
-    with h5py.File(path, "w") as file:
+    made = BytesIO()
+    with h5py.File(made, "w") as file:
         for name, array in (("tracks", tracks), ("point_scores", scores), ("track_occupancy", occupied)):
             file.create_dataset(name, data=array, compression="gzip").attrs["dims"] = json.dumps(ORDERS[name])
         for name in ("instance_scores", "tracking_scores"):
@@ -43,3 +46,4 @@ def write(keypoints: Keypoints, path: Path) -> None:
         file["labels_path"], file["video_path"], file["video_ind"] = "", "", np.int32(0)
         file["provenance"] = json.dumps(provenance)
         file.attrs["preset"], file.attrs["format"] = "matlab", "analysis"
+    write_bytes(path, made.getvalue())

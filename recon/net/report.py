@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recon import __version__
+from recon.files import write_bytes
 from recon.net.batches import crop_size
 from recon.net.calibrate import Reliability, reliability
 from recon.net.draw import draw_comparison
@@ -144,7 +145,7 @@ def _write_worst(labels: Labels, errors: Array, xy_px: Array, which: NDArray[np.
     padded = [np.pad(t, ((0, size[0] - t.shape[0]), (0, size[1] - t.shape[1]), (0, 0))) for t in tiles]
     padded += [np.zeros_like(padded[0])] * (len(padded) % 2)
     rows = [np.hstack(padded[i : i + 2]) for i in range(0, len(padded), 2)]
-    cv2.imwrite(str(path), np.vstack(rows))
+    write_bytes(path, cv2.imencode(path.suffix, np.vstack(rows))[1].tobytes())
 
 
 def _draw_curves(state: State, folder: Path) -> None:

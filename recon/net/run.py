@@ -5,8 +5,8 @@ from __future__ import annotations
 import copy
 import dataclasses
 import math
-import os
 from dataclasses import dataclass, field
+from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recon.errors import InputError, Problem
+from recon.files import staged_file, write_bytes
 from recon.net.augment import Augmentation
 from recon.net.background import backgrounds
 from recon.net.batches import network_scale
@@ -141,7 +142,6 @@ def save_checkpoint(state: State, run: Run, out: Path) -> None:
     """Everything that the rest of a run depends on, whole or not at all."""
     torch = require_torch()
     path = out / CHECKPOINT_FILE
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     content = {
         "settings": dataclasses.asdict(run.settings),
         "names": list(run.spec.names),
@@ -155,11 +155,10 @@ def save_checkpoint(state: State, run: Run, out: Path) -> None:
         "history": state.history,
         **{name: getattr(state, name) for name in _PLAIN},
     }
-    try:
-        torch.save(content, temporary)
-        os.replace(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)
+    made = BytesIO()
+    torch.save(content, made)
+    with staged_file(path) as staged:
+        write_bytes(staged, made.getvalue())
 
 
 _PLAIN = ("step", "share", "seconds", "finishing", "best_error_px", "best_step", "since_best", "stopped_early",

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
-import os
 import pickle
 import zipfile
 from collections.abc import Sequence
 from dataclasses import dataclass
+from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recon.errors import InputError, Problem
+from recon.files import staged_file, write_bytes
 from recon.net.calibrate import Calibration
 from recon.net.decode import decode, probabilities
 from recon.net.labels import scale_points
@@ -153,12 +154,10 @@ def as_input(pictures: NDArray[np.uint8], background: Image | None, device: torc
 
 def save_model(spec: Spec, weights: dict[str, Any], path: Path) -> None:
     torch = require_torch()
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    try:
-        torch.save({"format": FORMAT, "spec": dataclasses.asdict(spec), "weights": weights}, temporary)
-        os.replace(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)
+    made = BytesIO()
+    torch.save({"format": FORMAT, "spec": dataclasses.asdict(spec), "weights": weights}, made)
+    with staged_file(path) as staged:
+        write_bytes(staged, made.getvalue())
 
 
 def load_model(folder: Path, device: torch.device) -> Trained:

@@ -1,4 +1,4 @@
-"""What a fitted clip says of the animal's movement: tables, figures, and plots in the playback."""
+"""What a fitted clip says of the animal's movement: tables, figures, and plots that go with the playback."""
 
 from __future__ import annotations
 
@@ -12,23 +12,27 @@ from threadpoolctl import threadpool_limits
 from recon.analysis.clip import ClipAnalysis, analyse
 from recon.analysis.gait import Gait
 from recon.export import analysis_csv
-from recon.files import require_free_folder, staged_folder
+from recon.files import require_free_folder, sole_writer, staged_folder
 from recon.report import to_json
 from recon.results import read_results
 
 SUMMARY = "analysis.json"
+FOLDER = "analysis"
+"""In the results' own, by default."""
+PLAYBACK, PLOTS = "motion.rrd", "analysis.rrd"
+"""What the fit wrote, and what goes with it."""
 
 
 @dataclass(frozen=True, eq=False)
 class Analysed:
     """found: all of it; summary: what analysis.json holds; files: the names of what was written, in the folder out;
-    playback: where the plots were added, None without a playback."""
+    plots: the file of those that go with the playback, None without one."""
 
     found: ClipAnalysis
     summary: dict[str, Any]
     out: Path
     files: tuple[str, ...]
-    playback: Path | None
+    plots: Path | None
 
 
 def run_analyse(
@@ -36,29 +40,34 @@ def run_analyse(
 ) -> Analysed:
     """`recon analyse`: into `out`, by default the folder analysis in the results' own. smooth: see `analyse`.
 
-    Figures come last: whatever befalls them, the tables are there. Raises InputError: no results, too few frames, or
-    files in the way.
+    The results are not written to. Figures come last: whatever befalls them, the tables are there. Raises InputError:
+    no results, too few frames, or files in the way.
     """
-    out = folder / "analysis" if out is None else out
+    out = folder / FOLDER if out is None else out
     results = read_results(folder)
-    require_free_folder(out, (SUMMARY, *analysis_csv.TABLES), overwrite, "an analysis")
-    with threadpool_limits(1, user_api="blas"):  # of small matrices, threads cost more than they bring
-        found = analyse(results, smooth)
-    summary = summarise(found)
-    playback = folder / "motion.rrd"
-    with staged_folder(out) as staging:
-        analysis_csv.write(found, staging)
-        (staging / SUMMARY).write_text(to_json(summary), encoding="utf-8")
-        files = [path.name for path in staging.iterdir()]
-        if playback.is_file():
-            from recon.view.analysis import add_analysis  # rerun is slow to import
-
-            add_analysis(found, playback)
-    if figures:
+    with sole_writer(out):
+        require_free_folder(out, (SUMMARY, PLOTS, *analysis_csv.TABLES), overwrite, "an analysis")
+        with threadpool_limits(1, user_api="blas"):  # of small matrices, threads cost more than they bring
+            found = analyse(results, smooth)
+        summary = summarise(found)
         with staged_folder(out) as staging:
-            write_figures(found, staging)
-            files += [path.name for path in staging.iterdir()]
-    return Analysed(found, summary, out, tuple(sorted(files)), playback if playback.is_file() else None)
+            analysis_csv.write(found, staging)
+            (staging / SUMMARY).write_text(to_json(summary), encoding="utf-8")
+            if (folder / PLAYBACK).is_file():
+                _write_plots(found, staging)
+            files = [path.name for path in staging.iterdir()]
+        if figures:
+            with staged_folder(out) as staging:
+                write_figures(found, staging)
+                files += [path.name for path in staging.iterdir()]
+    return Analysed(found, summary, out, tuple(sorted(files)), out / PLOTS if PLOTS in files else None)
+
+
+def _write_plots(found: ClipAnalysis, folder: Path) -> None:
+    from recon.view.analysis import write_analysis  # rerun is slow to import
+
+    found.results.manifest.require(PLAYBACK)
+    write_analysis(found, folder / PLOTS, found.results.folder / PLAYBACK)
 
 
 # -- summary ---------------------------------------------------------------------------------------------------------
@@ -136,7 +145,7 @@ def write_figures(found: ClipAnalysis, folder: Path) -> None:
     from recon import plots
 
     results = found.results
-    ground = found.gaits["ground"].tracks.ground if found.gaits else None
+    ground = found.gaits["ground"].tracks.grounds if found.gaits else None
     poses = plots.composites(found.pose.xyz_m, results.limbs, results.time_s, ground, sides=results.limb_sides)
     plots.save(poses, folder, "composites")
     plots.save(plots.speeds({found.reference: found.joints[found.reference]}), folder, "speed")

@@ -13,7 +13,7 @@ import cv2
 from recon.calibration import write_camera
 from recon.camera import LensModel
 from recon.errors import InputError, Problem, all_of
-from recon.files import require_free_file, staged_folder
+from recon.files import require_free_file, staged_folder, write_bytes
 from recon.intrinsics import Calibration, Check, Views, calibrate, check, collect, draw, find_views, parse_board
 from recon.intrinsics.views import Progress
 
@@ -101,7 +101,7 @@ def run_calibration(
     checks = check(calibration)
     refused = any(c.verdict == "refused" for c in checks)
     with staged_folder(out.absolute().parent) as folder:
-        (folder / picture.name).write_bytes(cv2.imencode(".png", draw(calibration))[1].tobytes())
+        write_bytes(folder / picture.name, cv2.imencode(".png", draw(calibration))[1].tobytes())
         if force or not refused:
             write_camera(calibration.camera, folder / out.name)
     return CalibrationRun(views, calibration, checks, picture, out if force or not refused else None)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from recon.errors import InputError, Problem, all_of
 from recon.export.formats import Format, choose_format
-from recon.files import staged_folder
+from recon.files import staged_file
 from recon.io import columns, file_head, read_keypoints
 from recon.io.column_map import parse_map
 from recon.io.common import rate
@@ -61,13 +61,13 @@ def convert(
         data, missing = mark_missing(data)
         if missing.zero_zero.sum():
             notes += (f"{missing.zero_zero.sum()} points that were stored as (0, 0) are missing ones.",)
-        with staged_folder(out.parent) as folder:
-            target.keypoints(data, folder / out.name)
+        with staged_file(out) as staged:
+            target.keypoints(data, staged)
     else:
         if target.pose is None:
             raise InputError(Problem(source, "content", "3D positions", f"2D keypoints for {target.title}"))
-        with staged_folder(out.parent) as folder:
-            target.pose(data, folder / out.name)
+        with staged_file(out) as staged:
+            target.pose(data, staged)
     return Conversion(data, target, notes)
 
 

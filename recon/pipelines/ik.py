@@ -17,7 +17,7 @@ from recon.analysis.clip import gaits_of, limb_chains
 from recon.analysis.path import MIN_POINTS
 from recon.errors import InputError, Problem
 from recon.export.table import write_rows
-from recon.files import require_free_folder, staged_folder
+from recon.files import require_free_folder, sole_writer, staged_folder
 from recon.ik.animal import body_chain, body_chain_angles, body_travel, chain_angles, planar_chain, spine_front_leg
 from recon.ik.chain import SerialChain
 from recon.ik.costs import Cost, HarmonicMap, joint_differences, rotational_energy
@@ -234,7 +234,28 @@ def run_ik(
     out = folder / "ik" if out is None else out
     results = read_results(folder)
     _check(methods)
-    require_free_folder(out, (SUMMARY,), overwrite)
+    with sole_writer(out):
+        require_free_folder(out, (SUMMARY,), overwrite)
+        solved = _solved(results, methods, target, along_stride, foot, dim, turns, limited, fitted)
+        with staged_folder(out) as staging:
+            _write(solved, staging)
+        if figures:  # after the tables, which are there whatever befalls them
+            with staged_folder(out) as staging:
+                write_figures(solved, staging)
+    return solved
+
+
+def _solved(
+    results: Results,
+    methods: tuple[str, ...],
+    target: str | None,
+    along_stride: bool,
+    foot: str | None,
+    dim: Dim,
+    turns: int,
+    limited: bool,
+    fitted: bool,
+) -> Solved:
     limb = limb_of(results, foot, dim, limited)
     goal = _coordinates(target, dim) if target not in (None, STRIDE_MAX) else None
     with threadpool_limits(1, user_api="blas"):
@@ -246,13 +267,7 @@ def run_ik(
         drives = {} if goal is None else {n: drive_to(limb.chain, start, goal, m) for n, m in by_name.items()}
         follows = {n: follow_stride(limb.chain, stride, m, turns) for n, m in by_name.items()} if along_stride else {}
     summary = _summary(limb, stride, goal, drives, follows, parameters, fitted, turns)
-    solved = Solved(limb, stride, goal, drives, follows, parameters, summary)
-    with staged_folder(out) as staging:
-        _write(solved, staging)
-    if figures:  # after the tables, which are there whatever befalls them
-        with staged_folder(out) as staging:
-            write_figures(solved, staging)
-    return solved
+    return Solved(limb, stride, goal, drives, follows, parameters, summary)
 
 
 def _check(methods: tuple[str, ...]) -> None:

@@ -9,7 +9,7 @@ from typing import Any
 
 from recon.errors import InputError, Problem, all_of
 from recon.export.deeplabcut import write_keypoints_csv, write_keypoints_h5
-from recon.files import require_free_file, staged_folder
+from recon.files import require_free_file, sole_writer, staged_file, staged_folder
 from recon.keypoints import Keypoints
 from recon.net.labels import read_labels
 from recon.net.predict import predict_video
@@ -67,11 +67,12 @@ def run_training(
     )
     use_threads(threads)
     run = prepare(labels, split_labels(labels, validation, test, settings.seed), settings, chosen)
-    out.mkdir(parents=True, exist_ok=True)
-    state = train(run, out, resume, progress)
-    progress("report", 1.0, "")
-    with staged_folder(out) as staging:
-        return write_training_report(run, state, staging)
+    with sole_writer(out):
+        _check_folder(out, resume, overwrite)
+        state = train(run, out, resume, progress)
+        progress("report", 1.0, "")
+        with staged_folder(out) as staging:
+            return write_training_report(run, state, staging)
 
 
 def run_prediction(
@@ -111,8 +112,8 @@ def run_prediction(
         partial=partial,
         progress=progress,
     )
-    with staged_folder(out.parent) as staging:
-        WRITERS[out.suffix.lower()](keypoints, staging / out.name)
+    with staged_file(out) as staged:
+        WRITERS[out.suffix.lower()](keypoints, staged)
     return keypoints
 
 

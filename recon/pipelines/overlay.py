@@ -128,9 +128,9 @@ def viewing_direction(camera: Camera) -> FloatArray:
 
 def _reprojection(result: Results) -> Keypoints:
     path = result.folder / "reprojection.csv"
-    if not path.is_file():
-        raise InputError(Problem(path, "file", "nothing there", "the table that `recon fit` wrote beside report.json"))
+    result.manifest.require(path.name)
     found = read_keypoints(path)
+    result.manifest.require_same()
     if found.names != result.pose.names or not np.array_equal(found.frames, result.pose.frames):
         raise InputError(Problem(path, "content", "other joints or frames", "those of pose3d.csv, of the same fit"))
     return found

@@ -12,7 +12,7 @@ from scipy.spatial.transform import RigidTransform
 
 from recon.errors import InputError, Problem, all_of
 from recon.export.table import write_rows
-from recon.files import require_free_folder, staged_folder
+from recon.files import require_free_folder, sole_writer, staged_results
 from recon.report import to_json
 from recon.results import read_results
 from recon.robot.quadruped import LEGS, Quadruped
@@ -72,9 +72,11 @@ def run_retarget(
     if lag and len(animal.reference.feet) == len(LEGS):
         found = f"{lag:g}, for an animal of which both sides are measured"
         raise InputError(Problem("--lag", "share of a stride", found, "none, or a chain of one side"))
-    solved = solve(animal, machine, scale, slower, lag)
-    with staged_folder(out) as staging:
-        write(solved, staging)
+    with sole_writer(out):
+        require_free_folder(out, (REPORT,), overwrite)
+        solved = solve(animal, machine, scale, slower, lag)
+        with staged_results(out) as staging:
+            write(solved, staging)
     return solved
 
 

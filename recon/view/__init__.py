@@ -9,13 +9,15 @@ Entities of the recording; those without "(static)" have a row a frame, which is
   and `world/doubt`, a label in frames with a flag.
 - `picture`: pixels of the distorted picture. `picture/frame` (static), its edge; `picture/detections`,
   `picture/outliers`, `picture/reprojections` with the skeleton's lines in it, `picture/links` between the two.
-- `picture/video`, where `recon.view.video` has added it: the video's frames.
+- `picture/video`: the video's frames, of a file that `recon.view.video` writes.
 - `closeup`: the same points, relative to the middle of the reprojected skeleton in each frame.
 - `angles/...` in degrees: a chain's `theta` and `phi`, or the `left`, `right` and `middle` of a whole animal; `speed`
   of the reference point in m/s; `residuals`, mean and largest of the frame in px.
 - With the trajectory method: `uncertainty` in m, and states over time: `states/doubt`, the frames' flags, and
   `states/<foot>`, where it stands.
-- `analysis/...`, where `recon.view.added` has added it: any lines and states, with samples between frames on `time`.
+- `analysis/...`: any lines and states, with samples between frames on `time`, of a file that `recon.view.added` writes.
+
+Those files are parts of the same recording; `recon.view.together` makes one file of it.
 
 Timelines: `frame`, the frame number of the keypoint file, and `time`, seconds since its frame 0.
 """
@@ -31,13 +33,12 @@ import rerun as rr
 
 from recon.errors import InputError, Problem
 from recon.motion import Motion, TrajectoryMotion
+from recon.recording import recording
 from recon.view.layout import blueprint
 from recon.view.picture import write_picture
 from recon.view.scene import Scene, limb_colours
 from recon.view.series import write_series, write_states
 from recon.view.world import write_doubt, write_world
-
-APPLICATION = "recon"
 
 
 def write(motion: Motion, path: Path, start_frame: int | None = None) -> None:
@@ -46,8 +47,11 @@ def write(motion: Motion, path: Path, start_frame: int | None = None) -> None:
     The viewer plays it in a loop, slowly where it is short. start_frame: a frame number to hold instead, for pictures.
     """
     scene = Scene.of(motion)
-    stream = rr.RecordingStream(APPLICATION)
-    stream.save(path, default_blueprint=blueprint(motion, scene, start_frame))
+    with recording(path, blueprint(motion, scene, start_frame)) as stream:
+        _log(motion, scene, stream)
+
+
+def _log(motion: Motion, scene: Scene, stream: rr.RecordingStream) -> None:
     stream.send_recording_name(Path(motion.keypoints.source or motion.title).stem)
 
     def send(entity: str, columns: rr.ComponentColumnList, rows: Sequence[int] | slice = slice(None)) -> None:
@@ -68,8 +72,6 @@ def write(motion: Motion, path: Path, start_frame: int | None = None) -> None:
     if isinstance(motion, TrajectoryMotion):
         write_doubt(motion, scene, send, fix)
         write_states(motion, send, fix)
-    stream.flush()
-    stream.disconnect()
 
 
 def open_viewer(path: Path) -> None:

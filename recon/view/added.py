@@ -1,4 +1,4 @@
-"""Time series added to a playback that is written already, of which only the file is needed.
+"""Plots that go with a playback, in a file of their own.
 
 Entities are `analysis/...`, and their views are tabs beside the row of plots that the playback opens with. On `time`
 they have all their samples, on `frame` those that lie on a frame of the playback.
@@ -6,11 +6,9 @@ they have all their samples, on `frame` those that lie on a frame of the playbac
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -19,6 +17,7 @@ import rerun.blueprint as rrb
 from numpy.typing import NDArray
 
 from recon.errors import InputError, Problem
+from recon.recording import recording
 from recon.view.layout import held_at, plot
 from recon.view.scene import Array, Colour
 from recon.view.series import Series, line_style, state_columns, state_style
@@ -61,58 +60,45 @@ class AddedStates:
     tab: str
 
 
-_Placed = tuple[AddedSeries | AddedStates, tuple[NDArray[np.intp], NDArray[np.int64]]]
-"""A plot, which of its samples lie on frames, and on which."""
-
-
-def add_to_playback(
-    path: Path, series: Sequence[AddedSeries], states: Sequence[AddedStates], start_frame: int | None = None
+def write_plots(
+    path: Path,
+    playback: Path,
+    series: Sequence[AddedSeries],
+    states: Sequence[AddedStates],
+    start_frame: int | None = None,
 ) -> None:
-    """Add plots to the recording at `path`, in place of those that were added before; without any, they are removed.
+    """Write plots that go with the playback of a clip, and the layout of both (`recon.view.together`).
 
-    Everything else stays as it is, and the file is replaced in one step. start_frame: a frame number to hold, with the
-    first added tab in front, for pictures.
+    start_frame: a frame number to hold, with the first of the new tabs in front, for pictures.
 
-    Raises InputError where there is no such recording, or where samples lie on none of its frames; ValueError where two
+    Raises InputError where there is no such playback, or where samples lie on none of its frames; ValueError where two
     plots have the same entity.
     """
-    path = Path(path)
     series = [replace(s, entity=f"{ROOT}/{s.entity}") for s in series]
     states = [replace(s, entity=f"{ROOT}/{s.entity}") for s in states]
     plots = [*series, *states]
     entities = [p.entity for p in plots]
     if len({*entities}) < len(entities):
         raise ValueError(f"entities must differ: {', '.join(entities)}")
-    playback = Playback.read(path)
-    found = [playback.on_frames(p.time_s) for p in plots]
+    whole = Playback.read(playback)
+    found = [whole.on_frames(p.time_s) for p in plots]
     problems = [
-        Problem(path, "frames", f"none at the {len(p.time_s)} times of {p.title!r}", "the playback of the same clip")
+        Problem(
+            playback, "frames", f"none at the {len(p.time_s)} times of {p.title!r}", "the playback of the same clip"
+        )
         for p, (rows, _) in zip(plots, found, strict=True)
         if not len(rows)  # an empty chunk would make the viewer crash
     ]
     if problems:
         raise InputError(problems)
 
-    # Not a staged_folder: a caller may have one open in the same place, which a second would remove.
-    with TemporaryDirectory(prefix=".recon-partial-", dir=path.parent) as folder:
-        new = Path(folder) / path.name
-        _write(playback, list(zip(plots, found, strict=True)), _layout(playback, plots, start_frame), new)
-        os.replace(new, path)
-
-
-def _write(playback: Playback, plots: Sequence[_Placed], layout: rrb.Blueprint, path: Path) -> None:
-    store = playback.store
-    stream = rr.RecordingStream(store.application_id, recording_id=store.recording_id, send_properties=False)
-    stream.save(path, default_blueprint=layout)
-    stream.send_chunks([c for c in playback.data if not c.entity_path.startswith(f"/{ROOT}/")])
-    for p, (rows, frames) in plots:
-        # Two chunks, each on one timeline: the samples between frames have no place on the other.
-        for entity, values, columns, style in _lines(p) if isinstance(p, AddedSeries) else _states(p):
-            stream.send_columns(entity, [rr.TimeColumn("frame", sequence=frames)], columns(values[rows]))
-            stream.send_columns(entity, [rr.TimeColumn("time", duration=p.time_s)], columns(values))
-            stream.log(entity, style, static=True)
-    stream.flush()
-    stream.disconnect()
+    with recording(path, _layout(whole, plots, start_frame), part_of=whole.id) as stream:
+        for p, (rows, frames) in zip(plots, found, strict=True):
+            # Two chunks, each on one timeline: the samples between frames have no place on the other.
+            for entity, values, columns, style in _lines(p) if isinstance(p, AddedSeries) else _states(p):
+                stream.send_columns(entity, [rr.TimeColumn("frame", sequence=frames)], columns(values[rows]))
+                stream.send_columns(entity, [rr.TimeColumn("time", duration=p.time_s)], columns(values))
+                stream.log(entity, style, static=True)
 
 
 _Entity = tuple[str, NDArray[Any], Callable[[NDArray[Any]], rr.ComponentColumnList], rr.AsComponents]

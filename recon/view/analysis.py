@@ -1,4 +1,4 @@
-"""The plots that an analysis adds to the playback."""
+"""The plots of an analysis, which go with the playback."""
 
 from __future__ import annotations
 
@@ -9,16 +9,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recon.analysis.clip import ClipAnalysis
-from recon.view.added import AddedSeries, AddedStates, StateRow, add_to_playback
+from recon.view.added import AddedSeries, AddedStates, StateRow, write_plots
 from recon.view.scene import LEFT, LIMB_COLOURS, LINK, MIDDLE, RIGHT, TRAIL
 
 Array = NDArray[np.float64]
 
 
-def add_analysis(found: ClipAnalysis, playback: Path) -> None:
-    """Add speed, acceleration and flexion with one sigma, the links' speeds, and the stances by both methods. Raises
-    InputError as `add_to_playback`."""
-    add_to_playback(playback, [*_kinematics(found), *_links(found)], _stances(found))
+def write_analysis(found: ClipAnalysis, path: Path, playback: Path) -> None:
+    """Speed, acceleration and flexion with one sigma, the links' speeds, and the stances by both methods. Raises
+    InputError as `write_plots`."""
+    write_plots(path, playback, [*_kinematics(found), *_links(found)], _stances(found))
 
 
 def _kinematics(found: ClipAnalysis) -> Iterator[AddedSeries]:

@@ -17,6 +17,7 @@ import rerun.blueprint as rrb
 from numpy.typing import NDArray
 
 from recon.body import Side
+from recon.recording import recording
 from recon.robot.quadruped import LEGS
 from recon.robot.retarget import RobotMotion
 from recon.view.layout import held_at, plot
@@ -25,7 +26,6 @@ from recon.view.series import Series, line_style, state_columns, state_style
 
 Array = NDArray[np.float64]
 
-APPLICATION = "recon"
 ROBOT = DETECTION
 GRID_LINES = 60
 """Across the path, at most."""
@@ -46,11 +46,16 @@ def write_robot(
     motion: RobotMotion, path: Path, companion: Companion | None = None, start_frame: int | None = None
 ) -> None:
     """The recording; start_frame: a sample to hold, for pictures."""
-    legs = np.stack([motion.points(label)[..., :, :] for label in LEGS], axis=1)
     series = [_angles(motion, label) for label in LEGS]
-    stream = rr.RecordingStream(APPLICATION)
-    stream.save(path, default_blueprint=_blueprint(motion, companion, series, start_frame))
-    stream.send_recording_name(f"{motion.robot.name} {path.stem}")
+    with recording(path, _blueprint(motion, companion, series, start_frame)) as stream:
+        stream.send_recording_name(f"{motion.robot.name} {path.stem}")
+        _log(motion, companion, series, stream)
+
+
+def _log(
+    motion: RobotMotion, companion: Companion | None, series: Sequence[Series], stream: rr.RecordingStream
+) -> None:
+    legs = np.stack([motion.points(label)[..., :, :] for label in LEGS], axis=1)
     count = len(motion.time_s)
     times = [
         rr.TimeColumn("frame", sequence=np.arange(count)),
@@ -93,8 +98,6 @@ def write_robot(
         texts = ["stance" if stands else "" for stands in motion.standing[:, k]]
         stream.send_columns(f"stands/{label}", times, state_columns(texts))
         stream.log(f"stands/{label}", state_style({"stance": colours[k]}), static=True)
-    stream.flush()
-    stream.disconnect()
 
 
 def _angles(motion: RobotMotion, label: str) -> Series:

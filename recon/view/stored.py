@@ -1,4 +1,4 @@
-"""A playback that is written already: its data as they are, and its layout with tabs beside the plots."""
+"""Playbacks that are written already, and what was written later to go with them."""
 
 from __future__ import annotations
 
@@ -13,8 +13,9 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 from numpy.typing import NDArray
+from rerun.blueprint.archetypes import ContainerBlueprint
 from rerun.blueprint.components import ContainerKind
-from rerun.chunk import Chunk, RrdReader, StoreEntry
+from rerun.chunk import Chunk, RrdReader
 from rerun.error_utils import RerunWarning
 
 from recon.errors import InputError, Problem
@@ -25,18 +26,16 @@ SAME_TIME_S = 1e-6
 
 
 @dataclass(frozen=True)
-class Playback:
-    """A recording with one layout. frames (T,), time_s (T,): the frames that it has data of, and when they are."""
+class Part:
+    """A recording, or what was written later to go with it, with one layout. id: of the recording."""
 
-    store: StoreEntry
+    id: str
     data: Sequence[Chunk]
     layout: Layout
-    frames: NDArray[np.int64]
-    time_s: Array
 
     @classmethod
-    def read(cls, path: Path) -> Playback:
-        """Raises InputError where there is no playback, or only part of one."""
+    def read(cls, path: Path) -> Part:
+        """Raises InputError where there is no such file of ours, or only the beginning of one."""
         if not path.is_file():
             raise InputError(_problem(path, "no such file"))
         try:
@@ -49,13 +48,29 @@ class Playback:
             raise InputError(_problem(path, "a file that has lost its end")) from warning
         except (RuntimeError, ValueError) as error:
             raise InputError(_problem(path, f"a file that rerun cannot read ({error})")) from error
-        timed = next((c for c in data if {*c.timeline_names} == {"frame", "time"}), None)
         layout = Layout.of(views)
-        if len(recordings) != 1 or len(layouts) != 1 or timed is None or layout is None:
+        if len(recordings) != 1 or len(layouts) != 1 or layout is None:
+            raise InputError(_problem(path, "a rerun recording of another kind"))
+        return cls(recordings[0].recording_id, data, layout)
+
+
+@dataclass(frozen=True)
+class Playback(Part):
+    """The recording itself. frames (T,), time_s (T,): the frames that it has data of, and when they are."""
+
+    frames: NDArray[np.int64]
+    time_s: Array
+
+    @classmethod
+    def read(cls, path: Path) -> Playback:
+        """Raises InputError where there is no playback, or only part of one."""
+        part = Part.read(path)
+        timed = next((c for c in part.data if {*c.timeline_names} == {"frame", "time"}), None)
+        if timed is None:
             raise InputError(_problem(path, "a rerun recording of another kind"))
         rows = timed.to_record_batch()
         frames, time_ns = (rows.column(name).to_numpy(zero_copy_only=False) for name in ("frame", "time"))
-        return cls(recordings[0], data, layout, frames, time_ns / np.timedelta64(1, "s"))
+        return cls(part.id, part.data, part.layout, frames, time_ns / np.timedelta64(1, "s"))
 
     def on_frames(self, time_s: Array) -> tuple[NDArray[np.intp], NDArray[np.int64]]:
         """Which of the times (N,) are those of frames, and of which frames."""
@@ -87,16 +102,13 @@ class Layout:
     def with_tabs(
         self, name: str, tabs: Sequence[rrb.Container], active: int, time: rrb.TimePanel | None
     ) -> rrb.Blueprint:
-        """The last part of the outermost container becomes the first tab, with this name, and `tabs` follow in place of
-        those of an earlier call. active: the tab in front. time: in place of the stored panel."""
+        """The last part of the outermost container becomes the first tab, with this name, and `tabs` follow.
+
+        active: the tab in front. time: in place of the stored panel."""
         *others, last = self._contents(self.root)
-        first = next(iter(self._contents(last)), "")
-        if self._field(first, "display_name") == [name]:
-            (last,) = self._contents(first)
-        lowest = rrb.Tabs(rrb.Vertical(_Kept(last), name=name), *tabs, active_tab=active) if tabs else _Kept(last)
         root = rrb.Container(
             *(_Kept(path) for path in others),
-            lowest,
+            rrb.Tabs(rrb.Vertical(_Kept(last), name=name), *tabs, active_tab=active),
             kind=ContainerKind(self._field(self.root, "container_kind")[0]),
             column_shares=self._field(self.root, "col_shares") or None,
             row_shares=self._field(self.root, "row_shares") or None,
@@ -120,6 +132,10 @@ class Layout:
     def _field(self, container: str, name: str) -> list[Any]:
         return self.values.get(container, {}).get(f"ContainerBlueprint:{name}", [])
 
+    def in_front(self, origin: str | None) -> rrb.Blueprint:
+        """The layout as it is, with the tab in front that shows this entity, if one is given."""
+        return _InFront(self, origin)
+
 
 class _Restored(rrb.Blueprint):
     """A blueprint with parts that are stored."""
@@ -131,6 +147,22 @@ class _Restored(rrb.Blueprint):
     def _log_to_stream(self, stream: rr.RecordingStream) -> None:
         stream.send_chunks(self.chunks)
         super()._log_to_stream(stream)
+
+
+class _InFront(rrb.Blueprint):
+    """A stored layout, with the tab in front that shows this entity; without one, as it is."""
+
+    def __init__(self, layout: Layout, origin: str | None) -> None:
+        super().__init__(auto_layout=False, auto_views=False)
+        self.layout, self.origin = layout, origin
+
+    def _log_to_stream(self, stream: rr.RecordingStream) -> None:
+        stream.send_chunks(self.layout.chunks)
+        values = self.layout.values
+        view = next((p for p, v in values.items() if v.get("ViewBlueprint:space_origin") == [self.origin]), None)
+        for path, fields in values.items():
+            if view in fields.get("ContainerBlueprint:contents", []) and "ContainerBlueprint:active_tab" in fields:
+                stream.log(path, ContainerBlueprint.from_fields(active_tab=view))
 
 
 class _Kept(rrb.Container):

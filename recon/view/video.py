@@ -1,4 +1,4 @@
-"""The video's frames in a playback that is written already, in step with the 3D.
+"""The video's frames for a playback, in step with the 3D, in a file of their own.
 
 They are `picture/video`, a JPEG for each frame of the playback on both of its timelines, and the view of the whole
 picture comes to the front. JPEG is what every viewer shows; of the codecs of videos it decodes only AV1 by itself, and
@@ -8,22 +8,20 @@ the others jump from key frame to key frame where there is no ffmpeg. rerun has 
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import cv2
 import numpy as np
 import rerun as rr
-import rerun.blueprint as rrb
-from rerun.blueprint.archetypes import ContainerBlueprint
 
 from recon.errors import InputError, Problem
+from recon.recording import recording
 from recon.video import Image, probe, read_frames
-from recon.view.stored import Layout, Playback
+from recon.view.stored import Playback
 
-ENTITY = "picture/video"
+PICTURE = "picture"
+ENTITY = f"{PICTURE}/video"
 QUALITIES = (90, 75, 60, 45, 30)
 """Of the JPEGs: the best with which all of them stay below `MAX_BYTES`."""
 MAX_BYTES = 400_000_000
@@ -35,22 +33,21 @@ BATCH = 8
 Progress = Callable[[str, float], None]
 
 
-def add_video(
+def write_video(
     path: Path,
+    playback_path: Path,
     video: Path,
     first_frame: int = 0,
     progress: Progress = lambda stage, share: None,
     max_bytes: int = MAX_BYTES,
 ) -> int:
-    """Add the frames of a video to the recording at `path`, in place of those that were added before.
+    """Write the frames of a video that go with a playback (`recon.view.together`).
 
-    first_frame: the number that the video's first frame has in the recording. Everything else stays as it is, and the
-    file is replaced in one step. Returns the quality of the JPEGs, 0 to 100. Raises InputError where there is no such
-    recording or video, where they differ in size, where the video lacks frames of the recording, and where the pictures
-    would take more than `max_bytes` even at the lowest quality.
+    first_frame: the number that the video's first frame has in the playback. Returns the quality of the JPEGs, 0 to
+    100. Raises InputError where there is no such playback or video, where they differ in size, where the video lacks
+    frames of the playback, and where the pictures would take more than `max_bytes` even at the lowest quality.
     """
-    path = Path(path)
-    playback, info = Playback.read(path), probe(video)
+    playback, info = Playback.read(playback_path), probe(video)
     first, last = int(playback.frames.min()), int(playback.frames.max())
     problems = []
     size = _size_px(playback)
@@ -63,19 +60,12 @@ def add_video(
     if problems:
         raise InputError(problems)
     quality = _quality(video, first - first_frame, last + 1 - first_frame, len(playback.frames), max_bytes)
-    with TemporaryDirectory(prefix=".recon-partial-", dir=path.parent) as folder:
-        new = Path(folder) / path.name
-        _write(playback, video, first_frame, quality, new, progress)
-        os.replace(new, path)
+    _write(playback, video, first_frame, quality, path, progress)
     return quality
 
 
 def _write(playback: Playback, video: Path, first_frame: int, quality: int, path: Path, progress: Progress) -> None:
-    store = playback.store
-    stream = rr.RecordingStream(store.application_id, recording_id=store.recording_id, send_properties=False)
-    stream.save(path, default_blueprint=_InFront(playback.layout, "picture"))
-    try:
-        stream.send_chunks([c for c in playback.data if c.entity_path != f"/{ENTITY}"])
+    with recording(path, playback.layout.in_front(PICTURE), part_of=playback.id) as stream:
         at = dict(zip(playback.frames.tolist(), playback.time_s.tolist(), strict=True))
         first, last = min(at), max(at)
         batch: list[tuple[int, bytes]] = []
@@ -100,13 +90,10 @@ def _write(playback: Playback, video: Path, first_frame: int, quality: int, path
                 send()
         if batch:
             send()
-        stream.flush()
-    finally:
-        stream.disconnect()
-    if read < last + 1 - first:
-        found = f"{first - first_frame + read} frames that can be decoded"
-        expected = f"{last + 1 - first_frame} or more, for the playback's frames {first} to {last}"
-        raise InputError(Problem(video, "video", found, f"{expected}: the video of this clip, or --first-frame"))
+        if read < last + 1 - first:
+            found = f"{first - first_frame + read} frames that can be decoded"
+            expected = f"{last + 1 - first_frame} or more, for the playback's frames {first} to {last}"
+            raise InputError(Problem(video, "video", found, f"{expected}: the video of this clip, or --first-frame"))
 
 
 def _quality(video: Path, first: int, stop: int, count: int, max_bytes: int) -> int:
@@ -133,19 +120,3 @@ def _size_px(playback: Playback) -> tuple[int, int]:
             (half,) = chunk.to_record_batch().to_pylist()[0]["Boxes2D:half_sizes"]
             return round(2 * half[0]), round(2 * half[1])
     raise ValueError("a playback without a picture")
-
-
-class _InFront(rrb.Blueprint):
-    """A stored layout, with the tab in front that shows this entity."""
-
-    def __init__(self, layout: Layout, origin: str) -> None:
-        super().__init__(auto_layout=False, auto_views=False)
-        self.layout, self.origin = layout, origin
-
-    def _log_to_stream(self, stream: rr.RecordingStream) -> None:
-        stream.send_chunks(self.layout.chunks)
-        values = self.layout.values
-        view = next(p for p, v in values.items() if v.get("ViewBlueprint:space_origin") == [self.origin])
-        for path, fields in values.items():
-            if view in fields.get("ContainerBlueprint:contents", []) and "ContainerBlueprint:active_tab" in fields:
-                stream.log(path, ContainerBlueprint.from_fields(active_tab=view))

@@ -9,14 +9,14 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import Any, Literal
 
 from recon.errors import InputError, Problem
-from recon.files import require_free_folder, staged_folder
+from recon.files import require_free_folder, staged_file
+from recon.manifest import MANIFEST, read_manifest
 from recon.package import version
 from recon.pipelines.batch.inputs import Clip
 from recon.pipelines.clip import OUTPUT_FILES
@@ -24,7 +24,7 @@ from recon.settings import FitSettings
 
 RECORD = "batch.json"
 CRASH_LOG = "crash.log"
-SCHEMA = {"name": "recon.batch.clip", "version": 1}
+SCHEMA = {"name": "recon.batch.clip", "version": 2}
 Action = Literal["new", "refit", "done"]
 
 
@@ -77,7 +77,7 @@ def _planned(clip: Clip, out: Path, overwrite: bool) -> Planned:
         return Planned(clip, out, "refit", "not finished before", mine)
     if theirs != mine:
         return Planned(clip, out, "refit", f"changed: {', '.join(_changed(theirs, mine))}", mine)
-    if read_manifest(out).changed():
+    if not _whole(out):
         return Planned(clip, out, "refit", "not complete", mine)
     return Planned(clip, out, "done", "", mine, record["row"])
 
@@ -170,11 +170,9 @@ def finish_record(
 
 
 def drop_record(out: Path) -> None:
-    """After a fit that failed: the record goes, and the folder with it, unless there are older results."""
+    """After a fit that failed: the record goes, unless there are older results."""
     if not any((out / name).exists() for name in OUTPUT_FILES):
         (out / RECORD).unlink(missing_ok=True)
-        with suppress(OSError):  # there is something of the user's in it
-            out.rmdir()
 
 
 def file_digest(path: Path) -> str | None:
@@ -187,6 +185,14 @@ def _own(out: Path, record: Mapping[str, Any]) -> bool:
     return not (out / MANIFEST).exists() or file_digest(out / MANIFEST) == record["manifest_sha256"]
 
 
+def _whole(out: Path) -> bool:
+    """Whether all files are there and as they were written."""
+    try:
+        return not read_manifest(out).changed()
+    except InputError:
+        return False
+
+
 def _write(
     out: Path,
     state: str,
@@ -197,6 +203,6 @@ def _write(
     results: Mapping[str, Any] | None = None,
 ) -> None:
     head = {"schema": SCHEMA, "state": state, "run": run, "attempt": attempt, "keypoints": str(settings.keypoints)}
-    with staged_folder(out) as folder:
-        text = json.dumps({**head, "identity": known, **(results or {})}, indent=1)
-        (folder / RECORD).write_text(text + "\n", encoding="utf-8")
+    text = json.dumps({**head, "identity": known, **(results or {})}, indent=1)
+    with staged_file(out / RECORD) as staged:
+        staged.write_text(text + "\n", encoding="utf-8")

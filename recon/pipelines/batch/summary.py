@@ -10,7 +10,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from recon.files import staged_folder
+from recon.files import staged_file
 from recon.motion import Motion
 from recon.pipelines.batch.inputs import SUMMARY
 from recon.pipelines.batch.record import Planned, short_hash
@@ -75,7 +75,7 @@ class Summary:
                 self.write()
 
     def write(self) -> None:
-        with staged_folder(self.path.parent) as folder, (folder / SUMMARY).open("w", encoding="utf-8", newline="") as f:
+        with staged_file(self.path) as staged, staged.open("w", encoding="utf-8", newline="") as f:
             writer = csv.writer(f, lineterminator="\n")
             writer.writerow(COLUMNS)
             writer.writerows([row[column] for column in COLUMNS] for row in self.rows.values())

@@ -24,6 +24,7 @@ from typing import IO, Any
 from threadpoolctl import threadpool_limits
 
 from recon.errors import InputError
+from recon.files import sole_writer
 from recon.package import version
 from recon.pipelines.batch.record import CRASH_LOG, Planned, drop_record, finish_record, read_record, start_record
 from recon.pipelines.batch.summary import results_of
@@ -37,6 +38,8 @@ ONE_THREAD = ("OMP", "OPENBLAS", "MKL", "BLIS", "NUMEXPR", "RAYON")
 KILLED = 128 + signal.SIGTERM
 STOP_S = 3.0
 """A worker that is told to stop has this long to clean up."""
+DYING_S = 5.0
+"""So long a worker may hold a clip's folder after the batch that it belonged to was killed."""
 LOG_BYTES = 20_000
 
 
@@ -51,6 +54,20 @@ def task_of(planned: Planned, run: str) -> dict[str, Any]:
 
 def fit_one(task: Mapping[str, Any], progress: Progress) -> dict[str, Any]:
     """Fit and write one clip: columns of the summary. Input that cannot be used is an outcome; a fault is not."""
+    out = Path(task["out"])
+    try:
+        with sole_writer(out, DYING_S):
+            return _fit_one(task, progress)
+    except InputError as error:
+        return {"status": "failed", "error": str(error), "attempts": 1}
+    except OSError as error:
+        return {"status": "failed", "error": _said(error), "attempts": 1}
+    finally:
+        with contextlib.suppress(OSError):  # there is something in it
+            out.rmdir()
+
+
+def _fit_one(task: Mapping[str, Any], progress: Progress) -> dict[str, Any]:
     began = time.perf_counter()
     settings, out = FitSettings(**task["settings"]), Path(task["out"])
     attempt, finished, row = 1, False, {}
@@ -75,11 +92,15 @@ def fit_one(task: Mapping[str, Any], progress: Progress) -> dict[str, Any]:
     except InputError as error:
         row = {"status": "failed", "error": str(error)}
     except OSError as error:
-        row = {"status": "failed", "error": f"{error.filename}: {error.strerror}" if error.filename else str(error)}
+        row = {"status": "failed", "error": _said(error)}
     finally:
         if not finished:
             drop_record(out)
     return {"seconds": round(time.perf_counter() - began, 3), **row, "attempts": attempt}
+
+
+def _said(error: OSError) -> str:
+    return f"{error.filename}: {error.strerror}" if error.filename else str(error)
 
 
 def main() -> None:

@@ -9,14 +9,14 @@ import rerun as rr
 import rerun.blueprint as rrb
 from numpy.typing import NDArray
 
-from recon.files import staged_folder
+from recon.files import staged_file
+from recon.recording import recording
 from recon.robot.climb.margins import margins
 from recon.robot.climb.plan import Climb
 from recon.robot.climb.walker import AROUND
 
 Array = NDArray[np.float64]
 
-APPLICATION = "recon"
 LEFT, RIGHT, MIDDLE = (86, 180, 233), (230, 159, 0), (0, 158, 115)
 SUPPORT, GROUND, OVER = (240, 228, 66), (130, 130, 140), (255, 255, 255)
 WIDE_M, BEFORE_M, BEHIND_M = 0.15, 0.2, 0.4
@@ -32,13 +32,9 @@ def write_playback(climb: Climb, path: str | Path) -> None:
         rrb.TimeSeriesView(origin="support", name="centre of mass inside the planted feet, mm"),
     )
     blueprint = rrb.Blueprint(rrb.Horizontal(world, curves, column_shares=[2, 1]), collapse_panels=True)
-    with staged_folder(path.parent) as staging:
-        stream = rr.RecordingStream(APPLICATION)
-        stream.save(staging / path.name, default_blueprint=blueprint)
+    with staged_file(path) as staged, recording(staged, blueprint) as stream:
         stream.send_recording_name(f"{climb.walker.name}, step of {1000 * climb.recipe.step.height_m:.0f} mm")
         _write(climb, stream)
-        stream.flush()
-        stream.disconnect()
 
 
 def lines(climb: Climb) -> tuple[Array, Array]:

@@ -1,0 +1,54 @@
+"""The playback of a result with all that goes with it, in the viewer."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from recon.errors import InputError, Problem
+from recon.files import staged_file
+from recon.manifest import read_manifest
+from recon.pipelines.analyse import FOLDER, PLAYBACK, PLOTS
+from recon.view import open_viewer
+from recon.view.together import put_together
+from recon.view.video import write_video
+
+VIDEO = "video.rrd"
+
+
+def run_view(
+    folder: Path,
+    analysis: Path | None = None,
+    video: Path | None = None,
+    first_frame: int = 0,
+    say: Callable[[str], None] = lambda note: None,
+) -> None:
+    """`recon view`: open the playback, with the plots of `recon analyse` and the frames of a video.
+
+    analysis: the folder of the analysis, by default the one in `folder`, if there is one. video: its frames are kept in
+    `folder`, for the next time, where that can be written to. Returns when the viewer is closed. Raises InputError.
+    """
+    playback = folder / PLAYBACK
+    if not playback.is_file():
+        raise InputError(Problem(playback, "file", "no such file", "a recording (.rrd) that `recon fit` has written"))
+    read_manifest(folder).require(PLAYBACK)
+    plots = (folder / FOLDER if analysis is None else analysis) / PLOTS
+    if analysis is not None and not plots.is_file():
+        raise InputError(Problem(plots, "file", "no such file", "the plots that `recon analyse` has written"))
+    if first_frame and video is None:
+        raise InputError(Problem("--first-frame", "video", "no --video", "one beside the other"))
+    with TemporaryDirectory() as temporary:
+        place = folder if os.access(folder, os.W_OK | os.X_OK) else Path(temporary)
+        pictures = (place if video is not None else folder) / VIDEO
+        if video is not None:
+            with staged_file(pictures) as staged:
+                write_video(staged, playback, video, first_frame)
+        present = [path if path.is_file() else None for path in (plots, pictures)]
+        if any(present):
+            together = Path(temporary) / PLAYBACK
+            for left_out in put_together(together, playback, *present):
+                say(f"Left out, because it is of another fit: {left_out}")
+            playback = together
+        open_viewer(playback)
