@@ -23,6 +23,10 @@ Array = NDArray[np.float64]
 
 OUTLIER_SIGMAS = 3.0
 """A detection further than this from its joint's reprojection is named an outlier."""
+FEW_POINTS_SHARE = 0.75
+"""Of the frame method: frames with a smaller part of the joints detected are flagged "few points"."""
+TRUSTED_SHARE = 1 / 3
+"""Of the frame method: frames with a smaller part of the joints detected and trusted are flagged "data poor"."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,6 +104,32 @@ class Motion:
     @cached_property
     def sigma_px(self) -> Array:
         """(T, J): standard deviation that a detection was given."""
+        raise NotImplementedError
+
+    @cached_property
+    def flags(self) -> tuple[tuple[str, ...], ...]:
+        """(T,): what is doubtful about a frame; a frame without a pose has one that says why."""
+        raise NotImplementedError
+
+    @property
+    def alternative_m(self) -> Array:
+        """(T,): mean distance of the joints in the second best solution, both centred, NaN where there is none."""
+        raise NotImplementedError
+
+    @cached_property
+    def mean_weight(self) -> Array:
+        """(T,): how far the detections were trusted on average, 0 to 1, NaN without any or without a pose."""
+        raise NotImplementedError
+
+    @cached_property
+    def place_sigma_m(self) -> Array:
+        """(T,): standard deviation of the mean of all joints along the line of sight."""
+        raise NotImplementedError
+
+    @cached_property
+    def relative_rms_m(self) -> Array:
+        """(T,): what is expected of a joint's distance from its true place once both poses are centred, root mean
+        square over the joints."""
         raise NotImplementedError
 
     # -- what both have -------------------------------------------------------------------------------------------
@@ -262,8 +292,7 @@ class FrameMotion(Motion):
 
     @cached_property
     def sigma_px(self) -> Array:
-        by_frame = np.array([np.nan if r is None else r.sigma_px for r in self.reports])
-        return np.repeat(by_frame[:, None], len(self.joints), axis=1)
+        return np.repeat(self._of_reports("sigma_px")[:, None], len(self.joints), axis=1)
 
     @property
     def reports(self) -> tuple[FrameReport | None, ...]:
@@ -274,6 +303,65 @@ class FrameMotion(Motion):
     def status(self) -> tuple[str, ...]:
         """(T,): converged, not_converged or no_data."""
         return tuple("no_data" if r is None else r.status for r in self.reports)
+
+    @cached_property
+    def flags(self) -> tuple[tuple[str, ...], ...]:
+        present, trusted = self.keypoints.present.sum(axis=1), self.mean_weight
+        doubtful = {
+            "no data": [r is None for r in self.reports],
+            "ran away": [r is not None and not r.in_view for r in self.reports],
+            "few points": [r is not None for r in self.reports] & (present < FEW_POINTS_SHARE * len(self.names)),
+            "data poor": present * trusted < TRUSTED_SHARE * len(self.names),
+            "outliers": self.outliers.any(axis=1),
+            "not converged": [status == "not_converged" for status in self.status],
+            "stopped early": [r is not None and r.stopped for r in self.reports],
+            "at range limit": (self.beyond_range_rad > 0).any(axis=1),
+            "at rate limit": (self.beyond_rate_rad_s > 0).any(axis=1),
+        }
+        return tuple(tuple(name for name, which in doubtful.items() if which[t]) for t in range(len(self.frames)))
+
+    @cached_property
+    def beyond_range_rad(self) -> Array:
+        """(T, A): how far angles lie beyond their expected ranges; negative inside, NaN without a pose."""
+        middle, tolerance = (self._expected(name) for name in ("mean_rad", "tolerance_rad"))
+        return np.abs(self.angles_rad - middle) - tolerance
+
+    @cached_property
+    def beyond_rate_rad_s(self) -> Array:
+        """(T, A): chord rate since the solved frame before, above its limit; NaN for the first and without a pose."""
+        rows = np.flatnonzero(self.solved)
+        change = np.diff(self.angles_rad[rows], axis=0)
+        dt_s = np.diff(self.time_s[rows])[:, None]
+        beyond = np.full(self.angles_rad.shape, np.nan)
+        beyond[rows[1:]] = 2 * np.abs(np.sin(change / 2)) / dt_s - self._expected("max_rate_rad_s")
+        return beyond
+
+    def _expected(self, field: str) -> Array:
+        """(A,): of theta and phi."""
+        return np.concatenate([getattr(ranges, field) for ranges in (self.skeleton.theta, self.skeleton.phi)])
+
+    @property
+    def alternative_m(self) -> Array:
+        """Of all starts only the best is kept."""
+        return np.full(len(self.frames), np.nan)
+
+    @cached_property
+    def mean_weight(self) -> Array:
+        return self._of_reports("mean_weight")
+
+    @cached_property
+    def place_sigma_m(self) -> Array:
+        """Given the frame before."""
+        return self._of_reports("place_sigma_m")
+
+    @cached_property
+    def relative_rms_m(self) -> Array:
+        """Given the frame before."""
+        return self._of_reports("relative_rms_m")
+
+    def _of_reports(self, field: str) -> Array:
+        """(T,)"""
+        return np.array([np.nan if r is None else getattr(r, field) for r in self.reports])
 
 
 @dataclass(frozen=True, eq=False)
@@ -393,6 +481,14 @@ class TrajectoryMotion(Motion):
     # -- how far it can be trusted --------------------------------------------------------------------------------
 
     @cached_property
+    def flags(self) -> tuple[tuple[str, ...], ...]:
+        return self.solution.flags
+
+    @property
+    def alternative_m(self) -> Array:
+        return self.solution.alternative_m
+
+    @cached_property
     def joint_sigma_m(self) -> Array:
         """(T, J, 3): standard deviation along the axes of the frame of reference, place and size included."""
         return self._along_axes(self.solution.covariance_m2)
@@ -409,13 +505,10 @@ class TrajectoryMotion(Motion):
 
     @cached_property
     def relative_rms_m(self) -> Array:
-        """(T,): what is expected of a joint's distance from its true place once both poses are centred, root mean
-        square over the joints."""
         return np.sqrt(np.trace(self.solution.relative_covariance_m2, axis1=2, axis2=3).mean(axis=1))
 
     @cached_property
     def place_sigma_m(self) -> Array:
-        """(T,): standard deviation of the mean of all joints along the line of sight."""
         # Joints are the mean plus offsets that sum to zero: mean covariances differ by the mean's own.
         of_mean = (self.solution.covariance_m2 - self.solution.relative_covariance_m2).mean(axis=1)
         ray = self.joints_camera_m.mean(axis=1)
@@ -424,7 +517,6 @@ class TrajectoryMotion(Motion):
 
     @cached_property
     def mean_weight(self) -> Array:
-        """(T,): how far the detections were trusted on average, NaN without any."""
         weight = self.solution.weight
         seen = np.isfinite(weight).sum(axis=1)
         return np.where(seen > 0, np.nansum(weight, axis=1) / np.maximum(seen, 1), np.nan)

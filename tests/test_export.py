@@ -93,6 +93,20 @@ def test_quality_names_what_is_doubtful(small_trajectory, tmp_path):
     np.testing.assert_array_equal(table["relative_rms_m"], small_trajectory.relative_rms_m)
 
 
+def test_quality_of_the_frame_method_has_the_same_columns(small_motion, tmp_path):
+    quality_csv.write(small_motion, tmp_path / "quality.csv")
+    table = pd.read_csv(tmp_path / "quality.csv", index_col="frame")
+    assert tuple(table.columns) == quality_csv.COLUMNS[1:]
+    assert table["flags"].fillna("").tolist() == ["", "", "", "no data", "outliers", "few points"]
+    assert table["detections"].tolist() == [9, 8, 9, 0, 9, 6]
+    assert table["alternative_m"].isna().all()
+    for name in ("mean_weight", "place_sigma_m", "relative_rms_m"):
+        np.testing.assert_array_equal(table[name], getattr(small_motion, name))
+        assert table[name].isna().tolist() == [False, False, False, True, False, False]
+    assert table["mean_weight"].iloc[4] < 0.9 < table["mean_weight"].iloc[0]
+    assert table["relative_rms_m"].max() < table["place_sigma_m"].min()
+
+
 @pytest.mark.parametrize("motion", ["small_motion", "small_trajectory"])
 def test_every_writer_writes(motion, tmp_path, request):
     write_tables(request.getfixturevalue(motion), tmp_path)

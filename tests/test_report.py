@@ -100,6 +100,21 @@ def test_summary_adds_up(report, small_motion):
     assert summary["reprojection_px"]["worst_joint"] == "neck_base"
 
 
+def test_a_frame_that_ran_away_says_so_and_has_no_part_in_the_medians(small_motion):
+    states, reports = small_motion.states.copy(), list(small_motion.reports)
+    states[2] = np.nan
+    reports[2] = replace(
+        reports[2], status="not_converged", in_view=False, stopped=True, cost_shares={"reprojection": 1e9}
+    )
+    report = build_report(with_solution(small_motion, states=states, reports=tuple(reports)), {})
+    assert report["frames"][2]["flags"] == ["ran away", "not converged", "stopped early"]
+    assert (report["summary"]["frames_ran_away"], report["summary"]["frames_stopped"]) == (1, 1)
+    assert "1 frame without a pose: it ran out of the camera's sight" in report["warnings"]
+    assert "1 frame stopped early: no pose explains the points of this clip" in report["warnings"]
+    assert max(report["cost_shares"].values()) <= 1
+    assert report["root_path"]["position_m"][2] == [None] * 3
+
+
 def test_outlier_is_named(report):
     (outlier,) = report["outliers"]
     assert (outlier["frame"], outlier["keypoint"]) == (14, "neck_base")

@@ -15,12 +15,12 @@ CLIP_OUTPUTS: dict[str, Callable[[Motion, Path], None]] = {
     "pose3d.csv": pose3d_csv.write,
     "angles.csv": angles_csv.write,
     "reprojection.csv": reprojection_csv.write,
+    "quality.csv": quality_csv.write,
 }
 """The tables that every clip gets, by file name."""
 
 TRAJECTORY_OUTPUTS: dict[str, Callable[[TrajectoryMotion, Path], None]] = {
     "pose3d_sigma.csv": pose3d_sigma_csv.write,
-    "quality.csv": quality_csv.write,
 }
 """Those that come with the trajectory method."""
 

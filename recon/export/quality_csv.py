@@ -5,17 +5,17 @@ from __future__ import annotations
 from pathlib import Path
 
 from recon.export.table import write_rows
-from recon.motion import TrajectoryMotion
+from recon.motion import Motion
 
 COLUMNS = ("frame", "flags", "alternative_m", "detections", "mean_weight", "place_sigma_m", "relative_rms_m")
 
 
-def write(motion: TrajectoryMotion, path: Path) -> None:
+def write(motion: Motion, path: Path) -> None:
     """Flags, separated by semicolons, and the numbers behind them."""
     columns = (
         motion.frames,
-        [";".join(flags) for flags in motion.solution.flags],
-        motion.solution.alternative_m,
+        [";".join(flags) for flags in motion.flags],
+        motion.alternative_m,
         motion.keypoints.present.sum(axis=1),
         motion.mean_weight,
         motion.place_sigma_m,

@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import fields
 from typing import Any
 
 import numpy as np
 
 from recon.initialise import level_axes
-from recon.motion import FrameMotion
+from recon.motion import FEW_POINTS_SHARE, FrameMotion
 from recon.report import common
 from recon.report.plain import Array, by_name, finite, frame_count, mean, median, number, spread
-from recon.skeleton import AngleRanges
 from recon.solve import FrameOptions, FrameReport, base_length
 
-FEW_POINTS_SHARE = 0.75
-"""Frames with a smaller part of the joints detected are flagged "few points"."""
 WARN_FEW_POINTS, WARN_LIMITS = 0.2, 0.25
 """Shares of the frames from which the report warns."""
 
@@ -81,6 +78,8 @@ def _summary(motion: FrameMotion) -> dict[str, Any]:
     return {
         "frames": len(motion.frames),
         **{f"frames_{s}": motion.status.count(s) for s in ("converged", "not_converged", "no_data")},
+        "frames_ran_away": sum("ran away" in flags for flags in motion.flags),
+        "frames_stopped": sum("stopped early" in flags for flags in motion.flags),
         **common.counts(motion),
         "joint_sigma_across_m": median(np.sqrt((sigma[..., :2] ** 2).mean(axis=-1))),
         "joint_sigma_depth_m": median(sigma[..., 2]),
@@ -105,8 +104,8 @@ def _joint_sigma(motion: FrameMotion) -> dict[str, Any]:
 
 
 def _cost_shares(motion: FrameMotion) -> dict[str, Any]:
-    """Median over the frames that have the term."""
-    solved = [r.cost_shares for r in motion.reports if r is not None]
+    """Median over the frames with a pose that have the term."""
+    solved = [r.cost_shares for r in motion.reports if r is not None and r.in_view]
     return {
         name: median(np.array([shares[name] for shares in solved if name in shares]))
         for name in motion.solution.objectives
@@ -114,7 +113,7 @@ def _cost_shares(motion: FrameMotion) -> dict[str, Any]:
 
 
 def _limits(motion: FrameMotion) -> dict[str, Any]:
-    beyond_range, beyond_rate = _beyond_range(motion), _beyond_rate(motion)
+    beyond_range, beyond_rate = motion.beyond_range_rad, motion.beyond_rate_rad_s
     intervals = int(np.isfinite(beyond_rate).any(axis=1).sum())
     return {
         "frames": int(motion.solved.sum()),
@@ -129,27 +128,6 @@ def _passed(motion: FrameMotion, beyond: Array, largest: str) -> dict[str, Any]:
         {"passed": int((column > 0).sum()), largest: float(np.max(finite(column), initial=0.0))} for column in beyond.T
     ]
     return by_name(motion.skeleton.angle_names, counts)
-
-
-def _beyond_range(motion: FrameMotion) -> Array:
-    """(T, A): how far angles lie beyond their expected ranges, rad; negative inside, NaN without a pose."""
-    middle, tolerance = (_both(motion, name) for name in ("mean_rad", "tolerance_rad"))
-    return np.abs(motion.angles_rad - middle) - tolerance
-
-
-def _beyond_rate(motion: FrameMotion) -> Array:
-    """(T, A): chord rate since the solved frame before, above its limit, rad/s; NaN for the first and without pose."""
-    rows = np.flatnonzero(motion.solved)
-    change = np.diff(motion.angles_rad[rows], axis=0)
-    dt_s = np.diff(motion.time_s[rows])[:, None]
-    beyond = np.full(motion.angles_rad.shape, np.nan)
-    beyond[rows[1:]] = 2 * np.abs(np.sin(change / 2)) / dt_s - _both(motion, "max_rate_rad_s")
-    return beyond
-
-
-def _both(motion: FrameMotion, field: str) -> Array:
-    ranges: Sequence[AngleRanges] = (motion.skeleton.theta, motion.skeleton.phi)
-    return np.concatenate([getattr(r, field) for r in ranges])
 
 
 def _travel(motion: FrameMotion) -> dict[str, Any]:
@@ -168,23 +146,13 @@ def _travel(motion: FrameMotion) -> dict[str, Any]:
 def _frames(motion: FrameMotion) -> list[dict[str, Any]]:
     names = [f.name for f in fields(FrameReport) if f.name != "status"]
     present = motion.keypoints.present.sum(axis=1)
-    at_range, at_rate = (np.any(beyond > 0, axis=1) for beyond in (_beyond_range(motion), _beyond_rate(motion)))
     rows = []
     for t, report in enumerate(motion.reports):
-        status = motion.status[t]
-        flags = {
-            "no data": status == "no_data",
-            "few points": status != "no_data" and present[t] < FEW_POINTS_SHARE * len(motion.names),
-            "outliers": motion.outliers[t].any(),
-            "not converged": status == "not_converged",
-            "at range limit": at_range[t],
-            "at rate limit": at_rate[t],
-        }
         rows.append(
             {
                 "frame": motion.frames[t],
-                "status": status,
-                "flags": [flag for flag, is_set in flags.items() if is_set],
+                "status": motion.status[t],
+                "flags": motion.flags[t],
                 "detections": present[t],
                 "mean_reprojection_px": mean(motion.distance_px[t]),
                 **{name: getattr(report, name, None) for name in names},
@@ -208,6 +176,10 @@ def warnings(report: Mapping[str, Any]) -> Iterator[str]:
     total, solved = summary["frames"], summary["frames"] - summary["frames_no_data"]
     if summary["frames_not_converged"]:
         yield f"{frame_count(summary['frames_not_converged'])} did not converge"
+    if summary["frames_ran_away"]:
+        yield f"{frame_count(summary['frames_ran_away'])} without a pose: it ran out of the camera's sight"
+    if summary["frames_stopped"]:
+        yield f"{frame_count(summary['frames_stopped'])} stopped early: no pose explains the points of this clip"
     if summary["frames_no_data"]:
         yield f"{frame_count(summary['frames_no_data'])} of {total} without a pose: too few points detected"
     few = sum("few points" in frame["flags"] for frame in frames)
