@@ -46,6 +46,7 @@ def run_row(pose: Pose3D, fps: float) -> dict:
     """One run as one row of the tables of stances and gaits."""
     tracks = pose_tracks(pose, fps)
     ground, body = gait(tracks, "ground"), gait(tracks, "body")
+    ((_, plane),) = tracks.grounds
     match = match_stances(body.stances, ground.stances)
     last = tracks.frame[-1] - LAST_FRAMES
     matched = sum(min(a.end_frame, b.end_frame) <= last for a, b in match.pairs)
@@ -70,8 +71,8 @@ def run_row(pose: Pose3D, fps: float) -> dict:
         "gait by ground": ground.name.name,
         "gait by body": body.name.name,
         "criterion": ground.name.criterion,
-        "slope_percent": f"{100 * np.hypot(*tracks.ground.slope):.1f}",
-        "spread_mm": f"{1000 * tracks.ground.spread_m:.0f}",
+        "slope_percent": f"{100 * np.hypot(*plane.slope):.1f}",
+        "spread_mm": f"{1000 * plane.spread_m:.0f}",
         "flexion_deg": "{:+.0f} to {:+.0f}".format(*np.degrees(flexion.range_rad)),
     }
 

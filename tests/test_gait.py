@@ -25,8 +25,10 @@ from recon.analysis.gait import (
     strides,
     tracks,
 )
+from recon.body import Body
 from recon.errors import InputError
 from recon.io.pose3d import Pose3D, read_pose3d
+from recon.skeleton_file import load_skeleton
 from recon.synthetic import KEYPOINT_NAMES, gallop
 
 FPS = 90.0
@@ -124,7 +126,8 @@ def test_events_of_still_feet():
 def test_ground_is_found_where_it_lies():
     moved = pose_tracks(runner(*PATTERNS["trot"]), FPS)
     ahead = np.array([np.cos(0.7), np.sin(0.7)])
-    assert np.array(moved.ground.slope) @ ahead == pytest.approx(0.05, abs=5e-3)
+    ((_, ground),) = moved.grounds
+    assert np.array(ground.slope) @ ahead == pytest.approx(0.05, abs=5e-3)
     assert moved.leg_m == pytest.approx(0.65, abs=0.03)
     rng = np.random.default_rng(0)
     xyz = np.column_stack([rng.uniform(0, 10, 300), rng.uniform(-1, 1, 300), np.zeros(300)])
@@ -134,6 +137,35 @@ def test_ground_is_found_where_it_lies():
     assert plane.slope[0] == pytest.approx(0.04, abs=2e-3)
     np.testing.assert_allclose(plane.above(xyz)[1::10], 0.0, atol=0.05)
     assert plane.spread_m == pytest.approx(0.01, rel=0.4)
+
+
+def test_every_spell_has_its_own_ground():
+    """The animal comes back 0.3 m lower, which is nearly half a leg: its stances are what they are without that."""
+    whole = runner(*PATTERNS["trot"])
+    n = len(whole.frames)
+    first, second = slice(0, n // 2 - 10), slice(n // 2 + 10, n)
+    xyz = np.full_like(whole.xyz_m, np.nan)
+    xyz[first], xyz[second] = whole.xyz_m[first], whole.xyz_m[second]
+    level = pose_tracks(replace(whole, xyz_m=xyz), FPS)
+    xyz = xyz.copy()
+    xyz[second, :, 2] -= 0.3
+    moved = pose_tracks(replace(whole, xyz_m=xyz), FPS, spells=(first, second))
+    assert [rows for rows, _ in moved.grounds] == [first, second]
+    (_, above), (_, below) = moved.grounds
+    on_it = np.array([[*below.middle_m, 0.0]])
+    assert above.above(on_it) - below.above(on_it) == pytest.approx(-0.3, abs=0.03)
+    assert moved.leg_m == pytest.approx(0.65, abs=0.03)
+    assert np.nanmin(moved.height_m) > -0.03
+    assert np.isnan(moved.height_m[10 * first.stop : 10 * second.start]).all()
+    expected, found = stances(level), stances(moved)
+    assert [(s.foot, s.begins, s.ends) for s in found] == [(s.foot, s.begins, s.ends) for s in expected]
+    np.testing.assert_allclose([s.start_s for s in found], [s.start_s for s in expected], atol=0.02)
+
+
+def test_default_feet_are_the_cheetahs():
+    body = load_skeleton("cheetah-24")
+    assert isinstance(body, Body)
+    assert body.feet_by_label() == FEET
 
 
 def test_stances_of_the_simulated_gallop():

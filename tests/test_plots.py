@@ -281,7 +281,7 @@ def test_composites_have_equal_axes():
 def test_composites_ground():
     joints, t = running(heading=np.pi / 2), times(31)
     plane = Plane((0.0, 0.0), 0.2, (0.0, 0.1), 0.0, 10)
-    side, _, front, *_ = plots.composites(joints, LIMBS, t, plane).axes
+    side, _, front, *_ = plots.composites(joints, LIMBS, t, [(slice(None), plane)]).axes
     origin_y = joints[0, :, 1].mean()
     for axes, slope in ((side, 0.1), (front, 0.0)):
         (line,) = (line for line in axes.get_lines() if line.get_gid() == "ground")
@@ -289,6 +289,11 @@ def test_composites_ground():
         assert (z[1] - z[0]) / (x[1] - x[0]) == pytest.approx(slope, abs=1e-12)
         if slope:
             np.testing.assert_allclose(z, 0.2 + 0.1 * (x + origin_y))
+    lower = replace(plane, height_m=-0.2)
+    two = plots.composites(joints, LIMBS, t, [(slice(0, 10), plane), (slice(20, 31), lower)]).axes[0]
+    one, other = (line for line in two.get_lines() if line.get_gid() == "ground")
+    np.testing.assert_allclose(np.array(other.get_ydata()) - 0.1 * (np.array(other.get_xdata()) + origin_y), -0.2)
+    assert max(one.get_xdata()) < min(other.get_xdata())
     (level,) = (line for line in plots.composites(joints, LIMBS, t, 0.05).axes[0].get_lines() if line.get_gid())
     np.testing.assert_allclose(level.get_ydata(), 0.05)
 

@@ -106,6 +106,26 @@ def test_feet_do_not_depend_on_what_the_clip_shows(whole_results, tmp_path):
     assert read_results(folder).feet == found.feet
 
 
+def test_spells_and_their_grounds(whole_results, frame_results):
+    """The ground is a plane in the upright frame; where there were two spells, each has its own."""
+    found = read_results(whole_results)
+    ((written,), (spell,)) = found.report["spells"], found.spells
+    assert spell.rows == slice(0, 60)
+    assert spell.ground is not None
+    at = np.array(written["ground"]["middle_m"])
+    assert spell.ground.height_m + spell.ground.slope @ at == pytest.approx(written["ground"]["height_m"])
+    feet = found.pose.xyz_m[:, [found.pose.names.index(foot) for foot in found.feet.values()], 2]
+    assert np.percentile(feet, 10) == pytest.approx(written["ground"]["height_m"], abs=0.1)
+    lower = {**written["ground"], "height_m": written["ground"]["height_m"] - 0.5}
+    two = [{"frames": [0, 20], "ground": None}, {"frames": [40, 60], "ground": lower}]
+    first, second = replace(found, report=found.report | {"spells": two}).spells
+    assert (first.rows, first.ground, second.rows) == (slice(0, 20), None, slice(40, 60))
+    assert second.ground is not None
+    assert second.ground.height_m == pytest.approx(spell.ground.height_m - 0.5)
+    frame = read_results(frame_results)
+    assert [(one.rows, one.ground) for one in frame.spells] == [(slice(0, len(frame.pose.frames)), None)]
+
+
 def test_sides_of_limbs(whole_results, frame_results):
     whole, chain = read_results(whole_results).limb_sides, read_results(frame_results).limb_sides
     assert (whole["left hind leg"], whole["right front leg"], whole["trunk"]) == ("left", "right", None)

@@ -202,6 +202,7 @@ def _gaits(results: Results, pose: Pose3D) -> dict[Method, Gait]:
     if not results.feet:
         return {}
     body = BODY if set(BODY) <= {*pose.names} else results.forward
-    moved = pose_tracks(pose, results.fps, feet=results.feet, body=body)
+    spells = [spell.rows for spell in results.spells]
+    moved = pose_tracks(pose, results.fps, feet=results.feet, body=body, spells=spells)
     methods: tuple[Method, ...] = ("ground", "body")
     return {method: gait(moved, method) for method in methods}

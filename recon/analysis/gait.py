@@ -24,14 +24,15 @@ threshold would be nearer to the lift-off, but noise would cut the stance: a swi
 0.05 of a stride too long in all. A marker lies some centimetres above the sole and rises with the heel, hence 0.15 of
 the leg (9 cm of 0.6 m) to count as low at all, and 0.3 for the end of the push-off. Stances shorter than `MIN_STANCE_S`
 are noise. The ground is a plane through the slow feet's positions, fitted with Tukey weights; clips of a few strides
-hardly fix its slope across the track, so that slopes have a prior of 0 +- `SLOPE_SIGMA`.
+hardly fix its slope across the track, so that slopes have a prior of 0 +- `SLOPE_SIGMA`. Every spell of a clip, a
+stretch that was reconstructed by itself, has a plane of its own.
 
 The leg's length is the body's median height above the ground, the length of Froude numbers.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from types import MappingProxyType
@@ -119,7 +120,8 @@ class Tracks:
     """The feet's and the body's motion on the fine grid, N times, F feet; NaN where unknown.
 
     time_s, frame (N,); foot_m (N, F, 3); body_m (N, 3); foot_speed_m_s (N, F) and body_speed_m_s (N,): horizontal;
-    reach_m (N, F): of the foot before the body along the travel; height_m (N, F): above the ground; leg_m.
+    reach_m (N, F): of the foot before the body along the travel; height_m (N, F): above the ground; leg_m. grounds: the
+    clip's rows and the plane under the feet in them, one for every spell of the clip.
     """
 
     feet: tuple[str, ...]
@@ -131,8 +133,12 @@ class Tracks:
     body_speed_m_s: Array
     reach_m: Array
     height_m: Array
-    ground: Plane
+    grounds: tuple[tuple[slice, Plane], ...]
     leg_m: float
+
+    def above_ground(self, xyz_m: Array) -> Array:
+        """Heights (N, ...) of points (N, ..., 3), each above its spell's ground; NaN outside of all."""
+        return _above(self.grounds, xyz_m)
 
 
 @dataclass(frozen=True)
@@ -211,9 +217,11 @@ def tracks(
     feet: tuple[str, ...],
     feet_sigma_m: Array | None = None,
     body_sigma_m: Array | None = None,
+    spells: Sequence[slice] = (slice(None),),
 ) -> Tracks:
     """Feet (T, F, 3) and body (T, 3) at times (T,), metres, z up, NaN where missing. With standard deviations, of the
-    same shapes, the splines smooth by as much; without, they are exact. Raises ValueError."""
+    same shapes, the splines smooth by as much; without, they are exact. spells: rows that have a ground of their own.
+    Raises ValueError."""
     if feet_m.shape != (len(time_s), len(feet), 3) or body_m.shape != (len(time_s), 3):
         raise ValueError(f"{len(time_s)} times, {len(feet)} feet, but positions {feet_m.shape} and {body_m.shape}")
     if len(time_s) < MIN_POINTS:
@@ -226,7 +234,7 @@ def tracks(
     body_speed = np.linalg.norm(body.rate[:, :2], axis=1)
     reach = np.einsum("nfk,nk->nf", (foot - body.value[:, None])[..., :2], _travel(body.time_s, body.value))
     slow = foot_speed < SLOW[0] * body_speed[:, None]
-    ground = ground_plane(foot[slow]) if slow.any() else _level(foot)
+    grounds = tuple((rows, _ground_under(foot[_fine(rows)], slow[_fine(rows)])) for rows in spells)
     return Tracks(
         feet=feet,
         time_s=body.time_s,
@@ -236,9 +244,9 @@ def tracks(
         foot_speed_m_s=foot_speed,
         body_speed_m_s=body_speed,
         reach_m=reach,
-        height_m=ground.above(foot),
-        ground=ground,
-        leg_m=_median(ground.above(body.value)),
+        height_m=_above(grounds, foot),
+        grounds=grounds,
+        leg_m=_median(_above(grounds, body.value)),
     )
 
 
@@ -248,9 +256,11 @@ def pose_tracks(
     sigma_m: Array | None = None,
     feet: Mapping[str, str] = FEET,
     body: tuple[str, ...] = BODY,
+    spells: Sequence[slice] = (slice(None),),
 ) -> Tracks:
     """The tracks of a pose; sigma_m (T, J, 3) smooths as in `tracks`; feet: joint of each foot, by LH, RH, LF, RF;
-    body: joints whose mean stands for the body. Raises InputError with every joint that the pose lacks, ValueError."""
+    body: joints whose mean stands for the body; spells: see `tracks`. Raises InputError with every joint that the pose
+    lacks, ValueError."""
     where, n = joint_index(pose, (*feet.values(), *body)), len(feet)
     points = pose.xyz_m[:, where]
     feet_sigma = body_sigma = None
@@ -259,7 +269,7 @@ def pose_tracks(
         # Errors of a body's joints go together: the mean is no better than they are.
         body_sigma = np.sqrt(np.mean(sigma_m[:, where[n:]] ** 2, axis=1))
     body_m = points[:, n:].mean(axis=1)
-    return tracks(frame_times(pose.frames, fps), points[:, :n], body_m, tuple(feet), feet_sigma, body_sigma)
+    return tracks(frame_times(pose.frames, fps), points[:, :n], body_m, tuple(feet), feet_sigma, body_sigma, spells)
 
 
 def _path(time_s: Array, points_m: Array, sigma_m: Array | None) -> Series:
@@ -272,6 +282,23 @@ def _path(time_s: Array, points_m: Array, sigma_m: Array | None) -> Series:
         oversampling=OVERSAMPLING,
         max_gap_s=MAX_GAP_S,
     )
+
+
+def _fine(rows: slice) -> slice:
+    """Of the fine grid, from the first of the clip's rows to the last."""
+    start = rows.start or 0
+    return slice(start * OVERSAMPLING, None if rows.stop is None else (rows.stop - 1) * OVERSAMPLING + 1)
+
+
+def _above(grounds: Sequence[tuple[slice, Plane]], xyz_m: Array) -> Array:
+    above = np.full(xyz_m.shape[:-1], np.nan)
+    for rows, plane in grounds:
+        above[_fine(rows)] = plane.above(xyz_m[_fine(rows)])
+    return above
+
+
+def _ground_under(foot_m: Array, slow: NDArray[np.bool_]) -> Plane:
+    return ground_plane(foot_m[slow]) if slow.any() else _level(foot_m)
 
 
 def ground_plane(points_m: Array) -> Plane:

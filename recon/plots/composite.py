@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from matplotlib.lines import Line2D
 
 Array = NDArray[np.float64]
+Boxes = list[tuple[float, float]]
 
 CONFIGURATIONS = 10
 STILL = 0.1
@@ -41,16 +42,16 @@ def composites(
     joints_m: Array,
     limbs: Mapping[str, Sequence[int]],
     time_s: Array,
-    ground: float | Plane | None = None,
+    ground: float | Sequence[tuple[slice, Plane]] | None = None,
     title: str = "",
     sides: Mapping[str, Side | None] = NO_SIDES,
 ) -> Figure:
     """Up to `CONFIGURATIONS` configurations, evenly spaced among the known ones, coloured by time.
 
     joints_m (T, J, 3): metres, upright, z up; time_s (T,). limbs: joints along each, by name; sides: of the limbs,
-    those on the left are dashed, and those without a side thick. ground: height of a level one, or a plane. The mean
-    motion is turned to run to the right; places count from the mean of the first configuration, heights are as given.
-    The front view looks back at the animal and has its own scale.
+    those on the left are dashed, and those without a side thick. ground: height of a level one, or planes with the rows
+    that they lie under. The mean motion is turned to run to the right; places count from the mean of the first
+    configuration, heights are as given. The front view looks back at the animal and has its own scale.
     """
     rows = chosen(joints_m, limbs)
     if not len(rows):
@@ -94,9 +95,9 @@ def composites(
                 span = limits[at][1] - limits[at][0]
                 bins = int(np.clip(mm_per_m * span / (label_mm if span > 0.2 else 2 * label_mm), 1, 9))
                 axis.set_major_locator(MaxNLocator(bins, steps=[1, 2, 5, 10], min_n_ticks=1))
-        if ground is not None:
-            for axes, i, limits in ((side, 0, boxes), (ahead, 1, close)):
-                axes.plot(*_ground_line(ground, R, origin, limits, i), color=GREY, lw=0.8, zorder=1, gid="ground")
+        for axes, i, limits in ((side, 0, boxes), (ahead, 1, close)):
+            for under, plane in _under(ground, rows, points, limits):
+                axes.plot(*_ground_line(plane, R, origin, under, i), color=GREY, lw=0.8, zorder=1, gid="ground")
         side.tick_params(bottom=False, labelbottom=False)
         side.spines["bottom"].set_visible(False)
         names = (
@@ -169,7 +170,7 @@ def _handles(sides: set[Side | None], ground: bool) -> list[Line2D]:
     return lines + [Line2D([], [], color=GREY, lw=0.8, label="ground")] * ground
 
 
-def _boxes(points: Array) -> list[tuple[float, float]]:
+def _boxes(points: Array) -> Boxes:
     """Ranges of x, y and z, with a margin and not too narrow."""
     flat = points.reshape(-1, 3)
     low, high = np.nanmin(flat, axis=0), np.nanmax(flat, axis=0)
@@ -183,9 +184,22 @@ def _at_least(box: tuple[float, float], length: float) -> tuple[float, float]:
     return box[0] - more, box[1] + more
 
 
-def _ground_line(
-    ground: float | Plane, R: Array, origin: Array, boxes: list[tuple[float, float]], axis: int
-) -> tuple[list[float], Array]:
+def _under(
+    ground: float | Sequence[tuple[slice, Plane]] | None, rows: NDArray[np.intp], points: Array, boxes: Boxes
+) -> Iterator[tuple[Boxes, float | Plane]]:
+    """Every ground and where it is drawn: from edge to edge, or of several each under its own configurations."""
+    if ground is None:
+        return
+    grounds = ground if isinstance(ground, Sequence) else [(slice(None), ground)]
+    for part, plane in grounds:
+        inside = np.isin(rows, np.arange(rows.max() + 1)[part])
+        if len(grounds) == 1:
+            yield boxes, plane
+        elif inside.any():
+            yield _boxes(points[inside]), plane
+
+
+def _ground_line(ground: float | Plane, R: Array, origin: Array, boxes: Boxes, axis: int) -> tuple[list[float], Array]:
     """Ends of the ground's section along x or y, through the middle of the other."""
     ends = np.tile([sum(box) / 2 for box in boxes], (2, 1))
     ends[:, axis] = boxes[axis]

@@ -109,11 +109,10 @@ def reference_of(results: Results) -> Animal:
     if np.hypot(*chord[:2]) < tracks.leg_m / 2:
         chord = trunk.mean(axis=0)
     to_world = Rotation.from_euler("z", -np.arctan2(chord[1], chord[0]))
-    origin = np.append(body[0, :2], tracks.ground.above(body[:1])[0])
-    origin[2] = body[0, 2] - origin[2]
+    height = tracks.above_ground(tracks.body_m)[rows]
+    origin = np.append(body[0, :2], body[0, 2] - height[0])
 
     level = to_world.apply(body - origin)
-    height = tracks.ground.above(body)
     angles = _angles(analysis, rows, to_world, trunk)
     interval = float(time[1] - time[0])
     smoothed = gaussian_filter1d(
