@@ -76,6 +76,7 @@ benchmark: $(BASE)
 	$(BIN)/python benchmarks/retarget.py $(RUNS)
 	$(BIN)/python benchmarks/climb.py
 	$(BIN)/python benchmarks/batch.py
+	$(BIN)/python benchmarks/startup.py
 
 clean:
 	rm -rf $(DEMO_OUT) build dist site .cache .pytest_cache .ruff_cache

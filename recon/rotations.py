@@ -10,7 +10,6 @@ import warnings
 
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial.transform import Rotation
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -45,6 +44,8 @@ def euler_angles(rotation: npt.ArrayLike) -> FloatArray:
     psi lies in [-pi/2, pi/2]. At psi = +-pi/2 only xi + zeta or xi - zeta is determined; zeta is then set to 0.
     Raises ValueError for a matrix that is not a rotation (determinant not positive).
     """
+    from scipy.spatial.transform import Rotation  # slow to import
+
     matrices = np.asarray(rotation, dtype=float)
     if (np.linalg.det(matrices) <= 0).any():  # older scipy takes them for rotations
         raise ValueError("a matrix with a determinant that is not positive is no rotation")
@@ -52,6 +53,26 @@ def euler_angles(rotation: npt.ArrayLike) -> FloatArray:
         warnings.filterwarnings("ignore", message="Gimbal lock")
         angles = Rotation.from_matrix(matrices.reshape(-1, 3, 3)).as_euler("XYZ")
     return np.asarray(angles).reshape(*matrices.shape[:-2], 3)
+
+
+def quaternions(rotations: FloatArray) -> FloatArray:
+    """Unit quaternions (N, 4), x, y, z, w, of rotation matrices (N, 3, 3). scipy's take long to import."""
+    m = rotations
+    x, y, z = np.eye(3)
+    diagonal = np.einsum("nii->ni", m)
+    squares = 1 + diagonal @ np.array([2 * x - 1, 2 * y - 1, 2 * z - 1, [1, 1, 1]]).T  # 4 q_i^2
+    xy, xz, yz = m[:, 0, 1] + m[:, 1, 0], m[:, 0, 2] + m[:, 2, 0], m[:, 1, 2] + m[:, 2, 1]
+    xw, yw, zw = m[:, 2, 1] - m[:, 1, 2], m[:, 0, 2] - m[:, 2, 0], m[:, 1, 0] - m[:, 0, 1]
+    products = np.array(
+        [
+            [squares[:, 0], xy, xz, xw],
+            [xy, squares[:, 1], yz, yw],
+            [xz, yz, squares[:, 2], zw],
+            [xw, yw, zw, squares[:, 3]],
+        ]
+    )  # 4 q_i q_j: every row is a multiple of the quaternion, that of its largest element the most exact
+    found = products[squares.argmax(axis=1), :, np.arange(len(m))]
+    return found / np.linalg.norm(found, axis=1, keepdims=True)
 
 
 def _matrix_entries(angles: FloatArray):

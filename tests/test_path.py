@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.interpolate import CubicSpline
 
 from recon.analysis.path import MAX_GAP_S, frame_jitter_m, path_kinematics, speed_at_frames
 
@@ -33,6 +34,21 @@ def test_accelerated_straight_motion_is_exact():
     assert path.distance_m == pytest.approx(5 * end + 2 * end**2)
     assert path.peak_speed_m_s == pytest.approx(5 + 4 * end)
     assert path.mean_speed_m_s == pytest.approx(5 + 2 * end)
+
+
+@pytest.mark.parametrize("points", [4, 5, 6, 60])
+def test_the_spline_is_scipys(points):
+    """With gaps of the longest kind that is bridged."""
+    rng = np.random.default_rng(points)
+    time_s = np.cumsum(rng.choice([1 / 120, 1 / 60, 0.19], points))
+    path = rng.normal(size=(points, 3))
+    found = path_kinematics(time_s, path)
+    expected = CubicSpline(time_s, path, bc_type="not-a-knot")
+    for order, values in enumerate((found.position_m, found.velocity_m_s)):
+        known = expected(found.time_s, order)
+        np.testing.assert_allclose(values, known, atol=1e-12 * np.abs(known).max())
+    known = np.linalg.norm(expected(found.time_s, 2), axis=1)
+    np.testing.assert_allclose(found.acceleration_m_s2, known, atol=1e-12 * known.max())
 
 
 def test_circle():

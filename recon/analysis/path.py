@@ -1,7 +1,7 @@
 """Kinematics of a point's path: speed, acceleration and distance from a cubic spline.
 
-The spline goes through every frame that has the point (scipy's `CubicSpline`, not-a-knot ends) and is evaluated at ten
-times the frame rate. Nothing is extrapolated, and a gap longer than `MAX_GAP_S` is not bridged: there, all is NaN.
+The spline goes through every frame that has the point (not-a-knot ends, as scipy's `CubicSpline`) and is evaluated at
+ten times the frame rate. Nothing is extrapolated, and a gap longer than `MAX_GAP_S` is not bridged: there, all is NaN.
 Frames that are missing in a shorter gap are interpolated. An exact spline turns a jitter of s metres in a coordinate
 into one of about 6 s fps^2 in its acceleration. Frame-by-frame poses jitter in depth by decimetres, which makes an
 exact path too long and too fast: `smoothing_m=frame_jitter_m(points)` smooths by as much.
@@ -15,7 +15,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline, UnivariateSpline
 
 Array = NDArray[np.float64]
 
@@ -115,10 +114,61 @@ def _spline(
 ) -> Callable[[Array, int], NDArray[np.float64]]:
     """curve(time (M,), order of the derivative) -> (M, d)."""
     if smoothing_m is None:
-        return CubicSpline(time_s, points_m, bc_type="not-a-knot")
+        return _exact_spline(time_s, points_m)
+    from scipy.interpolate import UnivariateSpline  # slow to import
+
     allowed = len(time_s) * np.broadcast_to(smoothing_m, points_m.shape[1]) ** 2
     with warnings.catch_warnings():
         # FITPACK warns where rounding keeps it from spending exactly what is allowed.
         warnings.simplefilter("ignore")
         curves = [UnivariateSpline(time_s, x, k=3, s=s) for x, s in zip(points_m.T, allowed, strict=True)]
     return lambda t, order: np.stack([curve(t, nu=order) for curve in curves], axis=1)
+
+
+def _exact_spline(time_s: Array, points_m: Array) -> Callable[[Array, int], Array]:
+    """The cubic spline through n >= 4 points (n, d) whose third derivative is the same on the first two intervals, and
+    on the last two: `CubicSpline` without scipy.interpolate, which takes longer to import than a short clip to fit."""
+    h = np.diff(time_s)
+    chord = np.diff(points_m, axis=0) / h[:, None]
+    slope = _not_a_knot_slopes(h, chord)
+    # On each interval, in the time u since its start: points + slope u + bend u^2 + twist u^3.
+    twist = (slope[:-1] + slope[1:] - 2 * chord) / h[:, None] ** 2
+    bend = (chord - slope[:-1]) / h[:, None] - twist * h[:, None]
+
+    def curve(t: Array, order: int) -> Array:
+        i = np.clip(np.searchsorted(time_s, t, side="right") - 1, 0, len(h) - 1)
+        u = (t - time_s[i])[:, None]
+        if order == 0:
+            return points_m[i] + u * (slope[i] + u * (bend[i] + u * twist[i]))
+        if order == 1:
+            return slope[i] + u * (2 * bend[i] + u * 3 * twist[i])
+        return 2 * bend[i] + u * 6 * twist[i]
+
+    return curve
+
+
+def _not_a_knot_slopes(h: Array, chord: Array) -> Array:
+    """(n, d): first derivatives at the points, from the n - 1 intervals and the slopes of their chords (n - 1, d).
+
+    One equation a point, with its two neighbours: lower s_before + middle s + upper s_after = right.
+    """
+    n = len(h) + 1
+    lower, middle, upper = np.zeros((3, n))
+    right = np.empty((n, chord.shape[1]))
+    lower[1:-1], upper[1:-1] = h[1:], h[:-1]
+    middle[1:-1] = 2 * (h[:-1] + h[1:])
+    right[1:-1] = 3 * (h[1:, None] * chord[:-1] + h[:-1, None] * chord[1:])
+    first, last = h[0] + h[1], h[-2] + h[-1]
+    middle[0], upper[0] = h[1], first
+    right[0] = ((h[0] + 2 * first) * h[1] * chord[0] + h[0] ** 2 * chord[1]) / first
+    middle[-1], lower[-1] = h[-2], last
+    right[-1] = (h[-1] ** 2 * chord[-2] + (2 * last + h[-1]) * h[-2] * chord[-1]) / last
+    for i in range(1, n):  # elimination, which needs no pivoting here
+        factor = lower[i] / middle[i - 1]
+        middle[i] -= factor * upper[i - 1]
+        right[i] -= factor * right[i - 1]
+    slope = right
+    slope[-1] /= middle[-1]
+    for i in range(n - 2, -1, -1):
+        slope[i] = (slope[i] - upper[i] * slope[i + 1]) / middle[i]
+    return slope

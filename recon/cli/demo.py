@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
-from recon.cli.common import finish, progress_bar
+from recon.cli.common import finish, leave_pandas_out, progress_bar
 
 
 def demo(
@@ -24,6 +24,7 @@ def demo(
     from recon.pipelines.demo import run_demo
 
     console = Console(quiet=quiet, stderr=as_json)
+    leave_pandas_out()
     with progress_bar(console) as progress:
         report, evaluation = run_demo(out, overwrite, progress)
     finish(console, report, out, as_json, mpjpe_mm=1000 * evaluation.mpjpe_m.mean)

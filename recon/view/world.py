@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import rerun as rr
 from rerun.components import FillMode
-from scipy.spatial.transform import Rotation
 
 from recon.motion import Motion, TrajectoryMotion
+from recon.rotations import quaternions
 from recon.view.scene import (
     CAMERA,
     DETECTION,
@@ -97,7 +97,7 @@ def write_doubt(motion: TrajectoryMotion, scene: Scene, send: Send, fix: Fix) ->
     columns = rr.Ellipsoids3D.columns(
         centers=motion.joints_m[solved].reshape(-1, 3),
         half_sizes=np.sqrt(np.maximum(variance, 1e-8)),
-        quaternions=Rotation.from_matrix(axes).as_quat() if len(axes) else np.empty((0, 4)),
+        quaternions=quaternions(axes),
         colors=np.column_stack((colours, np.full(len(colours), 70))).astype(np.uint8),
     )
     send("world/uncertainty", columns.partition(counts))

@@ -1,0 +1,62 @@
+"""How long commands take as whole processes, beside Python with only the imports that they could hardly do without.
+
+python benchmarks/startup.py [RUNS]
+
+The two take turns, RUNS times (15 by default) after one that does not count; the ratios are those of a pair, so that a
+machine that is busy with other things slows down both.
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from statistics import median
+
+from markdown_table import print_header, print_row
+
+SAMPLES = Path(__file__).resolve().parents[1] / "data" / "samples"
+SMALL, LARGE = "import typer, rich", "import numpy, scipy.optimize, pandas, rerun"
+
+
+def seconds(command: Sequence[str], folder: str) -> tuple[float, float]:
+    """Of the clock, and of the processor (nan where the system does not say)."""
+    began = time.perf_counter()
+    with subprocess.Popen(command, cwd=folder, stdout=subprocess.DEVNULL) as process:
+        if not hasattr(os, "wait4"):
+            code, used = process.wait(), float("nan")
+        else:
+            _, status, usage = os.wait4(process.pid, 0)
+            code, used = os.waitstatus_to_exitcode(status), usage.ru_utime + usage.ru_stime
+            process.returncode = code
+    if code:
+        raise SystemExit(f"{' '.join(command)}: exit code {code}")
+    return time.perf_counter() - began, used
+
+
+def main() -> None:
+    runs = int(sys.argv[1]) if sys.argv[1:] else 15
+    fit = ("fit", f"{SAMPLES / 'whole.csv'}", "--camera", f"{SAMPLES / 'camera.toml'}", "--fps", "60")
+    fit_40 = (*fit, "--frames", "0:40", "--out", "out", "--overwrite", "--quiet")
+    commands = (
+        ("recon --help", ("--help",), SMALL),
+        ("recon --version", ("--version",), SMALL),
+        ("recon fit, 40 frames", fit_40, LARGE),
+    )
+    print_header(["command", "s", "of the processor", "beside", "s", "ratio", "of the processor"])
+    with tempfile.TemporaryDirectory() as folder:
+        for name, arguments, imports in commands:
+            pair = [sys.executable, "-m", "recon", *arguments], [sys.executable, "-c", imports]
+            taken = [[seconds(command, folder) for command in pair] for _ in range(runs + 1)][1:]
+            (ours_s, ours_cpu_s), (theirs_s, _) = ([median(run[i][k] for run in taken) for k in (0, 1)] for i in (0, 1))
+            ratio, cpu_ratio = (median(ours[k] / theirs[k] for ours, theirs in taken) for k in (0, 1))
+            numbers = (f"{ours_s:.2f}", f"{ours_cpu_s:.2f}", f"`{imports}`", f"{theirs_s:.2f}")
+            print_row([name, *numbers, f"{ratio:.2f}", f"{cpu_ratio:.2f}"])
+
+
+if __name__ == "__main__":
+    main()

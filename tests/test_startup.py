@@ -1,0 +1,58 @@
+"""What is imported, and when: a command that does not need a library does not wait for it."""
+
+from __future__ import annotations
+
+import ast
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import recon
+
+ROOT = Path(__file__).resolve().parents[1]
+SLOW = {"numpy", "pandas", "scipy", "cv2", "rerun", "pyarrow", "pydantic", "torch", "matplotlib", "h5py", "tables"}
+
+
+def imported_by(*args: object) -> set[str]:
+    """The modules that `recon ARGS` imports."""
+    command = [sys.executable, "-X", "importtime", "-m", "recon", *map(str, args)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
+    assert done.returncode == 0, done.stderr[-2000:]
+    return set(re.findall(r"^import time:.*\| +(\S+)$", done.stderr, re.MULTILINE))
+
+
+@pytest.mark.parametrize("option", ["--help", "--version"])
+def test_the_start_imports_nothing_slow(option):
+    modules = imported_by(option)
+    assert "typer" in modules
+    assert modules & SLOW == set()
+
+
+def test_a_fit_imports_what_it_uses(tmp_path):
+    samples = ROOT / "data" / "samples"
+    fit = ("fit", samples / "whole.csv", "--camera", samples / "camera.toml", "--fps", 60, "--frames", "0:8", "--fast")
+    modules = imported_by(*fit, "--out", tmp_path)
+    assert (tmp_path / "motion.rrd").is_file()
+    assert {"numpy", "rerun"} <= modules
+    unused = {"scipy.interpolate", "scipy.optimize", "scipy.spatial", "scipy.special", "recon.analysis.clip", "h5py"}
+    unused |= {"pandas.core", "cv2", "torch", "matplotlib", "tables"}
+    assert modules & unused == set()
+
+
+def test_public_names_come_from_where_editors_look_for_them():
+    """Three lists: of `from recon import *`, of the imports that type checkers see, and of those that run."""
+    tree = ast.parse((ROOT / "recon" / "__init__.py").read_text(encoding="utf-8"))
+    (checked,) = (node for node in tree.body if isinstance(node, ast.If))
+    seen = {
+        alias.name: node.module for node in checked.body if isinstance(node, ast.ImportFrom) for alias in node.names
+    }
+    assert seen == recon._MODULE_OF
+    assert sorted(seen) == recon.__all__
+    for name, module in seen.items():
+        assert getattr(recon, name) is getattr(sys.modules[str(module)], name)
+    assert {*recon.__all__, "__version__"} <= {*dir(recon)}
+    with pytest.raises(AttributeError, match="module 'recon' has no attribute 'nothing'"):
+        _ = recon.nothing  # pyright: ignore[reportAttributeAccessIssue]
