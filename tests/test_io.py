@@ -204,13 +204,12 @@ def test_single_animal(tmp_path):
         SINGLE.replace("\n", "\r\n"),
         SINGLE.rstrip("\n"),
         SINGLE + "\n\n",
-        SINGLE.split("\n", 1)[1],
         SINGLE.replace("net,", "net.1,", 1),
         SINGLE.replace("\n0,", "\n0.0,").replace("\n1,", "\n1.,"),
         SINGLE.replace("6,0.7,,,", "6,0.7,NaN, ,nan"),
         SINGLE.replace("5,6,0.7", '" 5","6 ",7e-1'),
     ],
-    ids=["bom", "crlf", "no-final-newline", "blank-lines", "no-scorer", "scorer-suffix", "float-index", "nan-cells",
+    ids=["bom", "crlf", "no-final-newline", "blank-lines", "scorer-suffix", "float-index", "nan-cells",
          "quotes-and-blanks"],
 )  # fmt: skip
 def test_variants_that_say_the_same(tmp_path, text):
@@ -307,8 +306,61 @@ def test_stray_blanks_in_names_are_noted(tmp_path):
     assert clean(keypoints, 0.5)[1].notes == keypoints.notes
 
 
+def test_likelihoods_that_mean_something_else_are_refused(tmp_path):
+    """In per cent, every one would pass the cut-off."""
+    for text, said in (
+        (SINGLE.replace("0.9", "37"), "likelihood: found 0 to 37, as if in per cent, expected numbers from 0 to 1"),
+        (SINGLE.replace("0.9", "-1"), "likelihood: found -1 to 1, expected numbers from 0 to 1"),
+        (SINGLE.replace("0.9", "inf"), "frame 0, column nose/likelihood: found 'inf'"),
+    ):
+        assert said in problems(save(tmp_path, text))[0]
+    plain = "frame,bodypart,x,y,likelihood\n0,nose,1,2,90\n"
+    assert "likelihood: found 90 to 90, as if in per cent" in problems(save(tmp_path, plain))[0]
+
+
 def test_odd_likelihoods_are_noted(tmp_path):
-    assert "range from 0 to 37" in read_keypoints(save(tmp_path, SINGLE.replace("0.9", "37"))).notes[0]
+    """As of networks whose scores are no probabilities."""
+    (note,) = read_keypoints(save(tmp_path, SINGLE.replace("0.9", "1.2"))).notes
+    assert note == "Likelihoods range from 0 to 1.2; they should lie between 0 and 1."
+
+
+def test_missing_header_row_is_noted(tmp_path):
+    """The names of the columns are there without it."""
+    whole, headless = (read_keypoints(save(tmp_path, text)) for text in (SINGLE, SINGLE.split("\n", 1)[1]))
+    assert whole.notes == ()
+    (note,) = headless.notes
+    assert note == "The header's first row, scorer, is missing; the others say what each column is."
+    assert clean(headless, 0.5)[1].notes == (note,)
+    np.testing.assert_array_equal(headless.xy_px, whole.xy_px)
+    np.testing.assert_array_equal(headless.confidence, whole.confidence)
+
+
+@pytest.mark.parametrize("cell", ["1_000.5", "１", "٣", "1e5_0", "0x10"])
+def test_numbers_of_python_only(tmp_path, cell):
+    assert f"found '{cell}', expected a number" in problems(save(tmp_path, SINGLE.replace("1.5", cell)))[0]
+    plain = f"frame,bodypart,x,y\n0,nose,{cell},2\n"
+    assert f"line 2, x: found '{cell}', expected a number" in problems(save(tmp_path, plain))[0]
+    trc = f"bodyparts,nose,nose,nose\ncoords,x,y,z\n0,{cell},2,3\n"
+    with pytest.raises(InputError, match="expected a number"):
+        read_pose3d(save(tmp_path, trc))
+
+
+@pytest.mark.parametrize(
+    ("clock", "cells", "said"),
+    [
+        ("frame", ("0", "-1"), "line 3, frame: found -1, expected a frame number: 0, 1, 2, ..."),
+        ("frame", ("0", ""), "line 3, frame: found nothing, expected a frame number: 0, 1, 2, ..."),
+        ("frame", ("0", "1e17"), "line 3, frame: found 1e+17, expected a frame number: 0, 1, 2, ..."),
+        ("frame", ("0.5", "1"), "line 2, frame: found 0.5, expected a frame number: 0, 1, 2, ..."),
+        ("time_s", ("0.04", ""), "line 3, time_s: found nothing, expected a time in seconds"),
+        ("time_s", ("-0.04", "0"), "time: found -0.04 s, expected times from 0 s on, which is frame 0"),
+        ("time_s", ("0", "1e300"), "expected the times of a clip"),
+    ],
+)
+def test_frames_and_times_that_are_none(tmp_path, clock, cells, said):
+    text = f"{clock},bodypart,x,y,fps\n" + "".join(f"{cell},nose,1,2,25\n" for cell in cells)
+    (problem,) = problems(save(tmp_path, text))
+    assert said in problem
 
 
 # What is wrong with files
@@ -423,12 +475,13 @@ XYL = [("nose", "x"), ("nose", "y"), ("nose", "likelihood")]
 def test_h5_levels(tmp_path, kind, names, prefix):
     path = tmp_path / "clip.h5"
     frame = frame_of(names, *[(*prefix, *c) for c in XYL], index=[5, 6, 8])
+    frame[(*prefix, *XYL[2])] /= 10
     frame.to_hdf(path, key="any_key", format=kind)
     keypoints = read_keypoints(path)
     assert keypoints.names == ("nose",)
     assert keypoints.frames.tolist() == [5, 6, 8]
     assert keypoints.xy_px[:, 0].tolist() == [[1, 2], [4, 5], [7, 8]]
-    assert keypoints.confidence[:, 0].tolist() == [3, 6, 9]
+    assert keypoints.confidence[:, 0].tolist() == [0.3, 0.6, 0.9]
     assert keypoints.individual == ("m1" if "m1" in prefix else None)
 
 

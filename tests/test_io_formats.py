@@ -367,7 +367,7 @@ def test_anipose_3d_csv(tmp_path):
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("frame,node,x,y\n0,a,1,one\n0.5,a,1,2\n", ["line 3, frame: found no number of a frame"]),
+        ("frame,node,x,y\n0,a,1,one\n0.5,a,1,2\n", ["line 3, frame: found 0.5, expected a frame number"]),
         ("frame,node,x,y\n0,a,1,one\n1,a,inf,2\n", ["line 3, x: found 'inf'", "line 2, y: found 'one'"]),
         ("frame,node,x,y\n0,a,1,2\n0,a,3,4\n", ["bodypart a: found 2 rows in one frame"]),
         ("frame,node,x,y\n0,,1,2\n", ["bodypart: found an empty name"]),

@@ -12,6 +12,7 @@ from pathlib import Path
 from recon.documents import require_file
 from recon.errors import InputError, Problem
 from recon.io import coco, columns, deeplabcut, movement, nwb, sleap
+from recon.io.common import with_likelihoods
 from recon.keypoints import Keypoints
 
 
@@ -49,7 +50,7 @@ def read_keypoints(path: str | Path, individual: str | None = None) -> Keypoints
     head = file_head(path)
     for reader in READERS:
         if reader.recognises(path):
-            return reader.read(path, individual)
+            return with_likelihoods(reader.read(path, individual), path)
     raise InputError(Problem(path, "format", describe(head), "one of: " + ", ".join(r.name for r in READERS)))
 
 

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from recon.errors import InputError, Problem
-from recon.io.common import frames_of_text, name_problems
+from recon.io.common import frames_of_text, name_problems, number
 from recon.io.pose import StoredPose
 
 OWN_ROOT = "recon_m_yup_frames_"
@@ -52,7 +52,7 @@ def read_pose(path: Path, individual: str | None = None) -> StoredPose:
         joints = _hierarchy(lines)
         count = int(_value(lines, r"Frames:\s*(\S+)"))
         frame_time_s = float(_value(lines, r"Frame Time:\s*(\S+)"))
-        rows = [[float(cell) for cell in line.split()] for line in lines]
+        rows = [[number(cell) for cell in line.split()] for line in lines]
     except (ValueError, StopIteration) as error:
         raise InputError(Problem(path, "content", f"{error or 'the end of the file'}", "a whole BVH file")) from None
     width = sum(len(joint.channels) for joint in joints)
@@ -114,7 +114,7 @@ def _hierarchy(lines: Iterator[str]) -> list[_Joint]:
         elif word == "}" and open_:
             open_.pop()
         elif word == "OFFSET" and len(rest) == 3 and open_:
-            joints[open_[-1]].offset = [float(cell) for cell in rest]
+            joints[open_[-1]].offset = [number(cell) for cell in rest]
         elif word == "CHANNELS" and open_:
             joint = joints[open_[-1]]
             joint.channels = rest[1:]

@@ -6,7 +6,7 @@ Which column is what: see `recon.io.column_map`.
 from __future__ import annotations
 
 import csv
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,7 +15,7 @@ import numpy as np
 
 from recon.errors import InputError, Problem
 from recon.io.column_map import Layout, find_layout, layout_by_name
-from recon.io.common import choose, first_problems, frames_of_times, name_problems, rate
+from recon.io.common import MAX_FRAME, choose, first_problems, frames_of_times, name_problems, number, rate
 from recon.io.hdf5 import is_hdf5
 from recon.io.pose import StoredPose
 from recon.keypoints import Keypoints
@@ -106,9 +106,7 @@ def gather(path: Path, table: Columns, layout: Layout, coords: Sequence[str], in
         fps = rate(rates.pop()) if len(rates) == 1 else None
     clock = layout.of_role.get("frame") or layout.of_role["time"]
     ticks = numbers(clock)
-    if np.isnan(ticks).any() or ("frame" in layout.of_role and ((ticks % 1) != 0).any()):
-        line = rows[np.flatnonzero(np.isnan(ticks) | ((ticks % 1) != 0))[0]] + 2
-        problems.append(Problem(path, f"line {line}, {clock}", "no number of a frame", "0, 1, 2, ..."))
+    problems += _clock_problems(path, clock, ticks, rows, "frame" in layout.of_role)
     if problems:
         raise InputError(first_problems(problems, path))
     distinct, row_of = np.unique(ticks, return_inverse=True)
@@ -130,6 +128,16 @@ def gather(path: Path, table: Columns, layout: Layout, coords: Sequence[str], in
     ignored = [column for column in layout.ignored if column.strip()]
     notes = (f"Columns left out: {', '.join(ignored)}.",) if ignored else ()
     return Points(names, values, likelihood, frames, fps, animal or None, notes)
+
+
+def _clock_problems(path: Path, column: str, ticks: np.ndarray, rows: np.ndarray, frames: bool) -> Iterator[Problem]:
+    """Rows without a time, or without a frame number."""
+    bad, expected = np.isnan(ticks), "a time in seconds"
+    if frames:
+        bad, expected = ~((ticks >= 0) & (ticks < MAX_FRAME) & (ticks % 1 == 0)), "a frame number: 0, 1, 2, ..."
+    for i in np.flatnonzero(bad & ~np.isinf(ticks)):
+        found = "nothing" if np.isnan(ticks[i]) else f"{ticks[i]:g}"
+        yield Problem(path, f"line {rows[i] + 2}, {column}", found, expected)
 
 
 def _from_wide(
@@ -193,7 +201,7 @@ def _numbers(path: Path, column: str, cells: Any, rows: np.ndarray, problems: li
             cell = "" if cells[row] is None else str(cells[row]).strip()
             if cell.lower() not in MISSING:
                 try:
-                    values[i] = float(cell)
+                    values[i] = number(cell)
                 except ValueError:
                     expected = "a number or an empty cell"
                     problems.append(Problem(path, f"line {row + 2}, {column}", f"'{cell}'", expected))

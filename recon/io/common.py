@@ -5,18 +5,22 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from recon.errors import InputError, Problem
-from recon.keypoints import frame_ranges
+from recon.keypoints import Keypoints, frame_ranges
 from recon.package import install_command
 
 # What tools call the only animal of a file when nobody named it.
 UNNAMED = ("individual_0", "id_0", "track_0")
 # Enough to see what is wrong with a file; a file of the wrong kind has thousands.
 PROBLEMS_SHOWN = 10
+MAX_FRAME = 10**15
+LIKELIHOOD_MARGIN = 0.5
+"""Networks whose scores are no probabilities, such as SLEAP's, go somewhat beyond 1."""
 IRREGULAR = 0.25
 """By how much of a frame a time may miss its frame."""
 
@@ -69,6 +73,35 @@ def name_problems(path: Path, field: str, names: Iterable[str]) -> list[Problem]
     return problems
 
 
+def number(text: str) -> float:
+    """A cell as a number, NaN for an empty one. Raises ValueError for what only Python takes for one: 1_000, or the
+    digits of other scripts."""
+    if "_" in text or not text.isascii():
+        raise ValueError(f"'{text}' is no number")
+    return float(text or "nan")
+
+
+def frame_number(text: str) -> int | None:
+    """Digits as a number; None for anything else, and for longer numbers, which are time stamps or accidents."""
+    return int(text) if re.fullmatch(r"[0-9]{1,15}", text) else None
+
+
+def with_likelihoods(keypoints: Keypoints, path: Path) -> Keypoints:
+    """The same, with a note where likelihoods lie beside 0 to 1. Raises InputError where they are infinite or so far
+    from it that they mean something else, such as per cent: every one would pass for certain."""
+    stated = keypoints.confidence[~np.isnan(keypoints.confidence)]
+    low, high = (float(stated.min()), float(stated.max())) if stated.size else (0.0, 1.0)
+    if low < -LIKELIHOOD_MARGIN or high > 1 + LIKELIHOOD_MARGIN:
+        found = f"{low:g} to {high:g}"
+        if low >= 0 and 1 < high <= 100:
+            found += ", as if in per cent"
+        raise InputError(Problem(path, "likelihood", found, "numbers from 0 to 1"))
+    if low < 0 or high > 1:
+        note = f"Likelihoods range from {low:g} to {high:g}; they should lie between 0 and 1."
+        return replace(keypoints, notes=(*keypoints.notes, note))
+    return keypoints
+
+
 def frames_of_times(path: Path, times_s: np.ndarray, fps: float | None) -> tuple[np.ndarray, float | None]:
     """Frame numbers (T,) int, of the frame rate that is given or that regular times have, and that rate.
 
@@ -81,14 +114,20 @@ def frames_of_times(path: Path, times_s: np.ndarray, fps: float | None) -> tuple
     if fps is None and len(times_s) == 1:
         return np.zeros(1, np.int64), None
     step_s = 1 / fps if fps is not None else float(np.median(steps_s))
-    since_start = np.concatenate([[0.0], np.cumsum(np.rint(steps_s / step_s))]).astype(np.int64)
+    steps = np.rint(steps_s / step_s)
+    if max(steps.sum(), abs(float(times_s[0])) / step_s) > MAX_FRAME:
+        raise InputError(Problem(path, "time", f"{times_s[0]:g} to {times_s[-1]:g} s", "the times of a clip"))
+    since_start = np.concatenate([[0.0], np.cumsum(steps)]).astype(np.int64)
     off = np.abs(steps_s / step_s - np.diff(since_start))
     if (np.diff(since_start) < 1).any() or (off > IRREGULAR).any():
         found = f"times that are no multiples of {step_s:.6g} s apart"
         raise InputError(Problem(path, "time", found, "a frame rate; gaps are whole frames"))
     if fps is None:
         fps = float(f"{since_start[-1] / (times_s[-1] - times_s[0]):.9g}")
-    return since_start + round(float(times_s[0]) * fps), fps
+    first = round(float(times_s[0]) * fps)
+    if first < 0:
+        raise InputError(Problem(path, "time", f"{times_s[0]:g} s", "times from 0 s on, which is frame 0"))
+    return since_start + first, fps
 
 
 def frames_text(frames: np.ndarray) -> list[str]:

@@ -19,7 +19,7 @@ import numpy as np
 
 from recon.errors import InputError, Problem
 from recon.io import pandas_hdf
-from recon.io.common import PROBLEMS_SHOWN, first_problems, rate
+from recon.io.common import PROBLEMS_SHOWN, first_problems, frame_number, number, rate
 from recon.io.hdf5 import is_hdf5
 from recon.keypoints import Keypoints
 
@@ -51,13 +51,14 @@ class Column(NamedTuple):
 @dataclass(frozen=True, eq=False)
 class Table:
     """A whole file: numbers (T, C) float, NaN = empty cell, no infinities; frames (T,) int, strictly increasing; fps
-    as the scorer of our own files has it."""
+    as the scorer of our own files has it; has_scorer: whether there is a header row or level of that name."""
 
     columns: tuple[Column, ...]
     numbers: np.ndarray
     frames: np.ndarray
     notes: tuple[str, ...]
     fps: float | None = None
+    has_scorer: bool = True
 
 
 def recognises(path: Path) -> bool:
@@ -84,9 +85,8 @@ def read(path: Path, individual: str | None = None) -> Keypoints:
     names, values = gather(table, path, required=("x", "y"), optional=("likelihood",))
     xy_px, likelihood = values[..., :2], values[..., 2]
     notes = table.notes
-    if np.any((likelihood < 0) | (likelihood > 1)):
-        low, high = np.nanmin(likelihood), np.nanmax(likelihood)
-        notes += (f"Likelihoods range from {low:g} to {high:g}; those of DeepLabCut lie between 0 and 1.",)
+    if not table.has_scorer:
+        notes += ("The header's first row, scorer, is missing; the others say what each column is.",)
     return Keypoints(
         names, xy_px, likelihood, table.frames, fps=table.fps, individual=animal, source=str(path), notes=notes
     )
@@ -132,7 +132,7 @@ def read_csv(path: Path) -> Table:
     with path.open(encoding="utf-8-sig", newline="") as file:
         rows = csv.reader(file)
         try:
-            columns, index_columns, notes, fps = _read_header(path, rows)
+            columns, index_columns, notes, scorers = _read_header(path, rows)
             index: list[tuple[str, ...]] = []
             values = array("d")
             bad: list[tuple[int, int, str]] = []
@@ -147,6 +147,8 @@ def read_csv(path: Path) -> Table:
                     continue
                 cells = row[index_columns:]
                 try:
+                    if "_" in (joined := "".join(cells)) or not joined.isascii():
+                        raise ValueError
                     values.extend([float(cell) if cell else np.nan for cell in cells])
                 except ValueError:
                     values.extend(_numbers(cells, len(index), bad))
@@ -156,13 +158,11 @@ def read_csv(path: Path) -> Table:
         except csv.Error as error:
             raise InputError(Problem(path, f"line {rows.line_num}", str(error), "comma-separated text")) from error
     table = _table(path, columns, np.array(values).reshape(-1, len(columns)), index, bad, problems, notes)
-    return replace(table, fps=fps)
+    return replace(table, fps=_fps(scorers), has_scorer=bool(scorers))
 
 
-def _read_header(
-    path: Path, rows: Iterator[list[str]]
-) -> tuple[tuple[Column, ...], int, tuple[str, ...], float | None]:
-    """Columns, number of index columns, notes, frame rate."""
+def _read_header(path: Path, rows: Iterator[list[str]]) -> tuple[tuple[Column, ...], int, tuple[str, ...], list[str]]:
+    """Columns, number of index columns, notes, and the scorers of all columns, none where that row is missing."""
     header: dict[str, list[str]] = {}
     first = ""
     for row in rows:
@@ -187,7 +187,7 @@ def _read_header(
     blank = [""] * len(coords)
     levels = (header.get("individuals", blank), header["bodyparts"], coords)
     columns, notes = _columns(path, [level[index_columns:] for level in levels])
-    return columns, index_columns, notes, _fps(header.get("scorer", [])[index_columns:])
+    return columns, index_columns, notes, header.get("scorer", [])[index_columns:]
 
 
 def _fps(scorers: Sequence[str]) -> float | None:
@@ -209,7 +209,8 @@ def _read_h5(path: Path) -> Table:
         rows = [["" if cell != cell else str(cell) for cell in row] for row in values.tolist()]
         values = np.array([_numbers(row, i, bad) for i, row in enumerate(rows)]).reshape(-1, len(columns))
     scorer = [column[frame.levels.index("scorer")] for column in frame.columns[:1] if "scorer" in frame.levels]
-    return replace(_table(path, columns, values, frame.index, bad, [], notes), fps=_fps(scorer))
+    table = _table(path, columns, values, frame.index, bad, [], notes)
+    return replace(table, fps=_fps(scorer), has_scorer=bool(scorer))
 
 
 def _h5_levels(path: Path, frame: pandas_hdf.Frame) -> list[list[str]]:
@@ -300,12 +301,11 @@ def _frame_numbers(path: Path, index: Sequence[tuple[str, ...]]) -> tuple[list[i
             match = re.search(r"([0-9]+)$", image.stem)
         else:
             match = re.fullmatch(r"([0-9]+)(\.0*)?", text)
-        # A longer number is a time stamp or an accident.
-        number = int(match[1]) if match and len(match[1]) <= 15 else None
-        if number is None:
+        frame = frame_number(match[1]) if match else None
+        if frame is None:
             expected = "an image name that ends in the frame number" if images else "a frame number (0, 1, 2, ...)"
             problems.append(Problem(path, f"row {len(frames) + 1} below the header", f"'{text}'", expected))
-        frames.append(text if number is None else number)
+        frames.append(text if frame is None else frame)
     if len(folders) > 1:
         shown = ", ".join(list(folders)[:PROBLEMS_SHOWN]) + (", ..." if len(folders) > PROBLEMS_SHOWN else "")
         problems.append(Problem(path, "images", f"{len(folders)} folders: {shown}", "the images of one video"))
@@ -316,13 +316,13 @@ def _numbers(cells: Sequence[str], row: int, bad: list[tuple[int, int, str]]) ->
     """The cells of one row as floats; those that are none are added to `bad` as (row, column, text)."""
     numbers = []
     for column, cell in enumerate(cells):
-        number = np.nan
+        value = np.nan
         if cell.strip().lower() not in MISSING_CELLS:
             try:
-                number = float(cell)
+                value = number(cell.strip())
             except ValueError:
                 bad.append((row, column, cell))
-        numbers.append(number)
+        numbers.append(value)
     return numbers
 
 

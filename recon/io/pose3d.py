@@ -15,7 +15,7 @@ import numpy as np
 from recon.errors import InputError, Problem
 from recon.io import READERS, bvh, c3d, columns, describe, file_head, movement, npz, nwb, parquet, trc
 from recon.io import deeplabcut_pose as dlc
-from recon.io.common import PROBLEMS_SHOWN
+from recon.io.common import PROBLEMS_SHOWN, frame_number, number
 from recon.io.deeplabcut import Column, Table, gather
 from recon.io.pose import PER_METRE, Pose3D, StoredPose, z_up_from_y_up
 
@@ -118,7 +118,7 @@ def read_pose_segments(path: str | Path) -> dict[str, Pose3D]:
     if problems:
         raise InputError(problems[:PROBLEMS_SHOWN])
     columns = tuple(Column("", name.strip(), c.strip()) for name, c in zip(names[2:], coords[2:], strict=True))
-    numbers = np.array([[float(cell or "nan") for cell in row[2:]] for row in rows])
+    numbers = np.array([[number(cell.strip()) for cell in row[2:]] for row in rows])
     pieces = np.array([row[0] for row in rows])
     frames = np.array([int(row[1]) for row in rows])
     segments = {}
@@ -139,7 +139,7 @@ def _segment_problems(path: Path, names: list[str], coords: list[str], rows: lis
         if len(row) != len(names):
             yield Problem(path, f"line {line}", f"{len(row)} cells", f"{len(names)}, as in the header")
             continue
-        frame = int(row[1]) if row[1].isdecimal() else None
+        frame = frame_number(row[1])
         if frame is None or frame <= last.get(row[0], -1):
             expected = f"a frame number after {last[row[0]]}" if row[0] in last else "a frame number (0, 1, 2, ...)"
             yield Problem(path, f"line {line}, frame", f"'{row[1]}'", expected)
@@ -153,6 +153,6 @@ def _segment_problems(path: Path, names: list[str], coords: list[str], rows: lis
 def _is_number(cell: str) -> bool:
     """Whether a cell is empty or holds a number that is not infinite."""
     try:
-        return not np.isinf(float(cell or "nan"))
+        return not np.isinf(number(cell.strip()))
     except ValueError:
         return False

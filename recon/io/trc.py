@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from recon.errors import InputError, Problem
-from recon.io.common import first_problems, name_problems, rate
+from recon.io.common import first_problems, frame_number, name_problems, number, rate
 from recon.io.pose import UNIT_NAMES, StoredPose
 
 UP_TEXT = "y up: x forwards, y up, z right"
@@ -46,9 +46,9 @@ def read_pose(path: Path, individual: str | None = None) -> StoredPose:
         problems.append(Problem(path, "line 4", found, "as many"))
     frames, rows = [], []
     width = 2 + 3 * len(names)
-    for number, row in enumerate(cells[HEADER_LINES:], start=HEADER_LINES + 1):
+    for line, row in enumerate(cells[HEADER_LINES:], start=HEADER_LINES + 1):
         if any(row):
-            frame, values, faults = _row(path, number, row, width)
+            frame, values, faults = _row(path, line, row, width)
             problems += faults
             frames.append(frame)
             rows.append(values)
@@ -72,23 +72,22 @@ def read_pose(path: Path, individual: str | None = None) -> StoredPose:
     )
 
 
-def _row(path: Path, number: int, row: list[str], width: int) -> tuple[int, list[float], list[Problem]]:
+def _row(path: Path, line: int, row: list[str], width: int) -> tuple[int, list[float], list[Problem]]:
     """Frame number, numbers (NaN where a cell is empty), problems."""
     problems = []
     if len(row) < width or any(row[width:]):
-        problems.append(Problem(path, f"line {number}", f"{len(row)} cells", f"{width}, as in the header"))
+        problems.append(Problem(path, f"line {line}", f"{len(row)} cells", f"{width}, as in the header"))
         return 0, [], problems
-    frame = 0
-    if row[0].isdecimal():
-        frame = int(row[0])
-    else:
-        problems.append(Problem(path, f"line {number}, Frame#", f"'{row[0]}'", "a frame number"))
+    frame = frame_number(row[0])
+    if frame is None:
+        frame = 0
+        problems.append(Problem(path, f"line {line}, Frame#", f"'{row[0]}'", "a frame number"))
     values = [np.nan] * (width - 2)
     for i, cell in enumerate(row[2:width]):
         try:
-            values[i] = float(cell or "nan")
+            values[i] = number(cell)
         except ValueError:
-            problems.append(Problem(path, f"line {number}, column {i + 3}", f"'{cell}'", "a number or an empty cell"))
+            problems.append(Problem(path, f"line {line}, column {i + 3}", f"'{cell}'", "a number or an empty cell"))
         if np.isinf(values[i]):
-            problems.append(Problem(path, f"line {number}, column {i + 3}", f"'{cell}'", "a number or an empty cell"))
+            problems.append(Problem(path, f"line {line}, column {i + 3}", f"'{cell}'", "a number or an empty cell"))
     return frame, values, problems

@@ -11,7 +11,7 @@ from recon.export.formats import Format, choose_format
 from recon.files import staged_file
 from recon.io import columns, file_head, read_keypoints
 from recon.io.column_map import parse_map
-from recon.io.common import rate
+from recon.io.common import rate, with_likelihoods
 from recon.io.pose import Pose3D
 from recon.io.pose3d import POSE_READERS, PoseReader, in_metres, read_pose3d
 from recon.keypoints import Keypoints, mark_missing
@@ -101,7 +101,7 @@ def _by_map(source: Path, options: Options) -> Keypoints | Pose3D:
     given = parse_map(options.columns or "")
     file_head(source)
     if "z" not in given:
-        return columns.read(source, options.individual, given)
+        return with_likelihoods(columns.read(source, options.individual, given), source)
     stored = columns.read_pose(source, options.individual, given)
     reader = PoseReader("plain CSV", columns.recognises, columns.read_pose)
     return in_metres(source, reader, stored, options.unit, options.up)
