@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import os
+import shutil
 import signal
 from collections.abc import Callable
 from importlib import metadata
@@ -14,6 +15,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from command_line import Ended, run, run_process
+from rerun.chunk import RrdReader
 
 import recon.export
 import recon.view
@@ -23,6 +25,7 @@ from recon.io import read_keypoints
 from recon.pipelines.clip import OUTPUT_FILES
 from recon.settings import FitSettings, read_settings
 from recon.skeleton import MIN_JOINTS
+from recon.view.added import AddedSeries, write_plots
 
 SAMPLES = Path(__file__).parents[1] / "data" / "samples"
 CLIP, CAMERA, TRUTH = SAMPLES / "noisy.csv", SAMPLES / "camera.toml", SAMPLES / "noisy_truth.csv"
@@ -328,7 +331,7 @@ def test_config_repeats_a_trajectory_bit_for_bit(whole, tmp_path, monkeypatch):
     assert run("fit", "--config", out / "config.toml", "--out", "other").code == 0
     other = tmp_path / "other"
     for name in OUTPUT_FILES:
-        if name not in ("report.json", "motion.rrd"):
+        if name not in ("report.json", "motion.rrd", "manifest.json"):
             assert (other / name).read_bytes() == (out / name).read_bytes(), name
     assert without_timing(report_of(other)) == without_timing(report_of(out))
 
@@ -375,7 +378,7 @@ BAD_INPUT: dict[str, tuple[list[str], list[str]]] = {
     "empty file": (["{in}/empty.csv"], ["{in}/empty.csv: file: found an empty file"]),
     "wrong header": (["{in}/header.csv"], ["{in}/header.csv: format: found a file that begins with 'frame,x,y'"]),
     "binary file": (["{in}/binary.csv"], ["{in}/binary.csv: format: found a binary file"]),
-    "missing camera file": (["{clip}", "--camera", "{in}/no.toml"], ["{in}/no.toml: file: found No such file"]),
+    "missing camera file": (["{clip}", "--camera", "{in}/no.toml"], ["{in}/no.toml: file: found no such file"]),
     "empty camera file": (["{clip}", "--camera", "{in}/empty.toml"], ["{in}/empty.toml: file: found an empty file"]),
     "camera of no known format": (["{clip}", "--camera", "{in}/camera.txt"], ["{in}/camera.txt: format: found suffix"]),
     "no such camera": (
@@ -610,6 +613,10 @@ def test_exit_code_1_when_no_pose_can_be_found(tmp_path):
     assert ended.err == f"error: no frame could be solved: see {out / 'report.json'}\n"
     assert sorted(path.name for path in out.iterdir()) == sorted(OUTPUT_FILES)
     assert "0 of 30 with a pose" in ended.out
+    assert "4 of the skeleton's 24 used; missing: nose, " in ended.out
+    used = sum(row["used"] or 0 for row in report_of(out)["keypoints"])
+    assert f"{used} used, {30 * 24 - used} missing, 0 rejected" in ended.out
+    assert report_of(out)["summary"]["keypoints"] == {"used": 4, "missing": 20, "unused": 0}
     assert report_of(out)["warnings"] == ["no pose: too few points detected in every frame"]
 
 
@@ -681,9 +688,10 @@ def test_killed_run_leaves_no_output_and_the_next_works(before, tmp_path):
     out = tmp_path / "out"
     args = fit_args(out, "--frames", ":6") if "solve_frames" in before else whole_args(out, "--frames", ":6")
     assert run_process(*args, before=before).code == -signal.SIGKILL
-    left = [path.name for path in out.iterdir()] if out.exists() else []
-    assert len(left) == (before is KILLED_WRITING)
-    assert all(name.startswith(".recon-partial-") for name in left)
+    writing, *partial = sorted((path.name for path in out.iterdir()), reverse=True)
+    assert writing == ".recon-writing"
+    assert len(partial) == (before is KILLED_WRITING)
+    assert all(name.startswith(".recon-partial-") for name in partial)
     assert run(*args).code == 0
     assert sorted(path.name for path in out.iterdir()) == sorted(OF_FRAMES if "--method" in args else OUTPUT_FILES)
 
@@ -780,9 +788,37 @@ def test_view_without_a_recording(tmp_path):
 
 def test_view_opens_the_recording(fitted, monkeypatch):
     opened = []
-    monkeypatch.setattr(recon.view, "open_viewer", opened.append)
+    monkeypatch.setattr("recon.pipelines.view.open_viewer", opened.append)
     assert run("view", fitted[0]).code == 0
     assert opened == [fitted[0] / "motion.rrd"]
+
+
+def test_view_shows_what_goes_with_the_recording(fitted, tmp_path, monkeypatch):
+    """The plots of an analysis, in the results' folder or elsewhere, but not those of an earlier fit."""
+    out, plots = tmp_path / "clip", tmp_path / "elsewhere" / "analysis.rrd"
+    shutil.copytree(fitted[0], out)
+    plots.parent.mkdir()
+    time_s = np.arange(30) / 90
+    series = AddedSeries("x", "x", ["x"], [(0, 0, 0)], time_s[:, None], time_s=time_s, tab="x")
+    write_plots(plots, out / "motion.rrd", [series], [])
+    seen = []
+
+    def look(path):
+        seen.append({"/analysis/x", "/speed"} & {chunk.entity_path for chunk in RrdReader(path).stream()})
+
+    monkeypatch.setattr("recon.pipelines.view.open_viewer", look)
+    assert run("view", out, "--analysis", plots.parent) == Ended(0, "", "")
+    shutil.copytree(plots.parent, out / "analysis")
+    before = {path: path.read_bytes() for path in out.rglob("*") if path.is_file()}
+    assert run("view", out) == Ended(0, "", "")
+    assert seen == [{"/analysis/x", "/speed"}] * 2
+    assert {path: path.read_bytes() for path in out.rglob("*") if path.is_file()} == before
+    ended = run("view", out, "--analysis", tmp_path)
+    assert ended.err.startswith(f"error: {tmp_path / 'analysis.rrd'}: file: found no such file")
+    run(*fit_args(out, "--overwrite", "-q"))
+    ended = run("view", out)
+    assert ended.err == f"Left out, because it is of another fit: {out / 'analysis' / 'analysis.rrd'}\n"
+    assert seen[2] == {"/speed"}
 
 
 def test_version():

@@ -39,12 +39,6 @@ def tables(whole, tmp_path_factory) -> dict[str, pd.DataFrame]:
     return {path.stem: pd.read_csv(path) for path in folder.iterdir()}
 
 
-@pytest.fixture
-def folder(whole_results, tmp_path) -> Path:
-    """A copy of the whole animal's results, to write into."""
-    return Path(shutil.copytree(whole_results, tmp_path / "fit"))
-
-
 def test_velocities_are_central_differences_but_for_their_third_order(whole, tables):
     position = whole.pose.xyz_m[:, whole.pose.names.index("spine")]
     central = (position[2:] - position[:-2]) * 30
@@ -171,18 +165,21 @@ def test_too_few_poses(frame_results, tmp_path):
 # -- the command -----------------------------------------------------------------------------------------------------
 
 
-def test_command_writes_tables_figures_and_plots(folder):
+def test_command_writes_tables_figures_and_plots(of_results, whole_results, tmp_path, monkeypatch):
     from rerun.chunk import RrdReader
 
-    results = {path.name: path.read_bytes() for path in folder.iterdir()}
-    done = run("analyse", folder)
-    assert (done.code, done.err) == (0, "")
-    assert "transverse gallop" in done.out
-    assert "peak" in done.out
+    printed, ran_in = of_results("recon analyse results/clip")
+    monkeypatch.chdir(shutil.copytree(ran_in, tmp_path / "ran"))
+    folder = Path("results/clip")
+    results = {path.name: path.read_bytes() for path in whole_results.iterdir()}
+    assert "transverse gallop" in printed
+    assert "peak" in printed
+    labels = [line.partition(": ")[0] for line in printed.splitlines() if ": " in line]
+    assert len(set(labels)) == len(labels)
     written = {path.name for path in (folder / "analysis").iterdir()}
     assert {*analysis_csv.TABLES, "analysis.json", "analysis.rrd"} <= written
     assert {path.name: path.read_bytes() for path in folder.iterdir() if path.is_file()} == results
-    assert f"with: recon view {folder}\n" in done.out
+    assert f"with: recon view {folder}\n" in printed
     for figure in ("composites", "speed", "footfalls", "vector_field_left_front_leg", "phase_portraits"):
         assert {f"{figure}.png", f"{figure}.svg"} <= written
     summary = json.loads((folder / "analysis" / "analysis.json").read_text(encoding="utf-8"))

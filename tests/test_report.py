@@ -230,7 +230,15 @@ def test_console_summary(report):
     out = StringIO()
     Console(file=out, width=120).print(console_summary(report))
     text = out.getvalue()
-    for expected in ("glide.csv", "5 of 6 converged", "neck_base", "9.0 m/s", "0.203 m", "scale not measured"):
+    for expected in (
+        "glide.csv",
+        "5 of 6 converged",
+        "all of the skeleton's 9 used; not used: nose",
+        "neck_base",
+        "9.0 m/s",
+        "0.203 m",
+        "scale not measured",
+    ):
         assert expected in text
     assert 10 <= len(summary_lines(report)) <= 16
 
@@ -429,7 +437,8 @@ def test_console_summary_of_a_trajectory(trajectory):
     for expected in (
         "run.csv, frames 10 to 17 at 30 fps",
         "8 of 8 with a pose, 2 doubtful (1 no data, 1 data poor, 1 ambiguous depth)",
-        "161 used, 23 missing",
+        "161 used, 31 missing",
+        "23 of the skeleton's 24 used; missing: r_eye; not used: ear",
         "9.0 m/s mean",
         "in the picture's plane",
         "1.000 ± 0.060 of the assumed lengths (1 ± 0.1 expected): cheetah, whole animal with 24 markers",

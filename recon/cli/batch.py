@@ -127,7 +127,7 @@ def batch(
 
 
 def _print_plan(
-    console: Console, plan: Sequence[Planned], problems: Sequence[Sequence[Problem]], as_json: bool
+    console: Console, plan: Sequence[Planned], problems: Sequence[tuple[Problem, ...]], as_json: bool
 ) -> None:
     from recon.pipelines.batch import repeated
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import fields
 from pathlib import Path
 from typing import Any, TypeVar
@@ -19,6 +19,8 @@ from recon.solve import FrameOptions, TrajectoryOptions
 BEST_SHARE = 0.9
 MEASURED_SHARE = 0.5
 """A quantity with less of its precision from the pixels is not called measured."""
+NAMED = 5
+"""Keypoints are listed up to this number in the summary."""
 WARN_OUTLIERS = 0.05
 """Share of the detections from which the report warns."""
 
@@ -91,7 +93,13 @@ def counts(motion: Motion) -> dict[str, Any]:
     best = np.sort(errors)[: math.ceil(BEST_SHARE * len(errors))]
     by_joint = np.array([mean(column) for column in motion.distance_px.T])
     worst = int(np.nanargmax(by_joint)) if len(errors) else None
+    used = int(motion.keypoints.present.any(axis=0).sum())
     return {
+        "keypoints": {
+            "used": used,
+            "missing": len(motion.names) - used,
+            "unused": len(motion.unused_keypoints),
+        },
         "detections": int(motion.keypoints.present.sum()),
         "outliers": int(motion.outliers.sum()),
         "reprojection_px": {
@@ -212,10 +220,13 @@ def clip_line(report: Mapping[str, Any]) -> tuple[str, str]:
 def point_lines(report: Mapping[str, Any]) -> Lines:
     summary = report["summary"]
     fitted = [row for row in report["keypoints"] if row["joint"] is not None]
-    used, missing, rejected = (sum(row[count] or 0 for row in fitted) for count in ("used", "missing", "rejected"))
+    first, stop = report["input"]["frames"]
+    used, rejected = (sum(row[count] or 0 for row in fitted) for count in ("used", "rejected"))
+    missing = (stop - first) * len(fitted) - used - rejected
     off = sorted(((row["outliers"], row["name"]) for row in fitted if row["outliers"]), reverse=True)
     most = ", ".join(f"{name} {count}" for count, name in off[:3]) + (", ..." if len(off) > 3 else "")
     return [
+        ("keypoints", _keypoints_text(report)),
         ("points", f"{used} used, {missing} missing, {rejected} rejected as unlikely"),
         ("reprojection", _reprojection(summary["reprojection_px"])),
         (
@@ -224,6 +235,23 @@ def point_lines(report: Mapping[str, Any]) -> Lines:
             + (f": {most}" if off else ""),
         ),
     ]
+
+
+def _keypoints_text(report: Mapping[str, Any]) -> str:
+    """Of the skeleton's, and of the file's."""
+    counts = report["summary"]["keypoints"]
+    lacking = [row["name"] for row in report["keypoints"] if row["joint"] is not None and not row["used"]]
+    total = counts["used"] + counts["missing"]
+    share = f"{counts['used']}" if lacking else "all"
+    missing = f"; missing: {_some(lacking)}" if lacking else ""
+    unused = f"; not used: {_some(report['unused_keypoints'])}" if report["unused_keypoints"] else ""
+    return f"{share} of the skeleton's {total} used{missing}{unused}"
+
+
+def _some(names: Sequence[str]) -> str:
+    """The first of them."""
+    more = f" and {len(names) - NAMED} more" if len(names) > NAMED else ""
+    return ", ".join(names[:NAMED]) + more
 
 
 def _reprojection(errors: Mapping[str, Any]) -> str:
