@@ -1,4 +1,4 @@
-"""Plots added to a playback, read back with rerun's own reader."""
+"""Plots that go with a playback, read back with rerun's own reader, alone and together with it."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ import rerun.blueprint as rrb
 from rerun.chunk import Chunk, RrdReader
 
 from recon.errors import InputError
-from recon.files import staged_folder
 from recon.motion import FrameMotion, TrajectoryMotion
 from recon.view import write
-from recon.view.added import AddedSeries, AddedStates, StateRow, add_to_playback
+from recon.view.added import AddedSeries, AddedStates, StateRow, write_plots
+from recon.view.together import put_together
 
 BLUE, ORANGE = (86, 180, 233), (230, 159, 0)
 TABS, HORIZONTAL = 1, 2
@@ -136,10 +136,15 @@ def copy(plain: Path, tmp_path: Path) -> Path:
 @pytest.fixture(scope="module")
 def both(plain: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Stored, Stored]:
     """Before and after."""
-    path = tmp_path_factory.mktemp("added") / "motion.rrd"
-    path.write_bytes(plain.read_bytes())
-    add_to_playback(path, [SPEED, FEET], [STANCE])
-    return Stored(plain), Stored(path)
+    folder = tmp_path_factory.mktemp("added")
+    write_plots(folder / "plots.rrd", plain, [SPEED, FEET], [STANCE])
+    return Stored(plain), together(plain, folder / "plots.rrd")
+
+
+def together(playback: Path, plots: Path) -> Stored:
+    path = plots.with_name("together.rrd")
+    assert put_together(path, playback, plots, None) == []
+    return Stored(path)
 
 
 # -- data -----------------------------------------------------------------------------------------------------------
@@ -196,8 +201,9 @@ def test_frames_are_found_by_time_whatever_the_sampling(copy: Path) -> None:
     """Times outside the clip lie on no frame, nor does one that is two microseconds off."""
     time_s = np.array([0.0, 10 / 30 - 2e-6, 11 / 30 + 1e-9, 0.4, 17 / 30, 18 / 30])
     values = np.arange(6.0)[:, None]
-    add_to_playback(copy, [AddedSeries("x", "x", ["x"], [BLUE], values, time_s=time_s, tab="x")], [])
-    stored = Stored(copy)
+    plots = copy.with_name("plots.rrd")
+    write_plots(plots, copy, [AddedSeries("x", "x", ["x"], [BLUE], values, time_s=time_s, tab="x")], [])
+    stored = Stored(plots)
     assert stored.on("frame", "/analysis/x", "Scalars:scalars") == {11: [2.0], 12: [3.0], 17: [4.0]}
     assert len(stored.on("time", "/analysis/x", "Scalars:scalars")) == 6
 
@@ -252,62 +258,54 @@ def test_plots_look_as_those_of_the_playback(both: tuple[Stored, Stored]) -> Non
 def test_the_playback_of_the_frame_method_takes_them_too(small_motion: FrameMotion, tmp_path: Path) -> None:
     write(small_motion, tmp_path / "motion.rrd", start_frame=12)
     before = Stored(tmp_path / "motion.rrd")
-    add_to_playback(tmp_path / "motion.rrd", [SPEED], [])
-    after = Stored(tmp_path / "motion.rrd")
+    write_plots(tmp_path / "plots.rrd", tmp_path / "motion.rrd", [SPEED], [])
+    after = together(tmp_path / "motion.rrd", tmp_path / "plots.rrd")
     assert after.layout["/time_panel"] == before.layout["/time_panel"]
     assert sorted(after.on("frame", "/analysis/speed", "Scalars:scalars")) == list(range(10, 16))
     after.without_ids()
 
 
 def test_a_picture_holds_a_frame_and_shows_the_first_tab(copy: Path) -> None:
-    add_to_playback(copy, [FEET], [], start_frame=12)
-    stored = Stored(copy)
+    write_plots(copy.with_name("plots.rrd"), copy, [FEET], [], start_frame=12)
+    stored = together(copy, copy.with_name("plots.rrd"))
     ((start, end),) = (r.values() for r in stored.field("time_panel", "TimePanelBlueprint:time_selection"))
     assert (start, end) == (12, 12)
     tabs = stored.contents(stored.root)[-1]
     assert stored.field(tabs, "ContainerBlueprint:active_tab") == stored.contents(tabs)[1:]
 
 
-# -- again ----------------------------------------------------------------------------------------------------------
-
-
-def test_twice_is_as_once(copy: Path) -> None:
-    add_to_playback(copy, [SPEED, FEET], [STANCE])
-    once = Stored(copy)
-    add_to_playback(copy, [SPEED, FEET], [STANCE])
-    twice = Stored(copy)
-    np.testing.assert_equal(twice.data, once.data)
-    assert twice.without_ids() == once.without_ids()
-
-
-def test_a_second_call_replaces_the_first(copy: Path, plain: Path) -> None:
-    before = Stored(plain)
-    add_to_playback(copy, [SPEED, FEET], [STANCE])
-    add_to_playback(copy, [FEET], [])
-    assert {e for e in Stored(copy).data if e.startswith("/analysis")} == {"/analysis/feet/height"}
-    assert "Stances" not in Stored(copy).names()
-    add_to_playback(copy, [], [])
-    after = Stored(copy)
-    assert after.data == before.data
-    assert after.without_ids() == before.without_ids()
-
-
 # -- files ----------------------------------------------------------------------------------------------------------
 
 
-def test_the_file_is_replaced_and_nothing_left_beside_it(copy: Path) -> None:
-    inode = copy.stat().st_ino
-    add_to_playback(copy, [SPEED], [])
-    assert [file.name for file in copy.parent.iterdir()] == ["motion.rrd"]
-    assert copy.stat().st_ino != inode
+def test_the_file_holds_the_plots_and_the_layout_alone(copy: Path) -> None:
+    content = copy.read_bytes()
+    plots = copy.with_name("plots.rrd")
+    write_plots(plots, copy, [SPEED, FEET], [STANCE])
+    alone = Stored(plots)
+    assert alone.store == Stored(copy).store
+    assert {entity.split("/")[1] for entity in alone.data} == {"analysis"}
+    assert {"Tail base (m/s)", "Reprojection (px)"} <= {*alone.names()}
+    assert copy.read_bytes() == content
+    assert sorted(file.name for file in copy.parent.iterdir()) == ["motion.rrd", "plots.rrd"]
 
 
-def test_a_caller_may_stage_files_of_the_same_folder(copy: Path) -> None:
-    with staged_folder(copy.parent) as staging:
-        (staging / "table.csv").write_text("1\n")
-        add_to_playback(copy, [SPEED], [])
-    assert sorted(file.name for file in copy.parent.iterdir()) == ["motion.rrd", "table.csv"]
-    assert "/analysis/speed" in Stored(copy).data
+def test_plots_of_another_recording_are_left_out(
+    copy: Path, world_trajectory: TrajectoryMotion, tmp_path: Path
+) -> None:
+    """As those of a fit that has been made again."""
+    plots, path = tmp_path / "plots.rrd", tmp_path / "together.rrd"
+    write_plots(plots, copy, [SPEED], [])
+    before = Stored(copy)
+    write(world_trajectory, copy)
+    assert put_together(path, copy, plots, None) == [plots]
+    assert Stored(path).data.keys() == before.data.keys()
+    assert Stored(path).without_ids() == before.without_ids()
+
+
+def test_a_playback_alone_stays_as_it_is(plain: Path, tmp_path: Path) -> None:
+    assert put_together(tmp_path / "together.rrd", plain, None, None) == []
+    np.testing.assert_equal(Stored(tmp_path / "together.rrd").data, Stored(plain).data)
+    assert Stored(tmp_path / "together.rrd").without_ids() == Stored(plain).without_ids()
 
 
 def _foreign(path: Path) -> None:
@@ -344,7 +342,7 @@ def test_what_is_no_playback_is_refused_and_left(copy: Path, spoil: Callable[[Pa
     spoil(copy)
     content = copy.read_bytes() if copy.exists() else None
     with pytest.raises(InputError, match=found) as caught:
-        add_to_playback(copy, [SPEED], [STANCE])
+        write_plots(copy.with_name("plots.rrd"), copy, [SPEED], [STANCE])
     (problem,) = caught.value.problems
     assert problem.file == copy
     assert (copy.read_bytes() if copy.exists() else None) == content
@@ -356,7 +354,7 @@ def test_series_of_another_clip_are_refused(copy: Path) -> None:
     between = AddedSeries("y", "Between", ["y"], [BLUE], FEET_M[:, 1:], time_s=TIME_S + 1 / 300, tab="x")
     empty = AddedStates(entity="z", title="Empty", rows=[StateRow("LF", [], {})], time_s=np.empty(0), tab="x")
     with pytest.raises(InputError) as caught:
-        add_to_playback(copy, [SPEED, later, between], [STANCE, empty])
+        write_plots(copy.with_name("plots.rrd"), copy, [SPEED, later, between], [STANCE, empty])
     assert [problem.found for problem in caught.value.problems] == [
         "none at the 16 times of 'Far away'",
         "none at the 16 times of 'Between'",
@@ -366,4 +364,4 @@ def test_series_of_another_clip_are_refused(copy: Path) -> None:
 
 def test_two_plots_of_one_entity_are_a_mistake(copy: Path) -> None:
     with pytest.raises(ValueError, match="entities must differ: analysis/speed, analysis/speed"):
-        add_to_playback(copy, [SPEED, SPEED], [])
+        write_plots(copy.with_name("plots.rrd"), copy, [SPEED, SPEED], [])

@@ -1,4 +1,4 @@
-"""The video's frames in a playback, read back with rerun's own reader."""
+"""The video's frames that go with a playback, read back with rerun's own reader, alone and together with it."""
 
 from __future__ import annotations
 
@@ -14,7 +14,9 @@ from recon.errors import InputError
 from recon.motion import TrajectoryMotion
 from recon.video import video_writer
 from recon.view import write
-from recon.view.video import add_video
+from recon.view.added import AddedSeries, write_plots
+from recon.view.together import put_together
+from recon.view.video import write_video
 
 FRAMES = list(range(10, 18))
 
@@ -48,11 +50,14 @@ def rows(path: Path, kind: str) -> dict[str, list[dict[str, Any]]]:
     return found
 
 
-def test_every_frame_has_its_picture(playback, video):
+def test_every_frame_has_its_picture(playback, video, tmp_path):
     """The video begins with frame 8, so that the playback has its pictures 2 to 9."""
     before = rows(playback, "recordings")
-    assert add_video(playback, video, first_frame=8) == 90
-    after = rows(playback, "recordings")
+    assert write_video(tmp_path / "video.rrd", playback, video, first_frame=8) == 90
+    assert rows(playback, "recordings") == before
+    assert rows(tmp_path / "video.rrd", "recordings").keys() == {"/picture/video"}
+    assert put_together(tmp_path / "together.rrd", playback, None, tmp_path / "video.rrd") == []
+    after = rows(tmp_path / "together.rrd", "recordings")
     pictures = after.pop("/picture/video")
     assert after == before
     assert [row["frame"] for row in pictures] == FRAMES
@@ -64,16 +69,15 @@ def test_every_frame_has_its_picture(playback, video):
         assert float(image.mean()) == pytest.approx(10 * number, abs=3)
 
 
-def test_a_second_video_replaces_the_first_and_the_whole_picture_is_in_front(playback, video):
+@pytest.mark.parametrize("alone", [True, False], ids=["alone", "together"])
+def test_the_whole_picture_is_in_front(playback, video, tmp_path, alone):
     before = rows(playback, "blueprints")
-    add_video(playback, video, first_frame=8)
-    add_video(playback, video, first_frame=7)
-    pictures = rows(playback, "recordings")["/picture/video"]
-    assert len(pictures) == len(FRAMES)
-    image = cv2.imdecode(np.array(pictures[0]["EncodedImage:blob"][0], np.uint8), cv2.IMREAD_COLOR)
-    assert image is not None
-    assert float(image.mean()) == pytest.approx(30, abs=3)
-    after = rows(playback, "blueprints")
+    path = tmp_path / "video.rrd"
+    write_video(path, playback, video, first_frame=8)
+    if not alone:
+        path = tmp_path / "together.rrd"
+        put_together(path, playback, None, tmp_path / "video.rrd")
+    after = rows(path, "blueprints")
     name, origin, active = "ViewBlueprint:display_name", "ViewBlueprint:space_origin", "ContainerBlueprint:active_tab"
     (view,) = [path for path, (row, *_) in after.items() if row.get(origin) == ["picture"]]
     assert after[view][0][name] == ["Whole picture"]
@@ -85,18 +89,35 @@ def test_a_second_video_replaces_the_first_and_the_whole_picture_is_in_front(pla
     assert before.keys() <= after.keys()
 
 
+def test_plots_and_video_together(playback, video, tmp_path):
+    """Whichever was written first: the layout has the tabs of the one, and the picture of the other in front."""
+    time_s = np.arange(10, 18) / 30
+    series = AddedSeries("x", "Speed", ["x"], [(0, 0, 0)], np.ones((8, 1)), time_s=time_s, tab="Kinematics")
+    write_video(tmp_path / "video.rrd", playback, video, first_frame=8)
+    write_plots(tmp_path / "plots.rrd", playback, [series], [])
+    path = tmp_path / "together.rrd"
+    assert put_together(path, playback, tmp_path / "plots.rrd", tmp_path / "video.rrd") == []
+    data = rows(path, "recordings")
+    assert (len(data["/picture/video"]), len(data["/analysis/x"])) == (8, 17)
+    layout = rows(path, "blueprints")
+    named = {row["ContainerBlueprint:display_name"][0] for of in layout.values() for row in of
+             if "ContainerBlueprint:display_name" in row}  # fmt: skip
+    assert {"Reconstruction", "Kinematics"} <= named
+    (view,) = [path for path, (row, *_) in layout.items() if row.get("ViewBlueprint:space_origin") == ["picture"]]
+    assert [view[1:]] in [of[-1].get("ContainerBlueprint:active_tab") for of in layout.values()]
+
+
 def test_large_pictures_are_stored_at_a_lower_quality(playback, tmp_path):
     rng = np.random.default_rng(0)
     noisy = tmp_path / "noisy.avi"
     with video_writer(noisy, (1920, 1080), 30.0) as write_frame:
         for _ in FRAMES:
             write_frame(rng.integers(0, 255, (1080, 1920, 3)).astype(np.uint8))
-    size = playback.stat().st_size
-    quality = add_video(playback, noisy, first_frame=10, max_bytes=8_000_000)
+    quality = write_video(tmp_path / "video.rrd", playback, noisy, first_frame=10, max_bytes=8_000_000)
     assert quality < 90
-    assert playback.stat().st_size - size < 8_800_000
+    assert (tmp_path / "video.rrd").stat().st_size < 8_800_000
     with pytest.raises(InputError, match=r"8 frames that take [\d.]+ MB as JPEG, expected at most 1 MB"):
-        add_video(playback, noisy, first_frame=10, max_bytes=1_000_000)
+        write_video(tmp_path / "more.rrd", playback, noisy, first_frame=10, max_bytes=1_000_000)
 
 
 def test_what_does_not_fit_leaves_the_playback_as_it_is(playback, video, tmp_path):
@@ -105,9 +126,9 @@ def test_what_does_not_fit_leaves_the_playback_as_it_is(playback, video, tmp_pat
     with video_writer(small, (64, 48), 30.0) as write_frame:
         write_frame(np.zeros((48, 64, 3), np.uint8))
     with pytest.raises(InputError) as caught:
-        add_video(playback, small, first_frame=11)
+        write_video(tmp_path / "video.rrd", playback, small, first_frame=11)
     assert [problem.field for problem in caught.value.problems] == ["size", "number"]
     with pytest.raises(InputError, match="found 11 frames that can be decoded, expected 18 or more"):
-        add_video(playback, video)
+        write_video(tmp_path / "video.rrd", playback, video)
     assert playback.read_bytes() == content
     assert {path.name for path in tmp_path.iterdir()} == {"motion.rrd", "small.avi"}
