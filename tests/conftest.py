@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import os
+import re
+import shlex
+import shutil
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
@@ -13,6 +16,7 @@ os.environ.update(dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL
 
 import numpy as np
 import pytest
+from command_line import run
 
 from recon.body import Body
 from recon.camera import Camera
@@ -64,6 +68,26 @@ def whole_results(made_once) -> Path:
     """Folder of `recon fit` on the whole-animal sample, all options by default. Not to be written to."""
     settings = FitSettings(keypoints=SAMPLES / "whole.csv", camera=SAMPLES / "camera.toml", fps=60)
     return made_once("whole", lambda out: run_clip(settings, out))
+
+
+@pytest.fixture(scope="session")
+def of_results(made_once, whole_results) -> Callable[[str], tuple[str, Path]]:
+    """`of_results(command)` is what a command about `results/clip` prints where that is `whole_results`, and the folder
+    that it ran in, which is not to be written to. Each command is run once for all tests."""
+
+    def once(command: str) -> tuple[str, Path]:
+        def make(folder: Path) -> None:
+            shutil.copytree(whole_results, folder / "results" / "clip")
+            with pytest.MonkeyPatch.context() as patch:
+                patch.chdir(folder)
+                ended = run(*shlex.split(command)[1:])
+            assert (ended.code, ended.err) == (0, ""), f"{command}\n{ended.out}{ended.err}"
+            (folder / "printed.txt").write_text(ended.out, encoding="utf-8")
+
+        folder = made_once(re.sub(r"\W+", "-", command), make)
+        return (folder / "printed.txt").read_text(encoding="utf-8"), folder
+
+    return once
 
 
 @pytest.fixture(scope="session")

@@ -16,7 +16,7 @@ import shutil
 import subprocess
 import sys
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import redirect_stdout
 from pathlib import Path
 from typing import NamedTuple
@@ -85,15 +85,8 @@ def reason_not_to_run(command: str) -> str | None:
     )
 
 
-Ran = dict[tuple[str, bytes], str]
 ONCE = {"recon analyse results/clip", "recon ik results/clip --compare"}
-"""Slow commands that several pages have. On the same result, what they printed the first time is taken."""
-
-
-@pytest.fixture(scope="module")
-def ran() -> Ran:
-    """What the commands of `ONCE` have printed."""
-    return {}
+"""Slow commands that several pages have. On the same result, they are run once."""
 
 
 # -- running a page -----------------------------------------------------------------------------------------------
@@ -102,8 +95,8 @@ def ran() -> Ran:
 class Workshop:
     """A folder in which the files of `docs_files` appear when they are named."""
 
-    def __init__(self, folder: Path, page: str, results: Path, ran: Ran) -> None:
-        self.folder, self.results, self.ran = folder, results, ran
+    def __init__(self, folder: Path, page: str, results: Path, of_results: Callable[[str], tuple[str, Path]]) -> None:
+        self.folder, self.results, self.of_results = folder, results, of_results
         self.files = FILES | OF_PAGE.get(page, {})
 
     def provide(self, text: str) -> None:
@@ -122,18 +115,11 @@ class Workshop:
         if words[0] != "recon":
             pytest.fail(f"{command}: neither a command of recon nor named in NOT_RUN")
         self.provide(command)
-        key = (command, self.pose()) if command in ONCE else None
-        if key in self.ran:
-            return self.ran[key]
+        if command in ONCE and same_pose(self.folder / "results" / "clip", self.results):
+            return self.of_results(command)[0]
         ended = run(*words[1:])
         assert ended.code == 0, f"{command}\n{ended.out}{ended.err}"
-        if key:
-            self.ran[key] = ended.out
         return ended.out
-
-    def pose(self) -> bytes:
-        """What the commands of `ONCE` go by."""
-        return (self.folder / "results" / "clip" / "pose3d.csv").read_bytes()
 
     def python(self, text: str, names: dict) -> str:
         self.provide(text)
@@ -143,10 +129,14 @@ class Workshop:
         return out.getvalue()
 
 
+def same_pose(*results: Path) -> bool:
+    return len({(folder / "pose3d.csv").read_bytes() for folder in results}) == 1
+
+
 @pytest.mark.parametrize("page", [p for p in PAGES if any(b.language != "toml" for b in blocks(p))], ids=name_of)
-def test_page(page, tmp_path, monkeypatch, whole_results, ran):
+def test_page(page, tmp_path, monkeypatch, whole_results, of_results):
     monkeypatch.chdir(tmp_path)
-    workshop, names, printed = Workshop(tmp_path, name_of(page), whole_results, ran), {"__name__": "page"}, ""
+    workshop, names, printed = Workshop(tmp_path, name_of(page), whole_results, of_results), {"__name__": "page"}, ""
     for block in blocks(page):
         where = f"{page.name}, line {block.line}"
         if block.language == "sh":
@@ -179,12 +169,12 @@ def alike(text: str) -> str:
 def test_a_wrong_name_in_a_command_is_noticed(command, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     with pytest.raises(AssertionError, match=re.escape(command)):
-        Workshop(tmp_path, "a page", tmp_path, {}).shell(command)
+        Workshop(tmp_path, "a page", tmp_path, pytest.fail).shell(command)
 
 
 def test_a_wrong_name_in_python_is_noticed(tmp_path):
     with pytest.raises(AttributeError):
-        Workshop(tmp_path, "a page", tmp_path, {}).python("import recon; recon.fit_klip", {})
+        Workshop(tmp_path, "a page", tmp_path, pytest.fail).python("import recon; recon.fit_klip", {})
 
 
 # -- what no page may have ----------------------------------------------------------------------------------------
