@@ -7,10 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from command_line import run
+from rerun.chunk import RrdReader
 from robot_urdf import a1_urdf
 
+from recon.body import Body
 from recon.errors import InputError
-from recon.pipelines.retarget import repeated, run_retarget, solve
+from recon.pipelines.retarget import companion, repeated, run_retarget, solve
 from recon.results import read_results
 from recon.robot.body_pose import feet_in_world
 from recon.robot.footholds import planted, stances
@@ -18,6 +20,9 @@ from recon.robot.quadruped import LEGS
 from recon.robot.reference import closed_stride, reference_of, stride_window, with_other_side
 from recon.robot.retarget import drawn_in, place, retarget
 from recon.robot.robot_file import load_robot
+from recon.skeleton_file import load_skeleton
+from recon.view.robot import Companion, write_robot
+from recon.view.scene import LEFT, MIDDLE, RIGHT
 
 # -- footholds ---------------------------------------------------------------------------------------------------------
 
@@ -245,6 +250,33 @@ def test_a_repeated_stride_goes_on(whole):
     np.testing.assert_allclose(three.angles_rad[n : 2 * n], stride.angles_rad[:-1], atol=1e-12)
     assert three.slip_m.max() < 0.002
     assert three.rate_share.max() <= stride.rate_share.max() * 1.05
+
+
+def test_the_animal_beside_the_robot_has_the_colours_of_its_sides(whole, chain, tmp_path):
+    """Also a horse, whose near side is the left one, and a chain, whose legs are those of the fitted side."""
+    solved = solve(whole, load_robot("a1"))
+    horse = load_skeleton("horse-22")
+    assert isinstance(horse, Body)
+    at = {marker: j for j, marker in enumerate(horse.markers)}
+    limbs = {limb: tuple(at[marker] for marker in along) for limb, along in horse.limbs.items()}
+    points = np.zeros((len(solved.motion.clip.time_s), len(at), 3))
+    beside = Companion(points, limbs, horse.limb_sides(), horse.title)
+    write_robot(solved.motion.clip, tmp_path / "motion.rrd", beside)
+    reader = RrdReader(tmp_path / "motion.rrd")
+    (store,) = reader.recordings()
+    (colours,) = (
+        row["LineStrips3D:colors"]
+        for chunk in reader.stream(store=store)
+        if chunk.entity_path == "/world/animal" and chunk.is_static
+        for row in chunk.to_record_batch().to_pylist()
+        if row.get("LineStrips3D:colors")
+    )
+    drawn = {limb: (c >> 24, c >> 16 & 255, c >> 8 & 255) for limb, c in zip(limbs, colours, strict=True)}
+    assert {drawn["near fore leg"], drawn["near hind leg"]} == {LEFT}
+    assert {drawn["off fore leg"], drawn["off hind leg"]} == {RIGHT}
+    assert {drawn["trunk"], drawn["head"]} == {MIDDLE}
+    assert companion(solved).limb_sides["left front leg"] == "left"
+    assert chain.analysis.results.limb_sides == {"hind leg": "right", "spine": None, "front leg": "right"}
 
 
 # -- the command -------------------------------------------------------------------------------------------------------
