@@ -124,8 +124,8 @@ def commands() -> dict[str, tuple[object, ...]]:
         "overlay": ("overlay", "film", "--video", film, "--out", "out.mp4"),
     }
     if util.find_spec("torch") is not None:
-        found["predict"] = ("predict", film, "--model", "model", "--out", "out.csv")
-        found["train"] = ("train", film, "--labels", labels, "--steps", 20, "--batch", 2, "--out", "out")
+        found["predict"] = ("predict", film, "--model", "model", "--threads", 1, "--out", "out.csv")
+        found["train"] = ("train", film, "--labels", labels, "--steps", 4, "--batch", 2, "--threads", 1, "--out", "out")
     return found
 
 
@@ -137,7 +137,7 @@ def prepare(folder: Path, names: Sequence[str]) -> None:
         made.append(("fit", points, "--camera", camera, "--fps", 120, "--frames", "0:40", "--fast", "--out", "film"))
     if "predict" in names:
         film, labels = SAMPLES / "rendered.mp4", SAMPLES / "rendered_labels.csv"
-        made.append(("train", film, "--labels", labels, "--steps", 2, "--batch", 2, "--out", "model"))
+        made.append(("train", film, "--labels", labels, "--steps", 2, "--batch", 2, "--threads", 1, "--out", "model"))
     for arguments in made:
         ended = interrupted(arguments, None, folder)
         if ended.code != 0:
