@@ -8,6 +8,7 @@ only an estimate.
 from __future__ import annotations
 
 import errno
+import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -82,7 +83,7 @@ def video_writer(path: str | Path, size_px: tuple[int, int], fps: float) -> Iter
     """
     path = Path(path)
     codec = require_codec(path)
-    with staged_file(path) as staged:
+    with staged_file(path) as staged, _quiet():
         staged.touch()  # an OSError with the reason, where OpenCV would only say no
         writer: Any = cv2.VideoWriter(str(staged), cv2.CAP_FFMPEG, cv2.VideoWriter.fourcc(*codec), fps, size_px)
         written = 0
@@ -103,6 +104,18 @@ def video_writer(path: str | Path, size_px: tuple[int, int], fps: float) -> Iter
             writer.release()
         if _frames_in(staged) != written:  # OpenCV says nothing of a full disk
             raise OSError(errno.ENOSPC, "the video could not be written: is the disk full?", str(path))
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """What OpenCV and FFmpeg print on standard error about a full disk is said here, in one line."""
+    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # read when the first video of a process is opened
+    level = cv2.utils.logging.getLogLevel()
+    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
+    try:
+        yield
+    finally:
+        cv2.utils.logging.setLogLevel(level)
 
 
 def _frames_in(path: Path) -> int:
@@ -128,7 +141,8 @@ def require_codec(path: Path) -> str:
 def _open(path: Path) -> cv2.VideoCapture:
     if not path.is_file():
         raise InputError(Problem(path, "video", "a folder" if path.is_dir() else "no such file", "a video"))
-    capture = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
+    with _quiet():
+        capture = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
     if not capture.isOpened():
         raise InputError(Problem(path, "video", "a file that cannot be decoded", "a video"))
     return capture

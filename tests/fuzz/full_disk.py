@@ -1,0 +1,300 @@
+"""Full disks: every writer, into a folder of too little room, at several sizes.
+
+    python tests/fuzz/full_disk.py [--sizes 20] [--only WORD ...] [--by-file]
+
+Each case runs in a child, in a file system of its own in memory (needs root) that is too small for what the case
+writes, or, with --by-file, where no file may grow beyond a size. It ends well where it says one line and exit code 2,
+and leaves nothing half; or where everything fits after all, and reads back. Prints what did not, and ends with 1 then.
+"""
+
+from __future__ import annotations
+
+import argparse
+import faulthandler
+import os
+import resource
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterable, Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import Any, NamedTuple
+
+SAMPLES = Path(__file__).resolve().parents[2] / "data" / "samples"
+CAMERA = ("--camera", SAMPLES / "camera.toml")
+FIT = ("fit", SAMPLES / "whole.csv", *CAMERA, "--fps", 60, "--frames", "0:8", "--fast")
+PATIENCE_S = 90.0
+LEAST = 4096
+"""Bytes of the smallest disk."""
+
+
+class Case(NamedTuple):
+    """arguments: of recon, {out} being the place to write to; out: its name. whole: whether a run that fails leaves
+    nothing, rather than what was finished before. read: raises for something that is broken."""
+
+    name: str
+    arguments: Sequence[object]
+    out: str
+    whole: bool = True
+    read: Callable[[Path], object] = lambda path: None
+
+
+def read_results(out: Path) -> object:
+    from recon.results import read_results
+
+    read_manifest(out)
+    return read_results(out)
+
+
+def read_data(out: Path) -> object:
+    from recon.pipelines.convert import Options, read_any
+
+    return read_any(out, Options(fps=60, unit="m", up="z") if out.suffix == ".csv" else Options())
+
+
+def read_manifest(out: Path) -> object:
+    from recon.manifest import read_manifest
+
+    changed = read_manifest(out).changed()
+    assert not changed, changed
+    return changed
+
+
+def read_video(out: Path) -> object:
+    from recon.video import probe, read_frames
+
+    frames = sum(1 for _ in read_frames(out))
+    assert frames == probe(out).stated_frames
+    return frames
+
+
+def read_summary(out: Path) -> object:
+    assert (out / "summary.csv").read_text(encoding="utf-8").count("\n") == 2
+    return read_results(out / "whole")
+
+
+def cases(folder: Path) -> list[Case]:
+    """folder: with results to go on from, in `clip`."""
+    clip = folder / "clip"
+    two = ("deeplabcut.csv", "deeplabcut.h5", "long.csv", "wide.csv", "sleap.h5", "movement.nc", "nwb.nwb", "coco.json")
+    three = ("deeplabcut.csv", "deeplabcut.h5", "movement.nc", "nwb.nwb", "parquet.parquet", "trc.trc", "c3d.c3d",
+             "bvh.bvh", "npz.npz")  # fmt: skip
+    found = [
+        Case("fit", (*FIT, "--out", "{out}"), "clip", read=read_results),
+        Case("fit frame", (*FIT[:-1], "--method", "frame", "--out", "{out}"), "clip", read=read_results),
+        Case(
+            "batch",
+            ("batch", *FIT[1:-1], "--fast", "--jobs", 1, "--strict", "--out", "{out}"),
+            "all",
+            False,
+            read_summary,
+        ),
+        Case("analyse tables", ("analyse", clip, "--no-figures", "--out", "{out}"), "analysis"),
+        Case("analyse", ("analyse", clip, "--out", "{out}"), "analysis", False),
+        Case("ik", ("ik", clip, "--target", "stride-max", "--no-figures", "--out", "{out}"), "ik"),
+        Case("retarget", ("retarget", clip, "--robot", "a1", "--out", "{out}"), "robot", read=read_manifest),
+        Case(
+            "prior fit",
+            (
+                "prior",
+                "fit",
+                SAMPLES / "whole_truth.csv",
+                "--skeleton",
+                "cheetah-24",
+                "--fps",
+                60,
+                "--components",
+                1,
+                "--out",
+                "{out}",
+            ),
+            "prior.npz",
+        ),
+        *(
+            Case(
+                f"overlay {kind}",
+                ("overlay", clip, "--video", folder / "black.avi", "--out", "{out}"),
+                f"o.{kind}",
+                read=read_video,
+            )
+            for kind in ("mp4", "avi")
+        ),
+        Case("skeleton check", ("skeleton", "check", "cheetah-24", "--out", "{out}"), "pictures", False),
+    ]
+    for source, kind, names in ((SAMPLES / "whole.csv", "2D", two), (clip, "3D", three)):
+        for name in names:
+            to = name.partition(".")[0]
+            arguments = ("convert", source, "{out}", "--to", to, "--fps", 60)
+            found.append(Case(f"convert {kind} {name}", arguments, name, read=read_data))
+    return found
+
+
+def prepare(folder: Path) -> None:
+    """What the cases go on from."""
+    import cv2
+    import numpy as np
+
+    from recon.video import video_writer
+
+    ended = Child(Case("fit", (*FIT, "--out", "{out}"), "clip"), folder).wait()
+    assert ended == (0, ""), ended
+    with video_writer(folder / "black.avi", (1920, 1080), 60.0) as write:
+        rng = np.random.default_rng(0)
+        for _ in range(8):
+            small = rng.integers(0, 255, (54, 96, 3), dtype=np.uint8)
+            write(np.asarray(cv2.resize(small, (1920, 1080)), dtype=np.uint8))
+
+
+# -- one run ---------------------------------------------------------------------------------------------------------
+
+
+class Child:
+    """`recon ARGUMENTS` in a child of this process, which has everything imported."""
+
+    def __init__(self, case: Case, folder: Path, limit: int | None = None, then_read: bool = False) -> None:
+        self.err = tempfile.TemporaryFile()  # noqa: SIM115  # for as long as the child
+        self.pid = os.fork()
+        if self.pid == 0:
+            code = 3
+            try:
+                code = self._run(case, folder / case.out, limit, then_read)
+            finally:
+                sys.stderr.flush()
+                os._exit(code)
+
+    def _run(self, case: Case, out: Path, limit: int | None, then_read: bool) -> int:
+        from recon.cli import main
+
+        nothing = os.open(os.devnull, os.O_RDWR)
+        for stream, target in ((0, nothing), (1, nothing), (2, self.err.fileno())):
+            os.dup2(target, stream)
+        faulthandler.enable()
+        if then_read:
+            case.read(out)
+            return 0
+        if limit is not None:
+            resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
+        sys.argv = ["recon", *(str(out) if a == "{out}" else str(a) for a in case.arguments)]
+        try:
+            main()
+        except SystemExit as ended:
+            code = ended.code or 0
+            return code if isinstance(code, int) else 3
+        return 0
+
+    def wait(self) -> tuple[int | None, str]:
+        """Its exit code, None if it hangs, and what it said on standard error."""
+        code, until = None, time.monotonic() + PATIENCE_S
+        while time.monotonic() < until:
+            pid, status = os.waitpid(self.pid, os.WNOHANG)
+            if pid:
+                code = os.waitstatus_to_exitcode(status)
+                break
+            time.sleep(0.005)
+        else:
+            os.kill(self.pid, signal.SIGKILL)
+            os.waitpid(self.pid, 0)
+        self.err.seek(0)
+        return code, self.err.read().decode("utf-8", "replace")
+
+
+class Disk:
+    """A file system of so many bytes, or an ordinary folder."""
+
+    def __init__(self, size: int | None) -> None:
+        self.path, self.mounted = Path(tempfile.mkdtemp(prefix="full-disk-")), False
+        if size is not None:
+            command = ["mount", "-t", "tmpfs", "-o", f"size={size}", "tmpfs", str(self.path)]
+            self.mounted = subprocess.run(command, check=False, capture_output=True).returncode == 0
+            assert self.mounted, "a file system can only be made by root: use --by-file"
+
+    def __enter__(self) -> Path:
+        return self.path
+
+    def __exit__(self, *_: Any) -> None:
+        if self.mounted:
+            subprocess.run(["umount", "-l", str(self.path)], check=True)
+        shutil.rmtree(self.path, ignore_errors=True)
+
+
+def verdict(case: Case, size: int, by_file: bool) -> tuple[str, str]:
+    """ "full" or "fits", as it should be; else what went wrong. And what was said."""
+    with Disk(None if by_file else size) as folder:
+        code, err = Child(case, folder, size if by_file else None).wait()
+        left = [path.relative_to(folder) for path in folder.rglob("*")]
+        if code is None:
+            return "hangs", err
+        if code < 0:
+            return f"dies of {signal.Signals(-code).name}", err
+        if "Traceback" in err or code not in (0, 1, 2):
+            return "traceback", err
+        if any(path.name.startswith(".recon-") for path in left):
+            return f"leaves {left}", err
+        if code == 0:
+            read, said = Child(case, folder, then_read=True).wait()
+            return ("fits", err) if read == 0 and left else ("broken", said)
+        if code == 1 and case.whole:
+            return "exit code 1", err
+        if code == 2 and (err.count("\n") != 1 or not err.startswith("error: ")):
+            return "not one line", err
+        if case.whole and left:
+            return f"leaves {left}", err
+        return "full", err
+
+
+def size_of(case: Case) -> tuple[int, int]:
+    """Bytes on a disk that is large enough, of all files and of the largest one."""
+    with Disk(None) as folder:
+        ended = Child(case, folder).wait()
+        assert ended[0] == 0, (case.name, ended)
+        sizes = [path.stat().st_size for path in folder.rglob("*") if path.is_file()]
+        return sum(-(-size // 4096) * 4096 for size in sizes), max(sizes)
+
+
+def check(wanted: Iterable[Case], sizes: int, by_file: bool) -> int:
+    """How many runs went wrong."""
+    wrong = 0
+    for case in wanted:
+        total = size_of(case)[by_file]
+        # From next to nothing to a little more than is needed.
+        steps = [max(LEAST, round(1.1 * total * (k + 1) / sizes)) for k in range(sizes)]
+        found = [verdict(case, size, by_file) for size in steps]
+        counts = {kind: sum(1 for one, _ in found if one == kind) for kind in dict.fromkeys(one for one, _ in found)}
+        print(f"{case.name}: " + ", ".join(f"{kind} {count}" for kind, count in counts.items()), flush=True)
+        for size, (kind, said) in zip(steps, found, strict=True):
+            if kind not in ("full", "fits"):
+                wrong += 1
+                print(f"  {size} bytes: {kind}\n    " + said.strip().replace("\n", "\n    ")[-1500:], flush=True)
+    return wrong
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
+    parser.add_argument("--sizes", type=int, default=20)
+    parser.add_argument("--only", nargs="*", default=[])
+    parser.add_argument("--by-file", action="store_true", help="limit the size of files: no root needed")
+    given = parser.parse_args()
+    os.environ.update(dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "RAYON_NUM_THREADS"), "1"))
+    import recon.pipelines.analyse
+    import recon.pipelines.clip
+    import recon.pipelines.convert
+    import recon.plots
+    import recon.view.together  # noqa: F401  # children have it all
+
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        prepare(folder)
+        chosen = [c for c in cases(folder) if not given.only or any(word in c.name for word in given.only)]
+        wrong = check(chosen, given.sizes, given.by_file)
+    print(f"{wrong} of {given.sizes * len(chosen)} wrong")
+    with suppress(OSError):
+        sys.stdout.flush()
+    sys.exit(wrong > 0)
+
+
+if __name__ == "__main__":
+    main()
