@@ -1,0 +1,102 @@
+"""A full disk ends in one line that names the file, and leaves nothing: whatever library makes the content.
+
+`tests/fuzz/full_disk.py` does so for every command. Here no file may grow beyond a size, which a system says otherwise.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+from command_line import run
+
+from recon.export.formats import FORMATS, Format
+from recon.files import staged_file
+from recon.io.pose import Pose3D
+from recon.keypoints import Keypoints
+from recon.motion import TrajectoryMotion
+from recon.pipelines.clip import write_clip
+from recon.settings import FitSettings
+from recon.video import video_writer
+
+pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="limits are of POSIX")
+
+NAMES, FRAMES = ("nose", "tail base", "paw"), np.arange(40)
+RNG = np.random.default_rng(0)
+KEYPOINTS = Keypoints(NAMES, 1e3 * RNG.random((40, 3, 2)), RNG.random((40, 3)), FRAMES, fps=50.0)
+POSE = Pose3D(("nose", "tail_base", "paw"), RNG.random((40, 3, 3)), FRAMES, fps=50.0)
+WRITERS = [(f, kind) for f in FORMATS for kind in ("keypoints", "pose") if getattr(f, kind)]
+
+
+@contextmanager
+def files_up_to(size: int) -> Iterator[None]:
+    import resource
+
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))  # Python has the signal ignored
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+
+
+def put(format: Format, kind: str, path: Path) -> None:
+    with staged_file(path) as staged:
+        getattr(format, kind)(KEYPOINTS if kind == "keypoints" else POSE, staged)
+
+
+def film(path: Path) -> None:
+    picture = RNG.integers(0, 255, (240, 320, 3), dtype=np.uint8)
+    with video_writer(path, (320, 240), 30) as write:
+        for _ in range(10):
+            write(picture)
+
+
+@pytest.mark.parametrize(("format", "kind"), WRITERS, ids=[f"{f.title} {kind}" for f, kind in WRITERS])
+def test_every_format(format: Format, kind: str, tmp_path: Path) -> None:
+    path = tmp_path / f"data{format.extensions[0]}"
+    put(format, kind, path)
+    size = path.stat().st_size
+    path.unlink()
+    for limit in (0, size // 3, size - 1):
+        with files_up_to(limit), pytest.raises(OSError, match=r"File too large|is the disk full") as caught:
+            put(format, kind, path)
+        assert caught.value.filename == str(path) or format.name == "c3d"  # made in the system's memory
+        assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("limit", [0, 2_000, 30_000, 100_000])
+def test_results(limit: int, small_trajectory: TrajectoryMotion, tmp_path: Path) -> None:
+    settings = FitSettings(keypoints=Path("run.csv"), hfov_deg=64, image_size_px=(1920, 1080), fps=30)
+    with files_up_to(limit), pytest.raises(OSError, match="File too large") as caught:
+        write_clip(small_trajectory, settings, tmp_path / "out")
+    assert Path(str(caught.value.filename)).parent in (tmp_path, tmp_path / "out")
+    assert list(tmp_path.iterdir()) == []
+    write_clip(small_trajectory, settings, tmp_path / "out")
+    before = {path.name: path.read_bytes() for path in (tmp_path / "out").iterdir()}
+    with files_up_to(limit), pytest.raises(OSError, match="File too large"):
+        write_clip(small_trajectory, settings, tmp_path / "out")
+    assert {path.name: path.read_bytes() for path in (tmp_path / "out").iterdir()} == before
+
+
+@pytest.mark.parametrize("suffix", ["mp4", "avi"])
+def test_a_video(suffix: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    """OpenCV goes on writing, and says so by itself."""
+    with files_up_to(20_000), pytest.raises(OSError, match="could not be written: is the disk full") as caught:
+        film(tmp_path / f"a.{suffix}")
+    assert caught.value.filename == str(tmp_path / f"a.{suffix}")
+    assert list(tmp_path.iterdir()) == []
+    assert capfd.readouterr().err == ""
+
+
+def test_a_command_says_one_line(tmp_path: Path) -> None:
+    source, out = tmp_path / "source.npz", tmp_path / "clip.bvh"
+    put(next(f for f in FORMATS if f.name == "npz"), "pose", source)
+    with files_up_to(1000):
+        ended = run("convert", source, out)
+    assert ended == (2, "", f"error: {out}: File too large\n")
+    assert [path.name for path in tmp_path.iterdir()] == ["source.npz"]
