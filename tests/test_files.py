@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import signal
 import subprocess
 import sys
+import threading
+import time
 from pathlib import Path
 
 import pytest
 
-from recon.files import staged_folder
+from recon.errors import InputError
+from recon.files import require_free_folder, sole_writer, staged_file, staged_folder, staged_results
+from recon.manifest import read_manifest
 
 
 def contents(folder: Path) -> dict[str, str]:
@@ -102,3 +107,216 @@ def test_kill_leaves_only_a_hidden_folder_which_the_next_run_removes(tmp_path):
         (folder / "two.csv").write_text("2")
     assert contents(out) == {"one.csv": "old", "two.csv": "2"}
     assert not hidden.exists()
+
+
+# -- many at a time --------------------------------------------------------------------------------------------------
+
+
+def test_two_at_a_time_leave_each_other_alone(tmp_path):
+    with staged_folder(tmp_path) as first:
+        (first / "one.csv").write_text("1")
+        with staged_folder(tmp_path) as second:
+            (second / "two.csv").write_text("2")
+        assert contents(tmp_path)["two.csv"] == "2"
+        with pytest.raises(RuntimeError):
+            write_half(tmp_path, RuntimeError())
+    assert contents(tmp_path) == {"one.csv": "1", "two.csv": "2"}
+
+
+WRITE_AT_A_SIGN = """
+import sys
+from recon.files import staged_file
+with staged_file(sys.argv[1]) as path:
+    path.write_text("begun")
+    print("begun", flush=True)
+    sys.stdin.readline()
+    path.write_text("done")
+"""
+
+
+def test_processes_do_not_remove_each_others_work(tmp_path):
+    """Each begins while the others are at it, and ends after they have begun."""
+    paths = [tmp_path / f"{k}.csv" for k in range(3)]
+    processes = []
+    for path in paths:
+        command = [sys.executable, "-c", WRITE_AT_A_SIGN, str(path)]
+        process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+        assert process.stdout is not None
+        assert process.stdout.readline() == "begun\n"
+        processes.append(process)
+    for process in processes:
+        process.communicate("\n")
+        assert process.returncode == 0
+    assert contents(tmp_path) == {f"{k}.csv": "done" for k in range(3)}
+
+
+def test_only_one_writes_results_at_a_time(tmp_path):
+    out = tmp_path / "out"
+    with sole_writer(out):
+        with pytest.raises(InputError) as caught, sole_writer(out):
+            pass
+        (problem,) = caught.value.problems
+        assert (problem.file, problem.field) == (out, "folder")
+        assert problem.found == f"another process ({os.getpid()}), which is writing to it"
+        with sole_writer(tmp_path / "another"):
+            pass
+    with sole_writer(out):
+        (out / "one.csv").write_text("1")
+    assert contents(tmp_path) == {"out/one.csv": "1"}
+    assert [path.name for path in tmp_path.iterdir()] == ["out"]  # nothing was written to the other one
+
+
+def test_the_folder_of_a_writer_that_died_is_free(tmp_path):
+    (tmp_path / ".recon-writing").write_text("123\n")
+    with sole_writer(tmp_path):
+        assert (tmp_path / ".recon-writing").read_text() == f"{os.getpid()}\n"
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_writer_waits_for_one_that_is_about_to_end(tmp_path):
+    entered, done = threading.Event(), []
+
+    def first():
+        with sole_writer(tmp_path):
+            entered.set()
+            time.sleep(0.1)
+            done.append("first")
+
+    thread = threading.Thread(target=first)
+    thread.start()
+    entered.wait(5)
+    with sole_writer(tmp_path, wait_s=5):
+        done.append("second")
+    thread.join()
+    assert done == ["first", "second"]
+
+
+def test_a_folder_that_cannot_be_written_to(tmp_path):
+    (tmp_path / "file").write_text("text")
+    with (
+        pytest.raises(InputError, match=r"--out: folder: found the file .*file, expected a folder"),
+        sole_writer(tmp_path / "file" / "out"),
+    ):
+        pass
+
+
+# -- results ---------------------------------------------------------------------------------------------------------
+
+
+def write_results(out: Path, **files: str) -> None:
+    with staged_results(out, ("a.csv", "b.csv", "c.csv")) as staging:
+        for name, text in files.items():
+            (staging / f"{name}.csv").write_text(text)
+
+
+def test_results_come_with_a_manifest_and_replace_earlier_ones(tmp_path):
+    (tmp_path / "notes.txt").write_text("mine")
+    (tmp_path / "c.csv").write_text("of a version without a manifest")
+    write_results(tmp_path, a="1", b="2")
+    assert {*contents(tmp_path)} == {"a.csv", "b.csv", "manifest.json", "notes.txt"}
+    first = read_manifest(tmp_path)
+    assert first.files["b.csv"].size == 1
+    assert first.files["b.csv"].sha256 == "d4735e3a265e16eee03f59718b9b5d03019c07d8b6c51f90da3a666eec13ab35"
+    assert first.changed() == []
+    write_results(tmp_path, a="3", other="4")
+    assert {*contents(tmp_path)} == {"a.csv", "other.csv", "manifest.json", "notes.txt"}
+    write_results(tmp_path, a="3")
+    assert {*contents(tmp_path)} == {"a.csv", "manifest.json", "notes.txt"}
+    with pytest.raises(InputError, match="another run's results"):
+        first.require_same()
+
+
+def test_a_folder_in_the_place_of_a_file_is_seen_before_anything_is_replaced(tmp_path):
+    write_results(tmp_path, a="1", c="1")
+    before = contents(tmp_path)
+    (tmp_path / "b.csv").mkdir()
+    with pytest.raises(InputError, match=r"b\.csv: file: found a folder of that name"):
+        write_results(tmp_path, a="2", b="2", c="2")
+    with pytest.raises(InputError, match=r"b\.csv: file: found a folder of that name"):
+        write_two(tmp_path)
+    with pytest.raises(InputError, match=r"b\.csv: file: found a folder of that name"):
+        require_free_folder(tmp_path, ("a.csv", "b.csv"), overwrite=True)
+    assert contents(tmp_path) == before
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.csv", "b.csv", "c.csv", "manifest.json"]
+
+
+def write_two(out: Path) -> None:
+    with staged_folder(out) as folder:
+        (folder / "a.csv").write_text("2")
+        (folder / "b.csv").write_text("2")
+
+
+def steps_of_replacing(out: Path, monkeypatch: pytest.MonkeyPatch, at_step) -> None:
+    """Replace results; at_step(number) is called before every move."""
+    write_results(out, a="1", b="1")
+    count = itertools.count()
+    move = os.replace
+
+    def replace(*args):
+        at_step(next(count))
+        move(*args)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "replace", replace)
+        write_results(out, a="2", b="2", c="2")
+
+
+@pytest.mark.parametrize("exception", [OSError(28, "No space left on device"), KeyboardInterrupt()])
+def test_what_fails_on_the_way_leaves_the_earlier_results(tmp_path, monkeypatch, exception):
+    failing = 0
+
+    def fail(number):
+        if number == failing:
+            raise exception
+
+    for failing in range(20):
+        out = tmp_path / str(failing)
+        try:
+            steps_of_replacing(out, monkeypatch, fail)
+        except (OSError, KeyboardInterrupt):
+            assert {name: text for name, text in contents(out).items() if name != "manifest.json"} == {
+                "a.csv": "1",
+                "b.csv": "1",
+            }
+            assert read_manifest(out).changed() == []
+        else:
+            break
+    assert failing == 7  # moves: three files away, four in
+
+
+def test_a_kill_on_the_way_leaves_nothing_that_is_taken_for_results(tmp_path, monkeypatch):
+    """What the folder holds before each move is what a kill would leave."""
+    out, taken = tmp_path / "out", []
+
+    def look(number):
+        try:
+            manifest = read_manifest(out)
+        except InputError:
+            return
+        if not manifest.changed():
+            taken.append((number, contents(out)["a.csv"]))
+
+    steps_of_replacing(out, monkeypatch, look)
+    assert taken == [(0, "1")]
+    assert read_manifest(out).changed() == []
+
+
+# -- errors ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("stage", [staged_file, lambda path: staged_folder(path.parent)], ids=["file", "folder"])
+def test_an_error_names_what_was_to_be_written(tmp_path, stage):
+    """Not a hidden folder that is gone. What fails without a name is the file, or the folder."""
+    for error in (OSError(28, "No space left on device"), FileNotFoundError(2, "no such file", "elsewhere")):
+        with pytest.raises(OSError, match=error.strerror) as caught, stage(tmp_path / "a.csv"):
+            raise error
+        own = "elsewhere" if error.errno == 2 else str(tmp_path / "a.csv" if stage is staged_file else tmp_path)
+        assert caught.value.filename == own
+    with pytest.raises(IsADirectoryError) as caught, stage(tmp_path / "a.csv") as place:
+        write_onto_a_folder(place if stage is staged_file else place / "a.csv")
+    assert caught.value.filename == str(tmp_path / "a.csv")
+
+
+def write_onto_a_folder(path: Path) -> None:
+    path.mkdir()
+    path.write_text("1")
