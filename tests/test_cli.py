@@ -813,6 +813,10 @@ def test_view_shows_what_goes_with_the_recording(fitted, tmp_path, monkeypatch):
     assert run("view", out) == Ended(0, "", "")
     assert seen == [{"/analysis/x", "/speed"}] * 2
     assert {path: path.read_bytes() for path in out.rglob("*") if path.is_file()} == before
+    assert run("view", out, "--out", tmp_path / "all.rrd") == Ended(0, "", "")
+    look(tmp_path / "all.rrd")
+    assert seen.pop() == {"/analysis/x", "/speed"}
+    assert "which is there already" in run("view", out, "--out", tmp_path / "all.rrd").err
     ended = run("view", out, "--analysis", tmp_path)
     assert ended.err.startswith(f"error: {tmp_path / 'analysis.rrd'}: file: found no such file")
     run(*fit_args(out, "--overwrite", "-q"))

@@ -20,6 +20,9 @@ def view(
     first_frame: Annotated[
         int, typer.Option(help="Number that the video's first frame has in the keypoint file, if the video was cut.")
     ] = 0,
+    out: Annotated[
+        Path | None, typer.Option(help="Write all that is shown as one recording, and open nothing, as in clip.rrd.")
+    ] = None,
 ) -> None:
     """Open the playback of a reconstruction in the rerun viewer, with the plots of its analysis.
 
@@ -27,4 +30,4 @@ def view(
     """
     from recon.pipelines.view import run_view
 
-    run_view(folder, analysis, video, first_frame, lambda note: typer.echo(note, err=True))
+    run_view(folder, analysis, video, first_frame, out, lambda note: typer.echo(note, err=True))

@@ -8,7 +8,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from recon.errors import InputError, Problem
-from recon.files import staged_file
+from recon.files import require_free_file, staged_file
 from recon.manifest import read_manifest
 from recon.pipelines.analyse import FOLDER, PLAYBACK, PLOTS
 from recon.view import open_viewer
@@ -23,12 +23,14 @@ def run_view(
     analysis: Path | None = None,
     video: Path | None = None,
     first_frame: int = 0,
+    out: Path | None = None,
     say: Callable[[str], None] = lambda note: None,
 ) -> None:
     """`recon view`: open the playback, with the plots of `recon analyse` and the frames of a video.
 
     analysis: the folder of the analysis, by default the one in `folder`, if there is one. video: its frames are kept in
-    `folder`, for the next time, where that can be written to. Returns when the viewer is closed. Raises InputError.
+    `folder`, for the next time, where that can be written to. out: one recording of it all, which is written and not
+    opened. Returns when the viewer is closed. Raises InputError.
     """
     playback = folder / PLAYBACK
     if not playback.is_file():
@@ -39,6 +41,8 @@ def run_view(
         raise InputError(Problem(plots, "file", "no such file", "the plots that `recon analyse` has written"))
     if first_frame and video is None:
         raise InputError(Problem("--first-frame", "video", "no --video", "one beside the other"))
+    if out is not None:
+        require_free_file(out, overwrite=False)
     with TemporaryDirectory() as temporary:
         place = folder if os.access(folder, os.W_OK | os.X_OK) else Path(temporary)
         pictures = (place if video is not None else folder) / VIDEO
@@ -46,9 +50,11 @@ def run_view(
             with staged_file(pictures) as staged:
                 write_video(staged, playback, video, first_frame)
         present = [path if path.is_file() else None for path in (plots, pictures)]
-        if any(present):
-            together = Path(temporary) / PLAYBACK
-            for left_out in put_together(together, playback, *present):
-                say(f"Left out, because it is of another fit: {left_out}")
+        if any(present) or out is not None:
+            together = Path(temporary) / PLAYBACK if out is None else out
+            with staged_file(together) as staged:
+                for left_out in put_together(staged, playback, *present):
+                    say(f"Left out, because it is of another fit: {left_out}")
             playback = together
-        open_viewer(playback)
+        if out is None:
+            open_viewer(playback)

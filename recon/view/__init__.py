@@ -86,4 +86,11 @@ def open_viewer(path: Path) -> None:
     code = subprocess.run(command, check=False).returncode
     if code:
         found = f"a viewer that ended with exit code {code}"
-        raise InputError(Problem(path, "viewer", found, "a display, or the recording opened on a machine with one"))
+        raise InputError(
+            Problem(
+                path,
+                "viewer",
+                found,
+                "a display, or the recording opened on a machine with one: recon view DIR --out FILE.rrd",
+            )
+        )
