@@ -190,6 +190,28 @@ def clean(
     return cleaned, report
 
 
+def leave_out(
+    keypoints: Keypoints, report: CleaningReport, points: np.ndarray, why: str
+) -> tuple[Keypoints, CleaningReport]:
+    """Further points (T, K) of a cleaned clip become missing, count as rejected, and are named in a note.
+
+    why: what is wrong with them, in words.
+    """
+    if not points.any():
+        return keypoints, report
+    out = points.sum(axis=0)
+    counts = tuple(
+        dataclasses.replace(
+            k, used=k.used - n, rejected=k.rejected + n, likelihood_unknown=min(k.likelihood_unknown, k.used - n)
+        )
+        for k, n in zip(report.keypoints, out.tolist(), strict=True)
+    )
+    frame, first = (int(i) for i in np.argwhere(points)[0])
+    note = f"{out.sum()} points are {why}, and left out: {keypoints.names[first]} in frame {keypoints.frames[frame]}"
+    note += ", ..." if out.sum() > 1 else ""
+    return _without(keypoints, points), dataclasses.replace(report, keypoints=counts, notes=(*report.notes, note))
+
+
 def select_frames(keypoints: Keypoints, frames: tuple[int | None, int | None] | None) -> Keypoints:
     """The rows whose original frame number lies in the half-open range (A, B); None is an open side or no limit.
 

@@ -443,9 +443,11 @@ class TrajectoryMotion(Motion):
 
     def below_m(self, spell: Spell) -> Array | None:
         """(3,): the ground below the middle of the root's path in a spell, level frame; None where it is not known."""
-        if spell.ground is None:
+        xy_m = self.solution.states[spell.rows, :2]
+        xy_m = xy_m[np.isfinite(xy_m[:, 0])]
+        if spell.ground is None or not len(xy_m):
             return None
-        middle = self.solution.states[spell.rows, :2].mean(axis=0)
+        middle = xy_m.mean(axis=0)
         return np.append(middle, spell.ground.height_m + spell.ground.slope @ middle)
 
     # -- joints and picture ---------------------------------------------------------------------------------------

@@ -36,6 +36,8 @@ Index = NDArray[np.intp]
 
 MIN_JOINTS = 5
 """Fewer detected joints than this do not place a chain."""
+MIN_REACH_PX = 50.0
+"""All links end to end shorter than this in the picture: too far away to have been detected."""
 
 _UVW_BODY = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 """Takes the body's axes x forwards, y left, z up to U, V (down), W."""

@@ -20,7 +20,7 @@ from recon.export import CLIP_OUTPUTS, TRAJECTORY_OUTPUTS, write_tables
 from recon.files import require_free_folder, sole_writer, staged_results
 from recon.initialise import facing_side
 from recon.io import read_keypoints
-from recon.keypoints import CleaningReport, Keypoints, clean, parse_frame_range
+from recon.keypoints import CleaningReport, Keypoints, clean, leave_out, parse_frame_range
 from recon.manifest import MANIFEST
 from recon.motion import FrameMotion, Motion, TrajectoryMotion
 from recon.prior import MotionPrior, builtin_priors, load_prior, prior_from_body
@@ -35,6 +35,14 @@ Progress = Callable[[str, float], None]
 
 OUTPUT_FILES = (*CLIP_OUTPUTS, *TRAJECTORY_OUTPUTS, "report.json", "motion.rrd", "config.toml", MANIFEST)
 """Every file that a clip can get; `TRAJECTORY_OUTPUTS` come with the trajectory method only."""
+
+
+RATES_HZ = (1.0, 10_000.0)
+"""Frame rates that a clip can have. Slower, a whole stride lies between two frames, and nothing ties them; faster, what
+an animal does from one frame to the next is lost in the rounding of its acceleration."""
+
+
+_FAR_OUTSIDE = "too far outside the picture to have been found in it"
 
 
 def _silent(stage: str, share: float) -> None:
@@ -191,6 +199,10 @@ def read_clip(settings: FitSettings) -> Keypoints:
     if fps is None:
         found = f"nothing, and {settings.keypoints.name} does not say"
         raise InputError(Problem("--fps", "fps", found, "frames per second above 0, as in 120"))
+    if not RATES_HZ[0] <= fps <= RATES_HZ[1]:
+        where = settings.keypoints if settings.fps is None else "--fps"
+        expected = f"{RATES_HZ[0]:g} to {RATES_HZ[1]:g} frames per second"
+        raise InputError(Problem(where, "fps", f"{fps:g}", expected))
     return replace(file, fps=fps)
 
 
@@ -240,12 +252,12 @@ def _cleaned(
     file: Keypoints, wanted: Sequence[str], skeleton: str, camera: Camera, settings: FitSettings
 ) -> tuple[Keypoints, CleaningReport]:
     """wanted: the keypoints that the skeleton, by its name, may be fitted to. Raises InputError without any of them,
-    or where they lie outside the camera's picture."""
+    or where they lie outside the camera's picture; a few that are far outside are left out."""
     _require_keypoints_of(wanted, skeleton, file)
     frames = parse_frame_range(settings.frames) if settings.frames else None
     keypoints, cleaning = clean(file, settings.likelihood_min, frames)
     _require_inside(camera, keypoints, settings)
-    return keypoints, cleaning
+    return leave_out(keypoints, cleaning, keypoints.present & ~camera.sees(keypoints.xy_px), _FAR_OUTSIDE)
 
 
 def _keypoints_of(skeleton: Skeleton) -> tuple[str, ...]:
@@ -268,7 +280,7 @@ def _require_keypoints_of(wanted: Sequence[str], skeleton: str, keypoints: Keypo
 
 def _require_inside(camera: Camera, keypoints: Keypoints, settings: FitSettings) -> None:
     """A picture smaller than the points' is another camera's, or the wrong size was given."""
-    points = keypoints.xy_px[keypoints.present]
+    points = np.clip(keypoints.xy_px[keypoints.present], -1e9, 1e9)
     if np.mean(camera.in_image(points)) < 0.9:
         (x0, y0), (x1, y1) = np.percentile(points, [1, 99], axis=0)
         width, height = camera.image_size_px

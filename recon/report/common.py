@@ -227,7 +227,7 @@ def point_lines(report: Mapping[str, Any]) -> Lines:
     most = ", ".join(f"{name} {count}" for count, name in off[:3]) + (", ..." if len(off) > 3 else "")
     return [
         ("keypoints", _keypoints_text(report)),
-        ("points", f"{used} used, {missing} missing, {rejected} rejected as unlikely"),
+        ("points", f"{used} used, {missing} missing, {rejected} rejected as unlikely or far outside"),
         ("reprojection", _reprojection(summary["reprojection_px"])),
         (
             "outliers",

@@ -18,7 +18,7 @@ from recon.solve import TrajectoryOptions
 from recon.solve.result import Spell
 from recon.solve.trajectory import ALTERNATIVE_M
 
-FLAGS = ("no data", "data poor", "ambiguous depth", "second solution")
+FLAGS = ("no data", "ran away", "data poor", "ambiguous depth", "second solution")
 STANCE = 0.5
 """A foot with more contact than this stands."""
 WARN_POOR = 0.2
@@ -251,7 +251,8 @@ def warnings(report: Mapping[str, Any]) -> Iterator[str]:
     summary, size = report["summary"], report["size"]
     flags, solved = summary["flags"], summary["frames_with_pose"]
     if not solved:
-        yield "no pose: too few points detected in every frame"
+        why = "too far off to be seen" if flags["ran away"] else "too few points detected in every frame"
+        yield f"no pose: {why}"
         return
     if report["convergence"]["status"] != "converged":
         yield "the search ended before it had converged"
@@ -265,9 +266,12 @@ def warnings(report: Mapping[str, Any]) -> Iterator[str]:
             f"another solution explains {frame_count(len(second))} nearly as well, up to "
             f"{max(frame['alternative_m'] or 0.0 for frame in second):.2f} m away"
         )
-    if solved < summary["frames"]:
-        yield f"{frame_count(summary['frames'] - solved)} of {summary['frames']} without a pose: nothing detected"
-    bridged = flags["no data"] - (summary["frames"] - solved)
+    if away := flags["ran away"]:
+        yield f"{frame_count(away)} of {summary['frames']} without a pose: it was too far off to be seen"
+    unseen = summary["frames"] - solved - away
+    if unseen > 0:
+        yield f"{frame_count(unseen)} of {summary['frames']} without a pose: nothing detected"
+    bridged = flags["no data"] - unseen
     if bridged > 0:
         yield f"{frame_count(bridged)} without detections: the pose comes from the frames around"
     if flags["data poor"] > WARN_POOR * solved:

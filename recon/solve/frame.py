@@ -31,7 +31,7 @@ from recon.objectives import (
     RollPrior,
     TravelPrior,
 )
-from recon.skeleton import MIN_JOINTS, Posed, Skeleton
+from recon.skeleton import MIN_JOINTS, MIN_REACH_PX, Posed, Skeleton
 
 if TYPE_CHECKING:
     from scipy.optimize import OptimizeResult
@@ -42,12 +42,10 @@ Status = Literal["converged", "not_converged", "no_data"]
 CONVERGED = (1, 2, 3, 4)
 """Status values of scipy's least_squares that name a tolerance that was met."""
 
-MIN_REACH_PX = 50.0
-"""All links end to end shorter than this in the picture: too far away to have been detected."""
 MOST_SIZE = 10.0
 """A base length so many times larger or smaller than expected is no animal's."""
-SEARCHES, SPARE_SEARCHES = 2, 10
-"""The clip may take so many times `FrameOptions.max_evaluations` for each frame, and so many times for all of them."""
+SPARE_SEARCHES = 4
+"""A clip may take `FrameOptions.max_evaluations` for each of its frames, and so many times that for all of them."""
 
 
 @dataclass(frozen=True)
@@ -58,7 +56,7 @@ class FrameOptions:
     them. camera_rotation: "fixed" holds R at the first frame's. base_length_m, base_sigma_m: in place of the
     skeleton's. sigma_px: the detector's noise; keypoint_sigma_m: how far keypoints lie from the model's joints, in
     place of the skeleton's, and at most keypoint_sigma_max_px in the picture. robust_c: residuals of this many sigmas
-    count half. max_evaluations: of the residuals, in one search; `SEARCHES` and `SPARE_SEARCHES` bound those in all.
+    count half. max_evaluations: of the residuals, in one search, and a frame on average (`SPARE_SEARCHES`).
     """
 
     form: Form = "deadband"
@@ -266,7 +264,7 @@ class _FrameSolver:
         self, frame: int, rays: Array, heading: Array, states: Array, before: Sequence[int], fps: float
     ) -> tuple[Array, FrameReport]:
         began = time.perf_counter()
-        self.evaluations_left += SEARCHES * self.options.max_evaluations
+        self.evaluations_left = max(self.evaluations_left + self.options.max_evaluations, 1)
         self.stopped = False
         starts = [self._carried_on(frame, states, before)] if before else self._first_starts(rays, heading)
         fixed = _Given(
@@ -316,7 +314,7 @@ class _FrameSolver:
     # -- one optimisation -----------------------------------------------------------------------------------------
 
     def _tried(self, starts: Sequence[Array], fixed: _Given) -> list[_Candidate]:
-        """The minima from the starts, as far as the frame's evaluations go. At the frame's beginning there are some."""
+        """The minima from the starts, as far as the evaluations go; at a frame's beginning there are some."""
         tried = []
         for start in starts:
             if self.evaluations_left <= 0:
@@ -366,6 +364,7 @@ class _FrameSolver:
 
         from scipy.optimize import least_squares  # slow to import
 
+        tolerance = max(tolerance, float(np.finfo(float).eps))  # less is the same to MINPACK
         result = least_squares(
             residual,
             start[free],

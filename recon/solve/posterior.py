@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from recon.banded import BlockBanded, factor
+from recon.banded import BlockBanded, Factor, factor
 from recon.body import Body
 from recon.kinematics import ROOT, YAW
 from recon.solve.problem import Problem
@@ -25,6 +25,8 @@ Array = NDArray[np.float64]
 
 _HELD = 1e8
 """Precision that holds an unknown fixed."""
+_UNKNOWN = 1e-9
+"""Part of its own precision that is added to an unknown where rounding leaves no covariance: nothing but a bound."""
 _FRAMES_AT_ONCE = 256
 
 
@@ -68,7 +70,7 @@ def data_share(problem: Problem, H: BlockBanded, body: Body, states: Array) -> A
 
 def _joints(H: BlockBanded, body: Body, states: Array, damping: Array | None) -> tuple[Array, Array]:
     """Covariances of the joints, absolute and relative, (T, J, 3, 3)."""
-    own = factor(H, damping).marginal_blocks()[:, 0]
+    own = _factored(H, damping).marginal_blocks()[:, 0]
     T, J = len(own), len(body.markers)
     absolute, relative = np.empty((T, J, 3, 3)), np.empty((T, J, 3, 3))
     for first in range(0, T, _FRAMES_AT_ONCE):
@@ -83,3 +85,13 @@ def _joints(H: BlockBanded, body: Body, states: Array, damping: Array | None) ->
             spread = (by_state.reshape(n, 3 * J, D) @ own[part]).reshape(n, J, 3, D)
             result[part] = spread @ by_state.swapaxes(2, 3)
     return absolute, relative
+
+
+def _factored(H: BlockBanded, damping: Array | None) -> Factor:
+    """H's factor; where nothing determines an unknown, as the place of a frame beside a single other one, it is held so
+    weakly that its variance is that of nothing known."""
+    try:
+        return factor(H, damping)
+    except np.linalg.LinAlgError:
+        own = np.diagonal(H.blocks[:, 0], axis1=1, axis2=2)
+        return factor(H, _UNKNOWN * np.maximum(own, 1.0) + (0.0 if damping is None else damping))

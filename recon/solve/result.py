@@ -56,7 +56,7 @@ class TrajectorySolution:
     relative_covariance_m2: of the joints relative to the mean of all joints. data_share (J,): the part of the posterior
     precision that comes from the pixels, 0 to 1. noise_px (T, J): the standard deviation that a detection was given;
     weight (T, J): how far it was trusted, 1 to 0, NaN where missing. flags (T,): what is doubtful about a frame:
-    "no data", "data poor", "ambiguous depth", "second solution". alternative_m (T,): mean distance
+    "no data", "ran away", "data poor", "ambiguous depth", "second solution". alternative_m (T,): mean distance
     of the joints in the second best solution, NaN where there is none; alternative_cost: by how much its cost is
     higher (half squared sigmas). contact (T, F): 0 to 1. spells: the stretches of the clip
     that have a pose, each with its own ground. cost_by_term: half the squared norm, robust. stage_s: seconds by stage.

@@ -34,7 +34,7 @@ from recon.camera import Camera
 from recon.initialise import level_axes, run_path, straight_runs
 from recon.kinematics import ROOT, YAW
 from recon.prior import MotionPrior
-from recon.skeleton import MIN_JOINTS
+from recon.skeleton import MIN_JOINTS, MIN_REACH_PX
 from recon.solve.posterior import Posterior, posterior, with_size
 from recon.solve.problem import Estimate, Problem
 from recon.solve.result import Ground, Spell, Start, TrajectorySolution
@@ -143,12 +143,15 @@ def solve_trajectory(
     """The motion of a body from detections of its markers.
 
     xy_px (T, J, 2), NaN where missing; confidence (T, J), 0 to 1. Deterministic. Frames too far from any detection have
-    NaN states and the flag "no data". A minimum that was not reached is the solution's status, not an exception.
+    NaN states and the flag "no data", those whose pose is too far off to be seen NaN states and the flag "ran away".
+    Detections that no detector can have found in the camera's picture are left out (`Camera.sees`). A minimum that was
+    not reached is the solution's status, not an exception.
 
     Runs on one core: the matrices are small, and threads of the numerical library would wait for each other, for many
     times as long on a machine that is busy otherwise.
     """
     began = time.perf_counter()
+    xy_px = np.where(camera.sees(xy_px)[..., None], xy_px, np.nan)
     clip = _Clip(camera, body, prior, xy_px, confidence, fps, options or TrajectoryOptions())
     spells = _spells(np.isfinite(xy_px[..., 0]).sum(axis=1) >= MIN_JOINTS, fps)
     solved = []
@@ -347,7 +350,7 @@ def _solve_spell(clip: _Clip, progress: Progress) -> _Solved:
     o, T = clip.options.as_run(), len(clip.xy_px)
     clock = time.perf_counter()
     windows = []
-    parts = np.array_split(np.arange(T), max(1, round(T / clip.fps / WINDOW_S)))
+    parts = np.array_split(np.arange(T), min(max(1, round(T / clip.fps / WINDOW_S)), T))
     for i, part in enumerate(parts):
         frames = slice(int(part[0]), int(part[-1]) + 1)
         if np.any(clip.present()[frames].sum(axis=1) >= MIN_JOINTS):
@@ -490,6 +493,11 @@ def _assembled(clip: _Clip, solved: Sequence[tuple[slice, _Solved]], began: floa
         for name, seconds in one.stage_s.items():
             stage_s[name] = stage_s.get(name, 0.0) + seconds
     states[:, ROOT] *= size
+    posed = np.isfinite(states[:, 0]).sum()
+    away = _out_of_sight(clip, joints)
+    flags = _flags(clip, joints, weight, alternative, mirrored, away)
+    for values in (states, joints, covariance, relative, noise_px, weight, contact, alternative):
+        values[away] = np.nan
     return TrajectorySolution(
         body=body,
         states=states,
@@ -499,10 +507,10 @@ def _assembled(clip: _Clip, solved: Sequence[tuple[slice, _Solved]], began: floa
         joints_camera_m=joints,
         covariance_m2=covariance,
         relative_covariance_m2=relative,
-        data_share=np.sum(shares, axis=0) / np.isfinite(states[:, 0]).sum() if shares else np.full(J, np.nan),
+        data_share=np.sum(shares, axis=0) / posed if shares else np.full(J, np.nan),
         noise_px=noise_px,
         weight=weight,
-        flags=_flags(clip, joints, weight, alternative, mirrored),
+        flags=flags,
         alternative_m=alternative,
         alternative_cost=extra_cost if np.isfinite(extra_cost) else np.nan,
         contact=contact,
@@ -545,12 +553,22 @@ def _alternative(clip: _Clip, points_m: Array, tried: Sequence[_Approached]) -> 
     return apart, np.sum(here[..., 1] * there[..., 1], axis=1) < 0, second.estimate.cost - tried[0].estimate.cost
 
 
+def _out_of_sight(clip: _Clip, joints_m: Array) -> NDArray[np.bool_]:
+    """(T,): whether a pose of joints (T, J, 3), camera frame, is further off than it can be seen."""
+    at = clip.body.markers.index
+    limbs = (joints_m[:, [at(marker) for marker in along]] for along in clip.body.limbs.values())
+    reach_m = sum(np.linalg.norm(np.diff(limb, axis=1), axis=2).sum(axis=1) for limb in limbs)
+    focal_px = np.sqrt(clip.camera.matrix[0, 0] * clip.camera.matrix[1, 1])
+    return np.asarray(reach_m * focal_px < MIN_REACH_PX * np.median(joints_m[..., 2], axis=1))
+
+
 def _flags(
     clip: _Clip,
     joints_m: Array,
     weight: Array,
     alternative_m: Array,
     mirrored: NDArray[np.bool_],
+    away: NDArray[np.bool_],
 ) -> tuple[tuple[str, ...], ...]:
     detected, trusted = clip.present().sum(axis=1), np.nansum(weight, axis=1)
     good = np.percentile(trusted[detected > 0], 90) if detected.any() else 0.0
@@ -559,6 +577,7 @@ def _flags(
     cosine = np.abs(np.sum(sight * trunk, axis=1)) / (np.linalg.norm(sight, axis=1) * np.linalg.norm(trunk, axis=1))
     doubtful = {
         "no data": ~np.isfinite(joints_m[:, 0, 0]) | (detected == 0),
+        "ran away": away,
         "data poor": (detected > 0) & (trusted < max(POOR_SHARE * weight.shape[1], POORER_SHARE * good)),
         "ambiguous depth": (cosine > np.cos(END_ON_RAD)) | (mirrored & (alternative_m > ALTERNATIVE_M)),
         "second solution": ~mirrored & (alternative_m > ALTERNATIVE_M),
