@@ -15,6 +15,7 @@ import numpy as np
 from trajectory import PRIOR, body_of, meta_of, prior_of, view_of, views
 
 from recon.body import other_side
+from recon.clip import still_view
 from recon.solve import TrajectoryOptions, solve_trajectory
 
 
@@ -25,9 +26,8 @@ def costs(run: Path, camera: int) -> tuple[float, float]:
     both = []
     for names in (body.markers, [other_side(marker) for marker in body.markers]):
         at = [body.markers.index(name) for name in names]
-        found = solve_trajectory(
-            lens, body, prior_of(PRIOR), xy_px[:, at], confidence[:, at], fps, TrajectoryOptions(fast=True)
-        )
+        view = still_view(lens, xy_px[:, at], confidence[:, at])
+        found = solve_trajectory([view], body, prior_of(PRIOR), fps, TrajectoryOptions(fast=True))
         both.append(sum(found.cost_by_term.values()))
     return both[0], both[1]
 

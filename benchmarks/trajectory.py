@@ -34,6 +34,7 @@ from recon.analysis.clip import PLACE_LASTS_S, POSE_LASTS_S
 from recon.analysis.evaluation import centre, joint_errors, score
 from recon.analysis.kinematics import Errors, series_kinematics
 from recon.body import other_side
+from recon.clip import still_view
 from recon.keypoints import clean
 from recon.pipelines.clip import arrange
 from recon.pipelines.prior import run_prior_fit
@@ -202,12 +203,11 @@ def solution_of(job: Job) -> TrajectorySolution:
         CHANGES[job.change](xy_px := xy_px.copy())
     meta = meta_of(job.run)
     body = body_of(meta["subject"] if job.subject else None, job.scale)
+    trusted = np.where(np.isfinite(xy_px[..., 0]), 1.0 if job.change == "projected" else confidence, 0.0)
     return solve_trajectory(
-        lens,
+        [still_view(lens, xy_px, trusted)],
         replace(body, keypoint_offset_m=job.offsets_m),
         prior_of(job.prior),
-        xy_px,
-        np.where(np.isfinite(xy_px[..., 0]), 1.0 if job.change == "projected" else confidence, 0.0),
         meta["fps"],
         TrajectoryOptions(**job.options),
     )
@@ -223,8 +223,8 @@ def fit(job: Job) -> Fit:
         job=job,
         centred_m=joint_errors(centre(found, truth_m), truth_m),
         off_m=joint_errors(found, truth_m),
-        inside_relative=_inside(centred, solution.relative_covariance_m2),
-        inside_place=_inside(found - truth_m, solution.covariance_m2),
+        inside_relative=_inside(centred, _in_camera(solution, solution.relative_covariance_m2)),
+        inside_place=_inside(found - truth_m, _in_camera(solution, solution.covariance_m2)),
         sigma_m=np.sqrt(np.trace(solution.relative_covariance_m2, axis1=2, axis2=3).mean(axis=1)),
         too_far_m=float(np.nanmean(_distance_m(found) - _distance_m(truth_m))),
         visible=float(np.mean(valid & lens.in_image(projected))),
@@ -239,6 +239,12 @@ def fit(job: Job) -> Fit:
 def _distance_m(points_m: np.ndarray) -> np.ndarray:
     """(T,)"""
     return np.linalg.norm(points_m.mean(axis=1), axis=-1)
+
+
+def _in_camera(solution: TrajectorySolution, covariance_m2: np.ndarray) -> np.ndarray:
+    """Covariances (T, J, 3, 3) of the world frame in the camera's."""
+    R = solution.views[0].rotation
+    return R @ covariance_m2 @ R.T
 
 
 def _inside(error_m: np.ndarray, covariance_m2: np.ndarray) -> np.ndarray:
@@ -510,9 +516,10 @@ def _rate_errors(job: Job) -> dict[str, np.ndarray]:
     found, middle = solution.joints_camera_m, solution.joints_camera_m.mean(axis=1, keepdims=True)
     true_middle = truth_m.mean(axis=1, keepdims=True)
     of_middle = (solution.covariance_m2 - solution.relative_covariance_m2).mean(axis=1, keepdims=True)
+    pose_m2, place_m2 = (_in_camera(solution, c) for c in (solution.relative_covariance_m2, of_middle))
     parts = {
-        "pose": (found - middle - truth_m + true_middle, solution.relative_covariance_m2, POSE_LASTS_S),
-        "place": (middle - true_middle, of_middle, PLACE_LASTS_S),
+        "pose": (found - middle - truth_m + true_middle, pose_m2, POSE_LASTS_S),
+        "place": (middle - true_middle, place_m2, PLACE_LASTS_S),
     }
     rows = {}
     for part, (off, covariance, lasts_s) in parts.items():
@@ -667,7 +674,8 @@ def circling(T: int, fps: float = FPS) -> tuple[np.ndarray, np.ndarray]:
 
 def solved(xy_px: np.ndarray) -> TrajectorySolution:
     confidence = np.isfinite(xy_px[..., 0]).astype(float)
-    return solve_trajectory(SIMULATED_CAMERA, body_of("phantom"), prior_of(PRIOR), xy_px, confidence, FPS)
+    view = still_view(SIMULATED_CAMERA, xy_px, confidence)
+    return solve_trajectory([view], body_of("phantom"), prior_of(PRIOR), FPS)
 
 
 def errors_mm(solution: TrajectorySolution, joints_m: np.ndarray) -> np.ndarray:
@@ -713,7 +721,7 @@ def long_hole() -> dict[str, Rows]:
 
     def chain_solved(xy_px: np.ndarray) -> TrajectorySolution:
         confidence, prior = np.isfinite(xy_px[..., 0]).astype(float), load_prior("none", chain.body)
-        return solve_trajectory(clip.camera, chain.body, prior, xy_px, confidence, 200.0)
+        return solve_trajectory([still_view(clip.camera, xy_px, confidence)], chain.body, prior, 200.0)
 
     for label, solve, seen_px, truth_m in (
         ("whole animal in a circle, 90 Hz", solved, xy_px, joints_m),

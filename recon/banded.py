@@ -14,6 +14,13 @@ so that Z = H^-1 follows backwards from the last frame, the window Z[later, late
 
 These are Takahashi's equations in blocks, and the smoother of Rauch, Tung and Striebel. Both terms of Z[t, t] are
 positive semidefinite: nothing is lost by a difference.
+
+Unknowns that all frames share border the matrix:
+
+    [H  B] [x]   [b]          S = C - B' Y,  Y = H^-1 B
+    [B' C] [s] = [c],    s = S^-1 (c - Y' b),  x = H^-1 b - Y s
+
+S^-1 is the covariance of s, -Y S^-1 that of x with s, and H^-1 + Y S^-1 Y' that of x.
 """
 
 from __future__ import annotations
@@ -61,6 +68,32 @@ class BlockBanded:
         return dense.reshape(T * D, T * D)
 
 
+@dataclass(frozen=True)
+class Normal:
+    """Normal equations: H, its gradient (T, D), and the border of P shared unknowns: border (T, D, P), corner (P, P)
+    and their gradient (P,). P may be 0."""
+
+    H: BlockBanded
+    gradient: Array
+    border: Array
+    corner: Array
+    shared_gradient: Array
+
+    def step(self, damping: float) -> tuple[Array, Array]:
+        """The step (T, D) and (P,) towards the minimum, with damping added to the diagonal.
+
+        Raises numpy.linalg.LinAlgError if the matrix is not positive definite to rounding.
+        """
+        factored = factor(self.H, np.full(self.gradient.shape, damping))
+        step = factored.solve(-self.gradient)
+        if not len(self.corner):
+            return step, self.shared_gradient
+        Y = factored.solve_many(self.border)
+        schur = self.corner + damping * np.eye(len(self.corner)) - np.tensordot(self.border, Y, ((0, 1), (0, 1)))
+        shared = np.linalg.solve(schur, -self.shared_gradient + np.tensordot(Y, self.gradient, ((0, 1), (0, 1))))
+        return step - Y @ shared, shared
+
+
 def add_normal(
     blocks: Array,
     gradient: Array,
@@ -95,6 +128,11 @@ class Factor:
     def solve(self, gradient: Array) -> Array:
         """x (T, D) for the right-hand side b (T, D)."""
         return cho_solve_banded((self.band, True), gradient.ravel(), check_finite=False).reshape(self.shape)
+
+    def solve_many(self, columns: Array) -> Array:
+        """X (T, D, P) for P right-hand sides (T, D, P)."""
+        T, D = self.shape
+        return cho_solve_banded((self.band, True), columns.reshape(T * D, -1), check_finite=False).reshape(T, D, -1)
 
     def marginal_blocks(self) -> Array:
         """(T, W+1, D, D), the inverse's blocks: [t, k] is the covariance of frame t + k (rows) with frame t (columns),

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recon.camera import Camera
+from recon.frames import level_axes
 from recon.rotations import euler_angles
 from recon.skeleton import MIN_JOINTS, Side, Skeleton
 
@@ -51,13 +52,6 @@ def facing_side(skeleton: Skeleton, positions_px: dict[str, Array]) -> tuple[Sid
     side: Side = "right" if np.median(ahead) > 0 else "left"
     agree = np.mean((ahead > 0) == (side == "right"))
     return side, f"the animal faces the {side} of the picture in {agree:.0%} of {len(ahead)} frames"
-
-
-def level_axes(up: Array) -> tuple[Array, Array]:
-    """Two level unit vectors in the camera frame: to the picture's right, and away from the camera."""
-    right = np.array([1.0, 0.0, 0.0]) - up * up[0]
-    right /= float(np.linalg.norm(right))
-    return right, np.asarray(np.cross(up, right), dtype=float)
 
 
 def upright_rotation(heading: Array, up: Array) -> Array:
@@ -190,14 +184,18 @@ def run_path(heading: Array, up: Array, time_s: Array) -> Array:
     return motion
 
 
-def straight_runs(headings: Array, shapes: Array, up: Array, rays: Array, time_s: Array) -> tuple[Array, Array]:
+def straight_runs(
+    headings: Array, shapes: Array, up: Array, rays: Array, time_s: Array, centres_m: Array | None = None
+) -> tuple[Array, Array]:
     """Shapes (H, J, 3), each running along its heading (H, 3), fitted to rays (F, J, 3) at times (F,) of mean zero.
 
-    Returns their misfits (H,), 0 to 1 (or up to 2 where one would run backwards), and their unknowns (H, 6): place at
+    centres_m (F, 3): where the rays of each row come from, by default the origin. Returns the runs'
+     misfits (H,), 0 to 1 (or up to 2 where one would run backwards), and their unknowns (H, 6): place at
     time zero, m, speed and acceleration along the heading, m/s and m/s^2, and climb, m/s. Gauss-Newton with
     Geman-McClure weights, all headings at once.
     """
     (H, J), F = shapes.shape[:2], len(rays)
+    centres = np.zeros((F, 3)) if centres_m is None else centres_m
     each = np.broadcast_to(rays, (H, F, J, 3)).reshape(H * F, J, 3)
     places = place_on_rays(np.repeat(shapes, F, axis=0), each)[0].reshape(H, F, 3)
     depth = np.median(np.linalg.norm(places, axis=2), axis=1)[:, None, None, None]
@@ -207,11 +205,11 @@ def straight_runs(headings: Array, shapes: Array, up: Array, rays: Array, time_s
     # A wide, soft preference keeps what short clips do not show in bounds: m, m/s, m/s^2, m/s.
     prior = np.diag(1.0 / np.array([1e3, 1e3, 1e3, 15.0, 10.0, 1.0]) ** 2)
     x = np.zeros((H, 6))
-    x[:, :3] = np.median(places, axis=1)
-    x[:, 3] = np.maximum(np.sum(_robust_slopes(time_s, places) * headings, axis=1), 0.0)
+    x[:, :3] = np.median(places + centres, axis=1)
+    x[:, 3] = np.maximum(np.sum(_robust_slopes(time_s, places + centres) * headings, axis=1), 0.0)
     miss = np.zeros((H, F, J))
     for _ in range(8):
-        path = (motion @ x[:, None, :, None])[..., 0]  # (H, F, 3)
+        path = (motion @ x[:, None, :, None])[..., 0] - centres  # (H, F, 3)
         off, slope, direction = _off_rays(shapes[:, None] + path[:, :, None], across)
         off, slope = off * (depth / _MISFIT_M), slope * (depth / _MISFIT_M)[..., None]
         ahead = np.sum(direction * np.nan_to_num(rays), axis=-1) > 0

@@ -14,6 +14,8 @@ from numpy.typing import NDArray
 
 from recon.body import Body, Side
 from recon.camera import Camera
+from recon.clip import Source
+from recon.frames import inverse, moved, rigid
 from recon.keypoints import CleaningReport, Keypoints
 from recon.kinematics import ROOT, YAW
 from recon.skeleton import Skeleton
@@ -368,12 +370,19 @@ class FrameMotion(Motion):
 class TrajectoryMotion(Motion):
     """Of the trajectory method: a whole body over the whole clip. skeleton: the chain that the body stands for, if any.
 
-    `states` are the chain's where there is one, otherwise the body's, in the world frame if its z axis is known to
-    point up, else in the level frame (`states_frame`).
+    `states` are the chain's where there is one, otherwise the body's, in the world frame of `recon.frames`.
     """
 
     solution: TrajectorySolution
     skeleton: Skeleton | None = None
+    others: tuple[Source, ...] = ()
+    """What further cameras saw; `camera` and `keypoints` are the first one's."""
+
+    @property
+    def sources(self) -> tuple[Source, ...]:
+        """All cameras' parts, in the order of the solution's views."""
+        lead = self.solution.views[0].lead_frames
+        return (Source(self.camera, self.keypoints, self.cleaning, self.file_names, lead), *self.others)
 
     def _expected_names(self) -> tuple[str, ...]:
         if self.skeleton is None:
@@ -397,8 +406,7 @@ class TrajectoryMotion(Motion):
 
     @property
     def states_frame(self) -> Literal["world", "level", "camera"]:
-        """What the place and the rotation in `states` refer to. Level: origin in the camera's centre, x to the
-        picture's right, y away from the camera, z up."""
+        """What the place and the rotation in `states` refer to; level and world as in `recon.frames`."""
         if self.skeleton is not None:
             return "camera"
         return "world" if self.camera.knows_up else "level"
@@ -411,15 +419,12 @@ class TrajectoryMotion(Motion):
     def states(self) -> Array:
         of_body, known = self.solution.states, np.isfinite(self.solution.states).all(axis=1)
         if self.skeleton is None:
-            states = of_body.copy()
-            states[:, ROOT] = self.in_upright(of_body[:, ROOT])
-            x_axis = self.in_upright(np.eye(3)[0]) - self.in_upright(np.zeros(3))
-            states[:, YAW] += np.arctan2(x_axis[1], x_axis[0])
-            return states
+            return of_body
+        view = self.solution.views[0]
+        about_camera = of_body.copy()
+        about_camera[:, ROOT] -= view.centre_m
         states = np.full((len(of_body), self.skeleton.n_state), np.nan)
-        states[known] = self.skeleton.state_from_body(
-            of_body[known], self.solution.size, self.solution.camera_from_level
-        )
+        states[known] = self.skeleton.state_from_body(about_camera[known], self.solution.size, view.rotation)
         return states
 
     @property
@@ -431,18 +436,22 @@ class TrajectoryMotion(Motion):
         """(T, A): theta and phi of a chain's links; else yaw, pitch and roll of the root and the joints' angles."""
         return self.states[:, YAW:] if self.skeleton is None else self.states[:, : 2 * self.skeleton.n_angles]
 
-    def in_upright(self, level_m: Array) -> Array:
-        """Points (..., 3) of the level frame in the world frame, if its z axis is known to point up."""
-        if not self.camera.knows_up:
-            return level_m
-        return self.camera.camera_to_world(level_m @ self.solution.camera_from_level.T)
+    @cached_property
+    def T_reference_world(self) -> Array:
+        """(4, 4): from the frame that the motion was solved in to the frame of reference (`recon.frames`)."""
+        camera, view = self.camera, self.solution.views[0]
+        if camera.knows_up:
+            return np.eye(4)
+        if camera.rotation is None or camera.translation_m is None:
+            return view.T_camera_world
+        return inverse(rigid(camera.rotation, camera.translation_m)) @ view.T_camera_world
 
-    def in_reference(self, level_m: Array) -> Array:
-        """Points (..., 3) of the level frame in the frame of reference."""
-        return self._in_reference(level_m @ self.solution.camera_from_level.T)
+    def in_reference(self, world_m: Array) -> Array:
+        """Points (..., 3) of the solution's world frame in the frame of reference."""
+        return moved(self.T_reference_world, world_m)
 
     def below_m(self, spell: Spell) -> Array | None:
-        """(3,): the ground below the middle of the root's path in a spell, level frame; None where it is not known."""
+        """(3,): the ground below the middle of the root's path in a spell, world frame; None where it is not known."""
         xy_m = self.solution.states[spell.rows, :2]
         xy_m = xy_m[np.isfinite(xy_m[:, 0])]
         if spell.ground is None or not len(xy_m):
@@ -467,18 +476,17 @@ class TrajectoryMotion(Motion):
         return self.in_reference(self.solution.states[:, ROOT])
 
     @cached_property
+    def joints_m(self) -> Array:
+        return self.in_reference(self.solution.joints_m)
+
+    @cached_property
     def reprojected_px(self) -> Array:
-        states, known = self.solution.states, self.solved
-        seen = self.joints_camera_m.copy()
-        seen[known] += (
-            self.body.detected.pose(states[known], self.solution.size).points_m
-            - self.body.tree.pose(states[known], self.solution.size).points_m
-        ) @ self.solution.camera_from_level.T
-        return self.camera.project(seen)[0]
+        view = self.solution.views[0]
+        return view.project(view.at_its_time(self.solution.markers_m))[0]
 
     @cached_property
     def sigma_px(self) -> Array:
-        return self.solution.noise_px
+        return self.solution.noise_px[0]
 
     # -- how far it can be trusted --------------------------------------------------------------------------------
 
@@ -513,19 +521,19 @@ class TrajectoryMotion(Motion):
     def place_sigma_m(self) -> Array:
         # Joints are the mean plus offsets that sum to zero: mean covariances differ by the mean's own.
         of_mean = (self.solution.covariance_m2 - self.solution.relative_covariance_m2).mean(axis=1)
-        ray = self.joints_camera_m.mean(axis=1)
+        ray = self.solution.joints_m.mean(axis=1) - self.solution.views[0].centre_m
         ray /= np.linalg.norm(ray, axis=1, keepdims=True)
         return np.sqrt(np.maximum(np.einsum("ta,tab,tb->t", ray, of_mean, ray), 0.0))
 
     @cached_property
     def mean_weight(self) -> Array:
-        weight = self.solution.weight
+        weight = self.solution.weight[0]
         seen = np.isfinite(weight).sum(axis=1)
         return np.where(seen > 0, np.nansum(weight, axis=1) / np.maximum(seen, 1), np.nan)
 
     def _turned(self, covariance_m2: Array) -> Array:
-        R = self.camera.rotation
-        return covariance_m2 if R is None else R.T @ covariance_m2 @ R
+        R = self.T_reference_world[:3, :3]
+        return R @ covariance_m2 @ R.T
 
     def _along_axes(self, covariance_m2: Array) -> Array:
         return np.sqrt(np.diagonal(self._turned(covariance_m2), axis1=2, axis2=3))

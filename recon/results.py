@@ -20,7 +20,7 @@ from recon.body import Body, Side
 from recon.camera import Camera
 from recon.documents import read_json
 from recon.errors import InputError, Problem, all_of
-from recon.initialise import level_axes
+from recon.frames import level_from_camera
 from recon.io.pose3d import Pose3D, read_pose3d
 from recon.manifest import Manifest, read_manifest
 from recon.skeleton import Skeleton
@@ -241,7 +241,7 @@ def _upright_from_reference(camera: Camera) -> Array:
     """(3, 3): rotation from the frame of reference to the upright frame."""
     if camera.knows_up:
         return np.eye(3)
-    level = _level_from_camera(camera)
+    level = level_from_camera(camera.up)
     return level if camera.rotation is None else level @ camera.rotation
 
 
@@ -250,9 +250,4 @@ def _upright(camera: Camera, points_m: Array) -> Array:
     if camera.knows_up:
         return points_m
     in_camera = camera.world_to_camera(points_m) if camera.has_extrinsics else points_m
-    return in_camera @ _level_from_camera(camera).T
-
-
-def _level_from_camera(camera: Camera) -> Array:
-    right, away = level_axes(camera.up)
-    return np.stack([right, away, camera.up])
+    return in_camera @ level_from_camera(camera.up).T

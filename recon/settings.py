@@ -33,11 +33,32 @@ NUMBER = "<number>"
 @dataclass(frozen=True)
 class Kind:
     """read: the value from what TOML, an option or a table's cell holds; raises ValueError. option_type: what the
-    command line makes of an option before that; metavar: how its help calls it, if not by that type."""
+    command line makes of an option before that; metavar: how its help calls it, if not by that type. many: the value is
+    a tuple, one for each camera of the clip, and an option may be given several times."""
 
     read: Callable[[Any], Any]
     metavar: str | None = None
     option_type: type = str
+    many: bool = False
+
+    def plain(self, value: Any) -> Any:
+        """The value as TOML and JSON have it; a single one of many by itself."""
+        if self.many and value is not None:
+            values = [str(one) if isinstance(one, Path) else one for one in value]
+            return values[0] if len(values) == 1 else values
+        return str(value) if isinstance(value, Path) else list(value) if isinstance(value, tuple) else value
+
+
+def _each(kind: Kind) -> Kind:
+    """One or several of a kind."""
+
+    def read(given: Any) -> tuple[Any, ...]:
+        values = given if isinstance(given, list | tuple) else [given]
+        if not values:
+            raise ValueError(given)
+        return tuple(kind.read(one) for one in values)
+
+    return Kind(read, kind.metavar, kind.option_type, many=True)
 
 
 def _number(fits: Callable[[float], bool]) -> Kind:
@@ -153,19 +174,28 @@ class FitSettings:
     `recon.solve.FrameOptions` and `recon.solve.TrajectoryOptions`.
     """
 
-    keypoints: Path = _field(  # noqa: RUF009
-        _FILE,
-        "Keypoint file, as in clip.csv: DeepLabCut, SLEAP, movement, NWB, COCO or a plain table.",
-        "a keypoint file, as of DeepLabCut or SLEAP",
+    keypoints: tuple[Path, ...] = _field(
+        _each(_FILE),
+        "Keypoint file, as in clip.csv: DeepLabCut, SLEAP, movement, NWB, COCO or a plain table. Of a clip that "
+        "several cameras filmed, one file for each of them.",
+        "a keypoint file, as of DeepLabCut or SLEAP, or a list of them, one for each camera",
         default=MISSING,
     )
     camera: Path | None = _field(  # noqa: RUF009
         _FILE, "Calibration: OpenCV yaml/json/xml, AcinoSet scene.json, Anipose or recon toml.", "a camera file"
     )
-    camera_name: str | None = _field(
-        _TEXT,
-        "Which camera of the file, by name or number, as in cam2 or 2.",
-        "the name or number of a camera in the camera file, as text",
+    camera_name: tuple[str, ...] | None = _field(
+        _each(_TEXT),
+        "Which camera of the file, by name or number, as in cam2 or 2; with several keypoint files once for each, in "
+        "their order. (default: the one whose name the keypoint file's name contains)",
+        "the name or number of a camera in the camera file, as text; with several keypoint files one for each",
+    )
+    offset_s: tuple[float, ...] | None = _field(
+        _each(_number(lambda number: True)),
+        "How much later a camera began to film than the first, in seconds, as in 0.025 or -1.5; once for each keypoint "
+        "file, in their order. (default: all began together)",
+        "seconds, as in 0.025 or -1.5, one for each keypoint file",
+        method="trajectory",
     )
     fps: float | None = _field(
         _POSITIVE,
@@ -338,9 +368,34 @@ class FitSettings:
             elif setting.method in (None, self.method):
                 object.__setattr__(self, name, setting.default)
         problems += _camera_problems(given)
+        if not problems:
+            problems += self._problems_of_several()
         problems += _of_the_other_method(self.method, given)
         if problems:
             raise InputError(problems)
+
+    def _problems_of_several(self) -> Iterator[Problem]:
+        """Where a clip has several cameras, everything of one camera is there once for each."""
+        count = len(self.keypoints)
+        for name in ("camera_name", "offset_s"):
+            values = getattr(self, name)
+            if values is not None and len(values) != count:
+                expected = f"one for each keypoint file, that is {count}"
+                yield Problem("settings", name, f"{len(values)}: {', '.join(map(str, values))}", expected)
+        if count > 1 and self.method == "frame":
+            found = f"{count} files with the frame method, which knows one camera"
+            yield Problem("settings", "keypoints", found, "one file, or --method trajectory")
+        if count > 1 and self.camera is None:
+            found = f"{count} keypoint files without a camera file"
+            yield Problem("settings", "camera", found, "a calibration of all these cameras")
+        if len(set(self.keypoints)) < count:
+            found = ", ".join(str(path) for path in self.keypoints)
+            yield Problem("settings", "keypoints", found, "a different file for each camera")
+
+    @property
+    def keypoints_text(self) -> str:
+        """The keypoint files in one line."""
+        return ", ".join(str(path) for path in self.keypoints)
 
     @property
     def skeleton_name(self) -> str:
@@ -361,10 +416,7 @@ class FitSettings:
     def plain(self) -> dict[str, Any]:
         """All that the method reads, as plain JSON types; None for what is not given and has no default."""
         values = {name: getattr(self, name) for name, it in SETTINGS.items() if it.method in (None, self.method)}
-        return {
-            name: str(value) if isinstance(value, Path) else list(value) if isinstance(value, tuple) else value
-            for name, value in values.items()
-        }
+        return {name: SETTINGS[name].kind.plain(value) for name, value in values.items()}
 
     def to_toml(self) -> str:
         """The text of config.toml. Settings that are not given are left out."""

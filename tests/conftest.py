@@ -20,6 +20,8 @@ from command_line import run
 
 from recon.body import Body
 from recon.camera import Camera
+from recon.clip import camera_poses, still_view
+from recon.frames import inverse, moved
 from recon.initialise import mean_pose
 from recon.keypoints import Keypoints, clean
 from recon.motion import FrameMotion, TrajectoryMotion
@@ -176,19 +178,21 @@ def small_trajectory() -> TrajectoryMotion:
     weight[4, nose] = 0.05
     contact = np.zeros((8, 4))
     contact[1:3, body.feet.index("l_front_paw")] = 0.9
-    relative = np.tile(np.diag([0.02, 0.02, 0.08]) ** 2, (8, 24, 1, 1))
+    # Less certain along y, away from the camera.
+    relative = np.tile(np.diag([0.02, 0.08, 0.02]) ** 2, (8, 24, 1, 1))
     solution = TrajectorySolution(
         body=body,
+        views=(still_view(camera, xy_px, np.where(np.isnan(xy_px[..., 0]), 0.0, 1.0)),),
         states=states,
-        camera_from_level=camera_from_level,
         size=1.0,
         size_sigma=0.06,
-        joints_camera_m=joints @ camera_from_level.T,
-        covariance_m2=relative + np.diag([0.05, 0.05, 0.3]) ** 2,
+        size_from=("prior",),
+        joints_m=joints,
+        covariance_m2=relative + np.diag([0.05, 0.3, 0.05]) ** 2,
         relative_covariance_m2=relative,
         data_share=np.linspace(0.5, 0.9, 24),
-        noise_px=np.full((8, 24), 10.0),
-        weight=weight,
+        noise_px=np.full((1, 8, 24), 10.0),
+        weight=weight[None],
         flags=((), (), (), ("no data",), (), ("data poor", "ambiguous depth"), (), ()),
         alternative_m=np.array([0.05] * 5 + [0.3] + [0.05] * 2),
         alternative_cost=3.5,
@@ -210,4 +214,26 @@ def world_trajectory(small_trajectory: TrajectoryMotion) -> TrajectoryMotion:
     """The same, seen by a camera at (1, 2, 3) that looks along x with its own right along -y, z up."""
     rotation = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
     camera = replace(small_trajectory.camera, rotation=rotation, translation_m=-rotation @ [1.0, 2.0, 3.0])
-    return replace(small_trajectory, camera=camera)
+    level = small_trajectory.solution
+    (view,) = level.views
+    T_world_level = inverse(camera_poses([camera])[0]) @ view.T_camera_world
+    R, origin_m = T_world_level[:3, :3], T_world_level[:3, 3]
+    states = level.states.copy()
+    states[:, :3] = moved(T_world_level, states[:, :3])
+    states[:, 3] += np.arctan2(R[1, 0], R[0, 0])
+    spells = tuple(
+        Spell(
+            spell.rows, spell.ground and replace(spell.ground, slope=R[:2, :2] @ spell.ground.slope).about(origin_m, 1)
+        )
+        for spell in level.spells
+    )
+    solution = replace(
+        level,
+        views=(still_view(camera, view.xy_px, view.confidence),),
+        states=states,
+        joints_m=moved(T_world_level, level.joints_m),
+        covariance_m2=R @ level.covariance_m2 @ R.T,
+        relative_covariance_m2=R @ level.relative_covariance_m2 @ R.T,
+        spells=spells,
+    )
+    return replace(small_trajectory, camera=camera, solution=solution)

@@ -105,7 +105,7 @@ def test_files_patterns_and_folders(clips):
     assert names(clips / "[ab].csv") == ["a", "b"]
     assert names(clips / "a.csv", clips / "[ab].csv", clips) == ["a", "b", "c"]
     of_folder, notes = find_clips([clips], QUICK)
-    assert [clip.settings.keypoints for clip in of_folder] == [clips / f"{name}.csv" for name in "abc"]
+    assert [clip.settings.keypoints[0] for clip in of_folder] == [clips / f"{name}.csv" for name in "abc"]
     assert notes == [f"Left out of {clips}, of no known format: notes.csv, video.mp4"]
     assert {clip.settings.fps for clip in of_folder} == {30}
 
@@ -113,7 +113,7 @@ def test_files_patterns_and_folders(clips):
 def test_a_folder_has_one_clip_for_a_table_in_two_formats(clips):
     (clips / "b.h5").write_bytes(b"\x89HDF\r\n\x1a\n" + bytes(600))  # damaged: the clip will say so
     of_folder, notes = find_clips([clips], QUICK)
-    assert [clip.settings.keypoints.name for clip in of_folder] == ["a.csv", "b.h5", "c.csv"]
+    assert [clip.settings.keypoints[0].name for clip in of_folder] == ["a.csv", "b.h5", "c.csv"]
     assert notes == [f"Left out of {clips}, beside a file of the same name: b.csv"]
 
 
@@ -323,7 +323,7 @@ def test_a_clip_that_fails_leaves_nothing_but_older_results(clips, tmp_path):
     for planned in plan_batch(found(clips / "a.csv", clips / "b.csv"), out):
         outcome = fit_one(task_of(planned, "run"), lambda stage, share: None)
         assert outcome["status"] == "failed"
-        assert outcome["error"].startswith(f"{planned.clip.settings.keypoints}: header: ")
+        assert outcome["error"].startswith(f"{planned.clip.settings.keypoints_text}: header: ")
         assert outcome["attempts"] == 1
     assert sorted(path.name for path in out.iterdir()) == ["a", "c"]
     assert (out / "a" / "pose3d.csv").is_file()
@@ -388,7 +388,7 @@ def test_what_many_clips_lack_is_said_once(clips, tmp_path):
         two = "".join(f'[{camera}]\nname = "{camera}"\n{plain}{pose}' for camera in ("cam_a", "cam_b"))
         (clips / f"{name}.toml").write_text(two)
     path = manifest(clips, "keypoints,camera\na.csv,a.toml\nb.csv,b.toml\nc.csv,c.toml\n")
-    expected = "found 2 cameras and no choice, expected one of cam_a, cam_b by --camera-name"
+    expected = "found 2 cameras and no choice, expected one of cam_a, cam_b by --camera-name, or in the file's name"
     ended = run(path, "--method", "frame", "--fps", 30, "--out", tmp_path / "out")
     assert ended.err == f"error: {clips / 'a.toml'} and 2 more files: camera: {expected}\n"
     assert not (tmp_path / "out").exists()

@@ -230,7 +230,7 @@ def test_relative_paths_are_kept_absolute_in_the_config(tmp_path, monkeypatch):
     args = whole_args(tmp_path / "out", "--frames", ":3", keypoints=Path("noisy.csv"), camera=Path("camera.toml"))
     assert run(*args).code == 0
     settings = read_settings(tmp_path / "out" / "config.toml", {})
-    assert (settings.keypoints, settings.camera) == (CLIP, CAMERA)
+    assert (settings.keypoints, settings.camera) == ((CLIP,), CAMERA)
 
 
 def test_camera_from_its_field_of_view(tmp_path):

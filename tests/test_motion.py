@@ -27,15 +27,15 @@ def chain_trajectory(of: TrajectoryMotion, small_motion: FrameMotion) -> Traject
     states[:, 3] = 0.3
     states[:, 4:] = body.mean_rad + np.random.default_rng(3).normal(0, 0.1, (T, body.n_state - 4))
     states[3] = np.nan
-    R = of.solution.camera_from_level
     arrays = {
         "states": states,
-        "joints_camera_m": body.tree.pose(states, 1.1).points_m @ R.T,
+        "joints_m": body.tree.pose(states, 1.1).points_m,
         "covariance_m2": np.tile(np.eye(3), (T, 9, 1, 1)),
         "relative_covariance_m2": np.tile(np.eye(3), (T, 9, 1, 1)),
         "data_share": np.ones(9),
-        "noise_px": np.full((T, 9), 5.0),
-        "weight": np.ones((T, 9)),
+        "views": (of.solution.views[0].part(slice(0, T)),),
+        "noise_px": np.full((1, T, 9), 5.0),
+        "weight": np.ones((1, T, 9)),
         "flags": ((),) * T,
         "alternative_m": np.full(T, np.nan),
         "contact": np.zeros((T, 2)),
@@ -164,11 +164,12 @@ def test_place_sigma_is_that_of_the_mean_along_the_line_of_sight(small_trajector
     offsets = (rng.normal(size=(draws, 3 * J)) @ mixing.T).reshape(draws, J, 3)
     # Where the offsets and the place are correlated, the joints' covariances are not their sums.
     place = rng.normal(0, [0.05, 0.05, 0.3], (draws, 3)) + 2 * offsets[:, 0]
-    points = place[:, None] + offsets
+    points = place[:, None] + offsets  # camera frame
     centred = points - points.mean(axis=1, keepdims=True)
 
     def covariance(values):
-        return np.einsum("nja,njb->jab", values - values.mean(axis=0), values - values.mean(axis=0)) / draws
+        off = (values - values.mean(axis=0)) @ small_trajectory.solution.views[0].rotation  # world frame
+        return np.einsum("nja,njb->jab", off, off) / draws
 
     solution: TrajectorySolution = replace(
         small_trajectory.solution,
@@ -196,8 +197,9 @@ def test_ground_below_the_animal(small_trajectory, world_trajectory):
     assert below[:2] == pytest.approx([-1.5 + 0.15 * 7, 9.0])
     assert below[2] == pytest.approx(ground.height_m + 0.02 * 9.0)
     # The camera stands 3 m high.
-    assert world_trajectory.in_upright(below)[2] == pytest.approx(3 + below[2])
-    assert small_trajectory.below_m(replace(spell, ground=None)) is None
+    (spell,) = world_trajectory.solution.spells
+    assert world_trajectory.below_m(spell)[2] == pytest.approx(3 + below[2])
+    assert world_trajectory.below_m(replace(spell, ground=None)) is None
 
 
 def test_refuses_keypoints_of_another_skeleton(small_motion, small_trajectory):

@@ -401,10 +401,10 @@ def test_warnings_where_a_trajectory_is_not_to_be_trusted(small_trajectory):
     warnings = build_report(motion, {})["warnings"]
     for expected in ("before it had converged", "few data: 8 frames of 8", "30% of their precision", "not in the file"):
         assert any(expected in warning for warning in warnings), expected
-    states, joints = small_trajectory.solution.states.copy(), small_trajectory.solution.joints_camera_m.copy()
+    states, joints = small_trajectory.solution.states.copy(), small_trajectory.solution.joints_m.copy()
     states[:2], joints[:2] = np.nan, np.nan
     gaps = (("no data",),) * 4 + ((),) * 4
-    report = build_report(with_solution(small_trajectory, states=states, joints_camera_m=joints, flags=gaps), {})
+    report = build_report(with_solution(small_trajectory, states=states, joints_m=joints, flags=gaps), {})
     assert report["warnings"][:2] == [
         "2 frames of 8 without a pose: nothing detected",
         "2 frames without detections: the pose comes from the frames around",
@@ -416,8 +416,12 @@ def test_no_pose_at_all(small_trajectory):
     solution = small_trajectory.solution
     arrays = {
         name: np.full_like(getattr(solution, name), np.nan)
-        for name in ("states", "joints_camera_m", "covariance_m2", "relative_covariance_m2", "alternative_m", "contact")
-    } | {"noise_px": np.full((8, 24), np.nan), "weight": np.full((8, 24), np.nan), "data_share": np.full(24, np.nan)}
+        for name in ("states", "joints_m", "covariance_m2", "relative_covariance_m2", "alternative_m", "contact")
+    } | {
+        "noise_px": np.full((1, 8, 24), np.nan),
+        "weight": np.full((1, 8, 24), np.nan),
+        "data_share": np.full(24, np.nan),
+    }
     motion = with_solution(
         small_trajectory, **arrays, spells=(), flags=(("no data",),) * 8, starts=(), status="not_converged"
     )

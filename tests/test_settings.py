@@ -95,7 +95,7 @@ def test_config_reads_back_as_it_was(tmp_path, given):
 def test_config_holds_every_setting_that_has_a_value():
     plain = tomllib.loads(FitSettings(**GIVEN).to_toml())["recon"]["fit"]
     unset = {"camera_name", "hfov_deg", "image_size_px", "tilt_deg", "individual", "frames", "skeleton", "subject"}
-    unset |= {"prior", "size_sigma", "keypoint_sigma_m"}
+    unset |= {"offset_s", "prior", "size_sigma", "keypoint_sigma_m"}
     assert set(plain) == set(SETTINGS) - unset - set(of_method("frame"))
     assert plain["keypoints"] == "/data/clip.csv"
 
@@ -104,7 +104,7 @@ def test_paths_become_absolute(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     given = {"skeleton": "mine.toml", "subject": "my-cat.toml", "prior": "cats.npz"}
     settings = FitSettings(keypoints="a/clip.csv", camera="camera.toml", fps=30, **given)  # pyright: ignore[reportArgumentType]
-    assert settings.keypoints == tmp_path / "a" / "clip.csv"
+    assert settings.keypoints == (tmp_path / "a" / "clip.csv",)
     assert settings.camera == tmp_path / "camera.toml"
     assert settings.skeleton == str(tmp_path / "mine.toml")
     assert settings.subject == str(tmp_path / "my-cat.toml")
@@ -188,7 +188,9 @@ def test_every_wrong_setting_is_named_at_once():
         "--camera",
         "--camera-name",
     ]
-    assert found[0] == "KEYPOINTS: keypoints: found nothing, expected a keypoint file, as of DeepLabCut or SLEAP"
+    assert found[0] == "KEYPOINTS: keypoints: found nothing, expected a keypoint file, as of DeepLabCut or SLEAP, " + (
+        "or a list of them, one for each camera"
+    )
 
 
 def test_no_message_is_in_the_language_of_the_validator():
@@ -348,7 +350,7 @@ def test_missing_config(tmp_path):
 
 def test_settings_and_options_of_the_command_line_are_the_same():
     parameters = typer.main.get_command(app).commands["fit"].params  # type: ignore[attr-defined]
-    names = {p.metavar if p.param_type_name == "argument" else p.opts[0] for p in parameters}
+    names = {str(p.metavar).rstrip(".") if p.param_type_name == "argument" else p.opts[0] for p in parameters}
     settings = {option(name) for name, it in SETTINGS.items() if it.is_option}
     assert names == settings | {"--out", "--config", "--overwrite", "--quiet", "--json"}
     of_batch = {p.opts[0] for p in typer.main.get_command(app).commands["batch"].params}  # type: ignore[attr-defined]

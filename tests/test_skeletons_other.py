@@ -14,6 +14,7 @@ from typer.testing import CliRunner
 from recon import Body, Camera, FitSettings, InputError, Keypoints, TrajectoryMotion, fit_clip, load_skeleton
 from recon.analysis.evaluation import centre, joint_errors, score
 from recon.body import other_side, side_of
+from recon.clip import still_view
 from recon.cli import app
 from recon.io import read_keypoints
 from recon.pipelines.skeleton_check import check_skeleton, list_skeletons, run_skeleton_check
@@ -148,7 +149,7 @@ def test_a_clip_of_its_own_tree_is_found_again(name, speed, apart, limit_mm):
     px, valid = camera.project(truth_m)
     assert valid.all()
     fast = TrajectoryOptions(fast=True)
-    solution = solve_trajectory(camera, body, prior_from_body(body), px, np.ones(px.shape[:2]), fps, fast)
+    solution = solve_trajectory([still_view(camera, px, np.ones(px.shape[:2]))], body, prior_from_body(body), fps, fast)
     assert solution.status == "converged"
     found = solution.joints_camera_m
     assert 1000 * score(joint_errors(centre(found, truth_m), truth_m)).mean < limit_mm
@@ -439,6 +440,6 @@ def test_the_dog_on_its_recording(shared_data):
     px, _ = camera.project(truth_m)
     px += np.random.default_rng(0).normal(0, 2, px.shape)
     fast = TrajectoryOptions(fast=True)
-    solution = solve_trajectory(camera, body, prior_from_body(body), px, np.ones(px.shape[:2]), 60.0, fast)
+    solution = solve_trajectory([still_view(camera, px, np.ones(px.shape[:2]))], body, prior_from_body(body), 60.0, fast)
     assert solution.status == "converged"
     assert 1000 * score(joint_errors(centre(solution.joints_camera_m, truth_m), truth_m)).mean < 45

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from recon.camera import Camera
-from recon.initialise import level_axes
+from recon.clip import View, still_view
 from recon.prior import load_prior
 from recon.skeleton_file import load_skeleton
 from recon.solve.problem import Problem
@@ -42,18 +44,34 @@ def some_states(seed: int = 0) -> np.ndarray:
     return states
 
 
-def camera_from_level() -> np.ndarray:
-    right, away = level_axes(CAMERA.up)
-    return np.stack([right, away, CAMERA.up]).T
+def view(xy_px: np.ndarray, confidence: np.ndarray | None = None, camera: Camera = CAMERA) -> View:
+    """Of a camera in the origin that stands level."""
+    return still_view(camera, xy_px, np.ones(xy_px.shape[:2]) if confidence is None else confidence)
+
+
+def pixels(states: np.ndarray) -> np.ndarray:
+    points_m = BODY.tree.pose(states).points_m
+    return view(np.zeros((*points_m.shape[:2], 2))).project(points_m)[0]
 
 
 def detections(states: np.ndarray) -> np.ndarray:
     """Off by some 10 px, one of them grossly, one missing."""
-    xy_px, _ = CAMERA.project(BODY.tree.pose(states).points_m @ camera_from_level().T)
+    xy_px = pixels(states)
     xy_px = xy_px + 10 * np.random.default_rng(1).normal(size=xy_px.shape)
     xy_px[1, 3] += 200.0
     xy_px[2, 5] = np.nan
     return xy_px
+
+
+def moving_view(xy_px: np.ndarray, confidence: np.ndarray) -> View:
+    """A fisheye that pans, travels and zooms."""
+    lens = replace(CAMERA, model="fisheye", distortion=np.array([0.05, -0.01, 0.0, 0.0]))
+    still, turn = view(xy_px, confidence, lens), 0.03 * np.arange(T)
+    pan = np.tile(np.eye(4), (T, 1, 1))
+    pan[:, 0, 0], pan[:, 0, 2], pan[:, 2, 0], pan[:, 2, 2] = np.cos(turn), np.sin(turn), -np.sin(turn), np.cos(turn)
+    pan[:, :3, 3] = np.outer(np.arange(T), [0.1, 0.02, -0.05])
+    zoom = np.array([1500.0, 1510.0, 950.0, 545.0]) + np.outer(np.arange(T), [30.0, 30.0, 1.0, -1.0])
+    return replace(still, T_camera_world=pan @ still.T_camera_world, intrinsics_px=zoom)
 
 
 def terms():
@@ -69,7 +87,9 @@ def terms():
         climb_term(D, FPS, 0.5),
         PoseMixture(PRIOR, FPS, 0.7),
         PoseMixture(PRIOR, FPS, 1.0, temperature=5.0),
-        Reprojection(CAMERA, camera_from_level(), xy_px, confidence, sigma, 3.0),
+        Reprojection(view(xy_px, confidence), sigma, 3.0, np.zeros(3)),
+        Reprojection(replace(view(xy_px, confidence), lead_frames=0.3), sigma, 3.0, np.zeros(3)),
+        Reprojection(moving_view(xy_px, confidence), sigma, 3.0, np.zeros(3)),
         Heading(rear, front, FPS, 0.5),
         Stance(FEET, FPS, 2.5, 2.0, 0.8),
         OnGround(FEET, contact, np.array([-0.8, 0.01, -0.02]), np.array([0.3, 7.0]), FPS, 0.04, 0.8),
@@ -78,7 +98,7 @@ def terms():
 
 def gradient(term, states: np.ndarray) -> np.ndarray:
     problem = Problem(BODY.tree, [term], []) if isinstance(term, Linear) else Problem(BODY.tree, [], [term])
-    return problem.normal(states)[1]
+    return problem.normal(states).gradient
 
 
 def cost(term, states: np.ndarray) -> float:
@@ -144,14 +164,12 @@ def test_a_component_on_its_own_is_a_gaussian():
 def test_a_detection_far_off_hardly_pulls():
     """The pull of 1000 px is less than that of 20 px, and a missing point has none."""
     states = some_states()
-    xy_px, _ = CAMERA.project(BODY.tree.pose(states).points_m @ camera_from_level().T)
+    xy_px = pixels(states)
     pulls = []
     for off in (20.0, 1000.0, np.nan):
         moved = xy_px.copy()
         moved[2, 4, 0] += off
-        term = Reprojection(
-            CAMERA, camera_from_level(), moved, np.ones(xy_px.shape[:2]), np.full(xy_px.shape[:2], 5.0), 3.0
-        )
+        term = Reprojection(view(moved), np.full(xy_px.shape[:2], 5.0), 3.0, np.zeros(3))
         pulls.append(np.linalg.norm(gradient(term, states)))
     assert pulls[1] < pulls[0] / 5
     assert pulls[2] == pytest.approx(0, abs=1e-6)
@@ -159,10 +177,8 @@ def test_a_detection_far_off_hardly_pulls():
 
 def test_joints_behind_the_camera_cost_much_and_finitely():
     states = some_states()
-    xy_px, _ = CAMERA.project(BODY.tree.pose(states).points_m @ camera_from_level().T)
-    term = Reprojection(
-        CAMERA, camera_from_level(), xy_px, np.ones(xy_px.shape[:2]), np.full(xy_px.shape[:2], 5.0), 3.0
-    )
+    xy_px = pixels(states)
+    term = Reprojection(view(xy_px), np.full(xy_px.shape[:2], 5.0), 3.0, np.zeros(3))
     behind = states.copy()
     behind[:, 1] = -5.0
     assert cost(term, states) == pytest.approx(0, abs=1e-9)

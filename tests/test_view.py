@@ -293,8 +293,8 @@ def test_ground_that_was_found_is_drawn(played: Recording, world_trajectory: Tra
     points = np.reshape(played.static["/world/ground"]["LineStrips3D:strips"], (-1, 3))
     ground = world_trajectory.solution.spells[0].ground
     assert ground is not None
-    # The level frame's y axis is the world's x, from the camera at (1, 2, 3) on.
-    np.testing.assert_allclose(points[:, 2], 3 + ground.height_m + 0.02 * (points[:, 0] - 1), atol=1e-5)
+    # It rises along x, the way that the camera at (1, 2, 3) looks.
+    np.testing.assert_allclose(points[:, 2], ground.height_m + 0.02 * points[:, 0], atol=1e-5)
     assert np.ptp(points[:, 2]) > 0.05
 
 
@@ -312,7 +312,7 @@ def test_every_spell_has_its_ground(world_trajectory: TrajectoryMotion, tmp_path
     assert list(rows) == [10, 15]
     for frame, height in ((10, ground.height_m), (15, lower.height_m)):
         points = np.reshape(rows[frame]["LineStrips3D:strips"], (-1, 3))
-        np.testing.assert_allclose(points[:, 2], 3 + height + 0.02 * (points[:, 0] - 1), atol=1e-5)
+        np.testing.assert_allclose(points[:, 2], height + 0.02 * points[:, 0], atol=1e-5)
 
 
 def test_series_of_a_whole_animal(played: Recording, world_trajectory: TrajectoryMotion) -> None:
@@ -331,7 +331,7 @@ def test_series_of_a_whole_animal(played: Recording, world_trajectory: Trajector
 
 def test_a_trajectory_without_any_pose_can_be_written(small_trajectory: TrajectoryMotion, tmp_path: Path) -> None:
     solution = small_trajectory.solution
-    fields = ("states", "joints_camera_m", "covariance_m2", "relative_covariance_m2", "noise_px", "weight", "contact")
+    fields = ("states", "joints_m", "covariance_m2", "relative_covariance_m2", "noise_px", "weight", "contact")
     nothing = {name: np.full_like(getattr(solution, name), np.nan) for name in fields}
     flags = (("no data",),) * 8
     motion = replace(

@@ -134,7 +134,7 @@ def _print_plan(
     rows = [
         {
             "clip": planned.clip.name,
-            "keypoints": str(planned.clip.settings.keypoints),
+            "keypoints": planned.clip.settings.keypoints_text,
             "out": str(planned.out),
             "action": planned.action if planned.action == "done" or not found else CANNOT,
             "reason": planned.reason,

@@ -47,10 +47,11 @@ def _parameter(name: str, setting: Setting, panel: str | None) -> inspect.Parame
         help += f" (default: {setting.default:g})" if metavar == NUMBER else f" (default: {setting.default})"
     info: Any
     if name == "keypoints":
-        info = typer.Argument(metavar="KEYPOINTS", help=help, show_default=False)
+        info = typer.Argument(metavar="KEYPOINTS...", help=help, show_default=False)
     else:
         flag = f"{option(name)}/--no-{option(name)[2:]}" if setting.kind.option_type is bool else option(name)
         heading = _PANELS[setting.method] if setting.method else panel
         info = typer.Option(flag, help=help, metavar=metavar, rich_help_panel=heading)
-    annotation = Annotated[setting.kind.option_type | None, info]
+    kind = setting.kind.option_type
+    annotation = Annotated[list[kind] | None if setting.kind.many else kind | None, info]  # type: ignore[valid-type]
     return inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=None, annotation=annotation)

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
+import re
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -13,8 +14,9 @@ from typing import Any
 import numpy as np
 
 from recon.body import Body
-from recon.calibration import read_camera
+from recon.calibration import read_camera, read_cameras
 from recon.camera import Camera
+from recon.clip import Source, together, views_of
 from recon.errors import InputError, Problem, all_of
 from recon.export import CLIP_OUTPUTS, TRAJECTORY_OUTPUTS, write_tables
 from recon.files import require_free_folder, sole_writer, staged_results
@@ -30,6 +32,7 @@ from recon.skeleton import Side, Skeleton
 from recon.skeleton_file import load_chain, load_skeleton
 from recon.solve import solve_frames, solve_trajectory
 
+Cameras = tuple[Camera, ...]
 Progress = Callable[[str, float], None]
 """Called with what is being done, and how much of all is done, 0 to 1."""
 
@@ -61,48 +64,50 @@ def fit_clip(settings: FitSettings, progress: Progress = _silent) -> Motion:
 def fit_frames(settings: FitSettings, progress: Progress = _silent) -> FrameMotion:
     """One side of the animal, one frame after the other. Raises InputError as `fit_clip`."""
     given = prepare(settings)
-    skeleton, fitted, side = given.model.skeleton, given.fitted, given.side
+    skeleton, side, (source,) = given.model.skeleton, given.side, given.sources
     assert skeleton is not None
     assert side is not None
-    T = len(fitted.frames)
+    T = len(source.keypoints.frames)
     solution = solve_frames(
-        given.camera,
+        source.camera,
         skeleton,
-        fitted.xy_px,
-        fitted.confidence,
+        source.keypoints.xy_px,
+        source.keypoints.confidence,
         given.fps,
         settings.frame_options(),
         lambda done: progress("frames", done / T),
     )
     return FrameMotion(
-        given.camera, fitted, given.cleaning, given.file.names, side, given.side_reason, skeleton, solution
+        source.camera,
+        source.keypoints,
+        source.cleaning,
+        source.file_names,
+        side,
+        given.side_reason,
+        skeleton,
+        solution,
     )
 
 
 def fit_trajectory(settings: FitSettings, progress: Progress = _silent) -> TrajectoryMotion:
     """The whole animal, or a chain, over all frames at once. Raises InputError as `fit_clip`."""
     given = prepare(settings)
-    model, fitted = given.model, given.fitted
+    model = given.model
     assert model.prior is not None
     solution = solve_trajectory(
-        given.camera,
-        model.body,
-        model.prior,
-        fitted.xy_px,
-        fitted.confidence,
-        given.fps,
-        settings.trajectory_options(),
-        progress,
+        views_of(given.sources), model.body, model.prior, given.fps, settings.trajectory_options(), progress
     )
+    first, *others = given.sources
     return TrajectoryMotion(
-        given.camera,
-        fitted,
-        given.cleaning,
-        given.file.names,
+        first.camera,
+        first.keypoints,
+        first.cleaning,
+        first.file_names,
         given.side,
         given.side_reason,
         solution,
         model.skeleton,
+        tuple(others),
     )
 
 
@@ -117,45 +122,54 @@ class Model:
 
 @dataclass(frozen=True)
 class Prepared:
-    """All that a fit works on. file: as it was read; fitted: the model's keypoints, cleaned, in its order; side: whose
-    limbs, None for a whole animal."""
+    """All that a fit works on: the model, and for each camera its keypoints. side: whose limbs, None for a whole
+    animal."""
 
     model: Model
-    camera: Camera
-    file: Keypoints
+    sources: tuple[Source, ...]
     fps: float
-    fitted: Keypoints
-    cleaning: CleaningReport
     side: Side | None
     side_reason: str
 
 
 def prepare(
-    settings: FitSettings, read_shared: Callable[[FitSettings], tuple[Model, Camera]] | None = None
+    settings: FitSettings, read_shared: Callable[[FitSettings], tuple[Model, Cameras]] | None = None
 ) -> Prepared:
     """Everything that comes before solving: the one list of checks, of a fit and of who asks whether it can be done.
 
     read_shared: `read_model_and_camera`, or one that remembers. Raises InputError as `fit_clip`.
     """
-    (model, camera), file = all_of(
-        lambda: (read_shared or read_model_and_camera)(settings),
-        lambda: read_clip(settings),
+    (model, cameras), files = all_of(
+        lambda: (read_shared or read_model_and_cameras)(settings),
+        lambda: read_clips(settings),
     )
     skeleton = model.skeleton
     wanted = model.body.markers if skeleton is None else _keypoints_of(skeleton)
-    keypoints, cleaning = _cleaned(file, wanted, model.body.name, camera, settings)
+    later = settings.offset_s or (0.0,) * len(files)
+    later_frames = [(s - later[0]) * file.fps for s, file in zip(later, files, strict=True)]
+    cleaned = all_of(
+        *(
+            lambda file=file, camera=camera, late=late: _cleaned(file, wanted, model.body.name, camera, settings, late)
+            for file, camera, late in zip(files, cameras, later_frames, strict=True)
+        )
+    )
     side, reason, names = None, "both sides are fitted", model.body.markers
     if skeleton is not None:
-        side, reason = _side(skeleton, keypoints, settings)
+        side, reason = _side(skeleton, cleaned[0][0], settings)
         names = skeleton.keypoint_names(side)
-    assert file.fps is not None
-    return Prepared(model, camera, file, file.fps, arrange(keypoints, names), cleaning, side, reason)
+    sources = [
+        Source(camera, arrange(keypoints, names), cleaning, file.names)
+        for camera, (keypoints, cleaning), file in zip(cameras, cleaned, files, strict=True)
+    ]
+    fps = files[0].fps
+    assert fps is not None
+    return Prepared(model, together(sources, later_frames) if len(sources) > 1 else tuple(sources), fps, side, reason)
 
 
-def read_model_and_camera(settings: FitSettings) -> tuple[Model, Camera]:
-    """What clips of one animal before one camera share. Raises InputError with the problems of both."""
-    model, camera = all_of(lambda: _model(settings), lambda: _camera(settings))
-    return model, camera
+def read_model_and_cameras(settings: FitSettings) -> tuple[Model, Cameras]:
+    """What clips of one animal before the same cameras share. Raises InputError with the problems of both."""
+    model, cameras = all_of(lambda: _model(settings), lambda: read_clip_cameras(settings))
+    return model, cameras
 
 
 def write_clip(motion: Motion, settings: FitSettings, out: Path, solve_s: float | None = None) -> dict[str, Any]:
@@ -192,33 +206,84 @@ def arrange(keypoints: Keypoints, names: tuple[str, ...]) -> Keypoints:
     return replace(keypoints, names=names, xy_px=xy, confidence=confidence)
 
 
-def read_clip(settings: FitSettings) -> Keypoints:
-    """The keypoint file, with the frame rate as given or its own. Raises InputError, also without a frame rate."""
-    file = read_keypoints(settings.keypoints, settings.individual)
+def read_clips(settings: FitSettings) -> list[Keypoints]:
+    """The keypoint files, with the frame rate as given or their own. Raises InputError with the problems of all, also
+    without a frame rate, or with two."""
+    files = all_of(*(lambda path=path: _read_clip(path, settings) for path in settings.keypoints))
+    rates = {file.fps for file in files}
+    if len(rates) > 1:
+        found = ", ".join(f"{path.name} {file.fps:g}" for path, file in zip(settings.keypoints, files, strict=True))
+        raise InputError(Problem("KEYPOINTS", "fps", found, "one frame rate for all cameras of a clip, or --fps"))
+    return list(files)
+
+
+def _read_clip(path: Path, settings: FitSettings) -> Keypoints:
+    file = read_keypoints(path, settings.individual)
     fps = file.fps if settings.fps is None else settings.fps
     if fps is None:
-        found = f"nothing, and {settings.keypoints.name} does not say"
+        found = f"nothing, and {path.name} does not say"
         raise InputError(Problem("--fps", "fps", found, "frames per second above 0, as in 120"))
     if not RATES_HZ[0] <= fps <= RATES_HZ[1]:
-        where = settings.keypoints if settings.fps is None else "--fps"
+        where = path if settings.fps is None else "--fps"
         expected = f"{RATES_HZ[0]:g} to {RATES_HZ[1]:g} frames per second"
         raise InputError(Problem(where, "fps", f"{fps:g}", expected))
     return replace(file, fps=fps)
 
 
-def _camera(settings: FitSettings) -> Camera:
+def read_clip_cameras(settings: FitSettings) -> Cameras:
+    """The camera of each keypoint file. Raises InputError."""
     if settings.camera is not None:
-        camera = read_camera(settings.camera, settings.camera_name, settings.image_size_px)
+        cameras = _chosen_cameras(settings.camera, settings)
     elif settings.hfov_deg is not None and settings.image_size_px is not None:
-        camera = Camera.from_hfov(settings.hfov_deg, settings.image_size_px)
+        cameras = (Camera.from_hfov(settings.hfov_deg, settings.image_size_px),)
     else:
         raise InputError(Problem("settings", "camera", "nothing", "a camera file, or hfov_deg with image_size_px"))
     if settings.tilt_deg is None:
-        return camera
-    if camera.knows_up:
+        return cameras
+    if any(camera.knows_up for camera in cameras):
         found = f"{settings.tilt_deg:g} beside the pose in {settings.camera}, which says which way is up"
         raise InputError(Problem("--tilt-deg", "tilt_deg", found, "one of the two"))
-    return replace(camera, tilt_rad=math.radians(settings.tilt_deg))
+    return tuple(replace(camera, tilt_rad=math.radians(settings.tilt_deg)) for camera in cameras)
+
+
+def _chosen_cameras(path: Path, settings: FitSettings) -> Cameras:
+    """By name as given; else the only one, or the one whose name the keypoint file's name contains."""
+    if settings.camera_name is not None:
+        named = (lambda name=name: read_camera(path, name, settings.image_size_px) for name in settings.camera_name)
+        chosen = tuple(all_of(*named))
+        if problems := tuple(_problems_of_several(path, chosen)):
+            raise InputError(problems)
+        return chosen
+    cameras = read_cameras(path, settings.image_size_px)
+    if len(cameras) == 1 == len(settings.keypoints):
+        return cameras
+    chosen, problems = [], []
+    for file in settings.keypoints:
+        named = [camera for camera in cameras if _names(file.stem, camera.name)]
+        chosen += named
+        if len(named) != 1:
+            found = f"{len(cameras)} cameras and no choice"
+            expected = f"one of {', '.join(camera.name for camera in cameras)} by --camera-name, or in the file's name"
+            problems.append(Problem(path, "camera", found, expected))
+    problems += _problems_of_several(path, chosen)
+    if problems:
+        raise InputError(problems)
+    return tuple(chosen)
+
+
+def _problems_of_several(path: Path, cameras: Sequence[Camera]) -> Iterator[Problem]:
+    """What cameras that film together must have."""
+    names = [camera.name for camera in cameras]
+    for name in sorted({name for name in names if names.count(name) > 1}):
+        yield Problem(path, "camera", f"{name} for two keypoint files", "a camera for each, by --camera-name")
+    for camera in cameras if len(cameras) > 1 else ():
+        if not camera.has_extrinsics:
+            yield Problem(path, f"camera {camera.name}", "no pose", "its rotation and translation beside the others'")
+
+
+def _names(stem: str, camera: str) -> bool:
+    """Whether a file's name contains a camera's: cam1 is in run_cam1DLC, but not in run_cam10."""
+    return re.search(rf"(?<![0-9A-Za-z]){re.escape(camera)}(?![0-9])", stem, re.IGNORECASE) is not None
 
 
 def _model(settings: FitSettings) -> Model:
@@ -249,12 +314,14 @@ def _require_no_side(settings: FitSettings, whole: Body | None) -> None:
 
 
 def _cleaned(
-    file: Keypoints, wanted: Sequence[str], skeleton: str, camera: Camera, settings: FitSettings
+    file: Keypoints, wanted: Sequence[str], skeleton: str, camera: Camera, settings: FitSettings, later_frames: float
 ) -> tuple[Keypoints, CleaningReport]:
     """wanted: the keypoints that the skeleton, by its name, may be fitted to. Raises InputError without any of them,
     or where they lie outside the camera's picture; a few that are far outside are left out."""
     _require_keypoints_of(wanted, skeleton, file)
-    frames = parse_frame_range(settings.frames) if settings.frames else None
+    first, stop = parse_frame_range(settings.frames) if settings.frames else (None, None)
+    shift = math.floor(later_frames)  # the clip's frames are the first camera's
+    frames = (None if first is None else first - shift, None if stop is None else stop - shift)
     keypoints, cleaning = clean(file, settings.likelihood_min, frames)
     _require_inside(camera, keypoints, settings)
     return leave_out(keypoints, cleaning, keypoints.present & ~camera.sees(keypoints.xy_px), _FAR_OUTSIDE)

@@ -77,7 +77,7 @@ def run_circle(
     for name, file in (("predicted", points), ("noisy", noisy)):
         progress(f"fitting {name}", 1.0, "")
         options = FitSettings(
-            keypoints=file,
+            keypoints=(file,),
             camera=samples / "rendered_camera.toml",
             fps=found.fps,
             **fit,

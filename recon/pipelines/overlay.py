@@ -13,7 +13,7 @@ from recon.body import Side
 from recon.camera import Camera, FloatArray
 from recon.errors import InputError, Problem, all_of
 from recon.files import require_free_file
-from recon.initialise import level_axes
+from recon.frames import level_axes
 from recon.io import read_keypoints
 from recon.keypoints import Keypoints
 from recon.overlay import LEFT, MIDDLE, RIGHT, Colour, Overlay, canvas_size, draw_frame

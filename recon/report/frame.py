@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from recon.initialise import level_axes
+from recon.frames import level_axes
 from recon.motion import FEW_POINTS_SHARE, FrameMotion
 from recon.report import common
 from recon.report.plain import Array, by_name, finite, frame_count, mean, median, number, spread

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from recon.initialise import level_axes
+from recon.frames import level_axes
 from recon.motion import TrajectoryMotion
 from recon.prior import NONE
 from recon.report import common
@@ -116,7 +116,7 @@ def _summary(motion: TrajectoryMotion) -> dict[str, Any]:
         "frames_flagged": sum(bool(flags) for flags in solution.flags),
         "flags": {flag: sum(flag in flags for flags in solution.flags) for flag in _flag_names(motion)},
         **common.counts(motion),
-        "mean_weight": mean(solution.weight),
+        "mean_weight": mean(solution.weight[0]),
         "place_sigma_m": median(motion.place_sigma_m),
         "relative_rms_m": median(motion.relative_rms_m),
     }
@@ -159,14 +159,12 @@ def _ground(motion: TrajectoryMotion, spell: Spell) -> dict[str, Any] | None:
     ground, below = spell.ground, motion.below_m(spell)
     if ground is None or below is None:
         return None
-    slope = np.append(ground.slope, 0.0)
-    upright = motion.in_upright(below)
     return {
-        "height_m": upright[2],
-        "middle_m": upright[:2],
-        "slope": (motion.in_upright(slope) - motion.in_upright(np.zeros(3)))[:2],
+        "height_m": below[2],
+        "middle_m": below[:2],
+        "slope": ground.slope,
         "sigma_m": ground.sigma_m,
-        "camera_height_m": -below[2],
+        "camera_height_m": motion.solution.views[0].centre_m[:, 2].mean() - below[2],
         "frame": "world" if motion.camera.knows_up else "level",
     }
 
@@ -238,7 +236,7 @@ def _tail(motion: TrajectoryMotion) -> dict[str, Any]:
     tail = common.tail(motion, jitters=False)
     for row in tail["keypoints"]:
         column = motion.names.index(row["name"]) if row["joint"] is not None else None
-        for field, values in (("noise_px", motion.sigma_px), ("mean_weight", motion.solution.weight)):
+        for field, values in (("noise_px", motion.sigma_px), ("mean_weight", motion.solution.weight[0])):
             row[field] = None if column is None else mean(values[:, column])
     return tail
 

@@ -17,7 +17,8 @@ from recon.solve.frame import (
 )
 from recon.solve.points import solve_points
 from recon.solve.result import Ground, Spell, Start, TrajectorySolution
-from recon.solve.trajectory import TrajectoryOptions, solve_trajectory
+from recon.solve.setting import TrajectoryOptions
+from recon.solve.trajectory import solve_trajectory
 
 __all__ = [
     "CONVERGED",

@@ -1,12 +1,13 @@
 """How well a trajectory is known: the Gaussian approximation of the posterior at the minimum.
 
 The covariance C of one frame's unknowns is a block of the inverse of the normal equations' matrix, found from its
-banded factor by selected inversion (`recon.banded`). A joint p (in the level frame, so from the camera) moves by J dx,
-and by p ds / s when the size s changes, which scales the scene:
+banded factor by selected inversion (`recon.banded`). A joint lies at origin + s p, with s the size. It moves by s J dx
+with the frame's unknowns, and by p ds with the size; where the pixels tie the two, the unknowns follow the size by
+-Y ds (`recon.banded`), so that with q = p - s J Y
 
-    cov(p) = s^2 J C J' + var(s) p p'
+    cov(joint) = s^2 J C J' + var(s) q q'
 
-and relative to the mean of all joints with the means of J and p taken off.
+and relative to the mean of all joints with the means of J and q taken off.
 """
 
 from __future__ import annotations
@@ -19,7 +20,8 @@ from numpy.typing import NDArray
 from recon.banded import BlockBanded, Factor, factor
 from recon.body import Body
 from recon.kinematics import ROOT, YAW
-from recon.solve.problem import Problem
+from recon.solve.problem import Estimate, Problem
+from recon.solve.terms import SIZE
 
 Array = NDArray[np.float64]
 
@@ -32,62 +34,92 @@ _FRAMES_AT_ONCE = 256
 
 @dataclass(frozen=True)
 class Posterior:
-    """covariance_m2, relative_covariance_m2 (T, J, 3, 3), level frame, at nominal size: of the joints, and relative to
-    their mean, the size given. data_share (J,): see `data_share`."""
+    """Of T frames of a body with J joints and D unknowns a frame, at nominal size about the origin."""
 
     covariance_m2: Array
+    """(T, J, 3, 3): of the joints, the size given."""
     relative_covariance_m2: Array
+    """(T, J, 3, 3): of the joints relative to their mean, the size given."""
     data_share: Array
+    """(J,): see `_data_share`."""
+    state_by_size: Array
+    """(T, D): how the states follow the size."""
+    joint_by_size_m: Array
+    """(T, J, 3): q of the module's text."""
+    size_precision: float
+    """What the pixels say of the size; 0 where they say nothing."""
 
 
-def posterior(problem: Problem, body: Body, states: Array, variance_factor: float) -> Posterior:
+def posterior(problem: Problem, body: Body, found: Estimate, variance_factor: float) -> Posterior:
     """variance_factor: on all variances (errors of neighbouring frames are alike, which the cost does not know)."""
-    H, _ = problem.normal(states)
-    absolute, relative = _joints(H, body, states, None)
-    return Posterior(variance_factor * absolute, variance_factor * relative, data_share(problem, H, body, states))
-
-
-def with_size(covariance_m2: Array, points_m: Array, size: float, size_sigma: float) -> Array:
-    """Covariances (T, J, 3, 3) at nominal size, of points (T, J, 3), with a size and its uncertainty."""
-    return size**2 * covariance_m2 + size_sigma**2 * points_m[..., :, None] * points_m[..., None, :]
-
-
-def data_share(problem: Problem, H: BlockBanded, body: Body, states: Array) -> Array:
-    """(J,): the part of a joint's posterior precision that comes from the pixels, 0 to 1, the median over frames.
-
-    It is 1 - variance / variance without pixels, both of the joint relative to the mean of the joints with place and
-    heading given: the priors alone say nothing of those. NaN for joints that cannot move then.
-    """
+    states, size = found.states, found.shared.get(SIZE, 1.0)
+    normal = problem.normal(states, found.shared)
+    solved = _factored(normal.H)
+    follows, precision = np.zeros(states.shape), 0.0
+    if len(normal.corner):
+        Y = solved.solve_many(normal.border)
+        follows = -Y[..., 0]
+        known = normal.corner[0, 0] - np.sum(normal.border[..., 0] * Y[..., 0]) - problem.shared[0].sigma ** -2
+        precision = max(float(known), 0.0) / variance_factor
     held = np.zeros(states.shape)
     held[:, ROOT] = held[:, YAW, None] = _HELD
-    priors = replace(problem, terms=[term for term in problem.terms if term.name != "reprojection"])
-    without, _ = priors.normal(states)
-    variances = [np.trace(_joints(h, body, states, held)[1], axis1=2, axis2=3) for h in (H, without)]
+    priors = replace(problem, terms=[term for term in problem.terms if term.name != "reprojection"], shared=())
+    blocks = [solved.marginal_blocks()[:, 0]]
+    blocks += [_factored(H, held).marginal_blocks()[:, 0] for H in (normal.H, priors.normal(states).H)]
+    (absolute, relative), *shares, by_size = _of_joints(body, states, blocks, size, follows)
+    return Posterior(
+        covariance_m2=variance_factor * absolute,
+        relative_covariance_m2=variance_factor * relative,
+        data_share=_data_share(*shares),
+        state_by_size=follows,
+        joint_by_size_m=by_size,
+        size_precision=precision,
+    )
+
+
+def with_size(covariance_m2: Array, by_size_m: Array, size: float, size_sigma: float) -> Array:
+    """Covariances (T, J, 3, 3) at nominal size, of joints that move by (T, J, 3) with it, with its uncertainty."""
+    return size**2 * covariance_m2 + size_sigma**2 * by_size_m[..., :, None] * by_size_m[..., None, :]
+
+
+def _data_share(with_pixels_m2: Array, without_m2: Array) -> Array:
+    """(J,): the part of a joint's posterior precision that comes from the pixels, 0 to 1, the median over frames.
+
+    It is 1 - variance / variance without pixels, both (T, J) of the joint relative to the mean of the joints with place
+    and heading given: the priors alone say nothing of those. NaN for joints that cannot move then.
+    """
     with np.errstate(divide="ignore", invalid="ignore"):
-        share = np.median(1.0 - variances[0] / variances[1], axis=0)
+        share = np.median(1.0 - with_pixels_m2 / without_m2, axis=0)
     return np.clip(share, 0.0, 1.0)
 
 
-def _joints(H: BlockBanded, body: Body, states: Array, damping: Array | None) -> tuple[Array, Array]:
-    """Covariances of the joints, absolute and relative, (T, J, 3, 3)."""
-    own = _factored(H, damping).marginal_blocks()[:, 0]
-    T, J = len(own), len(body.markers)
+def _of_joints(
+    body: Body, states: Array, blocks: list[Array], size: float, follows: Array
+) -> tuple[tuple[Array, Array], Array, Array, Array]:
+    """Covariances of the joints, absolute and relative, (T, J, 3, 3), from the first of the states' (T, D, D);
+    variances (T, J) of the joints relative to their mean from the others; and q (T, J, 3)."""
+    (T, D), J = states.shape, len(body.markers)
     absolute, relative = np.empty((T, J, 3, 3)), np.empty((T, J, 3, 3))
+    variances, by_size = np.empty((2, T, J)), np.empty((T, J, 3))
     for first in range(0, T, _FRAMES_AT_ONCE):
         part = slice(first, first + _FRAMES_AT_ONCE)
-        jacobian = body.tree.pose_with_jacobian(states[part]).jacobian
-        assert jacobian is not None
-        n, _, _, D = jacobian.shape
-        for result, by_state in (
-            (absolute, jacobian),
-            (relative, jacobian - jacobian.mean(axis=1, keepdims=True)),
-        ):
-            spread = (by_state.reshape(n, 3 * J, D) @ own[part]).reshape(n, J, 3, D)
-            result[part] = spread @ by_state.swapaxes(2, 3)
-    return absolute, relative
+        pose = body.tree.pose_with_jacobian(states[part])
+        assert pose.jacobian is not None
+        centred = pose.jacobian - pose.jacobian.mean(axis=1, keepdims=True)
+        n = len(centred)
+
+        def spread(jacobian: Array, own: Array, n: int = n) -> Array:
+            return (jacobian.reshape(n, 3 * J, D) @ own).reshape(n, J, 3, D)
+
+        absolute[part] = spread(pose.jacobian, blocks[0][part]) @ pose.jacobian.swapaxes(2, 3)
+        relative[part] = spread(centred, blocks[0][part]) @ centred.swapaxes(2, 3)
+        for variance, own in zip(variances, blocks[1:], strict=True):
+            variance[part] = np.sum(spread(centred, own[part]) * centred, axis=(2, 3))
+        by_size[part] = pose.points_m + size * (pose.jacobian @ follows[part, None, :, None])[..., 0]
+    return (absolute, relative), variances[0], variances[1], by_size
 
 
-def _factored(H: BlockBanded, damping: Array | None) -> Factor:
+def _factored(H: BlockBanded, damping: Array | None = None) -> Factor:
     """H's factor; where nothing determines an unknown, as the place of a frame beside a single other one, it is held so
     weakly that its variance is that of nothing known."""
     try:

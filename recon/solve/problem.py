@@ -1,7 +1,8 @@
 """A clip as one non-linear least-squares problem, and its Levenberg-Marquardt solution on the banded normal equations.
 
-Unknown are the states (T, D) of all frames. Every term reads a few neighbouring frames, so that the curvature of the
-sum is block-banded (`recon.banded`). A step solves
+Unknown are the states (T, D) of all frames, and a few quantities that all frames share. Every term reads a few
+neighbouring frames, so that the curvature of the sum is block-banded, with a border for what is shared
+(`recon.banded`). A step solves
 
     (H + damping) step = -gradient
 
@@ -13,14 +14,14 @@ them together, and damping relative to the diagonal would freeze it.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
-from recon.banded import BlockBanded, add_normal, factor
+from recon.banded import BlockBanded, Normal, add_normal
 from recon.kinematics import Tree
 from recon.solve.terms import Linear, Span, Term
 
@@ -35,87 +36,127 @@ _SHORTER = (1.0, 0.5, 0.2)
 
 
 @dataclass(frozen=True)
+class Shared:
+    """An unknown that all frames share, and what is expected of it."""
+
+    name: str
+    mean: float
+    sigma: float
+
+
+@dataclass(frozen=True)
 class Estimate:
-    """states (T, D); cost: half the squared norm, robust; iterations; converged: the tolerance was met."""
+    """states (T, D); cost: half the squared norm, robust; iterations; converged: the tolerance was met; shared: the
+    values of the shared unknowns, by name."""
 
     states: Array
     cost: float
     iterations: int
     converged: bool
+    shared: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """tree: whose markers the terms read. linear, terms: see `recon.solve.terms`."""
+    """tree: whose markers the terms read. linear, terms: see `recon.solve.terms`. shared: the unknowns, besides the
+    states, that are free; everywhere below, `shared` are their values, by default the expected ones."""
 
     tree: Tree
     linear: Sequence[Linear]
     terms: Sequence[Term]
+    shared: Sequence[Shared] = ()
 
-    def costs(self, states: Array) -> dict[str, float]:
-        """By name of the term."""
+    def expected(self) -> dict[str, float]:
+        """The shared unknowns' means."""
+        return {unknown.name: unknown.mean for unknown in self.shared}
+
+    def costs(self, states: Array, shared: Mapping[str, float] | None = None) -> dict[str, float]:
+        """By name of the term, and of the shared unknown."""
+        shared = self.expected() if shared is None else shared
         costs: dict[str, float] = {}
+        for unknown in self.shared:
+            costs[unknown.name] = 0.5 * ((shared[unknown.name] - unknown.mean) / unknown.sigma) ** 2
         for term in self.linear:
             costs[term.name] = costs.get(term.name, 0.0) + 0.5 * float(np.sum(term.residual(states) ** 2))
-        for span in self._spans(states, jacobian=False):
+        for span in self._spans(states, shared, jacobian=False):
             for term in self.terms:
                 costs[term.name] = costs.get(term.name, 0.0) + float(term.evaluate(span, jacobian=False).cost.sum())
         return costs
 
-    def cost(self, states: Array) -> float:
-        return sum(self.costs(states).values())
+    def cost(self, states: Array, shared: Mapping[str, float] | None = None) -> float:
+        return sum(self.costs(states, shared).values())
 
-    def normal(self, states: Array) -> tuple[BlockBanded, Array]:
-        """Curvature H and gradient (T, D) at a point."""
-        T, D = states.shape
+    def normal(self, states: Array, shared: Mapping[str, float] | None = None) -> Normal:
+        """The curvature and the gradient at a point."""
+        shared = self.expected() if shared is None else shared
+        (T, D), P = states.shape, len(self.shared)
         blocks, gradient = self._linear_blocks(T).copy(), np.zeros((T, D))
+        border = np.zeros((T, D, P))
+        sigma = np.array([unknown.sigma for unknown in self.shared])
+        off = np.array([shared[unknown.name] - unknown.mean for unknown in self.shared])
+        corner, shared_gradient = np.diag(sigma**-2.0), off * sigma**-2.0
         for term in self.linear:
             at, r = term.frames(T), term.residual(states)
             for offset, slot in zip(term.stencil, term.slots, strict=True):
                 gradient[at + offset] += r @ slot
-        for span in self._spans(states, jacobian=True):
+        for span in self._spans(states, shared, jacobian=True):
             for term in self.terms:
                 rows = term.evaluate(span, jacobian=True)
                 assert rows.residual is not None
                 assert rows.jacobian is not None
                 add_normal(blocks, gradient, rows.frames, term.stencil, rows.residual, rows.jacobian)
-        return BlockBanded(blocks), gradient
+                if rows.by_shared:
+                    none = np.zeros_like(rows.residual)
+                    by_shared = np.stack([rows.by_shared.get(u.name, none) for u in self.shared], axis=-1)  # (N, M, P)
+                    for slot, offset in enumerate(term.stencil):
+                        border[rows.frames + offset] += rows.jacobian[:, :, slot].swapaxes(1, 2) @ by_shared
+                    corner += np.tensordot(by_shared, by_shared, ((0, 1), (0, 1)))
+                    shared_gradient += np.tensordot(by_shared, rows.residual, ((0, 1), (0, 1)))
+        return Normal(BlockBanded(blocks), gradient, border, corner, shared_gradient)
 
-    def minimise(self, states: Array, tolerance: float, max_iterations: int) -> Estimate:
+    def minimise(
+        self, states: Array, tolerance: float, max_iterations: int, shared: Mapping[str, float] | None = None
+    ) -> Estimate:
         """The minimum from a start; stops when a step lowers the cost by less than tolerance times the cost, or times
         one: what a residual of a sigma and a half costs, below which rounding is all that is left to lower."""
-        here = _Point(states, self.cost(states), _FIRST_DAMPING)
+        shared = self.expected() if shared is None else shared
+        here = _Point(states, shared, self.cost(states, shared), _FIRST_DAMPING)
         for iteration in range(1, max_iterations + 1):
             lower = self._lower(here)
             done = lower is None or here.cost - lower.cost < tolerance * max(here.cost, 1.0)
             here = lower or here
             if done:  # without a direction that leads down, a minimum to rounding
-                return Estimate(here.states, here.cost, iteration, True)
-        return Estimate(here.states, here.cost, max_iterations, False)
+                return Estimate(here.states, here.cost, iteration, True, here.shared)
+        return Estimate(here.states, here.cost, max_iterations, False, here.shared)
 
     def _lower(self, here: _Point) -> _Point | None:
         """A point of lower cost along a step, damped as much as that needs."""
-        (H, gradient), damping = self.normal(here.states), here.damping
+        normal, damping = self.normal(here.states, here.shared), here.damping
         while damping <= _MOST_DAMPING:
             try:
-                step = factor(H, np.full(gradient.shape, damping)).solve(-gradient)
+                step, shared_step = normal.step(damping)
                 for share in _SHORTER:
                     trial = here.states + share * step
-                    cost = self.cost(trial)
+                    shared = {
+                        name: value + share * float(change)
+                        for (name, value), change in zip(here.shared.items(), shared_step, strict=True)
+                    }
+                    cost = self.cost(trial, shared)
                     if cost < here.cost:
-                        return _Point(trial, cost, max(damping * (0.2 if share == 1.0 else 0.6), _LEAST_DAMPING))
+                        less = max(damping * (0.2 if share == 1.0 else 0.6), _LEAST_DAMPING)
+                        return _Point(trial, shared, cost, less)
             except np.linalg.LinAlgError:  # not positive definite to rounding: more damping
                 pass
             damping = max(20.0 * damping, _FIRST_DAMPING)
         return None
 
-    def _spans(self, states: Array, jacobian: bool) -> Iterator[Span]:
+    def _spans(self, states: Array, shared: Mapping[str, float], jacobian: bool) -> Iterator[Span]:
         """The clip in pieces that overlap by one frame."""
         pose = self.tree.pose_with_jacobian if jacobian else self.tree.pose
         for first in range(0, len(states), _FRAMES_AT_ONCE):
             piece = states[first : first + _FRAMES_AT_ONCE + 1]
             last = first + len(piece) == len(states)
-            yield Span(first, piece, pose(piece), last)
+            yield Span(first, piece, pose(piece), last, shared)
             if last:
                 return
 
@@ -139,5 +180,6 @@ class Problem:
 @dataclass(frozen=True, eq=False)
 class _Point:
     states: Array
+    shared: Mapping[str, float]
     cost: float
     damping: float

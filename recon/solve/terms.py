@@ -5,13 +5,15 @@ is the exact gradient of the cost and J'J its curvature: residuals divided by st
 reweighted by the square root of its slope (so that the cost is not half of r'r). With N frames, M rows, S offsets and D
 unknowns a frame:
 
-    evaluate(span, jacobian) -> Rows: frames (N,), cost (N,), residual (N, M), jacobian (N, M, S, D)
+    evaluate(span, jacobian) -> Rows: frames (N,), cost (N,), residual (N, M), jacobian (N, M, S, D), and of the rows
+                                that read unknowns which all frames share, the derivative (N, M) by each of them
 
 stencil (S,) are the offsets of the frames that a row reads, relative to the frame it stands for. The rows of a `Linear`
 term have a constant Jacobian: the solver works out their curvature once.
 
-Lengths are those of a body of nominal size. A scene that is scaled about the camera gives the same picture, and larger
-animals move further in proportion: no term could tell the size (`recon.solve.trajectory` says where it comes from).
+States are those of a body of nominal size about an origin, the first camera's centre: the point p of such a scene lies
+at origin + size p in the world. Larger animals move further in proportion, so no prior could tell the size, nor can a
+camera that stays in the origin, whose picture is the same for any size: only `Reprojection` of other cameras reads it.
 
 Detections are correlated over time, and so are the errors of the priors: priors count as many times a second as they
 were weighed at, whatever the frame rate (`REFERENCE_HZ`).
@@ -19,19 +21,22 @@ were weighed at, whatever the frame rate (`REFERENCE_HZ`).
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from recon.camera import Camera
+from recon.clip import View
 from recon.kinematics import ROOT, YAW, TreePose
 from recon.prior import MotionPrior
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 
+SIZE = "size"
+"""The shared unknown: a factor on all lengths. 1 where it is not one."""
 REFERENCE_HZ = 90.0
 OUT_OF_SIGHT = 50.0
 """Squared sigmas, in units of the loss's c^2, of a detected joint that the camera cannot project."""
@@ -41,7 +46,8 @@ ANGLES = slice(4, None)
 
 @dataclass(frozen=True)
 class Span:
-    """Frames first, first + 1, ... of a clip: states (n, D), and the posed markers, which detections belong to.
+    """Frames first, first + 1, ... of a clip: states (n, D), the posed markers, which detections belong to, and by name
+    the values of the unknowns that all frames share.
 
     The last frame is there for stencils that reach it unless `last`: terms that read one frame at a time leave it out.
     """
@@ -50,6 +56,7 @@ class Span:
     states: Array
     pose: TreePose
     last: bool
+    shared: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def own(self) -> slice:
@@ -58,12 +65,13 @@ class Span:
 
 @dataclass(frozen=True)
 class Rows:
-    """See the module's text. Without Jacobian, residual and what follows are None."""
+    """See the module's text. Without Jacobian, residual and what follows are left out."""
 
     frames: Index
     cost: Array
     residual: Array | None = None
     jacobian: Array | None = None
+    by_shared: Mapping[str, Array] = field(default_factory=dict)
 
 
 class Term(Protocol):
@@ -196,52 +204,60 @@ class PoseMixture:
 class Reprojection:
     """Projected minus detected position, one robust loss per point: c^2/2 log(1 + |e|^2 / (c sigma)^2) (Cauchy).
 
-    xy_px (T, J, 2), NaN where missing; confidence (T, J), a factor on the cost; sigma_px (T, J), frozen: a standard
-    deviation that followed the depth would let the noise's size decide the distance.
+    sigma_px (T, J), frozen: a standard deviation that followed the depth would let the noise's size decide the
+    distance. The view's confidence is a factor on the cost. A view that leads is between two frames.
     """
 
-    camera: Camera
-    camera_from_level: Array
-    xy_px: Array
-    confidence: Array
+    view: View
     sigma_px: Array
     c: float
+    origin_m: Array
     name: str = "reprojection"
-    stencil: tuple[int, ...] = (0,)
+
+    @property
+    def stencil(self) -> tuple[int, ...]:
+        return (0, 1) if self.view.lead_frames else (0,)
 
     def evaluate(self, span: Span, jacobian: bool) -> Rows:
-        points = span.pose.points_m[span.own]
+        parts = self._parts(span)
+        points = np.sum([share * span.pose.points_m[part] for part, share in parts], axis=0)
         frames = np.arange(span.first, span.first + len(points))
-        detected, sigma = self.xy_px[frames], self.sigma_px[frames]
-        present = np.isfinite(detected[..., 0])
-        in_camera = points @ self.camera_from_level.T
+        view, sigma = self.view.part(slice(span.first, span.first + len(points))), self.sigma_px[frames]
+        size = span.shared.get(SIZE, 1.0)
+        world = self.origin_m + size * points
         if jacobian:
-            projected, d_point, valid = self.camera.project_with_jacobian(in_camera)
+            projected, by_point, valid = view.project_with_jacobian(world)
         else:
-            (projected, valid), d_point = self.camera.project(in_camera), None
+            (projected, valid), by_point = view.project(world), None
+        present = view.present
         seen = present & valid
-        e = np.where(seen[..., None], projected - detected, 0.0) / sigma[..., None]
+        e = np.where(seen[..., None], projected - view.xy_px, 0.0) / sigma[..., None]
         q = np.sum(e * e, axis=-1) / self.c**2
-        trust = np.where(present, self.confidence[frames], 0.0)
+        trust = np.where(present, view.confidence, 0.0)
         loss = np.where(valid, np.log1p(q), OUT_OF_SIGHT)
         cost = 0.5 * self.c**2 * np.sum(loss * trust, axis=1)
-        if d_point is None:
+        if by_point is None:
             return Rows(frames, cost)
         assert span.pose.jacobian is not None
         root = np.sqrt(np.where(seen, trust / (1.0 + q), 0.0))[..., None]
-        d_level = (d_point @ self.camera_from_level) * np.where(seen[..., None], root / sigma[..., None], 0.0)[
-            ..., None
-        ]
+        by_point = by_point * np.where(seen[..., None], root / sigma[..., None], 0.0)[..., None]
         N, J = q.shape
-        rows = (d_level @ span.pose.jacobian[span.own]).reshape(N, 2 * J, 1, -1)
-        return Rows(frames, cost, (e * root).reshape(N, 2 * J), rows)
+        by_state = by_point * size if SIZE in span.shared else by_point
+        slots = [(by_state * share @ span.pose.jacobian[part]).reshape(N, 2 * J, 1, -1) for part, share in parts]
+        rows = slots[0] if len(slots) == 1 else np.concatenate(slots, axis=2)
+        by_shared = {SIZE: (by_point @ points[..., None]).reshape(N, 2 * J)} if SIZE in span.shared else {}
+        return Rows(frames, cost, (e * root).reshape(N, 2 * J), rows, by_shared)
+
+    def _parts(self, span: Span) -> list[tuple[slice, float]]:
+        """The span's frames that each picture lies between, and their shares."""
+        lead, n = self.view.lead_frames, len(span.states)
+        return [(slice(0, n - 1), 1.0 - lead), (slice(1, n), lead)] if lead else [(span.own, 1.0)]
 
     def weights(self, points_m: Array) -> Array:
-        """(T, J): how far each detection is trusted, 1 to 0, NaN where missing, for markers (T, J, 3)."""
-        projected, valid = self.camera.project(points_m @ self.camera_from_level.T)
-        q = np.sum((projected - self.xy_px) ** 2, axis=-1) / (self.c * self.sigma_px) ** 2
-        weight = np.where(valid, 1.0 / (1.0 + q), 0.0)
-        return np.where(np.isfinite(self.xy_px[..., 0]), weight, np.nan)
+        """(T, J): how far each detection is trusted, 1 to 0, NaN where missing, for markers (T, J, 3) of the world."""
+        projected, valid = self.view.project(points_m)
+        q = np.sum((projected - self.view.xy_px) ** 2, axis=-1) / (self.c * self.sigma_px) ** 2
+        return np.where(self.view.present, np.where(valid, 1.0 / (1.0 + q), 0.0), np.nan)
 
 
 @dataclass(frozen=True)

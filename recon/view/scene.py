@@ -11,7 +11,7 @@ import rerun as rr
 from numpy.typing import NDArray
 
 from recon.body import Side
-from recon.initialise import level_axes
+from recon.frames import level_from_camera
 from recon.motion import Motion, TrajectoryMotion
 from recon.solve import Spell
 
@@ -73,8 +73,7 @@ class Scene:
     @classmethod
     def of(cls, motion: Motion) -> Scene:
         camera = motion.camera
-        right, away = level_axes(camera.up)
-        axes, centre = np.stack((right, away, camera.up)), np.zeros(3)
+        axes, centre = level_from_camera(camera.up), np.zeros(3)
         if camera.has_extrinsics:
             centre = camera.centre_world
             axes = np.eye(3) if camera.world_z_up else camera.camera_to_world(axes) - centre

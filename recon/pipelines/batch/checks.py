@@ -7,10 +7,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from recon.camera import Camera
 from recon.errors import InputError, Problem
 from recon.pipelines.batch.inputs import Clip
-from recon.pipelines.clip import Model, prepare, read_model_and_camera
+from recon.pipelines.clip import Cameras, Model, prepare, read_model_and_cameras
 from recon.settings import FitSettings
 
 Problems = tuple[Problem, ...]
@@ -62,16 +61,20 @@ def _of_all(problem: Problem, each: Sequence[Problems]) -> Problem:
 
 
 class _Shared:
-    """`read_model_and_camera` for many clips: what they share is read once."""
+    """`read_model_and_cameras` for many clips: what they share is read once."""
 
     def __init__(self) -> None:
-        self._known: dict[FitSettings, tuple[Model, Camera] | InputError] = {}
+        self._known: dict[FitSettings, tuple[Model, Cameras] | InputError] = {}
 
-    def __call__(self, settings: FitSettings) -> tuple[Model, Camera]:
-        shared = replace(settings, keypoints=Path(), individual=None, frames=None)
+    def __call__(self, settings: FitSettings) -> tuple[Model, Cameras]:
+        # Names of keypoint files choose cameras.
+        names = tuple(
+            Path(path.name if settings.camera_name is None else str(i)) for i, path in enumerate(settings.keypoints)
+        )
+        shared = replace(settings, keypoints=names, individual=None, frames=None)
         if shared not in self._known:
             try:
-                self._known[shared] = read_model_and_camera(shared)
+                self._known[shared] = read_model_and_cameras(shared)
             except InputError as error:
                 self._known[shared] = error
         known = self._known[shared]

@@ -70,7 +70,7 @@ def _planned(clip: Clip, out: Path, overwrite: bool) -> Planned:
     if record is None or (record["state"] == "finished" and not _own(out, record)):
         raise InputError(_occupied(out, "results that no batch has made"))
     theirs = record["identity"]
-    same_clip = record["keypoints"] == str(clip.settings.keypoints)
+    same_clip = record["keypoints"] == clip.settings.keypoints_text
     if not same_clip and theirs["inputs"].get("keypoints") != mine["inputs"]["keypoints"]:
         raise InputError(_occupied(out, f"results of {record['keypoints']}"))
     if record["state"] != "finished":
@@ -117,7 +117,8 @@ def identity(settings: FitSettings) -> dict[str, Any]:
 
 def input_files(settings: FitSettings) -> dict[str, Path]:
     """By the setting that names them; built-in skeletons, subjects and priors are no files."""
-    files = {"keypoints": settings.keypoints}
+    first, *others = settings.keypoints
+    files = {"keypoints": first} | {f"keypoints {i}": path for i, path in enumerate(others, start=2)}
     if settings.camera is not None:
         files["camera"] = settings.camera
     for role in ("skeleton", "subject", "prior"):
@@ -202,7 +203,7 @@ def _write(
     known: Mapping[str, Any],
     results: Mapping[str, Any] | None = None,
 ) -> None:
-    head = {"schema": SCHEMA, "state": state, "run": run, "attempt": attempt, "keypoints": str(settings.keypoints)}
+    head = {"schema": SCHEMA, "state": state, "run": run, "attempt": attempt, "keypoints": settings.keypoints_text}
     text = json.dumps({**head, "identity": known, **(results or {})}, indent=1)
     with staged_file(out / RECORD) as staged:
         staged.write_text(text + "\n", encoding="utf-8")

@@ -85,7 +85,7 @@ class Summary:
 def _row(planned: Planned) -> dict[str, Any]:
     row = dict.fromkeys(COLUMNS) | {
         "clip": planned.clip.name,
-        "keypoints": str(planned.clip.settings.keypoints),
+        "keypoints": planned.clip.settings.keypoints_text,
         "out": str(planned.out),
         "status": "pending",
         "attempts": 0,

@@ -1,0 +1,152 @@
+"""One camera's part of a clip."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from recon.camera import Camera
+from recon.frames import inverse, level_from_camera, rigid
+
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """What one camera saw in the T frames of a clip, and from where. Metres, pixels of the distorted picture."""
+
+    camera: Camera
+    """Lens, intrinsics and the picture's size; a still camera's pose in the camera file is not read from here."""
+    T_camera_world: Array
+    """(T, 4, 4), or (4, 4) of a camera that stands still."""
+    xy_px: Array
+    """(T, J, 2): where the detector saw each keypoint, NaN where it did not."""
+    confidence: Array
+    """(T, J), 0 to 1."""
+    intrinsics_px: Array | None = None
+    """(T, 4): fx, fy, cx, cy of each frame, of a camera that zooms."""
+    lead_frames: float = 0.0
+    """0 up to 1: its pictures were taken that much later than the clip's frames."""
+
+    @property
+    def still(self) -> bool:
+        return self.T_camera_world.ndim == 2
+
+    @property
+    def present(self) -> NDArray[np.bool_]:
+        """(T, J)"""
+        return np.isfinite(self.xy_px[..., 0])
+
+    @property
+    def rotation(self) -> Array:
+        """R_camera_world (3, 3), or (T, 1, 3, 3) of a camera that moves: what it is multiplied with has joints, too."""
+        return self.T_camera_world[:3, :3] if self.still else self.T_camera_world[:, None, :3, :3]
+
+    @cached_property
+    def centre_m(self) -> Array:
+        """(T, 3): centre of projection, world frame."""
+        return np.broadcast_to(inverse(self.T_camera_world)[..., :3, 3], (len(self.xy_px), 3))
+
+    @property
+    def focal_px(self) -> Array | float:
+        """Geometric mean of fx and fy; (T,) of a camera that zooms."""
+        if self.intrinsics_px is not None:
+            return np.sqrt(self.intrinsics_px[:, 0] * self.intrinsics_px[:, 1])
+        return float(np.sqrt(self.camera.matrix[0, 0] * self.camera.matrix[1, 1]))
+
+    def part(self, frames: slice | Index) -> View:
+        """Of these frames only."""
+        return replace(
+            self,
+            T_camera_world=self.T_camera_world if self.still else self.T_camera_world[frames],
+            xy_px=self.xy_px[frames],
+            confidence=self.confidence[frames],
+            intrinsics_px=None if self.intrinsics_px is None else self.intrinsics_px[frames],
+        )
+
+    def credible(self) -> View:
+        """Without what no detector can have found in the picture (`Camera.sees`)."""
+        return replace(self, xy_px=np.where(self.camera.sees(self._unzoomed_px)[..., None], self.xy_px, np.nan))
+
+    def at_its_time(self, points_m: Array) -> Array:
+        """Points (T, J, 3) of the clip's frames when this view's pictures were taken."""
+        if not self.lead_frames or len(points_m) < 2:
+            return points_m
+        later = np.concatenate([points_m[1:], 2 * points_m[-1:] - points_m[-2:-1]])
+        return (1.0 - self.lead_frames) * points_m + self.lead_frames * later
+
+    # -- projection; points are those of all T frames ---------------------------------------------------------------
+
+    def to_camera(self, points_m: Array) -> Array:
+        """Points (T, J, 3) of the world frame in the camera frame."""
+        if self.still:
+            return points_m @ self.T_camera_world[:3, :3].T + self.T_camera_world[:3, 3]
+        R, t = self.T_camera_world[:, :3, :3], self.T_camera_world[:, :3, 3]
+        return points_m @ R.swapaxes(1, 2) + t[:, None]
+
+    def project(self, points_m: Array) -> tuple[Array, NDArray[np.bool_]]:
+        """Pixels (T, J, 2) and validity (T, J), as `Camera.project`, of points (T, J, 3) of the world frame."""
+        pixels, valid = self.camera.project(self.to_camera(points_m))
+        return self._zoomed(pixels), valid
+
+    def project_with_jacobian(self, points_m: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
+        """The same, with the pixels' exact derivatives (T, J, 2, 3) by the points, second."""
+        pixels, by_point, valid = self.camera.project_with_jacobian(self.to_camera(points_m))
+        if self.intrinsics_px is not None:
+            by_point = self._zoom[:, None, :, :2] @ by_point
+        return self._zoomed(pixels), by_point @ self.rotation, valid
+
+    def rays(self) -> Array:
+        """(T, J, 3): unit vectors in the world frame towards the keypoints, NaN where there is none."""
+        rays, _ = self.camera.rays(self._unzoomed_px)
+        return rays @ self.rotation if self.still else (rays[..., None, :] @ self.rotation)[..., 0, :]
+
+    @cached_property
+    def _zoom(self) -> Array:
+        """(T, 2, 3): pixels of the camera's own matrix in the frame's pixels. The lens bends before either."""
+        assert self.intrinsics_px is not None
+        matrices = np.tile(np.eye(3), (len(self.intrinsics_px), 1, 1))
+        matrices[:, 0, 0], matrices[:, 1, 1], matrices[:, 0, 2], matrices[:, 1, 2] = self.intrinsics_px.T
+        matrices[:, 0, 1] = self.camera.matrix[0, 1] * matrices[:, 0, 0] / self.camera.matrix[0, 0]
+        return (matrices @ np.linalg.inv(self.camera.matrix))[:, :2]
+
+    @property
+    def _unzoomed_px(self) -> Array:
+        """(T, J, 2): the keypoints in pixels of the camera's own matrix."""
+        if self.intrinsics_px is None:
+            return self.xy_px
+        linear, shift = self._zoom[:, None, :, :2], self._zoom[:, None, :, 2]
+        return np.linalg.solve(linear, (self.xy_px - shift)[..., None])[..., 0]
+
+    def _zoomed(self, pixels: Array) -> Array:
+        if self.intrinsics_px is None:
+            return pixels
+        return (self._zoom[:, None, :, :2] @ pixels[..., None])[..., 0] + self._zoom[:, None, :, 2]
+
+
+def camera_poses(cameras: Sequence[Camera]) -> list[Array]:
+    """T_camera_world (4, 4) of still cameras, in the world frame of `recon.frames`."""
+    first = cameras[0]
+    if first.knows_up:
+        T_world_file = np.eye(4)
+    else:
+        R_level_camera = level_from_camera(first.up)
+        T_world_file = rigid(R_level_camera, np.zeros(3))
+        if first.rotation is not None and first.translation_m is not None:
+            T_world_file = T_world_file @ rigid(first.rotation, first.translation_m)
+    poses = []
+    for camera in cameras:
+        rotation = np.eye(3) if camera.rotation is None else camera.rotation
+        translation = np.zeros(3) if camera.translation_m is None else camera.translation_m
+        poses.append(rigid(rotation, translation) @ inverse(T_world_file))
+    return poses
+
+
+def still_view(camera: Camera, xy_px: Array, confidence: Array) -> View:
+    """The only view of a clip, by a camera that stands still."""
+    return View(camera, camera_poses([camera])[0], xy_px, confidence)

@@ -1,0 +1,200 @@
+"""What a trajectory is solved for: views of a clip, a body, what is expected of its motion, and the options."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from recon.body import Body
+from recon.clip import View
+from recon.prior import MotionPrior
+from recon.solve.problem import Problem, Shared
+from recon.solve.terms import (
+    SIZE,
+    Heading,
+    Linear,
+    PoseMixture,
+    Reprojection,
+    Term,
+    climb_term,
+    dynamics_term,
+    pose_term,
+    root_term,
+)
+
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+
+UP = np.array([0.0, 0.0, 1.0])
+_APART_M = 1e-6
+"""Cameras nearer to the origin than this are in it."""
+
+
+@dataclass(frozen=True)
+class TrajectoryOptions:
+    """How the trajectory method weighs and searches. Standard deviations unless said otherwise.
+
+    sigma_px: the detector's noise; keypoint_sigma_m: how far keypoints lie from the markers, in place of the body's;
+    size_sigma: of the size, relative, in place of the body's. robust_c: residuals of that many sigmas count half.
+    pose_weight, mixture_weight, motion_weight: how many times the priors count per 1/90 s. acceleration_m_s2: of the
+    root in the level frame. lateral_m_s: of the velocity across the trunk. climb_m_s: of the root. ground: "auto" uses
+    contacts and a plane, "none" does not; the stance's loss saturates at slip_c slip_m_s. noise_rounds: of step 4.
+    error_time_s: how long errors last; what is seen in that time counts once in the uncertainty.
+    fast: fewer starts, one of them to the end, and looser tolerances.
+
+    Where the values come from: those of the root's movement and of feet that stand have the size of what is seen in the
+    reconstructions that the prior `running-cheetah` is made of; lateral_m_s is an angle of 0.05 rad at 10 m/s. The rest
+    are round numbers; docs/benchmarks.md shows what they matter. error_time_s was set on the real runs of the
+    benchmark, so that 90 % regions hold about 90 % of the joints.
+    """
+
+    fast: bool = False
+    ground: Literal["auto", "none"] = "auto"
+    sigma_px: float = 3.0
+    keypoint_sigma_m: float | None = None
+    size_sigma: float | None = None
+    robust_c: float = 3.0
+    pose_weight: float = 1.0
+    mixture_weight: float = 1.0
+    motion_weight: float = 1.0
+    acceleration_m_s2: tuple[float, float, float] = (12.0, 12.0, 9.0)
+    yaw_acceleration_rad_s2: float = 40.0
+    lateral_m_s: float = 0.5
+    climb_m_s: float = 0.5
+    stance_weight: float = 1.0
+    slip_m_s: float = 2.5
+    slip_c: float = 2.0
+    ground_height_m: float = 0.12
+    ground_slope: float = 0.02
+    ground_foot_m: float = 0.04
+    error_time_s: float = 0.16
+    noise_rounds: int = 3
+    tolerance: float = 1e-4
+    max_iterations: int = 30
+
+    def as_run(self) -> TrajectoryOptions:
+        """With what `fast` makes of the last rounds."""
+        if self.fast:
+            return replace(self, tolerance=10 * self.tolerance, noise_rounds=1)
+        return replace(self, noise_rounds=max(self.noise_rounds, 1))
+
+
+@dataclass(frozen=True, eq=False)
+class Setting:
+    """What does not change on the way to a solution, of all T frames of a clip or a part of them."""
+
+    views: tuple[View, ...]
+    body: Body
+    prior: MotionPrior
+    fps: float
+    options: TrajectoryOptions
+    origin_m: Array
+    """(3,), world frame: the point that the body's size scales the scene about, the first camera's (mean) centre."""
+    ground_near_zero: bool
+    """Whether the ground is known to lie near the world's z = 0."""
+
+    def __len__(self) -> int:
+        """T"""
+        return len(self.views[0].xy_px)
+
+    def part(self, frames: slice | Index) -> Setting:
+        return replace(self, views=tuple(view.part(frames) for view in self.views))
+
+    def thinned(self, step: int) -> Setting:
+        """Of every step-th frame, which counts for those left out."""
+        thin = self.part(slice(None, None, step))
+        views = tuple(
+            replace(view, confidence=step * view.confidence, lead_frames=view.lead_frames / step) for view in thin.views
+        )
+        return replace(thin, views=views, fps=self.fps / step)
+
+    # -- the scene ------------------------------------------------------------------------------------------------
+
+    @property
+    def right(self) -> Array:
+        """(3,): the level direction to the right of the first camera's picture."""
+        x = self.views[0].T_camera_world.reshape(-1, 4, 4)[0, 0, :3]
+        level = x - UP * x[2]
+        return level / np.linalg.norm(level)
+
+    @property
+    def away(self) -> Array:
+        """(3,): the level direction away from the first camera."""
+        return np.asarray(np.cross(UP, self.right), dtype=float)
+
+    @property
+    def feet(self) -> Index:
+        return np.array([self.body.markers.index(foot) for foot in self.body.feet], dtype=np.intp)
+
+    @property
+    def ground_known(self) -> bool:
+        return self.ground_near_zero and self.options.ground == "auto"
+
+    @property
+    def size_sigma(self) -> float:
+        """Prior standard deviation of the size, around 1."""
+        return self.body.size_sigma if self.options.size_sigma is None else self.options.size_sigma
+
+    @property
+    def shows_size(self) -> bool:
+        """Whether a picture was taken from elsewhere than the origin."""
+        return any(np.abs(view.centre_m - self.origin_m).max() > _APART_M for view in self.views)
+
+    def present(self) -> NDArray[np.bool_]:
+        """(T, J): seen by a camera."""
+        return np.any([view.present for view in self.views], axis=0)
+
+    def markers(self, states: Array) -> Array:
+        """(T, J, 3): where the detector sees them, at nominal size about the origin."""
+        return self.body.detected.pose(states).points_m
+
+    def in_world(self, points_m: Array, size: float = 1.0) -> Array:
+        """Points (..., 3) of nominal size about the origin."""
+        return self.origin_m + size * points_m
+
+    # -- the problem ----------------------------------------------------------------------------------------------
+
+    def noise_px(self, points_m: Array, factor: Array, size: float = 1.0) -> Array:
+        """(V, T, J): the detector's noise, and the keypoints' at the animal's distance, times sqrt(factor) (V, J), for
+        markers (T, J, 3) at nominal size."""
+        o = self.options
+        keypoint_m = self.body.keypoint_sigma_m if o.keypoint_sigma_m is None else o.keypoint_sigma_m
+        world = self.in_world(points_m, size)
+        noise = []
+        for view, of_joints in zip(self.views, factor, strict=True):
+            depth = np.maximum(np.median(view.to_camera(world)[..., 2], axis=1), 0.3)
+            noise.append(np.hypot(o.sigma_px, keypoint_m * view.focal_px / depth)[:, None] * np.sqrt(of_joints))
+        return np.array(noise)
+
+    def problem(
+        self,
+        noise_px: Array,
+        temperature: float | None = None,
+        contact_terms: Sequence[Term] = (),
+        size_free: bool = False,
+    ) -> Problem:
+        """All terms, each switched on here. noise_px (V, T, J). temperature: of the mixture of poses; None: one
+        Gaussian of poses in its place. size_free: the size is unknown, not 1, where the pictures show it."""
+        o, D, T = self.options, self.body.n_state, len(self)
+        rear, front = (self.body.markers.index(marker) for marker in self.body.forward)
+        linear: list[Linear] = []
+        terms: list[Term] = [
+            Reprojection(view, sigma_px, o.robust_c, self.origin_m)
+            for view, sigma_px in zip(self.views, noise_px, strict=True)
+        ]
+        if temperature is None:
+            linear.append(pose_term(self.prior, D, self.fps, o.pose_weight))
+        else:
+            terms.append(PoseMixture(self.prior, self.fps, o.mixture_weight, temperature))
+        if T > 1:
+            linear.append(climb_term(D, self.fps, o.climb_m_s))
+            terms.append(Heading(rear, front, self.fps, o.lateral_m_s))
+        if T > 2:
+            linear.append(dynamics_term(self.prior, D, self.fps, o.motion_weight))
+            linear.append(root_term(D, self.fps, np.array(o.acceleration_m_s2), o.yaw_acceleration_rad_s2))
+        shared = [Shared(SIZE, 1.0, self.size_sigma)] if size_free and self.shows_size else []
+        return Problem(self.body.detected, linear, [*terms, *contact_terms], shared)

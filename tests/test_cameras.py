@@ -1,0 +1,135 @@
+"""Clips that several cameras filmed: which file is whose, on which frames, and what becomes of what is wrong."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from recon import FitSettings, InputError, TrajectoryMotion, fit_clip
+from recon.clip import Source, View, together
+from recon.export.deeplabcut import write_keypoints_csv
+from recon.keypoints import Keypoints, clean
+from recon.pipelines.clip import prepare
+from tests.command_line import run as command
+from tests.test_trajectory import BODY, CAMERA, FPS
+from tests.test_views import AHEAD, ASIDE, truth_m
+
+FISHEYE = replace(CAMERA, model="fisheye", distortion=np.zeros(4))
+
+
+def keypoints_of(xy_px: np.ndarray, first: int = 0) -> Keypoints:
+    return Keypoints(BODY.markers, xy_px, np.ones(xy_px.shape[:2]), np.arange(first, first + len(xy_px)), fps=FPS)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The run of `tests.test_views` as run_cam1.csv and run_cam2.csv, the second without its first ten frames, beside
+    scene.json."""
+    out, cameras = tmp_path_factory.mktemp("two"), []
+    for number, (pose, first) in enumerate(((AHEAD, 0), (ASIDE, 10)), start=1):
+        points = truth_m()
+        blank = View(FISHEYE, pose, np.zeros((*points.shape[:2], 2)), np.ones(points.shape[:2]))
+        noise = 2.0 * np.random.default_rng(number).normal(size=blank.xy_px.shape)
+        write_keypoints_csv(
+            keypoints_of((blank.project(points)[0] + noise)[first:], first), out / f"run_cam{number}.csv"
+        )
+        rotation, t = pose[:3, :3].tolist(), pose[:3, 3, None].tolist()
+        cameras.append({"k": FISHEYE.matrix.tolist(), "d": [[0.0]] * 4, "r": rotation, "t": t, "name": f"cam{number}"})
+    (out / "scene.json").write_text(json.dumps({"camera_resolution": [1920, 1080], "cameras": cameras}))
+    return out
+
+
+def settings(folder: Path, *numbers: int, **more: object) -> FitSettings:
+    files = [folder / f"run_cam{number}.csv" for number in numbers]
+    given = {"fps": FPS, "subject": "phantom", "fast": True} | more
+    return FitSettings(keypoints=files, camera=folder / "scene.json", **given)  # pyright: ignore[reportArgumentType]
+
+
+def problems(error: pytest.ExceptionInfo[InputError]) -> str:
+    return "\n".join(map(str, error.value.problems))
+
+
+def test_a_file_is_that_of_the_camera_that_its_name_contains(folder):
+    given = prepare(settings(folder, 2, 1))
+    assert [source.camera.name for source in given.sources] == ["cam2", "cam1"]
+    assert [source.camera.name for source in prepare(settings(folder, 1)).sources] == ["cam1"]
+
+
+def test_or_as_given(folder):
+    given = prepare(settings(folder, 1, 2, camera_name=["cam2", "cam1"]))
+    assert [source.camera.name for source in given.sources] == ["cam2", "cam1"]
+
+
+def test_views_have_the_same_frames(folder):
+    """The second camera's file begins at frame 10: before it, it has seen nothing."""
+    first, second = prepare(settings(folder, 1, 2)).sources
+    np.testing.assert_array_equal(first.keypoints.frames, np.arange(40))
+    np.testing.assert_array_equal(second.keypoints.frames, np.arange(40))
+    assert not second.keypoints.present[:10].any()
+    assert second.keypoints.present[10:].all()
+
+
+def test_a_range_of_frames_is_the_first_cameras(folder):
+    first, second = prepare(settings(folder, 1, 2, frames="5:20")).sources
+    assert (first.keypoints.frames[0], first.keypoints.frames[-1]) == (5, 19)
+    assert not second.keypoints.present[:5].any()
+    assert second.keypoints.present[5:].all()
+
+
+def test_cameras_that_began_later():
+    """By two frames and a quarter: its frame 0 belongs between the clip's frames 2 and 3."""
+    xy_px = np.arange(5.0)[:, None, None] + np.zeros((5, len(BODY.markers), 2))
+    sources = [Source(CAMERA, *clean(keypoints_of(values), 0.5), BODY.markers) for values in (xy_px + 100, xy_px + 200)]
+    first, late = together(sources, [0.0, 2.25])
+    np.testing.assert_array_equal(first.keypoints.frames, np.arange(7))
+    assert (first.lead_frames, late.lead_frames) == (0.0, 0.25)
+    assert np.isnan(first.keypoints.xy_px[5:]).all()
+    np.testing.assert_array_equal(late.keypoints.xy_px[:, 0, 0], [np.nan, np.nan, 200, 201, 202, 203, 204])
+    _, early = together(sources, [0.0, -0.25])
+    assert early.lead_frames == 0.75
+    assert early.keypoints.frames[0] == -1
+
+
+def test_a_clip_of_two_cameras(folder):
+    motion = fit_clip(settings(folder, 1, 2))
+    assert isinstance(motion, TrajectoryMotion)
+    assert np.linalg.norm(motion.joints_m - truth_m(), axis=-1).mean() < 0.025
+    assert [source.camera.name for source in motion.sources] == ["cam1", "cam2"]
+    assert motion.solution.weight.shape == (2, 40, len(BODY.markers))
+
+
+def test_what_is_wrong_is_said(folder, tmp_path):
+    with pytest.raises(InputError) as error:
+        settings(folder, 1, 2, camera_name=["cam1"], offset_s=[0.0, 0.1, 0.2])
+    assert "camera_name: found 1: cam1, expected one for each keypoint file, that is 2" in problems(error)
+    assert "offset_s: found 3: 0.0, 0.1, 0.2, expected one for each keypoint file, that is 2" in problems(error)
+    with pytest.raises(InputError) as error:
+        settings(folder, 1, 1)
+    assert "expected a different file for each camera" in problems(error)
+    with pytest.raises(InputError) as error:
+        settings(folder, 1, 2, method="frame", subject=None, fast=None)
+    assert "2 files with the frame method, which knows one camera" in problems(error)
+    with pytest.raises(InputError) as error:
+        prepare(settings(folder, 1, 2, camera_name=["cam1", "cam1"]))
+    assert "cam1 for two keypoint files" in problems(error)
+    (tmp_path / "clip.csv").write_bytes((folder / "run_cam1.csv").read_bytes())
+    given = replace(settings(folder, 1, 2), keypoints=(tmp_path / "clip.csv", folder / "run_cam2.csv"))
+    with pytest.raises(InputError) as error:
+        prepare(given)
+    assert "found 2 cameras and no choice, expected one of cam1, cam2 by --camera-name, or in the file's name" in (
+        problems(error)
+    )
+
+
+def test_command(folder, tmp_path):
+    files = [folder / "run_cam1.csv", folder / "run_cam2.csv"]
+    out = tmp_path / "out"
+    ended = command("fit", *files, "--camera", folder / "scene.json", "--fps", 90, "--fast", "--out", out)
+    assert ended.code == 0, ended.err
+    again = command("fit", "--config", out / "config.toml", "--out", tmp_path / "again")
+    assert again.code == 0, again.err
+    assert (out / "pose3d.csv").read_bytes() == (tmp_path / "again" / "pose3d.csv").read_bytes()
