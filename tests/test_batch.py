@@ -22,6 +22,8 @@ import pytest
 import recon.pipelines.batch.worker as worker_module
 from recon.cli import main
 from recon.errors import InputError
+from recon.files import sole_writer
+from recon.pipelines.analyse import run_analyse
 from recon.pipelines.batch import COLUMNS, Clip, Event, Summary, find_clips, input_problems, plan_batch, run_batch
 from recon.pipelines.batch.record import RECORD, read_record
 from recon.pipelines.batch.worker import Worker, WorkerDied, fit_one, task_of
@@ -156,6 +158,19 @@ def test_manifest_rows_overrule_the_common_options(clips):
     assert third.settings == FitSettings(
         keypoints=SAMPLES / "whole.csv", hfov_deg=64, image_size_px=(1920, 1080), fps=30, method="frame", frames="0:6"
     )
+
+
+def test_lines_that_end_as_on_old_macs(clips):
+    """Neither a manifest nor a keypoint file of that kind ends the batch."""
+    table = (clips / "a.csv").read_bytes().replace(b"\r\n", b"\n")
+    (clips / "a.csv").write_bytes(table.replace(b"\n", b"\r"))
+    (clips / "list.csv").write_bytes(b"keypoints;frames\ra.csv;0:4\r\rb.csv;\r")
+    first, second, third = found(clips / "list.csv", clips / "a.csv")
+    assert (first.settings.keypoints, first.settings.frames) == (clips / "a.csv", "0:4")
+    assert second.settings.keypoints == clips / "b.csv"
+    assert third.settings.keypoints == clips / "a.csv"
+    (clips / "long.csv").write_text("keypoints,out\na.csv,first\nb.csv," + "x" * 200_000)
+    assert "long.csv: line 3: found field larger than field limit" in problems(clips / "long.csv")[0]
 
 
 def test_common_options_lie_over_config(clips, tmp_path):
@@ -312,6 +327,34 @@ def test_results_of_others_are_left_alone(clips, tmp_path):
     unknown = "results that no batch has made"
     assert said == [("a", unknown), ("b", unknown), ("c", f"results of {other / 'c.csv'}")]
     assert [p.reason for p in plan_batch(found(clips), out, overwrite=True)] == ["--overwrite"] * 3
+
+
+def test_what_comes_after_the_fit_does_not_have_it_made_again(clips, tmp_path):
+    """But results that are not as they were written do."""
+    out = tmp_path / "out"
+    fit(found(clips / "a.csv"), out)
+    run_analyse(out / "a", figures=False)
+    (out / "a" / "video.rrd").write_bytes(b"of recon view --video")
+    (planned,) = plan_batch(found(clips / "a.csv"), out)
+    assert planned.action == "done"
+    table = (out / "a" / "pose3d.csv").read_bytes()
+    (out / "a" / "pose3d.csv").write_bytes(table.replace(b"1", b"2", 1))  # of the same size
+    assert fit(found(clips / "a.csv"), out) == [("refit", "not complete")]
+    assert (out / "a" / "pose3d.csv").read_bytes() == table
+
+
+def test_what_another_process_is_writing_to_is_left_alone(clips, tmp_path, monkeypatch):
+    monkeypatch.setattr("recon.pipelines.batch.worker.DYING_S", 0.0)
+    out = tmp_path / "out"
+    (planned,) = plan_batch(found(clips / "a.csv"), out)
+    with sole_writer(out):
+        with pytest.raises(InputError, match=r"another process .*, which is writing to it, expected one at a time"):
+            run_batch([planned], out, jobs=1)
+        with sole_writer(out / "a"):
+            outcome = fit_one(task_of(planned, "run"), lambda stage, share: None)
+    assert outcome["status"] == "failed"
+    assert outcome["error"].startswith(f"{out / 'a'}: folder: found another process")
+    assert not out.exists()
 
 
 def test_a_clip_that_fails_leaves_nothing_but_older_results(clips, tmp_path):

@@ -86,11 +86,5 @@ def open_viewer(path: Path) -> None:
     code = subprocess.run(command, check=False).returncode
     if code:
         found = f"a viewer that ended with exit code {code}"
-        raise InputError(
-            Problem(
-                path,
-                "viewer",
-                found,
-                "a display, or the recording opened on a machine with one: recon view DIR --out FILE.rrd",
-            )
-        )
+        expected = "a display, or the recording opened on a machine with one: recon view DIR --out FILE.rrd"
+        raise InputError(Problem(path, "viewer", found, expected))
