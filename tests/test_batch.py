@@ -166,9 +166,9 @@ def test_lines_that_end_as_on_old_macs(clips):
     (clips / "a.csv").write_bytes(table.replace(b"\n", b"\r"))
     (clips / "list.csv").write_bytes(b"keypoints;frames\ra.csv;0:4\r\rb.csv;\r")
     first, second, third = found(clips / "list.csv", clips / "a.csv")
-    assert (first.settings.keypoints, first.settings.frames) == (clips / "a.csv", "0:4")
-    assert second.settings.keypoints == clips / "b.csv"
-    assert third.settings.keypoints == clips / "a.csv"
+    assert (first.settings.keypoints, first.settings.frames) == ((clips / "a.csv",), "0:4")
+    assert second.settings.keypoints == (clips / "b.csv",)
+    assert third.settings.keypoints == (clips / "a.csv",)
     (clips / "long.csv").write_text("keypoints,out\na.csv,first\nb.csv," + "x" * 200_000)
     assert "long.csv: line 3: found field larger than field limit" in problems(clips / "long.csv")[0]
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,8 +11,10 @@ import pytest
 from recon.calibration import read_camera
 from recon.errors import InputError
 from recon.export import TRAJECTORY_OUTPUTS
+from recon.export.deeplabcut import write_keypoints_csv
+from recon.io import read_keypoints
 from recon.motion import FrameMotion, TrajectoryMotion
-from recon.pipelines.clip import OUTPUT_FILES, fit_clip, fit_frames, fit_trajectory, write_clip
+from recon.pipelines.clip import OUTPUT_FILES, fit_clip, fit_frames, fit_trajectory, prepare, write_clip
 from recon.pipelines.demo import samples_folder
 from recon.settings import FitSettings
 from recon.skeleton_file import builtin_chains, load_skeleton
@@ -38,6 +41,29 @@ def sample(**options) -> FitSettings:
     folder = samples_folder()
     files = {"keypoints": folder / "noisy.csv", "camera": folder / "camera.toml", "fps": 30, "frames": "0:6"}
     return FitSettings(**(files | options))
+
+
+@pytest.mark.parametrize("fps", [0.5, 0.999, 10_001.0, 1e5])
+def test_a_frame_rate_at_which_nothing_can_be_told_is_refused(fps: float, tmp_path):
+    with pytest.raises(InputError, match=rf"--fps: fps: found {fps:g}, expected 1 to 10000 frames per second"):
+        prepare(sample(fps=fps))
+    write_keypoints_csv(replace(read_keypoints(samples_folder() / "noisy.csv"), fps=fps), tmp_path / "stated.csv")
+    with pytest.raises(InputError, match=r"stated.csv: fps: found "):
+        prepare(sample(keypoints=tmp_path / "stated.csv", fps=None))
+
+
+def test_a_frame_far_outside_the_picture_is_left_out_and_named(tmp_path):
+    file = read_keypoints(samples_folder() / "noisy.csv")
+    xy_px = file.xy_px.copy()
+    xy_px[2] += 1e300
+    write_keypoints_csv(replace(file, xy_px=xy_px), tmp_path / "off.csv")
+    (source,) = prepare(sample(keypoints=tmp_path / "off.csv", frames="0:20")).sources
+    assert not source.keypoints.present[2].any()
+    assert source.keypoints.present[[1, 3]].any(axis=1).all()
+    (note,) = source.cleaning.notes
+    assert "points are too far outside the picture to have been found in it, and left out: " in note
+    assert " in frame 2, ..." in note
+    assert source.cleaning.total("rejected") == np.isfinite(file.xy_px[2, :, 0]).sum()
 
 
 @pytest.mark.parametrize("method", ["frame", "trajectory"])

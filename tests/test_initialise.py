@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from recon import initialise
 from recon.initialise import (
     estimate_travel,
     facing_side,
@@ -12,6 +13,7 @@ from recon.initialise import (
     mean_pose,
     place_on_rays,
     state_from_joints,
+    straight_runs,
     upright_rotation,
 )
 from recon.skeleton_file import load_skeleton
@@ -78,3 +80,24 @@ def test_state_from_joints_is_exact_for_a_level_animal():
     state[SK.euler_slice] = [0, 0.4, -0.1]
     state[SK.base_index] = 0.17
     np.testing.assert_allclose(state_from_joints(SK, SK.pose(state[None]).joints_m[0], up), state, atol=1e-9)
+
+
+def test_rays_that_are_all_one_give_a_start():
+    """Nothing tells the distance: it is far, and a number."""
+    ray = np.array([0.1, -0.05, 1.0]) / np.linalg.norm([0.1, -0.05, 1.0])
+    heading, up = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]), np.array([0.0, -1.0, 0.0])
+    shape = SK.local_joints(mean_pose(SK)[None])[0] @ upright_rotation(heading, up).transpose(0, 2, 1)
+    for frames in (1, 2, 7):
+        rays = np.broadcast_to(ray, (frames, 9, 3))
+        misfit, run = straight_runs(heading, shape, up, rays, np.arange(frames) - (frames - 1) / 2)
+        assert np.isfinite(misfit).all()
+        assert np.isfinite(run).all()
+
+
+def test_normal_equations_that_rounding_leaves_singular_are_solved():
+    """The others come out as they would alone, to the little that all are held."""
+    matrix = np.array([np.diag([2.0, 4.0]), np.ones((2, 2))])
+    right = np.array([[[2.0], [4.0]], [[3.0], [3.0]]])
+    with pytest.raises(np.linalg.LinAlgError):
+        np.linalg.solve(matrix, right)
+    np.testing.assert_allclose(initialise._solved(matrix, right), [[[1.0], [1.0]], [[1.5], [1.5]]], rtol=1e-6)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from recon.errors import InputError
-from recon.keypoints import Keypoints, clean, fill_gaps, frame_ranges, parse_frame_range
+from recon.keypoints import Keypoints, clean, fill_gaps, frame_ranges, leave_out, parse_frame_range
 
 NAN = float("nan")
 
@@ -193,3 +193,17 @@ def test_frame_ranges():
     assert frame_ranges(np.array([], int)) == ()
     assert frame_ranges(np.array([4])) == ((4, 5),)
     assert frame_ranges(np.array([1, 2, 3, 7, 9, 10])) == ((1, 4), (7, 8), (9, 11))
+
+
+def test_points_left_out_count_as_rejected_and_are_named():
+    keypoints = Keypoints(("a", "b"), np.ones((3, 2, 2)), np.full((3, 2), np.nan), np.arange(7, 10))
+    cleaned, report = clean(keypoints, 0.5)
+    points = np.array([[False, False], [False, True], [False, True]])
+    left, told = leave_out(cleaned, report, points, "of no use")
+    assert left.present.tolist() == (~points).tolist()
+    assert left.confidence[1].tolist() == [1, 0]
+    a, b = told.keypoints
+    assert (a.used, a.rejected, a.likelihood_unknown) == (3, 0, 3)
+    assert (b.used, b.rejected, b.likelihood_unknown) == (1, 2, 1)
+    assert told.notes == ("2 points are of no use, and left out: b in frame 8, ...",)
+    assert leave_out(cleaned, report, points & False, "of no use") == (cleaned, report)

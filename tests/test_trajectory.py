@@ -295,3 +295,55 @@ def test_real_views(shared_data):
         motion = fit_clip(settings)
         found = Pose3D(motion.names, motion.joints_m, motion.frames)
         assert evaluate(found, read_pose3d(folder / "truth.csv")).mpjpe_m.mean < below_m
+
+
+# -- clips that say little ------------------------------------------------------------------------------------------
+
+
+def chain_points(T: int) -> np.ndarray:
+    chain = load_chain("cheetah-8u").body
+    states = np.zeros((T, chain.n_state))
+    states[:, 4:], states[:, :3] = chain.mean_rad, [0.0, 9.0, -0.3]
+    states[:, 0] += 0.1 * np.arange(T)
+    return CAMERA.project(chain.tree.pose(states).points_m @ CAMERA_FROM_LEVEL.T)[0]
+
+
+def solve_chain(xy_px: np.ndarray, camera=CAMERA, fps: float = FPS) -> TrajectorySolution:
+    chain, confidence = load_chain("cheetah-8u").body, np.isfinite(xy_px[..., 0]).astype(float)
+    options = TrajectoryOptions(fast=True)
+    return solve_trajectory([still_view(camera, xy_px, confidence)], chain, prior_from_body(chain), fps, options)
+
+
+def test_a_pose_too_far_off_to_be_seen_is_none():
+    xy_px = chain_points(3)
+    middle = xy_px.mean(axis=(0, 1))
+    solution = solve_chain(middle + 1e-3 * (xy_px - middle))
+    assert all("ran away" in flags for flags in solution.flags)
+    assert np.isnan(solution.states).all()
+    assert np.isnan(solution.joints_m).all()
+    assert np.isnan(solution.covariance_m2).all()
+
+
+def test_a_frame_beside_a_single_other_one_is_hardly_known():
+    """Nothing says how fast the animal is: where it is in the second frame has the uncertainty of that."""
+    xy_px = chain_points(2)
+    xy_px[1] = np.nan
+    solution = solve_chain(xy_px)
+    assert np.isfinite(solution.states).all()
+    variance = np.trace(solution.covariance_m2[:, 0], axis1=1, axis2=2)
+    assert 0 < variance[0] < 30 < 1000 * variance[0] < variance[1] < np.inf
+    assert "no data" in solution.flags[1]
+
+
+def test_frames_without_a_ray_are_as_without_points():
+    fisheye = dataclasses.replace(CAMERA, model="fisheye", distortion=np.array([-0.3, 0.0, 0.0, 0.0]))
+    off, missing = chain_points(4), chain_points(4)
+    off[2] += (0.0, 2500.0)
+    missing[2] = np.nan
+    np.testing.assert_array_equal(solve_chain(off, fisheye).states, solve_chain(missing, fisheye).states)
+
+
+def test_frames_seconds_apart_are_solved():
+    solution = solve_chain(chain_points(3), fps=0.2)
+    assert np.isfinite(solution.states).all()
+    assert np.abs(solution.joints_camera_m).max() < 20

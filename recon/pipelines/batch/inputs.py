@@ -166,7 +166,11 @@ def is_manifest(path: Path) -> bool:
 def _header(path: Path) -> list[str]:
     with path.open("rb") as file:
         line = file.readline(65536).decode("utf-8-sig", errors="replace")
-    return [cell.strip() for cell in next(csv.reader([line.strip()], delimiter=_delimiter(line)), [])]
+    line = next(iter(line.strip().splitlines()), "")  # lines may end as on old Macs
+    try:
+        return [cell.strip() for cell in next(csv.reader([line], delimiter=_delimiter(line)), [])]
+    except csv.Error:
+        return []
 
 
 def _delimiter(line: str) -> str:
@@ -189,11 +193,15 @@ def _of_manifest(path: Path) -> list[_Draft]:
         text = path.read_text(encoding="utf-8-sig")
     except UnicodeDecodeError as error:
         raise InputError(Problem(path, "content", str(error), "text in UTF-8")) from None
-    rows = csv.reader(io.StringIO(text, newline=""), delimiter=_delimiter(text.partition("\n")[0]))
-    next(rows)
+    first = next(iter(text.strip().splitlines()), "")
+    reader = csv.reader(io.StringIO(text, newline=""), delimiter=_delimiter(first))
+    try:
+        rows = [(reader.line_num, cells) for cells in reader]
+    except csv.Error as error:
+        raise InputError(Problem(path, f"line {reader.line_num}", str(error), "rows of a CSV table")) from None
     drafts = []
-    for cells in rows:
-        line = f"line {rows.line_num}"
+    for line_number, cells in rows[1:]:
+        line = f"line {line_number}"
         if not any(cell.strip() for cell in cells):
             continue
         if len(cells) > len(header):
