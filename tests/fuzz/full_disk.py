@@ -19,6 +19,7 @@ import subprocess
 import sys
 import tempfile
 import time
+import traceback
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from pathlib import Path
@@ -162,8 +163,9 @@ class Child:
             code = 3
             try:
                 code = self._run(case, folder / case.out, limit, then_read)
+            except BaseException:
+                os.write(self.err.fileno(), traceback.format_exc().encode())
             finally:
-                sys.stderr.flush()
                 os._exit(code)
 
     def _run(self, case: Case, out: Path, limit: int | None, then_read: bool) -> int:
