@@ -33,6 +33,7 @@ FORMAT = "recon-camera"
 AS_GIVEN = ", as was given"
 VERSION = 1
 MAX_BYTES = 1 << 23
+MAX_SIZE_PX = 1_000_000
 MAX_NESTING = 5_000
 """OpenCV dies at 20,000."""
 ROTATION_TOLERANCE = 1e-3
@@ -406,7 +407,7 @@ def _image_size(
             fault("image_size_px", "nothing", f"{expected}, in the file or by --image-size")
         return given
     array = _numbers(value)
-    if array is None or array.shape != (2,) or not (array > 0).all() or (array != np.rint(array)).any():
+    if array is None or array.shape != (2,) or not ((array > 0) & (array < MAX_SIZE_PX)).all() or (array % 1).any():
         fault("image_size_px", str(value), expected)
         return None
     size = (int(array[0]), int(array[1]))
@@ -422,7 +423,7 @@ def _numbers(value: Any) -> FloatArray | None:
             array = np.asarray(value["data"]).reshape(int(value["rows"]), int(value["cols"]))
         else:
             array = np.asarray(value)
-    except (KeyError, TypeError, ValueError):
+    except (KeyError, TypeError, ValueError, OverflowError):
         return None
     return array.astype(float) if array.dtype.kind in "iuf" else None
 

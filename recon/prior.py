@@ -105,6 +105,8 @@ def _misfits(arrays: dict[str, Array], n_angles: int) -> list[tuple[str, str, st
     """(field, found, expected) of everything that keeps arrays from being a prior of that many angles."""
     problems = []
     lengths = {"A": n_angles, "B": 2 * n_angles, "K": len(np.atleast_1d(arrays["weights"]))}
+    if not lengths["K"]:
+        return [("weights", "none", "one for each component")]
     for name, shape in _SHAPES.items():
         array, expected = arrays[name], tuple(lengths[letter] for letter in shape)
         if array.shape != expected:

@@ -23,6 +23,7 @@ from recon.errors import InputError, Problem, all_of
 from recon.frames import level_from_camera
 from recon.io.pose3d import Pose3D, read_pose3d
 from recon.manifest import Manifest, read_manifest
+from recon.report_fields import require_fields, require_fitting
 from recon.skeleton import Skeleton
 from recon.skeleton_file import load_skeleton
 from recon.solve.result import Ground, Spell
@@ -33,6 +34,10 @@ SCHEMA_NAME, SCHEMA_VERSION = "recon.fit.report", 2
 """Of report.json."""
 REPORT, TABLES, SIGMAS = "report.json", ("pose3d.csv", "angles.csv"), "pose3d_sigma.csv"
 """What is read, the last if it is there."""
+
+
+LARGEST = 1e12
+"""Of a number in a table: more can only be damage."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,6 +154,7 @@ def read_results(folder: str | Path) -> Results:
     folder = Path(folder)
     manifest = _manifest(folder)
     report = _report(folder / REPORT)
+    camera = require_fields(report, folder / REPORT)
     skeleton, pose, states = all_of(
         lambda: load_skeleton(_skeleton_name(report), report["settings"].get("subject")),
         lambda: read_pose3d(folder / "pose3d.csv"),
@@ -157,7 +163,8 @@ def read_results(folder: str | Path) -> Results:
     if len(states) != len(pose.frames):
         found = f"{len(states)} rows, but {len(pose.frames)} in pose3d.csv"
         raise InputError(Problem(folder / "angles.csv", "rows", found, "both files of the same fit"))
-    camera = Camera.from_dict(report["input"]["camera"])
+    require_fitting(report, pose, folder / REPORT)
+    _require_skeleton(report, skeleton, folder / REPORT)
     R = _upright_from_reference(camera)
     sigma, relative = _sigmas(folder / SIGMAS, pose, R) if SIGMAS in manifest else (None, None)
     manifest.require_same()
@@ -197,6 +204,23 @@ def _report(path: Path) -> dict[str, Any]:
     return report
 
 
+def _require_skeleton(report: dict[str, Any], skeleton: Skeleton | Body, path: Path) -> None:
+    """Raises InputError where the skeleton is another one than the report's, as its file may have changed since."""
+    states = report["skeleton"]["state_names"]
+    joints = {joint for limb in skeleton.limbs.values() for joint in limb} | {*skeleton.forward}
+    wanted = skeleton.angle_names if isinstance(skeleton, Skeleton) else skeleton.state_names
+    problems = [
+        Problem(path, f"skeleton.{field}", "other ones", f"those of {skeleton.name}, as for the fit")
+        for field, there in (
+            ("joints", joints <= {*report["skeleton"]["joints"]}),
+            ("state_names", {*wanted} <= {*states}),
+        )
+        if not there
+    ]
+    if problems:
+        raise InputError(problems)
+
+
 def _skeleton_name(report: dict[str, Any]) -> str:
     """As it was given, which may be a file, or the name."""
     return report["settings"].get("skeleton") or report["skeleton"]["name"]
@@ -234,6 +258,8 @@ def _table(path: Path, header_rows: int, columns: list[Any]) -> Array:
     found = [names[0] if header_rows == 1 else names for names in zip(*header, strict=False)][1:]
     if found != columns or values.shape[1:] != (len(columns) + 1,):
         raise InputError(Problem(path, "columns", ", ".join(map(str, found))[:80], expected))
+    if (np.abs(values) > LARGEST).any():
+        raise InputError(Problem(path, "numbers", f"{np.nanmax(np.abs(values)):g}", expected))
     return values[:, 1:]
 
 

@@ -12,13 +12,17 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar, overload
 
 import numpy as np
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, FiniteFloat, PositiveFloat, ValidationError
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
 from recon.body import CHAIN_PLACES, PLACES, SIDES, Body, other_side, side_of
 from recon.documents import parse_toml, read_toml
 from recon.errors import InputError, Problem
 from recon.kinematics import ANGLES, AXES, Marker, Segment, Tree
 from recon.skeleton import MIN_JOINTS, AngleRanges, Link, PriorScales, Skeleton
+
+Number = Annotated[float, Field(gt=-1e6, lt=1e6, allow_inf_nan=False)]
+Sigma = Annotated[float, Field(gt=1e-9, lt=1e6, allow_inf_nan=False)]
+"""More, or less, can only be damage."""
 
 
 class _Table(BaseModel):
@@ -31,9 +35,9 @@ class _Sides(_Table):
 
 
 class _Range(_Table):
-    mean_rad: float
-    tolerance_rad: PositiveFloat
-    max_rate_rad_s: PositiveFloat
+    mean_rad: Number
+    tolerance_rad: Sigma
+    max_rate_rad_s: Sigma
 
 
 class _Link(_Table):
@@ -41,23 +45,23 @@ class _Link(_Table):
     start: str = Field(alias="from")
     end: str = Field(alias="to")
     limb: str
-    length_ratio: PositiveFloat
+    length_ratio: Sigma
     keypoint: str | _Sides
     theta: _Range | None = None
     phi: _Range | None = None
 
 
 class _BaseLength(_Table):
-    nominal_m: PositiveFloat
-    sigma_m: PositiveFloat
+    nominal_m: Sigma
+    sigma_m: Sigma
 
 
 class _Prior(_Table):
-    theta_sigma_rad: PositiveFloat
-    phi_sigma_rad: PositiveFloat
-    roll_sigma_rad: PositiveFloat
-    heading_sigma_rad_per_sqrt_s: PositiveFloat
-    travel_sigma_rad: PositiveFloat
+    theta_sigma_rad: Sigma
+    phi_sigma_rad: Sigma
+    roll_sigma_rad: Sigma
+    heading_sigma_rad_per_sqrt_s: Sigma
+    travel_sigma_rad: Sigma
 
 
 def _foot_table(places: Iterable[str], example: str) -> BeforeValidator:
@@ -89,19 +93,18 @@ class _SkeletonFile(_Table):
     root_keypoint: str | _Sides
     forward: tuple[str, str]
     feet: _ChainFeet = Field(default=None, validate_default=True)
-    keypoint_sigma_m: PositiveFloat
+    keypoint_sigma_m: Sigma
     base_length: _BaseLength
-    softness_rad: PositiveFloat
+    softness_rad: Sigma
     prior: _Prior
     links: tuple[_Link, ...] = Field(min_length=1)
 
 
-Offset = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
-Sigma = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+Offset = tuple[Number, Number, Number]
 
 
 class _Expectation(_Table):
-    mean_rad: FiniteFloat
+    mean_rad: Number
     sigma_rad: Sigma
     acceleration_rad_s2: Sigma
 

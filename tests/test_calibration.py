@@ -318,7 +318,21 @@ class TestImageSize:
         assert read_camera(path, 1, image_size_px=SIZE).image_size_px == SIZE
         assert "found 1920x1080, expected 640x480" in problems_of(path, 1, image_size_px=(640, 480))
 
-    @pytest.mark.parametrize("size", [[1920], [0, 1080], [-1, 5], ["a", "b"], "big", [1920.5, 1080], [[1, 2]]])
+    @pytest.mark.parametrize(
+        "size",
+        [
+            [1920],
+            [0, 1080],
+            [-1, 5],
+            ["a", "b"],
+            "big",
+            [1920.5, 1080],
+            [[1, 2]],
+            [float("inf"), 1],
+            [2**70, 1],
+            [1e9, 1],
+        ],
+    )
     def test_malformed(self, write, size):
         content = scene() | {"camera_resolution": size}
         assert "camera_resolution" in problems_of(write("scene.json", content), 1)

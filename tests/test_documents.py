@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from importlib import resources
 
 import pytest
 
@@ -63,3 +64,21 @@ def test_a_pipe_is_not_waited_for(tmp_path):
     ):
         with pytest.raises(InputError):
             read(path)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ((b"thigh_m", b"# \xe4\nthigh_m"), "not UTF-8"),
+        ((b"thigh_m = ", b"thigh_m = inf # "), "leg.thigh_m: found inf"),
+        ((b"thigh_m = ", b"thigh_m = 0 # "), "leg.thigh_m: found 0"),
+        ((b"hip_m = [", b"hip_m = [nan, "), "hip_m"),
+        ((b"stand_m = ", b"stand_m = 1e300 # "), "stand_m: found 1e+300"),
+    ],
+)
+def test_robots(tmp_path, change, said):
+    content = (resources.files("recon.robot") / "robots" / "a1.toml").read_bytes()
+    (tmp_path / "a.toml").write_bytes(content.replace(*change, 1))
+    with pytest.raises(InputError) as error:
+        load_robot(tmp_path / "a.toml")
+    assert said in str(error.value)

@@ -570,6 +570,10 @@ def test_bvh_against_another_reader(tmp_path):
         (("1 2 3 90 0 0 0 90 0", "1 2 3 90 0 0 0 90 x"), "could not convert string to float: 'x'"),
         (("MOTION", ""), "in the hierarchy"),
         (("JOINT knee", "JOINT hips"), "'hips' more than once"),
+        (("OFFSET 1.0", "OFFSET 1.0 0.0 0.0\nOFFSET 1.0"), "'OFFSET 1.0 0.0 0.0' in the hierarchy"),
+        (("CHANNELS 3", "CHANNELS 3 Zrotation Xrotation Yrotation\nCHANNELS 3"), "in the hierarchy"),
+        (("HIERARCHY", "HIERARCHY\n{"), "'{' in the hierarchy"),
+        (("Frames: 2", "Frames: 0_2"), "MOTION: found 2 rows, and Frames: 0"),
     ],
 )
 def test_bvh_problems(tmp_path, change, said):

@@ -183,3 +183,31 @@ def test_data_in_other_files(tmp_path):
         file["node_names"] = np.array([b"a"])
     with pytest.raises(InputError, match="tracks: found a link to nowhere"):
         read_keypoints(path)
+
+
+def test_hostile_network_runs_nothing(tmp_path):
+    torch = pytest.importorskip("torch")
+    from recon.net.trained import load_model
+
+    marker, path = tmp_path / "ran", tmp_path / "model.pt"
+    torch.save({"format": Touch(str(marker))}, path)
+    with pytest.raises(InputError, match="a file that torch cannot read"):
+        load_model(path, torch.device("cpu"))
+    assert not marker.exists()
+    torch.load(path, weights_only=False)  # the file is what it should be
+    assert marker.exists()
+
+
+@pytest.mark.parametrize(
+    "change",
+    [{"spec": None}, {"spec": {}}, {"weights": {}}, {"weights": None}, {"spec": {"names": 1, "partner": 2}}],
+)
+def test_altered_network(tmp_path, change):
+    torch = pytest.importorskip("torch")
+    from recon.net.trained import FORMAT, load_model
+
+    spec = {"names": ["a"], "scale": 0.5, "body_length_px": 9.0, "tolerance_px": 9.0, "partner": [0], "mirrored": True}
+    content = {"format": FORMAT, "spec": spec | {"calibrations": {}}, "weights": {}} | change
+    torch.save(content, tmp_path / "model.pt")
+    with pytest.raises(InputError, match="a network with parts missing or altered"):
+        load_model(tmp_path / "model.pt", torch.device("cpu"))

@@ -47,6 +47,7 @@ LAYERS = (
     "initialise",
     "solve",
     "motion",
+    "report_fields",
     "results",
     "overlay",
     "analysis",

@@ -236,3 +236,58 @@ def test_results_that_are_replaced_while_they_are_read(whole_results, tmp_path, 
 
     monkeypatch.setattr("recon.results.read_pose3d", replaced)
     assert "no manifest.json" in problem(folder)
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "said"),
+    [
+        ("method", "guess", "method: found 'guess'"),
+        ("settings", [], "settings: found []"),
+        ("input.fps", "x", "input.fps: found 'x'"),
+        ("input.fps", float("inf"), "input.fps: found inf"),
+        ("input.camera", {}, "input.camera: found 'name'"),
+        ("input.camera.matrix", "x", "input.camera: found could not convert"),
+        ("side", None, "side: found None"),
+        ("skeleton.joints", ["nose"], "skeleton.joints: found something else than pose3d.csv has"),
+        ("skeleton.keypoints", ["nose"] * 24, "skeleton.keypoints: found something else"),
+        ("skeleton.state_names", 3, "skeleton.state_names: found 3"),
+        ("skeleton.feet", {"LF": "wing"}, "skeleton.feet: found something else"),
+        ("size", None, "size: found nothing"),
+        ("root_path.keypoint", "wing", "root_path.keypoint: found something else"),
+        ("frames", [], "frames: found something else"),
+        ("outliers", [{"frame": 999, "keypoint": "nose"}], "outliers: found something else"),
+        ("image_error_px.values", [[1.0]], "image_error_px.values.0.0: found 1.0"),
+        ("spells", [{"frames": [0]}], "spells.0.frames: found [0]"),
+    ],
+)
+def test_altered_fields_of_a_report(tmp_path, whole_results, field, value, said):
+    folder = copy(whole_results, tmp_path)
+    report = json.loads((folder / "report.json").read_text(encoding="utf-8"))
+    *parts, last = field.split(".")
+    holder = report
+    for part in parts:
+        holder = holder[part]
+    holder[last] = value
+    (folder / "report.json").write_text(json.dumps(report), encoding="utf-8")
+    write_manifest(folder)
+    assert said in problem(folder)
+
+
+def test_missing_fields_of_a_report(tmp_path, whole_results):
+    folder = copy(whole_results, tmp_path)
+    report = json.loads((folder / "report.json").read_text(encoding="utf-8"))
+    for field in ("settings", "input", "side", "skeleton", "root_path", "frames", "outliers", "image_error_px"):
+        (folder / "report.json").write_text(json.dumps({k: v for k, v in report.items() if k != field}))
+        write_manifest(folder)
+        assert f"report.json: {field}: " in problem(folder)
+
+
+def test_a_damaged_table_of_sigmas(tmp_path, whole_results):
+    folder = copy(whole_results, tmp_path)
+    lines = (folder / "pose3d_sigma.csv").read_text(encoding="utf-8").splitlines()
+    cells = lines[2].split(",")
+    for cell in ("1e308", "inf"):
+        lines[2] = ",".join([cells[0], cell, *cells[2:]])
+        (folder / "pose3d_sigma.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
+        write_manifest(folder)
+        assert "pose3d_sigma.csv: numbers: found" in problem(folder)

@@ -107,6 +107,9 @@ def test_every_problem_of_a_file_is_named(tmp_path):
         ("extends = 3", "extends"),
         ('extends = "cheetah-8u-jules"', "extends"),
         ("name = ", "content"),
+        ('extends = "cheetah-8u"\nkeypoint_sigma_m = inf', "keypoint_sigma_m"),
+        ('extends = "cheetah-8u"\nsoftness_rad = 0', "softness_rad"),
+        ('extends = "cheetah-8u"\nsoftness_rad = 1e-320', "softness_rad"),
     ],
 )
 def test_bad_files(tmp_path, text: str, field: str):

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from recon.errors import InputError, Problem
-from recon.io.common import frames_of_text, name_problems, number
+from recon.io.common import frame_number, frames_of_text, name_problems, number
 from recon.io.pose import StoredPose
 
 OWN_ROOT = "recon_m_yup_frames_"
@@ -50,8 +50,8 @@ def read_pose(path: Path, individual: str | None = None) -> StoredPose:
         raise InputError(Problem(path, "text", "bytes that are not UTF-8", "a text file in UTF-8")) from None
     try:
         joints = _hierarchy(lines)
-        count = int(_value(lines, r"Frames:\s*(\S+)"))
-        frame_time_s = float(_value(lines, r"Frame Time:\s*(\S+)"))
+        count = frame_number(_value(lines, r"Frames:\s*(\S+)")) or 0
+        frame_time_s = number(_value(lines, r"Frame Time:\s*(\S+)"))
         rows = [[number(cell) for cell in line.split()] for line in lines]
     except (ValueError, StopIteration) as error:
         raise InputError(Problem(path, "content", f"{error or 'the end of the file'}", "a whole BVH file")) from None
@@ -109,16 +109,16 @@ def _hierarchy(lines: Iterator[str]) -> list[_Joint]:
             parent = open_[-1] if open_ else -1
             name = f"{joints[parent].name}_end" if word == "End" else line[len(word) :].strip()
             joints.append(_Joint(name, parent, end=word == "End"))
-        elif word == "{":
+        elif word == "{" and joints:
             open_.append(len(joints) - 1)
         elif word == "}" and open_:
             open_.pop()
-        elif word == "OFFSET" and len(rest) == 3 and open_:
+        elif word == "OFFSET" and len(rest) == 3 and open_ and not joints[open_[-1]].offset:
             joints[open_[-1]].offset = [number(cell) for cell in rest]
-        elif word == "CHANNELS" and open_:
+        elif word == "CHANNELS" and rest and open_ and not joints[open_[-1]].channels:
             joint = joints[open_[-1]]
             joint.channels = rest[1:]
-            if len(joint.channels) != int(rest[0]) or not all(
+            if len(joint.channels) != frame_number(rest[0]) or not all(
                 re.fullmatch(r"[XYZ](position|rotation)", c) for c in joint.channels
             ):
                 raise ValueError(f"'{line}', which are no channels")

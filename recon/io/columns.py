@@ -132,9 +132,8 @@ def gather(path: Path, table: Columns, layout: Layout, coords: Sequence[str], in
 
 def _clock_problems(path: Path, column: str, ticks: np.ndarray, rows: np.ndarray, frames: bool) -> Iterator[Problem]:
     """Rows without a time, or without a frame number."""
-    bad, expected = np.isnan(ticks), "a time in seconds"
-    if frames:
-        bad, expected = ~((ticks >= 0) & (ticks < MAX_FRAME) & (ticks % 1 == 0)), "a frame number: 0, 1, 2, ..."
+    bad = ~((ticks >= 0) & (ticks < MAX_FRAME) & (np.rint(ticks) == ticks)) if frames else np.isnan(ticks)
+    expected = "a frame number: 0, 1, 2, ..." if frames else "a time in seconds"
     for i in np.flatnonzero(bad & ~np.isinf(ticks)):
         found = "nothing" if np.isnan(ticks[i]) else f"{ticks[i]:g}"
         yield Problem(path, f"line {rows[i] + 2}, {column}", found, expected)

@@ -164,6 +164,30 @@ def groups(file: h5py.File) -> Iterator[h5py.Group]:
                     pending.append((found, depth + 1))
 
 
+def is_scale(item: Any) -> bool:
+    """Whether it is a dataset that names a dimension of others."""
+    import h5py
+
+    return isinstance(item, h5py.Dataset) and attribute(item, "CLASS") == "DIMENSION_SCALE"
+
+
+def scale_of(scale: Any, dataset: Any) -> list[int]:
+    """The axes of a dataset that a scale says it belongs to."""
+    import h5py
+
+    if not h5py.h5a.exists(scale.id, b"REFERENCE_LIST"):
+        return []
+    stored = h5py.h5a.open(scale.id, b"REFERENCE_LIST")
+    kind = stored.get_type()
+    if kind.get_class() != h5py.h5t.COMPOUND or np.prod(stored.shape or (1,)) > MAX_TEXTS:
+        return []
+    members = [kind.get_member_class(i) for i in range(kind.get_nmembers())]
+    if members != [h5py.h5t.REFERENCE, h5py.h5t.INTEGER]:
+        return []
+    listed = scale.attrs["REFERENCE_LIST"].ravel().tolist()
+    return [int(axis) for reference, axis in listed if reference and scale.file[reference] == dataset]
+
+
 # -- reading ------------------------------------------------------------------------------------------------------
 
 

@@ -16,7 +16,19 @@ import numpy as np
 
 from recon.errors import InputError, Problem
 from recon.io.common import UNNAMED, choose, frames_of_times, name_problems, rate, starts_with
-from recon.io.hdf5 import DAMAGE, attribute, child, is_text, numbers, opened, outline, texts
+from recon.io.hdf5 import (
+    DAMAGE,
+    attribute,
+    child,
+    is_scale,
+    is_text,
+    names,
+    numbers,
+    opened,
+    outline,
+    scale_of,
+    texts,
+)
 from recon.io.pose import UNIT_NAMES, StoredPose
 from recon.keypoints import Keypoints
 
@@ -176,12 +188,13 @@ def _read_hdf5(path: Path) -> tuple[dict[str, _Variable], dict[str, Any]]:
 
     found = {}
     with opened(path) as file:
+        scales = {name: item for name in names(file) if is_scale(item := child(file, name))}
         for name in VARIABLES:
             dataset = child(file, name)
             about = "" if dataset is None else str(attribute(dataset, "NAME") or "")
             if not isinstance(dataset, h5py.Dataset) or about.startswith(NO_VARIABLE):
                 continue
-            dims = tuple(_scale(dim) or name for dim in dataset.dims)
+            dims = _axes(dataset, name, scales)
             values = np.array(texts(dataset), object).reshape(dataset.shape) if is_text(dataset) else numbers(dataset)
             facts = {key: attribute(dataset, key) for key in FACTS}
             found[_singular(name)] = _Variable(tuple(map(_singular, dims)), _decoded(values, facts)).joined()
@@ -189,9 +202,17 @@ def _read_hdf5(path: Path) -> tuple[dict[str, _Variable], dict[str, Any]]:
     return found, attributes
 
 
-def _scale(dim: Any) -> str:
-    """The name of a dimension; a dimension's own variable has none."""
-    return str(dim[0].name).rpartition("/")[2] if len(dim) else ""
+def _axes(dataset: Any, name: str, scales: Mapping[str, Any]) -> tuple[str, ...]:
+    """The names of a variable's dimensions, each of which is a dataset of the file: by their numbers, or by what each
+    says it belongs to. (HDF5's own functions for this crash with damaged files.)"""
+    if name in scales:
+        return (name, *(f"{name}_{axis}" for axis in range(1, dataset.ndim)))
+    numbers_of = {attribute(scale, "_Netcdf4Dimid"): name for name, scale in scales.items()}
+    listed = attribute(dataset, "_Netcdf4Coordinates")
+    if listed is not None:
+        return tuple(numbers_of.get(number, "?") for number in np.atleast_1d(listed).tolist())
+    found = {axis: name for name, scale in scales.items() for axis in scale_of(scale, dataset)}
+    return tuple(found.get(axis, "?") for axis in range(dataset.ndim))
 
 
 def _read_classic(path: Path) -> tuple[dict[str, _Variable], dict[str, Any]]:

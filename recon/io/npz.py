@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 import zipfile
 import zlib
 from pathlib import Path
@@ -12,6 +13,11 @@ from recon.errors import InputError, Problem
 from recon.io.common import name_problems, rate, starts_with
 from recon.io.pose import StoredPose
 
+DAMAGE = (
+    *(OSError, ValueError, KeyError, EOFError, NotImplementedError, MemoryError, RuntimeError, TypeError),
+    *(zipfile.BadZipFile, zlib.error, struct.error),
+)
+"""What zipfile and NumPy say of damaged files."""
 WANTED = {"names": "U", "xyz_m": "f", "frames": "i", "fps": "f", "edges": "i"}
 """Arrays and the kinds of their types."""
 
@@ -23,7 +29,7 @@ def recognises(path: Path) -> bool:
     try:
         with zipfile.ZipFile(path) as archive:
             return "xyz_m.npy" in archive.namelist()
-    except zipfile.BadZipFile:
+    except DAMAGE:
         return True
 
 
@@ -34,7 +40,7 @@ def read_pose(path: Path, individual: str | None = None) -> StoredPose:
     try:
         with path.open("rb") as opened, np.load(opened, allow_pickle=False) as file:
             arrays = {name: file[name] for name in file.files}
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error) as error:
+    except DAMAGE as error:
         raise InputError(Problem(path, "content", f"data that cannot be read ({error})", "a whole file")) from None
     problems = [
         Problem(path, name, "nothing" if name not in arrays else f"values of type {arrays[name].dtype}", expected)

@@ -89,7 +89,8 @@ def in_metres(path: Path, reader: PoseReader, stored: StoredPose, unit: str | No
         problems.append(Problem(path, "up", up, "y or z (--up)"))
     if problems or unit is None:
         raise InputError(problems)
-    xyz_m = stored.xyz / PER_METRE[unit]
+    with np.errstate(invalid="ignore"):  # a NaN that signals, as damaged floats can be
+        xyz_m = stored.xyz / PER_METRE[unit]
     return Pose3D(
         stored.names,
         z_up_from_y_up(xyz_m) if up == "y" else xyz_m,

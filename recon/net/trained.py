@@ -171,12 +171,16 @@ def load_model(folder: Path, device: torch.device) -> Trained:
     content = load_file(path)
     if not isinstance(content, dict) or content.get("format") != FORMAT:
         raise InputError(Problem(path, "model", "a file of another kind or version", "one that `recon train` wrote"))
-    kept = content["spec"]
-    calibrations = {quality: Calibration(**values) for quality, values in kept.pop("calibrations").items()}
-    kept |= {name: tuple(kept[name]) for name in ("names", "partner")}
-    spec = Spec(**kept, calibrations=calibrations)
-    network = build_network(len(spec.names), CHANNELS)
-    network.load_state_dict(content["weights"])
+    try:
+        kept = content["spec"]
+        calibrations = {quality: Calibration(**values) for quality, values in kept.pop("calibrations").items()}
+        kept |= {name: tuple(kept[name]) for name in ("names", "partner")}
+        spec = Spec(**kept, calibrations=calibrations)
+        network = build_network(len(spec.names), CHANNELS)
+        network.load_state_dict(content["weights"])
+    except (KeyError, TypeError, ValueError, AttributeError, RuntimeError) as error:
+        found = f"a network with parts missing or altered ({' '.join(str(error).split())[:100]})"
+        raise InputError(Problem(path, "model", found, "one as `recon train` wrote it")) from None
     return Trained(spec, prepared(network, device), device)
 
 

@@ -7,10 +7,10 @@ from __future__ import annotations
 
 from importlib import resources
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, FiniteFloat, PositiveFloat, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from recon.documents import parse_toml, read_toml
 from recon.errors import InputError, Problem
@@ -20,6 +20,11 @@ from recon.robot.urdf import MOVING, UrdfRobot, read_urdf, urdf_chain
 
 STAND = 0.7
 """Height of the hips of a robot from a URDF file, of the stretched leg's length."""
+
+
+FiniteFloat = Annotated[float, Field(gt=-1e6, lt=1e6, allow_inf_nan=False)]
+PositiveFloat = Annotated[float, Field(gt=1e-6, lt=1e6, allow_inf_nan=False)]
+"""More, or less, can only be damage."""
 
 
 class _Table(BaseModel):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,6 +20,8 @@ from recon.package import install_command
 
 Array = NDArray[np.float64]
 
+LARGEST = 1e6
+"""Of a length, an angle or a rate: more can only be damage."""
 MOVING = ("revolute", "continuous", "prismatic")
 
 
@@ -72,9 +75,11 @@ def read_urdf(path: str | Path) -> UrdfRobot:
     try:
         # yourdfpy reads what there is of a file that is not whole.
         ElementTree.parse(path)
-        robot = URDF.load(str(path), build_scene_graph=False, load_meshes=False)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # NumPy's, of numbers that are none; they are looked at below
+            robot = URDF.load(str(path), build_scene_graph=False, load_meshes=False)
     # Of the syntax (ParseError is a SyntaxError), and of elements and attributes that are not there.
-    except (SyntaxError, ValueError, TypeError, KeyError, AttributeError, AssertionError) as error:
+    except (SyntaxError, ValueError, TypeError, LookupError, AttributeError, AssertionError, OverflowError) as error:
         found = " ".join(str(error).split())[:120] or type(error).__name__
         raise InputError(Problem(path, "content", found, "a URDF file")) from None
     links = [link.name for link in robot.robot.links]
@@ -132,6 +137,9 @@ def _problems(robot: UrdfRobot, tip: str, base: str, way: list[Any]) -> Iterator
     if not any(joint.type in MOVING for joint in way):
         yield Problem(robot.path, "chain", f"none that moves from {base} to {tip}", "a link that joints move")
     for joint in way:
+        stated = (np.eye(4) if joint.origin is None else joint.origin, _axis(joint), _limits(joint)[2:])
+        if not all((np.abs(numbers) < LARGEST).all() for numbers in stated) or not _axis(joint).any():
+            yield Problem(robot.path, f"joint {joint.name}", "numbers that are none of a robot", "finite ones, an axis")
         if joint.type not in (*MOVING, "fixed"):
             yield Problem(robot.path, f"joint {joint.name}", f"type {joint.type}", f"{', '.join(MOVING)} or fixed")
         if joint.mimic is not None:

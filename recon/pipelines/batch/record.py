@@ -148,7 +148,7 @@ def short_hash(part: Any) -> str:
 def read_record(out: Path) -> dict[str, Any] | None:
     try:
         record = json.loads((out / RECORD).read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+    except (OSError, ValueError, RecursionError):
         return None
     return record if isinstance(record, dict) and record.get("schema") == SCHEMA else None
 

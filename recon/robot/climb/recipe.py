@@ -125,6 +125,10 @@ def load_recipe(recipe: str | Path) -> Recipe:
     return found
 
 
+LARGEST = 1e9
+"""Of a number in a recipe: more can only be damage."""
+
+
 class _Reader:
     """Collects every problem of a file."""
 
@@ -140,7 +144,7 @@ class _Reader:
         found = {}
         for name in names:
             value = table.get(name)
-            fine = isinstance(value, int | float) and not isinstance(value, bool) and bool(np.isfinite(value))
+            fine = isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < LARGEST
             if not fine or (positive and not value > 0):
                 self.wrong(f"{where}.{name}", value, "a positive number" if positive else "a number")
                 value = 1.0

@@ -1,0 +1,137 @@
+"""What is read back from a fit's report.json, as it has to be: see `recon.results`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from recon.camera import Camera
+from recon.errors import InputError, Problem
+from recon.io.pose3d import Pose3D
+
+AS_WRITTEN = "as `recon fit` wrote it"
+PROBLEMS_SHOWN = 5
+
+Number = Annotated[float, Field(allow_inf_nan=False)]
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+Pair = Annotated[list[Number], Field(min_length=2, max_length=2)]
+
+
+class _Part(BaseModel):
+    """There may be more than is read."""
+
+    model_config = ConfigDict(extra="ignore", strict=True, frozen=True)
+
+
+class _Settings(_Part):
+    skeleton: str | None = None
+    subject: str | None = None
+
+
+class _Input(_Part):
+    fps: Positive
+    camera: dict[str, Any]
+
+
+class _Side(_Part):
+    fitted: Literal["left", "right"] | None
+
+
+class _Skeleton(_Part):
+    name: str
+    title: str
+    joints: list[str]
+    keypoints: list[str]
+    state_names: list[str]
+    feet: dict[str, str] | None = None
+
+
+class _Size(_Part):
+    factor: Positive
+
+
+class _Ground(_Part):
+    height_m: Number
+    middle_m: Pair
+    slope: Pair
+    sigma_m: Number
+
+
+class _Spell(_Part):
+    frames: Annotated[list[int], Field(min_length=2, max_length=2)]
+    ground: _Ground | None
+
+
+class _RootPath(_Part):
+    keypoint: str
+
+
+class _Frame(_Part):
+    flags: list[str]
+
+
+class _Outlier(_Part):
+    frame: int
+    keypoint: str
+
+
+class _ImageError(_Part):
+    values: list[list[list[Number | None]]]
+
+
+class _Report(_Part):
+    method: Literal["trajectory", "frame"]
+    settings: _Settings
+    input: _Input
+    side: _Side
+    skeleton: _Skeleton
+    root_path: _RootPath
+    frames: list[_Frame]
+    outliers: list[_Outlier]
+    image_error_px: _ImageError
+    size: _Size | None = None
+    spells: list[_Spell] = []
+
+
+def require_fields(report: dict[str, Any], path: Path) -> Camera:
+    """The camera of a report whose fields are there and of the right kinds. Raises InputError."""
+    try:
+        parsed = _Report.model_validate(report)
+    except ValidationError as error:
+        raise InputError(
+            Problem(path, ".".join(map(str, e["loc"])), repr(e["input"])[:60], f"{e['msg']}, {AS_WRITTEN}")
+            for e in error.errors()[:PROBLEMS_SHOWN]
+        ) from None
+    if parsed.method == "trajectory" and parsed.size is None:
+        raise InputError(Problem(path, "size", "nothing", AS_WRITTEN))
+    try:
+        return Camera.from_dict(parsed.input.camera)
+    except (ValueError, KeyError, TypeError, OverflowError, AttributeError) as error:
+        raise InputError(Problem(path, "input.camera", str(error)[:200], AS_WRITTEN)) from None
+
+
+def require_fitting(report: dict[str, Any], pose: Pose3D, path: Path) -> None:
+    """Raises InputError where the fields of a report do not fit the positions beside it."""
+    parsed = _Report.model_validate(report)
+    skeleton, (T, J) = parsed.skeleton, pose.xyz_m.shape[:2]
+    frames = set(pose.frames.tolist())
+    errors = parsed.image_error_px.values
+    checks = {
+        "skeleton.keypoints": sorted(skeleton.keypoints) == sorted(pose.names),
+        "skeleton.joints": len(skeleton.joints) == len(set(skeleton.joints)) == J,
+        "skeleton.state_names": len(skeleton.state_names) == len(set(skeleton.state_names)),
+        "skeleton.feet": set((skeleton.feet or {}).values()) <= set(pose.names),
+        "root_path.keypoint": parsed.root_path.keypoint in pose.names,
+        "frames": len(parsed.frames) == T,
+        "outliers": all(o.frame in frames and o.keypoint in pose.names for o in parsed.outliers),
+        "image_error_px.values": np.array([[len(row) for row in joint] for joint in errors], object).shape == (J, 2)
+        and all(len(row) == T for joint in errors for row in joint),
+    }
+    problems = [
+        Problem(path, field, "something else than pose3d.csv has", AS_WRITTEN) for field, ok in checks.items() if not ok
+    ]
+    if problems:
+        raise InputError(problems)

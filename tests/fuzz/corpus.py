@@ -1,0 +1,324 @@
+"""Good files of every kind, small, and what reads each."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from importlib import resources
+from importlib.util import find_spec
+from pathlib import Path
+
+import numpy as np
+
+from recon.body import Body
+from recon.calibration import read_cameras, write_camera
+from recon.camera import Camera
+from recon.errors import InputError
+from recon.export.formats import FORMATS
+from recon.io import columns, read_keypoints
+from recon.io.column_map import parse_map
+from recon.io.pose3d import Pose3D, read_pose3d, read_pose_segments
+from recon.keypoints import Keypoints, clean
+from recon.manifest import MANIFEST, write_manifest
+from recon.net.labels import read_label_file
+from recon.pipelines.batch.inputs import find_clips
+from recon.pipelines.batch.record import read_record
+from recon.pipelines.clip import run_clip
+from recon.prior import load_prior
+from recon.results import read_results
+from recon.robot.climb.recipe import load_recipe
+from recon.robot.robot_file import load_robot
+from recon.settings import FitSettings, read_settings
+from recon.skeleton_file import builtin_subjects, load_skeleton
+
+SAMPLES = Path(__file__).resolve().parents[2] / "data" / "samples"
+LABELS = """scorer,me,me,me,me
+bodyparts,nose,nose,tail,tail
+coords,x,y,x,y
+labeled-data/run/img0007.png,1,2,3,4
+labeled-data/run/img0009.png,,,5,6
+"""
+SEGMENTS = (
+    "segment,frame,nose,nose,nose,tail,tail,tail\n,,x,y,z,x,y,z\na,0,1,2,3,4,5,6\na,1,1,2,3,,,\nb,0,1,2,3,4,5,6\n"
+)
+OPENCV = """%YAML:1.0
+---
+image_width: 1920
+image_height: 1080
+camera_matrix: !!opencv-matrix
+   rows: 3
+   cols: 3
+   dt: d
+   data: [ 1000., 0., 960., 0., 1000., 540., 0., 0., 1. ]
+distortion_coefficients: !!opencv-matrix
+   rows: 1
+   cols: 5
+   dt: d
+   data: [ 0.1, -0.01, 0., 0., 0. ]
+R: !!opencv-matrix
+   rows: 3
+   cols: 3
+   dt: d
+   data: [ 1., 0., 0., 0., 1., 0., 0., 0., 1. ]
+T: [ 0., 1., 2. ]
+"""
+XML = """<?xml version="1.0"?>
+<opencv_storage>
+<image_width>1920</image_width>
+<image_height>1080</image_height>
+<camera_matrix type_id="opencv-matrix"><rows>3</rows><cols>3</cols><dt>d</dt>
+  <data>1000. 0. 960. 0. 1000. 540. 0. 0. 1.</data></camera_matrix>
+<distortion_coefficients type_id="opencv-matrix"><rows>1</rows><cols>4</cols><dt>d</dt><data>0. 0. 0. 0.</data>
+</distortion_coefficients>
+</opencv_storage>
+"""
+MATRIX = [[1000.0, 0.0, 960.0], [0.0, 1000.0, 540.0], [0.0, 0.0, 1.0]]
+ACINOSET = {
+    "camera_resolution": [1920, 1080],
+    "cameras": [{"k": MATRIX, "d": [[0.1], [0], [0], [0]], "r": np.eye(3).tolist(), "t": [[0], [1], [2]]}] * 2,
+}
+ANIPOSE = f"""[cam_0]
+name = "A"
+size = [1920, 1080]
+matrix = {MATRIX}
+distortions = [0.1, 0.0, 0.0, 0.0, 0.0]
+rotation = [0.1, 0.2, 0.3]
+translation = [1.0, 2.0, 3.0]
+[metadata]
+adjusted = false
+"""
+FRAMES = np.array([3, 4, 5, 6, 9])
+
+
+@dataclass(frozen=True)
+class Seed:
+    """A good file: its name, its content, and what reads it. share: of the cases, in parts."""
+
+    name: str
+    content: bytes
+    read: Callable[[Path], object]
+    share: float = 1.0
+
+    @property
+    def suffix(self) -> str:
+        return Path(self.name).suffix
+
+
+def seeds(folder: Path, real: Path | None = None) -> list[Seed]:
+    """All of them, made in a folder; real: of recordings, whose importer-files are taken too."""
+    folder.mkdir(parents=True, exist_ok=True)
+    found = [*_of_formats(folder), *_texts(), *_cameras(folder), *_built_in(), *_results(folder), *_models(folder)]
+    for path in sorted(real.glob("importer-files/*/*")) if real is not None else ():
+        if path.suffix in (".h5", ".nwb", ".csv", ".json", ".trc") and path.stat().st_size < 1 << 18:
+            read = _cameras_of if path.suffix == ".json" else _positions if path.suffix == ".trc" else _points
+            found.append(Seed(f"real-{path.name}", path.read_bytes(), read, 0.3))
+    return found
+
+
+def _points(path: Path) -> object:
+    return clean(read_keypoints(path), 0.5)
+
+
+def _animal(path: Path) -> object:
+    return clean(read_keypoints(path, "bella"), 0.5)
+
+
+def _positions(path: Path) -> object:
+    return read_pose3d(path, unit="m")
+
+
+def _cameras_of(path: Path) -> object:
+    cameras = read_cameras(path)
+    return [camera.project(np.array([[0.1, 0.2, 5.0]])) for camera in cameras]
+
+
+def _body_of(path: Path) -> object:
+    skeleton = load_skeleton(path)
+    return skeleton.tree.pose(np.zeros((1, skeleton.n_state))) if isinstance(skeleton, Body) else skeleton
+
+
+def _of_formats(folder: Path) -> Iterator[Seed]:
+    """What our own writers make of a small clip."""
+    random = np.random.default_rng(0)
+    names = ("nose", "l_eye", "spine")
+    xy_px, confidence = random.uniform(0, 1000, (5, 3, 2)).round(2), random.uniform(0.5, 1, (5, 3)).round(3)
+    xy_px[1, 2], confidence[1, 2] = np.nan, 0
+    clip = Keypoints(names, xy_px, confidence, FRAMES, fps=50.0, image_size_px=(1920, 1080))
+    pose = Pose3D(names, random.normal(size=(5, 3, 3)).round(3), FRAMES, fps=50.0, edges=(("nose", "spine"),))
+    for kind in FORMATS:
+        path = folder / f"{kind.name}{kind.extensions[0]}"
+        if kind.keypoints is not None:
+            kind.keypoints(clip, path)
+            yield Seed(f"2d-{path.name}", path.read_bytes(), _points)
+            kind.keypoints(replace(clip, individual="bella"), path)
+            yield Seed(f"2d-animal-{path.name}", path.read_bytes(), _animal, 0.4)
+        if kind.pose is not None:
+            kind.pose(pose, path)
+            yield Seed(f"3d-{path.name}", path.read_bytes(), _positions)
+    yield Seed("2d-fixed.h5", _fixed_h5(folder / "fixed.h5", clip), _points)
+    yield Seed("2d-classic.cdf", _classic_netcdf(folder / "classic.cdf", clip), _points)
+
+
+def _fixed_h5(path: Path, clip: Keypoints) -> bytes:
+    """DeepLabCut's labels, in pandas' fixed layout."""
+    import pandas as pd
+
+    columns = pd.MultiIndex.from_product([["me"], clip.names, ["x", "y"]], names=["scorer", "bodyparts", "coords"])
+    rows = pd.MultiIndex.from_tuples([("labeled-data", "run", f"img{n:04d}.png") for n in clip.frames])
+    pd.DataFrame(clip.xy_px.reshape(5, -1), index=rows, columns=columns).to_hdf(path, key="df_with_missing")
+    return path.read_bytes()
+
+
+def _classic_netcdf(path: Path, clip: Keypoints) -> bytes:
+    """As movement writes it without netCDF 4."""
+    from scipy.io import netcdf_file
+
+    with netcdf_file(path, "w") as file:
+        sizes = {"time": 5, "space": 2, "keypoints": 3, "individuals": 1, "letters": 5}
+        for name, size in sizes.items():
+            file.createDimension(name, size)
+        file.fps, file.ds_type, file.time_unit = 50.0, "poses", "seconds"
+        position = file.createVariable("position", "d", ("time", "space", "keypoints", "individuals"))
+        position[:] = clip.xy_px.transpose(0, 2, 1)[..., None]
+        time = file.createVariable("time", "d", ("time",))
+        time[:] = clip.frames / 50.0
+        labels = file.createVariable("keypoints", "c", ("keypoints", "letters"))
+        labels[:] = np.array([list(name.ljust(5, "\0")) for name in clip.names], "S1")
+    return path.read_bytes()
+
+
+def _texts() -> Iterator[Seed]:
+    yield Seed("labels.csv", LABELS.encode(), read_label_file)
+    yield Seed("segments.csv", SEGMENTS.encode(), read_pose_segments)
+    yield Seed("map.txt", b"frame=Frame, bodypart=Node, x=X, y=Y, likelihood=Score", _by_map)
+    yield Seed("map-wide.txt", b"frame=Frame, x={bodypart} X, y={bodypart} Y", _by_map)
+    settings = FitSettings(SAMPLES / "whole.csv", camera=SAMPLES / "camera.toml", fps=60, frames="0:30")
+    yield Seed("config.toml", settings.to_toml().encode(), lambda path: read_settings(path, {}), 2.0)
+    batch = f"keypoints,camera,fps,frames,method\n{SAMPLES}/whole.csv,{SAMPLES}/camera.toml,60,0:20,\n"
+    batch += f"{SAMPLES}/noisy.csv,{SAMPLES}/camera.toml,30,,frame\n"
+    yield Seed("batch.csv", batch.encode(), lambda path: find_clips([path], {}), 2.0)
+    yield Seed("rates.json", b'{"fps": [120, 90]}', _rates, 0.5)
+    record = {"schema": {"name": "recon.batch.clip", "version": 1}, "state": "started", "attempt": 1, "run": "a"}
+    yield Seed("record.json", json.dumps(record).encode(), _record, 0.5)
+
+
+def _by_map(path: Path) -> object:
+    table = path.with_name("table.csv")
+    table.write_text("Frame,Node,X,Y,Score,nose X,nose Y\n0,nose,1,2,0.9,1,2\n1,tail,3,4,0.8,3,4\n")
+    return columns.read(table, None, parse_map(path.read_text(encoding="utf-8", errors="replace")))
+
+
+def _rates(path: Path) -> object:
+    from recon.pipelines.prior import _rates as read
+
+    return read(str(path))
+
+
+def _record(path: Path) -> object:
+    folder = path.with_name("clip")
+    folder.mkdir(exist_ok=True)
+    (folder / "batch.json").write_bytes(path.read_bytes())
+    return read_record(folder)
+
+
+def _cameras(folder: Path) -> Iterator[Seed]:
+    write_camera(Camera.from_hfov(60.0, (1920, 1080), name="cam"), folder / "camera.toml")
+    for name, content in (
+        ("camera.toml", (folder / "camera.toml").read_text()),
+        ("opencv.yml", OPENCV),
+        ("opencv.xml", XML),
+        ("scene.json", json.dumps(ACINOSET)),
+        ("anipose.toml", ANIPOSE),
+    ):
+        yield Seed(name, content.encode(), _cameras_of, 1.5)
+
+
+def _built_in() -> Iterator[Seed]:
+    package = resources.files("recon")
+    for name in ("cheetah-8u", "cheetah-24", "horse-22"):
+        yield Seed(f"{name}.toml", (package / "skeletons" / f"{name}.toml").read_bytes(), _body_of, 1.5)
+    subject = builtin_subjects()[0]
+    content = (package / "subjects" / f"{subject}.toml").read_bytes()
+    yield Seed(f"subject-{subject}.toml", content, lambda path: load_skeleton("cheetah-24", path), 1.5)
+    body = load_skeleton("cheetah-24")
+    assert isinstance(body, Body)
+    prior = (package / "priors" / "running-cheetah.npz").read_bytes()
+    yield Seed("prior.npz", prior, lambda path: load_prior(path, body), 1.5)
+    for name in ("aibo", "a1"):
+        content = (resources.files("recon.robot") / "robots" / f"{name}.toml").read_bytes()
+        yield Seed(f"robot-{name}.toml", content, load_robot, 1.5)
+    if find_spec("yourdfpy") is not None:
+        yield Seed("robot.urdf", _urdf().encode(), load_robot, 0.3)
+    recipe = sorted((resources.files("recon.robot.climb") / "recipes").iterdir(), key=str)[0]
+    yield Seed("recipe.toml", recipe.read_bytes(), load_recipe)
+
+
+def _urdf() -> str:
+    import runpy
+
+    return runpy.run_path(str(Path(__file__).resolve().parents[1] / "robot_urdf.py"))["a1_urdf"]()
+
+
+def _results(folder: Path) -> Iterator[Seed]:
+    """A folder of a fit; one of its files is spoilt, and the manifest says it is as it was written, or not."""
+    results = folder / "results"
+    run_clip(
+        FitSettings(SAMPLES / "noisy.csv", camera=SAMPLES / "camera.toml", fps=30, frames="0:3", method="frame"),
+        results,
+    )
+    files = {name: (results / name).read_bytes() for name in ("report.json", "pose3d.csv", "angles.csv", MANIFEST)}
+
+    def read(path: Path) -> object:
+        name = path.name.partition("-")[2]
+        made = path.with_name("results")
+        made.mkdir(exist_ok=True)
+        for other, content in files.items():
+            (made / other).write_bytes(path.read_bytes() if other == name else content)
+        if name != MANIFEST:
+            write_manifest(made)
+        found = read_results(made)
+        return (
+            found.body,
+            found.feet,
+            found.limbs,
+            found.angles_rad,
+            found.size,
+            found.title,
+            found.time_s,
+            found.forward,
+        )
+
+    for name, content in files.items():
+        yield Seed(f"results-{name}", content, read, 3.0 if name == "report.json" else 0.7)
+
+
+def _models(folder: Path) -> Iterator[Seed]:
+    """What stands beside the weights of a network, which are left out."""
+    if find_spec("torch") is None:
+        return
+    import torch
+
+    from recon.net.trained import FORMAT, load_model
+
+    calibration = {"slope": 1.0, "offset": 0.0, "points": 0}
+    spec = {"names": ["nose", "tail"], "scale": 0.5, "body_length_px": 300.0, "tolerance_px": 9.0, "partner": [0, 1]}
+    spec |= {"mirrored": True, "calibrations": {"best": calibration}}
+    torch.save({"format": FORMAT, "spec": spec, "weights": {}}, folder / "model.pt")
+    content = (folder / "model.pt").read_bytes()
+
+    def read(path: Path) -> object:
+        return load_model(path, torch.device("cpu"))
+
+    yield Seed("model.pt", content, read, 0.3)
+
+
+def outcome(seed: Seed, path: Path) -> str | None:
+    """None for a success, and for an InputError that says something of each problem."""
+    try:
+        seed.read(path)
+    except InputError as error:
+        if not error.problems or not all(str(problem).strip() for problem in error.problems):
+            raise RuntimeError("an InputError without a problem") from None
+        return "refused"
+    return None

@@ -1,0 +1,164 @@
+"""Cases in children with limits of time and memory, which are replaced when they die."""
+
+from __future__ import annotations
+
+import os
+import select
+import shutil
+import signal
+import sys
+import time
+import traceback
+import warnings
+from collections import Counter
+from dataclasses import dataclass, field
+from pathlib import Path
+from random import Random
+
+from tests.fuzz.corpus import Seed, outcome
+from tests.fuzz.mutations import spoilt
+
+CASE_S = 20.0
+"""Longer is a hang, also on a busy machine."""
+MEMORY_BYTES = 6 << 30
+"""Of addresses: what the libraries take, and 4 GB more."""
+
+
+@dataclass
+class Tally:
+    """Cases by outcome; causes: of those that failed, with the numbers of their cases."""
+
+    done: int = 0
+    read: int = 0
+    refused: int = 0
+    causes: dict[str, list[int]] = field(default_factory=dict)
+    by_seed: Counter[str] = field(default_factory=Counter)
+
+    def fail(self, cause: str, case: int) -> None:
+        self.done += 1
+        self.causes.setdefault(cause, []).append(case)
+
+
+def case(number: int, seed: int, good: list[Seed]) -> tuple[Seed, bytes]:
+    """The file of one case."""
+    random = Random(f"{seed} {number}")
+    chosen = random.choices(good, [s.share for s in good])[0]
+    return chosen, spoilt(chosen.content, chosen.suffix, random)
+
+
+def run(chosen: Seed, content: bytes, folder: Path) -> str | None:
+    """What `outcome` says of a file; raises whatever else the reader does."""
+    path = folder / chosen.name
+    path.write_bytes(content)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        return outcome(chosen, path)
+
+
+def cause(error: BaseException) -> str:
+    """The error, and the last line of ours that it passed."""
+    ours = [f for f in traceback.extract_tb(error.__traceback__) if f"{os.sep}recon{os.sep}" in f.filename]
+    where = f"{Path(ours[-1].filename).name}:{ours[-1].lineno} {ours[-1].name}" if ours else "outside"
+    return f"{type(error).__name__} in {where}"
+
+
+@dataclass
+class _Child:
+    """Cases first, first + step, ... below the end, each with a line before it and a line after it. current, name: of
+    the last case that was begun."""
+
+    first: int
+    step: int
+    end: int
+    pid: int = 0
+    pipe: int = -1
+    left: bytes = b""
+    current: int | None = None
+    name: str = ""
+    since: float = 0.0
+
+    def start(self, seed: int, good: list[Seed], folder: Path) -> None:
+        reading, writing = os.pipe()
+        sys.stdout.flush()
+        self.pid = os.fork()
+        if not self.pid:
+            os.close(reading)
+            try:
+                self._work(writing, seed, good, folder)
+            finally:
+                os._exit(70)
+        os.close(writing)
+        self.pipe, self.left, self.current, self.since = reading, b"", None, time.monotonic()
+
+    def _work(self, writing: int, seed: int, good: list[Seed], folder: Path) -> None:
+        import resource
+
+        resource.setrlimit(resource.RLIMIT_AS, (MEMORY_BYTES, MEMORY_BYTES))
+        resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+        silent = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(silent, 1)
+        os.dup2(silent, 2)
+        mine = folder / f"{os.getpid()}"
+        mine.mkdir(parents=True)
+        os.chdir(mine)
+        for number in range(self.first, self.end, self.step):
+            chosen, content = case(number, seed, good)
+            os.write(writing, f"{number} {chosen.name}\n".encode())
+            try:
+                answer = run(chosen, content, mine) or "read"
+            except BaseException as error:
+                answer = cause(error)
+            os.write(writing, f"={answer}\n".encode())
+        shutil.rmtree(mine, ignore_errors=True)
+        os._exit(0)
+
+
+def run_all(first: int, end: int, seed: int, good: list[Seed], folder: Path, jobs: int) -> Tally:
+    """Every case from the first up to the end."""
+    tally = Tally()
+    children = [_Child(first + k, jobs, end) for k in range(min(jobs, end - first))]
+    for child in children:
+        child.start(seed, good, folder)
+    while children:
+        ready, _, _ = select.select([child.pipe for child in children], [], [], 1.0)
+        for child in list(children):
+            if child.pipe in ready:
+                if _listen(child, tally):
+                    continue
+                status = os.waitpid(child.pid, 0)[1]
+                dead = f"died ({status & 0x7F or status >> 8})" if status else None
+            elif child.current is not None and time.monotonic() - child.since > CASE_S:
+                os.kill(child.pid, signal.SIGKILL)
+                os.waitpid(child.pid, 0)
+                dead = "did not end"
+            else:
+                continue
+            os.close(child.pipe)
+            if dead is None or child.current is None:
+                children.remove(child)
+                if dead is not None:
+                    tally.fail(dead, -1)
+                continue
+            tally.fail(f"{dead}: {child.name}", child.current)
+            child.first = child.current + child.step
+            child.start(seed, good, folder)
+    return tally
+
+
+def _listen(child: _Child, tally: Tally) -> bool:
+    """Takes in what a child says; False when it says no more."""
+    said = os.read(child.pipe, 1 << 16)
+    *whole, child.left = (child.left + said).split(b"\n")
+    for line in whole:
+        if not line.startswith(b"="):
+            number, _, child.name = line.decode().partition(" ")
+            child.current, child.since = int(number), time.monotonic()
+            continue
+        answer = line[1:].decode()
+        if answer == "read":
+            tally.done, tally.read = tally.done + 1, tally.read + 1
+        elif answer == "refused":
+            tally.done, tally.refused = tally.done + 1, tally.refused + 1
+        else:
+            tally.fail(answer, child.current or 0)
+    return bool(said)
