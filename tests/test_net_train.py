@@ -154,6 +154,8 @@ def test_ctrl_c_says_how_to_go_on(clip, tmp_path, monkeypatch):
     ended = run(*arguments, "--out", tmp_path / "out")
     assert ended.code == 130
     assert "Stopped: there is no checkpoint yet." in ended.err
+    assert list(tmp_path.iterdir()) == []
+    (tmp_path / "out").mkdir()
     (tmp_path / "out" / "checkpoint.pt").write_bytes(b"")
     ended = run(*arguments, "--out", tmp_path / "out", "--overwrite")
     assert "with --resume goes on" in ended.err
