@@ -450,11 +450,11 @@ def _camera_problems(given: Mapping[str, Any]) -> Iterator[Problem]:
         yield Problem("settings", "image_size_px", "nothing", expected)
 
 
-def _of_the_other_method(method: str, given: Mapping[str, Any]) -> Iterator[Problem]:
-    """What would have no effect."""
+def _of_the_other_method(method: Any, given: Mapping[str, Any]) -> Iterator[Problem]:
+    """What would have no effect. The method may be none, such as a list in a file."""
     for name, value in given.items():
         other = SETTINGS[name].method
-        if method in DEFAULT_SKELETONS and other not in (None, method):
+        if isinstance(method, str) and method in DEFAULT_SKELETONS and other not in (None, method):
             found = f"{value!r} with the {method} method, which does not read it"
             yield Problem("settings", name, found, f"nothing, or --method {other} with it")
 

@@ -343,6 +343,12 @@ def test_config_that_is_not_text(tmp_path):
     )
 
 
+def test_method_that_is_a_list(tmp_path):
+    config = tmp_path / "config.toml"
+    config.write_text('[recon.fit]\nkeypoints = "a.csv"\ncamera = "c.toml"\nmethod = ["frame"]\n')
+    assert messages({}, config) == [f"{config}: method: found ['frame'], expected trajectory or frame"]
+
+
 def test_missing_config(tmp_path):
     config = tmp_path / "no.toml"
     assert messages(GIVEN, config) == [f"{config}: file: found no such file, expected a config.toml of an earlier run"]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import pickle
 import zipfile
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -188,11 +187,11 @@ def load_file(path: Path) -> Any:
     """What torch saved: numbers and plain types only. Raises InputError for another kind of file, or a damaged one."""
     torch = require_torch()
     try:
-        # torch writes a zip archive; what it makes of other files is almost any exception.
+        # torch writes a zip archive; what it makes of other and damaged files is almost any exception.
         if not zipfile.is_zipfile(path):
             raise EOFError
         return torch.load(path, map_location="cpu", weights_only=True)
-    except (RuntimeError, EOFError, KeyError, ValueError, pickle.UnpicklingError) as error:
+    except Exception as error:
         found = "a file that torch cannot read, of another kind or damaged"
         raise InputError(Problem(path, "model", found, "a file that `recon train` wrote")) from error
 
