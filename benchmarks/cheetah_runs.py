@@ -29,9 +29,9 @@ PUBLISHED = "cheetah-8u"
 def view_row(run: Path, camera: int, skeleton: str, meta: dict, **options) -> dict:
     """One view as one row of the table."""
     settings = FitSettings(
-        keypoints=run / f"cam{camera}.csv",
+        keypoints=(run / f"cam{camera}.csv",),
         camera=run / "scene.json",
-        camera_name=f"cam{camera}",
+        camera_name=(f"cam{camera}",),
         fps=meta["fps"],
         method="frame",
         skeleton=skeleton,

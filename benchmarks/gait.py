@@ -112,7 +112,9 @@ def sample_rows() -> list[dict]:
 
 def fitted_row(name: str, sample: str, fps: int, options: dict, truth: Pose3D, truth_fps: int) -> dict:
     with tempfile.TemporaryDirectory() as folder:
-        settings = FitSettings(keypoints=SAMPLES / f"{sample}.csv", camera=SAMPLES / "camera.toml", fps=fps, **options)
+        settings = FitSettings(
+            keypoints=(SAMPLES / f"{sample}.csv",), camera=SAMPLES / "camera.toml", fps=fps, **options
+        )
         run_clip(settings, Path(folder) / "fit")
         found = analyse(read_results(Path(folder) / "fit"))
     row = sample_row(name, found.pose, fps, truth, truth_fps, found.results.feet)

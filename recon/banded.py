@@ -90,7 +90,8 @@ class Normal:
             return step, self.shared_gradient
         Y = factored.solve_many(self.border)
         schur = self.corner + damping * np.eye(len(self.corner)) - np.tensordot(self.border, Y, ((0, 1), (0, 1)))
-        shared = np.linalg.solve(schur, -self.shared_gradient + np.tensordot(Y, self.gradient, ((0, 1), (0, 1))))
+        pull = np.tensordot(Y, self.gradient, ((0, 1), (0, 1))) - self.shared_gradient
+        shared = np.asarray(np.linalg.solve(schur, pull), dtype=float)
         return step - Y @ shared, shared
 
 

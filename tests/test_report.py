@@ -263,6 +263,7 @@ def test_summary_of_a_trajectory_adds_up(trajectory):
     assert (summary["frames"], summary["frames_with_pose"], summary["frames_flagged"]) == (8, 8, 2)
     assert summary["flags"] == {
         "no data": 1,
+        "ran away": 0,
         "data poor": 1,
         "ambiguous depth": 1,
         "second solution": 0,

@@ -14,8 +14,8 @@ from typer.testing import CliRunner
 from recon import Body, Camera, FitSettings, InputError, Keypoints, TrajectoryMotion, fit_clip, load_skeleton
 from recon.analysis.evaluation import centre, joint_errors, score
 from recon.body import other_side, side_of
-from recon.clip import still_view
 from recon.cli import app
+from recon.clip import still_view
 from recon.io import read_keypoints
 from recon.pipelines.skeleton_check import check_skeleton, list_skeletons, run_skeleton_check
 from recon.prior import prior_from_body
@@ -440,6 +440,7 @@ def test_the_dog_on_its_recording(shared_data):
     px, _ = camera.project(truth_m)
     px += np.random.default_rng(0).normal(0, 2, px.shape)
     fast = TrajectoryOptions(fast=True)
-    solution = solve_trajectory([still_view(camera, px, np.ones(px.shape[:2]))], body, prior_from_body(body), 60.0, fast)
+    view = still_view(camera, px, np.ones(px.shape[:2]))
+    solution = solve_trajectory([view], body, prior_from_body(body), 60.0, fast)
     assert solution.status == "converged"
     assert 1000 * score(joint_errors(centre(solution.joints_camera_m, truth_m), truth_m)).mean < 45

@@ -121,7 +121,7 @@ class View:
         if self.intrinsics_px is None:
             return self.xy_px
         linear, shift = self._zoom[:, None, :, :2], self._zoom[:, None, :, 2]
-        return np.linalg.solve(linear, (self.xy_px - shift)[..., None])[..., 0]
+        return np.asarray(np.linalg.solve(linear, (self.xy_px - shift)[..., None]), dtype=float)[..., 0]
 
     def _zoomed(self, pixels: Array) -> Array:
         if self.intrinsics_px is None:

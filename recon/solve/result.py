@@ -78,7 +78,8 @@ class TrajectorySolution:
     weight: Array
     """(V, T, J): how far it was trusted, 1 to 0, NaN where missing."""
     flags: tuple[tuple[str, ...], ...]
-    """(T,): what is doubtful about a frame: "no data", "ran away", "data poor", "ambiguous depth", "second solution"."""
+    """(T,): what is doubtful about a frame: "no data", "ran away", "data poor", "ambiguous depth" or "second
+    solution"."""
     alternative_m: Array
     """(T,): mean distance of the joints in the second best solution, NaN where there is none."""
     alternative_cost: float
