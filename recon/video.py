@@ -85,7 +85,7 @@ def video_writer(path: str | Path, size_px: tuple[int, int], fps: float) -> Iter
     codec = require_codec(path)
     with staged_file(path) as staged, _quiet():
         staged.touch()  # an OSError with the reason, where OpenCV would only say no
-        writer: Any = cv2.VideoWriter(str(staged), cv2.CAP_FFMPEG, cv2.VideoWriter.fourcc(*codec), fps, size_px)
+        writer: Any = cv2.VideoWriter(_local(staged), cv2.CAP_FFMPEG, cv2.VideoWriter.fourcc(*codec), fps, size_px)
         written = 0
         try:
             if not writer.isOpened():
@@ -102,7 +102,8 @@ def video_writer(path: str | Path, size_px: tuple[int, int], fps: float) -> Iter
             yield write
         finally:
             writer.release()
-        if _frames_in(staged) != written:  # OpenCV says nothing of a full disk
+        # OpenCV says nothing of a full disk.
+        if not _ends_as_it_says(staged) or _frames_in(staged) != (written, written):
             raise OSError(errno.ENOSPC, "the video could not be written: is the disk full?", str(path))
 
 
@@ -118,16 +119,32 @@ def _quiet() -> Iterator[None]:
         cv2.utils.logging.setLogLevel(level)
 
 
-def _frames_in(path: Path) -> int:
-    """How many can be decoded."""
-    capture = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
-    count = 0
+def _ends_as_it_says(path: Path) -> bool:
+    """Whether the parts of an AVI (RIFF) or MP4 file, of which each states its length, are all of it."""
+    end, at = path.stat().st_size, 0
+    with path.open("rb") as file:
+        while at < end:
+            file.seek(at)
+            head = file.read(16).ljust(16, b"\0")
+            if path.suffix.lower() == ".avi":
+                length = 8 + int.from_bytes(head[4:8], "little")
+            else:
+                length = int.from_bytes(head[:4], "big")
+                length = int.from_bytes(head[8:], "big") if length == 1 else length
+            at += max(length, 8)
+    return at == end
+
+
+def _frames_in(path: Path) -> tuple[int, int]:
+    """How many can be decoded, and how many the file states, which it is the last to be told."""
+    capture = cv2.VideoCapture(_local(path), cv2.CAP_FFMPEG)
+    count, stated = 0, round(capture.get(cv2.CAP_PROP_FRAME_COUNT))
     try:
         while capture.grab():
             count += 1
     finally:
         capture.release()
-    return count
+    return count, stated
 
 
 def require_codec(path: Path) -> str:
@@ -138,11 +155,16 @@ def require_codec(path: Path) -> str:
     return codec
 
 
+def _local(path: Path) -> str:
+    """A name that ffmpeg takes for a file: run10:30.mp4, or a folder called http:, would be a protocol."""
+    return str(path.absolute())
+
+
 def _open(path: Path) -> cv2.VideoCapture:
     if not path.is_file():
         raise InputError(Problem(path, "video", "a folder" if path.is_dir() else "no such file", "a video"))
     with _quiet():
-        capture = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
+        capture = cv2.VideoCapture(_local(path), cv2.CAP_FFMPEG)
     if not capture.isOpened():
         raise InputError(Problem(path, "video", "a file that cannot be decoded", "a video"))
     return capture
