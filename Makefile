@@ -18,6 +18,8 @@ DEV := $(VENV)/.dev-installed
 
 # Keep pyright from asking the network for a newer version.
 export PYRIGHT_PYTHON_IGNORE_WARNINGS := 1
+# Compiled modules are kept, whatever the environment says: the tests start many processes.
+export PYTHONDONTWRITEBYTECODE :=
 
 .PHONY: help demo test lint format docs docs-figures notebooks samples benchmark clean
 

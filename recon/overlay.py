@@ -144,8 +144,9 @@ def draw_frame(overlay: Overlay, t: int | None, frame: int, picture: Image) -> I
     """
     height, width = picture.shape[:2]
     canvas_w, canvas_h = canvas_size((width, height))
-    canvas = np.full((canvas_h, canvas_w, 3), PAPER, dtype=np.uint8)
+    canvas = np.empty((canvas_h, canvas_w, 3), dtype=np.uint8)
     canvas[:height, :width] = picture
+    canvas[height:], canvas[:, width:] = PAPER, PAPER
     unit = max(width, height) / 1920  # sizes are those for 1920 px
     if t is not None:
         image = canvas[:height, :width]

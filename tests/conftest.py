@@ -26,6 +26,7 @@ from recon.initialise import mean_pose
 from recon.keypoints import Keypoints, clean
 from recon.motion import FrameMotion, TrajectoryMotion
 from recon.pipelines.clip import run_clip
+from recon.plots import style
 from recon.settings import FitSettings
 from recon.skeleton_file import load_skeleton
 from recon.solve import FrameOptions, Ground, Spell, Start, TrajectorySolution, solve_frames
@@ -41,6 +42,7 @@ def shared_data() -> Path:
     return path
 
 
+SMALL_DPI = 50
 SAMPLES = Path(__file__).resolve().parents[1] / "data" / "samples"
 
 
@@ -72,6 +74,12 @@ def whole_results(made_once) -> Path:
     return made_once("whole", lambda out: run_clip(settings, out))
 
 
+@pytest.fixture
+def small_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Figures are drawn as always, at a lower resolution."""
+    monkeypatch.setattr(style, "PNG_DPI", SMALL_DPI)
+
+
 @pytest.fixture(scope="session")
 def of_results(made_once, whole_results) -> Callable[[str], tuple[str, Path]]:
     """`of_results(command)` is what a command about `results/clip` prints where that is `whole_results`, and the folder
@@ -81,6 +89,7 @@ def of_results(made_once, whole_results) -> Callable[[str], tuple[str, Path]]:
         def make(folder: Path) -> None:
             shutil.copytree(whole_results, folder / "results" / "clip")
             with pytest.MonkeyPatch.context() as patch:
+                patch.setattr(style, "PNG_DPI", SMALL_DPI)
                 patch.chdir(folder)
                 ended = run(*shlex.split(command)[1:])
             assert (ended.code, ended.err) == (0, ""), f"{command}\n{ended.out}{ended.err}"

@@ -133,7 +133,15 @@ def same_pose(*results: Path) -> bool:
     return len({(folder / "pose3d.csv").read_bytes() for folder in results}) == 1
 
 
+@pytest.mark.parametrize("command", sorted(ONCE))
+def test_command_of_several_pages(command, of_results):
+    """By itself, so that no page takes long."""
+    printed, _ = of_results(command)
+    assert printed
+
+
 @pytest.mark.parametrize("page", [p for p in PAGES if any(b.language != "toml" for b in blocks(p))], ids=name_of)
+@pytest.mark.usefixtures("small_pictures")
 def test_page(page, tmp_path, monkeypatch, whole_results, of_results):
     monkeypatch.chdir(tmp_path)
     workshop, names, printed = Workshop(tmp_path, name_of(page), whole_results, of_results), {"__name__": "page"}, ""

@@ -16,6 +16,8 @@ from recon.manifest import write_manifest
 from recon.pipelines.ik import FITTED, METHODS, fit_parameters, limb_of, methods_of, run_ik
 from recon.results import read_results
 
+pytestmark = pytest.mark.usefixtures("small_pictures")
+
 
 @pytest.fixture
 def folder(whole_results, tmp_path) -> Path:

@@ -32,6 +32,7 @@ PAGE_MM = 235.0
 """Height of a page within its margins."""
 MM = 1 / 25.4
 """Inches."""
+PNG_DPI = 200
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#000000")
 DASHES = ("-", (0, (5, 1.5)), (0, (1, 1)), (0, (5, 1, 1, 1)))
@@ -60,6 +61,7 @@ _SETTINGS: dict[Any, Any] = {
     "lines.linewidth": 1.1,
     "hatch.linewidth": 0.6,
     "svg.fonttype": "none",
+    "text.parse_math": False,  # names are no formulas
     "svg.hashsalt": "recon",
 }
 
@@ -82,10 +84,10 @@ def drawing(height_mm: float, width_mm: float = WIDTH_MM) -> Iterator[Figure]:
 
 
 def save(figure: Figure, folder: str | Path, stem: str) -> tuple[Path, Path]:
-    """Writes stem.png (200 dpi) and stem.svg (text as text) into the folder, which is made; returns their paths."""
+    """Writes stem.png (`PNG_DPI`) and stem.svg (text as text) into the folder, which is made; returns their paths."""
     paths = Path(folder) / f"{stem}.png", Path(folder) / f"{stem}.svg"
     with _settings(), staged_folder(folder) as staging:
-        figure.savefig(staging / paths[0].name, dpi=200, metadata={"Software": None})
+        figure.savefig(staging / paths[0].name, dpi=PNG_DPI, metadata={"Software": None})
         figure.savefig(staging / paths[1].name, metadata={"Date": None, "Creator": None})
     return paths
 
