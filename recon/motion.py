@@ -32,12 +32,68 @@ TRUSTED_SHARE = 1 / 3
 
 
 @dataclass(frozen=True, eq=False)
+class Picture:
+    """One camera's picture of a motion, T frames with J joints: where the detector saw them, and where they are."""
+
+    source: Source
+    T_reference_camera: Array
+    """(4, 4), or (T, 4, 4) of a camera that moves: to the motion's frame of reference."""
+    joints_camera_m: Array
+    """(T, J, 3) in this camera's frame when its pictures were taken, NaN without a pose."""
+    reprojected_px: Array
+    """(T, J, 2): the joints in the picture, where the detector sees them; NaN without a pose."""
+    sigma_px: Array
+    """(T, J): standard deviation that a detection was given."""
+    weight: Array
+    """(T, J): how far it was trusted, 0 to 1, NaN where missing; with the frame method the mean of the frame."""
+
+    @property
+    def camera(self) -> Camera:
+        return self.source.camera
+
+    @property
+    def name(self) -> str:
+        """Of the camera."""
+        return self.camera.name
+
+    @property
+    def detected_px(self) -> Array:
+        """(T, J, 2), NaN where missing."""
+        return self.source.keypoints.xy_px
+
+    @property
+    def present(self) -> NDArray[np.bool_]:
+        """(T, J): detected."""
+        return self.source.keypoints.present
+
+    @cached_property
+    def image_error_px(self) -> Array:
+        """(T, J, 2): reprojected minus detected, NaN where either is missing."""
+        return self.reprojected_px - self.detected_px
+
+    @cached_property
+    def distance_px(self) -> Array:
+        """(T, J): distance between reprojection and detection."""
+        return np.linalg.norm(self.image_error_px, axis=-1)
+
+    @cached_property
+    def outliers(self) -> NDArray[np.bool_]:
+        """(T, J): detections that the pose does not explain."""
+        return self.distance_px > OUTLIER_SIGMAS * self.sigma_px
+
+    @cached_property
+    def distance_m(self) -> Array:
+        """(T,): of the mean of all joints from the camera."""
+        return np.linalg.norm(self.joints_camera_m.mean(axis=1), axis=-1)
+
+
+@dataclass(frozen=True, eq=False)
 class Motion:
     """T frames of an animal with J joints and D unknowns, of which A are angles.
 
     keypoints: what was fitted, cleaned, in the order of the joints, all-missing for joints that the file does not have.
     cleaning: what happened to the file's points. file_names: all keypoints of the file. side: whose limbs were fitted,
-    None for both, and side_reason why.
+    None for both, and side_reason why. Of a clip with several cameras the first one's; `pictures` has all.
     """
 
     camera: Camera
@@ -103,9 +159,14 @@ class Motion:
         """(T, 3): path of the reference point, the skeleton's root, in the frame of reference."""
         raise NotImplementedError
 
+    @property
+    def sources(self) -> tuple[Source, ...]:
+        """What each camera saw."""
+        return (Source(self.camera, self.keypoints, self.cleaning, self.file_names),)
+
     @cached_property
-    def sigma_px(self) -> Array:
-        """(T, J): standard deviation that a detection was given."""
+    def pictures(self) -> tuple[Picture, ...]:
+        """Of each camera, in the same order."""
         raise NotImplementedError
 
     @cached_property
@@ -120,12 +181,12 @@ class Motion:
 
     @cached_property
     def mean_weight(self) -> Array:
-        """(T,): how far the detections were trusted on average, 0 to 1, NaN without any or without a pose."""
+        """(T,): how far all cameras' detections were trusted on average, 0 to 1, NaN without any or without a pose."""
         raise NotImplementedError
 
     @cached_property
     def place_sigma_m(self) -> Array:
-        """(T,): standard deviation of the mean of all joints along the line of sight."""
+        """(T,): standard deviation of the mean of all joints along the first camera's line of sight."""
         raise NotImplementedError
 
     @cached_property
@@ -187,20 +248,25 @@ class Motion:
         """(T,): since frame 0 of the file."""
         return self.frames / self.fps
 
-    @property
-    def detected_px(self) -> Array:
-        """(T, J, 2), NaN where missing."""
-        return self.keypoints.xy_px
+    @cached_property
+    def detections(self) -> NDArray[np.int64]:
+        """(T,): points that the cameras saw together."""
+        return np.sum([source.keypoints.present.sum(axis=1) for source in self.sources], axis=0)
 
     @property
     def unused_keypoints(self) -> tuple[str, ...]:
-        """Of the file, but not of the skeleton."""
-        return tuple(name for name in self.file_names if name not in self.names)
+        """Of a file, but not of the skeleton."""
+        return tuple(name for name in self._of_files if name not in self.names)
 
     @property
     def missing_keypoints(self) -> tuple[str, ...]:
-        """Of the skeleton, but not of the file."""
-        return tuple(name for name in self.names if name not in self.file_names)
+        """Of the skeleton, but of no file."""
+        return tuple(name for name in self.names if name not in self._of_files)
+
+    @cached_property
+    def _of_files(self) -> dict[str, None]:
+        """Keypoints in the files' order, each once."""
+        return dict.fromkeys(name for source in self.sources for name in source.file_names)
 
     @cached_property
     def solved(self) -> NDArray[np.bool_]:
@@ -220,25 +286,31 @@ class Motion:
     def _in_reference(self, points_camera_m: Array) -> Array:
         return self.camera.camera_to_world(points_camera_m) if self.camera.has_extrinsics else points_camera_m
 
-    @cached_property
+    # -- the first camera's picture -------------------------------------------------------------------------------
+
+    @property
+    def detected_px(self) -> Array:
+        return self.pictures[0].detected_px
+
+    @property
     def reprojected_px(self) -> Array:
-        """(T, J, 2): the joints in the picture, where the detector sees them; NaN without a pose."""
-        return self.camera.project(self.joints_camera_m)[0]
+        return self.pictures[0].reprojected_px
 
-    @cached_property
+    @property
+    def sigma_px(self) -> Array:
+        return self.pictures[0].sigma_px
+
+    @property
     def image_error_px(self) -> Array:
-        """(T, J, 2): reprojected minus detected, NaN where either is missing."""
-        return self.reprojected_px - self.detected_px
+        return self.pictures[0].image_error_px
 
-    @cached_property
+    @property
     def distance_px(self) -> Array:
-        """(T, J): distance between reprojection and detection."""
-        return np.linalg.norm(self.image_error_px, axis=-1)
+        return self.pictures[0].distance_px
 
-    @cached_property
+    @property
     def outliers(self) -> NDArray[np.bool_]:
-        """(T, J): detections that the pose does not explain."""
-        return self.distance_px > OUTLIER_SIGMAS * self.sigma_px
+        return self.pictures[0].outliers
 
 
 @dataclass(frozen=True, eq=False)
@@ -293,8 +365,22 @@ class FrameMotion(Motion):
         return self.joints_m[:, 0]
 
     @cached_property
-    def sigma_px(self) -> Array:
-        return np.repeat(self._of_reports("sigma_px")[:, None], len(self.joints), axis=1)
+    def pictures(self) -> tuple[Picture, ...]:
+        (source,), camera = self.sources, self.camera
+        T_camera_reference = np.eye(4)
+        if camera.rotation is not None and camera.translation_m is not None:
+            T_camera_reference = rigid(camera.rotation, camera.translation_m)
+        trusted = self.mean_weight[:, None]
+        return (
+            Picture(
+                source,
+                inverse(T_camera_reference),
+                self.joints_camera_m,
+                camera.project(self.joints_camera_m)[0],
+                np.repeat(self._of_reports("sigma_px")[:, None], len(self.joints), axis=1),
+                np.where(source.keypoints.present, trusted, np.nan),
+            ),
+        )
 
     @property
     def reports(self) -> tuple[FrameReport | None, ...]:
@@ -480,13 +566,20 @@ class TrajectoryMotion(Motion):
         return self.in_reference(self.solution.joints_m)
 
     @cached_property
-    def reprojected_px(self) -> Array:
-        view = self.solution.views[0]
-        return view.project(view.at_its_time(self.solution.markers_m))[0]
-
-    @cached_property
-    def sigma_px(self) -> Array:
-        return self.solution.noise_px[0]
+    def pictures(self) -> tuple[Picture, ...]:
+        solution = self.solution
+        given = zip(self.sources, solution.views, solution.noise_px, solution.weight, strict=True)
+        return tuple(
+            Picture(
+                source,
+                self.T_reference_world @ inverse(view.T_camera_world),
+                view.to_camera(view.at_its_time(solution.joints_m)),
+                view.project(view.at_its_time(solution.markers_m))[0],
+                noise_px,
+                weight,
+            )
+            for source, view, noise_px, weight in given
+        )
 
     # -- how far it can be trusted --------------------------------------------------------------------------------
 
@@ -527,9 +620,9 @@ class TrajectoryMotion(Motion):
 
     @cached_property
     def mean_weight(self) -> Array:
-        weight = self.solution.weight[0]
-        seen = np.isfinite(weight).sum(axis=1)
-        return np.where(seen > 0, np.nansum(weight, axis=1) / np.maximum(seen, 1), np.nan)
+        weight = self.solution.weight
+        seen = np.isfinite(weight).sum(axis=(0, 2))
+        return np.where(seen > 0, np.nansum(weight, axis=(0, 2)) / np.maximum(seen, 1), np.nan)
 
     def _turned(self, covariance_m2: Array) -> Array:
         R = self.T_reference_world[:3, :3]
