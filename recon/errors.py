@@ -13,7 +13,8 @@ class Problem:
     """One thing that is wrong with an input.
 
     file: the file (or command-line option) it was found in; field: the place inside it (column, key, row);
-    found and expected: in the user's words, with units where they matter.
+    found and expected: in the user's words, with units where they matter. As text, it is one line: what cannot be
+    printed, such as a terminal's commands in a name, stands there as its code.
     """
 
     file: str | Path
@@ -22,7 +23,14 @@ class Problem:
     expected: str
 
     def __str__(self) -> str:
-        return f"{self.file}: {self.field}: found {self.found}, expected {self.expected}"
+        return printable(f"{self.file}: {self.field}: found {self.found}, expected {self.expected}")
+
+
+def printable(text: str) -> str:
+    """With codes in place of what cannot be printed."""
+    if text.isprintable():
+        return text
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
 
 
 class InputError(ValueError):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import io
 import json
 import os
 import shutil
@@ -17,9 +18,11 @@ import pytest
 from command_line import Ended, run, run_process
 from rerun.chunk import RrdReader
 
+import recon.cli
 import recon.export
 import recon.view
 from recon.analysis.evaluation import evaluate_files
+from recon.cli.common import terminal
 from recon.export import TRAJECTORY_OUTPUTS
 from recon.io import read_keypoints
 from recon.pipelines.clip import OUTPUT_FILES
@@ -838,3 +841,14 @@ def test_help_has_an_example_and_units(command):
         text = " ".join(ended.out.replace("│", " ").split())
         for phrase in ("Hz", "in degrees", "in metres", "in pixels", "(default: 0.5)", "(default: trajectory)"):
             assert phrase in text
+
+
+def test_brackets_in_names_are_no_markup():
+    """Every console of the commands takes names as they are."""
+    stream = io.StringIO()
+    terminal(file=stream).print("x[/b] [red]y :smile:")
+    assert stream.getvalue() == "x[/b] [red]y :smile:\n"
+    others = [
+        path.name for path in Path(recon.cli.__file__).parent.glob("*.py") if " Console(" in path.read_text("utf-8")
+    ]
+    assert others == ["common.py"]

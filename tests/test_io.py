@@ -324,6 +324,18 @@ def test_odd_likelihoods_are_noted(tmp_path):
     assert note == "Likelihoods range from 0 to 1.2; they should lie between 0 and 1."
 
 
+def test_names_that_command_a_terminal(tmp_path):
+    """They are refused, in one line that commands nothing."""
+    (said, *_) = problems(save(tmp_path, SINGLE.replace("nose", "\x1b[31mnose")))
+    assert said.endswith(
+        "column \\x1b[31mnose/x: found a name that cannot be printed, expected letters, digits and signs"
+    )
+    (said,) = problems(save(tmp_path, "frame,bodypart,x,y\n0,no\x1b]0;se,1,2\n"))
+    assert said.endswith("bodypart: found 'no\\x1b]0;se', expected names that can be printed")
+    (said,) = problems(tmp_path / "a\nb\u202e.csv")
+    assert said == f"{tmp_path}/a\\nb\\u202e.csv: file: found no such file, expected a file that can be read"
+
+
 def test_missing_header_row_is_noted(tmp_path):
     """The names of the columns are there without it."""
     whole, headless = (read_keypoints(save(tmp_path, text)) for text in (SINGLE, SINGLE.split("\n", 1)[1]))

@@ -514,3 +514,10 @@ def test_closures_by_joint_and_method():
             np.testing.assert_array_equal(line.get_xdata(), getattr(values, kind))
             assert np.all(np.abs(np.array(line.get_ydata()) - [0, 1]) < 0.5)
         assert dots[0].get_marker() != dots[1].get_marker()
+
+
+def test_names_are_no_formulas(tmp_path):
+    with style.drawing(40) as figure:
+        figure.subplots().set_title("$t_{$")
+    _, svg = style.save(figure, tmp_path, "name")
+    assert "$t_{$" in svg.read_text(encoding="utf-8")

@@ -80,3 +80,15 @@ def test_a_suffix_without_a_codec_is_an_input_error(tmp_path):
     with pytest.raises(InputError, match=r"one of \.mp4, \.avi"), video_writer(tmp_path / "v.gif", (64, 48), 25.0):
         pass
     assert list(tmp_path.iterdir()) == []
+
+
+def test_names_that_look_like_addresses(tmp_path, monkeypatch, counted):
+    """ffmpeg takes what stands before a colon for a protocol, and asks the network for http:/x."""
+    monkeypatch.chdir(tmp_path)
+    Path("http:").mkdir()
+    for name in (f"run10:30{counted.suffix}", f"http:/run{counted.suffix}"):
+        Path(name).write_bytes(counted.read_bytes())
+        assert levels(Path(name)) == [(n, n) for n in range(20)]
+        with video_writer(f"new{name}" if "/" not in name else f"http:/new{counted.suffix}", (64, 48), 25.0) as write:
+            write(grey(10))
+        assert probe(f"new{name}" if "/" not in name else f"http:/new{counted.suffix}").size_px == (64, 48)

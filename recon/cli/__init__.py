@@ -6,13 +6,12 @@ import sys
 from typing import Annotated, Any
 
 import typer
-from rich.console import Console
 from typer.core import TyperGroup
 
 from recon.cli.analyse import analyse
 from recon.cli.batch import batch
 from recon.cli.calibrate import calibrate
-from recon.cli.common import EXIT_BAD_INPUT, error_text, stop
+from recon.cli.common import EXIT_BAD_INPUT, error_text, stop, terminal
 from recon.cli.convert import convert
 from recon.cli.demo import demo
 from recon.cli.doctor import doctor
@@ -68,7 +67,7 @@ app.add_typer(skeleton_app, name="skeleton")
 
 def main() -> None:
     """Run the command line; a user's mistake ends with one message and exit code 2."""
-    console = Console(stderr=True, soft_wrap=True)
+    console = terminal(stderr=True, soft_wrap=True)
     try:
         app()
     except InputError as error:

@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.box import SIMPLE_HEAD
-from rich.console import Console
 from rich.table import Column, Table
 from rich.text import Text
+
+from recon.cli.common import terminal
 
 if TYPE_CHECKING:
     from recon.pipelines.analyse import Analysed
@@ -47,7 +48,7 @@ def analyse(
     if as_json:
         typer.echo(to_json(done.summary), nl=False)
         return
-    console = Console()
+    console = terminal()
     for line in _lines(done):
         console.print(Text(line), soft_wrap=True)
     if done.found.gaits:

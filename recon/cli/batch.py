@@ -16,7 +16,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextC
 from rich.table import Column, Table
 from rich.text import Text
 
-from recon.cli.common import stop
+from recon.cli.common import stop, terminal
 from recon.cli.settings import OPTIONS, takes_settings
 
 if TYPE_CHECKING:
@@ -89,7 +89,7 @@ def batch(
     """
     from recon.pipelines.batch import check_shared, find_clips, input_problems, plan_batch, run_batch
 
-    console = Console(quiet=quiet, stderr=as_json)
+    console = terminal(quiet=quiet, stderr=as_json)
     summary: Summary | None = None
     try:
         clips, notes = find_clips(inputs, given, config)
@@ -181,7 +181,7 @@ def _shown(console: Console, plan: Sequence[Planned]) -> Iterator[Any]:
     earlier = len(plan) - left
     if earlier:
         console.print(f"{earlier} of {len(plan)} clips are done already.")
-    errors = Console(stderr=True, soft_wrap=True)
+    errors = terminal(stderr=True, soft_wrap=True)
     if console.quiet or not console.is_terminal:
         ended = 0
 

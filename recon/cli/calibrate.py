@@ -14,7 +14,7 @@ from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn
 from rich.table import Column, Table
 from rich.text import Text
 
-from recon.cli.common import error_text
+from recon.cli.common import error_text, terminal
 
 if TYPE_CHECKING:
     from recon.pipelines.calibrate import CalibrationRun
@@ -54,7 +54,7 @@ def calibrate(
     """
     from recon.pipelines.calibrate import run_calibration
 
-    errors = Console(stderr=True, soft_wrap=True)
+    errors = terminal(stderr=True, soft_wrap=True)
     columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn())
     with Progress(*columns, console=errors, transient=True, disable=not errors.is_terminal) as bar:
         task = bar.add_task("reading", total=1.0)
@@ -70,7 +70,7 @@ def calibrate(
     if as_json:
         typer.echo(json.dumps(run.to_dict(), indent=1))
     else:
-        _print(run, Console())
+        _print(run, terminal())
     if run.written is None:
         for failed in run.refused:
             errors.print(error_text(f"refused: {failed}"))

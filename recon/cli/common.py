@@ -27,6 +27,11 @@ EXIT_UNSOLVED = 1
 EXIT_BAD_INPUT = 2
 
 
+def terminal(**given: Any) -> Console:
+    """Where a command prints. Brackets and colons in names are no markup."""
+    return Console(markup=False, emoji=False, **given)
+
+
 def error_text(message: str) -> Text:
     return Text.assemble(("error:", "bold red"), " ", message)
 
@@ -36,7 +41,7 @@ def stop(message: str = MESSAGE) -> NoReturn:
     interrupts = installed()
     if interrupts is not None:
         interrupts.said = True
-    Console(stderr=True, soft_wrap=True).print(Text(message, "bold"))
+    terminal(stderr=True, soft_wrap=True).print(Text(message, "bold"))
     raise typer.Exit(EXIT_INTERRUPTED)
 
 
@@ -74,7 +79,7 @@ def number_option(help: str, expected: str, **more: Any) -> Any:
 
 @contextmanager
 def progress_bar(console: Console, doing: str = "fitting") -> Iterator[Any]:
-    columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
+    columns = (TextColumn("{task.description}", markup=False), BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
     with Progress(*columns, console=console, transient=True, disable=console.quiet or not console.is_terminal) as bar:
         task = bar.add_task("reading", total=1.0)
         yield lambda stage, share: bar.update(task, description=f"{doing}: {stage}", completed=share)
@@ -92,7 +97,7 @@ def finish(console: Console, report: dict[str, Any], out: Path, as_json: bool = 
         console.print(console_summary(report))
     if is_unsolved(report):
         message = f"no frame could be solved: see {out / 'report.json'}"
-        Console(stderr=True, soft_wrap=True).print(error_text(message))
+        terminal(stderr=True, soft_wrap=True).print(error_text(message))
         raise typer.Exit(EXIT_UNSOLVED)
     if not as_json:
         console.print(

@@ -8,11 +8,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.box import SIMPLE_HEAD
-from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from recon.cli.common import FPS, number_option
+from recon.cli.common import FPS, number_option, terminal
 from recon.errors import InputError, Problem
 
 if TYPE_CHECKING:
@@ -92,5 +91,5 @@ def _print_formats(as_json: bool) -> None:
     table = Table(*names, box=SIMPLE_HEAD)
     for row in rows:
         table.add_row(*(Text(cell) for cell in row))
-    Console().print(table)
+    terminal().print(table)
     typer.echo("Where an extension has several formats, the first is meant unless --to names another.")

@@ -6,9 +6,8 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
 
-from recon.cli.common import finish, leave_pandas_out, progress_bar
+from recon.cli.common import finish, leave_pandas_out, progress_bar, terminal
 
 
 def demo(
@@ -23,7 +22,7 @@ def demo(
     """
     from recon.pipelines.demo import run_demo
 
-    console = Console(quiet=quiet, stderr=as_json)
+    console = terminal(quiet=quiet, stderr=as_json)
     leave_pandas_out()
     with progress_bar(console) as progress:
         report, evaluation = run_demo(out, overwrite, progress)

@@ -12,7 +12,7 @@ from rich.console import Console
 from rich.table import Column, Table
 from rich.text import Text
 
-from recon.cli.common import progress_bar
+from recon.cli.common import progress_bar, terminal
 
 if TYPE_CHECKING:
     from recon.pipelines.doctor import Doctor
@@ -30,12 +30,12 @@ def doctor(as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] 
     """
     from recon.pipelines.doctor import run_doctor
 
-    with progress_bar(Console(stderr=True), "checking") as progress:
+    with progress_bar(terminal(stderr=True), "checking") as progress:
         found = run_doctor(progress)
     if as_json:
         typer.echo(json.dumps(found.to_dict(), indent=1))
     else:
-        _print(Console(), found)
+        _print(terminal(), found)
     if not found.ok:
         raise typer.Exit(EXIT_BROKEN)
 

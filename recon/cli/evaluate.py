@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.box import SIMPLE_HEAD
-from rich.console import Console
 from rich.table import Column, Table
 from rich.text import Text
+
+from recon.cli.common import terminal
 
 if TYPE_CHECKING:
     from recon.analysis.evaluation import Evaluation
@@ -32,7 +33,7 @@ def evaluate(
     if as_json:
         typer.echo(json.dumps(result.to_dict(), indent=1))
         return
-    Console().print(_table(result))
+    terminal().print(_table(result))
     for line in _table_notes(result):
         typer.echo(line)
     for note in result.notes:

@@ -8,11 +8,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.box import SIMPLE_HEAD
-from rich.console import Console
 from rich.table import Column, Table
 from rich.text import Text
 
-from recon.cli.common import number_option
+from recon.cli.common import number_option, terminal
 
 if TYPE_CHECKING:
     from recon.net.evaluate2d import Evaluation2D, Score
@@ -54,7 +53,7 @@ def evaluate_2d(
     if as_json:
         typer.echo(to_json(result.to_dict()), nl=False)
         return
-    Console().print(_table(result))
+    terminal().print(_table(result))
     for line in _notes(result):
         typer.echo(line)
 

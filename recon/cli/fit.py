@@ -6,9 +6,8 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from rich.console import Console
 
-from recon.cli.common import finish, leave_pandas_out, progress_bar
+from recon.cli.common import finish, leave_pandas_out, progress_bar, terminal
 from recon.cli.settings import OPTIONS, takes_settings
 from recon.errors import InputError, Problem
 
@@ -41,7 +40,7 @@ def fit(
         raise InputError(error.problems if out else (*error.problems, no_out)) from None
     if out is None:
         raise InputError(no_out)
-    console = Console(quiet=quiet, stderr=as_json)
+    console = terminal(quiet=quiet, stderr=as_json)
     leave_pandas_out()
     with progress_bar(console) as progress:
         report = run_clip(settings, out, overwrite, progress)

@@ -11,6 +11,7 @@ from rich.console import Console
 from rich.table import Column, Table
 from rich.text import Text
 
+from recon.cli.common import terminal
 from recon.errors import InputError, Problem
 
 WIDE_GAP_PERCENT = 25
@@ -84,7 +85,7 @@ def ik(
     if as_json:
         typer.echo(to_json(solved.summary), nl=False)
         return
-    _print(Console(), solved.summary, folder / "ik" if out is None else out)
+    _print(terminal(), solved.summary, folder / "ik" if out is None else out)
 
 
 def _dimension(dim: int) -> Literal[2, 3]:

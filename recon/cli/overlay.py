@@ -6,11 +6,10 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 from rich.text import Text
 
-from recon.cli.common import number_option
+from recon.cli.common import number_option, terminal
 
 
 def overlay(
@@ -36,7 +35,7 @@ def overlay(
     """
     from recon.pipelines.overlay import run_overlay
 
-    console = Console(quiet=quiet)
+    console = terminal(quiet=quiet)
     columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
     with Progress(*columns, console=console, transient=True, disable=quiet or not console.is_terminal) as bar:
         task = bar.add_task("reading", total=1.0)

@@ -7,10 +7,9 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
 from rich.text import Text
 
-from recon.cli.common import number_option, progress_bar
+from recon.cli.common import number_option, progress_bar, terminal
 
 
 def predict(
@@ -55,7 +54,7 @@ def predict(
     """
     from recon.pipelines.net import run_prediction
 
-    console = Console(quiet=quiet)
+    console = terminal(quiet=quiet)
     start = time.monotonic()
     with progress_bar(console, "predicting") as progress:
         keypoints = run_prediction(

@@ -8,11 +8,10 @@ from typing import Annotated
 
 import typer
 from rich.box import SIMPLE_HEAD
-from rich.console import Console
 from rich.table import Column, Table
 from rich.text import Text
 
-from recon.cli.common import number_option
+from recon.cli.common import number_option, terminal
 
 
 def prior_fit(
@@ -75,7 +74,7 @@ def prior_fit(
     for row, rms_mm in zip(done.prior.segments, done.rms_mm, strict=True):
         numbers = f"{row.frames}", f"{row.fps:g}", f"{row.speed_m_s:.1f}", f"{rms_mm:.1f}".replace("nan", "-")
         table.add_row(Text(row.name), *numbers, "yes" if row.used else "no")
-    Console().print(table)
+    terminal().print(table)
     for line in done.notes():
         typer.echo(line)
     typer.echo(f"The prior is in {out}.")

@@ -9,7 +9,7 @@ import typer
 from rich.console import Console
 from rich.text import Text
 
-from recon.cli.common import number_option
+from recon.cli.common import number_option, terminal
 
 
 def retarget(
@@ -50,7 +50,7 @@ def retarget(
     if as_json:
         typer.echo(to_json(solved.report), nl=False)
         return
-    _print(Console(), solved.report, out)
+    _print(terminal(), solved.report, out)
 
 
 def _print(console: Console, report: dict[str, Any], out: Path) -> None:

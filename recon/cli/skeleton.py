@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING, Annotated, TypeVar
 
 import typer
 from rich.box import SIMPLE_HEAD
-from rich.console import Console
 from rich.table import Column, Table
 from rich.text import Text
+
+from recon.cli.common import terminal
 
 if TYPE_CHECKING:
     from recon.pipelines.skeleton_check import AngleRow, MarkerRow, PartRow, SkeletonCheck
@@ -39,7 +40,7 @@ def skeleton_list(as_json: Annotated[bool, typer.Option("--json", help="Print JS
     table.add_column("title")
     for row in found:
         table.add_row(Text(row.name), row.kind, f"{row.markers}", f"{row.unknowns}", Text(row.title))
-    Console().print(table)
+    terminal().print(table)
 
 
 @skeleton_app.command("check")
@@ -66,7 +67,7 @@ def skeleton_check(
     if as_json:
         typer.echo(json.dumps(check.to_dict(), indent=1))
         return
-    console = Console()
+    console = terminal()
     for line in _summary(check):
         console.print(Text(line), soft_wrap=True)
     for table in [_chain_table(check)] if check.kind == "chain" else _body_tables(check):

@@ -50,7 +50,7 @@ def _write(
     reference: str,
 ) -> None:
     """values (T, K, 2 or 3), confidence (T, K)."""
-    fps = required_fps(fps, TITLE)
+    fps = float(required_fps(fps, TITLE))
     require_names((container, *names), NO_NAMES, TITLE)
     with formats_extra(TITLE):
         import h5py

@@ -66,6 +66,11 @@ def name_problems(path: Path, field: str, names: Iterable[str]) -> list[Problem]
     names = list(names)
     twice = [name for name in dict.fromkeys(names) if names.count(name) > 1]
     problems = [Problem(path, field, f"'{name}' more than once", "unique names") for name in twice if name]
+    problems += [
+        Problem(path, field, f"'{name}'", "names that can be printed")
+        for name in dict.fromkeys(names)
+        if not name.isprintable()
+    ]
     if "" in names:
         problems.append(Problem(path, field, "an empty name", "a name"))
     if not names:

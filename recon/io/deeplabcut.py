@@ -244,6 +244,11 @@ def _columns(path: Path, levels: Sequence[Sequence[str]]) -> tuple[tuple[Column,
         for j, column in enumerate(columns)
         if not column.bodypart
     ]
+    problems += [
+        Problem(path, f"column {column}", "a name that cannot be printed", "letters, digits and signs")
+        for column in dict.fromkeys(columns)
+        if not str(column).isprintable()
+    ]
     if not columns:
         problems = [Problem(path, "header rows", "no columns", "at least one bodypart")]
     if problems:

@@ -113,7 +113,7 @@ def distances(drives: Mapping[str, Drive], tolerance_m: float = TOLERANCE_M, tit
         figure.suptitle(title)
         if not drives:
             return figure
-        from matplotlib.ticker import MaxNLocator
+        from matplotlib.ticker import LogFormatter, MaxNLocator
 
         axes, handles = figure.subplots(), []
         for k, drive in enumerate(drives.values()):
@@ -122,6 +122,7 @@ def distances(drives: Mapping[str, Drive], tolerance_m: float = TOLERANCE_M, tit
             end = {"marker": "o", "mfc": "w", "ms": 5} if drive.reached else {"marker": "X", "ms": 7}
             axes.plot(drive.iterations, distance_mm[-1], **end, color=style["color"], mec=style["color"], zorder=4)
         axes.set_yscale("log", nonpositive="clip")
+        axes.yaxis.set_major_formatter(LogFormatter())
         axes.axhline(1000 * tolerance_m, color=GREY, lw=0.8, zorder=1, gid="tolerance")
         axes.annotate(
             f"{1000 * tolerance_m:g} mm",
