@@ -700,6 +700,8 @@ def test_dask_cluster(clips, tmp_path):
         distributed.Client(cluster) as client,
     ):
         pids = client.run(os.getpid)
+        for nanny in cluster.workers.values():
+            nanny.auto_restart = False  # the other worker does the clips of the one that is killed
         killed: list[int] = []
 
         def kill_one(event: Event, summary: Summary) -> None:
