@@ -20,7 +20,7 @@ from command_line import run
 
 from recon.body import Body
 from recon.camera import Camera
-from recon.clip import camera_poses, still_view
+from recon.clip import Source, camera_poses, still_view
 from recon.frames import inverse, moved
 from recon.initialise import mean_pose
 from recon.keypoints import Keypoints, clean
@@ -246,3 +246,29 @@ def world_trajectory(small_trajectory: TrajectoryMotion) -> TrajectoryMotion:
         spells=spells,
     )
     return replace(small_trajectory, camera=camera, solution=solution)
+
+
+@pytest.fixture(scope="session")
+def two_cameras(world_trajectory: TrajectoryMotion) -> TrajectoryMotion:
+    """The same, seen by a second camera too, `cam2` at (10, -8, 2.5), which looks along y with its right along x. It
+    did not see frames 10 and 11, and puts the `tail_base` of frame 15 200 px off."""
+    motion = world_trajectory
+    rotation = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+    camera = replace(motion.camera, name="cam2", rotation=rotation, translation_m=-rotation @ [10.0, -8.0, 2.5])
+    xy_px, _ = camera.project(camera.world_to_camera(motion.solution.markers_m))
+    xy_px[:2] = np.nan
+    xy_px[5, motion.names.index("tail_base"), 0] += 200.0
+    file = Keypoints(
+        motion.names, xy_px[2:], np.ones(xy_px.shape[:2])[2:], np.arange(12, 18), fps=30.0, source="cam2.csv"
+    )
+    _, cleaning = clean(file, 0.5)
+    seen = np.isfinite(xy_px[..., 0])
+    keypoints = replace(file, xy_px=xy_px, confidence=seen.astype(float), frames=motion.frames)
+    solution = replace(
+        motion.solution,
+        views=(*motion.solution.views, still_view(camera, xy_px, seen.astype(float))),
+        noise_px=np.concatenate([motion.solution.noise_px, np.full((1, *seen.shape), 20.0)]),
+        weight=np.concatenate([motion.solution.weight, np.where(seen, 0.5, np.nan)[None]]),
+        size_from=("prior", "views"),
+    )
+    return replace(motion, solution=solution, others=(Source(camera, keypoints, cleaning, file.names),))

@@ -708,7 +708,7 @@ def test_killed_overwriting_leaves_the_earlier_results(tmp_path):
     assert {(tmp_path / name).read_text() for name in OUTPUT_FILES} == {"old"}
 
 
-@pytest.mark.parametrize("full", ["motion.rrd", "reprojection.csv"])
+@pytest.mark.parametrize("full", ["motion.rrd", "quality.csv"])
 def test_failing_writer_leaves_nothing(full, tmp_path, monkeypatch):
     def write(motion, path):
         path.write_bytes(b"half")

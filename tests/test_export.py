@@ -7,6 +7,7 @@ import pandas as pd
 import pytest
 
 from recon.export import (
+    CAMERA_OUTPUTS,
     CLIP_OUTPUTS,
     TRAJECTORY_OUTPUTS,
     angles_csv,
@@ -110,7 +111,7 @@ def test_quality_of_the_frame_method_has_the_same_columns(small_motion, tmp_path
 @pytest.mark.parametrize("motion", ["small_motion", "small_trajectory"])
 def test_every_writer_writes(motion, tmp_path, request):
     write_tables(request.getfixturevalue(motion), tmp_path)
-    outputs = [*CLIP_OUTPUTS, *(TRAJECTORY_OUTPUTS if motion == "small_trajectory" else ())]
+    outputs = [*CLIP_OUTPUTS, *CAMERA_OUTPUTS, *(TRAJECTORY_OUTPUTS if motion == "small_trajectory" else ())]
     assert sorted(path.name for path in tmp_path.iterdir()) == sorted(outputs)
     for path in tmp_path.iterdir():
         text = path.read_bytes()

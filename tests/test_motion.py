@@ -209,3 +209,42 @@ def test_refuses_keypoints_of_another_skeleton(small_motion, small_trajectory):
         replace(small_motion, side="left")
     with pytest.raises(ValueError, match="without a frame rate"):
         replace(small_motion, keypoints=replace(small_motion.keypoints, fps=None))
+
+
+# -- several cameras ------------------------------------------------------------------------------------------------
+
+
+def test_the_first_cameras_picture_is_the_motions(two_cameras, world_trajectory):
+    for name in ("detected_px", "reprojected_px", "sigma_px", "image_error_px", "distance_px", "outliers"):
+        np.testing.assert_array_equal(getattr(two_cameras, name), getattr(two_cameras.pictures[0], name))
+        np.testing.assert_array_equal(getattr(two_cameras, name), getattr(world_trajectory, name))
+
+
+def test_every_camera_has_its_picture(two_cameras):
+    motion, picture = two_cameras, two_cameras.pictures[1]
+    assert [picture.name for picture in motion.pictures] == ["cam1", "cam2"]
+    np.testing.assert_allclose(picture.T_reference_camera[:3, 3], [10, -8, 2.5], atol=1e-12)
+    np.testing.assert_allclose(picture.T_reference_camera[:3, 2], [0, 1, 0], atol=1e-12)
+    assert not picture.present[:2].any()
+    assert np.argwhere(picture.outliers).tolist() == [[5, motion.names.index("tail_base")]]
+    assert picture.distance_px[5, motion.names.index("tail_base")] == pytest.approx(200)
+    assert np.nanmedian(picture.distance_px) < 1e-9
+    away_m = np.linalg.norm(motion.joints_m.mean(axis=1) - [10, -8, 2.5], axis=-1)
+    np.testing.assert_allclose(picture.distance_m, away_m)
+
+
+def test_a_moving_cameras_place_is_that_of_each_frame(two_cameras):
+    first, second = two_cameras.solution.views
+    poses = np.tile(second.T_camera_world, (8, 1, 1))
+    poses[:, :3, 3] -= np.arange(8)[:, None] * poses[:, :3, 0]  # one metre along x a frame
+    moving = replace(two_cameras.solution, views=(first, replace(second, T_camera_world=poses)))
+    places_m = replace(two_cameras, solution=moving).pictures[1].T_reference_camera[:, :3, 3]
+    np.testing.assert_allclose(places_m - [10, -8, 2.5], np.arange(8)[:, None] * [1, 0, 0], atol=1e-12)
+
+
+def test_detections_and_weights_are_those_of_all_cameras(two_cameras):
+    assert two_cameras.detections.tolist() == [23, 23, 47, 24, 47, 47, 47, 47]
+    assert two_cameras.mean_weight[[0, 3]].tolist() == [1.0, 0.5]
+    assert two_cameras.mean_weight[2] == pytest.approx((23 + 24 / 2) / 47)
+    assert two_cameras.missing_keypoints == ()  # the second camera's file has r_eye
+    assert two_cameras.unused_keypoints == ("ear",)

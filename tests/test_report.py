@@ -475,10 +475,72 @@ def test_the_values_that_ran_are_in_the_report(report, trajectory, small_motion,
     assert build_report(small_motion, {"robust_c": 5.0})["solver"] == ran | {"robust_c": 5.0}
 
 
+# -- several cameras ------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def several(two_cameras):
+    return build_report(two_cameras, {"subject": None, "offset_s": [0.0, 0.25]})
+
+
+def test_one_camera_is_a_list_of_one(trajectory, report):
+    for one in (trajectory, report):
+        (camera,) = one["cameras"]
+        assert camera["points"]["used"] == one["summary"]["detections"]
+        assert camera["reprojection_px"]["mean"] == one["summary"]["reprojection_px"]["mean"]
+        assert camera["outliers"] == one["summary"]["outliers"] == 1
+        assert camera["camera"] == one["input"]["camera"]
+        assert one["image_error_px"]["others"] == []
+    assert trajectory["cameras"][0]["mean_weight"] == trajectory["summary"]["mean_weight"]
+
+
+def test_cameras(several):
+    first, second = several["cameras"]
+    assert (first["name"], first["keypoints"], first["offset_s"]) == ("cam1", "run.csv", 0)
+    assert (second["name"], second["keypoints"], second["offset_s"]) == ("cam2", "cam2.csv", 0.25)
+    assert (first["frames_seen"], second["frames_seen"]) == (7, 6)
+    assert first["points"] == {"used": 7 * 23, "missing": 7 + 24, "rejected": 0}
+    assert second["points"] == {"used": 6 * 24, "missing": 2 * 24, "rejected": 0}
+    assert (first["mean_weight"], second["mean_weight"]) == (pytest.approx(1 - 0.95 / (7 * 23)), 0.5)
+    assert second["reprojection_px"] == {"mean": pytest.approx(200 / (6 * 24)), "median": pytest.approx(0, abs=1e-9)}
+    assert second["distance_m"] == pytest.approx(8, abs=3)
+
+
+def test_the_counts_are_those_of_all_cameras(several, two_cameras):
+    summary = several["summary"]
+    assert summary["detections"] == 7 * 23 + 6 * 24
+    assert summary["reprojection_px"]["mean"] == pytest.approx(500 / (7 * 23 + 6 * 24))
+    assert summary["mean_weight"] == pytest.approx((7 * 23 - 0.95 + 6 * 24 / 2) / (7 * 23 + 6 * 24))
+    assert summary["keypoints"]["missing"] == 0  # the first camera has no r_eye
+    assert [(o["camera"], o["frame"], o["keypoint"]) for o in several["outliers"]] == [
+        ("cam1", 14, "nose"),
+        ("cam2", 15, "tail_base"),
+    ]
+    assert summary["outliers"] == 2
+    rows = {row["name"]: row for row in several["keypoints"]}
+    assert (rows["nose"]["used"], rows["r_eye"]["used"], rows["nose"]["noise_px"]) == (13, 6, 15)
+    assert several["frames"][5]["detections"] == 47
+    assert several["frames"][5]["mean_reprojection_px"] == pytest.approx(200 / 47)
+    (others,) = several["image_error_px"]["others"]
+    assert others[two_cameras.names.index("tail_base")][0][5] == pytest.approx(-200)
+
+
+def test_console_summary_of_several_cameras(several, two_cameras):
+    lines = summary_lines(several)
+    assert ("clip", "run.csv, cam2.csv, frames 10 to 17 at 30 fps") in lines
+    cameras = [text for label, text in lines if label == "camera"]
+    assert cameras[1].startswith("cam2: 6 of 8 frames, 144 points used; 1.4 px mean, 0.0 px median, 1 outlier; ")
+    assert several["size"]["from"] == ["prior", "views"]
+    assert "(from the views; 1 ± " in dict(lines)["size"]
+    sentences = " ".join(several["assumptions"]["sentences"])
+    assert "It is measured by where the cameras are." in sentences
+    assert "The cameras stand still" in sentences
+
+
 # -- both -----------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("method", ["report", "trajectory"])
+@pytest.mark.parametrize("method", ["report", "trajectory", "several"])
 def test_every_field_is_documented(method, request):
     report = request.getfixturevalue(method)
     documented = set(re.findall(r"`([\w ]+)`", DOCS.read_text(encoding="utf-8")))

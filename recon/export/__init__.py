@@ -5,7 +5,8 @@ Writers write in place; `recon.files.staged_folder` makes a folder of them appea
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import re
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from recon.export import angles_csv, pose3d_csv, pose3d_sigma_csv, quality_csv, reprojection_csv
@@ -14,10 +15,14 @@ from recon.motion import Motion, TrajectoryMotion
 CLIP_OUTPUTS: dict[str, Callable[[Motion, Path], None]] = {
     "pose3d.csv": pose3d_csv.write,
     "angles.csv": angles_csv.write,
-    "reprojection.csv": reprojection_csv.write,
     "quality.csv": quality_csv.write,
 }
 """The tables that every clip gets, by file name."""
+
+CAMERA_OUTPUTS: dict[str, Callable[[Motion, Path, int], None]] = {
+    "reprojection.csv": reprojection_csv.write,
+}
+"""Those that every clip gets for each camera, which is named in them where there are several (`camera_files`)."""
 
 TRAJECTORY_OUTPUTS: dict[str, Callable[[TrajectoryMotion, Path], None]] = {
     "pose3d_sigma.csv": pose3d_sigma_csv.write,
@@ -25,10 +30,33 @@ TRAJECTORY_OUTPUTS: dict[str, Callable[[TrajectoryMotion, Path], None]] = {
 """Those that come with the trajectory method."""
 
 
+def camera_files(table: str, cameras: Sequence[str]) -> list[str]:
+    """The files of one of `CAMERA_OUTPUTS` for each of these cameras: reprojection.csv, or reprojection_cam1.csv ..."""
+    if len(cameras) == 1:
+        return [table]
+    stem, suffix = table.rsplit(".", 1)
+    files: list[str] = []
+    for number, camera in enumerate(cameras, start=1):
+        name = re.sub(r"[^\w.-]+", "-", camera) or str(number)
+        # Names that differ in letters that a file's name cannot have, or that some systems take for the same.
+        twice = any(f"{stem}_{name}.{suffix}".lower() == file.lower() for file in files)
+        files.append(f"{stem}_{name}-{number}.{suffix}" if twice else f"{stem}_{name}.{suffix}")
+    return files
+
+
+def of_any_camera(folder: Path) -> list[str]:
+    """The files in a folder that are called like those of `CAMERA_OUTPUTS` of some camera."""
+    patterns = [table.replace(".", "_*.") for table in CAMERA_OUTPUTS]
+    return sorted(path.name for pattern in patterns for path in folder.glob(pattern))
+
+
 def write_tables(motion: Motion, folder: Path) -> None:
     """Every table of a motion, into a folder that exists."""
     for name, write in CLIP_OUTPUTS.items():
         write(motion, folder / name)
+    for name, write in CAMERA_OUTPUTS.items():
+        for camera, file in enumerate(camera_files(name, [picture.name for picture in motion.pictures])):
+            write(motion, folder / file, camera)
     if isinstance(motion, TrajectoryMotion):
         for name, write in TRAJECTORY_OUTPUTS.items():
             write(motion, folder / name)

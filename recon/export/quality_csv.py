@@ -16,7 +16,7 @@ def write(motion: Motion, path: Path) -> None:
         motion.frames,
         [";".join(flags) for flags in motion.flags],
         motion.alternative_m,
-        motion.keypoints.present.sum(axis=1),
+        motion.detections,
         motion.mean_weight,
         motion.place_sigma_m,
         motion.relative_rms_m,

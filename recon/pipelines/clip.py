@@ -18,7 +18,7 @@ from recon.calibration import read_camera, read_cameras
 from recon.camera import Camera
 from recon.clip import Source, together, views_of
 from recon.errors import InputError, Problem, all_of
-from recon.export import CLIP_OUTPUTS, TRAJECTORY_OUTPUTS, write_tables
+from recon.export import CAMERA_OUTPUTS, CLIP_OUTPUTS, TRAJECTORY_OUTPUTS, of_any_camera, write_tables
 from recon.files import require_free_folder, sole_writer, staged_results
 from recon.initialise import facing_side
 from recon.io import read_keypoints
@@ -36,8 +36,22 @@ Cameras = tuple[Camera, ...]
 Progress = Callable[[str, float], None]
 """Called with what is being done, and how much of all is done, 0 to 1."""
 
-OUTPUT_FILES = (*CLIP_OUTPUTS, *TRAJECTORY_OUTPUTS, "report.json", "motion.rrd", "config.toml", MANIFEST)
-"""Every file that a clip can get; `TRAJECTORY_OUTPUTS` come with the trajectory method only."""
+OUTPUT_FILES = (
+    *CLIP_OUTPUTS,
+    *CAMERA_OUTPUTS,
+    *TRAJECTORY_OUTPUTS,
+    "report.json",
+    "motion.rrd",
+    "config.toml",
+    MANIFEST,
+)
+"""Every file that a clip of one camera can get; `TRAJECTORY_OUTPUTS` come with the trajectory method only. With several
+cameras there are `CAMERA_OUTPUTS` for each."""
+
+
+def output_files(out: Path) -> tuple[str, ...]:
+    """Every file in a folder that is a clip's, or that a clip of one camera could get there."""
+    return (*OUTPUT_FILES, *of_any_camera(out))
 
 
 RATES_HZ = (1.0, 10_000.0)
@@ -177,7 +191,7 @@ def write_clip(motion: Motion, settings: FitSettings, out: Path, solve_s: float 
     from recon import view  # rerun is slow to import
 
     report = build_report(motion, settings.plain(), None if solve_s is None else {"solve_s": solve_s})
-    with staged_results(out, OUTPUT_FILES) as folder:
+    with staged_results(out, output_files(out)) as folder:
         write_tables(motion, folder)
         write_report(report, folder / "report.json")
         (folder / "config.toml").write_text(settings.to_toml(), encoding="utf-8")
@@ -189,7 +203,7 @@ def run_clip(settings: FitSettings, out: Path, overwrite: bool = False, progress
     """`recon fit`: reconstruct a clip and write its folder; the report. Raises InputError before any work is done if
     `out` holds results already and may not be overwritten, or if another process is writing to it."""
     with sole_writer(out):
-        require_free_folder(out, OUTPUT_FILES, overwrite)
+        require_free_folder(out, output_files(out), overwrite)
         start = time.perf_counter()
         motion = fit_clip(settings, progress)
         return write_clip(motion, settings, out, time.perf_counter() - start)

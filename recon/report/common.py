@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import fields
-from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
@@ -13,6 +12,7 @@ import numpy as np
 from recon.analysis.path import frame_jitter_m, path_kinematics
 from recon.keypoints import KeypointCounts
 from recon.motion import OUTLIER_SIGMAS, Motion
+from recon.report import cameras
 from recon.report.plain import Array, finite, mean, median
 from recon.solve import FrameOptions, TrajectoryOptions
 
@@ -32,7 +32,7 @@ Lines = list[tuple[str, str]]
 # -- sections -----------------------------------------------------------------------------------------------------
 
 
-def head(motion: Motion) -> dict[str, Any]:
+def head(motion: Motion, settings: Mapping[str, Any]) -> dict[str, Any]:
     """What was fitted."""
     keypoints = motion.keypoints
     return {
@@ -40,9 +40,10 @@ def head(motion: Motion) -> dict[str, Any]:
             "keypoints": keypoints.source,
             "individual": keypoints.individual,
             "fps": motion.fps,
-            "frames": motion.cleaning.frames,
+            "frames": (motion.frames[0], motion.frames[-1] + 1),
             "camera": motion.camera.to_dict(),
         },
+        "cameras": cameras.section(motion, settings),
         "side": {"fitted": motion.side, "reason": motion.side_reason},
         "frame_of_reference": motion.frame_of_reference,
     }
@@ -50,17 +51,24 @@ def head(motion: Motion) -> dict[str, Any]:
 
 def tail(motion: Motion, jitters: bool) -> dict[str, Any]:
     """The keypoints, and arrays over all frames. jitters: whether the path is worth smoothing."""
+    first_px, *others_px = (picture.image_error_px.transpose(1, 2, 0) for picture in motion.pictures)
     return {
         "cleaning": {k: v for k, v in motion.cleaning.to_dict().items() if k != "keypoints"},
         "keypoints": _keypoints(motion),
         "unused_keypoints": motion.unused_keypoints,
         "missing_keypoints": motion.missing_keypoints,
         "outliers": [
-            {"frame": motion.frames[t], "keypoint": motion.names[j], "error_px": motion.distance_px[t, j]}
-            for t, j in np.argwhere(motion.outliers)
+            {
+                "frame": motion.frames[t],
+                "keypoint": motion.names[j],
+                "error_px": picture.distance_px[t, j],
+                "camera": picture.name,
+            }
+            for picture in motion.pictures
+            for t, j in np.argwhere(picture.outliers)
         ],
         "root_path": _root_path(motion, jitters),
-        "image_error_px": {"joints": motion.names, "values": motion.image_error_px.transpose(1, 2, 0)},
+        "image_error_px": {"joints": motion.names, "values": first_px, "others": others_px},
     }
 
 
@@ -89,19 +97,20 @@ def skeleton(name: str, motion: Motion) -> dict[str, Any]:
 
 def counts(motion: Motion) -> dict[str, Any]:
     """For the summary."""
-    errors = finite(motion.distance_px)
+    distance_px, present = (cameras.stacked(motion, field) for field in ("distance_px", "present"))
+    errors = finite(distance_px)
     best = np.sort(errors)[: math.ceil(BEST_SHARE * len(errors))]
-    by_joint = np.array([mean(column) for column in motion.distance_px.T])
+    by_joint = np.array([mean(of_joint) for of_joint in np.moveaxis(distance_px, -1, 0)])
     worst = int(np.nanargmax(by_joint)) if len(errors) else None
-    used = int(motion.keypoints.present.any(axis=0).sum())
+    used = int(present.any(axis=(0, 1)).sum())
     return {
         "keypoints": {
             "used": used,
             "missing": len(motion.names) - used,
             "unused": len(motion.unused_keypoints),
         },
-        "detections": int(motion.keypoints.present.sum()),
-        "outliers": int(motion.outliers.sum()),
+        "detections": int(present.sum()),
+        "outliers": sum(int(picture.outliers.sum()) for picture in motion.pictures),
         "reprojection_px": {
             "mean": mean(errors),
             "median": median(errors),
@@ -126,7 +135,9 @@ def upright(motion: Motion) -> dict[str, Any]:
 def sentences(motion: Motion, settings: Mapping[str, Any]) -> Iterator[str]:
     """Assumptions in words."""
     camera = motion.camera
-    yield "The camera stands still: where it pans or moves, its movement is part of the path."
+    still = "The camera stands still" if len(motion.pictures) == 1 else "The cameras stand still"
+    if all(picture.T_reference_camera.ndim == 2 for picture in motion.pictures):
+        yield f"{still}: where it pans or moves, its movement is part of the path."
     if motion.side is not None:
         yield f"Only the limbs of the animal's {motion.side} side are fitted."
     if not camera.knows_up and camera.tilt_rad == 0:
@@ -143,20 +154,21 @@ def sentences(motion: Motion, settings: Mapping[str, Any]) -> Iterator[str]:
 
 def _keypoints(motion: Motion) -> list[dict[str, Any]]:
     """The fitted keypoints in the order of the joints, then those of the file that are not used."""
-    counted = {k.name: k for k in motion.cleaning.keypoints}
+    counted = [{k.name: k for k in source.cleaning.keypoints} for source in motion.sources]
+    outliers, distance_px = (cameras.stacked(motion, field) for field in ("outliers", "distance_px"))
     counts = [f.name for f in fields(KeypointCounts) if f.name != "name"]
     rows = []
     for name in (*motion.names, *motion.unused_keypoints):
-        fitted, known = name in motion.names, counted.get(name)
+        fitted, known = name in motion.names, [of_file[name] for of_file in counted if name in of_file]
         column = motion.names.index(name) if fitted else None
         rows.append(
             {
                 "name": name,
                 "joint": None if column is None else motion.joints[column],
-                "in_file": known is not None,
-                **{count: getattr(known, count, None) for count in counts},
-                "outliers": None if column is None else int(motion.outliers[:, column].sum()),
-                "mean_error_px": None if column is None else mean(motion.distance_px[:, column]),
+                "in_file": bool(known),
+                **{count: sum(getattr(of_one, count) for of_one in known) if known else None for count in counts},
+                "outliers": None if column is None else int(outliers[..., column].sum()),
+                "mean_error_px": None if column is None else mean(distance_px[..., column]),
             }
         )
     return rows
@@ -213,27 +225,29 @@ def camera_warnings(report: Mapping[str, Any]) -> Iterator[str]:
 def clip_line(report: Mapping[str, Any]) -> tuple[str, str]:
     given = report["input"]
     first, stop = given["frames"]
-    file = Path(given["keypoints"]).name if given["keypoints"] else "keypoints"
-    return "clip", f"{file}, frames {first} to {stop - 1} at {given['fps']:g} fps"
+    return "clip", f"{cameras.files(report)}, frames {first} to {stop - 1} at {given['fps']:g} fps"
 
 
 def point_lines(report: Mapping[str, Any]) -> Lines:
     summary = report["summary"]
     fitted = [row for row in report["keypoints"] if row["joint"] is not None]
-    first, stop = report["input"]["frames"]
-    used, rejected = (sum(row[count] or 0 for row in fitted) for count in ("used", "rejected"))
-    missing = (stop - first) * len(fitted) - used - rejected
+    points = cameras.points(report)
     off = sorted(((row["outliers"], row["name"]) for row in fitted if row["outliers"]), reverse=True)
     most = ", ".join(f"{name} {count}" for count, name in off[:3]) + (", ..." if len(off) > 3 else "")
     return [
         ("keypoints", _keypoints_text(report)),
-        ("points", f"{used} used, {missing} missing, {rejected} rejected as unlikely or far outside"),
+        (
+            "points",
+            f"{points['used']} used, {points['missing']} missing, {points['rejected']} rejected as unlikely or far "
+            "outside",
+        ),
         ("reprojection", _reprojection(summary["reprojection_px"])),
         (
             "outliers",
             f"{summary['outliers']} points further off than {OUTLIER_SIGMAS:g} sigma of the detector"
             + (f": {most}" if off else ""),
         ),
+        *cameras.lines(report),
     ]
 
 

@@ -20,7 +20,7 @@ WARN_FEW_POINTS, WARN_LIMITS = 0.2, 0.25
 
 def sections(motion: FrameMotion, settings: Mapping[str, Any]) -> dict[str, Any]:
     return {
-        **common.head(motion),
+        **common.head(motion, settings),
         "skeleton": common.skeleton(motion.skeleton.name, motion) | {"objectives": motion.solution.objectives},
         "assumptions": _assumptions(motion, settings),
         "summary": _summary(motion),
@@ -145,7 +145,6 @@ def _travel(motion: FrameMotion) -> dict[str, Any]:
 
 def _frames(motion: FrameMotion) -> list[dict[str, Any]]:
     names = [f.name for f in fields(FrameReport) if f.name != "status"]
-    present = motion.keypoints.present.sum(axis=1)
     rows = []
     for t, report in enumerate(motion.reports):
         rows.append(
@@ -153,7 +152,7 @@ def _frames(motion: FrameMotion) -> list[dict[str, Any]]:
                 "frame": motion.frames[t],
                 "status": motion.status[t],
                 "flags": motion.flags[t],
-                "detections": present[t],
+                "detections": motion.detections[t],
                 "mean_reprojection_px": mean(motion.distance_px[t]),
                 **{name: getattr(report, name, None) for name in names},
             }

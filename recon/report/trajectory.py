@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from recon.frames import level_axes
 from recon.motion import TrajectoryMotion
 from recon.prior import NONE
-from recon.report import common
+from recon.report import cameras, common
 from recon.report.plain import Array, by_name, finite, frame_count, mean, median, number
 from recon.solve import TrajectoryOptions
 from recon.solve.result import Spell
@@ -23,6 +23,8 @@ STANCE = 0.5
 """A foot with more contact than this stands."""
 WARN_POOR = 0.2
 """Share of the frames from which the report warns."""
+SAID_BY = {"views": "where the cameras are", "ground": "the camera's height above the ground"}
+"""What else than the expectation says the size."""
 WARN_SIZE = 2.5
 """A size further off what is expected, in standard deviations, says that something else is wrong."""
 
@@ -35,7 +37,7 @@ def sections(motion: TrajectoryMotion, settings: Mapping[str, Any]) -> dict[str,
         "data_share": by_name(motion.names, list(motion.solution.data_share)),
     }
     return {
-        **common.head(motion),
+        **common.head(motion, settings),
         "skeleton": common.skeleton(motion.body.name, motion) | {"states_frame": motion.states_frame},
         "assumptions": _assumptions(motion, settings, size),
         "summary": _summary(motion),
@@ -75,6 +77,7 @@ def _size(motion: TrajectoryMotion, settings: Mapping[str, Any]) -> dict[str, An
         "sigma": solution.size_sigma,
         "prior_sigma": prior_sigma,
         "data_share": max(0.0, 1.0 - (solution.size_sigma / prior_sigma) ** 2),
+        "from": solution.size_from,
         "subject": subject,
         "lengths": motion.body.title,
         "measured": subject is not None,
@@ -87,7 +90,8 @@ def _assumptions(motion: TrajectoryMotion, settings: Mapping[str, Any], size: Ma
     of_animal = "measured on this animal" if size["measured"] else "assumed"
     sentences = [
         f"The scale: the lengths are those of {size['lengths']!r}, {of_animal}, times a size that is expected to be "
-        f"1 with a standard deviation of {size['prior_sigma']:.2g}. Distances, speeds and sizes scale with it.",
+        f"1 with a standard deviation of {size['prior_sigma']:.2g}. Distances, speeds and sizes scale with it."
+        + "".join(f" It is measured by {SAID_BY[what]}." for what in size["from"] if what in SAID_BY),
         "Poses and their changes are expected to be "
         + (
             "as the skeleton's file says, each angle on its own."
@@ -116,7 +120,7 @@ def _summary(motion: TrajectoryMotion) -> dict[str, Any]:
         "frames_flagged": sum(bool(flags) for flags in solution.flags),
         "flags": {flag: sum(flag in flags for flags in solution.flags) for flag in _flag_names(motion)},
         **common.counts(motion),
-        "mean_weight": mean(solution.weight[0]),
+        "mean_weight": mean(solution.weight),
         "place_sigma_m": median(motion.place_sigma_m),
         "relative_rms_m": median(motion.relative_rms_m),
     }
@@ -215,13 +219,13 @@ def _uncertainty(motion: TrajectoryMotion) -> dict[str, Any]:
 
 
 def _frames(motion: TrajectoryMotion) -> list[dict[str, Any]]:
-    solution, present = motion.solution, motion.keypoints.present.sum(axis=1)
+    solution, distance_px = motion.solution, cameras.stacked(motion, "distance_px")
     return [
         {
             "frame": motion.frames[t],
             "flags": flags,
-            "detections": present[t],
-            "mean_reprojection_px": mean(motion.distance_px[t]),
+            "detections": motion.detections[t],
+            "mean_reprojection_px": mean(distance_px[:, t]),
             "mean_weight": motion.mean_weight[t],
             "alternative_m": solution.alternative_m[t],
             "place_sigma_m": motion.place_sigma_m[t],
@@ -236,8 +240,8 @@ def _tail(motion: TrajectoryMotion) -> dict[str, Any]:
     tail = common.tail(motion, jitters=False)
     for row in tail["keypoints"]:
         column = motion.names.index(row["name"]) if row["joint"] is not None else None
-        for field, values in (("noise_px", motion.sigma_px), ("mean_weight", motion.solution.weight[0])):
-            row[field] = None if column is None else mean(values[:, column])
+        for field, values in (("noise_px", motion.solution.noise_px), ("mean_weight", motion.solution.weight)):
+            row[field] = None if column is None else mean(values[..., column])
     return tail
 
 
@@ -312,7 +316,7 @@ def lines(report: Mapping[str, Any]) -> common.Lines:
         (
             "size",
             f"{size['factor']:.3f} ± {size['sigma']:.3f} of the {lengths} "
-            f"(1 ± {size['prior_sigma']:.2g} expected): {size['lengths']}",
+            f"({_size_from(size)}1 ± {size['prior_sigma']:.2g} expected): {size['lengths']}",
         ),
         (
             "uncertainty",
@@ -335,6 +339,11 @@ def _frames_text(report: Mapping[str, Any]) -> str:
     why = [f"{count} {flag}" for flag, count in summary["flags"].items() if count]
     flagged = f"{summary['frames_flagged']} doubtful ({', '.join(why)})" if why else "none doubtful"
     return f"{summary['frames_with_pose']} of {summary['frames']} with a pose, {flagged}"
+
+
+def _size_from(size: Mapping[str, Any]) -> str:
+    measured = [f"the {what}" for what in size["from"] if what in SAID_BY]
+    return f"from {' and '.join(measured)}; " if measured else ""
 
 
 def _prior_text(name: str) -> str:

@@ -19,7 +19,7 @@ from recon.files import require_free_folder, staged_file
 from recon.manifest import MANIFEST, read_manifest
 from recon.package import version
 from recon.pipelines.batch.inputs import Clip
-from recon.pipelines.clip import OUTPUT_FILES
+from recon.pipelines.clip import output_files
 from recon.settings import FitSettings
 
 RECORD = "batch.json"
@@ -62,7 +62,7 @@ def plan_batch(clips: Sequence[Clip], out: Path, overwrite: bool = False) -> lis
 def _planned(clip: Clip, out: Path, overwrite: bool) -> Planned:
     mine = identity(clip.settings)
     record = read_record(out)
-    there = [name for name in OUTPUT_FILES if (out / name).exists()]
+    there = [name for name in output_files(out) if (out / name).exists()]
     if not there:
         return Planned(clip, out, "new", "", mine)
     if overwrite:
@@ -172,7 +172,7 @@ def finish_record(
 
 def drop_record(out: Path) -> None:
     """After a fit that failed: the record goes, unless there are older results."""
-    if not any((out / name).exists() for name in OUTPUT_FILES):
+    if not any((out / name).exists() for name in output_files(out)):
         (out / RECORD).unlink(missing_ok=True)
 
 

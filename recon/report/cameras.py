@@ -1,0 +1,70 @@
+"""What each camera of a clip has to do with the result."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from recon.motion import Motion, Picture
+from recon.report.plain import Array, finite, mean, median, number
+
+
+def section(motion: Motion, settings: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """An entry a camera, in the order of the keypoint files."""
+    offsets_s = settings.get("offset_s") or [0.0] * len(motion.pictures)
+    return [_entry(picture, offset_s) for picture, offset_s in zip(motion.pictures, offsets_s, strict=True)]
+
+
+def _entry(picture: Picture, offset_s: float) -> dict[str, Any]:
+    source, errors = picture.source, finite(picture.distance_px)
+    names = set(source.keypoints.names)
+    used = int(picture.present.sum())
+    rejected = sum(counted.rejected for counted in source.cleaning.keypoints if counted.name in names)
+    return {
+        "name": picture.name,
+        "keypoints": source.keypoints.source,
+        "camera": picture.camera.to_dict(),
+        "offset_s": offset_s,
+        "frames_seen": int(picture.present.any(axis=1).sum()),
+        "points": {"used": used, "missing": picture.present.size - used - rejected, "rejected": rejected},
+        "reprojection_px": {"mean": mean(errors), "median": median(errors)},
+        "outliers": int(picture.outliers.sum()),
+        "mean_weight": mean(picture.weight),
+        "distance_m": mean(picture.distance_m),
+    }
+
+
+def stacked(motion: Motion, field: str) -> Array:
+    """(V, T, J, ...): a field of all cameras' pictures."""
+    return np.stack([getattr(picture, field) for picture in motion.pictures])
+
+
+def points(report: Mapping[str, Any]) -> dict[str, int]:
+    """Of all cameras."""
+    each = [camera["points"] for camera in report["cameras"]]
+    return {count: sum(of_one[count] for of_one in each) for count in ("used", "missing", "rejected")}
+
+
+def files(report: Mapping[str, Any]) -> str:
+    """The keypoint files' names."""
+    paths = [camera["keypoints"] for camera in report["cameras"]]
+    return ", ".join(Path(path).name if path else "keypoints" for path in paths)
+
+
+def lines(report: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+    """For the summary, where there are several."""
+    frames = report["summary"]["frames"]
+    for camera in report["cameras"] if len(report["cameras"]) > 1 else ():
+        errors, counts = camera["reprojection_px"], camera["points"]
+        outliers = "1 outlier" if camera["outliers"] == 1 else f"{camera['outliers']} outliers"
+        rejected = f", {counts['rejected']} rejected" if counts["rejected"] else ""
+        yield (
+            "camera",
+            f"{camera['name']}: {camera['frames_seen']} of {frames} frames, {counts['used']} points used"
+            f"{rejected}; {number(errors['mean'], '.1f')} px mean, "
+            f"{number(errors['median'], '.1f')} px median, {outliers}; "
+            f"{number(camera['distance_m'], '.1f')} m away",
+        )
