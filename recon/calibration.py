@@ -33,6 +33,8 @@ FORMAT = "recon-camera"
 AS_GIVEN = ", as was given"
 VERSION = 1
 MAX_BYTES = 1 << 23
+LARGEST = 1e9
+"""Of any number: more can only be damage."""
 MAX_SIZE_PX = 1_000_000
 MAX_NESTING = 5_000
 """OpenCV dies at 20,000."""
@@ -338,6 +340,8 @@ def _build(
             fault(field, f"shape {array.shape}", expected)
         elif not np.isfinite(array).all():
             fault(field, "values that are not finite", expected)
+        elif (np.abs(array) > LARGEST).any():
+            fault(field, f"values up to {np.abs(array).max():g}", expected)
         else:
             return array
         return None

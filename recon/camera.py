@@ -434,7 +434,8 @@ def is_rotation(matrix: FloatArray, tolerance: float) -> bool:
 
 def _first_positive_root(coefficients: npt.ArrayLike) -> float:
     """Smallest positive real root of a polynomial, coefficients in increasing order; inf if there is none."""
-    trimmed = np.trim_zeros(np.asarray(coefficients, dtype=float), "b")
+    array = np.asarray(coefficients, dtype=float)
+    trimmed = np.trim_zeros(np.where(np.abs(array) < 1e-100, 0.0, array), "b")  # roots divide by the last one
     roots = polynomial.polyroots(trimmed) if trimmed.size > 1 else np.zeros(0)
     real = roots.real[(np.abs(roots.imag) <= 1e-9 * np.abs(roots)) & (roots.real > 0)]
     return float(real.min(initial=math.inf))

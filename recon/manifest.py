@@ -80,7 +80,7 @@ def read_manifest(folder: Path) -> Manifest:
     except FileNotFoundError:
         found = f"no {MANIFEST}: of an interrupted run, or of an earlier version"
         raise InputError(Problem(folder, "folder", found, AGAIN)) from None
-    except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError, OverflowError):
         raise InputError(Problem(path, "content", "something else", AGAIN)) from None
     return Manifest(folder, files)
 

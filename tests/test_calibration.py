@@ -366,6 +366,12 @@ class TestMalformed:
         assert message in problems_of(write(name, text))
         assert capfd.readouterr() == ("", "")
 
+    def test_numbers_of_no_camera(self, write):
+        for values, said in (([1e300] * 4, "d: found values up to 1e+300"), ([1.0, 1, 1, 2e9], "up to 2e+09")):
+            assert said in problems_of(write("a.json", {"camera_resolution": list(SIZE), "k": K, "d": values}))
+        tiny = write("b.json", {"camera_resolution": list(SIZE), "k": K, "d": [0.1, 0, 0, 1e-320]})
+        assert np.isfinite(read_camera(tiny).project(np.array([[0.1, 0.2, 3.0]]))[0]).all()
+
     def test_files(self, tmp_path):
         assert "no such file" in problems_of(tmp_path / "none.json")
         (tmp_path / "folder.toml").mkdir()

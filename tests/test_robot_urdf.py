@@ -149,5 +149,5 @@ def test_links_that_are_not_there(arm):
 
 def test_without_the_reader(arm, monkeypatch):
     monkeypatch.setitem(sys.modules, "yourdfpy", None)
-    with pytest.raises(InputError, match=r"recon\[urdf\]"):
+    with pytest.raises(InputError, match=r"\[urdf\]"):
         read_urdf(arm)

@@ -14,7 +14,7 @@ import numpy as np
 
 from recon.documents import read_json
 from recon.errors import InputError, Problem
-from recon.io.common import choose, first_problems, name_problems, rate
+from recon.io.common import MAX_FRAME, choose, first_problems, name_problems, rate
 from recon.keypoints import Keypoints
 
 FRAME_KEYS = ("frame_id", "frame_index", "frame_number")
@@ -138,6 +138,9 @@ def _frame_numbers(path: Path, images: list[dict[str, Any]]) -> tuple[dict[Any, 
     ids = [image["id"] for image in images]
     if len(set(numbers)) != len(numbers) or len(set(ids)) != len(ids) or not all(type(n) is int for n in numbers):
         raise InputError(Problem(path, "images", "frame numbers that are not unique", "one image for each frame"))
+    if numbers and not 0 <= min(numbers) <= max(numbers) < MAX_FRAME:
+        found = f"frame numbers from {min(numbers):.15g} to {max(numbers):.15g}"
+        raise InputError(Problem(path, "images", found, "0, 1, 2, ..."))
     return dict(zip(ids, numbers, strict=True)), notes
 
 

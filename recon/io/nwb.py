@@ -131,8 +131,9 @@ def _skeleton(group: Any, inside: list[Any]) -> tuple[list[str], np.ndarray]:
         if stored is not None:
             nodes, linked = texts(stored), child(holder, "edges")
             edges = np.zeros((0, 2)) if linked is None else numbers(linked)
-            edges = edges.astype(np.int64).reshape(-1, 2)
-            return nodes, edges[((edges >= 0) & (edges < len(nodes))).all(axis=1)]
+            edges = edges.reshape(-1, 2)
+            edges = edges[((edges >= 0) & (edges < len(nodes))).all(axis=1)]
+            return nodes, edges.astype(np.int64)
     return [], np.zeros((0, 2), np.int64)
 
 

@@ -30,13 +30,14 @@ def read_pose(path: Path, individual: str | None = None) -> StoredPose:
     try:
         table = pq.read_table(path)
         own = json.loads((table.schema.metadata or {}).get(METADATA, b"{}"))
-    except (OSError, ValueError, pa.ArrowException) as error:
-        raise InputError(Problem(path, "content", f"data that cannot be read ({error})", "a whole file")) from None
-    columns = {}
-    for name in table.column_names:
-        column = table.column(name)
-        numeric = pa.types.is_integer(column.type) or pa.types.is_floating(column.type)
-        columns[name] = np.asarray(column.to_numpy(), dtype=float) if numeric else column.to_pylist()
+        columns = {}
+        for name in table.column_names:
+            column = table.column(name)
+            numeric = pa.types.is_integer(column.type) or pa.types.is_floating(column.type)
+            columns[name] = np.asarray(column.to_numpy(), dtype=float) if numeric else column.to_pylist()
+    except (OSError, ValueError, RecursionError, MemoryError, LookupError, pa.ArrowException) as error:
+        found = f"data that cannot be read ({' '.join(str(error).split())[:200]})"
+        raise InputError(Problem(path, "content", found, "a whole file")) from None
     if not table.num_rows:
         raise InputError(Problem(path, "rows", "none", "at least one"))
     layout = find_layout(path, table.column_names)

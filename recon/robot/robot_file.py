@@ -197,4 +197,5 @@ def quadruped_from_urdf(robot: UrdfRobot) -> Quadruped:
 
 
 def _middle(lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
-    return np.where(np.isfinite(lower + upper), (lower + upper) / 2, 0.0)
+    bounded = np.isfinite(lower) & np.isfinite(upper)
+    return np.where(bounded, np.where(bounded, lower, 0.0) + np.where(bounded, upper, 0.0), 0.0) / 2

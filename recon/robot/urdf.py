@@ -138,7 +138,8 @@ def _problems(robot: UrdfRobot, tip: str, base: str, way: list[Any]) -> Iterator
         yield Problem(robot.path, "chain", f"none that moves from {base} to {tip}", "a link that joints move")
     for joint in way:
         stated = (np.eye(4) if joint.origin is None else joint.origin, _axis(joint), _limits(joint)[2:])
-        if not all((np.abs(numbers) < LARGEST).all() for numbers in stated) or not _axis(joint).any():
+        known = all((np.abs(numbers) < LARGEST).all() for numbers in stated)
+        if not known or _axis(joint).shape != (3,) or not _axis(joint).any():
             yield Problem(robot.path, f"joint {joint.name}", "numbers that are none of a robot", "finite ones, an axis")
         if joint.type not in (*MOVING, "fixed"):
             yield Problem(robot.path, f"joint {joint.name}", f"type {joint.type}", f"{', '.join(MOVING)} or fixed")
