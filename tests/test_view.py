@@ -345,6 +345,57 @@ def test_a_trajectory_without_any_pose_can_be_written(small_trajectory: Trajecto
     assert all(not recording.values(entity, 12) for entity in TRAJECTORY if entity != "/states/doubt")
 
 
+# -- several cameras ------------------------------------------------------------------------------------------------
+
+
+def moving(motion: TrajectoryMotion) -> TrajectoryMotion:
+    """The second camera goes along x, a metre a frame."""
+    first, second = motion.solution.views
+    poses = np.tile(second.T_camera_world, (8, 1, 1))
+    poses[:, :3, 3] -= np.arange(8)[:, None] * poses[:, :3, 0]
+    return replace(motion, solution=replace(motion.solution, views=(first, replace(second, T_camera_world=poses))))
+
+
+@pytest.fixture(scope="module")
+def filmed_twice(two_cameras: TrajectoryMotion, tmp_path_factory: pytest.TempPathFactory) -> Recording:
+    path = tmp_path_factory.mktemp("several") / "motion.rrd"
+    write(moving(two_cameras), path)
+    return Recording(path)
+
+
+def test_every_camera_has_its_pictures(filmed_twice: Recording, two_cameras: TrajectoryMotion) -> None:
+    of_pictures = {entity for entity in filmed_twice.frames if entity.split("/")[1] in ("picture", "closeup")}
+    assert of_pictures == {
+        f"/{root}/{camera}/{entity}"
+        for root in ("picture", "closeup")
+        for camera in ("cam1", "cam2")
+        for entity in ("detections", "outliers", "reprojections", "reprojections/joints", "links")
+    }
+    for number, camera in enumerate(("cam1", "cam2")):
+        rows = filmed_twice.frames[f"/picture/{camera}/reprojections/joints"]
+        found = np.array([rows[frame]["Points2D:positions"] for frame in two_cameras.frames])
+        expected = moving(two_cameras).pictures[number].reprojected_px
+        np.testing.assert_allclose(found, expected, rtol=1e-5)
+    links = filmed_twice.frames["/picture/cam2/links"]
+    assert [len(links[frame]["LineStrips2D:strips"] or []) for frame in (11, 12)] == [0, 24]
+
+
+def test_cameras_stand_where_they_stand_and_move_where_they_move(filmed_twice: Recording) -> None:
+    (place,) = filmed_twice.static["/world/camera/cam1"]["Transform3D:translation"]
+    np.testing.assert_allclose(place, [1, 2, 3], atol=1e-5)
+    rows = filmed_twice.frames["/world/camera/cam2"]
+    places = [rows[frame]["Transform3D:translation"][0] for frame in range(10, 18)]
+    np.testing.assert_allclose(places, [[10 + t, -8, 2.5] for t in range(8)], atol=1e-5)
+    for camera in ("cam1", "cam2"):
+        assert filmed_twice.static[f"/world/camera/{camera}"]["Pinhole:resolution"] == [[1920, 1080]]
+
+
+def test_errors_over_time_are_those_of_all_cameras(filmed_twice: Recording, two_cameras: TrajectoryMotion) -> None:
+    found = [filmed_twice.frames["/residuals"][frame]["Scalars:scalars"] for frame in (10, 12, 15)]
+    distance = np.concatenate([picture.distance_px for picture in moving(two_cameras).pictures], axis=1)[[0, 2, 5]]
+    np.testing.assert_allclose(found, np.stack((np.nanmean(distance, 1), np.nanmax(distance, 1)), 1), atol=1e-9)
+
+
 def test_viewer_needs_a_file(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no such file") as caught:
         open_viewer(tmp_path / "motion.rrd")

@@ -132,3 +132,27 @@ def test_what_does_not_fit_leaves_the_playback_as_it_is(playback, video, tmp_pat
         write_video(tmp_path / "video.rrd", playback, video)
     assert playback.read_bytes() == content
     assert {path.name for path in tmp_path.iterdir()} == {"motion.rrd", "small.avi"}
+
+
+def test_a_video_goes_into_the_picture_of_its_camera(two_cameras, video, tmp_path):
+    """Into one of several that stand side by side in a tab, which comes to the front."""
+    playback, path = tmp_path / "motion.rrd", tmp_path / "video.rrd"
+    write(two_cameras, playback)
+    for camera in (None, "cam3"):
+        with pytest.raises(InputError, match="expected one of cam1, cam2, whose video it is"):
+            write_video(path, playback, video, first_frame=8, camera=camera)
+    write_video(path, playback, video, first_frame=8, camera="cam2")
+    assert rows(path, "recordings").keys() == {"/picture/cam2/video"}
+    put_together(tmp_path / "together.rrd", playback, None, path)
+    for written in (path, tmp_path / "together.rrd"):
+        before, after = rows(playback, "blueprints"), rows(written, "blueprints")
+        (changed,) = [entity for entity in before if after[entity] != before[entity]]
+        grid = after[changed][-1]["ContainerBlueprint:active_tab"][0].strip("/")
+        shown = [v.strip("/") for v in after[f"/{grid}"][0]["ContainerBlueprint:contents"]]
+        origins = [after[f"/{view}"][0]["ViewBlueprint:space_origin"] for view in shown]
+        assert origins == [["picture/cam1"], ["picture/cam2"]]
+
+
+def test_the_only_camera_needs_no_name(playback, video, tmp_path):
+    with pytest.raises(InputError, match="expected nothing: the playback has one camera"):
+        write_video(tmp_path / "video.rrd", playback, video, first_frame=8, camera="cam2")

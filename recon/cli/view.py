@@ -20,6 +20,9 @@ def view(
     first_frame: Annotated[
         int, typer.Option(help="Number that the video's first frame has in the keypoint file, if the video was cut.")
     ] = 0,
+    camera_name: Annotated[
+        str | None, typer.Option(help="Whose video it is, of a clip with several cameras, as in cam2.")
+    ] = None,
     out: Annotated[
         Path | None, typer.Option(help="Write all that is shown as one recording, and open nothing, as in clip.rrd.")
     ] = None,
@@ -30,4 +33,4 @@ def view(
     """
     from recon.pipelines.view import run_view
 
-    run_view(folder, analysis, video, first_frame, out, lambda note: typer.echo(note, err=True))
+    run_view(folder, analysis, video, first_frame, camera_name, out, lambda note: typer.echo(note, err=True))

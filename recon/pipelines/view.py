@@ -23,14 +23,15 @@ def run_view(
     analysis: Path | None = None,
     video: Path | None = None,
     first_frame: int = 0,
+    camera: str | None = None,
     out: Path | None = None,
     say: Callable[[str], None] = lambda note: None,
 ) -> None:
     """`recon view`: open the playback, with the plots of `recon analyse` and the frames of a video.
 
     analysis: the folder of the analysis, by default the one in `folder`, if there is one. video: its frames are kept in
-    `folder`, for the next time, where that can be written to. out: one recording of it all, which is written and not
-    opened. Returns when the viewer is closed. Raises InputError.
+    `folder`, for the next time, where that can be written to. camera: whose video it is, where the clip has several.
+    out: one recording of it all, which is written and not opened. Returns when the viewer is closed. Raises InputError.
     """
     playback = folder / PLAYBACK
     if not playback.is_file():
@@ -39,8 +40,9 @@ def run_view(
     plots = (folder / FOLDER if analysis is None else analysis) / PLOTS
     if analysis is not None and not plots.is_file():
         raise InputError(Problem(plots, "file", "no such file", "the plots that `recon analyse` has written"))
-    if first_frame and video is None:
-        raise InputError(Problem("--first-frame", "video", "no --video", "one beside the other"))
+    for option, value in (("--first-frame", first_frame), ("--camera-name", camera)):
+        if value and video is None:
+            raise InputError(Problem(option, "video", "no --video", "one beside the other"))
     if out is not None:
         require_free_file(out, overwrite=False)
     with TemporaryDirectory() as temporary:
@@ -48,7 +50,7 @@ def run_view(
         pictures = (place if video is not None else folder) / VIDEO
         if video is not None:
             with staged_file(pictures) as staged:
-                write_video(staged, playback, video, first_frame)
+                write_video(staged, playback, video, first_frame, camera)
         present = [path if path.is_file() else None for path in (plots, pictures)]
         if any(present) or out is not None:
             together = Path(temporary) / PLAYBACK if out is None else out

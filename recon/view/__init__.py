@@ -4,15 +4,17 @@ Entities of the recording; those without "(static)" have a row a frame, which is
 
 - `world`: metres, in the motion's frame of reference. `world/skeleton` and its joints, `world/path` (static) and
   `world/trail` of the reference point, `world/ground` (static; of a clip with several spells each one's, from its
-  first frame on), `world/camera` (static), its frustum, and `world/followed`, invisible. With the trajectory method:
-  `world/uncertainty`, one sigma of the joints' positions relative to their mean, `world/stance`, the feet that stand,
-  and `world/doubt`, a label in frames with a flag.
+  first frame on), `world/camera` (static, but for one that moves), its frustum, and `world/followed`, invisible. With
+  the trajectory method: `world/uncertainty`, one sigma of the joints' positions relative to their mean, `world/stance`,
+  the feet that stand, and `world/doubt`, a label in frames with a flag.
 - `picture`: pixels of the distorted picture. `picture/frame` (static), its edge; `picture/detections`,
   `picture/outliers`, `picture/reprojections` with the skeleton's lines in it, `picture/links` between the two.
-- `picture/video`: the video's frames, of a file that `recon.view.video` writes.
+- `picture/video`: a video's frames, of a file that `recon.view.video` writes.
 - `closeup`: the same points, relative to the middle of the reprojected skeleton in each frame.
+- Of several cameras each has its own `world/camera/<name>`, `picture/<name>/...` and `closeup/<name>/...`.
 - `angles/...` in degrees: a chain's `theta` and `phi`, or the `left`, `right` and `middle` of a whole animal; `speed`
-  of the reference point in m/s; `residuals`, mean and largest of the frame in px.
+  of the reference point in m/s; `residuals`, mean and largest of the frame in px,
+  of all cameras.
 - With the trajectory method: `uncertainty` in m, and states over time: `states/doubt`, the frames' flags, and
   `states/<foot>`, where it stands.
 - `analysis/...`: any lines and states, with samples between frames on `time`, of a file that `recon.view.added` writes.
@@ -35,7 +37,7 @@ from recon.errors import InputError, Problem
 from recon.motion import Motion, TrajectoryMotion
 from recon.recording import recording
 from recon.view.layout import blueprint
-from recon.view.picture import write_picture
+from recon.view.picture import write_pictures
 from recon.view.scene import Scene, limb_colours
 from recon.view.series import write_series, write_states
 from recon.view.world import write_doubt, write_world
@@ -67,7 +69,7 @@ def _log(motion: Motion, scene: Scene, stream: rr.RecordingStream) -> None:
     labels = zip(motion.limbs, limb_colours(motion), strict=True)
     fix("/", rr.AnnotationContext([(i, limb, colour) for i, (limb, colour) in enumerate(labels)]))
     write_world(motion, scene, send, fix)
-    write_picture(motion, scene, send, fix)
+    write_pictures(motion, send, fix)
     write_series(motion, send, fix)
     if isinstance(motion, TrajectoryMotion):
         write_doubt(motion, scene, send, fix)

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 from rerun.blueprint.archetypes import PlotBackground
 from rerun.encodings import AbsoluteTimeRange
 
-from recon.motion import Motion, TrajectoryMotion
+from recon.motion import Motion, Picture, TrajectoryMotion
 from recon.view.picture import middle_and_reach_px, picture_bounds
-from recon.view.scene import BACKGROUND, GRID_SPACING_M, Scene
+from recon.view.scene import BACKGROUND, CLOSEUP, GRID_SPACING_M, PICTURE, Scene, by_camera
 from recon.view.series import Series, angle_series, other_series
 
 
@@ -32,28 +34,13 @@ def blueprint(motion: Motion, scene: Scene, start_frame: int | None) -> rrb.Blue
     )
     overview = rrb.Spatial3DView(
         origin="world",
-        name="Overview with the camera",
+        name="Overview with the camera" + ("s" if len(motion.pictures) > 1 else ""),
         contents=["$origin/**", "- world/doubt"],
         background=BACKGROUND,
         line_grid=False,
         eye_controls=_eye_behind_camera(motion, scene),
         overrides=trail,  # pyright: ignore[reportArgumentType]
     )
-    low, high = picture_bounds(motion)
-    picture = rrb.Spatial2DView(
-        origin="picture",
-        name="Whole picture",
-        background=BACKGROUND,
-        visual_bounds=rrb.VisualBounds2D(x_range=(low[0], high[0]), y_range=(low[1], high[1])),
-    )
-    wide, high = 1.1 * middle_and_reach_px(motion)[1]
-    closeup = rrb.Spatial2DView(
-        origin="closeup",
-        name="Picture, close up: + detected, ● reprojected, red: outlier",
-        background=BACKGROUND,
-        visual_bounds=rrb.VisualBounds2D(x_range=(-wide, wide), y_range=(-high, high)),
-    )
-
     angles, others = angle_series(motion), other_series(motion)
     plots: list[rrb.View | rrb.Container] = [rrb.Tabs(*(plot(series) for series in angles), active_tab=0)]
     plots += [plot(series) for series in others]
@@ -70,7 +57,7 @@ def blueprint(motion: Motion, scene: Scene, start_frame: int | None) -> rrb.Blue
         rrb.Vertical(
             rrb.Horizontal(
                 animal,
-                rrb.Vertical(rrb.Tabs(closeup, picture, active_tab=0), overview, row_shares=[5, 4]),
+                rrb.Vertical(_pictures(motion.pictures), overview, row_shares=[5, 4]),
                 column_shares=[11, 9],
             ),
             rrb.Horizontal(*plots, column_shares=shares),
@@ -82,6 +69,32 @@ def blueprint(motion: Motion, scene: Scene, start_frame: int | None) -> rrb.Blue
         auto_layout=False,
         auto_views=False,
     )
+
+
+def _pictures(pictures: Sequence[Picture]) -> rrb.Tabs:
+    """A close look and the whole picture; of several cameras all of them side by side."""
+    closeups = [_closeup(*of_one) for of_one in zip(by_camera(CLOSEUP, pictures), pictures, strict=True)]
+    wholes = [_whole(*of_one) for of_one in zip(by_camera(PICTURE, pictures), pictures, strict=True)]
+    if len(pictures) == 1:
+        closeups[0].name, wholes[0].name = f"Picture, {_MARKS}", "Whole picture"
+        return rrb.Tabs(closeups[0], wholes[0], active_tab=0)
+    grids = rrb.Grid(*closeups, name=f"Pictures, {_MARKS}"), rrb.Grid(*wholes, name="Whole pictures")
+    return rrb.Tabs(*grids, active_tab=0)
+
+
+_MARKS = "close up: + detected, ● reprojected, red: outlier"
+
+
+def _closeup(entity: str, picture: Picture) -> rrb.Spatial2DView:
+    wide, high = 1.1 * middle_and_reach_px(picture)[1]
+    bounds = rrb.VisualBounds2D(x_range=(-wide, wide), y_range=(-high, high))
+    return rrb.Spatial2DView(origin=entity, name=picture.name, background=BACKGROUND, visual_bounds=bounds)
+
+
+def _whole(entity: str, picture: Picture) -> rrb.Spatial2DView:
+    low, high = picture_bounds(picture)
+    bounds = rrb.VisualBounds2D(x_range=(low[0], high[0]), y_range=(low[1], high[1]))
+    return rrb.Spatial2DView(origin=entity, name=picture.name, background=BACKGROUND, visual_bounds=bounds)
 
 
 def held_at(frame: int, count: int) -> rrb.TimePanel:

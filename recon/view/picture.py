@@ -1,40 +1,47 @@
-"""The animal in the picture."""
+"""The animal in the cameras' pictures."""
 
 from __future__ import annotations
 
 import numpy as np
 import rerun as rr
 
-from recon.motion import Motion
+from recon.motion import Motion, Picture
 from recon.view.scene import (
+    CLOSEUP,
     DETECTION,
     EDGE,
     LINK,
     OUTLIER,
+    PICTURE,
     Array,
     Fix,
-    Scene,
     Send,
+    by_camera,
     joint_limbs,
     strips,
     unbroken,
 )
 
 
-def write_picture(motion: Motion, scene: Scene, send: Send, fix: Fix) -> None:
+def write_pictures(motion: Motion, send: Send, fix: Fix) -> None:
     """The points twice: where they are in the picture, and around the middle of the animal, for a close look."""
-    size = np.array(motion.camera.image_size_px, dtype=float)
-    fix("picture/frame", rr.Boxes2D(array=[-0.5, -0.5, *size], array_format=rr.Box2DFormat.XYWH, colors=EDGE))
-    low, high = picture_bounds(motion)
-    _write_points("picture", np.zeros((len(motion.frames), 2)), 0.007 * float(np.max(high - low)), motion, send, fix)
-    middle, reach = middle_and_reach_px(motion)
-    _write_points("closeup", middle, 0.03 * float(reach.max()), motion, send, fix)
+    wholes, closeups = by_camera(PICTURE, motion.pictures), by_camera(CLOSEUP, motion.pictures)
+    for picture, whole, closeup in zip(motion.pictures, wholes, closeups, strict=True):
+        size = np.array(picture.camera.image_size_px, dtype=float)
+        fix(f"{whole}/frame", rr.Boxes2D(array=[-0.5, -0.5, *size], array_format=rr.Box2DFormat.XYWH, colors=EDGE))
+        low, high = picture_bounds(picture)
+        origin_px = np.zeros((len(motion.frames), 2))
+        _write_points(whole, origin_px, 0.007 * float(np.max(high - low)), motion, picture, send, fix)
+        middle, reach = middle_and_reach_px(picture)
+        _write_points(closeup, middle, 0.03 * float(reach.max()), motion, picture, send, fix)
 
 
-def _write_points(root: str, origin_px: Array, arm: float, motion: Motion, send: Send, fix: Fix) -> None:
+def _write_points(
+    root: str, origin_px: Array, arm: float, motion: Motion, picture: Picture, send: Send, fix: Fix
+) -> None:
     """origin_px (T, 2): what is drawn at (0, 0); arm: of a detection's cross, px."""
-    outliers = motion.outliers
-    detected, reprojected = (xy - origin_px[:, None] for xy in (motion.detected_px, motion.reprojected_px))
+    outliers = picture.outliers
+    detected, reprojected = (xy - origin_px[:, None] for xy in (picture.detected_px, picture.reprojected_px))
     for entity, colour, chosen in (("detections", DETECTION, ~outliers), ("outliers", OUTLIER, outliers)):
         fix(f"{root}/{entity}", rr.LineStrips2D.from_fields(colors=colour, radii=rr.Radius.ui_points(1.0)))
         points = [xy[keep & np.isfinite(xy[:, 0])] for xy, keep in zip(detected, chosen, strict=True)]
@@ -52,7 +59,7 @@ def _write_points(root: str, origin_px: Array, arm: float, motion: Motion, send:
     send(f"{root}/reprojections/joints", columns.partition(seen.sum(axis=1)))
     fix(f"{root}/reprojections/joints", rr.Points2D.from_fields(radii=rr.Radius.ui_points(3.5), show_labels=False))
 
-    both = np.isfinite(motion.distance_px)
+    both = np.isfinite(picture.distance_px)
     ends = np.stack((detected, reprojected), axis=2)
     columns = rr.LineStrips2D.columns(
         strips=list(ends[both]), colors=np.where(outliers[both][:, None], OUTLIER, LINK).astype(np.uint8)
@@ -61,22 +68,22 @@ def _write_points(root: str, origin_px: Array, arm: float, motion: Motion, send:
     fix(f"{root}/links", rr.LineStrips2D.from_fields(radii=rr.Radius.ui_points(1.5)))
 
 
-def middle_and_reach_px(motion: Motion) -> tuple[Array, Array]:
+def middle_and_reach_px(picture: Picture) -> tuple[Array, Array]:
     """(T, 2): middle of the reprojected skeleton, 0 without one; (2,): how far its joints lie from there in x and y."""
-    middle = np.zeros((len(motion.frames), 2))
-    seen = np.isfinite(motion.reprojected_px[..., 0])
+    middle = np.zeros((len(picture.reprojected_px), 2))
+    seen = np.isfinite(picture.reprojected_px[..., 0])
     known = np.any(seen, axis=-1)
-    middle[known] = np.nanmean(motion.reprojected_px[known], axis=1)
-    return middle, np.abs(motion.reprojected_px - middle[:, None])[seen].max(axis=0, initial=1.0)
+    middle[known] = np.nanmean(picture.reprojected_px[known], axis=1)
+    return middle, np.abs(picture.reprojected_px - middle[:, None])[seen].max(axis=0, initial=1.0)
 
 
-def picture_bounds(motion: Motion) -> tuple[Array, Array]:
+def picture_bounds(picture: Picture) -> tuple[Array, Array]:
     """Corners (2,), (2,) of the part of the picture that the animal passes through, with a margin."""
-    size = np.array(motion.camera.image_size_px, dtype=float)
-    explained = np.where(motion.outliers[..., None], np.nan, motion.detected_px)
-    points = np.concatenate((explained.reshape(-1, 2), motion.reprojected_px.reshape(-1, 2)))
+    size = np.array(picture.camera.image_size_px, dtype=float)
+    explained = np.where(picture.outliers[..., None], np.nan, picture.detected_px)
+    points = np.concatenate((explained.reshape(-1, 2), picture.reprojected_px.reshape(-1, 2)))
     points = points[np.isfinite(points).all(axis=1)]
-    points = points[motion.camera.in_image(points)]
+    points = points[picture.camera.in_image(points)]
     if not len(points):
         return np.full(2, -0.5), size - 0.5
     low, high = points.min(axis=0), points.max(axis=0)

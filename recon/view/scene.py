@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from recon.body import Side
 from recon.frames import level_from_camera
-from recon.motion import Motion, TrajectoryMotion
+from recon.motion import Motion, Picture, TrajectoryMotion
 from recon.solve import Spell
 
 Array = NDArray[np.float64]
@@ -37,6 +37,8 @@ DETECTION, OUTLIER, LINK = (255, 255, 255), (235, 60, 40), (204, 121, 167)
 PATH, TRAIL, GRID, CAMERA, EDGE = (110, 110, 120), (240, 228, 66), (58, 64, 74), (190, 190, 200), (130, 130, 140)
 BACKGROUND = (18, 21, 27)
 
+CAMERAS, PICTURE, CLOSEUP = "world/camera", "picture", "closeup"
+"""Entities of a camera, or of all (`by_camera`)."""
 GRID_SPACING_M = 1.0
 GRID_MARGIN_M = 1.5
 MAX_GRID_LINES = 200
@@ -117,6 +119,13 @@ def _floor(motion: Motion, axes: Array, spell: Spell) -> Floor:
     below, above = motion.in_reference(np.stack((below, below + np.append(-spell.ground.slope, 1.0))))
     normal = (above - below) / np.linalg.norm(above - below)
     return Floor(spell.rows.start, below, normal, low[:2], high[:2])
+
+
+def by_camera(root: str, pictures: Sequence[Picture]) -> list[str]:
+    """The entity of each camera: the root itself, or, where there are several, the camera's part of it."""
+    if len(pictures) == 1:
+        return [root]
+    return [f"{root}/{rr.escape_entity_path_part(picture.name)}" for picture in pictures]
 
 
 # -- limbs --------------------------------------------------------------------------------------------------------

@@ -163,7 +163,7 @@ def _speeds_m_s(motion: FrameMotion) -> tuple[Array, Array, Array]:
 
 def _residuals_px(motion: Motion) -> tuple[Array, Array]:
     """(T,), (T,): mean and largest distance of detections from reprojections, NaN in frames without any."""
-    distance = motion.distance_px
+    distance = np.concatenate([picture.distance_px for picture in motion.pictures], axis=1)
     known = np.isfinite(distance).any(axis=1)
     mean, worst = np.full((2, len(distance)), np.nan)
     mean[known], worst[known] = np.nanmean(distance[known], axis=1), np.nanmax(distance[known], axis=1)

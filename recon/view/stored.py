@@ -133,7 +133,7 @@ class Layout:
         return self.values.get(container, {}).get(f"ContainerBlueprint:{name}", [])
 
     def in_front(self, origin: str | None) -> rrb.Blueprint:
-        """The layout as it is, with the tab in front that shows this entity, if one is given."""
+        """The layout as it is, with the view of this entity in front, if one is given."""
         return _InFront(self, origin)
 
 
@@ -150,7 +150,7 @@ class _Restored(rrb.Blueprint):
 
 
 class _InFront(rrb.Blueprint):
-    """A stored layout, with the tab in front that shows this entity; without one, as it is."""
+    """A stored layout, with the tabs in front that lead to the view of this entity; without one, as it is."""
 
     def __init__(self, layout: Layout, origin: str | None) -> None:
         super().__init__(auto_layout=False, auto_views=False)
@@ -159,10 +159,12 @@ class _InFront(rrb.Blueprint):
     def _log_to_stream(self, stream: rr.RecordingStream) -> None:
         stream.send_chunks(self.layout.chunks)
         values = self.layout.values
-        view = next((p for p, v in values.items() if v.get("ViewBlueprint:space_origin") == [self.origin]), None)
-        for path, fields in values.items():
-            if view in fields.get("ContainerBlueprint:contents", []) and "ContainerBlueprint:active_tab" in fields:
-                stream.log(path, ContainerBlueprint.from_fields(active_tab=view))
+        shown = next((p for p, v in values.items() if v.get("ViewBlueprint:space_origin") == [self.origin]), None)
+        while shown is not None:
+            around = next((p for p, v in values.items() if shown in v.get("ContainerBlueprint:contents", [])), None)
+            if around is not None and "ContainerBlueprint:active_tab" in values[around]:
+                stream.log(around, ContainerBlueprint.from_fields(active_tab=shown))
+            shown = around
 
 
 class _Kept(rrb.Container):

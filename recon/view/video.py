@@ -1,27 +1,30 @@
 """The video's frames for a playback, in step with the 3D, in a file of their own.
 
-They are `picture/video`, a JPEG for each frame of the playback on both of its timelines, and the view of the whole
-picture comes to the front. JPEG is what every viewer shows; of the codecs of videos it decodes only AV1 by itself, and
-the others jump from key frame to key frame where there is no ffmpeg. rerun has the corner of the top left pixel at (0,
-0), where the points have its centre: the picture lies half a pixel to the right and below.
+They are `picture/video`, or `picture/<name>/video` of one of several cameras, a JPEG for each frame of the playback on
+both of its timelines, and the view of the whole picture comes to the front. JPEG is what every viewer shows; of the
+codecs of videos it decodes only AV1 by itself, and the others jump from key frame to key frame where there is no
+ffmpeg. rerun has the corner of the top left pixel at (0, 0), where the points have its centre: the picture lies half a
+pixel to the right and below.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from pathlib import Path
 
 import cv2
 import numpy as np
 import rerun as rr
+from rerun.chunk import Chunk
 
 from recon.errors import InputError, Problem
 from recon.recording import recording
 from recon.video import Image, probe, read_frames
-from recon.view.stored import Playback
+from recon.view.scene import PICTURE
+from recon.view.stored import Part, Playback
 
-PICTURE = "picture"
-ENTITY = f"{PICTURE}/video"
+VIDEO, EDGE = "video", "frame"
+"""In a camera's picture."""
 QUALITIES = (90, 75, 60, 45, 30)
 """Of the JPEGs: the best with which all of them stay below `MAX_BYTES`."""
 MAX_BYTES = 400_000_000
@@ -38,19 +41,22 @@ def write_video(
     playback_path: Path,
     video: Path,
     first_frame: int = 0,
+    camera: str | None = None,
     progress: Progress = lambda stage, share: None,
     max_bytes: int = MAX_BYTES,
 ) -> int:
     """Write the frames of a video that go with a playback (`recon.view.together`).
 
-    first_frame: the number that the video's first frame has in the playback. Returns the quality of the JPEGs, 0 to
-    100. Raises InputError where there is no such playback or video, where they differ in size, where the video lacks
-    frames of the playback, and where the pictures would take more than `max_bytes` even at the lowest quality.
+    first_frame: the number that the video's first frame has in the playback. camera: whose video it is, by name, where
+    the playback has several. Returns the quality of the JPEGs, 0 to 100. Raises InputError where there is no such
+    playback, camera or video, where they differ in size, where the video lacks frames of the playback, and where the
+    pictures would take more than `max_bytes` even at the lowest quality.
     """
     playback, info = Playback.read(playback_path), probe(video)
     first, last = int(playback.frames.min()), int(playback.frames.max())
-    problems = []
-    size = _size_px(playback)
+    sizes_px = _sizes_px(playback)
+    origin = _origin(sizes_px, camera)
+    problems, size = [], sizes_px[origin]
     if info.size_px != size:
         expected = f"{size[0]}x{size[1]}, the size that the camera is calibrated for"
         problems.append(Problem(video, "size", f"{info.size_px[0]}x{info.size_px[1]}", expected))
@@ -60,12 +66,19 @@ def write_video(
     if problems:
         raise InputError(problems)
     quality = _quality(video, first - first_frame, last + 1 - first_frame, len(playback.frames), max_bytes)
-    _write(playback, video, first_frame, quality, path, progress)
+    _write(playback, origin, video, first_frame, quality, path, progress)
     return quality
 
 
-def _write(playback: Playback, video: Path, first_frame: int, quality: int, path: Path, progress: Progress) -> None:
-    with recording(path, playback.layout.in_front(PICTURE), part_of=playback.id) as stream:
+def picture_of(video: Part) -> str:
+    """The picture that a video's frames belong to."""
+    return next(iter(_in_pictures(video, VIDEO)))
+
+
+def _write(
+    playback: Playback, origin: str, video: Path, first_frame: int, quality: int, path: Path, progress: Progress
+) -> None:
+    with recording(path, playback.layout.in_front(origin), part_of=playback.id) as stream:
         at = dict(zip(playback.frames.tolist(), playback.time_s.tolist(), strict=True))
         first, last = min(at), max(at)
         batch: list[tuple[int, bytes]] = []
@@ -78,7 +91,7 @@ def _write(playback: Playback, video: Path, first_frame: int, quality: int, path
                 rr.TimeColumn("frame", sequence=frames),
                 rr.TimeColumn("time", duration=[at[frame] for frame in frames]),
             ]
-            stream.send_columns(ENTITY, times, columns)
+            stream.send_columns(f"{origin}/{VIDEO}", times, columns)
             batch.clear()
 
         for index, image in read_frames(video, first - first_frame, last + 1 - first_frame):
@@ -113,10 +126,33 @@ def _jpeg(image: Image, quality: int) -> bytes:
     return cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, quality])[1].tobytes()
 
 
-def _size_px(playback: Playback) -> tuple[int, int]:
-    """(width, height) of the playback's picture."""
-    for chunk in playback.data:
-        if chunk.entity_path == "/picture/frame":
-            (half,) = chunk.to_record_batch().to_pylist()[0]["Boxes2D:half_sizes"]
-            return round(2 * half[0]), round(2 * half[1])
-    raise ValueError("a playback without a picture")
+def _in_pictures(part: Part, entity: str) -> dict[str, Chunk]:
+    """By picture, what it has of an entity."""
+    chunks = {chunk.entity_path.removeprefix("/"): chunk for chunk in part.data}
+    return {
+        path.removesuffix(f"/{entity}"): chunk
+        for path, chunk in chunks.items()
+        if path.split("/")[0] == PICTURE and path.endswith(f"/{entity}")
+    }
+
+
+def _sizes_px(playback: Playback) -> dict[str, tuple[int, int]]:
+    """(width, height) of the playback's pictures."""
+    sizes = {}
+    for origin, chunk in _in_pictures(playback, EDGE).items():
+        (half,) = chunk.to_record_batch().to_pylist()[0]["Boxes2D:half_sizes"]
+        sizes[origin] = (round(2 * half[0]), round(2 * half[1]))
+    if not sizes:
+        raise ValueError("a playback without a picture")
+    return sizes
+
+
+def _origin(origins: Collection[str], camera: str | None) -> str:
+    """The picture that is meant; of the only camera whatever its name."""
+    if PICTURE in origins and camera is None:
+        return PICTURE
+    if camera is not None and (origin := f"{PICTURE}/{rr.escape_entity_path_part(camera)}") in origins:
+        return origin
+    names = ", ".join(origin.removeprefix(f"{PICTURE}/") for origin in origins)
+    expected = "nothing: the playback has one camera" if PICTURE in origins else f"one of {names}, whose video it is"
+    raise InputError(Problem("--camera-name", "camera", "nothing" if camera is None else camera, expected))

@@ -6,10 +6,11 @@ import numpy as np
 import rerun as rr
 from rerun.components import FillMode
 
-from recon.motion import Motion, TrajectoryMotion
+from recon.motion import Motion, Picture, TrajectoryMotion
 from recon.rotations import quaternions
 from recon.view.scene import (
     CAMERA,
+    CAMERAS,
     DETECTION,
     GRID,
     GRID_MARGIN_M,
@@ -23,6 +24,7 @@ from recon.view.scene import (
     Floor,
     Scene,
     Send,
+    by_camera,
     joint_limbs,
     limb_colours,
     strips,
@@ -34,10 +36,10 @@ STANCE = 0.5
 
 
 def write_world(motion: Motion, scene: Scene, send: Send, fix: Fix) -> None:
-    camera, joints = motion.camera, motion.joints_m
+    joints = motion.joints_m
     if motion.frame_of_reference == "camera":
         fix("world", rr.ViewCoordinates.RDF)
-    elif camera.world_z_up:
+    elif motion.camera.world_z_up:
         fix("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP)
 
     limbs = [list(limb) for limb in motion.limbs.values()]
@@ -68,11 +70,21 @@ def write_world(motion: Motion, scene: Scene, send: Send, fix: Fix) -> None:
     send("world/trail", strips(rr.LineStrips3D, steps))
 
     _write_ground(scene, send, fix)
-    if camera.rotation is not None:
-        fix("world/camera", rr.Transform3D(translation=scene.camera_m, mat3x3=camera.rotation.T))
-    distance = float(np.linalg.norm(scene.centre_m - scene.camera_m))
+    for entity, picture in zip(by_camera(CAMERAS, motion.pictures), motion.pictures, strict=True):
+        _write_camera(entity, picture, motion.frame_of_reference == "world", scene, send, fix)
+
+
+def _write_camera(entity: str, picture: Picture, placed: bool, scene: Scene, send: Send, fix: Fix) -> None:
+    """Its frustum. placed: not the origin."""
+    camera, pose = picture.camera, picture.T_reference_camera
+    if pose.ndim == 3:
+        send(entity, rr.Transform3D.columns(translation=pose[:, :3, 3], mat3x3=pose[:, :3, :3]))
+    elif placed:
+        fix(entity, rr.Transform3D(translation=pose[:3, 3], mat3x3=pose[:3, :3]))
+    centre_m = np.nanmean(pose[..., :3, 3].reshape(-1, 3), axis=0)
+    distance = float(np.linalg.norm(scene.centre_m - centre_m))
     fix(
-        "world/camera",
+        entity,
         rr.Pinhole(
             image_from_camera=camera.matrix,
             resolution=camera.image_size_px,
