@@ -36,6 +36,10 @@ class _Input(_Part):
     camera: dict[str, Any]
 
 
+class _Camera(_Part):
+    camera: dict[str, Any]
+
+
 class _Side(_Part):
     fitted: Literal["left", "right"] | None
 
@@ -76,16 +80,22 @@ class _Frame(_Part):
 class _Outlier(_Part):
     frame: int
     keypoint: str
+    camera: str | None = None
+
+
+_Errors = list[list[list[Number | None]]]
 
 
 class _ImageError(_Part):
-    values: list[list[list[Number | None]]]
+    values: _Errors
+    others: list[_Errors] = []
 
 
 class _Report(_Part):
     method: Literal["trajectory", "frame"]
     settings: _Settings
     input: _Input
+    cameras: list[_Camera] = []
     side: _Side
     skeleton: _Skeleton
     root_path: _RootPath
@@ -96,8 +106,8 @@ class _Report(_Part):
     spells: list[_Spell] = []
 
 
-def require_fields(report: dict[str, Any], path: Path) -> Camera:
-    """The camera of a report whose fields are there and of the right kinds. Raises InputError."""
+def require_fields(report: dict[str, Any], path: Path) -> tuple[Camera, ...]:
+    """The cameras of a report whose fields are there and of the right kinds. Raises InputError."""
     try:
         parsed = _Report.model_validate(report)
     except ValidationError as error:
@@ -107,10 +117,17 @@ def require_fields(report: dict[str, Any], path: Path) -> Camera:
         ) from None
     if parsed.method == "trajectory" and parsed.size is None:
         raise InputError(Problem(path, "size", "nothing", AS_WRITTEN))
-    try:
-        return Camera.from_dict(parsed.input.camera)
-    except (ValueError, KeyError, TypeError, OverflowError, AttributeError) as error:
-        raise InputError(Problem(path, "input.camera", str(error)[:200], AS_WRITTEN)) from None
+    described = {"input.camera": parsed.input.camera}
+    described |= {f"cameras.{v}.camera": part.camera for v, part in enumerate(parsed.cameras[1:], start=1)}
+    cameras, problems = [], []
+    for field, camera in described.items():
+        try:
+            cameras.append(Camera.from_dict(camera))
+        except (ValueError, KeyError, TypeError, OverflowError, AttributeError) as error:
+            problems.append(Problem(path, field, str(error)[:200], AS_WRITTEN))
+    if problems:
+        raise InputError(problems)
+    return tuple(cameras)
 
 
 def require_fitting(report: dict[str, Any], pose: Pose3D, path: Path) -> None:
@@ -118,7 +135,8 @@ def require_fitting(report: dict[str, Any], pose: Pose3D, path: Path) -> None:
     parsed = _Report.model_validate(report)
     skeleton, (T, J) = parsed.skeleton, pose.xyz_m.shape[:2]
     frames = set(pose.frames.tolist())
-    errors = parsed.image_error_px.values
+    errors = (parsed.image_error_px.values, *parsed.image_error_px.others)
+    names = {camera.camera.get("name") for camera in parsed.cameras}
     checks = {
         "skeleton.keypoints": sorted(skeleton.keypoints) == sorted(pose.names),
         "skeleton.joints": len(skeleton.joints) == len(set(skeleton.joints)) == J,
@@ -126,9 +144,16 @@ def require_fitting(report: dict[str, Any], pose: Pose3D, path: Path) -> None:
         "skeleton.feet": set((skeleton.feet or {}).values()) <= set(pose.names),
         "root_path.keypoint": parsed.root_path.keypoint in pose.names,
         "frames": len(parsed.frames) == T,
-        "outliers": all(o.frame in frames and o.keypoint in pose.names for o in parsed.outliers),
-        "image_error_px.values": np.array([[len(row) for row in joint] for joint in errors], object).shape == (J, 2)
-        and all(len(row) == T for joint in errors for row in joint),
+        "outliers": all(
+            o.frame in frames and o.keypoint in pose.names and (o.camera is None or o.camera in names)
+            for o in parsed.outliers
+        ),
+        "image_error_px.values": all(
+            np.array([[len(row) for row in joint] for joint in of_one], object).shape == (J, 2)
+            and all(len(row) == T for joint in of_one for row in joint)
+            for of_one in errors
+        ),
+        "image_error_px.others": len(errors) == max(len(parsed.cameras), 1),
     }
     problems = [
         Problem(path, field, "something else than pose3d.csv has", AS_WRITTEN) for field, ok in checks.items() if not ok

@@ -46,20 +46,35 @@ class Results:
 
     pose: in the upright frame. states (T, D): the rows of angles.csv, in the units and the frame that it has. sigma_m,
     relative_sigma_m (T, J, 3): one standard deviation along the upright frame's axes, of the joints' positions and of
-    those relative to the mean of all joints; None where the method gives none. camera: as it was for the fit. manifest:
-    of the run, for those who read more of its files.
+    those relative to the mean of all joints; None where the method gives none. cameras: as they were for the fit.
+    manifest: of the run, for those who read more of its files.
     """
 
     folder: Path
     manifest: Manifest
     report: dict[str, Any]
     fps: float
-    camera: Camera
+    cameras: tuple[Camera, ...]
     skeleton: Skeleton | Body
     pose: Pose3D
     states: Array
     sigma_m: Array | None
     relative_sigma_m: Array | None
+
+    @property
+    def camera(self) -> Camera:
+        """The first, or only one."""
+        return self.cameras[0]
+
+    def track(self, number: int) -> dict[str, Any] | None:
+        """Where a camera was that moves, see `cameras` in docs/report.md; None of one that stands still."""
+        written = self.report.get("cameras")
+        return written[number].get("track") if written else None
+
+    @property
+    def R_upright_reference(self) -> Array:
+        """(3, 3): rotation from the frame of reference that the fit's files have."""
+        return _upright_from_reference(self.camera)
 
     @property
     def method(self) -> str:
@@ -154,7 +169,8 @@ def read_results(folder: str | Path) -> Results:
     folder = Path(folder)
     manifest = _manifest(folder)
     report = _report(folder / REPORT)
-    camera = require_fields(report, folder / REPORT)
+    cameras = require_fields(report, folder / REPORT)
+    camera = cameras[0]
     skeleton, pose, states = all_of(
         lambda: load_skeleton(_skeleton_name(report), report["settings"].get("subject")),
         lambda: read_pose3d(folder / "pose3d.csv"),
@@ -173,7 +189,7 @@ def read_results(folder: str | Path) -> Results:
         manifest=manifest,
         report=report,
         fps=float(report["input"]["fps"]),
-        camera=camera,
+        cameras=cameras,
         skeleton=skeleton,
         pose=Pose3D(pose.names, _upright(camera, pose.xyz_m), pose.frames, pose.source),
         states=states,

@@ -13,8 +13,9 @@ from recon.errors import InputError
 from recon.export import TRAJECTORY_OUTPUTS
 from recon.export.deeplabcut import write_keypoints_csv
 from recon.io import read_keypoints
+from recon.manifest import read_manifest
 from recon.motion import FrameMotion, TrajectoryMotion
-from recon.pipelines.clip import OUTPUT_FILES, fit_clip, fit_frames, fit_trajectory, prepare, write_clip
+from recon.pipelines.clip import OUTPUT_FILES, fit_clip, fit_frames, fit_trajectory, prepare, run_clip, write_clip
 from recon.pipelines.demo import samples_folder
 from recon.settings import FitSettings
 from recon.skeleton_file import builtin_chains, load_skeleton
@@ -170,3 +171,29 @@ def test_a_pose_out_of_sight_is_not_converged():
     point = np.full((2, 9, 2), 700.0) + np.linspace(0, 0.5, 9)[:, None]
     solution = solve_frames(camera, load_skeleton("cheetah-8u"), point, np.ones((2, 9)), 30.0, FrameOptions())
     assert all(r is not None and r.status == "not_converged" and not r.in_view for r in solution.reports)
+
+
+# -- several cameras ------------------------------------------------------------------------------------------------
+
+
+def test_a_run_with_fewer_cameras_leaves_no_tables_of_others(two_cameras, world_trajectory, tmp_path):
+    """Not even where no manifest names them, as after a run that was killed."""
+    settings, out = sample(), tmp_path / "out"
+    write_clip(two_cameras, settings, out)
+    of_cameras = {"reprojection_cam1.csv", "reprojection_cam2.csv"}
+    assert {p.name for p in out.iterdir()} == {*OUTPUT_FILES} - {"reprojection.csv"} | of_cameras
+    assert of_cameras < read_manifest(out).files.keys()
+    (out / "manifest.json").unlink()
+    write_clip(world_trajectory, settings, out)
+    assert {p.name for p in out.iterdir()} == {*OUTPUT_FILES}
+    write_clip(two_cameras, settings, out)
+    assert not (out / "reprojection.csv").exists()
+
+
+def test_tables_of_cameras_are_results(two_cameras, tmp_path):
+    write_clip(two_cameras, sample(), tmp_path)
+    for path in tmp_path.iterdir():
+        if not path.name.startswith("reprojection_"):
+            path.unlink()
+    with pytest.raises(InputError, match=r"reprojection_cam1.csv, reprojection_cam2.csv in "):
+        run_clip(sample(), tmp_path)

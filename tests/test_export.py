@@ -11,6 +11,8 @@ from recon.export import (
     CLIP_OUTPUTS,
     TRAJECTORY_OUTPUTS,
     angles_csv,
+    camera_files,
+    of_any_camera,
     pose3d_csv,
     pose3d_sigma_csv,
     quality_csv,
@@ -118,3 +120,26 @@ def test_every_writer_writes(motion, tmp_path, request):
         assert text.count(b"\n") >= 7
         assert b"\r" not in text
         assert b"nan" not in text
+
+
+def test_every_camera_has_its_table(two_cameras, tmp_path):
+    write_tables(two_cameras, tmp_path)
+    names = {path.name for path in tmp_path.glob("reprojection*")}
+    assert names == {"reprojection_cam1.csv", "reprojection_cam2.csv"} == {*of_any_camera(tmp_path)}
+    for picture in two_cameras.pictures:
+        table = read_keypoints(tmp_path / f"reprojection_{picture.name}.csv")
+        np.testing.assert_allclose(table.xy_px, picture.reprojected_px, rtol=1e-12)
+    quality = pd.read_csv(tmp_path / "quality.csv")
+    assert quality["detections"].tolist() == two_cameras.detections.tolist()
+    np.testing.assert_allclose(quality["mean_weight"], two_cameras.mean_weight)
+
+
+def test_files_of_cameras_with_any_names():
+    assert camera_files("a.csv", ["x/y"]) == ["a.csv"]
+    assert camera_files("a.csv", ["x/y", "x y", "", "Cam", "cam"]) == [
+        "a_x-y.csv",
+        "a_x-y-2.csv",
+        "a_3.csv",
+        "a_Cam.csv",
+        "a_cam-5.csv",
+    ]

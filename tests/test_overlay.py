@@ -224,3 +224,35 @@ def test_command(folder, video, tmp_path):
     assert "8 frames at 1 times their speed (30 a second)" in done.stdout
     assert isinstance(CliRunner().invoke(app, args).exception, InputError)
     assert CliRunner().invoke(app, [*args, "--overwrite", "-q"]).stdout == ""
+
+
+# -- several cameras ------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def filmed_twice(two_cameras, tmp_path_factory) -> Path:
+    return folder_of(two_cameras, tmp_path_factory.mktemp("several") / "run")
+
+
+@pytest.mark.parametrize("number", [0, 1])
+def test_each_camera_has_its_picture(filmed_twice, two_cameras, number):
+    result, picture = read_results(filmed_twice), two_cameras.pictures[number]
+    assert [camera.name for camera in result.cameras] == ["cam1", "cam2"]
+    overlay = overlay_of(result, number=number)
+    np.testing.assert_allclose(overlay.reprojected_px, picture.reprojected_px, atol=1e-6)
+    np.testing.assert_allclose(overlay.detected_px, picture.detected_px, atol=1e-5)
+    np.testing.assert_array_equal(overlay.outliers, picture.outliers)
+    relative = picture.joints_camera_m[..., 2] - picture.joints_camera_m[..., 2].mean(axis=1, keepdims=True)
+    scale = np.percentile(np.abs(relative), 95)
+    np.testing.assert_allclose(overlay.nearness, np.clip(-relative / scale, -1, 1), atol=1e-6)
+
+
+def test_the_camera_of_the_video_is_chosen_by_name(filmed_twice, folder, video, tmp_path):
+    out = tmp_path / "o.avi"
+    run = run_overlay(filmed_twice, video, out, first_frame=7, camera="cam2")
+    assert run.frames == 8
+    for camera in (None, "cam3"):
+        with pytest.raises(InputError, match="expected one of cam1, cam2, whose video it is"):
+            run_overlay(filmed_twice, video, tmp_path / "p.avi", first_frame=7, camera=camera)
+    with pytest.raises(InputError, match="expected one of cam1, whose video it is"):
+        run_overlay(folder, video, tmp_path / "p.avi", first_frame=7, camera="cam2")

@@ -257,6 +257,9 @@ def test_results_that_are_replaced_while_they_are_read(whole_results, tmp_path, 
         ("frames", [], "frames: found something else"),
         ("outliers", [{"frame": 999, "keypoint": "nose"}], "outliers: found something else"),
         ("image_error_px.values", [[1.0]], "image_error_px.values.0.0: found 1.0"),
+        ("image_error_px.others", [[]], "image_error_px.values: found something else"),
+        ("cameras", [{"camera": {}}] * 2, "cameras.1.camera: found 'name'"),
+        ("cameras.0.camera.name", "other", "outliers: found something else"),
         ("spells", [{"frames": [0]}], "spells.0.frames: found [0]"),
     ],
 )
@@ -266,7 +269,7 @@ def test_altered_fields_of_a_report(tmp_path, whole_results, field, value, said)
     *parts, last = field.split(".")
     holder = report
     for part in parts:
-        holder = holder[part]
+        holder = holder[int(part) if part.isdigit() else part]
     holder[last] = value
     (folder / "report.json").write_text(json.dumps(report), encoding="utf-8")
     write_manifest(folder)

@@ -16,6 +16,9 @@ def overlay(
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of results, as in results/clip.")],
     video: Annotated[Path, typer.Option(help="The video that the keypoints came from, as in clip.mp4.")],
     out: Annotated[Path, typer.Option(help="The new video, .mp4 (MPEG-4) or .avi (Motion JPEG), as in overlay.mp4.")],
+    camera_name: Annotated[
+        str | None, typer.Option(help="Whose video it is, of a clip with several cameras, as in cam2.")
+    ] = None,
     first_frame: Annotated[
         int, typer.Option(help="Number that the video's first frame has in the keypoint file, if it was cut.")
     ] = 0,
@@ -44,6 +47,7 @@ def overlay(
             video,
             out,
             first_frame=first_frame,
+            camera=camera_name,
             speed=speed,
             overwrite=overwrite,
             progress=lambda stage, share: bar.update(task, description=stage, completed=share),

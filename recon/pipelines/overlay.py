@@ -10,10 +10,10 @@ import cv2
 import numpy as np
 
 from recon.body import Side
-from recon.camera import Camera, FloatArray
+from recon.camera import FloatArray
 from recon.errors import InputError, Problem, all_of
+from recon.export import camera_files
 from recon.files import require_free_file
-from recon.frames import level_axes
 from recon.io import read_keypoints
 from recon.keypoints import Keypoints
 from recon.overlay import LEFT, MIDDLE, RIGHT, Colour, Overlay, canvas_size, draw_frame
@@ -45,24 +45,27 @@ def run_overlay(
     out: Path,
     *,
     first_frame: int = 0,
+    camera: str | None = None,
     speed: float | None = None,
     overwrite: bool = False,
     progress: Progress = lambda stage, share: None,
 ) -> OverlayRun:
     """`recon overlay`: every frame of a result's clip, drawn on the video that it came from.
 
-    first_frame: the number that the video's first frame has in the result. speed: of the playback. Raises InputError,
-    with every problem, for inputs that do not belong together; then nothing is written.
+    first_frame: the number that the video's first frame has in the result. camera: whose video it is, by name, which
+    may be left out where the result has one. speed: of the playback. Raises InputError, with every problem, for inputs
+    that do not belong together; then nothing is written.
     """
     result, info, _ = all_of(
         lambda: read_results(folder), lambda: probe(video), lambda: _check_out(out, overwrite, video)
     )
+    number = _number(result, camera)
     if speed is None:
         speed = min(1.0, SLOW_FPS / result.fps)
     zoom = -(-MIN_WIDTH_PX // info.size_px[0])
     overlay, *_ = all_of(
-        lambda: overlay_of(result, speed, zoom),
-        lambda: _check_video(result, video, info, first_frame),
+        lambda: overlay_of(result, speed, zoom, number),
+        lambda: _check_video(result, number, video, info, first_frame),
         lambda: _speed(speed),
     )
     rows = {int(frame): t for t, frame in enumerate(result.pose.frames)}
@@ -85,16 +88,31 @@ def run_overlay(
     return OverlayRun(written, fps, speed)
 
 
-def overlay_of(result: Results, speed: float = 1.0, zoom: int = 1) -> Overlay:
-    """What there is to draw of a result, on pictures enlarged by zoom. Raises InputError where its files do not fit
-    each other."""
-    reprojected = _reprojection(result)
+def _number(result: Results, camera: str | None) -> int:
+    """Which of the result's cameras is meant. Raises InputError."""
+    names = [one.name for one in result.cameras]
+    if camera in names:
+        return names.index(camera)
+    if camera is None and len(names) == 1:
+        return 0
+    found = "nothing" if camera is None else camera
+    raise InputError(Problem("--camera-name", "camera", found, f"one of {', '.join(names)}, whose video it is"))
+
+
+def overlay_of(result: Results, speed: float = 1.0, zoom: int = 1, number: int = 0) -> Overlay:
+    """What there is to draw of a result in a camera's picture, by its number, enlarged by zoom. Raises InputError
+    where its files do not fit each other."""
+    reprojected = _reprojection(result, number)
     # Reprojected less detected, joints x {x, y} x frames; null is None, which becomes NaN.
-    errors = np.array(result.report["image_error_px"]["values"], dtype=float).transpose(2, 0, 1)
+    values = result.report["image_error_px"]["values"]
+    values = result.report["image_error_px"]["others"][number - 1] if number else values
+    errors = np.array(values, dtype=float).transpose(2, 0, 1)
     at = {name: j for j, name in enumerate(result.pose.names)}
     row = {int(frame): t for t, frame in enumerate(result.pose.frames)}
     outliers = np.zeros(errors.shape[:2], dtype=bool)
     for outlier in result.report["outliers"]:
+        if outlier.get("camera", result.camera.name) != result.cameras[number].name:
+            continue
         outliers[row[outlier["frame"]], at[outlier["keypoint"]]] = True
     rear, front = (at[name] for name in result.forward)
     return Overlay(
@@ -105,7 +123,7 @@ def overlay_of(result: Results, speed: float = 1.0, zoom: int = 1) -> Overlay:
         detected_px=_enlarged(reprojected.xy_px - errors, zoom),
         reprojected_px=_enlarged(reprojected.xy_px, zoom),
         outliers=outliers,
-        depth_m=result.pose.xyz_m @ viewing_direction(result.camera),
+        depth_m=np.einsum("tjk,tk->tj", result.pose.xyz_m, _viewing_directions(result, number)),
         upright_m=result.pose.xyz_m,
         trunk=(rear, front),
         flags=[frame["flags"] for frame in result.report["frames"]],
@@ -118,16 +136,19 @@ def _enlarged(xy_px: FloatArray, zoom: int) -> FloatArray:
     return zoom * xy_px + 0.5 * (zoom - 1)
 
 
-def viewing_direction(camera: Camera) -> FloatArray:
-    """Unit vector (3,) along the camera's axis, in the upright frame (`recon.results`)."""
-    if camera.knows_up and camera.rotation is not None:
-        return camera.rotation[2]
-    right, away = level_axes(camera.up)
-    return np.array([right[2], away[2], camera.up[2]])
+def _viewing_directions(result: Results, number: int) -> FloatArray:
+    """(T, 3): unit vectors along a camera's axis in the upright frame (`recon.results`), zero where it is not known."""
+    track = result.track(number)
+    if track is not None:
+        return np.nan_to_num(np.array(track["rotation"], dtype=float)[:, 2])
+    rotation = result.cameras[number].rotation
+    ahead = np.array([0.0, 0.0, 1.0]) if rotation is None else rotation[2]
+    return np.tile(result.R_upright_reference @ ahead, (len(result.pose.frames), 1))
 
 
-def _reprojection(result: Results) -> Keypoints:
-    path = result.folder / "reprojection.csv"
+def _reprojection(result: Results, number: int) -> Keypoints:
+    files = camera_files("reprojection.csv", [camera.name for camera in result.cameras])
+    path = result.folder / files[number]
     result.manifest.require(path.name)
     found = read_keypoints(path)
     result.manifest.require_same()
@@ -136,9 +157,9 @@ def _reprojection(result: Results) -> Keypoints:
     return found
 
 
-def _check_video(result: Results, video: Path, info: VideoInfo, first_frame: int) -> None:
+def _check_video(result: Results, number: int, video: Path, info: VideoInfo, first_frame: int) -> None:
     problems = []
-    size = result.camera.image_size_px
+    size = result.cameras[number].image_size_px
     if info.size_px != size:
         expected = f"{size[0]}x{size[1]}, the size that the camera is calibrated for"
         problems.append(Problem(video, "size", f"{info.size_px[0]}x{info.size_px[1]}", expected))
