@@ -6,7 +6,7 @@ Built-in skeletons are the files of `recon/skeletons`, built-in subjects (one an
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from importlib import resources
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar, overload
@@ -233,6 +233,27 @@ def _parsed(kind: type[_File], raw: dict[str, Any], source: str) -> tuple[_File 
             )
             for e in error.errors()
         ]
+
+
+def subject_toml(skeleton: str | Path, body: Body, title: str, notes: Sequence[str] = ()) -> str:
+    """The text of a subject file: the lengths and keypoint offsets of a body, of that skeleton. notes: comments."""
+    import tomli_w
+
+    raw, source = _read(skeleton)
+    file, _ = _parsed(_BodyFile, raw, source)
+    if file is None:
+        raise ValueError(f"{source} is no skeleton of a whole animal")
+    placed = {item.name: item.offset_m for item in (*body.tree.segments, *body.tree.markers)}
+    given = [item.name for item in (*file.segments[1:], *file.markers)]
+    offsets = {marker.name: body.keypoint_offset_m.get(marker.name) for marker in file.markers}
+    plain = {
+        "skeleton": file.name,
+        "title": title,
+        "size_sigma": round(body.size_sigma, 4),
+        "at_m": {name: [round(x, 4) for x in placed[name]] for name in given if any(placed[name])},
+        "keypoint_offset_m": {name: [round(x, 4) for x in at] for name, at in offsets.items() if at is not None},
+    }
+    return "".join(f"# {note}\n" for note in notes) + tomli_w.dumps(plain)
 
 
 # -- chains -------------------------------------------------------------------------------------------------------

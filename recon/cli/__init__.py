@@ -24,6 +24,7 @@ from recon.cli.predict import predict
 from recon.cli.prior import prior_fit
 from recon.cli.retarget import retarget
 from recon.cli.skeleton import skeleton_app
+from recon.cli.subject import subject_fit
 from recon.cli.train import train
 from recon.cli.view import view
 from recon.errors import InputError
@@ -63,6 +64,11 @@ prior_app = typer.Typer(help="Motion priors: which poses occur, and how they cha
 prior_app.command("fit")(prior_fit)
 app.add_typer(prior_app, name="prior")
 app.add_typer(skeleton_app, name="skeleton")
+subject_app = typer.Typer(
+    help="Measured animals: lengths of one animal, and how a detector sees it.", no_args_is_help=True
+)
+subject_app.command("fit")(subject_fit)
+app.add_typer(subject_app, name="subject")
 
 
 def main() -> None:

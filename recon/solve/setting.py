@@ -97,6 +97,22 @@ class Setting:
     ground_near_zero: bool
     """Whether the ground is known to lie near the world's z = 0."""
 
+    @classmethod
+    def of(
+        cls,
+        views: Sequence[View],
+        body: Body,
+        prior: MotionPrior,
+        fps: float,
+        options: TrajectoryOptions,
+        ground_near_zero: bool | None = None,
+    ) -> Setting:
+        """Of a whole clip: see `recon.solve.trajectory.solve_trajectory`."""
+        if ground_near_zero is None:
+            ground_near_zero = all(view.camera.knows_up for view in views)
+        views = tuple(view.credible() for view in views)
+        return cls(views, body, prior, fps, options, np.mean(views[0].centre_m, axis=0), ground_near_zero)
+
     def __len__(self) -> int:
         """T"""
         return len(self.views[0].xy_px)

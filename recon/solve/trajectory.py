@@ -22,7 +22,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -82,17 +82,9 @@ def solve_trajectory(
     times as long on a machine that is busy otherwise.
     """
     began = time.perf_counter()
-    if ground_near_zero is None:
-        ground_near_zero = all(view.camera.knows_up for view in views)
-    views = [view.credible() for view in views]
-    origin_m = np.mean(views[0].centre_m, axis=0)
-    setting = Setting(tuple(views), body, prior, fps, options or TrajectoryOptions(), origin_m, ground_near_zero)
-    spells = _spells(setting.present().sum(axis=1) >= MIN_JOINTS, fps)
-    solved = []
+    setting = Setting.of(views, body, prior, fps, options or TrajectoryOptions(), ground_near_zero)
     with threadpool_limits(1, user_api="blas"):
-        for i, spell in enumerate(spells):
-            report = lambda stage, share, i=i: progress(stage, (i + share) / len(spells))  # noqa: E731
-            solved.append(_solve_spell(setting.part(spell), spell, report))
+        solved = solve_spells(setting, progress)
         return _solution(setting, solved, began)
 
 
@@ -112,21 +104,23 @@ def _spells(usable: NDArray[np.bool_], fps: float) -> list[slice]:
 # -- one spell -----------------------------------------------------------------------------------------------------
 
 
-@dataclass(eq=False)
-class _Solved:
+@dataclass(frozen=True, eq=False)
+class Solved:
     """A solved spell of n frames."""
 
     rows: slice
     """Of the clip."""
     estimate: Estimate
     problem: Problem
+    noise: Array
+    """(V, J): variances of the detections relative to the expected ones."""
     noise_px: Array
     """(V, n, J)"""
     contact: Array
     """(n, F)"""
     ground: Ground | None
     """At nominal size about the origin."""
-    windows: list[tuple[slice, list[Approached]]]
+    windows: list[tuple[slice, list[Approached]]] = field(default_factory=list)
     stage_s: dict[str, float] = field(default_factory=dict)
     iterations: int = 0
 
@@ -135,11 +129,24 @@ class _Solved:
         return self.estimate.shared.get(SIZE, 1.0)
 
 
-def _solve_spell(setting: Setting, rows: slice, progress: Progress) -> _Solved:
+def solve_spells(setting: Setting, progress: Progress = lambda stage, share: None) -> list[Solved]:
+    """Every stretch of a clip between which nothing is seen for long."""
+    spells = _spells(setting.present().sum(axis=1) >= MIN_JOINTS, setting.fps)
+    return [
+        _solve_spell(setting.part(rows), rows, lambda stage, share, i=i: progress(stage, (i + share) / len(spells)))
+        for i, rows in enumerate(spells)
+    ]
+
+
+def refined(setting: Setting, solved: Solved) -> Solved:
+    """One more round from a solution, of the clip's setting that may have changed a little."""
+    return _round(setting.part(solved.rows), solved, 1.0, whole=True)
+
+
+def _solve_spell(setting: Setting, rows: slice, progress: Progress) -> Solved:
     o, T = setting.options.as_run(), len(setting)
     clock = time.perf_counter()
     windows = _windows(setting, progress)
-    estimate = Estimate(_joined(T, windows), np.inf, 0, False)
     iterations = sum(a.estimate.iterations for _, starts in windows for a in starts)
     began, clock = clock, time.perf_counter()
     stage_s = {"starts": clock - began}
@@ -151,24 +158,40 @@ def _solve_spell(setting: Setting, rows: slice, progress: Progress) -> _Solved:
     ]
     if len(windows) > 1:
         steps.insert(0, (None, False))
-    contact, ground, contact_terms = np.zeros((T, len(setting.feet))), None, ()
+    estimate = Estimate(_joined(T, windows), np.inf, 0, False)
     noise = np.ones((len(setting.views), len(setting.body.markers)))
-    problem, noise_px = None, np.zeros(0)
+    nothing = Problem(setting.body.detected, [], [])
+    solved = Solved(rows, estimate, nothing, noise, np.zeros(0), np.zeros((T, len(setting.feet))), None)
     for i, (temperature, whole) in enumerate(steps):
-        points, size = setting.markers(estimate.states), estimate.shared.get(SIZE, 1.0)
-        if whole:
-            noise = _noise_factors(setting, points, size, noise)
-            if o.ground == "auto" and len(setting.feet) and T > 2:
-                contact, ground, contact_terms = contacts(setting, points, size)
-        noise_px = setting.noise_px(points, noise, size)
-        problem = setting.problem(noise_px, temperature, contact_terms, size_free=True)
-        limit, tolerance = (o.max_iterations, o.tolerance) if whole else (8, 1e-3)
-        estimate = problem.minimise(estimate.states, tolerance, limit, estimate.shared or None)
-        iterations += estimate.iterations
+        solved = _round(setting, solved, temperature, whole)
         progress("whole clip", 0.4 + 0.6 * (i + 1) / len(steps))
-    assert problem is not None
     stage_s["whole clip"] = time.perf_counter() - clock
-    return _Solved(rows, estimate, problem, noise_px, contact, ground, windows, stage_s, iterations)
+    return replace(solved, windows=windows, stage_s=stage_s, iterations=solved.iterations + iterations)
+
+
+def _round(setting: Setting, solved: Solved, temperature: float | None, whole: bool) -> Solved:
+    """The minimum from a solution; whole: with the noise, the contacts and the ground that follow from it."""
+    o = setting.options.as_run()
+    estimate, noise, contact, ground, contact_terms = solved.estimate, solved.noise, solved.contact, solved.ground, ()
+    points, size = setting.markers(estimate.states), estimate.shared.get(SIZE, 1.0)
+    if whole:
+        noise = _noise_factors(setting, points, size, noise)
+        if o.ground == "auto" and len(setting.feet) and len(setting) > 2:
+            contact, ground, contact_terms = contacts(setting, points, size)
+    noise_px = setting.noise_px(points, noise, size)
+    problem = setting.problem(noise_px, temperature, contact_terms, size_free=True)
+    limit, tolerance = (o.max_iterations, o.tolerance) if whole else (8, 1e-3)
+    estimate = problem.minimise(estimate.states, tolerance, limit, estimate.shared or None)
+    return replace(
+        solved,
+        estimate=estimate,
+        problem=problem,
+        noise=noise,
+        noise_px=noise_px,
+        contact=contact,
+        ground=ground,
+        iterations=solved.iterations + estimate.iterations,
+    )
 
 
 def _windows(setting: Setting, progress: Progress) -> list[tuple[slice, list[Approached]]]:
@@ -214,7 +237,7 @@ def _noise_factors(setting: Setting, points_m: Array, size: float, factors: Arra
 # -- the result ----------------------------------------------------------------------------------------------------
 
 
-def _solution(setting: Setting, solved: Sequence[_Solved], began: float) -> TrajectorySolution:
+def _solution(setting: Setting, solved: Sequence[Solved], began: float) -> TrajectorySolution:
     T, V, J, F = len(setting), len(setting.views), len(setting.body.markers), len(setting.feet)
     clock = time.perf_counter()
     factor = max(setting.options.error_time_s * setting.fps, 1.0)
@@ -277,7 +300,7 @@ def _summed(tables: Sequence[dict[str, float]]) -> dict[str, float]:
 
 
 def _of_spell(
-    setting: Setting, one: _Solved, known: Posterior, size: float, size_sigma: float
+    setting: Setting, one: Solved, known: Posterior, size: float, size_sigma: float
 ) -> tuple[dict[str, Array], dict[str, Array]]:
     """The solution's arrays in the frames of one spell: those with a row a frame, and those of each view."""
     states = one.estimate.states + known.state_by_size * (size - one.size)
@@ -298,7 +321,7 @@ def _of_spell(
 
 
 def _size(
-    setting: Setting, solved: Sequence[_Solved], known: Sequence[Posterior]
+    setting: Setting, solved: Sequence[Solved], known: Sequence[Posterior]
 ) -> tuple[float, float, tuple[str, ...]]:
     """The size, its standard deviation, and what says it.
 
@@ -335,7 +358,7 @@ class _Second:
     extra_cost: float
 
 
-def _with_seconds(setting: Setting, one: _Solved, size: float, second: _Second) -> _Second:
+def _with_seconds(setting: Setting, one: Solved, size: float, second: _Second) -> _Second:
     """With those of one spell: where a second start was carried to the end."""
     apart_m, mirrored, extra_cost = second.apart_m.copy(), second.mirrored.copy(), second.extra_cost
     points = setting.body.tree.pose(one.estimate.states).points_m

@@ -1,0 +1,200 @@
+"""Several cameras: every run of a folder with one, two and all of its cameras, and animals measured in other runs.
+
+    python benchmarks/cameras.py [FOLDER]
+
+Each run is a folder as in `cheetah_runs.py`. Two: the named camera and the one that sees the animal from the most
+different direction. Errors are over all 24 joints. Without FOLDER: the cheetah-runs of $RECON_SHARED_DATA, or of
+../shared/data. One thread.
+"""
+
+from __future__ import annotations
+
+import os
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import argparse
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+from markdown_table import print_table
+from trajectory import INSIDE_90, SKELETON, body_of, meta_of, prior_of, truth_of
+
+from recon import Body, FitSettings
+from recon.clip import View, views_of
+from recon.pipelines.clip import prepare
+from recon.solve import TrajectoryOptions, TrajectorySolution, solve_trajectory
+from recon.solve.setting import Setting
+from recon.solve.shape import Shape, fit_shape
+
+PRIOR = "running-cheetah"
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """One run: its views by camera, and the truth (T, J, 3) on their frames, world frame."""
+
+    folder: Path
+    views: dict[int, View]
+    truth_m: np.ndarray
+
+    @property
+    def named(self) -> int:
+        return meta_of(self.folder)["monocular_camera"]
+
+    @property
+    def fps(self) -> float:
+        return meta_of(self.folder)["fps"]
+
+    @property
+    def subject(self) -> str:
+        return meta_of(self.folder)["subject"]
+
+
+@cache
+def run_of(folder: Path) -> Run:
+    cameras = meta_of(folder)["cameras"]
+    given = prepare(
+        FitSettings(
+            keypoints=tuple(folder / f"cam{c}.csv" for c in cameras),
+            camera=folder / "scene.json",
+            fps=meta_of(folder)["fps"],
+        )
+    )
+    frames, points_m = truth_of(folder)
+    _, here, there = np.intersect1d(given.sources[0].keypoints.frames, frames, return_indices=True)
+    truth_m = np.full((len(given.sources[0].keypoints.frames), *points_m.shape[1:]), np.nan)
+    truth_m[here] = points_m[there]
+    return Run(folder, dict(zip(cameras, views_of(given.sources), strict=True)), truth_m)
+
+
+def most_different(run: Run) -> int:
+    """The camera whose direction from the animal is the furthest from the named one's."""
+    middle = np.nanmean(run.truth_m, axis=(0, 1))
+    directions = {c: view.centre_m.mean(axis=0) - middle for c, view in run.views.items()}
+    unit = {c: d / np.linalg.norm(d) for c, d in directions.items()}
+    return min((c for c in unit if c != run.named), key=lambda c: float(unit[c] @ unit[run.named]))
+
+
+def solved(run: Run, cameras: Iterable[int], body: Body, **options: object) -> TrajectorySolution:
+    views = [run.views[c] for c in cameras]
+    return solve_trajectory(views, body, prior_of(PRIOR), run.fps, TrajectoryOptions(**options))  # type: ignore[arg-type]
+
+
+def errors(run: Run, solution: TrajectorySolution) -> dict[str, float]:
+    off = solution.joints_m - run.truth_m
+    centred = off - off.mean(axis=1, keepdims=True)
+    return {
+        "mpjpe_mm": 1000 * float(np.nanmean(np.linalg.norm(centred, axis=-1))),
+        "mpe_mm": 1000 * float(np.nanmean(np.linalg.norm(off, axis=-1))),
+        "pose inside 90 %": inside(centred, solution.relative_covariance_m2),
+        "place inside 90 %": inside(off, solution.covariance_m2),
+        "size": solution.size,
+        "size sigma": solution.size_sigma,
+        "solve_s": solution.stage_s["all"],
+    }
+
+
+def inside(off_m: np.ndarray, covariance_m2: np.ndarray) -> float:
+    known = np.isfinite(off_m).all(axis=-1)
+    e, C = off_m[known], covariance_m2[known] + 1e-12 * np.eye(3)
+    return float(np.mean(np.sum(e * np.linalg.solve(C, e[..., None])[..., 0], axis=-1) < INSIDE_90))
+
+
+def means(label: str, rows: Sequence[dict[str, float]]) -> dict:
+    return {"cameras": label} | {name: float(np.mean([row[name] for row in rows])) for name in rows[0]}
+
+
+def cameras_of(run: Run) -> dict[str, list[int]]:
+    others = [c for c in run.views if c != run.named]
+    return {"one": [run.named], "two": [run.named, most_different(run)], "all": [run.named, *others]}
+
+
+def accuracy(runs: Sequence[Run], known: bool) -> list[dict]:
+    """One, two and all cameras; known: with the lengths of the subject."""
+    rows: dict[str, list[dict[str, float]]] = {}
+    for run in runs:
+        body = body_of(run.subject if known else None)
+        for label, cameras in cameras_of(run).items():
+            rows.setdefault(label, []).append(errors(run, solved(run, cameras, body)))
+    return [means(label, found) for label, found in rows.items()]
+
+
+def left_out(runs: Sequence[Run]) -> list[dict]:
+    """Every camera left out once: reprojection of the others' pose into it, beside the truth's, same detections."""
+    rows = []
+    for run in runs:
+        found, true = [], []
+        for camera, view in run.views.items():
+            solution = solved(run, [c for c in run.views if c != camera], body_of(run.subject), fast=True)
+            for points_m, out in ((solution.markers_m, found), (run.truth_m, true)):
+                pixels, _ = view.project(view.at_its_time(points_m))
+                seen = view.present & np.isfinite(run.truth_m[..., 0]) & np.isfinite(solution.joints_m[..., 0])
+                out.append(np.linalg.norm(pixels - view.xy_px, axis=-1)[seen])
+        medians = [float(np.nanmedian(np.concatenate(values))) for values in (found, true)]
+        rows.append(
+            {"run": run.folder.name, "px": medians[0], "reference px": medians[1], "ratio": medians[0] / medians[1]}
+        )
+    return rows
+
+
+def measured(runs: Sequence[Run]) -> list[dict]:
+    """Offsets of the keypoints from the other runs, all cameras, then one camera of the run left out; all views."""
+    plain: list[dict[str, float]] = []
+    with_offsets: list[dict[str, float]] = []
+    named: dict[bool, list[dict[str, float]]] = {False: [], True: []}
+    for run in runs:
+        body = body_of(run.subject)
+        others = [
+            Setting.of(list(o.views.values()), body_of(o.subject), prior_of(PRIOR), o.fps, TrajectoryOptions())
+            for o in runs
+            if o is not run
+        ]
+        fit = fit_shape(Shape.of(body, lengths=False, offsets=True), others)
+        seen = replace(body, keypoint_offset_m=fit.shape.applied(body, fit.values).keypoint_offset_m)
+        for camera in run.views:
+            for offsets, animal, rows in ((False, body, plain), (True, seen, with_offsets)):
+                row = errors(run, solved(run, [camera], animal))
+                rows.append(row)
+                if camera == run.named:
+                    named[offsets].append(row)
+    return [
+        {
+            "offsets": "from the other runs" if offsets else "none",
+            "named mpjpe_mm": float(np.mean([r["mpjpe_mm"] for r in named[offsets]])),
+            "named mpe_mm": float(np.mean([r["mpe_mm"] for r in named[offsets]])),
+            "median of all views mpjpe_mm": float(np.median([r["mpjpe_mm"] for r in rows])),
+            "median of all views mpe_mm": float(np.median([r["mpe_mm"] for r in rows])),
+        }
+        for offsets, rows in ((False, plain), (True, with_offsets))
+    ]
+
+
+def main() -> None:
+    here = Path(__file__).resolve().parents[1]
+    default = Path(os.environ.get("RECON_SHARED_DATA", here.parent / "shared" / "data")) / "cheetah-runs"
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folder", nargs="?", type=Path, default=default)
+    folder = parser.parse_args().folder
+    runs = [run_of(path.parent) for path in sorted(folder.resolve().glob("*/meta.json"))]
+    if not runs:
+        raise SystemExit(f"no runs in {folder}")
+    for title, rows in (
+        (f"Measured lengths of {SKELETON}", lambda: accuracy(runs, known=True)),
+        ("Size not known", lambda: accuracy(runs, known=False)),
+        ("A camera left out: median reprojection into it", lambda: left_out(runs)),
+        ("One camera, keypoint offsets measured in the other runs", lambda: measured(runs)),
+    ):
+        show(title, rows())
+
+
+def show(title: str, rows: Sequence[dict]) -> None:
+    print(f"{title}\n")
+    print_table(rows[0], [[f"{v:.3g}" if isinstance(v, float) else v for v in row.values()] for row in rows])
+
+
+if __name__ == "__main__":
+    main()

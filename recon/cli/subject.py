@@ -1,0 +1,75 @@
+"""`recon subject`."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from rich.box import SIMPLE_HEAD
+from rich.table import Column, Table
+from rich.text import Text
+
+from recon.cli.common import terminal
+
+if TYPE_CHECKING:
+    from recon.pipelines.subject import SubjectFit
+
+
+def subject_fit(
+    clips: Annotated[
+        list[Path],
+        typer.Argument(metavar="CLIPS", help="Results of recon fit with several cameras, or their config.toml."),
+    ],
+    out: Annotated[Path, typer.Option(help="File for the subject, as in my-cat.toml.")],
+    lengths: Annotated[
+        bool, typer.Option("--lengths/--no-lengths", help="Measure the lengths of the segments, left equal to right.")
+    ] = True,
+    offsets: Annotated[
+        bool,
+        typer.Option("--offsets/--no-offsets", help="Measure where the detector's keypoints lie beside the markers."),
+    ] = False,
+    title: Annotated[str | None, typer.Option(help="Of the animal, in words. (default: made up)")] = None,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the file.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the table as JSON.")] = False,
+) -> None:
+    """Measure one animal in clips that several cameras filmed, for `recon fit --subject`.
+
+    Example: recon subject fit results/run1 results/run2 --offsets --out my-cat.toml
+    """
+    from recon.pipelines.subject import run_subject_fit
+
+    found = run_subject_fit(clips, out, lengths, offsets, title, overwrite)
+    if as_json:
+        typer.echo(json.dumps({"out": str(out), **found.to_dict()}, indent=1))
+        return
+    for table in _tables(found):
+        terminal().print(table)
+    if found.fit.shape.lengths:
+        typer.echo(f"Size: {found.size:.3f} ± {found.size_sigma:.3f} of the skeleton's lengths.")
+    if not found.fit.converged:
+        typer.echo("The last step was not small yet: more frames would say more.")
+    typer.echo(f"From {found.clips} clips, {found.frames} frames. The subject is in {out}: recon fit --subject {out}")
+
+
+def _tables(found: SubjectFit) -> Iterator[Table]:
+    rows, shape = list(found.rows()), found.fit.shape
+    first = len(shape.lengths)
+    if shape.lengths:
+        table = Table(Column("length of", no_wrap=True), box=SIMPLE_HEAD)
+        for heading in ("m", "±"):
+            table.add_column(heading, justify="right")
+        for name, value, sigma, _ in rows[:first]:
+            table.add_row(Text(name), f"{value:.3f}", f"{sigma:.3f}")
+        yield table
+    if shape.offsets:
+        table = Table(Column("keypoint off its marker, mm", no_wrap=True), box=SIMPLE_HEAD)
+        for heading in ("forwards", "left", "up", "±"):
+            table.add_column(heading, justify="right")
+        for i, name in enumerate(shape.offsets):
+            three = rows[first + 3 * i : first + 3 * i + 3]
+            sigma = max(s for _, _, s, _ in three)
+            table.add_row(Text(name), *(f"{value:.0f}" for _, value, _, _ in three), f"{sigma:.0f}")
+        yield table
