@@ -165,11 +165,11 @@ def test_too_few_poses(frame_results, tmp_path):
 # -- the command -----------------------------------------------------------------------------------------------------
 
 
-def test_command_writes_tables_figures_and_plots(of_results, whole_results, tmp_path, monkeypatch):
+def test_command_writes_tables_figures_and_plots(of_results, whole_results, monkeypatch):
     from rerun.chunk import RrdReader
 
     printed, ran_in = of_results("recon analyse results/clip")
-    monkeypatch.chdir(shutil.copytree(ran_in, tmp_path / "ran"))
+    monkeypatch.chdir(ran_in)
     folder = Path("results/clip")
     results = {path.name: path.read_bytes() for path in whole_results.iterdir()}
     assert "transverse gallop" in printed
@@ -188,6 +188,12 @@ def test_command_writes_tables_figures_and_plots(of_results, whole_results, tmp_
     entities = {chunk.entity_path for chunk in RrdReader(folder / "analysis" / "analysis.rrd").stream()}
     assert {"/analysis/speed", "/analysis/gait/ground/l_back_paw", "/analysis/links/trunk"} <= entities
 
+
+def test_command_writes_over_an_analysis_only_if_asked_to(of_results, tmp_path, monkeypatch):
+    _, ran_in = of_results("recon analyse results/clip")
+    monkeypatch.chdir(shutil.copytree(ran_in, tmp_path / "ran"))
+    folder = Path("results/clip")
+    summary = json.loads((folder / "analysis" / "analysis.json").read_text(encoding="utf-8"))
     again = run("analyse", folder)
     assert again.code == 2
     assert "--overwrite" in again.err

@@ -144,6 +144,7 @@ def test_command_of_several_pages(command, of_results):
 @pytest.mark.usefixtures("small_pictures")
 def test_page(page, tmp_path, monkeypatch, whole_results, of_results):
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("recon.pipelines.batch.available_cores", lambda: 1)  # of the processes that fit many clips
     workshop, names, printed = Workshop(tmp_path, name_of(page), whole_results, of_results), {"__name__": "page"}, ""
     for block in blocks(page):
         where = f"{page.name}, line {block.line}"
