@@ -130,6 +130,11 @@ def test_command(folder, tmp_path):
     out = tmp_path / "out"
     ended = command("fit", *files, "--camera", folder / "scene.json", "--fps", 90, "--fast", "--out", out)
     assert ended.code == 0, ended.err
+    assert "run_cam1.csv, run_cam2.csv, frames 0 to 39 at 90 fps" in ended.out
+    report = json.loads((out / "report.json").read_text(encoding="utf-8"))
+    assert [camera["frames_seen"] for camera in report["cameras"]] == [40, 30]
+    assert report["cameras"][1]["points"]["missing"] == 10 * len(BODY.markers)
+    assert {path.name for path in out.glob("reprojection*")} == {"reprojection_cam1.csv", "reprojection_cam2.csv"}
     again = command("fit", "--config", out / "config.toml", "--out", tmp_path / "again")
     assert again.code == 0, again.err
     assert (out / "pose3d.csv").read_bytes() == (tmp_path / "again" / "pose3d.csv").read_bytes()

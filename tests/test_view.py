@@ -386,6 +386,9 @@ def test_cameras_stand_where_they_stand_and_move_where_they_move(filmed_twice: R
     rows = filmed_twice.frames["/world/camera/cam2"]
     places = [rows[frame]["Transform3D:translation"][0] for frame in range(10, 18)]
     np.testing.assert_allclose(places, [[10 + t, -8, 2.5] for t in range(8)], atol=1e-5)
+    names = filmed_twice.frames["/world/camera_names"]
+    np.testing.assert_allclose(names[17]["Points3D:positions"], [[1, 2, 3], [17, -8, 2.5]], atol=1e-5)
+    assert filmed_twice.static["/world/camera_names"]["Points3D:labels"] == ["cam1", "cam2"]
     for camera in ("cam1", "cam2"):
         assert filmed_twice.static[f"/world/camera/{camera}"]["Pinhole:resolution"] == [[1920, 1080]]
 

@@ -11,7 +11,8 @@ Entities of the recording; those without "(static)" have a row a frame, which is
   `picture/outliers`, `picture/reprojections` with the skeleton's lines in it, `picture/links` between the two.
 - `picture/video`: a video's frames, of a file that `recon.view.video` writes.
 - `closeup`: the same points, relative to the middle of the reprojected skeleton in each frame.
-- Of several cameras each has its own `world/camera/<name>`, `picture/<name>/...` and `closeup/<name>/...`.
+- Of several cameras each has its own `world/camera/<name>`, `picture/<name>/...` and `closeup/<name>/...`, and there is
+  `world/camera_names` (static, unless one moves).
 - `angles/...` in degrees: a chain's `theta` and `phi`, or the `left`, `right` and `middle` of a whole animal; `speed`
   of the reference point in m/s; `residuals`, mean and largest of the frame in px,
   of all cameras.

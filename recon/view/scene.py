@@ -62,7 +62,7 @@ class Scene:
 
     axes (3, 3): rows are two level unit vectors and the upward one. floors: the ground of every spell of the clip.
     low_m, high_m (3,): bounds of the animal over the clip along the axes. size_m: diagonal of the animal.
-    camera_m (3,): centre of projection.
+    camera_m (3,): centre of projection of the first camera, of one that moves the mean.
     """
 
     axes: Array
@@ -76,9 +76,10 @@ class Scene:
     def of(cls, motion: Motion) -> Scene:
         camera = motion.camera
         axes, centre = level_from_camera(camera.up), np.zeros(3)
-        if camera.has_extrinsics:
-            centre = camera.centre_world
-            axes = np.eye(3) if camera.world_z_up else camera.camera_to_world(axes) - centre
+        if motion.frame_of_reference == "world":
+            poses = motion.pictures[0].T_reference_camera.reshape(-1, 4, 4)
+            centre = poses[:, :3, 3].mean(axis=0)
+            axes = np.eye(3) if camera.world_z_up else axes @ poses[0, :3, :3].T
         joints = motion.joints_m[motion.solved] @ axes.T
         if not len(joints):
             floor = Floor(0, np.zeros(3), axes[2], -np.ones(2), np.ones(2))

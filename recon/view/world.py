@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import rerun as rr
 from rerun.components import FillMode
@@ -72,6 +74,8 @@ def write_world(motion: Motion, scene: Scene, send: Send, fix: Fix) -> None:
     _write_ground(scene, send, fix)
     for entity, picture in zip(by_camera(CAMERAS, motion.pictures), motion.pictures, strict=True):
         _write_camera(entity, picture, motion.frame_of_reference == "world", scene, send, fix)
+    if len(motion.pictures) > 1:
+        _write_camera_names(motion.pictures, send, fix)
 
 
 def _write_camera(entity: str, picture: Picture, placed: bool, scene: Scene, send: Send, fix: Fix) -> None:
@@ -94,6 +98,20 @@ def _write_camera(entity: str, picture: Picture, placed: bool, scene: Scene, sen
             line_width=-1.0,  # negative: on the screen, not in metres
         ),
     )
+
+
+def _write_camera_names(pictures: Sequence[Picture], send: Send, fix: Fix) -> None:
+    names = [picture.name for picture in pictures]
+    style = rr.Points3D.from_fields(colors=CAMERA, radii=rr.Radius.ui_points(2.0), labels=names, show_labels=True)
+    places_m = [picture.T_reference_camera[..., :3, 3] for picture in pictures]
+    if all(place.ndim == 1 for place in places_m):
+        fix("world/camera_names", rr.Points3D(places_m))
+    else:
+        T = len(pictures[0].reprojected_px)
+        by_frame = np.stack([np.broadcast_to(place, (T, 3)) for place in places_m], axis=1)
+        columns = rr.Points3D.columns(positions=by_frame.reshape(-1, 3))
+        send("world/camera_names", columns.partition([len(names)] * T))
+    fix("world/camera_names", style)
 
 
 def write_doubt(motion: TrajectoryMotion, scene: Scene, send: Send, fix: Fix) -> None:
