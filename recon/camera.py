@@ -180,9 +180,13 @@ class Camera:
         Trackers and interpolation carry points a little over the edge. What lies further out is a mistake, and a lens
         model has no say there.
         """
+        near = self.near(pixels)
+        return near & self.rays(np.where(near[..., None], np.asarray(pixels, dtype=float), np.nan))[1]
+
+    def near(self, pixels: npt.ArrayLike) -> BoolArray:
+        """Whether pixels (..., 2) lie no further outside the picture than it is wide and high."""
         uv, size = np.asarray(pixels, dtype=float), np.array(self.image_size_px)
-        near = np.asarray(((uv >= -size) & (uv <= 2 * size)).all(axis=-1))
-        return near & self.rays(np.where(near[..., None], uv, np.nan))[1]
+        return np.asarray(((uv >= -size) & (uv <= 2 * size)).all(axis=-1))
 
     # ---- the way back ----
 

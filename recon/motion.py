@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from recon.body import Body, Side
 from recon.camera import Camera
 from recon.clip import Source
-from recon.frames import inverse, moved, rigid
+from recon.frames import inverse, level_from_camera, moved, rigid
 from recon.keypoints import CleaningReport, Keypoints
 from recon.kinematics import ROOT, YAW
 from recon.skeleton import Skeleton
@@ -275,8 +275,18 @@ class Motion:
 
     @property
     def frame_of_reference(self) -> Literal["world", "camera"]:
-        """ "world" where the camera file has extrinsics, otherwise "camera"."""
-        return "world" if self.camera.has_extrinsics else "camera"
+        """ "world" where the camera file has extrinsics or the camera moves, otherwise "camera"."""
+        return "world" if self.camera.has_extrinsics or self.camera_moves else "camera"
+
+    @property
+    def camera_moves(self) -> bool:
+        """The first: along a track, in a world with z up."""
+        return self.sources[0].moves
+
+    @property
+    def knows_up(self) -> bool:
+        """Whether the frame of reference is a world with z up."""
+        return self.camera.knows_up or self.camera_moves
 
     @cached_property
     def joints_m(self) -> Array:
@@ -463,12 +473,24 @@ class TrajectoryMotion(Motion):
     skeleton: Skeleton | None = None
     others: tuple[Source, ...] = ()
     """What further cameras saw; `camera` and `keypoints` are the first one's."""
+    T_camera_world: Array | None = None
+    """(T, 4, 4): of a first camera that moves, as in `Source`."""
+    intrinsics_px: Array | None = None
+    """(T, 4): of one that zooms, likewise."""
 
     @property
     def sources(self) -> tuple[Source, ...]:
         """All cameras' parts, in the order of the solution's views."""
-        lead = self.solution.views[0].lead_frames
-        return (Source(self.camera, self.keypoints, self.cleaning, self.file_names, lead), *self.others)
+        first = Source(
+            self.camera,
+            self.keypoints,
+            self.cleaning,
+            self.file_names,
+            self.solution.views[0].lead_frames,
+            self.T_camera_world,
+            self.intrinsics_px,
+        )
+        return (first, *self.others)
 
     def _expected_names(self) -> tuple[str, ...]:
         if self.skeleton is None:
@@ -492,10 +514,11 @@ class TrajectoryMotion(Motion):
 
     @property
     def states_frame(self) -> Literal["world", "level", "camera"]:
-        """What the place and the rotation in `states` refer to; level and world as in `recon.frames`."""
+        """What the place and the rotation in `states` refer to; level and world as in `recon.frames`. camera, of a
+        chain: where the camera moves, a level one in the world's origin that looks along y."""
         if self.skeleton is not None:
             return "camera"
-        return "world" if self.camera.knows_up else "level"
+        return "world" if self.knows_up else "level"
 
     @property
     def state_names(self) -> tuple[str, ...]:
@@ -508,9 +531,11 @@ class TrajectoryMotion(Motion):
             return of_body
         view = self.solution.views[0]
         about_camera = of_body.copy()
-        about_camera[:, ROOT] -= view.centre_m
+        if view.still:
+            about_camera[:, ROOT] -= view.centre_m
+        R_camera_world = view.rotation if view.still else level_from_camera(self.camera.up).T
         states = np.full((len(of_body), self.skeleton.n_state), np.nan)
-        states[known] = self.skeleton.state_from_body(about_camera[known], self.solution.size, view.rotation)
+        states[known] = self.skeleton.state_from_body(about_camera[known], self.solution.size, R_camera_world)
         return states
 
     @property
@@ -526,7 +551,7 @@ class TrajectoryMotion(Motion):
     def T_reference_world(self) -> Array:
         """(4, 4): from the frame that the motion was solved in to the frame of reference (`recon.frames`)."""
         camera, view = self.camera, self.solution.views[0]
-        if camera.knows_up:
+        if self.knows_up:
             return np.eye(4)
         if camera.rotation is None or camera.translation_m is None:
             return view.T_camera_world
@@ -574,12 +599,18 @@ class TrajectoryMotion(Motion):
                 source,
                 self.T_reference_world @ inverse(view.T_camera_world),
                 view.to_camera(view.at_its_time(solution.joints_m)),
-                view.project(view.at_its_time(solution.markers_m))[0],
+                self._where_known(source, view.project(view.at_its_time(solution.markers_m))[0]),
                 noise_px,
                 weight,
             )
             for source, view, noise_px, weight in given
         )
+
+    def _where_known(self, source: Source, pixels: Array) -> Array:
+        """Pixels (T, J, 2), NaN in frames in which it is not known where the camera was."""
+        if source.T_camera_world is None:
+            return pixels
+        return np.where(np.isfinite(source.T_camera_world[:, 0, 0])[:, None, None], pixels, np.nan)
 
     # -- how far it can be trusted --------------------------------------------------------------------------------
 

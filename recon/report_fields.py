@@ -17,6 +17,7 @@ PROBLEMS_SHOWN = 5
 
 Number = Annotated[float, Field(allow_inf_nan=False)]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+Triple = Annotated[list[Number | None], Field(min_length=3, max_length=3)]
 Pair = Annotated[list[Number], Field(min_length=2, max_length=2)]
 
 
@@ -36,8 +37,13 @@ class _Input(_Part):
     camera: dict[str, Any]
 
 
+class _Track(_Part):
+    rotation: list[Annotated[list[Triple], Field(min_length=3, max_length=3)]]
+
+
 class _Camera(_Part):
     camera: dict[str, Any]
+    track: _Track | None = None
 
 
 class _Side(_Part):
@@ -144,6 +150,7 @@ def require_fitting(report: dict[str, Any], pose: Pose3D, path: Path) -> None:
         "skeleton.feet": set((skeleton.feet or {}).values()) <= set(pose.names),
         "root_path.keypoint": parsed.root_path.keypoint in pose.names,
         "frames": len(parsed.frames) == T,
+        "cameras": all(camera.track is None or len(camera.track.rotation) == T for camera in parsed.cameras),
         "outliers": all(
             o.frame in frames and o.keypoint in pose.names and (o.camera is None or o.camera in names)
             for o in parsed.outliers

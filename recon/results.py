@@ -66,15 +66,24 @@ class Results:
         """The first, or only one."""
         return self.cameras[0]
 
+    @property
+    def camera_moves(self) -> bool:
+        """The first: its track says where it was, and the world has z up."""
+        return self.track(0) is not None
+
+    @property
+    def knows_up(self) -> bool:
+        """Whether the upright frame is the world."""
+        return self.camera.knows_up or self.camera_moves
+
     def track(self, number: int) -> dict[str, Any] | None:
         """Where a camera was that moves, see `cameras` in docs/report.md; None of one that stands still."""
-        written = self.report.get("cameras")
-        return written[number].get("track") if written else None
+        return _track(self.report, number)
 
     @property
     def R_upright_reference(self) -> Array:
         """(3, 3): rotation from the frame of reference that the fit's files have."""
-        return _upright_from_reference(self.camera)
+        return np.eye(3) if self.knows_up else _level_from_reference(self.camera)
 
     @property
     def method(self) -> str:
@@ -181,7 +190,8 @@ def read_results(folder: str | Path) -> Results:
         raise InputError(Problem(folder / "angles.csv", "rows", found, "both files of the same fit"))
     require_fitting(report, pose, folder / REPORT)
     _require_skeleton(report, skeleton, folder / REPORT)
-    R = _upright_from_reference(camera)
+    is_upright = camera.knows_up or _track(report, 0) is not None
+    R = np.eye(3) if is_upright else _level_from_reference(camera)
     sigma, relative = _sigmas(folder / SIGMAS, pose, R) if SIGMAS in manifest else (None, None)
     manifest.require_same()
     return Results(
@@ -191,7 +201,7 @@ def read_results(folder: str | Path) -> Results:
         fps=float(report["input"]["fps"]),
         cameras=cameras,
         skeleton=skeleton,
-        pose=Pose3D(pose.names, _upright(camera, pose.xyz_m), pose.frames, pose.source),
+        pose=pose if is_upright else Pose3D(pose.names, _level(camera, pose.xyz_m), pose.frames, pose.source),
         states=states,
         sigma_m=sigma,
         relative_sigma_m=relative,
@@ -279,17 +289,18 @@ def _table(path: Path, header_rows: int, columns: list[Any]) -> Array:
     return values[:, 1:]
 
 
-def _upright_from_reference(camera: Camera) -> Array:
-    """(3, 3): rotation from the frame of reference to the upright frame."""
-    if camera.knows_up:
-        return np.eye(3)
+def _track(report: dict[str, Any], number: int) -> dict[str, Any] | None:
+    written = report.get("cameras")
+    return written[number].get("track") if written else None
+
+
+def _level_from_reference(camera: Camera) -> Array:
+    """(3, 3): rotation from the frame of reference of a camera that does not know which way is up."""
     level = level_from_camera(camera.up)
     return level if camera.rotation is None else level @ camera.rotation
 
 
-def _upright(camera: Camera, points_m: Array) -> Array:
-    """Points (..., 3) of the frame of reference in the upright frame."""
-    if camera.knows_up:
-        return points_m
+def _level(camera: Camera, points_m: Array) -> Array:
+    """Points (..., 3) of its frame of reference in its level frame."""
     in_camera = camera.world_to_camera(points_m) if camera.has_extrinsics else points_m
     return in_camera @ level_from_camera(camera.up).T

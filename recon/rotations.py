@@ -75,6 +75,27 @@ def quaternions(rotations: FloatArray) -> FloatArray:
     return found / np.linalg.norm(found, axis=1, keepdims=True)
 
 
+def quaternion_rotations(quaternions: FloatArray) -> FloatArray:
+    """Rotation matrices (N, 3, 3) of unit quaternions (N, 4), x, y, z, w: the inverse of `quaternions`."""
+    x, y, z, w = quaternions.T
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+    ]
+    return np.moveaxis(np.array(rows), -1, 0)
+
+
+def part_of_turn(rotations: FloatArray, share: FloatArray) -> FloatArray:
+    """Rotations (N, 3, 3) about the same axes, by a share (N,) of the angle, the shorter way round."""
+    q = quaternions(rotations)
+    q = np.where(q[:, 3:] < 0, -q, q)
+    sine = np.linalg.norm(q[:, :3], axis=1)
+    half = share * np.arctan2(sine, q[:, 3])
+    axis = q[:, :3] / np.where(sine > 0, sine, 1.0)[:, None]
+    return quaternion_rotations(np.column_stack([np.sin(half)[:, None] * axis, np.cos(half)]))
+
+
 def _matrix_entries(angles: FloatArray):
     """The nine entries of R row by row, and cosines and sines. Each is a (N,) array, or a float for one rotation.
 

@@ -190,6 +190,14 @@ class FitSettings:
         "their order. (default: the one whose name the keypoint file's name contains)",
         "the name or number of a camera in the camera file, as text; with several keypoint files one for each",
     )
+    camera_track: tuple[Path, ...] | None = _field(
+        _each(_FILE),
+        "Where a camera that moves was in each frame: a CSV table or a COLMAP text model, once for each such camera. "
+        "With several keypoint files it is that of the camera whose name its own name contains. "
+        "(default: cameras stand still)",
+        "a CSV table of poses, or a COLMAP text model, one for each camera that moves",
+        method="trajectory",
+    )
     offset_s: tuple[float, ...] | None = _field(
         _each(_number(lambda number: True)),
         "How much later a camera began to film than the first, in seconds, as in 0.025 or -1.5; once for each keypoint "
@@ -385,9 +393,13 @@ class FitSettings:
         if count > 1 and self.method == "frame":
             found = f"{count} files with the frame method, which knows one camera"
             yield Problem("settings", "keypoints", found, "one file, or --method trajectory")
-        if count > 1 and self.camera is None:
+        named_tracks = self.camera_track is not None and self.camera_name is not None and self.hfov_deg is None
+        if count > 1 and self.camera is None and not named_tracks:
             found = f"{count} keypoint files without a camera file"
             yield Problem("settings", "camera", found, "a calibration of all these cameras")
+        if len(self.camera_track or ()) > count:
+            found = f"{len(self.camera_track or ())} for {count} keypoint file{'s' * (count > 1)}"
+            yield Problem("settings", "camera_track", found, "one for each camera that moves")
         if len(set(self.keypoints)) < count:
             found = ", ".join(str(path) for path in self.keypoints)
             yield Problem("settings", "keypoints", found, "a different file for each camera")
@@ -437,12 +449,15 @@ def of_method(method: Method) -> tuple[str, ...]:
 
 def _camera_problems(given: Mapping[str, Any]) -> Iterator[Problem]:
     """A camera is given in one way, with what belongs to it."""
-    if not given.keys() & {"camera", "hfov_deg"}:
+    if not given.keys() & {"camera", "hfov_deg", "camera_track"}:
         expected = "a camera file, or --hfov-deg with --image-size for a rough one"
         yield Problem("settings", "camera", "nothing", expected)
     if "camera" in given and "hfov_deg" in given:
         yield Problem("settings", "hfov_deg", f"{given['hfov_deg']} beside a camera file", "one of the two")
-    if "camera" not in given and "camera_name" in given:
+    if "camera_track" in given and "tilt_deg" in given:
+        found = f"{given['tilt_deg']} beside a camera track, which says which way is up"
+        yield Problem("settings", "tilt_deg", found, "one of the two")
+    if not given.keys() & {"camera", "camera_track"} and "camera_name" in given:
         found = f"{given['camera_name']!r} without a camera file"
         yield Problem("settings", "camera_name", found, "--camera with it")
     if "camera" not in given and "hfov_deg" in given and "image_size_px" not in given:
@@ -475,6 +490,8 @@ def read_settings(config: Path | None, given: Mapping[str, Any]) -> FitSettings:
         left_out |= {"hfov_deg", "image_size_px", "camera_name", "tilt_deg"}
     if "hfov_deg" in given:
         left_out |= {"camera", "camera_name"}
+    if "camera_track" in given:
+        left_out |= {"tilt_deg"}
     before = under.get("method", SETTINGS["method"].default)
     if given.get("method", before) != before:
         left_out |= {name for name, setting in SETTINGS.items() if setting.method == before}

@@ -36,6 +36,7 @@ LAYERS = (
     "camera",
     "clip",
     "calibration",
+    "camera_track",
     "intrinsics",
     "kinematics",
     "body",

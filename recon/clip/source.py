@@ -12,6 +12,8 @@ from recon.camera import Camera
 from recon.clip.view import View, camera_poses
 from recon.keypoints import CleaningReport, Keypoints
 
+Array = NDArray[np.float64]
+
 
 @dataclass(frozen=True, eq=False)
 class Source:
@@ -25,21 +27,42 @@ class Source:
     """All keypoints of the file."""
     lead_frames: float = 0.0
     """0 up to 1: its pictures were taken that much later than the clip's frames."""
+    T_camera_world: Array | None = None
+    """(T, 4, 4): of a camera that moves, in a world with z up; NaN where it is not known, and nothing is detected. The
+    camera itself has no pose then."""
+    intrinsics_px: Array | None = None
+    """(T, 4): fx, fy, cx, cy, where it zooms, too; NaN likewise."""
+
+    @property
+    def moves(self) -> bool:
+        return self.T_camera_world is not None
 
 
 def views_of(sources: Sequence[Source]) -> tuple[View, ...]:
-    """By cameras that stand still."""
-    poses = camera_poses([source.camera for source in sources])
+    """Where a camera moves, those that stand still must know their place in the same world."""
+    still = [source.camera for source in sources if not source.moves]
+    poses = iter(camera_poses(still) if still else ())
     return tuple(
         View(
             source.camera,
-            pose,
+            next(poses) if source.T_camera_world is None else held(source.T_camera_world),
             source.keypoints.xy_px,
             source.keypoints.confidence,
-            lead_frames=source.lead_frames,
+            None if source.intrinsics_px is None else held(source.intrinsics_px),
+            source.lead_frames,
         )
-        for source, pose in zip(sources, poses, strict=True)
+        for source in sources
     )
+
+
+def held(values: Array) -> Array:
+    """Values (T, ...), where they are NaN those of the nearest frame that has some."""
+    known = np.flatnonzero(np.isfinite(values.reshape(len(values), -1)[:, 0]))
+    frames = np.arange(len(values))
+    after = np.clip(np.searchsorted(known, frames), 0, len(known) - 1)
+    before = np.maximum(after - 1, 0)
+    nearest = np.where(np.abs(known[before] - frames) <= np.abs(known[after] - frames), before, after)
+    return values[known[nearest]]
 
 
 def together(sources: Sequence[Source], later_frames: Sequence[float]) -> tuple[Source, ...]:
@@ -52,17 +75,28 @@ def together(sources: Sequence[Source], later_frames: Sequence[float]) -> tuple[
     stops = [int(s.keypoints.frames[-1]) + shift + 1 for s, shift in zip(sources, shifts, strict=True)]
     frames = np.arange(min(starts), max(stops))
     return tuple(
-        replace(
-            source, keypoints=_on_frames(source.keypoints, start - int(frames[0]), frames), lead_frames=later - shift
-        )
+        replace(_on_frames(source, start - int(frames[0]), frames), lead_frames=later - shift)
         for source, start, later, shift in zip(sources, starts, later_frames, shifts, strict=True)
     )
 
 
-def _on_frames(keypoints: Keypoints, start: int, frames: NDArray[np.int64]) -> Keypoints:
-    """Keypoints of frames without a gap, as rows from `start` on; missing before and after."""
-    rows = slice(start, start + len(keypoints.frames))
-    xy_px = np.full((len(frames), *keypoints.xy_px.shape[1:]), np.nan)
-    confidence = np.zeros((len(frames), len(keypoints.names)))
-    xy_px[rows], confidence[rows] = keypoints.xy_px, keypoints.confidence
-    return replace(keypoints, xy_px=xy_px, confidence=confidence, frames=frames)
+def _on_frames(source: Source, start: int, frames: NDArray[np.int64]) -> Source:
+    """What was seen in frames without a gap, as rows from `start` on; missing before and after."""
+    keypoints, T = source.keypoints, len(frames)
+
+    def spread(values: Array, missing: float) -> Array:
+        spread = np.full((T, *values.shape[1:]), missing)
+        spread[start : start + len(values)] = values
+        return spread
+
+    return replace(
+        source,
+        keypoints=replace(
+            keypoints,
+            xy_px=spread(keypoints.xy_px, np.nan),
+            confidence=spread(keypoints.confidence, 0.0),
+            frames=frames,
+        ),
+        T_camera_world=None if source.T_camera_world is None else spread(source.T_camera_world, np.nan),
+        intrinsics_px=None if source.intrinsics_px is None else spread(source.intrinsics_px, np.nan),
+    )

@@ -69,9 +69,17 @@ class View:
             intrinsics_px=None if self.intrinsics_px is None else self.intrinsics_px[frames],
         )
 
+    @property
+    def seen(self) -> NDArray[np.bool_]:
+        """(T, J): keypoints that a detector can have found in the picture (`Camera.sees`)."""
+        if self.intrinsics_px is None:
+            return self.camera.sees(self.xy_px)
+        near = self.camera.near(self.xy_px)
+        return near & self.camera.rays(np.where(near[..., None], self._unzoomed_px, np.nan))[1]
+
     def credible(self) -> View:
         """Without what no detector can have found in the picture (`Camera.sees`)."""
-        return replace(self, xy_px=np.where(self.camera.sees(self._unzoomed_px)[..., None], self.xy_px, np.nan))
+        return replace(self, xy_px=np.where(self.seen[..., None], self.xy_px, np.nan))
 
     def at_its_time(self, points_m: Array) -> Array:
         """Points (T, J, 3) of the clip's frames when this view's pictures were taken."""

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import math
-import re
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -14,9 +13,9 @@ from typing import Any
 import numpy as np
 
 from recon.body import Body
-from recon.calibration import read_camera, read_cameras
 from recon.camera import Camera
-from recon.clip import Source, together, views_of
+from recon.camera_track import MAX_GAP_S, CameraTrack, FramePoses
+from recon.clip import Source, View, held, together, views_of
 from recon.errors import InputError, Problem, all_of
 from recon.export import CAMERA_OUTPUTS, CLIP_OUTPUTS, TRAJECTORY_OUTPUTS, of_any_camera, write_tables
 from recon.files import require_free_folder, sole_writer, staged_results
@@ -25,6 +24,7 @@ from recon.io import read_keypoints
 from recon.keypoints import CleaningReport, Keypoints, clean, leave_out, parse_frame_range
 from recon.manifest import MANIFEST
 from recon.motion import FrameMotion, Motion, TrajectoryMotion
+from recon.pipelines.cameras import Cameras, ClipCamera, read_clip_cameras
 from recon.prior import MotionPrior, builtin_priors, load_prior, prior_from_body
 from recon.report import build_report, write_report
 from recon.settings import FitSettings
@@ -32,7 +32,6 @@ from recon.skeleton import Side, Skeleton
 from recon.skeleton_file import load_chain, load_skeleton
 from recon.solve import solve_frames, solve_trajectory
 
-Cameras = tuple[Camera, ...]
 Progress = Callable[[str, float], None]
 """Called with what is being done, and how much of all is done, 0 to 1."""
 
@@ -60,6 +59,7 @@ an animal does from one frame to the next is lost in the rounding of its acceler
 
 
 _FAR_OUTSIDE = "too far outside the picture to have been found in it"
+_WITHOUT_POSE = "in frames for which the camera's track has no pose"
 
 
 def _silent(stage: str, share: float) -> None:
@@ -122,6 +122,8 @@ def fit_trajectory(settings: FitSettings, progress: Progress = _silent) -> Traje
         solution,
         model.skeleton,
         tuple(others),
+        first.T_camera_world,
+        first.intrinsics_px,
     )
 
 
@@ -169,12 +171,9 @@ def prepare(
     )
     side, reason, names = None, "both sides are fitted", model.body.markers
     if skeleton is not None:
-        side, reason = _side(skeleton, cleaned[0][0], settings)
+        side, reason = _side(skeleton, cleaned[0].keypoints, settings)
         names = skeleton.keypoint_names(side)
-    sources = [
-        Source(camera, arrange(keypoints, names), cleaning, file.names)
-        for camera, (keypoints, cleaning), file in zip(cameras, cleaned, files, strict=True)
-    ]
+    sources = [replace(source, keypoints=arrange(source.keypoints, names)) for source in cleaned]
     fps = files[0].fps
     assert fps is not None
     return Prepared(model, together(sources, later_frames) if len(sources) > 1 else tuple(sources), fps, side, reason)
@@ -244,62 +243,6 @@ def _read_clip(path: Path, settings: FitSettings) -> Keypoints:
     return replace(file, fps=fps)
 
 
-def read_clip_cameras(settings: FitSettings) -> Cameras:
-    """The camera of each keypoint file. Raises InputError."""
-    if settings.camera is not None:
-        cameras = _chosen_cameras(settings.camera, settings)
-    elif settings.hfov_deg is not None and settings.image_size_px is not None:
-        cameras = (Camera.from_hfov(settings.hfov_deg, settings.image_size_px),)
-    else:
-        raise InputError(Problem("settings", "camera", "nothing", "a camera file, or hfov_deg with image_size_px"))
-    if settings.tilt_deg is None:
-        return cameras
-    if any(camera.knows_up for camera in cameras):
-        found = f"{settings.tilt_deg:g} beside the pose in {settings.camera}, which says which way is up"
-        raise InputError(Problem("--tilt-deg", "tilt_deg", found, "one of the two"))
-    return tuple(replace(camera, tilt_rad=math.radians(settings.tilt_deg)) for camera in cameras)
-
-
-def _chosen_cameras(path: Path, settings: FitSettings) -> Cameras:
-    """By name as given; else the only one, or the one whose name the keypoint file's name contains."""
-    if settings.camera_name is not None:
-        named = (lambda name=name: read_camera(path, name, settings.image_size_px) for name in settings.camera_name)
-        chosen = tuple(all_of(*named))
-        if problems := tuple(_problems_of_several(path, chosen)):
-            raise InputError(problems)
-        return chosen
-    cameras = read_cameras(path, settings.image_size_px)
-    if len(cameras) == 1 == len(settings.keypoints):
-        return cameras
-    chosen, problems = [], []
-    for file in settings.keypoints:
-        named = [camera for camera in cameras if _names(file.stem, camera.name)]
-        chosen += named
-        if len(named) != 1:
-            found = f"{len(cameras)} cameras and no choice"
-            expected = f"one of {', '.join(camera.name for camera in cameras)} by --camera-name, or in the file's name"
-            problems.append(Problem(path, "camera", found, expected))
-    problems += _problems_of_several(path, chosen)
-    if problems:
-        raise InputError(problems)
-    return tuple(chosen)
-
-
-def _problems_of_several(path: Path, cameras: Sequence[Camera]) -> Iterator[Problem]:
-    """What cameras that film together must have."""
-    names = [camera.name for camera in cameras]
-    for name in sorted({name for name in names if names.count(name) > 1}):
-        yield Problem(path, "camera", f"{name} for two keypoint files", "a camera for each, by --camera-name")
-    for camera in cameras if len(cameras) > 1 else ():
-        if not camera.has_extrinsics:
-            yield Problem(path, f"camera {camera.name}", "no pose", "its rotation and translation beside the others'")
-
-
-def _names(stem: str, camera: str) -> bool:
-    """Whether a file's name contains a camera's: cam1 is in run_cam1DLC, but not in run_cam10."""
-    return re.search(rf"(?<![0-9A-Za-z]){re.escape(camera)}(?![0-9])", stem, re.IGNORECASE) is not None
-
-
 def _model(settings: FitSettings) -> Model:
     if settings.method == "frame":
         chain = load_chain(settings.skeleton_name)
@@ -328,17 +271,41 @@ def _require_no_side(settings: FitSettings, whole: Body | None) -> None:
 
 
 def _cleaned(
-    file: Keypoints, wanted: Sequence[str], skeleton: str, camera: Camera, settings: FitSettings, later_frames: float
-) -> tuple[Keypoints, CleaningReport]:
-    """wanted: the keypoints that the skeleton, by its name, may be fitted to. Raises InputError without any of them,
-    or where they lie outside the camera's picture; a few that are far outside are left out."""
+    file: Keypoints, wanted: Sequence[str], skeleton: str, of: ClipCamera, settings: FitSettings, later_frames: float
+) -> Source:
+    """All keypoints of a file. wanted: those that the skeleton, by its name, may be fitted to. Raises InputError
+    without any of them, or where they lie outside the camera's picture; a few that are far outside are left out, and
+    those of frames in which it is not known where the camera was."""
     _require_keypoints_of(wanted, skeleton, file)
     first, stop = parse_frame_range(settings.frames) if settings.frames else (None, None)
     shift = math.floor(later_frames)  # the clip's frames are the first camera's
     frames = (None if first is None else first - shift, None if stop is None else stop - shift)
     keypoints, cleaning = clean(file, settings.likelihood_min, frames)
-    _require_inside(camera, keypoints, settings)
-    return leave_out(keypoints, cleaning, keypoints.present & ~camera.sees(keypoints.xy_px), _FAR_OUTSIDE)
+    _require_inside(of.camera, keypoints, settings)
+    poses = intrinsics_px = None
+    if of.track is not None and file.fps is not None:
+        known = of.track.at(keypoints.frames, file.fps)
+        keypoints, cleaning = _with_pose(keypoints, cleaning, known, of.track)
+        poses, intrinsics_px = known.T_camera_world, known.intrinsics_px
+    lenses = None if intrinsics_px is None else held(intrinsics_px)
+    view = View(of.camera, np.eye(4), keypoints.xy_px, keypoints.confidence, lenses)
+    keypoints, cleaning = leave_out(keypoints, cleaning, keypoints.present & ~view.seen, _FAR_OUTSIDE)
+    return Source(of.camera, keypoints, cleaning, file.names, T_camera_world=poses, intrinsics_px=intrinsics_px)
+
+
+def _with_pose(
+    keypoints: Keypoints, cleaning: CleaningReport, poses: FramePoses, track: CameraTrack
+) -> tuple[Keypoints, CleaningReport]:
+    """Without detections in frames for which a track has no pose. Raises InputError where there are no others."""
+    if not (keypoints.present & poses.known[:, None]).any():
+        first, last = keypoints.frames[[0, -1]]
+        found = f"{track.frames[0]} to {track.frames[-1]}, none in common with {keypoints.source or 'the keypoints'}"
+        raise InputError(Problem(track.source, "frame", found, f"the numbers of the clip's frames, {first} to {last}"))
+    if poses.filled.any():
+        between = f"between two of its track that are {MAX_GAP_S:g} s apart or less"
+        note = f"{poses.filled.sum()} frames have a camera pose {between}"
+        cleaning = replace(cleaning, notes=(*cleaning.notes, note))
+    return leave_out(keypoints, cleaning, keypoints.present & ~poses.known[:, None], _WITHOUT_POSE)
 
 
 def _keypoints_of(skeleton: Skeleton) -> tuple[str, ...]:

@@ -113,7 +113,7 @@ def _of_results(folder: Path) -> Pose3D:
     names = results.pose.names
     edges = [(names[a], names[b]) for along in results.limbs.values() for a, b in pairwise(along)]
     notes = ()
-    if not results.camera.knows_up:
+    if not results.knows_up:
         notes = ("Positions are in the level frame, z up: the camera file does not say where the camera is.",)
     return replace(results.pose, fps=results.fps, edges=tuple(dict.fromkeys(edges)), notes=notes)
 

@@ -8,8 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from recon.clip import Source
 from recon.motion import Motion, Picture
-from recon.report.plain import Array, finite, mean, median, number
+from recon.report.plain import Array, finite, frame_count, mean, median, number
 
 
 def section(motion: Motion, settings: Mapping[str, Any]) -> list[dict[str, Any]]:
@@ -28,6 +29,7 @@ def _entry(picture: Picture, offset_s: float) -> dict[str, Any]:
         "keypoints": source.keypoints.source,
         "camera": picture.camera.to_dict(),
         "offset_s": offset_s,
+        "track": _track(source),
         "frames_seen": int(picture.present.any(axis=1).sum()),
         "points": {"used": used, "missing": picture.present.size - used - rejected, "rejected": rejected},
         "reprojection_px": {"mean": mean(errors), "median": median(errors)},
@@ -35,6 +37,29 @@ def _entry(picture: Picture, offset_s: float) -> dict[str, Any]:
         "mean_weight": mean(picture.weight),
         "distance_m": mean(picture.distance_m),
     }
+
+
+def _track(source: Source) -> dict[str, Any] | None:
+    """Where a camera was that moves: X_camera = R X_world + t."""
+    if source.T_camera_world is None:
+        return None
+    poses = source.T_camera_world
+    return {
+        "frames_without_pose": int(np.isnan(poses[:, 0, 0]).sum()),
+        "rotation": poses[:, :3, :3],
+        "translation_m": poses[:, :3, 3],
+        "intrinsics_px": source.intrinsics_px,
+    }
+
+
+def warnings(report: Mapping[str, Any]) -> Iterator[str]:
+    for camera in report["cameras"]:
+        missing = (camera["track"] or {}).get("frames_without_pose")
+        if missing:
+            yield (
+                f"camera {camera['name']}: its track has no pose for {frame_count(missing)} of "
+                f"{report['summary']['frames']}, whose detections are left out"
+            )
 
 
 def stacked(motion: Motion, field: str) -> Array:

@@ -126,9 +126,10 @@ def upright(motion: Motion) -> dict[str, Any]:
     """Which way is up, and how that is known; for the assumptions."""
     camera = motion.camera
     return {
-        "camera_level": not camera.knows_up and camera.tilt_rad == 0,
-        "camera_tilt_rad": None if camera.knows_up else camera.tilt_rad,
-        "camera_up": camera.up,
+        "camera_level": not motion.knows_up and camera.tilt_rad == 0,
+        "camera_tilt_rad": None if motion.knows_up else camera.tilt_rad,
+        "camera_up": None if motion.camera_moves else camera.up,
+        "camera_moves": motion.camera_moves,
     }
 
 
@@ -138,11 +139,16 @@ def sentences(motion: Motion, settings: Mapping[str, Any]) -> Iterator[str]:
     still = "The camera stands still" if len(motion.pictures) == 1 else "The cameras stand still"
     if all(picture.T_reference_camera.ndim == 2 for picture in motion.pictures):
         yield f"{still}: where it pans or moves, its movement is part of the path."
+    if tracked := [picture.name for picture in motion.pictures if picture.source.moves]:
+        yield (
+            f"Camera {' and '.join(tracked)}: moves as its track says, whose world is taken to be in metres with z up; "
+            "where the ground lies in it is not taken for known."
+        )
     if motion.side is not None:
         yield f"Only the limbs of the animal's {motion.side} side are fitted."
-    if not camera.knows_up and camera.tilt_rad == 0:
+    if not motion.knows_up and camera.tilt_rad == 0:
         yield "The camera is taken to be level, because its file does not say which way is up."
-    elif not camera.knows_up:
+    elif not motion.knows_up:
         degrees = math.degrees(camera.tilt_rad)
         yield f"The camera is taken to look down by {degrees:.3g} degrees, as given, and not to be rolled."
     if settings.get("hfov_deg") is not None:

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from recon.frames import level_axes
 from recon.motion import TrajectoryMotion
 from recon.prior import NONE
 from recon.report import cameras, common
@@ -169,7 +168,7 @@ def _ground(motion: TrajectoryMotion, spell: Spell) -> dict[str, Any] | None:
         "slope": ground.slope,
         "sigma_m": ground.sigma_m,
         "camera_height_m": motion.solution.views[0].centre_m[:, 2].mean() - below[2],
-        "frame": "world" if motion.camera.knows_up else "level",
+        "frame": "world" if motion.knows_up else "level",
     }
 
 
@@ -196,16 +195,18 @@ def _ranges(which: NDArray[np.bool_], frames: NDArray[np.int64]) -> list[tuple[i
 
 
 def _heading(motion: TrajectoryMotion) -> dict[str, Any]:
-    """The way the animal faces, level."""
+    """The way the animal faces, level, as the first camera sees it."""
     rear, front = motion.forward
-    trunk = motion.joints_camera_m[:, front] - motion.joints_camera_m[:, rear]
-    up = motion.camera.up
-    level = trunk - (trunk @ up)[:, None] * up
+    joints, R = motion.solution.joints_m, motion.solution.views[0].T_camera_world[..., :3, :3]
+    level = joints[:, front] - joints[:, rear]
+    level[:, 2] = 0.0
     level /= np.linalg.norm(level, axis=1, keepdims=True)
-    _, away = level_axes(up)
+    right = R[..., 0, :] * [1.0, 1.0, 0.0]
+    right /= np.linalg.norm(right, axis=-1, keepdims=True)
+    away = np.cross([0.0, 0.0, 1.0], right)
     return {
-        "heading_to_picture_rad": median(np.arcsin(np.clip(level @ away, -1.0, 1.0))),
-        "heading_camera": level,
+        "heading_to_picture_rad": median(np.arcsin(np.clip(np.sum(level * away, axis=-1), -1.0, 1.0))),
+        "heading_camera": (R @ level[..., None])[..., 0],
     }
 
 
@@ -285,6 +286,7 @@ def warnings(report: Mapping[str, Any]) -> Iterator[str]:
     if not size["measured"] and size["data_share"] < common.MEASURED_SHARE:
         yield "scale not measured: it comes from the expected size of the animal"
     yield from common.camera_warnings(report)
+    yield from cameras.warnings(report)
 
 
 def _second(report: Mapping[str, Any]) -> list[dict[str, Any]]:

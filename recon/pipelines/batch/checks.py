@@ -9,7 +9,8 @@ from typing import Any
 
 from recon.errors import InputError, Problem
 from recon.pipelines.batch.inputs import Clip
-from recon.pipelines.clip import Cameras, Model, prepare, read_model_and_cameras
+from recon.pipelines.cameras import Cameras
+from recon.pipelines.clip import Model, prepare, read_model_and_cameras
 from recon.settings import FitSettings
 
 Problems = tuple[Problem, ...]

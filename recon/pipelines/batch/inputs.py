@@ -17,7 +17,7 @@ from recon.io import READERS, file_head
 from recon.settings import SETTINGS, FitSettings, option, read_settings
 
 SUMMARY = "summary.csv"
-MANIFEST_PATHS = ("keypoints", "camera")
+MANIFEST_PATHS = ("keypoints", "camera", "camera_track")
 MANIFEST_NAMES_OR_FILES = ("skeleton", "subject", "prior")
 """Cells that are relative to the manifest where they end like a file."""
 _UNFIT = re.compile(r'[<>:"/\\|?*\x00-\x1f]')

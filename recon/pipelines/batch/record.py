@@ -14,6 +14,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any, Literal
 
+from recon.camera_track import track_files
 from recon.errors import InputError, Problem
 from recon.files import require_free_folder, staged_file
 from recon.manifest import MANIFEST, read_manifest
@@ -121,6 +122,8 @@ def input_files(settings: FitSettings) -> dict[str, Path]:
     files = {"keypoints": first} | {f"keypoints {i}": path for i, path in enumerate(others, start=2)}
     if settings.camera is not None:
         files["camera"] = settings.camera
+    tracks = [path for track in settings.camera_track or () for path in track_files(track)]
+    files |= {f"camera_track {i}" if i else "camera_track": path for i, path in enumerate(tracks)}
     for role in ("skeleton", "subject", "prior"):
         name = getattr(settings, role)
         if name is not None and Path(name).is_absolute():

@@ -1,0 +1,371 @@
+"""Cameras that move: their tracks, which are read, filled and refused, and clips that were made with them."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from recon import FitSettings, InputError, TrajectoryMotion, fit_clip, read_keypoints
+from recon.camera_track import read_camera_track
+from recon.clip import View, held, views_of
+from recon.export.deeplabcut import write_keypoints_csv
+from recon.frames import rigid
+from recon.keypoints import Keypoints
+from recon.pipelines.batch.inputs import find_clips
+from recon.pipelines.batch.record import identity
+from recon.pipelines.clip import prepare
+from recon.results import read_results
+from recon.rotations import part_of_turn, quaternion_rotations, quaternions
+from tests import test_cameras
+from tests.command_line import run as command
+from tests.test_cameras import FISHEYE, problems, settings
+from tests.test_trajectory import BODY, FPS
+from tests.test_views import AHEAD, ASIDE, pose
+
+folder = test_cameras.folder
+"""A fixture: run_cam1.csv, run_cam2.csv and scene.json."""
+SAMPLES = Path(__file__).resolve().parents[1] / "data" / "samples"
+HEAD = "frame,qw,qx,qy,qz,tx,ty,tz"
+LEVEL = pose([1.0, 2.0, 3.0], 0.3)
+
+
+def rows_of(frames: np.ndarray, poses: np.ndarray) -> list[list[float]]:
+    """(N, 8): frame, quaternion and translation."""
+    q = quaternions(poses[:, :3, :3])[:, [3, 0, 1, 2]]
+    return np.column_stack([frames, q, poses[:, :3, 3]]).tolist()
+
+
+def write_track(path: Path, frames: np.ndarray, poses: np.ndarray, intrinsics_px: np.ndarray | None = None) -> Path:
+    rows = rows_of(frames, poses)
+    head = HEAD if intrinsics_px is None else f"{HEAD},fx,fy,cx,cy"
+    if intrinsics_px is not None:
+        rows = [[*row, *own] for row, own in zip(rows, intrinsics_px.tolist(), strict=True)]
+    path.write_text("\n".join([head, *(",".join(map(repr, [int(row[0]), *row[1:]])) for row in rows)]) + "\n")
+    return path
+
+
+def write_model(out: Path, lenses: list[str], frames: np.ndarray, poses: np.ndarray, of: list[int]) -> Path:
+    """A COLMAP model as text; every other image has points."""
+    out.mkdir(exist_ok=True)
+    (out / "cameras.txt").write_text("# Camera list\n" + "\n".join(lenses) + "\n")
+    lines = ["# Image list with two lines of data per image:"]
+    for i, (row, camera) in enumerate(zip(rows_of(frames, poses), of, strict=True)):
+        name = f"run 2/cam1_{int(row[0]):06d}.png"
+        lines += [" ".join(map(repr, [i + 1, *row[1:], camera])) + f" {name}", "10.5 20.5 -1 30 40 7" if i % 2 else ""]
+    (out / "images.txt").write_text("\n".join(lines) + "\n")
+    return out
+
+
+def turning(T: int, by_rad: float = 0.01, centre_m: tuple[float, float, float] = (1.0, 2.0, 3.0)) -> np.ndarray:
+    return np.stack([pose([*centre_m], 0.3 + by_rad * t) for t in range(T)])
+
+
+def refused(text: str, path: Path) -> str:
+    path.write_text(text)
+    with pytest.raises(InputError) as error:
+        read_camera_track(path)
+    return problems(error)
+
+
+# -- reading -------------------------------------------------------------------------------------------------------
+
+
+def test_parts_of_turns_and_quaternions():
+    rng = np.random.default_rng(0)
+    q = rng.normal(size=(50, 4))
+    R = quaternion_rotations(q / np.linalg.norm(q, axis=1, keepdims=True))
+    np.testing.assert_allclose(quaternion_rotations(quaternions(R)), R, atol=1e-12)
+    np.testing.assert_allclose(part_of_turn(R, np.ones(50)), R, atol=1e-12)
+    np.testing.assert_allclose(part_of_turn(R, np.zeros(50)), np.broadcast_to(np.eye(3), R.shape), atol=1e-12)
+    third = part_of_turn(R, np.full(50, 1 / 3))
+    np.testing.assert_allclose(third @ third @ third, R, atol=1e-12)
+
+
+def test_a_table(tmp_path):
+    poses, frames = turning(6), np.array([3, 4, 5, 6, 8, 9])
+    track = read_camera_track(write_track(tmp_path / "track.csv", frames, poses))
+    np.testing.assert_array_equal(track.frames, frames)
+    np.testing.assert_allclose(track.T_camera_world, poses, atol=1e-12)
+    assert (track.camera, track.intrinsics_px) == (None, None)
+    zoom = np.column_stack([np.linspace(1000, 1500, 6)] * 2 + [np.full(6, 960.0), np.full(6, 540.0)])
+    track = read_camera_track(write_track(tmp_path / "zoom.csv", frames, poses, zoom))
+    assert track.intrinsics_px is not None
+    np.testing.assert_allclose(track.intrinsics_px, zoom)
+
+
+def test_a_table_in_another_order_with_other_columns_and_semicolons(tmp_path):
+    text = "time;TX;ty;tz;qw;qx;qy;qz;frame\n" + "".join(
+        ";".join(map(repr, [0.1, *row[5:], *row[1:5], row[0]])) + "\n"
+        for row in reversed(rows_of(np.arange(3), turning(3)))
+    )
+    (tmp_path / "track.csv").write_text(text)
+    track = read_camera_track(tmp_path / "track.csv")
+    np.testing.assert_array_equal(track.frames, [0, 1, 2])
+    np.testing.assert_allclose(track.T_camera_world, turning(3), atol=1e-12)
+
+
+def test_short_gaps_are_filled_and_long_ones_are_not(tmp_path):
+    """Turned and moved evenly, about the way's middle: at 30 frames a second over 3 frames, not over 4."""
+    poses, kept = turning(12, 0.05), np.array([0, 3, 7, 8])
+    poses[:, :3, 3] = -(poses[:, :3, :3] @ np.array([[t, 0.1 * t, 1.0] for t in range(12)])[..., None])[..., 0]
+    zoom = np.column_stack([1000.0 + 10 * np.arange(12), 1000.0 + 10 * np.arange(12), np.zeros((12, 2))])
+    track = read_camera_track(write_track(tmp_path / "track.csv", kept + 5, poses[kept], zoom[kept]))
+    found = track.at(np.arange(3, 16), 30.0)
+    np.testing.assert_array_equal(np.flatnonzero(found.known) - 2, [0, 1, 2, 3, 7, 8])
+    np.testing.assert_array_equal(np.flatnonzero(found.filled) - 2, [1, 2])
+    np.testing.assert_allclose(found.T_camera_world[found.known], poses[[0, 1, 2, 3, 7, 8]], atol=1e-12)
+    assert found.intrinsics_px is not None
+    np.testing.assert_allclose(found.intrinsics_px[found.known], zoom[[0, 1, 2, 3, 7, 8]])
+    assert np.isnan(found.T_camera_world[~found.known]).all()
+    assert np.isnan(found.intrinsics_px[~found.known]).all()
+    np.testing.assert_array_equal(held(np.array([np.nan, 1.0, np.nan, np.nan, 4.0, np.nan])), [1, 1, 1, 4, 4, 4])
+
+
+@pytest.mark.parametrize(
+    ("line", "model", "distortion"),
+    [
+        ("1 SIMPLE_PINHOLE 1920 1080 1000 960 540", "pinhole", []),
+        ("1 PINHOLE 1920 1080 1000 1000 960 540", "pinhole", []),
+        ("1 SIMPLE_RADIAL 1920 1080 1000 960 540 0.1", "radtan", [0.1, 0, 0, 0]),
+        ("1 RADIAL 1920 1080 1000 960 540 0.1 0.02", "radtan", [0.1, 0.02, 0, 0]),
+        ("1 OPENCV 1920 1080 1000 1000 960 540 0.1 0.02 0.003 0.004", "radtan", [0.1, 0.02, 0.003, 0.004]),
+        ("1 OPENCV_FISHEYE 1920 1080 1000 1000 960 540 0.1 0.02 0.003 0.004", "fisheye", [0.1, 0.02, 0.003, 0.004]),
+    ],
+)
+def test_lenses_of_a_colmap_model(tmp_path, line, model, distortion):
+    """Its pixels begin at the corner of the first one, ours in the middle."""
+    out = write_model(tmp_path / "phone", [line, "2 FOV 640 480 1 1 1 1 1"], np.arange(4), turning(4), [1] * 4)
+    for path in (out, out / "images.txt"):
+        track = read_camera_track(path)
+        np.testing.assert_array_equal(track.frames, np.arange(4))
+        np.testing.assert_allclose(track.T_camera_world, turning(4), atol=1e-12)
+        assert track.intrinsics_px is None
+        lens = track.camera
+        assert lens is not None
+        assert (lens.name, lens.model, lens.image_size_px) == ("phone", model, (1920, 1080))
+        np.testing.assert_array_equal(lens.matrix, [[1000, 0, 959.5], [0, 1000, 539.5], [0, 0, 1]])
+        np.testing.assert_array_equal(lens.distortion, distortion)
+
+
+def test_a_colmap_model_that_zooms(tmp_path):
+    lenses = ["1 RADIAL 1920 1080 1000 960 540 0.1 0", "2 RADIAL 1920 1080 1200 970 540 0.1 0"]
+    track = read_camera_track(write_model(tmp_path / "zoom", lenses, np.arange(3), turning(3), [1, 2, 2]))
+    assert track.intrinsics_px is not None
+    np.testing.assert_array_equal(
+        track.intrinsics_px, [[1000, 1000, 959.5, 539.5], [1200, 1200, 969.5, 539.5], [1200, 1200, 969.5, 539.5]]
+    )
+
+
+def test_a_table_with_many_faults_names_them_all(tmp_path):
+    said = refused(f"{HEAD}\n0,2,0,0,0,0,0,0\n1,1,0,0,0,0,inf,0\n1,1,0,0,0,0,0,1e9\n", tmp_path / "track.csv")
+    for part in (
+        "numbers: found others in line 3, expected finite numbers",
+        "qw, qx, qy, qz: found others in line 2, expected unit quaternions",
+        "tx, ty, tz: found others in line 3, line 4, expected metres",
+        "frame: found 1 more than once, expected one pose for each frame",
+    ):
+        assert part in said
+    said = refused("frame,qw,qx,qy,tx,ty,tz,fx\n", tmp_path / "track.csv")
+    assert [f"columns: found no {name}" in said for name in ("qz", "fy", "cx", "cy")] == [True] * 4
+    said = refused(f"{HEAD}\n0,1,0,0\n0.5,1,x,0,0,0,0,0\n", tmp_path / "track.csv")
+    assert "line 2: found 4 cells, expected 8, as in the header" in said
+    assert "line 3: found frame '0.5', qx 'x', expected numbers" in said
+    assert "rows: found none" in refused(f"{HEAD}\n", tmp_path / "track.csv")
+    assert "fx, fy, cx, cy: found others in line 2" in refused(
+        f"{HEAD},fx,fy,cx,cy\n0,1,0,0,0,0,0,0,0,1,2,3\n", tmp_path / "track.csv"
+    )
+
+
+def test_faults_of_a_colmap_model_are_named(tmp_path):
+    image = "1 1 0 0 0 0 0 0 1 "
+    said = refused(f"{image}a.png\n\n{image}b2.png\n1 2\n", tmp_path / "images.txt")
+    assert "line 1: found '1 1 0 0 0 0 0 0 1 a.png', expected IMAGE_ID" in said
+    assert "line 4: found '1 2', expected the points of the image above" in said
+    said = refused(f"{image}a1.png\n\n{image}b1.png\n\n", tmp_path / "images.txt")
+    assert "frame: found 1 more than once, expected one pose for each frame, of one camera" in said
+    lens = "1 SIMPLE_RADIAL 9 9 1000 4 4 "
+    for lines, part in (
+        (["1 FOV 9 9 1 1 1 1 1"], "line 2: found lens model FOV, none of SIMPLE_PINHOLE, PINHOLE"),
+        ([lens], "line 2: found 3 parameters of SIMPLE_RADIAL, which has 4: f cx cy k1"),
+        (["1 SIMPLE_PINHOLE 9 9 -5 4 4"], "positive fx and fy"),
+        ([lens + "0.1"], "cameras: found no camera 2, expected those of images.txt"),
+        ([lens + "0.1", "2" + lens[1:] + "0.2"], "cameras: found 2 with different lenses or picture sizes"),
+    ):
+        write_model(tmp_path, lines, np.arange(2), turning(2), [1, 1 if "FOV" in lines[0] else 2])
+        with pytest.raises(InputError) as error:
+            read_camera_track(tmp_path)
+        assert part in problems(error)
+
+
+def test_a_world_whose_z_does_not_point_up_is_refused(tmp_path):
+    """As COLMAP leaves it: y down. Leaning by less than 60 degrees in most frames passes."""
+    down = np.tile(np.eye(4), (3, 1, 1))
+    with pytest.raises(InputError) as error:
+        read_camera_track(write_track(tmp_path / "track.csv", np.arange(3), down))
+    assert "a camera whose picture's upper edge is not up by z in 3 of 3 frames" in problems(error)
+    assert "expected a world with z up" in problems(error)
+    down[:2] = LEVEL
+    assert len(read_camera_track(write_track(tmp_path / "track.csv", np.arange(3), down)).frames) == 3
+
+
+def test_files_of_other_kinds(tmp_path):
+    assert "found suffix '.json', expected a table (.csv)" in refused("{}", tmp_path / "track.json")
+    with pytest.raises(InputError, match=r"images\.txt: file: found no such file"):
+        read_camera_track(tmp_path)
+
+
+# -- settings ------------------------------------------------------------------------------------------------------
+
+
+def test_settings_that_do_not_fit(folder, tmp_path):
+    track = write_track(tmp_path / "track.csv", np.arange(40), turning(40))
+    given: dict[str, Any] = {"keypoints": folder / "run_cam1.csv", "fps": FPS}
+    for more, part in (
+        ({"camera_track": track}, "camera: found nothing, and track.csv comes without a lens, expected a camera file"),
+        ({"camera_track": [track, track], "camera": "a.json"}, "camera_track: found 2 for 1 keypoint file"),
+        ({"camera_track": track, "camera": "a.json", "tilt_deg": 5}, "found 5 beside a camera track"),
+        ({"camera_track": track, "camera": "a.json", "method": "frame"}, "with the frame method, which does not read"),
+    ):
+        with pytest.raises(InputError) as error:
+            prepare(FitSettings(**given, **more))
+        assert part in problems(error)
+
+
+def test_whose_track_it_is(folder, tmp_path):
+    """The second of two cameras moves: its track's name has the camera's in it."""
+    aside = np.tile(ASIDE, (40, 1, 1))
+    track = write_track(tmp_path / "cam2_track.csv", np.arange(40), aside)
+    first, second = prepare(settings(folder, 1, 2, camera_track=track)).sources
+    assert not first.moves
+    assert second.moves
+    assert not second.camera.has_extrinsics
+    still = views_of(prepare(settings(folder, 1, 2)).sources)[1]
+    moving = views_of((first, second))[1]
+    np.testing.assert_allclose(moving.T_camera_world[10:], np.tile(still.T_camera_world, (30, 1, 1)), atol=1e-9)
+    nobody = write_track(tmp_path / "other.csv", np.arange(40), aside)
+    with pytest.raises(InputError) as error:
+        prepare(settings(folder, 1, 2, camera_track=nobody))
+    assert "found other, with the name of no camera, expected the name of one of cam1, cam2 in it" in problems(error)
+
+
+def test_a_model_brings_the_lens_of_its_camera(folder, tmp_path):
+    lens = "3 OPENCV_FISHEYE 1920 1080 {0} {0} 960 540 0 0 0 0".format(FISHEYE.matrix[0, 0])
+    models = [
+        write_model(tmp_path / name, [lens], np.arange(40), np.tile(at, (40, 1, 1)), [3] * 40)
+        for name, at in (("cam1", AHEAD), ("cam2", ASIDE))
+    ]
+    plain: dict[str, Any] = {"fps": FPS, "camera_track": models, "camera_name": ["cam1", "cam2"]}
+    files = (folder / "run_cam1.csv", folder / "run_cam2.csv")
+    sources = prepare(FitSettings(keypoints=files, **plain)).sources
+    assert [source.camera.name for source in sources] == ["cam1", "cam2"]
+    np.testing.assert_allclose(sources[0].camera.matrix, FISHEYE.matrix, atol=1e-9)
+    with pytest.raises(InputError) as error:
+        prepare(replace(settings(folder, 1), camera_track=tuple(models[:1])))
+    assert "found a camera file beside" in problems(error)
+
+
+def test_a_batch_reads_it_beside_its_manifest_and_knows_when_it_changes(folder, tmp_path):
+    track = write_track(tmp_path / "track.csv", np.arange(40), turning(40))
+    manifest = tmp_path / "clips.csv"
+    manifest.write_text(f"keypoints,camera,fps,camera_track\n{folder}/run_cam1.csv,{folder}/scene.json,90,track.csv\n")
+    (clip,), _ = find_clips([manifest], {})
+    assert clip.settings.camera_track == (track,)
+    before = identity(clip.settings)
+    assert set(before["inputs"]) == {"keypoints", "camera", "camera_track"}
+    assert "camera_track" not in before["settings"]
+
+
+# -- clips ---------------------------------------------------------------------------------------------------------
+
+
+def test_frames_without_a_pose_have_no_detections(folder, tmp_path):
+    """From 12 frames without one: at 90 Hz no more than 9 frames apart is 0.1 s."""
+    frames = np.array([t for t in range(35) if not 10 < t < 23 and t not in (3, 4)])
+    track = write_track(tmp_path / "track.csv", frames, np.tile(AHEAD, (len(frames), 1, 1)))
+    (source,) = prepare(settings(folder, 1, camera_track=track)).sources
+    absent = [*range(11, 23), *range(35, 40)]
+    np.testing.assert_array_equal(np.flatnonzero(~source.keypoints.present.any(axis=1)), absent)
+    assert source.T_camera_world is not None
+    np.testing.assert_array_equal(np.flatnonzero(np.isnan(source.T_camera_world[:, 0, 0])), absent)
+    lost = len(absent) * len(BODY.markers)
+    assert source.cleaning.notes == (
+        "2 frames have a camera pose between two of its track that are 0.1 s apart or less",
+        f"{lost} points are in frames for which the camera's track has no pose, and left out: {BODY.markers[0]} in "
+        "frame 11, ...",
+    )
+    far = write_track(tmp_path / "far.csv", np.arange(100, 110), turning(10))
+    with pytest.raises(
+        InputError, match=r"found 100 to 109, none in common with .*run_cam1\.csv, expected the numbers"
+    ):
+        prepare(settings(folder, 1, camera_track=far))
+
+
+def panned(folder: Path) -> dict[str, Any]:
+    """The sample as seen by a camera that turns to and fro about its centre: keypoints and track, for settings."""
+    (view,) = views_of(prepare(FitSettings(SAMPLES / "whole.csv", camera=SAMPLES / "camera.toml", fps=60)).sources)
+    keypoints = read_keypoints(SAMPLES / "whole.csv")
+    T = len(keypoints.frames)
+    angle = 0.05 * np.sin(np.arange(T) / 10)
+    turn = np.tile(np.eye(3), (T, 1, 1))
+    turn[:, 0, 0] = turn[:, 1, 1] = np.cos(angle)
+    turn[:, 0, 1], turn[:, 1, 0] = -np.sin(angle), np.sin(angle)
+    rotation, centre = view.T_camera_world[:3, :3] @ turn, view.centre_m[0]
+    poses = rigid(rotation, -(rotation @ centre))
+    pans = View(view.camera, poses, view.xy_px, view.confidence)
+    seen = Keypoints(BODY.markers, pans.project(centre + view.rays())[0], view.confidence, keypoints.frames, fps=60.0)
+    write_keypoints_csv(seen, folder / "pan.csv")
+    return {
+        "keypoints": folder / "pan.csv",
+        "camera": SAMPLES / "camera.toml",
+        "camera_track": write_track(folder / "track.csv", keypoints.frames, poses),
+        "fps": 60,
+        "fast": True,
+    }
+
+
+def test_a_camera_that_pans_gives_the_motion_of_a_still_one(tmp_path):
+    """Its ground is not known from the camera's height, and so it is not looked for in either."""
+    options: dict[str, Any] = {"ground": "none"}
+    pan = fit_clip(FitSettings(**panned(tmp_path), **options))
+    still = fit_clip(FitSettings(SAMPLES / "whole.csv", camera=SAMPLES / "camera.toml", fps=60, fast=True, **options))
+    assert isinstance(pan, TrajectoryMotion)
+    assert isinstance(still, TrajectoryMotion)
+    assert np.linalg.norm(pan.joints_m - still.joints_m, axis=-1).mean() < 0.001
+    assert pan.frame_of_reference == "world"
+    assert pan.states_frame == "world"
+    assert pan.relative_rms_m.mean() == pytest.approx(still.relative_rms_m.mean(), rel=0.03)
+
+
+def test_command(tmp_path):
+    """From end to end, read back, scored, analysed, converted and fitted again."""
+    given, out = panned(tmp_path), tmp_path / "out"
+    track = Path(str(given["camera_track"]))
+    lines = track.read_text().splitlines()
+    track.write_text("\n".join([lines[0], *lines[6:]]) + "\n")
+    files = ["--camera", given["camera"], "--camera-track", track]
+    ended = command("fit", given["keypoints"], *files, "--fps", 60, "--fast", "--out", out)
+    assert ended.code == 0, ended.err
+    report = json.loads((out / "report.json").read_text())
+    assert report["frame_of_reference"] == "world"
+    assert report["assumptions"]["camera_moves"] is True
+    assert report["assumptions"]["camera_level"] is False
+    assert any("whose world is taken to be in metres with z up" in said for said in report["assumptions"]["sentences"])
+    assert not any("stands still" in said for said in report["assumptions"]["sentences"])
+    assert any("its track has no pose for 5 frames of" in warning for warning in report["warnings"])
+    assert report["cameras"][0]["track"]["frames_without_pose"] == 5
+    results = read_results(out)
+    truth = SAMPLES / "whole_truth.csv"
+    assert results.knows_up
+    scored = command("evaluate", out, truth, "--json")
+    assert scored.code == 0, scored.err
+    assert json.loads(scored.out)["mpjpe_mm"] < 60
+    assert command("analyse", out, "--no-figures").code == 0
+    assert command("convert", out, tmp_path / "pose.trc").code == 0
+    again = command("fit", "--config", out / "config.toml", "--out", tmp_path / "again")
+    assert again.code == 0, again.err
+    assert (out / "pose3d.csv").read_bytes() == (tmp_path / "again" / "pose3d.csv").read_bytes()
