@@ -39,7 +39,7 @@ from recon.solve.problem import Estimate, Problem
 from recon.solve.result import Ground, Spell, Start, TrajectorySolution
 from recon.solve.setting import Setting, TrajectoryOptions
 from recon.solve.starts import Approached, approach, between
-from recon.solve.terms import SIZE, Reprojection
+from recon.solve.terms import ANGLES, SIZE, Reprojection
 
 Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]
@@ -328,14 +328,15 @@ def _size(
     The prior's 1 with its sigma; what several views say; and where the ground's distance below the camera is known: the
     feet on the ground are so far below the camera at nominal size, and the size makes that the camera's height.
     """
-    of_prior = setting.size_sigma**-2
+    of_prior, lasting = setting.size_sigma**-2, _size_of_offsets(setting) ** 2
     precision, pull, told = of_prior, of_prior, ["prior"]
     for one, of_one in zip(solved, known, strict=True):
         if of_one.size_precision > 0:
             # What the views alone say: the minimum is drawn to the prior's 1.
             of_views = of_one.size_precision * max(setting.options.error_time_s * setting.fps, 1.0)
-            precision += of_one.size_precision
-            pull += of_one.size_precision * (one.size + (one.size - 1.0) * of_prior / of_views)
+            seen = 1.0 / (1.0 / of_one.size_precision + lasting)
+            precision += seen
+            pull += seen * (one.size + (one.size - 1.0) * of_prior / of_views)
             told.append("views")
         if setting.ground_known and one.ground is not None:
             at = one.contact / one.contact.sum()
@@ -346,6 +347,17 @@ def _size(
             pull += float(setting.origin_m[2]) * below / variance
             told.append("ground")
     return float(pull / precision), float(precision**-0.5), tuple(dict.fromkeys(told))
+
+
+def _size_of_offsets(setting: Setting) -> float:
+    """What keypoints beside their markers look like as a size: each lies off by the body's keypoint_sigma_m in a
+    direction of its own, the same in every frame and for every camera."""
+    o, body = setting.options, setting.body
+    keypoint_m = body.keypoint_sigma_m if o.keypoint_sigma_m is None else o.keypoint_sigma_m
+    state = np.zeros((1, body.n_state))
+    state[0, ANGLES] = setting.prior.mean
+    points = body.tree.pose(state).points_m[0]
+    return keypoint_m / float(np.linalg.norm(points - points.mean(axis=0)))
 
 
 @dataclass(frozen=True, eq=False)
