@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from recon.motion import TrajectoryMotion
 from recon.prior import NONE
-from recon.report import cameras, common
+from recon.report import agreement, cameras, common
 from recon.report.plain import Array, by_name, finite, frame_count, mean, median, number
 from recon.solve import TrajectoryOptions
 from recon.solve.result import Spell
@@ -53,6 +53,7 @@ def sections(motion: TrajectoryMotion, settings: Mapping[str, Any]) -> dict[str,
         "alternative": _alternative(motion),
         "stances": by_name([motion.names[foot] for foot in motion.feet], _stances(motion)),
         "heading": _heading(motion),
+        "agreement": agreement.section(motion, settings),
         "uncertainty": _uncertainty(motion),
         "frames": _frames(motion),
         **_tail(motion),
@@ -256,7 +257,9 @@ def warnings(report: Mapping[str, Any]) -> Iterator[str]:
     if not solved:
         why = "too far off to be seen" if flags["ran away"] else "too few points detected in every frame"
         yield f"no pose: {why}"
+        yield from agreement.warnings(report)
         return
+    yield from agreement.warnings(report)
     if report["convergence"]["status"] != "converged":
         yield "the search ended before it had converged"
     if abs(size["factor"] - 1) > WARN_SIZE * size["prior_sigma"]:

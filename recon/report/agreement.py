@@ -1,0 +1,68 @@
+"""Whether the cameras of a clip agree with each other, in numbers and in words."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict
+from typing import Any
+
+from recon.analysis.agreement import Agreement, CameraAgreement, Finding, camera_agreement
+from recon.motion import TrajectoryMotion
+from recon.report import common
+from recon.solve import TrajectoryOptions
+
+
+def section(motion: TrajectoryMotion, settings: Mapping[str, Any]) -> dict[str, Any] | None:
+    """None with one camera."""
+    views = motion.solution.views
+    if len(views) < 2:
+        return None
+    options = common.given_options(TrajectoryOptions, settings)
+    keypoint_sigma_m = motion.body.keypoint_sigma_m if options.keypoint_sigma_m is None else options.keypoint_sigma_m
+    agreement = camera_agreement(views, motion.fps, options.sigma_px, keypoint_sigma_m)
+    names = [view.camera.name for view in views]
+    offsets_s = settings.get("offset_s") or [0.0] * len(views)
+    frames = motion.frames[agreement.frames]
+    return {
+        "frames": (frames[0], frames[-1] + 1),
+        "max_level": agreement.max_level,
+        "cameras": [{"name": name, **asdict(camera)} for name, camera in zip(names, agreement.cameras, strict=True)],
+        "findings": [
+            {
+                "cameras": [names[v] for v in finding.cameras],
+                "kind": finding.kind,
+                "text": _text(finding, agreement, names, offsets_s, motion.fps),
+            }
+            for finding in agreement.findings
+        ],
+    }
+
+
+def warnings(report: Mapping[str, Any]) -> Iterator[str]:
+    for finding in (report["agreement"] or {}).get("findings", ()):
+        yield finding["text"]
+
+
+def _text(finding: Finding, agreement: Agreement, names: list[str], offsets_s: list[float], fps: float) -> str:
+    who = " and ".join(names[v] for v in finding.cameras)
+    camera = finding.found or agreement.cameras[finding.cameras[0]]
+    if finding.kind == "exchanged":
+        return f"{who}: as if their files were exchanged ({_off(camera)} as they are)"
+    if finding.kind == "apart":
+        of_whom = who if len(names) == 2 else "the cameras"
+        return f"{of_whom} do not agree with each other: {_off(camera)}, and which of them is off cannot be told"
+    if finding.kind == "turned":
+        degrees = math.degrees(camera.turn_rad)
+        return f"{who}: turned by about {degrees:.1f} degrees against the others ({_off(camera)})"
+    if finding.kind == "late":
+        offset_s = offsets_s[finding.cameras[0]] + camera.late_frames / fps
+        return (
+            f"{who}: about {abs(camera.late_frames):.1f} frames {'late' if camera.late_frames > 0 else 'early'} "
+            f"against the others ({_off(camera)}); its --offset-s would be {offset_s:.3f}"
+        )
+    return f"{who}: off by {_off(camera)} against the others for a reason unknown"
+
+
+def _off(camera: CameraAgreement) -> str:
+    return f"{camera.error_px:.0f} px, {camera.level:.1f} sigma"

@@ -1,0 +1,199 @@
+"""A camera that does not agree with the others is named, with how much; simulated cameras around a run."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from recon.analysis.agreement import FRAMES, Agreement, camera_agreement
+from recon.clip import View
+from recon.frames import rigid
+from recon.report import agreement as in_report
+from recon.rotations import euler_rotation
+from tests.test_trajectory import FPS
+from tests.test_views import AHEAD, ASIDE, pose, truth_m, view_of
+
+KEYPOINT_M = 0.005
+POSES = (AHEAD, ASIDE, pose([4.0, 1.0, 1.0], 0.75 * np.pi), pose([9.0, 10.0, 0.8], np.pi))
+
+
+def cameras(n: int = 4) -> list[View]:
+    """At most as noisy as expected."""
+    views = [view_of(truth_m(), T, sigma_px=2.0, seed=i) for i, T in enumerate(POSES[:n])]
+    return [replace(view, camera=replace(view.camera, name=f"cam{i + 1}")) for i, view in enumerate(views)]
+
+
+def judged(views: list[View]) -> Agreement:
+    return camera_agreement(views, FPS, 2.0, KEYPOINT_M)
+
+
+def findings(agreement: Agreement) -> list[tuple[str, tuple[int, ...]]]:
+    return [(finding.kind, finding.cameras) for finding in agreement.findings]
+
+
+def turned(view: View, axis: int) -> View:
+    """By five degrees about x, y or z of the camera."""
+    rotation = euler_rotation(np.radians(5.0) * np.eye(3)[axis])
+    return replace(view, T_camera_world=rigid(rotation, np.zeros(3)) @ view.T_camera_world)
+
+
+def late(view: View, frames: int) -> View:
+    """Its pictures were taken that much later than their numbers say."""
+    xy_px = np.full_like(view.xy_px, np.nan)
+    if frames > 0:
+        xy_px[:-frames] = view.xy_px[frames:]
+    else:
+        xy_px[-frames:] = view.xy_px[:frames]
+    return replace(view, xy_px=xy_px)
+
+
+def exchanged(views: list[View], a: int, b: int) -> list[View]:
+    views = [*views]
+    views[a], views[b] = replace(views[a], xy_px=views[b].xy_px), replace(views[b], xy_px=views[a].xy_px)
+    return views
+
+
+@pytest.mark.parametrize("n", [2, 3, 4])
+def test_cameras_that_agree(n):
+    found = judged(cameras(n))
+    assert found.findings == ()
+    assert found.max_level == 1.6
+    for camera in found.cameras:
+        assert camera.points == truth_m()[..., 0].size
+        assert camera.level == pytest.approx(0.95, abs=0.15)  # the expected noise has the keypoints' own, too
+    if n > 2:
+        assert max(camera.turn_rad for camera in found.cameras) < np.radians(0.3)
+        assert {camera.late_frames for camera in found.cameras} <= {-0.25, 0.0, 0.25}
+
+
+@pytest.mark.parametrize("n", [3, 4])
+@pytest.mark.parametrize("which", [0, 2])
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_a_camera_that_is_turned(n, which, axis):
+    views = cameras(n)
+    views[which] = turned(views[which], axis)
+    found = judged(views)
+    assert findings(found) == [("turned", (which,))]
+    assert np.degrees(found.cameras[which].turn_rad) == pytest.approx(5.0, abs=0.5)
+    assert found.cameras[which].level_turned < 1.2
+
+
+@pytest.mark.parametrize("n", [3, 4])
+@pytest.mark.parametrize(("which", "frames"), [(0, 10), (1, -10), (2, 10)])
+def test_a_camera_that_is_late_or_early(n, which, frames):
+    views = cameras(n)
+    views[which] = late(views[which], frames)
+    found = judged(views)
+    assert findings(found) == [("late", (which,))]
+    assert found.cameras[which].late_frames == pytest.approx(frames, abs=0.25)
+    assert found.cameras[which].level_late < 1.2 < 3 < found.cameras[which].level
+
+
+def test_what_is_known_of_the_lag_is_taken_into_account():
+    """Half a frame is in the view; the other half is found."""
+    views, points = cameras(3), truth_m()
+    between = 0.5 * (points + np.concatenate([points[1:], 2 * points[-1:] - points[-2:-1]]))
+    views[1] = replace(view_of(between, ASIDE, sigma_px=0.5, seed=1), lead_frames=0.5)
+    assert judged(views).cameras[1].late_frames == 0.0
+    assert judged([views[0], replace(views[1], lead_frames=0.0), views[2]]).cameras[1].late_frames == 0.5
+
+
+@pytest.mark.parametrize("n", [3, 4])
+@pytest.mark.parametrize("pair", [(0, 1), (1, 2)])
+def test_two_exchanged_files(n, pair):
+    found = judged(exchanged(cameras(n), *pair))
+    assert findings(found) == [("exchanged", pair)]
+    assert min(found.cameras[v].level for v in pair) > 3
+
+
+def test_a_camera_of_another_clip():
+    """Neither a turn nor a lag makes the detections of another run fit."""
+    views = cameras()
+    points = truth_m()[::-1] * [1.0, 1.0, 1.6] + [0.0, 2.0, 0.4]
+    views[3] = view_of(points, POSES[3], seed=9)
+    assert findings(judged(views)) == [("unknown", (3,))]
+
+
+def test_two_cameras_that_are_off():
+    views = cameras()
+    views[1], views[3] = turned(views[1], 1), late(views[3], 8)
+    views.append(view_of(truth_m(), pose([1.0, -1.0, 1.5], 0.45 * np.pi), seed=5))
+    assert findings(judged(views)) == [("turned", (1,)), ("late", (3,))]
+
+
+def test_of_two_cameras_none_can_be_named():
+    views = cameras(2)
+    views[1] = turned(views[1], 0)
+    found = judged(views)
+    assert findings(found) == [("apart", (0, 1))]
+    assert np.isnan(found.cameras[0].turn_rad)
+
+
+def test_cameras_that_see_the_animal_one_after_the_other_cannot_be_compared():
+    views = cameras()[:2]
+    views[0] = replace(views[0], xy_px=np.where(np.arange(len(truth_m()))[:, None, None] < 12, views[0].xy_px, np.nan))
+    views[1] = replace(views[1], xy_px=np.where(np.arange(len(truth_m()))[:, None, None] < 12, np.nan, views[1].xy_px))
+    found = judged(views)
+    assert found.findings == ()
+    assert [camera.points for camera in found.cameras] == [0, 0]
+    assert np.isnan(found.cameras[0].level)
+
+
+def test_noisier_detections_than_expected_are_no_disagreement():
+    views = [view_of(truth_m(), T, sigma_px=4.0, seed=i) for i, T in enumerate(POSES)]
+    found = judged(views)
+    assert found.findings == ()
+    assert 1.6 * 1.5 < found.max_level < 1.6 * 2.0
+    assert max(camera.level for camera in found.cameras) > 1.6
+
+
+def test_of_a_long_clip_the_stretch_in_which_most_is_seen_is_compared():
+    views = cameras(3)
+    xy_px = [np.concatenate([np.full((600, *v.xy_px.shape[1:]), np.nan), v.xy_px]) for v in views]
+    views = [replace(v, xy_px=xy, confidence=np.ones(xy.shape[:2])) for v, xy in zip(views, xy_px, strict=True)]
+    T = len(xy_px[0])
+    found = judged(views)
+    assert (found.frames.start, found.frames.stop) == (T - FRAMES, T)
+    assert found.cameras[0].points == truth_m()[..., 0].size
+
+
+# -- in words ------------------------------------------------------------------------------------------------------
+
+
+def section(views: list[View], **settings) -> dict:
+    """Of a motion that has what the report reads."""
+    frames = np.arange(100, 100 + len(views[0].xy_px))
+    body = SimpleNamespace(keypoint_sigma_m=KEYPOINT_M)
+    motion = SimpleNamespace(solution=SimpleNamespace(views=views), body=body, fps=FPS, frames=frames)
+    found = in_report.section(motion, {"sigma_px": 2.0, **settings})  # type: ignore[arg-type]
+    assert found is not None
+    return found
+
+
+def test_the_report_names_the_camera_and_what_to_do():
+    views = cameras()
+    views[2] = late(views[2], 10)
+    found = section(views, offset_s=[0.0, 0.0, 0.5, 0.0])
+    assert found["frames"] == (100, 100 + len(truth_m()))
+    (finding,) = found["findings"]
+    assert (finding["cameras"], finding["kind"]) == (["cam3"], "late")
+    assert finding["text"].startswith("cam3: about 10.0 frames late against the others (")
+    assert finding["text"].endswith(f"; its --offset-s would be {0.5 + 10 / FPS:.3f}")
+    assert list(in_report.warnings({"agreement": found})) == [finding["text"]]
+
+
+def test_the_report_of_exchanged_files_and_of_two_cameras():
+    (finding,) = section(exchanged(cameras(), 1, 3))["findings"]
+    assert finding["text"].startswith("cam2 and cam4: as if their files were exchanged (")
+    views = cameras(2)
+    (finding,) = section([views[0], turned(views[1], 0)])["findings"]
+    assert finding["text"].startswith("cam1 and cam2 do not agree with each other: ")
+
+
+def test_one_camera_has_nobody_to_agree_with():
+    motion = SimpleNamespace(solution=SimpleNamespace(views=cameras(1)))
+    assert in_report.section(motion, {}) is None  # type: ignore[arg-type]
+    assert list(in_report.warnings({"agreement": None})) == []
