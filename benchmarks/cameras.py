@@ -193,7 +193,7 @@ def main() -> None:
 
 def show(title: str, rows: Sequence[dict]) -> None:
     print(f"{title}\n")
-    print_table(rows[0], [[f"{v:.3g}" if isinstance(v, float) else v for v in row.values()] for row in rows])
+    print_table(list(rows[0]), [[f"{v:.3g}" if isinstance(v, float) else v for v in row.values()] for row in rows])
 
 
 if __name__ == "__main__":

@@ -214,7 +214,7 @@ def _too_far(table: Array) -> Bools:
 
 
 def _no_lens(table: Array) -> Bools:
-    return (table[:, 7:9] <= 0).any(axis=1) | (np.abs(table[:, 7:]) > MAX_PX).any(axis=1)
+    return np.asarray((table[:, 7:9] <= 0).any(axis=1) | (np.abs(table[:, 7:]) > MAX_PX).any(axis=1))
 
 
 _CHECKS: tuple[tuple[str, str, Callable[[Array], Bools]], ...] = (

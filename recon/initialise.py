@@ -228,7 +228,7 @@ def _solved(matrix: Array, right: Array) -> Array:
     """matrix^-1 right (N, n, m) of normal equations (N, n, n). Where rounding leaves one singular, as where all rays
     are one, all are held a little."""
     try:
-        return np.linalg.solve(matrix, right)
+        return np.asarray(np.linalg.solve(matrix, right), dtype=float)
     except np.linalg.LinAlgError:
         held = 1e-9 * np.trace(matrix, axis1=-2, axis2=-1)[..., None, None] * np.eye(matrix.shape[-1])
         return np.linalg.solve(matrix + held, right)

@@ -176,7 +176,7 @@ def fit_shape(shape: Shape, settings: Sequence[Setting]) -> ShapeFit:
             converged = bool(step @ total @ step < CLOSE_ENOUGH**2 * len(step))
             if converged:
                 break
-    return ShapeFit(shape, values, np.linalg.inv(total), converged)
+    return ShapeFit(shape, values, np.asarray(np.linalg.inv(total), dtype=float), converged)
 
 
 def _reduced(shape: Shape, setting: Setting, solved: Solved) -> tuple[Array, Array]:
