@@ -68,7 +68,9 @@ samples: $(BASE)
 
 benchmark: $(BASE)
 	$(BIN)/python benchmarks/trajectory.py $(RUNS)
+	$(BIN)/python benchmarks/agreement.py $(RUNS)
 	$(BIN)/python benchmarks/cheetah_runs.py $(RUNS)
+	$(BIN)/python benchmarks/moving.py $(RUNS)
 	$(BIN)/python benchmarks/samples.py
 	$(BIN)/python benchmarks/gait.py $(RUNS)
 	$(BIN)/python benchmarks/ik.py $(RUNS)

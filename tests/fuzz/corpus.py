@@ -14,6 +14,7 @@ import numpy as np
 from recon.body import Body
 from recon.calibration import read_cameras, write_camera
 from recon.camera import Camera
+from recon.camera_track import read_camera_track
 from recon.errors import InputError
 from recon.export.formats import FORMATS
 from recon.io import columns, read_keypoints
@@ -108,7 +109,15 @@ class Seed:
 def seeds(folder: Path, real: Path | None = None) -> list[Seed]:
     """All of them, made in a folder; real: of recordings, whose importer-files are taken too."""
     folder.mkdir(parents=True, exist_ok=True)
-    found = [*_of_formats(folder), *_texts(), *_cameras(folder), *_built_in(), *_results(folder), *_models(folder)]
+    found = [
+        *_of_formats(folder),
+        *_texts(),
+        *_cameras(folder),
+        *_tracks(),
+        *_built_in(),
+        *_results(folder),
+        *_models(folder),
+    ]
     for path in sorted(real.glob("importer-files/*/*")) if real is not None else ():
         if path.suffix in (".h5", ".nwb", ".csv", ".json", ".trc") and path.stat().st_size < 1 << 18:
             read = _cameras_of if path.suffix == ".json" else _positions if path.suffix == ".trc" else _points
@@ -232,6 +241,22 @@ def _cameras(folder: Path) -> Iterator[Seed]:
         ("anipose.toml", ANIPOSE),
     ):
         yield Seed(name, content.encode(), _cameras_of, 1.5)
+
+
+def _tracks() -> Iterator[Seed]:
+    rows = [
+        f"{frame},0.7071,0.7071,0,0,0.1,0.2,5,{focal},{focal},959.5,539.5" for frame, focal in ((7, 1000), (9, 1100))
+    ]
+    table = "\n".join(["frame,qw,qx,qy,qz,tx,ty,tz,fx,fy,cx,cy", *rows])
+    images = "# Image list\n" + "".join(
+        f"{i} 0.7071 0.7071 0 0 0.1 0.2 5 1 a/img{i:04d}.png\n1.5 2 -1\n" for i in (1, 2)
+    )
+    for name, content in (("track.csv", table), ("images.txt", images)):
+        yield Seed(name, content.encode(), _track)
+
+
+def _track(path: Path) -> object:
+    return read_camera_track(path).at(np.arange(12), 30.0)
 
 
 def _built_in() -> Iterator[Seed]:
