@@ -226,6 +226,13 @@ def test_nothing_solved(small_motion):
     assert dict(summary_lines(report))["heading"]
 
 
+def test_what_was_decided_about_a_file_is_in_the_summary(small_motion):
+    """Once, as where a header's row was missing."""
+    cleaning = replace(small_motion.cleaning, notes=("The header's first row is missing.",))
+    lines = summary_lines(build_report(replace(small_motion, cleaning=cleaning), {}))
+    assert [value for label, value in lines if label == "note"] == ["The header's first row is missing."]
+
+
 def test_console_summary(report):
     out = StringIO()
     Console(file=out, width=120).print(console_summary(report))

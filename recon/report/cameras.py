@@ -36,6 +36,7 @@ def _entry(picture: Picture, offset_s: float) -> dict[str, Any]:
         "outliers": int(picture.outliers.sum()),
         "mean_weight": mean(picture.weight),
         "distance_m": mean(picture.distance_m),
+        "notes": source.cleaning.notes,
     }
 
 
@@ -71,6 +72,11 @@ def points(report: Mapping[str, Any]) -> dict[str, int]:
     """Of all cameras."""
     each = [camera["points"] for camera in report["cameras"]]
     return {count: sum(of_one[count] for of_one in each) for count in ("used", "missing", "rejected")}
+
+
+def notes(report: Mapping[str, Any]) -> list[str]:
+    """What had to be decided about the files when they were read; of several cameras, what is alike is said once."""
+    return list(dict.fromkeys(note for camera in report["cameras"] for note in camera["notes"]))
 
 
 def files(report: Mapping[str, Any]) -> str:

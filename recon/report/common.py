@@ -254,6 +254,7 @@ def point_lines(report: Mapping[str, Any]) -> Lines:
             + (f": {most}" if off else ""),
         ),
         *cameras.lines(report),
+        *(("note", note) for note in cameras.notes(report)),
     ]
 
 
