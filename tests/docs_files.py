@@ -22,6 +22,7 @@ from recon.intrinsics.render import poses, render
 from recon.io import read_keypoints
 from recon.io.pose3d import Pose3D, read_pose3d
 from recon.keypoints import Keypoints
+from recon.rotations import quaternions
 from recon.skeleton_file import load_skeleton
 from recon.video import video_writer
 
@@ -82,6 +83,16 @@ def _bvh(path: Path) -> None:
     next(f for f in FORMATS if f.name == "bvh").pose(replace(pose(), xyz_m=100 * pose().xyz_m), path)
     text = path.read_text()
     path.write_text(re.sub(r"(?m)^ROOT .*$", "ROOT reference", text, count=1))
+
+
+def _track(path: Path) -> None:
+    """Of a camera on a tripod."""
+    camera = read_camera(SAMPLES / "camera.toml")
+    assert camera.rotation is not None
+    assert camera.translation_m is not None
+    q = quaternions(camera.rotation[None])[0, [3, 0, 1, 2]]
+    row = ",".join(map(repr, [*q.tolist(), *camera.translation_m.tolist()]))
+    path.write_text("frame,qw,qx,qy,qz,tx,ty,tz\n" + "".join(f"{frame},{row}\n" for frame in range(60)))
 
 
 def _renamed_columns(names: dict[str, str], write: Callable[[Keypoints, Path], None]) -> Callable[[Path], None]:
@@ -172,6 +183,7 @@ def _cat_clip(path: Path) -> None:
 
 
 FILES: dict[str, Callable[[Path], None]] = {
+    "track.csv": _track,
     "clip.csv": sample("whole.csv"),
     "camera.toml": sample("camera.toml"),
     "truth.csv": sample("whole_truth.csv"),
