@@ -85,7 +85,11 @@ def reason_not_to_run(command: str) -> str | None:
     )
 
 
-ONCE = {"recon analyse results/clip", "recon ik results/clip --compare"}
+ONCE = {
+    "recon analyse results/clip",
+    "recon ik results/clip --compare",
+    "recon retarget results/clip --robot a1 --out results/a1",
+}
 """Slow commands that several pages have. On the same result, they are run once."""
 
 
