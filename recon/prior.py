@@ -89,6 +89,8 @@ class MotionPrior:
             raise ValueError("; ".join(wrong))
 
 
+LARGEST = 1e12
+"""Of a number in a prior: more can only be damage."""
 _SHAPES = {
     "weights": "K",
     "means": "KA",
@@ -111,8 +113,8 @@ def _misfits(arrays: dict[str, Array], n_angles: int) -> list[tuple[str, str, st
         array, expected = arrays[name], tuple(lengths[letter] for letter in shape)
         if array.shape != expected:
             problems.append((name, f"shape {array.shape}", f"{expected} for {lengths['K']} components"))
-        elif not np.isfinite(array).all():
-            problems.append((name, "numbers that are not finite", "finite numbers"))
+        elif not (np.abs(array) < LARGEST).all():
+            problems.append((name, "numbers that are not finite, or beyond all reason", "finite numbers"))
         elif shape.endswith("AA") and not _is_positive_definite(array):
             problems.append((name, "a matrix that is not positive definite", "covariances"))
         elif name == "weights" and ((array < 0).any() or abs(array.sum() - 1) > 1e-5):

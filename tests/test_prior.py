@@ -297,6 +297,7 @@ NOT_DEFINITE = np.eye(24) - 2 * np.eye(24, k=0) * (np.arange(24) == 5)
         ({"covariance": NOT_DEFINITE}, ["covariance: found a matrix that is not positive definite"]),
         ({"covariance": np.eye(24) + 0.1 * np.eye(24, k=1)}, ["covariance: found a matrix that is not positive"]),
         ({"mean": np.full(24, np.nan)}, ["mean: found numbers that are not finite"]),
+        ({"mean": np.full(24, 1e300)}, ["mean: found numbers that are not finite, or beyond all reason"]),
         ({"weights": np.ones(3)}, ["weights: found 1 and more, 3 in all"]),
         (
             {"means": np.zeros((2, 24)), "drift": np.zeros((24, 24))},

@@ -118,7 +118,8 @@ def _content(content: bytes) -> _Content:
     values = content[begin : begin + T * width * item]
     if item == 4:
         rows = _floats(values, processor).reshape(T, width)[:, : 4 * points].reshape(T, points, 4)
-        xyz, word = rows[..., :3].astype(float), rows[..., 3]
+        with np.errstate(invalid="ignore"):  # a NaN that signals, as damaged floats can be
+            xyz, word = rows[..., :3].astype(float), rows[..., 3]
     else:
         rows = np.frombuffer(values, f"{order}i2").reshape(T, width)[:, : 4 * points].reshape(T, points, 4)
         xyz, word = rows[..., :3] * scale, rows[..., 3]

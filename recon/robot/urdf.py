@@ -20,8 +20,8 @@ from recon.package import install_command
 
 Array = NDArray[np.float64]
 
-LARGEST = 1e6
-"""Of a length, an angle or a rate: more can only be damage."""
+LARGEST, SMALLEST = 1e6, 1e-6
+"""Of a length or an angle; of a rate or an axis: more, or less, can only be damage."""
 MOVING = ("revolute", "continuous", "prismatic")
 
 
@@ -84,14 +84,29 @@ def read_urdf(path: str | Path) -> UrdfRobot:
         raise InputError(Problem(path, "content", found, "a URDF file")) from None
     links = [link.name for link in robot.robot.links]
     joint_of = {joint.child: joint for joint in robot.robot.joints}
-    lost = sorted({name for j in joint_of.values() for name in (j.parent, j.child)} - {*links})
+    lost = sorted({name for j in joint_of.values() for name in (j.parent, j.child)} - {*links}, key=str)
     roots = [link for link in links if link not in joint_of]
     problems = [Problem(path, "joints", f"the link {name!r}, which is not there", "links of the file") for name in lost]
     if len(roots) != 1:
-        problems.append(Problem(path, "links", f"{len(roots)} roots: {', '.join(roots)}", "one tree of links"))
+        problems.append(
+            Problem(path, "links", f"{len(roots)} roots: {', '.join(map(str, roots))}", "one tree of links")
+        )
+    elif not problems and (ring := _ring(joint_of, links)):
+        problems.append(Problem(path, "links", f"a ring: {' on '.join(ring)}", "one tree of links"))
     if problems:
         raise InputError(problems)
     return UrdfRobot(path, robot.robot.name or path.stem, roots[0], joint_of)
+
+
+def _ring(joint_of: dict[str, Any], links: list[str]) -> list[str]:
+    """Links that hang on one another, from one back to the same; none in a tree."""
+    for link in links:
+        seen = [link]
+        while (joint := joint_of.get(seen[-1])) is not None:
+            if joint.parent in seen:
+                return [*seen[seen.index(joint.parent) :], joint.parent]
+            seen.append(joint.parent)
+    return []
 
 
 def urdf_chain(robot: str | Path | UrdfRobot, tip: str, base: str | None = None) -> UrdfChain:
@@ -139,7 +154,8 @@ def _problems(robot: UrdfRobot, tip: str, base: str, way: list[Any]) -> Iterator
     for joint in way:
         stated = (np.eye(4) if joint.origin is None else joint.origin, _axis(joint), _limits(joint)[2:])
         known = all((np.abs(numbers) < LARGEST).all() for numbers in stated)
-        if not known or _axis(joint).shape != (3,) or not _axis(joint).any():
+        known &= _limits(joint)[2] > SMALLEST and _axis(joint).shape == (3,)
+        if not known or not np.linalg.norm(_axis(joint)) > SMALLEST:
             yield Problem(robot.path, f"joint {joint.name}", "numbers that are none of a robot", "finite ones, an axis")
         if joint.type not in (*MOVING, "fixed"):
             yield Problem(robot.path, f"joint {joint.name}", f"type {joint.type}", f"{', '.join(MOVING)} or fixed")
