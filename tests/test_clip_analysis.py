@@ -155,8 +155,11 @@ def test_the_frame_method_is_smoothed_by_its_jitter(one_sided, frame_results):
 def test_too_few_poses(frame_results, tmp_path):
     folder = Path(shutil.copytree(frame_results, tmp_path / "fit"))
     for name, header in (("pose3d.csv", 2), ("angles.csv", 1)):
-        lines = (folder / name).read_text().splitlines()
-        (folder / name).write_text("\n".join(lines[: header + 3]) + "\n")
+        rows = (folder / name).read_text().splitlines()
+        for i, row in enumerate(rows[header + 3 :], start=header + 3):  # without a pose
+            frame, *cells = row.split(",")
+            rows[i] = ",".join([frame, *("" for _ in cells)])
+        (folder / name).write_text("\n".join(rows) + "\n")
     write_manifest(folder)
     with pytest.raises(InputError, match="found 3 frames with a pose, expected at least 4"):
         analyse(read_results(folder))
