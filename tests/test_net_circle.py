@@ -79,7 +79,7 @@ def test_the_circle_at_a_small_size(tmp_path, monkeypatch):
     from recon.pipelines.net_circle import run_circle
 
     narrow_networks(monkeypatch)
-    settings, film = TrainSettings(steps=6, batch=2), first_frames(tmp_path / "film", 50)
+    settings, film = TrainSettings(steps=40, batch=2), first_frames(tmp_path / "film", 50)
     fit = {"likelihood_min": 0.0, "fast": True, "frames": "30:50"}
     circle = run_circle(tmp_path, settings, samples=film, device="cpu", threads=1, **fit)
     assert circle.points.frames == 50 - 22
