@@ -128,6 +128,8 @@ def require_fields(report: dict[str, Any], path: Path) -> tuple[Camera, ...]:
     cameras, problems = [], []
     for field, camera in described.items():
         try:
+            if not isinstance(camera["name"], str):
+                raise TypeError(f"the name {camera['name']}")
             cameras.append(Camera.from_dict(camera))
         except (ValueError, KeyError, TypeError, OverflowError, AttributeError) as error:
             problems.append(Problem(path, field, str(error)[:200], AS_WRITTEN))
@@ -142,7 +144,7 @@ def require_fitting(report: dict[str, Any], pose: Pose3D, path: Path) -> None:
     skeleton, (T, J) = parsed.skeleton, pose.xyz_m.shape[:2]
     frames = set(pose.frames.tolist())
     errors = (parsed.image_error_px.values, *parsed.image_error_px.others)
-    names = {camera.camera.get("name") for camera in parsed.cameras}
+    names = [camera.camera.get("name") for camera in parsed.cameras]
     checks = {
         "skeleton.keypoints": sorted(skeleton.keypoints) == sorted(pose.names),
         "skeleton.joints": len(skeleton.joints) == len(set(skeleton.joints)) == J,

@@ -154,6 +154,27 @@ def test_movement(tmp_path, plural, engine):
     assert "one of: a, b" in refused(tmp_path / "a.nc")[0]
 
 
+def test_movement_attributes_of_other_kinds(tmp_path):
+    """They say nothing."""
+    data = movement_data(False, fps=[1.0, 2.0], time_unit=[1, 2], ds_type=[1, 2])
+    data.to_netcdf(tmp_path / "a.nc", engine="h5netcdf")
+    found = read_keypoints(tmp_path / "a.nc", "a")
+    assert (found.fps, found.frames.tolist()) == (25.0, [0, 1, 2, 3])
+
+
+def test_movement_without_numbers_of_its_dimensions(tmp_path):
+    """Other programs than h5netcdf say only in each dimension which variables it belongs to."""
+    import h5py
+
+    data = movement_data(True)
+    data.to_netcdf(tmp_path / "a.nc", engine="h5netcdf")
+    with h5py.File(tmp_path / "a.nc", "a") as file:
+        for name in ("position", "confidence"):
+            del file[name].attrs["_Netcdf4Coordinates"]
+    found = read_keypoints(tmp_path / "a.nc", "b")
+    np.testing.assert_array_equal(found.xy_px, data["position"].to_numpy()[..., 1].transpose(0, 2, 1))
+
+
 def test_movement_in_frames(tmp_path):
     data = movement_data(True, time_unit="frames").assign_coords(time=[3, 4, 8, 9])
     del data.attrs["fps"]

@@ -198,7 +198,7 @@ def _read_hdf5(path: Path) -> tuple[dict[str, _Variable], dict[str, Any]]:
             values = np.array(texts(dataset), object).reshape(dataset.shape) if is_text(dataset) else numbers(dataset)
             facts = {key: attribute(dataset, key) for key in FACTS}
             found[_singular(name)] = _Variable(tuple(map(_singular, dims)), _decoded(values, facts)).joined()
-        attributes = {name: attribute(file, name) for name in ATTRIBUTES}
+        attributes = {name: _plain(attribute(file, name)) for name in ATTRIBUTES}
     return found, attributes
 
 
@@ -239,7 +239,10 @@ def _read_classic(path: Path) -> tuple[dict[str, _Variable], dict[str, Any]]:
 
 
 def _plain(value: Any) -> Any:
-    return value.decode("utf-8") if isinstance(value, bytes) else value
+    """A text or a number; None for anything else."""
+    if isinstance(value, bytes):
+        return value.decode("utf-8")
+    return value if isinstance(value, str | int | float | np.integer | np.floating) else None
 
 
 def _singular(name: str) -> str:
