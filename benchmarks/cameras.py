@@ -21,6 +21,7 @@ from pathlib import Path
 
 import numpy as np
 from markdown_table import print_table
+from recordings import recordings
 from trajectory import INSIDE_90, SKELETON, body_of, meta_of, prior_of, truth_of
 
 from recon import Body, FitSettings
@@ -174,8 +175,7 @@ def measured(runs: Sequence[Run]) -> list[dict]:
 
 
 def main() -> None:
-    here = Path(__file__).resolve().parents[1]
-    default = Path(os.environ.get("RECON_SHARED_DATA", here.parent / "shared" / "data")) / "cheetah-runs"
+    default = recordings("cheetah-runs")
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", nargs="?", type=Path, default=default)
     folder = parser.parse_args().folder

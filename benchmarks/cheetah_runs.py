@@ -12,12 +12,12 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
 import time
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
+from recordings import recordings
 
 from recon import FitSettings, FrameMotion, InputError, Motion, Pose3D, evaluate, read_pose3d
 from recon.pipelines.clip import fit_frames
@@ -129,8 +129,7 @@ def print_table(rows: list[dict], title: str) -> None:
 
 
 def main() -> None:
-    here = Path(__file__).resolve().parents[1]
-    default = Path(os.environ.get("RECON_SHARED_DATA", here.parent / "shared" / "data")) / "cheetah-runs"
+    default = recordings("cheetah-runs")
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path, nargs="?", default=default)
     parser.add_argument("--csv", type=Path, help="write all rows here")

@@ -27,6 +27,7 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
+from recordings import recordings
 from trajectory import print_table
 
 from recon import Body, Camera, FitSettings, TrajectoryMotion, fit_clip, load_skeleton, write_camera
@@ -275,8 +276,7 @@ def _median(rows: Rows) -> dict:
 
 
 def main() -> None:
-    here = Path(__file__).resolve().parents[1]
-    default = Path(os.environ.get("RECON_SHARED_DATA", here.parent / "shared" / "data")) / "dog-mocap"
+    default = recordings("dog-mocap")
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path, nargs="?", default=default)
     parser.add_argument("--only", choices=("lengths", "expectations", "accuracy"), help="one kind of table")

@@ -13,13 +13,13 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
 import tempfile
 from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 from markdown_table import print_table
+from recordings import recordings
 
 from recon import FitSettings, Pose3D, read_pose3d
 from recon.analysis.clip import analyse
@@ -162,8 +162,7 @@ def print_rows(rows: list[dict]) -> None:
 
 
 def main() -> None:
-    here = Path(__file__).resolve().parents[1]
-    default = Path(os.environ.get("RECON_SHARED_DATA", here.parent / "shared" / "data")) / "cheetah-runs"
+    default = recordings("cheetah-runs")
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path, nargs="?", default=default)
     arguments = parser.parse_args()

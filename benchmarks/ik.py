@@ -23,6 +23,7 @@ import time
 
 import numpy as np
 from markdown_table import print_table
+from recordings import recordings
 from scipy.interpolate import CubicSpline
 
 from recon import Pose3D, read_pose3d
@@ -328,8 +329,7 @@ FITS: tuple[tuple[str, Callable[..., Fitted], str], ...] = (
 
 
 def main() -> None:
-    here = Path(__file__).resolve().parents[1]
-    default = Path(os.environ.get("RECON_SHARED_DATA", here.parent / "shared" / "data")) / "cheetah-runs"
+    default = recordings("cheetah-runs")
     tables = {"steps": print_steps, "targets": print_targets, "circle": print_circle}
     real = {"strides": print_strides, "fits": print_fits}
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)

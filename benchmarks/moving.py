@@ -23,6 +23,7 @@ from pathlib import Path
 import numpy as np
 from cameras import PRIOR, Run, errors, run_of
 from markdown_table import print_header, print_row
+from recordings import recordings
 from scipy.ndimage import gaussian_filter1d
 from trajectory import body_of, prior_of
 
@@ -174,8 +175,7 @@ def print_summary(rows: Sequence[dict]) -> None:
 
 
 def main() -> None:
-    here = Path(__file__).resolve().parents[1]
-    default = Path(os.environ.get("RECON_SHARED_DATA", here.parent / "shared" / "data")) / "cheetah-runs"
+    default = recordings("cheetah-runs")
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path, nargs="?", default=default)
     arguments = parser.parse_args()

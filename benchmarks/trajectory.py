@@ -28,6 +28,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 from cheetah_runs import PUBLISHED, view_row
+from recordings import recordings
 
 from recon import Body, Camera, load_skeleton, read_camera, read_keypoints, read_pose3d
 from recon.analysis.clip import PLACE_LASTS_S, POSE_LASTS_S
@@ -778,8 +779,7 @@ SIMULATED: dict[str, Callable[[], dict[str, Rows]]] = {"robustness": long_hole, 
 
 
 def main() -> None:
-    here = Path(__file__).resolve().parents[1]
-    default = Path(os.environ.get("RECON_SHARED_DATA", here.parent / "shared" / "data")) / "cheetah-runs"
+    default = recordings("cheetah-runs")
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path, nargs="?", default=default)
     parser.add_argument("--only", choices=sorted({*REAL, *SIMULATED}), help="one kind of table")
