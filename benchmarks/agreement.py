@@ -28,9 +28,9 @@ from markdown_table import print_table
 
 from recon import Body, FitSettings, load_skeleton
 from recon.analysis.agreement import Agreement, Finding, Kind, camera_agreement
+from recon.app.clip import prepare
 from recon.clip import View, views_of
 from recon.frames import rigid
-from recon.pipelines.clip import prepare
 from recon.rotations import euler_rotation
 from recon.solve import TrajectoryOptions
 

@@ -24,11 +24,11 @@ from typing import Any
 import numpy as np
 from markdown_table import print_table
 
+from recon.app.batch.record import read_record
+from recon.app.demo import samples_folder
 from recon.io import read_keypoints
 from recon.keypoints import Keypoints
 from recon.package import install_command
-from recon.pipelines.batch.record import read_record
-from recon.pipelines.demo import samples_folder
 from recon.synthetic import add_noise
 
 SAMPLE = samples_folder() / "whole.csv"

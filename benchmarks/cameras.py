@@ -25,8 +25,8 @@ from recordings import recordings
 from trajectory import INSIDE_90, SKELETON, body_of, meta_of, prior_of, truth_of
 
 from recon import Body, FitSettings
+from recon.app.clip import prepare
 from recon.clip import View, views_of
-from recon.pipelines.clip import prepare
 from recon.solve import TrajectoryOptions, TrajectorySolution, solve_trajectory
 from recon.solve.setting import Setting
 from recon.solve.shape import Shape, fit_shape

@@ -20,7 +20,7 @@ import pandas as pd
 from recordings import recordings
 
 from recon import FitSettings, FrameMotion, InputError, Motion, Pose3D, evaluate, read_pose3d
-from recon.pipelines.clip import fit_frames
+from recon.app.clip import fit_frames
 from recon.skeleton_file import builtin_names
 
 PUBLISHED = "cheetah-8u"

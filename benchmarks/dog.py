@@ -32,7 +32,7 @@ from trajectory import print_table
 
 from recon import Body, Camera, FitSettings, TrajectoryMotion, fit_clip, load_skeleton, write_camera
 from recon.analysis.evaluation import align_similarity, centre, joint_errors, score
-from recon.pipelines.prior import run_prior_fit
+from recon.app.prior import run_prior_fit
 from recon.prior import prior_from_body, save_prior
 from recon.solve.points import solve_points
 

@@ -26,7 +26,7 @@ from recon.analysis.clip import analyse
 from recon.analysis.gait import FEET, gait, match_stances, pose_tracks, stances
 from recon.analysis.kinematics import joint_kinematics, spine_flexion
 from recon.analysis.phase import field_means, pose_vector_field
-from recon.pipelines.clip import run_clip
+from recon.app.clip import run_clip
 from recon.results import read_results
 from recon.synthetic import gallop
 

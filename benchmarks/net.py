@@ -24,6 +24,8 @@ import cv2
 import numpy as np
 from markdown_table import print_header, print_row
 
+from recon.app.net import LabelSource, run_prediction, run_training
+from recon.app.net_circle import run_circle
 from recon.net.evaluate2d import Evaluation2D, evaluate_2d_files
 from recon.net.labels import read_label_file
 from recon.net.model import build_network
@@ -31,8 +33,6 @@ from recon.net.predict import predict_video
 from recon.net.run import TrainSettings
 from recon.net.torch_extra import choose_device, fast_half, require_torch, use_threads
 from recon.net.trained import CHANNELS, Spec, Trained, load_model, prepared
-from recon.pipelines.net import LabelSource, run_prediction, run_training
-from recon.pipelines.net_circle import run_circle
 from recon.video import video_writer
 
 FIRST = 50

@@ -21,8 +21,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from recon import FitSettings
-from recon.pipelines.clip import run_clip
-from recon.pipelines.retarget import Solved, companion, solve
+from recon.app.clip import run_clip
+from recon.app.retarget import Solved, companion, solve
 from recon.results import Results, read_results
 from recon.robot.reference import reference_of
 from recon.robot.robot_file import builtin_robots, load_robot

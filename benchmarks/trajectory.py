@@ -34,11 +34,11 @@ from recon import Body, Camera, load_skeleton, read_camera, read_keypoints, read
 from recon.analysis.clip import PLACE_LASTS_S, POSE_LASTS_S
 from recon.analysis.evaluation import centre, joint_errors, score
 from recon.analysis.kinematics import Errors, series_kinematics
+from recon.app.clip import arrange
+from recon.app.prior import run_prior_fit
 from recon.body import other_side
 from recon.clip import still_view
 from recon.keypoints import clean
-from recon.pipelines.clip import arrange
-from recon.pipelines.prior import run_prior_fit
 from recon.prior import MotionPrior, as_one_gaussian, load_prior
 from recon.skeleton_file import load_chain
 from recon.solve import TrajectoryOptions, TrajectorySolution, solve_trajectory

@@ -15,10 +15,10 @@ import numpy as np
 from PIL import Image
 
 from recon import FitSettings, read_results, samples_folder
-from recon.pipelines.analyse import run_analyse
-from recon.pipelines.clip import run_clip
-from recon.pipelines.overlay import run_overlay
-from recon.pipelines.skeleton_check import run_skeleton_check
+from recon.app.analyse import run_analyse
+from recon.app.clip import run_clip
+from recon.app.overlay import run_overlay
+from recon.app.skeleton_check import run_skeleton_check
 from recon.video import read_frames, video_writer
 
 HERE = Path(__file__).resolve().parent

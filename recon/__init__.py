@@ -13,6 +13,8 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from recon.analysis.clip import ClipAnalysis, analyse
     from recon.analysis.evaluation import Evaluation, evaluate, evaluate_files
+    from recon.app.clip import fit_clip, write_clip
+    from recon.app.demo import samples_folder
     from recon.body import Body
     from recon.calibration import read_camera, read_cameras, write_camera
     from recon.camera import Camera
@@ -21,8 +23,6 @@ if TYPE_CHECKING:
     from recon.io.pose3d import Pose3D, read_pose3d
     from recon.keypoints import Keypoints, clean
     from recon.motion import FrameMotion, Motion, TrajectoryMotion
-    from recon.pipelines.clip import fit_clip, write_clip
-    from recon.pipelines.demo import samples_folder
     from recon.results import Results, read_results
     from recon.settings import FitSettings
     from recon.skeleton import Skeleton
@@ -71,8 +71,8 @@ _NAMES_OF = {
     "recon.io.pose3d": ("Pose3D", "read_pose3d"),
     "recon.keypoints": ("Keypoints", "clean"),
     "recon.motion": ("FrameMotion", "Motion", "TrajectoryMotion"),
-    "recon.pipelines.clip": ("fit_clip", "write_clip"),
-    "recon.pipelines.demo": ("samples_folder",),
+    "recon.app.clip": ("fit_clip", "write_clip"),
+    "recon.app.demo": ("samples_folder",),
     "recon.results": ("Results", "read_results"),
     "recon.settings": ("FitSettings",),
     "recon.skeleton": ("Skeleton",),

@@ -18,6 +18,7 @@ import numpy as np
 import pytest
 from command_line import run
 
+from recon.app.clip import run_clip
 from recon.body import Body
 from recon.camera import Camera
 from recon.clip import Source, camera_poses, still_view
@@ -25,7 +26,6 @@ from recon.frames import inverse, moved
 from recon.initialise import mean_pose
 from recon.keypoints import Keypoints, clean
 from recon.motion import FrameMotion, TrajectoryMotion
-from recon.pipelines.clip import run_clip
 from recon.plots import style
 from recon.settings import FitSettings
 from recon.skeleton_file import load_skeleton

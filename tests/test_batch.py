@@ -19,15 +19,15 @@ from typing import Any, NamedTuple
 
 import pytest
 
-import recon.pipelines.batch.worker as worker_module
+import recon.app.batch.worker as worker_module
+from recon.app.analyse import run_analyse
+from recon.app.batch import COLUMNS, Clip, Event, Summary, find_clips, input_problems, plan_batch, run_batch
+from recon.app.batch.record import RECORD, read_record
+from recon.app.batch.worker import Worker, WorkerDied, fit_one, task_of
+from recon.app.clip import fit_clip, run_clip
 from recon.cli import main
 from recon.errors import InputError
 from recon.files import sole_writer
-from recon.pipelines.analyse import run_analyse
-from recon.pipelines.batch import COLUMNS, Clip, Event, Summary, find_clips, input_problems, plan_batch, run_batch
-from recon.pipelines.batch.record import RECORD, read_record
-from recon.pipelines.batch.worker import Worker, WorkerDied, fit_one, task_of
-from recon.pipelines.clip import fit_clip, run_clip
 from recon.settings import FitSettings
 
 SAMPLES = Path(__file__).parents[1] / "data" / "samples"
@@ -344,7 +344,7 @@ def test_what_comes_after_the_fit_does_not_have_it_made_again(clips, tmp_path):
 
 
 def test_what_another_process_is_writing_to_is_left_alone(clips, tmp_path, monkeypatch):
-    monkeypatch.setattr("recon.pipelines.batch.worker.DYING_S", 0.0)
+    monkeypatch.setattr("recon.app.batch.worker.DYING_S", 0.0)
     out = tmp_path / "out"
     (planned,) = plan_batch(found(clips / "a.csv"), out)
     with sole_writer(out):

@@ -11,14 +11,14 @@ import numpy as np
 import pytest
 
 from recon import FitSettings, InputError, TrajectoryMotion, fit_clip, read_keypoints
+from recon.app.batch.inputs import find_clips
+from recon.app.batch.record import identity
+from recon.app.clip import prepare
 from recon.camera_track import read_camera_track
 from recon.clip import View, held, views_of
 from recon.export.deeplabcut import write_keypoints_csv
 from recon.frames import rigid
 from recon.keypoints import Keypoints
-from recon.pipelines.batch.inputs import find_clips
-from recon.pipelines.batch.record import identity
-from recon.pipelines.clip import prepare
 from recon.results import read_results
 from recon.rotations import part_of_turn, quaternion_rotations, quaternions
 from tests import test_cameras

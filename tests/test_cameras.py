@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from recon import FitSettings, InputError, TrajectoryMotion, fit_clip
+from recon.app.clip import prepare
 from recon.clip import Source, View, together
 from recon.export.deeplabcut import write_keypoints_csv
 from recon.keypoints import Keypoints, clean
-from recon.pipelines.clip import prepare
 from tests.command_line import run as command
 from tests.test_trajectory import BODY, CAMERA, FPS
 from tests.test_views import AHEAD, ASIDE, truth_m

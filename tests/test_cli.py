@@ -22,10 +22,10 @@ import recon.cli
 import recon.export
 import recon.view
 from recon.analysis.evaluation import evaluate_files
+from recon.app.clip import OUTPUT_FILES
 from recon.cli.common import terminal
 from recon.export import TRAJECTORY_OUTPUTS
 from recon.io import read_keypoints
-from recon.pipelines.clip import OUTPUT_FILES
 from recon.settings import FitSettings, read_settings
 from recon.skeleton import MIN_JOINTS
 from recon.view.added import AddedSeries, write_plots
@@ -661,7 +661,7 @@ def test_overwrite_keeps_other_files(fitted, tmp_path):
 
 KILLED_FITTING = """
 import os, signal
-import recon.pipelines.clip as clip
+import recon.app.clip as clip
 solve = clip.solve_frames
 def until_frame_3(*args):
     return solve(*args[:-1], lambda frame: os.kill(os.getpid(), signal.SIGKILL) if frame == 3 else None)
@@ -669,7 +669,7 @@ clip.solve_frames = until_frame_3
 """
 KILLED_APPROACHING = """
 import os, signal
-import recon.pipelines.clip as clip
+import recon.app.clip as clip
 solve = clip.solve_trajectory
 clip.solve_trajectory = lambda *args: solve(*args[:-1], lambda stage, share: os.kill(os.getpid(), signal.SIGKILL))
 """
@@ -791,7 +791,7 @@ def test_view_without_a_recording(tmp_path):
 
 def test_view_opens_the_recording(fitted, monkeypatch):
     opened = []
-    monkeypatch.setattr("recon.pipelines.view.open_viewer", opened.append)
+    monkeypatch.setattr("recon.app.view.open_viewer", opened.append)
     assert run("view", fitted[0]).code == 0
     assert opened == [fitted[0] / "motion.rrd"]
 
@@ -809,7 +809,7 @@ def test_view_shows_what_goes_with_the_recording(fitted, tmp_path, monkeypatch):
     def look(path):
         seen.append({"/analysis/x", "/speed"} & {chunk.entity_path for chunk in RrdReader(path).stream()})
 
-    monkeypatch.setattr("recon.pipelines.view.open_viewer", look)
+    monkeypatch.setattr("recon.app.view.open_viewer", look)
     assert run("view", out, "--analysis", plots.parent) == Ended(0, "", "")
     shutil.copytree(plots.parent, out / "analysis")
     before = {path: path.read_bytes() for path in out.rglob("*") if path.is_file()}

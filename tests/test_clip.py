@@ -8,6 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from recon.app.clip import OUTPUT_FILES, fit_clip, fit_frames, fit_trajectory, prepare, run_clip, write_clip
+from recon.app.demo import samples_folder
 from recon.calibration import read_camera
 from recon.errors import InputError
 from recon.export import TRAJECTORY_OUTPUTS
@@ -15,8 +17,6 @@ from recon.export.deeplabcut import write_keypoints_csv
 from recon.io import read_keypoints
 from recon.manifest import read_manifest
 from recon.motion import FrameMotion, TrajectoryMotion
-from recon.pipelines.clip import OUTPUT_FILES, fit_clip, fit_frames, fit_trajectory, prepare, run_clip, write_clip
-from recon.pipelines.demo import samples_folder
 from recon.settings import FitSettings
 from recon.skeleton_file import builtin_chains, load_skeleton
 from recon.solve import FrameOptions, solve_frames

@@ -219,7 +219,7 @@ def test_tables_are_written_where_figures_fail(whole_results, tmp_path, monkeypa
     def full(*args: object) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("recon.pipelines.analyse.write_figures", full)
+    monkeypatch.setattr("recon.app.analyse.write_figures", full)
     done = run("analyse", whole_results, "--out", tmp_path / "a")
     assert done.code == 2
     assert "No space left on device" in done.err

@@ -14,13 +14,13 @@ import pytest
 import tables
 from typer.testing import CliRunner
 
+from recon.app.convert import Options, convert
 from recon.cli import app, main
 from recon.errors import InputError
 from recon.export.formats import FORMATS, Format, choose_format
 from recon.io import read_keypoints
 from recon.io.pose3d import Pose3D, read_pose3d
 from recon.keypoints import Keypoints
-from recon.pipelines.convert import Options, convert
 
 NAN = float("nan")
 FRAMES = np.array([7, 8, 9, 10, 14])
@@ -427,7 +427,7 @@ def test_npz_by_numpy(files_3d):
         assert float(file["fps"]) == FPS
 
 
-# The pipeline
+# The command
 
 
 def test_choice_of_format():
@@ -524,7 +524,7 @@ def test_columns_by_a_map(tmp_path):
 
 @pytest.fixture(scope="module")
 def results(small_trajectory, tmp_path_factory) -> Path:
-    from recon.pipelines.clip import write_clip
+    from recon.app.clip import write_clip
     from recon.settings import FitSettings
 
     folder = tmp_path_factory.mktemp("results")

@@ -27,8 +27,8 @@ import typer
 from command_line import run
 from docs_files import FILES, OF_PAGE
 
+from recon.app.batch import find_clips
 from recon.cli import app
-from recon.pipelines.batch import find_clips
 
 ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / "docs"
@@ -148,7 +148,7 @@ def test_command_of_several_pages(command, of_results):
 @pytest.mark.usefixtures("small_pictures")
 def test_page(page, tmp_path, monkeypatch, whole_results, of_results):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("recon.pipelines.batch.available_cores", lambda: 1)  # of the processes that fit many clips
+    monkeypatch.setattr("recon.app.batch.available_cores", lambda: 1)  # of the processes that fit many clips
     workshop, names, printed = Workshop(tmp_path, name_of(page), whole_results, of_results), {"__name__": "page"}, ""
     for block in blocks(page):
         where = f"{page.name}, line {block.line}"

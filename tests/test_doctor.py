@@ -18,10 +18,10 @@ import pandas as pd
 import pytest
 from command_line import run, run_process
 
-import recon.pipelines.doctor as module
+import recon.app.doctor as module
+from recon.app.doctor import Check, Doctor, extras, run_doctor, self_test, temporary_folder, versions, viewer
 from recon.cli import app
 from recon.package import install_command
-from recon.pipelines.doctor import Check, Doctor, extras, run_doctor, self_test, temporary_folder, versions, viewer
 
 SAMPLES = Path(__file__).parents[1] / "data" / "samples"
 

@@ -14,12 +14,12 @@ import numpy as np
 import pytest
 from command_line import run
 
+from recon.app.clip import write_clip
 from recon.export.formats import FORMATS, Format
 from recon.files import staged_file
 from recon.io.pose import Pose3D
 from recon.keypoints import Keypoints
 from recon.motion import TrajectoryMotion
-from recon.pipelines.clip import write_clip
 from recon.settings import FitSettings
 from recon.video import video_writer
 

@@ -11,9 +11,9 @@ import pandas as pd
 import pytest
 from command_line import run
 
+from recon.app.ik import FITTED, METHODS, fit_parameters, limb_of, methods_of, run_ik
 from recon.errors import InputError
 from recon.manifest import write_manifest
-from recon.pipelines.ik import FITTED, METHODS, fit_parameters, limb_of, methods_of, run_ik
 from recon.results import read_results
 
 pytestmark = pytest.mark.usefixtures("small_pictures")
@@ -163,7 +163,7 @@ def test_tables_are_written_where_figures_fail(whole_results, tmp_path, monkeypa
     def full(*args: object) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("recon.pipelines.ik.write_figures", full)
+    monkeypatch.setattr("recon.app.ik.write_figures", full)
     done = run("ik", whole_results, "--method", "damped", "--target", "0.7,0.1,-0.4", "--out", tmp_path / "a")
     assert done.code == 2
     assert "No space left on device" in done.err

@@ -32,9 +32,9 @@ def run_clip(*args):
     finally:
         print("cleaned up", flush=True)
 
-pipeline = types.ModuleType("recon.pipelines.clip")
+pipeline = types.ModuleType("recon.app.clip")
 pipeline.run_clip = run_clip
-sys.modules["recon.pipelines.clip"] = pipeline
+sys.modules["recon.app.clip"] = pipeline
 sys.modules["pandas"] = types.ModuleType("pandas")
 """
 IN_A_LIBRARY = "hashlib.pbkdf2_hmac('sha256', b'', b'', 10**9)"
@@ -72,7 +72,7 @@ def test_a_command_called_from_python_ends_with_one_line(monkeypatch):
     def interrupted(*args: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("recon.pipelines.clip.run_clip", interrupted)
+    monkeypatch.setattr("recon.app.clip.run_clip", interrupted)
     assert run(*FIT) == Ended(130, "", f"{MESSAGE}\n")
 
 

@@ -60,7 +60,7 @@ LAYERS = (
     "view",
     "settings",
     "net",
-    "pipelines",
+    "app",
     "cli",
     "__main__",
 )

@@ -75,8 +75,8 @@ def first_frames(folder: Path, count: int) -> Path:
 def test_the_circle_at_a_small_size(tmp_path, monkeypatch):
     """A few steps of a narrow network: the points are poor, but every part gives what the next one takes."""
     pytest.importorskip("torch")
+    from recon.app.net_circle import run_circle
     from recon.net.run import TrainSettings
-    from recon.pipelines.net_circle import run_circle
 
     narrow_networks(monkeypatch)
     settings, film = TrainSettings(steps=40, batch=2), first_frames(tmp_path / "film", 50)

@@ -13,6 +13,7 @@ from networks import EVALUATIONS, narrow_networks
 
 torch = pytest.importorskip("torch")
 
+from recon.app.net import LabelSource, run_prediction, run_training  # noqa: E402
 from recon.errors import InputError  # noqa: E402
 from recon.export.deeplabcut import write_keypoints_h5  # noqa: E402
 from recon.io import read_keypoints  # noqa: E402
@@ -22,7 +23,6 @@ from recon.net.run import TrainSettings  # noqa: E402
 from recon.net.train import schedule  # noqa: E402
 from recon.net.trained import load_file, load_model  # noqa: E402
 from recon.package import install_command  # noqa: E402
-from recon.pipelines.net import LabelSource, run_prediction, run_training  # noqa: E402
 from recon.video import VideoInfo, probe, video_writer  # noqa: E402
 
 SIZE, FRAMES = (96, 64), 20
@@ -95,7 +95,7 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
 def quick_training(patch: pytest.MonkeyPatch) -> None:
     """Narrow networks, and no report."""
     narrow_networks(patch)
-    patch.setattr("recon.pipelines.net.write_training_report", lambda run, state, folder: {})
+    patch.setattr("recon.app.net.write_training_report", lambda run, state, folder: {})
 
 
 class Killed(Exception):
@@ -149,7 +149,7 @@ def test_ctrl_c_says_how_to_go_on(clip, tmp_path, monkeypatch):
     def interrupted(*args: object, **options: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("recon.pipelines.net.train", interrupted)
+    monkeypatch.setattr("recon.app.net.train", interrupted)
     arguments = ["train", clip / "clip.avi", "--labels", clip / "labels.csv", "--first-frame", "50", "--steps", "3"]
     ended = run(*arguments, "--out", tmp_path / "out")
     assert ended.code == 130

@@ -11,6 +11,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
+from recon.app.clip import write_clip
+from recon.app.overlay import overlay_of, run_overlay
 from recon.cli import app
 from recon.errors import InputError
 from recon.manifest import write_manifest
@@ -27,8 +29,6 @@ from recon.overlay import (
     shade,
     smoothed_headings,
 )
-from recon.pipelines.clip import write_clip
-from recon.pipelines.overlay import overlay_of, run_overlay
 from recon.results import read_results
 from recon.settings import FitSettings
 from recon.video import probe, read_frames, video_writer

@@ -12,11 +12,11 @@ import pytest
 from scipy.stats import multivariate_normal
 from typer.testing import CliRunner
 
+from recon.app.prior import run_prior_fit
 from recon.body import Body
 from recon.cli import app
 from recon.errors import InputError
 from recon.io.pose3d import read_pose_segments
-from recon.pipelines.prior import run_prior_fit
 from recon.prior import (
     ACCELERATION_FLOOR_RAD_S2,
     POSE_FLOOR_RAD,

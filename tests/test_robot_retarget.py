@@ -10,9 +10,9 @@ from command_line import run
 from rerun.chunk import RrdReader
 from robot_urdf import a1_urdf
 
+from recon.app.retarget import companion, repeated, run_retarget, solve
 from recon.body import Body
 from recon.errors import InputError
-from recon.pipelines.retarget import companion, repeated, run_retarget, solve
 from recon.results import read_results
 from recon.robot.body_pose import feet_in_world
 from recon.robot.footholds import planted, stances
@@ -349,7 +349,7 @@ def test_every_problem_at_once(tmp_path):
 
 def test_a_real_run(shared_data, tmp_path):
     """A clip without a complete stride: nearest return, said so."""
-    from recon.pipelines.clip import run_clip
+    from recon.app.clip import run_clip
     from recon.settings import FitSettings
 
     run_folder = shared_data / "cheetah-runs" / "2017_09_02-top-phantom-run1_2"

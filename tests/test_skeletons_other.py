@@ -13,11 +13,11 @@ from typer.testing import CliRunner
 
 from recon import Body, Camera, FitSettings, InputError, Keypoints, TrajectoryMotion, fit_clip, load_skeleton
 from recon.analysis.evaluation import centre, joint_errors, score
+from recon.app.skeleton_check import check_skeleton, list_skeletons, run_skeleton_check
 from recon.body import other_side, side_of
 from recon.cli import app
 from recon.clip import still_view
 from recon.io import read_keypoints
-from recon.pipelines.skeleton_check import check_skeleton, list_skeletons, run_skeleton_check
 from recon.prior import prior_from_body
 from recon.skeleton_file import builtin_chains, builtin_names
 from recon.solve import TrajectoryOptions, solve_trajectory

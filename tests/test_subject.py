@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from recon import Body, InputError, load_skeleton
-from recon.pipelines.subject import run_subject_fit
+from recon.app.subject import run_subject_fit
 from recon.solve import TrajectoryOptions
 from recon.solve.setting import Setting
 from recon.solve.shape import Shape, ShapeFit, fit_shape

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from recon.analysis.evaluation import evaluate
+from recon.app.clip import fit_clip
 from recon.body import other_side
 from recon.camera import Camera
 from recon.clip import still_view
 from recon.io.pose3d import Pose3D, read_pose3d
-from recon.pipelines.clip import fit_clip
 from recon.prior import load_prior, prior_from_body
 from recon.settings import FitSettings
 from recon.skeleton_file import load_chain, load_skeleton

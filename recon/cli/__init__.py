@@ -1,4 +1,4 @@
-"""Command line: arguments in, a pipeline called, nothing else. One module for each command."""
+"""Command line: arguments in, one call of `recon.app`, nothing else. One module for each command."""
 
 from __future__ import annotations
 

@@ -15,7 +15,7 @@ from rich.text import Text
 from recon.cli.common import terminal
 
 if TYPE_CHECKING:
-    from recon.pipelines.analyse import Analysed
+    from recon.app.analyse import Analysed
 
 
 def analyse(
@@ -41,7 +41,7 @@ def analyse(
 
     Example: recon analyse results/clip
     """
-    from recon.pipelines.analyse import run_analyse
+    from recon.app.analyse import run_analyse
     from recon.report import to_json
 
     done = run_analyse(folder, out, smooth, figures, overwrite)

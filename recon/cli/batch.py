@@ -20,8 +20,8 @@ from recon.cli.common import stop, terminal
 from recon.cli.settings import OPTIONS, takes_settings
 
 if TYPE_CHECKING:
+    from recon.app.batch import Event, Planned, Summary
     from recon.errors import Problem
-    from recon.pipelines.batch import Event, Planned, Summary
 
 EXIT_STRICT = 1
 CANNOT = "cannot be fitted"
@@ -87,7 +87,7 @@ def batch(
     Exit code 0: done, whatever became of single clips (see --strict). 2: the input as a whole cannot be used; nothing
     was done. 130: stopped with Ctrl-C; what is done is kept.
     """
-    from recon.pipelines.batch import check_shared, find_clips, input_problems, plan_batch, run_batch
+    from recon.app.batch import check_shared, find_clips, input_problems, plan_batch, run_batch
 
     console = terminal(quiet=quiet, stderr=as_json)
     summary: Summary | None = None
@@ -129,7 +129,7 @@ def batch(
 def _print_plan(
     console: Console, plan: Sequence[Planned], problems: Sequence[tuple[Problem, ...]], as_json: bool
 ) -> None:
-    from recon.pipelines.batch import repeated
+    from recon.app.batch import repeated
 
     rows = [
         {

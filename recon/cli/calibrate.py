@@ -17,7 +17,7 @@ from rich.text import Text
 from recon.cli.common import error_text, terminal
 
 if TYPE_CHECKING:
-    from recon.pipelines.calibrate import CalibrationRun
+    from recon.app.calibrate import CalibrationRun
 
 EXIT_REFUSED = 1
 
@@ -52,7 +52,7 @@ def calibrate(
 
     Exit code 0: written. 1: refused, because a check failed. 2: the input cannot be used.
     """
-    from recon.pipelines.calibrate import run_calibration
+    from recon.app.calibrate import run_calibration
 
     errors = terminal(stderr=True, soft_wrap=True)
     columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn())

@@ -15,7 +15,7 @@ from recon.cli.common import FPS, number_option, terminal
 from recon.errors import InputError, Problem
 
 if TYPE_CHECKING:
-    from recon.pipelines.convert import Conversion
+    from recon.app.convert import Conversion
 
 
 def convert(
@@ -64,7 +64,7 @@ def convert(
     if source is None or out is None:
         found = "nothing" if source is None else "one file"
         raise InputError(Problem("recon convert", "files", found, "IN and OUT, as in recon convert clip.csv clip.nc"))
-    from recon.pipelines.convert import Options, convert
+    from recon.app.convert import Options, convert
 
     options = Options(fps, individual, columns, unit, up)
     typer.echo(_summary(out, convert(source, out, to, options, overwrite)))

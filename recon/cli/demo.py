@@ -20,7 +20,7 @@ def demo(
 
     Example: recon demo --out demo-output
     """
-    from recon.pipelines.demo import run_demo
+    from recon.app.demo import run_demo
 
     console = terminal(quiet=quiet, stderr=as_json)
     leave_pandas_out()

@@ -15,7 +15,7 @@ from rich.text import Text
 from recon.cli.common import progress_bar, terminal
 
 if TYPE_CHECKING:
-    from recon.pipelines.doctor import Doctor
+    from recon.app.doctor import Doctor
 
 EXIT_BROKEN = 1
 _STYLES = {"ok": "green", "absent": "", "note": "yellow", "broken": "bold red"}
@@ -28,7 +28,7 @@ def doctor(as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] 
 
     Exit code 0: recon works here. 1: something that it cannot do without is broken.
     """
-    from recon.pipelines.doctor import run_doctor
+    from recon.app.doctor import run_doctor
 
     with progress_bar(terminal(stderr=True), "checking") as progress:
         found = run_doctor(progress)

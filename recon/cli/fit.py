@@ -30,7 +30,7 @@ def fit(
 
     Exit code 0: done. 1: no frame could be solved. 2: the input cannot be used.
     """
-    from recon.pipelines.clip import run_clip
+    from recon.app.clip import run_clip
     from recon.settings import read_settings
 
     no_out = Problem("--out", "folder", "nothing", "a folder for the results, as in results/clip1")

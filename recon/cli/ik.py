@@ -57,7 +57,7 @@ def ik(
 
     Example: recon ik results/clip --compare
     """
-    from recon.pipelines.ik import METHODS, STRIDE_MAX, run_ik
+    from recon.app.ik import METHODS, STRIDE_MAX, run_ik
     from recon.report import to_json
 
     problems = []

@@ -36,7 +36,7 @@ def overlay(
 
     Example: recon overlay results/clip --video clip.mp4 --out overlay.mp4
     """
-    from recon.pipelines.overlay import run_overlay
+    from recon.app.overlay import run_overlay
 
     console = terminal(quiet=quiet)
     columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeRemainingColumn())

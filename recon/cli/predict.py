@@ -52,7 +52,7 @@ def predict(
 
     Example: recon predict run.mp4 --model models/run --out run.csv --overlay run_points.mp4
     """
-    from recon.pipelines.net import run_prediction
+    from recon.app.net import run_prediction
 
     console = terminal(quiet=quiet)
     start = time.monotonic()

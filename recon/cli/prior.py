@@ -48,7 +48,7 @@ def prior_fit(
 
     Example: recon prior fit run1.csv run2.csv --skeleton cheetah-24 --fps 120 --out running.npz
     """
-    from recon.pipelines.prior import run_prior_fit
+    from recon.app.prior import run_prior_fit
 
     done = run_prior_fit(
         poses=poses,

@@ -43,7 +43,7 @@ def retarget(
 
     Example: recon retarget results/clip --robot a1 --out results/robot
     """
-    from recon.pipelines.retarget import run_retarget
+    from recon.app.retarget import run_retarget
     from recon.report import to_json
 
     solved = run_retarget(folder, robot, out, scale, slower, lag, overwrite)

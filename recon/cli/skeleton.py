@@ -15,7 +15,7 @@ from rich.text import Text
 from recon.cli.common import terminal
 
 if TYPE_CHECKING:
-    from recon.pipelines.skeleton_check import AngleRow, MarkerRow, PartRow, SkeletonCheck
+    from recon.app.skeleton_check import AngleRow, MarkerRow, PartRow, SkeletonCheck
 
 skeleton_app = typer.Typer(help="Skeletons: those that come with the package, and your own.", no_args_is_help=True)
 
@@ -28,7 +28,7 @@ def skeleton_list(as_json: Annotated[bool, typer.Option("--json", help="Print JS
     """
     from dataclasses import asdict
 
-    from recon.pipelines.skeleton_check import list_skeletons
+    from recon.app.skeleton_check import list_skeletons
 
     found = list_skeletons()
     if as_json:
@@ -61,7 +61,7 @@ def skeleton_check(
 
     Exit code 0: it can be used. 2: it cannot; every problem is named.
     """
-    from recon.pipelines.skeleton_check import run_skeleton_check
+    from recon.app.skeleton_check import run_skeleton_check
 
     check = run_skeleton_check(skeleton, subject, out, overwrite)
     if as_json:

@@ -15,7 +15,7 @@ from rich.text import Text
 from recon.cli.common import terminal
 
 if TYPE_CHECKING:
-    from recon.pipelines.subject import SubjectFit
+    from recon.app.subject import SubjectFit
 
 
 def subject_fit(
@@ -39,7 +39,7 @@ def subject_fit(
 
     Example: recon subject fit results/run1 results/run2 --offsets --out my-cat.toml
     """
-    from recon.pipelines.subject import run_subject_fit
+    from recon.app.subject import run_subject_fit
 
     found = run_subject_fit(clips, out, lengths, offsets, title, overwrite)
     if as_json:

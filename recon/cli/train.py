@@ -83,8 +83,8 @@ def train(
 
     Example: recon train run.mp4 --labels CollectedData_me.csv --out models/run
     """
+    from recon.app.net import LabelSource, run_training
     from recon.net.run import CHECKPOINT_FILE, TrainSettings
-    from recon.pipelines.net import LabelSource, run_training
 
     settings = TrainSettings(
         steps=steps,

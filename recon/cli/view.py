@@ -31,6 +31,6 @@ def view(
 
     Example: recon view results/clip --video clip.mp4
     """
-    from recon.pipelines.view import run_view
+    from recon.app.view import run_view
 
     run_view(folder, analysis, video, first_frame, camera_name, out, lambda note: typer.echo(note, err=True))

@@ -11,6 +11,9 @@ from pathlib import Path
 
 import numpy as np
 
+from recon.app.batch.inputs import find_clips
+from recon.app.batch.record import read_record
+from recon.app.clip import run_clip
 from recon.body import Body
 from recon.calibration import read_cameras, write_camera
 from recon.camera import Camera
@@ -23,9 +26,6 @@ from recon.io.pose3d import Pose3D, read_pose3d, read_pose_segments
 from recon.keypoints import Keypoints, clean
 from recon.manifest import MANIFEST, write_manifest
 from recon.net.labels import read_label_file
-from recon.pipelines.batch.inputs import find_clips
-from recon.pipelines.batch.record import read_record
-from recon.pipelines.clip import run_clip
 from recon.prior import load_prior
 from recon.results import read_results
 from recon.robot.climb.recipe import load_recipe
@@ -219,7 +219,7 @@ def _by_map(path: Path) -> object:
 
 
 def _rates(path: Path) -> object:
-    from recon.pipelines.prior import _rates as read
+    from recon.app.prior import _rates as read
 
     return read(str(path))
 

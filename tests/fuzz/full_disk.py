@@ -52,7 +52,7 @@ def read_results(out: Path) -> object:
 
 
 def read_data(out: Path) -> object:
-    from recon.pipelines.convert import Options, read_any
+    from recon.app.convert import Options, read_any
 
     return read_any(out, Options(fps=60, unit="m", up="z") if out.suffix == ".csv" else Options())
 
@@ -281,9 +281,9 @@ def main() -> None:
     parser.add_argument("--by-file", action="store_true", help="limit the size of files: no root needed")
     given = parser.parse_args()
     os.environ.update(dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "RAYON_NUM_THREADS"), "1"))
-    import recon.pipelines.analyse
-    import recon.pipelines.clip
-    import recon.pipelines.convert
+    import recon.app.analyse
+    import recon.app.clip
+    import recon.app.convert
     import recon.plots
     import recon.view.together  # noqa: F401  # children have it all
 

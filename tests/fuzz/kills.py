@@ -23,9 +23,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from recon.app.clip import OUTPUT_FILES, run_clip
 from recon.errors import InputError
 from recon.files import staged_results
-from recon.pipelines.clip import OUTPUT_FILES, run_clip
 from recon.results import read_results
 from recon.settings import FitSettings
 

@@ -27,6 +27,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from recon.app.clip import fit_clip
 from recon.body import Body
 from recon.calibration import write_camera
 from recon.camera import Camera
@@ -35,7 +36,6 @@ from recon.export import write_tables
 from recon.export.deeplabcut import write_keypoints_csv
 from recon.keypoints import Keypoints
 from recon.motion import FrameMotion, Motion, TrajectoryMotion
-from recon.pipelines.clip import fit_clip
 from recon.report import build_report, summary_lines, write_report
 from recon.settings import FitSettings
 from recon.skeleton import Skeleton

@@ -7,10 +7,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from recon.app.batch.inputs import Clip
+from recon.app.cameras import Cameras
+from recon.app.clip import Model, prepare, read_model_and_cameras
 from recon.errors import InputError, Problem
-from recon.pipelines.batch.inputs import Clip
-from recon.pipelines.cameras import Cameras
-from recon.pipelines.clip import Model, prepare, read_model_and_cameras
 from recon.settings import FitSettings
 
 Problems = tuple[Problem, ...]

@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import Any
 
 from recon.analysis.evaluation import Evaluation, evaluate_files
+from recon.app.clip import Progress, run_clip
 from recon.errors import InputError, Problem
-from recon.pipelines.clip import Progress, run_clip
 from recon.settings import FitSettings
 
 

@@ -8,14 +8,14 @@ import uuid
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+from recon.app.batch.checks import check_shared, input_problems, repeated
+from recon.app.batch.inputs import Clip, find_clips
+from recon.app.batch.pool import DaskPool, Event, LocalPool, Pool
+from recon.app.batch.record import Planned, plan_batch
+from recon.app.batch.summary import COLUMNS, STATUSES, Summary
+from recon.app.batch.worker import task_of
 from recon.errors import InputError, Problem
 from recon.files import sole_writer
-from recon.pipelines.batch.checks import check_shared, input_problems, repeated
-from recon.pipelines.batch.inputs import Clip, find_clips
-from recon.pipelines.batch.pool import DaskPool, Event, LocalPool, Pool
-from recon.pipelines.batch.record import Planned, plan_batch
-from recon.pipelines.batch.summary import COLUMNS, STATUSES, Summary
-from recon.pipelines.batch.worker import task_of
 
 __all__ = [
     "COLUMNS",

@@ -8,9 +8,9 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Literal, Protocol
 
+from recon.app.batch.worker import Worker, WorkerDied
 from recon.errors import InputError, Problem
 from recon.package import install_command
-from recon.pipelines.batch.worker import Worker, WorkerDied
 
 if TYPE_CHECKING:
     from distributed import Future
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 CONNECT_S = 10.0
 Task = Mapping[str, Any]
-"""Of `recon.pipelines.batch.worker.task_of`."""
+"""Of `recon.app.batch.worker.task_of`."""
 
 
 @dataclass(frozen=True)

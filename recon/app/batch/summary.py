@@ -10,10 +10,10 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+from recon.app.batch.inputs import SUMMARY
+from recon.app.batch.record import Planned, short_hash
 from recon.files import staged_file
 from recon.motion import Motion
-from recon.pipelines.batch.inputs import SUMMARY
-from recon.pipelines.batch.record import Planned, short_hash
 
 RESULTS = ("frames", "frames_with_pose", "outliers", "mean_reprojection_px", "mean_speed_m_s", "peak_speed_m_s", "size")
 COLUMNS = (

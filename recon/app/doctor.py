@@ -19,8 +19,8 @@ from typing import Any, Literal
 
 from threadpoolctl import threadpool_info
 
+from recon.app.batch import available_cores
 from recon.package import DISTRIBUTION, install_command, version
-from recon.pipelines.batch import available_cores
 
 Status = Literal["ok", "absent", "note", "broken"]
 Progress = Callable[[str, float], None]

@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
+from recon.app.clip import prepare
 from recon.clip import views_of
 from recon.errors import InputError, Problem, all_of
 from recon.files import require_free_file, staged_file
-from recon.pipelines.clip import prepare
 from recon.settings import FitSettings, read_settings
 from recon.skeleton_file import subject_toml
 from recon.solve.setting import Setting

@@ -10,15 +10,15 @@ from typing import Any
 import numpy as np
 
 from recon.analysis.evaluation import evaluate_files
+from recon.app.clip import run_clip
+from recon.app.demo import samples_folder
+from recon.app.net import LabelSource, Progress, run_prediction, run_training
 from recon.export.deeplabcut import write_keypoints_csv
 from recon.io import read_keypoints
 from recon.keypoints import Keypoints
 from recon.net.evaluate2d import Evaluation2D, evaluate_2d
 from recon.net.labels import body_length_px, read_label_file
 from recon.net.run import TrainSettings
-from recon.pipelines.clip import run_clip
-from recon.pipelines.demo import samples_folder
-from recon.pipelines.net import LabelSource, Progress, run_prediction, run_training
 from recon.settings import FitSettings
 
 NOISE_PX = 2.0

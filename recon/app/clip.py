@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from recon.app.cameras import Cameras, ClipCamera, read_clip_cameras
 from recon.body import Body
 from recon.camera import Camera
 from recon.camera_track import MAX_GAP_S, CameraTrack, FramePoses
@@ -24,7 +25,6 @@ from recon.io import read_keypoints
 from recon.keypoints import CleaningReport, Keypoints, clean, leave_out, parse_frame_range
 from recon.manifest import MANIFEST
 from recon.motion import FrameMotion, Motion, TrajectoryMotion
-from recon.pipelines.cameras import Cameras, ClipCamera, read_clip_cameras
 from recon.prior import MotionPrior, builtin_priors, load_prior, prior_from_body
 from recon.report import build_report, write_report
 from recon.settings import FitSettings

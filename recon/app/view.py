@@ -7,10 +7,10 @@ from collections.abc import Callable
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+from recon.app.analyse import FOLDER, PLAYBACK, PLOTS
 from recon.errors import InputError, Problem
 from recon.files import require_free_file, staged_file
 from recon.manifest import read_manifest
-from recon.pipelines.analyse import FOLDER, PLAYBACK, PLOTS
 from recon.view import open_viewer
 from recon.view.together import put_together
 from recon.view.video import write_video

@@ -12,11 +12,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from recon.app.batch.inputs import file_names
 from recon.body import Body
 from recon.documents import read_json
 from recon.errors import InputError, Problem, all_of
 from recon.io.pose3d import Pose3D, read_pose_segments
-from recon.pipelines.batch.inputs import file_names
 from recon.prior import (
     FRAMES_PER_COMPONENT,
     MotionPrior,

@@ -14,13 +14,13 @@ from functools import cache
 from pathlib import Path
 from typing import Any, Literal
 
+from recon.app.batch.inputs import Clip
+from recon.app.clip import output_files
 from recon.camera_track import track_files
 from recon.errors import InputError, Problem
 from recon.files import require_free_folder, staged_file
 from recon.manifest import MANIFEST, read_manifest
 from recon.package import version
-from recon.pipelines.batch.inputs import Clip
-from recon.pipelines.clip import output_files
 from recon.settings import FitSettings
 
 RECORD = "batch.json"

@@ -23,12 +23,12 @@ from typing import IO, Any
 
 from threadpoolctl import threadpool_limits
 
+from recon.app.batch.record import CRASH_LOG, Planned, drop_record, finish_record, read_record, start_record
+from recon.app.batch.summary import results_of
+from recon.app.clip import Progress, fit_clip, write_clip
 from recon.errors import InputError
 from recon.files import sole_writer
 from recon.package import version
-from recon.pipelines.batch.record import CRASH_LOG, Planned, drop_record, finish_record, read_record, start_record
-from recon.pipelines.batch.summary import results_of
-from recon.pipelines.clip import Progress, fit_clip, write_clip
 from recon.report import is_unsolved
 from recon.settings import FitSettings
 
@@ -193,7 +193,7 @@ class Worker:
             if self._process is None:
                 self._log, self._clips = tempfile.TemporaryFile(), 0  # noqa: SIM115  # `end` closes it
                 self._process = subprocess.Popen(
-                    [sys.executable, "-P", "-c", "from recon.pipelines.batch.worker import main; main()"],
+                    [sys.executable, "-P", "-c", "from recon.app.batch.worker import main; main()"],
                     stdin=subprocess.PIPE,
                     stdout=subprocess.PIPE,
                     stderr=self._log,
