@@ -21,8 +21,12 @@ if TYPE_CHECKING:
     from recon.solve import FrameOptions, TrajectoryOptions
 
 Method = Literal["trajectory", "frame"]
+Unit = Literal["m", "cm", "mm"]
+UNITS_M: dict[Unit, float] = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 DEFAULT_SKELETONS: dict[Method, str] = {"trajectory": "cheetah-24", "frame": "cheetah-8u"}
 """By method."""
+FILE_SUFFIXES = (".toml", ".npz")
+"""What ends so is no name of something built in."""
 NUMBER = "<number>"
 """Stands for one in the help of the command line."""
 
@@ -112,7 +116,7 @@ def _file(given: Any) -> Path:
 def _name_or_file(given: Any) -> str:
     """A file as its absolute path; the name of something built in as it is."""
     name = _text(str(given) if isinstance(given, Path) else given)
-    return str(Path(name).absolute()) if name.endswith((".toml", ".npz")) else name
+    return str(Path(name).absolute()) if name.endswith(FILE_SUFFIXES) else name
 
 
 def _size(given: Any) -> tuple[int, int]:
@@ -189,6 +193,12 @@ class FitSettings:
         "Which camera of the file, by name or number, as in cam2 or 2; with several keypoint files once for each, in "
         "their order. (default: the one whose name the keypoint file's name contains)",
         "the name or number of a camera in the camera file, as text; with several keypoint files one for each",
+    )
+    camera_unit: Unit = _field(  # noqa: RUF009
+        _one_of(*UNITS_M),
+        "Unit of the places of cameras in the calibration file: m, cm or mm, as Anipose's often are.",
+        "m, cm or mm",
+        default="m",
     )
     camera_track: tuple[Path, ...] | None = _field(
         _each(_FILE),
@@ -442,6 +452,17 @@ SETTINGS: dict[str, Setting] = {one.name: one.metadata["setting"] for one in dat
 """By name, in the order of `FitSettings`."""
 
 
+def beside(folder: Path, name: str, given: Any) -> Any:
+    """The value of a setting that stands in a file of that folder: its paths are relative to the folder."""
+    if isinstance(given, list):
+        return [beside(folder, name, one) for one in given]
+    kind = SETTINGS[name].kind if name in SETTINGS else None
+    is_file = kind is not None and (
+        kind.option_type is Path or (kind is _NAME_OR_FILE and str(given).endswith(FILE_SUFFIXES))
+    )
+    return str((folder / given).absolute()) if is_file and isinstance(given, str) else given
+
+
 def of_method(method: Method) -> tuple[str, ...]:
     """Names of the settings that only this method reads."""
     return tuple(name for name, setting in SETTINGS.items() if setting.method == method)
@@ -477,13 +498,14 @@ def _of_the_other_method(method: Any, given: Mapping[str, Any]) -> Iterator[Prob
 # -- from config.toml and the command line ------------------------------------------------------------------------
 
 
-def read_settings(config: Path | None, given: Mapping[str, Any]) -> FitSettings:
-    """Settings from a config.toml, overruled by those given on the command line (None: not given).
+def read_settings(config: Path | None, given: Mapping[str, Any] | None = None) -> FitSettings:
+    """Settings from the table [recon.fit] of a TOML file, such as config.toml, overruled by those given (None: not given).
 
-    Another camera or method given there replaces the one of the config together with all that belongs to it. Raises
-    InputError, naming every setting that is wrong, and where it was given.
+    Paths in the file are relative to its folder. Another camera or method among those given replaces the one of the
+    file together with all that belongs to it. Raises InputError, naming every setting that is wrong, and where it was
+    given.
     """
-    given = {name: value for name, value in given.items() if value is not None}
+    given = {name: value for name, value in (given or {}).items() if value is not None}
     under = {} if config is None else _read_config(config)
     left_out = set(given)
     if "camera" in given:
@@ -526,4 +548,4 @@ def _read_config(config: Path) -> dict[str, Any]:
     table = table.get("fit") if isinstance(table, dict) else None
     if not isinstance(table, dict):
         raise InputError(Problem(config, "table", ", ".join(document)[:120] or "nothing", "[recon.fit]"))
-    return table
+    return {name: beside(config.parent, name, value) for name, value in table.items()}

@@ -92,6 +92,22 @@ def test_config_reads_back_as_it_was(tmp_path, given):
     assert read_settings(write_config(tmp_path, settings.to_toml()), {}) == settings
 
 
+def test_paths_in_a_config_are_relative_to_it(tmp_path, monkeypatch):
+    """From wherever it is run; the names of things built in stay."""
+    (tmp_path / "cats").mkdir()
+    config = write_config(
+        tmp_path / "cats",
+        '[recon.fit]\nkeypoints = ["a_cam1.csv", "/data/a_cam2.csv"]\ncamera = "scene.json"\n'
+        'skeleton = "cat.toml"\nsubject = "jules"\nprior = "cat.npz"\nfps = 60\n',
+    )
+    monkeypatch.chdir(tmp_path)
+    settings = read_settings(Path("cats") / config.name)
+    assert settings.keypoints == (tmp_path / "cats" / "a_cam1.csv", Path("/data/a_cam2.csv"))
+    assert settings.camera == tmp_path / "cats" / "scene.json"
+    assert (settings.skeleton, settings.subject) == (str(tmp_path / "cats" / "cat.toml"), "jules")
+    assert settings.prior == str(tmp_path / "cats" / "cat.npz")
+
+
 def test_config_holds_every_setting_that_has_a_value():
     plain = tomllib.loads(FitSettings(**GIVEN).to_toml())["recon"]["fit"]
     unset = {"camera_name", "hfov_deg", "image_size_px", "tilt_deg", "individual", "frames", "skeleton", "subject"}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -10,6 +11,7 @@ import numpy as np
 
 from recon.body import Body
 from recon.calibration import write_camera
+from recon.camera import Camera
 from recon.keypoints import Keypoints
 from recon.skeleton_file import load_skeleton
 from recon.solve import solve_points
@@ -73,17 +75,49 @@ def whole_animal(fps: float = 60, n_frames: int = 60) -> SyntheticClip:
     column["tail_2_yaw"][:] = 0.3 * np.sin(2 * np.pi * 1.3 * t - 0.8)
     column["tail_1_pitch"][:] = -0.45 + 0.2 * np.cos(2 * np.pi * 3.3 * t)
     truth_m = body.tree.pose(states).points_m
-    xy_px, valid = clip.camera.project(clip.camera.world_to_camera(truth_m))
-    visible = valid & clip.camera.in_image(xy_px)
-    keypoints = Keypoints(
-        names=body.markers,
+    clip = replace(clip, truth_m=truth_m, names=body.markers)
+    return replace(clip, keypoints=seen_by(clip.camera, clip))
+
+
+def scene(first: Camera) -> tuple[Camera, ...]:
+    """cam1 where a camera stands, cam2 ahead of the animal and to its right, both with fisheye lenses."""
+    place, target = np.array([10.0, -8.0, 1.6]), np.array([0.0, 0.0, 0.6])
+    away = (target - place) / np.linalg.norm(target - place)
+    right = np.array([away[1], -away[0], 0.0]) / np.hypot(*away[:2])
+    rotation = np.stack([right, np.cross(away, right), away])
+    matrix = np.array([[1100.0, 0, 959.5], [0, 1100, 539.5], [0, 0, 1]])
+    lens = replace(first, name="cam1", model="fisheye", matrix=matrix, distortion=np.zeros(4))
+    return lens, replace(lens, name="cam2", rotation=rotation, translation_m=-rotation @ place)
+
+
+def write_scene(cameras: tuple[Camera, ...], path: Path) -> None:
+    """In AcinoSet's layout."""
+    entries = [
+        {
+            "name": camera.name,
+            "k": camera.matrix.tolist(),
+            "d": camera.distortion[:, None].tolist(),
+            "r": np.array(camera.rotation).tolist(),
+            "t": np.array(camera.translation_m)[:, None].tolist(),
+        }
+        for camera in cameras
+    ]
+    document = {"camera_resolution": [*cameras[0].image_size_px], "cameras": entries}
+    path.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8", newline="\n")
+
+
+def seen_by(camera: Camera, clip: SyntheticClip) -> Keypoints:
+    """What a camera sees of the clip's truth."""
+    xy_px, valid = camera.project(camera.world_to_camera(clip.truth_m))
+    visible = valid & camera.in_image(xy_px)
+    return Keypoints(
+        names=clip.names,
         xy_px=np.where(visible[..., None], xy_px, np.nan),
         confidence=visible.astype(float),
         frames=clip.keypoints.frames,
-        fps=float(fps),
-        image_size_px=clip.camera.image_size_px,
+        fps=clip.keypoints.fps,
+        image_size_px=camera.image_size_px,
     )
-    return replace(clip, keypoints=keypoints, truth_m=truth_m, names=body.markers)
 
 
 def make(folder: Path) -> None:
@@ -115,6 +149,12 @@ def make(folder: Path) -> None:
     write_keypoints(noisy, folder / "whole.csv", decimals=2)
     write_truth(whole, folder / "whole_truth.csv", decimals=4)
     write_outliers(noisy, outliers, folder / "whole_outliers.csv")
+
+    cameras = scene(whole.camera)
+    write_scene(cameras, folder / "whole_scene.json")
+    for number, camera in enumerate(cameras, start=1):
+        noisy, _ = add_noise(seen_by(camera, whole), sigma_px=2.0, dropout=0.05, outlier=0.02, seed=2 + number)
+        write_keypoints(noisy, folder / f"whole_{camera.name}.csv", decimals=2)
 
 
 if __name__ == "__main__":

@@ -14,12 +14,9 @@ from typing import Any
 
 from recon.errors import InputError, Problem
 from recon.io import READERS, file_head
-from recon.settings import SETTINGS, FitSettings, option, read_settings
+from recon.settings import SETTINGS, FitSettings, beside, option, read_settings
 
 SUMMARY = "summary.csv"
-MANIFEST_PATHS = ("keypoints", "camera", "camera_track")
-MANIFEST_NAMES_OR_FILES = ("skeleton", "subject", "prior")
-"""Cells that are relative to the manifest where they end like a file."""
 _UNFIT = re.compile(r'[<>:"/\\|?*\x00-\x1f]')
 """Characters that some file system does not take in a name."""
 NOTED = 5
@@ -211,19 +208,13 @@ def _of_manifest(path: Path) -> list[_Draft]:
             problems.append(Problem(path, f"{line}, keypoints", "nothing", "a keypoint file"))
             continue
         out = row.pop("out", None)
-        row = {name: _relative(path.parent, name, cell) for name, cell in row.items()}
+        row = {name: beside(path.parent, name, cell) for name, cell in row.items()}
         drafts.append(_Draft(Path(row.pop("keypoints")), row, out, (path, line)))
     if not drafts and not problems:
         problems.append(Problem(path, "rows", "none", "one row a clip below the header"))
     if problems:
         raise InputError(problems)
     return drafts
-
-
-def _relative(folder: Path, name: str, cell: str) -> str:
-    if name in MANIFEST_PATHS or (name in MANIFEST_NAMES_OR_FILES and cell.endswith((".toml", ".npz"))):
-        return str((folder / cell).absolute())
-    return cell
 
 
 # -- settings -----------------------------------------------------------------------------------------------------
