@@ -8,10 +8,10 @@ from __future__ import annotations
 import time
 
 import numpy as np
+from board_pictures import poses, render
 
 from recon.camera import Camera
 from recon.intrinsics import Calibration, View, Views, calibrate, check, parse_board
-from recon.intrinsics.render import poses, render
 
 SIZE = (1280, 720)
 VIEWS = 24

@@ -23,9 +23,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 from markdown_table import print_header, print_row
+from net_circle import run_circle
 
 from recon.app.net import LabelSource, run_prediction, run_training
-from recon.app.net_circle import run_circle
 from recon.net.evaluate2d import Evaluation2D, evaluate_2d_files
 from recon.net.labels import read_label_file
 from recon.net.model import build_network

@@ -4,7 +4,7 @@
 
 The published work does not print its field parameters, where its robot stands at first, nor the angles of its paths.
 Here they are chosen so that the least margin of the climb, over all frames and all rules, is as large as can be found
-(`recon.robot.climb.search`, linear programs by scipy). Every run starts from the numbers of `seed`, nothing is random:
+(`climb_search.py`, linear programs by scipy). Every run starts from the numbers of `seed`, nothing is random:
 
 - published-50: the published footfalls; fields, stance and angles tuned.
 - published-35: the same for a step of 35 mm, heights in proportion, from published-50.
@@ -25,18 +25,36 @@ from pathlib import Path
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
+from climb_search import Found, highest, improve, raised
 
 from recon.robot.climb import Recipe, Walker, check, load_recipe, plan, save_recipe
 from recon.robot.climb.equilibrium import Motion
 from recon.robot.climb.fields import PLANAR, SPATIAL, Fields, Stand, Well, evaluate
 from recon.robot.climb.paths import Step
-from recon.robot.climb.recipe import PUBLISHED_STEP_M, RECIPES, Primitive, Swing, published
-from recon.robot.climb.search import Found, highest, improve
+from recon.robot.climb.recipe import RECIPES, Footfall, Primitive, Swing
 from recon.robot.robot_file import load_robot
 
 ROBOT = "aibo"
 PACE = 0.95
 COMMAND = "python benchmarks/tune_climb.py"
+
+PUBLISHED_STEP_M = 0.05
+PUBLISHED = {
+    "front-up": ((2, 65, 0), (1, 70, 50), (3, 70, 50), (4, 60, 0)),
+    "move-forward": ((1, 70, 0), (3, 70, 0), (2, 70, 0), (4, 60, 0)),
+    "rear-up": ((1, 85, 0), (2, 75, 50), (3, 85, 0), (4, 60, 50)),
+}
+"""Leg, from 1 as in `LEGS`; forward and up, mm (D. Cohen, SUNFEST, University of Pennsylvania, 2005). The heights in
+rear-up are printed as 0, 30, -10, 30 mm, with the plastic casings of the feet; here feet are points: 0, 50, 0, 50."""
+
+
+def published(step_m: float) -> dict[str, tuple[Footfall, ...]]:
+    """The published footfalls by primitive, their heights in proportion to the step's."""
+    ratio = step_m / PUBLISHED_STEP_M
+    return {
+        name: tuple(Footfall(leg - 1, forward / 1000, up / 1000 * ratio) for leg, forward, up in falls)
+        for name, falls in PUBLISHED.items()
+    }
 
 
 def seed() -> Recipe:
@@ -88,11 +106,12 @@ def made(name: str, walker: Walker, load: Callable[[str], Recipe]) -> Found:
     if name == "published-50":
         return improve(walker, seed(), footfalls=False, tell=print)
     if name == "published-35":
-        return improve(walker, load("published-50").raised(0.035), footfalls=False, tell=print)
+        return improve(walker, raised(load("published-50"), 0.035), footfalls=False, tell=print)
     if name == "found-50":
         return improve(walker, seed(), tell=print)
     if name == "spatial-50":
-        return improve(walker, load("found-50").with_dofs(SPATIAL), rounds=15, tell=print)
+        found = load("found-50")
+        return improve(walker, replace(found, motion=replace(found.motion, dofs=SPATIAL)), rounds=15, tell=print)
     return highest(walker, load("published-35" if name == "highest" else "spatial-50"), tell=print)
 
 

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+from board_pictures import poses, render
 
 from recon.body import Body
 from recon.calibration import read_camera
@@ -18,7 +19,6 @@ from recon.export import plain_csv, sleap
 from recon.export.deeplabcut import write_keypoints_csv, write_pose_csv
 from recon.export.formats import FORMATS
 from recon.intrinsics.board import parse_board
-from recon.intrinsics.render import poses, render
 from recon.io import read_keypoints
 from recon.io.pose3d import Pose3D, read_pose3d
 from recon.keypoints import Keypoints

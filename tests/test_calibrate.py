@@ -11,6 +11,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from board_pictures import poses, render
 from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
@@ -32,7 +33,6 @@ from recon.intrinsics import (
     find_views,
     parse_board,
 )
-from recon.intrinsics.render import poses, render
 from recon.intrinsics.views import choose, corner_sharpness
 from recon.video import video_writer
 
@@ -115,7 +115,7 @@ def test_rendered_charuco_is_the_board_that_opencv_prints(text):
     """Seen squarely at one cell per 10 px, what is rendered is `CharucoBoard.generateImage`."""
     board = parse_board(text)
     assert isinstance(board, Charuco)
-    printed = board._board.generateImage((5 * 60, 8 * 60), marginSize=0)
+    printed = board.opencv.generateImage((5 * 60, 8 * 60), marginSize=0)
     camera = Camera("c", np.array([[1500.0, 0, -0.5], [0, 1500, -0.5], [0, 0, 1]]), np.zeros(0), "pinhole", (300, 480))
     seen = render(board, camera, np.eye(3), np.array([0.0, 0.0, 1.0]), oversample=4)
     inside = cv2.erode((printed > 128).astype(np.uint8), np.ones((5, 5))) != cv2.dilate(

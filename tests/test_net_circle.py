@@ -46,9 +46,8 @@ def test_the_script_draws_the_film_again(tmp_path, monkeypatch):
     """Its first frames; another encoder may differ in the last digits."""
     monkeypatch.syspath_prepend(str(SAMPLES))
     monkeypatch.delitem(sys.modules, "make_samples", raising=False)
+    from draw_film import render_frames
     from make_rendered import film
-
-    from recon.net.render import render_frames
 
     clip, ground_m = film()
     drawn = next(iter(render_frames(clip.truth_m, clip.names, clip.camera, ground_m)))
@@ -75,7 +74,8 @@ def first_frames(folder: Path, count: int) -> Path:
 def test_the_circle_at_a_small_size(tmp_path, monkeypatch):
     """A few steps of a narrow network: the points are poor, but every part gives what the next one takes."""
     pytest.importorskip("torch")
-    from recon.app.net_circle import run_circle
+    from net_circle import run_circle
+
     from recon.net.run import TrainSettings
 
     narrow_networks(monkeypatch)

@@ -6,19 +6,19 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from climb_design import Design, sampled
+from climb_search import coarse, improve, raised, tracked
 from scipy.integrate import quad
 from scipy.optimize import root
 from scipy.spatial.transform import Rotation
+from tune_climb import PUBLISHED, published
 
 from recon.errors import InputError
 from recon.robot.climb import Walker, bundled, check, load_recipe, plan, save_recipe, write_playback
-from recon.robot.climb.design import Design, sampled
 from recon.robot.climb.equilibrium import MAX_EVALUATIONS, Motion, Torso, between, capped, moved, ride, solve
 from recon.robot.climb.fields import PLANAR, SPATIAL, Fields, Stand, Well, evaluate, leg_forces, wrench
 from recon.robot.climb.margins import NONE, margins, support_m
 from recon.robot.climb.paths import Step, along, corners
-from recon.robot.climb.recipe import PUBLISHED, published
-from recon.robot.climb.search import coarse, improve, tracked
 from recon.robot.robot_file import load_robot
 
 HIPS = np.array([[-0.0625, 0.065, 0], [-0.0625, -0.065, 0], [0.0625, 0.065, 0], [0.0625, -0.065, 0]])
@@ -323,7 +323,7 @@ def test_the_coarse_climb_is_that_of_the_plan(walker):
 
 
 def test_a_step_that_is_too_high_for_a_recipe_is_made_better(walker):
-    recipe = load_recipe("published-35").raised(0.04)
+    recipe = raised(load_recipe("published-35"), 0.04)
     recipe = replace(recipe, primitives=recipe.primitives[:1])
     design = Design.of(recipe, footfalls=False)
     x = design.vector()

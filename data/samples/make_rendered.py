@@ -7,12 +7,12 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from draw_film import render_frames
 from make_samples import whole_animal, write_keypoints, write_truth
 
 from recon.calibration import write_camera
 from recon.camera import Camera
 from recon.keypoints import Keypoints
-from recon.net.render import render_frames
 from recon.synthetic import SyntheticClip
 from recon.video import video_writer
 

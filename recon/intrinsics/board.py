@@ -59,11 +59,6 @@ class Chessboard:
         (x0, y0), (x1, y1) = (-1, -1), (self.columns, self.rows)
         return self.square_m * np.array([(x0, y0, 0.0), (x1, y0, 0), (x1, y1, 0), (x0, y1, 0)])
 
-    def dark_quads_m(self) -> FloatArray:
-        """Everything dark on the board, as quadrilaterals (Q, 4, 3)."""
-        cells = [(x, y) for y in range(-1, self.rows) for x in range(-1, self.columns) if (x + y) % 2 == 0]
-        return self.square_m * np.array([_unit_square(x, y) for x, y in cells])
-
     def detect(self, image: Gray) -> Corners | None:
         """All corners in a picture (height, width), or None: a chessboard is found whole or not at all."""
         found, xy = cv2.findChessboardCornersSB(image, (self.columns, self.rows), flags=cv2.CALIB_CB_NORMALIZE_IMAGE)
@@ -97,7 +92,7 @@ class Charuco:
         )
 
     @cached_property
-    def _board(self) -> cv2.aruco.CharucoBoard:
+    def opencv(self) -> cv2.aruco.CharucoBoard:
         dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, self.dictionary))
         board = cv2.aruco.CharucoBoard((self.columns, self.rows), self.square_m, self.marker_m, dictionary)
         board.setLegacyPattern(self.legacy)
@@ -106,7 +101,7 @@ class Charuco:
     @cached_property
     def points_m(self) -> FloatArray:
         """Corners (K, 3), board frame, metres, by their ids in OpenCV."""
-        return np.asarray(self._board.getChessboardCorners(), dtype=float).reshape(-1, 3)
+        return np.asarray(self.opencv.getChessboardCorners(), dtype=float).reshape(-1, 3)
 
     @cached_property
     def outline_m(self) -> FloatArray:
@@ -114,24 +109,9 @@ class Charuco:
         x, y = self.columns, self.rows
         return self.square_m * np.array([(0.0, 0, 0), (x, 0, 0), (x, y, 0), (0, y, 0)])
 
-    def dark_quads_m(self) -> FloatArray:
-        """Everything dark on the board, as quadrilaterals (Q, 4, 3)."""
-        board = self._board
-        markers = np.asarray(board.getObjPoints(), dtype=float).reshape(-1, 4, 3)
-        light = {tuple((m.mean(axis=0)[:2] / self.square_m).astype(int)) for m in markers}
-        cells = [(x, y) for y in range(self.rows) for x in range(self.columns) if (x, y) not in light]
-        quads = [self.square_m * _unit_square(x, y) for x, y in cells]
-        dictionary = board.getDictionary()
-        side = dictionary.markerSize + 2
-        for marker, number in zip(markers, np.ravel(board.getIds()), strict=True):
-            bits = dictionary.generateImageMarker(int(number), side)
-            for y, x in np.argwhere(bits == 0):
-                quads.append(marker[0] + self.marker_m / side * _unit_square(x, y))
-        return np.array(quads)
-
     def detect(self, image: Gray) -> Corners | None:
         """The corners of a picture (height, width) between markers that were read, or None if they are too few."""
-        detector = cv2.aruco.CharucoDetector(self._board)
+        detector = cv2.aruco.CharucoDetector(self.opencv)
         xy, ids, _, _ = detector.detectBoard(image)
         if ids is None or len(ids) < MIN_CORNERS:
             return None
@@ -210,7 +190,3 @@ def _length(text: str, field: str, fault) -> float:
     if not length > 0:
         fault(field, repr(text), "a length with its unit, as in 25mm, 2.5cm or 0.025m")
     return length
-
-
-def _unit_square(x: int, y: int) -> FloatArray:
-    return np.array([(x, y, 0.0), (x + 1, y, 0), (x + 1, y + 1, 0), (x, y + 1, 0)])

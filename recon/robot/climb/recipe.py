@@ -1,13 +1,9 @@
-"""What a climb is made of: footfalls in primitives, each with its fields, the step, the stance, speeds; and their file.
-
-The published footfalls (D. Cohen, SUNFEST, University of Pennsylvania, 2005) are for a step of 50 mm. Their heights in
-rear-up are printed as 0, 30, -10, 30 mm, with the plastic casings of the feet; here feet are points: 0, 50, 0, 50.
-"""
+"""What a climb is made of: footfalls in primitives with their fields, the step, the stance and speeds; and its file."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -25,13 +21,6 @@ from recon.robot.climb.walker import LEGS
 
 Array = NDArray[np.float64]
 
-PUBLISHED_STEP_M = 0.05
-PUBLISHED = {
-    "front-up": ((2, 65, 0), (1, 70, 50), (3, 70, 50), (4, 60, 0)),
-    "move-forward": ((1, 70, 0), (3, 70, 0), (2, 70, 0), (4, 60, 0)),
-    "rear-up": ((1, 85, 0), (2, 75, 50), (3, 85, 0), (4, 60, 50)),
-}
-"""Leg, from 1 as in `LEGS`; forward and up, mm."""
 RECIPES = Path(__file__).parent / "recipes"
 WELLS = ("radial", "swing", "flap")
 
@@ -88,26 +77,6 @@ class Recipe:
     @property
     def footfalls(self) -> list[Footfall]:
         return [f for p in self.primitives for f in p.footfalls]
-
-    def raised(self, height_m: float) -> Recipe:
-        """For a step of another height: all heights in proportion."""
-        ratio = height_m / self.step.height_m
-        primitives = tuple(
-            replace(p, footfalls=tuple(replace(f, up_m=f.up_m * ratio) for f in p.footfalls)) for p in self.primitives
-        )
-        return replace(self, step=replace(self.step, height_m=height_m), primitives=primitives)
-
-    def with_dofs(self, dofs: tuple[int, ...]) -> Recipe:
-        return replace(self, motion=replace(self.motion, dofs=dofs))
-
-
-def published(step_m: float) -> dict[str, tuple[Footfall, ...]]:
-    """The published footfalls by primitive, their heights in proportion to the step's."""
-    ratio = step_m / PUBLISHED_STEP_M
-    return {
-        name: tuple(Footfall(leg - 1, forward / 1000, up / 1000 * ratio) for leg, forward, up in falls)
-        for name, falls in PUBLISHED.items()
-    }
 
 
 def bundled() -> list[str]:

@@ -13,11 +13,11 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
+from climb_design import Design, Numbers, sampled
 from numpy.typing import NDArray
 from scipy.optimize import linprog
 
 from recon.robot.climb.check import check
-from recon.robot.climb.design import Design, Numbers, sampled
 from recon.robot.climb.equilibrium import Motion, Torso, between, moved, solve
 from recon.robot.climb.fields import Stand, evaluate
 from recon.robot.climb.margins import NONE, RULES, margins
@@ -228,7 +228,7 @@ def highest(
     best = improve(walker, recipe, rounds=rounds)
     count, climbs = best.rounds, best.climbs
     while by_m >= least_m:
-        there = improve(walker, best.recipe.raised(best.recipe.step.height_m + by_m), rounds=rounds)
+        there = improve(walker, raised(best.recipe, best.recipe.step.height_m + by_m), rounds=rounds)
         count, climbs = count + there.rounds, climbs + there.climbs
         if tell:
             height, least = there.recipe.step.height_m * 1000, there.least
@@ -238,3 +238,12 @@ def highest(
         else:
             by_m /= 2
     return replace(best, rounds=count, climbs=climbs)
+
+
+def raised(recipe: Recipe, height_m: float) -> Recipe:
+    """For a step of another height: all heights in proportion."""
+    ratio = height_m / recipe.step.height_m
+    primitives = tuple(
+        replace(p, footfalls=tuple(replace(f, up_m=f.up_m * ratio) for f in p.footfalls)) for p in recipe.primitives
+    )
+    return replace(recipe, step=replace(recipe.step, height_m=height_m), primitives=primitives)

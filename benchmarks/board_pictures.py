@@ -11,7 +11,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from recon.camera import Camera, FloatArray
-from recon.intrinsics.board import Board, Gray
+from recon.intrinsics.board import Board, Charuco, Chessboard, Gray
 
 EDGE_PARTS = 8
 FRACTION_BITS = 6
@@ -38,7 +38,7 @@ def render(
     margin = board.square_m / np.linalg.norm(board.outline_m[0] - board.outline_m[1])
     centre = board.outline_m.mean(axis=0)
     sheet = centre + (1 + 2 * margin) * (board.outline_m - centre)
-    for quads, level in ((sheet[None], 225), (board.dark_quads_m(), 30)):
+    for quads, level in ((sheet[None], 225), (_dark_quads_m(board), 30)):
         share = np.linspace(0, 1, EDGE_PARTS, endpoint=False)[:, None]
         following = np.roll(quads, -1, axis=1)
         outlines = (quads[:, :, None] * (1 - share) + following[:, :, None] * share).reshape(len(quads), -1, 3)
@@ -84,3 +84,31 @@ def poses(
         if seen.all() and camera.in_image(xy_px - 4).all() and camera.in_image(xy_px + 4).all():
             found.append((rotation, translation))
     return found
+
+
+def _dark_quads_m(board: Board) -> FloatArray:
+    """Everything dark on the board, as quadrilaterals (Q, 4, 3)."""
+    return _dark_squares_m(board) if isinstance(board, Chessboard) else _dark_of_charuco_m(board)
+
+
+def _dark_squares_m(board: Chessboard) -> FloatArray:
+    cells = [(x, y) for y in range(-1, board.rows) for x in range(-1, board.columns) if (x + y) % 2 == 0]
+    return board.square_m * np.array([_unit_square(x, y) for x, y in cells])
+
+
+def _dark_of_charuco_m(board: Charuco) -> FloatArray:
+    """The squares without a marker, and the dark bits of the markers."""
+    markers = np.asarray(board.opencv.getObjPoints(), dtype=float).reshape(-1, 4, 3)
+    light = {tuple((m.mean(axis=0)[:2] / board.square_m).astype(int)) for m in markers}
+    cells = [(x, y) for y in range(board.rows) for x in range(board.columns) if (x, y) not in light]
+    quads = [board.square_m * _unit_square(x, y) for x, y in cells]
+    dictionary = board.opencv.getDictionary()
+    side = dictionary.markerSize + 2
+    for marker, number in zip(markers, np.ravel(board.opencv.getIds()), strict=True):
+        bits = dictionary.generateImageMarker(int(number), side)
+        quads += [marker[0] + board.marker_m / side * _unit_square(x, y) for y, x in np.argwhere(bits == 0)]
+    return np.array(quads)
+
+
+def _unit_square(x: int, y: int) -> FloatArray:
+    return np.array([(x, y, 0.0), (x + 1, y, 0), (x + 1, y + 1, 0), (x, y + 1, 0)])
