@@ -18,9 +18,6 @@ from recon.cli import app
 from recon.errors import InputError
 from recon.io.pose3d import read_pose_segments
 from recon.prior import (
-    ACCELERATION_FLOOR_RAD_S2,
-    POSE_FLOOR_RAD,
-    RIDGE_PER_ROW,
     MotionPrior,
     as_one_gaussian,
     builtin_priors,
@@ -31,6 +28,8 @@ from recon.prior import (
     prior_from_body,
     save_prior,
 )
+from recon.prior.fit import POSE_FLOOR_RAD
+from recon.prior.motion import ACCELERATION_FLOOR_RAD_S2, RIDGE_PER_ROW
 from recon.skeleton_file import load_chain, load_skeleton
 
 OMEGA_RAD_S = 12.0
