@@ -10,7 +10,8 @@ import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from recon.camera import Camera, FloatArray
+from recon.arrays import Array
+from recon.camera import Camera
 from recon.intrinsics.board import Board, Charuco, Chessboard, Gray
 
 EDGE_PARTS = 8
@@ -20,8 +21,8 @@ FRACTION_BITS = 6
 def render(
     board: Board,
     camera: Camera,
-    rotation: FloatArray,
-    translation_m: FloatArray,
+    rotation: Array,
+    translation_m: Array,
     *,
     oversample: int = 8,
     blur_px: float = 0.0,
@@ -58,7 +59,7 @@ def render(
 
 def poses(
     board: Board, camera: Camera, count: int, rng: np.random.Generator, max_tilt_rad: float = 0.7, fill: float = 0.55
-) -> list[tuple[FloatArray, FloatArray]]:
+) -> list[tuple[Array, Array]]:
     """Rotations (3, 3) and translations (3,) of a board held by hand: tilted every way, over the whole picture.
 
     The tilt is up to `max_tilt_rad`; a board in the middle fills about `fill` of the picture's height. Every pose has
@@ -86,17 +87,17 @@ def poses(
     return found
 
 
-def _dark_quads_m(board: Board) -> FloatArray:
+def _dark_quads_m(board: Board) -> Array:
     """Everything dark on the board, as quadrilaterals (Q, 4, 3)."""
     return _dark_squares_m(board) if isinstance(board, Chessboard) else _dark_of_charuco_m(board)
 
 
-def _dark_squares_m(board: Chessboard) -> FloatArray:
+def _dark_squares_m(board: Chessboard) -> Array:
     cells = [(x, y) for y in range(-1, board.rows) for x in range(-1, board.columns) if (x + y) % 2 == 0]
     return board.square_m * np.array([_unit_square(x, y) for x, y in cells])
 
 
-def _dark_of_charuco_m(board: Charuco) -> FloatArray:
+def _dark_of_charuco_m(board: Charuco) -> Array:
     """The squares without a marker, and the dark bits of the markers."""
     markers = np.asarray(board.opencv.getObjPoints(), dtype=float).reshape(-1, 4, 3)
     light = {tuple((m.mean(axis=0)[:2] / board.square_m).astype(int)) for m in markers}
@@ -110,5 +111,5 @@ def _dark_of_charuco_m(board: Charuco) -> FloatArray:
     return np.array(quads)
 
 
-def _unit_square(x: int, y: int) -> FloatArray:
+def _unit_square(x: int, y: int) -> Array:
     return np.array([(x, y, 0.0), (x + 1, y, 0), (x + 1, y + 1, 0), (x, y + 1, 0)])

@@ -29,10 +29,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import cho_solve_banded, cholesky_banded
 
-Array = NDArray[np.float64]
+from recon.arrays import Array, Index
 
 
 @dataclass(frozen=True)
@@ -98,7 +97,7 @@ class Normal:
 def add_normal(
     blocks: Array,
     gradient: Array,
-    frames: NDArray[np.intp],
+    frames: Index,
     stencil: Sequence[int],
     residual: Array,
     jacobian: Array,

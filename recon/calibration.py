@@ -24,7 +24,8 @@ from typing import Any, get_args
 
 import numpy as np
 
-from recon.camera import COEFFICIENT_COUNTS, Camera, FloatArray, LensModel, is_rotation
+from recon.arrays import Array
+from recon.camera import COEFFICIENT_COUNTS, Camera, LensModel, is_rotation
 from recon.documents import parse_json, parse_toml, read_text
 from recon.errors import InputError, Problem
 from recon.files import staged_file
@@ -329,7 +330,7 @@ def _build(
     def fault(field: str, found: str, expected: str) -> None:
         problems.append(Problem(path, record.place + record.keys.get(field, field), found, expected))
 
-    def block(field: str, sizes: tuple[int, ...], expected: str) -> FloatArray | None:
+    def block(field: str, sizes: tuple[int, ...], expected: str) -> Array | None:
         """The numbers of a field, where they have one of the sizes (any, for no sizes) and are finite."""
         array = _numbers(record.values[field])
         if record.values[field] is None:
@@ -420,7 +421,7 @@ def _image_size(
     return size
 
 
-def _numbers(value: Any) -> FloatArray | None:
+def _numbers(value: Any) -> Array | None:
     """Array of a number, a nested list, or {rows, cols, data}; None for anything else."""
     try:
         if isinstance(value, Mapping):
@@ -432,7 +433,7 @@ def _numbers(value: Any) -> FloatArray | None:
     return array.astype(float) if array.dtype.kind in "iuf" else None
 
 
-def _rotation(array: FloatArray) -> FloatArray | None:
+def _rotation(array: Array) -> Array | None:
     """Rotation matrix of a 3x3 matrix or a Rodrigues vector; None for a matrix that is no rotation."""
     if array.size == 3:
         from scipy.spatial.transform import Rotation  # slow to import

@@ -23,10 +23,9 @@ import numpy as np
 import numpy.typing as npt
 from numpy.polynomial import polynomial
 
+from recon.arrays import Array, Bools
 from recon.rotations import euler_rotation_with_jacobian
 
-FloatArray = npt.NDArray[np.float64]
-BoolArray = npt.NDArray[np.bool_]
 LensModel = Literal["pinhole", "radtan", "fisheye"]
 
 COEFFICIENT_COUNTS: dict[LensModel, tuple[int, ...]] = {"pinhole": (0,), "radtan": (4, 5, 8), "fisheye": (4,)}
@@ -49,12 +48,12 @@ class Camera:
     """
 
     name: str
-    matrix: FloatArray
-    distortion: FloatArray
+    matrix: Array
+    distortion: Array
     model: LensModel
     image_size_px: tuple[int, int]
-    rotation: FloatArray | None = None
-    translation_m: FloatArray | None = None
+    rotation: Array | None = None
+    translation_m: Array | None = None
     world_z_up: bool = True
     tilt_rad: float = 0.0
 
@@ -113,7 +112,7 @@ class Camera:
 
     # ---- projection ----
 
-    def project(self, points_m: npt.ArrayLike) -> tuple[FloatArray, BoolArray]:
+    def project(self, points_m: npt.ArrayLike) -> tuple[Array, Bools]:
         """Pixels (..., 2) and validity (...) of points (..., 3) in the camera frame.
 
         Valid: in front of the camera and where the lens model still increases with the angle from the optical axis
@@ -123,7 +122,7 @@ class Camera:
         pixels, _, valid = self._project(points_m, with_jacobian=False)
         return pixels, valid
 
-    def project_with_jacobian(self, points_m: npt.ArrayLike) -> tuple[FloatArray, FloatArray, BoolArray]:
+    def project_with_jacobian(self, points_m: npt.ArrayLike) -> tuple[Array, Array, Bools]:
         """Pixels (..., 2), exact derivatives d pixels / d point (..., 2, 3), and validity (...).
 
         points_m: (..., 3) in the camera frame. Invalid points (see `project`) have NaN pixels and zero derivatives.
@@ -132,7 +131,7 @@ class Camera:
         assert jacobian is not None
         return pixels, jacobian, valid
 
-    def _project(self, points_m: npt.ArrayLike, with_jacobian: bool) -> tuple[FloatArray, FloatArray | None, BoolArray]:
+    def _project(self, points_m: npt.ArrayLike, with_jacobian: bool) -> tuple[Array, Array | None, Bools]:
         points = np.asarray(points_m, dtype=float)
         x, y, z = points.reshape(-1, 3).T
         fx, s, ox, fy, oy = self._intrinsics
@@ -168,12 +167,12 @@ class Camera:
             jacobian = jacobian.reshape(*shape, 2, 3)
         return pixels.reshape(*shape, 2), jacobian, valid.reshape(shape)
 
-    def in_image(self, pixels: npt.ArrayLike) -> BoolArray:
+    def in_image(self, pixels: npt.ArrayLike) -> Bools:
         """Whether pixels (..., 2) lie on the image, whose edges are half a pixel outside the outermost centres."""
         uv = np.asarray(pixels, dtype=float)
         return np.asarray(((uv >= -0.5) & (uv <= np.array(self.image_size_px) - 0.5)).all(axis=-1))
 
-    def sees(self, pixels: npt.ArrayLike) -> BoolArray:
+    def sees(self, pixels: npt.ArrayLike) -> Bools:
         """Whether something found at pixels (..., 2) can be in the picture: no further outside than the picture is
         wide and high, and with a ray. False for NaN.
 
@@ -183,14 +182,14 @@ class Camera:
         near = self.near(pixels)
         return near & self.rays(np.where(near[..., None], np.asarray(pixels, dtype=float), np.nan))[1]
 
-    def near(self, pixels: npt.ArrayLike) -> BoolArray:
+    def near(self, pixels: npt.ArrayLike) -> Bools:
         """Whether pixels (..., 2) lie no further outside the picture than it is wide and high."""
         uv, size = np.asarray(pixels, dtype=float), np.array(self.image_size_px)
         return np.asarray(((uv >= -size) & (uv <= 2 * size)).all(axis=-1))
 
     # ---- the way back ----
 
-    def rays(self, pixels: npt.ArrayLike) -> tuple[FloatArray, BoolArray]:
+    def rays(self, pixels: npt.ArrayLike) -> tuple[Array, Bools]:
         """Unit rays (..., 3) in the camera frame through pixels (..., 2), and validity (...).
 
         Invalid, and NaN: pixels that are NaN or that no point within the lens model's range projects to. A valid ray
@@ -201,14 +200,14 @@ class Camera:
         rays = np.stack((a, b, np.ones_like(a)), axis=-1) / np.hypot(np.hypot(a, b), 1)[:, None]
         return rays.reshape(*uv.shape[:-1], 3), valid.reshape(uv.shape[:-1])
 
-    def undistort(self, pixels: npt.ArrayLike) -> FloatArray:
+    def undistort(self, pixels: npt.ArrayLike) -> Array:
         """Pixels (..., 2) as an ideal pinhole camera with the same matrix would see them; NaN where there is no ray."""
         uv = np.asarray(pixels, dtype=float)
         a, b, _ = self._undistort(uv.reshape(-1, 2))
         fx, s, ox, fy, oy = self._intrinsics
         return np.stack((fx * a + s * b + ox, fy * b + oy), axis=-1).reshape(uv.shape)
 
-    def _undistort(self, uv: FloatArray) -> tuple[FloatArray, FloatArray, BoolArray]:
+    def _undistort(self, uv: Array) -> tuple[Array, Array, Bools]:
         """Ideal normalised coordinates (N,), (N,) of pixels (N, 2), NaN where invalid, and validity (N,)."""
         fx, s, ox, fy, oy = self._intrinsics
         valid = np.asarray(np.isfinite(uv).all(axis=-1))
@@ -228,13 +227,13 @@ class Camera:
                 valid &= found
         return np.where(valid, a, np.nan), np.where(valid, b, np.nan), valid
 
-    def _undistorted_radius(self, radius_d: FloatArray) -> tuple[FloatArray, BoolArray]:
+    def _undistorted_radius(self, radius_d: Array) -> tuple[Array, Bools]:
         """Invert the radial part of the lens model, leaving tangential distortion aside."""
         if self.model == "fisheye":
             theta, found = _invert_increasing(self._fisheye_angle, radius_d, math.atan(self.max_radius))
             return np.tan(theta), found
 
-        def radial(r: FloatArray) -> tuple[FloatArray, FloatArray]:
+        def radial(r: Array) -> tuple[Array, Array]:
             f, df = self._radial_factor(r * r)
             return r * f, f + 2 * r * r * df
 
@@ -246,9 +245,7 @@ class Camera:
                 upper *= 2
         return _invert_increasing(radial, radius_d, upper)
 
-    def _newton(
-        self, xd: FloatArray, yd: FloatArray, a: FloatArray, b: FloatArray
-    ) -> tuple[FloatArray, FloatArray, BoolArray]:
+    def _newton(self, xd: Array, yd: Array, a: Array, b: Array) -> tuple[Array, Array, Bools]:
         """Newton's method on the whole distortion, started from the inverse of its radial part."""
         tolerance = 1e-14 * (1 + np.hypot(xd, yd))
         error = determinant = np.full(a.shape, np.inf)
@@ -296,7 +293,7 @@ class Camera:
         slope = polynomial.polyadd(polynomial.polymul(n, d), polynomial.polymul((0, 2), cross))
         return math.sqrt(min(_first_positive_root(slope), _first_positive_root(d)))
 
-    def _radial_factor(self, r2: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def _radial_factor(self, r2: Array) -> tuple[Array, Array]:
         """Radial factor f of the radial-tangential model and df/d(r^2)."""
         k1, k2, _, _, k3, k4, k5, k6 = self._coefficients
         f = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
@@ -307,14 +304,14 @@ class Camera:
             df = (df - f * (k4 + r2 * (2 * k5 + r2 * (3 * k6)))) / denominator
         return f, df
 
-    def _fisheye_angle(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def _fisheye_angle(self, theta: Array) -> tuple[Array, Array]:
         """theta_d of the fisheye model and its derivative."""
         k1, k2, k3, k4 = self._coefficients
         t2 = theta * theta
         theta_d = theta * (1 + t2 * (k1 + t2 * (k2 + t2 * (k3 + t2 * k4))))
         return theta_d, 1 + t2 * (3 * k1 + t2 * (5 * k2 + t2 * (7 * k3 + t2 * (9 * k4))))
 
-    def _distort(self, a: FloatArray, b: FloatArray, r2: FloatArray) -> tuple[Any, ...]:
+    def _distort(self, a: Array, b: Array, r2: Array) -> tuple[Any, ...]:
         """Distorted coordinates and the derivatives dx'/da, dx'/db = dy'/da, dy'/db (symmetric in every model)."""
         if self.model == "pinhole":
             return a, b, 1.0, 0.0, 1.0
@@ -348,7 +345,7 @@ class Camera:
         return self.rotation is not None and self.world_z_up
 
     @property
-    def up(self) -> FloatArray:
+    def up(self) -> Array:
         """Unit vector (3,), camera frame, that points up.
 
         From the pose where the world's z axis points up; otherwise the camera's x axis is taken to be level, and its
@@ -359,21 +356,21 @@ class Camera:
         return np.array((0.0, -math.cos(self.tilt_rad), 0.0 - math.sin(self.tilt_rad)))
 
     @property
-    def centre_world(self) -> FloatArray:
+    def centre_world(self) -> Array:
         """Centre of projection (3,), world frame, metres. Raises ValueError when the pose is unknown."""
         return self.camera_to_world(np.zeros(3))
 
-    def world_to_camera(self, points_m: npt.ArrayLike) -> FloatArray:
+    def world_to_camera(self, points_m: npt.ArrayLike) -> Array:
         """Points (..., 3), metres, from world to camera frame. Raises ValueError when the pose is unknown."""
         rotation, translation = self._pose()
         return np.asarray(points_m, dtype=float) @ rotation.T + translation
 
-    def camera_to_world(self, points_m: npt.ArrayLike) -> FloatArray:
+    def camera_to_world(self, points_m: npt.ArrayLike) -> Array:
         """Points (..., 3), metres, from camera to world frame. Raises ValueError when the pose is unknown."""
         rotation, translation = self._pose()
         return (np.asarray(points_m, dtype=float) - translation) @ rotation
 
-    def _pose(self) -> tuple[FloatArray, FloatArray]:
+    def _pose(self) -> tuple[Array, Array]:
         if self.rotation is None or self.translation_m is None:
             raise ValueError(f"camera {self.name!r} has no rotation and translation, so its place is unknown")
         return self.rotation, self.translation_m
@@ -413,7 +410,7 @@ class Camera:
 
 def project_from_pose(
     camera: Camera, points_m: npt.ArrayLike, angles_rad: npt.ArrayLike, translation_m: npt.ArrayLike
-) -> tuple[FloatArray, FloatArray, FloatArray, BoolArray]:
+) -> tuple[Array, Array, Array, Bools]:
     """Project points of a moving frame, X_camera = R(angles) X + translation, with exact derivatives.
 
     points_m: (..., 3) in the moving frame. angles_rad: (3,), (xi, psi, zeta) of `recon.rotations`. translation_m: (3,).
@@ -429,7 +426,7 @@ def project_from_pose(
     return pixels, d_camera @ rotation, d_pose, valid
 
 
-def is_rotation(matrix: FloatArray, tolerance: float) -> bool:
+def is_rotation(matrix: Array, tolerance: float) -> bool:
     """Whether a 3x3 matrix is finite, orthonormal to `tolerance` (largest entry of |R R' - I|) and right-handed."""
     with np.errstate(invalid="ignore", over="ignore"):
         off = np.abs(matrix @ matrix.T - np.eye(3)).max()
@@ -446,8 +443,8 @@ def _first_positive_root(coefficients: npt.ArrayLike) -> float:
 
 
 def _invert_increasing(
-    function: Callable[[FloatArray], tuple[FloatArray, FloatArray]], values: FloatArray, upper: float
-) -> tuple[FloatArray, BoolArray]:
+    function: Callable[[Array], tuple[Array, Array]], values: Array, upper: float
+) -> tuple[Array, Bools]:
     """Solve function(x)[0] = values for x in [0, upper) by Newton's method kept inside a bracket.
 
     function gives value and slope, starts at 0 and increases up to `upper`. Returns x and whether a solution exists.

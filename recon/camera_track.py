@@ -19,8 +19,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from recon.arrays import Array, Bools, Index, Integers
 from recon.camera import Camera, LensModel
 from recon.documents import read_text
 from recon.errors import InputError, Problem
@@ -28,9 +28,6 @@ from recon.frames import inverse, rigid
 from recon.io.common import MAX_FRAME, first_problems, frame_number
 from recon.io.common import number as plain_number
 from recon.rotations import part_of_turn, quaternion_rotations
-
-Array = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 
 MAX_GAP_S = 0.1
 """Poses further apart have none in between."""
@@ -64,7 +61,7 @@ class CameraTrack:
     """The poses of one camera in N frames of its video."""
 
     source: Path
-    frames: NDArray[np.int64]
+    frames: Integers
     """(N,), increasing."""
     T_camera_world: Array
     """(N, 4, 4); the world is in metres and has z up."""
@@ -73,7 +70,7 @@ class CameraTrack:
     camera: Camera | None = None
     """The lens, where the track comes with one. It has no pose."""
 
-    def at(self, frames: NDArray[np.int64], fps: float) -> FramePoses:
+    def at(self, frames: Integers, fps: float) -> FramePoses:
         """In each of T increasing frames; between poses no more than `MAX_GAP_S` apart turned and moved evenly."""
         after = np.clip(np.searchsorted(self.frames, frames), 0, len(self.frames) - 1)
         before = np.maximum(after - (self.frames[after] > frames), 0)
@@ -226,7 +223,7 @@ _CHECKS: tuple[tuple[str, str, Callable[[Array], Bools]], ...] = (
 """Field, what is expected of it, and the rows (N,) of a table that are otherwise."""
 
 
-def _places(places: Sequence[str], rows: NDArray[np.intp]) -> str:
+def _places(places: Sequence[str], rows: Index) -> str:
     return f"others in {_some([places[row] for row in rows])}"
 
 

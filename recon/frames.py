@@ -9,9 +9,8 @@ in, the camera files' world where there is one, otherwise the first camera's fra
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from recon.arrays import Array
 
 
 def level_axes(up: Array) -> tuple[Array, Array]:

@@ -29,10 +29,9 @@ from itertools import pairwise
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
+from recon.arrays import Array, Index
+
 Joint = Literal["free", "ball", "universal", "hinge", "fixed", "summed"]
 
 AXES: dict[str, str] = {"free": "zyx", "ball": "zyx", "universal": "zy", "hinge": "y", "fixed": "", "summed": "zy"}

@@ -16,11 +16,10 @@ from itertools import pairwise
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from recon.arrays import Array, Bools, Integers
 from recon.video import Image
 
-Array = NDArray[np.float64]
 Colour = tuple[int, int, int]
 """Blue, green, red."""
 
@@ -47,13 +46,13 @@ class Overlay:
     joints, from rear to front. flags (T): what is doubtful about each frame. speed: of the playback, 1 is real time.
     """
 
-    frames: NDArray[np.int64]
+    frames: Integers
     fps: float
     limbs: Sequence[Sequence[int]]
     colours: Sequence[Colour]
     detected_px: Array
     reprojected_px: Array
-    outliers: NDArray[np.bool_]
+    outliers: Bools
     depth_m: Array
     upright_m: Array
     trunk: tuple[int, int]

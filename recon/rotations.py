@@ -11,17 +11,17 @@ import warnings
 import numpy as np
 import numpy.typing as npt
 
-FloatArray = npt.NDArray[np.float64]
+from recon.arrays import Array
 
 
-def euler_rotation(angles_rad: npt.ArrayLike) -> FloatArray:
+def euler_rotation(angles_rad: npt.ArrayLike) -> Array:
     """Rotation matrices R = Rx(xi) Ry(psi) Rz(zeta), shape (..., 3, 3), of angles (xi, psi, zeta), shape (..., 3)."""
     angles = np.asarray(angles_rad, dtype=float)
     entries, _ = _matrix_entries(angles)
     return np.array(entries).T.reshape(*angles.shape[:-1], 3, 3)
 
 
-def euler_rotation_with_jacobian(angles_rad: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
+def euler_rotation_with_jacobian(angles_rad: npt.ArrayLike) -> tuple[Array, Array]:
     """Rotation matrices and their exact derivatives with respect to the angles.
 
     angles_rad: (..., 3), (xi, psi, zeta). Returns R (..., 3, 3) and dR (..., 3, 3, 3), where dR[..., k, :, :] is the
@@ -38,7 +38,7 @@ def euler_rotation_with_jacobian(angles_rad: npt.ArrayLike) -> tuple[FloatArray,
     return stack[..., 0, :, :], stack[..., 1:, :, :]
 
 
-def euler_angles(rotation: npt.ArrayLike) -> FloatArray:
+def euler_angles(rotation: npt.ArrayLike) -> Array:
     """Angles (xi, psi, zeta), shape (..., 3), of rotation matrices (..., 3, 3): the inverse of `euler_rotation`.
 
     psi lies in [-pi/2, pi/2]. At psi = +-pi/2 only xi + zeta or xi - zeta is determined; zeta is then set to 0.
@@ -55,7 +55,7 @@ def euler_angles(rotation: npt.ArrayLike) -> FloatArray:
     return np.asarray(angles).reshape(*matrices.shape[:-2], 3)
 
 
-def quaternions(rotations: FloatArray) -> FloatArray:
+def quaternions(rotations: Array) -> Array:
     """Unit quaternions (N, 4), x, y, z, w, of rotation matrices (N, 3, 3). scipy's take long to import."""
     m = rotations
     x, y, z = np.eye(3)
@@ -75,7 +75,7 @@ def quaternions(rotations: FloatArray) -> FloatArray:
     return found / np.linalg.norm(found, axis=1, keepdims=True)
 
 
-def quaternion_rotations(quaternions: FloatArray) -> FloatArray:
+def quaternion_rotations(quaternions: Array) -> Array:
     """Rotation matrices (N, 3, 3) of unit quaternions (N, 4), x, y, z, w: the inverse of `quaternions`."""
     x, y, z, w = quaternions.T
     rows = [
@@ -86,7 +86,7 @@ def quaternion_rotations(quaternions: FloatArray) -> FloatArray:
     return np.moveaxis(np.array(rows), -1, 0)
 
 
-def part_of_turn(rotations: FloatArray, share: FloatArray) -> FloatArray:
+def part_of_turn(rotations: Array, share: Array) -> Array:
     """Rotations (N, 3, 3) about the same axes, by a share (N,) of the angle, the shorter way round."""
     q = quaternions(rotations)
     q = np.where(q[:, 3:] < 0, -q, q)
@@ -96,7 +96,7 @@ def part_of_turn(rotations: FloatArray, share: FloatArray) -> FloatArray:
     return quaternion_rotations(np.column_stack([np.sin(half)[:, None] * axis, np.cos(half)]))
 
 
-def _matrix_entries(angles: FloatArray):
+def _matrix_entries(angles: Array):
     """The nine entries of R row by row, and cosines and sines. Each is a (N,) array, or a float for one rotation.
 
     Python floats are several times faster than numpy scalars, and one rotation per call is the solver's inner loop.

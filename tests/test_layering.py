@@ -20,6 +20,7 @@ ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "recon"
 
 LAYERS = (
+    "arrays",
     "interrupts",
     "package",
     "errors",

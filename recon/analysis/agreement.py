@@ -18,11 +18,10 @@ from itertools import combinations
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from recon.arrays import Array
 from recon.clip import View
 
-Array = NDArray[np.float64]
 Kind = Literal["exchanged", "turned", "late", "unknown", "apart"]
 Levels = Mapping[int, float]
 """By the camera's place. NaN: too few points to tell."""

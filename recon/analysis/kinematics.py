@@ -26,15 +26,14 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline, make_smoothing_spline
 from scipy.optimize import brentq
 
 from recon.analysis.path import MAX_GAP_S, MIN_POINTS
+from recon.arrays import Array, Index
 from recon.errors import InputError, Problem
 from recon.io.pose3d import Pose3D
 
-Array = NDArray[np.float64]
 Curve = Callable[[Array, int], Array]
 
 OVERSAMPLING = 10
@@ -192,7 +191,7 @@ def _check_series(time_s: Array, values: Array, errors: Sequence[Errors], smooth
             raise ValueError("a correlation time is not negative")
 
 
-def _spans(time_s: Array, values: Array, max_gap_s: float, min_points: int) -> list[NDArray[np.intp]]:
+def _spans(time_s: Array, values: Array, max_gap_s: float, min_points: int) -> list[Index]:
     """Rows of the known values, split at the gaps that are too long; those with enough values."""
     known = np.flatnonzero(np.isfinite(values).all(axis=1))
     too_long = (np.diff(known) > 1) & (np.diff(time_s[known]) > max_gap_s * (1 + 1e-9))
@@ -263,7 +262,7 @@ def _propagate(weighted: Array, t: Array, correlation_s: float) -> Array:
 # -- points ----------------------------------------------------------------------------------------------------------
 
 
-def frame_times(frames: Array | NDArray[np.intp], fps: float) -> Array:
+def frame_times(frames: Array | Index, fps: float) -> Array:
     """Times (T,) of frame numbers, seconds; frame 0 is at 0. Raises ValueError unless fps is positive."""
     if not (np.isfinite(fps) and fps > 0):
         raise ValueError(f"a positive frame rate is needed, got {fps}")

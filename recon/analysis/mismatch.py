@@ -9,12 +9,9 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from recon.arrays import Array, Bools
 from recon.body import other_side
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 SHARE = 1 / 3
 """An error that falls to this part of itself has been explained."""
@@ -55,7 +52,7 @@ def mismatches(pose_m: Array, truth_m: Array, names: Sequence[str]) -> tuple[str
     return ()
 
 
-def _explanations(pose_m: Array, truth_m: Array, common: Mask, names: Sequence[str]) -> Iterator[tuple[str, float]]:
+def _explanations(pose_m: Array, truth_m: Array, common: Bools, names: Sequence[str]) -> Iterator[tuple[str, float]]:
     """What the matter could be, the simplest first, and the error that would then be left."""
     pose, truth = _centred(pose_m, common), _centred(truth_m, common)
     axes = (
@@ -88,19 +85,19 @@ def _explanations(pose_m: Array, truth_m: Array, common: Mask, names: Sequence[s
             yield units + (f", and {axes}" if moved is not pose else "."), _error(factor * moved, truth, common)
 
 
-def _common(pose_m: Array, truth_m: Array) -> Mask:
+def _common(pose_m: Array, truth_m: Array) -> Bools:
     """(T, J)"""
     return np.asarray(np.isfinite(pose_m + truth_m).all(axis=2))
 
 
-def _centred(points_m: Array, common: Mask) -> Array:
+def _centred(points_m: Array, common: Bools) -> Array:
     """Less the mean of the common joints in each frame; 0 for all others."""
     known = np.where(common[..., None], points_m, 0.0)
     middle = known.sum(axis=1) / np.maximum(common.sum(axis=1), 1)[:, None]
     return np.where(common[..., None], points_m - middle[:, None], 0.0)
 
 
-def _error(pose: Array, truth: Array, common: Mask) -> float:
+def _error(pose: Array, truth: Array, common: Bools) -> float:
     """Mean over the frames of the mean over their joints."""
     off = np.linalg.norm(pose - truth, axis=2).sum(axis=1)
     count = common.sum(axis=1)

@@ -14,9 +14,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from recon.arrays import Array, Index
 
 MAX_GAP_S = 0.2
 """Missing frames are bridged if the frames on their two sides are not further apart than this."""
@@ -102,16 +101,14 @@ def frame_jitter_m(points_m: Array) -> Array:
     return np.median(np.abs(differences), axis=0) / (0.6745 * np.sqrt(20.0))
 
 
-def _stretches(time_s: Array, points_m: Array) -> list[NDArray[np.intp]]:
+def _stretches(time_s: Array, points_m: Array) -> list[Index]:
     """Rows of the known points, split at the gaps that are too long; those with enough points."""
     known = np.flatnonzero(np.isfinite(points_m).all(axis=1))
     too_long = (np.diff(known) > 1) & (np.diff(time_s[known]) > MAX_GAP_S * (1 + 1e-9))
     return [rows for rows in np.split(known, np.flatnonzero(too_long) + 1) if len(rows) >= MIN_POINTS]
 
 
-def _spline(
-    time_s: Array, points_m: Array, smoothing_m: float | Array | None
-) -> Callable[[Array, int], NDArray[np.float64]]:
+def _spline(time_s: Array, points_m: Array, smoothing_m: float | Array | None) -> Callable[[Array, int], Array]:
     """curve(time (M,), order of the derivative) -> (M, d)."""
     if smoothing_m is None:
         return _exact_spline(time_s, points_m)

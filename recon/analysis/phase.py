@@ -23,13 +23,11 @@ from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError
 
 from recon.analysis.kinematics import AngleKinematics, frame_times, joint_index, series_kinematics
+from recon.arrays import Array
 from recon.io.pose3d import Pose3D
-
-Array = NDArray[np.float64]
 
 FORWARD = ("tail_base", "neck_base")
 CHUNK = 1000

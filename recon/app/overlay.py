@@ -9,8 +9,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from recon.arrays import Array
 from recon.body import Side
-from recon.camera import FloatArray
 from recon.errors import InputError, Problem, all_of
 from recon.export import camera_files
 from recon.files import require_free_file
@@ -131,12 +131,12 @@ def overlay_of(result: Results, speed: float = 1.0, zoom: int = 1, number: int =
     )
 
 
-def _enlarged(xy_px: FloatArray, zoom: int) -> FloatArray:
+def _enlarged(xy_px: Array, zoom: int) -> Array:
     """Pixels' centres are whole numbers, before and after."""
     return zoom * xy_px + 0.5 * (zoom - 1)
 
 
-def _viewing_directions(result: Results, number: int) -> FloatArray:
+def _viewing_directions(result: Results, number: int) -> Array:
     """(T, 3): unit vectors along a camera's axis in the upright frame (`recon.results`), zero where it is not known."""
     track = result.track(number)
     if track is not None:

@@ -7,9 +7,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
+from recon.arrays import Array
+from recon.analysis.gait import doubt_text
 from recon.errors import InputError, Problem, all_of
 from recon.export.table import write_rows
 from recon.files import require_free_folder, sole_writer, staged_results
@@ -27,8 +28,6 @@ from recon.robot.reference import (
 )
 from recon.robot.retarget import LEGS_APART, Retargeted, RobotMotion, retarget
 from recon.robot.robot_file import load_robot
-
-Array = NDArray[np.float64]
 
 REPORT = "report.json"
 REPEATS = 3
@@ -56,11 +55,12 @@ def run_retarget(
     slower: float | None = None,
     lag: float = 0.0,
     overwrite: bool = False,
+    stride_s: tuple[float, float] | None = None,
 ) -> Solved:
     """`recon retarget`: tables, report and playback into `out`. Raises InputError.
 
     scale, slower: as `recon.robot.retarget.retarget`; lag: of a chain, of which one side is measured, by how much of a
-    stride the other side follows it.
+    stride the other side follows it; stride_s: from when to when a stride lasts, None: one that is found.
     """
     results, machine, *_ = all_of(
         lambda: read_results(folder),
@@ -68,7 +68,7 @@ def run_retarget(
         lambda: _check(scale, slower, lag),
         lambda: require_free_folder(out, (REPORT,), overwrite),
     )
-    animal = reference_of(results)
+    animal = reference_of(results, stride_s)
     if lag and len(animal.reference.feet) == len(LEGS):
         found = f"{lag:g}, for an animal of which both sides are measured"
         raise InputError(Problem("--lag", "share of a stride", found, "none, or a chain of one side"))
@@ -112,7 +112,8 @@ def _report(
 ) -> dict[str, Any]:
     results, robot = animal.analysis.results, motion.clip.robot
     mirrored = [foot for foot in LEGS if foot not in animal.reference.feet]
-    notes = _notes(window, motion, mirrored, lag)
+    doubts = [doubt_text(animal.method, doubt) for doubt in animal.analysis.gaits[animal.method].doubtful]
+    notes = _notes(window, motion, mirrored, lag, doubts)
     return {
         "schema": {"name": "recon.retarget", "version": 1},
         "robot": {
@@ -171,11 +172,12 @@ def _figures(motion: RobotMotion) -> dict[str, Any]:
     }
 
 
-def _notes(window: Window, motion: Retargeted, mirrored: list[str], lag: float) -> list[str]:
+def _notes(window: Window, motion: Retargeted, mirrored: list[str], lag: float, doubts: list[str]) -> list[str]:
     notes = []
     if mirrored:
         how = "at the same time" if lag == 0 else f"{abs(lag):.2f} of a stride {'later' if lag > 0 else 'earlier'}"
         notes.append(f"{' and '.join(mirrored)} are not measured: they do what the other side does, {how}")
+    notes += doubts
     if window.how == "return":
         notes.append(
             "the clip holds no complete stride: the one that repeats is made of the nearest return of all feet, "

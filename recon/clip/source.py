@@ -6,13 +6,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from recon.arrays import Array, Integers
 from recon.camera import Camera
 from recon.clip.view import View, camera_poses
 from recon.keypoints import CleaningReport, Keypoints
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,7 +78,7 @@ def together(sources: Sequence[Source], later_frames: Sequence[float]) -> tuple[
     )
 
 
-def _on_frames(source: Source, start: int, frames: NDArray[np.int64]) -> Source:
+def _on_frames(source: Source, start: int, frames: Integers) -> Source:
     """What was seen in frames without a gap, as rows from `start` on; missing before and after."""
     keypoints, T = source.keypoints, len(frames)
 

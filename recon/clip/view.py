@@ -7,13 +7,10 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from recon.arrays import Array, Bools, Index
 from recon.camera import Camera
 from recon.frames import inverse, level_from_camera, rigid
-
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,7 +35,7 @@ class View:
         return self.T_camera_world.ndim == 2
 
     @property
-    def present(self) -> NDArray[np.bool_]:
+    def present(self) -> Bools:
         """(T, J)"""
         return np.isfinite(self.xy_px[..., 0])
 
@@ -70,7 +67,7 @@ class View:
         )
 
     @property
-    def seen(self) -> NDArray[np.bool_]:
+    def seen(self) -> Bools:
         """(T, J): keypoints that a detector can have found in the picture (`Camera.sees`)."""
         if self.intrinsics_px is None:
             return self.camera.sees(self.xy_px)
@@ -97,12 +94,12 @@ class View:
         R, t = self.T_camera_world[:, :3, :3], self.T_camera_world[:, :3, 3]
         return points_m @ R.swapaxes(1, 2) + t[:, None]
 
-    def project(self, points_m: Array) -> tuple[Array, NDArray[np.bool_]]:
+    def project(self, points_m: Array) -> tuple[Array, Bools]:
         """Pixels (T, J, 2) and validity (T, J), as `Camera.project`, of points (T, J, 3) of the world frame."""
         pixels, valid = self.camera.project(self.to_camera(points_m))
         return self._zoomed(pixels), valid
 
-    def project_with_jacobian(self, points_m: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
+    def project_with_jacobian(self, points_m: Array) -> tuple[Array, Array, Bools]:
         """The same, with the pixels' exact derivatives (T, J, 2, 3) by the points, second."""
         pixels, by_point, valid = self.camera.project_with_jacobian(self.to_camera(points_m))
         if self.intrinsics_px is not None:

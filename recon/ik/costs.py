@@ -13,11 +13,9 @@ from itertools import pairwise
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from recon.arrays import Array
 from recon.ik.chain import SerialChain
-
-Array = NDArray[np.float64]
 
 
 class Cost(Protocol):

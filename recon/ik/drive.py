@@ -15,14 +15,13 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from recon.analysis import phase
+from recon.arrays import Array, Bools
 from recon.ik.chain import SerialChain, manipulability, unreachable
 from recon.ik.methods import INTERVAL_S, ExtendedJacobian, Method, Step
 from recon.ik.null_space import inside_limits, listed, to_null_space_optimum
-
-Array = NDArray[np.float64]
 
 TOLERANCE_M = 0.003
 MAX_STEP_M = 0.02
@@ -58,7 +57,7 @@ class Run:
     end_m: Array
     distance_m: Array
     manipulability: Array
-    singular: NDArray[np.bool_]
+    singular: Bools
     solve_s: Array
     limits_hit: tuple[int, ...]
 

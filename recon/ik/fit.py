@@ -10,9 +10,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import least_squares, minimize_scalar
 
+from recon.arrays import Array
 from recon.ik.chain import SerialChain
 from recon.ik.costs import Cost
 from recon.ik.methods import (
@@ -26,8 +26,6 @@ from recon.ik.methods import (
     SelectivelyDamped,
     WeightedLeastNorm,
 )
-
-Array = NDArray[np.float64]
 
 DAMPING_M = (1e-4, 1e2)
 """Range of lambda: beyond, it makes no difference, or no motion."""

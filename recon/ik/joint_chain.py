@@ -16,12 +16,11 @@ from __future__ import annotations
 from itertools import accumulate
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
+from recon.arrays import Array, Bools, Index
 from recon.ik.chain import MAX_RATE_RAD_S, BaseChain, Curvature
-
-Array = NDArray[np.float64]
 
 _NEXT, _AFTER = np.array([1, 2, 0]), np.array([2, 0, 1])
 
@@ -38,7 +37,7 @@ class JointChain(BaseChain):
     """
 
     lengths_m: Array
-    sliding: NDArray[np.bool_]
+    sliding: Bools
     groups: tuple[tuple[int, ...], ...]
 
     def __init__(
@@ -91,7 +90,7 @@ class JointChain(BaseChain):
     """(4, 4): the end effector in F_n."""
     _turns: Array
     """(n,): 1 for the joints that turn, 0 for those that slide."""
-    _pairs: NDArray[np.intp]
+    _pairs: Index
     """(n, n): index into a flat (n, n) of the earlier and the later of two joints."""
 
     @property

@@ -18,14 +18,11 @@ from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import lapack
 
+from recon.arrays import Array, Bools
 from recon.ik.chain import Curvature, SerialChain, null_basis
 from recon.ik.costs import Cost
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 INTERVAL_S = 1 / 90
 """What one iteration of `recon.ik.drive` takes."""
@@ -49,7 +46,7 @@ class Step(NamedTuple):
 
 
 class Method(Protocol):
-    def rates(self, chain: SerialChain, q: Array, dx: Array, free: Mask | None = None) -> Step:
+    def rates(self, chain: SerialChain, q: Array, dx: Array, free: Bools | None = None) -> Step:
         """Rates for q (n,) and dx (dim,)."""
         ...
 
@@ -58,7 +55,7 @@ class Method(Protocol):
 class LeastNorm:
     """J+ dx = J' (J J')^-1 dx: the smallest rates."""
 
-    def rates(self, chain: SerialChain, q: Array, dx: Array, free: Mask | None = None) -> Step:
+    def rates(self, chain: SerialChain, q: Array, dx: Array, free: Bools | None = None) -> Step:
         pseudo, singular = right_inverse(_jacobian(chain, q, free))
         return _step(chain, pseudo @ dx, free, singular)
 
@@ -69,7 +66,7 @@ class JacobianTranspose:
 
     alpha: float | None = None
 
-    def rates(self, chain: SerialChain, q: Array, dx: Array, free: Mask | None = None) -> Step:
+    def rates(self, chain: SerialChain, q: Array, dx: Array, free: Bools | None = None) -> Step:
         J = _jacobian(chain, q, free)
         dq = J.T @ dx
         alpha = self.alpha
@@ -91,7 +88,7 @@ class GradientProjection:
     gradient: Cost | Callable[[Array], Array]
     k: float = -1.0
 
-    def rates(self, chain: SerialChain, q: Array, dx: Array, free: Mask | None = None) -> Step:
+    def rates(self, chain: SerialChain, q: Array, dx: Array, free: Bools | None = None) -> Step:
         J = _jacobian(chain, q, free)
         g = self.gradient(q) if callable(self.gradient) else self.gradient.gradient(q)
         g = self.k * (g if free is None else g[free])
@@ -105,7 +102,7 @@ class WeightedLeastNorm:
 
     weights: Array
 
-    def rates(self, chain: SerialChain, q: Array, dx: Array, free: Mask | None = None) -> Step:
+    def rates(self, chain: SerialChain, q: Array, dx: Array, free: Bools | None = None) -> Step:
         J = _jacobian(chain, q, free)
         inverse, singular = right_inverse(J, J / (self.weights if free is None else self.weights[free]))
         return _step(chain, inverse @ dx, free, singular)
@@ -117,7 +114,7 @@ class DampedLeastSquares:
 
     damping_m: float = 0.05
 
-    def rates(self, chain: SerialChain, q: Array, dx: Array, free: Mask | None = None) -> Step:
+    def rates(self, chain: SerialChain, q: Array, dx: Array, free: Bools | None = None) -> Step:
         J = _jacobian(chain, q, free)
         inverse, singular = right_inverse(J, J, self.damping_m**2)
         return _step(chain, inverse @ dx, free, singular)
@@ -135,7 +132,7 @@ class SelectivelyDamped:
     gamma_max_rad: float = math.pi / 4
     interval_s: float = INTERVAL_S
 
-    def rates(self, chain: SerialChain, q: Array, dx: Array, free: Mask | None = None) -> Step:
+    def rates(self, chain: SerialChain, q: Array, dx: Array, free: Bools | None = None) -> Step:
         J = _jacobian(chain, q, free)
         limit = self.gamma_max_rad / self.interval_s
         if not J.size or not np.isfinite(J).all():
@@ -173,7 +170,7 @@ class ExtendedJacobian:
     full: bool = True
     gain_per_s: float = 0.0
 
-    def rates(self, chain: SerialChain, q: Array, dx: Array, free: Mask | None = None) -> Step:
+    def rates(self, chain: SerialChain, q: Array, dx: Array, free: Bools | None = None) -> Step:
         J, curvature = derivatives(chain, q, free)
         pseudo, singular = right_inverse(J)
         dq = pseudo @ dx
@@ -197,7 +194,7 @@ def extended_jacobian(chain: SerialChain, cost: Cost, q: Array, N: Array, full: 
 
 
 def reduced_gradient(
-    cost: Cost, q: Array, pseudo: Array, curvature: Curvature | None, free: Mask | None = None
+    cost: Cost, q: Array, pseudo: Array, curvature: Curvature | None, free: Bools | None = None
 ) -> tuple[Array, Array]:
     """grad g (n,) and M = Hess g - sum_i mu_i Hess f_i (n, n) of the free joints, whose J+ is pseudo (n, dim) and whose
     curvature is given; None leaves the sum out."""
@@ -210,11 +207,11 @@ def reduced_gradient(
 # -- small linear algebra --------------------------------------------------------------------------------------------
 
 
-def _jacobian(chain: SerialChain, q: Array, free: Mask | None) -> Array:
+def _jacobian(chain: SerialChain, q: Array, free: Bools | None) -> Array:
     return chain.jacobian(q) if free is None else chain.jacobian(q)[:, free]
 
 
-def derivatives(chain: SerialChain, q: Array, free: Mask | None = None) -> tuple[Array, Curvature]:
+def derivatives(chain: SerialChain, q: Array, free: Bools | None = None) -> tuple[Array, Curvature]:
     """Those of the free joints: J (dim, n), and the curvature (n, n)."""
     J, curvature = chain.derivatives(q)
     if free is None:
@@ -299,7 +296,7 @@ def _clamped(values: Array, limit: float) -> Array:
 
 
 def _step(
-    chain: SerialChain, dq: Array, free: Mask | None, singular: bool, along: Array | None = None, note: str = ""
+    chain: SerialChain, dq: Array, free: Bools | None, singular: bool, along: Array | None = None, note: str = ""
 ) -> Step:
     """Rates dq of the free joints, and as much of a motion along the null space as the limits leave to it; 0 for the
     others. The note says what was held back, and where."""

@@ -6,13 +6,12 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from recon.arrays import Array, Bools
 from recon.ik.chain import SerialChain, null_basis
 from recon.ik.costs import Cost
 from recon.ik.methods import LeastNorm, derivatives, reduced_gradient, right_inverse
-
-Array = NDArray[np.float64]
 
 _NULL_STEP_RAD = 0.3
 """Longest step along the null space."""
@@ -108,7 +107,7 @@ def _null_space_newton(
     return Optimum(reason, np.array(path), gradient, kind)
 
 
-def _returned(chain: SerialChain, q: Array, home: Array, free: NDArray[np.bool_]) -> Array | None:
+def _returned(chain: SerialChain, q: Array, home: Array, free: Bools) -> Array | None:
     """q with the end effector back at home, by least-norm steps; None if they do not lead there."""
     for _ in range(12):
         miss = home - chain.end(q)

@@ -11,11 +11,10 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from recon.arrays import Array
 from recon.ik.chain import PlanarChain, unreachable
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

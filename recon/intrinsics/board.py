@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from recon.camera import FloatArray
+from recon.arrays import Array, Index
 from recon.errors import InputError, Problem
 
 Gray = npt.NDArray[np.uint8]
@@ -31,8 +31,8 @@ CHARUCO_FORM = "charuco:5x7:40mm:30mm:DICT_4X4_50 (squares; side of a square; si
 class Corners:
     """Corners of a board in one picture. ids: (N,), rows of the board's `points_m`. xy_px: (N, 2)."""
 
-    ids: npt.NDArray[np.intp]
-    xy_px: FloatArray
+    ids: Index
+    xy_px: Array
 
 
 @dataclass(frozen=True)
@@ -48,13 +48,13 @@ class Chessboard:
         return f"chessboard of {self.columns}x{self.rows} inner corners, squares of {1000 * self.square_m:g} mm"
 
     @cached_property
-    def points_m(self) -> FloatArray:
+    def points_m(self) -> Array:
         """Corners (K, 3), board frame, metres: row by row."""
         y, x = np.mgrid[: self.rows, : self.columns]
         return self.square_m * np.stack((x.ravel(), y.ravel(), np.zeros(x.size)), axis=1)
 
     @cached_property
-    def outline_m(self) -> FloatArray:
+    def outline_m(self) -> Array:
         """Corners (4, 3) of the outermost squares."""
         (x0, y0), (x1, y1) = (-1, -1), (self.columns, self.rows)
         return self.square_m * np.array([(x0, y0, 0.0), (x1, y0, 0), (x1, y1, 0), (x0, y1, 0)])
@@ -99,12 +99,12 @@ class Charuco:
         return board
 
     @cached_property
-    def points_m(self) -> FloatArray:
+    def points_m(self) -> Array:
         """Corners (K, 3), board frame, metres, by their ids in OpenCV."""
         return np.asarray(self.opencv.getChessboardCorners(), dtype=float).reshape(-1, 3)
 
     @cached_property
-    def outline_m(self) -> FloatArray:
+    def outline_m(self) -> Array:
         """Corners (4, 3) of the outermost squares."""
         x, y = self.columns, self.rows
         return self.square_m * np.array([(0.0, 0, 0), (x, 0, 0), (x, y, 0), (0, y, 0)])
@@ -167,7 +167,7 @@ def parse_board(text: str) -> Board:
     return Charuco(columns, rows, square, marker, dictionary, legacy=len(parts) == 5)
 
 
-def _refined(image: Gray, xy_px: FloatArray, reach: float) -> FloatArray:
+def _refined(image: Gray, xy_px: Array, reach: float) -> Array:
     """Corners (N, 2) moved to where the gradients around them say, within `reach` of the distance to the next corner.
 
     That halves the error of what the detectors give. The window must see neither the board's edge nor a neighbour:

@@ -14,9 +14,8 @@ from typing import Literal
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
-from recon.camera import FloatArray
+from recon.arrays import Array, Bools
 from recon.intrinsics.solve import Calibration
 
 Verdict = Literal["ok", "warning", "refused"]
@@ -139,7 +138,7 @@ def check(calibration: Calibration) -> tuple[Check, ...]:
     return tuple(Check(limit, float(measured[limit.name])) for limit in LIMITS)
 
 
-def coverage(calibration: Calibration, columns: int = 320) -> npt.NDArray[np.bool_]:
+def coverage(calibration: Calibration, columns: int = 320) -> Bools:
     """Which cells of the picture lie among the corners of some picture that was used: (rows, columns)."""
     width, height = calibration.camera.image_size_px
     scale = columns / width
@@ -150,6 +149,6 @@ def coverage(calibration: Calibration, columns: int = 320) -> npt.NDArray[np.boo
     return mask.astype(bool)
 
 
-def _grid(width: int, height: int) -> FloatArray:
+def _grid(width: int, height: int) -> Array:
     y, x = np.mgrid[0 : height - 1 : 41j, 0 : width - 1 : 41j]
     return np.stack((x, y), axis=-1)

@@ -5,7 +5,8 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from recon.camera import Camera, FloatArray
+from recon.arrays import Array
+from recon.camera import Camera
 from recon.intrinsics.checks import coverage
 from recon.intrinsics.solve import Calibration
 from recon.video import Image
@@ -33,7 +34,7 @@ def draw(calibration: Calibration) -> Image:
     covered = cv2.resize(coverage(calibration).astype(np.uint8), (inner_w, inner_h), interpolation=cv2.INTER_NEAREST)
     inside[:] = np.where(covered[..., None] > 0, COVERED, FRAME)
 
-    def place(xy_px: FloatArray) -> np.ndarray:
+    def place(xy_px: Array) -> np.ndarray:
         """Fixed-point coordinates (..., 2) in the drawing."""
         return np.rint((((xy_px + 0.5) * scale - 0.5) + MARGIN_PX) * 2**SHIFT).astype(np.int32)
 
@@ -55,7 +56,7 @@ def draw(calibration: Calibration) -> Image:
     return image
 
 
-def _grid_lines(camera: Camera) -> list[FloatArray]:
+def _grid_lines(camera: Camera) -> list[Array]:
     """Lines (N, 2), px, that are straight, horizontal and vertical through an ideal lens, as this lens sees them."""
     width, height = camera.image_size_px
     border = np.concatenate([
@@ -101,7 +102,7 @@ def _legend(image: Image, calibration: Calibration, top: float, corner: tuple[in
         cv2.putText(image, note, (x + bar_w + 60, y + 14 + 22 * number), FONT, 0.5, INK, 1, cv2.LINE_AA)
 
 
-def _colours(shares: FloatArray) -> list[tuple[int, int, int]]:
+def _colours(shares: Array) -> list[tuple[int, int, int]]:
     values = np.rint(255 * np.clip(shares, 0, 1)).astype(np.uint8).reshape(-1, 1)
     colours = cv2.applyColorMap(values, cv2.COLORMAP_VIRIDIS).reshape(-1, 3)
     return [(int(b), int(g), int(r)) for b, g, r in colours]

@@ -23,7 +23,8 @@ from typing import Any
 import cv2
 import numpy as np
 
-from recon.camera import Camera, FloatArray, LensModel
+from recon.arrays import Array
+from recon.camera import Camera, LensModel
 from recon.errors import InputError, Problem
 from recon.intrinsics.board import Board, Corners
 from recon.intrinsics.views import View, Views
@@ -54,9 +55,9 @@ class FittedView:
 
     name: str
     corners: Corners
-    rotation: FloatArray
-    translation_m: FloatArray
-    residual_px: FloatArray
+    rotation: Array
+    translation_m: Array
+    residual_px: Array
     used: bool
 
     @cached_property
@@ -125,9 +126,7 @@ def calibrate(views: Views, model: LensModel, name: str = "cam1") -> Calibration
     return Calibration(camera, views.board, tuple(every[view.name] for view in views.views), tuple(sigma.tolist()))
 
 
-def _fitted(
-    view: View, points: FloatArray, camera: Camera, rotation_vector: FloatArray, translation: FloatArray
-) -> FittedView:
+def _fitted(view: View, points: Array, camera: Camera, rotation_vector: Array, translation: Array) -> FittedView:
     rotation = np.asarray(cv2.Rodrigues(rotation_vector)[0], dtype=float)
     translation = np.ravel(translation)
     projected, valid = camera.project(points[view.corners.ids] @ rotation.T + translation)
@@ -138,7 +137,7 @@ def _fitted(
 
 
 def _solve(
-    views: Sequence[View], points: FloatArray, size: tuple[int, int], model: LensModel, name: str
+    views: Sequence[View], points: Array, size: tuple[int, int], model: LensModel, name: str
 ) -> tuple[Camera, list[FittedView]]:
     try:
         solve = _solve_fisheye if model == "fisheye" else _solve_radtan
@@ -151,7 +150,7 @@ def _solve(
     return camera, [_fitted(view, points, camera, rotation, place) for view, rotation, place in poses]
 
 
-def _solve_radtan(views: Sequence[View], points: FloatArray, size: tuple[int, int], model: LensModel) -> Any:
+def _solve_radtan(views: Sequence[View], points: Array, size: tuple[int, int], model: LensModel) -> Any:
     objects = [points[view.corners.ids].astype(np.float32) for view in views]
     images = [view.corners.xy_px.astype(np.float32).reshape(-1, 1, 2) for view in views]
     _, matrix, distortion, rotations, translations = cv2.calibrateCamera(
@@ -160,7 +159,7 @@ def _solve_radtan(views: Sequence[View], points: FloatArray, size: tuple[int, in
     return matrix, np.ravel(distortion)[: len(COEFFICIENTS[model])], rotations, translations
 
 
-def _solve_fisheye(views: Sequence[View], points: FloatArray, size: tuple[int, int], model: LensModel) -> Any:
+def _solve_fisheye(views: Sequence[View], points: Array, size: tuple[int, int], model: LensModel) -> Any:
     objects = [points[view.corners.ids].reshape(1, -1, 3) for view in views]
     images = [view.corners.xy_px.reshape(1, -1, 2) for view in views]
     names = ("CALIB_USE_INTRINSIC_GUESS", "CALIB_RECOMPUTE_EXTRINSIC", "CALIB_FIX_SKEW")
@@ -184,7 +183,7 @@ def _solve_fisheye(views: Sequence[View], points: FloatArray, size: tuple[int, i
     return matrix, np.ravel(distortion), rotations, translations
 
 
-def _pose(view: View, points: FloatArray, camera: Camera) -> tuple[FloatArray, FloatArray]:
+def _pose(view: View, points: Array, camera: Camera) -> tuple[Array, Array]:
     """Pose of the board in a picture that the camera was not found from."""
     rays, valid = camera.rays(view.corners.xy_px)
     flat = rays[valid, :2] / rays[valid, 2:]
@@ -196,7 +195,7 @@ def _pose(view: View, points: FloatArray, camera: Camera) -> tuple[FloatArray, F
     return np.zeros(3), np.array([0.0, 0.0, 1.0])
 
 
-def _sigma(views: Sequence[FittedView], points: FloatArray, camera: Camera) -> FloatArray:
+def _sigma(views: Sequence[FittedView], points: Array, camera: Camera) -> Array:
     """Standard deviations of the camera's parameters, with the poses marginalised.
 
     With the Jacobian [A B] of a view's residuals to camera and pose, the information about the camera is the sum of
@@ -221,7 +220,7 @@ def _sigma(views: Sequence[FittedView], points: FloatArray, camera: Camera) -> F
     return np.where(diagonal > 0, np.sqrt(variance * np.abs(diagonal)) * scale, np.inf)
 
 
-def _jacobian(view: FittedView, points: FloatArray, camera: Camera) -> tuple[FloatArray, FloatArray]:
+def _jacobian(view: FittedView, points: Array, camera: Camera) -> tuple[Array, Array]:
     """Derivatives of a view's pixels with respect to the camera (2N, 4 + coefficients) and the pose (2N, 6)."""
     rotation, _ = cv2.Rodrigues(view.rotation)
     objects = points[view.corners.ids].reshape(-1, 1, 3)

@@ -11,7 +11,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from recon.camera import FloatArray
+from recon.arrays import Array
 from recon.errors import InputError, Problem
 from recon.intrinsics.board import Board, Corners, Gray
 from recon.video import SUFFIXES as VIDEO_SUFFIXES
@@ -164,7 +164,7 @@ def _from_video(path: Path, board: Board, progress: Progress) -> Views:
     found: list[View] = []
     without: list[str] = []
     sharpness: list[float] = []
-    outlines: list[FloatArray] = []
+    outlines: list[Array] = []
     for number, image in read_frames(path, step=step):
         progress("looking for the board", min(1.0, number / count))
         gray = np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), dtype=np.uint8)
@@ -180,7 +180,7 @@ def _from_video(path: Path, board: Board, progress: Progress) -> Views:
     return Views(board, info.size_px, views, tuple(without), len(found) + len(without), len(found))
 
 
-def choose(sharpness: FloatArray, outlines: FloatArray, most: int = MAX_VIEWS) -> list[int]:
+def choose(sharpness: Array, outlines: Array, most: int = MAX_VIEWS) -> list[int]:
     """Frames that are sharp and as different as can be, in order.
 
     sharpness: (N,). outlines: (N, 4, 2), the board's corners relative to the picture's diagonal. The first is the
@@ -201,7 +201,7 @@ def choose(sharpness: FloatArray, outlines: FloatArray, most: int = MAX_VIEWS) -
     return sorted(chosen)
 
 
-def corner_sharpness(image: Gray, xy_px: FloatArray) -> float:
+def corner_sharpness(image: Gray, xy_px: Array) -> float:
     """How sharp a board is in a picture (height, width), from its corners (N, 2): about 1 / the width of an edge (px).
 
     Around each corner, the root of the smaller eigenvalue of the mean outer product of the gradients, relative to the
@@ -220,7 +220,7 @@ def corner_sharpness(image: Gray, xy_px: FloatArray) -> float:
     return float(np.median(scores)) if scores else 0.0
 
 
-def _outline(board: Board, corners: Corners) -> FloatArray:
+def _outline(board: Board, corners: Corners) -> Array:
     """The board's outermost corners (4, 2) in the picture, extrapolated as if there was no distortion."""
     points = board.points_m[corners.ids, :2]
     homography, _ = cv2.findHomography(points, corners.xy_px)

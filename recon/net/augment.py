@@ -14,10 +14,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from recon.arrays import Array
 from recon.net.labels import known_points
 from recon.video import Image
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

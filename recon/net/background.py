@@ -12,8 +12,8 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from recon.arrays import Array, Integers
 from recon.net.labels import Labels, known_points, resize
 from recon.video import Image, probe, read_frames
 
@@ -39,7 +39,7 @@ def background_of(pictures: Sequence[Image]) -> Image | None:
     return background if float(np.median(still)) >= STILL_SHARE else None
 
 
-def backgrounds(labels: Labels, apart: NDArray[np.int64]) -> tuple[Image | None, ...]:
+def backgrounds(labels: Labels, apart: Integers) -> tuple[Image | None, ...]:
     """One for each clip, from its pictures but those `apart` (indices), which nobody has yet."""
     found = []
     for c in range(len(labels.clips)):
@@ -57,7 +57,7 @@ def background_of_video(video: Path, scale: float) -> Image | None:
     return background_of(pictures)
 
 
-def moving_mask(picture: Image, background: Image, xy_px: NDArray[np.float64], margin_px: float) -> Image:
+def moving_mask(picture: Image, background: Image, xy_px: Array, margin_px: float) -> Image:
     """(height, width), 0 to 255: what differs from the background near the labelled points (K, 2)."""
     near = np.zeros(picture.shape[:2], np.uint8)
     known = xy_px[known_points(xy_px)]

@@ -10,12 +10,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from recon.arrays import Array, Integers
 from recon.net.augment import Augmentation, Example, augment
 from recon.net.background import moving_mask
 from recon.net.labels import Labels, body_length_px, known_points
 from recon.video import Image
 
-Array = NDArray[np.float64]
 NETWORK_LENGTH_PX = 120.0
 """Length of the animal in the pictures that the network sees; clips are scaled to it, unless they are near."""
 CROP = 1.4
@@ -77,7 +77,7 @@ class Source:
     size: int
     seed: int
 
-    def batch(self, step: int, pool: NDArray[np.int64]) -> Batch:
+    def batch(self, step: int, pool: Integers) -> Batch:
         pictures, backgrounds, points = [], [], []
         for i in range(self.size):
             rng = np.random.default_rng((self.seed, step, i))
@@ -97,9 +97,9 @@ class Ahead:
     def __init__(self, source: Source, executor: ThreadPoolExecutor) -> None:
         self._source, self._executor = source, executor
         self._waiting: dict[int, Future[Batch]] = {}
-        self._pool: NDArray[np.int64] = np.zeros(0, np.int64)
+        self._pool: Integers = np.zeros(0, np.int64)
 
-    def get(self, step: int, pool: NDArray[np.int64]) -> Batch:
+    def get(self, step: int, pool: Integers) -> Batch:
         if not np.array_equal(pool, self._pool):
             self._waiting.clear()
             self._pool = pool

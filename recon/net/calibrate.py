@@ -11,11 +11,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import minimize
 from scipy.special import expit, logit
 
-Array = NDArray[np.float64]
+from recon.arrays import Array, Bools
+
 BINS = 10
 _EDGE = 1e-4
 _PRIOR = (1.0, 0.0)
@@ -37,7 +37,7 @@ class Calibration:
         return expit(self.slope * logit(np.clip(raw, _EDGE, 1 - _EDGE)) + self.offset)
 
 
-def fit_calibration(raw: Array, right: NDArray[np.bool_]) -> Calibration:
+def fit_calibration(raw: Array, right: Bools) -> Calibration:
     """From raw likelihoods (N,) and whether their points are right (N,), by maximum likelihood with a weak prior on
     slope and offset, which keeps both finite where all points are right."""
     if not len(raw):
@@ -81,7 +81,7 @@ class Reliability:
         return {"points": self.points, "expected_calibration_error": self.error, "bins": rows}
 
 
-def reliability(likelihood: Array, right: NDArray[np.bool_], bins: int = BINS) -> Reliability:
+def reliability(likelihood: Array, right: Bools, bins: int = BINS) -> Reliability:
     """Over likelihoods (N,) in 0 to 1 and whether their points are right (N,), in bins of equal width."""
     which = np.minimum((likelihood * bins).astype(int), bins - 1)
     rows = []

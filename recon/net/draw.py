@@ -6,11 +6,10 @@ import colorsys
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from recon.arrays import Array
 from recon.video import Image
 
-Array = NDArray[np.float64]
 _SHIFT = 4
 LABEL, LINE = (255, 255, 255), (60, 60, 230)
 

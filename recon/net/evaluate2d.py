@@ -7,15 +7,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from recon.arrays import Array, Bools
 from recon.errors import InputError, Problem, all_of
 from recon.io import read_keypoints
 from recon.keypoints import Keypoints, mark_missing
 from recon.net.calibrate import Reliability, reliability
 from recon.net.labels import body_length_px, known_points, read_label_file, sides
 
-Array = NDArray[np.float64]
 PCK_PX = (2.5, 5.0, 10.0)
 PCK_RELATIVE = (0.05, 0.1, 0.2)
 """Of the body length, the median diagonal of the box around an animal's labels."""
@@ -170,7 +169,7 @@ def _forgiven(xy_px: Array, label_px: Array, partner: tuple[int, ...]) -> Array:
     return np.where(of_pair[1] < of_pair[0], other, own)
 
 
-def _score(errors: Array, labelled: NDArray[np.bool_], length_px: float) -> Score:
+def _score(errors: Array, labelled: Bools, length_px: float) -> Score:
     """errors: NaN where not labelled or not found."""
     n = int(labelled.sum())
     found = errors[labelled & np.isfinite(errors)]

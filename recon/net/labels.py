@@ -10,8 +10,8 @@ from pathlib import Path, PureWindowsPath
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from recon.arrays import Array, Bools, Integers
 from recon.errors import InputError, Problem, all_of
 from recon.io import deeplabcut, file_head
 from recon.io.common import first_problems
@@ -19,7 +19,6 @@ from recon.io.hdf5 import is_hdf5
 from recon.keypoints import Keypoints, mark_missing
 from recon.video import Image, probe, read_frames
 
-Array = NDArray[np.float64]
 OUTSIDE = 0.1
 """Share of the labels that may lie outside of their pictures."""
 
@@ -36,16 +35,16 @@ class Labels:
 
     names: tuple[str, ...]
     xy_px: Array
-    numbers: NDArray[np.int64]
+    numbers: Integers
     images: tuple[str, ...]
-    clip: NDArray[np.int64]
+    clip: Integers
     clips: tuple[str, ...]
     pictures: tuple[Image, ...]
     source: str
     notes: tuple[str, ...] = ()
 
     @property
-    def labelled(self) -> NDArray[np.bool_]:
+    def labelled(self) -> Bools:
         """(N, K)."""
         return known_points(self.xy_px)
 
@@ -55,7 +54,7 @@ class Labels:
         return replace(self, pictures=pictures, xy_px=scale_points(self.xy_px, scale))
 
 
-def known_points(xy_px: Array) -> NDArray[np.bool_]:
+def known_points(xy_px: Array) -> Bools:
     """Which points (..., 2) have both coordinates, (...)."""
     return np.asarray(np.isfinite(xy_px).all(axis=-1), dtype=np.bool_)
 

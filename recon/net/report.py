@@ -9,9 +9,9 @@ from typing import Any
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from recon import __version__
+from recon.arrays import Array, Integers
 from recon.files import write_bytes
 from recon.net.batches import crop_size
 from recon.net.calibrate import Reliability, reliability
@@ -27,7 +27,6 @@ from recon.net.trained import Trained, prepared
 from recon.plots.style import COLOURS, GREY, drawing, save
 from recon.report import to_json
 
-Array = NDArray[np.float64]
 REPORT_FILES = (
     "training.json", "suspicious.csv", "curves.png", "curves.svg", "keypoints.png", "keypoints.svg",
     "reliability.png", "reliability.svg", "worst.png",
@@ -93,7 +92,7 @@ def write_training_report(run: Run, state: State, folder: Path) -> dict[str, Any
     return report
 
 
-def _evaluation(run: Run, which: NDArray[np.int64], xy_px: Array, likelihood: Array) -> Evaluation2D:
+def _evaluation(run: Run, which: Integers, xy_px: Array, likelihood: Array) -> Evaluation2D:
     length = extents_px(run.labels.xy_px[which])
     length_px = float(np.nanmedian(length)) if np.isfinite(length).any() else run.spec.body_length_px
     names, truth = run.spec.names, run.labels.xy_px[which]
@@ -125,7 +124,7 @@ def _write_suspects(suspects: list[Suspect], path: Path) -> None:
             rows.writerow([s.image, s.keypoint, f"{s.x_px:.2f}", f"{s.y_px:.2f}", *values, "; ".join(s.reasons)])
 
 
-def _write_worst(labels: Labels, errors: Array, xy_px: Array, which: NDArray[np.int64], path: Path) -> None:
+def _write_worst(labels: Labels, errors: Array, xy_px: Array, which: Integers, path: Path) -> None:
     """The pictures with the largest mean error, no two of them neighbours in time."""
     known = np.isfinite(errors[which]).any(axis=1)
     mean = np.full(len(which), -np.inf)

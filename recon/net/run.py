@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from recon.arrays import Array, Bools
 from recon.errors import InputError, Problem
 from recon.files import staged_file, write_bytes
 from recon.net.augment import Augmentation
@@ -30,7 +30,6 @@ from recon.video import Image
 if TYPE_CHECKING:
     import torch  # pyright: ignore[reportMissingImports]
 
-Array = NDArray[np.float64]
 CHECKPOINT_FILE = "checkpoint.pt"
 TOLERANCE = 0.04
 """Within this, relative to the body length, a point counts as right for its likelihood."""
@@ -92,7 +91,7 @@ class State:
     stopped_early: bool = False
     skipped: float = 0.0
     calibrations: dict[str, Calibration] = field(default_factory=dict)
-    judged: dict[str, tuple[Array, NDArray[np.bool_]]] = field(default_factory=dict)
+    judged: dict[str, tuple[Array, Bools]] = field(default_factory=dict)
     history: list[dict[str, float]] = field(default_factory=list)
 
 

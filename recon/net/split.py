@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from recon.arrays import Integers
 from recon.errors import InputError, Problem
 from recon.io.common import frames_text
 from recon.net.labels import Labels
@@ -16,17 +16,15 @@ BLOCKS = 10
 """A share of the pictures is held out in this many runs of neighbours in time, or in fewer, longer ones: neighbours
 look alike, and what was seen in training would judge itself."""
 
-Indices = NDArray[np.int64]
-
 
 @dataclass(frozen=True, eq=False)
 class Split:
     """Indices into the labelled pictures, increasing, without one in common. train: learned from; validation: judged
     during training and calibrated by; test: looked at once, at the end."""
 
-    train: Indices
-    validation: Indices
-    test: Indices
+    train: Integers
+    validation: Integers
+    test: Integers
 
     def to_dict(self, labels: Labels) -> dict[str, Any]:
         """Frame numbers by part and clip."""
@@ -74,7 +72,7 @@ def parse_choice(text: str, option: str) -> Choice:
     return share
 
 
-def _choose(labels: Labels, rest: Indices, choice: Choice, seed: int, option: str) -> Indices:
+def _choose(labels: Labels, rest: Integers, choice: Choice, seed: int, option: str) -> Integers:
     if isinstance(choice, tuple):
         low, high = choice
         numbers = labels.numbers[rest]

@@ -14,11 +14,10 @@ import warnings
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from recon.arrays import Array
 from recon.net.labels import Labels
 
-Array = NDArray[np.float64]
 FAR, APART, JUMP = 0.2, 0.15, 0.15
 """Body lengths from which on a label stands out: from the network's point, from the others, from the line in time."""
 LEARNED = 5.0

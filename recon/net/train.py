@@ -20,8 +20,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from recon.arrays import Array, Integers
 from recon.net.batches import Batch, Source, ahead, crop_size, examples_of
 from recon.net.calibrate import fit_calibration
 from recon.net.decode import loss
@@ -30,7 +30,6 @@ from recon.net.run import Run, State, TrainSettings, begin, resumed, save_checkp
 from recon.net.torch_extra import fast_half, require_torch
 from recon.net.trained import MODEL_FILE, VIEWS, Trained, as_input, prepared, save_model
 
-Array = NDArray[np.float64]
 FINISH = 0.6
 """Share of a run after which the validation pictures are learned from, too."""
 FINISH_RATE = 0.5
@@ -201,7 +200,7 @@ def _end_first_part(state: State, run: Run) -> None:
         state.judged[quality] = (calibration.apply(raw[labelled]), right)
 
 
-def judge(trained: Trained, run: Run, which: NDArray[np.int64], quality: str = "fast") -> tuple[Array, Array, Array]:
+def judge(trained: Trained, run: Run, which: Integers, quality: str = "fast") -> tuple[Array, Array, Array]:
     """Errors (n, K) in px of the clip, NaN where there is no label; raw likelihoods (n, K); points (n, K, 2)."""
     xy, raw = np.zeros((len(which), len(run.spec.names), 2)), np.zeros((len(which), len(run.spec.names)))
     for c in np.unique(run.scaled.clip[which]):

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from recon.arrays import Array
 from recon.errors import InputError, Problem
 from recon.files import staged_file, write_bytes
 from recon.net.calibrate import Calibration
@@ -25,7 +26,6 @@ from recon.video import Image
 if TYPE_CHECKING:
     import torch  # pyright: ignore[reportMissingImports]
 
-Array = NDArray[np.float64]
 FORMAT = 1
 MODEL_FILE = "model.pt"
 CHANNELS = 6

@@ -7,9 +7,9 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from recon.analysis.gait import Plane
+from recon.arrays import Array, Index
 from recon.body import Side
 from recon.plots.style import GREY, SMALL, WIDTH_MM, blank, drawing, time_colours
 
@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from matplotlib.lines import Line2D
 
-Array = NDArray[np.float64]
 Boxes = list[tuple[float, float]]
 
 CONFIGURATIONS = 10
@@ -122,7 +121,7 @@ def composites(
     return figure
 
 
-def chosen(joints_m: Array, limbs: Mapping[str, Sequence[int]]) -> NDArray[np.intp]:
+def chosen(joints_m: Array, limbs: Mapping[str, Sequence[int]]) -> Index:
     """Rows of the configurations that are drawn, of those with at least half as many known joints as any."""
     drawn = sorted({j for joints in limbs.values() for j in joints})
     known = np.isfinite(joints_m[:, drawn]).all(axis=2).sum(axis=1)
@@ -131,7 +130,7 @@ def chosen(joints_m: Array, limbs: Mapping[str, Sequence[int]]) -> NDArray[np.in
     return rows[np.round(np.linspace(0, len(rows) - 1, count)).astype(int)] if count else rows
 
 
-def run_frame(joints_m: Array, time_s: Array, rows: NDArray[np.intp]) -> tuple[Array, Array]:
+def run_frame(joints_m: Array, time_s: Array, rows: Index) -> tuple[Array, Array]:
     """R (3, 3), which turns the mean motion to +x, and the point (3,) that becomes the origin, at height 0."""
     first = joints_m[rows[0]]
     origin = np.append(np.nanmean(first[:, :2], axis=0), 0.0)
@@ -185,7 +184,7 @@ def _at_least(box: tuple[float, float], length: float) -> tuple[float, float]:
 
 
 def _under(
-    ground: float | Sequence[tuple[slice, Plane]] | None, rows: NDArray[np.intp], points: Array, boxes: Boxes
+    ground: float | Sequence[tuple[slice, Plane]] | None, rows: Index, points: Array, boxes: Boxes
 ) -> Iterator[tuple[Boxes, float | Plane]]:
     """Every ground and where it is drawn: from edge to edge, or of several each under its own configurations."""
     if ground is None:

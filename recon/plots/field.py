@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from recon.analysis.phase import LinkField
+from recon.arrays import Array
 from recon.plots.style import COLOURS, PAGE_MM, PALE, SMALL, blank, drawing
 
 if TYPE_CHECKING:
@@ -15,7 +15,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from matplotlib.quiver import Quiver
 
-Array = NDArray[np.float64]
 
 ARROWS = 45
 """At most, in a row."""

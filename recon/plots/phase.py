@@ -7,9 +7,9 @@ from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from recon.analysis.phase import Closure, Portrait
+from recon.arrays import Bools
 from recon.plots.style import COLUMN_MM, SMALL, WIDTH_MM, blank, drawing, grid_shape, time_colours
 
 if TYPE_CHECKING:
@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     from matplotlib.colors import ListedColormap, Normalize
     from matplotlib.figure import Figure
 
-Array = NDArray[np.float64]
 
 SHADES = 60
 """Pieces of one colour in a path."""
@@ -62,7 +61,7 @@ def phase_portraits(
     return figure
 
 
-def _known(portrait: Portrait) -> NDArray[np.bool_]:
+def _known(portrait: Portrait) -> Bools:
     return np.isfinite(portrait.angle_rad) & np.isfinite(portrait.rate_rad_s)
 
 

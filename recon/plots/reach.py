@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from recon.arrays import Array
 from recon.ik.chain import SerialChain
 from recon.ik.drive import TOLERANCE_M, Drive, Follow
 from recon.plots.style import GREY, PALE, SMALL, WIDTH_MM, add_legend, drawing, grid_shape, legend_shape, look
@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from matplotlib.lines import Line2D
 
-Array = NDArray[np.float64]
 
 VIEWS = {
     "UVW": (("side", 0, 1, "forwards (m)", "down (m)"), ("top", 0, 2, "forwards (m)", "to the left (m)")),

@@ -7,8 +7,8 @@ from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from recon.arrays import Array, Bools
 from recon.body import SIDES, Body, other_side, side_of
 from recon.plots.style import COLOURS, GREY, PALE, SMALL, WIDTH_MM, drawing, grid_shape
 
@@ -16,7 +16,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-Array = NDArray[np.float64]
 
 VIEWS = {"side": (0, 2), "top": (0, 1), "front": (1, 2)}
 """Coordinates to the right and upwards, x forwards, y left, z up: the animal faces right, and in the last view us."""
@@ -85,9 +84,7 @@ def expected_pose(body: Body, angle: int | None = None, off_rad: float = 0.0) ->
     return body.tree.pose(state[None]).points_m[0]
 
 
-def _limbs(
-    axes: Axes, body: Body, points: Array, colour: str | None = None, only: NDArray[np.bool_] | None = None
-) -> None:
+def _limbs(axes: Axes, body: Body, points: Array, colour: str | None = None, only: Bools | None = None) -> None:
     """Lines along the limbs; only: those that lead to a marker that is in it. One call for each colour: lines are slow
     to lay out."""
     at = {marker: j for j, marker in enumerate(body.markers)}

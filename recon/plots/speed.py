@@ -6,9 +6,9 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from recon.analysis.kinematics import JointKinematics
+from recon.arrays import Array
 from recon.plots.style import WIDTH_MM, add_legend, blank, drawing, legend_shape, look
 
 if TYPE_CHECKING:
@@ -16,7 +16,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from matplotlib.lines import Line2D
 
-Array = NDArray[np.float64]
 
 BAND_ROOM = 1.6
 """Bands may take the axis up to this times the highest curve: at a spline's ends they are several times as wide."""

@@ -16,8 +16,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from recon.arrays import Array
 from recon.files import staged_folder
 
 if TYPE_CHECKING:
@@ -25,7 +25,6 @@ if TYPE_CHECKING:
     from matplotlib.colors import ListedColormap, Normalize
     from matplotlib.figure import Figure
 
-Array = NDArray[np.float64]
 
 WIDTH_MM, COLUMN_MM = 180.0, 85.0
 PAGE_MM = 235.0

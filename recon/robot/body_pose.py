@@ -7,10 +7,10 @@ from). Yaw, pitch and roll turn about z, y and x in this order, so that a positi
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform, Rotation
 
-Array = NDArray[np.float64]
+from recon.arrays import Array
 
 
 def body_pose(position_m: ArrayLike, roll_rad: ArrayLike, pitch_rad: ArrayLike, yaw_rad: ArrayLike) -> RigidTransform:

@@ -14,13 +14,12 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from recon.ik.chain import MAX_RATE_RAD_S
 from recon.ik.joint_chain import JointChain
 
-Array = NDArray[np.float64]
 Convention = Literal["modified", "standard"]
 
 

@@ -9,15 +9,13 @@ trail far behind where it should be. Before the first and after the last stance 
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from recon.arrays import Array, Bools
 
 EASE = 0.5
 
 
-def planted(time_s: Array, path_m: Array, standing: Mask, advance_m: Array | None = None) -> Array:
+def planted(time_s: Array, path_m: Array, standing: Bools, advance_m: Array | None = None) -> Array:
     """A path (N, 3), ground at z = 0, standing (N,) -> the same with footholds, nowhere below the ground.
 
     advance_m (2,): for a stride that repeats, by how far its last sample is ahead of its first.
@@ -34,13 +32,13 @@ def planted(time_s: Array, path_m: Array, standing: Mask, advance_m: Array | Non
     return out
 
 
-def stances(standing: Mask) -> list[tuple[int, int]]:
+def stances(standing: Bools) -> list[tuple[int, int]]:
     """First and last sample of each."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], standing, [False]]).astype(int)))
     return [(int(a), int(b) - 1) for a, b in edges.reshape(-1, 2)]
 
 
-def _planted(time_s: Array, path_m: Array, standing: Mask) -> Array:
+def _planted(time_s: Array, path_m: Array, standing: Bools) -> Array:
     found = stances(standing)
     if not found:
         return np.column_stack([path_m[:, :2], np.maximum(path_m[:, 2], 0.0)])

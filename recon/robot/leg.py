@@ -32,11 +32,10 @@ from dataclasses import dataclass
 from typing import ClassVar, Protocol
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from recon.arrays import Array, Bools, Integers
 from recon.ik.joint_chain import JointChain
-
-Array = NDArray[np.float64]
 
 ANGLES = ("swing", "flap", "knee")
 
@@ -59,10 +58,10 @@ class LegAngles:
     """angles_rad (..., 3): swing, flap, knee, NaN where there are none; code (...): index into `REASONS`."""
 
     angles_rad: Array
-    code: NDArray[np.int64]
+    code: Integers
 
     @property
-    def reached(self) -> NDArray[np.bool_]:
+    def reached(self) -> Bools:
         """(...)"""
         return self.code == REACHED
 
@@ -124,7 +123,7 @@ class _KneedLeg:
         P = self.foot_offset_m * c + self.shin_m * s + self.knee_offset_m
         return P, self.thigh_m + self.shin_m * c - self.foot_offset_m * s
 
-    def _knee(self, n2: Array) -> tuple[Array, NDArray[np.int64]]:
+    def _knee(self, n2: Array) -> tuple[Array, Integers]:
         """Knee (...) at squared distances n2 (...) from the swing joint, and the codes."""
         l1, l2, uo, lo = self.thigh_m, self.shin_m, self.knee_offset_m, self.foot_offset_m
         p, q = 2 * (uo * lo + l1 * l2), 2 * (l2 * uo - l1 * lo)
@@ -253,7 +252,7 @@ class Leg:
         """(..., 3), rad: how far each angle is within its limits, negative outside, NaN without an angle."""
         return np.minimum(angles_rad - self.lower_rad, self.upper_rad - angles_rad)
 
-    def allowed(self, feet_m: ArrayLike, margin_rad: float = 0.0) -> NDArray[np.bool_]:
+    def allowed(self, feet_m: ArrayLike, margin_rad: float = 0.0) -> Bools:
         """(...): which feet (..., 3) lie in the configuration space, every joint at least the margin within its
         limits."""
         return np.all(self.margins(self.inverse(feet_m).angles_rad) >= margin_rad, axis=-1)
@@ -264,6 +263,6 @@ def _wrapped(angle: Array) -> Array:
     return (angle + np.pi) % (2 * np.pi) - np.pi
 
 
-def _solved(angles: Array, code: NDArray[np.int64], feet: Array) -> LegAngles:
+def _solved(angles: Array, code: Integers, feet: Array) -> LegAngles:
     code = np.where(np.isfinite(feet).all(axis=0), code, NOT_FINITE)
     return LegAngles(np.where((code == REACHED)[..., None], angles, np.nan), code)

@@ -12,13 +12,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from recon.arrays import Array
 from recon.ik.chain import MAX_RATE_RAD_S
 from recon.ik.joint_chain import JointChain
 from recon.ik.two_link import two_link
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

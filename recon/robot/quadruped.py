@@ -13,14 +13,13 @@ from functools import cached_property
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from recon.arrays import Array
 from recon.ik.drive import drive_to
 from recon.ik.joint_chain import JointChain
 from recon.ik.methods import LeastNorm
 from recon.robot.leg import FlapLeg, Leg, SwingLeg
-
-Array = NDArray[np.float64]
 
 LEGS = ("LF", "RF", "LH", "RH")
 IK_TOLERANCE_M = 1e-5

@@ -16,17 +16,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 from scipy.spatial.transform import Rotation
 
 from recon.analysis.clip import ClipAnalysis, analyse
 from recon.analysis.gait import Method, Stance, Tracks
+from recon.arrays import Array, Bools, Index
 from recon.errors import InputError, Problem
 from recon.results import Results
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 SMOOTH_S = 0.02
 MIN_SAMPLES = 40
@@ -50,7 +47,7 @@ class Reference:
     roll_pitch_yaw_rad: Array
     feet: tuple[str, ...]
     feet_m: Array
-    standing: Mask
+    standing: Bools
     leg_m: float
     advance_m: Array | None = None
 
@@ -61,8 +58,8 @@ class Reference:
 
 @dataclass(frozen=True)
 class Window:
-    """A stride as samples of a reference, first and last. how: "stride", a complete one of a foot, or "return", where
-    all feet come back nearest to where they began. gap_percent: how far apart its ends are, of the paths' extent."""
+    """A stride as samples of a reference, first and last. how: "given", "stride", a complete one of a foot, or
+    "return", where all feet come back nearest to where they began. gap_percent: how far apart its ends are, of the paths' extent."""
 
     first: int
     last: int
@@ -79,7 +76,7 @@ class Animal:
     analysis: ClipAnalysis
     rotation: Rotation
     origin_m: Array
-    rows: NDArray[np.intp]
+    rows: Index
     stances: tuple[Stance, ...]
     method: Method
 
@@ -91,9 +88,9 @@ class Animal:
 # -- the clip --------------------------------------------------------------------------------------------------------
 
 
-def reference_of(results: Results) -> Animal:
-    """Raises InputError where the clip shows no feet, or too few frames of all of them."""
-    analysis = analyse(results)
+def reference_of(results: Results, stride_s: tuple[float, float] | None = None) -> Animal:
+    """stride_s: as `analyse`. Raises InputError where the clip shows no feet, or too few frames of all of them."""
+    analysis = analyse(results, stride_s=stride_s)
     _check(results, analysis)
     tracks = analysis.gaits["ground"].tracks
     trunk = _trunk(analysis)
@@ -168,7 +165,7 @@ def _trunk(analysis: ClipAnalysis) -> Array:
     return front - rear
 
 
-def _angles(analysis: ClipAnalysis, rows: NDArray[np.intp], to_world: Rotation, trunk: Array) -> Array:
+def _angles(analysis: ClipAnalysis, rows: Index, to_world: Rotation, trunk: Array) -> Array:
     """Roll, pitch and yaw (N, 3) of the trunk."""
     ahead = to_world.apply(trunk)
     yaw = np.unwrap(np.arctan2(ahead[:, 1], ahead[:, 0]))
@@ -191,7 +188,7 @@ def _pairs(results: Results) -> list[tuple[str, str]]:
     return [pair for pair in first if pair is not None]
 
 
-def _above_standing(tracks: Tracks, rows: NDArray[np.intp], standing: Mask) -> Array:
+def _above_standing(tracks: Tracks, rows: Index, standing: Bools) -> Array:
     """(N, F)"""
     height = tracks.height_m[rows]
     for k in range(height.shape[1]):
@@ -200,7 +197,7 @@ def _above_standing(tracks: Tracks, rows: NDArray[np.intp], standing: Mask) -> A
     return height
 
 
-def standing_mask(stances: Sequence[Stance], feet: Sequence[str], time_s: Array) -> Mask:
+def standing_mask(stances: Sequence[Stance], feet: Sequence[str], time_s: Array) -> Bools:
     """(N, F)"""
     mask = np.zeros((len(time_s), len(feet)), bool)
     slack = 1e-9
@@ -209,7 +206,7 @@ def standing_mask(stances: Sequence[Stance], feet: Sequence[str], time_s: Array)
     return mask
 
 
-def _longest(known: Mask) -> NDArray[np.intp]:
+def _longest(known: Bools) -> Index:
     runs = np.split(np.arange(len(known)), np.flatnonzero(np.diff(known)) + 1)
     return max((run for run in runs if len(run) and known[run[0]]), key=len, default=np.empty(0, int))
 
@@ -218,11 +215,18 @@ def _longest(known: Mask) -> NDArray[np.intp]:
 
 
 def stride_window(animal: Animal) -> Window:
-    """A complete stride, the first of the foot with the most, or else the nearest return of all feet.
+    """The stride that was given, or a complete one, the first of the foot with the most, or else the nearest return of
+    all feet.
 
     As no foot has landed twice then, a stride takes at least the time from the first touchdown to the end of the clip.
     """
     reference, time = animal.reference, animal.reference.time_s
+    if (given := animal.analysis.given) is not None:
+        first, last = (int(np.argmin(np.abs(time - t))) for t in (given.start_s, given.end_s))
+        if time[last] - time[first] < 0.8 * (given.end_s - given.start_s):
+            found, expected = f"{given.start_s:g}:{given.end_s:g}", f"within {time[0]:.3f}:{time[-1]:.3f}, where all is seen"
+            raise InputError(Problem("--stride", "times", found, expected))
+        return Window(first, last, "given", _gap_percent(reference.feet_m, first, last))
     strides = [
         s
         for s in animal.analysis.gaits[animal.method].strides

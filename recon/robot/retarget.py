@@ -22,16 +22,13 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from recon.arrays import Array, Bools
 from recon.robot.body_pose import body_pose, feet_in_world, leg_targets
 from recon.robot.footholds import planted, stances
 from recon.robot.quadruped import LEGS, Quadruped, RobotLeg
 from recon.robot.reference import Reference
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 PITCH_RAD, ROLL_RAD = 0.25, 0.15
 LIFT = 0.15
@@ -66,8 +63,8 @@ class RobotMotion:
     angles_rad: Array
     pose: RigidTransform
     feet_m: Array
-    standing: Mask
-    short: Mask
+    standing: Bools
+    short: Bools
     advance_m: Array | None
 
     def leg_angles(self, label: str, angles_rad: Array | None = None) -> Array:
@@ -200,7 +197,7 @@ def largest_scale(references: tuple[Reference, ...], robot: Quadruped, spread_m:
 
 def place(
     reference: Reference, robot: Quadruped, scale: float, spread_m: float = 0.0
-) -> tuple[RigidTransform, Array, Mask]:
+) -> tuple[RigidTransform, Array, Bools]:
     """T_world_body (N), the feet in the world (N, 4, 3) with their footholds, and which stand (N, 4)."""
     roll, pitch, yaw = reference.roll_pitch_yaw_rad.T
     lift = LIFT * robot.stand_m
@@ -246,7 +243,7 @@ def _move(reference: Reference, robot: Quadruped, scale: float, spread_m: float)
     )
 
 
-def drawn_in(leg: RobotLeg, feet_m: Array) -> tuple[Array, Mask]:
+def drawn_in(leg: RobotLeg, feet_m: Array) -> tuple[Array, Bools]:
     """Angles (T, n) of feet (T, 3) in body axes, and which of them (T,) are out of reach: these are drawn towards the
     neutral place as little as needed."""
     angles = leg.angles(feet_m)

@@ -7,10 +7,10 @@ exponential over a time is where the motion at this constant twist leads, from t
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform
 
-Array = NDArray[np.float64]
+from recon.arrays import Array
 
 
 def exp_se3(v_m_s: ArrayLike, w_rad_s: ArrayLike, time_s: ArrayLike = 1.0) -> RigidTransform:

@@ -10,15 +10,13 @@ from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from recon.arrays import Array
 from recon.errors import InputError, Problem
 from recon.ik.chain import MAX_RATE_RAD_S
 from recon.ik.joint_chain import JointChain
 from recon.package import install_command
-
-Array = NDArray[np.float64]
 
 LARGEST, SMALLEST = 1e6, 1e-6
 """Of a length or an angle; of a rate or an axis: more, or less, can only be damage."""

@@ -5,13 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from recon.robot.climb.margins import RULES, margins
 from recon.robot.climb.plan import Climb
 from recon.robot.climb.walker import LEGS
-
-Array = NDArray[np.float64]
 
 ROUNDING_M = 1e-9
 """A planted foot may be this far under the surface that it stands on."""

@@ -12,12 +12,10 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from recon.arrays import Array, Bools, Integers
 from recon.robot.climb.fields import PLANAR, Fields, Stand, evaluate, wrench
-
-Array = NDArray[np.float64]
 
 MAX_EVALUATIONS = 100
 """Of the fields, in one frame."""
@@ -56,8 +54,8 @@ class Held(NamedTuple):
     """evaluations and settled (...): how often the fields were evaluated; whether the torso stands still in them."""
 
     torso: Torso
-    evaluations: NDArray[np.int64]
-    settled: NDArray[np.bool_]
+    evaluations: Integers
+    settled: Bools
 
 
 def moved(torso: Torso, step: Array) -> Torso:

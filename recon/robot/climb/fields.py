@@ -26,9 +26,9 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from recon.arrays import Array
+
 Number = float | Array
 
 PLANAR = (0, 1, 2, 3)

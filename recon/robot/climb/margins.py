@@ -6,13 +6,11 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from recon.arrays import Array, Integers
 from recon.robot.climb.equilibrium import Torso
 from recon.robot.climb.paths import Step
 from recon.robot.climb.walker import AROUND, SHIN_POINTS, Walker
-
-Array = NDArray[np.float64]
 
 NONE = -1
 """The lifted leg where all are planted."""
@@ -40,7 +38,7 @@ RULES: dict[str, Rule] = {
 }
 
 
-def margins(walker: Walker, step: Step, torso: Torso, feet_m: Array, lifted: NDArray[np.int64]) -> Mapping[str, Array]:
+def margins(walker: Walker, step: Step, torso: Torso, feet_m: Array, lifted: Integers) -> Mapping[str, Array]:
     """By the names of `RULES`, each (..., n). feet_m (..., 4, 3); lifted broadcasts against (...): the leg that is up,
     or `NONE`. What does not apply to a frame is infinite there."""
     posture = walker.posture(torso, feet_m)
@@ -61,7 +59,7 @@ def margins(walker: Walker, step: Step, torso: Torso, feet_m: Array, lifted: NDA
     }
 
 
-def support_m(centre_m: Array, feet_m: Array, lifted: NDArray[np.int64]) -> Array:
+def support_m(centre_m: Array, feet_m: Array, lifted: Integers) -> Array:
     """(..., 8): from the centre of mass (..., 2) to the sides of the polygon of the planted feet, feet (..., 4, 2);
     infinite for lines between feet that are not its sides."""
     feet = feet_m[..., AROUND, :]

@@ -14,14 +14,13 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from recon.arrays import Array, Bools, Integers
 from recon.robot.climb.equilibrium import Torso, between, capped, moved, ride, solve
 from recon.robot.climb.fields import Fields, Stand
 from recon.robot.climb.margins import NONE
 from recon.robot.climb.paths import PHASES, along, corners
 from recon.robot.climb.recipe import Footfall, Primitive, Recipe
 from recon.robot.climb.walker import Walker
-
-Array = NDArray[np.float64]
 
 SHIFT = "shift"
 MAX_WAIT = 400
@@ -46,12 +45,12 @@ class Climb:
     rotation: Array
     feet_m: Array
     angles_rad: Array
-    lifted: NDArray[np.int64]
-    primitive: NDArray[np.int64]
-    footfall: NDArray[np.int64]
+    lifted: Integers
+    primitive: Integers
+    footfall: Integers
     phase: NDArray[np.str_]
-    evaluations: NDArray[np.int64]
-    settled: NDArray[np.bool_]
+    evaluations: Integers
+    settled: Bools
     plan_s: float
 
     def __len__(self) -> int:

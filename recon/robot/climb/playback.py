@@ -7,15 +7,13 @@ from pathlib import Path
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
-from numpy.typing import NDArray
 
+from recon.arrays import Array
 from recon.files import staged_file
 from recon.recording import recording
 from recon.robot.climb.margins import margins
 from recon.robot.climb.plan import Climb
 from recon.robot.climb.walker import AROUND
-
-Array = NDArray[np.float64]
 
 LEFT, RIGHT, MIDDLE = (86, 180, 233), (230, 159, 0), (0, 158, 115)
 SUPPORT, GROUND, OVER = (240, 228, 66), (130, 130, 140), (255, 255, 255)

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 import tomli_w
-from numpy.typing import NDArray
 
+from recon.arrays import Array
 from recon.documents import read_toml
 from recon.errors import InputError, Problem
 from recon.files import staged_file
@@ -18,8 +18,6 @@ from recon.robot.climb.equilibrium import Motion
 from recon.robot.climb.fields import PLANAR, SPATIAL, Fields, Well
 from recon.robot.climb.paths import Step
 from recon.robot.climb.walker import LEGS
-
-Array = NDArray[np.float64]
 
 RECIPES = Path(__file__).parent / "recipes"
 WELLS = ("radial", "swing", "flap")

@@ -8,15 +8,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from recon.arrays import Array
 from recon.errors import InputError, Problem
 from recon.robot.climb.equilibrium import Torso
 from recon.robot.climb.fields import leg_vectors
 from recon.robot.leg import Leg, SwingLeg
 from recon.robot.quadruped import ClosedLeg, Quadruped
-
-Array = NDArray[np.float64]
 
 LEGS = ("left front", "left rear", "right front", "right rear")
 """Numbered from 1 in this order, as the published footfalls are."""
