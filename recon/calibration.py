@@ -9,7 +9,7 @@ Formats, told apart by suffix and content:
 - AcinoSet JSON: a scene (`cameras` with `k`, `d`, `r`, `t` and perhaps `name`) or one camera (`k`, `d`). Fisheye
   lenses, world to camera, metres, world z up.
 - Anipose and Pose2Sim TOML: one table per camera. World to camera in the length unit of the calibration board, which
-  the file does not name: it must have been metres. The board defines the world, so z need not point up.
+  the file does not name: it is taken to be metres (`camera_unit` of the settings). The board defines the world, so z need not point up.
 - This package's own TOML: one table `[camera]` with `format = "recon-camera"`, see `write_camera`.
 """
 
@@ -287,7 +287,7 @@ def _load_file_storage(path: Path, text: str) -> dict[str, Any]:
         raise InputError(Problem(path, "content", "lists or tables that are nested too deeply", "a calibration"))
     try:
         storage = cv2.FileStorage(text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
-        document = _plain(storage.root())
+        document = _plain_node(storage.root())
     except (cv2.error, SystemError) as error:  # the constructor's cv2.error arrives wrapped in a SystemError
         reason = str(error.__cause__ or error).strip().splitlines()[-1]
         reason = reason.rpartition("error)")[2].strip()
@@ -308,11 +308,11 @@ def _nesting(text: str) -> int:
     return max(len(re.findall(r"[\[{]", text)), len(re.findall(r"<[^/?!]", text)), inline * len(indents))
 
 
-def _plain(node: Any) -> Any:
+def _plain_node(node: Any) -> Any:
     if node.isMap():
-        return {key: _plain(node.getNode(key)) for key in node.keys()}  # noqa: SIM118 (not a dict)
+        return {key: _plain_node(node.getNode(key)) for key in node.keys()}  # noqa: SIM118 (not a dict)
     if node.isSeq():
-        return [_plain(node.at(index)) for index in range(node.size())]
+        return [_plain_node(node.at(index)) for index in range(node.size())]
     if node.isString():
         return node.string()
     return node.real() if node.isInt() or node.isReal() else None

@@ -481,6 +481,9 @@ def _camera_problems(given: Mapping[str, Any]) -> Iterator[Problem]:
     if not given.keys() & {"camera", "camera_track"} and "camera_name" in given:
         found = f"{given['camera_name']!r} without a camera file"
         yield Problem("settings", "camera_name", found, "--camera with it")
+    if "camera" not in given and given.get("camera_unit", "m") != "m":
+        found = f"{given['camera_unit']!r} without a camera file"
+        yield Problem("settings", "camera_unit", found, "--camera with it")
     if "camera" not in given and "hfov_deg" in given and "image_size_px" not in given:
         expected = "the size of the video beside --hfov-deg, as in 1920x1080"
         yield Problem("settings", "image_size_px", "nothing", expected)
@@ -499,19 +502,19 @@ def _of_the_other_method(method: Any, given: Mapping[str, Any]) -> Iterator[Prob
 
 
 def read_settings(config: Path | None, given: Mapping[str, Any] | None = None) -> FitSettings:
-    """Settings from the table [recon.fit] of a TOML file, such as config.toml, overruled by those given (None: not given).
+    """Settings from the table [recon.fit] of a TOML file, such as config.toml, overruled by those given.
 
-    Paths in the file are relative to its folder. Another camera or method among those given replaces the one of the
-    file together with all that belongs to it. Raises InputError, naming every setting that is wrong, and where it was
-    given.
+    None is not given. Paths in the file are relative to its folder. Another camera or method among those given replaces
+    the one of the file together with all that belongs to it. Raises InputError, naming every setting that is wrong, and
+    where it was given.
     """
     given = {name: value for name, value in (given or {}).items() if value is not None}
     under = {} if config is None else _read_config(config)
     left_out = set(given)
     if "camera" in given:
-        left_out |= {"hfov_deg", "image_size_px", "camera_name", "tilt_deg"}
+        left_out |= {"hfov_deg", "image_size_px", "camera_name", "camera_unit", "tilt_deg"}
     if "hfov_deg" in given:
-        left_out |= {"camera", "camera_name"}
+        left_out |= {"camera", "camera_name", "camera_unit"}
     if "camera_track" in given:
         left_out |= {"tilt_deg"}
     before = under.get("method", SETTINGS["method"].default)

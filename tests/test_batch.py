@@ -18,13 +18,15 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import pytest
+import tomli_w
 
 import recon.app.batch.worker as worker_module
 from recon.app.analyse import run_analyse
 from recon.app.batch import COLUMNS, Clip, Event, Summary, find_clips, input_problems, plan_batch, run_batch
-from recon.app.batch.record import RECORD, read_record
+from recon.app.batch.record import RECORD, finish_record, read_record, start_record
 from recon.app.batch.worker import Worker, WorkerDied, fit_one, task_of
 from recon.app.clip import fit_clip, run_clip
+from recon.calibration import read_cameras
 from recon.cli import main
 from recon.errors import InputError
 from recon.files import sole_writer
@@ -150,7 +152,7 @@ def test_manifest_rows_overrule_the_common_options(clips):
     first, second, third = found(path)
     assert (first.name, second.name, third.name) == ("first", "b-2-6", "whole")
     assert first.settings == FitSettings(
-        keypoints=clips / "a.csv", camera=CAMERA, fps=60, method="trajectory", fast=True, frames="0:6"
+        keypoints=(clips / "a.csv",), camera=CAMERA, fps=60, method="trajectory", fast=True, frames="0:6"
     )
     assert second.settings == FitSettings(
         keypoints=clips / "b.csv", camera=clips / "mine.toml", fps=30, method="frame", frames="2:6"
@@ -241,6 +243,212 @@ def test_problems_of_several_inputs_at_once(clips, tmp_path):
 def test_what_every_clip_lacks_is_said_once(clips):
     assert [text.split(",")[0] for text in problems(clips, common={})] == [
         "--camera: camera: found nothing",
+    ]
+
+
+# ---- several cameras of one clip ----
+
+SCENE = SAMPLES / "whole_scene.json"
+TWO = {"camera": SCENE, "fps": 120, "fast": True, "frames": "0:8"}
+
+
+def filmed(folder: Path, *names: str) -> None:
+    """Keypoint files of the sample that two cameras filmed: of the second where 2 or B is in the name."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for name in names:
+        camera = "cam2" if {"2", "B"} & {*name} else "cam1"
+        shutil.copy(SAMPLES / f"whole_{camera}.csv", folder / name)
+
+
+def cameras(inputs: list[Path], common: dict[str, Any] = TWO, by: str = "auto") -> dict[str, tuple[str, ...] | None]:
+    """The cameras of each clip, by name."""
+    return {clip.name: clip.settings.camera_name for clip in find_clips(inputs, common, cameras_by=by)[0]}
+
+
+def test_files_of_one_clip_are_known_by_the_names_of_cameras(tmp_path):
+    filmed(tmp_path / "day", "walk-cam1.csv", "walk-cam2.csv", "cam2_trot.csv", "cam1.csv", "cam2.csv")
+    clips, notes = find_clips([tmp_path / "day"], TWO)
+    assert {clip.name: [path.name for path in clip.settings.keypoints] for clip in clips} == {
+        "day": ["cam1.csv", "cam2.csv"],
+        "trot": ["cam2_trot.csv"],
+        "walk": ["walk-cam1.csv", "walk-cam2.csv"],
+    }
+    assert [clip.settings.camera_name for clip in clips] == [("cam1", "cam2"), ("cam2",), ("cam1", "cam2")]
+    assert input_problems(clips) == [(), (), ()]
+    assert notes == [
+        "4 files are 2 clips of several cameras, by the cameras' names in theirs (--cameras-by none takes each by "
+        "itself).",
+        "Fitted without cameras that others have: trot (cam1)",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("common", "by"),
+    [(TWO, "none"), (TWO | {"camera_name": "cam2"}, "auto"), (QUICK | {"camera": SCENE}, "auto"), (QUICK, "auto")],
+)
+def test_files_are_clips_by_themselves_where_that_is_meant(tmp_path, common, by):
+    """Also with the frame method, and without other cameras."""
+    filmed(tmp_path, "walk-cam1.csv", "walk-cam2.csv")
+    assert [*cameras([tmp_path], common, by)] == ["walk-cam1", "walk-cam2"]
+
+
+def test_one_file_of_each_clip_is_as_it_always_was(tmp_path):
+    filmed(tmp_path, "walk-cam1.csv", "trot-cam2.csv")
+    assert cameras([tmp_path]) == {"trot-cam2": None, "walk-cam1": None}
+
+
+def test_a_pattern_finds_cameras_and_clips(tmp_path):
+    filmed(tmp_path, "s1 v1.csv", "s1 v2.csv", "s1 v2 late.csv")
+    (tmp_path / "other.csv").write_text((tmp_path / "s1 v1.csv").read_text())
+    clips, notes = find_clips([tmp_path], TWO, cameras_by=r" v([12])$")
+    assert [(clip.name, clip.settings.camera_name) for clip in clips] == [("s1", ("1", "2"))]
+    assert notes == [
+        "Left out, without a camera in the name: other.csv, s1 v2 late.csv",
+        "2 files are 1 clip of several cameras, by --cameras-by.",
+    ]
+    assert input_problems(clips) == [()]
+    named = {"s1": ("v1", "v2"), "s1 late": ("v2",)}
+    assert cameras([tmp_path / "s1 v*.csv"], by="v[12]") == named  # all that it fits is the name
+
+
+def test_what_is_wrong_with_cameras_in_names(tmp_path):
+    filmed(tmp_path, "a-cam1.csv", "a_cam1.csv", "b-cam2.csv")
+
+    def said(by: str, common: dict[str, Any] = TWO) -> str:
+        with pytest.raises(InputError) as caught:
+            find_clips([tmp_path], common, cameras_by=by)
+        (problem,) = caught.value.problems
+        return str(problem)
+
+    assert said("auto").startswith(
+        f"{tmp_path / 'a_cam1.csv'}: camera: found cam1, and so has a-cam1.csv, expected one"
+    )
+    assert "no camera in a-cam1.csv, a_cam1.csv, b-cam2.csv" in said("view(.)")
+    assert "'(' (missing ), unterminated subpattern at position 0), expected a regular" in said("(")
+    assert "found cam2 beside --cameras-by" in said("cam.$", TWO | {"camera_name": "cam2"})
+    filmed(tmp_path, "cam1-cam2.csv")
+    assert "cam1-cam2.csv: name: found the cameras cam1 and cam2, expected the name of one camera" in said("auto")
+
+
+def anipose(project: Path, calibration: Path, square: float, *files: str) -> None:
+    """An Anipose project with the sample's cameras as A and B."""
+    document = {}
+    for name, camera in zip("AB", read_cameras(SCENE), strict=True):
+        assert camera.rotation is not None
+        assert camera.translation_m is not None
+        document[f"cam_{name}"] = {
+            "name": name,
+            "size": list(camera.image_size_px),
+            "matrix": camera.matrix.tolist(),
+            "distortions": camera.distortion.tolist(),
+            "rotation": camera.rotation.tolist(),
+            "translation": (camera.translation_m / 0.001).tolist(),
+            "fisheye": camera.model == "fisheye",
+        }
+    (project / calibration).mkdir(parents=True)
+    (project / calibration / "calibration.toml").write_text(tomli_w.dumps(document | {"metadata": {"error": 0.4}}))
+    config = {
+        "nesting": 2,
+        "calibration": {"board_square_side_length": square},
+        "triangulation": {"cam_regex": "-cam([A-Z])"},
+    }
+    (project / "config.toml").write_text(tomli_w.dumps(config))
+    for file in files:
+        filmed(project / Path(file).parent, Path(file).name)
+
+
+def test_projects_of_anipose(tmp_path):
+    """Sessions two folders deep, a calibration for a day, one of them with filtered poses."""
+    walk = ("rex/day1/pose-2d/walk-camA.csv", "rex/day1/pose-2d/walk-camB.csv")
+    trot = (
+        "rex/day2/pose-2d/trot-camA.csv",
+        "rex/day2/pose-2d-filtered/trot-camB.csv",
+        "rex/day2/pose-2d/walk-camA.csv",
+    )
+    anipose(tmp_path, Path("rex/calibration"), 25.0, *walk, *trot)
+    common = {"fps": 120, "fast": True, "camera_unit": "mm"}
+    clips, notes = find_clips([tmp_path], common)
+    assert [(clip.name, clip.settings.camera_name) for clip in clips] == [("walk", ("A", "B")), ("trot", ("B",))]
+    assert {clip.settings.camera for clip in clips} == {tmp_path / "rex/calibration/calibration.toml"}
+    assert input_problems(clips) == [(), ()]
+    assert notes == [
+        "2 sessions of Anipose: 3 files of pose-2d and pose-2d-filtered",
+        f"2 files are 1 clip of several cameras, by cam_regex in {tmp_path / 'config.toml'} (--cameras-by none takes "
+        "each by itself).",
+        "Fitted without cameras that others have: trot (A)",
+    ]
+    both = [tmp_path / "rex/day1", tmp_path / "rex/day2/pose-2d"]
+    assert cameras(both, common) == {"day1-walk": ("A", "B"), "trot": ("A",), "day2-walk": ("A",)}
+    assert cameras(both[:1], common, "none") == {"walk-camA": ("A",), "walk-camB": ("B",)}
+    (clip,), _ = find_clips(both[:1], common | {"camera": SCENE})
+    assert clip.settings.camera == SCENE
+    (tmp_path / "config.toml").unlink()  # then the cameras' names are those of the calibration
+    assert cameras(both[:1], common) == {"walk": ("A", "B")}
+
+
+def test_what_projects_of_anipose_lack(tmp_path):
+    anipose(tmp_path, Path("calibration"), 25.0, "pose-2d/walk-camA.csv", "pose-2d/walk-camB.csv")
+    config = tmp_path / "config.toml"
+    found = "board_square_side_length: found 25, so that the calibration is not in metres"
+    assert problems(tmp_path, common={"fps": 30}) == [
+        f"{config}: {found}, expected its unit besides, as in --camera-unit mm"
+    ]
+    shutil.rmtree(tmp_path / "calibration")
+    assert problems(tmp_path, common={"fps": 30}) == [
+        f"{tmp_path}: calibration: found none, expected calibration/calibration.toml in it or above it, or --camera"
+    ]
+
+
+def test_a_row_of_a_manifest_with_several_cameras(tmp_path):
+    filmed(tmp_path, "walk-cam1.csv", "walk-cam2.csv", "x1.csv", "y2.csv")
+    scene = shutil.copy(SCENE, tmp_path / "scene.json")
+    path = manifest(
+        tmp_path,
+        "keypoints,camera_name,offset_s,out\nwalk-cam*.csv,,,\ny2.csv|x1.csv,cam2 | cam1,0|0.25,other\nx1.csv,1,,\n",
+    )
+    first, second, third = (clip for clip in find_clips([path], TWO | {"camera": scene})[0])
+    assert [first.name, second.name, third.name] == ["walk", "other", "x1"]
+    assert first.settings.keypoints == (tmp_path / "walk-cam1.csv", tmp_path / "walk-cam2.csv")
+    assert first.settings.camera_name == ("cam1", "cam2")
+    assert second.settings.keypoints == (tmp_path / "y2.csv", tmp_path / "x1.csv")
+    assert (second.settings.camera_name, second.settings.offset_s) == (("cam2", "cam1"), (0.0, 0.25))
+    assert third.settings.camera_name == ("1",)
+    manifest(tmp_path, "keypoints\nz*.csv\n")
+    assert "line 2, keypoints: found no files that match z*.csv" in problems(path)[0]
+
+
+def test_a_camera_more_or_less_is_the_same_clip_again(tmp_path):
+    """But a file that has nothing to do with it is another."""
+    out = tmp_path / "out"
+    filmed(tmp_path / "clips", "walk-cam1.csv", "walk-cam2.csv")
+    both, _ = find_clips([tmp_path / "clips"], TWO)
+    (planned,) = plan_batch(both, out)
+    start_record(planned.out, "run", planned.clip.settings, planned.identity)
+    (planned.out / "pose3d.csv").write_text("results")
+    finish_record(planned.out, "run", 1, planned.clip.settings, planned.identity, {})
+    assert plan_batch(both, out)[0].reason == "not complete"
+    assert Summary([planned], out).rows["walk"]["cameras"] == 2
+    for camera in ("cam1", "cam2"):
+        (clip,), _ = find_clips([tmp_path / "clips" / f"walk-{camera}.csv"], TWO, cameras_by="cam[12]")
+        (planned,) = plan_batch([clip], out)
+        assert {*planned.reason.removeprefix("changed: ").split(", ")} == {"keypoints", "camera_name"}
+    shutil.move(tmp_path / "clips", tmp_path / "moved")
+    (clip,), _ = find_clips([tmp_path / "moved" / "walk-cam2.csv"], TWO, cameras_by="cam[12]")
+    assert plan_batch([clip], out)[0].action == "refit"
+    (tmp_path / "moved" / "walk-cam2.csv").write_text("of another run")
+    with pytest.raises(InputError, match=r"walk-cam2\.csv, expected a folder without results, or of an earlier batch"):
+        plan_batch([clip], out)
+
+
+def test_a_look_says_which_cameras_a_clip_has(tmp_path):
+    filmed(tmp_path, "walk-cam1.csv", "walk-cam2.csv")
+    command = (tmp_path, "--camera", SCENE, "--fps", 120, "--out", tmp_path / "out", "--dry-run")
+    (row,) = json.loads(run(*command, "--json").out)["clips"]
+    assert (row["clip"], row["cameras"], row["action"]) == ("walk", ["cam1", "cam2"], "new")
+    assert "cam1, cam2" in run(*command).out
+    assert [row["clip"] for row in json.loads(run(*command, "--json", "--cameras-by", "none").out)["clips"]] == [
+        "walk-cam1",
+        "walk-cam2",
     ]
 
 

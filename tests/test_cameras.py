@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from recon import FitSettings, InputError, TrajectoryMotion, fit_clip
+from recon.app.cameras import cameras_in
 from recon.app.clip import prepare
 from recon.clip import Source, View, together
 from recon.export.deeplabcut import write_keypoints_csv
@@ -45,8 +46,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def settings(folder: Path, *numbers: int, **more: object) -> FitSettings:
     files = [folder / f"run_cam{number}.csv" for number in numbers]
-    given = {"fps": FPS, "subject": "phantom", "fast": True} | more
-    return FitSettings(keypoints=files, camera=folder / "scene.json", **given)  # pyright: ignore[reportArgumentType]
+    given = {"fps": FPS, "subject": "phantom", "fast": True, "camera": folder / "scene.json"} | more
+    return FitSettings(keypoints=files, **given)  # pyright: ignore[reportArgumentType]
 
 
 def problems(error: pytest.ExceptionInfo[InputError]) -> str:
@@ -57,6 +58,37 @@ def test_a_file_is_that_of_the_camera_that_its_name_contains(folder):
     given = prepare(settings(folder, 2, 1))
     assert [source.camera.name for source in given.sources] == ["cam2", "cam1"]
     assert [source.camera.name for source in prepare(settings(folder, 1)).sources] == ["cam1"]
+
+
+@pytest.mark.parametrize(
+    ("name", "found"),
+    [
+        ("run_top1DLC_resnet50", ["top1"]),
+        ("run_top10", []),
+        ("A-walk", ["A"]),
+        ("Alex-walk", []),
+        ("a1-walk-camB", ["B"]),
+        ("run1_1-cam-2", ["2"]),
+        ("run_1-B", ["B", "1"]),
+    ],
+)
+def test_names_of_cameras_in_names_of_files(name, found):
+    assert [*cameras_in(name, ["top1", "A", "B", "1", "2"])] == found
+
+
+def test_cameras_in_millimetres(folder):
+    def places_m(given: FitSettings) -> np.ndarray:
+        return np.array([source.camera.translation_m for source in prepare(given).sources], dtype=float)
+
+    scene = json.loads((folder / "scene.json").read_text())
+    for camera in scene["cameras"]:
+        camera["t"] = (1000 * np.array(camera["t"])).tolist()
+    (folder / "in_mm.json").write_text(json.dumps(scene))
+    in_mm = settings(folder, 1, 2, camera=folder / "in_mm.json", camera_unit="mm")
+    np.testing.assert_allclose(places_m(in_mm), places_m(settings(folder, 1, 2)), rtol=1e-12)
+    with pytest.raises(InputError) as caught:
+        FitSettings(keypoints=(Path("a.csv"),), hfov_deg=60, image_size_px=(9, 9), camera_unit="mm")
+    assert problems(caught) == "settings: camera_unit: found 'mm' without a camera file, expected --camera with it"
 
 
 def test_or_as_given(folder):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -12,7 +12,7 @@ from recon.calibration import read_camera, read_cameras
 from recon.camera import Camera
 from recon.camera_track import CameraTrack, read_camera_track, track_label
 from recon.errors import InputError, Problem, all_of
-from recon.settings import FitSettings
+from recon.settings import UNITS_M, FitSettings, Unit
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,7 +33,7 @@ def read_clip_cameras(settings: FitSettings) -> Cameras:
     reads = (lambda path=path: read_camera_track(path) for path in settings.camera_track or ())
     tracks = tuple(all_of(*reads))
     chosen = _of_one(settings, tracks) if len(settings.keypoints) == 1 else _of_several(settings, tracks)
-    moving = tuple(_moving(one) for one in chosen)
+    moving = tuple(_in_metres(_moving(one), settings.camera_unit) for one in chosen)
     if settings.tilt_deg is None:
         return moving
     if any(one.camera.knows_up for one in chosen):
@@ -48,6 +48,13 @@ def _moving(one: ClipCamera) -> ClipCamera:
     if one.track is None:
         return one
     return replace(one, camera=replace(one.camera, rotation=None, translation_m=None, tilt_rad=0.0))
+
+
+def _in_metres(one: ClipCamera, unit: Unit) -> ClipCamera:
+    """Where a camera file says where the camera is, in that unit."""
+    if one.camera.translation_m is None or unit == "m":
+        return one
+    return replace(one, camera=replace(one.camera, translation_m=UNITS_M[unit] * one.camera.translation_m))
 
 
 def _of_one(settings: FitSettings, tracks: Sequence[CameraTrack]) -> Cameras:
@@ -91,9 +98,9 @@ def _of_several(settings: FitSettings, tracks: Sequence[CameraTrack]) -> Cameras
     problems = list(_problems_of_several(settings.camera, cameras, tracks))
     if problems:
         raise InputError(problems)
-    chosen = []
+    chosen, names = [], [camera.name for camera in cameras]
     for i, camera in enumerate(cameras):
-        track = next((track for track in tracks if _names(track_label(track.source), camera.name)), None)
+        track = next((one for one in tracks if camera.name in cameras_in(track_label(one.source), names)), None)
         lens = None if track is None else track.camera
         chosen.append(
             ClipCamera(camera if lens is None else _own_lens(replace(lens, name=camera.name), settings, i), track)
@@ -104,7 +111,7 @@ def _of_several(settings: FitSettings, tracks: Sequence[CameraTrack]) -> Cameras
 def _named(settings: FitSettings, place: int, name: str, tracks: Sequence[CameraTrack]) -> Camera:
     """Of a track with a lens, or from the camera file."""
     for track in tracks:
-        if track.camera is not None and _names(track_label(track.source), name):
+        if track.camera is not None and name in cameras_in(track_label(track.source), settings.camera_name or ()):
             return _own_lens(track.camera, settings, place)
     if settings.camera is None:
         raise InputError(Problem("--camera", "camera", f"no lens of {name}", "a camera file with it"))
@@ -121,7 +128,8 @@ def _in_file(path: Path, settings: FitSettings) -> tuple[Camera, ...]:
         return cameras
     chosen, problems = [], []
     for file in settings.keypoints:
-        named = [camera for camera in cameras if _names(file.stem, camera.name)]
+        names = cameras_in(file.stem, [camera.name for camera in cameras])
+        named = [camera for camera in cameras if camera.name in names]
         chosen += named
         if len(named) != 1:
             found = f"{len(cameras)} cameras and no choice"
@@ -140,9 +148,7 @@ def _problems_of_several(
     names = [camera.name for camera in cameras]
     for name in sorted({name for name in names if names.count(name) > 1}):
         yield Problem(file, "camera", f"{name} for two keypoint files", "a camera for each, by --camera-name")
-    of_track = {
-        track.source: [n for n in dict.fromkeys(names) if _names(track_label(track.source), n)] for track in tracks
-    }
+    of_track = {track.source: list(cameras_in(track_label(track.source), dict.fromkeys(names))) for track in tracks}
     for track, owners in of_track.items():
         if len(owners) != 1:
             found = f"{track_label(track)}, with the name of {' and of '.join(owners) or 'no camera'}"
@@ -160,6 +166,15 @@ def _problems_of_several(
             yield Problem(file, f"camera {camera.name}", "a pose that does not say which way is up", expected)
 
 
-def _names(stem: str, camera: str) -> bool:
-    """Whether a file's name contains a camera's: cam1 is in run_cam1DLC, but not in run_cam10."""
-    return re.search(rf"(?<![0-9A-Za-z]){re.escape(camera)}(?![0-9])", stem, re.IGNORECASE) is not None
+def cameras_in(stem: str, names: Iterable[str]) -> dict[str, re.Match[str]]:
+    """Which cameras' names a file's name has, and where: cam1 is in run_cam1DLC, not in run_cam10; A is in run-A, not
+    in run-Alex. If a file's name has camA or cam-1, the cameras A and 1 are looked for nowhere else in it."""
+    names = tuple(names)
+    for before in ("cam(?:era)?[-_ ]?", ""):
+        ends = {name: "(?![0-9])" if name[-1:].isdigit() else "(?![0-9])(?=DLC|[^a-z]|$)" for name in names}
+        patterns = {name: rf"(?<![0-9A-Za-z]){before}{re.escape(name)}{ends[name]}" for name in names}
+        matches = {name: re.search(pattern, stem, re.IGNORECASE) for name, pattern in patterns.items()}
+        found = {name: match for name, match in matches.items() if match is not None}
+        if found:
+            return found
+    return {}

@@ -38,8 +38,8 @@ def batch(
         list[str],
         typer.Argument(
             metavar="INPUT...",
-            help="Keypoint files, quoted patterns as in 'clips/*.csv', folders, or manifests: CSV tables with a column "
-            "keypoints, and one for every setting that differs between clips.",
+            help="Keypoint files, quoted patterns as in 'clips/*.csv', folders, also Anipose's, or manifests: CSV "
+            "tables with a column keypoints, and one for every setting that differs between clips.",
         ),
     ],
     out: Annotated[Path, typer.Option(help="Folder for the results: one folder a clip, and summary.csv.")],
@@ -50,6 +50,16 @@ def batch(
         ),
     ] = None,
     given: dict[str, Any],
+    cameras_by: Annotated[
+        str,
+        typer.Option(
+            metavar="auto|none|PATTERN",
+            help="Which files are one clip of several cameras. auto: those whose names are the same but for the name "
+            "of a camera in the camera file; none: each is a clip; or a regular expression for the camera's name in a "
+            "file's, as in '-cam([A-Z])'.",
+            rich_help_panel=_COMMON,
+        ),
+    ] = "auto",
     jobs: Annotated[
         int | None,
         typer.Option(
@@ -92,7 +102,7 @@ def batch(
     console = terminal(quiet=quiet, stderr=as_json)
     summary: Summary | None = None
     try:
-        clips, notes = find_clips(inputs, given, config)
+        clips, notes = find_clips(inputs, given, config, cameras_by)
         for note in notes:
             console.print(Text(note, "yellow"), soft_wrap=True)
         plan = plan_batch(clips, out, overwrite)
@@ -135,6 +145,7 @@ def _print_plan(
         {
             "clip": planned.clip.name,
             "keypoints": planned.clip.settings.keypoints_text,
+            "cameras": list(planned.clip.settings.camera_name or ()),
             "out": str(planned.out),
             "action": planned.action if planned.action == "done" or not found else CANNOT,
             "reason": planned.reason,
@@ -145,10 +156,13 @@ def _print_plan(
     if as_json:
         typer.echo(json.dumps({"clips": rows}))
         return
-    table = Table(Column("clip", overflow="fold"), Column("out", overflow="fold"), "what", box=SIMPLE_HEAD)
+    named = any(row["cameras"] for row in rows)
+    headings = ["clip", *(["cameras"] if named else []), "out"]
+    table = Table(*(Column(heading, overflow="fold") for heading in headings), "what", box=SIMPLE_HEAD)
     for row in rows:
         reason = f" ({row['reason']})" if row["reason"] else ""
-        table.add_row(Text(row["clip"]), Text(row["out"]), Text(row["action"] + reason))
+        cameras = [", ".join(row["cameras"])] if named else []
+        table.add_row(*map(Text, (row["clip"], *cameras, row["out"], row["action"] + reason)))
     console.print(table)
     for same in repeated(problems):
         names = ", ".join(rows[place]["clip"] for place in same.clips[:NAMED])

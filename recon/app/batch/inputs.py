@@ -8,10 +8,13 @@ import io
 import re
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from recon.app.batch.anipose import Session, sessions_in
+from recon.app.batch.groups import AUTO, NOTED, Draft, join_cameras, missing_cameras
+from recon.calibration import read_cameras
 from recon.errors import InputError, Problem
 from recon.io import READERS, file_head
 from recon.settings import SETTINGS, FitSettings, beside, option, read_settings
@@ -19,8 +22,10 @@ from recon.settings import SETTINGS, FitSettings, beside, option, read_settings
 SUMMARY = "summary.csv"
 _UNFIT = re.compile(r'[<>:"/\\|?*\x00-\x1f]')
 """Characters that some file system does not take in a name."""
-NOTED = 5
-"""Files left out are listed up to this number."""
+BETWEEN = "|"
+"""In a manifest's cell, between the files, names or numbers of several cameras."""
+LEAST_NO_METRES = 1.0
+"""No board has squares of a metre: a calibration with such a number is in another unit."""
 
 
 @dataclass(frozen=True)
@@ -31,42 +36,33 @@ class Clip:
     settings: FitSettings
 
 
-@dataclass(frozen=True)
-class _Draft:
-    """A clip without a name of its own: its file, what the manifest says of it, and where."""
-
-    path: Path
-    row: Mapping[str, Any] = field(default_factory=dict)
-    name: str | None = None
-    where: tuple[Path, str] | None = None
-
-    @property
-    def tag(self) -> str:
-        """What tells clips of one file apart: the animal and the frames."""
-        parts = [str(self.row[key]).replace(":", "-") for key in ("individual", "frames") if key in self.row]
-        return "".join(f"-{part}" for part in parts)
-
-
 def find_clips(
-    inputs: Sequence[str | Path], common: Mapping[str, Any], config: Path | None = None
+    inputs: Sequence[str | Path], common: Mapping[str, Any], config: Path | None = None, cameras_by: str = AUTO
 ) -> tuple[list[Clip], list[str]]:
-    """The clips of all inputs in their order, and notes about files that were left out.
+    """The clips of all inputs in their order, and notes: what was left out, and which files are one clip.
 
     inputs: keypoint files, quoted globs, folders (every file that a reader recognises; of files that differ in their
-    suffix only the last one, .h5 rather than .csv, as DeepLabCut writes its tables twice) and CSV manifests (a header
-    with `keypoints`). common: settings of every clip by name, None where not given; a manifest's cells overrule them,
-    and they overrule those of config. Raises InputError with the problems of all inputs and rows.
+    suffix only the last one, .h5 rather than .csv, as DeepLabCut writes its tables twice; Anipose's sessions) and CSV
+    manifests (a header with `keypoints`). common: settings of every clip by name, None where not given; a manifest's
+    cells overrule them, and they overrule those of config. cameras_by: which files are one clip, see `join_cameras`.
+    Raises InputError with the problems of all inputs and rows.
     """
     drafts, notes, problems = [], [], []
     for given in inputs:
         try:
-            found, said = _expand(str(given))
+            found, said = _expand(str(given), common)
         except InputError as error:
             problems += error.problems
         else:
             drafts += found
             notes += said
-    drafts = _without_repeats(drafts)
+    try:
+        drafts, said = join_cameras(
+            _without_repeats(drafts), cameras_by, common.get("camera_name"), _CamerasOf(common, config)
+        )
+        notes += said
+    except InputError as error:
+        problems += error.problems
     settings: list[FitSettings] = []
     for draft in drafts:
         try:
@@ -79,16 +75,24 @@ def find_clips(
         raise InputError(dict.fromkeys(problems))  # what all clips have in common is said once
     if not drafts:
         raise InputError(Problem("INPUT", "clips", "none", "keypoint files, a folder of them, or a manifest"))
-    return [Clip(*pair) for pair in zip(_names(drafts), settings, strict=True)], notes
+    names = _names(drafts)
+    notes += missing_cameras(drafts, names)
+    return [Clip(*pair) for pair in zip(names, settings, strict=True)], notes
 
 
 # -- inputs -------------------------------------------------------------------------------------------------------
 
 
-def _expand(given: str) -> tuple[list[_Draft], list[str]]:
+def _expand(given: str, common: Mapping[str, Any]) -> tuple[list[Draft], list[str]]:
     path = Path(given)
     if path.is_dir():
-        return _of_folder(path)
+        files, notes = _files_in(path)
+        of_anipose = sessions_in(path) if not files or path.absolute().name.startswith("pose-2d") else []
+        if of_anipose:
+            return _of_sessions(of_anipose, common)
+        if not files:
+            raise InputError(Problem(path, "files", "no keypoint files", f"files of a known format: {_formats()}"))
+        return [Draft((file,)) for file in files], notes
     if not path.exists() and glob.has_magic(given):
         matches = [Path(match) for match in sorted(glob.glob(given, recursive=True))]
         files = [match for match in matches if not match.is_dir()]
@@ -99,11 +103,45 @@ def _expand(given: str) -> tuple[list[_Draft], list[str]]:
     return _of_file(path), []
 
 
-def _of_file(path: Path) -> list[_Draft]:
-    return _of_manifest(path) if is_manifest(path) else [_Draft(path.absolute())]
+def _of_file(path: Path) -> list[Draft]:
+    return _of_manifest(path) if is_manifest(path) else [Draft((path.absolute(),))]
 
 
-def _of_folder(folder: Path) -> tuple[list[_Draft], list[str]]:
+def _of_sessions(sessions: Sequence[Session], common: Mapping[str, Any]) -> tuple[list[Draft], list[str]]:
+    """A draft for each file of 2D poses, with the calibration of its session unless another camera is given."""
+    own_cameras = common.get("camera") is None and common.get("hfov_deg") is None
+    drafts, notes, problems = [], [], []
+    for session in sessions:
+        files, said = _files_in(session.poses)
+        notes += said
+        row = {}
+        if own_cameras and session.calibration is None:
+            expected = "calibration/calibration.toml in it or above it, or --camera"
+            problems.append(Problem(session.folder, "calibration", "none", expected))
+        elif own_cameras:
+            row = {"camera": str(session.calibration)}
+            if common.get("camera_unit") is None and (session.square_length or 0.0) >= LEAST_NO_METRES:
+                found = f"{session.square_length:g}, so that the calibration is not in metres"
+                expected = "its unit besides, as in --camera-unit mm"
+                problems.append(
+                    Problem(session.config_file or session.folder, "board_square_side_length", found, expected)
+                )
+        drafts += [
+            Draft((file,), row, called=session.folder / file.name, cam_regex=session.cam_regex) for file in files
+        ]
+    if problems:
+        raise InputError(dict.fromkeys(problems))
+    if not drafts:
+        places = ", ".join(str(session.poses) for session in sessions[:NOTED])
+        raise InputError(Problem(places, "files", "no keypoint files", f"files of a known format: {_formats()}"))
+    folders = dict.fromkeys(session.poses.name for session in sessions)
+    said = (
+        f"{len(sessions)} session{'s' * (len(sessions) > 1)} of Anipose: {len(drafts)} files of {' and '.join(folders)}"
+    )
+    return drafts, [said, *notes]
+
+
+def _files_in(folder: Path) -> tuple[list[Path], list[str]]:
     chosen: dict[str, Path] = {}
     twins, others = [], []
     for path in sorted(p for p in folder.iterdir() if p.is_file() and not p.name.startswith(".")):
@@ -113,15 +151,13 @@ def _of_folder(folder: Path) -> tuple[list[_Draft], list[str]]:
             if path.stem in chosen:
                 twins.append(chosen[path.stem])
             chosen[path.stem] = path
-    if not chosen:
-        raise InputError(Problem(folder, "files", "no keypoint files", f"files of a known format: {_formats()}"))
     notes = []
     for left_out, why in ((twins, "beside a file of the same name"), (others, "of no known format")):
         if left_out:
             more = "" if len(left_out) <= NOTED else f" and {len(left_out) - NOTED} more"
             names = ", ".join(path.name for path in left_out[:NOTED])
             notes.append(f"Left out of {folder}, {why}: {names}{more}")
-    return [_Draft(path.absolute()) for path in chosen.values()], notes
+    return [path.absolute() for path in chosen.values()], notes
 
 
 def _recognised(path: Path) -> bool:
@@ -140,15 +176,15 @@ def _formats() -> str:
     return ", ".join(reader.name for reader in READERS)
 
 
-def _without_repeats(drafts: Sequence[_Draft]) -> list[_Draft]:
+def _without_repeats(drafts: Sequence[Draft]) -> list[Draft]:
     """A file that two patterns name is one clip; the rows of a manifest are all meant."""
     seen: set[Path] = set()
     kept = []
     for draft in drafts:
-        if draft.where is not None or draft.path not in seen:
+        if draft.where is not None or not seen.issuperset(draft.paths):
             kept.append(draft)
         if draft.where is None:
-            seen.add(draft.path)
+            seen.update(draft.paths)
     return kept
 
 
@@ -175,7 +211,7 @@ def _delimiter(line: str) -> str:
     return ";" if ";" in line and "," not in line else ","
 
 
-def _of_manifest(path: Path) -> list[_Draft]:
+def _of_manifest(path: Path) -> list[Draft]:
     """One draft a row. Raises InputError with everything that is wrong with the table itself."""
     header = _header(path)
     known = ("out", *SETTINGS)
@@ -208,8 +244,12 @@ def _of_manifest(path: Path) -> list[_Draft]:
             problems.append(Problem(path, f"{line}, keypoints", "nothing", "a keypoint file"))
             continue
         out = row.pop("out", None)
-        row = {name: beside(path.parent, name, cell) for name, cell in row.items()}
-        drafts.append(_Draft(Path(row.pop("keypoints")), row, out, (path, line)))
+        values = {name: beside(path.parent, name, _parted(name, cell)) for name, cell in row.items()}
+        files = [file for one in values.pop("keypoints") for file in _matching(Path(one))]
+        if not files:
+            problems.append(Problem(path, f"{line}, keypoints", f"no files that match {row['keypoints']}", "some"))
+            continue
+        drafts.append(Draft(tuple(files), values, out, (path, line)))
     if not drafts and not problems:
         problems.append(Problem(path, "rows", "none", "one row a clip below the header"))
     if problems:
@@ -217,10 +257,22 @@ def _of_manifest(path: Path) -> list[_Draft]:
     return drafts
 
 
+def _parted(name: str, cell: str) -> str | list[str]:
+    """A cell of what each camera has, as a list."""
+    return [one.strip() for one in cell.split(BETWEEN)] if name in SETTINGS and SETTINGS[name].kind.many else cell
+
+
+def _matching(path: Path) -> list[Path]:
+    """A file, or those of a pattern."""
+    if path.exists() or not glob.has_magic(str(path)):
+        return [path]
+    return [file for match in sorted(glob.glob(str(path), recursive=True)) if (file := Path(match)).is_file()]
+
+
 # -- settings -----------------------------------------------------------------------------------------------------
 
 
-def _settings(draft: _Draft, common: Mapping[str, Any], config: Path | None) -> FitSettings:
+def _settings(draft: Draft, common: Mapping[str, Any], config: Path | None) -> FitSettings:
     """A row over the common options over config. Problems of a row are said of the manifest's line."""
     row = draft.row
     under = {name: value for name, value in common.items() if value is not None and name not in row}
@@ -231,9 +283,43 @@ def _settings(draft: _Draft, common: Mapping[str, Any], config: Path | None) -> 
     if "method" in row:  # the common options are for the clips of the other method
         under = {name: value for name, value in under.items() if SETTINGS[name].method in (None, row["method"])}
     try:
-        return read_settings(config, {"keypoints": draft.path, **under, **row})
+        return read_settings(config, {"keypoints": draft.paths, **under, **row})
     except InputError as error:
         raise InputError(_of_row(problem, draft, under) for problem in error.problems) from None
+
+
+def _of_one_file(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Without what may be there once for each camera of a clip."""
+    return {name: value for name, value in values.items() if name not in ("offset_s", "camera_track")}
+
+
+class _CamerasOf:
+    """Of a draft: the names of the cameras in its file that can film a clip together, none where they cannot, or where
+    it is given which camera is meant. The draft may still be a part of a clip."""
+
+    def __init__(self, common: Mapping[str, Any], config: Path | None) -> None:
+        self._common = _of_one_file(common)
+        self._config = config
+        self._known: dict[tuple[Path, tuple[int, int] | None], tuple[str, ...]] = {}
+
+    def __call__(self, draft: Draft) -> tuple[str, ...]:
+        try:
+            settings = _settings(
+                replace(draft, paths=draft.paths[:1], row=_of_one_file(draft.row)), self._common, self._config
+            )
+        except InputError:  # said later
+            return ()
+        if settings.camera is None or settings.camera_name is not None or settings.method == "frame":
+            return ()
+        key = settings.camera, settings.image_size_px
+        if key not in self._known:
+            try:
+                cameras = read_cameras(*key)
+            except InputError:
+                cameras = ()
+            posed = all(camera.has_extrinsics for camera in cameras)
+            self._known[key] = tuple(camera.name for camera in cameras) if posed else ()
+        return self._known[key]
 
 
 def _without_effect(common: Mapping[str, Any], settings: Sequence[FitSettings]) -> Iterator[Problem]:
@@ -246,7 +332,7 @@ def _without_effect(common: Mapping[str, Any], settings: Sequence[FitSettings]) 
             yield Problem(option(name), name, found, f"nothing, or --method {method} with it")
 
 
-def _of_row(problem: Problem, draft: _Draft, common: Mapping[str, Any]) -> Problem:
+def _of_row(problem: Problem, draft: Draft, common: Mapping[str, Any]) -> Problem:
     in_row = problem.field in draft.row or (problem.found == "nothing" and problem.field not in common)
     if draft.where is None or not in_row:
         return problem
@@ -257,7 +343,7 @@ def _of_row(problem: Problem, draft: _Draft, common: Mapping[str, Any]) -> Probl
 # -- names --------------------------------------------------------------------------------------------------------
 
 
-def _name_problems(drafts: Sequence[_Draft]) -> list[Problem]:
+def _name_problems(drafts: Sequence[Draft]) -> list[Problem]:
     """Of names given in manifests: they must be plain, and different."""
     problems = []
     first: dict[str, str] = {}
@@ -276,16 +362,16 @@ def _name_problems(drafts: Sequence[_Draft]) -> list[Problem]:
     return problems
 
 
-def _names(drafts: Sequence[_Draft]) -> list[str]:
+def _names(drafts: Sequence[Draft]) -> list[str]:
     """As given; else the file's name, with its suffix or its folders where files share it, the animal and the frames
     where the row says them, and a number where that is still not enough."""
-    base = file_names(dict.fromkeys(draft.path for draft in drafts))
+    base = file_names(dict.fromkeys(draft.title for draft in drafts))
     taken = {SUMMARY, *(draft.name.casefold() for draft in drafts if draft.name is not None)}
     names = []
     for draft in drafts:
         name = draft.name
         if name is None:
-            plain = _UNFIT.sub("_", base[draft.path] + draft.tag).strip(". ") or "clip"
+            plain = _UNFIT.sub("_", base[draft.title] + draft.tag).strip(". ") or "clip"
             name, count = plain, 1
             while name.casefold() in taken:
                 count += 1

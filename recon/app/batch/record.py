@@ -44,8 +44,9 @@ class Planned:
 def plan_batch(clips: Sequence[Clip], out: Path, overwrite: bool = False) -> list[Planned]:
     """What is to be done with each clip, whose results belong into `out / clip.name`.
 
-    Results of the same input files, settings and version are done. Those that a batch made of the same keypoints with
-    other settings are made again. Raises InputError for folders with any other results, unless they may be overwritten.
+    Results of the same input files, settings and version are done. Those that a batch made of the same keypoints, or of
+    some of the clip's cameras, with other settings are made again. Raises InputError for folders with any other
+    results, unless they may be overwritten.
     """
     require_free_folder(out, (), overwrite=True)
     file_sha256.cache_clear()  # files may have changed since the last plan of this process
@@ -71,8 +72,8 @@ def _planned(clip: Clip, out: Path, overwrite: bool) -> Planned:
     if record is None or (record["state"] == "finished" and not _own(out, record)):
         raise InputError(_occupied(out, "results that no batch has made"))
     theirs = record["identity"]
-    same_clip = record["keypoints"] == clip.settings.keypoints_text
-    if not same_clip and theirs["inputs"].get("keypoints") != mine["inputs"]["keypoints"]:
+    same_files = {*record["keypoints"].split(", ")} & {str(path) for path in clip.settings.keypoints}
+    if not same_files and not _keypoints(theirs) & _keypoints(mine):
         raise InputError(_occupied(out, f"results of {record['keypoints']}"))
     if record["state"] != "finished":
         return Planned(clip, out, "refit", "not finished before", mine)
@@ -94,8 +95,13 @@ def _changed(theirs: Mapping[str, Any], mine: Mapping[str, Any]) -> list[str]:
     names = []
     for part in ("inputs", "settings"):
         old, new = theirs[part], mine[part]
-        names += [name for name in sorted({*old, *new}) if old.get(name) != new.get(name)]
-    return names + (["version of recon"] if theirs["version"] != mine["version"] else [])
+        names += [name.split()[0] for name in sorted({*old, *new}) if old.get(name) != new.get(name)]
+    return list(dict.fromkeys(names)) + (["version of recon"] if theirs["version"] != mine["version"] else [])
+
+
+def _keypoints(known: Mapping[str, Any]) -> set[str]:
+    """Hashes of the keypoint files that could be read."""
+    return {digest for role, digest in known["inputs"].items() if role.split()[0] == "keypoints" and digest}
 
 
 # -- identity -----------------------------------------------------------------------------------------------------

@@ -19,6 +19,7 @@ RESULTS = ("frames", "frames_with_pose", "outliers", "mean_reprojection_px", "me
 COLUMNS = (
     "clip",
     "keypoints",
+    "cameras",
     "out",
     "status",
     "error",
@@ -86,6 +87,7 @@ def _row(planned: Planned) -> dict[str, Any]:
     row = dict.fromkeys(COLUMNS) | {
         "clip": planned.clip.name,
         "keypoints": planned.clip.settings.keypoints_text,
+        "cameras": len(planned.clip.settings.keypoints),
         "out": str(planned.out),
         "status": "pending",
         "attempts": 0,
