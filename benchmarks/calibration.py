@@ -11,7 +11,7 @@ import numpy as np
 from board_pictures import poses, render
 
 from recon.camera import Camera
-from recon.intrinsics import Calibration, View, Views, calibrate, check, parse_board
+from recon.intrinsics import BoardView, BoardViews, Calibration, calibrate, check, parse_board
 
 SIZE = (1280, 720)
 VIEWS = 24
@@ -30,7 +30,7 @@ def cameras() -> list[Camera]:
     ]
 
 
-def views_of(board_text: str, camera: Camera, count: int, rng: np.random.Generator) -> Views:
+def views_of(board_text: str, camera: Camera, count: int, rng: np.random.Generator) -> BoardViews:
     """A board rendered through the camera, with blur and noise, and found again."""
     board = parse_board(board_text)
     views, without = [], []
@@ -40,8 +40,8 @@ def views_of(board_text: str, camera: Camera, count: int, rng: np.random.Generat
         if corners is None:
             without.append(str(number))
         else:
-            views.append(View(str(number), corners))
-    return Views(board, camera.image_size_px, tuple(views), tuple(without), count, len(views))
+            views.append(BoardView(str(number), corners))
+    return BoardViews(board, camera.image_size_px, tuple(views), tuple(without), count, len(views))
 
 
 def worst_px(calibration: Calibration, truth: Camera) -> float:

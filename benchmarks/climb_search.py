@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy.optimize import linprog
 
 from recon.robot.climb.check import check
-from recon.robot.climb.equilibrium import Motion, Torso, between, moved, solve
+from recon.robot.climb.equilibrium import Torso, TorsoDynamics, between, moved, solve
 from recon.robot.climb.fields import Stand, evaluate
 from recon.robot.climb.margins import NONE, RULES, margins
 from recon.robot.climb.paths import Step, along, corners
@@ -110,7 +110,7 @@ def coarse(walker: Walker, design: Design, vectors: Array, start: Torso) -> Coar
     return Coarse(np.concatenate([*scaled.values()], axis=1), kinds, bool(held.settled.all()))
 
 
-def _softest(jacobian: Array, motion: Motion) -> Array:
+def _softest(jacobian: Array, motion: TorsoDynamics) -> Array:
     """(...): the least eigenvalue of the stiffness."""
     dofs = list(motion.dofs)
     scale = np.array([1.0] * 3 + [1 / motion.arm_m] * 3)[dofs]

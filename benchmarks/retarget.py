@@ -22,7 +22,7 @@ from pathlib import Path
 
 from recon import FitSettings
 from recon.app.clip import run_clip
-from recon.app.retarget import Solved, companion, solve
+from recon.app.retarget import RetargetRun, companion, solve
 from recon.results import Results, read_results
 from recon.robot.reference import reference_of
 from recon.robot.robot_file import builtin_robots, load_robot
@@ -72,7 +72,7 @@ def fitted(out: Path, settings: FitSettings) -> Results:
     return read_results(out)
 
 
-def row(clip: str, solved: Solved, seconds: float) -> list[str]:
+def row(clip: str, solved: RetargetRun, seconds: float) -> list[str]:
     both = (solved.motion.clip, solved.motion.stride)
     most = both[0].robot.stand_m / solved.animal.reference.leg_m
     slips = " / ".join(f"{1000 * motion.slip_m.max():.2f}" for motion in both)

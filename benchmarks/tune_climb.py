@@ -28,7 +28,7 @@ import numpy as np
 from climb_search import Found, highest, improve, raised
 
 from recon.robot.climb import Recipe, Walker, check, load_recipe, plan, save_recipe
-from recon.robot.climb.equilibrium import Motion
+from recon.robot.climb.equilibrium import TorsoDynamics
 from recon.robot.climb.fields import PLANAR, SPATIAL, Fields, Stand, Well, evaluate
 from recon.robot.climb.paths import Step
 from recon.robot.climb.recipe import RECIPES, Footfall, Primitive, Swing
@@ -72,7 +72,7 @@ def seed() -> Recipe:
         np.array([[-0.072, 0.065], [-0.072, -0.065], [0.072, 0.065], [0.072, -0.065]]),
         tuple(Primitive(name, falls, fields, 1.4, 1.4) for name, falls in published(PUBLISHED_STEP_M).items()),
         Swing(),
-        Motion(mass=60.0, inertia=0.25, max_step_m=0.003, max_turn_rad=0.03, dofs=PLANAR),
+        TorsoDynamics(mass=60.0, inertia=0.25, max_step_m=0.003, max_turn_rad=0.03, dofs=PLANAR),
         50.0,
         "",
     )

@@ -9,7 +9,8 @@ Formats, told apart by suffix and content:
 - AcinoSet JSON: a scene (`cameras` with `k`, `d`, `r`, `t` and perhaps `name`) or one camera (`k`, `d`). Fisheye
   lenses, world to camera, metres, world z up.
 - Anipose and Pose2Sim TOML: one table per camera. World to camera in the length unit of the calibration board, which
-  the file does not name: it is taken to be metres (`camera_unit` of the settings). The board defines the world, so z need not point up.
+  the file does not name: it is taken to be metres here, and `camera_unit` of a fit's settings says otherwise. The board
+  defines the world, so z need not point up.
 - This package's own TOML: one table `[camera]` with `format = "recon-camera"`, see `write_camera`.
 """
 

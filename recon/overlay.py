@@ -201,12 +201,12 @@ def _draw_caption(
     """Frame number and time; what is doubtful, with a border around the picture."""
     slow = "" if overlay.speed == 1 else f"   {overlay.speed:.3g}x"
     x, y, scale = round(24 * unit), round(48 * unit), 1.1 * unit
-    _text(canvas, f"frame {frame}   {frame / overlay.fps:.3f} s{slow}", (x, y), scale, INK)
+    _draw_text(canvas, f"frame {frame}   {frame / overlay.fps:.3f} s{slow}", (x, y), scale, INK)
     flags = list(overlay.flags[t]) if t is not None else ["not reconstructed"]
     if t is not None and not np.isfinite(overlay.reprojected_px[t]).any() and not flags:
         flags = ["no pose"]
     if flags:
-        _text(canvas, ", ".join(flags), (x, y + round(46 * unit)), scale, DOUBT)
+        _draw_text(canvas, ", ".join(flags), (x, y + round(46 * unit)), scale, DOUBT)
         edge = max(2, round(6 * unit))
         cv2.rectangle(
             canvas, (edge // 2, edge // 2), (size_px[0] - 1 - edge // 2, size_px[1] - 1 - edge // 2), DOUBT, edge
@@ -239,7 +239,7 @@ def _draw_strip(canvas: Image, overlay: Overlay, t: int | None, top: int, width:
             _line(canvas, np.array([x, ground]), np.array([x + w, ground]), FAINT, max(1, round(unit)))
         if t is not None:
             _draw_view(canvas, overlay, overlay.views[name][t], place, max(1, round(3 * unit)))
-        _text(canvas, name, (x, top + height - round(14 * unit)), 0.7 * unit, INK)
+        _draw_text(canvas, name, (x, top + height - round(14 * unit)), 0.7 * unit, INK)
     _draw_scale(canvas, boxes["side"], scale, top + height - round(20 * unit), unit)
     _draw_key(canvas, overlay, (round(left * width) + pad, top + pad + round(16 * unit)), unit)
 
@@ -266,7 +266,7 @@ def _draw_scale(canvas: Image, box: tuple[int, int, int, int], scale: float, y: 
     start, end = np.array([[x + 0.5 * w, y], [x + 0.5 * w + length * scale, y]])
     _line(canvas, start, end, INK, max(1, round(2 * unit)))
     end = (round(end[0] + 10 * unit), y + round(6 * unit))
-    _text(canvas, f"{length:g} m", end, 0.6 * unit, INK)
+    _draw_text(canvas, f"{length:g} m", end, 0.6 * unit, INK)
 
 
 def _draw_key(canvas: Image, overlay: Overlay, corner: tuple[int, int], unit: float) -> None:
@@ -278,15 +278,15 @@ def _draw_key(canvas: Image, overlay: Overlay, corner: tuple[int, int], unit: fl
             ends = np.array([[x + part / 8 * bar, y], [x + (part + 1) / 8 * bar, y]])
             _line(canvas, ends[0], ends[1], shade(colour, 1 - 2 * part / 7), max(1, round((6 - 4 * part / 7) * unit)))
         label = f"{names[colour]}, near to far"
-        _text(canvas, label, (round(x + bar + 12 * unit), y + round(7 * unit)), 0.6 * unit, INK)
+        _draw_text(canvas, label, (round(x + bar + 12 * unit), y + round(7 * unit)), 0.6 * unit, INK)
         y += step
     centre = np.array([x + bar / 2, y])
     _circle(canvas, centre, 7 * unit, DETECTION, max(1, round(1.5 * unit)))
-    _text(canvas, "detected", (round(x + bar + 12 * unit), y + round(7 * unit)), 0.6 * unit, INK)
+    _draw_text(canvas, "detected", (round(x + bar + 12 * unit), y + round(7 * unit)), 0.6 * unit, INK)
     centre[1] += step
     for arm in (np.array([7, 7]) * unit, np.array([7, -7]) * unit):
         _line(canvas, centre - arm, centre + arm, OUTLIER, max(1, round(2.5 * unit)))
-    _text(canvas, "outlier", (round(x + bar + 12 * unit), y + step + round(7 * unit)), 0.6 * unit, INK)
+    _draw_text(canvas, "outlier", (round(x + bar + 12 * unit), y + step + round(7 * unit)), 0.6 * unit, INK)
 
 
 # ---- strokes ----
@@ -302,7 +302,7 @@ def _circle(image: Image, centre: Array, radius: float, colour: Colour, thicknes
     cv2.circle(image, (x, y), round(radius * 2**SHIFT), colour, thickness, cv2.LINE_AA, SHIFT)
 
 
-def _text(image: Image, text: str, place: tuple[int, int], scale: float, colour: Colour) -> None:
+def _draw_text(image: Image, text: str, place: tuple[int, int], scale: float, colour: Colour) -> None:
     scale = max(scale, 0.35)
     thick, off = max(1, round(2 * scale)), max(1, round(1.5 * scale))
     for dx, dy in ((-off, 0), (off, 0), (0, -off), (0, off)):  # a thicker text is also a longer one

@@ -20,11 +20,11 @@ from recon.camera import Camera
 from recon.cli import app
 from recon.errors import InputError
 from recon.intrinsics import (
+    BoardView,
+    BoardViews,
     Charuco,
     Chessboard,
     Corners,
-    View,
-    Views,
     calibrate,
     check,
     collect,
@@ -55,15 +55,15 @@ def pictures(camera: Camera, board_text: str, count: int, seed: int = 1, fill: f
     ]
 
 
-def exact_views(camera: Camera, board: Chessboard, where: list, noise_px: float = 0.1, seed: int = 0) -> Views:
+def exact_views(camera: Camera, board: Chessboard, where: list, noise_px: float = 0.1, seed: int = 0) -> BoardViews:
     """Views with white noise on projected corners, without any picture."""
     rng = np.random.default_rng(seed)
     views = []
     for number, (rotation, translation) in enumerate(where):
         xy, valid = camera.project(board.points_m @ rotation.T + translation)
         assert valid.all()
-        views.append(View(f"{number}.png", Corners(np.arange(len(xy)), xy + rng.normal(0, noise_px, xy.shape))))
-    return Views(board, camera.image_size_px, tuple(views), (), len(views), len(views))
+        views.append(BoardView(f"{number}.png", Corners(np.arange(len(xy)), xy + rng.normal(0, noise_px, xy.shape))))
+    return BoardViews(board, camera.image_size_px, tuple(views), (), len(views), len(views))
 
 
 @pytest.fixture(scope="module")
@@ -76,7 +76,7 @@ def radtan_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def chess_views() -> Views:
+def chess_views() -> BoardViews:
     board = parse_board(CHESS)
     assert isinstance(board, Chessboard)
     where = poses(board, CAMERAS["radtan"], 14, np.random.default_rng(3), fill=0.65)
@@ -148,9 +148,9 @@ def test_intrinsics_come_back(lens, text):
     camera, board = CAMERAS[lens], parse_board(text)
     count = 14 if text == CHESS else 24  # its corners are half as many and half as exact
     found = [board.detect(picture) for picture in pictures(camera, text, count)]
-    views = tuple(View(str(n), corners) for n, corners in enumerate(found) if corners is not None)
+    views = tuple(BoardView(str(n), corners) for n, corners in enumerate(found) if corners is not None)
     assert len(views) >= count - 1
-    calibration = calibrate(Views(board, SIZE, views, (), count, len(views)), camera.model)
+    calibration = calibrate(BoardViews(board, SIZE, views, (), count, len(views)), camera.model)
     for name, index in {"fx": (0, 0), "fy": (1, 1), "cx": (0, 2), "cy": (1, 2)}.items():
         assert calibration.parameters[name] == pytest.approx(camera.matrix[index], rel=0.005), name
     assert calibration.rms_px < 0.2
@@ -214,7 +214,7 @@ def test_a_picture_with_wrong_corners_is_left_out(chess_views):
 # ---- what is refused ----
 
 
-def refused(views: Views, model="radtan") -> dict[str, str]:
+def refused(views: BoardViews, model="radtan") -> dict[str, str]:
     return {c.limit.name: str(c) for c in check(calibrate(views, model)) if c.verdict == "refused"}
 
 

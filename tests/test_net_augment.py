@@ -7,7 +7,7 @@ import pytest
 
 from recon.net.augment import Augmentation, Example, augment, motion_blur
 from recon.net.background import background_of, moving_mask
-from recon.net.batches import Source
+from recon.net.batches import BatchSource
 from recon.video import Image
 
 SIZE = (96, 80)
@@ -82,7 +82,7 @@ def test_missing_labels_stay_missing():
 
 def test_a_batch_depends_on_seed_and_step_only():
     pool = np.arange(1)
-    source = Source([example()], SIZE, Augmentation(), 3, seed=4)
+    source = BatchSource([example()], SIZE, Augmentation(), 3, seed=4)
     one, again, other = source.batch(7, pool), source.batch(7, pool), source.batch(8, pool)
     np.testing.assert_array_equal(one.pictures, again.pictures)
     np.testing.assert_array_equal(one.xy_px, again.xy_px)

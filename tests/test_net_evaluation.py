@@ -8,7 +8,7 @@ from command_line import run
 from scipy.special import expit, logit
 
 from recon.errors import InputError
-from recon.net.calibrate import Calibration, fit_calibration, reliability
+from recon.net.calibrate import LikelihoodCalibration, fit_calibration, reliability
 from recon.net.evaluate2d import evaluate_2d, evaluate_2d_files
 from recon.net.labels import Labels
 from recon.net.suspicious import suspicious_labels
@@ -41,7 +41,7 @@ def test_calibration_finds_what_made_the_points():
 def test_calibration_stays_finite_where_all_points_are_right():
     found = fit_calibration(np.full(50, 0.9), np.ones(50, bool))
     assert 0.9 < float(found.apply(np.array([0.9]))[0]) < 1
-    np.testing.assert_array_equal(Calibration().apply(np.array([0.3])), [0.3])
+    np.testing.assert_array_equal(LikelihoodCalibration().apply(np.array([0.3])), [0.3])
 
 
 def test_scores_by_hand():

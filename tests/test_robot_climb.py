@@ -15,7 +15,7 @@ from tune_climb import PUBLISHED, published
 
 from recon.errors import InputError
 from recon.robot.climb import Walker, bundled, check, load_recipe, plan, save_recipe, write_playback
-from recon.robot.climb.equilibrium import MAX_EVALUATIONS, Motion, Torso, between, capped, moved, ride, solve
+from recon.robot.climb.equilibrium import MAX_EVALUATIONS, Torso, TorsoDynamics, between, capped, moved, ride, solve
 from recon.robot.climb.fields import PLANAR, SPATIAL, Fields, Stand, Well, evaluate, leg_forces, wrench
 from recon.robot.climb.margins import NONE, margins, support_m
 from recon.robot.climb.paths import Step, along, corners
@@ -30,7 +30,7 @@ FIELDS = Fields(
     0.3,
     60.0,
 )
-MOTION = Motion(mass=30.0, inertia=0.12, max_step_m=0.01, max_turn_rad=0.1)
+MOTION = TorsoDynamics(mass=30.0, inertia=0.12, max_step_m=0.01, max_turn_rad=0.1)
 
 
 def stand(seed: int) -> Stand:

@@ -63,16 +63,16 @@ class Evaluation:
     def to_dict(self) -> dict[str, Any]:
         """Plain JSON types: keys that end in `_mm` are millimetres, pck are fractions, NaN is None."""
         errors = {name: getattr(self, f"{name}_m") for name in ("mpjpe", "mpe", "scale_mpjpe", "pa_mpjpe")}
-        result: dict[str, Any] = {f"{name}_mm": _plain(score.mean * 1e3) for name, score in errors.items()}
+        result: dict[str, Any] = {f"{name}_mm": _plain_types(score.mean * 1e3) for name, score in errors.items()}
         for name, score in errors.items():
-            result[f"{name}_per_joint_mm"] = dict(zip(self.names, _plain(score.per_joint * 1e3), strict=True))
-            result[f"{name}_per_frame_mm"] = _plain(score.per_frame * 1e3)
+            result[f"{name}_per_joint_mm"] = dict(zip(self.names, _plain_types(score.per_joint * 1e3), strict=True))
+            result[f"{name}_per_frame_mm"] = _plain_types(score.per_frame * 1e3)
         result["pck"] = [
             {
                 "threshold_mm": threshold * 1e3,
-                "mean": _plain(score.mean),
-                "per_joint": dict(zip(self.names, _plain(score.per_joint), strict=True)),
-                "per_frame": _plain(score.per_frame),
+                "mean": _plain_types(score.mean),
+                "per_joint": dict(zip(self.names, _plain_types(score.per_joint), strict=True)),
+                "per_frame": _plain_types(score.per_frame),
             }
             for threshold, score in self.pck
         ]
@@ -219,8 +219,8 @@ def _mean(values: np.ndarray, axis: int) -> np.ndarray:
     return np.divide(total, count, out=np.full(count.shape, np.nan), where=count > 0)
 
 
-def _plain(values: Any) -> Any:
+def _plain_types(values: Any) -> Any:
     """A float or a list of floats, with None for NaN."""
     if np.ndim(values) == 0:
         return None if np.isnan(values) else float(values)
-    return [_plain(v) for v in values]
+    return [_plain_types(v) for v in values]

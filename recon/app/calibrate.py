@@ -14,7 +14,7 @@ from recon.calibration import write_camera
 from recon.camera import LensModel
 from recon.errors import InputError, Problem, all_of
 from recon.files import require_free_file, staged_folder, write_bytes
-from recon.intrinsics import Calibration, Check, Views, calibrate, check, collect, draw, find_views, parse_board
+from recon.intrinsics import BoardViews, Calibration, Check, calibrate, check, collect, draw, find_views, parse_board
 from recon.intrinsics.views import Progress
 
 
@@ -22,7 +22,7 @@ from recon.intrinsics.views import Progress
 class CalibrationRun:
     """A calibration with the views it came from and what was checked. written: the camera file, or None."""
 
-    views: Views
+    views: BoardViews
     calibration: Calibration
     checks: tuple[Check, ...]
     picture: Path

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from recon.arrays import Array
 from recon.analysis.gait import doubt_text
+from recon.arrays import Array
 from recon.errors import InputError, Problem, all_of
 from recon.export.table import write_rows
 from recon.files import require_free_folder, sole_writer, staged_results
@@ -20,7 +20,7 @@ from recon.robot.quadruped import LEGS, Quadruped
 from recon.robot.reference import (
     Animal,
     Reference,
-    Window,
+    StrideWindow,
     closed_stride,
     reference_of,
     stride_window,
@@ -37,11 +37,11 @@ SLIP_M, CLOSING_PERCENT = 0.002, 1.0
 
 
 @dataclass(frozen=True, eq=False)
-class Solved:
+class RetargetRun:
     """What was made of what; clip: the animal's reference as the robot follows it; report: what report.json holds."""
 
     animal: Animal
-    window: Window
+    window: StrideWindow
     clip: Reference
     motion: Retargeted
     report: dict[str, Any]
@@ -56,7 +56,7 @@ def run_retarget(
     lag: float = 0.0,
     overwrite: bool = False,
     stride_s: tuple[float, float] | None = None,
-) -> Solved:
+) -> RetargetRun:
     """`recon retarget`: tables, report and playback into `out`. Raises InputError.
 
     scale, slower: as `recon.robot.retarget.retarget`; lag: of a chain, of which one side is measured, by how much of a
@@ -82,14 +82,14 @@ def run_retarget(
 
 def solve(
     animal: Animal, robot: Quadruped, scale: float | None = None, slower: float | None = None, lag: float = 0.0
-) -> Solved:
+) -> RetargetRun:
     window = stride_window(animal)
     stride = closed_stride(animal, window)
     period = float(stride.time_s[-1])
     clip, stride = (with_other_side(reference, lag, period) for reference in (animal.reference, stride))
     motion = retarget(clip, stride, robot, scale, slower)
     report = _report(animal, window, clip, motion, lag, slower is None)
-    return Solved(animal, window, clip, motion, report)
+    return RetargetRun(animal, window, clip, motion, report)
 
 
 def _check(scale: float | None, slower: float | None, lag: float) -> None:
@@ -108,7 +108,7 @@ def _check(scale: float | None, slower: float | None, lag: float) -> None:
 
 
 def _report(
-    animal: Animal, window: Window, clip: Reference, motion: Retargeted, lag: float, timed: bool
+    animal: Animal, window: StrideWindow, clip: Reference, motion: Retargeted, lag: float, timed: bool
 ) -> dict[str, Any]:
     results, robot = animal.analysis.results, motion.clip.robot
     mirrored = [foot for foot in LEGS if foot not in animal.reference.feet]
@@ -172,7 +172,7 @@ def _figures(motion: RobotMotion) -> dict[str, Any]:
     }
 
 
-def _notes(window: Window, motion: Retargeted, mirrored: list[str], lag: float, doubts: list[str]) -> list[str]:
+def _notes(window: StrideWindow, motion: Retargeted, mirrored: list[str], lag: float, doubts: list[str]) -> list[str]:
     notes = []
     if mirrored:
         how = "at the same time" if lag == 0 else f"{abs(lag):.2f} of a stride {'later' if lag > 0 else 'earlier'}"
@@ -213,7 +213,7 @@ def _notes(window: Window, motion: Retargeted, mirrored: list[str], lag: float, 
 # -- what is written -------------------------------------------------------------------------------------------------
 
 
-def write(solved: Solved, folder: Path) -> None:
+def write(solved: RetargetRun, folder: Path) -> None:
     """Everything, into a folder that there is."""
     from recon.view.robot import write_robot
 
@@ -244,7 +244,7 @@ def _table(path: Path, columns: list[str], *parts: Array) -> None:
     write_rows(path, [columns], np.hstack(parts).tolist())
 
 
-def companion(solved: Solved) -> Any:
+def companion(solved: RetargetRun) -> Any:
     """The animal, of the robot's size, to the left of the robot, at the samples of the clip."""
     from recon.view.robot import Companion
 

@@ -14,7 +14,7 @@ from rich.text import Text
 from recon.cli.common import number_option, terminal
 
 if TYPE_CHECKING:
-    from recon.net.evaluate2d import Evaluation2D, Score
+    from recon.net.evaluate2d import Evaluation2D, Score2D
 
 
 def evaluate_2d(
@@ -66,7 +66,7 @@ def _table(result: Evaluation2D) -> Table:
     for name in ("n", "found", "RMSE", "median", *pck):
         table.add_column(name, justify="right")
 
-    def add_row(name: str, score: Score, last: bool = False) -> None:
+    def add_row(name: str, score: Score2D, last: bool = False) -> None:
         cells = [str(score.points), f"{score.found:.0%}", f"{score.rmse_px:.2f}", f"{score.median_px:.2f}"]
         cells += [f"{share:.0%}" for share in (*score.pck_px, *score.pck_relative)]
         row = (cell.replace("nan%", "-").replace("nan", "-") for cell in cells)

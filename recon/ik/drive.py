@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike
 from recon.analysis import phase
 from recon.arrays import Array, Bools
 from recon.ik.chain import SerialChain, manipulability, unreachable
-from recon.ik.methods import INTERVAL_S, ExtendedJacobian, Method, Step
+from recon.ik.methods import INTERVAL_S, ExtendedJacobian, JointRates, Method
 from recon.ik.null_space import inside_limits, listed, to_null_space_optimum
 
 TOLERANCE_M = 0.003
@@ -129,16 +129,16 @@ def drive_to(
         q = np.zeros(chain.n)
     if not reason and isinstance(method, ExtendedJacobian) and settle:
         q = to_null_space_optimum(chain, q, method.cost).q[-1]
-    method = _kept(method, interval_s)
+    method = _with_gain(method, interval_s)
 
     taken = _Taken(chain, q)
     distance = float(np.linalg.norm(target - taken.end))
-    distances, best, best_at, last = [distance], distance, 0, Step(np.zeros(chain.n))
+    distances, best, best_at, last = [distance], distance, 0, JointRates(np.zeros(chain.n))
     stopped: tuple[int, ...] = ()
     while not reason and distance > tolerance_m:
         k = len(taken.rates)
         if k >= max_iterations or k - best_at >= PATIENCE or (k and float(np.abs(last.dq).max()) <= STILL_RAD):
-            reason = _why(k, max_iterations, distance, last, stopped)
+            reason = _reason(k, max_iterations, distance, last, stopped)
             break
         dx = (target - taken.end) * (min(1.0, max_step_m / distance) / interval_s)
         last, stopped = taken.step(dx, method, interval_s)
@@ -172,7 +172,7 @@ def follow(
         raise ValueError("only a closed path can be followed more than once")
     points = np.concatenate([path[:1], *[path[1:]] * turns])
     if correct:
-        method = _kept(method, interval_s)
+        method = _with_gain(method, interval_s)
     taken, note = _Taken(chain, inside_limits(chain, np.asarray(q0, float))), ""
     for k in range(len(points) - 1):
         dx = (points[k + 1] - (taken.end if correct else points[k])) / interval_s
@@ -180,7 +180,7 @@ def follow(
         if not note and step.note:
             note = f"{step.note} (step {k})"
     again = path[1] - path[0] if closed else path[-1] - path[-2]
-    last = _move(chain, taken.q, again / interval_s, method, interval_s)[0].dq
+    last = _integrated(chain, taken.q, again / interval_s, method, interval_s)[0].dq
     error = np.linalg.norm(np.array(taken.ends) - points, axis=1)
     return Follow(**taken.run(last, error), note=note, turns=turns)
 
@@ -196,10 +196,10 @@ class _Taken:
         self.times: list[float] = []
         self.hit: set[int] = set()
 
-    def step(self, dx: Array, method: Method, interval_s: float) -> tuple[Step, tuple[int, ...]]:
+    def step(self, dx: Array, method: Method, interval_s: float) -> tuple[JointRates, tuple[int, ...]]:
         """One interval at the velocity dx; what the method gave, and the joints that a limit stopped."""
         started = time.perf_counter()
-        step, self.q, stopped = _move(self.chain, self.q, dx, method, interval_s)
+        step, self.q, stopped = _integrated(self.chain, self.q, dx, method, interval_s)
         self.times.append(time.perf_counter() - started)
         self.end = self.chain.end(self.q)
         self.path.append(self.q)
@@ -239,9 +239,9 @@ def roughness(q: Array) -> float:
     return float(np.mean(np.sum(np.diff(q, 2, axis=0) ** 2, axis=1))) if len(q) > 2 else 0.0
 
 
-def _move(
+def _integrated(
     chain: SerialChain, q: Array, dx: Array, method: Method, interval_s: float
-) -> tuple[Step, Array, tuple[int, ...]]:
+) -> tuple[JointRates, Array, tuple[int, ...]]:
     """One interval: the step, where it leads, and the joints that a limit stopped."""
     step = method.rates(chain, q, dx)
     moved = q + interval_s * step.dq
@@ -253,21 +253,21 @@ def _move(
         outside = (inside != moved) & free
         free &= ~outside
         if not free.any():
-            return Step(np.zeros(chain.n), step.singular, step.note), q, tuple(range(chain.n))
+            return JointRates(np.zeros(chain.n), step.singular, step.note), q, tuple(range(chain.n))
         step = method.rates(chain, q, dx, free)
         moved = q + interval_s * step.dq
         inside = inside_limits(chain, moved)
     return step, moved, tuple((~free).nonzero()[0].tolist())
 
 
-def _kept(method: Method, interval_s: float) -> Method:
+def _with_gain(method: Method, interval_s: float) -> Method:
     """The extended Jacobian with the gain that keeps it at G = 0."""
     if isinstance(method, ExtendedJacobian) and method.full and not method.gain_per_s:
         return replace(method, gain_per_s=1 / interval_s)
     return method
 
 
-def _why(k: int, max_iterations: int, distance: float, step: Step, stopped: tuple[int, ...]) -> str:
+def _reason(k: int, max_iterations: int, distance: float, step: JointRates, stopped: tuple[int, ...]) -> str:
     left = f"{1000 * distance:.1f} mm left after {k} iterations"
     if stopped:
         return f"limits: joints {listed(stopped)} at theirs, {left}"

@@ -37,7 +37,7 @@ MAX_CORRECTION_RAD = 0.05
 order, by more than millimetres."""
 
 
-class Step(NamedTuple):
+class JointRates(NamedTuple):
     """Rates dq (n,), rad/s; singular: whether they are damped because a direction is lost; note: what, in words."""
 
     dq: Array
@@ -46,7 +46,7 @@ class Step(NamedTuple):
 
 
 class Method(Protocol):
-    def rates(self, chain: SerialChain, q: Array, dx: Array, free: Bools | None = None) -> Step:
+    def rates(self, chain: SerialChain, q: Array, dx: Array, free: Bools | None = None) -> JointRates:
         """Rates for q (n,) and dx (dim,)."""
         ...
 
@@ -55,9 +55,9 @@ class Method(Protocol):
 class LeastNorm:
     """J+ dx = J' (J J')^-1 dx: the smallest rates."""
 
-    def rates(self, chain: SerialChain, q: Array, dx: Array, free: Bools | None = None) -> Step:
+    def rates(self, chain: SerialChain, q: Array, dx: Array, free: Bools | None = None) -> JointRates:
         pseudo, singular = right_inverse(_jacobian(chain, q, free))
-        return _step(chain, pseudo @ dx, free, singular)
+        return _limited(chain, pseudo @ dx, free, singular)
 
 
 @dataclass(frozen=True)
@@ -66,7 +66,7 @@ class JacobianTranspose:
 
     alpha: float | None = None
 
-    def rates(self, chain: SerialChain, q: Array, dx: Array, free: Bools | None = None) -> Step:
+    def rates(self, chain: SerialChain, q: Array, dx: Array, free: Bools | None = None) -> JointRates:
         J = _jacobian(chain, q, free)
         dq = J.T @ dx
         alpha = self.alpha
@@ -75,7 +75,7 @@ class JacobianTranspose:
             square = float(moved @ moved)
             alpha = float(dx @ moved) / square if square > 0 else 0.0
         _, singular = _inverse(J @ J.T)
-        return _step(chain, alpha * dq, free, singular)
+        return _limited(chain, alpha * dq, free, singular)
 
 
 @dataclass(frozen=True)
@@ -88,12 +88,12 @@ class GradientProjection:
     gradient: Cost | Callable[[Array], Array]
     k: float = -1.0
 
-    def rates(self, chain: SerialChain, q: Array, dx: Array, free: Bools | None = None) -> Step:
+    def rates(self, chain: SerialChain, q: Array, dx: Array, free: Bools | None = None) -> JointRates:
         J = _jacobian(chain, q, free)
         g = self.gradient(q) if callable(self.gradient) else self.gradient.gradient(q)
         g = self.k * (g if free is None else g[free])
         pseudo, singular = right_inverse(J)
-        return _step(chain, pseudo @ dx, free, singular, g - pseudo @ (J @ g))
+        return _limited(chain, pseudo @ dx, free, singular, g - pseudo @ (J @ g))
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,10 +102,10 @@ class WeightedLeastNorm:
 
     weights: Array
 
-    def rates(self, chain: SerialChain, q: Array, dx: Array, free: Bools | None = None) -> Step:
+    def rates(self, chain: SerialChain, q: Array, dx: Array, free: Bools | None = None) -> JointRates:
         J = _jacobian(chain, q, free)
         inverse, singular = right_inverse(J, J / (self.weights if free is None else self.weights[free]))
-        return _step(chain, inverse @ dx, free, singular)
+        return _limited(chain, inverse @ dx, free, singular)
 
 
 @dataclass(frozen=True)
@@ -114,10 +114,10 @@ class DampedLeastSquares:
 
     damping_m: float = 0.05
 
-    def rates(self, chain: SerialChain, q: Array, dx: Array, free: Bools | None = None) -> Step:
+    def rates(self, chain: SerialChain, q: Array, dx: Array, free: Bools | None = None) -> JointRates:
         J = _jacobian(chain, q, free)
         inverse, singular = right_inverse(J, J, self.damping_m**2)
-        return _step(chain, inverse @ dx, free, singular)
+        return _limited(chain, inverse @ dx, free, singular)
 
 
 @dataclass(frozen=True)
@@ -132,11 +132,11 @@ class SelectivelyDamped:
     gamma_max_rad: float = math.pi / 4
     interval_s: float = INTERVAL_S
 
-    def rates(self, chain: SerialChain, q: Array, dx: Array, free: Bools | None = None) -> Step:
+    def rates(self, chain: SerialChain, q: Array, dx: Array, free: Bools | None = None) -> JointRates:
         J = _jacobian(chain, q, free)
         limit = self.gamma_max_rad / self.interval_s
         if not J.size or not np.isfinite(J).all():
-            return _step(chain, np.zeros(J.shape[1]), free, True)
+            return _limited(chain, np.zeros(J.shape[1]), free, True)
         u, s, vt, _ = lapack.dgesdd(J, full_matrices=False)
         along = (dx @ u).tolist()
         sways = (np.abs(vt) @ np.sqrt((J * J).sum(axis=0))).tolist()
@@ -146,7 +146,7 @@ class SelectivelyDamped:
                 continue
             turn = vt[i] * (part / value)
             dq += _clamped(turn, min(1.0, value / sway) * limit)
-        return _step(chain, _clamped(dq, limit), free, values[-1] ** 2 <= SINGULAR * values[0] ** 2)
+        return _limited(chain, _clamped(dq, limit), free, values[-1] ** 2 <= SINGULAR * values[0] ** 2)
 
 
 @dataclass(frozen=True)
@@ -170,12 +170,12 @@ class ExtendedJacobian:
     full: bool = True
     gain_per_s: float = 0.0
 
-    def rates(self, chain: SerialChain, q: Array, dx: Array, free: Bools | None = None) -> Step:
+    def rates(self, chain: SerialChain, q: Array, dx: Array, free: Bools | None = None) -> JointRates:
         J, curvature = derivatives(chain, q, free)
         pseudo, singular = right_inverse(J)
         dq = pseudo @ dx
         if J.shape[1] <= J.shape[0] or (singular and not np.isfinite(J).all()):
-            return _step(chain, dq, free, singular)
+            return _limited(chain, dq, free, singular)
         g, M = reduced_gradient(self.cost, q, pseudo, curvature if self.full else None, free)
         K, lost = _reduced_inverse(M, null_basis(J))
         along = -(K @ (M @ dq))
@@ -183,7 +183,7 @@ class ExtendedJacobian:
             back = K @ g
             size = math.sqrt(float(back @ back))
             along -= back * (self.gain_per_s * min(1.0, MAX_CORRECTION_RAD / size if size > 0 else 1.0))
-        return _step(chain, dq, free, singular or lost, along, "singular: the extended Jacobian" if lost else "")
+        return _limited(chain, dq, free, singular or lost, along, "singular: the extended Jacobian" if lost else "")
 
 
 def extended_jacobian(chain: SerialChain, cost: Cost, q: Array, N: Array, full: bool = True) -> Array:
@@ -295,9 +295,9 @@ def _clamped(values: Array, limit: float) -> Array:
     return values * (limit / largest) if largest > limit else values
 
 
-def _step(
+def _limited(
     chain: SerialChain, dq: Array, free: Bools | None, singular: bool, along: Array | None = None, note: str = ""
-) -> Step:
+) -> JointRates:
     """Rates dq of the free joints, and as much of a motion along the null space as the limits leave to it; 0 for the
     others. The note says what was held back, and where."""
     limit = chain.max_rate_rad_s if free is None else chain.max_rate_rad_s[free]
@@ -305,21 +305,21 @@ def _step(
     limits = limit.tolist()
     if not all(abs(rate) <= most for rate, most in zip(total.tolist(), limits, strict=True)):
         if along is not None:
-            total = dq + _share(dq.tolist(), along.tolist(), limits) * along
+            total = dq + _share_within(dq.tolist(), along.tolist(), limits) * along
             note = note or "rate limit: part of the motion along the null space"
         most = float((np.abs(total) / limit).max())
         if not math.isfinite(most):
-            return Step(np.zeros(chain.n), True, "singular: rates that are not finite")
+            return JointRates(np.zeros(chain.n), True, "singular: rates that are not finite")
         total = total / max(most, 1.0)
     if singular and not note.startswith("singular"):
         note = "singular: the Jacobian"
     if free is not None:
         some, total = total, np.zeros(chain.n)
         total[free] = some
-    return Step(total, singular, note)
+    return JointRates(total, singular, note)
 
 
-def _share(rates: list[float], along: list[float], limits: list[float]) -> float:
+def _share_within(rates: list[float], along: list[float], limits: list[float]) -> float:
     """The largest share of `along`, up to 1, that brings no rate beyond its limit."""
     share = 1.0
     for rate, more, most in zip(rates, along, limits, strict=True):

@@ -5,20 +5,20 @@ from __future__ import annotations
 from recon.intrinsics.board import Board, Charuco, Chessboard, Corners, parse_board
 from recon.intrinsics.checks import LIMITS, Check, check, coverage
 from recon.intrinsics.picture import draw
-from recon.intrinsics.solve import Calibration, FittedView, calibrate
-from recon.intrinsics.views import View, Views, collect, find_views
+from recon.intrinsics.solve import Calibration, FittedBoardView, calibrate
+from recon.intrinsics.views import BoardView, BoardViews, collect, find_views
 
 __all__ = [
     "LIMITS",
     "Board",
+    "BoardView",
+    "BoardViews",
     "Calibration",
     "Charuco",
     "Check",
     "Chessboard",
     "Corners",
-    "FittedView",
-    "View",
-    "Views",
+    "FittedBoardView",
     "calibrate",
     "check",
     "collect",

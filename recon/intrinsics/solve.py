@@ -27,7 +27,7 @@ from recon.arrays import Array
 from recon.camera import Camera, LensModel
 from recon.errors import InputError, Problem
 from recon.intrinsics.board import Board, Corners
-from recon.intrinsics.views import View, Views
+from recon.intrinsics.views import BoardView, BoardViews
 
 DROP_FACTOR = 3.0
 DROP_FLOOR_PX = 0.3
@@ -49,7 +49,7 @@ _FIXED = {
 
 
 @dataclass(frozen=True)
-class FittedView:
+class FittedBoardView:
     """One picture. rotation, translation_m: (3, 3) and (3,), X_camera = rotation X_board + translation_m.
     residual_px: (N, 2), projected less found. used: whether it counted, or was left out as an outlier."""
 
@@ -81,11 +81,11 @@ class Calibration:
 
     camera: Camera
     board: Board
-    views: tuple[FittedView, ...]
+    views: tuple[FittedBoardView, ...]
     sigma: tuple[float, ...]
 
     @cached_property
-    def used(self) -> tuple[FittedView, ...]:
+    def used(self) -> tuple[FittedBoardView, ...]:
         return tuple(view for view in self.views if view.used)
 
     @cached_property
@@ -103,7 +103,7 @@ class Calibration:
         return {name: float(value) for name, value in zip(names, values, strict=True)}
 
 
-def calibrate(views: Views, model: LensModel, name: str = "cam1") -> Calibration:
+def calibrate(views: BoardViews, model: LensModel, name: str = "cam1") -> Calibration:
     """The camera that explains the views best. Raises InputError where they are too few or determine nothing."""
     if len(views.views) < MIN_VIEWS:
         found = f"the board in {len(views.views)} of {views.examined} pictures"
@@ -126,19 +126,21 @@ def calibrate(views: Views, model: LensModel, name: str = "cam1") -> Calibration
     return Calibration(camera, views.board, tuple(every[view.name] for view in views.views), tuple(sigma.tolist()))
 
 
-def _fitted(view: View, points: Array, camera: Camera, rotation_vector: Array, translation: Array) -> FittedView:
+def _fitted(
+    view: BoardView, points: Array, camera: Camera, rotation_vector: Array, translation: Array
+) -> FittedBoardView:
     rotation = np.asarray(cv2.Rodrigues(rotation_vector)[0], dtype=float)
     translation = np.ravel(translation)
     projected, valid = camera.project(points[view.corners.ids] @ rotation.T + translation)
     # Where the lens model folds there is no projection: as wrong as can be, and finite.
     far = float(np.hypot(*camera.image_size_px))
     residual = np.where(valid[:, None], projected - view.corners.xy_px, far)
-    return FittedView(view.name, view.corners, rotation, translation, residual, used=True)
+    return FittedBoardView(view.name, view.corners, rotation, translation, residual, used=True)
 
 
 def _solve(
-    views: Sequence[View], points: Array, size: tuple[int, int], model: LensModel, name: str
-) -> tuple[Camera, list[FittedView]]:
+    views: Sequence[BoardView], points: Array, size: tuple[int, int], model: LensModel, name: str
+) -> tuple[Camera, list[FittedBoardView]]:
     try:
         solve = _solve_fisheye if model == "fisheye" else _solve_radtan
         matrix, distortion, rotations, translations = solve(views, points, size, model)
@@ -150,7 +152,7 @@ def _solve(
     return camera, [_fitted(view, points, camera, rotation, place) for view, rotation, place in poses]
 
 
-def _solve_radtan(views: Sequence[View], points: Array, size: tuple[int, int], model: LensModel) -> Any:
+def _solve_radtan(views: Sequence[BoardView], points: Array, size: tuple[int, int], model: LensModel) -> Any:
     objects = [points[view.corners.ids].astype(np.float32) for view in views]
     images = [view.corners.xy_px.astype(np.float32).reshape(-1, 1, 2) for view in views]
     _, matrix, distortion, rotations, translations = cv2.calibrateCamera(
@@ -159,7 +161,7 @@ def _solve_radtan(views: Sequence[View], points: Array, size: tuple[int, int], m
     return matrix, np.ravel(distortion)[: len(COEFFICIENTS[model])], rotations, translations
 
 
-def _solve_fisheye(views: Sequence[View], points: Array, size: tuple[int, int], model: LensModel) -> Any:
+def _solve_fisheye(views: Sequence[BoardView], points: Array, size: tuple[int, int], model: LensModel) -> Any:
     objects = [points[view.corners.ids].reshape(1, -1, 3) for view in views]
     images = [view.corners.xy_px.reshape(1, -1, 2) for view in views]
     names = ("CALIB_USE_INTRINSIC_GUESS", "CALIB_RECOMPUTE_EXTRINSIC", "CALIB_FIX_SKEW")
@@ -183,7 +185,7 @@ def _solve_fisheye(views: Sequence[View], points: Array, size: tuple[int, int], 
     return matrix, np.ravel(distortion), rotations, translations
 
 
-def _pose(view: View, points: Array, camera: Camera) -> tuple[Array, Array]:
+def _pose(view: BoardView, points: Array, camera: Camera) -> tuple[Array, Array]:
     """Pose of the board in a picture that the camera was not found from."""
     rays, valid = camera.rays(view.corners.xy_px)
     flat = rays[valid, :2] / rays[valid, 2:]
@@ -195,7 +197,7 @@ def _pose(view: View, points: Array, camera: Camera) -> tuple[Array, Array]:
     return np.zeros(3), np.array([0.0, 0.0, 1.0])
 
 
-def _sigma(views: Sequence[FittedView], points: Array, camera: Camera) -> Array:
+def _sigma(views: Sequence[FittedBoardView], points: Array, camera: Camera) -> Array:
     """Standard deviations of the camera's parameters, with the poses marginalised.
 
     With the Jacobian [A B] of a view's residuals to camera and pose, the information about the camera is the sum of
@@ -220,7 +222,7 @@ def _sigma(views: Sequence[FittedView], points: Array, camera: Camera) -> Array:
     return np.where(diagonal > 0, np.sqrt(variance * np.abs(diagonal)) * scale, np.inf)
 
 
-def _jacobian(view: FittedView, points: Array, camera: Camera) -> tuple[Array, Array]:
+def _jacobian(view: FittedBoardView, points: Array, camera: Camera) -> tuple[Array, Array]:
     """Derivatives of a view's pixels with respect to the camera (2N, 4 + coefficients) and the pose (2N, 6)."""
     rotation, _ = cv2.Rodrigues(view.rotation)
     objects = points[view.corners.ids].reshape(-1, 1, 3)

@@ -33,7 +33,7 @@ Progress = Callable[[str, float], None]
 
 
 @dataclass(frozen=True)
-class View:
+class BoardView:
     """One picture in which the board was found. name: the file's, or the frame's number."""
 
     name: str
@@ -41,13 +41,13 @@ class View:
 
 
 @dataclass(frozen=True)
-class Views:
+class BoardViews:
     """views: those to calibrate from. without_board: names of the pictures in which it was not found. examined:
     how many pictures were looked at; found: in how many of them the board was."""
 
     board: Board
     image_size_px: tuple[int, int]
-    views: tuple[View, ...]
+    views: tuple[BoardView, ...]
     without_board: tuple[str, ...]
     examined: int
     found: int
@@ -80,7 +80,7 @@ def collect(paths: Iterable[Path]) -> list[Path]:
     return list(dict.fromkeys(files))
 
 
-def find_views(files: Sequence[Path], board: Board, progress: Progress = lambda stage, share: None) -> Views:
+def find_views(files: Sequence[Path], board: Board, progress: Progress = lambda stage, share: None) -> BoardViews:
     """Find a board in pictures or in one video, as `collect` gives them.
 
     Raises InputError, with every problem at once, for files that cannot be read, pictures that differ in size, and
@@ -105,7 +105,7 @@ def _is_video(path: Path) -> bool:
     return path.suffix.lower() in VIDEO_SUFFIXES
 
 
-def _from_images(files: Sequence[Path], board: Board, progress: Progress) -> Views:
+def _from_images(files: Sequence[Path], board: Board, progress: Progress) -> BoardViews:
     views, without, problems = [], [], []
     sizes: dict[str, tuple[int, int]] = {}
     names = [file.name for file in files] if len({file.name for file in files}) == len(files) else list(map(str, files))
@@ -122,12 +122,12 @@ def _from_images(files: Sequence[Path], board: Board, progress: Progress) -> Vie
         if corners is None:
             without.append(name)
         else:
-            views.append(View(name, corners))
+            views.append(BoardView(name, corners))
     if len(set(sizes.values())) > 1:
         problems.append(_mixed_sizes(sizes))
     if problems:
         raise InputError(problems)
-    return Views(board, next(iter(sizes.values())), tuple(views), tuple(without), len(files), len(views))
+    return BoardViews(board, next(iter(sizes.values())), tuple(views), tuple(without), len(files), len(views))
 
 
 def _read_gray(file: Path) -> Gray | None:
@@ -157,11 +157,11 @@ def _mixed_sizes(sizes: dict[str, tuple[int, int]]) -> Problem:
 # ---- videos ----
 
 
-def _from_video(path: Path, board: Board, progress: Progress) -> Views:
+def _from_video(path: Path, board: Board, progress: Progress) -> BoardViews:
     info = probe(path)
     count = info.stated_frames or sum(1 for _ in read_frames(path, step=2**31))
     step = max(1, math.ceil(max((info.fps or 30.0) / EXAMINED_HZ, count / MAX_EXAMINED)))
-    found: list[View] = []
+    found: list[BoardView] = []
     without: list[str] = []
     sharpness: list[float] = []
     outlines: list[Array] = []
@@ -172,12 +172,12 @@ def _from_video(path: Path, board: Board, progress: Progress) -> Views:
         if corners is None:
             without.append(f"frame {number}")
             continue
-        found.append(View(f"frame {number}", corners))
+        found.append(BoardView(f"frame {number}", corners))
         sharpness.append(corner_sharpness(gray, corners.xy_px))
         outlines.append(_outline(board, corners) / math.hypot(*info.size_px))
     chosen = choose(np.array(sharpness), np.array(outlines)) if found else []
     views = tuple(found[i] for i in chosen)
-    return Views(board, info.size_px, views, tuple(without), len(found) + len(without), len(found))
+    return BoardViews(board, info.size_px, views, tuple(without), len(found) + len(without), len(found))
 
 
 def choose(sharpness: Array, outlines: Array, most: int = MAX_VIEWS) -> list[int]:

@@ -60,7 +60,7 @@ def read_pose(path: Path, individual: str | None = None) -> StoredPose:
     T, J = xyz.shape[:2]
     names = tuple(_labels(point))[:J]
     problems = name_problems(path, "POINT:LABELS", names)
-    fps = rate(str(np.float32(number))) if (number := _first(point.get("RATE"))) is not None else None
+    fps = rate(str(np.float32(number))) if (number := _first_number(point.get("RATE"))) is not None else None
     if len(names) != J:
         problems.append(Problem(path, "POINT:LABELS", f"{len(names)} names", f"{J}, one for each point"))
     if not T:
@@ -108,7 +108,7 @@ def _content(content: bytes) -> _Content:
     scale = float(_floats(content[12:16], processor)[0])
     parameters = _parameters(content[start : start + BLOCK * content[start + 2]], processor)
     point = parameters.get("POINT", {})
-    if (stated := _first(point.get("SCALE"))) is not None:
+    if (stated := _first_number(point.get("SCALE"))) is not None:
         scale = float(stated)
     first, last = _range(parameters, first, last)
     T, width = max(last - first + 1, 0) if points or analogs else 0, 4 * points + analogs
@@ -180,7 +180,7 @@ def _value(section: bytes, at: int, processor: int) -> Any:
         raise ValueError("a parameter that is cut off")
     if kind == -1:
         width = shape[0] if shape else 1
-        return [_text(data[i : i + width]) for i in range(0, size, width or 1)]
+        return [_decoded_text(data[i : i + width]) for i in range(0, size, width or 1)]
     order = ">" if processor == MIPS else "<"
     values = _floats(data, processor) if kind == 4 else np.frombuffer(data, "i1" if kind == 1 else f"{order}i2")
     return values.reshape(shape[::-1])
@@ -194,7 +194,7 @@ def _floats(data: bytes, processor: int) -> np.ndarray:
     return np.frombuffer(data, ">f4" if processor == MIPS else "<f4")
 
 
-def _text(data: bytes) -> str:
+def _decoded_text(data: bytes) -> str:
     try:
         return data.decode("utf-8").strip(" \0")
     except UnicodeDecodeError:
@@ -205,6 +205,6 @@ def _texts(value: Any) -> list[str]:
     return list(value) if isinstance(value, list) else []
 
 
-def _first(value: Any) -> float | None:
+def _first_number(value: Any) -> float | None:
     """The first number of a parameter."""
     return float(value.ravel()[0]) if isinstance(value, np.ndarray) and value.size else None

@@ -35,7 +35,7 @@ PART = "{bodypart}"
 
 
 @dataclass(frozen=True)
-class Layout:
+class ColumnLayout:
     """of_role: the column of each role but, in a wide table, those of `OF_POINTS`, which of_part has for each bodypart;
     of_part is empty for a long table. unit: that of the coordinates, if all have the same. ignored: other columns."""
 
@@ -75,7 +75,7 @@ def parse_map(text: str) -> dict[str, str]:
     return given
 
 
-def find_layout(path: Path, columns: Sequence[str], given: Mapping[str, str] | None = None) -> Layout:
+def find_layout(path: Path, columns: Sequence[str], given: Mapping[str, str] | None = None) -> ColumnLayout:
     """The roles of a table's columns, by a map or by their names. Raises InputError where there are none."""
     layout = layout_by_name(columns) if given is None else _by_map(path, columns, given)
     if layout is None:
@@ -84,7 +84,7 @@ def find_layout(path: Path, columns: Sequence[str], given: Mapping[str, str] | N
     return layout
 
 
-def layout_by_name(columns: Sequence[str]) -> Layout | None:
+def layout_by_name(columns: Sequence[str]) -> ColumnLayout | None:
     """None where the columns are not obvious."""
     of_role: dict[str, str] = {}
     units: set[str | None] = set()
@@ -98,7 +98,7 @@ def layout_by_name(columns: Sequence[str]) -> Layout | None:
         return None
     if {"bodypart", "x", "y"} <= of_role.keys():
         ignored = tuple(c for c in columns if c not in of_role.values())
-        return Layout(of_role, {}, units.pop() if len(units) == 1 else None, ignored)
+        return ColumnLayout(of_role, {}, units.pop() if len(units) == 1 else None, ignored)
     pattern = re.compile(rf"(.+?)[ _.:/-](?:([xyz]){UNIT}|({'|'.join(ROLES['likelihood'])}))", re.IGNORECASE)
 
     def part_of(column: str) -> tuple[str, str, str | None] | None:
@@ -108,13 +108,13 @@ def layout_by_name(columns: Sequence[str]) -> Layout | None:
     return _wide(columns, {r: c for r, c in of_role.items() if r in ("frame", "time", "individual", "fps")}, part_of)
 
 
-def _by_map(path: Path, columns: Sequence[str], given: Mapping[str, str]) -> Layout | None:
+def _by_map(path: Path, columns: Sequence[str], given: Mapping[str, str]) -> ColumnLayout | None:
     fixed = {role: column for role, column in given.items() if PART not in column}
     if absent := [column for column in fixed.values() if column not in columns]:
         there = ", ".join(columns)[:120]
         raise InputError([Problem(path, "columns", f"no '{column}'", f"one of: {there}") for column in absent])
     if len(fixed) == len(given):
-        return Layout(dict(given), {}, None, ())
+        return ColumnLayout(dict(given), {}, None, ())
     patterns = {}
     for role in given.keys() - fixed.keys():
         before, _, after = given[role].partition(PART)
@@ -129,7 +129,7 @@ def _by_map(path: Path, columns: Sequence[str], given: Mapping[str, str]) -> Lay
 
 def _wide(
     columns: Sequence[str], of_role: dict[str, str], part_of: Callable[[str], tuple[str, str, str | None] | None]
-) -> Layout | None:
+) -> ColumnLayout | None:
     """part_of: bodypart, coordinate and unit of a column, or None. Parts without x or y are none."""
     found = {c: part for c in columns if c not in of_role.values() and (part := part_of(c))}
     has = {(part, coord) for part, coord, _ in found.values()}
@@ -139,4 +139,4 @@ def _wide(
     of_part = {(part, coord): c for c, (part, coord, _) in whole.items()}
     units = {unit for _, coord, unit in whole.values() if coord != "likelihood"}
     ignored = tuple(c for c in columns if c not in of_role.values() and c not in of_part.values())
-    return Layout(of_role, of_part, units.pop() if len(units) == 1 else None, ignored)
+    return ColumnLayout(of_role, of_part, units.pop() if len(units) == 1 else None, ignored)

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from recon.errors import InputError, Problem
-from recon.io.column_map import Layout, find_layout, layout_by_name
+from recon.io.column_map import ColumnLayout, find_layout, layout_by_name
 from recon.io.common import MAX_FRAME, choose, first_problems, frames_of_times, name_problems, number, rate
 from recon.io.hdf5 import is_hdf5
 from recon.io.pose import StoredPose
@@ -42,11 +42,11 @@ class Points:
 
 def recognises(path: Path) -> bool:
     """Whether it is a text table whose columns are obvious, 2D or 3D."""
-    return _obvious(path) is not None
+    return _layout_of_head(path) is not None
 
 
 def recognises_pose(path: Path) -> bool:
-    layout = _obvious(path)
+    layout = _layout_of_head(path)
     return layout is not None and layout.has_z
 
 
@@ -75,13 +75,13 @@ def read_pose(path: Path, individual: str | None = None, columns: Mapping[str, s
     return stored_pose(path, table, find_layout(path, list(table), columns), individual)
 
 
-def stored_pose(path: Path, table: Columns, layout: Layout, individual: str | None) -> StoredPose:
+def stored_pose(path: Path, table: Columns, layout: ColumnLayout, individual: str | None) -> StoredPose:
     points = gather(path, table, layout, ("x", "y", "z"), individual)
     unit = layout.unit if layout.unit != "px" else None
     return StoredPose(points.names, points.values, points.frames, fps=points.fps, unit=unit, notes=points.notes)
 
 
-def gather(path: Path, table: Columns, layout: Layout, coords: Sequence[str], individual: str | None) -> Points:
+def gather(path: Path, table: Columns, layout: ColumnLayout, coords: Sequence[str], individual: str | None) -> Points:
     """The table by frame and point, of one animal. Raises InputError for cells that are no numbers, points that appear
     twice in a frame, coordinates that are missing."""
     rows = np.arange(len(next(iter(table.values()), ())))
@@ -141,7 +141,7 @@ def _clock_problems(path: Path, column: str, ticks: np.ndarray, rows: np.ndarray
 
 def _from_wide(
     path: Path,
-    layout: Layout,
+    layout: ColumnLayout,
     names: Sequence[str],
     coords: Sequence[str],
     row_of: np.ndarray,
@@ -165,7 +165,7 @@ def _from_wide(
 
 def _from_long(
     path: Path,
-    layout: Layout,
+    layout: ColumnLayout,
     names: Sequence[str],
     points: Sequence[str],
     coords: Sequence[str],
@@ -209,20 +209,20 @@ def _numbers(path: Path, column: str, cells: Any, rows: np.ndarray, problems: li
     return values
 
 
-def _obvious(path: Path) -> Layout | None:
+def _layout_of_head(path: Path) -> ColumnLayout | None:
     """The layout of a text table by its first line."""
     if is_hdf5(path):
         return None
     with path.open("rb") as file:
         first = file.readline(1 << 20).removeprefix(b"\xef\xbb\xbf")
     try:
-        header = _cells(first.decode("utf-8"))
+        header = _split_cells(first.decode("utf-8"))
     except (UnicodeDecodeError, csv.Error):
         return None
     return layout_by_name(header) if len(set(header)) == len(header) else None
 
 
-def _cells(line: str) -> list[str]:
+def _split_cells(line: str) -> list[str]:
     separator = max(SEPARATORS, key=line.count)
     return next(csv.reader([line.rstrip("\r\n")], delimiter=separator), [])
 
@@ -233,7 +233,7 @@ def _read_csv(path: Path) -> dict[str, list[str]]:
     with path.open(encoding="utf-8-sig", newline="") as file:
         try:
             first = file.readline()
-            header = _cells(first)
+            header = _split_cells(first)
             rows = csv.reader(file, delimiter=max(SEPARATORS, key=first.count))
             table = []
             for row in rows:

@@ -199,7 +199,7 @@ def attribute(holder: h5py.Group | h5py.Dataset, name: str) -> Any:
     if isinstance(value, bytes):
         return value.decode("utf-8")
     if isinstance(value, np.ndarray) and value.dtype.kind in "SUO":
-        return [_text(item) for item in value.ravel().tolist()]
+        return [_text_of(item) for item in value.ravel().tolist()]
     if isinstance(value, np.ndarray) and value.ndim and value.size == 1:
         return value.ravel()[0]
     return value
@@ -246,7 +246,7 @@ def texts(dataset: Any) -> list[str]:
     if not dataset.size:
         return []
     if not _of_any_length(dataset.id.get_type()):
-        return [_text(item) for item in read(dataset).ravel().tolist()]
+        return [_text_of(item) for item in read(dataset).ravel().tolist()]
     if dataset.size > MAX_TEXTS:
         raise ValueError(f"{dataset.name} has {dataset.size} texts")
     _require_short_texts(dataset)
@@ -256,7 +256,7 @@ def texts(dataset: Any) -> list[str]:
         left -= len(item)
         if left < 0 or not isinstance(item, bytes | str) or isinstance(item, h5py.Empty):
             raise ValueError(f"{dataset.name} has no texts, or too many")
-        found.append(_text(item))
+        found.append(_text_of(item))
     return found
 
 
@@ -268,7 +268,7 @@ def read(dataset: Any) -> np.ndarray:
     return np.asarray(dataset[()])
 
 
-def _text(item: Any) -> str:
+def _text_of(item: Any) -> str:
     return item.decode("utf-8") if isinstance(item, bytes) else str(item)
 
 

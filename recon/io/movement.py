@@ -198,7 +198,7 @@ def _read_hdf5(path: Path) -> tuple[dict[str, _Variable], dict[str, Any]]:
             values = np.array(texts(dataset), object).reshape(dataset.shape) if is_text(dataset) else numbers(dataset)
             facts = {key: attribute(dataset, key) for key in FACTS}
             found[_singular(name)] = _Variable(tuple(map(_singular, dims)), _decoded(values, facts)).joined()
-        attributes = {name: _plain(attribute(file, name)) for name in ATTRIBUTES}
+        attributes = {name: _plain_value(attribute(file, name)) for name in ATTRIBUTES}
     return found, attributes
 
 
@@ -231,14 +231,14 @@ def _read_classic(path: Path) -> tuple[dict[str, _Variable], dict[str, Any]]:
                 for name in VARIABLES
                 if name in file.variables
             }
-            attributes = {name: _plain(file._attributes.get(name)) for name in ATTRIBUTES}
+            attributes = {name: _plain_value(file._attributes.get(name)) for name in ATTRIBUTES}
     except DAMAGE as error:
         found = f"data that cannot be read ({' '.join(str(error).split())[:200]})"
         raise InputError(Problem(path, "content", found, "an undamaged netCDF file")) from None
     return found, attributes
 
 
-def _plain(value: Any) -> Any:
+def _plain_value(value: Any) -> Any:
     """A text or a number; None for anything else."""
     if isinstance(value, bytes):
         return value.decode("utf-8")

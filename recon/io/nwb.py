@@ -26,7 +26,7 @@ UP_TEXT = "z up"
 
 
 @dataclass(frozen=True, eq=False)
-class _Series:
+class _PoseSeries:
     """One point: values (T, 2 or 3), confidence (T,), times_s (T,)."""
 
     name: str
@@ -41,7 +41,7 @@ class _Series:
 @dataclass(frozen=True, eq=False)
 class _Container:
     name: str
-    series: list[_Series]
+    series: list[_PoseSeries]
     nodes: list[str]
     edges: np.ndarray
 
@@ -60,7 +60,7 @@ def read(path: Path, individual: str | None = None) -> Keypoints:
     """The 2D keypoints of one animal, which a file of several calls by its container. Raises InputError."""
     containers = _load(path)
     container = containers[choose(path, [c.name for c in containers], individual)]
-    series, frames, fps = _checked(path, container)
+    series, frames, fps = _checked_series(path, container)
     if series[0].values.shape[-1] == 3:
         found = f"x, y, z in {container.name}: 3D positions"
         raise InputError(Problem(path, "data", found, "2D keypoints in pixels (x, y)"))
@@ -80,7 +80,7 @@ def read_pose(path: Path, individual: str | None = None) -> StoredPose:
     """The 3D positions of one animal. Raises InputError."""
     containers = _load(path)
     container = containers[choose(path, [c.name for c in containers], individual)]
-    series, frames, fps = _checked(path, container)
+    series, frames, fps = _checked_series(path, container)
     points = tuple(s.name for s in series)
     edges = ()
     if set(container.nodes) == set(points):
@@ -110,13 +110,13 @@ def _load(path: Path) -> list[_Container]:
                 series = [_series(path, point) for point in points]
                 order = {node: i for i, node in enumerate(nodes)}
                 series.sort(key=lambda s: order.get(s.name, len(order)))
-                found.append(_Container(_last(group.name), series, nodes, edges))
+                found.append(_Container(_last_part(group.name), series, nodes, edges))
     if not found:
         raise InputError(Problem(path, "PoseEstimationSeries", "none", "poses of the extension ndx-pose"))
     return found
 
 
-def _last(name: str | None) -> str:
+def _last_part(name: str | None) -> str:
     return str(name or "").rsplit("/", 1)[-1]
 
 
@@ -137,8 +137,8 @@ def _skeleton(group: Any, inside: list[Any]) -> tuple[list[str], np.ndarray]:
     return [], np.zeros((0, 2), np.int64)
 
 
-def _series(path: Path, group: Any) -> _Series:
-    data, name = child(group, "data"), _last(group.name)
+def _series(path: Path, group: Any) -> _PoseSeries:
+    data, name = child(group, "data"), _last_part(group.name)
     values = numbers(data)
     if values.ndim != 2 or values.shape[1] not in (2, 3) or values.dtype.kind not in "fiu":
         raise InputError(Problem(path, name, f"{values.dtype} {values.shape}", "numbers, (frames, 2) or (frames, 3)"))
@@ -162,7 +162,7 @@ def _series(path: Path, group: Any) -> _Series:
         raise InputError(Problem(path, name, found, "as many of each"))
     reference = "".join(texts(frame)) if (frame := child(group, "reference_frame")) is not None else ""
     unit = str(attribute(data, "unit") or "")
-    return _Series(name, values, sure, times_s, fps, unit, reference.endswith(UP_TEXT))
+    return _PoseSeries(name, values, sure, times_s, fps, unit, reference.endswith(UP_TEXT))
 
 
 def _number(dataset: Any, name: str, otherwise: float) -> float:
@@ -171,7 +171,7 @@ def _number(dataset: Any, name: str, otherwise: float) -> float:
     return otherwise if value is None else float(value)
 
 
-def _checked(path: Path, container: _Container) -> tuple[list[_Series], np.ndarray, float | None]:
+def _checked_series(path: Path, container: _Container) -> tuple[list[_PoseSeries], np.ndarray, float | None]:
     """The series of one animal with their frame numbers and rate. Raises InputError where they do not fit together."""
     series = container.series
     first = series[0]

@@ -80,7 +80,7 @@ def _fixed(group: Any) -> Frame:
         if values.shape != (len(index), len(items)):
             raise ValueError(f"{values.shape} cells for {len(index)} rows and {len(items)} columns")
         parts.append(([free[label].pop(0) for label in items], values))
-    return Frame(levels, columns, index, _cells(len(index), len(columns), parts))
+    return Frame(levels, columns, index, _table_of_blocks(len(index), len(columns), parts))
 
 
 def _axis(group: Any, name: str) -> tuple[tuple[str | None, ...], tuple[Label, ...]]:
@@ -171,7 +171,7 @@ def _table(group: Any) -> Frame:
         if values.shape[1] != len(labels) or values.dtype.kind not in "fiubS":
             raise ValueError(f"{values.shape[1]} columns of {values.dtype} with {len(labels)} labels in {name}")
         parts.append(([places[label] for label in labels], values))
-    cells = _cells(len(rows), len(columns), parts)
+    cells = _table_of_blocks(len(rows), len(columns), parts)
     return Frame(_level_names(group, depth.pop()), columns, tuple((label,) for label in index), cells)
 
 
@@ -201,7 +201,7 @@ def _label(label: Any) -> Label:
 # -- both ---------------------------------------------------------------------------------------------------------
 
 
-def _cells(rows: int, columns: int, parts: list[tuple[list[int], np.ndarray]]) -> np.ndarray:
+def _table_of_blocks(rows: int, columns: int, parts: list[tuple[list[int], np.ndarray]]) -> np.ndarray:
     """(rows, columns): what several blocks have; NaN where none has anything."""
     texts = any(values.dtype.kind == "S" for _, values in parts)
     cells = np.full((rows, columns), np.nan, object if texts else float)

@@ -65,18 +65,18 @@ def augment(
         background = _warp(example.background, to, size_px)
         if example.mask is not None and rng.random() < options.paste:
             mask = _warp(example.mask, to, size_px, constant=True)[..., None].astype(np.float32) / 255
-            background = _elsewhere(example.background, size_px, rng)
+            background = _other_background(example.background, size_px, rng)
             picture = (picture * mask + background * (1 - mask)).astype(np.uint8)
     xy_px = example.xy_px @ to[:, :2].T + to[:, 2]
     if mirrored and options.partner is not None:
         xy_px = xy_px[list(options.partner)]
     outside = np.any((xy_px < 0) | (xy_px > np.array(size_px) - 1.0), axis=1, keepdims=True)
     xy_px = np.where(outside, np.nan, xy_px)
-    light = _light(size_px, options, rng)
-    picture = _lit(picture, light)
+    light = _random_light(size_px, options, rng)
+    picture = _in_light(picture, light)
     if background is not None:
-        background = _lit(background, light)
-    picture = _cover(picture, background, example.length_px, options, rng)
+        background = _in_light(background, light)
+    picture = _partly_covered(picture, background, example.length_px, options, rng)
     if rng.random() < options.blur:
         picture = motion_blur(picture, rng.uniform(1.5, 0.06 * example.length_px + 2), rng.uniform(0, math.pi))
     sigma = rng.uniform(0, options.noise)
@@ -121,7 +121,7 @@ def _warp(picture: Image, to: Array, size_px: tuple[int, int], constant: bool = 
     return np.asarray(cv2.warpAffine(picture, to, size_px, flags=flags, borderMode=border), np.uint8)
 
 
-def _elsewhere(background: Image, size_px: tuple[int, int], rng: np.random.Generator) -> Image:
+def _other_background(background: Image, size_px: tuple[int, int], rng: np.random.Generator) -> Image:
     """Another part of the clip's own background, or its mirror picture."""
     height, width = background.shape[:2]
     scale = math.exp(rng.uniform(-0.4, 0.5)) * max(1.0, 0.7 * size_px[0] / width, 0.7 * size_px[1] / height)
@@ -131,7 +131,7 @@ def _elsewhere(background: Image, size_px: tuple[int, int], rng: np.random.Gener
     return _warp(background, np.column_stack([linear, place]), size_px)
 
 
-def _light(
+def _random_light(
     size_px: tuple[int, int], options: Augmentation, rng: np.random.Generator
 ) -> tuple[NDArray[np.uint8], NDArray[np.float32] | None]:
     """A table (256, 3) for the levels of each colour, and a factor for each pixel (H, W, 1) where there is a patch."""
@@ -153,13 +153,13 @@ def _light(
     return table, factor[..., None].astype(np.float32)
 
 
-def _lit(picture: Image, light: tuple[NDArray[np.uint8], NDArray[np.float32] | None]) -> Image:
+def _in_light(picture: Image, light: tuple[NDArray[np.uint8], NDArray[np.float32] | None]) -> Image:
     table, factor = light
     lit = cv2.LUT(picture, table[None])
     return np.asarray(lit if factor is None else np.clip(lit * factor, 0, 255), np.uint8)
 
 
-def _cover(
+def _partly_covered(
     picture: Image, background: Image | None, length_px: float, options: Augmentation, rng: np.random.Generator
 ) -> Image:
     """Up to three rectangles of one colour, or of the background: what stands before the animal."""

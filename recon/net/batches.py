@@ -68,7 +68,7 @@ def examples_of(labels: Labels, backgrounds: tuple[Image | None, ...], paste: bo
 
 
 @dataclass(frozen=True, eq=False)
-class Source:
+class BatchSource:
     """Makes the batch of a step: a function of the seed, the step and the pictures to draw from only."""
 
     examples: list[Example]
@@ -94,7 +94,7 @@ class Source:
 class Ahead:
     """Batches of the steps to come, asked for before they are needed. A change of the pool drops those in flight."""
 
-    def __init__(self, source: Source, executor: ThreadPoolExecutor) -> None:
+    def __init__(self, source: BatchSource, executor: ThreadPoolExecutor) -> None:
         self._source, self._executor = source, executor
         self._waiting: dict[int, Future[Batch]] = {}
         self._pool: Integers = np.zeros(0, np.int64)
@@ -110,7 +110,7 @@ class Ahead:
 
 
 @contextmanager
-def ahead(source: Source) -> Iterator[Ahead]:
+def ahead(source: BatchSource) -> Iterator[Ahead]:
     with ThreadPoolExecutor(max_workers=1, thread_name_prefix="pictures") as executor:
         try:
             yield Ahead(source, executor)

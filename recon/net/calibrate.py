@@ -23,7 +23,7 @@ _PRIOR_SIGMA = (0.5, 2.0)
 
 
 @dataclass(frozen=True)
-class Calibration:
+class LikelihoodCalibration:
     """likelihood = expit(slope * logit(raw) + offset). points: how many it was fitted to; 0: it changes nothing."""
 
     slope: float = 1.0
@@ -37,11 +37,11 @@ class Calibration:
         return expit(self.slope * logit(np.clip(raw, _EDGE, 1 - _EDGE)) + self.offset)
 
 
-def fit_calibration(raw: Array, right: Bools) -> Calibration:
+def fit_calibration(raw: Array, right: Bools) -> LikelihoodCalibration:
     """From raw likelihoods (N,) and whether their points are right (N,), by maximum likelihood with a weak prior on
     slope and offset, which keeps both finite where all points are right."""
     if not len(raw):
-        return Calibration()
+        return LikelihoodCalibration()
     x, y = logit(np.clip(raw, _EDGE, 1 - _EDGE)), right.astype(float)
     mean, sigma = np.array(_PRIOR), np.array(_PRIOR_SIGMA)
 
@@ -52,7 +52,7 @@ def fit_calibration(raw: Array, right: Bools) -> Calibration:
         return value, np.array([(slack * x).sum(), slack.sum()]) + (p - mean) / sigma**2
 
     found = minimize(cost, mean, jac=True, method="L-BFGS-B", bounds=[(0.05, 5.0), (-10.0, 10.0)])
-    return Calibration(float(found.x[0]), float(found.x[1]), len(raw))
+    return LikelihoodCalibration(float(found.x[0]), float(found.x[1]), len(raw))
 
 
 @dataclass(frozen=True)

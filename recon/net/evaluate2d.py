@@ -23,7 +23,7 @@ TOLERANCE_PX = 5.0
 
 
 @dataclass(frozen=True)
-class Score:
+class Score2D:
     """Over labelled points. points: how many; found: the share of them that was predicted (and likely enough); rmse_px
     and median_px over those found, NaN without any; pck_px and pck_relative: shares of all labelled points, those not
     found being wrong."""
@@ -56,11 +56,11 @@ class Evaluation2D:
     body_length_px: float
     likelihood_min: float
     tolerance_px: float
-    all: Score
-    likely: Score
-    swaps_forgiven: Score | None
-    per_keypoint: dict[str, Score]
-    likely_per_keypoint: dict[str, Score]
+    all: Score2D
+    likely: Score2D
+    swaps_forgiven: Score2D | None
+    per_keypoint: dict[str, Score2D]
+    likely_per_keypoint: dict[str, Score2D]
     reliability: Reliability | None
 
     def to_dict(self) -> dict[str, Any]:
@@ -169,7 +169,7 @@ def _forgiven(xy_px: Array, label_px: Array, partner: tuple[int, ...]) -> Array:
     return np.where(of_pair[1] < of_pair[0], other, own)
 
 
-def _score(errors: Array, labelled: Bools, length_px: float) -> Score:
+def _score(errors: Array, labelled: Bools, length_px: float) -> Score2D:
     """errors: NaN where not labelled or not found."""
     n = int(labelled.sum())
     found = errors[labelled & np.isfinite(errors)]
@@ -178,7 +178,7 @@ def _score(errors: Array, labelled: Bools, length_px: float) -> Score:
     def share(limit_px: float) -> float:
         return float((found <= limit_px).sum() / n) if n and np.isfinite(limit_px) else nan
 
-    return Score(
+    return Score2D(
         n,
         len(found) / n if n else nan,
         float(np.sqrt(np.mean(found**2))) if len(found) else nan,

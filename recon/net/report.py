@@ -19,7 +19,7 @@ from recon.net.draw import draw_comparison
 from recon.net.evaluate2d import Evaluation2D, evaluate_2d
 from recon.net.labels import Labels, extents_px
 from recon.net.model import count_parameters
-from recon.net.run import Run, State
+from recon.net.run import State, TrainingRun
 from recon.net.suspicious import Suspect, suspicious_labels
 from recon.net.torch_extra import require_torch
 from recon.net.train import judge
@@ -35,7 +35,7 @@ WORST = 6
 CURVE_POINTS = 400
 
 
-def write_training_report(run: Run, state: State, folder: Path) -> dict[str, Any]:
+def write_training_report(run: TrainingRun, state: State, folder: Path) -> dict[str, Any]:
     """Into an existing folder; returns what stands in training.json."""
     spec = dataclasses.replace(run.spec, calibrations=state.calibrations)
     trained = Trained(spec, prepared(state.average, run.device), run.device)
@@ -92,7 +92,7 @@ def write_training_report(run: Run, state: State, folder: Path) -> dict[str, Any
     return report
 
 
-def _evaluation(run: Run, which: Integers, xy_px: Array, likelihood: Array) -> Evaluation2D:
+def _evaluation(run: TrainingRun, which: Integers, xy_px: Array, likelihood: Array) -> Evaluation2D:
     length = extents_px(run.labels.xy_px[which])
     length_px = float(np.nanmedian(length)) if np.isfinite(length).any() else run.spec.body_length_px
     names, truth = run.spec.names, run.labels.xy_px[which]

@@ -18,7 +18,7 @@ from recon.files import staged_file, write_bytes
 from recon.net.augment import Augmentation
 from recon.net.background import backgrounds
 from recon.net.batches import network_scale
-from recon.net.calibrate import Calibration
+from recon.net.calibrate import LikelihoodCalibration
 from recon.net.labels import Labels, body_length_px, sides
 from recon.net.model import build_network
 from recon.net.split import Split
@@ -90,13 +90,13 @@ class State:
     since_best: int = 0
     stopped_early: bool = False
     skipped: float = 0.0
-    calibrations: dict[str, Calibration] = field(default_factory=dict)
+    calibrations: dict[str, LikelihoodCalibration] = field(default_factory=dict)
     judged: dict[str, tuple[Array, Bools]] = field(default_factory=dict)
     history: list[dict[str, float]] = field(default_factory=list)
 
 
 @dataclass(frozen=True, eq=False)
-class Run:
+class TrainingRun:
     """What stays the same from step to step; pictures are at the network's scale."""
 
     settings: TrainSettings
@@ -108,7 +108,7 @@ class Run:
     device: torch.device
 
 
-def prepare(labels: Labels, split: Split, settings: TrainSettings, device: torch.device) -> Run:
+def prepare(labels: Labels, split: Split, settings: TrainSettings, device: torch.device) -> TrainingRun:
     known = np.concatenate([split.train, split.validation])
     scale = network_scale(labels.xy_px[known])
     length = body_length_px(labels.xy_px[known])
@@ -117,10 +117,10 @@ def prepare(labels: Labels, split: Split, settings: TrainSettings, device: torch
     spec = Spec(labels.names, scale, float(length), float(TOLERANCE * length), partner, settings.mirror, {})
     scaled = labels.scaled(scale)
     still = backgrounds(scaled, split.test) if settings.still_background else (None,) * len(labels.clips)
-    return Run(settings, spec, labels, scaled, split, still, device)
+    return TrainingRun(settings, spec, labels, scaled, split, still, device)
 
 
-def begin(run: Run) -> State:
+def begin(run: TrainingRun) -> State:
     torch = require_torch()
     with torch.random.fork_rng():
         torch.manual_seed(run.settings.seed)
@@ -137,7 +137,7 @@ def _optimizer(network: torch.nn.Module, settings: TrainSettings) -> torch.optim
     return torch.optim.AdamW(groups, lr=settings.learning_rate)
 
 
-def save_checkpoint(state: State, run: Run, out: Path) -> None:
+def save_checkpoint(state: State, run: TrainingRun, out: Path) -> None:
     """Everything that the rest of a run depends on, whole or not at all."""
     torch = require_torch()
     path = out / CHECKPOINT_FILE
@@ -164,7 +164,7 @@ _PLAIN = ("step", "share", "seconds", "finishing", "best_error_px", "best_step",
           "skipped")  # fmt: skip
 
 
-def resumed(run: Run, out: Path) -> State:
+def resumed(run: TrainingRun, out: Path) -> State:
     """The state of a checkpoint. Raises InputError where it belongs to other keypoints, settings or pictures."""
     path = out / CHECKPOINT_FILE
     content = load_file(path)
@@ -187,7 +187,9 @@ def resumed(run: Run, out: Path) -> State:
     state.average.load_state_dict(content["average"])
     state.optimizer.load_state_dict(content["optimizer"])
     state.best, state.history = content["best"], content["history"]
-    state.calibrations = {quality: Calibration(**values) for quality, values in content["calibrations"].items()}
+    state.calibrations = {
+        quality: LikelihoodCalibration(**values) for quality, values in content["calibrations"].items()
+    }
     state.judged = {
         quality: (np.array(likelihood, float), np.array(right, bool))
         for quality, (likelihood, right) in content["judged"].items()

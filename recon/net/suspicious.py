@@ -48,7 +48,7 @@ def suspicious_labels(labels: Labels, xy_px: Array, length_px: float) -> list[Su
     """The most suspicious first. xy_px (N, K, 2): what the network says, in pixels of the clip, NaN in pictures that it
     has not learned from."""
     network = np.linalg.norm(xy_px - labels.xy_px, axis=2) / length_px
-    others, time = _apart(labels.xy_px) / length_px, _jump(labels) / length_px
+    others, time = _excess_distance_px(labels.xy_px) / length_px, _off_line_px(labels) / length_px
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # a keypoint that the network says nothing about
         far = np.fmax(FAR, LEARNED * np.nanmedian(network, axis=0))
@@ -81,7 +81,7 @@ def suspicious_labels(labels: Labels, xy_px: Array, length_px: float) -> list[Su
     return sorted(found, key=lambda s: -s.rank)[:MOST]
 
 
-def _apart(xy_px: Array) -> Array:
+def _excess_distance_px(xy_px: Array) -> Array:
     """(N, K): by how much a label is farther than usual from that of the others to which this is least so; px."""
     n, k = xy_px.shape[:2]
     least = np.full((n, k), np.inf)
@@ -95,7 +95,7 @@ def _apart(xy_px: Array) -> Array:
     return np.where(np.isfinite(least), least, np.nan)
 
 
-def _jump(labels: Labels) -> Array:
+def _off_line_px(labels: Labels) -> Array:
     """(N, K): distance from a line through two near neighbours in time, before, after or on both sides, whichever is
     least: a label beside a wrong one is not wrong itself; px."""
     off = np.full(labels.labelled.shape, np.nan)

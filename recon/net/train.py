@@ -22,11 +22,11 @@ from typing import Any
 import numpy as np
 
 from recon.arrays import Array, Integers
-from recon.net.batches import Batch, Source, ahead, crop_size, examples_of
+from recon.net.batches import Batch, BatchSource, ahead, crop_size, examples_of
 from recon.net.calibrate import fit_calibration
 from recon.net.decode import loss
 from recon.net.model import STRIDE
-from recon.net.run import Run, State, TrainSettings, begin, resumed, save_checkpoint
+from recon.net.run import State, TrainingRun, TrainSettings, begin, resumed, save_checkpoint
 from recon.net.torch_extra import fast_half, require_torch
 from recon.net.trained import MODEL_FILE, VIEWS, Trained, as_input, prepared, save_model
 
@@ -45,7 +45,9 @@ Progress = Callable[[str, float, str], None]
 """What is being done, how much of all is done (0 to 1), and the figures so far."""
 
 
-def train(run: Run, out: Path, resume: bool = False, progress: Progress = lambda stage, share, text: None) -> State:
+def train(
+    run: TrainingRun, out: Path, resume: bool = False, progress: Progress = lambda stage, share, text: None
+) -> State:
     """Trains, or goes on, to the end; `out` gets a checkpoint at each evaluation, and the model at the end."""
     torch = require_torch()
     torch.backends.cudnn.deterministic, torch.backends.cudnn.benchmark = True, False
@@ -53,7 +55,7 @@ def train(run: Run, out: Path, resume: bool = False, progress: Progress = lambda
     settings, split = run.settings, run.split
     half = fast_half(run.device) if settings.half else None
     augmentation = dataclasses.replace(settings.augmentation, partner=run.spec.partner if settings.mirror else None)
-    source = Source(
+    source = BatchSource(
         examples_of(run.scaled, run.still, augmentation.paste > 0),
         crop_size(run.scaled),
         augmentation,
@@ -74,13 +76,13 @@ def train(run: Run, out: Path, resume: bool = False, progress: Progress = lambda
             state.seconds = clock.seconds
             row = {"step": state.step, "loss": value, "rate": rate, "share": state.share}
             state.history.append(row | ({} if held_out else {"finishing": 1.0}))
-            if _due(state) or (held_out and state.finishing):
+            if _is_evaluation_due(state) or (held_out and state.finishing):
                 _evaluate(state, run, held_out)
                 _stop_early(state, settings)
                 if held_out and (state.finishing or state.share >= 1):
                     _end_first_part(state, run)
                 save_checkpoint(state, run, out)
-            progress("finishing" if state.finishing else "learning", state.share, _figures(state))
+            progress("finishing" if state.finishing else "learning", state.share, _figures_text(state))
     spec = dataclasses.replace(run.spec, calibrations=state.calibrations)
     save_model(spec, state.average.state_dict(), out / MODEL_FILE)
     return state
@@ -113,7 +115,7 @@ class _Clock:
         return self._before + time.monotonic() - self._start
 
 
-def _learn(state: State, batch: Batch, rate: float, run: Run, half: Any) -> float:
+def _learn(state: State, batch: Batch, rate: float, run: TrainingRun, half: Any) -> float:
     import torch  # pyright: ignore[reportMissingImports]
 
     state.network.train()
@@ -158,13 +160,13 @@ def _stop_early(state: State, settings: TrainSettings) -> None:
     state.share, state.stopped_early, state.finishing = to, True, settings.finish
 
 
-def _due(state: State) -> bool:
+def _is_evaluation_due(state: State) -> bool:
     """At each `EVALUATIONS`th of the run."""
     before = state.history[-2]["share"] if len(state.history) > 1 else 0.0
     return math.floor(state.share * EVALUATIONS) > math.floor(before * EVALUATIONS) or state.share >= 1
 
 
-def _evaluate(state: State, run: Run, held_out: bool) -> None:
+def _evaluate(state: State, run: TrainingRun, held_out: bool) -> None:
     """held_out: whether the validation pictures have not been learned from yet."""
     which = run.split.validation
     if not len(which) or not run.labels.labelled[which].any():
@@ -182,7 +184,7 @@ def _evaluate(state: State, run: Run, held_out: bool) -> None:
         state.since_best += 1
 
 
-def _end_first_part(state: State, run: Run) -> None:
+def _end_first_part(state: State, run: TrainingRun) -> None:
     """Calibrates by the validation pictures, which have not been learned from so far. Where they never are, the best
     weights are the result."""
     if not run.settings.finish and state.best is not None:
@@ -200,7 +202,7 @@ def _end_first_part(state: State, run: Run) -> None:
         state.judged[quality] = (calibration.apply(raw[labelled]), right)
 
 
-def judge(trained: Trained, run: Run, which: Integers, quality: str = "fast") -> tuple[Array, Array, Array]:
+def judge(trained: Trained, run: TrainingRun, which: Integers, quality: str = "fast") -> tuple[Array, Array, Array]:
     """Errors (n, K) in px of the clip, NaN where there is no label; raw likelihoods (n, K); points (n, K, 2)."""
     xy, raw = np.zeros((len(which), len(run.spec.names), 2)), np.zeros((len(which), len(run.spec.names)))
     for c in np.unique(run.scaled.clip[which]):
@@ -210,7 +212,7 @@ def judge(trained: Trained, run: Run, which: Integers, quality: str = "fast") ->
     return np.linalg.norm(xy - run.labels.xy_px[which], axis=2), raw, xy
 
 
-def _figures(state: State) -> str:
+def _figures_text(state: State) -> str:
     recent = [h["loss"] for h in state.history[-50:]]
     judged = next((h["validation_px"] for h in reversed(state.history) if "validation_px" in h), None)
     error = "" if judged is None else f", validation error {judged:.2f} px"

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from recon.arrays import Array
 from recon.errors import InputError, Problem
 from recon.files import staged_file, write_bytes
-from recon.net.calibrate import Calibration
+from recon.net.calibrate import LikelihoodCalibration
 from recon.net.decode import decode, probabilities
 from recon.net.labels import scale_points
 from recon.net.model import STRIDE, build_network
@@ -51,14 +51,14 @@ class Spec:
     tolerance_px: float
     partner: tuple[int, ...]
     mirrored: bool
-    calibrations: dict[str, Calibration]
+    calibrations: dict[str, LikelihoodCalibration]
 
     @property
     def tolerance_places(self) -> float:
         return self.tolerance_px * self.scale / STRIDE
 
     def likelihood(self, raw: Array, quality: str) -> Array:
-        return self.calibrations.get(quality, Calibration()).apply(raw)
+        return self.calibrations.get(quality, LikelihoodCalibration()).apply(raw)
 
 
 @dataclass(frozen=True, eq=False)
@@ -172,7 +172,9 @@ def load_model(folder: Path, device: torch.device) -> Trained:
         raise InputError(Problem(path, "model", "a file of another kind or version", "one that `recon train` wrote"))
     try:
         kept = content["spec"]
-        calibrations = {quality: Calibration(**values) for quality, values in kept.pop("calibrations").items()}
+        calibrations = {
+            quality: LikelihoodCalibration(**values) for quality, values in kept.pop("calibrations").items()
+        }
         kept |= {name: tuple(kept[name]) for name in ("names", "partner")}
         spec = Spec(**kept, calibrations=calibrations)
         network = build_network(len(spec.names), CHANNELS)

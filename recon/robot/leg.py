@@ -37,7 +37,7 @@ from numpy.typing import ArrayLike
 from recon.arrays import Array, Bools, Integers
 from recon.ik.joint_chain import JointChain
 
-ANGLES = ("swing", "flap", "knee")
+LEG_ANGLES = ("swing", "flap", "knee")
 
 REACHED, NOT_FINITE, TOO_FAR, TOO_NEAR, TOO_LATERAL = range(5)
 REASONS = (
@@ -162,7 +162,7 @@ class SwingLeg(_KneedLeg):
         U = np.sqrt(np.maximum(u2, 0.0))
         b = np.arctan2(up * x, U)
         a = _wrapped(np.arctan2(z, y) + np.arctan2(up * U, P))
-        return _solved(np.stack([a, b, s], axis=-1), code, feet)
+        return _leg_angles(np.stack([a, b, s], axis=-1), code, feet)
 
     def chain(self) -> JointChain:
         offset = (0.0, self.knee_offset_m, -self.thigh_m)
@@ -205,7 +205,7 @@ class FlapLeg(_KneedLeg):
         # (x, z) is (d, Z) turned by b; (y, Z) is (P, -Q) turned by a.
         b = _wrapped(np.arctan2(z, x) - np.arctan2(Z, d))
         a = _wrapped(np.arctan2(Z, y) + np.arctan2(Q, P))
-        return _solved(np.stack([a, b, s], axis=-1), code, feet)
+        return _leg_angles(np.stack([a, b, s], axis=-1), code, feet)
 
     def chain(self) -> JointChain:
         return JointChain(
@@ -263,6 +263,6 @@ def _wrapped(angle: Array) -> Array:
     return (angle + np.pi) % (2 * np.pi) - np.pi
 
 
-def _solved(angles: Array, code: Integers, feet: Array) -> LegAngles:
+def _leg_angles(angles: Array, code: Integers, feet: Array) -> LegAngles:
     code = np.where(np.isfinite(feet).all(axis=0), code, NOT_FINITE)
     return LegAngles(np.where((code == REACHED)[..., None], angles, np.nan), code)

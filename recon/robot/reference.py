@@ -57,9 +57,10 @@ class Reference:
 
 
 @dataclass(frozen=True)
-class Window:
+class StrideWindow:
     """A stride as samples of a reference, first and last. how: "given", "stride", a complete one of a foot, or
-    "return", where all feet come back nearest to where they began. gap_percent: how far apart its ends are, of the paths' extent."""
+    "return", where all feet come back nearest to where they began. gap_percent: how far apart its ends are, of the
+    paths' extent."""
 
     first: int
     last: int
@@ -214,7 +215,7 @@ def _longest(known: Bools) -> Index:
 # -- a stride --------------------------------------------------------------------------------------------------------
 
 
-def stride_window(animal: Animal) -> Window:
+def stride_window(animal: Animal) -> StrideWindow:
     """The stride that was given, or a complete one, the first of the foot with the most, or else the nearest return of
     all feet.
 
@@ -224,9 +225,9 @@ def stride_window(animal: Animal) -> Window:
     if (given := animal.analysis.given) is not None:
         first, last = (int(np.argmin(np.abs(time - t))) for t in (given.start_s, given.end_s))
         if time[last] - time[first] < 0.8 * (given.end_s - given.start_s):
-            found, expected = f"{given.start_s:g}:{given.end_s:g}", f"within {time[0]:.3f}:{time[-1]:.3f}, where all is seen"
-            raise InputError(Problem("--stride", "times", found, expected))
-        return Window(first, last, "given", _gap_percent(reference.feet_m, first, last))
+            expected = f"within {time[0]:.3f}:{time[-1]:.3f}, where all feet are seen"
+            raise InputError(Problem("--stride", "times", f"{given.start_s:g}:{given.end_s:g}", expected))
+        return StrideWindow(first, last, "given", _gap_percent(reference.feet_m, first, last))
     strides = [
         s
         for s in animal.analysis.gaits[animal.method].strides
@@ -236,7 +237,7 @@ def stride_window(animal: Animal) -> Window:
         feet = [s.foot for s in strides]
         stride = min(strides, key=lambda s: (-feet.count(s.foot), s.start_s))
         first, last = (int(np.argmin(np.abs(time - t))) for t in (stride.start_s, stride.end_s))
-        return Window(first, last, "stride", _gap_percent(reference.feet_m, first, last))
+        return StrideWindow(first, last, "stride", _gap_percent(reference.feet_m, first, last))
     landed = [s.start_s for s in animal.stances if s.begins]
     duration = float(time[-1] - time[0])
     least = min(duration, max(duration / 2, float(time[-1]) - min(landed, default=float(time[0]))))
@@ -249,7 +250,7 @@ def stride_window(animal: Animal) -> Window:
             k = int(np.argmin(distance))
             if distance[k] < best:
                 best, chosen = float(distance[k]), (first, int(lasts[k]))
-    return Window(*chosen, "return", _gap_percent(reference.feet_m, *chosen))
+    return StrideWindow(*chosen, "return", _gap_percent(reference.feet_m, *chosen))
 
 
 def _gap_percent(feet_m: Array, first: int, last: int) -> float:
@@ -258,7 +259,7 @@ def _gap_percent(feet_m: Array, first: int, last: int) -> float:
     return 100 * float(np.mean(np.linalg.norm(feet_m[last] - feet_m[first], axis=-1) / extent))
 
 
-def closed_stride(animal: Animal, window: Window) -> Reference:
+def closed_stride(animal: Animal, window: StrideWindow) -> Reference:
     """The window as a stride that repeats: gaps are spread evenly over it, and `HARMONICS` kept. It goes straight on.
 
     A foot that does not stand in the window stands when it does so before or after, one stride away.

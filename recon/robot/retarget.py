@@ -166,7 +166,7 @@ def retarget(
     for share in SPREADS:
         spread = share * robot.stand_m
         chosen = largest_scale((clip, stride), robot, spread) if scale is None else scale
-        moved = [_move(reference, robot, chosen, spread) for reference in (clip, stride)]
+        moved = [_robot_motion(reference, robot, chosen, spread) for reference in (clip, stride)]
         tried.append(Retargeted(moved[0], moved[1], scale is None, spread))
         if tried[-1].apart_m >= LEGS_APART * robot.stand_m:
             break
@@ -225,7 +225,7 @@ def place(
     return pose, on_ground(feet_in_world(level, neutral, ways)), standing
 
 
-def _move(reference: Reference, robot: Quadruped, scale: float, spread_m: float) -> RobotMotion:
+def _robot_motion(reference: Reference, robot: Quadruped, scale: float, spread_m: float) -> RobotMotion:
     pose, feet, standing = place(reference, robot, scale, spread_m)
     targets = leg_targets(pose, np.zeros(3), feet)
     solved = [drawn_in(leg, targets[:, k]) for k, leg in enumerate(_legs(robot))]

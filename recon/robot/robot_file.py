@@ -14,7 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from recon.documents import parse_toml, read_toml
 from recon.errors import InputError, Problem
-from recon.robot.leg import ANGLES, FlapLeg, Leg, SwingLeg
+from recon.robot.leg import LEG_ANGLES, FlapLeg, Leg, SwingLeg
 from recon.robot.quadruped import LEGS, ChainLeg, ClosedLeg, Quadruped, standing
 from recon.robot.urdf import MOVING, UrdfRobot, read_urdf, urdf_chain
 
@@ -112,7 +112,7 @@ def _quadruped(source: str, file: _RobotFile) -> Quadruped:
     lengths = file.leg.model_dump(exclude={"first"})
     lateral = lengths.pop("lateral_m")
     geometry = FlapLeg(**lengths, lateral_m=lateral) if file.leg.first == "flap" else SwingLeg(**lengths)
-    joints = {name: getattr(file.joints, name) for name in ANGLES}
+    joints = {name: getattr(file.joints, name) for name in LEG_ANGLES}
     problems = [
         Problem(source, f"joints.{name}.limits_rad", str(joint.limits_rad), "the lower one first")
         for name, joint in joints.items()
@@ -127,7 +127,7 @@ def _quadruped(source: str, file: _RobotFile) -> Quadruped:
     for label in LEGS:
         placed = getattr(file.legs, label)
         mirror = (1.0 if label[0] == "R" else -1.0, 1.0 if placed.knee_bends == "backwards" else -1.0, 1.0)
-        named = [ANGLES[k] for k in geometry.order]
+        named = [LEG_ANGLES[k] for k in geometry.order]
         names = [getattr(placed, name) for name in named]
         legs[label] = ClosedLeg(
             Leg(geometry, mirror, (limits[0], limits[1])),

@@ -3,15 +3,15 @@
 After D. Cohen, SUNFEST, University of Pennsylvania, 2005. World: x to the right, y forward, z up.
 """
 
-from recon.robot.climb.check import Check, check
+from recon.robot.climb.check import ClimbCheck, check
 from recon.robot.climb.plan import Climb, plan
 from recon.robot.climb.playback import write_playback
 from recon.robot.climb.recipe import Recipe, bundled, load_recipe, save_recipe
 from recon.robot.climb.walker import Walker
 
 __all__ = [
-    "Check",
     "Climb",
+    "ClimbCheck",
     "Recipe",
     "Walker",
     "bundled",

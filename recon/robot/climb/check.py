@@ -26,7 +26,7 @@ class Row:
 
 
 @dataclass(frozen=True, eq=False)
-class Check:
+class ClimbCheck:
     """rows: by the names of `RULES`. deepest_m: how far a foot came under the ground or the step; on_top: all feet end
     on the step; settled: all frames in equilibrium; rate_share: the fastest joint's rate over its limit."""
 
@@ -50,7 +50,7 @@ class Check:
         return found
 
 
-def check(climb: Climb) -> Check:
+def check(climb: Climb) -> ClimbCheck:
     """Of a planned climb."""
     step = climb.recipe.step
     rows = {}
@@ -61,7 +61,7 @@ def check(climb: Climb) -> Check:
         rows[name] = Row(rule.what, float(least[frame]) * rule.per_unit, rule.unit, frame, lifted)
     last = climb.feet_m[-1]
     rates = np.abs(np.diff(climb.angles_rad, axis=0)) * climb.recipe.fps
-    return Check(
+    return ClimbCheck(
         rows,
         max(0.0, -float(step.distance_m(climb.feet_m).min())),
         bool(np.all((last[:, 1] > step.edge_m) & (np.abs(last[:, 2] - step.height_m) < ROUNDING_M))),

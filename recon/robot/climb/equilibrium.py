@@ -35,7 +35,7 @@ class Torso(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Motion:
+class TorsoDynamics:
     """How a torso follows the fields.
 
     mass, inertia: force over speed and moment over rate, an evaluation as the unit of time; max_step_m, max_turn_rad:
@@ -77,7 +77,9 @@ def capped(step: Array, max_step_m: float, max_turn_rad: float) -> Array:
     return step / max(1.0, shift / max_step_m, turn / max_turn_rad)
 
 
-def ride(fields: Fields, stand: Stand, start: Torso, motion: Motion, max_evaluations: int = MAX_EVALUATIONS) -> Held:
+def ride(
+    fields: Fields, stand: Stand, start: Torso, motion: TorsoDynamics, max_evaluations: int = MAX_EVALUATIONS
+) -> Held:
     """One torso rides down the energy, until it stands still or has used up its evaluations. Within a frame neither its
     speed nor its rate exceeds the cap."""
     torso, dofs = start, list(motion.dofs)
@@ -92,7 +94,9 @@ def ride(fields: Fields, stand: Stand, start: Torso, motion: Motion, max_evaluat
     return Held(torso, np.array(max_evaluations), np.array(False))
 
 
-def solve(fields: Fields, stand: Stand, start: Torso, motion: Motion, max_evaluations: int = MAX_EVALUATIONS) -> Held:
+def solve(
+    fields: Fields, stand: Stand, start: Torso, motion: TorsoDynamics, max_evaluations: int = MAX_EVALUATIONS
+) -> Held:
     """The equilibrium next to the start, of one torso or of many at once (leading dimensions)."""
     dofs = list(motion.dofs)
     pick = np.ix_(dofs, dofs)

@@ -84,7 +84,7 @@ class Stand:
     target_m: Array
 
 
-class Evaluation(NamedTuple):
+class FieldValues(NamedTuple):
     """energy (...); wrench (..., 6): force in world axes, moment about the centre of mass in body axes; jacobian
     (..., 6, 6): its derivative by a shift in world axes and a turn (rotation vector) in body axes."""
 
@@ -98,7 +98,7 @@ def leg_vectors(position_m: Array, rotation: Array, hips_m: Array, feet_m: Array
     return (feet_m - position_m[..., None, :]) @ rotation - hips_m
 
 
-def evaluate(fields: Fields, stand: Stand, position_m: Array, rotation: Array) -> Evaluation:
+def evaluate(fields: Fields, stand: Stand, position_m: Array, rotation: Array) -> FieldValues:
     """Of the torso at position_m (..., 3), turned by rotation (..., 3, 3), body to world."""
     arm = (stand.feet_m - position_m[..., None, :]) @ rotation
     r = arm - stand.hips_m
@@ -124,11 +124,11 @@ def evaluate(fields: Fields, stand: Stand, position_m: Array, rotation: Array) -
     jacobian[..., :3, 3:] = pf
     jacobian[..., 3:, :3] = np.swapaxes(pf, -1, -2)
     jacobian[..., 3:, 3:] = ff
-    return Evaluation(energy.sum(axis=-1) + held, wrench, jacobian)
+    return FieldValues(energy.sum(axis=-1) + held, wrench, jacobian)
 
 
 def wrench(fields: Fields, stand: Stand, position_m: Array, rotation: Array) -> Array:
-    """(..., 6), as in `Evaluation`, without the rest."""
+    """(..., 6), as in `FieldValues`, without the rest."""
     arm = (stand.feet_m - position_m[..., None, :]) @ rotation
     gradient = leg_forces(fields, arm - stand.hips_m, stand.side).sum(axis=-3)
     pull = _balance(fields, stand.target_m - position_m[..., :2])[0]

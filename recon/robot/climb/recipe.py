@@ -14,7 +14,7 @@ from recon.arrays import Array
 from recon.documents import read_toml
 from recon.errors import InputError, Problem
 from recon.files import staged_file
-from recon.robot.climb.equilibrium import Motion
+from recon.robot.climb.equilibrium import TorsoDynamics
 from recon.robot.climb.fields import PLANAR, SPATIAL, Fields, Well
 from recon.robot.climb.paths import Step
 from recon.robot.climb.walker import LEGS
@@ -68,7 +68,7 @@ class Recipe:
     stance_m: Array
     primitives: tuple[Primitive, ...]
     swing: Swing
-    motion: Motion
+    motion: TorsoDynamics
     fps: float
     made_by: str
 
@@ -193,7 +193,7 @@ class _Reader:
             stance,
             primitives,
             Swing(**swing),
-            Motion(**motion, dofs=PLANAR if dofs == 4 else SPATIAL),
+            TorsoDynamics(**motion, dofs=PLANAR if dofs == 4 else SPATIAL),
             top["fps"],
             str(table["made_by"]),
         )
