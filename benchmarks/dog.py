@@ -246,7 +246,7 @@ def write_poses(clips: Sequence[Clip], folder: Path) -> list[Path]:
 def write_prior(clips: Sequence[Clip], out: Path) -> Path:
     with tempfile.TemporaryDirectory() as folder:
         poses = write_poses(clips, Path(folder))
-        run_prior_fit(poses, SKELETON, f"{clips[0].fps:g}", out, name=out.stem, source=SOURCE, overwrite=True)
+        run_prior_fit(poses, out, SKELETON, f"{clips[0].fps:g}", name=out.stem, source=SOURCE, overwrite=True)
     return out
 
 

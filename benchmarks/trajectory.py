@@ -561,7 +561,7 @@ def ablation(runs: Sequence[Path]) -> dict[str, Rows]:
         if poses.is_dir():
             path = Path(folder) / "all-segments.npz"
             run_prior_fit(
-                [poses / "training_positions.csv"], SKELETON, str(poses / "segments.json"), path, "phantom",
+                [poses / "training_positions.csv"], path, SKELETON, str(poses / "segments.json"), "phantom",
                 apart=("tail_1", "tail_2"),
             )  # fmt: skip
             variants.append(("prior of all segments, slow ones too", {"prior": str(path)}, {}))

@@ -207,6 +207,7 @@ FILES: dict[str, Callable[[Path], None]] = {
 """What a page may name without making it."""
 
 OF_PAGE: dict[str, dict[str, Callable[[Path], None]]] = {
+    "how-to/new-species.md": {"my-cat.toml": _toml("writing-a-skeleton.md", -1)},
     "writing-a-skeleton.md": {
         "my-cat.toml": _toml("writing-a-skeleton.md", -1),
         "poses.csv": _cat_poses,

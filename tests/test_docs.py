@@ -41,6 +41,7 @@ NOT_RUN = {
     r"pip install ": "needs the package index",
     r"dask (scheduler|worker) |recon batch manifest\.csv .*--scheduler": "needs a cluster, as in tests/test_batch.py",
     r"recon prior fit training_positions\.csv ": "needs recordings; tests/test_prior.py runs it",
+    r"recon (fit run\d_cam|subject fit results/run1|prior fit tom/|evaluate one/)": "tests/test_new_species.py runs it",
     r"recon retarget .* --robot robot\.urdf ": "takes half a minute; tests/test_robot_retarget.py",
     r"recon (train|predict|evaluate-2d) |recon fit run\.csv ": "trains for minutes; tests/test_net_train.py",
     r"recon --install-completion": "changes the user's shell; tests/test_doctor.py",

@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import csv
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from command_line import run
 from scipy.stats import multivariate_normal
 from typer.testing import CliRunner
 
-from recon.app.prior import run_prior_fit
+from recon.app.clip import write_clip
+from recon.app.prior import _sound_states, run_prior_fit
 from recon.body import Body
 from recon.cli import app
 from recon.errors import InputError
@@ -30,6 +33,8 @@ from recon.prior import (
 )
 from recon.prior.fit import POSE_FLOOR_RAD
 from recon.prior.motion import ACCELERATION_FLOOR_RAD_S2, RIDGE_PER_ROW
+from recon.results import read_results
+from recon.settings import FitSettings
 from recon.skeleton_file import load_chain, load_skeleton
 
 OMEGA_RAD_S = 12.0
@@ -157,6 +162,16 @@ def test_two_kinds_of_pose_are_two_components(body):
     assert log_likelihood(prior, states) > log_likelihood(as_one_gaussian(prior), states) + 2
 
 
+def test_poses_that_repeat(body):
+    """Fewer different poses than components: some stay empty."""
+    states = np.zeros((100, body.n_state))
+    states[50:, 4:] = 0.3
+    prior = fit_prior(body, [("a", states, 100.0)], components=5)
+    assert log_likelihood(prior, states) == pytest.approx(log_likelihood(prior, states[:50]), abs=1)
+    still = fit_prior(body, [("a", np.zeros((100, body.n_state)), 100.0)], components=2)
+    np.testing.assert_array_equal(still.means, 0)
+
+
 def test_same_input_same_prior(body, segments, prior):
     again = fit_prior(body, segments, components=3)
     for field in ("weights", "means", "covariances", "drift"):
@@ -255,9 +270,9 @@ def test_running_cheetah_can_be_made_again(shared_data, body, tmp_path):
         pytest.skip(f"no {folder}")
     made = run_prior_fit(
         [folder / "training_positions.csv"],
+        tmp_path / "running-cheetah.npz",
         "cheetah-24",
         str(folder / "segments.json"),
-        tmp_path / "running-cheetah.npz",
         subject="phantom",
         min_speed_m_s=8.5,
         apart=["tail_1", "tail_2"],
@@ -388,12 +403,12 @@ def test_files_of_one_name_and_too_few_frames(body, tmp_path):
     for k, (_, states, _) in enumerate(swinging(body, 2, 60, 100.0)):
         (tmp_path / f"run{k}").mkdir()
         files.append(pose_csv(tmp_path / f"run{k}" / "truth.csv", body, states, np.arange(60)))
-    done = run_prior_fit(files, "cheetah-24", "100", tmp_path / "a.npz")
+    done = run_prior_fit(files, tmp_path / "a.npz", "cheetah-24", "100")
     assert [row.name for row in done.prior.segments] == ["run0-truth", "run1-truth"]
     assert len(done.prior.weights) == 6
     assert "6 components in place of 16: each takes 20 frames." in list(done.notes())
     assert (done.to_dict()["components"], done.to_dict()["components_asked"]) == (6, 16)
-    few = run_prior_fit(files, "cheetah-24", "100", tmp_path / "b.npz", components=6)
+    few = run_prior_fit(files, tmp_path / "b.npz", "cheetah-24", "100", components=6)
     assert not [note for note in few.notes() if "in place of" in note]
 
 
@@ -402,7 +417,7 @@ def test_every_problem_of_a_command(body, tmp_path):
     few = pose_csv(tmp_path / "few.csv", body, states, np.arange(5), without=body.markers[5:])
     (tmp_path / "there.npz").touch()
     with pytest.raises(InputError) as error:
-        run_prior_fit([tmp_path / "no.csv", few], "cheetah-8u", "fast", tmp_path / "there.npz", components=0)
+        run_prior_fit([tmp_path / "no.csv", few], tmp_path / "there.npz", "cheetah-8u", "fast", components=0)
     found = [str(p) for p in error.value.problems]
     assert [f.split(": found")[0].removeprefix(f"{tmp_path}/") for f in found] == [
         "--skeleton: name or file",
@@ -414,19 +429,91 @@ def test_every_problem_of_a_command(body, tmp_path):
     rates = tmp_path / "fps.json"
     rates.write_text("[90, 120]")
     with pytest.raises(InputError, match="no such list of numbers"):
-        run_prior_fit([few], "cheetah-24", str(rates), tmp_path / "x.npz")
+        run_prior_fit([few], tmp_path / "x.npz", "cheetah-24", str(rates))
     rates.write_text('{"fps": [90, 120]}')
     with pytest.raises(InputError) as error:
-        run_prior_fit([few], "cheetah-24", str(rates), tmp_path / "x.npz")
+        run_prior_fit([few], tmp_path / "x.npz", "cheetah-24", str(rates))
     assert [str(p).split(", expected")[0] for p in error.value.problems] == [
         f"{few}: joints: found 5 of 24: nose, l_eye, r_eye, neck_base, spine, extra",
         f"{rates}: fps: found 2 numbers",
     ]
     for fps in ("0", "-3", "nan", "inf"):
         with pytest.raises(InputError, match="--fps"):
-            run_prior_fit([few], "cheetah-24", fps, tmp_path / "x.npz")
+            run_prior_fit([few], tmp_path / "x.npz", "cheetah-24", fps)
     with pytest.raises(InputError, match=r"--out.*ends in \.npz"):
-        run_prior_fit([few], "cheetah-24", "90", tmp_path / "x.txt")
+        run_prior_fit([few], tmp_path / "x.txt", "cheetah-24", "90")
+    assert not (tmp_path / "x.npz").exists()
+
+
+def test_results(whole_results, body, tmp_path):
+    """Two folders of results say skeleton, frame rate and names themselves; doubtful frames are left out."""
+    for name in ("run1", "run2"):
+        shutil.copytree(whole_results, tmp_path / name)
+    ended = run("prior", "fit", tmp_path / "run1", tmp_path / "run2", "--out", tmp_path / "x.npz", "--json")
+    assert ended.code == 0, ended.err
+    said = json.loads(ended.out)
+    assert [(row["name"], row["fps"], row["misfit_mm"]) for row in said["segments"]] == [
+        ("run1", 60.0, None),
+        ("run2", 60.0, None),
+    ]
+    found = read_results(whole_results)
+    with (whole_results / "quality.csv").open(newline="") as file:
+        sound = np.array([not row["flags"] for row in csv.DictReader(file)])
+    assert (said["frames"], said["left_out"]) == (2 * sound.sum(), 2 * (~sound).sum())
+    z = found.states[sound, 4:]
+    expected = (z.mean(axis=0) + mirrored(body, z).mean(axis=0)) / 2
+    np.testing.assert_allclose(load_prior(tmp_path / "x.npz", body).mean, expected, rtol=0, atol=1e-5)
+
+
+def test_flagged_frames_and_those_without_a_pose_are_left_out(small_trajectory, tmp_path):
+    states = small_trajectory.solution.states.copy()
+    states[0] = np.nan
+    motion = replace(small_trajectory, solution=replace(small_trajectory.solution, states=states))
+    settings = FitSettings(keypoints=(Path("run.csv"),), hfov_deg=64, image_size_px=(1920, 1080), fps=30)
+    write_clip(motion, settings, tmp_path)
+    sound = _sound_states(read_results(tmp_path))
+    left_out = np.isnan(sound).all(axis=1)
+    np.testing.assert_array_equal(left_out, [True, False, False, True, False, True, False, False])
+    np.testing.assert_allclose(sound[~left_out], states[~left_out])
+
+
+def test_results_and_pose_files_together(whole_results, body, tmp_path):
+    states = swinging(body, 1, 30, 100.0)[0][1]
+    file = pose_csv(tmp_path / "a.csv", body, states, np.arange(30))
+    done = run_prior_fit([file, whole_results], tmp_path / "x.npz", None, "100")
+    assert [(row.name, row.fps) for row in done.prior.segments] == [(whole_results.name, 60.0), ("a", 100.0)]
+    assert done.rms_mm[1] > 20  # an animal that is larger than the skeleton
+    sized = run_prior_fit([file, whole_results], tmp_path / "y.npz", "cheetah-24", "100", estimate_size=True)
+    assert sized.rms_mm[1] < 1
+    assert np.isnan(sized.rms_mm[0])
+
+
+def test_what_results_do_not_go_with(whole_results, frame_results, body, tmp_path):
+    file = pose_csv(tmp_path / "a.csv", body, swinging(body, 1, 30, 100.0)[0][1], np.arange(30))
+    for poses, skeleton, fps, subject, expected in (
+        (
+            [whole_results],
+            "dog-27",
+            None,
+            None,
+            [f"found --skeleton: dog-27, {whole_results}: cheetah-24"],
+        ),
+        (
+            [whole_results, frame_results],
+            None,
+            None,
+            None,
+            [f"{frame_results}: skeleton: found cheetah-8u"],
+        ),
+        ([whole_results], None, "60", None, ["--fps: frame rate: found 60, expected nothing: results have their own"]),
+        ([whole_results], None, None, "phantom", ["--skeleton: name or file: found nothing"]),
+        ([file], None, None, None, ["--skeleton: name or file: found nothing", "--fps: frame rate: found nothing"]),
+        ([tmp_path], None, None, None, ["no report.json"]),
+    ):
+        with pytest.raises(InputError) as error:
+            run_prior_fit(poses, tmp_path / "x.npz", skeleton, fps, subject)
+        assert len(error.value.problems) == len(expected)
+        assert all(start in str(p) for p, start in zip(error.value.problems, expected, strict=True))
     assert not (tmp_path / "x.npz").exists()
 
 

@@ -1,18 +1,19 @@
-"""3D poses of a class of motions in, a motion prior out."""
+"""Results of fits or 3D poses of a class of motions in, a motion prior out."""
 
 from __future__ import annotations
 
+import csv
 import math
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from recon.app.batch.inputs import file_names
+from recon.arrays import Array, Integers
 from recon.body import Body
 from recon.documents import read_json
 from recon.errors import InputError, Problem, all_of
@@ -26,12 +27,26 @@ from recon.prior import (
     mean_speed_m_s,
     save_prior,
 )
+from recon.results import Results, read_results
 from recon.skeleton_file import load_skeleton
 from recon.solve.points import MIN_MARKERS, solve_points_and_size
 
-Array = NDArray[np.float64]
 Segment = tuple[str, Array, float]
 """Name, states (T, D), frames per second."""
+QUALITY = "quality.csv"
+"""Of results: where the flags are."""
+T = TypeVar("T")
+
+
+@dataclass(frozen=True, eq=False)
+class Piece:
+    """A continuous piece of motion. states (T, D): NaN where it is not known; rms_mm: the body's misfit to a pose file,
+    NaN where no frame had enough markers."""
+
+    name: str
+    states: Array
+    fps: float
+    rms_mm: float = math.nan
 
 
 @dataclass(frozen=True)
@@ -46,17 +61,23 @@ class HeldOut:
 
 @dataclass(frozen=True, eq=False)
 class PriorFit:
-    """prior; rms_mm: the body's misfit in each segment of prior.segments, NaN where no frame had enough markers; sizes:
-    the factor on the body's lengths by file; lacking: markers of the body that no file has; held_out: None if it was
-    not asked for, or if no segment can be left out; components_asked: the prior has as many, or what its frames
-    allow."""
+    """A prior, and what there is to say of it."""
 
     prior: MotionPrior
     rms_mm: tuple[float, ...]
+    """Of each segment of prior.segments, see `Piece`."""
     sizes: dict[Path, float]
+    """The factor on the body's lengths by pose file."""
     lacking: tuple[str, ...]
+    """Markers of the body that no pose file has."""
+    frames: int
+    """That the prior was fitted to."""
+    left_out: int
+    """Frames of results that have a flag or no pose."""
     held_out: HeldOut | None
+    """None if it was not asked for, or if no segment can be left out."""
     components_asked: int
+    """The prior has as many, or what its frames allow."""
 
     def to_dict(self) -> dict[str, Any]:
         """The table of segments and what is said beside it, as plain types; unknown is None."""
@@ -67,20 +88,23 @@ class PriorFit:
             "components_asked": self.components_asked,
             "sizes": {str(path): size for path, size in self.sizes.items()},
             "lacking": list(self.lacking),
+            "frames": self.frames,
+            "left_out": self.left_out,
             "held_out": None if self.held_out is None else asdict(self.held_out),
         }
 
     def notes(self) -> Iterator[str]:
         """What there is to say beside the table of segments."""
         rows = self.prior.segments
-        used = [row for row in rows if row.used]
-        frames = sum(row.frames for row in used)
-        yield f"Used: {len(used)} of {len(rows)} segments, {frames} frames and their mirror images."
+        used = f"{sum(row.used for row in rows)} of {len(rows)} segments, {self.frames} frames"
+        yield f"Used: {used} and their mirror images."
         if len(self.prior.weights) < self.components_asked:
             yield (
                 f"{len(self.prior.weights)} components in place of {self.components_asked}: each takes "
                 f"{FRAMES_PER_COMPONENT} frames."
             )
+        if self.left_out:
+            yield f"{self.left_out} frames of results have a flag or no pose: left out."
         if self.lacking:
             yield f"Markers that no file has: {', '.join(self.lacking)}"
         for path, size in self.sizes.items():
@@ -95,9 +119,9 @@ class PriorFit:
 
 def run_prior_fit(
     poses: Sequence[Path],
-    skeleton: str,
-    fps: str,
     out: Path,
+    skeleton: str | None = None,
+    fps: str | None = None,
     subject: str | None = None,
     name: str | None = None,
     source: str = "",
@@ -108,58 +132,87 @@ def run_prior_fit(
     check: bool = False,
     overwrite: bool = False,
 ) -> PriorFit:
-    """`recon prior fit`: fit a prior to pose files and write it.
+    """`recon prior fit`: fit a prior to results of `recon fit`, which are folders, and to pose files, and write it.
 
-    fps: a number, or a JSON file with one for every piece of motion, in the order of the files. Raises InputError for
-    files and options that cannot be used, with the problems of all of them.
+    Of results, frames without a pose or with a flag are left out. skeleton: None for that of the results. fps: of the
+    pose files, a number, or a JSON file with one for every piece of motion in their order; None without any. Raises
+    InputError for files and options that cannot be used, with the problems of all of them.
     """
-    body, files, rates, _ = all_of(
-        lambda: _body(skeleton, subject),
-        lambda: dict(zip(poses, all_of(*(_reader(path) for path in poses)), strict=True)),
-        lambda: _rates(fps),
+    paths = list(dict.fromkeys(poses))
+    folders, tables = [path for path in paths if path.is_dir()], [path for path in paths if not path.is_dir()]
+    given, results, files, rates, _ = all_of(
+        lambda: _body(skeleton, subject, folders),
+        lambda: dict(zip(folders, all_of(*(_reader(_results, path) for path in folders)), strict=True)),
+        lambda: dict(zip(tables, all_of(*(_reader(read_pose_segments, path) for path in tables)), strict=True)),
+        lambda: _rates(fps, tables),
         lambda: _check_options(out, overwrite, components, min_speed_m_s),
     )
-    all_of(lambda: _require_markers(body, files), lambda: _require_rates(rates, files, fps))
-    if len(rates) == 1:
-        rates = rates * sum(len(pieces) for pieces in files.values())
+    body = _common_body(given, results)
+    all_of(lambda: _require_markers(body, files), lambda: _require_rates(rates, files, fps or "--fps"))
 
-    labels = _labels(files)
-    segments: list[Segment] = []
-    rms_mm: list[float] = []
-    sizes: dict[Path, float] = {}
-    rate = iter(rates)
-    for path, pieces in files.items():
-        points_m = np.concatenate([_arranged(pose, body) for pose in pieces.values()])
-        states, rms_m, sizes[path] = _solved(body, points_m, None if estimate_size else 1.0, path)
-        first = 0
-        for piece, pose in pieces.items():
-            label, piece_fps = labels[path, piece], next(rate)
-            for part, suffix in _without_gaps(pose.frames):
-                own = slice(first + part.start, first + part.stop)
-                segments.append((label + suffix, states[own], piece_fps))
-                known = rms_m[own][np.isfinite(rms_m[own])]
-                rms_mm.append(1e3 * float(np.sqrt(np.mean(known**2))) if len(known) else math.nan)
-            first += len(pose.frames)
-    fits = min(components, max(_used_frames(segments, min_speed_m_s) // FRAMES_PER_COMPONENT, 1))
+    names = file_names([*dict.fromkeys(path.absolute() for path in paths)])
+    of_results = [Piece(names[path.absolute()], _sound_states(one), one.fps) for path, one in results.items()]
+    of_files, sizes = _solved_pieces(body, files, _labels(files, names), rates, estimate_size)
+    pieces = [*of_results, *of_files]
+    segments = [(piece.name, piece.states, piece.fps) for piece in pieces]
+    frames = _used_frames(segments, min_speed_m_s)
+    fits = min(components, max(frames // FRAMES_PER_COMPONENT, 1))
     prior = fit_prior(body, segments, name or out.stem, source, fits, min_speed_m_s=min_speed_m_s, apart=apart)
     held_out = _held_out(body, segments, prior) if check else None
     save_prior(prior, out)
+    rms_mm = tuple(piece.rms_mm for piece in pieces)
+    left_out = sum(int(np.isnan(piece.states[:, 0]).sum()) for piece in of_results)
+    return PriorFit(prior, rms_mm, sizes, _lacking(body, files), frames, left_out, held_out, components)
+
+
+def _lacking(body: Body, files: Mapping[Path, Mapping[str, Pose3D]]) -> tuple[str, ...]:
     there = {joint for pieces in files.values() for pose in pieces.values() for joint in pose.names}
-    lacking = tuple(marker for marker in body.markers if marker not in there)
-    return PriorFit(prior, tuple(rms_mm), sizes, lacking, held_out, components)
+    return tuple(marker for marker in body.markers if files and marker not in there)
 
 
-def _labels(files: Mapping[Path, Mapping[str, Pose3D]]) -> dict[tuple[Path, str], str]:
-    """A name of its own for every piece of motion: that in the file, or the file's with as many folders as it takes."""
-    names = file_names([*dict.fromkeys(path.absolute() for path in files)])
+def _sound_states(results: Results) -> Array:
+    """(T, D), NaN in frames without a pose and in those that a flag calls doubtful."""
+    with (results.folder / QUALITY).open(encoding="utf-8", newline="") as file:
+        flagged = [bool(row["flags"]) for row in csv.DictReader(file)]
+    return np.where(np.array(flagged)[:, None], np.nan, results.states)
+
+
+def _solved_pieces(
+    body: Body,
+    files: Mapping[Path, Mapping[str, Pose3D]],
+    labels: Mapping[tuple[Path, str], str],
+    rates: Sequence[float],
+    estimate_size: bool,
+) -> tuple[list[Piece], dict[Path, float]]:
+    """The pieces of pose files as states, and the factor on the body's lengths of each file."""
+    pieces: list[Piece] = []
+    sizes: dict[Path, float] = {}
+    rate = iter(rates if len(rates) > 1 else list(rates) * sum(map(len, files.values())))
+    for path, of_file in files.items():
+        points_m = np.concatenate([_arranged(pose, body) for pose in of_file.values()])
+        states, rms_m, sizes[path] = _solved(body, points_m, None if estimate_size else 1.0, path)
+        first = 0
+        for piece, pose in of_file.items():
+            piece_fps = next(rate)
+            for part, suffix in _without_gaps(pose.frames):
+                own = slice(first + part.start, first + part.stop)
+                known = rms_m[own][np.isfinite(rms_m[own])]
+                rms_mm = 1e3 * float(np.sqrt(np.mean(known**2))) if len(known) else math.nan
+                pieces.append(Piece(labels[path, piece] + suffix, states[own], piece_fps, rms_mm))
+            first += len(pose.frames)
+    return pieces, sizes
+
+
+def _labels(files: Mapping[Path, Mapping[str, Pose3D]], names: Mapping[Path, str]) -> dict[tuple[Path, str], str]:
+    """A name of its own for every piece of motion: that in the file, or the file's of `names`, or both."""
     count = Counter(piece for pieces in files.values() for piece in pieces)
     labels = {}
     for path, pieces in files.items():
         for piece in pieces:
-            if piece == path.stem and len(files) > 1:
+            if piece == path.stem and len(names) > 1:
                 labels[path, piece] = names[path.absolute()]
             else:
-                plain = len(files) == 1 or (len(pieces) == 1 and count[piece] == 1)
+                plain = len(names) == 1 or (len(pieces) == 1 and count[piece] == 1)
                 labels[path, piece] = piece if plain else f"{names[path.absolute()]} {piece}"
     return labels
 
@@ -192,20 +245,49 @@ def _held_out(body: Body, segments: Sequence[Segment], prior: MotionPrior) -> He
 # -- input --------------------------------------------------------------------------------------------------------
 
 
-def _body(skeleton: str, subject: str | None) -> Body:
+def _body(skeleton: str | None, subject: str | None, folders: Sequence[Path]) -> Body | None:
+    """As given; None where results have it."""
+    if skeleton is None:
+        if subject is not None or not folders:
+            what = "the name or file of a whole animal"
+            raise InputError(
+                Problem("--skeleton", "name or file", "nothing", what if folders else f"{what}, or results")
+            )
+        return None
     body = load_skeleton(skeleton, subject)
     if not isinstance(body, Body):
         raise InputError(Problem("--skeleton", "name or file", repr(skeleton), "a whole animal, with [[segments]]"))
     return body
 
 
-def _reader(path: Path) -> Callable[[], dict[str, Pose3D]]:
-    return lambda: read_pose_segments(path)
+def _common_body(given: Body | None, results: Mapping[Path, Results]) -> Body:
+    bodies = ({} if given is None else {Path("--skeleton"): given}) | {path: one.body for path, one in results.items()}
+    if len({(body.name, body.state_names) for body in bodies.values()}) > 1:
+        found = ", ".join(f"{path}: {body.name}" for path, body in bodies.items())
+        raise InputError(Problem("POSES", "skeleton", found, "the same for all, with the same angles"))
+    return next(iter(bodies.values()))
 
 
-def _rates(fps: str) -> list[float]:
-    """The number, or those of a JSON file."""
+def _reader(read: Callable[[Path], T], path: Path) -> Callable[[], T]:
+    return lambda: read(path)
+
+
+def _results(folder: Path) -> Results:
+    results = read_results(folder)
+    results.manifest.require(QUALITY)
+    if results.state_names != results.body.state_names:
+        raise InputError(Problem(folder, "skeleton", results.body.name, "a whole animal, with [[segments]]"))
+    return results
+
+
+def _rates(fps: str | None, tables: Sequence[Path]) -> list[float]:
+    """The number, or those of a JSON file; none where there are no pose files."""
     expected = 'frames per second above 0, as in 120, or a JSON file with {"fps": [120, 90]}'
+    if fps is None or not tables:
+        if fps is None and not tables:
+            return []
+        expected = expected if tables else "nothing: results have their own"
+        raise InputError(Problem("--fps", "frame rate", fps or "nothing", expected))
     try:
         rates = [float(fps)]
     except ValueError:
@@ -271,7 +353,7 @@ def _solved(body: Body, points_m: Array, size: float | None, path: Path) -> tupl
     return solve_points_and_size(body, points_m, size)
 
 
-def _without_gaps(frames: NDArray[np.int64]) -> Iterator[tuple[slice, str]]:
+def _without_gaps(frames: Integers) -> Iterator[tuple[slice, str]]:
     """The rows between two jumps of the frame numbers, and what sets their name apart."""
     jumps = (np.nonzero(np.diff(frames) != 1)[0] + 1).tolist()
     for start, stop in zip([0, *jumps], [*jumps, len(frames)], strict=True):

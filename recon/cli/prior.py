@@ -16,13 +16,17 @@ from recon.cli.common import number_option, terminal
 
 def prior_fit(
     poses: Annotated[
-        list[Path], typer.Argument(metavar="POSES", help="3D poses as in pose3d.csv: metres, world z up.")
+        list[Path],
+        typer.Argument(metavar="POSES", help="Results of recon fit, or 3D poses as in pose3d.csv: metres, world z up."),
     ],
-    skeleton: Annotated[
-        str, typer.Option(help="Built-in skeleton of a whole animal or a TOML file, as in cheetah-24.")
-    ],
-    fps: Annotated[str, typer.Option(help='Frame rate in Hz, or a JSON file with {"fps": [...]}, one per piece.')],
     out: Annotated[Path, typer.Option(help="File for the prior, as in my-dog.npz.")],
+    skeleton: Annotated[
+        str | None, typer.Option(help="Of 3D poses: a whole animal by name or TOML file, as in cheetah-24.")
+    ] = None,
+    fps: Annotated[
+        str | None,
+        typer.Option(help='Of 3D poses: frame rate in Hz, or a JSON file with {"fps": [...]}, one per piece.'),
+    ] = None,
     subject: Annotated[str | None, typer.Option(help="Measured animal, by name or TOML file, as in phantom.")] = None,
     estimate_size: Annotated[
         bool, typer.Option("--estimate-size", help="Scale the skeleton to the animal of each file.")
@@ -44,9 +48,9 @@ def prior_fit(
         bool, typer.Option("--json", help="Print the table and what else there is to say as JSON.")
     ] = False,
 ) -> None:
-    """Fit a motion prior to 3D poses, and list what it was fitted to.
+    """Fit a motion prior to results or 3D poses, and list what it was fitted to.
 
-    Example: recon prior fit run1.csv run2.csv --skeleton cheetah-24 --fps 120 --out running.npz
+    Example: recon prior fit results/run1 results/run2 --out my-cat.npz
     """
     from recon.app.prior import run_prior_fit
 

@@ -5,15 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from recon.arrays import Array
 from recon.body import Body
 from recon.errors import InputError, Problem
 from recon.prior.mixture import mixture, still
 from recon.prior.model import ANGLES, MotionPrior, SegmentRow
 from recon.prior.motion import ridge
-
-Array = NDArray[np.float64]
 
 FRAMES_PER_COMPONENT = 20
 """Fewer would let a component of the mixture be one short piece of one segment."""

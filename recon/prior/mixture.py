@@ -5,18 +5,16 @@ from __future__ import annotations
 import warnings
 
 import numpy as np
-from numpy.typing import NDArray
 
+from recon.arrays import Array, Bools
 from recon.prior.model import ANGLES, MotionPrior
-
-Array = NDArray[np.float64]
 
 MISSING_BELOW_RAD = 0.01
 """Angles that spread by less are no part of the model that the poses come from."""
 _EM_ITERATIONS, _K_MEANS_ITERATIONS = 30, 50
 
 
-def still(poses: Array) -> NDArray[np.bool_]:
+def still(poses: Array) -> Bools:
     """(A,): angles of poses (N, A) that do not move."""
     return poses.std(axis=0) < MISSING_BELOW_RAD
 

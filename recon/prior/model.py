@@ -5,11 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from recon.arrays import Array
 from recon.body import Body
-
-Array = NDArray[np.float64]
 
 ANGLES = slice(4, None)
 """The angles that a prior is about, in the state."""

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from recon.arrays import Array, Bools
 from recon.prior.mixture import still
-
-Array = NDArray[np.float64]
 
 RIDGE_PER_ROW = 0.1
 """Held-out accelerations like it best (docs/priors.md)."""
@@ -15,7 +13,7 @@ ACCELERATION_FLOOR_RAD_S2 = 10.0
 """Added to the spread of every acceleration."""
 
 
-def ridge(states: Array, accelerations: Array, loose: NDArray[np.bool_]) -> tuple[Array, Array]:
+def ridge(states: Array, accelerations: Array, loose: Bools) -> tuple[Array, Array]:
     """Drift (A, 2A) from states (M, 2A) to accelerations (M, A), and the covariance of what is left (A, A). The loose
     angles (A,) have no part in it."""
     scale = states.std(axis=0)
