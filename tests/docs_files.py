@@ -53,6 +53,14 @@ def _clips(path: Path) -> None:
         shutil.copy(SAMPLES / "whole.csv", path / f"{name}.csv")
 
 
+def _filmed_twice(folder: Path, name: str) -> None:
+    """The sample run of two cameras, its first 15 frames."""
+    folder.mkdir(exist_ok=True)
+    for camera in ("cam1", "cam2"):
+        lines = (SAMPLES / f"whole_{camera}.csv").read_text().splitlines(keepends=True)
+        (folder / f"{name}-{camera}.csv").write_text("".join(lines[:18]))
+
+
 def _video(path: Path) -> None:
     """Of the size that the sample's camera is calibrated for."""
     with video_writer(path, read_camera(SAMPLES / "camera.toml").image_size_px, 60.0) as write:
@@ -207,6 +215,11 @@ FILES: dict[str, Callable[[Path], None]] = {
 """What a page may name without making it."""
 
 OF_PAGE: dict[str, dict[str, Callable[[Path], None]]] = {
+    "batch.md": {
+        "day1/run2-cam*.csv": lambda path: _filmed_twice(path.parent, "run2"),
+        "recordings": lambda path: _filmed_twice(path, "walk"),
+        "scene.json": sample("whole_scene.json"),
+    },
     "how-to/new-species.md": {"my-cat.toml": _toml("writing-a-skeleton.md", -1)},
     "writing-a-skeleton.md": {
         "my-cat.toml": _toml("writing-a-skeleton.md", -1),

@@ -155,10 +155,15 @@ def test_manifest_rows_overrule_the_common_options(clips):
         keypoints=(clips / "a.csv",), camera=CAMERA, fps=60, method="trajectory", fast=True, frames="0:6"
     )
     assert second.settings == FitSettings(
-        keypoints=clips / "b.csv", camera=clips / "mine.toml", fps=30, method="frame", frames="2:6"
+        keypoints=(clips / "b.csv",), camera=clips / "mine.toml", fps=30, method="frame", frames="2:6"
     )
     assert third.settings == FitSettings(
-        keypoints=SAMPLES / "whole.csv", hfov_deg=64, image_size_px=(1920, 1080), fps=30, method="frame", frames="0:6"
+        keypoints=(SAMPLES / "whole.csv",),
+        hfov_deg=64,
+        image_size_px=(1920, 1080),
+        fps=30,
+        method="frame",
+        frames="0:6",
     )
 
 

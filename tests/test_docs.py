@@ -40,6 +40,7 @@ NOT_RUN = {
     r"python3 -m venv |\. \.venv/bin/activate": "an environment of its own",
     r"pip install ": "needs the package index",
     r"dask (scheduler|worker) |recon batch manifest\.csv .*--scheduler": "needs a cluster, as in tests/test_batch.py",
+    r"recon batch PROJECT ": "needs a project of Anipose; tests/test_batch.py",
     r"recon prior fit training_positions\.csv ": "needs recordings; tests/test_prior.py runs it",
     r"recon (fit run\d_cam|subject fit results/run1|prior fit tom/|evaluate one/)": "tests/test_new_species.py runs it",
     r"recon retarget .* --robot robot\.urdf ": "takes half a minute; tests/test_robot_retarget.py",
@@ -162,6 +163,7 @@ def test_page(page, tmp_path, monkeypatch, whole_results, of_results):
         elif block.language == "text":
             assert alike(printed) == alike(block.text), f"{where}:\n{printed}"
         elif block.language == "csv":
+            workshop.provide(block.text)
             Path("manifest.csv").write_text(block.text, encoding="utf-8")
             assert find_clips(["manifest.csv"], {}, None)[0], where
 
