@@ -56,16 +56,6 @@ class BlockBanded:
         band[:, -last:][np.add.outer(np.arange(P), np.arange(last)) >= last] = 0.0  # what lies outside
         return band
 
-    def to_dense(self) -> Array:
-        """(TD, TD), of which both triangles are filled. For tests: the size is quadratic in T."""
-        T, n_blocks, D, _ = self.blocks.shape
-        dense = np.zeros((T, D, T, D))
-        for t in range(T):
-            for k in range(min(n_blocks, T - t)):
-                dense[t + k, :, t] = self.blocks[t, k]
-                dense[t, :, t + k] = self.blocks[t, k].T
-        return dense.reshape(T * D, T * D)
-
 
 @dataclass(frozen=True)
 class Normal:

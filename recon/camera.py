@@ -24,7 +24,6 @@ import numpy.typing as npt
 from numpy.polynomial import polynomial
 
 from recon.arrays import Array, Bools
-from recon.rotations import euler_rotation_with_jacobian
 
 LensModel = Literal["pinhole", "radtan", "fisheye"]
 
@@ -406,24 +405,6 @@ class Camera:
             world_z_up=plain["world_z_up"],
             tilt_rad=plain.get("tilt_rad", 0.0),
         )
-
-
-def project_from_pose(
-    camera: Camera, points_m: npt.ArrayLike, angles_rad: npt.ArrayLike, translation_m: npt.ArrayLike
-) -> tuple[Array, Array, Array, Bools]:
-    """Project points of a moving frame, X_camera = R(angles) X + translation, with exact derivatives.
-
-    points_m: (..., 3) in the moving frame. angles_rad: (3,), (xi, psi, zeta) of `recon.rotations`. translation_m: (3,).
-    Returns pixels (..., 2), their derivatives with respect to points_m (..., 2, 3) and to the pose (..., 2, 6), whose
-    columns are the three angles and the three translations, and validity (...), as in `Camera.project`.
-    """
-    points = np.asarray(points_m, dtype=float)
-    rotation, d_rotation = euler_rotation_with_jacobian(angles_rad)
-    pixels, d_camera, valid = camera.project_with_jacobian(points @ rotation.T + np.asarray(translation_m, dtype=float))
-    # d_rotation @ X for the three angles: (9, 3) @ (3,) per point; its last two axes are (angle, coordinate).
-    turned = (points @ d_rotation.reshape(9, 3).T).reshape(*points.shape[:-1], 3, 3)
-    d_pose = np.concatenate((d_camera @ np.swapaxes(turned, -1, -2), d_camera), axis=-1)
-    return pixels, d_camera @ rotation, d_pose, valid
 
 
 def is_rotation(matrix: Array, tolerance: float) -> bool:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from recon.camera import Camera, project_from_pose
+from recon.camera import Camera
 from recon.rotations import euler_rotation
 
 SIZE = (2704, 1520)
@@ -85,28 +85,6 @@ class TestEveryLens:
         assert valid
         np.testing.assert_allclose(pixels, camera.matrix[:2, 2])
         np.testing.assert_allclose(jacobian, np.column_stack((camera.matrix[:2, :2] / 2, (0, 0))), atol=1e-9)
-
-    def test_pose_jacobian_by_central_differences(self, camera, rng):
-        h = 1e-6
-        for _ in range(10):
-            points = rng.uniform(-0.7, 0.7, (9, 3))
-            pose = np.concatenate((rng.uniform(-3, 3, 3), rng.uniform((-1, -0.5, 4), (1, 0.5, 8))))
-
-            def pixels_at(pose, points=points):
-                return project_from_pose(camera, points, pose[:3], pose[3:])[0]
-
-            pixels, d_point, d_pose, valid = project_from_pose(camera, points, pose[:3], pose[3:])
-            assert valid.all()
-            assert (d_point.shape, d_pose.shape) == ((9, 2, 3), (9, 2, 6))
-            np.testing.assert_allclose(
-                pixels, camera.project(points @ euler_rotation(pose[:3]).T + pose[3:])[0], atol=1e-9
-            )
-            numeric = [(pixels_at(pose + s) - pixels_at(pose - s)) / (2 * h) for s in h * np.eye(6)]
-            numeric = np.stack(numeric, axis=-1)
-            assert np.linalg.norm(d_pose - numeric) <= 1e-6 * np.linalg.norm(numeric)
-            numeric = [(pixels_at(pose, points + s) - pixels_at(pose, points - s)) / (2 * h) for s in h * np.eye(3)]
-            numeric = np.stack(numeric, axis=-1)
-            assert np.linalg.norm(d_point - numeric) <= 1e-6 * np.linalg.norm(numeric)
 
     def test_rays_round_trip(self, camera, points):
         pixels, _ = camera.project(points)

@@ -26,7 +26,8 @@ from recon.ik.methods import (
     LeastNorm,
     SelectivelyDamped,
     WeightedLeastNorm,
-    extended_jacobian,
+    reduced_gradient,
+    right_inverse,
 )
 
 LENGTHS = (0.4, 0.3, 0.25, 0.28, 0.2)
@@ -103,6 +104,13 @@ def test_selectively_damped_holds_each_direction():
     assert np.abs(LeastNorm().rates(chain, q, np.array([-0.1, 0.0])).dq).max() > 5
     across = method.rates(chain, q, np.array([0.0, 0.1])).dq
     np.testing.assert_allclose(chain.jacobian(q) @ across, [0.0, 0.1], atol=2e-3)
+
+
+def extended_jacobian(chain, cost, q, N, full=True):
+    """The matrix [J; dG/dq] (n, n) with a basis N (n, n - dim) of the null space."""
+    J, curvature = chain.derivatives(q)
+    _, M = reduced_gradient(cost, q, right_inverse(J)[0], curvature if full else None)
+    return np.concatenate([J, N.T @ M])
 
 
 @EACH

@@ -186,13 +186,6 @@ class ExtendedJacobian:
         return _limited(chain, dq, free, singular or lost, along, "singular: the extended Jacobian" if lost else "")
 
 
-def extended_jacobian(chain: SerialChain, cost: Cost, q: Array, N: Array, full: bool = True) -> Array:
-    """The matrix [J; dG/dq] (n, n) with a basis N (n, n - dim) of the null space."""
-    J, curvature = chain.derivatives(q)
-    _, M = reduced_gradient(cost, q, right_inverse(J)[0], curvature if full else None)
-    return np.concatenate([J, N.T @ M])
-
-
 def reduced_gradient(
     cost: Cost, q: Array, pseudo: Array, curvature: Curvature | None, free: Bools | None = None
 ) -> tuple[Array, Array]:

@@ -22,7 +22,6 @@ WIDTHS = (16, 32, 64, 128, 192)
 BLOCKS = (0, 1, 2, 2, 2)
 """Residual blocks there."""
 HEAD = 48
-MAX_PARAMETERS = 3_000_000
 
 
 def build_network(

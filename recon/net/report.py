@@ -27,10 +27,6 @@ from recon.net.trained import Trained, prepared
 from recon.plots.style import COLOURS, GREY, drawing, save
 from recon.report import to_json
 
-REPORT_FILES = (
-    "training.json", "suspicious.csv", "curves.png", "curves.svg", "keypoints.png", "keypoints.svg",
-    "reliability.png", "reliability.svg", "worst.png",
-)  # fmt: skip
 WORST = 6
 CURVE_POINTS = 400
 

@@ -7,7 +7,6 @@ the caps of a frame hold the torso back, the foot waits.
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass
 from typing import Literal
 
@@ -36,7 +35,7 @@ class Climb:
     (T, 4, 3) in the world; angles_rad (T, 4, 3): swing, flap and knee of each leg, NaN where a foot is out of reach;
     lifted (T,): the leg that is up, or -1; primitive, footfall (T,): indices, the last for the final shift; phase
     (T,): "shift", "rise", "traverse" or "lower"; evaluations (T,) of the fields; settled (T,): whether the minimum was
-    found; plan_s: computing time."""
+    found."""
 
     walker: Walker
     recipe: Recipe
@@ -51,7 +50,6 @@ class Climb:
     phase: NDArray[np.str_]
     evaluations: Integers
     settled: Bools
-    plan_s: float
 
     def __len__(self) -> int:
         return len(self.time_s)
@@ -68,7 +66,6 @@ class Climb:
 
 def plan(walker: Walker, recipe: Recipe, method: Method = "solve") -> Climb:
     """The climb of the recipe. Whether it is a valid one, `margins.check` says."""
-    started = time.perf_counter()
     frames = _Frames(walker, recipe, method)
     number = 0
     for k, primitive in enumerate(recipe.primitives):
@@ -77,7 +74,7 @@ def plan(walker: Walker, recipe: Recipe, method: Method = "solve") -> Climb:
             frames.swing(primitive, footfall, k, number)
             number += 1
     frames.shift(recipe.primitives[-1].fields, NONE, len(recipe.primitives) - 1, number - 1)
-    return frames.climb(started)
+    return frames.climb()
 
 
 def start(walker: Walker, recipe: Recipe) -> tuple[Torso, Array]:
@@ -137,7 +134,7 @@ class _Frames:
             if np.array_equal(short, step):
                 return
 
-    def climb(self, started: float) -> Climb:
+    def climb(self) -> Climb:
         position, rotation, feet, lifted, primitive, footfall, phase, count, settled = (
             np.array(column) for column in zip(*self.rows, strict=True)
         )
@@ -157,5 +154,4 @@ class _Frames:
             phase,
             count,
             settled,
-            time.perf_counter() - started,
         )
