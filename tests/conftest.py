@@ -118,6 +118,15 @@ def frame_results(made_once) -> Path:
 
 
 @pytest.fixture(scope="session")
+def chain_results(made_once) -> Path:
+    """Folder of the same with the same skeleton by the trajectory method. Not to be written to."""
+    settings = FitSettings(
+        keypoints=SAMPLES / "noisy.csv", camera=SAMPLES / "camera.toml", fps=30, skeleton="cheetah-8u"
+    )
+    return made_once("chain", lambda out: run_clip(settings, out))
+
+
+@pytest.fixture(scope="session")
 def small_motion() -> FrameMotion:
     """Six frames (10 to 15) of a mean pose that glides to the right at 9 m/s and 30 fps, 9 m from a pinhole camera.
 

@@ -12,6 +12,7 @@ import pytest
 from command_line import run
 
 from recon.analysis.clip import ClipAnalysis, analyse, limb_chains
+from recon.app.analyse import notes
 from recon.errors import InputError
 from recon.export import analysis_csv
 from recon.io.pose3d import read_pose3d
@@ -29,6 +30,11 @@ def whole(whole_results) -> ClipAnalysis:
 @pytest.fixture(scope="module")
 def one_sided(frame_results) -> ClipAnalysis:
     return analyse(read_results(frame_results))
+
+
+@pytest.fixture(scope="module")
+def chain(chain_results) -> ClipAnalysis:
+    return analyse(read_results(chain_results))
 
 
 @pytest.fixture(scope="module")
@@ -121,6 +127,35 @@ def test_strides_and_closures(whole, tables):
     path = angle.value[inside, 0]
     expected = 100 * (1 - abs(path[-1] - path[0]) / np.ptp(path))
     assert closures.loc["l_hind_thigh_pitch", "closure_angle_percent"] == pytest.approx(expected)
+
+
+@pytest.mark.parametrize("fit", ["one_sided", "chain", "whole"])
+def test_the_rules_tell_the_same_strides(fit, request):
+    """Of the sample's gallop, 3.2 to 3.4 strides a second: the two methods, where they tell any, within a twentieth."""
+    found = request.getfixturevalue(fit)
+    assert found.stride is not None
+    assert 0.285 < found.stride.end_s - found.stride.start_s < 0.325
+    for gait in found.gaits.values():
+        if gait.strides:
+            assert gait.stride_frequency_hz == pytest.approx(3.3, rel=0.05)
+    assert found.gaits["body"].strides
+
+
+def test_what_the_other_rule_and_the_pose_speak_against_is_no_stride(one_sided):
+    ground = one_sided.gaits["ground"]
+    assert ground.strides == ()
+    (doubt,) = ground.doubtful
+    assert doubt.stride.end_s - doubt.stride.start_s > 0.6
+    assert (doubt.returns_s, doubt.other_s) == (pytest.approx(0.3, abs=0.01), pytest.approx(0.3, abs=0.01))
+    assert one_sided.stride_by == "body"
+    assert "does not count" in " ".join(notes(one_sided))
+
+
+def test_a_stride_of_ones_own(chain_results, tmp_path):
+    done = run("analyse", chain_results, "--stride", "0.31:0.62", "--out", tmp_path / "a", "--no-figures", "--json")
+    stride = json.loads(done.out)["stride"]
+    assert stride == {"foot": "", "start_s": 0.31, "end_s": 0.62, "by": "given"}
+    assert {*pd.read_csv(tmp_path / "a" / "closures.csv").start_s} == {0.31}
 
 
 def test_vector_field_of_a_knee(whole, tables):

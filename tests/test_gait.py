@@ -15,11 +15,13 @@ from recon.analysis.gait import (
     Stance,
     classify,
     classify_within,
+    doubt_text,
     footfall_table,
     gait,
     ground_plane,
     match_stances,
     pose_gait,
+    pose_return_s,
     pose_tracks,
     stances,
     strides,
@@ -325,6 +327,42 @@ def test_matching_is_one_to_one():
     assert match.start_lag_frames == pytest.approx((5 + 1) / 2)
     assert match.end_lag_frames == pytest.approx((2 - 2 - 1) / 3)
     assert np.isnan(match_stances((), ()).share)
+
+
+@pytest.mark.parametrize("stride_s", [0.2, 0.4, 0.9])
+@pytest.mark.parametrize("feet", [FEET, {"RH": FEET["RH"], "RF": FEET["RF"]}], ids=["four feet", "one side"])
+def test_the_pose_returns_after_a_stride(stride_s, feet):
+    for shares, said in ((2.5, stride_s), (1.6, stride_s), (1.1, None)):
+        pose = runner(
+            *PATTERNS["rotary gallop"], speed_m_s=2.4 / stride_s, stride_s=stride_s, n=round(shares * stride_s * FPS)
+        )
+        noisy = replace(pose, xyz_m=pose.xyz_m + 0.03 * np.random.default_rng(0).normal(size=pose.xyz_m.shape))
+        moved = pose_tracks(noisy, FPS, feet=feet)
+        for start_s, end_s in ((0.0, stride_s), (0.3 * stride_s, 2.3 * stride_s)):  # one stride, and two
+            found = pose_return_s(moved, start_s, end_s)
+            assert found == said if said is None else found == pytest.approx(said, rel=0.03)
+
+
+def test_strides_with_a_stance_too_few_or_too_many_do_not_count():
+    """A foot that is seen in the air in one of its stances has no stride of twice the time, and one that seems to slide
+    for a moment in another has no half ones."""
+    phase, duty = PATTERNS["trot"]
+    pose, t = runner(phase, duty), np.arange(150) / FPS
+    xyz, foot = pose.xyz_m.copy(), NAMES.index(FEET["RF"])
+    xyz[(t > 0.75) & (t < 1.0), foot, 2] += 0.4
+    xyz[np.argmin(np.abs(t - 0.48)), foot, 0] += 0.15
+    clean = pose_gait(pose, FPS)
+    assert not clean.doubtful
+    found = pose_gait(replace(pose, xyz_m=xyz), FPS)
+    assert {doubt.stride.foot for doubt in found.doubtful} == {"RF"}
+    took = sorted(doubt.stride.end_s - doubt.stride.start_s for doubt in found.doubtful)
+    assert took[0] < 0.2
+    assert took[-1] > 0.6
+    assert found.stride_frequency_hz == pytest.approx(2.5, rel=0.01)
+    assert len(found.strides) >= 8
+    text = doubt_text("ground", found.doubtful[0])
+    assert text.startswith("by ground, RF's stride from ")
+    assert " does not count: the pose " in text
 
 
 def test_bad_input():

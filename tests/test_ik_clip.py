@@ -11,10 +11,12 @@ import pandas as pd
 import pytest
 from command_line import run
 
-from recon.app.ik import FITTED, METHODS, fit_parameters, limb_of, methods_of, run_ik
+from recon.app.ik import FITTED, METHODS, fit_parameters, follow_stride, limb_of, methods_of, run_ik, stride_of
 from recon.errors import InputError
+from recon.ik.methods import DampedLeastSquares
 from recon.manifest import write_manifest
 from recon.results import read_results
+from recon.synthetic import RISE_S, START_STRIDES_HZ, TOP_STRIDES_HZ
 
 pytestmark = pytest.mark.usefixtures("small_pictures")
 
@@ -90,7 +92,7 @@ def test_both_jobs_with_all_methods(folder):
     done = run("ik", folder, "--compare", "--no-limits", "--no-figures")
     assert (done.code, done.err) == (0, "")
     summary = json.loads((folder / "ik" / "ik.json").read_text(encoding="utf-8"))
-    assert summary["stride"]["how"] == "given"  # the sample holds complete strides
+    assert summary["stride"]["how"] == "ground"  # the sample holds complete strides
     assert {*summary["to_target"]} == {*summary["along_stride"]} == {*METHODS}
     target = np.array(summary["target_m"])
     for name in METHODS:
@@ -125,6 +127,55 @@ def test_one_method_to_a_place_of_ones_own(folder):
     far = run("ik", folder, "--method", "damped", "--target", "5,0,0", "--out", folder / "y", "--no-figures")
     assert far.code == 0
     assert "unreachable" in " ".join(far.out.split())
+
+
+def true_stride_s(start_s: float) -> float:
+    """Of the simulated gallop of the samples, from its formula."""
+    time_s = np.linspace(0, 3, 30001)
+    phase = TOP_STRIDES_HZ * time_s + RISE_S * (TOP_STRIDES_HZ - START_STRIDES_HZ) * (np.exp(-time_s / RISE_S) - 1)
+    return float(np.interp(np.interp(start_s, time_s, phase) + 1, phase, time_s)) - start_s
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+@pytest.mark.parametrize("fit", ["frame_results", "chain_results", "whole_results"])
+def test_the_stride_takes_as_long_as_it_does_and_can_be_followed(fit, dim, request):
+    """Both skeletons, both methods, all feet that have a chain."""
+    results = read_results(request.getfixturevalue(fit))
+    feet = ["RF"] if len(results.feet) == 2 else list(results.feet)
+    for foot in feet:
+        limb = limb_of(results, foot, dim)
+        found = stride_of(results, limb)
+        stride = found.stride
+        assert found.how in ("ground", "body")
+        assert stride.end_s - stride.start_s == pytest.approx(true_stride_s(stride.start_s), rel=0.05)
+        assert follow_stride(limb.chain, stride, DampedLeastSquares()).distance_m.max() < 0.005
+        assert stride.gap_percent < 15
+
+
+def test_a_stride_that_misses_a_stance_is_said_and_not_taken(frame_results, tmp_path):
+    done = run("ik", frame_results, "--follow", "stride", "--no-figures", "--out", tmp_path / "a")
+    said = " ".join(done.out.split())
+    assert "from one foremost place of the foot to the next" in said
+    assert "note: by ground, RF's stride from 0.320 to 0.963 s does not count: the pose returns after 0.300 s" in said
+
+
+def test_a_stride_of_ones_own(frame_results, tmp_path):
+    ask = ("--follow", "stride", "--no-figures", "--json")
+    done = run("ik", frame_results, *ask, "--stride", "0.4333:0.735", "--out", tmp_path / "a")
+    stride = json.loads(done.out)["stride"]
+    assert (stride["how"], stride["start_s"], stride["end_s"]) == (
+        "given",
+        pytest.approx(13 / 30),
+        pytest.approx(0.735, abs=1e-4),
+    )
+    for given, said in (
+        ("0.4", "found '0.4', expected START:END in seconds"),
+        ("0.5:3", "within 0.000:0.967, in seconds"),
+    ):
+        for command in (("ik", *ask), ("analyse",), ("retarget", "--robot", "a1")):
+            refused = run(command[0], frame_results, *command[1:], "--stride", given, "--out", tmp_path / "b")
+            assert refused.code == 2
+            assert said in refused.err
 
 
 def test_clip_without_a_stride_is_said(frame_results, tmp_path):

@@ -36,8 +36,8 @@ def test_the_stride_of_a_periodic_motion_is_one_period():
 
 def test_the_gap_is_spread_over_the_path():
     q = swings(25, drift=0.004)
-    # To the nearest frames, 2 and 22.
-    found = find_stride(CHAIN, q, fps=100, start_s=0.018, end_s=0.224)
+    # From the nearest frame, 2.
+    found = find_stride(CHAIN, q, fps=100, start_s=0.018, end_s=0.218)
     assert (found.how, found.start_s, found.end_s) == ("given", 0.02, 0.22)
     np.testing.assert_array_equal(found.q, q[2:23])
     ends = np.array([CHAIN.end(x) for x in found.q])
@@ -47,6 +47,23 @@ def test_the_gap_is_spread_over_the_path():
     assert found.gap_percent == pytest.approx(100 * found.gap_m / diameter, rel=1e-2)
     np.testing.assert_array_equal(found.path_m[-1], found.path_m[0])
     np.testing.assert_allclose(found.path_m[::10], ends - np.linspace(0, 1, 21)[:, None] * gap, atol=1e-12)
+
+
+@pytest.mark.parametrize("period", [9.3, 9.5, 20.4])
+def test_a_stride_ends_between_frames(period):
+    """Both as it is given, after a touchdown between two frames, and as the return that is found."""
+    q = swings(40, period)
+    given = find_stride(CHAIN, q, 30, 3.4 / 30, (3.4 + period) / 30)
+    assert (given.start_s, given.end_s) == pytest.approx((3 / 30, (3 + period) / 30))
+    found = find_stride(CHAIN, q, 30)
+    assert found.end_s - found.start_s == pytest.approx(period / 30, rel=0.005)
+    for stride in (given, found):
+        assert stride.gap_percent < 2
+        assert stride.interval_s * (len(stride.path_m) - 1) == pytest.approx(stride.end_s - stride.start_s)
+    # Earlier, rather than shorter, where the clip ends.
+    late = find_stride(CHAIN, q, 30, (39.4 - period) / 30, 39.4 / 30)
+    assert late.end_s - late.start_s == pytest.approx(period / 30)
+    assert late.end_s <= 39 / 30 + 1e-9
 
 
 def test_a_clip_without_a_return_is_taken_whole():

@@ -78,6 +78,13 @@ def chain(frame_results):
     return reference_of(read_results(frame_results))
 
 
+def test_a_stride_of_ones_own(whole_results):
+    animal = reference_of(read_results(whole_results), (0.31, 0.62))
+    window, time = stride_window(animal), animal.reference.time_s
+    assert window.how == "given"
+    assert (time[window.first], time[window.last]) == (pytest.approx(0.31, abs=2e-3), pytest.approx(0.62, abs=2e-3))
+
+
 def test_reference_of_a_whole_animal(whole):
     """Trunk and feet are those of pose3d.csv, turned along the travel."""
     reference, results = whole.reference, whole.analysis.results

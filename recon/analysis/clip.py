@@ -16,7 +16,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from recon.analysis.gait import BODY, Gait, Match, Method, Stride, gait, match_stances, pose_tracks
 from recon.analysis.kinematics import (
@@ -38,11 +37,10 @@ from recon.analysis.phase import (
     portrait_between,
     pose_vector_field,
 )
+from recon.arrays import Array
 from recon.errors import InputError, Problem
 from recon.io.pose3d import Pose3D
 from recon.results import Results
-
-Array = NDArray[np.float64]
 
 PLACE_LASTS_S, POSE_LASTS_S = 0.2, 0.05
 """`Errors.correlation_s` of the animal's place and of the joints relative to their mean."""
@@ -54,8 +52,9 @@ class ClipAnalysis:
 
     pose: what all is worked out from, upright, smoothed where `smoothed` says so. reference: the joint that stands for
     the animal's place. joints, angles, skeleton_angles: motion by joint; the angle at every inner joint of a chain and
-    the flexion of the spine, where the skeleton has one; the fit's own angles. gaits: by method, none without feet.
-    match: of the stances of "body" (first) and "ground". fields: by limb.
+    the flexion of the spine, where the skeleton has one; the fit's own angles. gaits: by method, the ground's first,
+    none without feet. match: of the stances of "body" (first) and "ground". fields: by limb. given: a stride, if the
+    user gave one.
     """
 
     results: Results
@@ -68,13 +67,24 @@ class ClipAnalysis:
     gaits: Mapping[Method, Gait]
     match: Match | None
     fields: Mapping[str, tuple[LinkField, ...]]
+    given: Stride | None = None
 
     @cached_property
     def stride(self) -> Stride | None:
-        """The complete stride that phase portraits are shown for: the first of the foot with the most; None without."""
-        strides = self.gaits["ground"].strides if "ground" in self.gaits else ()
+        """The stride that phase portraits are shown for: the one that was given, or the first complete one of the foot
+        with the most, by the rule of the ground or else by that of the body; None without."""
+        if self.given is not None:
+            return self.given
+        strides = next((gait.strides for gait in self.gaits.values() if gait.strides), ())
         feet = [stride.foot for stride in strides]
         return min(strides, key=lambda s: (-feet.count(s.foot), s.start_s), default=None)
+
+    @property
+    def stride_by(self) -> str | None:
+        """What found `stride`: "given", "ground" or "body"."""
+        if self.stride is self.given:
+            return None if self.given is None else "given"
+        return next(method for method, gait in self.gaits.items() if gait.strides)
 
     @cached_property
     def portraits(self) -> dict[str, Portrait]:
@@ -93,11 +103,13 @@ class ClipAnalysis:
         return {name: closure(portrait) for name, portrait in known.items()}
 
 
-def analyse(results: Results, smooth: bool | None = None) -> ClipAnalysis:
-    """smooth: whether to smooth paths and angles by their jitter; None: where the fit gives no uncertainty.
+def analyse(results: Results, smooth: bool | None = None, stride_s: tuple[float, float] | None = None) -> ClipAnalysis:
+    """smooth: whether to smooth paths and angles by their jitter; None: where the fit gives no uncertainty. stride_s:
+    from when to when a stride lasts; None: one that is found.
 
-    Raises InputError for a clip with fewer than four frames with a pose.
+    Raises InputError for a clip with fewer than four frames with a pose, or a stride that it does not hold.
     """
+    given = None if stride_s is None else stride_given(results, stride_s)
     known = np.isfinite(results.pose.xyz_m).all(axis=(1, 2))
     if known.sum() < MIN_POINTS:
         found = f"{known.sum()} frames with a pose"
@@ -126,7 +138,19 @@ def analyse(results: Results, smooth: bool | None = None) -> ClipAnalysis:
         gaits=gaits,
         match=match_stances(gaits["body"].stances, gaits["ground"].stances) if gaits else None,
         fields={limb: pose_vector_field(pose, chain, fps, results.forward) for limb, chain in chains.items()},
+        given=given,
     )
+
+
+def stride_given(results: Results, stride_s: tuple[float, float]) -> Stride:
+    """As `--stride` gives it, of no foot. Raises InputError for times that are not in the clip."""
+    start_s, end_s = stride_s
+    first_s, last_s = results.time_s[[0, -1]]
+    slack = 0.5 / results.fps
+    if not first_s - slack <= start_s < end_s <= last_s + slack or end_s - start_s < 2 / results.fps:
+        expected = f"two frames or more within {first_s:.3f}:{last_s:.3f}, in seconds"
+        raise InputError(Problem("--stride", "times", f"{start_s:g}:{end_s:g}", expected))
+    return Stride("", start_s, end_s, np.nan, np.nan, "given")
 
 
 def gaits_of(results: Results, smooth: bool | None = None) -> dict[Method, Gait]:

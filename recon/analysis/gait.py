@@ -28,6 +28,13 @@ hardly fix its slope across the track, so that slopes have a prior of 0 +- `SLOP
 stretch that was reconstructed by itself, has a plane of its own.
 
 The leg's length is the body's median height above the ground, the length of Froude numbers.
+
+Strides: a stance that was missed makes two strides one, and a stance that was cut makes one two. Each stride is held
+against the other method's stride of the same foot at that time, and against the return of the pose, the feet's places
+before and below the body: the first lag after which, in the mean over the time of two such strides, they are less than
+`BACK` of the distance apart that two poses taken at random are, having been `AWAY` of it apart. Where the pose returns
+it decides, as all feet and two strides are in it: a stride counts if it is within `AGREE` of that time. Where it does
+not return, in a motion that changes, the other method decides; where nothing can be said, it counts.
 """
 
 from __future__ import annotations
@@ -67,6 +74,13 @@ MIN_STANCE_S = 0.02
 """Far below a galloping cheetah's stances, some 0.06 s."""
 SLOPE_SIGMA, HEIGHT_SIGMA_M = 0.1, 0.03
 """One sigma of the ground's slopes, and of a standing foot's marker about the plane."""
+
+AWAY, BACK = 0.7, 0.5
+"""Root mean square distances of poses, of that between two taken at random, that make a return."""
+RETURN_SEEN = 0.5
+"""A lag is told only from a clip that is longer by this share of it: fewer pairs of poses meet by chance."""
+AGREE = 0.2
+"""A stride that misses a stance is twice as long; the ends of a right one are off by two frames of some ten at most."""
 
 TOGETHER = 0.05
 """Two feet of a pair land together if less than this of a stride lies between: bound."""
@@ -145,18 +159,28 @@ class Tracks:
 class Stride:
     """From one touchdown of a foot to its next (`at` touchdown), or from one lift-off to the next where the clip holds
     no two touchdowns (`at` lift-off). length_m: the body's horizontal travel; duty_factor: of its stance, which lies
-    in the clip from its beginning to its end."""
+    in the clip from its beginning to its end. One that is given (`at`) is of no foot, length and duty factor NaN."""
 
     foot: str
     start_s: float
     end_s: float
     length_m: float
     duty_factor: float
-    at: Literal["touchdown", "lift-off"]
+    at: Literal["touchdown", "lift-off", "given"]
 
     @property
     def frequency_hz(self) -> float:
         return 1.0 / (self.end_s - self.start_s)
+
+
+@dataclass(frozen=True)
+class Doubt:
+    """A stride that is not counted. other_s: duration of the other method's stride of the foot at that time; returns_s:
+    after how long the pose returns about then, NaN if it does not. None where there is nothing to tell it from."""
+
+    stride: Stride
+    other_s: float | None
+    returns_s: float | None
 
 
 @dataclass(frozen=True)
@@ -174,7 +198,8 @@ class GaitName:
 class Gait:
     """The gait of a clip by one method. Means are over complete strides, NaN without any.
 
-    order: the feet in the order of their touchdowns (those the clip holds).
+    order: the feet in the order of their touchdowns (those the clip holds). doubtful: strides by the method that
+    the return of the pose, or the other method, speaks against; none of them is in `strides`.
     """
 
     method: Method
@@ -187,6 +212,7 @@ class Gait:
     duty_factor: Mapping[str, float]
     speed_m_s: float
     name: GaitName
+    doubtful: tuple[Doubt, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -350,6 +376,8 @@ def _median(values: Array) -> float:
     return float(np.median(known)) if len(known) else np.nan
 
 
+_OTHER: Mapping[Method, Method] = MappingProxyType({"ground": "body", "body": "ground"})
+
 # -- stances ---------------------------------------------------------------------------------------------------------
 
 
@@ -459,9 +487,9 @@ def match_stances(first: tuple[Stance, ...], second: tuple[Stance, ...]) -> Matc
 
 
 def gait(moved: Tracks, method: Method = "ground") -> Gait:
-    """Stances, strides and the gait's name by one method."""
+    """Stances, strides and the gait's name by one method, its strides held against the other and the pose's return."""
     found = stances(moved, method)
-    taken = strides(moved, found)
+    taken, doubtful = checked(moved, strides(moved, found), strides(moved, stances(moved, _OTHER[method])))
     lengths, durations = [s.length_m for s in taken], [s.end_s - s.start_s for s in taken]
     landed = sorted((s for s in found if s.begins), key=lambda s: s.start_s)
     return Gait(
@@ -475,6 +503,7 @@ def gait(moved: Tracks, method: Method = "ground") -> Gait:
         duty_factor={foot: _mean([s.duty_factor for s in taken if s.foot == foot]) for foot in moved.feet},
         speed_m_s=_mean([s for s in moved.body_speed_m_s if np.isfinite(s)]),
         name=name_gait(found, taken, float(moved.time_s[-1])),
+        doubtful=doubtful,
     )
 
 
@@ -499,6 +528,77 @@ def strides(moved: Tracks, found: tuple[Stance, ...]) -> tuple[Stride, ...]:
                 length = float(np.linalg.norm(step, axis=1).sum())
                 taken.append(Stride(foot, start, end, length, stance / (end - start), at))
     return tuple(sorted(taken, key=lambda s: (s.start_s, s.foot)))
+
+
+def checked(
+    moved: Tracks, own: tuple[Stride, ...], others: tuple[Stride, ...]
+) -> tuple[tuple[Stride, ...], tuple[Doubt, ...]]:
+    """Strides of one method that count, and those that do not, held against the other's and the return of the pose."""
+    counted, doubtful = [], []
+    for stride in own:
+        other_s = _other_s(stride, others)
+        returns_s = pose_return_s(moved, stride.start_s, stride.end_s)
+        decides = returns_s if returns_s is not None and (returns_s > 0 or other_s is None) else other_s
+        if decides is None or abs(decides * stride.frequency_hz - 1) <= AGREE:
+            counted.append(stride)
+        else:
+            doubtful.append(Doubt(stride, other_s, returns_s))
+    return tuple(counted), tuple(doubtful)
+
+
+def _other_s(stride: Stride, others: tuple[Stride, ...]) -> float | None:
+    """Duration of the stride of the same foot that overlaps most with it, by the other method."""
+
+    def overlap(other: Stride) -> float:
+        return min(stride.end_s, other.end_s) - max(stride.start_s, other.start_s)
+
+    other = max((o for o in others if o.foot == stride.foot), key=overlap, default=None)
+    return None if other is None or overlap(other) <= 0 else other.end_s - other.start_s
+
+
+def doubt_text(method: Method, doubt: Doubt) -> str:
+    """One sentence."""
+    stride = doubt.stride
+    text = f"by {method}, {stride.foot}'s stride from {stride.start_s:.3f} to {stride.end_s:.3f} s does not count: "
+    said = []
+    if doubt.returns_s is not None:
+        after = f"returns after {doubt.returns_s:.3f} s" if doubt.returns_s > 0 else "does not return about then"
+        said.append(f"the pose {after}")
+    if doubt.other_s is not None:
+        said.append(f"by {_OTHER[method]} the foot's stride there takes {doubt.other_s:.3f} s")
+    return text + ", and ".join(said)
+
+
+def pose_return_s(moved: Tracks, start_s: float, end_s: float) -> float | None:
+    """After how long the feet are back where they were relative to the body (see the module), in a time twice as long
+    as that from start to end about it, as far as the clip has it; NaN if they are not, None if the clip is too short to
+    tell."""
+    time, length = moved.time_s, end_s - start_s
+    first_s = float(np.clip(start_s - length / 2, time[0], max(time[0], time[-1] - 2 * length)))
+    a, b = np.searchsorted(time, [first_s - 1e-9, first_s + 2 * length + 1e-9])
+    step = max(1, (b - a) // 200)  # of two strides
+    below = moved.foot_m[a:b:step, :, 2] - moved.body_m[a:b:step, None, 2]
+    lag = _return_lag(np.concatenate([moved.reach_m[a:b:step], below], axis=1))
+    if lag is not None:
+        return float(lag * step * (time[1] - time[0]))
+    return np.nan if time[b - 1] - time[a] >= (1 + AGREE) * (1 + RETURN_SEEN) * length else None
+
+
+def _return_lag(values: Array) -> int | None:
+    """Rows after which values (N, D) are back, in the mean: the first least distance that is near enough."""
+    values = values[:, np.isfinite(values).any(axis=0)]
+    random = 2 * float(np.nanvar(values, axis=0).sum()) if values.size else 0.0
+    lags = np.arange(1, int(len(values) / (1 + RETURN_SEEN)) + 1)
+    squares = np.full(len(lags), np.nan)
+    for i, lag in enumerate(lags):
+        apart = np.sum((values[lag:] - values[:-lag]) ** 2, axis=1)
+        if np.isfinite(apart).any() and random > 0:
+            squares[i] = np.nanmean(apart) / random
+    away = np.flatnonzero(squares > AWAY**2)
+    for i in range(away[0] + 1 if len(away) else len(lags), len(lags) - 1):
+        if squares[i] < BACK**2 and squares[i] <= squares[i - 1] and squares[i] < squares[i + 1]:
+            return int(lags[i])
+    return None
 
 
 def footfall_table(found: tuple[Stance, ...]) -> list[tuple[str, float, float]]:

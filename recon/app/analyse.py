@@ -10,7 +10,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from recon.analysis.clip import ClipAnalysis, analyse
-from recon.analysis.gait import Gait
+from recon.analysis.gait import Gait, doubt_text
 from recon.export import analysis_csv
 from recon.files import require_free_folder, sole_writer, staged_folder
 from recon.report import to_json
@@ -21,6 +21,8 @@ FOLDER = "analysis"
 """In the results' own, by default."""
 PLAYBACK, PLOTS = "motion.rrd", "analysis.rrd"
 """What the fit wrote, and what goes with it."""
+SHOWN = 3
+"""Of strides that do not count, by method: said one by one."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,9 +38,14 @@ class Analysed:
 
 
 def run_analyse(
-    folder: Path, out: Path | None = None, smooth: bool | None = None, figures: bool = True, overwrite: bool = False
+    folder: Path,
+    out: Path | None = None,
+    smooth: bool | None = None,
+    figures: bool = True,
+    overwrite: bool = False,
+    stride_s: tuple[float, float] | None = None,
 ) -> Analysed:
-    """`recon analyse`: into `out`, by default the folder analysis in the results' own. smooth: see `analyse`.
+    """`recon analyse`: into `out`, by default the folder analysis in the results' own. smooth, stride_s: see `analyse`.
 
     The results are not written to. Figures come last: whatever befalls them, the tables are there. Raises InputError:
     no results, too few frames, or files in the way.
@@ -48,7 +55,7 @@ def run_analyse(
     with sole_writer(out):
         require_free_folder(out, (SUMMARY, PLOTS, *analysis_csv.TABLES), overwrite, "an analysis")
         with threadpool_limits(1, user_api="blas"):  # of small matrices, threads cost more than they bring
-            found = analyse(results, smooth)
+            found = analyse(results, smooth, stride_s)
         summary = summarise(found)
         with staged_folder(out) as staging:
             analysis_csv.write(found, staging)
@@ -94,6 +101,14 @@ def summarise(found: ClipAnalysis) -> dict[str, Any]:
         },
         "spine_flexion_rad": found.angles["spine_flexion"].range_rad if "spine_flexion" in found.angles else None,
         "gait": {method: _gait_summary(gait) for method, gait in found.gaits.items()},
+        "stride": None
+        if found.stride is None
+        else {
+            "foot": found.stride.foot,
+            "start_s": found.stride.start_s,
+            "end_s": found.stride.end_s,
+            "by": found.stride_by,
+        },
         "methods_agree": None
         if found.match is None
         else {
@@ -118,6 +133,12 @@ def notes(found: ClipAnalysis) -> list[str]:
         said.append("The skeleton has no feet: no gait.")
     elif len(found.results.feet) < 4:
         said.append(f"Only the feet {', '.join(found.results.feet)} were fitted: the gait has no name.")
+    for method, gait in found.gaits.items():
+        said += [doubt_text(method, doubt) for doubt in gait.doubtful[:SHOWN]]
+        if (more := len(gait.doubtful) - SHOWN) > 0:
+            said.append(f"{more} more strides by {method} do not count, for reasons of the same kind")
+    if found.stride_by == "body":
+        said.append("No complete stride by ground: phase portraits and closures are of one by body.")
     if found.gaits and found.stride is None:
         said.append("No complete stride in the clip: no stride figures, and phase portraits are of the whole clip.")
     return said
@@ -154,6 +175,9 @@ def write_figures(found: ClipAnalysis, folder: Path) -> None:
     for limb, fields in found.fields.items():
         figure = plots.vector_fields(fields, results.time_s, title=limb)
         plots.save(figure, folder, f"vector_field_{limb.replace(' ', '_')}")
-    title = "whole clip: no complete stride" if found.stride is None else f"one stride of {found.stride.foot}"
+    title = {
+        None: "whole clip: no complete stride",
+        "given": "the stride that was given",
+    }.get(found.stride_by, f"one stride of {found.stride.foot if found.stride else ''}")
     figure = plots.phase_portraits(found.portraits, found.closures, title=title)
     plots.save(figure, folder, "phase_portraits")

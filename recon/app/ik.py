@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -13,7 +13,9 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from threadpoolctl import threadpool_limits
 
-from recon.analysis.clip import gaits_of, limb_chains
+from recon.analysis.clip import gaits_of, limb_chains, stride_given
+from recon.analysis.gait import AGREE, doubt_text, pose_return_s
+from recon.analysis.gait import Method as Rule
 from recon.analysis.path import MIN_POINTS
 from recon.errors import InputError, Problem
 from recon.export.table import write_rows
@@ -91,6 +93,16 @@ class Limb:
     first_s: float
     base: Literal["UVW", "xyz"]
     misfit_m: float
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """how: "given", "ground" or "body", the rule that found it complete, "return" or "whole clip". notes: strides that
+    do not count, and what else is to be known of it."""
+
+    stride: Stride
+    how: str
+    notes: tuple[str, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -224,19 +236,20 @@ def run_ik(
     out: Path | None = None,
     figures: bool = True,
     overwrite: bool = False,
+    stride_s: tuple[float, float] | None = None,
 ) -> Solved:
     """`recon ik`: tables and figures into `out`, by default the folder ik in the results' own.
 
     methods: of `METHODS`. target: `STRIDE_MAX`, or coordinates in the chain's base frame, as in "0.8,0.3"; None: none.
-    along_stride: follow a stride of the foot, closed, turns times. fitted: with parameters fitted to the clip. Raises
-    InputError.
+    along_stride: follow a stride of the foot, closed, turns times. fitted: with parameters fitted to the clip.
+    stride_s: from when to when in the clip it lasts; None: see `stride_of`. Raises InputError.
     """
     out = folder / "ik" if out is None else out
     results = read_results(folder)
     _check(methods)
     with sole_writer(out):
         require_free_folder(out, (SUMMARY,), overwrite)
-        solved = _solved(results, methods, target, along_stride, foot, dim, turns, limited, fitted)
+        solved = _solved(results, methods, target, along_stride, foot, dim, turns, limited, fitted, stride_s)
         with staged_folder(out) as staging:
             _write(solved, staging)
         if figures:  # after the tables, which are there whatever befalls them
@@ -255,18 +268,20 @@ def _solved(
     turns: int,
     limited: bool,
     fitted: bool,
+    stride_s: tuple[float, float] | None,
 ) -> Solved:
     limb = limb_of(results, foot, dim, limited)
     goal = _coordinates(target, dim) if target not in (None, STRIDE_MAX) else None
     with threadpool_limits(1, user_api="blas"):
-        stride = stride_of(results, limb)
+        found = stride_of(results, limb, stride_s)
+        stride = found.stride
         parameters = fit_parameters(limb)
         by_name = methods_of(limb, methods, parameters, fitted)
         start, foremost = farthest_reach(limb.chain, stride.q)
         goal = foremost if target == STRIDE_MAX else goal
         drives = {} if goal is None else {n: drive_to(limb.chain, start, goal, m) for n, m in by_name.items()}
         follows = {n: follow_stride(limb.chain, stride, m, turns) for n, m in by_name.items()} if along_stride else {}
-    summary = _summary(limb, stride, goal, drives, follows, parameters, fitted, turns)
+    summary = _summary(limb, found, goal, drives, follows, parameters, fitted, turns)
     return Solved(limb, stride, goal, drives, follows, parameters, summary)
 
 
@@ -290,20 +305,38 @@ def _coordinates(target: str, dim: Dim) -> Array:
     return values
 
 
-def stride_of(results: Results, limb: Limb) -> Stride:
-    """A complete stride of the foot, if the clip has one; otherwise where the foot comes back to nearest. Raises
-    InputError for a clip that shows too little."""
+def stride_of(results: Results, limb: Limb, stride_s: tuple[float, float] | None = None) -> Found:
+    """The stride that is given; or the first of the foot that counts (`recon.analysis.gait`), by the rule of the ground
+    or else by that of the body; or, of a clip without any, where the foot comes back to nearest. Raises InputError for
+    a clip that shows too little."""
+    if stride_s is not None:
+        stride = stride_given(results, stride_s)
+        return _found(results, limb, "given", (stride.start_s, stride.end_s))
     gaits = gaits_of(results)
     label = next(label for label, joint in results.feet.items() if joint == limb.foot)
-    complete = next((s for s in gaits["ground"].strides if s.foot == label), None)
+    doubts = [doubt_text(rule, d) for rule, gait in gaits.items() for d in gait.doubtful if d.stride.foot == label]
+    rules: tuple[Rule, ...] = ("ground", "body")
+    for rule in rules:
+        if complete := next((s for s in gaits[rule].strides if s.foot == label), None):
+            return _found(results, limb, rule, (complete.start_s, complete.end_s), doubts)
+    found = _found(results, limb)
+    stride = found.stride
+    back_s = pose_return_s(gaits["ground"].tracks, limb.first_s + stride.start_s, limb.first_s + stride.end_s)
+    if back_s is not None and not abs(back_s / (stride.end_s - stride.start_s) - 1) <= AGREE:
+        after = f", but after {back_s:.3f} s" if back_s > 0 else ""
+        doubts.append(f"all feet together do not return after this time{after}")
+    return replace(found, notes=(*doubts,))
+
+
+def _found(
+    results: Results, limb: Limb, how: str = "", span_s: tuple[float, float] | None = None, notes: Sequence[str] = ()
+) -> Found:
+    times = () if span_s is None else tuple(at_s - limb.first_s for at_s in span_s)
     try:
-        if complete is not None:
-            return find_stride(
-                limb.chain, limb.q, limb.fps, complete.start_s - limb.first_s, complete.end_s - limb.first_s
-            )
-        return find_stride(limb.chain, limb.q, limb.fps)
+        stride = find_stride(limb.chain, limb.q, limb.fps, *times)
     except ValueError as error:
         raise InputError(Problem(results.folder, "stride", str(error), "a clip that shows more of one")) from None
+    return Found(stride, how or stride.how, tuple(notes))
 
 
 def follow_stride(chain: SerialChain, stride: Stride, method: Method, turns: int = 1) -> Follow:
@@ -320,7 +353,7 @@ def follow_stride(chain: SerialChain, stride: Stride, method: Method, turns: int
 
 def _summary(
     limb: Limb,
-    stride: Stride,
+    found: Found,
     target_m: Array | None,
     drives: Mapping[str, Drive],
     follows: Mapping[str, Follow],
@@ -328,6 +361,8 @@ def _summary(
     fitted: bool,
     turns: int,
 ) -> dict[str, Any]:
+    stride = found.stride
+
     def names(joints: tuple[int, ...]) -> list[str]:
         return [limb.names[j] for j in joints]
 
@@ -362,7 +397,8 @@ def _summary(
         "stride": {
             "start_s": limb.first_s + stride.start_s,
             "end_s": limb.first_s + stride.end_s,
-            "how": stride.how,
+            "how": found.how,
+            "notes": found.notes,
             "gap_m": stride.gap_m,
             "gap_percent": stride.gap_percent,
         },

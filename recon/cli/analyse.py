@@ -12,7 +12,7 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Column, Table
 from rich.text import Text
 
-from recon.cli.common import terminal
+from recon.cli.common import STRIDE, stride_times, terminal
 
 if TYPE_CHECKING:
     from recon.app.analyse import Analysed
@@ -31,6 +31,7 @@ def analyse(
             show_default=False,
         ),
     ] = None,
+    stride: Annotated[str | None, STRIDE] = None,
     figures: Annotated[bool, typer.Option("--figures/--no-figures", help="PNG and SVG beside the tables.")] = True,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace an earlier analysis.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print the summary as JSON.")] = False,
@@ -44,7 +45,7 @@ def analyse(
     from recon.app.analyse import run_analyse
     from recon.report import to_json
 
-    done = run_analyse(folder, out, smooth, figures, overwrite)
+    done = run_analyse(folder, out, smooth, figures, overwrite, stride_times(stride))
     if as_json:
         typer.echo(to_json(done.summary), nl=False)
         return
@@ -80,6 +81,9 @@ def _lines(done: Analysed) -> Iterator[str]:
                 f"  {len(gait.strides)} strides: {gait.stride_length_m:.2f} m, {gait.stride_frequency_hz:.2f} Hz, "
                 f"duty factor {gait.name.duty_factor:.2f}"
             )
+    if (stride := found.stride) is not None:
+        which = "as given" if found.stride_by == "given" else f"of {stride.foot}, by {found.stride_by}"
+        yield f"phase portraits: the stride from {stride.start_s:.3f} to {stride.end_s:.3f} s, {which}"
 
 
 def _stances(done: Analysed) -> Table:

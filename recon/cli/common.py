@@ -77,6 +77,24 @@ def number_option(help: str, expected: str, **more: Any) -> Any:
     return typer.Option(help=help, metavar=NUMBER, parser=str, callback=number, **more)
 
 
+STRIDE = typer.Option(
+    metavar="START:END",
+    help="A stride from when to when, in seconds of the clip, as in 0.31:0.62. (default: one that is found)",
+    show_default=False,
+)
+
+
+def stride_times(given: str | None) -> tuple[float, float] | None:
+    """What `--stride` says, seconds. Raises InputError."""
+    if given is None:
+        return None
+    try:
+        start, end = map(float, given.split(":"))
+    except ValueError:
+        raise InputError(Problem("--stride", "times", repr(given), "START:END in seconds, as in 0.31:0.62")) from None
+    return start, end
+
+
 @contextmanager
 def progress_bar(console: Console, doing: str = "fitting") -> Iterator[Any]:
     columns = (TextColumn("{task.description}", markup=False), BarColumn(), TaskProgressColumn(), TimeRemainingColumn())

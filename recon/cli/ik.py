@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.table import Column, Table
 from rich.text import Text
 
-from recon.cli.common import terminal
+from recon.cli.common import STRIDE, stride_times, terminal
 from recon.errors import InputError, Problem
 
 WIDE_GAP_PERCENT = 25
@@ -42,6 +42,7 @@ def ik(
     foot: Annotated[
         str | None, typer.Option(help="LF, RF, LH, RH, or the joint's name. (default: the first fore foot)")
     ] = None,
+    stride: Annotated[str | None, STRIDE] = None,
     dim: Annotated[int, typer.Option(help="2: in the vertical plane of travel; 3: in space.", min=2, max=3)] = 3,
     turns: Annotated[int, typer.Option(help="How often to follow the stride.", min=1)] = 1,
     limits: Annotated[bool, typer.Option("--limits/--no-limits", help="Limits of the joints.")] = True,
@@ -81,6 +82,7 @@ def ik(
         out,
         figures,
         overwrite,
+        stride_times(stride),
     )
     if as_json:
         typer.echo(to_json(solved.summary), nl=False)
@@ -98,7 +100,9 @@ def _print(console: Console, summary: dict[str, Any], out: Path) -> None:
 
     stride = summary["stride"]
     how = {
-        "given": "from touchdown to touchdown",
+        "given": "as given",
+        "ground": "from touchdown to touchdown",
+        "body": "from one foremost place of the foot to the next: the ground shows none that counts",
         "return": "the clip has no complete one: the nearest return of the foot to the same place",
         "whole clip": "the clip has no complete one: the whole clip",
     }[stride["how"]]
@@ -110,6 +114,8 @@ def _print(console: Console, summary: dict[str, Any], out: Path) -> None:
         f"stride: {stride['start_s']:.3f} to {stride['end_s']:.3f} s, {how}; gap {1000 * stride['gap_m']:.0f} mm "
         f"({stride['gap_percent']:.1f} % of its extent), closed"
     )
+    for note in stride["notes"]:
+        say(f"note: {note}")
     if stride["gap_percent"] > WIDE_GAP_PERCENT:
         say("note: so wide a gap is not of one stride: a touchdown may have been missed, or the clip is too short")
     if summary["to_target"]:

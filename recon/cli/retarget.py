@@ -9,7 +9,7 @@ import typer
 from rich.console import Console
 from rich.text import Text
 
-from recon.cli.common import number_option, terminal
+from recon.cli.common import STRIDE, number_option, stride_times, terminal
 
 
 def retarget(
@@ -36,6 +36,7 @@ def retarget(
             "a share of a stride, as in 0.5",
         ),
     ] = 0.0,
+    stride: Annotated[str | None, STRIDE] = None,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace earlier ones.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print the report as JSON.")] = False,
 ) -> None:
@@ -46,7 +47,7 @@ def retarget(
     from recon.app.retarget import run_retarget
     from recon.report import to_json
 
-    solved = run_retarget(folder, robot, out, scale, slower, lag, overwrite)
+    solved = run_retarget(folder, robot, out, scale, slower, lag, overwrite, stride_times(stride))
     if as_json:
         typer.echo(to_json(solved.report), nl=False)
         return

@@ -1,12 +1,15 @@
 """A real stride as a task: the closed path of the end effector, and the way from its rearmost to its foremost place.
 
 Between the frames the end effector, relative to the base, follows a cubic spline (angles can jump where two of them say
-the same, its place does not). A stride begins and ends where it is told to, at the frames next to the touchdowns of a
-foot for instance. Otherwise it is the return of the end effector that comes nearest to where it began. From each frame
-it goes half the path's diameter away and comes back to within a quarter of it, moving less than a right angle off its
-first direction; that first return ends at its nearest frame. It counts where it spans most of the path's diameter, and
-of all that do the one with the smallest gap is taken, or, of a clip without any, all frames. The gap that is left is
-spread evenly over the path.
+the same, its place does not). A stride begins at a frame, where the angles are known, and ends when it does:
+rounded to frames, one of nine is wrong by up to a ninth, and leaves a gap as wide as the foot moves in a frame.
+
+It begins at the frame next to where it is told to, the touchdown of a foot for instance, and lasts as long as it is
+told to. Otherwise it is the return of the end effector that comes nearest to where it began. From each frame it goes
+half the path's diameter away and comes back to within a quarter of it, moving less than a right angle off its first
+direction; that first return ends where it is nearest. It counts where it spans most of the path's diameter, and of all
+that do the one with the smallest gap at a frame is taken, or, of a clip without any, all frames. The gap that is left
+is spread evenly over the path.
 """
 
 from __future__ import annotations
@@ -35,7 +38,7 @@ AWAY, BACK, SPAN = 0.5, 0.25, 0.8
 
 @dataclass(frozen=True, eq=False)
 class Stride:
-    """A stride of F frames, from start_s to end_s in the clip, whose frame 0 is at 0.
+    """A stride of F frames, from start_s to end_s in the clip, whose frame 0 is at 0; end_s may lie between two.
 
     how: "given", "return" or "whole clip". q (F, n): the animal's joint angles, NaN where missing, of which the first
     is where to start from. path_m (K, dim): the end effector's path, closed, its points `interval_s` apart; the gap
@@ -67,6 +70,7 @@ def find_stride(
     if len(known) < MIN_FRAMES:
         raise ValueError(f"a stride needs {MIN_FRAMES} known frames in a row or more, got {len(known)}")
     ends = _ends(chain, q[known])
+    curve = CubicSpline(known, ends)
     how = "given"
     if start_s is not None and end_s is not None:
         half = 0.5 / fps
@@ -75,16 +79,23 @@ def find_stride(
             raise ValueError(
                 f"a stride within {first:.3f} to {last:.3f} s expected, got {start_s:.3f} to {end_s:.3f} s"
             )
-        start, end = (int(np.argmin(np.abs(known - time_s * fps))) for time_s in (start_s, end_s))
+        frames = (end_s - start_s) * fps
+        # Not so late that it would end after the last frame.
+        begins = known[(known + frames <= known[-1] + 1e-6) | (known == known[0])]
+        start = int(begins[np.argmin(np.abs(begins - start_s * fps))])
+        end = min(start + frames, float(known[-1]))
     else:
         found = _return(known, ends)
         how = "return" if found else "whole clip"
-        start, end = found or (0, len(known) - 1)
-    if end <= start:
+        i, j = found or (0, len(known) - 1)
+        start, end = int(known[i]), float(known[j])
+        if found:
+            near = np.linspace(max(end - 1, start), min(end + 1, known[-1]), 20 * OVERSAMPLING + 1)
+            end = float(near[np.argmin(np.linalg.norm(curve(near) - ends[i], axis=1))])
+    if end <= start + 1 - 1e-6:
         raise ValueError("a stride needs two frames or more")
-    start, end = int(known[start]), int(known[end])
-    points = (end - start) * OVERSAMPLING + 1
-    path = CubicSpline(known, ends)(np.linspace(start, end, points))
+    points = round((end - start) * OVERSAMPLING) + 1
+    path = curve(np.linspace(start, end, points))
     gap, extent = path[-1] - path[0], diameter(path)
     closed = path - np.linspace(0.0, 1.0, points)[:, None] * gap
     closed[-1] = closed[0]
@@ -93,9 +104,9 @@ def find_stride(
         start_s=start / fps,
         end_s=end / fps,
         how=how,
-        q=q[start : end + 1],
+        q=q[start : int(end + 1e-6) + 1],
         path_m=closed,
-        interval_s=1 / (fps * OVERSAMPLING),
+        interval_s=(end - start) / fps / (points - 1),
         gap_m=size,
         gap_percent=100 * size / extent if extent > 0 else 0.0,
     )
