@@ -84,7 +84,7 @@ benchmark: $(BASE)
 
 clean:
 	rm -rf $(DEMO_OUT) build dist site .cache .pytest_cache .ruff_cache
-	find recon tests benchmarks data -name __pycache__ -type d -prune -exec rm -rf {} +
+	find recon tests benchmarks pipelines data -name __pycache__ -type d -prune -exec rm -rf {} +
 
 $(BIN)/python:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "Python 3.11 or newer is needed: make PYTHON=python3.11")'

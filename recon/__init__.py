@@ -13,8 +13,13 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from recon.analysis.clip import ClipAnalysis, analyse
     from recon.analysis.evaluation import Evaluation, evaluate, evaluate_files
+    from recon.app.batch import find_clips, plan_batch, run_batch
+    from recon.app.calibrate import run_calibration
     from recon.app.clip import fit_clip, write_clip
     from recon.app.demo import samples_folder
+    from recon.app.net import LabelSource, run_prediction, run_training
+    from recon.app.prior import run_prior_fit
+    from recon.app.subject import run_subject_fit
     from recon.body import Body
     from recon.calibration import read_camera, read_cameras, write_camera
     from recon.camera import Camera
@@ -23,8 +28,9 @@ if TYPE_CHECKING:
     from recon.io.pose3d import Pose3D, read_pose3d
     from recon.keypoints import Keypoints, clean
     from recon.motion import FrameMotion, Motion, TrajectoryMotion
+    from recon.net.run import TrainSettings
     from recon.results import Results, read_results
-    from recon.settings import FitSettings
+    from recon.settings import FitSettings, read_settings
     from recon.skeleton import Skeleton
     from recon.skeleton_file import load_skeleton
 
@@ -39,22 +45,33 @@ __all__ = [
     "FrameMotion",
     "InputError",
     "Keypoints",
+    "LabelSource",
     "Motion",
     "Pose3D",
     "Results",
     "Skeleton",
+    "TrainSettings",
     "TrajectoryMotion",
     "analyse",
     "clean",
     "evaluate",
     "evaluate_files",
+    "find_clips",
     "fit_clip",
     "load_skeleton",
+    "plan_batch",
     "read_camera",
     "read_cameras",
     "read_keypoints",
     "read_pose3d",
     "read_results",
+    "read_settings",
+    "run_batch",
+    "run_calibration",
+    "run_prediction",
+    "run_prior_fit",
+    "run_subject_fit",
+    "run_training",
     "samples_folder",
     "write_camera",
     "write_clip",
@@ -71,10 +88,16 @@ _NAMES_OF = {
     "recon.io.pose3d": ("Pose3D", "read_pose3d"),
     "recon.keypoints": ("Keypoints", "clean"),
     "recon.motion": ("FrameMotion", "Motion", "TrajectoryMotion"),
+    "recon.app.batch": ("find_clips", "plan_batch", "run_batch"),
+    "recon.app.calibrate": ("run_calibration",),
     "recon.app.clip": ("fit_clip", "write_clip"),
     "recon.app.demo": ("samples_folder",),
+    "recon.app.net": ("LabelSource", "run_prediction", "run_training"),
+    "recon.app.prior": ("run_prior_fit",),
+    "recon.app.subject": ("run_subject_fit",),
+    "recon.net.run": ("TrainSettings",),
     "recon.results": ("Results", "read_results"),
-    "recon.settings": ("FitSettings",),
+    "recon.settings": ("FitSettings", "read_settings"),
     "recon.skeleton": ("Skeleton",),
     "recon.skeleton_file": ("load_skeleton",),
 }

@@ -35,6 +35,7 @@ DOCS = ROOT / "docs"
 PAGES = [ROOT / "README.md", *sorted(DOCS.rglob("*.md"))]
 
 NOT_RUN = {
+    r"\.venv/bin/python pipelines/": "tests/test_pipelines.py",
     r"make (demo|test)": "sets up an environment; .ci/run does it",
     r"(\.venv/bin/)?recon view ": "opens a window: needs a display",
     r"python3 -m venv |\. \.venv/bin/activate": "an environment of its own",
@@ -51,6 +52,8 @@ NOT_RUN = {
 """Commands, from their beginning, and why they are not run."""
 
 FENCE = re.compile(r"^(?P<indent> *)```(?P<language>\S*)\n(?P<text>.*?)^(?P=indent)```$", re.DOTALL | re.MULTILINE)
+SNIPPET = re.compile(r'--8<-- "(.*)"\n')
+"""A block that the site fills with a file of the repository; the files have tests of their own."""
 LANGUAGES = {"sh", "python", "toml", "csv", "text"}
 
 
@@ -156,6 +159,8 @@ def test_page(page, tmp_path, monkeypatch, whole_results, of_results):
         where = f"{page.name}, line {block.line}"
         if block.language == "sh":
             printed = "".join(workshop.shell(c) for c in commands(block) if reason_not_to_run(c) is None)
+        elif SNIPPET.fullmatch(block.text):
+            continue
         elif block.language == "python":
             printed = workshop.python(block.text, names)
             expected = re.findall(r"^print\(.*\)  # (.*)$", block.text, re.MULTILINE)
@@ -206,7 +211,7 @@ def test_toml_blocks_can_be_read():
     """Their fields are checked with the readers in the tests of skeletons."""
     for page in PAGES:
         for block in blocks(page):
-            if block.language == "toml":
+            if block.language == "toml" and not SNIPPET.fullmatch(block.text):
                 tomllib.loads(block.text)
 
 
@@ -272,7 +277,8 @@ def built_site(folder: Path) -> Path:
     shutil.copytree(DOCS, folder / "docs", ignore=shutil.ignore_patterns("__pycache__"))
     for name in ("mkdocs.yml", "CHANGELOG.md", "CONTRIBUTING.md"):
         shutil.copy(ROOT / name, folder)
-    (folder / "recon").symlink_to(ROOT / "recon")
+    for name in ("recon", "pipelines"):
+        (folder / name).symlink_to(ROOT / name)
     command = [sys.executable, "-c", OFFLINE, "build", "--clean", "--strict"]
     environment = {**os.environ, "PYTHONPATH": str(DOCS)}
     done = subprocess.run(
@@ -306,6 +312,7 @@ def test_the_site_is_built_and_read_without_the_net(tmp_path):
         assert 'class="arithmatex"' not in text, f"{page}: a formula that was not converted"
     assert pages[site / "method" / "trajectory.html"].count("<math") > 15
     assert "joint_sigma_m" in pages[site / "api.html"]
+    assert "../data/samples/whole_scene.json" in pages[site / "pipelines.html"]
     assert "Keep a Changelog" in pages[site / "changelog.html"]
     assert len(json.loads((site / "search.json").read_text(encoding="utf-8"))["items"]) > 100
     assert list(lost_links(pages)) == []

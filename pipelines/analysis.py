@@ -1,0 +1,46 @@
+"""What a fitted clip says of the animal's movement: speed, gait, joint angles, phase portraits, with their figures.
+
+Run it with `python analysis.py`, after one_clip.py. What it reads and writes stands in analysis.toml.
+"""
+
+import math
+import tomllib
+from pathlib import Path
+
+import recon
+from recon import plots
+
+FILE = Path(__file__).with_suffix(".toml")
+config = tomllib.loads(FILE.read_text(encoding="utf-8"))
+out = FILE.parent / config["out"]
+
+# A result folder read back, and all that there is to work out from it.
+results = recon.read_results(FILE.parent / config["results"])
+analysis = recon.analyse(results)
+root = analysis.joints[analysis.reference]
+print(f"{analysis.reference}: {root.mean_speed_m_s:.1f} m/s, at most {root.peak_speed_m_s:.1f} m/s")
+
+# Gait: which foot stood when, by both methods, and what that is called.
+for method, gait in analysis.gaits.items():
+    print(f"{gait.name.name} by the {method}, since {gait.name.criterion}; strides of {gait.stride_length_m:.2f} m")
+    print(
+        "touchdowns: " + ", ".join(f"{stance.foot} {stance.start_s:.2f} s" for stance in gait.stances if stance.begins)
+    )
+plots.save(plots.footfall(analysis.gaits, results.fps), out, "footfalls")
+
+# Angles: how far and how fast they go, and over a stride against their rates.
+angles = {name: analysis.skeleton_angles[name] for name in config["angles"]}
+for name, angle in angles.items():
+    least, greatest = (math.degrees(value) for value in angle.range_rad)
+    print(f"{name}: {least:.0f} to {greatest:.0f} degrees, {angle.peak_rate_rad_s:.1f} rad/s at most")
+portraits = {name: analysis.portraits[name] for name in angles}
+plots.save(plots.phase_portraits(portraits, analysis.closures), out, "phase_portraits")
+
+# The poses one upon the other, the speed with its uncertainty, and how the links of a limb swing.
+poses = plots.composites(analysis.pose.xyz_m, results.limbs, results.time_s, sides=results.limb_sides)
+plots.save(poses, out, "poses")
+plots.save(plots.speeds({analysis.reference: root}), out, "speed")
+field = plots.vector_fields(analysis.fields[config["limb"]], results.time_s, title=config["limb"])
+plots.save(field, out, "vector_field")
+
+print(f"The figures are in {out}")

@@ -1,0 +1,38 @@
+"""Many clips: each fitted by itself, several at a time; then one table of how they moved.
+
+Run it with `python batch.py`. What it reads and writes stands in batch.toml, the clips in batch_clips.csv. The same
+command again goes on where it was stopped, and fits what has changed.
+"""
+
+import tomllib
+from pathlib import Path
+
+import recon
+
+FILE = Path(__file__).with_suffix(".toml")
+config = tomllib.loads(FILE.read_text(encoding="utf-8"))
+results = FILE.parent / config["results"]
+
+# Which clips there are, and which of them are done already.
+clips, notes = recon.find_clips([FILE.parent / pattern for pattern in config["clips"]], {}, FILE)
+plan = recon.plan_batch(clips, results)
+for note in notes:
+    print(note)
+for planned in plan:
+    print(f"{planned.clip.name}: {planned.action}")
+
+# A clip that cannot be fitted stops nothing.
+summary = recon.run_batch(plan, results, jobs=config["jobs"])
+print(", ".join(f"{count} {status}" for status, count in summary.counts().items()))
+
+# What the clips have to say, next to each other.
+for name, row in summary.rows.items():
+    if row["status"] not in ("done", "done earlier"):
+        print(f"{name}: {row['status']}, {row['error']}")
+        continue
+    analysis = recon.analyse(recon.read_results(results / name))
+    speed = analysis.joints[analysis.reference].mean_speed_m_s
+    gaits = ", ".join(gait.name.name for gait in analysis.gaits.values())
+    print(f"{name}: {speed:.1f} m/s, {row['outliers']} outliers, {gaits}")
+
+print(f"Results are in {results}, their figures in {summary.path}")

@@ -1,0 +1,44 @@
+"""A new species: clips of several cameras in; the animal's lengths, a prior of its motion, and clips of one camera out.
+
+Run it with `python new_species.py`. What it reads and writes stands in new_species.toml, and for each clip in the
+settings file that this names.
+"""
+
+import tomllib
+from pathlib import Path
+
+import recon
+
+FILE = Path(__file__).with_suffix(".toml")
+config = tomllib.loads(FILE.read_text(encoding="utf-8"))
+results, skeleton = FILE.parent / config["results"], FILE.parent / config["skeleton"]
+subject, prior = results / "subject.toml", results / "prior.npz"
+
+
+def fit(name: str, step: str, **known: object) -> Path:
+    """The folder with the results of the clip that a settings file describes, with what is known of the animal."""
+    settings = recon.read_settings(FILE.parent / name, {"skeleton": skeleton, **known})
+    folder = results / step / Path(name).stem
+    report = recon.write_clip(recon.fit_clip(settings), settings, folder)
+    sigma_mm = 1e3 * report["summary"]["relative_rms_m"]
+    print(f"{step} {Path(name).stem}: a joint is known to {sigma_mm:.0f} mm within the pose")
+    return folder
+
+
+# The runs, as long as nothing is known but the skeleton's file.
+first = [fit(name, "1-first", prior="none") for name in config["runs"]]
+
+# The animal's lengths, which several cameras measure.
+measured = recon.run_subject_fit(first, subject, offsets=config["offsets"], overwrite=True)
+print(f"size {measured.size:.3f} ± {measured.size_sigma:.3f} of the skeleton's lengths")
+
+# The runs with these lengths, and what its motion is like.
+runs = [fit(name, "2-measured", prior="none", subject=subject) for name in config["runs"]]
+learned = recon.run_prior_fit(runs, out=prior, overwrite=True)
+print("\n".join(learned.notes()))
+
+# From now on, one camera is enough.
+for name in config["clips"]:
+    fit(name, "3-one-camera", prior=prior, subject=subject)
+
+print(f"The animal is in {subject} and {prior}: give them to `recon fit` as --subject and --prior")

@@ -1,0 +1,36 @@
+"""One clip that several cameras filmed: keypoints of each in; one 3D motion, and whether the cameras agree, out.
+
+Run it with `python several_cameras.py`. What it reads and writes stands in several_cameras.toml.
+"""
+
+import tomllib
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+import recon
+
+FILE = Path(__file__).with_suffix(".toml")
+results = FILE.parent / tomllib.loads(FILE.read_text(encoding="utf-8"))["results"]
+
+# One motion in the world from all of them.
+settings = recon.read_settings(FILE)
+motion = recon.fit_clip(settings)
+report = recon.write_clip(motion, settings, results)
+
+# What each camera gave. One that was turned, late or exchanged is named among the warnings.
+for camera in report["cameras"]:
+    print(f"{camera['name']}: {camera['frames_seen']} frames, {camera['points']['used']} points")
+print("\n".join(report["warnings"]) or "The cameras agree.")
+
+# Several cameras measure the animal's size, which one camera cannot.
+size = report["size"]
+print(f"size {size['factor']:.3f} ± {size['sigma']:.3f} of the skeleton's lengths")
+
+# How far off the first camera alone would have put the animal: mostly along its line of sight.
+alone = recon.fit_clip(replace(settings, keypoints=settings.keypoints[:1], fast=True))
+apart_m = np.linalg.norm((alone.joints_m - motion.joints_m).mean(axis=1), axis=1)
+print(f"{settings.keypoints[0].name} alone puts it {np.nanmedian(apart_m):.2f} m elsewhere")
+
+print(f"Results are in {results}. Watch them with: recon view {results}")

@@ -1,0 +1,39 @@
+"""A video without a detector: labels of some frames in; a small network, its keypoints and the 3D motion out.
+
+Run it with `python video_to_3d.py`; it needs `pip install '.[net]'`. What it reads and writes stands in
+video_to_3d.toml.
+"""
+
+import tomllib
+from pathlib import Path
+
+import recon
+
+FILE = Path(__file__).with_suffix(".toml")
+config = tomllib.loads(FILE.read_text(encoding="utf-8"))
+results, video, model = (FILE.parent / config[name] for name in ("results", "video", "model"))
+labels = FILE.parent / config["labels"]["labels"]
+
+# Train a network on the labels, unless there is one.
+if not (model / "model.pt").is_file():
+    source = recon.LabelSource(video, labels, config["labels"]["first_frame"])
+    training = recon.run_training(source, recon.TrainSettings(**config["training"]), model)
+    print(f"Errors by keypoint, and labels that are probably wrong: {model}")
+
+# Keypoints of every frame, drawn on the video to look at.
+keypoints = recon.run_prediction(
+    video, model, results / "keypoints.csv", overlay=results / "keypoints.mp4", overwrite=True
+)
+likely = (keypoints.confidence > 0.5).mean()
+print(f"{len(keypoints.frames)} frames, {likely:.0%} of their points likely")
+
+# The 3D motion.
+settings = recon.read_settings(FILE, {"keypoints": results / "keypoints.csv"})
+motion = recon.fit_clip(settings)
+report = recon.write_clip(motion, settings, results / "motion")
+summary = report["summary"]
+print(f"{summary['frames_with_pose']} of {summary['frames']} frames have a pose, {summary['frames_flagged']} doubtful")
+for warning in report["warnings"]:
+    print(warning)
+
+print(f"Results are in {results / 'motion'}. Watch them with: recon view {results / 'motion'}")
