@@ -14,8 +14,9 @@ from pathlib import Path
 
 import numpy as np
 
+from recon.documents import read_text
 from recon.errors import InputError, Problem
-from recon.io.common import frame_number, frames_of_text, name_problems, number
+from recon.io.common import choose, frame_number, frames_of_text, name_problems, number, starts_with_text
 from recon.io.pose import StoredPose
 
 OWN_ROOT = "recon_m_yup_frames_"
@@ -36,18 +37,14 @@ class _Joint:
 
 
 def recognises(path: Path) -> bool:
-    with path.open("rb") as file:
-        return file.read(64).removeprefix(b"\xef\xbb\xbf").lstrip().startswith(b"HIERARCHY")
+    return starts_with_text(path, b"HIERARCHY")
 
 
 def read_pose(path: Path, individual: str | None = None) -> StoredPose:
     """Raises InputError for a file that is cut off or no BVH, and for a choice of animals: BVH has one."""
-    if individual is not None:
-        raise InputError(Problem(path, "individual", "a file without named animals", f"an animal '{individual}'"))
-    try:
-        lines = iter([line.strip() for line in path.read_text(encoding="utf-8-sig").splitlines() if line.strip()])
-    except UnicodeDecodeError:
-        raise InputError(Problem(path, "text", "bytes that are not UTF-8", "a text file in UTF-8")) from None
+    choose(path, [""], individual)
+    text = read_text(path, "a BVH file")
+    lines = iter([line.strip() for line in text.splitlines() if line.strip()])
     try:
         joints = _hierarchy(lines)
         count = frame_number(_value(lines, r"Frames:\s*(\S+)")) or 0

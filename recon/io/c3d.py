@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from recon.errors import InputError, Problem
-from recon.io.common import frames_of_text, name_problems, rate
+from recon.io.common import choose, frames_of_text, name_problems, rate
 from recon.io.pose import UNIT_NAMES, StoredPose
 
 OWN_GROUP = "RECON"
@@ -50,8 +50,7 @@ def recognises(path: Path) -> bool:
 
 def read_pose(path: Path, individual: str | None = None) -> StoredPose:
     """Raises InputError for a damaged file, and for a choice of animals: C3D has one."""
-    if individual is not None:
-        raise InputError(Problem(path, "individual", "a file without named animals", f"an animal '{individual}'"))
+    choose(path, [""], individual)
     try:
         content = _content(path.read_bytes())
     except (ValueError, IndexError, struct.error) as error:

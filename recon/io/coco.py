@@ -14,7 +14,7 @@ import numpy as np
 
 from recon.documents import read_json
 from recon.errors import InputError, Problem
-from recon.io.common import MAX_FRAME, choose, first_problems, name_problems, rate
+from recon.io.common import MAX_FRAME, choose, first_problems, name_problems, rate, starts_with_text
 from recon.keypoints import Keypoints
 
 FRAME_KEYS = ("frame_id", "frame_index", "frame_number")
@@ -22,9 +22,8 @@ FRAME_KEYS = ("frame_id", "frame_index", "frame_number")
 
 def recognises(path: Path) -> bool:
     """Whether it is JSON with COCO's keys; it need not be whole."""
-    with path.open("rb") as file:
-        if not file.read(256).removeprefix(b"\xef\xbb\xbf").lstrip().startswith(b"{"):
-            return False
+    if not starts_with_text(path, b"{"):
+        return False
     content = path.read_bytes()
     return b'"images"' in content and (b'"annotations"' in content or b'"categories"' in content)
 

@@ -91,8 +91,8 @@ def gather(path: Path, table: Columns, layout: ColumnLayout, coords: Sequence[st
         animals = list(dict.fromkeys(whose)) or [""]
         animal = animals[choose(path, animals, individual)]
         rows = np.flatnonzero([w == animal for w in whose])
-    elif individual is not None:
-        raise InputError(Problem(path, "individual", "a file without named animals", f"an animal '{individual}'"))
+    else:
+        choose(path, [""], individual)
     problems: list[Problem] = []
 
     def numbers(column: str) -> np.ndarray:

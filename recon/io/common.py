@@ -40,6 +40,12 @@ def starts_with(path: Path, signature: bytes) -> bool:
         return file.read(len(signature)) == signature
 
 
+def starts_with_text(path: Path, word: bytes) -> bool:
+    """Whether it is the first of the text, after blanks and a byte order mark."""
+    with path.open("rb") as file:
+        return file.read(256).removeprefix(b"\xef\xbb\xbf").lstrip().startswith(word)
+
+
 def choose(path: Path, animals: Sequence[str], individual: str | None) -> int:
     """Which of a file's animals is meant; the only one may be unnamed, "". Raises InputError for a name that the file
     lacks, or none where there are several."""

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from recon.errors import InputError, Problem
-from recon.io.common import name_problems, rate, starts_with
+from recon.io.common import choose, name_problems, rate, starts_with
 from recon.io.pose import StoredPose
 
 DAMAGE = (
@@ -35,8 +35,7 @@ def recognises(path: Path) -> bool:
 
 def read_pose(path: Path, individual: str | None = None) -> StoredPose:
     """Raises InputError for a damaged file or arrays that do not fit, and for a choice of animals: it has one."""
-    if individual is not None:
-        raise InputError(Problem(path, "individual", "a file without named animals", f"an animal '{individual}'"))
+    choose(path, [""], individual)
     try:
         with path.open("rb") as opened, np.load(opened, allow_pickle=False) as file:
             arrays = {name: file[name] for name in file.files}

@@ -6,8 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
+from recon.documents import read_text
 from recon.errors import InputError, Problem
-from recon.io.common import first_problems, frame_number, name_problems, number, rate
+from recon.io.common import choose, first_problems, frame_number, name_problems, number, rate, starts_with_text
 from recon.io.pose import UNIT_NAMES, StoredPose
 
 UP_TEXT = "y up: x forwards, y up, z right"
@@ -16,18 +17,13 @@ HEADER_LINES = 5
 
 
 def recognises(path: Path) -> bool:
-    with path.open("rb") as file:
-        return file.read(64).removeprefix(b"\xef\xbb\xbf").lstrip().startswith(b"PathFileType")
+    return starts_with_text(path, b"PathFileType")
 
 
 def read_pose(path: Path, individual: str | None = None) -> StoredPose:
     """Raises InputError for a header or cells that cannot be used, and for a choice of animals: TRC has one."""
-    if individual is not None:
-        raise InputError(Problem(path, "individual", "a file without named animals", f"an animal '{individual}'"))
-    try:
-        lines = path.read_text(encoding="utf-8-sig").splitlines()
-    except UnicodeDecodeError:
-        raise InputError(Problem(path, "text", "bytes that are not UTF-8", "a text file in UTF-8")) from None
+    choose(path, [""], individual)
+    lines = read_text(path, "a TRC file").splitlines()
     separator = "\t" if "\t" in lines[0] else ","
     cells = [[cell.strip() for cell in line.split(separator)] for line in lines]
     if len(cells) < HEADER_LINES:
