@@ -142,8 +142,8 @@ def run_prior_fit(
     folders, tables = [path for path in paths if path.is_dir()], [path for path in paths if not path.is_dir()]
     given, results, files, rates, _ = all_of(
         lambda: _body(skeleton, subject, folders),
-        lambda: dict(zip(folders, all_of(*(_reader(_results, path) for path in folders)), strict=True)),
-        lambda: dict(zip(tables, all_of(*(_reader(read_pose_segments, path) for path in tables)), strict=True)),
+        lambda: _by_path(_results, folders),
+        lambda: _by_path(read_pose_segments, tables),
         lambda: _rates(fps, tables),
         lambda: _check_options(out, overwrite, components, min_speed_m_s),
     )
@@ -248,12 +248,10 @@ def _held_out(body: Body, segments: Sequence[Segment], prior: MotionPrior) -> He
 def _body(skeleton: str | None, subject: str | None, folders: Sequence[Path]) -> Body | None:
     """As given; None where results have it."""
     if skeleton is None:
-        if subject is not None or not folders:
-            what = "the name or file of a whole animal"
-            raise InputError(
-                Problem("--skeleton", "name or file", "nothing", what if folders else f"{what}, or results")
-            )
-        return None
+        if folders and subject is None:
+            return None
+        expected = f"a whole animal's{'' if folders else ', or results of `recon fit`'}"
+        raise InputError(Problem("--skeleton", "name or file", "nothing", expected))
     body = load_skeleton(skeleton, subject)
     if not isinstance(body, Body):
         raise InputError(Problem("--skeleton", "name or file", repr(skeleton), "a whole animal, with [[segments]]"))
@@ -268,8 +266,8 @@ def _common_body(given: Body | None, results: Mapping[Path, Results]) -> Body:
     return next(iter(bodies.values()))
 
 
-def _reader(read: Callable[[Path], T], path: Path) -> Callable[[], T]:
-    return lambda: read(path)
+def _by_path(read: Callable[[Path], T], paths: Sequence[Path]) -> dict[Path, T]:
+    return dict(zip(paths, all_of(*(lambda path=path: read(path) for path in paths)), strict=True))
 
 
 def _results(folder: Path) -> Results:
@@ -283,11 +281,11 @@ def _results(folder: Path) -> Results:
 def _rates(fps: str | None, tables: Sequence[Path]) -> list[float]:
     """The number, or those of a JSON file; none where there are no pose files."""
     expected = 'frames per second above 0, as in 120, or a JSON file with {"fps": [120, 90]}'
+    if fps is None and not tables:
+        return []
     if fps is None or not tables:
-        if fps is None and not tables:
-            return []
-        expected = expected if tables else "nothing: results have their own"
-        raise InputError(Problem("--fps", "frame rate", fps or "nothing", expected))
+        wanted = expected if tables else "nothing: results have their own"
+        raise InputError(Problem("--fps", "frame rate", fps or "nothing", wanted))
     try:
         rates = [float(fps)]
     except ValueError:
