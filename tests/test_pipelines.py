@@ -38,7 +38,7 @@ def folder(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def said(folder: Path, capsys: pytest.CaptureFixture[str]) -> Callable[..., str]:
-    """`said(name, old=new, ...)`: what a script prints. Its settings may be changed before, by replacing text."""
+    """`said(name, {old: new, ...})`: what a script prints, in whose settings these texts are replaced before."""
 
     def run(name: str, changes: dict[str, str] | None = None) -> str:
         file = folder / f"{name}.toml"
@@ -78,8 +78,8 @@ def test_batch(said, folder):
     assert (folder / "results" / "batch" / "summary.csv").is_file()
 
 
-def test_calibration(said, folder, monkeypatch):
-    """Pictures of a board in all corners make a camera; three of them are refused, and nothing is written."""
+def test_calibration(said, folder):
+    """Pictures of a board in all corners make a camera; four of them are refused, with where boards are missing."""
     camera, board = CAMERAS["radtan"], parse_board("charuco:9x6:30mm:22mm:DICT_4X4_50")
     (folder / "board").mkdir()
     rng = np.random.default_rng(1)
@@ -90,6 +90,11 @@ def test_calibration(said, folder, monkeypatch):
     assert "16 of 16 pictures show the board, 16 were used" in text
     written = recon.read_camera(folder / "results" / "calibration" / "camera.toml")
     assert written.matrix[0, 0] == pytest.approx(camera.matrix[0, 0], rel=0.01)
+    for path in sorted((folder / "board").iterdir())[4:]:
+        path.unlink()
+    with pytest.raises(SystemExit, match="The calibration was refused"):
+        said("calibration", {"camera.toml": "other.toml"})
+    assert not (folder / "results" / "calibration" / "other.toml").exists()
 
 
 @pytest.mark.usefixtures("small_pictures")
