@@ -67,10 +67,15 @@ def _lines(done: Analysed) -> Iterator[str]:
     speed, found = done.summary["speed"], done.found
     sigma = speed["peak_sigma_m_s"]
     spread = "" if sigma is None else f" ± {sigma:.1f}"
-    yield (
-        f"path of {found.reference}: {speed['distance_m']:.2f} m, mean {speed['mean_m_s']:.1f} m/s, "
-        f"peak {speed['peak_m_s']:.1f}{spread} m/s at {speed['peak_time_s']:.2f} s"
-    )
+    if speed["doubt"] is None:
+        yield (
+            f"path of {found.reference}: {speed['distance_m']:.2f} m, mean {speed['mean_m_s']:.1f} m/s, "
+            f"peak {speed['peak_m_s']:.1f}{spread} m/s at {speed['peak_time_s']:.2f} s"
+        )
+    else:
+        run = speed["straight_run_m_s"]
+        other = "" if run is None else f"{run:.1f} m/s, of a straight run through all frames; "
+        yield f"speed of {found.reference}: {other}its path is too uncertain in depth for it: {speed['doubt']}"
     if "spine_flexion" in found.angles:
         low, high = (math.degrees(angle) for angle in found.angles["spine_flexion"].range_rad)
         yield f"flexion of the spine: {low:+.0f}° to {high:+.0f}° (positive: arched up)"

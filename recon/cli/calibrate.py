@@ -8,13 +8,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.box import SIMPLE_HEAD
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn
-from rich.table import Column, Table
 from rich.text import Text
 
-from recon.cli.common import error_text, terminal
+from recon.cli.common import error_text, number_table, progress_bar, say, terminal
 
 if TYPE_CHECKING:
     from recon.app.calibrate import CalibrationRun
@@ -55,18 +52,8 @@ def calibrate(
     from recon.app.calibrate import run_calibration
 
     errors = terminal(stderr=True, soft_wrap=True)
-    columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn())
-    with Progress(*columns, console=errors, transient=True, disable=not errors.is_terminal) as bar:
-        task = bar.add_task("reading", total=1.0)
-        run = run_calibration(
-            inputs,
-            board,
-            model,
-            out,
-            force=force,
-            overwrite=overwrite,
-            progress=lambda stage, share: bar.update(task, description=stage, completed=share),
-        )
+    with progress_bar(errors) as progress:
+        run = run_calibration(inputs, board, model, out, force=force, overwrite=overwrite, progress=progress)
     if as_json:
         typer.echo(json.dumps(run.to_dict(), indent=1))
     else:
@@ -80,9 +67,7 @@ def calibrate(
 
 def _print(run: CalibrationRun, console: Console) -> None:
     calibration = run.calibration
-    table = Table(Column("picture", no_wrap=True), box=SIMPLE_HEAD)
-    for name in ("corners", "error px", "worst px", "tilt", "distance m", ""):
-        table.add_column(name, justify="right")
+    table = number_table("picture", numbers=("corners", "error px", "worst px", "tilt", "distance m", ""))
     for view in calibration.views:
         table.add_row(
             Text(view.name),
@@ -97,11 +82,11 @@ def _print(run: CalibrationRun, console: Console) -> None:
     looked = f"{run.views.board}: found in {run.views.found} of {run.views.examined} pictures"
     if run.views.found > len(calibration.views):
         looked += f", the {len(calibration.views)} sharpest and most different were taken"
-    console.print(Text(looked), soft_wrap=True)
+    say(console, looked)
     if run.views.without_board:
         names = run.views.without_board
         more = f" and {len(names) - 10} more" if len(names) > 10 else ""
-        console.print(Text(f"Not found in: {', '.join(names[:10])}{more}"), soft_wrap=True)
+        say(console, f"Not found in: {', '.join(names[:10])}{more}")
     console.print()
     for (name, value), sigma in zip(calibration.parameters.items(), calibration.sigma, strict=True):
         digits = 1 if name in ("fx", "fy", "cx", "cy") else 4
@@ -111,4 +96,4 @@ def _print(run: CalibrationRun, console: Console) -> None:
         if check.verdict == "warning" or (check.verdict == "refused" and run.written is not None):
             console.print(Text.assemble(("warning: ", "yellow"), str(check)), soft_wrap=True)
     if run.written is not None:
-        console.print(Text(f"Written: {run.written}, and what it rests on: {run.picture}"), soft_wrap=True)
+        say(console, f"Written: {run.written}, and what it rests on: {run.picture}")

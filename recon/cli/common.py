@@ -5,15 +5,17 @@ from __future__ import annotations
 import json
 import shlex
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from importlib import import_module
 from pathlib import Path
 from typing import Any, NoReturn
 
 import typer
+from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
+from rich.table import Column, Table
 from rich.text import Text
 
 from recon.errors import InputError, Problem
@@ -30,6 +32,18 @@ EXIT_BAD_INPUT = 2
 def terminal(**given: Any) -> Console:
     """Where a command prints. Brackets and colons in names are no markup."""
     return Console(markup=False, emoji=False, **given)
+
+
+def say(console: Console, text: str) -> None:
+    """One line, however long: no markup, and no breaks that a terminal would not make."""
+    console.print(Text(text), soft_wrap=True)
+
+
+def number_table(*texts: str, numbers: Iterable[str], **more: Any) -> Table:
+    """A table without rows: columns of texts, the first of which names the row, then of numbers."""
+    first, *others = texts
+    columns = (Column(first, no_wrap=True), *others, *(Column(name, justify="right") for name in numbers))
+    return Table(*columns, box=SIMPLE_HEAD, **more)
 
 
 def error_text(message: str) -> Text:
@@ -96,11 +110,12 @@ def stride_times(given: str | None) -> tuple[float, float] | None:
 
 
 @contextmanager
-def progress_bar(console: Console, doing: str = "fitting") -> Iterator[Any]:
+def progress_bar(console: Console, doing: str = "") -> Iterator[Any]:
+    """A function of a stage and how much of all is done (0 to 1). doing: what stands before the stage."""
     columns = (TextColumn("{task.description}", markup=False), BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
     with Progress(*columns, console=console, transient=True, disable=console.quiet or not console.is_terminal) as bar:
         task = bar.add_task("reading", total=1.0)
-        yield lambda stage, share: bar.update(task, description=f"{doing}: {stage}", completed=share)
+        yield lambda stage, share: bar.update(task, description=f"{doing}{stage}", completed=share)
 
 
 def finish(console: Console, report: dict[str, Any], out: Path, as_json: bool = False, **more: Any) -> None:
@@ -118,6 +133,4 @@ def finish(console: Console, report: dict[str, Any], out: Path, as_json: bool = 
         terminal(stderr=True, soft_wrap=True).print(error_text(message))
         raise typer.Exit(EXIT_UNSOLVED)
     if not as_json:
-        console.print(
-            Text(f"Results are in {out}. Watch them with: recon view {shlex.quote(str(out))}"), soft_wrap=True
-        )
+        say(console, f"Results are in {out}. Watch them with: recon view {shlex.quote(str(out))}")

@@ -24,7 +24,7 @@ def demo(
 
     console = terminal(quiet=quiet, stderr=as_json)
     leave_pandas_out()
-    with progress_bar(console) as progress:
+    with progress_bar(console, "fitting: ") as progress:
         report, evaluation = run_demo(out, overwrite, progress)
     finish(console, report, out, as_json, mpjpe_mm=1000 * evaluation.mpjpe_m.mean)
     if not as_json:

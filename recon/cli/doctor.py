@@ -12,7 +12,7 @@ from rich.console import Console
 from rich.table import Column, Table
 from rich.text import Text
 
-from recon.cli.common import progress_bar, terminal
+from recon.cli.common import progress_bar, say, terminal
 
 if TYPE_CHECKING:
     from recon.app.doctor import Doctor
@@ -30,7 +30,7 @@ def doctor(as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] 
     """
     from recon.app.doctor import run_doctor
 
-    with progress_bar(terminal(stderr=True), "checking") as progress:
+    with progress_bar(terminal(stderr=True), "checking: ") as progress:
         found = run_doctor(progress)
     if as_json:
         typer.echo(json.dumps(found.to_dict(), indent=1))
@@ -52,4 +52,4 @@ def _print(console: Console, found: Doctor) -> None:
         table.add_section()
     console.print(table)
     broken = [check.name for check in found.checks if check.status == "broken"]
-    console.print(Text(f"Broken: {', '.join(broken)}" if broken else "recon works here."), soft_wrap=True)
+    say(console, f"Broken: {', '.join(broken)}" if broken else "recon works here.")

@@ -8,11 +8,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.box import SIMPLE_HEAD
-from rich.table import Column, Table
+from rich.table import Table
 from rich.text import Text
 
-from recon.cli.common import terminal
+from recon.cli.common import number_table, terminal
 
 if TYPE_CHECKING:
     from recon.analysis.evaluation import Evaluation
@@ -44,9 +43,8 @@ def _table(result: Evaluation) -> Table:
     """Errors in millimetres and shares of good points, over all and by joint."""
     scores = (result.mpjpe_m, result.mpe_m, result.scale_mpjpe_m, result.pa_mpjpe_m)
     shares = [score for _, score in result.pck]
-    table = Table(Column("errors in mm", no_wrap=True), box=SIMPLE_HEAD)
-    for name in ("MPJPE", "MPE", "scaled", "PA", *(f"PCK {1000 * t:.0f}" for t, _ in result.pck)):
-        table.add_column(name, justify="right")
+    pck = (f"PCK {1000 * t:.0f}" for t, _ in result.pck)
+    table = number_table("errors in mm", numbers=("MPJPE", "MPE", "scaled", "PA", *pck))
 
     def add_row(name: str, errors_m: Iterable[float], shares: Iterable[float], last: bool = False) -> None:
         cells = [f"{1000 * e:.1f}" for e in errors_m] + [f"{share:.0%}" for share in shares]

@@ -7,11 +7,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.box import SIMPLE_HEAD
-from rich.table import Column, Table
+from rich.table import Table
 from rich.text import Text
 
-from recon.cli.common import number_option, terminal
+from recon.cli.common import number_option, number_table, terminal
 
 if TYPE_CHECKING:
     from recon.net.evaluate2d import Evaluation2D, Score2D
@@ -61,10 +60,8 @@ def evaluate_2d(
 def _table(result: Evaluation2D) -> Table:
     from recon.net.evaluate2d import PCK_PX, PCK_RELATIVE
 
-    table = Table(Column("errors in px", no_wrap=True), box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
     pck = (*(f"{t:g}px" for t in PCK_PX), *(f"{t:.0%}" for t in PCK_RELATIVE))
-    for name in ("n", "found", "RMSE", "median", *pck):
-        table.add_column(name, justify="right")
+    table = number_table("errors in px", numbers=("n", "found", "RMSE", "median", *pck), padding=(0, 1, 0, 0))
 
     def add_row(name: str, score: Score2D, last: bool = False) -> None:
         cells = [str(score.points), f"{score.found:.0%}", f"{score.rmse_px:.2f}", f"{score.median_px:.2f}"]

@@ -42,6 +42,6 @@ def fit(
         raise InputError(no_out)
     console = terminal(quiet=quiet, stderr=as_json)
     leave_pandas_out()
-    with progress_bar(console) as progress:
+    with progress_bar(console, "fitting: ") as progress:
         report = run_clip(settings, out, overwrite, progress)
     finish(console, report, out, as_json)

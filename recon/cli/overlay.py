@@ -6,10 +6,8 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
-from rich.text import Text
 
-from recon.cli.common import number_option, terminal
+from recon.cli.common import number_option, progress_bar, say, terminal
 
 
 def overlay(
@@ -39,9 +37,7 @@ def overlay(
     from recon.app.overlay import run_overlay
 
     console = terminal(quiet=quiet)
-    columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=console, transient=True, disable=quiet or not console.is_terminal) as bar:
-        task = bar.add_task("reading", total=1.0)
+    with progress_bar(console) as progress:
         run = run_overlay(
             folder,
             video,
@@ -50,9 +46,6 @@ def overlay(
             camera=camera_name,
             speed=speed,
             overwrite=overwrite,
-            progress=lambda stage, share: bar.update(task, description=stage, completed=share),
+            progress=progress,
         )
-    console.print(
-        Text(f"{run.frames} frames at {run.speed:.3g} times their speed ({run.fps:.4g} a second) are in {out}."),
-        soft_wrap=True,
-    )
+    say(console, f"{run.frames} frames at {run.speed:.3g} times their speed ({run.fps:.4g} a second) are in {out}.")

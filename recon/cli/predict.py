@@ -7,9 +7,8 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.text import Text
 
-from recon.cli.common import number_option, progress_bar, terminal
+from recon.cli.common import number_option, progress_bar, say, terminal
 
 
 def predict(
@@ -56,7 +55,7 @@ def predict(
 
     console = terminal(quiet=quiet)
     start = time.monotonic()
-    with progress_bar(console, "predicting") as progress:
+    with progress_bar(console, "predicting: ") as progress:
         keypoints = run_prediction(
             video,
             model,
@@ -74,11 +73,9 @@ def predict(
         )
     frames, seconds = len(keypoints.frames), time.monotonic() - start
     sure = float((keypoints.confidence >= likelihood_min).mean())
-    console.print(
-        Text(
-            f"{frames} frames in {seconds:.1f} s ({frames / seconds:.0f} a second); {sure:.0%} of the points have a "
-            f"likelihood of {likelihood_min:g} or more. They are in {out}"
-            + (f", drawn on the video in {overlay}." if overlay else ".")
-        ),
-        soft_wrap=True,
+    drawn = f", drawn on the video in {overlay}" if overlay else ""
+    say(
+        console,
+        f"{frames} frames in {seconds:.1f} s ({frames / seconds:.0f} a second); {sure:.0%} of the points have a "
+        f"likelihood of {likelihood_min:g} or more. They are in {out}{drawn}.",
     )

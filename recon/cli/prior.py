@@ -7,11 +7,9 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.box import SIMPLE_HEAD
-from rich.table import Column, Table
 from rich.text import Text
 
-from recon.cli.common import number_option, terminal
+from recon.cli.common import number_option, number_table, terminal
 
 
 def prior_fit(
@@ -72,9 +70,7 @@ def prior_fit(
     if as_json:
         typer.echo(json.dumps({"out": str(out), **done.to_dict()}, indent=1))
         return
-    table = Table(Column("segment", no_wrap=True), box=SIMPLE_HEAD)
-    for title in ("frames", "fps", "speed m/s", "misfit mm", "used"):
-        table.add_column(title, justify="right")
+    table = number_table("segment", numbers=("frames", "fps", "speed m/s", "misfit mm", "used"))
     for row, rms_mm in zip(done.prior.segments, done.rms_mm, strict=True):
         numbers = f"{row.frames}", f"{row.fps:g}", f"{row.speed_m_s:.1f}", f"{rms_mm:.1f}".replace("nan", "-")
         table.add_row(Text(row.name), *numbers, "yes" if row.used else "no")

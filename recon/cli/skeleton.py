@@ -12,7 +12,7 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Column, Table
 from rich.text import Text
 
-from recon.cli.common import terminal
+from recon.cli.common import number_table, say, terminal
 
 if TYPE_CHECKING:
     from recon.app.skeleton_check import AngleRow, MarkerRow, PartRow, SkeletonCheck
@@ -34,9 +34,7 @@ def skeleton_list(as_json: Annotated[bool, typer.Option("--json", help="Print JS
     if as_json:
         typer.echo(json.dumps([asdict(row) for row in found], indent=1))
         return
-    table = Table(Column("name", no_wrap=True), "kind", box=SIMPLE_HEAD)
-    for title in ("markers", "unknowns"):
-        table.add_column(title, justify="right")
+    table = number_table("name", "kind", numbers=("markers", "unknowns"))
     table.add_column("title")
     for row in found:
         table.add_row(Text(row.name), row.kind, f"{row.markers}", f"{row.unknowns}", Text(row.title))
@@ -69,11 +67,11 @@ def skeleton_check(
         return
     console = terminal()
     for line in _summary(check):
-        console.print(Text(line), soft_wrap=True)
+        say(console, line)
     for table in [_chain_table(check)] if check.kind == "chain" else _body_tables(check):
         console.print(table)
     for line in _notes(check, out):
-        console.print(Text(line), soft_wrap=True)
+        say(console, line)
 
 
 def _summary(check: SkeletonCheck) -> Iterator[str]:
@@ -96,9 +94,7 @@ def _body_tables(check: SkeletonCheck) -> Iterator[Table]:
         of_angles = (angles.get(name, "") for name in ("yaw", "pitch", "roll"))
         table.add_row(Text(part.name + star), Text(part.parent), length, *of_angles)
     yield table
-    table = Table(Column("marker", no_wrap=True), "on segment", box=SIMPLE_HEAD)
-    for title in ("x m", "y m", "z m"):
-        table.add_column(title, justify="right")
+    table = number_table("marker", "on segment", numbers=("x m", "y m", "z m"))
     for marker, star in _pairs_as_one(check.markers, _opposite):
         numbers = (f"{x:.3f}" for x in marker.at_m)
         table.add_row(Text(marker.name + star), Text(marker.segment), *numbers)

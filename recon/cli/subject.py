@@ -8,11 +8,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.box import SIMPLE_HEAD
-from rich.table import Column, Table
+from rich.table import Table
 from rich.text import Text
 
-from recon.cli.common import terminal
+from recon.cli.common import number_table, terminal
 
 if TYPE_CHECKING:
     from recon.app.subject import SubjectFit
@@ -58,16 +57,12 @@ def _tables(found: SubjectFit) -> Iterator[Table]:
     rows, shape = list(found.rows()), found.fit.shape
     first = len(shape.lengths)
     if shape.lengths:
-        table = Table(Column("length of", no_wrap=True), box=SIMPLE_HEAD)
-        for heading in ("m", "±"):
-            table.add_column(heading, justify="right")
+        table = number_table("length of", numbers=("m", "±"))
         for name, value, sigma, _ in rows[:first]:
             table.add_row(Text(name), f"{value:.3f}", f"{sigma:.3f}")
         yield table
     if shape.offsets:
-        table = Table(Column("keypoint off its marker, mm", no_wrap=True), box=SIMPLE_HEAD)
-        for heading in ("forwards", "left", "up", "±"):
-            table.add_column(heading, justify="right")
+        table = number_table("keypoint off its marker, mm", numbers=("forwards", "left", "up", "±"))
         for i, name in enumerate(shape.offsets):
             three = rows[first + 3 * i : first + 3 * i + 3]
             sigma = max(s for _, _, s, _ in three)

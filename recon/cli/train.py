@@ -7,9 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
-from rich.text import Text
 
-from recon.cli.common import number_option, stop, terminal
+from recon.cli.common import number_option, say, stop, terminal
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -120,7 +119,7 @@ def train(
             message = "there is no checkpoint yet"
         stop(f"Stopped: {message}.")
     for line in _summary(report, out):
-        console.print(Text(line), soft_wrap=True)
+        say(console, line)
 
 
 def _summary(report: dict[str, Any], out: Path) -> Iterator[str]:
