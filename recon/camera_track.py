@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from recon.arrays import Array, Bools, Index, Integers
+from recon.arrays import Array, Bools, Integers
 from recon.camera import Camera, LensModel
 from recon.documents import read_text
 from recon.errors import InputError, Problem
@@ -174,9 +174,9 @@ class _Poses:
         table = np.array(self.values)
         for kind, expected, wrong in _CHECKS:
             with np.errstate(all="ignore"):
-                rows = np.flatnonzero(wrong(table))
+                rows = np.flatnonzero(wrong(table).any(axis=1))
             if len(rows):
-                yield Problem(self.path, kind, f"{_places(self.places, rows)}", expected)
+                yield Problem(self.path, kind, f"others in {_some([self.places[row] for row in rows])}", expected)
         order = np.sort(self.frames)
         twice = np.unique(order[1:][np.diff(order) == 0])
         if len(twice):
@@ -198,33 +198,21 @@ class _Poses:
         )
 
 
-def _not_finite(table: Array) -> Bools:
-    return np.asarray((np.isnan(table) | np.isinf(table)).any(axis=1))
-
-
-def _off_unit(table: Array) -> Bools:
-    return np.asarray(np.abs(np.linalg.norm(table[:, :4], axis=1) - 1) > UNIT_TOLERANCE)
-
-
-def _too_far(table: Array) -> Bools:
-    return np.asarray((np.abs(table[:, 4:7]) > MAX_PLACE_M).any(axis=1))
-
-
-def _no_lens(table: Array) -> Bools:
-    return np.asarray((table[:, 7:9] <= 0).any(axis=1) | (np.abs(table[:, 7:]) > MAX_PX).any(axis=1))
-
-
 _CHECKS: tuple[tuple[str, str, Callable[[Array], Bools]], ...] = (
-    ("numbers", "finite numbers", _not_finite),
-    ("qw, qx, qy, qz", f"unit quaternions (to {UNIT_TOLERANCE:g})", _off_unit),
-    ("tx, ty, tz", f"metres, no more than {MAX_PLACE_M:g}", _too_far),
-    ("fx, fy, cx, cy", f"pixels, no more than {MAX_PX:g}, fx and fy above 0", _no_lens),
+    ("numbers", "finite numbers", lambda table: ~np.isfinite(table)),
+    (
+        "qw, qx, qy, qz",
+        f"unit quaternions (to {UNIT_TOLERANCE:g})",
+        lambda table: np.abs(np.linalg.norm(table[:, :4], axis=1, keepdims=True) - 1) > UNIT_TOLERANCE,
+    ),
+    ("tx, ty, tz", f"metres, no more than {MAX_PLACE_M:g}", lambda table: np.abs(table[:, 4:7]) > MAX_PLACE_M),
+    (
+        "fx, fy, cx, cy",
+        f"pixels, no more than {MAX_PX:g}, fx and fy above 0",
+        lambda table: np.hstack([table[:, 7:9] <= 0, np.abs(table[:, 7:]) > MAX_PX]),
+    ),
 )
-"""Field, what is expected of it, and the rows (N,) of a table that are otherwise."""
-
-
-def _places(places: Sequence[str], rows: Index) -> str:
-    return f"others in {_some([places[row] for row in rows])}"
+"""Field, what is expected of it, and what is otherwise (N, any), by rows of a table."""
 
 
 def _some(items: Sequence[Any], shown: int = 3) -> str:

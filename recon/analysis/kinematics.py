@@ -29,7 +29,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline, make_smoothing_spline
 from scipy.optimize import brentq
 
-from recon.analysis.path import MAX_GAP_S, MIN_POINTS
+from recon.analysis.path import MAX_GAP_S, MIN_POINTS, stretches
 from recon.arrays import Array, Index
 from recon.errors import InputError, Problem
 from recon.io.pose3d import Pose3D
@@ -149,7 +149,7 @@ def series_kinematics(
     spread = np.full((3, N, d), np.nan) if len(errors) and propagate else None
     weight = 1.0 / np.sqrt(sum(e.sigma**2 for e in errors)) if smooth else np.ones((T, d))
     spans, lams = [], []
-    for rows in _spans(time_s, values, max_gap_s, MIN_SMOOTHING_POINTS if smooth else MIN_POINTS):
+    for rows in stretches(time_s, values, max_gap_s, MIN_SMOOTHING_POINTS if smooth else MIN_POINTS):
         where = slice(rows[0] * oversampling, rows[-1] * oversampling + 1)
         t, at = time_s[rows], fine_s[where]
         lam = np.zeros(d)
@@ -189,13 +189,6 @@ def _check_series(time_s: Array, values: Array, errors: Sequence[Errors], smooth
             raise ValueError("standard deviations must be positive, one for each known value")
         if error.correlation_s < 0:
             raise ValueError("a correlation time is not negative")
-
-
-def _spans(time_s: Array, values: Array, max_gap_s: float, min_points: int) -> list[Index]:
-    """Rows of the known values, split at the gaps that are too long; those with enough values."""
-    known = np.flatnonzero(np.isfinite(values).all(axis=1))
-    too_long = (np.diff(known) > 1) & (np.diff(time_s[known]) > max_gap_s * (1 + 1e-9))
-    return [rows for rows in np.split(known, np.flatnonzero(too_long) + 1) if len(rows) >= min_points]
 
 
 def _curve(t: Array, x: Array, weight: Array, lam: float) -> Curve:
