@@ -12,11 +12,12 @@ import pytest
 from command_line import run
 
 from recon.analysis.clip import ClipAnalysis, analyse, limb_chains
-from recon.app.analyse import notes
+from recon.app.analyse import notes, summarise
 from recon.errors import InputError
 from recon.export import analysis_csv
 from recon.io.pose3d import read_pose3d
 from recon.manifest import write_manifest
+from recon.report.frame import lines as frame_lines
 from recon.results import read_results
 
 SAMPLES = Path(__file__).parents[1] / "data" / "samples"
@@ -185,6 +186,22 @@ def test_the_frame_method_is_smoothed_by_its_jitter(one_sided, frame_results):
     np.testing.assert_allclose(
         one_sided.pose.xyz_m[:, 0], one_sided.joints[one_sided.pose.names[0]].series.value[::10], atol=1e-12
     )
+
+
+def test_a_path_that_jitters_too_much_gives_way_to_the_straight_run(frame_results, one_sided):
+    """As in the fit's own summary. The sample's is smooth enough, and right to a tenth."""
+    report = json.loads((frame_results / "report.json").read_text(encoding="utf-8"))
+    told = dict(frame_lines(report))
+    assert told["path"] == "13.2 m, peak 15.7 m/s (world frame, smoothed)"
+    assert summarise(one_sided)["speed"]["doubt"] is None
+    rng = np.random.default_rng(0)
+    root = report["root_path"]
+    root["position_m"] = (np.array(root["position_m"], float) + rng.normal(size=(30, 3)) * [0, 0.6, 0]).tolist()
+    root["jitter_m"] = [0.05, 0.3, 0.02]
+    told = dict(frame_lines(report))
+    assert told["path"].startswith("too uncertain in depth for its speed (world frame): ")
+    assert told["path"].endswith("; take the speed above")
+    assert told["speed"].startswith("14.4 m/s, of a straight run")
 
 
 def test_too_few_poses(frame_results, tmp_path):

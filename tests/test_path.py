@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
 
-from recon.analysis.path import MAX_GAP_S, frame_jitter_m, path_kinematics, speed_at_frames
+from recon.analysis.path import MAX_GAP_S, frame_jitter_m, path_kinematics, peak_doubt, speed_at_frames
 
 FPS = 30.0
 TIME_S = np.arange(40) / FPS
@@ -34,6 +34,33 @@ def test_accelerated_straight_motion_is_exact():
     assert path.distance_m == pytest.approx(5 * end + 2 * end**2)
     assert path.peak_speed_m_s == pytest.approx(5 + 4 * end)
     assert path.mean_speed_m_s == pytest.approx(5 + 2 * end)
+
+
+def test_a_peak_that_is_the_jitters_is_not_trusted():
+    """Of straight runs that jitter in depth: what is trusted is right to a fifth, and what is right mostly trusted."""
+    rng, true = np.random.default_rng(0), 5 + 4 * TIME_S[-1]
+    trusted, doubted = [], []
+    for depth_m in (0.0, 0.02, 0.05, 0.1, 0.2) * 4:
+        points = straight(TIME_S) + rng.normal(size=(40, 3)) * [0.01, depth_m, 0.01]
+        jitter = frame_jitter_m(points)
+        error = path_kinematics(TIME_S, points, smoothing_m=jitter).peak_speed_m_s / true - 1
+        (trusted if peak_doubt(TIME_S, points, jitter) is None else doubted).append(abs(error))
+    assert max(trusted) < 0.2
+    assert len(trusted) >= 8
+    assert max(doubted) > 0.5
+    assert np.median(doubted) > 0.2
+
+
+def test_why_a_peak_is_not_trusted():
+    across = straight(TIME_S) + 0.1 * (-1.0) ** np.arange(40)[:, None] * [0, 1, 0]
+    said = peak_doubt(TIME_S, across, None)
+    assert said is not None
+    assert "but gets on at" in said
+    for exact in (straight(TIME_S), circle(TIME_S), np.full((40, 3), np.nan)):
+        assert peak_doubt(TIME_S, exact, None) is None
+    bump = straight(TIME_S) + 0.3 * np.exp(-(((TIME_S - 1.0) / 0.1) ** 2))[:, None] * DIRECTION
+    assert peak_doubt(TIME_S, bump, None) is None
+    assert "where it is smoothed by twice its jitter" in (peak_doubt(TIME_S, bump, np.full(3, 0.02)) or "")
 
 
 @pytest.mark.parametrize("points", [4, 5, 6, 60])

@@ -11,6 +11,7 @@ from threadpoolctl import threadpool_limits
 
 from recon.analysis.clip import ClipAnalysis, analyse
 from recon.analysis.gait import Gait, doubt_text
+from recon.analysis.path import frame_jitter_m, peak_doubt
 from recon.export import analysis_csv
 from recon.files import require_free_folder, sole_writer, staged_folder
 from recon.report import to_json
@@ -98,6 +99,8 @@ def summarise(found: ClipAnalysis) -> dict[str, Any]:
             "peak_sigma_m_s": None if moved.speed_sigma_m_s is None else float(moved.speed_sigma_m_s[peak]),
             "peak_time_s": moved.peak_speed_time_s,
             "peak_acceleration_m_s2": moved.peak_acceleration_m_s2,
+            "doubt": _doubt(found),
+            "straight_run_m_s": found.results.report.get("travel", {}).get("median_speed_m_s"),
         },
         "spine_flexion_rad": found.angles["spine_flexion"].range_rad if "spine_flexion" in found.angles else None,
         "gait": {method: _gait_summary(gait) for method, gait in found.gaits.items()},
@@ -120,6 +123,15 @@ def summarise(found: ClipAnalysis) -> dict[str, Any]:
         },
         "notes": notes(found),
     }
+
+
+def _doubt(found: ClipAnalysis) -> str | None:
+    """Why not to trust the path's speed, of a fit that does not say how uncertain it is."""
+    results = found.results
+    if results.sigma_m is not None:
+        return None
+    points_m = results.pose.xyz_m[:, results.pose.names.index(found.reference)]
+    return peak_doubt(results.time_s, points_m, frame_jitter_m(points_m) if found.smoothed else None)
 
 
 def notes(found: ClipAnalysis) -> list[str]:

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from recon.analysis.path import peak_doubt
 from recon.frames import level_axes
 from recon.motion import FEW_POINTS_SHARE, FrameMotion
 from recon.report import common
@@ -197,8 +198,6 @@ def lines(report: Mapping[str, Any]) -> common.Lines:
     """For the summary."""
     summary = report["summary"]
     base = report["assumptions"]["base_length"]
-    smoothed = report["root_path"]["smoothed"]
-    path = smoothed or report["root_path"]["exact"]
     return [
         common.clip_line(report),
         ("side", f"{report['side']['fitted']}: {report['side']['reason']}"),
@@ -209,12 +208,7 @@ def lines(report: Mapping[str, Any]) -> common.Lines:
         ),
         *common.point_lines(report),
         ("speed", _speed(report["travel"]["median_speed_m_s"])),
-        (
-            "path",
-            f"{number(path['distance_m'], '.1f')} m, peak {number(path['peak_speed_m_s'], '.1f')} m/s "
-            f"({report['frame_of_reference']} frame, {'smoothed' if smoothed else 'not smoothed'}; "
-            "the jitter in depth makes it too long and too fast)",
-        ),
+        ("path", _path(report)),
         ("heading", common.heading_text(report["travel"]["heading_to_picture_rad"])),
         (
             "size",
@@ -234,6 +228,18 @@ def _speed(speed_m_s: float | None) -> str:
     if speed_m_s is None:
         return "not told by a path this short or slow"
     return f"{speed_m_s:.1f} m/s, of a straight run through all frames"
+
+
+def _path(report: Mapping[str, Any]) -> str:
+    root, frame = report["root_path"], f"{report['frame_of_reference']} frame"
+    path = root["smoothed"] or root["exact"]
+    time_s, points_m, jitter_m = (np.array(root[name], dtype=float) for name in ("time_s", "position_m", "jitter_m"))
+    doubt = peak_doubt(time_s, points_m.reshape(-1, 3), jitter_m if root["smoothed"] else None)
+    if doubt is not None:
+        other = "" if report["travel"]["median_speed_m_s"] is None else "; take the speed above"
+        return f"too uncertain in depth for its speed ({frame}): {doubt}{other}"
+    how = "smoothed" if root["smoothed"] else "not smoothed"
+    return f"{number(path['distance_m'], '.1f')} m, peak {number(path['peak_speed_m_s'], '.1f')} m/s ({frame}, {how})"
 
 
 def _effort(report: Mapping[str, Any]) -> str:
