@@ -168,8 +168,8 @@ def _draw_skeleton(image: Image, overlay: Overlay, t: int, unit: float) -> None:
     ]
     for nearness, a, b, colour in sorted(segments, key=lambda s: s[0]):
         thick = max(2, round((4.0 + 2.0 * nearness) * unit))
-        _line(image, xy[a], xy[b], SHADOW, thick + 2)
-        _line(image, xy[a], xy[b], shade(colour, nearness), thick)
+        draw_line(image, xy[a], xy[b], SHADOW, thick + 2)
+        draw_line(image, xy[a], xy[b], shade(colour, nearness), thick)
 
 
 def shade(colour: Colour, nearness: float) -> Colour:
@@ -186,13 +186,13 @@ def _draw_detections(image: Image, overlay: Overlay, t: int, unit: float) -> Non
             continue
         if outlier:
             if np.isfinite(to).all():
-                _line(image, at, to, OUTLIER, thick)
-            _line(image, at - size, at + size, OUTLIER, thick + 1)
+                draw_line(image, at, to, OUTLIER, thick)
+            draw_line(image, at - size, at + size, OUTLIER, thick + 1)
             across = np.array([size, -size])
-            _line(image, at - across, at + across, OUTLIER, thick + 1)
+            draw_line(image, at - across, at + across, OUTLIER, thick + 1)
         else:
-            _circle(image, at, size + 0.5 * thick + 0.5, SHADOW, 1)
-            _circle(image, at, size, DETECTION, thick)
+            draw_circle(image, at, size + 0.5 * thick + 0.5, SHADOW, 1)
+            draw_circle(image, at, size, DETECTION, thick)
 
 
 def _draw_caption(
@@ -201,12 +201,12 @@ def _draw_caption(
     """Frame number and time; what is doubtful, with a border around the picture."""
     slow = "" if overlay.speed == 1 else f"   {overlay.speed:.3g}x"
     x, y, scale = round(24 * unit), round(48 * unit), 1.1 * unit
-    _draw_text(canvas, f"frame {frame}   {frame / overlay.fps:.3f} s{slow}", (x, y), scale, INK)
+    draw_text(canvas, f"frame {frame}   {frame / overlay.fps:.3f} s{slow}", (x, y), scale, INK)
     flags = list(overlay.flags[t]) if t is not None else ["not reconstructed"]
     if t is not None and not np.isfinite(overlay.reprojected_px[t]).any() and not flags:
         flags = ["no pose"]
     if flags:
-        _draw_text(canvas, ", ".join(flags), (x, y + round(46 * unit)), scale, DOUBT)
+        draw_text(canvas, ", ".join(flags), (x, y + round(46 * unit)), scale, DOUBT)
         edge = max(2, round(6 * unit))
         cv2.rectangle(
             canvas, (edge // 2, edge // 2), (size_px[0] - 1 - edge // 2, size_px[1] - 1 - edge // 2), DOUBT, edge
@@ -236,10 +236,10 @@ def _draw_strip(canvas: Image, overlay: Overlay, t: int | None, top: int, width:
 
         if name != "from above":
             ground = float(place(np.zeros(2))[1])
-            _line(canvas, np.array([x, ground]), np.array([x + w, ground]), FAINT, max(1, round(unit)))
+            draw_line(canvas, np.array([x, ground]), np.array([x + w, ground]), FAINT, max(1, round(unit)))
         if t is not None:
             _draw_view(canvas, overlay, overlay.views[name][t], place, max(1, round(3 * unit)))
-        _draw_text(canvas, name, (x, top + height - round(14 * unit)), 0.7 * unit, INK)
+        draw_text(canvas, name, (x, top + height - round(14 * unit)), 0.7 * unit, INK)
     _draw_scale(canvas, boxes["side"], scale, top + height - round(20 * unit), unit)
     _draw_key(canvas, overlay, (round(left * width) + pad, top + pad + round(16 * unit)), unit)
 
@@ -256,7 +256,7 @@ def _draw_view(canvas: Image, overlay: Overlay, points: Array, place: Callable[[
         known = [pair for pair in ends if np.isfinite(pair).all()]
         for paint, width in ((PAPER, thickness + 2), (colour, thickness)):
             for start, end in known:
-                _line(canvas, start, end, paint, width)
+                draw_line(canvas, start, end, paint, width)
 
 
 def _draw_scale(canvas: Image, box: tuple[int, int, int, int], scale: float, y: int, unit: float) -> None:
@@ -264,9 +264,9 @@ def _draw_scale(canvas: Image, box: tuple[int, int, int, int], scale: float, y: 
     x, _, w, _ = box
     length = min((0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0), key=lambda m: abs(math.log(m * scale / (0.2 * w))))
     start, end = np.array([[x + 0.5 * w, y], [x + 0.5 * w + length * scale, y]])
-    _line(canvas, start, end, INK, max(1, round(2 * unit)))
+    draw_line(canvas, start, end, INK, max(1, round(2 * unit)))
     end = (round(end[0] + 10 * unit), y + round(6 * unit))
-    _draw_text(canvas, f"{length:g} m", end, 0.6 * unit, INK)
+    draw_text(canvas, f"{length:g} m", end, 0.6 * unit, INK)
 
 
 def _draw_key(canvas: Image, overlay: Overlay, corner: tuple[int, int], unit: float) -> None:
@@ -276,33 +276,35 @@ def _draw_key(canvas: Image, overlay: Overlay, corner: tuple[int, int], unit: fl
     for colour in (c for c in names if c in overlay.colours):
         for part in range(8):
             ends = np.array([[x + part / 8 * bar, y], [x + (part + 1) / 8 * bar, y]])
-            _line(canvas, ends[0], ends[1], shade(colour, 1 - 2 * part / 7), max(1, round((6 - 4 * part / 7) * unit)))
+            draw_line(
+                canvas, ends[0], ends[1], shade(colour, 1 - 2 * part / 7), max(1, round((6 - 4 * part / 7) * unit))
+            )
         label = f"{names[colour]}, near to far"
-        _draw_text(canvas, label, (round(x + bar + 12 * unit), y + round(7 * unit)), 0.6 * unit, INK)
+        draw_text(canvas, label, (round(x + bar + 12 * unit), y + round(7 * unit)), 0.6 * unit, INK)
         y += step
     centre = np.array([x + bar / 2, y])
-    _circle(canvas, centre, 7 * unit, DETECTION, max(1, round(1.5 * unit)))
-    _draw_text(canvas, "detected", (round(x + bar + 12 * unit), y + round(7 * unit)), 0.6 * unit, INK)
+    draw_circle(canvas, centre, 7 * unit, DETECTION, max(1, round(1.5 * unit)))
+    draw_text(canvas, "detected", (round(x + bar + 12 * unit), y + round(7 * unit)), 0.6 * unit, INK)
     centre[1] += step
     for arm in (np.array([7, 7]) * unit, np.array([7, -7]) * unit):
-        _line(canvas, centre - arm, centre + arm, OUTLIER, max(1, round(2.5 * unit)))
-    _draw_text(canvas, "outlier", (round(x + bar + 12 * unit), y + step + round(7 * unit)), 0.6 * unit, INK)
+        draw_line(canvas, centre - arm, centre + arm, OUTLIER, max(1, round(2.5 * unit)))
+    draw_text(canvas, "outlier", (round(x + bar + 12 * unit), y + step + round(7 * unit)), 0.6 * unit, INK)
 
 
 # ---- strokes ----
 
 
-def _line(image: Image, start: Array, end: Array, colour: Colour, thickness: int) -> None:
+def draw_line(image: Image, start: Array, end: Array, colour: Colour, thickness: int) -> None:
     ends = np.rint(np.clip([start, end], -30000, 30000) * 2**SHIFT).astype(int).tolist()
     cv2.line(image, tuple(ends[0]), tuple(ends[1]), colour, thickness, cv2.LINE_AA, SHIFT)
 
 
-def _circle(image: Image, centre: Array, radius: float, colour: Colour, thickness: int) -> None:
+def draw_circle(image: Image, centre: Array, radius: float, colour: Colour, thickness: int) -> None:
     x, y = np.rint(np.clip(centre, -30000, 30000) * 2**SHIFT).astype(int).tolist()
     cv2.circle(image, (x, y), round(radius * 2**SHIFT), colour, thickness, cv2.LINE_AA, SHIFT)
 
 
-def _draw_text(image: Image, text: str, place: tuple[int, int], scale: float, colour: Colour) -> None:
+def draw_text(image: Image, text: str, place: tuple[int, int], scale: float, colour: Colour) -> None:
     scale = max(scale, 0.35)
     thick, off = max(1, round(2 * scale)), max(1, round(1.5 * scale))
     for dx, dy in ((-off, 0), (off, 0), (0, -off), (0, off)):  # a thicker text is also a longer one

@@ -8,13 +8,13 @@ import cv2
 import numpy as np
 
 from recon.arrays import Array
+from recon.overlay import Colour, draw_circle, draw_line, draw_text
 from recon.video import Image
 
-_SHIFT = 4
 LABEL, LINE = (255, 255, 255), (60, 60, 230)
 
 
-def colours(count: int) -> list[tuple[int, int, int]]:
+def colours(count: int) -> list[Colour]:
     """One for each keypoint, blue, green, red: evenly around the colour wheel, bright and dark by turns."""
     found = []
     for k in range(count):
@@ -31,8 +31,8 @@ def draw_points(picture: Image, xy_px: Array, likelihood: Array, likelihood_min:
         if np.isfinite(at).all():
             likely = how >= likelihood_min
             if likely:
-                _circle(drawn, at, radius + 1, (0, 0, 0), -1)
-            _circle(drawn, at, radius if likely else 0.7 * radius, colour, -1 if likely else 1)
+                draw_circle(drawn, at, radius + 1, (0, 0, 0), -1)
+            draw_circle(drawn, at, radius if likely else 0.7 * radius, colour, -1 if likely else 1)
     return drawn
 
 
@@ -44,16 +44,8 @@ def draw_comparison(picture: Image, label_px: Array, xy_px: Array, title: str, l
     for label, at, colour in zip(label_px, xy_px, colours(len(xy_px)), strict=True):
         if np.isfinite(label).all():
             a, b = (factor * (p + 0.5) - 0.5 for p in (label, at))
-            ends = np.rint(np.stack([a, b]) * 2**_SHIFT).astype(int).tolist()
-            cv2.line(drawn, tuple(ends[0]), tuple(ends[1]), LINE, 1, cv2.LINE_AA, _SHIFT)
-            _circle(drawn, a, radius + 1, LABEL, 1)
-            _circle(drawn, b, 0.6 * radius, colour, -1)
-    # An outline by offsets: a thicker text is also a longer one.
-    for dx, dy, colour in ((-1, 0, (0, 0, 0)), (1, 0, (0, 0, 0)), (0, 1, (0, 0, 0)), (0, 0, (255, 255, 255))):
-        cv2.putText(drawn, title, (8 + dx, 20 + dy), cv2.FONT_HERSHEY_SIMPLEX, 0.5, colour, 1, cv2.LINE_AA)
+            draw_line(drawn, a, b, LINE, 1)
+            draw_circle(drawn, a, radius + 1, LABEL, 1)
+            draw_circle(drawn, b, 0.6 * radius, colour, -1)
+    draw_text(drawn, title, (8, 20), 0.5, LABEL)
     return drawn
-
-
-def _circle(image: Image, centre: Array, radius: float, colour: tuple[int, int, int], thickness: int) -> None:
-    x, y = np.rint(np.clip(centre, -30000, 30000) * 2**_SHIFT).astype(int).tolist()
-    cv2.circle(image, (x, y), round(radius * 2**_SHIFT), colour, thickness, cv2.LINE_AA, _SHIFT)
