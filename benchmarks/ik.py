@@ -27,6 +27,8 @@ from recordings import recordings
 from scipy.interpolate import CubicSpline
 
 from recon import Pose3D, read_pose3d
+from recon.analysis.gait import pose_gait
+from recon.app.ik import stride_lasts_s
 from recon.body import Body
 from recon.ik.animal import body_chain, body_chain_angles, chain_angles, planar_chain, spine_front_leg
 from recon.ik.chain import SerialChain
@@ -203,12 +205,14 @@ def print_circle() -> None:
 
 @dataclass(frozen=True, eq=False)
 class Leg:
-    """A run's front leg: name of run and side, the chain with the animal's size, its angles (T, n), the frame rate."""
+    """A run's front leg: name of run and side, the chain with the animal's size, its angles (T, n), the frame rate, how
+    long a stride takes at least and at most."""
 
     name: str
     chain: SerialChain
     q: Array
     fps: float
+    lasts_s: tuple[float, float]
 
 
 @cache
@@ -224,19 +228,20 @@ def real_legs(folder: Path) -> dict[str, list[Leg]]:
         def points(names: Sequence[str], pose: Pose3D = pose) -> Array:
             return pose.xyz_m[:, [pose.names.index(name) for name in names]]
 
-        root = points(["tail_base"])[:, 0]
+        root, lasts_s = points(["tail_base"])[:, 0], stride_lasts_s(pose_gait(pose, fps))
         body_states, _, size = solve_points_and_size(body, points(body.markers))
         for side in SIDES:
             name = f"{meta.parent.name}, {side}"
             leg = ("tail_base", "spine", "neck_base", *(f"{side[0]}_front_{part}" for part in ("knee", "ankle", "paw")))
             known = np.isfinite(root[:, 0])
             flat, q, _ = planar_chain(points(leg), root[known][-1] - root[known][0])
-            legs["2D"].append(Leg(name, flat, q, fps))
+            legs["2D"].append(Leg(name, flat, q, fps, lasts_s))
             states = solve_joints(skeleton, points(skeleton.keypoint_names(side)), UP)
             summed = spine_front_leg(skeleton, float(np.nanmedian(states[:, skeleton.base_index])), 3, limited=False)
-            legs["3D"].append(Leg(name, summed, chain_angles(skeleton, states, UP), fps))
+            legs["3D"].append(Leg(name, summed, chain_angles(skeleton, states, UP), fps, lasts_s))
             whole, _ = body_chain(body, leg[-1], size, limited=False)
-            legs["whole animal"].append(Leg(name, whole, body_chain_angles(body, leg[-1], body_states), fps))
+            q = body_chain_angles(body, leg[-1], body_states)
+            legs["whole animal"].append(Leg(name, whole, q, fps, lasts_s))
     return legs
 
 
@@ -256,7 +261,10 @@ def animal_closures(stride: Stride, fps: float) -> Closures:
 
 def print_strides(folder: Path) -> None:
     legs_of = real_legs(folder)
-    found = {kind: [find_stride(leg.chain, leg.q, leg.fps) for leg in legs] for kind, legs in legs_of.items()}
+    found = {
+        kind: [find_stride(leg.chain, leg.q, leg.fps, lasts_s=leg.lasts_s) for leg in legs]
+        for kind, legs in legs_of.items()
+    }
     print("\nStrides of the end effector, and the gap that was closed, in percent of the path's diameter:\n")
     cells = [[stride_cell(s) for s in strides] for strides in found.values()]
     print_table(["run, side", *found], [[leg.name, *row] for leg, *row in zip(legs_of["2D"], *cells, strict=True)])

@@ -11,12 +11,24 @@ import pandas as pd
 import pytest
 from command_line import run
 
-from recon.app.ik import FITTED, METHODS, fit_parameters, follow_stride, limb_of, methods_of, run_ik, stride_of
+from recon.analysis.gait import pose_gait
+from recon.app.ik import (
+    FITTED,
+    METHODS,
+    fit_parameters,
+    follow_stride,
+    limb_of,
+    methods_of,
+    run_ik,
+    stride_lasts_s,
+    stride_of,
+)
 from recon.errors import InputError
 from recon.ik.methods import DampedLeastSquares
+from recon.io.pose3d import Pose3D
 from recon.manifest import write_manifest
 from recon.results import read_results
-from recon.synthetic import RISE_S, START_STRIDES_HZ, TOP_STRIDES_HZ
+from recon.synthetic import RISE_S, START_STRIDES_HZ, TOP_STRIDES_HZ, gallop
 
 pytestmark = pytest.mark.usefixtures("small_pictures")
 
@@ -176,6 +188,15 @@ def test_a_stride_of_ones_own(frame_results, tmp_path):
             refused = run(command[0], frame_results, *command[1:], "--stride", given, "--out", tmp_path / "b")
             assert refused.code == 2
             assert said in refused.err
+
+
+def test_how_long_a_stride_may_last_in_a_clip_without_a_complete_one():
+    """The gallop of the samples, cut: 0.31 s for a stride at first."""
+    for frames, at_most in ((16, 0.4), (11, np.inf)):
+        clip = gallop(fps=30, n_frames=frames)
+        least_s, most_s = stride_lasts_s(pose_gait(Pose3D(clip.names, clip.truth_m, np.arange(frames)), 30))
+        assert 0.08 < least_s < true_stride_s(0) < most_s
+        assert most_s <= at_most
 
 
 def test_clip_without_a_stride_is_said(frame_results, tmp_path):

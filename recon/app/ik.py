@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
@@ -14,7 +14,7 @@ from scipy.interpolate import CubicSpline
 from threadpoolctl import threadpool_limits
 
 from recon.analysis.clip import gaits_of, limb_chains, stride_given
-from recon.analysis.gait import AGREE, doubt_text, pose_return_s
+from recon.analysis.gait import AGREE, OVERSAMPLING, Gait, doubt_text, pose_return_s
 from recon.analysis.gait import Method as Rule
 from recon.analysis.path import MIN_POINTS
 from recon.errors import InputError, Problem
@@ -307,8 +307,8 @@ def _coordinates(target: str, dim: Dim) -> Array:
 
 def stride_of(results: Results, limb: Limb, stride_s: tuple[float, float] | None = None) -> Found:
     """The stride that is given; or the first of the foot that counts (`recon.analysis.gait`), by the rule of the ground
-    or else by that of the body; or, of a clip without any, where the foot comes back to nearest. Raises InputError for
-    a clip that shows too little."""
+    or else by that of the body; or, of a clip without any, where the foot comes back to nearest in the time that a
+    stride takes. Raises InputError for a clip that shows too little."""
     if stride_s is not None:
         stride = stride_given(results, stride_s)
         return _found(results, limb, "given", (stride.start_s, stride.end_s))
@@ -319,21 +319,35 @@ def stride_of(results: Results, limb: Limb, stride_s: tuple[float, float] | None
     for rule in rules:
         if complete := next((s for s in gaits[rule].strides if s.foot == label), None):
             return _found(results, limb, rule, (complete.start_s, complete.end_s), doubts)
-    found = _found(results, limb)
-    stride = found.stride
-    back_s = pose_return_s(gaits["ground"].tracks, limb.first_s + stride.start_s, limb.first_s + stride.end_s)
-    if back_s is not None and not abs(back_s / (stride.end_s - stride.start_s) - 1) <= AGREE:
-        after = f", but after {back_s:.3f} s" if back_s > 0 else ""
-        doubts.append(f"all feet together do not return after this time{after}")
-    return replace(found, notes=(*doubts,))
+    return _found(results, limb, notes=doubts, lasts_s=stride_lasts_s(gaits["ground"]))
+
+
+def stride_lasts_s(ground: Gait) -> tuple[float, float]:
+    """How long a stride of a clip without a complete one lasts, at least and at most: about as long as the pose takes
+    to return. In a clip that is too short to tell, and in which no foot lands twice, it takes the time from the first
+    touchdown to the end at least, to half a frame."""
+    time_s = ground.tracks.time_s
+    back_s = pose_return_s(ground.tracks, time_s[0], time_s[-1])
+    if back_s is not None and back_s > 0:
+        return (1 - AGREE) * back_s, (1 + AGREE) * back_s
+    landed = [s for s in ground.stances if s.begins]
+    if len({s.foot for s in landed}) < len(landed):
+        return 0.0, np.inf
+    first_s = min((s.start_s for s in landed), default=time_s[-1])
+    return float(time_s[-1] - first_s - OVERSAMPLING / 2 * (time_s[1] - time_s[0])), np.inf
 
 
 def _found(
-    results: Results, limb: Limb, how: str = "", span_s: tuple[float, float] | None = None, notes: Sequence[str] = ()
+    results: Results,
+    limb: Limb,
+    how: str = "",
+    span_s: tuple[float, float] | None = None,
+    notes: Sequence[str] = (),
+    lasts_s: tuple[float, float] = (0.0, np.inf),
 ) -> Found:
-    times = () if span_s is None else tuple(at_s - limb.first_s for at_s in span_s)
+    start_s, end_s = (None, None) if span_s is None else (at_s - limb.first_s for at_s in span_s)
     try:
-        stride = find_stride(limb.chain, limb.q, limb.fps, *times)
+        stride = find_stride(limb.chain, limb.q, limb.fps, start_s, end_s, lasts_s)
     except ValueError as error:
         raise InputError(Problem(results.folder, "stride", str(error), "a clip that shows more of one")) from None
     return Found(stride, how or stride.how, tuple(notes))

@@ -56,12 +56,18 @@ class Stride:
 
 
 def find_stride(
-    chain: SerialChain, q: Array, fps: float, start_s: float | None = None, end_s: float | None = None
+    chain: SerialChain,
+    q: Array,
+    fps: float,
+    start_s: float | None = None,
+    end_s: float | None = None,
+    lasts_s: tuple[float, float] = (0.0, np.inf),
 ) -> Stride:
     """The stride of a chain's joint angles q (T, n) at the frames, NaN where missing; see the module.
 
-    start_s, end_s: both or none. Only the longest stretch of frames without a gap of more than `MAX_GAP_FRAMES`
-    counts. Raises ValueError for times that it does not hold, or too few frames.
+    start_s, end_s: both or none; lasts_s: how long a return may take, as far as that is known. Only the longest stretch
+    of frames without a gap of more than `MAX_GAP_FRAMES` counts. Raises ValueError for times that it does not hold, or
+    too few frames.
     """
     if (start_s is None) != (end_s is None):
         raise ValueError("a stride needs a start and an end, or neither")
@@ -85,7 +91,7 @@ def find_stride(
         start = int(begins[np.argmin(np.abs(begins - start_s * fps))])
         end = min(start + frames, float(known[-1]))
     else:
-        found = _return(known, ends)
+        found = _return(known, ends, lasts_s[0] * fps, lasts_s[1] * fps)
         how = "return" if found else "whole clip"
         i, j = found or (0, len(known) - 1)
         start, end = int(known[i]), float(known[j])
@@ -127,8 +133,9 @@ def _ends(chain: SerialChain, q: Array) -> Array:
     return np.array([chain.end(x) for x in q])
 
 
-def _return(frames: NDArray[np.intp], ends: Array) -> tuple[int, int] | None:
-    """Rows of the return (see the module) of a path (F, dim) with the smallest gap; None without any."""
+def _return(frames: NDArray[np.intp], ends: Array, least: float, most: float) -> tuple[int, int] | None:
+    """Rows of the return (see the module) of a path (F, dim), of least to most frames, with the smallest gap; None
+    without any."""
     velocity = np.gradient(ends, frames, axis=0)
     extent = diameter(ends)
     best, smallest = None, np.inf
@@ -138,7 +145,8 @@ def _return(frames: NDArray[np.intp], ends: Array) -> tuple[int, int] | None:
         if not len(left):
             continue
         back = np.flatnonzero((distance < BACK * extent) & (velocity[i:] @ velocity[i] > 0))
-        back = back[back > left[0]]
+        lag = frames[i + back] - frames[i]
+        back = back[(back > left[0]) & (lag >= least) & (lag <= most)]
         if not len(back):
             continue
         # Up to where it leaves again.
