@@ -8,11 +8,14 @@ from __future__ import annotations
 
 import json
 import tomllib
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from recon.errors import InputError, Problem
+
+if TYPE_CHECKING:
+    from pydantic import BaseModel
 
 MAX_BYTES = 1 << 28
 MAX_TOML_BYTES = 1 << 23
@@ -87,3 +90,24 @@ def _parsed(parse: Callable[[str], Any], text: str, source: str | Path, expected
         # Beside its own error tomllib lets those of dates and of long numbers pass.
         found = " ".join(str(error).split())[:200]
     raise InputError(Problem(source, "content", found, expected))
+
+
+_Model = TypeVar("_Model", bound="BaseModel")
+
+
+def validated(model: type[_Model], table: Mapping[str, Any], source: str | Path) -> _Model:
+    """A table with the fields of a model. Raises InputError with everything that is wrong with it."""
+    from pydantic import ValidationError  # slow to import
+
+    try:
+        return model.model_validate(table)
+    except ValidationError as error:
+        raise InputError(
+            Problem(source, _field(e["loc"]), repr(e["input"])[:60], e["msg"].removeprefix("Value error, "))
+            for e in error.errors()
+        ) from None
+
+
+def _field(place: tuple[int | str, ...]) -> str:
+    """As in legs[0].hip_m."""
+    return "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in place).removeprefix(".")

@@ -294,7 +294,7 @@ def test_every_problem_of_a_recipe_is_named(tmp_path):
     with pytest.raises(InputError) as caught:
         load_recipe(tmp_path / "bad.toml")
     fields = {p.field for p in caught.value.problems}
-    assert {"recipe.fps", "step.edge_m", "primitives[0].footfalls[1].leg"} <= fields
+    assert {"fps", "step.edge_m", "primitives[0].footfalls[1].leg"} <= fields
     with pytest.raises(InputError, match="published-50"):
         load_recipe(tmp_path / "none.toml")
 

@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field
 
-from recon.documents import parse_toml, read_toml
+from recon.documents import parse_toml, read_toml, validated
 from recon.errors import InputError, Problem
 from recon.robot.leg import LEG_ANGLES, FlapLeg, Leg, SwingLeg
 from recon.robot.quadruped import LEGS, ChainLeg, ClosedLeg, Quadruped, standing
@@ -86,29 +86,19 @@ def load_robot(robot: str | Path) -> Quadruped:
     text = str(robot)
     if text in builtin_robots():
         content = (resources.files("recon.robot") / "robots" / f"{text}.toml").read_text(encoding="utf-8")
-        return _from_table(text, parse_toml(content, text))
+        return _quadruped(text, parse_toml(content, text))
     path = Path(robot)
     if path.suffix.lower() == ".urdf":
         return quadruped_from_urdf(read_urdf(path))
     if path.suffix.lower() == ".toml" and path.is_file():
-        return _from_table(text, read_toml(path))
+        return _quadruped(text, read_toml(path))
     found = "no such file" if path.suffix.lower() in (".toml", ".urdf") else "no such robot"
     expected = f"{', '.join(builtin_robots())}, or a file .toml or .urdf"
     raise InputError(Problem(text, "robot", found, expected))
 
 
-def _from_table(source: str, table: dict[str, Any]) -> Quadruped:
-    try:
-        file = _RobotFile.model_validate(table)
-    except ValidationError as error:
-        problems = [
-            Problem(source, ".".join(map(str, e["loc"])), repr(e["input"])[:60], e["msg"]) for e in error.errors()
-        ]
-        raise InputError(problems) from None
-    return _quadruped(source, file)
-
-
-def _quadruped(source: str, file: _RobotFile) -> Quadruped:
+def _quadruped(source: str, table: dict[str, Any]) -> Quadruped:
+    file = validated(_RobotFile, table, source)
     lengths = file.leg.model_dump(exclude={"first"})
     lateral = lengths.pop("lateral_m")
     geometry = FlapLeg(**lengths, lateral_m=lateral) if file.leg.first == "flap" else SwingLeg(**lengths)

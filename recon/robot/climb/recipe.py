@@ -2,22 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 import tomli_w
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
 from recon.arrays import Array
-from recon.documents import read_toml
-from recon.errors import InputError, Problem
+from recon.documents import read_toml, validated
 from recon.files import staged_file
 from recon.robot.climb.equilibrium import TorsoDynamics
 from recon.robot.climb.fields import PLANAR, SPATIAL, Fields, Well
 from recon.robot.climb.paths import Step
-from recon.robot.climb.walker import LEGS
 
 RECIPES = Path(__file__).parent / "recipes"
 WELLS = ("radial", "swing", "flap")
@@ -85,118 +83,119 @@ def load_recipe(recipe: str | Path) -> Recipe:
     """A bundled recipe by name, or a file. Raises InputError."""
     path = RECIPES / f"{recipe}.toml" if str(recipe) in bundled() else Path(recipe)
     table = read_toml(path, f"a recipe of a climb: a TOML file, or one of {', '.join(bundled())}")
-    reader = _Reader(path)
-    found = reader.recipe(table)
-    if reader.problems or found is None:
-        raise InputError(reader.problems)
-    return found
+    file = validated(_RecipeFile, table, path)
+    return Recipe(
+        file.robot,
+        Step(file.step.edge_m, file.step.height_m),
+        np.array(file.stance_m),
+        tuple(_primitive(primitive) for primitive in file.primitives),
+        Swing(**file.swing.model_dump()),
+        TorsoDynamics(**file.motion.model_dump(), dofs=PLANAR if file.dofs == 4 else SPATIAL),
+        file.fps,
+        file.made_by,
+    )
 
+
+def _primitive(file: _PrimitiveFile) -> Primitive:
+    falls = tuple(Footfall(f.leg - 1, f.forward_m, f.up_m, f.sideways_m) for f in file.footfalls)
+    wells = {name: _well(getattr(file.fields, name)) for name in WELLS}
+    balance = file.fields.balance
+    fields = Fields(**wells, balance_gain=balance.gain, balance_sharpness=balance.sharpness)
+    return Primitive(file.name, falls, fields, file.rise_rad, file.lower_rad)
+
+
+def _well(file: _WellFile) -> Well:
+    pairs: dict[str, tuple[float, float]] = file.model_dump()
+    return Well(**{name: a if a == b else np.array([a, b, a, b]) for name, (a, b) in pairs.items()})
+
+
+# -- the file --------------------------------------------------------------------------------------------------------
 
 LARGEST = 1e9
 """Of a number in a recipe: more can only be damage."""
+Number = Annotated[float, Field(strict=True, gt=-LARGEST, lt=LARGEST, allow_inf_nan=False)]
+Positive = Annotated[float, Field(strict=True, gt=0, lt=LARGEST, allow_inf_nan=False)]
+Twice = BeforeValidator(lambda given: given if isinstance(given, list) else [given, given])
+"""One number for all legs, or two: of the front and of the rear legs."""
+Pair = Annotated[tuple[Number, Number], Twice]
+PositivePair = Annotated[tuple[Positive, Positive], Twice]
 
 
-class _Reader:
-    """Collects every problem of a file."""
+class _Table(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
 
-    def __init__(self, path: Path) -> None:
-        self.path, self.problems = path, []
 
-    def wrong(self, field: str, found: Any, expected: str) -> None:
-        self.problems.append(Problem(self.path, field, repr(found), expected))
+class _WellFile(_Table):
+    gain: PositivePair
+    natural: Pair
+    least: Pair
+    most: Pair
+    low: PositivePair
+    high: PositivePair
 
-    def numbers(self, table: Any, names: Sequence[str], where: str, positive: bool = False) -> dict[str, float]:
-        """The numbers of these names, 1 for those that are missing or wrong."""
-        table = table if isinstance(table, Mapping) else {}
-        found = {}
-        for name in names:
-            value = table.get(name)
-            fine = isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < LARGEST
-            if not fine or (positive and not value > 0):
-                self.wrong(f"{where}.{name}", value, "a positive number" if positive else "a number")
-                value = 1.0
-            found[name] = float(value)  # pyright: ignore[reportArgumentType]
-        for name in set(table) - set(names):
-            self.wrong(f"{where}.{name}", table[name], f"one of {', '.join(names)}")
-        return found
+    @model_validator(mode="after")
+    def _is_ordered(self) -> Self:
+        if any(not a <= b <= c for a, b, c in zip(self.least, self.natural, self.most, strict=True)):
+            raise ValueError("least <= natural <= most")
+        return self
 
-    def well(self, table: Any, where: str) -> Well:
-        """Numbers for all legs, or pairs: for the front and for the rear legs."""
-        table = table if isinstance(table, Mapping) else {}
-        names = [f.name for f in fields(Well)]
-        pairs = {n for n in names if isinstance(table.get(n), list) and len(table[n]) == 2}
-        front, rear = (
-            self.numbers({n: x[k] if n in pairs else x for n, x in table.items()}, names, where) for k in (0, 1)
-        )
-        for n in (front, rear):
-            for name in ("gain", "low", "high"):
-                if not n[name] > 0:
-                    self.wrong(f"{where}.{name}", n[name], "a positive number")
-            if not n["least"] <= n["natural"] <= n["most"]:
-                self.wrong(where, (n["least"], n["natural"], n["most"]), "least <= natural <= most")
-        values = {n: np.array([front[n], rear[n]] * 2) if n in pairs else front[n] for n in names}
-        return Well(**values)  # pyright: ignore[reportArgumentType]
 
-    def fields(self, table: Any, where: str) -> Fields:
-        table = table if isinstance(table, Mapping) else {}
-        balance = self.numbers(table.get("balance"), ("gain", "sharpness"), f"{where}.balance", positive=True)
-        wells = {name: self.well(table.get(name), f"{where}.{name}") for name in WELLS}
-        return Fields(**wells, balance_gain=balance["gain"], balance_sharpness=balance["sharpness"])
+class _BalanceFile(_Table):
+    gain: Positive
+    sharpness: Positive
 
-    def footfall(self, row: Any, where: str) -> Footfall:
-        n = self.numbers(row, ("leg", "forward_m", "up_m", "sideways_m"), where)
-        if n["leg"] not in (1, 2, 3, 4):
-            self.wrong(f"{where}.leg", n["leg"], "1 to 4: " + ", ".join(LEGS))
-        return Footfall(int(n["leg"]) - 1, n["forward_m"], n["up_m"], n["sideways_m"])
 
-    def primitive(self, table: Any, where: str) -> Primitive:
-        table = table if isinstance(table, Mapping) else {}
-        name, falls = table.get("name"), table.get("footfalls")
-        if not isinstance(name, str):
-            self.wrong(f"{where}.name", name, "a name")
-        if not isinstance(falls, list) or not falls:
-            self.wrong(f"{where}.footfalls", falls, "a list of footfalls")
-            falls = []
-        read = tuple(self.footfall(row, f"{where}.footfalls[{k}]") for k, row in enumerate(falls))
-        angles = {n: table.get(n) for n in ("rise_rad", "lower_rad")}
-        angles = self.numbers(angles, tuple(angles), where, positive=True)
-        return Primitive(str(name), read, self.fields(table.get("fields"), f"{where}.fields"), **angles)
+class _FieldsFile(_Table):
+    radial: _WellFile
+    swing: _WellFile
+    flap: _WellFile
+    balance: _BalanceFile
 
-    def recipe(self, table: Mapping[str, Any]) -> Recipe | None:
-        step = self.numbers(table.get("step"), ("edge_m", "height_m"), "step")
-        swing = self.numbers(table.get("swing"), [f.name for f in fields(Swing)], "swing", positive=True)
-        names = ("mass", "inertia", "max_step_m", "max_turn_rad")
-        motion = self.numbers(table.get("motion"), names, "motion", positive=True)
-        top = self.numbers({"fps": table.get("fps")}, ("fps",), "recipe", positive=True)
-        try:
-            stance = np.array(table.get("stance_m"), float)
-        except (TypeError, ValueError):
-            stance = np.zeros(0)
-        if stance.shape != (4, 2) or not np.isfinite(stance).all():
-            self.wrong("stance_m", table.get("stance_m"), "four pairs: right and forward, by leg")
-        for name in ("robot", "made_by"):
-            if not isinstance(table.get(name), str):
-                self.wrong(name, table.get(name), "text")
-        dofs = table.get("dofs")
-        if dofs not in (4, 6):
-            self.wrong("dofs", dofs, "4 or 6")
-        listed = table.get("primitives")
-        if not isinstance(listed, list) or not listed:
-            self.wrong("primitives", listed, "a list of primitives")
-            listed = []
-        primitives = tuple(self.primitive(p, f"primitives[{k}]") for k, p in enumerate(listed))
-        if self.problems:
-            return None
-        return Recipe(
-            str(table["robot"]),
-            Step(**step),
-            stance,
-            primitives,
-            Swing(**swing),
-            TorsoDynamics(**motion, dofs=PLANAR if dofs == 4 else SPATIAL),
-            top["fps"],
-            str(table["made_by"]),
-        )
+
+class _FootfallFile(_Table):
+    leg: Annotated[int, Field(strict=True, ge=1, le=4)]
+    forward_m: Number
+    up_m: Number
+    sideways_m: Number
+
+
+class _PrimitiveFile(_Table):
+    name: str
+    rise_rad: Positive
+    lower_rad: Positive
+    footfalls: Annotated[list[_FootfallFile], Field(min_length=1)]
+    fields: _FieldsFile
+
+
+class _StepFile(_Table):
+    edge_m: Number
+    height_m: Number
+
+
+class _SwingFile(_Table):
+    clearance_m: Positive
+    rise_m_s: Positive
+    traverse_m_s: Positive
+    lower_m_s: Positive
+
+
+class _MotionFile(_Table):
+    mass: Positive
+    inertia: Positive
+    max_step_m: Positive
+    max_turn_rad: Positive
+
+
+class _RecipeFile(_Table):
+    robot: str
+    made_by: str
+    dofs: Literal[4, 6]
+    fps: Positive
+    stance_m: Annotated[list[tuple[Number, Number]], Field(min_length=4, max_length=4)]
+    step: _StepFile
+    swing: _SwingFile
+    motion: _MotionFile
+    primitives: Annotated[list[_PrimitiveFile], Field(min_length=1)]
 
 
 def save_recipe(recipe: Recipe, path: str | Path) -> None:
