@@ -10,10 +10,16 @@ gives the same file. A notebook whose cells fail or warn is not written.
 from __future__ import annotations
 
 import argparse
+import multiprocessing
 import os
 import sys
 import tempfile
+from multiprocessing.process import BaseProcess
 from pathlib import Path
+from typing import Any
+
+# Before numpy is loaded in a process that comes from this one.
+os.environ.update(dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1"))
 
 import nbformat
 from jupyter_client.kernelspec import KernelSpecManager
@@ -29,21 +35,61 @@ METADATA = {
 TIMEOUT_S = 300
 """For one cell, on a busy machine."""
 
+FORKS = multiprocessing.get_context("forkserver")
+FORKS.set_forkserver_preload(  # not rerun, which has threads from the start
+    ["ipykernel.kernelapp", "matplotlib.pyplot", "matplotlib_inline.backend_inline", "pandas", "scipy.optimize"]
+)
+
+
+class Forked(AsyncKernelManager):
+    """A kernel in a process of its own, forked from one that has imported what the notebooks import from others."""
+
+    async def _async_launch_kernel(self, kernel_cmd: list[str], **how: Any) -> None:
+        process = FORKS.Process(target=kernel, args=(self.connection_file, how["cwd"], how["env"]))
+        process.start()
+        provisioner: Any = self.provisioner
+        provisioner.process = Running(process)
+        self._reconcile_connection_info(provisioner.connection_info)
+
+
+class Running:
+    """A process with the methods of `subprocess.Popen` that the kernel's manager calls."""
+
+    stdin = stdout = stderr = None
+
+    def __init__(self, process: BaseProcess) -> None:
+        self.process, self.wait = process, process.join
+
+    def poll(self) -> int | None:
+        return self.process.exitcode
+
+    def send_signal(self, number: int) -> None:
+        os.kill(self.process.pid or 0, number)
+
+
+def kernel(connection_file: str, folder: str, environment: dict[str, str]) -> None:
+    import pandas as pd
+    from ipykernel.kernelapp import IPKernelApp
+
+    pd.set_option("display.max_columns", 20)  # as where it is imported in a notebook rather than before
+    os.chdir(folder)
+    os.environ.update(environment)
+    IPKernelApp.launch_instance(["-f", connection_file, "--quiet"])
+
 
 def run(notebook: Path) -> nbformat.NotebookNode:
     """A notebook with the outputs of this run. Raises CellExecutionError; ValueError where a cell warned."""
     node = nbformat.read(notebook, as_version=4)
     with tempfile.TemporaryDirectory() as settings:
-        threads = dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1")
         # Without folders to look into, the kernel named python3 is this interpreter. It is spoken to through files.
-        kernel = AsyncKernelManager(
+        manager = Forked(
             kernel_spec_manager=KernelSpecManager(kernel_dirs=[]),
             transport="ipc",
             connection_file=str(Path(settings) / "kernel.json"),
         )
-        client = NotebookClient(node, km=kernel, timeout=TIMEOUT_S, record_timing=False)
-        environment = {**os.environ, **threads, "IPYTHONDIR": settings}
-        client.execute(cleanup_kc=True, cwd=str(notebook.parent), env=environment)
+        # Nothing is lost with the kernel, which would take a second to end by itself.
+        client = NotebookClient(node, km=manager, timeout=TIMEOUT_S, record_timing=False, shutdown_kernel="immediate")
+        client.execute(cleanup_kc=True, cwd=str(notebook.parent), env={**os.environ, "IPYTHONDIR": settings})
     node.metadata = nbformat.from_dict(METADATA)
     for number, cell in enumerate(node.cells):
         cell.id = f"cell-{number}"

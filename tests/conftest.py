@@ -74,10 +74,15 @@ def whole_results(made_once) -> Path:
     return made_once("whole", lambda out: run_clip(settings, out))
 
 
+def draw_small(patch: pytest.MonkeyPatch) -> None:
+    """Figures are drawn as always, at a lower resolution, and letters are not fitted to its pixels."""
+    patch.setattr(style, "PNG_DPI", SMALL_DPI)
+    patch.setitem(style._SETTINGS, "text.hinting", "none")
+
+
 @pytest.fixture
 def small_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Figures are drawn as always, at a lower resolution."""
-    monkeypatch.setattr(style, "PNG_DPI", SMALL_DPI)
+    draw_small(monkeypatch)
 
 
 @pytest.fixture(scope="session")
@@ -89,7 +94,7 @@ def of_results(made_once, whole_results) -> Callable[[str], tuple[str, Path]]:
         def make(folder: Path) -> None:
             shutil.copytree(whole_results, folder / "results" / "clip")
             with pytest.MonkeyPatch.context() as patch:
-                patch.setattr(style, "PNG_DPI", SMALL_DPI)
+                draw_small(patch)
                 patch.chdir(folder)
                 ended = run(*shlex.split(command)[1:])
             assert (ended.code, ended.err) == (0, ""), f"{command}\n{ended.out}{ended.err}"

@@ -1,7 +1,8 @@
 """Every command and every piece of Python in README.md and docs/ is run, and what they print is what the pages show.
 
-Each page is run from its top to its bottom in a folder of its own, in which a file that the page names is made when it
-is first named (`docs_files`). Commands are run in this process. What cannot be run is in `NOT_RUN`, with the reason.
+Each page is run from its top to its bottom, each command going on in a copy of the folder that the one before left; a
+file that the page names is made when it is first named (`docs_files`). Commands are run in this process. What cannot be
+run is in `NOT_RUN`, with the reason.
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ from urllib.parse import unquote, urlsplit
 import pytest
 import typer
 from command_line import run
+from conftest import draw_small
 from docs_files import FILES, OF_PAGE
 
 from recon.app.batch import find_clips
@@ -149,19 +151,29 @@ def test_command_of_several_pages(command, of_results):
     assert printed
 
 
-@pytest.mark.parametrize("page", [p for p in PAGES if any(b.language != "toml" for b in blocks(p))], ids=name_of)
-@pytest.mark.usefixtures("small_pictures")
-def test_page(page, tmp_path, monkeypatch, whole_results, of_results):
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("recon.app.batch.available_cores", lambda: 1)  # of the processes that fit many clips
-    workshop, names, printed = Workshop(tmp_path, name_of(page), whole_results, of_results), {"__name__": "page"}, ""
+class Step(NamedTuple):
+    """One command (None: none), and what stands on the page between it and the next."""
+
+    command: str | None
+    blocks: list[Block]
+
+
+def steps(page: Path) -> list[Step]:
+    found = [Step(None, [])]
     for block in blocks(page):
-        where = f"{page.name}, line {block.line}"
         if block.language == "sh":
-            printed = "".join(workshop.shell(c) for c in commands(block) if reason_not_to_run(c) is None)
-        elif SNIPPET.fullmatch(block.text):
-            continue
-        elif block.language == "python":
+            found += [Step(command, []) for command in commands(block) if reason_not_to_run(command) is None]
+        elif block.language != "toml" and not SNIPPET.fullmatch(block.text):
+            found[-1].blocks.append(block)
+    return [step for step in found if step != Step(None, [])]
+
+
+def do(step: Step, workshop: Workshop) -> None:
+    """In the workshop's folder, where we are."""
+    printed, names = workshop.shell(step.command) if step.command is not None else "", {"__name__": "page"}
+    for block in step.blocks:
+        where = f"{block.page.name}, line {block.line}"
+        if block.language == "python":
             printed = workshop.python(block.text, names)
             expected = re.findall(r"^print\(.*\)  # (.*)$", block.text, re.MULTILINE)
             assert not expected or alike(printed) == alike("\n".join(expected)), where
@@ -171,6 +183,40 @@ def test_page(page, tmp_path, monkeypatch, whole_results, of_results):
             workshop.provide(block.text)
             Path("manifest.csv").write_text(block.text, encoding="utf-8")
             assert find_clips(["manifest.csv"], {}, None)[0], where
+
+
+@pytest.fixture(scope="session")
+def folder_after(made_once, whole_results, of_results) -> Callable[[Path, int], Path]:
+    """`folder_after(page, n)` is the folder in which the page's first n steps were done, one after the other."""
+
+    def after(page: Path, count: int) -> Path:
+        def make(folder: Path) -> None:
+            if count > 1:
+                shutil.copytree(after(page, count - 1), folder)
+            else:
+                folder.mkdir()
+            with pytest.MonkeyPatch.context() as patch:
+                patch.chdir(folder)
+                draw_small(patch)
+                patch.setattr("recon.app.batch.available_cores", lambda: 1)  # of the processes that fit many clips
+                do(steps(page)[count - 1], Workshop(folder, name_of(page), whole_results, of_results))
+
+        return made_once(re.sub(r"\W+", "-", f"{name_of(page)}-{count}"), make)
+
+    return after
+
+
+@pytest.mark.parametrize(
+    ("page", "count"),
+    [
+        pytest.param(page, number + 1, id=f"{name_of(page)}-{step.command or 'start'}")
+        for page in PAGES
+        for number, step in enumerate(steps(page))
+    ],
+)
+def test_page(page: Path, count: int, folder_after) -> None:
+    """Each step by itself, so that none takes long."""
+    folder_after(page, count)
 
 
 def alike(text: str) -> str:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import re
 import sys
-from importlib.util import module_from_spec, spec_from_file_location
+from collections.abc import Iterator
+from importlib import import_module
 from pathlib import Path
 from types import ModuleType
 
@@ -17,14 +18,15 @@ NUMBER = re.compile(r"(?<![\w.])-?\d+(?:\.\d+)?(?:e[-+]?\d+)?(?!\w)")
 
 
 @pytest.fixture(scope="module")
-def script() -> ModuleType:
-    """notebooks/run.py"""
-    found = spec_from_file_location("run_notebooks", FOLDER / "run.py")
-    assert found is not None
-    assert found.loader is not None
-    module = module_from_spec(found)
-    found.loader.exec_module(module)
-    return module
+def script() -> Iterator[ModuleType]:
+    """notebooks/run.py, where also the processes that it starts find it."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(FOLDER)
+        module = import_module("run")
+        first = module.FORKS.Process(target=int)  # so that what processes are forked from is there
+        first.start()
+        first.join()
+        yield module
 
 
 def test_there_are_four() -> None:

@@ -109,20 +109,22 @@ class Seed:
 def seeds(folder: Path, real: Path | None = None) -> list[Seed]:
     """All of them, made in a folder; real: of recordings, whose importer-files are taken too."""
     folder.mkdir(parents=True, exist_ok=True)
-    found = [
-        *_of_formats(folder),
-        *_texts(),
-        *_cameras(folder),
-        *_tracks(),
-        *_built_in(),
-        *_results(folder),
-        *_models(folder),
-    ]
+    found = [*of_formats(folder), *of_settings(folder)]
     for path in sorted(real.glob("importer-files/*/*")) if real is not None else ():
         if path.suffix in (".h5", ".nwb", ".csv", ".json", ".trc") and path.stat().st_size < 1 << 18:
             read = _cameras_of if path.suffix == ".json" else _positions if path.suffix == ".trc" else _points
             found.append(Seed(f"real-{path.name}", path.read_bytes(), read, 0.3))
     return found
+
+
+def of_settings(folder: Path) -> Iterator[Seed]:
+    """What is no data of a clip: cameras, tracks, settings, descriptions of animals and robots, results, networks."""
+    yield from _texts()
+    yield from _cameras(folder)
+    yield from _tracks()
+    yield from _built_in()
+    yield from _results(folder)
+    yield from _models(folder)
 
 
 def _points(path: Path) -> object:
@@ -147,7 +149,7 @@ def _body_of(path: Path) -> object:
     return skeleton.tree.pose(np.zeros((1, skeleton.n_state))) if isinstance(skeleton, Body) else skeleton
 
 
-def _of_formats(folder: Path) -> Iterator[Seed]:
+def of_formats(folder: Path) -> Iterator[Seed]:
     """What our own writers make of a small clip."""
     random = np.random.default_rng(0)
     names = ("nose", "l_eye", "spine")
@@ -221,7 +223,7 @@ def _by_map(path: Path) -> object:
 def _rates(path: Path) -> object:
     from recon.app.prior import _rates as read
 
-    return read(str(path))
+    return read(str(path), [path])
 
 
 def _record(path: Path) -> object:
