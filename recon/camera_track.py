@@ -215,9 +215,9 @@ _CHECKS: tuple[tuple[str, str, Callable[[Array], Bools]], ...] = (
 """Field, what is expected of it, and what is otherwise (N, any), by rows of a table."""
 
 
-def _some(items: Sequence[Any], shown: int = 3) -> str:
-    more = f" and {len(items) - shown} more" if len(items) > shown else ""
-    return ", ".join(map(str, items[:shown])) + more
+def _some(items: Sequence[Any]) -> str:
+    more = f" and {len(items) - 3} more" if len(items) > 3 else ""
+    return ", ".join(map(str, items[:3])) + more
 
 
 # -- CSV ------------------------------------------------------------------------------------------------------------

@@ -114,20 +114,18 @@ def drive_to(
     method: Method,
     tolerance_m: float = TOLERANCE_M,
     max_iterations: int = 2000,
-    max_step_m: float = MAX_STEP_M,
     interval_s: float = INTERVAL_S,
-    settle: bool = True,
 ) -> Drive:
     """Drives the end effector from q0 (n,) to a target (dim,). What goes wrong is a reason in the result.
 
-    settle: with the extended Jacobian, go to G = 0 first (those configurations are not part of the path).
+    The extended Jacobian goes to G = 0 first; those configurations are not part of the path.
     """
     q, target = inside_limits(chain, np.asarray(q0, float)), np.asarray(target_m, float)
     reason = unreachable(chain, target, tolerance_m)
     if not np.isfinite(q).all():
         reason = "no progress: the start is not finite"
         q = np.zeros(chain.n)
-    if not reason and isinstance(method, ExtendedJacobian) and settle:
+    if not reason and isinstance(method, ExtendedJacobian):
         q = to_null_space_optimum(chain, q, method.cost).q[-1]
     method = _with_gain(method, interval_s)
 
@@ -140,7 +138,7 @@ def drive_to(
         if k >= max_iterations or k - best_at >= PATIENCE or (k and float(np.abs(last.dq).max()) <= STILL_RAD):
             reason = _reason(k, max_iterations, distance, last, stopped)
             break
-        dx = (target - taken.end) * (min(1.0, max_step_m / distance) / interval_s)
+        dx = (target - taken.end) * (min(1.0, MAX_STEP_M / distance) / interval_s)
         last, stopped = taken.step(dx, method, interval_s)
         distance = float(np.linalg.norm(target - taken.end))
         if distance < (1 - PROGRESS) * best:

@@ -80,10 +80,9 @@ def fit_damped(chain: SerialChain, q: Array, dx: Array, dq: Array) -> Fitted:
     return _fitted(DampedLeastSquares(value), np.array([value]), rates(best), dq, note)
 
 
-def fit_selectively_damped(
-    chain: SerialChain, q: Array, dx: Array, dq: Array, interval_s: float = INTERVAL_S
-) -> Fitted:
-    """gamma_max, rad, for an interval: the best of a logarithmic grid, refined. Above some value nothing is damped."""
+def fit_selectively_damped(chain: SerialChain, q: Array, dx: Array, dq: Array) -> Fitted:
+    """gamma_max, rad, for an interval of `INTERVAL_S`: the best of a logarithmic grid, refined. Above some value nothing
+    is damped."""
     _, J, dx, dq = _frames(chain, q, dx, dq)
     u, s, vt = np.linalg.svd(J, full_matrices=False)
     kept = s > LOST * s[:, :1]
@@ -93,14 +92,14 @@ def fit_selectively_damped(
     room = np.minimum(1.0, np.divide(s, sways, out=np.ones_like(s), where=sways > 0))
 
     def rates(log_gamma: float) -> Array:
-        limit = np.exp(log_gamma) / interval_s
+        limit = np.exp(log_gamma) / INTERVAL_S
         return _clamped(_clamped(turns, room * limit).sum(axis=1), np.full(len(dq), limit))
 
     best, _ = _best_log(rates, dq, GAMMA_RAD)
     free = np.array_equal(rates(best), rates(np.log(GAMMA_RAD[1])))
     gamma = float(np.exp(best))
     note = f"nothing is damped, with this gamma_max or any from there to {GAMMA_RAD[1]:g} rad" if free else ""
-    return _fitted(SelectivelyDamped(gamma, interval_s), np.array([gamma]), rates(best), dq, note)
+    return _fitted(SelectivelyDamped(gamma, INTERVAL_S), np.array([gamma]), rates(best), dq, note)
 
 
 def fit_weights(chain: SerialChain, q: Array, dx: Array, dq: Array) -> Fitted:

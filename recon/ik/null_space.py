@@ -15,6 +15,9 @@ from recon.ik.methods import LeastNorm, derivatives, reduced_gradient, right_inv
 
 _NULL_STEP_RAD = 0.3
 """Longest step along the null space."""
+_TOLERANCE = 1e-10
+"""On |G|, relative to 1 + |Hess g|."""
+_MAX_ITERATIONS = 500
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,35 +35,26 @@ class Optimum:
         return self.reason == "reached"
 
 
-def to_null_space_optimum(
-    chain: SerialChain,
-    q0: ArrayLike,
-    cost: Cost,
-    tolerance: float = 1e-10,
-    max_iterations: int = 500,
-    descend: bool = True,
-) -> Optimum:
+def to_null_space_optimum(chain: SerialChain, q0: ArrayLike, cost: Cost) -> Optimum:
     """Moves along the null space of J to G = N' grad g = 0 and keeps the end effector where it is at q0 (n,).
 
-    Newton steps on N' M N (see `ExtendedJacobian`). descend: with the eigenvalues' magnitudes and a line search, down
-    to a minimum; otherwise, and where that finds none, plain ones to the stationary point nearby, which can be a
-    saddle. tolerance: on |G|, relative to 1 + |Hess g|. Limits hold; a joint at one is taken out.
+    Newton steps on N' M N (see `ExtendedJacobian`), with the eigenvalues' magnitudes and a line search, down to a
+    minimum; where that finds none, plain ones to the stationary point nearby, which can be a saddle. Limits hold; a
+    joint at one is taken out.
     """
     q0 = inside_limits(chain, np.asarray(q0, float))
-    found = _null_space_newton(chain, q0, cost, tolerance, max_iterations, descend)
-    if descend and not found.reached:
-        other = _null_space_newton(chain, q0, cost, tolerance, max_iterations, False)
-        return other if other.reached else found
-    return found
+    found = _null_space_newton(chain, q0, cost, descend=True)
+    if found.reached:
+        return found
+    other = _null_space_newton(chain, q0, cost, descend=False)
+    return other if other.reached else found
 
 
-def _null_space_newton(
-    chain: SerialChain, q0: Array, cost: Cost, tolerance: float, max_iterations: int, descend: bool
-) -> Optimum:
+def _null_space_newton(chain: SerialChain, q0: Array, cost: Cost, descend: bool) -> Optimum:
     home, path = chain.end(q0), [q0]
     q, stuck = q0, np.zeros(chain.n, bool)
     reason, gradient, values = "no progress: out of iterations", math.inf, np.zeros(0)
-    for _ in range(max_iterations):
+    for _ in range(_MAX_ITERATIONS):
         free = ~stuck
         J, curvature = derivatives(chain, q, free)
         if J.shape[1] <= chain.dim:
@@ -74,7 +68,7 @@ def _null_space_newton(
             reason = "no progress: the cost's derivatives are not finite"
             break
         values, vectors = np.linalg.eigh(N.T @ M @ N)
-        if gradient <= tolerance * (1 + float(np.abs(M).max())):
+        if gradient <= _TOLERANCE * (1 + float(np.abs(M).max())):
             reason = "reached"
             break
         floor = 1e-8 * float(np.abs(values).max()) + 1e-300

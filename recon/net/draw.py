@@ -11,6 +11,8 @@ from recon.arrays import Array
 from recon.overlay import Colour, draw_circle, draw_line, draw_text
 from recon.video import Image
 
+LEAST_WIDTH_PX = 560
+"""Smaller pictures are enlarged."""
 LABEL, LINE = (255, 255, 255), (60, 60, 230)
 
 
@@ -36,9 +38,9 @@ def draw_points(picture: Image, xy_px: Array, likelihood: Array, likelihood_min:
     return drawn
 
 
-def draw_comparison(picture: Image, label_px: Array, xy_px: Array, title: str, least_width: int = 560) -> Image:
+def draw_comparison(picture: Image, label_px: Array, xy_px: Array, title: str) -> Image:
     """A copy, enlarged, with a ring at each label, a dot at its prediction, and a line between them."""
-    factor = max(1, -(-least_width // picture.shape[1]))
+    factor = max(1, -(-LEAST_WIDTH_PX // picture.shape[1]))
     drawn = np.asarray(cv2.resize(picture, None, fx=factor, fy=factor, interpolation=cv2.INTER_CUBIC), np.uint8)
     radius = max(3.0, drawn.shape[1] / 160)
     for label, at, colour in zip(label_px, xy_px, colours(len(xy_px)), strict=True):

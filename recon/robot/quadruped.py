@@ -193,10 +193,10 @@ def reach(chain: JointChain, q: Array, foot_m: Array) -> Array | None:
     return run.q[-1] if run.reached else None
 
 
-def standing(chain: JointChain, foot_m: Array, seeds: int = 30) -> Array | None:
+def standing(chain: JointChain, foot_m: Array) -> Array | None:
     """Angles (n,) of the standing leg: reached from the middle of the limits, or else from random places in them."""
     lower, upper = np.maximum(chain.lower_rad, -np.pi), np.minimum(chain.upper_rad, np.pi)
-    starts = [(lower + upper) / 2, *np.random.default_rng(0).uniform(lower, upper, (seeds, chain.n))]
+    starts = [(lower + upper) / 2, *np.random.default_rng(0).uniform(lower, upper, (30, chain.n))]
     found = (reach(chain, q, foot_m) for q in starts)
     return next((q for q in found if q is not None), None)
 
