@@ -81,8 +81,7 @@ def fit_damped(chain: SerialChain, q: Array, dx: Array, dq: Array) -> Fitted:
 
 
 def fit_selectively_damped(chain: SerialChain, q: Array, dx: Array, dq: Array) -> Fitted:
-    """gamma_max, rad, for an interval of `INTERVAL_S`: the best of a logarithmic grid, refined. Above some value nothing
-    is damped."""
+    """gamma_max, rad, for `INTERVAL_S`: the best of a logarithmic grid, refined. Above some value nothing is damped."""
     _, J, dx, dq = _frames(chain, q, dx, dq)
     u, s, vt = np.linalg.svd(J, full_matrices=False)
     kept = s > LOST * s[:, :1]
