@@ -80,6 +80,13 @@ def draw_small(patch: pytest.MonkeyPatch) -> None:
     patch.setitem(style._SETTINGS, "text.hinting", "none")
 
 
+@pytest.fixture(scope="session")
+def optimiser() -> None:
+    """For tests that train: torch imports half of itself when the first optimiser is made."""
+    torch = pytest.importorskip("torch")
+    torch.optim.AdamW([torch.zeros(1, requires_grad=True)])
+
+
 @pytest.fixture
 def small_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
     draw_small(monkeypatch)

@@ -71,9 +71,9 @@ def first_frames(folder: Path, count: int) -> Path:
     return folder
 
 
+@pytest.mark.usefixtures("optimiser", "small_pictures")
 def test_the_circle_at_a_small_size(tmp_path, monkeypatch):
     """A few steps of a narrow network: the points are poor, but every part gives what the next one takes."""
-    pytest.importorskip("torch")
     from net_circle import run_circle
 
     from recon.net.run import TrainSettings
