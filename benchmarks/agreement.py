@@ -26,7 +26,7 @@ from pathlib import Path
 import numpy as np
 from markdown_table import print_table
 
-from recon import Body, FitSettings, load_skeleton
+from recon import FitSettings, load_skeleton
 from recon.analysis.agreement import Agreement, Finding, Kind, camera_agreement
 from recon.app.clip import prepare
 from recon.clip import View, views_of
@@ -56,7 +56,6 @@ def views_of_run(run: Path) -> tuple[list[View], float]:
 
 def judged(views: Sequence[View], fps: float) -> Agreement:
     body = load_skeleton(SKELETON)
-    assert isinstance(body, Body)
     return camera_agreement(views, fps, TrajectoryOptions().sigma_px, body.keypoint_sigma_m)
 
 

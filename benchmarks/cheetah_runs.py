@@ -19,8 +19,8 @@ import numpy as np
 import pandas as pd
 from recordings import recordings
 
-from recon import FitSettings, FrameMotion, InputError, Motion, Pose3D, evaluate, read_pose3d
-from recon.app.clip import fit_frames
+from recon import FitSettings, InputError, Motion, Pose3D, evaluate, fit_clip, read_pose3d
+from recon.published import FrameSolution
 from recon.skeleton_file import builtin_names
 
 PUBLISHED = "cheetah-8u"
@@ -38,13 +38,15 @@ def view_row(run: Path, camera: int, skeleton: str, meta: dict, **options) -> di
         **options,
     )
     start = time.perf_counter()
-    motion = fit_frames(settings)
+    motion = fit_clip(settings)
+    solution = motion.solution
+    assert isinstance(solution, FrameSolution)
     seconds = time.perf_counter() - start
     truth = read_pose3d(run / "truth.csv")
     score = evaluate(Pose3D(motion.names, motion.joints_m, motion.frames), truth)
-    off = heading_off_deg(motion, truth)
-    reports = [r for r in motion.reports if r is not None]
-    base = motion.states[motion.solved, motion.skeleton.base_index]
+    off = heading_off_deg(motion, solution, truth)
+    reports = [r for r in solution.reports if r is not None]
+    base = solution.chain_states[motion.solved, solution.chain.base_index]
     return {
         "run": run.name,
         "cam": camera,
@@ -52,9 +54,9 @@ def view_row(run: Path, camera: int, skeleton: str, meta: dict, **options) -> di
         "skeleton": skeleton,
         "side": motion.side,
         "frames": len(motion.frames),
-        "converged": motion.status.count("converged"),
-        "failed": motion.status.count("not_converged"),
-        "no_data": motion.status.count("no_data"),
+        "converged": solution.status.count("converged"),
+        "failed": solution.status.count("not_converged"),
+        "no_data": solution.status.count("no_data"),
         "best90_px": best_90_px(motion),
         "mpjpe_mm": 1000 * score.mpjpe_m.mean,
         "mpe_mm": 1000 * score.mpe_m.mean,
@@ -73,16 +75,17 @@ def view_row(run: Path, camera: int, skeleton: str, meta: dict, **options) -> di
 
 def best_90_px(motion: Motion) -> float:
     """Mean reprojection error of the best 90 % of the detections."""
-    distance = np.sort(motion.distance_px[np.isfinite(motion.distance_px)])
+    distance_px = motion.pictures[0].distance_px
+    distance = np.sort(distance_px[np.isfinite(distance_px)])
     return float(distance[: int(0.9 * len(distance))].mean()) if len(distance) else np.nan
 
 
-def heading_off_deg(motion: FrameMotion, truth: Pose3D) -> float:
+def heading_off_deg(motion: Motion, solution: FrameSolution, truth: Pose3D) -> float:
     """Angle between the fit's direction of travel and the truth's trunk, both level: median over frames."""
-    rear, front = (motion.names[motion.skeleton.joints.index(joint)] for joint in motion.skeleton.forward)
+    rear, front = (motion.names[joint] for joint in motion.forward)
     _, here, there = np.intersect1d(motion.frames, truth.frames, return_indices=True)
     trunk = truth.xyz_m[there, truth.names.index(front)] - truth.xyz_m[there, truth.names.index(rear)]
-    heading = motion.camera.camera_to_world(motion.solution.travel.heading[here]) - motion.camera.centre_world
+    heading = motion.camera.camera_to_world(solution.travel.heading[here]) - motion.camera.centre_world
     cosine = np.sum(heading[:, :2] * trunk[:, :2], axis=1) / np.linalg.norm(trunk[:, :2], axis=1)
     return float(np.degrees(np.median(np.arccos(np.clip(cosine, -1, 1)))))
 

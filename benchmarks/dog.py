@@ -30,10 +30,11 @@ import pandas as pd
 from recordings import recordings
 from trajectory import print_table
 
-from recon import Body, Camera, FitSettings, TrajectoryMotion, fit_clip, load_skeleton, write_camera
+from recon import Body, Camera, FitSettings, fit_clip, load_skeleton, write_camera
 from recon.analysis.evaluation import align_similarity, centre, joint_errors, score
 from recon.app.prior import run_prior_fit
 from recon.prior import prior_from_body, save_prior
+from recon.solve import TrajectorySolution
 from recon.solve.points import solve_points
 
 SKELETON = "dog-27"
@@ -82,7 +83,6 @@ def read_clips(folder: Path) -> list[Clip]:
 
 def body_of() -> Body:
     body = load_skeleton(SKELETON)
-    assert isinstance(body, Body)
     return body
 
 
@@ -214,8 +214,8 @@ def write_view(clip: Clip, folder: Path, seed: int) -> tuple[FitSettings, float]
 def fit_row(clip: Clip, prior: str, folder: Path, seed: int) -> dict:
     settings, hfov_deg = write_view(clip, folder, seed)
     motion = fit_clip(replace(settings, prior=prior))
-    assert isinstance(motion, TrajectoryMotion)
     solution, truth_m = motion.solution, motion.camera.world_to_camera(clip.markers(motion.solution.body))
+    assert isinstance(solution, TrajectorySolution)
     found_m = solution.joints_camera_m
     centred = score(joint_errors(centre(found_m, truth_m), truth_m))
     return {

@@ -29,7 +29,6 @@ from scipy.interpolate import CubicSpline
 from recon import Pose3D, read_pose3d
 from recon.analysis.gait import pose_gait
 from recon.app.ik import stride_lasts_s
-from recon.body import Body
 from recon.ik.animal import body_chain, body_chain_angles, chain_angles, planar_chain, spine_front_leg
 from recon.ik.chain import SerialChain
 from recon.ik.costs import HarmonicMap, joint_differences, rotational_energy
@@ -56,8 +55,8 @@ from recon.ik.methods import (
 )
 from recon.ik.null_space import to_null_space_optimum
 from recon.ik.stride import Stride, find_stride
+from recon.published import solve_joints
 from recon.skeleton_file import load_chain, load_skeleton
-from recon.solve.frame import solve_joints
 from recon.solve.points import solve_points_and_size
 
 Array = np.ndarray
@@ -80,7 +79,6 @@ PUBLISHED = {
 
 def chains(limited: bool) -> dict[str, SerialChain]:
     skeleton, body = load_chain("cheetah-8u"), load_skeleton("cheetah-24")
-    assert isinstance(body, Body)
     return {
         "2D, 5 joints": spine_front_leg(skeleton, dim=2, limited=limited),
         "3D, 10 joints": spine_front_leg(skeleton, limited=limited),
@@ -219,7 +217,6 @@ class Leg:
 def real_legs(folder: Path) -> dict[str, list[Leg]]:
     """All runs' legs, by chain: "2D" in the plane of the travel, "3D", "whole animal"."""
     skeleton, body = load_chain("cheetah-8u"), load_skeleton("cheetah-24")
-    assert isinstance(body, Body)
     legs: dict[str, list[Leg]] = {"2D": [], "3D": [], "whole animal": []}
     for meta in sorted(folder.glob("*/meta.json")):
         fps = json.loads(meta.read_text(encoding="utf-8"))["fps"]
@@ -236,9 +233,11 @@ def real_legs(folder: Path) -> dict[str, list[Leg]]:
             known = np.isfinite(root[:, 0])
             flat, q, _ = planar_chain(points(leg), root[known][-1] - root[known][0])
             legs["2D"].append(Leg(name, flat, q, fps, lasts_s))
-            states = solve_joints(skeleton, points(skeleton.keypoint_names(side)), UP)
-            summed = spine_front_leg(skeleton, float(np.nanmedian(states[:, skeleton.base_index])), 3, limited=False)
-            legs["3D"].append(Leg(name, summed, chain_angles(skeleton, states, UP), fps, lasts_s))
+            published = solve_joints(skeleton, points(skeleton.keypoint_names(side)), UP)
+            states, _ = skeleton.to_body(published, np.eye(4))
+            base_m = float(np.nanmedian(published[:, skeleton.base_index]))
+            summed = spine_front_leg(skeleton, base_m, 3, limited=False)
+            legs["3D"].append(Leg(name, summed, chain_angles(skeleton, states), fps, lasts_s))
             whole, _ = body_chain(body, leg[-1], size, limited=False)
             q = body_chain_angles(body, leg[-1], body_states)
             legs["whole animal"].append(Leg(name, whole, q, fps, lasts_s))

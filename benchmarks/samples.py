@@ -14,13 +14,14 @@ from pathlib import Path
 
 import numpy as np
 
-from recon.motion import OUTLIER_SIGMAS
-from recon.skeleton import MIN_JOINTS
-from recon.skeleton_file import load_skeleton
-from recon.solve import FrameOptions, solve_frames
+from recon.chain import MIN_JOINTS
+from recon.clip import still_view
+from recon.published import FrameOptions, solve_frames
+from recon.skeleton_file import load_chain
+from recon.solve.result import OUTLIER_SIGMAS
 from recon.synthetic import SyntheticClip, add_noise, gallop
 
-SKELETON = load_skeleton("cheetah-8u")
+SKELETON = load_chain("cheetah-8u")
 CLEAN = FrameOptions(sigma_px=1.0, keypoint_sigma_m=0.0, base_sigma_m=0.001)
 NOISY = FrameOptions(sigma_px=2.0, keypoint_sigma_m=0.0)
 DEFAULT = FrameOptions()
@@ -31,9 +32,9 @@ def fit(clip: SyntheticClip, keypoints, options: FrameOptions, outliers: np.ndar
     columns = [keypoints.names.index(name) for name in SKELETON.keypoint_names(clip.side)]
     xy, confidence = keypoints.xy_px[:, columns], keypoints.confidence[:, columns]
     fps = clip.keypoints.fps or 30.0
-    solution = solve_frames(clip.camera, SKELETON, xy, confidence, fps, options)
+    solution = solve_frames(still_view(clip.camera, xy, confidence), SKELETON, fps, options)
     reports = [r for r in solution.reports if r is not None]
-    joints = SKELETON.pose(solution.states).joints_m
+    joints = SKELETON.pose(solution.chain_states).joints_m
     truth = clip.camera.world_to_camera(clip.truth_m[:, columns])
     off = (joints - joints.mean(1, keepdims=True)) - (truth - truth.mean(1, keepdims=True))
     distance = np.linalg.norm(clip.camera.project(joints)[0] - xy, axis=2)

@@ -129,7 +129,6 @@ def meta_of(run: Path) -> dict:
 @cache
 def body_of(subject: str | None = None, scale: float = 1.0) -> Body:
     body = load_skeleton(SKELETON, subject)
-    assert isinstance(body, Body)
     segments = tuple(replace(s, offset_m=tuple(scale * x for x in s.offset_m)) for s in body.tree.segments)
     markers = tuple(replace(m, offset_m=tuple(scale * x for x in m.offset_m)) for m in body.tree.markers)
     return replace(body, tree=replace(body.tree, segments=segments, markers=markers))

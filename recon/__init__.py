@@ -27,11 +27,10 @@ if TYPE_CHECKING:
     from recon.io import read_keypoints
     from recon.io.pose3d import Pose3D, read_pose3d
     from recon.keypoints import Keypoints, clean
-    from recon.motion import FrameMotion, Motion, TrajectoryMotion
+    from recon.motion import Motion
     from recon.net.run import TrainSettings
     from recon.results import Results, read_results
     from recon.settings import FitSettings, read_settings
-    from recon.skeleton import Skeleton
     from recon.skeleton_file import load_skeleton
 
     __version__: str
@@ -42,16 +41,13 @@ __all__ = [
     "ClipAnalysis",
     "Evaluation",
     "FitSettings",
-    "FrameMotion",
     "InputError",
     "Keypoints",
     "LabelSource",
     "Motion",
     "Pose3D",
     "Results",
-    "Skeleton",
     "TrainSettings",
-    "TrajectoryMotion",
     "analyse",
     "clean",
     "evaluate",
@@ -87,7 +83,7 @@ _NAMES_OF = {
     "recon.io": ("read_keypoints",),
     "recon.io.pose3d": ("Pose3D", "read_pose3d"),
     "recon.keypoints": ("Keypoints", "clean"),
-    "recon.motion": ("FrameMotion", "Motion", "TrajectoryMotion"),
+    "recon.motion": ("Motion",),
     "recon.app.batch": ("find_clips", "plan_batch", "run_batch"),
     "recon.app.calibrate": ("run_calibration",),
     "recon.app.clip": ("fit_clip", "write_clip"),
@@ -98,7 +94,6 @@ _NAMES_OF = {
     "recon.net.run": ("TrainSettings",),
     "recon.results": ("Results", "read_results"),
     "recon.settings": ("FitSettings", "read_settings"),
-    "recon.skeleton": ("Skeleton",),
     "recon.skeleton_file": ("load_skeleton",),
 }
 """Where each name comes from. It is imported when it is first used: `recon --help` needs none of them."""

@@ -1,15 +1,16 @@
-"""A whole animal: a tree of segments (`recon.kinematics`), its markers, and what is expected of its pose.
+"""An animal: a tree of segments (`recon.kinematics`), its markers, and what is expected of its pose.
 
-The states are the tree's. Right-handed frames, x forwards, y left, z up.
+The states are the tree's. Right-handed frames, x forwards, y left, z up. There is one model for all: a whole animal of
+`[[segments]]`, and a chain of `[[links]]` (`recon.chain`), which is a tree with the limbs of one side.
 
 What is left and right, fore and hind, stands here and nowhere else: names of segments and markers say by their
 beginning which side they belong to (`SIDES`), the skeleton's file says where each foot is (`PLACES`), and a limb has
-the side of its markers.
+the side of its markers. A marker of a chain has a keypoint for either side.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Literal
@@ -55,12 +56,19 @@ def common_side(sides: Iterable[Side | None]) -> Side | None:
     return found.pop() if len(found) == 1 else None
 
 
-def feet_by_label(labels: Sequence[str], feet: Sequence[str], side: Side | None) -> dict[str, str]:
-    """By LF, RF, LH, RH; labels without a side get the given one."""
-    start = "" if side is None else side[0].upper()
-    return {
-        label if label in PLACES.values() else start + label: foot for label, foot in zip(labels, feet, strict=True)
-    }
+def facing_side(rear_px: Array, front_px: Array) -> tuple[Side, str]:
+    """The side of the animal that faces an upright camera, and why.
+
+    rear_px, front_px (T, 2): ends of the trunk, NaN where missing. An animal that faces the right of the picture shows
+    its right side.
+    """
+    ahead = (front_px - rear_px)[:, 0]
+    ahead = ahead[np.isfinite(ahead)]
+    if len(ahead) == 0:
+        return "right", "no frame shows both ends of the trunk: right by default"
+    side: Side = "right" if np.median(ahead) > 0 else "left"
+    agree = np.mean((ahead > 0) == (side == "right"))
+    return side, f"the animal faces the {side} of the picture in {agree:.0%} of {len(ahead)} frames"
 
 
 def without_side(name: str) -> str:
@@ -70,29 +78,34 @@ def without_side(name: str) -> str:
 
 @dataclass(frozen=True)
 class Body:
-    """A tree with J markers and D unknowns per frame, and the expectations of them.
-
-    limbs: marker names along each limb, for drawing. forward: two markers, from rear to front. feet: the markers that
-    touch the ground; foot_labels: where they are, of `PLACES`, or of a chain `CHAIN_PLACES`. keypoint_sigma_m: how far
-    keypoints lie from the markers. size_sigma: of the size, the factor on all lengths, around 1. mean_rad, sigma_rad,
-    acceleration_rad_s2 (D - 4,): the Gaussian expectation of the angles state[:, 4:], that is the root's pitch and roll
-    and the joints' angles, and one sigma of their acceleration. keypoint_offset_m: how far a detector's keypoint lies
-    from a marker, (x, y, z) in the marker's segment, by marker.
-    """
+    """A tree with J markers and D unknowns per frame, and the expectations of them."""
 
     name: str
     title: str
     tree: Tree
+    keypoints: tuple[tuple[str, str], ...]
+    """(J,): of each marker the keypoint's name when the limbs of the left, and of the right side are fitted. Of a whole
+    animal both are the marker's own."""
     limbs: dict[str, tuple[str, ...]]
+    """Marker names along each limb, for drawing."""
     forward: tuple[str, str]
+    """Two markers, from rear to front."""
     feet: tuple[str, ...]
+    """The markers that touch the ground."""
     foot_labels: tuple[str, ...]
+    """Where the feet are, of `PLACES`, or of a chain `CHAIN_PLACES`."""
     keypoint_sigma_m: float
+    """How far keypoints lie from the markers."""
     size_sigma: float
+    """Of the size, the factor on all lengths, around 1."""
     mean_rad: Array
+    """(D - 4,): expected angles state[:, 4:], that is the root's pitch and roll and the joints' angles."""
     sigma_rad: Array
+    """(D - 4,): one standard deviation of them."""
     acceleration_rad_s2: Array
+    """(D - 4,): one standard deviation of their acceleration."""
     keypoint_offset_m: dict[str, tuple[float, float, float]] = field(default_factory=dict)
+    """How far a detector's keypoint lies from a marker, (x, y, z) in the marker's segment, by marker."""
 
     @cached_property
     def detected(self) -> Tree:
@@ -112,9 +125,20 @@ class Body:
         """(J,)"""
         return tuple(m.name for m in self.tree.markers)
 
+    @cached_property
+    def one_sided(self) -> bool:
+        """A chain, which stands for the limbs of either side; otherwise a whole animal."""
+        return any(left != right for left, right in self.keypoints)
+
+    def keypoint_names(self, side: Side | None) -> tuple[str, ...]:
+        """(J,): of the markers, when the limbs of that side are fitted. None: of a whole animal."""
+        return tuple(right if side == "right" else left for left, right in self.keypoints)
+
     def feet_by_label(self, side: Side | None = None) -> dict[str, str]:
         """Markers of the feet by LF, RF, LH, RH. side: the fitted one, of a chain."""
-        return feet_by_label(self.foot_labels, self.feet, side)
+        start = "" if side is None else side[0].upper()
+        labels = (label if label in PLACES.values() else start + label for label in self.foot_labels)
+        return dict(zip(labels, self.feet, strict=True))
 
     def side_of(self, marker: str) -> Side | None:
         """By what is said of it as a foot, or else by its name."""
@@ -122,8 +146,12 @@ class Body:
         return _LABELLED[label[0]] if label in PLACES.values() else side_of(marker)
 
     def limb_sides(self, side: Side | None = None) -> dict[str, Side | None]:
-        """The side of each limb; None: the middle, or both. side: nothing to a whole animal."""
-        return {limb: common_side(map(self.side_of, along)) for limb, along in self.limbs.items()}
+        """The side of each limb; None: the middle, or both. side: the fitted one, of a chain."""
+        of_either = {m for m, (left, right) in zip(self.markers, self.keypoints, strict=True) if left != right}
+        return {
+            limb: common_side(side if marker in of_either else self.side_of(marker) for marker in along)
+            for limb, along in self.limbs.items()
+        }
 
     @property
     def n_state(self) -> int:
@@ -141,5 +169,5 @@ class Body:
         """
         at = {name: i for i, name in enumerate(self.state_names)}
         permutation = np.array([at.get(other_side(name), i) for name, i in at.items()])
-        flips = [name == "y_m" or name.endswith(("_yaw", "_roll")) for name in at]
+        flips = np.array([False, True, False, *(axis != "y" for axis in self.tree.axes)])
         return permutation, np.where(flips, -1.0, 1.0)

@@ -12,7 +12,7 @@ frame's unknowns, the state, are
 
 Joint kinds differ in their axes only: hinge y, universal z y, ball z y x, free for the root. A "summed" universal joint
 has the angles of all its summed ancestors added to its own and turns relative to the root, which is how the 8U chain
-(`recon.skeleton`) counts its angles:
+(`recon.chain`) counts its angles:
 
     O_segment = O_root Rz(sum of yaw) Ry(sum of pitch)
 
@@ -39,6 +39,8 @@ AXES: dict[str, str] = {"free": "zyx", "ball": "zyx", "universal": "zy", "hinge"
 
 ANGLES = {"z": "yaw", "y": "pitch", "x": "roll"}
 """What a rotation about each axis is called."""
+_SUMMED = {"z": "phi", "y": "theta"}
+"""What it is called of a summed joint, as published of the 8U chain."""
 
 _BLOCK = 64
 """Frames whose Jacobian is worked out at once: the arrays in between stay in the processor's cache."""
@@ -121,9 +123,18 @@ class Tree:
 
     @cached_property
     def state_names(self) -> tuple[str, ...]:
-        """(D,): x_m, y_m, z_m, then <segment>_yaw and so on."""
-        names = [f"{s.name}_{ANGLES[axis]}" for s in self.segments for axis in AXES[s.joint]]
+        """(D,): x_m, y_m, z_m, then <segment>_yaw and so on; of the summed joint of segment J6 phi_6 and theta_6."""
+        names = [
+            f"{_SUMMED[axis]}_{s.name.lstrip('J')}" if s.joint == "summed" else f"{s.name}_{ANGLES[axis]}"
+            for s in self.segments
+            for axis in AXES[s.joint]
+        ]
         return ("x_m", "y_m", "z_m", *names)
+
+    @cached_property
+    def axes(self) -> tuple[str, ...]:
+        """(D - 3,): what each angle of the state turns about, "x", "y" or "z"."""
+        return tuple(axis for _, axis in self._rotations)
 
     @cached_property
     def n_state(self) -> int:

@@ -1,8 +1,8 @@
 """What a fit wrote into a folder, read back for what comes after: analysis, inverse kinematics, pictures.
 
 Everything stands in the upright frame, metres, z up: the world frame where that is known to have z up, otherwise the
-level frame (docs/report.md). The files read are report.json, pose3d.csv, angles.csv and, where there is one,
-pose3d_sigma.csv, all as one run of `recon fit` wrote them: manifest.json says which that are.
+level frame (docs/report.md). The files read are report.json, pose3d.csv, angles.csv and pose3d_sigma.csv,
+all as one run of `recon fit` wrote them: manifest.json says which that are.
 """
 
 from __future__ import annotations
@@ -24,17 +24,15 @@ from recon.frames import level_from_camera
 from recon.io.pose3d import Pose3D, read_pose3d
 from recon.manifest import Manifest, read_manifest
 from recon.report_fields import require_fields, require_fitting
-from recon.skeleton import Skeleton
 from recon.skeleton_file import load_skeleton
 from recon.solve.result import Ground, Spell
 
 Array = NDArray[np.float64]
 
-SCHEMA_NAME, SCHEMA_VERSION = "recon.fit.report", 2
+SCHEMA_NAME, SCHEMA_VERSION = "recon.fit.report", 3
 """Of report.json."""
 REPORT, TABLES, SIGMAS = "report.json", ("pose3d.csv", "angles.csv"), "pose3d_sigma.csv"
-"""What is read, the last if it is there."""
-
+"""What is read."""
 
 LARGEST = 1e12
 """Of a number in a table: more can only be damage."""
@@ -46,7 +44,7 @@ class Results:
 
     pose: in the upright frame. states (T, D): the rows of angles.csv, in the units and the frame that it has. sigma_m,
     relative_sigma_m (T, J, 3): one standard deviation along the upright frame's axes, of the joints' positions and of
-    those relative to the mean of all joints; None where the method gives none. cameras: as they were for the fit.
+    those relative to the mean of all joints. cameras: as they were for the fit.
     manifest: of the run, for those who read more of its files.
     """
 
@@ -55,11 +53,11 @@ class Results:
     report: dict[str, Any]
     fps: float
     cameras: tuple[Camera, ...]
-    skeleton: Skeleton | Body
+    body: Body
     pose: Pose3D
     states: Array
-    sigma_m: Array | None
-    relative_sigma_m: Array | None
+    sigma_m: Array
+    relative_sigma_m: Array
 
     @property
     def camera(self) -> Camera:
@@ -91,8 +89,14 @@ class Results:
         return self.report["method"]
 
     @property
-    def body(self) -> Body:
-        return self.skeleton if isinstance(self.skeleton, Body) else self.skeleton.body
+    def skeleton_name(self) -> str:
+        """As it was given for the fit, which may be a file, or the name."""
+        return _skeleton_name(self.report)
+
+    @property
+    def jitters(self) -> bool:
+        """Each frame was solved by itself: paths jitter from frame to frame, and sigmas are given the frame before."""
+        return self.method == "frame"
 
     @cached_property
     def time_s(self) -> Array:
@@ -108,28 +112,23 @@ class Results:
     def limbs(self) -> dict[str, tuple[int, ...]]:
         """Joints along each limb, as indices, for drawing."""
         at = {joint: j for j, joint in enumerate(self.report["skeleton"]["joints"])}
-        return {limb: tuple(at[joint] for joint in along) for limb, along in self.skeleton.limbs.items()}
+        return {limb: tuple(at[joint] for joint in along) for limb, along in self.body.limbs.items()}
 
     @cached_property
     def forward(self) -> tuple[str, str]:
         """Two joints, from rear to front."""
-        rear, front = self.skeleton.forward
+        rear, front = self.body.forward
         return self.keypoint_of[rear], self.keypoint_of[front]
 
     @cached_property
     def feet(self) -> dict[str, str]:
-        """Joints of the feet by LH, RH, LF, RF (left or right, hind or fore), those that there are: as the fit wrote it
-        down, or the skeleton's where it did not yet."""
-        written = self.report["skeleton"].get("feet")
-        if written is not None:
-            return written
-        feet = self.skeleton.feet_by_label(self.report["side"]["fitted"])
-        return {label: self.keypoint_of[joint] for label, joint in feet.items()}
+        """Joints of the feet by LH, RH, LF, RF (left or right, hind or fore), those that there are."""
+        return self.report["skeleton"]["feet"]
 
     @cached_property
     def limb_sides(self) -> dict[str, Side | None]:
         """The side of each of the limbs; None: the middle."""
-        return self.skeleton.limb_sides(self.report["side"]["fitted"])
+        return self.body.limb_sides(self.report["side"]["fitted"])
 
     @cached_property
     def spells(self) -> tuple[Spell, ...]:
@@ -151,22 +150,20 @@ class Results:
         """(D,)"""
         return tuple(self.report["skeleton"]["state_names"])
 
-    @cached_property
+    @property
     def angle_names(self) -> tuple[str, ...]:
-        """(A,): of a chain theta and phi of its links; else of the root's pitch and roll and of the joints."""
-        if isinstance(self.skeleton, Skeleton):
-            return self.skeleton.angle_names
+        """(A,): of the root's pitch and roll, and of the joints."""
         return self.state_names[4:]
 
     @cached_property
     def angles_rad(self) -> Array:
         """(T, A)"""
-        return self.states[:, [self.state_names.index(name) for name in self.angle_names]]
+        return self.states[:, 4:]
 
     @cached_property
     def size(self) -> float:
-        """The factor on a whole animal's lengths; 1 for a chain, whose states have its base length."""
-        return 1.0 if isinstance(self.skeleton, Skeleton) else float(self.report["size"]["factor"])
+        """The factor on the body's lengths; of the frame method, which has one for each frame, their median."""
+        return float(self.report["size"]["factor"])
 
     @cached_property
     def title(self) -> str:
@@ -180,7 +177,7 @@ def read_results(folder: str | Path) -> Results:
     report = _report(folder / REPORT)
     cameras = require_fields(report, folder / REPORT)
     camera = cameras[0]
-    skeleton, pose, states = all_of(
+    body, pose, states = all_of(
         lambda: load_skeleton(_skeleton_name(report), report["settings"].get("subject")),
         lambda: read_pose3d(folder / "pose3d.csv"),
         lambda: _states(folder / "angles.csv", report["skeleton"]["state_names"]),
@@ -189,10 +186,10 @@ def read_results(folder: str | Path) -> Results:
         found = f"{len(states)} rows, but {len(pose.frames)} in pose3d.csv"
         raise InputError(Problem(folder / "angles.csv", "rows", found, "both files of the same fit"))
     require_fitting(report, pose, folder / REPORT)
-    _require_skeleton(report, skeleton, folder / REPORT)
+    _require_skeleton(report, body, folder / REPORT)
     is_upright = camera.knows_up or _track(report, 0) is not None
     R = np.eye(3) if is_upright else _level_from_reference(camera)
-    sigma, relative = _sigmas(folder / SIGMAS, pose, R) if SIGMAS in manifest else (None, None)
+    sigma, relative = _sigmas(folder / SIGMAS, pose, R)
     manifest.require_same()
     return Results(
         folder=folder,
@@ -200,7 +197,7 @@ def read_results(folder: str | Path) -> Results:
         report=report,
         fps=float(report["input"]["fps"]),
         cameras=cameras,
-        skeleton=skeleton,
+        body=body,
         pose=pose if is_upright else Pose3D(pose.names, _level(camera, pose.xyz_m), pose.frames, pose.source),
         states=states,
         sigma_m=sigma,
@@ -214,7 +211,7 @@ def _manifest(folder: Path) -> Manifest:
         found = f"no {REPORT}" if folder.is_dir() else "no such folder"
         raise InputError(Problem(folder, "folder", found, "results that `recon fit` wrote"))
     manifest = read_manifest(folder)
-    manifest.require(*(name for name in (REPORT, *TABLES, SIGMAS) if name in manifest))
+    manifest.require(REPORT, *TABLES, SIGMAS)
     return manifest
 
 
@@ -230,18 +227,12 @@ def _report(path: Path) -> dict[str, Any]:
     return report
 
 
-def _require_skeleton(report: dict[str, Any], skeleton: Skeleton | Body, path: Path) -> None:
+def _require_skeleton(report: dict[str, Any], body: Body, path: Path) -> None:
     """Raises InputError where the skeleton is another one than the report's, as its file may have changed since."""
-    states = report["skeleton"]["state_names"]
-    joints = {joint for limb in skeleton.limbs.values() for joint in limb} | {*skeleton.forward}
-    wanted = skeleton.angle_names if isinstance(skeleton, Skeleton) else skeleton.state_names
     problems = [
-        Problem(path, f"skeleton.{field}", "other ones", f"those of {skeleton.name}, as for the fit")
-        for field, there in (
-            ("joints", joints <= {*report["skeleton"]["joints"]}),
-            ("state_names", {*wanted} <= {*states}),
-        )
-        if not there
+        Problem(path, f"skeleton.{field}", "other ones", f"those of {body.name}, as for the fit")
+        for field, wanted in (("joints", body.markers), ("state_names", body.state_names))
+        if tuple(report["skeleton"][field]) != wanted
     ]
     if problems:
         raise InputError(problems)

@@ -18,7 +18,8 @@ from recon.documents import read_toml
 from recon.errors import InputError, Problem
 
 if TYPE_CHECKING:
-    from recon.solve import FrameOptions, TrajectoryOptions
+    from recon.published import FrameOptions
+    from recon.solve import TrajectoryOptions
 
 Method = Literal["trajectory", "frame"]
 Unit = Literal["m", "cm", "mm"]
@@ -175,7 +176,7 @@ class FitSettings:
     One of camera (a calibration file) and hfov_deg with image_size_px is needed. None: not given, so that a setting has
     its default, and those that only the other method reads stay None. Text is taken for numbers, sizes and files.
     Fields without a unit in their name are counts, names or shares; the solvers' are explained at
-    `recon.solve.FrameOptions` and `recon.solve.TrajectoryOptions`.
+    `recon.published.FrameOptions` and `recon.solve.TrajectoryOptions`.
     """
 
     keypoints: tuple[Path, ...] = _field(
@@ -425,7 +426,7 @@ class FitSettings:
         return DEFAULT_SKELETONS[self.method] if self.skeleton is None else self.skeleton
 
     def frame_options(self) -> FrameOptions:
-        from recon.solve import FrameOptions  # scipy is slow to import
+        from recon.published import FrameOptions  # scipy is slow to import
 
         return FrameOptions(**{name: getattr(self, name) for name in FrameOptions.__dataclass_fields__})
 

@@ -1,4 +1,4 @@
-"""Skeleton files (TOML) -> Skeleton, a chain of `[[links]]`, or Body, a tree of `[[segments]]`.
+"""Skeleton files (TOML) -> Body: a tree of `[[segments]]`, or a chain of `[[links]]`.
 
 Built-in skeletons are the files of `recon/skeletons`, built-in subjects (one animal's lengths) those of
 `recon/subjects`.
@@ -9,16 +9,16 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from importlib import resources
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar, overload
+from typing import Annotated, Any, Literal, TypeVar
 
 import numpy as np
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
 from recon.body import CHAIN_PLACES, PLACES, SIDES, Body, other_side, side_of
+from recon.chain import MIN_JOINTS, AngleRanges, Chain, Link, PriorScales
 from recon.documents import parse_toml, read_toml
 from recon.errors import InputError, Problem
 from recon.kinematics import ANGLES, AXES, Marker, Segment, Tree
-from recon.skeleton import MIN_JOINTS, AngleRanges, Link, PriorScales, Skeleton
 
 Number = Annotated[float, Field(gt=-1e6, lt=1e6, allow_inf_nan=False)]
 Sigma = Annotated[float, Field(gt=1e-9, lt=1e6, allow_inf_nan=False)]
@@ -166,15 +166,11 @@ def builtin_subjects() -> tuple[str, ...]:
     return _names("subjects")
 
 
-@overload  # the default is known to be a chain
-def load_skeleton(name_or_path: Literal["cheetah-8u"], subject: None = None) -> Skeleton: ...
-@overload
-def load_skeleton(name_or_path: str | Path, subject: str | Path | None = None) -> Skeleton | Body: ...
-def load_skeleton(name_or_path: str | Path, subject: str | Path | None = None) -> Skeleton | Body:
+def load_skeleton(name_or_path: str | Path, subject: str | Path | None = None) -> Body:
     """The built-in skeleton of that name, or the one in a TOML file.
 
-    subject: name or file of a measured animal, for a body only. Raises InputError: no such name or file, a file that
-    does not describe a skeleton, or a subject of another one; every problem is named.
+    subject: name or file of a measured animal, for a whole one only. Raises InputError: no such name or file, a file
+    that does not describe a skeleton, or a subject of another one; every problem is named.
     """
     raw, source = _read(name_or_path)
     if "segments" in raw:
@@ -182,11 +178,11 @@ def load_skeleton(name_or_path: str | Path, subject: str | Path | None = None) -
     if subject is not None:
         expected = f"none: {source} is a chain, and a measured chain is a skeleton of its own"
         raise InputError(Problem("--subject", "name or file", repr(str(subject)), expected))
-    return _load_chain(raw, source)
+    return _load_chain(raw, source).body
 
 
-def load_chain(name_or_path: str | Path) -> Skeleton:
-    """The same for a skeleton that has to be a chain. Raises InputError for a body, too."""
+def load_chain(name_or_path: str | Path) -> Chain:
+    """The chain that a skeleton is, for the frame method. Raises InputError for a whole animal, too."""
     raw, source = _read(name_or_path, suggested=builtin_chains)
     if "segments" in raw:
         expected = f"a chain for the frame method: one of {', '.join(builtin_chains())}, or a file with [[links]]"
@@ -259,7 +255,7 @@ def subject_toml(skeleton: str | Path, body: Body, title: str, notes: Sequence[s
 # -- chains -------------------------------------------------------------------------------------------------------
 
 
-def _load_chain(raw: dict[str, Any], source: str) -> Skeleton:
+def _load_chain(raw: dict[str, Any], source: str) -> Chain:
     if "extends" in raw:
         raw = _extended(raw, source)
     parsed, problems = _parsed(_SkeletonFile, raw, source)
@@ -267,7 +263,7 @@ def _load_chain(raw: dict[str, Any], source: str) -> Skeleton:
         problems = list(_chain_problems(parsed, source))
     if parsed is None or problems:
         raise InputError(problems)
-    return _skeleton(parsed)
+    return _chain(parsed)
 
 
 def _extended(raw: dict[str, Any], source: str) -> dict[str, Any]:
@@ -343,8 +339,8 @@ def _ranges(links: tuple[_Link, ...], kind: Literal["theta", "phi"]) -> AngleRan
     return AngleRanges(*(np.array(c, dtype=float) for c in columns))
 
 
-def _skeleton(f: _SkeletonFile) -> Skeleton:
-    return Skeleton(
+def _chain(f: _SkeletonFile) -> Chain:
+    return Chain(
         name=f.name,
         title=f.title,
         links=tuple(Link(x.name, x.start, x.end, x.limb, x.length_ratio, free=x.theta is not None) for x in f.links),
@@ -521,6 +517,7 @@ def _body(f: _BodyFile) -> Body:
             segments=tuple(Segment(s.name, s.parent, s.joint, s.at_m) for s in segments),
             markers=tuple(Marker(m.name, m.segment, m.at_m) for m in markers),
         ),
+        keypoints=tuple((m.name, m.name) for m in markers),
         limbs=f.limbs,
         forward=f.forward,
         feet=tuple(f.feet.values()),

@@ -21,9 +21,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recon.camera import Camera
+from recon.chain import Chain, Side
 from recon.keypoints import Keypoints
 from recon.rotations import euler_angles, euler_rotation
-from recon.skeleton import Side, Skeleton
 from recon.skeleton_file import load_chain
 
 Array = NDArray[np.float64]
@@ -101,13 +101,13 @@ def gallop(
     """
     if abs(heading_rad) > 1.2:
         raise ValueError(f"the heading must lie within 1.2 rad of the picture's plane, got {heading_rad}")
-    skeleton = load_chain("cheetah-8u")
+    chain = load_chain("cheetah-8u")
     side: Side = "right" if direction == "right" else "left"
     rng = np.random.default_rng(seed)
-    waves = [_Waves.draw(rng, 2 * skeleton.n_angles + 3) for _ in range(2)]
+    waves = [_Waves.draw(rng, 2 * chain.n_angles + 3) for _ in range(2)]
 
     def joints(t: Array) -> tuple[Array, Array, Array, Array]:
-        return _run(skeleton, t, heading_rad, direction, waves)
+        return _run(chain, t, heading_rad, direction, waves)
 
     seen = joints(np.arange(0.0, 1.0, 1 / 60))
     camera = _place_camera(camera_model, np.concatenate([seen[2], seen[3]], axis=1).reshape(-1, 3))
@@ -118,12 +118,12 @@ def gallop(
     r, t = camera.rotation, camera.translation_m
     in_camera = r @ rotation
     root = near[:, 0] @ r.T + t
-    state[:, skeleton.place_slice] = np.einsum("tji,tj->ti", in_camera, root)
-    state[:, skeleton.euler_slice] = np.unwrap(euler_angles(in_camera), axis=0)
+    state[:, chain.place_slice] = np.einsum("tji,tj->ti", in_camera, root)
+    state[:, chain.euler_slice] = np.unwrap(euler_angles(in_camera), axis=0)
 
     other: Side = "left" if side == "right" else "right"
-    by_name = dict(zip(skeleton.keypoint_names(other), np.moveaxis(far, 1, 0), strict=True))
-    by_name |= dict(zip(skeleton.keypoint_names(side), np.moveaxis(near, 1, 0), strict=True))
+    by_name = dict(zip(chain.keypoint_names(other), np.moveaxis(far, 1, 0), strict=True))
+    by_name |= dict(zip(chain.keypoint_names(side), np.moveaxis(near, 1, 0), strict=True))
     truth_m = np.stack([by_name[name] for name in KEYPOINT_NAMES], axis=1)
     xy_px, valid = camera.project(truth_m @ r.T + t)
     visible = valid & camera.in_image(xy_px)
@@ -214,19 +214,19 @@ def _series(name: str, phase: Array, swing: Array) -> Array:
     )
 
 
-def _thetas(skeleton: Skeleton, phase: Array, swing: Array, hind_lag: float, fore_lag: float) -> Array:
+def _thetas(chain: Chain, phase: Array, swing: Array, hind_lag: float, fore_lag: float) -> Array:
     """Sagittal angles (T, A) of the links to their parents."""
     trunk = {name: _series(name, phase, swing) for name in ("T5", "T1")}
     hind = {name: _series(name, phase - hind_lag, swing) for name in ("T6", "T7", "T8")}
     fore = {name: _series(name, phase - fore_lag, swing) for name in ("T2", "T3", "T4")}
     inclination = trunk | hind | fore
     parent = {"J6": "T5", "J7": "T6", "J8": "T7", "J1": "T5", "J2": "T1", "J3": "T2", "J4": "T3"}
-    ends = [link.end for link in skeleton.links if link.free]
+    ends = [link.end for link in chain.links if link.free]
     return np.stack([inclination[end.replace("J", "T")] - inclination[parent[end]] for end in ends], axis=1)
 
 
 def _run(
-    skeleton: Skeleton, t: Array, heading_rad: float, direction: Direction, waves: list[_Waves]
+    chain: Chain, t: Array, heading_rad: float, direction: Direction, waves: list[_Waves]
 ) -> tuple[Array, Array, Array, Array]:
     """The animal at times t (T,), seconds.
 
@@ -246,7 +246,7 @@ def _run(
     left = np.cross(ahead, -up)
     ground = np.stack([ahead, -up, left], axis=1)
 
-    n = skeleton.n_angles
+    n = chain.n_angles
     near_waves, far_waves = (w(t) for w in waves)
     roll, yaw, sway_m = 0.25 * near_waves[:, 2 * n :].T
     rotation = ground @ euler_rotation(np.stack([roll, yaw, _series("T5", phase, swing)], axis=1))
@@ -254,18 +254,18 @@ def _run(
     root = (distance - middle)[:, None] * ahead + height_m[:, None] * up + sway_m[:, None] * left
 
     def state(hind_lag: float, fore_lag: float, phi: Array) -> Array:
-        out = np.zeros((len(t), skeleton.n_state))
-        out[:, skeleton.theta_slice] = _thetas(skeleton, phase, swing, hind_lag, fore_lag)
-        out[:, skeleton.phi_slice] = phi
-        out[:, skeleton.base_index] = skeleton.nominal_base_length_m
+        out = np.zeros((len(t), chain.n_state))
+        out[:, chain.theta_slice] = _thetas(chain, phase, swing, hind_lag, fore_lag)
+        out[:, chain.phi_slice] = phi
+        out[:, chain.base_index] = chain.nominal_base_length_m
         return out
 
     phi, far_phi = near_waves[:, :n], far_waves[:, :n].copy()
-    spine = [i for i, link in enumerate(link for link in skeleton.links if link.free) if link.limb == "spine"]
+    spine = [i for i, link in enumerate(link for link in chain.links if link.free) if link.limb == "spine"]
     far_phi[:, spine] = phi[:, spine]
     near_state = state(0.0, 0.0, phi)
-    local_near = skeleton.local_joints(near_state)
-    local_far = skeleton.local_joints(state(_HIND_LAG, _FORE_LAG, far_phi)) + np.array([0.0, 0.0, sign * WIDTH_M])
+    local_near = chain.local_joints(near_state)
+    local_far = chain.local_joints(state(_HIND_LAG, _FORE_LAG, far_phi)) + np.array([0.0, 0.0, sign * WIDTH_M])
     near, far = (root[:, None] + local @ rotation.transpose(0, 2, 1) for local in (local_near, local_far))
     return near_state, rotation, near, far
 

@@ -17,19 +17,20 @@ os.environ.update(dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL
 import numpy as np
 import pytest
 from command_line import run
+from motions import with_first
 
 from recon.app.clip import run_clip
-from recon.body import Body
 from recon.camera import Camera
-from recon.clip import Source, camera_poses, still_view
+from recon.clip import Source, camera_poses, still_view, views_of
 from recon.frames import inverse, moved
-from recon.initialise import mean_pose
 from recon.keypoints import Keypoints, clean
-from recon.motion import FrameMotion, TrajectoryMotion
+from recon.motion import Motion
 from recon.plots import style
+from recon.published import FrameOptions, solve_frames
+from recon.published.starts import mean_pose
 from recon.settings import FitSettings
-from recon.skeleton_file import load_skeleton
-from recon.solve import FrameOptions, Ground, Spell, Start, TrajectorySolution, solve_frames
+from recon.skeleton_file import load_chain, load_skeleton
+from recon.solve import Ground, Spell, Start, TrajectorySolution
 
 
 @pytest.fixture(scope="session")
@@ -139,18 +140,18 @@ def chain_results(made_once) -> Path:
 
 
 @pytest.fixture(scope="session")
-def small_motion() -> FrameMotion:
+def small_motion() -> Motion:
     """Six frames (10 to 15) of a mean pose that glides to the right at 9 m/s and 30 fps, 9 m from a pinhole camera.
 
     Pixels are exact, but for the `neck_base` of frame 14, 300 px off. Frame 13 has no data, frame 15 only six points.
     `nose` is in the file but not in the skeleton; `spine` is rejected as unlikely in frame 11.
     """
-    skeleton = load_skeleton("cheetah-8u")
+    chain = load_chain("cheetah-8u")
     camera = Camera.from_hfov(64.0, (1920, 1080))
-    states = np.tile(mean_pose(skeleton), (6, 1))
-    states[:, skeleton.place_slice] = [-1.5, 0.0, 9.0] + 0.3 * np.arange(6)[:, None] * [1.0, 0.0, 0.0]
-    xy_px, _ = camera.project(skeleton.pose(states).joints_m)
-    names = skeleton.keypoint_names("right")
+    states = np.tile(mean_pose(chain), (6, 1))
+    states[:, chain.place_slice] = [-1.5, 0.0, 9.0] + 0.3 * np.arange(6)[:, None] * [1.0, 0.0, 0.0]
+    xy_px, _ = camera.project(chain.pose(states).joints_m)
+    names = chain.keypoint_names("right")
     xy_px[4, names.index("neck_base"), 1] -= 300.0
     xy_px[3] = np.nan
     xy_px[5, [1, 4, 6]] = np.nan
@@ -169,12 +170,12 @@ def small_motion() -> FrameMotion:
     fitted = replace(
         cleaned, names=names, xy_px=cleaned.xy_px[:, : len(names)], confidence=cleaned.confidence[:, : len(names)]
     )
-    solution = solve_frames(camera, skeleton, fitted.xy_px, fitted.confidence, 30.0, FrameOptions())
-    return FrameMotion(camera, fitted, cleaning, file.names, "right", "as given", skeleton, solution)
+    source = Source(camera, fitted, cleaning, file.names)
+    return Motion((source,), "right", "as given", solve_frames(*views_of([source]), chain, 30.0, FrameOptions()))
 
 
 @pytest.fixture(scope="session")
-def small_trajectory() -> TrajectoryMotion:
+def small_trajectory() -> Motion:
     """Eight frames (10 to 17) of a whole cheetah's mean pose that glides to the right at 9 m/s and 30 fps, 9 m from a
     pinhole camera, as the trajectory method would give it.
 
@@ -183,7 +184,6 @@ def small_trajectory() -> TrajectoryMotion:
     other way round. The left front paw stands in frames 11 and 12.
     """
     body = load_skeleton("cheetah-24")
-    assert isinstance(body, Body)
     camera = Camera.from_hfov(64.0, (1920, 1080))
     camera_from_level = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
     states = np.zeros((8, body.n_state))
@@ -236,11 +236,11 @@ def small_trajectory() -> TrajectoryMotion:
         stage_s={"starts": 0.2, "all": 0.5},
     )
     fitted = replace(cleaned, names=body.markers, xy_px=xy_px, confidence=np.where(np.isnan(xy_px[..., 0]), 0.0, 1.0))
-    return TrajectoryMotion(camera, fitted, cleaning, file.names, None, "both sides are fitted", solution)
+    return Motion((Source(camera, fitted, cleaning, file.names),), None, "both sides are fitted", solution)
 
 
 @pytest.fixture(scope="session")
-def world_trajectory(small_trajectory: TrajectoryMotion) -> TrajectoryMotion:
+def world_trajectory(small_trajectory: Motion) -> Motion:
     """The same, seen by a camera at (1, 2, 3) that looks along x with its own right along -y, z up."""
     rotation = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
     camera = replace(small_trajectory.camera, rotation=rotation, translation_m=-rotation @ [1.0, 2.0, 3.0])
@@ -266,11 +266,11 @@ def world_trajectory(small_trajectory: TrajectoryMotion) -> TrajectoryMotion:
         relative_covariance_m2=R @ level.relative_covariance_m2 @ R.T,
         spells=spells,
     )
-    return replace(small_trajectory, camera=camera, solution=solution)
+    return replace(with_first(small_trajectory, camera=camera), solution=solution)
 
 
 @pytest.fixture(scope="session")
-def two_cameras(world_trajectory: TrajectoryMotion) -> TrajectoryMotion:
+def two_cameras(world_trajectory: Motion) -> Motion:
     """The same, seen by a second camera too, `cam2` at (10, -8, 2.5), which looks along y with its right along x. It
     did not see frames 10 and 11, and puts the `tail_base` of frame 15 200 px off."""
     motion = world_trajectory
@@ -292,4 +292,5 @@ def two_cameras(world_trajectory: TrajectoryMotion) -> TrajectoryMotion:
         weight=np.concatenate([motion.solution.weight, np.where(seen, 0.5, np.nan)[None]]),
         size_from=("prior", "views"),
     )
-    return replace(motion, solution=solution, others=(Source(camera, keypoints, cleaning, file.names),))
+    second = Source(camera, keypoints, cleaning, file.names)
+    return replace(motion, solution=solution, sources=(*motion.sources, second))

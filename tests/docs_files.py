@@ -167,7 +167,6 @@ def _cat(folder: Path, seed: int = 0) -> tuple[Body, Pose3D]:
     if not file.exists():
         _toml("writing-a-skeleton.md", -1)(file)
     body = load_skeleton(str(file))
-    assert isinstance(body, Body)
     rng, time_s = np.random.default_rng(seed), np.arange(400) / CAT_FPS
     states = np.zeros((400, body.n_state))
     waves = np.sin(2 * np.pi * 2.5 * time_s[:, None] + rng.uniform(0, 6, len(body.mean_rad)))

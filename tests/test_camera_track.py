@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from recon import FitSettings, InputError, TrajectoryMotion, fit_clip, read_keypoints
+from recon import FitSettings, InputError, Motion, fit_clip, read_keypoints
 from recon.app.batch.inputs import find_clips
 from recon.app.batch.record import identity
 from recon.app.clip import prepare
@@ -333,8 +333,8 @@ def test_a_camera_that_pans_gives_the_motion_of_a_still_one(tmp_path):
     options: dict[str, Any] = {"ground": "none"}
     pan = fit_clip(FitSettings(**panned(tmp_path), **options))
     still = fit_clip(FitSettings(SAMPLES / "whole.csv", camera=SAMPLES / "camera.toml", fps=60, fast=True, **options))
-    assert isinstance(pan, TrajectoryMotion)
-    assert isinstance(still, TrajectoryMotion)
+    assert isinstance(pan, Motion)
+    assert isinstance(still, Motion)
     assert np.linalg.norm(pan.joints_m - still.joints_m, axis=-1).mean() < 0.001
     assert pan.frame_of_reference == "world"
     assert pan.states_frame == "world"

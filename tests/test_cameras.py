@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from recon import FitSettings, InputError, TrajectoryMotion, fit_clip
+from recon import FitSettings, InputError, Motion, fit_clip
 from recon.app.cameras import cameras_in
 from recon.app.clip import prepare
 from recon.clip import Source, View, together
@@ -128,7 +128,7 @@ def test_cameras_that_began_later():
 
 def test_a_clip_of_two_cameras(folder):
     motion = fit_clip(settings(folder, 1, 2))
-    assert isinstance(motion, TrajectoryMotion)
+    assert isinstance(motion, Motion)
     assert np.linalg.norm(motion.joints_m - truth_m(), axis=-1).mean() < 0.025
     assert [source.camera.name for source in motion.sources] == ["cam1", "cam2"]
     assert motion.solution.weight.shape == (2, 40, len(BODY.markers))

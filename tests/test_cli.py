@@ -23,11 +23,10 @@ import recon.export
 import recon.view
 from recon.analysis.evaluation import evaluate_files
 from recon.app.clip import OUTPUT_FILES
+from recon.chain import MIN_JOINTS
 from recon.cli.common import terminal
-from recon.export import TRAJECTORY_OUTPUTS
 from recon.io import read_keypoints
 from recon.settings import FitSettings, read_settings
-from recon.skeleton import MIN_JOINTS
 from recon.view.added import AddedSeries, write_plots
 
 SAMPLES = Path(__file__).parents[1] / "data" / "samples"
@@ -37,7 +36,6 @@ FITTED = {f"r_{leg}_{joint}" for leg in ("front", "back") for joint in ("knee", 
     "spine",
     "tail_base",
 }
-OF_FRAMES = [name for name in OUTPUT_FILES if name not in TRAJECTORY_OUTPUTS]
 needs_sigkill = pytest.mark.skipif(os.name != "posix", reason="SIGKILL is of POSIX")
 
 
@@ -150,7 +148,7 @@ def test_fit_writes_every_output(fitted):
     out, ended = fitted
     assert ended.code == 0
     assert ended.err == ""
-    assert sorted(path.name for path in out.iterdir()) == sorted(OF_FRAMES)
+    assert sorted(path.name for path in out.iterdir()) == sorted(OUTPUT_FILES)
     assert all(path.stat().st_size for path in out.iterdir())
     assert "30 of 30 converged" in ended.out
     assert f"recon view {out}" in ended.out
@@ -176,7 +174,9 @@ def test_the_other_outputs_read_back(fitted):
     assert angles.index.tolist() == list(range(30))
     assert np.isfinite(angles.to_numpy()).all()
     assert {str(name).rsplit("_", 1)[1] for name in angles} == {"rad", "m"}
-    assert angles["base_length_m"].between(0.15, 0.25).all()
+    assert [f"{name}_rad" for name in report_of(out)["skeleton"]["state_names"][3:]] == list(angles.columns[3:])
+    base_m = [frame["unknowns"][-1] for frame in report_of(out)["frames"]]
+    assert 0.15 < min(base_m) <= max(base_m) < 0.25
     pixels = read_keypoints(out / "reprojection.csv")
     detected = read_keypoints(CLIP)
     shared = [pixels.names.index(name) for name in sorted(FITTED)]
@@ -358,10 +358,9 @@ def test_a_chain_over_the_whole_clip(tmp_path):
     table = pd.read_csv(tmp_path / "pose3d.csv", header=[0, 1], index_col=0)
     assert set(table.columns.get_level_values(0)) == FITTED
     angles = pd.read_csv(tmp_path / "angles.csv", index_col="frame")
-    assert angles.columns[0] == "theta_6_rad"
-    assert angles.columns[-1] == "base_length_m"
+    assert list(angles.columns[5:8]) == ["J0_roll_rad", "phi_6_rad", "theta_6_rad"]
     report = report_of(tmp_path)
-    assert (report["side"]["fitted"], report["skeleton"]["states_frame"]) == ("right", "camera")
+    assert (report["side"]["fitted"], report["skeleton"]["states_frame"]) == ("right", "world")
     assert set(report["stances"]) == {"r_front_paw", "r_back_paw"}
 
 
@@ -631,7 +630,7 @@ def test_exit_code_1_when_no_frame_can_be_solved(tmp_path):
     ended = run(*fit_args(out, keypoints=clip))
     assert ended.code == 1
     assert ended.err == f"error: no frame could be solved: see {out / 'report.json'}\n"
-    assert sorted(path.name for path in out.iterdir()) == sorted(OF_FRAMES)
+    assert sorted(path.name for path in out.iterdir()) == sorted(OUTPUT_FILES)
     report = report_of(out)
     assert {row["status"] for row in report["frames"]} == {"no_data"}
     assert report["summary"]["frames_no_data"] == 30
@@ -653,7 +652,7 @@ def test_overwrite_keeps_other_files(fitted, tmp_path):
     (stale / "pose3d.csv").write_text("half")
     assert run(*fit_args(tmp_path, "--overwrite")).code == 0
     # Nothing of the other method's results stays behind.
-    assert sorted(path.name for path in tmp_path.iterdir()) == sorted((*OF_FRAMES, "notes.txt"))
+    assert sorted(path.name for path in tmp_path.iterdir()) == sorted((*OUTPUT_FILES, "notes.txt"))
     assert (tmp_path / "notes.txt").read_text() == "mine"
     for name in ("pose3d.csv", "angles.csv", "reprojection.csv", "config.toml"):
         assert (tmp_path / name).read_bytes() == (out / name).read_bytes()
@@ -696,7 +695,7 @@ def test_killed_run_leaves_no_output_and_the_next_works(before, tmp_path):
     assert len(partial) == (before is KILLED_WRITING)
     assert all(name.startswith(".recon-partial-") for name in partial)
     assert run(*args).code == 0
-    assert sorted(path.name for path in out.iterdir()) == sorted(OF_FRAMES if "--method" in args else OUTPUT_FILES)
+    assert sorted(path.name for path in out.iterdir()) == sorted(OUTPUT_FILES)
 
 
 @needs_sigkill

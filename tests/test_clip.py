@@ -8,18 +8,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from recon.app.clip import OUTPUT_FILES, fit_clip, fit_frames, fit_trajectory, prepare, run_clip, write_clip
+from recon.app.clip import OUTPUT_FILES, fit_clip, prepare, run_clip, write_clip
 from recon.app.demo import samples_folder
 from recon.calibration import read_camera
+from recon.clip import still_view
 from recon.errors import InputError
-from recon.export import TRAJECTORY_OUTPUTS
 from recon.export.deeplabcut import write_keypoints_csv
 from recon.io import read_keypoints
 from recon.manifest import read_manifest
-from recon.motion import FrameMotion, TrajectoryMotion
+from recon.published import FrameOptions, solve_frames
 from recon.settings import FitSettings
-from recon.skeleton_file import builtin_chains, load_skeleton
-from recon.solve import FrameOptions, solve_frames
+from recon.skeleton_file import builtin_chains, load_chain
 
 EXAMPLE = (Path(__file__).parents[1] / "docs" / "skeletons.md").read_text().split("```toml")[2].split("```")[0]
 # The same chain, hung from its front end: the root is the joint that the animal's front is known by.
@@ -32,10 +31,6 @@ for old, new in (
 ):
     assert old in FRONT_ROOT
     FRONT_ROOT = FRONT_ROOT.replace(old, new)
-
-
-def files_of(method: str) -> list[str]:
-    return [name for name in OUTPUT_FILES if method == "trajectory" or name not in TRAJECTORY_OUTPUTS]
 
 
 def sample(**options) -> FitSettings:
@@ -77,13 +72,13 @@ def test_every_chain_is_fitted_and_written(tmp_path, skeleton: str, method: str)
     settings = sample(skeleton=skeleton, method=method)
     motion = fit_clip(settings)
     report = write_clip(motion, settings, tmp_path / "out")
-    assert sorted(p.name for p in (tmp_path / "out").iterdir()) == sorted(files_of(method))
+    assert sorted(p.name for p in (tmp_path / "out").iterdir()) == sorted(OUTPUT_FILES)
     assert report["summary"]["frames"] == 6
     assert report["method"] == method
     assert motion.solved.sum() >= 3
-    assert isinstance(motion, FrameMotion if method == "frame" else TrajectoryMotion)
-    assert motion.side == "right"
-    assert {"theta_2", "base_length_m"} & {*motion.state_names}
+    assert (motion.solution.method, motion.side) == (method, "right")
+    assert motion.body.one_sided
+    assert motion.angle_names[0].endswith("_yaw")
     assert "neck_base" in motion.names
 
 
@@ -93,17 +88,16 @@ def test_a_whole_animal_is_fitted_and_written(tmp_path, subject):
     motion = fit_clip(settings)
     report = write_clip(motion, settings, tmp_path / "out")
     assert sorted(p.name for p in (tmp_path / "out").iterdir()) == sorted(OUTPUT_FILES)
-    assert isinstance(motion, TrajectoryMotion)
-    assert (motion.side, motion.skeleton) == (None, None)
+    assert (motion.side, motion.body.one_sided) == (None, False)
     assert report["size"]["measured"] == (subject is not None)
     assert ("Jules" in report["size"]["lengths"]) == (subject is not None)
     assert motion.solved.all()
 
 
 def test_default_prior_is_the_one_for_the_skeleton():
-    assert fit_trajectory(sample()).solution.prior == "running-cheetah"
-    assert fit_trajectory(sample(prior="none")).solution.prior == "none"
-    assert fit_trajectory(sample(skeleton="cheetah-8u")).solution.prior == "none"
+    assert fit_clip(sample()).solution.prior == "running-cheetah"
+    assert fit_clip(sample(prior="none")).solution.prior == "none"
+    assert fit_clip(sample(skeleton="cheetah-8u")).solution.prior == "none"
     with pytest.raises(InputError, match="angles"):
         fit_clip(sample(skeleton="cheetah-8u", prior="running-cheetah"))
 
@@ -112,7 +106,7 @@ def test_the_other_methods_results_are_replaced_as_a_whole(tmp_path):
     for method in ("trajectory", "frame"):
         settings = sample(method=method, frames="0:4")
         write_clip(fit_clip(settings), settings, tmp_path)
-        assert sorted(p.name for p in tmp_path.iterdir()) == sorted(files_of(method))
+        assert sorted(p.name for p in tmp_path.iterdir()) == sorted(OUTPUT_FILES)
 
 
 def test_a_whole_animal_is_nothing_for_the_frame_method_and_has_no_side():
@@ -128,7 +122,7 @@ def test_a_whole_animal_is_nothing_for_the_frame_method_and_has_no_side():
 
 def test_tilt_of_a_camera_that_does_not_know_which_way_is_up():
     rough = {"camera": None, "hfov_deg": 60.0, "image_size_px": (1920, 1080)}
-    motion = fit_frames(sample(method="frame", tilt_deg=4.0, frames="0:2", **rough))
+    motion = fit_clip(sample(method="frame", tilt_deg=4.0, frames="0:2", **rough))
     np.testing.assert_allclose(motion.camera.up, [0, -np.cos(np.deg2rad(4)), -np.sin(np.deg2rad(4))])
     message = "--tilt-deg: tilt_deg: found 4 beside the pose in .*camera.toml, which says which way is up, expected one"
     with pytest.raises(InputError, match=message):
@@ -169,7 +163,7 @@ def test_a_pose_out_of_sight_is_not_converged():
     """Detections that no animal of that size can have made: all in one pixel."""
     camera = read_camera(samples_folder() / "camera.toml")
     point = np.full((2, 9, 2), 700.0) + np.linspace(0, 0.5, 9)[:, None]
-    solution = solve_frames(camera, load_skeleton("cheetah-8u"), point, np.ones((2, 9)), 30.0, FrameOptions())
+    solution = solve_frames(still_view(camera, point, np.ones((2, 9))), load_chain("cheetah-8u"), 30.0, FrameOptions())
     assert all(r is not None and r.status == "not_converged" and not r.in_view for r in solution.reports)
 
 

@@ -9,7 +9,6 @@ import pytest
 from recon.export import (
     CAMERA_OUTPUTS,
     CLIP_OUTPUTS,
-    TRAJECTORY_OUTPUTS,
     angles_csv,
     camera_files,
     of_any_camera,
@@ -42,9 +41,8 @@ def test_angles_round_trip(small_motion, tmp_path):
     path = tmp_path / "angles.csv"
     angles_csv.write(small_motion, path)
     table = pd.read_csv(path, index_col="frame")
-    assert list(table.columns[:2]) == ["theta_6_rad", "theta_7_rad"]
-    assert list(table.columns[-8:]) == [
-        *("phi_4_rad", "x0_m", "y0_m", "z0_m", "xi_rad", "psi_rad", "zeta_rad", "base_length_m")
+    assert list(table.columns[:8]) == [
+        *("x_m", "y_m", "z_m", "J0_yaw_rad", "J0_pitch_rad", "J0_roll_rad", "phi_6_rad", "theta_6_rad")
     ]
     np.testing.assert_allclose(table.to_numpy(), small_motion.states, rtol=1e-15)
     np.testing.assert_array_equal(table.index, small_motion.frames)
@@ -55,13 +53,15 @@ def test_reprojection_is_a_deeplabcut_file(small_motion, tmp_path):
     reprojection_csv.write(small_motion, path)
     keypoints = read_keypoints(path)
     assert keypoints.names == small_motion.names
-    np.testing.assert_array_equal(keypoints.xy_px, small_motion.reprojected_px)
+    np.testing.assert_array_equal(keypoints.xy_px, small_motion.pictures[0].reprojected_px)
     np.testing.assert_array_equal(keypoints.frames, small_motion.frames)
     np.testing.assert_array_equal(keypoints.confidence, np.tile(small_motion.solved[:, None], (1, 9)).astype(float))
 
     table = pd.read_csv(path, header=[0, 1, 2], index_col=0)
     assert table.columns.names == ["scorer", "bodyparts", "coords"]
-    np.testing.assert_allclose(table["recon", "spine", "x"], small_motion.reprojected_px[:, 4, 0], rtol=1e-15)
+    np.testing.assert_allclose(
+        table["recon", "spine", "x"], small_motion.pictures[0].reprojected_px[:, 4, 0], rtol=1e-15
+    )
     np.testing.assert_array_equal(table["recon", "spine", "likelihood"], [1, 1, 1, 0, 1, 1])
 
 
@@ -113,7 +113,7 @@ def test_quality_of_the_frame_method_has_the_same_columns(small_motion, tmp_path
 @pytest.mark.parametrize("motion", ["small_motion", "small_trajectory"])
 def test_every_writer_writes(motion, tmp_path, request):
     write_tables(request.getfixturevalue(motion), tmp_path)
-    outputs = [*CLIP_OUTPUTS, *CAMERA_OUTPUTS, *(TRAJECTORY_OUTPUTS if motion == "small_trajectory" else ())]
+    outputs = [*CLIP_OUTPUTS, *CAMERA_OUTPUTS]
     assert sorted(path.name for path in tmp_path.iterdir()) == sorted(outputs)
     for path in tmp_path.iterdir():
         text = path.read_bytes()

@@ -19,7 +19,7 @@ from recon.export.formats import FORMATS, Format
 from recon.files import staged_file
 from recon.io.pose import Pose3D
 from recon.keypoints import Keypoints
-from recon.motion import TrajectoryMotion
+from recon.motion import Motion
 from recon.settings import FitSettings
 from recon.video import video_writer
 
@@ -70,7 +70,7 @@ def test_every_format(format: Format, kind: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("limit", [0, 2_000, 30_000, 100_000])
-def test_results(limit: int, small_trajectory: TrajectoryMotion, tmp_path: Path) -> None:
+def test_results(limit: int, small_trajectory: Motion, tmp_path: Path) -> None:
     settings = FitSettings(keypoints=Path("run.csv"), hfov_deg=64, image_size_px=(1920, 1080), fps=30)
     with files_up_to(limit), pytest.raises(OSError, match="File too large") as caught:
         write_clip(small_trajectory, settings, tmp_path / "out")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from recon.body import Body
+from recon.frames import inverse, rigid
 from recon.ik.animal import body_chain, body_chain_angles, chain_angles, planar_chain, spine_front_leg
 from recon.ik.chain import PlanarChain
 from recon.kinematics import ROOT, YAW
@@ -33,12 +33,12 @@ def test_spine_front_leg_has_the_skeleton_s_links():
 def test_chain_angles_put_the_joints_where_the_state_has_them(direction):
     skeleton = load_chain("cheetah-8u")
     clip = gallop(n_frames=20, heading_rad=0.3, direction=direction)
-    up = clip.camera.up
-    q = chain_angles(skeleton, clip.state, up)
+    states, _ = skeleton.to_body(clip.state, inverse(rigid(clip.camera.rotation, clip.camera.translation_m)))
+    q = chain_angles(skeleton, states)
     names = ["J0", "J9", "J1", "J2", "J3", "J4"]
     where = [skeleton.joints.index(name) for name in names]
-    joints = skeleton.pose(clip.state).joints_m[:, where]
-    root = joints[:, 0]
+    joints = clip.camera.camera_to_world(skeleton.pose(clip.state).joints_m[:, where])
+    root, up = joints[:, 0], np.array([0.0, 0.0, 1.0])
     ahead = root[-1] - root[0]
     ahead = ahead - (ahead @ up) * up
     ahead /= np.linalg.norm(ahead)
@@ -48,27 +48,25 @@ def test_chain_angles_put_the_joints_where_the_state_has_them(direction):
         np.testing.assert_allclose(chain.positions(q[t]), (joints[t] - root[t]) @ base.T, atol=1e-12)
     # No link turns by a jump to the other pair of angles.
     assert np.abs(np.diff(q[:, :5], axis=0)).max() < 1.5
-    np.testing.assert_allclose(chain_angles(skeleton, clip.state, up, travel=ahead), q, atol=1e-12)
-    np.testing.assert_array_equal(chain_angles(skeleton, clip.state, up, dim=2), q[:, :5])
+    np.testing.assert_allclose(chain_angles(skeleton, states, travel=ahead), q, atol=1e-12)
+    np.testing.assert_array_equal(chain_angles(skeleton, states, dim=2), q[:, :5])
 
 
 def test_chain_angles_of_a_level_animal_are_the_skeleton_s():
     skeleton = load_chain("cheetah-8u")
-    state = np.zeros((2, skeleton.n_state))
-    state[:, skeleton.theta_slice] = skeleton.theta.mean_rad
-    state[:, skeleton.base_index] = 0.2
-    q = chain_angles(skeleton, state, np.array([0.0, -1.0, 0.0]))
-    at = [skeleton.angle_names.index(f"theta_{k}") for k in (1, 2, 3, 4)]
+    state = np.zeros((2, skeleton.body.n_state))
+    state[:, 4:] = skeleton.body.mean_rad
+    q = chain_angles(skeleton, state)
+    at = [skeleton.body.state_names.index(f"theta_{k}") for k in (1, 2, 3, 4)]
     np.testing.assert_allclose(q[:, 1:5], state[:, at], atol=1e-12)
     np.testing.assert_allclose(np.delete(q, [1, 2, 3, 4], axis=1), 0, atol=1e-12)
 
 
 def test_chain_angles_leave_missing_frames_missing():
     skeleton = load_chain("cheetah-8u")
-    clip = gallop(n_frames=6)
-    state = clip.state.copy()
+    state, _ = skeleton.to_body(gallop(n_frames=6).state, np.eye(4))
     state[2] = np.nan
-    q = chain_angles(skeleton, state, clip.camera.up)
+    q = chain_angles(skeleton, state)
     assert np.isnan(q[2]).all()
     assert np.isfinite(np.delete(q, 2, axis=0)).all()
 
@@ -78,7 +76,6 @@ def test_chain_angles_leave_missing_frames_missing():
 
 def cheetah():
     body = load_skeleton("cheetah-24")
-    assert isinstance(body, Body)
     return body
 
 

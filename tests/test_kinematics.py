@@ -101,8 +101,8 @@ def test_summed_joints_add_the_angles_of_all_summed_ones_before_them():
     summed = TREES["summed with others"]
     states, _ = states_and_sizes(summed, 5)
     at = summed.state_names.index
-    yaw = states[:, at("s1_yaw")] + states[:, at("s3_yaw")]
-    pitch = states[:, at("s1_pitch")] + states[:, at("s3_pitch")]
+    yaw = states[:, at("phi_s1")] + states[:, at("phi_s3")]
+    pitch = states[:, at("theta_s1")] + states[:, at("theta_s3")]
     alone = Tree((Segment("root", None, "free"), Segment("u", "root", "universal")), (Marker("m", "u"),))
     expected = alone.orientations(np.concatenate([states[:, :6], yaw[:, None], pitch[:, None]], axis=1))[:, 1]
     index = [s.name for s in summed.segments].index("s3")
@@ -114,6 +114,9 @@ def test_names_of_the_state():
         *("x_m", "y_m", "z_m", "root_yaw", "root_pitch", "root_roll"),
         *("s0_yaw", "s0_pitch", "s1_pitch", "branch_pitch"),
     )
+    summed = Tree((Segment("J0", None, "free"), Segment("J6", "J0", "summed")), (Marker("m", "J6"),))
+    assert summed.state_names[6:] == ("phi_6", "theta_6")
+    assert summed.axes == ("z", "y", "x", "z", "y")
 
 
 def test_many_frames_and_none(some_tree: Tree):

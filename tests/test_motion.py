@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from motions import with_first
 
-from recon.motion import FrameMotion, Motion, TrajectoryMotion
-from recon.skeleton import Skeleton
+from recon.motion import Motion
 from recon.skeleton_file import load_skeleton
 from recon.solve import TrajectorySolution
 
@@ -18,10 +18,9 @@ def motion(request) -> Motion:
     return request.getfixturevalue(request.param)
 
 
-def chain_trajectory(of: TrajectoryMotion, small_motion: FrameMotion) -> TrajectoryMotion:
+def chain_trajectory(of: Motion, small_motion: Motion) -> Motion:
     """A trajectory of the 8U chain's body, whose poses lie around its mean pose."""
-    skeleton = load_skeleton("cheetah-8u")
-    body, T = skeleton.body, 6
+    body, T = load_skeleton("cheetah-8u"), 6
     states = np.zeros((T, body.n_state))
     states[:, :3] = [-1.0, 9.0, 0.3] + 0.3 * np.arange(T)[:, None] * [1.0, 0.0, 0.0]
     states[:, 3] = 0.3
@@ -41,16 +40,7 @@ def chain_trajectory(of: TrajectoryMotion, small_motion: FrameMotion) -> Traject
         "contact": np.zeros((T, 2)),
     }
     solution = replace(of.solution, body=body, size=1.1, **arrays)
-    return TrajectoryMotion(
-        small_motion.camera,
-        small_motion.keypoints,
-        small_motion.cleaning,
-        small_motion.file_names,
-        "right",
-        "as given",
-        solution,
-        skeleton,
-    )
+    return replace(small_motion, solution=solution)
 
 
 def test_shapes_and_names_agree(motion: Motion):
@@ -59,7 +49,8 @@ def test_shapes_and_names_agree(motion: Motion):
     assert motion.states.shape == (T, D)
     assert motion.angles_rad.shape == (T, len(motion.angle_names))
     assert motion.root_m.shape == (T, 3)
-    assert motion.sigma_px.shape == motion.outliers.shape == motion.distance_px.shape == (T, J)
+    (picture,) = motion.pictures
+    assert picture.sigma_px.shape == picture.outliers.shape == picture.distance_px.shape == (T, J)
     assert len(motion.joints) == J
     assert {j for limb in motion.limbs.values() for j in limb} <= set(range(J))
     assert all(len(limb) > 1 for limb in motion.limbs.values())
@@ -73,14 +64,14 @@ def test_shapes_and_names_agree(motion: Motion):
 def test_root_is_the_joint_it_is_called_after(motion: Motion):
     at = motion.joints.index(motion.root_name)
     np.testing.assert_allclose(motion.root_m, motion.joints_m[:, at], atol=1e-12)
-    assert motion.root_name == ("J0" if isinstance(motion, FrameMotion) else "spine")
+    assert motion.root_name == ("J0" if motion.body.one_sided else "spine")
 
 
 def test_detections_that_the_pose_does_not_explain(small_motion, small_trajectory):
     for motion, frame, name in ((small_motion, 14, "neck_base"), (small_trajectory, 14, "nose")):
-        ((t, j),) = np.argwhere(motion.outliers)
+        ((t, j),) = np.argwhere(motion.pictures[0].outliers)
         assert (motion.frames[t], motion.names[j]) == (frame, name)
-    assert small_trajectory.distance_px[4, 0] == pytest.approx(300.0)
+    assert small_trajectory.pictures[0].distance_px[4, 0] == pytest.approx(300.0)
 
 
 def test_keypoints_of_the_file_and_of_the_skeleton(small_trajectory):
@@ -96,7 +87,7 @@ def test_reprojections_lie_where_the_detector_sees_the_joints(small_trajectory):
     j = body.markers.index("l_shoulder")
     np.testing.assert_array_equal(motion.joints_m, small_trajectory.joints_m)
     depth, focal = motion.joints_camera_m[0, j, 2], motion.camera.matrix[1, 1]
-    difference = motion.reprojected_px - motion.camera.project(motion.joints_camera_m)[0]
+    difference = motion.pictures[0].reprojected_px - motion.camera.project(motion.joints_camera_m)[0]
     assert difference[0, j, 1] == pytest.approx(-0.1 * focal / depth, rel=0.01)
     assert np.abs(np.delete(difference, j, axis=1)).max() == 0
 
@@ -121,27 +112,32 @@ def test_without_a_world_they_are_in_the_level_frame(small_trajectory):
     points = motion.body.tree.pose(motion.states).points_m
     np.testing.assert_allclose(motion.in_reference(points), motion.joints_m, atol=1e-12)
     # A board's world need not be upright, and is none that yaw could refer to.
-    board = replace(
+    board = with_first(
         motion, camera=replace(motion.camera, rotation=np.eye(3), translation_m=np.zeros(3), world_z_up=False)
     )
     assert (board.states_frame, board.frame_of_reference) == ("level", "world")
     np.testing.assert_array_equal(board.states, motion.solution.states)
 
 
-def test_states_of_a_chain_are_the_chains(small_trajectory, small_motion):
+def test_states_of_a_chain_are_those_of_its_tree(small_trajectory, small_motion):
     motion = chain_trajectory(small_trajectory, small_motion)
-    skeleton = motion.skeleton
-    assert isinstance(skeleton, Skeleton)
-    assert motion.states_frame == "camera"
-    assert motion.state_names == skeleton.state_names
-    assert motion.angle_names == small_motion.angle_names
+    assert motion.states_frame == small_motion.states_frame == "level"
+    assert motion.state_names == small_motion.state_names
+    assert motion.state_names[3:8] == ("J0_yaw", "J0_pitch", "J0_roll", "phi_6", "theta_6")
     assert list(motion.solved) == [True, True, True, False, True, True]
     assert np.isnan(motion.states[3]).all()
-    joints = skeleton.pose(motion.states[motion.solved]).joints_m
-    np.testing.assert_allclose(joints, motion.joints_camera_m[motion.solved], atol=1e-9)
-    np.testing.assert_allclose(motion.states[0, skeleton.base_index], 1.1 * skeleton.nominal_base_length_m)
-    assert motion.names == skeleton.keypoint_names("right")
     assert [motion.names[foot] for foot in motion.feet] == ["r_back_paw", "r_front_paw"]
+
+
+def test_states_of_the_frame_method_give_its_joints_in_the_world(small_motion):
+    solved, solution = small_motion.solved, small_motion.solution
+    chain, base = solution.chain, solution.chain_states[:, solution.chain.base_index]
+    points = small_motion.body.tree.pose(small_motion.states[solved], base[solved] / chain.nominal_base_length_m)
+    np.testing.assert_allclose(points.points_m, solution.joints_m[solved], atol=1e-12)
+    published = chain.pose(solution.chain_states[solved]).joints_m
+    np.testing.assert_allclose(published, small_motion.joints_camera_m[solved], atol=1e-12)
+    assert solution.size == np.nanmedian(base) / chain.nominal_base_length_m
+    assert small_motion.names == chain.keypoint_names("right")
 
 
 # -- uncertainty ----------------------------------------------------------------------------------------------------
@@ -204,20 +200,21 @@ def test_ground_below_the_animal(small_trajectory, world_trajectory):
 
 def test_refuses_keypoints_of_another_skeleton(small_motion, small_trajectory):
     with pytest.raises(ValueError, match="are not those of the joints"):
-        replace(small_trajectory, keypoints=small_motion.keypoints)
+        with_first(small_trajectory, keypoints=small_motion.keypoints)
     with pytest.raises(ValueError, match="are not those of the joints"):
         replace(small_motion, side="left")
     with pytest.raises(ValueError, match="without a frame rate"):
-        replace(small_motion, keypoints=replace(small_motion.keypoints, fps=None))
+        with_first(small_motion, keypoints=replace(small_motion.keypoints, fps=None))
 
 
 # -- several cameras ------------------------------------------------------------------------------------------------
 
 
-def test_the_first_cameras_picture_is_the_motions(two_cameras, world_trajectory):
+def test_a_second_camera_does_not_change_the_picture_of_the_first(two_cameras, world_trajectory):
     for name in ("detected_px", "reprojected_px", "sigma_px", "image_error_px", "distance_px", "outliers"):
-        np.testing.assert_array_equal(getattr(two_cameras, name), getattr(two_cameras.pictures[0], name))
-        np.testing.assert_array_equal(getattr(two_cameras, name), getattr(world_trajectory, name))
+        np.testing.assert_array_equal(
+            *(getattr(motion.pictures[0], name) for motion in (two_cameras, world_trajectory))
+        )
 
 
 def test_every_camera_has_its_picture(two_cameras):

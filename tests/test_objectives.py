@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from recon.camera import Camera
-from recon.objectives import (
+from recon.chain import Posed
+from recon.published.objectives import (
     AnglePrior,
     AngleRange,
     BaseLengthPrior,
@@ -20,10 +21,9 @@ from recon.objectives import (
     RollPrior,
     TravelPrior,
 )
-from recon.skeleton import Posed
-from recon.skeleton_file import load_skeleton
+from recon.skeleton_file import load_chain
 
-SK = load_skeleton("cheetah-8u")
+SK = load_chain("cheetah-8u")
 RNG = np.random.default_rng(1)
 N = 10
 UP = np.array([0.05, -0.99, 0.1]) / np.linalg.norm([0.05, -0.99, 0.1])

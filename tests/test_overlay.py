@@ -16,7 +16,7 @@ from recon.app.overlay import overlay_of, run_overlay
 from recon.cli import app
 from recon.errors import InputError
 from recon.manifest import write_manifest
-from recon.motion import TrajectoryMotion
+from recon.motion import Motion
 from recon.overlay import (
     DETECTION,
     DOUBT,
@@ -37,7 +37,7 @@ SIZE = (1920, 1080)
 GREY = np.full((1080, 1920, 3), 128, np.uint8)
 
 
-def folder_of(motion: TrajectoryMotion, path: Path) -> Path:
+def folder_of(motion: Motion, path: Path) -> Path:
     write_clip(motion, FitSettings(keypoints=Path("run.csv"), camera=Path("camera.toml"), fps=30), path)
     return path
 
@@ -65,10 +65,10 @@ def video(tmp_path_factory) -> Path:
 def test_folder_holds_what_is_drawn(overlay, small_trajectory):
     motion = small_trajectory
     np.testing.assert_array_equal(overlay.frames, motion.frames)
-    np.testing.assert_allclose(overlay.reprojected_px, motion.reprojected_px, atol=1e-6)
+    np.testing.assert_allclose(overlay.reprojected_px, motion.pictures[0].reprojected_px, atol=1e-6)
     # Where there is no detection, both are NaN.
-    np.testing.assert_allclose(overlay.detected_px, motion.detected_px, atol=1e-5)
-    np.testing.assert_array_equal(overlay.outliers, motion.outliers)
+    np.testing.assert_allclose(overlay.detected_px, motion.pictures[0].detected_px, atol=1e-5)
+    np.testing.assert_array_equal(overlay.outliers, motion.pictures[0].outliers)
     assert [tuple(flags) for flags in overlay.flags] == list(motion.solution.flags)
     names = [motion.names[limb[-1]] for limb in overlay.limbs]
     colours = dict(zip(names, overlay.colours, strict=True))

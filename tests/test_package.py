@@ -77,7 +77,11 @@ def test_no_text_names_the_package_of_somebody_else():
     """`pip install recon`, with or without an extra, would fetch it."""
     texts = [
         ROOT / "README.md",
-        *(p for folder in ("recon", "docs", "notebooks", "benchmarks", "pipelines") for p in (ROOT / folder).rglob("*")),
+        *(
+            p
+            for folder in ("recon", "docs", "notebooks", "benchmarks", "pipelines")
+            for p in (ROOT / folder).rglob("*")
+        ),
     ]
     for path in texts:
         if path.suffix in (".py", ".md", ".ipynb", ".toml"):

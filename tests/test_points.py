@@ -17,13 +17,12 @@ FAINT = 1e-6
 @pytest.fixture(params=builtin_names())
 def body(request: pytest.FixtureRequest) -> Body:
     skeleton = load_skeleton(request.param)
-    return skeleton if isinstance(skeleton, Body) else skeleton.body
+    return skeleton
 
 
 @pytest.fixture
 def cheetah() -> Body:
     body = load_skeleton("cheetah-24")
-    assert isinstance(body, Body)
     return body
 
 

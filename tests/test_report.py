@@ -10,8 +10,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from motions import with_first
 from rich.console import Console
 
+from recon.published import FrameReport
+from recon.published.frame import in_world
 from recon.report import (
     SCHEMA_VERSION,
     build_report,
@@ -21,7 +24,7 @@ from recon.report import (
     to_plain,
     write_report,
 )
-from recon.solve import FrameReport, Spell
+from recon.solve import Spell
 
 DOCS = Path(__file__).resolve().parents[1] / "docs" / "report.md"
 
@@ -40,8 +43,12 @@ def with_solution(motion, **changes):
     return replace(motion, solution=replace(motion.solution, **changes))
 
 
-def with_states(motion, states):
-    return replace(motion, solution=replace(motion.solution, states=states))
+def with_states(motion, states, reports=None):
+    """Of the frame method, with other states of the chain."""
+    was = motion.solution
+    covariance = np.tile(np.eye(states.shape[1]), (len(states), 1, 1))
+    given = (reports or was.reports, was.travel, was.objectives, was.fps)
+    return replace(motion, solution=in_world(was.views[0], was.chain, states, covariance, *given))
 
 
 @pytest.mark.parametrize("method", ["frame", "trajectory"])
@@ -85,7 +92,9 @@ def test_frames(report, small_motion):
     assert len(frames[0]["gradient"]) == 21
     assert np.array(frames[0]["joint_sigma_m"]).shape == (9, 3)
     assert frames[0]["cost_shares"].keys() < frames[1]["cost_shares"].keys() == report["cost_shares"].keys()
-    assert frames[1]["mean_reprojection_px"] == pytest.approx(np.nanmean(small_motion.distance_px[1]), rel=1e-6)
+    assert frames[1]["mean_reprojection_px"] == pytest.approx(
+        np.nanmean(small_motion.pictures[0].distance_px[1]), rel=1e-6
+    )
 
 
 def test_summary_adds_up(report, small_motion):
@@ -94,19 +103,19 @@ def test_summary_adds_up(report, small_motion):
     assert summary["frames_converged"] + summary["frames_not_converged"] + summary["frames_no_data"] == 6
     assert summary["frames_no_data"] == 1
     assert summary["detections"] == 41
-    errors = np.sort(small_motion.distance_px[np.isfinite(small_motion.distance_px)])
+    errors = np.sort(small_motion.pictures[0].distance_px[np.isfinite(small_motion.pictures[0].distance_px)])
     assert summary["reprojection_px"]["mean"] == pytest.approx(errors.mean())
     assert summary["reprojection_px"]["mean_best_90_percent"] == pytest.approx(errors[:37].mean())
     assert summary["reprojection_px"]["worst_joint"] == "neck_base"
 
 
 def test_a_frame_that_ran_away_says_so_and_has_no_part_in_the_medians(small_motion):
-    states, reports = small_motion.states.copy(), list(small_motion.reports)
+    states, reports = small_motion.solution.chain_states.copy(), list(small_motion.solution.reports)
     states[2] = np.nan
     reports[2] = replace(
         reports[2], status="not_converged", in_view=False, stopped=True, cost_shares={"reprojection": 1e9}
     )
-    report = build_report(with_solution(small_motion, states=states, reports=tuple(reports)), {})
+    report = build_report(with_states(small_motion, states, tuple(reports)), {})
     assert report["frames"][2]["flags"] == ["ran away", "not converged", "stopped early"]
     assert (report["summary"]["frames_ran_away"], report["summary"]["frames_stopped"]) == (1, 1)
     assert "1 frame without a pose: it ran out of the camera's sight" in report["warnings"]
@@ -137,8 +146,8 @@ def test_keypoints(report, small_motion):
 
 def test_a_keypoint_that_the_file_lacks(small_motion):
     counts = tuple(k for k in small_motion.cleaning.keypoints if k.name != "spine")
-    names = tuple(name for name in small_motion.file_names if name != "spine")
-    motion = replace(small_motion, cleaning=replace(small_motion.cleaning, keypoints=counts), file_names=names)
+    names = tuple(name for name in small_motion.sources[0].file_names if name != "spine")
+    motion = with_first(small_motion, cleaning=replace(small_motion.cleaning, keypoints=counts), file_names=names)
     report = build_report(motion, {})
     row = report["keypoints"][small_motion.names.index("spine")]
     assert (row["in_file"], row["used"], row["joint"]) == (False, None, "J9")
@@ -160,7 +169,7 @@ def test_prior_of_the_base_length_as_given(small_motion):
 
 
 def test_limits_are_counted(small_motion):
-    skeleton, states = small_motion.skeleton, small_motion.states.copy()
+    skeleton, states = small_motion.solution.chain, small_motion.solution.chain_states.copy()
     theta, phi = skeleton.theta_slice.start, skeleton.phi_slice.start
     states[small_motion.solved, : 2 * skeleton.n_angles] = np.r_[skeleton.theta.mean_rad, skeleton.phi.mean_rad]
     states[1, theta + 3] += skeleton.theta.tolerance_rad[3] + 0.1
@@ -196,12 +205,11 @@ def test_root_path(report, small_motion):
 
 
 def test_smoothed_root_path(small_motion):
-    states = np.tile(small_motion.states[0], (6, 1))
-    rotation = small_motion.skeleton.pose(states[:1]).rotation[0]
+    chain = small_motion.solution.chain
+    states = np.tile(small_motion.solution.chain_states[0], (6, 1))
+    rotation = chain.pose(states[:1]).rotation[0]
     jitter = 0.01 * np.array([1, -1, 1, -1, 1, -1])
-    states[:, small_motion.skeleton.place_slice] += (
-        np.stack([0.3 * np.arange(6), 0 * jitter, jitter], axis=1) @ rotation
-    )
+    states[:, chain.place_slice] += np.stack([0.3 * np.arange(6), 0 * jitter, jitter], axis=1) @ rotation
     path = build_report(with_states(small_motion, states), {})["root_path"]
     assert path["smoothed"]["smoothing_m"] == path["jitter_m"]
     np.testing.assert_allclose(path["jitter_m"][:2], 0, atol=1e-6)
@@ -213,13 +221,12 @@ def test_smoothed_root_path(small_motion):
 def test_image_errors(report, small_motion):
     values = np.array(report["image_error_px"]["values"], dtype=float)
     assert values.shape == (9, 2, 6)
-    np.testing.assert_allclose(values.transpose(2, 0, 1), small_motion.image_error_px, rtol=1e-8)
+    np.testing.assert_allclose(values.transpose(2, 0, 1), small_motion.pictures[0].image_error_px, rtol=1e-8)
 
 
 def test_nothing_solved(small_motion):
-    solution = small_motion.solution
-    none = replace(solution, states=np.full_like(solution.states, np.nan), reports=(None,) * 6)
-    report = build_report(replace(small_motion, solution=none), {})
+    states = np.full_like(small_motion.solution.chain_states, np.nan)
+    report = build_report(with_states(small_motion, states, (None,) * 6), {})
     json.dumps(report, allow_nan=False)
     assert report["summary"]["frames_no_data"] == 6
     assert report["summary"]["reprojection_px"]["worst_joint"] is None
@@ -229,7 +236,7 @@ def test_nothing_solved(small_motion):
 def test_what_was_decided_about_a_file_is_in_the_summary(small_motion):
     """Once, as where a header's row was missing."""
     cleaning = replace(small_motion.cleaning, notes=("The header's first row is missing.",))
-    lines = summary_lines(build_report(replace(small_motion, cleaning=cleaning), {}))
+    lines = summary_lines(build_report(with_first(small_motion, cleaning=cleaning), {}))
     assert [value for label, value in lines if label == "note"] == ["The header's first row is missing."]
 
 
@@ -395,7 +402,7 @@ def test_which_way_is_up_is_an_assumption_or_not(trajectory, small_trajectory, w
     known = build_report(world_trajectory, {})
     assert (known["assumptions"]["camera_level"], known["assumptions"]["camera_tilt_rad"]) == (False, None)
     assert known["skeleton"]["states_frame"] == "world"
-    given = replace(small_trajectory, camera=replace(small_trajectory.camera, tilt_rad=0.1))
+    given = with_first(small_trajectory, camera=replace(small_trajectory.camera, tilt_rad=0.1))
     given = build_report(given, {})
     assert (given["assumptions"]["camera_level"], given["assumptions"]["camera_tilt_rad"]) == (False, 0.1)
     assert any("look down by 5.73 degrees" in sentence for sentence in given["assumptions"]["sentences"])
@@ -477,8 +484,8 @@ def test_the_values_that_ran_are_in_the_report(report, trajectory, small_motion,
 
     ran = report["solver"]
     assert (ran["robust_c"], ran["tolerance"], ran["max_evaluations"], ran["form"]) == (4.5, 1e-8, 400, "deadband")
-    assert ran["base_length_m"] == small_motion.skeleton.nominal_base_length_m
-    assert ran["keypoint_sigma_m"] == small_motion.skeleton.scales.keypoint_m
+    assert ran["base_length_m"] == small_motion.solution.chain.nominal_base_length_m
+    assert ran["keypoint_sigma_m"] == small_motion.solution.chain.scales.keypoint_m
     assert build_report(small_motion, {"robust_c": 5.0})["solver"] == ran | {"robust_c": 5.0}
 
 

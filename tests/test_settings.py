@@ -13,8 +13,9 @@ from rich.text import Text
 
 from recon.cli import app
 from recon.errors import InputError
+from recon.published import FrameOptions
 from recon.settings import SETTINGS, FitSettings, of_method, option, read_settings
-from recon.solve import FrameOptions, TrajectoryOptions
+from recon.solve import TrajectoryOptions
 
 GIVEN = {"keypoints": Path("/data/clip.csv"), "camera": Path("/data/camera.toml"), "fps": 30.0}
 

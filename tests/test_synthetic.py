@@ -14,11 +14,11 @@ from recon.calibration import read_camera, read_cameras
 from recon.io import read_keypoints
 from recon.io.pose3d import read_pose3d
 from recon.keypoints import clean
-from recon.skeleton_file import load_skeleton
+from recon.skeleton_file import load_chain
 from recon.synthetic import KEYPOINT_NAMES, MARGIN_PX, SLOPE, add_noise, gallop
 
 SAMPLES = Path(__file__).resolve().parents[1] / "data" / "samples"
-SKELETON = load_skeleton("cheetah-8u")
+SKELETON = load_chain("cheetah-8u")
 VARIANTS = [
     {},
     {"heading_rad": 0.35},

@@ -13,9 +13,11 @@ import pytest
 from rerun.chunk import RrdReader
 from scipy.spatial.transform import Rotation
 
+from recon.clip import Source, views_of
 from recon.errors import InputError
-from recon.motion import FrameMotion, TrajectoryMotion
-from recon.solve import Spell
+from recon.motion import Motion
+from recon.published import FrameOptions, FrameSolution, solve_frames
+from recon.solve import Solution, Spell
 from recon.view import open_viewer, write
 
 # World axes x, y (ahead), z (up) seen from 2 m above the origin, looking along y.
@@ -38,23 +40,25 @@ PER_FRAME = {
             "links": "LineStrips2D:strips",
         }.items()
     },
-    "/angles/theta": "Scalars:scalars",
-    "/angles/phi": "Scalars:scalars",
+    "/angles/middle": "Scalars:scalars",
     "/speed": "Scalars:scalars",
     "/residuals": "Scalars:scalars",
-}
-
-
-TRAJECTORY = {
-    **{entity: component for entity, component in PER_FRAME.items() if not entity.startswith("/angles")},
-    "/angles/left": "Scalars:scalars",
-    "/angles/right": "Scalars:scalars",
-    "/angles/middle": "Scalars:scalars",
     "/uncertainty": "Scalars:scalars",
     "/world/uncertainty": "Ellipsoids3D:centers",
     "/world/doubt": "Points3D:positions",
     "/world/stance": "Points3D:positions",
     "/states/doubt": "StateChange:state",
+}
+CHAIN = {
+    **PER_FRAME,
+    "/angles/theta": "Scalars:scalars",
+    "/angles/phi": "Scalars:scalars",
+    **{f"/states/{foot}": "StateChange:state" for foot in ("r_front_paw", "r_back_paw")},
+}
+WHOLE = {
+    **PER_FRAME,
+    "/angles/left": "Scalars:scalars",
+    "/angles/right": "Scalars:scalars",
     **{f"/states/{foot}": "StateChange:state" for foot in FEET},
 }
 
@@ -81,26 +85,32 @@ class Recording:
                     self.time_s[row["frame"]] = row["time"].total_seconds()
 
     def values(self, entity: str, frame: int) -> list[Any]:
-        return self.frames[entity][frame][{**PER_FRAME, **TRAJECTORY}[entity]] or []
+        return self.frames[entity][frame][{**CHAIN, **WHOLE}[entity]] or []
 
 
 @pytest.fixture(scope="module")
-def world_motion(small_motion: FrameMotion) -> FrameMotion:
+def world_motion(small_motion: Motion) -> Motion:
     """The small motion seen by a camera 2 m above the ground."""
     height = np.array([0.0, 0.0, 2.0])
     camera = replace(small_motion.camera, rotation=LOOKING_ALONG_Y, translation_m=-LOOKING_ALONG_Y @ height)
-    return replace(small_motion, camera=camera)
+    source, solution = replace(small_motion.sources[0], camera=camera), small_motion.solution
+    assert isinstance(solution, FrameSolution)
+    return replace(
+        small_motion,
+        sources=(source,),
+        solution=solve_frames(*views_of([source]), solution.chain, small_motion.fps, FrameOptions()),
+    )
 
 
 @pytest.fixture(scope="module")
-def recording(world_motion: FrameMotion, tmp_path_factory: pytest.TempPathFactory) -> Recording:
+def recording(world_motion: Motion, tmp_path_factory: pytest.TempPathFactory) -> Recording:
     path = tmp_path_factory.mktemp("view") / "motion.rrd"
     write(world_motion, path)
     return Recording(path)
 
 
-def test_holds_every_entity_at_every_frame(recording: Recording, world_motion: FrameMotion) -> None:
-    assert set(recording.frames) == set(PER_FRAME)
+def test_holds_every_entity_at_every_frame(recording: Recording, world_motion: Motion) -> None:
+    assert set(recording.frames) == set(CHAIN)
     for rows in recording.frames.values():
         assert sorted(rows) == list(world_motion.frames)
     assert {"/", "/world/path", "/world/ground", "/world/camera", "/picture/frame"} <= set(recording.static)
@@ -111,34 +121,35 @@ def test_times_are_seconds_since_frame_zero(recording: Recording) -> None:
     assert recording.time_s == pytest.approx({frame: frame / 30.0 for frame in range(10, 16)}, abs=1e-8)
 
 
-def test_joints_are_those_of_the_motion(recording: Recording, world_motion: FrameMotion) -> None:
+def test_joints_are_those_of_the_motion(recording: Recording, world_motion: Motion) -> None:
     for frame, joints in zip(world_motion.frames, world_motion.joints_m, strict=True):
         if frame != 13:
             np.testing.assert_allclose(recording.values("/world/skeleton/joints", frame), joints, atol=1e-5)
     assert recording.static["/world/skeleton/joints"]["Points3D:labels"] == list(world_motion.names)
 
 
-def test_limbs_join_their_joints(recording: Recording, world_motion: FrameMotion) -> None:
-    limbs = world_motion.skeleton.limbs
+def test_limbs_join_their_joints(recording: Recording, world_motion: Motion) -> None:
+    limbs = world_motion.body.limbs
     for strip, joints in zip(recording.values("/world/skeleton", 12), limbs.values(), strict=True):
-        rows = [world_motion.skeleton.joints.index(joint) for joint in joints]
+        rows = [world_motion.joints.index(joint) for joint in joints]
         np.testing.assert_allclose(strip, world_motion.joints_m[2, rows], atol=1e-5)
     assert recording.static["/world/skeleton"]["LineStrips3D:class_ids"] == list(range(len(limbs)))
 
 
-def test_a_frame_without_data_shows_nothing(recording: Recording, world_motion: FrameMotion) -> None:
+def test_a_frame_without_data_shows_nothing(recording: Recording, world_motion: Motion) -> None:
     assert not world_motion.solved[3]
-    for entity in PER_FRAME:
+    for entity in {*CHAIN} - {"/states/doubt"}:
         assert recording.values(entity, 13) == [], entity
+    assert recording.values("/states/doubt", 13) == ["no data"]
 
 
-def test_trail_follows_the_root_and_does_not_bridge_the_gap(recording: Recording, world_motion: FrameMotion) -> None:
+def test_trail_follows_the_root_and_does_not_bridge_the_gap(recording: Recording, world_motion: Motion) -> None:
     (step,) = recording.values("/world/trail", 12)
     np.testing.assert_allclose(step, world_motion.root_m[1:3], atol=1e-5)
     assert [frame for frame in range(10, 16) if recording.values("/world/trail", frame)] == [11, 12, 15]
 
 
-def test_ground_lies_under_the_paws(recording: Recording, world_motion: FrameMotion) -> None:
+def test_ground_lies_under_the_paws(recording: Recording, world_motion: Motion) -> None:
     lines = np.array(recording.static["/world/ground"]["LineStrips3D:strips"])
     paws = [world_motion.names.index(name) for name in ("r_front_paw", "r_back_paw")]
     heights = world_motion.joints_m[world_motion.solved][:, paws, 2]
@@ -151,7 +162,7 @@ def test_ground_lies_under_the_paws(recording: Recording, world_motion: FrameMot
     np.testing.assert_allclose(np.diff(np.unique(lines[..., 0])), 1.0)
 
 
-def test_camera_stands_where_its_extrinsics_say(recording: Recording, world_motion: FrameMotion) -> None:
+def test_camera_stands_where_its_extrinsics_say(recording: Recording, world_motion: Motion) -> None:
     camera = recording.static["/world/camera"]
     np.testing.assert_allclose(camera["Transform3D:translation"], [[0.0, 0.0, 2.0]], atol=1e-6)
     (columns,) = camera["Transform3D:mat3x3"]
@@ -160,17 +171,18 @@ def test_camera_stands_where_its_extrinsics_say(recording: Recording, world_moti
     np.testing.assert_allclose(np.reshape(columns, (3, 3)).T, world_motion.camera.matrix, rtol=1e-6)
 
 
-def test_picture_has_the_pixels_of_the_motion(recording: Recording, world_motion: FrameMotion) -> None:
+def test_picture_has_the_pixels_of_the_motion(recording: Recording, world_motion: Motion) -> None:
+    (picture,) = world_motion.pictures
     for row, frame in enumerate(world_motion.frames):
-        seen = np.isfinite(world_motion.detected_px[row, :, 0])
-        outlier = world_motion.outliers[row]
+        seen = np.isfinite(picture.detected_px[row, :, 0])
+        outlier = picture.outliers[row]
         for entity, chosen in (("detections", seen & ~outlier), ("outliers", seen & outlier)):
             strokes = np.reshape(recording.values(f"/picture/{entity}", frame), (-1, 2, 2, 2))
-            np.testing.assert_allclose(strokes.mean(axis=(1, 2)), world_motion.detected_px[row, chosen], atol=1e-3)
+            np.testing.assert_allclose(strokes.mean(axis=(1, 2)), picture.detected_px[row, chosen], atol=1e-3)
         if world_motion.solved[row]:
             pixels = recording.values("/picture/reprojections/joints", frame)
-            np.testing.assert_allclose(pixels, world_motion.reprojected_px[row], atol=1e-3)
-            ends = np.stack((world_motion.detected_px[row, seen], world_motion.reprojected_px[row, seen]), axis=1)
+            np.testing.assert_allclose(pixels, picture.reprojected_px[row], atol=1e-3)
+            ends = np.stack((picture.detected_px[row, seen], picture.reprojected_px[row, seen]), axis=1)
             np.testing.assert_allclose(recording.values("/picture/links", frame), ends, atol=1e-3)
 
 
@@ -178,20 +190,19 @@ def test_the_outlier_is_shown_as_one(recording: Recording) -> None:
     assert [frame for frame in range(10, 16) if recording.values("/picture/outliers", frame)] == [14]
 
 
-def test_the_close_up_is_the_picture_around_the_skeletons_middle(
-    recording: Recording, world_motion: FrameMotion
-) -> None:
-    pixels = world_motion.reprojected_px[2]
+def test_the_close_up_is_the_picture_around_the_skeletons_middle(recording: Recording, world_motion: Motion) -> None:
+    pixels = world_motion.pictures[0].reprojected_px[2]
     shown = np.array(recording.values("/closeup/reprojections/joints", 12))
     np.testing.assert_allclose(shown, pixels - pixels.mean(axis=0), atol=1e-3)
 
 
-def test_series_have_the_units_of_plots(recording: Recording, world_motion: FrameMotion) -> None:
-    degrees = np.rad2deg(world_motion.angles_rad[2])
-    np.testing.assert_allclose(recording.values("/angles/theta", 12), degrees[:7])
-    np.testing.assert_allclose(recording.values("/angles/phi", 12), degrees[7:], atol=1e-12)
+def test_series_have_the_units_of_plots(recording: Recording, world_motion: Motion) -> None:
+    degrees = dict(zip(world_motion.angle_names, np.rad2deg(world_motion.angles_rad[2]), strict=True))
+    for entity, start in (("theta", "theta_"), ("phi", "phi_"), ("middle", "J0_")):
+        expected = [value for name, value in degrees.items() if name.startswith(start)]
+        np.testing.assert_allclose(recording.values(f"/angles/{entity}", 12), expected, atol=1e-12)
     assert recording.static["/angles/theta"]["SeriesLines:names"][:2] == ["θ6 hind leg", "θ7 hind leg"]
-    distance = world_motion.distance_px[4]
+    distance = world_motion.pictures[0].distance_px[4]
     np.testing.assert_allclose(recording.values("/residuals", 14), [np.nanmean(distance), np.nanmax(distance)])
     exact, smooth, straight = recording.values("/speed", 12)
     assert exact == pytest.approx(9.0, abs=2.0)
@@ -199,7 +210,7 @@ def test_series_have_the_units_of_plots(recording: Recording, world_motion: Fram
     assert smooth == pytest.approx(9.0, abs=2.0)
 
 
-def test_without_extrinsics_the_camera_is_the_origin(small_motion: FrameMotion, tmp_path: Path) -> None:
+def test_without_extrinsics_the_camera_is_the_origin(small_motion: Motion, tmp_path: Path) -> None:
     write(small_motion, tmp_path / "motion.rrd", start_frame=12)
     recording = Recording(tmp_path / "motion.rrd")
     assert "Transform3D:translation" not in recording.static["/world/camera"]
@@ -210,11 +221,22 @@ def test_without_extrinsics_the_camera_is_the_origin(small_motion: FrameMotion, 
     assert np.ptp(np.array(recording.static["/world/ground"]["LineStrips3D:strips"])[..., 1]) == 0
 
 
-def test_a_motion_without_any_pose_can_be_written(small_motion: FrameMotion, tmp_path: Path) -> None:
+def without_poses(solution: Solution, **changes: Any) -> Solution:
+    fields = ("states", "joints_m", "covariance_m2", "relative_covariance_m2", "noise_px", "weight", "contact")
+    nothing = {name: np.full_like(getattr(solution, name), np.nan) for name in fields}
+    return replace(solution, **nothing, spells=(), **changes)
+
+
+def without_points(source: Source) -> Source:
+    keypoints = source.keypoints
+    return replace(source, keypoints=replace(keypoints, xy_px=np.full_like(keypoints.xy_px, np.nan)))
+
+
+def test_a_motion_without_any_pose_can_be_written(small_motion: Motion, tmp_path: Path) -> None:
     nothing = replace(
         small_motion,
-        solution=replace(small_motion.solution, states=np.full_like(small_motion.states, np.nan), reports=(None,) * 6),
-        keypoints=replace(small_motion.keypoints, xy_px=np.full_like(small_motion.detected_px, np.nan)),
+        solution=without_poses(small_motion.solution, reports=(None,) * 6),
+        sources=(without_points(small_motion.sources[0]),),
     )
     write(nothing, tmp_path / "motion.rrd")
     recording = Recording(tmp_path / "motion.rrd")
@@ -225,19 +247,19 @@ def test_a_motion_without_any_pose_can_be_written(small_motion: FrameMotion, tmp
 
 
 @pytest.fixture(scope="module")
-def played(world_trajectory: TrajectoryMotion, tmp_path_factory: pytest.TempPathFactory) -> Recording:
+def played(world_trajectory: Motion, tmp_path_factory: pytest.TempPathFactory) -> Recording:
     path = tmp_path_factory.mktemp("view") / "motion.rrd"
     write(world_trajectory, path)
     return Recording(path)
 
 
-def test_a_trajectory_has_every_entity_at_every_frame(played: Recording, world_trajectory: TrajectoryMotion) -> None:
-    assert set(played.frames) == set(TRAJECTORY)
+def test_a_trajectory_has_every_entity_at_every_frame(played: Recording, world_trajectory: Motion) -> None:
+    assert set(played.frames) == set(WHOLE)
     for rows in played.frames.values():
         assert sorted(rows) == list(world_trajectory.frames)
 
 
-def test_limbs_of_a_whole_animal_are_coloured_by_side(played: Recording, world_trajectory: TrajectoryMotion) -> None:
+def test_limbs_of_a_whole_animal_are_coloured_by_side(played: Recording, world_trajectory: Motion) -> None:
     context = played.static["/"]["AnnotationContext:context"][0]
     colours = {c["class_description"]["info"]["label"]: c["class_description"]["info"]["color"] for c in context}
     assert list(colours) == list(world_trajectory.limbs)
@@ -254,7 +276,7 @@ def test_limbs_of_a_whole_animal_are_coloured_by_side(played: Recording, world_t
     assert (at["nose"], at["tail2"]) == ("head", "tail")
 
 
-def test_shells_are_one_sigma_of_the_pose(played: Recording, world_trajectory: TrajectoryMotion) -> None:
+def test_shells_are_one_sigma_of_the_pose(played: Recording, world_trajectory: Motion) -> None:
     row = played.frames["/world/uncertainty"][12]
     np.testing.assert_allclose(row["Ellipsoids3D:centers"], world_trajectory.joints_m[2], atol=1e-5)
     axes = Rotation.from_quat(row["Ellipsoids3D:quaternions"]).as_matrix()
@@ -263,7 +285,7 @@ def test_shells_are_one_sigma_of_the_pose(played: Recording, world_trajectory: T
     np.testing.assert_allclose(covariance, world_trajectory.relative_covariance_m2[2], atol=1e-7)
 
 
-def test_doubtful_frames_are_marked(played: Recording, world_trajectory: TrajectoryMotion) -> None:
+def test_doubtful_frames_are_marked(played: Recording, world_trajectory: Motion) -> None:
     shown = {frame: played.values("/states/doubt", frame) for frame in range(10, 18)}
     assert {frame: value for frame, value in shown.items() if value} == {
         13: ["no data"],
@@ -279,7 +301,7 @@ def test_doubtful_frames_are_marked(played: Recording, world_trajectory: Traject
     assert len(set(red)) == 1 < len(set(plain))
 
 
-def test_feet_that_stand_are_marked(played: Recording, world_trajectory: TrajectoryMotion) -> None:
+def test_feet_that_stand_are_marked(played: Recording, world_trajectory: Motion) -> None:
     paw = world_trajectory.names.index("l_front_paw")
     for frame in range(10, 18):
         stands = frame in (11, 12)
@@ -289,7 +311,7 @@ def test_feet_that_stand_are_marked(played: Recording, world_trajectory: Traject
     np.testing.assert_allclose(played.values("/world/stance", 12), world_trajectory.joints_m[2, [paw]], atol=1e-5)
 
 
-def test_ground_that_was_found_is_drawn(played: Recording, world_trajectory: TrajectoryMotion) -> None:
+def test_ground_that_was_found_is_drawn(played: Recording, world_trajectory: Motion) -> None:
     points = np.reshape(played.static["/world/ground"]["LineStrips3D:strips"], (-1, 3))
     ground = world_trajectory.solution.spells[0].ground
     assert ground is not None
@@ -298,7 +320,7 @@ def test_ground_that_was_found_is_drawn(played: Recording, world_trajectory: Tra
     assert np.ptp(points[:, 2]) > 0.05
 
 
-def test_every_spell_has_its_ground(world_trajectory: TrajectoryMotion, tmp_path: Path) -> None:
+def test_every_spell_has_its_ground(world_trajectory: Motion, tmp_path: Path) -> None:
     """Two spells, the second one's ground 0.4 m lower: each is drawn under its path, from its first frame on."""
     solution = world_trajectory.solution
     ground = solution.spells[0].ground
@@ -315,7 +337,7 @@ def test_every_spell_has_its_ground(world_trajectory: TrajectoryMotion, tmp_path
         np.testing.assert_allclose(points[:, 2], height + 0.02 * points[:, 0], atol=1e-5)
 
 
-def test_series_of_a_whole_animal(played: Recording, world_trajectory: TrajectoryMotion) -> None:
+def test_series_of_a_whole_animal(played: Recording, world_trajectory: Motion) -> None:
     names = world_trajectory.angle_names
     left = [i for i, name in enumerate(names) if name.startswith("l_")]
     degrees = np.rad2deg(world_trajectory.angles_rad[2])
@@ -329,26 +351,24 @@ def test_series_of_a_whole_animal(played: Recording, world_trajectory: Trajector
     np.testing.assert_allclose(played.values("/uncertainty", 12), expected)
 
 
-def test_a_trajectory_without_any_pose_can_be_written(small_trajectory: TrajectoryMotion, tmp_path: Path) -> None:
+def test_a_trajectory_without_any_pose_can_be_written(small_trajectory: Motion, tmp_path: Path) -> None:
     solution = small_trajectory.solution
-    fields = ("states", "joints_m", "covariance_m2", "relative_covariance_m2", "noise_px", "weight", "contact")
-    nothing = {name: np.full_like(getattr(solution, name), np.nan) for name in fields}
     flags = (("no data",),) * 8
     motion = replace(
         small_trajectory,
-        solution=replace(solution, **nothing, flags=flags, spells=()),
-        keypoints=replace(small_trajectory.keypoints, xy_px=np.full_like(small_trajectory.detected_px, np.nan)),
+        solution=without_poses(solution, flags=flags),
+        sources=(without_points(small_trajectory.sources[0]),),
     )
     write(motion, tmp_path / "motion.rrd")
     recording = Recording(tmp_path / "motion.rrd")
     assert recording.values("/states/doubt", 12) == ["no data"]
-    assert all(not recording.values(entity, 12) for entity in TRAJECTORY if entity != "/states/doubt")
+    assert all(not recording.values(entity, 12) for entity in WHOLE if entity != "/states/doubt")
 
 
 # -- several cameras ------------------------------------------------------------------------------------------------
 
 
-def moving(motion: TrajectoryMotion) -> TrajectoryMotion:
+def moving(motion: Motion) -> Motion:
     """The second camera goes along x, a metre a frame."""
     first, second = motion.solution.views
     poses = np.tile(second.T_camera_world, (8, 1, 1))
@@ -357,13 +377,13 @@ def moving(motion: TrajectoryMotion) -> TrajectoryMotion:
 
 
 @pytest.fixture(scope="module")
-def filmed_twice(two_cameras: TrajectoryMotion, tmp_path_factory: pytest.TempPathFactory) -> Recording:
+def filmed_twice(two_cameras: Motion, tmp_path_factory: pytest.TempPathFactory) -> Recording:
     path = tmp_path_factory.mktemp("several") / "motion.rrd"
     write(moving(two_cameras), path)
     return Recording(path)
 
 
-def test_every_camera_has_its_pictures(filmed_twice: Recording, two_cameras: TrajectoryMotion) -> None:
+def test_every_camera_has_its_pictures(filmed_twice: Recording, two_cameras: Motion) -> None:
     of_pictures = {entity for entity in filmed_twice.frames if entity.split("/")[1] in ("picture", "closeup")}
     assert of_pictures == {
         f"/{root}/{camera}/{entity}"
@@ -393,7 +413,7 @@ def test_cameras_stand_where_they_stand_and_move_where_they_move(filmed_twice: R
         assert filmed_twice.static[f"/world/camera/{camera}"]["Pinhole:resolution"] == [[1920, 1080]]
 
 
-def test_errors_over_time_are_those_of_all_cameras(filmed_twice: Recording, two_cameras: TrajectoryMotion) -> None:
+def test_errors_over_time_are_those_of_all_cameras(filmed_twice: Recording, two_cameras: Motion) -> None:
     found = [filmed_twice.frames["/residuals"][frame]["Scalars:scalars"] for frame in (10, 12, 15)]
     distance = np.concatenate([picture.distance_px for picture in moving(two_cameras).pictures], axis=1)[[0, 2, 5]]
     np.testing.assert_allclose(found, np.stack((np.nanmean(distance, 1), np.nanmax(distance, 1)), 1), atol=1e-9)

@@ -14,7 +14,7 @@ import rerun.blueprint as rrb
 from rerun.chunk import Chunk, RrdReader
 
 from recon.errors import InputError
-from recon.motion import FrameMotion, TrajectoryMotion
+from recon.motion import Motion
 from recon.view import write
 from recon.view.added import AddedSeries, AddedStates, StateRow, write_plots
 from recon.view.together import put_together
@@ -120,7 +120,7 @@ def _rows(chunks: list[Chunk]) -> dict[str, list[dict[str, Any]]]:
 
 
 @pytest.fixture(scope="module")
-def plain(world_trajectory: TrajectoryMotion, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def plain(world_trajectory: Motion, tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("plain") / "motion.rrd"
     write(world_trajectory, path)
     return path
@@ -255,7 +255,7 @@ def test_plots_look_as_those_of_the_playback(both: tuple[Stored, Stored]) -> Non
     assert after.field(states, "ViewBlueprint:space_origin") == ["analysis/stance"]
 
 
-def test_the_playback_of_the_frame_method_takes_them_too(small_motion: FrameMotion, tmp_path: Path) -> None:
+def test_the_playback_of_the_frame_method_takes_them_too(small_motion: Motion, tmp_path: Path) -> None:
     write(small_motion, tmp_path / "motion.rrd", start_frame=12)
     before = Stored(tmp_path / "motion.rrd")
     write_plots(tmp_path / "plots.rrd", tmp_path / "motion.rrd", [SPEED], [])
@@ -289,9 +289,7 @@ def test_the_file_holds_the_plots_and_the_layout_alone(copy: Path) -> None:
     assert sorted(file.name for file in copy.parent.iterdir()) == ["motion.rrd", "plots.rrd"]
 
 
-def test_plots_of_another_recording_are_left_out(
-    copy: Path, world_trajectory: TrajectoryMotion, tmp_path: Path
-) -> None:
+def test_plots_of_another_recording_are_left_out(copy: Path, world_trajectory: Motion, tmp_path: Path) -> None:
     """As those of a fit that has been made again."""
     plots, path = tmp_path / "plots.rrd", tmp_path / "together.rrd"
     write_plots(plots, copy, [SPEED], [])

@@ -11,7 +11,7 @@ import pytest
 from rerun.chunk import RrdReader
 
 from recon.errors import InputError
-from recon.motion import TrajectoryMotion
+from recon.motion import Motion
 from recon.video import video_writer
 from recon.view import write
 from recon.view.added import AddedSeries, write_plots
@@ -22,7 +22,7 @@ FRAMES = list(range(10, 18))
 
 
 @pytest.fixture
-def playback(small_trajectory: TrajectoryMotion, tmp_path: Path) -> Path:
+def playback(small_trajectory: Motion, tmp_path: Path) -> Path:
     """Frames 10 to 17 at 30 fps."""
     write(small_trajectory, tmp_path / "motion.rrd")
     return tmp_path / "motion.rrd"

@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 
-from recon.body import Body
 from recon.calibration import write_camera
 from recon.camera import Camera
 from recon.keypoints import Keypoints
@@ -63,7 +62,6 @@ def whole_animal(fps: float = 60, n_frames: int = 60) -> SyntheticClip:
     """
     clip = gallop(fps=fps, n_frames=n_frames)
     body = load_skeleton("cheetah-24")
-    assert isinstance(body, Body)
     points_m = np.full((len(clip.truth_m), len(body.markers), 3), np.nan)
     at = [body.markers.index(name) for name in clip.names]
     points_m[:, at] = clip.truth_m

@@ -114,7 +114,7 @@ def analyse(results: Results, smooth: bool | None = None, stride_s: tuple[float,
     if known.sum() < MIN_POINTS:
         found = f"{known.sum()} frames with a pose"
         raise InputError(Problem(results.folder, "frames", found, f"at least {MIN_POINTS}"))
-    smooth = results.sigma_m is None if smooth is None else smooth
+    smooth = results.jitters if smooth is None else smooth
     pose, fps, options = results.pose, results.fps, {"smooth": smooth}
     errors = _jitter(pose.xyz_m) if smooth else _errors(results)
     joints = {name: joint_kinematics(pose, name, fps, errors, **options) for name in pose.names}
@@ -156,7 +156,7 @@ def stride_given(results: Results, stride_s: tuple[float, float]) -> Stride:
 def gaits_of(results: Results, smooth: bool | None = None) -> dict[Method, Gait]:
     """Only the gaits of `analyse`, by method; none without feet."""
     pose = results.pose
-    if results.sigma_m is None if smooth is None else smooth:
+    if results.jitters if smooth is None else smooth:
         errors = _jitter(pose.xyz_m)
         pose = _on_paths(
             pose,
@@ -183,8 +183,8 @@ def limb_chains(results: Results) -> dict[str, tuple[str, ...]]:
 
 
 def _errors(results: Results) -> list[Errors]:
-    """Of the place, of the pose; none where the fit does not give them."""
-    if results.sigma_m is None or results.relative_sigma_m is None:
+    """Of the place, of the pose; none where the fit does not give them over time."""
+    if results.jitters:
         return []
     # What is common to all joints; the relative errors of a single one can be larger than its absolute ones.
     floor = 1e-4

@@ -139,7 +139,7 @@ def notes(found: ClipAnalysis) -> list[str]:
     said = []
     if found.smoothed:
         said.append("Paths and angles are smoothed by their jitter from frame to frame.")
-    elif found.results.sigma_m is None:
+    elif found.results.jitters:
         said.append("Nothing is smoothed and the fit gives no uncertainty: rates and accelerations hold its jitter.")
     if not found.gaits:
         said.append("The skeleton has no feet: no gait.")

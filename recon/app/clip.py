@@ -13,24 +13,24 @@ from typing import Any
 import numpy as np
 
 from recon.app.cameras import Cameras, ClipCamera, read_clip_cameras
-from recon.body import Body
+from recon.body import Body, Side, facing_side
 from recon.camera import Camera
 from recon.camera_track import MAX_GAP_S, CameraTrack, FramePoses
+from recon.chain import Chain
 from recon.clip import Source, View, held, together, views_of
 from recon.errors import InputError, Problem, all_of
-from recon.export import CAMERA_OUTPUTS, CLIP_OUTPUTS, TRAJECTORY_OUTPUTS, of_any_camera, write_tables
+from recon.export import CAMERA_OUTPUTS, CLIP_OUTPUTS, of_any_camera, write_tables
 from recon.files import require_free_folder, sole_writer, staged_results
-from recon.initialise import facing_side
 from recon.io import read_keypoints
 from recon.keypoints import CleaningReport, Keypoints, clean, leave_out, parse_frame_range
 from recon.manifest import MANIFEST
-from recon.motion import FrameMotion, Motion, TrajectoryMotion
+from recon.motion import Motion
 from recon.prior import MotionPrior, builtin_priors, load_prior, prior_from_body
+from recon.published import solve_frames
 from recon.report import build_report, write_report
 from recon.settings import FitSettings
-from recon.skeleton import Side, Skeleton
 from recon.skeleton_file import load_chain, load_skeleton
-from recon.solve import solve_frames, solve_trajectory
+from recon.solve import solve_trajectory
 
 Progress = Callable[[str, float], None]
 """Called with what is being done, and how much of all is done, 0 to 1."""
@@ -38,14 +38,12 @@ Progress = Callable[[str, float], None]
 OUTPUT_FILES = (
     *CLIP_OUTPUTS,
     *CAMERA_OUTPUTS,
-    *TRAJECTORY_OUTPUTS,
     "report.json",
     "motion.rrd",
     "config.toml",
     MANIFEST,
 )
-"""Every file that a clip of one camera can get; `TRAJECTORY_OUTPUTS` come with the trajectory method only. With several
-cameras there are `CAMERA_OUTPUTS` for each."""
+"""Every file that a clip of one camera gets. With several cameras there are `CAMERA_OUTPUTS` for each."""
 
 
 def output_files(out: Path) -> tuple[str, ...]:
@@ -67,73 +65,32 @@ def _silent(stage: str, share: float) -> None:
 
 
 def fit_clip(settings: FitSettings, progress: Progress = _silent) -> Motion:
-    """Reconstruct one clip: a `FrameMotion` or a `TrajectoryMotion`, by `settings.method`.
+    """Reconstruct one clip by `settings.method`: the whole animal, or a chain, over all frames at once (trajectory), or
+    one side of the animal as a chain, one frame after the other (frame).
 
     Raises InputError for files and settings that cannot be used, with the problems of all of them. Frames that cannot
     be solved are part of the result.
     """
-    return fit_frames(settings, progress) if settings.method == "frame" else fit_trajectory(settings, progress)
-
-
-def fit_frames(settings: FitSettings, progress: Progress = _silent) -> FrameMotion:
-    """One side of the animal, one frame after the other. Raises InputError as `fit_clip`."""
     given = prepare(settings)
-    skeleton, side, (source,) = given.model.skeleton, given.side, given.sources
-    assert skeleton is not None
-    assert side is not None
-    T = len(source.keypoints.frames)
-    solution = solve_frames(
-        source.camera,
-        skeleton,
-        source.keypoints.xy_px,
-        source.keypoints.confidence,
-        given.fps,
-        settings.frame_options(),
-        lambda done: progress("frames", done / T),
-    )
-    return FrameMotion(
-        source.camera,
-        source.keypoints,
-        source.cleaning,
-        source.file_names,
-        side,
-        given.side_reason,
-        skeleton,
-        solution,
-    )
-
-
-def fit_trajectory(settings: FitSettings, progress: Progress = _silent) -> TrajectoryMotion:
-    """The whole animal, or a chain, over all frames at once. Raises InputError as `fit_clip`."""
-    given = prepare(settings)
-    model = given.model
-    assert model.prior is not None
-    solution = solve_trajectory(
-        views_of(given.sources), model.body, model.prior, given.fps, settings.trajectory_options(), progress
-    )
-    first, *others = given.sources
-    return TrajectoryMotion(
-        first.camera,
-        first.keypoints,
-        first.cleaning,
-        first.file_names,
-        given.side,
-        given.side_reason,
-        solution,
-        model.skeleton,
-        tuple(others),
-        first.T_camera_world,
-        first.intrinsics_px,
-    )
+    model, views = given.model, views_of(given.sources)
+    if model.chain is not None:
+        (view,), T = views, len(given.sources[0].keypoints.frames)
+        solution = solve_frames(
+            view, model.chain, given.fps, settings.frame_options(), lambda done: progress("frames", done / T)
+        )
+    else:
+        assert model.prior is not None
+        solution = solve_trajectory(views, model.body, model.prior, given.fps, settings.trajectory_options(), progress)
+    return Motion(given.sources, given.side, given.side_reason, solution)
 
 
 @dataclass(frozen=True)
 class Model:
-    """What is fitted: the chain, if it is one, the body, and what the trajectory method expects of its motion."""
+    """What is fitted: the animal, and what the trajectory method expects of its motion, or the frame method's chain."""
 
-    skeleton: Skeleton | None
     body: Body
-    prior: MotionPrior | None
+    prior: MotionPrior | None = None
+    chain: Chain | None = None
 
 
 @dataclass(frozen=True)
@@ -159,20 +116,20 @@ def prepare(
         lambda: (read_shared or read_model_and_cameras)(settings),
         lambda: read_clips(settings),
     )
-    skeleton = model.skeleton
-    wanted = model.body.markers if skeleton is None else _keypoints_of(skeleton)
+    body = model.body
+    wanted = tuple(dict.fromkeys(name for pair in body.keypoints for name in pair))
     later = settings.offset_s or (0.0,) * len(files)
     later_frames = [(s - later[0]) * file.fps for s, file in zip(later, files, strict=True)]
     cleaned = all_of(
         *(
-            lambda file=file, camera=camera, late=late: _cleaned(file, wanted, model.body.name, camera, settings, late)
+            lambda file=file, camera=camera, late=late: _cleaned(file, wanted, body.name, camera, settings, late)
             for file, camera, late in zip(files, cameras, later_frames, strict=True)
         )
     )
-    side, reason, names = None, "both sides are fitted", model.body.markers
-    if skeleton is not None:
-        side, reason = _side(skeleton, cleaned[0].keypoints, settings)
-        names = skeleton.keypoint_names(side)
+    side, reason = None, "both sides are fitted"
+    if body.one_sided:
+        side, reason = _side(body, cleaned[0].keypoints, settings)
+    names = body.keypoint_names(side)
     sources = [replace(source, keypoints=arrange(source.keypoints, names)) for source in cleaned]
     fps = files[0].fps
     assert fps is not None
@@ -246,12 +203,10 @@ def _read_clip(path: Path, settings: FitSettings) -> Keypoints:
 def _model(settings: FitSettings) -> Model:
     if settings.method == "frame":
         chain = load_chain(settings.skeleton_name)
-        return Model(chain, chain.body, None)
-    skeleton = load_skeleton(settings.skeleton_name, settings.subject)
-    chain = skeleton if isinstance(skeleton, Skeleton) else None
-    body = skeleton.body if isinstance(skeleton, Skeleton) else skeleton
-    prior, _ = all_of(lambda: _prior(settings, body), lambda: _require_no_side(settings, None if chain else body))
-    return Model(chain, body, prior)
+        return Model(chain.body, chain=chain)
+    body = load_skeleton(settings.skeleton_name, settings.subject)
+    prior, _ = all_of(lambda: _prior(settings, body), lambda: _require_no_side(settings, body))
+    return Model(body, prior)
 
 
 def _prior(settings: FitSettings, body: Body) -> MotionPrior:
@@ -264,9 +219,9 @@ def _prior(settings: FitSettings, body: Body) -> MotionPrior:
     return prior_from_body(body)
 
 
-def _require_no_side(settings: FitSettings, whole: Body | None) -> None:
-    if whole is not None and settings.side != "auto":
-        expected = f"nothing: {whole.name} is a whole animal, and both sides are fitted"
+def _require_no_side(settings: FitSettings, body: Body) -> None:
+    if settings.side != "auto" and not body.one_sided:
+        expected = f"nothing: {body.name} is a whole animal, and both sides are fitted"
         raise InputError(Problem("--side", "side", repr(settings.side), expected))
 
 
@@ -308,11 +263,6 @@ def _with_pose(
     return leave_out(keypoints, cleaning, keypoints.present & ~poses.known[:, None], _WITHOUT_POSE)
 
 
-def _keypoints_of(skeleton: Skeleton) -> tuple[str, ...]:
-    """Those of both sides."""
-    return tuple(sorted({name for pair in skeleton.keypoints for name in pair}))
-
-
 def _require_keypoints_of(wanted: Sequence[str], skeleton: str, keypoints: Keypoints) -> None:
     if not set(wanted) & set(keypoints.names):
         raise InputError(
@@ -342,19 +292,19 @@ def _require_inside(camera: Camera, keypoints: Keypoints, settings: FitSettings)
         )
 
 
-def _side(skeleton: Skeleton, keypoints: Keypoints, settings: FitSettings) -> tuple[Side, str]:
+def _side(body: Body, keypoints: Keypoints, settings: FitSettings) -> tuple[Side, str]:
     """The side as given, or the one that faces the camera unless the file has far more points of the other."""
-    ends = {}
-    for joint in skeleton.forward:
-        names = skeleton.keypoints[skeleton.joints.index(joint)]
+    ends = []
+    for marker in body.forward:
+        names = body.keypoints[body.markers.index(marker)]
         both = arrange(keypoints, tuple(dict.fromkeys(names))).xy_px
         counts = np.isfinite(both).sum(axis=1, keepdims=True)
-        ends[joint] = np.nansum(both, axis=1) / np.where(counts[:, 0] > 0, counts[:, 0], np.nan)
-    facing, reason = facing_side(skeleton, ends)
+        ends.append(np.nansum(both, axis=1) / np.where(counts[:, 0] > 0, counts[:, 0], np.nan))
+    facing, reason = facing_side(*ends)
     if settings.side != "auto":
         return settings.side, f"as given; {reason}"
     other: Side = "left" if facing == "right" else "right"
-    of_facing, of_other = (int(arrange(keypoints, skeleton.keypoint_names(s)).present.sum()) for s in (facing, other))
+    of_facing, of_other = (int(arrange(keypoints, body.keypoint_names(s)).present.sum()) for s in (facing, other))
     if of_facing < of_other / 2:
         return other, f"{reason}, but that side has {of_facing} points and the other {of_other}"
     return facing, reason

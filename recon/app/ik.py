@@ -17,6 +17,7 @@ from recon.analysis.clip import gaits_of, limb_chains, stride_given
 from recon.analysis.gait import AGREE, OVERSAMPLING, Gait, doubt_text, pose_return_s
 from recon.analysis.gait import Method as Rule
 from recon.analysis.path import MIN_POINTS
+from recon.chain import Chain
 from recon.errors import InputError, Problem
 from recon.export.table import write_rows
 from recon.files import require_free_folder, sole_writer, staged_folder
@@ -46,7 +47,7 @@ from recon.ik.null_space import to_null_space_optimum
 from recon.ik.stride import Stride, farthest_reach, find_stride
 from recon.report import to_json
 from recon.results import Results, read_results
-from recon.skeleton import Skeleton
+from recon.skeleton_file import load_chain
 
 Array = NDArray[np.float64]
 Dim = Literal[2, 3]
@@ -130,8 +131,8 @@ def limb_of(results: Results, foot: str | None = None, dim: Dim = 3, limited: bo
     """
     label = _foot(results, foot)
     name = results.feet[label]
-    if isinstance(results.skeleton, Skeleton):
-        return _spine_front_leg(results, results.skeleton, label, dim, limited)
+    if results.body.one_sided:
+        return _spine_front_leg(results, load_chain(results.skeleton_name), label, dim, limited)
     travel, first_s = body_travel(results.states), float(results.time_s[0])
     if dim == 3:
         marker = next(joint for joint, keypoint in results.keypoint_of.items() if keypoint == name)
@@ -146,7 +147,7 @@ def limb_of(results: Results, foot: str | None = None, dim: Dim = 3, limited: bo
 
 def _foot(results: Results, foot: str | None) -> str:
     """LH, RH, LF or RF."""
-    chain = isinstance(results.skeleton, Skeleton)
+    chain = results.body.one_sided
     there = [label for label in results.feet if label.endswith("F")] if chain else list(results.feet)
     if foot is None and there:
         return next((label for label in there if label.endswith("F")), there[0])
@@ -157,13 +158,12 @@ def _foot(results: Results, foot: str | None) -> str:
     return found
 
 
-def _spine_front_leg(results: Results, skeleton: Skeleton, label: str, dim: Dim, limited: bool) -> Limb:
-    base = float(np.nanmedian(results.states[:, skeleton.base_index]))
-    chain = spine_front_leg(skeleton, base, dim, limited)
-    q = chain_angles(skeleton, results.states, results.camera.up, dim=dim)
-    links = len(chain.lengths_m)
+def _spine_front_leg(results: Results, chain: Chain, label: str, dim: Dim, limited: bool) -> Limb:
+    leg = spine_front_leg(chain, results.size * chain.nominal_base_length_m, dim, limited)
+    q = chain_angles(chain, results.states, dim=dim)
+    links = len(leg.lengths_m)
     names = tuple(f"{kind}_{k}" for kind in ("theta", "phi")[: dim - 1] for k in range(1, links + 1))
-    return Limb(results.feet[label], chain, names, q, results.fps, float(results.time_s[0]), "UVW", 0.0)
+    return Limb(results.feet[label], leg, names, q, results.fps, float(results.time_s[0]), "UVW", 0.0)
 
 
 # -- methods ---------------------------------------------------------------------------------------------------------

@@ -253,7 +253,7 @@ def _body(skeleton: str | None, subject: str | None, folders: Sequence[Path]) ->
         expected = f"a whole animal's{'' if folders else ', or results of `recon fit`'}"
         raise InputError(Problem("--skeleton", "name or file", "nothing", expected))
     body = load_skeleton(skeleton, subject)
-    if not isinstance(body, Body):
+    if body.one_sided:
         raise InputError(Problem("--skeleton", "name or file", repr(skeleton), "a whole animal, with [[segments]]"))
     return body
 

@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 
 from recon.body import Body, other_side
+from recon.chain import AngleRanges, Chain
 from recon.errors import InputError
 from recon.files import require_free_folder
 from recon.kinematics import ANGLES, AXES
 from recon.prior import NONE, builtin_priors, load_prior
-from recon.skeleton import AngleRanges, Skeleton
-from recon.skeleton_file import builtin_names, load_skeleton
+from recon.skeleton_file import builtin_names, load_chain, load_skeleton
 
 STEMS = ("skeleton", "angles")
 """Pictures, each as .png and .svg: the expected pose with names; every angle at both ends of its range."""
@@ -127,22 +127,22 @@ def run_skeleton_check(
 
 def check_skeleton(name_or_path: str | Path, subject: str | Path | None = None) -> SkeletonCheck:
     """Raises InputError, naming every problem, for a file that describes no skeleton."""
-    skeleton = load_skeleton(name_or_path, subject)
-    body = skeleton.body if isinstance(skeleton, Skeleton) else skeleton
+    body = load_skeleton(name_or_path, subject)
+    chain = load_chain(name_or_path) if body.one_sided else None
     points = body.tree.pose(_mean_state(body)[None]).points_m[0]
     length, _, height = np.ptp(points, axis=0).tolist()
     return SkeletonCheck(
-        name=skeleton.name,
-        title=skeleton.title,
-        kind="chain" if isinstance(skeleton, Skeleton) else "whole animal",
+        name=body.name,
+        title=body.title,
+        kind="chain" if chain else "whole animal",
         body=body,
-        unknowns=skeleton.n_state,
+        unknowns=chain.n_state if chain else body.n_state,
         length_m=length,
         height_m=height,
         size_sigma=body.size_sigma,
         keypoint_sigma_m=body.keypoint_sigma_m,
         prior=_default_prior(body),
-        parts=tuple(_links(skeleton) if isinstance(skeleton, Skeleton) else _segments(skeleton)),
+        parts=tuple(_links(chain) if chain else _segments(body)),
         markers=tuple(MarkerRow(m.name, m.segment, m.offset_m) for m in body.tree.markers),
         feet=body.feet_by_label(),
         limbs=body.limbs,
@@ -183,14 +183,14 @@ def _segments(body: Body) -> Iterator[PartRow]:
         yield PartRow(segment.name, segment.parent or "", "", segment.joint, length_m, tuple(rows), markers)
 
 
-def _links(skeleton: Skeleton) -> Iterator[PartRow]:
+def _links(chain: Chain) -> Iterator[PartRow]:
     a = 0
-    for link, names in zip(skeleton.links, skeleton.keypoints[1:], strict=True):
+    for link, names in zip(chain.links, chain.keypoints[1:], strict=True):
         rows = []
         if link.free:
-            rows = [_range(name, ranges, a) for name, ranges in (("theta", skeleton.theta), ("phi", skeleton.phi))]
+            rows = [_range(name, ranges, a) for name, ranges in (("theta", chain.theta), ("phi", chain.phi))]
             a += 1
-        length_m = link.length_ratio * skeleton.nominal_base_length_m
+        length_m = link.length_ratio * chain.nominal_base_length_m
         joint, points = "free" if link.free else "fixed", tuple(dict.fromkeys(names))
         yield PartRow(link.name, link.start, link.end, joint, length_m, tuple(rows), points)
 
@@ -289,14 +289,13 @@ def _by_angle(check: SkeletonCheck) -> list[AngleRow]:
     body = check.body
     if check.kind == "whole animal":
         return [row for part in check.parts for row in part.angles]
-    ends = {part.end: part for part in check.parts}
+    of_links = {f"{row.name}_{part.end.lstrip('J')}": row for part in check.parts for row in part.angles}
     rows = []
     for name, mean, sigma in zip(body.state_names[4:], body.mean_rad, body.sigma_rad, strict=True):
-        joint, angle = name.rsplit("_", 1)
-        own = ends[joint].angles if joint in ends else ()
-        if own:
-            rows.append(own[0] if angle == "pitch" else own[1])
+        if name in of_links:
+            rows.append(of_links[name])
         else:  # of the root
+            angle = name.rsplit("_", 1)[1]
             mean_deg, sigma_deg = np.rad2deg([mean, sigma]).tolist()
             rows.append(AngleRow(angle, mean_deg, mean_deg - 2 * sigma_deg, mean_deg + 2 * sigma_deg, ""))
     return rows

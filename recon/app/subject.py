@@ -129,7 +129,7 @@ def _setting_reader(settings: FitSettings, path: Path) -> Callable[[], Setting]:
             raise InputError(Problem(path, "method", settings.method, "the trajectory method"))
         given = prepare(settings)
         model = given.model
-        if model.skeleton is not None or model.prior is None:
+        if model.body.one_sided or model.prior is None:
             expected = "a whole animal: a chain's lengths stand in its own skeleton file"
             raise InputError(Problem(path, "skeleton", model.body.name, expected))
         setting = Setting.of(views_of(given.sources), model.body, model.prior, given.fps, settings.trajectory_options())

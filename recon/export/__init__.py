@@ -10,12 +10,13 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from recon.export import angles_csv, pose3d_csv, pose3d_sigma_csv, quality_csv, reprojection_csv
-from recon.motion import Motion, TrajectoryMotion
+from recon.motion import Motion
 
 CLIP_OUTPUTS: dict[str, Callable[[Motion, Path], None]] = {
     "pose3d.csv": pose3d_csv.write,
     "angles.csv": angles_csv.write,
     "quality.csv": quality_csv.write,
+    "pose3d_sigma.csv": pose3d_sigma_csv.write,
 }
 """The tables that every clip gets, by file name."""
 
@@ -23,11 +24,6 @@ CAMERA_OUTPUTS: dict[str, Callable[[Motion, Path, int], None]] = {
     "reprojection.csv": reprojection_csv.write,
 }
 """Those that every clip gets for each camera, which is named in them where there are several (`camera_files`)."""
-
-TRAJECTORY_OUTPUTS: dict[str, Callable[[TrajectoryMotion, Path], None]] = {
-    "pose3d_sigma.csv": pose3d_sigma_csv.write,
-}
-"""Those that come with the trajectory method."""
 
 
 def camera_files(table: str, cameras: Sequence[str]) -> list[str]:
@@ -57,6 +53,3 @@ def write_tables(motion: Motion, folder: Path) -> None:
     for name, write in CAMERA_OUTPUTS.items():
         for camera, file in enumerate(camera_files(name, [picture.name for picture in motion.pictures])):
             write(motion, folder / file, camera)
-    if isinstance(motion, TrajectoryMotion):
-        for name, write in TRAJECTORY_OUTPUTS.items():
-            write(motion, folder / name)

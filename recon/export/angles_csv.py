@@ -9,6 +9,6 @@ from recon.motion import Motion
 
 
 def write(motion: Motion, path: Path) -> None:
-    """Angles in rad, place and base length in metres."""
+    """Angles in rad, the place in metres."""
     columns = [name if name.endswith("_m") else f"{name}_rad" for name in motion.state_names]
     write_table(path, [["frame", *columns]], motion.frames, motion.states)

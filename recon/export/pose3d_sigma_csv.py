@@ -7,12 +7,12 @@ from pathlib import Path
 import numpy as np
 
 from recon.export.table import write_table
-from recon.motion import TrajectoryMotion
+from recon.motion import Motion
 
 COORDS = ("x_sigma", "y_sigma", "z_sigma", "x_rel", "y_rel", "z_rel")
 
 
-def write(motion: TrajectoryMotion, path: Path) -> None:
+def write(motion: Motion, path: Path) -> None:
     """Standard deviations in metres along the axes of the frame of reference, for each joint: of its position, and of
     its position relative to the mean of all joints."""
     header = (

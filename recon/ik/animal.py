@@ -15,12 +15,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from recon.body import Body
+from recon.chain import UVW_BODY, Chain, upright_rotation
 from recon.ik.chain import MAX_RATE_RAD_S, PlanarChain, SummedChain
 from recon.ik.joint_chain import JointChain
-from recon.initialise import upright_rotation
 from recon.kinematics import ANGLES, AXES, PITCH, ROOT, YAW, Segment
-from recon.rotations import euler_rotation
-from recon.skeleton import Skeleton
 
 Array = NDArray[np.float64]
 
@@ -36,7 +34,7 @@ _UP = np.array([0.0, 0.0, 1.0])
 
 
 def spine_front_leg(
-    skeleton: Skeleton, base_length_m: float | None = None, dim: Literal[2, 3] = 3, limited: bool = True
+    chain: Chain, base_length_m: float | None = None, dim: Literal[2, 3] = 3, limited: bool = True
 ) -> PlanarChain | SummedChain:
     """The chain from the root to the front foot, r5, r1, r2, r3, r4 of the 8U skeleton, in its level base frame.
 
@@ -44,12 +42,12 @@ def spine_front_leg(
     `BASE_THETA_RAD` and three standard deviations of the heading about the direction of travel; it turns no faster
     than the next one. limited: False leaves them out, but for the rates'.
     """
-    links = _path(skeleton)
-    base = skeleton.nominal_base_length_m if base_length_m is None else base_length_m
-    lengths = [skeleton.links[i].length_ratio * base for i in links]
-    free = _angle_index(skeleton, links)
+    links = _path(chain)
+    base = chain.nominal_base_length_m if base_length_m is None else base_length_m
+    lengths = [chain.links[i].length_ratio * base for i in links]
+    free = _angle_index(chain, links)
     lower, upper, rate = [], [], []
-    for ranges, base_limit in ((skeleton.theta, BASE_THETA_RAD), (skeleton.phi, 3 * skeleton.scales.travel_rad)):
+    for ranges, base_limit in ((chain.theta, BASE_THETA_RAD), (chain.phi, 3 * chain.scales.travel_rad)):
         rates = [float(ranges.max_rate_rad_s[k]) for k in free if k is not None]
         for k in free:
             lower.append(-base_limit if k is None else ranges.mean_rad[k] - ranges.tolerance_rad[k])
@@ -60,30 +58,23 @@ def spine_front_leg(
     return kind(lengths, (lower[:n], upper[:n]) if limited else None, rate[:n])
 
 
-def chain_angles(
-    skeleton: Skeleton, states: Array, up: Array, travel: Array | None = None, dim: Literal[2, 3] = 3
-) -> Array:
-    """Joint angles (T, n) of `spine_front_leg` in its level base frame, for states (T, D) of the frame method.
+def chain_angles(chain: Chain, states: Array, travel: Array | None = None, dim: Literal[2, 3] = 3) -> Array:
+    """Joint angles (T, n) of `spine_front_leg` in its level base frame, for states (T, D) of the chain's body.
 
-    up: unit vector (3,), camera frame. travel: direction of travel, camera frame, (3,) or (T, 3), of which the level
-    part counts; None: from the first to the last place of the root, or the way the animal faces where that is short.
-    All links keep their directions in space exactly (dim 3); of the two angle pairs for a direction, and of their
-    turns, it is the one nearer to that of the skeleton without roll. dim 2: the thetas, the chain turned into the
-    sagittal plane.
+    travel: direction of travel, (3,) or (T, 3), of which the level part counts; None: as `body_travel`. All links keep
+    their directions in space exactly (dim 3); of the two angle pairs for a direction, and of their turns, it is the one
+    nearer to that of the chain without roll. dim 2: the thetas, the chain turned into the sagittal plane.
     """
-    R = euler_rotation(states[:, skeleton.euler_slice])
-    down = -up / np.linalg.norm(up)
-    heading = _direction_of_travel(skeleton, states, R, down) if travel is None else np.asarray(travel, float)
-    heading = heading - (heading @ down)[..., None] * down
+    R = chain.body.tree.orientations(states)[:, 0] @ UVW_BODY.T
+    heading = (body_travel(states) if travel is None else np.asarray(travel, float)) * (1.0, 1.0, 0.0)
     heading = np.broadcast_to(heading / np.linalg.norm(heading, axis=-1, keepdims=True), (len(states), 3))
-    R_base_local = upright_rotation(heading, -down).transpose(0, 2, 1) @ R
+    R_base_local = upright_rotation(heading, _UP).transpose(0, 2, 1) @ R
 
-    links = _path(skeleton)
-    free = _angle_index(skeleton, links)
-    zero = np.zeros(len(states))
+    free = _angle_index(chain, _path(chain))
+    zero, angles = np.zeros(len(states)), states[:, chain.body_angles]
     theta, phi = (
-        np.cumsum([zero if k is None else states[:, where][:, k] for k in free], axis=0).T
-        for where in (skeleton.theta_slice, skeleton.phi_slice)
+        np.cumsum([zero if k is None else of_kind[:, k] for k in free], axis=0).T
+        for of_kind in np.split(angles, 2, axis=1)
     )
     local = np.stack([np.cos(theta) * np.cos(phi), np.sin(theta), np.cos(theta) * np.sin(phi)], axis=-1)
     U = R_base_local[:, None, :, 0]
@@ -110,36 +101,22 @@ def _angles_near(directions: Array, theta: Array, phi: Array) -> tuple[Array, Ar
     return np.where(first, pairs[0][0], pairs[1][0]), np.where(first, pairs[0][1], pairs[1][1])
 
 
-def _direction_of_travel(skeleton: Skeleton, states: Array, R: Array, down: Array) -> Array:
-    """(3,), camera frame, level."""
-    known = np.isfinite(states).all(axis=1)
-    if not known.any():
-        return np.full(3, np.nan)
-    root = np.einsum("tij,tj->ti", R[known], states[known][:, skeleton.place_slice])
-    chord = root[-1] - root[0]
-    chord = chord - (chord @ down) * down
-    if np.linalg.norm(chord) >= _TRAVEL_M:
-        return chord
-    facing = R[known, :, 0].mean(axis=0)
-    return facing - (facing @ down) * down
-
-
-def _path(skeleton: Skeleton) -> list[int]:
+def _path(chain: Chain) -> list[int]:
     """Indices of the links from the root to the fore foot."""
-    joint = skeleton.feet_by_label(None).get("F")
+    joint = dict(zip(chain.foot_labels, chain.feet, strict=True)).get("F")
     if joint is None:
-        raise ValueError(f"{skeleton.name} has no fore foot")
-    into = {link.end: i for i, link in enumerate(skeleton.links)}
+        raise ValueError(f"{chain.name} has no fore foot")
+    into = {link.end: i for i, link in enumerate(chain.links)}
     links = []
     while joint in into:
         links.insert(0, into[joint])
-        joint = skeleton.links[links[0]].start
+        joint = chain.links[links[0]].start
     return links
 
 
-def _angle_index(skeleton: Skeleton, links: list[int]) -> list[int | None]:
+def _angle_index(chain: Chain, links: list[int]) -> list[int | None]:
     """Where links have their theta among the thetas, None for a link without."""
-    free = [i for i, link in enumerate(skeleton.links) if link.free]
+    free = [i for i, link in enumerate(chain.links) if link.free]
     return [free.index(i) if i in free else None for i in links]
 
 

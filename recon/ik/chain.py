@@ -5,7 +5,7 @@ length. In two dimensions link k adds r_k (cos T_k, sin T_k), in three, with q =
 
     r_k (cos T_k cos P_k,  sin T_k,  cos T_k sin P_k)
 
-(`recon.skeleton`). Every joint turns all links after it, so the derivative by joint j is the sum over the links k >= j,
+(`recon.chain`). Every joint turns all links after it, so the derivative by joint j is the sum over the links k >= j,
 and the second derivative by i and j the one over k >= max(i, j). Chains of any joints: `recon.ik.joint_chain`.
 """
 
@@ -202,7 +202,7 @@ class PlanarChain(_SummedAngles):
 
 
 class SummedChain(_SummedAngles):
-    """Universal joints in space, the convention of `recon.skeleton`: q (2 L,) = [theta..., phi...], base frame UVW.
+    """Universal joints in space, the convention of `recon.chain`: q (2 L,) = [theta..., phi...], base frame UVW.
 
     lengths_m (L,); limits_rad: lower and upper, each one number or (2 L,); max_rate_rad_s: one or (2 L,).
     """

@@ -63,7 +63,7 @@ def angle_ranges(body: Body, low: Sequence[str], high: Sequence[str], reach_rad:
         figure.suptitle(title)
         panels = figure.subplots(rows, columns, squeeze=False).flat
         for axes, i in zip(panels, shown, strict=False):
-            view = {"pitch": "side", "yaw": "top", "roll": "front"}[names[i].rsplit("_", 1)[1]]
+            view = {"y": "side", "z": "top", "x": "front"}[body.tree.axes[i + 1]]
             coordinates = VIEWS[view]
             _limbs(axes, body, mean[:, coordinates], PALE)
             for end, colour in ((-1, _LOW), (1, _HIGH)):

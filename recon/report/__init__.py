@@ -11,7 +11,7 @@ from typing import Any
 from rich.table import Table
 from rich.text import Text
 
-from recon.motion import FrameMotion, Motion, TrajectoryMotion
+from recon.motion import Motion
 from recon.package import version
 from recon.report import frame, trajectory
 from recon.report.plain import to_json, to_plain, write_report
@@ -40,13 +40,9 @@ def build_report(
     settings: all that the fit was told, as plain types, the fields of `FrameOptions` or `TrajectoryOptions` among them
     (a missing one has its default). timing: seconds by name. NaN becomes None, floats have nine significant digits.
     """
-    if isinstance(motion, FrameMotion):
-        method, own, seconds = "frame", frame.sections(motion, settings), timing
-    elif isinstance(motion, TrajectoryMotion):
-        method, own = "trajectory", trajectory.sections(motion, settings)
-        seconds = {**(timing or {}), **motion.solution.stage_s}
-    else:
-        raise TypeError(f"a motion of neither method: {type(motion).__name__}")
+    method = motion.solution.method
+    own = _METHODS[method].sections(motion, settings)
+    seconds = {**(timing or {}), **motion.solution.stage_s} or None
     head = {
         "schema": {"name": SCHEMA_NAME, "version": SCHEMA_VERSION},
         "recon_version": version(),

@@ -8,12 +8,12 @@ from dataclasses import asdict
 from typing import Any
 
 from recon.analysis.agreement import Agreement, CameraAgreement, Finding, camera_agreement
-from recon.motion import TrajectoryMotion
+from recon.motion import Motion
 from recon.report import common
 from recon.solve import TrajectoryOptions
 
 
-def section(motion: TrajectoryMotion, settings: Mapping[str, Any]) -> dict[str, Any] | None:
+def section(motion: Motion, settings: Mapping[str, Any]) -> dict[str, Any] | None:
     """None with one camera."""
     views = motion.solution.views
     if len(views) < 2:

@@ -11,10 +11,12 @@ import numpy as np
 
 from recon.analysis.path import frame_jitter_m, path_kinematics
 from recon.keypoints import KeypointCounts
-from recon.motion import OUTLIER_SIGMAS, Motion
+from recon.motion import Motion
+from recon.published import FrameOptions
 from recon.report import cameras
 from recon.report.plain import Array, finite, mean, median
-from recon.solve import FrameOptions, TrajectoryOptions
+from recon.solve import TrajectoryOptions
+from recon.solve.result import OUTLIER_SIGMAS
 
 BEST_SHARE = 0.9
 MEASURED_SHARE = 0.5
@@ -84,14 +86,15 @@ def given_options(kind: type[Options], settings: Mapping[str, Any]) -> Options:
     return kind(**{name: settings[name] for name in names})
 
 
-def skeleton(name: str, motion: Motion) -> dict[str, Any]:
+def skeleton(motion: Motion) -> dict[str, Any]:
     return {
-        "name": name,
+        "name": motion.body.name,
         "title": motion.title,
         "joints": motion.joints,
         "keypoints": motion.names,
         "feet": {label: motion.names[foot] for label, foot in zip(motion.foot_labels, motion.feet, strict=True)},
         "state_names": motion.state_names,
+        "states_frame": motion.states_frame,
     }
 
 

@@ -10,29 +10,34 @@ import numpy as np
 
 from recon.analysis.path import peak_doubt
 from recon.frames import level_axes
-from recon.motion import FEW_POINTS_SHARE, FrameMotion
+from recon.motion import Motion
+from recon.published import FrameOptions, FrameReport, FrameSolution, base_length
+from recon.published.frame import FEW_POINTS_SHARE
 from recon.report import common
 from recon.report.plain import Array, by_name, finite, frame_count, mean, median, number, spread
-from recon.solve import FrameOptions, FrameReport, base_length
 
 WARN_FEW_POINTS, WARN_LIMITS = 0.2, 0.25
 """Shares of the frames from which the report warns."""
 
 
-def sections(motion: FrameMotion, settings: Mapping[str, Any]) -> dict[str, Any]:
+def sections(motion: Motion, settings: Mapping[str, Any]) -> dict[str, Any]:
+    solution = motion.solution
+    assert isinstance(solution, FrameSolution)
+    published = {"unknowns": solution.chain.state_names, "objectives": solution.objectives}
     return {
         **common.head(motion, settings),
-        "skeleton": common.skeleton(motion.skeleton.name, motion) | {"objectives": motion.solution.objectives},
-        "assumptions": _assumptions(motion, settings),
-        "summary": _summary(motion),
-        "solver": _solver(motion, settings),
-        "base_length_m": spread(motion.states[:, motion.skeleton.base_index]),
-        "data_share": _data_share(motion),
-        "joint_sigma_m": _joint_sigma(motion),
-        "cost_shares": _cost_shares(motion),
-        "limits": _limits(motion),
-        "travel": _travel(motion),
-        "frames": _frames(motion),
+        "skeleton": common.skeleton(motion) | published,
+        "assumptions": _assumptions(motion, solution, settings),
+        "summary": _summary(motion, solution),
+        "solver": _solver(solution, settings),
+        "size": {"factor": solution.size},
+        "base_length_m": spread(solution.chain_states[:, solution.chain.base_index]),
+        "data_share": _data_share(motion, solution),
+        "joint_sigma_m": _joint_sigma(motion, solution),
+        "cost_shares": _cost_shares(solution),
+        "limits": _limits(motion, solution),
+        "travel": _travel(motion, solution),
+        "frames": _frames(motion, solution),
         **common.tail(motion, jitters=True),
     }
 
@@ -44,10 +49,10 @@ def is_unsolved(report: Mapping[str, Any]) -> bool:
 # -- sections -----------------------------------------------------------------------------------------------------
 
 
-def _assumptions(motion: FrameMotion, settings: Mapping[str, Any]) -> dict[str, Any]:
+def _assumptions(motion: Motion, solution: FrameSolution, settings: Mapping[str, Any]) -> dict[str, Any]:
     """What the data does not say, in numbers and in sentences."""
-    nominal, sigma = base_length(motion.skeleton, common.given_options(FrameOptions, settings))
-    share = median(_stacked(motion, "data_share", motion.skeleton.n_state)[:, motion.skeleton.base_index])
+    nominal, sigma = base_length(solution.chain, common.given_options(FrameOptions, settings))
+    share = median(_stacked(solution, "data_share", solution.chain.n_state)[:, solution.chain.base_index])
     measured = bool(share >= common.MEASURED_SHARE)
     sentences = [
         f"The scale: the base length has a prior of {nominal:g} m with a standard deviation of {sigma:g} m. "
@@ -67,18 +72,19 @@ def _assumptions(motion: FrameMotion, settings: Mapping[str, Any]) -> dict[str, 
     }
 
 
-def _solver(motion: FrameMotion, settings: Mapping[str, Any]) -> dict[str, Any]:
-    options, scales = common.given_options(FrameOptions, settings), motion.skeleton.scales
-    nominal, sigma = base_length(motion.skeleton, options)
-    return common.solver(options, keypoint_sigma_m=scales.keypoint_m, base_length_m=nominal, base_sigma_m=sigma)
+def _solver(solution: FrameSolution, settings: Mapping[str, Any]) -> dict[str, Any]:
+    options = common.given_options(FrameOptions, settings)
+    nominal, sigma = base_length(solution.chain, options)
+    keypoint_m = solution.chain.scales.keypoint_m
+    return common.solver(options, keypoint_sigma_m=keypoint_m, base_length_m=nominal, base_sigma_m=sigma)
 
 
-def _summary(motion: FrameMotion) -> dict[str, Any]:
-    solved = [r for r in motion.reports if r is not None]
-    sigma = _stacked(motion, "joint_sigma_m", len(motion.names), 3)
+def _summary(motion: Motion, solution: FrameSolution) -> dict[str, Any]:
+    solved = [r for r in solution.reports if r is not None]
+    sigma = _joint_sigma_camera_m(solution)
     return {
         "frames": len(motion.frames),
-        **{f"frames_{s}": motion.status.count(s) for s in ("converged", "not_converged", "no_data")},
+        **{f"frames_{s}": solution.status.count(s) for s in ("converged", "not_converged", "no_data")},
         "frames_ran_away": sum("ran away" in flags for flags in motion.flags),
         "frames_stopped": sum("stopped early" in flags for flags in motion.flags),
         **common.counts(motion),
@@ -89,50 +95,54 @@ def _summary(motion: FrameMotion) -> dict[str, Any]:
     }
 
 
-def _data_share(motion: FrameMotion) -> dict[str, Any]:
-    states = _stacked(motion, "data_share", motion.skeleton.n_state)
-    joints = _stacked(motion, "joint_data_share", len(motion.names))
+def _data_share(motion: Motion, solution: FrameSolution) -> dict[str, Any]:
+    states = _stacked(solution, "data_share", solution.chain.n_state)
+    joints = _stacked(solution, "joint_data_share", len(motion.names))
     return {
-        "states": by_name(motion.skeleton.state_names, [median(column) for column in states.T]),
+        "states": by_name(solution.chain.state_names, [median(column) for column in states.T]),
         "joints": by_name(motion.names, [median(column) for column in joints.T]),
     }
 
 
-def _joint_sigma(motion: FrameMotion) -> dict[str, Any]:
+def _joint_sigma_camera_m(solution: FrameSolution) -> Array:
+    """(T, J, 3): standard deviations along the camera's x, y, z, given the frame before."""
+    R = solution.views[0].rotation
+    return np.sqrt(np.diagonal(R @ solution.covariance_m2 @ R.T, axis1=2, axis2=3))
+
+
+def _joint_sigma(motion: Motion, solution: FrameSolution) -> dict[str, Any]:
     """Median over the frames, camera x, y, z."""
-    sigma = _stacked(motion, "joint_sigma_m", len(motion.names), 3)
+    sigma = _joint_sigma_camera_m(solution)
     return by_name(motion.names, [[median(sigma[:, j, axis]) for axis in range(3)] for j in range(len(motion.names))])
 
 
-def _cost_shares(motion: FrameMotion) -> dict[str, Any]:
+def _cost_shares(solution: FrameSolution) -> dict[str, Any]:
     """Median over the frames with a pose that have the term."""
-    solved = [r.cost_shares for r in motion.reports if r is not None and r.in_view]
+    solved = [r.cost_shares for r in solution.reports if r is not None and r.in_view]
     return {
-        name: median(np.array([shares[name] for shares in solved if name in shares]))
-        for name in motion.solution.objectives
+        name: median(np.array([shares[name] for shares in solved if name in shares])) for name in solution.objectives
     }
 
 
-def _limits(motion: FrameMotion) -> dict[str, Any]:
-    beyond_range, beyond_rate = motion.beyond_range_rad, motion.beyond_rate_rad_s
-    intervals = int(np.isfinite(beyond_rate).any(axis=1).sum())
+def _limits(motion: Motion, solution: FrameSolution) -> dict[str, Any]:
+    beyond_rate = solution.beyond_rate_rad_s
     return {
         "frames": int(motion.solved.sum()),
-        "intervals": intervals,
-        "ranges": _passed(motion, beyond_range, "largest_excess_rad"),
-        "rates": _passed(motion, beyond_rate, "largest_excess_rad_s"),
+        "intervals": int(np.isfinite(beyond_rate).any(axis=1).sum()),
+        "ranges": _passed(solution, solution.beyond_range_rad, "largest_excess_rad"),
+        "rates": _passed(solution, beyond_rate, "largest_excess_rad_s"),
     }
 
 
-def _passed(motion: FrameMotion, beyond: Array, largest: str) -> dict[str, Any]:
+def _passed(solution: FrameSolution, beyond: Array, largest: str) -> dict[str, Any]:
     counts = [
         {"passed": int((column > 0).sum()), largest: float(np.max(finite(column), initial=0.0))} for column in beyond.T
     ]
-    return by_name(motion.skeleton.angle_names, counts)
+    return by_name(solution.chain.angle_names, counts)
 
 
-def _travel(motion: FrameMotion) -> dict[str, Any]:
-    travel = motion.solution.travel
+def _travel(motion: Motion, solution: FrameSolution) -> dict[str, Any]:
+    travel = solution.travel
     _, away = level_axes(motion.camera.up)
     to_picture = np.arcsin(np.clip(travel.heading @ away, -1.0, 1.0))
     moving = travel.speed_m_s > 0
@@ -144,26 +154,29 @@ def _travel(motion: FrameMotion) -> dict[str, Any]:
     }
 
 
-def _frames(motion: FrameMotion) -> list[dict[str, Any]]:
+def _frames(motion: Motion, solution: FrameSolution) -> list[dict[str, Any]]:
     names = [f.name for f in fields(FrameReport) if f.name != "status"]
-    rows = []
-    for t, report in enumerate(motion.reports):
-        rows.append(
-            {
-                "frame": motion.frames[t],
-                "status": motion.status[t],
-                "flags": motion.flags[t],
-                "detections": motion.detections[t],
-                "mean_reprojection_px": mean(motion.distance_px[t]),
-                **{name: getattr(report, name, None) for name in names},
-            }
-        )
-    return rows
+    distance_px, sigma = motion.pictures[0].distance_px, _joint_sigma_camera_m(solution)
+    return [
+        {
+            "frame": motion.frames[t],
+            "status": solution.status[t],
+            "flags": motion.flags[t],
+            "detections": motion.detections[t],
+            "mean_reprojection_px": mean(distance_px[t]),
+            "unknowns": solution.chain_states[t] if motion.solved[t] else None,
+            "joint_sigma_m": None if report is None else sigma[t],
+            "place_sigma_m": None if report is None else motion.place_sigma_m[t],
+            "relative_rms_m": None if report is None else motion.relative_rms_m[t],
+            **{name: getattr(report, name, None) for name in names},
+        }
+        for t, report in enumerate(solution.reports)
+    ]
 
 
-def _stacked(motion: FrameMotion, field: str, *shape: int) -> Array:
+def _stacked(solution: FrameSolution, field: str, *shape: int) -> Array:
     """(solved frames, *shape): one field of all frame reports."""
-    values = [getattr(r, field) for r in motion.reports if r is not None]
+    values = [getattr(r, field) for r in solution.reports if r is not None]
     return np.array(values, dtype=float).reshape(-1, *shape)
 
 

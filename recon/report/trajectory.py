@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from recon.motion import TrajectoryMotion
+from recon.motion import Motion
 from recon.prior import NONE
 from recon.report import agreement, cameras, common
 from recon.report.plain import Array, by_name, finite, frame_count, mean, median, number
 from recon.solve import TrajectoryOptions
-from recon.solve.result import Spell
+from recon.solve.result import Spell, TrajectorySolution
 from recon.solve.trajectory import ALTERNATIVE_M
 
 FLAGS = ("no data", "ran away", "data poor", "ambiguous depth", "second solution")
@@ -28,19 +28,20 @@ WARN_SIZE = 2.5
 """A size further off what is expected, in standard deviations, says that something else is wrong."""
 
 
-def sections(motion: TrajectoryMotion, settings: Mapping[str, Any]) -> dict[str, Any]:
-    size, spells = _size(motion, settings), _spells(motion)
+def sections(motion: Motion, settings: Mapping[str, Any]) -> dict[str, Any]:
+    solution = _solution(motion)
+    size, spells = _size(solution, settings), _spells(motion)
     prior = {
-        "name": motion.solution.prior,
-        "mean_data_share": mean(motion.solution.data_share),
-        "data_share": by_name(motion.names, list(motion.solution.data_share)),
+        "name": solution.prior,
+        "mean_data_share": mean(solution.data_share),
+        "data_share": by_name(motion.names, list(solution.data_share)),
     }
     return {
         **common.head(motion, settings),
-        "skeleton": common.skeleton(motion.body.name, motion) | {"states_frame": motion.states_frame},
+        "skeleton": common.skeleton(motion),
         "assumptions": _assumptions(motion, settings, size),
         "summary": _summary(motion),
-        "convergence": _convergence(motion),
+        "convergence": _convergence(solution),
         "solver": common.solver(
             common.given_options(TrajectoryOptions, settings).as_run(),
             keypoint_sigma_m=motion.body.keypoint_sigma_m,
@@ -50,7 +51,7 @@ def sections(motion: TrajectoryMotion, settings: Mapping[str, Any]) -> dict[str,
         "ground": next((spell["ground"] for spell in spells if spell["ground"] is not None), None),
         "spells": spells,
         "prior": prior,
-        "alternative": _alternative(motion),
+        "alternative": _alternative(solution),
         "stances": by_name([motion.names[foot] for foot in motion.feet], _stances(motion)),
         "heading": _heading(motion),
         "agreement": agreement.section(motion, settings),
@@ -64,13 +65,18 @@ def is_unsolved(report: Mapping[str, Any]) -> bool:
     return report["summary"]["frames_with_pose"] == 0
 
 
+def _solution(motion: Motion) -> TrajectorySolution:
+    assert isinstance(motion.solution, TrajectorySolution)
+    return motion.solution
+
+
 # -- sections -----------------------------------------------------------------------------------------------------
 
 
-def _size(motion: TrajectoryMotion, settings: Mapping[str, Any]) -> dict[str, Any]:
+def _size(solution: TrajectorySolution, settings: Mapping[str, Any]) -> dict[str, Any]:
     """The factor on the skeleton's lengths: what was expected, and what came out."""
-    solution, given = motion.solution, settings.get("size_sigma")
-    prior_sigma = motion.body.size_sigma if given is None else given
+    given = settings.get("size_sigma")
+    prior_sigma = solution.body.size_sigma if given is None else given
     subject = settings.get("subject")
     return {
         "factor": solution.size,
@@ -79,14 +85,14 @@ def _size(motion: TrajectoryMotion, settings: Mapping[str, Any]) -> dict[str, An
         "data_share": max(0.0, 1.0 - (solution.size_sigma / prior_sigma) ** 2),
         "from": solution.size_from,
         "subject": subject,
-        "lengths": motion.body.title,
+        "lengths": solution.body.title,
         "measured": subject is not None,
     }
 
 
-def _assumptions(motion: TrajectoryMotion, settings: Mapping[str, Any], size: Mapping[str, Any]) -> dict[str, Any]:
+def _assumptions(motion: Motion, settings: Mapping[str, Any], size: Mapping[str, Any]) -> dict[str, Any]:
     """What the data does not say, in numbers and in sentences."""
-    solution = motion.solution
+    solution = _solution(motion)
     of_animal = "measured on this animal" if size["measured"] else "assumed"
     sentences = [
         f"The scale: the lengths are those of {size['lengths']!r}, {of_animal}, times a size that is expected to be "
@@ -112,7 +118,7 @@ def _assumptions(motion: TrajectoryMotion, settings: Mapping[str, Any], size: Ma
     return {**common.upright(motion), "sentences": sentences}
 
 
-def _summary(motion: TrajectoryMotion) -> dict[str, Any]:
+def _summary(motion: Motion) -> dict[str, Any]:
     solution = motion.solution
     return {
         "frames": len(motion.frames),
@@ -126,12 +132,11 @@ def _summary(motion: TrajectoryMotion) -> dict[str, Any]:
     }
 
 
-def _flag_names(motion: TrajectoryMotion) -> tuple[str, ...]:
+def _flag_names(motion: Motion) -> tuple[str, ...]:
     return tuple(dict.fromkeys((*FLAGS, *(flag for flags in motion.solution.flags for flag in flags))))
 
 
-def _convergence(motion: TrajectoryMotion) -> dict[str, Any]:
-    solution = motion.solution
+def _convergence(solution: TrajectorySolution) -> dict[str, Any]:
     return {
         "status": solution.status,
         "iterations": solution.iterations,
@@ -148,7 +153,7 @@ def _convergence(motion: TrajectoryMotion) -> dict[str, Any]:
     }
 
 
-def _spells(motion: TrajectoryMotion) -> list[dict[str, Any]]:
+def _spells(motion: Motion) -> list[dict[str, Any]]:
     return [
         {
             "frames": (motion.frames[spell.rows.start], motion.frames[spell.rows.stop - 1] + 1),
@@ -158,7 +163,7 @@ def _spells(motion: TrajectoryMotion) -> list[dict[str, Any]]:
     ]
 
 
-def _ground(motion: TrajectoryMotion, spell: Spell) -> dict[str, Any] | None:
+def _ground(motion: Motion, spell: Spell) -> dict[str, Any] | None:
     """Below the middle of the root's path in the spell."""
     ground, below = spell.ground, motion.below_m(spell)
     if ground is None or below is None:
@@ -173,19 +178,19 @@ def _ground(motion: TrajectoryMotion, spell: Spell) -> dict[str, Any] | None:
     }
 
 
-def _alternative(motion: TrajectoryMotion) -> dict[str, Any] | None:
-    apart = finite(motion.solution.alternative_m)
+def _alternative(solution: TrajectorySolution) -> dict[str, Any] | None:
+    apart = finite(solution.alternative_m)
     if not len(apart):
         return None
     return {
-        "cost_difference": motion.solution.alternative_cost,
+        "cost_difference": solution.alternative_cost,
         "frames": len(apart),
         "mean_m": apart.mean(),
         "max_m": apart.max(),
     }
 
 
-def _stances(motion: TrajectoryMotion) -> list[list[tuple[int, int]]]:
+def _stances(motion: Motion) -> list[list[tuple[int, int]]]:
     """By foot: the ranges of frame numbers in which it stands."""
     return [_ranges(contact > STANCE, motion.frames) for contact in motion.solution.contact.T]
 
@@ -195,7 +200,7 @@ def _ranges(which: NDArray[np.bool_], frames: NDArray[np.int64]) -> list[tuple[i
     return [(int(frames[first]), int(frames[stop - 1]) + 1) for first, stop in edges.reshape(-1, 2)]
 
 
-def _heading(motion: TrajectoryMotion) -> dict[str, Any]:
+def _heading(motion: Motion) -> dict[str, Any]:
     """The way the animal faces, level, as the first camera sees it."""
     rear, front = motion.forward
     joints, R = motion.solution.joints_m, motion.solution.views[0].T_camera_world[..., :3, :3]
@@ -211,7 +216,7 @@ def _heading(motion: TrajectoryMotion) -> dict[str, Any]:
     }
 
 
-def _uncertainty(motion: TrajectoryMotion) -> dict[str, Any]:
+def _uncertainty(motion: Motion) -> dict[str, Any]:
     """Medians over the frames."""
 
     def medians(values: Array) -> dict[str, Any]:
@@ -220,7 +225,7 @@ def _uncertainty(motion: TrajectoryMotion) -> dict[str, Any]:
     return {"joint_sigma_m": medians(motion.joint_sigma_m), "relative_sigma_m": medians(motion.relative_sigma_m)}
 
 
-def _frames(motion: TrajectoryMotion) -> list[dict[str, Any]]:
+def _frames(motion: Motion) -> list[dict[str, Any]]:
     solution, distance_px = motion.solution, cameras.stacked(motion, "distance_px")
     return [
         {
@@ -238,7 +243,7 @@ def _frames(motion: TrajectoryMotion) -> list[dict[str, Any]]:
     ]
 
 
-def _tail(motion: TrajectoryMotion) -> dict[str, Any]:
+def _tail(motion: Motion) -> dict[str, Any]:
     tail = common.tail(motion, jitters=False)
     for row in tail["keypoints"]:
         column = motion.names.index(row["name"]) if row["joint"] is not None else None

@@ -1,10 +1,10 @@
-"""What the trajectory method gives back."""
+"""What the methods give back: a `Solution`, and what the trajectory method adds."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +13,9 @@ from recon.body import Body
 from recon.clip import View
 
 Array = NDArray[np.float64]
+
+OUTLIER_SIGMAS = 3.0
+"""A detection further than this from its joint's reprojection is named an outlier."""
 
 
 @dataclass(frozen=True)
@@ -51,9 +54,12 @@ class Spell:
 
 
 @dataclass(frozen=True, eq=False)
-class TrajectorySolution:
-    """A body's motion over T frames, with J markers, D unknowns a frame and F feet, in the world frame (`recon.frames`)
-    and metres. NaN in frames without a pose."""
+class Solution:
+    """An animal's motion over T frames, as every method gives it: J markers, D unknowns a frame, F feet, V views.
+
+    In the world frame (`recon.frames`) and metres; NaN in frames without a pose."""
+
+    method: ClassVar[Literal["trajectory", "frame"]]
 
     body: Body
     views: tuple[View, ...]
@@ -61,41 +67,27 @@ class TrajectorySolution:
     states: Array
     """(T, D): the root's place is in the world; the body's lengths are those of `body` times `size`."""
     size: float
-    size_sigma: float
-    """Of the size: its posterior standard deviation."""
-    size_from: tuple[str, ...]
-    """What says the size: "prior", and where they do "views" and "ground"."""
+    """Of a method that has one for each frame, their median."""
     joints_m: Array
     """(T, J, 3)"""
     covariance_m2: Array
     """(T, J, 3, 3): of the joints, place and size included."""
     relative_covariance_m2: Array
     """(T, J, 3, 3): of the joints relative to the mean of all joints."""
-    data_share: Array
-    """(J,): the part of the posterior precision that comes from the pixels, 0 to 1."""
     noise_px: Array
     """(V, T, J): for each view, the standard deviation that a detection was given."""
     weight: Array
     """(V, T, J): how far it was trusted, 1 to 0, NaN where missing."""
     flags: tuple[tuple[str, ...], ...]
-    """(T,): what is doubtful about a frame: "no data", "ran away", "data poor", "ambiguous depth" or "second
-    solution"."""
+    """(T,): what is doubtful about a frame; a frame without a pose has one that says why."""
     alternative_m: Array
-    """(T,): mean distance of the joints in the second best solution, NaN where there is none."""
-    alternative_cost: float
-    """By how much its cost is higher (half squared sigmas)."""
+    """(T,): mean distance of the joints in the second best solution, both centred, NaN where there is none."""
     contact: Array
-    """(T, F): 0 to 1."""
+    """(T, F): of the feet with the ground, 0 to 1; 0 of a method that does not look for it."""
     spells: tuple[Spell, ...]
     """The stretches of the clip that have a pose, each with its own ground."""
-    prior: str
-    status: Literal["converged", "not_converged"]
-    cost_by_term: dict[str, float]
-    """Half the squared norm, robust."""
-    iterations: int
-    starts: tuple[Start, ...]
     stage_s: dict[str, float]
-    """Seconds by stage."""
+    """Seconds by stage, where the method tells them apart."""
 
     @cached_property
     def joints_camera_m(self) -> Array:
@@ -105,7 +97,31 @@ class TrajectorySolution:
     @cached_property
     def markers_m(self) -> Array:
         """(T, J, 3): where the detector sees the joints."""
+        if not self.body.keypoint_offset_m:
+            return self.joints_m
         return self.joints_m + (
             self.body.detected.pose(self.states, self.size).points_m
             - self.body.tree.pose(self.states, self.size).points_m
         )
+
+
+@dataclass(frozen=True, eq=False)
+class TrajectorySolution(Solution):
+    """Of the trajectory method. Flags: "no data", "ran away", "data poor", "ambiguous depth", "second solution"."""
+
+    size_sigma: float
+    """Of the size: its posterior standard deviation."""
+    size_from: tuple[str, ...]
+    """What says the size: "prior", and where they do "views" and "ground"."""
+    data_share: Array
+    """(J,): the part of the posterior precision that comes from the pixels, 0 to 1."""
+    alternative_cost: float
+    """By how much the second best solution's cost is higher (half squared sigmas)."""
+    prior: str
+    status: Literal["converged", "not_converged"]
+    cost_by_term: dict[str, float]
+    """Half the squared norm, robust."""
+    iterations: int
+    starts: tuple[Start, ...]
+
+    method: ClassVar = "trajectory"

@@ -7,12 +7,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from recon.initialise import run_path, straight_runs
+from recon.chain import MIN_JOINTS
 from recon.kinematics import ROOT, YAW
-from recon.skeleton import MIN_JOINTS
 from recon.solve.problem import Estimate
 from recon.solve.setting import UP, Setting
 from recon.solve.terms import ANGLES
+from recon.straight_runs import run_path, straight_runs
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]

@@ -6,7 +6,7 @@ stays there sees the same for any size, so that the size is known as its prior s
 or the ground's distance below the camera say it. The way to the minimum:
 
 1. Starts. The prior's mean pose runs straight through about a second of clip, in 18 headings, and is fitted to the
-   viewing rays (`recon.initialise`); the best headings, and the best one mirrored in depth, start the clip.
+   viewing rays (`recon.straight_runs`); the best headings, and the best one mirrored in depth, start the clip.
 2. Approach, at a lower frame rate, each start with one Gaussian of poses and wide noise that narrows; the two best
    starts go to the end.
 3. The mixture of poses takes the Gaussian's place, flattened at first.
@@ -29,10 +29,10 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from recon.body import Body
+from recon.chain import MIN_JOINTS, MIN_REACH_PX
 from recon.clip import View
 from recon.kinematics import ROOT
 from recon.prior import MotionPrior
-from recon.skeleton import MIN_JOINTS, MIN_REACH_PX
 from recon.solve.contacts import contacts
 from recon.solve.posterior import Posterior, posterior, with_size
 from recon.solve.problem import Estimate, Problem

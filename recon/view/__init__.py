@@ -4,20 +4,19 @@ Entities of the recording; those without "(static)" have a row a frame, which is
 
 - `world`: metres, in the motion's frame of reference. `world/skeleton` and its joints, `world/path` (static) and
   `world/trail` of the reference point, `world/ground` (static; of a clip with several spells each one's, from its
-  first frame on), `world/camera` (static, but for one that moves), its frustum, and `world/followed`, invisible. With
-  the trajectory method: `world/uncertainty`, one sigma of the joints' positions relative to their mean, `world/stance`,
-  the feet that stand, and `world/doubt`, a label in frames with a flag.
+  first frame on), `world/camera` (static, but for one that moves), its frustum, and `world/followed`, invisible;
+  `world/uncertainty`, one sigma of the joints' positions relative to their mean, `world/stance`, the feet that stand,
+  and `world/doubt`, a label in frames with a flag.
 - `picture`: pixels of the distorted picture. `picture/frame` (static), its edge; `picture/detections`,
   `picture/outliers`, `picture/reprojections` with the skeleton's lines in it, `picture/links` between the two.
 - `picture/video`: a video's frames, of a file that `recon.view.video` writes.
 - `closeup`: the same points, relative to the middle of the reprojected skeleton in each frame.
 - Of several cameras each has its own `world/camera/<name>`, `picture/<name>/...` and `closeup/<name>/...`, and there is
   `world/camera_names` (static, unless one moves).
-- `angles/...` in degrees: a chain's `theta` and `phi`, or the `left`, `right` and `middle` of a whole animal; `speed`
-  of the reference point in m/s; `residuals`, mean and largest of the frame in px,
+- `angles/...` in degrees: a chain's `theta` and `phi`, or the `left` and `right` of a whole animal, and the `middle`;
+  `speed` of the reference point in m/s; `residuals`, mean and largest of the frame in px,
   of all cameras.
-- With the trajectory method: `uncertainty` in m, and states over time: `states/doubt`, the frames' flags, and
-  `states/<foot>`, where it stands.
+- `uncertainty` in m, and states over time: `states/doubt`, the frames' flags, and `states/<foot>`, where it stands.
 - `analysis/...`: any lines and states, with samples between frames on `time`, of a file that `recon.view.added` writes.
 
 Those files are parts of the same recording; `recon.view.together` makes one file of it.
@@ -35,7 +34,7 @@ from pathlib import Path
 import rerun as rr
 
 from recon.errors import InputError, Problem
-from recon.motion import Motion, TrajectoryMotion
+from recon.motion import Motion
 from recon.recording import recording
 from recon.view.layout import blueprint
 from recon.view.picture import write_pictures
@@ -72,9 +71,8 @@ def _log(motion: Motion, scene: Scene, stream: rr.RecordingStream) -> None:
     write_world(motion, scene, send, fix)
     write_pictures(motion, send, fix)
     write_series(motion, send, fix)
-    if isinstance(motion, TrajectoryMotion):
-        write_doubt(motion, scene, send, fix)
-        write_states(motion, send, fix)
+    write_doubt(motion, scene, send, fix)
+    write_states(motion, send, fix)
 
 
 def open_viewer(path: Path) -> None:

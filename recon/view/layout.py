@@ -10,7 +10,7 @@ import rerun.blueprint as rrb
 from rerun.blueprint.archetypes import PlotBackground
 from rerun.encodings import AbsoluteTimeRange
 
-from recon.motion import Motion, Picture, TrajectoryMotion
+from recon.motion import Motion, Picture
 from recon.view.picture import middle_and_reach_px, picture_bounds
 from recon.view.scene import BACKGROUND, CLOSEUP, GRID_SPACING_M, PICTURE, Scene, by_camera
 from recon.view.series import Series, angle_series, other_series
@@ -44,10 +44,8 @@ def blueprint(motion: Motion, scene: Scene, start_frame: int | None) -> rrb.Blue
     angles, others = angle_series(motion), other_series(motion)
     plots: list[rrb.View | rrb.Container] = [rrb.Tabs(*(plot(series) for series in angles), active_tab=0)]
     plots += [plot(series) for series in others]
-    shares = [4, *([3] * len(others))]
-    if isinstance(motion, TrajectoryMotion):
-        plots.append(rrb.StateTimelineView(origin="states", name="Doubtful frames, feet that stand"))
-        shares.append(4)
+    plots.append(rrb.StateTimelineView(origin="states", name="Doubtful frames, feet that stand"))
+    shares = [4, *([3] * len(others)), 4]
     if start_frame is None:
         fps = min(motion.fps, max(5.0, len(motion.frames) / 5))
         time = rrb.TimePanel(state="collapsed", timeline="frame", fps=fps, play_state="playing", loop_mode="all")
@@ -114,7 +112,7 @@ def _title(motion: Motion) -> str:
     title = f"3D, {motion.frame_of_reference} frame, grid of {GRID_SPACING_M:g} m"
     if motion.side is None:
         title += "; left blue, right orange"
-    return title + ("; shells: one sigma" if isinstance(motion, TrajectoryMotion) else "")
+    return title + "; shells: one sigma"
 
 
 def plot(series: Series) -> rrb.TimeSeriesView:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from recon.body import Side
 from recon.frames import level_from_camera
-from recon.motion import Motion, Picture, TrajectoryMotion
+from recon.motion import Motion, Picture
 from recon.solve import Spell
 
 Array = NDArray[np.float64]
@@ -86,8 +86,7 @@ class Scene:
             return cls(axes, (floor,), -np.ones(3), np.ones(3), 1.0, centre)
         low, high = _bounds(joints)
         size = float(np.median(np.linalg.norm(np.ptp(joints, axis=1), axis=1)))
-        spells = motion.solution.spells if isinstance(motion, TrajectoryMotion) else ()
-        floors = tuple(_floor(motion, axes, spell) for spell in spells or (Spell(slice(0, None), None),))
+        floors = tuple(_floor(motion, axes, spell) for spell in motion.solution.spells)
         return cls(axes, floors, low, high, size, centre)
 
     @property
@@ -112,11 +111,10 @@ def _floor(motion: Motion, axes: Array, spell: Spell) -> Floor:
     """Where no foot stood, the ground is level, and as low as the feet."""
     joints = motion.joints_m[spell.rows][motion.solved[spell.rows]] @ axes.T
     low, high = _bounds(joints)
-    below = motion.below_m(spell) if isinstance(motion, TrajectoryMotion) else None
+    below = motion.below_m(spell)
     if below is None or spell.ground is None:
         lowest = joints[:, motion.feet or slice(None), 2]
         return Floor(spell.rows.start, float(np.percentile(lowest, 10)) * axes[2], axes[2], low[:2], high[:2])
-    assert isinstance(motion, TrajectoryMotion)
     below, above = motion.in_reference(np.stack((below, below + np.append(-spell.ground.slope, 1.0))))
     normal = (above - below) / np.linalg.norm(above - below)
     return Floor(spell.rows.start, below, normal, low[:2], high[:2])

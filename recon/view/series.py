@@ -10,8 +10,8 @@ import rerun as rr
 
 from recon.analysis.path import frame_jitter_m, speed_at_frames
 from recon.body import side_of, without_side
-from recon.motion import FrameMotion, Motion, TrajectoryMotion
-from recon.skeleton import Skeleton
+from recon.motion import Motion
+from recon.published import FrameSolution
 from recon.view.scene import (
     EDGE,
     LEFT,
@@ -53,14 +53,14 @@ def write_series(motion: Motion, send: Send, fix: Fix) -> None:
         fix(s.entity, line_style(s))
 
 
-def write_states(motion: TrajectoryMotion, send: Send, fix: Fix) -> None:
+def write_states(motion: Motion, send: Send, fix: Fix) -> None:
     """Which flags a frame has, and which feet stand."""
 
     def state(entity: str, values: list[str], colours: dict[str, Colour]) -> None:
         send(entity, state_columns(values))
         fix(entity, state_style(colours))
 
-    doubts = [", ".join(flags) for flags in motion.solution.flags]
+    doubts = [", ".join(flags) for flags in motion.flags]
     state("states/doubt", doubts, dict.fromkeys(dict.fromkeys(filter(None, doubts)), OUTLIER))
     colours = {"L": LEFT, "R": RIGHT}
     for foot, label, contact in zip(motion.feet, motion.foot_labels, motion.solution.contact.T, strict=True):
@@ -88,27 +88,34 @@ def state_style(colours: Mapping[str, Colour]) -> rr.StateConfiguration:
 
 
 def angle_series(motion: Motion) -> list[Series]:
-    """In degrees."""
+    """In degrees: a chain's by their kind, a whole animal's by their side, and the others."""
     degrees = np.rad2deg(motion.angles_rad)
-    if isinstance(motion, FrameMotion | TrajectoryMotion) and motion.skeleton is not None:
-        theta, phi = np.split(degrees, 2, axis=1)
-        names, colours = _links(motion.skeleton)
-        return [
-            Series("angles/theta", "θ, sagittal angles (°)", [f"θ{name}" for name in names], colours, theta),
-            Series("angles/phi", "φ, transverse angles (°)", [f"φ{name}" for name in names], colours, phi),
-        ]
-    found = []
-    for entity, title, side in (
+    limb_of, tints = _limb_tints(motion)
+    rest, found = list(motion.angle_names), []
+    for entity, title, kind in (
+        ("angles/theta", "θ, sagittal angles (°)", "theta_"),
+        ("angles/phi", "φ, transverse angles (°)", "phi_"),
         ("angles/left", "Left legs (°)", "left"),
         ("angles/right", "Right legs (°)", "right"),
-        ("angles/middle", "Middle (°)", None),
+        ("angles/middle", "Middle (°)", ""),
     ):
-        chosen = [i for i, name in enumerate(motion.angle_names) if side_of(name) == side]
-        if chosen:
-            names = [without_side(motion.angle_names[i]).replace("_", " ") for i in chosen]
+        names = [name for name in rest if name.startswith(kind) or side_of(name) == kind]
+        if not names:
+            continue
+        rest = [name for name in rest if name not in names]
+        if kind.endswith("_"):
+            sign, ends = entity.removeprefix("angles/"), [name.removeprefix(kind) for name in names]
+            labels = [f"{_SIGNS[sign]}{end} {limb_of[end]}" for end in ends]
+            colours = [tints[end] for end in ends]
+        else:
+            labels = [without_side(name).replace("_", " ") for name in names]
             colours = [_ANGLE_COLOURS[i % len(_ANGLE_COLOURS)] for i in range(len(names))]
-            found.append(Series(entity, title, names, colours, degrees[:, chosen]))
+        columns = [motion.angle_names.index(name) for name in names]
+        found.append(Series(entity, title, labels, colours, degrees[:, columns]))
     return found
+
+
+_SIGNS = {"theta": "θ", "phi": "φ"}
 
 
 def other_series(motion: Motion) -> list[Series]:
@@ -119,46 +126,41 @@ def other_series(motion: Motion) -> list[Series]:
         [LIMB_COLOURS[1], OUTLIER],
         np.stack(_residuals_px(motion), axis=1),
     )
-    if isinstance(motion, TrajectoryMotion):
+    names = ["joint within the pose", "place in depth"]
+    sigmas = np.stack((motion.relative_rms_m, motion.place_sigma_m), axis=1)
+    return [_speed(motion), residuals, Series("uncertainty", "One sigma (m)", names, [LIMB_COLOURS[1], LINK], sigmas)]
+
+
+def _speed(motion: Motion) -> Series:
+    if not isinstance(motion.solution, FrameSolution):
         speed = np.where(motion.solved, speed_at_frames(motion.time_s, motion.root_m), np.nan)
-        values = np.stack((motion.relative_rms_m, motion.place_sigma_m), axis=1)
-        names = ["joint within the pose", "place in depth"]
-        return [
-            Series("speed", "Speed (m/s)", ["speed"], [TRAIL], speed[:, None]),
-            residuals,
-            Series("uncertainty", "One sigma (m)", names, [LIMB_COLOURS[1], LINK], values),
-        ]
-    assert isinstance(motion, FrameMotion)
-    exact, smooth, straight = _speeds_m_s(motion)
+        return Series("speed", "Speed (m/s)", ["speed"], [TRAIL], speed[:, None])
+    straight = np.where(motion.solved, motion.solution.travel.speed_m_s, np.nan)
+    exact, smooth = _speeds_m_s(motion)
     # Splines overshoot, at the ends above all.
     shown = smooth[smooth <= 1.5 * np.nanpercentile(exact, 90)] if np.isfinite(exact).any() else smooth
     lines = ["cubic spline", "smoothed by its jitter", "straight run"]
-    colours = [EDGE, TRAIL, LIMB_COLOURS[0]]
     values = np.stack((exact, smooth, straight), axis=1)
-    return [Series("speed", "Speed (m/s)", lines, colours, values, shown), residuals]
+    return Series("speed", "Speed (m/s)", lines, [EDGE, TRAIL, LIMB_COLOURS[0]], values, shown)
 
 
-def _links(skeleton: Skeleton) -> tuple[list[str], list[Colour]]:
-    """For each free link, in the order of the angles: the number of its end, with its limb; a tint of its limb's
-    colour."""
-    limbs = list(skeleton.limbs)
-    free = [link for link in skeleton.links if link.free]
-    names = [f"{link.end.lstrip('J')} {link.limb}" for link in free]
-    colours = []
-    for link in free:
-        same = [other for other in free if other.limb == link.limb]
-        colours.append(shade(LIMB_COLOURS[limbs.index(link.limb) % 5], same.index(link), len(same)))
-    return names, colours
+def _limb_tints(motion: Motion) -> tuple[dict[str, str], dict[str, Colour]]:
+    """Of a chain, by the number of a link's end: its limb, and a tint of the limb's colour."""
+    limb_of, tints = {}, {}
+    for i, (limb, along) in enumerate(motion.body.limbs.items()):
+        ends = [end.lstrip("J") for end in along[1:] if f"theta_{end.lstrip('J')}" in motion.angle_names]
+        limb_of |= dict.fromkeys(ends, limb)
+        tints |= {end: shade(LIMB_COLOURS[i % 5], number, len(ends)) for number, end in enumerate(ends)}
+    return limb_of, tints
 
 
-def _speeds_m_s(motion: FrameMotion) -> tuple[Array, Array, Array]:
-    """Speed of the reference joint in solved frames, (T,) each: from the exact spline, from one smoothed by the
-    jitter from frame to frame (the exact one where that cannot be told), and of the straight run through the clip."""
+def _speeds_m_s(motion: Motion) -> tuple[Array, Array]:
+    """Speed of the reference joint in solved frames, (T,) each: from the exact spline, and from one smoothed by the
+    jitter from frame to frame (the exact one where that cannot be told)."""
     exact = speed_at_frames(motion.time_s, motion.root_m)
     jitter = frame_jitter_m(motion.root_m)
     smooth = speed_at_frames(motion.time_s, motion.root_m, jitter) if np.isfinite(jitter).all() else exact
-    straight = np.where(motion.solved, motion.solution.travel.speed_m_s, np.nan)
-    return np.where(motion.solved, exact, np.nan), np.where(motion.solved, smooth, np.nan), straight
+    return np.where(motion.solved, exact, np.nan), np.where(motion.solved, smooth, np.nan)
 
 
 def _residuals_px(motion: Motion) -> tuple[Array, Array]:

@@ -8,7 +8,7 @@ import numpy as np
 import rerun as rr
 from rerun.components import FillMode
 
-from recon.motion import Motion, Picture, TrajectoryMotion
+from recon.motion import Motion, Picture
 from recon.rotations import quaternions
 from recon.view.scene import (
     CAMERA,
@@ -114,10 +114,12 @@ def _write_camera_names(pictures: Sequence[Picture], send: Send, fix: Fix) -> No
     fix("world/camera_names", style)
 
 
-def write_doubt(motion: TrajectoryMotion, scene: Scene, send: Send, fix: Fix) -> None:
+def write_doubt(motion: Motion, scene: Scene, send: Send, fix: Fix) -> None:
     """How far the pose can be trusted: an ellipsoid around every joint, and a label in frames with a flag. And the feet
     that stand."""
-    solved, flags = motion.solved, motion.solution.flags
+    flags = motion.flags
+    # The frame method has poses whose doubt cannot be told.
+    solved = motion.solved & np.isfinite(motion.relative_rms_m)
     counts = np.where(solved, len(motion.joints), 0)
     variance, axes = np.linalg.eigh(motion.relative_covariance_m2[solved].reshape(-1, 3, 3))
     axes[np.linalg.det(axes) < 0, :, 0] *= -1
@@ -138,7 +140,7 @@ def write_doubt(motion: TrajectoryMotion, scene: Scene, send: Send, fix: Fix) ->
         ),
     )
 
-    shown = [bool(f) and bool(s) for f, s in zip(flags, solved, strict=True)]
+    shown = [bool(f) and bool(s) for f, s in zip(flags, motion.solved, strict=True)]
     above = motion.joints_m.mean(axis=1) + 0.35 * scene.size_m * scene.axes[2]
     labels = [", ".join(f) for f, is_shown in zip(flags, shown, strict=True) if is_shown]
     columns = rr.Points3D.columns(positions=above[shown], labels=labels)

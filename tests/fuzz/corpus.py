@@ -14,7 +14,6 @@ import numpy as np
 from recon.app.batch.inputs import find_clips
 from recon.app.batch.record import read_record
 from recon.app.clip import run_clip
-from recon.body import Body
 from recon.calibration import read_cameras, write_camera
 from recon.camera import Camera
 from recon.camera_track import read_camera_track
@@ -146,7 +145,7 @@ def _cameras_of(path: Path) -> object:
 
 def _body_of(path: Path) -> object:
     skeleton = load_skeleton(path)
-    return skeleton.tree.pose(np.zeros((1, skeleton.n_state))) if isinstance(skeleton, Body) else skeleton
+    return skeleton.tree.pose(np.zeros((1, skeleton.n_state)))
 
 
 def of_formats(folder: Path) -> Iterator[Seed]:
@@ -269,7 +268,6 @@ def _built_in() -> Iterator[Seed]:
     content = (package / "subjects" / f"{subject}.toml").read_bytes()
     yield Seed(f"subject-{subject}.toml", content, lambda path: load_skeleton("cheetah-24", path), 1.5)
     body = load_skeleton("cheetah-24")
-    assert isinstance(body, Body)
     prior = (package / "priors" / "running-cheetah.npz").read_bytes()
     yield Seed("prior.npz", prior, lambda path: load_prior(path, body), 1.5)
     for name in ("aibo", "a1"):

@@ -28,17 +28,16 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from recon.app.clip import fit_clip
-from recon.body import Body
 from recon.calibration import write_camera
 from recon.camera import Camera
 from recon.errors import InputError
 from recon.export import write_tables
 from recon.export.deeplabcut import write_keypoints_csv
 from recon.keypoints import Keypoints
-from recon.motion import FrameMotion, Motion, TrajectoryMotion
+from recon.motion import Motion
+from recon.published import FrameSolution
 from recon.report import build_report, summary_lines, write_report
 from recon.settings import FitSettings
-from recon.skeleton import Skeleton
 from recon.skeleton_file import builtin_chains, builtin_names, load_skeleton
 
 Array = NDArray[np.float64]
@@ -302,9 +301,8 @@ def camera_of(kind: str) -> Camera:
 def clip_of(case: Case) -> tuple[Keypoints, Camera]:
     """A mean pose whose angles swing, on its way through the picture, and then what is wrong with it."""
     rng = np.random.default_rng(case.seed)
-    skeleton, camera = load_skeleton(case.skeleton), camera_of(case.camera)
-    body = skeleton if isinstance(skeleton, Body) else skeleton.body
-    names = skeleton.keypoint_names("right") if isinstance(skeleton, Skeleton) else body.markers
+    body, camera = load_skeleton(case.skeleton), camera_of(case.camera)
+    names = body.keypoint_names("right")
     time_s = np.arange(case.frames) / FPS
     states = np.zeros((case.frames, body.n_state))
     swing = np.sin(2 * np.pi * 3.0 * time_s[:, None] + rng.uniform(0, 6, body.n_state - 4))
@@ -416,20 +414,17 @@ def faults(motion: Motion, report: dict, folder: Path) -> list[str]:
 
 def _numbers(motion: Motion, report: dict) -> list[str]:
     found = []
-    spreads = {"detections' sigma": motion.sigma_px}
-    if isinstance(motion, TrajectoryMotion):
-        solution = motion.solution
-        spreads |= {"sigma": motion.joint_sigma_m, "weight": solution.weight, "noise": solution.noise_px}
-        spreads["relative sigma"] = motion.relative_sigma_m
-        if not (0.1 < solution.size < 10 or report["settings"]["size_sigma"]):
-            found.append(f"a size of {solution.size:.3g}")
-        if not np.isfinite(motion.joint_sigma_m[motion.solved]).all():
-            found.append("poses without a sigma")
-    elif isinstance(motion, FrameMotion):
-        expected = report["settings"]["base_length_m"] or motion.skeleton.nominal_base_length_m
-        base = motion.states[motion.solved, motion.skeleton.base_index] / expected
-        if np.any((base < 0.1) | (base > 10)):
-            found.append(f"base lengths of {base.min():.3g} to {base.max():.3g} of the expected one")
+    solution = motion.solution
+    spreads = {"sigma": motion.joint_sigma_m, "weight": solution.weight, "noise": solution.noise_px}
+    spreads["relative sigma"] = motion.relative_sigma_m
+    expected, held = 1.0, report["settings"].get("size_sigma")
+    if isinstance(solution, FrameSolution):
+        chain = solution.chain
+        expected = (report["settings"]["base_length_m"] or chain.nominal_base_length_m) / chain.nominal_base_length_m
+    elif not np.isfinite(motion.joint_sigma_m[motion.solved]).all():
+        found.append("poses without a sigma")
+    if not (0.1 < solution.size / expected < 10 or held):
+        found.append(f"a size of {solution.size:.3g}")
     found += [f"an infinite {name}" for name, values in spreads.items() if np.isinf(values).any()]
     angles = np.abs(motion.angles_rad[motion.solved])
     if np.max(angles, initial=0.0) > 100 * math.pi:

@@ -7,22 +7,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from recon.initialise import mean_pose
-from recon.objectives import JointPositions, Reprojection
-from recon.skeleton_file import load_skeleton
-from recon.solve import (
-    CONVERGED,
-    FrameOptions,
-    evaluate,
-    frame,
-    posterior_covariance,
-    precision_shares,
-    solve_frames,
-    solve_joints,
-)
+from recon.clip import still_view
+from recon.published import FrameOptions, frame, solve_frames, solve_joints
+from recon.published.frame import CONVERGED, evaluate, posterior_covariance, precision_shares
+from recon.published.objectives import JointPositions, Reprojection
+from recon.published.starts import Travel, mean_pose
+from recon.skeleton_file import load_chain
 from recon.synthetic import add_noise, gallop
 
-SK = load_skeleton("cheetah-8u")
+SK = load_chain("cheetah-8u")
 UP = np.array([0.0, -1, 0])
 EXACT = FrameOptions(sigma_px=1.0, keypoint_sigma_m=0.0, base_sigma_m=0.001)
 NOISY = FrameOptions(sigma_px=2.0, keypoint_sigma_m=0.0)
@@ -46,9 +39,8 @@ def near(clip, values: np.ndarray) -> np.ndarray:
 
 
 def fit(clip, keypoints, options: FrameOptions):
-    return solve_frames(
-        clip.camera, SK, near(clip, keypoints.xy_px), near(clip, keypoints.confidence), clip.keypoints.fps, options
-    )
+    view = still_view(clip.camera, near(clip, keypoints.xy_px), near(clip, keypoints.confidence))
+    return solve_frames(view, SK, clip.keypoints.fps, options)
 
 
 def mpjpe_mm(clip, states: np.ndarray) -> float:
@@ -113,8 +105,8 @@ def test_clean_gallop(direction, heading_rad: float):
     clip = gallop(heading_rad=heading_rad, direction=direction)
     solution = fit(clip, clip.keypoints, EXACT)
     assert all(r is not None and r.status == "converged" for r in solution.reports)
-    assert reprojection_px(clip, clip.keypoints, solution.states).mean(axis=1).max() <= 0.5
-    assert mpjpe_mm(clip, solution.states) <= 50
+    assert reprojection_px(clip, clip.keypoints, solution.chain_states).mean(axis=1).max() <= 0.5
+    assert mpjpe_mm(clip, solution.chain_states) <= 50
 
 
 @pytest.mark.parametrize("camera_model", ["pinhole", "fisheye"])
@@ -123,7 +115,7 @@ def test_noisy_gallop(camera_model):
     keypoints, _ = add_noise(clip.keypoints, seed=3)
     solution = fit(clip, keypoints, NOISY)
     assert all(r is not None and r.status == "converged" for r in solution.reports)
-    assert mpjpe_mm(clip, solution.states) <= 80
+    assert mpjpe_mm(clip, solution.chain_states) <= 80
 
 
 @pytest.mark.parametrize(
@@ -148,7 +140,9 @@ def test_every_option_ends_with_a_report(options: FrameOptions):
     if options.max_evaluations == 3:
         assert any(r is not None and r.status == "not_converged" for r in solution.reports)
     if options.camera_rotation == "fixed":
-        np.testing.assert_allclose(solution.states[:, SK.euler_slice], solution.states[[0] * 6, SK.euler_slice])
+        np.testing.assert_allclose(
+            solution.chain_states[:, SK.euler_slice], solution.chain_states[[0] * 6, SK.euler_slice]
+        )
 
 
 def test_frames_without_data_are_skipped_and_the_clip_goes_on():
@@ -159,10 +153,10 @@ def test_frames_without_data_are_skipped_and_the_clip_goes_on():
     solution = fit(clip, replace(clip.keypoints, xy_px=xy), EXACT)
     empty = [i for i, report in enumerate(solution.reports) if report is None]
     assert empty == [10, 11, 12, 13, 14, 20]
-    assert np.isnan(solution.states[empty]).all()
+    assert np.isnan(solution.chain_states[empty]).all()
     solved = [i for i in range(30) if i not in empty]
-    assert np.isfinite(solution.states[solved]).all()
-    assert reprojection_px(clip, clip.keypoints, solution.states)[solved].mean(axis=1).max() < 0.5
+    assert np.isfinite(solution.chain_states[solved]).all()
+    assert reprojection_px(clip, clip.keypoints, solution.chain_states)[solved].mean(axis=1).max() < 0.5
 
 
 def test_a_clip_without_any_data():
@@ -177,11 +171,11 @@ def test_report_against_the_problem_by_hand():
     solution = fit(clip, clip.keypoints, EXACT)
     report = solution.reports[0]
     assert report is not None
-    distance = reprojection_px(clip, clip.keypoints, solution.states)[0]
+    distance = reprojection_px(clip, clip.keypoints, solution.chain_states)[0]
     u2 = (distance / report.sigma_px) ** 2
     reprojection = np.sum(u2 / (1 + u2 / EXACT.robust_c**2))
     assert report.cost_shares["reprojection"] * report.squared_norm == pytest.approx(reprojection, rel=1e-6)
-    theta = solution.states[0, SK.theta_slice] - SK.theta.mean_rad
+    theta = solution.chain_states[0, SK.theta_slice] - SK.theta.mean_rad
     prior = np.sum((theta / SK.scales.theta_rad) ** 2)
     assert report.cost_shares["theta prior"] * report.squared_norm == pytest.approx(prior, rel=1e-9)
     assert report.optimality == pytest.approx(np.abs(report.gradient).max())
@@ -195,7 +189,7 @@ def test_the_base_length_comes_back_as_its_prior_says():
     clip = gallop(n_frames=10)
     wrong = replace(EXACT, base_length_m=0.25, base_sigma_m=0.01)
     solution = fit(clip, clip.keypoints, wrong)
-    assert np.abs(solution.states[:, SK.base_index] - 0.25).max() < 0.002
+    assert np.abs(solution.chain_states[:, SK.base_index] - 0.25).max() < 0.002
     shares = np.array([r.data_share for r in solution.reports if r is not None])
     assert shares[:, SK.base_index].max() < 0.05
     assert shares.min() >= 0
@@ -209,7 +203,7 @@ def test_precision_shares_of_a_problem_done_by_hand():
     joints = SK.pose_with_jacobian(mean_pose(SK)[None]).joints_jacobian[0]
     C = posterior_covariance(np.concatenate([np.eye(D) / s, np.eye(D) / p]))
     np.testing.assert_allclose(C, np.eye(D) / (1 / s**2 + 1 / p**2), atol=1e-15)
-    share, _, _ = precision_shares(C, np.eye(D) / s, joints)
+    share, _ = precision_shares(C, np.eye(D) / s, joints)
     np.testing.assert_allclose(share, p**2 / (s**2 + p**2))
     undetermined = posterior_covariance(np.eye(D)[:5])
     assert np.isnan(undetermined).all()
@@ -227,14 +221,15 @@ def test_a_pose_that_runs_away_is_no_part_of_the_solution():
     xy = clip.keypoints.xy_px.copy()
     xy[2] = xy[2, :1]
     solution = fit(clip, replace(clip.keypoints, xy_px=xy), NOISY)
-    assert np.isnan(solution.states[2]).all()
-    assert np.isfinite(solution.states[[0, 1, 3]]).all()
+    assert np.isnan(solution.chain_states[2]).all()
+    assert np.isfinite(solution.chain_states[[0, 1, 3]]).all()
     away, after = solution.reports[2], solution.reports[3]
     assert away is not None
     assert after is not None
     assert (away.status, away.in_view, after.status, after.in_view) == ("not_converged", False, "converged", True)
     assert "left the camera's view" in away.message
-    shares = (away.data_share, away.joint_data_share, away.joint_sigma_m, away.place_sigma_m, away.mean_weight)
+    unknown = (solution.covariance_m2[2], solution.relative_covariance_m2[2])
+    shares = (away.data_share, away.joint_data_share, away.mean_weight, *unknown)
     assert all(np.isnan(values).all() for values in shares)
 
 
@@ -250,14 +245,27 @@ def test_detections_outside_of_what_the_lens_can_see_are_left_out():
     assert solutions[0].reports[1] is None
 
 
-def test_uncertainty_of_place_and_shape_done_by_hand():
-    """An uncertain root moves all joints alike; an uncertain size moves them in proportion."""
-    joints_m = np.array([[0.0, 0.0, 4.0], [0.0, 3.0, 4.0], [0.0, -3.0, 4.0]])
-    by_place, by_size = np.tile(np.eye(3), (3, 1, 1)), joints_m[..., None]
-    C = np.diag([0.1, 0.2, 0.3, 0.01]) ** 2
-    place, shape = frame.place_and_shape(C, np.concatenate([by_place, by_size], axis=2), joints_m)
-    assert place == pytest.approx(np.hypot(0.3, 0.01 * 4))
-    assert shape == pytest.approx(0.01 * 3 * np.sqrt(2 / 3))
+def test_covariance_of_the_joints_done_by_hand():
+    """An uncertain place moves all joints alike; an uncertain size moves them in proportion. In the world's axes."""
+    camera = gallop(n_frames=2).camera
+    state = np.tile(mean_pose(SK), (2, 1))
+    state[:, SK.place_slice] = [0.0, 0.0, 9.0]
+    C = np.zeros((2, SK.n_state, SK.n_state))
+    C[0, SK.place_slice, SK.place_slice] = np.diag([0.1, 0.2, 0.3]) ** 2
+    C[1, SK.base_index, SK.base_index] = 0.01**2
+    view = still_view(camera, np.zeros((2, 9, 2)), np.ones((2, 9)))
+    found = frame.in_world(view, SK, state, C, (None, None), Travel(np.zeros((2, 3)), np.zeros(2)), (), 30.0)
+    R = camera.rotation.T
+    expected = R @ np.diag([0.1, 0.2, 0.3]) ** 2 @ R.T
+    np.testing.assert_allclose(found.covariance_m2[0], np.tile(expected, (9, 1, 1)), atol=1e-15)
+    np.testing.assert_allclose(found.relative_covariance_m2[0], 0, atol=1e-15)
+    joints = SK.pose(state[:1]).joints_m[0] - [0.0, 0.0, 9.0]
+    per_base = joints @ R.T / state[0, SK.base_index]
+    for points, covariance in (
+        (per_base, found.covariance_m2[1]),
+        (per_base - per_base.mean(axis=0), found.relative_covariance_m2[1]),
+    ):
+        np.testing.assert_allclose(covariance, 0.01**2 * points[:, :, None] * points[:, None, :], atol=1e-15)
 
 
 def test_what_a_clip_may_take_is_bounded(monkeypatch):

@@ -1,4 +1,4 @@
-"""A chain of rigid links joined by universal joints, and its forward kinematics.
+"""A chain of rigid links joined by universal joints: the 8U chain, as published and as a tree of segments.
 
 The chain hangs from a root joint in the local frame UVW (U forwards along the first spine link, V down, W to the side,
 right-handed). Every link has two angles relative to its parent, theta in the sagittal UV plane and phi in the
@@ -12,7 +12,8 @@ is the joint's local position, p0 the root's, R = Rx(xi) Ry(psi) Rz(zeta). One f
 
     [theta of every free link, phi of every free link, x0, y0, z0, xi, psi, zeta, base_length]
 
-with base_length in metres scaling all links. The links are posed as a tree of segments (`Skeleton.body`).
+with base_length in metres scaling all links. That is the form of the frame method (`recon.published`). For everything
+else the chain is a tree of segments as any animal's (`Chain.body`).
 
 Source: C. van der Leek, "Kinematic Modeling and Dynamic Aspects of an Accelerating Quadruped", MSc(Eng), University of
 Cape Town, 2022, with the link direction corrected (printed sin T cos P for the first component does not keep the
@@ -27,8 +28,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from recon.body import Body, Side, common_side, feet_by_label
-from recon.kinematics import PITCH, ROLL, ROOT, Joint, Marker, Segment, Tree
+from recon.body import Body, Side
+from recon.kinematics import PITCH, ROLL, ROOT, YAW, Joint, Marker, Segment, Tree
 from recon.rotations import euler_angles, euler_rotation, euler_rotation_with_jacobian
 
 Array = NDArray[np.float64]
@@ -39,7 +40,7 @@ MIN_JOINTS = 5
 MIN_REACH_PX = 50.0
 """All links end to end shorter than this in the picture: too far away to have been detected."""
 
-_UVW_BODY = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+UVW_BODY = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 """Takes the body's axes x forwards, y left, z up to U, V (down), W."""
 _PITCH_RAD = 0.3
 """Standard deviation of a running animal's pitch."""
@@ -101,7 +102,7 @@ class Posed:
 
 
 @dataclass(frozen=True)
-class Skeleton:
+class Chain:
     """A chain's geometry, its keypoints and what is expected of its angles.
 
     joints: names, root first, then the links' ends in the order of the links. keypoints: for each joint its keypoint's
@@ -177,18 +178,6 @@ class Skeleton:
             limbs.setdefault(link.limb, [link.start]).append(link.end)
         return {name: tuple(joints) for name, joints in limbs.items()}
 
-    def feet_by_label(self, side: Side | None) -> dict[str, str]:
-        """Joints of the feet by LF, RF, LH, RH, when the limbs of that side are fitted."""
-        return feet_by_label(self.foot_labels, self.feet, side)
-
-    def limb_sides(self, side: Side | None) -> dict[str, Side | None]:
-        """The side of each limb, when the limbs of that side are fitted: it is known of joints whose keypoints are not
-        the same on both sides. None: the middle."""
-        sided = {joint for joint, (left, right) in zip(self.joints, self.keypoints, strict=True) if left != right}
-        return {
-            limb: common_side(side if joint in sided else None for joint in along) for limb, along in self.limbs.items()
-        }
-
     # -- kinematics ----------------------------------------------------------------------------------------------
 
     @cached_property
@@ -225,6 +214,7 @@ class Skeleton:
             name=self.name,
             title=self.title,
             tree=tree,
+            keypoints=self.keypoints,
             limbs=self.limbs,
             forward=self.forward,
             feet=self.feet,
@@ -243,14 +233,29 @@ class Skeleton:
         pitch = 7 + 2 * np.arange(self.n_angles)
         return np.concatenate([pitch, pitch - 1])
 
-    def state_from_body(self, body_state: Array, size: Array | float, R_camera_level: Array) -> Array:
-        """States (N, D) of this chain from states of its body (N, D'), whose size is one or (N,).
+    def to_body(self, state: Array, T_world_camera: Array) -> tuple[Array, Array]:
+        """States (N, D') of the body in the world, and its sizes (N,), from states of this chain (N, D).
 
-        The body's world is the level frame: its origin is the camera's centre, its z axis points up; R_camera_level
-        (3, 3) takes it to the camera frame.
+        T_world_camera: (4, 4) or (N, 4, 4).
+        """
+        R_world_local = T_world_camera[..., :3, :3] @ euler_rotation(state[:, self.euler_slice])
+        R = R_world_local @ UVW_BODY
+        body_state = np.empty((len(state), self.body.n_state))
+        in_local = state[:, self.place_slice, None]
+        body_state[:, ROOT] = (R_world_local @ in_local)[..., 0] + T_world_camera[..., :3, 3]
+        body_state[:, YAW] = np.arctan2(R[:, 1, 0], R[:, 0, 0])
+        body_state[:, PITCH] = np.arctan2(-R[:, 2, 0], np.hypot(R[:, 0, 0], R[:, 1, 0]))
+        body_state[:, ROLL] = np.arctan2(R[:, 2, 1], R[:, 2, 2])
+        body_state[:, self.body_angles] = state[:, : 2 * self.n_angles]
+        return body_state, state[:, self.base_index] / self.nominal_base_length_m
+
+    def from_body(self, body_state: Array, size: Array | float, R_camera_level: Array) -> Array:
+        """The other way round, the body's world with its origin in the camera's centre: states (N, D).
+
+        size: one or (N,). R_camera_level: (3, 3).
         """
         root = self.body.tree.orientations(body_state)[:, 0]
-        R_camera_local = R_camera_level @ root @ _UVW_BODY.T
+        R_camera_local = R_camera_level @ root @ UVW_BODY.T
         place = (body_state[:, None, ROOT] @ R_camera_level.T @ R_camera_local)[:, 0]
         state = np.empty((len(body_state), self.n_state))
         state[:, : 2 * self.n_angles] = body_state[:, self.body_angles]
@@ -278,7 +283,7 @@ class Skeleton:
     def local_joints(self, state: Array) -> Array:
         """Joint positions relative to the root in the local frame UVW, metres: states (N, D) -> (N, J, 3)."""
         size = state[:, self.base_index] / self.nominal_base_length_m
-        return self._local_tree.pose(self._local_state(state), size).points_m @ _UVW_BODY.T
+        return self._local_tree.pose(self._local_state(state), size).points_m @ UVW_BODY.T
 
     def pose(self, state: Array) -> Posed:
         """Joints in the camera frame for states (N, D), without Jacobian."""
@@ -292,7 +297,7 @@ class Skeleton:
         tree = self._local_tree.pose_with_jacobian(self._local_state(state))
         assert tree.jacobian is not None
         size = state[:, self.base_index, None, None] / self.nominal_base_length_m
-        c_per_size = _UVW_BODY @ tree.points_m.transpose(0, 2, 1)  # (N, 3, J)
+        c_per_size = UVW_BODY @ tree.points_m.transpose(0, 2, 1)  # (N, 3, J)
         p = c_per_size * size + state[:, self.place_slice, None]
         # One frame is the frame method's inner loop, and one rotation by itself is several times quicker.
         angles = state[:, self.euler_slice]
@@ -301,8 +306,14 @@ class Skeleton:
 
         jacobian = np.empty((N, 3, J, self.n_state))
         turned = tree.jacobian.take(self._local_angles, axis=-1).transpose(0, 2, 1, 3).reshape(N, 3, J * 2 * A)
-        jacobian[..., : 2 * A] = (size * (R @ _UVW_BODY) @ turned).reshape(N, 3, J, 2 * A)
+        jacobian[..., : 2 * A] = (size * (R @ UVW_BODY) @ turned).reshape(N, 3, J, 2 * A)
         jacobian[..., self.place_slice] = R[:, :, None]
         jacobian[..., self.euler_slice] = (dR @ p[:, None]).transpose(0, 2, 3, 1)
         jacobian[..., self.base_index] = R @ (c_per_size / self.nominal_base_length_m)
         return Posed(state, R, (R @ p).transpose(0, 2, 1), jacobian.transpose(0, 2, 1, 3), dR)
+
+
+def upright_rotation(heading: Array, up: Array) -> Array:
+    """R_camera_local (..., 3, 3) of a level animal: U along heading (..., 3), V down, W to the side."""
+    down = np.broadcast_to(-up, heading.shape)
+    return np.stack([heading, down, np.cross(heading, down)], axis=-1)

@@ -1,9 +1,9 @@
-"""Objectives -> states: the only place that calls an optimiser.
+"""The frame method, a reference: what was published, repaired where it has to be.
 
-The frame method solves the 21 unknowns of the 8U chain one frame after the other with scipy's Levenberg-Marquardt
+It solves the 21 unknowns of the 8U chain one frame after the other with scipy's Levenberg-Marquardt
 (`least_squares(method="lm")`, MINPACK) on the stacked residuals of all objectives. A frame starts from the solution of
-the frame before, its place carried on along its path; the first starts from geometry (`recon.initialise`). Frames whose
-solution leaves points unexplained get further starts, and the lowest cost wins.
+the frame before, its place carried on along its path; the first starts from geometry (`recon.published.starts`). Frames
+whose solution leaves points unexplained get further starts, and the lowest cost wins.
 """
 
 from __future__ import annotations
@@ -11,14 +11,17 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Literal
+from functools import cached_property
+from typing import TYPE_CHECKING, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from recon.camera import Camera
-from recon.initialise import Travel, estimate_travel, geometric_start, state_from_joints
-from recon.objectives import (
+from recon.chain import MIN_JOINTS, MIN_REACH_PX, Chain, Posed
+from recon.clip import View
+from recon.frames import inverse, moved
+from recon.published.objectives import (
     AnglePrior,
     AngleRange,
     BaseLengthPrior,
@@ -31,7 +34,8 @@ from recon.objectives import (
     RollPrior,
     TravelPrior,
 )
-from recon.skeleton import MIN_JOINTS, MIN_REACH_PX, Posed, Skeleton
+from recon.published.starts import Travel, estimate_travel, geometric_start, state_from_joints
+from recon.solve.result import OUTLIER_SIGMAS, Solution, Spell
 
 if TYPE_CHECKING:
     from scipy.optimize import OptimizeResult
@@ -42,6 +46,10 @@ Status = Literal["converged", "not_converged", "no_data"]
 CONVERGED = (1, 2, 3, 4)
 """Status values of scipy's least_squares that name a tolerance that was met."""
 
+FEW_POINTS_SHARE = 0.75
+"""Frames with a smaller part of the joints detected are flagged "few points"."""
+TRUSTED_SHARE = 1 / 3
+"""Frames with a smaller part of the joints detected and trusted are flagged "data poor"."""
 MOST_SIZE = 10.0
 """A base length so many times larger or smaller than expected is no animal's."""
 SPARE_SEARCHES = 4
@@ -52,8 +60,8 @@ SPARE_SEARCHES = 4
 class FrameOptions:
     """How the frame method weighs and searches.
 
-    form: of f1-f5, see `recon.objectives`. angle_prior: the Gaussian priors on angles, roll and heading, or none of
-    them. camera_rotation: "fixed" holds R at the first frame's. base_length_m, base_sigma_m: in place of the
+    form: of f1-f5, see `recon.published.objectives`. angle_prior: the Gaussian priors on angles, roll and heading, or
+    none of them. camera_rotation: "fixed" holds R at the first frame's. base_length_m, base_sigma_m: in place of the
     skeleton's. sigma_px: the detector's noise; keypoint_sigma_m: how far keypoints lie from the model's joints, in
     place of the skeleton's, and at most keypoint_sigma_max_px in the picture. robust_c: residuals of this many sigmas
     count half. max_evaluations: of the residuals, in one search, and a frame on average (`SPARE_SEARCHES`).
@@ -74,24 +82,14 @@ class FrameOptions:
 
 @dataclass(frozen=True)
 class FrameReport:
-    """What the optimiser did for one frame (all residuals without unit).
-
-    starts: how many starts were solved. iterations: Levenberg-Marquardt iterations of the start that won, counted by
-    their Jacobian evaluations; these and the function evaluations include its approach with a wide loss. cost_shares:
-    each term's part of the squared norm. sigma_px: standard deviation of a detection. data_share (D,) and
-    joint_data_share (J,): the part of the posterior precision that comes from the pixels, 0 to 1, NaN where data and
-    priors together leave a quantity undetermined. joint_sigma_m (J, 3): posterior standard deviation in the camera
-    frame, given the frame before. mean_weight: how far the detections were trusted, 0 to 1. place_sigma_m: standard
-    deviation of the mean of all joints along the line of sight; relative_rms_m: what is expected of a joint's distance
-    from its true place once both poses are centred, root mean square over the joints. solve_s: time spent on the frame,
-    all starts. in_view: the camera can see the pose, and it has an animal's size; a pose that ran away is not
-    converged, not part of the solution, and has no shares and sigmas (NaN). stopped: the evaluations that the clip may
-    take up to this frame were spent before the frame's searches ended.
-    """
+    """What the optimiser did for one frame; all residuals are without unit."""
 
     status: Status
     starts: int
+    """How many were solved."""
     iterations: int
+    """Levenberg-Marquardt iterations of the start that won, counted by their Jacobian evaluations; these and the
+    function evaluations include its approach with a wide loss."""
     function_evaluations: int
     jacobian_evaluations: int
     optimizer_status: int
@@ -99,93 +97,122 @@ class FrameReport:
     squared_norm: float
     mean_residual: float
     cost_shares: dict[str, float]
+    """Each term's part of the squared norm."""
     optimality: float
     step_norm: float
     jacobian_mean_abs: float
     jacobian_sparsity: float
     gradient: Array
+    """(D,)"""
     sigma_px: float
+    """Standard deviation of a detection."""
     data_share: Array
+    """(D,): the part of the posterior precision that comes from the pixels, 0 to 1, NaN where data and priors together
+    leave an unknown undetermined."""
     joint_data_share: Array
-    joint_sigma_m: Array
+    """(J,): the same of the joints."""
     mean_weight: float
-    place_sigma_m: float
-    relative_rms_m: float
+    """How far the detections were trusted, 0 to 1."""
     solve_s: float
+    """Time spent on the frame, all starts."""
     in_view: bool
+    """The camera can see the pose, and it has an animal's size; a pose that ran away is not converged, not part of the
+    solution, and has no shares and covariance (NaN)."""
     stopped: bool
+    """The evaluations that the clip may take up to this frame were spent before the frame's searches ended."""
 
 
-@dataclass(frozen=True)
-class Solution:
-    """states (T, D), NaN where a frame has no data or its pose ran away; one report a frame, None without data; the
-    travel that the start came from."""
+@dataclass(frozen=True, eq=False)
+class FrameSolution(Solution):
+    """Of the frame method, D unknowns of the chain. Covariances are given the frame before."""
 
-    states: Array
+    chain: Chain
+    chain_states: Array
+    """(T, D): as published (`recon.chain`), NaN where a frame has no data or its pose ran away."""
     reports: tuple[FrameReport | None, ...]
+    """One a frame, None without data."""
     travel: Travel
+    """What the start came from."""
     objectives: tuple[str, ...]
+    fps: float
+
+    method: ClassVar = "frame"
+
+    @cached_property
+    def status(self) -> tuple[Status, ...]:
+        """(T,)"""
+        return tuple("no_data" if r is None else r.status for r in self.reports)
+
+    @cached_property
+    def beyond_range_rad(self) -> Array:
+        """(T, A): how far angles lie beyond their expected ranges; negative inside, NaN without a pose."""
+        return beyond_range_rad(self.chain, self.chain_states)
+
+    @cached_property
+    def beyond_rate_rad_s(self) -> Array:
+        """(T, A): chord rate since the solved frame before, above its limit; NaN for the first and without a pose."""
+        return beyond_rate_rad_s(self.chain, self.chain_states, self.fps)
 
 
 def frame_objectives(
-    camera: Camera, skeleton: Skeleton, xy_px: Array, confidence: Array, travel: Travel, options: FrameOptions
+    camera: Camera, chain: Chain, xy_px: Array, confidence: Array, travel: Travel, options: FrameOptions
 ) -> tuple[Objective, ...]:
     """f1-f5, the prior of the base length, and the Gaussian priors if they are on. Reprojection comes first.
 
     xy_px (T, J, 2), NaN where missing; confidence (T, J).
     """
-    s, form = skeleton.scales, options.form
+    s, form = chain.scales, options.form
     terms: list[Objective] = [
         Reprojection(camera, xy_px, confidence, np.full(len(xy_px), options.sigma_px), options.robust_c),
-        AngleRange("theta range", skeleton.theta_slice, skeleton.theta, s.softness_rad, form),
-        AngleRange("phi range", skeleton.phi_slice, skeleton.phi, s.softness_rad, form),
-        RateLimit("theta rate", skeleton.theta_slice, skeleton.theta.max_rate_rad_s, s.softness_rad, form),
-        RateLimit("phi rate", skeleton.phi_slice, skeleton.phi.max_rate_rad_s, s.softness_rad, form),
-        BaseLengthPrior(*base_length(skeleton, options)),
+        AngleRange("theta range", chain.theta_slice, chain.theta, s.softness_rad, form),
+        AngleRange("phi range", chain.phi_slice, chain.phi, s.softness_rad, form),
+        RateLimit("theta rate", chain.theta_slice, chain.theta.max_rate_rad_s, s.softness_rad, form),
+        RateLimit("phi rate", chain.phi_slice, chain.phi.max_rate_rad_s, s.softness_rad, form),
+        BaseLengthPrior(*base_length(chain, options)),
     ]
     if options.angle_prior == "gaussian":
         moving = np.where(travel.speed_m_s[:, None] > 0, travel.heading, np.nan)
         terms += [
-            AnglePrior("theta prior", skeleton.theta_slice, skeleton.theta.mean_rad, s.theta_rad),
-            AnglePrior("phi prior", skeleton.phi_slice, skeleton.phi.mean_rad, s.phi_rad),
-            RollPrior(camera.up, s.roll_rad, skeleton.euler_slice),
-            HeadingTie(camera.up, s.heading_rad_per_sqrt_s, skeleton.euler_slice),
-            TravelPrior(camera.up, moving, s.travel_rad, skeleton.euler_slice),
+            AnglePrior("theta prior", chain.theta_slice, chain.theta.mean_rad, s.theta_rad),
+            AnglePrior("phi prior", chain.phi_slice, chain.phi.mean_rad, s.phi_rad),
+            RollPrior(camera.up, s.roll_rad, chain.euler_slice),
+            HeadingTie(camera.up, s.heading_rad_per_sqrt_s, chain.euler_slice),
+            TravelPrior(camera.up, moving, s.travel_rad, chain.euler_slice),
         ]
     return tuple(terms)
 
 
-def base_length(skeleton: Skeleton, options: FrameOptions) -> tuple[float, float]:
+def base_length(chain: Chain, options: FrameOptions) -> tuple[float, float]:
     """Nominal value and standard deviation of the base length, metres."""
-    nominal = options.base_length_m or skeleton.nominal_base_length_m
-    relative = skeleton.scales.base_length_m / skeleton.nominal_base_length_m
+    nominal = options.base_length_m or chain.nominal_base_length_m
+    relative = chain.scales.base_length_m / chain.nominal_base_length_m
     return nominal, options.base_sigma_m or relative * nominal
 
 
 def solve_frames(
-    camera: Camera,
-    skeleton: Skeleton,
-    xy_px: Array,
-    confidence: Array,
+    view: View,
+    chain: Chain,
     fps: float,
     options: FrameOptions,
     progress: Callable[[int], None] = lambda frame: None,
-) -> Solution:
-    """Fit the chain frame by frame to detections xy_px (T, J, 2), NaN where missing, confidence (T, J).
+) -> FrameSolution:
+    """Fit the chain frame by frame to what a still camera saw: keypoints in the order of its joints, frames fps apart.
 
-    The joints are in the skeleton's order, frames fps apart. Never raises for a frame that cannot be solved: its report
-    says so. Detections that no detector can have found in the camera's picture are left out (`Camera.sees`). progress
-    is called with the count of frames, the one in hand included.
+    Never raises for a frame that cannot be solved: its report says so. Detections that no detector can have found in
+    the camera's picture are left out (`Camera.sees`). progress is called with the count of frames, the one in hand
+    included.
     """
-    xy_px = np.where(camera.sees(xy_px)[..., None], xy_px, np.nan)
-    skeleton = replace(skeleton, nominal_base_length_m=base_length(skeleton, options)[0])
-    travel = estimate_travel(camera, skeleton, xy_px, fps)
-    objectives = frame_objectives(camera, skeleton, xy_px, confidence, travel, options)
-    solver = _FrameSolver(camera, skeleton, objectives, options)
+    view = view.credible()
+    camera, xy_px = view.camera, view.xy_px
+    expected = replace(chain, nominal_base_length_m=base_length(chain, options)[0])
+    travel = estimate_travel(camera, expected, xy_px, fps)
+    objectives = frame_objectives(camera, expected, xy_px, view.confidence, travel, options)
+    solver = _FrameSolver(camera, expected, objectives, options)
     rays, _ = camera.rays(xy_px)
     seen = np.isfinite(rays[..., 0]).sum(axis=1)
 
-    states = np.full((len(xy_px), skeleton.n_state), np.nan)
+    states = np.full((len(xy_px), chain.n_state), np.nan)
+    covariance = np.full((len(xy_px), chain.n_state, chain.n_state), np.nan)
     reports: list[FrameReport | None] = []
     before: list[int] = []  # the last two solved frames, newest last
     for frame in range(len(xy_px)):
@@ -193,15 +220,117 @@ def solve_frames(
         if seen[frame] < MIN_JOINTS:
             reports.append(None)
             continue
-        state, report = solver.solve(frame, rays[frame], travel.heading[frame], states, before, fps)
+        state, C, report = solver.solve(frame, rays[frame], travel.heading[frame], states, before, fps)
         reports.append(report)
         if report.in_view:  # a pose that ran away is no start for the next frame
-            states[frame] = state
+            states[frame], covariance[frame] = state, C
             before = [*before[-1:], frame]
-    return Solution(states, tuple(reports), travel, tuple(term.name for term in objectives))
+    names = tuple(term.name for term in objectives)
+    return in_world(view, chain, states, covariance, tuple(reports), travel, names, fps)
 
 
-def solve_joints(skeleton: Skeleton, joints_m: Array, up: Array, tolerance: float = 1e-15) -> Array:
+def in_world(
+    view: View,
+    chain: Chain,
+    states: Array,
+    covariance: Array,
+    reports: tuple[FrameReport | None, ...],
+    travel: Travel,
+    objectives: tuple[str, ...],
+    fps: float,
+) -> FrameSolution:
+    """What was solved, in the world. states (T, D) and their covariance (T, D, D) are the chain's."""
+    T, J = view.present.shape
+    solved = np.flatnonzero(np.isfinite(states[:, 0]))
+    T_world_camera = inverse(view.T_camera_world)
+    body_states, joints_m = np.full((T, chain.body.n_state), np.nan), np.full((T, J, 3), np.nan)
+    absolute, relative = np.full((2, T, J, 3, 3), np.nan)
+    size = 1.0
+    if len(solved):
+        posed = chain.pose_with_jacobian(states[solved])
+        assert posed.joints_jacobian is not None
+        body_states[solved], sizes = chain.to_body(states[solved], T_world_camera)
+        size = float(np.median(sizes))
+        joints_m[solved] = moved(T_world_camera, posed.joints_m)
+        in_world = T_world_camera[:3, :3] @ posed.joints_jacobian
+        for of_joints, jacobian in ((absolute, in_world), (relative, in_world - in_world.mean(axis=1, keepdims=True))):
+            of_joints[solved] = np.einsum("tjad,tde,tjbe->tjab", jacobian, covariance[solved], jacobian, optimize=True)
+    sigma_px, trusted = (
+        np.array([np.nan if r is None else getattr(r, field) for r in reports]) for field in ("sigma_px", "mean_weight")
+    )
+    return FrameSolution(
+        body=chain.body,
+        views=(view,),
+        states=body_states,
+        size=size,
+        joints_m=joints_m,
+        covariance_m2=absolute,
+        relative_covariance_m2=relative,
+        noise_px=np.repeat(sigma_px[None, :, None], J, axis=2),
+        weight=np.where(view.present, trusted[:, None], np.nan)[None],
+        flags=_flags(view, chain, states, joints_m, reports, sigma_px, trusted, fps),
+        alternative_m=np.full(T, np.nan),  # of all starts only the best is kept
+        contact=np.zeros((T, len(chain.feet))),
+        spells=(Spell(slice(0, T), None),),
+        stage_s={},
+        chain=chain,
+        chain_states=states,
+        reports=reports,
+        travel=travel,
+        objectives=objectives,
+        fps=fps,
+    )
+
+
+def _flags(
+    view: View,
+    chain: Chain,
+    states: Array,
+    joints_m: Array,
+    reports: Sequence[FrameReport | None],
+    sigma_px: Array,
+    trusted: Array,
+    fps: float,
+) -> tuple[tuple[str, ...], ...]:
+    """(T,). sigma_px, trusted (T,): of the reports."""
+    present, J = view.present.sum(axis=1), len(chain.joints)
+    off_px = np.linalg.norm(view.project(joints_m)[0] - view.xy_px, axis=-1)
+    doubtful = {
+        "no data": [r is None for r in reports],
+        "ran away": [r is not None and not r.in_view for r in reports],
+        "few points": [r is not None for r in reports] & (present < FEW_POINTS_SHARE * J),
+        "data poor": present * trusted < TRUSTED_SHARE * J,
+        "outliers": (off_px > OUTLIER_SIGMAS * sigma_px[:, None]).any(axis=1),
+        "not converged": [r is not None and r.status == "not_converged" for r in reports],
+        "stopped early": [r is not None and r.stopped for r in reports],
+        "at range limit": (beyond_range_rad(chain, states) > 0).any(axis=1),
+        "at rate limit": (beyond_rate_rad_s(chain, states, fps) > 0).any(axis=1),
+    }
+    return tuple(tuple(name for name, which in doubtful.items() if which[t]) for t in range(len(reports)))
+
+
+def _expected(chain: Chain, field: str) -> Array:
+    """(A,): of theta and phi."""
+    return np.concatenate([getattr(ranges, field) for ranges in (chain.theta, chain.phi)])
+
+
+def beyond_range_rad(chain: Chain, states: Array) -> Array:
+    """See `FrameSolution`; for states (T, D)."""
+    angles = states[:, : 2 * chain.n_angles]
+    return np.abs(angles - _expected(chain, "mean_rad")) - _expected(chain, "tolerance_rad")
+
+
+def beyond_rate_rad_s(chain: Chain, states: Array, fps: float) -> Array:
+    """See `FrameSolution`; for states (T, D), frames fps apart."""
+    angles = states[:, : 2 * chain.n_angles]
+    rows = np.flatnonzero(np.isfinite(states[:, 0]))
+    beyond = np.full(angles.shape, np.nan)
+    chord = 2 * np.abs(np.sin(np.diff(angles[rows], axis=0) / 2)) * fps / np.diff(rows)[:, None]
+    beyond[rows[1:]] = chord - _expected(chain, "max_rate_rad_s")
+    return beyond
+
+
+def solve_joints(chain: Chain, joints_m: Array, up: Array, tolerance: float = 1e-15) -> Array:
     """States (T, D) whose joints are nearest to known ones, joints_m (T, J, 3) in the camera frame.
 
     For joints from several cameras or motion capture. The roll about the first link is not determined by joints and
@@ -210,13 +339,13 @@ def solve_joints(skeleton: Skeleton, joints_m: Array, up: Array, tolerance: floa
     from scipy.optimize import least_squares  # slow to import
 
     target = JointPositions(joints_m, sigma_m=0.01)
-    states = np.full((len(joints_m), skeleton.n_state), np.nan)
+    states = np.full((len(joints_m), chain.n_state), np.nan)
     for frame in np.flatnonzero(np.isfinite(joints_m).all(axis=(1, 2))):
-        start = state_from_joints(skeleton, joints_m[frame], up)
+        start = state_from_joints(chain, joints_m[frame], up)
         result = least_squares(
-            lambda x, f=frame: evaluate((target,), skeleton, f, x, None, 0.0)[0],
+            lambda x, f=frame: evaluate((target,), chain, f, x, None, 0.0)[0],
             start,
-            lambda x, f=frame: evaluate((target,), skeleton, f, x, None, 0.0)[1],
+            lambda x, f=frame: evaluate((target,), chain, f, x, None, 0.0)[1],
             method="lm",
             ftol=tolerance,
             xtol=tolerance,
@@ -249,10 +378,8 @@ class _Given:
 
 
 class _FrameSolver:
-    def __init__(
-        self, camera: Camera, skeleton: Skeleton, objectives: Sequence[Objective], options: FrameOptions
-    ) -> None:
-        self.camera, self.skeleton, self.options = camera, skeleton, options
+    def __init__(self, camera: Camera, chain: Chain, objectives: Sequence[Objective], options: FrameOptions) -> None:
+        self.camera, self.chain, self.options = camera, chain, options
         reprojection, *self.others = objectives
         assert isinstance(reprojection, Reprojection)
         self.reprojection = reprojection
@@ -262,14 +389,15 @@ class _FrameSolver:
 
     def solve(
         self, frame: int, rays: Array, heading: Array, states: Array, before: Sequence[int], fps: float
-    ) -> tuple[Array, FrameReport]:
+    ) -> tuple[Array, Array, FrameReport]:
+        """State (D,), its covariance (D, D) given the frame before, and what was done."""
         began = time.perf_counter()
         self.evaluations_left = max(self.evaluations_left + self.options.max_evaluations, 1)
         self.stopped = False
         starts = [self._carried_on(frame, states, before)] if before else self._first_starts(rays, heading)
         fixed = _Given(
             frame=frame,
-            previous=self.skeleton.pose(states[before[-1]][None]) if before else None,
+            previous=self.chain.pose(states[before[-1]][None]) if before else None,
             dt_s=(frame - before[-1]) / fps if before else 1.0 / fps,
             sigma_px=self._noise_px(starts[0]),
         )
@@ -278,7 +406,7 @@ class _FrameSolver:
         if before and not self._explained(fixed, best):
             tried += self._tried(self._more_starts(rays, heading, states[before[-1]]), fixed)
             best = self._best(fixed, tried)
-        return best.x, self._report(fixed, best, len(tried), began)
+        return best.x, *self._report(fixed, best, len(tried), began)
 
     # -- starts ---------------------------------------------------------------------------------------------------
 
@@ -286,13 +414,13 @@ class _FrameSolver:
         """The mean pose along the direction of travel, and turned half a radian to either side of it."""
         across = np.cross(self.camera.up, heading)
         return [
-            geometric_start(self.camera, self.skeleton, rays, np.cos(turn) * heading + np.sin(turn) * across)
+            geometric_start(self.camera, self.chain, rays, np.cos(turn) * heading + np.sin(turn) * across)
             for turn in (0.0, 0.5, -0.5)
         ]
 
     def _carried_on(self, frame: int, states: Array, before: Sequence[int]) -> Array:
         """The state before, its root moved on along its path. The place R p0 is moved, never p0: R turns it."""
-        last = self.skeleton.pose(states[before])
+        last = self.chain.pose(states[before])
         place = last.joints_m[-1, 0]
         if len(before) == 2:
             place = place + (place - last.joints_m[0, 0]) * (frame - before[1]) / (before[1] - before[0])
@@ -300,15 +428,15 @@ class _FrameSolver:
 
     def _more_starts(self, rays: Array, heading: Array, last: Array) -> list[Array]:
         """The mean pose along the direction of travel, and the last pose where the rays put that."""
-        mean = geometric_start(self.camera, self.skeleton, rays, heading)
+        mean = geometric_start(self.camera, self.chain, rays, heading)
         if self.options.camera_rotation == "fixed":
-            mean[self.skeleton.euler_slice] = last[self.skeleton.euler_slice]
-        place = self.skeleton.pose(mean[None]).joints_m[0, 0]
+            mean[self.chain.euler_slice] = last[self.chain.euler_slice]
+        place = self.chain.pose(mean[None]).joints_m[0, 0]
         return [mean, self._placed(last, place)]
 
     def _placed(self, state: Array, place_m: Array) -> Array:
         moved = state.copy()
-        moved[self.skeleton.place_slice] = self.skeleton.pose(state[None]).rotation[0].T @ place_m
+        moved[self.chain.place_slice] = self.chain.pose(state[None]).rotation[0].T @ place_m
         return moved
 
     # -- one optimisation -----------------------------------------------------------------------------------------
@@ -342,9 +470,9 @@ class _FrameSolver:
 
     def _minimise(self, start: Array, fixed: _Given, tolerance: float) -> _Candidate:
         terms = self._terms(fixed)
-        free = np.ones(self.skeleton.n_state, dtype=bool)
+        free = np.ones(self.chain.n_state, dtype=bool)
         if self.options.camera_rotation == "fixed" and fixed.previous is not None:
-            free[self.skeleton.euler_slice] = False
+            free[self.chain.euler_slice] = False
         x = start.copy()
         last: dict[str, Array] = {}
         steps: list[Array] = []
@@ -352,7 +480,7 @@ class _FrameSolver:
         def residual(y: Array) -> Array:
             x[free] = y
             last["y"] = y.copy()
-            last["r"], last["J"] = evaluate(terms, self.skeleton, fixed.frame, x, fixed.previous, fixed.dt_s)
+            last["r"], last["J"] = evaluate(terms, self.chain, fixed.frame, x, fixed.previous, fixed.dt_s)
             return last["r"]
 
         def jacobian(y: Array) -> Array:
@@ -386,8 +514,8 @@ class _FrameSolver:
     def _noise_px(self, start: Array) -> float:
         """Standard deviation of a detection: the detector's noise and, at a start's distance, the keypoints'."""
         o = self.options
-        depth = max(float(self.skeleton.pose(start[None]).joints_m[0, :, 2].mean()), 0.1)
-        keypoint_m = self.skeleton.scales.keypoint_m if o.keypoint_sigma_m is None else o.keypoint_sigma_m
+        depth = max(float(self.chain.pose(start[None]).joints_m[0, :, 2].mean()), 0.1)
+        keypoint_m = self.chain.scales.keypoint_m if o.keypoint_sigma_m is None else o.keypoint_sigma_m
         return float(np.hypot(o.sigma_px, min(keypoint_m * self.focal_px / depth, o.keypoint_sigma_max_px)))
 
     def _terms(self, fixed: _Given) -> tuple[Objective, ...]:
@@ -398,7 +526,7 @@ class _FrameSolver:
 
     def _distances_px(self, fixed: _Given, state: Array) -> Array:
         """(n,) from the frame's detections to the state's reprojections, infinite where a joint cannot be projected."""
-        pixels, valid = self.camera.project(self.skeleton.pose(state[None]).joints_m[0])
+        pixels, valid = self.camera.project(self.chain.pose(state[None]).joints_m[0])
         detected = self.reprojection.xy_px[fixed.frame]
         off = np.where(valid, np.linalg.norm(pixels - detected, axis=1), np.inf)
         return off[np.isfinite(detected[:, 0])]
@@ -410,11 +538,11 @@ class _FrameSolver:
     def _in_view(self, fixed: _Given, state: Array) -> bool:
         """Whether every detected joint can be projected, and the animal has a size (MOST_SIZE) and is near enough to be
         seen (MIN_REACH_PX)."""
-        base, nominal = float(state[self.skeleton.base_index]), self.skeleton.nominal_base_length_m
+        base, nominal = float(state[self.chain.base_index]), self.chain.nominal_base_length_m
         if not nominal / MOST_SIZE < base < nominal * MOST_SIZE:
             return False
-        depth = float(np.median(self.skeleton.pose(state[None]).joints_m[0, :, 2]))
-        seen = float(self.skeleton.length_ratios.sum()) * base * self.focal_px > MIN_REACH_PX * depth
+        depth = float(np.median(self.chain.pose(state[None]).joints_m[0, :, 2]))
+        seen = float(self.chain.length_ratios.sum()) * base * self.focal_px > MIN_REACH_PX * depth
         return seen and bool(np.all(np.isfinite(self._distances_px(fixed, state))))
 
     def _explained(self, fixed: _Given, candidate: _Candidate) -> bool:
@@ -424,9 +552,9 @@ class _FrameSolver:
 
     # -- report ---------------------------------------------------------------------------------------------------
 
-    def _report(self, fixed: _Given, best: _Candidate, starts: int, began: float) -> FrameReport:
+    def _report(self, fixed: _Given, best: _Candidate, starts: int, began: float) -> tuple[Array, FrameReport]:
         result, terms = best.result, self._terms(fixed)
-        now = self.skeleton.pose_with_jacobian(best.x[None])
+        now = self.chain.pose_with_jacobian(best.x[None])
         assert now.joints_jacobian is not None
         frames, dt = np.array([fixed.frame]), np.array([fixed.dt_s])
         parts = [term.evaluate(window_of(term, (fixed.previous, now)), frames, dt) for term in terms]
@@ -436,10 +564,9 @@ class _FrameSolver:
         r = np.concatenate([r[0] for r, _ in parts])
         in_view = self._in_view(fixed, best.x)
         C = posterior_covariance(J) if in_view else np.full((len(best.x), len(best.x)), np.nan)
-        data_share, joint_share, joint_sigma = precision_shares(C, parts[0][1][0, :, -1], now.joints_jacobian[0])
-        place_sigma, relative_rms = place_and_shape(C, now.joints_jacobian[0], now.joints_m[0])
+        data_share, joint_share = precision_shares(C, parts[0][1][0, :, -1], now.joints_jacobian[0])
         far = self._distances_px(fixed, best.x) / fixed.sigma_px
-        return FrameReport(
+        return C, FrameReport(
             status="converged" if result.status in CONVERGED and in_view else "not_converged",
             starts=starts,
             iterations=best.jacobian_evaluations,
@@ -460,10 +587,7 @@ class _FrameSolver:
             sigma_px=fixed.sigma_px,
             data_share=data_share,
             joint_data_share=joint_share,
-            joint_sigma_m=joint_sigma,
             mean_weight=float(np.mean((1.0 + (far / self.options.robust_c) ** 2) ** -2.0)) if in_view else np.nan,
-            place_sigma_m=place_sigma,
-            relative_rms_m=relative_rms,
             solve_s=time.perf_counter() - began,
             in_view=in_view,
             stopped=self.stopped,
@@ -477,13 +601,13 @@ def window_of(term: Objective, window: tuple[Posed | None, Posed]) -> tuple[Pose
 
 
 def evaluate(
-    terms: Sequence[Objective], skeleton: Skeleton, frame: int, x: Array, previous: Posed | None, dt_s: float
+    terms: Sequence[Objective], chain: Chain, frame: int, x: Array, previous: Posed | None, dt_s: float
 ) -> tuple[Array, Array]:
     """Stacked residuals (M,) of one frame and their Jacobian (M, D) with respect to its state x (D,).
 
     previous: the frame before, held fixed, dt_s earlier; None for terms that read this frame only.
     """
-    now = skeleton.pose_with_jacobian(x[None])
+    now = chain.pose_with_jacobian(x[None])
     frames, dt = np.array([frame]), np.array([dt_s])
     residuals, jacobians = [], []
     for term in terms:
@@ -504,27 +628,15 @@ def posterior_covariance(J: Array) -> Array:
     return (vectors / values) @ vectors.T / np.outer(scale, scale)
 
 
-def precision_shares(C: Array, J_data: Array, joints_jacobian: Array) -> tuple[Array, Array, Array]:
-    """What the pixels contribute: shares of the unknowns (D,), of the joints (J,), and the joints' sigmas (J, 3) in m.
+def precision_shares(C: Array, J_data: Array, joints_jacobian: Array) -> tuple[Array, Array]:
+    """What the pixels contribute: shares of the unknowns (D,) and of the joints (J,).
 
     With C^-1 = H_data + H_priors, C = C H_data C + C H_priors C splits every variance of the posterior covariance
     C (D, D) into two non-negative parts; the share is the first one's. J_data: the reprojection's rows of the Jacobian.
     joints_jacobian (J, 3, D). All NaN where C is.
     """
     from_data = C @ (J_data.T @ J_data) @ C
-    variance = np.einsum("jad,de,jae->ja", joints_jacobian, C, joints_jacobian)
-    data_variance = np.einsum("jad,de,jae->ja", joints_jacobian, from_data, joints_jacobian)
+    variance = np.einsum("jad,de,jae->j", joints_jacobian, C, joints_jacobian)
+    data_variance = np.einsum("jad,de,jae->j", joints_jacobian, from_data, joints_jacobian)
     share = np.diag(from_data) / np.diag(C)
-    joint_share = data_variance.sum(axis=1) / variance.sum(axis=1)
-    return np.clip(share, 0, 1), np.clip(joint_share, 0, 1), np.sqrt(variance)
-
-
-def place_and_shape(C: Array, joints_jacobian: Array, joints_m: Array) -> tuple[float, float]:
-    """Standard deviation of the mean of all joints along the line of sight, and of the joints relative to their mean,
-    root mean square; from the covariance C (D, D) of the state, joints_jacobian (J, 3, D), joints_m (J, 3)."""
-    mean = joints_jacobian.mean(axis=0)
-    middle = joints_m.mean(axis=0)
-    along = middle / np.linalg.norm(middle) @ mean
-    apart = joints_jacobian - mean
-    relative = np.einsum("jad,de,jae->j", apart, C, apart)
-    return float(np.sqrt(along @ C @ along)), float(np.sqrt(relative.mean()))
+    return np.clip(share, 0, 1), np.clip(data_variance / variance, 0, 1)

@@ -5,21 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from recon import initialise
-from recon.initialise import (
-    estimate_travel,
-    facing_side,
-    geometric_start,
-    mean_pose,
-    place_on_rays,
-    state_from_joints,
-    straight_runs,
-    upright_rotation,
-)
-from recon.skeleton_file import load_skeleton
+from recon import straight_runs as runs
+from recon.body import facing_side
+from recon.chain import upright_rotation
+from recon.published.starts import estimate_travel, geometric_start, mean_pose, state_from_joints
+from recon.skeleton_file import load_chain
+from recon.straight_runs import place_on_rays, straight_runs
 from recon.synthetic import gallop
 
-SK = load_skeleton("cheetah-8u")
+SK = load_chain("cheetah-8u")
 
 
 def near_detections(clip) -> np.ndarray:
@@ -35,8 +29,8 @@ def test_travel_and_side_of_a_gallop(direction, heading_rad: float):
     truth = (path[-1] - path[0]) / np.linalg.norm(path[-1] - path[0])
     assert np.degrees(np.arccos(travel.heading @ truth)).max() < 10
     assert travel.speed_m_s[0] == pytest.approx(np.linalg.norm(path[-1] - path[0]) / (29 / 30), rel=0.15)
-    ends = {"J0": near_detections(clip)[:, 0], "J1": near_detections(clip)[:, SK.joints.index("J1")]}
-    assert facing_side(SK, ends)[0] == direction == clip.side
+    rear, front = near_detections(clip)[:, 0], near_detections(clip)[:, SK.joints.index("J1")]
+    assert facing_side(rear, front)[0] == direction == clip.side
 
 
 def test_travel_without_data_is_not_moving():
@@ -100,4 +94,4 @@ def test_normal_equations_that_rounding_leaves_singular_are_solved():
     right = np.array([[[2.0], [4.0]], [[3.0], [3.0]]])
     with pytest.raises(np.linalg.LinAlgError):
         np.linalg.solve(matrix, right)
-    np.testing.assert_allclose(initialise._solved(matrix, right), [[[1.0], [1.0]], [[1.5], [1.5]]], rtol=1e-6)
+    np.testing.assert_allclose(runs._solved(matrix, right), [[[1.0], [1.0]], [[1.5], [1.5]]], rtol=1e-6)

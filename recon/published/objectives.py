@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recon.camera import Camera
-from recon.skeleton import AngleRanges, Posed
+from recon.chain import AngleRanges, Posed
 
 Array = NDArray[np.float64]
 Form = Literal["deadband", "printed"]

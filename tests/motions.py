@@ -1,0 +1,14 @@
+"""Motions changed for a test."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+from recon.motion import Motion
+
+
+def with_first(motion: Motion, **changes: Any) -> Motion:
+    """The same with these fields of its first source replaced."""
+    first, *others = motion.sources
+    return replace(motion, sources=(replace(first, **changes), *others))
