@@ -82,8 +82,7 @@ def read_clips(folder: Path) -> list[Clip]:
 
 
 def body_of() -> Body:
-    body = load_skeleton(SKELETON)
-    return body
+    return load_skeleton(SKELETON)
 
 
 # -- how the skeleton was measured ---------------------------------------------------------------------------------

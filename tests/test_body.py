@@ -33,8 +33,7 @@ LEGS_M = {
 
 @pytest.fixture(params=builtin_names())
 def body(request: pytest.FixtureRequest) -> Body:
-    skeleton = load_skeleton(request.param)
-    return skeleton
+    return load_skeleton(request.param)
 
 
 @pytest.fixture(params=builtin_chains())
@@ -43,8 +42,7 @@ def chain(request: pytest.FixtureRequest) -> Chain:
 
 
 def example_body() -> Body:
-    body = load_skeleton("cheetah-24")
-    return body
+    return load_skeleton("cheetah-24")
 
 
 def random_states(body: Body, n: int) -> np.ndarray:

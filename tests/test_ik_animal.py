@@ -75,8 +75,7 @@ def test_chain_angles_leave_missing_frames_missing():
 
 
 def cheetah():
-    body = load_skeleton("cheetah-24")
-    return body
+    return load_skeleton("cheetah-24")
 
 
 def random_states(body, count=6, seed=0):

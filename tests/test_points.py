@@ -16,14 +16,12 @@ FAINT = 1e-6
 
 @pytest.fixture(params=builtin_names())
 def body(request: pytest.FixtureRequest) -> Body:
-    skeleton = load_skeleton(request.param)
-    return skeleton
+    return load_skeleton(request.param)
 
 
 @pytest.fixture
 def cheetah() -> Body:
-    body = load_skeleton("cheetah-24")
-    return body
+    return load_skeleton("cheetah-24")
 
 
 def random_states(body: Body, n: int) -> np.ndarray:

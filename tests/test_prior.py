@@ -42,8 +42,7 @@ SPREAD_RAD = 0.3
 
 
 def cheetah(subject: str | None = None) -> Body:
-    body = load_skeleton("cheetah-24", subject)
-    return body
+    return load_skeleton("cheetah-24", subject)
 
 
 def swinging(body: Body, n: int, frames: int, fps: float, seed: int = 0) -> list[tuple[str, np.ndarray, float]]:

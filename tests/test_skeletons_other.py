@@ -70,8 +70,7 @@ RIGID_M = {
 
 
 def body_of(name: str | Path) -> Body:
-    body = load_skeleton(name)
-    return body
+    return load_skeleton(name)
 
 
 def expected_points(body: Body) -> dict[str, np.ndarray]:

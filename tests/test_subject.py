@@ -23,8 +23,7 @@ KNOWN = {"l_fore_lower": 0.08, "l_hind_foot": -0.06}
 
 
 def body() -> Body:
-    found = load_skeleton("cheetah-24", "phantom")
-    return found
+    return load_skeleton("cheetah-24", "phantom")
 
 
 def test_derivatives_are_exact():
