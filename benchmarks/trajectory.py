@@ -37,7 +37,8 @@ from recon.analysis.kinematics import Errors, series_kinematics
 from recon.app.clip import arrange
 from recon.app.prior import run_prior_fit
 from recon.body import other_side
-from recon.clip import still_view
+from recon.clip import View, still_view
+from recon.frames import inverse, moved, rigid
 from recon.keypoints import clean
 from recon.prior import MotionPrior, as_one_gaussian, load_prior
 from recon.skeleton_file import load_chain
@@ -651,9 +652,10 @@ def times(runs: Sequence[Path]) -> dict[str, Rows]:
 # -- simulated clips ------------------------------------------------------------------------------------------------
 
 
-def circling(T: int, fps: float = FPS) -> tuple[np.ndarray, np.ndarray]:
-    """Detections (T, J, 2) of an animal that runs in a circle, 6 m around, 10 to 22 m away, 3 px of noise, 5 % missing;
-    its joints (T, J, 3), camera frame. Three strides a second along the prior's two widest directions."""
+def circling(T: int, cameras: int = 1, fps: float = FPS) -> tuple[list[View], np.ndarray]:
+    """Views of an animal that runs in a circle, 6 m around, 10 to 22 m away, 3 px of noise, 5 % missing; its joints
+    (T, J, 3), world frame. Three strides a second along the prior's two widest directions. The second camera stands as
+    far from the middle, a quarter of a circle on."""
     body, prior, rng = body_of("phantom"), prior_of(PRIOR), np.random.default_rng(0)
     values, vectors = np.linalg.eigh(prior.covariance)
     t = np.arange(T) / fps
@@ -666,31 +668,37 @@ def circling(T: int, fps: float = FPS) -> tuple[np.ndarray, np.ndarray]:
     )
     states[:, 0], states[:, 1], states[:, 2] = 6 * np.cos(round_rad), 16 + 6 * np.sin(round_rad), -0.3
     states[:, 3] = round_rad + np.pi / 2
-    joints_m = body.tree.pose(states).points_m @ CAMERA_FROM_LEVEL.T
-    xy_px = SIMULATED_CAMERA.project(joints_m)[0] + 3.0 * rng.normal(size=(*joints_m.shape[:2], 2))
-    xy_px[rng.random(joints_m.shape[:2]) < 0.05] = np.nan
-    return xy_px, joints_m
+    joints_m = body.tree.pose(states).points_m
+    views = []
+    for turn in np.pi / 2 * np.arange(cameras):
+        # The world turned about the circle's middle, which is where the camera looks.
+        about = np.array([[np.cos(turn), np.sin(turn), 0.0], [-np.sin(turn), np.cos(turn), 0.0], [0.0, 0.0, 1.0]])
+        middle = np.array([0.0, 16.0, 0.0])
+        pose = rigid(CAMERA_FROM_LEVEL, np.zeros(3)) @ rigid(about, middle - about @ middle)
+        xy_px = SIMULATED_CAMERA.project(moved(pose, joints_m))[0] + 3.0 * rng.normal(size=(*joints_m.shape[:2], 2))
+        xy_px[rng.random(joints_m.shape[:2]) < 0.05] = np.nan
+        views.append(View(SIMULATED_CAMERA, pose, xy_px, np.isfinite(xy_px[..., 0]).astype(float)))
+    return views, joints_m
 
 
-def solved(xy_px: np.ndarray) -> TrajectorySolution:
-    confidence = np.isfinite(xy_px[..., 0]).astype(float)
-    view = still_view(SIMULATED_CAMERA, xy_px, confidence)
-    return solve_trajectory([view], body_of("phantom"), prior_of(PRIOR), FPS)
+def solved(views: Sequence[View]) -> TrajectorySolution:
+    return solve_trajectory(views, body_of("phantom"), prior_of(PRIOR), FPS)
 
 
 def errors_mm(solution: TrajectorySolution, joints_m: np.ndarray) -> np.ndarray:
     """(T,)"""
-    return 1000 * score(joint_errors(centre(solution.joints_camera_m, joints_m), joints_m)).per_frame
+    return 1000 * score(joint_errors(centre(solution.joints_m, joints_m), joints_m)).per_frame
 
 
-def scaling_row(T: int) -> dict:
-    xy_px, joints_m = circling(T)
+def scaling_row(T: int, cameras: int) -> dict:
+    views, joints_m = circling(T, cameras)
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     start = time.perf_counter()
-    solution = solved(xy_px)
+    solution = solved(views)
     seconds = time.perf_counter() - start
     return {
         "frames": T,
+        "cameras": cameras,
         "seconds": seconds,
         "ms a frame": 1000 * seconds / T,
         "peak memory MB": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
@@ -704,33 +712,34 @@ def scaling_row(T: int) -> dict:
 
 def scaling() -> dict[str, Rows]:
     rows = []
-    for T in (100, 1000, 10000):  # a process each: the peak of memory is a process's
-        with multiprocessing.get_context("spawn").Pool(1) as pool:
-            rows.append(pool.apply(scaling_row, (T,)))
+    for cameras in (1, 2):
+        for T in (100, 1000, 10000):  # a process each: the peak of memory is a process's
+            with multiprocessing.get_context("spawn").Pool(1) as pool:
+                rows.append(pool.apply(scaling_row, (T, cameras)))
     return {"scaling: a simulated animal runs in circles": rows}
 
 
 def long_hole() -> dict[str, Rows]:
     """200 frames, of which 40 in a row have no detections."""
     rows, hole, scored = [], slice(80, 120), np.r_[0:80, 120:200]
-    xy_px, joints_m = circling(200)
+    (circle,), joints_m = circling(200)
     clip, chain = gallop(fps=200.0, n_frames=200), load_chain("cheetah-8u")
     columns = [clip.keypoints.names.index(name) for name in chain.keypoint_names(clip.side)]
-    gallop_m = clip.camera.world_to_camera(clip.truth_m[:, columns])
     gallop_px = clip.keypoints.xy_px[:, columns] + 2.0 * np.random.default_rng(0).normal(size=(200, len(columns), 2))
+    galloping = still_view(clip.camera, gallop_px, np.isfinite(gallop_px[..., 0]).astype(float))
+    gallop_m = moved(inverse(galloping.T_camera_world), clip.camera.world_to_camera(clip.truth_m[:, columns]))
 
-    def chain_solved(xy_px: np.ndarray) -> TrajectorySolution:
-        confidence, prior = np.isfinite(xy_px[..., 0]).astype(float), load_prior("none", chain.body)
-        return solve_trajectory([still_view(clip.camera, xy_px, confidence)], chain.body, prior, 200.0)
+    def chain_solved(views: Sequence[View]) -> TrajectorySolution:
+        return solve_trajectory(views, chain.body, load_prior("none", chain.body), 200.0)
 
-    for label, solve, seen_px, truth_m in (
-        ("whole animal in a circle, 90 Hz", solved, xy_px, joints_m),
-        ("the chain's gallop, 200 Hz", chain_solved, gallop_px, gallop_m),
+    for label, solve, seen, truth_m in (
+        ("whole animal in a circle, 90 Hz", solved, circle, joints_m),
+        ("the chain's gallop, 200 Hz", chain_solved, galloping, gallop_m),
     ):
-        before = errors_mm(solve(seen_px), truth_m)
-        missing_px = seen_px.copy()
+        before = errors_mm(solve([seen]), truth_m)
+        missing_px = seen.xy_px.copy()
         missing_px[hole] = np.nan
-        solution = solve(missing_px)
+        solution = solve([replace(seen, xy_px=missing_px)])
         after = errors_mm(solution, truth_m)
         rows.append(
             {
