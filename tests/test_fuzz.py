@@ -70,18 +70,19 @@ def setting_cases(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable
 
 @pytest.mark.parametrize("first", range(0, 750, PART))
 def test_spoilt_clips_and_poses_are_read_or_refused(first: int, format_cases) -> None:
-    check(format_cases(first))
+    check(format_cases(first), 40)
 
 
 @pytest.mark.parametrize("first", range(0, 1250, PART))
 def test_other_spoilt_files_are_read_or_refused(first: int, setting_cases) -> None:
-    check(setting_cases(first))
+    check(setting_cases(first), 15)
 
 
-def check(tally: Tally) -> None:
+def check(tally: Tally, least: int) -> None:
+    """least: how many are read, as not all are spoilt beyond recognition; in all parts together, more than a tenth."""
     assert tally.causes == {}
     assert tally.done == tally.read + tally.refused == PART
-    assert tally.read > PART / 10  # not all are spoilt beyond recognition
+    assert tally.read > least
 
 
 FEW_KINDS = """
