@@ -1,8 +1,8 @@
 """What a fit wrote into a folder, read back for what comes after: analysis, inverse kinematics, pictures.
 
 Everything stands in the upright frame, metres, z up: the world frame where that is known to have z up, otherwise the
-level frame (docs/report.md). The files read are report.json, pose3d.csv, angles.csv and pose3d_sigma.csv,
-all as one run of `recon fit` wrote them: manifest.json says which that are.
+level frame (docs/report.md). The files read are report.json, pose3d.csv, angles.csv, pose3d_sigma.csv and
+angles_sigma.csv, all as one run of `recon fit` wrote them: manifest.json says which that are.
 """
 
 from __future__ import annotations
@@ -32,7 +32,10 @@ Array = NDArray[np.float64]
 SCHEMA_NAME, SCHEMA_VERSION = "recon.fit.report", 3
 """Of report.json."""
 REPORT, TABLES, SIGMAS = "report.json", ("pose3d.csv", "angles.csv"), "pose3d_sigma.csv"
+ANGLE_SIGMAS = "angles_sigma.csv"
 """What is read."""
+MEASURED_SHARE = 0.5
+"""A quantity with less of its precision from the pixels is not called measured."""
 
 LARGEST = 1e12
 """Of a number in a table: more can only be damage."""
@@ -44,7 +47,8 @@ class Results:
 
     pose: in the upright frame. states (T, D): the rows of angles.csv, in the units and the frame that it has. sigma_m,
     relative_sigma_m (T, J, 3): one standard deviation along the upright frame's axes, of the joints' positions and of
-    those relative to the mean of all joints. cameras: as they were for the fit.
+    those relative to the mean of all joints. angle_sigma_rad, angle_data_share (T, A): one standard deviation of the
+    angles, and the part of their precision that comes from the pixels. cameras: as they were for the fit.
     manifest: of the run, for those who read more of its files.
     """
 
@@ -58,6 +62,8 @@ class Results:
     states: Array
     sigma_m: Array
     relative_sigma_m: Array
+    angle_sigma_rad: Array
+    angle_data_share: Array
 
     @property
     def camera(self) -> Camera:
@@ -161,6 +167,15 @@ class Results:
         return self.states[:, 4:]
 
     @cached_property
+    def data_shares(self) -> dict[str, float]:
+        """Of every angle the part of its precision that comes from the pixels, the median over the frames; NaN where it
+        is not known."""
+        known = np.isfinite(self.angle_data_share).any(axis=0)
+        shares = np.full(len(self.angle_names), np.nan)
+        shares[known] = np.nanmedian(self.angle_data_share[:, known], axis=0)
+        return dict(zip(self.angle_names, shares.tolist(), strict=True))
+
+    @cached_property
     def size(self) -> float:
         """The factor on the body's lengths; of the frame method, which has one for each frame, their median."""
         return float(self.report["size"]["factor"])
@@ -190,6 +205,7 @@ def read_results(folder: str | Path) -> Results:
     is_upright = camera.knows_up or _track(report, 0) is not None
     R = np.eye(3) if is_upright else _level_from_reference(camera)
     sigma, relative = _sigmas(folder / SIGMAS, pose, R)
+    angle_sigma, angle_share = _angle_sigmas(folder / ANGLE_SIGMAS, states, report["skeleton"]["state_names"])
     manifest.require_same()
     return Results(
         folder=folder,
@@ -202,6 +218,8 @@ def read_results(folder: str | Path) -> Results:
         states=states,
         sigma_m=sigma,
         relative_sigma_m=relative,
+        angle_sigma_rad=angle_sigma,
+        angle_data_share=angle_share,
     )
 
 
@@ -211,7 +229,7 @@ def _manifest(folder: Path) -> Manifest:
         found = f"no {REPORT}" if folder.is_dir() else "no such folder"
         raise InputError(Problem(folder, "folder", found, "results that `recon fit` wrote"))
     manifest = read_manifest(folder)
-    manifest.require(REPORT, *TABLES, SIGMAS)
+    manifest.require(REPORT, *TABLES, SIGMAS, ANGLE_SIGMAS)
     return manifest
 
 
@@ -258,6 +276,15 @@ def _sigmas(path: Path, pose: Pose3D, R: Array) -> tuple[Array, Array]:
         raise InputError(Problem(path, "rows", str(len(values)), f"{len(pose.frames)}, as in pose3d.csv"))
     turned = np.sqrt(values.reshape(*pose.xyz_m.shape[:2], 2, 3) ** 2 @ (R**2).T)
     return turned[:, :, 0], turned[:, :, 1]
+
+
+def _angle_sigmas(path: Path, states: Array, state_names: list[str]) -> tuple[Array, Array]:
+    """Standard deviations and shares (T, A) of the angles without the root's yaw, for states (T, D)."""
+    names = state_names[3:]
+    values = _table(path, 1, [f"{name}_{what}" for what in ("sigma_rad", "data_share") for name in names])
+    if len(values) != len(states):
+        raise InputError(Problem(path, "rows", str(len(values)), f"{len(states)}, as in angles.csv"))
+    return values[:, 1 : len(names)], values[:, len(names) + 1 :]
 
 
 def _table(path: Path, header_rows: int, columns: list[Any]) -> Array:

@@ -220,6 +220,8 @@ def small_trajectory() -> Motion:
         joints_m=joints,
         covariance_m2=relative + np.diag([0.05, 0.3, 0.05]) ** 2,
         relative_covariance_m2=relative,
+        angle_sigma_rad=np.full((8, body.n_state - 3), 0.1),
+        angle_data_share=np.full((8, body.n_state - 3), 0.6),
         data_share=np.linspace(0.5, 0.9, 24),
         noise_px=np.full((1, 8, 24), 10.0),
         weight=weight[None],

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -10,6 +12,7 @@ from recon.export import (
     CAMERA_OUTPUTS,
     CLIP_OUTPUTS,
     angles_csv,
+    angles_sigma_csv,
     camera_files,
     of_any_camera,
     pose3d_csv,
@@ -83,6 +86,17 @@ def test_pose3d_sigma_has_the_layout_of_pose3d(world_trajectory, tmp_path):
     values = np.concatenate((world_trajectory.joint_sigma_m, world_trajectory.relative_sigma_m), axis=2)
     np.testing.assert_array_equal(table.to_numpy().reshape(8, 24, 6), values)
     np.testing.assert_array_equal(table.index, world_trajectory.frames)
+
+
+def test_angles_sigma_has_the_columns_of_the_angles(world_trajectory, tmp_path):
+    solution, (T, A) = world_trajectory.solution, world_trajectory.angles_rad.shape
+    share = np.linspace(0, 1, T * A).reshape(T, A)
+    motion = replace(world_trajectory, solution=replace(solution, angle_data_share=share))
+    angles_sigma_csv.write(motion, tmp_path / "angles_sigma.csv")
+    table = pd.read_csv(tmp_path / "angles_sigma.csv", index_col="frame")
+    np.testing.assert_array_equal(table["rear_trunk_pitch_data_share"], share[:, 1])
+    np.testing.assert_array_equal(table["r_hind_foot_pitch_sigma_rad"], 0.1)
+    assert table.shape == (T, 2 * A)
 
 
 def test_quality_names_what_is_doubtful(small_trajectory, tmp_path):

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from recon.clip import still_view
+from recon.frames import inverse
 from recon.published import FrameOptions, frame, solve_frames, solve_joints
 from recon.published.frame import CONVERGED, evaluate, posterior_covariance, precision_shares
 from recon.published.objectives import JointPositions, Reprojection
@@ -266,6 +267,23 @@ def test_covariance_of_the_joints_done_by_hand():
         (per_base - per_base.mean(axis=0), found.relative_covariance_m2[1]),
     ):
         np.testing.assert_allclose(covariance, 0.01**2 * points[:, :, None] * points[:, None, :], atol=1e-15)
+
+
+def test_deviations_of_the_angles_done_by_hand():
+    """The links' angles have the chain's; the root's rotation follows the Euler angles."""
+    view = still_view(gallop(n_frames=2).camera, np.zeros((1, 9, 2)), np.ones((1, 9)))
+    rng = np.random.default_rng(0)
+    state, root = mean_pose(SK)[None], rng.normal(0, 0.01, (SK.n_state, SK.n_state))
+    C, travel = (root @ root.T)[None], Travel(np.zeros((1, 3)), np.zeros(1))
+    found = frame.in_world(view, SK, state, C, (None,), travel, (), 30.0)
+    sigma = dict(zip(SK.body.state_names[3:], found.angle_sigma_rad[0], strict=True))
+    for name, own in zip(SK.angle_names, np.sqrt(np.diagonal(C[0])), strict=False):
+        assert sigma[name] == own
+    # Turned by small Euler angles drawn from their covariance.
+    drawn = np.tile(state, (4000, 1))
+    drawn[:, SK.euler_slice] += rng.multivariate_normal(np.zeros(3), C[0, SK.euler_slice, SK.euler_slice], 4000)
+    turned = SK.to_body(drawn, inverse(view.T_camera_world))[0][:, 3:6]
+    np.testing.assert_allclose(found.angle_sigma_rad[0, :3], turned.std(axis=0), rtol=0.04)
 
 
 def test_what_a_clip_may_take_is_bounded(monkeypatch):

@@ -31,6 +31,8 @@ def chain_trajectory(of: Motion, small_motion: Motion) -> Motion:
         "joints_m": body.tree.pose(states, 1.1).points_m,
         "covariance_m2": np.tile(np.eye(3), (T, 9, 1, 1)),
         "relative_covariance_m2": np.tile(np.eye(3), (T, 9, 1, 1)),
+        "angle_sigma_rad": np.full((T, body.n_state - 3), 0.1),
+        "angle_data_share": np.ones((T, body.n_state - 3)),
         "data_share": np.ones(9),
         "views": (of.solution.views[0].part(slice(0, T)),),
         "noise_px": np.full((1, T, 9), 5.0),

@@ -35,6 +35,17 @@ def test_a_world_with_z_up_stays_as_it_is(whole_results):
     np.testing.assert_allclose(found.relative_sigma_m[:, 3], table["neck_base"][["x_rel", "y_rel", "z_rel"]])
 
 
+def test_shares_and_deviations_belong_to_their_angles(whole_results):
+    found = read_results(whole_results)
+    table, report = pd.read_csv(whole_results / "angles_sigma.csv"), found.report["angles"]
+    i = found.angle_names.index("head_yaw")
+    np.testing.assert_array_equal(found.angle_sigma_rad[:, i], table["head_yaw_sigma_rad"])
+    np.testing.assert_array_equal(found.angle_data_share[:, i], table["head_yaw_data_share"])
+    assert [*report] == [*found.state_names[3:]]
+    for name, share in found.data_shares.items():
+        assert report[name]["data_share"] == pytest.approx(share, rel=1e-8)
+
+
 @pytest.mark.parametrize("results", ["whole_results", "level_results"])
 def test_states_and_size_give_the_joints(results, request):
     """Also where the fit's frame of reference is the camera's: the states are upright."""
@@ -166,6 +177,8 @@ def test_a_first_frame_without_a_pose(tmp_path, whole_results):
         ("angles.csv", lambda text: text.replace("0.", "0,", 1), "angles.csv: "),
         ("pose3d_sigma.csv", lambda text: "\n".join(text.splitlines()[:-1]) + "\n", "found 59, expected 60"),
         ("pose3d_sigma.csv", lambda text: text.replace("z_rel", "z_abs"), "pose3d_sigma.csv: columns"),
+        ("angles_sigma.csv", lambda text: "\n".join(text.splitlines()[:-1]) + "\n", "59, expected 60"),
+        ("angles_sigma.csv", lambda text: text.replace("head_yaw", "neck_yaw"), "angles_sigma.csv: columns"),
     ],
 )
 def test_files_that_do_not_fit_together(tmp_path, whole_results, name, change, said):

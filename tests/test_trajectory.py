@@ -111,6 +111,15 @@ def test_depth_is_less_certain_than_the_picture():
     assert away > 4 * up
 
 
+def test_a_side_view_shows_pitch_and_hardly_roll():
+    """The pixels' share of each angle, and what they leave of its deviation."""
+    solution = plain()
+    share = dict(zip(BODY.state_names[3:], np.median(solution.angle_data_share, axis=0), strict=True))
+    assert min(share[f"{side}_{part}_pitch"] for side in "lr" for part in ("fore_upper", "hind_thigh")) > 0.6
+    assert max(share["head_roll"], share["tail_2_yaw"]) < 0.3
+    assert ((solution.angle_data_share >= 0) & (solution.angle_data_share <= 1)).all()
+
+
 def test_bridges_a_hole_with_growing_uncertainty():
     """Ten frames of nothing: flagged, less certain in their middle, and the rest is as good as before."""
     truth = run()

@@ -9,7 +9,7 @@ import re
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from recon.export import angles_csv, pose3d_csv, pose3d_sigma_csv, quality_csv, reprojection_csv
+from recon.export import angles_csv, angles_sigma_csv, pose3d_csv, pose3d_sigma_csv, quality_csv, reprojection_csv
 from recon.motion import Motion
 
 CLIP_OUTPUTS: dict[str, Callable[[Motion, Path], None]] = {
@@ -17,6 +17,7 @@ CLIP_OUTPUTS: dict[str, Callable[[Motion, Path], None]] = {
     "angles.csv": angles_csv.write,
     "quality.csv": quality_csv.write,
     "pose3d_sigma.csv": pose3d_sigma_csv.write,
+    "angles_sigma.csv": angles_sigma_csv.write,
 }
 """The tables that every clip gets, by file name."""
 

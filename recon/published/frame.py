@@ -9,7 +9,7 @@ whose solution leaves points unexplained get further starts, and the lowest cost
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, ClassVar, Literal
@@ -21,6 +21,7 @@ from recon.camera import Camera
 from recon.chain import MIN_JOINTS, MIN_REACH_PX, Chain, Posed
 from recon.clip import View
 from recon.frames import inverse, moved
+from recon.kinematics import ROLL, YAW
 from recon.published.objectives import (
     AnglePrior,
     AngleRange,
@@ -204,10 +205,7 @@ def solve_frames(
     """
     view = view.credible()
     camera, xy_px = view.camera, view.xy_px
-    expected = replace(chain, nominal_base_length_m=base_length(chain, options)[0])
-    travel = estimate_travel(camera, expected, xy_px, fps)
-    objectives = frame_objectives(camera, expected, xy_px, view.confidence, travel, options)
-    solver = _FrameSolver(camera, expected, objectives, options)
+    solver, travel = _solver(view, chain, fps, options)
     rays, _ = camera.rays(xy_px)
     seen = np.isfinite(rays[..., 0]).sum(axis=1)
 
@@ -225,8 +223,31 @@ def solve_frames(
         if report.in_view:  # a pose that ran away is no start for the next frame
             states[frame], covariance[frame] = state, C
             before = [*before[-1:], frame]
-    names = tuple(term.name for term in objectives)
+    names = tuple(term.name for term in solver.objectives)
     return in_world(view, chain, states, covariance, tuple(reports), travel, names, fps)
+
+
+def frame_rows(
+    view: View, chain: Chain, fps: float, options: FrameOptions, states: Array, sigma_px: Array
+) -> Iterator[tuple[int, dict[str, tuple[Array, Array]]]]:
+    """Of every frame with a pose, its row, and by term what was solved there: residuals (M,) and their Jacobian (M, D)
+    by the frame's unknowns, the frame before being held. As given to `solve_frames`, and as it found them: states
+    (T, D), NaN without a pose, and sigma_px (T,)."""
+    solver, _ = _solver(view.credible(), chain, fps, options)
+    solved = np.flatnonzero(np.isfinite(states[:, 0]))
+    for frame, before in zip(solved.tolist(), [None, *solved.tolist()], strict=False):
+        given = solver.given(frame, states, before, fps, float(sigma_px[frame]))
+        terms = solver.terms(given)
+        parts = by_term(terms, solver.chain, frame, states[frame], given.previous, given.dt_s)
+        yield frame, {term.name: part for term, part in zip(terms, parts, strict=True)}
+
+
+def _solver(view: View, chain: Chain, fps: float, options: FrameOptions) -> tuple[_FrameSolver, Travel]:
+    """Of what a still camera saw, as far as it is credible."""
+    expected = replace(chain, nominal_base_length_m=base_length(chain, options)[0])
+    travel = estimate_travel(view.camera, expected, view.xy_px, fps)
+    objectives = frame_objectives(view.camera, expected, view.xy_px, view.confidence, travel, options)
+    return _FrameSolver(view.camera, expected, objectives, options), travel
 
 
 def in_world(
@@ -245,12 +266,19 @@ def in_world(
     T_world_camera = inverse(view.T_camera_world)
     body_states, joints_m = np.full((T, chain.body.n_state), np.nan), np.full((T, J, 3), np.nan)
     absolute, relative = np.full((2, T, J, 3, 3), np.nan)
+    angle_sigma, angle_share = np.full((2, T, chain.body.n_state - 3), np.nan)
     size = 1.0
     if len(solved):
         posed = chain.pose_with_jacobian(states[solved])
         assert posed.joints_jacobian is not None
         body_states[solved], sizes = chain.to_body(states[solved], T_world_camera)
         size = float(np.median(sizes))
+        shares = np.array(
+            [np.full(chain.n_state, np.nan) if (r := reports[t]) is None else r.data_share for t in solved]
+        )
+        angle_sigma[solved], angle_share[solved] = _of_angles(
+            chain, states[solved], covariance[solved], shares, T_world_camera
+        )
         joints_m[solved] = moved(T_world_camera, posed.joints_m)
         in_world = T_world_camera[:3, :3] @ posed.joints_jacobian
         for of_joints, jacobian in ((absolute, in_world), (relative, in_world - in_world.mean(axis=1, keepdims=True))):
@@ -266,6 +294,8 @@ def in_world(
         joints_m=joints_m,
         covariance_m2=absolute,
         relative_covariance_m2=relative,
+        angle_sigma_rad=angle_sigma,
+        angle_data_share=angle_share,
         noise_px=np.repeat(sigma_px[None, :, None], J, axis=2),
         weight=np.where(view.present, trusted[:, None], np.nan)[None],
         flags=_flags(view, chain, states, joints_m, reports, sigma_px, trusted, fps),
@@ -280,6 +310,29 @@ def in_world(
         objectives=objectives,
         fps=fps,
     )
+
+
+def _of_angles(
+    chain: Chain, states: Array, covariance: Array, shares: Array, T_world_camera: Array
+) -> tuple[Array, Array]:
+    """Standard deviations and the pixels' shares (N, D' - 3) of the body's angles, from the chain's states (N, D),
+    their covariance (N, D, D) and shares (N, D). The root's rotation follows the Euler angles: its shares are theirs,
+    weighted by what they contribute to its variance."""
+    euler, step, n = chain.euler_slice, 1e-6, 2 * chain.n_angles
+    turned = np.zeros((len(states), 3, 3))  # how yaw, pitch and roll follow the Euler angles
+    for k in range(3):
+        ends = [states.copy(), states.copy()]
+        ends[0][:, euler][:, k] -= step
+        ends[1][:, euler][:, k] += step
+        before, after = (chain.to_body(end, T_world_camera)[0][:, YAW : ROLL + 1] for end in ends)
+        turned[..., k] = (np.mod(after - before + np.pi, 2 * np.pi) - np.pi) / (2 * step)
+    own, variance = np.diagonal(covariance, axis1=1, axis2=2), np.empty((len(states), chain.body.n_state - 3))
+    share, angles = np.empty_like(variance), chain.body_angles - YAW
+    variance[:, angles], share[:, angles] = own[:, :n], shares[:, :n]
+    weight = turned**2 * own[:, None, euler]
+    variance[:, :3] = np.einsum("nik,nkl,nil->ni", turned, covariance[:, euler, euler], turned)
+    share[:, :3] = np.sum(weight * shares[:, None, euler], axis=2) / np.sum(weight, axis=2)
+    return np.sqrt(variance), share
 
 
 def _flags(
@@ -380,6 +433,7 @@ class _Given:
 class _FrameSolver:
     def __init__(self, camera: Camera, chain: Chain, objectives: Sequence[Objective], options: FrameOptions) -> None:
         self.camera, self.chain, self.options = camera, chain, options
+        self.objectives = objectives
         reprojection, *self.others = objectives
         assert isinstance(reprojection, Reprojection)
         self.reprojection = reprojection
@@ -395,18 +449,19 @@ class _FrameSolver:
         self.evaluations_left = max(self.evaluations_left + self.options.max_evaluations, 1)
         self.stopped = False
         starts = [self._carried_on(frame, states, before)] if before else self._first_starts(rays, heading)
-        fixed = _Given(
-            frame=frame,
-            previous=self.chain.pose(states[before[-1]][None]) if before else None,
-            dt_s=(frame - before[-1]) / fps if before else 1.0 / fps,
-            sigma_px=self._noise_px(starts[0]),
-        )
+        fixed = self.given(frame, states, before[-1] if before else None, fps, self._noise_px(starts[0]))
         tried = self._tried(starts, fixed)
         best = self._best(fixed, tried)
         if before and not self._explained(fixed, best):
             tried += self._tried(self._more_starts(rays, heading, states[before[-1]]), fixed)
             best = self._best(fixed, tried)
         return best.x, *self._report(fixed, best, len(tried), began)
+
+    def given(self, frame: int, states: Array, before: int | None, fps: float, sigma_px: float) -> _Given:
+        """before: the last solved frame, None at the start."""
+        if before is None:
+            return _Given(frame, None, 1.0 / fps, sigma_px)
+        return _Given(frame, self.chain.pose(states[before][None]), (frame - before) / fps, sigma_px)
 
     # -- starts ---------------------------------------------------------------------------------------------------
 
@@ -469,7 +524,7 @@ class _FrameSolver:
         return self._minimise(start, fixed, self.options.tolerance)
 
     def _minimise(self, start: Array, fixed: _Given, tolerance: float) -> _Candidate:
-        terms = self._terms(fixed)
+        terms = self.terms(fixed)
         free = np.ones(self.chain.n_state, dtype=bool)
         if self.options.camera_rotation == "fixed" and fixed.previous is not None:
             free[self.chain.euler_slice] = False
@@ -518,7 +573,7 @@ class _FrameSolver:
         keypoint_m = self.chain.scales.keypoint_m if o.keypoint_sigma_m is None else o.keypoint_sigma_m
         return float(np.hypot(o.sigma_px, min(keypoint_m * self.focal_px / depth, o.keypoint_sigma_max_px)))
 
-    def _terms(self, fixed: _Given) -> tuple[Objective, ...]:
+    def terms(self, fixed: _Given) -> tuple[Objective, ...]:
         """The objectives with this frame's noise; without a frame before, no ties to it."""
         sigma_px = np.broadcast_to(fixed.sigma_px, self.reprojection.sigma_px.shape)
         terms = (replace(self.reprojection, sigma_px=sigma_px), *self.others)
@@ -553,18 +608,17 @@ class _FrameSolver:
     # -- report ---------------------------------------------------------------------------------------------------
 
     def _report(self, fixed: _Given, best: _Candidate, starts: int, began: float) -> tuple[Array, FrameReport]:
-        result, terms = best.result, self._terms(fixed)
-        now = self.chain.pose_with_jacobian(best.x[None])
-        assert now.joints_jacobian is not None
-        frames, dt = np.array([fixed.frame]), np.array([fixed.dt_s])
-        parts = [term.evaluate(window_of(term, (fixed.previous, now)), frames, dt) for term in terms]
+        result, terms = best.result, self.terms(fixed)
+        parts = by_term(terms, self.chain, fixed.frame, best.x, fixed.previous, fixed.dt_s)
         costs = {term.name: float(np.sum(r**2)) for term, (r, _) in zip(terms, parts, strict=True)}
         total = sum(costs.values())
-        J = np.concatenate([j[0, :, -1] for _, j in parts])
-        r = np.concatenate([r[0] for r, _ in parts])
+        J = np.concatenate([j for _, j in parts])
+        r = np.concatenate([r for r, _ in parts])
         in_view = self._in_view(fixed, best.x)
         C = posterior_covariance(J) if in_view else np.full((len(best.x), len(best.x)), np.nan)
-        data_share, joint_share = precision_shares(C, parts[0][1][0, :, -1], now.joints_jacobian[0])
+        by_state = self.chain.pose_with_jacobian(best.x[None]).joints_jacobian
+        assert by_state is not None
+        data_share, joint_share = precision_shares(C, parts[0][1], by_state[0])
         far = self._distances_px(fixed, best.x) / fixed.sigma_px
         return C, FrameReport(
             status="converged" if result.status in CONVERGED and in_view else "not_converged",
@@ -607,14 +661,18 @@ def evaluate(
 
     previous: the frame before, held fixed, dt_s earlier; None for terms that read this frame only.
     """
+    residuals, jacobians = zip(*by_term(terms, chain, frame, x, previous, dt_s), strict=True)
+    return np.concatenate(residuals), np.concatenate(jacobians)
+
+
+def by_term(
+    terms: Sequence[Objective], chain: Chain, frame: int, x: Array, previous: Posed | None, dt_s: float
+) -> list[tuple[Array, Array]]:
+    """The same, one pair for each of the terms."""
     now = chain.pose_with_jacobian(x[None])
     frames, dt = np.array([frame]), np.array([dt_s])
-    residuals, jacobians = [], []
-    for term in terms:
-        r, J = term.evaluate(window_of(term, (previous, now)), frames, dt)
-        residuals.append(r[0])
-        jacobians.append(J[0, :, -1])
-    return np.concatenate(residuals), np.concatenate(jacobians)
+    found = (term.evaluate(window_of(term, (previous, now)), frames, dt) for term in terms)
+    return [(r[0], J[0, :, -1]) for r, J in found]
 
 
 def posterior_covariance(J: Array) -> Array:

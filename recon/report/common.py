@@ -14,13 +14,11 @@ from recon.keypoints import KeypointCounts
 from recon.motion import Motion
 from recon.published import FrameOptions
 from recon.report import cameras
-from recon.report.plain import Array, finite, mean, median
+from recon.report.plain import Array, by_name, finite, mean, median
 from recon.solve import TrajectoryOptions
 from recon.solve.result import OUTLIER_SIGMAS
 
 BEST_SHARE = 0.9
-MEASURED_SHARE = 0.5
-"""A quantity with less of its precision from the pixels is not called measured."""
 NAMED = 5
 """Keypoints are listed up to this number in the summary."""
 WARN_OUTLIERS = 0.05
@@ -96,6 +94,14 @@ def skeleton(motion: Motion) -> dict[str, Any]:
         "state_names": motion.state_names,
         "states_frame": motion.states_frame,
     }
+
+
+def angles(motion: Motion) -> dict[str, Any]:
+    """How much the pixels say of every angle, and how well it is known: medians over the frames."""
+    solution = motion.solution
+    known = zip(solution.angle_data_share.T, solution.angle_sigma_rad.T, strict=True)
+    rows = [{"data_share": median(share), "sigma_rad": median(sigma)} for share, sigma in known]
+    return by_name(motion.angle_names, rows)
 
 
 def counts(motion: Motion) -> dict[str, Any]:

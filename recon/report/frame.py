@@ -15,6 +15,7 @@ from recon.published import FrameOptions, FrameReport, FrameSolution, base_lengt
 from recon.published.frame import FEW_POINTS_SHARE
 from recon.report import common
 from recon.report.plain import Array, by_name, finite, frame_count, mean, median, number, spread
+from recon.results import MEASURED_SHARE
 
 WARN_FEW_POINTS, WARN_LIMITS = 0.2, 0.25
 """Shares of the frames from which the report warns."""
@@ -33,6 +34,7 @@ def sections(motion: Motion, settings: Mapping[str, Any]) -> dict[str, Any]:
         "size": {"factor": solution.size},
         "base_length_m": spread(solution.chain_states[:, solution.chain.base_index]),
         "data_share": _data_share(motion, solution),
+        "angles": common.angles(motion),
         "joint_sigma_m": _joint_sigma(motion, solution),
         "cost_shares": _cost_shares(solution),
         "limits": _limits(motion, solution),
@@ -53,7 +55,7 @@ def _assumptions(motion: Motion, solution: FrameSolution, settings: Mapping[str,
     """What the data does not say, in numbers and in sentences."""
     nominal, sigma = base_length(solution.chain, common.given_options(FrameOptions, settings))
     share = median(_stacked(solution, "data_share", solution.chain.n_state)[:, solution.chain.base_index])
-    measured = bool(share >= common.MEASURED_SHARE)
+    measured = bool(share >= MEASURED_SHARE)
     sentences = [
         f"The scale: the base length has a prior of {nominal:g} m with a standard deviation of {sigma:g} m. "
         + (

@@ -13,6 +13,7 @@ from recon.motion import Motion
 from recon.prior import NONE
 from recon.report import agreement, cameras, common
 from recon.report.plain import Array, by_name, finite, frame_count, mean, median, number
+from recon.results import MEASURED_SHARE
 from recon.solve import TrajectoryOptions
 from recon.solve.result import Spell, TrajectorySolution
 from recon.solve.trajectory import ALTERNATIVE_M
@@ -56,6 +57,7 @@ def sections(motion: Motion, settings: Mapping[str, Any]) -> dict[str, Any]:
         "heading": _heading(motion),
         "agreement": agreement.section(motion, settings),
         "uncertainty": _uncertainty(motion),
+        "angles": common.angles(motion),
         "frames": _frames(motion),
         **_tail(motion),
     }
@@ -289,9 +291,9 @@ def warnings(report: Mapping[str, Any]) -> Iterator[str]:
         yield f"few data: {frame_count(flags['data poor'])} of {solved} with few joints seen and trusted"
     yield from common.keypoint_warnings(report)
     share = report["prior"]["mean_data_share"]
-    if share is not None and share < common.MEASURED_SHARE:
+    if share is not None and share < MEASURED_SHARE:
         yield f"the poses come from what is expected for the most part: {share:.0%} of their precision is the pixels'"
-    if not size["measured"] and size["data_share"] < common.MEASURED_SHARE:
+    if not size["measured"] and size["data_share"] < MEASURED_SHARE:
         yield "scale not measured: it comes from the expected size of the animal"
     yield from common.camera_warnings(report)
     yield from cameras.warnings(report)

@@ -29,6 +29,8 @@ _HELD = 1e8
 """Precision that holds an unknown fixed."""
 _UNKNOWN = 1e-9
 """Part of its own precision that is added to an unknown where rounding leaves no covariance: nothing but a bound."""
+_HARDLY = 1e-3
+"""Precision of a place and a heading of which next to nothing is known (1 / m^2, 1 / rad^2)."""
 _FRAMES_AT_ONCE = 256
 
 
@@ -42,12 +44,20 @@ class Posterior:
     """(T, J, 3, 3): of the joints relative to their mean, the size given."""
     data_share: Array
     """(J,): see `_data_share`."""
+    angle_variance: Array
+    """(2, T, D - 3): of the root's rotation and the joints' angles, the size given; and what it is without pixels."""
     state_by_size: Array
     """(T, D): how the states follow the size."""
     joint_by_size_m: Array
     """(T, J, 3): q of the module's text."""
     size_precision: float
     """What the pixels say of the size; 0 where they say nothing."""
+
+    @property
+    def angle_data_share(self) -> Array:
+        """(T, D - 3): the part of the angles' posterior precision that comes from the pixels, 0 to 1."""
+        with_pixels, without = self.angle_variance
+        return np.clip(1.0 - with_pixels / without, 0.0, 1.0)
 
 
 def posterior(problem: Problem, body: Body, found: Estimate, variance_factor: float) -> Posterior:
@@ -65,12 +75,14 @@ def posterior(problem: Problem, body: Body, found: Estimate, variance_factor: fl
     held[:, ROOT] = held[:, YAW, None] = _HELD
     priors = replace(problem, terms=[term for term in problem.terms if term.name != "reprojection"], shared=())
     blocks = [solved.marginal_blocks()[:, 0]]
-    blocks += [_factored(H, held).marginal_blocks()[:, 0] for H in (normal.H, priors.normal(states).H)]
+    without = priors.normal(states).H
+    blocks += [_factored(H, held).marginal_blocks()[:, 0] for H in (normal.H, without)]
     (absolute, relative), *shares, by_size = _of_joints(body, states, blocks, size, follows)
     return Posterior(
         covariance_m2=variance_factor * absolute,
         relative_covariance_m2=variance_factor * relative,
         data_share=_data_share(*shares),
+        angle_variance=variance_factor * _of_angles(blocks[0], without),
         state_by_size=follows,
         joint_by_size_m=by_size,
         size_precision=precision,
@@ -91,6 +103,15 @@ def _data_share(with_pixels_m2: Array, without_m2: Array) -> Array:
     with np.errstate(divide="ignore", invalid="ignore"):
         share = np.median(1.0 - with_pixels_m2 / without_m2, axis=0)
     return np.clip(share, 0.0, 1.0)
+
+
+def _of_angles(with_pixels: Array, without: BlockBanded) -> Array:
+    """(2, T, D - 3): variances of the angles, from the states' covariance (T, D, D) and from the priors' curvature,
+    which says nothing of place and heading."""
+    free = np.zeros(with_pixels.shape[:2])
+    free[:, ROOT] = free[:, YAW, None] = _HARDLY
+    expected = _factored(without, free).marginal_blocks()[:, 0]
+    return np.stack([np.diagonal(C, axis1=1, axis2=2)[:, YAW:] for C in (with_pixels, expected)])
 
 
 def _of_joints(

@@ -74,6 +74,10 @@ class Solution:
     """(T, J, 3, 3): of the joints, place and size included."""
     relative_covariance_m2: Array
     """(T, J, 3, 3): of the joints relative to the mean of all joints."""
+    angle_sigma_rad: Array
+    """(T, D - 3): of the root's rotation and the joints' angles, `states[:, 3:]`."""
+    angle_data_share: Array
+    """(T, D - 3): the part of their precision that comes from the pixels, 0 to 1."""
     noise_px: Array
     """(V, T, J): for each view, the standard deviation that a detection was given."""
     weight: Array

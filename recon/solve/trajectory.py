@@ -31,7 +31,7 @@ from threadpoolctl import threadpool_limits
 from recon.body import Body
 from recon.chain import MIN_JOINTS, MIN_REACH_PX
 from recon.clip import View
-from recon.kinematics import ROOT
+from recon.kinematics import ROOT, YAW
 from recon.prior import MotionPrior
 from recon.solve.contacts import contacts
 from recon.solve.posterior import Posterior, posterior, with_size
@@ -249,6 +249,8 @@ def _solution(setting: Setting, solved: Sequence[Solved], began: float) -> Traje
         "joints_m": np.full((T, J, 3), np.nan),
         "covariance_m2": np.full((T, J, 3, 3), np.nan),
         "relative_covariance_m2": np.full((T, J, 3, 3), np.nan),
+        "angle_sigma_rad": np.full((T, setting.body.n_state - 3), np.nan),
+        "angle_data_share": np.full((T, setting.body.n_state - 3), np.nan),
         "contact": np.full((T, F), np.nan),
     }
     of_views = {"noise_px": np.full((V, T, J), np.nan), "weight": np.full((V, T, J), np.nan)}
@@ -316,6 +318,8 @@ def _of_spell(
         "joints_m": setting.in_world(points, size),
         "covariance_m2": with_size(known.covariance_m2, by_size, size, size_sigma),
         "relative_covariance_m2": with_size(known.relative_covariance_m2, centred, size, size_sigma),
+        "angle_sigma_rad": np.sqrt(known.angle_variance[0] + (size_sigma * known.state_by_size[:, YAW:]) ** 2),
+        "angle_data_share": known.angle_data_share,
         "contact": one.contact,
     }, {"noise_px": one.noise_px, "weight": np.array(weight)}
 
