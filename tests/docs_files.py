@@ -220,6 +220,7 @@ OF_PAGE: dict[str, dict[str, Callable[[Path], None]]] = {
         "scene.json": sample("whole_scene.json"),
     },
     "how-to/new-species.md": {"my-cat.toml": _toml("writing-a-skeleton.md", -1)},
+    "robot.md": {"arm.toml": _toml("robot.md", 0)},
     "writing-a-skeleton.md": {
         "my-cat.toml": _toml("writing-a-skeleton.md", -1),
         "poses.csv": _cat_poses,

@@ -318,7 +318,7 @@ def called(monkeypatch: pytest.MonkeyPatch, *args: str, **environment: str) -> s
 @pytest.mark.parametrize(
     ("words", "offered"),
     [
-        ("recon ", COMMANDS | {"prior", "skeleton", "subject"}),
+        ("recon ", COMMANDS | {"prior", "robot", "skeleton", "subject"}),
         ("recon ana", {"analyse"}),
         ("recon fit --camera", {"--camera", "--camera-name", "--camera-rotation", "--camera-track"}),
         ("recon skeleton c", {"check"}),

@@ -14,8 +14,9 @@ from recon.ik.methods import (
     SelectivelyDamped,
     WeightedLeastNorm,
 )
-from recon.robot.dh import DHRow, dh_chain
+from recon.robot.dh import DHRow, dh_chain, dh_table
 from recon.robot.lift_arm import lift_arm, lift_arm_chain, lift_arm_hand
+from recon.robot.solutions import all_solutions
 
 QUARTER = np.pi / 2
 PUMA_MODIFIED = tuple(
@@ -126,6 +127,64 @@ def test_every_method_drives_it(name, convention):
     run = drive_to(chain, start, target, method)
     assert run.reason == "reached"
     assert np.linalg.norm(chain.end(run.q[-1]) - target) <= 0.003
+
+
+def random_rows():
+    rng = np.random.default_rng(7)
+    return [DHRow(*rng.uniform(-1, 1, 4), slides=slides) for slides in (False, True, False, True, False)]
+
+
+@pytest.mark.parametrize(
+    ("rows", "convention"),
+    [
+        (PUMA_MODIFIED, "modified"),
+        (PUMA_STANDARD, "standard"),
+        (random_rows(), "modified"),
+        (random_rows(), "standard"),
+        ([DHRow(d_m=0.1), DHRow(a_m=1.0), DHRow(a_m=0.5, d_m=0.2)], "modified"),  # all axes parallel
+    ],
+)
+def test_the_table_of_a_chain_is_the_chain(rows, convention):
+    chain = dh_chain(rows, convention)
+    table = dh_table(chain)
+    assert (table.rows[0].a_m, table.rows[0].alpha_rad) == (0, 0)
+    assert [row.slides for row in table.rows] == [row.slides for row in rows]
+    for q in np.random.default_rng(1).uniform(-1, 1, (5, chain.n)):
+        R, p = chain.pose(q)
+        found = table.pose(q)
+        np.testing.assert_allclose(found.rotation.as_matrix(), R, atol=1e-12)
+        np.testing.assert_allclose(found.translation, p, atol=1e-12)
+
+
+def test_the_table_of_the_puma_has_the_published_lengths():
+    sizes = [
+        (abs(row.a_m), abs(row.d_m), abs(row.alpha_rad)) for row in dh_table(dh_chain(PUMA_STANDARD, "standard")).rows
+    ]
+    expected = [(abs(row.a_m), abs(row.d_m), abs(row.alpha_rad)) for row in PUMA_MODIFIED]
+    np.testing.assert_allclose(sizes, expected, atol=1e-12)
+
+
+def test_the_puma_has_eight_solutions():
+    chain = dh_chain(PUMA_MODIFIED, "modified")
+    q = np.array([0.3, -0.8, 0.4, 0.9, 0.6, -0.5])
+    R, p = chain.pose(q)
+    found = all_solutions(chain, p, R)
+    assert found.isolated
+    assert found.q.shape == (8, 6)
+    assert np.abs(np.angle(np.exp(1j * (found.q - q)))).max(axis=1).min() < 1e-6
+    for other in found.q:
+        np.testing.assert_allclose(chain.pose(other)[0], R, atol=1e-6)
+        np.testing.assert_allclose(chain.end(other), p, atol=1e-6)
+    # The wrist's two ways: a half turn of the fourth and the sixth joint, the fifth the other way.
+    flipped = np.angle(np.exp(1j * (q * [1, 1, 1, 1, -1, 1] + [0, 0, 0, np.pi, 0, np.pi])))
+    assert np.abs(found.q - flipped).max(axis=1).min() < 1e-6
+
+
+def test_endless_and_no_solutions():
+    chain = dh_chain(PUMA_MODIFIED, "modified")
+    free = all_solutions(chain, (0.4, 0.1, 0.3), starts=3)
+    assert (len(free.q), free.isolated) == (1, False)
+    assert all_solutions(chain, (2.0, 0.0, 0.0), starts=3).q.shape == (0, 6)
 
 
 def test_rows_and_convention_are_checked():

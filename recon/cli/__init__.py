@@ -23,6 +23,7 @@ from recon.cli.overlay import overlay
 from recon.cli.predict import predict
 from recon.cli.prior import prior_fit
 from recon.cli.retarget import retarget
+from recon.cli.robot import robot_app
 from recon.cli.skeleton import skeleton_app
 from recon.cli.subject import subject_fit
 from recon.cli.train import train
@@ -63,6 +64,7 @@ app.command("evaluate-2d")(evaluate_2d)
 prior_app = typer.Typer(help="Motion priors: which poses occur, and how they change.", no_args_is_help=True)
 prior_app.command("fit")(prior_fit)
 app.add_typer(prior_app, name="prior")
+app.add_typer(robot_app, name="robot")
 app.add_typer(skeleton_app, name="skeleton")
 subject_app = typer.Typer(
     help="Measured animals: lengths of one animal, and how a detector sees it.", no_args_is_help=True

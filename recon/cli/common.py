@@ -8,6 +8,7 @@ import sys
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from importlib import import_module
+from math import isfinite
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -89,6 +90,18 @@ def number_option(help: str, expected: str, **more: Any) -> Any:
             raise InputError(Problem(parameter.opts[0], str(parameter.name), repr(given), expected)) from None
 
     return typer.Option(help=help, metavar=NUMBER, parser=str, callback=number, **more)
+
+
+def numbers(option: str, given: str, count: int | None = None) -> list[float]:
+    """Of "1,2.5,-3"; count: how many, None: any. Raises InputError."""
+    try:
+        found = [float(part) for part in given.split(",")]
+    except ValueError:
+        found = []
+    if not found or not all(map(isfinite, found)) or count not in (None, len(found)):
+        expected = f"{'' if count is None else f'{count} '}numbers with commas, as in 0.1,-20,3"
+        raise InputError(Problem(option, "numbers", repr(given), expected))
+    return found
 
 
 STRIDE = typer.Option(

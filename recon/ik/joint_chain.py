@@ -148,6 +148,10 @@ class JointChain(BaseChain):
         end = self._frames(q)[-1] @ self._tool
         return end[:3, :3], end[:3, 3]
 
+    def joint_axes(self, q: Array) -> Array:
+        """(n, 3): unit vectors along the joints' axes, in the base frame."""
+        return self._frames(q)[:, :3, 2]
+
     def geometric_jacobian(self, q: Array) -> Array:
         """(6, n): velocity (m/s) and angular velocity (rad/s) of the end effector, in the base frame."""
         J, turning = self._axes(q)

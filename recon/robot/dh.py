@@ -11,16 +11,20 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
+from itertools import pairwise
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from recon.arrays import Array
 from recon.ik.chain import MAX_RATE_RAD_S
 from recon.ik.joint_chain import JointChain
 
 Convention = Literal["modified", "standard"]
+_PARALLEL = 1e-9
+"""Sine of the angle between axes."""
 
 
 @dataclass(frozen=True)
@@ -58,6 +62,84 @@ def dh_chain(
         limits_rad,
         max_rate_rad_s,
     )
+
+
+@dataclass(frozen=True, eq=False)
+class DHTable:
+    """A chain as base * rows * tool, the rows modified (Craig) with a_m and alpha_rad 0 in the first: base and tool are
+    what the parameters of Denavit and Hartenberg leave out."""
+
+    base: RigidTransform
+    rows: tuple[DHRow, ...]
+    tool: RigidTransform
+
+    def pose(self, q: ArrayLike) -> RigidTransform:
+        """T_base_end of q (n,)."""
+        R, p = dh_chain(self.rows, "modified").pose(np.asarray(q, float))
+        return self.base * RigidTransform.from_components(p, Rotation.from_matrix(R)) * self.tool
+
+
+def dh_table(chain: JointChain) -> DHTable:
+    """Of any chain: z along each joint's axis, x along the common normal to the next; where axes are parallel, through
+    the origin before."""
+    zero = np.zeros(chain.n)
+    axes, places = chain.joint_axes(zero), chain.positions(zero)
+    end = _transform(*chain.pose(zero))
+    frames, x = [], _across(axes[0])
+    for j, z in enumerate(axes):
+        if j + 1 == chain.n:
+            origin, normal = (places[j] if j == 0 else _on(places[j], z, frames[-1].translation)), x
+        else:
+            origin, normal = _common_normal(places[j], z, places[j + 1], axes[j + 1], frames)
+        # The same x as before where the normal leaves it open: theta is 0 then.
+        x = normal if normal is not None else x
+        x = x - (x @ z) * z
+        size = float(np.linalg.norm(x))
+        x = x / size if size > 1e-6 else _across(z)
+        frames.append(_transform(np.column_stack([x, np.cross(z, x), z]), origin))
+    steps = [a.inv() * b for a, b in pairwise(frames)]
+    rows = [DHRow(slides=bool(chain.sliding[0])), *map(_row, steps, chain.sliding[1:])]
+    return DHTable(frames[0], tuple(rows), frames[-1].inv() * end)
+
+
+def _row(step: RigidTransform, slides: bool) -> DHRow:
+    """Rx(alpha) Tx(a) Rz(theta) Tz(d), read off its matrix."""
+    T = step.as_matrix()
+    alpha = np.arctan2(-T[1, 2], T[2, 2])
+    d = -np.sin(alpha) * T[1, 3] + np.cos(alpha) * T[2, 3]
+    theta = np.arctan2(-T[0, 1], T[0, 0])
+    return DHRow(float(T[0, 3]), float(alpha), float(d), float(theta), bool(slides))
+
+
+def _transform(R: Any, p: Array) -> RigidTransform:
+    return RigidTransform.from_components(p, Rotation.from_matrix(R))
+
+
+def _on(place: Array, z: Array, near: Array) -> Array:
+    """The point of the axis through place along z that is nearest."""
+    return place + ((near - place) @ z) * z
+
+
+def _common_normal(
+    place: Array, z: Array, after: Array, z_after: Array, before: list[RigidTransform]
+) -> tuple[Array, Array | None]:
+    """Where on the axis the common normal with the next one starts, and its direction, None where it is free."""
+    across = np.cross(z, z_after)
+    size = np.linalg.norm(across)
+    if size < _PARALLEL:
+        origin = _on(place, z, before[-1].translation) if before else place
+        way = _on(after, z_after, origin) - origin
+        return origin, way if np.linalg.norm(way) > 1e-9 else None
+    # (after - place) = s z + t across - u z_after
+    along = np.linalg.solve(np.column_stack([z, across, -z_after]), after - place)
+    return place + along[0] * z, across if along[1] >= -1e-12 else -across
+
+
+def _across(z: Array) -> Array:
+    """A unit vector at right angles to z: x where z is not along it."""
+    x = np.eye(3)[0 if abs(z[0]) < 0.9 else 1]
+    x = x - (x @ z) * z
+    return x / np.linalg.norm(x)
 
 
 def _along(axis: Literal["x", "z"], distance_m: float, angle_rad: float) -> RigidTransform:

@@ -23,7 +23,7 @@ The inverse starts with the knee, from P^2 + Q^2 = n^2, the squared distance of 
 
 The two signs are the two ways to bend the knee; taken is the one beyond the stretched leg, atan2(q, p), so the knee is
 never bent backwards. The other angles follow from linear pairs. Of the two flaps that reach a foot, the leg pointing
-down or up, taken is the one within 90 degrees of down.
+down or up, taken is the one within 90 degrees of down. `solutions` has all four.
 """
 
 from __future__ import annotations
@@ -36,6 +36,7 @@ from numpy.typing import ArrayLike
 
 from recon.arrays import Array, Bools, Integers
 from recon.ik.joint_chain import JointChain
+from recon.robot.solutions import distinct_angles
 
 LEG_ANGLES = ("swing", "flap", "knee")
 
@@ -82,8 +83,9 @@ class LegGeometry(Protocol):
         """Feet (..., 3) of the angles (..., 3)."""
         ...
 
-    def inverse(self, feet_m: Array) -> LegAngles:
-        """Angles of the feet (..., 3); a target out of reach gets NaN and a code, no error."""
+    def inverse(self, feet_m: Array, knee: int = 1, down: int = 1) -> LegAngles:
+        """Angles of the feet (..., 3); a target out of reach gets NaN and a code, no error. knee, down: -1 for the knee
+        bent the other way, for the flap that points the leg up."""
         ...
 
     def chain(self) -> JointChain:
@@ -123,14 +125,14 @@ class _KneedLeg:
         P = self.foot_offset_m * c + self.shin_m * s + self.knee_offset_m
         return P, self.thigh_m + self.shin_m * c - self.foot_offset_m * s
 
-    def _knee(self, n2: Array) -> tuple[Array, Integers]:
+    def _knee(self, n2: Array, sign: int) -> tuple[Array, Integers]:
         """Knee (...) at squared distances n2 (...) from the swing joint, and the codes."""
         l1, l2, uo, lo = self.thigh_m, self.shin_m, self.knee_offset_m, self.foot_offset_m
         p, q = 2 * (uo * lo + l1 * l2), 2 * (l2 * uo - l1 * lo)
         r = lo * lo + l2 * l2 + uo * uo + l1 * l1 - n2
         cosine = -r / np.hypot(p, q)
         code = np.where(cosine > 1 + _ROUNDING, TOO_FAR, np.where(cosine < -1 - _ROUNDING, TOO_NEAR, REACHED))
-        return np.arctan2(q, p) + np.arccos(np.clip(cosine, -1.0, 1.0)), code
+        return np.arctan2(q, p) + sign * np.arccos(np.clip(cosine, -1.0, 1.0)), code
 
 
 @dataclass(frozen=True)
@@ -150,16 +152,16 @@ class SwingLeg(_KneedLeg):
         U = Q * np.cos(b)
         return np.stack([Q * np.sin(b), U * np.sin(a) + P * np.cos(a), P * np.sin(a) - U * np.cos(a)], axis=-1)
 
-    def inverse(self, feet_m: Array) -> LegAngles:
+    def inverse(self, feet_m: Array, knee: int = 1, down: int = 1) -> LegAngles:
         x, y, z = feet = np.moveaxis(np.asarray(feet_m, float), -1, 0)
-        s, code = self._knee(x * x + y * y + z * z)
+        s, code = self._knee(x * x + y * y + z * z, knee)
         P, Q = self.in_plane(s)
         # U^2 = y^2 + z^2 - P^2 and atan2 in place of asin(x / Q), which loses half the digits at 90 degrees.
         u2 = y * y + z * z - P * P
         slack = _ROUNDING * self.reach_m**2
         code = np.where((code == REACHED) & (u2 < -slack), TOO_LATERAL, code)
         up = np.where(Q < 0, -1.0, 1.0)
-        U = np.sqrt(np.maximum(u2, 0.0))
+        U = down * np.sqrt(np.maximum(u2, 0.0))
         b = np.arctan2(up * x, U)
         a = _wrapped(np.arctan2(z, y) + np.arctan2(up * U, P))
         return _leg_angles(np.stack([a, b, s], axis=-1), code, feet)
@@ -193,15 +195,15 @@ class FlapLeg(_KneedLeg):
         y = Q * np.sin(a) + P * np.cos(a)
         return np.stack([self.lateral_m * cos - Z * sin, y, self.lateral_m * sin + Z * cos], axis=-1)
 
-    def inverse(self, feet_m: Array) -> LegAngles:
+    def inverse(self, feet_m: Array, knee: int = 1, down: int = 1) -> LegAngles:
         x, y, z = feet = np.moveaxis(np.asarray(feet_m, float), -1, 0)
         d = self.lateral_m
         z2 = x * x + z * z - d * d
-        s, code = self._knee(np.maximum(z2, 0.0) + y * y)
+        s, code = self._knee(np.maximum(z2, 0.0) + y * y, knee)
         slack = _ROUNDING * self.reach_m**2
         code = np.where(z2 < -slack, TOO_LATERAL, code)
         P, Q = self.in_plane(s)
-        Z = -np.sqrt(np.maximum(z2, 0.0))
+        Z = -down * np.sqrt(np.maximum(z2, 0.0))
         # (x, z) is (d, Z) turned by b; (y, Z) is (P, -Q) turned by a.
         b = _wrapped(np.arctan2(z, x) - np.arctan2(Z, d))
         a = _wrapped(np.arctan2(Z, y) + np.arctan2(Q, P))
@@ -247,6 +249,12 @@ class Leg:
     def inverse(self, feet_m: ArrayLike) -> LegAngles:
         """Angles of the feet (..., 3), whatever the limits: `margins` compares them."""
         return self.geometry.inverse(np.asarray(feet_m, float) * self.mirror)
+
+    def solutions(self, foot_m: ArrayLike) -> Array:
+        """All angles (m, 3), at most four, of one foot (3,), whatever the limits, in [-pi, pi)."""
+        foot = np.asarray(foot_m, float) * self.mirror
+        every = [self.geometry.inverse(foot, knee, down).angles_rad for down in (1, -1) for knee in (1, -1)]
+        return distinct_angles([_wrapped(q) for q in every if np.isfinite(q).all()], np.ones(3, bool))
 
     def margins(self, angles_rad: Array) -> Array:
         """(..., 3), rad: how far each angle is within its limits, negative outside, NaN without an angle."""

@@ -20,6 +20,7 @@ from recon.ik.drive import drive_to
 from recon.ik.joint_chain import JointChain
 from recon.ik.methods import LeastNorm
 from recon.robot.leg import FlapLeg, Leg, SwingLeg
+from recon.robot.solutions import all_solutions
 
 LEGS = ("LF", "RF", "LH", "RH")
 IK_TOLERANCE_M = 1e-5
@@ -42,6 +43,15 @@ class RobotLeg(Protocol):
     def max_rate_rad_s(self) -> Array: ...
     @property
     def neutral_m(self) -> Array: ...
+    @property
+    def chain(self) -> JointChain:
+        """Joint by joint in body axes, its end effector the foot."""
+        ...
+
+    def solutions(self, foot_m: Array) -> Array:
+        """All angles (m, n) of one foot (3,), whatever the limits."""
+        ...
+
     def angles(self, feet_m: Array) -> Array:
         """Angles (T, n) of feet (T, 3) that follow each other, NaN where there are none within the limits."""
         ...
@@ -100,11 +110,23 @@ class ClosedLeg:
     def foot(self, angles_rad: Array) -> Array:
         return self.hip_m + _from_leg_axes(self.leg.forward(self._own(angles_rad)))
 
+    @cached_property
+    def chain(self) -> JointChain:
+        straight, mirror = self.leg.geometry.chain(), self.leg.mirror
+        places = self.hip_m + _from_leg_axes(straight.positions(np.zeros(3)) * mirror)
+        # A rotation's axis is mirrored with the opposite sign.
+        axes = _from_leg_axes(straight.joint_axes(np.zeros(3)) * mirror) * np.prod(mirror)
+        offsets = np.diff(places, axis=0, prepend=0.0)
+        axes *= self.signs[:, None]
+        limits = self.lower_rad, self.upper_rad
+        return JointChain(offsets[:3], axes, None, False, offsets[3], None, limits, self.max_rate_rad_s)
+
     def points(self, angles_rad: Array) -> Array:
-        chain = self.leg.geometry.chain()
-        own = self._own(angles_rad)[..., self._order]
-        along = np.array([chain.positions(q) for q in own]) * self.leg.mirror
-        return self.hip_m + _from_leg_axes(along)
+        return np.array([self.chain.positions(q) for q in angles_rad])
+
+    def solutions(self, foot_m: Array) -> Array:
+        found = self.leg.solutions(_to_leg_axes(foot_m - self.hip_m))
+        return found[:, self._order] * self.signs
 
     def _own(self, angles_rad: Array) -> Array:
         """Swing, flap and knee of the joints' angles."""
@@ -143,6 +165,9 @@ class ChainLeg:
             if found is not None:
                 out[k] = q = found
         return out
+
+    def solutions(self, foot_m: Array) -> Array:
+        return all_solutions(self.chain, foot_m).q
 
     def foot(self, angles_rad: Array) -> Array:
         return np.array([self.chain.end(q) for q in angles_rad])

@@ -1,4 +1,4 @@
-"""Robot files -> Quadruped: TOML with dimensions and limits (docs/robot.md), or URDF.
+"""Robot files -> Quadruped: TOML with dimensions and limits (docs/robot.md), or URDF; Denavit-Hartenberg tables.
 
 Built-in robots are the files of `recon/robot/robots`.
 """
@@ -10,10 +10,12 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, StrictBool
 
 from recon.documents import parse_toml, read_toml, validated
 from recon.errors import InputError, Problem
+from recon.ik.joint_chain import JointChain
+from recon.robot.dh import Convention, DHRow, dh_chain
 from recon.robot.leg import LEG_ANGLES, FlapLeg, Leg, SwingLeg
 from recon.robot.quadruped import LEGS, ChainLeg, ClosedLeg, Quadruped, standing
 from recon.robot.urdf import MOVING, UrdfRobot, read_urdf, urdf_chain
@@ -75,6 +77,20 @@ class _RobotFile(_Table):
     legs: _Legs
 
 
+class _DHJoint(_Table):
+    a_m: FiniteFloat = 0.0
+    alpha_rad: FiniteFloat = 0.0
+    d_m: FiniteFloat = 0.0
+    theta_rad: FiniteFloat = 0.0
+    slides: StrictBool = False
+    limits: tuple[FiniteFloat, FiniteFloat] | None = None
+
+
+class _DHFile(_Table):
+    convention: Convention
+    joints: Annotated[list[_DHJoint], Field(min_length=1)]
+
+
 def builtin_robots() -> tuple[str, ...]:
     """Names of the robots that come with the package."""
     folder = resources.files("recon.robot") / "robots"
@@ -95,6 +111,22 @@ def load_robot(robot: str | Path) -> Quadruped:
     found = "no such file" if path.suffix.lower() in (".toml", ".urdf") else "no such robot"
     expected = f"{', '.join(builtin_robots())}, or a file .toml or .urdf"
     raise InputError(Problem(text, "robot", found, expected))
+
+
+def load_dh(path: Path) -> tuple[JointChain, Convention, list[DHRow]]:
+    """The chain of a table in TOML (docs/robot.md), and the table. Raises InputError."""
+    file = validated(_DHFile, read_toml(path, "a table of Denavit-Hartenberg parameters (TOML)"), path)
+    limits = [joint.limits or (-np.inf, np.inf) for joint in file.joints]
+    problems = [
+        Problem(path, f"joints[{k}].limits", str(limit), "the lower one first")
+        for k, limit in enumerate(limits)
+        if limit[0] > limit[1]
+    ]
+    if problems:
+        raise InputError(problems)
+    rows = [DHRow(**joint.model_dump(exclude={"limits"})) for joint in file.joints]
+    lower, upper = np.transpose(limits)
+    return dh_chain(rows, file.convention, (lower, upper)), file.convention, rows
 
 
 def _quadruped(source: str, table: dict[str, Any]) -> Quadruped:

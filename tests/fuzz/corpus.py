@@ -28,7 +28,7 @@ from recon.net.labels import read_label_file
 from recon.prior import load_prior
 from recon.results import read_results
 from recon.robot.climb.recipe import load_recipe
-from recon.robot.robot_file import load_robot
+from recon.robot.robot_file import load_dh, load_robot
 from recon.settings import FitSettings, read_settings
 from recon.skeleton_file import builtin_subjects, load_skeleton
 
@@ -42,6 +42,7 @@ labeled-data/run/img0009.png,,,5,6
 SEGMENTS = (
     "segment,frame,nose,nose,nose,tail,tail,tail\n,,x,y,z,x,y,z\na,0,1,2,3,4,5,6\na,1,1,2,3,,,\nb,0,1,2,3,4,5,6\n"
 )
+DH = b'convention = "modified"\njoints = [{}, { a_m = 0.4, alpha_rad = 1.57, slides = true, limits = [-1, 1] }]\n'
 OPENCV = """%YAML:1.0
 ---
 image_width: 1920
@@ -273,6 +274,7 @@ def _built_in() -> Iterator[Seed]:
     for name in ("aibo", "a1"):
         content = (resources.files("recon.robot") / "robots" / f"{name}.toml").read_bytes()
         yield Seed(f"robot-{name}.toml", content, load_robot, 1.5)
+    yield Seed("dh.toml", DH, load_dh)
     if find_spec("yourdfpy") is not None:
         yield Seed("robot.urdf", _urdf().encode(), load_robot, 0.3)
     recipe = sorted((resources.files("recon.robot.climb") / "recipes").iterdir(), key=str)[0]

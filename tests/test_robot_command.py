@@ -1,0 +1,157 @@
+"""`recon robot`: what it prints is the robot's kinematics, and mistakes are said."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from command_line import run
+from robot_urdf import a1_urdf
+
+from recon.robot.robot_file import load_robot
+
+PUMA = """convention = "modified"
+joints = [
+    {},
+    { alpha_rad = -1.5707963267948966, limits = [-1, 1] },
+    { a_m = 0.4318, d_m = 0.15005 },
+    { a_m = -0.0203, alpha_rad = -1.5707963267948966, d_m = 0.4318 },
+    { alpha_rad = 1.5707963267948966 },
+    { alpha_rad = -1.5707963267948966 },
+]
+"""
+
+
+def answer(*args):
+    ended = run("robot", *args, "--json")
+    assert ended.code == 0, ended.err
+    return json.loads(ended.out)
+
+
+@pytest.fixture
+def puma(tmp_path: Path) -> Path:
+    path = tmp_path / "puma.toml"
+    path.write_text(PUMA)
+    return path
+
+
+@pytest.fixture
+def urdf(tmp_path: Path) -> Path:
+    path = tmp_path / "a1.urdf"
+    path.write_text(a1_urdf())
+    return path
+
+
+@pytest.mark.parametrize("name", ["a1", "aibo"])
+def test_chains_and_all_solutions_of_the_legs(name):
+    """Joint by joint, with the robot's own signs, each leg is where it is by its closed form."""
+    rng = np.random.default_rng(3)
+    for leg in load_robot(name).legs.values():
+        q = rng.uniform(leg.lower_rad, leg.upper_rad)
+        foot = leg.foot(q[None])[0]
+        np.testing.assert_allclose(leg.chain.end(q), foot, atol=1e-14)
+        found = leg.solutions(foot)
+        assert found.shape == (4, 3)
+        np.testing.assert_allclose(leg.foot(found), np.tile(foot, (4, 1)), atol=1e-12)
+        assert np.abs(np.angle(np.exp(1j * (found - q)))).max(axis=1).min() < 1e-6
+
+
+def test_pose_with_planted_feet():
+    """A pitch lowers the front hips; the angles put the feet back where they stood."""
+    found = answer("pose", "aibo", "--pitch", 10, "--move", "0,0,-0.01")
+    robot = load_robot("aibo")
+    s, c = np.sin(np.radians(10)), np.cos(np.radians(10))
+    for label, leg in found["legs"].items():
+        stands = robot.legs[label].neutral_m - [0, 0, -0.01]
+        expected = [c * stands[0] - s * stands[2], stands[1], s * stands[0] + c * stands[2]]
+        assert leg["foot_m"] == pytest.approx(expected)
+        assert robot.legs[label].foot(np.array([leg["angles_rad"]]))[0] == pytest.approx(expected)
+        assert leg["why"] == ""
+        assert leg["margin_rad"] > 0
+
+
+def test_pose_beyond_limits_and_reach():
+    low = answer("pose", "aibo", "--move", "0,0,-0.09")["legs"]["LF"]
+    assert (low["angles_rad"], low["why"]) == (None, "beyond a joint's limits")
+    ended = run("robot", "pose", "aibo", "--move", "0,0,0.2")
+    assert "RH: out of reach" in ended.out
+
+
+def test_leg_forward_and_inverse():
+    there = answer("leg", "aibo", "LH", "--angles", "-20,15,60")["forward"]
+    leg = load_robot("aibo").legs["LH"]
+    q = np.radians([-20, 15, 60])
+    assert there["place_m"] == pytest.approx(leg.foot(q[None])[0])
+    back = answer("leg", "aibo", "LH", "--foot", ",".join(map(str, there["place_m"])))
+    solutions = back["inverse"]["solutions"]
+    assert len(solutions) == 4
+    allowed = [s["q"] for s in solutions if s["within_limits"]]
+    assert any(np.allclose(s, q, atol=1e-6) for s in allowed)
+    assert back["dh"]["rows"][2]["a_m"] == pytest.approx(0.0695)
+    assert "knee" in run("robot", "leg", "aibo", "LH").out
+
+
+def test_a_urdf_leg_has_the_solutions_of_the_closed_form(urdf):
+    place = ("0.2", "0.14", "-0.25")
+    ours = [answer("leg", robot, "LF", "--foot", ",".join(place))["inverse"] for robot in (urdf, "a1")]
+    one, other = (np.array(sorted(s["q"] for s in found["solutions"])) for found in ours)
+    np.testing.assert_allclose(one, other, atol=1e-6)
+    # A thigh beyond half a turn, as its limits are.
+    assert sum(s["within_limits"] for s in ours[0]["solutions"]) == 1
+
+
+def test_dh_of_a_table(puma):
+    found = answer("dh", puma, "--angles", "10,20,30,40,50,60")
+    assert found["dh"]["convention"] == "modified"
+    expected = {"a_m": -0.0203, "alpha_rad": -np.pi / 2, "d_m": 0.4318, "theta_rad": 0.0}
+    assert found["dh"]["rows"][3] == pytest.approx(expected)
+    end = found["forward"]
+    turned = ",".join(map(str, np.degrees(end["roll_pitch_yaw_rad"])))
+    found = answer("dh", puma, "--place", ",".join(map(str, end["place_m"])), "--turned", turned)["inverse"]
+    assert len(found["solutions"]) == 8
+    assert any(np.allclose(np.degrees(s["q"]), [10, 20, 30, 40, 50, 60], atol=1e-4) for s in found["solutions"])
+    assert 0 < sum(s["within_limits"] for s in found["solutions"]) < 8
+    assert "endlessly many" in run("robot", "dh", puma, "--place", "0.4,0.1,0.3").out
+
+
+def test_dh_of_a_urdf(urdf):
+    assert [abs(row["a_m"]) for row in answer("dh", urdf, "--tip", "FL_foot")["dh"]["rows"]] == [0, 0, 0.2]
+    assert "one of FL_foot, FR_foot" in run("robot", "dh", urdf).err
+
+
+def test_arm_has_the_published_branches():
+    found = answer("arm", "4.5,4", "--hand", "7.328,2.828,75", "--height", 0.25)["inverse"]["solutions"]
+    np.testing.assert_allclose(np.degrees(found)[:, 1:], [(42.2085, -45, 77.7915), (0, 45, 30)], atol=0.05)
+    ended = run("robot", "arm", "4.5,4", "--angles", "0.25,0,45,30")
+    assert "hand at 7.3284, 2.8284, turned by 75.00°, height 0.25" in ended.out
+    assert "unreachable" in run("robot", "arm", "4.5,4", "--hand", "9,9,0").out
+
+
+@pytest.mark.parametrize(
+    ("args", "message"),
+    [
+        (("pose", "aibo", "--pitch", "x"), "--pitch"),
+        (("pose", "aibo", "--move", "1,2"), "3 numbers with commas"),
+        (("pose", "spot"), "no such robot"),
+        (("leg", "aibo", "LX"), "expected LF, RF, LH, RH"),
+        (("leg", "aibo", "LF", "--angles", "1,2"), "found 2 numbers, expected 3"),
+        (("arm", "4.5,-4"), "two positive lengths"),
+        (("arm", "nan,4"), "2 numbers with commas"),
+        (("dh", "none.toml"), "no such file"),
+    ],
+)
+def test_mistakes_are_said(args, message):
+    ended = run("robot", *args)
+    assert ended.code == 2
+    assert message in ended.err
+
+
+def test_every_problem_of_a_table(tmp_path):
+    path = tmp_path / "bad.toml"
+    path.write_text('convention = "craig"\njoints = [{ a = 1 }, { limits = [2, 1] }]\n')
+    ended = run("robot", "dh", path)
+    assert ended.code == 2
+    assert "convention" in ended.err
+    assert "joints[0].a" in ended.err
+    path.write_text('convention = "standard"\njoints = [{ limits = [2, 1] }]\n')
+    assert "joints[0].limits" in run("robot", "dh", path).err
