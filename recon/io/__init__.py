@@ -18,16 +18,14 @@ from recon.keypoints import Keypoints
 
 @dataclass(frozen=True)
 class Reader:
-    """One format that can be read.
-
-    recognises: whether a readable file, not empty, is of this format; it looks at the content, not at the name, and
-    raises InputError for a file so damaged that this cannot be told.
-    read: the keypoints of one animal, from a file that is recognised; raises InputError.
-    """
+    """One format that can be read."""
 
     name: str
     recognises: Callable[[Path], bool]
+    """Whether a readable file, not empty, is of this format. It looks at the content, not at the name, and raises
+    InputError for a file so damaged that this cannot be told."""
     read: Callable[[Path, str | None], Keypoints]
+    """The keypoints of one animal, from a file that is recognised; raises InputError."""
 
 
 READERS: tuple[Reader, ...] = (

@@ -26,13 +26,16 @@ AXES = "XYZ"
 
 @dataclass
 class _Joint:
-    """parent: its place in the list, -1 for the root; channels: such as Xposition, with their columns."""
+    """A joint as the file lists it."""
 
     name: str
     parent: int
+    """Its place in the list, -1 for the root."""
     offset: list[float] = field(default_factory=list)
     channels: list[str] = field(default_factory=list)
+    """Such as Xposition."""
     column: int = 0
+    """Of the first channel."""
     end: bool = False
 
 

@@ -31,11 +31,13 @@ Parameters = dict[str, dict[str, Any]]
 
 @dataclass(frozen=True, eq=False)
 class _Content:
-    """xyz (T, J, 3), NaN where a point is missing; first: the number of the first frame, from 1."""
+    """What a file holds, of T frames and J points."""
 
     parameters: Parameters
     xyz: np.ndarray
+    """(T, J, 3), NaN where a point is missing."""
     first: int
+    """The number of the first frame, from 1."""
 
 
 def recognises(path: Path) -> bool:

@@ -36,13 +36,16 @@ PART = "{bodypart}"
 
 @dataclass(frozen=True)
 class ColumnLayout:
-    """of_role: the column of each role but, in a wide table, those of `OF_POINTS`, which of_part has for each bodypart;
-    of_part is empty for a long table. unit: that of the coordinates, if all have the same. ignored: other columns."""
+    """Which column holds what."""
 
     of_role: dict[str, str]
+    """The column of each role but, in a wide table, those of `OF_POINTS`."""
     of_part: dict[tuple[str, str], str]
+    """Those for each bodypart; empty for a long table."""
     unit: str | None
+    """That of the coordinates, if all have the same."""
     ignored: tuple[str, ...]
+    """Other columns."""
 
     @property
     def has_z(self) -> bool:

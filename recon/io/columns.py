@@ -29,12 +29,15 @@ Columns = Mapping[str, Sequence[Any] | np.ndarray]
 
 @dataclass(frozen=True, eq=False)
 class Points:
-    """values (T, K, C), by coordinate; likelihood (T, K), NaN = unknown; frames (T,)."""
+    """K points in T frames, of C coordinates each."""
 
     names: tuple[str, ...]
     values: np.ndarray
+    """(T, K, C), by coordinate."""
     likelihood: np.ndarray
+    """(T, K), NaN = unknown."""
     frames: np.ndarray
+    """(T,)"""
     fps: float | None
     individual: str | None
     notes: tuple[str, ...]

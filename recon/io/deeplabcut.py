@@ -50,15 +50,18 @@ class Column(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Table:
-    """A whole file: numbers (T, C) float, NaN = empty cell, no infinities; frames (T,) int, strictly increasing; fps
-    as the scorer of our own files has it; has_scorer: whether there is a header row or level of that name."""
+    """A whole file, of T frames and C columns."""
 
     columns: tuple[Column, ...]
     numbers: np.ndarray
+    """(T, C) float, NaN = empty cell, no infinities."""
     frames: np.ndarray
+    """(T,) int, strictly increasing."""
     notes: tuple[str, ...]
     fps: float | None = None
+    """As the scorer of our own files has it."""
     has_scorer: bool = True
+    """Whether there is a header row or level of that name."""
 
 
 def recognises(path: Path) -> bool:

@@ -67,12 +67,14 @@ class _Variable:
 
 @dataclass(frozen=True, eq=False)
 class _File:
-    """values (T, N, K, 2 or 3); confidence (T, N, K)."""
+    """What a file holds, of T frames, N animals and K points."""
 
     names: tuple[str, ...]
     animals: list[str]
     values: np.ndarray
+    """(T, N, K, 2 or 3)"""
     confidence: np.ndarray
+    """(T, N, K)"""
     frames: np.ndarray
     fps: float | None
     unit: str | None

@@ -27,12 +27,15 @@ UP_TEXT = "z up"
 
 @dataclass(frozen=True, eq=False)
 class _PoseSeries:
-    """One point: values (T, 2 or 3), confidence (T,), times_s (T,)."""
+    """One point in T frames."""
 
     name: str
     values: np.ndarray
+    """(T, 2 or 3)"""
     confidence: np.ndarray
+    """(T,)"""
     times_s: np.ndarray
+    """(T,)"""
     fps: float | None
     unit: str
     z_up: bool

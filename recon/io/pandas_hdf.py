@@ -25,13 +25,16 @@ Label = tuple[str, ...]
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """levels: the names of the columns' levels; columns: C labels, one text for each level; index: T labels of the
-    rows; cells (T, C): float, or object with floats and texts."""
+    """A table of T rows and C columns."""
 
     levels: tuple[str | None, ...]
+    """The names of the columns' levels."""
     columns: tuple[Label, ...]
+    """C labels, one text for each level."""
     index: tuple[Label, ...]
+    """T labels of the rows."""
     cells: np.ndarray
+    """(T, C): float, or object with floats and texts."""
 
 
 def keys(path: Path) -> list[str]:

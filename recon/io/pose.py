@@ -17,19 +17,21 @@ UNIT_NAMES = {
 
 @dataclass(frozen=True, eq=False)
 class Pose3D:
-    """names: J joints; xyz_m: (T, J, 3) float, metres, NaN = missing; frames: (T,) int, strictly increasing.
-
-    fps: frames per second, where they are known; edges: pairs of joints that are linked, where they are known; notes:
-    what a reader had to decide, in plain sentences. Raises ValueError where they do not fit together.
-    """
+    """3D positions of J joints in T frames. Raises ValueError where its parts do not fit together."""
 
     names: tuple[str, ...]
+    """J joints."""
     xyz_m: np.ndarray
+    """(T, J, 3) float, metres, NaN = missing."""
     frames: np.ndarray
+    """(T,) int, strictly increasing."""
     source: str | None = None
     fps: float | None = None
+    """Frames per second, where they are known."""
     edges: tuple[tuple[str, str], ...] = ()
+    """Pairs of joints that are linked, where they are known."""
     notes: tuple[str, ...] = ()
+    """What a reader had to decide, in plain sentences."""
 
     def __post_init__(self) -> None:
         if self.xyz_m.shape != (len(self.frames), len(self.names), 3):
@@ -46,17 +48,17 @@ class Pose3D:
 
 @dataclass(frozen=True, eq=False)
 class StoredPose:
-    """What a file says: as `Pose3D`, but xyz (T, J, 3) in the file's own unit and axes.
-
-    unit: m, cm or mm, and up: the axis that points up, y or z; None where the file does not say.
-    """
+    """What a file says: as `Pose3D`, but in the file's own unit and axes."""
 
     names: tuple[str, ...]
     xyz: np.ndarray
+    """(T, J, 3)"""
     frames: np.ndarray
     fps: float | None = None
     unit: str | None = None
+    """m, cm or mm; None where the file does not say."""
     up: str | None = None
+    """The axis that points up, y or z; None where the file does not say."""
     edges: tuple[tuple[str, str], ...] = ()
     notes: tuple[str, ...] = ()
 

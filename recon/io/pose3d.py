@@ -22,18 +22,17 @@ from recon.io.pose import PER_METRE, Pose3D, StoredPose, z_up_from_y_up
 
 @dataclass(frozen=True)
 class PoseReader:
-    """One format of 3D positions.
-
-    recognises: whether a readable file, not empty, is of this format and 3D; it looks at the content, not at the name.
-    read: the positions of one animal as the file has them; raises InputError. unit and up: where the file does not say
-    them; None for a unit that the user has to give.
-    """
+    """One format of 3D positions."""
 
     name: str
     recognises: Callable[[Path], bool]
+    """Whether a readable file, not empty, is of this format and 3D; it looks at the content, not at the name."""
     read: Callable[[Path, str | None], StoredPose]
+    """The positions of one animal as the file has them; raises InputError."""
     unit: str | None = None
+    """Where the file does not say it; None for one that the user has to give."""
     up: str = "z"
+    """Where the file does not say it."""
 
 
 POSE_READERS: tuple[PoseReader, ...] = (
