@@ -43,14 +43,18 @@ class Augmentation:
 
 @dataclass(frozen=True, eq=False)
 class Example:
-    """picture (h, w, 3), its background and the animal's mask (h, w), both None where the camera moves; xy_px (K, 2),
-    NaN where not labelled; length_px: of the animal."""
+    """A picture to learn from, h by w pixels, with K points."""
 
     picture: Image
+    """(h, w, 3)"""
     background: Image | None
+    """Of the picture's shape, None where the camera moves."""
     mask: Image | None
+    """(h, w), the animal's, None where the camera moves."""
     xy_px: Array
+    """(K, 2), NaN where not labelled."""
     length_px: float
+    """Of the animal."""
 
 
 def augment(

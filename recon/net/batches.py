@@ -29,12 +29,14 @@ AHEAD = 3
 
 @dataclass(frozen=True, eq=False)
 class Batch:
-    """pictures (B, H, W, 3) and backgrounds of the same shape; where there is none, the picture itself, which makes the
-    difference 0. xy_px (B, K, 2), NaN where a point is not labelled or not in the picture."""
+    """B pictures of H by W pixels, with K points."""
 
     pictures: NDArray[np.uint8]
+    """(B, H, W, 3)"""
     backgrounds: NDArray[np.uint8]
+    """(B, H, W, 3). Where there is none, the picture itself, which makes the difference 0."""
     xy_px: Array
+    """(B, K, 2), NaN where a point is not labelled or not in the picture."""
 
 
 def network_scale(xy_px: Array) -> float:

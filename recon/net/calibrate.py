@@ -24,11 +24,12 @@ _PRIOR_SIGMA = (0.5, 2.0)
 
 @dataclass(frozen=True)
 class LikelihoodCalibration:
-    """likelihood = expit(slope * logit(raw) + offset). points: how many it was fitted to; 0: it changes nothing."""
+    """likelihood = expit(slope * logit(raw) + offset)."""
 
     slope: float = 1.0
     offset: float = 0.0
     points: int = 0
+    """How many it was fitted to; 0: it changes nothing."""
 
     def apply(self, raw: Array) -> Array:
         """Of raw likelihoods; NaN stays NaN."""
@@ -57,23 +58,26 @@ def fit_calibration(raw: Array, right: Bools) -> LikelihoodCalibration:
 
 @dataclass(frozen=True)
 class Bin:
-    """Points whose likelihood lies in [low, high): how many, their mean likelihood, and the share that is right."""
+    """Points whose likelihood lies in [low, high)."""
 
     low: float
     high: float
     points: int
+    """How many."""
     likelihood: float
+    """Their mean."""
     right: float
+    """The share of them that is right."""
 
 
 @dataclass(frozen=True)
 class Reliability:
-    """Likelihoods against shares of right points. error: expected calibration error, the mean difference of the two
-    weighted by the points; NaN without any."""
+    """Likelihoods against shares of right points."""
 
     bins: tuple[Bin, ...]
     points: int
     error: float
+    """Expected calibration error, the mean difference of the two weighted by the points; NaN without any."""
 
     def to_dict(self) -> dict[str, Any]:
         rows = [{"low": b.low, "high": b.high, "points": b.points, "likelihood": b.likelihood, "right": b.right}

@@ -24,16 +24,20 @@ TOLERANCE_PX = 5.0
 
 @dataclass(frozen=True)
 class Score2D:
-    """Over labelled points. points: how many; found: the share of them that was predicted (and likely enough); rmse_px
-    and median_px over those found, NaN without any; pck_px and pck_relative: shares of all labelled points, those not
-    found being wrong."""
+    """Of predictions, over labelled points."""
 
     points: int
+    """How many."""
     found: float
+    """The share of them that was predicted (and likely enough)."""
     rmse_px: float
+    """Over those found, NaN without any."""
     median_px: float
+    """Over those found, NaN without any."""
     pck_px: tuple[float, ...]
+    """Shares of all labelled points, those not found being wrong."""
     pck_relative: tuple[float, ...]
+    """Shares of all labelled points, those not found being wrong."""
 
     def to_dict(self) -> dict[str, Any]:
         return {

@@ -25,23 +25,25 @@ OUTSIDE = 0.1
 
 @dataclass(frozen=True, eq=False)
 class Labels:
-    """N labelled pictures of K keypoints.
-
-    xy_px: (N, K, 2), NaN where a point is not labelled. numbers: (N,) int, the frame numbers that the labels' image
-    names end in. images: N names, as in labeled-data/run/img0050.png. clip: (N,) int, which of `clips` a picture comes
-    from: a folder of the project, or the video. pictures: N arrays (height, width, 3; blue, green, red), one size
-    within a clip. source: what was read. notes: what had to be decided, in sentences.
-    """
+    """N labelled pictures of K keypoints."""
 
     names: tuple[str, ...]
     xy_px: Array
+    """(N, K, 2), NaN where a point is not labelled."""
     numbers: Integers
+    """(N,) int, the frame numbers that the labels' image names end in."""
     images: tuple[str, ...]
+    """N names, as in labeled-data/run/img0050.png."""
     clip: Integers
+    """(N,) int, which of `clips` a picture comes from."""
     clips: tuple[str, ...]
+    """Folders of the project, or the video."""
     pictures: tuple[Image, ...]
+    """N arrays (height, width, 3; blue, green, red), one size within a clip."""
     source: str
+    """What was read."""
     notes: tuple[str, ...] = ()
+    """What had to be decided, in sentences."""
 
     @property
     def labelled(self) -> Bools:

@@ -37,11 +37,13 @@ Progress = Callable[[str, float, str], None]
 
 @dataclass(frozen=True, eq=False)
 class Chunk:
-    """Consecutive frames: numbers; pictures at the network's scale; originals, empty unless they are drawn on."""
+    """Consecutive frames."""
 
     numbers: list[int]
     pictures: list[Image]
+    """At the network's scale."""
     originals: list[Image]
+    """Empty unless they are drawn on."""
 
 
 def predict_video(

@@ -37,10 +37,10 @@ TOLERANCE = 0.04
 
 @dataclass(frozen=True)
 class TrainSettings:
-    """steps: how many, or None for as many as fit into `minutes`. patience: evaluations without improvement after which
-    the first part ends. finish: whether the last part learns from the validation pictures, too."""
+    """The settings of a training."""
 
     steps: int | None = None
+    """How many, or None for as many as fit into `minutes`."""
     minutes: float = 15.0
     batch: int = 8
     learning_rate: float = 2e-3
@@ -49,7 +49,9 @@ class TrainSettings:
     mirror: bool = False
     still_background: bool = True
     patience: int = 12
+    """Evaluations without improvement after which the first part ends."""
     finish: bool = True
+    """Whether the last part learns from the validation pictures, too."""
     half: bool = True
     augmentation: Augmentation = field(default_factory=Augmentation)
 
@@ -71,27 +73,29 @@ class TrainSettings:
 
 @dataclass
 class State:
-    """All that a run carries from step to step. share: of the run that is done; it decides the learning rate. seconds:
-    of all its parts. calibrations, judged: by quality; of the labelled validation points, calibrated likelihoods, and
-    which of them are right.
-    skipped: share of the run that stopping early left out. best, best_error_px: averaged weights with the lowest
-    validation error, None without one."""
+    """All that a run carries from step to step."""
 
     network: torch.nn.Module
     average: torch.nn.Module
     optimizer: torch.optim.Optimizer
     step: int = 0
     share: float = 0.0
+    """Of the run that is done; it decides the learning rate."""
     seconds: float = 0.0
+    """Of all its parts."""
     finishing: bool = False
     best: dict[str, Any] | None = None
+    """Averaged weights with the lowest validation error, None without one."""
     best_error_px: float = math.inf
     best_step: int = 0
     since_best: int = 0
     stopped_early: bool = False
     skipped: float = 0.0
+    """Share of the run that stopping early left out."""
     calibrations: dict[str, LikelihoodCalibration] = field(default_factory=dict)
+    """By quality."""
     judged: dict[str, tuple[Array, Bools]] = field(default_factory=dict)
+    """By quality: of the labelled validation points, calibrated likelihoods, and which of them are right."""
     history: list[dict[str, float]] = field(default_factory=list)
 
 

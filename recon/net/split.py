@@ -19,12 +19,14 @@ look alike, and what was seen in training would judge itself."""
 
 @dataclass(frozen=True, eq=False)
 class Split:
-    """Indices into the labelled pictures, increasing, without one in common. train: learned from; validation: judged
-    during training and calibrated by; test: looked at once, at the end."""
+    """Indices into the labelled pictures, increasing, without one in common."""
 
     train: Integers
+    """Learned from."""
     validation: Integers
+    """Judged during training and calibrated by."""
     test: Integers
+    """Looked at once, at the end."""
 
     def to_dict(self, labels: Labels) -> dict[str, Any]:
         """Frame numbers by part and clip."""

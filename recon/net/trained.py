@@ -38,20 +38,22 @@ VIEWS = {"fast": (), "best": ("mirror", 0.8, 1.25)}
 
 @dataclass(frozen=True)
 class Spec:
-    """What belongs to a network's weights.
-
-    names: of the keypoints. scale: of the network's pictures to those of the clip. body_length_px: of the animal in the
-    labelled pictures, before scaling. tolerance_px: within which a point counts as right, for its likelihood, likewise.
-    partner: of each keypoint in a mirror; mirrored: whether training used it. calibrations: by quality.
-    """
+    """What belongs to a network's weights."""
 
     names: tuple[str, ...]
+    """Of the keypoints."""
     scale: float
+    """Of the network's pictures to those of the clip."""
     body_length_px: float
+    """Of the animal in the labelled pictures, before scaling."""
     tolerance_px: float
+    """Within which a point counts as right, for its likelihood; in the labelled pictures, before scaling."""
     partner: tuple[int, ...]
+    """Of each keypoint in a mirror."""
     mirrored: bool
+    """Whether training used it."""
     calibrations: dict[str, LikelihoodCalibration]
+    """By quality."""
 
     @property
     def tolerance_places(self) -> float:
