@@ -22,11 +22,12 @@ from recon.ik.two_link import two_link
 
 @dataclass(frozen=True, eq=False)
 class LiftArmAngles:
-    """branches (2, 4): (height, q1, q2, q3) with q2 <= 0, then with q2 >= 0; NaN without a solution. reason: why there
-    is none or only one, empty for two."""
+    """The arm's joint values for a place of its end."""
 
     branches: Array
+    """(2, 4): (height, q1, q2, q3) with q2 <= 0, then with q2 >= 0; NaN without a solution."""
     reason: str = ""
+    """Why there is none or only one, empty for two."""
 
 
 def lift_arm(lengths_m: tuple[float, float], hand: ArrayLike, height_m: float) -> LiftArmAngles:

@@ -35,21 +35,25 @@ FEET = ("LF", "RF", "LH", "RH")
 
 @dataclass(frozen=True, eq=False)
 class Reference:
-    """N times, evenly spaced, F feet.
-
-    time_s (N,); base_m (N, 3): x and y in the world, z the deviation of the height; roll_pitch_yaw_rad (N, 3); feet
-    (F): of `FEET`; feet_m (N, F, 3); standing (N, F); leg_m: the animal's length of leg. advance_m (2,): of a closed
-    stride, the way from its first to its last sample, which are one and the same otherwise; None for a clip.
-    """
+    """What a robot is to follow, at N times, evenly spaced, with F feet."""
 
     time_s: Array
+    """(N,)"""
     base_m: Array
+    """(N, 3): x and y in the world, z the deviation of the height."""
     roll_pitch_yaw_rad: Array
+    """(N, 3)"""
     feet: tuple[str, ...]
+    """(F): of `FEET`."""
     feet_m: Array
+    """(N, F, 3)"""
     standing: Bools
+    """(N, F)"""
     leg_m: float
+    """The animal's length of leg."""
     advance_m: Array | None = None
+    """(2,): of a closed stride, the way from its first to its last sample, which are one and the same otherwise;
+    None for a clip."""
 
     @property
     def interval_s(self) -> float:
@@ -58,28 +62,32 @@ class Reference:
 
 @dataclass(frozen=True)
 class StrideWindow:
-    """A stride as samples of a reference, first and last. how: "given", "stride", a complete one of a foot, or
-    "return", where all feet come back nearest to where they began. gap_percent: how far apart its ends are, of the
-    paths' extent."""
+    """A stride as samples of a reference, first and last."""
 
     first: int
     last: int
     how: str
+    """One of "given", "stride", a complete one of a foot, or "return", where all feet come back nearest to where they
+    began."""
     gap_percent: float
+    """How far apart its ends are, of the paths' extent."""
 
 
 @dataclass(frozen=True, eq=False)
 class Animal:
-    """reference, made from the samples rows (N,) of the analysis' fine grid; rotation and origin_m take the upright
-    frame to the reference's world; stances: those that the reference has, and the method they are by."""
+    """An animal's motion, and the reference that was made of it."""
 
     reference: Reference
     analysis: ClipAnalysis
     rotation: Rotation
+    """Takes the upright frame to the reference's world, with origin_m."""
     origin_m: Array
     rows: Index
+    """(N,), samples of the analysis' fine grid that the reference is made from."""
     stances: tuple[Stance, ...]
+    """Those that the reference has."""
     method: Method
+    """That the stances are by."""
 
     def in_world(self, points_m: Array) -> Array:
         """Points (..., 3) of the upright frame in the reference's world, still of the animal's size."""

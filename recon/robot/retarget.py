@@ -50,22 +50,25 @@ _ALONG = 9
 
 @dataclass(frozen=True, eq=False)
 class RobotMotion:
-    """N times, 4 legs in the order of `LEGS`, joints in that of robot.joints.
-
-    time_s (N,): the robot's; angles_rad (N, joints); pose (N): T_world_body; feet_m (N, 4, 3): where the feet should
-    be, in the world; standing (N, 4); short (N, 4): feet that were out of reach; advance_m: as of the reference.
-    """
+    """A robot's motion at N times, its 4 legs in the order of `LEGS`, its joints in that of robot.joints."""
 
     robot: Quadruped
     scale: float
     slower: float
     time_s: Array
+    """(N,): the robot's."""
     angles_rad: Array
+    """(N, joints)"""
     pose: RigidTransform
+    """(N): T_world_body."""
     feet_m: Array
+    """(N, 4, 3): where the feet should be, in the world."""
     standing: Bools
+    """(N, 4)"""
     short: Bools
+    """(N, 4): feet that were out of reach."""
     advance_m: Array | None
+    """As of the reference."""
 
     def leg_angles(self, label: str, angles_rad: Array | None = None) -> Array:
         """(N, n) of one leg."""
@@ -142,13 +145,16 @@ class RobotMotion:
 
 @dataclass(frozen=True, eq=False)
 class Retargeted:
-    """clip: the whole of it; stride: one that repeats. found: whether the scale was sought, rather than given;
-    spread_m: how far outside of its neutral place each hind foot goes."""
+    """A robot's motion after an animal's."""
 
     clip: RobotMotion
+    """The whole of it."""
     stride: RobotMotion
+    """One that repeats."""
     found: bool
+    """Whether the scale was sought, rather than given."""
     spread_m: float
+    """How far outside of its neutral place each hind foot goes."""
 
     @property
     def apart_m(self) -> float:

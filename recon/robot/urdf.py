@@ -25,20 +25,24 @@ MOVING = ("revolute", "continuous", "prismatic")
 
 @dataclass(frozen=True, eq=False)
 class UrdfChain:
-    """A chain in the axes of its base link, its end effector the origin of the tip link. joints: those that move."""
+    """A chain in the axes of its base link, its end effector the origin of the tip link."""
 
     chain: JointChain
     joints: tuple[str, ...]
+    """Those that move."""
 
 
 @dataclass(frozen=True, eq=False)
 class UrdfRobot:
-    """path: of the file; name; base: the root link; joint_of: the joint that each other link hangs on, by link."""
+    """A robot as its file describes it."""
 
     path: Path
+    """Of the file."""
     name: str
     base: str
+    """The root link."""
     joint_of: dict[str, Any]
+    """The joint that each other link hangs on, by link."""
 
     @property
     def links(self) -> tuple[str, ...]:

@@ -16,25 +16,32 @@ ROUNDING_M = 1e-9
 
 @dataclass(frozen=True)
 class Row:
-    """The least margin of one rule: value in `unit`, in which frame, and while which leg was up, or none."""
+    """The least margin of one rule."""
 
     what: str
     value: float
+    """In `unit`."""
     unit: str
     frame: int
+    """In which it is least."""
     lifted: str
+    """Which leg was up then, or none."""
 
 
 @dataclass(frozen=True, eq=False)
 class ClimbCheck:
-    """rows: by the names of `RULES`. deepest_m: how far a foot came under the ground or the step; on_top: all feet end
-    on the step; settled: all frames in equilibrium; rate_share: the fastest joint's rate over its limit."""
+    """What a plan's margins are."""
 
     rows: dict[str, Row]
+    """By the names of `RULES`."""
     deepest_m: float
+    """How far a foot came under the ground or the step."""
     on_top: bool
+    """All feet end on the step."""
     settled: bool
+    """All frames in equilibrium."""
     rate_share: float
+    """The fastest joint's rate over its limit."""
 
     @property
     def valid(self) -> bool:

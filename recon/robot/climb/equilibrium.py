@@ -28,34 +28,40 @@ GIVE_UP = 1e12
 
 
 class Torso(NamedTuple):
-    """position_m (..., 3) of the centre of mass in the world; rotation (..., 3, 3), body to world."""
+    """Where a torso is."""
 
     position_m: Array
+    """(..., 3), of the centre of mass in the world."""
     rotation: Array
+    """(..., 3, 3), body to world."""
 
 
 @dataclass(frozen=True)
 class TorsoDynamics:
-    """How a torso follows the fields.
-
-    mass, inertia: force over speed and moment over rate, an evaluation as the unit of time; max_step_m, max_turn_rad:
-    caps of a frame; dofs: which of x, y, z, pitch, roll, yaw are free; arm_m: a turn by one radian counts as this way.
-    """
+    """How a torso follows the fields, an evaluation being the unit of time."""
 
     mass: float
+    """Force over speed."""
     inertia: float
+    """Moment over rate."""
     max_step_m: float
+    """Cap of a frame."""
     max_turn_rad: float
+    """Cap of a frame."""
     dofs: tuple[int, ...] = PLANAR
+    """Which of x, y, z, pitch, roll, yaw are free."""
     arm_m: float = 0.065
+    """A turn by one radian counts as this way."""
 
 
 class Held(NamedTuple):
-    """evaluations and settled (...): how often the fields were evaluated; whether the torso stands still in them."""
+    """A torso that has followed the fields."""
 
     torso: Torso
     evaluations: Integers
+    """(...), how often the fields were evaluated."""
     settled: Bools
+    """(...), whether the torso stands still in them."""
 
 
 def moved(torso: Torso, step: Array) -> Torso:

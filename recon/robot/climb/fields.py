@@ -41,17 +41,23 @@ _EYE = np.eye(3)
 
 @dataclass(frozen=True, eq=False)
 class Well:
-    """gain: slope per unit of q; natural, least, most: of q; low, high: sharpness of the walls, per unit of q.
+    """A potential of a coordinate q, with a wall at either end.
 
-    All numbers, or arrays that broadcast against the values, (..., legs).
+    All are numbers, or arrays that broadcast against the values, (..., legs).
     """
 
     gain: Number
+    """Slope per unit of q."""
     natural: Number
+    """The q of the least energy."""
     least: Number
+    """The q of the lower wall."""
     most: Number
+    """The q of the upper wall."""
     low: Number
+    """Sharpness of the lower wall, per unit of q."""
     high: Number
+    """Sharpness of the upper wall, per unit of q."""
 
     def of(self, q: Array) -> tuple[Array, Array, Array]:
         """Energy, slope and curvature at q."""
@@ -64,33 +70,40 @@ class Well:
 
 @dataclass(frozen=True, eq=False)
 class Fields:
-    """balance_gain: force far from the centroid; balance_sharpness: per metre. Arrays broadcast against (...)."""
+    """The wells of the legs, and what balances the torso. Arrays broadcast against (...)."""
 
     radial: Well
     swing: Well
     flap: Well
     balance_gain: Number
+    """Force far from the centroid."""
     balance_sharpness: Number
+    """Per metre."""
 
 
 @dataclass(frozen=True, eq=False)
 class Stand:
-    """Where the torso is held: hips_m (4, 3) in body axes; feet_m (..., 4, 3) and target_m (..., 2), the centroid to
-    which balance pulls, in the world; side (4,): 1 for legs on the right, -1 on the left."""
+    """Where the torso is held."""
 
     hips_m: Array
+    """(4, 3), in body axes."""
     side: Array
+    """(4,), 1 for legs on the right, -1 on the left."""
     feet_m: Array
+    """(..., 4, 3), in the world."""
     target_m: Array
+    """(..., 2), the centroid to which balance pulls, in the world."""
 
 
 class FieldValues(NamedTuple):
-    """energy (...); wrench (..., 6): force in world axes, moment about the centre of mass in body axes; jacobian
-    (..., 6, 6): its derivative by a shift in world axes and a turn (rotation vector) in body axes."""
+    """What the fields do to a torso."""
 
     energy: Array
+    """(...)"""
     wrench: Array
+    """(..., 6): force in world axes, moment about the centre of mass in body axes."""
     jacobian: Array
+    """(..., 6, 6): the wrench's derivative by a shift in world axes and a turn (rotation vector) in body axes."""
 
 
 def leg_vectors(position_m: Array, rotation: Array, hips_m: Array, feet_m: Array) -> Array:

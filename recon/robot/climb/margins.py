@@ -17,13 +17,16 @@ NONE = -1
 
 
 class Rule(NamedTuple):
-    """what: for the table; unit and per_unit: how it is printed; scale: what counts as one unit of safety when margins
-    of several kinds are weighed against each other."""
+    """How one kind of margin is shown and weighed."""
 
     what: str
+    """For the table."""
     unit: str
+    """How it is printed."""
     per_unit: float
+    """What a value is multiplied by when it is printed."""
     scale: float
+    """What counts as one unit of safety when margins of several kinds are weighed against each other."""
 
 
 RULES: dict[str, Rule] = {

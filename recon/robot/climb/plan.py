@@ -31,25 +31,32 @@ Method = Literal["solve", "ride"]
 
 @dataclass(frozen=True, eq=False)
 class Climb:
-    """T frames. time_s (T,); position_m (T, 3) of the centre of mass and rotation (T, 3, 3), body to world; feet_m
-    (T, 4, 3) in the world; angles_rad (T, 4, 3): swing, flap and knee of each leg, NaN where a foot is out of reach;
-    lifted (T,): the leg that is up, or -1; primitive, footfall (T,): indices, the last for the final shift; phase
-    (T,): "shift", "rise", "traverse" or "lower"; evaluations (T,) of the fields; settled (T,): whether the minimum was
-    found."""
+    """A planned climb of T frames."""
 
     walker: Walker
     recipe: Recipe
     time_s: Array
+    """(T,)"""
     position_m: Array
+    """(T, 3), of the centre of mass."""
     rotation: Array
+    """(T, 3, 3), body to world."""
     feet_m: Array
+    """(T, 4, 3), in the world."""
     angles_rad: Array
+    """(T, 4, 3): swing, flap and knee of each leg, NaN where a foot is out of reach."""
     lifted: Integers
+    """(T,): the leg that is up, or -1."""
     primitive: Integers
+    """(T,): index, counted through the recipe; the last for the final shift."""
     footfall: Integers
+    """(T,): index, counted through the recipe; the last for the final shift."""
     phase: NDArray[np.str_]
+    """(T,): "shift", "rise", "traverse" or "lower"."""
     evaluations: Integers
+    """(T,), of the fields."""
     settled: Bools
+    """(T,): whether the minimum was found."""
 
     def __len__(self) -> int:
         return len(self.time_s)

@@ -37,13 +37,15 @@ class Footfall:
 
 @dataclass(frozen=True, eq=False)
 class Primitive:
-    """rise_rad, lower_rad: the angles of the feet's paths."""
+    """Some footfalls in the same fields."""
 
     name: str
     footfalls: tuple[Footfall, ...]
     fields: Fields
     rise_rad: float
+    """Angle of the feet's paths."""
     lower_rad: float
+    """Angle of the feet's paths."""
 
 
 @dataclass(frozen=True)
@@ -58,17 +60,19 @@ class Swing:
 
 @dataclass(frozen=True, eq=False)
 class Recipe:
-    """robot: name of its description; stance_m (4, 2): where the feet stand at first, right and forward; made_by: the
-    command that found the numbers."""
+    """What a climb is planned from."""
 
     robot: str
+    """Name of its description."""
     step: Step
     stance_m: Array
+    """(4, 2): where the feet stand at first, right and forward."""
     primitives: tuple[Primitive, ...]
     swing: Swing
     motion: TorsoDynamics
     fps: float
     made_by: str
+    """The command that found the numbers."""
 
     @property
     def footfalls(self) -> list[Footfall]:

@@ -28,13 +28,15 @@ SHIN_POINTS = (0.25, 0.5, 0.75)
 
 @dataclass(frozen=True, eq=False)
 class Walker:
-    """name; hips_m (4, 3): in body axes, from the centre of mass; legs: four, in the order of `LEGS`; max_rate_rad_s
-    (4, 3): of swing, flap and knee."""
+    """A robot as a climb sees it."""
 
     name: str
     hips_m: Array
+    """(4, 3): in body axes, from the centre of mass."""
     legs: tuple[Leg, ...]
+    """Four, in the order of `LEGS`."""
     max_rate_rad_s: Array
+    """(4, 3): of swing, flap and knee."""
 
     @classmethod
     def of(cls, robot: Quadruped) -> Walker:
@@ -96,11 +98,15 @@ def _bent(leg: SwingLeg, foot_m: Array) -> tuple[Array, Array, Array]:
 
 @dataclass(frozen=True, eq=False)
 class Posture:
-    """angles_rad (..., 4, 3): swing, flap, knee; limits_rad (..., 4, 3): how far within the limits; slack_m (..., 4):
-    how far each foot is within its leg's reach, negative outside; hips_m, knees_m (..., 4, 3): in the world."""
+    """Legs on given feet under a given torso."""
 
     angles_rad: Array
+    """(..., 4, 3): swing, flap, knee."""
     limits_rad: Array
+    """(..., 4, 3): how far within the limits."""
     slack_m: Array
+    """(..., 4): how far each foot is within its leg's reach, negative outside."""
     hips_m: Array
+    """(..., 4, 3): in the world."""
     knees_m: Array
+    """(..., 4, 3): in the world."""
