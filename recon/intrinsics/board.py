@@ -29,19 +29,24 @@ CHARUCO_FORM = "charuco:5x7:40mm:30mm:DICT_4X4_50 (squares; side of a square; si
 
 @dataclass(frozen=True)
 class Corners:
-    """Corners of a board in one picture. ids: (N,), rows of the board's `points_m`. xy_px: (N, 2)."""
+    """Corners of a board in one picture."""
 
     ids: Index
+    """(N,), rows of the board's `points_m`."""
     xy_px: Array
+    """(N, 2)"""
 
 
 @dataclass(frozen=True)
 class Chessboard:
-    """columns, rows: inner corners. square_m: side of a square."""
+    """A board of squares."""
 
     columns: int
+    """Inner corners."""
     rows: int
+    """Inner corners."""
     square_m: float
+    """Side of a square."""
     needs_all: ClassVar[bool] = True
 
     def __str__(self) -> str:
@@ -72,17 +77,20 @@ class Chessboard:
 
 @dataclass(frozen=True)
 class Charuco:
-    """columns, rows: squares. square_m, marker_m: sides. dictionary: OpenCV's name of the markers' dictionary.
-
-    legacy: the layout of OpenCV before 4.6, which differs for an even number of rows.
-    """
+    """A board of squares with markers in them."""
 
     columns: int
+    """Squares."""
     rows: int
+    """Squares."""
     square_m: float
+    """Side of a square."""
     marker_m: float
+    """Side of a marker."""
     dictionary: str
+    """OpenCV's name of the markers' dictionary."""
     legacy: bool = False
+    """The layout of OpenCV before 4.6, which differs for an even number of rows."""
     needs_all: ClassVar[bool] = False
 
     def __str__(self) -> str:

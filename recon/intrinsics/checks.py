@@ -23,13 +23,15 @@ Verdict = Literal["ok", "warning", "refused"]
 
 @dataclass(frozen=True)
 class Limit:
-    """warn, refuse: a warning, and a reason to refuse, where the value is beyond (below, if `at_least`); NaN: never."""
+    """What a measured value is held against. A limit of NaN is never reached."""
 
     name: str
     what: str
     unit: str
     warn: float
+    """A warning where the value is beyond it (below it, if `at_least`)."""
     refuse: float
+    """A reason to refuse where the value is beyond it (below it, if `at_least`)."""
     at_least: bool
     advice: str
 

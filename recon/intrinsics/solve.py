@@ -50,15 +50,18 @@ _FIXED = {
 
 @dataclass(frozen=True)
 class FittedBoardView:
-    """One picture. rotation, translation_m: (3, 3) and (3,), X_camera = rotation X_board + translation_m.
-    residual_px: (N, 2), projected less found. used: whether it counted, or was left out as an outlier."""
+    """One picture, of N corners."""
 
     name: str
     corners: Corners
     rotation: Array
+    """(3, 3): X_camera = rotation X_board + translation_m."""
     translation_m: Array
+    """(3,)"""
     residual_px: Array
+    """(N, 2), projected less found."""
     used: bool
+    """Whether it counted, or was left out as an outlier."""
 
     @cached_property
     def rms_px(self) -> float:
@@ -76,13 +79,14 @@ class FittedBoardView:
 
 @dataclass(frozen=True)
 class Calibration:
-    """A camera and what it was found from. sigma: one standard deviation of each parameter (see `parameters`), from
-    the residuals and the views' geometry; what the lens model cannot express is not in it."""
+    """A camera and what it was found from."""
 
     camera: Camera
     board: Board
     views: tuple[FittedBoardView, ...]
     sigma: tuple[float, ...]
+    """One standard deviation of each parameter (see `parameters`), from the residuals and the views' geometry; what
+    the lens model cannot express is not in it."""
 
     @cached_property
     def used(self) -> tuple[FittedBoardView, ...]:

@@ -42,15 +42,18 @@ class BoardView:
 
 @dataclass(frozen=True)
 class BoardViews:
-    """views: those to calibrate from. without_board: names of the pictures in which it was not found. examined:
-    how many pictures were looked at; found: in how many of them the board was."""
+    """The pictures of a board in some files."""
 
     board: Board
     image_size_px: tuple[int, int]
     views: tuple[BoardView, ...]
+    """Those to calibrate from."""
     without_board: tuple[str, ...]
+    """Names of the pictures in which it was not found."""
     examined: int
+    """How many pictures were looked at."""
     found: int
+    """In how many of them the board was."""
 
 
 def collect(paths: Iterable[Path]) -> list[Path]:
