@@ -25,33 +25,32 @@ PCK_THRESHOLDS_M = (0.05, 0.1, 0.15)
 
 @dataclass(frozen=True, eq=False)
 class Score:
-    """One metric: mean over the frames of per_frame; per_frame (T,); per_joint (J,), mean over its frames.
-
-    NaN where nothing could be scored.
-    """
+    """One metric. NaN where nothing could be scored."""
 
     mean: float
+    """Over the frames of per_frame."""
     per_frame: np.ndarray
+    """(T,)"""
     per_joint: np.ndarray
+    """(J,), mean over its frames."""
 
 
 @dataclass(frozen=True, eq=False)
 class Evaluation:
-    """A reconstruction against the truth, over T common frames and J common joints.
-
-    mpjpe_m: centred on the mean of the frame's common joints; mpe_m: as is; scale_mpjpe_m: centred, with one scale per
-    frame; pa_mpjpe_m: after a similarity (Procrustes) per frame; pck: for each threshold (m), the fraction of centred
-    errors up to it. notes: what is probably wrong, where one motion of the whole clip, or an exchange of names, takes
-    most of the error away. Frame ranges are half-open.
-    """
+    """A reconstruction against the truth, over T common frames and J common joints. Frame ranges are half-open."""
 
     names: tuple[str, ...]
     frames: np.ndarray
     mpjpe_m: Score
+    """Centred on the mean of the frame's common joints."""
     mpe_m: Score
+    """As is."""
     scale_mpjpe_m: Score
+    """Centred, with one scale per frame."""
     pa_mpjpe_m: Score
+    """After a similarity (Procrustes) per frame."""
     pck: tuple[tuple[float, Score], ...]
+    """For each threshold (m), the fraction of centred errors up to it."""
     frames_not_scored: int
     frames_without_pa: int
     joints_only_in_pose: tuple[str, ...]
@@ -59,6 +58,8 @@ class Evaluation:
     frames_only_in_pose: tuple[tuple[int, int], ...]
     frames_only_in_truth: tuple[tuple[int, int], ...]
     notes: tuple[str, ...]
+    """What is probably wrong, where one motion of the whole clip, or an exchange of names, takes most of the error
+    away."""
 
     def to_dict(self) -> dict[str, Any]:
         """Plain JSON types: keys that end in `_mm` are millimetres, pck are fractions, NaN is None."""

@@ -92,18 +92,19 @@ IN_PHASE = 0.125
 
 @dataclass(frozen=True)
 class Stance:
-    """A foot's time on the ground. start_frame and end_frame count rows of the clip and have fractions.
-
-    begins, ends: False where the clip, or a gap in it, cuts the stance, so that the time is only a bound.
-    """
+    """A foot's time on the ground."""
 
     foot: str
     start_s: float
     end_s: float
     start_frame: float
+    """Counts rows of the clip and has fractions."""
     end_frame: float
+    """Counts rows of the clip and has fractions."""
     begins: bool = True
+    """False where the clip, or a gap in it, cuts the beginning, so that the time is only a bound."""
     ends: bool = True
+    """The same of the end."""
 
     @property
     def duration_s(self) -> float:
@@ -112,17 +113,16 @@ class Stance:
 
 @dataclass(frozen=True)
 class Plane:
-    """Ground z = height_m + slope[0] (x - x0) + slope[1] (y - y0), through the middle (x0, y0) of the slow feet.
-
-    spread_m: robust standard deviation of the slow feet about it; samples: their number (fine grid), 0 if there was no
-    slow foot and the plane is level, through the lowest position of any foot.
-    """
+    """Ground z = height_m + slope[0] (x - x0) + slope[1] (y - y0), through the middle (x0, y0) of the slow feet."""
 
     middle_m: tuple[float, float]
     height_m: float
     slope: tuple[float, float]
     spread_m: float
+    """Robust standard deviation of the slow feet about it."""
     samples: int
+    """Their number (fine grid), 0 if there was no slow foot and the plane is level, through the lowest position of
+    any foot."""
 
     def above(self, xyz_m: Array) -> Array:
         """Heights (...) of points (..., 3) above the plane."""
@@ -131,23 +131,27 @@ class Plane:
 
 @dataclass(frozen=True, eq=False)
 class Tracks:
-    """The feet's and the body's motion on the fine grid, N times, F feet; NaN where unknown.
-
-    time_s, frame (N,); foot_m (N, F, 3); body_m (N, 3); foot_speed_m_s (N, F) and body_speed_m_s (N,): horizontal;
-    reach_m (N, F): of the foot before the body along the travel; height_m (N, F): above the ground; leg_m. grounds: the
-    clip's rows and the plane under the feet in them, one for every spell of the clip.
-    """
+    """The feet's and the body's motion on the fine grid, N times, F feet; NaN where unknown."""
 
     feet: tuple[str, ...]
     time_s: Array
+    """(N,)"""
     frame: Array
+    """(N,)"""
     foot_m: Array
+    """(N, F, 3)"""
     body_m: Array
+    """(N, 3)"""
     foot_speed_m_s: Array
+    """(N, F): horizontal."""
     body_speed_m_s: Array
+    """(N,): horizontal."""
     reach_m: Array
+    """(N, F): of the foot before the body along the travel."""
     height_m: Array
+    """(N, F): above the ground."""
     grounds: tuple[tuple[slice, Plane], ...]
+    """The clip's rows and the plane under the feet in them, one for every spell of the clip."""
     leg_m: float
 
     def above_ground(self, xyz_m: Array) -> Array:
@@ -157,16 +161,18 @@ class Tracks:
 
 @dataclass(frozen=True)
 class Stride:
-    """From one touchdown of a foot to its next (`at` touchdown), or from one lift-off to the next where the clip holds
-    no two touchdowns (`at` lift-off). length_m: the body's horizontal travel; duty_factor: of its stance, which lies
-    in the clip from its beginning to its end. One that is given (`at`) is of no foot, length and duty factor NaN."""
+    """From one touchdown of a foot to its next, or from one lift-off to the next where the clip holds no two
+    touchdowns. One that is given is of no foot, length and duty factor NaN."""
 
     foot: str
     start_s: float
     end_s: float
     length_m: float
+    """The body's horizontal travel."""
     duty_factor: float
+    """Of its stance, which lies in the clip from its beginning to its end."""
     at: Literal["touchdown", "lift-off", "given"]
+    """What it goes from and to."""
 
     @property
     def frequency_hz(self) -> float:
@@ -175,44 +181,47 @@ class Stride:
 
 @dataclass(frozen=True)
 class Doubt:
-    """A stride that is not counted. other_s: duration of the other method's stride of the foot at that time; returns_s:
-    after how long the pose returns about then, NaN if it does not. None where there is nothing to tell it from."""
+    """A stride that is not counted."""
 
     stride: Stride
     other_s: float | None
+    """Duration of the other method's stride of the foot at that time; None where there is nothing to tell it from."""
     returns_s: float | None
+    """After how long the pose returns about then, NaN if it does not; None where there is nothing to tell it from."""
 
 
 @dataclass(frozen=True)
 class GaitName:
-    """name: walk, trot, pace, bound, half-bound, rotary gallop, transverse gallop, or unknown. criterion: what it was
-    decided on. phase: each foot's touchdown after the first foot's, in strides, [0, 1). duty_factor: mean, or NaN."""
+    """What a gait is called."""
 
     name: str
+    """walk, trot, pace, bound, half-bound, rotary gallop, transverse gallop, or unknown."""
     criterion: str
+    """What it was decided on."""
     phase: Mapping[str, float]
+    """Each foot's touchdown after the first foot's, in strides, [0, 1)."""
     duty_factor: float
+    """Mean, or NaN."""
 
 
 @dataclass(frozen=True, eq=False)
 class Gait:
-    """The gait of a clip by one method. Means are over complete strides, NaN without any.
-
-    order: the feet in the order of their touchdowns (those the clip holds). doubtful: strides by the method that
-    the return of the pose, or the other method, speaks against; none of them is in `strides`.
-    """
+    """The gait of a clip by one method. Means are over complete strides, NaN without any."""
 
     method: Method
     tracks: Tracks
     stances: tuple[Stance, ...]
     strides: tuple[Stride, ...]
     order: tuple[str, ...]
+    """The feet in the order of their touchdowns (those the clip holds)."""
     stride_length_m: float
     stride_frequency_hz: float
     duty_factor: Mapping[str, float]
     speed_m_s: float
     name: GaitName
     doubtful: tuple[Doubt, ...] = ()
+    """Strides by the method that the return of the pose, or the other method, speaks against; none of them is in
+    `strides`."""
 
 
 @dataclass(frozen=True)

@@ -50,11 +50,12 @@ in the spline falls by 2 - sqrt(3) from frame to frame, to 1e-23 over the margin
 
 @dataclass(frozen=True, eq=False)
 class Errors:
-    """sigma: standard deviations of values, in their shape and unit, positive; correlation_s: how long an error lasts
-    (see the module), 0 for frames that have nothing to do with each other."""
+    """How far values may be wrong."""
 
     sigma: Array
+    """Standard deviations of the values, in their shape and unit, positive."""
     correlation_s: float = 0.0
+    """How long an error lasts (see the module), 0 for frames that have nothing to do with each other."""
 
     def __getitem__(self, at) -> Errors:
         """Of a part of the values."""
@@ -63,23 +64,27 @@ class Errors:
 
 @dataclass(frozen=True, eq=False)
 class Series:
-    """Values in d dimensions and their derivatives on a fine grid, N = (T - 1) oversampling + 1 times.
-
-    time_s (N,), every `oversampling`-th is a frame; value, rate, acceleration (N, d), per second and per second^2 in
-    the values' unit, NaN where unknown. *_sigma (N, d): one standard deviation, None where none was given.
-    spans: (first, last) frame index of each stretch, inclusive. lam: the smoothing of each span and dimension,
-    (spans, d), in the values' weighted unit; None for the exact spline.
-    """
+    """Values in d dimensions and their derivatives on a fine grid, N = (T - 1) oversampling + 1 times. NaN where
+    unknown."""
 
     time_s: Array
+    """(N,), every `oversampling`-th is a frame."""
     value: Array
+    """(N, d)"""
     rate: Array
+    """(N, d), per second in the values' unit."""
     acceleration: Array
+    """(N, d), per second^2 in the values' unit."""
     value_sigma: Array | None
+    """(N, d): one standard deviation, None where none was given."""
     rate_sigma: Array | None
+    """(N, d), likewise."""
     acceleration_sigma: Array | None
+    """(N, d), likewise."""
     spans: tuple[tuple[int, int], ...]
+    """(first, last) frame index of each stretch, inclusive."""
     lam: Array | None
+    """The smoothing of each span and dimension, (spans, d), in the values' weighted unit; None for the exact spline."""
     oversampling: int
 
     @property
@@ -89,21 +94,23 @@ class Series:
 
 @dataclass(frozen=True, eq=False)
 class JointKinematics:
-    """A point's motion, world frame. series: position (m), velocity (m/s) and acceleration (m/s^2) vectors, (N, 3).
-
-    speed_m_s, acceleration_m_s2 (N,): norms of the vectors; speed_sigma_m_s, acceleration_sigma_m_s2 (N,): linear,
-    None without errors (noise also biases a norm upwards, by about sigma^2 / norm, which is not taken out).
-    distance_m: arc length of the known spans; mean_speed_m_s: over the time they take; peaks with their times. NaN
-    where nothing is known.
-    """
+    """A point's motion, world frame. NaN where nothing is known."""
 
     series: Series
+    """Position (m), velocity (m/s) and acceleration (m/s^2) vectors, (N, 3)."""
     speed_m_s: Array
+    """(N,): norm of the velocity."""
     acceleration_m_s2: Array
+    """(N,): norm of the acceleration."""
     speed_sigma_m_s: Array | None
+    """(N,): linear, None without errors (noise also biases a norm upwards, by about sigma^2 / norm, which is not
+    taken out)."""
     acceleration_sigma_m_s2: Array | None
+    """(N,), likewise."""
     distance_m: float
+    """Arc length of the known spans."""
     mean_speed_m_s: float
+    """Over the time the known spans take."""
     peak_speed_m_s: float
     peak_speed_time_s: float
     peak_acceleration_m_s2: float
@@ -111,14 +118,18 @@ class JointKinematics:
 
 @dataclass(frozen=True, eq=False)
 class AngleKinematics:
-    """An angle over time. series: (N, 1), rad, rad/s, rad/s^2. range_rad: (least, greatest); range_of_motion_rad: their
-    difference; peak_rate_rad_s, peak_acceleration_rad_s2: greatest magnitudes. NaN where nothing is known."""
+    """An angle over time. NaN where nothing is known."""
 
     series: Series
+    """(N, 1), rad, rad/s, rad/s^2."""
     range_rad: tuple[float, float]
+    """(least, greatest)"""
     range_of_motion_rad: float
+    """Their difference."""
     peak_rate_rad_s: float
+    """Greatest magnitude."""
     peak_acceleration_rad_s2: float
+    """Greatest magnitude."""
 
 
 # -- series ----------------------------------------------------------------------------------------------------------

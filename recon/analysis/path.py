@@ -30,24 +30,28 @@ STEADY = 0.1
 
 @dataclass(frozen=True, eq=False)
 class PathKinematics:
-    """A path on a fine time grid: N = (T - 1) oversampling + 1 times, in as many dimensions d as its points.
-
-    time_s (N,), every `oversampling`-th is a frame; position_m, velocity_m_s (N, d); speed_m_s (N,);
-    acceleration_m_s2 (N,): norm of the second derivative. All NaN where the path is unknown. distance_m: arc length
-    over the stretches that are known; mean_speed_m_s: over the time that they take; peak_speed_m_s: NaN without any.
-    smoothing_m: as given, None for the exact spline.
-    """
+    """A path on a fine time grid: N = (T - 1) oversampling + 1 times, in as many dimensions d as its points. All NaN
+    where the path is unknown."""
 
     time_s: Array
+    """(N,), every `oversampling`-th is a frame."""
     position_m: Array
+    """(N, d)"""
     velocity_m_s: Array
+    """(N, d)"""
     speed_m_s: Array
+    """(N,)"""
     acceleration_m_s2: Array
+    """(N,): norm of the second derivative."""
     distance_m: float
+    """Arc length over the stretches that are known."""
     peak_speed_m_s: float
+    """NaN without any."""
     mean_speed_m_s: float
+    """Over the time that the known stretches take."""
     oversampling: int
     smoothing_m: float | Array | None
+    """As given, None for the exact spline."""
 
 
 def path_kinematics(
