@@ -35,31 +35,34 @@ STILL_RAD = 1e-10
 
 @dataclass(frozen=True, eq=False)
 class Closures:
-    """Degrees of closure in percent, (n,): of each joint's angle, and of its path in the (angle, rate) plane. NaN for a
-    joint that does not move."""
+    """Degrees of closure in percent, by joint. NaN for a joint that does not move."""
 
     angle: Array
+    """(n,): of the joint's angle."""
     plane: Array
+    """(n,): of its path in the (angle, rate) plane."""
 
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """What the chain did: K configurations, K - 1 steps.
-
-    q (K, n), rad; dq (K, n), rad/s: the rates with which each configuration is left; end_m (K, dim); distance_m (K,):
-    from the target, or from the path; manipulability (K,): sqrt(det J J'); singular (K - 1,): whether the step was
-    damped at a singular configuration; solve_s (K - 1,): computing time of each step; limits_hit: the joints that were
-    stopped by a limit.
-    """
+    """What the chain did: K configurations, K - 1 steps."""
 
     q: Array
+    """(K, n), rad."""
     dq: Array
+    """(K, n), rad/s: the rates with which each configuration is left."""
     end_m: Array
+    """(K, dim)"""
     distance_m: Array
+    """(K,): from the target, or from the path."""
     manipulability: Array
+    """(K,): sqrt(det J J')."""
     singular: Bools
+    """(K - 1,): whether the step was damped at a singular configuration."""
     solve_s: Array
+    """(K - 1,): computing time of each step."""
     limits_hit: tuple[int, ...]
+    """The joints that were stopped by a limit."""
 
     @property
     def iterations(self) -> int:
@@ -100,10 +103,11 @@ class Drive(Run):
 
 @dataclass(frozen=True, eq=False)
 class Follow(Run):
-    """The way along a path, turns times. The last rates are those with which a closed path begins anew, or an open one
-    ends. note: the first thing that went wrong, with its step, or empty."""
+    """The way along a path, turns times. The last rates are those with which a closed path begins anew, or an open
+    one ends."""
 
     note: str
+    """The first thing that went wrong, with its step, or empty."""
     turns: int
 
 

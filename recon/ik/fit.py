@@ -37,14 +37,17 @@ WEIGHT_RANGE = 1e3
 
 @dataclass(frozen=True, eq=False)
 class Fitted:
-    """A method with its parameter (as an array), and how well it fits: rms_rad_s of the residuals, and the share of
-    sum dq^2 that the rates explain, 1 - sum r^2 / sum dq^2. note: where a parameter lies at the edge of its range."""
+    """A method with its parameter, and how well it fits."""
 
     method: Method
     parameter: Array
+    """As an array."""
     rms_rad_s: float
+    """Of the residuals."""
     explained: float
+    """The share of sum dq^2 that the rates explain, 1 - sum r^2 / sum dq^2."""
     note: str = ""
+    """Where a parameter lies at the edge of its range."""
 
 
 @dataclass(frozen=True, eq=False)

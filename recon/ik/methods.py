@@ -38,11 +38,14 @@ order, by more than millimetres."""
 
 
 class JointRates(NamedTuple):
-    """Rates dq (n,), rad/s; singular: whether they are damped because a direction is lost; note: what, in words."""
+    """How fast the joints are to move."""
 
     dq: Array
+    """(n,), rad/s."""
     singular: bool = False
+    """Whether the rates are damped because a direction is lost."""
     note: str = ""
+    """What is held back or damped, in words, or empty."""
 
 
 class Method(Protocol):
@@ -80,13 +83,12 @@ class JacobianTranspose:
 
 @dataclass(frozen=True)
 class GradientProjection:
-    """J+ dx + k (I - J+ J) g.
-
-    gradient: g (n,) as a function of q, or a cost, whose gradient it is; k, 1/s, is negative to descend.
-    """
+    """J+ dx + k (I - J+ J) g."""
 
     gradient: Cost | Callable[[Array], Array]
+    """g (n,) as a function of q, or a cost, whose gradient it is."""
     k: float = -1.0
+    """1/s, negative to descend."""
 
     def rates(self, chain: SerialChain, q: Array, dx: Array, free: Bools | None = None) -> JointRates:
         J = _jacobian(chain, q, free)

@@ -22,13 +22,16 @@ _MAX_ITERATIONS = 500
 
 @dataclass(frozen=True, eq=False)
 class Optimum:
-    """Where the null space leads; K configurations q (K, n). reason: "reached", or what stopped it. gradient: |G| at
-    the end; kind: "minimum", "saddle" or "maximum" of the cost with the end effector held, or "degenerate"."""
+    """Where the null space leads."""
 
     reason: str
+    """Either "reached" or what stopped it."""
     q: Array
+    """(K, n): the configurations on the way."""
     gradient: float
+    """|G| at the end."""
     kind: str
+    """One of "minimum", "saddle" or "maximum" of the cost with the end effector held, or "degenerate"."""
 
     @property
     def reached(self) -> bool:

@@ -38,21 +38,21 @@ AWAY, BACK, SPAN = 0.5, 0.25, 0.8
 
 @dataclass(frozen=True, eq=False)
 class Stride:
-    """A stride of F frames, from start_s to end_s in the clip, whose frame 0 is at 0; end_s may lie between two.
-
-    how: "given", "return" or "whole clip". q (F, n): the animal's joint angles, NaN where missing, of which the first
-    is where to start from. path_m (K, dim): the end effector's path, closed, its points `interval_s` apart; the gap
-    that was closed is gap_m, gap_percent of the path's diameter.
-    """
+    """A stride of F frames in a clip whose frame 0 is at 0 s; its end may lie between two."""
 
     start_s: float
     end_s: float
     how: Literal["given", "return", "whole clip"]
+    """One of "given", "return" or "whole clip"."""
     q: Array
+    """(F, n): the animal's joint angles, NaN where missing, of which the first is where to start from."""
     path_m: Array
+    """(K, dim): the end effector's path, closed, its points `interval_s` apart."""
     interval_s: float
     gap_m: float
+    """The gap that was closed."""
     gap_percent: float
+    """The same, of the path's diameter."""
 
 
 def find_stride(

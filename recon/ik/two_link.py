@@ -19,11 +19,12 @@ from recon.ik.chain import PlanarChain, unreachable
 
 @dataclass(frozen=True, eq=False)
 class TwoLink:
-    """branches_rad (2, 2): (q1, q2) with q2 <= 0, then with q2 >= 0, in (-pi, pi]; NaN without a solution. reason: why
-    there is none or only one, empty for two."""
+    """Both solutions of a chain of two links."""
 
     branches_rad: Array
+    """(2, 2): (q1, q2) with q2 <= 0, then with q2 >= 0, in (-pi, pi]; NaN without a solution."""
     reason: str = ""
+    """Why there is none or only one, empty for two."""
 
     @property
     def reachable(self) -> bool:
