@@ -20,13 +20,14 @@ from recon.intrinsics.views import Progress
 
 @dataclass(frozen=True)
 class CalibrationRun:
-    """A calibration with the views it came from and what was checked. written: the camera file, or None."""
+    """A calibration with the views it came from and what was checked."""
 
     views: BoardViews
     calibration: Calibration
     checks: tuple[Check, ...]
     picture: Path
     written: Path | None
+    """The camera file, or None."""
 
     @property
     def refused(self) -> tuple[Check, ...]:

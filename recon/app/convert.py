@@ -20,14 +20,18 @@ from recon.results import read_results
 
 @dataclass(frozen=True)
 class Options:
-    """fps: in place of the file's; individual: which animal; columns: of a plain CSV (see `recon.io.column_map`);
-    unit (m, cm, mm) and up (y, z): of 3D positions, where the file does not say."""
+    """What the user says about a file."""
 
     fps: float | None = None
+    """In place of the file's."""
     individual: str | None = None
+    """Which animal."""
     columns: str | None = None
+    """Of a plain CSV (see `recon.io.column_map`)."""
     unit: str | None = None
+    """m, cm or mm: of 3D positions, where the file does not say."""
     up: str | None = None
+    """y or z: of 3D positions, where the file does not say."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -45,16 +45,16 @@ _MODULE = "import sys; from recon.cli import main; sys.exit(main())"
 
 @dataclass(frozen=True)
 class Check:
-    """group, name: what was looked at. found: in words. hint: what to do, or empty.
-
-    status: ok; absent: optional, and not there; note: works, with a limit; broken: recon cannot work here.
-    """
+    """Something that was looked at."""
 
     group: str
     name: str
     status: Status
+    """ok; absent: optional, and not there; note: works, with a limit; broken: recon cannot work here."""
     found: str
+    """In words."""
     hint: str = ""
+    """What to do, or empty."""
 
 
 @dataclass(frozen=True)

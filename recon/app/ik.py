@@ -80,44 +80,49 @@ SUMMARY = "ik.json"
 
 @dataclass(frozen=True, eq=False)
 class Limb:
-    """A chain of the animal, and its joint angles q (T, n) in the clip, whose first frame is at first_s.
-
-    base: what the base frame's axes mean, U forwards, V down and W left, or x forwards, y left and z up. misfit_m:
-    distance of the chain's end from the foot, median.
-    """
+    """A chain of the animal, and its joint angles in the clip."""
 
     foot: str
     chain: SerialChain
     names: tuple[str, ...]
     q: Array
+    """(T, n)"""
     fps: float
     first_s: float
+    """Time of the clip's first frame."""
     base: Literal["UVW", "xyz"]
+    """What the base frame's axes mean, U forwards, V down and W left, or x forwards, y left and z up."""
     misfit_m: float
+    """Distance of the chain's end from the foot, median."""
 
 
 @dataclass(frozen=True, eq=False)
 class Found:
-    """how: "given", "ground" or "body", the rule that found it complete, "return" or "whole clip". notes: strides that
-    do not count, and what else is to be known of it."""
+    """A stride of the animal, and how it was found."""
 
     stride: Stride
     how: str
+    """One of "given", "ground" or "body", the rule that found it complete, "return" or "whole clip"."""
     notes: tuple[str, ...]
+    """Strides that do not count, and what else is to be known of it."""
 
 
 @dataclass(frozen=True, eq=False)
 class Solved:
-    """limb, stride: what was moved; drives, follows: by method, empty where not asked for; target_m (dim,); parameters:
-    fitted to the clip, by method; summary: what ik.json holds."""
+    """What was moved, and how."""
 
     limb: Limb
     stride: Stride
     target_m: Array | None
+    """(dim,)"""
     drives: Mapping[str, Drive]
+    """By method, empty where not asked for."""
     follows: Mapping[str, Follow]
+    """By method, empty where not asked for."""
     parameters: Mapping[str, Fitted]
+    """Fitted to the clip, by method."""
     summary: dict[str, Any]
+    """What ik.json holds."""
 
 
 # -- the animal's chain ----------------------------------------------------------------------------------------------

@@ -31,15 +31,18 @@ def _silent(stage: str, share: float, text: str) -> None:
 
 @dataclass(frozen=True)
 class LabelSource:
-    """data: a DeepLabCut project folder, or a video with its label file. first_frame: the number that the label file
-    gives to the video's first frame. validation, test: a share of the labelled pictures, or a range "A:B"."""
+    """Labelled pictures, and which of them to learn from."""
 
     data: Path
+    """A DeepLabCut project folder, or a video with its label file."""
     labels: Path | None = None
     first_frame: int = 0
+    """The number that the label file gives to the video's first frame."""
     individual: str | None = None
     validation: str = "0.2"
+    """A share of the labelled pictures, or a range "A:B"."""
     test: str = "0"
+    """A share of the labelled pictures, or a range "A:B"."""
 
 
 def run_training(

@@ -40,23 +40,26 @@ T = TypeVar("T")
 
 @dataclass(frozen=True, eq=False)
 class Piece:
-    """A continuous piece of motion. states (T, D): NaN where it is not known; rms_mm: the body's misfit to a pose file,
-    NaN where no frame had enough markers."""
+    """A continuous piece of motion."""
 
     name: str
     states: Array
+    """(T, D): NaN where it is not known."""
     fps: float
     rms_mm: float = math.nan
+    """The body's misfit to a pose file, NaN where no frame had enough markers."""
 
 
 @dataclass(frozen=True)
 class HeldOut:
-    """Mean log-likelihood per frame of segments that a prior was not fitted to, each left out once: of the mixture, and
-    of one Gaussian. components: the fewest of all these fits."""
+    """Mean log-likelihood per frame of segments that a prior was not fitted to, each left out once."""
 
     mixture: float
+    """Of the mixture."""
     one_gaussian: float
+    """Of one Gaussian."""
     components: int
+    """The fewest of all these fits."""
 
 
 @dataclass(frozen=True, eq=False)

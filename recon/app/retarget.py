@@ -38,13 +38,15 @@ SLIP_M, CLOSING_PERCENT = 0.002, 1.0
 
 @dataclass(frozen=True, eq=False)
 class RetargetRun:
-    """What was made of what; clip: the animal's reference as the robot follows it; report: what report.json holds."""
+    """What was made of what."""
 
     animal: Animal
     window: StrideWindow
     clip: Reference
+    """The animal's reference as the robot follows it."""
     motion: Retargeted
     report: dict[str, Any]
+    """What report.json holds."""
 
 
 def run_retarget(

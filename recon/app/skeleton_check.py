@@ -30,64 +30,71 @@ mean over strides, not a stance."""
 
 @dataclass(frozen=True)
 class AngleRow:
-    """An expected angle, degrees: the middle of its range, and from there to either end.
-
-    low_deg, high_deg: a chain's tolerance, or `REACH_SIGMAS` standard deviations. rate: what is expected of its
-    changes, with its unit.
-    """
+    """An expected angle, degrees: the middle of its range, and from there to either end."""
 
     name: str
     mean_deg: float
     low_deg: float
+    """A chain's tolerance, or `REACH_SIGMAS` standard deviations."""
     high_deg: float
+    """A chain's tolerance, or `REACH_SIGMAS` standard deviations."""
     rate: str
+    """What is expected of its changes, with its unit."""
 
 
 @dataclass(frozen=True)
 class PartRow:
-    """A segment or a link. parent: the segment that it turns on, empty for the root, or the joint where the link
-    begins; end: the joint where it ends; length_m: from the parent's origin to its own, or along the link; points:
-    markers on it, or the keypoints of its end."""
+    """A segment or a link."""
 
     name: str
     parent: str
+    """The segment that it turns on, empty for the root, or the joint where the link begins."""
     end: str
+    """The joint where it ends."""
     joint: str
     length_m: float
+    """From the parent's origin to its own, or along the link."""
     angles: tuple[AngleRow, ...]
     points: tuple[str, ...]
+    """Markers on it, or the keypoints of its end."""
 
 
 @dataclass(frozen=True)
 class MarkerRow:
-    """at_m: from the origin of its segment, in that one's frame, (x, y, z)."""
+    """A point on a segment."""
 
     name: str
     segment: str
     at_m: tuple[float, float, float]
+    """From the origin of its segment, in that one's frame, (x, y, z)."""
 
 
 @dataclass(frozen=True, eq=False)
 class SkeletonCheck:
-    """kind: "whole animal" or "chain". unknowns: per frame. height_m, length_m: of the expected pose. feet: markers by
-    label, LF, RF, LH, RH, of a chain F, H. remarks: what is allowed, but looks like a mistake. prior: the one that a
-    fit takes by default, "none" if there is none."""
+    """What a skeleton's file describes."""
 
     name: str
     title: str
     kind: str
+    """Either "whole animal" or "chain"."""
     body: Body
     unknowns: int
+    """Per frame."""
     length_m: float
+    """Of the expected pose."""
     height_m: float
+    """Of the expected pose."""
     size_sigma: float
     keypoint_sigma_m: float
     prior: str
+    """The one that a fit takes by default, "none" if there is none."""
     parts: tuple[PartRow, ...]
     markers: tuple[MarkerRow, ...]
     feet: dict[str, str]
+    """Markers by label, LF, RF, LH, RH, of a chain F, H."""
     limbs: dict[str, tuple[str, ...]]
     remarks: tuple[str, ...]
+    """What is allowed, but looks like a mistake."""
 
     def to_dict(self) -> dict[str, Any]:
         """Plain JSON types."""

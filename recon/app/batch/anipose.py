@@ -15,14 +15,18 @@ POSES = {"pose_2d_filter": "pose-2d-filtered", "pose_2d": "pose-2d"}
 
 @dataclass(frozen=True)
 class Session:
-    """folder: the session's. poses: the folder with its keypoint files. calibration: its own, or the next one above it.
-    config: Anipose's settings, and their file."""
+    """A session of Anipose."""
 
     folder: Path
+    """The session's."""
     poses: Path
+    """The folder with its keypoint files."""
     calibration: Path | None = None
+    """Its own, or the next one above it."""
     config: Mapping[str, Any] = field(default_factory=dict)
+    """Anipose's settings."""
     config_file: Path | None = None
+    """Their file."""
 
     @property
     def cam_regex(self) -> tuple[Path, str] | None:

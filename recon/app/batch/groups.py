@@ -20,19 +20,21 @@ NOTED = 5
 
 @dataclass(frozen=True)
 class Draft:
-    """A clip without a name of its own: its files, the settings that it has of its own, and where a manifest says so.
-
-    called: what it is named after, where that is not its only file. cam_regex: Anipose's, with the file that has it.
-    joined: whether its files were brought together by their names.
-    """
+    """A clip without a name of its own."""
 
     paths: tuple[Path, ...]
+    """Its files."""
     row: Mapping[str, Any] = field(default_factory=dict)
+    """The settings that it has of its own."""
     name: str | None = None
     where: tuple[Path, str] | None = None
+    """Where a manifest says so."""
     called: Path | None = None
+    """What it is named after, where that is not its only file."""
     cam_regex: tuple[Path, str] | None = None
+    """Anipose's, with the file that has it."""
     joined: bool = False
+    """Whether its files were brought together by their names."""
 
     @property
     def title(self) -> Path:
@@ -47,12 +49,14 @@ class Draft:
 
 @dataclass(frozen=True)
 class _Named:
-    """What a file's name says: its camera, and the clip without it. by: whose rule that is, for a note."""
+    """What a file's name says."""
 
     draft: Draft
     camera: str
     title: Path
+    """The clip without its camera."""
     by: str
+    """Whose rule that is, for a note."""
 
 
 def join_cameras(

@@ -23,15 +23,17 @@ Task = Mapping[str, Any]
 
 @dataclass(frozen=True)
 class Event:
-    """What happened to a clip. progress: the stage and the share of it all that is done, in the process pid; on a
-    cluster nothing is heard of it. ended: outcome, columns of the summary."""
+    """What happened to a clip. On a cluster nothing is heard of its progress."""
 
     kind: Literal["progress", "ended"]
     clip: str
     pid: int | None = None
+    """The process that it runs in."""
     stage: str = ""
     share: float = 0.0
+    """Of it all that is done."""
     outcome: Mapping[str, Any] = field(default_factory=dict)
+    """Columns of the summary, of one that ended."""
 
 
 class Pool(Protocol):

@@ -31,14 +31,16 @@ Action = Literal["new", "refit", "done"]
 
 @dataclass(frozen=True)
 class Planned:
-    """A clip with what is to be done with it, and why. identity: see `identity`. row: of the summary, if it is done."""
+    """A clip with what is to be done with it, and why."""
 
     clip: Clip
     out: Path
     action: Action
     reason: str
     identity: Mapping[str, Any]
+    """See `identity`."""
     row: Mapping[str, Any] | None = None
+    """Of the summary, if it is done."""
 
 
 def plan_batch(clips: Sequence[Clip], out: Path, overwrite: bool = False) -> list[Planned]:
