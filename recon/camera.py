@@ -35,26 +35,28 @@ MIN_DEPTH_M = 1e-6
 class Camera:
     """One calibrated camera.
 
-    name: the name in its calibration file. matrix: (3, 3), K with skew s = K[0, 1]. distortion: (n,) coefficients of
-    `model`. image_size_px: (width, height). rotation, translation_m: (3, 3) and (3,), T_camera_world, that is
-    X_camera = rotation X_world + translation_m; both None when the pose is unknown. world_z_up: whether the world
-    frame's z axis points up (False where a calibration board defines the world). tilt_rad: how far a camera that does
-    not know which way is up looks down; 0 is level.
-
     Raises ValueError, naming every fault, for wrong shapes or numbers of coefficients, values that are not finite,
     focal lengths or image sizes that are not positive, a rotation that is not orthonormal and right-handed to 1e-6, and
     a tilt of a right angle or more, or beside a pose that says which way is up.
     """
 
     name: str
+    """The name in its calibration file."""
     matrix: Array
+    """(3, 3), K with skew s = K[0, 1]."""
     distortion: Array
+    """(n,) coefficients of `model`."""
     model: LensModel
     image_size_px: tuple[int, int]
+    """(width, height)"""
     rotation: Array | None = None
+    """(3, 3), of T_camera_world: X_camera = rotation X_world + translation_m. None when the pose is unknown."""
     translation_m: Array | None = None
+    """(3,), None when the pose is unknown."""
     world_z_up: bool = True
+    """Whether the world frame's z axis points up (False where a calibration board defines the world)."""
     tilt_rad: float = 0.0
+    """How far a camera that does not know which way is up looks down; 0 is level."""
 
     def __post_init__(self) -> None:
         for field in ("matrix", "distortion", "rotation", "translation_m"):

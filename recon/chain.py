@@ -62,14 +62,13 @@ class Link:
 
 @dataclass(frozen=True)
 class AngleRanges:
-    """Expected ranges of the free links' angles, in the order of the state: each array has shape (A,).
-
-    mean_rad, tolerance_rad: the expected range is mean +- tolerance. max_rate_rad_s: the fastest expected change.
-    """
+    """Expected ranges of the free links' angles, in the order of the state: each array has shape (A,)."""
 
     mean_rad: Array
+    """The expected range is mean +- tolerance."""
     tolerance_rad: Array
     max_rate_rad_s: Array
+    """The fastest expected change."""
 
 
 @dataclass(frozen=True)
@@ -88,36 +87,38 @@ class PriorScales:
 
 @dataclass(frozen=True)
 class Posed:
-    """States and where they put the skeleton, in the camera frame; N states, J joints, D unknowns.
-
-    state (N, D); rotation (N, 3, 3) is R_camera_local; joints_m (N, J, 3). With Jacobian: joints_jacobian
-    (N, J, 3, D) and rotation_jacobian (N, 3, 3, 3), whose axis 1 runs over xi, psi, zeta; otherwise None.
-    """
+    """States and where they put the skeleton, in the camera frame; N states, J joints, D unknowns. The Jacobians are
+    None unless they were asked for."""
 
     state: Array
+    """(N, D)"""
     rotation: Array
+    """(N, 3, 3): R_camera_local."""
     joints_m: Array
+    """(N, J, 3)"""
     joints_jacobian: Array | None = None
+    """(N, J, 3, D)"""
     rotation_jacobian: Array | None = None
+    """(N, 3, 3, 3), whose axis 1 runs over xi, psi, zeta."""
 
 
 @dataclass(frozen=True)
 class Chain:
-    """A chain's geometry, its keypoints and what is expected of its angles.
-
-    joints: names, root first, then the links' ends in the order of the links. keypoints: for each joint its keypoint's
-    name on the (left, right) side. forward: two joints, from rear to front. feet: the joints that touch the ground;
-    foot_labels: where they are, of `recon.body.CHAIN_PLACES`.
-    """
+    """A chain's geometry, its keypoints and what is expected of its angles."""
 
     name: str
     title: str
     links: tuple[Link, ...]
     joints: tuple[str, ...]
+    """Names, root first, then the links' ends in the order of the links."""
     keypoints: tuple[tuple[str, str], ...]
+    """For each joint its keypoint's name on the (left, right) side."""
     forward: tuple[str, str]
+    """Two joints, from rear to front."""
     feet: tuple[str, ...]
+    """The joints that touch the ground."""
     foot_labels: tuple[str, ...]
+    """Where they are, of `recon.body.CHAIN_PLACES`."""
     theta: AngleRanges
     phi: AngleRanges
     scales: PriorScales

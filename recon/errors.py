@@ -12,15 +12,17 @@ from typing import Any
 class Problem:
     """One thing that is wrong with an input.
 
-    file: the file (or command-line option) it was found in; field: the place inside it (column, key, row);
-    found and expected: in the user's words, with units where they matter. As text, it is one line: what cannot be
-    printed, such as a terminal's commands in a name, stands there as its code.
+    As text, it is one line: what cannot be printed, such as a terminal's commands in a name, stands there as its code.
     """
 
     file: str | Path
+    """The file (or command-line option) it was found in."""
     field: str
+    """The place inside it (column, key, row)."""
     found: str
+    """In the user's words, with units where they matter."""
     expected: str
+    """In the user's words, with units where they matter."""
 
     def __str__(self) -> str:
         return printable(f"{self.file}: {self.field}: found {self.found}, expected {self.expected}")

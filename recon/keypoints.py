@@ -16,26 +16,30 @@ from recon.errors import InputError, Problem
 class Keypoints:
     """Detections of K named keypoints in T frames of one camera.
 
-    names: K unique names; xy_px: (T, K, 2) float, pixels, NaN = missing; confidence: (T, K) float in 0 to 1, 0 where
-    missing; frames: (T,) int, original frame numbers, strictly increasing; fps: frames per second;
-    image_size_px: (width, height); individual: the animal's name in a file of several; source: the file they came from;
-    notes: what the reader had to decide, in plain sentences.
-
     A reader hands over what its file says: a confidence of NaN means that the file has none, and a missing point may
-    still carry one. `clean` turns this into the form above.
+    still carry one. `clean` turns this into the form below.
 
     Raises ValueError where names, shapes or types do not fit together.
     """
 
     names: tuple[str, ...]
+    """K unique names."""
     xy_px: np.ndarray
+    """(T, K, 2) float, pixels, NaN = missing."""
     confidence: np.ndarray
+    """(T, K) float in 0 to 1, 0 where missing."""
     frames: np.ndarray
+    """(T,) int, original frame numbers, strictly increasing."""
     fps: float | None = None
+    """Frames per second."""
     image_size_px: tuple[int, int] | None = None
+    """(width, height)"""
     individual: str | None = None
+    """The animal's name in a file of several."""
     source: str | None = None
+    """The file they came from."""
     notes: tuple[str, ...] = ()
+    """What the reader had to decide, in plain sentences."""
 
     def __post_init__(self) -> None:
         t, k = len(self.frames), len(self.names)
@@ -61,39 +65,40 @@ class Keypoints:
 
 @dataclass(frozen=True)
 class KeypointCounts:
-    """What became of one keypoint, in frames: `used + missing + rejected == frames`.
-
-    `missing` is the sum of the `missing_*`: stored as (0, 0) without a likelihood; a coordinate that is NaN although
-    its likelihood is above 0; no coordinates and no likelihood; a frame that the file lacks.
-    `likelihood_unknown` counts the used points that came without a likelihood.
-    """
+    """What became of one keypoint, in frames: `used + missing + rejected == frames`."""
 
     name: str
     frames: int
     used: int
     missing: int
+    """The sum of the `missing_*`."""
     rejected: int
     missing_zero_zero: int
+    """Stored as (0, 0) without a likelihood."""
     missing_nan_with_likelihood: int
+    """A coordinate that is NaN although its likelihood is above 0."""
     missing_empty: int
+    """No coordinates and no likelihood."""
     missing_absent_frame: int
+    """A frame that the file lacks."""
     likelihood_unknown: int
+    """The used points that came without a likelihood."""
 
 
 @dataclass(frozen=True)
 class CleaningReport:
-    """What `clean` did. Frame ranges are half-open pairs (A, B) of original frame numbers: A is in, B is not.
-
-    frames: the range after cleaning; frames_dropped: rows of the file outside the range that was asked for;
-    inserted: ranges of frames that the file lacks, now all missing; notes: what the reader had to decide.
-    """
+    """What `clean` did. Frame ranges are half-open pairs (A, B) of original frame numbers: A is in, B is not."""
 
     likelihood_min: float
     frames: tuple[int, int]
+    """The range after cleaning."""
     frames_dropped: int
+    """Rows of the file outside the range that was asked for."""
     inserted: tuple[tuple[int, int], ...]
+    """Ranges of frames that the file lacks, now all missing."""
     keypoints: tuple[KeypointCounts, ...]
     notes: tuple[str, ...] = ()
+    """What the reader had to decide."""
 
     def total(self, count: str) -> int:
         """Sum over the keypoints of one field of `KeypointCounts`, such as "rejected"."""

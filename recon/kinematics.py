@@ -56,13 +56,15 @@ YAW, PITCH, ROLL = 3, 4, 5
 
 @dataclass(frozen=True)
 class Segment:
-    """name; parent: the name of an earlier segment, None for the root; joint: how it turns against its parent;
-    offset_m: its origin in its parent's frame, (x, y, z)."""
+    """A rigid part of a tree."""
 
     name: str
     parent: str | None
+    """The name of an earlier segment, None for the root."""
     joint: Joint
+    """How it turns against its parent."""
     offset_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Its origin in its parent's frame, (x, y, z)."""
 
 
 @dataclass(frozen=True)
@@ -76,12 +78,14 @@ class Marker:
 
 @dataclass(frozen=True)
 class TreePose:
-    """points_m (N, J, 3), the markers in the world. With Jacobian: jacobian (N, J, 3, D) by the state and d_size
-    (N, J, 3) by the logarithm of the size; otherwise None."""
+    """Where N states put a tree's J markers; the derivatives are None unless they were asked for."""
 
     points_m: Array
+    """(N, J, 3), the markers in the world."""
     jacobian: Array | None = None
+    """(N, J, 3, D), by the state."""
     d_size: Array | None = None
+    """(N, J, 3), by the logarithm of the size."""
 
 
 @dataclass(frozen=True)
@@ -89,29 +93,34 @@ class _Plan:
     """What a tree's kinematics need besides the state.
 
     S + 1 frames: the world's, then the segments' in the order in which they can be computed. S + J points: the
-    segments' origins, then the markers. K rotations. M pairs of a marker and a rotation that moves it.
-
-    frame (S,): of each segment. angle (3, S + 1): which angle turns each frame about z, y and x; K: none. levels:
-    frames that depend on earlier levels only, and the frames that they turn from. points (S + J, 3 (S + 1)): each
-    point as vectors in all frames. axes (K,): the column of a frame that each rotation turns about; the axes `pitched`
-    are turned back by the angles `rolls`, with the columns `z_axes`. turning, arm, centre (M,): rotation and points of
-    each pair, which moves by axis x (arm - centre). merge (P, M), None: identity; from these pairs to those of a marker
-    and an angle of the state. entries (P, 3): their places in a Jacobian (J, 3, D).
+    segments' origins, then the markers. K rotations. M pairs of a marker and a rotation that moves it. P pairs of a
+    marker and an angle of the state.
     """
 
     frame: Index
+    """(S,), of each segment."""
     angle: Index
+    """(3, S + 1): which angle turns each frame about z, y and x; K: none."""
     levels: list[tuple[slice, Index]]
+    """Frames that depend on earlier levels only, and the frames that they turn from."""
     points: Array
+    """(S + J, 3 (S + 1)): each point as vectors in all frames."""
     axes: Index
+    """(K,): the column of a frame that each rotation turns about."""
     pitched: Index
+    """The axes that are turned back by the angles `rolls`, with the columns `z_axes`."""
     rolls: Index
     z_axes: Index
     turning: Index
+    """(M,): rotation of each pair, which moves by axis x (arm - centre)."""
     arm: Index
+    """(M,): point of each pair."""
     centre: Index
+    """(M,): point of each pair."""
     merge: Array | None
+    """(P, M): from the M pairs to those of a marker and an angle of the state. None: identity."""
     entries: Index
+    """(P, 3): their places in a Jacobian (J, 3, D)."""
 
 
 @dataclass(frozen=True)

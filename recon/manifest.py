@@ -21,18 +21,21 @@ AGAIN = "the results of one run as they were written: run the command again, wit
 
 @dataclass(frozen=True)
 class Entry:
-    """size in bytes; sha256: of the content, in hexadecimal digits."""
+    """One file."""
 
     size: int
+    """In bytes."""
     sha256: str
+    """Of the content, in hexadecimal digits."""
 
 
 @dataclass(frozen=True)
 class Manifest:
-    """files: by name, those that one run wrote into the folder."""
+    """What one run wrote into a folder."""
 
     folder: Path
     files: Mapping[str, Entry]
+    """By name."""
 
     def __contains__(self, name: str) -> bool:
         return name in self.files

@@ -39,25 +39,31 @@ HEADING_S = 0.25
 
 @dataclass(frozen=True, eq=False)
 class Overlay:
-    """T frames of J joints. frames (T,): numbers. limbs: joints along each, as indices; colours: one for each limb.
-
-    detected_px, reprojected_px (T, J, 2), NaN where there is none. outliers (T, J): detections that the pose does not
-    explain. depth_m (T, J): how far joints are from the camera, from any origin. upright_m (T, J, 3): z up. trunk: two
-    joints, from rear to front. flags (T): what is doubtful about each frame. speed: of the playback, 1 is real time.
-    """
+    """What is drawn on a video: T frames of J joints."""
 
     frames: Integers
+    """(T,): numbers."""
     fps: float
     limbs: Sequence[Sequence[int]]
+    """Joints along each, as indices."""
     colours: Sequence[Colour]
+    """One for each limb."""
     detected_px: Array
+    """(T, J, 2), NaN where there is none."""
     reprojected_px: Array
+    """(T, J, 2), NaN where there is none."""
     outliers: Bools
+    """(T, J): detections that the pose does not explain."""
     depth_m: Array
+    """(T, J): how far joints are from the camera, from any origin."""
     upright_m: Array
+    """(T, J, 3): z up."""
     trunk: tuple[int, int]
+    """Two joints, from rear to front."""
     flags: Sequence[Sequence[str]]
+    """(T): what is doubtful about each frame."""
     speed: float = 1.0
+    """Of the playback, 1 is real time."""
 
     @cached_property
     def nearness(self) -> Array:

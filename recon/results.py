@@ -43,27 +43,28 @@ LARGEST = 1e12
 
 @dataclass(frozen=True, eq=False)
 class Results:
-    """T frames of J joints, which are called as their keypoints.
-
-    pose: in the upright frame. states (T, D): the rows of angles.csv, in the units and the frame that it has. sigma_m,
-    relative_sigma_m (T, J, 3): one standard deviation along the upright frame's axes, of the joints' positions and of
-    those relative to the mean of all joints. angle_sigma_rad, angle_data_share (T, A): one standard deviation of the
-    angles, and the part of their precision that comes from the pixels. cameras: as they were for the fit.
-    manifest: of the run, for those who read more of its files.
-    """
+    """T frames of J joints, which are called as their keypoints."""
 
     folder: Path
     manifest: Manifest
+    """Of the run, for those who read more of its files."""
     report: dict[str, Any]
     fps: float
     cameras: tuple[Camera, ...]
+    """As they were for the fit."""
     body: Body
     pose: Pose3D
+    """In the upright frame."""
     states: Array
+    """(T, D): the rows of angles.csv, in the units and the frame that it has."""
     sigma_m: Array
+    """(T, J, 3): one standard deviation of the joints' positions, along the upright frame's axes."""
     relative_sigma_m: Array
+    """(T, J, 3): the same of the joints relative to the mean of all joints."""
     angle_sigma_rad: Array
+    """(T, A): one standard deviation of the angles."""
     angle_data_share: Array
+    """(T, A): the part of the angles' precision that comes from the pixels."""
 
     @property
     def camera(self) -> Camera:

@@ -70,19 +70,19 @@ _SERIES: dict[str, tuple[float, ...]] = {
 
 @dataclass(frozen=True, eq=False)
 class SyntheticClip:
-    """A simulated clip and its truth; T frames, K = 15 keypoints.
-
-    keypoints: exact detections, missing where they fall outside the picture. truth_m: (T, K, 3), world, metres. names:
-    the K keypoints. state: (T, D), states of `cheetah-8u` for the near side's legs, in the camera frame. side: the
-    animal's near side.
-    """
+    """A simulated clip and its truth; T frames, K = 15 keypoints."""
 
     keypoints: Keypoints
+    """Exact detections, missing where they fall outside the picture."""
     camera: Camera
     truth_m: Array
+    """(T, K, 3), world, metres."""
     names: tuple[str, ...]
+    """The K keypoints."""
     state: Array
+    """(T, D), states of `cheetah-8u` for the near side's legs, in the camera frame."""
     side: Side
+    """The animal's near side."""
 
 
 def gallop(

@@ -32,12 +32,14 @@ SUFFIXES = (".mp4", ".avi", ".mov", ".mkv", ".webm", ".m4v", ".mpg", ".mpeg", ".
 
 @dataclass(frozen=True)
 class VideoInfo:
-    """size_px: (width, height). fps: None where the file does not say. stated_frames: what the file says, None where it
-    says nothing; the frames that can be decoded may be fewer or more."""
+    """What a video's file says about it."""
 
     size_px: tuple[int, int]
+    """(width, height)"""
     fps: float | None
+    """None where the file does not say."""
     stated_frames: int | None
+    """What the file says, None where it says nothing; the frames that can be decoded may be fewer or more."""
 
 
 def probe(path: str | Path) -> VideoInfo:

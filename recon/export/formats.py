@@ -14,17 +14,21 @@ from recon.keypoints import Keypoints
 
 @dataclass(frozen=True)
 class Format:
-    """name: for `--to`; extensions: the first is the usual one; fps: where it has the frame rate, or needed if it
-    cannot be without; frames: where it has the frame numbers; axes: unit and axes of 3D positions."""
+    """A format of data to write."""
 
     name: str
+    """For `--to`."""
     title: str
     extensions: tuple[str, ...]
+    """The first is the usual one."""
     keypoints: Callable[[Keypoints, Path], None] | None
     pose: Callable[[Pose3D, Path], None] | None
     fps: str
+    """Where it has the frame rate, or needed if it cannot be without."""
     frames: str
+    """Where it has the frame numbers."""
     axes: str = ""
+    """Unit and axes of 3D positions."""
 
     @property
     def kinds(self) -> str:
