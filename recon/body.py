@@ -3,13 +3,14 @@
 The states are the tree's. Right-handed frames, x forwards, y left, z up. There is one model for all: a whole animal of
 `[[segments]]`, and a chain of `[[links]]` (`recon.chain`), which is a tree with the limbs of one side.
 
-What is left and right, fore and hind, stands here and nowhere else: names of segments and markers say by their
-beginning which side they belong to (`SIDES`), the skeleton's file says where each foot is (`PLACES`), and a limb has
-the side of its markers. A marker of a chain has a keypoint for either side.
+What is left and right, fore and hind, stands here and nowhere else: names of segments and markers say by a word
+wherever it stands in them which side they belong to (`SIDES`), the skeleton's file says where each foot is (`PLACES`),
+and a limb has the side of its markers. A marker of a chain has a keypoint for either side.
 """
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -23,9 +24,30 @@ from recon.kinematics import Tree
 Array = NDArray[np.float64]
 Side = Literal["left", "right"]
 
-SIDES = {"l_": "r_", "left_": "right_", "Left": "Right", "Near": "Off"}
-"""How names of the left side begin, and those of the right. A horse's near side is its left one, wherever it is seen
-from."""
+SIDES = {"left": "right", "near": "off", "l": "r"}
+"""Words for the left side, and for the right. A horse's near side is its left one, wherever it is seen from."""
+_OPPOSITE = SIDES | {right: left for left, right in SIDES.items()}
+_SEPARATORS = "_-. "
+
+
+def _side_pattern() -> re.Pattern[str]:
+    """A word of a side in a name: between separators, as in front_left_paw, eye.L or paw_off2, or told apart by
+    capitals, as in frontLeftPaw, LHip or hipR. At the beginning one with a capital needs no end, as in Nearknee. A
+    letter beside a number is none: l1 may be a vertebra."""
+    words = [word for word in _OPPOSITE if len(word) > 1]
+    lower, title, upper = ("|".join(map(case, words)) for case in (str.lower, str.title, str.upper))
+    return re.compile(
+        f"^(?:{title})"
+        f"|(?<![A-Za-z])(?:{upper})(?![A-Za-z])"
+        f"|(?<![A-Za-z])(?:{lower}|{title})(?![a-z])"
+        f"|(?<=[a-z0-9])(?:{title})(?![a-z])"
+        "|(?<![A-Za-z0-9])[lrLR](?![A-Za-z0-9])"
+        "|(?<![A-Za-z0-9])[lrLR](?=[A-Z][a-z])"
+        "|(?<=[a-z])[LR](?=[A-Z][a-z]|[^A-Za-z0-9]|$)"
+    )
+
+
+_SIDE = _side_pattern()
 
 PLACES = {"left_fore": "LF", "right_fore": "RF", "left_hind": "LH", "right_hind": "RH"}
 """Where a foot of a whole animal is, and its label."""
@@ -35,19 +57,41 @@ CHAIN_PLACES = {"fore": "F", "hind": "H"}
 
 
 def side_of(name: str) -> Side | None:
-    """None: the middle."""
-    if name.startswith(tuple(SIDES)):
-        return "left"
-    return "right" if name.startswith(tuple(SIDES.values())) else None
+    """None: the middle. Of several sides the first counts."""
+    word = _SIDE.search(name)
+    return None if word is None else "left" if word[0].lower() in SIDES else "right"
 
 
 def other_side(name: str) -> str:
     """l_paw -> r_paw and back; names of the middle stay."""
-    for left, right in SIDES.items():
-        for one, other in ((left, right), (right, left)):
-            if name.startswith(one):
-                return other + name.removeprefix(one)
-    return name
+    word = _SIDE.search(name)
+    return name if word is None else name[: word.start()] + _opposite(word[0]) + name[word.end() :]
+
+
+def without_side(name: str) -> str:
+    """front_left_paw -> front_paw; names of the middle stay."""
+    word = _SIDE.search(name)
+    if word is None:
+        return name
+    before, after = name[: word.start()], name[word.end() :]
+    if not before or before[-1] in _SEPARATORS:
+        after = after.lstrip(_SEPARATORS)
+    return (before + after if after else before.rstrip(_SEPARATORS)) or name
+
+
+def both_sides(name: str) -> str:
+    """l_paw or r_paw -> l/r_paw; names of the middle stay."""
+    word = _SIDE.search(name)
+    if word is None:
+        return name
+    left, right = sorted((word[0], _opposite(word[0])), key=lambda one: one.lower() not in SIDES)
+    return f"{name[: word.start()]}{left}/{right}{name[word.end() :]}"
+
+
+def _opposite(word: str) -> str:
+    """In the same case."""
+    other = _OPPOSITE[word.lower()]
+    return other.upper() if word.isupper() else other.title() if word.istitle() else other
 
 
 def common_side(sides: Iterable[Side | None]) -> Side | None:
@@ -69,11 +113,6 @@ def facing_side(rear_px: Array, front_px: Array) -> tuple[Side, str]:
     side: Side = "right" if np.median(ahead) > 0 else "left"
     agree = np.mean((ahead > 0) == (side == "right"))
     return side, f"the animal faces the {side} of the picture in {agree:.0%} of {len(ahead)} frames"
-
-
-def without_side(name: str) -> str:
-    """l_fore_upper -> fore_upper; names of the middle stay."""
-    return next((name.removeprefix(start) for pair in SIDES.items() for start in pair if name.startswith(start)), name)
 
 
 @dataclass(frozen=True)

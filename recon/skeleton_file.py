@@ -14,7 +14,7 @@ from typing import Annotated, Any, Literal, TypeVar
 import numpy as np
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
-from recon.body import CHAIN_PLACES, PLACES, SIDES, Body, other_side, side_of
+from recon.body import CHAIN_PLACES, PLACES, Body, other_side, side_of
 from recon.chain import MIN_JOINTS, AngleRanges, Chain, Link, PriorScales
 from recon.documents import parse_toml, read_toml
 from recon.errors import InputError, Problem
@@ -492,7 +492,8 @@ def _name_problems(item: _Segment | _Marker, field: str, used: set[str], source:
     if item.name in used:
         yield Problem(source, f"{field}.name", repr(item.name), "a name that no earlier segment or marker has")
     if item.mirrored and side_of(item.name) != "left":
-        yield Problem(source, f"{field}.mirrored", repr(item.name), f"a name that begins with {', '.join(SIDES)}")
+        expected = "a name with a word of the left side in it, as l_paw, front_left_paw or LeftPaw"
+        yield Problem(source, f"{field}.mirrored", repr(item.name), expected)
 
 
 def _root_problems(root: _Segment, source: str) -> Iterator[Problem]:

@@ -217,7 +217,7 @@ def test_mirrored_segments_expect_the_mirror_image(tmp_path: Path):
         ("left_fore =", "right_hind =", "feet.right_hind", "a right one: by its name it is left"),
         ('"r_front_paw"\n', '"l_front_paw"\n', "feet", "every foot once"),
         ('trunk = ["tail_base"', 'trunk = ["tail"', "limbs.trunk", "one of l_front_knee"),
-        ('name = "spine"', 'name = "spine"\nmirrored = true', "markers.0.mirrored", "a name that begins with l_"),
+        ('name = "spine"', 'name = "spine"\nmirrored = true', "markers.0.mirrored", "a word of the left side in it"),
         ("sigma_rad = 0.25", "sigma_rad = 0.0", "segments.0.pitch.sigma_rad", "greater than 0"),
         ("at_m = [-0.3, 0.0, 0.0]", "at_m = [-0.3, nan, 0.0]", "markers.1.at_m.1", "a finite number"),
         ("[limbs]", "[limb]", "limbs", "Field required"),

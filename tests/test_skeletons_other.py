@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,7 +15,7 @@ from typer.testing import CliRunner
 from recon import Body, Camera, FitSettings, InputError, Keypoints, Motion, fit_clip, load_skeleton
 from recon.analysis.evaluation import centre, joint_errors, score
 from recon.app.skeleton_check import check_skeleton, list_skeletons, run_skeleton_check
-from recon.body import other_side, side_of
+from recon.body import both_sides, other_side, side_of, without_side
 from recon.cli import app
 from recon.clip import still_view
 from recon.io import read_keypoints
@@ -159,17 +160,95 @@ def test_a_clip_of_its_own_tree_is_found_again(name, speed, apart, limit_mm):
 
 @pytest.mark.parametrize(
     ("left", "right"),
-    [("l_paw", "r_paw"), ("left_paw", "right_paw"), ("LeftHand", "RightHand"), ("Nearknee", "Offknee")],
+    [
+        ("l_paw", "r_paw"),
+        ("left_paw", "right_paw"),
+        ("LeftHand", "RightHand"),
+        ("Nearknee", "Offknee"),
+        ("front_left_paw", "front_right_paw"),
+        ("mouth_end_left", "mouth_end_right"),
+        ("paw_left2", "paw_right2"),
+        ("frontLeftPaw", "frontRightPaw"),
+        ("leftHip", "rightHip"),
+        ("EarLeft", "EarRight"),
+        ("L_F_Paw", "R_F_Paw"),
+        ("LEFT EYE", "RIGHT EYE"),
+        ("paw-near", "paw-off"),
+        ("eye.L", "eye.R"),
+        ("hipL", "hipR"),
+        ("LHip", "RHip"),
+        ("earL_tip", "earR_tip"),
+        ("front_l_paw_pitch", "front_r_paw_pitch"),
+    ],
 )
 def test_sides(left, right):
     assert (other_side(left), other_side(right)) == (right, left)
     assert (side_of(left), side_of(right)) == ("left", "right")
+    assert without_side(left) == without_side(right) not in (left, right)
+    assert both_sides(left) == both_sides(right)
 
 
-@pytest.mark.parametrize("name", ["nose", "lip", "rump", "tail_l_1", "leftover"])
+def test_names_without_their_side():
+    names = ["l_paw", "front_left_paw", "mouth_end_left", "frontLeftPaw", "EarLeft", "left"]
+    assert [without_side(name) for name in names] == ["paw", "front_paw", "mouth_end", "frontPaw", "Ear", "left"]
+    assert both_sides("front_right_paw") == "front_left/right_paw"
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "nose",
+        "lip",
+        "rump",
+        "leftover",
+        "upright",
+        "bright_eye",
+        "L1",
+        "r6",
+        "tail1",
+        "FL",
+        "offspring",
+        "Lip",
+        "theta_3",
+    ],
+)
 def test_the_middle(name):
-    assert other_side(name) == name
+    assert other_side(name) == without_side(name) == both_sides(name) == name
     assert side_of(name) is None
+
+
+@pytest.mark.parametrize("skeleton", builtin_names())
+def test_the_built_in_skeletons_say_their_sides_by_the_beginnings_of_names(skeleton):
+    """What the reading of names found before it looked beyond their beginnings."""
+    body = load_skeleton(skeleton)
+    names = {*body.markers, *body.state_names, *(s.name for s in body.tree.segments), *sum(body.keypoints, ())}
+    pairs = (("l_", "r_"), ("Left", "Right"), ("Near", "Off"))
+    for name in names:
+        expected = next(
+            ((a, b + name.removeprefix(a)) for p in pairs for a, b in (p, p[::-1]) if name.startswith(a)), ("", name)
+        )
+        assert other_side(name) == expected[1]
+        assert without_side(name) == name.removeprefix(expected[0])
+        assert side_of(name) == {"": None, "l_": "left", "Left": "left", "Near": "left"}.get(expected[0], "right")
+
+
+def test_sides_in_the_middle_of_names(tmp_path):
+    """Feet, limbs, mirror images and angles of a skeleton with names such as front_left_paw, as a detector's."""
+    middle = re.sub(r"\b(left|right|l|r)_(fore|front|hind)_", r"\2_\1_", CAT)
+    assert "front_left_paw" in middle
+    cat, before = load_skeleton(in_file(tmp_path, middle)), load_skeleton(in_file(tmp_path, CAT))
+    assert cat.feet_by_label() == {
+        "LF": "front_left_paw", "RF": "front_right_paw", "LH": "hind_left_paw", "RH": "hind_right_paw",
+    }  # fmt: skip
+    assert list(cat.limb_sides().values()) == list(before.limb_sides().values())
+    assert {*cat.limb_sides().values()} == {"left", "right", None}
+    for new, old in zip(cat.mirror, before.mirror, strict=True):
+        np.testing.assert_array_equal(new, old)
+    assert check_skeleton(in_file(tmp_path, middle)).remarks == check_skeleton(in_file(tmp_path, CAT)).remarks
+    wrong = middle.replace('left_fore = "front_left_paw"', 'left_fore = "front_right_paw"')
+    wrong = wrong.replace('right_fore = "front_right_paw"', 'right_fore = "front_left_paw"')
+    with pytest.raises(InputError, match="a left one: by its name it is right"):
+        load_skeleton(in_file(tmp_path, wrong))
 
 
 def test_markers_of_other_names_are_mirrored_onto_their_segments(tmp_path):
@@ -178,7 +257,7 @@ def test_markers_of_other_names_are_mirrored_onto_their_segments(tmp_path):
     assert on["right_front_paw"].segment == "r_fore_foot"
     assert on["right_ear"].segment == "head"
     assert on["right_ear"].offset_m == (0.0, -0.03, 0.04)
-    with pytest.raises(InputError, match="a name that begins with l_, left_, Left, Near"):
+    with pytest.raises(InputError, match="a word of the left side in it, as l_paw, front_left_paw or LeftPaw"):
         load_skeleton(in_file(tmp_path, CAT.replace('"left_knee"\n', '"lknee"\n', 1)))
 
 
@@ -382,7 +461,7 @@ def test_pictures(tmp_path):
     names = ["angles.png", "angles.svg", "skeleton.png", "skeleton.svg"]
     assert sorted(path.name for path in out.iterdir()) == names
     picture = (out / "skeleton.svg").read_text(encoding="utf-8")
-    assert "left_/right_knee" in picture  # in the side view both are one
+    assert "left/right_knee" in picture  # in the side view both are one
     assert all(marker in picture for marker in body_of(file).markers)
     angles = (out / "angles.svg").read_text(encoding="utf-8")
     assert "l hind shin pitch" in angles

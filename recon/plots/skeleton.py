@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from recon.arrays import Array, Bools
-from recon.body import SIDES, Body, other_side, side_of
+from recon.body import Body, both_sides, other_side, side_of
 from recon.plots.style import COLOURS, GREY, PALE, SMALL, WIDTH_MM, drawing, grid_shape
 
 if TYPE_CHECKING:
@@ -40,7 +40,7 @@ def views(body: Body, title: str = "") -> Figure:
         figure.suptitle(title)
         panels = figure.subplots(len(VIEWS), 1, height_ratios=heights)
         for axes, (view, coordinates) in zip(panels, VIEWS.items(), strict=True):
-            _limbs(axes, body, points[:, coordinates])
+            draw_limbs(axes, body, points[:, coordinates])
             for point, marker in zip(points[:, coordinates], body.markers, strict=True):
                 axes.plot(*point, ".", color=_SIDE_COLOURS[body.side_of(marker)], markersize=4)
             _name(axes, points[:, coordinates], labels[view], across)
@@ -65,10 +65,10 @@ def angle_ranges(body: Body, low: Sequence[str], high: Sequence[str], reach_rad:
         for axes, i in zip(panels, shown, strict=False):
             view = {"y": "side", "z": "top", "x": "front"}[body.tree.axes[i + 1]]
             coordinates = VIEWS[view]
-            _limbs(axes, body, mean[:, coordinates], PALE)
+            draw_limbs(axes, body, mean[:, coordinates], PALE)
             for end, colour in ((-1, _LOW), (1, _HIGH)):
                 moved = expected_pose(body, i, end * reach_rad[i])
-                _limbs(axes, body, moved[:, coordinates], colour, only=np.any(moved != mean, axis=1))
+                draw_limbs(axes, body, moved[:, coordinates], colour, only=np.any(moved != mean, axis=1))
             axes.set_title(f"{names[i].replace('_', ' ')}\n{low[i]} to {high[i]}", fontsize=SMALL)
             _frame(axes, "")
         for axes in figure.axes[len(shown) :]:
@@ -84,7 +84,7 @@ def expected_pose(body: Body, angle: int | None = None, off_rad: float = 0.0) ->
     return body.tree.pose(state[None]).points_m[0]
 
 
-def _limbs(axes: Axes, body: Body, points: Array, colour: str | None = None, only: Bools | None = None) -> None:
+def draw_limbs(axes: Axes, body: Body, points: Array, colour: str | None = None, only: Bools | None = None) -> None:
     """Lines along the limbs; only: those that lead to a marker that is in it. One call for each colour: lines are slow
     to lay out."""
     at = {marker: j for j, marker in enumerate(body.markers)}
@@ -113,15 +113,8 @@ def _labels(points: Array, markers: Sequence[str]) -> list[tuple[float, float, s
 
 
 def _paired(names: Sequence[str]) -> list[str]:
-    """l_paw and r_paw -> l_/r_paw."""
-    found = []
-    for name in names:
-        left = next((left for left in SIDES if name.startswith(left)), None)
-        if left is not None and other_side(name) in names:
-            found.append(f"{left}/{SIDES[left]}{name.removeprefix(left)}")
-        elif side_of(name) is None or other_side(name) not in names:
-            found.append(name)
-    return found
+    """l_paw and r_paw -> l/r_paw."""
+    return list(dict.fromkeys(both_sides(name) if other_side(name) in names else name for name in names))
 
 
 def _columns(labels: Sequence[tuple[float, float, str]]) -> tuple[list, list]:
