@@ -29,13 +29,18 @@ _PARALLEL = 1e-9
 
 @dataclass(frozen=True)
 class DHRow:
-    """a_m, alpha_rad of the link; d_m, theta_rad: with q = 0; slides: q adds to d, not to theta."""
+    """One link of a table of Denavit and Hartenberg."""
 
     a_m: float = 0.0
+    """Of the link."""
     alpha_rad: float = 0.0
+    """Of the link."""
     d_m: float = 0.0
+    """With q = 0."""
     theta_rad: float = 0.0
+    """With q = 0."""
     slides: bool = False
+    """q adds to d, not to theta."""
 
 
 def dh_chain(

@@ -56,10 +56,12 @@ _ROUNDING = 1e-12
 
 @dataclass(frozen=True, eq=False)
 class LegAngles:
-    """angles_rad (..., 3): swing, flap, knee, NaN where there are none; code (...): index into `REASONS`."""
+    """The angles that put a leg's foot where it is to be."""
 
     angles_rad: Array
+    """(..., 3): swing, flap, knee, NaN where there are none."""
     code: Integers
+    """(...): index into `REASONS`."""
 
     @property
     def reached(self) -> Bools:
@@ -95,12 +97,14 @@ class LegGeometry(Protocol):
 
 @dataclass(frozen=True)
 class _KneedLeg:
-    """thigh_m, shin_m; knee_offset_m, foot_offset_m: forwards, at right angles to the thigh and the shin."""
+    """A leg with a thigh and a shin."""
 
     thigh_m: float
     shin_m: float
     knee_offset_m: float = 0.0
+    """Forwards, at right angles to the thigh."""
     foot_offset_m: float = 0.0
+    """Forwards, at right angles to the shin."""
 
     def __post_init__(self) -> None:
         lengths = (self.thigh_m, self.shin_m, self.knee_offset_m, self.foot_offset_m)
@@ -219,15 +223,15 @@ class FlapLeg(_KneedLeg):
 
 @dataclass(frozen=True, eq=False)
 class Leg:
-    """One of four legs, its feet in body axes from its hip: x to the right, y forward, z up.
-
-    mirror (3,): 1 or -1 per axis, 1 for the right front leg; lower_rad, upper_rad (3,): limits of swing, flap, knee.
-    """
+    """One of four legs, its feet in body axes from its hip: x to the right, y forward, z up."""
 
     geometry: LegGeometry
     mirror: Array
+    """(3,): 1 or -1 per axis, 1 for the right front leg."""
     lower_rad: Array
+    """(3,): limits of swing, flap, knee."""
     upper_rad: Array
+    """(3,): limits of swing, flap, knee."""
 
     def __init__(
         self,

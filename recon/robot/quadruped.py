@@ -67,13 +67,15 @@ class RobotLeg(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class ClosedLeg:
-    """A leg in closed form. leg: in leg axes; hip_m (3,) in body axes; signs (3,): of the joints' own angles, in the
-    order of the joints."""
+    """A leg in closed form."""
 
     leg: Leg
+    """In leg axes."""
     hip_m: Array
+    """(3,), in body axes."""
     joints: tuple[str, ...]
     signs: Array
+    """(3,): of the joints' own angles, in the order of the joints."""
     max_rate_rad_s: Array
     stand_m: float
 
@@ -137,12 +139,13 @@ class ClosedLeg:
 
 @dataclass(frozen=True, eq=False)
 class ChainLeg:
-    """A leg of any joints, from the body's origin on, solved by `recon.ik`. home_rad (n,): the standing leg."""
+    """A leg of any joints, from the body's origin on, solved by `recon.ik`."""
 
     chain: JointChain
     joints: tuple[str, ...]
     neutral_m: Array
     home_rad: Array
+    """(n,): the standing leg."""
 
     @property
     def lower_rad(self) -> Array:
@@ -178,12 +181,14 @@ class ChainLeg:
 
 @dataclass(frozen=True, eq=False)
 class Quadruped:
-    """legs: by LF, RF, LH, RH. stand_m: the height that its hips stand at."""
+    """A robot with four legs."""
 
     name: str
     title: str
     legs: Mapping[str, RobotLeg]
+    """By LF, RF, LH, RH."""
     stand_m: float
+    """The height that its hips stand at."""
     source: str = ""
 
     @property

@@ -26,11 +26,12 @@ REACHED = 1e-7
 
 @dataclass(frozen=True, eq=False)
 class Solutions:
-    """q (m, n): turning joints in [-pi, pi), whatever the limits. isolated: False where the joints can move on without
-    moving the end effector: q is one of endlessly many then."""
+    """All solutions of a chain's inverse kinematics, m configurations of n joints."""
 
     q: Array
+    """(m, n): turning joints in [-pi, pi), whatever the limits."""
     isolated: bool = True
+    """False where the joints can move on without moving the end effector: q is one of endlessly many then."""
 
 
 def all_solutions(
