@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field
 
 from recon.camera import Camera
+from recon.documents import validated
 from recon.errors import InputError, Problem
 from recon.io.pose3d import Pose3D
 
@@ -115,16 +117,16 @@ class _Report(_Part):
 def require_fields(report: dict[str, Any], path: Path) -> tuple[Camera, ...]:
     """The cameras of a report whose fields are there and of the right kinds. Raises InputError."""
     try:
-        parsed = _Report.model_validate(report)
-    except ValidationError as error:
+        parsed = validated(_Report, report, path)
+    except InputError as error:
         raise InputError(
-            Problem(path, ".".join(map(str, e["loc"])), repr(e["input"])[:60], f"{e['msg']}, {AS_WRITTEN}")
-            for e in error.errors()[:PROBLEMS_SHOWN]
+            replace(problem, expected=f"{problem.expected}, {AS_WRITTEN}")
+            for problem in error.problems[:PROBLEMS_SHOWN]
         ) from None
     if parsed.method == "trajectory" and parsed.size is None:
         raise InputError(Problem(path, "size", "nothing", AS_WRITTEN))
     described = {"input.camera": parsed.input.camera}
-    described |= {f"cameras.{v}.camera": part.camera for v, part in enumerate(parsed.cameras[1:], start=1)}
+    described |= {f"cameras[{v}].camera": part.camera for v, part in enumerate(parsed.cameras[1:], start=1)}
     cameras, problems = [], []
     for field, camera in described.items():
         try:

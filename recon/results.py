@@ -100,6 +100,11 @@ class Results:
         """As it was given for the fit, which may be a file, or the name."""
         return _skeleton_name(self.report)
 
+    @cached_property
+    def flags(self) -> tuple[tuple[str, ...], ...]:
+        """(T,): what is doubtful about a frame; a frame without a pose has one that says why."""
+        return tuple(tuple(frame["flags"]) for frame in self.report["frames"])
+
     @property
     def jitters(self) -> bool:
         """Each frame was solved by itself: paths jitter from frame to frame, and sigmas are given the frame before."""

@@ -455,7 +455,9 @@ def test_results(whole_results, body, tmp_path):
     ]
     found = read_results(whole_results)
     with (whole_results / "quality.csv").open(newline="") as file:
-        sound = np.array([not row["flags"] for row in csv.DictReader(file)])
+        flags = [row["flags"] for row in csv.DictReader(file)]
+    assert [";".join(one) for one in found.flags] == flags
+    sound = np.array([not one for one in flags])
     assert (said["frames"], said["left_out"]) == (2 * sound.sum(), 2 * (~sound).sum())
     z = found.states[sound, 4:]
     expected = (z.mean(axis=0) + mirrored(body, z).mean(axis=0)) / 2

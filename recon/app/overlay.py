@@ -126,7 +126,7 @@ def overlay_of(result: Results, speed: float = 1.0, zoom: int = 1, number: int =
         depth_m=np.einsum("tjk,tk->tj", result.pose.xyz_m, _viewing_directions(result, number)),
         upright_m=result.pose.xyz_m,
         trunk=(rear, front),
-        flags=[frame["flags"] for frame in result.report["frames"]],
+        flags=result.flags,
         speed=speed,
     )
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import math
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -33,8 +32,6 @@ from recon.solve.points import MIN_MARKERS, solve_points_and_size
 
 Segment = tuple[str, Array, float]
 """Name, states (T, D), frames per second."""
-QUALITY = "quality.csv"
-"""Of results: where the flags are."""
 T = TypeVar("T")
 
 
@@ -175,9 +172,8 @@ def _lacking(body: Body, files: Mapping[Path, Mapping[str, Pose3D]]) -> tuple[st
 
 def _sound_states(results: Results) -> Array:
     """(T, D), NaN in frames without a pose and in those that a flag calls doubtful."""
-    with (results.folder / QUALITY).open(encoding="utf-8", newline="") as file:
-        flagged = [bool(row["flags"]) for row in csv.DictReader(file)]
-    return np.where(np.array(flagged)[:, None], np.nan, results.states)
+    flagged = np.array([bool(flags) for flags in results.flags])
+    return np.where(flagged[:, None], np.nan, results.states)
 
 
 def _solved_pieces(
@@ -275,8 +271,7 @@ def _by_path(read: Callable[[Path], T], paths: Sequence[Path]) -> dict[Path, T]:
 
 def _results(folder: Path) -> Results:
     results = read_results(folder)
-    results.manifest.require(QUALITY)
-    if results.state_names != results.body.state_names:
+    if results.body.one_sided:
         raise InputError(Problem(folder, "skeleton", results.body.name, "a whole animal, with [[segments]]"))
     return results
 
