@@ -12,7 +12,9 @@ from threadpoolctl import threadpool_limits
 from recon.analysis.clip import ClipAnalysis, analyse
 from recon.analysis.gait import Gait, doubt_text
 from recon.analysis.path import frame_jitter_m, peak_doubt
-from recon.export import analysis_csv
+from recon.analysis.solver import SolverRecord
+from recon.app.solver import read_solver
+from recon.export import analysis_csv, solver_csv
 from recon.files import require_free_folder, sole_writer, staged_folder
 from recon.report import to_json
 from recon.results import read_results
@@ -45,8 +47,10 @@ def run_analyse(
     figures: bool = True,
     overwrite: bool = False,
     stride_s: tuple[float, float] | None = None,
+    solver: bool = False,
 ) -> Analysed:
     """`recon analyse`: into `out`, by default the folder analysis in the results' own. smooth, stride_s: see `analyse`.
+    solver: also what the optimiser did, see `read_solver`.
 
     The results are not written to. Figures come last: whatever befalls them, the tables are there. Raises InputError:
     no results, too few frames, or files in the way.
@@ -54,28 +58,34 @@ def run_analyse(
     out = folder / FOLDER if out is None else out
     results = read_results(folder)
     with sole_writer(out):
-        require_free_folder(out, (SUMMARY, PLOTS, *analysis_csv.TABLES), overwrite, "an analysis")
+        own = (*solver_csv.TABLES, solver_csv.JACOBIAN) if solver else ()
+        require_free_folder(out, (SUMMARY, PLOTS, *analysis_csv.TABLES, *own), overwrite, "an analysis")
         with threadpool_limits(1, user_api="blas"):  # of small matrices, threads cost more than they bring
             found = analyse(results, smooth, stride_s)
-        summary = summarise(found)
+            record = read_solver(results) if solver else None
+        summary = summarise(found) | ({} if record is None else {"solver": record.summary()})
         with staged_folder(out) as staging:
             analysis_csv.write(found, staging)
+            if record is not None:
+                solver_csv.write(record, staging)
             (staging / SUMMARY).write_text(to_json(summary), encoding="utf-8")
             if (folder / PLAYBACK).is_file():
-                _write_plots(found, staging)
+                _write_plots(found, record, staging)
             files = [path.name for path in staging.iterdir()]
         if figures:
             with staged_folder(out) as staging:
                 write_figures(found, staging)
+                if record is not None:
+                    write_solver_figures(record, staging)
                 files += [path.name for path in staging.iterdir()]
     return Analysed(found, summary, out, tuple(sorted(files)), out / PLOTS if PLOTS in files else None)
 
 
-def _write_plots(found: ClipAnalysis, folder: Path) -> None:
+def _write_plots(found: ClipAnalysis, record: SolverRecord | None, folder: Path) -> None:
     from recon.view.analysis import write_analysis  # rerun is slow to import
 
     found.results.manifest.require(PLAYBACK)
-    write_analysis(found, folder / PLOTS, found.results.folder / PLAYBACK)
+    write_analysis(found, folder / PLOTS, found.results.folder / PLAYBACK, record)
 
 
 # -- summary ---------------------------------------------------------------------------------------------------------
@@ -193,3 +203,17 @@ def write_figures(found: ClipAnalysis, folder: Path) -> None:
     }.get(found.stride_by, f"one stride of {found.stride.foot if found.stride else ''}")
     figure = plots.phase_portraits(found.portraits, found.closures, title=title)
     plots.save(figure, folder, "phase_portraits")
+
+
+def write_solver_figures(record: SolverRecord, folder: Path) -> None:
+    """PNG and SVG of what the optimiser did."""
+    from recon import plots
+
+    drawn = {
+        "solver_search": plots.solver_search,
+        "solver_root": plots.solver_root,
+        "solver_unknowns": plots.solver_unknowns,
+        "image_errors": plots.image_errors,
+    }
+    for name, draw in drawn.items():
+        plots.save(draw(record), folder, name)

@@ -32,6 +32,9 @@ def analyse(
         ),
     ] = None,
     stride: Annotated[str | None, STRIDE] = None,
+    solver: Annotated[
+        bool, typer.Option("--solver", help="Also what the optimiser did: cost, gradient, Jacobian, limits.")
+    ] = False,
     figures: Annotated[bool, typer.Option("--figures/--no-figures", help="PNG and SVG beside the tables.")] = True,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace an earlier analysis.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print the summary as JSON.")] = False,
@@ -45,7 +48,7 @@ def analyse(
     from recon.app.analyse import run_analyse
     from recon.report import to_json
 
-    done = run_analyse(folder, out, smooth, figures, overwrite, stride_times(stride))
+    done = run_analyse(folder, out, smooth, figures, overwrite, stride_times(stride), solver)
     if as_json:
         typer.echo(to_json(done.summary), nl=False)
         return

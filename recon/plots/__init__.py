@@ -6,6 +6,7 @@ from recon.plots.field import vector_fields
 from recon.plots.footfall import footfall
 from recon.plots.phase import phase_portraits
 from recon.plots.reach import distances, joint_space, task_space
+from recon.plots.solver import image_errors, solver_root, solver_search, solver_unknowns
 from recon.plots.speed import speeds
 from recon.plots.style import COLUMN_MM, WIDTH_MM, save
 
@@ -16,9 +17,13 @@ __all__ = [
     "composites",
     "distances",
     "footfall",
+    "image_errors",
     "joint_space",
     "phase_portraits",
     "save",
+    "solver_root",
+    "solver_search",
+    "solver_unknowns",
     "speeds",
     "task_space",
     "vector_fields",

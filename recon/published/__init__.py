@@ -11,6 +11,7 @@ from recon.published.frame import (
     FrameSolution,
     base_length,
     frame_objectives,
+    frame_rows,
     solve_frames,
     solve_joints,
 )
@@ -21,6 +22,7 @@ __all__ = [
     "FrameSolution",
     "base_length",
     "frame_objectives",
+    "frame_rows",
     "solve_frames",
     "solve_joints",
 ]

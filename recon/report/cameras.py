@@ -35,6 +35,7 @@ def _entry(picture: Picture, offset_s: float) -> dict[str, Any]:
         "reprojection_px": {"mean": mean(errors), "median": median(errors)},
         "outliers": int(picture.outliers.sum()),
         "mean_weight": mean(picture.weight),
+        "noise_px": [mean(of_joint) for of_joint in picture.sigma_px.T],
         "distance_m": mean(picture.distance_m),
         "notes": source.cleaning.notes,
     }

@@ -9,16 +9,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recon.analysis.clip import ClipAnalysis
+from recon.analysis.solver import SolverRecord
 from recon.view.added import AddedSeries, AddedStates, StateRow, write_plots
 from recon.view.scene import LEFT, LIMB_COLOURS, LINK, MIDDLE, RIGHT, TRAIL
+from recon.view.series import LINE_COLOURS
 
 Array = NDArray[np.float64]
 
 
-def write_analysis(found: ClipAnalysis, path: Path, playback: Path) -> None:
-    """Speed, acceleration and flexion with one sigma, the links' speeds, and the stances by both methods. Raises
-    InputError as `write_plots`."""
-    write_plots(path, playback, [*_kinematics(found), *_links(found)], _stances(found))
+def write_analysis(found: ClipAnalysis, path: Path, playback: Path, solver: SolverRecord | None = None) -> None:
+    """Speed, acceleration and flexion with one sigma, the links' speeds, the stances by both methods, and what the
+    optimiser did. Raises InputError as `write_plots`."""
+    series = [*_kinematics(found), *_links(found), *([] if solver is None else _solver(solver))]
+    write_plots(path, playback, series, _stances(found))
 
 
 def _kinematics(found: ClipAnalysis) -> Iterator[AddedSeries]:
@@ -73,3 +76,37 @@ def _stances(found: ClipAnalysis) -> list[AddedStates]:
         title = f"Stances by {method}: {gait.name.name}"
         plots.append(AddedStates(entity=f"gait/{method}", title=title, rows=rows, time_s=time_s, tab="Gait"))
     return plots
+
+
+def _solver(record: SolverRecord) -> Iterator[AddedSeries]:
+    """What is of very different sizes in powers of ten."""
+    cost = {name: _log10(of_term) for name, of_term in record.problem.cost.items() if np.nansum(of_term) > 0}
+    search = {"largest of the gradient": _log10(record.optimality), "step": _log10(record.step_norm)}
+    worst = {name: np.fmax.reduce(values, axis=0) for name, values in record.image_error_px.items()}
+    rotation = {name: np.degrees(values) for name, values in record.rotation_rad.items()}
+    shown = [
+        ("cost", "Cost by term (log10)", cost),
+        ("optimality", "Gradient and step (log10)", search),
+        ("iterations", "Iterations", {"iterations": record.of_frames("iterations")} if record.results.jitters else {}),
+        ("limits", "Limits passed", {name: count.astype(float) for name, count in record.active.items()}),
+        ("image_error", "Error in the picture (px), worst joint", worst),
+        ("rotation", "Rotation of the root (°)", rotation),
+        ("length", "Base length (m)" if record.results.jitters else "Size", record.length),
+    ]
+    for entity, title, lines in shown:
+        if not lines:
+            continue
+        yield AddedSeries(
+            entity=f"solver/{entity}",
+            title=title,
+            names=[*lines],
+            colours=[LINE_COLOURS[i % len(LINE_COLOURS)] for i in range(len(lines))],
+            values=np.stack([*lines.values()], axis=1),
+            time_s=record.results.time_s,
+            tab="Picture and root" if entity in ("image_error", "rotation", "length") else "Solver",
+        )
+
+
+def _log10(values: Array) -> Array:
+    """NaN where there is nothing."""
+    return np.log10(np.where(values > 0, values, np.nan))

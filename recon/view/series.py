@@ -28,7 +28,7 @@ from recon.view.scene import (
 )
 from recon.view.world import STANCE
 
-_ANGLE_COLOURS: tuple[Colour, ...] = (*LIMB_COLOURS, LINK, (213, 94, 0), (200, 200, 210))
+LINE_COLOURS: tuple[Colour, ...] = (*LIMB_COLOURS, LINK, (213, 94, 0), (200, 200, 210))
 
 
 @dataclass(frozen=True)
@@ -109,7 +109,7 @@ def angle_series(motion: Motion) -> list[Series]:
             colours = [tints[end] for end in ends]
         else:
             labels = [without_side(name).replace("_", " ") for name in names]
-            colours = [_ANGLE_COLOURS[i % len(_ANGLE_COLOURS)] for i in range(len(names))]
+            colours = [LINE_COLOURS[i % len(LINE_COLOURS)] for i in range(len(names))]
         columns = [motion.angle_names.index(name) for name in names]
         found.append(Series(entity, title, labels, colours, degrees[:, columns]))
     return found

@@ -1,0 +1,264 @@
+"""What the optimiser did: the problem at its solution, row by row, and what came of it frame by frame.
+
+Both methods minimise half the squared norm of residuals r, divided by their standard deviations, with a Jacobian J; of
+robust terms r and J are as the solver weighs them, so that J'r is the gradient and J'J the curvature.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from recon.arrays import Array, Index
+from recon.chain import Chain
+from recon.clip import View
+from recon.kinematics import ROOT, YAW
+from recon.published import FrameOptions, frame_rows
+from recon.published.frame import beyond_range_rad, beyond_rate_rad_s
+from recon.results import Results
+from recon.solve.contacts import contacts
+from recon.solve.problem import Problem
+from recon.solve.setting import Setting
+from recon.solve.terms import SIZE, Span
+
+_LEAST_DAMPING = 1e-4
+"""Of the step that is left: as of the solver's last ones."""
+
+
+@dataclass(frozen=True, eq=False)
+class Rows:
+    """Of a term, N frames with M rows each: frames (N,), rows of the clip; cost (N,); residual (N, M); jacobian
+    (N, M, S, D) by the unknowns of the frames at the S offsets of the stencil."""
+
+    term: str
+    frames: Index
+    stencil: tuple[int, ...]
+    cost: Array
+    residual: Array
+    jacobian: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Linearised:
+    """The problem at the solution, of T frames with D unknowns each. What all frames share, the size, is left out."""
+
+    unknowns: tuple[str, ...]
+    """(D,)"""
+    frames: int
+    """T"""
+    rows: tuple[Rows, ...]
+    step: Array
+    """(T, D): what one more step would change, by the method that has one for the clip; NaN of the other."""
+
+    @cached_property
+    def cost(self) -> dict[str, Array]:
+        """By term (T,), robust; NaN without a pose."""
+        costs: dict[str, Array] = {}
+        for rows in self.rows:
+            np.add.at(costs.setdefault(rows.term, np.where(self.solved, 0.0, np.nan)), rows.frames, rows.cost)
+        return costs
+
+    @cached_property
+    def gradient(self) -> Array:
+        """(T, D), NaN without a pose."""
+        return self._summed([np.einsum("nm,nmsd->nsd", rows.residual, rows.jacobian) for rows in self.rows])
+
+    @cached_property
+    def column_norm(self) -> Array:
+        """(T, D): of the Jacobian's columns, NaN without a pose."""
+        return np.sqrt(self._summed([np.einsum("nmsd->nsd", rows.jacobian**2) for rows in self.rows]))
+
+    @cached_property
+    def solved(self) -> NDArray[np.bool_]:
+        """(T,)"""
+        solved = np.zeros(self.frames, dtype=bool)
+        solved[np.concatenate([[], *(rows.frames for rows in self.rows)]).astype(int)] = True
+        return solved
+
+    def _summed(self, parts: Sequence[Array]) -> Array:
+        """(T, D) from (N, S, D) of each term."""
+        total = np.where(self.solved[:, None], np.zeros((self.frames, len(self.unknowns))), np.nan)
+        for rows, part in zip(self.rows, parts, strict=True):
+            for slot, offset in enumerate(rows.stencil):
+                np.add.at(total, rows.frames + offset, part[:, slot])
+        return total
+
+    def write_jacobian(self, path: Path) -> None:
+        """As NPZ that `scipy.sparse.load_npz` reads as a matrix (M, T D), column t D + d: the unknown d of row t of the
+        clip; with it unknowns (D,), and of every row its residual, term, and the frame that it stands for."""
+        D, first, parts, of_rows = len(self.unknowns), 0, [], []
+        for rows in self.rows:
+            n, m, s, d = np.nonzero(rows.jacobian)
+            column = (rows.frames[n] + np.array(rows.stencil)[s]) * D + d
+            parts.append((first + n * rows.residual.shape[1] + m, column, rows.jacobian[n, m, s, d]))
+            first += rows.residual.size
+            frames = np.repeat(rows.frames, rows.residual.shape[1])
+            of_rows.append((rows.residual.ravel(), np.full(rows.residual.size, rows.term), frames))
+        row, column, value = (np.concatenate(part) for part in zip(*parts, strict=True))
+        residual, term, frame = (np.concatenate(part) for part in zip(*of_rows, strict=True))
+        np.savez_compressed(
+            path,
+            allow_pickle=False,
+            format=np.array(b"coo"),
+            shape=np.array([first, self.frames * D]),
+            row=row,
+            col=column,
+            data=value,
+            residual=residual,
+            term=term,
+            clip_row=frame,
+            unknowns=np.array(self.unknowns),
+        )
+
+
+def linearised_frames(view: View, chain: Chain, fps: float, options: FrameOptions, results: Results) -> Linearised:
+    """Of the frame method: every frame's unknowns, the frame before being held."""
+    frames, D = results.report["frames"], chain.n_state
+    states = np.array([frame["unknowns"] or [np.nan] * D for frame in frames], dtype=float)
+    sigma_px = np.array([frame["sigma_px"] for frame in frames], dtype=float)
+    rows = [
+        Rows(term, np.array([t]), (0,), np.array([0.5 * r @ r]), r[None], J[None, :, None])
+        for t, by_term in frame_rows(view, chain, fps, options, states, sigma_px)
+        for term, (r, J) in by_term.items()
+    ]
+    return Linearised(chain.state_names, len(frames), tuple(rows), np.full(states.shape, np.nan))
+
+
+def linearised_clip(setting: Setting, results: Results) -> Linearised:
+    """Of the trajectory method. The noise of the joints is the report's, the mean of several spells; contacts follow
+    from the solution. A spell with a frame that ran away is left out."""
+    o, told_px = setting.options, np.array([camera["noise_px"] for camera in results.report["cameras"]], dtype=float)
+    size = results.size if setting.shows_size else 1.0
+    shared = {SIZE: size} if setting.shows_size else {}
+    states = results.states.copy()
+    states[:, ROOT] = (states[:, ROOT] - setting.origin_m) / results.size
+    rows, step = [], np.full(states.shape, np.nan)
+    for spell in results.spells:
+        part, found = setting.part(spell.rows), states[spell.rows]
+        if not np.isfinite(found).all():
+            continue
+        points = part.markers(found)
+        noise_px = part.noise_px(points, np.ones_like(told_px), size)
+        noise_px *= (told_px / noise_px.mean(axis=1))[:, None]
+        stand = o.ground == "auto" and len(part.feet) > 0 and len(found) > 2
+        problem = part.problem(noise_px, 1.0, contacts(part, points, size)[2] if stand else (), size_free=True)
+        rows += [replace(one, frames=one.frames + spell.rows.start) for one in _rows(problem, found, shared)]
+        step[spell.rows] = problem.normal(found, shared).step(_LEAST_DAMPING)[0]
+    return Linearised(setting.body.state_names, len(states), tuple(rows), step)
+
+
+def _rows(problem: Problem, states: Array, shared: Mapping[str, float]) -> Iterator[Rows]:
+    for term in problem.linear:
+        frames, r = term.frames(len(states)), term.residual(states)
+        jacobian = np.broadcast_to(term.slots.swapaxes(0, 1), (len(r), *term.slots.swapaxes(0, 1).shape))
+        yield Rows(term.name, frames, term.stencil, 0.5 * np.sum(r**2, axis=1), r, jacobian)
+    span = Span(0, states, problem.tree.pose_with_jacobian(states), True, shared)
+    for term in problem.terms:
+        found = term.evaluate(span, jacobian=True)
+        assert found.residual is not None
+        assert found.jacobian is not None
+        yield Rows(term.name, found.frames, term.stencil, found.cost, found.residual, found.jacobian)
+
+
+# -- frame by frame -----------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class SolverRecord:
+    """What `recon analyse --solver` shows, of T frames. problem: at the solution. chain: of a result of a chain."""
+
+    results: Results
+    problem: Linearised
+    chain: Chain | None
+
+    @cached_property
+    def optimality(self) -> Array:
+        """(T,): the largest part of the gradient."""
+        return np.abs(self.problem.gradient).max(axis=1)
+
+    @cached_property
+    def step_norm(self) -> Array:
+        """(T,): the frame method's last step; what one more step of the trajectory method would change."""
+        return self.of_frames("step_norm") if self.results.jitters else np.linalg.norm(self.problem.step, axis=1)
+
+    def of_frames(self, field: str) -> Array:
+        """(T,): a field of the report's frames, NaN where it has none."""
+        return np.array([frame.get(field) for frame in self.results.report["frames"]], dtype=float)
+
+    @cached_property
+    def image_error_px(self) -> dict[str, Array]:
+        """By camera (J, T): from detections to reprojections, NaN without one of them."""
+        given = self.results.report["image_error_px"]
+        values = [np.array(one, dtype=float) for one in (given["values"], *given.get("others", ()))]
+        names = [camera.name for camera in self.results.cameras]
+        return {name: np.linalg.norm(one, axis=1) for name, one in zip(names, values, strict=True)}
+
+    @cached_property
+    def rotation_rad(self) -> dict[str, Array]:
+        """The root's angles by name, (T,)."""
+        results = self.results
+        if results.jitters:
+            return self._named("xi", "psi", "zeta")
+        turned = results.states[:, YAW : YAW + 3].copy()
+        known = np.isfinite(turned[:, 0])
+        if known.any():
+            turned[known] = np.unwrap(turned[known], axis=0)
+            turned -= 2 * np.pi * np.round(np.median(turned[known], axis=0) / (2 * np.pi))
+        return dict(zip(("yaw", "pitch", "roll"), turned.T, strict=True))
+
+    @cached_property
+    def length(self) -> dict[str, Array]:
+        """The base length, metres, or the size of all frames, by name (T,)."""
+        if self.results.jitters:
+            return self._named("base_length_m")
+        return {"size": np.where(np.isfinite(self.results.states[:, 0]), self.results.size, np.nan)}
+
+    @cached_property
+    def limits(self) -> dict[str, Array]:
+        """By name (T, A): how far the chain's angles lie beyond their expected "ranges", rad, and their "rates" beyond
+        their limits, rad/s; negative within. Empty without a chain."""
+        if self.chain is None:
+            return {}
+        states = self._unknowns if self.results.jitters else self.results.states[:, self.chain.body_angles]
+        rates = beyond_rate_rad_s(self.chain, states, self.results.fps)
+        return {"ranges": beyond_range_rad(self.chain, states), "rates": rates}
+
+    @cached_property
+    def active(self) -> dict[str, Array]:
+        """By name of `limits` (T,): how many are passed."""
+        return {name: (beyond > 0).sum(axis=1) for name, beyond in self.limits.items()}
+
+    def _named(self, *names: str) -> dict[str, Array]:
+        at = [self.results.report["skeleton"]["unknowns"].index(name) for name in names]
+        return dict(zip(names, self._unknowns[:, at].T, strict=True))
+
+    @cached_property
+    def _unknowns(self) -> Array:
+        """(T, D): of the frame method."""
+        none = [np.nan] * len(self.results.report["skeleton"]["unknowns"])
+        return np.array([frame["unknowns"] or none for frame in self.results.report["frames"]], dtype=float)
+
+    def summary(self) -> dict[str, object]:
+        """For analysis.json."""
+        report, cost = self.results.report, {name: float(np.nansum(c)) for name, c in self.problem.cost.items()}
+        found: dict[str, object] = {
+            "cost_by_term": cost,
+            "largest_gradient": _largest(self.optimality),
+            "largest_step": _largest(self.step_norm),
+            "limits_passed": {name: int(count.sum()) for name, count in self.active.items()},
+        }
+        if self.results.jitters:
+            found["iterations"] = int(np.nansum(self.of_frames("iterations")))
+            found["frames_converged"] = report["summary"]["frames_converged"]
+        else:
+            found |= {name: report["convergence"][name] for name in ("iterations", "status")}
+        return found
+
+
+def _largest(values: Iterable[float]) -> float:
+    return float(np.max([v for v in values if np.isfinite(v)], initial=0.0))

@@ -1,0 +1,60 @@
+"""What the optimiser did for a result: its problem again, from the files that it was fitted to."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from recon.analysis.solver import SolverRecord, linearised_clip, linearised_frames
+from recon.app.clip import prepare
+from recon.app.overlay import overlay_of
+from recon.clip import Source, views_of
+from recon.errors import InputError, Problem
+from recon.results import Results
+from recon.settings import read_settings
+from recon.skeleton_file import load_chain
+from recon.solve.setting import Setting
+
+CONFIG = "config.toml"
+EXPECTED = "the keypoints and cameras of the fit, as they were: fit the clip again"
+_ALIKE, _ALIKE_PX = 2.0, 0.1
+"""Costs that differ by a larger factor are of another camera, and points that differ by more are other keypoints."""
+
+
+def read_solver(results: Results) -> SolverRecord:
+    """Raises InputError where the keypoints or the camera of the fit are no longer there, or are others."""
+    results.manifest.require(CONFIG)
+    config = results.folder / CONFIG
+    settings = read_settings(config, {})
+    given = prepare(settings)
+    model, views = given.model, views_of(given.sources)
+    _require_the_same(given.sources, results)
+    if model.chain is not None:
+        problem = linearised_frames(views[0], model.chain, given.fps, settings.frame_options(), results)
+        told = 0.5 * sum(frame["squared_norm"] for frame in results.report["frames"] if frame["unknowns"])
+    else:
+        assert model.prior is not None
+        setting = Setting.of(views, model.body, model.prior, given.fps, settings.trajectory_options())
+        problem = linearised_clip(setting, results)
+        told = sum(results.report["convergence"]["cost_by_term"].values()) if problem.solved.any() else 0.0
+    cost = sum(float(np.nansum(of_term)) for of_term in problem.cost.values())
+    if problem.solved.all() and max(cost, told) > _ALIKE * max(min(cost, told), 1.0):
+        raise InputError(Problem(config, "camera", f"a cost of {cost:.4g}, where the fit had {told:.4g}", EXPECTED))
+    chain = load_chain(results.skeleton_name) if results.body.one_sided else None
+    return SolverRecord(results, problem, chain)
+
+
+def _require_the_same(sources: Sequence[Source], results: Results) -> None:
+    """Raises InputError unless these are the detections of the fit."""
+    for number, source in enumerate(sources):
+        keypoints, detected_px = source.keypoints, overlay_of(results, number=number).detected_px
+        known = np.isfinite(detected_px)
+        solved = np.isfinite(results.states[:, 0])
+        if (
+            not np.array_equal(keypoints.frames, results.pose.frames)
+            or not np.array_equal(known[solved], np.isfinite(keypoints.xy_px[solved]))
+            or np.abs(detected_px - keypoints.xy_px)[known].max(initial=0.0) > _ALIKE_PX
+        ):
+            path = keypoints.source or results.folder / CONFIG
+            raise InputError(Problem(path, "keypoints", "others than those of the fit", EXPECTED))

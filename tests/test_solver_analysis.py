@@ -1,0 +1,183 @@
+"""`recon analyse --solver`: the problem at the solution against the report and scipy, and what is shown."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from command_line import run
+from scipy.sparse import load_npz
+
+from recon import plots
+from recon.analysis.solver import SolverRecord
+from recon.app.analyse import write_solver_figures
+from recon.app.solver import read_solver
+from recon.errors import InputError
+from recon.export import solver_csv
+from recon.manifest import write_manifest
+from recon.results import read_results
+from recon.view.analysis import _solver
+
+SAMPLES = Path(__file__).parents[1] / "data" / "samples"
+
+
+@pytest.fixture(scope="module")
+def frame(frame_results) -> SolverRecord:
+    return read_solver(read_results(frame_results))
+
+
+@pytest.fixture(scope="module")
+def whole(whole_results) -> SolverRecord:
+    return read_solver(read_results(whole_results))
+
+
+@pytest.fixture(scope="module")
+def chain(chain_results) -> SolverRecord:
+    return read_solver(read_results(chain_results))
+
+
+def test_the_frame_methods_problem_is_the_reports(frame):
+    """To the rounding of the unknowns in report.json, some 1e-9 times the curvature."""
+    frames = frame.results.report["frames"]
+    gradient = np.array([of_frame["gradient"] for of_frame in frames])
+    curvature = frame.problem.column_norm.max() ** 2
+    np.testing.assert_allclose(frame.problem.gradient, gradient, atol=1e-8 * curvature)
+    for t, of_frame in enumerate(frames):
+        assert {name: cost[t] for name, cost in frame.problem.cost.items() if name in of_frame["cost_shares"]} == {
+            name: pytest.approx(0.5 * share * of_frame["squared_norm"], rel=1e-5, abs=1e-6)
+            for name, share in of_frame["cost_shares"].items()
+        }
+    np.testing.assert_allclose(frame.optimality, frame.of_frames("optimality"), atol=1e-8 * curvature)
+    assert frame.step_norm[3] == frames[3]["step_norm"]
+
+
+def test_limits_passed_are_counted_as_in_the_report(frame):
+    limits = frame.results.report["limits"]
+    for kind, passed in frame.active.items():
+        assert passed.sum() == sum(row["passed"] for row in limits[kind].values())
+    assert frame.active["rates"].sum() > 0
+
+
+@pytest.mark.parametrize("name", ["whole", "chain"])
+def test_the_trajectory_methods_problem_is_that_of_its_last_round(name, request):
+    """But for the contacts, which follow from the solution once more."""
+    record = request.getfixturevalue(name)
+    told = record.results.report["convergence"]["cost_by_term"]
+    found = {term: cost.sum() for term, cost in record.problem.cost.items()}
+    assert found == {term: pytest.approx(cost, rel=0.004) for term, cost in told.items()}
+    assert found["reprojection"] == pytest.approx(told["reprojection"], rel=1e-4)
+    # A minimum: the next step is of hundredths of a radian and lowers the cost by next to nothing.
+    assert 0 < record.step_norm.max() < 0.02
+    assert 0 < -0.5 * np.sum(record.problem.step * record.problem.gradient) < 1e-4 * sum(found.values())
+
+
+def test_limits_are_those_of_a_chain(whole, chain):
+    assert whole.limits == {}
+    assert [*chain.limits] == ["ranges", "rates"]
+
+
+@pytest.mark.parametrize("name", ["whole", "frame"])
+def test_jacobian_in_the_file_gives_gradient_and_norms(name, request, tmp_path):
+    record = request.getfixturevalue(name)
+    path = tmp_path / "jacobian.npz"
+    record.problem.write_jacobian(path)
+    J, T, D = load_npz(path), len(record.results.pose.frames), len(record.problem.unknowns)
+    with np.load(path) as file:
+        assert J.shape == (len(file["residual"]), T * D)
+        assert len(file["term"]) == len(file["clip_row"]) == len(J.toarray())
+        np.testing.assert_allclose((J.T @ file["residual"]).reshape(T, D), record.problem.gradient, atol=1e-9)
+        assert tuple(file["unknowns"]) == record.problem.unknowns
+    norms = np.linalg.norm(J.toarray(), axis=0).reshape(T, D)
+    np.testing.assert_allclose(norms, record.problem.column_norm)
+
+
+def test_rotation_and_length(frame, whole):
+    unknowns = frame.results.report["frames"][2]["unknowns"]
+    assert [values[2] for values in frame.rotation_rad.values()] == unknowns[-4:-1]
+    assert frame.length["base_length_m"][2] == unknowns[-1]
+    np.testing.assert_allclose(np.exp(1j * whole.rotation_rad["yaw"]), np.exp(1j * whole.results.states[:, 3]))
+    assert np.abs(whole.rotation_rad["yaw"]).max() < np.pi
+    assert set(whole.length["size"]) == {whole.results.size}
+
+
+def test_tables(whole, frame, tmp_path):
+    for record in (whole, frame):
+        solver_csv.write(record, tmp_path)
+        tables = {name: pd.read_csv(tmp_path / name) for name in solver_csv.TABLES}
+        frames, errors = tables["solver_frames.csv"], tables["image_errors.csv"]
+        np.testing.assert_array_equal(frames["frame"], record.results.pose.frames)
+        np.testing.assert_array_equal(frames["optimality"], record.optimality)
+        assert len(tables["solver_unknowns.csv"]) == len(record.problem.unknowns)
+        told = record.results.report["summary"]["reprojection_px"]["mean"]
+        assert np.nanmean(errors.iloc[:, 2:]) == pytest.approx(told, rel=1e-6)
+    assert frames["iterations"].sum() == frame.summary()["iterations"]
+    assert frames["rates_passed"].sum() == frame.active["rates"].sum()
+
+
+def test_figures(whole, frame, chain):
+    assert [len(plots.solver_search(record).axes) for record in (whole, chain, frame)] == [3, 4, 5]
+    cost, *_ = plots.solver_search(frame).axes
+    np.testing.assert_array_equal(cost.lines[0].get_ydata(), frame.problem.cost["reprojection"])
+    rows = plots.solver_root(frame).axes
+    assert [axes.get_ylabel() for axes in rows] == ["xi (°)", "psi (°)", "zeta (°)", "base length (m)"]
+    np.testing.assert_allclose(rows[2].lines[0].get_ydata(), np.degrees(frame.rotation_rad["zeta"]))
+    heat, _ = plots.image_errors(whole).axes
+    shown = np.ma.filled(heat.collections[0].get_array(), np.nan)
+    np.testing.assert_array_equal(shown, whole.image_error_px["synthetic pinhole"])
+    gradient, norm = plots.solver_unknowns(whole).axes
+    np.testing.assert_allclose(norm.lines[0].get_xdata(), np.median(whole.problem.column_norm, axis=0))
+    assert [label.get_text() for label in gradient.get_yticklabels()] == [*whole.problem.unknowns]
+
+
+def test_figures_are_written(chain, small_pictures, tmp_path):
+    write_solver_figures(chain, tmp_path)
+    stems = ("image_errors", "solver_root", "solver_search", "solver_unknowns")
+    assert {path.name for path in tmp_path.iterdir()} == {f"{stem}.{end}" for stem in stems for end in ("png", "svg")}
+
+
+def test_plots_beside_the_playback(frame):
+    shown = [*_solver(frame)]
+    assert {series.tab for series in shown} == {"Solver", "Picture and root"}
+    lines = {s.entity: dict(zip(s.names, np.transpose(s.values), strict=True)) for s in shown}
+    np.testing.assert_array_equal(lines["solver/limits"]["rates"], frame.active["rates"])
+    np.testing.assert_allclose(lines["solver/optimality"]["largest of the gradient"], np.log10(frame.optimality))
+
+
+def test_command_writes_all_of_it(of_results):
+    printed, folder = of_results("recon analyse results/clip --solver --no-figures")
+    analysis = folder / "results" / "clip" / "analysis"
+    files = {path.name for path in analysis.iterdir()}
+    assert {*solver_csv.TABLES, "jacobian.npz"} <= files
+    assert f"{len(files)} files" in printed
+    summary = json.loads((analysis / "analysis.json").read_text(encoding="utf-8"))["solver"]
+    assert summary["status"] == "converged"
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [("gone", "no such file"), ("reversed", "others than those of the fit"), ("camera", "where the fit had")],
+)
+def test_inputs_that_are_not_those_of_the_fit(chain_results, tmp_path, change, told):
+    folder, files = tmp_path / "clip", ("noisy.csv", "camera.toml")
+    shutil.copytree(chain_results, folder)
+    config = (folder / "config.toml").read_text(encoding="utf-8").replace(str(SAMPLES), str(tmp_path))
+    (folder / "config.toml").write_text(config, encoding="utf-8")
+    write_manifest(folder)
+    points, camera = ((SAMPLES / name).read_text(encoding="utf-8") for name in files)
+    if change == "reversed":
+        header, rows = points.splitlines()[:-30], points.splitlines()[-30:]
+        ends = [row.partition(",")[2] for row in reversed(rows)]
+        points = "\n".join([*header, *(f"{row.partition(',')[0]},{end}" for row, end in zip(rows, ends, strict=True))])
+    if change == "camera":
+        camera = camera.replace("1662.7", "1762.7")
+    if change != "gone":
+        (tmp_path / "noisy.csv").write_text(points, encoding="utf-8")
+    (tmp_path / "camera.toml").write_text(camera, encoding="utf-8")
+    with pytest.raises(InputError, match=told):
+        read_solver(read_results(folder))
+    assert run("analyse", folder, "--solver", "--no-figures").code == 2
+    assert not (folder / "analysis").exists() or not any((folder / "analysis").iterdir())
