@@ -130,6 +130,27 @@ def test_strides_and_closures(whole, tables):
     assert closures.loc["l_hind_thigh_pitch", "closure_angle_percent"] == pytest.approx(expected)
 
 
+def test_every_closure_has_a_deviation_and_the_share_of_its_angle(whole, tables):
+    closures = tables["closures"].set_index("angle")
+    assert dict(closures["data_share"]) == pytest.approx(whole.results.data_shares)
+    assert closures["closure_angle_sigma_percent"].between(5, 35).all()
+    assert closures["closure_plane_sigma_percent"].between(5, 35).all()
+    angles = tables["joint_angles"].set_index("angle")
+    assert angles.loc["head_roll", "data_share"] == closures.loc["head_roll", "data_share"] < 0.1
+    assert angles.loc["spine_flexion", ["data_share"]].isna().all()
+
+
+@pytest.mark.parametrize("fit", ["one_sided", "chain"])
+def test_from_the_side_the_transverse_angles_are_not_seen(fit, request):
+    found = request.getfixturevalue(fit)
+    phis = [name for name in found.results.angle_names if name.startswith("phi")]
+    assert {*phis} < {*found.not_measured}
+    assert not any(name.startswith("theta") for name in found.not_measured)
+    assert max(found.results.data_shares[name] for name in phis) < 0.02
+    assert summarise(found)["angles"]["not_measured"] == [*found.not_measured]
+    assert f"grey in figures: {', '.join(found.not_measured)}." in notes(found)[fit == "one_sided"]
+
+
 @pytest.mark.parametrize("fit", ["one_sided", "chain", "whole"])
 def test_the_rules_tell_the_same_strides(fit, request):
     """Of the sample's gallop, 3.2 to 3.4 strides a second: the two methods, where they tell any, within a twentieth."""
@@ -168,6 +189,10 @@ def test_vector_field_of_a_knee(whole, tables):
     means = tables["vector_field_means"].set_index("link")
     assert means.loc["l_back_knee-l_back_ankle", "speed_m_s"] == pytest.approx(rows["speed_m_s"].mean())
     assert means.loc["l_back_knee-l_back_ankle", "frames"] == 60
+    # Rigid links in the plane: the speed errs by the radius times what the rate does.
+    about = rows["speed_sigma_m_s"] / (radius * rows["dtheta_sigma_rad_s"])
+    assert about.median() == pytest.approx(1.0, abs=0.02)
+    assert 1.0 < means.loc["l_back_knee-l_back_ankle", "speed_sigma_m_s"] < 2.5
 
 
 def test_the_frame_method_is_smoothed_by_its_jitter(one_sided, frame_results):
@@ -235,12 +260,20 @@ def test_command_writes_tables_figures_and_plots(of_results, whole_results, monk
     assert {*analysis_csv.TABLES, "analysis.json", "analysis.rrd"} <= written
     assert {path.name: path.read_bytes() for path in folder.iterdir() if path.is_file()} == results
     assert f"with: recon view {folder}\n" in printed
-    for figure in ("composites", "speed", "footfalls", "vector_field_left_front_leg", "phase_portraits"):
+    for figure in (
+        "composites",
+        "speed",
+        "footfalls",
+        "vector_field_left_front_leg",
+        "phase_portraits",
+        "observability",
+    ):
         assert {f"{figure}.png", f"{figure}.svg"} <= written
     summary = json.loads((folder / "analysis" / "analysis.json").read_text(encoding="utf-8"))
     assert summary["gait"]["ground"]["name"] == "transverse gallop"
     assert summary["speed"]["peak_m_s"] == pytest.approx(16.05, abs=0.3)
     entities = {chunk.entity_path for chunk in RrdReader(folder / "analysis" / "analysis.rrd").stream()}
+    assert "/analysis/observability/head_roll" in entities
     assert {"/analysis/speed", "/analysis/gait/ground/l_back_paw", "/analysis/links/trunk"} <= entities
 
 

@@ -11,6 +11,7 @@ from recon.analysis.phase import (
     closure,
     degree_of_closure,
     field_means,
+    field_with_sigma,
     phase_portrait,
     portrait_between,
     pose_vector_field,
@@ -112,6 +113,34 @@ def test_closure_of_a_full_and_of_a_half_turn():
     assert full.plane == pytest.approx(100.0, abs=0.1)
     assert half.angle == pytest.approx(0.0, abs=1e-9)
     assert half.plane == pytest.approx(100 * (1 - np.sqrt(3) / 2), abs=0.01)
+
+
+def test_deviation_of_a_closure_by_hand():
+    """A full turn whose ends err on their own, each by sigma: D = 100 - 100 |n| / 0.6 with n normal of sqrt(2) sigma,
+    and the deviation of |n| is that of n times sqrt(1 - 2 / pi)."""
+    sigma, lasts_s = 0.006, 0.05
+    time_s = np.linspace(0.0, 0.8, 201)
+    turn = 2 * np.pi * time_s / 0.8
+    of_both = np.full(201, sigma), np.full(201, sigma / lasts_s)
+    found = closure(Portrait(time_s, 0.3 * np.cos(turn), -0.3 * 2 * np.pi / 0.8 * np.sin(turn), *of_both))
+    assert found.angle_sigma == pytest.approx(100 * np.sqrt(2) * sigma / 0.6 * np.sqrt(1 - 2 / np.pi), rel=0.2)
+    without = closure(Portrait(time_s, np.cos(turn), np.sin(turn)))
+    assert np.isnan([without.angle_sigma, without.plane_sigma]).all()
+
+
+def test_deviations_of_a_link_that_turns():
+    """Turned about the joint by 2 rad/s, known to 0.1: the speed errs by the length times that, its radius not."""
+    angle = 0.5 + 2.0 * TIME_S
+    tip = 0.4 * np.column_stack([np.cos(angle), np.zeros(90), np.sin(angle)])
+    joints = np.stack([np.tile([-1.0, 0, 0], (90, 1)), np.zeros((90, 3)), tip], axis=1)
+    (field,) = vector_field(TIME_S, joints, ("a", "b", "c"), np.tile([1.0, 0, 0], (90, 1)))
+    across = np.stack([-field.position_m[:, 1], field.position_m[:, 0], np.zeros(90)], axis=1)
+    found = field_with_sigma(field, 0.1 * across[None])
+    np.testing.assert_allclose(found.dtheta_sigma_rad_s, 0.1)
+    np.testing.assert_allclose(found.speed_sigma_m_s, 0.04, rtol=1e-3)
+    np.testing.assert_allclose(found.dr_sigma_m_s, 0, atol=1e-12)
+    (means,) = field_means((found,))
+    assert means.speed_sigma_m_s == pytest.approx(0.04, rel=1e-3)
 
 
 def test_closure_of_a_quarter_circle_by_hand():

@@ -8,7 +8,7 @@ from dataclasses import replace
 import matplotlib as mpl
 import numpy as np
 import pytest
-from matplotlib.collections import LineCollection, PolyCollection
+from matplotlib.collections import EllipseCollection, FillBetweenPolyCollection, LineCollection, PolyCollection
 from matplotlib.colors import to_rgb
 from matplotlib.quiver import Quiver
 from PIL import Image
@@ -22,6 +22,8 @@ from recon.ik.chain import PlanarChain, SummedChain
 from recon.ik.drive import Closures, drive_to, follow
 from recon.ik.methods import DampedLeastSquares, JacobianTranspose, LeastNorm
 from recon.plots import composite, style
+from recon.plots.observability import share_colours
+from recon.skeleton_file import load_skeleton
 
 FPS = 50.0
 LIMBS = {"trunk": (0, 1), "near leg": (0, 2), "off leg": (0, 3)}
@@ -400,6 +402,56 @@ def test_portraits_in_degrees():
     points = np.concatenate([path.vertices for path in lines.get_paths()])
     assert np.isnan(points).any(axis=1).sum() >= 20
     assert figure.axes[-1].get_ylabel() == "time (s)"
+
+
+def test_a_portrait_with_its_deviations_and_of_an_angle_that_is_not_seen():
+    t = times(31)
+    errors = [Errors(np.full(31, np.radians(2.0)), 0.05)]
+    portrait = phase_portrait(angle_kinematics(t, 0.5 * np.sin(9 * t), errors))
+    shares = {"knee": 0.8, "hip": 0.2}
+    figure = plots.phase_portraits(
+        {"knee": portrait, "hip": portrait}, {"knee": Closure(91.4, 88, 12.3, 9)}, "", shares
+    )
+    first, second = figure.axes[:2]
+    assert first.get_title() == "knee\n80% from pixels\n91±12 / 88±9 %"
+    assert second.get_title() == "hip\n20% from pixels"
+    (lines,) = (c for c in second.collections if isinstance(c, LineCollection))
+    assert len({*map(tuple, lines.get_edgecolors())}) == 1
+    (band,) = (c for c in first.collections if isinstance(c, EllipseCollection))
+    assert np.median(band.get_widths()) == pytest.approx(4.0, rel=0.02)
+    assert "less than 50%" in figure.get_supxlabel()
+
+
+def test_speeds_of_links_with_their_deviations():
+    t = times(20)
+    (first, *_) = vector_field(t, swinging(20), ("a", "b", "c", "d"), np.tile([1.0, 0.0, 0.0], (20, 1)))
+    field = replace(first, speed_sigma_m_s=np.full(20, 0.25))
+    axes = plots.vector_fields((field,), t).axes[1]
+    (band,) = (c for c in axes.collections if isinstance(c, FillBetweenPolyCollection))
+    assert band.get_paths()[0].vertices[:, 1].max() == pytest.approx(first.speed_m_s.max() + 0.25)
+
+
+def test_observability_on_the_skeleton_and_over_time():
+    """Dots at the joints that turn about each axis, in the colours of their shares; grey below one half."""
+    body = load_skeleton("cheetah-8u")
+    names = body.state_names[4:]
+    share = np.tile([0.9 if name.startswith("theta") else 0.1 for name in names], (12, 1))
+    share[:, names.index("J0_pitch")] = np.nan
+    figure = plots.observability(body, share, times(12))
+    over_time = figure.axes[3]
+    seen, unseen = share_colours()(0.9), share_colours()(0.1)
+    dots = [
+        [line.get_markerfacecolor() for line in axes.get_lines() if line.get_marker() == "o"]
+        for axes in figure.axes[:3]
+    ]
+    assert dots == [["none", *[seen] * 7], [unseen] * 7, [unseen]]
+    assert seen[2] > seen[0] + 0.3
+    assert np.ptp(unseen[:3]) < 0.01
+    (image,) = over_time.get_images()
+    np.testing.assert_array_equal(image.get_array().filled(np.nan), share.T)
+    assert [label.get_text() for label in over_time.get_yticklabels()][2:4] == ["phi 6", "theta 6"]
+    nothing = plots.observability(body, np.full_like(share, np.nan), times(12))
+    assert [text.get_text() for text in nothing.texts][-1] == "no data"
 
 
 def test_an_angle_that_is_held_is_shown_as_still():

@@ -33,14 +33,16 @@ from recon.analysis.phase import (
     LinkField,
     Portrait,
     closure,
+    field_with_sigma,
     phase_portrait,
     portrait_between,
     pose_vector_field,
+    tips,
 )
-from recon.arrays import Array
+from recon.arrays import Array, Bools
 from recon.errors import InputError, Problem
 from recon.io.pose3d import Pose3D
-from recon.results import Results
+from recon.results import MEASURED_SHARE, Results
 
 PLACE_LASTS_S, POSE_LASTS_S = 0.2, 0.05
 """`Errors.correlation_s` of the animal's place and of the joints relative to their mean."""
@@ -87,6 +89,19 @@ class ClipAnalysis:
         return next(method for method, gait in self.gaits.items() if gait.strides)
 
     @cached_property
+    def not_measured(self) -> tuple[str, ...]:
+        """The fit's angles with less than `MEASURED_SHARE` of their precision from the pixels."""
+        return tuple(name for name, share in self.results.data_shares.items() if share < MEASURED_SHARE)
+
+    @property
+    def during_stride(self) -> Bools:
+        """(T,): the frames of `stride`, or without one all."""
+        time_s, half = self.results.time_s, 0.5 / self.results.fps
+        if self.stride is None:
+            return np.ones(len(time_s), dtype=bool)
+        return (time_s >= self.stride.start_s - half) & (time_s <= self.stride.end_s + half)
+
+    @cached_property
     def portraits(self) -> dict[str, Portrait]:
         """Of the fit's own angles: over `stride`, or without one over the whole clip."""
         portraits = {name: phase_portrait(angle) for name, angle in self.skeleton_angles.items()}
@@ -124,6 +139,13 @@ def analyse(results: Results, smooth: bool | None = None, stride_s: tuple[float,
     of_pose = [] if smooth else errors[1:]
     chains = limb_chains(results)
     gaits = _gaits(results, pose)
+    skeleton_angles = {
+        name: angle_kinematics(results.time_s, angle, error, **options)
+        for name, angle, error in zip(
+            results.angle_names, results.angles_rad.T, _angle_errors(results, smooth), strict=True
+        )
+    }
+    fields = {limb: pose_vector_field(pose, chain, fps, results.forward) for limb, chain in chains.items()}
     return ClipAnalysis(
         results=results,
         pose=pose,
@@ -131,13 +153,10 @@ def analyse(results: Results, smooth: bool | None = None, stride_s: tuple[float,
         reference=results.report["root_path"]["keypoint"],
         joints=joints,
         angles=_angles(results, pose, chains, of_pose),
-        skeleton_angles={
-            name: angle_kinematics(results.time_s, angle, _jitter(angle) if smooth else (), **options)
-            for name, angle in zip(results.angle_names, results.angles_rad.T, strict=True)
-        },
+        skeleton_angles=skeleton_angles,
         gaits=gaits,
         match=match_stances(gaits["body"].stances, gaits["ground"].stances) if gaits else None,
-        fields={limb: pose_vector_field(pose, chain, fps, results.forward) for limb, chain in chains.items()},
+        fields=_with_sigma(fields, results, chains, [*skeleton_angles.values()]),
         given=given,
     )
 
@@ -191,6 +210,47 @@ def _errors(results: Results) -> list[Errors]:
     place = np.sqrt(np.maximum(results.sigma_m**2 - results.relative_sigma_m**2, floor**2))
     pose = np.maximum(results.relative_sigma_m, floor)
     return [Errors(place, PLACE_LASTS_S), Errors(pose, POSE_LASTS_S)]
+
+
+def _angle_errors(results: Results, smooth: bool) -> list[Sequence[Errors]]:
+    """Of each of the fit's own angles."""
+    if smooth:
+        return [_jitter(angle) for angle in results.angles_rad.T]
+    if results.jitters:
+        return [() for _ in results.angle_names]
+    least = 1e-6
+    sigma = np.maximum(np.nan_to_num(results.angle_sigma_rad), least)
+    return [[Errors(of_one, POSE_LASTS_S)] for of_one in sigma.T]
+
+
+def _with_sigma(
+    fields: dict[str, tuple[LinkField, ...]],
+    results: Results,
+    chains: Mapping[str, tuple[str, ...]],
+    angles: Sequence[AngleKinematics],
+) -> dict[str, tuple[LinkField, ...]]:
+    """Fields with what the errors of the angles' rates mean for them, each angle's on its own."""
+    rates = [angle.series.rate_sigma for angle in angles]
+    if not fields or any(rate is None for rate in rates):
+        return fields
+    names, step = results.pose.names, 1e-5
+    moved: dict[str, list[Array]] = {limb: [] for limb in chains}
+    for k, (angle, rate) in enumerate(zip(angles, rates, strict=True)):
+        assert rate is not None
+        ends = [results.states.copy(), results.states.copy()]
+        ends[0][:, 4 + k] -= step
+        ends[1][:, 4 + k] += step
+        joints = [results.body.tree.pose(end, results.size).points_m for end in ends]
+        rear, front = (names.index(joint) for joint in results.forward)
+        for limb, chain in chains.items():
+            at = [names.index(joint) for joint in chain]
+            before, after = (tips(points[:, at], points[:, front] - points[:, rear]) for points in joints)
+            per_rad = (after - before) / (2 * step)
+            moved[limb].append(per_rad * rate[:: angle.series.oversampling, :, None])
+    return {
+        limb: tuple(field_with_sigma(field, np.stack(moved[limb])[:, :, i]) for i, field in enumerate(of_limb))
+        for limb, of_limb in fields.items()
+    }
 
 
 def _on_paths(pose: Pose3D, joints: Iterable[JointKinematics]) -> Pose3D:

@@ -15,12 +15,17 @@ Degree of closure of a path in phase space, D = 100 (1 - d / d_max) in percent: 
 start and its end, d_max its diameter, the largest distance between any two of its points. A path that ends where it
 began has 100, one that ends as far away as it ever gets 0. Source: C. van der Leek, MSc(Eng), University of Cape Town,
 2022, which leaves d_max open.
+
+Where angles have deviations, closures have one, too: that of the closures of `DRAWN` paths drawn from them. An error of
+the angle is sigma(t) z(t), z smooth noise of unit variance, and that of the rate follows z' (its deviation is known as
+well, and the ratio of the two says how fast z changes), so that start, end and turning points err as they do together.
 """
 
 from __future__ import annotations
 
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
+from statistics import NormalDist
 
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError
@@ -31,6 +36,8 @@ from recon.io.pose3d import Pose3D
 
 FORWARD = ("tail_base", "neck_base")
 CHUNK = 1000
+DRAWN, _WAVES, _DIRECTIONS = 100, 50, 32
+"""Paths that a closure's deviation comes from, waves in each, and directions in which their extent is measured."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,7 +45,8 @@ class LinkField:
     """One link's tip in its parent's frame, at the T frames, NaN where unknown.
 
     link, parent: (start, end) joints. position_m, velocity_m_s (T, 3): x, y, z; radius_m, dr_m_s, dtheta_rad_s (T,):
-    polar, in the plane of x and y; speed_m_s (T,): in that plane, the norm of (dr, r dtheta).
+    polar, in the plane of x and y; speed_m_s (T,): in that plane, the norm of (dr, r dtheta). *_sigma (T,): one
+    standard deviation (`field_with_sigma`), None where none is known.
     """
 
     link: tuple[str, str]
@@ -49,12 +57,16 @@ class LinkField:
     dr_m_s: Array
     dtheta_rad_s: Array
     speed_m_s: Array
+    dr_sigma_m_s: Array | None = None
+    dtheta_sigma_rad_s: Array | None = None
+    speed_sigma_m_s: Array | None = None
 
 
 @dataclass(frozen=True)
 class LinkMeans:
     """Means over a link's known frames: of the speed in the plane, of the speed in space, of |dr| and of |dtheta|; NaN
-    without any. frames: their number."""
+    without any. speed_sigma_m_s: of the speed in the plane at one frame, root mean square over them; NaN where it is
+    not known. frames: their number."""
 
     link: tuple[str, str]
     parent: tuple[str, str]
@@ -62,25 +74,31 @@ class LinkMeans:
     speed_3d_m_s: float
     dr_m_s: float
     dtheta_rad_s: float
+    speed_sigma_m_s: float
     frames: int
 
 
 @dataclass(frozen=True)
 class Closure:
     """Degrees of closure in percent. angle: of the angle alone; plane: in the (angle, rate) plane, both axes divided by
-    their ranges. NaN for a path that does not move."""
+    their ranges. NaN for a path that does not move. *_sigma: their standard deviations, NaN where none is known."""
 
     angle: float
     plane: float
+    angle_sigma: float = np.nan
+    plane_sigma: float = np.nan
 
 
 @dataclass(frozen=True, eq=False)
 class Portrait:
-    """A path in phase space: time_s, angle_rad, rate_rad_s, all (N,), NaN where unknown."""
+    """A path in phase space: time_s, angle_rad, rate_rad_s, all (N,), NaN where unknown, and their standard deviations,
+    None where none are known."""
 
     time_s: Array
     angle_rad: Array
     rate_rad_s: Array
+    angle_sigma_rad: Array | None = None
+    rate_sigma_rad_s: Array | None = None
 
 
 # -- vector field ----------------------------------------------------------------------------------------------------
@@ -91,11 +109,8 @@ def vector_field(time_s: Array, joints_m: Array, names: tuple[str, ...], forward
     from rear to front (its horizontal part counts). Raises ValueError."""
     if len(names) < 3 or joints_m.shape != (len(time_s), len(names), 3):
         raise ValueError(f"positions (T, J, 3) of at least three joints expected, got {joints_m.shape} of {len(names)}")
-    right = np.stack([forward_m[:, 1], -forward_m[:, 0], np.zeros(len(time_s))], axis=1)
-    return tuple(
-        _link_field(time_s, joints_m[:, i : i + 3], (names[i], names[i + 1], names[i + 2]), right)
-        for i in range(len(names) - 2)
-    )
+    along = np.moveaxis(tips(joints_m, forward_m), 1, 0)
+    return tuple(_link_field(time_s, tip, (names[i], names[i + 1], names[i + 2])) for i, tip in enumerate(along))
 
 
 def pose_vector_field(
@@ -116,17 +131,46 @@ def field_means(fields: tuple[LinkField, ...]) -> tuple[LinkMeans, ...]:
         values = np.abs(np.stack([field.speed_m_s, space, field.dr_m_s, field.dtheta_rad_s]))
         known = np.isfinite(values).all(axis=0)
         speed, speed_3d, dr, dtheta = values[:, known].mean(axis=1) if known.any() else np.full(4, np.nan)
-        n = int(known.sum())
-        rows.append(LinkMeans(field.link, field.parent, float(speed), float(speed_3d), float(dr), float(dtheta), n))
+        sigma = np.nan
+        if field.speed_sigma_m_s is not None and known.any():
+            sigma = float(np.sqrt(np.nanmean(field.speed_sigma_m_s[known] ** 2)))
+        means = (float(speed), float(speed_3d), float(dr), float(dtheta), sigma)
+        rows.append(LinkMeans(field.link, field.parent, *means, int(known.sum())))
     return tuple(rows)
 
 
-def _link_field(time_s: Array, joints_m: Array, names: tuple[str, str, str], right: Array) -> LinkField:
-    x_axis = _unit(joints_m[:, 1] - joints_m[:, 0])
-    z_axis = _unit(right - np.sum(right * x_axis, axis=1, keepdims=True) * x_axis)
-    axes = np.stack([x_axis, np.cross(z_axis, x_axis), z_axis], axis=1)
-    tip = np.einsum("tij,tj->ti", axes, joints_m[:, 2] - joints_m[:, 1])
-    series = series_kinematics(time_s, tip, oversampling=1)
+def tips(joints_m: Array, forward_m: Array) -> Array:
+    """(T, J - 2, 3): the positions of `vector_field`, of joints (T, J, 3) and forward_m (T, 3)."""
+    right = np.stack([forward_m[:, 1], -forward_m[:, 0], np.zeros(len(forward_m))], axis=1)
+    found = []
+    for before, start, end in zip(*(np.moveaxis(joints_m, 1, 0)[i:] for i in range(3)), strict=False):
+        x_axis = _unit(start - before)
+        z_axis = _unit(right - np.sum(right * x_axis, axis=1, keepdims=True) * x_axis)
+        axes = np.stack([x_axis, np.cross(z_axis, x_axis), z_axis], axis=1)
+        found.append(np.einsum("tij,tj->ti", axes, end - start))
+    return np.stack(found, axis=1)
+
+
+def field_with_sigma(field: LinkField, moved_m_s: Array) -> LinkField:
+    """With deviations. moved_m_s (K, T, 3): what K errors that are independent of each other, each of one standard
+    deviation, add to the tip's velocity. Linear; at rest and at radius 0 unknown."""
+    (x, y), (dx, dy) = field.position_m[:, :2].T, field.velocity_m_s[:, :2].T
+    ex, ey = moved_m_s[..., 0], moved_m_s[..., 1]
+
+    def sigma(change: Array, by: Array) -> Array:
+        total = np.sqrt(np.sum(change**2, axis=0))
+        return np.divide(total, by, out=np.full_like(total, np.nan), where=by > 0)
+
+    return replace(
+        field,
+        dr_sigma_m_s=sigma(x * ex + y * ey, field.radius_m),
+        dtheta_sigma_rad_s=sigma(x * ey - y * ex, field.radius_m**2),
+        speed_sigma_m_s=sigma(dx * ex + dy * ey, field.speed_m_s),
+    )
+
+
+def _link_field(time_s: Array, tip_m: Array, names: tuple[str, str, str]) -> LinkField:
+    series = series_kinematics(time_s, tip_m, oversampling=1)
     position, velocity = series.value, series.rate
     (x, y), (dx, dy) = position[:, :2].T, velocity[:, :2].T
     radius = np.hypot(x, y)
@@ -156,14 +200,18 @@ def _unit(vectors: Array) -> Array:
 
 def phase_portrait(angle: AngleKinematics) -> Portrait:
     """The path of (angle, rate), on the fine grid of `angle`."""
-    return Portrait(angle.series.time_s, angle.series.value[:, 0], angle.series.rate[:, 0])
+    s = angle.series
+    if s.value_sigma is None or s.rate_sigma is None:
+        return Portrait(s.time_s, s.value[:, 0], s.rate[:, 0])
+    return Portrait(s.time_s, s.value[:, 0], s.rate[:, 0], s.value_sigma[:, 0], s.rate_sigma[:, 0])
 
 
 def portrait_between(portrait: Portrait, start_s: float, end_s: float) -> Portrait:
     """The part of a path between two times, both inclusive, as a stride's start and end."""
     # The times of a grid carry rounding errors.
     inside = (portrait.time_s >= start_s - 1e-9) & (portrait.time_s <= end_s + 1e-9)
-    return Portrait(portrait.time_s[inside], portrait.angle_rad[inside], portrait.rate_rad_s[inside])
+    values = {field.name: getattr(portrait, field.name) for field in fields(portrait)}
+    return replace(portrait, **{name: value[inside] for name, value in values.items() if value is not None})
 
 
 def closure(portrait: Portrait) -> Closure:
@@ -172,7 +220,27 @@ def closure(portrait: Portrait) -> Closure:
     path = np.column_stack([portrait.angle_rad, portrait.rate_rad_s])
     if len(path) < 2 or not np.isfinite(path).all():
         raise ValueError("a closure needs a path of two points or more without gaps")
-    return Closure(degree_of_closure(path[:, :1]), degree_of_closure(scaled(path)))
+    return Closure(degree_of_closure(path[:, :1]), degree_of_closure(scaled(path)), *_closure_sigma(portrait))
+
+
+def _closure_sigma(portrait: Portrait) -> tuple[float, float]:
+    """Standard deviations of the closures of the angle and in the plane; see the module's text."""
+    if portrait.angle_sigma_rad is None or portrait.rate_sigma_rad_s is None:
+        return np.nan, np.nan
+    lasts_s = float(np.median(portrait.angle_sigma_rad / portrait.rate_sigma_rad_s))
+    turns = np.array([NormalDist().inv_cdf((k + 0.5) / _WAVES) for k in range(_WAVES)])  # over lasts_s
+    phase = np.outer(turns, portrait.time_s / lasts_s)
+    a, b = np.random.default_rng(0).normal(0, _WAVES**-0.5, (2, DRAWN, _WAVES))
+    noise = a @ np.cos(phase) + b @ np.sin(phase)
+    change = (b * turns) @ np.cos(phase) - (a * turns) @ np.sin(phase)
+    angle = portrait.angle_rad + portrait.angle_sigma_rad * noise
+    rate = portrait.rate_rad_s + portrait.rate_sigma_rad_s * change
+    alone = np.abs(angle[:, -1] - angle[:, 0]) / np.ptp(angle, axis=1)
+    plane = np.stack([values / np.ptp(values, axis=1, keepdims=True) for values in (angle, rate)], axis=2)
+    around = np.linspace(0, np.pi, _DIRECTIONS, endpoint=False)
+    widest = np.ptp(plane @ np.stack([np.cos(around), np.sin(around)]), axis=1).max(axis=1)
+    apart = np.linalg.norm(plane[:, -1] - plane[:, 0], axis=1) / widest
+    return float(100 * alone.std()), float(100 * apart.std())
 
 
 def degree_of_closure(path: Array) -> float:

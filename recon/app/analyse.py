@@ -17,7 +17,7 @@ from recon.app.solver import read_solver
 from recon.export import analysis_csv, solver_csv
 from recon.files import require_free_folder, sole_writer, staged_folder
 from recon.report import to_json
-from recon.results import read_results
+from recon.results import MEASURED_SHARE, read_results
 
 SUMMARY = "analysis.json"
 FOLDER = "analysis"
@@ -113,6 +113,7 @@ def summarise(found: ClipAnalysis) -> dict[str, Any]:
             "straight_run_m_s": found.results.report.get("travel", {}).get("median_speed_m_s"),
         },
         "spine_flexion_rad": found.angles["spine_flexion"].range_rad if "spine_flexion" in found.angles else None,
+        "angles": {"data_share": found.results.data_shares, "not_measured": list(found.not_measured)},
         "gait": {method: _gait_summary(gait) for method, gait in found.gaits.items()},
         "stride": None
         if found.stride is None
@@ -151,6 +152,12 @@ def notes(found: ClipAnalysis) -> list[str]:
         said.append("Paths and angles are smoothed by their jitter from frame to frame.")
     elif found.results.jitters:
         said.append("Nothing is smoothed and the fit gives no uncertainty: rates and accelerations hold its jitter.")
+    if count := len(found.not_measured):
+        said.append(
+            f"{count} of {len(found.skeleton_angles)} angles are mostly expected, not seen (less than "
+            f"{MEASURED_SHARE:.0%} of their precision from the pixels), and grey in figures: "
+            f"{', '.join(found.not_measured)}."
+        )
     if not found.gaits:
         said.append("The skeleton has no feet: no gait.")
     elif len(found.results.feet) < 4:
@@ -184,7 +191,8 @@ def _gait_summary(gait: Gait) -> dict[str, Any]:
 
 
 def write_figures(found: ClipAnalysis, folder: Path) -> None:
-    """PNG and SVG of composites, speed, footfalls, vector fields by limb, and phase portraits."""
+    """PNG and SVG of composites, speed, footfalls, vector fields by limb, phase portraits, and what the pixels say of
+    the angles."""
     from recon import plots
 
     results = found.results
@@ -201,8 +209,11 @@ def write_figures(found: ClipAnalysis, folder: Path) -> None:
         None: "whole clip: no complete stride",
         "given": "the stride that was given",
     }.get(found.stride_by, f"one stride of {found.stride.foot if found.stride else ''}")
-    figure = plots.phase_portraits(found.portraits, found.closures, title=title)
+    figure = plots.phase_portraits(found.portraits, found.closures, title=title, shares=results.data_shares)
     plots.save(figure, folder, "phase_portraits")
+    during = found.during_stride
+    figure = plots.observability(results.body, results.angle_data_share[during], results.time_s[during], title=title)
+    plots.save(figure, folder, "observability")
 
 
 def write_solver_figures(record: SolverRecord, folder: Path) -> None:

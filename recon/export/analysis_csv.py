@@ -68,16 +68,18 @@ def velocities(found: ClipAnalysis) -> Table:
 def angles(found: ClipAnalysis) -> Table:
     """Range of motion and peak rates: the angles at the joints and the spine's flexion, then the skeleton's own."""
     columns = "angle, kind, least_rad, greatest_rad, range_of_motion_rad, peak_rate_rad_s, peak_acceleration_rad_s2"
+    shares = found.results.data_shares
     kinds = (("joint", found.angles), ("skeleton", found.skeleton_angles))
     rows = [
         (
             *(name, kind, *angle.range_rad, angle.range_of_motion_rad),
             *(angle.peak_rate_rad_s, angle.peak_acceleration_rad_s2),
+            shares[name] if kind == "skeleton" else np.nan,
         )
         for kind, some in kinds
         for name, angle in some.items()
     ]
-    return columns.split(", "), rows
+    return [*columns.split(", "), "data_share"], rows
 
 
 def angle_rates(found: ClipAnalysis) -> Table:
@@ -140,20 +142,27 @@ def gait(found: ClipAnalysis) -> Table:
 def vector_field(found: ClipAnalysis) -> Table:
     """Every link at every frame: its tip in its parent's frame, and how it moves there."""
     columns = "limb, link, parent, frame, time_s, x_m, y_m, z_m, dx_m_s, dy_m_s, dz_m_s, radius_m, dr_m_s, dtheta_rad_s"
+    deviations = ("dr_sigma_m_s", "dtheta_sigma_rad_s", "speed_sigma_m_s")
     rows = []
     for limb, fields in found.fields.items():
         for f in fields:
-            values = np.column_stack((f.position_m, f.velocity_m_s, f.radius_m, f.dr_m_s, f.dtheta_rad_s, f.speed_m_s))
+            sigma = [_or_nan(getattr(f, name), f.speed_m_s) for name in deviations]
+            values = np.column_stack(
+                (f.position_m, f.velocity_m_s, f.radius_m, f.dr_m_s, f.dtheta_rad_s, f.speed_m_s, *sigma)
+            )
             times = zip(found.pose.frames.tolist(), found.results.time_s.tolist(), values.tolist(), strict=True)
             rows += [(limb, "-".join(f.link), "-".join(f.parent), n, t, *row) for n, t, row in times]
-    return [*columns.split(", "), "speed_m_s"], rows
+    return [*columns.split(", "), "speed_m_s", *deviations], rows
 
 
 def vector_field_means(found: ClipAnalysis) -> Table:
     """Mean magnitudes over the frames."""
-    columns = "limb, link, parent, speed_m_s, speed_3d_m_s, dr_m_s, dtheta_rad_s, frames"
+    columns = "limb, link, parent, speed_m_s, speed_3d_m_s, dr_m_s, dtheta_rad_s, speed_sigma_m_s, frames"
     rows = [
-        (limb, "-".join(m.link), "-".join(m.parent), m.speed_m_s, m.speed_3d_m_s, m.dr_m_s, m.dtheta_rad_s, m.frames)
+        (
+            *(limb, "-".join(m.link), "-".join(m.parent), m.speed_m_s, m.speed_3d_m_s),
+            *(m.dr_m_s, m.dtheta_rad_s, m.speed_sigma_m_s, m.frames),
+        )
         for limb, fields in found.fields.items()
         for m in field_means(fields)
     ]
@@ -162,10 +171,18 @@ def vector_field_means(found: ClipAnalysis) -> Table:
 
 def closures(found: ClipAnalysis) -> Table:
     """Degrees of closure of the skeleton's angles over one stride."""
-    columns = ["angle", "foot", "start_s", "end_s", "closure_angle_percent", "closure_plane_percent"]
-    if (s := found.stride) is None:
-        return columns, []
-    return columns, [(name, s.foot, s.start_s, s.end_s, c.angle, c.plane) for name, c in found.closures.items()]
+    columns = (
+        "angle, foot, start_s, end_s, closure_angle_percent, closure_plane_percent, closure_angle_sigma_percent, "
+        "closure_plane_sigma_percent, data_share"
+    )
+    rows = []
+    if (s := found.stride) is not None:
+        shares = found.results.data_shares
+        rows = [
+            (name, s.foot, s.start_s, s.end_s, c.angle, c.plane, c.angle_sigma, c.plane_sigma, shares[name])
+            for name, c in found.closures.items()
+        ]
+    return columns.split(", "), rows
 
 
 TABLES: dict[str, Callable[[ClipAnalysis], Table]] = {

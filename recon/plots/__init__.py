@@ -5,6 +5,7 @@ from recon.plots.composite import composites
 from recon.plots.field import vector_fields
 from recon.plots.footfall import footfall
 from recon.plots.phase import phase_portraits
+from recon.plots.observability import observability
 from recon.plots.reach import distances, joint_space, task_space
 from recon.plots.solver import image_errors, solver_root, solver_search, solver_unknowns
 from recon.plots.speed import speeds
@@ -23,6 +24,7 @@ __all__ = [
     "save",
     "solver_root",
     "solver_search",
+    "observability",
     "solver_unknowns",
     "speeds",
     "task_space",

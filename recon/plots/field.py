@@ -51,6 +51,9 @@ def vector_fields(fields: tuple[LinkField, ...], time_s: Array, title: str = "")
                 _key(left, arrows, float(fastest), every, height)
                 keyed = True
             right.plot(time_s, field.speed_m_s, color=COLOURS[0], marker="o", ms=1.8)
+            if (sigma := field.speed_sigma_m_s) is not None:
+                ends = np.maximum(field.speed_m_s - sigma, 0.0), field.speed_m_s + sigma
+                right.fill_between(time_s, *ends, color=COLOURS[0], alpha=0.2, lw=0)
             right.set_ylim(0, 1.08 * float(fastest) or 1.0)
             right.locator_params(axis="y", nbins=3)
             right.set_title(f"mean {np.nanmean(field.speed_m_s):.2f} m/s", loc="right", pad=2, fontsize=SMALL)
@@ -61,7 +64,8 @@ def vector_fields(fields: tuple[LinkField, ...], time_s: Array, title: str = "")
             axes.spines["bottom"].set_visible(False)
             axes.tick_params(bottom=False)
         panels[-1, 0].set_xlabel("time (s);  → along the parent, ↑ normal to it")
-        panels[-1, 1].set_xlabel("time (s)")
+        banded = any(field.speed_sigma_m_s is not None for field in fields)
+        panels[-1, 1].set_xlabel("time (s)" + (";  band: one sigma" if banded else ""))
         panels[len(fields) // 2, 1].set_ylabel("speed in the plane (m/s)")
     return figure
 

@@ -10,18 +10,19 @@ from numpy.typing import NDArray
 
 from recon.analysis.clip import ClipAnalysis
 from recon.analysis.solver import SolverRecord
+from recon.results import MEASURED_SHARE
 from recon.view.added import AddedSeries, AddedStates, StateRow, write_plots
-from recon.view.scene import LEFT, LIMB_COLOURS, LINK, MIDDLE, RIGHT, TRAIL
+from recon.view.scene import GRID, LEFT, LIMB_COLOURS, LINK, MIDDLE, RIGHT, TRAIL
 from recon.view.series import LINE_COLOURS
 
 Array = NDArray[np.float64]
 
 
 def write_analysis(found: ClipAnalysis, path: Path, playback: Path, solver: SolverRecord | None = None) -> None:
-    """Speed, acceleration and flexion with one sigma, the links' speeds, the stances by both methods, and what the
-    optimiser did. Raises InputError as `write_plots`."""
+    """Speed, acceleration and flexion with one sigma, the links' speeds, the stances by both methods, which angles the
+    pixels show, and what the optimiser did. Raises InputError as `write_plots`."""
     series = [*_kinematics(found), *_links(found), *([] if solver is None else _solver(solver))]
-    write_plots(path, playback, series, _stances(found))
+    write_plots(path, playback, series, [*_stances(found), *_observability(found)])
 
 
 def _kinematics(found: ClipAnalysis) -> Iterator[AddedSeries]:
@@ -62,6 +63,16 @@ def _links(found: ClipAnalysis) -> Iterator[AddedSeries]:
             time_s=found.results.time_s,
             tab="Legs, tips about parents" if paws & {fields[-1].link[1]} else "Trunk, tips about parents",
         )
+
+
+def _observability(found: ClipAnalysis) -> Iterator[AddedStates]:
+    """Of every angle, when the pixels show it."""
+    results, rows = found.results, []
+    for name, share in zip(results.angle_names, results.angle_data_share.T, strict=True):
+        texts = ["" if np.isnan(s) else "seen" if s >= MEASURED_SHARE else "expected" for s in share]
+        rows.append(StateRow(name, texts, {"seen": LEFT, "expected": GRID}))
+    title = f"Angles: seen, {MEASURED_SHARE:.0%} or more of their precision is the pixels', or mostly expected"
+    yield AddedStates(entity="observability", title=title, rows=rows, time_s=results.time_s, tab="What is seen")
 
 
 def _stances(found: ClipAnalysis) -> list[AddedStates]:
