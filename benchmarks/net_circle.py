@@ -12,7 +12,7 @@ import numpy as np
 from recon.analysis.evaluation import evaluate_files
 from recon.app.clip import run_clip
 from recon.app.demo import samples_folder
-from recon.app.net import LabelSource, Progress, run_prediction, run_training
+from recon.app.net import LabelSource, run_prediction, run_training
 from recon.export.deeplabcut import write_keypoints_csv
 from recon.io import read_keypoints
 from recon.keypoints import Keypoints
@@ -23,10 +23,6 @@ from recon.settings import FitSettings
 
 NOISE_PX = 2.0
 """Of the points that the fit of predicted ones is compared with."""
-
-
-def _silent(stage: str, share: float, text: str) -> None:
-    pass
 
 
 @dataclass(frozen=True)
@@ -52,7 +48,6 @@ def run_circle(
     device: str = "auto",
     threads: int | None = None,
     seed: int = 0,
-    progress: Progress = _silent,
     **fit: Any,
 ) -> Circle:
     """Into the folder `out`: the network, its points, and two fits. samples: a folder with the files of the film, by
@@ -61,10 +56,9 @@ def run_circle(
     film, labels = samples / "rendered.mp4", samples / "rendered_labels.csv"
     training = run_training(
         LabelSource(film, labels), settings, out / "network", device=device, threads=threads, overwrite=True,
-        progress=progress,
     )  # fmt: skip
     points = out / "points.csv"
-    run_prediction(film, out / "network", points, device=device, threads=threads, overwrite=True, progress=progress)
+    run_prediction(film, out / "network", points, device=device, threads=threads, overwrite=True)
     truth, found = read_keypoints(samples / "rendered_points.csv"), read_keypoints(points)
     labelled, _ = read_label_file(labels)
     others = ~np.isin(truth.frames, labelled.frames)
@@ -75,7 +69,6 @@ def run_circle(
     write_keypoints_csv(with_noise(truth, NOISE_PX, seed), noisy)
     errors = []
     for name, file in (("predicted", points), ("noisy", noisy)):
-        progress(f"fitting {name}", 1.0, "")
         options = FitSettings(
             keypoints=(file,),
             camera=samples / "rendered_camera.toml",

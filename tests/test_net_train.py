@@ -68,8 +68,8 @@ def source(clip: Path, **changes: str) -> LabelSource:
 SHORT = TrainSettings(steps=9, batch=2, seed=3)
 
 
-def train_in(out: Path, clip: Path, settings: TrainSettings = SHORT, **options: bool) -> dict:
-    return run_training(source(clip), settings, out, device="cpu", threads=1, **options)
+def train_in(out: Path, clip: Path, settings: TrainSettings = SHORT, resume: bool = False) -> dict:
+    return run_training(source(clip), settings, out, device="cpu", threads=1, resume=resume)
 
 
 @pytest.fixture(scope="module")
@@ -116,7 +116,7 @@ def whole(clip: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_a_run_that_is_killed_and_resumed_ends_in_the_same_weights(clip, whole, quick, tmp_path, at):
     """Before the validation pictures are learned from, too, and after; both times between two checkpoints."""
 
-    def stop(stage: str, share: float, text: str) -> None:
+    def stop(stage: str, share: float) -> None:
         if share >= at:
             raise Killed
 
@@ -166,7 +166,7 @@ def test_training_and_prediction_on_cuda(clip, tmp_path):
     """The blobs are learned there, too, a stopped run ends in the same weights, and a CPU reads the network."""
     settings = TrainSettings(steps=110, batch=4, seed=1)
 
-    def stop(stage: str, share: float, text: str) -> None:
+    def stop(stage: str, share: float) -> None:
         if share >= 0.5:
             raise Killed
 

@@ -15,7 +15,7 @@ from recon.camera import LensModel
 from recon.errors import InputError, Problem, all_of
 from recon.files import require_free_file, staged_folder, write_bytes
 from recon.intrinsics import BoardViews, Calibration, Check, calibrate, check, collect, draw, find_views, parse_board
-from recon.intrinsics.views import Progress
+from recon.progress import Progress, silent
 
 
 @dataclass(frozen=True)
@@ -85,7 +85,7 @@ def run_calibration(
     *,
     force: bool = False,
     overwrite: bool = False,
-    progress: Progress = lambda stage, share: None,
+    progress: Progress = silent,
 ) -> CalibrationRun:
     """`recon calibrate`: write `out` (`recon.calibration.write_camera`) and, beside it, `<stem>_coverage.png`.
 

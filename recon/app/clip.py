@@ -25,15 +25,14 @@ from recon.io import read_keypoints
 from recon.keypoints import CleaningReport, Keypoints, clean, leave_out, parse_frame_range
 from recon.manifest import MANIFEST
 from recon.motion import Motion
+from recon.naming import fitting_maps, load_names, map_to_write, renamed
 from recon.prior import MotionPrior, builtin_priors, load_prior, prior_from_body
+from recon.progress import Progress, silent
 from recon.published import solve_frames
 from recon.report import build_report, write_report
 from recon.settings import FitSettings
 from recon.skeleton_file import load_chain, load_skeleton
 from recon.solve import solve_trajectory
-
-Progress = Callable[[str, float], None]
-"""Called with what is being done, and how much of all is done, 0 to 1."""
 
 OUTPUT_FILES = (
     *CLIP_OUTPUTS,
@@ -56,15 +55,13 @@ RATES_HZ = (1.0, 10_000.0)
 an animal does from one frame to the next is lost in the rounding of its acceleration."""
 
 
+FEW_OF_SKELETON, FEW_OF_FILE = 0.25, 0.5
+"""A file with fewer of the skeleton's keypoints, to which fewer of its own belong, has other names for them."""
 _FAR_OUTSIDE = "too far outside the picture to have been found in it"
 _WITHOUT_POSE = "in frames for which the camera's track has no pose"
 
 
-def _silent(stage: str, share: float) -> None:
-    pass
-
-
-def fit_clip(settings: FitSettings, progress: Progress = _silent) -> Motion:
+def fit_clip(settings: FitSettings, progress: Progress = silent) -> Motion:
     """Reconstruct one clip by `settings.method`: the whole animal, or a chain, over all frames at once (trajectory), or
     one side of the animal as a chain, one frame after the other (frame).
 
@@ -155,7 +152,7 @@ def write_clip(motion: Motion, settings: FitSettings, out: Path, solve_s: float 
     return report
 
 
-def run_clip(settings: FitSettings, out: Path, overwrite: bool = False, progress: Progress = _silent) -> dict[str, Any]:
+def run_clip(settings: FitSettings, out: Path, overwrite: bool = False, progress: Progress = silent) -> dict[str, Any]:
     """`recon fit`: reconstruct a clip and write its folder; the report. Raises InputError before any work is done if
     `out` holds results already and may not be overwritten, or if another process is writing to it."""
     with sole_writer(out):
@@ -189,6 +186,8 @@ def read_clips(settings: FitSettings) -> list[Keypoints]:
 
 def _read_clip(path: Path, settings: FitSettings) -> Keypoints:
     file = read_keypoints(path, settings.individual)
+    if settings.rename is not None:
+        file = renamed(file, load_names(settings.rename))
     fps = file.fps if settings.fps is None else settings.fps
     if fps is None:
         found = f"nothing, and {path.name} does not say"
@@ -264,16 +263,22 @@ def _with_pose(
 
 
 def _require_keypoints_of(wanted: Sequence[str], skeleton: str, keypoints: Keypoints) -> None:
-    if not set(wanted) & set(keypoints.names):
-        raise InputError(
-            Problem(
-                keypoints.source or "keypoints",
-                "bodyparts",
-                ", ".join(keypoints.names),
-                f"those of the skeleton {skeleton}, none of which is there: {', '.join(wanted)} "
-                "(another animal needs its own --skeleton)",
-            )
+    """A few names in common, such as nose, are those of another detector."""
+    known = [name for name in keypoints.names if name in wanted]
+    if known and (len(known) >= FEW_OF_SKELETON * len(wanted) or len(known) >= FEW_OF_FILE * len(keypoints.names)):
+        return
+    maps = fitting_maps(keypoints.names, wanted)
+    hint = f"--rename {maps[0]}, or" if maps else "another animal's --skeleton, or"
+    raise InputError(
+        Problem(
+            keypoints.source or "keypoints",
+            "bodyparts",
+            f"{', '.join(keypoints.names)}: {', '.join(known) or 'none'} of the skeleton's",
+            f"those of the skeleton {skeleton}: {', '.join(wanted)}; {hint} --rename with a file of these lines, "
+            "completed",
+            tuple(map_to_write(keypoints.names, wanted)),
         )
+    )
 
 
 def _require_inside(camera: Camera, keypoints: Keypoints, settings: FitSettings) -> None:

@@ -6,8 +6,9 @@ from pathlib import Path
 from typing import Any
 
 from recon.analysis.evaluation import Evaluation, evaluate_files
-from recon.app.clip import Progress, run_clip
+from recon.app.clip import run_clip
 from recon.errors import InputError, Problem
+from recon.progress import Progress
 from recon.settings import FitSettings
 
 

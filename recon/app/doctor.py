@@ -21,9 +21,9 @@ from threadpoolctl import threadpool_info
 
 from recon.app.batch import available_cores
 from recon.package import DISTRIBUTION, install_command, version
+from recon.progress import Progress, silent
 
 Status = Literal["ok", "absent", "note", "broken"]
-Progress = Callable[[str, float], None]
 
 EXTRAS = {
     "formats": "SLEAP, movement, NWB, C3D and Parquet files",
@@ -69,7 +69,7 @@ class Doctor:
         return {"ok": self.ok, "checks": [asdict(check) for check in self.checks]}
 
 
-def run_doctor(progress: Progress = lambda stage, share: None) -> Doctor:
+def run_doctor(progress: Progress = silent) -> Doctor:
     """Every check; none of them raises for what it finds."""
     checks: list[Check] = []
     looks: Sequence[tuple[str, Callable[[], Iterator[Check]]]] = (

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -19,14 +18,10 @@ from recon.net.split import parse_choice, split_labels
 from recon.net.torch_extra import choose_device, require_torch, use_threads
 from recon.net.train import train
 from recon.net.trained import MODEL_FILE, VIEWS, load_model
+from recon.progress import Progress, silent
 from recon.video import require_codec
 
-Progress = Callable[[str, float, str], None]
 WRITERS = {".csv": write_keypoints_csv, ".h5": write_keypoints_h5}
-
-
-def _silent(stage: str, share: float, text: str) -> None:
-    pass
 
 
 @dataclass(frozen=True)
@@ -43,6 +38,8 @@ class LabelSource:
     """A share of the labelled pictures, or a range "A:B"."""
     test: str = "0"
     """A share of the labelled pictures, or a range "A:B"."""
+    rename: str | None = None
+    """A map of the labels' names (see `recon.naming`), which the network has."""
 
 
 def run_training(
@@ -54,7 +51,7 @@ def run_training(
     threads: int | None = None,
     resume: bool = False,
     overwrite: bool = False,
-    progress: Progress = _silent,
+    progress: Progress = silent,
 ) -> dict[str, Any]:
     """`recon train`: `out` gets the network, a checkpoint and the training report, which is returned.
 
@@ -63,7 +60,7 @@ def run_training(
     require_torch()
     chosen, labels, validation, test, _ = all_of(
         lambda: choose_device(device),
-        lambda: read_labels(source.data, source.labels, source.first_frame, source.individual),
+        lambda: read_labels(source.data, source.labels, source.first_frame, source.individual, source.rename),
         lambda: parse_choice(source.validation, "--validation"),
         lambda: parse_choice(source.test, "--test"),
         lambda: _check_folder(out, resume, overwrite),
@@ -73,7 +70,7 @@ def run_training(
     with sole_writer(out):
         _check_folder(out, resume, overwrite)
         state = train(run, out, resume, progress)
-        progress("report", 1.0, "")
+        progress("report", 1.0)
         with staged_folder(out) as staging:
             return write_training_report(run, state, staging)
 
@@ -92,7 +89,7 @@ def run_prediction(
     threads: int | None = None,
     partial: bool = False,
     overwrite: bool = False,
-    progress: Progress = _silent,
+    progress: Progress = silent,
 ) -> Keypoints:
     """`recon predict`: a keypoint file in DeepLabCut's layout. Raises InputError; then nothing is written."""
     require_torch()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,6 +16,7 @@ from recon.files import require_free_file
 from recon.io import read_keypoints
 from recon.keypoints import Keypoints
 from recon.overlay import LEFT, MIDDLE, RIGHT, Colour, Overlay, canvas_size, draw_frame
+from recon.progress import Progress, silent
 from recon.results import Results, read_results
 from recon.video import VideoInfo, probe, read_frames, require_codec, video_writer
 
@@ -24,7 +24,6 @@ SLOW_FPS = 30.0
 """Every frame is shown, and no more than this many in a second, unless a speed is given."""
 SIDES: dict[Side | None, Colour] = {"left": LEFT, "right": RIGHT, None: MIDDLE}
 
-Progress = Callable[[str, float], None]
 
 MIN_WIDTH_PX = 640
 """Smaller videos are enlarged, by a whole number: the text would not be read."""
@@ -48,7 +47,7 @@ def run_overlay(
     camera: str | None = None,
     speed: float | None = None,
     overwrite: bool = False,
-    progress: Progress = lambda stage, share: None,
+    progress: Progress = silent,
 ) -> OverlayRun:
     """`recon overlay`: every frame of a result's clip, drawn on the video that it came from.
 

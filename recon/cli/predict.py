@@ -69,7 +69,7 @@ def predict(
             threads=threads,
             partial=partial,
             overwrite=overwrite,
-            progress=lambda stage, share, text: progress(text or stage, share),
+            progress=progress,
         )
     frames, seconds = len(keypoints.frames), time.monotonic() - start
     sure = float((keypoints.confidence >= likelihood_min).mean())

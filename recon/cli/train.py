@@ -6,9 +6,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
 
-from recon.cli.common import number_option, say, stop, terminal
+from recon.cli.common import RENAME, number_option, progress_bar, say, stop, terminal
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -27,6 +26,7 @@ def train(
         int, typer.Option(help="Number that the labels give to the video's first frame: 50 where 0050.png is frame 0.")
     ] = 0,
     individual: Annotated[str | None, typer.Option(help="The animal, where the labels name several.")] = None,
+    rename: Annotated[str | None, RENAME] = None,
     validation: Annotated[
         str,
         typer.Option(
@@ -96,22 +96,17 @@ def train(
         half=half,
     )
     console = terminal(quiet=quiet)
-    columns = (
-        TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeElapsedColumn(),
-        TextColumn("{task.fields[figures]}"),
-    )  # fmt: skip
     try:
-        with Progress(*columns, console=console, transient=True, disable=quiet or not console.is_terminal) as bar:
-            task = bar.add_task("reading", total=1.0, figures="")
+        with progress_bar(console) as progress:
             report = run_training(
-                LabelSource(data, labels, first_frame, individual, validation, test),
+                LabelSource(data, labels, first_frame, individual, validation, test, rename),
                 settings,
                 out,
                 device=device,
                 threads=threads,
                 resume=resume,
                 overwrite=overwrite,
-                progress=lambda stage, share, text: bar.update(task, description=stage, completed=share, figures=text),
+                progress=progress,
             )
     except KeyboardInterrupt:
         message = "the same command with --resume goes on from the last checkpoint"

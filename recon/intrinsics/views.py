@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,6 +14,7 @@ import numpy as np
 from recon.arrays import Array
 from recon.errors import InputError, Problem
 from recon.intrinsics.board import Board, Corners, Gray
+from recon.progress import Progress, silent
 from recon.video import SUFFIXES as VIDEO_SUFFIXES
 from recon.video import probe, read_frames
 
@@ -28,7 +29,6 @@ SHARPNESS_KEPT = 0.7
 MIN_DIFFERENCE = 0.02
 """Two frames between which the board's outline moved by less, relative to the picture's diagonal, are the same view."""
 
-Progress = Callable[[str, float], None]
 """Called with what is being done, and how much of it is done, 0 to 1."""
 
 
@@ -83,7 +83,7 @@ def collect(paths: Iterable[Path]) -> list[Path]:
     return list(dict.fromkeys(files))
 
 
-def find_views(files: Sequence[Path], board: Board, progress: Progress = lambda stage, share: None) -> BoardViews:
+def find_views(files: Sequence[Path], board: Board, progress: Progress = silent) -> BoardViews:
     """Find a board in pictures or in one video, as `collect` gives them.
 
     Raises InputError, with every problem at once, for files that cannot be read, pictures that differ in size, and

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import queue
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,6 +23,7 @@ from recon.net.draw import draw_points
 from recon.net.labels import resize
 from recon.net.torch_extra import fast_half
 from recon.net.trained import Trained
+from recon.progress import Progress, silent
 from recon.video import Image, VideoInfo, probe, read_frames, video_writer
 
 PIXELS = 2**20
@@ -31,8 +32,6 @@ WAITING = 2
 """Batches that are decoded ahead."""
 LOST_SHARE, LOST_FRAMES = 0.01, 3
 """So many frames fewer than the video states are its count's fault; more are the video's."""
-
-Progress = Callable[[str, float, str], None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +55,7 @@ def predict_video(
     overlay: Path | None = None,
     likelihood_min: float = 0.5,
     partial: bool = False,
-    progress: Progress = lambda stage, share, text: None,
+    progress: Progress = silent,
 ) -> Keypoints:
     """Every frame's points as the network sees them, without smoothing, with calibrated likelihoods.
 
@@ -65,7 +64,7 @@ def predict_video(
     """
     info = probe(video)
     spec = trained.spec
-    progress("background", 0.0, "")
+    progress("background", 0.0)
     background = background_of_video(video, spec.scale) if still_background else None
     precision = fast_half(trained.device) if half else None
     numbers: list[int] = []
@@ -87,7 +86,7 @@ def predict_video(
                 for picture, points, how in zip(chunk.originals, xy, sure, strict=True):
                     drawn = draw_points(picture, points, how, likelihood_min)
                     write(drawn[: drawn.shape[0] // 2 * 2, : drawn.shape[1] // 2 * 2])
-            progress("predicting", min(1.0, len(numbers) / total), f"frame {numbers[-1]}")
+            progress(f"frame {numbers[-1]}", min(1.0, len(numbers) / total))
         _check_count(video, info, len(numbers), partial)
     return Keypoints(
         spec.names,

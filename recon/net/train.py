@@ -15,7 +15,6 @@ import copy
 import dataclasses
 import math
 import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +28,7 @@ from recon.net.model import STRIDE
 from recon.net.run import State, TrainingRun, TrainSettings, begin, resumed, save_checkpoint
 from recon.net.torch_extra import fast_half, require_torch
 from recon.net.trained import MODEL_FILE, VIEWS, Trained, as_input, prepared, save_model
+from recon.progress import Progress, silent
 
 FINISH = 0.6
 """Share of a run after which the validation pictures are learned from, too."""
@@ -41,13 +41,8 @@ EVALUATIONS = 30
 MOST_AVERAGED = 300.0
 """Steps over which the weights are averaged, at most; fewer at the beginning."""
 
-Progress = Callable[[str, float, str], None]
-"""What is being done, how much of all is done (0 to 1), and the figures so far."""
 
-
-def train(
-    run: TrainingRun, out: Path, resume: bool = False, progress: Progress = lambda stage, share, text: None
-) -> State:
+def train(run: TrainingRun, out: Path, resume: bool = False, progress: Progress = silent) -> State:
     """Trains, or goes on, to the end; `out` gets a checkpoint at each evaluation, and the model at the end."""
     torch = require_torch()
     torch.backends.cudnn.deterministic, torch.backends.cudnn.benchmark = True, False
@@ -82,7 +77,7 @@ def train(
                 if held_out and (state.finishing or state.share >= 1):
                     _end_first_part(state, run)
                 save_checkpoint(state, run, out)
-            progress("finishing" if state.finishing else "learning", state.share, _figures_text(state))
+            progress(f"{'finishing' if state.finishing else 'learning'}: {_figures_text(state)}", state.share)
     spec = dataclasses.replace(run.spec, calibrations=state.calibrations)
     save_model(spec, state.average.state_dict(), out / MODEL_FILE)
     return state

@@ -9,7 +9,7 @@ pixel to the right and below.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
+from collections.abc import Collection
 from pathlib import Path
 
 import cv2
@@ -18,6 +18,7 @@ import rerun as rr
 from rerun.chunk import Chunk
 
 from recon.errors import InputError, Problem
+from recon.progress import Progress, silent
 from recon.recording import recording
 from recon.video import Image, probe, read_frames
 from recon.view.scene import PICTURE
@@ -33,8 +34,6 @@ SAMPLED = 5
 BATCH = 8
 """Frames that are held in memory."""
 
-Progress = Callable[[str, float], None]
-
 
 def write_video(
     path: Path,
@@ -42,7 +41,7 @@ def write_video(
     video: Path,
     first_frame: int = 0,
     camera: str | None = None,
-    progress: Progress = lambda stage, share: None,
+    progress: Progress = silent,
     max_bytes: int = MAX_BYTES,
 ) -> int:
     """Write the frames of a video that go with a playback (`recon.view.together`).

@@ -25,10 +25,11 @@ from threadpoolctl import threadpool_limits
 
 from recon.app.batch.record import CRASH_LOG, Planned, drop_record, finish_record, read_record, start_record
 from recon.app.batch.summary import results_of
-from recon.app.clip import Progress, fit_clip, write_clip
+from recon.app.clip import fit_clip, write_clip
 from recon.errors import InputError
 from recon.files import sole_writer
 from recon.package import version
+from recon.progress import Progress
 from recon.report import is_unsolved
 from recon.settings import FitSettings
 
