@@ -227,6 +227,14 @@ def test_all_problems_of_a_manifest_at_once(clips):
     ]
 
 
+def test_names_that_are_too_long_are_no_files(clips):
+    name = "a" * 300
+    path = manifest(clips, f"keypoints\n{name}*.csv\n")
+    said = problems(path, name, f"{name}*")
+    assert [one.split(": ")[1] for one in said] == ["line 2, keypoints", "file", "files"]
+    assert f"no files that match {name}*.csv" in said[0]
+
+
 def test_problems_of_several_inputs_at_once(clips, tmp_path):
     path = manifest(clips, "keypoints,speed,fps,fps\na.csv,1,2,3,4\n")
     empty = manifest(clips, "keypoints\n", "empty_manifest.csv")

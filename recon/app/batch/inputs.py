@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import glob
 import io
+import os
 import re
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
@@ -85,7 +86,7 @@ def find_clips(
 
 def _expand(given: str, common: Mapping[str, Any]) -> tuple[list[Draft], list[str]]:
     path = Path(given)
-    if path.is_dir():
+    if os.path.isdir(path):  # a Path raises OSError where a name is too long
         files, notes = _files_in(path)
         of_anipose = sessions_in(path) if not files or path.absolute().name.startswith("pose-2d") else []
         if of_anipose:
@@ -93,7 +94,7 @@ def _expand(given: str, common: Mapping[str, Any]) -> tuple[list[Draft], list[st
         if not files:
             raise InputError(Problem(path, "files", "no keypoint files", f"files of a known format: {_formats()}"))
         return [Draft((file,)) for file in files], notes
-    if not path.exists() and glob.has_magic(given):
+    if not os.path.exists(path) and glob.has_magic(given):
         matches = [Path(match) for match in sorted(glob.glob(given, recursive=True))]
         files = [match for match in matches if not match.is_dir()]
         if not files:
@@ -193,7 +194,7 @@ def _without_repeats(drafts: Sequence[Draft]) -> list[Draft]:
 
 def is_manifest(path: Path) -> bool:
     """Whether a file is a CSV table whose header has a column `keypoints`."""
-    return path.suffix.lower() == ".csv" and path.is_file() and "keypoints" in _header(path)
+    return path.suffix.lower() == ".csv" and os.path.isfile(path) and "keypoints" in _header(path)
 
 
 def _header(path: Path) -> list[str]:
@@ -264,7 +265,7 @@ def _parted(name: str, cell: str) -> str | list[str]:
 
 def _matching(path: Path) -> list[Path]:
     """A file, or those of a pattern."""
-    if path.exists() or not glob.has_magic(str(path)):
+    if os.path.exists(path) or not glob.has_magic(str(path)):
         return [path]
     return [file for match in sorted(glob.glob(str(path), recursive=True)) if (file := Path(match)).is_file()]
 
