@@ -66,7 +66,7 @@ def main() -> None:
         run_clip(FitSettings(keypoints=samples / "whole.csv", camera=samples / "camera.toml", fps=60), clip)
         result = read_results(clip)
         run_analyse(clip)
-        for name in ("speed", "footfalls", "phase_portraits", "observability"):
+        for name in ("speed", "footfalls", "phase_portraits", "observability", "body_fixed"):
             save(clip / "analysis" / f"{name}.png", f"{name}.png", 900)
         plain_video(out / "clip.avi", result.camera.image_size_px, result.fps, len(result.pose.frames))
         run_overlay(clip, out / "clip.avi", out / "overlay.avi")

@@ -261,6 +261,8 @@ def test_command_writes_tables_figures_and_plots(of_results, whole_results, monk
     assert {path.name: path.read_bytes() for path in folder.iterdir() if path.is_file()} == results
     assert f"with: recon view {folder}\n" in printed
     for figure in (
+        "body_fixed",
+        "body_fixed_limbs",
         "composites",
         "speed",
         "footfalls",

@@ -191,8 +191,8 @@ def _gait_summary(gait: Gait) -> dict[str, Any]:
 
 
 def write_figures(found: ClipAnalysis, folder: Path) -> None:
-    """PNG and SVG of composites, speed, footfalls, vector fields by limb, phase portraits, and what the pixels say of
-    the angles."""
+    """PNG and SVG of composites, speed, footfalls, vector fields by limb, phase portraits, what the pixels say of the
+    angles, and the stride's configurations in the animal's own frame."""
     from recon import plots
 
     results = found.results
@@ -214,6 +214,10 @@ def write_figures(found: ClipAnalysis, folder: Path) -> None:
     during = found.during_stride
     figure = plots.observability(results.body, results.angle_data_share[during], results.time_s[during], title=title)
     plots.save(figure, folder, "observability")
+    joints_m = plots.in_body(results.body, results.states[during], results.size, results.report["root_path"]["joint"])
+    for name, draw in (("body_fixed", plots.body_fixed), ("body_fixed_limbs", plots.limbs_apart)):
+        figure = draw(joints_m, results.limbs, results.time_s[during], results.limb_sides, title)
+        plots.save(figure, folder, name)
 
 
 def write_solver_figures(record: SolverRecord, folder: Path) -> None:

@@ -2,6 +2,7 @@
 
 from recon.plots.closure import closures
 from recon.plots.composite import composites
+from recon.plots.configurations import body_fixed, in_body, limbs_apart
 from recon.plots.field import vector_fields
 from recon.plots.footfall import footfall
 from recon.plots.phase import phase_portraits
@@ -14,12 +15,15 @@ from recon.plots.style import COLUMN_MM, WIDTH_MM, save
 __all__ = [
     "COLUMN_MM",
     "WIDTH_MM",
+    "body_fixed",
     "closures",
     "composites",
     "distances",
     "footfall",
     "image_errors",
+    "in_body",
     "joint_space",
+    "limbs_apart",
     "phase_portraits",
     "save",
     "solver_root",

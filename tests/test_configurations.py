@@ -1,0 +1,113 @@
+"""Configurations in the animal's own frame: what is drawn where, at which scale, and in which colour."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from matplotlib.colors import to_rgb
+
+from recon import plots
+from recon.body import Side
+from recon.kinematics import YAW
+from recon.plots.configurations import SIDE_COLOURS
+from recon.skeleton_file import load_chain, load_skeleton
+
+LIMBS = {"trunk": (0, 1), "near leg": (0, 2), "off leg": (0, 3)}
+SIDES: dict[str, Side | None] = {"trunk": None, "near leg": "left", "off leg": "right"}
+TIMES = np.linspace(1.0, 2.0, 31)
+
+
+def swinging() -> np.ndarray:
+    """(31, 4, 3): U, V, W of a trunk and two legs, of which the left one swings forwards."""
+    points = np.zeros((31, 4, 3))
+    points[:, 1, 0] = 0.6
+    angle = np.linspace(-0.5, 0.5, 31)
+    points[:, 2] = np.stack([np.sin(angle), np.cos(angle), np.full(31, 0.2)], axis=1)
+    points[:, 3] = [0.1, 0.9, -0.2]
+    return points
+
+
+def test_in_body_is_free_of_place_and_heading_and_has_the_lengths():
+    body, rng = load_skeleton("cheetah-24"), np.random.default_rng(0)
+    states = np.zeros((5, body.n_state))
+    states[:, 4:] = body.mean_rad + 0.2 * rng.standard_normal((5, len(body.mean_rad)))
+    moved = states.copy()
+    moved[:, :6] += rng.standard_normal((5, 6))
+    moved[2] = np.nan
+    points = plots.in_body(body, moved, 1.5, "spine")
+    assert np.isnan(points[2]).all()
+    known = [0, 1, 3, 4]
+    np.testing.assert_allclose(points[known], plots.in_body(body, states, 1.5, "spine")[known], atol=1e-12)
+    np.testing.assert_array_equal(points[known, body.markers.index("spine")], 0)
+    there = body.tree.pose(moved[known], 1.5).points_m
+    np.testing.assert_allclose(
+        np.linalg.norm(points[known, 0] - points[known, -1], axis=1), np.linalg.norm(there[:, 0] - there[:, -1], axis=1)
+    )
+    left = plots.in_body(body, states, 1.0, "spine")[:, body.markers.index("l_hip")]
+    assert (left[:, 2] > 0).all()  # W is to the left
+    assert (left[:, 1] > 0).all()  # V is down
+    assert (left[:, 0] < 0).all()  # U is forwards
+
+
+def test_of_a_chain_they_are_the_published_local_joints():
+    chain = load_chain("cheetah-8u")
+    rng = np.random.default_rng(1)
+    state = np.zeros((4, chain.n_state))
+    state[:, : 2 * chain.n_angles] = 0.4 * rng.standard_normal((4, 2 * chain.n_angles))
+    state[:, chain.base_index] = 1.2 * chain.nominal_base_length_m
+    body_state, size = chain.to_body(state, np.eye(4))
+    body_state[:, YAW] += 0.7
+    points = plots.in_body(chain.body, body_state, size, chain.joints[0])
+    np.testing.assert_allclose(points, chain.local_joints(state), atol=1e-12)
+
+
+def test_three_views_at_one_scale():
+    points = swinging()
+    side, front, top, key = plots.body_fixed(points, LIMBS, TIMES, SIDES).axes
+    for axes, (i, j) in ((side, (0, 1)), (front, (2, 1)), (top, (0, 2))):
+        drawn = [line.get_xydata() for line in axes.lines if line.get_gid() != "reference"]
+        assert len(drawn) == 10 * len(LIMBS)
+        np.testing.assert_allclose(drawn[10], points[0, [0, 2]][:, [i, j]])
+        np.testing.assert_allclose(drawn[19], points[-1, [0, 2]][:, [i, j]])
+        assert axes.get_aspect() == 1.0
+    mm_per_m = [axes.get_window_extent().width / np.ptp(axes.get_xlim()) for axes in (side, front, top)]
+    np.testing.assert_allclose(mm_per_m, mm_per_m[0], rtol=0.15)
+    low, high = side.get_ylim()
+    assert low > high  # V points down
+    assert [label.get_text() for label in key.get_yticklabels()] == ["left", "right", "middle"]
+
+
+def test_left_and_right_have_their_colours_full_at_the_end_and_pale_at_the_beginning():
+    side = plots.body_fixed(swinging(), LIMBS, TIMES, SIDES).axes[0]
+    colours = np.array([to_rgb(line.get_color()) for line in side.lines[:-1]]).reshape(3, 10, 3)
+    for of_limb, name in zip(colours, LIMBS, strict=True):
+        np.testing.assert_allclose(of_limb[-1], to_rgb(SIDE_COLOURS[SIDES[name]]))
+        assert (np.diff(of_limb.sum(axis=1)) < 0).all()
+
+
+def test_the_animal_is_large():
+    """Ten centimetres or more of a page, from the side."""
+    side = plots.body_fixed(swinging(), LIMBS, TIMES, SIDES).axes[0]
+    assert side.get_window_extent().width / side.figure.dpi * 25.4 > 100
+
+
+def test_limbs_apart():
+    figure = plots.limbs_apart(swinging(), LIMBS, TIMES, SIDES, title="a stride")
+    titles = [axes.get_title(loc="left") for axes in figure.axes]
+    assert titles == ["spine: UV, side", "UW, top", "WV, front"] + [
+        text for leg in ("near leg", "off leg") for text in (f"{leg}: UV, side", "UW, top", "WV, front")
+    ]
+    for row in range(3):
+        panels = figure.axes[3 * row : 3 * row + 3]
+        scales = [axes.get_window_extent().width / np.ptp(axes.get_xlim()) for axes in panels]
+        np.testing.assert_allclose(scales, scales[0])
+        assert all(len(axes.lines) == 11 for axes in panels)  # ten configurations and the reference joint
+    page = figure.bbox
+    assert all(page.x0 <= a.get_window_extent().x0 and a.get_window_extent().x1 <= page.x1 for a in figure.axes)
+
+
+@pytest.mark.parametrize("draw", [plots.body_fixed, plots.limbs_apart])
+def test_without_a_pose_there_is_nothing(draw):
+    figure = draw(np.full((5, 4, 3), np.nan), LIMBS, TIMES[:5], SIDES)
+    texts = [text.get_text() for artist in (figure, *figure.axes) for text in artist.texts]
+    assert "no data" in texts
