@@ -23,6 +23,12 @@ class Problem:
     """In the user's words, with units where they matter."""
     expected: str
     """In the user's words, with units where they matter."""
+    more: tuple[str, ...] = ()
+    """Lines to follow it, such as a file to write."""
+
+    @property
+    def lines(self) -> tuple[str, ...]:
+        return str(self), *map(printable, self.more)
 
     def __str__(self) -> str:
         return printable(f"{self.file}: {self.field}: found {self.found}, expected {self.expected}")
@@ -40,7 +46,7 @@ class InputError(ValueError):
 
     def __init__(self, problems: Problem | Iterable[Problem]) -> None:
         self.problems: tuple[Problem, ...] = (problems,) if isinstance(problems, Problem) else tuple(problems)
-        super().__init__("\n".join(str(p) for p in self.problems))
+        super().__init__("\n".join(line for p in self.problems for line in p.lines))
 
 
 def all_of(*reads: Callable[[], Any]) -> list[Any]:

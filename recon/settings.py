@@ -26,7 +26,7 @@ Unit = Literal["m", "cm", "mm"]
 UNITS_M: dict[Unit, float] = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 DEFAULT_SKELETONS: dict[Method, str] = {"trajectory": "cheetah-24", "frame": "cheetah-8u"}
 """By method."""
-FILE_SUFFIXES = (".toml", ".npz")
+FILE_SUFFIXES = (".toml", ".npz", ".csv")
 """What ends so is no name of something built in."""
 NUMBER = "<number>"
 """Stands for one in the help of the command line."""
@@ -262,6 +262,12 @@ class FitSettings:
     )
     individual: str | None = _field(
         _TEXT, "Which animal of a multi-animal file, as in animal1.", "the name of an animal in the keypoint file"
+    )
+    rename: str | None = _field(
+        _NAME_OR_FILE,
+        "New names of the keypoints: a CSV file with two columns, old name and new one, or a built-in map, as in "
+        "superanimal-quadruped. (default: the file's names)",
+        "the name of a built-in map of names, or a CSV file with two columns",
     )
     frames: str | None = _field(
         _FRAMES,

@@ -72,6 +72,12 @@ def _sleap(path: Path) -> None:
     sleap.write(keypoints(), path)
 
 
+def _of_other_names(path: Path) -> None:
+    names = {"spine": "mid_back", "l_eye": "left_eye", "r_eye": "left_ear"}
+    file = keypoints()
+    sleap.write(replace(file, names=tuple(names.get(name, name) for name in file.names)), path)
+
+
 def _two_animals(path: Path) -> None:
     """As DeepLabCut writes them: a level of individuals in the header."""
     import pandas as pd
@@ -219,6 +225,7 @@ OF_PAGE: dict[str, dict[str, Callable[[Path], None]]] = {
         "recordings": lambda path: _filmed_twice(path, "walk"),
         "scene.json": sample("whole_scene.json"),
     },
+    "how-to/other-formats.md": {"clip.analysis.h5": _of_other_names},
     "how-to/new-species.md": {"my-cat.toml": _toml("writing-a-skeleton.md", -1)},
     "robot.md": {"arm.toml": _toml("robot.md", 0)},
     "writing-a-skeleton.md": {

@@ -504,6 +504,11 @@ def test_bad_input_ends_with_a_message_and_no_folder(case, inputs, tmp_path):
         args += ["--camera", str(CAMERA)]
     ended = run("fit", *args, "--out", tmp_path / "a" / "b")
     lines = ended.err.splitlines()
+    if case == "none of the skeleton's keypoints":  # and the map to write
+        lines, names = lines[:1], lines[1:]
+        assert names[0] == "file,skeleton"
+        assert [row.split(",")[0] for row in names[1:]] == [f"wing_{name}" for name in read_keypoints(CLIP).names]
+        assert "wing_neck_base,neck_base" in names
     assert ended.code == 2
     assert ended.out == ""
     assert all(line.startswith("error: ") and ": found " in line and ", expected " in line for line in lines)

@@ -15,6 +15,7 @@ from recon.io.common import rate, with_likelihoods
 from recon.io.pose import Pose3D
 from recon.io.pose3d import POSE_READERS, PoseReader, in_metres, read_pose3d
 from recon.keypoints import Keypoints, mark_missing
+from recon.naming import load_names, renamed
 from recon.results import read_results
 
 
@@ -32,6 +33,8 @@ class Options:
     """m, cm or mm: of 3D positions, where the file does not say."""
     up: str | None = None
     """y or z: of 3D positions, where the file does not say."""
+    rename: str | None = None
+    """A map of the names of 2D keypoints (see `recon.naming`)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,6 +90,10 @@ def read_any(source: Path, options: Options) -> Keypoints | Pose3D:
         data = read_pose3d(source, options.individual, options.unit, options.up)
     else:
         data = read_keypoints(source, options.individual)
+    if options.rename is not None:
+        if not isinstance(data, Keypoints):
+            raise InputError(Problem("--rename", "names", f"3D positions in {source}", "2D keypoints"))
+        data = renamed(data, load_names(options.rename))
     if options.fps is None or options.fps == data.fps:
         return data
     notes = data.notes

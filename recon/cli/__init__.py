@@ -80,7 +80,8 @@ def main() -> None:
         app()
     except InputError as error:
         for problem in error.problems:
-            console.print(error_text(str(problem)))
+            first, *more = problem.lines
+            console.print(error_text(first), *more, sep="\n")
         sys.exit(EXIT_BAD_INPUT)
     except OSError as error:
         where = f"{error.filename}: " if error.filename else ""

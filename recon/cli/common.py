@@ -104,6 +104,11 @@ def numbers(option: str, given: str, count: int | None = None) -> list[float]:
     return found
 
 
+RENAME = typer.Option(
+    help="New names of the keypoints: a CSV file with two columns, old and new, or a built-in map, as in "
+    "superanimal-quadruped.",
+    show_default=False,
+)
 STRIDE = typer.Option(
     metavar="START:END",
     help="A stride from when to when, in seconds of the clip, as in 0.31:0.62. (default: one that is found)",

@@ -11,7 +11,7 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 from rich.text import Text
 
-from recon.cli.common import FPS, number_option, terminal
+from recon.cli.common import FPS, RENAME, number_option, terminal
 from recon.errors import InputError, Problem
 
 if TYPE_CHECKING:
@@ -48,6 +48,7 @@ def convert(
         str | None,
         typer.Option(help="Axis of 3D positions that points up, if the file does not say it: y or z."),
     ] = None,
+    rename: Annotated[str | None, RENAME] = None,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the file.")] = False,
     show_list: Annotated[bool, typer.Option("--list", help="Print the formats.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="With --list, as JSON.")] = False,
@@ -66,7 +67,7 @@ def convert(
         raise InputError(Problem("recon convert", "files", found, "IN and OUT, as in recon convert clip.csv clip.nc"))
     from recon.app.convert import Options, convert
 
-    options = Options(fps, individual, columns, unit, up)
+    options = Options(fps, individual, columns, unit, up, rename)
     typer.echo(_summary(out, convert(source, out, to, options, overwrite)))
 
 

@@ -10,7 +10,7 @@ import typer
 from rich.table import Table
 from rich.text import Text
 
-from recon.cli.common import number_option, number_table, terminal
+from recon.cli.common import RENAME, number_option, number_table, terminal
 
 if TYPE_CHECKING:
     from recon.net.evaluate2d import Evaluation2D, Score2D
@@ -24,6 +24,7 @@ def evaluate_2d(
         str | None, typer.Option(help="Frame numbers of the labels to compare, A:B (B excluded).")
     ] = None,
     individual: Annotated[str | None, typer.Option(help="The animal, where the files name several.")] = None,
+    rename: Annotated[str | None, RENAME] = None,
     likelihood_min: Annotated[
         float, number_option("Cut-off for the rows of likely points.", "a number from 0 to 1")
     ] = 0.5,
@@ -46,6 +47,7 @@ def evaluate_2d(
         first_frame=first_frame,
         frames=parse_frame_range(frames) if frames else None,
         individual=individual,
+        rename=rename,
         likelihood_min=likelihood_min,
         tolerance_px=tolerance_px,
     )

@@ -12,6 +12,7 @@ from recon.arrays import Array, Bools
 from recon.errors import InputError, Problem, all_of
 from recon.io import read_keypoints
 from recon.keypoints import Keypoints, mark_missing
+from recon.naming import load_names, map_to_write, renamed
 from recon.net.calibrate import Reliability, reliability
 from recon.net.labels import body_length_px, known_points, read_label_file, sides
 
@@ -89,20 +90,28 @@ def evaluate_2d_files(
     first_frame: int = 0,
     frames: tuple[int | None, int | None] | None = None,
     individual: str | None = None,
+    rename: str | None = None,
     likelihood_min: float = LIKELIHOOD_MIN,
     tolerance_px: float = TOLERANCE_PX,
 ) -> Evaluation2D:
     """first_frame: the number that the labels give to frame 0 of the predictions. frames: a half-open range of the
-    labels' numbers. Raises InputError for files that cannot be read or have nothing in common."""
+    labels' numbers. rename: a map of the predictions' names to the labels' (see `recon.naming`). Raises InputError for
+    files that cannot be read or have nothing in common."""
 
     def read() -> Keypoints:
         return read_label_file(labels, individual)[0]
 
-    guess, truth = all_of(lambda: mark_missing(read_keypoints(predicted, individual))[0], read)
+    def read_predicted() -> Keypoints:
+        keypoints = mark_missing(read_keypoints(predicted, individual))[0]
+        return keypoints if rename is None else renamed(keypoints, load_names(rename))
+
+    guess, truth = all_of(read_predicted, read)
     common = [name for name in truth.names if name in guess.names]
     problems = []
     if not common:
-        problems.append(Problem(predicted, "keypoints", ", ".join(guess.names), f"some of: {', '.join(truth.names)}"))
+        expected = f"some of: {', '.join(truth.names)}; --rename with a file of these lines, completed"
+        lines = tuple(map_to_write(guess.names, truth.names))
+        problems.append(Problem(predicted, "keypoints", ", ".join(guess.names), expected, lines))
     low, high = frames or (None, None)
     row = {int(n) + first_frame: t for t, n in enumerate(guess.frames)}
     both = [

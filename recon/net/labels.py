@@ -17,6 +17,7 @@ from recon.io import deeplabcut, file_head
 from recon.io.common import first_problems
 from recon.io.hdf5 import is_hdf5
 from recon.keypoints import Keypoints, mark_missing
+from recon.naming import load_names, new_names
 from recon.video import Image, probe, read_frames
 
 OUTSIDE = 0.1
@@ -82,19 +83,33 @@ def scale_points(xy_px: Array, scale: float) -> Array:
     return (xy_px + 0.5) * scale - 0.5
 
 
-def read_labels(data: Path, labels: Path | None = None, first_frame: int = 0, individual: str | None = None) -> Labels:
+def read_labels(
+    data: Path,
+    labels: Path | None = None,
+    first_frame: int = 0,
+    individual: str | None = None,
+    rename: str | None = None,
+) -> Labels:
     """A project folder, or a video with its label file.
 
-    first_frame: the number that the label file gives to the video's first frame. Raises InputError with every problem:
-    labels without a picture, pictures that cannot be read, files that do not fit each other.
+    first_frame: the number that the label file gives to the video's first frame. rename: a map of the keypoints' names.
+    Raises InputError with every problem: labels without a picture, pictures that cannot be read, files that do not fit
+    each other.
     """
     if labels is None:
         if data.is_file():
             raise InputError(Problem("--labels", "file", "none", f"the label file (CSV or H5) of the video {data}"))
-        return _inside(_read_project(data, individual))
+        return _inside(_renamed(_read_project(data, individual), rename))
     if data.is_dir():
         raise InputError(Problem("--labels", "file", str(labels), f"none: the folder {data} has its own label files"))
-    return _inside(_read_video(data, labels, first_frame, individual))
+    return _inside(_renamed(_read_video(data, labels, first_frame, individual), rename))
+
+
+def _renamed(labels: Labels, rename: str | None) -> Labels:
+    if rename is None:
+        return labels
+    keep, names, note = new_names(labels.names, load_names(rename), labels.source)
+    return replace(labels, names=names, xy_px=labels.xy_px[:, keep], notes=(*labels.notes, note))
 
 
 def _inside(labels: Labels) -> Labels:

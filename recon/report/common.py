@@ -12,6 +12,7 @@ import numpy as np
 from recon.analysis.path import frame_jitter_m, path_kinematics
 from recon.keypoints import KeypointCounts
 from recon.motion import Motion
+from recon.naming import suggestions
 from recon.published import FrameOptions
 from recon.report import cameras
 from recon.report.plain import Array, by_name, finite, mean, median
@@ -275,7 +276,9 @@ def _keypoints_text(report: Mapping[str, Any]) -> str:
     share = f"{counts['used']}" if lacking else "all"
     missing = f"; missing: {_some(lacking)}" if lacking else ""
     unused = f"; not used: {_some(report['unused_keypoints'])}" if report["unused_keypoints"] else ""
-    return f"{share} of the skeleton's {total} used{missing}{unused}"
+    near = suggestions(report["unused_keypoints"], report["missing_keypoints"])
+    perhaps = f"; perhaps the same (--rename): {_some([f'{a} for {b}' for a, b in near.items()])}" if near else ""
+    return f"{share} of the skeleton's {total} used{missing}{unused}{perhaps}"
 
 
 def _some(names: Sequence[str]) -> str:

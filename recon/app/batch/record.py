@@ -125,14 +125,14 @@ def identity(settings: FitSettings) -> dict[str, Any]:
 
 
 def input_files(settings: FitSettings) -> dict[str, Path]:
-    """By the setting that names them; built-in skeletons, subjects and priors are no files."""
+    """By the setting that names them; built-in skeletons, subjects, priors and maps of names are no files."""
     first, *others = settings.keypoints
     files = {"keypoints": first} | {f"keypoints {i}": path for i, path in enumerate(others, start=2)}
     if settings.camera is not None:
         files["camera"] = settings.camera
     tracks = [path for track in settings.camera_track or () for path in track_files(track)]
     files |= {f"camera_track {i}" if i else "camera_track": path for i, path in enumerate(tracks)}
-    for role in ("skeleton", "subject", "prior"):
+    for role in ("skeleton", "subject", "prior", "rename"):
         name = getattr(settings, role)
         if name is not None and Path(name).is_absolute():
             files[role] = Path(name)

@@ -1,0 +1,305 @@
+"""Names of keypoints: maps, near misses, and what detectors write into their files."""
+
+from __future__ import annotations
+
+import csv
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from command_line import run
+
+from recon import FitSettings, InputError, Keypoints, load_skeleton
+from recon.app.batch.record import file_sha256, identity
+from recon.app.clip import prepare
+from recon.app.convert import Options, read_any
+from recon.export.deeplabcut import write_keypoints_csv
+from recon.io import read_keypoints
+from recon.naming import NameMap, builtin_maps, fitting_maps, load_names, map_to_write, new_names, renamed, suggestions
+from recon.net.evaluate2d import evaluate_2d_files
+
+SAMPLES = Path(__file__).parents[1] / "data" / "samples"
+
+
+def words(*lines: str) -> tuple[str, ...]:
+    return tuple(word.strip() for line in lines for word in line.split(","))
+
+
+SUPERANIMAL = words(
+    "nose,upper_jaw,lower_jaw,mouth_end_right,mouth_end_left,right_eye,right_earbase,right_earend,right_antler_base",
+    "right_antler_end,left_eye,left_earbase,left_earend,left_antler_base,left_antler_end,neck_base,neck_end,throat_base",
+    "throat_end,back_base,back_end,back_middle,tail_base,tail_end,front_left_thai,front_left_knee,front_left_paw",
+    "front_right_thai,front_right_knee,front_right_paw,back_left_paw,back_left_thai,back_right_thai,back_left_knee",
+    "back_right_knee,back_right_paw,belly_bottom,body_middle_right,body_middle_left",
+)
+AP_10K = words(
+    "left_eye,right_eye,nose,neck,root_of_tail,left_shoulder,left_elbow,left_front_paw,right_shoulder,right_elbow",
+    "right_front_paw,left_hip,left_knee,left_back_paw,right_hip,right_knee,right_back_paw",
+)
+MMPOSE_AP_10K = words(
+    "L_Eye,R_Eye,Nose,Neck,Root of tail,L_Shoulder,L_Elbow,L_F_Paw,R_Shoulder,R_Elbow,R_F_Paw,L_Hip,L_Knee,L_B_Paw",
+    "R_Hip,R_Knee,R_B_Paw",
+)
+ANIMAL3D = words(
+    "left_eye,right_eye,mouth_mid,left_front_paw,right_front_paw,left_back_paw,right_back_paw,tail_base",
+    "left_front_thigh,right_front_thigh,left_back_thigh,right_back_thigh,left_shoulder,right_shoulder,left_front_knee",
+    "right_front_knee,left_back_knee,right_back_knee,neck,tail_end,left_ear,right_ear,left_mouth,right_mouth,nose",
+    "tail_mid",
+)
+ACINOSET = words(
+    "r_eye,l_eye,nose,neck_base,spine,tail_base,tail1,tail2,r_shoulder,r_front_knee,r_front_ankle,r_front_paw,r_hip",
+    "r_back_knee,r_back_ankle,r_back_paw,l_shoulder,l_front_knee,l_front_ankle,l_front_paw,l_hip,l_back_knee",
+    "l_back_ankle,l_back_paw,lure",
+)
+HORSE_10 = words(
+    "Nose,Eye,Nearknee,Nearfrontfetlock,Nearfrontfoot,Offknee,Offfrontfetlock,Offfrontfoot,Shoulder,Midshoulder,Elbow",
+    "Girth,Wither,Nearhindhock,Nearhindfetlock,Nearhindfoot,Hip,Stifle,Offhindhock,Offhindfetlock,Offhindfoot,Ischium",
+)
+
+
+def keypoints(*names: str) -> Keypoints:
+    """Keypoint k is at (10 k, 20 k) in frame 0, one pixel further in each of two more."""
+    xy = np.arange(len(names))[:, None] * [10.0, 20.0] + np.arange(3.0)[:, None, None]
+    return Keypoints(names, xy, np.full((3, len(names)), 0.9), np.arange(3), fps=30.0, source="clip.csv")
+
+
+def in_file(folder: Path, text: str) -> Path:
+    path = folder / "names.csv"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def said(error: pytest.ExceptionInfo[InputError]) -> list[str]:
+    return [str(problem) for problem in error.value.problems]
+
+
+# -- maps ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "file,skeleton\nleft_eye,l_eye\nthroat,\n",
+        "# mine\nleft_eye,l_eye\n\nthroat,\n",
+        "left_eye;l_eye\nthroat;\n",
+        "\ufeffleft_eye\tl_eye\r\nthroat\t\r\n",
+        '"left_eye", l_eye\n throat ,""',
+    ],
+)
+def test_a_map_is_two_columns(text, tmp_path):
+    assert load_names(in_file(tmp_path, text)).names == {"left_eye": "l_eye", "throat": ""}
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("left_eye\n", ["line 1: found 'left_eye', expected a CSV file with two columns"]),
+        (
+            "a,b,c\n,d\ne,f\ne,g",
+            ["line 1: found", "line 2: found ',d'", "line 4: found 'e' again"],
+        ),
+        ("a,\x1b[2J", [r"line 1: found 'a,\x1b[2J'"]),
+        ("file,skeleton\n", ["lines: found none"]),
+    ],
+)
+def test_faults_of_a_map_are_named(text, expected, tmp_path):
+    with pytest.raises(InputError) as error:
+        load_names(in_file(tmp_path, text))
+    assert len(said(error)) == len(expected)
+    assert all(part in one for part, one in zip(expected, said(error), strict=True))
+    with pytest.raises(InputError, match=r"--rename: name or file: found 'superanimal', expected one of animal3d"):
+        load_names("superanimal")
+
+
+def test_points_go_with_their_names():
+    """Also where two names are exchanged, and with a note of what was done."""
+    file = keypoints("a", "b", "c", "d")
+    new = renamed(file, NameMap("map.csv", {"a": "b", "b": "a", "c": "", "x": "y"}))
+    assert new.names == ("b", "a", "d")
+    np.testing.assert_array_equal(new.xy_px, file.xy_px[:, [0, 1, 3]])
+    assert new.confidence.shape == (3, 3)
+    assert new.notes == ("3 of 4 keypoints have their names from map.csv; left out: c; not in the file: x.",)
+
+
+def test_a_map_that_does_not_fit_is_refused():
+    for names, message in (
+        ({"x": "y"}, "map.csv: names: found x: none of them in clip.csv, expected some of a, b"),
+        ({"a": "b"}, "map.csv: names: found 'b' for a, b, expected it for one of them only"),
+        ({"a": "", "b": ""}, "map.csv: names: found every keypoint of clip.csv left out"),
+    ):
+        with pytest.raises(InputError) as error:
+            renamed(keypoints("a", "b"), NameMap("map.csv", names))
+        assert said(error)[0].startswith(message)
+
+
+@pytest.mark.parametrize(
+    ("bundled", "names", "of_cheetah"),
+    [
+        ("superanimal-quadruped", SUPERANIMAL, 19),
+        ("ap-10k", AP_10K, 17),
+        ("ap-10k", MMPOSE_AP_10K, 17),
+        ("animal3d", ANIMAL3D, 19),
+    ],
+)
+def test_bundled_maps(bundled, names, of_cheetah):
+    """They have no name that their detector lacks, and keep the sides; the fit finds its own map."""
+    by = load_names(bundled)
+    cheetah = load_skeleton("cheetah-24")
+    if bundled != "ap-10k":  # which has two spellings
+        assert {*by.names} < {*names}
+    _, new, note = new_names(names, by, "clip.csv")
+    assert len({*new} & {*cheetah.markers}) == of_cheetah
+    assert {*cheetah.feet} <= {*new}
+    for old, its in by.names.items():
+        side = {"l": "left", "r": "right"}.get(its[0]) if its[1] == "_" else None
+        assert (side is None) == (cheetah.side_of(old) is None)
+        assert side in (None, cheetah.side_of(old))
+    assert "not in the file" not in note
+    assert fitting_maps(names, cheetah.markers)[0] == bundled
+
+
+def test_every_bundled_map_is_tested():
+    assert builtin_maps() == ("animal3d", "ap-10k", "superanimal-quadruped")
+
+
+@pytest.mark.parametrize(
+    ("names", "skeleton", "unused"), [(ACINOSET, "cheetah-24", {"lure"}), (HORSE_10, "horse-22", set())]
+)
+def test_detectors_whose_names_are_a_skeletons(names, skeleton, unused):
+    markers = load_skeleton(skeleton).markers
+    assert {*names} - {*markers} == unused
+    assert {*markers} <= {*names}
+
+
+# -- near misses ---------------------------------------------------------------------------------------------------
+
+
+def test_near_misses():
+    near = suggestions(
+        ["left_eye", "Nose", "front_right_paw", "rear_left_foot", "rootOfTail", "withers", "chin", "Left.Shoulder"],
+        ["l_eye", "r_eye", "nose", "r_front_paw", "l_back_paw", "l_front_paw", "tail_base", "spine", "l_shoulder"],
+    )
+    assert near == {
+        "left_eye": "l_eye",
+        "Nose": "nose",
+        "front_right_paw": "r_front_paw",
+        "rear_left_foot": "l_back_paw",
+        "rootOfTail": "tail_base",
+        "Left.Shoulder": "l_shoulder",
+    }
+    assert suggestions(["r_sholder", "shoulder"], ["l_shoulder", "r_shoulder"]) == {"r_sholder": "r_shoulder"}
+
+
+def test_the_map_to_write(tmp_path):
+    lines = list(map_to_write(["nose", "left_eye", "chin"], ["nose", "l_eye", "spine"]))
+    assert lines == ["file,skeleton", "left_eye,l_eye", "chin,"]
+    assert load_names(in_file(tmp_path, "\n".join(lines))).names == {"left_eye": "l_eye", "chin": ""}
+
+
+# -- commands ------------------------------------------------------------------------------------------------------
+
+
+def as_named_by(bundled: str, path: Path, names: tuple[str, ...]) -> Path:
+    """The sample of a whole cheetah as a detector with these names would have written it: nothing else is in it."""
+    file, of = read_keypoints(SAMPLES / "whole.csv"), load_names(bundled).names
+    T, K = len(file.frames), len(names)
+    xy, confidence = np.full((T, K, 2), np.nan), np.zeros((T, K))
+    for k, name in enumerate(names):
+        if (new := of.get(name, name)) in file.names:
+            xy[:, k] = file.xy_px[:, file.names.index(new)]
+            confidence[:, k] = file.confidence[:, file.names.index(new)]
+    write_keypoints_csv(replace(file, names=tuple(names), xy_px=xy, confidence=confidence), path)
+    return path
+
+
+def settings(clip: Path, **more) -> FitSettings:
+    return FitSettings(keypoints=(clip,), camera=SAMPLES / "camera.toml", fps=60.0, **more)
+
+
+def test_a_fit_takes_a_detectors_own_names(tmp_path):
+    clip = as_named_by("superanimal-quadruped", tmp_path / "clip.csv", SUPERANIMAL)
+    (source,) = prepare(settings(clip, rename="superanimal-quadruped")).sources
+    native = prepare(settings(SAMPLES / "whole.csv")).sources[0].keypoints
+    assert source.keypoints.names == native.names
+    lacking = [n for n in native.names if n not in source.file_names]
+    assert lacking == ["tail1", "l_front_ankle", "r_front_ankle", "l_back_ankle", "r_back_ankle"]
+    known = [native.names.index(n) for n in native.names if n not in lacking]
+    np.testing.assert_allclose(source.keypoints.xy_px[:, known], native.xy_px[:, known], atol=1e-3)
+    assert "19 of 39 keypoints have their names from superanimal-quadruped." in source.cleaning.notes
+
+
+def test_few_names_are_refused_with_the_map_to_write(tmp_path):
+    """nose, neck_base and tail_base alone were fitted before, without a word. The lines are a map that is taken."""
+    clip = as_named_by("superanimal-quadruped", tmp_path / "clip.csv", SUPERANIMAL)
+    with pytest.raises(InputError) as error:
+        prepare(settings(clip))
+    (problem,) = error.value.problems
+    assert "nose, neck_base, tail_base of the skeleton's, expected those of the skeleton cheetah-24" in str(problem)
+    assert "--rename superanimal-quadruped, or --rename with a file of these lines" in str(problem)
+    assert "\n" not in str(problem)
+    assert str(error.value).splitlines() == list(problem.lines)
+    written = in_file(tmp_path, "\n".join(problem.more))
+    (source,) = prepare(settings(clip, rename=written)).sources
+    assert {"l_eye", "r_front_paw", "l_back_knee"} <= {*source.file_names}
+    ended = run("fit", clip, "--camera", SAMPLES / "camera.toml", "--fps", 60, "--out", tmp_path / "out")
+    assert ended.code == 2
+    assert ended.err.splitlines()[1:3] == ["file,skeleton", "upper_jaw,"]
+
+
+def test_renaming_works_in_files_of_several_animals(tmp_path):
+    """In each of which every name stands once for each animal, below a row that names the animals."""
+    rows = list(csv.reader((SAMPLES / "whole.csv").read_text().splitlines()))
+    rows = [[*row, *row[1:]] for row in rows]
+    half = (len(rows[0]) - 1) // 2
+    rows.insert(1, ["individuals", *["one"] * half, *["two"] * half])
+    clip = tmp_path / "two.csv"
+    with clip.open("w", newline="") as file:
+        csv.writer(file).writerows(rows)
+    names = in_file(tmp_path, "spine,mid_back\nl_eye,\n")
+    out = tmp_path / "renamed.csv"
+    ended = run("convert", clip, out, "--individual", "two", "--rename", names)
+    assert (ended.code, ended.err) == (0, "")
+    assert "2 of 24 keypoints have their names from names.csv; left out: l_eye." in ended.out
+    new, old = read_keypoints(out), read_keypoints(SAMPLES / "whole.csv")
+    assert new.names == tuple("mid_back" if n == "spine" else n for n in old.names if n != "l_eye")
+    np.testing.assert_array_equal(new.xy_px[:, new.names.index("mid_back")], old.xy_px[:, old.names.index("spine")])
+
+
+def test_positions_in_3d_are_not_renamed(tmp_path):
+    with pytest.raises(InputError, match=r"--rename: names: found 3D positions in .*whole_truth.csv, expected 2D"):
+        read_any(SAMPLES / "whole_truth.csv", Options(rename=str(in_file(tmp_path, "spine,mid_back"))))
+
+
+def test_labels_and_predictions_of_other_names(tmp_path):
+    from recon.net.labels import read_labels
+
+    names = in_file(tmp_path, "".join(f"{n},{n.upper()}\n" for n in ("nose", "l_eye", "spine")))
+    labels = read_labels(SAMPLES / "rendered.mp4", SAMPLES / "rendered_labels.csv", rename=str(names))
+    before = read_labels(SAMPLES / "rendered.mp4", SAMPLES / "rendered_labels.csv")
+    assert labels.names[:2] == ("NOSE", "L_EYE")
+    np.testing.assert_array_equal(labels.xy_px, before.xy_px)
+    named = tmp_path / "labels.csv"
+    label_file = read_keypoints(SAMPLES / "rendered_labels.csv")
+    write_keypoints_csv(replace(label_file, names=tuple(f"label {n}" for n in label_file.names)), named)
+    with pytest.raises(InputError) as error:
+        evaluate_2d_files(SAMPLES / "rendered_points.csv", named)
+    assert error.value.problems[0].more[0] == "file,skeleton"
+    by = in_file(tmp_path, "nose,label nose\nspine,label spine\n")
+    found = evaluate_2d_files(SAMPLES / "rendered_points.csv", named, rename=str(by))
+    same = evaluate_2d_files(SAMPLES / "rendered_points.csv", SAMPLES / "rendered_labels.csv")
+    assert found.per_keypoint == {f"label {n}": same.per_keypoint[n] for n in ("nose", "spine")}
+
+
+def test_a_batch_knows_a_map_by_its_content(tmp_path):
+    names = in_file(tmp_path, "left_eye,l_eye\n")
+    one = identity(settings(SAMPLES / "whole.csv", rename=names))
+    assert {*one["inputs"]} == {"keypoints", "camera", "rename"}
+    assert "rename" not in one["settings"]
+    in_file(tmp_path, "left_eye,r_eye\n")
+    file_sha256.cache_clear()
+    assert identity(settings(SAMPLES / "whole.csv", rename=names)) != one
+    bundled = identity(settings(SAMPLES / "whole.csv", rename="ap-10k"))
+    assert bundled["settings"]["rename"] == "ap-10k"
+    assert json.dumps(bundled)
