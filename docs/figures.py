@@ -16,6 +16,7 @@ from PIL import Image
 
 from recon import FitSettings, read_results, samples_folder
 from recon.app.analyse import run_analyse
+from recon.app.camera_advice import run_camera_advice
 from recon.app.clip import run_clip
 from recon.app.overlay import run_overlay
 from recon.app.skeleton_check import run_skeleton_check
@@ -73,6 +74,8 @@ def main() -> None:
         ((_, image),) = read_frames(out / "overlay.avi", FRAME, FRAME + 1)
         cv2.imwrite(str(out / "overlay.png"), cropped(image, result.camera.image_size_px))
         save(out / "overlay.png", "overlay.png", 960)
+        run_camera_advice("cheetah-24", out / "advice", angle="front_trunk_yaw", cameras=2)
+        save(out / "advice" / "camera_advice.png", "camera_advice.png", 900)
         page = (HERE / "writing-a-skeleton.md").read_text(encoding="utf-8")
         toml = re.findall(r"```toml\n(.*?)```", page, re.DOTALL)[-1]
         (out / "my-cat.toml").write_text(toml, encoding="utf-8")

@@ -294,7 +294,7 @@ def test_commands_and_scripts_in_the_text_exist():
     group = typer.main.get_command(app)
     for page in PAGES:
         text = page.read_text(encoding="utf-8")
-        for word in re.findall(r"(?:`|\n {4})recon ([a-z]+)", FENCE.sub("", text)):
+        for word in re.findall(r"(?:`|\n {4})recon ([a-z][a-z\d-]*)", FENCE.sub("", text)):
             assert word in group.commands, f"{page.name}: recon {word}"  # pyright: ignore[reportAttributeAccessIssue]
         for script in re.findall(r"python (\S+\.py)", text):
             assert (ROOT / script).is_file(), f"{page.name}: {script}"

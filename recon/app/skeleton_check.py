@@ -148,7 +148,7 @@ def check_skeleton(name_or_path: str | Path, subject: str | Path | None = None) 
         height_m=height,
         size_sigma=body.size_sigma,
         keypoint_sigma_m=body.keypoint_sigma_m,
-        prior=_default_prior(body),
+        prior=default_prior(body),
         parts=tuple(_links(chain) if chain else _segments(body)),
         markers=tuple(MarkerRow(m.name, m.segment, m.offset_m) for m in body.tree.markers),
         feet=body.feet_by_label(),
@@ -157,7 +157,8 @@ def check_skeleton(name_or_path: str | Path, subject: str | Path | None = None) 
     )
 
 
-def _default_prior(body: Body) -> str:
+def default_prior(body: Body) -> str:
+    """The name of the prior that a fit takes for a body: "none" if there is none."""
     for name in builtin_priors():
         with suppress(InputError):  # it is another animal's
             return load_prior(name, body).name

@@ -1,12 +1,13 @@
 """Figures of a result, for print: one function for each, which returns matplotlib's Figure. `save` writes it."""
 
+from recon.plots.advice import camera_advice
 from recon.plots.closure import closures
 from recon.plots.composite import composites
 from recon.plots.configurations import body_fixed, in_body, limbs_apart
 from recon.plots.field import vector_fields
 from recon.plots.footfall import footfall
-from recon.plots.phase import phase_portraits
 from recon.plots.observability import observability
+from recon.plots.phase import phase_portraits
 from recon.plots.reach import distances, joint_space, task_space
 from recon.plots.solver import image_errors, solver_root, solver_search, solver_unknowns
 from recon.plots.speed import speeds
@@ -16,6 +17,7 @@ __all__ = [
     "COLUMN_MM",
     "WIDTH_MM",
     "body_fixed",
+    "camera_advice",
     "closures",
     "composites",
     "distances",
@@ -24,11 +26,11 @@ __all__ = [
     "in_body",
     "joint_space",
     "limbs_apart",
+    "observability",
     "phase_portraits",
     "save",
     "solver_root",
     "solver_search",
-    "observability",
     "solver_unknowns",
     "speeds",
     "task_space",

@@ -1,0 +1,119 @@
+"""Where to put a camera: what the posterior says at a motion that is known, by where the camera is."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pandas as pd
+import pytest
+from command_line import run
+
+from recon.analysis.camera_advice import ELEVATIONS_RAD, advise, known, length_m, mean_stride, placed
+from recon.app.camera_advice import where
+from recon.camera import Camera
+from recon.prior import prior_from_body
+from recon.skeleton_file import load_skeleton
+from recon.solve import TrajectoryOptions
+
+BODY = load_skeleton("cheetah-8u")
+PRIOR = prior_from_body(BODY)
+STATES = mean_stride(BODY, PRIOR)
+LENS = Camera.from_hfov(60.0, (1920, 1080))
+SIDE, ABOVE = (np.pi / 2, 0.0), (np.pi / 2, np.radians(85))
+
+
+def seen_from(place, body=BODY, distance_m=4.0, **what):
+    middle = body.tree.pose(STATES).points_m.mean(axis=(0, 1))
+    options = what.pop("options", None)
+    return known(body, PRIOR, STATES, [placed(LENS, middle, *place, distance_m)], **what, options=options)
+
+
+def test_the_camera_looks_at_the_middle_and_stands_upright():
+    target = np.array([1.0, 2.0, 0.5])
+    for azimuth in (0.3, 2.0, 4.5):
+        camera = placed(LENS, target, azimuth, np.radians(30), 5.0)
+        pixels, _ = camera.project(camera.world_to_camera(target + np.array([[0.0, 0, 0], [0, 0, 0.1]])))
+        np.testing.assert_allclose(pixels[0], [959.5, 539.5], atol=1e-9)
+        assert pixels[1, 0] == pytest.approx(959.5)
+        assert pixels[1, 1] < 539.5  # up is up
+        centre = -camera.rotation.T @ camera.translation_m
+        expected = 5 * np.array([np.cos(azimuth) * np.cos(np.pi / 6), np.sin(azimuth) * np.cos(np.pi / 6), 0.5])
+        np.testing.assert_allclose(centre - target, expected, atol=1e-12)
+
+
+def test_from_the_side_theta_is_seen_and_phi_is_not_and_from_above_the_reverse():
+    sagittal, transverse = {"angle": "theta_1"}, {"angle": "phi_1"}
+    theta, phi = ([seen_from(place, **what) for place in (SIDE, ABOVE)] for what in (sagittal, transverse))
+    assert theta[0][1] > 0.7
+    assert phi[0][1] < 0.02
+    assert phi[1][1] > 5 * phi[0][1]
+    assert theta[0][0] < theta[1][0]
+    assert phi[1][0] < phi[0][0]
+
+
+def test_without_noise_the_pixels_say_all():
+    """Keypoints on their joints and a thousandth of a pixel: next to nothing is left to the prior, not even of phi."""
+    exact = TrajectoryOptions(sigma_px=0.001, keypoint_sigma_m=0.0)
+    for angle in ("theta_6", "phi_6"):
+        sigma, share = seen_from((1.2, 0.5), angle=angle, options=exact)
+        assert share > 0.99
+        assert sigma < 0.03
+    assert seen_from((1.2, 0.5), joint="J8", options=exact)[1] > 0.99
+
+
+def test_nearer_is_better_and_out_of_the_picture_is_nothing():
+    near, far = (seen_from(SIDE, joint="J4", distance_m=distance)[0] for distance in (4.0, 40.0))
+    assert near < 0.9 * far
+    assert seen_from(SIDE, distance_m=0.01) == (np.inf, 0.0)
+
+
+def test_the_stride_runs_straight_with_the_prior_s_swing():
+    speed = np.diff(STATES[:, 0]) * 60
+    np.testing.assert_allclose(speed, 5 * length_m(BODY))
+    np.testing.assert_allclose(STATES[:20, 4:].mean(axis=0), PRIOR.mean, atol=1e-9)  # one period
+    top = np.sqrt(np.linalg.eigvalsh(PRIOR.covariance)[-1])
+    assert np.abs(STATES[:, 4:] - PRIOR.mean).max() == pytest.approx(top, rel=0.01)
+
+
+def test_advice_finds_the_least_deviation_and_a_second_camera_adds_to_the_first():
+    few = np.radians([0.0, 90.0, 180.0])
+    one = advise(BODY, PRIOR, angle="theta_1", azimuths_rad=few, elevations_rad=ELEVATIONS_RAD[:2])
+    assert one.place == (few[1], ELEVATIONS_RAD[0])
+    assert one.sigma[one.best] == one.sigma.min()
+    assert one.share[one.best] == one.share.max()
+    two = advise(BODY, PRIOR, angle="theta_1", azimuths_rad=few, elevations_rad=ELEVATIONS_RAD[:1], beside=one.place)
+    assert two.sigma.max() < one.sigma.min()
+    assert one.distance_m == pytest.approx(4 * length_m(BODY))
+
+
+def test_places_in_words():
+    assert where(0.0, 0.1) == "ahead of it, level with its middle (0°)"
+    assert where(np.radians(270), 0.5) == "on its right side, raised (270°)"
+    assert where(np.radians(120), np.radians(80)) == "almost above it, behind to its left"
+
+
+def test_command(tmp_path, small_pictures):
+    out = tmp_path / "advice"
+    done = run("camera-advice", "--skeleton", "cheetah-8u", "--angle", "theta_6", "--out", out)
+    assert done.code == 0
+    assert done.out.startswith("Put the camera on its left side, level with its middle (90°), 0.31 m above its middle")
+    assert "The worst place for one camera is ahead of it" in done.out
+    table, report = pd.read_csv(out / "camera_advice.csv"), json.loads((out / "camera_advice.json").read_text())
+    assert len(table) == 48
+    (camera,) = report["cameras"]
+    assert camera["sigma_rad"] == pytest.approx(table["sigma_rad"].min(), rel=1e-8)
+    assert camera["data_share"] > 0.85
+    assert (out / "camera_advice.png").stat().st_size > 5000
+    again = run("camera-advice", "--skeleton", "cheetah-8u", "--out", out)
+    assert again.code == 2
+    assert "--overwrite" in again.err
+
+
+def test_every_mistake_is_said(tmp_path):
+    wrong = ("--angle", "theta_9", "--joint", "J77", "--cameras", "3", "--hfov-deg", "0", "--distance-m", "-1")
+    done = run("camera-advice", "--skeleton", "cheetah-8u", "--out", tmp_path / "a", *wrong)
+    assert done.code == 2
+    assert done.err.count("error:") == 6
+    assert "one of J0_pitch" in done.err
+    assert not (tmp_path / "a").exists()
