@@ -225,9 +225,9 @@ def closure(portrait: Portrait) -> Closure:
 
 def _closure_sigma(portrait: Portrait) -> tuple[float, float]:
     """Standard deviations of the closures of the angle and in the plane; see the module's text."""
-    if portrait.angle_sigma_rad is None or portrait.rate_sigma_rad_s is None:
+    if portrait.angle_sigma_rad is None or portrait.rate_sigma_rad_s is None or not portrait.rate_sigma_rad_s.any():
         return np.nan, np.nan
-    lasts_s = float(np.median(portrait.angle_sigma_rad / portrait.rate_sigma_rad_s))
+    lasts_s = portrait.angle_sigma_rad.sum() / portrait.rate_sigma_rad_s.sum()
     turns = np.array([NormalDist().inv_cdf((k + 0.5) / _WAVES) for k in range(_WAVES)])  # over lasts_s
     phase = np.outer(turns, portrait.time_s / lasts_s)
     a, b = np.random.default_rng(0).normal(0, _WAVES**-0.5, (2, DRAWN, _WAVES))
