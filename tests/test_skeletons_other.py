@@ -19,6 +19,7 @@ from recon.body import both_sides, other_side, side_of, without_side
 from recon.cli import app
 from recon.clip import still_view
 from recon.io import read_keypoints
+from recon.naming import builtin_maps, load_names
 from recon.prior import prior_from_body
 from recon.skeleton_file import builtin_chains, builtin_names, load_chain
 from recon.solve import TrajectoryOptions, solve_trajectory
@@ -133,7 +134,10 @@ def test_the_horse_is_about_as_long_as_it_is_high():
     assert np.linalg.norm(at["Shoulder"] - at["Ischium"]) == pytest.approx(1.6, abs=0.05)
 
 
-@pytest.mark.parametrize(("name", "speed", "apart", "limit_mm"), [("dog-27", 1.0, 5.0, 25), ("horse-22", 1.5, 9.0, 60)])
+@pytest.mark.parametrize(
+    ("name", "speed", "apart", "limit_mm"),
+    [("dog-27", 1.0, 5.0, 25), ("horse-22", 1.5, 9.0, 60), ("quadruped", 1.5, 5.0, 60)],
+)
 def test_a_clip_of_its_own_tree_is_found_again(name, speed, apart, limit_mm):
     """Slow waves of all angles at a third of their spread, seen from the side without noise."""
     body, T, fps = body_of(name), 24, 30.0
@@ -153,6 +157,20 @@ def test_a_clip_of_its_own_tree_is_found_again(name, speed, apart, limit_mm):
     found = solution.joints_camera_m
     assert 1000 * score(joint_errors(centre(found, truth_m), truth_m)).mean < limit_mm
     assert np.abs(np.angle(np.exp(1j * solution.states[:, 3]))).max() < 0.3
+
+
+def test_the_quadruped_has_the_names_of_the_cheetah_and_of_every_map():
+    """And is the less sure of its size and of where keypoints lie."""
+    body, cheetah = body_of("quadruped"), body_of("cheetah-24")
+    assert {*body.markers} - {*cheetah.markers} == {"withers", "l_ear", "r_ear"}
+    assert {*cheetah.markers} < {*body.markers}
+    assert body.feet_by_label() == cheetah.feet_by_label()
+    for name in builtin_maps():
+        assert {*load_names(name).names.values()} <= {*body.markers}
+    assert body.size_sigma == 4 * cheetah.size_sigma
+    assert body.keypoint_sigma_m > cheetah.keypoint_sigma_m
+    at = expected_points(body)
+    assert at["withers"][2] - at["l_front_paw"][2] == pytest.approx(0.65, abs=0.02)
 
 
 # -- names of sides ------------------------------------------------------------------------------------------------
@@ -451,7 +469,7 @@ def test_every_fault_is_named(tmp_path):
     fields = [problem.field for problem in error.value.problems]
     assert fields == ["segments.1.parent", "markers.4.segment", "feet", "limbs.tail"]
     assert not (tmp_path / "out").exists()
-    with pytest.raises(InputError, match=r"one of .*dog-27, horse-22, or a skeleton file"):
+    with pytest.raises(InputError, match=r"one of .*dog-27, horse-22, quadruped, or a skeleton file"):
         check_skeleton("unicorn")
 
 
