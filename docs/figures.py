@@ -19,6 +19,7 @@ from recon.app.analyse import run_analyse
 from recon.app.camera_advice import run_camera_advice
 from recon.app.clip import run_clip
 from recon.app.overlay import run_overlay
+from recon.app.sheet import run_sheet
 from recon.app.skeleton_check import run_skeleton_check
 from recon.video import read_frames, video_writer
 
@@ -72,6 +73,8 @@ def main() -> None:
         plain_video(out / "clip.avi", result.camera.image_size_px, result.fps, len(result.pose.frames))
         run_overlay(clip, out / "clip.avi", out / "overlay.avi")
         ((_, image),) = read_frames(out / "overlay.avi", FRAME, FRAME + 1)
+        run_sheet(clip, out / "sheet.png")
+        save(out / "sheet.png", "sheet.png", 1200)
         cv2.imwrite(str(out / "overlay.png"), cropped(image, result.camera.image_size_px))
         save(out / "overlay.png", "overlay.png", 960)
         run_camera_advice("cheetah-24", out / "advice", angle="front_trunk_yaw", cameras=2)

@@ -10,14 +10,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
 
 import cv2
 import numpy as np
 
-from recon.arrays import Array, Bools, Integers
+from recon.arrays import Array, Bools, Index, Integers
 from recon.video import Image
 
 Colour = tuple[int, int, int]
@@ -33,6 +33,11 @@ STRIP_SHARE = 0.3
 """Height of the strip with the three views, relative to 9/16 of the width."""
 COLUMNS = {"side": 0.38, "from above": 0.26, "from ahead": 0.18}
 """Shares of the width; what remains is the key's."""
+TILE_PX, SHEET_COLUMNS = (480, 300), 4
+"""Of a sheet of stills."""
+TILE_UNIT, KEY_UNIT = 0.55, 0.85
+_FILLED = 0.8
+"""Of a tile, by the largest animal."""
 HEADING_S = 0.25
 """The views turn with the trunk's direction, averaged over this time, so that they do not shake."""
 
@@ -162,6 +167,42 @@ def draw_frame(overlay: Overlay, t: int | None, frame: int, picture: Image) -> I
     _draw_caption(canvas, overlay, t, frame, (width, height), unit)
     _draw_strip(canvas, overlay, t, height, width)
     return canvas
+
+
+def draw_sheet(overlay: Overlay, rows: Sequence[int] | Index, pictures: Sequence[Image] | None = None) -> Image:
+    """These frames side by side, each cut out about the animal, at one scale, and the key beneath. pictures: of each of
+    them, in the pixels of the overlay; without, on a plain ground."""
+    width, height = TILE_PX
+    corners, scale = _cut_out(overlay, rows)
+    columns = min(SHEET_COLUMNS, len(rows))
+    key_px = round(190 * KEY_UNIT)
+    canvas = np.empty((height * -(-len(rows) // columns) + key_px, width * columns, 3), dtype=np.uint8)
+    canvas[:] = PAPER
+    for i, (t, corner) in enumerate(zip(rows, corners, strict=True)):
+        x, y = width * (i % columns), height * (i // columns)
+        tile = canvas[y : y + height, x : x + width]
+        if pictures is not None:
+            to_tile = np.array([[scale, 0.0, -scale * corner[0]], [0.0, scale, -scale * corner[1]]])
+            tile[:] = cv2.warpAffine(pictures[i], to_tile, TILE_PX, flags=cv2.INTER_LINEAR, borderValue=PAPER)
+        moved = replace(
+            overlay,
+            reprojected_px=scale * (overlay.reprojected_px - corner),
+            detected_px=scale * (overlay.detected_px - corner),
+        )
+        _draw_skeleton(tile, moved, int(t), TILE_UNIT)
+        _draw_detections(tile, moved, int(t), TILE_UNIT)
+        _draw_caption(tile, moved, int(t), int(overlay.frames[t]), TILE_PX, TILE_UNIT)
+        cv2.rectangle(tile, (0, 0), (width - 1, height - 1), FAINT, 1)
+    _draw_key(canvas, overlay, (round(24 * KEY_UNIT), len(canvas) - key_px + round(30 * KEY_UNIT)), KEY_UNIT)
+    return canvas
+
+
+def _cut_out(overlay: Overlay, rows: Sequence[int] | Index) -> tuple[Array, float]:
+    """Corners (N, 2) of what is shown of the frames, and the scale that fits the largest animal of them."""
+    boxes = np.array([(np.nanmin(xy, axis=0), np.nanmax(xy, axis=0)) for xy in overlay.reprojected_px[list(rows)]])
+    largest = np.max(boxes[:, 1] - boxes[:, 0], axis=0)
+    scale = float(np.min(_FILLED * np.array(TILE_PX) / np.maximum(largest, 1.0)))
+    return boxes.mean(axis=1) - 0.5 * np.array(TILE_PX) / scale, scale
 
 
 def _draw_skeleton(image: Image, overlay: Overlay, t: int, unit: float) -> None:

@@ -6,6 +6,7 @@ robust terms r and J are as the solver weighs them, so that J'r is the gradient 
 
 from __future__ import annotations
 
+import io
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -17,6 +18,7 @@ from numpy.typing import NDArray
 from recon.arrays import Array, Index
 from recon.chain import Chain
 from recon.clip import View
+from recon.files import write_bytes
 from recon.kinematics import ROOT, YAW
 from recon.published import FrameOptions, frame_rows
 from recon.published.frame import beyond_range_rad, beyond_rate_rad_s
@@ -101,9 +103,9 @@ class Linearised:
             of_rows.append((rows.residual.ravel(), np.full(rows.residual.size, rows.term), frames))
         row, column, value = (np.concatenate(part) for part in zip(*parts, strict=True))
         residual, term, frame = (np.concatenate(part) for part in zip(*of_rows, strict=True))
+        made = io.BytesIO()
         np.savez_compressed(
-            path,
-            allow_pickle=False,
+            made,
             format=np.array(b"coo"),
             shape=np.array([first, self.frames * D]),
             row=row,
@@ -114,6 +116,7 @@ class Linearised:
             clip_row=frame,
             unknowns=np.array(self.unknowns),
         )
+        write_bytes(path, made.getvalue())
 
 
 def linearised_frames(view: View, chain: Chain, fps: float, options: FrameOptions, results: Results) -> Linearised:

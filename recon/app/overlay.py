@@ -58,14 +58,14 @@ def run_overlay(
     result, info, _ = all_of(
         lambda: read_results(folder), lambda: probe(video), lambda: _check_out(out, overwrite, video)
     )
-    number = _number(result, camera)
+    number = camera_number(result, camera)
     if speed is None:
         speed = min(1.0, SLOW_FPS / result.fps)
     zoom = -(-MIN_WIDTH_PX // info.size_px[0])
     overlay, *_ = all_of(
         lambda: overlay_of(result, speed, zoom, number),
-        lambda: _check_video(result, number, video, info, first_frame),
-        lambda: _speed(speed),
+        lambda: check_video(result, number, video, info, first_frame),
+        lambda: _check_speed(speed),
     )
     rows = {int(frame): t for t, frame in enumerate(result.pose.frames)}
     first, last = min(rows), max(rows)
@@ -87,7 +87,7 @@ def run_overlay(
     return OverlayRun(written, fps, speed)
 
 
-def _number(result: Results, camera: str | None) -> int:
+def camera_number(result: Results, camera: str | None) -> int:
     """Which of the result's cameras is meant. Raises InputError."""
     names = [one.name for one in result.cameras]
     if camera in names:
@@ -156,7 +156,7 @@ def _reprojection(result: Results, number: int) -> Keypoints:
     return found
 
 
-def _check_video(result: Results, number: int, video: Path, info: VideoInfo, first_frame: int) -> None:
+def check_video(result: Results, number: int, video: Path, info: VideoInfo, first_frame: int) -> None:
     problems = []
     size = result.cameras[number].image_size_px
     if info.size_px != size:
@@ -170,7 +170,7 @@ def _check_video(result: Results, number: int, video: Path, info: VideoInfo, fir
         raise InputError(problems)
 
 
-def _speed(speed: float) -> None:
+def _check_speed(speed: float) -> None:
     if not 0 < speed <= 10:
         raise InputError(Problem("--speed", "factor", f"{speed:g}", "more than 0 and at most 10; 1 is real time"))
 

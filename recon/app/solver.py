@@ -37,7 +37,10 @@ def read_solver(results: Results) -> SolverRecord:
         assert model.prior is not None
         setting = Setting.of(views, model.body, model.prior, given.fps, settings.trajectory_options())
         problem = linearised_clip(setting, results)
-        told = sum(results.report["convergence"]["cost_by_term"].values()) if problem.solved.any() else 0.0
+        told = sum(results.report["convergence"]["cost_by_term"].values())
+    if not problem.solved.any():
+        expected = "one between two gaps, at least, with a pose in every frame"
+        raise InputError(Problem(results.folder, "spells", "none with a pose throughout", expected))
     cost = sum(float(np.nansum(of_term)) for of_term in problem.cost.values())
     if problem.solved.all() and max(cost, told) > _ALIKE * max(min(cost, told), 1.0):
         raise InputError(Problem(config, "camera", f"a cost of {cost:.4g}, where the fit had {told:.4g}", EXPECTED))

@@ -8,12 +8,24 @@ from typing import Annotated
 import typer
 
 from recon.cli.common import number_option, progress_bar, say, terminal
+from recon.errors import InputError, Problem
 
 
 def overlay(
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of results, as in results/clip.")],
-    video: Annotated[Path, typer.Option(help="The video that the keypoints came from, as in clip.mp4.")],
-    out: Annotated[Path, typer.Option(help="The new video, .mp4 (MPEG-4) or .avi (Motion JPEG), as in overlay.mp4.")],
+    video: Annotated[
+        Path | None,
+        typer.Option(help="The video that the keypoints came from, as in clip.mp4.", show_default=False),
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(help="The new video, .mp4 (MPEG-4) or .avi (Motion JPEG), as in overlay.mp4.", show_default=False),
+    ] = None,
+    sheet: Annotated[
+        Path | None,
+        typer.Option(help="Stills side by side, as in sheet.png; without --video plain.", show_default=False),
+    ] = None,
+    count: Annotated[int, typer.Option(help="Of the stills.")] = 12,
     camera_name: Annotated[
         str | None, typer.Option(help="Whose video it is, of a clip with several cameras, as in cam2.")
     ] = None,
@@ -27,16 +39,33 @@ def overlay(
             "a number above 0, as in 0.25",
         ),
     ] = None,
-    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the new video.")] = False,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the new files.")] = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print errors only.")] = False,
 ) -> None:
-    """Draw a reconstruction on its video: detections, skeleton, doubtful frames, and the pose from three sides.
+    """Draw a reconstruction on its video: detections, skeleton, doubtful frames, and the pose from three sides; or some
+    frames of it as one picture.
 
     Example: recon overlay results/clip --video clip.mp4 --out overlay.mp4
     """
     from recon.app.overlay import run_overlay
 
     console = terminal(quiet=quiet)
+    _require(video, out, sheet)
+    if sheet is not None:
+        from recon.app.sheet import run_sheet
+
+        shown = run_sheet(
+            folder,
+            sheet,
+            video=video,
+            first_frame=first_frame,
+            camera=camera_name,
+            count=count,
+            overwrite=overwrite,
+        )
+        say(console, f"{shown} frames are in {sheet}.")
+    if video is None or out is None:
+        return
     with progress_bar(console) as progress:
         run = run_overlay(
             folder,
@@ -49,3 +78,11 @@ def overlay(
             progress=progress,
         )
     say(console, f"{run.frames} frames at {run.speed:.3g} times their speed ({run.fps:.4g} a second) are in {out}.")
+
+
+def _require(video: Path | None, out: Path | None, sheet: Path | None) -> None:
+    """Raises InputError unless there is something to draw, on what it needs."""
+    if out is None and sheet is None:
+        raise InputError(Problem("--out", "file", "nothing", "the new video, or --sheet with a picture"))
+    if out is not None and video is None:
+        raise InputError(Problem("--video", "file", "nothing", "the video that the keypoints came from"))

@@ -95,8 +95,10 @@ def cases(folder: Path) -> list[Case]:
             read_summary,
         ),
         Case("analyse tables", ("analyse", clip, "--no-figures", "--out", "{out}"), "analysis"),
+        Case("analyse solver", ("analyse", clip, "--no-figures", "--solver", "--out", "{out}"), "analysis"),
         Case("analyse", ("analyse", clip, "--out", "{out}"), "analysis", False),
         Case("ik", ("ik", clip, "--target", "stride-max", "--no-figures", "--out", "{out}"), "ik"),
+        Case("climb", ("climb", "--no-figures", "--out", "{out}"), "climb", read=read_manifest),
         Case("retarget", ("retarget", clip, "--robot", "a1", "--out", "{out}"), "robot", read=read_manifest),
         Case(
             "prior fit",
@@ -124,6 +126,7 @@ def cases(folder: Path) -> list[Case]:
             )
             for kind in ("mp4", "avi")
         ),
+        Case("overlay sheet", ("overlay", clip, "--sheet", "{out}"), "sheet.png"),
         Case("skeleton check", ("skeleton", "check", "cheetah-24", "--out", "{out}"), "pictures", False),
     ]
     for source, kind, names in ((SAMPLES / "whole.csv", "2D", two), (clip, "3D", three)):
