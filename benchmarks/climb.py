@@ -1,8 +1,8 @@
 """A robot climbs a step by potential fields: margins of the bundled climbs, and how long planning takes.
 
-    python benchmarks/climb.py [--figure FILE.png] [--playback FILE.rrd] [--recipe NAME]
+    python benchmarks/climb.py [--recipe NAME]
 
-One core, warm. Tables in Markdown, as in docs/climb.md. --figure (needs matplotlib) and --playback draw one recipe.
+One core, warm. Tables in Markdown, as in docs/climb.md; --recipe: the one that is timed.
 """
 
 from __future__ import annotations
@@ -10,18 +10,16 @@ from __future__ import annotations
 import argparse
 import os
 import time
-from pathlib import Path
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 from markdown_table import print_table
 
-from recon.robot.climb import Climb, Walker, bundled, check, load_recipe, plan, write_playback
+from recon.robot.climb import Climb, Walker, bundled, check, load_recipe, plan
 from recon.robot.climb.equilibrium import MAX_EVALUATIONS
 from recon.robot.climb.margins import RULES
 from recon.robot.climb.plan import Method
-from recon.robot.climb.playback import lines, step_lines
 from recon.robot.robot_file import load_robot
 
 RUNS = 5
@@ -89,51 +87,11 @@ def time_table(walker: Walker, name: str) -> None:
     print_table([*header, "processor, ms a frame", "apart at the end, mm", "valid"], rows)
 
 
-def draw(climb: Climb, path: Path) -> None:
-    """The torso and the legs from the right: at first, in the middle of every footfall, and in the end."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
-
-    outline, legs = lines(climb)
-    profile = step_lines(climb)[1]
-    frames = [0]
-    for k in range(len(climb.recipe.footfalls)):
-        up = np.flatnonzero((climb.footfall == k) & (climb.lifted >= 0))
-        frames.append(int(up[len(up) // 2]))
-    frames.append(len(climb) - 1)
-    figure, axes = plt.subplots(2, 7, figsize=(21, 4.4), layout="constrained", sharex=True, sharey=True)
-    for ax, frame in zip(axes.flat, frames, strict=True):
-        ax.plot(profile[:, 1], profile[:, 2], color="0.3")
-        for leg in range(4):
-            colour = "#e69f00" if climb.walker.side[leg] > 0 else "#56b4e9"
-            ax.plot(legs[frame, leg, :, 1], legs[frame, leg, :, 2], "-o", color=colour, markersize=3)
-        ax.plot(outline[frame, :, 1], outline[frame, :, 2], color="#009e73", linewidth=3)
-        up = int(climb.lifted[frame])
-        ax.set_title(f"{climb.time_s[frame]:.1f} s" + (f", leg {up + 1}" if up >= 0 else ""))
-        ax.set_aspect("equal")
-    low, high = climb.feet_m[..., 1].min() - 0.06, climb.feet_m[..., 1].max() + 0.06
-    axes[0, 0].set(xlim=(low, high), ylim=(-0.01, outline[..., 2].max() + 0.02))
-    figure.supxlabel("forward, m")
-    figure.supylabel("up, m")
-    figure.savefig(path, dpi=70)
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--recipe", default="published-50", help=f"of {', '.join(bundled())}")
-    parser.add_argument("--figure", type=Path)
-    parser.add_argument("--playback", type=Path)
     arguments = parser.parse_args()
     walker = Walker.of(load_robot("aibo"))
-    if arguments.figure or arguments.playback:
-        climb = plan(walker, load_recipe(arguments.recipe))
-        if arguments.figure:
-            draw(climb, arguments.figure)
-        if arguments.playback:
-            write_playback(climb, arguments.playback)
-        return
     climbs = {name: plan(walker, load_recipe(name)) for name in bundled()}
     margin_table(climbs)
     for name in bundled():

@@ -24,7 +24,7 @@ from recon.robot.climb.margins import NONE, RULES, margins
 from recon.robot.climb.paths import Step, along, corners
 from recon.robot.climb.plan import plan
 from recon.robot.climb.plan import start as begin
-from recon.robot.climb.recipe import Recipe
+from recon.robot.climb.recipe import Recipe, raised
 from recon.robot.climb.walker import Walker
 
 Array = NDArray[np.float64]
@@ -238,12 +238,3 @@ def highest(
         else:
             by_m /= 2
     return replace(best, rounds=count, climbs=climbs)
-
-
-def raised(recipe: Recipe, height_m: float) -> Recipe:
-    """For a step of another height: all heights in proportion."""
-    ratio = height_m / recipe.step.height_m
-    primitives = tuple(
-        replace(p, footfalls=tuple(replace(f, up_m=f.up_m * ratio) for f in p.footfalls)) for p in recipe.primitives
-    )
-    return replace(recipe, step=replace(recipe.step, height_m=height_m), primitives=primitives)

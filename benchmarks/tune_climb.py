@@ -25,9 +25,9 @@ from pathlib import Path
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
-from climb_search import Found, highest, improve, raised
+from climb_search import Found, highest, improve
 
-from recon.robot.climb import Recipe, Walker, check, load_recipe, plan, save_recipe
+from recon.robot.climb import Recipe, Walker, check, load_recipe, plan, raised, save_recipe
 from recon.robot.climb.equilibrium import TorsoDynamics
 from recon.robot.climb.fields import PLANAR, SPATIAL, Fields, Stand, Well, evaluate
 from recon.robot.climb.paths import Step

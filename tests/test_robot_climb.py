@@ -2,23 +2,34 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from climb_design import Design, sampled
-from climb_search import coarse, improve, raised, tracked
+from climb_search import coarse, improve, tracked
+from command_line import run
+from rerun.chunk import RrdReader
 from scipy.integrate import quad
 from scipy.optimize import root
 from scipy.spatial.transform import Rotation
 from tune_climb import PUBLISHED, published
 
 from recon.errors import InputError
-from recon.robot.climb import Walker, bundled, check, load_recipe, plan, save_recipe, write_playback
+from recon.plots import climb_field, climb_margins
+from recon.robot.body_pose import body_pose
+from recon.robot.climb import Recipe, Walker, bundled, check, load_recipe, plan, raised, save_recipe, scaled
 from recon.robot.climb.equilibrium import MAX_EVALUATIONS, Torso, TorsoDynamics, between, capped, moved, ride, solve
 from recon.robot.climb.fields import PLANAR, SPATIAL, Fields, Stand, Well, evaluate, leg_forces, wrench
 from recon.robot.climb.margins import NONE, margins, support_m
+from recon.robot.climb.motion import before, robot_motion
 from recon.robot.climb.paths import Step, along, corners
+from recon.robot.climb.plan import field_at
+from recon.robot.climb.walker import LABELS
+from recon.robot.leg import Leg, SwingLeg
+from recon.robot.quadruped import LEGS
+from recon.robot.retarget import posed
 from recon.robot.robot_file import load_robot
 
 HIPS = np.array([[-0.0625, 0.065, 0], [-0.0625, -0.065, 0], [0.0625, 0.065, 0], [0.0625, -0.065, 0]])
@@ -333,12 +344,116 @@ def test_a_step_that_is_too_high_for_a_recipe_is_made_better(walker):
     assert found.recipe.step.height_m == pytest.approx(0.04)
 
 
-def test_playback_is_written(walker, tmp_path):
+# -- other heights, other robots, and the command ---------------------------------------------------------------------
+
+
+def one_footfall() -> Recipe:
     recipe = load_recipe("published-35")
-    short = replace(recipe, primitives=(replace(recipe.primitives[0], footfalls=recipe.footfalls[:1]),))
-    climb = plan(walker, short)
-    write_playback(climb, tmp_path / "climb.rrd")
-    assert (tmp_path / "climb.rrd").stat().st_size > 10_000
-    assert [p.name for p in tmp_path.iterdir()] == ["climb.rrd"]
-    inside = margins(walker, short.step, climb.torso, climb.feet_m, climb.lifted)
-    assert inside["support"].shape == (len(climb), 8)
+    return replace(recipe, primitives=(replace(recipe.primitives[0], footfalls=recipe.footfalls[:1]),))
+
+
+def test_a_robot_of_another_size_climbs_in_the_same_postures(walker):
+    twice = replace(
+        walker, hips_m=2 * walker.hips_m, legs=tuple(Leg(doubled(leg.geometry), leg.mirror) for leg in walker.legs)
+    )
+    small, large = plan(walker, one_footfall()), plan(twice, scaled(one_footfall(), 2.0))
+    assert large.recipe.step.height_m == pytest.approx(0.07)
+    np.testing.assert_allclose(large.position_m, 2 * small.position_m, atol=1e-6)
+    np.testing.assert_allclose(large.angles_rad, small.angles_rad, atol=1e-4)
+
+
+def doubled(leg) -> SwingLeg:
+    return SwingLeg(*(2 * getattr(leg, name) for name in ("thigh_m", "shin_m", "knee_offset_m", "foot_offset_m")))
+
+
+def test_a_climb_as_a_motion_of_the_robot(walker):
+    robot = load_robot("aibo")
+    climb = plan(walker, one_footfall())
+    motion = robot_motion(climb, robot)
+    assert not motion.short.any()
+    assert motion.standing.sum() == 4 * len(climb) - (climb.lifted >= 0).sum()
+    # The same angles, by the robot's own names and signs, and the same places, turned.
+    np.testing.assert_allclose(motion.leg_angles("RF"), climb.angles_rad[:, LABELS.index("RF")], atol=1e-9)
+    np.testing.assert_allclose(motion.leg_angles("LH")[:, 0], -climb.angles_rad[:, LABELS.index("LH"), 0], atol=1e-9)
+    for label in LEGS:
+        x, y, z = motion.points(label)[:, -1].T
+        np.testing.assert_allclose(np.column_stack([-y, x, z]), climb.feet_m[:, LABELS.index(label)], atol=1e-9)
+
+
+def test_what_comes_before_a_climb_ends_in_its_stance_before_the_step(walker):
+    robot = load_robot("aibo")
+    recipe = one_footfall()
+    climb = robot_motion(plan(walker, recipe), robot)
+    # A robot that glides half a metre, one foot up.
+    time, up = np.linspace(0, 1, 400), np.array([0.0, 0.0, robot.stand_m])
+    way = np.outer(time, [0.5, 0.0, 0.0])
+    feet = way[:, None] + up + [robot.legs[label].neutral_m for label in LEGS]
+    feet[:, 0, 2] += 0.02
+    standing = np.tile([False, True, True, True], (400, 1))
+    run = posed(robot, time, body_pose(way + up, 0.0, 0.0, 0.0), feet, standing)
+    whole, start_s = before(run, climb, recipe.step, recipe.fps)
+    n = len(climb.time_s)
+    assert (np.diff(whole.time_s) > 0).all()
+    assert whole.time_s[-n] == pytest.approx(start_s)
+    np.testing.assert_array_equal(whole.angles_rad[-n:], climb.angles_rad)
+    first = whole.feet_m[:-n]
+    assert first[..., 0].max() < recipe.step.edge_m
+    assert first[..., 2].min() >= 0
+    assert not whole.short.any()
+    assert whole.standing[:-n].sum(axis=1).min() >= 3
+    # No jumps: from frame to frame the joints keep to their rates.
+    assert (whole.rate_share < 1).all()
+    assert np.abs(np.diff(whole.feet_m, axis=0)).max() < 0.03
+
+
+def test_the_command_writes_what_the_plan_is(tmp_path, walker):
+    save_recipe(one_footfall(), tmp_path / "short.toml")
+    out = tmp_path / "climb"
+    ended = run("climb", tmp_path / "short.toml", "--height", 0.03, "--at", 0.4, "--out", out, "--no-figures")
+    assert ended.code == 0, ended.err
+    assert "aibo climbs 30 mm" in ended.out
+    assert "not valid: not all feet end on top of the step" in ended.out
+    report = json.loads((out / "report.json").read_text())
+    climb = plan(walker, raised(load_recipe(tmp_path / "short.toml"), 0.03))
+    found = check(climb)
+    assert report["problems"] == found.problems()
+    for name, row in report["least_margins"].items():
+        assert row["value"] == pytest.approx(found.rows[name].value)
+    table = np.genfromtxt(out / "margins.csv", delimiter=",", names=True)
+    assert np.nanmin(table["support_m"]) * 1000 == pytest.approx(found.rows["support"].value)
+    assert np.degrees(np.nanmin(table["limits_rad"])) == pytest.approx(found.rows["limits"].value)
+    feet = np.genfromtxt(out / "feet.csv", delimiter=",", names=True)
+    np.testing.assert_allclose(feet["LH_x_m"], climb.feet_m[:, 1, 1], atol=1e-9)
+    entities = {str(chunk.entity_path) for chunk in RrdReader(out / "climb.rrd").stream()}
+    assert entities >= {"/world/step", "/world/support", "/margin", "/pitch"}
+
+
+def test_figures_of_a_climb(walker):
+    climb = plan(walker, one_footfall())
+    inside = margins(walker, climb.recipe.step, climb.torso, climb.feet_m, climb.lifted)
+    shown = climb_margins(climb, {name: values.min(axis=-1) for name, values in inside.items()})
+    assert f"least {check(climb).rows['support'].value:.1f} mm" in shown.axes[2].get_title(loc="left")
+    up = int(np.flatnonzero(climb.lifted >= 0)[0])
+    *_, by_pitch = climb_field(climb, up).axes
+    # The torso is in the middle, and at the least of the energy by its pitch.
+    angle, energy = by_pitch.lines[0].get_data()
+    assert angle[np.argmin(energy)] == pytest.approx(np.degrees(climb.pitch_rad[up]), abs=1.1)
+    # Before the foot rises the fields are already those without it.
+    assert field_at(climb, up - 1)[1].target_m == pytest.approx(field_at(climb, up)[1].target_m, abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("args", "message"),
+    [
+        (("--height", "-1"), "--height: step"),
+        (("--method", "jump"), "solve or ride"),
+        (("--robot", "a1"), "swing joint first"),
+        (("--after", "nowhere"), "nowhere"),
+        (("none.toml",), "published-50"),
+    ],
+)
+def test_mistakes_are_said(args, message, tmp_path):
+    ended = run("climb", *args, "--out", tmp_path / "out")
+    assert ended.code == 2
+    assert message in ended.err
+    assert not (tmp_path / "out").exists()

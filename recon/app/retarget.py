@@ -219,15 +219,15 @@ def write(solved: RetargetRun, folder: Path) -> None:
     """Everything, into a folder that there is."""
     from recon.view.robot import write_robot
 
-    _write_tables(solved.motion.clip, folder, "")
-    _write_tables(solved.motion.stride, folder, "stride_")
+    write_tables(solved.motion.clip, folder, "")
+    write_tables(solved.motion.stride, folder, "stride_")
     text = to_json(solved.report)
     (folder / REPORT).write_text(text, encoding="utf-8")
     write_robot(solved.motion.clip, folder / "motion.rrd", companion(solved))
     write_robot(repeated(solved.motion.stride, REPEATS), folder / "stride.rrd")
 
 
-def _write_tables(motion: RobotMotion, folder: Path, prefix: str) -> None:
+def write_tables(motion: RobotMotion, folder: Path, prefix: str) -> None:
     time = motion.time_s[:, None]
     _table(folder / f"{prefix}joints.csv", ["time_s", *motion.robot.joints], time, motion.angles_rad)
     columns = ["time_s", "x_m", "y_m", "z_m", "qx", "qy", "qz", "qw"]

@@ -13,6 +13,7 @@ from recon.cli.batch import batch
 from recon.cli.calibrate import calibrate
 from recon.cli.camera_advice import camera_advice
 from recon.cli.common import EXIT_BAD_INPUT, error_text, stop, terminal
+from recon.cli.climb import climb
 from recon.cli.convert import convert
 from recon.cli.demo import demo
 from recon.cli.doctor import doctor
@@ -56,7 +57,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-for command in (fit, batch, analyse, ik, evaluate, view, demo, calibrate, convert, overlay, retarget, doctor):
+for command in (fit, batch, analyse, ik, evaluate, view, demo, calibrate, convert, overlay, retarget, climb, doctor):
     app.command()(command)
 for command in (train, predict):
     app.command()(command)

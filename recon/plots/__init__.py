@@ -1,6 +1,7 @@
 """Figures of a result, for print: one function for each, which returns matplotlib's Figure. `save` writes it."""
 
 from recon.plots.advice import camera_advice
+from recon.plots.climb import climb_field, climb_footfalls, climb_margins
 from recon.plots.closure import closures
 from recon.plots.composite import composites
 from recon.plots.configurations import body_fixed, in_body, limbs_apart
@@ -18,6 +19,9 @@ __all__ = [
     "WIDTH_MM",
     "body_fixed",
     "camera_advice",
+    "climb_field",
+    "climb_footfalls",
+    "climb_margins",
     "closures",
     "composites",
     "distances",

@@ -233,20 +233,17 @@ def place(
 
 def _robot_motion(reference: Reference, robot: Quadruped, scale: float, spread_m: float) -> RobotMotion:
     pose, feet, standing = place(reference, robot, scale, spread_m)
-    targets = leg_targets(pose, np.zeros(3), feet)
+    motion = posed(robot, reference.time_s - reference.time_s[0], pose, feet, standing)
+    return replace(motion, scale=scale, advance_m=None if reference.advance_m is None else scale * reference.advance_m)
+
+
+def posed(robot: Quadruped, time_s: Array, pose: RigidTransform, feet_m: Array, standing: Bools) -> RobotMotion:
+    """Of T_world_body (N), feet in the world (N, 4, 3) and which stand (N, 4); feet out of reach are drawn in."""
+    targets = leg_targets(pose, np.zeros(3), feet_m)
     solved = [drawn_in(leg, targets[:, k]) for k, leg in enumerate(_legs(robot))]
-    return RobotMotion(
-        robot=robot,
-        scale=scale,
-        slower=1.0,
-        time_s=reference.time_s - reference.time_s[0],
-        angles_rad=np.concatenate([angles for angles, _ in solved], axis=1),
-        pose=pose,
-        feet_m=feet,
-        standing=standing,
-        short=np.stack([short for _, short in solved], axis=1),
-        advance_m=None if reference.advance_m is None else scale * reference.advance_m,
-    )
+    angles = np.concatenate([angles for angles, _ in solved], axis=1)
+    short = np.stack([short for _, short in solved], axis=1)
+    return RobotMotion(robot, 1.0, 1.0, time_s, angles, pose, feet_m, standing, short, None)
 
 
 def drawn_in(leg: RobotLeg, feet_m: Array) -> tuple[Array, Bools]:

@@ -1,8 +1,9 @@
 """Playback of a robot's motion, with the animal that it follows beside it, as a rerun recording.
 
 Entities: `world/robot`, its legs and body, and `world/robot/feet`, those that stand; `world/animal`, scaled to the
-robot's size; `world/ground` and `world/path` (static); `world/followed`, invisible; `angles/<leg>` in degrees;
-`stands/<leg>`. Timelines: `frame`, the sample, and `time`, the robot's.
+robot's size; `world/support`, the polygon of three or more feet that stand; `world/ground`, `world/path`, `world/step`
+(static); `world/followed`, invisible; `angles/<leg>` in degrees; `stands/<leg>`. Timelines: `frame`, the sample, and
+`time`, the robot's.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from numpy.typing import NDArray
 
 from recon.body import Side
 from recon.recording import recording
+from recon.robot.climb.paths import Step
 from recon.robot.quadruped import LEGS
 from recon.robot.retarget import RobotMotion
 from recon.view.layout import held_at, plot
@@ -27,6 +29,7 @@ from recon.view.series import Series, line_style, state_columns, state_style
 Array = NDArray[np.float64]
 
 ROBOT = DETECTION
+STEP = (58, 62, 72)
 GRID_LINES = 60
 """Across the path, at most."""
 
@@ -43,17 +46,46 @@ class Companion:
 
 
 def write_robot(
-    motion: RobotMotion, path: Path, companion: Companion | None = None, start_frame: int | None = None
+    motion: RobotMotion,
+    path: Path,
+    companion: Companion | None = None,
+    start_frame: int | None = None,
+    step: Step | None = None,
+    more: Sequence[Series] = (),
+    title: str = "",
 ) -> None:
-    """The recording; start_frame: a sample to hold, for pictures."""
+    """The recording; start_frame: a sample to hold, for pictures; step: one across the way, along which x is forwards;
+    more: plots before those of the angles, which share one place then."""
     series = [_angles(motion, label) for label in LEGS]
-    with recording(path, _blueprint(motion, companion, series, start_frame)) as stream:
+    seen = _middle(motion, companion, step)
+    layout = _blueprint(motion, companion, series, start_frame, seen, more, title)
+    with recording(path, layout) as stream:
         stream.send_recording_name(f"{motion.robot.name} {path.stem}")
-        _log(motion, companion, series, stream)
+        _log(motion, companion, [*more, *series], seen, stream)
+        if step is not None:
+            _log_step(motion, step, stream)
+
+
+def _log_step(motion: RobotMotion, step: Step, stream: rr.RecordingStream) -> None:
+    """A solid block, as wide as the ground and as far as the robot goes."""
+    margin = 1.5 * motion.robot.stand_m
+    low, high = (end[:2] + sign * margin for end, sign in zip(_extent(motion, None), (-1, 1), strict=True))
+    corners = np.array([[step.edge_m, low[1], 0.0], [high[0], high[1], step.height_m]])
+    stream.log(
+        "world/step",
+        rr.Boxes3D(mins=[corners[0]], sizes=[corners[1] - corners[0]], colors=STEP, fill_mode="solid"),
+        static=True,
+    )
+    edges = [[[step.edge_m, y, z] for y in corners[:, 1]] for z in corners[:, 2]]
+    stream.log("world/step/edge", rr.LineStrips3D(edges, colors=PATH, radii=0.006 * motion.robot.stand_m), static=True)
 
 
 def _log(
-    motion: RobotMotion, companion: Companion | None, series: Sequence[Series], stream: rr.RecordingStream
+    motion: RobotMotion,
+    companion: Companion | None,
+    series: Sequence[Series],
+    seen: tuple[Array, float],
+    stream: rr.RecordingStream,
 ) -> None:
     legs = np.stack([motion.points(label)[..., :, :] for label in LEGS], axis=1)
     count = len(motion.time_s)
@@ -75,6 +107,9 @@ def _log(
     down = motion.feet_m[motion.standing]
     columns = rr.Points3D.columns(positions=down).partition(motion.standing.sum(axis=1))
     stream.send_columns("world/robot/feet", times, columns)
+    stream.log("world/support", rr.LineStrips3D.from_fields(colors=TRAIL, radii=0.008 * size), static=True)
+    polygons = [_polygon(feet, stand) for feet, stand in zip(motion.feet_m, motion.standing, strict=True)]
+    stream.send_columns("world/support", times, strips(rr.LineStrips3D, polygons))
     if companion is not None:
         animal = companion.points_m
         limbs = [list(along) for along in companion.limbs.values()]
@@ -85,7 +120,7 @@ def _log(
         stream.send_columns("world/animal", times, strips(rr.LineStrips3D, lines))
     # The viewer frames what it follows by its bounds.
     stream.log("world/followed", rr.Points3D.from_fields(colors=(0, 0, 0, 0), radii=0.0), static=True)
-    middle, half = _middle(motion, companion)
+    middle, half = seen
     corners = np.stack([middle - half, middle + half], axis=1).reshape(-1, 3)
     columns = rr.Points3D.columns(positions=corners).partition([2] * count)
     stream.send_columns("world/followed", times, columns)
@@ -100,16 +135,25 @@ def _log(
         stream.log(f"stands/{label}", state_style({"stance": colours[k]}), static=True)
 
 
+def _polygon(feet_m: Array, standing: NDArray[np.bool_]) -> list[Array]:
+    around = [LEGS.index(label) for label in ("LF", "LH", "RH", "RF")]
+    feet = [feet_m[k] for k in around if standing[k]]
+    return [np.array([*feet, feet[0]])] if len(feet) > 2 else []
+
+
 def _angles(motion: RobotMotion, label: str) -> Series:
     names, values = motion.robot.legs[label].joints, np.degrees(motion.leg_angles(label))
     colours = [LIMB_COLOURS[k % len(LIMB_COLOURS)] for k in range(len(names))]
     return Series(f"angles/{label}", f"{label}, degrees", names, colours, values)
 
 
-def _middle(motion: RobotMotion, companion: Companion | None) -> tuple[Array, float]:
+def _middle(motion: RobotMotion, companion: Companion | None, step: Step | None) -> tuple[Array, float]:
     """Between the robot and the animal (N, 3), near the ground, and half the size of what is to be seen."""
     base = motion.pose.translation * (1.0, 1.0, 0.1)
     size = 1.2 * motion.robot.stand_m
+    if step is not None:
+        base[:, 2] += step.height_m
+        size += 0.7 * step.height_m
     if companion is None:
         return base, size
     across = companion.points_m[..., 1].mean(axis=1) - base[:, 1]
@@ -147,9 +191,15 @@ def _still(stream: rr.RecordingStream, motion: RobotMotion, companion: Companion
 
 
 def _blueprint(
-    motion: RobotMotion, companion: Companion | None, series: Sequence[Series], start_frame: int | None
+    motion: RobotMotion,
+    companion: Companion | None,
+    series: Sequence[Series],
+    start_frame: int | None,
+    seen: tuple[Array, float],
+    more: Sequence[Series],
+    title: str,
 ) -> rrb.Blueprint:
-    middle, half = _middle(motion, companion)
+    middle, half = seen
     eye = rrb.EyeControls3D(
         kind=rrb.Eye3DKind.Orbital,
         position=middle[0] + half * np.array([0.5, -2.0, 0.9]),
@@ -157,12 +207,14 @@ def _blueprint(
         eye_up=(0.0, 0.0, 1.0),
         tracking_entity="world/followed",
     )
-    title = motion.robot.title
+    title = title or motion.robot.title
     if companion is not None:
         title += f"; beside it {companion.title}, at {motion.scale:.2f} of its size"
     if motion.slower != 1:
         title += f"; {motion.slower:.3g} times slower than the animal"
     scene = rrb.Spatial3DView(origin="world", name=title, background=BACKGROUND, line_grid=False, eye_controls=eye)
+    angles = [plot(s) for s in series]
+    angles = [rrb.Tabs(*angles)] if more else angles
     stands = rrb.StateTimelineView(origin="stands", name="Feet that stand")
     if start_frame is None:
         fps = min(len(motion.time_s) / float(motion.time_s[-1]), len(motion.time_s) / 4)
@@ -170,7 +222,7 @@ def _blueprint(
     else:
         time = held_at(start_frame, len(motion.time_s))
     return rrb.Blueprint(
-        rrb.Vertical(scene, rrb.Horizontal(*(plot(s) for s in series), stands), row_shares=[3, 2]),
+        rrb.Vertical(scene, rrb.Horizontal(*(plot(s) for s in more), *angles, stands), row_shares=[3, 2]),
         rrb.BlueprintPanel(state="hidden"),
         rrb.SelectionPanel(state="hidden"),
         time,

@@ -105,6 +105,7 @@ def commands() -> dict[str, tuple[object, ...]]:
         "demo": ("demo", "--out", "out"),
         "analyse": ("analyse", "results", "--out", "out"),
         "ik": ("ik", "results", "--compare", "--out", "out"),
+        "climb": ("climb", "--out", "out"),
         "retarget": ("retarget", "results", "--robot", "a1", "--out", "out"),
         "convert": ("convert", "results", "out.trc"),
         "evaluate": ("evaluate", "results/pose3d.csv", SAMPLES / "whole_truth.csv"),

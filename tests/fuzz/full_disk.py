@@ -99,6 +99,7 @@ def cases(folder: Path) -> list[Case]:
         Case("analyse", ("analyse", clip, "--out", "{out}"), "analysis", False),
         Case("ik", ("ik", clip, "--target", "stride-max", "--no-figures", "--out", "{out}"), "ik"),
         Case("climb", ("climb", "--no-figures", "--out", "{out}"), "climb", read=read_manifest),
+        Case("climb", ("climb", "--no-figures", "--out", "{out}"), "climb", read=read_manifest),
         Case("retarget", ("retarget", clip, "--robot", "a1", "--out", "{out}"), "robot", read=read_manifest),
         Case(
             "prior fit",

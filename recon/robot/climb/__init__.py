@@ -5,8 +5,7 @@ After D. Cohen, SUNFEST, University of Pennsylvania, 2005. World: x to the right
 
 from recon.robot.climb.check import ClimbCheck, check
 from recon.robot.climb.plan import Climb, plan
-from recon.robot.climb.playback import write_playback
-from recon.robot.climb.recipe import Recipe, bundled, load_recipe, save_recipe
+from recon.robot.climb.recipe import Recipe, bundled, load_recipe, raised, save_recipe, scaled
 from recon.robot.climb.walker import Walker
 
 __all__ = [
@@ -18,6 +17,7 @@ __all__ = [
     "check",
     "load_recipe",
     "plan",
+    "raised",
     "save_recipe",
-    "write_playback",
+    "scaled",
 ]

@@ -93,6 +93,15 @@ def start(walker: Walker, recipe: Recipe) -> tuple[Torso, Array]:
     return solve(fields, _stand(walker, feet, NONE), guess, recipe.motion).torso, feet
 
 
+def field_at(climb: Climb, frame: int) -> tuple[Fields, Stand]:
+    """The fields that hold the torso in a frame, and where: before a footfall already those without its foot."""
+    lifted, number = int(climb.lifted[frame]), int(climb.footfall[frame])
+    if lifted == NONE and (climb.lifted[frame:] != NONE).any():
+        lifted = climb.recipe.footfalls[number].leg
+    fields = climb.recipe.primitives[int(climb.primitive[frame])].fields
+    return fields, _stand(climb.walker, climb.feet_m[frame], lifted)
+
+
 def _stand(walker: Walker, feet_m: Array, lifted: int) -> Stand:
     planted = np.arange(4) != lifted
     return Stand(walker.hips_m, walker.side, feet_m, feet_m[..., planted, :2].mean(axis=-2))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
@@ -97,6 +97,41 @@ def load_recipe(recipe: str | Path) -> Recipe:
         TorsoDynamics(**file.motion.model_dump(), dofs=PLANAR if file.dofs == 4 else SPATIAL),
         file.fps,
         file.made_by,
+    )
+
+
+def raised(recipe: Recipe, height_m: float) -> Recipe:
+    """For a step of another height: all heights in proportion."""
+    ratio = height_m / recipe.step.height_m
+    primitives = tuple(
+        replace(p, footfalls=tuple(replace(f, up_m=f.up_m * ratio) for f in p.footfalls)) for p in recipe.primitives
+    )
+    return replace(recipe, step=replace(recipe.step, height_m=height_m), primitives=primitives)
+
+
+def scaled(recipe: Recipe, factor: float) -> Recipe:
+    """For a robot of another size: all lengths in proportion, and fields that hold a robot of the same shape in the
+    same postures."""
+
+    def lengths(of: Any, *names: str) -> Any:
+        return replace(of, **{name: factor * getattr(of, name) for name in names})
+
+    def primitive(p: Primitive) -> Primitive:
+        f, r = p.fields, p.fields.radial
+        places = lengths(r, "natural", "least", "most")
+        radial = replace(places, gain=r.gain / factor**2, low=r.low / factor, high=r.high / factor)
+        fields = Fields(radial, f.swing, f.flap, f.balance_gain / factor, f.balance_sharpness / factor)
+        falls = tuple(lengths(fall, "forward_m", "up_m", "sideways_m") for fall in p.footfalls)
+        return replace(p, footfalls=falls, fields=fields)
+
+    motion = lengths(recipe.motion, "max_step_m", "arm_m")
+    return replace(
+        recipe,
+        step=lengths(recipe.step, "edge_m", "height_m"),
+        stance_m=factor * recipe.stance_m,
+        primitives=tuple(primitive(p) for p in recipe.primitives),
+        swing=lengths(recipe.swing, "clearance_m", "rise_m_s", "traverse_m_s", "lower_m_s"),
+        motion=replace(motion, mass=motion.mass / factor**2),
     )
 
 

@@ -63,7 +63,7 @@ class Walker:
         angles, slack, knees = np.empty_like(r), np.empty(r.shape[:-1]), np.empty_like(r)
         for k, leg in enumerate(self.legs):
             assert isinstance(leg.geometry, SwingLeg)
-            angles[..., k, :], slack[..., k], knees[..., k, :] = _bent(leg.geometry, r[..., k, :] * leg.mirror)
+            angles[..., k, :], slack[..., k], knees[..., k, :] = _bent_leg(leg.geometry, r[..., k, :] * leg.mirror)
             knees[..., k, :] *= leg.mirror
         limits = np.stack([leg.margins(angles[..., k, :]) for k, leg in enumerate(self.legs)], axis=-2)
         back = np.swapaxes(torso.rotation, -1, -2)
@@ -71,7 +71,7 @@ class Walker:
         return Posture(angles, limits, slack, hips, hips + knees @ back)
 
 
-def _bent(leg: SwingLeg, foot_m: Array) -> tuple[Array, Array, Array]:
+def _bent_leg(leg: SwingLeg, foot_m: Array) -> tuple[Array, Array, Array]:
     """Angles (..., 3), slack (...) and knee (..., 3) of a leg in its own axes."""
     x, y, z = np.moveaxis(foot_m, -1, 0)
     distance, (least, most) = np.linalg.norm(foot_m, axis=-1), leg.distances_m
