@@ -53,13 +53,13 @@ def test_from_the_side_theta_is_seen_and_phi_is_not_and_from_above_the_reverse()
 
 
 def test_without_noise_the_pixels_say_all():
-    """Keypoints on their joints and a thousandth of a pixel: next to nothing is left to the prior, not even of phi."""
-    exact = TrajectoryOptions(sigma_px=0.001, keypoint_sigma_m=0.0)
-    for angle in ("theta_6", "phi_6"):
-        sigma, share = seen_from((1.2, 0.5), angle=angle, options=exact)
-        assert share > 0.99
-        assert sigma < 0.03
-    assert seen_from((1.2, 0.5), joint="J8", options=exact)[1] > 0.99
+    """Keypoints on their joints and a hundredth of a pixel: little is left to the prior, even of phi."""
+    exact = TrajectoryOptions(sigma_px=0.01, keypoint_sigma_m=0.0)
+    for least, what in ((0.99, {"angle": "theta_6"}), (0.9, {"angle": "phi_6"}), (0.99, {"joint": "J8"})):
+        sigma, share = seen_from((1.2, 0.5), options=exact, **what)
+        usual = seen_from((1.2, 0.5), **what)
+        assert share > least > usual[1]
+        assert sigma < usual[0] / 2
 
 
 def test_nearer_is_better_and_out_of_the_picture_is_nothing():
