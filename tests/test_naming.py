@@ -15,10 +15,13 @@ from recon import FitSettings, InputError, Keypoints, load_skeleton
 from recon.app.batch.record import file_sha256, identity
 from recon.app.clip import prepare
 from recon.app.convert import Options, read_any
+from recon.app.skeleton_check import check_skeleton
+from recon.app.skeleton_draft import draft_skeleton
 from recon.export.deeplabcut import write_keypoints_csv
 from recon.io import read_keypoints
 from recon.naming import NameMap, builtin_maps, fitting_maps, load_names, map_to_write, new_names, renamed, suggestions
 from recon.net.evaluate2d import evaluate_2d_files
+from recon.plots.skeleton import expected_pose
 
 SAMPLES = Path(__file__).parents[1] / "data" / "samples"
 
@@ -196,6 +199,49 @@ def test_the_map_to_write(tmp_path):
     lines = list(map_to_write(["nose", "left_eye", "chin"], ["nose", "l_eye", "spine"]))
     assert lines == ["file,skeleton", "left_eye,l_eye", "chin,"]
     assert load_names(in_file(tmp_path, "\n".join(lines))).names == {"left_eye": "l_eye", "chin": ""}
+
+
+# -- a skeleton of these names -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("names", "placed"), [(SUPERANIMAL, 22), (AP_10K, 17), (MMPOSE_AP_10K, 17), (ANIMAL3D, 21), (ACINOSET, 24)]
+)
+def test_a_skeleton_is_drafted_from_names(names, placed, tmp_path):
+    """It can be used, and has the quadruped's pose; a keypoint may be called as one of its segments, such as neck."""
+    draft = draft_skeleton(names, "mine", Path("clip.csv"))
+    assert len(draft.markers) == placed
+    assert {*draft.markers} | {*draft.others} == {*names}
+    file = tmp_path / "mine.toml"
+    file.write_text(draft.text, encoding="utf-8")
+    body, quadruped = load_skeleton(file), load_skeleton("quadruped")
+    assert {*body.markers} == {*draft.markers}
+    at, of = (dict(zip(b.markers, expected_pose(b), strict=True)) for b in (body, quadruped))
+    for name, marker in draft.markers.items():
+        np.testing.assert_allclose(at[name], of[marker], atol=1e-12)
+    assert {label: draft.markers[foot] for label, foot in body.feet_by_label().items()} == quadruped.feet_by_label()
+    tail = () if "tail2" in draft.markers.values() else ("tail_1_yaw, tail_1_pitch, tail_2_yaw, tail_2_pitch",)
+    remarks = tuple(f"segments: no marker is moved by {angles}: they stay at their means." for angles in tail)
+    assert check_skeleton(file).remarks == remarks
+    assert {*body.limb_sides().values()} == {"left", "right", None}
+
+
+def test_a_draft_needs_both_ends_of_the_trunk():
+    with pytest.raises(InputError, match=r"Nose, .*one of them at the rear of the trunk \(tail_base, l_hip, spine\)"):
+        draft_skeleton(HORSE_10, "mine", Path("clip.csv"))
+
+
+def test_recon_skeleton_from_keypoints(tmp_path):
+    clip, out = as_named_by("superanimal-quadruped", tmp_path / "clip.csv", SUPERANIMAL), tmp_path / "mine.toml"
+    ended = run("skeleton", "from-keypoints", clip, "--out", out)
+    assert (ended.code, ended.err) == (0, "")
+    assert f"{out}: 22 of 39 keypoints have a place." in ended.out
+    assert "back_base as withers" in ended.out
+    assert "Without a place: upper_jaw, lower_jaw, " in ended.out
+    assert load_skeleton(out).name == "mine"
+    again = run("skeleton", "from-keypoints", clip, "--out", out)
+    assert (again.code, "which is there already" in again.err) == (2, True)
+    assert prepare(settings(clip, skeleton=out)).model.body.name == "mine"
 
 
 # -- commands ------------------------------------------------------------------------------------------------------

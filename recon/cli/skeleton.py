@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shlex
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, TypeVar
@@ -72,6 +73,30 @@ def skeleton_check(
         console.print(table)
     for line in _notes(check, out):
         say(console, line)
+
+
+@skeleton_app.command("from-keypoints")
+def skeleton_from_keypoints(
+    keypoints: Annotated[Path, typer.Argument(help="Keypoint file of any known format, as in clip.csv.")],
+    out: Annotated[Path, typer.Option(help="Skeleton file to write, as in my-animal.toml.")],
+    individual: Annotated[str | None, typer.Option(help="Which animal of a multi-animal file, as in animal1.")] = None,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the file.")] = False,
+) -> None:
+    """Draft a skeleton for the keypoints of a file: the proportions of the quadruped, with markers called so.
+
+    Example: recon skeleton from-keypoints clip.csv --out my-animal.toml
+    """
+    from recon.app.skeleton_draft import run_skeleton_draft
+
+    draft = run_skeleton_draft(keypoints, out, individual, overwrite)
+    console = terminal()
+    say(console, f"{out}: {len(draft.markers)} of {len(draft.markers) + len(draft.others)} keypoints have a place.")
+    other = [f"{name} as {marker}" for name, marker in draft.markers.items() if name != marker]
+    if other:
+        say(console, f"Taken for the quadruped's: {', '.join(other)}.")
+    if draft.others:
+        say(console, f"Without a place: {', '.join(draft.others)}.")
+    say(console, f"Look at it with: recon skeleton check {shlex.quote(str(out))} --out pictures")
 
 
 def _summary(check: SkeletonCheck) -> Iterator[str]:
