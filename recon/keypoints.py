@@ -214,7 +214,8 @@ def leave_out(
     frame, first = (int(i) for i in np.argwhere(points)[0])
     note = f"{out.sum()} points are {why}, and left out: {keypoints.names[first]} in frame {keypoints.frames[frame]}"
     note += ", ..." if out.sum() > 1 else ""
-    return _without(keypoints, points), dataclasses.replace(report, keypoints=counts, notes=(*report.notes, note))
+    report = dataclasses.replace(report, keypoints=counts, notes=(*report.notes, note))
+    return _without_points(keypoints, points), report
 
 
 def select_frames(keypoints: Keypoints, frames: tuple[int | None, int | None] | None) -> Keypoints:
@@ -256,7 +257,7 @@ def mark_missing(keypoints: Keypoints) -> tuple[Keypoints, MissingCounts]:
         nan_with_likelihood=(no_xy & has_likelihood).sum(axis=0),
         empty=(no_xy & ~has_likelihood).sum(axis=0),
     )
-    return _without(keypoints, no_xy | zero_zero), counts
+    return _without_points(keypoints, no_xy | zero_zero), counts
 
 
 def assume_likely(keypoints: Keypoints) -> tuple[Keypoints, np.ndarray]:
@@ -268,7 +269,7 @@ def assume_likely(keypoints: Keypoints) -> tuple[Keypoints, np.ndarray]:
 def reject_unlikely(keypoints: Keypoints, likelihood_min: float) -> tuple[Keypoints, np.ndarray]:
     """Present points of confidence below `likelihood_min` become missing. Returns their count, (K,)."""
     unlikely = keypoints.present & (keypoints.confidence < likelihood_min)
-    return _without(keypoints, unlikely), unlikely.sum(axis=0)
+    return _without_points(keypoints, unlikely), unlikely.sum(axis=0)
 
 
 def fill_gaps(keypoints: Keypoints) -> tuple[Keypoints, tuple[tuple[int, int], ...]]:
@@ -305,7 +306,7 @@ def frame_ranges(frames: np.ndarray) -> tuple[tuple[int, int], ...]:
     return tuple((int(run[0]), int(run[-1]) + 1) for run in runs)
 
 
-def _without(keypoints: Keypoints, points: np.ndarray) -> Keypoints:
+def _without_points(keypoints: Keypoints, points: np.ndarray) -> Keypoints:
     return dataclasses.replace(
         keypoints,
         xy_px=np.where(points[..., None], np.nan, keypoints.xy_px),

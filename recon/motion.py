@@ -189,15 +189,15 @@ class Motion:
     @property
     def unused_keypoints(self) -> tuple[str, ...]:
         """Of a file, but not of the skeleton."""
-        return tuple(name for name in self._of_files if name not in self.names)
+        return tuple(name for name in self._file_names if name not in self.names)
 
     @property
     def missing_keypoints(self) -> tuple[str, ...]:
         """Of the skeleton, but of no file."""
-        return tuple(name for name in self.names if name not in self._of_files)
+        return tuple(name for name in self.names if name not in self._file_names)
 
     @cached_property
-    def _of_files(self) -> dict[str, None]:
+    def _file_names(self) -> dict[str, None]:
         """Keypoints in the files' order, each once."""
         return dict.fromkeys(name for source in self.sources for name in source.file_names)
 

@@ -220,7 +220,7 @@ def read_results(folder: str | Path) -> Results:
         fps=float(report["input"]["fps"]),
         cameras=cameras,
         body=body,
-        pose=pose if is_upright else Pose3D(pose.names, _level(camera, pose.xyz_m), pose.frames, pose.source),
+        pose=pose if is_upright else Pose3D(pose.names, _in_level_frame(camera, pose.xyz_m), pose.frames, pose.source),
         states=states,
         sigma_m=sigma,
         relative_sigma_m=relative,
@@ -324,7 +324,7 @@ def _level_from_reference(camera: Camera) -> Array:
     return level if camera.rotation is None else level @ camera.rotation
 
 
-def _level(camera: Camera, points_m: Array) -> Array:
+def _in_level_frame(camera: Camera, points_m: Array) -> Array:
     """Points (..., 3) of its frame of reference in its level frame."""
     in_camera = camera.world_to_camera(points_m) if camera.has_extrinsics else points_m
     return in_camera @ level_from_camera(camera.up).T

@@ -41,7 +41,7 @@ def place_on_rays(joints_m: Array, rays: Array) -> tuple[Array, Array]:
         miss = np.linalg.norm(off, axis=2) * depth[:, None]
         weight = seen / (1.0 + (miss / _MISFIT_M) ** 2) ** 2
         normal, pull = _normal(off, slope, weight)
-        step = -_solved(normal + 1e-9 * np.eye(3), pull)[..., 0]
+        step = -_solution(normal + 1e-9 * np.eye(3), pull)[..., 0]
         length = np.linalg.norm(step, axis=1)
         t = t + step * np.minimum(1.0, 0.3 * depth / np.maximum(length, 1e-9))[:, None]
     q = joints_m + t[:, None]
@@ -117,12 +117,12 @@ def straight_runs(
         turned = motion.swapaxes(-1, -2)
         normal = np.sum(turned @ curvature @ motion, axis=1) + prior + 1e-9 * np.eye(6)
         gradient = np.sum(turned @ pull, axis=1)[..., 0] + x @ prior
-        x = x - _solved(normal, gradient[..., None])[..., 0]
+        x = x - _solution(normal, gradient[..., None])[..., 0]
     share = np.where(seen, 1.0 - 1.0 / (1.0 + miss**2), 0.0)
     return share.sum(axis=(1, 2)) / max(int(seen.sum()), 1) + (x[:, 3] < 0), x
 
 
-def _solved(matrix: Array, right: Array) -> Array:
+def _solution(matrix: Array, right: Array) -> Array:
     """matrix^-1 right (N, n, m) of normal equations (N, n, n). Where rounding leaves one singular, as where all rays
     are one, all are held a little."""
     try:

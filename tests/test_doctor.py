@@ -101,7 +101,7 @@ def test_versions_that_are_too_old_or_missing_are_broken():
     ],
 )
 def test_versions_are_compared_by_number(found, least, older):
-    assert module._older(found, least) is older
+    assert module._is_older(found, least) is older
 
 
 def test_a_module_of_another_distribution_counts(monkeypatch):
@@ -320,7 +320,7 @@ def called(monkeypatch: pytest.MonkeyPatch, *args: str, **environment: str) -> s
     [
         ("recon ", COMMANDS | {"prior", "robot", "skeleton", "subject"}),
         ("recon ana", {"analyse"}),
-        ("recon fit --camera", {"--camera", "--camera-name", "--camera-rotation", "--camera-track"}),
+        ("recon fit --camera", {"--camera", "--camera-name", "--camera-rotation", "--camera-track", "--camera-unit"}),
         ("recon skeleton c", {"check"}),
     ],
 )

@@ -94,4 +94,4 @@ def test_normal_equations_that_rounding_leaves_singular_are_solved():
     right = np.array([[[2.0], [4.0]], [[3.0], [3.0]]])
     with pytest.raises(np.linalg.LinAlgError):
         np.linalg.solve(matrix, right)
-    np.testing.assert_allclose(runs._solved(matrix, right), [[[1.0], [1.0]], [[1.5], [1.5]]], rtol=1e-6)
+    np.testing.assert_allclose(runs._solution(matrix, right), [[[1.0], [1.0]], [[1.5], [1.5]]], rtol=1e-6)

@@ -111,21 +111,21 @@ def camera_agreement(views: Sequence[View], fps: float, sigma_px: float, keypoin
         trials = {pair: _sights(_with_exchanged(views, *pair), *noise) for pair in pairs}
         of_trials = {pair: _levels(trial, everyone) for pair, trial in trials.items()}
         without = [_levels(sights, rest) for rest in combinations(everyone, len(everyone) - 1) if len(rest) > 1]
-        limit *= float(np.clip(min(_typical(of) for of in (*without, *of_trials.values())), 1.0, NOISIEST))
-        exchanged = _exchanged(levels, of_trials, limit)
+        limit *= float(np.clip(min(_median_level(of) for of in (*without, *of_trials.values())), 1.0, NOISIEST))
+        exchanged = _exchanged_pair(levels, of_trials, limit)
         judged = trials[exchanged] if exchanged else sights
     among = _agreeing(judged, fps, limit)
-    found = _all_compared(judged, among or everyone, fps)
+    found = _agreements(judged, among or everyone, fps)
     while len(among) > 2 and (turned := _standing_out(found, among)) is not None:
         among = tuple(v for v in among if v != turned)
-        found = _all_compared(judged, among, fps)
+        found = _agreements(judged, among, fps)
     findings = [Finding(exchanged, "exchanged")] if exchanged else []
     findings += [] if among else [Finding(everyone, "apart")]
     for v in everyone if among else ():
         if v not in among and not (_fits(found[v].level, limit) and _gain(found[v]) < CLEAR_GAIN):
             findings.append(Finding((v,), _kind(found[v], limit), found[v]))
     for v in exchanged or ():  # as it came
-        found[v] = _compared(sights[v], [judged[o] for o in among or everyone if o != v], fps, wide=False)
+        found[v] = _agreement(sights[v], [judged[o] for o in among or everyone if o != v], fps, wide=False)
     return Agreement(frames, limit, tuple(found), tuple(findings))
 
 
@@ -150,36 +150,36 @@ def _agree(levels: Levels, limit: float) -> bool:
     return all(_fits(level, limit) for level in levels.values())
 
 
-def _typical(levels: Levels) -> float:
+def _median_level(levels: Levels) -> float:
     """Infinite where nothing is known."""
     known = [level for level in levels.values() if np.isfinite(level)]
     return float(np.median(known)) if known else np.inf
 
 
-def _total(levels: Levels) -> float:
+def _level_sum(levels: Levels) -> float:
     return sum(level for level in levels.values() if np.isfinite(level))
 
 
-def _explained(level: float, before: float, limit: float) -> bool:
+def _is_explained(level: float, before: float, limit: float) -> bool:
     return level <= max(limit, EXPLAINED * before)
 
 
-def _exchanged(levels: Levels, trials: Mapping[tuple[int, int], Levels], limit: float) -> tuple[int, int] | None:
+def _exchanged_pair(levels: Levels, trials: Mapping[tuple[int, int], Levels], limit: float) -> tuple[int, int] | None:
     """The two cameras whose levels exchanged files explain."""
     good = {
-        pair: _total(after)
+        pair: _level_sum(after)
         for pair, after in trials.items()
-        if _total(after) < _total(levels) / 2
-        and all(_explained(after[v], levels[v], limit) for v in pair)
+        if _level_sum(after) < _level_sum(levels) / 2
+        and all(_is_explained(after[v], levels[v], limit) for v in pair)
         and (len(levels) > 2 or _agree(after, limit))
     }
     return min(good, key=lambda pair: good[pair], default=None)
 
 
-def _all_compared(sights: Sequence[_Sight], among: Sequence[int], fps: float) -> list[CameraAgreement]:
+def _agreements(sights: Sequence[_Sight], among: Sequence[int], fps: float) -> list[CameraAgreement]:
     """Each camera with those of them that are others."""
     return [
-        _compared(sight, [sights[o] for o in among if o != v], fps, wide=v not in among)
+        _agreement(sight, [sights[o] for o in among if o != v], fps, wide=v not in among)
         for v, sight in enumerate(sights)
     ]
 
@@ -232,13 +232,13 @@ def _cost_without(
     """To be made small: whether nothing brings the camera that is left out back, and how well the rest agrees."""
     (v,) = {*among} - {*rest}
     if len(rest) > 2:
-        return False, _total(_levels(sights, rest))
+        return False, _level_sum(_levels(sights, rest))
     points = _points([sights[o] for o in rest])
-    turned, _ = _turned(sights[v], points)
-    late, _ = _late(sights[v], points, fps, wide=True)
+    turned, _ = _best_turned(sights[v], points)
+    late, _ = _best_shifted(sights[v], points, fps, wide=True)
     levels = [_levels([*sights[:v], sight, *sights[v + 1 :]], among) for sight in (turned, late)]
-    best = min(levels, key=_total)
-    return not _agree(best, limit), _total(best)
+    best = min(levels, key=_level_sum)
+    return not _agree(best, limit), _level_sum(best)
 
 
 def _kind(found: CameraAgreement, limit: float) -> Kind:
@@ -246,7 +246,7 @@ def _kind(found: CameraAgreement, limit: float) -> Kind:
     if found.turn_rad <= LARGEST_TURN_RAD:
         causes["turned"] = found.level_turned
     best = min(causes, key=lambda kind: causes[kind] if np.isfinite(causes[kind]) else np.inf)
-    return best if _explained(causes[best], found.level, limit) else "unknown"
+    return best if _is_explained(causes[best], found.level, limit) else "unknown"
 
 
 # -- rays and points -----------------------------------------------------------------------------------------------
@@ -356,22 +356,22 @@ def _levels(sights: Sequence[_Sight], among: Sequence[int]) -> Levels:
     """Of each of these cameras against the others of them."""
     if len(among) == 2:
         a, b = among
-        return dict.fromkeys(among, _of_pair(sights[a], sights[b])[0])
+        return dict.fromkeys(among, _pair_level(sights[a], sights[b])[0])
     return {v: _level(sights[v], _points([sights[o] for o in among if o != v])) for v in among}
 
 
-def _compared(sight: _Sight, others: Sequence[_Sight], fps: float, wide: bool) -> CameraAgreement:
+def _agreement(sight: _Sight, others: Sequence[_Sight], fps: float, wide: bool) -> CameraAgreement:
     """wide: a lag is sought far and wide."""
     if len(others) == 1:
-        level, error_rad, n = _of_pair(sight, others[0])
+        level, error_rad, n = _pair_level(sight, others[0])
         return CameraAgreement(n, error_rad * sight.focal_px, level, np.nan, np.nan, np.nan, np.nan)
     points = _points(others)
     towards, squared = _errors(sight, points)
     off_rad = np.linalg.norm(towards - sight.rays, axis=-1)
     known = np.isfinite(squared)
     error_px = float(np.median(off_rad[known])) * sight.focal_px if known.sum() >= MIN_POINTS else np.nan
-    turned, turn_rad = _turned(sight, points)
-    late, late_frames = _late(sight, points, fps, wide)
+    turned, turn_rad = _best_turned(sight, points)
+    late, late_frames = _best_shifted(sight, points, fps, wide)
     return CameraAgreement(
         int(known.sum()),
         error_px,
@@ -383,7 +383,7 @@ def _compared(sight: _Sight, others: Sequence[_Sight], fps: float, wide: bool) -
     )
 
 
-def _of_pair(a: _Sight, b: _Sight) -> tuple[float, float, int]:
+def _pair_level(a: _Sight, b: _Sight) -> tuple[float, float, int]:
     """Level, median angle between a's rays and the planes through both centres and b's rays, and number of points."""
     line = b.centre_m - a.centre_m
     plane_a, plane_b = np.cross(b.rays, line[:, None]), np.cross(line[:, None], a.rays)
@@ -428,7 +428,7 @@ def _level(sight: _Sight, points: _Points) -> float:
     return float(np.sqrt(np.median(known) / _MEDIAN_OF_POINT)) if len(known) >= MIN_POINTS else np.nan
 
 
-def _turned(sight: _Sight, points: _Points) -> tuple[_Sight, float]:
+def _best_turned(sight: _Sight, points: _Points) -> tuple[_Sight, float]:
     """With the rotation of the camera that brings its rays nearest to the points, and the rotation's angle."""
     R = np.eye(3)
     towards, _ = _errors(sight, points)
@@ -448,7 +448,7 @@ def _turned(sight: _Sight, points: _Points) -> tuple[_Sight, float]:
     return replace(sight, rays=np.einsum("tij,tkj->tki", in_world, sight.rays)), angle
 
 
-def _late(sight: _Sight, points: _Points, fps: float, wide: bool) -> tuple[_Sight, float]:
+def _best_shifted(sight: _Sight, points: _Points, fps: float, wide: bool) -> tuple[_Sight, float]:
     """If its pictures were taken when they fit best, and how many frames later that is."""
     reach = min(max(round(LAG_S * fps), LITTLE_LAG) if wide else LITTLE_LAG, len(sight.rays) // 2)
     levels = {float(by): _level(sight.later(by), points) for by in range(-reach, reach + 1)}
@@ -456,7 +456,7 @@ def _late(sight: _Sight, points: _Points, fps: float, wide: bool) -> tuple[_Sigh
         return sight, np.nan
     best = min(levels, key=lambda by: (np.nan_to_num(levels[by], nan=np.inf), abs(by)))
     if not wide and abs(best) == reach:
-        return _late(sight, points, fps, wide=True)
+        return _best_shifted(sight, points, fps, wide=True)
     for by in (-0.75, -0.5, -0.25, 0.25, 0.5, 0.75):
         levels[best + by] = _level(sight.later(best + by), points)
     best = min(levels, key=lambda by: (np.nan_to_num(levels[by], nan=np.inf), abs(by)))

@@ -91,11 +91,11 @@ class Evaluation:
 def evaluate_files(pose_path: str | Path, truth_path: str | Path) -> Evaluation:
     """Evaluates a file of 3D positions (see `read_pose3d`), or the results that `recon fit` wrote into a folder,
     against another file. Raises InputError."""
-    pose, truth = all_of(lambda: read_pose3d(_of_results(Path(pose_path))), lambda: read_pose3d(truth_path))
+    pose, truth = all_of(lambda: read_pose3d(_pose_file(Path(pose_path))), lambda: read_pose3d(truth_path))
     return evaluate(pose, truth)
 
 
-def _of_results(path: Path) -> Path:
+def _pose_file(path: Path) -> Path:
     if path.is_dir() and not (path / "pose3d.csv").is_file():
         raise InputError(Problem(path, "folder", "no pose3d.csv", "results that `recon fit` wrote, or a file"))
     return path / "pose3d.csv" if path.is_dir() else path

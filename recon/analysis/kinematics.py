@@ -169,7 +169,7 @@ def series_kinematics(
                 lam[k] = _discrepancy_lam(t, values[rows, k], weight[rows, k])
             out[:, where, k] = _evaluate(_curve(t, values[rows, k], weight[rows, k], lam[k]), at)
         if spread is not None:
-            spread[:, where] = _spread(t, at, [e[rows] for e in errors], weight[rows], lam)
+            spread[:, where] = _spline_sigmas(t, at, [e[rows] for e in errors], weight[rows], lam)
         spans.append((int(rows[0]), int(rows[-1])))
         lams.append(lam)
     value_sigma, rate_sigma, acceleration_sigma = (None, None, None) if spread is None else spread
@@ -232,7 +232,7 @@ def _discrepancy_lam(t: Array, x: Array, weight: Array) -> float:
     return 10.0 ** float(brentq(excess, low, high, xtol=1e-3)) * scale
 
 
-def _spread(t: Array, at: Array, errors: Sequence[Errors], weight: Array, lam: Array) -> Array:
+def _spline_sigmas(t: Array, at: Array, errors: Sequence[Errors], weight: Array, lam: Array) -> Array:
     """Standard deviations (3, M, d) of value, rate and acceleration at times (M,) of the splines of a span (n,)."""
     variance = np.zeros((3, len(at), len(lam)))
     smooth = bool(lam.any())

@@ -32,7 +32,9 @@ def read_clip_cameras(settings: FitSettings) -> Cameras:
     """The camera of each keypoint file. Raises InputError."""
     reads = (lambda path=path: read_camera_track(path) for path in settings.camera_track or ())
     tracks = tuple(all_of(*reads))
-    chosen = _of_one(settings, tracks) if len(settings.keypoints) == 1 else _of_several(settings, tracks)
+    chosen = (
+        _cameras_of_one(settings, tracks) if len(settings.keypoints) == 1 else _cameras_of_several(settings, tracks)
+    )
     moving = tuple(_in_metres(_moving(one), settings.camera_unit) for one in chosen)
     if settings.tilt_deg is None:
         return moving
@@ -57,7 +59,7 @@ def _in_metres(one: ClipCamera, unit: Unit) -> ClipCamera:
     return replace(one, camera=replace(one.camera, translation_m=UNITS_M[unit] * one.camera.translation_m))
 
 
-def _of_one(settings: FitSettings, tracks: Sequence[CameraTrack]) -> Cameras:
+def _cameras_of_one(settings: FitSettings, tracks: Sequence[CameraTrack]) -> Cameras:
     """A clip with one keypoint file, whose camera any track is."""
     track = tracks[0] if tracks else None
     given = "a camera file" if settings.camera is not None else "--hfov-deg" if settings.hfov_deg is not None else None
@@ -67,7 +69,7 @@ def _of_one(settings: FitSettings, tracks: Sequence[CameraTrack]) -> Cameras:
             raise InputError(Problem("--camera-track", "camera", found, "one of the two"))
         return (ClipCamera(_own_lens(track.camera, settings, 0), track),)
     if settings.camera is not None:
-        (camera,) = _in_file(settings.camera, settings)
+        (camera,) = _cameras_in_file(settings.camera, settings)
     elif settings.hfov_deg is not None and settings.image_size_px is not None:
         camera = Camera.from_hfov(settings.hfov_deg, settings.image_size_px)
     else:
@@ -85,16 +87,17 @@ def _own_lens(camera: Camera, settings: FitSettings, place: int) -> Camera:
     return camera if settings.camera_name is None else replace(camera, name=settings.camera_name[place])
 
 
-def _of_several(settings: FitSettings, tracks: Sequence[CameraTrack]) -> Cameras:
+def _cameras_of_several(settings: FitSettings, tracks: Sequence[CameraTrack]) -> Cameras:
     """A track is that of the camera whose name its own contains."""
     if settings.camera_name is not None:
         reads = (
-            lambda i=i, name=name: _named(settings, i, name, tracks) for i, name in enumerate(settings.camera_name)
+            lambda i=i, name=name: _camera_by_name(settings, i, name, tracks)
+            for i, name in enumerate(settings.camera_name)
         )
         cameras = tuple(all_of(*reads))
     else:
         assert settings.camera is not None
-        cameras = _in_file(settings.camera, settings)
+        cameras = _cameras_in_file(settings.camera, settings)
     problems = list(_problems_of_several(settings.camera, cameras, tracks))
     if problems:
         raise InputError(problems)
@@ -108,7 +111,7 @@ def _of_several(settings: FitSettings, tracks: Sequence[CameraTrack]) -> Cameras
     return tuple(chosen)
 
 
-def _named(settings: FitSettings, place: int, name: str, tracks: Sequence[CameraTrack]) -> Camera:
+def _camera_by_name(settings: FitSettings, place: int, name: str, tracks: Sequence[CameraTrack]) -> Camera:
     """Of a track with a lens, or from the camera file."""
     for track in tracks:
         if track.camera is not None and name in cameras_in(track_label(track.source), settings.camera_name or ()):
@@ -118,7 +121,7 @@ def _named(settings: FitSettings, place: int, name: str, tracks: Sequence[Camera
     return read_camera(settings.camera, name, settings.image_size_px)
 
 
-def _in_file(path: Path, settings: FitSettings) -> tuple[Camera, ...]:
+def _cameras_in_file(path: Path, settings: FitSettings) -> tuple[Camera, ...]:
     """By name as given; else the only one, or the one whose name the keypoint file's name contains."""
     if settings.camera_name is not None:
         named = (lambda name=name: read_camera(path, name, settings.image_size_px) for name in settings.camera_name)

@@ -99,7 +99,7 @@ def versions(requires: Sequence[str] | None = None) -> Iterator[Check]:
             found = _version(name)
             if found is None:
                 yield Check("versions", name, "broken", "not installed", f"pip install '{name}>={least}'")
-            elif _older(found, least):
+            elif _is_older(found, least):
                 yield Check("versions", name, "broken", f"{found}, older than {least}", f"pip install -U {name}")
             else:
                 yield Check("versions", name, "ok", found)
@@ -125,7 +125,7 @@ def extras(requires: Sequence[str] | None = None) -> Iterator[Check]:
             lacking = [
                 name if found is None else f"{name} {found} < {least}"
                 for name, least, found in versions
-                if found is None or _older(found, least)
+                if found is None or _is_older(found, least)
             ]
             if lacking:
                 found = f"{what}: no {', '.join(lacking)}"
@@ -170,7 +170,7 @@ def _version(name: str) -> str | None:
     return f"{metadata.version(others[0])} ({others[0]})" if others else "unknown version"
 
 
-def _older(found: str, least: str) -> bool:
+def _is_older(found: str, least: str) -> bool:
     """By the numbers in front; a version without any is not older."""
     return bool(re.match(r"\d", found)) and _numbers(found) < _numbers(least)
 

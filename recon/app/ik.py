@@ -134,7 +134,7 @@ def limb_of(results: Results, foot: str | None = None, dim: Dim = 3, limited: bo
     Of the 8U chain that is the spine and the front leg. Of a whole animal, in space, all joints from the root to the
     foot, and in the plane the joints' projections onto the vertical plane of travel.
     """
-    label = _foot(results, foot)
+    label = _foot_label(results, foot)
     name = results.feet[label]
     if results.body.one_sided:
         return _spine_front_leg(results, load_chain(results.skeleton_name), label, dim, limited)
@@ -150,7 +150,7 @@ def limb_of(results: Results, foot: str | None = None, dim: Dim = 3, limited: bo
     return Limb(name, chain, along[:-1], q, results.fps, first_s, "UVW", float(np.nanmedian(misfit)))
 
 
-def _foot(results: Results, foot: str | None) -> str:
+def _foot_label(results: Results, foot: str | None) -> str:
     """LH, RH, LF or RF."""
     chain = results.body.one_sided
     there = [label for label in results.feet if label.endswith("F")] if chain else list(results.feet)
@@ -251,7 +251,7 @@ def run_ik(
     """
     out = folder / "ik" if out is None else out
     results = read_results(folder)
-    _check(methods)
+    _check_methods(methods)
     with sole_writer(out):
         require_free_folder(out, (SUMMARY,), overwrite)
         solved = _solved(results, methods, target, along_stride, foot, dim, turns, limited, fitted, stride_s)
@@ -290,7 +290,7 @@ def _solved(
     return Solved(limb, stride, goal, drives, follows, parameters, summary)
 
 
-def _check(methods: tuple[str, ...]) -> None:
+def _check_methods(methods: tuple[str, ...]) -> None:
     problems = [
         Problem("--method", "method", repr(name), ", ".join(METHODS)) for name in methods if name not in METHODS
     ]
@@ -316,15 +316,15 @@ def stride_of(results: Results, limb: Limb, stride_s: tuple[float, float] | None
     stride takes. Raises InputError for a clip that shows too little."""
     if stride_s is not None:
         stride = stride_given(results, stride_s)
-        return _found(results, limb, "given", (stride.start_s, stride.end_s))
+        return _found_stride(results, limb, "given", (stride.start_s, stride.end_s))
     gaits = gaits_of(results)
     label = next(label for label, joint in results.feet.items() if joint == limb.foot)
     doubts = [doubt_text(rule, d) for rule, gait in gaits.items() for d in gait.doubtful if d.stride.foot == label]
     rules: tuple[Rule, ...] = ("ground", "body")
     for rule in rules:
         if complete := next((s for s in gaits[rule].strides if s.foot == label), None):
-            return _found(results, limb, rule, (complete.start_s, complete.end_s), doubts)
-    return _found(results, limb, notes=doubts, lasts_s=stride_lasts_s(gaits["ground"]))
+            return _found_stride(results, limb, rule, (complete.start_s, complete.end_s), doubts)
+    return _found_stride(results, limb, notes=doubts, lasts_s=stride_lasts_s(gaits["ground"]))
 
 
 def stride_lasts_s(ground: Gait) -> tuple[float, float]:
@@ -342,7 +342,7 @@ def stride_lasts_s(ground: Gait) -> tuple[float, float]:
     return float(time_s[-1] - first_s - OVERSAMPLING / 2 * (time_s[1] - time_s[0])), np.inf
 
 
-def _found(
+def _found_stride(
     results: Results,
     limb: Limb,
     how: str = "",

@@ -188,8 +188,8 @@ def _solved_pieces(
     sizes: dict[Path, float] = {}
     rate = iter(rates if len(rates) > 1 else list(rates) * sum(map(len, files.values())))
     for path, of_file in files.items():
-        points_m = np.concatenate([_arranged(pose, body) for pose in of_file.values()])
-        states, rms_m, sizes[path] = _solved(body, points_m, None if estimate_size else 1.0, path)
+        points_m = np.concatenate([_markers_m(pose, body) for pose in of_file.values()])
+        states, rms_m, sizes[path] = _states_of_points(body, points_m, None if estimate_size else 1.0, path)
         first = 0
         for piece, pose in of_file.items():
             piece_fps = next(rate)
@@ -334,7 +334,7 @@ def _require_rates(rates: list[float], files: dict[Path, dict[str, Pose3D]], fps
         raise InputError(Problem(fps, "fps", f"{len(rates)} numbers", f"one, or {pieces}: one for every piece"))
 
 
-def _arranged(pose: Pose3D, body: Body) -> Array:
+def _markers_m(pose: Pose3D, body: Body) -> Array:
     """(T, J, 3): the markers of the body, NaN where the file lacks them."""
     points_m = np.full((len(pose.frames), len(body.markers), 3), np.nan)
     for j, marker in enumerate(body.markers):
@@ -343,7 +343,7 @@ def _arranged(pose: Pose3D, body: Body) -> Array:
     return points_m
 
 
-def _solved(body: Body, points_m: Array, size: float | None, path: Path) -> tuple[Array, Array, float]:
+def _states_of_points(body: Body, points_m: Array, size: float | None, path: Path) -> tuple[Array, Array, float]:
     if not (np.isfinite(points_m).all(axis=2).sum(axis=1) >= MIN_MARKERS).any():
         raise InputError(Problem(path, "frames", "too few points in each", f"{MIN_MARKERS} markers in some frame"))
     return solve_points_and_size(body, points_m, size)

@@ -182,7 +182,7 @@ def follow(
         if not note and step.note:
             note = f"{step.note} (step {k})"
     again = path[1] - path[0] if closed else path[-1] - path[-2]
-    last = _integrated(chain, taken.q, again / interval_s, method, interval_s)[0].dq
+    last = _one_interval(chain, taken.q, again / interval_s, method, interval_s)[0].dq
     error = np.linalg.norm(np.array(taken.ends) - points, axis=1)
     return Follow(**taken.run(last, error), note=note, turns=turns)
 
@@ -201,7 +201,7 @@ class _Taken:
     def step(self, dx: Array, method: Method, interval_s: float) -> tuple[JointRates, tuple[int, ...]]:
         """One interval at the velocity dx; what the method gave, and the joints that a limit stopped."""
         started = time.perf_counter()
-        step, self.q, stopped = _integrated(self.chain, self.q, dx, method, interval_s)
+        step, self.q, stopped = _one_interval(self.chain, self.q, dx, method, interval_s)
         self.times.append(time.perf_counter() - started)
         self.end = self.chain.end(self.q)
         self.path.append(self.q)
@@ -241,7 +241,7 @@ def roughness(q: Array) -> float:
     return float(np.mean(np.sum(np.diff(q, 2, axis=0) ** 2, axis=1))) if len(q) > 2 else 0.0
 
 
-def _integrated(
+def _one_interval(
     chain: SerialChain, q: Array, dx: Array, method: Method, interval_s: float
 ) -> tuple[JointRates, Array, tuple[int, ...]]:
     """One interval: the step, where it leads, and the joints that a limit stopped."""

@@ -60,7 +60,7 @@ class LeastNorm:
 
     def rates(self, chain: SerialChain, q: Array, dx: Array, free: Bools | None = None) -> JointRates:
         pseudo, singular = right_inverse(_jacobian(chain, q, free))
-        return _limited(chain, pseudo @ dx, free, singular)
+        return _within_limits(chain, pseudo @ dx, free, singular)
 
 
 @dataclass(frozen=True)
@@ -78,7 +78,7 @@ class JacobianTranspose:
             square = float(moved @ moved)
             alpha = float(dx @ moved) / square if square > 0 else 0.0
         _, singular = _inverse(J @ J.T)
-        return _limited(chain, alpha * dq, free, singular)
+        return _within_limits(chain, alpha * dq, free, singular)
 
 
 @dataclass(frozen=True)
@@ -95,7 +95,7 @@ class GradientProjection:
         g = self.gradient(q) if callable(self.gradient) else self.gradient.gradient(q)
         g = self.k * (g if free is None else g[free])
         pseudo, singular = right_inverse(J)
-        return _limited(chain, pseudo @ dx, free, singular, g - pseudo @ (J @ g))
+        return _within_limits(chain, pseudo @ dx, free, singular, g - pseudo @ (J @ g))
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,7 +107,7 @@ class WeightedLeastNorm:
     def rates(self, chain: SerialChain, q: Array, dx: Array, free: Bools | None = None) -> JointRates:
         J = _jacobian(chain, q, free)
         inverse, singular = right_inverse(J, J / (self.weights if free is None else self.weights[free]))
-        return _limited(chain, inverse @ dx, free, singular)
+        return _within_limits(chain, inverse @ dx, free, singular)
 
 
 @dataclass(frozen=True)
@@ -119,7 +119,7 @@ class DampedLeastSquares:
     def rates(self, chain: SerialChain, q: Array, dx: Array, free: Bools | None = None) -> JointRates:
         J = _jacobian(chain, q, free)
         inverse, singular = right_inverse(J, J, self.damping_m**2)
-        return _limited(chain, inverse @ dx, free, singular)
+        return _within_limits(chain, inverse @ dx, free, singular)
 
 
 @dataclass(frozen=True)
@@ -138,7 +138,7 @@ class SelectivelyDamped:
         J = _jacobian(chain, q, free)
         limit = self.gamma_max_rad / self.interval_s
         if not J.size or not np.isfinite(J).all():
-            return _limited(chain, np.zeros(J.shape[1]), free, True)
+            return _within_limits(chain, np.zeros(J.shape[1]), free, True)
         u, s, vt, _ = lapack.dgesdd(J, full_matrices=False)
         along = (dx @ u).tolist()
         sways = (np.abs(vt) @ np.sqrt((J * J).sum(axis=0))).tolist()
@@ -148,7 +148,7 @@ class SelectivelyDamped:
                 continue
             turn = vt[i] * (part / value)
             dq += _clamped(turn, min(1.0, value / sway) * limit)
-        return _limited(chain, _clamped(dq, limit), free, values[-1] ** 2 <= SINGULAR * values[0] ** 2)
+        return _within_limits(chain, _clamped(dq, limit), free, values[-1] ** 2 <= SINGULAR * values[0] ** 2)
 
 
 @dataclass(frozen=True)
@@ -177,7 +177,7 @@ class ExtendedJacobian:
         pseudo, singular = right_inverse(J)
         dq = pseudo @ dx
         if J.shape[1] <= J.shape[0] or (singular and not np.isfinite(J).all()):
-            return _limited(chain, dq, free, singular)
+            return _within_limits(chain, dq, free, singular)
         g, M = reduced_gradient(self.cost, q, pseudo, curvature if self.full else None, free)
         K, lost = _reduced_inverse(M, null_basis(J))
         along = -(K @ (M @ dq))
@@ -185,7 +185,9 @@ class ExtendedJacobian:
             back = K @ g
             size = math.sqrt(float(back @ back))
             along -= back * (self.gain_per_s * min(1.0, MAX_CORRECTION_RAD / size if size > 0 else 1.0))
-        return _limited(chain, dq, free, singular or lost, along, "singular: the extended Jacobian" if lost else "")
+        return _within_limits(
+            chain, dq, free, singular or lost, along, "singular: the extended Jacobian" if lost else ""
+        )
 
 
 def reduced_gradient(
@@ -290,7 +292,7 @@ def _clamped(values: Array, limit: float) -> Array:
     return values * (limit / largest) if largest > limit else values
 
 
-def _limited(
+def _within_limits(
     chain: SerialChain, dq: Array, free: Bools | None, singular: bool, along: Array | None = None, note: str = ""
 ) -> JointRates:
     """Rates dq of the free joints, and as much of a motion along the null space as the limits leave to it; 0 for the

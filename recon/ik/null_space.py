@@ -82,7 +82,7 @@ def _null_space_newton(chain: SerialChain, q0: Array, cost: Cost, descend: bool)
         step *= min(1.0, _NULL_STEP_RAD / max(float(np.linalg.norm(step)), 1e-300))
         moved, here, share = q, cost.value(q), 1.0
         for _ in range(30):
-            moved = _returned(chain, q + share * step, home, free)
+            moved = _back_home(chain, q + share * step, home, free)
             if moved is not None and (not descend or cost.value(moved) <= here + 1e-14 * (1 + abs(here))):
                 break
             share /= 2
@@ -104,7 +104,7 @@ def _null_space_newton(chain: SerialChain, q0: Array, cost: Cost, descend: bool)
     return Optimum(reason, np.array(path), gradient, kind)
 
 
-def _returned(chain: SerialChain, q: Array, home: Array, free: Bools) -> Array | None:
+def _back_home(chain: SerialChain, q: Array, home: Array, free: Bools) -> Array | None:
     """q with the end effector back at home, by least-norm steps; None if they do not lead there."""
     for _ in range(12):
         miss = home - chain.end(q)

@@ -72,7 +72,7 @@ class Chessboard:
         xy = np.asarray(xy, dtype=float).reshape(-1, 2)
         if xy[0].sum() > xy[-1].sum():
             xy = xy[::-1]  # half a turn maps the board onto itself, and which end comes first is arbitrary
-        return Corners(np.arange(len(xy)), _refined(image, xy, 0.28))
+        return Corners(np.arange(len(xy)), _refined_corners(image, xy, 0.28))
 
 
 @dataclass(frozen=True)
@@ -125,7 +125,7 @@ class Charuco:
             return None
         # As far as the nearest marker, which would pull the corner towards its own.
         reach = 0.45 * (1 - self.marker_m / self.square_m)
-        xy = _refined(image, np.asarray(xy, dtype=float).reshape(-1, 2), reach)
+        xy = _refined_corners(image, np.asarray(xy, dtype=float).reshape(-1, 2), reach)
         return Corners(np.ravel(ids).astype(np.intp), xy)
 
 
@@ -175,7 +175,7 @@ def parse_board(text: str) -> Board:
     return Charuco(columns, rows, square, marker, dictionary, legacy=len(parts) == 5)
 
 
-def _refined(image: Gray, xy_px: Array, reach: float) -> Array:
+def _refined_corners(image: Gray, xy_px: Array, reach: float) -> Array:
     """Corners (N, 2) moved to where the gradients around them say, within `reach` of the distance to the next corner.
 
     That halves the error of what the detectors give. The window must see neither the board's edge nor a neighbour:

@@ -135,7 +135,7 @@ def check(calibration: Calibration) -> tuple[Check, ...]:
         "principal point": 100 * max(sigma[2:4]) / width,
         "aspect": 100 * abs(values["fx"] / values["fy"] - 1),
         "centre": 100 * math.hypot(values["cx"] - (width - 1) / 2, values["cy"] - (height - 1) / 2) / width,
-        "folded": 100 * (1 - camera.rays(_grid(width, height))[1].mean()),
+        "folded": 100 * (1 - camera.rays(_pixel_grid(width, height))[1].mean()),
     }
     return tuple(Check(limit, float(measured[limit.name])) for limit in LIMITS)
 
@@ -151,6 +151,6 @@ def coverage(calibration: Calibration, columns: int = 320) -> Bools:
     return mask.astype(bool)
 
 
-def _grid(width: int, height: int) -> Array:
+def _pixel_grid(width: int, height: int) -> Array:
     y, x = np.mgrid[0 : height - 1 : 41j, 0 : width - 1 : 41j]
     return np.stack((x, y), axis=-1)

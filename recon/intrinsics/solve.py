@@ -125,12 +125,12 @@ def calibrate(views: BoardViews, model: LensModel, name: str = "cam1") -> Calibr
     every = {view.name: view for view in fitted}
     for view in views.views:
         if view.name not in every:
-            every[view.name] = replace(_fitted(view, points, camera, *_pose(view, points, camera)), used=False)
+            every[view.name] = replace(_fitted_view(view, points, camera, *_pose(view, points, camera)), used=False)
     sigma = _sigma(fitted, points, camera)
     return Calibration(camera, views.board, tuple(every[view.name] for view in views.views), tuple(sigma.tolist()))
 
 
-def _fitted(
+def _fitted_view(
     view: BoardView, points: Array, camera: Camera, rotation_vector: Array, translation: Array
 ) -> FittedBoardView:
     rotation = np.asarray(cv2.Rodrigues(rotation_vector)[0], dtype=float)
@@ -153,7 +153,7 @@ def _solve(
         expected = "boards tilted in different ways, over the whole picture"
         raise InputError(Problem("pictures", f"{model} model", "no solution", expected)) from error
     poses = zip(views, rotations, translations, strict=True)
-    return camera, [_fitted(view, points, camera, rotation, place) for view, rotation, place in poses]
+    return camera, [_fitted_view(view, points, camera, rotation, place) for view, rotation, place in poses]
 
 
 def _solve_radtan(views: Sequence[BoardView], points: Array, size: tuple[int, int], model: LensModel) -> Any:

@@ -84,7 +84,7 @@ def read_pose(path: Path, individual: str | None = None) -> StoredPose:
     frames = np.arange(count)
     fps = float(f"{1 / frame_time_s:.9g}")
     if own is not None and len(own) <= count and own[-1] - own[0] == count - 1:
-        xyz[_marked(joints, motion)[:, kept]] = np.nan
+        xyz[_is_marked(joints, motion)[:, kept]] = np.nan
         frames, xyz = own, xyz[own - own[0]]
     inner = {j: joints[j].parent for j in kept}
     edges = tuple((joints[p].name, joints[j].name) for j, p in inner.items() if p in inner)
@@ -171,7 +171,7 @@ def _rotation(axis: int, angle_rad: np.ndarray) -> np.ndarray:
     return R
 
 
-def _marked(joints: list[_Joint], motion: np.ndarray) -> np.ndarray:
+def _is_marked(joints: list[_Joint], motion: np.ndarray) -> np.ndarray:
     """(T, J) bool: turned by 360 degrees."""
     marked = np.zeros((len(motion), len(joints)), bool)
     for j, joint in enumerate(joints):

@@ -37,7 +37,7 @@ def read(path: Path, individual: str | None = None) -> Keypoints:
     if missing:
         raise InputError([Problem(path, key, "no list", "a list") for key in missing])
     try:
-        return _read(path, content, individual)
+        return _keypoints(path, content, individual)
     except InputError:
         raise
     except (KeyError, TypeError, AttributeError, ValueError) as error:
@@ -46,7 +46,7 @@ def read(path: Path, individual: str | None = None) -> Keypoints:
         raise InputError(Problem(path, "images, annotations, categories", found, expected)) from None
 
 
-def _read(path: Path, content: dict[str, Any], individual: str | None) -> Keypoints:
+def _keypoints(path: Path, content: dict[str, Any], individual: str | None) -> Keypoints:
     names = _names(path, content["categories"], content["annotations"])
     numbers, notes = _frame_numbers(path, content["images"])
     frames = np.array(sorted(numbers.values()), dtype=np.int64)

@@ -66,10 +66,10 @@ def opened(path: Path, outline: bool = False) -> Iterator[h5py.File]:
     except InputError:
         raise
     except DAMAGE as error:
-        raise InputError(_damaged(path, error)) from None
+        raise InputError(_damaged_problem(path, error)) from None
 
 
-def _damaged(path: Path, error: Exception) -> Problem:
+def _damaged_problem(path: Path, error: Exception) -> Problem:
     found = f"data that cannot be read ({' '.join(str(error).split())[:200] or type(error).__name__})"
     return Problem(path, "content", found, "an undamaged file")
 
@@ -213,7 +213,7 @@ def raw_attribute(holder: h5py.Group | h5py.Dataset, name: str) -> Any:
         return None
     stored = h5py.h5a.open(holder.id, name.encode())
     kind = stored.get_type()
-    if not _readable(kind) or kind.get_class() == h5py.h5t.COMPOUND:
+    if not _is_readable(kind) or kind.get_class() == h5py.h5t.COMPOUND:
         raise ValueError(f"attribute {name} is neither number nor text")
     many = int(np.prod(stored.shape or (1,), dtype=float))
     if many * kind.get_size() > MAX_ATTRIBUTE_BYTES or (many > MAX_TEXTS and _of_any_length(kind)):
@@ -280,7 +280,7 @@ def _require_readable(dataset: Any) -> None:
     if not isinstance(dataset, h5py.Dataset):
         raise ValueError(f"{getattr(dataset, 'name', 'something')} is no dataset")
     kind, layout = dataset.id.get_type(), dataset.id.get_create_plist()
-    if not _readable(kind):
+    if not _is_readable(kind):
         raise ValueError(f"{dataset.name} has neither numbers nor texts")
     if layout.get_layout() == h5py.h5d.VIRTUAL or layout.get_external_count():
         raise ValueError(f"the data of {dataset.name} lie in another file")
@@ -301,14 +301,16 @@ def _require_readable(dataset: Any) -> None:
             raise ValueError(f"{dataset.name} asks for {wanted:.3g} bytes, of which the file has {stored}")
 
 
-def _readable(kind: Any, inside: bool = False) -> bool:
+def _is_readable(kind: Any, inside: bool = False) -> bool:
     """Whether a type is of numbers or texts, or of records or short rows of those."""
     from h5py import h5t
 
     which = kind.get_class()
     if which == h5t.COMPOUND:
         members = [kind.get_member_type(i) for i in range(kind.get_nmembers())]
-        return not inside and not any(_of_any_length(m) for m in members) and all(_readable(m, True) for m in members)
+        return (
+            not inside and not any(_of_any_length(m) for m in members) and all(_is_readable(m, True) for m in members)
+        )
     if which == h5t.ARRAY:
         return inside and kind.get_super().get_class() in (h5t.INTEGER, h5t.FLOAT, h5t.STRING, h5t.BITFIELD)
     return which in (h5t.INTEGER, h5t.FLOAT, h5t.STRING, h5t.ENUM, h5t.BITFIELD)

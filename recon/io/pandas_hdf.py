@@ -51,7 +51,7 @@ def read_frame(path: Path, key: str) -> Frame:
     with opened(path) as file:
         group = child(file, key)
         kind = attribute(group, "pandas_type") if group is not None else None
-        layouts = {"frame": _fixed, "frame_table": _table}
+        layouts = {"frame": _fixed_frame, "frame_table": _table_frame}
         if group is None or kind not in layouts:
             kinds = {"series": "a Series", "series_table": "a Series"}
             raise InputError(Problem(path, f"key {key}", kinds.get(str(kind), f"'{kind}'"), "a table"))
@@ -69,7 +69,7 @@ class _NotPlain(Exception):
 # -- fixed layout: the axes and the blocks of columns of one type, each an array ---------------------------------
 
 
-def _fixed(group: Any) -> Frame:
+def _fixed_frame(group: Any) -> Frame:
     levels, columns = _axis(group, "axis0")
     _, index = _axis(group, "axis1")
     free: dict[Label, list[int]] = {}
@@ -89,13 +89,16 @@ def _fixed(group: Any) -> Frame:
 def _axis(group: Any, name: str) -> tuple[tuple[str | None, ...], tuple[Label, ...]]:
     """Names of the levels, and labels."""
     if attribute(group, f"{name}_variety") != "multi":
-        dataset = _there(group, name)
+        dataset = _required_child(group, name)
         return (_name(dataset),), tuple((label,) for label in _labels(group, dataset))
-    levels = [_there(group, f"{name}_level{i}") for i in range(_count(attribute(group, f"{name}_nlevels"), MAX_LEVELS))]
+    levels = [
+        _required_child(group, f"{name}_level{i}")
+        for i in range(_count(attribute(group, f"{name}_nlevels"), MAX_LEVELS))
+    ]
     parts = []
     for i, level in enumerate(levels):
         texts = [*_labels(group, level), "nan"]  # code -1
-        codes = _whole(group, f"{name}_label{i}")
+        codes = _whole_numbers(group, f"{name}_label{i}")
         if ((codes < -1) | (codes >= len(texts) - 1)).any():
             raise ValueError(f"{name}_label{i} has codes without a label")
         parts.append([texts[code] for code in codes.tolist()])
@@ -121,10 +124,10 @@ def _texts_of(group: Any, values: np.ndarray, kind: Any) -> list[str]:
 
 def _values(group: Any, name: str) -> np.ndarray:
     """Cells (T, C) of one block."""
-    dataset = _there(group, name)
+    dataset = _required_child(group, name)
     _require_plain_cells(dataset)
     if _is_empty(dataset):
-        columns, rows = _pickled(dataset, "shape")
+        columns, rows = _attribute_value(dataset, "shape")
         return np.zeros((_count(rows, 10**9), _count(columns, 10**6)), float)
     values = read(dataset)
     if values.ndim != 2 or values.dtype.kind not in "fiubS":
@@ -135,7 +138,7 @@ def _values(group: Any, name: str) -> np.ndarray:
 
 def _is_empty(dataset: Any) -> bool:
     """pandas stores an array without elements as one with one, and its shape beside it."""
-    shape = _pickled(dataset, "shape")
+    shape = _attribute_value(dataset, "shape")
     return isinstance(shape, tuple) and 0 in shape
 
 
@@ -147,10 +150,10 @@ def _require_plain_cells(dataset: Any) -> None:
 # -- table layout: one array of records, and the labels of its columns pickled -----------------------------------
 
 
-def _table(group: Any) -> Frame:
+def _table_frame(group: Any) -> Frame:
     if (kind := attribute(group, "table_type")) != "appendable_frame":
         raise ValueError(f"a table of type {kind}")
-    axes = _pickled(group, "non_index_axes")
+    axes = _attribute_value(group, "non_index_axes")
     try:
         ((axis, given),) = axes
     except (TypeError, ValueError):
@@ -161,15 +164,15 @@ def _table(group: Any) -> Frame:
     depth = {len(label) for label in columns}
     if len(depth) != 1:
         raise ValueError("labels of different levels")
-    dataset = _there(group, "table")
+    dataset = _required_child(group, "table")
     rows = read(dataset)
     if rows.ndim != 1 or rows.dtype.names is None:
         raise ValueError("a table without records")
     index = _texts_of(group, _field(rows, "index"), attribute(dataset, "index_kind"))
     places = {label: at for at, label in enumerate(columns)}
     parts: list[tuple[list[int], np.ndarray]] = []
-    for name in _pickled(group, "values_cols"):
-        labels = [_label(label) for label in _pickled(dataset, f"{name}_kind")]
+    for name in _attribute_value(group, "values_cols"):
+        labels = [_label(label) for label in _attribute_value(dataset, f"{name}_kind")]
         values = _field(rows, str(name)).reshape(len(rows), -1)
         if values.shape[1] != len(labels) or values.dtype.kind not in "fiubS":
             raise ValueError(f"{values.shape[1]} columns of {values.dtype} with {len(labels)} labels in {name}")
@@ -185,7 +188,7 @@ def _field(rows: np.ndarray, name: str) -> np.ndarray:
 
 
 def _level_names(group: Any, depth: int) -> tuple[str | None, ...]:
-    info = _pickled(group, "info")
+    info = _attribute_value(group, "info")
     about = info.get(1, {}) if isinstance(info, dict) else {}
     found = about.get("names") if isinstance(about, dict) else None
     if not isinstance(found, list | tuple) or len(found) != depth:
@@ -216,15 +219,15 @@ def _table_of_blocks(rows: int, columns: int, parts: list[tuple[list[int], np.nd
     return cells
 
 
-def _there(group: Any, name: str) -> Any:
+def _required_child(group: Any, name: str) -> Any:
     found = child(group, name)
     if found is None:
         raise ValueError(f"no {name} in {', '.join(names(group))[:200] or 'an empty group'}")
     return found
 
 
-def _whole(group: Any, name: str) -> np.ndarray:
-    values = numbers(_there(group, name)).ravel()
+def _whole_numbers(group: Any, name: str) -> np.ndarray:
+    values = numbers(_required_child(group, name)).ravel()
     if values.dtype.kind not in "iu":
         raise ValueError(f"{name} has no whole numbers")
     return values
@@ -238,11 +241,11 @@ def _count(value: Any, most: int) -> int:
 
 def _name(dataset: Any) -> str | None:
     """Of a level."""
-    value = _pickled(dataset, "name")
+    value = _attribute_value(dataset, "name")
     return None if value is None else str(value)[:100]
 
 
-def _pickled(holder: Any, name: str) -> Any:
+def _attribute_value(holder: Any, name: str) -> Any:
     """An attribute as PyTables writes it: a text or number as it is, anything else pickled, which ends in a dot."""
     value = raw_attribute(holder, name)
     if not isinstance(value, bytes):

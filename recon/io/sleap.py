@@ -44,9 +44,9 @@ def read(path: Path, individual: str | None = None) -> Keypoints:
             raise InputError(Problem(path, "tracks", "a link to nowhere", "a dataset"))
         arrays = {name: _array(path, dataset, name) for name, dataset in stored.items() if dataset is not None}
         fps = _fps(file)
-    xy, score, occupied = _fitting(path, names, tracks, arrays)
+    xy, score, occupied = _checked_arrays(path, names, tracks, arrays)
     animals = tracks or [f"track_{i}" for i in range(xy.shape[1])]
-    which = choose(path, animals, individual)
+    which = choose(path, animals, individual, (np.isfinite(xy) & occupied[..., None, None]).any(axis=(0, 2, 3)))
     frames = np.flatnonzero(occupied[:, which])
     if not len(frames):
         raise InputError(Problem(path, f"track {animals[which]}", "no frame with it", "at least one"))
@@ -94,7 +94,7 @@ def _fps(file: Any) -> float | None:
     return rate(provenance.get("fps")) if isinstance(provenance, dict) else None
 
 
-def _fitting(
+def _checked_arrays(
     path: Path, names: list[str], tracks: list[str], arrays: dict[str, np.ndarray]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """xy (T, N, K, 2), scores (T, N, K) and occupancy (T, N) bool of N tracks. Raises InputError where they do not fit

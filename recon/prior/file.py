@@ -52,15 +52,15 @@ def load_prior(name_or_path: str | Path, body: Body) -> MotionPrior:
         return prior_from_body(body)
     if str(name_or_path) in builtin_priors():
         content = (resources.files("recon") / "priors" / f"{name_or_path}.npz").read_bytes()
-        return _parsed(content, f"prior {name_or_path}", body)
+        return _prior(content, f"prior {name_or_path}", body)
     path = Path(name_or_path)
     if not path.is_file():
         expected = f"one of {', '.join((*builtin_priors(), NONE))}, or a prior file (.npz)"
         raise InputError(Problem("--prior", "name or file", repr(str(name_or_path)), expected))
-    return _parsed(path.read_bytes(), str(path), body)
+    return _prior(path.read_bytes(), str(path), body)
 
 
-def _parsed(content: bytes, source: str, body: Body) -> MotionPrior:
+def _prior(content: bytes, source: str, body: Body) -> MotionPrior:
     try:
         with np.load(io.BytesIO(content), allow_pickle=False) as file:
             stored = {key: file[key] for key in file.files}
@@ -70,7 +70,7 @@ def _parsed(content: bytes, source: str, body: Body) -> MotionPrior:
     lacking = [key for key in ("about", *SHAPES) if key not in stored]
     if lacking:
         raise InputError([Problem(source, key, "nothing", _EXPECTED) for key in lacking])
-    about, problems = _about(stored["about"], source)
+    about, problems = _texts(stored["about"], source)
     arrays = {}
     for key in SHAPES:
         if stored[key].dtype.kind == "f":
@@ -91,7 +91,7 @@ def _parsed(content: bytes, source: str, body: Body) -> MotionPrior:
     return MotionPrior(about["name"], tuple(about["angles"]), **arrays, source=about["source"], segments=segments)
 
 
-def _about(stored: np.ndarray, source: str) -> tuple[dict | None, list[Problem]]:
+def _texts(stored: np.ndarray, source: str) -> tuple[dict | None, list[Problem]]:
     """The texts of a file, None where they are not as they should be."""
     try:
         about = json.loads(str(stored))

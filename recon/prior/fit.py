@@ -46,7 +46,7 @@ def fit_prior(
         for speed in [mean_speed_m_s(states, fps)]
     )
     used = [(states, fps) for (_, states, fps), row in zip(segments, rows, strict=True) if row.used]
-    poses, at, rates, accelerations = _both_ways(body, used)
+    poses, at, rates, accelerations = _poses_and_changes(body, used)
     angles = body.state_names[ANGLES]
     owners = [angle.rsplit("_", 1)[0] for angle in angles]
     n_frames, problems = len(poses) // 2, []
@@ -77,7 +77,7 @@ def mean_speed_m_s(states: Array, fps: float) -> float:
     return float(np.nanmean(steps)) if np.isfinite(steps).any() else 0.0
 
 
-def _both_ways(body: Body, segments: Sequence[tuple[Array, float]]) -> tuple[Array, Array, Array, Array]:
+def _poses_and_changes(body: Body, segments: Sequence[tuple[Array, float]]) -> tuple[Array, Array, Array, Array]:
     """Poses (N, A); and where three follow each other, poses, rates and accelerations, each (M, A). Each segment is
     followed by its mirror image."""
     permutation, sign = body.mirror

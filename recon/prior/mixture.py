@@ -34,9 +34,9 @@ def mixture(
         _, nearest = kmeans2(scaled, components, _K_MEANS_ITERATIONS, minit="++", rng=rng)
     share = np.eye(components)[nearest]
     for _ in range(_EM_ITERATIONS):
-        density = _log_densities(poses, *_maximised(poses, share, shrink, extra))
+        density = _log_densities(poses, *_mixture_parameters(poses, share, shrink, extra))
         share = np.exp(density - logsumexp(density, axis=1, keepdims=True))
-    return _maximised(poses, share, shrink, extra)
+    return _mixture_parameters(poses, share, shrink, extra)
 
 
 def log_likelihood(prior: MotionPrior, states: Array) -> float:
@@ -47,7 +47,7 @@ def log_likelihood(prior: MotionPrior, states: Array) -> float:
     return float(logsumexp(_log_densities(poses, prior.weights, prior.means, prior.covariances), axis=1).mean())
 
 
-def _maximised(poses: Array, share: Array, shrink: float, extra: Array) -> tuple[Array, Array, Array]:
+def _mixture_parameters(poses: Array, share: Array, shrink: float, extra: Array) -> tuple[Array, Array, Array]:
     count = np.maximum(share.sum(axis=0), 1e-9)
     means = share.T @ poses / count[:, None]
     off = (poses - mean for mean in means)

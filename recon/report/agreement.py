@@ -32,7 +32,7 @@ def section(motion: Motion, settings: Mapping[str, Any]) -> dict[str, Any] | Non
             {
                 "cameras": [names[v] for v in finding.cameras],
                 "kind": finding.kind,
-                "text": _text(finding, agreement, names, offsets_s, motion.fps),
+                "text": _finding_text(finding, agreement, names, offsets_s, motion.fps),
             }
             for finding in agreement.findings
         ],
@@ -44,25 +44,25 @@ def warnings(report: Mapping[str, Any]) -> Iterator[str]:
         yield finding["text"]
 
 
-def _text(finding: Finding, agreement: Agreement, names: list[str], offsets_s: list[float], fps: float) -> str:
+def _finding_text(finding: Finding, agreement: Agreement, names: list[str], offsets_s: list[float], fps: float) -> str:
     who = " and ".join(names[v] for v in finding.cameras)
     camera = finding.found or agreement.cameras[finding.cameras[0]]
     if finding.kind == "exchanged":
-        return f"{who}: as if their files were exchanged ({_off(camera)} as they are)"
+        return f"{who}: as if their files were exchanged ({_error_text(camera)} as they are)"
     if finding.kind == "apart":
         of_whom = who if len(names) == 2 else "the cameras"
-        return f"{of_whom} do not agree with each other: {_off(camera)}, and which of them is off cannot be told"
+        return f"{of_whom} do not agree with each other: {_error_text(camera)}, and which of them is off cannot be told"
     if finding.kind == "turned":
         degrees = math.degrees(camera.turn_rad)
-        return f"{who}: turned by about {degrees:.1f} degrees against the others ({_off(camera)})"
+        return f"{who}: turned by about {degrees:.1f} degrees against the others ({_error_text(camera)})"
     if finding.kind == "late":
         offset_s = offsets_s[finding.cameras[0]] + camera.late_frames / fps
         return (
             f"{who}: about {abs(camera.late_frames):.1f} frames {'late' if camera.late_frames > 0 else 'early'} "
-            f"against the others ({_off(camera)}); its --offset-s would be {offset_s:.3f}"
+            f"against the others ({_error_text(camera)}); its --offset-s would be {offset_s:.3f}"
         )
-    return f"{who}: off by {_off(camera)} against the others for a reason unknown"
+    return f"{who}: off by {_error_text(camera)} against the others for a reason unknown"
 
 
-def _off(camera: CameraAgreement) -> str:
+def _error_text(camera: CameraAgreement) -> str:
     return f"{camera.error_px:.0f} px, {camera.level:.1f} sigma"

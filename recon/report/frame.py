@@ -54,7 +54,7 @@ def is_unsolved(report: Mapping[str, Any]) -> bool:
 def _assumptions(motion: Motion, solution: FrameSolution, settings: Mapping[str, Any]) -> dict[str, Any]:
     """What the data does not say, in numbers and in sentences."""
     nominal, sigma = base_length(solution.chain, common.given_options(FrameOptions, settings))
-    share = median(_stacked(solution, "data_share", solution.chain.n_state)[:, solution.chain.base_index])
+    share = median(_field_of_frames(solution, "data_share", solution.chain.n_state)[:, solution.chain.base_index])
     measured = bool(share >= MEASURED_SHARE)
     sentences = [
         f"The scale: the base length has a prior of {nominal:g} m with a standard deviation of {sigma:g} m. "
@@ -98,8 +98,8 @@ def _summary(motion: Motion, solution: FrameSolution) -> dict[str, Any]:
 
 
 def _data_share(motion: Motion, solution: FrameSolution) -> dict[str, Any]:
-    states = _stacked(solution, "data_share", solution.chain.n_state)
-    joints = _stacked(solution, "joint_data_share", len(motion.names))
+    states = _field_of_frames(solution, "data_share", solution.chain.n_state)
+    joints = _field_of_frames(solution, "joint_data_share", len(motion.names))
     return {
         "states": by_name(solution.chain.state_names, [median(column) for column in states.T]),
         "joints": by_name(motion.names, [median(column) for column in joints.T]),
@@ -131,12 +131,12 @@ def _limits(motion: Motion, solution: FrameSolution) -> dict[str, Any]:
     return {
         "frames": int(motion.solved.sum()),
         "intervals": int(np.isfinite(beyond_rate).any(axis=1).sum()),
-        "ranges": _passed(solution, solution.beyond_range_rad, "largest_excess_rad"),
-        "rates": _passed(solution, beyond_rate, "largest_excess_rad_s"),
+        "ranges": _limit_counts(solution, solution.beyond_range_rad, "largest_excess_rad"),
+        "rates": _limit_counts(solution, beyond_rate, "largest_excess_rad_s"),
     }
 
 
-def _passed(solution: FrameSolution, beyond: Array, largest: str) -> dict[str, Any]:
+def _limit_counts(solution: FrameSolution, beyond: Array, largest: str) -> dict[str, Any]:
     counts = [
         {"passed": int((column > 0).sum()), largest: float(np.max(finite(column), initial=0.0))} for column in beyond.T
     ]
@@ -176,7 +176,7 @@ def _frames(motion: Motion, solution: FrameSolution) -> list[dict[str, Any]]:
     ]
 
 
-def _stacked(solution: FrameSolution, field: str, *shape: int) -> Array:
+def _field_of_frames(solution: FrameSolution, field: str, *shape: int) -> Array:
     """(solved frames, *shape): one field of all frame reports."""
     values = [getattr(r, field) for r in solution.reports if r is not None]
     return np.array(values, dtype=float).reshape(-1, *shape)
@@ -222,8 +222,8 @@ def lines(report: Mapping[str, Any]) -> common.Lines:
             f"{summary['frames_not_converged']} did not, {summary['frames_no_data']} without data",
         ),
         *common.point_lines(report),
-        ("speed", _speed(report["travel"]["median_speed_m_s"])),
-        ("path", _path(report)),
+        ("speed", _speed_text(report["travel"]["median_speed_m_s"])),
+        ("path", _path_text(report)),
         ("heading", common.heading_text(report["travel"]["heading_to_picture_rad"])),
         (
             "size",
@@ -235,17 +235,17 @@ def lines(report: Mapping[str, Any]) -> common.Lines:
             f"{number(summary['joint_sigma_across_m'], '.2f')} m across the picture, "
             f"{number(summary['joint_sigma_depth_m'], '.2f')} m in depth, size and distance included (one sigma)",
         ),
-        ("effort", _effort(report)),
+        ("effort", _effort_text(report)),
     ]
 
 
-def _speed(speed_m_s: float | None) -> str:
+def _speed_text(speed_m_s: float | None) -> str:
     if speed_m_s is None:
         return "not told by a path this short or slow"
     return f"{speed_m_s:.1f} m/s, of a straight run through all frames"
 
 
-def _path(report: Mapping[str, Any]) -> str:
+def _path_text(report: Mapping[str, Any]) -> str:
     root, frame = report["root_path"], f"{report['frame_of_reference']} frame"
     path = root["smoothed"] or root["exact"]
     time_s, points_m, jitter_m = (np.array(root[name], dtype=float) for name in ("time_s", "position_m", "jitter_m"))
@@ -257,7 +257,7 @@ def _path(report: Mapping[str, Any]) -> str:
     return f"{number(path['distance_m'], '.1f')} m, peak {number(path['peak_speed_m_s'], '.1f')} m/s ({frame}, {how})"
 
 
-def _effort(report: Mapping[str, Any]) -> str:
+def _effort_text(report: Mapping[str, Any]) -> str:
     summary, timing = report["summary"], report["timing_s"] or {}
     text = f"{number(summary['iterations_median'], '.0f')} iterations a frame (median)"
     if "solve_s" in timing:

@@ -274,7 +274,7 @@ def warnings(report: Mapping[str, Any]) -> Iterator[str]:
             f"size {size['factor']:.2f} is far from what is expected, 1 ± {size['prior_sigma']:.2g}: check the camera, "
             "the frame rate and the skeleton"
         )
-    if second := _second(report):
+    if second := _ambiguous_frames(report):
         yield (
             f"another solution explains {frame_count(len(second))} nearly as well, up to "
             f"{max(frame['alternative_m'] or 0.0 for frame in second):.2f} m away"
@@ -299,7 +299,7 @@ def warnings(report: Mapping[str, Any]) -> Iterator[str]:
     yield from cameras.warnings(report)
 
 
-def _second(report: Mapping[str, Any]) -> list[dict[str, Any]]:
+def _ambiguous_frames(report: Mapping[str, Any]) -> list[dict[str, Any]]:
     """The frames that another solution explains nearly as well."""
     return [
         frame
@@ -328,7 +328,7 @@ def lines(report: Mapping[str, Any]) -> common.Lines:
         (
             "size",
             f"{size['factor']:.3f} ± {size['sigma']:.3f} of the {lengths} "
-            f"({_size_from(size)}1 ± {size['prior_sigma']:.2g} expected): {size['lengths']}",
+            f"({_size_sources(size)}1 ± {size['prior_sigma']:.2g} expected): {size['lengths']}",
         ),
         (
             "uncertainty",
@@ -342,7 +342,7 @@ def lines(report: Mapping[str, Any]) -> common.Lines:
         ),
         ("ground", _ground_text(report)),
         ("alternative", _alternative_text(report)),
-        ("effort", _effort(report)),
+        ("effort", _effort_text(report)),
     ]
 
 
@@ -353,7 +353,7 @@ def _frames_text(report: Mapping[str, Any]) -> str:
     return f"{summary['frames_with_pose']} of {summary['frames']} with a pose, {flagged}"
 
 
-def _size_from(size: Mapping[str, Any]) -> str:
+def _size_sources(size: Mapping[str, Any]) -> str:
     measured = [f"the {what}" for what in size["from"] if what in SAID_BY]
     return f"from {' and '.join(measured)}; " if measured else ""
 
@@ -379,7 +379,7 @@ def _alternative_text(report: Mapping[str, Any]) -> str:
     alternative = report["alternative"]
     if alternative is None:
         return "no other solution nearly as good"
-    if not _second(report):
+    if not _ambiguous_frames(report):
         return f"another start ended nearby, with joints {alternative['mean_m']:.2f} m away on average"
     return (
         f"joints {alternative['mean_m']:.2f} m away on average in {frame_count(alternative['frames'])}, "
@@ -387,7 +387,7 @@ def _alternative_text(report: Mapping[str, Any]) -> str:
     )
 
 
-def _effort(report: Mapping[str, Any]) -> str:
+def _effort_text(report: Mapping[str, Any]) -> str:
     timing, convergence = report["timing_s"], report["convergence"]
     seconds = timing.get("solve_s", timing.get("all"))
     text = f"{number(seconds, '.1f')} s, {convergence['iterations']} iterations"

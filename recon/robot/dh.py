@@ -93,7 +93,7 @@ def dh_table(chain: JointChain) -> DHTable:
     frames, x = [], _across(axes[0])
     for j, z in enumerate(axes):
         if j + 1 == chain.n:
-            origin, normal = (places[j] if j == 0 else _on(places[j], z, frames[-1].translation)), x
+            origin, normal = (places[j] if j == 0 else _nearest_on_axis(places[j], z, frames[-1].translation)), x
         else:
             origin, normal = _common_normal(places[j], z, places[j + 1], axes[j + 1], frames)
         # The same x as before where the normal leaves it open: theta is 0 then.
@@ -120,7 +120,7 @@ def _transform(R: Any, p: Array) -> RigidTransform:
     return RigidTransform.from_components(p, Rotation.from_matrix(R))
 
 
-def _on(place: Array, z: Array, near: Array) -> Array:
+def _nearest_on_axis(place: Array, z: Array, near: Array) -> Array:
     """The point of the axis through place along z that is nearest."""
     return place + ((near - place) @ z) * z
 
@@ -132,8 +132,8 @@ def _common_normal(
     across = np.cross(z, z_after)
     size = np.linalg.norm(across)
     if size < _PARALLEL:
-        origin = _on(place, z, before[-1].translation) if before else place
-        way = _on(after, z_after, origin) - origin
+        origin = _nearest_on_axis(place, z, before[-1].translation) if before else place
+        way = _nearest_on_axis(after, z_after, origin) - origin
         return origin, way if np.linalg.norm(way) > 1e-9 else None
     # (after - place) = s z + t across - u z_after
     along = np.linalg.solve(np.column_stack([z, across, -z_after]), after - place)

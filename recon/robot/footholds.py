@@ -21,13 +21,13 @@ def planted(time_s: Array, path_m: Array, standing: Bools, advance_m: Array | No
     advance_m (2,): for a stride that repeats, by how far its last sample is ahead of its first.
     """
     if advance_m is None:
-        return _planted(time_s, path_m, standing)
+        return _planted_path(time_s, path_m, standing)
     n, period = len(time_s) - 1, time_s[-1] - time_s[0]
     time = np.concatenate([time_s[:-1] - period, time_s[:-1], time_s + period])
     ahead = np.append(advance_m, 0.0)
     path = np.concatenate([path_m[:-1] - ahead, path_m[:-1], path_m + ahead])
     stands = np.concatenate([standing[:-1], standing[:-1], standing])
-    out = _planted(time, path, stands)[n : 2 * n + 1]
+    out = _planted_path(time, path, stands)[n : 2 * n + 1]
     out[-1] = out[0] + ahead
     return out
 
@@ -38,7 +38,7 @@ def stances(standing: Bools) -> list[tuple[int, int]]:
     return [(int(a), int(b) - 1) for a, b in edges.reshape(-1, 2)]
 
 
-def _planted(time_s: Array, path_m: Array, standing: Bools) -> Array:
+def _planted_path(time_s: Array, path_m: Array, standing: Bools) -> Array:
     found = stances(standing)
     if not found:
         return np.column_stack([path_m[:, :2], np.maximum(path_m[:, 2], 0.0)])

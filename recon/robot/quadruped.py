@@ -110,7 +110,7 @@ class ClosedLeg:
         return np.where(inside[..., None], solved[..., self._order] * self.signs, np.nan)
 
     def foot(self, angles_rad: Array) -> Array:
-        return self.hip_m + _from_leg_axes(self.leg.forward(self._own(angles_rad)))
+        return self.hip_m + _from_leg_axes(self.leg.forward(self._leg_angles(angles_rad)))
 
     @cached_property
     def chain(self) -> JointChain:
@@ -130,7 +130,7 @@ class ClosedLeg:
         found = self.leg.solutions(_to_leg_axes(foot_m - self.hip_m))
         return found[:, self._order] * self.signs
 
-    def _own(self, angles_rad: Array) -> Array:
+    def _leg_angles(self, angles_rad: Array) -> Array:
         """Swing, flap and knee of the joints' angles."""
         own = np.empty_like(angles_rad)
         own[..., self._order] = angles_rad * self.signs

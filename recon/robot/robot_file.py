@@ -159,10 +159,10 @@ def _quadruped(source: str, table: dict[str, Any]) -> Quadruped:
             np.array([joints[name].max_rate_rad_s for name in named]),
             file.stand_m,
         )
-    return _checked(Quadruped(file.name, file.title, legs, file.stand_m, source))
+    return _checked_robot(Quadruped(file.name, file.title, legs, file.stand_m, source))
 
 
-def _checked(robot: Quadruped) -> Quadruped:
+def _checked_robot(robot: Quadruped) -> Quadruped:
     """Raises InputError for a robot that cannot stand, and for joints named twice."""
     problems = []
     if len({*robot.joints}) < len(robot.joints):
@@ -215,7 +215,7 @@ def quadruped_from_urdf(robot: UrdfRobot) -> Quadruped:
     if problems:
         raise InputError(problems)
     ordered = {label: legs[label] for label in LEGS}
-    return _checked(Quadruped(robot.name, robot.name, ordered, stand, str(robot.path)))
+    return _checked_robot(Quadruped(robot.name, robot.name, ordered, stand, str(robot.path)))
 
 
 def _middle(lower: np.ndarray, upper: np.ndarray) -> np.ndarray:

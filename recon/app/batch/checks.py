@@ -27,10 +27,10 @@ def check_shared(clips: Sequence[Clip]) -> None:
     a file of its own."""
     read_shared = _Shared()
     each = [_problems_of(lambda s=clip.settings: read_shared(s)) for clip in clips]
-    same = set.intersection(*({_what(problem) for problem in problems} for problems in each)) if each else set()
+    same = set.intersection(*({_without_file(problem) for problem in problems} for problems in each)) if each else set()
     if same:
-        first = [problem for problem in each[0] if _what(problem) in same]
-        raise InputError(dict.fromkeys(_of_all(problem, each) for problem in first))
+        first = [problem for problem in each[0] if _without_file(problem) in same]
+        raise InputError(dict.fromkeys(_of_all_files(problem, each) for problem in first))
 
 
 @dataclass(frozen=True)
@@ -47,17 +47,17 @@ def repeated(each: Sequence[Problems]) -> list[Repeated]:
     first: dict[tuple[str, str, str], Problem] = {}
     for place, problems in enumerate(each):
         for problem in problems:
-            first.setdefault(_what(problem), problem)
-            found.setdefault(_what(problem), []).append(place)
+            first.setdefault(_without_file(problem), problem)
+            found.setdefault(_without_file(problem), []).append(place)
     return [Repeated(first[what], tuple(dict.fromkeys(places))) for what, places in found.items()]
 
 
-def _what(problem: Problem) -> tuple[str, str, str]:
+def _without_file(problem: Problem) -> tuple[str, str, str]:
     return problem.field, problem.found, problem.expected
 
 
-def _of_all(problem: Problem, each: Sequence[Problems]) -> Problem:
-    files = {other.file for problems in each for other in problems if _what(other) == _what(problem)}
+def _of_all_files(problem: Problem, each: Sequence[Problems]) -> Problem:
+    files = {other.file for problems in each for other in problems if _without_file(other) == _without_file(problem)}
     return problem if len(files) == 1 else replace(problem, file=f"{problem.file} and {len(files) - 1} more files")
 
 

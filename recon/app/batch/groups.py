@@ -72,7 +72,7 @@ def join_cameras(
     the same without what the pattern fits, or without the camera's name. A manifest's rows are never joined. Raises
     InputError for a faulty pattern, one that fits no file, and two files of one camera in a clip.
     """
-    pattern = None if cameras_by in (AUTO, NONE) else _compiled(cameras_by, OPTION)
+    pattern = None if cameras_by in (AUTO, NONE) else _compiled_pattern(cameras_by, OPTION)
     if pattern is not None and camera_name is not None:
         found = f"{camera_name if isinstance(camera_name, str) else ', '.join(camera_name)} beside {OPTION}"
         raise InputError(Problem("--camera-name", "camera_name", found, "one of the two"))
@@ -80,7 +80,7 @@ def join_cameras(
     left_out: list[Path] = []
     for draft in drafts:
         if draft.where is not None:
-            read.append(_of_row(draft, pattern, cameras_of))
+            read.append(_draft_of_row(draft, pattern, cameras_of))
             continue
         named = _named(draft, pattern, cameras_by, cameras_of)
         if named is None and (pattern or draft.cam_regex):
@@ -89,13 +89,13 @@ def join_cameras(
             read.append(named or draft)
     if left_out and not any(isinstance(one, _Named) for one in read):
         raise InputError(
-            Problem(OPTION, "pattern", f"no camera in {_some(left_out)}", "one that fits the files' names")
+            Problem(OPTION, "pattern", f"no camera in {_file_names_text(left_out)}", "one that fits the files' names")
         )
-    notes = [f"Left out, without a camera in the name: {_some(left_out)}"] if left_out else []
+    notes = [f"Left out, without a camera in the name: {_file_names_text(left_out)}"] if left_out else []
     groups: dict[Any, list[_Named]] = {}
     for one in read:
         if isinstance(one, _Named):
-            groups.setdefault(_key(one, cameras_by), []).append(one)
+            groups.setdefault(_clip_key(one, cameras_by), []).append(one)
     several = any(len(group) > 1 for group in groups.values())
     joined, problems = [], []
     for one in read:
@@ -103,14 +103,14 @@ def join_cameras(
             joined.append(one)
         elif one.by == AUTO and not several:
             joined.append(one.draft)
-        elif groups[_key(one, cameras_by)][0] is one:
-            group = groups[_key(one, cameras_by)]
+        elif groups[_clip_key(one, cameras_by)][0] is one:
+            group = groups[_clip_key(one, cameras_by)]
             problems += _repeated_cameras(group)
-            joined.append(_one_clip(group, cameras_by))
+            joined.append(_clip_draft(group, cameras_by))
     if problems:
         raise InputError(problems)
     if several:
-        notes.append(_what_was_joined([group for group in groups.values() if len(group) > 1]))
+        notes.append(_joined_text([group for group in groups.values() if len(group) > 1]))
     return joined, notes
 
 
@@ -125,10 +125,10 @@ def missing_cameras(drafts: Sequence[Draft], names: Sequence[str]) -> list[str]:
         missing = [one for one in every[draft.cam_regex] if one not in draft.row["camera_name"]]
         if missing:
             lacks.append(f"{name} ({', '.join(missing)})")
-    return [f"Fitted without cameras that others have: {_listed(lacks)}"] if lacks else []
+    return [f"Fitted without cameras that others have: {_names_text(lacks)}"] if lacks else []
 
 
-def _compiled(text: str, where: Path | str) -> re.Pattern[str]:
+def _compiled_pattern(text: str, where: Path | str) -> re.Pattern[str]:
     try:
         return re.compile(text)
     except re.error as error:
@@ -143,7 +143,7 @@ def _named(
         return _by_pattern(draft, pattern, OPTION)
     if draft.cam_regex is not None:
         config, text = draft.cam_regex
-        return _by_pattern(draft, _compiled(text, config), f"cam_regex in {config}")
+        return _by_pattern(draft, _compiled_pattern(text, config), f"cam_regex in {config}")
     return None if cameras_by == NONE else _by_names(draft, draft.title, cameras_of(draft))
 
 
@@ -152,7 +152,7 @@ def _by_pattern(draft: Draft, pattern: re.Pattern[str], by: str, path: Path | No
     title = path or draft.title
     match = pattern.search(title.stem)
     camera = "" if match is None else (match[1] if pattern.groups else match[0]) or ""
-    return None if match is None or not camera.strip() else _Named(draft, camera.strip(), _rest(title, match), by)
+    return None if match is None or not camera.strip() else _Named(draft, camera.strip(), _clip_title(title, match), by)
 
 
 def _by_names(draft: Draft, title: Path, cameras: Sequence[str]) -> _Named | None:
@@ -161,24 +161,24 @@ def _by_names(draft: Draft, title: Path, cameras: Sequence[str]) -> _Named | Non
         names = " and ".join(found)
         expected = f"the name of one camera; {OPTION} with a pattern that finds it, or {OPTION} {NONE}"
         raise InputError(Problem(title, "name", f"the cameras {names}", expected))
-    return next((_Named(draft, camera, _rest(title, match), AUTO) for camera, match in found.items()), None)
+    return next((_Named(draft, camera, _clip_title(title, match), AUTO) for camera, match in found.items()), None)
 
 
-def _rest(title: Path, match: re.Match[str]) -> Path:
+def _clip_title(title: Path, match: re.Match[str]) -> Path:
     """What a clip is called: its files without their cameras' names, or, if that is nothing, their folder."""
     rest = (title.stem[: match.start()].rstrip(SEPARATORS) + title.stem[match.end() :]).strip(SEPARATORS)
     folder = title.parent
     return folder / f"{rest}{title.suffix}" if rest else folder.parent / f"{folder.name}{title.suffix}"
 
 
-def _key(one: _Named, cameras_by: str) -> Any:
+def _clip_key(one: _Named, cameras_by: str) -> Any:
     """What the files of one clip have in common."""
     if cameras_by == NONE:
         return one.draft.paths
     return one.draft.title.parent, one.title.name.casefold(), repr(one.draft.row)
 
 
-def _one_clip(group: Sequence[_Named], cameras_by: str) -> Draft:
+def _clip_draft(group: Sequence[_Named], cameras_by: str) -> Draft:
     first = group[0]
     cameras = tuple(one.camera for one in group)
     return replace(
@@ -190,7 +190,7 @@ def _one_clip(group: Sequence[_Named], cameras_by: str) -> Draft:
     )
 
 
-def _of_row(draft: Draft, pattern: re.Pattern[str] | None, cameras_of: Callable[[Draft], Sequence[str]]) -> Draft:
+def _draft_of_row(draft: Draft, pattern: re.Pattern[str] | None, cameras_of: Callable[[Draft], Sequence[str]]) -> Draft:
     """A manifest's row with the cameras that the pattern finds, called after what its files have in common."""
     if pattern is not None:
         named = [_by_pattern(draft, pattern, OPTION, path) for path in draft.paths]
@@ -220,7 +220,7 @@ def _repeated_cameras(group: Sequence[_Named]) -> list[Problem]:
     return problems
 
 
-def _what_was_joined(groups: Sequence[Sequence[_Named]]) -> str:
+def _joined_text(groups: Sequence[Sequence[_Named]]) -> str:
     files, rules = sum(map(len, groups)), dict.fromkeys(one.by for group in groups for one in group)
     by = " and ".join("the cameras' names in theirs" if rule == AUTO else rule for rule in rules)
     clips = f"{len(groups)} clips" if len(groups) > 1 else "1 clip"
@@ -228,10 +228,10 @@ def _what_was_joined(groups: Sequence[Sequence[_Named]]) -> str:
     return f"{files} files are {clips} of several cameras, by {by}{otherwise}."
 
 
-def _some(paths: Sequence[Path]) -> str:
-    return _listed([path.name for path in paths])
+def _file_names_text(paths: Sequence[Path]) -> str:
+    return _names_text([path.name for path in paths])
 
 
-def _listed(names: Sequence[str]) -> str:
+def _names_text(names: Sequence[str]) -> str:
     more = "" if len(names) <= NOTED else f" and {len(names) - NOTED} more"
     return ", ".join(names[:NOTED]) + more

@@ -51,7 +51,7 @@ def find_clips(
     drafts, notes, problems = [], [], []
     for given in inputs:
         try:
-            found, said = _expand(str(given), common)
+            found, said = _drafts_of(str(given), common)
         except InputError as error:
             problems += error.problems
         else:
@@ -71,7 +71,7 @@ def find_clips(
         except InputError as error:
             problems += error.problems
     problems += _name_problems(drafts)
-    problems += _without_effect(common, settings)
+    problems += _effect_problems(common, settings)
     if problems:
         raise InputError(dict.fromkeys(problems))  # what all clips have in common is said once
     if not drafts:
@@ -84,31 +84,31 @@ def find_clips(
 # -- inputs -------------------------------------------------------------------------------------------------------
 
 
-def _expand(given: str, common: Mapping[str, Any]) -> tuple[list[Draft], list[str]]:
+def _drafts_of(given: str, common: Mapping[str, Any]) -> tuple[list[Draft], list[str]]:
     path = Path(given)
     if os.path.isdir(path):  # a Path raises OSError where a name is too long
         files, notes = _files_in(path)
         of_anipose = sessions_in(path) if not files or path.absolute().name.startswith("pose-2d") else []
         if of_anipose:
-            return _of_sessions(of_anipose, common)
+            return _drafts_of_sessions(of_anipose, common)
         if not files:
-            raise InputError(Problem(path, "files", "no keypoint files", f"files of a known format: {_formats()}"))
+            raise InputError(Problem(path, "files", "no keypoint files", f"files of a known format: {_format_names()}"))
         return [Draft((file,)) for file in files], notes
     if not os.path.exists(path) and glob.has_magic(given):
         matches = [Path(match) for match in sorted(glob.glob(given, recursive=True))]
         files = [match for match in matches if not match.is_dir()]
         if not files:
             raise InputError(Problem(given, "files", "none that match", "a pattern such as 'clips/*.csv'"))
-        return [draft for file in files for draft in _of_file(file)], []
+        return [draft for file in files for draft in _drafts_of_file(file)], []
     file_head(path)  # a typing error ends the batch before it begins
-    return _of_file(path), []
+    return _drafts_of_file(path), []
 
 
-def _of_file(path: Path) -> list[Draft]:
-    return _of_manifest(path) if is_manifest(path) else [Draft((path.absolute(),))]
+def _drafts_of_file(path: Path) -> list[Draft]:
+    return _drafts_of_manifest(path) if is_manifest(path) else [Draft((path.absolute(),))]
 
 
-def _of_sessions(sessions: Sequence[Session], common: Mapping[str, Any]) -> tuple[list[Draft], list[str]]:
+def _drafts_of_sessions(sessions: Sequence[Session], common: Mapping[str, Any]) -> tuple[list[Draft], list[str]]:
     """A draft for each file of 2D poses, with the calibration of its session unless another camera is given."""
     own_cameras = common.get("camera") is None and common.get("hfov_deg") is None
     drafts, notes, problems = [], [], []
@@ -134,7 +134,7 @@ def _of_sessions(sessions: Sequence[Session], common: Mapping[str, Any]) -> tupl
         raise InputError(dict.fromkeys(problems))
     if not drafts:
         places = ", ".join(str(session.poses) for session in sessions[:NOTED])
-        raise InputError(Problem(places, "files", "no keypoint files", f"files of a known format: {_formats()}"))
+        raise InputError(Problem(places, "files", "no keypoint files", f"files of a known format: {_format_names()}"))
     folders = dict.fromkeys(session.poses.name for session in sessions)
     said = (
         f"{len(sessions)} session{'s' * (len(sessions) > 1)} of Anipose: {len(drafts)} files of {' and '.join(folders)}"
@@ -146,7 +146,7 @@ def _files_in(folder: Path) -> tuple[list[Path], list[str]]:
     chosen: dict[str, Path] = {}
     twins, others = [], []
     for path in sorted(p for p in folder.iterdir() if p.is_file() and not p.name.startswith(".")):
-        if not _recognised(path):
+        if not _is_recognised(path):
             others.append(path)
         else:
             if path.stem in chosen:
@@ -161,7 +161,7 @@ def _files_in(folder: Path) -> tuple[list[Path], list[str]]:
     return [path.absolute() for path in chosen.values()], notes
 
 
-def _recognised(path: Path) -> bool:
+def _is_recognised(path: Path) -> bool:
     """Whether a reader takes the file; one that is too damaged to tell is a clip, which will say so."""
     try:
         file_head(path)
@@ -173,7 +173,7 @@ def _recognised(path: Path) -> bool:
         return True
 
 
-def _formats() -> str:
+def _format_names() -> str:
     return ", ".join(reader.name for reader in READERS)
 
 
@@ -212,7 +212,7 @@ def _delimiter(line: str) -> str:
     return ";" if ";" in line and "," not in line else ","
 
 
-def _of_manifest(path: Path) -> list[Draft]:
+def _drafts_of_manifest(path: Path) -> list[Draft]:
     """One draft a row. Raises InputError with everything that is wrong with the table itself."""
     header = _header(path)
     known = ("out", *SETTINGS)
@@ -245,8 +245,8 @@ def _of_manifest(path: Path) -> list[Draft]:
             problems.append(Problem(path, f"{line}, keypoints", "nothing", "a keypoint file"))
             continue
         out = row.pop("out", None)
-        values = {name: beside(path.parent, name, _parted(name, cell)) for name, cell in row.items()}
-        files = [file for one in values.pop("keypoints") for file in _matching(Path(one))]
+        values = {name: beside(path.parent, name, _cell_value(name, cell)) for name, cell in row.items()}
+        files = [file for one in values.pop("keypoints") for file in _matching_files(Path(one))]
         if not files:
             problems.append(Problem(path, f"{line}, keypoints", f"no files that match {row['keypoints']}", "some"))
             continue
@@ -258,12 +258,12 @@ def _of_manifest(path: Path) -> list[Draft]:
     return drafts
 
 
-def _parted(name: str, cell: str) -> str | list[str]:
+def _cell_value(name: str, cell: str) -> str | list[str]:
     """A cell of what each camera has, as a list."""
     return [one.strip() for one in cell.split(BETWEEN)] if name in SETTINGS and SETTINGS[name].kind.many else cell
 
 
-def _matching(path: Path) -> list[Path]:
+def _matching_files(path: Path) -> list[Path]:
     """A file, or those of a pattern."""
     if os.path.exists(path) or not glob.has_magic(str(path)):
         return [path]
@@ -286,10 +286,10 @@ def _settings(draft: Draft, common: Mapping[str, Any], config: Path | None) -> F
     try:
         return read_settings(config, {"keypoints": draft.paths, **under, **row})
     except InputError as error:
-        raise InputError(_of_row(problem, draft, under) for problem in error.problems) from None
+        raise InputError(_problem_of_row(problem, draft, under) for problem in error.problems) from None
 
 
-def _of_one_file(values: Mapping[str, Any]) -> dict[str, Any]:
+def _without_lists(values: Mapping[str, Any]) -> dict[str, Any]:
     """Without what may be there once for each camera of a clip."""
     return {name: value for name, value in values.items() if name not in ("offset_s", "camera_track")}
 
@@ -299,14 +299,14 @@ class _CamerasOf:
     it is given which camera is meant. The draft may still be a part of a clip."""
 
     def __init__(self, common: Mapping[str, Any], config: Path | None) -> None:
-        self._common = _of_one_file(common)
+        self._common = _without_lists(common)
         self._config = config
         self._known: dict[tuple[Path, tuple[int, int] | None], tuple[str, ...]] = {}
 
     def __call__(self, draft: Draft) -> tuple[str, ...]:
         try:
             settings = _settings(
-                replace(draft, paths=draft.paths[:1], row=_of_one_file(draft.row)), self._common, self._config
+                replace(draft, paths=draft.paths[:1], row=_without_lists(draft.row)), self._common, self._config
             )
         except InputError:  # said later
             return ()
@@ -323,7 +323,7 @@ class _CamerasOf:
         return self._known[key]
 
 
-def _without_effect(common: Mapping[str, Any], settings: Sequence[FitSettings]) -> Iterator[Problem]:
+def _effect_problems(common: Mapping[str, Any], settings: Sequence[FitSettings]) -> Iterator[Problem]:
     """Of the common options: where every clip has the other method, nothing reads them."""
     methods = {clip.method for clip in settings}
     for name, value in common.items():
@@ -333,7 +333,7 @@ def _without_effect(common: Mapping[str, Any], settings: Sequence[FitSettings]) 
             yield Problem(option(name), name, found, f"nothing, or --method {method} with it")
 
 
-def _of_row(problem: Problem, draft: Draft, common: Mapping[str, Any]) -> Problem:
+def _problem_of_row(problem: Problem, draft: Draft, common: Mapping[str, Any]) -> Problem:
     in_row = problem.field in draft.row or (problem.found == "nothing" and problem.field not in common)
     if draft.where is None or not in_row:
         return problem

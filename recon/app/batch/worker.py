@@ -62,7 +62,7 @@ def fit_one(task: Mapping[str, Any], progress: Progress) -> dict[str, Any]:
     except InputError as error:
         return {"status": "failed", "error": str(error), "attempts": 1}
     except OSError as error:
-        return {"status": "failed", "error": _said(error), "attempts": 1}
+        return {"status": "failed", "error": _error_text(error), "attempts": 1}
     finally:
         with contextlib.suppress(OSError):  # there is something in it
             out.rmdir()
@@ -93,14 +93,14 @@ def _fit_one(task: Mapping[str, Any], progress: Progress) -> dict[str, Any]:
     except InputError as error:
         row = {"status": "failed", "error": str(error)}
     except OSError as error:
-        row = {"status": "failed", "error": _said(error)}
+        row = {"status": "failed", "error": _error_text(error)}
     finally:
         if not finished:
             drop_record(out)
     return {"seconds": round(time.perf_counter() - began, 3), **row, "attempts": attempt}
 
 
-def _said(error: OSError) -> str:
+def _error_text(error: OSError) -> str:
     return f"{error.filename}: {error.strerror}" if error.filename else str(error)
 
 
