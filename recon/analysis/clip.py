@@ -50,26 +50,28 @@ PLACE_LASTS_S, POSE_LASTS_S = 0.2, 0.05
 
 @dataclass(frozen=True, eq=False)
 class ClipAnalysis:
-    """T frames of a clip, N times on the grid of ten times the frame rate.
-
-    pose: what all is worked out from, upright, smoothed where `smoothed` says so. reference: the joint that stands for
-    the animal's place. joints, angles, skeleton_angles: motion by joint; the angle at every inner joint of a chain and
-    the flexion of the spine, where the skeleton has one; the fit's own angles. gaits: by method, the ground's first,
-    none without feet. match: of the stances of "body" (first) and "ground". fields: by limb. given: a stride, if the
-    user gave one.
-    """
+    """T frames of a clip, N times on the grid of ten times the frame rate."""
 
     results: Results
     pose: Pose3D
+    """What all is worked out from, upright, smoothed where `smoothed` says so."""
     smoothed: bool
     reference: str
+    """The joint that stands for the animal's place."""
     joints: Mapping[str, JointKinematics]
+    """Motion by joint."""
     angles: Mapping[str, AngleKinematics]
+    """The angle at every inner joint of a chain and the flexion of the spine, where the skeleton has one."""
     skeleton_angles: Mapping[str, AngleKinematics]
+    """The fit's own angles."""
     gaits: Mapping[Method, Gait]
+    """By method, the ground's first, none without feet."""
     match: Match | None
+    """Of the stances of "body" (first) and "ground"."""
     fields: Mapping[str, tuple[LinkField, ...]]
+    """By limb."""
     given: Stride | None = None
+    """A stride, if the user gave one."""
 
     @cached_property
     def stride(self) -> Stride | None:

@@ -42,63 +42,80 @@ DRAWN, _WAVES, _DIRECTIONS = 100, 50, 32
 
 @dataclass(frozen=True, eq=False)
 class LinkField:
-    """One link's tip in its parent's frame, at the T frames, NaN where unknown.
-
-    link, parent: (start, end) joints. position_m, velocity_m_s (T, 3): x, y, z; radius_m, dr_m_s, dtheta_rad_s (T,):
-    polar, in the plane of x and y; speed_m_s (T,): in that plane, the norm of (dr, r dtheta). *_sigma (T,): one
-    standard deviation (`field_with_sigma`), None where none is known.
-    """
+    """One link's tip in its parent's frame, at the T frames, NaN where unknown."""
 
     link: tuple[str, str]
+    """(start, end) joints."""
     parent: tuple[str, str]
+    """(start, end) joints."""
     position_m: Array
+    """(T, 3): x, y, z."""
     velocity_m_s: Array
+    """(T, 3): x, y, z."""
     radius_m: Array
+    """(T,): polar, in the plane of x and y, as the next two."""
     dr_m_s: Array
+    """(T,)"""
     dtheta_rad_s: Array
+    """(T,)"""
     speed_m_s: Array
+    """(T,): in that plane, the norm of (dr, r dtheta)."""
     dr_sigma_m_s: Array | None = None
+    """(T,): one standard deviation (`field_with_sigma`), None where none is known."""
     dtheta_sigma_rad_s: Array | None = None
+    """(T,), likewise."""
     speed_sigma_m_s: Array | None = None
+    """(T,), likewise."""
 
 
 @dataclass(frozen=True)
 class LinkMeans:
-    """Means over a link's known frames: of the speed in the plane, of the speed in space, of |dr| and of |dtheta|; NaN
-    without any. speed_sigma_m_s: of the speed in the plane at one frame, root mean square over them; NaN where it is
-    not known. frames: their number."""
+    """Means over a link's known frames; NaN without any."""
 
     link: tuple[str, str]
     parent: tuple[str, str]
     speed_m_s: float
+    """Of the speed in the plane."""
     speed_3d_m_s: float
+    """Of the speed in space."""
     dr_m_s: float
+    """Of |dr|."""
     dtheta_rad_s: float
+    """Of |dtheta|."""
     speed_sigma_m_s: float
+    """Of the speed in the plane at one frame, root mean square over them; NaN where it is not known."""
     frames: int
+    """Their number."""
 
 
 @dataclass(frozen=True)
 class Closure:
-    """Degrees of closure in percent. angle: of the angle alone; plane: in the (angle, rate) plane, both axes divided by
-    their ranges. NaN for a path that does not move. *_sigma: their standard deviations, NaN where none is known."""
+    """Degrees of closure in percent. NaN for a path that does not move."""
 
     angle: float
+    """Of the angle alone."""
     plane: float
+    """In the (angle, rate) plane, both axes divided by their ranges."""
     angle_sigma: float = np.nan
+    """Standard deviation, NaN where none is known."""
     plane_sigma: float = np.nan
+    """Standard deviation, NaN where none is known."""
 
 
 @dataclass(frozen=True, eq=False)
 class Portrait:
-    """A path in phase space: time_s, angle_rad, rate_rad_s, all (N,), NaN where unknown, and their standard deviations,
-    None where none are known."""
+    """A path in phase space."""
 
     time_s: Array
+    """(N,)"""
     angle_rad: Array
+    """(N,), NaN where unknown."""
     rate_rad_s: Array
+    """(N,), NaN where unknown."""
     angle_sigma_rad: Array | None = None
+    """(N,): standard deviation, None where none is known."""
     rate_sigma_rad_s: Array | None = None
+    """(N,): standard deviation, None where none is known."""
 
 
 # -- vector field ----------------------------------------------------------------------------------------------------

@@ -34,15 +34,18 @@ _LEAST_DAMPING = 1e-4
 
 @dataclass(frozen=True, eq=False)
 class Rows:
-    """Of a term, N frames with M rows each: frames (N,), rows of the clip; cost (N,); residual (N, M); jacobian
-    (N, M, S, D) by the unknowns of the frames at the S offsets of the stencil."""
+    """Of a term, N frames with M rows each."""
 
     term: str
     frames: Index
+    """(N,), rows of the clip."""
     stencil: tuple[int, ...]
     cost: Array
+    """(N,)"""
     residual: Array
+    """(N, M)"""
     jacobian: Array
+    """(N, M, S, D), by the unknowns of the frames at the S offsets of the stencil."""
 
 
 @dataclass(frozen=True, eq=False)
