@@ -46,7 +46,7 @@ def results_of(motion: Motion, report: Mapping[str, Any]) -> dict[str, Any]:
         "mean_reprojection_px": summary["reprojection_px"]["mean"],
         "mean_speed_m_s": speeds["mean_speed_m_s"],
         "peak_speed_m_s": speeds["peak_speed_m_s"],
-        "size": report["size"]["factor"] if "size" in report else None,
+        "size": report["size"]["factor"] if report["method"] == "trajectory" else None,
     }
 
 
