@@ -65,7 +65,7 @@ def load_names(name_or_path: str | Path) -> NameMap:
     names: dict[str, str] = {}
     problems = []
     for i, line in lines:
-        cells = [cell.strip() for row in csv.reader([line], delimiter=delimiter) for cell in row]
+        cells = _cells(line, delimiter)
         if len(cells) != 2 or not cells[0] or not "".join(cells).isprintable():
             problems.append(Problem(source, f"line {i}", repr(line)[:60], _EXPECTED))
         elif cells[0] in names:
@@ -77,6 +77,13 @@ def load_names(name_or_path: str | Path) -> NameMap:
     if problems:
         raise InputError(problems)
     return NameMap(source, names)
+
+
+def _cells(line: str, delimiter: str) -> list[str]:
+    try:
+        return [cell.strip() for row in csv.reader([line], delimiter=delimiter) for cell in row]
+    except csv.Error:  # a cell of more than 128 kB
+        return []
 
 
 def renamed(keypoints: Keypoints, by: NameMap) -> Keypoints:

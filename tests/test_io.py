@@ -242,6 +242,23 @@ def test_several_animals(tmp_path):
     assert problems(path, "single") == [f"{path}: individual: found 'single', expected one of: m1, m2"]
 
 
+@pytest.mark.parametrize("nothing", ["", "0.0"])
+def test_animals_without_points_are_no_choice(tmp_path, nothing):
+    """DeepLabCut has columns for as many animals as there may be, empty or 0 for those that it never saw."""
+    text = "scorer,n,n,n,n,n,n,n,n,n\nindividuals,m1,m1,m1,m2,m2,m2,m3,m3,m3\nbodyparts" + ",nose" * 9
+    text += "\ncoords" + ",x,y,likelihood" * 3
+    none = ",".join([nothing, nothing, "0.0"])
+    path = save(tmp_path, f"{text}\n0,{none},3,4,0.9,{none}\n")
+    found = read_keypoints(path)
+    assert (found.individual, found.xy_px.tolist()) == ("m2", [[[3, 4]]])
+    assert read_keypoints(path, "m1").individual == "m1"
+    assert problems(path, "m4") == [f"{path}: individual: found 'm4', expected one of: m2"]
+    two = save(tmp_path, f"{text}\n0,{none},3,4,0.9,{none}\n1,5,6,0.9,{none},{none}\n")
+    assert problems(two) == [f"{two}: individual: found 2 animals and no choice, expected one of: m1, m2"]
+    empty = save(tmp_path, f"{text}\n0,{none},{none},{none}\n")
+    assert problems(empty) == [f"{empty}: individual: found 3 animals and no choice, expected one of: m1, m2, m3"]
+
+
 def test_the_only_animal_needs_no_choice(tmp_path):
     text = (
         "scorer,n,n,n,n,n,n\nindividuals,m1,m1,single,single,single,single\nbodyparts,nose,nose,post,post,door,door\n"

@@ -87,6 +87,14 @@ def test_sleap(tmp_path, orders, dims):
     assert "found 'c'" in refused(path, "c")[0]
 
 
+def test_sleap_tracks_without_points_are_no_choice(tmp_path):
+    occupied = np.zeros((5, 2))
+    occupied[1:3, 1] = 1
+    path = sleap_file(tmp_path / "a.h5", track_occupancy=occupied)
+    found = read_keypoints(path)
+    assert (found.individual, found.frames.tolist()) == ("b", [1, 2])
+
+
 def test_sleap_without_scores_and_names(tmp_path):
     path = sleap_file(tmp_path / "a.h5", point_scores=None, track_occupancy=None, track_names=np.zeros(0))
     found = read_keypoints(path, "track_1")
@@ -139,6 +147,13 @@ def movement_data(plural: bool, space: str = "xy", **attributes):
         },
         attrs={"ds_type": "poses", "fps": 25.0, "time_unit": "seconds", "source_software": "SLEAP"} | attributes,
     )
+
+
+def test_movement_animals_without_points_are_no_choice(tmp_path):
+    data = movement_data(False)
+    data["position"][..., 1] = np.nan
+    data.to_netcdf(tmp_path / "a.nc", engine="h5netcdf")
+    assert read_keypoints(tmp_path / "a.nc").individual == "a"
 
 
 @pytest.mark.parametrize("engine", ["h5netcdf", "scipy"])

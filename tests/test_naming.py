@@ -22,6 +22,8 @@ from recon.io import read_keypoints
 from recon.naming import NameMap, builtin_maps, fitting_maps, load_names, map_to_write, new_names, renamed, suggestions
 from recon.net.evaluate2d import evaluate_2d_files
 from recon.plots.skeleton import expected_pose
+from recon.report import build_report
+from recon.report.common import point_lines
 
 SAMPLES = Path(__file__).parents[1] / "data" / "samples"
 
@@ -105,6 +107,7 @@ def test_a_map_is_two_columns(text, tmp_path):
         ),
         ("a,\x1b[2J", [r"line 1: found 'a,\x1b[2J'"]),
         ("file,skeleton\n", ["lines: found none"]),
+        ("a" * 200_000 + ",b\n", ["line 1: found 'aaa"]),
     ],
 )
 def test_faults_of_a_map_are_named(text, expected, tmp_path):
@@ -199,6 +202,22 @@ def test_the_map_to_write(tmp_path):
     lines = list(map_to_write(["nose", "left_eye", "chin"], ["nose", "l_eye", "spine"]))
     assert lines == ["file,skeleton", "left_eye,l_eye", "chin,"]
     assert load_names(in_file(tmp_path, "\n".join(lines))).names == {"left_eye": "l_eye", "chin": ""}
+
+
+def test_the_summary_names_what_is_used_and_near_misses(small_trajectory):
+    """r_eye is missing in the clip, whose ear is of no use."""
+    source = small_trajectory.sources[0]
+    file = replace(source, file_names=tuple("right_eye" if name == "ear" else name for name in source.file_names))
+    for motion, said in (
+        (small_trajectory, "23 of the skeleton's 24 used; missing: r_eye; not used: ear"),
+        (
+            replace(small_trajectory, sources=(file,)),
+            "23 of the skeleton's 24 used; missing: r_eye; not used: right_eye; perhaps the same (--rename): "
+            "right_eye for r_eye",
+        ),
+    ):
+        report = build_report(motion, settings(Path("clip.csv")).plain())
+        assert dict(point_lines(report))["keypoints"] == said
 
 
 # -- a skeleton of these names -------------------------------------------------------------------------------------

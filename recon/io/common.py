@@ -46,16 +46,19 @@ def starts_with_text(path: Path, word: bytes) -> bool:
         return file.read(256).removeprefix(b"\xef\xbb\xbf").lstrip().startswith(word)
 
 
-def choose(path: Path, animals: Sequence[str], individual: str | None) -> int:
-    """Which of a file's animals is meant; the only one may be unnamed, "". Raises InputError for a name that the file
-    lacks, or none where there are several."""
-    if individual is None and len(animals) == 1:
-        return 0
+def choose(path: Path, animals: Sequence[str], individual: str | None, seen: Iterable[bool] | None = None) -> int:
+    """Which of a file's animals is meant; the only one may be unnamed, "". seen: whether each has a point anywhere, by
+    default all; those without any are no choice, but may be named. Raises InputError for a name that the file lacks, or
+    none where there are several."""
+    empty = [] if seen is None else [name for name, points in zip(animals, seen, strict=True) if not points]
+    choice = [name for name in animals if name not in empty] or list(animals)
+    if individual is None and len(choice) == 1:
+        return animals.index(choice[0])
     if list(animals) == [""]:
         raise InputError(Problem(path, "individual", "a file without named animals", f"an animal '{individual}'"))
     if individual not in animals:
-        found = f"{len(animals)} animals and no choice" if individual is None else f"'{individual}'"
-        raise InputError(Problem(path, "individual", found, "one of: " + ", ".join(animals)))
+        found = f"{len(choice)} animals and no choice" if individual is None else f"'{individual}'"
+        raise InputError(Problem(path, "individual", found, "one of: " + ", ".join(choice)))
     return animals.index(individual)
 
 

@@ -19,7 +19,7 @@ import numpy as np
 
 from recon.errors import InputError, Problem
 from recon.io import pandas_hdf
-from recon.io.common import PROBLEMS_SHOWN, first_problems, frame_number, number, rate
+from recon.io.common import PROBLEMS_SHOWN, choose, first_problems, frame_number, number, rate
 from recon.io.hdf5 import is_hdf5
 from recon.keypoints import Keypoints
 
@@ -342,10 +342,7 @@ def of_one_animal(table: Table, path: Path, individual: str | None) -> tuple[Tab
             raise InputError(Problem(path, "individual", "a file without named animals", f"an animal '{individual}'"))
         return table, None
     animals = [name for name in everyone if name != UNIQUE_BODYPARTS] or everyone
-    chosen = animals[0] if individual is None and len(animals) == 1 else individual
-    if chosen not in animals:
-        found = f"{len(animals)} animals and no choice" if chosen is None else f"'{chosen}'"
-        raise InputError(Problem(path, "individual", found, "one of: " + ", ".join(animals)))
+    chosen = animals[choose(path, animals, individual, (_has_points(table, animal) for animal in animals))]
     notes = table.notes
     if chosen != UNIQUE_BODYPARTS and UNIQUE_BODYPARTS in everyone:
         left_out = dict.fromkeys(c.bodypart for c in table.columns if c.individual == UNIQUE_BODYPARTS)
@@ -353,6 +350,12 @@ def of_one_animal(table: Table, path: Path, individual: str | None) -> tuple[Tab
     keep = [j for j, c in enumerate(table.columns) if c.individual == chosen]
     columns = tuple(table.columns[j] for j in keep)
     return replace(table, columns=columns, numbers=table.numbers[:, keep], notes=notes), chosen
+
+
+def _has_points(table: Table, animal: str) -> bool:
+    """Not NaN nor 0 everywhere, as DeepLabCut fills animals that it never saw."""
+    columns = [j for j, c in enumerate(table.columns) if c.individual == animal and c.coord != "likelihood"]
+    return bool(np.nan_to_num(table.numbers[:, columns]).any())
 
 
 def _header_problem(path: Path, found: str) -> Problem:

@@ -80,6 +80,11 @@ class _File:
     unit: str | None
     up: str | None
 
+    @property
+    def seen(self) -> list[bool]:
+        """Whether each animal has a point."""
+        return [bool(np.isfinite(self.values[:, n]).any()) for n in range(len(self.animals))]
+
 
 def recognises(path: Path) -> bool:
     """Whether the file is movement's, 2D or 3D."""
@@ -97,7 +102,7 @@ def read(path: Path, individual: str | None = None) -> Keypoints:
     file = _load(path)
     if file.values.shape[-1] == 3:
         raise InputError(Problem(path, "space", "x, y, z: 3D positions", "2D keypoints in pixels (x, y)"))
-    which = choose(path, file.animals, individual)
+    which = choose(path, file.animals, individual, file.seen)
     named = file.animals[which] if len(file.animals) > 1 or file.animals[0] not in UNNAMED else None
     values, confidence = file.values[:, which], file.confidence[:, which]
     return Keypoints(file.names, values, confidence, file.frames, fps=file.fps, individual=named, source=str(path))
@@ -106,7 +111,7 @@ def read(path: Path, individual: str | None = None) -> Keypoints:
 def read_pose(path: Path, individual: str | None = None) -> StoredPose:
     """The 3D positions of one animal. Raises InputError."""
     file = _load(path)
-    which = choose(path, file.animals, individual)
+    which = choose(path, file.animals, individual, file.seen)
     return StoredPose(file.names, file.values[:, which], file.frames, fps=file.fps, unit=file.unit, up=file.up)
 
 

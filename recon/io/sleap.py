@@ -46,7 +46,7 @@ def read(path: Path, individual: str | None = None) -> Keypoints:
         fps = _fps(file)
     xy, score, occupied = _checked_arrays(path, names, tracks, arrays)
     animals = tracks or [f"track_{i}" for i in range(xy.shape[1])]
-    which = choose(path, animals, individual, (np.isfinite(xy) & occupied[..., None, None]).any(axis=(0, 2, 3)))
+    which = choose(path, animals, individual, (np.isfinite(xy[frames, n]).any() for n, frames in enumerate(occupied.T)))
     frames = np.flatnonzero(occupied[:, which])
     if not len(frames):
         raise InputError(Problem(path, f"track {animals[which]}", "no frame with it", "at least one"))

@@ -24,6 +24,7 @@ from recon.io.column_map import parse_map
 from recon.io.pose3d import Pose3D, read_pose3d, read_pose_segments
 from recon.keypoints import Keypoints, clean
 from recon.manifest import MANIFEST, write_manifest
+from recon.naming import load_names
 from recon.net.labels import read_label_file
 from recon.prior import load_prior
 from recon.results import read_results
@@ -268,6 +269,7 @@ def _built_in() -> Iterator[Seed]:
     subject = builtin_subjects()[0]
     content = (package / "subjects" / f"{subject}.toml").read_bytes()
     yield Seed(f"subject-{subject}.toml", content, lambda path: load_skeleton("cheetah-24", path), 1.5)
+    yield Seed("names.csv", (package / "names" / "animal3d.csv").read_bytes(), load_names)
     body = load_skeleton("cheetah-24")
     prior = (package / "priors" / "running-cheetah.npz").read_bytes()
     yield Seed("prior.npz", prior, lambda path: load_prior(path, body), 1.5)

@@ -127,6 +127,7 @@ def cases(folder: Path) -> list[Case]:
             )
             for kind in ("mp4", "avi")
         ),
+        Case("skeleton draft", ("skeleton", "from-keypoints", SAMPLES / "whole.csv", "--out", "{out}"), "mine.toml"),
         Case("overlay sheet", ("overlay", clip, "--sheet", "{out}"), "sheet.png"),
         Case("skeleton check", ("skeleton", "check", "cheetah-24", "--out", "{out}"), "pictures", False),
     ]
