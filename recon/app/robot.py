@@ -53,7 +53,7 @@ def leg_of(robot: str | Path, label: str, angles: ArrayLike | None, foot_m: Arra
     if label not in LEGS:
         raise InputError(Problem("LEG", "leg", repr(label), ", ".join(LEGS)))
     leg = machine.legs[label]
-    answer = _chain_answer(leg.chain, leg.joints, _derived(leg.chain)) | {"robot": machine.title, "leg": label}
+    answer = _chain_answer(leg.chain, leg.joints, _table_answer(leg.chain)) | {"robot": machine.title, "leg": label}
     answer |= {"stands_at_m": leg.neutral_m}
     if angles is not None:
         answer["forward"] = _forward(leg.chain, _joints(angles, leg.chain))
@@ -79,7 +79,7 @@ def table_of(
         if len(ends) > 1:
             raise InputError(Problem("--tip", "link", "none", f"one of {', '.join(ends)}"))
         found = urdf_chain(robot, ends[0])
-        chain, joints, table = found.chain, found.joints, _derived(found.chain)
+        chain, joints, table = found.chain, found.joints, _table_answer(found.chain)
     else:
         if tip is not None:
             raise InputError(Problem("--tip", "link", tip, "none: the file has one chain"))
@@ -89,7 +89,7 @@ def table_of(
     if angles is not None:
         answer["forward"] = _forward(chain, _joints(angles, chain))
     if place_m is not None:
-        turned = None if roll_pitch_yaw_rad is None else _turned(roll_pitch_yaw_rad)
+        turned = None if roll_pitch_yaw_rad is None else _rotation_matrix(roll_pitch_yaw_rad)
         every = all_solutions(chain, place_m, turned)
         answer["inverse"] = _inverse(chain, every.q, every.isolated) | {"place_m": place_m}
         answer["inverse"]["roll_pitch_yaw_rad"] = roll_pitch_yaw_rad
@@ -116,9 +116,9 @@ def _chain_answer(chain: JointChain, joints: tuple[str, ...], table: Answer) -> 
     return lists | {"dh": table}
 
 
-def _derived(chain: JointChain) -> Answer:
+def _table_answer(chain: JointChain) -> Answer:
     table = dh_table(chain)
-    return {"base": _placed(table.base), "tool": _placed(table.tool), **_table("modified", table.rows)}
+    return {"base": _pose_answer(table.base), "tool": _pose_answer(table.tool), **_table("modified", table.rows)}
 
 
 def _table(convention: str, rows: Sequence[DHRow]) -> Answer:
@@ -129,10 +129,10 @@ def _table(convention: str, rows: Sequence[DHRow]) -> Answer:
 def _forward(chain: JointChain, q: Array) -> Answer:
     R, place = chain.pose(q)
     end = RigidTransform.from_components(place, Rotation.from_matrix(R))
-    return {"q": q, **_placed(end), "within_limits": _within(chain, q)}
+    return {"q": q, **_pose_answer(end), "within_limits": _within(chain, q)}
 
 
-def _placed(transform: RigidTransform) -> Answer:
+def _pose_answer(transform: RigidTransform) -> Answer:
     yaw, pitch, roll = transform.rotation.as_euler("ZYX", suppress_warnings=True)
     return {"place_m": transform.translation, "roll_pitch_yaw_rad": [roll, pitch, yaw]}
 
@@ -155,7 +155,7 @@ def _within(chain: JointChain, q: Array) -> bool:
     return bool(((q >= chain.lower_rad - 1e-9) & (q <= chain.upper_rad + 1e-9)).all())
 
 
-def _turned(roll_pitch_yaw_rad: ArrayLike) -> Array:
+def _rotation_matrix(roll_pitch_yaw_rad: ArrayLike) -> Array:
     return Rotation.from_euler("ZYX", np.asarray(roll_pitch_yaw_rad, float)[::-1]).as_matrix()
 
 

@@ -221,7 +221,7 @@ def _remarks(body: Body) -> Iterator[str]:
         yield "feet: none. Contacts with the ground and gait need them."
     high = [foot for foot in body.feet if at[foot][2] >= min(rear[2], front[2])]
     if high:
-        yield f"feet: in the expected pose {_listed(high)} not below {' and '.join(body.forward)}."
+        yield f"feet: in the expected pose {_names_text(high)} not below {' and '.join(body.forward)}."
     elif body.feet:
         heights = np.array([at[foot][2] for foot in body.feet])
         if np.ptp(heights) > _EVEN * np.ptp(points[:, 2]):
@@ -236,27 +236,27 @@ def _remarks(body: Body) -> Iterator[str]:
             yield f"feet: in the expected pose {foot} lies {there} the middle of the trunk, but is a {said} foot."
     drawn = {marker for limb in body.limbs.values() for marker in limb}
     if lacking := [marker for marker in body.markers if marker not in drawn]:
-        yield f"limbs: no line leads to {_listed(lacking)}."
+        yield f"limbs: no line leads to {_names_text(lacking)}."
     yield from _side_remarks(body, at)
     if loose := _loose_angles(body):
-        yield f"segments: no marker is moved by {_listed(loose)}: they stay at their means."
+        yield f"segments: no marker is moved by {_names_text(loose)}: they stay at their means."
 
 
 def _side_remarks(body: Body, at: dict[str, np.ndarray]) -> Iterator[str]:
     side_of = body.side_of
     single = [m for m in body.markers if side_of(m) is not None and other_side(m) not in at]
     if single:
-        yield f"markers: only one side has {_listed(single)}."
+        yield f"markers: only one side has {_names_text(single)}."
     wrong = [m for m, p in at.items() if (side_of(m) == "left" and p[1] < 0) or (side_of(m) == "right" and p[1] > 0)]
     if wrong:
-        yield f"markers: on the other side of the middle (y is to the left) {_listed(wrong)}."
+        yield f"markers: on the other side of the middle (y is to the left) {_names_text(wrong)}."
     uneven = [
         m
         for m, p in at.items()
         if side_of(m) == "left" and other_side(m) in at and np.abs(p - at[other_side(m)] * (1, -1, 1)).max() > _SAME_M
     ]
     if uneven and not wrong:
-        yield f"markers: not the mirror image of the other side {_listed(uneven)}."
+        yield f"markers: not the mirror image of the other side {_names_text(uneven)}."
 
 
 def _loose_angles(body: Body) -> list[str]:
@@ -270,7 +270,7 @@ def _loose_angles(body: Body) -> list[str]:
     return [name for name, is_still in zip(body.state_names[4:], still, strict=True) if is_still]
 
 
-def _listed(names: Sequence[str]) -> str:
+def _names_text(names: Sequence[str]) -> str:
     return ", ".join(names)
 
 

@@ -205,7 +205,7 @@ def _shown(console: Console, plan: Sequence[Planned]) -> Iterator[Any]:
                 ended += 1
                 row = summary.rows[event.clip]
                 (errors if row["status"] == "failed" else console).print(
-                    Text(f"[{ended}/{left}] ").append_text(_said(row)), soft_wrap=True
+                    Text(f"[{ended}/{left}] ").append_text(_row_text(row)), soft_wrap=True
                 )
 
         yield line
@@ -228,12 +228,12 @@ def _shown(console: Console, plan: Sequence[Planned]) -> Iterator[Any]:
                 bar.advance(overall)
                 row = summary.rows[event.clip]
                 if row["status"] != "done":
-                    bar.console.print(_said(row), soft_wrap=True)
+                    bar.console.print(_row_text(row), soft_wrap=True)
 
         yield bars
 
 
-def _said(row: Mapping[str, Any]) -> Text:
+def _row_text(row: Mapping[str, Any]) -> Text:
     """One clip's end in a line."""
     text = Text.assemble((row["status"], _STYLES[row["status"]]), f"  {row['clip']}")
     return text.append(f": {row['error']}" if row["error"] else f"  {row['frames']} frames, {row['seconds']:.1f} s")

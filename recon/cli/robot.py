@@ -178,10 +178,10 @@ def _print_chain(console: Console, answer: dict[str, Any], title: str) -> None:
         table.add_row(name, f"{row['a_m']:z.4f}", alpha, f"{row['d_m']:z.4f}", theta, *_typed(limit, [slide] * 2))
     console.print(table)
     for name in (name for name in ("base", "tool") if name in answer["dh"]):
-        say(console, f"{name}: {_placed(answer['dh'][name])}")
+        say(console, f"{name}: {_pose_text(answer['dh'][name])}")
     if "forward" in answer:
         beyond = "" if answer["forward"]["within_limits"] else "; beyond a joint's limits"
-        say(console, f"end: {_placed(answer['forward'])}{beyond}")
+        say(console, f"end: {_pose_text(answer['forward'])}{beyond}")
     if "inverse" in answer:
         every = answer["inverse"]["solutions"]
         table = number_table("solution", numbers=(*answer["joints"], "within limits"))
@@ -193,7 +193,7 @@ def _print_chain(console: Console, answer: dict[str, Any], title: str) -> None:
             say(console, answer["inverse"]["note"])
 
 
-def _placed(answer: dict[str, Any]) -> str:
+def _pose_text(answer: dict[str, Any]) -> str:
     place = ", ".join(f"{x:z.4f}" for x in answer["place_m"])
     return f"at ({place}) m, roll, pitch and yaw ({', '.join(_deg(answer['roll_pitch_yaw_rad']))})°"
 

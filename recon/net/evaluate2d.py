@@ -155,7 +155,7 @@ def evaluate_2d(
     likely = np.where(likelihood >= likelihood_min, errors, np.nan)
     partner = sides(names)
     paired = any(p != k for k, p in enumerate(partner))
-    forgiven = _score(_forgiven(xy_px, label_px, partner), labelled, length_px) if paired else None
+    forgiven = _score(_forgiving_errors_px(xy_px, label_px, partner), labelled, length_px) if paired else None
     known = np.isfinite(errors) & np.isfinite(likelihood)
     by_keypoint = {n: _score(errors[:, k], labelled[:, k], length_px) for k, n in enumerate(names)}
     likely_by_keypoint = {n: _score(likely[:, k], labelled[:, k], length_px) for k, n in enumerate(names)}
@@ -173,7 +173,7 @@ def evaluate_2d(
     )
 
 
-def _forgiven(xy_px: Array, label_px: Array, partner: tuple[int, ...]) -> Array:
+def _forgiving_errors_px(xy_px: Array, label_px: Array, partner: tuple[int, ...]) -> Array:
     """Errors (N, K) with each pair of sides the right way round or the other, whichever is better for the pair."""
     own = np.linalg.norm(xy_px - label_px, axis=2)
     other = np.linalg.norm(xy_px[:, list(partner)] - label_px, axis=2)

@@ -71,28 +71,28 @@ def _planned(clip: Clip, out: Path, overwrite: bool) -> Planned:
         return Planned(clip, out, "new", "", mine)
     if overwrite:
         return Planned(clip, out, "refit", "--overwrite", mine)
-    if record is None or (record["state"] == "finished" and not _own(out, record)):
-        raise InputError(_occupied(out, "results that no batch has made"))
+    if record is None or (record["state"] == "finished" and not _is_own(out, record)):
+        raise InputError(_occupied_problem(out, "results that no batch has made"))
     theirs = record["identity"]
     same_files = {*record["keypoints"].split(", ")} & {str(path) for path in clip.settings.keypoints}
     if not same_files and not _keypoints(theirs) & _keypoints(mine):
-        raise InputError(_occupied(out, f"results of {record['keypoints']}"))
+        raise InputError(_occupied_problem(out, f"results of {record['keypoints']}"))
     if record["state"] != "finished":
         return Planned(clip, out, "refit", "not finished before", mine)
     if theirs != mine:
-        return Planned(clip, out, "refit", f"changed: {', '.join(_changed(theirs, mine))}", mine)
-    if not _whole(out):
+        return Planned(clip, out, "refit", f"changed: {', '.join(_changed_names(theirs, mine))}", mine)
+    if not _is_whole(out):
         return Planned(clip, out, "refit", "not complete", mine)
     return Planned(clip, out, "done", "", mine, record["row"])
 
 
-def _occupied(out: Path, found: str) -> Problem:
+def _occupied_problem(out: Path, found: str) -> Problem:
     return Problem(
         out, "folder", found, "a folder without results, or of an earlier batch of this clip; or --overwrite"
     )
 
 
-def _changed(theirs: Mapping[str, Any], mine: Mapping[str, Any]) -> list[str]:
+def _changed_names(theirs: Mapping[str, Any], mine: Mapping[str, Any]) -> list[str]:
     """Names of the input files and settings that differ, and the version."""
     names = []
     for part in ("inputs", "settings"):
@@ -191,13 +191,13 @@ def file_digest(path: Path) -> str | None:
     return file_sha256.__wrapped__(path)
 
 
-def _own(out: Path, record: Mapping[str, Any]) -> bool:
+def _is_own(out: Path, record: Mapping[str, Any]) -> bool:
     """Whether the results are those that the batch has written: each report has its own times, and so each manifest its
     own hashes. Without a manifest they are what is left of some run."""
     return not (out / MANIFEST).exists() or file_digest(out / MANIFEST) == record["manifest_sha256"]
 
 
-def _whole(out: Path) -> bool:
+def _is_whole(out: Path) -> bool:
     """Whether all files are there and as they were written."""
     try:
         return not read_manifest(out).changed()
