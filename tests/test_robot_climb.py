@@ -412,6 +412,7 @@ def test_the_command_writes_what_the_plan_is(tmp_path, walker):
     ended = run("climb", tmp_path / "short.toml", "--height", 0.03, "--at", 0.4, "--out", out, "--no-figures")
     assert ended.code == 0, ended.err
     assert "aibo climbs 30 mm" in ended.out
+    assert "drawn" not in ended.out
     assert "not valid: not all feet end on top of the step" in ended.out
     report = json.loads((out / "report.json").read_text())
     climb = plan(walker, raised(load_recipe(tmp_path / "short.toml"), 0.03))

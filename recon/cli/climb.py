@@ -79,4 +79,5 @@ def climb(
     say(console, "valid in every frame" if report["valid"] else f"not valid: {'; '.join(report['problems'])}")
     if report["settled_share"] < 1:
         say(console, f"note: in equilibrium in {100 * report['settled_share']:.0f} % of the frames only")
-    say(console, f"The playback is {out / 'climb.rrd'}; the field is drawn at {report['field_drawn_at_s']:.2f} s.")
+    drawn = f"; the field is drawn at {report['field_drawn_at_s']:.2f} s" if figures else ""
+    say(console, f"The playback is {out / 'climb.rrd'}{drawn}.")
