@@ -207,6 +207,19 @@ def test_clips_of_one_file_are_told_apart(clips):
     assert names(path) == ["a-wolf", "a-dog", "a-dog-3", "a-dog-2", "b", "c-a_b-c"]
 
 
+def test_each_animal_of_a_file_is_a_clip(tmp_path):
+    """Those with points, unless one is chosen, and as it is read by whatever reads it."""
+    header = "scorer" + ",net" * 9 + "\nindividuals" + "".join(f",{name}" * 3 for name in ("one", "two", "never"))
+    header += "\nbodyparts" + ",nose" * 9 + "\ncoords" + ",x,y,likelihood" * 3
+    (tmp_path / "pair.csv").write_text(f"{header}\n0,1,2,0.9,3,4,0.8,,,\n")
+    one, two = found(tmp_path / "pair.csv")
+    assert [(clip.name, clip.settings.individual) for clip in (one, two)] == [("pair-one", "one"), ("pair-two", "two")]
+    assert one.settings == FitSettings(**{**two.settings.plain(), "individual": "one"})
+    assert [clip.name for clip in found(tmp_path / "pair.csv", individual="two")] == ["pair"]
+    rows = manifest(tmp_path, "keypoints,out,individual\npair.csv,run,\npair.csv,other,two\n")
+    assert names(rows) == ["run-one", "run-two", "other"]
+
+
 def test_all_problems_of_a_manifest_at_once(clips):
     path = manifest(
         clips,

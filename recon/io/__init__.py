@@ -12,7 +12,8 @@ from pathlib import Path
 from recon.documents import require_file
 from recon.errors import InputError, Problem
 from recon.io import coco, columns, deeplabcut, movement, nwb, sleap
-from recon.io.common import with_likelihoods
+from recon.io.common import NoChoiceError, with_likelihoods
+from recon.io.hdf5 import is_hdf5
 from recon.keypoints import Keypoints
 
 
@@ -52,12 +53,30 @@ def read_keypoints(path: str | Path, individual: str | None = None) -> Keypoints
     raise InputError(Problem(path, "format", describe(head), "one of: " + ", ".join(r.name for r in READERS)))
 
 
-def file_head(path: Path) -> bytes:
+def individuals(path: str | Path) -> tuple[str, ...]:
+    """The animals with points in a file of several; none for a file of one, or one that cannot be read."""
+    try:
+        if not _is_of_one(Path(path)):
+            read_keypoints(path)
+    except NoChoiceError as error:
+        return error.animals
+    except InputError:  # said when it is read
+        pass
+    return ()
+
+
+def _is_of_one(path: Path) -> bool:
+    """Whether it can be told without reading all of it: DeepLabCut's CSV names animals in its first rows."""
+    named = b"individuals" in file_head(path, 1 << 18)  # a row with the network's name in every column is before it
+    return not named and not is_hdf5(path) and deeplabcut.recognises(path)
+
+
+def file_head(path: Path, length: int = 64) -> bytes:
     """The first bytes of a file. Raises InputError where there is no file to read, or nothing in it."""
     require_file(path)
     try:
         with path.open("rb") as file:
-            head = file.read(64)
+            head = file.read(length)
     except OSError as error:
         found = f"a file that cannot be opened ({error.strerror})"
     else:

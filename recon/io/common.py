@@ -46,6 +46,15 @@ def starts_with_text(path: Path, word: bytes) -> bool:
         return file.read(256).removeprefix(b"\xef\xbb\xbf").lstrip().startswith(word)
 
 
+class NoChoiceError(InputError):
+    """A file has several animals with points, and none of them is chosen."""
+
+    def __init__(self, path: Path, animals: Sequence[str]) -> None:
+        found = f"{len(animals)} animals and no choice"
+        super().__init__(Problem(path, "individual", found, "one of: " + ", ".join(animals)))
+        self.animals = tuple(animals)
+
+
 def choose(path: Path, animals: Sequence[str], individual: str | None, seen: Iterable[bool] | None = None) -> int:
     """Which of a file's animals is meant; the only one may be unnamed, "". seen: whether each has a point anywhere, by
     default all; those without any are no choice, but may be named. Raises InputError for a name that the file lacks, or
@@ -56,9 +65,10 @@ def choose(path: Path, animals: Sequence[str], individual: str | None, seen: Ite
         return animals.index(choice[0])
     if list(animals) == [""]:
         raise InputError(Problem(path, "individual", "a file without named animals", f"an animal '{individual}'"))
+    if individual is None:
+        raise NoChoiceError(path, choice)
     if individual not in animals:
-        found = f"{len(choice)} animals and no choice" if individual is None else f"'{individual}'"
-        raise InputError(Problem(path, "individual", found, "one of: " + ", ".join(choice)))
+        raise InputError(Problem(path, "individual", f"'{individual}'", "one of: " + ", ".join(choice)))
     return animals.index(individual)
 
 

@@ -17,7 +17,7 @@ from recon.app.batch.anipose import Session, sessions_in
 from recon.app.batch.groups import AUTO, NOTED, Draft, join_cameras, missing_cameras
 from recon.calibration import read_cameras
 from recon.errors import InputError, Problem
-from recon.io import READERS, file_head
+from recon.io import READERS, file_head, individuals
 from recon.settings import SETTINGS, FitSettings, beside, option, read_settings
 
 SUMMARY = "summary.csv"
@@ -45,7 +45,8 @@ def find_clips(
     inputs: keypoint files, quoted globs, folders (every file that a reader recognises; of files that differ in their
     suffix only the last one, .h5 rather than .csv, as DeepLabCut writes its tables twice; Anipose's sessions) and CSV
     manifests (a header with `keypoints`). common: settings of every clip by name, None where not given; a manifest's
-    cells overrule them, and they overrule those of config. cameras_by: which files are one clip, see `join_cameras`.
+    cells overrule them, and they overrule those of config. Each animal of a file of several is a clip, unless one is
+    chosen. cameras_by: which files are one clip, see `join_cameras`.
     Raises InputError with the problems of all inputs and rows.
     """
     drafts, notes, problems = [], [], []
@@ -64,13 +65,14 @@ def find_clips(
         notes += said
     except InputError as error:
         problems += error.problems
-    settings: list[FitSettings] = []
+    every: list[tuple[Draft, FitSettings]] = []
     for draft in drafts:
         try:
-            settings.append(_settings(draft, common, config))
+            every += _each_animal(draft, _settings(draft, common, config))
         except InputError as error:
             problems += error.problems
     problems += _name_problems(drafts)
+    drafts, settings = [draft for draft, _ in every], [its for _, its in every]
     problems += _effect_problems(common, settings)
     if problems:
         raise InputError(dict.fromkeys(problems))  # what all clips have in common is said once
@@ -287,6 +289,17 @@ def _settings(draft: Draft, common: Mapping[str, Any], config: Path | None) -> F
         return read_settings(config, {"keypoints": draft.paths, **under, **row})
     except InputError as error:
         raise InputError(_problem_of_row(problem, draft, under) for problem in error.problems) from None
+
+
+def _each_animal(draft: Draft, settings: FitSettings) -> list[tuple[Draft, FitSettings]]:
+    animals = () if settings.individual is not None else individuals(settings.keypoints[0])
+    if not animals:
+        return [(draft, settings)]
+    names = [None if draft.name is None else f"{draft.name}-{animal}" for animal in animals]
+    return [
+        (replace(draft, row={**draft.row, "individual": animal}, name=name), replace(settings, individual=animal))
+        for animal, name in zip(animals, names, strict=True)
+    ]
 
 
 def _without_lists(values: Mapping[str, Any]) -> dict[str, Any]:
