@@ -145,6 +145,10 @@ class Body:
     """(D - 4,): one standard deviation of their acceleration."""
     keypoint_offset_m: dict[str, tuple[float, float, float]] = field(default_factory=dict)
     """How far a detector's keypoint lies from a marker, (x, y, z) in the marker's segment, by marker."""
+    keypoint_spread_m: dict[str, float] = field(default_factory=dict)
+    """How far off that it lies in one clip, along each axis and all the time."""
+    detector: str | None = None
+    """Whose keypoints are expected (`recon.detector`)."""
 
     @cached_property
     def detected(self) -> Tree:

@@ -238,6 +238,13 @@ class FitSettings:
         "the name of a built-in subject, or a TOML file with one animal's lengths",
         method="trajectory",
     )
+    detector: str | None = _field(
+        _NAME_OR_FILE,
+        "Where the detector's keypoints lie beside the markers: a built-in name, as in acinoset, a TOML file, or none. "
+        "(default: as the subject's or the skeleton's file says)",
+        "the name of a built-in detector, a file that `recon subject fit` wrote, or none",
+        method="trajectory",
+    )
     prior: str | None = _field(
         _NAME_OR_FILE,
         "What motions are like: a built-in name, a file of `recon prior fit`, or none. "

@@ -138,6 +138,7 @@ class _BodyFile(_Table):
     feet: _BodyFeet = Field(default=None, validate_default=True)
     keypoint_sigma_m: Sigma
     size_sigma: Sigma
+    detector: str | None = None
     segments: tuple[_Segment, ...] = Field(min_length=1)
     markers: tuple[_Marker, ...]
     limbs: dict[str, tuple[str, ...]]
@@ -197,7 +198,7 @@ def _names(folder: str) -> tuple[str, ...]:
 
 def _read(
     name_or_path: str | Path,
-    kind: Literal["skeleton", "subject"] = "skeleton",
+    kind: Literal["skeleton", "subject", "detector"] = "skeleton",
     suggested: Callable[[], Iterable[str]] | None = None,
 ) -> tuple[dict[str, Any], str]:
     """A file's tables, and what to call it in messages. suggested: names to choose from, if not all."""
@@ -529,4 +530,5 @@ def _body(f: _BodyFile) -> Body:
         sigma_rad=np.array([e.sigma_rad for e in expected]),
         acceleration_rad_s2=np.array([e.acceleration_rad_s2 for e in expected]),
         keypoint_offset_m={m.name: m.keypoint_offset_m for m in markers if any(m.keypoint_offset_m)},
+        detector=f.detector,
     )

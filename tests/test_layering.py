@@ -45,6 +45,7 @@ LAYERS = (
     "naming",
     "chain",
     "skeleton_file",
+    "detector",
     "prior",
     "synthetic",
     "straight_runs",

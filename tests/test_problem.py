@@ -11,10 +11,21 @@ from scipy.optimize import least_squares
 from recon.banded import BlockBanded
 from recon.kinematics import Marker, Segment, Tree
 from recon.solve import problem as problem_module
-from recon.solve.problem import Problem
-from recon.solve.terms import Linear, climb_term, dynamics_term, pose_term, root_term
+from recon.solve.posterior import posterior
+from recon.solve.problem import Estimate, Problem, Shared
+from recon.solve.terms import (
+    SIZE,
+    Linear,
+    Reprojection,
+    beside,
+    climb_term,
+    dynamics_term,
+    lag,
+    pose_term,
+    root_term,
+)
 from tests.test_banded import to_dense
-from tests.test_terms import BODY, FPS, PRIOR, T, gradient, some_states, terms
+from tests.test_terms import BODY, FPS, PRIOR, T, detections, gradient, some_states, terms, view
 
 
 def whole_problem() -> Problem:
@@ -58,6 +69,66 @@ def test_normal_equations_equal_dense_ones():
     H, g = equations(problem, states)
     np.testing.assert_allclose(to_dense(H), J.T @ J, rtol=1e-9, atol=1e-9 * np.abs(J.T @ J).max())
     np.testing.assert_allclose(g.ravel(), J.T @ r, rtol=1e-9, atol=1e-9 * np.abs(J.T @ r).max())
+
+
+def seen_late(shared: bool = True) -> Problem:
+    """Two views with unknowns of their own, which all frames share, and the size."""
+    rng, xy_px = np.random.default_rng(5), detections(some_states(1))
+    sigma, J = np.full(xy_px.shape[:2], 8.0), xy_px.shape[1]
+    seen = [
+        Reprojection(of, sigma, 3.0, np.zeros(3), i, 0.1 * rng.normal(size=(T, J, 3)), rng.uniform(100, 200, T))
+        for i, of in enumerate((view(xy_px), replace(view(xy_px), lead_frames=0.3)))
+    ]
+    unknown = [Shared(SIZE, np.ones(1), np.array([0.1]))]
+    unknown += [Shared(lag(i), np.zeros(1), np.array([0.3])) for i in range(2)]
+    displaced = [Shared(beside(i), np.zeros(2 * J), np.full(2 * J, 0.03)) for i in range(2)]
+    linear = [t for t in terms() if isinstance(t, Linear)]
+    held = Linear("held", (0,), 0.01 * np.eye(BODY.n_state)[None], np.zeros(BODY.n_state))  # the last frame by one view
+    free = [*unknown, *displaced] if shared else unknown
+    return Problem(BODY.tree, [*linear, held], seen, free, () if shared else displaced)
+
+
+def some_shared(problem: Problem) -> dict[str, np.ndarray]:
+    rng = np.random.default_rng(6)
+    return {u.name: u.mean + 0.3 * u.sigma * rng.normal(size=len(u.mean)) for u in problem.shared}
+
+
+def test_shared_unknowns_have_the_gradient_of_the_cost():
+    """Central differences along random directions of states and shared unknowns together."""
+    problem, states = seen_late(), some_states()
+    shared, rng, h = some_shared(problem), np.random.default_rng(2), 1e-5
+    normal = problem.normal(states, shared)
+    for _ in range(10):
+        step, by_name = rng.normal(size=states.shape), {name: rng.normal(size=v.shape) for name, v in shared.items()}
+        up, down = (
+            problem.cost(states + s * h * step, {name: v + s * h * by_name[name] for name, v in shared.items()})
+            for s in (1, -1)
+        )
+        along = sum(normal.shared_gradient[own] @ by_name[name] for name, own in problem.columns.items())
+        exact = float(np.sum(normal.gradient * step) + along)
+        assert (up - down) / (2 * h) == pytest.approx(exact, rel=2e-5, abs=1e-4 * np.linalg.norm(normal.gradient))
+
+
+def test_the_posterior_is_that_of_the_dense_equations():
+    """Joints' covariances, the size given, from the inverse of the bordered matrix; and what is said of the size."""
+    problem, states = seen_late(shared=False), some_states()
+    shared, factor = some_shared(problem), 3.0
+    found = posterior(problem, BODY, Estimate(states, 0.0, 1, True, shared), factor)
+    every = replace(problem, shared=[*problem.shared, *problem.doubtful], doubtful=())
+    normal = every.normal(states, every.expected() | shared)
+    n, P = states.size, len(normal.corner)
+    border = normal.border.reshape(n, P)
+    whole = np.block([[to_dense(normal.H), border], [border.T, normal.corner]])
+    given = np.linalg.inv(np.delete(np.delete(whole, n, 0), n, 1))[:n, :n]  # the size, first of the border, held
+    jacobian = BODY.tree.pose_with_jacobian(states).jacobian
+    assert jacobian is not None
+    D = states.shape[1]
+    for t in range(T):
+        own = given[t * D : (t + 1) * D, t * D : (t + 1) * D]
+        dense = factor * jacobian[t] @ own @ jacobian[t].swapaxes(1, 2)
+        np.testing.assert_allclose(found.covariance_m2[t], dense, rtol=1e-5, atol=1e-9)
+    of_size = 1.0 / np.linalg.inv(whole)[n, n] - problem.shared[0].sigma[0] ** -2
+    assert found.size_precision == pytest.approx(of_size / factor, rel=1e-5)
 
 
 def test_a_step_equals_the_dense_one():

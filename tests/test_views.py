@@ -143,6 +143,35 @@ def test_a_camera_half_a_frame_late_is_no_worse_for_it():
     assert error < np.linalg.norm(two().joints_m - points, axis=-1).mean() + 0.003
 
 
+def test_a_camera_late_by_less_than_a_frame_is_found():
+    """Which nobody said: the place does not suffer, and with one camera it is as uncertain as that."""
+    points = truth_m()
+    late = view_of(0.6 * points + 0.4 * np.concatenate([points[1:], 2 * points[-1:] - points[-2:-1]]), AHEAD)
+    third = view_of(points, pose([-6.0, 2.0, 0.5], 0.6), seed=2)
+    found, held = (
+        solve_trajectory(
+            [late, view_of(points, ASIDE, seed=1), third],
+            BODY,
+            PRIOR,
+            FPS,
+            TrajectoryOptions(fast=True, lag_frames=frames),
+        )
+        for frames in (TrajectoryOptions().lag_frames, 1e-3)
+    )
+    assert found.lag_frames[0] - found.lag_frames[1:].mean() == pytest.approx(0.4, abs=0.1)
+    error = [np.linalg.norm(solution.joints_m - points, axis=-1).mean() for solution in (found, held)]
+    assert error[0] < error[1]
+    step_m = 9.0 / FPS
+    one, sure = (
+        solve_trajectory([view_of(points, AHEAD)], BODY, PRIOR, FPS, TrajectoryOptions(fast=True, lag_frames=frames))
+        for frames in (0.5, 1e-6)
+    )
+    along = np.gradient(points.mean(axis=1), axis=0)
+    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    more = np.einsum("ta,tjab,tb->tj", along, one.covariance_m2 - sure.covariance_m2, along)
+    assert 0.7 < np.median(more) / (0.5 * step_m) ** 2 < 1.0  # the motion's own expectations say a little
+
+
 def test_a_camera_that_pans_is_as_good_as_a_still_one():
     """The same rays, through a camera that turns about its centre to follow: the same motion, and the same doubt."""
     points = truth_m()

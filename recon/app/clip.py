@@ -18,6 +18,7 @@ from recon.camera import Camera
 from recon.camera_track import MAX_GAP_S, CameraTrack, FramePoses
 from recon.chain import Chain
 from recon.clip import Source, View, held, together, views_of
+from recon.detector import seen_by
 from recon.errors import InputError, Problem, all_of
 from recon.export import CAMERA_OUTPUTS, CLIP_OUTPUTS, of_any_camera, write_tables
 from recon.files import require_free_folder, sole_writer, staged_results
@@ -203,7 +204,7 @@ def _model(settings: FitSettings) -> Model:
     if settings.method == "frame":
         chain = load_chain(settings.skeleton_name)
         return Model(chain.body, chain=chain)
-    body = load_skeleton(settings.skeleton_name, settings.subject)
+    body = seen_by(load_skeleton(settings.skeleton_name, settings.subject), settings.detector)
     prior, _ = all_of(lambda: _prior(settings, body), lambda: _require_no_side(settings, body))
     return Model(body, prior)
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from recon.app.clip import prepare
 from recon.clip import views_of
+from recon.detector import NONE, detector_toml
 from recon.errors import InputError, Problem, all_of
 from recon.files import require_free_file, staged_file
 from recon.settings import FitSettings, read_settings
@@ -67,7 +68,8 @@ def run_subject_fit(
     title: str | None = None,
     overwrite: bool = False,
 ) -> SubjectFit:
-    """`recon subject fit`: measure an animal and its detector, and write the subject file.
+    """`recon subject fit`: measure an animal and its detector, and write the subject file; without lengths, the
+    detector file.
 
     clips: result folders of `recon fit`, or their config.toml. lengths: of the segments; offsets: of the keypoints from
     the markers. Raises InputError for clips and options that cannot be used, with the problems of all of them.
@@ -78,6 +80,8 @@ def run_subject_fit(
     _require_one_skeleton(settings, clips)
     if lengths:  # those of a measured animal would be measured again
         settings = [replace(one, subject=None) for one in settings]
+    if offsets:
+        settings = [replace(one, detector=NONE) for one in settings]
     given = all_of(*(_setting_reader(one, path) for one, path in zip(settings, clips, strict=True)))
     shape = Shape.of(given[0].body, lengths, offsets)
     try:
@@ -93,10 +97,14 @@ def run_subject_fit(
     found = SubjectFit(fit, len(clips), frames, size, sigma)
     body = replace(shape.applied(shape.body, fit.values), size_sigma=sigma)
     notes = [f"{name}: {value:.4g} ± {s:.2g} {unit}" for name, value, s, unit in found.rows()]
-    skeleton = settings[0].skeleton_name
-    named = title or f"{shape.body.title}, measured in {len(clips)} clip{'s' * (len(clips) > 1)}"
+    count = f"measured in {len(clips)} clip{'s' * (len(clips) > 1)}"
+    if lengths:
+        text = subject_toml(settings[0].skeleton_name, body, title or f"{shape.body.title}, {count}", notes)
+    else:
+        body = replace(body, keypoint_sigma_m=fit.keypoint_sigma_m, keypoint_spread_m=fit.spread_m)
+        text = detector_toml(body, title or f"a detector, {count}", notes)
     with staged_file(out) as staged:
-        staged.write_text(subject_toml(skeleton, body, named, notes), encoding="utf-8")
+        staged.write_text(text, encoding="utf-8")
     return found
 
 

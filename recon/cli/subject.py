@@ -34,7 +34,8 @@ def subject_fit(
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the file.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print the table as JSON.")] = False,
 ) -> None:
-    """Measure one animal in clips that several cameras filmed, for `recon fit --subject`.
+    """Measure one animal in clips that several cameras filmed, for `recon fit --subject`; without its lengths the
+    detector only, for `recon fit --detector`, also from several measured animals.
 
     Example: recon subject fit results/run1 results/run2 --offsets --out my-cat.toml
     """
@@ -50,7 +51,8 @@ def subject_fit(
         typer.echo(f"Size: {found.size:.3f} ± {found.size_sigma:.3f} of the skeleton's lengths.")
     if not found.fit.converged:
         typer.echo("The last step was not small yet: more frames would say more.")
-    typer.echo(f"From {found.clips} clips, {found.frames} frames. The subject is in {out}: recon fit --subject {out}")
+    kind = "subject" if found.fit.shape.lengths else "detector"
+    typer.echo(f"From {found.clips} clips, {found.frames} frames. The {kind} is in {out}: recon fit --{kind} {out}")
 
 
 def _tables(found: SubjectFit) -> Iterator[Table]:

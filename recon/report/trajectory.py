@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from recon.detector import NONE as NO_DETECTOR
 from recon.motion import Motion
 from recon.prior import NONE
 from recon.report import agreement, cameras, common
@@ -52,6 +53,7 @@ def sections(motion: Motion, settings: Mapping[str, Any]) -> dict[str, Any]:
         "ground": next((spell["ground"] for spell in spells if spell["ground"] is not None), None),
         "spells": spells,
         "prior": prior,
+        "detector": motion.body.detector or NO_DETECTOR,
         "alternative": _alternative(solution),
         "stances": by_name([motion.names[foot] for foot in motion.feet], _stances(motion)),
         "heading": _heading(motion),
@@ -100,6 +102,12 @@ def _assumptions(motion: Motion, settings: Mapping[str, Any], size: Mapping[str,
         f"The scale: the lengths are those of {size['lengths']!r}, {of_animal}, times a size that is expected to be "
         f"1 with a standard deviation of {size['prior_sigma']:.2g}. Distances, speeds and sizes scale with it."
         + "".join(f" It is measured by {SAID_BY[what]}." for what in size["from"] if what in SAID_BY),
+        "Keypoints are taken to lie "
+        + (
+            "on the markers."
+            if motion.body.detector in (None, NO_DETECTOR)
+            else f"beside the markers as those of the detector {motion.body.detector}."
+        ),
         "Poses and their changes are expected to be "
         + (
             "as the skeleton's file says, each angle on its own."

@@ -40,6 +40,6 @@ def contacts(setting: Setting, points_m: Array, size: float) -> tuple[Array, Gro
         return both, None, (stance,)
     on_ground = OnGround(feet, contact, plane, centre, setting.fps, o.ground_foot_m, o.stance_weight)
     slope = plane[1:]
-    sigma = float(np.sqrt(covariance[0, 0] * max(o.error_time_s * setting.fps, 1.0)))
+    sigma = float(np.sqrt(covariance[0, 0] * setting.alike))
     ground = Ground(float(plane[0] - slope @ centre), slope, sigma)
     return both, ground, (stance, on_ground)

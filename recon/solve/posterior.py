@@ -21,7 +21,7 @@ from recon.banded import BlockBanded, Factor, factor
 from recon.body import Body
 from recon.kinematics import ROOT, YAW
 from recon.solve.problem import Estimate, Problem
-from recon.solve.terms import SIZE
+from recon.solve.terms import SIZE, size_of
 
 Array = NDArray[np.float64]
 
@@ -62,19 +62,25 @@ class Posterior:
 
 def posterior(problem: Problem, body: Body, found: Estimate, variance_factor: float) -> Posterior:
     """variance_factor: on all variances (errors of neighbouring frames are alike, which the cost does not know)."""
-    states, size = found.states, found.shared.get(SIZE, 1.0)
-    normal = problem.normal(states, found.shared)
+    states, size = found.states, size_of(found.shared)
+    problem = replace(problem, shared=[*problem.shared, *problem.doubtful], doubtful=())
+    normal = problem.normal(states, problem.expected() | dict(found.shared))
     solved = _factored(normal.H)
+    Y = solved.solve_many(normal.border)
+    S = normal.corner - np.tensordot(normal.border, Y, ((0, 1), (0, 1)))
+    first = int(SIZE in problem.columns)  # the size comes first
+    others, of_others = Y[..., first:], np.linalg.inv(S[first:, first:])
     follows, precision = np.zeros(states.shape), 0.0
-    if len(normal.corner):
-        Y = solved.solve_many(normal.border)
-        follows = -Y[..., 0]
-        known = normal.corner[0, 0] - np.sum(normal.border[..., 0] * Y[..., 0]) - problem.shared[0].sigma ** -2
+    if first:
+        others_by_size = -of_others @ S[1:, 0]
+        follows = -Y[..., 0] - others @ others_by_size
+        known = S[0, 0] + S[0, 1:] @ others_by_size - problem.shared[0].sigma[0] ** -2
         precision = max(float(known), 0.0) / variance_factor
+    lasting = others @ np.linalg.cholesky(of_others)
     held = np.zeros(states.shape)
     held[:, ROOT] = held[:, YAW, None] = _HELD
     priors = replace(problem, terms=[term for term in problem.terms if term.name != "reprojection"], shared=())
-    blocks = [solved.marginal_blocks()[:, 0]]
+    blocks = [solved.marginal_blocks()[:, 0] + lasting @ lasting.swapaxes(1, 2)]
     without = priors.normal(states).H
     blocks += [_factored(H, held).marginal_blocks()[:, 0] for H in (normal.H, without)]
     (absolute, relative), *shares, by_size = _of_joints(body, states, blocks, size, follows)

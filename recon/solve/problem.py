@@ -37,45 +37,53 @@ _SHORTER = (1.0, 0.5, 0.2)
 
 @dataclass(frozen=True)
 class Shared:
-    """An unknown that all frames share, and what is expected of it."""
+    """Unknowns (P,) of one name that all frames share, and what is expected of each."""
 
     name: str
-    mean: float
-    sigma: float
+    mean: Array
+    sigma: Array
 
 
 @dataclass(frozen=True)
 class Estimate:
     """states (T, D); cost: half the squared norm, robust; iterations; converged: the tolerance was met; shared: the
-    values of the shared unknowns, by name."""
+    values (P,) of the shared unknowns, by name."""
 
     states: Array
     cost: float
     iterations: int
     converged: bool
-    shared: Mapping[str, float] = field(default_factory=dict)
+    shared: Mapping[str, Array] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
 class Problem:
     """tree: whose markers the terms read. linear, terms: see `recon.solve.terms`. shared: the unknowns, besides the
-    states, that are free; everywhere below, `shared` are their values, by default the expected ones."""
+    states, that are free; everywhere below, `shared` are their values, by default the expected ones. doubtful: those
+    that are taken for what is expected of them, and count in the posterior only."""
 
     tree: Tree
     linear: Sequence[Linear]
     terms: Sequence[Term]
     shared: Sequence[Shared] = ()
+    doubtful: Sequence[Shared] = ()
 
-    def expected(self) -> dict[str, float]:
+    @cached_property
+    def columns(self) -> dict[str, slice]:
+        """Which of all P shared unknowns are of each name."""
+        ends = np.cumsum([len(unknown.mean) for unknown in self.shared], dtype=int)
+        return {u.name: slice(int(end) - len(u.mean), int(end)) for u, end in zip(self.shared, ends, strict=True)}
+
+    def expected(self) -> dict[str, Array]:
         """The shared unknowns' means."""
         return {unknown.name: unknown.mean for unknown in self.shared}
 
-    def costs(self, states: Array, shared: Mapping[str, float] | None = None) -> dict[str, float]:
+    def costs(self, states: Array, shared: Mapping[str, Array] | None = None) -> dict[str, float]:
         """By name of the term, and of the shared unknown."""
         shared = self.expected() if shared is None else shared
         costs: dict[str, float] = {}
         for unknown in self.shared:
-            costs[unknown.name] = 0.5 * ((shared[unknown.name] - unknown.mean) / unknown.sigma) ** 2
+            costs[unknown.name] = 0.5 * float(np.sum(((shared[unknown.name] - unknown.mean) / unknown.sigma) ** 2))
         for term in self.linear:
             costs[term.name] = costs.get(term.name, 0.0) + 0.5 * float(np.sum(term.residual(states) ** 2))
         for span in self._spans(states, shared, jacobian=False):
@@ -83,18 +91,18 @@ class Problem:
                 costs[term.name] = costs.get(term.name, 0.0) + float(term.evaluate(span, jacobian=False).cost.sum())
         return costs
 
-    def cost(self, states: Array, shared: Mapping[str, float] | None = None) -> float:
+    def cost(self, states: Array, shared: Mapping[str, Array] | None = None) -> float:
         return sum(self.costs(states, shared).values())
 
-    def normal(self, states: Array, shared: Mapping[str, float] | None = None) -> Normal:
+    def normal(self, states: Array, shared: Mapping[str, Array] | None = None) -> Normal:
         """The curvature and the gradient at a point."""
         shared = self.expected() if shared is None else shared
-        (T, D), P = states.shape, len(self.shared)
+        (T, D), columns = states.shape, self.columns
         blocks, gradient = self._linear_blocks(T).copy(), np.zeros((T, D))
-        border = np.zeros((T, D, P))
-        sigma = np.array([unknown.sigma for unknown in self.shared])
-        off = np.array([shared[unknown.name] - unknown.mean for unknown in self.shared])
-        corner, shared_gradient = np.diag(sigma**-2.0), off * sigma**-2.0
+        none = np.zeros(0)
+        precision = np.concatenate([none, *(unknown.sigma**-2.0 for unknown in self.shared)])
+        off = np.concatenate([none, *(shared[unknown.name] - unknown.mean for unknown in self.shared)])
+        border, corner, shared_gradient = np.zeros((T, D, len(off))), np.diag(precision), off * precision
         for term in self.linear:
             at, r = term.frames(T), term.residual(states)
             for offset, slot in zip(term.stencil, term.slots, strict=True):
@@ -105,17 +113,17 @@ class Problem:
                 assert rows.residual is not None
                 assert rows.jacobian is not None
                 add_normal(blocks, gradient, rows.frames, term.stencil, rows.residual, rows.jacobian)
-                if rows.by_shared:
-                    none = np.zeros_like(rows.residual)
-                    by_shared = np.stack([rows.by_shared.get(u.name, none) for u in self.shared], axis=-1)  # (N, M, P)
+                for name, by_own in rows.by_shared.items():
+                    own = columns[name]
                     for slot, offset in enumerate(term.stencil):
-                        border[rows.frames + offset] += rows.jacobian[:, :, slot].swapaxes(1, 2) @ by_shared
-                    corner += np.tensordot(by_shared, by_shared, ((0, 1), (0, 1)))
-                    shared_gradient += np.tensordot(by_shared, rows.residual, ((0, 1), (0, 1)))
+                        border[rows.frames + offset, :, own] += rows.jacobian[:, :, slot].swapaxes(1, 2) @ by_own
+                    for other, by_other in rows.by_shared.items():
+                        corner[own, columns[other]] += np.tensordot(by_own, by_other, ((0, 1), (0, 1)))
+                    shared_gradient[own] += np.tensordot(by_own, rows.residual, ((0, 1), (0, 1)))
         return Normal(BlockBanded(blocks), gradient, border, corner, shared_gradient)
 
     def minimise(
-        self, states: Array, tolerance: float, max_iterations: int, shared: Mapping[str, float] | None = None
+        self, states: Array, tolerance: float, max_iterations: int, shared: Mapping[str, Array] | None = None
     ) -> Estimate:
         """The minimum from a start; stops when a step lowers the cost by less than tolerance times the cost, or times
         one: what a residual of a sigma and a half costs, below which rounding is all that is left to lower."""
@@ -137,10 +145,7 @@ class Problem:
                 step, shared_step = normal.step(damping)
                 for share in _SHORTER:
                     trial = here.states + share * step
-                    shared = {
-                        name: value + share * float(change)
-                        for (name, value), change in zip(here.shared.items(), shared_step, strict=True)
-                    }
+                    shared = {name: here.shared[name] + share * shared_step[own] for name, own in self.columns.items()}
                     cost = self.cost(trial, shared)
                     if cost < here.cost:
                         less = max(damping * (0.2 if share == 1.0 else 0.6), _LEAST_DAMPING)
@@ -150,7 +155,7 @@ class Problem:
             damping = max(20.0 * damping, _FIRST_DAMPING)
         return None
 
-    def _spans(self, states: Array, shared: Mapping[str, float], jacobian: bool) -> Iterator[Span]:
+    def _spans(self, states: Array, shared: Mapping[str, Array], jacobian: bool) -> Iterator[Span]:
         """The clip in pieces that overlap by one frame."""
         pose = self.tree.pose_with_jacobian if jacobian else self.tree.pose
         for first in range(0, len(states), _FRAMES_AT_ONCE):
@@ -180,6 +185,6 @@ class Problem:
 @dataclass(frozen=True, eq=False)
 class _Point:
     states: Array
-    shared: Mapping[str, float]
+    shared: Mapping[str, Array]
     cost: float
     damping: float

@@ -20,8 +20,10 @@ from recon.solve.terms import (
     PoseMixture,
     Reprojection,
     Term,
+    beside,
     climb_term,
     dynamics_term,
+    lag,
     pose_term,
     root_term,
 )
@@ -39,7 +41,9 @@ class TrajectoryOptions:
     """How the trajectory method weighs and searches. Standard deviations unless said otherwise.
 
     sigma_px: the detector's noise; keypoint_sigma_m: how far keypoints lie from the markers, in place of the body's;
-    size_sigma: of the size, relative, in place of the body's. robust_c: residuals of that many sigmas count half.
+    beside_share: the part of it that stays the same over a clip. size_sigma: of the size, relative, in place of the
+    body's. lag_frames: how much later or earlier than said a camera's pictures are taken. robust_c: residuals of that
+    many sigmas count half.
     pose_weight, mixture_weight, motion_weight: how many times the priors count per 1/90 s. acceleration_m_s2: of the
     root in the level frame. lateral_m_s: of the velocity across the trunk. climb_m_s: of the root. ground: "auto" uses
     contacts and a plane, "none" does not; the stance's loss saturates at slip_c slip_m_s. noise_rounds: of step 4.
@@ -57,7 +61,9 @@ class TrajectoryOptions:
     sigma_px: float = 3.0
     keypoint_sigma_m: float | None = None
     size_sigma: float | None = None
-    robust_c: float = 3.0
+    beside_share: float = 0.6
+    lag_frames: float = 12**-0.5
+    robust_c: float = 1.75
     pose_weight: float = 1.0
     mixture_weight: float = 1.0
     motion_weight: float = 1.0
@@ -66,12 +72,12 @@ class TrajectoryOptions:
     lateral_m_s: float = 0.5
     climb_m_s: float = 0.5
     stance_weight: float = 1.0
-    slip_m_s: float = 2.5
+    slip_m_s: float = 1.0
     slip_c: float = 2.0
     ground_height_m: float = 0.12
     ground_slope: float = 0.02
     ground_foot_m: float = 0.04
-    error_time_s: float = 0.16
+    error_time_s: float = 0.18
     noise_rounds: int = 3
     tolerance: float = 1e-4
     max_iterations: int = 30
@@ -174,34 +180,68 @@ class Setting:
 
     # -- the problem ----------------------------------------------------------------------------------------------
 
+    @property
+    def alike(self) -> float:
+        """How many neighbouring frames' errors are alike and count once in the uncertainty."""
+        return max(self.options.error_time_s * self.fps, 1.0)
+
+    @property
+    def keypoint_sigma_m(self) -> float:
+        return self.body.keypoint_sigma_m if self.options.keypoint_sigma_m is None else self.options.keypoint_sigma_m
+
+    def px_per_m(self, points_m: Array, size: float = 1.0) -> Array:
+        """(V, T): how large a metre is in the picture at the distance of markers (T, J, 3), of nominal size."""
+        world = self.in_world(points_m, size)
+        depths = [np.maximum(np.median(view.to_camera(world)[..., 2], axis=1), 0.3) for view in self.views]
+        return np.array([view.focal_px / depth for view, depth in zip(self.views, depths, strict=True)])
+
     def noise_px(self, points_m: Array, factor: Array, size: float = 1.0) -> Array:
         """(V, T, J): the detector's noise, and the keypoints' at the animal's distance, times sqrt(factor) (V, J), for
         markers (T, J, 3) at nominal size."""
-        o = self.options
-        keypoint_m = self.body.keypoint_sigma_m if o.keypoint_sigma_m is None else o.keypoint_sigma_m
-        world = self.in_world(points_m, size)
-        noise = []
-        for view, of_joints in zip(self.views, factor, strict=True):
-            depth = np.maximum(np.median(view.to_camera(world)[..., 2], axis=1), 0.3)
-            noise.append(np.hypot(o.sigma_px, keypoint_m * view.focal_px / depth)[:, None] * np.sqrt(of_joints))
-        return np.array(noise)
+        noise = np.hypot(self.options.sigma_px, self.keypoint_sigma_m * self.px_per_m(points_m, size))
+        return noise[..., None] * np.sqrt(factor)[:, None]
+
+    def shared(self) -> tuple[list[Shared], list[Shared]]:
+        """What all frames share: the unknowns that pictures can tell, and those that only add to the doubt.
+
+        A single camera cannot tell its lag from a place further on, nor keypoints that stay beside their markers from
+        another pose. A standard deviation is that of what lasts: the frames' number makes it no better known.
+        """
+        o, J, V = self.options, len(self.body.markers), len(self.views)
+        root = np.sqrt(self.alike)
+        size = [Shared(SIZE, np.ones(1), np.array([self.size_sigma]))] if self.shows_size else []
+        lags = [Shared(lag(i), np.zeros(1), np.array([o.lag_frames / root])) for i in range(V)]
+        spread_m = self.body.keypoint_spread_m
+        beside_m = np.repeat([spread_m.get(m, o.beside_share * self.keypoint_sigma_m) for m in self.body.markers], 2)
+        displaced = [Shared(beside(i), np.zeros(2 * J), beside_m / root) for i in range(V)] if beside_m.all() else []
+        return ([*size, *lags], displaced) if V > 1 else (size, [*lags, *displaced])
 
     def problem(
         self,
         noise_px: Array,
         temperature: float | None = None,
         contact_terms: Sequence[Term] = (),
-        size_free: bool = False,
+        around_m: Array | None = None,
+        size: float = 1.0,
     ) -> Problem:
         """All terms, each switched on here. noise_px (V, T, J). temperature: of the mixture of poses; None: one
-        Gaussian of poses in its place. size_free: the size is unknown, not 1, where the pictures show it."""
+        Gaussian of poses in its place. around_m (T, J, 3): the markers of a solution, and its size; then what all
+        frames share is unknown."""
         o, D, T = self.options, self.body.n_state, len(self)
         rear, front = (self.body.markers.index(marker) for marker in self.body.forward)
-        linear: list[Linear] = []
-        terms: list[Term] = [
-            Reprojection(view, sigma_px, o.robust_c, self.origin_m)
-            for view, sigma_px in zip(self.views, noise_px, strict=True)
+        seen = [
+            Reprojection(view, sigma_px, o.robust_c, self.origin_m, i)
+            for i, (view, sigma_px) in enumerate(zip(self.views, noise_px, strict=True))
         ]
+        shared: list[Shared] = []
+        doubtful: list[Shared] = []
+        if around_m is not None:
+            shared, doubtful = self.shared()
+            drift_m = np.gradient(around_m, axis=0) if T > 1 else np.zeros_like(around_m)
+            px_per_m = self.px_per_m(around_m, size)
+            seen = [replace(term, drift_m=drift_m, px_per_m=px) for term, px in zip(seen, px_per_m, strict=True)]
+        linear: list[Linear] = []
+        terms: list[Term] = [*seen]
         if temperature is None:
             linear.append(pose_term(self.prior, D, self.fps, o.pose_weight))
         else:
@@ -212,5 +252,4 @@ class Setting:
         if T > 2:
             linear.append(dynamics_term(self.prior, D, self.fps, o.motion_weight))
             linear.append(root_term(D, self.fps, np.array(o.acceleration_m_s2), o.yaw_acceleration_rad_s2))
-        shared = [Shared(SIZE, 1.0, self.size_sigma)] if size_free and self.shows_size else []
-        return Problem(self.body.detected, linear, [*terms, *contact_terms], shared)
+        return Problem(self.body.detected, linear, [*terms, *contact_terms], shared, doubtful)

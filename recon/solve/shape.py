@@ -22,7 +22,7 @@ from recon.body import Body, other_side, side_of
 from recon.kinematics import TreePose
 from recon.solve.setting import Setting
 from recon.solve.terms import OnGround, Reprojection, Span, Stance
-from recon.solve.trajectory import Solved, refined, solve_spells
+from recon.solve.trajectory import Solved, in_step, refined, solve_spells
 
 Array = NDArray[np.float64]
 
@@ -34,6 +34,8 @@ body that is fitted to them adapts; of the values tried, this one lets single ca
 the published poses best (docs/benchmarks.md)."""
 SIZE_HELD = 1e-4
 """Sigma of the size, which the lengths stand for."""
+_AS_EXPECTED = 8
+"""Views' worth of what is expected of a keypoint's spread."""
 ROUNDS, CLOSE_ENOUGH = 8, 0.05
 """Rounds at most, and the step, in standard deviations, that ends them."""
 
@@ -140,6 +142,11 @@ class ShapeFit:
     """(K, K)"""
     converged: bool
     """Whether the last step was small."""
+    keypoint_sigma_m: float
+    """How far keypoints lie off in a single frame, what is left of the offsets included."""
+    spread_m: dict[str, float]
+    """By marker of the left and the middle: how far off the offset its keypoints lie in one clip and camera, along each
+    axis, the same all the time."""
 
     @cached_property
     def sigma(self) -> Array:
@@ -164,9 +171,8 @@ def fit_shape(shape: Shape, settings: Sequence[Setting]) -> ShapeFit:
             total, pull = expected.copy(), expected @ values
             for one, spell in solved:
                 curvature, gradient = _reduced(shape, one, spell)
-                lasting = max(one.options.error_time_s * one.fps, 1.0)
-                total += curvature / lasting
-                pull += gradient / lasting
+                total += curvature / one.alike
+                pull += gradient / one.alike
             step = -np.linalg.solve(total, pull)
             values = values + step
             solved = [
@@ -176,7 +182,36 @@ def fit_shape(shape: Shape, settings: Sequence[Setting]) -> ShapeFit:
             converged = bool(step @ total @ step < CLOSE_ENOUGH**2 * len(step))
             if converged:
                 break
-    return ShapeFit(shape, values, np.asarray(np.linalg.inv(total), dtype=float), converged)
+    covariance = np.asarray(np.linalg.inv(total), dtype=float)
+    noise = np.concatenate([np.log(spell.noise).ravel() for _, spell in solved])
+    keypoint_sigma_m = given[0].keypoint_sigma_m * float(np.exp(0.5 * noise.mean()))
+    return ShapeFit(shape, values, covariance, converged, keypoint_sigma_m, _spread_m(shape.body, solved))
+
+
+def _spread_m(body: Body, solved: Sequence[tuple[Setting, Solved]]) -> dict[str, float]:
+    """From the mean residuals of every marker in every view, less what all markers of the view share, and as if as many
+    more had been as is expected: few say little."""
+    setting = solved[0][0]
+    expected_m = setting.options.beside_share * setting.keypoint_sigma_m
+    squares: dict[str, list[float]] = {name: [] for name in body.markers if not _follows(name, body)}
+    for one, spell in solved:
+        part = in_step(one.part(spell.rows), spell)
+        points_m = one.markers(spell.estimate.states)
+        world_m, px_per_m = part.in_world(points_m, spell.size), part.px_per_m(points_m, spell.size)
+        terms = [term for term in spell.problem.terms if isinstance(term, Reprojection)]
+        for view, term, scale in zip(part.views, terms, px_per_m, strict=True):
+            at = view.at_its_time(world_m)
+            weight = np.nan_to_num(term.weights(at))[..., None]
+            off_m = np.where(weight > 0, view.xy_px - view.project(at)[0], 0.0) / scale[:, None, None]
+            seen = np.flatnonzero(view.present.sum(axis=0) >= one.alike)
+            mean_m = (weight * off_m).sum(axis=0)[seen] / np.maximum(weight.sum(axis=0)[seen], 1e-9)
+            for j, own in zip(seen, mean_m - np.median(mean_m, axis=0), strict=True):
+                name = body.markers[j]
+                squares[other_side(name) if _follows(name, body) else name].append(float(own @ own) / 2)
+    return {
+        name: float(np.sqrt((sum(of) + _AS_EXPECTED * expected_m**2) / (len(of) + _AS_EXPECTED)))
+        for name, of in squares.items()
+    }
 
 
 def _reduced(shape: Shape, setting: Setting, solved: Solved) -> tuple[Array, Array]:

@@ -6,7 +6,7 @@ reweighted by the square root of its slope (so that the cost is not half of r'r)
 unknowns a frame:
 
     evaluate(span, jacobian) -> Rows: frames (N,), cost (N,), residual (N, M), jacobian (N, M, S, D), and of the rows
-                                that read unknowns which all frames share, the derivative (N, M) by each of them
+                                that read unknowns which all frames share, the derivatives (N, M, P) by those of a name
 
 stencil (S,) are the offsets of the frames that a row reads, relative to the frame it stands for. The rows of a `Linear`
 term have a constant Jacobian: the solver works out their curvature once.
@@ -37,6 +37,25 @@ Index = NDArray[np.intp]
 
 SIZE = "size"
 """The shared unknown: a factor on all lengths. 1 where it is not one."""
+_ONE, _ZERO = np.ones(1), np.zeros(1)
+
+
+def lag(view: int) -> str:
+    """The shared unknown: by how many frames a camera's pictures were taken later than its view says."""
+    return f"lag {view}"
+
+
+def beside(view: int) -> str:
+    """The shared unknowns (2J,): how far a view's keypoints of each marker lie beside it all the time, metres to the
+    right and down at the animal's distance."""
+    return f"beside {view}"
+
+
+def size_of(shared: Mapping[str, Array]) -> float:
+    """Among the values of shared unknowns."""
+    return float(shared.get(SIZE, _ONE)[0])
+
+
 REFERENCE_HZ = 90.0
 OUT_OF_SIGHT = 50.0
 """Squared sigmas, in units of the loss's c^2, of a detected joint that the camera cannot project."""
@@ -56,7 +75,7 @@ class Span:
     states: Array
     pose: TreePose
     last: bool
-    shared: Mapping[str, float] = field(default_factory=dict)
+    shared: Mapping[str, Array] = field(default_factory=dict)
 
     @property
     def own(self) -> slice:
@@ -212,6 +231,12 @@ class Reprojection:
     sigma_px: Array
     c: float
     origin_m: Array
+    number: int = 0
+    """Of the view, in the names of the unknowns that are its own: `lag` and `beside`."""
+    drift_m: Array | None = None
+    """(T, J, 3), frozen: how far the markers go in a frame, at nominal size. None: no lag is read."""
+    px_per_m: Array | None = None
+    """(T,), frozen: how large a metre is in the picture at the animal's distance. None: no `beside` is read."""
     name: str = "reprojection"
 
     @property
@@ -223,12 +248,16 @@ class Reprojection:
         points = np.sum([share * span.pose.points_m[part] for part, share in parts], axis=0)
         frames = np.arange(span.first, span.first + len(points))
         view, sigma = self.view.part(slice(span.first, span.first + len(points))), self.sigma_px[frames]
-        size = span.shared.get(SIZE, 1.0)
+        size, late, off = size_of(span.shared), span.shared.get(lag(self.number)), span.shared.get(beside(self.number))
+        if late is not None and self.drift_m is not None:
+            points = points + late * self.drift_m[frames]
         world = self.origin_m + size * points
         if jacobian:
             projected, by_point, valid = view.project_with_jacobian(world)
         else:
             (projected, valid), by_point = view.project(world), None
+        if off is not None and self.px_per_m is not None:
+            projected = projected + self.px_per_m[frames, None, None] * off.reshape(-1, 2)
         present = view.present
         seen = present & valid
         e = np.where(seen[..., None], projected - view.xy_px, 0.0) / sigma[..., None]
@@ -242,10 +271,15 @@ class Reprojection:
         root = np.sqrt(np.where(seen, trust / (1.0 + q), 0.0))[..., None]
         by_point = by_point * np.where(seen[..., None], root / sigma[..., None], 0.0)[..., None]
         N, J = q.shape
-        by_state = by_point * size if SIZE in span.shared else by_point
+        by_state = by_point * size
         slots = [(by_state * share @ span.pose.jacobian[part]).reshape(N, 2 * J, 1, -1) for part, share in parts]
         rows = slots[0] if len(slots) == 1 else np.concatenate(slots, axis=2)
-        by_shared = {SIZE: (by_point @ points[..., None]).reshape(N, 2 * J)} if SIZE in span.shared else {}
+        by_shared = {SIZE: (by_point @ points[..., None]).reshape(N, 2 * J, 1)} if SIZE in span.shared else {}
+        if late is not None and self.drift_m is not None:
+            by_shared[lag(self.number)] = (by_state @ self.drift_m[frames, ..., None]).reshape(N, 2 * J, 1)
+        if off is not None and self.px_per_m is not None:
+            each = np.repeat((root / sigma[..., None])[..., 0] * self.px_per_m[frames, None], 2, axis=1)
+            by_shared[beside(self.number)] = each[..., None] * np.eye(2 * J)
         return Rows(frames, cost, (e * root).reshape(N, 2 * J), rows, by_shared)
 
     def _parts(self, span: Span) -> list[tuple[slice, float]]:

@@ -39,7 +39,7 @@ from recon.solve.problem import Estimate, Problem
 from recon.solve.result import Ground, Spell, Start, TrajectorySolution
 from recon.solve.setting import Setting, TrajectoryOptions
 from recon.solve.starts import Approached, approach, between
-from recon.solve.terms import ANGLES, SIZE, Reprojection
+from recon.solve.terms import ANGLES, Reprojection, lag, size_of
 
 Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]
@@ -126,7 +126,10 @@ class Solved:
 
     @property
     def size(self) -> float:
-        return self.estimate.shared.get(SIZE, 1.0)
+        return size_of(self.estimate.shared)
+
+    def lag_frames(self, view: int) -> float:
+        return float(self.estimate.shared.get(lag(view), np.zeros(1))[0])
 
 
 def solve_spells(setting: Setting, progress: Progress = lambda stage, share: None) -> list[Solved]:
@@ -173,15 +176,15 @@ def _round(setting: Setting, solved: Solved, temperature: float | None, whole: b
     """The minimum from a solution; whole: with the noise, the contacts and the ground that follow from it."""
     o = setting.options.as_run()
     estimate, noise, contact, ground, contact_terms = solved.estimate, solved.noise, solved.contact, solved.ground, ()
-    points, size = setting.markers(estimate.states), estimate.shared.get(SIZE, 1.0)
+    points, size = setting.markers(estimate.states), solved.size
     if whole:
-        noise = _noise_factors(setting, points, size, noise)
+        noise = _noise_factors(in_step(setting, solved), points, size, noise)
         if o.ground == "auto" and len(setting.feet) and len(setting) > 2:
             contact, ground, contact_terms = contacts(setting, points, size)
     noise_px = setting.noise_px(points, noise, size)
-    problem = setting.problem(noise_px, temperature, contact_terms, size_free=True)
+    problem = setting.problem(noise_px, temperature, contact_terms, points, size)
     limit, tolerance = (o.max_iterations, o.tolerance) if whole else (8, 1e-3)
-    estimate = problem.minimise(estimate.states, tolerance, limit, estimate.shared or None)
+    estimate = problem.minimise(estimate.states, tolerance, limit, problem.expected() | dict(estimate.shared))
     return replace(
         solved,
         estimate=estimate,
@@ -192,6 +195,13 @@ def _round(setting: Setting, solved: Solved, temperature: float | None, whole: b
         ground=ground,
         iterations=solved.iterations + estimate.iterations,
     )
+
+
+def in_step(setting: Setting, solved: Solved) -> Setting:
+    """With the lags of a solution in its views."""
+    late = (solved.lag_frames(i) for i in range(len(setting.views)))
+    views = (replace(v, lead_frames=v.lead_frames + frames) for v, frames in zip(setting.views, late, strict=True))
+    return replace(setting, views=tuple(views))
 
 
 def _windows(setting: Setting, progress: Progress) -> list[tuple[slice, list[Approached]]]:
@@ -240,8 +250,7 @@ def _noise_factors(setting: Setting, points_m: Array, size: float, factors: Arra
 def _solution(setting: Setting, solved: Sequence[Solved], began: float) -> TrajectorySolution:
     T, V, J, F = len(setting), len(setting.views), len(setting.body.markers), len(setting.feet)
     clock = time.perf_counter()
-    factor = max(setting.options.error_time_s * setting.fps, 1.0)
-    known = [posterior(one.problem, setting.body, one.estimate, factor) for one in solved]
+    known = [posterior(one.problem, setting.body, one.estimate, setting.alike) for one in solved]
     size, size_sigma, size_from = _size(setting, solved, known)
     stage_s = {"posterior": time.perf_counter() - clock}
     of_frames = {
@@ -289,6 +298,7 @@ def _solution(setting: Setting, solved: Sequence[Solved], began: float) -> Traje
         starts=tuple(
             Start(a.heading_rad, a.first_cost, a.finished) for one in solved for _, tried in one.windows for a in tried
         ),
+        lag_frames=np.mean([[one.lag_frames(i) for i in range(V)] for one in solved] or [np.zeros(V)], axis=0),
         stage_s=_summed([stage_s, *(one.stage_s for one in solved)]) | {"all": time.perf_counter() - began},
     )
 
@@ -310,7 +320,8 @@ def _of_spell(
     by_size, markers = known.joint_by_size_m, setting.in_world(setting.markers(states), size)
     centred = by_size - by_size.mean(axis=1, keepdims=True)
     reprojections = [term for term in one.problem.terms if isinstance(term, Reprojection)]
-    weight = [term.weights(term.view.at_its_time(markers)) for term in reprojections]
+    views = in_step(setting.part(one.rows), one).views
+    weight = [term.weights(view.at_its_time(markers)) for term, view in zip(reprojections, views, strict=True)]
     in_world = states.copy()
     in_world[:, ROOT] = setting.in_world(states[:, ROOT], size)
     return {
@@ -337,7 +348,7 @@ def _size(
     for one, of_one in zip(solved, known, strict=True):
         if of_one.size_precision > 0:
             # What the views alone say: the minimum is drawn to the prior's 1.
-            of_views = of_one.size_precision * max(setting.options.error_time_s * setting.fps, 1.0)
+            of_views = of_one.size_precision * setting.alike
             seen = 1.0 / (1.0 / of_one.size_precision + lasting)
             precision += seen
             pull += seen * (one.size + (one.size - 1.0) * of_prior / of_views)

@@ -1,0 +1,72 @@
+"""Detectors' files: which keypoints lie where beside the markers."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from recon import Body, InputError, load_skeleton
+from recon.app.clip import prepare
+from recon.detector import detector_toml, seen_by
+from tests.test_cameras import folder, settings  # noqa: F401
+
+
+def body(subject: str | None = "phantom") -> Body:
+    found = load_skeleton("cheetah-24", subject)
+    assert isinstance(found, Body)
+    return found
+
+
+def test_the_cheetahs_detector_is_chosen_by_itself(folder):  # noqa: F811
+    model = prepare(settings(folder, 1, 2)).model
+    assert model.body.detector == "acinoset"
+    assert set(model.body.keypoint_offset_m) == set(model.body.markers)
+    plain = prepare(replace(settings(folder, 1, 2), detector="none")).model
+    assert (plain.body.detector, plain.body.keypoint_offset_m) == ("none", {})
+
+
+def test_the_offsets_of_a_measured_animal_come_first():
+    measured = replace(body(), keypoint_offset_m={"nose": (0.01, 0.0, 0.0)})
+    assert seen_by(measured, None).keypoint_offset_m == {"nose": (0.01, 0.0, 0.0)}
+    assert seen_by(measured, "acinoset").keypoint_offset_m["nose"] != (0.01, 0.0, 0.0)
+
+
+def test_a_file_is_read_as_it_was_written(tmp_path):
+    """And the right side is the left one's mirror image."""
+    path, offsets = tmp_path / "mine.toml", {"l_hip": (0.01, 0.02, -0.03), "spine": (0.0, 0.0, 0.04)}
+    spread = {"l_hip": 0.02, "spine": 0.03}
+    as_seen = replace(body(), keypoint_sigma_m=0.07, keypoint_offset_m=offsets, keypoint_spread_m=spread)
+    text = detector_toml(as_seen, "mine", ["a note"])
+    path.write_text(text)
+    found = seen_by(body(), path)
+    assert text.startswith("# a note\n")
+    assert found.keypoint_offset_m == offsets | {"r_hip": (0.01, -0.02, -0.03)}
+    assert found.keypoint_sigma_m == 0.07
+    assert found.keypoint_spread_m == {"l_hip": 0.02, "r_hip": 0.02, "spine": 0.03}
+    shift = (
+        found.detected.pose(np.zeros((1, found.n_state))).points_m
+        - found.tree.pose(np.zeros((1, found.n_state))).points_m
+    )
+    np.testing.assert_allclose(shift[0, found.markers.index("spine")], [0.0, 0.0, 0.04], atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ('skeleton = "cheetah-24"', 'skeleton = "dog"', "skeleton: found 'dog', expected cheetah-24"),
+        ("[keypoints.spine]", "[keypoints.fin]", "keypoints.fin: found 'fin', expected one of nose, "),
+        ("spread_m = 0.03", "spread_m = -1", "keypoints.spine.spread_m: found -1"),
+    ],
+)
+def test_what_is_wrong_with_a_file_is_said(tmp_path, old, new, said):
+    path = tmp_path / "mine.toml"
+    as_seen = replace(body(), keypoint_offset_m={"spine": (0.0, 0.0, 0.04)}, keypoint_spread_m={"spine": 0.03})
+    path.write_text(detector_toml(as_seen, "mine").replace(old, new))
+    with pytest.raises(InputError, match=said.replace("[", r"\[")):
+        seen_by(body(), path)
+    with pytest.raises(
+        InputError, match="--detector: name or file: found 'zebra', expected one of acinoset, or a detector"
+    ):
+        seen_by(body(), "zebra")
