@@ -74,13 +74,13 @@ def seen_by(body: Body, detector: str | Path | None) -> Body:
 
 
 def detector_toml(body: Body, title: str, notes: Sequence[str] = ()) -> str:
-    """The text of a detector file, as a body is seen. notes: comments."""
+    """The text of a detector file, as a body is seen, of the left side and the middle. notes: comments."""
     import tomli_w
 
     keypoints = {
         marker: {"offset_m": [round(x, 4) for x in body.keypoint_offset_m[marker]], "spread_m": round(spread, 4)}
         for marker, spread in body.keypoint_spread_m.items()
-        if marker in body.keypoint_offset_m
+        if marker in body.keypoint_offset_m and side_of(marker) != "right"
     }
     plain = {"skeleton": body.name, "title": title, "keypoint_sigma_m": round(body.keypoint_sigma_m, 4)}
     return "".join(f"# {note}\n" for note in notes) + tomli_w.dumps(plain | {"keypoints": keypoints})

@@ -101,8 +101,7 @@ def run_subject_fit(
     if lengths:
         text = subject_toml(settings[0].skeleton_name, body, title or f"{shape.body.title}, {count}", notes)
     else:
-        body = replace(body, keypoint_sigma_m=fit.keypoint_sigma_m, keypoint_spread_m=fit.spread_m)
-        text = detector_toml(body, title or f"a detector, {count}", notes)
+        text = detector_toml(fit.seen(shape.body), title or f"a detector, {count}", notes)
     with staged_file(out) as staged:
         staged.write_text(text, encoding="utf-8")
     return found

@@ -82,7 +82,7 @@ class Shape:
         shifts = dict(zip(self.offsets, values[len(self.lengths) :].reshape(-1, 3), strict=True))
 
         def placed(offset_m: tuple[float, float, float], name: str) -> tuple[float, float, float]:
-            scale = float(factors.get(self._leader(name), 1.0))
+            scale = float(factors.get(self.leader(name), 1.0))
             return (scale * offset_m[0], scale * offset_m[1], scale * offset_m[2])
 
         tree = replace(
@@ -92,7 +92,7 @@ class Shape:
         )
         offsets = dict(body.keypoint_offset_m)
         for name in self.body.markers:
-            if (leader := self._leader(name)) in shifts:
+            if (leader := self.leader(name)) in shifts:
                 x, y, z = (float(v) for v in shifts[leader] * self._mirror(name))
                 old = offsets.get(name, (0.0, 0.0, 0.0))
                 offsets[name] = (old[0] + x, old[1] + y, old[2] + z)
@@ -108,16 +108,16 @@ class Shape:
         for j, marker in enumerate(tree.markers):
             name, at, on = marker.name, marker.offset_m, marker.segment
             while on is not None:
-                if (leader := self._leader(name)) in self.lengths:
+                if (leader := self.leader(name)) in self.lengths:
                     by_shape[:, j, :, self.lengths.index(leader)] += frame[on] @ np.array(at)
                 segment = segments[on]
                 name, at, on = segment.name, segment.offset_m, segment.parent
-            if (leader := self._leader(marker.name)) in self.offsets:
+            if (leader := self.leader(marker.name)) in self.offsets:
                 first = n + 3 * self.offsets.index(leader)
                 by_shape[:, j, :, first : first + 3] = frame[marker.segment] * self._mirror(marker.name)
         return by_shape
 
-    def _leader(self, name: str) -> str:
+    def leader(self, name: str) -> str:
         """The name whose unknowns this one's follow."""
         return other_side(name) if _follows(name, self.body) else name
 
@@ -152,6 +152,12 @@ class ShapeFit:
     def sigma(self) -> Array:
         """(K,): standard deviations."""
         return np.sqrt(np.diagonal(self.covariance))
+
+    def seen(self, body: Body) -> Body:
+        """A body of that shape with what was found of the detector, the right side as the left."""
+        spread_m = {name: self.spread_m[self.shape.leader(name)] for name in body.markers}
+        shaped = self.shape.applied(body, self.values)
+        return replace(shaped, keypoint_sigma_m=self.keypoint_sigma_m, keypoint_spread_m=spread_m)
 
 
 def fit_shape(shape: Shape, settings: Sequence[Setting]) -> ShapeFit:
