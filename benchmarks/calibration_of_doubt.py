@@ -5,9 +5,9 @@
 Each clip draws a motion, a size, a camera and a detector's errors as the trajectory method expects them, and is fitted
 again. Angles: the Gaussian of the pose prior and the motion prior together, flattened so that `error_time_s` of clip
 says the same, as the stated doubt has it. Path: straight on at 6 to 14 m/s, headings all around. Camera: 40 to 100
-degrees wide, the animal 3 to 12 m off and up to 1.5 m below. Detections: noise as in `Setting.noise_px` that lasts as long, keypoints
-beside their markers, the camera's lag, 5 % of gross outliers, points missing at random. If the doubt is true, the truth
-is in 50 and 90 % regions as often, and its rank in the distance's distribution is uniform (Kolmogorov-Smirnov).
+degrees wide, the animal 3 to 12 m off and up to 1.5 m below. Detections: noise that lasts as long, keypoints beside
+their markers, the camera's lag, 5 % of gross outliers, points missing at random. If the doubt is true, the truth is in
+50 and 90 % regions as often, and its rank in the distance's distribution is uniform (Kolmogorov-Smirnov).
 """
 
 from __future__ import annotations

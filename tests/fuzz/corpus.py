@@ -17,6 +17,7 @@ from recon.app.clip import run_clip
 from recon.calibration import read_cameras, write_camera
 from recon.camera import Camera
 from recon.camera_track import read_camera_track
+from recon.detector import seen_by
 from recon.errors import InputError
 from recon.export.formats import FORMATS
 from recon.io import columns, read_keypoints
@@ -271,6 +272,8 @@ def _built_in() -> Iterator[Seed]:
     yield Seed(f"subject-{subject}.toml", content, lambda path: load_skeleton("cheetah-24", path), 1.5)
     yield Seed("names.csv", (package / "names" / "animal3d.csv").read_bytes(), load_names)
     body = load_skeleton("cheetah-24")
+    detector = (package / "detectors" / "acinoset.toml").read_bytes()
+    yield Seed("detector.toml", detector, lambda path: seen_by(body, path), 1.5)
     prior = (package / "priors" / "running-cheetah.npz").read_bytes()
     yield Seed("prior.npz", prior, lambda path: load_prior(path, body), 1.5)
     for name in ("aibo", "a1"):
