@@ -33,6 +33,8 @@ from recon.solve.setting import Setting
 from recon.solve.shape import Shape, fit_shape
 
 PRIOR = "running-cheetah"
+HELD = 1e-6
+"""A lag's standard deviation, in frames, that leaves it no room."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,25 +159,25 @@ def true_size(run: Run) -> float:
     return float(np.sum(own) / np.sum(generic))
 
 
-def accuracy(runs: Sequence[Run], known: bool) -> list[dict]:
+def accuracy(runs: Sequence[Run], known: bool, **options: float) -> list[dict]:
     """One, two and all cameras; known: with the lengths of the subject."""
     rows: dict[str, list[dict[str, float]]] = {}
     for run in runs:
         body = as_seen(body_of(run.subject if known else None), run, runs)
         for label, cameras in cameras_of(run).items():
-            row = errors(run, solved(run, cameras, body))
+            row = errors(run, solved(run, cameras, body, **options))
             rows.setdefault(label, []).append(row | {"size off": abs(row["size"] - (1.0 if known else true_size(run)))})
     return [means(label, found) for label, found in rows.items()]
 
 
-def left_out(runs: Sequence[Run]) -> list[dict]:
+def left_out(runs: Sequence[Run], **options: float) -> list[dict]:
     """Every camera left out once: reprojection of the others' pose into it, beside the truth's, same detections."""
     rows = []
     for run in runs:
         found, true = [], []
         for camera, view in run.views.items():
             body = as_seen(body_of(run.subject), run, runs)
-            solution = solved(run, [c for c in run.views if c != camera], body, fast=True)
+            solution = solved(run, [c for c in run.views if c != camera], body, fast=True, **options)
             for points_m, out in ((solution.markers_m, found), (run.truth_m, true)):
                 pixels, _ = view.project(view.at_its_time(points_m))
                 seen = view.present & np.isfinite(run.truth_m[..., 0]) & np.isfinite(solution.joints_m[..., 0])
@@ -183,6 +185,19 @@ def left_out(runs: Sequence[Run]) -> list[dict]:
         medians = [float(np.nanmedian(np.concatenate(values))) for values in (found, true)]
         rows.append(
             {"run": run.folder.name, "px": medians[0], "reference px": medians[1], "ratio": medians[0] / medians[1]}
+        )
+    return rows
+
+
+def lags(runs: Sequence[Run]) -> list[dict]:
+    """What each camera's lag comes out as, in frames, with all of them."""
+    rows = []
+    for run in runs:
+        found = solved(run, list(run.views), as_seen(body_of(run.subject), run, runs)).lag_frames
+        by_camera = dict(zip(run.views, found, strict=True))
+        cameras = range(1, 1 + max(max(other.views) for other in runs))
+        rows.append(
+            {"run": run.folder.name} | {f"cam{c}": f"{by_camera[c]:+.2f}" if c in by_camera else "" for c in cameras}
         )
     return rows
 
@@ -234,6 +249,9 @@ def main() -> None:
         (f"Measured lengths of {SKELETON}", lambda: accuracy(runs, known=True)),
         ("Size not known", lambda: accuracy(runs, known=False)),
         ("A camera left out: median reprojection into it", lambda: left_out(runs)),
+        ("Measured lengths, lags held", lambda: accuracy(runs, known=True, lag_frames=HELD)),
+        ("A camera left out, lags held", lambda: left_out(runs, lag_frames=HELD)),
+        ("Lags with all cameras, frames", lambda: lags(runs)),
         ("One camera, all views", lambda: measured(runs)),
     ):
         show(title, rows())

@@ -50,10 +50,12 @@ class TrajectoryOptions:
     error_time_s: how long errors last; what is seen in that time counts once in the uncertainty.
     fast: fewer starts, one of them to the end, and looser tolerances.
 
-    Where the values come from: those of the root's movement and of feet that stand have the size of what is seen in the
-    reconstructions that the prior `running-cheetah` is made of; lateral_m_s is an angle of 0.05 rad at 10 m/s. The rest
-    are round numbers; docs/benchmarks.md shows what they matter. error_time_s was set on the real runs of the
-    benchmark, so that 90 % regions hold about 90 % of the joints.
+    Where the values come from: those of the root's movement have the size of what is seen in the reconstructions that
+    the prior `running-cheetah` is made of; lateral_m_s is an angle of 0.05 rad at 10 m/s; lag_frames is that of a
+    picture taken anywhere within a frame; beside_share is what residuals of several cameras have in common over a clip.
+    robust_c, slip_m_s and error_time_s were set on all views of the benchmark's real runs, the last so that
+    90 % regions hold about 90 % of the joints: the benchmark's figures are a little better than those of other runs.
+    The rest are round numbers; docs/benchmarks.md shows what they matter.
     """
 
     fast: bool = False
