@@ -475,7 +475,7 @@ def test_console_summary_of_a_trajectory(trajectory):
 
 def test_the_values_that_ran_are_in_the_report(report, trajectory, small_motion, small_trajectory):
     ran = trajectory["solver"]
-    assert (ran["robust_c"], ran["tolerance"], ran["max_iterations"], ran["noise_rounds"]) == (1.75, 1e-4, 30, 3)
+    assert (ran["robust_c"], ran["tolerance"], ran["max_iterations"], ran["noise_rounds"]) == (3.0, 1e-4, 30, 3)
     body = small_trajectory.body
     assert (ran["keypoint_sigma_m"], ran["size_sigma"]) == (body.keypoint_sigma_m, body.size_sigma)
     given = {"fast": True, "size_sigma": 0.06, "sigma_px": 2.0}
