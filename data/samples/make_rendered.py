@@ -24,7 +24,7 @@ LABELLER = "recon_synthetic"
 
 def film() -> tuple[SyntheticClip, float]:
     """The gallop of `whole.csv` at 120 fps, seen by a camera for this film, and the height of the ground (m)."""
-    clip = whole_animal(FPS, FRAMES)
+    clip, _ = whole_animal(FPS, FRAMES)
     paws = [i for i, name in enumerate(clip.names) if name.endswith("paw")]
     ground_m = float(np.quantile(clip.truth_m[:, paws, 2], 0.02)) - 0.03
     middle = 0.5 * (clip.truth_m[0].mean(axis=0) + clip.truth_m[-1].mean(axis=0))

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from recon import detector
 from recon.calibration import write_camera
 from recon.camera import Camera
 from recon.keypoints import Keypoints
@@ -55,8 +56,9 @@ def _write(path: Path, rows: list[list[str]]) -> None:
     path.write_text("".join(",".join(row) + "\n" for row in rows), encoding="utf-8", newline="\n")
 
 
-def whole_animal(fps: float = 60, n_frames: int = 60) -> SyntheticClip:
-    """The skeleton `cheetah-24` in the gallop of `recon.synthetic`.
+def whole_animal(fps: float = 60, n_frames: int = 60) -> tuple[SyntheticClip, SyntheticClip]:
+    """The skeleton `cheetah-24` in the gallop of `recon.synthetic`, and the same with its keypoints in place of its
+    markers: where the skeleton's detector sees them.
 
     It takes the poses that are nearest to the gallop's trunk and legs; the head stays level and the tail swings.
     """
@@ -72,9 +74,8 @@ def whole_animal(fps: float = 60, n_frames: int = 60) -> SyntheticClip:
     column["tail_1_yaw"][:] = 0.3 * np.sin(2 * np.pi * 1.3 * t)
     column["tail_2_yaw"][:] = 0.3 * np.sin(2 * np.pi * 1.3 * t - 0.8)
     column["tail_1_pitch"][:] = -0.45 + 0.2 * np.cos(2 * np.pi * 3.3 * t)
-    truth_m = body.tree.pose(states).points_m
-    clip = replace(clip, truth_m=truth_m, names=body.markers)
-    return replace(clip, keypoints=seen_by(clip.camera, clip))
+    clip = replace(clip, truth_m=body.tree.pose(states).points_m, names=body.markers)
+    return clip, replace(clip, truth_m=detector.seen_by(body, None).detected.pose(states).points_m)
 
 
 def scene(first: Camera) -> tuple[Camera, ...]:
@@ -142,8 +143,8 @@ def make(folder: Path) -> None:
         write_outliers(noisy, outliers, folder / f"{outliers_name}.csv")
 
     # Fewer digits: these poses are the result of an optimisation, whose last digits differ between machines.
-    whole = whole_animal()
-    noisy, outliers = add_noise(whole.keypoints, sigma_px=2.0, dropout=0.05, outlier=0.02, seed=2)
+    whole, detected = whole_animal()
+    noisy, outliers = add_noise(seen_by(whole.camera, detected), sigma_px=2.0, dropout=0.05, outlier=0.02, seed=2)
     write_keypoints(noisy, folder / "whole.csv", decimals=2)
     write_truth(whole, folder / "whole_truth.csv", decimals=4)
     write_outliers(noisy, outliers, folder / "whole_outliers.csv")
@@ -151,7 +152,7 @@ def make(folder: Path) -> None:
     cameras = scene(whole.camera)
     write_scene(cameras, folder / "whole_scene.json")
     for number, camera in enumerate(cameras, start=1):
-        noisy, _ = add_noise(seen_by(camera, whole), sigma_px=2.0, dropout=0.05, outlier=0.02, seed=2 + number)
+        noisy, _ = add_noise(seen_by(camera, detected), sigma_px=2.0, dropout=0.05, outlier=0.02, seed=2 + number)
         write_keypoints(noisy, folder / f"whole_{camera.name}.csv", decimals=2)
 
 
