@@ -167,7 +167,9 @@ def section(views: list[View], **settings) -> dict:
     """Of a motion that has what the report reads."""
     frames = np.arange(100, 100 + len(views[0].xy_px))
     body = SimpleNamespace(keypoint_sigma_m=KEYPOINT_M)
-    motion = SimpleNamespace(solution=SimpleNamespace(views=views), body=body, fps=FPS, frames=frames)
+    late = replace(views[0], lead_frames=views[0].lead_frames + 0.3)  # a lag that was found does not hide another
+    solution = SimpleNamespace(views=[late, *views[1:]])
+    motion = SimpleNamespace(solution=solution, sources=views, body=body, fps=FPS, frames=frames)
     found = in_report.section(motion, {"sigma_px": 2.0, **settings})  # type: ignore[arg-type]
     assert found is not None
     return found
@@ -194,6 +196,6 @@ def test_the_report_of_exchanged_files_and_of_two_cameras():
 
 
 def test_one_camera_has_nobody_to_agree_with():
-    motion = SimpleNamespace(solution=SimpleNamespace(views=cameras(1)))
+    motion = SimpleNamespace(solution=SimpleNamespace(views=cameras(1)), sources=cameras(1))
     assert in_report.section(motion, {}) is None  # type: ignore[arg-type]
     assert list(in_report.warnings({"agreement": None})) == []

@@ -129,8 +129,9 @@ def known(
     setting = Setting.of(views, body, prior, FPS, options)
     at_origin = states.copy()
     at_origin[:, ROOT] -= setting.origin_m
-    noise_px = setting.noise_px(setting.markers(at_origin), np.ones((len(views), len(body.markers))))
-    problem = setting.problem(noise_px, temperature=1.0, size_free=True)
+    around_m = setting.markers(at_origin)
+    noise_px = setting.noise_px(around_m, np.ones((len(views), len(body.markers))))
+    problem = setting.problem(noise_px, temperature=1.0, around_m=around_m)
     found = Estimate(at_origin, 0.0, 0, True, problem.expected())
     result = posterior(problem, body, found, max(options.error_time_s * FPS, 1.0))
     if angle is not None:

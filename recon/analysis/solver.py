@@ -26,7 +26,7 @@ from recon.results import Results
 from recon.solve.contacts import contacts
 from recon.solve.problem import Problem
 from recon.solve.setting import Setting
-from recon.solve.terms import SIZE, Span
+from recon.solve.terms import SIZE, Span, lag
 
 _LEAST_DAMPING = 1e-4
 """Of the step that is left: as of the solver's last ones."""
@@ -140,7 +140,8 @@ def linearised_clip(setting: Setting, results: Results) -> Linearised:
     from the solution. A spell with a frame that ran away is left out."""
     o, told_px = setting.options, np.array([camera["noise_px"] for camera in results.report["cameras"]], dtype=float)
     size = results.size if setting.shows_size else 1.0
-    shared = {SIZE: size} if setting.shows_size else {}
+    told = {lag(i): np.array([camera["lag_frames"]]) for i, camera in enumerate(results.report["cameras"])}
+    told[SIZE] = np.array([size])
     states = results.states.copy()
     states[:, ROOT] = (states[:, ROOT] - setting.origin_m) / results.size
     rows, step = [], np.full(states.shape, np.nan)
@@ -152,13 +153,14 @@ def linearised_clip(setting: Setting, results: Results) -> Linearised:
         noise_px = part.noise_px(points, np.ones_like(told_px), size)
         noise_px *= (told_px / noise_px.mean(axis=1))[:, None]
         stand = o.ground == "auto" and len(part.feet) > 0 and len(found) > 2
-        problem = part.problem(noise_px, 1.0, contacts(part, points, size)[2] if stand else (), size_free=True)
+        problem = part.problem(noise_px, 1.0, contacts(part, points, size)[2] if stand else (), points, size)
+        shared = {name: told[name] for name in problem.columns}
         rows += [replace(one, frames=one.frames + spell.rows.start) for one in _rows(problem, found, shared)]
         step[spell.rows] = problem.normal(found, shared).step(_LEAST_DAMPING)[0]
     return Linearised(setting.body.state_names, len(states), tuple(rows), step)
 
 
-def _rows(problem: Problem, states: Array, shared: Mapping[str, float]) -> Iterator[Rows]:
+def _rows(problem: Problem, states: Array, shared: Mapping[str, Array]) -> Iterator[Rows]:
     for term in problem.linear:
         frames, r = term.frames(len(states)), term.residual(states)
         jacobian = np.broadcast_to(term.slots.swapaxes(0, 1), (len(r), *term.slots.swapaxes(0, 1).shape))

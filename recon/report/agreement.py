@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from typing import Any
 
 from recon.analysis.agreement import Agreement, CameraAgreement, Finding, camera_agreement
@@ -15,7 +15,8 @@ from recon.solve import TrajectoryOptions
 
 def section(motion: Motion, settings: Mapping[str, Any]) -> dict[str, Any] | None:
     """None with one camera."""
-    views = motion.solution.views
+    both = zip(motion.solution.views, motion.sources, strict=True)
+    views = [replace(view, lead_frames=source.lead_frames) for view, source in both]  # without the lags that were found
     if len(views) < 2:
         return None
     options = common.given_options(TrajectoryOptions, settings)

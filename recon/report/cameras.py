@@ -16,10 +16,11 @@ from recon.report.plain import Array, finite, frame_count, mean, median, number
 def section(motion: Motion, settings: Mapping[str, Any]) -> list[dict[str, Any]]:
     """An entry a camera, in the order of the keypoint files."""
     offsets_s = settings.get("offset_s") or [0.0] * len(motion.pictures)
-    return [_entry(picture, offset_s) for picture, offset_s in zip(motion.pictures, offsets_s, strict=True)]
+    late = [view.lead_frames - s.lead_frames for view, s in zip(motion.solution.views, motion.sources, strict=True)]
+    return [_entry(*of_one) for of_one in zip(motion.pictures, offsets_s, late, strict=True)]
 
 
-def _entry(picture: Picture, offset_s: float) -> dict[str, Any]:
+def _entry(picture: Picture, offset_s: float, lag_frames: float) -> dict[str, Any]:
     source, errors = picture.source, finite(picture.distance_px)
     names = set(source.keypoints.names)
     used = int(picture.present.sum())
@@ -29,6 +30,7 @@ def _entry(picture: Picture, offset_s: float) -> dict[str, Any]:
         "keypoints": source.keypoints.source,
         "camera": picture.camera.to_dict(),
         "offset_s": offset_s,
+        "lag_frames": lag_frames,
         "track": _track(source),
         "frames_seen": int(picture.present.any(axis=1).sum()),
         "points": {"used": used, "missing": picture.present.size - used - rejected, "rejected": rejected},

@@ -63,7 +63,7 @@ class Solution:
 
     body: Body
     views: tuple[View, ...]
-    """What it was fitted to."""
+    """What it was fitted to, with the lags that were found."""
     states: Array
     """(T, D): the root's place is in the world; the body's lengths are those of `body` times `size`."""
     size: float

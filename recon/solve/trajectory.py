@@ -277,10 +277,11 @@ def _solution(setting: Setting, solved: Sequence[Solved], began: float) -> Traje
     for values in (*of_frames.values(), *(np.moveaxis(v, 0, 1) for v in of_views.values()), second.apart_m):
         values[away] = np.nan
     shares = [of_one.data_share * (one.rows.stop - one.rows.start) for one, of_one in zip(solved, known, strict=True)]
+    late = np.mean([[one.lag_frames(i) for i in range(V)] for one in solved] or [np.zeros(V)], axis=0)
     costs = _summed([one.problem.costs(one.estimate.states, one.estimate.shared) for one in solved])
     return TrajectorySolution(
         body=setting.body,
-        views=setting.views,
+        views=tuple(replace(v, lead_frames=v.lead_frames + by) for v, by in zip(setting.views, late, strict=True)),
         **of_frames,
         **of_views,
         size=size,
@@ -298,7 +299,7 @@ def _solution(setting: Setting, solved: Sequence[Solved], began: float) -> Traje
         starts=tuple(
             Start(a.heading_rad, a.first_cost, a.finished) for one in solved for _, tried in one.windows for a in tried
         ),
-        lag_frames=np.mean([[one.lag_frames(i) for i in range(V)] for one in solved] or [np.zeros(V)], axis=0),
+        lag_frames=late,
         stage_s=_summed([stage_s, *(one.stage_s for one in solved)]) | {"all": time.perf_counter() - began},
     )
 
