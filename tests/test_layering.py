@@ -39,6 +39,7 @@ LAYERS = (
     "clip",
     "calibration",
     "camera_track",
+    "camera_motion",
     "intrinsics",
     "kinematics",
     "body",

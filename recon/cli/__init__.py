@@ -12,8 +12,9 @@ from recon.cli.analyse import analyse
 from recon.cli.batch import batch
 from recon.cli.calibrate import calibrate
 from recon.cli.camera_advice import camera_advice
-from recon.cli.common import EXIT_BAD_INPUT, error_text, stop, terminal
+from recon.cli.camera_motion import camera_motion
 from recon.cli.climb import climb
+from recon.cli.common import EXIT_BAD_INPUT, error_text, stop, terminal
 from recon.cli.convert import convert
 from recon.cli.demo import demo
 from recon.cli.doctor import doctor
@@ -62,6 +63,7 @@ for command in (fit, batch, analyse, ik, evaluate, view, demo, calibrate, conver
 for command in (train, predict):
     app.command()(command)
 app.command("evaluate-2d")(evaluate_2d)
+app.command("camera-motion")(camera_motion)
 app.command("camera-advice")(camera_advice)
 
 prior_app = typer.Typer(help="Motion priors: which poses occur, and how they change.", no_args_is_help=True)

@@ -1,0 +1,255 @@
+"""`recon camera-motion`: films of a random texture all around, seen by a camera whose turns are known."""
+
+from __future__ import annotations
+
+import json
+from functools import cache
+
+import cv2
+import numpy as np
+import pytest
+from command_line import run
+from scipy.spatial.transform import Rotation
+
+from recon.calibration import write_camera
+from recon.camera import Camera
+from recon.camera_motion import Tracker, Turn, as_level
+from recon.camera_motion.features import rays_of
+from recon.camera_track import read_camera_track
+from recon.video import video_writer
+
+SIZE = (320, 180)
+PINHOLE = Camera("cam", np.array([[300.0, 0, 160], [0, 300.0, 90], [0, 0, 1]]), np.zeros(0), "pinhole", SIZE)
+FISHEYE = Camera(
+    "cam", np.array([[150.0, 0, 158], [0, 150.0, 91], [0, 0, 1]]), np.array([-0.03, 0.01, 0, 0]), "fisheye", SIZE
+)
+
+
+@cache
+def texture(seed: int = 0) -> np.ndarray:
+    """1024x1024 grey levels that repeat, smooth over about 2 pixels."""
+    noise = np.random.default_rng(seed).normal(size=(1024, 1024))
+    smooth = sum(cv2.GaussianBlur(np.tile(noise, (1, 1)), (0, 0), s) * s for s in (1.5, 4.0, 12.0))
+    return np.clip(128 + 45 * smooth / np.std(smooth), 0, 255).astype(np.float32)
+
+
+def sampled(u: np.ndarray, v: np.ndarray, seed: int = 0) -> np.ndarray:
+    picture = cv2.remap(
+        texture(seed), (u % 1024).astype(np.float32), (v % 1024).astype(np.float32), cv2.INTER_LINEAR,
+        borderMode=cv2.BORDER_WRAP,
+    )  # fmt: skip
+    return cv2.cvtColor(picture.round().astype(np.uint8), cv2.COLOR_GRAY2BGR)
+
+
+@cache
+def directions(camera: Camera, zoom: float = 1.0) -> np.ndarray:
+    x, y = np.meshgrid(np.arange(SIZE[0]), np.arange(SIZE[1]))
+    rays, _ = rays_of(camera, np.column_stack([x.ravel(), y.ravel()]).astype(float), zoom)
+    return np.nan_to_num(rays, nan=1.0)
+
+
+def seen(rotation: np.ndarray, camera: Camera = PINHOLE, zoom: float = 1.0, px_rad: float = 300.0) -> np.ndarray:
+    """What a camera sees of the texture all around it."""
+    x, y, z = (directions(camera, zoom) @ rotation).T
+    u, v = px_rad * np.arctan2(x, z), px_rad * np.arcsin(np.clip(y, -1, 1))
+    return sampled(u.reshape(SIZE[::-1]), v.reshape(SIZE[::-1]))
+
+
+def pan(count: int, sweep_deg: float, shake_deg: float = 0.2) -> np.ndarray:
+    """(T, 3, 3): there and back."""
+    rng = np.random.default_rng(1)
+    way = sweep_deg * (1 - np.abs(np.linspace(-1, 1, count)))
+    angles = np.column_stack([0.2 * way, way, -0.1 * way]) + shake_deg * rng.normal(size=(count, 3))
+    angles[-1] = angles[0]
+    return Rotation.from_rotvec(np.radians(angles)).inv().as_matrix()
+
+
+def tracked(pictures, camera: Camera = PINHOLE, **options):
+    tracker = Tracker(camera, **options)
+    for number, picture in enumerate(pictures):
+        tracker.add(number, picture)
+    return tracker.finish()
+
+
+def errors_deg(motion, rotations: np.ndarray) -> np.ndarray:
+    found, truth = np.stack([turn.rotation for turn in motion.turns]), rotations[motion.frames]
+    off = (found @ found[0].T) @ (truth @ truth[0].T).swapaxes(1, 2)
+    return np.degrees(Rotation.from_matrix(off).magnitude())
+
+
+def with_patch(pictures, share: float):
+    """Each with a subject that is followed: finely structured, in the middle, striding to and fro."""
+    width, height = (int(n * np.sqrt(share)) for n in SIZE)
+    x, y = np.meshgrid(np.arange(width), np.arange(height))
+    for t, picture in enumerate(pictures):
+        left = int((SIZE[0] - width) / 2 + 8 * np.sin(0.4 * t))
+        top = int((SIZE[1] - height) / 2 + 2 * np.sin(t))
+        picture = picture.copy()
+        picture[top : top + height, left : left + width] = sampled(1.4 * x, 1.4 * y, seed=1)
+        yield picture
+
+
+@pytest.mark.parametrize("camera", [PINHOLE, FISHEYE], ids=lambda camera: camera.model)
+def test_a_pan_is_found_and_the_return_shows_no_drift(camera):
+    rotations = pan(24, 20.0)
+    motion = tracked((seen(R, camera, px_rad=camera.matrix[0, 0]) for R in rotations), camera)
+    error = errors_deg(motion, rotations)
+    assert len(error) == 24
+    assert np.median(error) < 0.01
+    assert error.max() < 0.03
+    assert error[-1] < 0.02
+
+
+@pytest.mark.parametrize("contrast", [1.0, 0.25])
+def test_a_followed_subject_over_40_percent_is_not_taken_for_the_background(contrast):
+    rotations = pan(20, 16.0)
+    pictures = ((128 + contrast * (seen(R) - 128.0)).astype(np.uint8) for R in rotations)
+    motion = tracked(with_patch(pictures, 0.4))
+    error = errors_deg(motion, rotations)
+    assert len(error) >= 18
+    assert np.median(error) < 0.015
+    assert error.max() < 0.05
+
+
+def test_the_animal_is_masked_by_its_points():
+    """It covers more than half of the picture, which would be taken for the background."""
+    rotations = pan(10, 8.0)
+    hull = np.array([[60.0, 40], [260, 40], [260, 140], [60, 140]])
+    pictures = list(with_patch((seen(R) for R in rotations), 0.6))
+    assert np.median(errors_deg(tracked(pictures), rotations)) > 1
+    assert errors_deg(tracked(pictures, masked=lambda number: hull), rotations).max() < 0.06
+
+
+def test_zoom_is_found_with_the_turn():
+    rotations, zooms = pan(16, 8.0), np.linspace(1, 1.3, 16)
+    motion = tracked((seen(R, zoom=z) for R, z in zip(rotations, zooms, strict=True)), solve_zoom=True)
+    found = np.array([turn.zoom for turn in motion.turns])
+    assert np.abs(found / zooms - 1).max() < 1e-3
+    assert errors_deg(motion, rotations).max() < 0.05
+
+
+def test_it_is_found_again_after_frames_without_background():
+    rotations = pan(12, 8.0)
+    pictures = [seen(R) for R in rotations]
+    pictures[5:7] = [np.full_like(pictures[0], 120)] * 2
+    motion = tracked(pictures)
+    assert motion.lost.tolist() == [5, 6]
+    assert motion.turned_only
+    assert motion.cut is None
+    assert errors_deg(motion, rotations).max() < 0.03
+
+
+def test_a_cut_is_seen():
+    x, y = np.meshgrid(np.arange(320.0), np.arange(180.0))
+    pictures = [seen(R) for R in pan(6, 3.0)] + [sampled(x, y, seed=3)]
+    assert tracked(pictures).cut == 6
+
+
+def driven(way_m: float, turned_rad: float) -> np.ndarray:
+    """From a camera 1.5 m above the ground, 8 m from a wall, carried along it."""
+    dx, dy, dz = (directions(PINHOLE) @ Rotation.from_rotvec([0, turned_rad, 0]).as_matrix().T).T
+    to_ground, to_wall = np.where(dy > 1e-3, 1.5 / np.maximum(dy, 1e-3), 1e9), 8 / dz
+    far = np.minimum(to_ground, to_wall)
+    x, y, z = (part.reshape(SIZE[::-1]) for part in (way_m + far * dx, far * dy, far * dz))
+    ground = (to_ground < to_wall).reshape(*SIZE[::-1], 1)
+    return np.where(ground, sampled(80 * x, 80 * z, seed=2), sampled(40 * x, 40 * y))
+
+
+@pytest.mark.parametrize("follows", [False, True])
+def test_a_camera_that_is_carried_is_recognised(follows):
+    way = 0.05 * np.arange(24)
+    motion = tracked(driven(x, -np.arctan(x / 8) if follows else 0.0) for x in way)
+    assert not motion.turned_only
+
+
+def test_level_is_the_first_frame_as_told_or_the_mean_frame():
+    turns = [Turn(R) for R in pan(9, 10.0)]
+    told = as_level(turns, np.radians(12))[0].rotation
+    np.testing.assert_allclose(told[2, 2], -np.sin(np.radians(12)))
+    np.testing.assert_allclose(told[0], [1, 0, 0], atol=1e-12)
+    mean = np.mean([turn.rotation for turn in as_level(turns, None)], axis=0)
+    np.testing.assert_allclose(mean[2] / np.linalg.norm(mean[2]), [0, 1, 0], atol=1e-3)
+
+
+# -- the command ------------------------------------------------------------------------------------------------------
+
+
+def film(path, pictures) -> None:
+    with video_writer(path, SIZE, 30.0) as write:
+        for picture in pictures:
+            write(picture)
+
+
+@pytest.fixture(scope="module")
+def pan_film(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("pan")
+    film(folder / "pan.avi", (seen(R) for R in pan(8, 6.0)))
+    write_camera(PINHOLE, folder / "camera.toml")
+    return folder
+
+
+def test_command_writes_a_track_that_the_fit_reads(pan_film, tmp_path):
+    points = "frame,keypoint,x,y,likelihood\n" + "".join(f"{t + 5},nose,160,90,0.9\n" for t in range(8))
+    (tmp_path / "points.csv").write_text(points)
+    ended = run(
+        "camera-motion", pan_film / "pan.avi", "--camera", pan_film / "camera.toml", "--out", tmp_path / "track.csv",
+        "--keypoints", tmp_path / "points.csv", "--first-frame", 5, "--tilt-deg", 10, "--zoom",
+        "--stabilised", tmp_path / "still.avi",
+    )  # fmt: skip
+    assert ended.code == 0, ended.err
+    assert "8 of 8 frames placed" in ended.out
+    track = read_camera_track(tmp_path / "track.csv")
+    assert track.frames.tolist() == list(range(5, 13))
+    found = track.T_camera_world[:, :3, :3]
+    truth = pan(8, 6.0)
+    off = (found @ found[0].T) @ (truth @ truth[0].T).swapaxes(1, 2)
+    assert np.degrees(Rotation.from_matrix(off).magnitude()).max() < 0.03
+    assert track.intrinsics_px is not None
+    np.testing.assert_allclose(track.intrinsics_px[:, :2], 300, rtol=2e-3)
+    report = json.loads((tmp_path / "track_report.json").read_text())
+    assert report["by_frame"]["tilt_deg"][0] == pytest.approx(10)
+    assert report["by_frame"]["frame"] == list(range(5, 13))
+    assert "rolling shutter" in " ".join(report["notes"])
+    panorama = cv2.imread(str(tmp_path / "track_panorama.png"))
+    assert panorama is not None
+    assert panorama.shape[1] > 1000
+    assert (tmp_path / "still.avi").stat().st_size > 0
+
+
+def test_without_a_tilt_the_mean_frame_is_said_to_be_level(pan_film, tmp_path):
+    ended = run(
+        "camera-motion", pan_film / "pan.avi", "--camera", pan_film / "camera.toml", "--out", tmp_path / "track.csv"
+    )
+    assert ended.code == 0, ended.err
+    assert "the mean of all frames is taken as level" in ended.out
+
+
+def refusal(folder, pictures, camera: Camera = PINHOLE, *more: object) -> str:
+    film(folder / "film.avi", pictures)
+    write_camera(camera, folder / "camera.toml")
+    out = folder / "track.csv"
+    ended = run("camera-motion", folder / "film.avi", "--camera", folder / "camera.toml", "--out", out, *more)
+    assert ended.code == 2
+    assert not out.exists()
+    return " ".join(ended.err.split())
+
+
+def test_bad_input_is_one_clear_message(tmp_path):
+    still = [seen(np.eye(3))] * 3
+    other = Camera.from_hfov(60, (640, 360))
+    assert "size: found 320x180 px, expected 640x360 px" in refusal(tmp_path, still, other)
+    blurred = [cv2.GaussianBlur(picture, (0, 0), 15) for picture in still]
+    assert "too little background that can be followed in 3 of 3 frames" in refusal(tmp_path, blurred)
+    x, y = np.meshgrid(np.arange(320.0), np.arange(180.0))
+    assert "a cut, or a jump of the whole view, at frame 3" in refusal(tmp_path, [*still, sampled(x, y, seed=3)])
+    (tmp_path / "points.csv").write_text("frame,keypoint,x,y,likelihood\n7,nose,160,90,0.9\n")
+    said = refusal(tmp_path, still, PINHOLE, "--keypoints", tmp_path / "points.csv")
+    assert "1 of 1 frames that" in said
+    assert "--first-frame" in said
+
+
+def test_zoom_that_is_not_asked_for_is_refused_and_so_is_a_carried_camera(tmp_path):
+    zooming = [seen(np.eye(3), zoom=z) for z in np.linspace(1, 1.4, 10)]
+    assert "--zoom if its focal length changes" in refusal(tmp_path, zooming)
+    carried = [driven(x, 0.0) for x in 0.08 * np.arange(14)]
+    assert "make the track with COLMAP" in refusal(tmp_path, carried, PINHOLE, "--zoom")
