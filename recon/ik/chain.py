@@ -12,6 +12,7 @@ and the second derivative by i and j the one over k >= max(i, j). Chains of any 
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from typing import Protocol
@@ -71,7 +72,7 @@ class SerialChain(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
-class BaseChain:
+class BaseChain(ABC):
     """Limits, and what follows from `derivatives`."""
 
     lower_rad: Array
@@ -100,11 +101,11 @@ class BaseChain:
         return len(self.lower_rad)
 
     @property
-    def dim(self) -> int:
-        raise NotImplementedError
+    @abstractmethod
+    def dim(self) -> int: ...
 
-    def derivatives(self, q: Array) -> tuple[Array, Curvature]:
-        raise NotImplementedError
+    @abstractmethod
+    def derivatives(self, q: Array) -> tuple[Array, Curvature]: ...
 
     def jacobian(self, q: Array) -> Array:
         """(dim, n)"""
