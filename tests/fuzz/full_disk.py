@@ -99,7 +99,6 @@ def cases(folder: Path) -> list[Case]:
         Case("analyse", ("analyse", clip, "--out", "{out}"), "analysis", False),
         Case("ik", ("ik", clip, "--target", "stride-max", "--no-figures", "--out", "{out}"), "ik"),
         Case("climb", ("climb", "--no-figures", "--out", "{out}"), "climb", read=read_manifest),
-        Case("climb", ("climb", "--no-figures", "--out", "{out}"), "climb", read=read_manifest),
         Case("retarget", ("retarget", clip, "--robot", "a1", "--out", "{out}"), "robot", read=read_manifest),
         Case(
             "prior fit",
@@ -127,8 +126,8 @@ def cases(folder: Path) -> list[Case]:
             )
             for kind in ("mp4", "avi")
         ),
-        Case("skeleton draft", ("skeleton", "from-keypoints", SAMPLES / "whole.csv", "--out", "{out}"), "mine.toml"),
         Case("overlay sheet", ("overlay", clip, "--sheet", "{out}"), "sheet.png"),
+        Case("skeleton draft", ("skeleton", "from-keypoints", SAMPLES / "whole.csv", "--out", "{out}"), "mine.toml"),
         Case("skeleton check", ("skeleton", "check", "cheetah-24", "--out", "{out}"), "pictures", False),
     ]
     for source, kind, names in ((SAMPLES / "whole.csv", "2D", two), (clip, "3D", three)):
