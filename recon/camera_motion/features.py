@@ -23,6 +23,7 @@ MIN_CORNER = 4e-5
 MAX_UNLIKE, LEAST_UNLIKE = 3.0, 8.0
 """Grey levels by which a point's surroundings may differ, against the median of all: more where it is hidden now."""
 ORB_POINTS, MIN_SAME = 700, 20
+MIN_ALIKE = 0.7
 
 
 @dataclass(frozen=True)
@@ -98,7 +99,9 @@ def followed(before: Frame, after: Frame, points_px: Array, guess_px: Array) -> 
 
 def described(frame: Frame) -> tuple[Array, Image]:
     """Pixels (N, 2) and descriptors (N, 32) of points that are found again wherever they have gone."""
-    points, descriptors = cv2.ORB.create(ORB_POINTS).detectAndCompute(frame.grey, None)
+    side = frame.window_px * 3 // 2
+    finder = cv2.ORB.create(ORB_POINTS, edgeThreshold=side, patchSize=side)
+    points, descriptors = finder.detectAndCompute(frame.grey, None)
     if descriptors is None:
         return np.zeros((0, 2)), np.zeros((0, 32), np.uint8)
     work = np.array([point.pt for point in points])
@@ -114,6 +117,12 @@ def same_scene(a: tuple[Array, Image], b: tuple[Array, Image]) -> bool:
     limit = 0.01 * float(np.ptp(places[0], axis=0).max())
     _, same = cv2.findHomography(places[0], places[1], cv2.RANSAC, max(limit, 2.0))
     return same is not None and int(same.sum()) >= MIN_SAME
+
+
+def alike(a: Frame, b: Frame) -> bool:
+    """Whether light and dark lie about alike in two pictures, as they do in neighbours of one take."""
+    small = [cv2.resize(one.grey, (16, 16), interpolation=cv2.INTER_AREA).ravel() for one in (a, b)]
+    return bool(np.asarray(np.corrcoef(small))[0, 1] > MIN_ALIKE)
 
 
 def matched(a: Image, b: Image) -> Integers:

@@ -13,6 +13,7 @@ from recon.camera import Camera
 from recon.camera_motion.adjust import FLOOR_PX, Link, adjust
 from recon.camera_motion.features import (
     Frame,
+    alike,
     corners,
     described,
     followed,
@@ -33,7 +34,7 @@ NEW_KEY_SUPPORT, MIN_SUPPORT = 0.6, 0.25
 """Of the most that a turn has been worth since the last keyframe."""
 BY_ZOOM = 5.0
 """How much less alike two pictures are by the difference of their log zooms."""
-KEYS_AT_ONCE, KEYS_TO_LINK = 2, 5
+KEYS_AT_ONCE, KEYS_TO_LINK = 3, 5
 MAX_PICTURES = 120
 """Keyframes whose pictures are kept, the last ones used: what bounds the memory."""
 LEARNING = 0.15
@@ -95,7 +96,7 @@ class Tracker:
     """masked: pixels (K, 2) of the animal in a frame, by its number, or None. What has been found so far: frames with
     their turns, supports (points that agree, their root mean square in px) and links; frames that were lost; in how
     many the background came apart, and how much of old keyframes' backgrounds was still in its place. support: the most
-    that a turn has been worth since the last keyframe."""
+    that a turn has been worth since the last keyframe. last: the last frame that was placed."""
 
     camera: Camera
     solve_zoom: bool = False
@@ -108,6 +109,7 @@ class Tracker:
     lost: list[int] = field(default_factory=list)
     apart: int = 0
     support: float = 0.0
+    last: Frame | None = None
     still: list[float] = field(default_factory=list)
     cut: int | None = None
 
@@ -126,7 +128,7 @@ class Tracker:
             if len(corners(frame, mask)) >= max(MIN_CORNERS, 0.5 * len(self.keys[-1].points_px)):
                 same = same_scene(self.keys[-1].known, described(frame))
                 self.apart += same
-                if not same and self.frames[-1] == number - 1:
+                if not same and self.frames[-1] == number - 1 and not (self.last and alike(self.last, frame)):
                     self.cut = number
             return False
         agreement, seen = found
@@ -139,6 +141,7 @@ class Tracker:
             agreement, seen = self._placed(number, frame, mask, agreement.turn, KEYS_TO_LINK) or found
             self._look_back(agreement, seen)
         self._keep(number, agreement, seen)
+        self.last = frame
         if new:
             self._new_key(frame, picture, mask, agreement, seen)
         return True
