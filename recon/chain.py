@@ -73,7 +73,7 @@ class AngleRanges:
 
 @dataclass(frozen=True)
 class PriorScales:
-    """Standard deviations of the skeleton's soft expectations (see docs/skeletons.md for the fields)."""
+    """Standard deviations of the chain's soft expectations (see docs/skeletons.md for the fields)."""
 
     softness_rad: float
     theta_rad: float
@@ -87,7 +87,7 @@ class PriorScales:
 
 @dataclass(frozen=True)
 class Posed:
-    """States and where they put the skeleton, in the camera frame; N states, J joints, D unknowns. The Jacobians are
+    """States and where they put the chain, in the camera frame; N states, J joints, D unknowns. The Jacobians are
     None unless they were asked for."""
 
     state: Array

@@ -20,6 +20,8 @@ from recon.skeleton_file import Number, Sigma, _parsed, _read, _Table
 
 NONE = "none"
 """The detector whose keypoints lie on the markers."""
+OWN = "own"
+"""That of a skeleton or a subject whose own file says where its keypoints lie."""
 
 
 class _Keypoint(_Table):
@@ -40,8 +42,9 @@ def seen_by(body: Body, detector: str | Path | None) -> Body:
     Markers of the right side follow those of the left, mirrored, unless the file has both. Raises InputError for a file
     that does not fit the body.
     """
-    if detector is None:
-        detector = body.detector if not body.keypoint_offset_m else None
+    if detector is None and body.keypoint_offset_m:
+        return replace(body, detector=OWN)
+    detector = body.detector if detector is None else detector
     if detector is None:
         return body
     if str(detector) == NONE:
@@ -80,7 +83,7 @@ def detector_toml(body: Body, title: str, notes: Sequence[str] = ()) -> str:
     keypoints = {
         marker: {"offset_m": [round(x, 4) for x in body.keypoint_offset_m[marker]], "spread_m": round(spread, 4)}
         for marker, spread in body.keypoint_spread_m.items()
-        if marker in body.keypoint_offset_m and side_of(marker) != "right"
+        if marker in body.keypoint_offset_m and (side_of(marker) != "right" or other_side(marker) not in body.markers)
     }
     plain = {"skeleton": body.name, "title": title, "keypoint_sigma_m": round(body.keypoint_sigma_m, 4)}
     return "".join(f"# {note}\n" for note in notes) + tomli_w.dumps(plain | {"keypoints": keypoints})

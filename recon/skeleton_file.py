@@ -86,7 +86,7 @@ _BodyFeet = Annotated[
 ]
 
 
-class _SkeletonFile(_Table):
+class _ChainFile(_Table):
     name: str
     title: str
     root: str
@@ -259,7 +259,7 @@ def subject_toml(skeleton: str | Path, body: Body, title: str, notes: Sequence[s
 def _load_chain(raw: dict[str, Any], source: str) -> Chain:
     if "extends" in raw:
         raw = _extended(raw, source)
-    parsed, problems = _parsed(_SkeletonFile, raw, source)
+    parsed, problems = _parsed(_ChainFile, raw, source)
     if parsed is not None:
         problems = list(_chain_problems(parsed, source))
     if parsed is None or problems:
@@ -306,7 +306,7 @@ def _beside(name: str, source: str) -> str:
     return str(file) if file.is_file() and name not in builtin_names() else name
 
 
-def _chain_problems(parsed: _SkeletonFile, source: str):
+def _chain_problems(parsed: _ChainFile, source: str):
     known = {parsed.root}
     for i, link in enumerate(parsed.links):
         if link.start not in known:
@@ -340,7 +340,7 @@ def _ranges(links: tuple[_Link, ...], kind: Literal["theta", "phi"]) -> AngleRan
     return AngleRanges(*(np.array(c, dtype=float) for c in columns))
 
 
-def _chain(f: _SkeletonFile) -> Chain:
+def _chain(f: _ChainFile) -> Chain:
     return Chain(
         name=f.name,
         title=f.title,

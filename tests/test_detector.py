@@ -14,9 +14,7 @@ from tests.test_cameras import folder, settings  # noqa: F401
 
 
 def body(subject: str | None = "phantom") -> Body:
-    found = load_skeleton("cheetah-24", subject)
-    assert isinstance(found, Body)
-    return found
+    return load_skeleton("cheetah-24", subject)
 
 
 def test_the_cheetahs_detector_is_chosen_by_itself(folder):  # noqa: F811
@@ -30,6 +28,7 @@ def test_the_cheetahs_detector_is_chosen_by_itself(folder):  # noqa: F811
 def test_the_offsets_of_a_measured_animal_come_first():
     measured = replace(body(), keypoint_offset_m={"nose": (0.01, 0.0, 0.0)})
     assert seen_by(measured, None).keypoint_offset_m == {"nose": (0.01, 0.0, 0.0)}
+    assert seen_by(measured, None).detector == "own"
     assert seen_by(measured, "acinoset").keypoint_offset_m["nose"] != (0.01, 0.0, 0.0)
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from recon.clip import still_view
 from recon.frames import inverse
-from recon.published import FrameOptions, frame, solve_frames, solve_joints
+from recon.published import FrameOptions, base_length, frame, solve_frames, solve_joints
 from recon.published.frame import CONVERGED, evaluate, posterior_covariance, precision_shares
 from recon.published.objectives import JointPositions, Reprojection
 from recon.published.starts import Travel, mean_pose
@@ -195,6 +195,17 @@ def test_the_base_length_comes_back_as_its_prior_says():
     assert shares[:, SK.base_index].max() < 0.05
     assert shares.min() >= 0
     assert shares.max() <= 1
+
+
+def test_the_base_lengths_prior_is_the_one_that_is_told():
+    """A length alone keeps the relative spread of the skeleton's."""
+    options = replace(EXACT, base_length_m=0.6, base_sigma_m=None)
+    clip = gallop(n_frames=1)
+    view = still_view(clip.camera, near(clip, clip.keypoints.xy_px), near(clip, clip.keypoints.confidence))
+    solver, _ = frame._solver(view, SK, 30.0, options)
+    (prior,) = (term for term in solver.others if term.name == "base length prior")
+    assert (prior.nominal_m, prior.sigma_m) == pytest.approx(base_length(SK, options))
+    assert prior.sigma_m == pytest.approx(0.6 * 0.02 / 0.203)
 
 
 def test_precision_shares_of_a_problem_done_by_hand():

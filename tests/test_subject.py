@@ -111,6 +111,8 @@ def test_command(folder, tmp_path):  # noqa: F811
     # What was filmed is the animal of `phantom`, smaller than the skeleton.
     assert said["size"] == pytest.approx(_mean_factor(body()), abs=0.03)
     assert found.size_sigma == pytest.approx(said["size_sigma"], abs=1e-4)
+    assert run("subject", "fit", config, "--out", tmp_path / "lengths.toml").code == 0
+    assert load_skeleton("cheetah-24", tmp_path / "lengths.toml").keypoint_offset_m == {}  # the detector's are not its
     table = run("subject", "fit", config, "--out", out, "--overwrite", "--no-lengths", "--offsets")
     assert "keypoint off its marker" in table.out
     assert "length of" not in table.out

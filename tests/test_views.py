@@ -131,6 +131,14 @@ def test_a_view_that_does_not_see_the_animal_for_a_while():
     assert sigma[30:].mean() > 1.5 * sigma[:10].mean()
 
 
+def test_where_points_are_between_two_frames_and_at_the_end_of_a_stretch():
+    points = np.arange(6.0)[:, None, None] * np.ones((6, 1, 3))
+    points[3] = np.nan
+    late = replace(view_of(np.ones((6, 1, 3)), AHEAD), lead_frames=0.25)
+    expected = [0.25, 1.25, 2.25, np.nan, 4.25, 5.25]
+    np.testing.assert_allclose(late.at_its_time(points)[:, 0, 0], expected)
+
+
 def test_a_camera_half_a_frame_late_is_no_worse_for_it():
     """The second camera's pictures lie between the frames, and the view says so."""
     points = truth_m()

@@ -108,7 +108,7 @@ def prepare(
 ) -> Prepared:
     """Everything that comes before solving: the one list of checks, of a fit and of who asks whether it can be done.
 
-    read_shared: `read_model_and_camera`, or one that remembers. Raises InputError as `fit_clip`.
+    read_shared: `read_model_and_cameras`, or one that remembers. Raises InputError as `fit_clip`.
     """
     (model, cameras), files = all_of(
         lambda: (read_shared or read_model_and_cameras)(settings),

@@ -99,6 +99,8 @@ def run_subject_fit(
     notes = [f"{name}: {value:.4g} ± {s:.2g} {unit}" for name, value, s, unit in found.rows()]
     count = f"measured in {len(clips)} clip{'s' * (len(clips) > 1)}"
     if lengths:
+        if not offsets:  # the detector's are not the animal's
+            body = replace(body, keypoint_offset_m={})
         text = subject_toml(settings[0].skeleton_name, body, title or f"{shape.body.title}, {count}", notes)
     else:
         text = detector_toml(fit.seen(shape.body), title or f"a detector, {count}", notes)

@@ -28,7 +28,8 @@ class View:
     intrinsics_px: Array | None = None
     """(T, 4): fx, fy, cx, cy of each frame, of a camera that zooms."""
     lead_frames: float = 0.0
-    """0 up to 1: its pictures were taken that much later than the clip's frames."""
+    """Its pictures were taken that much later than the clip's frames: 0 up to 1 as given, with a lag that was found
+    more or less."""
 
     @property
     def still(self) -> bool:
@@ -82,8 +83,9 @@ class View:
         """Points (T, J, 3) of the clip's frames when this view's pictures were taken."""
         if not self.lead_frames or len(points_m) < 2:
             return points_m
-        later = np.concatenate([points_m[1:], 2 * points_m[-1:] - points_m[-2:-1]])
-        return (1.0 - self.lead_frames) * points_m + self.lead_frames * later
+        step = np.diff(points_m, axis=0)
+        before, after = (np.concatenate(pair) for pair in ((step[:1], step), (step, step[-1:])))
+        return points_m + self.lead_frames * np.where(np.isnan(after), before, after)  # goes on where a gap begins
 
     # -- projection; points are those of all T frames ---------------------------------------------------------------
 

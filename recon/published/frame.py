@@ -146,12 +146,12 @@ class FrameSolution(Solution):
 
     @cached_property
     def beyond_range_rad(self) -> Array:
-        """(T, A): how far angles lie beyond their expected ranges; negative inside, NaN without a pose."""
+        """(T, 2 A): how far angles lie beyond their expected ranges; negative inside, NaN without a pose."""
         return beyond_range_rad(self.chain, self.chain_states)
 
     @cached_property
     def beyond_rate_rad_s(self) -> Array:
-        """(T, A): chord rate since the solved frame before, above its limit; NaN for the first and without a pose."""
+        """(T, 2 A): chord rate since the solved frame before, above its limit; NaN for the first and without a pose."""
         return beyond_rate_rad_s(self.chain, self.chain_states, self.fps)
 
 
@@ -244,7 +244,8 @@ def frame_rows(
 
 def _solver(view: View, chain: Chain, fps: float, options: FrameOptions) -> tuple[_FrameSolver, Travel]:
     """Of what a still camera saw, as far as it is credible."""
-    expected = replace(chain, nominal_base_length_m=base_length(chain, options)[0])
+    nominal, sigma = base_length(chain, options)
+    expected, options = replace(chain, nominal_base_length_m=nominal), replace(options, base_sigma_m=sigma)
     travel = estimate_travel(view.camera, expected, view.xy_px, fps)
     objectives = frame_objectives(view.camera, expected, view.xy_px, view.confidence, travel, options)
     return _FrameSolver(view.camera, expected, objectives, options), travel
@@ -363,7 +364,7 @@ def _flags(
 
 
 def _expected(chain: Chain, field: str) -> Array:
-    """(A,): of theta and phi."""
+    """(2 A,): of theta and phi."""
     return np.concatenate([getattr(ranges, field) for ranges in (chain.theta, chain.phi)])
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recon.detector import NONE as NO_DETECTOR
+from recon.detector import OWN
 from recon.motion import Motion
 from recon.prior import NONE
 from recon.report import agreement, cameras, common
@@ -102,12 +103,7 @@ def _assumptions(motion: Motion, settings: Mapping[str, Any], size: Mapping[str,
         f"The scale: the lengths are those of {size['lengths']!r}, {of_animal}, times a size that is expected to be "
         f"1 with a standard deviation of {size['prior_sigma']:.2g}. Distances, speeds and sizes scale with it."
         + "".join(f" It is measured by {SAID_BY[what]}." for what in size["from"] if what in SAID_BY),
-        "Keypoints are taken to lie "
-        + (
-            "on the markers."
-            if motion.body.detector in (None, NO_DETECTOR)
-            else f"beside the markers as those of the detector {motion.body.detector}."
-        ),
+        f"Keypoints are taken to lie {_keypoints_lie(motion.body.detector)}.",
         "Poses and their changes are expected to be "
         + (
             "as the skeleton's file says, each angle on its own."
@@ -126,6 +122,14 @@ def _assumptions(motion: Motion, settings: Mapping[str, Any], size: Mapping[str,
     if settings.get("fast"):
         sentences.append("The fast search was asked for: fewer headings to start from, and looser tolerances.")
     return {**common.upright(motion), "sentences": sentences}
+
+
+def _keypoints_lie(detector: str | None) -> str:
+    if detector in (None, NO_DETECTOR):
+        return "on the markers"
+    if detector == OWN:
+        return "beside the markers as the skeleton's or the subject's file says"
+    return f"beside the markers as those of the detector {detector}"
 
 
 def _summary(motion: Motion) -> dict[str, Any]:
@@ -362,7 +366,9 @@ def _frames_text(report: Mapping[str, Any]) -> str:
 
 
 def _size_sources(size: Mapping[str, Any]) -> str:
-    measured = [f"the {what}" for what in size["from"] if what in SAID_BY]
+    """Where they say more than the expectation; the ground often says a little only."""
+    known = size["data_share"] >= common.MEASURED_SHARE
+    measured = [f"the {what}" for what in size["from"] if what in SAID_BY and known]
     return f"from {' and '.join(measured)}; " if measured else ""
 
 

@@ -1,6 +1,6 @@
 """Views of a clip -> an animal's motion over the whole clip.
 
-The only place that calls an optimiser, besides the reference method (`recon.published`).
+The only place that solves for an animal's motion, besides the reference method (`recon.published`).
 """
 
 from recon.solve.points import solve_points

@@ -161,7 +161,9 @@ class ShapeFit:
 
 
 def fit_shape(shape: Shape, settings: Sequence[Setting]) -> ShapeFit:
-    """The shape of the animal in several clips. Each setting's body is `shape.body`; its size is not free.
+    """The shape of the animal in several clips.
+
+    Each setting's body has the segments and markers of `shape.body`, and its own lengths; its size is not free.
 
     Raises ValueError without any clip that can be solved.
     """

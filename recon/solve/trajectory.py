@@ -197,6 +197,16 @@ def _round(setting: Setting, solved: Solved, temperature: float | None, whole: b
     )
 
 
+def _lags(setting: Setting, solved: Sequence[Solved]) -> Array:
+    """(V,): over the spells, by how many of their frames several cameras saw."""
+    together = np.sum([view.present.any(axis=1) for view in setting.views], axis=0) > 1
+    frames = np.array([together[one.rows].sum() for one in solved])
+    if not frames.any():
+        return np.zeros(len(setting.views))
+    of_spells = [[one.lag_frames(i) for i in range(len(setting.views))] for one in solved]
+    return np.average(of_spells, axis=0, weights=frames)
+
+
 def in_step(setting: Setting, solved: Solved) -> Setting:
     """With the lags of a solution in its views."""
     late = (solved.lag_frames(i) for i in range(len(setting.views)))
@@ -277,7 +287,7 @@ def _solution(setting: Setting, solved: Sequence[Solved], began: float) -> Traje
     for values in (*of_frames.values(), *(np.moveaxis(v, 0, 1) for v in of_views.values()), second.apart_m):
         values[away] = np.nan
     shares = [of_one.data_share * (one.rows.stop - one.rows.start) for one, of_one in zip(solved, known, strict=True)]
-    late = np.mean([[one.lag_frames(i) for i in range(V)] for one in solved] or [np.zeros(V)], axis=0)
+    late = _lags(setting, solved)
     costs = _summed([one.problem.costs(one.estimate.states, one.estimate.shared) for one in solved])
     return TrajectorySolution(
         body=setting.body,
@@ -291,7 +301,11 @@ def _solution(setting: Setting, solved: Sequence[Solved], began: float) -> Traje
         flags=flags,
         alternative_m=second.apart_m,
         alternative_cost=second.extra_cost if np.isfinite(second.extra_cost) else np.nan,
-        spells=tuple(Spell(one.rows, one.ground and one.ground.about(setting.origin_m, size)) for one in solved),
+        spells=tuple(
+            Spell(one.rows, one.ground and one.ground.about(setting.origin_m, size))
+            for one in solved
+            if not away[one.rows].all()
+        ),
         prior=setting.prior.name,
         status="converged" if solved and all(one.estimate.converged for one in solved) else "not_converged",
         cost_by_term=costs,
