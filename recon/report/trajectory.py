@@ -367,7 +367,7 @@ def _frames_text(report: Mapping[str, Any]) -> str:
 
 def _size_sources(size: Mapping[str, Any]) -> str:
     """Where they say more than the expectation; the ground often says a little only."""
-    known = size["data_share"] >= common.MEASURED_SHARE
+    known = size["data_share"] >= MEASURED_SHARE
     measured = [f"the {what}" for what in size["from"] if what in SAID_BY and known]
     return f"from {' and '.join(measured)}; " if measured else ""
 
