@@ -73,6 +73,7 @@ def run_circle(
             keypoints=(file,),
             camera=samples / "rendered_camera.toml",
             fps=found.fps,
+            detector="none",  # the film's points lie on the markers
             **fit,
         )
         run_clip(options, out / name, overwrite=True)

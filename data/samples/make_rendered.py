@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 from draw_film import render_frames
-from make_samples import whole_animal, write_keypoints, write_truth
+from make_samples import seen_by, whole_animal, write_keypoints, write_truth
 
 from recon.calibration import write_camera
 from recon.camera import Camera
@@ -25,6 +25,7 @@ LABELLER = "recon_synthetic"
 def film() -> tuple[SyntheticClip, float]:
     """The gallop of `whole.csv` at 120 fps, seen by a camera for this film, and the height of the ground (m)."""
     clip, _ = whole_animal(FPS, FRAMES)
+    clip = replace(clip, keypoints=seen_by(clip.camera, clip))  # on the markers, which are what is drawn
     paws = [i for i, name in enumerate(clip.names) if name.endswith("paw")]
     ground_m = float(np.quantile(clip.truth_m[:, paws, 2], 0.02)) - 0.03
     middle = 0.5 * (clip.truth_m[0].mean(axis=0) + clip.truth_m[-1].mean(axis=0))
