@@ -26,7 +26,7 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.spatial.transform import Rotation
 
 from recon.camera import Camera
-from recon.camera_motion import Motion, Tracker
+from recon.camera_motion import Tracker, TurningMotion
 from recon.video import read_frames
 
 STILL_F_PX = 1400.0
@@ -118,7 +118,7 @@ def _with_subject(picture: np.ndarray, still: np.ndarray, covered: float, second
     return (mask * patch + (1 - mask) * picture).round().astype(np.uint8)
 
 
-def measured(one: Film, zoom: bool) -> tuple[np.ndarray, np.ndarray, Motion, float]:
+def measured(one: Film, zoom: bool) -> tuple[np.ndarray, np.ndarray, TurningMotion, float]:
     """Errors of the turn in degrees (N,), relative ones of the zoom (N,), the motion, CPU seconds a frame."""
     tracker = Tracker(one.camera, solve_zoom=zoom)
     begun = time.process_time()

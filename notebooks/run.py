@@ -88,7 +88,14 @@ def run(notebook: Path) -> nbformat.NotebookNode:
             connection_file=str(Path(settings) / "kernel.json"),
         )
         # Nothing is lost with the kernel, which would take a second to end by itself.
-        client = NotebookClient(node, km=manager, timeout=TIMEOUT_S, record_timing=False, shutdown_kernel="immediate")
+        client = NotebookClient(
+            node,
+            km=manager,
+            timeout=TIMEOUT_S,
+            record_timing=False,
+            coalesce_streams=True,
+            shutdown_kernel="immediate",
+        )
         client.execute(cleanup_kc=True, cwd=str(notebook.parent), env={**os.environ, "IPYTHONDIR": settings})
     node.metadata = nbformat.from_dict(METADATA)
     for number, cell in enumerate(node.cells):

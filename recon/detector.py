@@ -16,7 +16,7 @@ from pydantic import Field
 
 from recon.body import Body, other_side, side_of
 from recon.errors import InputError, Problem
-from recon.skeleton_file import Number, Sigma, _parsed, _read, _Table
+from recon.skeleton_file import Number, Sigma, Table, parsed_file, read_named
 
 NONE = "none"
 """The detector whose keypoints lie on the markers."""
@@ -24,12 +24,12 @@ OWN = "own"
 """That of a skeleton or a subject whose own file says where its keypoints lie."""
 
 
-class _Keypoint(_Table):
+class _Keypoint(Table):
     offset_m: tuple[Number, Number, Number]
     spread_m: Sigma
 
 
-class _DetectorFile(_Table):
+class _DetectorFile(Table):
     skeleton: str
     title: str
     keypoint_sigma_m: Sigma
@@ -49,8 +49,8 @@ def seen_by(body: Body, detector: str | Path | None) -> Body:
         return body
     if str(detector) == NONE:
         return replace(body, detector=NONE, keypoint_offset_m={}, keypoint_spread_m={})
-    raw, source = _read(detector, "detector")
-    file, problems = _parsed(_DetectorFile, raw, source)
+    raw, source = read_named(detector, "detector")
+    file, problems = parsed_file(_DetectorFile, raw, source)
     if file is not None and file.skeleton != body.name:
         problems = [Problem(source, "skeleton", repr(file.skeleton), f"{body.name}, the skeleton of the fit")]
     elif file is not None:

@@ -11,13 +11,13 @@ import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from difflib import SequenceMatcher
-from importlib import resources
 from pathlib import Path
 
 from recon.body import side_of, without_side
 from recon.documents import read_text
 from recon.errors import InputError, Problem
 from recon.keypoints import Keypoints
+from recon.package import builtin_file, builtin_names
 
 HEADER = ("file", "skeleton")
 """May be the first row of a map."""
@@ -46,15 +46,14 @@ class NameMap:
 
 def builtin_maps() -> tuple[str, ...]:
     """Names of the maps that come with the package."""
-    files = (resources.files("recon") / "names").iterdir()
-    return tuple(sorted(f.name.removesuffix(".csv") for f in files if f.name.endswith(".csv")))
+    return builtin_names("names", ".csv")
 
 
 def load_names(name_or_path: str | Path) -> NameMap:
     """The built-in map of that name, or the one in a CSV file. Raises InputError with every problem."""
     source = str(name_or_path)
     if source in builtin_maps():
-        text = (resources.files("recon") / "names" / f"{source}.csv").read_text(encoding="utf-8")
+        text = builtin_file("names", f"{source}.csv").read_text(encoding="utf-8")
     elif Path(source).is_file():
         text = read_text(Path(source), _EXPECTED)
     else:

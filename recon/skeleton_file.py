@@ -7,13 +7,13 @@ Built-in skeletons are the files of `recon/skeletons`, built-in subjects (one an
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from importlib import resources
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
 import numpy as np
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
+from recon import package
 from recon.body import CHAIN_PLACES, PLACES, Body, other_side, side_of
 from recon.chain import MIN_JOINTS, AngleRanges, Chain, Link, PriorScales
 from recon.documents import parse_toml, read_toml
@@ -25,22 +25,22 @@ Sigma = Annotated[float, Field(gt=1e-9, lt=1e6, allow_inf_nan=False)]
 """More, or less, can only be damage."""
 
 
-class _Table(BaseModel):
+class Table(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
-class _Sides(_Table):
+class _Sides(Table):
     left: str
     right: str
 
 
-class _Range(_Table):
+class _Range(Table):
     mean_rad: Number
     tolerance_rad: Sigma
     max_rate_rad_s: Sigma
 
 
-class _Link(_Table):
+class _Link(Table):
     name: str
     start: str = Field(alias="from")
     end: str = Field(alias="to")
@@ -51,12 +51,12 @@ class _Link(_Table):
     phi: _Range | None = None
 
 
-class _BaseLength(_Table):
+class _BaseLength(Table):
     nominal_m: Sigma
     sigma_m: Sigma
 
 
-class _Prior(_Table):
+class _Prior(Table):
     theta_sigma_rad: Sigma
     phi_sigma_rad: Sigma
     roll_sigma_rad: Sigma
@@ -86,7 +86,7 @@ _BodyFeet = Annotated[
 ]
 
 
-class _ChainFile(_Table):
+class _ChainFile(Table):
     name: str
     title: str
     root: str
@@ -103,7 +103,7 @@ class _ChainFile(_Table):
 Offset = tuple[Number, Number, Number]
 
 
-class _Expectation(_Table):
+class _Expectation(Table):
     mean_rad: Number
     sigma_rad: Sigma
     acceleration_rad_s2: Sigma
@@ -112,7 +112,7 @@ class _Expectation(_Table):
         return self.model_copy(update={"mean_rad": -self.mean_rad})
 
 
-class _Segment(_Table):
+class _Segment(Table):
     name: str
     joint: Literal["free", "ball", "universal", "hinge", "fixed"]
     parent: str | None = None
@@ -123,7 +123,7 @@ class _Segment(_Table):
     roll: _Expectation | None = None
 
 
-class _Marker(_Table):
+class _Marker(Table):
     name: str
     segment: str
     at_m: Offset = (0.0, 0.0, 0.0)
@@ -131,7 +131,7 @@ class _Marker(_Table):
     mirrored: bool = False
 
 
-class _BodyFile(_Table):
+class _BodyFile(Table):
     name: str
     title: str
     forward: tuple[str, str]
@@ -144,7 +144,7 @@ class _BodyFile(_Table):
     limbs: dict[str, tuple[str, ...]]
 
 
-class _SubjectFile(_Table):
+class _SubjectFile(Table):
     skeleton: str
     title: str
     size_sigma: Sigma
@@ -154,17 +154,17 @@ class _SubjectFile(_Table):
 
 def builtin_names() -> tuple[str, ...]:
     """Names of the skeletons that come with the package."""
-    return _names("skeletons")
+    return package.builtin_names("skeletons", ".toml")
 
 
 def builtin_chains() -> tuple[str, ...]:
     """Those of them that are chains, for the frame method."""
-    return tuple(name for name in builtin_names() if "segments" not in _read(name)[0])
+    return tuple(name for name in builtin_names() if "segments" not in read_named(name)[0])
 
 
 def builtin_subjects() -> tuple[str, ...]:
     """Names of the subjects that come with the package."""
-    return _names("subjects")
+    return package.builtin_names("subjects", ".toml")
 
 
 def load_skeleton(name_or_path: str | Path, subject: str | Path | None = None) -> Body:
@@ -173,7 +173,7 @@ def load_skeleton(name_or_path: str | Path, subject: str | Path | None = None) -
     subject: name or file of a measured animal, for a whole one only. Raises InputError: no such name or file, a file
     that does not describe a skeleton, or a subject of another one; every problem is named.
     """
-    raw, source = _read(name_or_path)
+    raw, source = read_named(name_or_path)
     if "segments" in raw:
         return _load_body(raw, source, subject)
     if subject is not None:
@@ -184,40 +184,35 @@ def load_skeleton(name_or_path: str | Path, subject: str | Path | None = None) -
 
 def load_chain(name_or_path: str | Path) -> Chain:
     """The chain that a skeleton is, for the frame method. Raises InputError for a whole animal, too."""
-    raw, source = _read(name_or_path, suggested=builtin_chains)
+    raw, source = read_named(name_or_path, suggested=builtin_chains)
     if "segments" in raw:
         expected = f"a chain for the frame method: one of {', '.join(builtin_chains())}, or a file with [[links]]"
         raise InputError(Problem("--skeleton", "name or file", repr(str(name_or_path)), expected))
     return _load_chain(raw, source)
 
 
-def _names(folder: str) -> tuple[str, ...]:
-    files = resources.files("recon") / folder
-    return tuple(sorted(f.name.removesuffix(".toml") for f in files.iterdir() if f.name.endswith(".toml")))
-
-
-def _read(
+def read_named(
     name_or_path: str | Path,
     kind: Literal["skeleton", "subject", "detector"] = "skeleton",
     suggested: Callable[[], Iterable[str]] | None = None,
 ) -> tuple[dict[str, Any], str]:
     """A file's tables, and what to call it in messages. suggested: names to choose from, if not all."""
     folder = f"{kind}s"
-    if str(name_or_path) in _names(folder):
-        file = resources.files("recon") / folder / f"{name_or_path}.toml"
+    if str(name_or_path) in package.builtin_names(folder, ".toml"):
+        file = package.builtin_file(folder, f"{name_or_path}.toml")
         return parse_toml(file.read_text(encoding="utf-8"), name_or_path), f"{kind} {name_or_path}"
     path = Path(name_or_path)
     if not path.is_file():
-        names = _names(folder) if suggested is None else suggested()
+        names = package.builtin_names(folder, ".toml") if suggested is None else suggested()
         expected = f"one of {', '.join(names)}, or a {kind} file (.toml)"
         raise InputError(Problem(f"--{kind}", "name or file", repr(str(name_or_path)), expected))
     return read_toml(path), str(path)
 
 
-_File = TypeVar("_File", bound=_Table)
+_File = TypeVar("_File", bound=Table)
 
 
-def _parsed(kind: type[_File], raw: dict[str, Any], source: str) -> tuple[_File | None, list[Problem]]:
+def parsed_file(kind: type[_File], raw: dict[str, Any], source: str) -> tuple[_File | None, list[Problem]]:
     try:
         return kind.model_validate(raw), []
     except ValidationError as error:
@@ -236,8 +231,8 @@ def subject_toml(skeleton: str | Path, body: Body, title: str, notes: Sequence[s
     """The text of a subject file: the lengths and keypoint offsets of a body, of that skeleton. notes: comments."""
     import tomli_w
 
-    raw, source = _read(skeleton)
-    file, _ = _parsed(_BodyFile, raw, source)
+    raw, source = read_named(skeleton)
+    file, _ = parsed_file(_BodyFile, raw, source)
     if file is None:
         raise ValueError(f"{source} is no skeleton of a whole animal")
     placed = {item.name: item.offset_m for item in (*body.tree.segments, *body.tree.markers)}
@@ -259,7 +254,7 @@ def subject_toml(skeleton: str | Path, body: Body, title: str, notes: Sequence[s
 def _load_chain(raw: dict[str, Any], source: str) -> Chain:
     if "extends" in raw:
         raw = _extended(raw, source)
-    parsed, problems = _parsed(_ChainFile, raw, source)
+    parsed, problems = parsed_file(_ChainFile, raw, source)
     if parsed is not None:
         problems = list(_chain_problems(parsed, source))
     if parsed is None or problems:
@@ -274,7 +269,7 @@ def _extended(raw: dict[str, Any], source: str) -> dict[str, Any]:
         raise InputError(Problem(source, "extends", repr(name), f"one of {', '.join(builtin_names())}, or a file"))
     if not isinstance(lengths, dict):
         raise InputError(Problem(source, "length_m", repr(lengths), "a table of lengths in metres by link"))
-    parent, parent_source = _read(_beside(name, source))
+    parent, parent_source = read_named(_beside(name, source))
     if "segments" in parent:
         raise InputError(Problem(source, "extends", parent_source, "a chain; a body's lengths stand in a subject file"))
     if "extends" in parent:
@@ -370,10 +365,10 @@ def _chain(f: _ChainFile) -> Chain:
 
 
 def _load_body(raw: dict[str, Any], source: str, subject: str | Path | None) -> Body:
-    file, problems = _parsed(_BodyFile, raw, source)
+    file, problems = parsed_file(_BodyFile, raw, source)
     if subject is not None:
-        raw, subject_source = _read(subject, "subject")
-        animal, more = _parsed(_SubjectFile, raw, subject_source)
+        raw, subject_source = read_named(subject, "subject")
+        animal, more = parsed_file(_SubjectFile, raw, subject_source)
         problems += more
         if file is not None and animal is not None:
             problems += _subject_problems(animal, file, subject_source)

@@ -234,6 +234,7 @@ def small_trajectory() -> Motion:
         status="converged",
         cost_by_term={"reprojection": 120.0, "pose prior": 30.0},
         iterations=25,
+        lag_frames=np.zeros(1),
         starts=(Start(0.1, 150.0, True), Start(np.pi - 0.1, 155.0, False)),
         stage_s={"starts": 0.2, "all": 0.5},
     )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -12,12 +12,13 @@ from threadpoolctl import threadpool_limits
 from recon.analysis.clip import ClipAnalysis, analyse
 from recon.analysis.gait import Gait, doubt_text
 from recon.analysis.path import frame_jitter_m, peak_doubt
-from recon.analysis.solver import SolverRecord
-from recon.app.solver import read_solver
 from recon.export import analysis_csv, solver_csv
 from recon.files import require_free_folder, sole_writer, staged_folder
 from recon.report import to_json
-from recon.results import MEASURED_SHARE, read_results
+from recon.results import MEASURED_SHARE, Results, read_results
+
+if TYPE_CHECKING:
+    from recon.analysis.solver import SolverRecord
 
 SUMMARY = "analysis.json"
 FOLDER = "analysis"
@@ -62,7 +63,7 @@ def run_analyse(
         require_free_folder(out, (SUMMARY, PLOTS, *analysis_csv.TABLES, *own), overwrite, "an analysis")
         with threadpool_limits(1, user_api="blas"):  # of small matrices, threads cost more than they bring
             found = analyse(results, smooth, stride_s)
-            record = read_solver(results) if solver else None
+            record = _solver_record(results) if solver else None
         summary = summarise(found) | ({} if record is None else {"solver": record.summary()})
         with staged_folder(out) as staging:
             analysis_csv.write(found, staging)
@@ -79,6 +80,12 @@ def run_analyse(
                     write_solver_figures(record, staging)
                 files += [path.name for path in staging.iterdir()]
     return Analysed(found, summary, out, tuple(sorted(files)), out / PLOTS if PLOTS in files else None)
+
+
+def _solver_record(results: Results) -> SolverRecord:
+    from recon.app.solver import read_solver  # slow to import: all of a fit
+
+    return read_solver(results)
 
 
 def _write_plots(found: ClipAnalysis, record: SolverRecord | None, folder: Path) -> None:

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import json
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -15,18 +12,20 @@ import numpy as np
 from recon.arrays import Array, Integers
 from recon.calibration import read_camera
 from recon.camera import Camera
-from recon.camera_motion import Motion, Tracker, Turn, as_level
+from recon.camera_motion import Tracker, Turn, TurningMotion, as_level
 from recon.camera_motion.features import rays_of
 from recon.camera_motion.panorama import ANIMAL, PATH, Canvas, draw_path, draw_view, panorama
 from recon.camera_track import INTRINSICS, POSE
 from recon.errors import InputError, Problem, all_of
+from recon.export.table import write_table
 from recon.files import require_free_file, staged_folder, write_bytes
 from recon.io import read_keypoints
 from recon.keypoints import Keypoints
+from recon.progress import Progress, silent
+from recon.report import to_json
 from recon.rotations import quaternions
 from recon.video import Image, probe, read_frames, require_codec, video_writer
 
-Progress = Callable[[str, float], None]
 MIN_LIKELIHOOD = 0.3
 """Keypoints that are less sure do not hide anything."""
 MAX_LOST = 0.5
@@ -58,7 +57,7 @@ def run_camera_motion(
     zoom: bool = False,
     stabilised: Path | None = None,
     overwrite: bool = False,
-    progress: Progress = lambda stage, share: None,
+    progress: Progress = silent,
 ) -> CameraMotionRun:
     """`recon camera-motion`: write `out` (`recon.camera_track`), and beside it <stem>_report.json and
     <stem>_panorama.png; `stabilised` is the video laid over the panorama.
@@ -96,7 +95,7 @@ def run_camera_motion(
         _write_stabilised(stabilised, video, lens, motion, points, canvas, background, info.fps or 30.0, progress)
     with staged_folder(out.absolute().parent) as folder:
         _write_track(folder / out.name, motion, lens, first_frame, zoom)
-        write_bytes(folder / report_file.name, (json.dumps(report, indent=1) + "\n").encode())
+        (folder / report_file.name).write_text(to_json(report), encoding="utf-8")
         write_bytes(folder / picture_file.name, cv2.imencode(".png", picture)[1].tobytes())
     written = (out, report_file, picture_file, *([] if stabilised is None else [stabilised]))
     return CameraMotionRun(report, written)
@@ -119,7 +118,7 @@ def _require_tilt(tilt_deg: float | None) -> None:
         raise InputError(Problem("--tilt-deg", "angle", f"{tilt_deg:g}", "between -60 and 60 degrees, down positive"))
 
 
-def _require_turning(video: Path, motion: Motion, zoom: bool, first_frame: int) -> None:
+def _require_turning(video: Path, motion: TurningMotion, zoom: bool, first_frame: int) -> None:
     """Raises InputError for a cut, for too little background, and for a camera that did more than turn."""
     if motion.cut is not None:
         found = f"a cut, or a jump of the whole view, at frame {motion.cut + first_frame}"
@@ -141,7 +140,7 @@ def _require_turning(video: Path, motion: Motion, zoom: bool, first_frame: int) 
         raise InputError(Problem(video, "background", found, f"no more than {MAX_LOST:.0%} of such frames"))
 
 
-def _require_same_frames(path: Path | None, points: dict[int, Array], motion: Motion, video: Path) -> None:
+def _require_same_frames(path: Path | None, points: dict[int, Array], motion: TurningMotion, video: Path) -> None:
     """Raises InputError where the keypoint file counts otherwise than the video."""
     last = len(motion.frames) + len(motion.lost) - 1
     outside = [number for number in points if not 0 <= number <= last]
@@ -161,21 +160,19 @@ def _points(keypoints: Keypoints, first_frame: int) -> dict[int, Array]:
 # -- what comes out ---------------------------------------------------------------------------------------------------
 
 
-def _write_track(path: Path, motion: Motion, camera: Camera, first_frame: int, zoom: bool) -> None:
+def _write_track(path: Path, motion: TurningMotion, camera: Camera, first_frame: int, zoom: bool) -> None:
     q = quaternions(np.stack([turn.rotation for turn in motion.turns]))[:, [3, 0, 1, 2]]
     q *= np.where(q[:, :1] < 0, -1.0, 1.0)
-    K = camera.matrix
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow(["frame", *POSE, *(INTRINSICS if zoom else ())])
-        for frame, quaternion, turn in zip(motion.frames, q, motion.turns, strict=True):
-            lens = [turn.zoom * K[0, 0], turn.zoom * K[1, 1], K[0, 2], K[1, 2]] if zoom else []
-            pose = [f"{value:.9f}" for value in (*quaternion, 0.0, 0.0, 0.0)]
-            writer.writerow([int(frame) + first_frame, *pose, *(f"{value:.4f}" for value in lens)])
+    poses = np.round(np.concatenate([q, np.zeros((len(q), 3))], axis=1), 9)
+    if zoom:
+        K, zooms = camera.matrix, np.array([turn.zoom for turn in motion.turns])[:, None]
+        lens = [zooms * [K[0, 0], K[1, 1]], np.tile(K[:2, 2], (len(q), 1))]
+        poses = np.concatenate([poses, np.round(np.concatenate(lens, axis=1), 4)], axis=1)
+    write_table(path, [["frame", *POSE, *(INTRINSICS if zoom else ())]], motion.frames + first_frame, poses)
 
 
 def _report(
-    video: Path, camera: Path, motion: Motion, lens: Camera, first_frame: int, tilt_deg: float | None, zoom: bool
+    video: Path, camera: Path, motion: TurningMotion, lens: Camera, first_frame: int, tilt_deg: float | None, zoom: bool
 ) -> dict[str, Any]:
     axes = np.stack([turn.rotation[2] for turn in motion.turns])
     pan = np.degrees(np.unwrap(np.arctan2(axes[:, 0], axes[:, 1])))
@@ -208,7 +205,7 @@ def _report(
     }
 
 
-def _pictures(camera: Camera, motion: Motion, points: dict[int, Array]) -> tuple[Canvas, Image, Image]:
+def _pictures(camera: Camera, motion: TurningMotion, points: dict[int, Array]) -> tuple[Canvas, Image, Image]:
     """The canvas, the panorama, and the panorama with the camera's and the animal's path."""
     canvas = Canvas.around(camera, motion.turns)
     background = panorama(canvas, camera, [motion.turns[key] for key in motion.keys], motion.pictures)
@@ -233,7 +230,7 @@ def _write_stabilised(
     out: Path,
     video: Path,
     camera: Camera,
-    motion: Motion,
+    motion: TurningMotion,
     points: dict[int, Array],
     canvas: Canvas,
     background: Image,

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from importlib import resources
 from pathlib import Path
 
 from recon.body import PLACES, Body, other_side, side_of
@@ -15,6 +14,7 @@ from recon.files import require_free_file, staged_file
 from recon.io import read_keypoints
 from recon.kinematics import Marker
 from recon.naming import fitting_maps, load_names, suggestions
+from recon.package import builtin_file
 from recon.skeleton_file import load_skeleton
 
 BASE = "quadruped"
@@ -97,7 +97,7 @@ def _head(
 
 def _segments(body: Body, names: Sequence[str]) -> str:
     """As they stand in the skeleton's own file; those that are called as a keypoint get another name."""
-    text = (resources.files("recon") / "skeletons" / f"{BASE}.toml").read_text(encoding="utf-8")
+    text = builtin_file("skeletons", f"{BASE}.toml").read_text(encoding="utf-8")
     text = text[text.index("[[segments]]") : text.index("[[markers]]")]
     for segment in body.tree.segments:
         if segment.name in names:

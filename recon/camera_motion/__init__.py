@@ -4,6 +4,6 @@ from __future__ import annotations
 
 from recon.camera_motion.level import as_level
 from recon.camera_motion.rotation import Turn
-from recon.camera_motion.track import Motion, Tracker
+from recon.camera_motion.track import Tracker, TurningMotion
 
-__all__ = ["Motion", "Tracker", "Turn", "as_level"]
+__all__ = ["Tracker", "Turn", "TurningMotion", "as_level"]

@@ -19,7 +19,8 @@ def as_level(turns: Sequence[Turn], tilt_rad: float | None) -> tuple[Turn, ...]:
     """
     reference, tilt = turns[0].rotation, tilt_rad
     if tilt is None:
-        u, _, vt = np.linalg.svd(np.mean([turn.rotation for turn in turns], axis=0))
-        reference, tilt = u @ np.diag([1, 1, np.linalg.det(u @ vt)]) @ vt, 0.0
+        from scipy.spatial.transform import Rotation  # slow to import
+
+        reference, tilt = Rotation.from_matrix([turn.rotation for turn in turns]).mean().as_matrix(), 0.0
     level = level_from_camera(np.array([0.0, -math.cos(tilt), -math.sin(tilt)])) @ reference  # of the old world
     return tuple(replace(turn, rotation=turn.rotation @ level.T) for turn in turns)

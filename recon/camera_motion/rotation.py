@@ -35,7 +35,7 @@ class Turn:
 
 
 @dataclass(frozen=True, eq=False)
-class Agreement:
+class AgreedTurn:
     """A turn and what supports it. weights: (N,), 0 of points that do not agree. residual_px: (N, 2), seen less
     expected. jacobian: (N, 2, 4) of the expected pixels, by a small turn (rad) in the camera frame and by log zoom.
     spread: what it is worth."""
@@ -78,7 +78,7 @@ def agreed_turn(
     *,
     solve_zoom: bool,
     limit_px: float,
-) -> Agreement | None:
+) -> AgreedTurn | None:
     """The turn that takes world rays (N, 3) to where they are seen, pixels (N, 2) and rays (N, 3) at about that zoom.
 
     trust: (N,) from 0 to 1, how far each has been background so far. None where too few points agree or they cover too
@@ -93,7 +93,7 @@ def agreed_turn(
     angle = limit_px / (camera.matrix[0, 0] * zoom)
     weights = trust**2 * (off < 0.5 * angle**2)
     coverage, area = spread(seen_px, camera.image_size_px, weights)
-    best: Agreement | None = None
+    best: AgreedTurn | None = None
     looked_at: list[Array] = []
     for h in np.argsort(-coverage * area)[:CANDIDATES]:
         if any(np.trace(tried[h] @ other.T) > 1 + 2 * np.cos(2 * angle) for other in looked_at):
@@ -103,7 +103,7 @@ def agreed_turn(
         if found is None:
             continue
         c, a = spread(seen_px, camera.image_size_px, (trust**2 * found.agree)[None])
-        found = Agreement(**{**vars(found), "spread": float(c[0] * a[0])})
+        found = AgreedTurn(**{**vars(found), "spread": float(c[0] * a[0])})
         if a[0] >= MIN_SPREAD and (best is None or found.spread > best.spread):
             best = found
     return best
@@ -126,7 +126,7 @@ def _axes(a: Array, b: Array) -> Array:
 
 def refined(
     camera: Camera, rays: Array, seen_px: Array, turn: Turn, *, solve_zoom: bool, limit_px: float
-) -> Agreement | None:
+) -> AgreedTurn | None:
     """Robust least squares in pixels, from a turn nearby (Tukey's weights, with a limit that follows the scatter)."""
     from scipy.spatial.transform import Rotation
 
@@ -145,7 +145,7 @@ def refined(
     if (weights > 0).sum() < MIN_POINTS:
         return None
     sigma = float(np.sqrt((weights * size**2).sum() / (2 * weights.sum())))
-    return Agreement(turn, weights, residual, jacobian, max(sigma, 1e-3), 0.0)
+    return AgreedTurn(turn, weights, residual, jacobian, max(sigma, 1e-3), 0.0)
 
 
 def _weighted(camera: Camera, rays: Array, seen_px: Array, turn: Turn, limit_px: float) -> tuple[Array, ...]:

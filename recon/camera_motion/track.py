@@ -23,7 +23,7 @@ from recon.camera_motion.features import (
     rays_of,
     same_scene,
 )
-from recon.camera_motion.rotation import Agreement, Turn, agreed_turn, expected_px, normal_equations
+from recon.camera_motion.rotation import AgreedTurn, Turn, agreed_turn, expected_px, normal_equations
 from recon.video import Image
 
 LIMIT = 1 / 320
@@ -72,7 +72,7 @@ class Key:
 
 
 @dataclass(frozen=True, eq=False)
-class Motion:
+class TurningMotion:
     """Of F frames of the video, N of which have a turn. frames: (N,) numbers from 0. inliers, residual_px, sigma_rad,
     sigma_zoom: (N,). lost: numbers of the frames without enough background. keys: (K,) places among the N frames, and
     their pictures. turned_only: whether the background has kept together. cut: the number of the frame where another
@@ -172,7 +172,7 @@ class Tracker:
 
     def _placed(
         self, number: int, frame: Frame, mask: Bools | None, guess: Turn, count: int
-    ) -> tuple[Agreement, _Seen] | None:
+    ) -> tuple[AgreedTurn, _Seen] | None:
         keys = self._nearest(guess, count)
         seen = _Seen.of(self.camera, keys, frame, guess, mask)
         for key in keys:
@@ -242,7 +242,7 @@ class Tracker:
 
     # -- what is learnt --
 
-    def _learn(self, agreement: Agreement, seen: _Seen) -> bool:
+    def _learn(self, agreement: AgreedTurn, seen: _Seen) -> bool:
         """Which points are background; whether what was background has come apart."""
         settled = kept = 0
         for k, key in enumerate(seen.keys):
@@ -254,7 +254,7 @@ class Tracker:
             key.settled |= key.trust > SETTLED
         return settled >= MIN_CORNERS and kept < COME_APART * settled
 
-    def _look_back(self, agreement: Agreement, seen: _Seen) -> None:
+    def _look_back(self, agreement: AgreedTurn, seen: _Seen) -> None:
         """How much of the settled background of the oldest keyframe that looks the same way is still in its place."""
         k = min(range(len(seen.keys)), key=lambda k: seen.keys[k].number)
         key = seen.keys[k]
@@ -263,7 +263,7 @@ class Tracker:
             at = seen.index[(seen.of_key == k) & agreement.agree]
             self.still.append(float(inside[at].sum() / inside.sum()))
 
-    def _keep(self, number: int, agreement: Agreement, seen: _Seen) -> None:
+    def _keep(self, number: int, agreement: AgreedTurn, seen: _Seen) -> None:
         self.frames.append(number)
         self.turns.append(agreement.turn)
         agree = agreement.agree
@@ -275,7 +275,7 @@ class Tracker:
             if own.sum() >= 8:
                 self.links.append(self._link(place, key, agreement, seen, own))
 
-    def _link(self, place: int, key: Key, agreement: Agreement, seen: _Seen, own: Bools) -> Link:
+    def _link(self, place: int, key: Key, agreement: AgreedTurn, seen: _Seen, own: Bools) -> Link:
         turn, J = agreement.turn, agreement.jacobian[own]
         by_key = np.zeros((len(J), 2, 1))
         if self.solve_zoom:
@@ -291,7 +291,7 @@ class Tracker:
         zooms = np.log([turn.zoom, key.turn.zoom])
         return Link(place, key.number, turn.rotation @ key.turn.rotation.T, zooms, normal, gradient)
 
-    def _new_key(self, frame: Frame, picture: Image, mask: Bools | None, agreement: Agreement, seen: _Seen) -> None:
+    def _new_key(self, frame: Frame, picture: Image, mask: Bools | None, agreement: AgreedTurn, seen: _Seen) -> None:
         """Its points are as trusted as the nearest that were followed into it."""
         points = corners(frame, mask)
         trust = np.full(len(points), 0.5)
@@ -329,7 +329,7 @@ class Tracker:
 
     # -- all of them --
 
-    def finish(self) -> Motion:
+    def finish(self) -> TurningMotion:
         """Everything adjusted together."""
         frames, lost = np.array(self.frames, dtype=np.int64), np.array(self.lost, dtype=np.int64)
         inliers = np.array([n for n, _ in self.supports], dtype=np.int64)
@@ -343,7 +343,7 @@ class Tracker:
             turns, sigma, sigma_zoom = done.turns, done.sigma_rad, done.sigma_zoom
         torn = sum(share < MIN_STILL for share in self.still)
         turned_only = self.apart <= MAX_APART * (len(frames) + len(lost)) and torn <= MAX_TORN
-        return Motion(
+        return TurningMotion(
             frames, tuple(turns), inliers, residual, sigma, sigma_zoom, lost, keys, pictures, turned_only, self.cut
         )
 

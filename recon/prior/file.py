@@ -6,7 +6,6 @@ import io
 import json
 from collections.abc import Sequence
 from dataclasses import asdict, fields
-from importlib import resources
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +14,7 @@ import numpy as np
 from recon.body import Body
 from recon.errors import InputError, Problem
 from recon.files import staged_file, write_bytes
+from recon.package import builtin_file, builtin_names
 from recon.prior.model import ANGLES, NONE, SHAPES, MotionPrior, SegmentRow, misfits, prior_from_body
 
 _FORMAT = 1
@@ -23,8 +23,7 @@ _EXPECTED = "a motion prior, as `recon prior fit` writes it"
 
 def builtin_priors() -> tuple[str, ...]:
     """Names of the priors that come with the package."""
-    files = resources.files("recon") / "priors"
-    return tuple(sorted(f.name.removesuffix(".npz") for f in files.iterdir() if f.name.endswith(".npz")))
+    return builtin_names("priors", ".npz")
 
 
 def save_prior(prior: MotionPrior, path: str | Path) -> None:
@@ -51,7 +50,7 @@ def load_prior(name_or_path: str | Path, body: Body) -> MotionPrior:
     if str(name_or_path) == NONE:
         return prior_from_body(body)
     if str(name_or_path) in builtin_priors():
-        content = (resources.files("recon") / "priors" / f"{name_or_path}.npz").read_bytes()
+        content = builtin_file("priors", f"{name_or_path}.npz").read_bytes()
         return _prior(content, f"prior {name_or_path}", body)
     path = Path(name_or_path)
     if not path.is_file():

@@ -274,14 +274,14 @@ def _keypoints_text(report: Mapping[str, Any]) -> str:
     lacking = [row["name"] for row in report["keypoints"] if row["joint"] is not None and not row["used"]]
     total = counts["used"] + counts["missing"]
     share = f"{counts['used']}" if lacking else "all"
-    missing = f"; missing: {_some(lacking)}" if lacking else ""
-    unused = f"; not used: {_some(report['unused_keypoints'])}" if report["unused_keypoints"] else ""
+    missing = f"; missing: {first_names(lacking)}" if lacking else ""
+    unused = f"; not used: {first_names(report['unused_keypoints'])}" if report["unused_keypoints"] else ""
     near = suggestions(report["unused_keypoints"], report["missing_keypoints"])
-    perhaps = f"; perhaps the same (--rename): {_some([f'{a} for {b}' for a, b in near.items()])}" if near else ""
+    perhaps = f"; perhaps the same (--rename): {first_names([f'{a} for {b}' for a, b in near.items()])}" if near else ""
     return f"{share} of the skeleton's {total} used{missing}{unused}{perhaps}"
 
 
-def _some(names: Sequence[str]) -> str:
+def first_names(names: Sequence[str]) -> str:
     """The first of them."""
     more = f" and {len(names) - NAMED} more" if len(names) > NAMED else ""
     return ", ".join(names[:NAMED]) + more

@@ -5,7 +5,6 @@ Built-in robots are the files of `recon/robot/robots`.
 
 from __future__ import annotations
 
-from importlib import resources
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -15,6 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field, StrictBool
 from recon.documents import parse_toml, read_toml, validated
 from recon.errors import InputError, Problem
 from recon.ik.joint_chain import JointChain
+from recon.package import builtin_file, builtin_names
 from recon.robot.dh import Convention, DHRow, dh_chain
 from recon.robot.leg import LEG_ANGLES, FlapLeg, Leg, SwingLeg
 from recon.robot.quadruped import LEGS, ChainLeg, ClosedLeg, Quadruped, standing
@@ -93,15 +93,14 @@ class _DHFile(_Table):
 
 def builtin_robots() -> tuple[str, ...]:
     """Names of the robots that come with the package."""
-    folder = resources.files("recon.robot") / "robots"
-    return tuple(sorted(f.name.removesuffix(".toml") for f in folder.iterdir() if f.name.endswith(".toml")))
+    return builtin_names("robot/robots", ".toml")
 
 
 def load_robot(robot: str | Path) -> Quadruped:
     """A built-in robot by name, or one of a file, .toml or .urdf. Raises InputError."""
     text = str(robot)
     if text in builtin_robots():
-        content = (resources.files("recon.robot") / "robots" / f"{text}.toml").read_text(encoding="utf-8")
+        content = builtin_file("robot/robots", f"{text}.toml").read_text(encoding="utf-8")
         return _quadruped(text, parse_toml(content, text))
     path = Path(robot)
     if path.suffix.lower() == ".urdf":

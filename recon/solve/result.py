@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import ClassVar, Literal
 
@@ -127,7 +127,7 @@ class TrajectorySolution(Solution):
     """Half the squared norm, robust."""
     iterations: int
     starts: tuple[Start, ...]
-    lag_frames: Array = field(default_factory=lambda: np.zeros(1))
+    lag_frames: Array
     """(V,): how much later than said each camera's pictures were taken, where several cameras show it, else 0."""
 
     method: ClassVar = "trajectory"

@@ -21,7 +21,7 @@ detected for longer than `BRIDGED_S`, the clip is split.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -33,6 +33,7 @@ from recon.chain import MIN_JOINTS, MIN_REACH_PX
 from recon.clip import View
 from recon.kinematics import ROOT, YAW
 from recon.prior import MotionPrior
+from recon.progress import Progress, silent
 from recon.solve.contacts import contacts
 from recon.solve.posterior import Posterior, posterior, with_size
 from recon.solve.problem import Estimate, Problem
@@ -42,8 +43,6 @@ from recon.solve.starts import Approached, approach, between
 from recon.solve.terms import ANGLES, Reprojection, lag, size_of
 
 Array = NDArray[np.float64]
-Progress = Callable[[str, float], None]
-"""Called with what is being done, and how much of all is done, 0 to 1."""
 
 BRIDGED_S = 2.0
 """Without detections for longer than this, what comes before and after are two clips."""
@@ -67,7 +66,7 @@ def solve_trajectory(
     prior: MotionPrior,
     fps: float,
     options: TrajectoryOptions | None = None,
-    progress: Progress = lambda stage, share: None,
+    progress: Progress = silent,
     ground_near_zero: bool | None = None,
 ) -> TrajectorySolution:
     """The motion of a body from detections of its markers by one or more cameras, each a view of the same T frames.
@@ -132,7 +131,7 @@ class Solved:
         return float(self.estimate.shared.get(lag(view), np.zeros(1))[0])
 
 
-def solve_spells(setting: Setting, progress: Progress = lambda stage, share: None) -> list[Solved]:
+def solve_spells(setting: Setting, progress: Progress = silent) -> list[Solved]:
     """Every stretch of a clip between which nothing is seen for long."""
     spells = _spells(setting.present().sum(axis=1) >= MIN_JOINTS, setting.fps)
     return [

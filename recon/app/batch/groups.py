@@ -10,12 +10,11 @@ from typing import Any
 
 from recon.app.cameras import cameras_in
 from recon.errors import InputError, Problem
+from recon.report.common import first_names
 
 AUTO, NONE = "auto", "none"
 OPTION = "--cameras-by"
 SEPARATORS = "-_. "
-NOTED = 5
-"""Files and clips are listed up to this number."""
 
 
 @dataclass(frozen=True)
@@ -125,7 +124,7 @@ def missing_cameras(drafts: Sequence[Draft], names: Sequence[str]) -> list[str]:
         missing = [one for one in every[draft.cam_regex] if one not in draft.row["camera_name"]]
         if missing:
             lacks.append(f"{name} ({', '.join(missing)})")
-    return [f"Fitted without cameras that others have: {_names_text(lacks)}"] if lacks else []
+    return [f"Fitted without cameras that others have: {first_names(lacks)}"] if lacks else []
 
 
 def _compiled_pattern(text: str, where: Path | str) -> re.Pattern[str]:
@@ -229,9 +228,4 @@ def _joined_text(groups: Sequence[Sequence[_Named]]) -> str:
 
 
 def _file_names_text(paths: Sequence[Path]) -> str:
-    return _names_text([path.name for path in paths])
-
-
-def _names_text(names: Sequence[str]) -> str:
-    more = "" if len(names) <= NOTED else f" and {len(names) - NOTED} more"
-    return ", ".join(names[:NOTED]) + more
+    return first_names([path.name for path in paths])

@@ -14,10 +14,11 @@ from pathlib import Path
 from typing import Any
 
 from recon.app.batch.anipose import Session, sessions_in
-from recon.app.batch.groups import AUTO, NOTED, Draft, join_cameras, missing_cameras
+from recon.app.batch.groups import AUTO, Draft, join_cameras, missing_cameras
 from recon.calibration import read_cameras
 from recon.errors import InputError, Problem
 from recon.io import READERS, file_head, individuals
+from recon.report.common import first_names
 from recon.settings import SETTINGS, FitSettings, beside, option, read_settings
 
 SUMMARY = "summary.csv"
@@ -135,7 +136,7 @@ def _drafts_of_sessions(sessions: Sequence[Session], common: Mapping[str, Any]) 
     if problems:
         raise InputError(dict.fromkeys(problems))
     if not drafts:
-        places = ", ".join(str(session.poses) for session in sessions[:NOTED])
+        places = first_names([str(session.poses) for session in sessions])
         raise InputError(Problem(places, "files", "no keypoint files", f"files of a known format: {_format_names()}"))
     folders = dict.fromkeys(session.poses.name for session in sessions)
     said = (
@@ -157,9 +158,7 @@ def _files_in(folder: Path) -> tuple[list[Path], list[str]]:
     notes = []
     for left_out, why in ((twins, "beside a file of the same name"), (others, "of no known format")):
         if left_out:
-            more = "" if len(left_out) <= NOTED else f" and {len(left_out) - NOTED} more"
-            names = ", ".join(path.name for path in left_out[:NOTED])
-            notes.append(f"Left out of {folder}, {why}: {names}{more}")
+            notes.append(f"Left out of {folder}, {why}: {first_names([path.name for path in left_out])}")
     return [path.absolute() for path in chosen.values()], notes
 
 
