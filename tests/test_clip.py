@@ -62,6 +62,49 @@ def test_a_frame_far_outside_the_picture_is_left_out_and_named(tmp_path):
     assert source.cleaning.total("rejected") == np.isfinite(file.xy_px[2, :, 0]).sum()
 
 
+def test_keypoints_a_little_outside_the_picture_are_no_error(tmp_path):
+    file = read_keypoints(samples_folder() / "noisy.csv")
+    xy_px = file.xy_px.copy()
+    _, height = read_camera(samples_folder() / "camera.toml").image_size_px
+    xy_px[..., 1] += height + 4 - np.nanquantile(xy_px[..., 1], 0.75)  # a quarter lies 4 px or more below the edge
+    xy_px[..., 1] = np.minimum(xy_px[..., 1], height + 4)
+    write_keypoints_csv(replace(file, xy_px=xy_px), tmp_path / "low.csv")
+    (source,) = prepare(sample(keypoints=tmp_path / "low.csv", frames=None)).sources
+    below = source.keypoints.xy_px[..., 1] > height
+    assert below.sum() > 0.2 * source.keypoints.present.sum()
+    assert source.cleaning.notes == ()
+
+
+@pytest.mark.parametrize(
+    ("change", "perhaps"),
+    [
+        (lambda xy: xy[..., ::-1] * (0.55, 1.0), "; perhaps x and y are exchanged"),
+        (lambda xy: xy * 2.0, "; perhaps they were found in a video 2 times as large"),
+        (lambda xy: xy - 3000.0, ""),
+    ],
+)
+def test_points_of_another_picture_are_refused_with_what_it_may_be(tmp_path, change, perhaps):
+    file = read_keypoints(samples_folder() / "noisy.csv")
+    xy_px = 0.5 * file.xy_px / np.nanmax(file.xy_px, axis=(0, 1)) * (1920, 1080) + (960, 540)
+    write_keypoints_csv(replace(file, xy_px=change(xy_px)), tmp_path / "other.csv")
+    with pytest.raises(InputError) as caught:
+        prepare(sample(keypoints=tmp_path / "other.csv", frames=None))
+    (problem,) = caught.value.problems
+    assert problem.expected == f"the camera and the size of the video that the keypoints were found in{perhaps}"
+
+
+def test_the_camera_of_the_file_that_shows_the_points_is_named(tmp_path):
+    lens = "matrix = [[900, 0, 150], [0, 900, 100], [0, 0, 1]]\ndistortions = [0, 0, 0, 0, 0]"
+    pose = "rotation = [0, 0, 0]\ntranslation = [0, 0, 0]"
+    sizes = {"small": (300, 200), "large": (1920, 1080)}
+    cameras = (f'[{n}]\nname = "{n}"\nsize = [{w}, {h}]\n{lens}\n{pose}\n' for n, (w, h) in sizes.items())
+    (tmp_path / "both.toml").write_text("\n".join(cameras))
+    with pytest.raises(
+        InputError, match=r"both\.toml: image size: found 300x200, .*; perhaps they are of large of the"
+    ):
+        prepare(sample(camera=tmp_path / "both.toml", camera_name="small"))
+
+
 @pytest.mark.parametrize("method", ["frame", "trajectory"])
 @pytest.mark.parametrize("skeleton", [*builtin_chains(), "example", "front root"])
 def test_every_chain_is_fitted_and_written(tmp_path, skeleton: str, method: str):

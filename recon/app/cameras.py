@@ -45,6 +45,14 @@ def read_clip_cameras(settings: FitSettings) -> Cameras:
     return tuple(replace(one, camera=replace(one.camera, tilt_rad=tilt_rad)) for one in moving)
 
 
+def other_cameras(camera: Camera, settings: FitSettings) -> tuple[Camera, ...]:
+    """The cameras of the camera file that the clip is not said to be of, none where there is no such file."""
+    if settings.camera is None:
+        return ()
+    cameras = read_cameras(settings.camera, settings.image_size_px)
+    return tuple(other for other in cameras if other.name != camera.name)
+
+
 def _moving(one: ClipCamera) -> ClipCamera:
     """Where a track says where the camera was, the camera file does not."""
     if one.track is None:

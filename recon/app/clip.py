@@ -12,7 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from recon.app.cameras import Cameras, ClipCamera, read_clip_cameras
+from recon.app.cameras import Cameras, ClipCamera, other_cameras, read_clip_cameras
+from recon.arrays import Array
 from recon.body import Body, Side, facing_side
 from recon.camera import Camera
 from recon.camera_track import MAX_GAP_S, CameraTrack, FramePoses
@@ -58,6 +59,9 @@ an animal does from one frame to the next is lost in the rounding of its acceler
 
 FEW_OF_SKELETON, FEW_OF_FILE = 0.25, 0.5
 """A file with fewer of the skeleton's keypoints, to which fewer of its own belong, has other names for them."""
+PADDED, INSIDE = 0.05, 0.9
+"""Detectors pad the picture: keypoints that many times its width or height outside are as good as in it. At least so
+many of a clip's have to be."""
 _FAR_OUTSIDE = "too far outside the picture to have been found in it"
 _WITHOUT_POSE = "in frames for which the camera's track has no pose"
 
@@ -285,17 +289,36 @@ def _require_keypoints_of(wanted: Sequence[str], skeleton: str, keypoints: Keypo
 def _require_inside(camera: Camera, keypoints: Keypoints, settings: FitSettings) -> None:
     """A picture smaller than the points' is another camera's, or the wrong size was given."""
     points = np.clip(keypoints.xy_px[keypoints.present], -1e9, 1e9)
-    if np.mean(camera.in_image(points)) < 0.9:
-        (x0, y0), (x1, y1) = np.percentile(points, [1, 99], axis=0)
-        width, height = camera.image_size_px
-        raise InputError(
-            Problem(
-                settings.camera or "--image-size",
-                "image size",
-                f"{width}x{height}, but keypoints at x {x0:.0f} to {x1:.0f}, y {y0:.0f} to {y1:.0f} px",
-                "the camera and the size of the video that the keypoints were found in",
-            )
+    if _holds(camera.image_size_px, points):
+        return
+    (x0, y0), (x1, y1) = np.percentile(points, [1, 99], axis=0)
+    width, height = camera.image_size_px
+    raise InputError(
+        Problem(
+            settings.camera or "--image-size",
+            "image size",
+            f"{width}x{height}, but keypoints at x {x0:.0f} to {x1:.0f}, y {y0:.0f} to {y1:.0f} px",
+            "the camera and the size of the video that the keypoints were found in"
+            + _perhaps(camera, points, settings),
         )
+    )
+
+
+def _holds(size_px: tuple[int, int], points: Array) -> bool:
+    """Whether nearly all points (n, 2) lie in a picture of that size, or as little outside as detectors put them, which
+    pad it."""
+    over = np.max([-points, points - size_px], axis=0) / size_px
+    return bool(np.mean(over.max(axis=1) <= PADDED) >= INSIDE)
+
+
+def _perhaps(camera: Camera, points: Array, settings: FitSettings) -> str:
+    """What would put points (n, 2) in the picture."""
+    causes = ["x and y are exchanged"] if _holds(camera.image_size_px, points[:, ::-1]) else []
+    others = (one for one in other_cameras(camera, settings) if _holds(one.image_size_px, points))
+    causes += [f"they are of {other.name} of the file" for other in others]
+    larger = (n for n in (2, 3, 4) if _holds((n * camera.image_size_px[0], n * camera.image_size_px[1]), points))
+    causes = causes or [f"they were found in a video {n} times as large" for n in larger][:1]
+    return f"; perhaps {', or '.join(causes)}" if causes else ""
 
 
 def _side(body: Body, keypoints: Keypoints, settings: FitSettings) -> tuple[Side, str]:
