@@ -17,6 +17,7 @@ from recon.solve.terms import (
     SIZE,
     Linear,
     Reprojection,
+    Stance,
     beside,
     climb_term,
     dynamics_term,
@@ -25,7 +26,7 @@ from recon.solve.terms import (
     root_term,
 )
 from tests.test_banded import to_dense
-from tests.test_terms import BODY, FPS, PRIOR, T, detections, gradient, some_states, terms, view
+from tests.test_terms import BODY, FEET, FPS, PRIOR, T, detections, gradient, some_states, terms, view
 
 
 def whole_problem() -> Problem:
@@ -85,7 +86,8 @@ def seen_late(shared: bool = True) -> Problem:
     linear = [t for t in terms() if isinstance(t, Linear)]
     held = Linear("held", (0,), 0.01 * np.eye(BODY.n_state)[None], np.zeros(BODY.n_state))  # the last frame by one view
     free = [*unknown, *displaced] if shared else unknown
-    return Problem(BODY.tree, [*linear, held], seen, free, () if shared else displaced)
+    stance = Stance(FEET, FPS, 2.5, 2.0, 0.8)
+    return Problem(BODY.tree, [*linear, held], [*seen, stance], free, () if shared else displaced)
 
 
 def some_shared(problem: Problem) -> dict[str, np.ndarray]:

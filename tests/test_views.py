@@ -10,7 +10,9 @@ import pytest
 
 from recon.clip import View, camera_poses, still_view
 from recon.frames import inverse, level_from_camera, moved, rigid
+from recon.io.pose3d import read_pose3d
 from recon.solve import TrajectoryOptions, TrajectorySolution, solve_trajectory
+from tests.conftest import SAMPLES
 from tests.test_trajectory import BODY, CAMERA, FPS, PRIOR, run, seen
 
 LEVEL = level_from_camera(CAMERA.up)
@@ -216,3 +218,15 @@ def test_a_camera_that_is_carried_about_shows_the_size():
     assert solution.size_from == ("prior", "views")
     assert solution.size_sigma < 0.3
     assert solution.size == pytest.approx(1.0, abs=2 * solution.size_sigma)
+
+
+def test_a_camera_driven_along_shows_the_size_by_feet_that_stand():
+    """At 10 m/s beside the animal: feet of another size would slip on the ground."""
+    points = read_pose3d(SAMPLES / "whole_truth.csv").xyz_m
+    seconds = (np.arange(len(points)) - len(points) / 2) / 60
+    poses = np.stack([pose([10.0 * t, -9.0, 0.6], np.pi / 2) for t in seconds])
+    solution = solve_trajectory(
+        [view_of(points, poses, sigma_px=0.5)], BODY, PRIOR, 60.0, TrajectoryOptions(fast=True, size_sigma=10.0)
+    )
+    assert solution.size_sigma < 0.2
+    assert solution.size == pytest.approx(1.0, abs=0.05)

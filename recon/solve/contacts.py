@@ -17,7 +17,7 @@ def contacts(setting: Setting, points_m: Array, size: float) -> tuple[Array, Gro
     nominal size about the origin."""
     o, feet = setting.options, setting.feet
     stance = Stance(feet, setting.fps, o.slip_m_s, o.slip_c, o.stance_weight)
-    _, _, still = stance.contact(points_m)
+    _, _, still = stance.contact(points_m, size)
     middle = 0.5 * (points_m[1:, feet] + points_m[:-1, feet])
     height, sigma = float(np.percentile(middle[..., 2], 10)), 10.0
     if setting.ground_known:

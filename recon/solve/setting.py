@@ -191,10 +191,10 @@ class Setting:
         return self.body.keypoint_sigma_m if self.options.keypoint_sigma_m is None else self.options.keypoint_sigma_m
 
     def px_per_m(self, points_m: Array, size: float = 1.0) -> Array:
-        """(V, T): how large a metre is in the picture at the distance of markers (T, J, 3), of nominal size."""
+        """(V, T): how large a metre of the nominal body is in the picture at the distance of its markers (T, J, 3)."""
         world = self.in_world(points_m, size)
         depths = [np.maximum(np.median(view.to_camera(world)[..., 2], axis=1), 0.3) for view in self.views]
-        return np.array([view.focal_px / depth for view, depth in zip(self.views, depths, strict=True)])
+        return np.array([size * view.focal_px / depth for view, depth in zip(self.views, depths, strict=True)])
 
     def noise_px(self, points_m: Array, factor: Array, size: float = 1.0) -> Array:
         """(V, T, J): the detector's noise, and the keypoints' at the animal's distance, times sqrt(factor) (V, J), for

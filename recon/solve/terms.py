@@ -337,6 +337,7 @@ class Heading:
 class Stance:
     """A foot that nearly stands, stands: its velocity with a redescending loss, weight (c sigma)^2 / 2 at most.
 
+    In the world: at nominal size, feet that a moving camera follows would stand for any animal that is large enough.
     feet (F,): markers. Geman-McClure: a foot in swing, well beyond c sigma, hardly pulls.
     """
 
@@ -348,16 +349,17 @@ class Stance:
     name: str = "stance"
     stencil: tuple[int, ...] = (0, 1)
 
-    def contact(self, points_m: Array) -> tuple[Array, Array, Array]:
+    def contact(self, points_m: Array, size: float) -> tuple[Array, Array, Array]:
         """Velocity (n, F, 3), loss (n, F) and its slope (n, F) between frames of markers (n + 1, J, 3)."""
-        v = np.diff(points_m[:, self.feet], axis=0) * self.fps
+        v = np.diff(points_m[:, self.feet], axis=0) * self.fps * size
         q = np.sum(v * v, axis=-1) / self.sigma_m_s**2
         shrink = 1.0 / (1.0 + q / self.c**2)
         return v, q * shrink, shrink**2
 
     def evaluate(self, span: Span, jacobian: bool) -> Rows:
         n, F = len(span.states) - 1, len(self.feet)
-        v, loss, slope = self.contact(span.pose.points_m)
+        size = size_of(span.shared)
+        v, loss, slope = self.contact(span.pose.points_m, size)
         weight = self.weight * REFERENCE_HZ / self.fps
         frames = np.arange(span.first, span.first + n)
         cost = 0.5 * weight * loss.sum(axis=1)
@@ -365,9 +367,10 @@ class Stance:
             return Rows(frames, cost)
         assert span.pose.jacobian is not None
         root = np.sqrt(weight * slope)[..., None] / self.sigma_m_s
-        foot = span.pose.jacobian[:, self.feet] * self.fps
+        foot = span.pose.jacobian[:, self.feet] * self.fps * size
         rows = np.stack([-foot[:-1] * root[..., None], foot[1:] * root[..., None]], axis=3)
-        return Rows(frames, cost, (v * root).reshape(n, 3 * F), rows.reshape(n, 3 * F, 2, -1))
+        by_shared = {SIZE: (v / size * root).reshape(n, 3 * F, 1)} if SIZE in span.shared else {}
+        return Rows(frames, cost, (v * root).reshape(n, 3 * F), rows.reshape(n, 3 * F, 2, -1), by_shared)
 
 
 @dataclass(frozen=True)
