@@ -13,9 +13,10 @@ from scipy.spatial.transform import Rotation
 
 from recon.calibration import write_camera
 from recon.camera import Camera
-from recon.camera_motion import Tracker, Turn, as_level
+from recon.camera_motion import Tracker, Turn, as_level, read_marks, tilted, up_by_marks
 from recon.camera_motion.features import rays_of
 from recon.camera_track import read_camera_track
+from recon.errors import InputError
 from recon.video import video_writer
 
 SIZE = (320, 180)
@@ -164,11 +165,52 @@ def test_a_camera_that_is_carried_is_recognised(follows):
 
 def test_level_is_the_first_frame_as_told_or_the_mean_frame():
     turns = [Turn(R) for R in pan(9, 10.0)]
-    told = as_level(turns, np.radians(12))[0].rotation
+    told = as_level(turns, tilted(np.radians(12)))[0].rotation
     np.testing.assert_allclose(told[2, 2], -np.sin(np.radians(12)))
     np.testing.assert_allclose(told[0], [1, 0, 0], atol=1e-12)
     mean = np.mean([turn.rotation for turn in as_level(turns, None)], axis=0)
     np.testing.assert_allclose(mean[2] / np.linalg.norm(mean[2]), [0, 1, 0], atol=1e-3)
+
+
+def marked(folder, lines: list[tuple[str, int, np.ndarray]]):
+    """A table of marks: of points (2, 3) of the world, in the pictures of a camera in the origin that pans."""
+    rows = []
+    for kind, frame, points in lines:
+        pixels, _ = FISHEYE.project(points @ pan(9, 10.0)[frame].T)
+        rows.append(f"{kind},{frame + 3}," + ",".join(f"{x:.3f}" for x in pixels.ravel()))
+    (folder / "level.csv").write_text("kind,frame,x1,y1,x2,y2\n" + "\n".join(rows) + "\n")
+    return folder / "level.csv"
+
+
+UP = np.array([0.1, -0.98, -0.15]) / np.linalg.norm([0.1, -0.98, -0.15])
+ACROSS = np.cross(UP, [0.0, 0.0, 1.0])
+AWAY = np.cross(ACROSS, UP)
+HORIZON = ("horizon", 2, np.stack([5 * AWAY - 2 * ACROSS, 5 * AWAY + 2 * ACROSS]))
+POSTS = [("vertical", t, 5 * AWAY + x * ACROSS + np.outer([-2.2, 2.2], UP)) for t, x in ((1, -2.0), (7, 2.5))]
+
+
+@pytest.mark.parametrize("lines", [[HORIZON], POSTS, [HORIZON, *POSTS]], ids=["horizon", "posts", "both"])
+def test_marks_tell_which_way_is_up(tmp_path, lines):
+    path, turns = marked(tmp_path, lines), [Turn(R) for R in pan(9, 10.0)]
+    up, sigma = up_by_marks(path, read_marks(path), FISHEYE, {t + 3: turn for t, turn in enumerate(turns)})
+    np.testing.assert_allclose(up, turns[0].rotation @ UP, atol=1e-4)
+    assert 0.001 < sigma < 0.05
+    np.testing.assert_allclose(as_level(turns, up)[4].rotation[:, 2], turns[4].rotation @ UP, atol=1e-4)
+
+
+def test_marks_that_do_not_tell_are_refused(tmp_path):
+    turns = {t + 3: Turn(R) for t, R in enumerate(pan(9, 10.0))}
+    path = marked(tmp_path, POSTS[:1])
+    with pytest.raises(InputError, match="leave the upward direction open"):
+        up_by_marks(path, read_marks(path), FISHEYE, turns)
+    with pytest.raises(InputError, match="found 4, expected one of the video"):
+        up_by_marks(path, read_marks(path), FISHEYE, {3: Turn(np.eye(3))})
+    path.write_text(
+        "kind,frame,x1,y1,x2,y2\nhorizon,1,2,3,4,5\nskyline,1,2,3,4,5\nvertical,1,2,3,2,3\nhorizon,1,2,3,inf,5\n"
+    )
+    with pytest.raises(InputError) as error:
+        read_marks(path)
+    assert [problem.field for problem in error.value.problems] == ["line 3", "line 4", "line 5"]
 
 
 # -- the command ------------------------------------------------------------------------------------------------------
@@ -222,6 +264,20 @@ def test_without_a_tilt_the_mean_frame_is_said_to_be_level(pan_film, tmp_path):
     )
     assert ended.code == 0, ended.err
     assert "the mean of all frames is taken as level" in ended.out
+
+
+def test_level_by_marks_is_said_and_so_is_what_does_not_fit(pan_film, tmp_path):
+    (tmp_path / "level.csv").write_text("kind,frame,x1,y1,x2,y2\nhorizon,0,10,95,300,85\n")
+    given = ("camera-motion", pan_film / "pan.avi", "--camera", pan_film / "camera.toml", "--out", tmp_path / "a.csv")
+    ended = run(*given, "--level-marks", tmp_path / "level.csv")
+    assert ended.code == 0, ended.err
+    assert "by 1 marks in" in ended.out
+    report = json.loads((tmp_path / "a_report.json").read_text())["by_frame"]
+    assert report["roll_deg"][0] == pytest.approx(-np.degrees(np.arctan2(10, 290)), abs=0.05)
+    assert report["tilt_deg"][0] == pytest.approx(0.0, abs=0.2)
+    ended = run(*given, "--overwrite", "--level-marks", tmp_path / "level.csv", "--tilt-deg", 3)
+    assert ended.code == 2
+    assert "one of the two" in " ".join(ended.err.split())
 
 
 def refusal(folder, pictures, camera: Camera = PINHOLE, *more: object) -> str:

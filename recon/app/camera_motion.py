@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,7 @@ import numpy as np
 from recon.arrays import Array, Integers
 from recon.calibration import read_camera
 from recon.camera import Camera
-from recon.camera_motion import Tracker, Turn, TurningMotion, as_level
+from recon.camera_motion import LevelMark, Tracker, Turn, TurningMotion, as_level, read_marks, tilted, up_by_marks
 from recon.camera_motion.features import rays_of
 from recon.camera_motion.panorama import ANIMAL, PATH, Canvas, draw_path, draw_view, panorama
 from recon.camera_track import INTRINSICS, POSE
@@ -54,6 +55,7 @@ def run_camera_motion(
     individual: str | None = None,
     first_frame: int = 0,
     tilt_deg: float | None = None,
+    level_marks: Path | None = None,
     zoom: bool = False,
     stabilised: Path | None = None,
     overwrite: bool = False,
@@ -63,15 +65,17 @@ def run_camera_motion(
     <stem>_panorama.png; `stabilised` is the video laid over the panorama.
 
     first_frame: the number that the video's first frame has in the keypoint file and the track. tilt_deg: how far the
-    camera looks down in the first frame, level to the sides; None: it is level in the mean of all frames. Raises
-    InputError, with every problem, for inputs that cannot be used, and for a camera that did more than turn.
+    camera looks down in the first frame, level to the sides; level_marks: a table of horizons and verticals in its
+    pictures; neither: it is level in the mean of all frames. Raises InputError, with every problem, for inputs that
+    cannot be used, and for a camera that did more than turn.
     """
-    info, lens, animal, *_ = all_of(
+    info, lens, animal, marks, *_ = all_of(
         lambda: probe(video),
         lambda: read_camera(camera, camera_name),
         lambda: None if keypoints is None else read_keypoints(keypoints, individual),
+        lambda: () if level_marks is None else read_marks(level_marks),
         lambda: _require_out(out, stabilised, overwrite, video),
-        lambda: _require_tilt(tilt_deg),
+        lambda: _require_tilt(tilt_deg, level_marks),
     )
     if info.size_px != lens.image_size_px:
         found, wanted = ("{}x{} px".format(*size) for size in (info.size_px, lens.image_size_px))
@@ -87,8 +91,9 @@ def run_camera_motion(
     _require_turning(video, motion, zoom, first_frame)
     if animal is not None:
         _require_same_frames(keypoints, points, motion, video)
-    motion = replace(motion, turns=as_level(motion.turns, None if tilt_deg is None else np.radians(tilt_deg)))
-    report = _report(video, camera, motion, lens, first_frame, tilt_deg, zoom)
+    up, level = _up(motion, lens, first_frame, tilt_deg, level_marks, marks)
+    motion = replace(motion, turns=as_level(motion.turns, up))
+    report = _report(video, camera, motion, lens, first_frame, level, zoom)
     canvas, background, picture = _pictures(lens, motion, points)
     report_file, picture_file = (out.with_name(out.stem + end) for end in ("_report.json", "_panorama.png"))
     if stabilised is not None:
@@ -113,7 +118,9 @@ def _require_out(out: Path, stabilised: Path | None, overwrite: bool, video: Pat
         require_free_file(stabilised, overwrite, "--stabilised", source=video)
 
 
-def _require_tilt(tilt_deg: float | None) -> None:
+def _require_tilt(tilt_deg: float | None, level_marks: Path | None) -> None:
+    if tilt_deg is not None and level_marks is not None:
+        raise InputError(Problem("--tilt-deg", "level", f"{tilt_deg:g} beside {level_marks}", "one of the two"))
     if tilt_deg is not None and not abs(tilt_deg) < 60:
         raise InputError(Problem("--tilt-deg", "angle", f"{tilt_deg:g}", "between -60 and 60 degrees, down positive"))
 
@@ -157,6 +164,28 @@ def _points(keypoints: Keypoints, first_frame: int) -> dict[int, Array]:
     return {frame - first_frame: some for frame, some in shown if np.isfinite(some).all(axis=1).any()}
 
 
+# -- which way is up --------------------------------------------------------------------------------------------------
+
+
+def _up(
+    motion: TurningMotion,
+    lens: Camera,
+    first_frame: int,
+    tilt_deg: float | None,
+    source: Path | None,
+    marks: Sequence[LevelMark],
+) -> tuple[Array | None, str]:
+    """Up (3,) in the first frame's camera, None if the mean frame is to be level, and how that is known."""
+    if tilt_deg is not None:
+        level = f"the first frame looks {tilt_deg:g} degrees down, as given, and its roll is taken as 0"
+        return tilted(np.radians(tilt_deg)), level
+    if source is None:
+        return None, "the mean of all frames is taken as level: its tilt and roll are 0"
+    by_frame = dict(zip((motion.frames + first_frame).tolist(), motion.turns, strict=True))
+    up, sigma = up_by_marks(source, marks, lens, by_frame)
+    return up, f"by {len(marks)} marks in {source}, to {np.degrees(sigma):.1g} degrees if they are 2 px off"
+
+
 # -- what comes out ---------------------------------------------------------------------------------------------------
 
 
@@ -172,7 +201,7 @@ def _write_track(path: Path, motion: TurningMotion, camera: Camera, first_frame:
 
 
 def _report(
-    video: Path, camera: Path, motion: TurningMotion, lens: Camera, first_frame: int, tilt_deg: float | None, zoom: bool
+    video: Path, camera: Path, motion: TurningMotion, lens: Camera, first_frame: int, level: str, zoom: bool
 ) -> dict[str, Any]:
     axes = np.stack([turn.rotation[2] for turn in motion.turns])
     pan = np.degrees(np.unwrap(np.arctan2(axes[:, 0], axes[:, 1])))
@@ -183,9 +212,6 @@ def _report(
     if zoom:
         rounded |= {"zoom": np.array([turn.zoom for turn in motion.turns]), "sigma_zoom": motion.sigma_zoom}
     rounded["residual_px"] = motion.residual_px
-    level = "the mean of all frames is taken as level: its tilt and roll are 0"
-    if tilt_deg is not None:
-        level = f"the first frame looks {tilt_deg:g} degrees down, as given, and its roll is taken as 0"
     return {
         "video": str(video),
         "camera": {"file": str(camera), "name": lens.name},

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from recon.camera_motion.level import as_level
+from recon.camera_motion.level import LevelMark, as_level, read_marks, tilted, up_by_marks
 from recon.camera_motion.rotation import Turn
 from recon.camera_motion.track import Tracker, TurningMotion
 
-__all__ = ["Tracker", "Turn", "TurningMotion", "as_level"]
+__all__ = ["LevelMark", "Tracker", "Turn", "TurningMotion", "as_level", "read_marks", "tilted", "up_by_marks"]

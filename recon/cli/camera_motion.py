@@ -30,6 +30,10 @@ def camera_motion(
             "degrees between -60 and 60",
         ),
     ] = None,
+    level_marks: Annotated[
+        Path | None,
+        typer.Option(help="Instead: a table (kind,frame,x1,y1,x2,y2) of horizons and verticals, as in level.csv."),
+    ] = None,
     zoom: Annotated[bool, typer.Option("--zoom", help="The focal length changes; the first frame has the file's.")] = (
         False
     ),
@@ -55,6 +59,7 @@ def camera_motion(
             individual=individual,
             first_frame=first_frame,
             tilt_deg=tilt_deg,
+            level_marks=level_marks,
             zoom=zoom,
             stabilised=stabilised,
             overwrite=overwrite,
