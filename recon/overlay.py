@@ -170,17 +170,28 @@ def draw_frame(overlay: Overlay, t: int | None, frame: int, picture: Image) -> I
 
 
 def draw_sheet(overlay: Overlay, rows: Sequence[int] | Index, pictures: Sequence[Image] | None = None) -> Image:
-    """These frames side by side, each cut out about the animal, at one scale, and the key beneath. pictures: of each of
-    them, in the pixels of the overlay; without, on a plain ground."""
+    """`draw_tiles` side by side, and the key beneath."""
     width, height = TILE_PX
-    corners, scale = _cut_out(overlay, rows)
     columns = min(SHEET_COLUMNS, len(rows))
     key_px = round(190 * KEY_UNIT)
     canvas = np.empty((height * -(-len(rows) // columns) + key_px, width * columns, 3), dtype=np.uint8)
     canvas[:] = PAPER
-    for i, (t, corner) in enumerate(zip(rows, corners, strict=True)):
+    for i, tile in enumerate(draw_tiles(overlay, rows, pictures)):
         x, y = width * (i % columns), height * (i // columns)
-        tile = canvas[y : y + height, x : x + width]
+        canvas[y : y + height, x : x + width] = tile
+        cv2.rectangle(canvas, (x, y), (x + width - 1, y + height - 1), FAINT, 1)
+    _draw_key(canvas, overlay, (round(24 * KEY_UNIT), len(canvas) - key_px + round(30 * KEY_UNIT)), KEY_UNIT)
+    return canvas
+
+
+def draw_tiles(overlay: Overlay, rows: Sequence[int] | Index, pictures: Sequence[Image] | None = None) -> list[Image]:
+    """These frames, each cut out about the animal, at one scale. pictures: of each of them, in the pixels of the
+    overlay; without, on a plain ground."""
+    corners, scale = _cut_out(overlay, rows)
+    tiles = []
+    for i, (t, corner) in enumerate(zip(rows, corners, strict=True)):
+        tile = np.empty((TILE_PX[1], TILE_PX[0], 3), dtype=np.uint8)
+        tile[:] = PAPER
         if pictures is not None:
             to_tile = np.array([[scale, 0.0, -scale * corner[0]], [0.0, scale, -scale * corner[1]]])
             tile[:] = cv2.warpAffine(pictures[i], to_tile, TILE_PX, flags=cv2.INTER_LINEAR, borderValue=PAPER)
@@ -192,9 +203,8 @@ def draw_sheet(overlay: Overlay, rows: Sequence[int] | Index, pictures: Sequence
         _draw_skeleton(tile, moved, int(t), TILE_UNIT)
         _draw_detections(tile, moved, int(t), TILE_UNIT)
         _draw_caption(tile, moved, int(t), int(overlay.frames[t]), TILE_PX, TILE_UNIT)
-        cv2.rectangle(tile, (0, 0), (width - 1, height - 1), FAINT, 1)
-    _draw_key(canvas, overlay, (round(24 * KEY_UNIT), len(canvas) - key_px + round(30 * KEY_UNIT)), KEY_UNIT)
-    return canvas
+        tiles.append(tile)
+    return tiles
 
 
 def _cut_out(overlay: Overlay, rows: Sequence[int] | Index) -> tuple[Array, float]:

@@ -62,6 +62,7 @@ LAYERS = (
     "plots",
     "report",
     "export",
+    "page",
     "view",
     "settings",
     "net",

@@ -186,6 +186,13 @@ def gaits_of(results: Results, smooth: bool | None = None) -> dict[Method, Gait]
     return _gaits(results, pose)
 
 
+def reference_motion(results: Results) -> JointKinematics:
+    """Only the motion of the joint that stands for the animal's place, as `analyse` has it."""
+    errors = _jitter(results.pose.xyz_m) if results.jitters else _errors(results)
+    name = results.report["root_path"]["keypoint"]
+    return joint_kinematics(results.pose, name, results.fps, errors, smooth=results.jitters)
+
+
 def limb_chains(results: Results) -> dict[str, tuple[str, ...]]:
     """The joints along every limb that hangs on the trunk, at least three, begun with the trunk's joint before it, so
     that the limb's first link has a parent; and the trunk itself."""

@@ -28,6 +28,7 @@ from recon.keypoints import CleaningReport, Keypoints, clean, leave_out, parse_f
 from recon.manifest import MANIFEST
 from recon.motion import Motion
 from recon.naming import fitting_maps, load_names, map_to_write, renamed
+from recon.page import PAGE
 from recon.prior import MotionPrior, builtin_priors, load_prior, prior_from_body
 from recon.progress import Progress, silent
 from recon.published import solve_frames
@@ -48,8 +49,9 @@ OUTPUT_FILES = (
 
 
 def output_files(out: Path) -> tuple[str, ...]:
-    """Every file in a folder that is a clip's, or that a clip of one camera could get there."""
-    return (*OUTPUT_FILES, *of_any_camera(out))
+    """Every file in a folder that is a clip's, or that a clip of one camera could get there. Its page goes with
+    them: it shows the results that it was made of."""
+    return (*OUTPUT_FILES, PAGE, *of_any_camera(out))
 
 
 RATES_HZ = (1.0, 10_000.0)

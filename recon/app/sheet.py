@@ -11,7 +11,7 @@ from recon.app.overlay import camera_number, check_video, overlay_of
 from recon.arrays import Index
 from recon.errors import InputError, Problem, all_of
 from recon.files import require_free_file, staged_file, write_bytes
-from recon.overlay import draw_sheet
+from recon.overlay import Overlay, draw_sheet
 from recon.results import Results, read_results
 from recon.video import Image, probe, read_frames
 
@@ -40,17 +40,23 @@ def run_sheet(
         lambda: overlay_of(result, number=number),
         lambda: None if video is None or info is None else check_video(result, number, video, info, first_frame),
     )
-    posed = np.flatnonzero(np.isfinite(overlay.reprojected_px).any(axis=(1, 2)))
-    if not len(posed):
+    rows = rows_to_show(overlay, count)
+    if not len(rows):
         raise InputError(Problem(folder, "frames", "none with a pose", "one at least"))
-    rows = posed[np.unique(np.round(np.linspace(0, len(posed) - 1, count)).astype(int))]
-    pictures = None if video is None else _pictures(video, result, rows, first_frame)
+    pictures = None if video is None else pictures_of(video, result, rows, first_frame)
     with staged_file(sheet) as staged:
         write_bytes(staged, cv2.imencode(".png", draw_sheet(overlay, rows, pictures))[1].tobytes())
     return len(rows)
 
 
-def _pictures(video: Path, result: Results, rows: Index, first_frame: int) -> list[Image]:
+def rows_to_show(overlay: Overlay, count: int) -> Index:
+    """Rows of up to `count` frames with a pose, evenly spaced."""
+    posed = np.flatnonzero(np.isfinite(overlay.reprojected_px).any(axis=(1, 2)))
+    return posed[np.unique(np.round(np.linspace(0, len(posed) - 1, count)).astype(int))] if len(posed) else posed
+
+
+def pictures_of(video: Path, result: Results, rows: Index, first_frame: int) -> list[Image]:
+    """The video's frames for these rows of a result. Raises InputError for one that is not in it."""
     wanted = [int(result.pose.frames[t]) - first_frame for t in rows]
     found = {at: picture for at, picture in read_frames(video, wanted[0], wanted[-1] + 1) if at in wanted}
     if len(found) < len(wanted):

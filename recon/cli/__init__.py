@@ -25,6 +25,7 @@ from recon.cli.ik import ik
 from recon.cli.overlay import overlay
 from recon.cli.predict import predict
 from recon.cli.prior import prior_fit
+from recon.cli.report import report
 from recon.cli.retarget import retarget
 from recon.cli.robot import robot_app
 from recon.cli.skeleton import skeleton_app
@@ -58,7 +59,9 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-for command in (fit, batch, analyse, ik, evaluate, view, demo, calibrate, convert, overlay, retarget, climb, doctor):
+for command in (fit, batch, analyse, ik, evaluate, view, demo, calibrate, convert, overlay, report):
+    app.command()(command)
+for command in (retarget, climb, doctor):
     app.command()(command)
 for command in (train, predict):
     app.command()(command)

@@ -10,6 +10,8 @@ matplotlib, whatever the user's own settings of matplotlib are, and those are le
 
 from __future__ import annotations
 
+import io
+import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -89,6 +91,23 @@ def save(figure: Figure, folder: str | Path, stem: str) -> tuple[Path, Path]:
         figure.savefig(staging / paths[0].name, dpi=PNG_DPI, metadata={"Software": None})
         figure.savefig(staging / paths[1].name, metadata={"Date": None, "Creator": None})
     return paths
+
+
+def svg_of(figure: Figure) -> str:
+    """The element <svg> by itself, for a page: no ground behind it, and text as text."""
+    content = io.StringIO()
+    with _settings():
+        figure.savefig(content, format="svg", transparent=True, metadata=dict.fromkeys(("Date", "Creator")))
+    text = content.getvalue()
+    return re.sub(r"<metadata>.*?</metadata>|<style .*?</style>", "", text[text.index("<svg") :], flags=re.DOTALL)
+
+
+def png_of(figure: Figure, dpi: float) -> bytes:
+    """No ground behind it."""
+    content = io.BytesIO()
+    with _settings():
+        figure.savefig(content, format="png", dpi=dpi, transparent=True, metadata={"Software": None})
+    return content.getvalue()
 
 
 @contextmanager

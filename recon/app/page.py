@@ -1,0 +1,63 @@
+"""Pages to look at: `report.html` of a result, `summary.html` of a batch."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from recon.app.overlay import camera_number, check_video, overlay_of
+from recon.app.sheet import pictures_of, rows_to_show
+from recon.errors import all_of
+from recon.files import staged_file
+from recon.overlay import draw_tiles
+from recon.page import PAGE
+from recon.page.clip import Still, clip_page
+from recon.page.render import jpeg, require_own_page
+from recon.progress import Progress, silent
+from recon.results import Results, read_results
+from recon.video import probe
+
+STILLS = 8
+BESIDE = ("overlay.mp4", "analysis/analysis.json")
+"""Files that a page has links to, besides the fit's own, where they are there when it is made."""
+
+
+def run_page(
+    folder: Path,
+    *,
+    video: Path | None = None,
+    first_frame: int = 0,
+    camera: str | None = None,
+    progress: Progress = silent,
+) -> Path:
+    """`recon report`: the page of a result, in its folder; an earlier one is replaced. video: what is behind the
+    pictures, plain without one; the others: see `run_overlay`. Raises InputError, with every problem."""
+    page = folder / PAGE
+    result, info, _ = all_of(
+        lambda: read_results(folder),
+        lambda: None if video is None else probe(video),
+        lambda: require_own_page(page),
+    )
+    number = 0 if video is None and camera is None else camera_number(result, camera)
+    if video is not None and info is not None:
+        check_video(result, number, video, info, first_frame)
+    progress("pictures", 0.1)
+    stills = _stills(result, video, first_frame, number)
+    progress("figures", 0.3)
+    html = clip_page(result, stills, None if video is None else video.name, _files(result))
+    with staged_file(page) as staged:
+        staged.write_text(html, encoding="utf-8")
+    return page
+
+
+def _stills(result: Results, video: Path | None, first_frame: int, number: int) -> list[Still]:
+    overlay = overlay_of(result, number=number)
+    rows = rows_to_show(overlay, STILLS)
+    if not len(rows):
+        return []
+    pictures = None if video is None else pictures_of(video, result, rows, first_frame)
+    tiles = draw_tiles(overlay, rows, pictures)
+    return [Still(jpeg(tile), f"frame {overlay.frames[t]}") for tile, t in zip(tiles, rows, strict=True)]
+
+
+def _files(result: Results) -> list[str]:
+    return [*(name for name in BESIDE if (result.folder / name).is_file()), *sorted(result.manifest.files)]

@@ -1,0 +1,36 @@
+"""`recon report`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from recon.cli.common import progress_bar, say, terminal
+
+
+def report(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of results, as in results/clip.")],
+    video: Annotated[
+        Path | None,
+        typer.Option(help="The video that the keypoints came from, to be seen in the pictures.", show_default=False),
+    ] = None,
+    camera_name: Annotated[
+        str | None, typer.Option(help="Whose pictures, of a clip with several cameras, as in cam2.")
+    ] = None,
+    first_frame: Annotated[
+        int, typer.Option(help="Number that the video's first frame has in the keypoint file, if it was cut.")
+    ] = 0,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print errors only.")] = False,
+) -> None:
+    """Make a page of a result to look at and to pass on: report.html in its folder, one file that opens in any browser.
+
+    Example: recon report results/clip --video clip.mp4
+    """
+    from recon.app.page import run_page
+
+    console = terminal(quiet=quiet)
+    with progress_bar(console) as progress:
+        page = run_page(folder, video=video, first_frame=first_frame, camera=camera_name, progress=progress)
+    say(console, f"Open {page} in a browser.")

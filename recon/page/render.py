@@ -1,0 +1,61 @@
+"""Templates filled in, and pictures as a part of a page."""
+
+from __future__ import annotations
+
+import base64
+from contextlib import suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import cv2
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
+
+from recon.errors import InputError, Problem
+from recon.package import version
+from recon.plots.style import png_of, svg_of
+from recon.video import Image
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+JPEG_QUALITY = 80
+PNG_DPI = 190.0
+_GENERATED = '<meta name="generator" content="recon">'
+"""By which a page is known again."""
+
+
+def rendered(template: str, **content: Any) -> str:
+    """A page. All text is escaped but what the template calls safe: figures."""
+    environment = Environment(
+        loader=FileSystemLoader(Path(__file__).parent / "templates"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    return environment.get_template(template).render(generated=_GENERATED, version=version(), **content)
+
+
+def inline(figure: Figure, largest: int) -> str:
+    """A figure as it stands in a page: <svg>, or a PNG where that would have more than `largest` characters, as of a
+    long clip."""
+    svg = svg_of(figure)
+    if len(svg) <= largest:
+        return svg  # matplotlib has escaped its texts
+    return f'<img alt="" src="{_data("image/png", png_of(figure, PNG_DPI))}">'
+
+
+def jpeg(picture: Image) -> str:
+    """A picture as the source of an <img>."""
+    return _data("image/jpeg", cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])[1].tobytes())
+
+
+def _data(kind: str, content: bytes) -> str:
+    return f"data:{kind};base64,{base64.b64encode(content).decode()}"
+
+
+def require_own_page(path: Path) -> None:
+    """Raises InputError where a file is in the page's place that recon has not made."""
+    with suppress(FileNotFoundError), path.open(encoding="utf-8", errors="replace") as file:
+        if _GENERATED not in file.read(2000):
+            raise InputError(Problem(path, "file", "one that recon has not made", f"a place for {path.name}"))

@@ -1,0 +1,203 @@
+"""`recon report`: one file that fetches nothing, whatever names stand in it."""
+
+from __future__ import annotations
+
+import re
+import shutil
+from dataclasses import replace
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pytest
+from command_line import run
+from motions import with_first
+
+from recon.app.clip import write_clip
+from recon.app.page import run_page
+from recon.errors import InputError
+from recon.page.clip import doubtful_frames
+from recon.page.render import inline
+from recon.plots.angles import AngleCurve, angle_over_time, together
+from recon.plots.style import drawing
+from recon.results import read_results
+from recon.settings import FitSettings
+from recon.video import video_writer
+
+EVIL = '<img src=x onerror="alert(1)">&\'.csv'
+MOST_BYTES = 3_000_000
+
+
+class Page(HTMLParser):
+    """What a browser would make of a page."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__()
+        self.tags: list[tuple[str, dict[str, str | None]]] = []
+        self.text = ""
+        self.html = path.read_text(encoding="utf-8")
+        self.feed(self.html)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append((tag, dict(attrs)))
+
+    handle_startendtag = handle_starttag
+
+    def handle_data(self, data: str) -> None:
+        self.text += data
+
+    def attributes(self, tag: str, name: str) -> list[str]:
+        return [str(attrs[name]) for found, attrs in self.tags if found == tag and name in attrs]
+
+
+def require_self_contained(page: Page, folder: Path) -> None:
+    """Nothing is run or fetched, and links lead to files that are there."""
+    assert len(page.html.encode()) < MOST_BYTES
+    for _, attrs in page.tags:
+        assert not any(name.startswith("on") for name in attrs)
+    for source in page.attributes("img", "src"):
+        assert source.startswith("data:image/")
+    for target in page.attributes("a", "href"):
+        assert (folder / target).is_file(), target
+    assert page.attributes("link", "href") == ["data:,"]
+    assert not {"iframe", "object", "embed", "base"} & {tag for tag, _ in page.tags}
+    assert set(re.findall(r"url\((.)", page.html)) <= {"#"}
+    assert "@import" not in page.html
+
+
+@pytest.fixture(scope="module")
+def folder(small_trajectory, tmp_path_factory) -> Path:
+    """Of a keypoint file with a name that is HTML."""
+    path = tmp_path_factory.mktemp("page") / "a & <b>"
+    source = small_trajectory.sources[0]
+    motion = with_first(small_trajectory, keypoints=replace(source.keypoints, source=f"/tmp/{EVIL}"))
+    write_clip(motion, FitSettings(keypoints=Path(EVIL), camera=Path("<script>.toml"), fps=30), path)
+    return path
+
+
+@pytest.fixture(scope="module")
+def page(folder) -> Page:
+    return Page(run_page(folder))
+
+
+def test_a_page_is_one_file_in_which_names_are_text(page, folder):
+    require_self_contained(page, folder)
+    assert "script" not in {tag for tag, _ in page.tags}
+    assert EVIL in page.text
+    assert "<script>.toml" in page.text
+    assert page.text.count("\n") > 20
+
+
+def test_a_page_says_what_the_report_says(page, folder):
+    results = read_results(folder)
+    for text in (
+        "Frames: 8 of 8 with a pose, 2 doubtful (1 no data, 1 data poor, 1 ambiguous depth).",
+        "It ran 2.1 m, at 9.0 m/s in the mean and 9.0",
+        *results.report["warnings"],
+        *results.report["assumptions"]["sentences"],
+        "few joints were seen and trusted",
+    ):
+        assert text in page.text
+    assert "another pose explains it" not in page.text  # no frame has that flag
+    assert list(doubtful_frames(results)) == [("13", "no data"), ("15", "data poor, ambiguous depth")]
+    headings = re.findall(r"<h2>(.*?)</h2>", page.html)
+    assert headings[:6] == [
+        "Pictures", "From the side, from above and from ahead", "Speed", "Footfalls", "Angles", "Doubtful frames",
+    ]  # fmt: skip
+    assert len(page.attributes("img", "src")) == 8
+    assert set(page.attributes("img", "alt")) == {f"frame {frame}" for frame in range(10, 18)}
+    panels = together(dict.fromkeys(results.angle_names, None))
+    assert len(panels) == 18
+    assert page.html.count("<svg") == 3 + len(panels)
+    assert set(page.attributes("a", "href")) == set(results.manifest.files)
+
+
+def test_a_page_has_the_video_behind_its_pictures(folder, tmp_path, monkeypatch):
+    video = tmp_path / "run & away.avi"
+    with video_writer(video, (1920, 1080), 30.0) as write:
+        for number in range(18):
+            write(np.full((1080, 1920, 3), 10 * number, np.uint8))
+    shown = {}
+
+    def clip_page(results, stills, behind, files) -> str:
+        shown[behind] = [still.source for still in stills]
+        return '<meta name="generator" content="recon">'
+
+    monkeypatch.setattr("recon.app.page.clip_page", clip_page)
+    copy = tmp_path / "copy"
+    shutil.copytree(folder, copy)
+    run_page(copy)
+    run_page(copy, video=video)
+    assert [*shown] == [None, "run & away.avi"]
+    assert len(shown[None]) == len(shown["run & away.avi"]) == 8
+    assert not {*shown[None]} & {*shown["run & away.avi"]}
+    with pytest.raises(InputError, match=r"--first-frame: number: found 11, expected 10 or less"):
+        run_page(folder, video=video, first_frame=11)
+
+
+def test_a_page_goes_with_its_results(small_trajectory, tmp_path):
+    settings = FitSettings(keypoints=Path("run.csv"), camera=Path("camera.toml"), fps=30)
+    write_clip(small_trajectory, settings, tmp_path)
+    (tmp_path / "report.html").write_text("my own")
+    with pytest.raises(InputError, match=r"report.html: file: found one that recon has not made"):
+        run_page(tmp_path)
+    assert (tmp_path / "report.html").read_text() == "my own"
+    (tmp_path / "report.html").unlink()
+    write_clip(small_trajectory, settings, tmp_path)
+    (tmp_path / "report.html").write_text('<meta name="generator" content="recon">')
+    write_clip(small_trajectory, settings, tmp_path)
+    assert not (tmp_path / "report.html").exists()
+
+
+def test_a_page_without_any_pose(small_trajectory, tmp_path):
+    names = ("states", "joints_m", "covariance_m2", "relative_covariance_m2", "alternative_m", "contact", "noise_px")
+    nothing = {name: np.full_like(getattr(small_trajectory.solution, name), np.nan) for name in names}
+    solution = replace(small_trajectory.solution, **nothing, spells=(), flags=(("no data",),) * 8)
+    write_clip(
+        replace(small_trajectory, solution=solution),
+        FitSettings(keypoints=Path("run.csv"), camera=Path("camera.toml"), fps=30),
+        tmp_path,
+    )
+    ended = run("report", tmp_path)
+    assert (ended.code, ended.err) == (0, "")
+    assert ended.out.split() == f"Open {tmp_path / 'report.html'} in a browser.".split()
+    page = Page(tmp_path / "report.html")
+    assert "no pose: too few points detected in every frame" in page.text
+    assert "Too few frames have a pose" in page.text
+    assert "10 to 17" in page.text
+    assert not page.attributes("img", "src")
+
+
+def test_figures_stand_in_a_page_as_vectors_or_where_those_are_large_as_pixels():
+    with drawing(30, 60) as figure:
+        axes = figure.subplots()
+        axes.plot([0, 1], [0, 1])
+        axes.set_title("<script>alert(1)</script>")
+    svg = inline(figure, 100_000)
+    assert svg.startswith("<svg ")
+    assert "&lt;script&gt;" in svg
+    assert "<script" not in svg
+    assert "<style" not in svg  # it would be the page's
+    assert inline(figure, 1000).startswith('<img alt="" src="data:image/png;base64,')
+
+
+def test_angles_of_both_sides_share_a_figure():
+    time_s, ones = np.arange(5) / 10.0, np.ones(5)
+    curves = {
+        "l_hip_pitch": AngleCurve(0.1 * ones, 0.01 * ones, True),
+        "r_hip_pitch": AngleCurve(0.2 * ones, 0.02 * ones, False),
+        "head_yaw": AngleCurve(0.3 * ones, 0.03 * ones, True),
+    }
+    assert {title: list(both) for title, both in together(curves).items()} == {
+        "l/r hip pitch": ["l_hip_pitch", "r_hip_pitch"],
+        "head yaw": ["head_yaw"],
+    }
+    doubtful = np.array([False, True, True, False, True])
+    (axes,) = angle_over_time(time_s, together(curves)["l/r hip pitch"], doubtful, "hips").axes
+    left, right = axes.lines
+    np.testing.assert_allclose(left.get_ydata(), np.degrees(0.1))
+    np.testing.assert_allclose(right.get_ydata(), np.degrees(0.2))
+    assert (left.get_color(), right.get_color()) == ("#0072B2", "#666666")
+    spans = [patch.get_extents().transformed(axes.transData.inverted()) for patch in axes.patches]
+    np.testing.assert_allclose([(span.x0, span.x1) for span in spans], [(0.05, 0.25), (0.35, 0.45)])
+    assert axes.get_title(loc="left") == "hips (°)"
