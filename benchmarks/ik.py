@@ -1,9 +1,9 @@
 """Inverse kinematics: time per step, success rates, iterations and closures, and strides of a folder of real runs.
 
-    python benchmarks/ik.py [FOLDER] [--only steps targets circle strides fits]
+    python benchmarks/ik.py [FOLDER] [--only steps targets circle strides fits held-out]
 
 Joints of `cheetah-8u`'s spine and front leg in their level base frame, and of `cheetah-24`'s left front leg. One core,
-warm. Tables in Markdown, as in docs/ik.md. The last two need real runs: each is a folder with truth.csv and meta.json
+warm. Tables in Markdown, as in docs/ik.md. The last three need real runs: each is a folder with truth.csv and meta.json
 (fps), by default those of cheetah-runs in $RECON_SHARED_DATA, or in ../shared/data.
 """
 
@@ -13,6 +13,7 @@ import argparse
 import json
 import os
 from collections.abc import Callable, Sequence
+from copy import copy
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -31,10 +32,13 @@ from recon.analysis.gait import pose_gait
 from recon.app.ik import stride_lasts_s
 from recon.ik.animal import body_chain, body_chain_angles, chain_angles, planar_chain, spine_front_leg
 from recon.ik.chain import SerialChain
-from recon.ik.costs import HarmonicMap, joint_differences, rotational_energy
+from recon.ik.costs import HarmonicMap, joint_differences, pose_distance, rotational_energy
 from recon.ik.drive import Closures, degree_of_closure, drive_to, follow
 from recon.ik.fit import (
-    Fitted,
+    Fit,
+    Frames,
+    best_scale,
+    explained_by,
     fit_damped,
     fit_gradient,
     fit_least_norm,
@@ -295,19 +299,25 @@ def closure_row(name: str, closures: list[Closures], off_m: float, singular: int
     return [name, *(f"{v:.0f}" for v in cells), f"{1000 * off_m:.1f}", str(singular)]
 
 
+def frames_of(leg: Leg, span_s: tuple[float, float] = (-np.inf, np.inf)) -> Frames:
+    """The known frames from when to when, with the rates of a spline through all."""
+    known = np.isfinite(leg.q).all(axis=1)
+    q, time_s = leg.q[known], np.flatnonzero(known) / leg.fps
+    dq = CubicSpline(time_s, q).derivative()(time_s)
+    within = (time_s >= span_s[0] - 1e-6) & (time_s <= span_s[1] + 1e-6)
+    q, dq = q[within], dq[within]
+    return Frames.of(leg.chain, q, np.array([leg.chain.jacobian(x) @ v for x, v in zip(q, dq, strict=True)]), dq)
+
+
 def print_fits(folder: Path) -> None:
     """Of the 8U chain in space there are none: its phi jump where a link stands upright, and so do their rates."""
     for kind in ("2D", "whole animal"):
-        data = []
-        for leg in real_legs(folder)[kind]:
-            known = np.isfinite(leg.q).all(axis=1)
-            q, time_s = leg.q[known], np.flatnonzero(known) / leg.fps
-            dq = CubicSpline(time_s, q).derivative()(time_s)
-            data.append((leg.chain, q, np.array([leg.chain.jacobian(x) @ v for x, v in zip(q, dq, strict=True)]), dq))
+        legs = real_legs(folder)[kind]
+        data = [frames_of(leg) for leg in legs]
         print(f"\n{kind}, parameters of {len(data)} legs' joint rates, medians:\n")
         rows = []
-        for name, fit, unit in FITS:
-            found = [fit(*leg) for leg in data]
+        for name, fit_of, unit in FITS:
+            found = [fit_of(leg.chain)(frames) for leg, frames in zip(legs, data, strict=True)]
             values = np.median([f.parameter for f in found], axis=0)
             explained = [100 * f.explained for f in found]
             rows.append(
@@ -320,25 +330,122 @@ def print_fits(folder: Path) -> None:
         print_table(["method", "parameter", "explained, percent (range)", "legs at an edge"], rows)
 
 
-def fit_costs(chain: SerialChain, q: Array, dx: Array, dq: Array) -> Fitted:
-    return fit_gradient(chain, q, dx, dq, (joint_differences(chain), rotational_energy(chain)))
+def with_costs(chain: SerialChain) -> Fit:
+    return lambda frames: fit_gradient(frames, (joint_differences(chain), rotational_energy(chain)))
 
 
-FITS: tuple[tuple[str, Callable[..., Fitted], str], ...] = (
-    ("least norm", fit_least_norm, ""),
-    ("Jacobian transpose, alpha", fit_transpose, " 1/m2"),
-    ("gradient projection, constant g", fit_gradient, ""),
-    ("gradient projection, differences and energy", fit_costs, ""),
-    ("weighted, diag W", fit_weights, ""),
-    ("damped, lambda", fit_damped, " m"),
-    ("selectively damped, gamma_max", fit_selectively_damped, " rad"),
+FITS: tuple[tuple[str, Callable[[SerialChain], Fit], str], ...] = (
+    ("least norm", lambda _: fit_least_norm, ""),
+    ("Jacobian transpose, alpha", lambda _: fit_transpose, " 1/m2"),
+    ("gradient projection, constant g", lambda _: fit_gradient, ""),
+    ("gradient projection, differences and energy", with_costs, ""),
+    ("weighted, diag W", lambda _: fit_weights, ""),
+    ("damped, lambda", lambda _: fit_damped, " m"),
+    ("selectively damped, gamma_max", lambda _: fit_selectively_damped, " rad"),
 )
+
+
+# -- held-out strides ------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Shown:
+    """A leg's stride, its frames, and the run that it is of."""
+
+    leg: Leg
+    stride: Stride
+    frames: Frames
+
+    @classmethod
+    def of(cls, leg: Leg) -> Shown:
+        stride = find_stride(leg.chain, leg.q, leg.fps, lasts_s=leg.lasts_s)
+        return cls(leg, stride, frames_of(leg, (stride.start_s, stride.end_s)))
+
+    @property
+    def run(self) -> str:
+        return self.leg.name.split(",")[0]
+
+    def off_deg(self, method: Method) -> float:
+        """How far the joints are from the animal's while the method follows the stride from the animal's own pose (the
+        extended Jacobian from its own), rms."""
+        q0 = self.stride.q[0]
+        q0 = start_of(self.leg.chain, q0, method) if isinstance(method, ExtendedJacobian) else q0
+        run = follow(self.leg.chain, q0, self.stride.path_m, method, interval_s=SLOWER * self.stride.interval_s)
+        every = round(1 / (self.leg.fps * self.stride.interval_s))
+        off = run.q[::every][: len(self.stride.q)] - self.stride.q
+        return float(np.degrees(np.sqrt(np.nanmean(off**2))))
+
+
+def rates_by(method: Method, shown: Shown) -> Array:
+    """(T, n): what a method gives without limits."""
+    chain = copy(shown.leg.chain)
+    object.__setattr__(chain, "max_rate_rad_s", np.full(chain.n, 1e9))
+    return np.array([method.rates(chain, q, dx).dq for q, dx in zip(shown.frames.q, shown.frames.dx, strict=True)])
+
+
+def unfitted(shown: Shown, others: Sequence[Shown]) -> dict[str, Method]:
+    """Methods without a parameter, or with one that is not fitted; the pose is the others' mean."""
+    chain = shown.leg.chain
+    pose = np.mean([one.frames.q.mean(axis=0) for one in others], axis=0)
+    every = {name: method for name, method in methods(chain).items() if name.startswith(("extended", "weighted"))}
+    return {**every, "extended Jacobian (pose)": ExtendedJacobian(pose_distance(pose))}
+
+
+def print_held_out(folder: Path) -> None:
+    """Parameters from the strides of all other runs."""
+    for kind in ("2D", "whole animal"):
+        data = [Shown.of(leg) for leg in real_legs(folder)[kind]]
+        others = [[one for one in data if one.run != shown.run] for shown in data]
+        print(f"\n{kind}, {len(data)} strides, parameters from the other runs:\n")
+        rows = []
+        for name, fit_of, unit in FITS:
+            fits = [
+                fit_of(s.leg.chain)(Frames.joined([o.frames for o in of])) for s, of in zip(data, others, strict=True)
+            ]
+            own = [fit_of(s.leg.chain)(s.frames).explained for s in data]
+            rates = [fit.formula(s.frames) for fit, s in zip(fits, data, strict=True)]
+            value = ", ".join(f"{v:.2g}" for v in np.median([fit.parameter for fit in fits], axis=0)) + unit
+            scales = [fit.alpha for fit in fits]
+            rows.append(held_out_row(name, value, own, rates, scales, data, [fit.method for fit in fits]))
+        every = [unfitted(shown, of) for shown, of in zip(data, others, strict=True)]
+        for name in every[0]:
+            chosen = [of[name] for of in every]
+            rates = [rates_by(method, s) for method, s in zip(chosen, data, strict=True)]
+            scales = [
+                best_scale(
+                    np.concatenate([r for r, o in zip(rates, data, strict=True) if o.run != s.run]),
+                    np.concatenate([o.frames.dq for o in data if o.run != s.run]),
+                )
+                for s in data
+            ]
+            rows.append(held_out_row(name, "", [], rates, scales, data, chosen))
+        columns = ["method", "parameter, median", "own stride, %", "held out, % (range)", "alpha", "with alpha, %"]
+        print_table([*columns, "joints off, deg"], rows)
+
+
+def held_out_row(
+    name: str,
+    value: str,
+    own: list[float],
+    rates: list[Array],
+    scales: list[float],
+    data: list[Shown],
+    chosen: list[Method],
+) -> list[str]:
+    explained = [100 * explained_by(r, s.frames.dq) for r, s in zip(rates, data, strict=True)]
+    scaled = [100 * explained_by(a * r, s.frames.dq) for a, r, s in zip(scales, rates, data, strict=True)]
+    off = [s.off_deg(method) for s, method in zip(data, chosen, strict=True)]
+    return [
+        *(name, value, f"{100 * np.median(own):.0f}" if own else ""),
+        f"{np.median(explained):.0f} ({min(explained):.0f} to {max(explained):.0f})",
+        *(f"{np.median(scales):.2f}", f"{np.median(scaled):.0f}", f"{np.median(off):.0f}"),
+    ]
 
 
 def main() -> None:
     default = recordings("cheetah-runs")
     tables = {"steps": print_steps, "targets": print_targets, "circle": print_circle}
-    real = {"strides": print_strides, "fits": print_fits}
+    real = {"strides": print_strides, "fits": print_fits, "held-out": print_held_out}
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path, nargs="?", default=default)
     parser.add_argument("--only", nargs="+", choices=[*tables, *real], default=[*tables, *real])

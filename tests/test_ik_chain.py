@@ -6,7 +6,14 @@ import numpy as np
 import pytest
 
 from recon.ik.chain import PlanarChain, SummedChain, manipulability, null_basis
-from recon.ik.costs import HarmonicMap, UserCost, joint_differences, rotational_energy
+from recon.ik.costs import (
+    HarmonicMap,
+    UserCost,
+    WeightedSum,
+    joint_differences,
+    pose_distance,
+    rotational_energy,
+)
 from recon.ik.two_link import two_link
 
 LENGTHS = (0.4, 0.3, 0.25, 0.28, 0.2)
@@ -78,12 +85,14 @@ def test_reach_and_manipulability():
 
 
 @pytest.mark.parametrize("chain", CHAINS.values(), ids=CHAINS)
-@pytest.mark.parametrize("kind", ["differences", "energy", "harmonic", "user"])
+@pytest.mark.parametrize("kind", ["differences", "energy", "harmonic", "pose", "sum", "user"])
 def test_costs_agree_with_differences(chain, kind):
     cost = {
         "differences": joint_differences(chain),
         "energy": rotational_energy(chain),
         "harmonic": HarmonicMap(a=0.7, b=0.3),
+        "pose": pose_distance(np.linspace(-1.0, 1.0, chain.n)),
+        "sum": WeightedSum((joint_differences(chain), HarmonicMap()), (0.5, -2.0)),
         "user": UserCost(lambda q: float(np.sin(q[0]) * q[1] + np.sum(q**4))),
     }[kind]
     q = np.random.default_rng(3).normal(size=chain.n)
@@ -101,6 +110,8 @@ def test_cost_values():
     # Not from the last theta to the first phi.
     assert joint_differences(spatial).value(np.concatenate([q, q])) == pytest.approx(2 * 0.54)
     assert rotational_energy(planar).value(q) == pytest.approx(np.sum((np.array(LENGTHS) * q) ** 2))
+    assert pose_distance(q + np.array([0.1, 0, 0, 0, 0.2])).value(q) == pytest.approx(0.05)
+    assert WeightedSum((pose_distance(0 * q), HarmonicMap()), (2.0, 0.0)).value(q) == pytest.approx(2 * np.sum(q**2))
     assert HarmonicMap().value(q) == pytest.approx(0.5 * -0.4 * np.sqrt(1.16))
 
 

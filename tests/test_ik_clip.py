@@ -15,6 +15,7 @@ from recon.analysis.gait import pose_gait
 from recon.app.ik import (
     FITTED,
     METHODS,
+    cost_of,
     fit_parameters,
     follow_stride,
     limb_of,
@@ -24,7 +25,9 @@ from recon.app.ik import (
     stride_of,
 )
 from recon.errors import InputError
-from recon.ik.methods import DampedLeastSquares
+from recon.ik.drive import drive_to
+from recon.ik.fit import DAMPING_M
+from recon.ik.methods import DampedLeastSquares, LeastNorm
 from recon.io.pose3d import Pose3D
 from recon.manifest import write_manifest
 from recon.results import read_results
@@ -125,6 +128,35 @@ def test_both_jobs_with_all_methods(folder):
     assert pd.read_csv(folder / "ik" / "target.csv").set_index("method").loc["damped", "reached"] == "yes"
 
 
+def test_a_cost_of_ones_own_a_factor_and_parameters_of_each_frame(folder):
+    done = run_ik(
+        *(folder, ("extended", "least-norm"), "stride-max"),
+        **{"dim": 2, "fitted": True, "figures": False, "cost": "energy,pose=0.5", "alpha": 0.5},
+    )
+    limb, cost = done.limb, cost_of(done.limb, "energy,pose=0.5")
+    q = limb.q[0]
+    assert cost.value(q) == pytest.approx(
+        np.sum((limb.chain.joint_lengths_m * q) ** 2) + 0.5 * np.sum((q - np.nanmean(limb.q, axis=0)) ** 2)
+    )
+    assert cost_of(limb, "energy").value(q) == pytest.approx(np.sum((limb.chain.joint_lengths_m * q) ** 2))
+    # Half of each step takes longer, and the reason is in the file.
+    assert all(drive.reached for drive in done.drives.values())
+    usual = drive_to(limb.chain, done.drives["least-norm"].q[0], done.target_m, LeastNorm())
+    assert done.drives["least-norm"].iterations > 1.5 * usual.iterations
+    assert done.summary["parameters"]["alpha"] == 0.5
+    table = pd.read_csv(folder / "ik" / "parameters.csv")
+    times = table["time_s"].to_numpy()
+    assert done.series is not None
+    assert len(times) == len(done.stride.q)
+    assert times[0] == pytest.approx(limb.first_s + done.stride.start_s)
+    np.testing.assert_allclose(np.diff(times), 1 / limb.fps)
+    weights = table[[f"weighted_{joint}" for joint in limb.names]].to_numpy()
+    np.testing.assert_allclose(weights, done.series.by_method["weighted"].parameter)
+    # The best of each configuration explains no less than the best of all.
+    assert (table["weighted_explained"] > table["least-norm_explained"] - 1e-9).all()
+    assert table["damped_lambda_m"].between(*DAMPING_M).all()
+
+
 def test_one_method_to_a_place_of_ones_own(folder):
     done = run(
         "ik", folder, "--method", "least-norm", "--target", "0.7,0.1,-0.4", "--foot", "RF", "--out", folder / "x"
@@ -222,6 +254,10 @@ def test_clip_without_a_stride_is_said(frame_results, tmp_path):
         (("--target", "1,2"), "expected stride-max, or 3 coordinates in metres"),
         (("--target", "here"), "expected stride-max, or 3 coordinates"),
         (("--target", "stride-max", "--foot", "XX"), "expected LF (l_front_paw)"),
+        (("--target", "stride-max", "--method", "extended"), "extended with --cost"),
+        (("--compare", "--cost", "energy,foo=2"), "found 'foo=2', expected differences, energy, harmonic, pose, or"),
+        (("--compare", "--alpha", "large"), "--alpha: factor: found 'large', expected step, or a number other than 0"),
+        (("--compare", "--alpha", "0"), "--alpha: factor: found 0"),
     ],
 )
 def test_bad_options(whole_results, tmp_path, options, said):

@@ -8,13 +8,16 @@ import numpy as np
 import pytest
 
 from recon.ik.chain import PlanarChain, SummedChain, null_basis
-from recon.ik.costs import HarmonicMap, UserCost, joint_differences, rotational_energy
+from recon.ik.costs import HarmonicMap, UserCost, WeightedSum, joint_differences, pose_distance, rotational_energy
 from recon.ik.fit import (
-    SumOfCosts,
+    PULL,
+    Frames,
+    explained_by,
     fit_damped,
     fit_gradient,
     fit_least_norm,
     fit_selectively_damped,
+    fit_series,
     fit_transpose,
     fit_weights,
 )
@@ -24,8 +27,10 @@ from recon.ik.methods import (
     GradientProjection,
     JacobianTranspose,
     LeastNorm,
+    Scaled,
     SelectivelyDamped,
     WeightedLeastNorm,
+    kept_cost,
     reduced_gradient,
     right_inverse,
 )
@@ -47,6 +52,7 @@ def methods(chain):
         ExtendedJacobian(cost),
         ExtendedJacobian(cost, full=False),
         ExtendedJacobian(HarmonicMap(), gain_per_s=90.0),
+        Scaled(DampedLeastSquares(0.3)),
     )
 
 
@@ -203,7 +209,7 @@ def test_fits_find_the_parameters_again(chain):
     weights /= weights.mean()
     constant = rng.normal(size=chain.n)
     costs = (joint_differences(chain), rotational_energy(chain))
-    combined = SumOfCosts(np.array([-0.8, 1.7]), costs)
+    combined = WeightedSum(costs, (-0.8, 1.7))
     for true, fit, parameter in (
         (DampedLeastSquares(0.13), fit_damped, [0.13]),
         (WeightedLeastNorm(weights), fit_weights, weights),
@@ -214,10 +220,11 @@ def test_fits_find_the_parameters_again(chain):
     ):
         dq = np.stack([true.rates(chain, x, v).dq for x, v in zip(q, dx, strict=True)])
         dq[3] = np.nan
-        found = fit(chain, q, dx, dq)
+        found = fit(Frames.of(chain, q, dx, dq))
         np.testing.assert_allclose(found.parameter, parameter, rtol=1e-4)
         assert found.explained > 1 - 1e-8
         assert found.rms_rad_s < 1e-3
+        assert abs(found.alpha - 1) < 1e-5
         again = found.method.rates(chain, q[0], dx[0]).dq
         np.testing.assert_allclose(again, dq[0], atol=1e-3)
 
@@ -231,14 +238,14 @@ def test_fit_finds_gamma_max_again(chain):
         np.stack([method.rates(chain, x, v).dq for x, v in zip(q, dx, strict=True)]) for method in (true, LeastNorm())
     )
     assert np.abs(dq - least).max() > 0.5
-    found = fit_selectively_damped(chain, q, dx, dq)
+    found = fit_selectively_damped(Frames.of(chain, q, dx, dq))
     np.testing.assert_allclose(found.parameter, [0.02], rtol=1e-5)
     assert found.explained > 1 - 1e-9
     assert found.note == ""
     again = [found.method.rates(chain, x, v).dq for x, v in zip(q, dx, strict=True)]
     np.testing.assert_allclose(again, dq, atol=1e-3)
     # Without damping the rates are those of least norm, whatever gamma_max.
-    found = fit_selectively_damped(chain, q, dx, least)
+    found = fit_selectively_damped(Frames.of(chain, q, dx, least))
     assert found.explained > 1 - 1e-12
     assert found.note.startswith("nothing is damped")
 
@@ -247,8 +254,61 @@ def test_fit_says_where_a_parameter_is_at_its_edge():
     chain = CHAINS["planar"]
     q, dx = np.random.default_rng(7).uniform(0.2, 1.0, (10, 5)), np.ones((10, 2))
     dq = np.stack([LeastNorm().rates(chain, x, v).dq for x, v in zip(q, dx, strict=True)])
-    assert "edge" in fit_damped(chain, q, dx, dq).note
+    assert "edge" in fit_damped(Frames.of(chain, q, dx, dq)).note
     with pytest.raises(ValueError, match="no frame"):
-        fit_damped(chain, q * np.nan, dx, dq)
+        Frames.of(chain, q * np.nan, dx, dq)
     with pytest.raises(ValueError, match="expected"):
-        fit_damped(chain, q, dx[:, :1], dq)
+        Frames.of(chain, q, dx[:, :1], dq)
+
+
+@EACH
+def test_what_is_fitted_to_some_frames_is_held_against_others(chain):
+    rng = np.random.default_rng(9)
+    q, dx = rng.uniform(0.2, 1.0, (30, chain.n)), rng.normal(size=(30, chain.dim))
+    true = WeightedLeastNorm(np.linspace(0.5, 1.5, chain.n))
+    dq = np.stack([true.rates(chain, x, v).dq for x, v in zip(q, dx, strict=True)])
+    every = Frames.of(chain, q, dx, dq)
+    some, others = Frames.joined([every[:10], every[10:20]]), every[20:]
+    found = fit_weights(some)
+    assert explained_by(found.formula(others), others.dq) > 1 - 1e-8
+    # Rates that are half as large want twice the factor, and explain 1 - 0.5^2.
+    assert abs(explained_by(0.5 * others.dq, others.dq) - 0.75) < 1e-12
+    half = fit_least_norm(Frames(every.q, every.jacobian, 0.5 * every.dx, every.dq))
+    assert abs(half.alpha - 2 * fit_least_norm(every).alpha) < 1e-9
+
+
+@EACH
+def test_parameters_of_each_configuration(chain):
+    rng = np.random.default_rng(10)
+    q, dx = rng.uniform(0.2, 1.0, (6, chain.n)), rng.normal(size=(6, chain.dim))
+    damping = np.linspace(0.05, 0.4, 6)
+    dq = np.stack([DampedLeastSquares(d).rates(chain, x, v).dq for d, x, v in zip(damping, q, dx, strict=True)])
+    frames = Frames.of(chain, q, dx, dq)
+    found = fit_series(fit_damped, frames)
+    np.testing.assert_allclose(found.parameter[:, 0], damping, rtol=1e-4)
+    np.testing.assert_allclose(found.explained, 1.0, atol=1e-8)
+    np.testing.assert_allclose(found.alpha, 1.0, atol=1e-4)
+    # Many weights explain one configuration: these are the evenest, as good and within their range.
+    weights = fit_series(partial(fit_weights, pull=PULL), frames)
+    assert weights.parameter.shape == (6, chain.n)
+    np.testing.assert_allclose(weights.parameter.mean(axis=1), 1.0)
+    assert weights.explained.min() >= fit_series(fit_least_norm, frames).explained.min() - 1e-9
+
+
+def test_a_scaled_method_is_nearest_or_as_told():
+    chain = CHAINS["planar"]
+    q, dx = configuration(chain)
+    damped = DampedLeastSquares(0.5)
+    plain, scaled = damped.rates(chain, q, dx).dq, Scaled(damped).rates(chain, q, dx).dq
+    J = chain.jacobian(q)
+    alpha = scaled[0] / plain[0]
+    assert alpha > 1.2
+    np.testing.assert_allclose(scaled, alpha * plain)
+    assert abs((J @ scaled - dx) @ (J @ scaled)) < 1e-12
+    np.testing.assert_allclose(Scaled(damped, 0.5).rates(chain, q, dx).dq, 0.5 * plain)
+    # What follows the path exactly needs no factor, nor does the null space.
+    projected = GradientProjection(joint_differences(chain))
+    np.testing.assert_allclose(Scaled(projected).rates(chain, q, dx).dq, projected.rates(chain, q, dx).dq)
+    cost = pose_distance(q)
+    assert kept_cost(Scaled(ExtendedJacobian(cost), 0.5)) is cost
+    assert kept_cost(Scaled(damped)) is None

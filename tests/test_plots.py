@@ -20,6 +20,7 @@ from recon.analysis.phase import Closure, Portrait, phase_portrait, vector_field
 from recon.body import Side
 from recon.ik.chain import PlanarChain, SummedChain
 from recon.ik.drive import Closures, drive_to, follow
+from recon.ik.fit import FittedSeries
 from recon.ik.methods import DampedLeastSquares, JacobianTranspose, LeastNorm
 from recon.plots import composite, style
 from recon.plots.observability import share_colours
@@ -103,6 +104,16 @@ def thick_lines(axes, least=0.85):
     return [line for line in axes.get_lines() if line.get_linewidth() >= least and line.get_linestyle() != "None"]
 
 
+def parameters():
+    """Of nine configurations."""
+    rng = np.random.default_rng(2)
+    shapes = {"least-norm": 0, "transpose": 1, "gradient-projection": 1, "weighted": 3, "damped": 1}
+    return {
+        name: FittedSeries(rng.uniform(0.1, 3.0, (9, p)), rng.uniform(0.9, 1.3, 9), rng.uniform(0.1, 1.0, 9))
+        for name, p in shapes.items()
+    }
+
+
 def every_figure():
     t, ahead = times(31), np.tile([1.0, 0.0, 0.0], (31, 1))
     curves = {"fit": point_kinematics(times(21), path()), "noisy": point_kinematics(times(21), path() * 1.1)}
@@ -134,6 +145,8 @@ def every_figure():
         "joint space, many": plots.joint_space(names),
         "distances": plots.distances(found, title="a title"),
         "distances, many": plots.distances(names),
+        "distances from a path": plots.distances(turns),
+        "parameters": plots.parameter_series(t[:9], parameters(), ("shoulder_pitch", "elbow", "wrist")),
         "closures": plots.closures({k: m.closures() for k, m in names.items()}, title="a title"),
     }
 
@@ -550,6 +563,19 @@ def test_distances_in_millimetres():
     assert set(tolerance.get_ydata()) == {3.0}
     assert f"a: {found['a'].iterations}\n" in texts(figure) + "\n"
     assert "far: 0 (not reached, unreachable)" in texts(figure)
+
+
+def test_parameters_of_each_configuration():
+    found, t = parameters(), times(9)
+    figure = plots.parameter_series(t, found, ("a", "b", "c"))
+    explained, alpha, transpose, _, damped, _, weights = figure.axes
+    for k, series in enumerate(found.values()):
+        np.testing.assert_allclose(explained.get_lines()[k].get_ydata(), 100 * series.explained)
+        np.testing.assert_allclose(alpha.get_lines()[k].get_ydata(), series.alpha)
+    np.testing.assert_allclose(transpose.get_lines()[0].get_ydata(), found["transpose"].parameter[:, 0])
+    assert (transpose.get_yscale(), damped.get_yscale(), weights.get_yscale()) == ("linear", "log", "log")
+    shown = np.array([line.get_ydata() for line in weights.get_lines()])
+    np.testing.assert_allclose(shown, found["weighted"].parameter.T)
 
 
 def test_closures_by_joint_and_method():

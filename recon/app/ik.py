@@ -23,14 +23,19 @@ from recon.export.table import write_rows
 from recon.files import require_free_folder, sole_writer, staged_folder
 from recon.ik.animal import body_chain, body_chain_angles, body_travel, chain_angles, planar_chain, spine_front_leg
 from recon.ik.chain import SerialChain
-from recon.ik.costs import Cost, HarmonicMap, joint_differences, rotational_energy
+from recon.ik.costs import Cost, HarmonicMap, WeightedSum, joint_differences, pose_distance, rotational_energy
 from recon.ik.drive import Drive, Follow, drive_to, follow
 from recon.ik.fit import (
+    PULL,
+    Fit,
     Fitted,
+    FittedSeries,
+    Frames,
     fit_damped,
     fit_gradient,
     fit_least_norm,
     fit_selectively_damped,
+    fit_series,
     fit_transpose,
     fit_weights,
 )
@@ -41,7 +46,9 @@ from recon.ik.methods import (
     JacobianTranspose,
     LeastNorm,
     Method,
+    Scaled,
     SelectivelyDamped,
+    kept_cost,
 )
 from recon.ik.null_space import to_null_space_optimum
 from recon.ik.stride import Stride, farthest_reach, find_stride
@@ -52,7 +59,7 @@ from recon.skeleton_file import load_chain
 Array = NDArray[np.float64]
 Dim = Literal[2, 3]
 
-COSTS = ("differences", "energy", "harmonic")
+COSTS = ("differences", "energy", "harmonic", "pose")
 METHODS = (
     "least-norm",
     "transpose",
@@ -60,8 +67,18 @@ METHODS = (
     "weighted",
     "damped",
     "selectively-damped",
-    *(f"extended-{cost}" for cost in COSTS),
+    *(f"extended-{cost}" for cost in COSTS[:3]),
 )
+EXTENDED = "extended"
+"""The extended Jacobian with the cost that is asked for."""
+PARAMETERS = {
+    "transpose": "alpha_1_m2",
+    "gradient-projection": "k_1_s",
+    "weighted": "weight",
+    "damped": "lambda_m",
+    "selectively-damped": "gamma_max_rad",
+}
+"""What is fitted to each configuration, of the weights one for each joint."""
 FITTED = METHODS[:6]
 """Methods with a parameter that can be fitted, and least norm for comparison."""
 STRIDE_MAX = "stride-max"
@@ -108,6 +125,15 @@ class Found:
 
 
 @dataclass(frozen=True, eq=False)
+class ParameterSeries:
+    """What is fitted to each of F frames by itself."""
+
+    time_s: Array
+    """(F,), of the clip."""
+    by_method: Mapping[str, FittedSeries]
+
+
+@dataclass(frozen=True, eq=False)
 class Solved:
     """What was moved, and how."""
 
@@ -121,6 +147,8 @@ class Solved:
     """By method, empty where not asked for."""
     parameters: Mapping[str, Fitted]
     """Fitted to the clip, by method."""
+    series: ParameterSeries | None
+    """Fitted to each frame of the stride; None where not asked for."""
     summary: dict[str, Any]
     """What ik.json holds."""
 
@@ -175,54 +203,108 @@ def _spine_front_leg(results: Results, chain: Chain, label: str, dim: Dim, limit
 
 
 def methods_of(
-    limb: Limb, names: tuple[str, ...], parameters: Mapping[str, Fitted], fitted: bool = False
+    limb: Limb,
+    names: tuple[str, ...],
+    parameters: Mapping[str, Fitted],
+    fitted: bool = False,
+    cost: Cost | None = None,
+    alpha: float | Literal["step"] | None = None,
 ) -> dict[str, Method]:
-    """The methods by name (`METHODS`), with their standard parameters, or those fitted to the clip (`fit_parameters`).
-    Weights have no standard, and are fitted in any case."""
+    """The methods by name (`METHODS`, `EXTENDED`), with their standard parameters, or those fitted to the clip
+    (`fit_parameters`). Weights have no standard, and are fitted in any case.
+
+    cost: of `EXTENDED`, which needs one, and of gradient projection, by default the joint differences. alpha: a factor
+    on all rates, or "step" for the one of each step with which the foot moves nearest to what is asked for.
+    """
     chain = limb.chain
-    last = max(chain.groups, key=len)[-3:]
-    costs: dict[str, Callable[[], Cost]] = {
-        "differences": lambda: joint_differences(chain),
-        "energy": lambda: rotational_energy(chain),
-        "harmonic": lambda: HarmonicMap(joints=(last[0], last[1], last[2])),
-    }
     standard: dict[str, Callable[[], Method]] = {
         "least-norm": LeastNorm,
         "transpose": JacobianTranspose,
-        "gradient-projection": lambda: GradientProjection(joint_differences(chain)),
+        "gradient-projection": lambda: GradientProjection(cost or joint_differences(chain)),
         "weighted": lambda: parameters["weighted"].method,
         "damped": DampedLeastSquares,
         "selectively-damped": SelectivelyDamped,
     }
     chosen: dict[str, Method] = {}
     for name in names:
-        if name.startswith("extended-"):
-            chosen[name] = ExtendedJacobian(costs[name.removeprefix("extended-")]())
-        elif fitted:
-            chosen[name] = parameters[name].method
+        if name == EXTENDED and cost is not None:
+            chosen[name] = ExtendedJacobian(cost)
+        elif name.startswith("extended-"):
+            chosen[name] = ExtendedJacobian(_costs(limb)[name.removeprefix("extended-")]())
         else:
-            chosen[name] = standard[name]()
-    return chosen
+            chosen[name] = parameters[name].method if fitted else standard[name]()
+    if alpha is None:
+        return chosen
+    return {name: Scaled(method, None if alpha == "step" else alpha) for name, method in chosen.items()}
 
 
-def fit_parameters(limb: Limb) -> dict[str, Fitted]:
-    """Of `FITTED`, by least squares to the joint rates of the clip, from a spline through its angles. Raises InputError
-    for fewer than four frames in a row."""
-    known = np.flatnonzero(np.isfinite(limb.q).all(axis=1))
-    if len(known) < MIN_POINTS:
-        raise InputError(Problem("results", "frames", f"{len(known)} with a pose", f"at least {MIN_POINTS}"))
-    q, dq = limb.q[known], CubicSpline(known / limb.fps, limb.q[known])(known / limb.fps, 1)
+def _costs(limb: Limb) -> dict[str, Callable[[], Cost]]:
+    """By name (`COSTS`)."""
     chain = limb.chain
-    dx = np.stack([chain.jacobian(x) @ rate for x, rate in zip(q, dq, strict=True)])
-    fits: dict[str, Callable[[SerialChain, Array, Array, Array], Fitted]] = {
+    last = max(chain.groups, key=len)[-3:]
+    return {
+        "differences": lambda: joint_differences(chain),
+        "energy": lambda: rotational_energy(chain),
+        "harmonic": lambda: HarmonicMap(joints=(last[0], last[1], last[2])),
+        "pose": lambda: pose_distance(np.nanmean(limb.q, axis=0)),
+    }
+
+
+def cost_of(limb: Limb, text: str) -> Cost:
+    """A cost of `COSTS`, or a sum of some with weights, as in "energy,differences=0.1". Raises InputError."""
+    every, costs, weights, problems = _costs(limb), [], [], []
+    for part in text.split(","):
+        name, _, weight = part.strip().partition("=")
+        try:
+            weights.append(float(weight or 1))
+            costs.append(every[name]())
+        except (ValueError, KeyError):
+            expected = f"{', '.join(COSTS)}, or a sum with weights, as in energy,differences=0.1"
+            problems.append(Problem("--cost", "cost", repr(part), expected))
+    if problems:
+        raise InputError(problems)
+    return costs[0] if len(costs) == 1 and weights == [1.0] else WeightedSum(tuple(costs), tuple(weights))
+
+
+def fit_parameters(limb: Limb, cost: Cost | None = None) -> dict[str, Fitted]:
+    """Of `FITTED`, by least squares to the joint rates of the clip, from a spline through its angles. cost: of gradient
+    projection; None: any constant vector. Raises InputError for fewer than four frames in a row."""
+    frames = _rates_of(limb)
+    return {name: fit(frames) for name, fit in _fits(cost).items()}
+
+
+def fit_parameter_series(limb: Limb, stride: Stride, cost: Cost | None = None) -> ParameterSeries:
+    """Of `FITTED`, to each frame of a stride by itself. cost: of gradient projection, by default the joint differences,
+    of which k is fitted. Raises InputError as `fit_parameters`."""
+    at_s = np.flatnonzero(np.isfinite(limb.q).all(axis=1)) / limb.fps
+    first, last = np.searchsorted(at_s, [stride.start_s - 1e-6, stride.end_s + 1e-6]).tolist()
+    frames = _rates_of(limb)[first:last]
+    fits = _fits(cost or joint_differences(limb.chain))
+    fits["weighted"] = lambda one: fit_weights(one, PULL)
+    return ParameterSeries(
+        limb.first_s + at_s[first:last], {name: fit_series(fit, frames) for name, fit in fits.items()}
+    )
+
+
+def _fits(cost: Cost | None) -> dict[str, Fit]:
+    return {
         "least-norm": fit_least_norm,
         "transpose": fit_transpose,
-        "gradient-projection": fit_gradient,
+        "gradient-projection": lambda frames: fit_gradient(frames, () if cost is None else (cost,)),
         "weighted": fit_weights,
         "damped": fit_damped,
         "selectively-damped": fit_selectively_damped,
     }
-    return {name: fit(chain, q, dx, dq) for name, fit in fits.items()}
+
+
+def _rates_of(limb: Limb) -> Frames:
+    """The frames with a pose."""
+    known = np.flatnonzero(np.isfinite(limb.q).all(axis=1))
+    if len(known) < MIN_POINTS:
+        raise InputError(Problem("results", "frames", f"{len(known)} with a pose", f"at least {MIN_POINTS}"))
+    q, dq = limb.q[known], CubicSpline(known / limb.fps, limb.q[known])(known / limb.fps, 1)
+    dx = np.stack([limb.chain.jacobian(x) @ rate for x, rate in zip(q, dq, strict=True)])
+    return Frames.of(limb.chain, q, dx, dq)
 
 
 # -- the jobs --------------------------------------------------------------------------------------------------------
@@ -242,19 +324,24 @@ def run_ik(
     figures: bool = True,
     overwrite: bool = False,
     stride_s: tuple[float, float] | None = None,
+    cost: Cost | str | None = None,
+    alpha: float | Literal["step"] | None = None,
 ) -> Solved:
     """`recon ik`: tables and figures into `out`, by default the folder ik in the results' own.
 
-    methods: of `METHODS`. target: `STRIDE_MAX`, or coordinates in the chain's base frame, as in "0.8,0.3"; None: none.
-    along_stride: follow a stride of the foot, closed, turns times. fitted: with parameters fitted to the clip.
-    stride_s: from when to when in the clip it lasts; None: see `stride_of`. Raises InputError.
+    methods: of `METHODS`, or `EXTENDED`. target: `STRIDE_MAX`, or coordinates in the chain's base frame, as in
+    "0.8,0.3"; None: none. along_stride: follow a stride of the foot, closed, turns times. fitted: with parameters
+    fitted to the clip, which are fitted to each frame of the stride, too. stride_s: from when to when in the clip it
+    lasts; None: see `stride_of`. cost, alpha: as `methods_of`, the cost also as `cost_of` reads it. Raises InputError.
     """
     out = folder / "ik" if out is None else out
     results = read_results(folder)
-    _check_methods(methods)
+    _check(methods, cost, alpha)
     with sole_writer(out):
         require_free_folder(out, (SUMMARY,), overwrite)
-        solved = _solved(results, methods, target, along_stride, foot, dim, turns, limited, fitted, stride_s)
+        limb = limb_of(results, foot, dim, limited)
+        chosen = cost_of(limb, cost) if isinstance(cost, str) else cost
+        solved = _solved(results, limb, methods, target, along_stride, turns, fitted, stride_s, chosen, alpha)
         with staged_folder(out) as staging:
             _write(solved, staging)
         if figures:  # after the tables, which are there whatever befalls them
@@ -265,40 +352,43 @@ def run_ik(
 
 def _solved(
     results: Results,
+    limb: Limb,
     methods: tuple[str, ...],
     target: str | None,
     along_stride: bool,
-    foot: str | None,
-    dim: Dim,
     turns: int,
-    limited: bool,
     fitted: bool,
     stride_s: tuple[float, float] | None,
+    cost: Cost | None,
+    alpha: float | Literal["step"] | None,
 ) -> Solved:
-    limb = limb_of(results, foot, dim, limited)
-    goal = _coordinates(target, dim) if target not in (None, STRIDE_MAX) else None
+    goal = _coordinates(target, limb.chain.dim) if target not in (None, STRIDE_MAX) else None
     with threadpool_limits(1, user_api="blas"):
         found = stride_of(results, limb, stride_s)
         stride = found.stride
-        parameters = fit_parameters(limb)
-        by_name = methods_of(limb, methods, parameters, fitted)
+        parameters = fit_parameters(limb, cost)
+        series = fit_parameter_series(limb, stride, cost) if fitted else None
+        by_name = methods_of(limb, methods, parameters, fitted, cost, alpha)
         start, foremost = farthest_reach(limb.chain, stride.q)
         goal = foremost if target == STRIDE_MAX else goal
         drives = {} if goal is None else {n: drive_to(limb.chain, start, goal, m) for n, m in by_name.items()}
         follows = {n: follow_stride(limb.chain, stride, m, turns) for n, m in by_name.items()} if along_stride else {}
     summary = _summary(limb, found, goal, drives, follows, parameters, fitted, turns)
-    return Solved(limb, stride, goal, drives, follows, parameters, summary)
+    summary["parameters"]["alpha"] = alpha
+    return Solved(limb, stride, goal, drives, follows, parameters, series, summary)
 
 
-def _check_methods(methods: tuple[str, ...]) -> None:
-    problems = [
-        Problem("--method", "method", repr(name), ", ".join(METHODS)) for name in methods if name not in METHODS
-    ]
+def _check(methods: tuple[str, ...], cost: Cost | str | None, alpha: float | Literal["step"] | None) -> None:
+    known = METHODS if cost is None else (*METHODS, EXTENDED)
+    expected = ", ".join(METHODS) + f", or {EXTENDED} with --cost"
+    problems = [Problem("--method", "method", repr(name), expected) for name in methods if name not in known]
+    if isinstance(alpha, float) and not (np.isfinite(alpha) and alpha):
+        problems.append(Problem("--alpha", "factor", f"{alpha:g}", "step, or a number other than 0"))
     if problems:
         raise InputError(problems)
 
 
-def _coordinates(target: str, dim: Dim) -> Array:
+def _coordinates(target: str, dim: int) -> Array:
     parts = re.split(r"\s*,\s*", target.strip())
     try:
         values = np.array([float(part) for part in parts])
@@ -362,8 +452,8 @@ def follow_stride(chain: SerialChain, stride: Stride, method: Method, turns: int
     """Along the stride, `SLOWER` than the animal. The extended Jacobian starts where its cost is stationary, with the
     foot in the same place."""
     q0 = stride.q[0]
-    if isinstance(method, ExtendedJacobian):
-        q0 = to_null_space_optimum(chain, q0, method.cost).q[-1]
+    if (cost := kept_cost(method)) is not None:
+        q0 = to_null_space_optimum(chain, q0, cost).q[-1]
     return follow(chain, q0, stride.path_m, method, turns, SLOWER * stride.interval_s)
 
 
@@ -424,7 +514,13 @@ def _summary(
         "parameters": {
             "used": "fitted to the clip" if fitted else "standard",
             "fitted": {
-                name: {"value": f.parameter, "rms_rad_s": f.rms_rad_s, "explained": f.explained, "note": f.note}
+                name: {
+                    "value": f.parameter,
+                    "rms_rad_s": f.rms_rad_s,
+                    "explained": f.explained,
+                    "best_alpha": f.alpha,
+                    "note": f.note,
+                }
                 for name, f in parameters.items()
             },
         },
@@ -468,12 +564,26 @@ def _write(solved: Solved, folder: Path) -> None:
             for j in names
         ]
         write_rows(folder / "closures.csv", [columns], rows)
+    if solved.series is not None:
+        write_rows(folder / "parameters.csv", *_parameter_table(solved.series, names))
     axes = list(solved.limb.base)[: solved.limb.chain.dim]
     for job, runs in (("target", solved.drives), ("follow", solved.follows)):
         for name, run in runs.items():
             columns = ["step", *(f"{joint}_rad" for joint in names), *(f"end_{axis}_m" for axis in axes), "distance_m"]
             values = np.column_stack((run.q, run.end_m, run.distance_m)).tolist()
             write_rows(folder / f"{job}_{name}.csv", [columns], [[k, *row] for k, row in enumerate(values)])
+
+
+def _parameter_table(series: ParameterSeries, joints: tuple[str, ...]) -> tuple[list[list[str]], list[list[float]]]:
+    columns, values = ["time_s"], [series.time_s]
+    for name, of_method in series.by_method.items():
+        if name == "weighted":
+            columns += [f"weighted_{joint}" for joint in joints]
+        elif name in PARAMETERS:
+            columns.append(f"{name}_{PARAMETERS[name]}")
+        columns += [f"{name}_best_alpha", f"{name}_explained"]
+        values += [*of_method.parameter.T, of_method.alpha, of_method.explained]
+    return [columns], np.column_stack(values).tolist()
 
 
 def _cell(value: Any) -> Any:
@@ -483,10 +593,14 @@ def _cell(value: Any) -> Any:
 
 
 def write_figures(solved: Solved, folder: Path) -> None:
-    """Paths in task and joint space, distances, closures, PNG and SVG."""
+    """Paths in task and joint space, distances, closures, parameters, PNG and SVG."""
     from recon import plots
 
     limb = solved.limb
+    if solved.series is not None:
+        found = solved.series
+        figure = plots.parameter_series(found.time_s, found.by_method, limb.names)
+        plots.save(figure, folder, "parameters")
     if solved.drives:
         figure = plots.task_space(solved.drives, solved.target_m, chain=limb.chain, base=limb.base)
         plots.save(figure, folder, "target_task_space")
@@ -496,5 +610,6 @@ def write_figures(solved: Solved, folder: Path) -> None:
         figure = plots.task_space(solved.follows, path_m=solved.stride.path_m, chain=limb.chain, base=limb.base)
         plots.save(figure, folder, "follow_task_space")
         plots.save(plots.joint_space(solved.follows, limb.names), folder, "follow_joint_space")
+        plots.save(plots.distances(solved.follows), folder, "follow_distance")
         found = {name: run.closures() for name, run in solved.follows.items()}
         plots.save(plots.closures(found, limb.names), folder, "follow_closures")

@@ -23,7 +23,7 @@ def ik(
         str,
         typer.Option(
             help="least-norm, transpose, gradient-projection, weighted, damped, selectively-damped, "
-            "extended-differences, extended-energy or extended-harmonic."
+            "extended-differences, extended-energy, extended-harmonic, or extended with --cost."
         ),
     ] = "damped",
     target: Annotated[
@@ -46,7 +46,28 @@ def ik(
     dim: Annotated[int, typer.Option(help="2: in the vertical plane of travel; 3: in space.", min=2, max=3)] = 3,
     turns: Annotated[int, typer.Option(help="How often to follow the stride.", min=1)] = 1,
     limits: Annotated[bool, typer.Option("--limits/--no-limits", help="Limits of the joints.")] = True,
-    fitted: Annotated[bool, typer.Option("--fitted", help="With the methods' parameters fitted to this clip.")] = False,
+    fitted: Annotated[
+        bool,
+        typer.Option(
+            "--fitted",
+            help="With the methods' parameters fitted to this clip; also fits them to each frame of the stride.",
+        ),
+    ] = False,
+    cost: Annotated[
+        str | None,
+        typer.Option(
+            help="Of the method extended, and of gradient-projection: differences, energy, harmonic, pose (distance "
+            "from the clip's mean pose), or a sum with weights, as in energy,differences=0.1.",
+        ),
+    ] = None,
+    alpha: Annotated[
+        str | None,
+        typer.Option(
+            help="Factor on the joints' rates of every method: a number, or step, at every step the one with which the "
+            "foot moves nearest to what is asked for. (default: none)",
+            show_default=False,
+        ),
+    ] = None,
     out: Annotated[
         Path | None, typer.Option(help="Folder for tables and figures. (default: ik in DIR)", show_default=False)
     ] = None,
@@ -58,7 +79,7 @@ def ik(
 
     Example: recon ik results/clip --compare
     """
-    from recon.app.ik import METHODS, STRIDE_MAX, run_ik
+    from recon.app.ik import EXTENDED, METHODS, STRIDE_MAX, run_ik
     from recon.report import to_json
 
     problems = []
@@ -66,12 +87,14 @@ def ik(
         problems.append(Problem("--follow", "path", repr(follow), "stride"))
     if target is None and follow is None and not compare:
         problems.append(Problem("options", "job", "none", "--target, --follow stride or --compare"))
+    if alpha not in (None, "step") and not _is_number(alpha):
+        problems.append(Problem("--alpha", "factor", repr(alpha), "step, or a number other than 0"))
     if problems:
         raise InputError(problems)
     both = target is None and follow is None
     solved = run_ik(
         folder,
-        METHODS if compare else (method,),
+        (*METHODS, *([] if cost is None else [EXTENDED])) if compare else (method,),
         STRIDE_MAX if both else target,
         both or follow is not None,
         foot,
@@ -83,11 +106,21 @@ def ik(
         figures,
         overwrite,
         stride_times(stride),
+        cost,
+        "step" if alpha == "step" else None if alpha is None else float(alpha),
     )
     if as_json:
         typer.echo(to_json(solved.summary), nl=False)
         return
     _print(terminal(), solved.summary, folder / "ik" if out is None else out)
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
 
 
 def _dimension(dim: int) -> Literal[2, 3]:

@@ -2,7 +2,7 @@
 
 from recon.ik.animal import body_chain, body_chain_angles, chain_angles, planar_chain, spine_front_leg
 from recon.ik.chain import PlanarChain, SerialChain, SummedChain
-from recon.ik.costs import HarmonicMap, UserCost, joint_differences, rotational_energy
+from recon.ik.costs import HarmonicMap, UserCost, WeightedSum, joint_differences, pose_distance, rotational_energy
 from recon.ik.drive import Drive, Follow, drive_to, follow
 from recon.ik.joint_chain import JointChain
 from recon.ik.methods import (
@@ -11,6 +11,7 @@ from recon.ik.methods import (
     GradientProjection,
     JacobianTranspose,
     LeastNorm,
+    Scaled,
     SelectivelyDamped,
     WeightedLeastNorm,
 )
@@ -29,12 +30,14 @@ __all__ = [
     "JointChain",
     "LeastNorm",
     "PlanarChain",
+    "Scaled",
     "SelectivelyDamped",
     "SerialChain",
     "Stride",
     "SummedChain",
     "UserCost",
     "WeightedLeastNorm",
+    "WeightedSum",
     "body_chain",
     "body_chain_angles",
     "chain_angles",
@@ -44,6 +47,7 @@ __all__ = [
     "follow",
     "joint_differences",
     "planar_chain",
+    "pose_distance",
     "rotational_energy",
     "spine_front_leg",
     "to_null_space_optimum",

@@ -31,15 +31,17 @@ class Cost(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Quadratic:
-    """g = q' H q / 2 with a constant symmetric H (n, n)."""
+    """g = (q - about)' H (q - about) / 2 with a constant symmetric H (n, n); about: (n,), or 0 for all."""
 
     matrix: Array
+    about: Array | float = 0.0
 
     def value(self, q: Array) -> float:
-        return float(q @ self.matrix @ q) / 2
+        off = q - self.about
+        return float(off @ self.matrix @ off) / 2
 
     def gradient(self, q: Array) -> Array:
-        return self.matrix @ q
+        return self.matrix @ (q - self.about)
 
     def hessian(self, q: Array) -> Array:
         return self.matrix
@@ -60,6 +62,28 @@ def joint_differences(chain: SerialChain) -> Quadratic:
 def rotational_energy(chain: SerialChain) -> Quadratic:
     """sum (r_k q_k)^2 with each joint's own link length r_k, m^2: least rotation, least in the long links."""
     return Quadratic(2 * np.diag(chain.joint_lengths_m**2))
+
+
+def pose_distance(pose: Array) -> Quadratic:
+    """sum (q_k - p_k)^2 from a pose p (n,), of the animal for instance."""
+    return Quadratic(2 * np.eye(len(pose)), pose)
+
+
+@dataclass(frozen=True)
+class WeightedSum:
+    """sum_i w_i g_i of other costs."""
+
+    costs: tuple[Cost, ...]
+    weights: tuple[float, ...]
+
+    def value(self, q: Array) -> float:
+        return sum(w * cost.value(q) for w, cost in zip(self.weights, self.costs, strict=True))
+
+    def gradient(self, q: Array) -> Array:
+        return np.sum([w * cost.gradient(q) for w, cost in zip(self.weights, self.costs, strict=True)], axis=0)
+
+    def hessian(self, q: Array) -> Array:
+        return np.sum([w * cost.hessian(q) for w, cost in zip(self.weights, self.costs, strict=True)], axis=0)
 
 
 @dataclass(frozen=True)

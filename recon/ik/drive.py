@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike
 from recon.analysis import phase
 from recon.arrays import Array, Bools
 from recon.ik.chain import SerialChain, manipulability, unreachable
-from recon.ik.methods import INTERVAL_S, ExtendedJacobian, JointRates, Method
+from recon.ik.methods import INTERVAL_S, ExtendedJacobian, JointRates, Method, Scaled, kept_cost
 from recon.ik.null_space import inside_limits, listed, to_null_space_optimum
 
 TOLERANCE_M = 0.003
@@ -129,8 +129,8 @@ def drive_to(
     if not np.isfinite(q).all():
         reason = "no progress: the start is not finite"
         q = np.zeros(chain.n)
-    if not reason and isinstance(method, ExtendedJacobian):
-        q = to_null_space_optimum(chain, q, method.cost).q[-1]
+    if not reason and (cost := kept_cost(method)) is not None:
+        q = to_null_space_optimum(chain, q, cost).q[-1]
     method = _with_gain(method, interval_s)
 
     taken = _Taken(chain, q)
@@ -264,6 +264,8 @@ def _one_interval(
 
 def _with_gain(method: Method, interval_s: float) -> Method:
     """The extended Jacobian with the gain that keeps it at G = 0."""
+    if isinstance(method, Scaled):
+        return replace(method, method=_with_gain(method.method, interval_s))
     if isinstance(method, ExtendedJacobian) and method.full and not method.gain_per_s:
         return replace(method, gain_per_s=1 / interval_s)
     return method

@@ -72,11 +72,7 @@ class JacobianTranspose:
     def rates(self, chain: SerialChain, q: Array, dx: Array, free: Bools | None = None) -> JointRates:
         J = _jacobian(chain, q, free)
         dq = J.T @ dx
-        alpha = self.alpha
-        if alpha is None:
-            moved = J @ dq
-            square = float(moved @ moved)
-            alpha = float(dx @ moved) / square if square > 0 else 0.0
+        alpha = nearest_scale(J @ dq, dx) if self.alpha is None else self.alpha
         _, singular = _inverse(J @ J.T)
         return _within_limits(chain, alpha * dq, free, singular)
 
@@ -199,6 +195,35 @@ def reduced_gradient(
     if free is not None:
         g, M = g[free], M[np.ix_(free, free)]
     return g, M if curvature is None else M - curvature(g @ pseudo)
+
+
+@dataclass(frozen=True, eq=False)
+class Scaled:
+    """alpha times the rates of another method; alpha None: <dx, J dq> / |J dq|^2 at every step, with which J dq is
+    nearest to dx."""
+
+    method: Method
+    alpha: float | None = None
+
+    def rates(self, chain: SerialChain, q: Array, dx: Array, free: Bools | None = None) -> JointRates:
+        step = self.method.rates(chain, q, dx, free)
+        alpha = nearest_scale(chain.jacobian(q) @ step.dq, dx) if self.alpha is None else self.alpha
+        dq = alpha * (step.dq if free is None else step.dq[free])
+        scaled = _within_limits(chain, dq, free, step.singular)
+        return scaled._replace(note=step.note)
+
+
+def nearest_scale(moved: Array, dx: Array) -> float:
+    """<dx, moved> / |moved|^2, both (dim,); 1 where nothing moves."""
+    square = float(moved @ moved)
+    return float(dx @ moved) / square if square > 0 else 1.0
+
+
+def kept_cost(method: Method) -> Cost | None:
+    """What the extended Jacobian keeps stationary, scaled or not; None for other methods."""
+    if isinstance(method, Scaled):
+        return kept_cost(method.method)
+    return method.cost if isinstance(method, ExtendedJacobian) else None
 
 
 # -- small linear algebra --------------------------------------------------------------------------------------------

@@ -8,6 +8,7 @@ from recon.plots.configurations import body_fixed, in_body, limbs_apart
 from recon.plots.field import vector_fields
 from recon.plots.footfall import footfall
 from recon.plots.observability import observability
+from recon.plots.parameters import parameter_series
 from recon.plots.phase import phase_portraits
 from recon.plots.reach import distances, joint_space, task_space
 from recon.plots.solver import image_errors, solver_root, solver_search, solver_unknowns
@@ -31,6 +32,7 @@ __all__ = [
     "joint_space",
     "limbs_apart",
     "observability",
+    "parameter_series",
     "phase_portraits",
     "save",
     "solver_root",

@@ -24,6 +24,8 @@ VIEWS = {
 }
 """Of the base frames of `recon.ik.animal`: name, coordinates, and what the axes are called."""
 _ROOM = 0.06
+_NONE_MM = 0.001
+"""From a path: nothing."""
 
 
 def task_space(
@@ -105,35 +107,41 @@ def joint_space(moves: Mapping[str, Drive | Follow], names: Sequence[str] | None
     return figure
 
 
-def distances(drives: Mapping[str, Drive], tolerance_m: float = TOLERANCE_M, title: str = "") -> Figure:
-    """Distance to the target (mm) over the iterations, by method; a ring where it was reached, a cross where not."""
-    labels = [f"{name}: {drive.iterations}{_outcome(drive)}" for name, drive in drives.items()]
+def distances(moves: Mapping[str, Drive | Follow], tolerance_m: float = TOLERANCE_M, title: str = "") -> Figure:
+    """Distance (mm) to the target over the iterations, by method; a ring where it was reached, a cross where not. Or
+    from the path over its points."""
+    labels = [f"{name}: {_figure(move)}{_outcome(move)}" for name, move in moves.items()]
     with drawing(72 + legend_shape(labels)[1]) as figure:
         figure.suptitle(title)
-        if not drives:
+        if not moves:
             return figure
         from matplotlib.ticker import LogFormatter, MaxNLocator
 
         axes, handles = figure.subplots(), []
-        for k, drive in enumerate(drives.values()):
-            style, distance_mm = look(k), 1000 * drive.distance_m
+        for k, move in enumerate(moves.values()):
+            style, distance_mm = look(k), 1000 * move.distance_m
             handles += axes.plot(distance_mm, **style)
-            end = {"marker": "o", "mfc": "w", "ms": 5} if drive.reached else {"marker": "X", "ms": 7}
-            axes.plot(drive.iterations, distance_mm[-1], **end, color=style["color"], mec=style["color"], zorder=4)
+            if isinstance(move, Drive):
+                end = {"marker": "o", "mfc": "w", "ms": 5} if move.reached else {"marker": "X", "ms": 7}
+                axes.plot(move.iterations, distance_mm[-1], **end, color=style["color"], mec=style["color"], zorder=4)
         axes.set_yscale("log", nonpositive="clip")
         axes.yaxis.set_major_formatter(LogFormatter())
-        axes.axhline(1000 * tolerance_m, color=GREY, lw=0.8, zorder=1, gid="tolerance")
-        axes.annotate(
-            f"{1000 * tolerance_m:g} mm",
-            (0, 1000 * tolerance_m),
-            (2, 2),
-            xycoords=("axes fraction", "data"),
-            textcoords="offset points",
-            fontsize=SMALL,
-            color=GREY,
-        )
-        axes.set_xlabel("iteration")
-        axes.set_ylabel("distance to the target (mm)")
+        driven = any(isinstance(move, Drive) for move in moves.values())
+        if driven:
+            axes.axhline(1000 * tolerance_m, color=GREY, lw=0.8, zorder=1, gid="tolerance")
+            axes.annotate(
+                f"{1000 * tolerance_m:g} mm",
+                (0, 1000 * tolerance_m),
+                (2, 2),
+                xycoords=("axes fraction", "data"),
+                textcoords="offset points",
+                fontsize=SMALL,
+                color=GREY,
+            )
+        else:
+            axes.set_ylim(bottom=_NONE_MM)
+        axes.set_xlabel("iteration" if driven else "point of the path")
+        axes.set_ylabel(f"distance {'to the target' if driven else 'from the path'} (mm)")
         axes.xaxis.set_major_locator(MaxNLocator("auto", integer=True, steps=[1, 2, 5, 10]))
         axes.yaxis.set_major_formatter("{x:g}")
         add_legend(figure, handles, labels)
@@ -143,6 +151,12 @@ def distances(drives: Mapping[str, Drive], tolerance_m: float = TOLERANCE_M, tit
 def _chain(axes: Axes, chain: SerialChain, q: Array, view: tuple[int, int], **options) -> None:
     points = chain.positions(q)[:, list(view)]
     axes.plot(*points.T, marker="o", ms=2, **options)
+
+
+def _figure(move: Drive | Follow) -> str:
+    if isinstance(move, Drive):
+        return str(move.iterations)
+    return f"{1000 * float(np.max(move.distance_m)):.3g} mm"
 
 
 def _outcome(move: Drive | Follow) -> str:
