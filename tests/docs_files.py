@@ -15,9 +15,9 @@ from board_pictures import poses, render
 from recon.body import Body
 from recon.calibration import read_camera
 from recon.camera import Camera
-from recon.export import plain_csv, sleap
+from recon.export import bvh, plain_csv, sleap
 from recon.export.deeplabcut import write_keypoints_csv, write_pose_csv
-from recon.export.formats import FORMATS
+from recon.export.rig import make_rig
 from recon.intrinsics.board import parse_board
 from recon.io import read_keypoints
 from recon.io.pose3d import Pose3D, read_pose3d
@@ -93,10 +93,9 @@ def _two_animals(path: Path) -> None:
 
 
 def _bvh(path: Path) -> None:
-    """In centimetres, and without our own statement of the unit."""
-    next(f for f in FORMATS if f.name == "bvh").pose(replace(pose(), xyz_m=100 * pose().xyz_m), path)
-    text = path.read_text()
-    path.write_text(re.sub(r"(?m)^ROOT .*$", "ROOT reference", text, count=1))
+    """In centimetres."""
+    body = load_skeleton("cheetah-24")
+    bvh.write(make_rig(body, 100.0, body.markers, np.arange(3), np.zeros((3, body.n_state)), 60.0), path)
 
 
 def _track(path: Path) -> None:

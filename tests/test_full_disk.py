@@ -16,11 +16,13 @@ from command_line import run
 
 from recon.app.clip import write_clip
 from recon.export.formats import FORMATS, Format
+from recon.export.rig import make_rig
 from recon.files import staged_file
 from recon.io.pose import Pose3D
 from recon.keypoints import Keypoints
 from recon.motion import Motion
 from recon.settings import FitSettings
+from recon.skeleton_file import load_skeleton
 from recon.video import video_writer
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="limits are of POSIX")
@@ -29,7 +31,10 @@ NAMES, FRAMES = ("nose", "tail base", "paw"), np.arange(40)
 RNG = np.random.default_rng(0)
 KEYPOINTS = Keypoints(NAMES, 1e3 * RNG.random((40, 3, 2)), RNG.random((40, 3)), FRAMES, fps=50.0)
 POSE = Pose3D(("nose", "tail_base", "paw"), RNG.random((40, 3, 3)), FRAMES, fps=50.0)
-WRITERS = [(f, kind) for f in FORMATS for kind in ("keypoints", "pose") if getattr(f, kind)]
+CHAIN = load_skeleton("cheetah-8u")
+RIG = make_rig(CHAIN, 1.0, CHAIN.keypoint_names("left"), np.arange(3), np.zeros((3, CHAIN.n_state)), 50.0)
+DATA = {"keypoints": KEYPOINTS, "pose": POSE, "rig": RIG}
+WRITERS = [(f, kind) for f in FORMATS for kind in DATA if getattr(f, kind)]
 
 
 @contextmanager
@@ -46,7 +51,7 @@ def files_up_to(size: int) -> Iterator[None]:
 
 def put(format: Format, kind: str, path: Path) -> None:
     with staged_file(path) as staged:
-        getattr(format, kind)(KEYPOINTS if kind == "keypoints" else POSE, staged)
+        getattr(format, kind)(DATA[kind], staged)
 
 
 def film(path: Path) -> None:
@@ -61,7 +66,8 @@ def test_every_format(format: Format, kind: str, tmp_path: Path) -> None:
     path = tmp_path / f"data{format.extensions[0]}"
     put(format, kind, path)
     size = path.stat().st_size
-    path.unlink()
+    for written in tmp_path.iterdir():
+        written.unlink()
     for limit in (0, size // 3, size - 1):
         with files_up_to(limit), pytest.raises(OSError, match=r"File too large|is the disk full") as caught:
             put(format, kind, path)
@@ -98,7 +104,7 @@ def test_a_video(suffix: str, lacking: int, tmp_path: Path, capfd: pytest.Captur
 
 
 def test_a_command_says_one_line(tmp_path: Path) -> None:
-    source, out = tmp_path / "source.npz", tmp_path / "clip.bvh"
+    source, out = tmp_path / "source.npz", tmp_path / "clip.trc"
     put(next(f for f in FORMATS if f.name == "npz"), "pose", source)
     with files_up_to(1000):
         ended = run("convert", source, out)

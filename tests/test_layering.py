@@ -43,6 +43,7 @@ LAYERS = (
     "intrinsics",
     "kinematics",
     "body",
+    "capsules",
     "naming",
     "chain",
     "skeleton_file",

@@ -1,13 +1,15 @@
-"""From one file format to another: 2D keypoints among themselves, 3D positions among themselves."""
+"""From one file format to another: 2D keypoints among themselves, 3D positions among themselves, results to bones."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 
 from recon.errors import InputError, Problem, all_of
 from recon.export.formats import Format, choose_format
+from recon.export.rig import rig_of
 from recon.files import staged_file
 from recon.io import columns, file_head, read_keypoints
 from recon.io.column_map import parse_map
@@ -61,6 +63,8 @@ def convert(
         lambda: _require_free(out, overwrite),
     )
     notes = data.notes
+    if target.rig is not None:
+        return _as_bones(source, data, target, out, overwrite)
     if isinstance(data, Keypoints):
         if target.keypoints is None:
             expected = f"3D positions for {target.title}: fit the clip first (recon fit)"
@@ -76,6 +80,24 @@ def convert(
         with staged_file(out) as staged:
             target.pose(data, staged)
     return Conversion(data, target, notes)
+
+
+def _as_bones(source: Path, data: Keypoints | Pose3D, target: Format, out: Path, overwrite: bool) -> Conversion:
+    """data: what was read of the source."""
+    assert target.rig is not None
+    if not source.is_dir():
+        found = "2D keypoints" if isinstance(data, Keypoints) else "3D positions"
+        expected = f"a folder of results of recon fit: {target.title} has bones, which turn"
+        raise InputError(Problem(source, "content", found, expected))
+    beside = [out.with_suffix(extension) for extension in target.beside]
+    all_of(*(partial(_require_free, path, overwrite) for path in beside))
+    rig = rig_of(read_results(source), data.fps)
+    with staged_file(out) as staged:
+        target.rig(rig, staged)
+    notes = data.notes + rig.notes
+    if beside:
+        notes += (f"Beside it: {', '.join(map(str, beside))}.",)
+    return Conversion(rig.pose, target, notes)
 
 
 def read_any(source: Path, options: Options) -> Keypoints | Pose3D:

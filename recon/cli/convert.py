@@ -53,9 +53,9 @@ def convert(
     show_list: Annotated[bool, typer.Option("--list", help="Print the formats.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="With --list, as JSON.")] = False,
 ) -> None:
-    """Convert 2D keypoints or 3D positions from one file format to another, by the extension of OUT.
+    """Convert 2D keypoints, 3D positions or results from one file format to another, by the extension of OUT.
 
-    Example: recon convert results/clip clip.trc
+    Example: recon convert results/clip model.osim
 
     3D positions are metres, z up, in all formats but those that have another custom; see recon convert --list.
     """

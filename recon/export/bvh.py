@@ -1,9 +1,7 @@
-"""BVH file of joint positions: metres, y up (x forwards, y up, z right), every joint with channels of position.
+"""BVH file: bones that turn, metres, y up (see `recon.export.rig`).
 
-Joints hang on one another as they are linked, and otherwise on a root at the origin, whose name says the unit, the
-axes and the frame numbers: `recon_m_yup_frames_10-69`. All OFFSETs are zero and nothing turns, so that a joint's place
-is the sum of the positions down to it, however a program takes channels of position. BVH has no missing points: such
-a joint stays where it was last (at first: where it will be), and Zrotation 360, which turns nothing, marks it.
+A bone's OFFSET is its origin in its parent's frame, its channels are its angles in degrees; the root has its path, too.
+Joints are there as bones without a turn, that end where they begin. The first frame is 0.
 """
 
 from __future__ import annotations
@@ -12,74 +10,45 @@ from pathlib import Path
 
 import numpy as np
 
-from recon.export.checks import require_names, required_fps, without_gaps
-from recon.io.bvh import MISSING_DEG, OWN_ROOT
-from recon.io.common import frames_text
-from recon.io.pose import Pose3D, y_up_from_z_up
+from recon.export.checks import require_names
+from recon.export.rig import AXIS, Rig
 
 TITLE = "BVH"
-CHANNELS = "CHANNELS 6 Xposition Yposition Zposition Zrotation Xrotation Yrotation"
+_CHANNEL = {(0, 1, 0): "Yrotation", (0, 0, -1): "Zrotation", (1, 0, 0): "Xrotation"}
 
 
-def write(pose: Pose3D, path: Path) -> None:
-    """Raises InputError without a frame rate, or for names with blanks."""
-    fps = required_fps(pose.fps, TITLE)
-    require_names(pose.names, r"\s|[{}]", TITLE)
-    xyz = without_gaps(pose.frames, y_up_from_z_up(pose.xyz_m), TITLE)
-    missing = np.any(np.isnan(xyz), axis=2)
-    held = _held(xyz, missing)
-    children = _tree(pose)
-    lines = ["HIERARCHY", f"ROOT {OWN_ROOT}{'_'.join(frames_text(pose.frames))}", "{", "OFFSET 0 0 0", CHANNELS]
-    motion = [np.zeros((len(xyz), 6))]
+def write(rig: Rig, path: Path) -> None:
+    """Raises InputError for names with blanks or braces."""
+    require_names([bone.name for bone in rig.bones] + list(rig.joints), r"\s|[{}]", TITLE)
+    lines, columns = ["HIERARCHY"], [rig.root_m]
 
-    def add(j: int, parent: int | None, depth: int) -> None:
-        lines.extend(["  " * depth + line for line in (f"JOINT {pose.names[j]}", "{")])
-        lines.extend(["  " * (depth + 1) + line for line in ("OFFSET 0 0 0", CHANNELS)])
-        local = held[:, j] - (0.0 if parent is None else held[:, parent])
-        turn = np.where(missing[:, j], MISSING_DEG, 0.0)[:, None] * [1.0, 0.0, 0.0]
-        motion.append(np.concatenate([local, turn], axis=1))
-        for child in children[j]:
-            add(child, j, depth + 1)
-        if not children[j]:
-            lines.extend("  " * (depth + 1) + line for line in ("End Site", "{", "  OFFSET 0 0 0", "}"))
-        lines.append("  " * depth + "}")
+    def add(kind: str, name: str, offset_m: np.ndarray, bone: int | None, depth: int) -> None:
+        """A bone, or, of no bone, a joint."""
+        indent = "  " * depth
+        turns = () if bone is None else rig.bones[bone].turns
+        angles = {turn.kind: sum(AXIS[turn.kind]) * np.degrees(turn.angle_rad) for turn in turns}
+        # All three, as programs expect them.
+        order = [*dict.fromkeys((*angles, *AXIS))]
+        columns.extend(angles.get(k, np.zeros(len(rig.root_m)))[:, None] for k in order)
+        channels = ["Xposition", "Yposition", "Zposition"] if depth == 0 else []
+        channels += [_CHANNEL[AXIS[k]] for k in order]
+        lines.extend([f"{indent}{kind} {name}", f"{indent}{{", f"{indent}  OFFSET {_numbers(offset_m)}"])
+        lines.append(f"{indent}  CHANNELS {len(channels)} {' '.join(channels)}")
+        children = [i for i, of_it in enumerate(rig.bones) if bone is not None and of_it.parent == bone]
+        joints = [j for j, at in enumerate(rig.joint_bones) if at == bone]
+        for child in children:
+            add("JOINT", rig.bones[child].name, rig.bones[child].offset_m, child, depth + 1)
+        for joint in joints:
+            add("JOINT", rig.joints[joint], rig.joint_offsets_m[joint], None, depth + 1)
+        if not children and not joints:
+            lines.extend(f"{indent}  {line}" for line in ("End Site", "{", "  OFFSET 0 0 0", "}"))
+        lines.append(indent + "}")
 
-    for j in children[-1]:
-        add(j, None, 1)
-    lines += ["}", "MOTION", f"Frames: {len(xyz)}", f"Frame Time: {1 / fps!r}"]
-    lines += [" ".join(_number(v) for v in row) for row in np.concatenate(motion, axis=1).tolist()]
+    add("ROOT", rig.bones[0].name, np.zeros(3), 0, 0)
+    lines += ["MOTION", f"Frames: {len(rig.root_m)}", f"Frame Time: {1 / rig.fps!r}"]
+    lines += [_numbers(row) for row in np.column_stack(columns)]
     path.write_text("\n".join(lines) + "\n", encoding="utf-8", newline="")
 
 
-def _number(value: float) -> str:
-    return str(int(value)) if value == int(value) else repr(value)
-
-
-def _held(xyz: np.ndarray, missing: np.ndarray) -> np.ndarray:
-    """Positions (T, J, 3) with missing ones as they were last, or will be first, or the origin."""
-    held = np.zeros_like(xyz)
-    rows = np.arange(len(xyz))
-    for j in range(xyz.shape[1]):
-        known = np.flatnonzero(~missing[:, j])
-        if len(known):
-            held[:, j] = xyz[known[np.maximum(np.searchsorted(known, rows, side="right") - 1, 0)], j]
-    return held
-
-
-def _tree(pose: Pose3D) -> dict[int, list[int]]:
-    """The children of each joint, and of the root (-1): every joint once, links that would close a loop left out."""
-    linked: dict[str, list[str]] = {name: [] for name in pose.names}
-    for a, b in pose.edges:
-        linked[a].append(b)
-        linked[b].append(a)
-    children: dict[int, list[int]] = {j: [] for j in range(-1, len(pose.names))}
-    seen: set[str] = set()
-    for first in pose.names:
-        queue = [(first, -1)]
-        for name, parent in queue:
-            if name not in seen:
-                seen.add(name)
-                j = pose.names.index(name)
-                children[parent].append(j)
-                queue += [(other, j) for other in linked[name]]
-    return children
+def _numbers(values: np.ndarray) -> str:
+    return " ".join(map(repr, (values + 0.0).tolist()))

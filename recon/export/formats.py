@@ -1,4 +1,4 @@
-"""The table of formats that keypoints and 3D positions can be written in, for `recon convert`."""
+"""The table of formats that keypoints, 3D positions and results can be written in, for `recon convert`."""
 
 from __future__ import annotations
 
@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from recon.errors import InputError, Problem
-from recon.export import bvh, c3d, coco, deeplabcut, movement, npz, nwb, parquet, plain_csv, sleap, trc
+from recon.export import bvh, c3d, coco, deeplabcut, gltf, movement, npz, nwb, opensim, parquet, plain_csv, sleap, trc
+from recon.export.rig import Rig
 from recon.io.pose import Pose3D
 from recon.keypoints import Keypoints
 
@@ -29,10 +30,15 @@ class Format:
     """Where it has the frame numbers."""
     axes: str = ""
     """Unit and axes of 3D positions."""
+    rig: Callable[[Rig, Path], None] | None = None
+    """Bones, of a folder of results."""
+    beside: tuple[str, ...] = ()
+    """Extensions of further files that are written under the same name."""
 
     @property
     def kinds(self) -> str:
-        return ", ".join(kind for kind, writer in (("2D", self.keypoints), ("3D", self.pose)) if writer)
+        writers = (("2D", self.keypoints), ("3D", self.pose), ("bones", self.rig))
+        return ", ".join(kind for kind, writer in writers if writer)
 
 
 FORMATS: tuple[Format, ...] = (
@@ -74,8 +80,21 @@ FORMATS: tuple[Format, ...] = (
     Format("parquet", "Parquet", (".parquet",), None, parquet.write, "in metadata", "kept", "m, z up"),
     Format("trc", "TRC", (".trc",), None, trc.write, "needed", "kept", "m, y up"),
     Format("c3d", "C3D", (".c3d",), None, c3d.write, "needed", "RECON:FRAMES", "mm, z up"),
-    Format("bvh", "BVH", (".bvh",), None, bvh.write, "needed", "in ROOT", "m, y up"),
     Format("npz", "NPZ", (".npz",), None, npz.write, "kept", "kept", "m, z up"),
+    Format(
+        "opensim",
+        "OpenSim model",
+        (".osim",),
+        None,
+        None,
+        "as times",
+        "as times",
+        "m, y up",
+        opensim.write,
+        opensim.BESIDE,
+    ),
+    Format("gltf", "glTF", (".glb",), None, None, "as times", "from 0", "m, y up", gltf.write),
+    Format("bvh", "BVH", (".bvh",), None, None, "kept", "from 0", "m, y up", bvh.write),
 )
 """Where an extension has several, the first is meant unless `--to` names another."""
 

@@ -1,8 +1,7 @@
 """BVH files of moving skeletons: the joints' positions, by forward kinematics. y up by custom; the unit is not stated.
 
 Channels of position take the place of a joint's OFFSET, as most programs have it. End sites are joints, called as
-their parents with `_end`, unless they have no length. In our own files the root says the unit and the frame numbers,
-and a joint that turns by 360 degrees is missing in that frame (see `recon.export.bvh`).
+their parents with `_end`, unless they have no length.
 """
 
 from __future__ import annotations
@@ -16,11 +15,9 @@ import numpy as np
 
 from recon.documents import read_text
 from recon.errors import InputError, Problem
-from recon.io.common import choose, frame_number, frames_of_text, name_problems, number, starts_with_text
+from recon.io.common import choose, frame_number, name_problems, number, starts_with_text
 from recon.io.pose import StoredPose
 
-OWN_ROOT = "recon_m_yup_frames_"
-MISSING_DEG = 360.0
 AXES = "XYZ"
 
 
@@ -66,13 +63,6 @@ def read_pose(path: Path, individual: str | None = None) -> StoredPose:
     if not 0 < frame_time_s < float("inf"):
         problems.append(Problem(path, "Frame Time", f"{frame_time_s:g}", "seconds above 0"))
     kept = [j for j, joint in enumerate(joints) if not joint.end or any(joint.offset)]
-    own = (
-        frames_of_text(joints[0].name.removeprefix(OWN_ROOT).split("_"))
-        if joints[0].name.startswith(OWN_ROOT)
-        else None
-    )
-    if own is not None:
-        kept = [j for j in kept if j > 0 and not joints[j].end]
     names = tuple(joints[j].name for j in kept)
     problems += name_problems(path, "joints", names)
     motion = np.array(rows) if not problems else np.zeros((0, width))
@@ -81,15 +71,10 @@ def read_pose(path: Path, individual: str | None = None) -> StoredPose:
     if problems:
         raise InputError(problems)
     xyz = _positions(joints, motion)[:, kept]
-    frames = np.arange(count)
     fps = float(f"{1 / frame_time_s:.9g}")
-    if own is not None and len(own) <= count and own[-1] - own[0] == count - 1:
-        xyz[_is_marked(joints, motion)[:, kept]] = np.nan
-        frames, xyz = own, xyz[own - own[0]]
     inner = {j: joints[j].parent for j in kept}
     edges = tuple((joints[p].name, joints[j].name) for j, p in inner.items() if p in inner)
-    known = own is not None
-    return StoredPose(names, xyz, frames, fps=fps, unit="m" if known else None, up="y" if known else None, edges=edges)
+    return StoredPose(names, xyz, np.arange(count), fps=fps, edges=edges)
 
 
 def _hierarchy(lines: Iterator[str]) -> list[_Joint]:
@@ -152,7 +137,7 @@ def _positions(joints: list[_Joint], motion: np.ndarray) -> np.ndarray:
             if channel.endswith("position"):
                 local[:, axis] = values
             else:
-                turn = turn @ _rotation(axis, np.radians(values % 360.0))
+                turn = turn @ _rotation(axis, np.radians(values))
         if joint.parent >= 0:
             above = turned[joint.parent]
             local = xyz[:, joint.parent] + np.einsum("tij,tj->ti", above, local)
@@ -169,13 +154,3 @@ def _rotation(axis: int, angle_rad: np.ndarray) -> np.ndarray:
     R[:, i, i] = R[:, j, j] = np.cos(angle_rad)
     R[:, j, i], R[:, i, j] = np.sin(angle_rad), -np.sin(angle_rad)
     return R
-
-
-def _is_marked(joints: list[_Joint], motion: np.ndarray) -> np.ndarray:
-    """(T, J) bool: turned by 360 degrees."""
-    marked = np.zeros((len(motion), len(joints)), bool)
-    for j, joint in enumerate(joints):
-        for c, channel in enumerate(joint.channels):
-            if channel.endswith("rotation"):
-                marked[:, j] |= motion[:, joint.column + c] == MISSING_DEG
-    return marked

@@ -19,7 +19,9 @@ from recon.camera import Camera
 from recon.camera_track import read_camera_track
 from recon.detector import seen_by
 from recon.errors import InputError
+from recon.export import bvh
 from recon.export.formats import FORMATS
+from recon.export.rig import make_rig
 from recon.io import columns, read_keypoints
 from recon.io.column_map import parse_map
 from recon.io.pose3d import Pose3D, read_pose3d, read_pose_segments
@@ -169,6 +171,10 @@ def of_formats(folder: Path) -> Iterator[Seed]:
         if kind.pose is not None:
             kind.pose(pose, path)
             yield Seed(f"3d-{path.name}", path.read_bytes(), _positions)
+    chain = load_skeleton("cheetah-8u")
+    rig = make_rig(chain, 1.0, chain.markers, FRAMES, random.normal(size=(5, chain.n_state)).round(2), 50.0)
+    bvh.write(rig, folder / "3d.bvh")
+    yield Seed("3d.bvh", (folder / "3d.bvh").read_bytes(), _positions)
     yield Seed("2d-fixed.h5", _fixed_h5(folder / "fixed.h5", clip), _points)
     yield Seed("2d-classic.cdf", _classic_netcdf(folder / "classic.cdf", clip), _points)
 

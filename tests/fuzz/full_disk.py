@@ -54,7 +54,11 @@ def read_results(out: Path) -> object:
 def read_data(out: Path) -> object:
     from recon.app.convert import Options, read_any
 
-    return read_any(out, Options(fps=60, unit="m", up="z") if out.suffix == ".csv" else Options())
+    if out.suffix in (".osim", ".glb"):  # by others
+        sizes = [path.stat().st_size for path in out.parent.glob(f"{out.stem}.*")]
+        assert len(sizes) == (3 if out.suffix == ".osim" else 1)
+        return sizes
+    return read_any(out, Options(fps=60, unit="m", up="z") if out.suffix in (".csv", ".bvh") else Options())
 
 
 def read_manifest(out: Path) -> object:
@@ -83,7 +87,7 @@ def cases(folder: Path) -> list[Case]:
     clip = folder / "clip"
     two = ("deeplabcut.csv", "deeplabcut.h5", "long.csv", "wide.csv", "sleap.h5", "movement.nc", "nwb.nwb", "coco.json")
     three = ("deeplabcut.csv", "deeplabcut.h5", "movement.nc", "nwb.nwb", "parquet.parquet", "trc.trc", "c3d.c3d",
-             "bvh.bvh", "npz.npz")  # fmt: skip
+             "npz.npz", "opensim.osim", "gltf.glb", "bvh.bvh")  # fmt: skip
     found = [
         Case("fit", (*FIT, "--out", "{out}"), "clip", read=read_results),
         Case("fit frame", (*FIT[:-1], "--method", "frame", "--out", "{out}"), "clip", read=read_results),

@@ -1,0 +1,202 @@
+"""Bones: what independent readers make of OpenSim models, glTF and BVH is where the joints are."""
+
+from __future__ import annotations
+
+import json
+import struct
+from dataclasses import replace
+from pathlib import Path
+from xml.etree import ElementTree
+
+import bones
+import numpy as np
+import pytest
+from command_line import run
+
+from recon.app.convert import convert
+from recon.errors import InputError
+from recon.export import bvh, gltf, opensim
+from recon.export.rig import Rig, make_rig, rig_of
+from recon.io.pose3d import read_pose3d
+from recon.results import read_results
+from recon.skeleton_file import builtin_names, load_skeleton
+
+FRAMES = np.array([10, 11, 13, 14])
+MOST_M = 1e-5
+
+
+def a_rig(skeleton: str, seed: int = 0) -> Rig:
+    """In any poses, a frame of which is missing."""
+    body = load_skeleton(skeleton)
+    rng = np.random.default_rng(seed)
+    states = rng.normal(size=(4, body.n_state))
+    states[:, 4:] = body.mean_rad + 1.5 * body.sigma_rad * states[:, 4:]
+    return make_rig(body, 1.1, body.keypoint_names("left"), FRAMES, states, 50.0)
+
+
+@pytest.fixture(params=builtin_names())
+def rig(request) -> Rig:
+    return a_rig(request.param)
+
+
+def off_m(rig: Rig, joints: bones.Joints) -> float:
+    return bones.worst_m(joints, rig.joints, rig.pose.xyz_m)
+
+
+# -- what is written -----------------------------------------------------------------------------------------------
+
+
+def test_the_joints_are_those_of_the_skeleton():
+    """And the frame between two is between them."""
+    body = load_skeleton("cheetah-24")
+    states = np.zeros((4, body.n_state))
+    states[:, 0], states[:, 3] = FRAMES, [3.0, 3.1, 3.1 - 2 * np.pi, 3.1]  # the yaw is the same in the last three
+    rig = make_rig(body, 2.0, body.markers, FRAMES, states, 50.0)
+    assert rig.pose.frames.tolist() == [10, 11, 12, 13, 14]
+    for t, row in ((0, 0), (1, 1), (3, 2), (4, 3)):
+        np.testing.assert_allclose(rig.pose.xyz_m[t], body.tree.pose(states[[row]], 2.0).points_m[0], atol=1e-12)
+    np.testing.assert_allclose(rig.pose.xyz_m[2], rig.pose.xyz_m[1] + [1, 0, 0], atol=1e-12)
+    assert [turn.name for bone in rig.bones for turn in bone.turns] == list(body.state_names[3:])
+
+
+def test_an_opensim_model(rig, tmp_path):
+    path = tmp_path / "run.osim"
+    opensim.write(rig, path)
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["run.mot", "run.osim", "run.trc"]
+    assert off_m(rig, bones.osim_by_its_xml(path)) < 1e-9
+    markers = read_pose3d(tmp_path / "run.trc")
+    assert (markers.names, markers.fps) == (rig.joints, 50.0)
+    assert markers.frames.tolist() == [10, 11, 12, 13, 14]
+    np.testing.assert_allclose(markers.xyz_m, rig.pose.xyz_m, atol=1e-12)
+    motion = bones.table_of(tmp_path / "run.mot")
+    np.testing.assert_allclose(motion.pop("time"), np.arange(10, 15) / 50)
+    model = ElementTree.parse(path).getroot()
+    coordinates = {c.get("name"): c for c in model.iter("Coordinate")}
+    assert [*motion] == [*coordinates]
+    assert {body.findtext("mass") for body in model.iter("Body")} == {"0"}
+    assert sum(1 for _ in model.iter("Cylinder")) == len(rig.capsules)
+
+
+def test_coordinates_of_an_opensim_model_are_the_skeletons(tmp_path):
+    """In its terms and values, with what it expects of them."""
+    rig, body = a_rig("cheetah-24"), load_skeleton("cheetah-24")
+    opensim.write(rig, tmp_path / "run.osim")
+    motion = bones.table_of(tmp_path / "run.mot")
+    assert tuple(motion)[1:] == body.state_names
+    np.testing.assert_allclose(
+        [motion["x_m"], motion["y_m"], motion["z_m"]], rig.root_m[:, [0, 2, 1]].T * [[1], [-1], [1]]
+    )
+    model = ElementTree.parse(tmp_path / "run.osim").getroot()
+    (pitch,) = (c for c in model.iter("Coordinate") if c.get("name") == "l_fore_lower_pitch")
+    k = body.state_names.index("l_fore_lower_pitch") - 4
+    low, high = map(float, (pitch.findtext("range") or "").split())
+    assert (low + high) / 2 == pytest.approx(body.mean_rad[k]) == pytest.approx(float(pitch.findtext("default_value")))
+    assert (high - low) / 6 == pytest.approx(body.sigma_rad[k])
+    assert pitch.findtext("clamped") == "false"
+
+
+def test_bvh(rig, tmp_path):
+    path = tmp_path / "run.bvh"
+    bvh.write(rig, path)
+    assert off_m(rig, bones.bvh_by_bvhio(path)) < MOST_M
+    found = read_pose3d(path, unit="m")
+    at = [found.names.index(name) for name in rig.joints]
+    np.testing.assert_allclose(found.xyz_m[:, at], rig.pose.xyz_m, atol=1e-12)
+    assert found.fps == 50
+    text = path.read_text()
+    assert text.count("position") == 3  # the root's
+    for bone, parent in ((b, rig.bones[b.parent]) for b in rig.bones if b.parent is not None):
+        place, above = (found.xyz_m[:, found.names.index(b.name)] for b in (bone, parent))
+        np.testing.assert_allclose(np.linalg.norm(place - above, axis=1), np.linalg.norm(bone.offset_m), atol=1e-12)
+
+
+def test_gltf(rig, tmp_path):
+    path = tmp_path / "run.glb"
+    gltf.write(rig, path)
+    assert off_m(rig, bones.gltf_by_its_json(path)) < MOST_M
+    assert off_m(rig, bones.gltf_by_trimesh(path)) < MOST_M
+
+
+def test_the_mesh_of_a_gltf_file(tmp_path):
+    """As it is bound, with all angles 0: closed capsules around the bones, each moved by its own."""
+    import trimesh
+
+    rig = a_rig("cheetah-24")
+    gltf.write(rig, tmp_path / "run.glb")
+    scene = trimesh.load_scene(tmp_path / "run.glb")
+    assert {mesh.visual.material.name for mesh in scene.geometry.values()} == {"left", "right", "middle"}
+    for mesh in scene.geometry.values():
+        of_it = [c for c in rig.capsules if (c.side or "middle") == mesh.visual.material.name]
+        for faces, capsule in zip(np.split(mesh.faces, len(of_it)), of_it, strict=True):
+            part = trimesh.Trimesh(mesh.vertices, faces, process=True)
+            r, length = capsule.radius_m, np.linalg.norm(capsule.end_m)
+            exact = np.pi * r**2 * (length + 4 / 3 * r)
+            assert part.is_watertight
+            assert 0.9 * exact < part.volume < exact
+    content = (tmp_path / "run.glb").read_bytes()
+    document = json.loads(content[20 : 20 + struct.unpack_from("<I", content, 12)[0]])
+    (skin,) = document["skins"]
+    assert [document["nodes"][i]["name"] for i in skin["joints"]] == [b.name for b in rig.bones] + list(rig.joints)
+
+
+def test_a_bone_has_another_name_than_a_joint():
+    """The neck of the quadruped is a segment; a skeleton may have a marker of that name."""
+    body = load_skeleton("quadruped")
+    names = tuple("neck" if name == "neck_base" else name for name in body.markers)
+    rig = make_rig(body, 1.0, names, np.arange(2), np.zeros((2, body.n_state)), 50.0)
+    assert "neck_bone" in [bone.name for bone in rig.bones]
+    assert "neck_pitch" in [turn.name for bone in rig.bones for turn in bone.turns]
+
+
+@pytest.mark.parametrize("module", [opensim, bvh])
+def test_names_with_blanks_are_refused(module, tmp_path):
+    rig = replace(a_rig("cheetah-24"), joints=("left ear", *load_skeleton("cheetah-24").markers[1:]))
+    with pytest.raises(InputError, match=f"{module.TITLE}: name: found 'left ear', with ' ' in it"):
+        module.write(rig, tmp_path / "a")
+    assert list(tmp_path.iterdir()) == []
+
+
+# -- of results ----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("extension", bones.READERS)
+def test_recon_convert(whole_results, tmp_path, extension):
+    out = tmp_path / f"run{extension}"
+    ended = run("convert", whole_results, out)
+    assert (ended.code, ended.err) == (0, "")
+    results = read_results(whole_results)
+    name = {".osim": "its XML, `.osim` and `.mot`", ".glb": "its JSON", ".bvh": "bvhio"}[extension]
+    joints = dict(bones.READERS[extension])[name](out)
+    assert bones.worst_m(joints, results.pose.names, results.pose.xyz_m) < 1e-3
+    beside = [f"{tmp_path}/run.mot", f"{tmp_path}/run.trc"] if extension == ".osim" else []
+    assert ended.out.splitlines()[1:] == ([f"Beside it: {', '.join(beside)}."] if beside else [])
+    for path in [str(out), *beside]:
+        again = run("convert", whole_results, out)
+        assert again.code == 2
+        assert path in again.err
+        Path(path).unlink()
+
+
+def test_frames_without_a_pose(whole_results):
+    results = read_results(whole_results)
+    states, xyz_m = results.states.copy(), results.pose.xyz_m.copy()
+    for rows in (slice(0, 2), slice(5, 7), slice(9, 10)):
+        states[rows] = xyz_m[rows] = np.nan
+    rig = rig_of(replace(results, states=states, pose=replace(results.pose, xyz_m=xyz_m)))
+    assert rig.notes == ("Without a pose, and interpolated: frames 5-6, 9.",)
+    assert rig.pose.frames.tolist() == list(range(2, 60))
+    np.testing.assert_allclose(rig.pose.xyz_m[[0, 2, 8, -1]], xyz_m[[2, 4, 10, 59]], atol=1e-8)
+    assert np.isfinite(rig.pose.xyz_m).all()
+    with pytest.raises(InputError, match="frames: found none with a pose"):
+        rig_of(replace(results, states=np.nan * states))
+    longer = replace(results.pose, xyz_m=results.pose.xyz_m * np.linspace(1, 1.1, 60)[:, None, None])
+    with pytest.raises(InputError, match=r"size: found lengths that change .* expected bones of one length"):
+        rig_of(replace(results, pose=longer))
+
+
+def test_points_are_no_bones(tmp_path):
+    samples = Path(__file__).parents[1] / "data" / "samples"
+    for name, kind in (("whole.csv", "2D keypoints"), ("whole_truth.csv", "3D positions")):
+        with pytest.raises(InputError, match=f"found {kind}, expected a folder of results of recon fit: BVH has bones"):
+            convert(samples / name, tmp_path / "a.bvh")
+    assert list(tmp_path.iterdir()) == []
