@@ -1,7 +1,8 @@
 """Where a camera that moves was in each frame: tracks, read from a CSV table or from a COLMAP model as text.
 
-- CSV: columns frame, qw, qx, qy, qz, tx, ty, tz and, of a camera that zooms, fx, fy, cx, cy, in any order; others are
-  not read. Unit quaternion and translation take points from the world to the camera, X_camera = R X_world + t.
+- CSV: columns frame, qw, qx, qy, qz, tx, ty, tz, of a camera that zooms fx, fy, cx, cy, and sigma_deg where it is known
+  how exact a turn is, in any order; others are not read. Unit quaternion and translation take points from the world to
+  the camera, X_camera = R X_world + t.
 - COLMAP: images.txt with cameras.txt beside it, or their folder. Frame numbers are the last digits of the images'
   names. Its pixels begin at the corner of the first one, ours in its middle: half a pixel is taken off.
 
@@ -14,7 +15,7 @@ import csv
 import io
 import re
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -32,9 +33,10 @@ from recon.rotations import part_of_turn, quaternion_rotations
 MAX_GAP_S = 0.1
 """Poses further apart have none in between."""
 POSE, INTRINSICS = ("qw", "qx", "qy", "qz", "tx", "ty", "tz"), ("fx", "fy", "cx", "cy")
+SIGMA = "sigma_deg"
 UNIT_TOLERANCE = 1e-2
 """Of a quaternion's length: rounded to three digits it is within this."""
-MAX_PLACE_M, MAX_PX = 1e7, 1e6
+MAX_PLACE_M, MAX_PX, MAX_SIGMA_DEG = 1e7, 1e6, 10.0
 LEANING_MAX_RAD = np.radians(60)
 """A camera that leans further for most of the time hangs in a world whose z axis does not point up."""
 IMAGES, CAMERAS = "images.txt", "cameras.txt"
@@ -69,6 +71,8 @@ class CameraTrack:
     """(N, 4): fx, fy, cx, cy, of a camera that zooms."""
     camera: Camera | None = None
     """The lens, where the track comes with one. It has no pose."""
+    turn_sigma_rad: Array | None = None
+    """(N,): standard deviation of each pose's rotation about any axis, where the track says it."""
 
     def at(self, frames: Integers, fps: float) -> FramePoses:
         """In each of T increasing frames; between poses no more than `MAX_GAP_S` apart turned and moved evenly."""
@@ -86,7 +90,8 @@ class CameraTrack:
         if self.intrinsics_px is not None:
             a, b = self.intrinsics_px[before], self.intrinsics_px[after]
             intrinsics = np.where(known[:, None], a + share[:, None] * (b - a), np.nan)
-        return FramePoses(poses, intrinsics, filled)
+        sigma = self.turn_sigma_rad
+        return FramePoses(poses, intrinsics, filled, None if sigma is None else np.maximum(sigma[before], sigma[after]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,6 +104,8 @@ class FramePoses:
     """(T, 4), NaN likewise."""
     filled: Bools
     """(T,): between poses of the track."""
+    turn_sigma_rad: Array | None = None
+    """(T,)"""
 
     @property
     def known(self) -> Bools:
@@ -166,6 +173,7 @@ class _Poses:
     values: list[list[float]]
     """7 of the pose, and 4 of the intrinsics where there are some."""
     places: list[str]
+    sigma_deg: list[float] = field(default_factory=list)
 
     def problems(self) -> Iterator[Problem]:
         if not self.frames:
@@ -177,6 +185,8 @@ class _Poses:
                 rows = np.flatnonzero(wrong(table).any(axis=1))
             if len(rows):
                 yield Problem(self.path, kind, f"others in {_some([self.places[row] for row in rows])}", expected)
+        if wrong_deg := [sigma for sigma in self.sigma_deg if not 0 <= sigma <= MAX_SIGMA_DEG]:
+            yield Problem(self.path, SIGMA, f"{wrong_deg[0]:g}", f"0 to {MAX_SIGMA_DEG:g} degrees")
         order = np.sort(self.frames)
         twice = np.unique(order[1:][np.diff(order) == 0])
         if len(twice):
@@ -195,6 +205,7 @@ class _Poses:
             rigid(quaternion_rotations(quaternion[:, [1, 2, 3, 0]]), table[:, 4:7]),
             table[:, 7:] if zooms else None,
             camera,
+            np.radians(np.array(self.sigma_deg)[order]) if self.sigma_deg else None,
         )
 
 
@@ -234,7 +245,7 @@ def _read_csv(path: Path) -> CameraTrack:
         raise InputError(Problem(path, f"line {reader.line_num}", str(error), EXPECTED)) from None
     header = [cell.strip().lower() for cell in rows[0][1]] if rows else []
     zooms = any(name in header for name in INTRINSICS)
-    wanted = ("frame", *POSE, *(INTRINSICS if zooms else ()))
+    wanted = ("frame", *POSE, *(INTRINSICS if zooms else ()), *([SIGMA] if SIGMA in header else []))
     problems = [Problem(path, "columns", f"no {name}", EXPECTED) for name in wanted if name not in header]
     problems += [
         Problem(path, "columns", f"{name} more than once", "each once") for name in wanted if header.count(name) > 1
@@ -254,6 +265,8 @@ def _read_csv(path: Path) -> CameraTrack:
             problems.append(Problem(path, f"line {line}", found, "numbers, and a whole one for the frame"))
             continue
         poses.frames.append(frame)  # type: ignore[arg-type]
+        if SIGMA in header:
+            poses.sigma_deg.append(values.pop())  # type: ignore[arg-type]
         poses.values.append(values)  # type: ignore[arg-type]
         poses.places.append(f"line {line}")
     if problems:

@@ -17,7 +17,10 @@ from recon.camera_motion import Tracker, Turn, as_level, read_marks, tilted, up_
 from recon.camera_motion.features import rays_of
 from recon.camera_track import read_camera_track
 from recon.errors import InputError
+from recon.io.pose3d import read_pose3d
+from recon.manifest import read_manifest
 from recon.video import video_writer
+from tests.conftest import SAMPLES
 
 SIZE = (320, 180)
 PINHOLE = Camera("cam", np.array([[300.0, 0, 160], [0, 300.0, 90], [0, 0, 1]]), np.zeros(0), "pinhole", SIZE)
@@ -256,6 +259,39 @@ def test_command_writes_a_track_that_the_fit_reads(pan_film, tmp_path):
     assert panorama is not None
     assert panorama.shape[1] > 1000
     assert (tmp_path / "still.avi").stat().st_size > 0
+
+
+def test_fit_finds_the_track_and_keeps_it_with_the_results(pan_film, tmp_path):
+    """The results can be fitted again from their own folder, as any."""
+    turns, truth = pan(8, 6.0), read_pose3d(SAMPLES / "whole_truth.csv")
+    points = (truth.xyz_m[26:34] - truth.xyz_m[30].mean(axis=0)) @ np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
+    pixels, _ = PINHOLE.project((points + np.array([0.0, 0.0, 5.0])) @ turns.swapaxes(1, 2))
+    rows = [
+        f"{t},{name},{x:.2f},{y:.2f},0.9" for t in range(8) for name, (x, y) in zip(truth.names, pixels[t], strict=True)
+    ]
+    (tmp_path / "clip.csv").write_text("frame,keypoint,x,y,likelihood\n" + "\n".join(rows) + "\n")
+    out = tmp_path / "out"
+    ended = run(
+        "fit", tmp_path / "clip.csv", "--camera", pan_film / "camera.toml", "--fps", 60, "--fast", "--out", out,
+        "--camera-motion", pan_film / "pan.avi", "--tilt-deg", 4,
+    )  # fmt: skip
+    assert ended.code == 0, ended.err
+    track = read_camera_track(out / "track.csv")
+    assert track.turn_sigma_rad is not None
+    assert 0 < np.degrees(track.turn_sigma_rad).max() < 0.1
+    again = run("fit", "--config", out / "config.toml", "--out", out, "--overwrite")
+    assert again.code == 0, again.err
+    assert {"track.csv", "track_report.json", "track_panorama.png"} <= set(read_manifest(out).files)
+    shown = json.loads((out / "report.json").read_text())["cameras"][0]["track"]
+    np.testing.assert_allclose(shown["rotation"], track.T_camera_world[:, :3, :3], atol=1e-6)
+
+
+def test_fit_says_what_a_turning_camera_needs(pan_film, tmp_path):
+    given = ("fit", SAMPLES / "whole.csv", "--fps", 60, "--out", tmp_path / "out")
+    ended = run(*given, "--camera-motion", pan_film / "pan.avi", "--hfov-deg", 60, "--image-size", "320x180")
+    assert ended.code == 2
+    assert "no --camera" in " ".join(ended.err.split())
+    assert not (tmp_path / "out").exists()
 
 
 def test_without_a_tilt_the_mean_frame_is_said_to_be_level(pan_film, tmp_path):

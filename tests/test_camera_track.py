@@ -161,6 +161,30 @@ def test_a_colmap_model_that_zooms(tmp_path):
     )
 
 
+def test_how_exact_its_turns_are(tmp_path):
+    """Read with a table, held over short gaps, and refused where it is none."""
+    path = write_track(tmp_path / "track.csv", np.array([3, 5, 6]), turning(3))
+    head, *rows = path.read_text().splitlines()
+    said = [f"{row},{sigma}" for row, sigma in zip(rows, (0.02, 0.05, 0.01), strict=True)]
+    path.write_text("\n".join([f"{head},sigma_deg", *said]))
+    found = read_camera_track(path).at(np.arange(3, 7), 60.0).turn_sigma_rad
+    np.testing.assert_allclose(np.degrees(found), [0.02, 0.05, 0.05, 0.01])
+    for wrong in ("-0.1", "nan", "60"):
+        text = "\n".join([f"{head},sigma_deg", *said[:2], f"{rows[2]},{wrong}"])
+        assert f"sigma_deg: found {wrong}, expected 0 to 10 degrees" in refused(text, path)
+
+
+def test_what_a_doubtful_turn_does_to_points():
+    """Against points that turn about the camera with it."""
+    points, sigma = np.random.default_rng(0).normal(size=(2, 3, 3)) + [0.0, 9.0, 0.0], np.radians([0.3, 0.1])
+    pans = View(FISHEYE, turning(2), np.zeros((2, 3, 2)), np.ones((2, 3)), turn_sigma_rad=sigma)
+    turns = sigma[:, None] * np.random.default_rng(1).normal(size=(40000, 2, 3))
+    moved = np.cross(turns[:, :, None], points - pans.centre_m[:, None])
+    expected = np.einsum("ntja,ntjb->tjab", moved, moved) / len(moved)
+    np.testing.assert_allclose(pans.turn_covariance_m2(points), expected, atol=0.02 * expected.max())
+    assert pans.part(slice(1, 2)).turn_px == pytest.approx(np.radians(0.1) * pans.focal_px)
+
+
 def test_a_table_with_many_faults_names_them_all(tmp_path):
     said = refused(f"{HEAD}\n0,2,0,0,0,0,0,0\n1,1,0,0,0,0,inf,0\n1,1,0,0,0,0,0,1e9\n", tmp_path / "track.csv")
     for part in (

@@ -16,7 +16,7 @@ from recon.camera import Camera
 from recon.camera_motion import LevelMark, Tracker, Turn, TurningMotion, as_level, read_marks, tilted, up_by_marks
 from recon.camera_motion.features import rays_of
 from recon.camera_motion.panorama import ANIMAL, PATH, Canvas, draw_path, draw_view, panorama
-from recon.camera_track import INTRINSICS, POSE
+from recon.camera_track import INTRINSICS, POSE, SIGMA
 from recon.errors import InputError, Problem, all_of
 from recon.export.table import write_table
 from recon.files import require_free_file, staged_folder, write_bytes
@@ -197,7 +197,8 @@ def _write_track(path: Path, motion: TurningMotion, camera: Camera, first_frame:
         K, zooms = camera.matrix, np.array([turn.zoom for turn in motion.turns])[:, None]
         lens = [zooms * [K[0, 0], K[1, 1]], np.tile(K[:2, 2], (len(q), 1))]
         poses = np.concatenate([poses, np.round(np.concatenate(lens, axis=1), 4)], axis=1)
-    write_table(path, [["frame", *POSE, *(INTRINSICS if zoom else ())]], motion.frames + first_frame, poses)
+    poses = np.concatenate([poses, np.round(np.degrees(motion.sigma_rad)[:, None], 5)], axis=1)
+    write_table(path, [["frame", *POSE, *(INTRINSICS if zoom else ()), SIGMA]], motion.frames + first_frame, poses)
 
 
 def _report(

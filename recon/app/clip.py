@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -22,7 +23,7 @@ from recon.clip import Source, View, held, together, views_of
 from recon.detector import seen_by
 from recon.errors import InputError, Problem, all_of
 from recon.export import CAMERA_OUTPUTS, CLIP_OUTPUTS, of_any_camera, write_tables
-from recon.files import require_free_folder, sole_writer, staged_results
+from recon.files import require_free_folder, sole_writer, staged_results, write_bytes
 from recon.io import read_keypoints
 from recon.keypoints import CleaningReport, Keypoints, clean, leave_out, parse_frame_range
 from recon.manifest import MANIFEST
@@ -37,12 +38,15 @@ from recon.settings import FitSettings
 from recon.skeleton_file import load_chain, load_skeleton
 from recon.solve import solve_trajectory
 
+TRACK_FILES = ("track.csv", "track_report.json", "track_panorama.png")
+"""Of a camera whose motion was found with the fit."""
 OUTPUT_FILES = (
     *CLIP_OUTPUTS,
     *CAMERA_OUTPUTS,
     "report.json",
     "motion.rrd",
     "config.toml",
+    *TRACK_FILES,
     MANIFEST,
 )
 """Every file that a clip of one camera gets. With several cameras there are `CAMERA_OUTPUTS` for each."""
@@ -146,8 +150,11 @@ def read_model_and_cameras(settings: FitSettings) -> tuple[Model, Cameras]:
     return model, cameras
 
 
-def write_clip(motion: Motion, settings: FitSettings, out: Path, solve_s: float | None = None) -> dict[str, Any]:
-    """Write every output of a clip into the folder `out`, all or none, and give back the report."""
+def write_clip(
+    motion: Motion, settings: FitSettings, out: Path, solve_s: float | None = None, beside: Sequence[Path] = ()
+) -> dict[str, Any]:
+    """Write every output of a clip into the folder `out`, all or none, and give back the report. beside: files that go
+    with them."""
     from recon import view  # rerun is slow to import
 
     report = build_report(motion, settings.plain(), None if solve_s is None else {"solve_s": solve_s})
@@ -156,17 +163,59 @@ def write_clip(motion: Motion, settings: FitSettings, out: Path, solve_s: float 
         write_report(report, folder / "report.json")
         (folder / "config.toml").write_text(settings.to_toml(), encoding="utf-8")
         view.write(motion, folder / "motion.rrd")
+        for path in beside:
+            write_bytes(folder / path.name, path.read_bytes())
     return report
 
 
-def run_clip(settings: FitSettings, out: Path, overwrite: bool = False, progress: Progress = silent) -> dict[str, Any]:
+def run_clip(
+    settings: FitSettings, out: Path, overwrite: bool = False, progress: Progress = silent, video: Path | None = None
+) -> dict[str, Any]:
     """`recon fit`: reconstruct a clip and write its folder; the report. Raises InputError before any work is done if
-    `out` holds results already and may not be overwritten, or if another process is writing to it."""
-    with sole_writer(out):
+    `out` holds results already and may not be overwritten, or if another process is writing to it.
+
+    video: of a camera that turns; the track that is found in it (`recon.app.camera_motion`) goes with the results.
+    """
+    with sole_writer(out), TemporaryDirectory() as made:
         require_free_folder(out, output_files(out), overwrite)
+        track, folder = (out / TRACK_FILES[0]).absolute(), out
+        if video is not None:
+            settings, folder = _followed(settings, video, Path(made), progress), Path(made)
         start = time.perf_counter()
         motion = fit_clip(settings, progress)
-        return write_clip(motion, settings, out, time.perf_counter() - start)
+        own = settings.camera_track == (folder.absolute() / TRACK_FILES[0],)
+        beside = [folder / name for name in TRACK_FILES if (folder / name).is_file()] if own else []
+        recorded = replace(settings, camera_track=(track,)) if own else settings
+        return write_clip(motion, recorded, out, time.perf_counter() - start, beside)
+
+
+def _followed(settings: FitSettings, video: Path, folder: Path, progress: Progress) -> FitSettings:
+    """With the track of a camera that turns, which its video shows, in that folder."""
+    keypoints, *others = settings.keypoints
+    problems = []
+    if settings.camera_track is not None:
+        problems.append(Problem("--camera-motion", "camera", "a video beside --camera-track", "one of the two"))
+    if others:
+        expected = "one camera; for several, make each one's track by recon camera-motion"
+        problems.append(Problem("--camera-motion", "cameras", f"{len(settings.keypoints)}", expected))
+    if settings.camera is None:
+        problems.append(Problem("--camera-motion", "camera", "no --camera", "the camera's calibration, for its lens"))
+    if problems or settings.camera is None:
+        raise InputError(problems)
+    from recon.app.camera_motion import run_camera_motion
+
+    track = folder.absolute() / TRACK_FILES[0]
+    run_camera_motion(
+        video,
+        settings.camera,
+        track,
+        camera_name=next(iter(settings.camera_name or ()), None),
+        keypoints=keypoints,
+        individual=settings.individual,
+        tilt_deg=settings.tilt_deg,
+        progress=progress,
+    )
+    return replace(settings, camera_track=(track,), tilt_deg=None)
 
 
 def arrange(keypoints: Keypoints, names: tuple[str, ...]) -> Keypoints:
@@ -243,15 +292,15 @@ def _cleaned(
     frames = (None if first is None else first - shift, None if stop is None else stop - shift)
     keypoints, cleaning = clean(file, settings.likelihood_min, frames)
     _require_inside(of.camera, keypoints, settings)
-    poses = intrinsics_px = None
+    poses = intrinsics_px = turn_sigma_rad = None
     if of.track is not None and file.fps is not None:
         known = of.track.at(keypoints.frames, file.fps)
         keypoints, cleaning = _with_pose(keypoints, cleaning, known, of.track)
-        poses, intrinsics_px = known.T_camera_world, known.intrinsics_px
+        poses, intrinsics_px, turn_sigma_rad = known.T_camera_world, known.intrinsics_px, known.turn_sigma_rad
     lenses = None if intrinsics_px is None else held(intrinsics_px)
     view = View(of.camera, np.eye(4), keypoints.xy_px, keypoints.confidence, lenses)
     keypoints, cleaning = leave_out(keypoints, cleaning, keypoints.present & ~view.seen, _FAR_OUTSIDE)
-    return Source(of.camera, keypoints, cleaning, file.names, T_camera_world=poses, intrinsics_px=intrinsics_px)
+    return Source(of.camera, keypoints, cleaning, file.names, 0.0, poses, intrinsics_px, turn_sigma_rad)
 
 
 def _with_pose(

@@ -20,6 +20,10 @@ def fit(
     config: Annotated[
         Path | None, typer.Option(help="config.toml of an earlier run; options given here overrule it.")
     ] = None,
+    camera_motion: Annotated[
+        Path | None,
+        typer.Option(help="A camera that turns: its video, in which the track is found first, as in clip.mp4."),
+    ] = None,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace results in the folder.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print the report's summary as JSON.")] = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print errors only.")] = False,
@@ -43,5 +47,5 @@ def fit(
     console = terminal(quiet=quiet, stderr=as_json)
     leave_pandas_out()
     with progress_bar(console, "fitting: ") as progress:
-        report = run_clip(settings, out, overwrite, progress)
+        report = run_clip(settings, out, overwrite, progress, camera_motion)
     finish(console, report, out, as_json)

@@ -30,6 +30,8 @@ class Source:
     camera itself has no pose then."""
     intrinsics_px: Array | None = None
     """(T, 4): fx, fy, cx, cy, where it zooms, too; NaN likewise."""
+    turn_sigma_rad: Array | None = None
+    """(T,): of the pose's rotation, where that is known; NaN likewise."""
 
     @property
     def moves(self) -> bool:
@@ -48,6 +50,7 @@ def views_of(sources: Sequence[Source]) -> tuple[View, ...]:
             source.keypoints.confidence,
             None if source.intrinsics_px is None else held(source.intrinsics_px),
             source.lead_frames,
+            None if source.turn_sigma_rad is None else held(source.turn_sigma_rad),
         )
         for source in sources
     )
@@ -97,4 +100,5 @@ def _on_frames(source: Source, start: int, frames: Integers) -> Source:
         ),
         T_camera_world=None if source.T_camera_world is None else spread(source.T_camera_world, np.nan),
         intrinsics_px=None if source.intrinsics_px is None else spread(source.intrinsics_px, np.nan),
+        turn_sigma_rad=None if source.turn_sigma_rad is None else spread(source.turn_sigma_rad, np.nan),
     )

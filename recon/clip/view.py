@@ -30,6 +30,8 @@ class View:
     lead_frames: float = 0.0
     """Its pictures were taken that much later than the clip's frames: 0 up to 1 as given, with a lag that was found
     more or less."""
+    turn_sigma_rad: Array | None = None
+    """(T,): standard deviation of each pose's rotation about any axis, of a camera whose track says it."""
 
     @property
     def still(self) -> bool:
@@ -57,6 +59,13 @@ class View:
             return np.sqrt(self.intrinsics_px[:, 0] * self.intrinsics_px[:, 1])
         return float(np.sqrt(self.camera.matrix[0, 0] * self.camera.matrix[1, 1]))
 
+    def turn_covariance_m2(self, points_m: Array) -> Array:
+        """(T, J, 3, 3): the doubt of each pose's rotation, in points (T, J, 3) that are known by this camera alone."""
+        off = points_m - self.centre_m[:, None]
+        variance = np.zeros(len(off)) if self.turn_sigma_rad is None else self.turn_sigma_rad**2
+        across = np.sum(off * off, axis=-1)[..., None, None] * np.eye(3) - off[..., :, None] * off[..., None, :]
+        return variance[:, None, None, None] * across
+
     def part(self, frames: slice | Index) -> View:
         """Of these frames only."""
         return replace(
@@ -65,7 +74,13 @@ class View:
             xy_px=self.xy_px[frames],
             confidence=self.confidence[frames],
             intrinsics_px=None if self.intrinsics_px is None else self.intrinsics_px[frames],
+            turn_sigma_rad=None if self.turn_sigma_rad is None else self.turn_sigma_rad[frames],
         )
+
+    @property
+    def turn_px(self) -> Array | float:
+        """What the doubt of each pose's rotation moves in the picture's middle: (T,), or 0."""
+        return 0.0 if self.turn_sigma_rad is None else self.focal_px * self.turn_sigma_rad
 
     @property
     def seen(self) -> Bools:

@@ -197,10 +197,14 @@ class Setting:
         return np.array([size * view.focal_px / depth for view, depth in zip(self.views, depths, strict=True)])
 
     def noise_px(self, points_m: Array, factor: Array, size: float = 1.0) -> Array:
-        """(V, T, J): the detector's noise, and the keypoints' at the animal's distance, times sqrt(factor) (V, J), for
-        markers (T, J, 3) at nominal size."""
+        """(V, T, J): the detector's noise, and the keypoints' at the animal's distance, times sqrt(factor) (V, J), and
+        that of a camera's turn, for markers (T, J, 3) at nominal size."""
         noise = np.hypot(self.options.sigma_px, self.keypoint_sigma_m * self.px_per_m(points_m, size))
-        return noise[..., None] * np.sqrt(factor)[:, None]
+        noise = noise[..., None] * np.sqrt(factor)[:, None]
+        if all(view.turn_sigma_rad is None for view in self.views):
+            return noise
+        turned = np.array([np.broadcast_to(view.turn_px, len(self)) for view in self.views])
+        return np.hypot(noise, turned[..., None])
 
     def shared(self) -> tuple[list[Shared], list[Shared]]:
         """What all frames share: the unknowns that pictures can tell, and those that only add to the doubt.

@@ -336,12 +336,15 @@ def _of_spell(
     reprojections = [term for term in one.problem.terms if isinstance(term, Reprojection)]
     views = in_step(setting.part(one.rows), one).views
     weight = [term.weights(view.at_its_time(markers)) for term, view in zip(reprojections, views, strict=True)]
-    in_world = states.copy()
+    in_world, joints_m = states.copy(), setting.in_world(points, size)
     in_world[:, ROOT] = setting.in_world(states[:, ROOT], size)
+    covariance_m2 = with_size(known.covariance_m2, by_size, size, size_sigma)
+    if len(views) == 1:  # of several, one's turn is known by the others
+        covariance_m2 = covariance_m2 + views[0].turn_covariance_m2(joints_m)
     return {
         "states": in_world,
-        "joints_m": setting.in_world(points, size),
-        "covariance_m2": with_size(known.covariance_m2, by_size, size, size_sigma),
+        "joints_m": joints_m,
+        "covariance_m2": covariance_m2,
         "relative_covariance_m2": with_size(known.relative_covariance_m2, centred, size, size_sigma),
         "angle_sigma_rad": np.sqrt(known.angle_variance[0] + (size_sigma * known.state_by_size[:, YAW:]) ** 2),
         "angle_data_share": known.angle_data_share,
