@@ -4,10 +4,10 @@
 
 Each run is a folder as in `cheetah_runs.py`. Pan: every view's detections as a camera would have had them that turns
 about its centre and an upright axis, so as to keep the animal in the middle of its picture: the rays turned back, and
-projected through the same lens. Points that leave the lens model's range are left out of both. Doubtful: the same with poses
-that are known with errors, white and drifting, and how large they are. Driven: the truth
-projected into the named camera, as it stands and driven along at 10 m/s beside the animal, without noise. Errors are
-over all 24 joints. Without FOLDER: the cheetah-runs of $RECON_SHARED_DATA, or of ../shared/data. One thread.
+projected through the same lens. Points that leave the lens model's range are left out of both. Doubtful: the same with
+poses that are known with errors, white and drifting, and how large they are. Driven: the truth projected into the named
+camera, as it stands and driven along at 10 m/s beside the animal, without noise. Errors are over all 24 joints. Without
+FOLDER: the cheetah-runs of $RECON_SHARED_DATA, or of ../shared/data. One thread.
 """
 
 from __future__ import annotations

@@ -176,7 +176,7 @@ def test_how_exact_its_turns_are(tmp_path):
 
 def test_what_a_doubtful_turn_does_to_points():
     """Against points that turn about the camera with it."""
-    points, sigma = np.random.default_rng(0).normal(size=(2, 3, 3)) + [0.0, 9.0, 0.0], np.radians([0.3, 0.1])
+    points, sigma = np.random.default_rng(0).normal([0.0, 9.0, 0.0], 1.0, (2, 3, 3)), np.radians([0.3, 0.1])
     pans = View(FISHEYE, turning(2), np.zeros((2, 3, 2)), np.ones((2, 3)), turn_sigma_rad=sigma)
     turns = sigma[:, None] * np.random.default_rng(1).normal(size=(40000, 2, 3))
     moved = np.cross(turns[:, :, None], points - pans.centre_m[:, None])

@@ -320,7 +320,10 @@ def called(monkeypatch: pytest.MonkeyPatch, *args: str, **environment: str) -> s
     [
         ("recon ", COMMANDS | {"prior", "robot", "skeleton", "subject"}),
         ("recon ana", {"analyse"}),
-        ("recon fit --camera", {"--camera", "--camera-name", "--camera-rotation", "--camera-track", "--camera-unit"}),
+        (
+            "recon fit --camera",
+            {"--camera", "--camera-motion", "--camera-name", "--camera-rotation", "--camera-track", "--camera-unit"},
+        ),
         ("recon skeleton c", {"check"}),
     ],
 )
