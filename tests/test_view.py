@@ -28,6 +28,7 @@ PER_FRAME = {
     "/world/skeleton": "LineStrips3D:strips",
     "/world/skeleton/joints": "Points3D:positions",
     "/world/followed": "Points3D:positions",
+    "/world/body": "Capsules3D:translations",
     "/world/trail": "LineStrips3D:strips",
     **{
         f"/{root}/{entity}": component
@@ -134,6 +135,19 @@ def test_limbs_join_their_joints(recording: Recording, world_motion: Motion) -> 
         rows = [world_motion.joints.index(joint) for joint in joints]
         np.testing.assert_allclose(strip, world_motion.joints_m[2, rows], atol=1e-5)
     assert recording.static["/world/skeleton"]["LineStrips3D:class_ids"] == list(range(len(limbs)))
+
+
+def test_capsules_lie_along_the_segments(recording: Recording, world_motion: Motion) -> None:
+    """Of a chain: from the start of every link to its end."""
+    shape = recording.static["/world/body"]
+    links = [segment for segment in world_motion.body.tree.segments if segment.parent is not None]
+    joints = dict(zip(world_motion.joints, world_motion.joints_m[2], strict=True))
+    begins = np.array(recording.values("/world/body", 12))
+    turns = Rotation.from_quat(recording.frames["/world/body"][12]["Capsules3D:quaternions"])
+    ends = begins + turns.apply(np.multiply.outer(shape["Capsules3D:lengths"], [0, 0, 1]))
+    np.testing.assert_allclose(begins, [joints[link.parent or ""] for link in links], atol=1e-5)
+    np.testing.assert_allclose(ends, [joints[link.name] for link in links], atol=1e-5)
+    np.testing.assert_allclose(shape["Capsules3D:radii"], 0.12 * np.array(shape["Capsules3D:lengths"]), rtol=1e-6)
 
 
 def test_a_frame_without_data_shows_nothing(recording: Recording, world_motion: Motion) -> None:

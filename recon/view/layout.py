@@ -12,7 +12,7 @@ from rerun.encodings import AbsoluteTimeRange
 
 from recon.motion import Motion, Picture
 from recon.view.picture import middle_and_reach_px, picture_bounds
-from recon.view.scene import BACKGROUND, CLOSEUP, GRID_SPACING_M, PICTURE, Scene, by_camera
+from recon.view.scene import BACKGROUND, BODY, CLOSEUP, GRID_SPACING_M, PICTURE, Scene, by_camera
 from recon.view.series import Series, angle_series, other_series
 
 
@@ -24,18 +24,25 @@ def blueprint(motion: Motion, scene: Scene, start_frame: int | None) -> rrb.Blue
         ]
     )
     trail = {"world/trail": [upto_now]}
-    animal = rrb.Spatial3DView(
-        origin="world",
-        name=_title(motion),
-        background=BACKGROUND,
-        line_grid=False,
-        eye_controls=_eye_on_animal(motion, scene),
-        overrides=trail,  # pyright: ignore[reportArgumentType]
+    sticks, body = (
+        rrb.Spatial3DView(
+            origin="world",
+            name=name,
+            contents=["$origin/**", *(f"- {entity}" for entity in without)],
+            background=BACKGROUND,
+            line_grid=False,
+            eye_controls=_eye_on_animal(motion, scene),
+            overrides=trail,  # pyright: ignore[reportArgumentType]
+        )
+        for name, without in (
+            (_title(motion), [BODY]),
+            ("Body", ["world/skeleton/**", "world/uncertainty", "world/stance"]),
+        )
     )
     overview = rrb.Spatial3DView(
         origin="world",
         name="Overview with the camera" + ("s" if len(motion.pictures) > 1 else ""),
-        contents=["$origin/**", "- world/doubt"],
+        contents=["$origin/**", "- world/doubt", f"- {BODY}"],
         background=BACKGROUND,
         line_grid=False,
         eye_controls=_eye_behind_camera(motion, scene),
@@ -54,7 +61,7 @@ def blueprint(motion: Motion, scene: Scene, start_frame: int | None) -> rrb.Blue
     return rrb.Blueprint(
         rrb.Vertical(
             rrb.Horizontal(
-                animal,
+                rrb.Tabs(sticks, body, active_tab=0),
                 rrb.Vertical(_pictures(motion.pictures), overview, row_shares=[5, 4]),
                 column_shares=[11, 9],
             ),

@@ -37,6 +37,7 @@ DETECTION, OUTLIER, LINK = (255, 255, 255), (235, 60, 40), (204, 121, 167)
 PATH, TRAIL, GRID, CAMERA, EDGE = (110, 110, 120), (240, 228, 66), (58, 64, 74), (190, 190, 200), (130, 130, 140)
 BACKGROUND = (18, 21, 27)
 
+BODY = "world/body"
 CAMERAS, PICTURE, CLOSEUP = "world/camera", "picture", "closeup"
 """Entities of a camera, or of all (`by_camera`)."""
 GRID_SPACING_M = 1.0

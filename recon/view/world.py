@@ -8,9 +8,11 @@ import numpy as np
 import rerun as rr
 from rerun.components import FillMode
 
+from recon.capsules import capsule_ends, capsules
 from recon.motion import Motion, Picture
 from recon.rotations import quaternions
 from recon.view.scene import (
+    BODY,
     CAMERA,
     CAMERAS,
     DETECTION,
@@ -20,6 +22,7 @@ from recon.view.scene import (
     MAX_GRID_LINES,
     OUTLIER,
     PATH,
+    SIDE_COLOURS,
     TRAIL,
     Array,
     Fix,
@@ -57,6 +60,7 @@ def write_world(motion: Motion, scene: Scene, send: Send, fix: Fix) -> None:
     counts = np.where(motion.solved, joints.shape[1], 0)
     send("world/skeleton/joints", rr.Points3D.columns(positions=joints[motion.solved].reshape(-1, 3)).partition(counts))
 
+    _write_body(motion, send, fix)
     # The viewer frames what it follows by its bounds: more than the animal, and without the flutter of its legs.
     fix("world/followed", rr.Points3D.from_fields(colors=(0, 0, 0, 0), radii=0.0))
     half = 0.65 * scene.size_m * np.ones(3)
@@ -151,6 +155,33 @@ def write_doubt(motion: Motion, scene: Scene, send: Send, fix: Fix) -> None:
     feet = motion.joints_m[:, motion.feet]
     send("world/stance", rr.Points3D.columns(positions=feet[stands]).partition(stands.sum(axis=1)))
     fix("world/stance", rr.Points3D.from_fields(colors=DETECTION, radii=0.05))
+
+
+def _write_body(motion: Motion, send: Send, fix: Fix) -> None:
+    """Capsules along the segments, in the colours of the limbs."""
+    tree, solution = motion.body.tree, motion.solution
+    shape = capsules(tree, motion.names)
+    begins, ends = capsule_ends(tree, shape, motion.states[motion.solved], solution.size)
+    lengths = np.array([np.linalg.norm(capsule.end_m) for capsule in shape])
+    x, y, z = np.moveaxis(motion.in_reference(ends) - motion.in_reference(begins), -1, 0) / (lengths * solution.size)
+    # They lie along z at first. Half a turn about x, where they point the other way.
+    turns = np.stack([-y, x, np.zeros_like(z), 1 + z], axis=-1)
+    turns[1 + z < 1e-9] = 1.0, 0.0, 0.0, 0.0
+    turns /= np.linalg.norm(turns, axis=-1, keepdims=True)
+    limb_of = {m.segment: limb for m, limb in zip(tree.markers, joint_limbs(motion).tolist(), strict=True)}
+    colours = [
+        SIDE_COLOURS[capsule.side] if motion.side is None else limb_colours(motion)[limb_of[name]]
+        for capsule, name in ((capsule, tree.segments[capsule.segment].name) for capsule in shape)
+    ]
+    radii = [solution.size * capsule.radius_m for capsule in shape]
+    style = rr.Capsules3D.from_fields(
+        lengths=solution.size * lengths, radii=radii, colors=colours, fill_mode=FillMode.Solid, show_labels=False
+    )
+    fix(BODY, style)
+    columns = rr.Capsules3D.columns(
+        translations=motion.in_reference(begins).reshape(-1, 3), quaternions=turns.reshape(-1, 4)
+    )
+    send(BODY, columns.partition(np.where(motion.solved, len(shape), 0)))
 
 
 def _write_ground(scene: Scene, send: Send, fix: Fix) -> None:
