@@ -275,7 +275,7 @@ def test_command_writes_tables_figures_and_plots(of_results, whole_results, monk
     assert summary["gait"]["ground"]["name"] == "transverse gallop"
     assert summary["speed"]["peak_m_s"] == pytest.approx(16.05, abs=0.3)
     entities = {chunk.entity_path for chunk in RrdReader(folder / "analysis" / "analysis.rrd").stream()}
-    assert "/analysis/observability/head_roll" in entities
+    assert "/head_roll" in entities
     assert {"/analysis/speed", "/analysis/gait/ground/l_back_paw", "/analysis/links/trunk"} <= entities
 
 

@@ -22,6 +22,7 @@ from recon.robot.robot_file import load_robot
 from recon.skeleton_file import load_skeleton
 from recon.view.robot import Companion, write_robot
 from recon.view.scene import LEFT, MIDDLE, RIGHT
+from recon.view.stored import Part
 
 # -- footholds ---------------------------------------------------------------------------------------------------------
 
@@ -280,6 +281,11 @@ def test_the_animal_beside_the_robot_has_the_colours_of_its_sides(whole, chain, 
     assert {drawn["near fore leg"], drawn["near hind leg"]} == {LEFT}
     assert {drawn["off fore leg"], drawn["off hind leg"]} == {RIGHT}
     assert {drawn["trunk"], drawn["head"]} == {MIDDLE}
+    shown = Part.read(tmp_path / "motion.rrd").layout.values
+    contents = {str(v["ViewContents:query"]) for v in shown.values() if "- world/" in str(v.get("ViewContents:query"))}
+    # Side by side, each in a view of its own.
+    assert len(contents) == 2
+    assert {"- world/animal/**" in c for c in contents} == {"- world/robot/**" in c for c in contents} == {True, False}
     assert companion(solved).limb_sides["left front leg"] == "left"
     assert chain.analysis.results.limb_sides == {"hind leg": "right", "spine": None, "front leg": "right"}
 

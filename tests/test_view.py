@@ -19,6 +19,7 @@ from recon.motion import Motion
 from recon.published import FrameOptions, FrameSolution, solve_frames
 from recon.solve import Solution, Spell
 from recon.view import open_viewer, write
+from recon.view.world import BRIGHT_BLUE, FAINT_BLUE, UNSEEN, share_colours
 
 # World axes x, y (ahead), z (up) seen from 2 m above the origin, looking along y.
 LOOKING_ALONG_Y = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
@@ -41,26 +42,31 @@ PER_FRAME = {
             "links": "LineStrips2D:strips",
         }.items()
     },
-    "/angles/middle": "Scalars:scalars",
     "/speed": "Scalars:scalars",
     "/residuals": "Scalars:scalars",
     "/uncertainty": "Scalars:scalars",
     "/world/uncertainty": "Ellipsoids3D:centers",
     "/world/doubt": "Points3D:positions",
     "/world/stance": "Points3D:positions",
-    "/states/doubt": "StateChange:state",
+    "/world/observability": "LineStrips3D:strips",
+    "/world/observability/limbs": "LineStrips3D:strips",
+    "/doubtful": "StateChange:state",
 }
 CHAIN = {
     **PER_FRAME,
-    "/angles/theta": "Scalars:scalars",
-    "/angles/phi": "Scalars:scalars",
-    **{f"/states/{foot}": "StateChange:state" for foot in ("r_front_paw", "r_back_paw")},
+    **{
+        f"/angles/{kind}/{part}": "Scalars:scalars"
+        for kind in ("theta", "phi")
+        for part in ("hind_leg_spine", "front_leg")
+    },
+    "/angles/middle": "Scalars:scalars",
+    **{f"/{foot}": "StateChange:state" for foot in ("r_front_paw", "r_back_paw")},
 }
 WHOLE = {
     **PER_FRAME,
-    "/angles/left": "Scalars:scalars",
-    "/angles/right": "Scalars:scalars",
-    **{f"/states/{foot}": "StateChange:state" for foot in FEET},
+    **{f"/angles/{side}/{part}": "Scalars:scalars" for side in ("left", "right") for part in ("fore", "hind")},
+    **{f"/angles/middle/{kind}": "Scalars:scalars" for kind in ("yaw", "pitch", "roll")},
+    **{f"/{foot}": "StateChange:state" for foot in FEET},
 }
 
 
@@ -152,9 +158,9 @@ def test_capsules_lie_along_the_segments(recording: Recording, world_motion: Mot
 
 def test_a_frame_without_data_shows_nothing(recording: Recording, world_motion: Motion) -> None:
     assert not world_motion.solved[3]
-    for entity in {*CHAIN} - {"/states/doubt"}:
+    for entity in {*CHAIN} - {"/doubtful"}:
         assert recording.values(entity, 13) == [], entity
-    assert recording.values("/states/doubt", 13) == ["no data"]
+    assert recording.values("/doubtful", 13) == ["no data"]
 
 
 def test_trail_follows_the_root_and_does_not_bridge_the_gap(recording: Recording, world_motion: Motion) -> None:
@@ -212,12 +218,19 @@ def test_the_close_up_is_the_picture_around_the_skeletons_middle(recording: Reco
 
 def test_series_have_the_units_of_plots(recording: Recording, world_motion: Motion) -> None:
     degrees = dict(zip(world_motion.angle_names, np.rad2deg(world_motion.angles_rad[2]), strict=True))
-    for entity, start in (("theta", "theta_"), ("phi", "phi_"), ("middle", "J0_")):
-        expected = [value for name, value in degrees.items() if name.startswith(start)]
+    for entity, names in (
+        ("theta/hind_leg_spine", ["theta_6", "theta_7", "theta_8", "theta_1"]),
+        ("phi/front_leg", ["phi_2", "phi_3", "phi_4"]),
+        ("middle", ["J0_yaw", "J0_pitch", "J0_roll"]),
+    ):
+        expected = [degrees[name] for name in names]
         np.testing.assert_allclose(recording.values(f"/angles/{entity}", 12), expected, atol=1e-12)
-    assert recording.static["/angles/theta"]["SeriesLines:names"][:2] == ["θ6 hind leg", "θ7 hind leg"]
-    distance = world_motion.pictures[0].distance_px[4]
-    np.testing.assert_allclose(recording.values("/residuals", 14), [np.nanmean(distance), np.nanmax(distance)])
+    labels = recording.static["/angles/theta/hind_leg_spine"]["SeriesLines:names"]
+    assert labels == ["θ6 hind leg", "θ7 hind leg", "θ8 hind leg", "θ1 spine"]
+    picture = world_motion.pictures[0]
+    assert picture.outliers[4].any()
+    shown = [np.nanmedian(picture.distance_px[4]), np.nanmax(picture.distance_px[4][~picture.outliers[4]])]
+    np.testing.assert_allclose(recording.values("/residuals", 14), shown)
     exact, smooth, straight = recording.values("/speed", 12)
     assert exact == pytest.approx(9.0, abs=2.0)
     assert straight == pytest.approx(world_motion.solution.travel.speed_m_s[2])
@@ -290,6 +303,25 @@ def test_limbs_of_a_whole_animal_are_coloured_by_side(played: Recording, world_t
     assert (at["nose"], at["tail2"]) == ("head", "tail")
 
 
+def test_axes_have_the_colour_of_what_the_pixels_show(played: Recording, world_trajectory: Motion) -> None:
+    """One for each angle, through the joint that turns."""
+    row, motion = played.frames["/world/observability"][12], world_trajectory
+    ends = np.array(row["LineStrips3D:strips"])
+    assert ends.shape == (len(motion.angle_names), 2, 3)
+    at = motion.angle_names.index
+    spine, knee = (motion.joints_m[2, motion.names.index(name)] for name in ("spine", "l_front_knee"))
+    np.testing.assert_allclose(ends[at("rear_trunk_pitch")].mean(axis=0), spine, atol=1e-5)
+    np.testing.assert_allclose(ends[at("l_fore_lower_pitch")].mean(axis=0), knee, atol=1e-5)
+    along = motion.joints_m[2, motion.forward[1]] - motion.joints_m[2, motion.forward[0]]
+    across, ahead = (np.diff(ends[at(f"rear_trunk_{angle}")], axis=0)[0] for angle in ("pitch", "roll"))
+    assert abs(across @ along) < 0.3 * np.linalg.norm(across) * np.linalg.norm(along) < abs(ahead @ along)
+    np.testing.assert_array_equal(
+        share_colours(np.array([0.2, 0.5, 1.0, np.nan])), [UNSEEN, FAINT_BLUE, BRIGHT_BLUE, UNSEEN]
+    )
+    colours = [(c >> 24, c >> 16 & 255, c >> 8 & 255) for c in row["LineStrips3D:colors"]]
+    np.testing.assert_array_equal(colours, share_colours(motion.solution.angle_data_share[2]))
+
+
 def test_shells_are_one_sigma_of_the_pose(played: Recording, world_trajectory: Motion) -> None:
     row = played.frames["/world/uncertainty"][12]
     np.testing.assert_allclose(row["Ellipsoids3D:centers"], world_trajectory.joints_m[2], atol=1e-5)
@@ -300,7 +332,7 @@ def test_shells_are_one_sigma_of_the_pose(played: Recording, world_trajectory: M
 
 
 def test_doubtful_frames_are_marked(played: Recording, world_trajectory: Motion) -> None:
-    shown = {frame: played.values("/states/doubt", frame) for frame in range(10, 18)}
+    shown = {frame: played.values("/doubtful", frame) for frame in range(10, 18)}
     assert {frame: value for frame, value in shown.items() if value} == {
         13: ["no data"],
         15: ["data poor, ambiguous depth"],
@@ -319,9 +351,9 @@ def test_feet_that_stand_are_marked(played: Recording, world_trajectory: Motion)
     paw = world_trajectory.names.index("l_front_paw")
     for frame in range(10, 18):
         stands = frame in (11, 12)
-        assert played.values("/states/l_front_paw", frame) == (["stance"] if stands else [])
+        assert played.values("/l_front_paw", frame) == (["stance"] if stands else [])
         assert len(played.values("/world/stance", frame)) == stands
-        assert played.values("/states/r_back_paw", frame) == []
+        assert played.values("/r_back_paw", frame) == []
     np.testing.assert_allclose(played.values("/world/stance", 12), world_trajectory.joints_m[2, [paw]], atol=1e-5)
 
 
@@ -353,13 +385,14 @@ def test_every_spell_has_its_ground(world_trajectory: Motion, tmp_path: Path) ->
 
 def test_series_of_a_whole_animal(played: Recording, world_trajectory: Motion) -> None:
     names = world_trajectory.angle_names
-    left = [i for i, name in enumerate(names) if name.startswith("l_")]
-    degrees = np.rad2deg(world_trajectory.angles_rad[2])
-    np.testing.assert_allclose(played.values("/angles/left", 12), degrees[left])
-    assert played.static["/angles/left"]["SeriesLines:names"][0] == "fore upper pitch"
-    middle = [i for i, name in enumerate(names) if name[:2] not in ("l_", "r_")]
-    np.testing.assert_allclose(played.values("/angles/middle", 12), degrees[middle], atol=1e-12)
-    assert len(left) * 2 + len(middle) == len(names)
+    degrees = dict(zip(names, np.rad2deg(world_trajectory.angles_rad[2]), strict=True))
+    left = [value for name, value in degrees.items() if name.startswith("l_fore")]
+    np.testing.assert_allclose(played.values("/angles/left/fore", 12), left)
+    assert played.static["/angles/left/fore"]["SeriesLines:names"][0] == "fore upper pitch"
+    rolls = [value for name, value in degrees.items() if name.endswith("_roll")]
+    np.testing.assert_allclose(played.values("/angles/middle/roll", 12), rolls, atol=1e-12)
+    shown = [len(played.values(entity, 12)) for entity in WHOLE if entity.startswith("/angles/")]
+    assert sum(shown) == len(names)
     assert played.values("/speed", 12) == pytest.approx([9.0])
     expected = [world_trajectory.relative_rms_m[2], world_trajectory.place_sigma_m[2]]
     np.testing.assert_allclose(played.values("/uncertainty", 12), expected)
@@ -375,8 +408,8 @@ def test_a_trajectory_without_any_pose_can_be_written(small_trajectory: Motion, 
     )
     write(motion, tmp_path / "motion.rrd")
     recording = Recording(tmp_path / "motion.rrd")
-    assert recording.values("/states/doubt", 12) == ["no data"]
-    assert all(not recording.values(entity, 12) for entity in WHOLE if entity != "/states/doubt")
+    assert recording.values("/doubtful", 12) == ["no data"]
+    assert all(not recording.values(entity, 12) for entity in WHOLE if entity != "/doubtful")
 
 
 # -- several cameras ------------------------------------------------------------------------------------------------
@@ -429,8 +462,12 @@ def test_cameras_stand_where_they_stand_and_move_where_they_move(filmed_twice: R
 
 def test_errors_over_time_are_those_of_all_cameras(filmed_twice: Recording, two_cameras: Motion) -> None:
     found = [filmed_twice.frames["/residuals"][frame]["Scalars:scalars"] for frame in (10, 12, 15)]
-    distance = np.concatenate([picture.distance_px for picture in moving(two_cameras).pictures], axis=1)[[0, 2, 5]]
-    np.testing.assert_allclose(found, np.stack((np.nanmean(distance, 1), np.nanmax(distance, 1)), 1), atol=1e-9)
+    pictures = moving(two_cameras).pictures
+    distance = np.concatenate([picture.distance_px for picture in pictures], axis=1)[[0, 2, 5]]
+    outliers = np.concatenate([picture.outliers for picture in pictures], axis=1)[[0, 2, 5]]
+    worst = np.nanmax(np.where(outliers, 0.0, distance), axis=1)
+    np.testing.assert_allclose(found, np.stack((np.nanmedian(distance, axis=1), worst), axis=1), atol=1e-9)
+    assert (outliers.sum(axis=1) == [0, 24, 24]).all()  # the second camera is not where it was taken to be
 
 
 def test_viewer_needs_a_file(tmp_path: Path) -> None:

@@ -32,10 +32,9 @@ SPEED = AddedSeries(
 FEET = AddedSeries("feet/height", "Height (m)", ["LF", "RF"], [BLUE, ORANGE], FEET_M, time_s=TIME_S, tab="Gait")
 STANDS = ["", "", "stance", "stance", "stance", "", "", "late", *[""] * 8]
 STANCE = AddedStates(
-    entity="stance",
     title="Stances",
     rows=[
-        StateRow("LF/ground", STANDS, {"stance": BLUE, "late": ORANGE}),
+        StateRow("LF.ground", STANDS, {"stance": BLUE, "late": ORANGE}),
         StateRow("RF/by body", [""] * 16, {"stance": ORANGE}),
     ],
     time_s=TIME_S,
@@ -175,25 +174,25 @@ def test_lines_have_their_names_and_colours(both: tuple[Stored, Stored]) -> None
 
 def test_states_are_rows_with_gaps(both: tuple[Stored, Stored]) -> None:
     _, after = both
-    by_time = after.on("time", "/analysis/stance/LF/ground", "StateChange:state")
+    by_time = after.on("time", "/LF.ground", "StateChange:state")
     assert [value[0] if value else "" for value in by_time.values()] == STANDS
-    by_frame = after.on("frame", "/analysis/stance/LF/ground", "StateChange:state")
+    by_frame = after.on("frame", "/LF.ground", "StateChange:state")
     assert {frame: value for frame, value in by_frame.items() if value} == {11: ["stance"]}
     assert sorted(by_frame) == list(range(10, 16))
-    assert after.static("/analysis/stance/LF/ground")["StateConfiguration:values"] == ["stance", "late"]
-    assert not any(after.on("time", r"/analysis/stance/RF/by\ body", "StateChange:state").values())
+    assert after.static("/LF.ground")["StateConfiguration:values"] == ["stance", "late"]
+    assert not any(after.on("time", r"/RF\/by\ body", "StateChange:state").values())
 
 
 def test_the_rest_of_the_recording_is_as_it_was(both: tuple[Stored, Stored]) -> None:
     before, after = both
     assert before.store == after.store
-    kept = {entity: rows for entity, rows in after.data.items() if not entity.startswith("/analysis/")}
+    kept = {entity: rows for entity, rows in after.data.items() if entity in before.data}
     np.testing.assert_equal(kept, before.data)
     assert {entity for entity in after.data if entity not in kept} == {
         "/analysis/speed",
         "/analysis/feet/height",
-        "/analysis/stance/LF/ground",
-        r"/analysis/stance/RF/by\ body",
+        "/LF.ground",
+        r"/RF\/by\ body",
     }
 
 
@@ -242,17 +241,22 @@ def test_plots_look_as_those_of_the_playback(both: tuple[Stored, Stored]) -> Non
     view = after.names()["Height (m)"]
     assert after.field(view, "ViewBlueprint:class_identifier") == ["TimeSeries"]
     assert after.field(view, "ViewBlueprint:space_origin") == ["analysis/feet/height"]
-    # From zero, which is always in sight, to the largest value, and 6 % on either side.
+    # From zero, which is always in sight, to the largest value, and 6 % on either side; above it the two lines' names.
     most = 2.0 + (45 / 90) ** 2
     ((low, high),) = after.field(f"{view}/ScalarAxis", "ScalarAxis:range")
-    assert (low, high) == pytest.approx((-0.06 * most - 1e-3, 1.06 * most + 1e-3))
+    assert (low, high) == pytest.approx((-0.06 * most - 1e-3, low + (1.12 * most + 2e-3) / 0.8))
+    alone = after.names()["Tail base (m/s)"]
+    assert after.field(f"{alone}/PlotLegend", "PlotLegend:visible") == [False]
+    ((low, high),) = after.field(f"{alone}/ScalarAxis", "ScalarAxis:range")
+    assert high == pytest.approx(10.6 * most + 1e-3)
     old = after.names()["Reprojection (px)"]
     for part in ("PlotLegend", "PlotBackground"):
         new_rows, old_rows = ([{**row, "log_time": 0} for row in after.layout[f"/{v}/{part}"]] for v in (view, old))
         assert new_rows == old_rows
     states = after.names()["Stances"]
     assert after.field(states, "ViewBlueprint:class_identifier") == ["StateTimeline"]
-    assert after.field(states, "ViewBlueprint:space_origin") == ["analysis/stance"]
+    assert after.field(states, "ViewBlueprint:space_origin") == ["/"]
+    assert after.field(f"{states}/ViewContents", "ViewContents:query") == ["/LF.ground", r"/RF\/by\ body"]
 
 
 def test_the_playback_of_the_frame_method_takes_them_too(small_motion: Motion, tmp_path: Path) -> None:
@@ -283,7 +287,7 @@ def test_the_file_holds_the_plots_and_the_layout_alone(copy: Path) -> None:
     write_plots(plots, copy, [SPEED, FEET], [STANCE])
     alone = Stored(plots)
     assert alone.store == Stored(copy).store
-    assert {entity.split("/")[1] for entity in alone.data} == {"analysis"}
+    assert {entity.split("/")[1] for entity in alone.data} == {"analysis", "LF.ground", "RF\\"}
     assert {"Tail base (m/s)", "Reprojection (px)"} <= {*alone.names()}
     assert copy.read_bytes() == content
     assert sorted(file.name for file in copy.parent.iterdir()) == ["motion.rrd", "plots.rrd"]
@@ -350,7 +354,7 @@ def test_what_is_no_playback_is_refused_and_left(copy: Path, spoil: Callable[[Pa
 def test_series_of_another_clip_are_refused(copy: Path) -> None:
     later = AddedSeries("x", "Far away", ["x"], [BLUE], FEET_M[:, 1:], time_s=TIME_S + 100.0, tab="x")
     between = AddedSeries("y", "Between", ["y"], [BLUE], FEET_M[:, 1:], time_s=TIME_S + 1 / 300, tab="x")
-    empty = AddedStates(entity="z", title="Empty", rows=[StateRow("LF", [], {})], time_s=np.empty(0), tab="x")
+    empty = AddedStates(title="Empty", rows=[StateRow("LF", [], {})], time_s=np.empty(0), tab="x")
     with pytest.raises(InputError) as caught:
         write_plots(copy.with_name("plots.rrd"), copy, [SPEED, later, between], [STANCE, empty])
     assert [problem.found for problem in caught.value.problems] == [

@@ -7,18 +7,19 @@ Entities of the recording; those without "(static)" have a row a frame, which is
   first frame on), `world/camera` (static, but for one that moves), its frustum, and `world/followed`, invisible;
   `world/body`, capsules along the segments, which a view of its own shows in place of the skeleton;
   `world/uncertainty`, one sigma of the joints' positions relative to their mean, `world/stance`, the feet that stand,
-  and `world/doubt`, a label in frames with a flag.
+  and `world/doubt`, a label in frames with a flag; `world/observability`, the joints' axes in the colour of what the
+  pixels show of their angles, in a view of their own.
 - `picture`: pixels of the distorted picture. `picture/frame` (static), its edge; `picture/detections`,
   `picture/outliers`, `picture/reprojections` with the skeleton's lines in it, `picture/links` between the two.
 - `picture/video`: a video's frames, of a file that `recon.view.video` writes.
 - `closeup`: the same points, relative to the middle of the reprojected skeleton in each frame.
 - Of several cameras each has its own `world/camera/<name>`, `picture/<name>/...` and `closeup/<name>/...`, and there is
   `world/camera_names` (static, unless one moves).
-- `angles/...` in degrees: a chain's `theta` and `phi`, or the `left` and `right` of a whole animal, and the `middle`;
-  `speed` of the reference point in m/s; `residuals`, mean and largest of the frame in px,
-  of all cameras.
-- `uncertainty` in m, and states over time: `states/doubt`, the frames' flags, and `states/<foot>`, where it stands.
-- `analysis/...`: any lines and states, with samples between frames on `time`, of a file that `recon.view.added` writes.
+- `angles/...` in degrees: a chain's `theta` and `phi`, or the `left` and `right` of a whole animal, and the `middle`,
+  in parts where they are many; `speed` of the reference point in m/s; `residuals` in px, of all
+  cameras: the median of a frame, and the largest but for outliers.
+- `uncertainty` in m, and states over time: `doubtful`, the frames' flags, and by its name each foot, where it stands.
+- `analysis/...` and more states, with samples between frames on `time`, of a file that `recon.view.added` writes.
 
 Those files are parts of the same recording; `recon.view.together` makes one file of it.
 
@@ -41,7 +42,7 @@ from recon.view.layout import blueprint
 from recon.view.picture import write_pictures
 from recon.view.scene import Scene, limb_colours
 from recon.view.series import write_series, write_states
-from recon.view.world import write_doubt, write_world
+from recon.view.world import write_doubt, write_observability, write_world
 
 
 def write(motion: Motion, path: Path, start_frame: int | None = None) -> None:
@@ -73,6 +74,7 @@ def _log(motion: Motion, scene: Scene, stream: rr.RecordingStream) -> None:
     write_pictures(motion, send, fix)
     write_series(motion, send, fix)
     write_doubt(motion, scene, send, fix)
+    write_observability(motion, scene, send, fix)
     write_states(motion, send, fix)
 
 

@@ -1,7 +1,7 @@
 """Plots that go with a playback, in a file of their own.
 
-Entities are `analysis/...`, and their views are tabs beside the row of plots that the playback opens with. On `time`
-they have all their samples, on `frame` those that lie on a frame of the playback.
+Entities are `analysis/...`, of states the rows' names. Their views are tabs beside the row of plots that the playback
+opens with. On `time` they have all their samples, on `frame` those that lie on a frame of the playback.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 
 from recon.errors import InputError, Problem
 from recon.recording import recording
-from recon.view.layout import held_at, plot
+from recon.view.layout import held_at, plot, state_rows
 from recon.view.scene import Array, Colour
-from recon.view.series import Series, line_style, state_columns, state_style
+from recon.view.series import Series, line_style, state_columns, state_entity, state_style
 from recon.view.stored import Playback
 
 ROOT = "analysis"
@@ -50,10 +50,9 @@ class StateRow:
 
 @dataclass(frozen=True, kw_only=True)
 class AddedStates:
-    """A plot of states over time, at time_s (N,). The viewer sorts the rows by their names, paths such as
-    `l_front_paw/ground`."""
+    """A plot of states over time, at time_s (N,). Rows are entities of their own, and the viewer shows and sorts
+    their names, such as `l_front_paw.ground`."""
 
-    entity: str
     title: str
     rows: Sequence[StateRow]
     time_s: Array
@@ -75,9 +74,8 @@ def write_plots(
     plots have the same entity.
     """
     series = [replace(s, entity=f"{ROOT}/{s.entity}") for s in series]
-    states = [replace(s, entity=f"{ROOT}/{s.entity}") for s in states]
     plots = [*series, *states]
-    entities = [p.entity for p in plots]
+    entities = [*(s.entity for s in series), *(state_entity(row.name) for s in states for row in s.rows)]
     if len({*entities}) < len(entities):
         raise ValueError(f"entities must differ: {', '.join(entities)}")
     whole = Playback.read(playback)
@@ -117,16 +115,15 @@ def _lines(series: AddedSeries) -> Iterator[_Entity]:
 
 def _states(states: AddedStates) -> Iterator[_Entity]:
     for row in states.rows:
-        path = "/".join(rr.escape_entity_path_part(part) for part in row.name.split("/"))
         texts = np.array(row.texts, dtype=object)
-        yield f"{states.entity}/{path}", texts, lambda values: state_columns(values.tolist()), state_style(row.colours)
+        yield state_entity(row.name), texts, lambda values: state_columns(values.tolist()), state_style(row.colours)
 
 
 def _layout(playback: Playback, plots: Sequence[AddedSeries | AddedStates], start_frame: int | None) -> rrb.Blueprint:
     tabs = {
         tab: rrb.Horizontal(
             *(
-                plot(p) if isinstance(p, AddedSeries) else rrb.StateTimelineView(origin=p.entity, name=p.title)
+                plot(p) if isinstance(p, AddedSeries) else state_rows([state_entity(r.name) for r in p.rows], p.title)
                 for p in plots
                 if p.tab == tab
             ),

@@ -72,7 +72,7 @@ def _observability(found: ClipAnalysis) -> Iterator[AddedStates]:
         texts = ["" if np.isnan(s) else "seen" if s >= MEASURED_SHARE else "expected" for s in share]
         rows.append(StateRow(name, texts, {"seen": LEFT, "expected": GRID}))
     title = f"Angles: seen, {MEASURED_SHARE:.0%} or more of their precision is the pixels', or mostly expected"
-    yield AddedStates(entity="observability", title=title, rows=rows, time_s=results.time_s, tab="What is seen")
+    yield AddedStates(title=title, rows=rows, time_s=results.time_s, tab="What is seen")
 
 
 def _stances(found: ClipAnalysis) -> list[AddedStates]:
@@ -83,9 +83,9 @@ def _stances(found: ClipAnalysis) -> list[AddedStates]:
         for foot, joint in found.results.feet.items():
             spans = [(s.start_s, s.end_s) for s in gait.stances if s.foot == foot]
             texts = ["stance" if any(a <= t <= b for a, b in spans) else "" for t in time_s]
-            rows.append(StateRow(joint, texts, {"stance": {"L": LEFT, "R": RIGHT}.get(foot[0], MIDDLE)}))
+            rows.append(StateRow(f"{joint}.{method}", texts, {"stance": {"L": LEFT, "R": RIGHT}.get(foot[0], MIDDLE)}))
         title = f"Stances by {method}: {gait.name.name}"
-        plots.append(AddedStates(entity=f"gait/{method}", title=title, rows=rows, time_s=time_s, tab="Gait"))
+        plots.append(AddedStates(title=title, rows=rows, time_s=time_s, tab="Gait"))
     return plots
 
 

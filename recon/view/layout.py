@@ -11,9 +11,10 @@ from rerun.blueprint.archetypes import PlotBackground
 from rerun.encodings import AbsoluteTimeRange
 
 from recon.motion import Motion, Picture
+from recon.results import MEASURED_SHARE
 from recon.view.picture import middle_and_reach_px, picture_bounds
 from recon.view.scene import BACKGROUND, BODY, CLOSEUP, GRID_SPACING_M, PICTURE, Scene, by_camera
-from recon.view.series import Series, angle_series, other_series
+from recon.view.series import Series, angle_series, other_series, state_entities
 
 
 def blueprint(motion: Motion, scene: Scene, start_frame: int | None) -> rrb.Blueprint:
@@ -24,25 +25,30 @@ def blueprint(motion: Motion, scene: Scene, start_frame: int | None) -> rrb.Blue
         ]
     )
     trail = {"world/trail": [upto_now]}
-    sticks, body = (
+    sticks, body, seen = (
         rrb.Spatial3DView(
             origin="world",
             name=name,
             contents=["$origin/**", *(f"- {entity}" for entity in without)],
             background=BACKGROUND,
             line_grid=False,
-            eye_controls=_eye_on_animal(motion, scene),
+            eye_controls=_eye_on_animal(motion, scene, turn_rad),
             overrides=trail,  # pyright: ignore[reportArgumentType]
         )
-        for name, without in (
-            (_title(motion), [BODY]),
-            ("Body", ["world/skeleton/**", "world/uncertainty", "world/stance"]),
+        for name, turn_rad, without in (
+            (_title(motion), 0.0, [BODY, _SEEN]),
+            ("Body", 0.0, ["world/skeleton/**", "world/uncertainty", "world/stance", _SEEN]),
+            (
+                f"What is seen: joints' axes, blue from {MEASURED_SHARE:.0%} pixels",
+                0.7,  # so that axes across the animal do not point at the eye
+                ["world/skeleton/**", "world/uncertainty", "world/stance", BODY],
+            ),
         )
     )
     overview = rrb.Spatial3DView(
         origin="world",
         name="Overview with the camera" + ("s" if len(motion.pictures) > 1 else ""),
-        contents=["$origin/**", "- world/doubt", f"- {BODY}"],
+        contents=["$origin/**", "- world/doubt", f"- {BODY}", f"- {_SEEN}"],
         background=BACKGROUND,
         line_grid=False,
         eye_controls=_eye_behind_camera(motion, scene),
@@ -51,7 +57,7 @@ def blueprint(motion: Motion, scene: Scene, start_frame: int | None) -> rrb.Blue
     angles, others = angle_series(motion), other_series(motion)
     plots: list[rrb.View | rrb.Container] = [rrb.Tabs(*(plot(series) for series in angles), active_tab=0)]
     plots += [plot(series) for series in others]
-    plots.append(rrb.StateTimelineView(origin="states", name="Doubtful frames, feet that stand"))
+    plots.append(state_rows(state_entities(motion), "Doubtful frames, feet that stand"))
     shares = [4, *([3] * len(others)), 4]
     if start_frame is None:
         fps = min(motion.fps, max(5.0, len(motion.frames) / 5))
@@ -61,7 +67,7 @@ def blueprint(motion: Motion, scene: Scene, start_frame: int | None) -> rrb.Blue
     return rrb.Blueprint(
         rrb.Vertical(
             rrb.Horizontal(
-                rrb.Tabs(sticks, body, active_tab=0),
+                rrb.Tabs(sticks, body, seen, active_tab=0),
                 rrb.Vertical(_pictures(motion.pictures), overview, row_shares=[5, 4]),
                 column_shares=[11, 9],
             ),
@@ -87,6 +93,7 @@ def _pictures(pictures: Sequence[Picture]) -> rrb.Tabs:
     return rrb.Tabs(*grids, active_tab=0)
 
 
+_SEEN = "world/observability/**"
 _MARKS = "close up: + detected, ● reprojected, red: outlier"
 
 
@@ -122,22 +129,34 @@ def _title(motion: Motion) -> str:
     return title + "; shells: one sigma"
 
 
+_LINE_SHARE, _LEGEND_SHARE, _MOST_SHARE = 0.075, 0.05, 0.6
+"""Of a plot's height in a window of 1080 px: what each line's name takes of it, all their frame, and at most."""
+
+
 def plot(series: Series) -> rrb.TimeSeriesView:
+    """With room above the lines for their names; one line alone is named by the title."""
     values = series.values if series.shown is None else series.shown
     known = np.append(values[np.isfinite(values)], 0.0)  # all of them have zero in sight
     least, most = known.min(), known.max()
     margin = 0.06 * (most - least) + 1e-3
+    several = len(series.names) > 1
+    share = min(_LINE_SHARE * len(series.names) + _LEGEND_SHARE, _MOST_SHARE) if several else 0.0
+    room = (most - least + 2 * margin) * share / (1 - share)
     return rrb.TimeSeriesView(
         origin=series.entity,
         name=series.title,
-        axis_y=rrb.ScalarAxis(range=(least - margin, most + margin)),
-        plot_legend=rrb.PlotLegend(rrb.Corner2D.LeftTop, visible=True),
+        axis_y=rrb.ScalarAxis(range=(least - margin, most + margin + room)),
+        plot_legend=rrb.PlotLegend(rrb.Corner2D.LeftTop, visible=several),
         background=PlotBackground(color=BACKGROUND),
     )
 
 
-def _eye_on_animal(motion: Motion, scene: Scene) -> rrb.EyeControls3D:
-    """Going along with the animal, on the camera's side of it and slightly raised."""
+def state_rows(entities: Sequence[str], name: str) -> rrb.StateTimelineView:
+    return rrb.StateTimelineView(origin="/", contents=[f"/{entity}" for entity in entities], name=name)
+
+
+def _eye_on_animal(motion: Motion, scene: Scene, turn_rad: float) -> rrb.EyeControls3D:
+    """Going along with the animal, on the camera's side of it, turned about the vertical, and slightly raised."""
     up = scene.axes[2]
     poses, path = motion.joints_m[motion.solved], motion.root_m[motion.solved]
     if not len(poses):
@@ -149,7 +168,8 @@ def _eye_on_animal(motion: Motion, scene: Scene) -> rrb.EyeControls3D:
     if np.linalg.norm(travel) > scene.size_m:
         across = np.cross(up, travel)
         side = across if across @ side >= 0 else -across
-    direction = side / max(float(np.linalg.norm(side)), 1e-9) + 0.3 * up
+    side = side / max(float(np.linalg.norm(side)), 1e-9)
+    direction = np.cos(turn_rad) * side + np.sin(turn_rad) * np.cross(up, side) + 0.3 * up
     target = poses[0].mean(axis=0)
     position = target + (1.05 * scene.size_m + 0.4) * direction
     return rrb.EyeControls3D(

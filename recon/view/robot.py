@@ -1,9 +1,9 @@
 """Playback of a robot's motion, with the animal that it follows beside it, as a rerun recording.
 
 Entities: `world/robot`, its legs and body, and `world/robot/feet`, those that stand; `world/animal`, scaled to the
-robot's size; `world/support`, the polygon of three or more feet that stand; `world/ground`, `world/path`, `world/step`
-(static); `world/followed`, invisible; `angles/<leg>` in degrees; `stands/<leg>`. Timelines: `frame`, the sample, and
-`time`, the robot's.
+robot's size, with a view of its own; `world/support`, the polygon of three or more feet that stand; `world/ground`,
+`world/path`, `world/step` (static); `world/followed` and `world/animal/followed`, invisible; `angles/<leg>` in degrees;
+`<leg>`, when it stands. Timelines: `frame`, the sample, and `time`, the robot's.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from recon.recording import recording
 from recon.robot.climb.paths import Step
 from recon.robot.quadruped import LEGS
 from recon.robot.retarget import RobotMotion
-from recon.view.layout import held_at, plot
+from recon.view.layout import held_at, plot, state_rows
 from recon.view.scene import BACKGROUND, DETECTION, GRID, LEFT, LIMB_COLOURS, PATH, RIGHT, SIDE_COLOURS, TRAIL, strips
 from recon.view.series import Series, line_style, state_columns, state_style
 
@@ -57,7 +57,7 @@ def write_robot(
     """The recording; start_frame: a sample to hold, for pictures; step: one across the way, along which x is forwards;
     more: plots before those of the angles, which share one place then."""
     series = [_angles(motion, label) for label in LEGS]
-    seen = _middle(motion, companion, step)
+    seen = _middle(motion, step)
     layout = _blueprint(motion, companion, series, start_frame, seen, more, title)
     with recording(path, layout) as stream:
         stream.send_recording_name(f"{motion.robot.name} {path.stem}")
@@ -118,12 +118,8 @@ def _log(
         stream.log("world/animal", style, static=True)
         lines = [[pose[along] for along in limbs] for pose in animal]
         stream.send_columns("world/animal", times, strips(rr.LineStrips3D, lines))
-    # The viewer frames what it follows by its bounds.
-    stream.log("world/followed", rr.Points3D.from_fields(colors=(0, 0, 0, 0), radii=0.0), static=True)
-    middle, half = seen
-    corners = np.stack([middle - half, middle + half], axis=1).reshape(-1, 3)
-    columns = rr.Points3D.columns(positions=corners).partition([2] * count)
-    stream.send_columns("world/followed", times, columns)
+        _follow("world/animal/followed", _beside(seen, companion), times, stream)
+    _follow("world/followed", seen, times, stream)
     _still(stream, motion, companion)
     for s in series:
         columns = rr.Scalars.columns(scalars=s.values.ravel()).partition([s.values.shape[1]] * count)
@@ -131,8 +127,16 @@ def _log(
         stream.log(s.entity, line_style(s), static=True)
     for k, label in enumerate(LEGS):
         texts = ["stance" if stands else "" for stands in motion.standing[:, k]]
-        stream.send_columns(f"stands/{label}", times, state_columns(texts))
-        stream.log(f"stands/{label}", state_style({"stance": colours[k]}), static=True)
+        stream.send_columns(label, times, state_columns(texts))
+        stream.log(label, state_style({"stance": colours[k]}), static=True)
+
+
+def _follow(entity: str, seen: tuple[Array, float], times: Sequence[rr.TimeColumn], stream: rr.RecordingStream) -> None:
+    """The viewer frames what it follows by its bounds."""
+    stream.log(entity, rr.Points3D.from_fields(colors=(0, 0, 0, 0), radii=0.0), static=True)
+    middle, half = seen
+    corners = np.stack([middle - half, middle + half], axis=1).reshape(-1, 3)
+    stream.send_columns(entity, times, rr.Points3D.columns(positions=corners).partition([2] * len(middle)))
 
 
 def _polygon(feet_m: Array, standing: NDArray[np.bool_]) -> list[Array]:
@@ -147,17 +151,21 @@ def _angles(motion: RobotMotion, label: str) -> Series:
     return Series(f"angles/{label}", f"{label}, degrees", names, colours, values)
 
 
-def _middle(motion: RobotMotion, companion: Companion | None, step: Step | None) -> tuple[Array, float]:
-    """Between the robot and the animal (N, 3), near the ground, and half the size of what is to be seen."""
+def _middle(motion: RobotMotion, step: Step | None) -> tuple[Array, float]:
+    """Of the robot (N, 3), near the ground, and half the size of what is to be seen."""
     base = motion.pose.translation * (1.0, 1.0, 0.1)
     size = 1.2 * motion.robot.stand_m
     if step is not None:
         base[:, 2] += step.height_m
         size += 0.7 * step.height_m
-    if companion is None:
-        return base, size
-    across = companion.points_m[..., 1].mean(axis=1) - base[:, 1]
-    return base + np.outer(across / 2, (0.0, 1.0, 0.0)), size + float(np.abs(across).mean()) / 4
+    return base, size
+
+
+def _beside(seen: tuple[Array, float], companion: Companion) -> tuple[Array, float]:
+    """The same of the animal, as it is in the middle of its points."""
+    middle, half = seen
+    low, high = companion.points_m.min(axis=1), companion.points_m.max(axis=1)
+    return np.column_stack(((low + high)[:, :2] / 2, middle[:, 2])), half
 
 
 def _extent(motion: RobotMotion, companion: Companion | None) -> tuple[Array, Array]:
@@ -199,23 +207,18 @@ def _blueprint(
     more: Sequence[Series],
     title: str,
 ) -> rrb.Blueprint:
-    middle, half = seen
-    eye = rrb.EyeControls3D(
-        kind=rrb.Eye3DKind.Orbital,
-        position=middle[0] + half * np.array([0.5, -2.0, 0.9]),
-        look_target=middle[0],
-        eye_up=(0.0, 0.0, 1.0),
-        tracking_entity="world/followed",
-    )
     title = title or motion.robot.title
-    if companion is not None:
-        title += f"; beside it {companion.title}, at {motion.scale:.2f} of its size"
     if motion.slower != 1:
         title += f"; {motion.slower:.3g} times slower than the animal"
-    scene = rrb.Spatial3DView(origin="world", name=title, background=BACKGROUND, line_grid=False, eye_controls=eye)
+    scene: rrb.View | rrb.Container = _scene(title, "world/followed", seen, ["world/animal"])
+    if companion is not None:
+        other = f"{companion.title}, at {motion.scale:.2f} of its size"
+        of_robot = ["world/robot", "world/support", "world/path", "world/step"]
+        beside = _scene(other, "world/animal/followed", _beside(seen, companion), of_robot)
+        scene = rrb.Horizontal(scene, beside)
     angles = [plot(s) for s in series]
     angles = [rrb.Tabs(*angles)] if more else angles
-    stands = rrb.StateTimelineView(origin="stands", name="Feet that stand")
+    stands = state_rows(LEGS, "Feet that stand")
     if start_frame is None:
         fps = min(len(motion.time_s) / float(motion.time_s[-1]), len(motion.time_s) / 4)
         time = rrb.TimePanel(state="collapsed", timeline="frame", fps=fps, play_state="playing", loop_mode="all")
@@ -228,4 +231,20 @@ def _blueprint(
         time,
         auto_layout=False,
         auto_views=False,
+    )
+
+
+def _scene(name: str, followed: str, seen: tuple[Array, float], hidden: Sequence[str]) -> rrb.Spatial3DView:
+    """From the right and ahead, going along."""
+    middle, half = seen
+    eye = rrb.EyeControls3D(
+        kind=rrb.Eye3DKind.Orbital,
+        position=middle[0] + half * np.array([0.5, -2.0, 0.9]),
+        look_target=middle[0],
+        eye_up=(0.0, 0.0, 1.0),
+        tracking_entity=followed,
+    )
+    contents = ["$origin/**", *(f"- {entity}/**" for entity in hidden)]
+    return rrb.Spatial3DView(
+        origin="world", contents=contents, name=name, background=BACKGROUND, line_grid=False, eye_controls=eye
     )

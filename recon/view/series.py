@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -28,6 +28,9 @@ from recon.view.scene import (
 )
 from recon.view.world import STANCE
 
+MAX_LINES = 4
+"""Of angles in one plot, as far as they can be told apart by what they belong to: their names stand above them."""
+DOUBT = "doubtful"
 LINE_COLOURS: tuple[Colour, ...] = (*LIMB_COLOURS, LINK, (213, 94, 0), (200, 200, 210))
 
 
@@ -54,18 +57,23 @@ def write_series(motion: Motion, send: Send, fix: Fix) -> None:
 
 
 def write_states(motion: Motion, send: Send, fix: Fix) -> None:
-    """Which flags a frame has, and which feet stand."""
+    """Which flags a frame has, and which feet stand (`state_entities`)."""
 
     def state(entity: str, values: list[str], colours: dict[str, Colour]) -> None:
         send(entity, state_columns(values))
         fix(entity, state_style(colours))
 
     doubts = [", ".join(flags) for flags in motion.flags]
-    state("states/doubt", doubts, dict.fromkeys(dict.fromkeys(filter(None, doubts)), OUTLIER))
+    state(DOUBT, doubts, dict.fromkeys(dict.fromkeys(filter(None, doubts)), OUTLIER))
     colours = {"L": LEFT, "R": RIGHT}
     for foot, label, contact in zip(motion.feet, motion.foot_labels, motion.solution.contact.T, strict=True):
         stances = ["stance" if c > STANCE else "" for c in contact]
-        state(f"states/{motion.names[foot]}", stances, {"stance": colours[label[0]]})
+        state(state_entity(motion.names[foot]), stances, {"stance": colours[label[0]]})
+
+
+def state_entities(motion: Motion) -> list[str]:
+    """What `write_states` writes."""
+    return [DOUBT, *(state_entity(motion.names[foot]) for foot in motion.feet)]
 
 
 # -- how it is written ----------------------------------------------------------------------------------------------
@@ -73,6 +81,11 @@ def write_states(motion: Motion, send: Send, fix: Fix) -> None:
 
 def line_style(series: Series) -> rr.SeriesLines:
     return rr.SeriesLines(names=series.names, colors=series.colours, widths=[1.8] * len(series.names))
+
+
+def state_entity(name: str) -> str:
+    """Of a row of states. It has no parent: the viewer writes the whole path beside it."""
+    return rr.escape_entity_path_part(name)
 
 
 def state_columns(texts: Sequence[str]) -> rr.ComponentColumnList:
@@ -88,42 +101,61 @@ def state_style(colours: Mapping[str, Colour]) -> rr.StateConfiguration:
 
 
 def angle_series(motion: Motion) -> list[Series]:
-    """In degrees: a chain's by their kind, a whole animal's by their side, and the others."""
+    """In degrees: a chain's by their kind, a whole animal's by their side, and the others; those that are too many for
+    one plot by limb, by end of the animal, or by kind."""
     degrees = np.rad2deg(motion.angles_rad)
     limb_of, tints = _limb_tints(motion)
     rest, found = list(motion.angle_names), []
     for entity, title, kind in (
-        ("angles/theta", "θ, sagittal angles (°)", "theta_"),
-        ("angles/phi", "φ, transverse angles (°)", "phi_"),
-        ("angles/left", "Left legs (°)", "left"),
-        ("angles/right", "Right legs (°)", "right"),
-        ("angles/middle", "Middle (°)", ""),
+        ("angles/theta", "θ", "theta_"),
+        ("angles/phi", "φ", "phi_"),
+        ("angles/left", "Left", "left"),
+        ("angles/right", "Right", "right"),
+        ("angles/middle", "Middle", ""),
     ):
         names = [name for name in rest if name.startswith(kind) or side_of(name) == kind]
-        if not names:
-            continue
         rest = [name for name in rest if name not in names]
-        if kind.endswith("_"):
-            sign, ends = entity.removeprefix("angles/"), [name.removeprefix(kind) for name in names]
-            labels = [f"{_SIGNS[sign]}{end} {limb_of[end]}" for end in ends]
-            colours = [tints[end] for end in ends]
+        of_chain = kind.endswith("_")
+        words = {name: without_side(name).split("_") for name in names}
+        if of_chain:
+            keys = {name: limb_of[name.removeprefix(kind)] for name in names}
         else:
-            labels = [without_side(name).replace("_", " ") for name in names]
-            colours = [LINE_COLOURS[i % len(LINE_COLOURS)] for i in range(len(names))]
-        columns = [motion.angle_names.index(name) for name in names]
-        found.append(Series(entity, title, labels, colours, degrees[:, columns]))
+            keys = {name: words[name][0 if kind else -1] for name in names}
+        for key, chosen in _parts(keys):
+            if of_chain:
+                labels = [f"{title}{name.removeprefix(kind)} {keys[name]}" for name in chosen]
+                colours = [tints[name.removeprefix(kind)] for name in chosen]
+            else:
+                labels = [" ".join(words[name]) for name in chosen]
+                colours = [LINE_COLOURS[i % len(LINE_COLOURS)] for i in range(len(chosen))]
+            columns = [motion.angle_names.index(name) for name in chosen]
+            part = f"{entity}/{key.replace(', ', '_').replace(' ', '_')}" if key else entity
+            found.append(Series(part, f"{title} {key}".strip() + " (°)", labels, colours, degrees[:, columns]))
     return found
 
 
-_SIGNS = {"theta": "θ", "phi": "φ"}
+def _parts(keys: Mapping[str, str]) -> Iterator[tuple[str, list[str]]]:
+    """Names of one plot, by what they have in common: all of them, where a plot has room for them, or else those with
+    the same key, and the next as well, as far as there is room."""
+    if len(keys) <= MAX_LINES:
+        yield from [("", [*keys])] if keys else []
+        return
+    parts: list[tuple[str, list[str]]] = []
+    for key in dict.fromkeys(keys.values()):
+        names = [name for name, own in keys.items() if own == key]
+        if parts and len(parts[-1][1]) + len(names) <= MAX_LINES:
+            parts[-1] = (f"{parts[-1][0]}, {key}", [*parts[-1][1], *names])
+        else:
+            parts.append((key, names))
+    yield from parts
 
 
 def other_series(motion: Motion) -> list[Series]:
     residuals = Series(
         "residuals",
         "Reprojection (px)",
-        ["mean of the joints", "worst joint"],
-        [LIMB_COLOURS[1], OUTLIER],
+        ["median of the joints", "worst but for outliers"],
+        [LIMB_COLOURS[1], EDGE],
         np.stack(_residuals_px(motion), axis=1),
     )
     names = ["joint within the pose", "place in depth"]
@@ -164,9 +196,11 @@ def _speeds_m_s(motion: Motion) -> tuple[Array, Array]:
 
 
 def _residuals_px(motion: Motion) -> tuple[Array, Array]:
-    """(T,), (T,): mean and largest distance of detections from reprojections, NaN in frames without any."""
+    """(T,), (T,): distances of detections from reprojections: the median of all, and the largest but for outliers, which
+    the pictures show and which would hide everything else; NaN in frames without any."""
     distance = np.concatenate([picture.distance_px for picture in motion.pictures], axis=1)
+    explained = np.where(np.concatenate([picture.outliers for picture in motion.pictures], axis=1), np.nan, distance)
     known = np.isfinite(distance).any(axis=1)
-    mean, worst = np.full((2, len(distance)), np.nan)
-    mean[known], worst[known] = np.nanmean(distance[known], axis=1), np.nanmax(distance[known], axis=1)
-    return mean, worst
+    median = np.full(len(distance), np.nan)
+    median[known] = np.nanmedian(distance[known], axis=1)
+    return median, np.fmax.reduce(explained, axis=1)

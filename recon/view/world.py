@@ -3,19 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import rerun as rr
+from numpy.typing import NDArray
 from rerun.components import FillMode
 
 from recon.capsules import capsule_ends, capsules
+from recon.kinematics import AXES, Marker
 from recon.motion import Motion, Picture
+from recon.results import MEASURED_SHARE
 from recon.rotations import quaternions
 from recon.view.scene import (
     BODY,
     CAMERA,
     CAMERAS,
     DETECTION,
+    EDGE,
     GRID,
     GRID_MARGIN_M,
     GRID_SPACING_M,
@@ -36,6 +41,9 @@ from recon.view.scene import (
     unbroken,
 )
 
+AXIS_SHARE = 0.06
+"""Of the animal's size: half an axis."""
+UNSEEN, FAINT_BLUE, BRIGHT_BLUE = (120, 112, 104), (30, 100, 190), (150, 220, 255)
 STANCE = 0.5
 """A foot with more contact than this stands."""
 
@@ -182,6 +190,37 @@ def _write_body(motion: Motion, send: Send, fix: Fix) -> None:
         translations=motion.in_reference(begins).reshape(-1, 3), quaternions=turns.reshape(-1, 4)
     )
     send(BODY, columns.partition(np.where(motion.solved, len(shape), 0)))
+
+
+def write_observability(motion: Motion, scene: Scene, send: Send, fix: Fix) -> None:
+    """At every joint the axes that it turns about, in the colour of the pixels' share in the angle; and the limbs."""
+    solved, tree = motion.solved, motion.body.tree
+    states = motion.states[solved]
+    limbs = [list(limb) for limb in motion.limbs.values()]
+    fix("world/observability/limbs", rr.LineStrips3D.from_fields(colors=EDGE, radii=0.005))
+    lines = [[pose[limb] for limb in limbs] if s else [] for pose, s in zip(motion.joints_m, solved, strict=True)]
+    send("world/observability/limbs", strips(rr.LineStrips3D, lines))
+
+    turning = [i for i, segment in enumerate(tree.segments) for _ in AXES[segment.joint]]
+    columns = ["xyz".index(axis) for axis in tree.axes]
+    origins = replace(tree, markers=tuple(Marker(s.name, s.name) for s in tree.segments))
+    centres = motion.in_reference(origins.pose(states, motion.solution.size).points_m)[:, turning]
+    axes = tree.orientations(states)[:, turning, :, columns]  # the angles come first, as indices on both sides do
+    along = AXIS_SHARE * scene.size_m * np.moveaxis(axes, 0, 1) @ motion.T_reference_world[:3, :3].T
+    ends = np.stack((centres - along, centres + along), axis=2)
+    drawn = rr.LineStrips3D.columns(
+        strips=[*ends.reshape(-1, 2, 3)], colors=share_colours(motion.solution.angle_data_share[solved]).reshape(-1, 3)
+    )
+    send("world/observability", drawn.partition(np.where(solved, len(turning), 0)))
+    style = rr.LineStrips3D.from_fields(radii=0.013, labels=motion.angle_names, show_labels=False)
+    fix("world/observability", style)
+
+
+def share_colours(share: Array) -> NDArray[np.uint8]:
+    """(..., 3): of shares (...) from 0 to 1: grey below `MEASURED_SHARE`, from there on blue, the lighter the more."""
+    above = np.clip((share - MEASURED_SHARE) / (1 - MEASURED_SHARE), 0.0, 1.0)[..., None]
+    blue = (1 - above) * np.array(FAINT_BLUE) + above * np.array(BRIGHT_BLUE)
+    return np.where((share >= MEASURED_SHARE)[..., None], blue, UNSEEN).astype(np.uint8)
 
 
 def _write_ground(scene: Scene, send: Send, fix: Fix) -> None:
