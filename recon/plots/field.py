@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from recon.analysis.phase import LinkField
+from recon.analysis.phase import LinkField, field_means
 from recon.arrays import Array
-from recon.plots.style import COLOURS, PAGE_MM, PALE, SMALL, blank, drawing
+from recon.plots.style import COLOURS, GREY, PAGE_MM, PALE, SMALL, blank, drawing
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -21,12 +21,16 @@ ARROWS = 45
 _ROW_MM, _REST_MM = 24.0, 26.0
 _LONGEST = 0.46
 """Of the height of a row."""
+_STILL_M_S, _SLOW = 0.001, 0.1
+"""Slower is no motion; of the fastest link, slower would be too small to see."""
 
 
 def vector_fields(fields: tuple[LinkField, ...], time_s: Array, title: str = "") -> Figure:
-    """One row per link: arrows (dx, dy) along time and the speed in the plane, all to the same scale; time_s (T,).
+    """One row per link: arrows (dx, dy) along time and the speed in the plane, to the same scale but for links so slow
+    that nothing would be seen of them, which say how much larger they are drawn; time_s (T,).
 
     Right is along the parent, up is the normal to it. Arrows are left out evenly where there are more than `ARROWS`.
+    Grey is a link whose mean speed is below its deviation: it may as well stand still, or move much more.
     """
     every = max(1, -(-len(time_s) // ARROWS))
     fastest = max((np.nanmax(f.speed_m_s) for f in fields if np.isfinite(f.speed_m_s).any()), default=np.nan)
@@ -46,17 +50,26 @@ def vector_fields(fields: tuple[LinkField, ...], time_s: Array, title: str = "")
                 blank(left)
                 blank(right)
                 continue
-            arrows = _arrows(left, field, time_s, every, float(fastest))
-            if not keyed:
+            larger = _larger(float(np.nanmax(field.speed_m_s)), float(fastest))
+            if larger > 1:
+                left.set_title(f"drawn {larger:g} times larger", loc="right", pad=2, fontsize=SMALL, color=GREY)
+            (means,) = field_means((field,))
+            colour = GREY if means.speed_sigma_m_s > means.speed_m_s else COLOURS[0]
+            arrows = _arrows(left, field, time_s, every, float(fastest) / larger, colour)
+            if not keyed and larger == 1:
                 _key(left, arrows, float(fastest), every, height)
                 keyed = True
-            right.plot(time_s, field.speed_m_s, color=COLOURS[0], marker="o", ms=1.8)
+            right.plot(time_s, field.speed_m_s, color=colour, marker="o", ms=1.8)
+            highest = float(fastest) / larger
             if (sigma := field.speed_sigma_m_s) is not None:
                 ends = np.maximum(field.speed_m_s - sigma, 0.0), field.speed_m_s + sigma
-                right.fill_between(time_s, *ends, color=COLOURS[0], alpha=0.2, lw=0)
-            right.set_ylim(0, 1.08 * float(fastest) or 1.0)
+                right.fill_between(time_s, *ends, color=colour, alpha=0.2, lw=0)
+                highest = max(highest, float(np.nanmax(ends[1], initial=0.0))) if larger > 1 else highest
+            right.set_ylim(0, 1.08 * highest or 1.0)
             right.locator_params(axis="y", nbins=3)
-            right.set_title(f"mean {np.nanmean(field.speed_m_s):.2f} m/s", loc="right", pad=2, fontsize=SMALL)
+            deviation = f", sigma {means.speed_sigma_m_s:.2f}" if np.isfinite(means.speed_sigma_m_s) else ""
+            text = f"mean {means.speed_m_s:.2f}{deviation} m/s"
+            right.set_title(text, loc="right", pad=2, fontsize=SMALL, color="k" if colour != GREY else GREY)
         span = _span(time_s)
         for axes in panels[:, 0]:
             axes.set_xlim(span[0] - 0.08 * (span[1] - span[0]), span[1] + 0.08 * (span[1] - span[0]))
@@ -70,7 +83,14 @@ def vector_fields(fields: tuple[LinkField, ...], time_s: Array, title: str = "")
     return figure
 
 
-def _arrows(axes: Axes, field: LinkField, time_s: Array, every: int, fastest: float) -> Quiver:
+def _larger(fastest_m_s: float, of_all_m_s: float) -> float:
+    """How many times larger a link is drawn than the others: 1 unless it is slower than `_SLOW` of the fastest."""
+    if not _STILL_M_S < fastest_m_s < _SLOW * of_all_m_s:
+        return 1.0
+    return max(_round(of_all_m_s / fastest_m_s), 1.0)
+
+
+def _arrows(axes: Axes, field: LinkField, time_s: Array, every: int, fastest: float, colour: str) -> Quiver:
     known = np.isfinite(field.velocity_m_s[:, :2]).all(axis=1) & (np.arange(len(time_s)) % every == 0)
     axes.axhline(0, color=PALE, lw=0.6, zorder=1)
     dx, dy = field.velocity_m_s[known, :2].T
@@ -86,7 +106,7 @@ def _arrows(axes: Axes, field: LinkField, time_s: Array, every: int, fastest: fl
         width=0.013,
         headwidth=4,
         clip_on=False,
-        color=COLOURS[0],
+        color=colour,
         zorder=2,
     )
     arrows.set_in_layout(False)

@@ -196,8 +196,8 @@ def _speeds_m_s(motion: Motion) -> tuple[Array, Array]:
 
 
 def _residuals_px(motion: Motion) -> tuple[Array, Array]:
-    """(T,), (T,): distances of detections from reprojections: the median of all, and the largest but for outliers, which
-    the pictures show and which would hide everything else; NaN in frames without any."""
+    """(T,), (T,): distances of detections from reprojections: the median of all, and the largest but for outliers (the
+    pictures show those, and they would hide the rest); NaN in frames without any."""
     distance = np.concatenate([picture.distance_px for picture in motion.pictures], axis=1)
     explained = np.where(np.concatenate([picture.outliers for picture in motion.pictures], axis=1), np.nan, distance)
     known = np.isfinite(distance).any(axis=1)
