@@ -11,6 +11,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 from board_pictures import poses, render
+from detector_files import mmpose
 
 from recon.body import Body
 from recon.calibration import read_camera
@@ -224,7 +225,7 @@ OF_PAGE: dict[str, dict[str, Callable[[Path], None]]] = {
         "recordings": lambda path: _filmed_twice(path, "walk"),
         "scene.json": sample("whole_scene.json"),
     },
-    "how-to/other-formats.md": {"clip.analysis.h5": _of_other_names},
+    "how-to/other-formats.md": {"clip.analysis.h5": _of_other_names, "results_clip.json": mmpose},
     "how-to/new-species.md": {"my-cat.toml": _toml("writing-a-skeleton.md", -1)},
     "robot.md": {"arm.toml": _toml("robot.md", 0)},
     "writing-a-skeleton.md": {

@@ -673,6 +673,50 @@ def test_parquet_of_others(tmp_path):
     assert "expected x, y, z" in refused(tmp_path / "b.parquet", None, read_pose3d)[0]
 
 
+# MMPose, whose whole files are tested with the names of detectors
+
+
+def mmpose_file(path: Path, frames: object, names: object = ("nose", "tail")) -> Path:
+    meta = {"keypoint_id2name": dict(enumerate(names)) if isinstance(names, tuple) else names}
+    return save(path, json.dumps({"meta_info": meta, "instance_info": frames}))
+
+
+def mmpose_animal(x: float, **more: object) -> dict[str, object]:
+    return {"keypoints": [[x, 1.0], [x, 2.0]], "keypoint_scores": [0.9, 0.5], **more}
+
+
+@pytest.mark.parametrize("first", [0, 1])
+def test_mmpose_counts_frames_from_1(tmp_path, first):
+    frames = [{"frame_id": first + t, "instances": [mmpose_animal(t)] if t != 1 else []} for t in range(3)]
+    found = read_keypoints(mmpose_file(tmp_path / "a.json", frames))
+    assert (found.names, found.frames.tolist(), found.individual) == (("nose", "tail"), [0, 1, 2], None)
+    np.testing.assert_array_equal(found.xy_px[:, 0], [[0, 1], [NAN, NAN], [2, 1]])
+    np.testing.assert_array_equal(found.confidence, [[0.9, 0.5], [0, 0], [0.9, 0.5]])
+
+
+def test_mmpose_with_tracks(tmp_path):
+    animals = [mmpose_animal(3, track_id=4), mmpose_animal(7, track_id=5)]
+    path = mmpose_file(tmp_path / "a.json", [{"frame_id": 1, "instances": animals}])
+    assert "one of: 4, 5" in refused(path)[0]
+    found = read_keypoints(path, "5")
+    assert (found.individual, found.xy_px[0, 0, 0]) == ("5", 7)
+
+
+@pytest.mark.parametrize(
+    ("frames", "names", "said"),
+    [
+        ([{"frame_id": 1, "instances": [mmpose_animal(1), mmpose_animal(2)]}], ("nose", "tail"), "a second animal"),
+        ([{"frame_id": 1, "instances": [mmpose_animal(1)]}], ("nose",), "x, y, v for each of 1 keypoints"),
+        ([{"frame_id": 1, "instances": [{"keypoints": [[1, 2]]}]}], ("nose",), "an entry without 'keypoint_scores'"),
+        ([{"frame_id": 1, "instances": [mmpose_animal(1)]}], {"7": "nose"}, "an entry without '0'"),
+        ([[mmpose_animal(1)]], ("nose", "tail"), "an entry of another form"),
+        ([], ("nose", "tail"), "images: found none"),
+    ],
+)
+def test_mmpose_problems(tmp_path, frames, names, said):
+    assert any(said in problem for problem in refused(mmpose_file(tmp_path / "a.json", frames, names)))
+
+
 # Broken files of every format
 
 

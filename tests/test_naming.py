@@ -7,14 +7,18 @@ import json
 from dataclasses import replace
 from pathlib import Path
 
+import detector_files
 import numpy as np
 import pytest
 from command_line import run
+from detector_files import ACINOSET, ANIMAL3D, AP_10K, HORSE_10, MMPOSE_AP_10K, SUPERANIMAL, UNSEEN
 
-from recon import FitSettings, InputError, Keypoints, load_skeleton
+from recon import FitSettings, InputError, Keypoints, evaluate, load_skeleton, read_pose3d
+from recon.analysis.clip import gaits_of
 from recon.app.batch.record import file_sha256, identity
-from recon.app.clip import prepare
+from recon.app.clip import prepare, run_clip
 from recon.app.convert import Options, read_any
+from recon.app.retarget import solve
 from recon.app.skeleton_check import check_skeleton
 from recon.app.skeleton_draft import draft_skeleton
 from recon.export.deeplabcut import write_keypoints_csv
@@ -24,44 +28,11 @@ from recon.net.evaluate2d import evaluate_2d_files
 from recon.plots.skeleton import expected_pose
 from recon.report import build_report
 from recon.report.common import point_lines
+from recon.results import read_results
+from recon.robot.reference import reference_of
+from recon.robot.robot_file import load_robot
 
 SAMPLES = Path(__file__).parents[1] / "data" / "samples"
-
-
-def words(*lines: str) -> tuple[str, ...]:
-    return tuple(word.strip() for line in lines for word in line.split(","))
-
-
-SUPERANIMAL = words(
-    "nose,upper_jaw,lower_jaw,mouth_end_right,mouth_end_left,right_eye,right_earbase,right_earend,right_antler_base",
-    "right_antler_end,left_eye,left_earbase,left_earend,left_antler_base,left_antler_end,neck_base,neck_end,throat_base",
-    "throat_end,back_base,back_end,back_middle,tail_base,tail_end,front_left_thai,front_left_knee,front_left_paw",
-    "front_right_thai,front_right_knee,front_right_paw,back_left_paw,back_left_thai,back_right_thai,back_left_knee",
-    "back_right_knee,back_right_paw,belly_bottom,body_middle_right,body_middle_left",
-)
-AP_10K = words(
-    "left_eye,right_eye,nose,neck,root_of_tail,left_shoulder,left_elbow,left_front_paw,right_shoulder,right_elbow",
-    "right_front_paw,left_hip,left_knee,left_back_paw,right_hip,right_knee,right_back_paw",
-)
-MMPOSE_AP_10K = words(
-    "L_Eye,R_Eye,Nose,Neck,Root of tail,L_Shoulder,L_Elbow,L_F_Paw,R_Shoulder,R_Elbow,R_F_Paw,L_Hip,L_Knee,L_B_Paw",
-    "R_Hip,R_Knee,R_B_Paw",
-)
-ANIMAL3D = words(
-    "left_eye,right_eye,mouth_mid,left_front_paw,right_front_paw,left_back_paw,right_back_paw,tail_base",
-    "left_front_thigh,right_front_thigh,left_back_thigh,right_back_thigh,left_shoulder,right_shoulder,left_front_knee",
-    "right_front_knee,left_back_knee,right_back_knee,neck,tail_end,left_ear,right_ear,left_mouth,right_mouth,nose",
-    "tail_mid",
-)
-ACINOSET = words(
-    "r_eye,l_eye,nose,neck_base,spine,tail_base,tail1,tail2,r_shoulder,r_front_knee,r_front_ankle,r_front_paw,r_hip",
-    "r_back_knee,r_back_ankle,r_back_paw,l_shoulder,l_front_knee,l_front_ankle,l_front_paw,l_hip,l_back_knee",
-    "l_back_ankle,l_back_paw,lure",
-)
-HORSE_10 = words(
-    "Nose,Eye,Nearknee,Nearfrontfetlock,Nearfrontfoot,Offknee,Offfrontfetlock,Offfrontfoot,Shoulder,Midshoulder,Elbow",
-    "Girth,Wither,Nearhindhock,Nearhindfetlock,Nearhindfoot,Hip,Stifle,Offhindhock,Offhindfetlock,Offhindfoot,Ischium",
-)
 
 
 def keypoints(*names: str) -> Keypoints:
@@ -293,6 +264,43 @@ def test_a_fit_takes_a_detectors_own_names(tmp_path):
     known = [native.names.index(n) for n in native.names if n not in lacking]
     np.testing.assert_allclose(source.keypoints.xy_px[:, known], native.xy_px[:, known], atol=1e-3)
     assert "19 of 39 keypoints have their names from superanimal-quadruped." in source.cleaning.notes
+
+
+@pytest.mark.parametrize("name", detector_files.FILES)
+def test_a_detectors_own_file(name, tmp_path):
+    """In its layout, with animals and a frame that it did not see: there is no choice to make, and the points are those
+    of the skeleton's own names."""
+    bundled, write = detector_files.FILES[name]
+    write(tmp_path / name)
+    (source,) = prepare(settings(tmp_path / name, rename=bundled)).sources
+    native = prepare(settings(SAMPLES / "whole.csv")).sources[0].keypoints
+    found = source.keypoints
+    assert (found.names, found.frames.tolist()) == (native.names, native.frames.tolist())
+    known = [j for j, marker in enumerate(native.names) if marker in source.file_names]
+    assert len(known) == {"superanimal-quadruped": 19, "animal3d": 19, "ap-10k": 17, None: 24}[bundled]
+    rows = native.frames != UNSEEN
+    np.testing.assert_allclose(found.xy_px[rows][:, known], native.xy_px[rows][:, known], atol=1e-3)
+    assert not found.present[UNSEEN].any()
+    assert not found.present[:, [j for j in range(len(native.names)) if j not in known]].any()
+
+
+def test_every_bundled_map_has_a_file_of_its_detector():
+    assert {*builtin_maps()} == {bundled for bundled, _ in detector_files.FILES.values() if bundled}
+
+
+def test_from_superanimals_file_to_a_robot(whole_results, tmp_path):
+    """All 39 keypoints in DeepLabCut's spelling: four feet with their sides, the gait, and nearly the accuracy that the
+    skeleton's own names give."""
+    detector_files.superanimal(tmp_path / "clip.csv")
+    run_clip(settings(tmp_path / "clip.csv", rename="superanimal-quadruped"), tmp_path / "clip")
+    found, native = read_results(tmp_path / "clip"), read_results(whole_results)
+    assert found.feet == {"LF": "l_front_paw", "RF": "r_front_paw", "LH": "l_back_paw", "RH": "r_back_paw"}
+    assert all(side == limb.partition(" ")[0] for limb, side in found.limb_sides.items() if "leg" in limb)
+    assert gaits_of(found)["ground"].name.name == gaits_of(native)["ground"].name.name == "transverse gallop"
+    assert solve(reference_of(found), load_robot("a1")).motion.clip.margin_rad.min() >= 0
+    truth = read_pose3d(SAMPLES / "whole_truth.csv")
+    renamed_m, native_m = (evaluate(results.pose, truth).mpjpe_m.mean for results in (found, native))
+    assert renamed_m < 1.3 * native_m
 
 
 def test_few_names_are_refused_with_the_map_to_write(tmp_path):

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from recon.documents import require_file
 from recon.errors import InputError, Problem
-from recon.io import coco, columns, deeplabcut, movement, nwb, sleap
+from recon.io import coco, columns, deeplabcut, mmpose, movement, nwb, sleap
 from recon.io.common import NoChoiceError, with_likelihoods
 from recon.io.hdf5 import is_hdf5
 from recon.keypoints import Keypoints
@@ -35,6 +35,7 @@ READERS: tuple[Reader, ...] = (
     Reader("movement netCDF", movement.recognises, movement.read),
     Reader("ndx-pose NWB", nwb.recognises, nwb.read),
     Reader("COCO JSON", coco.recognises, coco.read),
+    Reader("MMPose JSON", mmpose.recognises, mmpose.read),
     Reader("plain CSV, long or wide", columns.recognises, columns.read),
 )
 

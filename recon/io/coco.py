@@ -33,6 +33,11 @@ def read(path: Path, individual: str | None = None) -> Keypoints:
     content = read_json(path, "a whole file of JSON")
     if not isinstance(content, dict):
         raise InputError(Problem(path, "content", "something else than a table", "COCO keypoints"))
+    return of_content(path, content, individual)
+
+
+def of_content(path: Path, content: dict[str, Any], individual: str | None) -> Keypoints:
+    """The same of what such a file has, or another format's put the same way."""
     missing = [key for key in ("images", "annotations", "categories") if not isinstance(content.get(key), list)]
     if missing:
         raise InputError([Problem(path, key, "no list", "a list") for key in missing])

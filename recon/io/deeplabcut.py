@@ -33,6 +33,8 @@ COORDS = ("x", "y", "z", "likelihood")
 # DeepLabCut files the bodyparts that belong to no animal, such as the corners of the arena, under this individual.
 UNIQUE_BODYPARTS = "single"
 MISSING_CELLS = ("", "nan", "na")
+PADDING = -1.0
+"""x, y and likelihood of an animal that DeepLabCut 3 did not see in a frame."""
 SCORER = "recon"
 """Of our own files; where the frame rate is known, it stands in it: recon_90fps."""
 
@@ -86,6 +88,7 @@ def read(path: Path, individual: str | None = None) -> Keypoints:
     if any(c.coord == "z" for c in table.columns):
         raise InputError(Problem(path, "coords", "x, y, z: 3D positions", "2D keypoints in pixels (x, y, likelihood)"))
     names, values = gather(table, path, required=("x", "y"), optional=("likelihood",))
+    values[(values == PADDING).all(axis=2)] = np.nan, np.nan, 0.0
     xy_px, likelihood = values[..., :2], values[..., 2]
     notes = table.notes
     if not table.has_scorer:
@@ -353,9 +356,9 @@ def of_one_animal(table: Table, path: Path, individual: str | None) -> tuple[Tab
 
 
 def _has_points(table: Table, animal: str) -> bool:
-    """Not NaN nor 0 everywhere, as DeepLabCut fills animals that it never saw."""
+    """Not NaN, 0 nor -1 everywhere, as DeepLabCut fills animals that it never saw."""
     columns = [j for j, c in enumerate(table.columns) if c.individual == animal and c.coord != "likelihood"]
-    return bool(np.nan_to_num(table.numbers[:, columns]).any())
+    return not np.isin(np.nan_to_num(table.numbers[:, columns]), (0.0, PADDING)).all()
 
 
 def _header_problem(path: Path, found: str) -> Problem:

@@ -93,6 +93,12 @@ translation = [1.0, 2.0, 3.0]
 [metadata]
 adjusted = false
 """
+MMPOSE = {
+    "meta_info": {"keypoint_id2name": {"0": "nose", "1": "tail"}},
+    "instance_info": [
+        {"frame_id": t, "instances": [{"keypoints": [[t, 2.5], [3, 4]], "keypoint_scores": [0.5, 1]}]} for t in (1, 2)
+    ],
+}
 FRAMES = np.array([3, 4, 5, 6, 9])
 
 
@@ -175,6 +181,7 @@ def of_formats(folder: Path) -> Iterator[Seed]:
     rig = make_rig(chain, 1.0, chain.markers, FRAMES, random.normal(size=(5, chain.n_state)).round(2), 50.0)
     bvh.write(rig, folder / "3d.bvh")
     yield Seed("3d.bvh", (folder / "3d.bvh").read_bytes(), _positions)
+    yield Seed("2d-mmpose.json", json.dumps(MMPOSE).encode(), _points)
     yield Seed("2d-fixed.h5", _fixed_h5(folder / "fixed.h5", clip), _points)
     yield Seed("2d-classic.cdf", _classic_netcdf(folder / "classic.cdf", clip), _points)
 
