@@ -236,7 +236,8 @@ def test_all_problems_of_a_manifest_at_once(clips):
         f"{path}: line 3, frames: found '9:2', expected frame numbers A:B with A < B, from A up to but without B, "
         "as in 100:160",
         f"{path}: line 3, out: found 'X', as in line 2, expected a name of its own",
-        f"{path}: line 4, out: found '../up', expected a plain name of a folder below --out, other than summary.csv",
+        f"{path}: line 4, out: found '../up', expected a plain name of a folder below --out, other than summary.csv "
+        "and summary.html",
     ]
 
 

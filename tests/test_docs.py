@@ -48,6 +48,8 @@ NOT_RUN = {
     r"recon (fit run\d_cam|subject fit results/run1|prior fit tom/|evaluate one/)": "tests/test_new_species.py runs it",
     r"recon retarget .* --robot robot\.urdf ": "takes half a minute; tests/test_robot_retarget.py",
     r"recon (train|predict|evaluate-2d) |recon fit run\.csv ": "trains for minutes; tests/test_net_train.py",
+    r"recon run ": "takes half a minute; tests/test_run.py",
+    r"recon report ": "tests/test_page.py",
     r"recon camera-motion ": "needs a video of a camera that turns; tests/test_camera_motion.py",
     r"recon --install-completion": "changes the user's shell; tests/test_doctor.py",
     r"recon doctor": "looks at this machine; tests/test_doctor.py",

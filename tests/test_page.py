@@ -2,17 +2,24 @@
 
 from __future__ import annotations
 
+import csv
+import html
+import json
 import re
 import shutil
 from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
+from urllib.parse import quote, unquote
 
 import numpy as np
 import pytest
 from command_line import run
 from motions import with_first
 
+from recon.app.batch import COLUMNS, Event
+from recon.app.batch.summary import write_summary_page
+from recon.app.batch.worker import WORK
 from recon.app.clip import write_clip
 from recon.app.page import run_page
 from recon.errors import InputError
@@ -26,6 +33,7 @@ from recon.video import video_writer
 
 EVIL = '<img src=x onerror="alert(1)">&\'.csv'
 MOST_BYTES = 3_000_000
+GENERATED = '<meta name="generator" content="recon">'
 
 
 class Page(HTMLParser):
@@ -50,15 +58,16 @@ class Page(HTMLParser):
         return [str(attrs[name]) for found, attrs in self.tags if found == tag and name in attrs]
 
 
-def require_self_contained(page: Page, folder: Path) -> None:
-    """Nothing is run or fetched, and links lead to files that are there."""
+def require_self_contained(page: Page, folder: Path, scripts: int = 0) -> None:
+    """Nothing is fetched, or run but for the page's own scripts, and links lead to files that are there."""
+    assert [tag for tag, _ in page.tags].count("script") == scripts
     assert len(page.html.encode()) < MOST_BYTES
     for _, attrs in page.tags:
         assert not any(name.startswith("on") for name in attrs)
     for source in page.attributes("img", "src"):
         assert source.startswith("data:image/")
     for target in page.attributes("a", "href"):
-        assert (folder / target).is_file(), target
+        assert (folder / unquote(target)).is_file(), target
     assert page.attributes("link", "href") == ["data:,"]
     assert not {"iframe", "object", "embed", "base"} & {tag for tag, _ in page.tags}
     assert set(re.findall(r"url\((.)", page.html)) <= {"#"}
@@ -82,7 +91,6 @@ def page(folder) -> Page:
 
 def test_a_page_is_one_file_in_which_names_are_text(page, folder):
     require_self_contained(page, folder)
-    assert "script" not in {tag for tag, _ in page.tags}
     assert EVIL in page.text
     assert "<script>.toml" in page.text
     assert page.text.count("\n") > 20
@@ -121,7 +129,7 @@ def test_a_page_has_the_video_behind_its_pictures(folder, tmp_path, monkeypatch)
 
     def clip_page(results, stills, behind, files) -> str:
         shown[behind] = [still.source for still in stills]
-        return '<meta name="generator" content="recon">'
+        return GENERATED
 
     monkeypatch.setattr("recon.app.page.clip_page", clip_page)
     copy = tmp_path / "copy"
@@ -144,7 +152,7 @@ def test_a_page_goes_with_its_results(small_trajectory, tmp_path):
     assert (tmp_path / "report.html").read_text() == "my own"
     (tmp_path / "report.html").unlink()
     write_clip(small_trajectory, settings, tmp_path)
-    (tmp_path / "report.html").write_text('<meta name="generator" content="recon">')
+    (tmp_path / "report.html").write_text(GENERATED)
     write_clip(small_trajectory, settings, tmp_path)
     assert not (tmp_path / "report.html").exists()
 
@@ -201,3 +209,80 @@ def test_angles_of_both_sides_share_a_figure():
     spans = [patch.get_extents().transformed(axes.transData.inverted()) for patch in axes.patches]
     np.testing.assert_allclose([(span.x0, span.x1) for span in spans], [(0.05, 0.25), (0.35, 0.45)])
     assert axes.get_title(loc="left") == "hips (°)"
+
+
+# -- a batch ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def batch(folder, tmp_path_factory) -> Path:
+    """The folder of a batch of five clips: one has failed, one has no word of its frames, one is doubtful."""
+    out = tmp_path_factory.mktemp("batch")
+    names = {"good": "done", EVIL: "done", "gone": "done earlier", "bad": "failed", "dark": "unsolved"}
+    with (out / "summary.csv").open("w", encoding="utf-8", newline="") as file:
+        writer = csv.DictWriter(file, COLUMNS, restval="")
+        writer.writeheader()
+        for name, status in names.items():
+            row = {"clip": name, "status": status, "frames": 8, "mean_reprojection_px": 7.77, "size": 1}
+            writer.writerow(row if status != "failed" else row | {"frames": "", "size": "", "error": "<b>no</b>"})
+    for name in ("good", EVIL):
+        shutil.copytree(folder, out / name, ignore=shutil.ignore_patterns("motion.rrd", "report.html"))
+    report = json.loads((out / "good" / "report.json").read_text())
+    report["frames"] = [frame | {"flags": []} for frame in report["frames"]]
+    (out / "good" / "report.json").write_text(json.dumps(report))
+    (out / EVIL / "report.html").write_text("a page")
+    return out
+
+
+def test_a_batch_has_a_table_with_the_doubtful_first(batch):
+    page = Page(write_summary_page(batch))
+    require_self_contained(page, batch, scripts=1)
+    rows = [re.sub(r"\s+", " ", row) for row in re.findall(r"<tr>(<td>.*?)</tr>", page.html, re.DOTALL)]
+    shown = [[html.unescape(v) for v in re.findall(r'data-v="([^"]*)"', row)][:3] for row in rows]
+    assert shown == [
+        ["bad", "failed", ""], ["dark", "unsolved", ""], [EVIL, "done", "0.25"], ["good", "done", "0.0"],
+        ["gone", "done earlier", ""],
+    ]  # fmt: skip
+    assert page.attributes("a", "href") == [f"{quote(EVIL)}/report.html"]
+    assert "5 clips: 2 done, 1 done earlier, 1 failed, 1 unsolved" in page.text
+    assert "<b>no</b>" in page.text
+    assert page.text.count("7.8") == 5
+    assert [row.count("<polyline") for row in rows] == [0, 0, 8, 8, 0]
+
+
+def test_a_thumbnail_is_the_pose_in_the_middle_as_the_camera_saw_it(batch, folder):
+    (row,) = (row for row in Page(write_summary_page(batch)).html.split("<tr>") if ">good<" in row)
+    places = [float(v) for points in re.findall(r'points="(.*?)"', row) for v in re.split("[ ,]", points)]
+    x, y = np.array(places[::2]), np.array(places[1::2])
+    with (folder / "reprojection.csv").open() as file:
+        middle = np.array(list(csv.reader(file))[3 + 4][1:], dtype=float).reshape(-1, 3)
+    width, height = np.ptp(middle[:, 0]), np.ptp(middle[:, 1])
+    np.testing.assert_allclose(np.ptp(y) / np.ptp(x), height / width, atol=0.02)
+    assert 0 <= x.min() < x.max() <= 96
+    assert 0 <= y.min() < y.max() <= 60
+    assert np.ptp(x) == pytest.approx(0.9 * 96, abs=1)
+
+
+def test_pages_of_a_batch_are_made_beside_each_other(batch, monkeypatch):
+    """What is not a result any more is said, and the others are made."""
+    pages = []
+
+    def carry_out(pool, tasks, tell) -> None:
+        for clip, task in tasks:
+            outcome = WORK[task["work"]](task, lambda stage, share: None)
+            tell(Event("ended", clip, outcome=outcome))
+
+    monkeypatch.setattr("recon.app.page.carry_out", carry_out)
+    monkeypatch.setattr("recon.app.page.clip_page", lambda results, *_: pages.append(results.folder.name) or GENERATED)
+    ended = run("report", batch)
+    assert ended.code == 0
+    assert pages == []
+    assert "good: " in ended.err
+    assert "report.json" in ended.err  # other than the manifest says
+    assert "report.html: file: found one that recon has not made" in ended.err
+    assert "summary.html in a browser" in ended.out
+    (batch / EVIL / "report.html").unlink()
+    run("report", batch)
+    assert pages == [EVIL]
+    ended = run("report", batch, "--video", "clip.mp4")
+    assert (ended.code, "the folder of one clip's results" in ended.err) == (2, True)

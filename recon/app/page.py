@@ -4,16 +4,20 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from recon.app.batch import available_cores
+from recon.app.batch.inputs import SUMMARY
+from recon.app.batch.pool import Event, LocalPool, carry_out
+from recon.app.batch.summary import write_summary_page
 from recon.app.overlay import camera_number, check_video, overlay_of
 from recon.app.sheet import pictures_of, rows_to_show
 from recon.errors import all_of
-from recon.files import staged_file
+from recon.files import sole_writer, staged_file
 from recon.overlay import draw_tiles
 from recon.page import PAGE
 from recon.page.clip import Still, clip_page
 from recon.page.render import jpeg, require_own_page
 from recon.progress import Progress, silent
-from recon.results import Results, read_results
+from recon.results import REPORT, Results, read_results
 from recon.video import probe
 
 STILLS = 8
@@ -61,3 +65,29 @@ def _stills(result: Results, video: Path | None, first_frame: int, number: int) 
 
 def _files(result: Results) -> list[str]:
     return [*(name for name in BESIDE if (result.folder / name).is_file()), *sorted(result.manifest.files)]
+
+
+def is_batch(folder: Path) -> bool:
+    """Whether a folder holds results of many clips, rather than of one."""
+    return (folder / SUMMARY).is_file() and not (folder / REPORT).is_file()
+
+
+def run_batch_pages(out: Path, jobs: int | None = None, progress: Progress = silent) -> tuple[Path, dict[str, str]]:
+    """`recon report` on the folder of a batch: the page of every result in it, in parallel, and the summary's page; its
+    path, and what went wrong by clip. jobs: as `run_batch`."""
+    failed: dict[str, str] = {}
+    with sole_writer(out):
+        clips = [path.parent for path in sorted(out.glob(f"*/{REPORT}"))]
+        done = 0
+
+        def tell(event: Event) -> None:
+            nonlocal done
+            if event.kind == "ended":
+                done += 1
+                if event.outcome["status"] == "failed":
+                    failed[event.clip] = event.outcome["error"]
+                progress(f"{done} of {len(clips)} pages", done / len(clips))
+
+        tasks = [(clip.name, {"work": "page", "out": str(clip.absolute())}) for clip in clips]
+        carry_out(LocalPool(jobs or available_cores(), retries=0), tasks, tell)
+        return write_summary_page(out), failed

@@ -28,6 +28,7 @@ from recon.cli.prior import prior_fit
 from recon.cli.report import report
 from recon.cli.retarget import retarget
 from recon.cli.robot import robot_app
+from recon.cli.run import run
 from recon.cli.skeleton import skeleton_app
 from recon.cli.subject import subject_fit
 from recon.cli.train import train
@@ -59,7 +60,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-for command in (fit, batch, analyse, ik, evaluate, view, demo, calibrate, convert, overlay, report):
+for command in (run, fit, batch, analyse, ik, evaluate, view, demo, calibrate, convert, overlay, report):
     app.command()(command)
 for command in (retarget, climb, doctor):
     app.command()(command)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -100,26 +100,38 @@ def batch(
     from recon.app.batch import check_shared, find_clips, input_problems, plan_batch, run_batch
 
     console = terminal(quiet=quiet, stderr=as_json)
-    summary: Summary | None = None
-    try:
-        clips, notes = find_clips(inputs, given, config, cameras_by)
-        for note in notes:
-            console.print(Text(note, "yellow"), soft_wrap=True)
-        plan = plan_batch(clips, out, overwrite)
-        if dry_run:
-            problems = input_problems(clips)
-            _print_plan(console, plan, problems, as_json)
-            raise typer.Exit(EXIT_STRICT if strict and any(problems) else 0)
-        check_shared(clips)
-        began = time.monotonic()
-        with _shown(console, plan) as show:
+    clips, notes = find_clips(inputs, given, config, cameras_by)
+    for note in notes:
+        console.print(Text(note, "yellow"), soft_wrap=True)
+    plan = plan_batch(clips, out, overwrite)
+    if dry_run:
+        problems = input_problems(clips)
+        _print_plan(console, plan, problems, as_json)
+        raise typer.Exit(EXIT_STRICT if strict and any(problems) else 0)
+    check_shared(clips)
+    left = sum(planned.action != "done" for planned in plan)
+    if left < len(plan):
+        console.print(f"{len(plan) - left} of {len(plan)} clips are done already.")
+    summary = shown_batch(console, left, as_json, lambda tell: run_batch(plan, out, jobs, retries, scheduler, tell))
+    if strict and any(row["status"] in ("failed", "unsolved") for row in summary.rows.values()):
+        raise typer.Exit(EXIT_STRICT)
 
-            def on_event(event: Event, so_far: Summary) -> None:
+
+def shown_batch(
+    console: Console, left: int, as_json: bool, work: Callable[[Callable[[Event, Summary], None]], Summary]
+) -> Summary:
+    """Do what tells of its events, and say how it went. left: how many clips there are to do."""
+    summary: Summary | None = None
+    began = time.monotonic()
+    try:
+        with _shown(console, left) as show:
+
+            def tell(event: Event, so_far: Summary) -> None:
                 nonlocal summary
                 summary = so_far
                 show(event, so_far)
 
-            summary = run_batch(plan, out, jobs, retries, scheduler, on_event)
+            summary = work(tell)
     except KeyboardInterrupt:
         counts = {} if summary is None else summary.counts()
         said = ", ".join(f"{n} {status}" for status, n in counts.items()) or "nothing was done"
@@ -129,8 +141,7 @@ def batch(
             json.dumps({"summary": str(summary.path), "counts": summary.counts(), "clips": [*summary.rows.values()]})
         )
     _print_end(console, summary, time.monotonic() - began)
-    if strict and any(row["status"] in ("failed", "unsolved") for row in summary.rows.values()):
-        raise typer.Exit(EXIT_STRICT)
+    return summary
 
 
 # -- before and after ---------------------------------------------------------------------------------------------
@@ -188,13 +199,9 @@ def _print_end(console: Console, summary: Summary, seconds: float) -> None:
 
 
 @contextmanager
-def _shown(console: Console, plan: Sequence[Planned]) -> Iterator[Any]:
+def _shown(console: Console, left: int) -> Iterator[Any]:
     """A function of an event and the summary that shows it: bars on a terminal, a line a clip elsewhere. Trouble goes
     to stderr, even where nothing else is printed."""
-    left = sum(planned.action != "done" for planned in plan)
-    earlier = len(plan) - left
-    if earlier:
-        console.print(f"{earlier} of {len(plan)} clips are done already.")
     errors = terminal(stderr=True, soft_wrap=True)
     if console.quiet or not console.is_terminal:
         ended = 0

@@ -7,11 +7,14 @@ from typing import Annotated
 
 import typer
 
-from recon.cli.common import progress_bar, say, terminal
+from recon.cli.common import error_text, progress_bar, say, terminal
+from recon.errors import InputError, Problem
 
 
 def report(
-    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of results, as in results/clip.")],
+    folder: Annotated[
+        Path, typer.Argument(metavar="DIR", help="Folder of results, as in results/clip, or of a batch.")
+    ],
     video: Annotated[
         Path | None,
         typer.Option(help="The video that the keypoints came from, to be seen in the pictures.", show_default=False),
@@ -26,11 +29,22 @@ def report(
 ) -> None:
     """Make a page of a result to look at and to pass on: report.html in its folder, one file that opens in any browser.
 
+    In the folder of a batch, those of all clips, and summary.html with links to them.
+
     Example: recon report results/clip --video clip.mp4
     """
-    from recon.app.page import run_page
+    from recon.app.page import is_batch, run_batch_pages, run_page
 
     console = terminal(quiet=quiet)
+    if is_batch(folder):
+        if video is not None:
+            raise InputError(Problem("--video", "file", f"{video} for many clips", "the folder of one clip's results"))
+        with progress_bar(console) as progress:
+            page, failed = run_batch_pages(folder, progress=progress)
+        for clip, error in failed.items():
+            terminal(stderr=True, soft_wrap=True).print(error_text(f"{clip}: {error}"))
+        say(console, f"Open {page} in a browser.")
+        return
     with progress_bar(console) as progress:
         page = run_page(folder, video=video, first_frame=first_frame, camera=camera_name, progress=progress)
     say(console, f"Open {page} in a browser.")

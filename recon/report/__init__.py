@@ -22,6 +22,7 @@ __all__ = [
     "SCHEMA_VERSION",
     "build_report",
     "console_summary",
+    "frames_with_pose",
     "is_unsolved",
     "summary_lines",
     "to_json",
@@ -59,6 +60,10 @@ def build_report(
 def is_unsolved(report: Mapping[str, Any]) -> bool:
     """Whether there is no pose to look at."""
     return _METHODS[report["method"]].is_unsolved(report)
+
+
+def frames_with_pose(report: Mapping[str, Any]) -> int:
+    return sum(None not in place for place in report["root_path"]["position_m"])
 
 
 def summary_lines(report: Mapping[str, Any]) -> list[tuple[str, str]]:

@@ -97,8 +97,10 @@ def commands() -> dict[str, tuple[object, ...]]:
     """By what they show. Folders are in the one that `prepared` has filled; `out` is new each time."""
     whole, noisy = (SAMPLES / f"{name}.csv" for name in ("whole", "noisy"))
     film, labels = SAMPLES / "rendered.mp4", SAMPLES / "rendered_labels.csv"
+    filmed = ("--camera", SAMPLES / "rendered_camera.toml", "--keypoints", SAMPLES / "rendered_points.csv")
     found: dict[str, tuple[object, ...]] = {
         "help": ("--help",),
+        "run": ("run", film, *filmed, "--out", "out"),
         "fit": ("fit", whole, *CAMERA, "--fps", 60, "--out", "out"),
         "fit, frame by frame": ("fit", noisy, *CAMERA, "--fps", 30, "--method", "frame", "--out", "out"),
         "batch": ("batch", whole, noisy, *CAMERA, "--fps", 60, "--jobs", 2, "--out", "out"),
@@ -122,6 +124,7 @@ def commands() -> dict[str, tuple[object, ...]]:
         ),
         "skeleton": ("skeleton", "check", "dog-27", "--out", "out"),
         "doctor": ("doctor",),
+        "report": ("report", "results"),
         "overlay": ("overlay", "film", "--video", film, "--out", "out.mp4"),
     }
     if util.find_spec("torch") is not None:

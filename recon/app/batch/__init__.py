@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 import os
-import queue
 import uuid
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from recon.app.batch.checks import check_shared, input_problems, repeated
 from recon.app.batch.inputs import Clip, find_clips
-from recon.app.batch.pool import DaskPool, Event, LocalPool, Pool
+from recon.app.batch.pool import DaskPool, Event, LocalPool, carry_out
 from recon.app.batch.record import Planned, plan_batch
-from recon.app.batch.summary import COLUMNS, STATUSES, Summary
+from recon.app.batch.summary import COLUMNS, STATUSES, Summary, write_summary_page
 from recon.app.batch.worker import task_of
-from recon.errors import InputError, Problem
 from recon.files import sole_writer
+from recon.page import SUMMARY_PAGE
+from recon.page.render import require_own_page
 
 __all__ = [
     "COLUMNS",
@@ -33,8 +33,6 @@ __all__ = [
     "run_batch",
 ]
 
-TICK_S = 0.5
-
 
 def run_batch(
     plan: Sequence[Planned],
@@ -44,7 +42,8 @@ def run_batch(
     scheduler: str | None = None,
     on_event: Callable[[Event, Summary], None] = lambda event, summary: None,
 ) -> Summary:
-    """`recon batch`: fit what is not done, each clip in a folder of its own, and keep `out / summary.csv` up to date.
+    """`recon batch`: fit what is not done, each clip in a folder of its own, and keep `out / summary.csv` up to date;
+    summary.html comes last.
 
     jobs: processes on this machine, by default one for each core; scheduler: the address of a Dask cluster instead.
     retries: how often a clip at which a worker died is tried again. A clip that fails stops nothing. KeyboardInterrupt
@@ -63,38 +62,22 @@ def _run(
     scheduler: str | None,
     on_event: Callable[[Event, Summary], None],
 ) -> Summary:
+    require_own_page(out / SUMMARY_PAGE)
     summary, run = Summary(plan, out), uuid.uuid4().hex
     tasks = [(p.clip.name, task_of(p, run)) for p in plan if p.action != "done"]
-    pool: Pool
+
+    def tell(event: Event) -> None:
+        if event.kind == "ended":
+            summary.end(event.clip, event.outcome)
+        on_event(event, summary)
+
     pool = DaskPool(scheduler, retries, run) if scheduler else LocalPool(jobs, retries)
-    events: queue.SimpleQueue[Event] = queue.SimpleQueue()
-    left = len(tasks)
+    summary.write()
     try:
-        summary.write()
-        pool.start(tasks, events.put)
-        while left:
-            try:
-                event = events.get(timeout=TICK_S)
-            except queue.Empty:
-                fault = pool.fault()
-                if fault is not None:
-                    expected = "workers until the end: the same command again goes on from here"
-                    raise InputError(Problem("recon batch", "workers", fault, expected)) from None
-            else:
-                if event.kind == "ended":
-                    summary.end(event.clip, event.outcome)
-                    left -= 1
-                on_event(event, summary)
-            summary.write_now_and_then()
+        carry_out(pool, tasks, tell, summary.write_now_and_then)
     finally:
-        try:
-            pool.stop()
-        finally:
-            while not events.empty():
-                event = events.get()
-                if event.kind == "ended":
-                    summary.end(event.clip, event.outcome)
-            summary.write()
+        summary.write()
+        write_summary_page(out)
     return summary
 
 

@@ -18,6 +18,7 @@ from recon.app.batch.groups import AUTO, Draft, join_cameras, missing_cameras
 from recon.calibration import read_cameras
 from recon.errors import InputError, Problem
 from recon.io import READERS, file_head, individuals
+from recon.page import SUMMARY_PAGE
 from recon.report.common import first_names
 from recon.settings import SETTINGS, FitSettings, beside, option, read_settings
 
@@ -364,8 +365,8 @@ def _name_problems(drafts: Sequence[Draft]) -> list[Problem]:
         if draft.name is None or draft.where is None:
             continue
         manifest, line = draft.where
-        if _UNFIT.search(draft.name) or draft.name.startswith(".") or draft.name.casefold() == SUMMARY:
-            expected = f"a plain name of a folder below --out, other than {SUMMARY}"
+        if _UNFIT.search(draft.name) or draft.name.startswith(".") or draft.name.casefold() in (SUMMARY, SUMMARY_PAGE):
+            expected = f"a plain name of a folder below --out, other than {SUMMARY} and {SUMMARY_PAGE}"
             problems.append(Problem(manifest, f"{line}, out", repr(draft.name), expected))
         elif draft.name.casefold() in first:
             found = f"{draft.name!r}, as in {first[draft.name.casefold()]}"
@@ -379,7 +380,7 @@ def _names(drafts: Sequence[Draft]) -> list[str]:
     """As given; else the file's name, with its suffix or its folders where files share it, the animal and the frames
     where the row says them, and a number where that is still not enough."""
     base = file_names(dict.fromkeys(draft.title for draft in drafts))
-    taken = {SUMMARY, *(draft.name.casefold() for draft in drafts if draft.name is not None)}
+    taken = {SUMMARY, SUMMARY_PAGE, *(draft.name.casefold() for draft in drafts if draft.name is not None)}
     names = []
     for draft in drafts:
         name = draft.name

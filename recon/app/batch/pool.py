@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from distributed import Worker as DaskWorker
 
 CONNECT_S = 10.0
+TICK_S = 0.5
 Task = Mapping[str, Any]
 """Of `recon.app.batch.worker.task_of`."""
 
@@ -48,6 +49,39 @@ class Pool(Protocol):
     def stop(self) -> None:
         """Stop what is under way and free everything."""
         ...
+
+
+def carry_out(
+    pool: Pool,
+    tasks: Sequence[tuple[str, Task]],
+    tell: Callable[[Event], None],
+    now_and_then: Callable[[], None] = lambda: None,
+) -> None:
+    """All tasks, each told when it ends, whatever comes in between. Raises InputError where workers go away."""
+    events: queue.SimpleQueue[Event] = queue.SimpleQueue()
+    left = len(tasks)
+    try:
+        pool.start(tasks, events.put)
+        while left:
+            try:
+                event = events.get(timeout=TICK_S)
+            except queue.Empty:
+                fault = pool.fault()
+                if fault is not None:
+                    expected = "workers until the end: the same command again goes on from here"
+                    raise InputError(Problem("recon batch", "workers", fault, expected)) from None
+            else:
+                left -= event.kind == "ended"
+                tell(event)
+            now_and_then()
+    finally:
+        try:
+            pool.stop()
+        finally:
+            while not events.empty():
+                event = events.get()
+                if event.kind == "ended":
+                    tell(event)
 
 
 class LocalPool:

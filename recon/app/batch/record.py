@@ -117,9 +117,14 @@ def identity(settings: FitSettings) -> dict[str, Any]:
     """
     files = input_files(settings)
     plain = {name: value for name, value in settings.plain().items() if value is not None and name not in files}
+    return identity_of(files, plain)
+
+
+def identity_of(files: Mapping[str, Path], settings: Mapping[str, Any]) -> dict[str, Any]:
+    """The same of any files, by their role, and settings."""
     return {
         "inputs": {role: file_sha256(path) for role, path in files.items()},
-        "settings": plain,
+        "settings": dict(settings),
         "version": version(),
     }
 

@@ -1,4 +1,4 @@
-"""summary.csv: one row a clip, the whole file written again while clips finish."""
+"""summary.csv: one row a clip, the whole file written again while clips finish; and summary.html, made of it."""
 
 from __future__ import annotations
 
@@ -13,7 +13,8 @@ from typing import Any
 from recon.app.batch.inputs import SUMMARY
 from recon.app.batch.record import Planned, short_hash
 from recon.files import staged_file
-from recon.motion import Motion
+from recon.page import SUMMARY_PAGE
+from recon.report import frames_with_pose
 
 RESULTS = ("frames", "frames_with_pose", "outliers", "mean_reprojection_px", "mean_speed_m_s", "peak_speed_m_s", "size")
 COLUMNS = (
@@ -34,14 +35,14 @@ STATUSES = ("done", "done earlier", "unsolved", "failed", "pending")
 WRITE_EVERY_S = 0.5
 
 
-def results_of(motion: Motion, report: Mapping[str, Any]) -> dict[str, Any]:
+def results_of(report: Mapping[str, Any]) -> dict[str, Any]:
     """The columns `RESULTS`. Speeds are the root's, without the jitter from frame to frame where that can be told;
     size is the factor on the skeleton's lengths, which only the trajectory method has."""
     summary, path = report["summary"], report["root_path"]
     speeds = path["smoothed"] or path["exact"]
     return {
         "frames": summary["frames"],
-        "frames_with_pose": int(motion.solved.sum()),
+        "frames_with_pose": frames_with_pose(report),
         "outliers": summary["outliers"],
         "mean_reprojection_px": summary["reprojection_px"]["mean"],
         "mean_speed_m_s": speeds["mean_speed_m_s"],
@@ -81,6 +82,20 @@ class Summary:
             writer.writerow(COLUMNS)
             writer.writerows([row[column] for column in COLUMNS] for row in self.rows.values())
         self._written_s, self._changed = time.monotonic(), False
+
+
+def write_summary_page(out: Path) -> Path:
+    """summary.html, of what summary.csv in the folder says. Raises InputError for another file in its place."""
+    from recon.page.batch import batch_page  # slow to import
+    from recon.page.render import require_own_page
+
+    page = out / SUMMARY_PAGE
+    require_own_page(page)
+    with (out / SUMMARY).open(encoding="utf-8", newline="") as file:
+        html = batch_page(out, list(csv.DictReader(file)))
+    with staged_file(page) as staged:
+        staged.write_text(html, encoding="utf-8")
+    return page
 
 
 def _row(planned: Planned) -> dict[str, Any]:

@@ -47,7 +47,13 @@ LOG_BYTES = 20_000
 def task_of(planned: Planned, run: str) -> dict[str, Any]:
     """What a worker is told, as plain JSON types. run: which run of the batch it is."""
     settings = planned.clip.settings.plain()
-    return {"settings": settings, "out": str(planned.out.absolute()), "run": run, "identity": dict(planned.identity)}
+    return {
+        "work": "fit",
+        "settings": settings,
+        "out": str(planned.out.absolute()),
+        "run": run,
+        "identity": dict(planned.identity),
+    }
 
 
 # -- in the worker ------------------------------------------------------------------------------------------------
@@ -59,13 +65,40 @@ def fit_one(task: Mapping[str, Any], progress: Progress) -> dict[str, Any]:
     try:
         with sole_writer(out, DYING_S):
             return _fit_one(task, progress)
-    except InputError as error:
-        return {"status": "failed", "error": str(error), "attempts": 1}
-    except OSError as error:
-        return {"status": "failed", "error": _error_text(error), "attempts": 1}
+    except (InputError, OSError) as error:
+        return _failed(error)
     finally:
         with contextlib.suppress(OSError):  # there is something in it
             out.rmdir()
+
+
+def page_one(task: Mapping[str, Any], progress: Progress) -> dict[str, Any]:
+    """The page of one result, likewise."""
+    from recon.app.page import run_page
+
+    try:
+        run_page(Path(task["out"]), progress=progress)
+    except (InputError, OSError) as error:
+        return _failed(error)
+    return {"status": "done", "attempts": 1}
+
+
+def run_one(task: Mapping[str, Any], progress: Progress) -> dict[str, Any]:
+    """All of `recon run` on one video, likewise."""
+    from recon.app.run import Job, run_video
+
+    began = time.perf_counter()
+    try:
+        done = run_video(Job.from_plain(task["job"]), progress)
+    except (InputError, OSError) as error:
+        return {"seconds": round(time.perf_counter() - began, 3), **_failed(error)}
+    status = "unsolved" if is_unsolved(done.report) else "done earlier" if done.unchanged else "done"
+    seconds = round(time.perf_counter() - began, 3)
+    return {"status": status, **results_of(done.report), "seconds": seconds, "attempts": 1}
+
+
+WORK = {"fit": fit_one, "page": page_one, "run": run_one}
+"""What tasks are for."""
 
 
 def _fit_one(task: Mapping[str, Any], progress: Progress) -> dict[str, Any]:
@@ -86,26 +119,27 @@ def _fit_one(task: Mapping[str, Any], progress: Progress) -> dict[str, Any]:
             solve_s = time.perf_counter() - began
             progress("writing", 1.0)
             report = write_clip(motion, settings, out, solve_s)
-        row = {"status": "unsolved" if is_unsolved(report) else "done", **results_of(motion, report)}
+        row = {"status": "unsolved" if is_unsolved(report) else "done", **results_of(report)}
         row["seconds"] = round(time.perf_counter() - began, 3)
         finish_record(out, task["run"], attempt, settings, task["identity"], row)
         finished = True
-    except InputError as error:
-        row = {"status": "failed", "error": str(error)}
-    except OSError as error:
-        row = {"status": "failed", "error": _error_text(error)}
+    except (InputError, OSError) as error:
+        row = _failed(error)
     finally:
         if not finished:
             drop_record(out)
     return {"seconds": round(time.perf_counter() - began, 3), **row, "attempts": attempt}
 
 
-def _error_text(error: OSError) -> str:
-    return f"{error.filename}: {error.strerror}" if error.filename else str(error)
+def _failed(error: InputError | OSError) -> dict[str, Any]:
+    text = str(error)
+    if isinstance(error, OSError) and error.filename:
+        text = f"{error.filename}: {error.strerror}"
+    return {"status": "failed", "error": text, "attempts": 1}
 
 
 def main() -> None:
-    """Fit what comes on standard input, until it is closed."""
+    """Work off what comes on standard input, until it is closed."""
     answers = os.fdopen(os.dup(1), "w", encoding="utf-8")
     os.dup2(2, 1)  # nothing that a library prints gets between the answers
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(KILLED))  # fits clean up behind them
@@ -125,7 +159,8 @@ def main() -> None:
             answer({"stage": stage, "share": share})
 
     while True:
-        answer({"outcome": fit_one(json.loads(tasks.get()), progress)})
+        task = json.loads(tasks.get())
+        answer({"outcome": WORK[task["work"]](task, progress)})
 
 
 def _listen(tasks: queue.SimpleQueue[bytes]) -> None:

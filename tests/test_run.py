@@ -1,0 +1,325 @@
+"""`recon run`: from a video to a page, nothing twice."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from itertools import count
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from command_line import run
+
+from recon.app.batch import Event
+from recon.app.batch.worker import WORK
+from recon.app.clip import output_files, write_clip
+from recon.app.run import Job, job_of, run_video
+from recon.app.run_folder import jobs_of, keypoints_of, run_folder
+from recon.errors import InputError
+from recon.files import staged_results
+from recon.settings import FitSettings
+from recon.video import video_writer
+
+SAMPLES = Path(__file__).parents[1] / "data" / "samples"
+ALL = ["fit", "analyse", "overlay", "page"]
+
+
+def write_film(path: Path, frames: int = 2, size_px: tuple[int, int] = (64, 48)) -> Path:
+    with video_writer(path, size_px, 60.0) as write:
+        for number in range(frames):
+            write(np.full((size_px[1], size_px[0], 3), 10 * number, np.uint8))
+    return path
+
+
+@pytest.fixture(scope="module")
+def report(small_trajectory, tmp_path_factory) -> str:
+    """Of eight frames with a pose."""
+    folder = tmp_path_factory.mktemp("fit")
+    settings = FitSettings(keypoints=Path("run.csv"), camera=Path("camera.toml"), fps=30)
+    write_clip(small_trajectory, settings, folder, solve_s=0.1)
+    return (folder / "report.json").read_text(encoding="utf-8")
+
+
+@pytest.fixture
+def called(monkeypatch, report) -> list[str]:
+    """The stages that are carried out; each only writes its files."""
+    names: list[str] = []
+    numbers = count()
+
+    def write(path: Path, name: str) -> Path:
+        path.parent.mkdir(exist_ok=True)
+        path.write_text(f"{name} {len(names)}")
+        return path
+
+    def does(name: str, file: str, give=lambda path: path):
+        def work(folder: Path, *args, **options):
+            names.append(name)
+            return give(write(folder / file, name))
+
+        return work
+
+    def predict(video: Path, model: Path, out: Path, **options) -> None:
+        names.append("detect")
+        shutil.copy(SAMPLES / "whole.csv", out)
+
+    def track(video: Path, camera: Path, out: Path, **options):
+        names.append("camera-motion")
+        return SimpleNamespace(files=(write(out, "track"),))
+
+    def write_results(motion, settings, out: Path, seconds: float) -> None:
+        names.append("fit")
+        with staged_results(out, output_files(out)) as folder:
+            (folder / "report.json").write_text(report, encoding="utf-8")
+            (folder / "pose3d.csv").write_text(f"poses {next(numbers)}")
+
+    monkeypatch.setattr("recon.app.net.run_prediction", predict)
+    monkeypatch.setattr("recon.app.camera_motion.run_camera_motion", track)
+    monkeypatch.setattr("recon.app.run._check_inputs", lambda job: None)
+    monkeypatch.setattr("recon.app.run.fit_clip", lambda settings, progress: None)
+    monkeypatch.setattr("recon.app.run.write_clip", write_results)
+    analysed = does(
+        "analyse", "analysis/analysis.json", lambda path: SimpleNamespace(out=path.parent, files=[path.name])
+    )
+    monkeypatch.setattr("recon.app.analyse.run_analyse", analysed)
+    monkeypatch.setattr("recon.app.run.run_overlay", does("overlay", "overlay.mp4"))
+    monkeypatch.setattr("recon.app.page.run_page", does("page", "report.html"))
+    return names
+
+
+@pytest.fixture
+def film(tmp_path) -> Path:
+    shutil.copy(SAMPLES / "whole.csv", tmp_path / "points.csv")
+    (tmp_path / "net").mkdir()
+    (tmp_path / "net" / "model.pt").write_text("weights")
+    return write_film(tmp_path / "run.avi")
+
+
+def job(film: Path, **more) -> Job:
+    given = {"camera": SAMPLES / "camera.toml", **more.pop("given", {})}
+    if "model" not in more:
+        more["keypoints"] = film.parent / "points.csv"
+    return job_of(film, film.parent / "out", given, **more)
+
+
+def done(job: Job, called: list[str]) -> list[str]:
+    """The stages that are carried out for it."""
+    called.clear()
+    result = run_video(job)
+    assert [stage.stage for stage in result.stages if stage.status == "done"] == called
+    return called.copy()
+
+
+def test_nothing_is_done_twice(film, called):
+    assert done(job(film), called) == ALL
+    assert job(film).settings.fps == 60
+    assert done(job(film), called) == []
+    assert done(job(film, given={"likelihood_min": 0.4}), called) == ALL
+    assert done(job(film, given={"likelihood_min": 0.4}, first_frame=3), called) == ["overlay", "page"]
+    assert done(job(film, first_frame=3), called) == ALL
+    assert done(job(film, first_frame=3, start="analyse"), called) == ["analyse", "overlay", "page"]
+    (film.parent / "points.csv").write_text((SAMPLES / "whole_cam1.csv").read_text())
+    assert done(job(film, first_frame=3), called) == ALL
+    (film.parent / "out" / "overlay.mp4").unlink()
+    assert done(job(film, first_frame=3), called) == ["overlay"]
+    write_film(film, frames=3)
+    assert done(job(film, first_frame=3), called) == ["overlay", "page"]
+
+
+def test_the_network_finds_the_keypoints_once(film, called):
+    of_network = {"model": film.parent / "net"}
+    assert done(job(film, **of_network), called) == ["detect", *ALL]
+    assert done(job(film, **of_network), called) == []
+    assert done(job(film, **of_network, quality="best"), called)[0] == "detect"
+    (film.parent / "net" / "model.pt").write_text("other weights")
+    assert done(job(film, **of_network), called)[0] == "detect"
+    assert (film.parent / "out" / "run_keypoints.csv").read_bytes() == (SAMPLES / "whole.csv").read_bytes()
+
+
+def test_a_camera_that_turns(film, called, monkeypatch):
+    fitted = []
+    monkeypatch.setattr("recon.app.run.fit_clip", lambda settings, progress: fitted.append(settings))
+    turning = {"camera_motion": "turns", "given": {"tilt_deg": 3.0}}
+    assert done(job(film, **turning), called) == ["camera-motion", *ALL]
+    assert fitted[0].camera_track == (film.parent.absolute() / "out" / "run_camera.csv",)
+    assert fitted[0].tilt_deg is None
+    assert done(job(film, **turning), called) == []
+    assert done(job(film, camera_motion="zooms", given={"tilt_deg": 3.0}), called)[0] == "camera-motion"
+
+
+def test_a_stage_that_was_interrupted_is_done_again(film, called, monkeypatch):
+    def interrupted(*args, **options):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr("recon.app.run.run_overlay", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            run_video(job(film))
+    assert called == ["fit", "analyse"]
+    assert not (film.parent / "out" / ".recon-writing").exists()
+    assert done(job(film), called) == ["overlay", "page"]
+
+
+def test_files_of_others_are_not_replaced(film, called):
+    out = film.parent / "out"
+    out.mkdir()
+    (out / "pose3d.csv").write_text("mine")
+    with pytest.raises(InputError, match=r"pose3d.csv: file: found one that recon run has not made"):
+        run_video(job(film))
+    assert (called, (out / "pose3d.csv").read_text()) == ([], "mine")
+    assert done(job(film, overwrite=True), called) == ALL
+    (out / "pose3d.csv").write_text("corrected by hand")
+    (out / "report.json").unlink()
+    with pytest.raises(
+        InputError, match=r"pose3d.csv: file: found other than recon run wrote it, .*--from fit"
+    ) as caught:
+        run_video(job(film))
+    assert len(caught.value.problems) == 1
+    assert done(job(film, start="fit"), called) == ALL
+    (out / "pose3d.csv").write_text("corrected by hand")
+    assert done(job(film, overwrite=True), called) == ALL
+
+
+def test_without_a_pose_there_is_a_page_and_no_more(film, called, report, monkeypatch):
+    nothing = json.loads(report)
+    nothing["root_path"]["position_m"] = [[None] * 3] * 8
+    nothing["summary"] |= {"frames_with_pose": 0}
+
+    def write(motion, settings, out: Path, seconds: float) -> None:
+        with staged_results(out, output_files(out)) as folder:
+            (folder / "report.json").write_text(json.dumps(nothing))
+
+    monkeypatch.setattr("recon.app.run.write_clip", write)
+    ended = run(
+        "run", film, "--camera", SAMPLES / "camera.toml", "--keypoints", film.parent / "points.csv",
+        "--out", film.parent / "out",
+    )  # fmt: skip
+    assert ended.code == 1
+    assert called == ["page"]
+    assert "analyse       left out: too few frames have a pose" in ended.out
+    assert "no frame could be solved" in ended.err
+
+
+def test_the_command_says_what_was_done(film, called):
+    args = (
+        "run", film, "--camera", SAMPLES / "camera.toml", "--keypoints", film.parent / "points.csv",
+        "--out", film.parent / "out",
+    )  # fmt: skip
+    first, again = run(*args), run(*args)
+    assert (first.code, first.err) == (0, "")
+    assert "fit           3 files, " in first.out
+    assert "overlay       overlay.mp4, " in first.out
+    assert "overlay       overlay.mp4, as before" in again.out
+    assert "8 of 8 with a pose" in again.out
+    assert "report.html in a browser" in " ".join(again.out.split())
+    shown = json.loads(run(*args, "--from", "page", "--json").out)
+    assert [(stage["stage"], stage["status"]) for stage in shown["stages"]] == [
+        ("fit", "unchanged"), ("analyse", "unchanged"), ("overlay", "unchanged"), ("page", "done"),
+    ]  # fmt: skip
+    assert shown["summary"]["frames"] == 8
+
+
+def test_all_mistakes_are_said_before_any_work(film, called):
+    options = ("--camera-motion", "spins", "--from", "detect", "--fps", -1, "--keypoints", film.parent / "points.csv")
+    ended = run("run", film, "--out", film.parent / "out", *options)
+    assert ended.code == 2
+    for said in (
+        "--fps: fps: found '-1'",
+        "--camera-motion: motion: found 'spins', expected turns or zooms",
+        "--camera-motion: camera: found nothing",
+        "--from: stage: found 'detect', expected one of camera-motion, fit, analyse, overlay, page",
+    ):
+        assert said in ended.err
+    for wrong in ((), ("--keypoints", "a.csv", "--model", "net")):
+        ended = run("run", film, "--camera", "camera.toml", "--out", film.parent / "out", *wrong)
+        assert "expected a keypoint file, or --model with a network" in ended.err
+    assert called == []
+    assert not (film.parent / "out").exists()
+
+
+def test_a_video_of_another_size_is_refused_before_the_network_looks_at_it(film, monkeypatch):
+    with pytest.raises(InputError, match=r"run.avi: size: found 64x48, expected 1920x1080, the size that the camera"):
+        run_video(job(film, model=film.parent / "net"))
+    assert not (film.parent / "out" / "run_keypoints.csv").exists()
+
+
+@pytest.mark.usefixtures("small_pictures")
+def test_the_stages_are_those_of_the_commands(tmp_path, monkeypatch):
+    """All of it, but for figures, which take long."""
+    monkeypatch.setattr("recon.app.analyse.write_figures", lambda found, folder: None)
+    page = '<meta name="generator" content="recon">'
+    monkeypatch.setattr("recon.app.page.clip_page", lambda results, stills, behind, files: f"{page} {behind} {files}")
+    film = write_film(tmp_path / "run.avi", 12, (1920, 1080))
+    given = {"camera": SAMPLES / "camera.toml", "fast": True, "frames": "0:12"}
+    job = job_of(film, tmp_path / "out", given, keypoints=SAMPLES / "whole.csv")
+    stages, shares = [], []
+    done = run_video(job, lambda what, share: shares.append((what.split(":")[0], share)), stages.append)
+    assert list(done.stages) == stages
+    assert [(stage.stage, stage.status) for stage in stages] == [(name, "done") for name in ALL]
+    assert [*dict(shares)] == ALL
+    assert shares == sorted(shares, key=lambda pair: pair[1])
+    written = {path.relative_to(job.out).as_posix() for path in job.out.rglob("*") if path.is_file()}
+    assert written == {name for stage in stages for name in stage.files} | {"run.json"}
+    assert "run.avi ['overlay.mp4', 'analysis/analysis.json'," in (job.out / "report.html").read_text()
+    assert run_video(job).unchanged
+
+
+# -- folders ----------------------------------------------------------------------------------------------------------
+
+
+def test_a_job_travels_as_json(film):
+    here = job(film, camera_motion="turns", first_frame=3, start="fit")
+    assert Job.from_plain(json.loads(json.dumps(here.plain()))) == here
+    of_network = job(film, model=film.parent / "net")
+    assert Job.from_plain(json.loads(json.dumps(of_network.plain()))) == of_network
+
+
+def test_the_keypoints_of_a_video_have_its_name(tmp_path):
+    for name in ("run.csv", "runDLC_resnet50.h5", "run2DLC_a.csv", "run2DLC_b.csv", "run3-labels.csv"):
+        shutil.copy(SAMPLES / "whole.csv", tmp_path / name.replace(".h5", ".csv"))
+    write_film(tmp_path / "run5.avi")
+    shutil.copy(SAMPLES / "whole.csv", tmp_path / "run5DLC.csv")
+    assert keypoints_of(tmp_path / "run5.avi", tmp_path) == tmp_path / "run5DLC.csv"
+    for stem, found in (
+        ("run", "run.csv, runDLC_resnet50.csv"),
+        ("run2", "run2DLC_a.csv, run2DLC_b.csv"),
+        ("run3", "none"),
+    ):
+        with pytest.raises(InputError, match=f"keypoints of {stem}.mp4: found {found}, expected one keypoint file"):
+            keypoints_of(tmp_path / f"{stem}.mp4", tmp_path)
+
+
+def test_a_folder_is_a_batch(tmp_path, called, monkeypatch):
+    def carry_out(pool, tasks, tell, now_and_then) -> None:
+        for clip, task in tasks:
+            assert task["job"]["threads"] == 1
+            outcome = WORK[task["work"]](json.loads(json.dumps(task)), lambda stage, share: None)
+            tell(Event("ended", clip, outcome=outcome))
+
+    monkeypatch.setattr("recon.app.run_folder.carry_out", carry_out)
+    videos = tmp_path / "videos"
+    videos.mkdir()
+    for name in ("a", "b"):
+        write_film(videos / f"{name}.avi")
+        shutil.copy(SAMPLES / "whole.csv", videos / f"{name}.csv")
+    args = ("run", videos, "--keypoints", videos, "--camera", SAMPLES / "camera.toml", "--out", tmp_path / "all")
+    ended = run(*args)
+    assert (ended.code, ended.err) == (0, "")
+    assert "2 done in" in ended.out
+    assert called == ALL * 2
+    (tmp_path / "all" / "b" / "overlay.mp4").write_text("mine")
+    shown = json.loads(run(*args, "--json").out)
+    assert called == ALL * 2
+    assert [(clip["clip"], clip["status"], clip["frames_with_pose"]) for clip in shown["clips"]] == [
+        ("a", "done earlier", 8), ("b", "failed", None),
+    ]  # fmt: skip
+    assert "b.csv" in shown["clips"][1]["keypoints"]
+    table = (tmp_path / "all" / "summary.html").read_text()
+    assert 'href="a/report.html"' in table
+    (videos / "b.csv").unlink()
+    with pytest.raises(InputError, match=r"keypoints of b.avi: found none"):
+        jobs_of(videos, tmp_path / "all", {"camera": SAMPLES / "camera.toml"}, keypoints=videos)
+    with pytest.raises(InputError, match="no videos"):
+        jobs_of(tmp_path / "all", tmp_path / "all", {})
+    assert run_folder([], tmp_path / "none").counts() == {}
