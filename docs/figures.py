@@ -50,15 +50,6 @@ def plain_video(path: Path, size_px: tuple[int, int], fps: float, frames: int) -
             write(picture)
 
 
-def cropped(image: np.ndarray, size_px: tuple[int, int]) -> np.ndarray:
-    """The animal, which is small in the picture, and below it the strip with the views at half its size."""
-    width, height = size_px
-    strip = image[height:]
-    views = cv2.resize(strip, (width // 2, len(strip) // 2), interpolation=cv2.INTER_AREA)
-    left, top = width // 2 - 480, height // 2 - 100
-    return np.vstack([image[top : top + 300, left : left + width // 2], views])
-
-
 def main() -> None:
     samples = samples_folder()
     (HERE / "images").mkdir(exist_ok=True)
@@ -75,7 +66,7 @@ def main() -> None:
         ((_, image),) = read_frames(out / "overlay.avi", FRAME, FRAME + 1)
         run_sheet(clip, out / "sheet.png")
         save(out / "sheet.png", "sheet.png", 1200)
-        cv2.imwrite(str(out / "overlay.png"), cropped(image, result.camera.image_size_px))
+        cv2.imwrite(str(out / "overlay.png"), image)
         save(out / "overlay.png", "overlay.png", 960)
         run_camera_advice("cheetah-24", out / "advice", angle="front_trunk_yaw", cameras=2)
         save(out / "advice" / "camera_advice.png", "camera_advice.png", 900)

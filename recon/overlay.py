@@ -3,14 +3,15 @@
 On the picture: limbs in the colour of their side, light and thick where they are nearer to the camera than the animal's
 middle, dark and thin where they are farther away; rings where the detector saw a keypoint, red crosses with a line to
 the reprojection where the pose does not explain it. Beneath, so that nothing of the picture is hidden: the pose from
-its side, from above and from ahead, at one scale, turned with the animal, and the key to the colours.
+its side, from above and from ahead, at one scale, turned with the animal, and the key to the colours. An animal that is
+small in the picture is shown enlarged in a corner that it hardly comes to.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
 
@@ -38,6 +39,8 @@ TILE_PX, SHEET_COLUMNS = (480, 300), 4
 TILE_UNIT, KEY_UNIT = 0.55, 0.85
 _FILLED = 0.8
 """Of a tile, by the largest animal."""
+CLOSE_UP, WORTH = 0.36, 1.6
+"""Of the picture's sides, those of the close-up; what it has to enlarge by to be shown."""
 HEADING_S = 0.25
 """The views turn with the trunk's direction, averaged over this time, so that they do not shake."""
 
@@ -104,6 +107,18 @@ class Overlay:
         return float(np.median(np.linalg.norm(np.ptp(known, axis=1), axis=1))) if len(known) else math.inf
 
     @cached_property
+    def joints_px(self) -> Array:
+        """(N, 2): all of the clip."""
+        return self.reprojected_px[np.isfinite(self.reprojected_px).all(axis=2)]
+
+    @cached_property
+    def box_px(self) -> Array:
+        """(2,): sides of the largest box about the joints of a frame, but for poses that went astray."""
+        known = self.reprojected_px[np.isfinite(self.reprojected_px).all(axis=(1, 2))]
+        sides = np.ptp(known, axis=1) if len(known) else np.full((1, 2), np.inf)
+        return np.maximum(np.percentile(sides, 98, axis=0), 1.0)
+
+    @cached_property
     def _facing(self) -> float:
         """1 where the animal faces right in the picture, -1 where it faces left."""
         rear, front = self.trunk
@@ -164,6 +179,7 @@ def draw_frame(overlay: Overlay, t: int | None, frame: int, picture: Image) -> I
         marks = min(unit, max(0.4 * unit, overlay.extent_px / 700))
         _draw_skeleton(image, overlay, t, marks)
         _draw_detections(image, overlay, t, marks)
+        _draw_close_up(image, overlay, t, picture, unit)
     _draw_caption(canvas, overlay, t, frame, (width, height), unit)
     _draw_strip(canvas, overlay, t, height, width)
     return canvas
@@ -190,19 +206,13 @@ def draw_tiles(overlay: Overlay, rows: Sequence[int] | Index, pictures: Sequence
     corners, scale = _cut_out(overlay, rows)
     tiles = []
     for i, (t, corner) in enumerate(zip(rows, corners, strict=True)):
-        tile = np.empty((TILE_PX[1], TILE_PX[0], 3), dtype=np.uint8)
+        tile, cut = np.empty((TILE_PX[1], TILE_PX[0], 3), dtype=np.uint8), Cut(corner, scale)
         tile[:] = PAPER
         if pictures is not None:
-            to_tile = np.array([[scale, 0.0, -scale * corner[0]], [0.0, scale, -scale * corner[1]]])
-            tile[:] = cv2.warpAffine(pictures[i], to_tile, TILE_PX, flags=cv2.INTER_LINEAR, borderValue=PAPER)
-        moved = replace(
-            overlay,
-            reprojected_px=scale * (overlay.reprojected_px - corner),
-            detected_px=scale * (overlay.detected_px - corner),
-        )
-        _draw_skeleton(tile, moved, int(t), TILE_UNIT)
-        _draw_detections(tile, moved, int(t), TILE_UNIT)
-        _draw_caption(tile, moved, int(t), int(overlay.frames[t]), TILE_PX, TILE_UNIT)
+            tile[:] = cut.of(pictures[i], TILE_PX)
+        _draw_skeleton(tile, overlay, int(t), TILE_UNIT, cut)
+        _draw_detections(tile, overlay, int(t), TILE_UNIT, cut)
+        _draw_caption(tile, overlay, int(t), int(overlay.frames[t]), TILE_PX, TILE_UNIT)
         tiles.append(tile)
     return tiles
 
@@ -215,8 +225,50 @@ def _cut_out(overlay: Overlay, rows: Sequence[int] | Index) -> tuple[Array, floa
     return boxes.mean(axis=1) - 0.5 * np.array(TILE_PX) / scale, scale
 
 
-def _draw_skeleton(image: Image, overlay: Overlay, t: int, unit: float) -> None:
-    xy, near = overlay.reprojected_px[t], overlay.nearness[t]
+@dataclass(frozen=True, eq=False)
+class Cut:
+    """A part of the picture, from a corner (2,), px, enlarged by a scale."""
+
+    corner_px: Array
+    scale: float
+
+    def place(self, points_px: Array) -> Array:
+        return self.scale * (points_px - self.corner_px)
+
+    def of(self, picture: Image, size_px: tuple[int, int]) -> Image:
+        """(height, width, 3)"""
+        (x, y), scale = self.corner_px, self.scale
+        to_cut = np.array([[scale, 0.0, -scale * x], [0.0, scale, -scale * y]])
+        return np.asarray(cv2.warpAffine(picture, to_cut, size_px, flags=cv2.INTER_LINEAR, borderValue=PAPER), np.uint8)
+
+
+WHOLE = Cut(np.zeros(2), 1.0)
+
+
+def _draw_close_up(image: Image, overlay: Overlay, t: int, picture: Image, unit: float) -> None:
+    """Into the corner of the picture that holds the fewest of the clip's joints, but for the caption's, if it is worth
+    it."""
+    height, width = picture.shape[:2]
+    size = np.array([round(CLOSE_UP * width), round(CLOSE_UP * height)])
+    xy = overlay.reprojected_px[t]
+    scale = float(np.min(_FILLED * size / overlay.box_px))
+    if scale < WORTH or not np.isfinite(xy).any():
+        return
+    corners = np.array([[width, height], [0, height], [width, 0]]) - size * [[1, 1], [0, 1], [1, 0]]
+    inside = [((overlay.joints_px >= at) & (overlay.joints_px <= at + size)).all(axis=1).sum() for at in corners]
+    left, top = corners[int(np.argmin(inside))].tolist()
+    wide, high = size.tolist()
+    cut = Cut(0.5 * (np.nanmin(xy, axis=0) + np.nanmax(xy, axis=0)) - 0.5 * size / scale, scale)
+    tile = image[top : top + high, left : left + wide]
+    tile[:] = cut.of(picture, (wide, high))
+    _draw_skeleton(tile, overlay, t, 0.8 * unit, cut)
+    _draw_detections(tile, overlay, t, 0.8 * unit, cut)
+    cv2.rectangle(tile, (0, 0), (wide - 1, high - 1), INK, max(1, round(2 * unit)))
+    draw_text(tile, f"{scale:.1f} times larger", (round(14 * unit), high - round(16 * unit)), 0.7 * unit, INK)
+
+
+def _draw_skeleton(image: Image, overlay: Overlay, t: int, unit: float, cut: Cut = WHOLE) -> None:
+    xy, near = cut.place(overlay.reprojected_px[t]), overlay.nearness[t]
     segments = [
         (0.5 * (near[a] + near[b]), a, b, colour)
         for limb, colour in zip(overlay.limbs, overlay.colours, strict=True)
@@ -236,9 +288,10 @@ def shade(colour: Colour, nearness: float) -> Colour:
     return blue, green, red
 
 
-def _draw_detections(image: Image, overlay: Overlay, t: int, unit: float) -> None:
+def _draw_detections(image: Image, overlay: Overlay, t: int, unit: float, cut: Cut = WHOLE) -> None:
     size, thick = 7 * unit, max(1, round(1.5 * unit))
-    for at, to, outlier in zip(overlay.detected_px[t], overlay.reprojected_px[t], overlay.outliers[t], strict=True):
+    detected, reprojected = cut.place(overlay.detected_px[t]), cut.place(overlay.reprojected_px[t])
+    for at, to, outlier in zip(detected, reprojected, overlay.outliers[t], strict=True):
         if not np.isfinite(at).all():
             continue
         if outlier:

@@ -18,8 +18,10 @@ from recon.errors import InputError
 from recon.manifest import write_manifest
 from recon.motion import Motion
 from recon.overlay import (
+    CLOSE_UP,
     DETECTION,
     DOUBT,
+    INK,
     LEFT,
     OUTLIER,
     RIGHT,
@@ -256,3 +258,24 @@ def test_the_camera_of_the_video_is_chosen_by_name(filmed_twice, folder, video, 
             run_overlay(filmed_twice, video, tmp_path / "p.avi", first_frame=7, camera=camera)
     with pytest.raises(InputError, match="expected one of cam1, whose video it is"):
         run_overlay(folder, video, tmp_path / "p.avi", first_frame=7, camera="cam2")
+
+
+def test_a_small_animal_is_shown_enlarged_where_it_is_not(overlay):
+    """In a corner of the picture other than the caption's, with its frame."""
+    t = int(np.flatnonzero(np.isfinite(overlay.reprojected_px[:, 0, 0]))[0])
+    middle, extent = np.mean(overlay.reprojected_px[t], axis=0), np.ptp(overlay.reprojected_px[t], axis=0)
+    wide, high = round(CLOSE_UP * 1920), round(CLOSE_UP * 1080)
+
+    def close_ups(scale: float, to: tuple[float, float]) -> list[bool]:
+        """Below right, below left, above right: whether there is one, seen by its frame's upper edge."""
+        points = {
+            name: np.array(to) + scale * (getattr(overlay, name) - middle) for name in ("reprojected_px", "detected_px")
+        }
+        image = draw_frame(replace(overlay, **points), t, 10, GREY)
+        upper = image[1080 - high, -wide:], image[1080 - high, :wide], image[0, -wide:]
+        return [bool((line == INK).all(axis=1).mean() > 0.9) for line in upper]
+
+    small, large = 200 / extent[0], float(np.min([1500, 800] / extent))
+    assert close_ups(small, (960, 540)) == [True, False, False]
+    assert close_ups(small, (1700, 950)) == [False, True, False]
+    assert close_ups(large, (960, 540)) == [False, False, False]
