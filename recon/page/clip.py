@@ -30,6 +30,8 @@ MEANING = {
     "data poor": "few joints were seen and trusted",
     "ambiguous depth": "another pose, with near and far exchanged, explains it nearly as well",
     "second solution": "another pose explains it nearly as well",
+    "sides exchanged": "the detections look as if left and right were exchanged",
+    "garbage": "the detections are not those of an animal",
 }
 """Of flags, for readers who have not seen docs/how-to/read-the-report.md."""
 
