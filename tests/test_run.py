@@ -137,6 +137,16 @@ def test_the_network_finds_the_keypoints_once(film, called):
     assert (film.parent / "out" / "run_keypoints.csv").read_bytes() == (SAMPLES / "whole.csv").read_bytes()
 
 
+def test_names_of_files_are_relative_to_where_one_is(film, called, monkeypatch):
+    monkeypatch.chdir(film.parent)
+    camera = {"camera": SAMPLES / "camera.toml"}
+    here = job_of(Path("run.avi"), Path("out"), camera, model=Path("net"), camera_motion="turns")
+    assert done(here, called) == ["detect", "camera-motion", *ALL]
+    assert done(here, called) == []
+    monkeypatch.chdir("/")
+    assert done(job(film, model=film.parent / "net", camera_motion="turns"), called) == []
+
+
 def test_a_camera_that_turns(film, called, monkeypatch):
     fitted = []
     monkeypatch.setattr("recon.app.run.fit_clip", lambda settings, progress: fitted.append(settings))

@@ -196,7 +196,8 @@ def _carry_out(stage: Stage, job: Job, record: dict[str, Any], again: bool, prog
     record[stage.name] = {"identity": known, "files": None}
     _write_record(job.out, record)
     progress("starting", 0.0)
-    files = {path.relative_to(job.out).as_posix(): sha256_of(path) for path in stage.work(progress)}
+    folder, paths = job.out.absolute(), [path.absolute() for path in stage.work(progress)]
+    files = {path.relative_to(folder).as_posix(): sha256_of(path) for path in paths}
     record[stage.name] = {"identity": known, "files": files}
     _write_record(job.out, record)
     return Done(stage.name, "done", time.perf_counter() - began, tuple(files))
