@@ -32,6 +32,8 @@ class Keypoints:
     """(T,) int, original frame numbers, strictly increasing."""
     fps: float | None = None
     """Frames per second."""
+    stated_fps: float | None = None
+    """What the file says of itself, where another rate was given."""
     image_size_px: tuple[int, int] | None = None
     """(width, height)"""
     individual: str | None = None

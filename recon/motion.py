@@ -15,6 +15,7 @@ from recon.clip import Source
 from recon.frames import inverse, moved, rigid
 from recon.keypoints import CleaningReport, Keypoints
 from recon.kinematics import ROOT, YAW
+from recon.mistakes import Mistake
 from recon.solve import Solution, Spell
 from recon.solve.result import OUTLIER_SIGMAS
 
@@ -89,6 +90,8 @@ class Motion:
     side_reason: str
     solution: Solution
     """What the method found, and what else it says: a `TrajectorySolution`, or a `recon.published.FrameSolution`."""
+    mistakes: tuple[Mistake, ...] = ()
+    """What may be wrong with what the cameras saw."""
 
     def __post_init__(self) -> None:
         if self.keypoints.fps is None:

@@ -309,6 +309,13 @@ class FitSettings:
     fast: bool | None = _field(
         _FLAG, "Quicker: fewer directions to start from.", "true or false", default=False, method="trajectory"
     )
+    fix_swaps: bool | None = _field(
+        _FLAG,
+        "Exchange left and right back where they look exchanged, and fit again.",
+        "true or false",
+        default=False,
+        method="trajectory",
+    )
     form: Literal["deadband", "printed"] | None = _field(
         _one_of("deadband", "printed"),
         "Ranges and rates: deadband (beyond the limit) or printed (two-sided).",

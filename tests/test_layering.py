@@ -52,6 +52,7 @@ LAYERS = (
     "synthetic",
     "straight_runs",
     "solve",
+    "mistakes",
     "published",
     "motion",
     "report_fields",

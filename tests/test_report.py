@@ -281,6 +281,8 @@ def test_summary_of_a_trajectory_adds_up(trajectory):
         "data poor": 1,
         "ambiguous depth": 1,
         "second solution": 0,
+        "sides exchanged": 0,
+        "garbage": 0,
     }
     assert summary["detections"] == 7 * 23
     assert summary["reprojection_px"]["mean"] == pytest.approx(300 / (7 * 23))

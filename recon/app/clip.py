@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from recon.app.cameras import Cameras, ClipCamera, other_cameras, read_clip_cameras
+from recon.app.cameras import Cameras, ClipCamera, cameras_in, other_cameras, read_clip_cameras
 from recon.arrays import Array
 from recon.body import Body, Side, facing_side
 from recon.camera import Camera
@@ -27,6 +27,7 @@ from recon.files import require_free_folder, sole_writer, staged_results, write_
 from recon.io import read_keypoints
 from recon.keypoints import CleaningReport, Keypoints, clean, leave_out, parse_frame_range
 from recon.manifest import MANIFEST
+from recon.mistakes import Known, find_mistakes, with_flags, with_sides_mended, without_garbage
 from recon.motion import Motion
 from recon.naming import fitting_maps, load_names, map_to_write, renamed
 from recon.page import PAGE
@@ -36,7 +37,7 @@ from recon.published import solve_frames
 from recon.report import build_report, write_report
 from recon.settings import FitSettings
 from recon.skeleton_file import load_chain, load_skeleton
-from recon.solve import solve_trajectory
+from recon.solve import TrajectorySolution, solve_trajectory
 
 TRACK_FILES = ("track.csv", "track_report.json", "track_panorama.png")
 """Of a camera whose motion was found with the fit."""
@@ -80,16 +81,46 @@ def fit_clip(settings: FitSettings, progress: Progress = silent) -> Motion:
     be solved are part of the result.
     """
     given = prepare(settings)
-    model, views = given.model, views_of(given.sources)
-    if model.chain is not None:
-        (view,), T = views, len(given.sources[0].keypoints.frames)
-        solution = solve_frames(
-            view, model.chain, given.fps, settings.frame_options(), lambda done: progress("frames", done / T)
-        )
-    else:
-        assert model.prior is not None
-        solution = solve_trajectory(views, model.body, model.prior, given.fps, settings.trajectory_options(), progress)
+    chain = given.model.chain
+    if chain is None:
+        return _whole_motion(given, settings, progress)
+    (view,), T = views_of(given.sources), len(given.sources[0].keypoints.frames)
+    solution = solve_frames(view, chain, given.fps, settings.frame_options(), lambda done: progress("frames", done / T))
     return Motion(given.sources, given.side, given.side_reason, solution)
+
+
+def _whole_motion(given: Prepared, settings: FitSettings, progress: Progress) -> Motion:
+    """By the trajectory method, again where detections are garbage or, as asked for, sides exchanged."""
+    body, prior, sources, options = given.model.body, given.model.prior, given.sources, settings.trajectory_options()
+    assert prior is not None
+
+    def solved(sources: tuple[Source, ...]) -> TrajectorySolution:
+        return solve_trajectory(views_of(sources), body, prior, given.fps, options, progress)
+
+    solution = solved(sources)
+    began = time.perf_counter()
+    sources, garbage = without_garbage(sources, solution)
+    if garbage:
+        solution = solved(sources)
+    mistakes = find_mistakes(solution, body, prior, given.fps, options, _known(given, settings))
+    if settings.fix_swaps and any(one.kind == "sides" for one in mistakes):
+        sources, mistakes = with_sides_mended(sources, mistakes, body)
+        solution = solved(sources)
+    stage_s = solution.stage_s | {"mistakes": time.perf_counter() - began}
+    solution = with_flags(replace(solution, stage_s=stage_s), (*garbage, *mistakes))
+    return Motion(sources, given.side, given.side_reason, solution, (*garbage, *mistakes))
+
+
+def _known(given: Prepared, settings: FitSettings) -> Known:
+    """What the files say of a clip besides its keypoints."""
+    others, named = [], []
+    for source, path in zip(given.sources, settings.keypoints, strict=True):
+        cameras = () if source.moves else other_cameras(source.camera, settings)
+        names = cameras_in(path.stem, [source.camera.name, *(camera.name for camera in cameras)])
+        others.append(() if names else tuple(camera for camera in cameras if camera.has_extrinsics))
+        named.append(None if not names or source.camera.name in names else next(iter(names)))
+    stated_hz = next((s.keypoints.stated_fps for s in given.sources if s.keypoints.stated_fps is not None), None)
+    return Known(tuple(others), tuple(named), stated_hz, sides=not settings.fast or bool(settings.fix_swaps))
 
 
 @dataclass(frozen=True)
@@ -252,7 +283,7 @@ def _read_clip(path: Path, settings: FitSettings) -> Keypoints:
         where = path if settings.fps is None else "--fps"
         expected = f"{RATES_HZ[0]:g} to {RATES_HZ[1]:g} frames per second"
         raise InputError(Problem(where, "fps", f"{fps:g}", expected))
-    return replace(file, fps=fps)
+    return replace(file, fps=fps, stated_fps=file.fps if file.fps != fps else None)
 
 
 def _model(settings: FitSettings) -> Model:

@@ -11,16 +11,17 @@ from numpy.typing import NDArray
 
 from recon.detector import NONE as NO_DETECTOR
 from recon.detector import OWN
+from recon.mistakes import GARBAGE, SIDES
 from recon.motion import Motion
 from recon.prior import NONE
-from recon.report import agreement, cameras, common
+from recon.report import agreement, cameras, common, mistakes
 from recon.report.plain import Array, by_name, finite, frame_count, mean, median, number
 from recon.results import MEASURED_SHARE
 from recon.solve import TrajectoryOptions
 from recon.solve.result import Spell, TrajectorySolution
 from recon.solve.trajectory import ALTERNATIVE_M
 
-FLAGS = ("no data", "ran away", "data poor", "ambiguous depth", "second solution")
+FLAGS = ("no data", "ran away", "data poor", "ambiguous depth", "second solution", SIDES, GARBAGE)
 STANCE = 0.5
 """A foot with more contact than this stands."""
 WARN_POOR = 0.2
@@ -59,6 +60,7 @@ def sections(motion: Motion, settings: Mapping[str, Any]) -> dict[str, Any]:
         "stances": by_name([motion.names[foot] for foot in motion.feet], _stances(motion)),
         "heading": _heading(motion),
         "agreement": agreement.section(motion, settings),
+        "mistakes": mistakes.section(motion),
         "uncertainty": _uncertainty(motion),
         "angles": common.angles(motion),
         "frames": _frames(motion),
@@ -273,6 +275,7 @@ def warnings(report: Mapping[str, Any]) -> Iterator[str]:
     """What a reader should know before using the numbers, most serious first."""
     summary, size = report["summary"], report["size"]
     flags, solved = summary["flags"], summary["frames_with_pose"]
+    yield from mistakes.warnings(report)
     if not solved:
         why = "too far off to be seen" if flags["ran away"] else "too few points detected in every frame"
         yield f"no pose: {why}"

@@ -1,0 +1,283 @@
+"""Mistakes put into real clips: which are recognised, what is named in untouched ones, and what mending leaves.
+
+    python benchmarks/mistakes.py [FOLDER] [--views 1] [--csv TABLE.csv]
+
+Each run is a folder as in `cheetah_runs.py`. Every view is changed in its file or in what `recon fit` is told,
+and fitted as it does. Errors are means of the joints' distances, both poses centred. Without FOLDER:
+the cheetah-runs of $RECON_SHARED_DATA, or of ../shared/data; without any runs, nothing. --views: every so many of them.
+"""
+
+from __future__ import annotations
+
+import os
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import argparse
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from markdown_table import print_header, print_row
+from recordings import recordings
+from trajectory import GROUPS, body_of, meta_of, view_of
+
+from recon import FitSettings, Motion, fit_clip, read_keypoints
+from recon.analysis.evaluation import centre, joint_errors
+from recon.body import other_side
+from recon.export.deeplabcut import write_keypoints_csv
+from recon.keypoints import Keypoints
+
+TEN, END = 10, 12
+"""Frames exchanged in the middle, and of garbage at an end."""
+Change = Callable[["View"], tuple[np.ndarray, np.ndarray]]
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """Of a run: what the file has in the order of the body's markers, xy_px (T, J, 2)."""
+
+    run: Path
+    camera: int
+    file: Keypoints
+    size_px: tuple[int, int]
+
+    @property
+    def xy_px(self) -> np.ndarray:
+        return self.file.xy_px
+
+    @property
+    def rng(self) -> np.random.Generator:
+        return np.random.default_rng(self.camera)
+
+
+def _opposites(names: tuple[str, ...], group: str | None) -> np.ndarray:
+    within = names if group is None else GROUPS[group]
+    return np.array([names.index(other_side(n)) if n in within else i for i, n in enumerate(names)])
+
+
+def _exchanged(view: View, first: int, stop: int, group: str | None = None) -> tuple[np.ndarray, np.ndarray]:
+    """Points, and which (T,) frames were changed."""
+    xy_px, frames = view.xy_px.copy(), np.zeros(len(view.xy_px), dtype=bool)
+    xy_px[first:stop] = xy_px[first:stop][:, _opposites(view.file.names, group)]
+    frames[first:stop] = True
+    return xy_px, frames
+
+
+def _garbage(view: View, frames: slice) -> tuple[np.ndarray, np.ndarray]:
+    xy_px, changed = view.xy_px.copy(), np.zeros(len(view.xy_px), dtype=bool)
+    xy_px[frames] = view.rng.uniform((0, 0), view.size_px, xy_px[frames].shape)
+    changed[frames] = True
+    return xy_px, changed
+
+
+def _outliers(view: View) -> tuple[np.ndarray, np.ndarray]:
+    xy_px, wrong = view.xy_px.copy(), view.rng.uniform(size=view.xy_px.shape[:2]) < 0.3
+    xy_px[wrong] = view.rng.uniform((0, 0), view.size_px, (int(wrong.sum()), 2))
+    return xy_px, np.zeros(len(xy_px), dtype=bool)
+
+
+def _everywhere(points: Callable[[View], np.ndarray]) -> Change:
+    return lambda view: (points(view), np.ones(len(view.xy_px), dtype=bool))
+
+
+@dataclass(frozen=True)
+class Case:
+    """change: of the keypoints; kind: the mistake that it is, None where there is none to be named; told: settings of
+    the fit in place of the right ones, given the view. mends: whether it is fitted with --fix-swaps, too."""
+
+    change: Change
+    kind: str | None = None
+    told: Callable[[View], dict[str, Any]] = field(default=lambda view: {})
+    mends: bool = False
+
+
+def _other_camera(view: View) -> dict[str, Any]:
+    cameras = meta_of(view.run)["cameras"]
+    other = cameras[(cameras.index(view.camera) + 1) % len(cameras)]
+    return {"camera_name": f"cam{other}"}
+
+
+def _as_given(view: View) -> tuple[np.ndarray, np.ndarray]:
+    return view.xy_px, np.zeros(len(view.xy_px), dtype=bool)
+
+
+def _half(view: View) -> int:
+    return len(view.xy_px) // 2
+
+
+CASES = {
+    "untouched": Case(_as_given),
+    "ten frames exchanged": Case(
+        lambda v: _exchanged(v, _half(v) - TEN // 2, _half(v) + TEN // 2), "sides", mends=True
+    ),
+    "fore legs exchanged, second half": Case(
+        lambda v: _exchanged(v, _half(v), len(v.xy_px), "fore legs"), "sides", mends=True
+    ),
+    "hind legs exchanged, second half": Case(
+        lambda v: _exchanged(v, _half(v), len(v.xy_px), "hind legs"), "sides", mends=True
+    ),
+    "whole clip exchanged": Case(lambda v: _exchanged(v, 0, len(v.xy_px)), "sides", mends=True),
+    "y up": Case(_everywhere(lambda v: np.array([0, v.size_px[1] - 1]) + v.xy_px * [1, -1]), "y_up"),
+    "upside down": Case(_everywhere(lambda v: np.subtract(v.size_px, 1) - v.xy_px), "upside_down"),
+    "from 0 to 1": Case(_everywhere(lambda v: v.xy_px / v.size_px), "normalised"),
+    "video of half the size": Case(_everywhere(lambda v: v.xy_px / 2), "smaller_video"),
+    "next camera of the file": Case(_as_given, "other_camera", _other_camera),
+    "half the frame rate": Case(_as_given, "frame_rate", lambda v: {"fps": meta_of(v.run)["fps"] / 2}),
+    "twice the frame rate": Case(_as_given, "frame_rate", lambda v: {"fps": meta_of(v.run)["fps"] * 2}),
+    "30 % outliers": Case(_outliers),
+    "garbage at the start": Case(lambda v: _garbage(v, slice(0, END)), "garbage"),
+    "garbage at the end": Case(lambda v: _garbage(v, slice(-END, None)), "garbage"),
+}
+
+
+def fitted(view: View, case: Case, folder: Path, **told: Any) -> tuple[Motion, np.ndarray]:
+    """The motion, and which frames were changed."""
+    xy_px, changed = case.change(view)
+    path = folder / f"cam{view.camera}.csv"
+    write_keypoints_csv(replace(view.file, xy_px=xy_px, fps=None), path)
+    meta = meta_of(view.run)
+    settings = {
+        "keypoints": path,
+        "camera": view.run / "scene.json",
+        "camera_name": f"cam{view.camera}",
+        "fps": meta["fps"],
+        "subject": meta["subject"],
+    }
+    return fit_clip(FitSettings(**settings | case.told(view) | told)), changed
+
+
+def error_mm(view: View, motion: Motion, frames: np.ndarray) -> float:
+    """Over those (T,) frames."""
+    truth_m = view_of(view.run, view.camera)[3][frames]
+    if not np.isfinite(motion.joints_camera_m[frames]).any():
+        return np.nan
+    return 1000 * float(np.nanmean(joint_errors(centre(motion.joints_camera_m[frames], truth_m), truth_m)))
+
+
+def named(motion: Motion, kind: str, markers: tuple[int, ...] | None = None) -> np.ndarray:
+    """(T,): frames of which a mistake of that kind is named, and of just these keypoints."""
+    frames = np.zeros(len(motion.frames), dtype=bool)
+    for one in motion.mistakes:
+        if one.kind == kind and markers in (None, one.markers):
+            frames[slice(*(one.rows or (0, None)))] = True
+    return frames
+
+
+def row(view: View, name: str, case: Case, folder: Path, untouched_mm: float) -> dict[str, Any]:
+    """kind_right: a mistake of the right kind, of the right keypoints; frames_right: in frames that have at least half
+    in common with those changed. other_flags: share of the other frames with a mistake that is about frames."""
+    began = time.process_time()
+    motion, changed = fitted(view, case, folder)
+    seconds, others = time.process_time() - began, ~changed
+    wanted = None
+    if case.kind == "sides":
+        places = _opposites(motion.names, {"fore": "fore legs", "hind": "hind legs"}.get(name[:4]))
+        wanted = tuple(int(j) for j in np.flatnonzero(places != np.arange(len(places))))
+    found, flagged = named(motion, case.kind or "", wanted), named(motion, "sides") | named(motion, "garbage")
+    scored = others if case.kind == "garbage" else np.ones(len(changed), dtype=bool)
+    mm = {"mm": error_mm(view, motion, scored)}
+    if case.mends:
+        mm["mended_mm"] = error_mm(view, fitted(view, case, folder, fix_swaps=True)[0], scored)
+    return {
+        "run": view.run.name,
+        "cam": view.camera,
+        "case": name,
+        "kind_right": bool(found.any()),
+        "frames_right": bool((found & changed).sum() >= 0.5 * (found | changed).sum()) and bool(found.any()),
+        "changed_flagged": float(found[changed].mean()) if changed.any() else np.nan,
+        "other_flags": float(flagged[others].mean()) if others.any() else np.nan,
+        "kinds": " ".join(sorted({one.kind for one in motion.mistakes})),
+        "untouched_mm": untouched_mm,
+        "mistakes_s": motion.solution.stage_s["mistakes"],
+        "solve_s": motion.solution.stage_s["all"],
+        "cpu_s": seconds,
+        **mm,
+    }
+
+
+def rows_of(view: View, only: str | None) -> list[dict[str, Any]]:
+    with tempfile.TemporaryDirectory() as folder:
+        motion, _ = fitted(view, CASES["untouched"], Path(folder))
+        everywhere = np.ones(len(motion.frames), dtype=bool)
+        rows = []
+        for name, case in CASES.items():
+            if only is None or only in name:
+                scored = ~case.change(view)[1] if case.kind == "garbage" else everywhere
+                rows.append(row(view, name, case, Path(folder), error_mm(view, motion, scored)))
+        return rows
+
+
+def print_tables(table: pd.DataFrame) -> None:
+    print_header(
+        [
+            "case",
+            "views",
+            "kind named",
+            "frames right",
+            "changed frames flagged",
+            "others flagged",
+            "error / untouched",
+            "mended / untouched",
+        ]
+    )
+    for name, of_case in table.groupby("case", sort=False):
+
+        def ratio(column: str, of_case: pd.DataFrame = of_case) -> str:
+            if column not in of_case or of_case[column].isna().all():
+                return ""
+            return f"{of_case[column].sum() / of_case['untouched_mm'].sum():.2f}"
+
+        is_case = CASES[str(name)].kind
+        print_row(
+            [
+                name,
+                len(of_case),
+                f"{of_case['kind_right'].mean():.0%}" if is_case else "",
+                f"{of_case['frames_right'].mean():.0%}" if is_case else "",
+                f"{of_case['changed_flagged'].mean():.0%}" if is_case else "",
+                f"{of_case['other_flags'].mean():.1%}",
+                ratio("mm"),
+                ratio("mended_mm"),
+            ]
+        )
+    untouched = table[table["case"] == "untouched"]
+    if len(untouched):
+        wrong = untouched["kinds"].ne("").sum()
+        print(
+            f"\nUntouched: something is named in {wrong} of {len(untouched)} views. Looking for mistakes took "
+            f"{untouched['mistakes_s'].sum() / untouched['solve_s'].sum():.2f} times the time of the solution."
+        )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folder", type=Path, nargs="?", default=recordings("cheetah-runs"))
+    parser.add_argument("--views", type=int, default=1, help="every so many views")
+    parser.add_argument("--first", type=int, default=0, help="from this view on")
+    parser.add_argument("--only", help="cases whose name has this in it")
+    parser.add_argument("--csv", type=Path, help="write all rows here")
+    arguments = parser.parse_args()
+    runs = sorted(p.parent for p in arguments.folder.glob("*/meta.json"))
+    if not runs:
+        parser.exit(message=f"no runs in {arguments.folder}: nothing measured\n")
+    rows = []
+    views = [(run, camera) for run in runs for camera in meta_of(run)["cameras"]]
+    for run, camera in views[arguments.first :: arguments.views]:
+        lens, xy_px, confidence, _ = view_of(run, camera)
+        file = read_keypoints(run / f"cam{camera}.csv")
+        file = replace(file, names=body_of().markers, xy_px=xy_px, confidence=confidence)
+        rows += rows_of(View(run, camera, file, lens.image_size_px), arguments.only)
+    table = pd.DataFrame(rows)
+    if arguments.csv:
+        table.to_csv(arguments.csv, index=False)
+    print_tables(table)
+
+
+if __name__ == "__main__":
+    main()

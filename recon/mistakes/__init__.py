@@ -1,0 +1,109 @@
+"""Mistakes in what a clip was given: sides exchanged, a picture turned over, another camera's, a wrong frame rate.
+
+Each is recognised by how much likelier the clip is with the mistake undone (`likelihood`), where that can be told.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from recon.body import Body
+from recon.camera import Camera
+from recon.kinematics import ROOT
+from recon.mistakes.likelihood import Given, given_of
+from recon.mistakes.mend import with_sides_mended, without_garbage
+from recon.mistakes.mistake import Mistake, MistakeKind
+from recon.mistakes.picture import of_other_camera, of_smaller_video, of_unit_square, turned_over
+from recon.mistakes.rate import other_rate
+from recon.mistakes.sides import exchanges
+from recon.prior import MotionPrior
+from recon.solve import TrajectoryOptions, TrajectorySolution
+from recon.solve.setting import Setting
+
+__all__ = [
+    "GARBAGE",
+    "SIDES",
+    "Known",
+    "Mistake",
+    "MistakeKind",
+    "find_mistakes",
+    "with_flags",
+    "with_sides_mended",
+    "without_garbage",
+]
+
+SIDES, GARBAGE = "sides exchanged", "garbage"
+"""Flags of frames."""
+
+
+@dataclass(frozen=True)
+class Known:
+    """What is known besides: by view, other cameras that it might be of, none where its file's name says which it is,
+    and the one that the name says instead; the frame rate that a file states, where another was given; and whether
+    exchanged sides are looked for, which takes longest."""
+
+    others: tuple[tuple[Camera, ...], ...]
+    named: tuple[str | None, ...]
+    stated_hz: float | None = None
+    sides: bool = True
+
+
+def find_mistakes(
+    solution: TrajectorySolution,
+    body: Body,
+    prior: MotionPrior,
+    fps: float,
+    options: TrajectoryOptions,
+    known: Known,
+) -> tuple[Mistake, ...]:
+    """In the keypoints that a solution was fitted to."""
+    setting = Setting.of(solution.views, body, prior, fps, options)
+    found: list[Mistake] = []
+    with threadpool_limits(1, user_api="blas"):
+        for number in range(len(setting.views)):
+            given = given_of(setting, number, solution.states, solution.size)
+            of_picture = _of_picture(given, number, known)
+            if of_picture is not None:
+                found.append(of_picture)
+            elif known.sides:
+                found += exchanges(given, number)
+        if not any(one.kind == "normalised" for one in found):
+            found += _of_rate(setting, solution, known.stated_hz)
+    return tuple(found)
+
+
+def _of_picture(given: Given, number: int, known: Known) -> Mistake | None:
+    """The first of those that leave nothing else to be told."""
+    return (
+        of_unit_square(given, number)
+        or turned_over(given, number)
+        or of_smaller_video(given, number)
+        or of_other_camera(given, number, known.others[number], known.named[number])
+    )
+
+
+def _of_rate(setting: Setting, solution: TrajectorySolution, stated_hz: float | None) -> Sequence[Mistake]:
+    posed = np.isfinite(solution.states[:, 0])
+    spells = [spell.rows for spell in solution.spells if posed[spell.rows].all()]
+    if not spells:
+        return ()
+    longest = max(spells, key=lambda rows: rows.stop - rows.start)
+    states = solution.states[longest].copy()
+    states[:, ROOT] = (states[:, ROOT] - setting.origin_m) / solution.size
+    found = other_rate(setting.part(longest), states, solution.noise_px[:, longest], stated_hz)
+    return () if found is None else (found,)
+
+
+def with_flags(solution: TrajectorySolution, mistakes: Sequence[Mistake]) -> TrajectorySolution:
+    """With those of the frames that mistakes are about and that were not mended."""
+    flags = [*solution.flags]
+    for one in mistakes:
+        name = {"sides": SIDES, "garbage": GARBAGE}.get(one.kind)
+        if name is not None and one.rows is not None and not one.mended:
+            for t in range(*one.rows):
+                flags[t] = flags[t] if name in flags[t] else (*flags[t], name)
+    return replace(solution, flags=tuple(flags))

@@ -1,0 +1,137 @@
+"""How likely what a camera saw is, under what is expected of an animal and its motion, as it was given or otherwise.
+
+A hypothesis is a `Setting`: other keypoints, or another camera. Its animal is sought from the start, as the fast search
+does, at the approach's frame rate: the motion that was found for the keypoints as given has adapted to them, and would
+judge any other by it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from recon.arrays import Array
+from recon.chain import MIN_JOINTS
+from recon.clip import View
+from recon.kinematics import ROOT, YAW
+from recon.solve.problem import Problem
+from recon.solve.setting import Setting
+from recon.solve.starts import APPROACH_HZ, approach
+from recon.solve.terms import ANGLES
+
+_WIDE, _TOLERANCE, _ITERATIONS = (8.0, 2.0, 1.0), 3e-3, 12
+"""Factors on the noise on the way in from a straight run, and when a minimum is good enough."""
+AT_ONCE_S = 1.0
+"""So much of a clip is judged at once."""
+LOW_FEET = 0.1
+"""Of the frames, the part in which the lowest foot is taken to be on the ground."""
+
+
+def alone(setting: Setting, view: View) -> Setting:
+    """Of one camera's view, by the fast search."""
+    origin_m = np.mean(view.centre_m, axis=0)
+    return replace(setting, views=(view,), origin_m=origin_m, options=replace(setting.options, fast=True))
+
+
+def surprise(
+    setting: Setting, start: Array | None = None, widen: Sequence[float] = _WIDE, lasting: bool = False
+) -> float:
+    """Minus the logarithm of the likelihood of one view's keypoints, but for a constant; infinite without any.
+
+    The errors of a detector last (`Setting.alike`), and their costs count once in that time. lasting: so do those of
+    the priors, for what is off in the same way all the time. start: states (T, D) to begin with, with the noise as many
+    times wider; by default the animal is sought.
+    """
+    if (setting.present().sum(axis=1) >= MIN_JOINTS).sum() < 2:
+        return np.inf
+    step = max(1, round(setting.fps / APPROACH_HZ))
+    thin, ones = setting.thinned(step), np.ones((1, len(setting.body.markers)))
+    states = (approach(setting)[0].estimate.states if start is None else start)[::step]
+    for times in () if start is None else widen:
+        noise_px = times * thin.noise_px(thin.markers(states), ones)
+        states = thin.problem(noise_px).minimise(states, _TOLERANCE, _ITERATIONS).states
+    problem = thin.problem(thin.noise_px(thin.markers(states), ones), 1.0)
+    states = problem.minimise(states, _TOLERANCE, _ITERATIONS).states
+    noise_px = thin.noise_px(thin.markers(states), ones)
+    seen, expected = costs(thin, thin.problem(noise_px, 1.0), states, noise_px)
+    return seen / setting.alike + expected / (setting.alike if lasting else 1.0) + off_ground(setting, states)
+
+
+@dataclass(frozen=True, eq=False)
+class Given:
+    """A view of a clip as it is, alone, and the states (T, D) that were found for it, at nominal size about its origin;
+    NaN where there are none."""
+
+    setting: Setting
+    states: Array
+
+    @property
+    def view(self) -> View:
+        return self.setting.views[0]
+
+    def other(self, view: View) -> Setting:
+        """With another view in its place."""
+        return alone(self.setting, view)
+
+    @cached_property
+    def _known(self) -> dict[tuple[int, int, bool], float]:
+        return {}
+
+    def surprise(self, part: slice, lasting: bool = False) -> float:
+        """Of a part of the clip, from the states that were found."""
+        key = (part.start, part.stop, lasting)
+        if key not in self._known:
+            start = self.states[part]
+            known = start if np.isfinite(start).all() else None
+            self._known[key] = surprise(self.setting.part(part), known, (1.0,), lasting)
+        return self._known[key]
+
+    def straight(self, part: slice) -> Array | None:
+        """States (n, D) of the mean pose that goes along where the animal was found; None where it was not."""
+        found = self.states[part]
+        if not np.isfinite(found).all():
+            return None
+        start = np.zeros_like(found)
+        start[:, ANGLES], start[:, YAW] = self.setting.prior.mean, np.median(np.unwrap(found[:, YAW]))
+        time = np.linspace(-1.0, 1.0, len(found))
+        path = np.polynomial.polynomial.polyfit(time, found[:, ROOT], min(2, len(found) - 1))
+        start[:, ROOT] = np.polynomial.polynomial.polyval(time, path).T
+        return start
+
+
+def given_of(setting: Setting, number: int, states: Array, size: float) -> Given:
+    """Of one view of a clip. states (T, D) with the root in the world."""
+    own = alone(setting, setting.views[number])
+    found = states.copy()
+    found[:, ROOT] = (states[:, ROOT] - own.origin_m) / size
+    return Given(own, found)
+
+
+def costs(setting: Setting, problem: Problem, states: Array, noise_px: Array) -> tuple[float, float]:
+    """Of the keypoints, as a density in pixels, and of what is expected of the motion."""
+    of_terms = problem.costs(states)
+    (view,) = setting.views
+    spread = 2.0 * float(np.sum(np.log(noise_px[0]) * np.where(view.present, view.confidence, 0.0)))
+    return of_terms.pop("reprojection") + spread, sum(of_terms.values())
+
+
+def off_ground(setting: Setting, states: Array) -> float:
+    """Where the ground's height is known: of feet that are off it all the time."""
+    if not setting.ground_known or not len(setting.feet):
+        return 0.0
+    feet_m = setting.markers(states)[:, setting.feet, 2]
+    low_m = float(np.quantile(feet_m.min(axis=1), LOW_FEET))
+    sigma_m = np.hypot(setting.options.ground_height_m, setting.size_sigma * low_m)
+    return 0.5 * float((setting.origin_m[2] + low_m) / sigma_m) ** 2
+
+
+def best_seen(view: View, fps: float) -> slice:
+    """The stretch of `AT_ONCE_S` in which most is seen."""
+    counts = view.present.sum(axis=1)
+    n = min(round(AT_ONCE_S * fps), len(counts))
+    total = np.concatenate([[0], np.cumsum(counts)])
+    first = int(np.argmax(total[n:] - total[: len(total) - n]))
+    return slice(first, first + n)

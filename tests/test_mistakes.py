@@ -1,0 +1,256 @@
+"""Mistakes in what a clip was given: put into a simulated run, each is found, and none where there is none."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from recon.app.clip import fit_clip, prepare
+from recon.app.demo import samples_folder
+from recon.clip import View, still_view
+from recon.export.deeplabcut import write_keypoints_csv
+from recon.io import read_keypoints
+from recon.keypoints import CleaningReport
+from recon.mistakes import Known, Mistake, find_mistakes, with_flags, with_sides_mended, without_garbage
+from recon.mistakes.garbage import garbage_ratios
+from recon.mistakes.likelihood import given_of
+from recon.mistakes.mistake import CLEAR
+from recon.mistakes.picture import of_other_camera, of_smaller_video, of_unit_square, smaller, turned_over
+from recon.mistakes.rate import other_rate
+from recon.mistakes.sides import Stretch, exchanged, exchanges, jumps, opposites, pairs_of
+from recon.motion import Motion
+from recon.report import mistakes as in_report
+from recon.settings import FitSettings
+from recon.solve import TrajectoryOptions
+from recon.solve.setting import Setting
+from tests.test_trajectory import BODY, CAMERA, FPS, PRIOR, plain, run, seen
+
+T = 40
+KNOWN = Known(((),), (None,))
+
+
+@cache
+def view() -> View:
+    xy_px = seen(run())
+    return still_view(CAMERA, xy_px, np.ones(xy_px.shape[:2]))
+
+
+def given(changed: View, **options):
+    setting = Setting.of([changed], BODY, PRIOR, FPS, TrajectoryOptions(**options))
+    return given_of(setting, 0, plain().states, plain().size)
+
+
+def moved(xy_px: np.ndarray) -> View:
+    return replace(view(), xy_px=xy_px)
+
+
+def stretch(kind: str, first: int, stop: int) -> Stretch:
+    return Stretch(slice(first, stop), pairs_of(BODY)[kind])
+
+
+# -- sides ---------------------------------------------------------------------------------------------------------
+
+
+def test_pairs_are_those_of_the_other_side():
+    names = {kind: {BODY.markers[j] for j in np.flatnonzero(p != np.arange(24))} for kind, p in pairs_of(BODY).items()}
+    assert names["fore"] == {f"{s}_front_{part}" for s in "lr" for part in ("knee", "ankle", "paw")}
+    assert names["hind"] == {f"{s}_back_{part}" for s in "lr" for part in ("knee", "ankle", "paw")}
+    assert names["all"] == {name for name in BODY.markers if name[:2] in ("l_", "r_")}
+    np.testing.assert_array_equal(opposites(BODY)[opposites(BODY)], np.arange(24))
+
+
+def test_tracks_jump_where_an_exchange_begins_and_ends():
+    gain = jumps(exchanged(view(), stretch("all", 15, 25)), pairs_of(BODY)["all"])
+    assert sorted(np.argsort(-gain)[:2].tolist()) == [15, 25]
+    assert gain[[15, 25]].min() > 20
+    assert np.delete(gain, [0, 15, 25]).max() < -10
+
+
+def test_missing_points_say_nothing_of_jumps():
+    xy_px = view().xy_px.copy()
+    xy_px[:, 3] = np.nan
+    xy_px[10:14] = np.nan
+    gain = jumps(moved(xy_px), pairs_of(BODY)["all"])
+    assert np.isfinite(gain).all()
+    assert gain[11:13].tolist() == [0.0, 0.0]
+    assert not jumps(moved(np.full_like(xy_px, np.nan)), pairs_of(BODY)["all"]).any()
+
+
+@pytest.mark.parametrize(("kind", "first", "stop"), [("all", 15, 25), ("all", 0, T)])
+def test_exchanged_sides_are_found(kind, first, stop):
+    (found,) = exchanges(given(exchanged(view(), stretch(kind, first, stop))), 0)
+    assert (found.kind, found.view, found.rows) == ("sides", 0, (first, stop))
+    assert found.markers == stretch(kind, first, stop).markers
+    assert found.ratio > CLEAR
+
+
+def test_an_untouched_clip_has_no_mistakes():
+    assert find_mistakes(plain(), BODY, PRIOR, FPS, TrajectoryOptions(), KNOWN) == ()
+
+
+def test_mending_exchanges_back(small_trajectory: Motion):
+    (source,) = small_trajectory.sources
+    places = opposites(small_trajectory.body)
+    legs = tuple(int(j) for j in np.flatnonzero(places != np.arange(24)))
+    found = (Mistake("sides", 30.0, 0, (2, 4), legs), Mistake("frame_rate", 20.0, found=60.0))
+    (mended,), marked = with_sides_mended((source,), found, small_trajectory.body)
+    expected = source.keypoints.xy_px.copy()
+    expected[2:4] = expected[2:4][:, places]
+    np.testing.assert_array_equal(mended.keypoints.xy_px, expected)
+    assert [one.mended for one in marked] == [True, False]
+    (again,), _ = with_sides_mended((mended,), found, small_trajectory.body)
+    np.testing.assert_array_equal(again.keypoints.xy_px, source.keypoints.xy_px)
+    np.testing.assert_array_equal(again.keypoints.confidence, source.keypoints.confidence)
+
+
+# -- garbage -------------------------------------------------------------------------------------------------------
+
+
+def test_frames_of_garbage_are_left_out_and_flagged(small_trajectory: Motion):
+    solution, (source,) = small_trajectory.solution, small_trajectory.sources
+    xy_px = source.keypoints.xy_px.copy()
+    rng = np.random.default_rng(0)
+    xy_px[5:7] = np.where(np.isfinite(xy_px[5:7]), rng.uniform((0, 0), (1920, 1080), xy_px[5:7].shape), np.nan)
+    source = replace(source, keypoints=replace(source.keypoints, xy_px=xy_px))
+    spoilt = replace(solution, views=(replace(solution.views[0], xy_px=xy_px),))
+    ratios = garbage_ratios(spoilt.views[0], spoilt.markers_m, spoilt.noise_px[0])
+    assert np.isnan(ratios[3])  # nothing was seen
+    assert ratios[5:7].min() > 40
+    assert np.nanmax(np.delete(ratios, [5, 6])) < -40
+    (kept,), (found,) = without_garbage((source,), spoilt)
+    assert (found.kind, found.view, found.rows) == ("garbage", 0, (5, 7))
+    assert not kept.keypoints.present[5:7].any()
+    np.testing.assert_array_equal(kept.keypoints.present[:5], source.keypoints.present[:5])
+    (note,) = kept.cleaning.notes
+    assert "in frames whose detections are garbage, and left out" in note
+    flags = with_flags(solution, [found, replace(found, kind="sides", rows=(0, 1), mended=True)]).flags
+    assert [t for t, of_frame in enumerate(flags) if "garbage" in of_frame] == [5, 6]
+    assert not any("sides exchanged" in of_frame for of_frame in flags)
+
+
+def test_where_most_frames_are_garbage_none_is_left_out(small_trajectory: Motion):
+    solution, (source,) = small_trajectory.solution, small_trajectory.sources
+    far = replace(solution.views[0], xy_px=solution.views[0].xy_px + 700.0)
+    (kept,), found = without_garbage((source,), replace(solution, views=(far,)))
+    assert found == ()
+    assert isinstance(kept.cleaning, CleaningReport)
+    np.testing.assert_array_equal(kept.keypoints.present, source.keypoints.present)
+
+
+# -- the picture ---------------------------------------------------------------------------------------------------
+
+
+def test_keypoints_from_0_to_1():
+    found = of_unit_square(given(moved(view().xy_px / (1920, 1080))), 0)
+    assert found is not None
+    assert (found.kind, found.view) == ("normalised", 0)
+    assert found.ratio == pytest.approx(np.log(1920 * 1080 / 4) * T / (0.16 * FPS))
+    assert of_unit_square(given(view()), 0) is None
+
+
+@pytest.mark.parametrize(
+    ("kind", "turn"),
+    [("y_up", lambda xy: [0, 1079] + [1, -1] * xy), ("upside_down", lambda xy: [1919, 1079] - xy)],
+)
+def test_a_picture_turned_over(kind, turn):
+    found = turned_over(given(moved(turn(view().xy_px))), 0)
+    assert found is not None
+    assert found.kind == kind
+    assert found.ratio > 10 * CLEAR
+    assert turned_over(given(view()), 0) is None
+
+
+def test_a_smaller_video():
+    found = of_smaller_video(given(moved(view().xy_px / 2)), 0)
+    assert found is not None
+    assert (found.kind, found.found) == ("smaller_video", 2)
+    assert of_smaller_video(given(view()), 0) is None
+    half = smaller(CAMERA, 2)
+    assert half.image_size_px == (960, 540)
+    points = np.array([[0.3, -0.2, 4.0], [0.0, 0.0, 3.0]])
+    np.testing.assert_allclose(half.project(points)[0], (CAMERA.project(points)[0] + 0.5) / 2 - 0.5)
+
+
+def test_the_name_of_another_camera_is_taken_at_its_word():
+    found = of_other_camera(given(view()), 0, (), "cam3")
+    assert found is not None
+    assert (found.kind, found.found) == ("other_camera", "cam3")
+    assert np.isnan(found.ratio)
+    assert of_other_camera(given(view()), 0, (), None) is None
+
+
+# -- the frame rate ------------------------------------------------------------------------------------------------
+
+
+def test_the_frame_rate_that_the_file_states():
+    setting = Setting.of([view()], BODY, PRIOR, FPS, TrajectoryOptions())
+    found = other_rate(setting, plain().states, plain().noise_px, 120.0)
+    assert found == Mistake("frame_rate", found.ratio if found else 0.0, found=120.0)
+    assert np.isnan(found.ratio)
+    assert other_rate(setting, plain().states, plain().noise_px, 90.5) is None
+
+
+@pytest.mark.parametrize("factor", [0.5, 2.0])
+def test_a_motion_at_another_rate_than_it_was_filmed_at(factor):
+    setting = Setting.of([view()], BODY, PRIOR, FPS * factor, TrajectoryOptions())
+    found = other_rate(setting, given(view()).states, plain().noise_px, None)
+    assert found is not None
+    assert found.found == pytest.approx(FPS)
+    assert found.ratio > CLEAR
+
+
+# -- what is said of them ------------------------------------------------------------------------------------------
+
+
+def test_every_mistake_has_a_sentence(small_trajectory: Motion):
+    legs = tuple(small_trajectory.names.index(f"{s}_front_paw") for s in "lr")
+    mistakes = {
+        "left and right look exchanged in frames 12 to 13, l_front_paw, r_front_paw: --fix-swaps": Mistake(
+            "sides", 30.0, 0, (2, 4), legs
+        ),
+        "left and right were exchanged in the whole clip, of all keypoints: exchanged back": Mistake(
+            "sides", 9.0, 0, (0, 8), tuple(range(24)), mended=True
+        ),
+        "the detections in frame 10 are garbage": Mistake("garbage", 90.0, 0, (0, 1)),
+        "from 0 to 1": Mistake("normalised", 90.0, 0),
+        "y went up": Mistake("y_up", 90.0, 0),
+        "upside down": Mistake("upside_down", 90.0, 0),
+        "2 times smaller": Mistake("smaller_video", 90.0, 0, found=2),
+        "the keypoint file's name says cam3": Mistake("other_camera", np.nan, 0, found="cam3"),
+        "look like those of cam3": Mistake("other_camera", 9.0, 0, found="cam3"),
+        "the keypoint file says 60 frames per second, but --fps is 30": Mistake("frame_rate", np.nan, found=60.0),
+        "as if filmed at about 60 frames per second, not 30": Mistake("frame_rate", 9.0, found=60.0),
+    }
+    entries = in_report.section(replace(small_trajectory, mistakes=tuple(mistakes.values())))
+    for words, entry in zip(mistakes, entries, strict=True):
+        assert words in entry["text"]
+    assert entries[0]["frames"] == (12, 14)
+    assert entries[0]["keypoints"] == ["l_front_paw", "r_front_paw"]
+    assert list(in_report.warnings({"mistakes": entries})) == [entry["text"] for entry in entries]
+
+
+def test_a_file_says_which_rate_it_is_of(tmp_path):
+    file = read_keypoints(samples_folder() / "whole_cam1.csv")
+    write_keypoints_csv(replace(file, fps=60.0), tmp_path / "stated.csv")
+    told = {"keypoints": tmp_path / "stated.csv", "camera": samples_folder() / "camera.toml"}
+    for fps, stated in ((30.0, 60.0), (60.0, None), (None, None)):
+        (source,) = prepare(FitSettings(**told, fps=fps)).sources
+        assert (source.keypoints.fps, source.keypoints.stated_fps) == (fps or 60.0, stated)
+
+
+def test_a_file_of_another_camera():
+    settings = FitSettings(
+        keypoints=samples_folder() / "whole_cam1.csv",
+        camera=samples_folder() / "whole_scene.json",
+        camera_name="cam2",
+        fps=60,
+        frames="0:12",
+        fast=True,
+    )
+    motion = fit_clip(settings)
+    (found,) = motion.mistakes
+    assert (found.kind, found.found) == ("other_camera", "cam1")
+    assert motion.solution.stage_s["mistakes"] > 0
