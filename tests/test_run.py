@@ -256,13 +256,12 @@ def test_a_video_of_another_size_is_refused_before_the_network_looks_at_it(film,
 
 @pytest.mark.usefixtures("small_pictures")
 def test_the_stages_are_those_of_the_commands(tmp_path, monkeypatch):
-    """All of it, but for figures, which take long."""
+    """All of it, with the beginning of the rendered film, but for figures, which take long."""
     monkeypatch.setattr("recon.app.analyse.write_figures", lambda found, folder: None)
     page = '<meta name="generator" content="recon">'
     monkeypatch.setattr("recon.app.page.clip_page", lambda results, stills, behind, files: f"{page} {behind} {files}")
-    film = write_film(tmp_path / "run.avi", 12, (1920, 1080))
-    given = {"camera": SAMPLES / "camera.toml", "fast": True, "frames": "0:12"}
-    job = job_of(film, tmp_path / "out", given, keypoints=SAMPLES / "whole.csv")
+    given = {"camera": SAMPLES / "rendered_camera.toml", "fast": True, "frames": "0:6"}
+    job = job_of(SAMPLES / "rendered.mp4", tmp_path / "out", given, keypoints=SAMPLES / "rendered_points.csv")
     stages, shares = [], []
     done = run_video(job, lambda what, share: shares.append((what.split(":")[0], share)), stages.append)
     assert list(done.stages) == stages
@@ -271,7 +270,7 @@ def test_the_stages_are_those_of_the_commands(tmp_path, monkeypatch):
     assert shares == sorted(shares, key=lambda pair: pair[1])
     written = {path.relative_to(job.out).as_posix() for path in job.out.rglob("*") if path.is_file()}
     assert written == {name for stage in stages for name in stage.files} | {"run.json"}
-    assert "run.avi ['overlay.mp4', 'analysis/analysis.json'," in (job.out / "report.html").read_text()
+    assert "rendered.mp4 ['overlay.mp4', 'analysis/analysis.json'," in (job.out / "report.html").read_text()
     assert run_video(job).unchanged
 
 
