@@ -121,6 +121,8 @@ def test_nothing_is_done_twice(film, called):
     assert done(job(film, first_frame=3, start="analyse"), called) == ["analyse", "overlay", "page"]
     (film.parent / "points.csv").write_text((SAMPLES / "whole_cam1.csv").read_text())
     assert done(job(film, first_frame=3), called) == ALL
+    (film.parent / "out" / "report.html").write_text("of recon report")
+    assert done(job(film, first_frame=3), called) == ["page"]
     (film.parent / "out" / "overlay.mp4").unlink()
     assert done(job(film, first_frame=3), called) == ["overlay"]
     write_film(film, frames=3)

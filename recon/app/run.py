@@ -85,7 +85,7 @@ class Stage:
     identity: Callable[[], dict[str, Any]]
     """What it is made from."""
     places: tuple[Path, ...]
-    """Files that are in its way, unless a run has made them."""
+    """Files that are in its way, unless a run has made them; none where it looks for itself what it may replace."""
     work: Callable[[Progress], Iterable[Path]]
     """Does it, over what is there, and gives the files that it wrote."""
 
@@ -362,6 +362,8 @@ def _changed(out: Path, before: Mapping[str, Any] | None) -> list[Path]:
 
 def _require_own(stage: Stage, before: Mapping[str, Any] | None, changed: Iterable[Path]) -> None:
     """Raises InputError where files are in the way of a stage that no run has made, or that were changed since."""
+    if not stage.places:
+        return
     if before is None:
         foreign, found = [path for path in stage.places if path.exists()], "one that recon run has not made"
         expected = "another --out, or --overwrite"
