@@ -105,16 +105,16 @@ def summary(args: argparse.Namespace, folder: Path) -> None:
 def run(args: argparse.Namespace, folder: Path) -> None:
     if args.model is None:
         raise SystemExit("--model: a network that `recon train` made on the rendered film")
-    fit = (*FILM_FIT, "--fps", 120)
+    settings = (*FILM_FIT, "--likelihood-min", 0)  # whatever the network is worth
     stages = {
         "detect": ("predict", FILM, "--model", args.model.absolute(), "--out", "points.csv"),
-        "fit": ("fit", "points.csv", *fit, "--out", "alone"),
+        "fit": ("fit", "points.csv", *settings, "--fps", 120, "--out", "alone"),
         "analyse": ("analyse", "alone"),
         "overlay": ("overlay", "alone", "--video", FILM, "--out", "overlay.mp4"),
         "page": ("report", "alone", "--video", FILM),
     }
     taken = {name: recon(folder, *command) for name, command in stages.items()}
-    whole = ("run", FILM, *FILM_FIT, "--model", args.model.absolute(), "--out", "together")
+    whole = ("run", FILM, *settings, "--model", args.model.absolute(), "--out", "together")
     total = tuple(sum(column) for column in zip(*taken.values(), strict=True))
     taken |= {"sum": total, "`recon run`": recon(folder, *whole), "again": recon(folder, *whole)}
     print_header(("what", "s", "s of the processor", "of the sum"))
