@@ -39,7 +39,7 @@ def blueprint(motion: Motion, scene: Scene, start_frame: int | None) -> rrb.Blue
             (_title(motion), 0.0, [BODY, _SEEN]),
             ("Body", 0.0, ["world/skeleton/**", "world/uncertainty", "world/stance", _SEEN]),
             (
-                f"What is seen: joints' axes, blue from {MEASURED_SHARE:.0%} pixels",
+                f"What is seen: axes of the joints, blue: {MEASURED_SHARE:.0%} or more by the pixels",
                 0.7,  # so that axes across the animal do not point at the eye
                 ["world/skeleton/**", "world/uncertainty", "world/stance", BODY],
             ),
