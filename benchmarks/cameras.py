@@ -27,7 +27,7 @@ from trajectory import INSIDE_50, INSIDE_90, SKELETON, body_of, meta_of, prior_o
 
 from recon import Body, FitSettings
 from recon.app.clip import prepare
-from recon.clip import View, views_of
+from recon.clip import Source, View, views_of
 from recon.solve import TrajectoryOptions, TrajectorySolution, solve_trajectory
 from recon.solve.setting import Setting
 from recon.solve.shape import Shape, fit_shape
@@ -39,9 +39,10 @@ HELD = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """One run: its views by camera, and the truth (T, J, 3) on their frames, world frame."""
+    """One run: its sources and views by camera, and the truth (T, J, 3) on their frames, world frame."""
 
     folder: Path
+    sources: dict[int, Source]
     views: dict[int, View]
     truth_m: np.ndarray
 
@@ -72,7 +73,8 @@ def run_of(folder: Path) -> Run:
     _, here, there = np.intersect1d(given.sources[0].keypoints.frames, frames, return_indices=True)
     truth_m = np.full((len(given.sources[0].keypoints.frames), *points_m.shape[1:]), np.nan)
     truth_m[here] = points_m[there]
-    return Run(folder, dict(zip(cameras, views_of(given.sources), strict=True)), truth_m)
+    sources, views = given.sources, views_of(given.sources)
+    return Run(folder, dict(zip(cameras, sources, strict=True)), dict(zip(cameras, views, strict=True)), truth_m)
 
 
 def most_different(run: Run) -> int:

@@ -216,6 +216,21 @@ class FitSettings:
         "seconds, as in 0.025 or -1.5, one for each keypoint file",
         method="trajectory",
     )
+    find_offsets: bool | None = _field(
+        _FLAG,
+        "Find how much later than the first each camera began to film, from the animal's motion; --offset-s is where "
+        "the search begins.",
+        "true or false",
+        default=False,
+        method="trajectory",
+    )
+    camera_fps: tuple[float, ...] | None = _field(
+        _each(_POSITIVE),
+        "Frame rates of cameras that differ in it, once for each keypoint file, as in 120 and 59.94. The result has "
+        "the first one's. (default: all have the same)",
+        "frames per second above 0, one number for each keypoint file",
+        method="trajectory",
+    )
     fps: float | None = _field(
         _POSITIVE,
         "Frame rate of the video in Hz, as in 120. (default: what the file says, if it does)",
@@ -416,11 +431,15 @@ class FitSettings:
     def _problems_of_several(self) -> Iterator[Problem]:
         """Where a clip has several cameras, everything of one camera is there once for each."""
         count = len(self.keypoints)
-        for name in ("camera_name", "offset_s"):
+        for name in ("camera_name", "offset_s", "camera_fps"):
             values = getattr(self, name)
             if values is not None and len(values) != count:
                 expected = f"one for each keypoint file, that is {count}"
                 yield Problem("settings", name, f"{len(values)}: {', '.join(map(str, values))}", expected)
+        if self.find_offsets and count == 1:
+            yield Problem("settings", "find_offsets", "one keypoint file", "files of several cameras")
+        if self.camera_fps is not None and self.fps is not None:
+            yield Problem("settings", "camera_fps", f"beside fps, {self.fps:g}", "one of the two")
         if count > 1 and self.method == "frame":
             found = f"{count} files with the frame method, which knows one camera"
             yield Problem("settings", "keypoints", found, "one file, or --method trajectory")
@@ -453,7 +472,7 @@ class FitSettings:
     def trajectory_options(self) -> TrajectoryOptions:
         from recon.solve import TrajectoryOptions
 
-        names = ("fast", "ground", "sigma_px", "keypoint_sigma_m", "size_sigma")
+        names = ("fast", "ground", "sigma_px", "keypoint_sigma_m", "size_sigma", "find_offsets")
         return TrajectoryOptions(**{name: getattr(self, name) for name in names})
 
     def plain(self) -> dict[str, Any]:

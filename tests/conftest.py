@@ -235,6 +235,7 @@ def small_trajectory() -> Motion:
         cost_by_term={"reprojection": 120.0, "pose prior": 30.0},
         iterations=25,
         lag_frames=np.zeros(1),
+        lag_sigma_frames=np.zeros(1),
         starts=(Start(0.1, 150.0, True), Start(np.pi - 0.1, 155.0, False)),
         stage_s={"starts": 0.2, "all": 0.5},
     )
@@ -293,6 +294,7 @@ def two_cameras(world_trajectory: Motion) -> Motion:
         views=(*motion.solution.views, still_view(camera, xy_px, seen.astype(float))),
         noise_px=np.concatenate([motion.solution.noise_px, np.full((1, *seen.shape), 20.0)]),
         weight=np.concatenate([motion.solution.weight, np.where(seen, 0.5, np.nan)[None]]),
+        lag_sigma_frames=np.full(2, 0.1),
         size_from=("prior", "views"),
     )
     second = Source(camera, keypoints, cleaning, file.names)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -163,14 +164,16 @@ def test_of_a_long_clip_the_stretch_in_which_most_is_seen_is_compared():
 # -- in words ------------------------------------------------------------------------------------------------------
 
 
-def section(views: list[View], **settings) -> dict:
+def section(views: list[View], offset_s: Sequence[float] = (0.0, 0.0, 0.0, 0.0)) -> dict:
     """Of a motion that has what the report reads."""
     frames = np.arange(100, 100 + len(views[0].xy_px))
     body = SimpleNamespace(keypoint_sigma_m=KEYPOINT_M)
     late = replace(views[0], lead_frames=views[0].lead_frames + 0.3)  # a lag that was found does not hide another
     solution = SimpleNamespace(views=[late, *views[1:]])
-    motion = SimpleNamespace(solution=solution, sources=views, body=body, fps=FPS, frames=frames)
-    found = in_report.section(motion, {"sigma_px": 2.0, **settings})  # type: ignore[arg-type]
+    leads = [view.lead_frames for view in views]
+    sources = [SimpleNamespace(lead_frames=lead, offset_s=s) for lead, s in zip(leads, offset_s, strict=False)]
+    motion = SimpleNamespace(solution=solution, sources=sources, body=body, fps=FPS, frames=frames)
+    found = in_report.section(motion, {"sigma_px": 2.0})  # type: ignore[arg-type]
     assert found is not None
     return found
 

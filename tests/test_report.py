@@ -496,7 +496,9 @@ def test_the_values_that_ran_are_in_the_report(report, trajectory, small_motion,
 
 @pytest.fixture(scope="module")
 def several(two_cameras):
-    return build_report(two_cameras, {"subject": None, "offset_s": [0.0, 0.25]})
+    first, second = two_cameras.sources
+    later = replace(two_cameras, sources=(first, replace(second, offset_s=0.25)))
+    return build_report(later, {"subject": None})
 
 
 def test_one_camera_is_a_list_of_one(trajectory, report):

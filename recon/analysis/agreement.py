@@ -19,7 +19,7 @@ from typing import Literal
 
 import numpy as np
 
-from recon.arrays import Array
+from recon.arrays import Array, Index
 from recon.clip import View
 
 Kind = Literal["exchanged", "turned", "late", "unknown", "apart"]
@@ -101,14 +101,14 @@ def camera_agreement(views: Sequence[View], fps: float, sigma_px: float, keypoin
     frames = _best_seen(views)
     views = [view.part(frames) for view in views]
     noise = (sigma_px, keypoint_sigma_m)
-    sights = _sights(views, *noise)
+    sights = sights_of(views, *noise)
     everyone = tuple(range(len(views)))
     levels, limit = _levels(sights, everyone), MAX_LEVEL
     exchanged, judged = None, sights
     if not _agree(levels, limit):
         doubtful = {v for v in everyone if not _fits(levels[v], limit)}
         pairs = [pair for pair in combinations(everyone, 2) if doubtful & {*pair}]
-        trials = {pair: _sights(_with_exchanged(views, *pair), *noise) for pair in pairs}
+        trials = {pair: sights_of(_with_exchanged(views, *pair), *noise) for pair in pairs}
         of_trials = {pair: _levels(trial, everyone) for pair, trial in trials.items()}
         without = [_levels(sights, rest) for rest in combinations(everyone, len(everyone) - 1) if len(rest) > 1]
         limit *= float(np.clip(min(_median_level(of) for of in (*without, *of_trials.values())), 1.0, NOISIEST))
@@ -176,7 +176,7 @@ def _exchanged_pair(levels: Levels, trials: Mapping[tuple[int, int], Levels], li
     return min(good, key=lambda pair: good[pair], default=None)
 
 
-def _agreements(sights: Sequence[_Sight], among: Sequence[int], fps: float) -> list[CameraAgreement]:
+def _agreements(sights: Sequence[Sight], among: Sequence[int], fps: float) -> list[CameraAgreement]:
     """Each camera with those of them that are others."""
     return [
         _agreement(sight, [sights[o] for o in among if o != v], fps, wide=v not in among)
@@ -211,7 +211,7 @@ def _with_exchanged(views: Sequence[View], a: int, b: int) -> list[View]:
     ]
 
 
-def _agreeing(sights: Sequence[_Sight], fps: float, limit: float) -> tuple[int, ...]:
+def _agreeing(sights: Sequence[Sight], fps: float, limit: float) -> tuple[int, ...]:
     """The cameras that are left when those that agree least have gone one by one; () if no two agree.
 
     Of three cameras the two that are left can only be compared with each other, which a camera beside another may pass
@@ -227,7 +227,7 @@ def _agreeing(sights: Sequence[_Sight], fps: float, limit: float) -> tuple[int, 
 
 
 def _cost_without(
-    sights: Sequence[_Sight], among: Sequence[int], rest: Sequence[int], fps: float, limit: float
+    sights: Sequence[Sight], among: Sequence[int], rest: Sequence[int], fps: float, limit: float
 ) -> tuple[bool, float]:
     """To be made small: whether nothing brings the camera that is left out back, and how well the rest agrees."""
     (v,) = {*among} - {*rest}
@@ -253,7 +253,7 @@ def _kind(found: CameraAgreement, limit: float) -> Kind:
 
 
 @dataclass(frozen=True, eq=False)
-class _Sight:
+class Sight:
     """The directions in which one camera saw J keypoints in T frames, as unit vectors of the world frame."""
 
     rays: Array
@@ -266,7 +266,7 @@ class _Sight:
     noise_rad: Array
     """(T, 1)"""
 
-    def later(self, frames: float) -> _Sight:
+    def later(self, frames: float) -> Sight:
         """If the pictures were taken that much later."""
         if not frames:
             return self
@@ -276,6 +276,11 @@ class _Sight:
             centre_m=_shifted(self.centre_m, frames),
             rotation=_shifted(self.rotation, round(frames)),
         )
+
+    def part(self, rows: Index) -> Sight:
+        """Of these rows only."""
+        parts = (self.rays[rows], self.centre_m[rows], self.rotation[rows], self.focal_px, self.noise_rad[rows])
+        return Sight(*parts)
 
 
 @dataclass(frozen=True, eq=False)
@@ -299,19 +304,19 @@ def _shifted(values: Array, frames: float) -> Array:
     return (1 - share) * result[0] + share * result[1] if share else result[0]
 
 
-def _sights(views: Sequence[View], sigma_px: float, keypoint_sigma_m: float) -> list[_Sight]:
+def sights_of(views: Sequence[View], sigma_px: float, keypoint_sigma_m: float) -> list[Sight]:
     T = len(views[0].xy_px)
     sights = []
     for view in views:
         focal_px = float(np.mean(view.focal_px))
         rotation = np.broadcast_to(view.T_camera_world[..., :3, :3], (T, 3, 3))
-        sight = _Sight(view.rays(), view.centre_m, rotation, focal_px, np.full((T, 1), sigma_px / focal_px))
+        sight = Sight(view.rays(), view.centre_m, rotation, focal_px, np.full((T, 1), sigma_px / focal_px))
         sights.append(sight.later(view.lead_frames))
     points = _points(sights)
     return [_with_keypoint_noise(sight, points, keypoint_sigma_m) for sight in sights]
 
 
-def _with_keypoint_noise(sight: _Sight, points: _Points, keypoint_sigma_m: float) -> _Sight:
+def _with_keypoint_noise(sight: Sight, points: _Points, keypoint_sigma_m: float) -> Sight:
     """That of a place on the body, at the points' typical distance from the camera."""
     distance = np.linalg.norm(points.place_m - sight.centre_m[:, None], axis=-1)
     known = np.isfinite(distance)
@@ -323,7 +328,7 @@ def _with_keypoint_noise(sight: _Sight, points: _Points, keypoint_sigma_m: float
     return replace(sight, noise_rad=np.hypot(sight.noise_rad, keypoint_sigma_m / typical[:, None]))
 
 
-def _points(sights: Sequence[_Sight]) -> _Points:
+def _points(sights: Sequence[Sight]) -> _Points:
     """Where the rays of two or more cameras come nearest to each other, those far off counting less."""
     rays = np.array([sight.rays for sight in sights])
     centres = np.array([sight.centre_m for sight in sights])[:, :, None]
@@ -352,18 +357,18 @@ def _points(sights: Sequence[_Sight]) -> _Points:
 # -- one camera against others -------------------------------------------------------------------------------------
 
 
-def _levels(sights: Sequence[_Sight], among: Sequence[int]) -> Levels:
+def _levels(sights: Sequence[Sight], among: Sequence[int]) -> Levels:
     """Of each of these cameras against the others of them."""
     if len(among) == 2:
         a, b = among
-        return dict.fromkeys(among, _pair_level(sights[a], sights[b])[0])
+        return dict.fromkeys(among, pair_level(sights[a], sights[b])[0])
     return {v: _level(sights[v], _points([sights[o] for o in among if o != v])) for v in among}
 
 
-def _agreement(sight: _Sight, others: Sequence[_Sight], fps: float, wide: bool) -> CameraAgreement:
+def _agreement(sight: Sight, others: Sequence[Sight], fps: float, wide: bool) -> CameraAgreement:
     """wide: a lag is sought far and wide."""
     if len(others) == 1:
-        level, error_rad, n = _pair_level(sight, others[0])
+        level, error_rad, n = pair_level(sight, others[0])
         return CameraAgreement(n, error_rad * sight.focal_px, level, np.nan, np.nan, np.nan, np.nan)
     points = _points(others)
     towards, squared = _errors(sight, points)
@@ -383,7 +388,7 @@ def _agreement(sight: _Sight, others: Sequence[_Sight], fps: float, wide: bool) 
     )
 
 
-def _pair_level(a: _Sight, b: _Sight) -> tuple[float, float, int]:
+def pair_level(a: Sight, b: Sight) -> tuple[float, float, int]:
     """Level, median angle between a's rays and the planes through both centres and b's rays, and number of points."""
     line = b.centre_m - a.centre_m
     plane_a, plane_b = np.cross(b.rays, line[:, None]), np.cross(line[:, None], a.rays)
@@ -397,7 +402,7 @@ def _pair_level(a: _Sight, b: _Sight) -> tuple[float, float, int]:
     return float(level), float(np.median(off[known] / size_a[known])), int(known.sum())
 
 
-def _errors(sight: _Sight, points: _Points) -> tuple[Array, Array]:
+def _errors(sight: Sight, points: _Points) -> tuple[Array, Array]:
     """Unit vectors (T, J, 3) towards the points, and by how many sigmas squared (T, J) the rays lie beside them."""
     off = points.place_m - sight.centre_m[:, None]
     distance = np.linalg.norm(off, axis=-1, keepdims=True)
@@ -422,13 +427,13 @@ def _across(rays: Array) -> tuple[Array, Array]:
     return x, np.asarray(np.cross(rays, x), dtype=float)
 
 
-def _level(sight: _Sight, points: _Points) -> float:
+def _level(sight: Sight, points: _Points) -> float:
     _, squared = _errors(sight, points)
     known = squared[~np.isnan(squared)]
     return float(np.sqrt(np.median(known) / _MEDIAN_OF_POINT)) if len(known) >= MIN_POINTS else np.nan
 
 
-def _best_turned(sight: _Sight, points: _Points) -> tuple[_Sight, float]:
+def _best_turned(sight: Sight, points: _Points) -> tuple[Sight, float]:
     """With the rotation of the camera that brings its rays nearest to the points, and the rotation's angle."""
     R = np.eye(3)
     towards, _ = _errors(sight, points)
@@ -448,7 +453,7 @@ def _best_turned(sight: _Sight, points: _Points) -> tuple[_Sight, float]:
     return replace(sight, rays=np.einsum("tij,tkj->tki", in_world, sight.rays)), angle
 
 
-def _best_shifted(sight: _Sight, points: _Points, fps: float, wide: bool) -> tuple[_Sight, float]:
+def _best_shifted(sight: Sight, points: _Points, fps: float, wide: bool) -> tuple[Sight, float]:
     """If its pictures were taken when they fit best, and how many frames later that is."""
     reach = min(max(round(LAG_S * fps), LITTLE_LAG) if wide else LITTLE_LAG, len(sight.rays) // 2)
     levels = {float(by): _level(sight.later(by), points) for by in range(-reach, reach + 1)}

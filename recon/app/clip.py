@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -14,12 +15,13 @@ from typing import Any
 import numpy as np
 
 from recon.app.cameras import Cameras, ClipCamera, cameras_in, other_cameras, read_clip_cameras
+from recon.app.offsets import solved_in_step
 from recon.arrays import Array
 from recon.body import Body, Side, facing_side
 from recon.camera import Camera
 from recon.camera_track import MAX_GAP_S, CameraTrack, FramePoses
 from recon.chain import Chain
-from recon.clip import Source, View, held, together, views_of
+from recon.clip import Source, View, at_rate, held, together, views_of
 from recon.detector import seen_by
 from recon.errors import InputError, Problem, all_of
 from recon.export import CAMERA_OUTPUTS, CLIP_OUTPUTS, of_any_camera, write_tables
@@ -97,7 +99,11 @@ def _whole_motion(given: Prepared, settings: FitSettings, progress: Progress) ->
     def solved(sources: tuple[Source, ...]) -> TrajectorySolution:
         return solve_trajectory(views_of(sources), body, prior, given.fps, options, progress)
 
-    solution = solved(sources)
+    if options.find_offsets:
+        noise = (options.sigma_px, options.keypoint_noise_m(body))
+        sources, solution = solved_in_step(given.apart, given.later_frames, solved, *noise)
+    else:
+        solution = solved(sources)
     began = time.perf_counter()
     sources, garbage = without_garbage(sources, solution)
     if garbage:
@@ -134,14 +140,20 @@ class Model:
 
 @dataclass(frozen=True)
 class Prepared:
-    """All that a fit works on: the model, and for each camera its keypoints. side: whose limbs, None for a whole
-    animal."""
+    """All that a fit works on: the model, and for each camera its keypoints on its own frames, which began so many
+    frames later than the first's. side: whose limbs, None for a whole animal."""
 
     model: Model
-    sources: tuple[Source, ...]
+    apart: tuple[Source, ...]
+    later_frames: tuple[float, ...]
     fps: float
     side: Side | None
     side_reason: str
+
+    @cached_property
+    def sources(self) -> tuple[Source, ...]:
+        """On the frames of the clip."""
+        return together(self.apart, self.later_frames) if len(self.apart) > 1 else self.apart
 
 
 def prepare(
@@ -158,10 +170,12 @@ def prepare(
     body = model.body
     wanted = tuple(dict.fromkeys(name for pair in body.keypoints for name in pair))
     later = settings.offset_s or (0.0,) * len(files)
-    later_frames = [(s - later[0]) * file.fps for s, file in zip(later, files, strict=True)]
+    fps = files[0].fps
+    assert fps is not None
+    later_frames = tuple((s - later[0]) * fps for s in later)
     cleaned = all_of(
         *(
-            lambda file=file, camera=camera, late=late: _cleaned(file, wanted, body.name, camera, settings, late)
+            lambda file=file, camera=camera, late=late: _cleaned(file, wanted, body.name, camera, settings, late, fps)
             for file, camera, late in zip(files, cameras, later_frames, strict=True)
         )
     )
@@ -169,10 +183,8 @@ def prepare(
     if body.one_sided:
         side, reason = _side(body, cleaned[0].keypoints, settings)
     names = body.keypoint_names(side)
-    sources = [replace(source, keypoints=arrange(source.keypoints, names)) for source in cleaned]
-    fps = files[0].fps
-    assert fps is not None
-    return Prepared(model, together(sources, later_frames) if len(sources) > 1 else tuple(sources), fps, side, reason)
+    sources = tuple(replace(source, keypoints=arrange(source.keypoints, names)) for source in cleaned)
+    return Prepared(model, sources, later_frames, fps, side, reason)
 
 
 def read_model_and_cameras(settings: FitSettings) -> tuple[Model, Cameras]:
@@ -262,25 +274,27 @@ def arrange(keypoints: Keypoints, names: tuple[str, ...]) -> Keypoints:
 
 def read_clips(settings: FitSettings) -> list[Keypoints]:
     """The keypoint files, with the frame rate as given or their own. Raises InputError with the problems of all, also
-    without a frame rate, or with two."""
-    files = all_of(*(lambda path=path: _read_clip(path, settings) for path in settings.keypoints))
-    rates = {file.fps for file in files}
-    if len(rates) > 1:
+    without a frame rate, or with two that nobody gave."""
+    rates = settings.camera_fps or (settings.fps,) * len(settings.keypoints)
+    pairs = list(zip(settings.keypoints, rates, strict=True))
+    files = all_of(*(lambda path=path, fps=fps: _read_clip(path, fps, settings) for path, fps in pairs))
+    if len({file.fps for file in files}) > 1 and settings.camera_fps is None:
         found = ", ".join(f"{path.name} {file.fps:g}" for path, file in zip(settings.keypoints, files, strict=True))
-        raise InputError(Problem("KEYPOINTS", "fps", found, "one frame rate for all cameras of a clip, or --fps"))
+        expected = "one frame rate for all cameras of a clip, --fps, or --camera-fps for each"
+        raise InputError(Problem("KEYPOINTS", "fps", found, expected))
     return list(files)
 
 
-def _read_clip(path: Path, settings: FitSettings) -> Keypoints:
+def _read_clip(path: Path, given_fps: float | None, settings: FitSettings) -> Keypoints:
     file = read_keypoints(path, settings.individual)
     if settings.rename is not None:
         file = renamed(file, load_names(settings.rename))
-    fps = file.fps if settings.fps is None else settings.fps
+    fps = file.fps if given_fps is None else given_fps
     if fps is None:
         found = f"nothing, and {path.name} does not say"
         raise InputError(Problem("--fps", "fps", found, "frames per second above 0, as in 120"))
     if not RATES_HZ[0] <= fps <= RATES_HZ[1]:
-        where = path if settings.fps is None else "--fps"
+        where = path if given_fps is None else "--fps" if settings.camera_fps is None else "--camera-fps"
         expected = f"{RATES_HZ[0]:g} to {RATES_HZ[1]:g} frames per second"
         raise InputError(Problem(where, "fps", f"{fps:g}", expected))
     return replace(file, fps=fps, stated_fps=file.fps if file.fps != fps else None)
@@ -312,20 +326,37 @@ def _require_no_side(settings: FitSettings, body: Body) -> None:
 
 
 def _cleaned(
-    file: Keypoints, wanted: Sequence[str], skeleton: str, of: ClipCamera, settings: FitSettings, later_frames: float
+    file: Keypoints,
+    wanted: Sequence[str],
+    skeleton: str,
+    of: ClipCamera,
+    settings: FitSettings,
+    later_frames: float,
+    fps: float,
 ) -> Source:
-    """All keypoints of a file. wanted: those that the skeleton, by its name, may be fitted to. Raises InputError
-    without any of them, or where they lie outside the camera's picture; a few that are far outside are left out, and
-    those of frames in which it is not known where the camera was."""
+    """All keypoints of a file, at the clip's frame rate. wanted: those that the skeleton, by its name, may be fitted
+    to. Raises InputError without any of them, or where they lie outside the camera's picture; a few that are far
+    outside are left out, and those of frames in which it is not known where the camera was."""
     _require_keypoints_of(wanted, skeleton, file)
     first, stop = parse_frame_range(settings.frames) if settings.frames else (None, None)
-    shift = math.floor(later_frames)  # the clip's frames are the first camera's
-    frames = (None if first is None else first - shift, None if stop is None else stop - shift)
-    keypoints, cleaning = clean(file, settings.likelihood_min, frames)
+    assert file.fps is not None
+    shift, per_frame = math.floor(later_frames), file.fps / fps  # the clip's frames are the first camera's
+
+    def own(frame: int | None) -> int | None:
+        return None if frame is None else math.ceil((frame - shift) * per_frame)
+
+    keypoints, cleaning = clean(file, settings.likelihood_min, (own(first), own(stop)))
     _require_inside(of.camera, keypoints, settings)
+    if file.fps != fps:
+        if of.track is not None:
+            expected = f"that of the first camera, {fps:g}: one that moves cannot have another"
+            raise InputError(Problem(of.track.source, "fps", f"{file.fps:g}", expected))
+        keypoints = at_rate(keypoints, fps)
+        note = f"{of.camera.name} filmed at {file.fps:g} Hz: its points are taken between its frames, at {fps:g} Hz"
+        cleaning = replace(cleaning, notes=(*cleaning.notes, note))
     poses = intrinsics_px = turn_sigma_rad = None
-    if of.track is not None and file.fps is not None:
-        known = of.track.at(keypoints.frames, file.fps)
+    if of.track is not None:
+        known = of.track.at(keypoints.frames, fps)
         keypoints, cleaning = _with_pose(keypoints, cleaning, known, of.track)
         poses, intrinsics_px, turn_sigma_rad = known.T_camera_world, known.intrinsics_px, known.turn_sigma_rad
     lenses = None if intrinsics_px is None else held(intrinsics_px)

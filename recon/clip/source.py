@@ -10,6 +10,7 @@ import numpy as np
 from recon.arrays import Array, Integers
 from recon.camera import Camera
 from recon.clip.view import View, camera_poses
+from recon.errors import InputError, Problem
 from recon.keypoints import CleaningReport, Keypoints
 
 
@@ -32,6 +33,8 @@ class Source:
     """(T, 4): fx, fy, cx, cy, where it zooms, too; NaN likewise."""
     turn_sigma_rad: Array | None = None
     """(T,): of the pose's rotation, where that is known; NaN likewise."""
+    offset_s: float = 0.0
+    """How much later than the first camera's frame 0 its own was taken, as given or found."""
 
     @property
     def moves(self) -> bool:
@@ -74,11 +77,37 @@ def together(sources: Sequence[Source], later_frames: Sequence[float]) -> tuple[
     shifts = [int(np.floor(later)) for later in later_frames]
     starts = [int(s.keypoints.frames[0]) + shift for s, shift in zip(sources, shifts, strict=True)]
     stops = [int(s.keypoints.frames[-1]) + shift + 1 for s, shift in zip(sources, shifts, strict=True)]
-    frames = np.arange(min(starts), max(stops))
+    frames, fps = np.arange(min(starts), max(stops)), sources[0].keypoints.fps or np.nan
     return tuple(
-        replace(_on_frames(source, start - int(frames[0]), frames), lead_frames=later - shift)
+        replace(_on_frames(source, start - int(frames[0]), frames), lead_frames=later - shift, offset_s=later / fps)
         for source, start, later, shift in zip(sources, starts, later_frames, shifts, strict=True)
     )
+
+
+def at_rate(keypoints: Keypoints, fps: float) -> Keypoints:
+    """Keypoints of a camera with another frame rate at that of the clip, frame 0 staying where it is: between two of
+    its frames along straight lines. Slower ones are seen more often than they were, and count less in proportion.
+    Raises InputError for fewer frames than that needs."""
+    assert keypoints.fps is not None
+    if keypoints.fps == fps:
+        return keypoints
+    times = keypoints.frames * fps / keypoints.fps
+    frames = np.arange(int(np.ceil(times[0])), int(np.floor(times[-1])) + 1)
+    if len(times) < 2 or not len(frames):
+        expected = f"two or more that last as long as one at {fps:g} Hz"
+        raise InputError(Problem(keypoints.source or "keypoints", "frames", str(len(times)), expected))
+    after = np.clip(np.searchsorted(times, frames), 1, len(times) - 1)
+    share = ((frames - times[after - 1]) / (times[after] - times[after - 1]))[:, None]
+
+    def between(values: Array, share: Array) -> Array:
+        before, later = values[after - 1], values[after]
+        mixed = (1 - share) * before + share * later
+        return np.where(share == 0, before, np.where(share == 1, later, mixed))
+
+    xy_px = between(keypoints.xy_px, share[..., None])
+    confidence = between(keypoints.confidence, share) * min(1.0, keypoints.fps / fps)
+    confidence = np.where(np.isnan(xy_px[..., 0]), 0.0, confidence)
+    return replace(keypoints, xy_px=xy_px, confidence=confidence, frames=frames, fps=fps)
 
 
 def _on_frames(source: Source, start: int, frames: Integers) -> Source:

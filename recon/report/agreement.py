@@ -20,10 +20,9 @@ def section(motion: Motion, settings: Mapping[str, Any]) -> dict[str, Any] | Non
     if len(views) < 2:
         return None
     options = common.given_options(TrajectoryOptions, settings)
-    keypoint_sigma_m = motion.body.keypoint_sigma_m if options.keypoint_sigma_m is None else options.keypoint_sigma_m
-    agreement = camera_agreement(views, motion.fps, options.sigma_px, keypoint_sigma_m)
+    agreement = camera_agreement(views, motion.fps, options.sigma_px, options.keypoint_noise_m(motion.body))
     names = [view.camera.name for view in views]
-    offsets_s = settings.get("offset_s") or [0.0] * len(views)
+    offsets_s = [source.offset_s for source in motion.sources]
     frames = motion.frames[agreement.frames]
     return {
         "frames": (frames[0], frames[-1] + 1),

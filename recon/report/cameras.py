@@ -11,16 +11,18 @@ import numpy as np
 from recon.clip import Source
 from recon.motion import Motion, Picture
 from recon.report.plain import Array, finite, frame_count, mean, median, number
+from recon.solve import TrajectorySolution
 
 
-def section(motion: Motion, settings: Mapping[str, Any]) -> list[dict[str, Any]]:
+def section(motion: Motion) -> list[dict[str, Any]]:
     """An entry a camera, in the order of the keypoint files."""
-    offsets_s = settings.get("offset_s") or [0.0] * len(motion.pictures)
-    late = [view.lead_frames - s.lead_frames for view, s in zip(motion.solution.views, motion.sources, strict=True)]
-    return [_entry(*of_one) for of_one in zip(motion.pictures, offsets_s, late, strict=True)]
+    solution = motion.solution
+    late = [view.lead_frames - s.lead_frames for view, s in zip(solution.views, motion.sources, strict=True)]
+    sigmas = solution.lag_sigma_frames if isinstance(solution, TrajectorySolution) else np.zeros(len(late))
+    return [_entry(*of_one) for of_one in zip(motion.pictures, late, sigmas, strict=True)]
 
 
-def _entry(picture: Picture, offset_s: float, lag_frames: float) -> dict[str, Any]:
+def _entry(picture: Picture, lag_frames: float, lag_sigma_frames: float) -> dict[str, Any]:
     source, errors = picture.source, finite(picture.distance_px)
     names = set(source.keypoints.names)
     used = int(picture.present.sum())
@@ -29,11 +31,12 @@ def _entry(picture: Picture, offset_s: float, lag_frames: float) -> dict[str, An
         "name": picture.name,
         "keypoints": source.keypoints.source,
         "camera": picture.camera.to_dict(),
-        "offset_s": offset_s,
+        "offset_s": source.offset_s,
         "lag_frames": lag_frames,
+        "lag_sigma_frames": lag_sigma_frames,
         "track": _track(source),
         "frames_seen": int(picture.present.any(axis=1).sum()),
-        "points": {"used": used, "missing": picture.present.size - used - rejected, "rejected": rejected},
+        "points": {"used": used, "missing": max(picture.present.size - used - rejected, 0), "rejected": rejected},
         "reprojection_px": {"mean": mean(errors), "median": median(errors)},
         "outliers": int(picture.outliers.sum()),
         "mean_weight": mean(picture.weight),
@@ -95,10 +98,14 @@ def lines(report: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
         errors, counts = camera["reprojection_px"], camera["points"]
         outliers = "1 outlier" if camera["outliers"] == 1 else f"{camera['outliers']} outliers"
         rejected = f", {counts['rejected']} rejected" if counts["rejected"] else ""
+        fps, sigma_frames = report["input"]["fps"], camera["lag_sigma_frames"]
+        later_s = camera["offset_s"] + camera["lag_frames"] / fps
+        is_found = report["solver"].get("find_offsets") and sigma_frames
+        began = f"; began {later_s:.4f} ± {sigma_frames / fps:.4f} s later" if is_found else ""
         yield (
             "camera",
             f"{camera['name']}: {camera['frames_seen']} of {frames} frames, {counts['used']} points used"
             f"{rejected}; {number(errors['mean'], '.1f')} px mean, "
             f"{number(errors['median'], '.1f')} px median, {outliers}; "
-            f"{number(camera['distance_m'], '.1f')} m away",
+            f"{number(camera['distance_m'], '.1f')} m away{began}",
         )

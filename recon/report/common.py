@@ -33,7 +33,7 @@ Lines = list[tuple[str, str]]
 # -- sections -----------------------------------------------------------------------------------------------------
 
 
-def head(motion: Motion, settings: Mapping[str, Any]) -> dict[str, Any]:
+def head(motion: Motion) -> dict[str, Any]:
     """What was fitted."""
     keypoints = motion.keypoints
     return {
@@ -44,7 +44,7 @@ def head(motion: Motion, settings: Mapping[str, Any]) -> dict[str, Any]:
             "frames": (motion.frames[0], motion.frames[-1] + 1),
             "camera": motion.camera.to_dict(),
         },
-        "cameras": cameras.section(motion, settings),
+        "cameras": cameras.section(motion),
         "side": {"fitted": motion.side, "reason": motion.side_reason},
         "frame_of_reference": motion.frame_of_reference,
     }

@@ -26,7 +26,7 @@ def sections(motion: Motion, settings: Mapping[str, Any]) -> dict[str, Any]:
     assert isinstance(solution, FrameSolution)
     published = {"unknowns": solution.chain.state_names, "objectives": solution.objectives}
     return {
-        **common.head(motion, settings),
+        **common.head(motion),
         "skeleton": common.skeleton(motion) | published,
         "assumptions": _assumptions(motion, solution, settings),
         "summary": _summary(motion, solution),

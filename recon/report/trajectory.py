@@ -41,7 +41,7 @@ def sections(motion: Motion, settings: Mapping[str, Any]) -> dict[str, Any]:
         "data_share": by_name(motion.names, list(solution.data_share)),
     }
     return {
-        **common.head(motion, settings),
+        **common.head(motion),
         "skeleton": common.skeleton(motion),
         "assumptions": _assumptions(motion, settings, size),
         "summary": _summary(motion),

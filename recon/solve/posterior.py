@@ -52,6 +52,8 @@ class Posterior:
     """(T, J, 3): q of the module's text."""
     size_precision: float
     """What the pixels say of the size; 0 where they say nothing."""
+    shared_sigma: dict[str, Array]
+    """Standard deviations (P,) of the shared unknowns that were solved, by name."""
 
     @property
     def angle_data_share(self) -> Array:
@@ -63,6 +65,7 @@ class Posterior:
 def posterior(problem: Problem, body: Body, found: Estimate, variance_factor: float) -> Posterior:
     """variance_factor: on all variances (errors of neighbouring frames are alike, which the cost does not know)."""
     states, size = found.states, size_of(found.shared)
+    solved_for = [unknown.name for unknown in problem.shared]
     problem = replace(problem, shared=[*problem.shared, *problem.doubtful], doubtful=())
     normal = problem.normal(states, problem.expected() | dict(found.shared))
     solved = _factored(normal.H)
@@ -76,6 +79,7 @@ def posterior(problem: Problem, body: Body, found: Estimate, variance_factor: fl
         follows = -Y[..., 0] - others @ others_by_size
         known = S[0, 0] + S[0, 1:] @ others_by_size - problem.shared[0].sigma[0] ** -2
         precision = max(float(known), 0.0) / variance_factor
+    sigma = np.sqrt(variance_factor * np.diagonal(np.linalg.inv(S)))
     lasting = others @ np.linalg.cholesky(of_others)
     held = np.zeros(states.shape)
     held[:, ROOT] = held[:, YAW, None] = _HELD
@@ -92,6 +96,7 @@ def posterior(problem: Problem, body: Body, found: Estimate, variance_factor: fl
         state_by_size=follows,
         joint_by_size_m=by_size,
         size_precision=precision,
+        shared_sigma={name: sigma[problem.columns[name]] for name in solved_for},
     )
 
 

@@ -129,5 +129,7 @@ class TrajectorySolution(Solution):
     starts: tuple[Start, ...]
     lag_frames: Array
     """(V,): how much later than said each camera's pictures were taken, where several cameras show it, else 0."""
+    lag_sigma_frames: Array
+    """(V,): their standard deviations; 0 of a lag that is not an unknown."""
 
     method: ClassVar = "trajectory"

@@ -42,8 +42,9 @@ class TrajectoryOptions:
 
     sigma_px: the detector's noise; keypoint_sigma_m: how far keypoints lie from the markers, in place of the body's;
     beside_share: the part of it that stays the same over a clip. size_sigma: of the size, relative, in place of the
-    body's. lag_frames: how much later or earlier than said a camera's pictures are taken. robust_c: residuals of that
-    many sigmas count half.
+    body's. lag_frames: how much later or earlier than said a camera's pictures are taken. find_offsets:
+    they may be later or earlier than the first camera's by found_lag_frames. robust_c: residuals of that many sigmas
+    count half.
     pose_weight, mixture_weight, motion_weight: how many times the priors count per 1/90 s. acceleration_m_s2: of the
     root in the level frame. lateral_m_s: of the velocity across the trunk. climb_m_s: of the root. ground: "auto" uses
     contacts and a plane, "none" does not; the stance's loss saturates at slip_c slip_m_s. noise_rounds: of step 4.
@@ -52,9 +53,10 @@ class TrajectoryOptions:
 
     Where the values come from: those of the root's movement and of feet that stand have the size of what is seen in the
     reconstructions that the prior `running-cheetah` is made of; lateral_m_s is an angle of 0.05 rad at 10 m/s;
-    lag_frames is that of a picture taken anywhere within a frame; beside_share is what residuals of several cameras
-    have in common over a clip. The rest are round numbers; docs/benchmarks.md shows what they matter. error_time_s was
-    set on the real runs of the benchmark, so that 90 % regions hold about 90 % of the joints.
+    lag_frames is that of a picture taken anywhere within a frame, found_lag_frames a few of them; beside_share is what
+    residuals of several cameras have in common over a clip. The rest are round numbers; docs/benchmarks.md shows what
+    they matter. error_time_s was set on the real runs of the benchmark, so that 90 % regions hold about 90 % of the
+    joints.
     """
 
     fast: bool = False
@@ -64,6 +66,8 @@ class TrajectoryOptions:
     size_sigma: float | None = None
     beside_share: float = 0.6
     lag_frames: float = 12**-0.5
+    find_offsets: bool = False
+    found_lag_frames: float = 2.0
     robust_c: float = 3.0
     pose_weight: float = 1.0
     mixture_weight: float = 1.0
@@ -82,6 +86,10 @@ class TrajectoryOptions:
     noise_rounds: int = 3
     tolerance: float = 1e-4
     max_iterations: int = 30
+
+    def keypoint_noise_m(self, body: Body) -> float:
+        """How far a body's keypoints lie from the markers."""
+        return body.keypoint_sigma_m if self.keypoint_sigma_m is None else self.keypoint_sigma_m
 
     def as_run(self) -> TrajectoryOptions:
         """With what `fast` makes of the last rounds."""
@@ -188,7 +196,7 @@ class Setting:
 
     @property
     def keypoint_sigma_m(self) -> float:
-        return self.body.keypoint_sigma_m if self.options.keypoint_sigma_m is None else self.options.keypoint_sigma_m
+        return self.options.keypoint_noise_m(self.body)
 
     def px_per_m(self, points_m: Array, size: float = 1.0) -> Array:
         """(V, T): how large a metre of the nominal body is in the picture at the distance of its markers (T, J, 3)."""
@@ -215,7 +223,8 @@ class Setting:
         o, J, V = self.options, len(self.body.markers), len(self.views)
         root = np.sqrt(self.alike)
         size = [Shared(SIZE, np.ones(1), np.array([self.size_sigma]))] if self.shows_size else []
-        lags = [Shared(lag(i), np.zeros(1), np.array([o.lag_frames / root])) for i in range(V)]
+        first, late = (1, o.found_lag_frames) if o.find_offsets else (0, o.lag_frames)
+        lags = [Shared(lag(i), np.zeros(1), np.array([late / root])) for i in range(first, V)]
         spread_m = self.body.keypoint_spread_m
         beside_m = np.repeat([spread_m.get(m, o.beside_share * self.keypoint_sigma_m) for m in self.body.markers], 2)
         displaced = [Shared(beside(i), np.zeros(2 * J), beside_m / root) for i in range(V)] if beside_m.all() else []

@@ -196,14 +196,17 @@ def _round(setting: Setting, solved: Solved, temperature: float | None, whole: b
     )
 
 
-def _lags(setting: Setting, solved: Sequence[Solved]) -> Array:
-    """(V,): over the spells, by how many of their frames several cameras saw."""
+def _lags(setting: Setting, solved: Sequence[Solved], known: Sequence[Posterior]) -> tuple[Array, Array]:
+    """(V,): over the spells, by how many of their frames several cameras saw; and their standard deviations (V,)."""
+    V, none = len(setting.views), np.zeros(1)
     together = np.sum([view.present.any(axis=1) for view in setting.views], axis=0) > 1
     frames = np.array([together[one.rows].sum() for one in solved])
     if not frames.any():
-        return np.zeros(len(setting.views))
-    of_spells = [[one.lag_frames(i) for i in range(len(setting.views))] for one in solved]
-    return np.average(of_spells, axis=0, weights=frames)
+        return np.zeros(V), np.zeros(V)
+    of_spells = [[one.lag_frames(i) for i in range(V)] for one in solved]
+    sigmas = np.array([[of_one.shared_sigma.get(lag(i), none)[0] for i in range(V)] for of_one in known])
+    shares = frames / frames.sum()
+    return np.average(of_spells, axis=0, weights=frames), np.linalg.norm(shares[:, None] * sigmas, axis=0)
 
 
 def in_step(setting: Setting, solved: Solved) -> Setting:
@@ -286,7 +289,7 @@ def _solution(setting: Setting, solved: Sequence[Solved], began: float) -> Traje
     for values in (*of_frames.values(), *(np.moveaxis(v, 0, 1) for v in of_views.values()), second.apart_m):
         values[away] = np.nan
     shares = [of_one.data_share * (one.rows.stop - one.rows.start) for one, of_one in zip(solved, known, strict=True)]
-    late = _lags(setting, solved)
+    late, late_sigma = _lags(setting, solved, known)
     costs = _summed([one.problem.costs(one.estimate.states, one.estimate.shared) for one in solved])
     return TrajectorySolution(
         body=setting.body,
@@ -313,6 +316,7 @@ def _solution(setting: Setting, solved: Sequence[Solved], began: float) -> Traje
             Start(a.heading_rad, a.first_cost, a.finished) for one in solved for _, tried in one.windows for a in tried
         ),
         lag_frames=late,
+        lag_sigma_frames=late_sigma,
         stage_s=_summed([stage_s, *(one.stage_s for one in solved)]) | {"all": time.perf_counter() - began},
     )
 
@@ -384,12 +388,11 @@ def _size(
 def _size_of_offsets(setting: Setting) -> float:
     """What keypoints beside their markers look like as a size: each lies off by the body's keypoint_sigma_m in a
     direction of its own, the same in every frame and for every camera."""
-    o, body = setting.options, setting.body
-    keypoint_m = body.keypoint_sigma_m if o.keypoint_sigma_m is None else o.keypoint_sigma_m
+    body = setting.body
     state = np.zeros((1, body.n_state))
     state[0, ANGLES] = setting.prior.mean
     points = body.tree.pose(state).points_m[0]
-    return keypoint_m / float(np.linalg.norm(points - points.mean(axis=0)))
+    return setting.keypoint_sigma_m / float(np.linalg.norm(points - points.mean(axis=0)))
 
 
 @dataclass(frozen=True, eq=False)

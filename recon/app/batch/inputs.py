@@ -302,9 +302,12 @@ def _each_animal(draft: Draft, settings: FitSettings) -> list[tuple[Draft, FitSe
     ]
 
 
+_OF_SEVERAL = ("offset_s", "camera_track", "camera_fps", "find_offsets")
+
+
 def _without_lists(values: Mapping[str, Any]) -> dict[str, Any]:
     """Without what may be there once for each camera of a clip."""
-    return {name: value for name, value in values.items() if name not in ("offset_s", "camera_track")}
+    return {name: value for name, value in values.items() if name not in _OF_SEVERAL}
 
 
 class _CamerasOf:

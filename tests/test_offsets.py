@@ -1,0 +1,118 @@
+"""Cameras that are out of step, or film at other rates: found, put together, refused."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from test_cameras import folder, keypoints_of, problems, settings
+
+from recon.analysis.offsets import search_offsets
+from recon.app.clip import fit_clip, prepare
+from recon.app.offsets import solved_in_step
+from recon.clip import Source, at_rate
+from recon.errors import InputError
+from recon.keypoints import clean
+from recon.solve import TrajectoryOptions, TrajectorySolution, solve_trajectory
+from tests.test_agreement import KEYPOINT_M, cameras, late
+from tests.test_trajectory import BODY, CAMERA, FPS, PRIOR
+
+__all__ = ["folder"]  # the fixture
+
+
+def test_the_search_finds_whole_frames():
+    """Of three cameras, one films from 4 frames later on, one from 3 frames earlier."""
+    views = cameras(3)
+    found = search_offsets([views[0], late(views[1], 4), late(views[2], -3)], FPS, 2.0, KEYPOINT_M)
+    np.testing.assert_array_equal(found, [0, 4, -3])
+
+
+def test_a_camera_that_sees_nothing_together_with_others_is_not_compared():
+    first, second, third = cameras(3)
+    blind = replace(second, xy_px=np.full_like(second.xy_px, np.nan))
+    np.testing.assert_array_equal(search_offsets([first, blind, third], FPS, 2.0, KEYPOINT_M), [0, np.nan, 0])
+
+
+def test_lags_are_found_with_their_uncertainty():
+    """By a solver that is told that they may be large, beside the first camera's."""
+    views = [replace(view, lead_frames=lead) for view, lead in zip(cameras(2), (0.0, 0.75), strict=True)]
+    found = solve_trajectory(views, BODY, PRIOR, FPS, TrajectoryOptions(fast=True, find_offsets=True))
+    assert (found.lag_frames[0], found.lag_sigma_frames[0]) == (0, 0)
+    assert found.lag_frames[1] == pytest.approx(-0.75, abs=0.1)
+    assert abs(found.lag_frames[1] + 0.75) < 3 * found.lag_sigma_frames[1] < 1
+
+
+def sources() -> list[Source]:
+    given = [keypoints_of(view.xy_px) for view in cameras(2)]
+    poses = [view.T_camera_world for view in cameras(2)]
+    lenses = [replace(CAMERA, rotation=T[:3, :3], translation_m=T[:3, 3], name=f"cam{i}") for i, T in enumerate(poses)]
+    return [Source(lens, *clean(own, 0.5), BODY.markers) for lens, own in zip(lenses, given, strict=True)]
+
+
+def test_found_lags_put_the_sources_in_step_until_they_are_small():
+    asked = []
+
+    def solve(of: tuple[Source, ...]) -> TrajectorySolution:
+        asked.append([one.offset_s * FPS for one in of])
+        lag = np.array([0.0, 2.4 - asked[-1][1]])
+        return SimpleNamespace(lag_frames=0.98 * lag, lag_sigma_frames=np.array([0.0, 0.1]))  # type: ignore[return-value]
+
+    found, solution = solved_in_step(sources(), [0.0, 0.0], solve, 2.0, KEYPOINT_M)
+    assert found[1].offset_s * FPS + solution.lag_frames[1] == pytest.approx(2.4, abs=0.01)
+    assert found[1].lead_frames == pytest.approx(0.35, abs=0.02)
+    assert len(asked) == 2
+
+
+def test_a_motion_that_does_not_tell_is_refused():
+    def solve(of: tuple[Source, ...]) -> TrajectorySolution:
+        return SimpleNamespace(lag_frames=np.array([0.0, 0.04]), lag_sigma_frames=np.array([0.0, 1.9]))  # type: ignore[return-value]
+
+    with pytest.raises(InputError) as error:
+        solved_in_step(sources(), [0.0, 0.0], solve, 2.0, KEYPOINT_M)
+    assert problems(error) == (
+        "--find-offsets: camera cam1: found 0.0 ± 1.9 frames later, from a motion that hardly tells, expected a clip "
+        "that tells it to 1, or --offset-s as measured otherwise"
+    )
+
+
+def test_a_clip_whose_cameras_are_out_of_step(folder):
+    """Both began together; --offset-s says five frames later, where the search begins."""
+    motion = fit_clip(settings(folder, 1, 2, find_offsets=True, offset_s=[0.0, 5 / FPS]))
+    lag = motion.solution.views[1].lead_frames - motion.sources[1].lead_frames
+    assert motion.sources[1].offset_s * FPS + lag == pytest.approx(0, abs=0.1)
+    assert abs(lag) < 0.05
+
+
+def test_points_at_another_frame_rate():
+    """Twice as slow: each second frame between two, and all count half. Faster: every second one."""
+    slow = keypoints_of(np.arange(4.0)[:, None, None] * np.full((4, len(BODY.markers), 2), 10.0), first=3)
+    slow.xy_px[2] = np.nan
+    clip = at_rate(replace(slow, fps=FPS / 2), FPS)
+    np.testing.assert_array_equal(clip.frames, np.arange(6, 13))
+    np.testing.assert_allclose(clip.xy_px[:, 0, 0], [0, 5, 10, np.nan, np.nan, np.nan, 30])
+    np.testing.assert_allclose(clip.confidence[:, 0], [0.5, 0.5, 0.5, 0, 0, 0, 0.5])
+    fast = at_rate(replace(slow, fps=2 * FPS), FPS)
+    np.testing.assert_array_equal(fast.frames, [2, 3])
+    np.testing.assert_allclose(fast.xy_px[:, 0, 0], [10, 30])
+    assert (fast.confidence == 1).all()
+    with pytest.raises(InputError, match="two or more"):
+        at_rate(replace(slow, fps=FPS * 20), FPS)
+
+
+def test_cameras_of_different_frame_rates(folder):
+    """The second file's 30 frames, from its frame 10 on, last twice as long."""
+    first, second = prepare(settings(folder, 1, 2, fps=None, camera_fps=[FPS, FPS / 2], frames="0:60")).sources
+    np.testing.assert_array_equal(first.keypoints.frames, np.arange(59))
+    assert np.flatnonzero(second.keypoints.present.any(axis=1)).tolist() == list(range(20, 59))
+    assert second.cleaning.notes[-1].startswith("cam2 filmed at 45 Hz: ")
+    with pytest.raises(InputError) as error:
+        settings(folder, 1, 2, camera_fps=[FPS, FPS / 2])
+    assert problems(error) == "settings: camera_fps: found beside fps, 90, expected one of the two"
+
+
+def test_one_camera_has_no_offset(folder):
+    with pytest.raises(InputError) as error:
+        settings(folder, 1, find_offsets=True)
+    assert problems(error) == "settings: find_offsets: found one keypoint file, expected files of several cameras"
