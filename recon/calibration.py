@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, get_args
@@ -137,9 +137,22 @@ def write_camera(camera: Camera, path: str | Path) -> None:
     import tomli_w
 
     path = Path(path)
-    text = tomli_w.dumps({"camera": {"format": FORMAT, "version": VERSION, **camera.to_dict()}})
+    text = tomli_w.dumps({"camera": _table(camera)})
     with staged_file(path) as staged:
         staged.write_text(text, encoding="utf-8")
+
+
+def write_cameras(cameras: Sequence[Camera], path: str | Path) -> None:
+    """The same of several, that `read_cameras` reads."""
+    import tomli_w
+
+    path = Path(path)
+    with staged_file(path) as staged:
+        staged.write_text(tomli_w.dumps({"cameras": [_table(camera) for camera in cameras]}), encoding="utf-8")
+
+
+def _table(camera: Camera) -> dict[str, Any]:
+    return {"format": FORMAT, "version": VERSION, **camera.to_dict()}
 
 
 # ---- from text to records ----
@@ -193,6 +206,9 @@ def _parse_toml(path: Path, text: str) -> list[_Record]:
     own = document.get("camera")
     if isinstance(own, dict) and "format" in own:
         return [_own_record(path, own)]
+    several = document.get("cameras")
+    if isinstance(several, list) and all(isinstance(one, dict) and "format" in one for one in several):
+        return [_own_record(path, one, f"cameras[{i}].") for i, one in enumerate(several)]
     tables = {key: table for key, table in document.items() if isinstance(table, dict) and key != "metadata"}
     if not tables:
         expected = f'[camera] with format = "{FORMAT}", or one table per camera as Anipose and Pose2Sim write'
@@ -200,14 +216,14 @@ def _parse_toml(path: Path, text: str) -> list[_Record]:
     return [_anipose_record(key, table) for key, table in tables.items()]
 
 
-def _own_record(path: Path, table: dict[str, Any]) -> _Record:
+def _own_record(path: Path, table: dict[str, Any], place: str = "camera.") -> _Record:
     if (table["format"], table.get("version")) != (FORMAT, VERSION):
         found = f"format {table['format']!r}, version {table.get('version')!r}"
-        raise InputError(Problem(path, "camera.format", found, f"format {FORMAT!r}, version {VERSION}"))
+        raise InputError(Problem(path, f"{place}format", found, f"format {FORMAT!r}, version {VERSION}"))
     fields = ("matrix", "distortion", "image_size_px", "rotation", "translation_m")
     return _Record(
         name=table.get("name"),
-        place="camera.",
+        place=place,
         model=table.get("model"),
         world_z_up=table.get("world_z_up", True),
         values={field: table.get(field) for field in fields},

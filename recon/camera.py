@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Literal, get_args
 
@@ -24,6 +24,7 @@ import numpy.typing as npt
 from numpy.polynomial import polynomial
 
 from recon.arrays import Array, Bools
+from recon.rotations import euler_rotation
 
 LensModel = Literal["pinhole", "radtan", "fisheye"]
 
@@ -375,6 +376,13 @@ class Camera:
         if self.rotation is None or self.translation_m is None:
             raise ValueError(f"camera {self.name!r} has no rotation and translation, so its place is unknown")
         return self.rotation, self.translation_m
+
+    def placed(self, placing: Array) -> Camera:
+        """A camera that lies beside this one's pose by a placing (6,): turned by angles about its own axes
+        (`recon.rotations`), then moved along them by metres. Raises ValueError when the pose is unknown."""
+        rotation, translation = self._pose()
+        turn = euler_rotation(placing[:3])
+        return replace(self, rotation=turn @ rotation, translation_m=turn @ translation + placing[3:])
 
     # ---- plain data ----
 

@@ -224,6 +224,14 @@ class FitSettings:
         default=False,
         method="trajectory",
     )
+    refine_cameras: bool | None = _field(
+        _FLAG,
+        "Take the poses of all cameras but the first for as good as 2 degrees and 5 cm, and find them with the fit; "
+        "the refined cameras go into cameras.toml.",
+        "true or false",
+        default=False,
+        method="trajectory",
+    )
     camera_fps: tuple[float, ...] | None = _field(
         _each(_POSITIVE),
         "Frame rates of cameras that differ in it, once for each keypoint file, as in 120 and 59.94. The result has "
@@ -436,8 +444,11 @@ class FitSettings:
             if values is not None and len(values) != count:
                 expected = f"one for each keypoint file, that is {count}"
                 yield Problem("settings", name, f"{len(values)}: {', '.join(map(str, values))}", expected)
-        if self.find_offsets and count == 1:
-            yield Problem("settings", "find_offsets", "one keypoint file", "files of several cameras")
+        for name in ("find_offsets", "refine_cameras"):
+            if getattr(self, name) and count == 1:
+                yield Problem("settings", name, "one keypoint file", "files of several cameras")
+        if self.refine_cameras and self.camera_track is not None:
+            yield Problem("settings", "refine_cameras", "beside a camera track", "cameras that stand still")
         if self.camera_fps is not None and self.fps is not None:
             yield Problem("settings", "camera_fps", f"beside fps, {self.fps:g}", "one of the two")
         if count > 1 and self.method == "frame":
@@ -472,7 +483,8 @@ class FitSettings:
     def trajectory_options(self) -> TrajectoryOptions:
         from recon.solve import TrajectoryOptions
 
-        names = ("fast", "ground", "sigma_px", "keypoint_sigma_m", "size_sigma", "find_offsets")
+        names = ("fast", "ground", "sigma_px", "keypoint_sigma_m", "size_sigma")
+        names += ("find_offsets", "refine_cameras")
         return TrajectoryOptions(**{name: getattr(self, name) for name in names})
 
     def plain(self) -> dict[str, Any]:

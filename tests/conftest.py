@@ -236,6 +236,8 @@ def small_trajectory() -> Motion:
         iterations=25,
         lag_frames=np.zeros(1),
         lag_sigma_frames=np.zeros(1),
+        placing=np.zeros((1, 6)),
+        placing_sigma=np.zeros((1, 6)),
         starts=(Start(0.1, 150.0, True), Start(np.pi - 0.1, 155.0, False)),
         stage_s={"starts": 0.2, "all": 0.5},
     )
@@ -295,6 +297,8 @@ def two_cameras(world_trajectory: Motion) -> Motion:
         noise_px=np.concatenate([motion.solution.noise_px, np.full((1, *seen.shape), 20.0)]),
         weight=np.concatenate([motion.solution.weight, np.where(seen, 0.5, np.nan)[None]]),
         lag_sigma_frames=np.full(2, 0.1),
+        placing=np.zeros((2, 6)),
+        placing_sigma=np.zeros((2, 6)),
         size_from=("prior", "views"),
     )
     second = Source(camera, keypoints, cleaning, file.names)

@@ -12,6 +12,9 @@ import pytest
 from recon import FitSettings, InputError, Motion, fit_clip
 from recon.app.cameras import cameras_in
 from recon.app.clip import prepare
+from recon.app.extrinsics import run_extrinsics
+from recon.calibration import read_cameras, write_cameras
+from recon.camera import Camera
 from recon.clip import Source, View, together
 from recon.export.deeplabcut import write_keypoints_csv
 from recon.keypoints import Keypoints, clean
@@ -170,3 +173,57 @@ def test_command(folder, tmp_path):
     again = command("fit", "--config", out / "config.toml", "--out", tmp_path / "again")
     assert again.code == 0, again.err
     assert (out / "pose3d.csv").read_bytes() == (tmp_path / "again" / "pose3d.csv").read_bytes()
+
+
+def test_refined_cameras_are_those_of_the_result(folder, tmp_path):
+    motion = fit_clip(settings(folder, 1, 2, refine_cameras=True))
+    given, cameras = prepare(settings(folder, 1, 2)).sources, [source.camera for source in motion.sources]
+    for camera, view in zip(cameras, motion.solution.views, strict=True):
+        in_camera = camera.world_to_camera(motion.solution.joints_m)
+        np.testing.assert_allclose(in_camera, view.to_camera(motion.solution.joints_m), atol=1e-9)
+    assert cameras[0].to_dict() == given[0].camera.to_dict()
+    moved_m = np.array(cameras[1].to_dict()["translation_m"]) - given[1].camera.to_dict()["translation_m"]
+    assert 0 < np.linalg.norm(moved_m) < 0.3
+    write_cameras(cameras, tmp_path / "cameras.toml")
+    assert [c.to_dict() for c in read_cameras(tmp_path / "cameras.toml")] == [c.to_dict() for c in cameras]
+    (tmp_path / "cameras.toml").write_text('[[cameras]]\nformat = "recon-camera"\nversion = 99\n')
+    with pytest.raises(InputError, match=r"cameras\[0\]\.format"):
+        read_cameras(tmp_path / "cameras.toml")
+
+
+def test_only_several_cameras_that_stand_still_are_refined(folder):
+    with pytest.raises(InputError) as error:
+        settings(folder, 1, refine_cameras=True)
+    assert problems(error) == "settings: refine_cameras: found one keypoint file, expected files of several cameras"
+    with pytest.raises(InputError) as error:
+        settings(folder, 1, 2, refine_cameras=True, camera_track=["cam1.csv"])
+    assert problems(error).endswith("refine_cameras: found beside a camera track, expected cameras that stand still")
+
+
+def test_where_cameras_stand_from_the_animal_alone(folder, tmp_path):
+    """Two views of one run: the poses of their file are not read. Coarse, in half a second of running."""
+    run = run_extrinsics(settings(folder, 1, 2, frames="10:36"), tmp_path / "found.toml")
+    true, found = (read_cameras(path) for path in (folder / "scene.json", tmp_path / "found.toml"))
+    assert [camera.to_dict() for camera in run.cameras] == [camera.to_dict() for camera in found]
+
+    def beside(a: Camera, b: Camera) -> np.ndarray:
+        return np.stack([b.world_to_camera(a.camera_to_world(corner)) for corner in np.eye(4, 3, k=-1)])
+
+    (first, *axes), (own, *own_axes) = beside(*found), beside(*true)
+    assert np.linalg.norm(first - own) < 0.15 * np.linalg.norm(own)
+    cosines = np.sum((np.array(axes) - first) * (np.array(own_axes) - own), axis=1)
+    assert np.degrees(np.arccos(cosines.min())) < 6
+    height_m = found[0].camera_to_world(np.zeros(3))[2]
+    assert found[0].knows_up
+    assert 0.2 < height_m < 3
+    assert [line.split(":")[0] for line in run.lines()] == ["cam1", "cam2"]
+    assert run.to_dict()["cameras"][1]["turn_sigma_rad"] == run.sigma[1, :3].tolist()
+
+
+def test_one_camera_has_no_place_beside_others(folder, tmp_path):
+    with pytest.raises(InputError) as error:
+        run_extrinsics(settings(folder, 1), tmp_path / "found.csv")
+    assert problems(error).splitlines() == [
+        "KEYPOINTS: cameras: found cam1, expected two or more, each once",
+        f"--out: file: found {tmp_path / 'found.csv'}, expected a name that ends in .toml",
+    ]

@@ -322,7 +322,15 @@ def called(monkeypatch: pytest.MonkeyPatch, *args: str, **environment: str) -> s
         ("recon ana", {"analyse"}),
         (
             "recon fit --camera",
-            {"--camera", "--camera-motion", "--camera-name", "--camera-rotation", "--camera-track", "--camera-unit"},
+            {
+                "--camera",
+                "--camera-fps",
+                "--camera-motion",
+                "--camera-name",
+                "--camera-rotation",
+                "--camera-track",
+                "--camera-unit",
+            },
         ),
         ("recon skeleton c", {"check"}),
     ],

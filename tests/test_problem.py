@@ -22,6 +22,7 @@ from recon.solve.terms import (
     climb_term,
     dynamics_term,
     lag,
+    placing,
     pose_term,
     root_term,
 )
@@ -82,6 +83,7 @@ def seen_late(shared: bool = True) -> Problem:
     ]
     unknown = [Shared(SIZE, np.ones(1), np.array([0.1]))]
     unknown += [Shared(lag(i), np.zeros(1), np.array([0.3])) for i in range(2)]
+    unknown += [Shared(placing(1), np.zeros(6), np.repeat([0.1, 0.5], 3))]
     displaced = [Shared(beside(i), np.zeros(2 * J), np.full(2 * J, 0.03)) for i in range(2)]
     linear = [t for t in terms() if isinstance(t, Linear)]
     held = Linear("held", (0,), 0.01 * np.eye(BODY.n_state)[None], np.zeros(BODY.n_state))  # the last frame by one view

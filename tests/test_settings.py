@@ -375,7 +375,7 @@ def test_settings_and_options_of_the_command_line_are_the_same():
     parameters = typer.main.get_command(app).commands["fit"].params  # type: ignore[attr-defined]
     names = {str(p.metavar).rstrip(".") if p.param_type_name == "argument" else p.opts[0] for p in parameters}
     settings = {option(name) for name, it in SETTINGS.items() if it.is_option}
-    assert names == settings | {"--out", "--config", "--overwrite", "--quiet", "--json"}
+    assert names == settings | {"--out", "--config", "--overwrite", "--quiet", "--json", "--camera-motion"}
     of_batch = {p.opts[0] for p in typer.main.get_command(app).commands["batch"].params}  # type: ignore[attr-defined]
     assert settings - {"KEYPOINTS"} <= of_batch
 

@@ -154,7 +154,7 @@ def linearised_clip(setting: Setting, results: Results) -> Linearised:
         noise_px *= (told_px / noise_px.mean(axis=1))[:, None]
         stand = o.ground == "auto" and len(part.feet) > 0 and len(found) > 2
         problem = part.problem(noise_px, 1.0, contacts(part, points, size)[2] if stand else (), points, size)
-        shared = {name: told[name] for name in problem.columns}
+        shared = {name: (problem.expected() | told)[name] for name in problem.columns}  # refined cameras are in place
         rows += [replace(one, frames=one.frames + spell.rows.start) for one in _rows(problem, found, shared)]
         step[spell.rows] = problem.normal(found, shared).step(_LEAST_DAMPING)[0]
     return Linearised(setting.body.state_names, len(states), tuple(rows), step)

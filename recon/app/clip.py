@@ -18,6 +18,7 @@ from recon.app.cameras import Cameras, ClipCamera, cameras_in, other_cameras, re
 from recon.app.offsets import solved_in_step
 from recon.arrays import Array
 from recon.body import Body, Side, facing_side
+from recon.calibration import write_cameras
 from recon.camera import Camera
 from recon.camera_track import MAX_GAP_S, CameraTrack, FramePoses
 from recon.chain import Chain
@@ -41,6 +42,8 @@ from recon.settings import FitSettings
 from recon.skeleton_file import load_chain, load_skeleton
 from recon.solve import TrajectorySolution, solve_trajectory
 
+REFINED_CAMERAS = "cameras.toml"
+"""Where cameras' poses were refined."""
 TRACK_FILES = ("track.csv", "track_report.json", "track_panorama.png")
 """Of a camera whose motion was found with the fit."""
 OUTPUT_FILES = (
@@ -58,7 +61,7 @@ OUTPUT_FILES = (
 def output_files(out: Path) -> tuple[str, ...]:
     """Every file in a folder that is a clip's, or that a clip of one camera could get there. Its page goes with
     them: it shows the results that it was made of."""
-    return (*OUTPUT_FILES, PAGE, *of_any_camera(out))
+    return (*OUTPUT_FILES, PAGE, REFINED_CAMERAS, *of_any_camera(out))
 
 
 RATES_HZ = (1.0, 10_000.0)
@@ -114,6 +117,9 @@ def _whole_motion(given: Prepared, settings: FitSettings, progress: Progress) ->
         solution = solved(sources)
     stage_s = solution.stage_s | {"mistakes": time.perf_counter() - began}
     solution = with_flags(replace(solution, stage_s=stage_s), (*garbage, *mistakes))
+    if options.refine_cameras:
+        both = zip(sources, solution.placing, strict=True)
+        sources = tuple(replace(source, camera=source.camera.placed(by)) for source, by in both)
     return Motion(sources, given.side, given.side_reason, solution, (*garbage, *mistakes))
 
 
@@ -206,6 +212,8 @@ def write_clip(
         write_report(report, folder / "report.json")
         (folder / "config.toml").write_text(settings.to_toml(), encoding="utf-8")
         view.write(motion, folder / "motion.rrd")
+        if settings.refine_cameras:
+            write_cameras([source.camera for source in motion.sources], folder / REFINED_CAMERAS)
         for path in beside:
             write_bytes(folder / path.name, path.read_bytes())
     return report

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from recon.analysis.solver import SolverRecord, linearised_clip, linearised_frames
-from recon.app.clip import prepare
+from recon.app.clip import REFINED_CAMERAS, prepare
 from recon.app.overlay import overlay_of
-from recon.clip import Source, views_of
+from recon.calibration import read_cameras
+from recon.clip import Source, together, views_of
 from recon.errors import InputError, Problem
 from recon.results import Results
 from recon.settings import read_settings
@@ -28,8 +30,16 @@ def read_solver(results: Results) -> SolverRecord:
     config = results.folder / CONFIG
     settings = read_settings(config, {})
     given = prepare(settings)
-    model, views = given.model, views_of(given.sources)
-    _require_the_same(given.sources, results)
+    model, sources = given.model, given.sources
+    if settings.find_offsets:
+        later = [round(camera["offset_s"] * given.fps, 9) for camera in results.report["cameras"]]
+        sources = together(given.apart, later)
+    if settings.refine_cameras:
+        results.manifest.require(REFINED_CAMERAS)
+        cameras = read_cameras(results.folder / REFINED_CAMERAS)
+        sources = tuple(replace(source, camera=camera) for source, camera in zip(sources, cameras, strict=True))
+    views = views_of(sources)
+    _require_the_same(sources, results)
     if model.chain is not None:
         problem = linearised_frames(views[0], model.chain, given.fps, settings.frame_options(), results)
         told = 0.5 * sum(frame["squared_norm"] for frame in results.report["frames"] if frame["unknowns"])

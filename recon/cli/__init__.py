@@ -20,6 +20,7 @@ from recon.cli.demo import demo
 from recon.cli.doctor import doctor
 from recon.cli.evaluate import evaluate
 from recon.cli.evaluate_2d import evaluate_2d
+from recon.cli.extrinsics import extrinsics
 from recon.cli.fit import fit
 from recon.cli.ik import ik
 from recon.cli.overlay import overlay
@@ -38,7 +39,12 @@ from recon.interrupts import Interrupts, installed
 
 
 class _Commands(TyperGroup):
-    """Any command ends at Ctrl-C with one line and exit code 130."""
+    """Any command ends at Ctrl-C with one line and exit code 130. `calibrate extrinsics` is a command, too."""
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        if args[:2] == ["calibrate", "extrinsics"]:
+            args = ["calibrate-extrinsics", *args[2:]]
+        return super().resolve_command(ctx, args)
 
     def invoke(self, ctx: Any) -> Any:
         interrupts = installed() or Interrupts()
@@ -68,6 +74,7 @@ for command in (train, predict):
     app.command()(command)
 app.command("evaluate-2d")(evaluate_2d)
 app.command("camera-motion")(camera_motion)
+app.command("calibrate-extrinsics")(extrinsics)
 app.command("camera-advice")(camera_advice)
 
 prior_app = typer.Typer(help="Motion priors: which poses occur, and how they change.", no_args_is_help=True)

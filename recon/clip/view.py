@@ -11,6 +11,7 @@ import numpy as np
 from recon.arrays import Array, Bools, Index
 from recon.camera import Camera
 from recon.frames import inverse, level_from_camera, rigid
+from recon.rotations import euler_rotation
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,6 +90,13 @@ class View:
             return self.camera.sees(self.xy_px)
         near = self.camera.near(self.xy_px)
         return near & self.camera.rays(np.where(near[..., None], self._unzoomed_px, np.nan))[1]
+
+    def placed(self, placing: Array) -> View:
+        """Of a camera that lies beside its pose by a placing (6,): turned by angles about its axes (`recon.rotations`),
+        then moved along them, X_camera = R(angles) X + metres."""
+        if not placing.any():
+            return self
+        return replace(self, T_camera_world=rigid(euler_rotation(placing[:3]), placing[3:]) @ self.T_camera_world)
 
     def credible(self) -> View:
         """Without what no detector can have found in the picture (`Camera.sees`)."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -18,11 +19,27 @@ def section(motion: Motion) -> list[dict[str, Any]]:
     """An entry a camera, in the order of the keypoint files."""
     solution = motion.solution
     late = [view.lead_frames - s.lead_frames for view, s in zip(solution.views, motion.sources, strict=True)]
-    sigmas = solution.lag_sigma_frames if isinstance(solution, TrajectorySolution) else np.zeros(len(late))
-    return [_entry(*of_one) for of_one in zip(motion.pictures, late, sigmas, strict=True)]
+    if not isinstance(solution, TrajectorySolution):
+        return [_entry(picture, lag, 0.0, None) for picture, lag in zip(motion.pictures, late, strict=True)]
+    placings = map(_placing, solution.placing, solution.placing_sigma)
+    return [_entry(*of) for of in zip(motion.pictures, late, solution.lag_sigma_frames, placings, strict=True)]
 
 
-def _entry(picture: Picture, lag_frames: float, lag_sigma_frames: float) -> dict[str, Any]:
+def _placing(found: Array, sigma: Array) -> dict[str, Any] | None:
+    """How far a camera was beside the pose that was given, and standard deviations; None where that was not sought."""
+    if not sigma.any():
+        return None
+    return {
+        "turn_rad": found[:3],
+        "turn_sigma_rad": sigma[:3],
+        "shift_m": found[3:],
+        "shift_sigma_m": sigma[3:],
+    }
+
+
+def _entry(
+    picture: Picture, lag_frames: float, lag_sigma_frames: float, placing: dict[str, Any] | None
+) -> dict[str, Any]:
     source, errors = picture.source, finite(picture.distance_px)
     names = set(source.keypoints.names)
     used = int(picture.present.sum())
@@ -34,6 +51,7 @@ def _entry(picture: Picture, lag_frames: float, lag_sigma_frames: float) -> dict
         "offset_s": source.offset_s,
         "lag_frames": lag_frames,
         "lag_sigma_frames": lag_sigma_frames,
+        "placing": placing,
         "track": _track(source),
         "frames_seen": int(picture.present.any(axis=1).sum()),
         "points": {"used": used, "missing": max(picture.present.size - used - rejected, 0), "rejected": rejected},
@@ -98,14 +116,23 @@ def lines(report: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
         errors, counts = camera["reprojection_px"], camera["points"]
         outliers = "1 outlier" if camera["outliers"] == 1 else f"{camera['outliers']} outliers"
         rejected = f", {counts['rejected']} rejected" if counts["rejected"] else ""
-        fps, sigma_frames = report["input"]["fps"], camera["lag_sigma_frames"]
-        later_s = camera["offset_s"] + camera["lag_frames"] / fps
-        is_found = report["solver"].get("find_offsets") and sigma_frames
-        began = f"; began {later_s:.4f} ± {sigma_frames / fps:.4f} s later" if is_found else ""
         yield (
             "camera",
             f"{camera['name']}: {camera['frames_seen']} of {frames} frames, {counts['used']} points used"
             f"{rejected}; {number(errors['mean'], '.1f')} px mean, "
             f"{number(errors['median'], '.1f')} px median, {outliers}; "
-            f"{number(camera['distance_m'], '.1f')} m away{began}",
+            f"{number(camera['distance_m'], '.1f')} m away{_found_text(camera, report)}",
         )
+
+
+def _found_text(camera: Mapping[str, Any], report: Mapping[str, Any]) -> str:
+    """What was sought of a camera besides the animal."""
+    text, fps, sigma_frames = "", report["input"]["fps"], camera["lag_sigma_frames"]
+    if report["solver"].get("find_offsets") and sigma_frames:
+        later_s = camera["offset_s"] + camera["lag_frames"] / fps
+        text += f"; began {later_s:.4f} ± {sigma_frames / fps:.4f} s later"
+    if (placing := camera["placing"]) is not None:
+        turn, turn_sigma = (math.degrees(np.linalg.norm(placing[name])) for name in ("turn_rad", "turn_sigma_rad"))
+        shift, shift_sigma = (100 * float(np.linalg.norm(placing[name])) for name in ("shift_m", "shift_sigma_m"))
+        text += f"; turned by {turn:.1f} ± {turn_sigma:.1f}° and moved by {shift:.0f} ± {shift_sigma:.0f} cm"
+    return text

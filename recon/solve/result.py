@@ -131,5 +131,9 @@ class TrajectorySolution(Solution):
     """(V,): how much later than said each camera's pictures were taken, where several cameras show it, else 0."""
     lag_sigma_frames: Array
     """(V,): their standard deviations; 0 of a lag that is not an unknown."""
+    placing: Array
+    """(V, 6): how far each camera lies beside its pose, as in `View.placed`; 0 where that is not an unknown."""
+    placing_sigma: Array
+    """(V, 6)"""
 
     method: ClassVar = "trajectory"

@@ -24,6 +24,7 @@ from recon.solve.terms import (
     climb_term,
     dynamics_term,
     lag,
+    placing,
     pose_term,
     root_term,
 )
@@ -34,6 +35,8 @@ Index = NDArray[np.intp]
 UP = np.array([0.0, 0.0, 1.0])
 _APART_M = 1e-6
 """Cameras nearer to the origin than this are in it."""
+_HELD_M = 1e-6
+"""Sigma of a place that is held."""
 
 
 @dataclass(frozen=True)
@@ -43,8 +46,10 @@ class TrajectoryOptions:
     sigma_px: the detector's noise; keypoint_sigma_m: how far keypoints lie from the markers, in place of the body's;
     beside_share: the part of it that stays the same over a clip. size_sigma: of the size, relative, in place of the
     body's. lag_frames: how much later or earlier than said a camera's pictures are taken. find_offsets:
-    they may be later or earlier than the first camera's by found_lag_frames. robust_c: residuals of that many sigmas
-    count half.
+    they may be later or earlier than the first camera's by found_lag_frames. refine_cameras: all but the first lie
+    beside their poses, turned by placing_rad about each axis and moved by placing_m along it; level_rad, beside that:
+    how far the first is turned, about each axis. robust_c: residuals of
+    that many sigmas count half.
     pose_weight, mixture_weight, motion_weight: how many times the priors count per 1/90 s. acceleration_m_s2: of the
     root in the level frame. lateral_m_s: of the velocity across the trunk. climb_m_s: of the root. ground: "auto" uses
     contacts and a plane, "none" does not; the stance's loss saturates at slip_c slip_m_s. noise_rounds: of step 4.
@@ -68,6 +73,10 @@ class TrajectoryOptions:
     lag_frames: float = 12**-0.5
     find_offsets: bool = False
     found_lag_frames: float = 2.0
+    refine_cameras: bool = False
+    placing_rad: float = float(np.radians(2.0))
+    placing_m: float = 0.05
+    level_rad: float = 0.0
     robust_c: float = 3.0
     pose_weight: float = 1.0
     mixture_weight: float = 1.0
@@ -225,10 +234,15 @@ class Setting:
         size = [Shared(SIZE, np.ones(1), np.array([self.size_sigma]))] if self.shows_size else []
         first, late = (1, o.found_lag_frames) if o.find_offsets else (0, o.lag_frames)
         lags = [Shared(lag(i), np.zeros(1), np.array([late / root])) for i in range(first, V)]
+        sigma = np.repeat([o.placing_rad, o.placing_m], 3) / root
+        placings = [Shared(placing(i), np.zeros(6), sigma) for i in range(1, V)] if o.refine_cameras else []
+        if o.level_rad:
+            turn = np.repeat([o.level_rad / root, _HELD_M], 3)
+            placings.insert(0, Shared(placing(0), np.zeros(6), turn))
         spread_m = self.body.keypoint_spread_m
         beside_m = np.repeat([spread_m.get(m, o.beside_share * self.keypoint_sigma_m) for m in self.body.markers], 2)
         displaced = [Shared(beside(i), np.zeros(2 * J), beside_m / root) for i in range(V)] if beside_m.all() else []
-        return ([*size, *lags], displaced) if V > 1 else (size, [*lags, *displaced])
+        return ([*size, *lags, *placings], displaced) if V > 1 else (size, [*lags, *displaced])
 
     def problem(
         self,

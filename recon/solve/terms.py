@@ -31,6 +31,7 @@ from numpy.typing import NDArray
 from recon.clip import View
 from recon.kinematics import ROOT, YAW, TreePose
 from recon.prior import MotionPrior
+from recon.rotations import euler_rotation_with_jacobian
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -49,6 +50,11 @@ def beside(view: int) -> str:
     """The shared unknowns (2J,): how far a view's keypoints of each marker lie beside it all the time, metres to the
     right and down at the animal's distance."""
     return f"beside {view}"
+
+
+def placing(view: int) -> str:
+    """The shared unknowns (6,): how far a camera lies beside its pose, as in `View.placed`."""
+    return f"placing {view}"
 
 
 def size_of(shared: Mapping[str, Array]) -> float:
@@ -232,7 +238,7 @@ class Reprojection:
     c: float
     origin_m: Array
     number: int = 0
-    """Of the view, in the names of the unknowns that are its own: `lag` and `beside`."""
+    """Of the view, in the names of the unknowns that are its own: `lag`, `beside` and `placing`."""
     drift_m: Array | None = None
     """(T, J, 3), frozen: how far the markers go in a frame, at nominal size. None: no lag is read."""
     px_per_m: Array | None = None
@@ -251,7 +257,8 @@ class Reprojection:
         size, late, off = size_of(span.shared), span.shared.get(lag(self.number)), span.shared.get(beside(self.number))
         if late is not None and self.drift_m is not None:
             points = points + late * self.drift_m[frames]
-        world = self.origin_m + size * points
+        world, place = self.origin_m + size * points, span.shared.get(placing(self.number))
+        before, view = view, view if place is None else view.placed(place)
         if jacobian:
             projected, by_point, valid = view.project_with_jacobian(world)
         else:
@@ -280,6 +287,11 @@ class Reprojection:
         if off is not None and self.px_per_m is not None:
             each = np.repeat((root / sigma[..., None])[..., 0] * self.px_per_m[frames, None], 2, axis=1)
             by_shared[beside(self.number)] = each[..., None] * np.eye(2 * J)
+        if place is not None:
+            by_camera = by_point @ view.rotation.swapaxes(-1, -2)
+            turn = euler_rotation_with_jacobian(place[:3])[1] @ before.to_camera(world)[..., None, :, None]
+            by_placing = np.concatenate([by_camera @ turn[..., 0].swapaxes(-1, -2), by_camera], axis=-1)
+            by_shared[placing(self.number)] = by_placing.reshape(N, 2 * J, 6)
         return Rows(frames, cost, (e * root).reshape(N, 2 * J), rows, by_shared)
 
     def _parts(self, span: Span) -> list[tuple[slice, float]]:

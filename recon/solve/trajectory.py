@@ -21,7 +21,7 @@ detected for longer than `BRIDGED_S`, the clip is split.
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -40,7 +40,7 @@ from recon.solve.problem import Estimate, Problem
 from recon.solve.result import Ground, Spell, Start, TrajectorySolution
 from recon.solve.setting import Setting, TrajectoryOptions
 from recon.solve.starts import Approached, approach, between
-from recon.solve.terms import ANGLES, Reprojection, lag, size_of
+from recon.solve.terms import ANGLES, Reprojection, lag, placing, size_of
 
 Array = NDArray[np.float64]
 
@@ -130,6 +130,10 @@ class Solved:
     def lag_frames(self, view: int) -> float:
         return float(self.estimate.shared.get(lag(view), np.zeros(1))[0])
 
+    def placing(self, view: int) -> Array:
+        """(6,)"""
+        return self.estimate.shared.get(placing(view), np.zeros(6))
+
 
 def solve_spells(setting: Setting, progress: Progress = silent) -> list[Solved]:
     """Every stretch of a clip between which nothing is seen for long."""
@@ -196,24 +200,33 @@ def _round(setting: Setting, solved: Solved, temperature: float | None, whole: b
     )
 
 
-def _lags(setting: Setting, solved: Sequence[Solved], known: Sequence[Posterior]) -> tuple[Array, Array]:
-    """(V,): over the spells, by how many of their frames several cameras saw; and their standard deviations (V,)."""
-    V, none = len(setting.views), np.zeros(1)
+def _of_views(
+    setting: Setting, solved: Sequence[Solved], known: Sequence[Posterior], name: Callable[[int], str], count: int
+) -> tuple[Array, Array]:
+    """(V, count): unknowns that each view has of its own, and their standard deviations; 0 where they are none.
+
+    Over the spells, by how many of their frames several cameras saw."""
+    V, none = range(len(setting.views)), np.zeros(count)
     together = np.sum([view.present.any(axis=1) for view in setting.views], axis=0) > 1
     frames = np.array([together[one.rows].sum() for one in solved])
     if not frames.any():
-        return np.zeros(V), np.zeros(V)
-    of_spells = [[one.lag_frames(i) for i in range(V)] for one in solved]
-    sigmas = np.array([[of_one.shared_sigma.get(lag(i), none)[0] for i in range(V)] for of_one in known])
-    shares = frames / frames.sum()
-    return np.average(of_spells, axis=0, weights=frames), np.linalg.norm(shares[:, None] * sigmas, axis=0)
+        return np.zeros((len(V), count)), np.zeros((len(V), count))
+    found = [[one.estimate.shared.get(name(i), none) for i in V] for one in solved]
+    sigmas = [[of_one.shared_sigma.get(name(i), none) for i in V] for of_one in known]
+    shares = (frames / frames.sum())[:, None, None]
+    return np.average(found, axis=0, weights=frames), np.linalg.norm(shares * np.array(sigmas), axis=0)
 
 
 def in_step(setting: Setting, solved: Solved) -> Setting:
-    """With the lags of a solution in its views."""
-    late = (solved.lag_frames(i) for i in range(len(setting.views)))
-    views = (replace(v, lead_frames=v.lead_frames + frames) for v, frames in zip(setting.views, late, strict=True))
-    return replace(setting, views=tuple(views))
+    """With the lags and the cameras' places of a solution in its views."""
+    V = range(len(setting.views))
+    views = _found(setting.views, [solved.lag_frames(i) for i in V], [solved.placing(i) for i in V])
+    return replace(setting, views=views)
+
+
+def _found(views: Sequence[View], late: Iterable[float], places: Iterable[Array]) -> tuple[View, ...]:
+    found = zip(views, late, places, strict=True)
+    return tuple(replace(v, lead_frames=v.lead_frames + frames).placed(place) for v, frames, place in found)
 
 
 def _windows(setting: Setting, progress: Progress) -> list[tuple[slice, list[Approached]]]:
@@ -289,11 +302,12 @@ def _solution(setting: Setting, solved: Sequence[Solved], began: float) -> Traje
     for values in (*of_frames.values(), *(np.moveaxis(v, 0, 1) for v in of_views.values()), second.apart_m):
         values[away] = np.nan
     shares = [of_one.data_share * (one.rows.stop - one.rows.start) for one, of_one in zip(solved, known, strict=True)]
-    late, late_sigma = _lags(setting, solved, known)
+    late, late_sigma = _of_views(setting, solved, known, lag, 1)
+    places, places_sigma = _of_views(setting, solved, known, placing, 6)
     costs = _summed([one.problem.costs(one.estimate.states, one.estimate.shared) for one in solved])
     return TrajectorySolution(
         body=setting.body,
-        views=tuple(replace(v, lead_frames=v.lead_frames + by) for v, by in zip(setting.views, late, strict=True)),
+        views=_found(setting.views, late[:, 0], places),
         **of_frames,
         **of_views,
         size=size,
@@ -315,8 +329,10 @@ def _solution(setting: Setting, solved: Sequence[Solved], began: float) -> Traje
         starts=tuple(
             Start(a.heading_rad, a.first_cost, a.finished) for one in solved for _, tried in one.windows for a in tried
         ),
-        lag_frames=late,
-        lag_sigma_frames=late_sigma,
+        lag_frames=late[:, 0],
+        lag_sigma_frames=late_sigma[:, 0],
+        placing=places,
+        placing_sigma=places_sigma,
         stage_s=_summed([stage_s, *(one.stage_s for one in solved)]) | {"all": time.perf_counter() - began},
     )
 

@@ -1,0 +1,109 @@
+"""Cameras that lie beside their poses, and are refined by the fit: `recon fit --refine-cameras`.
+
+    python benchmarks/refined_cameras.py [FOLDER]
+
+Each run is a folder as in `cheetah_runs.py`, with all cameras. All but the first are turned by 2 degrees about an axis,
+and moved by 5 cm in a direction, drawn at random; the first one, named in the run, stays. What comes out is compared
+with what comes out of the poses as they are, refined as well: those are not exact either. Errors are over all 24
+joints. Without FOLDER: the cheetah-runs of $RECON_SHARED_DATA, or of ../shared/data. One thread.
+"""
+
+from __future__ import annotations
+
+import os
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import argparse
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from cameras import PRIOR, Run, cameras_of, errors, run_of
+from markdown_table import print_table
+from recordings import recordings
+from scipy.spatial.transform import Rotation
+from trajectory import body_of, prior_of
+
+from recon.clip import View
+from recon.frames import rigid
+from recon.solve import TrajectoryOptions, TrajectorySolution, solve_trajectory
+
+TURN_DEG, SHIFT_M, DRAWS = 2.0, 0.05, 3
+
+
+def displaced(views: Sequence[View], rng: np.random.Generator) -> list[View]:
+    """All but the first."""
+    found = [views[0]]
+    for view in views[1:]:
+        axis, way = (v / np.linalg.norm(v) for v in rng.normal(size=(2, 3)))
+        turn = Rotation.from_rotvec(np.radians(TURN_DEG) * axis).as_matrix()
+        found.append(replace(view, T_camera_world=rigid(turn, SHIFT_M * way) @ view.T_camera_world))
+    return found
+
+
+def apart(views: Sequence[View], others: Sequence[View]) -> np.ndarray:
+    """(V - 1, 2): degrees and metres between the poses of all but the first."""
+    found = []
+    for a, b in zip(views[1:], others[1:], strict=True):
+        turn = Rotation.from_matrix(a.T_camera_world[:3, :3] @ b.T_camera_world[:3, :3].T).magnitude()
+        found.append((np.degrees(turn), np.linalg.norm(a.centre_m[0] - b.centre_m[0])))
+    return np.array(found)
+
+
+def rows(run: Run) -> Iterator[dict]:
+    body, prior, options = body_of(run.subject), prior_of(PRIOR), TrajectoryOptions()
+
+    def solved(views: Sequence[View], refine: bool) -> TrajectorySolution:
+        return solve_trajectory(views, body, prior, run.fps, replace(options, refine_cameras=refine))
+
+    views = [run.views[camera] for camera in cameras_of(run)["all"]]
+    as_they_are, refined = solved(views, False), solved(views, True)
+    first = {
+        "poses": "as they are",
+        "beside them": _worst(apart(refined.views, views)),
+        "beside those refined": "",
+        "MPJPE mm": errors(run, refined)["mpjpe_mm"],
+        "not refined": errors(run, as_they_are)["mpjpe_mm"],
+    }
+    yield {"run": run.folder.name[:28], **first}
+    for draw in range(DRAWS):
+        wrong = displaced(views, np.random.default_rng(draw))
+        found = solved(wrong, True)
+        far, sigma = apart(found.views, refined.views), found.placing_sigma[1:]
+        yield {
+            "run": run.folder.name[:28],
+            "poses": f"displaced, {draw + 1}",
+            "beside them": _worst(apart(found.views, views)),
+            "beside those refined": _worst(far),
+            "MPJPE mm": errors(run, found)["mpjpe_mm"],
+            "not refined": errors(run, solved(wrong, False))["mpjpe_mm"],
+            "sigma": f"{np.degrees(sigma[:, :3].max()):.2f}°, {100 * sigma[:, 3:].max():.1f} cm",
+        }
+
+
+def _worst(far: np.ndarray) -> str:
+    return "{:.2f}°, {:.1f} cm".format(*(far * [1, 100]).max(axis=0))
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folder", type=Path, nargs="?", default=recordings("cheetah-runs"))
+    folder = parser.parse_args().folder
+    runs = [run_of(path.parent) for path in sorted(folder.resolve().glob("*/meta.json"))]
+    if not runs:
+        raise SystemExit(f"no runs in {folder}")
+    found = [row for run in runs for row in rows(run)]
+    names = list(found[-1])
+    print_table(
+        names,
+        [
+            [f"{row.get(n, ''):.1f}" if isinstance(row.get(n), float) else row.get(n, "") for n in names]
+            for row in found
+        ],
+    )
+
+
+if __name__ == "__main__":
+    main()
