@@ -429,6 +429,24 @@ def test_warnings_where_a_trajectory_is_not_to_be_trusted(small_trajectory):
     assert report["root_path"]["position_m"][0] == [None] * 3
 
 
+def test_the_summary_begins_with_a_distance_that_is_hardly_told(small_trajectory):
+    away = small_trajectory.pictures[0].distance_m.mean()
+    for share, size_sigma, expected in (
+        (0.05, 0.02, None),
+        (0.2, 0.02, "hardly tell"),
+        (0.2, 0.15, "size is not known"),
+    ):
+        covariance = np.broadcast_to(np.eye(3) * (share * away) ** 2, small_trajectory.solution.covariance_m2.shape)
+        motion = with_solution(small_trajectory, covariance_m2=covariance, size_sigma=size_sigma)
+        lines = summary_lines(build_report(motion, {}))
+        if expected is None:
+            assert "distance" not in dict(lines)
+        else:
+            assert [label for label, _ in lines][:3] == ["clip", "frames", "distance"]
+            assert f"{away:.1f} ± {share * away:.1f} m from the camera" in dict(lines)["distance"]
+            assert expected in dict(lines)["distance"]
+
+
 def test_no_pose_at_all(small_trajectory):
     solution = small_trajectory.solution
     arrays = {

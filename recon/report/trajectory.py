@@ -24,6 +24,8 @@ from recon.solve.trajectory import ALTERNATIVE_M
 FLAGS = ("no data", "ran away", "data poor", "ambiguous depth", "second solution", SIDES, GARBAGE)
 STANCE = 0.5
 """A foot with more contact than this stands."""
+HARDLY_TOLD = 0.1
+"""Standard deviation of the distance, relative to it, from which the summary begins with it."""
 WARN_POOR = 0.2
 """Share of the frames from which the report warns."""
 SAID_BY = {"views": "where the cameras are", "ground": "the camera's height above the ground"}
@@ -333,6 +335,7 @@ def lines(report: Mapping[str, Any]) -> common.Lines:
         common.clip_line(report),
         *([("side", f"{report['side']['fitted']}: {report['side']['reason']}")] if report["side"]["fitted"] else []),
         ("frames", _frames_text(report)),
+        *([("distance", _distance_text(report))] if _hardly_told(report) else []),
         *common.point_lines(report),
         (
             "speed",
@@ -366,6 +369,22 @@ def _frames_text(report: Mapping[str, Any]) -> str:
     why = [f"{count} {flag}" for flag, count in summary["flags"].items() if count]
     flagged = f"{summary['frames_flagged']} doubtful ({', '.join(why)})" if why else "none doubtful"
     return f"{summary['frames_with_pose']} of {summary['frames']} with a pose, {flagged}"
+
+
+def _hardly_told(report: Mapping[str, Any]) -> bool:
+    """Whether the distance from the nearest camera is."""
+    sigma_m, away_m = report["summary"]["place_sigma_m"], _nearest_m(report)
+    return sigma_m is not None and away_m is not None and sigma_m > HARDLY_TOLD * away_m
+
+
+def _nearest_m(report: Mapping[str, Any]) -> float | None:
+    return min((one["distance_m"] for one in report["cameras"] if one["distance_m"] is not None), default=None)
+
+
+def _distance_text(report: Mapping[str, Any]) -> str:
+    sigma_m, size = report["summary"]["place_sigma_m"], report["size"]
+    why = "the size is not known better" if size["sigma"] > HARDLY_TOLD / 2 else "these pictures hardly tell it"
+    return f"{_nearest_m(report):.1f} ± {sigma_m:.1f} m from the camera: {why}"
 
 
 def _size_sources(size: Mapping[str, Any]) -> str:
