@@ -1,0 +1,68 @@
+"""What a wrong focal length costs: `recon fit --hfov-deg` with a guess.
+
+    python benchmarks/focal.py [FOLDER]
+
+Each run is a folder as in `cheetah_runs.py`, with every camera by itself, its focal length taken for a part or a
+multiple of what it is; the lens stays. Means over all views: MPJPE over all 24 joints, each pose's middle taken off;
+how much too far the animal is, by the logarithm; its speed beside that with the true focal length. Without FOLDER: the
+cheetah-runs of $RECON_SHARED_DATA, or of ../shared/data. One thread.
+"""
+
+from __future__ import annotations
+
+import os
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import argparse
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from cameras import PRIOR, Run, errors, run_of, too_far
+from markdown_table import print_table
+from recordings import recordings
+from trajectory import body_of, prior_of
+
+from recon.solve import TrajectorySolution, solve_trajectory
+
+FACTORS = (0.7, 0.85, 0.95, 1.0, 1.05, 1.15, 1.3)
+
+
+def solved(run: Run, camera: int, factor: float) -> TrajectorySolution:
+    view = run.views[camera]
+    matrix = view.camera.matrix.copy()
+    matrix[[0, 1], [0, 1]] *= factor
+    wrong = replace(view, camera=replace(view.camera, matrix=matrix))
+    return solve_trajectory([wrong], body_of(run.subject), prior_of(PRIOR), run.fps)
+
+
+def speed_m_s(run: Run, solution: TrajectorySolution) -> float:
+    path = solution.joints_m.mean(axis=1)
+    return float(np.nanmedian(np.linalg.norm(np.diff(path, axis=0), axis=1)) * run.fps)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folder", type=Path, nargs="?", default=recordings("cheetah-runs"))
+    folder = parser.parse_args().folder
+    runs = [run_of(path.parent) for path in sorted(folder.resolve().glob("*/meta.json"))]
+    if not runs:
+        raise SystemExit(f"no runs in {folder}")
+    found: dict[float, list[list[float]]] = {}
+    for run in runs:
+        for camera in run.views:
+            speed = speed_m_s(run, solved(run, camera, 1.0))
+            for factor in FACTORS:
+                solution = solved(run, camera, factor)
+                of_view = [errors(run, solution)["mpjpe_mm"], too_far(run, solution)]
+                found.setdefault(factor, []).append([*of_view, speed_m_s(run, solution) / speed - 1])
+    rows = []
+    for factor in FACTORS:
+        mpjpe, far, faster = np.mean(found[factor], axis=0)
+        rows.append([f"{factor - 1:+.0%}", f"{mpjpe:.1f}", f"{np.expm1(far):+.0%}", f"{faster:+.0%}"])
+    print_table(["focal length off by", "MPJPE mm", "too far", "faster"], rows)
+
+
+if __name__ == "__main__":
+    main()
