@@ -74,7 +74,7 @@ benchmark: $(BASE)
 	$(BIN)/python benchmarks/samples.py
 	$(BIN)/python benchmarks/gait.py $(RUNS)
 	$(BIN)/python benchmarks/ik.py $(RUNS)
-	$(BIN)/python benchmarks/sides.py $(RUNS)
+	$(BIN)/python benchmarks/mistakes.py $(RUNS)
 	$(BIN)/python benchmarks/calibration.py
 	$(BIN)/python benchmarks/dog.py
 	$(BIN)/python benchmarks/retarget.py $(RUNS)

@@ -21,8 +21,7 @@ JUMP = 3.0
 """Tracks jump where that makes them so much likelier, as a logarithm."""
 CLEAR_STRETCH = 21.5
 """A stretch is exchanged where that makes the tracks at its ends and the clip so many times as likely together, as a
-logarithm: it could be any of thousands, and neither knows how long legs go as no others do. As few as this have at most
-2 % of the frames of real clips named falsely (docs/benchmarks.md)."""
+logarithm: it could be any of thousands, and no animal's legs go quite as the prior has them. Set on real clips."""
 JUMPS, TRIED, STRETCHES = 3, 4, 4
 """So many of the largest jumps of each kind are looked at a second, so many stretches between them tried, and so many
 exchanges found in a clip."""
