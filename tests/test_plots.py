@@ -8,8 +8,9 @@ from dataclasses import replace
 import matplotlib as mpl
 import numpy as np
 import pytest
-from matplotlib.collections import EllipseCollection, FillBetweenPolyCollection, LineCollection, PolyCollection
-from matplotlib.colors import to_rgb
+from matplotlib.collections import FillBetweenPolyCollection, LineCollection, PolyCollection
+from matplotlib.colors import to_rgb, to_rgba
+from matplotlib.patches import PathPatch
 from matplotlib.quiver import Quiver
 from PIL import Image
 
@@ -22,7 +23,7 @@ from recon.ik.chain import PlanarChain, SummedChain
 from recon.ik.drive import Closures, drive_to, follow
 from recon.ik.fit import FittedSeries
 from recon.ik.methods import DampedLeastSquares, JacobianTranspose, LeastNorm
-from recon.plots import composite, style
+from recon.plots import composite, phase, style
 from recon.plots.observability import share_colours
 from recon.skeleton_file import load_skeleton
 
@@ -391,6 +392,11 @@ def test_long_clips_leave_out_arrows_evenly():
     assert len(figure.axes[1].get_lines()[0].get_xdata()) == 200
 
 
+def test_lines_through_many_frames_have_no_dots():
+    assert style.dots(500, 2.0) == {"marker": "o", "ms": 2.0}
+    assert style.dots(501, 2.0) == {}
+
+
 # -- phase portraits -------------------------------------------------------------------------------------------------
 
 
@@ -430,8 +436,14 @@ def test_a_portrait_with_its_deviations_and_of_an_angle_that_is_not_seen():
     assert second.get_title() == "hip\n20% from pixels"
     (lines,) = (c for c in second.collections if isinstance(c, LineCollection))
     assert len({*map(tuple, lines.get_edgecolors())}) == 1
-    (band,) = (c for c in first.collections if isinstance(c, EllipseCollection))
-    assert np.median(band.get_widths()) == pytest.approx(4.0, rel=0.02)
+    (band,) = (p for p in first.findobj(PathPatch) if p.get_facecolor() == to_rgba(phase._BAND))
+    ellipses = band.get_path().vertices.reshape(-1, len(mpl.path.Path.unit_circle().vertices), 2)
+    assert np.median(np.ptp(ellipses[..., 0], axis=1)) == pytest.approx(4.0, rel=0.02)
+    middles = np.mean([ellipses.min(axis=1), ellipses.max(axis=1)], axis=0)
+    path = np.degrees(np.column_stack([portrait.angle_rad, portrait.rate_rad_s]))
+    near = np.abs(middles[:, None] - path) / (np.ptp(ellipses, axis=1)[:, None] / 2)
+    assert near.max(axis=2).min(axis=1) == pytest.approx(0, abs=1e-9)  # on the path
+    assert near.max(axis=2).min(axis=0).max() < 0.3  # and all along it
     assert "less than 50%" in figure.get_supxlabel()
 
 
@@ -507,17 +519,25 @@ def test_bars_stand_where_feet_do():
     figure = plots.footfall(gaits(), FPS)
     (axes,) = figure.axes
     assert [label.get_text() for label in axes.get_yticklabels()] == ["LH", "RH", "RF", "LF"]
-    bars = [(p.get_x(), p.get_x() + p.get_width(), p.get_y() + p.get_height() / 2, p.get_hatch()) for p in axes.patches]
+    boxes = [
+        (p.get_extents(), c.get_hatch())
+        for c in axes.collections
+        if isinstance(c, PolyCollection)
+        for p in c.get_paths()
+    ]
+    bars = [(box.x0, box.x1, (box.y0 + box.y1) / 2, hatch) for box, hatch in boxes]
     expected = [(1.1, 1.2, -0.19, ""), (1.4, 1.5, -0.19, ""), (1.7, 1.8, 1.81, ""), (1.65, 1.75, 2.19, "////")]
     for bar, (start, end, y, hatch) in zip(bars, expected, strict=True):
         assert bar[:3] == pytest.approx((start, end, y))
         assert (bar[3] or "") == hatch
-    ends = [line.get_xdata() for line in axes.get_lines() if len(line.get_xdata()) == 2]
+    lines = [c for c in axes.collections if isinstance(c, LineCollection)]
+    ends = [end[:, 0] for c in lines for end in c.get_segments()]
     assert sorted(a for a, b in ends if a == b) == pytest.approx([1.1, 1.2, 1.4, 1.5, 1.65, 1.7, 1.75])  # not 1.8
     (arrow,) = (line for line in axes.get_lines() if line.get_marker() in "<>")
     assert (arrow.get_marker(), arrow.get_xdata()[0]) == (">", 1.8)
-    (stride,) = (line for line in axes.get_lines() if line.get_marker() == "|")
-    assert list(stride.get_xdata()) == [1.1, 1.4]
+    (ticks, _) = (line for line in axes.get_lines() if line.get_marker() == "|")
+    assert list(ticks.get_xdata()) == [1.1, 1.4]
+    np.testing.assert_allclose(lines[0].get_segments(), [[(1.1, -0.19), (1.4, -0.19)]])
     (frames,) = axes.child_axes
     np.testing.assert_allclose(frames.get_xlim(), FPS * np.array(axes.get_xlim()))
     for said in ("ground: unknown (", "stride 2.00 m, 3.33 Hz", "cut by the clip", "complete stride"):

@@ -113,8 +113,13 @@ def limbs_apart(
 
 def _draw(axes: Axes, paths_m: Array, side: Side | None) -> None:
     """paths_m (N, n, 2), the first the palest."""
-    for path, colour in zip(paths_m, _shades(side, len(paths_m)), strict=True):
-        axes.plot(*path.T, color=colour, lw=1.2, marker="o", ms=2.0, solid_capstyle="round")
+    from matplotlib.collections import LineCollection
+
+    colours = _shades(side, len(paths_m))
+    axes.scatter(*paths_m.reshape(-1, 2).T, s=4.0, c=np.repeat(colours, paths_m.shape[1], axis=0), zorder=2)
+    axes.add_collection(
+        LineCollection(list(paths_m), colors=colours, lw=1.2, capstyle="round", zorder=2), autolim=False
+    )
 
 
 def _shades(side: Side | None, count: int) -> Array:

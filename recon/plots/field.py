@@ -8,7 +8,7 @@ import numpy as np
 
 from recon.analysis.phase import LinkField, field_means
 from recon.arrays import Array
-from recon.plots.style import COLOURS, GREY, PAGE_MM, PALE, SMALL, blank, drawing
+from recon.plots.style import COLOURS, GREY, PAGE_MM, PALE, SMALL, blank, dots, drawing
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -59,7 +59,7 @@ def vector_fields(fields: tuple[LinkField, ...], time_s: Array, title: str = "")
             if not keyed and larger == 1:
                 _key(left, arrows, float(fastest), every, height)
                 keyed = True
-            right.plot(time_s, field.speed_m_s, color=colour, marker="o", ms=1.8)
+            right.plot(time_s, field.speed_m_s, color=colour, **dots(len(time_s), 1.8))
             highest = float(fastest) / larger
             if (sigma := field.speed_sigma_m_s) is not None:
                 ends = np.maximum(field.speed_m_s - sigma, 0.0), field.speed_m_s + sigma

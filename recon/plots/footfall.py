@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -35,17 +35,18 @@ def footfall(gaits: Mapping[str, Gait] | Mapping[Method, Gait], fps: float, titl
     with drawing(9.0 * len(feet) + 32 + 3.4 * lines + 4 * bool(title)) as figure:
         if not gaits:
             return figure
+        from matplotlib.collections import LineCollection
         from matplotlib.ticker import MaxNLocator
 
         axes = figure.subplots()
         thick = _BAR / len(gaits)
         for m, gait in enumerate(gaits.values()):
             place = {foot: row - _BAR / 2 + (m + 0.5) * thick for row, foot in enumerate(feet)}
-            for stride in gait.strides:
-                at = [place[stride.foot]] * 2
-                axes.plot([stride.start_s, stride.end_s], at, color="k", lw=0.7, marker="|", ms=5, zorder=3.5)
-            for stance in gait.stances:
-                _bar(axes, stance, place[stance.foot], 0.86 * thick, m)
+            ends = [[(s.start_s, place[s.foot]), (s.end_s, place[s.foot])] for s in gait.strides]
+            axes.add_collection(LineCollection(ends, color="k", lw=0.7, zorder=3.5), autolim=False)
+            axes.plot(*np.reshape(ends, (-1, 2)).T, "k|", ms=5, zorder=3.5)
+            for foot, y in place.items():
+                _bars(axes, [s for s in gait.stances if s.foot == foot], y, 0.86 * thick, m)
         axes.set_yticks(range(len(feet)), feet)
         axes.set_ylim(len(feet) - 0.5, -0.5)
         axes.tick_params(axis="y", length=0)
@@ -65,17 +66,21 @@ def footfall(gaits: Mapping[str, Gait] | Mapping[Method, Gait], fps: float, titl
     return figure
 
 
-def _bar(axes: Axes, stance: Stance, y: float, height: float, m: int) -> None:
-    colour, left, right = COLOURS[m % len(COLOURS)], stance.start_s, stance.end_s
-    low, high = y - height / 2, y + height / 2
-    axes.barh(y, right - left, height, left, **_fill(m), lw=0, zorder=2)
-    # An edge only where the stance begins or ends.
-    edges = [[(left, low), (right, low)], [(left, high), (right, high)]]
-    edges += [[(left, low), (left, high)]] * stance.begins + [[(right, low), (right, high)]] * stance.ends
-    for edge in edges:
-        axes.plot(*zip(*edge, strict=True), color=colour, lw=1.1, solid_capstyle="projecting", zorder=3)
-    for at, marker in [(left, "<")] * (not stance.begins) + [(right, ">")] * (not stance.ends):
-        axes.plot(at, y, marker=marker, ms=4, color=colour, mec="w", mew=0.4, zorder=4, clip_on=False)
+def _bars(axes: Axes, stances: Sequence[Stance], y: float, height: float, m: int) -> None:
+    """Of one foot."""
+    from matplotlib.collections import LineCollection
+
+    colour, low, high, edges = COLOURS[m % len(COLOURS)], y - height / 2, y + height / 2, []
+    axes.broken_barh([(s.start_s, s.duration_s) for s in stances], (low, height), **_fill(m), lw=0, zorder=2)
+    for stance in stances:
+        # An edge only where the stance begins or ends.
+        left, right = stance.start_s, stance.end_s
+        edges += [[(left, low), (right, low)], [(left, high), (right, high)]]
+        edges += [[(left, low), (left, high)]] * stance.begins + [[(right, low), (right, high)]] * stance.ends
+        for at, marker in [(left, "<")] * (not stance.begins) + [(right, ">")] * (not stance.ends):
+            axes.plot(at, y, marker=marker, ms=4, color=colour, mec="w", mew=0.4, zorder=4, clip_on=False)
+    lines = LineCollection(edges, color=colour, lw=1.1, capstyle="projecting", zorder=3)
+    axes.add_collection(lines, autolim=False)
 
 
 def _caption(name: str, gait: Gait) -> str:

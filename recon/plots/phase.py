@@ -26,6 +26,8 @@ _LEAST = (0.05, 0.5)
 _ASPECT, _REST_MM = 0.9, 24.0
 _BAND, _UNSEEN = "#E6E6E6", "#9A9A9A"
 """Of one standard deviation about a path; of a path that is mostly expected."""
+_ALONG = 0.25
+"""Standard deviations between ellipses of a band."""
 
 
 def phase_portraits(
@@ -115,15 +117,17 @@ def _draw(axes: Axes, portrait: Portrait, colours: tuple[ListedColormap, Normali
 
 
 def _band(axes: Axes, path: Array, sigma: Array) -> None:
-    """Ellipses of one standard deviation along a path (N, 2)."""
-    from matplotlib.collections import EllipseCollection
+    """Ellipses of one standard deviation along a path (N, 2), close enough to look like one shape, which they are."""
+    from matplotlib.patches import PathPatch
+    from matplotlib.path import Path
 
-    every = max(1, len(path) // (3 * SHADES))
-    wide, high = 2 * sigma[::every].T
-    band = EllipseCollection(
-        wide, high, np.zeros(len(wide)), units="xy", offsets=path[::every], offset_transform=axes.transData, color=_BAND
-    )
-    axes.add_collection(band, autolim=False)
+    steps = np.linalg.norm(np.diff(path, axis=0) / np.maximum(sigma[1:], 1e-12), axis=1)
+    along = np.concatenate([[0.0], np.cumsum(steps)])
+    some = np.unique(np.searchsorted(along, np.arange(0.0, along[-1] + _ALONG, _ALONG)).clip(max=len(path) - 1))
+    circle = Path.unit_circle()
+    corners = path[some, None] + sigma[some, None] * np.asarray(circle.vertices)
+    codes = np.tile(np.asarray(circle.codes), len(some))
+    axes.add_artist(PathPatch(Path(corners.reshape(-1, 2), codes), fc=_BAND, lw=0))
     axes.update_datalim(np.concatenate([path - sigma, path + sigma]))
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from recon.analysis.solver import SolverRecord
 from recon.arrays import Array
-from recon.plots.style import GREY, PAGE_MM, PALE, SMALL, add_legend, blank, drawing, legend_shape, look
+from recon.plots.style import GREY, PAGE_MM, PALE, SMALL, add_legend, blank, dots, drawing, legend_shape, look
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -63,7 +63,7 @@ def solver_root(record: SolverRecord) -> Figure:
     with drawing(24 * len(shown) + 14) as figure:
         rows = figure.subplots(len(shown), 1, sharex=True)
         for axes, (label, (values, least)) in zip(rows, shown.items(), strict=True):
-            axes.plot(record.results.time_s, values, marker="o", ms=2.2, **look(0))
+            axes.plot(record.results.time_s, values, **dots(len(values), 2.2), **look(0))
             axes.set_ylabel(label)
             axes.ticklabel_format(useOffset=False)
             axes.margins(y=0.15)
@@ -132,7 +132,7 @@ def solver_unknowns(record: SolverRecord) -> Figure:
 
 def _logarithmic(axes: Axes, time_s: Array, curves: Sequence[Array]) -> None:
     for i, values in enumerate(curves):
-        axes.plot(time_s, np.where(values > _LEAST, values, np.nan), marker="o", ms=2.2, **look(i))
+        axes.plot(time_s, np.where(values > _LEAST, values, np.nan), **dots(len(time_s), 2.2), **look(i))
     axes.set_yscale("log")
     low, high = axes.get_ylim()
     axes.set_ylim(max(low, _DECADES * high), high)

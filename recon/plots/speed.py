@@ -9,7 +9,7 @@ import numpy as np
 
 from recon.analysis.kinematics import JointKinematics
 from recon.arrays import Array
-from recon.plots.style import WIDTH_MM, add_legend, blank, drawing, legend_shape, look
+from recon.plots.style import WIDTH_MM, add_legend, blank, dots, drawing, legend_shape, look
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -49,7 +49,7 @@ def speeds(curves: Mapping[str, JointKinematics], title: str = "", width_mm: flo
 def _curve(axes: Axes, i: int, motion: JointKinematics, value: Array, sigma: Array | None) -> Line2D:
     style, t = look(i), motion.series.time_s
     every = motion.series.oversampling
-    (line,) = axes.plot(t, value, marker="o", ms=2.2, markevery=every, zorder=3, **style)
+    (line,) = axes.plot(t, value, **dots(len(t) // every, 2.2), markevery=every, zorder=3, **style)
     if sigma is not None:
         axes.fill_between(t, np.maximum(value - sigma, 0.0), value + sigma, color=style["color"], alpha=0.2, lw=0)
     if np.isfinite(value).any():
