@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +20,7 @@ from recon.io.pose3d import read_pose3d
 from recon.manifest import write_manifest
 from recon.report.frame import lines as frame_lines
 from recon.results import read_results
+from recon.view.series import state_entity
 
 SAMPLES = Path(__file__).parents[1] / "data" / "samples"
 
@@ -276,7 +278,7 @@ def test_command_writes_tables_figures_and_plots(of_results, whole_results, monk
     assert summary["speed"]["peak_m_s"] == pytest.approx(16.05, abs=0.3)
     entities = {chunk.entity_path for chunk in RrdReader(folder / "analysis" / "analysis.rrd").stream()}
     assert "/head_roll" in entities
-    assert {"/analysis/speed", "/analysis/gait/ground/l_back_paw", "/analysis/links/trunk"} <= entities
+    assert {"/analysis/speed", f"/{state_entity('l_back_paw.ground')}", "/analysis/links/trunk"} <= entities
 
 
 def test_command_writes_over_an_analysis_only_if_asked_to(of_results, tmp_path, monkeypatch):
@@ -300,6 +302,25 @@ def test_command_says_what_is_missing(frame_results, tmp_path):
     nothing = run("analyse", tmp_path / "nothing")
     assert nothing.code == 2
     assert "no such folder" in nothing.err
+
+
+def test_lean_holds_what_is_written_all_the_same(whole, whole_results, tables, tmp_path):
+    lean = analyse(read_results(whole_results), lean=True)
+    analysis_csv.write(lean, tmp_path)
+    for path in tmp_path.iterdir():
+        pd.testing.assert_frame_equal(pd.read_csv(path), tables[path.stem])
+    assert {name: moved.series.oversampling for name, moved in lean.joints.items()} == {
+        name: 10 if name == lean.reference else 1 for name in whole.joints
+    }
+
+
+def test_quiet_prints_nothing_and_many_stances_are_not_listed(whole_results, tmp_path, monkeypatch):
+    quiet = run("analyse", whole_results, "--out", tmp_path / "a", "--no-figures", "--quiet")
+    assert (quiet.code, quiet.out, quiet.err) == (0, "", "")
+    monkeypatch.setattr(sys.modules["recon.cli.analyse"], "MOST_STANCES", 3)
+    many = run("analyse", whole_results, "--out", tmp_path / "b", "--no-figures")
+    assert f"stances are in {tmp_path / 'b' / 'stances.csv'}." in many.out
+    assert "LH l_back_paw" not in many.out
 
 
 def test_tables_are_written_where_figures_fail(whole_results, tmp_path, monkeypatch):

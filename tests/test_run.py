@@ -259,7 +259,7 @@ def test_a_video_of_another_size_is_refused_before_the_network_looks_at_it(film,
 @pytest.mark.usefixtures("small_pictures")
 def test_the_stages_are_those_of_the_commands(tmp_path, monkeypatch):
     """All of it, with the beginning of the rendered film, but for figures, which take long."""
-    monkeypatch.setattr("recon.app.analyse.write_figures", lambda found, folder: None)
+    monkeypatch.setattr("recon.app.analyse.write_figures", lambda *given: None)
     page = '<meta name="generator" content="recon">'
     monkeypatch.setattr("recon.app.page.clip_page", lambda results, stills, behind, files: f"{page} {behind} {files}")
     given = {"camera": SAMPLES / "rendered_camera.toml", "fast": True, "frames": "0:6"}

@@ -14,7 +14,7 @@ from scipy.sparse import load_npz
 
 from recon import plots
 from recon.analysis.solver import SolverRecord
-from recon.app.analyse import write_solver_figures
+from recon.app.analyse import solver_figures
 from recon.app.solver import read_solver
 from recon.errors import InputError
 from recon.export import solver_csv
@@ -134,7 +134,8 @@ def test_figures(whole, frame, chain):
 
 
 def test_figures_are_written(chain, small_pictures, tmp_path):
-    write_solver_figures(chain, tmp_path)
+    for name, draw in solver_figures(chain).items():
+        plots.save(draw(), tmp_path, name)
     stems = ("image_errors", "solver_root", "solver_search", "solver_unknowns")
     assert {path.name for path in tmp_path.iterdir()} == {f"{stem}.{end}" for stem in stems for end in ("png", "svg")}
 

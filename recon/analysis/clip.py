@@ -23,6 +23,7 @@ from recon.analysis.kinematics import (
     Errors,
     JointKinematics,
     angle_kinematics,
+    at_frames,
     joint_angle,
     joint_kinematics,
     spine_flexion,
@@ -120,9 +121,12 @@ class ClipAnalysis:
         return {name: closure(portrait) for name, portrait in known.items()}
 
 
-def analyse(results: Results, smooth: bool | None = None, stride_s: tuple[float, float] | None = None) -> ClipAnalysis:
+def analyse(
+    results: Results, smooth: bool | None = None, stride_s: tuple[float, float] | None = None, lean: bool = False
+) -> ClipAnalysis:
     """smooth: whether to smooth paths and angles by their jitter; None: where the fit gives no uncertainty. stride_s:
-    from when to when a stride lasts; None: one that is found.
+    from when to when a stride lasts; None: one that is found. lean: the series of joints other than the reference, and
+    of the angles at them, hold the frames only, which takes a third of the memory.
 
     Raises InputError for a clip with fewer than four frames with a pose, or a stride that it does not hold.
     """
@@ -134,7 +138,11 @@ def analyse(results: Results, smooth: bool | None = None, stride_s: tuple[float,
     smooth = results.jitters if smooth is None else smooth
     pose, fps, options = results.pose, results.fps, {"smooth": smooth}
     errors = _jitter(pose.xyz_m) if smooth else _errors(results)
-    joints = {name: joint_kinematics(pose, name, fps, errors, **options) for name in pose.names}
+    reference = results.report["root_path"]["keypoint"]
+    joints = {}
+    for name in pose.names:
+        moved = joint_kinematics(pose, name, fps, errors, **options)
+        joints[name] = replace(moved, series=at_frames(moved.series)) if lean and name != reference else moved
     if smooth:
         pose = _on_paths(pose, joints.values())
     # A common displacement of all joints turns none of the angles.
@@ -152,9 +160,9 @@ def analyse(results: Results, smooth: bool | None = None, stride_s: tuple[float,
         results=results,
         pose=pose,
         smoothed=smooth,
-        reference=results.report["root_path"]["keypoint"],
+        reference=reference,
         joints=joints,
-        angles=_angles(results, pose, chains, of_pose),
+        angles=_angles(results, pose, chains, of_pose, lean),
         skeleton_angles=skeleton_angles,
         gaits=gaits,
         match=match_stances(gaits["body"].stances, gaits["ground"].stances) if gaits else None,
@@ -251,11 +259,13 @@ def _with_sigma(
         ends[1][:, 4 + k] += step
         joints = [results.body.tree.pose(end, results.size).points_m for end in ends]
         rear, front = (names.index(joint) for joint in results.forward)
+        turned = (joints[0] != joints[1]).any(axis=(0, 2))
         for limb, chain in chains.items():
             at = [names.index(joint) for joint in chain]
-            before, after = (tips(points[:, at], points[:, front] - points[:, rear]) for points in joints)
-            per_rad = (after - before) / (2 * step)
-            moved[limb].append(per_rad * rate[:: angle.series.oversampling, :, None])
+            if turned[[*at, rear, front]].any():
+                before, after = (tips(points[:, at], points[:, front] - points[:, rear]) for points in joints)
+                per_rad = (after - before) / (2 * step)
+                moved[limb].append(per_rad * rate[:: angle.series.oversampling, :, None])
     return {
         limb: tuple(field_with_sigma(field, np.stack(moved[limb])[:, :, i]) for i, field in enumerate(of_limb))
         for limb, of_limb in fields.items()
@@ -276,13 +286,15 @@ def _jitter(values: Array) -> list[Errors]:
 
 
 def _angles(
-    results: Results, pose: Pose3D, chains: Mapping[str, tuple[str, ...]], errors: Sequence[Errors]
+    results: Results, pose: Pose3D, chains: Mapping[str, tuple[str, ...]], errors: Sequence[Errors], lean: bool
 ) -> dict[str, AngleKinematics]:
     found = {}
     rear, front = results.forward
     for along in chains.values():
         for i in range(1, len(along) - 1):
-            found.setdefault(along[i], joint_angle(pose, (along[i - 1], along[i], along[i + 1]), results.fps, errors))
+            if along[i] not in found:
+                angle = joint_angle(pose, (along[i - 1], along[i], along[i + 1]), results.fps, errors)
+                found[along[i]] = replace(angle, series=at_frames(angle.series)) if lean else angle
         if {rear, front} <= {*along}:
             first, last = sorted((along.index(rear), along.index(front)))
             if between := along[first + 1 : last]:

@@ -46,7 +46,9 @@ from types import MappingProxyType
 from typing import Literal
 
 import numpy as np
+from numpy.lib.stride_tricks import as_strided
 from numpy.typing import NDArray
+from scipy.spatial.distance import cdist
 
 from recon.analysis.kinematics import Errors, Series, frame_times, joint_index, series_kinematics
 from recon.analysis.path import MIN_POINTS
@@ -597,12 +599,15 @@ def _return_lag(values: Array) -> int | None:
     """Rows after which values (N, D) are back, in the mean: the first least distance that is near enough."""
     values = values[:, np.isfinite(values).any(axis=0)]
     random = 2 * float(np.nanvar(values, axis=0).sum()) if values.size else 0.0
+    if not random > 0:
+        return None
     lags = np.arange(1, int(len(values) / (1 + RETURN_SEEN)) + 1)
-    squares = np.full(len(lags), np.nan)
-    for i, lag in enumerate(lags):
-        apart = np.sum((values[lag:] - values[:-lag]) ** 2, axis=1)
-        if np.isfinite(apart).any() and random > 0:
-            squares[i] = np.nanmean(apart) / random
+    n = len(values)
+    apart = np.full((n, 2 * n), np.nan)
+    apart[:, :n] = cdist(values, values, "sqeuclidean")
+    by_lag = as_strided(apart[:, 1:], (n, len(lags)), ((2 * n + 1) * apart.itemsize, apart.itemsize))
+    pairs = np.isfinite(by_lag).sum(axis=0)
+    squares = np.divide(np.nansum(by_lag, axis=0), random * pairs, out=np.full(len(lags), np.nan), where=pairs > 0)
     away = np.flatnonzero(squares > AWAY**2)
     for i in range(away[0] + 1 if len(away) else len(lags), len(lags) - 1):
         if squares[i] < BACK**2 and squares[i] <= squares[i - 1] and squares[i] < squares[i + 1]:

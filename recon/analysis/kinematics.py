@@ -23,9 +23,10 @@ what smoothing takes away from the motion itself.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from scipy.interpolate import CubicSpline, make_smoothing_spline
 from scipy.optimize import brentq
 
@@ -46,6 +47,9 @@ _LOG10_LAM = (-16.0, 8.0)
 _WINDOW, _MARGIN = 200, 40
 """Frames of an exact spline whose deviations are worked out at once, and how many on either side count: a value's share
 in the spline falls by 2 - sqrt(3) from frame to frame, to 1e-23 over the margin."""
+_REACH, _LEAST_PRODUCT = 20, 1e-11
+"""The same of evenly spaced frames away from the ends, 1e-11 over the reach; and which products of two values' shares
+count, relative to the largest."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -236,7 +240,13 @@ def _spline_sigmas(t: Array, at: Array, errors: Sequence[Errors], weight: Array,
     """Standard deviations (3, M, d) of value, rate and acceleration at times (M,) of the splines of a span (n,)."""
     variance = np.zeros((3, len(at), len(lam)))
     smooth = bool(lam.any())
-    for values, samples in [(slice(None), slice(None))] if smooth else _windows(t, at):
+    pieces = [(slice(None), slice(None))] if smooth else [*_windows(t, at)]
+    if not smooth and len(t) > 4 * _REACH and np.allclose(np.diff(t), t[1] - t[0], rtol=1e-6, atol=0):
+        per = (len(at) - 1) // (len(t) - 1)
+        first, last = _REACH * per, (len(t) - 1 - _REACH) * per
+        variance[:, first:last] = _amid(t, errors, per)
+        pieces = [(slice(2 * _REACH), slice(first)), (slice(len(t) - 2 * _REACH, None), slice(last, None))]
+    for values, samples in pieces:
         unit, operator = np.eye(len(t[values])), np.empty(0)
         for k in range(len(lam)):
             if smooth or k == 0:  # an exact spline is the same for all dimensions
@@ -244,6 +254,41 @@ def _spline_sigmas(t: Array, at: Array, errors: Sequence[Errors], weight: Array,
             for error in errors:
                 variance[:, samples, k] += _propagate(operator * error.sigma[values, k], t[values], error.correlation_s)
     return np.sqrt(variance)
+
+
+def _amid(t: Array, errors: Sequence[Errors], per: int) -> Array:
+    """Variances (3, M, d) of an exact spline through evenly spaced values (n,), `per` samples a frame, without the
+    `_REACH` frames at either end: there every frame's samples depend alike on the values about it."""
+    wide, step = 2 * _REACH, (t[-1] - t[0]) / (len(t) - 1)
+    spline = CubicSpline(step * np.arange(2 * wide), np.eye(2 * wide))
+    shares = _evaluate(spline, step * (wide - 1 + np.arange(per) / per))[:, :, _REACH:-_REACH].reshape(3 * per, wide)
+    frames = len(t) - 1 - wide
+    variance = np.zeros((3 * per, frames, errors[0].sigma.shape[1]))
+    for error in errors:
+        taken, factors = _products(shares, step, error.correlation_s)
+        products = np.empty((factors.shape[1], frames))
+        for k, sigma in enumerate(error.sigma.T):
+            done = 0
+            for lag, (first, end) in taken.items():
+                both = sliding_window_view(sigma[: len(sigma) - lag] * sigma[lag:], frames)
+                products[done : (done := done + end - first)] = both[1 + first : 1 + end]
+            variance[:, :, k] += factors @ products
+    return np.maximum(variance, 0.0).reshape(3, per, frames, -1).swapaxes(1, 2).reshape(3, frames * per, -1)
+
+
+def _products(shares: Array, step: float, correlation_s: float) -> tuple[dict[int, tuple[int, int]], Array]:
+    """By how many frames two values are apart: from which to which first one their products count; and the factors
+    (S, products) of all those in the variances of samples with shares (S, n) in the values."""
+    taken, factors = {}, []
+    largest = np.max(shares**2, axis=1, keepdims=True)
+    for lag in range(shares.shape[1] if correlation_s else 1):
+        alike = np.exp(-0.5 * (lag * step / correlation_s) ** 2) if lag else 1.0
+        of_lag = (2.0 if lag else 1.0) * alike * shares[:, : shares.shape[1] - lag] * shares[:, lag:]
+        counts = np.flatnonzero((np.abs(of_lag) > _LEAST_PRODUCT * largest).any(axis=0))
+        if len(counts):
+            taken[lag] = (int(counts[0]), int(counts[-1]) + 1)
+            factors.append(of_lag[:, slice(*taken[lag])])
+    return taken, np.concatenate(factors, axis=1)
 
 
 def _windows(t: Array, at: Array) -> Iterator[tuple[slice, slice]]:
@@ -261,6 +306,13 @@ def _propagate(weighted: Array, t: Array, correlation_s: float) -> Array:
         return np.sum(weighted**2, axis=-1)
     correlation = np.exp(-0.5 * ((t[:, None] - t) / correlation_s) ** 2)
     return np.maximum(np.sum((weighted @ correlation) * weighted, axis=-1), 0.0)
+
+
+def at_frames(series: Series) -> Series:
+    """Without the samples between frames, which take ten times the memory."""
+    arrays = {f.name: getattr(series, f.name) for f in fields(series) if f.name not in ("spans", "lam", "oversampling")}
+    every = series.oversampling
+    return replace(series, **{n: None if a is None else a[::every].copy() for n, a in arrays.items()}, oversampling=1)
 
 
 # -- points ----------------------------------------------------------------------------------------------------------

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,10 +16,13 @@ from recon.analysis.gait import Gait, doubt_text
 from recon.analysis.path import frame_jitter_m, peak_doubt
 from recon.export import analysis_csv, solver_csv
 from recon.files import require_free_folder, sole_writer, staged_folder
+from recon.progress import Progress, silent
 from recon.report import to_json
 from recon.results import MEASURED_SHARE, Results, read_results
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from recon.analysis.solver import SolverRecord
 
 SUMMARY = "analysis.json"
@@ -25,6 +30,8 @@ FOLDER = "analysis"
 """In the results' own, by default."""
 PLAYBACK, PLOTS = "motion.rrd", "analysis.rrd"
 """What the fit wrote, and what goes with it."""
+FIGURES_BEGIN = 0.5
+"""Of the progress."""
 SHOWN = 3
 """Of strides that do not count, by method: said one by one."""
 
@@ -49,6 +56,7 @@ def run_analyse(
     overwrite: bool = False,
     stride_s: tuple[float, float] | None = None,
     solver: bool = False,
+    progress: Progress = silent,
 ) -> Analysed:
     """`recon analyse`: into `out`, by default the folder analysis in the results' own. smooth, stride_s: see `analyse`.
     solver: also what the optimiser did, see `read_solver`.
@@ -57,14 +65,17 @@ def run_analyse(
     no results, too few frames, or files in the way.
     """
     out = folder / FOLDER if out is None else out
+    progress("reading", 0.0)
     results = read_results(folder)
     with sole_writer(out):
         own = (*solver_csv.TABLES, solver_csv.JACOBIAN) if solver else ()
         require_free_folder(out, (SUMMARY, PLOTS, *analysis_csv.TABLES, *own), overwrite, "an analysis")
+        progress("analysis", 0.1)
         with threadpool_limits(1, user_api="blas"):  # of small matrices, threads cost more than they bring
-            found = analyse(results, smooth, stride_s)
+            found = analyse(results, smooth, stride_s, lean=True)
             record = _solver_record(results) if solver else None
         summary = summarise(found) | ({} if record is None else {"solver": record.summary()})
+        progress("tables", FIGURES_BEGIN - 0.1)
         with staged_folder(out) as staging:
             analysis_csv.write(found, staging)
             if record is not None:
@@ -75,9 +86,7 @@ def run_analyse(
             files = [path.name for path in staging.iterdir()]
         if figures:
             with staged_folder(out) as staging:
-                write_figures(found, staging)
-                if record is not None:
-                    write_solver_figures(record, staging)
+                write_figures(found, staging, record, progress)
                 files += [path.name for path in staging.iterdir()]
     return Analysed(found, summary, out, tuple(sorted(files)), out / PLOTS if PLOTS in files else None)
 
@@ -197,45 +206,57 @@ def _gait_summary(gait: Gait) -> dict[str, Any]:
 # -- figures ---------------------------------------------------------------------------------------------------------
 
 
-def write_figures(found: ClipAnalysis, folder: Path) -> None:
+def write_figures(found: ClipAnalysis, folder: Path, record: SolverRecord | None, progress: Progress) -> None:
     """PNG and SVG of composites, speed, footfalls, vector fields by limb, phase portraits, what the pixels say of the
-    angles, and the stride's configurations in the animal's own frame."""
+    angles, the stride's configurations in the animal's own frame, and what the optimiser did."""
     from recon import plots
 
-    results = found.results
+    drawn = figures_of(found) | ({} if record is None else solver_figures(record))
+    for done, (name, draw) in enumerate(drawn.items()):
+        progress(f"figures: {name}", FIGURES_BEGIN + (1.0 - FIGURES_BEGIN) * done / len(drawn))
+        plots.save(draw(), folder, name)
+
+
+def figures_of(found: ClipAnalysis) -> dict[str, Callable[[], Figure]]:
+    """By file name, what draws it."""
+    from recon import plots
+
+    results, time_s, during = found.results, found.results.time_s, found.during_stride
     ground = found.gaits["ground"].tracks.grounds if found.gaits else None
-    poses = plots.composites(found.pose.xyz_m, results.limbs, results.time_s, ground, sides=results.limb_sides)
-    plots.save(poses, folder, "composites")
-    plots.save(plots.speeds({found.reference: found.joints[found.reference]}), folder, "speed")
-    if found.gaits:
-        plots.save(plots.footfall(found.gaits, results.fps), folder, "footfalls")
-    for limb, fields in found.fields.items():
-        figure = plots.vector_fields(fields, results.time_s, title=limb)
-        plots.save(figure, folder, f"vector_field_{limb.replace(' ', '_')}")
+    joints_m = plots.in_body(results.body, results.states[during], results.size, results.report["root_path"]["joint"])
     title = {
         None: "whole clip: no complete stride",
         "given": "the stride that was given",
     }.get(found.stride_by, f"one stride of {found.stride.foot if found.stride else ''}")
-    figure = plots.phase_portraits(found.portraits, found.closures, title=title, shares=results.data_shares)
-    plots.save(figure, folder, "phase_portraits")
-    during = found.during_stride
-    figure = plots.observability(results.body, results.angle_data_share[during], results.time_s[during], title=title)
-    plots.save(figure, folder, "observability")
-    joints_m = plots.in_body(results.body, results.states[during], results.size, results.report["root_path"]["joint"])
-    for name, draw in (("body_fixed", plots.body_fixed), ("body_fixed_limbs", plots.limbs_apart)):
-        figure = draw(joints_m, results.limbs, results.time_s[during], results.limb_sides, title)
-        plots.save(figure, folder, name)
+    own = (joints_m, results.limbs, time_s[during], results.limb_sides, title)
+    return {
+        "composites": lambda: plots.composites(
+            found.pose.xyz_m, results.limbs, time_s, ground, sides=results.limb_sides
+        ),
+        "speed": lambda: plots.speeds({found.reference: found.joints[found.reference]}),
+        **({"footfalls": lambda: plots.footfall(found.gaits, results.fps)} if found.gaits else {}),
+        **{
+            f"vector_field_{limb.replace(' ', '_')}": partial(plots.vector_fields, fields, time_s, title=limb)
+            for limb, fields in found.fields.items()
+        },
+        "phase_portraits": lambda: plots.phase_portraits(
+            found.portraits, found.closures, title=title, shares=results.data_shares
+        ),
+        "observability": lambda: plots.observability(
+            results.body, results.angle_data_share[during], time_s[during], title=title
+        ),
+        "body_fixed": partial(plots.body_fixed, *own),
+        "body_fixed_limbs": partial(plots.limbs_apart, *own),
+    }
 
 
-def write_solver_figures(record: SolverRecord, folder: Path) -> None:
-    """PNG and SVG of what the optimiser did."""
+def solver_figures(record: SolverRecord) -> dict[str, Callable[[], Figure]]:
+    """The same of what the optimiser did."""
     from recon import plots
 
-    drawn = {
-        "solver_search": plots.solver_search,
-        "solver_root": plots.solver_root,
-        "solver_unknowns": plots.solver_unknowns,
-        "image_errors": plots.image_errors,
+    return {
+        "solver_search": partial(plots.solver_search, record),
+        "solver_root": partial(plots.solver_root, record),
+        "solver_unknowns": partial(plots.solver_unknowns, record),
+        "image_errors": partial(plots.image_errors, record),
     }
-    for name, draw in drawn.items():
-        plots.save(draw(record), folder, name)

@@ -12,10 +12,13 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Column, Table
 from rich.text import Text
 
-from recon.cli.common import STRIDE, stride_times, terminal
+from recon.cli.common import STRIDE, progress_bar, stride_times, terminal
 
 if TYPE_CHECKING:
     from recon.app.analyse import Analysed
+
+MOST_STANCES = 100
+"""That are printed, of all feet by both methods."""
 
 
 def analyse(
@@ -37,6 +40,7 @@ def analyse(
     ] = False,
     figures: Annotated[bool, typer.Option("--figures/--no-figures", help="PNG and SVG beside the tables.")] = True,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace an earlier analysis.")] = False,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print errors only.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print the summary as JSON.")] = False,
 ) -> None:
     """Kinematics, gait, vector fields and phase portraits of a reconstruction.
@@ -48,14 +52,18 @@ def analyse(
     from recon.app.analyse import run_analyse
     from recon.report import to_json
 
-    done = run_analyse(folder, out, smooth, figures, overwrite, stride_times(stride), solver)
+    console = terminal(quiet=quiet, stderr=as_json)
+    with progress_bar(console) as progress:
+        done = run_analyse(folder, out, smooth, figures, overwrite, stride_times(stride), solver, progress)
     if as_json:
         typer.echo(to_json(done.summary), nl=False)
         return
-    console = terminal()
     for line in _lines(done):
         console.print(Text(line), soft_wrap=True)
-    if done.found.gaits:
+    count = sum(len(gait.stances) for gait in done.found.gaits.values())
+    if count > MOST_STANCES:
+        console.print(Text(f"{count} stances are in {done.out / 'stances.csv'}."), soft_wrap=True)
+    elif done.found.gaits:
         console.print(_stances(done))
     for note in done.summary["notes"]:
         console.print(Text(f"note: {note}"), soft_wrap=True)

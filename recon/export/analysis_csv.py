@@ -11,12 +11,14 @@ import numpy as np
 from recon.analysis.clip import ClipAnalysis
 from recon.analysis.gait import Gait
 from recon.analysis.kinematics import AngleKinematics
-from recon.analysis.phase import field_means
-from recon.export.table import write_rows
+from recon.analysis.phase import LinkField, field_means
+from recon.export.table import write_columns, write_rows
 
 Rows = Iterable[Sequence[Any]]
 Table = tuple[Sequence[str], Rows]
 """Columns, and rows."""
+Columns = dict[str, np.ndarray]
+"""The same of a long table, by column."""
 
 
 def joints(found: ClipAnalysis) -> Table:
@@ -36,33 +38,26 @@ def joints(found: ClipAnalysis) -> Table:
     return columns.split(", "), rows
 
 
-def reference(found: ClipAnalysis) -> Table:
+def reference(found: ClipAnalysis) -> Columns:
     """The reference joint on the fine grid."""
     moved = found.joints[found.reference]
     series = moved.series
-    columns = ["time_s", "frame", *(f"{axis}_m" for axis in "xyz"), *(f"v{axis}_m_s" for axis in "xyz")]
-    columns += [*(f"a{axis}_m_s2" for axis in "xyz"), "speed_m_s", "speed_sigma_m_s", "acceleration_m_s2"]
-    frame = series.time_s * found.results.fps
-    values = np.column_stack(
-        (
-            *(series.time_s, frame, series.value, series.rate, series.acceleration),
-            *(moved.speed_m_s, _or_nan(moved.speed_sigma_m_s, frame)),
-            *(moved.acceleration_m_s2, _or_nan(moved.acceleration_sigma_m_s2, frame)),
-        )
-    )
-    return [*columns, "acceleration_sigma_m_s2"], values.tolist()
+    columns = {"time_s": series.time_s, "frame": series.time_s * found.results.fps} | _axes("{}_m", series.value)
+    columns |= _axes("v{}_m_s", series.rate) | _axes("a{}_m_s2", series.acceleration)
+    columns |= {"speed_m_s": moved.speed_m_s, "speed_sigma_m_s": _or_nan(moved.speed_sigma_m_s, series.time_s)}
+    deviation = _or_nan(moved.acceleration_sigma_m_s2, series.time_s)
+    return columns | {"acceleration_m_s2": moved.acceleration_m_s2, "acceleration_sigma_m_s2": deviation}
 
 
-def velocities(found: ClipAnalysis) -> Table:
+def velocities(found: ClipAnalysis) -> Columns:
     """Velocity and acceleration vectors of every joint at every frame, and the velocities' standard deviations."""
-    columns, values = ["frame", "time_s"], [found.pose.frames.astype(float), found.results.time_s]
+    columns = {"frame": found.pose.frames, "time_s": found.results.time_s}
     for name, moved in found.joints.items():
         s = moved.series
         for column, of in (("v{}_m_s", s.rate), ("v{}_sigma_m_s", s.rate_sigma), ("a{}_m_s2", s.acceleration)):
             if of is not None:
-                columns += [f"{name}_{column.format(axis)}" for axis in "xyz"]
-                values.append(of[:: s.oversampling])
-    return columns, _by_frame(np.column_stack(values))
+                columns |= _axes(f"{name}_{column}", of[:: s.oversampling])
+    return columns
 
 
 def angles(found: ClipAnalysis) -> Table:
@@ -82,9 +77,9 @@ def angles(found: ClipAnalysis) -> Table:
     return [*columns.split(", "), "data_share"], rows
 
 
-def angle_rates(found: ClipAnalysis) -> Table:
+def angle_rates(found: ClipAnalysis) -> Columns:
     """Every angle, its rate and acceleration at every frame, with standard deviations where there are any."""
-    columns, values = ["frame", "time_s"], [found.pose.frames.astype(float), found.results.time_s]
+    columns = {"frame": found.pose.frames, "time_s": found.results.time_s}
     named: list[tuple[str, AngleKinematics]] = [
         *((f"{name}_angle" if name != "spine_flexion" else name, angle) for name, angle in found.angles.items()),
         *found.skeleton_angles.items(),
@@ -99,9 +94,8 @@ def angle_rates(found: ClipAnalysis) -> Table:
             ("acceleration_rad_s2", s.acceleration),
         ):
             if of is not None:
-                columns.append(f"{name}_{column}")
-                values.append(of[:: s.oversampling, 0])
-    return columns, _by_frame(np.column_stack(values))
+                columns[f"{name}_{column}"] = of[:: s.oversampling, 0]
+    return columns
 
 
 def stances(found: ClipAnalysis) -> Table:
@@ -139,20 +133,26 @@ def gait(found: ClipAnalysis) -> Table:
     return columns.split(", "), [_gait_row(method, one, feet) for method, one in found.gaits.items()]
 
 
-def vector_field(found: ClipAnalysis) -> Table:
+def vector_field(found: ClipAnalysis) -> Columns:
     """Every link at every frame: its tip in its parent's frame, and how it moves there."""
-    columns = "limb, link, parent, frame, time_s, x_m, y_m, z_m, dx_m_s, dy_m_s, dz_m_s, radius_m, dr_m_s, dtheta_rad_s"
-    deviations = ("dr_sigma_m_s", "dtheta_sigma_rad_s", "speed_sigma_m_s")
-    rows = []
-    for limb, fields in found.fields.items():
-        for f in fields:
-            sigma = [_or_nan(getattr(f, name), f.speed_m_s) for name in deviations]
-            values = np.column_stack(
-                (f.position_m, f.velocity_m_s, f.radius_m, f.dr_m_s, f.dtheta_rad_s, f.speed_m_s, *sigma)
-            )
-            times = zip(found.pose.frames.tolist(), found.results.time_s.tolist(), values.tolist(), strict=True)
-            rows += [(limb, "-".join(f.link), "-".join(f.parent), n, t, *row) for n, t, row in times]
-    return [*columns.split(", "), "speed_m_s", *deviations], rows
+    links = [(limb, field) for limb, fields in found.fields.items() for field in fields]
+    T, none = len(found.pose.frames), np.empty(0)
+
+    def of_all(values: Callable[[LinkField], np.ndarray]) -> np.ndarray:
+        return np.concatenate([none, *(values(field) for _, field in links)])
+
+    names = {"limb": [limb for limb, _ in links]}
+    names |= {name: ["-".join(getattr(field, name)) for _, field in links] for name in ("link", "parent")}
+    columns = {column: np.repeat(np.array(some, dtype=str), T) for column, some in names.items()}
+    columns |= {"frame": np.tile(found.pose.frames, len(links)), "time_s": np.tile(found.results.time_s, len(links))}
+    for k, axis in enumerate("xyz"):
+        columns[f"{axis}_m"] = of_all(lambda field, k=k: field.position_m[:, k])
+    for k, axis in enumerate("xyz"):
+        columns[f"d{axis}_m_s"] = of_all(lambda field, k=k: field.velocity_m_s[:, k])
+    numbers = ("radius_m", "dr_m_s", "dtheta_rad_s", "speed_m_s")
+    for name in (*numbers, "dr_sigma_m_s", "dtheta_sigma_rad_s", "speed_sigma_m_s"):
+        columns[name] = of_all(lambda field, name=name: _or_nan(getattr(field, name), field.speed_m_s))
+    return columns
 
 
 def vector_field_means(found: ClipAnalysis) -> Table:
@@ -185,7 +185,7 @@ def closures(found: ClipAnalysis) -> Table:
     return columns.split(", "), rows
 
 
-TABLES: dict[str, Callable[[ClipAnalysis], Table]] = {
+TABLES: dict[str, Callable[[ClipAnalysis], Table | Columns]] = {
     "joints.csv": joints,
     "reference.csv": reference,
     "velocities.csv": velocities,
@@ -198,14 +198,17 @@ TABLES: dict[str, Callable[[ClipAnalysis], Table]] = {
     "vector_field_means.csv": vector_field_means,
     "closures.csv": closures,
 }
-"""By file name: columns and rows."""
+"""By file name."""
 
 
 def write(found: ClipAnalysis, folder: Path) -> None:
     """Every table, into a folder that exists."""
     for name, table in TABLES.items():
-        columns, rows = table(found)
-        write_rows(folder / name, [columns], rows)
+        made = table(found)
+        if isinstance(made, dict):
+            write_columns(folder / name, made)
+        else:
+            write_rows(folder / name, [made[0]], made[1])
 
 
 def file_frame(found: ClipAnalysis, row: float) -> float:
@@ -222,8 +225,9 @@ def _gait_row(method: str, one: Gait, feet: list[str]) -> Sequence[Any]:
     )
 
 
-def _by_frame(values: np.ndarray) -> Rows:
-    return [(int(row[0]), *row[1:]) for row in values.tolist()]
+def _axes(name: str, vectors: np.ndarray) -> Columns:
+    """The columns of vectors (N, 3)."""
+    return {name.format(axis): column for axis, column in zip("xyz", vectors.T, strict=True)}
 
 
 def _at_peak(values: np.ndarray, sigma: np.ndarray | None) -> float:

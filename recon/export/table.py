@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +12,7 @@ import numpy as np
 
 def write_table(path: Path, header: Iterable[Sequence[str]], frames: np.ndarray, values: np.ndarray) -> None:
     """Header rows as they are, then one row per frame: its number, and values (T, C); NaN is an empty cell."""
-    write_rows(path, header, ([frame, *row] for frame, row in zip(frames, values, strict=True)))
+    write_rows(path, header, ([frame, *row.tolist()] for frame, row in zip(frames.tolist(), values, strict=True)))
 
 
 def write_rows(path: Path, header: Iterable[Sequence[str]], rows: Iterable[Sequence[Any]]) -> None:
@@ -23,8 +23,19 @@ def write_rows(path: Path, header: Iterable[Sequence[str]], rows: Iterable[Seque
         writer.writerows([_cell(value) for value in row] for row in rows)
 
 
-def _cell(value: Any) -> str:
+def write_columns(path: Path, columns: Mapping[str, np.ndarray]) -> None:
+    """A long table by its columns (N,), of floats, whole numbers or text without commas; NaN is an empty cell. Much
+    faster than row by row."""
+    import pyarrow as pa  # rerun has it
+    from pyarrow import csv as arrow_csv
+
+    table = pa.table(
+        {name: pa.array(np.ascontiguousarray(values), from_pandas=True) for name, values in columns.items()}
+    )
+    arrow_csv.write_csv(table, path, arrow_csv.WriteOptions(quoting_style="none"))
+
+
+def _cell(value: Any) -> Any:
+    """What the writer turns into the shortest text that reads back exactly."""
     plain = value.item() if isinstance(value, np.generic) else value
-    if isinstance(plain, float):
-        return "" if plain != plain else repr(plain)
-    return str(plain)
+    return "" if plain != plain else plain

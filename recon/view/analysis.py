@@ -81,8 +81,11 @@ def _stances(found: ClipAnalysis) -> list[AddedStates]:
     for method, gait in found.gaits.items():
         rows = []
         for foot, joint in found.results.feet.items():
-            spans = [(s.start_s, s.end_s) for s in gait.stances if s.foot == foot]
-            texts = ["stance" if any(a <= t <= b for a, b in spans) else "" for t in time_s]
+            stands = np.zeros(len(time_s), dtype=bool)
+            for s in gait.stances:
+                if s.foot == foot:
+                    stands[np.searchsorted(time_s, s.start_s) : np.searchsorted(time_s, s.end_s, "right")] = True
+            texts = ["stance" if down else "" for down in stands]
             rows.append(StateRow(f"{joint}.{method}", texts, {"stance": {"L": LEFT, "R": RIGHT}.get(foot[0], MIDDLE)}))
         title = f"Stances by {method}: {gait.name.name}"
         plots.append(AddedStates(title=title, rows=rows, time_s=time_s, tab="Gait"))
