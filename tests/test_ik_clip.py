@@ -129,10 +129,8 @@ def test_both_jobs_with_all_methods(folder):
 
 
 def test_a_cost_of_ones_own_a_factor_and_parameters_of_each_frame(folder):
-    done = run_ik(
-        *(folder, ("extended", "least-norm"), "stride-max"),
-        **{"dim": 2, "fitted": True, "figures": False, "cost": "energy,pose=0.5", "alpha": 0.5},
-    )
+    methods = ("extended", "least-norm")
+    done = run_ik(folder, methods, "stride-max", dim=2, fitted=True, figures=False, cost="energy,pose=0.5", alpha=0.5)
     limb, cost = done.limb, cost_of(done.limb, "energy,pose=0.5")
     q = limb.q[0]
     assert cost.value(q) == pytest.approx(
