@@ -81,6 +81,7 @@ benchmark: $(BASE)
 	$(BIN)/python benchmarks/climb.py
 	$(BIN)/python benchmarks/batch.py
 	$(BIN)/python benchmarks/startup.py
+	$(BIN)/python benchmarks/analyse.py
 
 clean:
 	rm -rf $(DEMO_OUT) build dist site .cache .pytest_cache .ruff_cache
