@@ -384,6 +384,12 @@ class Camera:
         turn = euler_rotation(placing[:3])
         return replace(self, rotation=turn @ rotation, translation_m=turn @ translation + placing[3:])
 
+    def lengthened(self, logarithm: float) -> Camera:
+        """With focal lengths that are longer by a factor, given by its logarithm."""
+        matrix = self.matrix.copy()
+        matrix[:2, :2] *= math.exp(logarithm)
+        return replace(self, matrix=matrix)
+
     # ---- plain data ----
 
     def to_dict(self) -> dict[str, Any]:

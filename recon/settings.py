@@ -232,6 +232,13 @@ class FitSettings:
         default=False,
         method="trajectory",
     )
+    focal_sigma: float | None = _field(
+        _POSITIVE,
+        "How well the cameras' focal lengths are known, relative, as in 0.1; of several cameras they are found with "
+        "the fit and go into cameras.toml. (default: exactly)",
+        "a share of the focal length above 0, as in 0.1",
+        method="trajectory",
+    )
     camera_fps: tuple[float, ...] | None = _field(
         _each(_POSITIVE),
         "Frame rates of cameras that differ in it, once for each keypoint file, as in 120 and 59.94. The result has "
@@ -444,11 +451,11 @@ class FitSettings:
             if values is not None and len(values) != count:
                 expected = f"one for each keypoint file, that is {count}"
                 yield Problem("settings", name, f"{len(values)}: {', '.join(map(str, values))}", expected)
-        for name in ("find_offsets", "refine_cameras"):
+        for name in ("find_offsets", "refine_cameras", "focal_sigma"):
             if getattr(self, name) and count == 1:
                 yield Problem("settings", name, "one keypoint file", "files of several cameras")
-        if self.refine_cameras and self.camera_track is not None:
-            yield Problem("settings", "refine_cameras", "beside a camera track", "cameras that stand still")
+            if getattr(self, name) and name != "find_offsets" and self.camera_track is not None:
+                yield Problem("settings", name, "beside a camera track", "cameras that stand still")
         if self.camera_fps is not None and self.fps is not None:
             yield Problem("settings", "camera_fps", f"beside fps, {self.fps:g}", "one of the two")
         if count > 1 and self.method == "frame":
@@ -475,6 +482,11 @@ class FitSettings:
         """As given, or the method's default."""
         return DEFAULT_SKELETONS[self.method] if self.skeleton is None else self.skeleton
 
+    @property
+    def seeks_cameras(self) -> bool:
+        """Whether cameras come out otherwise than their file says."""
+        return bool(self.refine_cameras) or self.focal_sigma is not None
+
     def frame_options(self) -> FrameOptions:
         from recon.published import FrameOptions  # scipy is slow to import
 
@@ -484,7 +496,7 @@ class FitSettings:
         from recon.solve import TrajectoryOptions
 
         names = ("fast", "ground", "sigma_px", "keypoint_sigma_m", "size_sigma")
-        names += ("find_offsets", "refine_cameras")
+        names += ("find_offsets", "refine_cameras", "focal_sigma")
         return TrajectoryOptions(**{name: getattr(self, name) for name in names})
 
     def plain(self) -> dict[str, Any]:

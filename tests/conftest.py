@@ -245,6 +245,8 @@ def small_trajectory() -> Motion:
         lag_sigma_frames=np.zeros(1),
         placing=np.zeros((1, 6)),
         placing_sigma=np.zeros((1, 6)),
+        focal=np.zeros(1),
+        focal_sigma=np.zeros(1),
         starts=(Start(0.1, 150.0, True), Start(np.pi - 0.1, 155.0, False)),
         stage_s={"starts": 0.2, "all": 0.5},
     )
@@ -306,6 +308,8 @@ def two_cameras(world_trajectory: Motion) -> Motion:
         lag_sigma_frames=np.full(2, 0.1),
         placing=np.zeros((2, 6)),
         placing_sigma=np.zeros((2, 6)),
+        focal=np.zeros(2),
+        focal_sigma=np.zeros(2),
         size_from=("prior", "views"),
     )
     second = Source(camera, keypoints, cleaning, file.names)

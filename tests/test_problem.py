@@ -21,6 +21,7 @@ from recon.solve.terms import (
     beside,
     climb_term,
     dynamics_term,
+    focal,
     lag,
     placing,
     pose_term,
@@ -83,6 +84,7 @@ def seen_late(shared: bool = True) -> Problem:
     ]
     unknown = [Shared(SIZE, np.ones(1), np.array([0.1]))]
     unknown += [Shared(lag(i), np.zeros(1), np.array([0.3])) for i in range(2)]
+    unknown += [Shared(focal(i), np.zeros(1), np.array([0.1])) for i in range(2)]
     unknown += [Shared(placing(1), np.zeros(6), np.repeat([0.1, 0.5], 3))]
     displaced = [Shared(beside(i), np.zeros(2 * J), np.full(2 * J, 0.03)) for i in range(2)]
     linear = [t for t in terms() if isinstance(t, Linear)]

@@ -253,3 +253,15 @@ def test_cameras_beside_their_poses_come_back():
     assert np.degrees(np.arccos((np.trace(turned) - 1) / 2)) < 0.7
     off = found.joints_m - truth_m()
     assert np.linalg.norm(off - off.mean(axis=1, keepdims=True), axis=-1).mean() < 0.03
+
+
+def test_a_wrong_focal_length_is_found_by_two_cameras():
+    """Of the second, taken for 8 % too short; one camera alone has it held."""
+    views = [view_of(truth_m(), AHEAD), view_of(truth_m(), ASIDE, seed=1)]
+    options = TrajectoryOptions(fast=True, focal_sigma=0.1)
+    found = solve_trajectory([views[0], views[1].lengthened(-0.08)], BODY, PRIOR, FPS, options)
+    assert found.focal[1] - found.focal[0] == pytest.approx(0.08, abs=0.03)
+    assert (found.focal_sigma > 0).all()
+    assert found.views[1].focal_px == pytest.approx(views[1].focal_px * np.exp(found.focal[1] - 0.08))
+    alone = solve_trajectory(views[:1], BODY, PRIOR, FPS, options)
+    assert (alone.focal[0], alone.focal_sigma[0]) == (0, 0)

@@ -52,7 +52,6 @@ OUTPUT_FILES = (
     "report.json",
     "motion.rrd",
     "config.toml",
-    *TRACK_FILES,
     MANIFEST,
 )
 """Every file that a clip of one camera gets. With several cameras there are `CAMERA_OUTPUTS` for each."""
@@ -61,7 +60,7 @@ OUTPUT_FILES = (
 def output_files(out: Path) -> tuple[str, ...]:
     """Every file in a folder that is a clip's, or that a clip of one camera could get there. Its page goes with
     them: it shows the results that it was made of."""
-    return (*OUTPUT_FILES, PAGE, REFINED_CAMERAS, *of_any_camera(out))
+    return (*OUTPUT_FILES, *TRACK_FILES, PAGE, REFINED_CAMERAS, *of_any_camera(out))
 
 
 RATES_HZ = (1.0, 10_000.0)
@@ -117,9 +116,9 @@ def _whole_motion(given: Prepared, settings: FitSettings, progress: Progress) ->
         solution = solved(sources)
     stage_s = solution.stage_s | {"mistakes": time.perf_counter() - began}
     solution = with_flags(replace(solution, stage_s=stage_s), (*garbage, *mistakes))
-    if options.refine_cameras:
-        both = zip(sources, solution.placing, strict=True)
-        sources = tuple(replace(source, camera=source.camera.placed(by)) for source, by in both)
+    if settings.seeks_cameras:
+        found = zip(sources, solution.placing, solution.focal, strict=True)
+        sources = tuple(replace(s, camera=s.camera.placed(by).lengthened(longer)) for s, by, longer in found)
     return Motion(sources, given.side, given.side_reason, solution, (*garbage, *mistakes))
 
 
@@ -212,7 +211,7 @@ def write_clip(
         write_report(report, folder / "report.json")
         (folder / "config.toml").write_text(settings.to_toml(), encoding="utf-8")
         view.write(motion, folder / "motion.rrd")
-        if settings.refine_cameras:
+        if settings.seeks_cameras:
             write_cameras([source.camera for source in motion.sources], folder / REFINED_CAMERAS)
         for path in beside:
             write_bytes(folder / path.name, path.read_bytes())

@@ -34,7 +34,7 @@ def read_solver(results: Results) -> SolverRecord:
     if settings.find_offsets:
         later = [round(camera["offset_s"] * given.fps, 9) for camera in results.report["cameras"]]
         sources = together(given.apart, later)
-    if settings.refine_cameras:
+    if settings.seeks_cameras:
         results.manifest.require(REFINED_CAMERAS)
         cameras = read_cameras(results.folder / REFINED_CAMERAS)
         sources = tuple(replace(source, camera=camera) for source, camera in zip(sources, cameras, strict=True))

@@ -98,6 +98,10 @@ class View:
             return self
         return replace(self, T_camera_world=rigid(euler_rotation(placing[:3]), placing[3:]) @ self.T_camera_world)
 
+    def lengthened(self, logarithm: float) -> View:
+        """With a camera whose focal lengths are longer by a factor, of a camera that does not zoom."""
+        return replace(self, camera=self.camera.lengthened(logarithm)) if logarithm else self
+
     def credible(self) -> View:
         """Without what no detector can have found in the picture (`Camera.sees`)."""
         return replace(self, xy_px=np.where(self.seen[..., None], self.xy_px, np.nan))

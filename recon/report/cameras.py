@@ -20,9 +20,15 @@ def section(motion: Motion) -> list[dict[str, Any]]:
     solution = motion.solution
     late = [view.lead_frames - s.lead_frames for view, s in zip(solution.views, motion.sources, strict=True)]
     if not isinstance(solution, TrajectorySolution):
-        return [_entry(picture, lag, 0.0, None) for picture, lag in zip(motion.pictures, late, strict=True)]
+        return [_entry(picture, lag, 0.0, None, None) for picture, lag in zip(motion.pictures, late, strict=True)]
     placings = map(_placing, solution.placing, solution.placing_sigma)
-    return [_entry(*of) for of in zip(motion.pictures, late, solution.lag_sigma_frames, placings, strict=True)]
+    focals = map(_focal, solution.focal, solution.focal_sigma)
+    return [_entry(*of) for of in zip(motion.pictures, late, solution.lag_sigma_frames, placings, focals, strict=True)]
+
+
+def _focal(logarithm: float, sigma: float) -> dict[str, float] | None:
+    """By what factor focal lengths are longer than given, and its standard deviation; None where it was not sought."""
+    return {"factor": math.exp(logarithm), "sigma": sigma} if sigma else None
 
 
 def _placing(found: Array, sigma: Array) -> dict[str, Any] | None:
@@ -38,7 +44,11 @@ def _placing(found: Array, sigma: Array) -> dict[str, Any] | None:
 
 
 def _entry(
-    picture: Picture, lag_frames: float, lag_sigma_frames: float, placing: dict[str, Any] | None
+    picture: Picture,
+    lag_frames: float,
+    lag_sigma_frames: float,
+    placing: dict[str, Any] | None,
+    focal: dict[str, float] | None,
 ) -> dict[str, Any]:
     source, errors = picture.source, finite(picture.distance_px)
     names = set(source.keypoints.names)
@@ -52,6 +62,7 @@ def _entry(
         "lag_frames": lag_frames,
         "lag_sigma_frames": lag_sigma_frames,
         "placing": placing,
+        "focal": focal,
         "track": _track(source),
         "frames_seen": int(picture.present.any(axis=1).sum()),
         "points": {"used": used, "missing": max(picture.present.size - used - rejected, 0), "rejected": rejected},
@@ -135,4 +146,6 @@ def _found_text(camera: Mapping[str, Any], report: Mapping[str, Any]) -> str:
         turn, turn_sigma = (math.degrees(np.linalg.norm(placing[name])) for name in ("turn_rad", "turn_sigma_rad"))
         shift, shift_sigma = (100 * float(np.linalg.norm(placing[name])) for name in ("shift_m", "shift_sigma_m"))
         text += f"; turned by {turn:.1f} ± {turn_sigma:.1f}° and moved by {shift:.0f} ± {shift_sigma:.0f} cm"
+    if (focal := camera["focal"]) is not None:
+        text += f"; focal length times {focal['factor']:.3f} ± {focal['sigma']:.3f}"
     return text

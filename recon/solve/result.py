@@ -135,5 +135,10 @@ class TrajectorySolution(Solution):
     """(V, 6): how far each camera lies beside its pose, as in `View.placed`; 0 where that is not an unknown."""
     placing_sigma: Array
     """(V, 6)"""
+    focal: Array
+    """(V,): by what factor each camera's focal lengths are longer than said, its logarithm; 0 where that is not an
+    unknown."""
+    focal_sigma: Array
+    """(V,)"""
 
     method: ClassVar = "trajectory"

@@ -23,6 +23,7 @@ from recon.solve.terms import (
     beside,
     climb_term,
     dynamics_term,
+    focal,
     lag,
     placing,
     pose_term,
@@ -48,8 +49,8 @@ class TrajectoryOptions:
     body's. lag_frames: how much later or earlier than said a camera's pictures are taken. find_offsets:
     they may be later or earlier than the first camera's by found_lag_frames. refine_cameras: all but the first lie
     beside their poses, turned by placing_rad about each axis and moved by placing_m along it; level_rad, beside that:
-    how far the first is turned, about each axis. robust_c: residuals of
-    that many sigmas count half.
+    how far the first is turned, about each axis. focal_sigma: of all cameras' focal lengths, relative, of several
+    cameras. robust_c: residuals of that many sigmas count half.
     pose_weight, mixture_weight, motion_weight: how many times the priors count per 1/90 s. acceleration_m_s2: of the
     root in the level frame. lateral_m_s: of the velocity across the trunk. climb_m_s: of the root. ground: "auto" uses
     contacts and a plane, "none" does not; the stance's loss saturates at slip_c slip_m_s. noise_rounds: of step 4.
@@ -77,6 +78,7 @@ class TrajectoryOptions:
     placing_rad: float = float(np.radians(2.0))
     placing_m: float = 0.05
     level_rad: float = 0.0
+    focal_sigma: float | None = None
     robust_c: float = 3.0
     pose_weight: float = 1.0
     mixture_weight: float = 1.0
@@ -239,6 +241,9 @@ class Setting:
         if o.level_rad:
             turn = np.repeat([o.level_rad / root, _HELD_M], 3)
             placings.insert(0, Shared(placing(0), np.zeros(6), turn))
+        if o.focal_sigma is not None and V > 1:
+            width = np.array([o.focal_sigma / root])
+            placings += [Shared(focal(i), np.zeros(1), width) for i in range(V)]
         spread_m = self.body.keypoint_spread_m
         beside_m = np.repeat([spread_m.get(m, o.beside_share * self.keypoint_sigma_m) for m in self.body.markers], 2)
         displaced = [Shared(beside(i), np.zeros(2 * J), beside_m / root) for i in range(V)] if beside_m.all() else []

@@ -57,6 +57,11 @@ def placing(view: int) -> str:
     return f"placing {view}"
 
 
+def focal(view: int) -> str:
+    """The shared unknown: by what factor a camera's focal lengths are longer than said, its logarithm."""
+    return f"focal {view}"
+
+
 def size_of(shared: Mapping[str, Array]) -> float:
     """Among the values of shared unknowns."""
     return float(shared.get(SIZE, _ONE)[0])
@@ -238,7 +243,7 @@ class Reprojection:
     c: float
     origin_m: Array
     number: int = 0
-    """Of the view, in the names of the unknowns that are its own: `lag`, `beside` and `placing`."""
+    """Of the view, in the names of the unknowns that are its own: `lag`, `beside`, `placing` and `focal`."""
     drift_m: Array | None = None
     """(T, J, 3), frozen: how far the markers go in a frame, at nominal size. None: no lag is read."""
     px_per_m: Array | None = None
@@ -259,10 +264,13 @@ class Reprojection:
             points = points + late * self.drift_m[frames]
         world, place = self.origin_m + size * points, span.shared.get(placing(self.number))
         before, view = view, view if place is None else view.placed(place)
+        longer = span.shared.get(focal(self.number))
+        view = view if longer is None else view.lengthened(float(longer[0]))
         if jacobian:
             projected, by_point, valid = view.project_with_jacobian(world)
         else:
             (projected, valid), by_point = view.project(world), None
+        in_picture = projected
         if off is not None and self.px_per_m is not None:
             projected = projected + self.px_per_m[frames, None, None] * off.reshape(-1, 2)
         present = view.present
@@ -287,6 +295,9 @@ class Reprojection:
         if off is not None and self.px_per_m is not None:
             each = np.repeat((root / sigma[..., None])[..., 0] * self.px_per_m[frames, None], 2, axis=1)
             by_shared[beside(self.number)] = each[..., None] * np.eye(2 * J)
+        if longer is not None:
+            off_centre = np.where(seen[..., None], in_picture - view.camera.matrix[:2, 2], 0.0)
+            by_shared[focal(self.number)] = (off_centre * root / sigma[..., None]).reshape(N, 2 * J, 1)
         if place is not None:
             by_camera = by_point @ view.rotation.swapaxes(-1, -2)
             turn = euler_rotation_with_jacobian(place[:3])[1] @ before.to_camera(world)[..., None, :, None]

@@ -40,7 +40,7 @@ from recon.solve.problem import Estimate, Problem
 from recon.solve.result import Ground, Spell, Start, TrajectorySolution
 from recon.solve.setting import Setting, TrajectoryOptions
 from recon.solve.starts import Approached, approach, between
-from recon.solve.terms import ANGLES, Reprojection, lag, placing, size_of
+from recon.solve.terms import ANGLES, Reprojection, focal, lag, placing, size_of
 
 Array = NDArray[np.float64]
 
@@ -134,6 +134,10 @@ class Solved:
         """(6,)"""
         return self.estimate.shared.get(placing(view), np.zeros(6))
 
+    def focal(self, view: int) -> float:
+        """By the logarithm."""
+        return float(self.estimate.shared.get(focal(view), np.zeros(1))[0])
+
 
 def solve_spells(setting: Setting, progress: Progress = silent) -> list[Solved]:
     """Every stretch of a clip between which nothing is seen for long."""
@@ -220,13 +224,18 @@ def _of_views(
 def in_step(setting: Setting, solved: Solved) -> Setting:
     """With the lags and the cameras' places of a solution in its views."""
     V = range(len(setting.views))
-    views = _found(setting.views, [solved.lag_frames(i) for i in V], [solved.placing(i) for i in V])
+    of_views = zip(*((solved.lag_frames(i), solved.placing(i), solved.focal(i)) for i in V), strict=True)
+    views = _found(setting.views, *of_views)
     return replace(setting, views=views)
 
 
-def _found(views: Sequence[View], late: Iterable[float], places: Iterable[Array]) -> tuple[View, ...]:
-    found = zip(views, late, places, strict=True)
-    return tuple(replace(v, lead_frames=v.lead_frames + frames).placed(place) for v, frames, place in found)
+def _found(
+    views: Sequence[View], late: Iterable[float], places: Iterable[Array], longer: Iterable[float]
+) -> tuple[View, ...]:
+    return tuple(
+        replace(view, lead_frames=view.lead_frames + frames).placed(place).lengthened(factor)
+        for view, frames, place, factor in zip(views, late, places, longer, strict=True)
+    )
 
 
 def _windows(setting: Setting, progress: Progress) -> list[tuple[slice, list[Approached]]]:
@@ -304,10 +313,11 @@ def _solution(setting: Setting, solved: Sequence[Solved], began: float) -> Traje
     shares = [of_one.data_share * (one.rows.stop - one.rows.start) for one, of_one in zip(solved, known, strict=True)]
     late, late_sigma = _of_views(setting, solved, known, lag, 1)
     places, places_sigma = _of_views(setting, solved, known, placing, 6)
+    longer, longer_sigma = _of_views(setting, solved, known, focal, 1)
     costs = _summed([one.problem.costs(one.estimate.states, one.estimate.shared) for one in solved])
     return TrajectorySolution(
         body=setting.body,
-        views=_found(setting.views, late[:, 0], places),
+        views=_found(setting.views, late[:, 0], places, longer[:, 0]),
         **of_frames,
         **of_views,
         size=size,
@@ -333,6 +343,8 @@ def _solution(setting: Setting, solved: Sequence[Solved], began: float) -> Traje
         lag_sigma_frames=late_sigma[:, 0],
         placing=places,
         placing_sigma=places_sigma,
+        focal=longer[:, 0],
+        focal_sigma=longer_sigma[:, 0],
         stage_s=_summed([stage_s, *(one.stage_s for one in solved)]) | {"all": time.perf_counter() - began},
     )
 
