@@ -302,7 +302,7 @@ def _each_animal(draft: Draft, settings: FitSettings) -> list[tuple[Draft, FitSe
     ]
 
 
-_OF_SEVERAL = ("offset_s", "camera_track", "camera_fps", "find_offsets")
+_OF_SEVERAL = ("offset_s", "camera_track", "camera_fps", "find_offsets", "refine_cameras", "focal_sigma")
 
 
 def _without_lists(values: Mapping[str, Any]) -> dict[str, Any]:
