@@ -435,7 +435,8 @@ def test_figures_of_a_climb(walker):
     shown = climb_margins(climb, {name: values.min(axis=-1) for name, values in inside.items()})
     assert f"least {check(climb).rows['support'].value:.1f} mm" in shown.axes[2].get_title(loc="left")
     up = int(np.flatnonzero(climb.lifted >= 0)[0])
-    *_, by_pitch = climb_field(climb, up).axes
+    *views, by_pitch = climb_field(climb, up).axes
+    assert all(axes.collections[0].get_rasterized() for axes in views)
     # The torso is in the middle, and at the least of the energy by its pitch.
     angle, energy = by_pitch.lines[0].get_data()
     assert angle[np.argmin(energy)] == pytest.approx(np.degrees(climb.pitch_rad[up]), abs=1.1)

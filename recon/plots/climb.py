@@ -102,8 +102,8 @@ def climb_field(climb: Climb, frame: int) -> Figure:
             above = values.energy - values.energy.min()
             at = [here.position_m[k] + offsets for k in view]
             shown = np.log10(above + 1e-3 * np.median(above))
-            shown = np.log10(above + 1e-3 * np.median(above))
-            axes.pcolormesh(*at, shown, cmap="Greys", vmax=shown.max() + np.ptp(shown), shading="gouraud", zorder=0)
+            light = {"cmap": "Greys", "vmax": shown.max() + np.ptp(shown)}
+            axes.pcolormesh(*at, shown, **light, shading="gouraud", zorder=0, rasterized=True)  # 20 MB as an SVG else
             force = values.wrench[every, every][..., list(view)]
             force = force / np.linalg.norm(force, axis=-1, keepdims=True)
             axes.quiver(*(a[every] for a in at), force[..., 0], force[..., 1], color=GREY, width=0.006, scale=16)
