@@ -270,7 +270,7 @@ class Motion:
     @cached_property
     def solved(self) -> NDArray[np.bool_]:
         """(T,): frames that have a pose."""
-        return np.asarray(np.isfinite(self.solution.joints_m[:, 0, 0]))
+        return self.solution.posed
 
     @property
     def root_name(self) -> str:

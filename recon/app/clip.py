@@ -107,9 +107,12 @@ def _whole_motion(given: Prepared, settings: FitSettings, progress: Progress) ->
     else:
         solution = solved(sources)
     began = time.perf_counter()
-    sources, garbage = without_garbage(sources, solution)
-    if garbage:
-        solution = solved(sources)
+    cleaned, garbage = without_garbage(sources, solution)
+    again = solved(cleaned) if garbage else solution
+    if again.posed.any() or not solution.posed.any():
+        sources, solution = cleaned, again
+    else:  # a fit that gets nowhere without them was wrong about them
+        garbage = ()
     mistakes = find_mistakes(solution, body, prior, given.fps, options, _known(given, settings))
     if settings.fix_swaps and any(one.kind == "sides" for one in mistakes):
         sources, mistakes = with_sides_mended(sources, mistakes, body)

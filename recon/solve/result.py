@@ -93,6 +93,11 @@ class Solution:
     stage_s: dict[str, float]
     """Seconds by stage, where the method tells them apart."""
 
+    @property
+    def posed(self) -> NDArray[np.bool_]:
+        """(T,): frames that have a pose."""
+        return np.asarray(np.isfinite(self.joints_m[:, 0, 0]))
+
     @cached_property
     def joints_camera_m(self) -> Array:
         """(T, J, 3) in the first camera's frame."""
