@@ -77,6 +77,7 @@ benchmark: $(BASE)
 	$(BIN)/python benchmarks/mistakes.py $(RUNS)
 	$(BIN)/python benchmarks/calibration.py
 	$(BIN)/python benchmarks/dog.py
+	$(BIN)/python benchmarks/mismatch.py
 	$(BIN)/python benchmarks/retarget.py $(RUNS)
 	$(BIN)/python benchmarks/climb.py
 	$(BIN)/python benchmarks/batch.py

@@ -183,14 +183,18 @@ def side_view(clip: Clip) -> tuple[Camera, float]:
     """The camera, which knows its place above the ground, and its horizontal field of view in degrees."""
     hips = clip.points_m[:, clip.names.index("Hips")]
     middle = (hips[:, 0].min() + hips[:, 0].max()) / 2
-    centre_m = np.array([middle, np.median(hips[:, 1]) - DISTANCE_M, HEIGHT_M])
+    return narrowest(clip.points_m, np.array([middle, np.median(hips[:, 1]) - DISTANCE_M, HEIGHT_M]))
+
+
+def narrowest(points_m: np.ndarray, centre_m: np.ndarray) -> tuple[Camera, float]:
+    """The level camera there, looking along y, whose picture just holds all points (T, J, 3)."""
     for hfov_deg in range(10, 120):
         camera = Camera.from_hfov(hfov_deg, IMAGE_SIZE_PX)
         camera = replace(camera, rotation=_CAMERA, translation_m=-_CAMERA @ centre_m)
-        px, valid = camera.project(camera.world_to_camera(clip.points_m))
+        px, valid = camera.project(camera.world_to_camera(points_m))
         if valid.all() and (px > MARGIN_PX).all() and (px < np.array(IMAGE_SIZE_PX) - MARGIN_PX).all():
             return camera, float(hfov_deg)
-    raise ValueError(f"{clip.name} does not fit into a picture")
+    raise ValueError("the clip does not fit into a picture")
 
 
 def write_view(clip: Clip, folder: Path, seed: int) -> tuple[FitSettings, float]:

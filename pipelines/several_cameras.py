@@ -19,10 +19,10 @@ settings = recon.read_settings(FILE)
 motion = recon.fit_clip(settings)
 report = recon.write_clip(motion, settings, results)
 
-# What each camera gave. One that was turned, late or exchanged is named among the warnings.
+# What each camera gave, and which one was turned, late or exchanged.
 for camera in report["cameras"]:
     print(f"{camera['name']}: {camera['frames_seen']} frames, {camera['points']['used']} points")
-print("\n".join(report["warnings"]) or "The cameras agree.")
+print("\n".join(finding["text"] for finding in report["agreement"]["findings"]) or "The cameras agree.")
 
 # Several cameras measure the animal's size, which one camera cannot.
 size = report["size"]

@@ -75,6 +75,7 @@ class _Ground(_Part):
 class _Spell(_Part):
     frames: Annotated[list[int], Field(min_length=2, max_length=2)]
     ground: _Ground | None
+    prior_weight: Annotated[float, Field(gt=0, le=1)] = 1.0
 
 
 class _RootPath(_Part):

@@ -154,7 +154,7 @@ class Results:
                 slope = np.array(ground["slope"], dtype=float)
                 origin = float(ground["height_m"] - slope @ np.array(ground["middle_m"], dtype=float))
                 ground = Ground(origin, slope, float(ground["sigma_m"]))
-            spells.append(Spell(slice(int(first), int(stop)), ground))
+            spells.append(Spell(slice(int(first), int(stop)), ground, prior_weight=spell.get("prior_weight", 1.0)))
         return tuple(spells) or (Spell(slice(0, len(self.pose.frames)), None),)
 
     @cached_property

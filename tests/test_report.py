@@ -378,6 +378,30 @@ def test_prior_and_uncertainty(trajectory):
     assert trajectory["uncertainty"]["joint_sigma_m"]["nose"] == pytest.approx(expected)
 
 
+def test_a_motion_that_the_prior_does_not_know_is_named_first(trajectory, small_trajectory):
+    """Of the spell that it fits least; nothing is said where it has all of its weight."""
+    assert (trajectory["prior"]["surprise"], trajectory["prior"]["weight"], trajectory["prior"]["code"]) == (
+        None,
+        1,
+        None,
+    )
+    assert "motion" not in dict(summary_lines(trajectory))
+    (spell,) = small_trajectory.solution.spells
+    spells = (
+        replace(spell, rows=slice(0, 4), surprise=0.8),
+        replace(spell, rows=slice(4, 8), surprise=2.5, prior_weight=0.16),
+    )
+    report = build_report(with_solution(small_trajectory, spells=spells), {})
+    prior = report["prior"]
+    assert (prior["surprise"], prior["weight"], prior["code"]) == (2.5, 0.16, "motion_unlike_prior")
+    said = "unlike those that the prior running-cheetah knows (surprise 2.5"
+    assert report["warnings"][0].startswith(f"the motion is {said}")
+    assert "16% of its weight" in report["warnings"][0]
+    labels = [label for label, _ in summary_lines(report)]
+    assert labels.index("motion") == labels.index("frames") + 1
+    assert dict(summary_lines(report))["motion"].startswith(said)
+
+
 def test_alternative(trajectory, small_trajectory):
     found = trajectory["alternative"]
     assert found == {"cost_difference": 3.5, "frames": 8, "mean_m": pytest.approx(0.65 / 8), "max_m": 0.3}

@@ -146,7 +146,7 @@ def linearised_clip(setting: Setting, results: Results) -> Linearised:
     states[:, ROOT] = (states[:, ROOT] - setting.origin_m) / results.size
     rows, step = [], np.full(states.shape, np.nan)
     for spell in results.spells:
-        part, found = setting.part(spell.rows), states[spell.rows]
+        part, found = replace(setting.part(spell.rows), trust=spell.prior_weight), states[spell.rows]
         if not np.isfinite(found).all():
             continue
         points = part.markers(found)

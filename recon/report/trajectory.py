@@ -26,6 +26,8 @@ STANCE = 0.5
 """A foot with more contact than this stands."""
 HARDLY_TOLD = 0.1
 """Standard deviation of the distance, relative to it, from which the summary begins with it."""
+UNLIKE = "motion_unlike_prior"
+"""The code of a motion that the prior does not know."""
 WARN_POOR = 0.2
 """Share of the frames from which the report warns."""
 SAID_BY = {"views": "where the cameras are", "ground": "the camera's height above the ground"}
@@ -37,11 +39,6 @@ WARN_SIZE = 2.5
 def sections(motion: Motion, settings: Mapping[str, Any]) -> dict[str, Any]:
     solution = _solution(motion)
     size, spells = _size(solution, settings), _spells(motion)
-    prior = {
-        "name": solution.prior,
-        "mean_data_share": mean(solution.data_share),
-        "data_share": by_name(motion.names, list(solution.data_share)),
-    }
     return {
         **common.head(motion),
         "skeleton": common.skeleton(motion),
@@ -56,7 +53,7 @@ def sections(motion: Motion, settings: Mapping[str, Any]) -> dict[str, Any]:
         "size": size,
         "ground": next((spell["ground"] for spell in spells if spell["ground"] is not None), None),
         "spells": spells,
-        "prior": prior,
+        "prior": _prior(motion),
         "detector": motion.body.detector or NO_DETECTOR,
         "alternative": _alternative(solution),
         "stances": by_name([motion.names[foot] for foot in motion.feet], _stances(motion)),
@@ -176,6 +173,7 @@ def _spells(motion: Motion) -> list[dict[str, Any]]:
         {
             "frames": (motion.frames[spell.rows.start], motion.frames[spell.rows.stop - 1] + 1),
             "ground": _ground(motion, spell),
+            "prior_weight": spell.prior_weight,
         }
         for spell in motion.solution.spells
     ]
@@ -193,6 +191,21 @@ def _ground(motion: Motion, spell: Spell) -> dict[str, Any] | None:
         "sigma_m": ground.sigma_m,
         "camera_height_m": motion.solution.views[0].centre_m[:, 2].mean() - below[2],
         "frame": "world" if motion.knows_up else "level",
+    }
+
+
+def _prior(motion: Motion) -> dict[str, Any]:
+    """The surprise and the weight are those of the spell that the prior fits least."""
+    solution = _solution(motion)
+    surprises = [spell.surprise for spell in solution.spells if spell.surprise is not None]
+    weight = min((spell.prior_weight for spell in solution.spells), default=1.0)
+    return {
+        "name": solution.prior,
+        "mean_data_share": mean(solution.data_share),
+        "data_share": by_name(motion.names, list(solution.data_share)),
+        "surprise": max(surprises, default=None),
+        "weight": weight,
+        "code": UNLIKE if weight < 1 else None,
     }
 
 
@@ -284,6 +297,11 @@ def warnings(report: Mapping[str, Any]) -> Iterator[str]:
         yield from agreement.warnings(report)
         return
     yield from agreement.warnings(report)
+    if report["prior"]["code"] == UNLIKE:
+        yield (
+            f"the motion is {_unlike_text(report)}. The prior has {report['prior']['weight']:.0%} of its weight, each "
+            "angle on its own the rest; one fitted to such motions would do better (recon prior fit)"
+        )
     if report["convergence"]["status"] != "converged":
         yield "the search ended before it had converged"
     if abs(size["factor"] - 1) > WARN_SIZE * size["prior_sigma"]:
@@ -336,6 +354,7 @@ def lines(report: Mapping[str, Any]) -> common.Lines:
         *([("side", f"{report['side']['fitted']}: {report['side']['reason']}")] if report["side"]["fitted"] else []),
         ("frames", _frames_text(report)),
         *([("distance", _distance_text(report))] if _hardly_told(report) else []),
+        *([("motion", _unlike_text(report))] if report["prior"]["code"] == UNLIKE else []),
         *common.point_lines(report),
         (
             "speed",
@@ -396,6 +415,13 @@ def _size_sources(size: Mapping[str, Any]) -> str:
 
 def _prior_text(name: str) -> str:
     return "none, the skeleton's own expectations" if name == NONE else name
+
+
+def _unlike_text(report: Mapping[str, Any]) -> str:
+    prior = report["prior"]
+    return (
+        f"unlike those that the prior {prior['name']} knows (surprise {prior['surprise']:.1f}, about 1 where it fits)"
+    )
 
 
 def _ground_text(report: Mapping[str, Any]) -> str:

@@ -68,7 +68,7 @@ def posterior(problem: Problem, body: Body, found: Estimate, variance_factor: fl
     solved_for = [unknown.name for unknown in problem.shared]
     problem = replace(problem, shared=[*problem.shared, *problem.doubtful], doubtful=())
     normal = problem.normal(states, problem.expected() | dict(found.shared))
-    solved = _factored(normal.H)
+    solved = factored(normal.H)
     Y = solved.solve_many(normal.border)
     S = normal.corner - np.tensordot(normal.border, Y, ((0, 1), (0, 1)))
     first = int(SIZE in problem.columns)  # the size comes first
@@ -86,7 +86,7 @@ def posterior(problem: Problem, body: Body, found: Estimate, variance_factor: fl
     priors = replace(problem, terms=[term for term in problem.terms if term.name != "reprojection"], shared=())
     blocks = [solved.marginal_blocks()[:, 0] + lasting @ lasting.swapaxes(1, 2)]
     without = priors.normal(states).H
-    blocks += [_factored(H, held).marginal_blocks()[:, 0] for H in (normal.H, without)]
+    blocks += [factored(H, held).marginal_blocks()[:, 0] for H in (normal.H, without)]
     (absolute, relative), *shares, by_size = _of_joints(body, states, blocks, size, follows)
     return Posterior(
         covariance_m2=variance_factor * absolute,
@@ -121,7 +121,7 @@ def _of_angles(with_pixels: Array, without: BlockBanded) -> Array:
     which says nothing of place and heading."""
     free = np.zeros(with_pixels.shape[:2])
     free[:, ROOT] = free[:, YAW, None] = _HARDLY
-    expected = _factored(without, free).marginal_blocks()[:, 0]
+    expected = factored(without, free).marginal_blocks()[:, 0]
     return np.stack([np.diagonal(C, axis1=1, axis2=2)[:, YAW:] for C in (with_pixels, expected)])
 
 
@@ -151,7 +151,7 @@ def _of_joints(
     return (absolute, relative), variances[0], variances[1], by_size
 
 
-def _factored(H: BlockBanded, damping: Array | None = None) -> Factor:
+def factored(H: BlockBanded, damping: Array | None = None) -> Factor:
     """H's factor; where nothing determines an unknown, as the place of a frame beside a single other one, it is held so
     weakly that its variance is that of nothing known."""
     try:

@@ -91,6 +91,21 @@ class Problem:
                 costs[term.name] = costs.get(term.name, 0.0) + float(term.evaluate(span, jacobian=False).cost.sum())
         return costs
 
+    def only(self, names: Sequence[str]) -> Problem:
+        """Of the terms with these names alone, and no shared unknowns."""
+        linear = [term for term in self.linear if term.name in names]
+        return Problem(self.tree, linear, [term for term in self.terms if term.name in names])
+
+    def squares(self, states: Array) -> float:
+        """The sum of all squared residuals."""
+        total = sum(float(np.sum(term.residual(states) ** 2)) for term in self.linear)
+        for span in self._spans(states, self.expected(), jacobian=True):
+            for term in self.terms:
+                residual = term.evaluate(span, jacobian=True).residual
+                assert residual is not None
+                total += float(np.sum(residual**2))
+        return total
+
     def cost(self, states: Array, shared: Mapping[str, Array] | None = None) -> float:
         return sum(self.costs(states, shared).values())
 

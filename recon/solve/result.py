@@ -51,6 +51,10 @@ class Spell:
 
     rows: slice
     ground: Ground | None
+    surprise: float | None = None
+    """How surprising the motion is under the prior, about 1 where that fits; None where there is none."""
+    prior_weight: float = 1.0
+    """The part of its weight that the prior kept, each angle on its own having the rest: less than 1 in a surprise."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from recon.body import Body
 from recon.clip import View
-from recon.prior import MotionPrior
+from recon.prior import MotionPrior, prior_from_body
 from recon.solve.problem import Problem, Shared
 from recon.solve.terms import (
     SIZE,
@@ -122,6 +122,8 @@ class Setting:
     """(3,), world frame: the point that the body's size scales the scene about, the first camera's (mean) centre."""
     ground_near_zero: bool
     """Whether the ground is known to lie near the world's z = 0."""
+    trust: float = 1.0
+    """The part of its weight that the prior has; each angle on its own has the rest (`recon.solve.surprise`)."""
 
     @classmethod
     def of(
@@ -276,13 +278,17 @@ class Setting:
         linear: list[Linear] = []
         terms: list[Term] = [*seen]
         if temperature is None:
-            linear.append(pose_term(self.prior, D, self.fps, o.pose_weight))
+            linear.append(pose_term(self.prior, D, self.fps, o.pose_weight * self.trust))
         else:
-            terms.append(PoseMixture(self.prior, self.fps, o.mixture_weight, temperature))
+            terms.append(PoseMixture(self.prior, self.fps, o.mixture_weight * self.trust, temperature))
+        if self.trust < 1:
+            plain = prior_from_body(self.body)
+            linear.append(pose_term(plain, D, self.fps, o.pose_weight * (1 - self.trust)))
+            linear.append(dynamics_term(plain, D, self.fps, o.motion_weight * (1 - self.trust)))
         if T > 1:
             linear.append(climb_term(D, self.fps, o.climb_m_s))
             terms.append(Heading(rear, front, self.fps, o.lateral_m_s))
         if T > 2:
-            linear.append(dynamics_term(self.prior, D, self.fps, o.motion_weight))
+            linear.append(dynamics_term(self.prior, D, self.fps, o.motion_weight * self.trust))
             linear.append(root_term(D, self.fps, np.array(o.acceleration_m_s2), o.yaw_acceleration_rad_s2))
         return Problem(self.body.detected, linear, [*terms, *contact_terms], shared, doubtful)

@@ -72,6 +72,8 @@ OUT_OF_SIGHT = 50.0
 """Squared sigmas, in units of the loss's c^2, of a detected joint that the camera cannot project."""
 ANGLES = slice(4, None)
 """What priors speak of: the state without the root's place and yaw."""
+PRIOR_TERMS = POSE, MOTION = "pose prior", "motion prior"
+"""The names of the terms that a prior makes."""
 
 
 @dataclass(frozen=True)
@@ -152,7 +154,7 @@ def pose_term(prior: MotionPrior, n_state: int, fps: float, weight: float) -> Li
     """One Gaussian of poses."""
     rows = np.zeros((len(prior.mean), n_state))
     rows[:, ANGLES] = _whitener(prior.covariance) * _rate(fps, weight)
-    return Linear("pose prior", (0,), rows[None], rows[:, ANGLES] @ prior.mean)
+    return Linear(POSE, (0,), rows[None], rows[:, ANGLES] @ prior.mean)
 
 
 def dynamics_term(prior: MotionPrior, n_state: int, fps: float, weight: float) -> Linear:
@@ -164,7 +166,7 @@ def dynamics_term(prior: MotionPrior, n_state: int, fps: float, weight: float) -
     for slot, bend, slope in zip(slots, (1.0, -2.0, 1.0), (-0.5, 0.0, 0.5), strict=True):
         slot[:, ANGLES] = white @ (bend * fps**2 * np.eye(A) - slope * fps * by_rate)
     slots[1][:, ANGLES] -= white @ by_angle
-    return Linear("motion prior", (-1, 0, 1), slots, -white @ by_angle @ prior.mean)
+    return Linear(MOTION, (-1, 0, 1), slots, -white @ by_angle @ prior.mean)
 
 
 def root_term(n_state: int, fps: float, acceleration_m_s2: Array, yaw_acceleration_rad_s2: float) -> Linear:
@@ -194,7 +196,7 @@ class PoseMixture:
     fps: float
     weight: float
     temperature: float = 1.0
-    name: str = "pose prior"
+    name: str = POSE
     stencil: tuple[int, ...] = (0,)
     _white: Array = field(init=False, repr=False)
     _precision: Array = field(init=False, repr=False)

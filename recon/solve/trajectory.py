@@ -11,7 +11,8 @@ or the ground's distance below the camera say it. The way to the minimum:
    starts go to the end.
 3. The mixture of poses takes the Gaussian's place, flattened at first.
 4. Rounds of: the noise of every joint in every view from its residuals (maximum likelihood under the robust loss),
-   contacts and the ground from the feet, and the minimum again, the size free where several views show it.
+   contacts and the ground from the feet, and the minimum again, the size free where several views show it. If the
+   first finds the motion surprising under the prior, this loses weight for the rest (`recon.solve.surprise`).
 5. The posterior covariance from the banded factor.
 
 Clips of several seconds are started and approached about a second at a time, and then solved as one. Where nothing is
@@ -32,7 +33,7 @@ from recon.body import Body
 from recon.chain import MIN_JOINTS, MIN_REACH_PX
 from recon.clip import View
 from recon.kinematics import ROOT, YAW
-from recon.prior import MotionPrior
+from recon.prior import NONE, MotionPrior
 from recon.progress import Progress, silent
 from recon.solve.contacts import contacts
 from recon.solve.posterior import Posterior, posterior, with_size
@@ -40,6 +41,7 @@ from recon.solve.problem import Estimate, Problem
 from recon.solve.result import Ground, Spell, Start, TrajectorySolution
 from recon.solve.setting import Setting, TrajectoryOptions
 from recon.solve.starts import Approached, approach, between
+from recon.solve.surprise import Surprise, surprise_of
 from recon.solve.terms import ANGLES, Reprojection, focal, lag, placing, size_of
 
 Array = NDArray[np.float64]
@@ -51,6 +53,8 @@ MARGIN_S = 0.25
 WINDOW_S = 1.0
 _TEMPERATURES = (8.0, 3.0, 1.0)
 """Of the mixture of poses."""
+_MORE_ROUNDS = 3
+"""Where the prior has lost weight: until noise and contacts have settled again."""
 POOR_SHARE, POORER_SHARE = 1 / 3, 0.8
 """Frames are "data poor" in which less than this part of the joints is seen and trusted, or less than this part of what
 it is in the clip's good frames (their 90th percentile)."""
@@ -119,6 +123,10 @@ class Solved:
     """(n, F)"""
     ground: Ground | None
     """At nominal size about the origin."""
+    surprise: Surprise | None = None
+    """Of the motion under the prior, as first found."""
+    trust: float = 1.0
+    """The part of its weight that the prior has."""
     windows: list[tuple[slice, list[Approached]]] = field(default_factory=list)
     stage_s: dict[str, float] = field(default_factory=dict)
     iterations: int = 0
@@ -150,7 +158,7 @@ def solve_spells(setting: Setting, progress: Progress = silent) -> list[Solved]:
 
 def refined(setting: Setting, solved: Solved) -> Solved:
     """One more round from a solution, of the clip's setting that may have changed a little."""
-    return _round(setting.part(solved.rows), solved, 1.0, whole=True)
+    return _round(replace(setting.part(solved.rows), trust=solved.trust), solved, 1.0, whole=True)
 
 
 def _solve_spell(setting: Setting, rows: slice, progress: Progress) -> Solved:
@@ -173,8 +181,15 @@ def _solve_spell(setting: Setting, rows: slice, progress: Progress) -> Solved:
     nothing = Problem(setting.body.detected, [], [])
     solved = Solved(rows, estimate, nothing, noise, np.zeros(0), np.zeros((T, len(setting.feet))), None)
     for i, (temperature, whole) in enumerate(steps):
-        solved = _round(setting, solved, temperature, whole)
+        solved, last = _round(setting, solved, temperature, whole), i == len(steps) - 1
+        unsettled = solved.surprise is None or (solved.trust < 1 and not last)
+        if whole and unsettled and setting.prior.name != NONE:
+            found = surprise_of(solved.problem, solved.estimate, setting.fps)
+            setting = replace(setting, trust=setting.trust * found.trust)
+            solved = replace(solved, surprise=solved.surprise or found, trust=setting.trust)
         progress("whole clip", 0.4 + 0.6 * (i + 1) / len(steps))
+    for _ in range(_MORE_ROUNDS if solved.trust < 1 else 0):
+        solved = _round(setting, solved, 1.0, whole=True)
     stage_s["whole clip"] = time.perf_counter() - clock
     return replace(solved, windows=windows, stage_s=stage_s, iterations=solved.iterations + iterations)
 
@@ -328,7 +343,12 @@ def _solution(setting: Setting, solved: Sequence[Solved], began: float) -> Traje
         alternative_m=second.apart_m,
         alternative_cost=second.extra_cost if np.isfinite(second.extra_cost) else np.nan,
         spells=tuple(
-            Spell(one.rows, one.ground and one.ground.about(setting.origin_m, size))
+            Spell(
+                one.rows,
+                one.ground and one.ground.about(setting.origin_m, size),
+                one.surprise and one.surprise.level,
+                one.trust,
+            )
             for one in solved
             if not away[one.rows].all()
         ),

@@ -1,0 +1,105 @@
+"""Whether a motion that the prior does not know is noticed, and harms no more than without the prior."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from recon.camera import Camera
+from recon.clip import still_view
+from recon.prior import MotionPrior, prior_from_body
+from recon.skeleton_file import load_skeleton
+from recon.solve import TrajectoryOptions, TrajectorySolution, solve_trajectory
+from recon.solve.problem import Estimate, Problem
+from recon.solve.surprise import LASTS_S, Surprise, surprise_of
+from recon.solve.terms import ANGLES, POSE, Linear, pose_term
+
+BODY = load_skeleton("cheetah-24", "phantom")
+PLAIN = prior_from_body(BODY)
+NARROW = replace(
+    PLAIN,
+    name="narrow",
+    means=PLAIN.means + 0.15,
+    mean=PLAIN.mean + 0.15,
+    covariances=PLAIN.covariances / 25,
+    covariance=PLAIN.covariance / 25,
+)
+"""Each angle lies elsewhere, and is five times as sure of it."""
+FPS, T = 60.0, 16
+CAMERA = Camera.from_hfov(60.0, (1920, 1080))
+
+
+def test_the_level_is_the_scale_of_the_variances():
+    """Angles seen directly, whose prior's true standard deviation is s times the stated one, over all frames alike."""
+    rng, fps = np.random.default_rng(0), 200.0
+    prior = pose_term(NARROW, BODY.n_state, fps, 1.0)
+    sigma = np.sqrt(np.diagonal(NARROW.covariance) * fps / 90.0)
+    for scale, weight in ((1.0, 1.0), (np.sqrt(3.0), 1 / 3)):
+        truth = np.zeros((300, BODY.n_state))
+        truth[:, ANGLES] = NARROW.mean + scale * np.sqrt(LASTS_S * fps) * sigma * rng.normal(size=(300, len(sigma)))
+        # seen so well that the prior hardly draws
+        seen = Linear("seen", (0,), 1e3 * np.eye(BODY.n_state)[None], np.zeros(BODY.n_state))
+        problem = Problem(BODY.tree, [prior, seen], [])
+        found = surprise_of(problem, Estimate(truth, 0.0, 1, True), fps)
+        assert found.freedom == pytest.approx(truth[:, ANGLES].size, rel=1e-2)
+        assert found.level == pytest.approx(scale**2, rel=0.05)
+        assert found.trust == pytest.approx(weight, rel=0.1)
+
+
+def test_pixels_that_say_nothing_make_no_surprise():
+    states = np.zeros((5, BODY.n_state))
+    states[:, ANGLES] = NARROW.mean
+    hardly = Linear("seen", (0,), 1e-3 * np.eye(BODY.n_state)[None], np.zeros(BODY.n_state))
+    problem = Problem(BODY.tree, [pose_term(NARROW, BODY.n_state, FPS, 1.0), hardly], [])
+    found = surprise_of(problem, Estimate(states, 0.0, 1, True), FPS)
+    assert (found.level, found.freedom, found.trust) == (pytest.approx(0.0, abs=1e-9), 1.0, 1.0)
+    assert [term.name for term in problem.only((POSE,)).linear] == [POSE]
+
+
+def test_few_unknowns_have_to_be_further_off():
+    assert Surprise(1.99, 1e4).trust == 1.0
+    assert Surprise(2.1, 1e4).trust == pytest.approx(1 / 2.1)
+    assert Surprise(2.2, 10.0).trust == 1.0  # 2.32 of a chi square with ten degrees of freedom: one in 100
+    assert Surprise(2.4, 10.0).trust == pytest.approx(1 / 2.4)
+
+
+def solved(prior: MotionPrior, at: np.ndarray, **options) -> tuple[TrajectorySolution, float]:
+    """A clip in which the angles stay, and the error of the pose in m."""
+    states = np.zeros((T, BODY.n_state))
+    states[:, ANGLES] = at
+    states[:, :3] = np.array([-0.5, 6.0, -0.3]) + np.outer(np.arange(T) / FPS, [5.0, 0.0, 0.0])
+    truth_m = BODY.tree.pose(states).points_m @ np.array([[1.0, 0, 0], [0, 0, -1.0], [0, 1.0, 0]]).T
+    px = CAMERA.project(truth_m)[0] + np.random.default_rng(1).normal(size=(T, len(BODY.markers), 2))
+    view = still_view(CAMERA, px, np.ones(px.shape[:2]))
+    solution = solve_trajectory([view], BODY, prior, FPS, TrajectoryOptions(ground="none", **options))
+    off = solution.joints_camera_m - truth_m
+    return solution, float(np.linalg.norm(off - off.mean(axis=1, keepdims=True), axis=-1).mean())
+
+
+@pytest.mark.parametrize("fast", [False, True])
+def test_a_prior_that_does_not_know_the_motion_gives_way(fast, monkeypatch):
+    """The angles are about where the skeleton expects them, and the prior expects others."""
+    at = PLAIN.mean + 0.1 * np.random.default_rng(3).normal(size=len(PLAIN.mean))
+    solution, error_m = solved(NARROW, at, fast=fast)
+    (spell,) = solution.spells
+    assert spell.surprise is not None
+    assert spell.surprise > 2
+    assert spell.prior_weight <= (1 + 1e-9) / spell.surprise
+    monkeypatch.setattr(Surprise, "trust", 1.0)
+    held, held_m = solved(NARROW, at, fast=fast)
+    assert held.spells[0].prior_weight == 1.0
+    assert error_m < (0.9 if fast else 0.7) * held_m
+
+
+def test_without_a_prior_nothing_is_a_surprise():
+    (spell,) = solved(PLAIN, NARROW.mean, fast=True)[0].spells
+    assert (spell.surprise, spell.prior_weight) == (None, 1.0)
+
+
+def test_a_prior_that_fits_keeps_its_weight():
+    (spell,) = solved(NARROW, NARROW.mean)[0].spells
+    assert spell.surprise is not None
+    assert spell.surprise < 1
+    assert spell.prior_weight == 1
