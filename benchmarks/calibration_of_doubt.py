@@ -32,10 +32,10 @@ from recon.clip import View, still_view
 from recon.detector import seen_by
 from recon.errors import InputError
 from recon.kinematics import YAW
-from recon.prior import MotionPrior, as_one_gaussian, builtin_priors, load_prior, prior_from_body
+from recon.prior import ANGLES, MotionPrior, as_one_gaussian, builtin_priors, load_prior, prior_from_body
 from recon.solve import TrajectoryOptions, solve_trajectory
 from recon.solve.setting import Setting
-from recon.solve.terms import ANGLES, dynamics_term, pose_term
+from recon.solve.terms import dynamics_term, pose_term
 
 FPS, T = 90.0, 36
 OUTLIERS, MISSING = 0.05, 0.1

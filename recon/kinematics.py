@@ -37,7 +37,7 @@ Joint = Literal["free", "ball", "universal", "hinge", "fixed", "summed"]
 AXES: dict[str, str] = {"free": "zyx", "ball": "zyx", "universal": "zy", "hinge": "y", "fixed": "", "summed": "zy"}
 """Rotations of each kind of joint, in the order of the state."""
 
-ANGLES = {"z": "yaw", "y": "pitch", "x": "roll"}
+ANGLE_OF_AXIS = {"z": "yaw", "y": "pitch", "x": "roll"}
 """What a rotation about each axis is called."""
 _SUMMED = {"z": "phi", "y": "theta"}
 """What it is called of a summed joint, as published of the 8U chain."""
@@ -134,7 +134,7 @@ class Tree:
     def state_names(self) -> tuple[str, ...]:
         """(D,): x_m, y_m, z_m, then <segment>_yaw and so on; of the summed joint of segment J6 phi_6 and theta_6."""
         names = [
-            f"{_SUMMED[axis]}_{s.name.lstrip('J')}" if s.joint == "summed" else f"{s.name}_{ANGLES[axis]}"
+            f"{_SUMMED[axis]}_{s.name.lstrip('J')}" if s.joint == "summed" else f"{s.name}_{ANGLE_OF_AXIS[axis]}"
             for s in self.segments
             for axis in AXES[s.joint]
         ]

@@ -18,7 +18,7 @@ from recon.body import CHAIN_PLACES, PLACES, Body, other_side, side_of
 from recon.chain import MIN_JOINTS, AngleRanges, Chain, Link, PriorScales
 from recon.documents import parse_toml, read_toml
 from recon.errors import InputError, Problem
-from recon.kinematics import ANGLES, AXES, Marker, Segment, Tree
+from recon.kinematics import ANGLE_OF_AXIS, AXES, Marker, Segment, Tree
 
 Number = Annotated[float, Field(gt=-1e6, lt=1e6, allow_inf_nan=False)]
 Sigma = Annotated[float, Field(gt=1e-9, lt=1e6, allow_inf_nan=False)]
@@ -432,7 +432,7 @@ def _both_sides(items: Iterable[_Item]) -> Iterator[tuple[int, _Item]]:
 
 def _expected_angles(segment: _Segment) -> list[str]:
     """The angles that have an expectation, in the order of the state: all but the heading of the root."""
-    return [ANGLES[axis] for axis in AXES[segment.joint] if (segment.joint, axis) != ("free", "z")]
+    return [ANGLE_OF_AXIS[axis] for axis in AXES[segment.joint] if (segment.joint, axis) != ("free", "z")]
 
 
 def _body_problems(file: _BodyFile, source: str) -> Iterator[Problem]:
@@ -447,7 +447,7 @@ def _body_problems(file: _BodyFile, source: str) -> Iterator[Problem]:
         if i > 0 and segment.parent not in segments:
             yield Problem(source, f"{at}.parent", repr(segment.parent), "the name of an earlier segment")
         expected = _expected_angles(segment)
-        for angle in ANGLES.values():
+        for angle in ANGLE_OF_AXIS.values():
             given = getattr(segment, angle) is not None
             if given != (angle in expected):
                 found = "an expectation" if given else "none"

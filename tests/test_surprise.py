@@ -9,12 +9,12 @@ import pytest
 
 from recon.camera import Camera
 from recon.clip import still_view
-from recon.prior import MotionPrior, prior_from_body
+from recon.prior import ANGLES, MotionPrior, prior_from_body
 from recon.skeleton_file import load_skeleton
 from recon.solve import TrajectoryOptions, TrajectorySolution, solve_trajectory
-from recon.solve.problem import Estimate, Problem
+from recon.solve.least_squares import Estimate, LeastSquares
 from recon.solve.surprise import LASTS_S, Surprise, surprise_of
-from recon.solve.terms import ANGLES, POSE, Linear, pose_term
+from recon.solve.terms import POSE, Linear, pose_term
 
 BODY = load_skeleton("cheetah-24", "phantom")
 PLAIN = prior_from_body(BODY)
@@ -41,7 +41,7 @@ def test_the_level_is_the_scale_of_the_variances():
         truth[:, ANGLES] = NARROW.mean + scale * np.sqrt(LASTS_S * fps) * sigma * rng.normal(size=(300, len(sigma)))
         # seen so well that the prior hardly draws
         seen = Linear("seen", (0,), 1e3 * np.eye(BODY.n_state)[None], np.zeros(BODY.n_state))
-        problem = Problem(BODY.tree, [prior, seen], [])
+        problem = LeastSquares(BODY.tree, [prior, seen], [])
         found = surprise_of(problem, Estimate(truth, 0.0, 1, True), fps)
         assert found.freedom == pytest.approx(truth[:, ANGLES].size, rel=1e-2)
         assert found.level == pytest.approx(scale**2, rel=0.05)
@@ -52,7 +52,7 @@ def test_pixels_that_say_nothing_make_no_surprise():
     states = np.zeros((5, BODY.n_state))
     states[:, ANGLES] = NARROW.mean
     hardly = Linear("seen", (0,), 1e-3 * np.eye(BODY.n_state)[None], np.zeros(BODY.n_state))
-    problem = Problem(BODY.tree, [pose_term(NARROW, BODY.n_state, FPS, 1.0), hardly], [])
+    problem = LeastSquares(BODY.tree, [pose_term(NARROW, BODY.n_state, FPS, 1.0), hardly], [])
     found = surprise_of(problem, Estimate(states, 0.0, 1, True), FPS)
     assert (found.level, found.freedom, found.trust) == (pytest.approx(0.0, abs=1e-9), 1.0, 1.0)
     assert [term.name for term in problem.only((POSE,)).linear] == [POSE]

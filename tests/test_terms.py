@@ -11,7 +11,7 @@ from recon.camera import Camera
 from recon.clip import View, still_view
 from recon.prior import load_prior
 from recon.skeleton_file import load_skeleton
-from recon.solve.problem import Problem
+from recon.solve.least_squares import LeastSquares
 from recon.solve.terms import (
     Heading,
     Linear,
@@ -19,7 +19,7 @@ from recon.solve.terms import (
     PoseMixture,
     Reprojection,
     Span,
-    Stance,
+    Standing,
     climb_term,
     dynamics_term,
     pose_term,
@@ -91,18 +91,18 @@ def terms():
         Reprojection(replace(view(xy_px, confidence), lead_frames=0.3), sigma, 3.0, np.zeros(3)),
         Reprojection(moving_view(xy_px, confidence), sigma, 3.0, np.zeros(3)),
         Heading(rear, front, FPS, 0.5),
-        Stance(FEET, FPS, 2.5, 2.0, 0.8),
+        Standing(FEET, FPS, 2.5, 2.0, 0.8),
         OnGround(FEET, contact, np.array([-0.8, 0.01, -0.02]), np.array([0.3, 7.0]), FPS, 0.04, 0.8),
     ]
 
 
 def gradient(term, states: np.ndarray) -> np.ndarray:
-    problem = Problem(BODY.tree, [term], []) if isinstance(term, Linear) else Problem(BODY.tree, [], [term])
+    problem = LeastSquares(BODY.tree, [term], []) if isinstance(term, Linear) else LeastSquares(BODY.tree, [], [term])
     return problem.normal(states).gradient
 
 
 def cost(term, states: np.ndarray) -> float:
-    problem = Problem(BODY.tree, [term], []) if isinstance(term, Linear) else Problem(BODY.tree, [], [term])
+    problem = LeastSquares(BODY.tree, [term], []) if isinstance(term, Linear) else LeastSquares(BODY.tree, [], [term])
     return problem.cost(states)
 
 

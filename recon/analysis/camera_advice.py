@@ -19,8 +19,8 @@ from recon.camera import Camera
 from recon.clip import View, still_view
 from recon.kinematics import ROOT
 from recon.prior import MotionPrior
+from recon.solve.least_squares import Estimate
 from recon.solve.posterior import posterior
-from recon.solve.problem import Estimate
 from recon.solve.setting import Setting, TrajectoryOptions
 
 AZIMUTHS_RAD = np.radians(np.arange(0, 360, 30))

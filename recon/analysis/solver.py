@@ -24,7 +24,7 @@ from recon.published import FrameOptions, frame_rows
 from recon.published.frame import beyond_range_rad, beyond_rate_rad_s
 from recon.results import Results
 from recon.solve.contacts import contacts
-from recon.solve.problem import Problem
+from recon.solve.least_squares import LeastSquares
 from recon.solve.setting import Setting
 from recon.solve.terms import SIZE, Span, lag
 
@@ -160,7 +160,7 @@ def linearised_clip(setting: Setting, results: Results) -> Linearised:
     return Linearised(setting.body.state_names, len(states), tuple(rows), step)
 
 
-def _rows(problem: Problem, states: Array, shared: Mapping[str, Array]) -> Iterator[Rows]:
+def _rows(problem: LeastSquares, states: Array, shared: Mapping[str, Array]) -> Iterator[Rows]:
     for term in problem.linear:
         frames, r = term.frames(len(states)), term.residual(states)
         jacobian = np.broadcast_to(term.slots.swapaxes(0, 1), (len(r), *term.slots.swapaxes(0, 1).shape))

@@ -180,12 +180,12 @@ def write(solved: ClimbRun, folder: Path, figures: bool = True) -> None:
 def _curves(solved: ClimbRun) -> list[Any]:
     """The least margin and the pitch; nothing before the climb."""
     from recon.view.scene import LIMB_COLOURS
-    from recon.view.series import Series
+    from recon.view.series import TimePlot
 
     empty = np.full(len(solved.motion.time_s) - len(solved.climb), np.nan)
     pitch = np.degrees(solved.climb.pitch_rad)
     return [
-        Series(name, title, (name,), LIMB_COLOURS[:1], np.concatenate([empty, values])[:, None])
+        TimePlot(name, title, (name,), LIMB_COLOURS[:1], np.concatenate([empty, values])[:, None])
         for name, title, values in (
             ("margin", "least margin, in units of its kind", _tightest(solved.margins)),
             ("pitch", "pitch, degrees, nose up", pitch),

@@ -134,7 +134,7 @@ class ParameterSeries:
 
 
 @dataclass(frozen=True, eq=False)
-class Solved:
+class IKRun:
     """What was moved, and how."""
 
     limb: Limb
@@ -326,7 +326,7 @@ def run_ik(
     stride_s: tuple[float, float] | None = None,
     cost: Cost | str | None = None,
     alpha: float | Literal["step"] | None = None,
-) -> Solved:
+) -> IKRun:
     """`recon ik`: tables and figures into `out`, by default the folder ik in the results' own.
 
     methods: of `METHODS`, or `EXTENDED`. target: `STRIDE_MAX`, or coordinates in the chain's base frame, as in
@@ -361,7 +361,7 @@ def _solved(
     stride_s: tuple[float, float] | None,
     cost: Cost | None,
     alpha: float | Literal["step"] | None,
-) -> Solved:
+) -> IKRun:
     goal = _coordinates(target, limb.chain.dim) if target not in (None, STRIDE_MAX) else None
     with threadpool_limits(1, user_api="blas"):
         found = stride_of(results, limb, stride_s)
@@ -375,7 +375,7 @@ def _solved(
         follows = {n: follow_stride(limb.chain, stride, m, turns) for n, m in by_name.items()} if along_stride else {}
     summary = _summary(limb, found, goal, drives, follows, parameters, fitted, turns)
     summary["parameters"]["alpha"] = alpha
-    return Solved(limb, stride, goal, drives, follows, parameters, series, summary)
+    return IKRun(limb, stride, goal, drives, follows, parameters, series, summary)
 
 
 def _check(methods: tuple[str, ...], cost: Cost | str | None, alpha: float | Literal["step"] | None) -> None:
@@ -539,7 +539,7 @@ def _least(values: Array) -> float:
     return float(np.nanmin(values)) if np.isfinite(values).any() else np.nan
 
 
-def _write(solved: Solved, folder: Path) -> None:
+def _write(solved: IKRun, folder: Path) -> None:
     summary, names = solved.summary, solved.limb.names
     (folder / SUMMARY).write_text(to_json(summary), encoding="utf-8")
     for file, columns, rows in (
@@ -592,7 +592,7 @@ def _cell(value: Any) -> Any:
     return " ".join(value) if isinstance(value, list) else "" if value is None else value
 
 
-def write_figures(solved: Solved, folder: Path) -> None:
+def write_figures(solved: IKRun, folder: Path) -> None:
     """Paths in task and joint space, distances, closures, parameters, PNG and SVG."""
     from recon import plots
 

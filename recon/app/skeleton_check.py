@@ -14,7 +14,7 @@ from recon.body import Body, other_side
 from recon.chain import AngleRanges, Chain
 from recon.errors import InputError
 from recon.files import require_free_folder
-from recon.kinematics import ANGLES, AXES
+from recon.kinematics import ANGLE_OF_AXIS, AXES
 from recon.prior import NONE, builtin_priors, load_prior
 from recon.skeleton_file import builtin_names, load_chain, load_skeleton
 
@@ -181,11 +181,11 @@ def _segments(body: Body) -> Iterator[PartRow]:
     for segment in body.tree.segments:
         rows = []
         for axis in AXES[segment.joint]:
-            name = f"{segment.name}_{ANGLES[axis]}"
+            name = f"{segment.name}_{ANGLE_OF_AXIS[axis]}"
             if name in expected:  # all but the root's heading
                 mean, sigma, acceleration = np.rad2deg(expected[name]).tolist()
                 low, high = mean - REACH_SIGMAS * sigma, mean + REACH_SIGMAS * sigma
-                rows.append(AngleRow(ANGLES[axis], mean, low, high, f"{acceleration:.0f} °/s²"))
+                rows.append(AngleRow(ANGLE_OF_AXIS[axis], mean, low, high, f"{acceleration:.0f} °/s²"))
         markers = tuple(m.name for m in body.tree.markers if m.segment == segment.name)
         length_m = float(np.linalg.norm(segment.offset_m))
         yield PartRow(segment.name, segment.parent or "", "", segment.joint, length_m, tuple(rows), markers)

@@ -27,14 +27,14 @@ MIN_ALIKE = 0.7
 
 
 @dataclass(frozen=True)
-class Frame:
+class GreyPicture:
     """A grey picture, made smaller by `scale`."""
 
     grey: Image
     scale: int
 
     @classmethod
-    def of(cls, picture: Image) -> Frame:
+    def of(cls, picture: Image) -> GreyPicture:
         grey = cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY)
         scale = -(-max(grey.shape) // WORK_PX)
         if scale > 1:
@@ -55,7 +55,7 @@ class Frame:
         return (full_px + 0.5) / self.scale - 0.5
 
 
-def corners(frame: Frame, masked: Bools | None = None) -> Array:
+def corners(frame: GreyPicture, masked: Bools | None = None) -> Array:
     """Pixels (N, 2) of the original: the strongest corners of every cell, without what is masked of the small one."""
     grey = cv2.GaussianBlur(frame.grey, (0, 0), 1.0)
     strength = cv2.cornerMinEigenVal(grey, BLOCK_PX)
@@ -75,7 +75,7 @@ def corners(frame: Frame, masked: Bools | None = None) -> Array:
     return frame.full_px(np.column_stack([x[kept], y[kept]]).astype(float))
 
 
-def followed(before: Frame, after: Frame, points_px: Array, guess_px: Array) -> tuple[Array, Bools]:
+def followed(before: GreyPicture, after: GreyPicture, points_px: Array, guess_px: Array) -> tuple[Array, Bools]:
     """Where points (N, 2) of one picture are in another, and which were found; guess_px (N, 2): about where."""
     if not len(points_px):
         return np.zeros((0, 2)), np.zeros(0, bool)
@@ -97,7 +97,7 @@ def followed(before: Frame, after: Frame, points_px: Array, guess_px: Array) -> 
     return after.full_px(found.astype(float)), good
 
 
-def described(frame: Frame) -> tuple[Array, Image]:
+def described(frame: GreyPicture) -> tuple[Array, Image]:
     """Pixels (N, 2) and descriptors (N, 32) of points that are found again wherever they have gone."""
     side = frame.window_px * 3 // 2
     finder = cv2.ORB.create(ORB_POINTS, edgeThreshold=side, patchSize=side)
@@ -119,7 +119,7 @@ def same_scene(a: tuple[Array, Image], b: tuple[Array, Image]) -> bool:
     return same is not None and int(same.sum()) >= MIN_SAME
 
 
-def alike(a: Frame, b: Frame) -> bool:
+def alike(a: GreyPicture, b: GreyPicture) -> bool:
     """Whether light and dark lie about alike in two pictures, as they do in neighbours of one take."""
     small = [cv2.resize(one.grey, (16, 16), interpolation=cv2.INTER_AREA).ravel() for one in (a, b)]
     return bool(np.asarray(np.corrcoef(small))[0, 1] > MIN_ALIKE)
@@ -133,7 +133,7 @@ def matched(a: Image, b: Image) -> Integers:
     return np.array([(m.queryIdx, m.trainIdx) for m in matches], dtype=np.int64).reshape(-1, 2)
 
 
-def hull_mask(frame: Frame, points_px: Array, margin: float = 0.15) -> Bools:
+def hull_mask(frame: GreyPicture, points_px: Array, margin: float = 0.15) -> Bools:
     """Of the small picture (height, width): what the hull of points (N, 2) covers, widened by a share of its size."""
     mask = np.zeros(frame.grey.shape, np.uint8)
     points = frame.work_px(points_px[np.isfinite(points_px).all(axis=1)])

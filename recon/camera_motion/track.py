@@ -12,7 +12,7 @@ from recon.arrays import Array, Bools, Integers
 from recon.camera import Camera
 from recon.camera_motion.adjust import FLOOR_PX, Link, adjust
 from recon.camera_motion.features import (
-    Frame,
+    GreyPicture,
     alike,
     corners,
     described,
@@ -56,7 +56,7 @@ class Key:
     """
 
     number: int
-    frame: Frame | None
+    frame: GreyPicture | None
     points_px: Array
     turn: Turn
     trust: Array
@@ -109,13 +109,13 @@ class Tracker:
     lost: list[int] = field(default_factory=list)
     apart: int = 0
     support: float = 0.0
-    last: Frame | None = None
+    last: GreyPicture | None = None
     still: list[float] = field(default_factory=list)
     cut: int | None = None
 
     def add(self, number: int, picture: Image) -> bool:
         """Whether the frame could be placed; afterwards `cut` says whether it is another take."""
-        frame = Frame.of(picture)
+        frame = GreyPicture.of(picture)
         points = self.masked(number)
         mask = None if points is None else hull_mask(frame, points)
         if not self.keys:
@@ -152,7 +152,7 @@ class Tracker:
 
     # -- one frame --
 
-    def _begin(self, number: int, frame: Frame, picture: Image, mask: Bools | None) -> bool:
+    def _begin(self, number: int, frame: GreyPicture, picture: Image, mask: Bools | None) -> bool:
         points = corners(frame, mask)
         if len(points) < MIN_CORNERS:
             self.lost.append(number)
@@ -171,7 +171,7 @@ class Tracker:
         return Turn(b.rotation @ a.rotation.T @ b.rotation, b.zoom * b.zoom / a.zoom)
 
     def _placed(
-        self, number: int, frame: Frame, mask: Bools | None, guess: Turn, count: int
+        self, number: int, frame: GreyPicture, mask: Bools | None, guess: Turn, count: int
     ) -> tuple[AgreedTurn, _Seen] | None:
         keys = self._nearest(guess, count)
         seen = _Seen.of(self.camera, keys, frame, guess, mask)
@@ -213,7 +213,7 @@ class Tracker:
         inside = expected_px(self.camera, rays[valid] @ turn.rotation, key.turn)[1].mean()
         return float(inside) - BY_ZOOM * abs(np.log(turn.zoom / key.turn.zoom))
 
-    def _found_again(self, frame: Frame, mask: Bools | None) -> Turn | None:
+    def _found_again(self, frame: GreyPicture, mask: Bools | None) -> Turn | None:
         """By points that are known wherever they have gone: after a jerk, or a stretch without background."""
         pixels, descriptors = described(frame)
         recent = sorted((key for key in self.keys if key.frame is not None), key=lambda key: -key.used)[:20]
@@ -291,7 +291,9 @@ class Tracker:
         zooms = np.log([turn.zoom, key.turn.zoom])
         return Link(place, key.number, turn.rotation @ key.turn.rotation.T, zooms, normal, gradient)
 
-    def _new_key(self, frame: Frame, picture: Image, mask: Bools | None, agreement: AgreedTurn, seen: _Seen) -> None:
+    def _new_key(
+        self, frame: GreyPicture, picture: Image, mask: Bools | None, agreement: AgreedTurn, seen: _Seen
+    ) -> None:
         """Its points are as trusted as the nearest that were followed into it."""
         points = corners(frame, mask)
         trust = np.full(len(points), 0.5)
@@ -302,7 +304,7 @@ class Tracker:
             trust[close] = np.clip(np.where(agreement.agree[nearest], 0.6, 0.2), 0, 1)[close]
             self._remember(frame, picture, points, trust)
 
-    def _remember(self, frame: Frame, picture: Image, points: Array, trust: Array) -> None:
+    def _remember(self, frame: GreyPicture, picture: Image, points: Array, trust: Array) -> None:
         self.support = 0.0
         turn = self.turns[-1]
         rays, valid = rays_of(self.camera, points, turn.zoom)
@@ -361,7 +363,7 @@ class _Seen:
     trust: Array
 
     @classmethod
-    def of(cls, camera: Camera, keys: list[Key], frame: Frame, guess: Turn, mask: Bools | None) -> _Seen:
+    def of(cls, camera: Camera, keys: list[Key], frame: GreyPicture, guess: Turn, mask: Bools | None) -> _Seen:
         none = np.zeros(0, np.int64)
         parts = [cls(keys, none, none, np.zeros((0, 3)), np.zeros((0, 2)), np.zeros(0))]
         for k, key in enumerate(keys):

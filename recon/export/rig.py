@@ -18,7 +18,7 @@ from recon.errors import InputError, Problem
 from recon.export.checks import require_span
 from recon.io.common import frames_text
 from recon.io.pose import Pose3D, y_up_from_z_up
-from recon.kinematics import ANGLES, AXES, ROOT, Tree
+from recon.kinematics import ANGLE_OF_AXIS, AXES, ROOT, Tree
 from recon.results import Results
 
 AXIS: dict[str, tuple[int, int, int]] = {"yaw": (0, 1, 0), "pitch": (0, 0, -1), "roll": (1, 0, 0)}
@@ -169,7 +169,7 @@ def _turns(body: Body, states: Array) -> list[tuple[Turn, ...]]:
     orientations = tree.orientations(states)
     at = {segment.name: i for i, segment in enumerate(tree.segments)}
     for segment in tree.segments:
-        kinds = [ANGLES[axis] for axis in AXES[segment.joint]]
+        kinds = [ANGLE_OF_AXIS[axis] for axis in AXES[segment.joint]]
         columns = range(column, column + len(kinds))
         column += len(kinds)
         angles, means = [states[:, c] for c in columns], [expected[c - 3] for c in columns]

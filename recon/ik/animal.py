@@ -18,7 +18,7 @@ from recon.body import Body
 from recon.chain import UVW_BODY, Chain, upright_rotation
 from recon.ik.chain import MAX_RATE_RAD_S, PlanarChain, SummedChain
 from recon.ik.joint_chain import JointChain
-from recon.kinematics import ANGLES, AXES, PITCH, ROOT, YAW, Segment
+from recon.kinematics import ANGLE_OF_AXIS, AXES, PITCH, ROOT, YAW, Segment
 
 Array = NDArray[np.float64]
 
@@ -138,7 +138,7 @@ def body_chain(body: Body, foot: str, size: float = 1.0, limited: bool = True) -
             raise ValueError(f"{body.name}: the angles of {segment.name} add up, which is a chain of recon.ik.chain")
         offset = offset + segment.offset_m
         for axis in AXES[segment.joint]:
-            names.append(f"{segment.name}_{ANGLES[axis]}")
+            names.append(f"{segment.name}_{ANGLE_OF_AXIS[axis]}")
             axes.append(np.eye(3)["xyz".index(axis)])
             offsets.append(offset)
             kinds.append(axis)

@@ -219,7 +219,7 @@ def _read_h5(path: Path) -> Table:
     return replace(table, fps=_fps(scorer), has_scorer=bool(scorer))
 
 
-def _h5_levels(path: Path, frame: pandas_hdf.Frame) -> list[list[str]]:
+def _h5_levels(path: Path, frame: pandas_hdf.StoredTable) -> list[list[str]]:
     """The individuals, bodyparts and coords of each column."""
     names = list(frame.levels)
     if not any(names):

@@ -17,10 +17,10 @@ from recon.arrays import Array
 from recon.chain import MIN_JOINTS
 from recon.clip import View
 from recon.kinematics import ROOT, YAW
-from recon.solve.problem import Problem
+from recon.prior import ANGLES
+from recon.solve.least_squares import LeastSquares
 from recon.solve.setting import Setting
 from recon.solve.starts import APPROACH_HZ, approach
-from recon.solve.terms import ANGLES
 
 _WIDE, _TOLERANCE, _ITERATIONS = (8.0, 2.0, 1.0), 3e-3, 12
 """Factors on the noise on the way in from a straight run, and when a minimum is good enough."""
@@ -110,7 +110,7 @@ def given_of(setting: Setting, number: int, states: Array, size: float) -> Given
     return Given(own, found)
 
 
-def costs(setting: Setting, problem: Problem, states: Array, noise_px: Array) -> tuple[float, float]:
+def costs(setting: Setting, problem: LeastSquares, states: Array, noise_px: Array) -> tuple[float, float]:
     """Of the keypoints, as a density in pixels, and of what is expected of the motion."""
     of_terms = problem.costs(states)
     (view,) = setting.views

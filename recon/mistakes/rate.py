@@ -12,9 +12,9 @@ import numpy as np
 
 from recon.arrays import Array
 from recon.mistakes.mistake import CLEAR, Mistake
+from recon.prior import ANGLES
 from recon.solve.setting import Setting
 from recon.solve.starts import APPROACH_HZ
-from recon.solve.terms import ANGLES
 
 OTHER_RATES = (0.25, 1 / 3, 0.5, 2.0, 3.0, 4.0)
 """Videos are slowed down, sped up and thinned by such factors."""

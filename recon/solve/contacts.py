@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from recon.solve.result import Ground
 from recon.solve.setting import Setting
-from recon.solve.terms import REFERENCE_HZ, OnGround, Stance, Term
+from recon.solve.terms import REFERENCE_HZ, OnGround, Standing, Term
 
 Array = NDArray[np.float64]
 
@@ -16,7 +16,7 @@ def contacts(setting: Setting, points_m: Array, size: float) -> tuple[Array, Gro
     """Contact (T, F) of every foot, the ground under them, and the terms that hold both, for markers (T, J, 3) at
     nominal size about the origin."""
     o, feet = setting.options, setting.feet
-    stance = Stance(feet, setting.fps, o.slip_m_s, o.slip_c, o.stance_weight)
+    stance = Standing(feet, setting.fps, o.slip_m_s, o.slip_c, o.stance_weight)
     _, _, still = stance.contact(points_m, size)
     middle = 0.5 * (points_m[1:, feet] + points_m[:-1, feet])
     height, sigma = float(np.percentile(middle[..., 2], 10)), 10.0

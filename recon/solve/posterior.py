@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from recon.banded import BlockBanded, Factor, factor
 from recon.body import Body
 from recon.kinematics import ROOT, YAW
-from recon.solve.problem import Estimate, Problem
+from recon.solve.least_squares import Estimate, LeastSquares
 from recon.solve.terms import SIZE, size_of
 
 Array = NDArray[np.float64]
@@ -62,7 +62,7 @@ class Posterior:
         return np.clip(1.0 - with_pixels / without, 0.0, 1.0)
 
 
-def posterior(problem: Problem, body: Body, found: Estimate, variance_factor: float) -> Posterior:
+def posterior(problem: LeastSquares, body: Body, found: Estimate, variance_factor: float) -> Posterior:
     """variance_factor: on all variances (errors of neighbouring frames are alike, which the cost does not know)."""
     states, size = found.states, size_of(found.shared)
     solved_for = [unknown.name for unknown in problem.shared]

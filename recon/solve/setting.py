@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from recon.body import Body
 from recon.clip import View
 from recon.prior import MotionPrior, prior_from_body
-from recon.solve.problem import Problem, Shared
+from recon.solve.least_squares import LeastSquares, Shared
 from recon.solve.terms import (
     SIZE,
     Heading,
@@ -258,7 +258,7 @@ class Setting:
         contact_terms: Sequence[Term] = (),
         around_m: Array | None = None,
         size: float = 1.0,
-    ) -> Problem:
+    ) -> LeastSquares:
         """All terms, each switched on here. noise_px (V, T, J). temperature: of the mixture of poses; None: one
         Gaussian of poses in its place. around_m (T, J, 3): the markers of a solution, and its size; then what all
         frames share is unknown."""
@@ -291,4 +291,4 @@ class Setting:
         if T > 2:
             linear.append(dynamics_term(self.prior, D, self.fps, o.motion_weight * self.trust))
             linear.append(root_term(D, self.fps, np.array(o.acceleration_m_s2), o.yaw_acceleration_rad_s2))
-        return Problem(self.body.detected, linear, [*terms, *contact_terms], shared, doubtful)
+        return LeastSquares(self.body.detected, linear, [*terms, *contact_terms], shared, doubtful)

@@ -21,7 +21,7 @@ from recon.banded import factor
 from recon.body import Body, other_side, side_of
 from recon.kinematics import TreePose
 from recon.solve.setting import Setting
-from recon.solve.terms import OnGround, Reprojection, Span, Stance
+from recon.solve.terms import OnGround, Reprojection, Span, Standing
 from recon.solve.trajectory import Solved, in_step, refined, solve_spells
 
 Array = NDArray[np.float64]
@@ -231,7 +231,7 @@ def _reduced(shape: Shape, setting: Setting, solved: Solved) -> tuple[Array, Arr
     pose = problem.tree.pose_with_jacobian(states)
     by_shape = shape.jacobian(setting.body, states)
     for term in problem.terms:
-        if not isinstance(term, Reprojection | Stance | OnGround):
+        if not isinstance(term, Reprojection | Standing | OnGround):
             continue
         shared = solved.estimate.shared
         by_state = term.evaluate(Span(0, states, pose, True, shared), jacobian=True)

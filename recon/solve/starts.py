@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from recon.chain import MIN_JOINTS
 from recon.kinematics import ROOT, YAW
-from recon.solve.problem import Estimate
+from recon.prior import ANGLES
+from recon.solve.least_squares import Estimate
 from recon.solve.setting import UP, Setting
-from recon.solve.terms import ANGLES
 from recon.straight_runs import run_path, straight_runs
 
 Array = NDArray[np.float64]

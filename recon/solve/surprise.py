@@ -11,9 +11,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from recon.prior import ANGLES
+from recon.solve.least_squares import Estimate, LeastSquares
 from recon.solve.posterior import factored
-from recon.solve.problem import Estimate, Problem
-from recon.solve.terms import ANGLES, PRIOR_TERMS
+from recon.solve.terms import PRIOR_TERMS
 
 LASTS_S = 0.04
 """How long a surprise lasts: so that clips of a motion that the prior fits, but was not made from, have a level of
@@ -38,7 +39,7 @@ class Surprise:
         return 1.0 if self.level < max(LEVEL, by_chance) else 1.0 / self.level
 
 
-def surprise_of(problem: Problem, found: Estimate, fps: float) -> Surprise:
+def surprise_of(problem: LeastSquares, found: Estimate, fps: float) -> Surprise:
     """Of the prior as the problem weighs it, at its minimum."""
     covariance = factored(problem.normal(found.states, found.shared).H).marginal_blocks()
     prior = problem.only(PRIOR_TERMS)

@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 
 from recon.clip import View
 from recon.kinematics import ROOT, YAW, TreePose
-from recon.prior import MotionPrior
+from recon.prior import ANGLES, MotionPrior
 from recon.rotations import euler_rotation_with_jacobian
 
 Array = NDArray[np.float64]
@@ -70,8 +70,6 @@ def size_of(shared: Mapping[str, Array]) -> float:
 REFERENCE_HZ = 90.0
 OUT_OF_SIGHT = 50.0
 """Squared sigmas, in units of the loss's c^2, of a detected joint that the camera cannot project."""
-ANGLES = slice(4, None)
-"""What priors speak of: the state without the root's place and yaw."""
 PRIOR_TERMS = POSE, MOTION = "pose prior", "motion prior"
 """The names of the terms that a prior makes."""
 
@@ -359,7 +357,7 @@ class Heading:
 
 
 @dataclass(frozen=True)
-class Stance:
+class Standing:
     """A foot that nearly stands, stands: its velocity with a redescending loss, weight (c sigma)^2 / 2 at most.
 
     In the world: at nominal size, feet that a moving camera follows would stand for any animal that is large enough.

@@ -33,16 +33,16 @@ from recon.body import Body
 from recon.chain import MIN_JOINTS, MIN_REACH_PX
 from recon.clip import View
 from recon.kinematics import ROOT, YAW
-from recon.prior import NONE, MotionPrior
+from recon.prior import ANGLES, NONE, MotionPrior
 from recon.progress import Progress, silent
 from recon.solve.contacts import contacts
+from recon.solve.least_squares import Estimate, LeastSquares
 from recon.solve.posterior import Posterior, posterior, with_size
-from recon.solve.problem import Estimate, Problem
 from recon.solve.result import Ground, Spell, Start, TrajectorySolution
 from recon.solve.setting import Setting, TrajectoryOptions
 from recon.solve.starts import Approached, approach, between
 from recon.solve.surprise import Surprise, surprise_of
-from recon.solve.terms import ANGLES, Reprojection, focal, lag, placing, size_of
+from recon.solve.terms import Reprojection, focal, lag, placing, size_of
 
 Array = NDArray[np.float64]
 
@@ -114,7 +114,7 @@ class Solved:
     rows: slice
     """Of the clip."""
     estimate: Estimate
-    problem: Problem
+    problem: LeastSquares
     noise: Array
     """(V, J): variances of the detections relative to the expected ones."""
     noise_px: Array
@@ -178,7 +178,7 @@ def _solve_spell(setting: Setting, rows: slice, progress: Progress) -> Solved:
         steps.insert(0, (None, False))
     estimate = Estimate(_joined(T, windows), np.inf, 0, False)
     noise = np.ones((len(setting.views), len(setting.body.markers)))
-    nothing = Problem(setting.body.detected, [], [])
+    nothing = LeastSquares(setting.body.detected, [], [])
     solved = Solved(rows, estimate, nothing, noise, np.zeros(0), np.zeros((T, len(setting.feet))), None)
     for i, (temperature, whole) in enumerate(steps):
         solved, last = _round(setting, solved, temperature, whole), i == len(steps) - 1

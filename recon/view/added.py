@@ -20,7 +20,7 @@ from recon.errors import InputError, Problem
 from recon.recording import recording
 from recon.view.layout import held_at, plot, state_rows
 from recon.view.scene import Array, Colour
-from recon.view.series import Series, line_style, state_columns, state_entity, state_style
+from recon.view.series import TimePlot, line_style, state_columns, state_entity, state_style
 from recon.view.stored import Playback
 
 ROOT = "analysis"
@@ -29,7 +29,7 @@ PRESENT = "Reconstruction"
 
 
 @dataclass(frozen=True, kw_only=True)
-class AddedSeries(Series):
+class AddedSeries(TimePlot):
     """A plot of lines: values (N, lines) at time_s (N,), increasing, seconds since frame 0; NaN is a gap in its line.
 
     tab: the name of the tab that it stands in, side by side with others of that name.

@@ -14,7 +14,7 @@ from recon.motion import Motion, Picture
 from recon.results import MEASURED_SHARE
 from recon.view.picture import middle_and_reach_px, picture_bounds
 from recon.view.scene import BACKGROUND, BODY, CLOSEUP, GRID_SPACING_M, PICTURE, Scene, by_camera
-from recon.view.series import Series, angle_series, other_series, state_entities
+from recon.view.series import TimePlot, angle_series, other_series, state_entities
 
 
 def blueprint(motion: Motion, scene: Scene, start_frame: int | None) -> rrb.Blueprint:
@@ -133,7 +133,7 @@ _LINE_SHARE, _LEGEND_SHARE, _MOST_SHARE = 0.075, 0.05, 0.6
 """Of a plot's height in a window of 1080 px: what each line's name takes of it, all their frame, and at most."""
 
 
-def plot(series: Series) -> rrb.TimeSeriesView:
+def plot(series: TimePlot) -> rrb.TimeSeriesView:
     """With room above the lines for their names; one line alone is named by the title."""
     values = series.values if series.shown is None else series.shown
     known = np.append(values[np.isfinite(values)], 0.0)  # all of them have zero in sight

@@ -24,7 +24,7 @@ from recon.robot.quadruped import LEGS
 from recon.robot.retarget import RobotMotion
 from recon.view.layout import held_at, plot, state_rows
 from recon.view.scene import BACKGROUND, DETECTION, GRID, LEFT, LIMB_COLOURS, PATH, RIGHT, SIDE_COLOURS, TRAIL, strips
-from recon.view.series import Series, line_style, state_columns, state_style
+from recon.view.series import TimePlot, line_style, state_columns, state_style
 
 Array = NDArray[np.float64]
 
@@ -51,7 +51,7 @@ def write_robot(
     companion: Companion | None = None,
     start_frame: int | None = None,
     step: Step | None = None,
-    more: Sequence[Series] = (),
+    more: Sequence[TimePlot] = (),
     title: str = "",
 ) -> None:
     """The recording; start_frame: a sample to hold, for pictures; step: one across the way, along which x is forwards;
@@ -83,7 +83,7 @@ def _log_step(motion: RobotMotion, step: Step, stream: rr.RecordingStream) -> No
 def _log(
     motion: RobotMotion,
     companion: Companion | None,
-    series: Sequence[Series],
+    series: Sequence[TimePlot],
     seen: tuple[Array, float],
     stream: rr.RecordingStream,
 ) -> None:
@@ -145,10 +145,10 @@ def _polygon(feet_m: Array, standing: NDArray[np.bool_]) -> list[Array]:
     return [np.array([*feet, feet[0]])] if len(feet) > 2 else []
 
 
-def _angles(motion: RobotMotion, label: str) -> Series:
+def _angles(motion: RobotMotion, label: str) -> TimePlot:
     names, values = motion.robot.legs[label].joints, np.degrees(motion.leg_angles(label))
     colours = [LIMB_COLOURS[k % len(LIMB_COLOURS)] for k in range(len(names))]
-    return Series(f"angles/{label}", f"{label}, degrees", names, colours, values)
+    return TimePlot(f"angles/{label}", f"{label}, degrees", names, colours, values)
 
 
 def _middle(motion: RobotMotion, step: Step | None) -> tuple[Array, float]:
@@ -201,10 +201,10 @@ def _still(stream: rr.RecordingStream, motion: RobotMotion, companion: Companion
 def _blueprint(
     motion: RobotMotion,
     companion: Companion | None,
-    series: Sequence[Series],
+    series: Sequence[TimePlot],
     start_frame: int | None,
     seen: tuple[Array, float],
-    more: Sequence[Series],
+    more: Sequence[TimePlot],
     title: str,
 ) -> rrb.Blueprint:
     title = title or motion.robot.title

@@ -35,7 +35,7 @@ LINE_COLOURS: tuple[Colour, ...] = (*LIMB_COLOURS, LINK, (213, 94, 0), (200, 200
 
 
 @dataclass(frozen=True)
-class Series:
+class TimePlot:
     """One plot: values (T, lines), and a name and a colour for each line. shown: what sets its range, where that is not
     all of it."""
 
@@ -79,7 +79,7 @@ def state_entities(motion: Motion) -> list[str]:
 # -- how it is written ----------------------------------------------------------------------------------------------
 
 
-def line_style(series: Series) -> rr.SeriesLines:
+def line_style(series: TimePlot) -> rr.SeriesLines:
     return rr.SeriesLines(names=series.names, colors=series.colours, widths=[1.8] * len(series.names))
 
 
@@ -100,7 +100,7 @@ def state_style(colours: Mapping[str, Colour]) -> rr.StateConfiguration:
 # -- what is shown ------------------------------------------------------------------------------------------------
 
 
-def angle_series(motion: Motion) -> list[Series]:
+def angle_series(motion: Motion) -> list[TimePlot]:
     """In degrees: a chain's by their kind, a whole animal's by their side, and the others; those that are too many for
     one plot by limb, by end of the animal, or by kind."""
     degrees = np.rad2deg(motion.angles_rad)
@@ -130,7 +130,7 @@ def angle_series(motion: Motion) -> list[Series]:
                 colours = [LINE_COLOURS[i % len(LINE_COLOURS)] for i in range(len(chosen))]
             columns = [motion.angle_names.index(name) for name in chosen]
             part = f"{entity}/{key.replace(', ', '_').replace(' ', '_')}" if key else entity
-            found.append(Series(part, f"{title} {key}".strip() + " (°)", labels, colours, degrees[:, columns]))
+            found.append(TimePlot(part, f"{title} {key}".strip() + " (°)", labels, colours, degrees[:, columns]))
     return found
 
 
@@ -150,8 +150,8 @@ def _parts(keys: Mapping[str, str]) -> Iterator[tuple[str, list[str]]]:
     yield from parts
 
 
-def other_series(motion: Motion) -> list[Series]:
-    residuals = Series(
+def other_series(motion: Motion) -> list[TimePlot]:
+    residuals = TimePlot(
         "residuals",
         "Reprojection (px)",
         ["median of the joints", "worst but for outliers"],
@@ -160,20 +160,20 @@ def other_series(motion: Motion) -> list[Series]:
     )
     names = ["joint within the pose", "place in depth"]
     sigmas = np.stack((motion.relative_rms_m, motion.place_sigma_m), axis=1)
-    return [_speed(motion), residuals, Series("uncertainty", "One sigma (m)", names, [LIMB_COLOURS[1], LINK], sigmas)]
+    return [_speed(motion), residuals, TimePlot("uncertainty", "One sigma (m)", names, [LIMB_COLOURS[1], LINK], sigmas)]
 
 
-def _speed(motion: Motion) -> Series:
+def _speed(motion: Motion) -> TimePlot:
     if not isinstance(motion.solution, FrameSolution):
         speed = np.where(motion.solved, speed_at_frames(motion.time_s, motion.root_m), np.nan)
-        return Series("speed", "Speed (m/s)", ["speed"], [TRAIL], speed[:, None])
+        return TimePlot("speed", "Speed (m/s)", ["speed"], [TRAIL], speed[:, None])
     straight = np.where(motion.solved, motion.solution.travel.speed_m_s, np.nan)
     exact, smooth = _speeds_m_s(motion)
     # Splines overshoot, at the ends above all.
     shown = smooth[smooth <= 1.5 * np.nanpercentile(exact, 90)] if np.isfinite(exact).any() else smooth
     lines = ["cubic spline", "smoothed by its jitter", "straight run"]
     values = np.stack((exact, smooth, straight), axis=1)
-    return Series("speed", "Speed (m/s)", lines, [EDGE, TRAIL, LIMB_COLOURS[0]], values, shown)
+    return TimePlot("speed", "Speed (m/s)", lines, [EDGE, TRAIL, LIMB_COLOURS[0]], values, shown)
 
 
 def _limb_tints(motion: Motion) -> tuple[dict[str, str], dict[str, Colour]]:

@@ -57,7 +57,7 @@ class Estimate:
 
 
 @dataclass(frozen=True, eq=False)
-class Problem:
+class LeastSquares:
     """tree: whose markers the terms read. linear, terms: see `recon.solve.terms`. shared: the unknowns, besides the
     states, that are free; everywhere below, `shared` are their values, by default the expected ones. doubtful: those
     that are taken for what is expected of them, and count in the posterior only."""
@@ -91,10 +91,10 @@ class Problem:
                 costs[term.name] = costs.get(term.name, 0.0) + float(term.evaluate(span, jacobian=False).cost.sum())
         return costs
 
-    def only(self, names: Sequence[str]) -> Problem:
+    def only(self, names: Sequence[str]) -> LeastSquares:
         """Of the terms with these names alone, and no shared unknowns."""
         linear = [term for term in self.linear if term.name in names]
-        return Problem(self.tree, linear, [term for term in self.terms if term.name in names])
+        return LeastSquares(self.tree, linear, [term for term in self.terms if term.name in names])
 
     def squares(self, states: Array) -> float:
         """The sum of all squared residuals."""

@@ -11,13 +11,13 @@ from scipy.optimize import least_squares
 from recon.banded import BlockBanded
 from recon.kinematics import Marker, Segment, Tree
 from recon.solve import problem as problem_module
+from recon.solve.least_squares import Estimate, LeastSquares, Shared
 from recon.solve.posterior import posterior
-from recon.solve.problem import Estimate, Problem, Shared
 from recon.solve.terms import (
     SIZE,
     Linear,
     Reprojection,
-    Stance,
+    Standing,
     beside,
     climb_term,
     dynamics_term,
@@ -31,19 +31,19 @@ from tests.test_banded import to_dense
 from tests.test_terms import BODY, FEET, FPS, PRIOR, T, detections, gradient, some_states, terms, view
 
 
-def whole_problem() -> Problem:
+def whole_problem() -> LeastSquares:
     every = terms()
-    return Problem(
+    return LeastSquares(
         BODY.tree, [t for t in every if isinstance(t, Linear)], [t for t in every if not isinstance(t, Linear)]
     )
 
 
-def equations(problem: Problem, states: np.ndarray) -> tuple[BlockBanded, np.ndarray]:
+def equations(problem: LeastSquares, states: np.ndarray) -> tuple[BlockBanded, np.ndarray]:
     normal = problem.normal(states)
     return normal.H, normal.gradient
 
 
-def dense_rows(problem: Problem, states: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def dense_rows(problem: LeastSquares, states: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The slow oracle: all rows of all terms, stacked with their Jacobian (M, TD)."""
     residuals, jacobians = [], []
     D = states.shape[1]
@@ -74,7 +74,7 @@ def test_normal_equations_equal_dense_ones():
     np.testing.assert_allclose(g.ravel(), J.T @ r, rtol=1e-9, atol=1e-9 * np.abs(J.T @ r).max())
 
 
-def seen_late(shared: bool = True) -> Problem:
+def seen_late(shared: bool = True) -> LeastSquares:
     """Two views with unknowns of their own, which all frames share, and the size."""
     rng, xy_px = np.random.default_rng(5), detections(some_states(1))
     sigma, J = np.full(xy_px.shape[:2], 8.0), xy_px.shape[1]
@@ -90,11 +90,11 @@ def seen_late(shared: bool = True) -> Problem:
     linear = [t for t in terms() if isinstance(t, Linear)]
     held = Linear("held", (0,), 0.01 * np.eye(BODY.n_state)[None], np.zeros(BODY.n_state))  # the last frame by one view
     free = [*unknown, *displaced] if shared else unknown
-    stance = Stance(FEET, FPS, 2.5, 2.0, 0.8)
-    return Problem(BODY.tree, [*linear, held], [*seen, stance], free, () if shared else displaced)
+    stance = Standing(FEET, FPS, 2.5, 2.0, 0.8)
+    return LeastSquares(BODY.tree, [*linear, held], [*seen, stance], free, () if shared else displaced)
 
 
-def some_shared(problem: Problem) -> dict[str, np.ndarray]:
+def some_shared(problem: LeastSquares) -> dict[str, np.ndarray]:
     rng = np.random.default_rng(6)
     return {u.name: u.mean + 0.3 * u.sigma * rng.normal(size=len(u.mean)) for u in problem.shared}
 
@@ -170,7 +170,7 @@ def test_minimum_of_a_linear_problem_takes_one_step():
         climb_term(D, FPS, 0.5),
         place,
     ]
-    problem, states = Problem(BODY.tree, linear, []), some_states()
+    problem, states = LeastSquares(BODY.tree, linear, []), some_states()
     r, J = dense_rows_of_linear(linear, states)
     found = problem.minimise(states, 1e-12, 20)
     assert found.converged
@@ -181,7 +181,7 @@ def dense_rows_of_linear(linear, states):
     return dense_rows(_Quiet(BODY.tree, linear, []), states)
 
 
-class _Quiet(Problem):
+class _Quiet(LeastSquares):
     """Without nonlinear terms, no span is posed."""
 
 
@@ -224,5 +224,5 @@ def test_a_slow_shift_in_depth_is_found():
     stiff = np.array([np.eye(D), -2 * np.eye(D), np.eye(D)]) * 1e4
     smooth = Linear("smooth", (-1, 0, 1), stiff, np.zeros(D))
     weak = Linear("weak", (0,), np.eye(D)[None] * 0.1, np.full(D, 0.1))
-    found = Problem(tree, [smooth, weak], []).minimise(np.zeros((frames, D)), 1e-9, 6)
+    found = LeastSquares(tree, [smooth, weak], []).minimise(np.zeros((frames, D)), 1e-9, 6)
     np.testing.assert_allclose(found.states, 1.0, atol=2e-2)
