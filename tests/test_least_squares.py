@@ -10,7 +10,7 @@ from scipy.optimize import least_squares
 
 from recon.banded import BlockBanded
 from recon.kinematics import Marker, Segment, Tree
-from recon.solve import problem as problem_module
+from recon.solve import least_squares as module
 from recon.solve.least_squares import Estimate, LeastSquares, Shared
 from recon.solve.posterior import posterior
 from recon.solve.terms import (
@@ -152,7 +152,7 @@ def test_pieces_of_a_clip_add_up(monkeypatch):
     """Cut into pieces of two frames, cost and equations are the same."""
     problem, states = whole_problem(), some_states()
     whole_cost, (H, g) = problem.cost(states), equations(problem, states)
-    monkeypatch.setattr(problem_module, "_FRAMES_AT_ONCE", 2)
+    monkeypatch.setattr(module, "_FRAMES_AT_ONCE", 2)
     assert problem.cost(states) == pytest.approx(whole_cost)
     cut, cut_g = equations(problem, states)
     np.testing.assert_allclose(to_dense(cut), to_dense(H), rtol=1e-9, atol=1e-6)
