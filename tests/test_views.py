@@ -229,7 +229,7 @@ def test_a_camera_driven_along_shows_the_size_by_feet_that_stand():
         [view_of(points, poses, sigma_px=0.5)], BODY, PRIOR, 60.0, TrajectoryOptions(fast=True, size_sigma=10.0)
     )
     assert solution.size_sigma < 0.2
-    assert solution.size == pytest.approx(1.0, abs=0.05)
+    assert solution.size == pytest.approx(1.0, abs=0.1)
 
 
 def test_a_camera_beside_its_pose():
