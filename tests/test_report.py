@@ -24,6 +24,8 @@ from recon.report import (
     to_plain,
     write_report,
 )
+from recon.report.cameras import step_warnings
+from recon.report.common import keypoint_warnings
 from recon.solve import Spell
 
 DOCS = Path(__file__).resolve().parents[1] / "docs" / "report.md"
@@ -469,6 +471,28 @@ def test_the_summary_begins_with_a_distance_that_is_hardly_told(small_trajectory
             assert [label for label, _ in lines][:3] == ["clip", "frames", "distance"]
             assert f"{away:.1f} ± {share * away:.1f} m from the camera" in dict(lines)["distance"]
             assert expected in dict(lines)["distance"]
+
+
+@pytest.mark.parametrize(("lags", "warned"), [((-0.4, 0.5), False), ((-0.7, 0.1, 0.8), True)])
+def test_cameras_that_look_out_of_step_are_named(lags, warned):
+    """A lag is expected within 0.29 frames, and the difference of two within 0.41."""
+    names = [f"cam{i}" for i in range(len(lags))]
+    seen = [{"name": name, "lag_frames": late} for name, late in zip(names, lags, strict=True)]
+    said = list(step_warnings({"solver": {"lag_frames": 12**-0.5}, "cameras": seen[::-1]}))
+    assert len(said) == warned
+    assert all("cam0 and cam2 look out of step, by 1.5 frames or more" in text for text in said)
+    assert not list(step_warnings({"solver": {}, "cameras": seen}))
+
+
+def test_a_keypoint_that_does_not_fit_is_named():
+    rows = [
+        {"name": name, "outliers": outliers, "used": used}
+        for name, outliers, used in (("nose", 12, 40), ("l_shoulder", 30, 40), ("tail1", 9, 10), ("spare", None, None))
+    ]
+    report = {"missing_keypoints": [], "summary": {"outliers": 51, "detections": 90}, "keypoints": rows}
+    assert list(keypoint_warnings(report))[1:] == [
+        "l_shoulder does not fit in 75% of its 40 detections: check what it is a label of"
+    ]
 
 
 def test_no_pose_at_all(small_trajectory):

@@ -14,6 +14,9 @@ from recon.motion import Motion, Picture
 from recon.report.plain import Array, finite, frame_count, mean, median, number
 from recon.solve import TrajectorySolution
 
+OUT_OF_STEP_SIGMAS = 3.0
+"""Two cameras' lags further apart than this, of what is expected of their difference, are a mistake in time."""
+
 
 def section(motion: Motion) -> list[dict[str, Any]]:
     """An entry a camera, in the order of the keypoint files."""
@@ -96,6 +99,20 @@ def warnings(report: Mapping[str, Any]) -> Iterator[str]:
                 f"camera {camera['name']}: its track has no pose for {frame_count(missing)} of "
                 f"{report['summary']['frames']}, whose detections are left out"
             )
+
+
+def step_warnings(report: Mapping[str, Any]) -> Iterator[str]:
+    """A lag is expected to be a fraction of a frame: one that comes out larger is held back, and larger still."""
+    expected, seen = report["solver"].get("lag_frames"), [c for c in report["cameras"] if c["lag_frames"] is not None]
+    if expected is None or len(seen) < 2:
+        return
+    first, *_, last = sorted(seen, key=lambda camera: camera["lag_frames"])
+    apart = last["lag_frames"] - first["lag_frames"]
+    if apart > OUT_OF_STEP_SIGMAS * math.sqrt(2.0) * expected:
+        yield (
+            f"{first['name']} and {last['name']} look out of step, by {apart:.1f} frames or more, or one of them is "
+            "turned: --find-offsets measures the first"
+        )
 
 
 def stacked(motion: Motion, field: str) -> Array:

@@ -24,6 +24,8 @@ NAMED = 5
 """Keypoints are listed up to this number in the summary."""
 WARN_OUTLIERS = 0.05
 """Share of the detections from which the report warns."""
+WARN_KEYPOINT, WARN_KEYPOINT_LEAST = 1 / 3, 10
+"""Share, and number, of one keypoint's detections from which it is named."""
 
 Options = TypeVar("Options", FrameOptions, TrajectoryOptions)
 Lines = list[tuple[str, str]]
@@ -231,6 +233,11 @@ def keypoint_warnings(report: Mapping[str, Any]) -> Iterator[str]:
     if summary["outliers"] > WARN_OUTLIERS * max(summary["detections"], 1):
         share = summary["outliers"] / summary["detections"]
         yield f"many outliers: {summary['outliers']} detections ({share:.0%}) do not agree with the pose"
+    for row in report["keypoints"]:
+        count, used = row["outliers"] or 0, row["used"] or 0
+        if count > max(WARN_KEYPOINT * used, WARN_KEYPOINT_LEAST):
+            share = count / used
+            yield f"{row['name']} does not fit in {share:.0%} of its {used} detections: check what it is a label of"
 
 
 def camera_warnings(report: Mapping[str, Any]) -> Iterator[str]:

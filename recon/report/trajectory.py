@@ -297,7 +297,8 @@ def warnings(report: Mapping[str, Any]) -> Iterator[str]:
         yield from agreement.warnings(report)
         return
     yield from agreement.warnings(report)
-    if report["prior"]["code"] == UNLIKE:
+    yield from cameras.step_warnings(report)
+    if report["prior"]["code"] == UNLIKE and all(one["kind"] != "frame_rate" for one in report["mistakes"]):
         yield (
             f"the motion is {_unlike_text(report)}. The prior has {report['prior']['weight']:.0%} of its weight, each "
             "angle on its own the rest; one fitted to such motions would do better (recon prior fit)"
