@@ -297,22 +297,12 @@ def _noise_factors(setting: Setting, points_m: Array, size: float, factors: Arra
 
 
 def _solution(setting: Setting, solved: Sequence[Solved], began: float) -> TrajectorySolution:
-    T, V, J, F = len(setting), len(setting.views), len(setting.body.markers), len(setting.feet)
     clock = time.perf_counter()
     known = [posterior(one.problem, setting.body, one.estimate, setting.alike) for one in solved]
     size, size_sigma, size_from = _size(setting, solved, known)
     stage_s = {"posterior": time.perf_counter() - clock}
-    of_frames = {
-        "states": np.full((T, setting.body.n_state), np.nan),
-        "joints_m": np.full((T, J, 3), np.nan),
-        "covariance_m2": np.full((T, J, 3, 3), np.nan),
-        "relative_covariance_m2": np.full((T, J, 3, 3), np.nan),
-        "angle_sigma_rad": np.full((T, setting.body.n_state - 3), np.nan),
-        "angle_data_share": np.full((T, setting.body.n_state - 3), np.nan),
-        "contact": np.full((T, F), np.nan),
-    }
-    of_views = {"noise_px": np.full((V, T, J), np.nan), "weight": np.full((V, T, J), np.nan)}
-    second = _Second(np.full(T, np.nan), np.zeros(T, dtype=bool), np.inf)
+    of_frames, of_views = _arrays(setting)
+    second = _Second(np.full(len(setting), np.nan), np.zeros(len(setting), dtype=bool), np.inf)
     for one, of_one in zip(solved, known, strict=True):
         by_frame, by_view = _of_spell(setting, one, of_one, size, size_sigma)
         for name, values in by_frame.items():
@@ -338,7 +328,7 @@ def _solution(setting: Setting, solved: Sequence[Solved], began: float) -> Traje
         size=size,
         size_sigma=size_sigma,
         size_from=size_from,
-        data_share=np.sum(shares, axis=0) / posed if shares else np.full(J, np.nan),
+        data_share=np.sum(shares, axis=0) / posed if shares else np.full(len(setting.body.markers), np.nan),
         flags=flags,
         alternative_m=second.apart_m,
         alternative_cost=second.extra_cost if np.isfinite(second.extra_cost) else np.nan,
@@ -367,6 +357,26 @@ def _solution(setting: Setting, solved: Sequence[Solved], began: float) -> Traje
         focal_sigma=longer_sigma[:, 0],
         stage_s=_summed([stage_s, *(one.stage_s for one in solved)]) | {"all": time.perf_counter() - began},
     )
+
+
+def _arrays(setting: Setting) -> tuple[dict[str, Array], dict[str, Array]]:
+    """The solution's arrays with a row a frame, and those of each view, all NaN."""
+    T, V, J, D = len(setting), len(setting.views), len(setting.body.markers), setting.body.n_state
+    of_frames = {
+        "states": (T, D),
+        "joints_m": (T, J, 3),
+        "covariance_m2": (T, J, 3, 3),
+        "relative_covariance_m2": (T, J, 3, 3),
+        "angle_sigma_rad": (T, D - 3),
+        "angle_data_share": (T, D - 3),
+        "contact": (T, len(setting.feet)),
+    }
+    of_views = {"noise_px": (V, T, J), "weight": (V, T, J)}
+
+    def empty(shapes: dict[str, tuple[int, ...]]) -> dict[str, Array]:
+        return {name: np.full(shape, np.nan) for name, shape in shapes.items()}
+
+    return empty(of_frames), empty(of_views)
 
 
 def _summed(tables: Sequence[dict[str, float]]) -> dict[str, float]:
