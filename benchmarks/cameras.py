@@ -77,6 +77,17 @@ def run_of(folder: Path) -> Run:
     return Run(folder, dict(zip(cameras, sources, strict=True)), dict(zip(cameras, views, strict=True)), truth_m)
 
 
+def runs_given(about: str | None) -> list[Run]:
+    """Those of the folder that the command line names. about: the text of its help."""
+    parser = argparse.ArgumentParser(description=about, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folder", nargs="?", type=Path, default=recordings("cheetah-runs"))
+    folder = parser.parse_args().folder
+    runs = [run_of(path.parent) for path in sorted(folder.resolve().glob("*/meta.json"))]
+    if not runs:
+        raise SystemExit(f"no runs in {folder}")
+    return runs
+
+
 def most_different(run: Run) -> int:
     """The camera whose direction from the animal is the furthest from the named one's."""
     middle = np.nanmean(run.truth_m, axis=(0, 1))
@@ -240,13 +251,7 @@ def measured(runs: Sequence[Run]) -> list[dict]:
 
 
 def main() -> None:
-    default = recordings("cheetah-runs")
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("folder", nargs="?", type=Path, default=default)
-    folder = parser.parse_args().folder
-    runs = [run_of(path.parent) for path in sorted(folder.resolve().glob("*/meta.json"))]
-    if not runs:
-        raise SystemExit(f"no runs in {folder}")
+    runs = runs_given(__doc__)
     for title, rows in (
         (f"Measured lengths of {SKELETON}", lambda: accuracy(runs, known=True)),
         ("Size not known", lambda: accuracy(runs, known=False)),

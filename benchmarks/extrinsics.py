@@ -15,15 +15,12 @@ import os
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-import argparse
 from dataclasses import replace
 from itertools import combinations
-from pathlib import Path
 
 import numpy as np
-from cameras import PRIOR, Run, as_seen, cameras_of, errors, run_of
+from cameras import PRIOR, Run, as_seen, cameras_of, errors, runs_given
 from markdown_table import print_table
-from recordings import recordings
 from scipy.spatial.transform import Rotation
 from trajectory import body_of, prior_of
 
@@ -61,20 +58,12 @@ def row_of(run: Run, runs: list[Run]) -> dict:
 
 def _world_turn(found, views) -> np.ndarray:
     """The rotation of the found world that brings all cameras nearest to where they look in the file's."""
-    sum_of = sum(
-        own.T_camera_world[:3, :3].T @ view.T_camera_world[:3, :3] for view, own in zip(found, views, strict=True)
-    )
-    u, _, vt = np.linalg.svd(sum_of)
-    return u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
+    turns = [own.T_camera_world[:3, :3].T @ view.T_camera_world[:3, :3] for view, own in zip(found, views, strict=True)]
+    return Rotation.from_matrix(turns).mean().as_matrix()
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("folder", type=Path, nargs="?", default=recordings("cheetah-runs"))
-    folder = parser.parse_args().folder
-    runs = [run_of(path.parent) for path in sorted(folder.resolve().glob("*/meta.json"))]
-    if not runs:
-        raise SystemExit(f"no runs in {folder}")
+    runs = runs_given(__doc__)
     found = [row_of(run, runs) for run in runs]
     print_table(list(found[0]), [[f"{v:.1f}" if isinstance(v, float) else v for v in row.values()] for row in found])
 

@@ -15,14 +15,11 @@ import os
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-import argparse
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
-from cameras import PRIOR, Run, cameras_of, errors, run_of, too_far
+from cameras import PRIOR, Run, cameras_of, errors, runs_given, too_far
 from markdown_table import print_table
-from recordings import recordings
 from trajectory import body_of, prior_of
 
 from recon.solve import TrajectoryOptions, TrajectorySolution, solve_trajectory
@@ -62,12 +59,7 @@ def sought(run: Run) -> list[str]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("folder", type=Path, nargs="?", default=recordings("cheetah-runs"))
-    folder = parser.parse_args().folder
-    runs = [run_of(path.parent) for path in sorted(folder.resolve().glob("*/meta.json"))]
-    if not runs:
-        raise SystemExit(f"no runs in {folder}")
+    runs = runs_given(__doc__)
     found: dict[float, list[list[float]]] = {}
     for run in runs:
         for camera in run.views:

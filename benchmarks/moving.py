@@ -32,6 +32,7 @@ from trajectory import body_of, prior_of
 from recon.clip import View, held
 from recon.frames import rigid
 from recon.solve import TrajectoryOptions, TrajectorySolution, solve_trajectory
+from recon.solve.terms import Standing
 
 SMOOTH_S = 0.1
 """A cameraman does not follow quicker."""
@@ -128,7 +129,7 @@ PAN = {
 }
 
 
-def driven(run: Run) -> dict[str, View]:
+def driven(run: Run, speed_m_s: float = SPEED_M_S) -> dict[str, View]:
     """The named camera's view of the truth, from where it stands and driven along the animal's way."""
     view, T = run.views[run.named], len(run.truth_m)
     known = np.flatnonzero(np.isfinite(run.truth_m).all(axis=(1, 2)))
@@ -136,7 +137,7 @@ def driven(run: Run) -> dict[str, View]:
     way = (path[known[-1]] - path[known[0]]) * [1.0, 1.0, 0.0]
     seconds = (np.arange(T) - T / 2) / run.fps
     R = view.T_camera_world[:3, :3]
-    centres = view.centre_m[0] + SPEED_M_S * seconds[:, None] * way / np.linalg.norm(way)
+    centres = view.centre_m[0] + speed_m_s * seconds[:, None] * way / np.linalg.norm(way)
     moving = rigid(np.broadcast_to(R, (T, 3, 3)), -(centres @ R.T))
     views = {"still": view, "driven": replace(view, T_camera_world=moving)}
     seen = {name: one.project(run.truth_m)[0] for name, one in views.items()}
@@ -163,6 +164,37 @@ def driven_rows(run: Run) -> Iterator[dict]:
                 "its sigma": f"{found['size sigma']:.3f}",
                 "from": " and ".join(solution.size_from),
             }
+
+
+def size_rows(run: Run) -> Iterator[dict]:
+    """What tells a driven camera's size: feet, held softer or harder, with more or less expected."""
+    body, prior = body_of(run.subject), prior_of(PRIOR)
+
+    def size(sigma: float, slip_m_s: float, speed_m_s: float = SPEED_M_S) -> str:
+        options = TrajectoryOptions(size_sigma=sigma, slip_m_s=slip_m_s)
+        found = solve_trajectory([driven(run, speed_m_s)["driven"]], body, prior, run.fps, options)
+        return f"{found.size:.3f} ± {found.size_sigma:.2f}"
+
+    feet_m = run.truth_m[:, [body.markers.index(foot) for foot in body.feet]]
+    yield {
+        "run": run.folder.name[:28],
+        "slowest foot of the truth m/s": f"{np.nanmin(np.linalg.norm(np.diff(feet_m, axis=0), axis=-1)) * run.fps:.2f}",
+        "by its feet, slip 2.5": f"{size_of_feet(run, feet_m, 2.5):.2f}",
+        "slip 1": f"{size_of_feet(run, feet_m, 1.0):.2f}",
+        "fitted, 30 % expected, slip 2.5": size(0.3, 2.5),
+        "30 %, slip 1": size(0.3, 1.0),
+        "nothing, slip 1": size(10.0, 1.0),
+        "at 5 m/s, 30 %, slip 2.5": size(0.3, 2.5, 5.0),
+    }
+
+
+def size_of_feet(run: Run, feet_m: np.ndarray, slip_m_s: float) -> float:
+    """The size at which a driven camera's picture has the feet (T, F, 3) stand best, as the solver weighs it."""
+    centres = driven(run)["driven"].centre_m[:, None]
+    stance = Standing(np.arange(feet_m.shape[1]), run.fps, slip_m_s, TrajectoryOptions().slip_c, 1.0)
+    sizes = np.geomspace(0.5, 2.0, 201)
+    losses = [np.nansum(stance.contact(centres + size * (feet_m - centres), 1.0)[1]) for size in sizes]
+    return float(sizes[np.argmin(losses)])
 
 
 def print_rows(rows: Iterator[dict]) -> list[dict]:
@@ -210,6 +242,8 @@ def main() -> None:
     print_summary(print_rows(row for run in runs for row in pan_rows(run, with_errors=True)))
     print("### A camera driven along\n")
     print_rows(row for run in runs for row in driven_rows(run))
+    print("### What tells the size\n")
+    print_rows(row for run in runs for row in size_rows(run))
 
 
 if __name__ == "__main__":

@@ -15,15 +15,12 @@ import os
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-import argparse
 from collections.abc import Iterator
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
-from cameras import PRIOR, Run, errors, most_different, run_of, solved
+from cameras import PRIOR, Run, errors, most_different, runs_given, solved
 from markdown_table import print_table
-from recordings import recordings
 from trajectory import body_of, prior_of
 
 from recon.app.offsets import solved_in_step
@@ -97,12 +94,7 @@ def rows(run: Run) -> Iterator[dict]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("folder", type=Path, nargs="?", default=recordings("cheetah-runs"))
-    folder = parser.parse_args().folder
-    runs = [run_of(path.parent) for path in sorted(folder.resolve().glob("*/meta.json"))]
-    if not runs:
-        raise SystemExit(f"no runs in {folder}")
+    runs = runs_given(__doc__)
     found = [row for run in runs for row in rows(run)]
     print_table(list(found[0]), [[f"{v:.2f}" if isinstance(v, float) else v for v in row.values()] for row in found])
     worst = {name: max(abs(row[name]) for row in found) for name in ("off", "more than as they were")}

@@ -14,15 +14,12 @@ import os
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-import argparse
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
-from cameras import PRIOR, Run, cameras_of, errors, run_of
+from cameras import PRIOR, Run, cameras_of, errors, runs_given
 from markdown_table import print_table
-from recordings import recordings
 from scipy.spatial.transform import Rotation
 from trajectory import body_of, prior_of
 
@@ -88,12 +85,7 @@ def _worst(far: np.ndarray) -> str:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("folder", type=Path, nargs="?", default=recordings("cheetah-runs"))
-    folder = parser.parse_args().folder
-    runs = [run_of(path.parent) for path in sorted(folder.resolve().glob("*/meta.json"))]
-    if not runs:
-        raise SystemExit(f"no runs in {folder}")
+    runs = runs_given(__doc__)
     found = [row for run in runs for row in rows(run)]
     names = list(found[-1])
     print_table(

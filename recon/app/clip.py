@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Sequence
-from contextlib import suppress
+from contextlib import nullcontext, suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -229,11 +229,11 @@ def run_clip(
 
     video: of a camera that turns; the track that is found in it (`recon.app.camera_motion`) goes with the results.
     """
-    with sole_writer(out), TemporaryDirectory() as made:
+    with sole_writer(out), nullcontext(out) if video is None else TemporaryDirectory() as made:
         require_free_folder(out, output_files(out), overwrite)
-        track, folder = (out / TRACK_FILES[0]).absolute(), out
+        track, folder = (out / TRACK_FILES[0]).absolute(), Path(made)
         if video is not None:
-            settings, folder = _followed(settings, video, Path(made), progress), Path(made)
+            settings = _followed(settings, video, folder, progress)
         start = time.perf_counter()
         motion = fit_clip(settings, progress)
         own = settings.camera_track == (folder.absolute() / TRACK_FILES[0],)
