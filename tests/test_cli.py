@@ -19,7 +19,7 @@ from command_line import Ended, run, run_process
 from rerun.chunk import RrdReader
 
 import recon.cli
-import recon.export
+import recon.export.clip_csv
 import recon.view
 from recon.analysis.evaluation import evaluate_files
 from recon.app.clip import OUTPUT_FILES
@@ -721,7 +721,7 @@ def test_failing_writer_leaves_nothing(full, tmp_path, monkeypatch):
     if full == "motion.rrd":
         monkeypatch.setattr(recon.view, "write", write)
     else:
-        monkeypatch.setitem(recon.export.CLIP_OUTPUTS, full, write)
+        monkeypatch.setitem(recon.export.clip_csv.CLIP_OUTPUTS, full, write)
     ended = run(*fit_args(tmp_path / "a" / "b", "--frames", ":3"))
     assert ended.code == 2
     assert ended.out == ""

@@ -8,26 +8,15 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from recon.export import (
-    CAMERA_OUTPUTS,
-    CLIP_OUTPUTS,
-    angles_csv,
-    angles_sigma_csv,
-    camera_files,
-    of_any_camera,
-    pose3d_csv,
-    pose3d_sigma_csv,
-    quality_csv,
-    reprojection_csv,
-    write_tables,
-)
+from recon.export import clip_csv
+from recon.export.clip_csv import CAMERA_OUTPUTS, CLIP_OUTPUTS, camera_files, of_any_camera, write_tables
 from recon.io import read_keypoints
 from recon.io.pose3d import read_pose3d
 
 
 def test_pose3d_round_trip(small_motion, tmp_path):
     path = tmp_path / "pose3d.csv"
-    pose3d_csv.write(small_motion, path)
+    clip_csv.pose3d(small_motion, path)
     pose = read_pose3d(path)
     assert pose.names == small_motion.names
     np.testing.assert_array_equal(pose.xyz_m, small_motion.joints_m)
@@ -42,7 +31,7 @@ def test_pose3d_round_trip(small_motion, tmp_path):
 
 def test_angles_round_trip(small_motion, tmp_path):
     path = tmp_path / "angles.csv"
-    angles_csv.write(small_motion, path)
+    clip_csv.angles(small_motion, path)
     table = pd.read_csv(path, index_col="frame")
     assert list(table.columns[:8]) == [
         *("x_m", "y_m", "z_m", "J0_yaw_rad", "J0_pitch_rad", "J0_roll_rad", "phi_6_rad", "theta_6_rad")
@@ -53,7 +42,7 @@ def test_angles_round_trip(small_motion, tmp_path):
 
 def test_reprojection_is_a_deeplabcut_file(small_motion, tmp_path):
     path = tmp_path / "reprojection.csv"
-    reprojection_csv.write(small_motion, path)
+    clip_csv.reprojection(small_motion, path)
     keypoints = read_keypoints(path)
     assert keypoints.names == small_motion.names
     np.testing.assert_array_equal(keypoints.xy_px, small_motion.pictures[0].reprojected_px)
@@ -69,7 +58,7 @@ def test_reprojection_is_a_deeplabcut_file(small_motion, tmp_path):
 
 
 def test_angles_of_a_whole_animal(world_trajectory, tmp_path):
-    angles_csv.write(world_trajectory, tmp_path / "angles.csv")
+    clip_csv.angles(world_trajectory, tmp_path / "angles.csv")
     table = pd.read_csv(tmp_path / "angles.csv", index_col="frame")
     assert list(table.columns[:5]) == ["x_m", "y_m", "z_m", "rear_trunk_yaw_rad", "rear_trunk_pitch_rad"]
     assert table.columns[-1] == "r_hind_foot_pitch_rad"
@@ -77,7 +66,7 @@ def test_angles_of_a_whole_animal(world_trajectory, tmp_path):
 
 
 def test_pose3d_sigma_has_the_layout_of_pose3d(world_trajectory, tmp_path):
-    pose3d_sigma_csv.write(world_trajectory, tmp_path / "pose3d_sigma.csv")
+    clip_csv.pose3d_sigma(world_trajectory, tmp_path / "pose3d_sigma.csv")
     table = pd.read_csv(tmp_path / "pose3d_sigma.csv", header=[0, 1], index_col=0)
     assert table.columns.names == ["bodyparts", "coords"]
     assert list(table.columns.get_level_values(0).unique()) == list(world_trajectory.names)
@@ -92,7 +81,7 @@ def test_angles_sigma_has_the_columns_of_the_angles(world_trajectory, tmp_path):
     solution, (T, A) = world_trajectory.solution, world_trajectory.angles_rad.shape
     share = np.linspace(0, 1, T * A).reshape(T, A)
     motion = replace(world_trajectory, solution=replace(solution, angle_data_share=share))
-    angles_sigma_csv.write(motion, tmp_path / "angles_sigma.csv")
+    clip_csv.angles_sigma(motion, tmp_path / "angles_sigma.csv")
     table = pd.read_csv(tmp_path / "angles_sigma.csv", index_col="frame")
     np.testing.assert_array_equal(table["rear_trunk_pitch_data_share"], share[:, 1])
     np.testing.assert_array_equal(table["r_hind_foot_pitch_sigma_rad"], 0.1)
@@ -100,7 +89,7 @@ def test_angles_sigma_has_the_columns_of_the_angles(world_trajectory, tmp_path):
 
 
 def test_quality_names_what_is_doubtful(small_trajectory, tmp_path):
-    quality_csv.write(small_trajectory, tmp_path / "quality.csv")
+    clip_csv.quality(small_trajectory, tmp_path / "quality.csv")
     table = pd.read_csv(tmp_path / "quality.csv", index_col="frame")
     assert table["flags"].fillna("").tolist() == ["", "", "", "no data", "", "data poor;ambiguous depth", "", ""]
     assert table["detections"].tolist() == [23, 23, 23, 0, 23, 23, 23, 23]
@@ -111,9 +100,9 @@ def test_quality_names_what_is_doubtful(small_trajectory, tmp_path):
 
 
 def test_quality_of_the_frame_method_has_the_same_columns(small_motion, tmp_path):
-    quality_csv.write(small_motion, tmp_path / "quality.csv")
+    clip_csv.quality(small_motion, tmp_path / "quality.csv")
     table = pd.read_csv(tmp_path / "quality.csv", index_col="frame")
-    assert tuple(table.columns) == quality_csv.COLUMNS[1:]
+    assert tuple(table.columns) == clip_csv.QUALITY_COLUMNS[1:]
     assert table["flags"].fillna("").tolist() == ["", "", "", "no data", "outliers", "few points"]
     assert table["detections"].tolist() == [9, 8, 9, 0, 9, 6]
     assert table["alternative_m"].isna().all()

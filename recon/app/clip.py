@@ -25,7 +25,7 @@ from recon.chain import Chain
 from recon.clip import Source, View, at_rate, held, together, views_of
 from recon.detector import seen_by
 from recon.errors import InputError, Problem, all_of
-from recon.export import CAMERA_OUTPUTS, CLIP_OUTPUTS, of_any_camera, write_tables
+from recon.export.clip_csv import CAMERA_OUTPUTS, CLIP_OUTPUTS, of_any_camera, write_tables
 from recon.files import require_free_folder, sole_writer, staged_results, write_bytes
 from recon.io import read_keypoints
 from recon.keypoints import CleaningReport, Keypoints, clean, leave_out, parse_frame_range

@@ -11,7 +11,7 @@ import numpy as np
 from recon.arrays import Array
 from recon.body import Side
 from recon.errors import InputError, Problem, all_of
-from recon.export import camera_files
+from recon.export.clip_csv import camera_files
 from recon.files import require_free_file
 from recon.io import read_keypoints
 from recon.keypoints import Keypoints

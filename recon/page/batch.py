@@ -16,7 +16,7 @@ import numpy as np
 from recon.arrays import Array
 from recon.body import Body
 from recon.errors import InputError
-from recon.export import camera_files
+from recon.export.clip_csv import camera_files
 from recon.page import PAGE
 from recon.page.render import rendered
 from recon.results import REPORT

@@ -31,7 +31,7 @@ from recon.app.clip import fit_clip
 from recon.calibration import write_camera
 from recon.camera import Camera
 from recon.errors import InputError
-from recon.export import write_tables
+from recon.export.clip_csv import write_tables
 from recon.export.deeplabcut import write_keypoints_csv
 from recon.keypoints import Keypoints
 from recon.motion import Motion
