@@ -15,7 +15,6 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -29,68 +28,37 @@ MAX_RATE_RAD_S = 50.0
 """Where a chain has no rate limit of its own."""
 
 
-class SerialChain(Protocol):
-    """A chain with n joint angles in dim dimensions, its base at the origin.
-
-    lower_rad, upper_rad, max_rate_rad_s (n,): limits, the rates' are finite (metres for joints that slide);
-    joint_lengths_m (n,): of the link that each joint turns; groups: the joints that follow each other along the chain,
-    one tuple for each kind of angle; reach_m: bounds of the end effector's distance from the base, which no angles
-    leave.
-    """
-
-    @property
-    def lower_rad(self) -> Array: ...
-    @property
-    def upper_rad(self) -> Array: ...
-    @property
-    def max_rate_rad_s(self) -> Array: ...
-    @property
-    def joint_lengths_m(self) -> Array: ...
-    @property
-    def groups(self) -> tuple[tuple[int, ...], ...]: ...
-    @property
-    def reach_m(self) -> tuple[float, float]: ...
-    @property
-    def n(self) -> int: ...
-    @property
-    def dim(self) -> int: ...
-    def positions(self, q: Array) -> Array:
-        """The joints along the chain and, last, the end effector (., dim), metres."""
-        ...
-
-    def end(self, q: Array) -> Array:
-        """The end effector (dim,), metres."""
-        ...
-
-    def derivatives(self, q: Array) -> tuple[Array, Curvature]:
-        """The end effector's Jacobian (dim, n) and its curvature, for both of which the chain is gone through once."""
-        ...
-
-    def jacobian(self, q: Array) -> Array:
-        """(dim, n) of the end effector."""
-        ...
-
-
 @dataclass(frozen=True, eq=False)
-class BaseChain(ABC):
-    """Limits, and what follows from `derivatives`."""
+class SerialChain(ABC):
+    """A chain with n joint angles in dim dimensions, its base at the origin. A kind of chain says how it is
+    differentiated; its rates and curvatures follow."""
 
     lower_rad: Array
+    """(n,); metres for joints that slide, as of all limits."""
     upper_rad: Array
+    """(n,)"""
     max_rate_rad_s: Array
+    """(n,), finite."""
+    groups: tuple[tuple[int, ...], ...]
+    """The joints that follow each other along the chain, one tuple for each kind of angle."""
+    _later: NDArray[np.intp] = field(init=False, repr=False)
+    """(n, n): the later of two joints."""
 
-    def __init__(self, n: int, limits_rad: tuple[ArrayLike, ArrayLike] | None, max_rate_rad_s: ArrayLike) -> None:
+    def __init__(
+        self,
+        n: int,
+        limits_rad: tuple[ArrayLike, ArrayLike] | None,
+        max_rate_rad_s: ArrayLike,
+        groups: tuple[tuple[int, ...], ...],
+    ) -> None:
         lower, upper = (-np.inf, np.inf) if limits_rad is None else limits_rad
         lower, upper, rate = (np.array(np.broadcast_to(x, n), float) for x in (lower, upper, max_rate_rad_s))
         if not np.all(lower <= upper):
             raise ValueError("a lower limit is above the upper one")
         if not np.all(np.isfinite(rate) & (rate > 0)):
             raise ValueError("rate limits must be positive and finite")
-        later = np.arange(n)
-        self._set(lower_rad=lower, upper_rad=upper, max_rate_rad_s=rate, _later=np.maximum(later[:, None], later))
-
-    _later: NDArray[np.intp] = field(init=False, repr=False)
-    """(n, n): the later of two joints."""
+        later = np.maximum(np.arange(n)[:, None], np.arange(n))
+        self._set(lower_rad=lower, upper_rad=upper, max_rate_rad_s=rate, groups=groups, _later=later)
 
     def _set(self, **values: object) -> None:
         for name, value in values.items():
@@ -104,11 +72,30 @@ class BaseChain(ABC):
     @abstractmethod
     def dim(self) -> int: ...
 
+    @property
     @abstractmethod
-    def derivatives(self, q: Array) -> tuple[Array, Curvature]: ...
+    def joint_lengths_m(self) -> Array:
+        """(n,): of the link that each joint turns."""
+
+    @property
+    @abstractmethod
+    def reach_m(self) -> tuple[float, float]:
+        """Bounds of the end effector's distance from the base, which no angles leave."""
+
+    @abstractmethod
+    def positions(self, q: Array) -> Array:
+        """The joints along the chain and, last, the end effector (., dim), metres."""
+
+    @abstractmethod
+    def end(self, q: Array) -> Array:
+        """The end effector (dim,), metres."""
+
+    @abstractmethod
+    def derivatives(self, q: Array) -> tuple[Array, Curvature]:
+        """The end effector's Jacobian (dim, n) and its curvature, for both of which the chain is gone through once."""
 
     def jacobian(self, q: Array) -> Array:
-        """(dim, n)"""
+        """(dim, n) of the end effector."""
         return self.derivatives(q)[0]
 
     def curvature(self, q: Array, mu: Array) -> Array:
@@ -121,7 +108,7 @@ class BaseChain(ABC):
         return np.stack([curvature(axis) for axis in np.eye(self.dim)])
 
 
-class _SummedAngles(BaseChain):
+class _SummedAngles(SerialChain):
     lengths_m: Array
     lengths: list[float]
     """The same as floats, which are several times quicker than numpy's in loops."""
@@ -136,18 +123,14 @@ class _SummedAngles(BaseChain):
         lengths = np.array(lengths_m, float)
         if lengths.ndim != 1 or not len(lengths) or not np.all(np.isfinite(lengths) & (lengths > 0)):
             raise ValueError(f"positive lengths (L,) expected, got {lengths_m}")
-        super().__init__(self._angles_per_link * len(lengths), limits_rad, max_rate_rad_s)
-        links = len(lengths)
+        links, kinds = len(lengths), self._angles_per_link
+        groups = tuple(tuple(range(k * links, (k + 1) * links)) for k in range(kinds))
+        super().__init__(kinds * links, limits_rad, max_rate_rad_s, groups)
         self._set(lengths_m=lengths, lengths=lengths.tolist(), _later=np.ascontiguousarray(self._later[:links, :links]))
 
     @property
     def joint_lengths_m(self) -> Array:
         return np.tile(self.lengths_m, self._angles_per_link)
-
-    @property
-    def groups(self) -> tuple[tuple[int, ...], ...]:
-        L = len(self.lengths)
-        return tuple(tuple(range(k * L, (k + 1) * L)) for k in range(self._angles_per_link))
 
     @property
     def reach_m(self) -> tuple[float, float]:
@@ -161,8 +144,6 @@ class PlanarChain(_SummedAngles):
 
     lengths_m (L,); limits_rad: lower and upper, each one number or (L,); max_rate_rad_s: one or (L,).
     """
-
-    _angles_per_link = 1
 
     @property
     def dim(self) -> int:

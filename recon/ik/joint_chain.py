@@ -20,12 +20,12 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from recon.arrays import Array, Bools, Index
-from recon.ik.chain import MAX_RATE_RAD_S, BaseChain, Curvature
+from recon.ik.chain import MAX_RATE_RAD_S, Curvature, SerialChain
 
 _NEXT, _AFTER = np.array([1, 2, 0]), np.array([2, 0, 1])
 
 
-class JointChain(BaseChain):
+class JointChain(SerialChain):
     """n joints in space: q (n,), rad, or metres of those that slide.
 
     offsets_m (n, 3), rotations (n): each joint's place on the link before it, None: not turned; axes (n, 3): in its own
@@ -38,7 +38,6 @@ class JointChain(BaseChain):
 
     lengths_m: Array
     sliding: Bools
-    groups: tuple[tuple[int, ...], ...]
 
     def __init__(
         self,
@@ -62,7 +61,7 @@ class JointChain(BaseChain):
         turned = np.tile(np.eye(3), (n, 1, 1)) if rotations is None else rotations.as_matrix()
         if turned.shape != (n, 3, 3):
             raise ValueError(f"{n} rotations expected, got {turned.shape}")
-        super().__init__(n, limits_rad, max_rate_rad_s)
+        super().__init__(n, limits_rad, max_rate_rad_s, (tuple(range(n)),) if groups is None else groups)
 
         placed = np.tile(np.eye(4), (n + 1, 1, 1))
         placed[:n, :3, :3], placed[:n, :3, 3], placed[n, :3, 3] = turned, offsets, tool
@@ -77,7 +76,6 @@ class JointChain(BaseChain):
         self._set(
             lengths_m=np.linalg.norm(fixed[1:, :3, 3], axis=1),
             sliding=slides,
-            groups=(tuple(range(n)),) if groups is None else groups,
             _fixed=fixed[:n],
             _tool=fixed[n],
             _turns=(~slides).astype(float),

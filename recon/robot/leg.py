@@ -28,8 +28,9 @@ down or up, taken is the one within 90 degrees of down. `solutions` has all four
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import ClassVar, Protocol
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -73,31 +74,12 @@ class LegAngles:
         return [REASONS[code] for code in np.ravel(self.code)]
 
 
-class LegGeometry(Protocol):
-    """Leg axes of the right front leg; all metres and radians, over any leading dimensions."""
-
-    @property
-    def reach_m(self) -> float:
-        """The longest distance of the foot from the hip."""
-        ...
-
-    def forward(self, angles_rad: Array) -> Array:
-        """Feet (..., 3) of the angles (..., 3)."""
-        ...
-
-    def inverse(self, feet_m: Array, knee: int = 1, down: int = 1) -> LegAngles:
-        """Angles of the feet (..., 3); a target out of reach gets NaN and a code, no error. knee, down: -1 for the knee
-        bent the other way, for the flap that points the leg up."""
-        ...
-
-    def chain(self) -> JointChain:
-        """The same leg joint by joint, in leg axes, its joints in the order in which they follow each other."""
-        ...
-
-
 @dataclass(frozen=True)
-class _KneedLeg:
-    """A leg with a thigh and a shin."""
+class LegGeometry(ABC):
+    """A leg with a thigh and a shin, in the leg axes of the right front leg. Raises ValueError.
+
+    All metres and radians, over any leading dimensions.
+    """
 
     thigh_m: float
     shin_m: float
@@ -105,6 +87,27 @@ class _KneedLeg:
     """Forwards, at right angles to the thigh."""
     foot_offset_m: float = 0.0
     """Forwards, at right angles to the shin."""
+
+    order: ClassVar[tuple[int, int, int]]
+    """The angles in the order of the joints from the hip down."""
+
+    @property
+    @abstractmethod
+    def reach_m(self) -> float:
+        """The longest distance of the foot from the hip."""
+
+    @abstractmethod
+    def forward(self, angles_rad: Array) -> Array:
+        """Feet (..., 3) of the angles (..., 3)."""
+
+    @abstractmethod
+    def inverse(self, feet_m: Array, knee: int = 1, down: int = 1) -> LegAngles:
+        """Angles of the feet (..., 3); a target out of reach gets NaN and a code, no error. knee, down: -1 for the knee
+        bent the other way, for the flap that points the leg up."""
+
+    @abstractmethod
+    def chain(self) -> JointChain:
+        """The same leg joint by joint, in leg axes, its joints in the order in which they follow each other."""
 
     def __post_init__(self) -> None:
         lengths = (self.thigh_m, self.shin_m, self.knee_offset_m, self.foot_offset_m)
@@ -140,11 +143,10 @@ class _KneedLeg:
 
 
 @dataclass(frozen=True)
-class SwingLeg(_KneedLeg):
-    """Swing joint first: thigh_m, shin_m, knee_offset_m, foot_offset_m. Raises ValueError."""
+class SwingLeg(LegGeometry):
+    """Swing joint first."""
 
-    order: ClassVar[tuple[int, int, int]] = (0, 1, 2)
-    """The angles in the order of the joints from the hip down."""
+    order = (0, 1, 2)
 
     @property
     def reach_m(self) -> float:
@@ -180,12 +182,12 @@ class SwingLeg(_KneedLeg):
 
 
 @dataclass(frozen=True)
-class FlapLeg(_KneedLeg):
-    """Flap joint first, about the forward axis, and the swing joint lateral_m further out. Raises ValueError."""
+class FlapLeg(LegGeometry):
+    """Flap joint first, about the forward axis, and the swing joint lateral_m further out."""
 
     lateral_m: float = 0.0
 
-    order: ClassVar[tuple[int, int, int]] = (1, 0, 2)
+    order = (1, 0, 2)
 
     @property
     def reach_m(self) -> float:

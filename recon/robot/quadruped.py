@@ -7,10 +7,10 @@ files, the file's.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -19,7 +19,7 @@ from recon.arrays import Array
 from recon.ik.drive import drive_to
 from recon.ik.joint_chain import JointChain
 from recon.ik.methods import LeastNorm
-from recon.robot.leg import FlapLeg, Leg, SwingLeg
+from recon.robot.leg import FlapLeg, Leg
 from recon.robot.solutions import all_solutions
 
 LEGS = ("LF", "RF", "LH", "RH")
@@ -27,125 +27,16 @@ IK_TOLERANCE_M = 1e-5
 _BISECTIONS = 12
 
 
-class RobotLeg(Protocol):
-    """n joints, in their order from the hip down; feet are points in body axes, from the body's origin.
-
-    joints (n): their names; lower_rad, upper_rad, max_rate_rad_s (n,); neutral_m (3,): the foot of the standing leg.
-    """
-
-    @property
-    def joints(self) -> tuple[str, ...]: ...
-    @property
-    def lower_rad(self) -> Array: ...
-    @property
-    def upper_rad(self) -> Array: ...
-    @property
-    def max_rate_rad_s(self) -> Array: ...
-    @property
-    def neutral_m(self) -> Array: ...
-    @property
-    def chain(self) -> JointChain:
-        """Joint by joint in body axes, its end effector the foot."""
-        ...
-
-    def solutions(self, foot_m: Array) -> Array:
-        """All angles (m, n) of one foot (3,), whatever the limits."""
-        ...
-
-    def angles(self, feet_m: Array) -> Array:
-        """Angles (T, n) of feet (T, 3) that follow each other, NaN where there are none within the limits."""
-        ...
-
-    def foot(self, angles_rad: Array) -> Array:
-        """(T, 3)"""
-        ...
-
-    def points(self, angles_rad: Array) -> Array:
-        """The hip, the joints after it and the foot (T, n + 1, 3)."""
-        ...
-
-
 @dataclass(frozen=True, eq=False)
-class ClosedLeg:
-    """A leg in closed form."""
+class RobotLeg(ABC):
+    """n joints, in their order from the hip down; feet are points in body axes, from the body's origin."""
 
-    leg: Leg
-    """In leg axes."""
-    hip_m: Array
-    """(3,), in body axes."""
     joints: tuple[str, ...]
-    signs: Array
-    """(3,): of the joints' own angles, in the order of the joints."""
-    max_rate_rad_s: Array
-    stand_m: float
-
-    @cached_property
-    def _order(self) -> list[int]:
-        geometry = self.leg.geometry
-        assert isinstance(geometry, SwingLeg | FlapLeg)
-        return list(geometry.order)
-
-    @cached_property
-    def _limits(self) -> Array:
-        ends = np.stack([self.leg.lower_rad, self.leg.upper_rad])[:, self._order] * self.signs
-        return np.sort(ends, axis=0)
-
-    @property
-    def lower_rad(self) -> Array:
-        return self._limits[0]
-
-    @property
-    def upper_rad(self) -> Array:
-        return self._limits[1]
-
-    @cached_property
-    def neutral_m(self) -> Array:
-        geometry = self.leg.geometry
-        lateral = geometry.lateral_m if isinstance(geometry, FlapLeg) else 0.0
-        return self.hip_m + _from_leg_axes(np.array([lateral, 0.0, -self.stand_m]) * self.leg.mirror)
-
-    def angles(self, feet_m: Array) -> Array:
-        solved = self.leg.inverse(_to_leg_axes(feet_m - self.hip_m)).angles_rad
-        inside = np.all(self.leg.margins(solved) >= 0, axis=-1)
-        return np.where(inside[..., None], solved[..., self._order] * self.signs, np.nan)
-
-    def foot(self, angles_rad: Array) -> Array:
-        return self.hip_m + _from_leg_axes(self.leg.forward(self._leg_angles(angles_rad)))
-
-    @cached_property
-    def chain(self) -> JointChain:
-        straight, mirror = self.leg.geometry.chain(), self.leg.mirror
-        places = self.hip_m + _from_leg_axes(straight.positions(np.zeros(3)) * mirror)
-        # A rotation's axis is mirrored with the opposite sign.
-        axes = _from_leg_axes(straight.joint_axes(np.zeros(3)) * mirror) * np.prod(mirror)
-        offsets = np.diff(places, axis=0, prepend=0.0)
-        axes *= self.signs[:, None]
-        limits = self.lower_rad, self.upper_rad
-        return JointChain(offsets[:3], axes, None, False, offsets[3], None, limits, self.max_rate_rad_s)
-
-    def points(self, angles_rad: Array) -> Array:
-        return np.array([self.chain.positions(q) for q in angles_rad])
-
-    def solutions(self, foot_m: Array) -> Array:
-        found = self.leg.solutions(_to_leg_axes(foot_m - self.hip_m))
-        return found[:, self._order] * self.signs
-
-    def _leg_angles(self, angles_rad: Array) -> Array:
-        """Swing, flap and knee of the joints' angles."""
-        own = np.empty_like(angles_rad)
-        own[..., self._order] = angles_rad * self.signs
-        return own
-
-
-@dataclass(frozen=True, eq=False)
-class ChainLeg:
-    """A leg of any joints, from the body's origin on, solved by `recon.ik`."""
-
+    """Their names."""
     chain: JointChain
-    joints: tuple[str, ...]
+    """Joint by joint in body axes, its end effector the foot."""
     neutral_m: Array
-    home_rad: Array
-    """(n,): the standing leg."""
+    """(3,): the foot of the standing leg."""
 
     @property
     def lower_rad(self) -> Array:
@@ -158,6 +49,82 @@ class ChainLeg:
     @property
     def max_rate_rad_s(self) -> Array:
         return self.chain.max_rate_rad_s
+
+    def points(self, angles_rad: Array) -> Array:
+        """The hip, the joints after it and the foot (T, n + 1, 3)."""
+        return np.array([self.chain.positions(q) for q in angles_rad])
+
+    @abstractmethod
+    def foot(self, angles_rad: Array) -> Array:
+        """(T, 3)"""
+
+    @abstractmethod
+    def angles(self, feet_m: Array) -> Array:
+        """Angles (T, n) of feet (T, 3) that follow each other, NaN where there are none within the limits."""
+
+    @abstractmethod
+    def solutions(self, foot_m: Array) -> Array:
+        """All angles (m, n) of one foot (3,), whatever the limits."""
+
+
+@dataclass(frozen=True, eq=False)
+class ClosedLeg(RobotLeg):
+    """A leg in closed form."""
+
+    leg: Leg
+    """In leg axes."""
+    hip_m: Array
+    """(3,), in body axes."""
+    signs: Array
+    """(3,): of the joints' own angles, in the order of the joints."""
+
+    @classmethod
+    def of(
+        cls, leg: Leg, hip_m: Array, joints: tuple[str, ...], signs: Array, max_rate_rad_s: Array, stand_m: float
+    ) -> ClosedLeg:
+        """signs, max_rate_rad_s (3,): in the order of the joints; stand_m: the height that the hip stands at."""
+        straight, order = leg.geometry.chain(), list(leg.geometry.order)
+        places = hip_m + _from_leg_axes(straight.positions(np.zeros(3)) * leg.mirror)
+        # A rotation's axis is mirrored with the opposite sign.
+        axes = _from_leg_axes(straight.joint_axes(np.zeros(3)) * leg.mirror) * np.prod(leg.mirror)
+        offsets = np.diff(places, axis=0, prepend=0.0)
+        lower, upper = np.sort(np.stack([leg.lower_rad, leg.upper_rad])[:, order] * signs, axis=0)
+        chain = JointChain(
+            offsets[:3],
+            axes * signs[:, None],
+            tool_m=offsets[3],
+            limits_rad=(lower, upper),
+            max_rate_rad_s=max_rate_rad_s,
+        )
+        lateral = leg.geometry.lateral_m if isinstance(leg.geometry, FlapLeg) else 0.0
+        neutral = hip_m + _from_leg_axes(np.array([lateral, 0.0, -stand_m]) * leg.mirror)
+        return cls(joints, chain, neutral, leg, hip_m, signs)
+
+    @cached_property
+    def _order(self) -> list[int]:
+        return list(self.leg.geometry.order)
+
+    def angles(self, feet_m: Array) -> Array:
+        solved = self.leg.inverse(_to_leg_axes(feet_m - self.hip_m)).angles_rad
+        inside = np.all(self.leg.margins(solved) >= 0, axis=-1)
+        return np.where(inside[..., None], solved[..., self._order] * self.signs, np.nan)
+
+    def foot(self, angles_rad: Array) -> Array:
+        swing_flap_knee = np.empty_like(angles_rad)
+        swing_flap_knee[..., self._order] = angles_rad * self.signs
+        return self.hip_m + _from_leg_axes(self.leg.forward(swing_flap_knee))
+
+    def solutions(self, foot_m: Array) -> Array:
+        found = self.leg.solutions(_to_leg_axes(foot_m - self.hip_m))
+        return found[:, self._order] * self.signs
+
+
+@dataclass(frozen=True, eq=False)
+class ChainLeg(RobotLeg):
+    """A leg of any joints, from the body's origin on, solved by `recon.ik`."""
+
+    home_rad: Array
+    """(n,): the standing leg."""
 
     def angles(self, feet_m: Array) -> Array:
         out, q = np.full((len(feet_m), self.chain.n), np.nan), self.home_rad
@@ -174,9 +141,6 @@ class ChainLeg:
 
     def foot(self, angles_rad: Array) -> Array:
         return np.array([self.chain.end(q) for q in angles_rad])
-
-    def points(self, angles_rad: Array) -> Array:
-        return np.array([self.chain.positions(q) for q in angles_rad])
 
 
 @dataclass(frozen=True, eq=False)

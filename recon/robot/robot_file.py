@@ -150,7 +150,7 @@ def _quadruped(source: str, table: dict[str, Any]) -> Quadruped:
         mirror = (1.0 if label[0] == "R" else -1.0, 1.0 if placed.knee_bends == "backwards" else -1.0, 1.0)
         named = [LEG_ANGLES[k] for k in geometry.order]
         names = [getattr(placed, name) for name in named]
-        legs[label] = ClosedLeg(
+        legs[label] = ClosedLeg.of(
             Leg(geometry, mirror, (limits[0], limits[1])),
             np.array(placed.hip_m),
             tuple(name.removeprefix("-") for name in names),
@@ -210,7 +210,7 @@ def quadruped_from_urdf(robot: UrdfRobot) -> Quadruped:
         if home is None:
             problems.append(Problem(robot.path, f"leg {label}", f"no way to stand {stand:.3f} m high", "one"))
         else:
-            legs[label] = ChainLeg(chain.chain, chain.joints, neutral, home)
+            legs[label] = ChainLeg(chain.joints, chain.chain, neutral, home)
     if problems:
         raise InputError(problems)
     ordered = {label: legs[label] for label in LEGS}

@@ -29,10 +29,6 @@ class Step:
         y, z = points_m[..., 1] - self.edge_m, points_m[..., 2] - self.height_m
         return np.where((y > 0) & (z < 0), -1.0, 1.0) * np.hypot(y, z)
 
-    def surface_m(self, forward_m: ArrayLike) -> Array:
-        """(...): height of the ground at forward_m (...)."""
-        return np.where(np.asarray(forward_m) > self.edge_m, self.height_m, 0.0)
-
 
 def _outside(y: Array, z: Array) -> Array:
     """Signed distance from (y, z) to the quadrant y > 0, z < 0."""
