@@ -11,6 +11,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 # Before numpy is loaded: matrices are small here, and several processes share the cores.
 os.environ.update(dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1"))
@@ -20,6 +21,7 @@ import pytest
 from command_line import run
 from motions import with_first
 
+from recon.app import analyse
 from recon.app.clip import run_clip
 from recon.camera import Camera
 from recon.clip import Source, camera_poses, still_view, views_of
@@ -32,6 +34,9 @@ from recon.published.starts import mean_pose
 from recon.settings import FitSettings
 from recon.skeleton_file import load_chain, load_skeleton
 from recon.solve import Ground, Spell, Start, TrajectorySolution
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 
 @pytest.fixture(scope="session")
@@ -100,16 +105,25 @@ def small_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
     draw_small(monkeypatch)
 
 
+def empty_figure() -> Figure:
+    with style.drawing(20.0) as figure:
+        return figure
+
+
 @pytest.fixture(scope="session")
 def of_results(made_once, whole_results) -> Callable[[str], tuple[str, Path]]:
     """`of_results(command)` is what a command about `results/clip` prints where that is `whole_results`, and the folder
-    that it ran in, which is not to be written to. Each command is run once for all tests."""
+    that it ran in, which is not to be written to. Each command is run once for all tests. Figures of an analysis are
+    there and empty: each is drawn by `test_each_figure_is_drawn`."""
+
+    figures_of = analyse.figures_of
 
     def once(command: str) -> tuple[str, Path]:
         def make(folder: Path) -> None:
             shutil.copytree(whole_results, folder / "results" / "clip")
             with pytest.MonkeyPatch.context() as patch:
                 draw_small(patch)
+                patch.setattr(analyse, "figures_of", lambda found: dict.fromkeys(figures_of(found), empty_figure))
                 patch.chdir(folder)
                 ended = run(*shlex.split(command)[1:])
             assert (ended.code, ended.err) == (0, ""), f"{command}\n{ended.out}{ended.err}"

@@ -13,11 +13,12 @@ import pytest
 from command_line import run
 
 from recon.analysis.clip import ClipAnalysis, analyse, limb_chains
-from recon.app.analyse import notes, summarise
+from recon.app.analyse import figures_of, notes, summarise
 from recon.errors import InputError
 from recon.export import analysis_csv
 from recon.io.pose3d import read_pose3d
 from recon.manifest import write_manifest
+from recon.plots import save
 from recon.report.frame import lines as frame_lines
 from recon.results import read_results
 from recon.view.series import state_entity
@@ -244,6 +245,32 @@ def test_too_few_poses(frame_results, tmp_path):
         analyse(read_results(folder))
 
 
+FIGURES = (
+    "body_fixed",
+    "body_fixed_limbs",
+    "composites",
+    "footfalls",
+    "observability",
+    "phase_portraits",
+    "speed",
+    "vector_field_head",
+    "vector_field_left_front_leg",
+    "vector_field_left_hind_leg",
+    "vector_field_right_front_leg",
+    "vector_field_right_hind_leg",
+    "vector_field_tail",
+    "vector_field_trunk",
+)
+
+
+@pytest.mark.parametrize("name", FIGURES)
+@pytest.mark.usefixtures("small_pictures")
+def test_each_figure_is_drawn(name, whole, tmp_path):
+    figure = figures_of(whole)[name]()
+    assert all(axes.has_data() for axes in figure.axes if axes.axison)
+    assert all(path.stat().st_size > 5000 for path in save(figure, tmp_path, name))
+
+
 # -- the command -----------------------------------------------------------------------------------------------------
 
 
@@ -262,17 +289,9 @@ def test_command_writes_tables_figures_and_plots(of_results, whole_results, monk
     assert {*analysis_csv.TABLES, "analysis.json", "analysis.rrd"} <= written
     assert {path.name: path.read_bytes() for path in folder.iterdir() if path.is_file()} == results
     assert f"with: recon view {folder}\n" in printed
-    for figure in (
-        "body_fixed",
-        "body_fixed_limbs",
-        "composites",
-        "speed",
-        "footfalls",
-        "vector_field_left_front_leg",
-        "phase_portraits",
-        "observability",
-    ):
-        assert {f"{figure}.png", f"{figure}.svg"} <= written
+    assert {name for name in written if name.endswith((".png", ".svg"))} == {
+        f"{figure}.{suffix}" for figure in FIGURES for suffix in ("png", "svg")
+    }
     summary = json.loads((folder / "analysis" / "analysis.json").read_text(encoding="utf-8"))
     assert summary["gait"]["ground"]["name"] == "transverse gallop"
     assert summary["speed"]["peak_m_s"] == pytest.approx(16.05, abs=0.3)

@@ -16,9 +16,9 @@ ROOT = Path(__file__).resolve().parents[1]
 SLOW = {"numpy", "pandas", "scipy", "cv2", "rerun", "pyarrow", "pydantic", "torch", "matplotlib", "h5py", "tables"}
 
 
-def imported_by(*args: object) -> set[str]:
-    """The modules that `recon ARGS` imports."""
-    command = [sys.executable, "-X", "importtime", "-m", "recon", *map(str, args)]
+def imported_by(*args: object, what: tuple[str, ...] = ("-m", "recon")) -> set[str]:
+    """The modules that `recon ARGS`, or `python WHAT ARGS`, imports."""
+    command = [sys.executable, "-X", "importtime", *what, *map(str, args)]
     done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
     assert done.returncode == 0, done.stderr[-2000:]
     return set(re.findall(r"^import time:.*\| +(\S+)$", done.stderr, re.MULTILINE))
@@ -39,6 +39,13 @@ def test_a_fit_imports_what_it_uses(tmp_path):
     assert {"numpy", "rerun"} <= modules
     unused = {"scipy.interpolate", "scipy.optimize", "scipy.spatial", "scipy.special", "recon.analysis.clip", "h5py"}
     unused |= {"pandas.core", "cv2", "torch", "matplotlib", "tables"}
+    assert modules & unused == set()
+
+
+def test_the_process_that_fits_many_clips_imports_what_it_uses():
+    modules = imported_by(what=("-c", "import recon.app.batch.worker"))
+    assert "recon.app.clip" in modules
+    unused = {"scipy.interpolate", "scipy.optimize", "recon.plots", "recon.net", "jinja2", "cv2", "pandas.core"}
     assert modules & unused == set()
 
 

@@ -13,9 +13,9 @@ from recon.app.sheet import pictures_of, rows_to_show
 from recon.errors import all_of
 from recon.files import sole_writer, staged_file
 from recon.overlay import draw_tiles
-from recon.page import PAGE
+from recon.page import PAGE, require_own_page
 from recon.page.clip import Still, clip_page
-from recon.page.render import jpeg, require_own_page
+from recon.page.render import jpeg
 from recon.progress import Progress, silent
 from recon.results import REPORT, Results, read_results
 from recon.video import probe

@@ -16,8 +16,7 @@ from recon.app.run import Job, job_of
 from recon.errors import InputError, Problem
 from recon.files import sole_writer
 from recon.io import READERS
-from recon.page import SUMMARY_PAGE
-from recon.page.render import require_own_page
+from recon.page import SUMMARY_PAGE, require_own_page
 from recon.video import SUFFIXES
 
 

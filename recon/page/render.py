@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import base64
-from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import cv2
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
-from recon.errors import InputError, Problem
 from recon.package import version
+from recon.page import GENERATED
 from recon.plots.style import png_of, svg_of
 from recon.video import Image
 
@@ -20,8 +19,6 @@ if TYPE_CHECKING:
 
 JPEG_QUALITY = 80
 PNG_DPI = 190.0
-_GENERATED = '<meta name="generator" content="recon">'
-"""By which a page is known again."""
 
 
 def rendered(template: str, **content: Any) -> str:
@@ -33,7 +30,7 @@ def rendered(template: str, **content: Any) -> str:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    return environment.get_template(template).render(generated=_GENERATED, version=version(), **content)
+    return environment.get_template(template).render(generated=GENERATED, version=version(), **content)
 
 
 def inline(figure: Figure, largest: int) -> str:
@@ -52,10 +49,3 @@ def jpeg(picture: Image) -> str:
 
 def _data(kind: str, content: bytes) -> str:
     return f"data:{kind};base64,{base64.b64encode(content).decode()}"
-
-
-def require_own_page(path: Path) -> None:
-    """Raises InputError where a file is in the page's place that recon has not made."""
-    with suppress(FileNotFoundError), path.open(encoding="utf-8", errors="replace") as file:
-        if _GENERATED not in file.read(2000):
-            raise InputError(Problem(path, "file", "one that recon has not made", f"a place for {path.name}"))

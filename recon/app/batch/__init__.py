@@ -14,8 +14,7 @@ from recon.app.batch.record import Planned, plan_batch
 from recon.app.batch.summary import COLUMNS, STATUSES, Summary, write_summary_page
 from recon.app.batch.worker import task_of
 from recon.files import sole_writer
-from recon.page import SUMMARY_PAGE
-from recon.page.render import require_own_page
+from recon.page import SUMMARY_PAGE, require_own_page
 
 __all__ = [
     "COLUMNS",

@@ -13,7 +13,7 @@ from typing import Any
 from recon.app.batch.inputs import SUMMARY
 from recon.app.batch.record import Planned, short_hash
 from recon.files import staged_file
-from recon.page import SUMMARY_PAGE
+from recon.page import SUMMARY_PAGE, require_own_page
 from recon.report import frames_with_pose
 
 RESULTS = ("frames", "frames_with_pose", "outliers", "mean_reprojection_px", "mean_speed_m_s", "peak_speed_m_s", "size")
@@ -87,7 +87,6 @@ class Summary:
 def write_summary_page(out: Path) -> Path:
     """summary.html, of what summary.csv in the folder says. Raises InputError for another file in its place."""
     from recon.page.batch import batch_page  # slow to import
-    from recon.page.render import require_own_page
 
     page = out / SUMMARY_PAGE
     require_own_page(page)
