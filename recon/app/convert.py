@@ -11,11 +11,11 @@ from recon.errors import InputError, Problem, all_of
 from recon.export.formats import Format, choose_format
 from recon.export.rig import rig_of
 from recon.files import staged_file
-from recon.io import columns, file_head, read_keypoints
+from recon.io import FORMATS, Reader, as_keypoints, columns, file_head, read_points
 from recon.io.column_map import parse_map
-from recon.io.common import rate, with_likelihoods
-from recon.io.pose import Pose3D
-from recon.io.pose3d import POSE_READERS, PoseReader, in_metres, read_pose3d
+from recon.io.common import rate
+from recon.io.pose import Pose3D, StoredPoints
+from recon.io.pose3d import in_metres
 from recon.keypoints import Keypoints, mark_missing
 from recon.naming import load_names, renamed
 from recon.results import read_results
@@ -106,12 +106,13 @@ def read_any(source: Path, options: Options) -> Keypoints | Pose3D:
         raise InputError(Problem("--fps", "fps", f"{options.fps:g}", "frames per second above 0, as in 90"))
     if source.is_dir():
         data = _of_results(source)
-    elif options.columns is not None:
-        data = _by_map(source, options)
-    elif _is_pose(source):
-        data = read_pose3d(source, options.individual, options.unit, options.up)
     else:
-        data = read_keypoints(source, options.individual)
+        by_name = options.columns is None
+        reader, stored = read_points(source, options.individual) if by_name else _by_map(source, options)
+        if stored.in_space:
+            data = in_metres(source, reader, stored, options.unit, options.up)
+        else:
+            data = as_keypoints(source, stored)
     if options.rename is not None:
         if not isinstance(data, Keypoints):
             raise InputError(Problem("--rename", "names", f"3D positions in {source}", "2D keypoints"))
@@ -124,20 +125,11 @@ def read_any(source: Path, options: Options) -> Keypoints | Pose3D:
     return replace(data, fps=options.fps, notes=notes)
 
 
-def _is_pose(source: Path) -> bool:
-    file_head(source)
-    return any(reader.recognises(source) for reader in POSE_READERS)
-
-
-def _by_map(source: Path, options: Options) -> Keypoints | Pose3D:
+def _by_map(source: Path, options: Options) -> tuple[Reader, StoredPoints]:
     """A plain CSV by its map of columns, which has a z or has none."""
     given = parse_map(options.columns or "")
     file_head(source)
-    if "z" not in given:
-        return with_likelihoods(columns.read(source, options.individual, given), source)
-    stored = columns.read_pose(source, options.individual, given)
-    reader = PoseReader("plain CSV", columns.recognises, columns.read_pose)
-    return in_metres(source, reader, stored, options.unit, options.up)
+    return FORMATS[-1], columns.read(source, options.individual, given)
 
 
 def _of_results(folder: Path) -> Pose3D:

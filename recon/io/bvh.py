@@ -16,7 +16,7 @@ import numpy as np
 from recon.documents import read_text
 from recon.errors import InputError, Problem
 from recon.io.common import choose, frame_number, name_problems, number, starts_with_text
-from recon.io.pose import StoredPose
+from recon.io.pose import StoredPoints
 
 AXES = "XYZ"
 
@@ -40,7 +40,7 @@ def recognises(path: Path) -> bool:
     return starts_with_text(path, b"HIERARCHY")
 
 
-def read_pose(path: Path, individual: str | None = None) -> StoredPose:
+def read(path: Path, individual: str | None = None) -> StoredPoints:
     """Raises InputError for a file that is cut off or no BVH, and for a choice of animals: BVH has one."""
     choose(path, [""], individual)
     text = read_text(path, "a BVH file")
@@ -74,7 +74,7 @@ def read_pose(path: Path, individual: str | None = None) -> StoredPose:
     fps = float(f"{1 / frame_time_s:.9g}")
     inner = {j: joints[j].parent for j in kept}
     edges = tuple((joints[p].name, joints[j].name) for j, p in inner.items() if p in inner)
-    return StoredPose(names, xyz, np.arange(count), fps=fps, edges=edges)
+    return StoredPoints(names, xyz, np.arange(count), fps=fps, edges=edges)
 
 
 def _hierarchy(lines: Iterator[str]) -> list[_Joint]:

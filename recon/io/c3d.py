@@ -17,7 +17,7 @@ import numpy as np
 
 from recon.errors import InputError, Problem
 from recon.io.common import choose, frames_of_text, name_problems, rate
-from recon.io.pose import UNIT_NAMES, StoredPose
+from recon.io.pose import UNIT_NAMES, StoredPoints
 
 OWN_GROUP = "RECON"
 BLOCK = 512
@@ -50,7 +50,7 @@ def recognises(path: Path) -> bool:
         return file.read(1) in {bytes([p]) for p in (INTEL, DEC, MIPS)}
 
 
-def read_pose(path: Path, individual: str | None = None) -> StoredPose:
+def read(path: Path, individual: str | None = None) -> StoredPoints:
     """Raises InputError for a damaged file, and for a choice of animals: C3D has one."""
     choose(path, [""], individual)
     try:
@@ -77,7 +77,7 @@ def read_pose(path: Path, individual: str | None = None) -> StoredPose:
     if listed is not None and len(listed) <= T and listed[-1] - listed[0] == T - 1:
         frames, xyz = listed, xyz[listed - listed[0]]
     unit = UNIT_NAMES.get("".join(_texts(point.get("UNITS"))[:1]))
-    return StoredPose(names, xyz, frames, fps=fps, unit=unit, up=_up(point))
+    return StoredPoints(names, xyz, frames, fps=fps, unit=unit, up=_up(point))
 
 
 def _labels(point: dict[str, Any]) -> list[str]:

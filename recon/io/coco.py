@@ -15,7 +15,7 @@ import numpy as np
 from recon.documents import read_json
 from recon.errors import InputError, Problem
 from recon.io.common import MAX_FRAME, choose, first_problems, name_problems, rate, starts_with_text
-from recon.keypoints import Keypoints
+from recon.io.pose import StoredPoints
 
 FRAME_KEYS = ("frame_id", "frame_index", "frame_number")
 
@@ -28,7 +28,7 @@ def recognises(path: Path) -> bool:
     return b'"images"' in content and (b'"annotations"' in content or b'"categories"' in content)
 
 
-def read(path: Path, individual: str | None = None) -> Keypoints:
+def read(path: Path, individual: str | None = None) -> StoredPoints:
     """The keypoints of one animal. Raises InputError."""
     content = read_json(path, "a whole file of JSON")
     if not isinstance(content, dict):
@@ -36,7 +36,7 @@ def read(path: Path, individual: str | None = None) -> Keypoints:
     return of_content(path, content, individual)
 
 
-def of_content(path: Path, content: dict[str, Any], individual: str | None) -> Keypoints:
+def of_content(path: Path, content: dict[str, Any], individual: str | None) -> StoredPoints:
     """The same of what such a file has, or another format's put the same way."""
     missing = [key for key in ("images", "annotations", "categories") if not isinstance(content.get(key), list)]
     if missing:
@@ -51,7 +51,7 @@ def of_content(path: Path, content: dict[str, Any], individual: str | None) -> K
         raise InputError(Problem(path, "images, annotations, categories", found, expected)) from None
 
 
-def _keypoints(path: Path, content: dict[str, Any], individual: str | None) -> Keypoints:
+def _keypoints(path: Path, content: dict[str, Any], individual: str | None) -> StoredPoints:
     names = _names(path, content["categories"], content["annotations"])
     numbers, notes = _frame_numbers(path, content["images"])
     frames = np.array(sorted(numbers.values()), dtype=np.int64)
@@ -92,16 +92,15 @@ def _keypoints(path: Path, content: dict[str, Any], individual: str | None) -> K
     if problems:
         raise InputError(first_problems(problems, path))
     info = content.get("info")
-    return Keypoints(
+    return StoredPoints(
         names,
         xy,
-        score,
         frames,
+        score,
         fps=rate(info.get("fps")) if isinstance(info, dict) else None,
         image_size_px=_size(content["images"]),
         # The number of the only track is no name.
         individual=chosen if len(animals) > 1 or any("individual" in a for a in content["annotations"]) else None,
-        source=str(path),
         notes=notes,
     )
 

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import csv
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -17,8 +16,7 @@ from recon.errors import InputError, Problem
 from recon.io.column_map import ColumnLayout, find_layout, layout_by_name
 from recon.io.common import MAX_FRAME, choose, first_problems, frames_of_times, name_problems, number, rate
 from recon.io.hdf5 import is_hdf5
-from recon.io.pose import StoredPose
-from recon.keypoints import Keypoints
+from recon.io.pose import StoredPoints
 
 SEPARATORS = (",", ";", "\t")
 MISSING = ("", "nan", "na", "none", "null")
@@ -27,66 +25,21 @@ Columns = Mapping[str, Sequence[Any] | np.ndarray]
 """A table by column: text cells, or numbers."""
 
 
-@dataclass(frozen=True, eq=False)
-class Points:
-    """K points in T frames, of C coordinates each."""
-
-    names: tuple[str, ...]
-    values: np.ndarray
-    """(T, K, C), by coordinate."""
-    likelihood: np.ndarray
-    """(T, K), NaN = unknown."""
-    frames: np.ndarray
-    """(T,)"""
-    fps: float | None
-    individual: str | None
-    notes: tuple[str, ...]
-
-
 def recognises(path: Path) -> bool:
     """Whether it is a text table whose columns are obvious, 2D or 3D."""
     return _layout_of_head(path) is not None
 
 
-def recognises_pose(path: Path) -> bool:
-    layout = _layout_of_head(path)
-    return layout is not None and layout.has_z
-
-
-def read(path: Path, individual: str | None = None, columns: Mapping[str, str] | None = None) -> Keypoints:
-    """The 2D keypoints of one animal; columns: a map as `parse_map` gives it. Raises InputError."""
+def read(path: Path, individual: str | None = None, columns: Mapping[str, str] | None = None) -> StoredPoints:
+    """The points of one animal; columns: a map as `parse_map` gives it. Raises InputError."""
     table = _read_csv(path)
-    layout = find_layout(path, list(table), columns)
-    if layout.has_z:
-        raise InputError(Problem(path, "columns", "x, y, z: 3D positions", "2D keypoints in pixels (x, y)"))
-    points = gather(path, table, layout, ("x", "y"), individual)
-    return Keypoints(
-        points.names,
-        points.values,
-        points.likelihood,
-        points.frames,
-        fps=points.fps,
-        individual=points.individual,
-        source=str(path),
-        notes=points.notes,
-    )
+    return gather(path, table, find_layout(path, list(table), columns), individual)
 
 
-def read_pose(path: Path, individual: str | None = None, columns: Mapping[str, str] | None = None) -> StoredPose:
-    """The 3D positions of one animal. Raises InputError."""
-    table = _read_csv(path)
-    return stored_pose(path, table, find_layout(path, list(table), columns), individual)
-
-
-def stored_pose(path: Path, table: Columns, layout: ColumnLayout, individual: str | None) -> StoredPose:
-    points = gather(path, table, layout, ("x", "y", "z"), individual)
-    unit = layout.unit if layout.unit != "px" else None
-    return StoredPose(points.names, points.values, points.frames, fps=points.fps, unit=unit, notes=points.notes)
-
-
-def gather(path: Path, table: Columns, layout: ColumnLayout, coords: Sequence[str], individual: str | None) -> Points:
+def gather(path: Path, table: Columns, layout: ColumnLayout, individual: str | None) -> StoredPoints:
     """The table by frame and point, of one animal. Raises InputError for cells that are no numbers, points that appear
     twice in a frame, coordinates that are missing."""
+    coords = ("x", "y", "z") if layout.has_z else ("x", "y")
     rows = np.arange(len(next(iter(table.values()), ())))
     animal = None
     if "individual" in layout.of_role:
@@ -130,7 +83,16 @@ def gather(path: Path, table: Columns, layout: ColumnLayout, coords: Sequence[st
         frames, fps = frames_of_times(path, distinct, fps)
     ignored = [column for column in layout.ignored if column.strip()]
     notes = (f"Columns left out: {', '.join(ignored)}.",) if ignored else ()
-    return Points(names, values, likelihood, frames, fps, animal or None, notes)
+    return StoredPoints(
+        names,
+        values,
+        frames,
+        likelihood,
+        fps=fps,
+        individual=animal or None,
+        unit=layout.unit if layout.unit != "px" else None,
+        notes=notes,
+    )
 
 
 def _clock_problems(path: Path, column: str, ticks: np.ndarray, rows: np.ndarray, frames: bool) -> Iterator[Problem]:

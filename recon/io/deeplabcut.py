@@ -21,7 +21,7 @@ from recon.errors import InputError, Problem
 from recon.io import pandas_hdf
 from recon.io.common import PROBLEMS_SHOWN, choose, first_problems, frame_number, number, rate
 from recon.io.hdf5 import is_hdf5
-from recon.keypoints import Keypoints
+from recon.io.pose import StoredPoints
 
 HEADERS = (
     ("scorer", "bodyparts", "coords"),
@@ -78,23 +78,24 @@ def recognises(path: Path) -> bool:
     return re.match(rb'\s*"?\s*(scorer|individuals|bodyparts)\s*"?\s*([,;\t\r\n]|$)', head) is not None
 
 
-def read(path: Path, individual: str | None = None) -> Keypoints:
-    """The keypoints of one animal as the file states them: confidence is NaN where it has no likelihood.
+def read(path: Path, individual: str | None = None) -> StoredPoints:
+    """The points of one animal as the file states them: likelihoods are NaN where it has none, and the unit of 3D
+    positions is not in it.
 
     individual: which animal, where there are several. Raises InputError naming what is wrong: header, cells, frame
     numbers, or a choice that is missing.
     """
     table, animal = of_one_animal(read_table(path), path, individual)
     if any(c.coord == "z" for c in table.columns):
-        raise InputError(Problem(path, "coords", "x, y, z: 3D positions", "2D keypoints in pixels (x, y, likelihood)"))
+        names, xyz = gather(table, path, required=("x", "y", "z"))
+        return StoredPoints(names, xyz, table.frames, fps=table.fps, notes=table.notes)
     names, values = gather(table, path, required=("x", "y"), optional=("likelihood",))
     values[(values == PADDING).all(axis=2)] = np.nan, np.nan, 0.0
-    xy_px, likelihood = values[..., :2], values[..., 2]
     notes = table.notes
     if not table.has_scorer:
         notes += ("The header's first row, scorer, is missing; the others say what each column is.",)
-    return Keypoints(
-        names, xy_px, likelihood, table.frames, fps=table.fps, individual=animal, source=str(path), notes=notes
+    return StoredPoints(
+        names, values[..., :2], table.frames, values[..., 2], fps=table.fps, individual=animal, notes=notes
     )
 
 

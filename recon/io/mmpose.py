@@ -13,14 +13,14 @@ from recon.documents import read_json
 from recon.errors import InputError, Problem
 from recon.io import coco
 from recon.io.common import starts_with_text
-from recon.keypoints import Keypoints
+from recon.io.pose import StoredPoints
 
 
 def recognises(path: Path) -> bool:
     return starts_with_text(path, b"{") and b'"instance_info"' in path.read_bytes()
 
 
-def read(path: Path, individual: str | None = None) -> Keypoints:
+def read(path: Path, individual: str | None = None) -> StoredPoints:
     """The keypoints of one animal. Raises InputError."""
     content = read_json(path, "a whole file of JSON")
     try:

@@ -29,8 +29,7 @@ from recon.io.hdf5 import (
     scale_of,
     texts,
 )
-from recon.io.pose import UNIT_NAMES, StoredPose
-from recon.keypoints import Keypoints
+from recon.io.pose import UNIT_NAMES, StoredPoints
 
 CLASSIC = b"CDF"
 VARIABLES = ("position", "confidence", "time", "space", "keypoint", "individual", "keypoints", "individuals")
@@ -65,27 +64,6 @@ class _Variable:
         return self
 
 
-@dataclass(frozen=True, eq=False)
-class _File:
-    """What a file holds, of T frames, N animals and K points."""
-
-    names: tuple[str, ...]
-    animals: list[str]
-    values: np.ndarray
-    """(T, N, K, 2 or 3)"""
-    confidence: np.ndarray
-    """(T, N, K)"""
-    frames: np.ndarray
-    fps: float | None
-    unit: str | None
-    up: str | None
-
-    @property
-    def seen(self) -> list[bool]:
-        """Whether each animal has a point."""
-        return [bool(np.isfinite(self.values[:, n]).any()) for n in range(len(self.animals))]
-
-
 def recognises(path: Path) -> bool:
     """Whether the file is movement's, 2D or 3D."""
     if starts_with(path, CLASSIC):
@@ -93,29 +71,8 @@ def recognises(path: Path) -> bool:
     return {"position", "space"} <= outline(path)
 
 
-def recognises_pose(path: Path) -> bool:
-    return recognises(path) and _load(path).values.shape[-1] == 3
-
-
-def read(path: Path, individual: str | None = None) -> Keypoints:
-    """The 2D keypoints of one animal. Raises InputError."""
-    file = _load(path)
-    if file.values.shape[-1] == 3:
-        raise InputError(Problem(path, "space", "x, y, z: 3D positions", "2D keypoints in pixels (x, y)"))
-    which = choose(path, file.animals, individual, file.seen)
-    named = file.animals[which] if len(file.animals) > 1 or file.animals[0] not in UNNAMED else None
-    values, confidence = file.values[:, which], file.confidence[:, which]
-    return Keypoints(file.names, values, confidence, file.frames, fps=file.fps, individual=named, source=str(path))
-
-
-def read_pose(path: Path, individual: str | None = None) -> StoredPose:
-    """The 3D positions of one animal. Raises InputError."""
-    file = _load(path)
-    which = choose(path, file.animals, individual, file.seen)
-    return StoredPose(file.names, file.values[:, which], file.frames, fps=file.fps, unit=file.unit, up=file.up)
-
-
-def _load(path: Path) -> _File:
+def read(path: Path, individual: str | None = None) -> StoredPoints:
+    """The points of one animal. Raises InputError."""
     stored, attributes = _read_classic(path) if starts_with(path, CLASSIC) else _read_hdf5(path)
     kind = attributes.get("ds_type") or "poses"
     if kind != "poses":
@@ -163,13 +120,15 @@ def _load(path: Path) -> _File:
         problems += error.problems
     if problems or frames is None:
         raise InputError(problems)
-    return _File(
-        names=tuple(labels["keypoint"]),
-        animals=labels["individual"],
-        values=values,
-        confidence=np.full(values.shape[:-1], np.nan) if confidence is None else confidence.along(CONFIDENCE),
-        frames=frames,
+    animals = labels["individual"]
+    which = choose(path, animals, individual, [bool(np.isfinite(values[:, n]).any()) for n in range(len(animals))])
+    return StoredPoints(
+        tuple(labels["keypoint"]),
+        values[:, which],
+        frames,
+        None if confidence is None else confidence.along(CONFIDENCE)[:, which],
         fps=fps,
+        individual=animals[which] if len(animals) > 1 or animals[0] not in UNNAMED else None,
         unit=UNIT_NAMES.get(str(attributes.get("length_unit"))),
         up={"x": "x", "y": "y", "z": "z"}.get(str(attributes.get("up_axis"))),
     )

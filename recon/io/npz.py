@@ -11,7 +11,7 @@ import numpy as np
 
 from recon.errors import InputError, Problem
 from recon.io.common import choose, name_problems, rate, starts_with
-from recon.io.pose import StoredPose
+from recon.io.pose import StoredPoints
 
 DAMAGE = (
     *(OSError, ValueError, KeyError, EOFError, NotImplementedError, MemoryError, RuntimeError, TypeError),
@@ -23,7 +23,7 @@ WANTED = {"names": "U", "xyz_m": "f", "frames": "i", "fps": "f", "edges": "i"}
 
 
 def recognises(path: Path) -> bool:
-    """Whether it is a NumPy archive with positions. Of a damaged archive `read_pose` says so."""
+    """Whether it is a NumPy archive with positions. Of a damaged archive `read` says so."""
     if not starts_with(path, b"PK\x03\x04"):
         return False
     try:
@@ -33,7 +33,7 @@ def recognises(path: Path) -> bool:
         return True
 
 
-def read_pose(path: Path, individual: str | None = None) -> StoredPose:
+def read(path: Path, individual: str | None = None) -> StoredPoints:
     """Raises InputError for a damaged file or arrays that do not fit, and for a choice of animals: it has one."""
     choose(path, [""], individual)
     try:
@@ -63,7 +63,7 @@ def read_pose(path: Path, individual: str | None = None) -> StoredPose:
         problems.append(Problem(path, "edges", f"{edges.shape}", "(E, 2), places in names"))
     if problems:
         raise InputError(problems)
-    return StoredPose(
+    return StoredPoints(
         tuple(names),
         xyz,
         frames.astype(np.int64),

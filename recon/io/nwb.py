@@ -16,8 +16,7 @@ import numpy as np
 from recon.errors import InputError, Problem
 from recon.io.common import choose, frames_of_times, name_problems, rate
 from recon.io.hdf5 import attribute, child, groups, names, numbers, opened, outline, texts
-from recon.io.pose import UNIT_NAMES, StoredPose
-from recon.keypoints import Keypoints
+from recon.io.pose import UNIT_NAMES, StoredPoints
 
 RATE_TEXT = "frame number = time in seconds x {fps!r} Hz"
 """In the comments of our own series, whose times may be irregular."""
@@ -54,48 +53,24 @@ def recognises(path: Path) -> bool:
     return "nwb_version" in outline(path)
 
 
-def recognises_pose(path: Path) -> bool:
-    """Whether all of its points are 3D."""
-    return recognises(path) and all(s.values.shape[-1] == 3 for c in _load(path) for s in c.series)
-
-
-def read(path: Path, individual: str | None = None) -> Keypoints:
-    """The 2D keypoints of one animal, which a file of several calls by its container. Raises InputError."""
-    containers = _load(path)
-    container = containers[choose(path, [c.name for c in containers], individual)]
-    series, frames, fps = _checked_series(path, container)
-    if series[0].values.shape[-1] == 3:
-        found = f"x, y, z in {container.name}: 3D positions"
-        raise InputError(Problem(path, "data", found, "2D keypoints in pixels (x, y)"))
-    named = len(containers) > 1 or not container.name.startswith("PoseEstimation")
-    return Keypoints(
-        tuple(s.name for s in series),
-        np.stack([s.values for s in series], axis=1),
-        np.stack([s.confidence for s in series], axis=1),
-        frames,
-        fps=fps,
-        individual=container.name if named else None,
-        source=str(path),
-    )
-
-
-def read_pose(path: Path, individual: str | None = None) -> StoredPose:
-    """The 3D positions of one animal. Raises InputError."""
+def read(path: Path, individual: str | None = None) -> StoredPoints:
+    """The points of one animal, which a file of several calls by its container. Raises InputError."""
     containers = _load(path)
     container = containers[choose(path, [c.name for c in containers], individual)]
     series, frames, fps = _checked_series(path, container)
     points = tuple(s.name for s in series)
-    edges = ()
-    if set(container.nodes) == set(points):
-        edges = tuple((container.nodes[a], container.nodes[b]) for a, b in container.edges)
-    return StoredPose(
+    edges = container.edges if set(container.nodes) == set(points) else ()
+    named = len(containers) > 1 or not container.name.startswith("PoseEstimation")
+    return StoredPoints(
         points,
         np.stack([s.values for s in series], axis=1),
         frames,
+        np.stack([s.confidence for s in series], axis=1),
         fps=fps,
+        individual=container.name if named else None,
         unit=UNIT_NAMES.get(series[0].unit),
         up="z" if series[0].z_up else None,
-        edges=edges,
+        edges=tuple((container.nodes[a], container.nodes[b]) for a, b in edges),
     )
 
 

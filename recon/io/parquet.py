@@ -10,9 +10,9 @@ import numpy as np
 
 from recon.errors import InputError, Problem
 from recon.io.column_map import find_layout
-from recon.io.columns import stored_pose
+from recon.io.columns import gather
 from recon.io.common import formats_extra, rate, starts_with
-from recon.io.pose import StoredPose
+from recon.io.pose import StoredPoints
 
 METADATA = b"recon"
 """Key of our own metadata: JSON with fps and up."""
@@ -22,7 +22,7 @@ def recognises(path: Path) -> bool:
     return starts_with(path, b"PAR1")
 
 
-def read_pose(path: Path, individual: str | None = None) -> StoredPose:
+def read(path: Path, individual: str | None = None) -> StoredPoints:
     """Raises InputError."""
     with formats_extra(path):
         import pyarrow as pa
@@ -40,10 +40,7 @@ def read_pose(path: Path, individual: str | None = None) -> StoredPose:
         raise InputError(Problem(path, "content", found, "a whole file")) from None
     if not table.num_rows:
         raise InputError(Problem(path, "rows", "none", "at least one"))
-    layout = find_layout(path, table.column_names)
-    if not layout.has_z:
-        raise InputError(Problem(path, "columns", ", ".join(table.column_names)[:120], "x, y, z: 3D positions"))
-    pose = stored_pose(path, columns, layout, individual)
+    pose = gather(path, columns, find_layout(path, table.column_names), individual)
     if not isinstance(own, dict):
         return pose
     return replace(pose, fps=pose.fps or rate(own.get("fps")), up="z" if own.get("up") == "z" else None)

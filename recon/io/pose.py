@@ -1,4 +1,4 @@
-"""3D positions: as the rest of the package takes them, and as a file has them."""
+"""Points as a file has them, and 3D positions as the rest of the package takes them."""
 
 from __future__ import annotations
 
@@ -47,20 +47,31 @@ class Pose3D:
 
 
 @dataclass(frozen=True, eq=False)
-class StoredPose:
-    """What a file says: as `Pose3D`, but in the file's own unit and axes."""
+class StoredPoints:
+    """What a file says of one animal: K points in T frames, in the picture or in space, in its own unit and axes."""
 
     names: tuple[str, ...]
-    xyz: np.ndarray
-    """(T, J, 3)"""
+    values: np.ndarray
+    """(T, K, 2) px, or (T, K, 3), NaN = missing."""
     frames: np.ndarray
+    """(T,) int, strictly increasing."""
+    likelihood: np.ndarray | None = None
+    """(T, K), NaN = unknown; None where the file has none."""
     fps: float | None = None
+    individual: str | None = None
+    image_size_px: tuple[int, int] | None = None
     unit: str | None = None
-    """m, cm or mm; None where the file does not say."""
+    """Of points in space: m, cm or mm; None where the file does not say."""
     up: str | None = None
-    """The axis that points up, y or z; None where the file does not say."""
+    """Of points in space: the axis that points up, y or z; None where the file does not say."""
     edges: tuple[tuple[str, str], ...] = ()
+    """Pairs of points that are linked, where they are known."""
     notes: tuple[str, ...] = ()
+    """What a reader had to decide, in plain sentences."""
+
+    @property
+    def in_space(self) -> bool:
+        return self.values.shape[-1] == 3
 
 
 def z_up_from_y_up(xyz: np.ndarray) -> np.ndarray:

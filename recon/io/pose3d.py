@@ -1,51 +1,18 @@
-"""3D positions by joint and frame: the table of their formats, and motions for priors.
-
-A new format is one module with `recognises(path)` and `read_pose(path, individual)`, and one line in `POSE_READERS`.
-"""
+"""3D positions by joint and frame, in metres, z up; and motions for priors."""
 
 from __future__ import annotations
 
 import csv
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 
 from recon.errors import InputError, Problem
-from recon.io import READERS, bvh, c3d, columns, describe, file_head, movement, npz, nwb, parquet, trc
-from recon.io import deeplabcut_pose as dlc
+from recon.io import Reader, file_head, read_points
 from recon.io.common import PROBLEMS_SHOWN, frame_number, number
 from recon.io.deeplabcut import Column, Table, gather
-from recon.io.pose import PER_METRE, Pose3D, StoredPose, z_up_from_y_up
-
-
-@dataclass(frozen=True)
-class PoseReader:
-    """One format of 3D positions."""
-
-    name: str
-    recognises: Callable[[Path], bool]
-    """Whether a readable file, not empty, is of this format and 3D; it looks at the content, not at the name."""
-    read: Callable[[Path, str | None], StoredPose]
-    """The positions of one animal as the file has them; raises InputError."""
-    unit: str | None = None
-    """Where the file does not say it; None for one that the user has to give."""
-    up: str = "z"
-    """Where the file does not say it."""
-
-
-POSE_READERS: tuple[PoseReader, ...] = (
-    PoseReader("pose3d.csv, DeepLabCut 3D CSV or H5", dlc.recognises_pose, dlc.read_pose, unit="m"),
-    PoseReader("TRC", trc.recognises, trc.read_pose, up="y"),
-    PoseReader("C3D", c3d.recognises, c3d.read_pose),
-    PoseReader("BVH", bvh.recognises, bvh.read_pose, up="y"),
-    PoseReader("NPZ", npz.recognises, npz.read_pose),
-    PoseReader("Parquet", parquet.recognises, parquet.read_pose),
-    PoseReader("movement netCDF", movement.recognises_pose, movement.read_pose),
-    PoseReader("ndx-pose NWB", nwb.recognises_pose, nwb.read_pose),
-    PoseReader("plain CSV", columns.recognises_pose, columns.read_pose),
-)
+from recon.io.pose import PER_METRE, Pose3D, StoredPoints, z_up_from_y_up
 
 
 def read_pose3d(
@@ -57,19 +24,11 @@ def read_pose3d(
     are metres, TRC and BVH y up, and all others z up. individual: the animal's name, needed where there are several.
     Raises InputError for a file that is missing, of no known format, or faulty, and for a unit that nobody states.
     """
-    path = Path(path)
-    head = file_head(path)
-    for reader in POSE_READERS:
-        if reader.recognises(path):
-            return in_metres(path, reader, reader.read(path, individual), unit, up)
-    known = next((r.name for r in READERS if r.recognises(path)), None)
-    if known is None:
-        expected = "one of: " + ", ".join(r.name for r in POSE_READERS)
-        raise InputError(Problem(path, "format", describe(head), expected))
-    raise InputError(Problem(path, "coords", f"no z ({known})", "x, y, z: 3D positions"))
+    reader, stored = read_points(path, individual, "3D")
+    return in_metres(Path(path), reader, stored, unit, up)
 
 
-def in_metres(path: Path, reader: PoseReader, stored: StoredPose, unit: str | None, up: str | None) -> Pose3D:
+def in_metres(path: Path, reader: Reader, stored: StoredPoints, unit: str | None, up: str | None) -> Pose3D:
     """The positions of a file in our unit and axes; unit and up as for `read_pose3d`. Raises InputError."""
     notes = list(stored.notes)
     problems = [
@@ -89,7 +48,7 @@ def in_metres(path: Path, reader: PoseReader, stored: StoredPose, unit: str | No
     if problems or unit is None:
         raise InputError(problems)
     with np.errstate(invalid="ignore"):  # a NaN that signals, as damaged floats can be
-        xyz_m = stored.xyz / PER_METRE[unit]
+        xyz_m = stored.values / PER_METRE[unit]
     return Pose3D(
         stored.names,
         z_up_from_y_up(xyz_m) if up == "y" else xyz_m,

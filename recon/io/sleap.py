@@ -15,7 +15,7 @@ import numpy as np
 from recon.errors import InputError, Problem
 from recon.io.common import choose, name_problems, rate
 from recon.io.hdf5 import attribute, child, numbers, opened, outline, texts
-from recon.keypoints import Keypoints
+from recon.io.pose import StoredPoints
 
 ORDERS = {
     "tracks": ("track", "xy", "node", "frame"),
@@ -34,7 +34,7 @@ def recognises(path: Path) -> bool:
     return {"tracks", "node_names"} <= outline(path)
 
 
-def read(path: Path, individual: str | None = None) -> Keypoints:
+def read(path: Path, individual: str | None = None) -> StoredPoints:
     """The keypoints of one track. Raises InputError for a file that is damaged or whose arrays do not fit."""
     with opened(path) as file:
         names = _texts(file, "node_names")
@@ -50,14 +50,13 @@ def read(path: Path, individual: str | None = None) -> Keypoints:
     frames = np.flatnonzero(occupied[:, which])
     if not len(frames):
         raise InputError(Problem(path, f"track {animals[which]}", "no frame with it", "at least one"))
-    return Keypoints(
+    return StoredPoints(
         tuple(names),
         xy[frames, which],
-        score[frames, which],
         frames,
+        score[frames, which],
         fps=fps,
         individual=animals[which] if tracks else None,
-        source=str(path),
     )
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from recon.documents import read_text
 from recon.errors import InputError, Problem
 from recon.io.common import choose, first_problems, frame_number, name_problems, number, rate, starts_with_text
-from recon.io.pose import UNIT_NAMES, StoredPose
+from recon.io.pose import UNIT_NAMES, StoredPoints
 
 UP_TEXT = "y up: x forwards, y up, z right"
 """At the end of the first line of our own files."""
@@ -20,7 +20,7 @@ def recognises(path: Path) -> bool:
     return starts_with_text(path, b"PathFileType")
 
 
-def read_pose(path: Path, individual: str | None = None) -> StoredPose:
+def read(path: Path, individual: str | None = None) -> StoredPoints:
     """Raises InputError for a header or cells that cannot be used, and for a choice of animals: TRC has one."""
     choose(path, [""], individual)
     lines = read_text(path, "a TRC file").splitlines()
@@ -57,7 +57,7 @@ def read_pose(path: Path, individual: str | None = None) -> StoredPose:
     notes = ()
     if header.get("NumFrames") != str(len(rows)):
         notes = (f"The header announces {header.get('NumFrames', 'no number of')} frames, the file has {len(rows)}.",)
-    return StoredPose(
+    return StoredPoints(
         names,
         np.array(rows).reshape(len(rows), len(names), 3),
         np.array(frames, dtype=np.int64),

@@ -13,7 +13,7 @@ import numpy as np
 
 from recon.arrays import Array, Bools, Integers
 from recon.errors import InputError, Problem, all_of
-from recon.io import deeplabcut, file_head
+from recon.io import as_keypoints, deeplabcut, file_head
 from recon.io.common import first_problems
 from recon.io.hdf5 import is_hdf5
 from recon.keypoints import Keypoints, mark_missing
@@ -143,7 +143,7 @@ def _read_rows(path: Path, individual: str | None) -> tuple[Keypoints, tuple[str
     file_head(path)
     if not deeplabcut.recognises(path):
         raise InputError(Problem(path, "format", "another kind of file", "labels in DeepLabCut's layout, CSV or H5"))
-    keypoints, _ = mark_missing(deeplabcut.read(path, individual))
+    keypoints, _ = mark_missing(as_keypoints(path, deeplabcut.read(path, individual)))
     named = dict(_image_names(path))
     return keypoints, tuple(named.get(int(n), str(n)) for n in keypoints.frames)
 
