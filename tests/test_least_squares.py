@@ -58,7 +58,7 @@ def dense_rows(problem: LeastSquares, states: np.ndarray) -> tuple[np.ndarray, n
     for term in problem.linear:
         for frame, r in zip(term.frames(len(states)), term.residual(states), strict=True):
             put(frame, term.stencil, r, term.slots)
-    (span,) = problem._spans(states, {}, jacobian=True)
+    (span,) = problem.spans(states, {}, jacobian=True)
     for term in problem.terms:
         rows = term.evaluate(span, jacobian=True)
         for i, frame in enumerate(rows.frames):

@@ -17,13 +17,12 @@ from functools import cached_property
 
 import numpy as np
 
-from recon.analysis.gait import BODY, Gait, Match, Method, Stride, gait, match_stances, pose_tracks
+from recon.analysis.gait import BODY, Gait, Match, Method, Stride, gaits, match_stances, pose_tracks
 from recon.analysis.kinematics import (
     AngleKinematics,
     Errors,
     JointKinematics,
     angle_kinematics,
-    at_frames,
     joint_angle,
     joint_kinematics,
     spine_flexion,
@@ -142,13 +141,13 @@ def analyse(
     joints = {}
     for name in pose.names:
         moved = joint_kinematics(pose, name, fps, errors, **options)
-        joints[name] = replace(moved, series=at_frames(moved.series)) if lean and name != reference else moved
+        joints[name] = moved.at_frames() if lean and name != reference else moved
     if smooth:
         pose = _on_paths(pose, joints.values())
     # A common displacement of all joints turns none of the angles.
     of_pose = [] if smooth else errors[1:]
     chains = limb_chains(results)
-    gaits = _gaits(results, pose)
+    both = _gaits(results, pose)
     skeleton_angles = {
         name: angle_kinematics(results.time_s, angle, error, **options)
         for name, angle, error in zip(
@@ -164,8 +163,8 @@ def analyse(
         joints=joints,
         angles=_angles(results, pose, chains, of_pose, lean),
         skeleton_angles=skeleton_angles,
-        gaits=gaits,
-        match=match_stances(gaits["body"].stances, gaits["ground"].stances) if gaits else None,
+        gaits=both,
+        match=match_stances(both["body"].stances, both["ground"].stances) if both else None,
         fields=_with_sigma(fields, results, chains, [*skeleton_angles.values()]),
         given=given,
     )
@@ -294,7 +293,7 @@ def _angles(
         for i in range(1, len(along) - 1):
             if along[i] not in found:
                 angle = joint_angle(pose, (along[i - 1], along[i], along[i + 1]), results.fps, errors)
-                found[along[i]] = replace(angle, series=at_frames(angle.series)) if lean else angle
+                found[along[i]] = angle.at_frames() if lean else angle
         if {rear, front} <= {*along}:
             first, last = sorted((along.index(rear), along.index(front)))
             if between := along[first + 1 : last]:
@@ -309,5 +308,4 @@ def _gaits(results: Results, pose: Pose3D) -> dict[Method, Gait]:
     body = BODY if set(BODY) <= {*pose.names} else results.forward
     spells = [spell.rows for spell in results.spells]
     moved = pose_tracks(pose, results.fps, feet=results.feet, body=body, spells=spells)
-    methods: tuple[Method, ...] = ("ground", "body")
-    return {method: gait(moved, method) for method in methods}
+    return gaits(moved)

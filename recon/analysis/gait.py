@@ -470,28 +470,34 @@ def _stance(moved: Tracks, k: int, a: int, b: int, begins: bool, ends: bool) -> 
 
 def match_stances(first: tuple[Stance, ...], second: tuple[Stance, ...]) -> Match:
     """Pairs stances of the same foot that overlap, each with the one it overlaps most, if that is mutual."""
-
-    def overlap(a: Stance, b: Stance) -> float:
-        return min(a.end_s, b.end_s) - max(a.start_s, b.start_s) if a.foot == b.foot else -np.inf
-
-    def best(one: Stance, others: tuple[Stance, ...]) -> Stance | None:
-        other = max(others, key=lambda o: overlap(one, o), default=None)
-        return other if other is not None and overlap(one, other) > 0 else None
-
-    pairs = []
-    for a in first:
-        b = best(a, second)
-        if b is not None and best(b, first) is a:
-            pairs.append((a, b))
+    partners = {}
+    for foot in dict.fromkeys(s.foot for s in first):
+        ours, theirs = ([s for s in some if s.foot == foot] for some in (first, second))
+        if theirs:
+            overlap = _overlap(ours, theirs)
+            best, back = overlap.argmax(axis=1), overlap.argmax(axis=0)
+            partners |= {id(ours[i]): theirs[k] for i, k in enumerate(best) if overlap[i, k] > 0 and back[k] == i}
+    pairs = [(a, partners[id(a)]) for a in first if id(a) in partners]
     starts = [b.start_frame - a.start_frame for a, b in pairs if a.begins and b.begins]
     ends = [b.end_frame - a.end_frame for a, b in pairs if a.ends and b.ends]
     return Match(
         pairs=tuple(pairs),
-        only_first=tuple(s for s in first if all(s is not a for a, _ in pairs)),
-        only_second=tuple(s for s in second if all(s is not b for _, b in pairs)),
+        only_first=_without(first, [a for a, _ in pairs]),
+        only_second=_without(second, [b for _, b in pairs]),
         start_lag_frames=float(np.mean(starts)) if starts else np.nan,
         end_lag_frames=float(np.mean(ends)) if ends else np.nan,
     )
+
+
+def _overlap(ours: Sequence[Stance | Stride], theirs: Sequence[Stance | Stride]) -> Array:
+    """(N, M): seconds that each of the one shares with each of the other, negative for what lies between them."""
+    start, end = (np.array([[s.start_s, s.end_s] for s in some]).T for some in (ours, theirs))
+    return np.minimum.outer(start[1], end[1]) - np.maximum.outer(start[0], end[0])
+
+
+def _without(found: Sequence[Stance], paired: Sequence[Stance]) -> tuple[Stance, ...]:
+    gone = {*map(id, paired)}
+    return tuple(s for s in found if id(s) not in gone)
 
 
 # -- strides and gait ------------------------------------------------------------------------------------------------
@@ -499,8 +505,23 @@ def match_stances(first: tuple[Stance, ...], second: tuple[Stance, ...]) -> Matc
 
 def gait(moved: Tracks, method: Method = "ground") -> Gait:
     """Stances, strides and the gait's name by one method, its strides held against the other and the pose's return."""
-    found = stances(moved, method)
-    taken, doubtful = checked(moved, strides(moved, found), strides(moved, stances(moved, _OTHER[method])))
+    return gaits(moved)[method]
+
+
+def gaits(moved: Tracks) -> dict[Method, Gait]:
+    """The same by both methods, the ground's first."""
+    methods: tuple[Method, ...] = ("ground", "body")
+    found = {method: stances(moved, method) for method in methods}
+    complete = {method: strides(moved, found[method]) for method in methods}
+    return {
+        method: _gait(moved, method, found[method], *checked(moved, complete[method], complete[_OTHER[method]]))
+        for method in methods
+    }
+
+
+def _gait(
+    moved: Tracks, method: Method, found: tuple[Stance, ...], taken: tuple[Stride, ...], doubtful: tuple[Doubt, ...]
+) -> Gait:
     lengths, durations = [s.length_m for s in taken], [s.end_s - s.start_s for s in taken]
     landed = sorted((s for s in found if s.begins), key=lambda s: s.start_s)
     return Gait(
@@ -512,7 +533,7 @@ def gait(moved: Tracks, method: Method = "ground") -> Gait:
         stride_length_m=_mean(lengths),
         stride_frequency_hz=1.0 / _mean(durations) if durations else np.nan,
         duty_factor={foot: _mean([s.duty_factor for s in taken if s.foot == foot]) for foot in moved.feet},
-        speed_m_s=_mean([s for s in moved.body_speed_m_s if np.isfinite(s)]),
+        speed_m_s=_mean(moved.body_speed_m_s[np.isfinite(moved.body_speed_m_s)]),
         name=name_gait(found, taken, float(moved.time_s[-1])),
         doubtful=doubtful,
     )
@@ -546,8 +567,9 @@ def checked(
 ) -> tuple[tuple[Stride, ...], tuple[Doubt, ...]]:
     """Strides of one method that count, and those that do not, held against the other's and the return of the pose."""
     counted, doubtful = [], []
+    by_foot = {foot: [s for s in others if s.foot == foot] for foot in moved.feet}
     for stride in own:
-        other_s = _other_s(stride, others)
+        other_s = _other_s(stride, by_foot[stride.foot])
         returns_s = pose_return_s(moved, stride.start_s, stride.end_s)
         decides = returns_s if returns_s is not None and (returns_s > 0 or other_s is None) else other_s
         if decides is None or abs(decides * stride.frequency_hz - 1) <= AGREE:
@@ -557,14 +579,13 @@ def checked(
     return tuple(counted), tuple(doubtful)
 
 
-def _other_s(stride: Stride, others: tuple[Stride, ...]) -> float | None:
-    """Duration of the stride of the same foot that overlaps most with it, by the other method."""
-
-    def overlap(other: Stride) -> float:
-        return min(stride.end_s, other.end_s) - max(stride.start_s, other.start_s)
-
-    other = max((o for o in others if o.foot == stride.foot), key=overlap, default=None)
-    return None if other is None or overlap(other) <= 0 else other.end_s - other.start_s
+def _other_s(stride: Stride, others: Sequence[Stride]) -> float | None:
+    """Duration of the stride that overlaps most with it, of those of its foot by the other method."""
+    if not others:
+        return None
+    (shared,) = _overlap([stride], others)
+    other = others[int(shared.argmax())]
+    return other.end_s - other.start_s if shared.max() > 0 else None
 
 
 def doubt_text(method: Method, doubt: Doubt) -> str:
@@ -725,5 +746,5 @@ def _signed(phase: float) -> float:
     return (phase + 0.5) % 1.0 - 0.5
 
 
-def _mean(values: list[float]) -> float:
+def _mean(values: Sequence[float] | Array) -> float:
     return float(np.mean(values)) if len(values) else np.nan

@@ -23,7 +23,8 @@ what smoothing takes away from the motion itself.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -95,6 +96,11 @@ class Series:
     def smoothed(self) -> bool:
         return self.lam is not None
 
+    def at_frames(self) -> Series:
+        """Without the samples between frames, which take ten times the memory."""
+        arrays = ("time_s", "value", "rate", "acceleration", "value_sigma", "rate_sigma", "acceleration_sigma")
+        return replace(self, **_every(self.oversampling, self, arrays), oversampling=1)
+
 
 @dataclass(frozen=True, eq=False)
 class JointKinematics:
@@ -116,8 +122,17 @@ class JointKinematics:
     mean_speed_m_s: float
     """Over the time the known spans take."""
     peak_speed_m_s: float
+    peak_speed_sigma_m_s: float
+    """NaN without errors."""
     peak_speed_time_s: float
     peak_acceleration_m_s2: float
+    peak_acceleration_sigma_m_s2: float
+    """NaN without errors."""
+
+    def at_frames(self) -> JointKinematics:
+        """Without the samples between frames; peaks and means are those of all."""
+        arrays = ("speed_m_s", "acceleration_m_s2", "speed_sigma_m_s", "acceleration_sigma_m_s2")
+        return replace(self, **_every(self.series.oversampling, self, arrays), series=self.series.at_frames())
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,6 +149,15 @@ class AngleKinematics:
     """Greatest magnitude."""
     peak_acceleration_rad_s2: float
     """Greatest magnitude."""
+
+    def at_frames(self) -> AngleKinematics:
+        """Without the samples between frames; range and peaks are those of all."""
+        return replace(self, series=self.series.at_frames())
+
+
+def _every(step: int, of: Series | JointKinematics, arrays: Sequence[str]) -> dict[str, Any]:
+    """Every step-th row of these arrays, which may be None."""
+    return {name: None if (a := getattr(of, name)) is None else a[::step].copy() for name in arrays}
 
 
 # -- series ----------------------------------------------------------------------------------------------------------
@@ -308,13 +332,6 @@ def _propagate(weighted: Array, t: Array, correlation_s: float) -> Array:
     return np.maximum(np.sum((weighted @ correlation) * weighted, axis=-1), 0.0)
 
 
-def at_frames(series: Series) -> Series:
-    """Without the samples between frames, which take ten times the memory."""
-    arrays = {f.name: getattr(series, f.name) for f in fields(series) if f.name not in ("spans", "lam", "oversampling")}
-    every = series.oversampling
-    return replace(series, **{n: None if a is None else a[::every].copy() for n, a in arrays.items()}, oversampling=1)
-
-
 # -- points ----------------------------------------------------------------------------------------------------------
 
 
@@ -353,10 +370,17 @@ def point_kinematics(time_s: Array, xyz_m: Array, errors: Sequence[Errors] = (),
         acceleration_sigma_m_s2=acceleration_sigma,
         distance_m=distance if covered else np.nan,
         mean_speed_m_s=distance / covered if covered else np.nan,
-        peak_speed_m_s=float(np.nanmax(speed)) if covered else np.nan,
-        peak_speed_time_s=float(series.time_s[np.nanargmax(speed)]) if covered else np.nan,
-        peak_acceleration_m_s2=float(np.nanmax(acceleration)) if covered else np.nan,
+        peak_speed_m_s=_at_peak(speed, speed),
+        peak_speed_sigma_m_s=_at_peak(speed, speed_sigma),
+        peak_speed_time_s=_at_peak(speed, series.time_s),
+        peak_acceleration_m_s2=_at_peak(acceleration, acceleration),
+        peak_acceleration_sigma_m_s2=_at_peak(acceleration, acceleration_sigma),
     )
+
+
+def _at_peak(values: Array, others: Array | None) -> float:
+    """Of the others (N,), where values (N,) are largest; NaN without."""
+    return np.nan if others is None or not np.isfinite(values).any() else float(others[np.nanargmax(values)])
 
 
 def joint_kinematics(pose: Pose3D, joint: str, fps: float, errors: Sequence[Errors] = (), **options) -> JointKinematics:

@@ -7,7 +7,8 @@ robust terms r and J are as the solver weighs them, so that J'r is the gradient 
 from __future__ import annotations
 
 import io
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+import zipfile
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -26,7 +27,7 @@ from recon.results import Results
 from recon.solve.contacts import contacts
 from recon.solve.least_squares import LeastSquares
 from recon.solve.setting import Setting
-from recon.solve.terms import SIZE, Span, lag
+from recon.solve.terms import SIZE, lag
 
 _LEAST_DAMPING = 1e-4
 """Of the step that is left: as of the solver's last ones."""
@@ -38,7 +39,7 @@ class Rows:
 
     term: str
     frames: Index
-    """(N,), rows of the clip."""
+    """(N,), rows of the clip, all distinct."""
     stencil: tuple[int, ...]
     cost: Array
     """(N,)"""
@@ -56,70 +57,88 @@ class Linearised:
     """(D,)"""
     frames: int
     """T"""
-    rows: tuple[Rows, ...]
+    rows: Callable[[], Iterable[Rows]]
+    """All rows, a few frames at a time: of a long clip they take gigabytes together."""
     step: Array
     """(T, D): what one more step would change, by the method that has one for the clip; NaN of the other."""
 
     @cached_property
     def cost(self) -> dict[str, Array]:
         """By term (T,), robust; NaN without a pose."""
-        costs: dict[str, Array] = {}
-        for rows in self.rows:
-            np.add.at(costs.setdefault(rows.term, np.where(self.solved, 0.0, np.nan)), rows.frames, rows.cost)
-        return costs
+        return self._sums[0]
 
     @cached_property
     def gradient(self) -> Array:
         """(T, D), NaN without a pose."""
-        return self._summed([np.einsum("nm,nmsd->nsd", rows.residual, rows.jacobian) for rows in self.rows])
+        return self._sums[1]
 
     @cached_property
     def column_norm(self) -> Array:
         """(T, D): of the Jacobian's columns, NaN without a pose."""
-        return np.sqrt(self._summed([np.einsum("nmsd->nsd", rows.jacobian**2) for rows in self.rows]))
+        return np.sqrt(self._sums[2])
 
     @cached_property
     def solved(self) -> NDArray[np.bool_]:
         """(T,)"""
-        solved = np.zeros(self.frames, dtype=bool)
-        solved[np.concatenate([[], *(rows.frames for rows in self.rows)]).astype(int)] = True
-        return solved
+        return np.isfinite(self.gradient[:, 0])
 
-    def _summed(self, parts: Sequence[Array]) -> Array:
-        """(T, D) from (N, S, D) of each term."""
-        total = np.where(self.solved[:, None], np.zeros((self.frames, len(self.unknowns))), np.nan)
-        for rows, part in zip(self.rows, parts, strict=True):
+    @cached_property
+    def _sums(self) -> tuple[dict[str, Array], Array, Array]:
+        """The cost, the gradient, and the squared norms of columns."""
+        cost: dict[str, Array] = {}
+        solved, (gradient, squares) = np.zeros(self.frames, dtype=bool), np.zeros((2, self.frames, len(self.unknowns)))
+        for rows in self.rows():
+            solved[rows.frames] = True
+            cost.setdefault(rows.term, np.zeros(self.frames))[rows.frames] += rows.cost
             for slot, offset in enumerate(rows.stencil):
-                np.add.at(total, rows.frames + offset, part[:, slot])
-        return total
+                jacobian = rows.jacobian[:, :, slot]
+                gradient[rows.frames + offset] += np.einsum("nm,nmd->nd", rows.residual, jacobian)
+                squares[rows.frames + offset] += np.einsum("nmd,nmd->nd", jacobian, jacobian)
+        for values in (*cost.values(), gradient, squares):
+            values[~solved] = np.nan
+        return cost, gradient, squares
 
     def write_jacobian(self, path: Path) -> None:
         """As NPZ that `scipy.sparse.load_npz` reads as a matrix (M, T D), column t D + d: the unknown d of row t of the
         clip; with it unknowns (D,), and of every row its residual, term, and the frame that it stands for."""
-        D, first, parts, of_rows = len(self.unknowns), 0, [], []
-        for rows in self.rows:
-            n, m, s, d = np.nonzero(rows.jacobian)
-            column = (rows.frames[n] + np.array(rows.stencil)[s]) * D + d
-            parts.append((first + n * rows.residual.shape[1] + m, column, rows.jacobian[n, m, s, d]))
-            first += rows.residual.size
-            frames = np.repeat(rows.frames, rows.residual.shape[1])
-            of_rows.append((rows.residual.ravel(), np.full(rows.residual.size, rows.term), frames))
-        row, column, value = (np.concatenate(part) for part in zip(*parts, strict=True))
-        residual, term, frame = (np.concatenate(part) for part in zip(*of_rows, strict=True))
+        D, of_rows = len(self.unknowns), []
+        for rows in self.rows():
+            wide = rows.residual.shape[1]
+            entries = np.count_nonzero(rows.jacobian, axis=(2, 3)).ravel()
+            term = np.full(rows.residual.size, [*self.cost].index(rows.term))
+            of_rows.append((rows.residual.ravel(), entries, term, np.repeat(rows.frames, wide)))
+        residual, entries, term, frame = (np.concatenate(part) for part in zip(*of_rows, strict=True))
+        ends = np.concatenate([[0], np.cumsum(entries)])
+
+        def columns(rows: Rows) -> Index:
+            n, _, s, d = np.nonzero(rows.jacobian)
+            return (rows.frames[n] + np.array(rows.stencil)[s]) * D + d
+
         made = io.BytesIO()
         np.savez_compressed(
             made,
-            format=np.array(b"coo"),
-            shape=np.array([first, self.frames * D]),
-            row=row,
-            col=column,
-            data=value,
+            format=np.array(b"csr"),
+            shape=np.array([len(residual), self.frames * D]),
+            indptr=ends,
             residual=residual,
-            term=term,
+            term=np.array([*self.cost])[term],
             clip_row=frame,
             unknowns=np.array(self.unknowns),
         )
+        # A few frames at a time, and as fast as they can be packed: these are by far the largest.
+        with zipfile.ZipFile(made, "a", zipfile.ZIP_DEFLATED, compresslevel=1) as file:
+            _add(file, "indices", np.dtype(np.int32), ends[-1], map(columns, self.rows()))
+            _add(file, "data", np.dtype(float), ends[-1], (rows.jacobian[rows.jacobian != 0] for rows in self.rows()))
         write_bytes(path, made.getvalue())
+
+
+def _add(file: zipfile.ZipFile, name: str, dtype: np.dtype, length: int, parts: Iterable[Array | Index]) -> None:
+    """One more array (length,) to a file of NPZ, part by part."""
+    with file.open(f"{name}.npy", "w", force_zip64=True) as member:
+        header = {"descr": dtype.str, "fortran_order": False, "shape": (int(length),)}
+        np.lib.format.write_array_header_1_0(member, header)
+        for part in parts:
+            member.write(part.astype(dtype).tobytes())
 
 
 def linearised_frames(view: View, chain: Chain, fps: float, options: FrameOptions, results: Results) -> Linearised:
@@ -132,7 +151,7 @@ def linearised_frames(view: View, chain: Chain, fps: float, options: FrameOption
         for t, by_term in frame_rows(view, chain, fps, options, states, sigma_px)
         for term, (r, J) in by_term.items()
     ]
-    return Linearised(chain.state_names, len(frames), tuple(rows), np.full(states.shape, np.nan))
+    return Linearised(chain.state_names, len(frames), lambda: rows, np.full(states.shape, np.nan))
 
 
 def linearised_clip(setting: Setting, results: Results) -> Linearised:
@@ -144,7 +163,7 @@ def linearised_clip(setting: Setting, results: Results) -> Linearised:
     told[SIZE] = np.array([size])
     states = results.states.copy()
     states[:, ROOT] = (states[:, ROOT] - setting.origin_m) / results.size
-    rows, step = [], np.full(states.shape, np.nan)
+    spells, step = [], np.full(states.shape, np.nan)
     for spell in results.spells:
         part, found = replace(setting.part(spell.rows), trust=spell.prior_weight), states[spell.rows]
         if not np.isfinite(found).all():
@@ -155,22 +174,30 @@ def linearised_clip(setting: Setting, results: Results) -> Linearised:
         stand = o.ground == "auto" and len(part.feet) > 0 and len(found) > 2
         problem = part.problem(noise_px, 1.0, contacts(part, points, size)[2] if stand else (), points, size)
         shared = {name: (problem.expected() | told)[name] for name in problem.columns}  # refined cameras are in place
-        rows += [replace(one, frames=one.frames + spell.rows.start) for one in _rows(problem, found, shared)]
-        step[spell.rows] = problem.normal(found, shared).step(_LEAST_DAMPING)[0]
-    return Linearised(setting.body.state_names, len(states), tuple(rows), step)
+        step[spell.rows] = replace(problem).normal(found, shared).step(_LEAST_DAMPING)[0]  # what a copy caches goes
+        spells.append((spell.rows.start, problem, found, shared))
+
+    def rows() -> Iterator[Rows]:
+        for start, *of_spell in spells:
+            for one in _rows(*of_spell):
+                yield replace(one, frames=one.frames + start)
+
+    return Linearised(setting.body.state_names, len(states), rows, step)
 
 
 def _rows(problem: LeastSquares, states: Array, shared: Mapping[str, Array]) -> Iterator[Rows]:
-    for term in problem.linear:
-        frames, r = term.frames(len(states)), term.residual(states)
-        jacobian = np.broadcast_to(term.slots.swapaxes(0, 1), (len(r), *term.slots.swapaxes(0, 1).shape))
-        yield Rows(term.name, frames, term.stencil, 0.5 * np.sum(r**2, axis=1), r, jacobian)
-    span = Span(0, states, problem.tree.pose_with_jacobian(states), True, shared)
-    for term in problem.terms:
-        found = term.evaluate(span, jacobian=True)
-        assert found.residual is not None
-        assert found.jacobian is not None
-        yield Rows(term.name, found.frames, term.stencil, found.cost, found.residual, found.jacobian)
+    linear = [(term, term.frames(len(states)), term.residual(states)) for term in problem.linear]
+    for span in problem.spans(states, shared, jacobian=True):
+        for term, frames, residual in linear:
+            own = (frames >= span.first) & (frames < span.first + len(span.states[span.own]))
+            slots = term.slots.swapaxes(0, 1)
+            r, jacobian = residual[own], np.broadcast_to(slots, (own.sum(), *slots.shape))
+            yield Rows(term.name, frames[own], term.stencil, 0.5 * np.sum(r**2, axis=1), r, jacobian)
+        for term in problem.terms:
+            found = term.evaluate(span, jacobian=True)
+            assert found.residual is not None
+            assert found.jacobian is not None
+            yield Rows(term.name, found.frames, term.stencil, found.cost, found.residual, found.jacobian)
 
 
 # -- frame by frame -----------------------------------------------------------------------------------------------

@@ -72,8 +72,8 @@ def run_analyse(
         require_free_folder(out, (SUMMARY, PLOTS, *analysis_csv.TABLES, *own), overwrite, "an analysis")
         progress("analysis", 0.1)
         with threadpool_limits(1, user_api="blas"):  # of small matrices, threads cost more than they bring
+            record = _solver_record(results) if solver else None  # before the other, which takes as much memory
             found = analyse(results, smooth, stride_s, lean=True)
-            record = _solver_record(results) if solver else None
         summary = summarise(found) | ({} if record is None else {"solver": record.summary()})
         progress("tables", FIGURES_BEGIN - 0.1)
         with staged_folder(out) as staging:
@@ -110,7 +110,6 @@ def _write_plots(found: ClipAnalysis, record: SolverRecord | None, folder: Path)
 def summarise(found: ClipAnalysis) -> dict[str, Any]:
     """The figures of a clip in short; what they are is in docs/gait.md."""
     moved = found.joints[found.reference]
-    peak = int(np.nanargmax(moved.speed_m_s))
     return {
         "schema": {"name": "recon.analysis", "version": 1},
         "results": str(found.results.folder),
@@ -122,7 +121,7 @@ def summarise(found: ClipAnalysis) -> dict[str, Any]:
             "distance_m": moved.distance_m,
             "mean_m_s": moved.mean_speed_m_s,
             "peak_m_s": moved.peak_speed_m_s,
-            "peak_sigma_m_s": None if moved.speed_sigma_m_s is None else float(moved.speed_sigma_m_s[peak]),
+            "peak_sigma_m_s": None if np.isnan(moved.peak_speed_sigma_m_s) else moved.peak_speed_sigma_m_s,
             "peak_time_s": moved.peak_speed_time_s,
             "peak_acceleration_m_s2": moved.peak_acceleration_m_s2,
             "doubt": _doubt(found),

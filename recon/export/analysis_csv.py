@@ -30,8 +30,8 @@ def joints(found: ClipAnalysis) -> Table:
     rows = [
         (
             *(name, moved.distance_m, moved.mean_speed_m_s, moved.peak_speed_m_s),
-            *(_at_peak(moved.speed_m_s, moved.speed_sigma_m_s), moved.peak_speed_time_s),
-            *(moved.peak_acceleration_m_s2, _at_peak(moved.acceleration_m_s2, moved.acceleration_sigma_m_s2)),
+            *(moved.peak_speed_sigma_m_s, moved.peak_speed_time_s),
+            *(moved.peak_acceleration_m_s2, moved.peak_acceleration_sigma_m_s2),
         )
         for name, moved in found.joints.items()
     ]
@@ -228,11 +228,6 @@ def _gait_row(method: str, one: Gait, feet: list[str]) -> Sequence[Any]:
 def _axes(name: str, vectors: np.ndarray) -> Columns:
     """The columns of vectors (N, 3)."""
     return {name.format(axis): column for axis, column in zip("xyz", vectors.T, strict=True)}
-
-
-def _at_peak(values: np.ndarray, sigma: np.ndarray | None) -> float:
-    """The standard deviation where the values are largest; NaN without."""
-    return np.nan if sigma is None or not np.isfinite(values).any() else float(sigma[np.nanargmax(values)])
 
 
 def _or_nan(values: np.ndarray | None, like: np.ndarray) -> np.ndarray:

@@ -117,8 +117,8 @@ def _speed_sentence(results: Results, moved: JointKinematics) -> str:
         run = results.report.get("travel", {}).get("median_speed_m_s")
         if run is not None:
             return f"A straight run through all frames has {run:.1f} m/s; this method's path jitters in depth."
-    sigma = moved.speed_sigma_m_s
-    spread = "" if sigma is None else f" ± {sigma[int(np.nanargmax(moved.speed_m_s))]:.1f}"
+    sigma = moved.peak_speed_sigma_m_s
+    spread = "" if np.isnan(sigma) else f" ± {sigma:.1f}"
     return (
         f"It ran {moved.distance_m:.1f} m, at {moved.mean_speed_m_s:.1f} m/s in the mean and "
         f"{moved.peak_speed_m_s:.1f}{spread} m/s at most."

@@ -9,7 +9,19 @@ import numpy as np
 
 from recon.analysis.solver import SolverRecord
 from recon.arrays import Array
-from recon.plots.style import GREY, PAGE_MM, PALE, SMALL, add_legend, blank, dots, drawing, legend_shape, look
+from recon.plots.style import (
+    GREY,
+    MOST_DOTS,
+    PAGE_MM,
+    PALE,
+    SMALL,
+    add_legend,
+    blank,
+    dots,
+    drawing,
+    legend_shape,
+    look,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -90,7 +102,12 @@ def image_errors(record: SolverRecord) -> Figure:
         for axes, (camera, values) in zip(panels, errors.items(), strict=True):
             edges = np.append(frames, frames[-1] + 1) - 0.5
             image = axes.pcolormesh(
-                edges, np.arange(len(names) + 1) - 0.5, values, cmap=mpl.colormaps["viridis"], norm=LogNorm(0.5, top)
+                edges,
+                np.arange(len(names) + 1) - 0.5,
+                values,
+                cmap=mpl.colormaps["viridis"],
+                norm=LogNorm(0.5, top),
+                rasterized=len(frames) > MOST_DOTS,  # as lines, thousands of cells take seconds and megabytes
             )
             axes.set_yticks(range(len(names)), names)
             axes.set_ylim(len(names) - 0.5, -0.5)

@@ -61,8 +61,8 @@ def _curve(axes: Axes, i: int, motion: JointKinematics, value: Array, sigma: Arr
 def _peak(motion: JointKinematics) -> str:
     if not np.isfinite(motion.peak_speed_m_s):
         return "no data"
-    sigma = motion.speed_sigma_m_s
-    deviation = "" if sigma is None else f" ± {sigma[int(np.nanargmax(motion.speed_m_s))]:.2f}"
+    sigma = motion.peak_speed_sigma_m_s
+    deviation = "" if np.isnan(sigma) else f" ± {sigma:.2f}"
     speed = f"peak {motion.peak_speed_m_s:.2f}{deviation} m/s at {motion.peak_speed_time_s:.3f} s"
     return f"{speed}, {motion.peak_acceleration_m_s2:.0f} m/s²"
 

@@ -86,7 +86,7 @@ class LeastSquares:
             costs[unknown.name] = 0.5 * float(np.sum(((shared[unknown.name] - unknown.mean) / unknown.sigma) ** 2))
         for term in self.linear:
             costs[term.name] = costs.get(term.name, 0.0) + 0.5 * float(np.sum(term.residual(states) ** 2))
-        for span in self._spans(states, shared, jacobian=False):
+        for span in self.spans(states, shared, jacobian=False):
             for term in self.terms:
                 costs[term.name] = costs.get(term.name, 0.0) + float(term.evaluate(span, jacobian=False).cost.sum())
         return costs
@@ -99,7 +99,7 @@ class LeastSquares:
     def squares(self, states: Array) -> float:
         """The sum of all squared residuals."""
         total = sum(float(np.sum(term.residual(states) ** 2)) for term in self.linear)
-        for span in self._spans(states, self.expected(), jacobian=True):
+        for span in self.spans(states, self.expected(), jacobian=True):
             for term in self.terms:
                 residual = term.evaluate(span, jacobian=True).residual
                 assert residual is not None
@@ -122,7 +122,7 @@ class LeastSquares:
             at, r = term.frames(T), term.residual(states)
             for offset, slot in zip(term.stencil, term.slots, strict=True):
                 gradient[at + offset] += r @ slot
-        for span in self._spans(states, shared, jacobian=True):
+        for span in self.spans(states, shared, jacobian=True):
             for term in self.terms:
                 rows = term.evaluate(span, jacobian=True)
                 assert rows.residual is not None
@@ -170,7 +170,7 @@ class LeastSquares:
             damping = max(20.0 * damping, _FIRST_DAMPING)
         return None
 
-    def _spans(self, states: Array, shared: Mapping[str, Array], jacobian: bool) -> Iterator[Span]:
+    def spans(self, states: Array, shared: Mapping[str, Array], jacobian: bool) -> Iterator[Span]:
         """The clip in pieces that overlap by one frame."""
         pose = self.tree.pose_with_jacobian if jacobian else self.tree.pose
         for first in range(0, len(states), _FRAMES_AT_ONCE):

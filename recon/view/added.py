@@ -78,7 +78,7 @@ def write_plots(
     entities = [*(s.entity for s in series), *(state_entity(row.name) for s in states for row in s.rows)]
     if len({*entities}) < len(entities):
         raise ValueError(f"entities must differ: {', '.join(entities)}")
-    whole = Playback.read(playback)
+    whole = replace(Playback.read(playback), data=())  # of a long clip a lot of memory
     found = [whole.on_frames(p.time_s) for p in plots]
     problems = [
         Problem(
