@@ -8,7 +8,7 @@ import numpy as np
 
 from recon.analysis.phase import LinkField, field_means
 from recon.arrays import Array
-from recon.plots.style import COLOURS, GREY, PAGE_MM, PALE, SMALL, blank, dots, drawing
+from recon.plots.style import COLOURS, GREY, PAGE_MM, PALE, SMALL, blank, dots, drawing, telling
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -59,12 +59,14 @@ def vector_fields(fields: tuple[LinkField, ...], time_s: Array, title: str = "")
             if not keyed and larger == 1:
                 _key(left, arrows, float(fastest), every, height)
                 keyed = True
-            right.plot(time_s, field.speed_m_s, color=colour, **dots(len(time_s), 1.8))
+            rows = telling(field.speed_m_s)
+            right.plot(time_s[rows], field.speed_m_s[rows], color=colour, **dots(len(time_s), 1.8))
             highest = float(fastest) / larger
             if (sigma := field.speed_sigma_m_s) is not None:
-                ends = np.maximum(field.speed_m_s - sigma, 0.0), field.speed_m_s + sigma
-                right.fill_between(time_s, *ends, color=colour, alpha=0.2, lw=0)
-                highest = max(highest, float(np.nanmax(ends[1], initial=0.0))) if larger > 1 else highest
+                low, high = np.maximum(field.speed_m_s - sigma, 0.0), field.speed_m_s + sigma
+                rows = telling(low, high)
+                right.fill_between(time_s[rows], low[rows], high[rows], color=colour, alpha=0.2, lw=0)
+                highest = max(highest, float(np.nanmax(high, initial=0.0))) if larger > 1 else highest
             right.set_ylim(0, 1.08 * highest or 1.0)
             right.locator_params(axis="y", nbins=3)
             deviation = f", sigma {means.speed_sigma_m_s:.2f}" if np.isfinite(means.speed_sigma_m_s) else ""

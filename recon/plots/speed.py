@@ -9,7 +9,7 @@ import numpy as np
 
 from recon.analysis.kinematics import JointKinematics
 from recon.arrays import Array
-from recon.plots.style import WIDTH_MM, add_legend, blank, dots, drawing, legend_shape, look
+from recon.plots.style import WIDTH_MM, add_legend, blank, dots, drawing, legend_shape, look, telling
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -49,9 +49,12 @@ def speeds(curves: Mapping[str, JointKinematics], title: str = "", width_mm: flo
 def _curve(axes: Axes, i: int, motion: JointKinematics, value: Array, sigma: Array | None) -> Line2D:
     style, t = look(i), motion.series.time_s
     every = motion.series.oversampling
-    (line,) = axes.plot(t, value, **dots(len(t) // every, 2.2), markevery=every, zorder=3, **style)
+    rows = telling(value)
+    (line,) = axes.plot(t[rows], value[rows], **dots(len(t) // every, 2.2), markevery=every, zorder=3, **style)
     if sigma is not None:
-        axes.fill_between(t, np.maximum(value - sigma, 0.0), value + sigma, color=style["color"], alpha=0.2, lw=0)
+        low, high = np.maximum(value - sigma, 0.0), value + sigma
+        rows = telling(low, high)
+        axes.fill_between(t[rows], low[rows], high[rows], color=style["color"], alpha=0.2, lw=0)
     if np.isfinite(value).any():
         k = int(np.nanargmax(value))
         axes.plot(t[k], value[k], "o", ms=6, mfc="none", mec=style["color"], mew=1.0, zorder=4)
