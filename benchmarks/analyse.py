@@ -19,7 +19,7 @@ import numpy as np
 from markdown_table import print_header, print_row
 from trajectory import FPS, SIMULATED_CAMERA, body_of, circling
 
-from recon.export.deeplabcut import write_keypoints_csv
+from recon.io.deeplabcut import write_csv
 from recon.keypoints import Keypoints
 
 
@@ -28,7 +28,7 @@ def fit(frames: int, folder: Path) -> None:
     seen = np.isfinite(view.xy_px[..., 0]).astype(float)
     keypoints = Keypoints(body_of("phantom").markers, view.xy_px, seen, np.arange(frames), fps=FPS)
     file = folder.with_suffix(".csv")
-    write_keypoints_csv(keypoints, file)
+    write_csv(keypoints, file)
     size = "x".join(map(str, SIMULATED_CAMERA.image_size_px))
     camera = ("--hfov-deg", "60", "--image-size", size, "--tilt-deg", "0", "--fps", f"{FPS:g}")
     recon("fit", str(file), *camera, "--out", str(folder), "--quiet", "--overwrite")

@@ -30,7 +30,7 @@ from trajectory import GROUPS, body_of, meta_of, view_of
 from recon import FitSettings, Motion, fit_clip, read_keypoints
 from recon.analysis.evaluation import centre, joint_errors
 from recon.body import other_side
-from recon.export.deeplabcut import write_keypoints_csv
+from recon.io.deeplabcut import write_csv
 from recon.keypoints import Keypoints
 
 TEN, END = 10, 12
@@ -140,7 +140,7 @@ def fitted(view: View, case: Case, folder: Path, **told: Any) -> tuple[Motion, n
     """The motion, and which frames were changed."""
     xy_px, changed = case.change(view)
     path = folder / f"cam{view.camera}.csv"
-    write_keypoints_csv(replace(view.file, xy_px=xy_px, fps=None), path)
+    write_csv(replace(view.file, xy_px=xy_px, fps=None), path)
     meta = meta_of(view.run)
     settings = {
         "keypoints": path,

@@ -13,8 +13,8 @@ from recon.analysis.evaluation import evaluate_files
 from recon.app.clip import run_clip
 from recon.app.demo import samples_folder
 from recon.app.net import LabelSource, run_prediction, run_training
-from recon.export.deeplabcut import write_keypoints_csv
 from recon.io import read_keypoints
+from recon.io.deeplabcut import write_csv
 from recon.keypoints import Keypoints
 from recon.net.evaluate2d import Evaluation2D, evaluate_2d
 from recon.net.labels import body_length_px, read_label_file
@@ -66,7 +66,7 @@ def run_circle(
         truth.names, found.xy_px[others], found.confidence[others], truth.xy_px[others], body_length_px(truth.xy_px)
     )
     noisy = out / "noisy.csv"
-    write_keypoints_csv(with_noise(truth, NOISE_PX, seed), noisy)
+    write_csv(with_noise(truth, NOISE_PX, seed), noisy)
     errors = []
     for name, file in (("predicted", points), ("noisy", noisy)):
         options = FitSettings(

@@ -16,11 +16,11 @@ from detector_files import mmpose
 from recon.body import Body
 from recon.calibration import read_camera
 from recon.camera import Camera
-from recon.export import bvh, plain_csv, sleap
-from recon.export.deeplabcut import write_keypoints_csv, write_pose_csv
+from recon.export import bvh
 from recon.export.rig import make_rig
 from recon.intrinsics.board import parse_board
-from recon.io import read_keypoints
+from recon.io import columns, read_keypoints, sleap
+from recon.io.deeplabcut import write_csv
 from recon.io.pose3d import Pose3D, read_pose3d
 from recon.keypoints import Keypoints
 from recon.rotations import quaternions
@@ -134,7 +134,7 @@ WIDE = {"^frame$": "Nr", r"^(.*)_x(_px)?$": r"X of \1", r"^(.*)_y(_px)?$": r"Y o
 def _runs(path: Path) -> None:
     """The sample forwards, backwards and forwards again: a prior of 16 components needs 320 frames in two files."""
     there = pose().xyz_m
-    write_pose_csv(replace(pose(), xyz_m=np.concatenate([there, there[::-1], there]), frames=np.arange(180)), path)
+    write_csv(replace(pose(), xyz_m=np.concatenate([there, there[::-1], there]), frames=np.arange(180)), path)
 
 
 def _board(description: str, model: str, count: int) -> list[np.ndarray]:
@@ -181,7 +181,7 @@ def _cat(folder: Path, seed: int = 0) -> tuple[Body, Pose3D]:
 
 
 def _cat_poses(path: Path) -> None:
-    write_pose_csv(_cat(path.parent)[1], path)
+    write_csv(_cat(path.parent)[1], path)
 
 
 def _cat_clip(path: Path) -> None:
@@ -192,7 +192,7 @@ def _cat_clip(path: Path) -> None:
     xy_px, seen = camera.project(camera.world_to_camera(near))
     xy_px = np.where(seen[..., None], xy_px, np.nan)
     clip = Keypoints(truth.names, xy_px, seen.astype(float), np.arange(60), fps=CAT_FPS)
-    write_keypoints_csv(clip, path)
+    write_csv(clip, path)
 
 
 FILES: dict[str, Callable[[Path], None]] = {
@@ -205,8 +205,8 @@ FILES: dict[str, Callable[[Path], None]] = {
     "clip.analysis.h5": _sleap,
     "pair.h5": _two_animals,
     "capture.bvh": _bvh,
-    "long.csv": _renamed_columns(LONG, plain_csv.write_long),
-    "wide.csv": _renamed_columns(WIDE, plain_csv.write_wide),
+    "long.csv": _renamed_columns(LONG, columns.write_long),
+    "wide.csv": _renamed_columns(WIDE, columns.write_wide),
     "board": _pictures,
     "board.mp4": _board_video,
     "run1.csv": _runs,

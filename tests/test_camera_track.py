@@ -16,8 +16,8 @@ from recon.app.batch.record import identity
 from recon.app.clip import prepare
 from recon.camera_track import read_camera_track
 from recon.clip import View, held, views_of
-from recon.export.deeplabcut import write_keypoints_csv
 from recon.frames import rigid
+from recon.io.deeplabcut import write_csv
 from recon.keypoints import Keypoints
 from recon.results import read_results
 from recon.rotations import part_of_turn, quaternion_rotations, quaternions
@@ -342,7 +342,7 @@ def panned(folder: Path) -> dict[str, Any]:
     poses = rigid(rotation, -(rotation @ centre))
     pans = View(view.camera, poses, view.xy_px, view.confidence)
     seen = Keypoints(BODY.markers, pans.project(centre + view.rays())[0], view.confidence, keypoints.frames, fps=60.0)
-    write_keypoints_csv(seen, folder / "pan.csv")
+    write_csv(seen, folder / "pan.csv")
     return {
         "keypoints": folder / "pan.csv",
         "camera": SAMPLES / "camera.toml",

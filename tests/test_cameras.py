@@ -16,7 +16,7 @@ from recon.app.extrinsics import run_extrinsics
 from recon.calibration import read_cameras, write_cameras
 from recon.camera import Camera
 from recon.clip import Source, View, together
-from recon.export.deeplabcut import write_keypoints_csv
+from recon.io.deeplabcut import write_csv
 from recon.keypoints import Keypoints, clean
 from tests.command_line import run as command
 from tests.test_trajectory import BODY, CAMERA, FPS
@@ -38,9 +38,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         points = truth_m()
         blank = View(FISHEYE, pose, np.zeros((*points.shape[:2], 2)), np.ones(points.shape[:2]))
         noise = 2.0 * np.random.default_rng(number).normal(size=blank.xy_px.shape)
-        write_keypoints_csv(
-            keypoints_of((blank.project(points)[0] + noise)[first:], first), out / f"run_cam{number}.csv"
-        )
+        write_csv(keypoints_of((blank.project(points)[0] + noise)[first:], first), out / f"run_cam{number}.csv")
         rotation, t = pose[:3, :3].tolist(), pose[:3, 3, None].tolist()
         cameras.append({"k": FISHEYE.matrix.tolist(), "d": [[0.0]] * 4, "r": rotation, "t": t, "name": f"cam{number}"})
     (out / "scene.json").write_text(json.dumps({"camera_resolution": [1920, 1080], "cameras": cameras}))

@@ -13,8 +13,8 @@ from recon.app.demo import samples_folder
 from recon.calibration import read_camera
 from recon.clip import still_view
 from recon.errors import InputError
-from recon.export.deeplabcut import write_keypoints_csv
 from recon.io import read_keypoints
+from recon.io.deeplabcut import write_csv
 from recon.manifest import read_manifest
 from recon.published import FrameOptions, solve_frames
 from recon.settings import FitSettings
@@ -43,7 +43,7 @@ def sample(**options) -> FitSettings:
 def test_a_frame_rate_at_which_nothing_can_be_told_is_refused(fps: float, tmp_path):
     with pytest.raises(InputError, match=rf"--fps: fps: found {fps:g}, expected 1 to 10000 frames per second"):
         prepare(sample(fps=fps))
-    write_keypoints_csv(replace(read_keypoints(samples_folder() / "noisy.csv"), fps=fps), tmp_path / "stated.csv")
+    write_csv(replace(read_keypoints(samples_folder() / "noisy.csv"), fps=fps), tmp_path / "stated.csv")
     with pytest.raises(InputError, match=r"stated.csv: fps: found "):
         prepare(sample(keypoints=tmp_path / "stated.csv", fps=None))
 
@@ -52,7 +52,7 @@ def test_a_frame_far_outside_the_picture_is_left_out_and_named(tmp_path):
     file = read_keypoints(samples_folder() / "noisy.csv")
     xy_px = file.xy_px.copy()
     xy_px[2] += 1e300
-    write_keypoints_csv(replace(file, xy_px=xy_px), tmp_path / "off.csv")
+    write_csv(replace(file, xy_px=xy_px), tmp_path / "off.csv")
     (source,) = prepare(sample(keypoints=tmp_path / "off.csv", frames="0:20")).sources
     assert not source.keypoints.present[2].any()
     assert source.keypoints.present[[1, 3]].any(axis=1).all()
@@ -68,7 +68,7 @@ def test_keypoints_a_little_outside_the_picture_are_no_error(tmp_path):
     _, height = read_camera(samples_folder() / "camera.toml").image_size_px
     xy_px[..., 1] += height + 4 - np.nanquantile(xy_px[..., 1], 0.75)  # a quarter lies 4 px or more below the edge
     xy_px[..., 1] = np.minimum(xy_px[..., 1], height + 4)
-    write_keypoints_csv(replace(file, xy_px=xy_px), tmp_path / "low.csv")
+    write_csv(replace(file, xy_px=xy_px), tmp_path / "low.csv")
     (source,) = prepare(sample(keypoints=tmp_path / "low.csv", frames=None)).sources
     below = source.keypoints.xy_px[..., 1] > height
     assert below.sum() > 0.2 * source.keypoints.present.sum()
@@ -86,7 +86,7 @@ def test_keypoints_a_little_outside_the_picture_are_no_error(tmp_path):
 def test_points_of_another_picture_are_refused_with_what_it_may_be(tmp_path, change, perhaps):
     file = read_keypoints(samples_folder() / "noisy.csv")
     xy_px = 0.5 * file.xy_px / np.nanmax(file.xy_px, axis=(0, 1)) * (1920, 1080) + (960, 540)
-    write_keypoints_csv(replace(file, xy_px=change(xy_px)), tmp_path / "other.csv")
+    write_csv(replace(file, xy_px=change(xy_px)), tmp_path / "other.csv")
     with pytest.raises(InputError) as caught:
         prepare(sample(keypoints=tmp_path / "other.csv", frames=None))
     (problem,) = caught.value.problems

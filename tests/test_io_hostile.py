@@ -18,8 +18,7 @@ from typer.testing import CliRunner
 
 from recon.cli import app
 from recon.errors import InputError
-from recon.export import deeplabcut, movement, nwb
-from recon.io import plain_pickle, read_keypoints
+from recon.io import deeplabcut, movement, nwb, plain_pickle, read_keypoints
 from recon.keypoints import Keypoints
 
 CLIP = Keypoints(("nose", "tail"), np.arange(12.0).reshape(3, 2, 2), np.ones((3, 2)), np.arange(3), fps=50.0)
@@ -44,7 +43,7 @@ def attribute_of(where: str, name: str) -> Callable[[Path, Path], None]:
     """A table of DeepLabCut's with one attribute replaced."""
 
     def make(path: Path, marker: Path) -> None:
-        deeplabcut.write_keypoints_h5(CLIP, path)
+        deeplabcut.write_h5(CLIP, path)
         with h5py.File(path, "a") as file:
             file[where].attrs[name] = harm(marker)
 
@@ -61,7 +60,7 @@ def object_cells(path: Path, marker: Path) -> None:
 
 
 def in_netcdf(path: Path, marker: Path) -> None:
-    movement.write_keypoints(CLIP, path)
+    movement.write(CLIP, path)
     with h5py.File(path, "a") as file:
         for holder in (file, file["position"]):
             holder.attrs["CLASS"] = harm(marker)
@@ -69,7 +68,7 @@ def in_netcdf(path: Path, marker: Path) -> None:
 
 
 def in_nwb(path: Path, marker: Path) -> None:
-    nwb.write_keypoints(CLIP, path)
+    nwb.write(CLIP, path)
     with h5py.File(path, "a") as file:
         for holder in (file, file["processing"]):
             holder.attrs["CLASS"] = harm(marker)
@@ -160,7 +159,7 @@ def test_small_file_that_asks_for_terabytes(tmp_path):
 
 def test_heap_without_an_end(tmp_path):
     """The library would look for the next object for ever."""
-    movement.write_keypoints(CLIP, tmp_path / "a.nc")
+    movement.write(CLIP, tmp_path / "a.nc")
     content = bytearray((tmp_path / "a.nc").read_bytes())
     heap = content.index(b"GCOL")
     content[heap + 24 : heap + 32] = (2**64 - 16).to_bytes(8, "little")  # the first object's size

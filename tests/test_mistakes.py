@@ -11,8 +11,8 @@ import pytest
 from recon.app.clip import fit_clip, prepare
 from recon.app.demo import samples_folder
 from recon.clip import View, still_view
-from recon.export.deeplabcut import write_keypoints_csv
 from recon.io import read_keypoints
+from recon.io.deeplabcut import write_csv
 from recon.keypoints import CleaningReport
 from recon.mistakes import Known, Mistake, find_mistakes, with_flags, with_sides_mended, without_garbage
 from recon.mistakes.garbage import garbage_ratios
@@ -234,7 +234,7 @@ def test_every_mistake_has_a_sentence(small_trajectory: Motion):
 
 def test_a_file_says_which_rate_it_is_of(tmp_path):
     file = read_keypoints(samples_folder() / "whole_cam1.csv")
-    write_keypoints_csv(replace(file, fps=60.0), tmp_path / "stated.csv")
+    write_csv(replace(file, fps=60.0), tmp_path / "stated.csv")
     told = {"keypoints": tmp_path / "stated.csv", "camera": samples_folder() / "camera.toml"}
     for fps, stated in ((30.0, 60.0), (60.0, None), (None, None)):
         (source,) = prepare(FitSettings(**told, fps=fps)).sources

@@ -21,8 +21,8 @@ from recon.app.convert import Options, read_any
 from recon.app.retarget import solve
 from recon.app.skeleton_check import check_skeleton
 from recon.app.skeleton_draft import draft_skeleton
-from recon.export.deeplabcut import write_keypoints_csv
 from recon.io import read_keypoints
+from recon.io.deeplabcut import write_csv
 from recon.naming import NameMap, builtin_maps, fitting_maps, load_names, map_to_write, new_names, renamed, suggestions
 from recon.net.evaluate2d import evaluate_2d_files
 from recon.plots.skeleton import expected_pose
@@ -246,7 +246,7 @@ def as_named_by(bundled: str, path: Path, names: tuple[str, ...]) -> Path:
         if (new := of.get(name, name)) in file.names:
             xy[:, k] = file.xy_px[:, file.names.index(new)]
             confidence[:, k] = file.confidence[:, file.names.index(new)]
-    write_keypoints_csv(replace(file, names=tuple(names), xy_px=xy, confidence=confidence), path)
+    write_csv(replace(file, names=tuple(names), xy_px=xy, confidence=confidence), path)
     return path
 
 
@@ -355,7 +355,7 @@ def test_labels_and_predictions_of_other_names(tmp_path):
     np.testing.assert_array_equal(labels.xy_px, before.xy_px)
     named = tmp_path / "labels.csv"
     label_file = read_keypoints(SAMPLES / "rendered_labels.csv")
-    write_keypoints_csv(replace(label_file, names=tuple(f"label {n}" for n in label_file.names)), named)
+    write_csv(replace(label_file, names=tuple(f"label {n}" for n in label_file.names)), named)
     with pytest.raises(InputError) as error:
         evaluate_2d_files(SAMPLES / "rendered_points.csv", named)
     assert error.value.problems[0].more[0] == "file,skeleton"

@@ -14,8 +14,8 @@ from recon.analysis.camera_advice import PICTURE_PX, Advice, advise
 from recon.app.skeleton_check import default_prior
 from recon.body import Body
 from recon.errors import InputError, Problem
-from recon.export.table import write_rows
 from recon.files import require_free_folder, staged_folder
+from recon.io.table import write_rows
 from recon.plots.advice import in_words
 from recon.prior import load_prior
 from recon.report import to_json

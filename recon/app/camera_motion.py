@@ -18,9 +18,9 @@ from recon.camera_motion.features import rays_of
 from recon.camera_motion.panorama import ANIMAL, PATH, Canvas, draw_path, draw_view, panorama
 from recon.camera_track import INTRINSICS, POSE, SIGMA
 from recon.errors import InputError, Problem, all_of
-from recon.export.table import write_table
 from recon.files import require_free_file, staged_folder, write_bytes
 from recon.io import read_keypoints
+from recon.io.table import write_table
 from recon.keypoints import Keypoints
 from recon.progress import Progress, silent
 from recon.report import to_json

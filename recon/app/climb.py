@@ -12,8 +12,8 @@ import numpy as np
 from recon.app.retarget import solve, write_tables
 from recon.arrays import Array
 from recon.errors import InputError, Problem, all_of
-from recon.export.table import write_rows
 from recon.files import require_free_folder, sole_writer, staged_results
+from recon.io.table import write_rows
 from recon.report import to_json
 from recon.results import read_results
 from recon.robot.climb import Climb, Walker, check, load_recipe, plan, raised, scaled

@@ -19,7 +19,6 @@ from recon.analysis.gait import Method as Rule
 from recon.analysis.path import MIN_POINTS
 from recon.chain import Chain
 from recon.errors import InputError, Problem
-from recon.export.table import write_rows
 from recon.files import require_free_folder, sole_writer, staged_folder
 from recon.ik.animal import body_chain, body_chain_angles, body_travel, chain_angles, planar_chain, spine_front_leg
 from recon.ik.chain import SerialChain
@@ -52,6 +51,7 @@ from recon.ik.methods import (
 )
 from recon.ik.null_space import to_null_space_optimum
 from recon.ik.stride import Stride, farthest_reach, find_stride
+from recon.io.table import write_rows
 from recon.report import to_json
 from recon.results import Results, read_results
 from recon.skeleton_file import load_chain

@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from recon.errors import InputError, Problem, all_of
-from recon.export.deeplabcut import write_keypoints_csv, write_keypoints_h5
 from recon.files import require_free_file, sole_writer, staged_file, staged_folder
+from recon.io.deeplabcut import write_csv, write_h5
 from recon.keypoints import Keypoints
 from recon.net.labels import read_labels
 from recon.net.predict import predict_video
@@ -21,7 +21,7 @@ from recon.net.trained import MODEL_FILE, VIEWS, load_model
 from recon.progress import Progress, silent
 from recon.video import require_codec
 
-WRITERS = {".csv": write_keypoints_csv, ".h5": write_keypoints_h5}
+WRITERS = {".csv": write_csv, ".h5": write_h5}
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from recon.analysis.clip import ClipAnalysis
 from recon.analysis.gait import Gait
 from recon.analysis.kinematics import AngleKinematics
 from recon.analysis.phase import LinkField, field_means
-from recon.export.table import write_columns, write_rows
+from recon.io.table import write_columns, write_rows
 
 Rows = Iterable[Sequence[Any]]
 Table = tuple[Sequence[str], Rows]

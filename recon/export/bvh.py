@@ -10,8 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
-from recon.export.checks import require_names
 from recon.export.rig import AXIS, Rig
+from recon.io.common import require_names
 
 TITLE = "BVH"
 _CHANNEL = {(0, 1, 0): "Yrotation", (0, 0, -1): "Zrotation", (1, 0, 0): "Xrotation"}

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from recon.export.table import write_rows, write_table
+from recon.io.table import write_rows, write_table
 from recon.motion import Motion
 
 QUALITY_COLUMNS = ("frame", "flags", "alternative_m", "detections", "mean_weight", "place_sigma_m", "relative_rms_m")

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from recon.errors import InputError, Problem
-from recon.export import bvh, c3d, coco, deeplabcut, gltf, movement, npz, nwb, opensim, parquet, plain_csv, sleap, trc
+from recon.export import bvh, gltf, opensim
 from recon.export.rig import Rig
+from recon.io import c3d, coco, columns, deeplabcut, movement, npz, nwb, parquet, sleap, trc
 from recon.io.pose import Pose3D
 from recon.keypoints import Keypoints
 
@@ -46,8 +47,8 @@ FORMATS: tuple[Format, ...] = (
         "deeplabcut",
         "DeepLabCut CSV",
         (".csv",),
-        deeplabcut.write_keypoints_csv,
-        deeplabcut.write_pose_csv,
+        deeplabcut.write_csv,
+        deeplabcut.write_csv,
         "in the scorer",
         "kept",
         "m, z up",
@@ -56,26 +57,26 @@ FORMATS: tuple[Format, ...] = (
         "deeplabcut",
         "DeepLabCut H5",
         (".h5", ".hdf5"),
-        deeplabcut.write_keypoints_h5,
-        deeplabcut.write_pose_h5,
+        deeplabcut.write_h5,
+        deeplabcut.write_h5,
         "in the scorer",
         "kept",
         "m, z up",
     ),
-    Format("long", "long CSV", (".csv",), plain_csv.write_long, None, "as a column", "kept"),
-    Format("wide", "wide CSV", (".csv",), plain_csv.write_wide, None, "as a column", "kept"),
+    Format("long", "long CSV", (".csv",), columns.write_long, None, "as a column", "kept"),
+    Format("wide", "wide CSV", (".csv",), columns.write_wide, None, "as a column", "kept"),
     Format("sleap", "SLEAP analysis H5", (".analysis.h5", ".h5"), sleap.write, None, "in provenance", "from frame 0"),
     Format(
         "movement",
         "movement netCDF",
         (".nc",),
-        movement.write_keypoints,
-        movement.write_pose,
+        movement.write,
+        movement.write,
         "kept",
         "as times",
         "m, z up",
     ),
-    Format("nwb", "ndx-pose NWB", (".nwb",), nwb.write_keypoints, nwb.write_pose, "needed", "as times", "m, z up"),
+    Format("nwb", "ndx-pose NWB", (".nwb",), nwb.write, nwb.write, "needed", "as times", "m, z up"),
     Format("coco", "COCO JSON", (".json",), coco.write, None, "in info", "kept"),
     Format("parquet", "Parquet", (".parquet",), None, parquet.write, "in metadata", "kept", "m, z up"),
     Format("trc", "TRC", (".trc",), None, trc.write, "needed", "kept", "m, y up"),

@@ -12,9 +12,9 @@ from xml.etree.ElementTree import Element, SubElement, indent, tostring
 import numpy as np
 
 from recon.arrays import Array
-from recon.export import trc
-from recon.export.checks import require_names
 from recon.export.rig import AXIS, Bone, Rig
+from recon.io import trc
+from recon.io.common import require_names
 from recon.io.pose import y_up_from_z_up
 
 TITLE = "OpenSim model"

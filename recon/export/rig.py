@@ -15,8 +15,7 @@ from recon.arrays import Array, Index
 from recon.body import Body
 from recon.capsules import Capsule, capsules
 from recon.errors import InputError, Problem
-from recon.export.checks import require_span
-from recon.io.common import frames_text
+from recon.io.common import frames_text, require_span
 from recon.io.pose import Pose3D, y_up_from_z_up
 from recon.kinematics import ANGLE_OF_AXIS, AXES, ROOT, Tree
 from recon.results import Results

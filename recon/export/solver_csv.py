@@ -9,7 +9,7 @@ import numpy as np
 
 from recon.analysis.solver import SolverRecord
 from recon.export.analysis_csv import Table
-from recon.export.table import write_rows
+from recon.io.table import write_rows
 
 
 def frames(record: SolverRecord) -> Table:

@@ -1,6 +1,7 @@
 """C3D files of marker positions: the unit and the screen's axes in the header; a missing point has residual -1.
 
-C3D counts frames from 1: its frame 1 is frame 0 here. Our own files list their frame numbers. The format (c3d.org,
+C3D counts frames from 1: its frame 1 is frame 0 here. Our own files list their frame numbers, which may have gaps, in
+which all points are missing. The format (c3d.org,
 user guide): blocks of 512 bytes; a header, a section of parameters in groups, and for each frame four numbers of every
 point, x, y, z and a word with the residual, followed by the analog samples. Numbers are those of one of three kinds of
 processor.
@@ -8,18 +9,36 @@ processor.
 
 from __future__ import annotations
 
+import errno
+import os
 import struct
 from dataclasses import dataclass
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 
 from recon.errors import InputError, Problem
-from recon.io.common import choose, frames_of_text, name_problems, rate
-from recon.io.pose import UNIT_NAMES, StoredPoints
+from recon.files import write_bytes
+from recon.io.common import (
+    choose,
+    formats_extra,
+    frames_of_text,
+    frames_text,
+    name_problems,
+    rate,
+    require_names,
+    required_fps,
+    without_gaps,
+)
+from recon.io.pose import PER_METRE, UNIT_NAMES, Pose3D, StoredPoints
 
+TITLE = "C3D"
+UNIT = "mm"
+"""Of our own files."""
 OWN_GROUP = "RECON"
+WORD_MAX, TEXT_MAX = 65_535, 255
 BLOCK = 512
 KEY = 0x50
 INTEL, DEC, MIPS = 84, 85, 86
@@ -209,3 +228,58 @@ def _texts(value: Any) -> list[str]:
 def _first_number(value: Any) -> float | None:
     """The first number of a parameter."""
     return float(value.ravel()[0]) if isinstance(value, np.ndarray) and value.size else None
+
+
+# -- writing ---------------------------------------------------------------------------------------------------------
+
+
+def write(pose: Pose3D, path: Path) -> None:
+    """Millimetres, z up. Raises InputError without a frame rate, and for names, numbers of frames or gaps that C3D
+    cannot hold."""
+    fps = required_fps(pose.fps, TITLE)
+    require_names(pose.names, r"^\s|\s$|\x00", TITLE, bytes_max=TEXT_MAX)
+    with formats_extra(TITLE):
+        import ezc3d
+    xyz = without_gaps(pose.frames, pose.xyz_m * PER_METRE[UNIT], TITLE)
+    ranges = frames_text(pose.frames)
+    for what, count, most in (("frames", len(xyz), WORD_MAX), ("gaps", len(ranges) - 1, TEXT_MAX - 1)):
+        if count > most:
+            raise InputError(Problem(TITLE, what, str(count), f"at most {most}"))
+    points = np.ones((4, len(pose.names), len(xyz)))
+    points[:3] = np.nan_to_num(xyz, nan=0.0).transpose(2, 1, 0)
+    missing = np.any(np.isnan(xyz), axis=2)
+    file = ezc3d.c3d()
+    file["data"]["points"] = points
+    file["data"]["meta_points"]["residuals"] = np.where(missing.T[None], -1.0, 0.0)
+    first = int(pose.frames[0])
+    file["header"]["points"]["first_frame"] = min(first, WORD_MAX - len(xyz))
+    point = file["parameters"]["POINT"]
+    point["RATE"]["value"], point["UNITS"]["value"] = [fps], [UNIT]
+    point["LABELS"]["value"] = list(pose.names)
+    file.add_parameter("POINT", "X_SCREEN", ["+X"])
+    file.add_parameter("POINT", "Y_SCREEN", ["+Z"])
+    file.add_parameter(OWN_GROUP, "FRAMES", ranges)
+    write_bytes(path, _encoded(file, points))
+
+
+def _encoded(file: Any, points: np.ndarray) -> bytes:
+    """The content of the file, with its points (4, J, T).
+
+    The library writes to a path only, and does not say when a disk is full: it writes to memory, where the system has a
+    folder for that, and the points are compared.
+    """
+    memory = "/dev/shm"
+    with TemporaryDirectory(dir=memory if os.access(memory, os.W_OK | os.X_OK) else None) as folder:
+        path = Path(folder) / "positions.c3d"
+        file.write(str(path))
+        content = path.read_bytes()
+        start = 512 * (int.from_bytes(content[16:18], "little") - 1)
+        stored = content[max(start, 0) :][: 4 * points.size]
+        if len(stored) != 4 * points.size or not _same(stored, points):
+            raise OSError(errno.ENOSPC, "a temporary file could not be written: is the disk full?", str(folder))
+        return content
+
+
+def _same(stored: bytes, points: np.ndarray) -> bool:
+    found = np.frombuffer(stored, "<f4").reshape(points.shape[::-1]).T
+    return np.array_equal(found[:3], points[:3].astype(np.float32))

@@ -1,11 +1,13 @@
 """COCO keypoints as JSON: `images`, `annotations` with `keypoints` [x, y, v, ...], and `categories` with their names.
 
 v is 0 for a missing point. A score for each point is read from `keypoint_scores`, where there is one. The animal of an
-annotation is its `individual`, as our own files have it, or its `track_id`.
+annotation is its `individual`, as our own files have it, or its `track_id`. They have the frame rate in `info`, and an
+annotation for each frame in which a point is known.
 """
 
 from __future__ import annotations
 
+import json
 import re
 from pathlib import Path
 from typing import Any
@@ -16,6 +18,7 @@ from recon.documents import read_json
 from recon.errors import InputError, Problem
 from recon.io.common import MAX_FRAME, choose, first_problems, name_problems, rate, starts_with_text
 from recon.io.pose import StoredPoints
+from recon.keypoints import Keypoints
 
 FRAME_KEYS = ("frame_id", "frame_index", "frame_number")
 
@@ -152,3 +155,46 @@ def _size(images: list[dict[str, Any]]) -> tuple[int, int] | None:
     sizes = {(image.get("width"), image.get("height")) for image in images}
     (width, height) = sizes.pop() if len(sizes) == 1 else (None, None)
     return (width, height) if isinstance(width, int) and isinstance(height, int) and width > 0 < height else None
+
+
+# -- writing ---------------------------------------------------------------------------------------------------------
+
+
+def write(keypoints: Keypoints, path: Path) -> None:
+    width, height = keypoints.image_size_px or (None, None)
+    size = {} if width is None else {"width": width, "height": height}
+    images, annotations = [], []
+    present = keypoints.present
+    for t, frame in enumerate(keypoints.frames.tolist(), start=1):
+        images.append({"id": t, "file_name": f"frame_{frame:06d}.png", "frame_id": frame, **size})
+        if present[t - 1].any():
+            annotations.append(_annotation(keypoints, t - 1, present[t - 1]))
+    content = {
+        "info": {"description": "keypoints of one animal", "contributor": "recon"}
+        | ({} if keypoints.fps is None else {"fps": keypoints.fps}),
+        "images": images,
+        "annotations": annotations,
+        "categories": [{"id": 1, "name": "animal", "keypoints": list(keypoints.names), "skeleton": []}],
+    }
+    path.write_text(json.dumps(content, ensure_ascii=False, allow_nan=False) + "\n", encoding="utf-8")
+
+
+def _annotation(keypoints: Keypoints, t: int, known: np.ndarray) -> dict[str, Any]:
+    """known: (K,) bool."""
+    points = np.where(known[:, None], keypoints.xy_px[t], 0.0)
+    triples = [[x, y, 2 * int(k)] for (x, y), k in zip(points.tolist(), known.tolist(), strict=True)]
+    low, high = keypoints.xy_px[t][known].min(axis=0), keypoints.xy_px[t][known].max(axis=0)
+    (width, height) = (high - low).tolist()
+    annotation = {
+        "id": t + 1,
+        "image_id": t + 1,
+        "category_id": 1,
+        "track_id": 1,
+        "keypoints": [value for triple in triples for value in triple],
+        "num_keypoints": int(known.sum()),
+        "keypoint_scores": [None if c != c else c for c in keypoints.confidence[t].tolist()],
+        "bbox": [*low.tolist(), width, height],
+        "area": width * height,
+        "iscrowd": 0,
+    }
+    return annotation | ({} if keypoints.individual is None else {"individual": keypoints.individual})

@@ -17,6 +17,8 @@ from recon.io.column_map import ColumnLayout, find_layout, layout_by_name
 from recon.io.common import MAX_FRAME, choose, first_problems, frames_of_times, name_problems, number, rate
 from recon.io.hdf5 import is_hdf5
 from recon.io.pose import StoredPoints
+from recon.io.table import write_rows
+from recon.keypoints import Keypoints
 
 SEPARATORS = (",", ";", "\t")
 MISSING = ("", "nan", "na", "none", "null")
@@ -217,3 +219,35 @@ def _read_csv(path: Path) -> dict[str, list[str]]:
         raise InputError(first_problems(problems, path))
     columns = list(zip(*table, strict=True)) or [()] * len(header)
     return {name: list(cells) for name, cells in zip(header, columns, strict=True)}
+
+
+# -- writing ---------------------------------------------------------------------------------------------------------
+
+
+def write_long(keypoints: Keypoints, path: Path) -> None:
+    """One row for each frame and keypoint: frame, individual (if named), bodypart, x, y, likelihood, fps."""
+    start, end = _more(keypoints)
+    header = ["frame", *start, "bodypart", "x", "y", "likelihood", *end]
+    rows = (
+        [frame, *start.values(), name, *keypoints.xy_px[t, k], keypoints.confidence[t, k], *end.values()]
+        for t, frame in enumerate(keypoints.frames)
+        for k, name in enumerate(keypoints.names)
+    )
+    write_rows(path, [header], rows)
+
+
+def write_wide(keypoints: Keypoints, path: Path) -> None:
+    """One row for each frame: frame, individual (if named), NAME_x, NAME_y, NAME_likelihood, ..., fps."""
+    start, end = _more(keypoints)
+    of_points = [f"{name}_{coord}" for name in keypoints.names for coord in ("x", "y", "likelihood")]
+    rows = []
+    for t, frame in enumerate(keypoints.frames):
+        cells = [v for xy, c in zip(keypoints.xy_px[t], keypoints.confidence[t], strict=True) for v in (*xy, c)]
+        rows.append([frame, *start.values(), *cells, *end.values()])
+    write_rows(path, [["frame", *start, *of_points, *end]], rows)
+
+
+def _more(keypoints: Keypoints) -> tuple[dict[str, str], dict[str, float]]:
+    """Columns that are the same in all rows, before and after the others."""
+    start = {} if keypoints.individual is None else {"individual": keypoints.individual}
+    return start, {} if keypoints.fps is None else {"fps": keypoints.fps}

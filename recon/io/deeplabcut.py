@@ -1,27 +1,32 @@
-"""DeepLabCut's CSV and H5 files: predictions and labels, of one animal or several.
+"""DeepLabCut's CSV and H5 files: predictions and labels, of one animal or several, and 3D positions.
 
 Both are a table with one row per frame and a header of several levels: `scorer`, `individuals` (several animals only),
 `bodyparts`, `coords`. Prediction files number their rows by frame. Label files index them by image path, in one column
-or three, and have no likelihood.
+or three, and have no likelihood. Our own have the frame rate in the scorer, `recon_90fps`: there is no other place.
 """
 
 from __future__ import annotations
 
 import csv
+import pickle
 import re
 from array import array
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from io import BytesIO
 from pathlib import Path, PureWindowsPath
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from recon.errors import InputError, Problem
+from recon.files import write_bytes
 from recon.io import pandas_hdf
 from recon.io.common import PROBLEMS_SHOWN, choose, first_problems, frame_number, number, rate
 from recon.io.hdf5 import is_hdf5
-from recon.io.pose import StoredPoints
+from recon.io.pose import Pose3D, StoredPoints, points_of
+from recon.io.table import write_table
+from recon.keypoints import Keypoints
 
 HEADERS = (
     ("scorer", "bodyparts", "coords"),
@@ -37,6 +42,12 @@ PADDING = -1.0
 """x, y and likelihood of an animal that DeepLabCut 3 did not see in a frame."""
 SCORER = "recon"
 """Of our own files; where the frame rate is known, it stands in it: recon_90fps."""
+KEY = "df_with_missing"
+ANY_PANDAS = "0.15.2"
+"""As the version of pandas that wrote a file: with it, pandas 2 and 3 read it alike."""
+BLOCK = "values_block_0"
+MAX_SMALL_ATTRIBUTE = 60_000
+"""Bytes; larger ones need HDF5's format of version 1.8."""
 
 
 class Column(NamedTuple):
@@ -364,3 +375,95 @@ def _has_points(table: Table, animal: str) -> bool:
 
 def _header_problem(path: Path, found: str) -> Problem:
     return Problem(path, "header", found, "; or ".join(", ".join(h) for h in HEADERS))
+
+
+# -- writing ---------------------------------------------------------------------------------------------------------
+
+
+def write_csv(data: Keypoints | Pose3D, path: Path) -> None:
+    """x, y and likelihood, or x, y, z in metres with z up."""
+    header, frames, values = _layout(data)
+    write_table(path, [[level, *cells] for level, cells in header.items()], frames, values)
+
+
+def write_h5(data: Keypoints | Pose3D, path: Path) -> None:
+    """The same, as `pandas.DataFrame.to_hdf(key=KEY, format="table")` would, but without PyTables' index of the
+    frames."""
+    _write_h5(path, *_layout(data))
+
+
+def _layout(data: Keypoints | Pose3D) -> tuple[dict[str, list[str]], np.ndarray, np.ndarray]:
+    """Header cells by level, frame numbers (T,) and values (T, 3K)."""
+    points = points_of(data)
+    coords, values = ("x", "y", "z"), points.values
+    if points.likelihood is not None:
+        coords, values = ("x", "y", "likelihood"), np.concatenate([values, points.likelihood[..., None]], axis=2)
+    n = len(points.names) * len(coords)
+    header = {"scorer": [SCORER if points.fps is None else f"{SCORER}_{_shortest(points.fps)}fps"] * n}
+    if points.individual is not None:
+        header["individuals"] = [points.individual] * n
+    header |= {"bodyparts": [name for name in points.names for _ in coords], "coords": [*coords] * len(points.names)}
+    return header, points.frames, values.reshape(len(values), -1)
+
+
+def _shortest(fps: float) -> str:
+    """Text that reads back exactly: 90, 29.97."""
+    return repr(fps).removesuffix(".0")
+
+
+def _write_h5(path: Path, header: dict[str, list[str]], frames: np.ndarray, values: np.ndarray) -> None:
+    import h5py
+
+    columns = list(zip(*header.values(), strict=True))
+    rows = np.empty(len(frames), [("index", "<i8"), (BLOCK, "<f8", (len(columns),))])
+    rows["index"], rows[BLOCK] = frames, values
+    group_attributes = {
+        "pandas_type": "frame_table",
+        "pandas_version": ANY_PANDAS,
+        "encoding": "UTF-8",
+        "errors": "strict",
+        "table_type": "appendable_frame",
+        "index_cols": [(0, "index")],
+        "values_cols": [BLOCK],
+        "data_columns": [],
+        "non_index_axes": [(1, columns)],
+        "nan_rep": "nan",
+        "levels": 1,
+        "info": {1: {"names": list(header), "type": "MultiIndex"}, "index": {}},
+    }
+    table_attributes = {
+        "CLASS": "TABLE",
+        "VERSION": "2.7",
+        "FIELD_0_NAME": "index",
+        "FIELD_1_NAME": BLOCK,
+        "FIELD_0_FILL": 0,
+        "FIELD_1_FILL": 0.0,
+        "NROWS": len(frames),
+        "index_kind": "integer",
+        f"{BLOCK}_dtype": "float64",
+        f"{BLOCK}_kind": columns,
+        f"{BLOCK}_meta": None,
+    }
+    large = len(pickle.dumps(columns, 0)) > MAX_SMALL_ATTRIBUTE
+    content = BytesIO()
+    with h5py.File(content, "w", libver=("v108", "latest") if large else ("earliest", "latest")) as file:
+        _describe(file, {"CLASS": "GROUP", "VERSION": "1.0", "PYTABLES_FORMAT_VERSION": "2.1"})
+        group = file.create_group(KEY)
+        _describe(group, {"CLASS": "GROUP", "VERSION": "1.0", **group_attributes})
+        _describe(group.create_dataset("table", data=rows, chunks=True, maxshape=(None,)), table_attributes)
+    write_bytes(path, content.getvalue())
+
+
+def _describe(holder: Any, attributes: dict[str, Any]) -> None:
+    """Attributes as PyTables has them: texts and numbers as they are, everything else pickled."""
+    import h5py
+
+    holder.attrs["TITLE"] = h5py.Empty("S1")
+    for name, value in attributes.items():
+        if isinstance(value, str):
+            text = value.encode()
+            holder.attrs.create(name, np.array(text), dtype=h5py.string_dtype("utf-8", len(text)))
+        elif isinstance(value, int | float):
+            holder.attrs[name] = value
+        else:
+            holder.attrs[name] = np.bytes_(pickle.dumps(value, 0))

@@ -1,7 +1,8 @@
 """movement's netCDF files of poses: `position (time, space, keypoint, individual)` and `confidence`.
 
 Dimensions are called `keypoints` and `individuals` in files of movement before 0.17. `space` is x, y in pixels, or
-x, y, z in a unit that only our own files state.
+x, y, z in a unit that only our own files state (`length_unit`, `up_axis`). They have the names of movement 0.17, and
+times in seconds since frame 0 where the frame rate is known, and otherwise in frames.
 """
 
 from __future__ import annotations
@@ -15,7 +16,8 @@ from typing import Any
 import numpy as np
 
 from recon.errors import InputError, Problem
-from recon.io.common import UNNAMED, choose, frames_of_times, name_problems, rate, starts_with
+from recon.files import write_bytes
+from recon.io.common import UNNAMED, choose, formats_extra, frames_of_times, name_problems, rate, starts_with
 from recon.io.hdf5 import (
     DAMAGE,
     attribute,
@@ -29,7 +31,8 @@ from recon.io.hdf5 import (
     scale_of,
     texts,
 )
-from recon.io.pose import UNIT_NAMES, StoredPoints
+from recon.io.pose import UNIT_NAMES, Pose3D, StoredPoints, points_of
+from recon.keypoints import Keypoints
 
 CLASSIC = b"CDF"
 VARIABLES = ("position", "confidence", "time", "space", "keypoint", "individual", "keypoints", "individuals")
@@ -224,3 +227,30 @@ def _decoded(values: np.ndarray, facts: Mapping[str, Any]) -> np.ndarray:
     if values.dtype.kind in "iu" and scale == 1 and offset == 0 and not np.isin(values, missing).any():
         return values
     return np.where(np.isin(values, missing), np.nan, values.astype(float) * scale + offset)
+
+
+def write(data: Keypoints | Pose3D, path: Path) -> None:
+    """x, y in pixels, or x, y, z in metres with z up; of these the confidence, which the format asks for, is NaN."""
+    with formats_extra("movement netCDF"):
+        import h5netcdf  # noqa: F401  what xarray writes with
+        import xarray
+    points = points_of(data)
+    unknown = np.full(points.values.shape[:2], np.nan)
+    confidence = unknown if points.likelihood is None else points.likelihood
+    attributes: dict[str, Any] = {"source_software": "recon", "ds_type": "poses", "source_file": ""}
+    attributes |= {"length_unit": points.unit, "up_axis": points.up} if points.in_space else {}
+    attributes |= {"time_unit": "frames"} if points.fps is None else {"time_unit": "seconds", "fps": points.fps}
+    made = xarray.Dataset(
+        data_vars={
+            "position": (("time", "space", "keypoint", "individual"), points.values.transpose(0, 2, 1)[..., None]),
+            "confidence": (("time", "keypoint", "individual"), confidence[..., None]),
+        },
+        coords={
+            "time": points.frames if points.fps is None else points.frames / points.fps,
+            "space": list("xyz"[: points.values.shape[-1]]),
+            "keypoint": list(points.names),
+            "individual": [points.individual or UNNAMED[0]],
+        },
+        attrs=attributes,
+    )
+    write_bytes(path, bytes(made.to_netcdf(None, engine="h5netcdf")))

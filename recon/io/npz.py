@@ -5,13 +5,15 @@ from __future__ import annotations
 import struct
 import zipfile
 import zlib
+from io import BytesIO
 from pathlib import Path
 
 import numpy as np
 
 from recon.errors import InputError, Problem
+from recon.files import write_bytes
 from recon.io.common import choose, name_problems, rate, starts_with
-from recon.io.pose import StoredPoints
+from recon.io.pose import Pose3D, StoredPoints, index_edges
 
 DAMAGE = (
     *(OSError, ValueError, KeyError, EOFError, NotImplementedError, MemoryError, RuntimeError, TypeError),
@@ -72,3 +74,19 @@ def read(path: Path, individual: str | None = None) -> StoredPoints:
         up="z",
         edges=tuple((names[a], names[b]) for a, b in edges),
     )
+
+
+# -- writing ---------------------------------------------------------------------------------------------------------
+
+
+def write(pose: Pose3D, path: Path) -> None:
+    made = BytesIO()
+    np.savez_compressed(
+        made,
+        names=np.array(pose.names),
+        xyz_m=pose.xyz_m,
+        frames=pose.frames,
+        fps=np.array(np.nan if pose.fps is None else pose.fps),
+        edges=index_edges(pose.names, pose.edges),
+    )
+    write_bytes(path, made.getvalue())

@@ -1,23 +1,39 @@
 """NWB files with the extension ndx-pose: one `PoseEstimationSeries` for each point, in one container for each animal.
 
 They are read with h5py, by the types that the groups say they have, so that files of every version of the extension
-are taken alike.
+are taken alike. Ours are given 1970-01-01 as the start of their session, which NWB asks for and nobody knows here.
 """
 
 from __future__ import annotations
 
 import re
 from dataclasses import dataclass
+from datetime import UTC, datetime
+from io import BytesIO
 from pathlib import Path
 from typing import Any
+from uuid import uuid4
 
 import numpy as np
 
 from recon.errors import InputError, Problem
-from recon.io.common import choose, frames_of_times, name_problems, rate
+from recon.files import write_bytes
+from recon.io.common import (
+    choose,
+    formats_extra,
+    frames_of_times,
+    name_problems,
+    rate,
+    require_names,
+    required_fps,
+)
 from recon.io.hdf5 import attribute, child, groups, names, numbers, opened, outline, texts
-from recon.io.pose import UNIT_NAMES, StoredPoints
+from recon.io.pose import UNIT_NAMES, Pose3D, StoredPoints, index_edges, points_of
+from recon.keypoints import Keypoints
 
+TITLE = "ndx-pose NWB"
+NO_NAMES = r"[/:]"
+IN_PICTURE = "(0, 0) is the upper left corner of the picture, x to the right, y down"
 RATE_TEXT = "frame number = time in seconds x {fps!r} Hz"
 """In the comments of our own series, whose times may be irregular."""
 UP_TEXT = "z up"
@@ -169,3 +185,61 @@ def _checked_series(path: Path, container: _Container) -> tuple[list[_PoseSeries
         raise InputError(problems)
     frames, fps = frames_of_times(path, first.times_s, first.fps)
     return series, frames, fps
+
+
+def write(data: Keypoints | Pose3D, path: Path) -> None:
+    """x, y in pixels; or x, y, z in metres with z up, and joints that are linked as the skeleton's edges.
+
+    Raises InputError without a frame rate, or for names that NWB cannot hold.
+    """
+    points = points_of(data)
+    container = points.individual or "PoseEstimation"
+    fps = float(required_fps(points.fps, TITLE))
+    require_names((container, *points.names), NO_NAMES, TITLE)
+    with formats_extra(TITLE):
+        import h5py
+        from ndx_pose import PoseEstimation, PoseEstimationSeries, Skeleton, Skeletons
+        from pynwb import NWBHDF5IO, NWBFile
+    frames, edges = points.frames, points.edges
+    regular = int(frames[-1] - frames[0]) + 1 == len(frames)
+    time = {"rate": fps, "starting_time": frames[0] / fps} if regular else {"timestamps": frames / fps}
+    series = []
+    for k, name in enumerate(points.names):
+        more: dict[str, Any] = {}
+        if points.likelihood is not None:
+            more["confidence"] = points.likelihood[:, k]
+            more["confidence_definition"] = "likelihood of the detection, 0 to 1"
+        series.append(
+            PoseEstimationSeries(
+                name=name,
+                data=points.values[:, k],
+                unit="metres" if points.in_space else "pixels",
+                reference_frame=f"x, y and z in metres, right-handed, {UP_TEXT}" if points.in_space else IN_PICTURE,
+                comments=RATE_TEXT.format(fps=fps),
+                **time,
+                **more,
+            )
+        )
+    few = len(points.names) < 256
+    linked = {"edges": index_edges(points.names, edges).astype(np.uint8)} if edges and few else {}
+    skeleton = Skeleton(name="skeleton", nodes=list(points.names), **linked)
+    poses = PoseEstimation(
+        name=container,
+        pose_estimation_series=series,
+        description="Points of one animal.",
+        scorer="recon",
+        source_software="recon",
+        skeleton=skeleton,
+    )
+    file: Any = NWBFile(
+        session_description="Poses of an animal; the session's start is not known.",
+        identifier=str(uuid4()),
+        session_start_time=datetime(1970, 1, 1, tzinfo=UTC),
+    )
+    behavior = file.create_processing_module("behavior", "processed behavioral data")
+    behavior.add([Skeletons(skeletons=[skeleton]), poses])
+    writer: Any = NWBHDF5IO
+    made = BytesIO()
+    with h5py.File(made, "w") as stored, writer(file=stored, mode="w") as io:
+        io.write(file)
+    write_bytes(path, made.getvalue())

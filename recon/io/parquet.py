@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from io import BytesIO
 from pathlib import Path
 
 import numpy as np
 
 from recon.errors import InputError, Problem
+from recon.files import write_bytes
 from recon.io.column_map import find_layout
 from recon.io.columns import gather
 from recon.io.common import formats_extra, rate, starts_with
-from recon.io.pose import StoredPoints
+from recon.io.pose import Pose3D, StoredPoints
 
 METADATA = b"recon"
 """Key of our own metadata: JSON with fps and up."""
@@ -44,3 +46,25 @@ def read(path: Path, individual: str | None = None) -> StoredPoints:
     if not isinstance(own, dict):
         return pose
     return replace(pose, fps=pose.fps or rate(own.get("fps")), up="z" if own.get("up") == "z" else None)
+
+
+# -- writing ---------------------------------------------------------------------------------------------------------
+
+
+def write(pose: Pose3D, path: Path) -> None:
+    """One row for each frame and joint: frame, joint, x_m, y_m, z_m (metres, z up)."""
+    with formats_extra("Parquet"):
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+    T, J = pose.xyz_m.shape[:2]
+    table = pa.table(
+        {
+            "frame": pa.array(np.repeat(pose.frames, J), pa.int64()),
+            "joint": pa.array(list(pose.names) * T, pa.string()),
+            **{f"{axis}_m": pa.array(pose.xyz_m[..., i].ravel(), pa.float64()) for i, axis in enumerate("xyz")},
+        }
+    )
+    about = {"fps": pose.fps, "unit": "m", "up": "z"}
+    made = BytesIO()
+    pq.write_table(table.replace_schema_metadata({METADATA: json.dumps(about)}), made)
+    write_bytes(path, made.getvalue())

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from recon.keypoints import Keypoints
+
 PER_METRE = {"m": 1.0, "cm": 100.0, "mm": 1000.0}
 UNIT_NAMES = {
     **dict.fromkeys(("m", "metre", "metres", "meter", "meters"), "m"),
@@ -72,6 +74,15 @@ class StoredPoints:
     @property
     def in_space(self) -> bool:
         return self.values.shape[-1] == 3
+
+
+def points_of(data: Keypoints | Pose3D) -> StoredPoints:
+    """As a file is to have them: px, or metres with z up."""
+    if isinstance(data, Keypoints):
+        return StoredPoints(
+            data.names, data.xy_px, data.frames, data.confidence, fps=data.fps, individual=data.individual
+        )
+    return StoredPoints(data.names, data.xyz_m, data.frames, fps=data.fps, unit="m", up="z", edges=data.edges)
 
 
 def z_up_from_y_up(xyz: np.ndarray) -> np.ndarray:

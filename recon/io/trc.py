@@ -8,12 +8,23 @@ import numpy as np
 
 from recon.documents import read_text
 from recon.errors import InputError, Problem
-from recon.io.common import choose, first_problems, frame_number, name_problems, number, rate, starts_with_text
-from recon.io.pose import UNIT_NAMES, StoredPoints
+from recon.io.common import (
+    choose,
+    first_problems,
+    frame_number,
+    name_problems,
+    number,
+    rate,
+    require_names,
+    required_fps,
+    starts_with_text,
+)
+from recon.io.pose import UNIT_NAMES, Pose3D, StoredPoints, y_up_from_z_up
 
 UP_TEXT = "y up: x forwards, y up, z right"
 """At the end of the first line of our own files."""
 HEADER_LINES = 5
+TITLE = "TRC"
 
 
 def recognises(path: Path) -> bool:
@@ -87,3 +98,37 @@ def _row(path: Path, line: int, row: list[str], width: int) -> tuple[int, list[f
         if np.isinf(values[i]):
             problems.append(Problem(path, f"line {line}, column {i + 3}", f"'{cell}'", "a number or an empty cell"))
     return frame, values, problems
+
+
+# -- writing ---------------------------------------------------------------------------------------------------------
+
+
+def write(pose: Pose3D, path: Path) -> None:
+    """Metres, y up (x forwards, y up, z right), as OpenSim takes it; gaps are empty cells.
+
+    Raises InputError without a frame rate, or for names with tabs or line breaks.
+    """
+    fps = required_fps(pose.fps, TITLE)
+    require_names(pose.names, r"[\t\r\n]|^\s|\s$", TITLE)
+    header = {
+        "DataRate": repr(fps),
+        "CameraRate": repr(fps),
+        "NumFrames": len(pose.frames),
+        "NumMarkers": len(pose.names),
+        "Units": "m",
+        "OrigDataRate": repr(fps),
+        "OrigDataStartFrame": pose.frames[0],
+        "OrigNumFrames": len(pose.frames),
+    }
+    lines = [
+        ["PathFileType", "4", "(X/Y/Z)", path.name, UP_TEXT],
+        list(header),
+        list(header.values()),
+        ["Frame#", "Time", *(cell for name in pose.names for cell in (name, "", ""))],
+        ["", "", *(f"{axis}{j + 1}" for j in range(len(pose.names)) for axis in "XYZ")],
+    ]
+    values = y_up_from_z_up(pose.xyz_m).reshape(len(pose.frames), -1)
+    for frame, row in zip(pose.frames.tolist(), values.tolist(), strict=True):
+        lines.append([frame, repr(frame / fps), *("" if v != v else repr(v) for v in row)])
+    text = "".join("\t".join(map(str, line)) + "\n" for line in lines)
+    path.write_text(text, encoding="utf-8", newline="")

@@ -32,7 +32,7 @@ from recon.calibration import write_camera
 from recon.camera import Camera
 from recon.errors import InputError
 from recon.export.clip_csv import write_tables
-from recon.export.deeplabcut import write_keypoints_csv
+from recon.io.deeplabcut import write_csv
 from recon.keypoints import Keypoints
 from recon.motion import Motion
 from recon.published import FrameSolution
@@ -373,7 +373,7 @@ def run(case: Case) -> Ended:
 def faults_of(case: Case, folder: Path) -> tuple[str, ...]:
     """Fits, writes and checks. Raises what the fit raises."""
     keypoints, camera = clip_of(case)
-    write_keypoints_csv(keypoints, folder / "clip.csv")
+    write_csv(keypoints, folder / "clip.csv")
     write_camera(camera, folder / "camera.toml")
     files = {"keypoints": folder / "clip.csv", "camera": folder / "camera.toml", "fps": case.fps}
     settings = FitSettings(method=case.method, skeleton=case.skeleton, **files, **dict(case.options))
