@@ -92,7 +92,7 @@ def test_rank_18_from_pixels_and_20_from_joints(seed: int):
     camera = gallop().camera
     state = level_states(5)[seed]
     joints = SK.pose(state[None]).joints_m
-    pixels = Reprojection(camera, camera.project(joints)[0], np.ones((1, 9)), np.ones(1), 1e9)
+    pixels = Reprojection(camera, camera.project(joints)[0], np.ones((1, 9)), 1.0, 1e9)
     for term, rank in ((pixels, 18), (JointPositions(joints, 1.0), 20)):
         _, J = evaluate((term,), SK, 0, state, None, 0.0)
         singular = np.linalg.svd(J / np.linalg.norm(J, axis=0), compute_uv=False)

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from recon.camera import Camera
-from recon.chain import Posed
 from recon.published.objectives import (
     AnglePrior,
     AngleRange,
@@ -51,7 +50,7 @@ DETECTED[2, 3] = np.nan
 HEADING = np.tile(np.array([1.0, 0, 0]), (N, 1))
 
 TERMS: list[Objective] = [
-    Reprojection(CAMERA, DETECTED, RNG.uniform(0.2, 1, (N, 9)), np.full(N, 8.0), 4.0),
+    Reprojection(CAMERA, DETECTED, RNG.uniform(0.2, 1, (N, 9)), 8.0, 4.0),
     *(AngleRange("theta range", SK.theta_slice, SK.theta, 0.15, form) for form in ("deadband", "printed")),
     *(AngleRange("phi range", SK.phi_slice, SK.phi, 0.15, form) for form in ("deadband", "printed")),
     *(RateLimit("theta rate", SK.theta_slice, SK.theta.max_rate_rad_s, 0.15, f) for f in ("deadband", "printed")),
@@ -65,43 +64,47 @@ TERMS: list[Objective] = [
 ]
 
 
-def evaluate(term: Objective, window: list[np.ndarray], dt: float = 1 / 90):
-    posed = tuple(SK.pose_with_jacobian(x) for x in window[-len(term.stencil) :])
-    return term.evaluate(posed, np.arange(N), np.full(N, dt))
+def evaluate(term: Objective, now: np.ndarray, before: np.ndarray = BEFORE, dt: float = 1 / 90):
+    """Residuals (N, M) and Jacobians (N, M, D) of N frames."""
+    found = [
+        term.evaluate(SK.pose_with_jacobian(now[t][None]), SK.pose(before[t][None]), t, dt) for t in range(len(now))
+    ]
+    residuals, jacobians = zip(*found, strict=True)
+    return np.stack(residuals), np.stack(jacobians)
 
 
 @pytest.mark.parametrize("term", TERMS, ids=lambda t: f"{t.name}-{getattr(t, 'form', '')}")
 def test_jacobian_against_central_differences(term: Objective):
-    """Ten random configurations, every slot of the stencil."""
+    """Ten random configurations."""
     h = 1e-6
-    residual, jacobian = evaluate(term, [BEFORE, NOW])
-    slots = len(term.stencil)
-    assert jacobian.shape == (*residual.shape, slots, SK.n_state)
-    for slot in range(slots):
-        window = [BEFORE, NOW][-slots:]
-        columns = []
-        for step in h * np.eye(SK.n_state):
-            ahead, behind = list(window), list(window)
-            ahead[slot], behind[slot] = ahead[slot] + step, behind[slot] - step
-            columns.append((evaluate(term, ahead)[0] - evaluate(term, behind)[0]) / (2 * h))
-        numeric = np.stack(columns, axis=-1)
-        error = np.linalg.norm(jacobian[:, :, slot] - numeric, axis=(1, 2))
-        assert np.all(error <= 1e-6 * np.maximum(np.linalg.norm(numeric, axis=(1, 2)), 1.0))
+    residual, jacobian = evaluate(term, NOW)
+    assert jacobian.shape == (*residual.shape, SK.n_state)
+    steps = h * np.eye(SK.n_state)
+    columns = [(evaluate(term, NOW + step)[0] - evaluate(term, NOW - step)[0]) / (2 * h) for step in steps]
+    numeric = np.stack(columns, axis=-1)
+    error = np.linalg.norm(jacobian - numeric, axis=(1, 2))
+    assert np.all(error <= 1e-6 * np.maximum(np.linalg.norm(numeric, axis=(1, 2)), 1.0))
+
+
+def test_the_frame_before_counts_where_a_term_ties_frames():
+    for term in TERMS:
+        same = np.array_equal(evaluate(term, NOW, BEFORE)[0], evaluate(term, NOW, BEFORE + 0.1)[0])
+        assert same == (not term.ties)
 
 
 def test_every_deadband_term_is_active_somewhere_and_zero_within():
     for term in TERMS:
         if getattr(term, "form", None) == "deadband":
-            assert np.any(evaluate(term, [BEFORE, NOW])[0] > 0), term.name
-            assert np.any(evaluate(term, [BEFORE, NOW])[0] == 0), term.name
+            assert np.any(evaluate(term, NOW)[0] > 0), term.name
+            assert np.any(evaluate(term, NOW)[0] == 0), term.name
 
 
 def test_printed_form_pulls_towards_the_edge():
     at_mean = NOW.copy()
     at_mean[:, SK.theta_slice] = SK.theta.mean_rad
     printed, deadband = (AngleRange("f2", SK.theta_slice, SK.theta, 0.15, f) for f in ("printed", "deadband"))
-    np.testing.assert_allclose(evaluate(printed, [at_mean])[0], np.tile(-SK.theta.tolerance_rad / 0.15, (N, 1)))
-    assert np.all(evaluate(deadband, [at_mean])[0] == 0)
+    np.testing.assert_allclose(evaluate(printed, at_mean)[0], np.tile(-SK.theta.tolerance_rad / 0.15, (N, 1)))
+    assert np.all(evaluate(deadband, at_mean)[0] == 0)
 
 
 def test_rate_limit_counts_the_chord_so_that_a_flip_is_not_free():
@@ -110,26 +113,26 @@ def test_rate_limit_counts_the_chord_so_that_a_flip_is_not_free():
     after[:, 0] += np.pi
     for form, swept in (("deadband", 2.0), ("printed", 0.0)):
         term = RateLimit("f4", SK.theta_slice, SK.theta.max_rate_rad_s, 0.15, form)
-        residual = evaluate(term, [BEFORE, after], dt=0.01)[0][:, 0]
+        residual = evaluate(term, after, dt=0.01)[0][:, 0]
         np.testing.assert_allclose(residual, (swept - 30 * 0.01) / 0.15, atol=1e-12)
 
 
 def test_reprojection_is_zero_at_the_target_and_saturates():
     exact = CAMERA.project(SK.pose(NOW).joints_m)[0]
-    term = Reprojection(CAMERA, exact, np.ones((N, 9)), np.full(N, 2.0), 4.0)
-    np.testing.assert_allclose(evaluate(term, [NOW])[0], 0, atol=1e-9)
+    term = Reprojection(CAMERA, exact, np.ones((N, 9)), 2.0, 4.0)
+    np.testing.assert_allclose(evaluate(term, NOW)[0], 0, atol=1e-9)
     far = replace(term, xy_px=exact + np.array([1e5, 0]))
-    np.testing.assert_allclose(np.linalg.norm(evaluate(far, [NOW])[0].reshape(N, 9, 2), axis=2), 4.0, rtol=1e-6)
+    np.testing.assert_allclose(np.linalg.norm(evaluate(far, NOW)[0].reshape(N, 9, 2), axis=2), 4.0, rtol=1e-6)
 
 
 def test_reprojection_rows_of_missing_points_are_zero_and_of_hidden_joints_at_the_limit():
     term = TERMS[0]
-    residual, jacobian = evaluate(term, [NOW])
+    residual, jacobian = evaluate(term, NOW)
     assert np.all(residual[2, 6:8] == 0)
     assert np.all(jacobian[2, 6:8] == 0)
     behind = NOW.copy()
     behind[:, SK.place_slice] *= -1
-    residual, jacobian = evaluate(term, [behind])
+    residual, jacobian = evaluate(term, behind)
     np.testing.assert_allclose(np.linalg.norm(residual[0].reshape(9, 2), axis=1), 4.5 - 0.5)
     assert np.all(jacobian == 0)
 
@@ -137,21 +140,20 @@ def test_reprojection_rows_of_missing_points_are_zero_and_of_hidden_joints_at_th
 def test_reprojection_weighs_by_confidence():
     term = replace(TERMS[0], c=1e9, confidence=np.ones((N, 9)))
     half = replace(term, confidence=np.full((N, 9), 0.5))
-    np.testing.assert_allclose(evaluate(half, [NOW])[0] * np.sqrt(2), evaluate(term, [NOW])[0])
+    np.testing.assert_allclose(evaluate(half, NOW)[0] * np.sqrt(2), evaluate(term, NOW)[0])
 
 
 def test_roll_prior_is_zero_for_a_level_animal_and_grows_with_roll():
     level = np.zeros((1, SK.n_state))
     term = RollPrior(np.array([0.0, -1, 0]), 0.1, SK.euler_slice)
-    posed: Posed = SK.pose_with_jacobian(level)
-    assert term.evaluate((posed,), np.arange(1), np.ones(1))[0][0, 0] == 0
+    assert term.evaluate(SK.pose_with_jacobian(level), None, 0, 1.0)[0] == 0
     level[0, SK.euler_slice] = [0.1, 0, 0]
-    rolled = term.evaluate((SK.pose_with_jacobian(level),), np.arange(1), np.ones(1))[0][0, 0]
-    assert abs(rolled) == pytest.approx(np.sin(0.1) / 0.1)
+    rolled = term.evaluate(SK.pose_with_jacobian(level), None, 0, 1.0)[0]
+    assert abs(float(rolled[0])) == pytest.approx(np.sin(0.1) / 0.1)
 
 
 def test_travel_that_says_nothing_gives_no_rows():
     silent = TravelPrior(UP, np.full((N, 3), np.nan), 0.25, SK.euler_slice)
-    residual, jacobian = evaluate(silent, [NOW])
+    residual, jacobian = evaluate(silent, NOW)
     assert np.all(residual == 0)
     assert np.all(jacobian == 0)

@@ -164,7 +164,7 @@ def frame_objectives(
     """
     s, form = chain.scales, options.form
     terms: list[Objective] = [
-        Reprojection(camera, xy_px, confidence, np.full(len(xy_px), options.sigma_px), options.robust_c),
+        Reprojection(camera, xy_px, confidence, options.sigma_px, options.robust_c),
         AngleRange("theta range", chain.theta_slice, chain.theta, s.softness_rad, form),
         AngleRange("phi range", chain.phi_slice, chain.phi, s.softness_rad, form),
         RateLimit("theta rate", chain.theta_slice, chain.theta.max_rate_rad_s, s.softness_rad, form),
@@ -576,9 +576,8 @@ class _FrameSolver:
 
     def terms(self, fixed: _Given) -> tuple[Objective, ...]:
         """The objectives with this frame's noise; without a frame before, no ties to it."""
-        sigma_px = np.broadcast_to(fixed.sigma_px, self.reprojection.sigma_px.shape)
-        terms = (replace(self.reprojection, sigma_px=sigma_px), *self.others)
-        return terms if fixed.previous is not None else tuple(t for t in terms if t.stencil == (0,))
+        terms = (replace(self.reprojection, sigma_px=fixed.sigma_px), *self.others)
+        return terms if fixed.previous is not None else tuple(term for term in terms if not term.ties)
 
     def _distances_px(self, fixed: _Given, state: Array) -> Array:
         """(n,) from the frame's detections to the state's reprojections, infinite where a joint cannot be projected."""
@@ -649,12 +648,6 @@ class _FrameSolver:
         )
 
 
-def window_of(term: Objective, window: tuple[Posed | None, Posed]) -> tuple[Posed, ...]:
-    """The poses that a term reads, from the frame before (if any) and this one."""
-    before, now = window
-    return (now,) if before is None or len(term.stencil) == 1 else (before, now)
-
-
 def evaluate(
     terms: Sequence[Objective], chain: Chain, frame: int, x: Array, previous: Posed | None, dt_s: float
 ) -> tuple[Array, Array]:
@@ -671,9 +664,7 @@ def by_term(
 ) -> list[tuple[Array, Array]]:
     """The same, one pair for each of the terms."""
     now = chain.pose_with_jacobian(x[None])
-    frames, dt = np.array([frame]), np.array([dt_s])
-    found = (term.evaluate(window_of(term, (previous, now)), frames, dt) for term in terms)
-    return [(r[0], J[0, :, -1]) for r, J in found]
+    return [term.evaluate(now, previous, frame, dt_s) for term in terms]
 
 
 def posterior_covariance(J: Array) -> Array:

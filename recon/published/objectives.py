@@ -1,13 +1,12 @@
 """The terms of the least-squares problem: one small class each.
 
-A term reads the poses of a few frames (its stencil, offsets relative to the frame it stands for, 0 last), and gives a
-residual without unit (differences divided by a standard deviation) with its exact Jacobian. With N frames, S offsets,
-M rows and D unknowns a frame:
+A term reads the pose of one frame and, if it `ties` frames, that of the one before, which is held. It gives a residual
+without unit (differences divided by a standard deviation) with its exact Jacobian. With M rows and D unknowns:
 
-    evaluate(window, frames, dt_s) -> residual (N, M), jacobian (N, M, S, D)
+    evaluate(now, before, frame, dt_s) -> residual (M,), jacobian (M, D) by the state of now
 
-window holds one Posed of N states per offset, frames (N,) are row numbers of the clip, and dt_s (N,) is the time
-between the first and the last offset. A new term is one class here and one line in the tests' list.
+now and before are a Posed of one state each, before None at the start; frame is the row number of the clip, dt_s the
+time between the two. A new term is one class here and one line in the tests' list.
 
 f1 to f5 and their names are those of C. van der Leek, MSc(Eng), University of Cape Town, 2022. `form` chooses between
 what is meant, a penalty outside the range only ("deadband"), and the two-sided penalty as published ("printed"), which
@@ -18,7 +17,7 @@ a roll of the chain about its axis and one mode of depth undetermined, and depth
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal, Protocol
+from typing import ClassVar, Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,25 +27,23 @@ from recon.chain import AngleRanges, Posed
 
 Array = NDArray[np.float64]
 Form = Literal["deadband", "printed"]
-Window = tuple[Posed, ...]
+Rows = tuple[Array, Array]
 
 
 class Objective(Protocol):
     """A term of the problem: see the module's text."""
 
+    ties: ClassVar[bool]
+
     @property
     def name(self) -> str: ...
-    @property
-    def stencil(self) -> tuple[int, ...]: ...
-    def evaluate(self, window: Window, frames: NDArray[np.intp], dt_s: Array) -> tuple[Array, Array]: ...
+    def evaluate(self, now: Posed, before: Posed | None, frame: int, dt_s: float) -> Rows: ...
 
 
 def _diagonal(values: Array, where: slice, n_state: int) -> Array:
-    """(N, M) derivatives of row m by unknown where.start + m -> Jacobian (N, M, 1, D)."""
-    N, M = values.shape
-    jacobian = np.zeros((N, M, 1, n_state))
-    rows = np.arange(M)
-    jacobian[:, rows, 0, where.start + rows] = values
+    """(M,) derivatives of row m by unknown where.start + m -> Jacobian (M, D)."""
+    jacobian = np.zeros((len(values), n_state))
+    np.fill_diagonal(jacobian[:, where], values)
     return jacobian
 
 
@@ -59,35 +56,33 @@ class Reprojection:
     points are zero rows. Joints that the camera cannot project (behind it, outside the lens model) stand at the limit
     c, because a zero would reward a solution that leaves the picture.
 
-    xy_px (T, J, 2), NaN where missing; confidence (T, J); sigma_px (T,); c without unit.
+    xy_px (T, J, 2), NaN where missing; confidence (T, J); c without unit.
     """
 
     camera: Camera
     xy_px: Array
     confidence: Array
-    sigma_px: Array
+    sigma_px: float
     c: float
     name: str = "reprojection"
-    stencil: tuple[int, ...] = (0,)
+    ties: ClassVar[bool] = False
 
-    def evaluate(self, window: Window, frames: NDArray[np.intp], dt_s: Array) -> tuple[Array, Array]:
-        posed = window[0]
-        assert posed.joints_jacobian is not None
-        projected, d_point, valid = self.camera.project_with_jacobian(posed.joints_m)
-        detected = self.xy_px[frames]
-        present = np.isfinite(detected[..., 0])
+    def evaluate(self, now: Posed, before: Posed | None, frame: int, dt_s: float) -> Rows:
+        assert now.joints_jacobian is not None
+        projected, d_point, valid = self.camera.project_with_jacobian(now.joints_m[0])
+        detected = self.xy_px[frame]
+        present = np.isfinite(detected[:, 0])
         seen = valid & present
-        weight = np.sqrt(self.confidence[frames]) / self.sigma_px[frames, None]
-        u = np.where(seen[..., None], projected - detected, 0.0) * weight[..., None]
+        weight = np.sqrt(self.confidence[frame]) / self.sigma_px
+        u = np.where(seen[:, None], projected - detected, 0.0) * weight[:, None]
         shrink = 1.0 / np.sqrt(1.0 + np.sum(u * u, axis=-1, keepdims=True) / self.c**2)
         # d(s u) = s (I - s^2 u u' / c^2) du with s the factor of shrinking
-        d_u = (shrink * seen[..., None])[..., None] * (
-            np.eye(2) - (shrink**2)[..., None] * u[..., :, None] * u[..., None, :] / self.c**2
+        d_u = (shrink * seen[:, None])[..., None] * (
+            np.eye(2) - (shrink**2)[..., None] * u[:, :, None] * u[:, None, :] / self.c**2
         )
-        jacobian = (d_u * weight[..., None, None]) @ d_point @ posed.joints_jacobian
-        residual = np.where((present & ~valid)[..., None], self.c / np.sqrt(2.0), shrink * u)
-        N, J, _, D = jacobian.shape
-        return residual.reshape(N, 2 * J), jacobian.reshape(N, 2 * J, 1, D)
+        jacobian = (d_u * weight[:, None, None]) @ d_point @ now.joints_jacobian[0]
+        residual = np.where((present & ~valid)[:, None], self.c / np.sqrt(2.0), shrink * u)
+        return residual.ravel(), jacobian.reshape(residual.size, -1)
 
 
 @dataclass(frozen=True)
@@ -99,17 +94,17 @@ class AngleRange:
     ranges: AngleRanges
     softness_rad: float
     form: Form
-    stencil: tuple[int, ...] = (0,)
+    ties: ClassVar[bool] = False
 
-    def evaluate(self, window: Window, frames: NDArray[np.intp], dt_s: Array) -> tuple[Array, Array]:
-        state = window[0].state
-        off = state[:, self.where] - self.ranges.mean_rad
+    def evaluate(self, now: Posed, before: Posed | None, frame: int, dt_s: float) -> Rows:
+        state = now.state[0]
+        off = state[self.where] - self.ranges.mean_rad
         residual = (np.abs(off) - self.ranges.tolerance_rad) / self.softness_rad
         slope = np.sign(off) / self.softness_rad
         if self.form == "deadband":
             slope = np.where(residual > 0, slope, 0.0)
             residual = np.maximum(residual, 0.0)
-        return residual, _diagonal(slope, self.where, state.shape[1])
+        return residual, _diagonal(slope, self.where, len(state))
 
 
 @dataclass(frozen=True)
@@ -127,24 +122,23 @@ class RateLimit:
     max_rate_rad_s: Array
     softness_rad: float
     form: Form
-    stencil: tuple[int, ...] = (-1, 0)
+    ties: ClassVar[bool] = True
 
-    def evaluate(self, window: Window, frames: NDArray[np.intp], dt_s: Array) -> tuple[Array, Array]:
-        before, now = window[0].state, window[1].state
-        a = now[:, self.where] - before[:, self.where]
+    def evaluate(self, now: Posed, before: Posed | None, frame: int, dt_s: float) -> Rows:
+        assert before is not None
+        a = (now.state - before.state)[0, self.where]
         if self.form == "deadband":
             swept = 2.0 * np.abs(np.sin(a / 2))
             slope = np.sign(np.sin(a / 2)) * np.cos(a / 2)
         else:
             swept = np.abs(np.cos(a / 2) * a)
             slope = np.sign(np.cos(a / 2) * a) * (np.cos(a / 2) - 0.5 * a * np.sin(a / 2))
-        residual = (swept - self.max_rate_rad_s * dt_s[:, None]) / self.softness_rad
+        residual = (swept - self.max_rate_rad_s * dt_s) / self.softness_rad
         slope = slope / self.softness_rad
         if self.form == "deadband":
             slope = np.where(residual > 0, slope, 0.0)
             residual = np.maximum(residual, 0.0)
-        jacobian = _diagonal(slope, self.where, now.shape[1])
-        return residual, np.concatenate([-jacobian, jacobian], axis=2)
+        return residual, _diagonal(slope, self.where, now.state.shape[1])
 
 
 @dataclass(frozen=True)
@@ -155,12 +149,11 @@ class AnglePrior:
     where: slice
     mean_rad: Array
     sigma_rad: float
-    stencil: tuple[int, ...] = (0,)
+    ties: ClassVar[bool] = False
 
-    def evaluate(self, window: Window, frames: NDArray[np.intp], dt_s: Array) -> tuple[Array, Array]:
-        state = window[0].state
-        residual = (state[:, self.where] - self.mean_rad) / self.sigma_rad
-        return residual, _diagonal(np.full_like(residual, 1.0 / self.sigma_rad), self.where, state.shape[1])
+    def evaluate(self, now: Posed, before: Posed | None, frame: int, dt_s: float) -> Rows:
+        residual = (now.state[0, self.where] - self.mean_rad) / self.sigma_rad
+        return residual, _diagonal(np.full_like(residual, 1.0 / self.sigma_rad), self.where, now.state.shape[1])
 
 
 @dataclass(frozen=True)
@@ -170,13 +163,12 @@ class BaseLengthPrior:
     nominal_m: float
     sigma_m: float
     name: str = "base length prior"
-    stencil: tuple[int, ...] = (0,)
+    ties: ClassVar[bool] = False
 
-    def evaluate(self, window: Window, frames: NDArray[np.intp], dt_s: Array) -> tuple[Array, Array]:
-        state = window[0].state
-        jacobian = np.zeros((len(state), 1, 1, state.shape[1]))
-        jacobian[..., -1] = 1.0 / self.sigma_m
-        return (state[:, -1:] - self.nominal_m) / self.sigma_m, jacobian
+    def evaluate(self, now: Posed, before: Posed | None, frame: int, dt_s: float) -> Rows:
+        jacobian = np.zeros_like(now.state)
+        jacobian[0, -1] = 1.0 / self.sigma_m
+        return (now.state[0, -1:] - self.nominal_m) / self.sigma_m, jacobian
 
 
 @dataclass(frozen=True)
@@ -191,14 +183,13 @@ class RollPrior:
     sigma_rad: float
     euler: slice
     name: str = "roll prior"
-    stencil: tuple[int, ...] = (0,)
+    ties: ClassVar[bool] = False
 
-    def evaluate(self, window: Window, frames: NDArray[np.intp], dt_s: Array) -> tuple[Array, Array]:
-        posed = window[0]
-        assert posed.rotation_jacobian is not None
-        jacobian = np.zeros((len(posed.state), 1, 1, posed.state.shape[1]))
-        jacobian[:, 0, 0, self.euler] = self.up @ posed.rotation_jacobian[..., 2].transpose(0, 2, 1) / self.sigma_rad
-        return (posed.rotation[:, :, 2] @ self.up / self.sigma_rad)[:, None], jacobian
+    def evaluate(self, now: Posed, before: Posed | None, frame: int, dt_s: float) -> Rows:
+        assert now.rotation_jacobian is not None
+        jacobian = np.zeros_like(now.state)
+        jacobian[0, self.euler] = self.up @ now.rotation_jacobian[0, ..., 2].T / self.sigma_rad
+        return now.rotation[:, :, 2] @ self.up / self.sigma_rad, jacobian
 
 
 @dataclass(frozen=True)
@@ -212,18 +203,16 @@ class HeadingTie:
     sigma_rad_per_sqrt_s: float
     euler: slice
     name: str = "heading tie"
-    stencil: tuple[int, ...] = (-1, 0)
+    ties: ClassVar[bool] = True
 
-    def evaluate(self, window: Window, frames: NDArray[np.intp], dt_s: Array) -> tuple[Array, Array]:
-        before, now = window
+    def evaluate(self, now: Posed, before: Posed | None, frame: int, dt_s: float) -> Rows:
+        assert before is not None
+        assert now.rotation_jacobian is not None
         level = np.eye(3) - np.outer(self.up, self.up)
         weight = 1.0 / (self.sigma_rad_per_sqrt_s * np.sqrt(dt_s))
-        residual = (now.rotation[:, :, 0] - before.rotation[:, :, 0]) @ level * weight[:, None]
-        jacobian = np.zeros((len(now.state), 3, 2, now.state.shape[1]))
-        for slot, (posed, sign) in enumerate(((before, -1.0), (now, 1.0))):
-            if posed.rotation_jacobian is not None:  # a frame that is held fixed has none
-                d = level @ posed.rotation_jacobian[..., 0].transpose(0, 2, 1)
-                jacobian[:, :, slot, self.euler] = sign * d * weight[:, None, None]
+        residual = (now.rotation - before.rotation)[0, :, 0] @ level * weight
+        jacobian = np.zeros((3, now.state.shape[1]))
+        jacobian[:, self.euler] = level @ now.rotation_jacobian[0, ..., 0].T * weight
         return residual, jacobian
 
 
@@ -239,18 +228,16 @@ class TravelPrior:
     sigma_rad: float
     euler: slice
     name: str = "travel prior"
-    stencil: tuple[int, ...] = (0,)
+    ties: ClassVar[bool] = False
 
-    def evaluate(self, window: Window, frames: NDArray[np.intp], dt_s: Array) -> tuple[Array, Array]:
-        posed = window[0]
-        assert posed.rotation_jacobian is not None
-        level = np.eye(3) - np.outer(self.up, self.up)
-        direction = self.direction[frames]
-        known = np.isfinite(direction[:, :1])
-        residual = np.where(known, posed.rotation[:, :, 0] @ level - direction, 0.0) / self.sigma_rad
-        jacobian = np.zeros((len(posed.state), 3, 1, posed.state.shape[1]))
-        d = level @ posed.rotation_jacobian[..., 0].transpose(0, 2, 1) / self.sigma_rad
-        jacobian[:, :, 0, self.euler] = d * known[..., None]
+    def evaluate(self, now: Posed, before: Posed | None, frame: int, dt_s: float) -> Rows:
+        assert now.rotation_jacobian is not None
+        residual, jacobian = np.zeros(3), np.zeros((3, now.state.shape[1]))
+        direction = self.direction[frame]
+        if np.isfinite(direction[0]):
+            level = np.eye(3) - np.outer(self.up, self.up)
+            residual = (now.rotation[0, :, 0] @ level - direction) / self.sigma_rad
+            jacobian[:, self.euler] = level @ now.rotation_jacobian[0, ..., 0].T / self.sigma_rad
         return residual, jacobian
 
 
@@ -264,14 +251,12 @@ class JointPositions:
     target_m: Array
     sigma_m: float
     name: str = "joint positions"
-    stencil: tuple[int, ...] = (0,)
+    ties: ClassVar[bool] = False
 
-    def evaluate(self, window: Window, frames: NDArray[np.intp], dt_s: Array) -> tuple[Array, Array]:
-        posed = window[0]
-        assert posed.joints_jacobian is not None
-        target = self.target_m[frames]
+    def evaluate(self, now: Posed, before: Posed | None, frame: int, dt_s: float) -> Rows:
+        assert now.joints_jacobian is not None
+        target = self.target_m[frame]
         known = np.isfinite(target)
-        residual = np.where(known, posed.joints_m - target, 0.0) / self.sigma_m
-        jacobian = posed.joints_jacobian * known[..., None] / self.sigma_m
-        N, J, _, D = jacobian.shape
-        return residual.reshape(N, 3 * J), jacobian.reshape(N, 3 * J, 1, D)
+        residual = np.where(known, now.joints_m[0] - target, 0.0) / self.sigma_m
+        jacobian = now.joints_jacobian[0] * known[..., None] / self.sigma_m
+        return residual.ravel(), jacobian.reshape(residual.size, -1)
