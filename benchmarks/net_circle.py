@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from recon.analysis.evaluation import evaluate_files
+from recon.analysis.evaluation import Evaluation, evaluate_files
 from recon.app.clip import run_clip
 from recon.app.demo import samples_folder
 from recon.app.net import LabelSource, run_prediction, run_training
@@ -27,13 +27,23 @@ NOISE_PX = 2.0
 
 @dataclass(frozen=True)
 class Circle:
-    """training: its report. points: predictions against the truth, in the frames that were not labelled. predicted_m,
-    noisy_m: mean distance in 3D (MPJPE) over all frames, fitted to predictions and to true points with noise."""
+    """training: its report. points: predictions against the truth, in the frames that were not labelled. predicted,
+    noisy: of all frames in 3D, fitted to predictions and to true points with noise."""
 
     training: dict[str, Any]
     points: Evaluation2D
-    predicted_m: float
-    noisy_m: float
+    predicted: Evaluation
+    noisy: Evaluation
+
+    @property
+    def predicted_m(self) -> float:
+        """MPJPE."""
+        return self.predicted.mpjpe_m.mean
+
+    @property
+    def noisy_m(self) -> float:
+        """MPJPE."""
+        return self.noisy.mpjpe_m.mean
 
     @property
     def ratio(self) -> float:
@@ -48,10 +58,11 @@ def run_circle(
     device: str = "auto",
     threads: int | None = None,
     seed: int = 0,
+    turns: bool = False,
     **fit: Any,
 ) -> Circle:
     """Into the folder `out`: the network, its points, and two fits. samples: a folder with the files of the film, by
-    default the project's own. fit: settings of both fits."""
+    default the project's own. turns: the camera pans, and how is found in the film. fit: settings of both fits."""
     samples = samples or samples_folder()
     film, labels = samples / "rendered.mp4", samples / "rendered_labels.csv"
     training = run_training(
@@ -76,8 +87,8 @@ def run_circle(
             detector="none",  # the film's points lie on the markers
             **fit,
         )
-        run_clip(options, out / name, overwrite=True)
-        errors.append(evaluate_files(out / name / "pose3d.csv", samples / "rendered_truth.csv").mpjpe_m.mean)
+        run_clip(options, out / name, overwrite=True, video=film if turns else None)
+        errors.append(evaluate_files(out / name / "pose3d.csv", samples / "rendered_truth.csv"))
     return Circle(training, score, errors[0], errors[1])
 
 

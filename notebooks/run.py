@@ -37,12 +37,15 @@ TIMEOUT_S = 300
 
 FORKS = multiprocessing.get_context("forkserver")
 FORKS.set_forkserver_preload(  # not rerun, which has threads from the start
-    ["ipykernel.kernelapp", "matplotlib.pyplot", "matplotlib_inline.backend_inline", "pandas", "scipy.optimize"]
+    [
+        *("ipykernel.kernelapp", "matplotlib.pyplot", "matplotlib_inline.backend_inline", "pandas", "scipy.optimize"),
+        *("recon.plots", "recon.app.clip", "recon.app.ik"),
+    ]
 )
 
 
 class Forked(AsyncKernelManager):
-    """A kernel in a process of its own, forked from one that has imported what the notebooks import from others."""
+    """A kernel in a process of its own, forked from one that has imported what most notebooks import."""
 
     async def _async_launch_kernel(self, kernel_cmd: list[str], **how: Any) -> None:
         process = FORKS.Process(target=kernel, args=(self.connection_file, how["cwd"], how["env"]))

@@ -5,7 +5,7 @@ blur and sensor noise. Drawn with OpenCV; it stands for a real video where the t
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import cv2
 import numpy as np
@@ -40,18 +40,23 @@ _SHIFT = 4
 
 
 def render_frames(
-    points_m: Array, names: tuple[str, ...], camera: Camera, ground_m: float, seed: int = 0
+    points_m: Array, names: tuple[str, ...], camera_at: Callable[[float], Camera], ground_m: float, seed: int = 0
 ) -> Iterator[Image]:
     """A picture (height, width, 3; blue, green, red) for each row of the markers' places (T, J, 3) in the world, taken
-    evenly around its moment. ground_m: height of the ground."""
+    evenly around its moment. camera_at: the camera at a time in frames; one that stands still is always the same
+    object. ground_m: height of the ground. Of a seed, the world is the same for any camera."""
     rng = np.random.default_rng(seed)
-    still = draw_scene(camera, ground_m, rng)
+    seen = camera_at(0)
+    scene = draw_scene(seen, ground_m, rng)
     spots = {part[:2]: _spots(rng) for part in _parts()}
     for t in range(len(points_m)):
-        total = np.zeros_like(still)
+        total = np.zeros_like(scene)
         for share in (np.arange(EXPOSURES) - (EXPOSURES - 1) / 2) * EXPOSURE / EXPOSURES:
-            total += _draw_animal(still, _between(points_m, t + share), names, camera, ground_m, spots)
-        noisy = total / EXPOSURES + rng.normal(0, NOISE, still.shape)
+            camera = camera_at(t + share)
+            if camera is not seen:
+                seen, scene = camera, draw_scene(camera, ground_m, np.random.default_rng(seed))
+            total += _draw_animal(scene, _between(points_m, t + share), names, camera, ground_m, spots)
+        noisy = total / EXPOSURES + rng.normal(0, NOISE, scene.shape)
         yield np.clip(np.rint(noisy), 0, 255).astype(np.uint8)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,7 +15,7 @@ from recon.calibration import write_camera
 from recon.camera import Camera
 from recon.keypoints import Keypoints
 from recon.synthetic import SyntheticClip
-from recon.video import video_writer
+from recon.video import Image, video_writer
 
 FPS, FRAMES, LABELLED = 120, 90, 40
 SIZE_PX = (640, 360)
@@ -36,13 +37,7 @@ def film() -> tuple[SyntheticClip, float]:
     rotation = np.stack([right, np.cross(look, right), look])
     matrix = np.array([[FOCAL_PX, 0, (SIZE_PX[0] - 1) / 2], [0, FOCAL_PX, (SIZE_PX[1] - 1) / 2], [0, 0, 1]])
     camera = Camera("film", matrix, np.zeros(0), "pinhole", SIZE_PX, rotation, -rotation @ centre)
-    xy_px, valid = camera.project(camera.world_to_camera(clip.truth_m))
-    visible = valid & camera.in_image(xy_px)
-    keypoints = replace(
-        clip.keypoints, xy_px=np.where(visible[..., None], xy_px, np.nan), confidence=visible.astype(float),
-        image_size_px=SIZE_PX,
-    )  # fmt: skip
-    return replace(clip, keypoints=keypoints, camera=camera), ground_m
+    return replace(clip, keypoints=seen_by(camera, clip), camera=camera), ground_m
 
 
 def labelled_frames() -> np.ndarray:
@@ -66,8 +61,12 @@ def write_labels(keypoints: Keypoints, frames: np.ndarray, path: Path) -> None:
 def make(folder: Path) -> None:
     """The film, its camera, the labels of some of its frames, and the truth in the picture and in space."""
     clip, ground_m = film()
+    write_film(folder, clip, render_frames(clip.truth_m, clip.names, lambda t: clip.camera, ground_m))
+
+
+def write_film(folder: Path, clip: SyntheticClip, pictures: Iterable[Image]) -> None:
     with video_writer(folder / "rendered.mp4", SIZE_PX, FPS) as write:
-        for picture in render_frames(clip.truth_m, clip.names, clip.camera, ground_m):
+        for picture in pictures:
             write(picture)
     write_camera(clip.camera, folder / "rendered_camera.toml")
     write_labels(clip.keypoints, labelled_frames(), folder / "rendered_labels.csv")

@@ -1,0 +1,156 @@
+"""The rendered film with a camera that pans after the animal, from its video to the pose, beside the still one.
+
+    python benchmarks/panning_film.py [--steps 1000] [--seeds 0 1] [--out DIR]
+
+The same animal in the same world, filmed from the same place through the same lens at the same times; the camera turns
+after the animal, and shakes. Each film's labels, of the same frames, train a network of its own, which
+finds the points of all frames; the camera's turn is found in the film, as `recon fit --camera-motion` does it, with the
+tilt of the first picture given; the still camera's pose is that of its calibration. Errors are those of all frames, in
+the world that each fit gives. Tables in Markdown, as in docs/benchmarks.md. With --film, the film alone is drawn.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+from markdown_table import print_header, print_row
+from net_circle import Circle, run_circle
+from scipy.ndimage import gaussian_filter1d
+from scipy.spatial.transform import Rotation
+
+from recon.app.demo import samples_folder
+from recon.camera import Camera
+from recon.camera_track import read_camera_track
+from recon.net.run import TrainSettings
+from recon.synthetic import SyntheticClip
+
+sys.path.insert(0, str(samples_folder()))
+from draw_film import render_frames  # pyright: ignore[reportMissingImports]
+from make_rendered import FPS, film, write_film  # pyright: ignore[reportMissingImports]
+
+SHAKE_DEG, SHAKE_S = 0.3, 0.033
+"""Standard deviation of the shake about each axis, and over how long it is smooth."""
+FOLLOW_S = 0.05
+"""Over how long the turn after the animal is smooth."""
+
+
+@dataclass(frozen=True)
+class PanningFilm:
+    """clip: the camera without its pose, its keypoints, and the truth in the world of the camera's track: z up, the
+    origin in the camera, which looks along y in the first frame, `tilt_deg` down. rotations: (T, 3, 3), from that world
+    to the camera."""
+
+    clip: SyntheticClip
+    rotations: np.ndarray
+    tilt_deg: float
+
+
+def panning(still: SyntheticClip, seed: int = 0) -> Callable[[float], Camera]:
+    """The still camera, turned after the middle of the animal, by time in frames. The first frame has no shake."""
+    level, centre = still.camera.rotation, still.camera.centre_world
+    assert level is not None
+    to = still.truth_m.mean(axis=1) - centre
+    to_right = gaussian_filter1d(np.arctan2(to[:, 0], to[:, 1]), FOLLOW_S * FPS, mode="nearest")
+    shake = gaussian_filter1d(np.random.default_rng(seed).normal(size=(len(to), 3)), SHAKE_S * FPS, axis=0)
+    shake = np.radians(SHAKE_DEG) * (shake - shake[0]) / shake.std(axis=0)
+    frames = np.arange(len(to))
+
+    @cache
+    def at(t: float) -> Camera:
+        right, *turned = (np.interp(t, frames, angles) for angles in (to_right, *shake.T))
+        rotation = Rotation.from_rotvec(turned).as_matrix() @ level @ Rotation.from_euler("z", right).as_matrix()
+        return replace(still.camera, rotation=rotation, translation_m=-rotation @ centre)
+
+    return at
+
+
+def panning_film(still: SyntheticClip, camera_at: Callable[[float], Camera]) -> PanningFilm:
+    clip = seen_by_turning(still, camera_at)
+    rotations = np.stack([np.asarray(camera_at(t).rotation) for t in range(len(clip.truth_m))])
+    forward = rotations[0, 2]
+    to_track = Rotation.from_euler("z", np.arctan2(forward[0], forward[1])).as_matrix()
+    clip = replace(
+        clip,
+        camera=replace(still.camera, rotation=None, translation_m=None),
+        truth_m=(still.truth_m - still.camera.centre_world) @ to_track.T,
+    )
+    return PanningFilm(clip, rotations @ to_track.T, float(np.degrees(np.arcsin(-forward[2]))))
+
+
+def seen_by_turning(still: SyntheticClip, camera_at: Callable[[float], Camera]) -> SyntheticClip:
+    """The clip, its keypoints where the camera of each frame sees them."""
+    keypoints = still.keypoints
+    xy_px = np.empty(keypoints.xy_px.shape)
+    for t, points_m in enumerate(still.truth_m):
+        camera = camera_at(t)
+        xy, valid = camera.project(camera.world_to_camera(points_m))
+        xy_px[t] = np.where((valid & camera.in_image(xy))[:, None], xy, np.nan)
+    return replace(
+        still, keypoints=replace(keypoints, xy_px=xy_px, confidence=np.isfinite(xy_px[..., 0]).astype(float))
+    )
+
+
+def turn_errors_deg(track: Path, truth: np.ndarray) -> np.ndarray:
+    """(N,), of the found turn from the first frame."""
+    found = read_camera_track(track)
+    rotations, truth = found.T_camera_world[:, :3, :3], truth[found.frames]
+    off = (rotations @ rotations[0].T) @ (truth @ truth[0].T).swapaxes(1, 2)
+    return np.degrees(Rotation.from_matrix(off).magnitude())
+
+
+def row(name: str, seed: int, circle: Circle, truth: np.ndarray | None, out: Path) -> tuple[object, ...]:
+    turned = ("", "")
+    if truth is not None:
+        error = turn_errors_deg(out / "predicted" / "track.csv", truth)
+        turned = (f"{np.median(error):.3f}", f"{error.max():.3f}")
+    score, predicted, noisy = circle.points.all, circle.predicted, circle.noisy
+    return (
+        name, seed, f"{score.median_px:.2f}", f"{score.pck_px[1]:.2f}", *turned,
+        *(f"{1000 * error.mean:.1f}" for error in (predicted.mpjpe_m, noisy.mpjpe_m)),
+        *(f"{1000 * error.mean:.0f}" for error in (predicted.mpe_m, noisy.mpe_m)),
+    )  # fmt: skip
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--steps", type=int, default=1000)
+    parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1])
+    parser.add_argument("--device", default="auto")
+    parser.add_argument("--threads", type=int, default=2)
+    parser.add_argument("--out", type=Path, help="for the film and the networks (default: one that is removed)")
+    parser.add_argument("--film", action="store_true", help="draw the film only")
+    args = parser.parse_args()
+    with tempfile.TemporaryDirectory() as temporary:
+        out = args.out or Path(temporary)
+        still, ground_m = film()
+        camera_at = panning(still)
+        pan = panning_film(still, camera_at)
+        (out / "film").mkdir(parents=True, exist_ok=True)
+        write_film(out / "film", pan.clip, render_frames(still.truth_m, still.names, camera_at, ground_m))
+        if args.film:
+            return
+        print_header((
+            "film", "seed", "points: median, px", "within 5 px", "turn: median °", "worst °", "MPJPE mm",
+            "with true points + 2 px", "MPE mm", "with true points + 2 px",
+        ))  # fmt: skip
+        ratios = []
+        for seed in args.seeds:
+            settings, how = TrainSettings(steps=args.steps, seed=seed), {"device": args.device, "threads": args.threads}
+            before = run_circle(out / f"still{seed}", settings, **how)
+            print_row(row("still", seed, before, None, out / f"still{seed}"))
+            folder = out / f"panning{seed}"
+            found = run_circle(folder, settings, samples=out / "film", turns=True, tilt_deg=pan.tilt_deg, **how)
+            print_row(row("panning", seed, found, pan.rotations, folder))
+            ratios.append(found.predicted_m / before.predicted_m)
+        print(f"\nMPJPE {', '.join(f'{ratio:.2f}' for ratio in ratios)} times the still film's")
+
+
+if __name__ == "__main__":
+    main()
