@@ -2,11 +2,13 @@
 
     python benchmarks/extrinsics.py [FOLDER]
 
-Each run is a folder as in `cheetah_runs.py`, with all cameras, their lenses, and nothing of where they stand. Relative
-rotations of all pairs of cameras beside the file's, the upward direction, and how far the cameras are from the first
-one; MPJPE over all 24 joints, each pose's middle taken off, after one rotation of the world. Where the detector's
-keypoints lie is measured in the other runs. Without FOLDER: the cheetah-runs of $RECON_SHARED_DATA, or of
-../shared/data. One thread.
+Each run is a folder as in `cheetah_runs.py`, with all cameras, their lenses, and nothing of where they stand; runs
+with the same camera file are clips of one rig. Relative rotations of all pairs of cameras beside the file's, the upward
+direction, and how far the cameras are from the first one; MPJPE over all 24 joints of a fit with the cameras found,
+each pose's middle taken off, after one rotation of the world. Where the detector's keypoints lie is measured in the
+other runs. Then the same with other detections: the truth's projections, and parts of how far the detector's lie
+beside them. At last what several clips tell, simulated: a run's motion crosses the field of its cameras in other
+places, the same way or any. Without FOLDER: the cheetah-runs of $RECON_SHARED_DATA, or of ../shared/data. One thread.
 """
 
 from __future__ import annotations
@@ -15,57 +17,223 @@ import os
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
-from cameras import PRIOR, Run, as_seen, cameras_of, errors, runs_given
+from cameras import PRIOR, Run, as_seen, cameras_of, errors, runs_given, solved
 from markdown_table import print_table
 from scipy.spatial.transform import Rotation
 from trajectory import body_of, prior_of
 
-from recon.clip import still_view
-from recon.solve.extrinsics import solve_extrinsics
+from recon import Body
+from recon.clip import View, still_view
+from recon.solve import TrajectoryOptions, solve_trajectory
+from recon.solve.extrinsics import Rig, solve_extrinsics
+from recon.solve.setting import Setting
+
+PARTS = {
+    "projections of the truth": (0, 0, 0),
+    "and white noise": (0, 0, 1),
+    "and deviations, in another order": (0, 1, 1),
+    "and deviations": (0, 1, 0),
+    "and lasting deviations": (1, 0, 0),
+}
+"""Whether a clip's lasting deviations are in it, those beside them, and whether these are shuffled or else drawn."""
+CLIPS, SEEDS = (1, 2, 4, 8), (0, 1, 2)
+SECTORS, LASTING_M, PASSING_M, PASSING_S, WHITE_PX = 8, 0.03, 0.03, 0.16, 5.0
+"""Of simulated detections: how far keypoints lie off along each axis, by which eighth of the animal's sides is seen,
+and in passing, and for how long."""
+FIELD_M = 1.5
+"""How far the middle of a simulated way lies from that of the run, along each axis."""
 
 
-def row_of(run: Run, runs: list[Run]) -> dict:
-    views = [run.views[camera] for camera in cameras_of(run)["all"]]
-    lenses = [replace(view.camera, rotation=None, translation_m=None) for view in views]
-    bare = [still_view(lens, view.xy_px, view.confidence) for lens, view in zip(lenses, views, strict=True)]
-    body = as_seen(body_of(run.subject), run, runs)
-    found = solve_extrinsics(bare, body, prior_of(PRIOR), run.fps)
-    apart = []
-    for (a, own_a), (b, own_b) in combinations(zip(found.views, views, strict=True), 2):
+def found(views: Sequence[Sequence[View]], bodies: Sequence[Body], fps: Sequence[float]) -> Rig:
+    """Of cameras without their poses."""
+    prior, options, settings = prior_of(PRIOR), TrajectoryOptions(), []
+    for of, body, rate in zip(views, bodies, fps, strict=True):
+        lenses = [replace(view.camera, rotation=None, translation_m=None) for view in of]
+        bare = [still_view(lens, view.xy_px, view.confidence) for lens, view in zip(lenses, of, strict=True)]
+        settings.append(Setting.of(bare, body, prior, rate, options, ground_near_zero=False))
+    return solve_extrinsics(settings)
+
+
+def placed(rig: Rig, views: Sequence[View]) -> list[View]:
+    return [replace(view, T_camera_world=T) for view, T in zip(views, rig.T_camera_world, strict=True)]
+
+
+def beside(rig: Rig, own: Sequence[View]) -> dict[str, float]:
+    """How a rig differs from the views' poses: degrees, and relative."""
+    views, apart = placed(rig, own), []
+    for (a, own_a), (b, own_b) in combinations(zip(views, own, strict=True), 2):
         turns = [(v.T_camera_world @ np.linalg.inv(w.T_camera_world))[:3, :3] for v, w in ((a, b), (own_a, own_b))]
         apart.append(np.degrees(Rotation.from_matrix(turns[0] @ turns[1].T).magnitude()))
     far, own_far = (
-        np.array([np.linalg.norm(view.centre_m[0] - of[0].centre_m[0]) for view in of[1:]])
-        for of in (found.views, views)
+        np.array([np.linalg.norm(view.centre_m[0] - of[0].centre_m[0]) for view in of[1:]]) for of in (views, own)
     )
-    up, own_up = (of[0].T_camera_world[:3, 2] for of in (found.views, views))
-    turned = replace(found, joints_m=found.joints_m @ _world_turn(found.views, views).T)
-    sigma = found.placing_sigma[1:]
+    up, own_up = (of[0].T_camera_world[:3, 2] for of in (views, own))
     return {
-        "run": run.folder.name[:28],
-        "rotation of pairs, median": f"{np.median(apart):.1f}°",
-        "worst": f"{np.max(apart):.1f}°",
-        "stated": f"{np.degrees(np.median(sigma[:, :3])):.1f}°",
-        "up": f"{np.degrees(np.arccos(np.clip(up @ own_up, -1, 1))):.1f}°",
-        "distances": f"{np.mean(far / own_far - 1):+.1%}",
-        "MPJPE mm": errors(run, turned)["mpjpe_mm"],
+        "rotation of pairs, median": float(np.median(apart)),
+        "worst": float(np.max(apart)),
+        "stated": float(np.degrees(np.median(rig.sigma[1:, :3]))),
+        "up": float(np.degrees(np.arccos(np.clip(up @ own_up, -1, 1)))),
+        "distances": float(np.mean(far / own_far - 1)),
     }
 
 
-def _world_turn(found, views) -> np.ndarray:
+def shown(row: dict[str, float]) -> dict[str, str]:
+    return {name: f"{v:+.1%}" if name == "distances" else f"{v:.1f}°" for name, v in row.items()}
+
+
+def rows_of(clips: Sequence[Run], runs: Sequence[Run]) -> list[dict]:
+    """A row for each clip, of one rig found from all of them."""
+    cameras = cameras_of(clips[0])["all"]
+    views = [[run.views[camera] for camera in cameras] for run in clips]
+    bodies = [as_seen(body_of(run.subject), run, runs) for run in clips]
+    rig = found(views, bodies, [run.fps for run in clips])
+    rows = []
+    for run, own, body in zip(clips, views, bodies, strict=True):
+        with_found = placed(rig, own)
+        solution = solve_trajectory(with_found, body, prior_of(PRIOR), run.fps, ground_near_zero=False)
+        turned = replace(solution, joints_m=solution.joints_m @ _world_turn(with_found, own).T)
+        row = {"clips": len(clips), "run": run.folder.name[:28], **shown(beside(rig, own))}
+        rows.append(row | {"MPJPE mm": f"{errors(run, turned)['mpjpe_mm']:.1f}"})
+    return rows
+
+
+def _world_turn(found: Sequence[View], views: Sequence[View]) -> np.ndarray:
     """The rotation of the found world that brings all cameras nearest to where they look in the file's."""
     turns = [own.T_camera_world[:3, :3].T @ view.T_camera_world[:3, :3] for view, own in zip(found, views, strict=True)]
     return Rotation.from_matrix(turns).mean().as_matrix()
 
 
+def rigs(runs: Sequence[Run]) -> list[list[Run]]:
+    """The runs of each camera file."""
+    by_file: dict[bytes, list[Run]] = {}
+    for run in runs:
+        by_file.setdefault((run.folder / "scene.json").read_bytes(), []).append(run)
+    return list(by_file.values())
+
+
+def sizes(runs: Sequence[Run]) -> list[dict]:
+    """The animal's size beside its measured lengths, with the file's cameras and next to nothing expected of it."""
+    rows = []
+    for run in runs:
+        body = as_seen(body_of(run.subject), run, runs)
+        free, held = solved(run, run.views, body, size_sigma=0.3), solved(run, run.views, body)
+        mpjpe = f"{errors(run, held)['mpjpe_mm']:.1f}"
+        size = f"{free.size:.2f} ± {free.size_sigma:.2f}"
+        rows.append({"run": run.folder.name[:28], "size": size, "MPJPE mm, as measured": mpjpe})
+    return rows
+
+
+# -- other detections ---------------------------------------------------------------------------------------------
+
+
+def with_parts(run: Run, view: View, lasting: int, passing: int, random: int, rng: np.random.Generator) -> View:
+    """The truth's projections and parts of how far the detections lie beside them: what lasts over the clip (a
+    keypoint's median), the rest, in another order where random, or white noise of its size in its place."""
+    projected, valid = view.project(run.truth_m)
+    seen = view.present & valid & np.isfinite(run.truth_m[..., 0])
+    off = np.where(seen[..., None], view.xy_px - projected, np.nan)
+    always = np.zeros(off.shape[1:])
+    for j in np.flatnonzero(seen.any(axis=0)):
+        always[j] = np.median(off[seen[:, j], j], axis=0)
+    rest = off - always
+    if passing and random:
+        for j, is_seen in enumerate(seen.T):
+            rest[is_seen, j] = rng.permutation(rest[is_seen, j])
+    elif random:
+        rest = 1.4826 * np.nanmedian(np.abs(rest)) * rng.normal(size=rest.shape)
+    xy_px = projected + lasting * always + max(passing, random) * rest
+    return replace(view, xy_px=np.where(seen[..., None], xy_px, np.nan))
+
+
+def causes(runs: Sequence[Run]) -> list[dict]:
+    """Means over the runs, one clip each."""
+    table = []
+    for label, (lasting, passing, random) in PARTS.items():
+        rows = []
+        for i, run in enumerate(runs):
+            own = [run.views[camera] for camera in cameras_of(run)["all"]]
+            rng = np.random.default_rng(i)
+            views = [with_parts(run, view, lasting, passing, random, rng) for view in own]
+            body = as_seen(body_of(run.subject), run, runs) if lasting else body_of(run.subject)
+            rows.append(beside(found([views], [body], [run.fps]), own))
+        means = {name: float(np.mean([row[name] for row in rows])) for name in rows[0]}
+        table.append({"detections": label, **shown(means)})
+    return table
+
+
+# -- simulated clips ----------------------------------------------------------------------------------------------
+
+
+def crossing(run: Run, views: Sequence[View], offsets_m: np.ndarray, any_way: bool, rng: np.random.Generator):
+    """Views of the run's motion on another way through the field: what a detector would see that marks other places
+    from other sides, offsets_m (SECTORS, J, 2)."""
+    known = np.isfinite(run.truth_m[:, 0, 0])
+    motion = run.truth_m[known]
+    middle, shift = motion.mean(axis=(0, 1)), np.append(rng.uniform(-FIELD_M, FIELD_M, size=2), 0.0)
+    turn = Rotation.from_euler("z", rng.uniform(0, 2 * np.pi) if any_way else 0.0).as_matrix()
+    points = (motion - middle * [1, 1, 0]) @ turn.T + middle * [1, 1, 0] + shift
+    way = points[-1].mean(axis=0) - points[0].mean(axis=0)
+    return [_detected(view.part(known), points, way, offsets_m, run.fps, rng) for view in views]
+
+
+def _detected(
+    view: View, points: np.ndarray, way: np.ndarray, offsets_m: np.ndarray, fps: float, rng: np.random.Generator
+) -> View:
+    """Detections of points (T, J, 3) of an animal that goes that way."""
+    projected, valid = view.project(points)
+    in_camera = view.to_camera(points)
+    px_per_m = view.focal_px / np.maximum(in_camera[..., 2], 0.3)
+    to_camera = (view.centre_m - points.mean(axis=1))[:, :2]
+    side_rad = np.arctan2(to_camera[:, 1], to_camera[:, 0]) - np.arctan2(way[1], way[0])
+    sector = np.floor(side_rad / (2 * np.pi) * SECTORS).astype(int) % SECTORS
+    keep = np.exp(-1 / (PASSING_S * fps))
+    passing, noise = np.empty(projected.shape), rng.normal(size=projected.shape)
+    passing[0] = noise[0]
+    for t in range(1, len(passing)):
+        passing[t] = keep * passing[t - 1] + np.sqrt(1 - keep**2) * noise[t]
+    off_m = LASTING_M * offsets_m[sector] + PASSING_M * passing
+    xy_px = projected + px_per_m[..., None] * off_m + WHITE_PX * rng.normal(size=projected.shape)
+    width, height = view.camera.image_size_px
+    inside = valid & (in_camera[..., 2] > 0.5) & np.all((xy_px > 0) & (xy_px < (width, height)), axis=-1)
+    return replace(view, xy_px=np.where(inside[..., None], xy_px, np.nan), confidence=inside.astype(float))
+
+
+def simulated(run: Run) -> list[dict]:
+    """Means over the seeds; with n clips, the first n of the most."""
+    views, body, table = [run.views[camera] for camera in cameras_of(run)["all"]], body_of(run.subject), []
+    for any_way in (False, True):
+        rows: dict[int, list[dict[str, float]]] = {}
+        for seed in SEEDS:
+            rng = np.random.default_rng(seed)
+            offsets_m = rng.normal(size=(SECTORS, len(body.markers), 2))
+            clips = [crossing(run, views, offsets_m, any_way, rng) for _ in range(max(CLIPS))]
+            for count in CLIPS:
+                rig = found(clips[:count], [body] * count, [run.fps] * count)
+                rows.setdefault(count, []).append(beside(rig, views))
+        for count, of in rows.items():
+            means = {name: float(np.mean([row[name] for row in of])) for name in of[0]}
+            table.append({"ways": "any" if any_way else "the same", "clips": count, **shown(means)})
+    return table
+
+
 def main() -> None:
     runs = runs_given(__doc__)
-    found = [row_of(run, runs) for run in runs]
-    print_table(list(found[0]), [[f"{v:.1f}" if isinstance(v, float) else v for v in row.values()] for row in found])
+    groups = rigs(runs)
+    real = [[run] for run in runs] + [group for group in groups if len(group) > 1]
+    for title, rows in (
+        ("Real clips", lambda: [row for clips in real for row in rows_of(clips, runs)]),
+        ("The animal's size with the file's cameras", lambda: sizes(runs)),
+        ("One clip, other detections", lambda: causes(runs)),
+        ("Simulated clips", lambda: simulated(max(runs, key=lambda run: len(run.views) * len(run.truth_m)))),
+    ):
+        print(f"{title}\n")
+        table = rows()
+        print_table(list(table[0]), [list(row.values()) for row in table])
 
 
 if __name__ == "__main__":

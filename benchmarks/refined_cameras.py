@@ -1,11 +1,13 @@
-"""Cameras that lie beside their poses, and are refined by the fit: `recon fit --refine-cameras`.
+"""Cameras that lie beside their poses, and are refined: `recon fit`, `recon calibrate extrinsics --refine-cameras`.
 
     python benchmarks/refined_cameras.py [FOLDER]
 
 Each run is a folder as in `cheetah_runs.py`, with all cameras. All but the first are turned by 2 degrees about an axis,
 and moved by 5 cm in a direction, drawn at random; the first one, named in the run, stays. What comes out is compared
 with what comes out of the poses as they are, refined as well: those are not exact either. Errors are over all 24
-joints. Without FOLDER: the cheetah-runs of $RECON_SHARED_DATA, or of ../shared/data. One thread.
+joints. First comes what runs of one camera file tell together, beside what each one tells; where the detector's
+keypoints lie is measured in the other runs. Without FOLDER: the cheetah-runs of $RECON_SHARED_DATA, or of
+../shared/data. One thread.
 """
 
 from __future__ import annotations
@@ -18,7 +20,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
-from cameras import PRIOR, Run, cameras_of, errors, runs_given
+from cameras import PRIOR, Run, as_seen, cameras_of, errors, runs_given
+from extrinsics import rigs
 from markdown_table import print_table
 from scipy.spatial.transform import Rotation
 from trajectory import body_of, prior_of
@@ -26,6 +29,8 @@ from trajectory import body_of, prior_of
 from recon.clip import View
 from recon.frames import rigid
 from recon.solve import TrajectoryOptions, TrajectorySolution, solve_trajectory
+from recon.solve.extrinsics import solve_extrinsics
+from recon.solve.setting import Setting
 
 TURN_DEG, SHIFT_M, DRAWS = 2.0, 0.05, 3
 
@@ -80,12 +85,44 @@ def rows(run: Run) -> Iterator[dict]:
         }
 
 
+def together(clips: Sequence[Run], runs: Sequence[Run]) -> dict:
+    """What all clips of a rig tell, from the poses as they are and from displaced ones; means over the draws."""
+    prior, cameras = prior_of(PRIOR), cameras_of(clips[0])["all"]
+    own = [[run.views[camera] for camera in cameras] for run in clips]
+    bodies = [as_seen(body_of(run.subject), run, runs) for run in clips]
+
+    def refined(first: Sequence[View]) -> tuple[list[View], np.ndarray]:
+        settings = []
+        for run, of, body in zip(clips, own, bodies, strict=True):
+            views = [replace(view, T_camera_world=at.T_camera_world) for view, at in zip(of, first, strict=True)]
+            settings.append(Setting.of(views, body, prior, run.fps, TrajectoryOptions()))
+        rig = solve_extrinsics(settings, posed=True)
+        found = [replace(view, T_camera_world=T) for view, T in zip(first, rig.T_camera_world, strict=True)]
+        return found, rig.sigma[1:]
+
+    in_place, sigma = refined(own[0])
+    found = [refined(displaced(own[0], np.random.default_rng(draw)))[0] for draw in range(DRAWS)]
+    of_file, of_refined = (
+        np.array([[f(apart(one, other), axis=0) for f in (np.median, np.max)] for one in found]).mean(axis=0)
+        for other in (own[0], in_place)
+    )
+    row = {"clips": ", ".join(run.folder.name[:28] for run in clips)}
+    for beside, (median, worst) in (("the file's", of_file), ("those refined in place", of_refined)):
+        row |= {f"beside {beside}: median": _worst(median[None]), f"{beside}: worst": _worst(worst[None])}
+    return row | {
+        "stated, median": f"{np.degrees(np.median(sigma[:, :3])):.2f}°, {100 * np.median(sigma[:, 3:]):.1f} cm"
+    }
+
+
 def _worst(far: np.ndarray) -> str:
     return "{:.2f}°, {:.1f} cm".format(*(far * [1, 100]).max(axis=0))
 
 
 def main() -> None:
     runs = runs_given(__doc__)
+    groups = [[run] for run in runs] + [group for group in rigs(runs) if len(group) > 1]
+    of_clips = [together(clips, runs) for clips in groups]
+    print_table(list(of_clips[0]), [list(row.values()) for row in of_clips])
     found = [row for run in runs for row in rows(run)]
     names = list(found[-1])
     print_table(

@@ -12,7 +12,7 @@ import pytest
 from recon import FitSettings, InputError, Motion, fit_clip
 from recon.app.cameras import cameras_in
 from recon.app.clip import prepare
-from recon.app.extrinsics import run_extrinsics
+from recon.app.extrinsics import clips_of, run_extrinsics
 from recon.calibration import read_cameras, write_cameras
 from recon.camera import Camera
 from recon.clip import Source, View, together
@@ -200,7 +200,7 @@ def test_only_several_cameras_that_stand_still_are_refined(folder):
 
 def test_where_cameras_stand_from_the_animal_alone(folder, tmp_path):
     """Two views of one run: the poses of their file are not read. Coarse, in half a second of running."""
-    run = run_extrinsics(settings(folder, 1, 2, frames="10:36"), tmp_path / "found.toml")
+    run = run_extrinsics([settings(folder, 1, 2, frames="10:36")], tmp_path / "found.toml")
     true, found = (read_cameras(path) for path in (folder / "scene.json", tmp_path / "found.toml"))
     assert [camera.to_dict() for camera in run.cameras] == [camera.to_dict() for camera in found]
 
@@ -218,10 +218,57 @@ def test_where_cameras_stand_from_the_animal_alone(folder, tmp_path):
     assert run.to_dict()["cameras"][1]["turn_sigma_rad"] == run.sigma[1, :3].tolist()
 
 
+def test_clips_of_one_rig(folder, tmp_path):
+    """By their names; the files' poses, refined, stay where they are: in their world, the first camera as it was."""
+    for number in (1, 2):
+        for clip in ("a", "b"):
+            (tmp_path / f"{clip}_cam{number}.csv").write_bytes((folder / f"run_cam{number}.csv").read_bytes())
+    given = {"camera": folder / "scene.json", "fps": FPS, "subject": "phantom", "frames": "10:36"}
+    clips, notes = clips_of([str(tmp_path / "*.csv")], given)
+    assert [[path.name for path in clip.keypoints] for clip in clips] == [
+        ["a_cam1.csv", "a_cam2.csv"],
+        ["b_cam1.csv", "b_cam2.csv"],
+    ]
+    assert notes[0].startswith("4 files are 2 clips of several cameras")
+    out = tmp_path / "refined.toml"
+    run = run_extrinsics([replace(clip, refine_cameras=True) for clip in clips], out)
+    (first, second), (own, other) = read_cameras(out), read_cameras(folder / "scene.json")
+    assert first.knows_up
+    np.testing.assert_allclose(first.centre_world, own.centre_world, atol=1e-5)
+    np.testing.assert_allclose(second.centre_world, other.centre_world, atol=0.15)
+    assert len(run.to_dict()["clips"]) == 2
+    (only,), _ = clips_of(clips[0].keypoints, given | {"camera_name": ["cam1", "cam2"]})
+    assert only.keypoints == clips[0].keypoints
+
+
+def test_refined_extrinsics_need_poses(folder, tmp_path):
+    lenses = [replace(camera, rotation=None, translation_m=None) for camera in read_cameras(folder / "scene.json")]
+    write_cameras(lenses, tmp_path / "lenses.toml")
+    with pytest.raises(InputError) as error:
+        run_extrinsics(
+            [settings(folder, 1, 2, camera=tmp_path / "lenses.toml", refine_cameras=True)], tmp_path / "out.toml"
+        )
+    expected = "--refine-cameras: poses: found none of cam1, cam2, expected a camera file with the poses of all cameras"
+    assert problems(error) == expected
+
+
+def test_a_camera_has_one_lens(folder, tmp_path):
+    scene = json.loads((folder / "scene.json").read_text())
+    scene["cameras"][1]["k"][0][0] *= 1.1
+    (tmp_path / "other.json").write_text(json.dumps(scene))
+    with pytest.raises(InputError) as error:
+        run_extrinsics(
+            [settings(folder, 1, 2), settings(folder, 1, 2, camera=tmp_path / "other.json")], tmp_path / "out.toml"
+        )
+    assert problems(error) == (
+        "KEYPOINTS: camera cam2: found two lenses or poses of that name, expected the same in all clips"
+    )
+
+
 def test_one_camera_has_no_place_beside_others(folder, tmp_path):
     with pytest.raises(InputError) as error:
-        run_extrinsics(settings(folder, 1), tmp_path / "found.csv")
+        run_extrinsics([settings(folder, 1)], tmp_path / "found.csv")
     assert problems(error).splitlines() == [
-        "KEYPOINTS: cameras: found cam1, expected two or more, each once",
+        "run_cam1.csv: cameras: found cam1, expected two or more, each once",
         f"--out: file: found {tmp_path / 'found.csv'}, expected a name that ends in .toml",
     ]

@@ -50,7 +50,7 @@ NOT_RUN = {
     r"recon (train|predict|evaluate-2d) |recon fit run\.csv ": "trains for minutes; tests/test_net_train.py",
     r"recon run ": "takes half a minute; tests/test_run.py",
     r"recon report ": "tests/test_page.py",
-    r"recon (fit|calibrate extrinsics) run_cam": "of several cameras; tests/test_offsets.py, test_cameras.py",
+    r"recon (fit|calibrate extrinsics) run\d?_cam": "of several cameras; tests/test_offsets.py, test_cameras.py",
     r"recon camera-motion ": "needs a video of a camera that turns; tests/test_camera_motion.py",
     r"recon --install-completion": "changes the user's shell; tests/test_doctor.py",
     r"recon doctor": "looks at this machine; tests/test_doctor.py",

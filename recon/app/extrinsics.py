@@ -1,34 +1,40 @@
-"""Where cameras stand, from a clip of the animal alone: lenses and keypoints in, a file of all cameras out."""
+"""Where cameras stand, from clips of the animal alone: lenses and keypoints in, a file of all cameras out."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from recon.app.batch.groups import AUTO
+from recon.app.batch.inputs import find_clips
 from recon.app.clip import Prepared, prepare
 from recon.arrays import Array
 from recon.calibration import write_cameras
 from recon.camera import Camera
-from recon.clip import Source, still_view, together
+from recon.clip import View, camera_poses, together
 from recon.errors import InputError, Problem, all_of
 from recon.files import require_free_file
+from recon.frames import level_from_camera, rigid
 from recon.progress import Progress, silent
-from recon.settings import FitSettings
-from recon.solve.extrinsics import TooLittleInCommonError, above_ground, solve_extrinsics
+from recon.settings import FitSettings, read_settings
+from recon.solve.extrinsics import TooLittleInCommonError, solve_extrinsics
+from recon.solve.setting import Setting
 
 
 @dataclass(frozen=True, eq=False)
 class ExtrinsicsRun:
-    """cameras: with poses in a world with z up, the ground at z = 0. sigma (V, 6): of each one's place beside the first
-    (`Camera.placed`)."""
+    """cameras: with poses in a world with z up, the ground at z = 0, or that of the camera file if those are refined.
+    sigma (V, 6): of each one's place beside the first (`Camera.placed`)."""
 
     cameras: tuple[Camera, ...]
     sigma: Array
+    converged: bool
+    clips: tuple[FitSettings, ...]
     out: Path
 
     def to_dict(self) -> dict[str, Any]:
@@ -39,6 +45,8 @@ class ExtrinsicsRun:
                 camera.to_dict() | {"turn_sigma_rad": sigma[:3].tolist(), "shift_sigma_m": sigma[3:].tolist()}
                 for camera, sigma in both
             ],
+            "clips": [[str(path) for path in clip.keypoints] for clip in self.clips],
+            "converged": self.converged,
             "written": str(self.out),
         }
 
@@ -50,44 +58,86 @@ class ExtrinsicsRun:
             turn, shift = math.degrees(np.linalg.norm(sigma[:3])), float(np.linalg.norm(sigma[3:]))
             known = f", ± {turn:.1f}° and {shift:.2f} m beside the first" if sigma.any() else ""
             yield f"{camera.name}: {place[2]:.2f} m high, {np.linalg.norm(place - first):.2f} m from the first{known}"
+        if not self.converged:
+            yield "The search had not settled when it was ended: more clips, of other ways through the view, tell more."
+
+
+def clips_of(
+    inputs: Sequence[str | Path], given: Mapping[str, Any], cameras_by: str = AUTO
+) -> tuple[list[FitSettings], list[str]]:
+    """The clips that keypoint files, folders and manifests are, as in a batch, and notes; with the names of their
+    cameras beside them, files are one clip. Raises InputError."""
+    if given.get("camera_name") is not None:
+        return [read_settings(None, {**given, "keypoints": inputs})], []
+    clips, notes = find_clips(inputs, given, None, cameras_by, posed=False)
+    return [clip.settings for clip in clips], notes
 
 
 def run_extrinsics(
-    settings: FitSettings, out: Path, overwrite: bool = False, progress: Progress = silent
+    clips: Sequence[FitSettings], out: Path, overwrite: bool = False, progress: Progress = silent
 ) -> ExtrinsicsRun:
     """`recon calibrate extrinsics`: write `out`, which `recon.calibration.read_cameras` reads.
 
-    Poses in the camera file are not read. Raises InputError, with every problem, for inputs that cannot be used.
+    Poses in the camera file are read where the clips' settings say that they are refined. Raises InputError, with every
+    problem, for inputs that cannot be used.
     """
-    given, _ = all_of(lambda: _each_alone(settings), lambda: _check_out(out, overwrite))
+    given, _ = all_of(
+        lambda: all_of(*(lambda clip=clip: _each_alone(clip) for clip in clips)), lambda: _check_out(out, overwrite)
+    )
+    posed, cameras = bool(clips[0].refine_cameras), _all_cameras(given)
+    if posed:
+        _require_poses(cameras)
+        poses = camera_poses(cameras)
+    else:  # each one's own level world
+        cameras = [replace(camera, rotation=None, translation_m=None) for camera in cameras]
+        poses = [rigid(level_from_camera(camera.up).T, np.zeros(3)) for camera in cameras]
+    settings = [_setting(*of, cameras, poses) for of in zip(clips, given, strict=True)]
+    try:
+        rig = solve_extrinsics(settings, posed, progress)
+    except TooLittleInCommonError as error:
+        expected = "some in which it and another camera see enough of the animal for a pose"
+        raise InputError(
+            Problem("KEYPOINTS", f"camera {cameras[error.view].name}", "too few frames", expected)
+        ) from None
+    height_m = 0.0 if posed else -np.nan_to_num(rig.ground_m)
+    found = tuple(
+        replace(camera, rotation=T[:3, :3], translation_m=T[:3, 3] - height_m * T[:3, 2], world_z_up=True, tilt_rad=0.0)
+        for camera, T in zip(cameras, rig.T_camera_world, strict=True)
+    )
+    write_cameras(found, out)
+    return ExtrinsicsRun(found, rig.sigma, rig.converged, tuple(clips), out)
+
+
+def _setting(
+    clip: FitSettings, given: Sequence[Prepared], cameras: Sequence[Camera], poses: Sequence[Array]
+) -> Setting:
+    """A clip with a view of every camera; one that did not film it has seen nothing."""
     fps, model = given[0].fps, given[0].model
     assert model.prior is not None
-    later = settings.offset_s or (0.0,) * len(given)
-    apart = [_without_pose(one.sources[0]) for one in given]
-    sources = together(apart, [(s - later[0]) * fps for s in later])
-    points = [(source.camera, source.keypoints.xy_px, source.keypoints.confidence) for source in sources]
-    views = [replace(still_view(*of), lead_frames=s.lead_frames) for of, s in zip(points, sources, strict=True)]
-    try:
-        found = solve_extrinsics(views, model.body, model.prior, fps, settings.trajectory_options(), progress)
-    except TooLittleInCommonError as error:
-        name, first = sources[error.view].camera.name, sources[0].camera.name
-        expected = f"some in which it and {first} see enough of the animal for a pose"
-        raise InputError(Problem("KEYPOINTS", f"camera {name}", "too few frames", expected)) from None
-    cameras = tuple(
-        replace(view.camera, rotation=view.T_camera_world[:3, :3], translation_m=view.T_camera_world[:3, 3])
-        for view in above_ground(found)
-    )
-    write_cameras(cameras, out)
-    return ExtrinsicsRun(cameras, found.placing_sigma, out)
+    later = clip.offset_s or (0.0,) * len(given)
+    sources = together([one.sources[0] for one in given], [(s - later[0]) * fps for s in later])
+    by_name = {source.camera.name: source for source in sources}
+    nothing = np.full_like(sources[0].keypoints.xy_px, np.nan)
+    views = []
+    for camera, pose in zip(cameras, poses, strict=True):
+        source = by_name.get(camera.name)
+        if source is None:
+            views.append(View(camera, pose, nothing, np.zeros(nothing.shape[:2])))
+        else:
+            points = source.keypoints
+            views.append(View(camera, pose, points.xy_px, points.confidence, lead_frames=source.lead_frames))
+    knows_up = bool(clip.refine_cameras) and None  # where the ground is, the camera file says
+    return Setting.of(views, model.body, model.prior, fps, clip.trajectory_options(), knows_up)
 
 
 def _each_alone(settings: FitSettings) -> list[Prepared]:
     """Each camera's keypoints, prepared as a clip of one camera."""
     names = settings.camera_name or (None,) * len(settings.keypoints)
+    alone = replace(settings, offset_s=None, refine_cameras=None)
     given = all_of(
         *(
             lambda path=path, name=name: prepare(
-                replace(settings, keypoints=(path,), camera_name=None if name is None else (name,), offset_s=None)
+                replace(alone, keypoints=(path,), camera_name=None if name is None else (name,))
             )
             for path, name in zip(settings.keypoints, names, strict=True)
         )
@@ -98,12 +148,26 @@ def _each_alone(settings: FitSettings) -> list[Prepared]:
         raise InputError(Problem("KEYPOINTS", "fps", ", ".join(f"{rate:g}" for rate in sorted(rates)), expected))
     found = [one.sources[0].camera.name for one in given]
     if len(found) < 2 or len(set(found)) < len(found):
-        raise InputError(Problem("KEYPOINTS", "cameras", ", ".join(found), "two or more, each once"))
+        where = ", ".join(path.name for path in settings.keypoints)
+        raise InputError(Problem(where, "cameras", ", ".join(found), "two or more, each once"))
     return list(given)
 
 
-def _without_pose(source: Source) -> Source:
-    return replace(source, camera=replace(source.camera, rotation=None, translation_m=None, world_z_up=True))
+def _all_cameras(given: Sequence[Sequence[Prepared]]) -> list[Camera]:
+    """Of all clips, each once, those of the first clip first."""
+    cameras: dict[str, Camera] = {}
+    for one in (prepared.sources[0].camera for clip in given for prepared in clip):
+        if cameras.setdefault(one.name, one).to_dict() != one.to_dict():
+            expected = "the same in all clips"
+            raise InputError(Problem("KEYPOINTS", f"camera {one.name}", "two lenses or poses of that name", expected))
+    return list(cameras.values())
+
+
+def _require_poses(cameras: Sequence[Camera]) -> None:
+    without = [camera.name for camera in cameras if not camera.has_extrinsics]
+    if without:
+        expected = "a camera file with the poses of all cameras"
+        raise InputError(Problem("--refine-cameras", "poses", f"none of {', '.join(without)}", expected))
 
 
 def _check_out(out: Path, overwrite: bool) -> None:

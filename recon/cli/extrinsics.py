@@ -7,13 +7,15 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
+from rich.text import Text
 
 from recon.cli.common import progress_bar, say, terminal
 from recon.cli.settings import takes_settings
 
 _SETTINGS = (
-    *("keypoints", "camera", "camera_name", "offset_s", "fps", "skeleton", "subject", "detector", "prior"),
-    *("individual", "rename", "frames", "likelihood_min", "sigma_px", "keypoint_sigma_m"),
+    *("camera", "camera_name", "camera_unit", "image_size_px", "tilt_deg", "refine_cameras", "offset_s", "fps"),
+    *("skeleton", "subject", "detector", "prior", "individual", "rename", "frames", "likelihood_min", "sigma_px"),
+    "keypoint_sigma_m",
 )
 """Those of a fit that are read."""
 
@@ -21,22 +23,38 @@ _SETTINGS = (
 @takes_settings(_SETTINGS)
 def extrinsics(
     *,
+    inputs: Annotated[
+        list[str],
+        typer.Argument(
+            metavar="INPUT...",
+            help="Keypoint files, quoted patterns, folders, or manifests, as for recon batch. Files whose names are "
+            "the same but for the camera's are one clip.",
+        ),
+    ],
     out: Annotated[Path, typer.Option(help="The file of all cameras, as in cameras.toml.")],
     given: dict[str, Any],
+    cameras_by: Annotated[
+        str,
+        typer.Option(metavar="auto|PATTERN", help="Which files are one clip, as for recon batch."),
+    ] = "auto",
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the file.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print everything as JSON.")] = False,
 ) -> None:
-    """Find where cameras stand, from a clip of the animal that all of them filmed, and their lenses.
+    """Find where cameras stand, from their lenses and clips of the animal: one tells it roughly, several well.
 
-    Example: recon calibrate extrinsics run_cam1.csv run_cam2.csv --camera lenses.toml --fps 90 --out cameras.toml
+    With --refine-cameras, the poses in the camera file are taken for as good as 2 degrees and 5 cm, and refined.
+
+    Example: recon calibrate extrinsics run*_cam*.csv --camera lenses.toml --fps 90 --out cameras.toml
 
     Exit code 0: written. 2: the input cannot be used.
     """
-    from recon.app.extrinsics import run_extrinsics
-    from recon.settings import read_settings
+    from recon.app.extrinsics import clips_of, run_extrinsics
 
+    clips, notes = clips_of(inputs, given, cameras_by)
+    for note in notes:
+        terminal(stderr=True).print(Text(note, "yellow"), soft_wrap=True)
     with progress_bar(terminal(stderr=True), "solving: ") as progress:
-        run = run_extrinsics(read_settings(None, given), out, overwrite, progress)
+        run = run_extrinsics(clips, out, overwrite, progress)
     if as_json:
         typer.echo(json.dumps(run.to_dict(), indent=1))
         return

@@ -1,94 +1,155 @@
-"""Where cameras stand, from the animal alone: views of one clip whose cameras have a lens and no pose.
+"""Where cameras stand, from the animal alone: clips of a few seconds that the same cameras filmed.
 
 1. Each view is solved by itself, which gives the joints in its own camera's frame, in metres of the animal's lengths.
-2. The rigid motion that takes one camera's joints to the first one's, over all joints and frames, robustly, is where
-   that camera stands beside the first one.
-3. The views are solved together, the poses of all but the first being unknowns that hardly anything is expected of
-   (`TrajectoryOptions.refine_cameras`); then again from there, the first camera's tilt and roll unknown as well. Up is
-   where the ground under the feet, the animal's climb and its upright posture say.
+2. The rigid motion that takes one camera's joints to the others', over all joints, frames and clips, robustly, is where
+   that camera stands beside those already placed; the first is level.
+3. All views of a clip are solved together with the cameras held. At the minimum everything of the clip's own (states,
+   lags, and how far keypoints lie beside their markers in each view) is eliminated from the normal equations
+   (`recon.banded`), and the poses take the Gauss-Newton step of the sum over the clips, the first camera's tilt and
+   roll with them. Up is where the ground under the feet, the animal's climb and its upright posture say. A few rounds
+   of both lead to the minimum over all unknowns, and the inverse of the sum is the poses' covariance.
 
-The scale is the animal's: its size is held at that of the body.
+Where poses are known roughly, only the third is done, and the first camera stays. The scale is the animal's: its size
+is held at that of the body.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from recon.arrays import Array
-from recon.body import Body
 from recon.clip import View
 from recon.frames import level_from_camera, rigid
-from recon.prior import MotionPrior
 from recon.progress import Progress, silent
-from recon.solve.result import TrajectorySolution
-from recon.solve.setting import TrajectoryOptions
-from recon.solve.trajectory import solve_trajectory
+from recon.solve.least_squares import Shared
+from recon.solve.posterior import factored
+from recon.solve.setting import Setting
+from recon.solve.terms import OnGround, placing
+from recon.solve.trajectory import Solved, refined, solve_spells, solve_trajectory
 
 _PLACING_RAD, _PLACING_M = float(np.radians(10.0)), 1.0
 """How far off the first poses are, about each axis and along it."""
 _LEVEL_RAD = float(np.radians(5.0))
-"""How far the first camera is from level, about each axis."""
-_SIZE_SIGMA, _MIN_FRAMES = 1e-3, 5
+"""How far cameras are from level, or from the tilt that is said, about each axis."""
+_HELD, _SIZE_SIGMA, _MIN_FRAMES = 1e-6, 1e-3, 5
+ROUNDS, CLOSE_ENOUGH = 12, 0.05
+"""Rounds at most, and the step, in standard deviations, that ends them."""
 
 
 class TooLittleInCommonError(ValueError):
-    """A view, by its number, that has fewer frames with a pose in common with the first than `_MIN_FRAMES`."""
+    """A view, by its number, that has fewer frames with a pose in common with the others than `_MIN_FRAMES`."""
 
     def __init__(self, view: int) -> None:
-        super().__init__(f"view {view} has fewer than {_MIN_FRAMES} frames in common with the first")
+        super().__init__(f"view {view} has fewer than {_MIN_FRAMES} frames in common with the others")
         self.view = view
 
 
-def solve_extrinsics(
-    views: Sequence[View],
-    body: Body,
-    prior: MotionPrior,
-    fps: float,
-    options: TrajectoryOptions | None = None,
-    progress: Progress = silent,
-) -> TrajectorySolution:
-    """The motion and the poses, in the solution's views; each given view stands in a world of its own, level under its
-    camera. `placing_sigma` of the solution says how well the poses are known beside the first.
+@dataclass(frozen=True, eq=False)
+class Rig:
+    """Where V cameras stand."""
+
+    T_camera_world: tuple[Array, ...]
+    """(4, 4) each. The world is the given one, or level, with the first camera in its origin."""
+    sigma: Array
+    """(V, 6): of each one's place beside the first, as in `View.placed`."""
+    ground_m: float
+    """Height of the ground below the middle of the animal's longest path; NaN where none was found."""
+    converged: bool
+    """Whether the last step was small."""
+
+
+def solve_extrinsics(settings: Sequence[Setting], posed: bool = False, progress: Progress = silent) -> Rig:
+    """settings: of clips, each with the same V cameras in the same order; one that did not film a clip saw nothing
+    in it. posed: the cameras stand where the views say, but for the options' `placing_rad` and `placing_m`.
 
     Raises TooLittleInCommonError.
     """
-    options = replace(
-        options or TrajectoryOptions(),
-        refine_cameras=True,
-        placing_rad=_PLACING_RAD,
-        placing_m=_PLACING_M,
-        size_sigma=_SIZE_SIGMA,
-    )
-    steps, in_camera = len(views) + 2, []
-    for view in views:
-        alone = solve_trajectory([view], body, prior, fps, options, ground_near_zero=False)
-        in_camera.append(alone.joints_camera_m)
-        progress("each camera", len(in_camera) / steps)
-    first = level_from_camera(views[0].camera.up)
-    placed = [replace(views[0], T_camera_world=rigid(first.T, np.zeros(3)))]
-    for i, joints_m in enumerate(in_camera[1:], start=1):
-        T_other_first = _aligned(in_camera[0], joints_m)
-        if T_other_first is None:
-            raise TooLittleInCommonError(i)
-        placed.append(replace(views[i], T_camera_world=T_other_first @ placed[0].T_camera_world))
-    solution = solve_trajectory(placed, body, prior, fps, options, ground_near_zero=False)
-    progress("all cameras", (len(views) + 1) / steps)
-    leads = [view.lead_frames for view in views]
-    again = [replace(view, lead_frames=lead) for view, lead in zip(solution.views, leads, strict=True)]
-    tilted = replace(options, level_rad=_LEVEL_RAD)
-    return solve_trajectory(again, body, prior, fps, tilted, ground_near_zero=False)
+    options = replace(settings[0].options, refine_cameras=False, size_sigma=_SIZE_SIGMA)
+    settings = [replace(one, options=replace(options, fast=one.options.fast)) for one in settings]
+    turn_rad, shift_m = (options.placing_rad, options.placing_m) if posed else (_PLACING_RAD, _PLACING_M)
+    sigma = np.tile(np.repeat([turn_rad, shift_m], 3), len(settings[0].views))
+    sigma[: 6 if posed else 0] = sigma[3:6] = _HELD
+    level_rad = np.inf if posed else _LEVEL_RAD
+    with threadpool_limits(1, user_api="blas"):
+        if not posed:
+            settings = _placed(settings, lambda what, done: progress(what, 0.5 * done))
+        spells = [(i, spell) for i, one in enumerate(settings) for spell in solve_spells(one)]
+        values, converged, total = np.zeros(len(sigma)), False, np.diag(sigma**-2.0)
+        for i in range(ROUNDS):
+            progress("all cameras", 0.5 * (1 + i / ROUNDS))
+            total, pull = _level(settings[0].views, level_rad)
+            total, pull = total + np.diag(sigma**-2.0), pull + values / sigma**2
+            reduced = [(clip, _reduced(settings[clip], spell)) for clip, spell in spells]
+            for clip, one in reduced:
+                total += one.curvature / settings[clip].alike
+                pull += one.gradient / settings[clip].alike
+            step = np.asarray(np.linalg.solve(total, -pull), dtype=float)
+            values = values + step
+            settings = [_moved(one, step.reshape(-1, 6)) for one in settings]
+            spells = [(clip, refined(settings[clip], one.follow(step))) for clip, one in reduced]
+            converged = bool(step @ total @ step < CLOSE_ENOUGH**2 * len(step))
+            if converged:
+                break
+    poses = tuple(view.T_camera_world for view in settings[0].views)
+    covariance = np.asarray(np.linalg.inv(total), dtype=float)
+    return Rig(poses, _beside_first(poses, covariance), _ground_m(settings, spells), converged)
 
 
-def _aligned(a_m: Array, b_m: Array) -> Array | None:
-    """T (4, 4) that takes points (T, J, 3) to others as well as can be, those far off counting less; NaN where a frame
-    has none. None with too few frames in common."""
-    common = np.isfinite(a_m[:, 0, 0]) & np.isfinite(b_m[:, 0, 0])
-    if common.sum() < _MIN_FRAMES:
-        return None
-    a, b = (points[common].reshape(-1, 3) for points in (a_m, b_m))
+def _level(views: Sequence[View], sigma_rad: float) -> tuple[Array, Array]:
+    """Curvature (6V, 6V) and gradient (6V,) of what is expected of the upward direction in each camera."""
+    curvature, gradient = np.zeros((6 * len(views), 6 * len(views))), np.zeros(6 * len(views))
+    for i, view in enumerate(views):
+        up, own = view.T_camera_world[:3, 2], slice(6 * i, 6 * i + 3)
+        by_turn = np.cross(np.eye(3), up).T / sigma_rad
+        curvature[own, own] = by_turn.T @ by_turn
+        gradient[own] = by_turn.T @ (up - view.camera.up) / sigma_rad
+    return curvature, gradient
+
+
+def _placed(settings: Sequence[Setting], progress: Progress) -> list[Setting]:
+    """With each view solved by itself, and placed where most of its joints meet those of the others."""
+    V = len(settings[0].views)
+    joints: list[list[Array]] = []
+    for i in range(V):
+        joints.append([_alone(one, one.views[i]) for one in settings])
+        progress("each camera", (i + 1) / V)
+    known, T_camera_first = np.concatenate(joints[0]), {0: np.eye(4)}
+    while len(T_camera_first) < V:
+        own = {i: np.concatenate(joints[i]) for i in range(V) if i not in T_camera_first}
+        common = {i: np.isfinite(points[:, 0, 0]) & np.isfinite(known[:, 0, 0]) for i, points in own.items()}
+        best = max(own, key=lambda i: int(common[i].sum()))
+        if common[best].sum() < _MIN_FRAMES:
+            raise TooLittleInCommonError(best)
+        T = _aligned(known[common[best]].reshape(-1, 3), own[best][common[best]].reshape(-1, 3))
+        T_camera_first[best] = T
+        there = (own[best] - T[:3, 3]) @ T[:3, :3]
+        known = np.where(np.isfinite(known), known, there)
+    level = rigid(level_from_camera(settings[0].views[0].camera.up).T, np.zeros(3))
+    return [
+        replace(
+            one,
+            views=tuple(replace(v, T_camera_world=T_camera_first[i] @ level) for i, v in enumerate(one.views)),
+            origin_m=np.zeros(3),
+        )
+        for one in settings
+    ]
+
+
+def _alone(setting: Setting, view: View) -> Array:
+    """(T, J, 3): the joints in the camera's frame, NaN where there is no pose."""
+    level = rigid(level_from_camera(view.camera.up).T, np.zeros(3))
+    views = [replace(view, T_camera_world=level)]
+    return solve_trajectory(
+        views, setting.body, setting.prior, setting.fps, setting.options, ground_near_zero=False
+    ).joints_camera_m
+
+
+def _aligned(a: Array, b: Array) -> Array:
+    """T (4, 4) that takes points (N, 3) to others as well as can be, those far off counting less."""
     weight, R, t = np.ones(len(a)), np.eye(3), np.zeros(3)
     for _ in range(30):
         share = weight / weight.sum()
@@ -101,15 +162,72 @@ def _aligned(a_m: Array, b_m: Array) -> Array | None:
     return rigid(R, t)
 
 
-def above_ground(solution: TrajectorySolution) -> tuple[View, ...]:
-    """The views, in a world that is moved so that z = 0 is the ground below the middle of the animal's path, and the
-    first camera above its origin; without ground, in the first camera."""
-    spells = [spell for spell in solution.spells if spell.ground is not None]
-    origin = solution.views[0].centre_m[0].copy()
-    if spells:
-        spell = max(spells, key=lambda one: one.rows.stop - one.rows.start)
-        assert spell.ground is not None
-        middle = np.nanmean(solution.states[spell.rows, :2], axis=0)
-        origin[2] = spell.ground.height_m + spell.ground.slope @ middle
-    T_world_moved = rigid(np.eye(3), origin)
-    return tuple(replace(view, T_camera_world=view.T_camera_world @ T_world_moved) for view in solution.views)
+@dataclass(frozen=True, eq=False)
+class _Reduced:
+    """A spell's cost by all cameras' places, all else eliminated: curvature (6V, 6V) and gradient (6V,)."""
+
+    curvature: Array
+    gradient: Array
+    solved: Solved
+    Y: Array
+    """(T, D, P + 1): how the states follow the shared unknowns, the places last, and their own step."""
+    own_Y: Array
+    """(P - 6V, 6V + 1): how the clip's own shared unknowns follow the places, and their own step."""
+
+    def follow(self, step: Array) -> Solved:
+        """The spell as it is expected to be after a step of the places (6V,)."""
+        own = -self.own_Y @ np.append(step, 1.0)
+        estimate, problem = self.solved.estimate, self.solved.problem
+        states = estimate.states - self.Y @ np.concatenate([own, step, [1.0]])
+        shared = {name: value + own[problem.columns[name]] for name, value in estimate.shared.items()}
+        return replace(self.solved, estimate=replace(estimate, states=states, shared=shared))
+
+
+def _reduced(setting: Setting, solved: Solved) -> _Reduced:
+    """Without the ground, whose plane follows the feet: as it is, it would hold the world's tilt."""
+    V, problem = len(setting.views), solved.problem
+    places = [Shared(placing(i), np.zeros(6), np.full(6, np.inf)) for i in range(V)]
+    problem = replace(
+        problem,
+        terms=[term for term in problem.terms if not isinstance(term, OnGround)],
+        shared=[*problem.shared, *problem.doubtful, *places],
+        doubtful=(),
+    )
+    normal = problem.normal(solved.estimate.states, problem.expected() | dict(solved.estimate.shared))
+    Y = factored(normal.H).solve_many(np.concatenate([normal.border, normal.gradient[..., None]], axis=2))
+    corner = np.concatenate([normal.corner, normal.shared_gradient[:, None]], axis=1)
+    S = corner - np.tensordot(normal.border, Y, ((0, 1), (0, 1)))
+    n = len(S) - 6 * V
+    own_Y = np.asarray(np.linalg.solve(S[:n, :n], S[:n, n:]), dtype=float)
+    S = S[n:, n:] - S[n:, :n] @ own_Y
+    return _Reduced(S[:, :-1], S[:, -1], solved, Y, own_Y)
+
+
+def _moved(setting: Setting, step: Array) -> Setting:
+    """With cameras that lie beside their places by (V, 6)."""
+    return replace(setting, views=tuple(view.placed(own) for view, own in zip(setting.views, step, strict=True)))
+
+
+def _beside_first(poses: Sequence[Array], covariance: Array) -> Array:
+    """(V, 6): standard deviations of the cameras' places beside the first, from the covariance (6V, 6V) of the places
+    of all."""
+    found = np.zeros((len(poses), 6))
+    for i, pose in enumerate(poses[1:], start=1):
+        T = pose @ np.linalg.inv(poses[0])
+        by = np.zeros((6, len(covariance)))
+        by[:, 6 * i : 6 * i + 6] = np.eye(6)
+        by[:3, :3] = by[3:, 3:6] = -T[:3, :3]
+        by[3:, :3] = -np.cross(T[:3, 3], T[:3, :3], axisb=0, axisc=0)
+        found[i] = np.sqrt(np.diagonal(by @ covariance @ by.T))
+    return found
+
+
+def _ground_m(settings: Sequence[Setting], spells: Sequence[tuple[int, Solved]]) -> float:
+    on_ground = [(settings[clip], spell) for clip, spell in spells if spell.ground is not None]
+    if not on_ground:
+        return float("nan")
+    one, spell = max(on_ground, key=lambda pair: len(pair[1].estimate.states))
+    assert spell.ground is not None
+    ground = spell.ground.about(one.origin_m, spell.size)
+    middle = one.in_world(np.mean(spell.estimate.states[:, :3], axis=0), spell.size)
+    return float(ground.height_m + ground.slope @ middle[:2])

@@ -36,8 +36,6 @@ Index = NDArray[np.intp]
 UP = np.array([0.0, 0.0, 1.0])
 _APART_M = 1e-6
 """Cameras nearer to the origin than this are in it."""
-_HELD_M = 1e-6
-"""Sigma of a place that is held."""
 
 
 @dataclass(frozen=True)
@@ -48,9 +46,8 @@ class TrajectoryOptions:
     beside_share: the part of it that stays the same over a clip. size_sigma: of the size, relative, in place of the
     body's. lag_frames: how much later or earlier than said a camera's pictures are taken. find_offsets:
     they may be later or earlier than the first camera's by found_lag_frames. refine_cameras: all but the first lie
-    beside their poses, turned by placing_rad about each axis and moved by placing_m along it; level_rad, beside that:
-    how far the first is turned, about each axis. focal_sigma: of all cameras' focal lengths, relative, of several
-    cameras. robust_c: residuals of that many sigmas count half.
+    beside their poses, turned by placing_rad about each axis and moved by placing_m along it. focal_sigma: of all
+    cameras' focal lengths, relative, of several cameras. robust_c: residuals of that many sigmas count half.
     pose_weight, mixture_weight, motion_weight: how many times the priors count per 1/90 s. acceleration_m_s2: of the
     root in the level frame. lateral_m_s: of the velocity across the trunk. climb_m_s: of the root. ground: "auto" uses
     contacts and a plane, "none" does not; the stance's loss saturates at slip_c slip_m_s. noise_rounds: of step 4.
@@ -77,7 +74,6 @@ class TrajectoryOptions:
     refine_cameras: bool = False
     placing_rad: float = float(np.radians(2.0))
     placing_m: float = 0.05
-    level_rad: float = 0.0
     focal_sigma: float | None = None
     robust_c: float = 3.0
     pose_weight: float = 1.0
@@ -240,9 +236,6 @@ class Setting:
         lags = [Shared(lag(i), np.zeros(1), np.array([late / root])) for i in range(first, V)]
         sigma = np.repeat([o.placing_rad, o.placing_m], 3) / root
         placings = [Shared(placing(i), np.zeros(6), sigma) for i in range(1, V)] if o.refine_cameras else []
-        if o.level_rad:
-            turn = np.repeat([o.level_rad / root, _HELD_M], 3)
-            placings.insert(0, Shared(placing(0), np.zeros(6), turn))
         if o.focal_sigma is not None and V > 1:
             width = np.array([o.focal_sigma / root])
             placings += [Shared(focal(i), np.zeros(1), width) for i in range(V)]

@@ -40,7 +40,11 @@ class Clip:
 
 
 def find_clips(
-    inputs: Sequence[str | Path], common: Mapping[str, Any], config: Path | None = None, cameras_by: str = AUTO
+    inputs: Sequence[str | Path],
+    common: Mapping[str, Any],
+    config: Path | None = None,
+    cameras_by: str = AUTO,
+    posed: bool = True,
 ) -> tuple[list[Clip], list[str]]:
     """The clips of all inputs in their order, and notes: what was left out, and which files are one clip.
 
@@ -48,7 +52,8 @@ def find_clips(
     suffix only the last one, .h5 rather than .csv, as DeepLabCut writes its tables twice; Anipose's sessions) and CSV
     manifests (a header with `keypoints`). common: settings of every clip by name, None where not given; a manifest's
     cells overrule them, and they overrule those of config. Each animal of a file of several is a clip, unless one is
-    chosen. cameras_by: which files are one clip, see `join_cameras`.
+    chosen. cameras_by: which files are one clip, see `join_cameras`; posed: only if the camera file says where its
+    cameras stand.
     Raises InputError with the problems of all inputs and rows.
     """
     drafts, notes, problems = [], [], []
@@ -62,7 +67,7 @@ def find_clips(
             notes += said
     try:
         drafts, said = join_cameras(
-            _without_repeats(drafts), cameras_by, common.get("camera_name"), _CamerasOf(common, config)
+            _without_repeats(drafts), cameras_by, common.get("camera_name"), _CamerasOf(common, config, posed)
         )
         notes += said
     except InputError as error:
@@ -312,11 +317,12 @@ def _without_lists(values: Mapping[str, Any]) -> dict[str, Any]:
 
 class _CamerasOf:
     """Of a draft: the names of the cameras in its file that can film a clip together, none where they cannot, or where
-    it is given which camera is meant. The draft may still be a part of a clip."""
+    it is given which camera is meant. The draft may still be a part of a clip. posed: without poses they cannot."""
 
-    def __init__(self, common: Mapping[str, Any], config: Path | None) -> None:
+    def __init__(self, common: Mapping[str, Any], config: Path | None, posed: bool = True) -> None:
         self._common = _without_lists(common)
         self._config = config
+        self._posed = posed
         self._known: dict[tuple[Path, tuple[int, int] | None], tuple[str, ...]] = {}
 
     def __call__(self, draft: Draft) -> tuple[str, ...]:
@@ -334,8 +340,8 @@ class _CamerasOf:
                 cameras = read_cameras(*key)
             except InputError:
                 cameras = ()
-            posed = all(camera.has_extrinsics for camera in cameras)
-            self._known[key] = tuple(camera.name for camera in cameras) if posed else ()
+            usable = not self._posed or all(camera.has_extrinsics for camera in cameras)
+            self._known[key] = tuple(camera.name for camera in cameras) if usable else ()
         return self._known[key]
 
 
