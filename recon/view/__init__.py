@@ -30,7 +30,6 @@ from __future__ import annotations
 
 import subprocess
 import sys
-from collections.abc import Sequence
 from pathlib import Path
 
 import rerun as rr
@@ -40,7 +39,7 @@ from recon.motion import Motion
 from recon.recording import recording
 from recon.view.layout import blueprint
 from recon.view.picture import write_pictures
-from recon.view.scene import Scene, limb_colours
+from recon.view.scene import Log, Scene, limb_colours
 from recon.view.series import write_series, write_states
 from recon.view.world import write_doubt, write_observability, write_world
 
@@ -52,30 +51,16 @@ def write(motion: Motion, path: Path, start_frame: int | None = None) -> None:
     """
     scene = Scene.of(motion)
     with recording(path, blueprint(motion, scene, start_frame)) as stream:
-        _log(motion, scene, stream)
-
-
-def _log(motion: Motion, scene: Scene, stream: rr.RecordingStream) -> None:
-    stream.send_recording_name(Path(motion.keypoints.source or motion.title).stem)
-
-    def send(entity: str, columns: rr.ComponentColumnList, rows: Sequence[int] | slice = slice(None)) -> None:
-        times = [
-            rr.TimeColumn("frame", sequence=motion.frames[rows]),
-            rr.TimeColumn("time", duration=motion.time_s[rows]),
-        ]
-        stream.send_columns(entity, times, columns)
-
-    def fix(entity: str, archetype: rr.AsComponents) -> None:
-        stream.log(entity, archetype, static=True)
-
-    labels = zip(motion.limbs, limb_colours(motion), strict=True)
-    fix("/", rr.AnnotationContext([(i, limb, colour) for i, (limb, colour) in enumerate(labels)]))
-    write_world(motion, scene, send, fix)
-    write_pictures(motion, send, fix)
-    write_series(motion, send, fix)
-    write_doubt(motion, scene, send, fix)
-    write_observability(motion, scene, send, fix)
-    write_states(motion, send, fix)
+        stream.send_recording_name(Path(motion.keypoints.source or motion.title).stem)
+        log = Log(stream, motion.frames, motion.time_s)
+        labels = zip(motion.limbs, limb_colours(motion), strict=True)
+        log.fix("/", rr.AnnotationContext([(i, limb, colour) for i, (limb, colour) in enumerate(labels)]))
+        write_world(motion, scene, log)
+        write_pictures(motion, log)
+        write_series(motion, log)
+        write_doubt(motion, scene, log)
+        write_observability(motion, scene, log)
+        write_states(motion, log)
 
 
 def open_viewer(path: Path) -> None:

@@ -59,24 +59,27 @@ def blueprint(motion: Motion, scene: Scene, start_frame: int | None) -> rrb.Blue
     plots += [plot(series) for series in others]
     plots.append(state_rows(state_entities(motion), "Doubtful frames, feet that stand"))
     shares = [4, *([3] * len(others)), 4]
-    if start_frame is None:
-        fps = min(motion.fps, max(5.0, len(motion.frames) / 5))
-        time = rrb.TimePanel(state="collapsed", timeline="frame", fps=fps, play_state="playing", loop_mode="all")
-    else:
-        time = held_at(start_frame, len(motion.frames))
-    return rrb.Blueprint(
-        rrb.Vertical(
-            rrb.Horizontal(
-                rrb.Tabs(sticks, body, seen, active_tab=0),
-                rrb.Vertical(_pictures(motion.pictures), overview, row_shares=[5, 4]),
-                column_shares=[11, 9],
-            ),
-            rrb.Horizontal(*plots, column_shares=shares),
-            row_shares=[5, 3],
+    content = rrb.Vertical(
+        rrb.Horizontal(
+            rrb.Tabs(sticks, body, seen, active_tab=0),
+            rrb.Vertical(_pictures(motion.pictures), overview, row_shares=[5, 4]),
+            column_shares=[11, 9],
         ),
+        rrb.Horizontal(*plots, column_shares=shares),
+        row_shares=[5, 3],
+    )
+    fps = min(motion.fps, max(5.0, len(motion.frames) / 5))
+    return laid_out(content, len(motion.frames), fps, start_frame)
+
+
+def laid_out(content: rrb.Container, count: int, fps: float, start_frame: int | None) -> rrb.Blueprint:
+    """The viewer shows this and nothing else. It plays `count` frames in a loop, or holds start_frame."""
+    time = rrb.TimePanel(state="collapsed", timeline="frame", fps=fps, play_state="playing", loop_mode="all")
+    return rrb.Blueprint(
+        content,
         rrb.BlueprintPanel(state="hidden"),
         rrb.SelectionPanel(state="hidden"),
-        time,
+        time if start_frame is None else held_at(start_frame, count),
         auto_layout=False,
         auto_views=False,
     )

@@ -22,8 +22,22 @@ from recon.recording import recording
 from recon.robot.climb.paths import Step
 from recon.robot.quadruped import LEGS
 from recon.robot.retarget import RobotMotion
-from recon.view.layout import held_at, plot, state_rows
-from recon.view.scene import BACKGROUND, DETECTION, GRID, LEFT, LIMB_COLOURS, PATH, RIGHT, SIDE_COLOURS, TRAIL, strips
+from recon.view.layout import laid_out, plot, state_rows
+from recon.view.scene import (
+    BACKGROUND,
+    DETECTION,
+    GRID,
+    LEFT,
+    LIMB_COLOURS,
+    PATH,
+    RIGHT,
+    SIDE_COLOURS,
+    TRAIL,
+    Log,
+    follow,
+    grid_lines,
+    strips,
+)
 from recon.view.series import TimePlot, line_style, state_columns, state_style
 
 Array = NDArray[np.float64]
@@ -61,82 +75,63 @@ def write_robot(
     layout = _blueprint(motion, companion, series, start_frame, seen, more, title)
     with recording(path, layout) as stream:
         stream.send_recording_name(f"{motion.robot.name} {path.stem}")
-        _log(motion, companion, [*more, *series], seen, stream)
+        log = Log(stream, np.arange(len(motion.time_s)), motion.time_s)
+        _write_motion(motion, companion, [*more, *series], seen, log)
+        _write_ground(motion, companion, log)
         if step is not None:
-            _log_step(motion, step, stream)
+            _write_step(motion, step, log)
 
 
-def _log_step(motion: RobotMotion, step: Step, stream: rr.RecordingStream) -> None:
+def _write_step(motion: RobotMotion, step: Step, log: Log) -> None:
     """A solid block, as wide as the ground and as far as the robot goes."""
-    margin = 1.5 * motion.robot.stand_m
-    low, high = (end[:2] + sign * margin for end, sign in zip(_extent(motion, None), (-1, 1), strict=True))
+    low, high = _extent(motion, None)
     corners = np.array([[step.edge_m, low[1], 0.0], [high[0], high[1], step.height_m]])
-    stream.log(
-        "world/step",
-        rr.Boxes3D(mins=[corners[0]], sizes=[corners[1] - corners[0]], colors=STEP, fill_mode="solid"),
-        static=True,
-    )
+    box = rr.Boxes3D(mins=[corners[0]], sizes=[corners[1] - corners[0]], colors=STEP, fill_mode="solid")
+    log.fix("world/step", box)
     edges = [[[step.edge_m, y, z] for y in corners[:, 1]] for z in corners[:, 2]]
-    stream.log("world/step/edge", rr.LineStrips3D(edges, colors=PATH, radii=0.006 * motion.robot.stand_m), static=True)
+    log.fix("world/step/edge", rr.LineStrips3D(edges, colors=PATH, radii=0.006 * motion.robot.stand_m))
 
 
-def _log(
-    motion: RobotMotion,
-    companion: Companion | None,
-    series: Sequence[TimePlot],
-    seen: tuple[Array, float],
-    stream: rr.RecordingStream,
+def _write_motion(
+    motion: RobotMotion, companion: Companion | None, series: Sequence[TimePlot], seen: tuple[Array, float], log: Log
 ) -> None:
-    legs = np.stack([motion.points(label)[..., :, :] for label in LEGS], axis=1)
+    legs = np.stack([motion.points(label) for label in LEGS], axis=1)
     count = len(motion.time_s)
-    times = [
-        rr.TimeColumn("frame", sequence=np.arange(count)),
-        rr.TimeColumn("time", duration=motion.time_s),
-    ]
-    stream.log("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+    log.fix("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP)
     size = motion.robot.stand_m
 
     hips = legs[:, :, 0]
     body = hips[:, [LEGS.index(label) for label in ("LF", "RF", "RH", "LH", "LF")]]
     colours = [LEFT if label[0] == "L" else RIGHT for label in LEGS]
     style = rr.LineStrips3D.from_fields(colors=[*colours, ROBOT], radii=0.025 * size)
-    stream.log("world/robot", style, static=True)
+    log.fix("world/robot", style)
     lines = [[*of_legs, of_body] for of_legs, of_body in zip(legs, body, strict=True)]
-    stream.send_columns("world/robot", times, strips(rr.LineStrips3D, lines))
-    stream.log("world/robot/feet", rr.Points3D.from_fields(colors=TRAIL, radii=0.06 * size), static=True)
+    log.send("world/robot", strips(rr.LineStrips3D, lines))
+    log.fix("world/robot/feet", rr.Points3D.from_fields(colors=TRAIL, radii=0.06 * size))
     down = motion.feet_m[motion.standing]
     columns = rr.Points3D.columns(positions=down).partition(motion.standing.sum(axis=1))
-    stream.send_columns("world/robot/feet", times, columns)
-    stream.log("world/support", rr.LineStrips3D.from_fields(colors=TRAIL, radii=0.008 * size), static=True)
+    log.send("world/robot/feet", columns)
+    log.fix("world/support", rr.LineStrips3D.from_fields(colors=TRAIL, radii=0.008 * size))
     polygons = [_polygon(feet, stand) for feet, stand in zip(motion.feet_m, motion.standing, strict=True)]
-    stream.send_columns("world/support", times, strips(rr.LineStrips3D, polygons))
+    log.send("world/support", strips(rr.LineStrips3D, polygons))
     if companion is not None:
         animal = companion.points_m
         limbs = [list(along) for along in companion.limbs.values()]
         colours_of_limbs = [SIDE_COLOURS[companion.limb_sides[limb]] for limb in companion.limbs]
         style = rr.LineStrips3D.from_fields(colors=colours_of_limbs, radii=0.02 * size)
-        stream.log("world/animal", style, static=True)
+        log.fix("world/animal", style)
         lines = [[pose[along] for along in limbs] for pose in animal]
-        stream.send_columns("world/animal", times, strips(rr.LineStrips3D, lines))
-        _follow("world/animal/followed", _beside(seen, companion), times, stream)
-    _follow("world/followed", seen, times, stream)
-    _still(stream, motion, companion)
+        log.send("world/animal", strips(rr.LineStrips3D, lines))
+        follow(log, "world/animal/followed", *_beside(seen, companion))
+    follow(log, "world/followed", *seen)
     for s in series:
         columns = rr.Scalars.columns(scalars=s.values.ravel()).partition([s.values.shape[1]] * count)
-        stream.send_columns(s.entity, times, columns)
-        stream.log(s.entity, line_style(s), static=True)
+        log.send(s.entity, columns)
+        log.fix(s.entity, line_style(s))
     for k, label in enumerate(LEGS):
         texts = ["stance" if stands else "" for stands in motion.standing[:, k]]
-        stream.send_columns(label, times, state_columns(texts))
-        stream.log(label, state_style({"stance": colours[k]}), static=True)
-
-
-def _follow(entity: str, seen: tuple[Array, float], times: Sequence[rr.TimeColumn], stream: rr.RecordingStream) -> None:
-    """The viewer frames what it follows by its bounds."""
-    stream.log(entity, rr.Points3D.from_fields(colors=(0, 0, 0, 0), radii=0.0), static=True)
-    middle, half = seen
-    corners = np.stack([middle - half, middle + half], axis=1).reshape(-1, 3)
-    stream.send_columns(entity, times, rr.Points3D.columns(positions=corners).partition([2] * len(middle)))
+        log.send(label, state_columns(texts))
+        log.fix(label, state_style({"stance": colours[k]}))
 
 
 def _polygon(feet_m: Array, standing: NDArray[np.bool_]) -> list[Array]:
@@ -169,33 +164,25 @@ def _beside(seen: tuple[Array, float], companion: Companion) -> tuple[Array, flo
 
 
 def _extent(motion: RobotMotion, companion: Companion | None) -> tuple[Array, Array]:
-    """Bounds (3,) of all that moves."""
+    """Bounds (2,) of the ground: of all that moves, and a margin."""
     clouds = [motion.feet_m.reshape(-1, 3), motion.pose.translation]
     if companion is not None:
         clouds.append(companion.points_m.reshape(-1, 3))
-    every = np.concatenate(clouds)
-    return every.min(axis=0), every.max(axis=0)
+    every, margin = np.concatenate(clouds)[:, :2], 1.5 * motion.robot.stand_m
+    return every.min(axis=0) - margin, every.max(axis=0) + margin
 
 
-def _still(stream: rr.RecordingStream, motion: RobotMotion, companion: Companion | None) -> None:
+def _write_ground(motion: RobotMotion, companion: Companion | None, log: Log) -> None:
     """The ground's grid and the base's path."""
-    margin = 1.5 * motion.robot.stand_m
     low, high = _extent(motion, companion)
-    low, high = low[:2] - margin, high[:2] + margin
     spacing = 0.1
     while np.max(high - low) / spacing > GRID_LINES:
         spacing *= 2
-    first, last = np.floor(low / spacing), np.ceil(high / spacing)
-    lines = []
-    for axis in (0, 1):
-        for at in np.arange(first[axis], last[axis] + 1) * spacing:
-            line = np.zeros((2, 3))
-            line[:, axis] = at
-            line[:, 1 - axis] = first[1 - axis] * spacing, last[1 - axis] * spacing
-            lines.append(line)
-    stream.log("world/ground", rr.LineStrips3D(lines, colors=GRID, radii=0.004 * motion.robot.stand_m), static=True)
+    flat = grid_lines(np.floor(low / spacing) * spacing, np.ceil(high / spacing) * spacing, spacing)
+    lines = [np.column_stack([line, np.zeros(2)]) for line in flat]
+    log.fix("world/ground", rr.LineStrips3D(lines, colors=GRID, radii=0.004 * motion.robot.stand_m))
     path = motion.pose.translation
-    stream.log("world/path", rr.LineStrips3D([path], colors=PATH, radii=0.008 * motion.robot.stand_m), static=True)
+    log.fix("world/path", rr.LineStrips3D([path], colors=PATH, radii=0.008 * motion.robot.stand_m))
 
 
 def _blueprint(
@@ -219,19 +206,9 @@ def _blueprint(
     angles = [plot(s) for s in series]
     angles = [rrb.Tabs(*angles)] if more else angles
     stands = state_rows(LEGS, "Feet that stand")
-    if start_frame is None:
-        fps = min(len(motion.time_s) / float(motion.time_s[-1]), len(motion.time_s) / 4)
-        time = rrb.TimePanel(state="collapsed", timeline="frame", fps=fps, play_state="playing", loop_mode="all")
-    else:
-        time = held_at(start_frame, len(motion.time_s))
-    return rrb.Blueprint(
-        rrb.Vertical(scene, rrb.Horizontal(*(plot(s) for s in more), *angles, stands), row_shares=[3, 2]),
-        rrb.BlueprintPanel(state="hidden"),
-        rrb.SelectionPanel(state="hidden"),
-        time,
-        auto_layout=False,
-        auto_views=False,
-    )
+    fps = min(len(motion.time_s) / float(motion.time_s[-1]), len(motion.time_s) / 4)
+    content = rrb.Vertical(scene, rrb.Horizontal(*(plot(s) for s in more), *angles, stands), row_shares=[3, 2])
+    return laid_out(content, len(motion.time_s), fps, start_frame)
 
 
 def _scene(name: str, followed: str, seen: tuple[Array, float], hidden: Sequence[str]) -> rrb.Spatial3DView:

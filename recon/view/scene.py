@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
+from recon.arrays import Bools
 from recon.body import Side
 from recon.frames import level_from_camera
 from recon.motion import Motion, Picture
@@ -19,13 +19,28 @@ Array = NDArray[np.float64]
 Colour = tuple[int, int, int]
 
 
-class Send(Protocol):
-    def __call__(self, entity: str, columns: rr.ComponentColumnList, rows: Sequence[int] | slice = slice(None)) -> None:
+@dataclass(frozen=True)
+class Log:
+    """Where the entities of T frames are written to."""
+
+    stream: rr.RecordingStream
+    frames: NDArray[np.int64]
+    """(T,): numbers."""
+    time_s: Array
+    """(T,)"""
+
+    def send(self, entity: str, columns: rr.ComponentColumnList, rows: Sequence[int] | slice = slice(None)) -> None:
         """Columns of an entity with a row for each of these rows of the clip."""
-        ...
+        times = [
+            rr.TimeColumn("frame", sequence=self.frames[rows]),
+            rr.TimeColumn("time", duration=self.time_s[rows]),
+        ]
+        self.stream.send_columns(entity, times, columns)
 
+    def fix(self, entity: str, archetype: rr.AsComponents) -> None:
+        """What is the same in all frames."""
+        self.stream.log(entity, archetype, static=True)
 
-Fix = Callable[[str, rr.AsComponents], None]
 
 # Okabe and Ito's palette, which the colour-blind can tell apart.
 LIMB_COLOURS: tuple[Colour, ...] = ((0, 158, 115), (86, 180, 233), (230, 159, 0), (0, 114, 178), (240, 228, 66))
@@ -159,6 +174,30 @@ def shade(colour: Colour, number: int, count: int) -> Colour:
     target, amount = (0.0, 0.35 * (1 - 2 * share)) if share < 0.5 else (255.0, 0.55 * (2 * share - 1))
     red, green, blue = (round(c + (target - c) * amount) for c in colour)
     return red, green, blue
+
+
+# -- what is in every scene ----------------------------------------------------------------------------------------
+
+
+def follow(log: Log, entity: str, middle_m: Array, half_m: float, rows: Bools | None = None) -> None:
+    """An invisible entity for the viewer to go along with, which it frames by its bounds: middle_m (T, 3) and half
+    their size. rows (T,): those that have one, None: all."""
+    kept = np.ones(len(middle_m), bool) if rows is None else rows
+    corners = np.stack((middle_m - half_m, middle_m + half_m), axis=1)[kept]
+    log.fix(entity, rr.Points3D.from_fields(colors=(0, 0, 0, 0), radii=0.0))
+    log.send(entity, rr.Points3D.columns(positions=corners.reshape(-1, 3)).partition(np.where(kept, 2, 0)))
+
+
+def grid_lines(low_m: Array, high_m: Array, spacing_m: float) -> list[Array]:
+    """Lines (2, 2) at multiples of the spacing, from corner to corner (2,) of a rectangle."""
+    lines = []
+    for axis in (0, 1):
+        for at in np.arange(low_m[axis], high_m[axis] + spacing_m / 2, spacing_m):
+            line = np.empty((2, 2))
+            line[:, axis] = at
+            line[:, 1 - axis] = low_m[1 - axis], high_m[1 - axis]
+            lines.append(line)
+    return lines
 
 
 # -- lines --------------------------------------------------------------------------------------------------------

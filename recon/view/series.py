@@ -12,20 +12,7 @@ from recon.analysis.path import frame_jitter_m, speed_at_frames
 from recon.body import side_of, without_side
 from recon.motion import Motion
 from recon.published import FrameSolution
-from recon.view.scene import (
-    EDGE,
-    LEFT,
-    LIMB_COLOURS,
-    LINK,
-    OUTLIER,
-    RIGHT,
-    TRAIL,
-    Array,
-    Colour,
-    Fix,
-    Send,
-    shade,
-)
+from recon.view.scene import EDGE, LEFT, LIMB_COLOURS, LINK, OUTLIER, RIGHT, TRAIL, Array, Colour, Log, shade
 from recon.view.world import STANCE
 
 MAX_LINES = 4
@@ -47,21 +34,21 @@ class TimePlot:
     shown: Array | None = None
 
 
-def write_series(motion: Motion, send: Send, fix: Fix) -> None:
+def write_series(motion: Motion, log: Log) -> None:
     """A row with NaN is left empty, which breaks the lines there."""
     for s in (*angle_series(motion), *other_series(motion)):
         known = np.isfinite(s.values).all(axis=1)
         columns = rr.Scalars.columns(scalars=s.values[known].ravel())
-        send(s.entity, columns.partition(np.where(known, s.values.shape[1], 0)))
-        fix(s.entity, line_style(s))
+        log.send(s.entity, columns.partition(np.where(known, s.values.shape[1], 0)))
+        log.fix(s.entity, line_style(s))
 
 
-def write_states(motion: Motion, send: Send, fix: Fix) -> None:
+def write_states(motion: Motion, log: Log) -> None:
     """Which flags a frame has, and which feet stand (`state_entities`)."""
 
     def state(entity: str, values: list[str], colours: dict[str, Colour]) -> None:
-        send(entity, state_columns(values))
-        fix(entity, state_style(colours))
+        log.send(entity, state_columns(values))
+        log.fix(entity, state_style(colours))
 
     doubts = [", ".join(flags) for flags in motion.flags]
     state(DOUBT, doubts, dict.fromkeys(dict.fromkeys(filter(None, doubts)), OUTLIER))

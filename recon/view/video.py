@@ -21,7 +21,7 @@ from recon.errors import InputError, Problem
 from recon.progress import Progress, silent
 from recon.recording import recording
 from recon.video import Image, probe, read_frames
-from recon.view.scene import PICTURE
+from recon.view.scene import PICTURE, Log
 from recon.view.stored import Part, Playback
 
 VIDEO, EDGE = "video", "frame"
@@ -84,13 +84,9 @@ def _write(
         read = 0
 
         def send() -> None:
-            frames = [frame for frame, _ in batch]
+            frames = np.array([frame for frame, _ in batch])
             columns = rr.EncodedImage.columns(blob=[jpeg for _, jpeg in batch], media_type=["image/jpeg"] * len(batch))
-            times = [
-                rr.TimeColumn("frame", sequence=frames),
-                rr.TimeColumn("time", duration=[at[frame] for frame in frames]),
-            ]
-            stream.send_columns(f"{origin}/{VIDEO}", times, columns)
+            Log(stream, frames, np.array([at[frame] for frame, _ in batch])).send(f"{origin}/{VIDEO}", columns)
             batch.clear()
 
         for index, image in read_frames(video, first - first_frame, last + 1 - first_frame):

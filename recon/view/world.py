@@ -30,11 +30,12 @@ from recon.view.scene import (
     SIDE_COLOURS,
     TRAIL,
     Array,
-    Fix,
     Floor,
+    Log,
     Scene,
-    Send,
     by_camera,
+    follow,
+    grid_lines,
     joint_limbs,
     limb_colours,
     strips,
@@ -48,58 +49,55 @@ STANCE = 0.5
 """A foot with more contact than this stands."""
 
 
-def write_world(motion: Motion, scene: Scene, send: Send, fix: Fix) -> None:
+def write_world(motion: Motion, scene: Scene, log: Log) -> None:
     joints = motion.joints_m
     if motion.frame_of_reference == "camera":
-        fix("world", rr.ViewCoordinates.RDF)
+        log.fix("world", rr.ViewCoordinates.RDF)
     elif motion.camera.world_z_up:
-        fix("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP)
+        log.fix("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP)
 
     limbs = [list(limb) for limb in motion.limbs.values()]
-    fix("world/skeleton", rr.LineStrips3D.from_fields(class_ids=range(len(limbs)), radii=0.017, show_labels=False))
+    log.fix("world/skeleton", rr.LineStrips3D.from_fields(class_ids=range(len(limbs)), radii=0.017, show_labels=False))
     lines = [
         [pose[limb] for limb in limbs] if solved else [] for pose, solved in zip(joints, motion.solved, strict=True)
     ]
-    send("world/skeleton", strips(rr.LineStrips3D, lines))
-    fix(
+    log.send("world/skeleton", strips(rr.LineStrips3D, lines))
+    log.fix(
         "world/skeleton/joints",
         rr.Points3D.from_fields(class_ids=joint_limbs(motion), radii=0.028, labels=motion.names, show_labels=False),
     )
     counts = np.where(motion.solved, joints.shape[1], 0)
-    send("world/skeleton/joints", rr.Points3D.columns(positions=joints[motion.solved].reshape(-1, 3)).partition(counts))
+    columns = rr.Points3D.columns(positions=joints[motion.solved].reshape(-1, 3))
+    log.send("world/skeleton/joints", columns.partition(counts))
 
-    _write_body(motion, send, fix)
-    # The viewer frames what it follows by its bounds: more than the animal, and without the flutter of its legs.
-    fix("world/followed", rr.Points3D.from_fields(colors=(0, 0, 0, 0), radii=0.0))
-    half = 0.65 * scene.size_m * np.ones(3)
-    corners = np.stack((joints.mean(axis=1) - half, joints.mean(axis=1) + half), axis=1)
-    counts = np.where(motion.solved, 2, 0)
-    send("world/followed", rr.Points3D.columns(positions=corners[motion.solved].reshape(-1, 3)).partition(counts))
+    _write_body(motion, log)
+    # More than the animal, and without the flutter of its legs.
+    follow(log, "world/followed", joints.mean(axis=1), 0.65 * scene.size_m, motion.solved)
 
     root = motion.root_m
-    fix("world/path", rr.LineStrips3D(unbroken(root), colors=PATH, radii=rr.Radius.ui_points(1.5)))
-    fix("world/trail", rr.LineStrips3D.from_fields(colors=TRAIL, radii=rr.Radius.ui_points(2.5)))
+    log.fix("world/path", rr.LineStrips3D(unbroken(root), colors=PATH, radii=rr.Radius.ui_points(1.5)))
+    log.fix("world/trail", rr.LineStrips3D.from_fields(colors=TRAIL, radii=rr.Radius.ui_points(2.5)))
     # The view shows this entity's rows up to the current one: a step each.
     steps = [[root[i - 1 : i + 1]] if i and motion.solved[i - 1 : i + 1].all() else [] for i in range(len(root))]
-    send("world/trail", strips(rr.LineStrips3D, steps))
+    log.send("world/trail", strips(rr.LineStrips3D, steps))
 
-    _write_ground(scene, send, fix)
+    _write_ground(scene, log)
     for entity, picture in zip(by_camera(CAMERAS, motion.pictures), motion.pictures, strict=True):
-        _write_camera(entity, picture, motion.frame_of_reference == "world", scene, send, fix)
+        _write_camera(entity, picture, motion.frame_of_reference == "world", scene, log)
     if len(motion.pictures) > 1:
-        _write_camera_names(motion.pictures, send, fix)
+        _write_camera_names(motion.pictures, log)
 
 
-def _write_camera(entity: str, picture: Picture, placed: bool, scene: Scene, send: Send, fix: Fix) -> None:
+def _write_camera(entity: str, picture: Picture, placed: bool, scene: Scene, log: Log) -> None:
     """Its frustum. placed: not the origin."""
     camera, pose = picture.camera, picture.T_reference_camera
     if pose.ndim == 3:
-        send(entity, rr.Transform3D.columns(translation=pose[:, :3, 3], mat3x3=pose[:, :3, :3]))
+        log.send(entity, rr.Transform3D.columns(translation=pose[:, :3, 3], mat3x3=pose[:, :3, :3]))
     elif placed:
-        fix(entity, rr.Transform3D(translation=pose[:3, 3], mat3x3=pose[:3, :3]))
+        log.fix(entity, rr.Transform3D(translation=pose[:3, 3], mat3x3=pose[:3, :3]))
     centre_m = np.nanmean(pose[..., :3, 3].reshape(-1, 3), axis=0)
     distance = float(np.linalg.norm(scene.centre_m - centre_m))
-    fix(
+    log.fix(
         entity,
         rr.Pinhole(
             image_from_camera=camera.matrix,
@@ -112,21 +110,21 @@ def _write_camera(entity: str, picture: Picture, placed: bool, scene: Scene, sen
     )
 
 
-def _write_camera_names(pictures: Sequence[Picture], send: Send, fix: Fix) -> None:
+def _write_camera_names(pictures: Sequence[Picture], log: Log) -> None:
     names = [picture.name for picture in pictures]
     style = rr.Points3D.from_fields(colors=CAMERA, radii=rr.Radius.ui_points(2.0), labels=names, show_labels=True)
     places_m = [picture.T_reference_camera[..., :3, 3] for picture in pictures]
     if all(place.ndim == 1 for place in places_m):
-        fix("world/camera_names", rr.Points3D(places_m))
+        log.fix("world/camera_names", rr.Points3D(places_m))
     else:
         T = len(pictures[0].reprojected_px)
         by_frame = np.stack([np.broadcast_to(place, (T, 3)) for place in places_m], axis=1)
         columns = rr.Points3D.columns(positions=by_frame.reshape(-1, 3))
-        send("world/camera_names", columns.partition([len(names)] * T))
-    fix("world/camera_names", style)
+        log.send("world/camera_names", columns.partition([len(names)] * T))
+    log.fix("world/camera_names", style)
 
 
-def write_doubt(motion: Motion, scene: Scene, send: Send, fix: Fix) -> None:
+def write_doubt(motion: Motion, scene: Scene, log: Log) -> None:
     """How far the pose can be trusted: an ellipsoid around every joint, and a label in frames with a flag. And the feet
     that stand."""
     flags = motion.flags
@@ -144,8 +142,8 @@ def write_doubt(motion: Motion, scene: Scene, send: Send, fix: Fix) -> None:
         quaternions=quaternions(axes),
         colors=np.column_stack((colours, np.full(len(colours), 70))).astype(np.uint8),
     )
-    send("world/uncertainty", columns.partition(counts))
-    fix(
+    log.send("world/uncertainty", columns.partition(counts))
+    log.fix(
         "world/uncertainty",
         rr.Ellipsoids3D.from_fields(
             fill_mode=FillMode.MajorWireframe, line_radii=rr.Radius.ui_points(0.8), show_labels=False
@@ -156,16 +154,16 @@ def write_doubt(motion: Motion, scene: Scene, send: Send, fix: Fix) -> None:
     above = motion.joints_m.mean(axis=1) + 0.35 * scene.size_m * scene.axes[2]
     labels = [", ".join(f) for f, is_shown in zip(flags, shown, strict=True) if is_shown]
     columns = rr.Points3D.columns(positions=above[shown], labels=labels)
-    send("world/doubt", columns.partition(np.array(shown, dtype=int)))
-    fix("world/doubt", rr.Points3D.from_fields(colors=OUTLIER, radii=rr.Radius.ui_points(3.0), show_labels=True))
+    log.send("world/doubt", columns.partition(np.array(shown, dtype=int)))
+    log.fix("world/doubt", rr.Points3D.from_fields(colors=OUTLIER, radii=rr.Radius.ui_points(3.0), show_labels=True))
 
     stands = motion.solution.contact > STANCE
     feet = motion.joints_m[:, motion.feet]
-    send("world/stance", rr.Points3D.columns(positions=feet[stands]).partition(stands.sum(axis=1)))
-    fix("world/stance", rr.Points3D.from_fields(colors=DETECTION, radii=0.05))
+    log.send("world/stance", rr.Points3D.columns(positions=feet[stands]).partition(stands.sum(axis=1)))
+    log.fix("world/stance", rr.Points3D.from_fields(colors=DETECTION, radii=0.05))
 
 
-def _write_body(motion: Motion, send: Send, fix: Fix) -> None:
+def _write_body(motion: Motion, log: Log) -> None:
     """Capsules along the segments, in the colours of the limbs."""
     tree, solution = motion.body.tree, motion.solution
     shape = capsules(tree, motion.names)
@@ -185,21 +183,21 @@ def _write_body(motion: Motion, send: Send, fix: Fix) -> None:
     style = rr.Capsules3D.from_fields(
         lengths=solution.size * lengths, radii=radii, colors=colours, fill_mode=FillMode.Solid, show_labels=False
     )
-    fix(BODY, style)
+    log.fix(BODY, style)
     columns = rr.Capsules3D.columns(
         translations=motion.in_reference(begins).reshape(-1, 3), quaternions=turns.reshape(-1, 4)
     )
-    send(BODY, columns.partition(np.where(motion.solved, len(shape), 0)))
+    log.send(BODY, columns.partition(np.where(motion.solved, len(shape), 0)))
 
 
-def write_observability(motion: Motion, scene: Scene, send: Send, fix: Fix) -> None:
+def write_observability(motion: Motion, scene: Scene, log: Log) -> None:
     """At every joint the axes that it turns about, in the colour of the pixels' share in the angle; and the limbs."""
     solved, tree = motion.solved, motion.body.tree
     states = motion.states[solved]
     limbs = [list(limb) for limb in motion.limbs.values()]
-    fix("world/observability/limbs", rr.LineStrips3D.from_fields(colors=EDGE, radii=0.005))
+    log.fix("world/observability/limbs", rr.LineStrips3D.from_fields(colors=EDGE, radii=0.005))
     lines = [[pose[limb] for limb in limbs] if s else [] for pose, s in zip(motion.joints_m, solved, strict=True)]
-    send("world/observability/limbs", strips(rr.LineStrips3D, lines))
+    log.send("world/observability/limbs", strips(rr.LineStrips3D, lines))
 
     turning = [i for i, segment in enumerate(tree.segments) for _ in AXES[segment.joint]]
     columns = ["xyz".index(axis) for axis in tree.axes]
@@ -211,9 +209,9 @@ def write_observability(motion: Motion, scene: Scene, send: Send, fix: Fix) -> N
     drawn = rr.LineStrips3D.columns(
         strips=[*ends.reshape(-1, 2, 3)], colors=share_colours(motion.solution.angle_data_share[solved]).reshape(-1, 3)
     )
-    send("world/observability", drawn.partition(np.where(solved, len(turning), 0)))
+    log.send("world/observability", drawn.partition(np.where(solved, len(turning), 0)))
     style = rr.LineStrips3D.from_fields(radii=0.013, labels=motion.angle_names, show_labels=False)
-    fix("world/observability", style)
+    log.fix("world/observability", style)
 
 
 def share_colours(share: Array) -> NDArray[np.uint8]:
@@ -223,15 +221,15 @@ def share_colours(share: Array) -> NDArray[np.uint8]:
     return np.where((share >= MEASURED_SHARE)[..., None], blue, UNSEEN).astype(np.uint8)
 
 
-def _write_ground(scene: Scene, send: Send, fix: Fix) -> None:
+def _write_ground(scene: Scene, log: Log) -> None:
     """A clip with several spells shows each one's ground from the spell's first frame on."""
     radii = rr.Radius.ui_points(0.75)
     grids = [_grid(scene, floor) for floor in scene.floors]
     if len(grids) == 1:
-        fix("world/ground", rr.LineStrips3D(grids[0], colors=GRID, radii=radii))
+        log.fix("world/ground", rr.LineStrips3D(grids[0], colors=GRID, radii=radii))
         return
-    fix("world/ground", rr.LineStrips3D.from_fields(colors=GRID, radii=radii))
-    send("world/ground", strips(rr.LineStrips3D, grids), [floor.start for floor in scene.floors])
+    log.fix("world/ground", rr.LineStrips3D.from_fields(colors=GRID, radii=radii))
+    log.send("world/ground", strips(rr.LineStrips3D, grids), [floor.start for floor in scene.floors])
 
 
 def _grid(scene: Scene, floor: Floor) -> list[Array]:
@@ -241,11 +239,4 @@ def _grid(scene: Scene, floor: Floor) -> list[Array]:
     spacing = GRID_SPACING_M
     while np.max(high - low) / spacing > MAX_GRID_LINES:
         spacing *= 10
-    lines = []
-    for axis in (0, 1):
-        for at in np.arange(low[axis], high[axis] + spacing / 2, spacing):
-            line = np.empty((2, 2))
-            line[:, axis] = at
-            line[:, 1 - axis] = low[1 - axis], high[1 - axis]
-            lines.append(scene.on_ground(floor, line))
-    return lines
+    return [scene.on_ground(floor, line) for line in grid_lines(low, high, spacing)]
