@@ -31,7 +31,10 @@ class Problem:
         return str(self), *map(printable, self.more)
 
     def __str__(self) -> str:
-        return printable(f"{self.file}: {self.field}: found {self.found}, expected {self.expected}")
+        option = "--" + self.field.replace("_", "-")
+        says_it = str(self.file) in (option, option.removesuffix("-px"))
+        where = self.file if says_it else f"{self.file}: {self.field}"
+        return printable(f"{where}: found {self.found}, expected {self.expected}")
 
 
 def printable(text: str) -> str:

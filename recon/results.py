@@ -232,8 +232,8 @@ def read_results(folder: str | Path) -> Results:
 def _manifest(folder: Path) -> Manifest:
     """Of results whose files are all there and as they were written."""
     if not (folder / REPORT).is_file():
-        found = f"no {REPORT}" if folder.is_dir() else "no such folder"
-        raise InputError(Problem(folder, "folder", found, "results that `recon fit` wrote"))
+        found = f"no {REPORT}" if folder.is_dir() else "a file" if folder.is_file() else "no such folder"
+        raise InputError(Problem(folder, "folder", found, "the folder of results that `recon fit` wrote"))
     manifest = read_manifest(folder)
     manifest.require(REPORT, *TABLES, SIGMAS, ANGLE_SIGMAS)
     return manifest

@@ -195,8 +195,7 @@ def test_common_options_of_one_method_are_not_for_rows_of_the_other(clips):
     assert (second.method, second.fast, second.form) == ("frame", None, "printed")
     path.write_text("keypoints,method\na.csv,frame\nb.csv,frame\n")
     assert problems(path, common=common) == [
-        "--fast: fast: found True, and no clip of the trajectory method, "
-        "expected nothing, or --method trajectory with it"
+        "--fast: found True, and no clip of the trajectory method, expected nothing, or --method trajectory with it"
     ]
 
 
@@ -231,7 +230,7 @@ def test_all_problems_of_a_manifest_at_once(clips):
     said = problems(path, common={"camera": "camera.toml", "likelihood_min": 2})
     assert said == [
         f"{path}: line 2, fps: found '-3', expected a number of frames per second above 0, as in 120",
-        "--likelihood-min: likelihood_min: found 2, expected a number from 0 to 1",
+        "--likelihood-min: found 2, expected a number from 0 to 1",
         f"{path}: line 3, method: found 'walk', expected trajectory or frame",
         f"{path}: line 3, frames: found '9:2', expected frame numbers A:B with A < B, from A up to but without B, "
         "as in 100:160",
@@ -269,7 +268,7 @@ def test_problems_of_several_inputs_at_once(clips, tmp_path):
 
 def test_what_every_clip_lacks_is_said_once(clips):
     assert [text.split(",")[0] for text in problems(clips, common={})] == [
-        "--camera: camera: found nothing",
+        "--camera: found nothing",
     ]
 
 
@@ -831,7 +830,7 @@ def test_unusable_input_ends_it_before_any_work(clips, tmp_path):
     out = tmp_path / "out"
     ended = run(clips, "--fps", 30, "--out", out)
     assert ended.code == 2
-    assert "--camera: camera: found nothing" in ended.err
+    assert "--camera: found nothing" in ended.err
     ended = run(clips, "--camera", clips / "none.toml", "--fps", 30, "--skeleton", "unicorn", "--out", out)
     assert ended.code == 2
     assert ended.err.count("error:") == 2

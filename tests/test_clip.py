@@ -41,7 +41,7 @@ def sample(**options) -> FitSettings:
 
 @pytest.mark.parametrize("fps", [0.5, 0.999, 10_001.0, 1e5])
 def test_a_frame_rate_at_which_nothing_can_be_told_is_refused(fps: float, tmp_path):
-    with pytest.raises(InputError, match=rf"--fps: fps: found {fps:g}, expected 1 to 10000 frames per second"):
+    with pytest.raises(InputError, match=rf"--fps: found {fps:g}, expected 1 to 10000 frames per second"):
         prepare(sample(fps=fps))
     write_csv(replace(read_keypoints(samples_folder() / "noisy.csv"), fps=fps), tmp_path / "stated.csv")
     with pytest.raises(InputError, match=r"stated.csv: fps: found "):
@@ -155,7 +155,7 @@ def test_the_other_methods_results_are_replaced_as_a_whole(tmp_path):
 def test_a_whole_animal_is_nothing_for_the_frame_method_and_has_no_side():
     with pytest.raises(InputError, match="--skeleton: name or file: found 'cheetah-24', expected a chain for the fr"):
         fit_clip(sample(method="frame", skeleton="cheetah-24"))
-    with pytest.raises(InputError, match="--side: side: found 'left', expected nothing: cheetah-24 is a whole animal"):
+    with pytest.raises(InputError, match="--side: found 'left', expected nothing: cheetah-24 is a whole animal"):
         fit_clip(sample(side="left"))
     with pytest.raises(InputError) as caught:
         fit_clip(sample(side="left", prior="no.npz", camera="no.toml", keypoints="no.csv"))
@@ -167,7 +167,7 @@ def test_tilt_of_a_camera_that_does_not_know_which_way_is_up():
     rough = {"camera": None, "hfov_deg": 60.0, "image_size_px": (1920, 1080)}
     motion = fit_clip(sample(method="frame", tilt_deg=4.0, frames="0:2", **rough))
     np.testing.assert_allclose(motion.camera.up, [0, -np.cos(np.deg2rad(4)), -np.sin(np.deg2rad(4))])
-    message = "--tilt-deg: tilt_deg: found 4 beside the pose in .*camera.toml, which says which way is up, expected one"
+    message = "--tilt-deg: found 4 beside the pose in .*camera.toml, which says which way is up, expected one"
     with pytest.raises(InputError, match=message):
         fit_clip(sample(tilt_deg=4.0))
 

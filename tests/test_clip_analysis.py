@@ -321,6 +321,8 @@ def test_command_says_what_is_missing(frame_results, tmp_path):
     nothing = run("analyse", tmp_path / "nothing")
     assert nothing.code == 2
     assert "no such folder" in nothing.err
+    file = run("analyse", SAMPLES / "whole.csv")
+    assert "found a file, expected the folder of results that `recon fit` wrote" in file.err
 
 
 def test_lean_holds_what_is_written_all_the_same(whole, whole_results, tables, tmp_path):

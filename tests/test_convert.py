@@ -135,7 +135,7 @@ def test_without_a_frame_rate(target, tmp_path):
         (target.pose, replace(a_pose(), fps=None), read_pose3d),
     ):
         if write and target.fps == "needed":
-            with pytest.raises(InputError, match=r"--fps: fps: found nothing.*as in 90"):
+            with pytest.raises(InputError, match=r"--fps: found nothing.*as in 90"):
                 write(data, path)
             assert not path.exists()
         elif write:
@@ -463,7 +463,7 @@ def test_frame_rate_as_given_overrules_the_file(files_2d, tmp_path):
     found = read_keypoints(tmp_path / "a.nc")
     assert found.fps == 240
     assert found.frames.tolist() == FRAMES.tolist()
-    with pytest.raises(InputError, match="--fps: fps: found -3"):
+    with pytest.raises(InputError, match="--fps: found -3"):
         convert(files_2d["movement.nc"], tmp_path / "b.nc", options=Options(fps=-3))
 
 

@@ -222,6 +222,7 @@ def test_a_result_folder(whole_results, level_results, tmp_path):
     found = evaluate_files(whole_results, truth)
     assert found.to_dict() == evaluate_files(whole_results / "pose3d.csv", truth).to_dict()
     assert found.notes == ()
+    assert evaluate_files(truth, whole_results).mpjpe_m.mean == found.mpjpe_m.mean  # a folder may be the reference
     (note,) = evaluate_files(level_results, truth).notes
     assert "different frames of reference" in note
     with pytest.raises(InputError, match=r"no pose3d\.csv, expected results"):

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
 from recon.app.clip import write_clip
-from recon.app.overlay import overlay_of, run_overlay
+from recon.app.overlay import camera_number, overlay_of, run_overlay
 from recon.cli import app
 from recon.errors import InputError
 from recon.manifest import write_manifest
@@ -256,6 +256,10 @@ def test_the_camera_of_the_video_is_chosen_by_name(filmed_twice, folder, video, 
     for camera in (None, "cam3"):
         with pytest.raises(InputError, match="expected one of cam1, cam2, whose video it is"):
             run_overlay(filmed_twice, video, tmp_path / "p.avi", first_frame=7, camera=camera)
+    named = tmp_path / "clip_cam2.avi"
+    named.symlink_to(video)
+    result = read_results(filmed_twice)
+    assert [camera_number(result, None, of) for of in (named, None)] == [1, 0]  # of no video: the first
     with pytest.raises(InputError, match="expected one of cam1, whose video it is"):
         run_overlay(folder, video, tmp_path / "p.avi", first_frame=7, camera="cam2")
 

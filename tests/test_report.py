@@ -528,7 +528,7 @@ def test_console_summary_of_a_trajectory(trajectory):
         "23 of the skeleton's 24 used; missing: r_eye; not used: ear",
         "9.0 m/s mean",
         "in the picture's plane",
-        "1.000 ± 0.060 of the assumed lengths (1 ± 0.1 expected): cheetah, whole animal with 24 markers",
+        "1.000 ± 0.060 of the lengths of 'cheetah, whole animal with 24 markers' (1 ± 0.1 expected)",
         "0.08 m of a joint within the pose, 0.30 m of the animal's place in depth",
         "running-cheetah; 70%",
         "stances: l_front_paw 1, r_front_paw 0",
@@ -617,7 +617,7 @@ def test_console_summary_of_several_cameras(several, two_cameras):
     assert several["size"]["from"] == ["prior", "views"]
     assert "(from the views; 1 ± " in dict(lines)["size"]
     sentences = " ".join(several["assumptions"]["sentences"])
-    assert "It is measured by where the cameras are." in sentences
+    assert "; by where the cameras are it is 1.000 ± " in sentences
     assert "The cameras stand still" in sentences
 
 

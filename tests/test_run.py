@@ -237,7 +237,7 @@ def test_all_mistakes_are_said_before_any_work(film, called):
     ended = run("run", film, "--out", film.parent / "out", *options)
     assert ended.code == 2
     for said in (
-        "--fps: fps: found '-1'",
+        "--fps: found '-1'",
         "--camera-motion: motion: found 'spins', expected turns or zooms",
         "--camera-motion: camera: found nothing",
         "--from: stage: found 'detect', expected one of camera-motion, fit, analyse, overlay, page",

@@ -138,47 +138,47 @@ def test_image_size_as_text_or_as_numbers(size):
 @pytest.mark.parametrize(
     ("name", "value", "message"),
     [
-        ("fps", 0.0, "--fps: fps: found 0.0, expected a number of frames per second above 0, as in 120"),
-        ("fps", "90fps", "--fps: fps: found '90fps', expected a number of frames per second above 0, as in 120"),
-        ("fps", True, "--fps: fps: found True, expected a number of frames per second above 0, as in 120"),
-        ("max_evaluations", 2.5, "--max-evaluations: max_evaluations: found 2.5, expected a whole number above 0"),
-        ("fps", -5.0, "--fps: fps: found -5.0, expected a number of frames per second above 0, as in 120"),
-        ("fps", float("nan"), "--fps: fps: found nan, expected a number of frames per second above 0, as in 120"),
-        ("fps", float("inf"), "--fps: fps: found inf, expected a number of frames per second above 0, as in 120"),
-        ("likelihood_min", 2.0, "--likelihood-min: likelihood_min: found 2.0, expected a number from 0 to 1"),
-        ("likelihood_min", float("nan"), "--likelihood-min: likelihood_min: found nan, expected a number from 0 to 1"),
-        ("side", "up", "--side: side: found 'up', expected auto, left or right"),
-        ("form", "soft", "--form: form: found 'soft', expected deadband or printed"),
-        ("method", "window", "--method: method: found 'window', expected trajectory or frame"),
-        ("ground", "flat", "--ground: ground: found 'flat', expected auto or none"),
-        ("size_sigma", 0.0, "--size-sigma: size_sigma: found 0.0, expected a share of the size above 0, as in 0.1"),
-        ("tilt_deg", 90.0, "--tilt-deg: tilt_deg: found 90.0, expected degrees that the camera looks down, above -90"),
-        ("fast", "very", "--fast: fast: found 'very', expected true or false"),
-        ("angle_prior", "flat", "--angle-prior: angle_prior: found 'flat', expected gaussian or none"),
-        ("camera_rotation", "still", "--camera-rotation: camera_rotation: found 'still', expected free or fixed"),
-        ("base_length_m", 0.0, "--base-length-m: base_length_m: found 0.0, expected metres above 0, as in 0.203"),
-        ("base_sigma_m", -1.0, "--base-sigma-m: base_sigma_m: found -1.0, expected metres above 0, as in 0.001"),
-        ("sigma_px", 0.0, "--sigma-px: sigma_px: found 0.0, expected pixels above 0, as in 3"),
-        ("keypoint_sigma_m", -1.0, "--keypoint-sigma-m: keypoint_sigma_m: found -1.0, expected metres, 0 or more"),
+        ("fps", 0.0, "--fps: found 0.0, expected a number of frames per second above 0, as in 120"),
+        ("fps", "90fps", "--fps: found '90fps', expected a number of frames per second above 0, as in 120"),
+        ("fps", True, "--fps: found True, expected a number of frames per second above 0, as in 120"),
+        ("max_evaluations", 2.5, "--max-evaluations: found 2.5, expected a whole number above 0"),
+        ("fps", -5.0, "--fps: found -5.0, expected a number of frames per second above 0, as in 120"),
+        ("fps", float("nan"), "--fps: found nan, expected a number of frames per second above 0, as in 120"),
+        ("fps", float("inf"), "--fps: found inf, expected a number of frames per second above 0, as in 120"),
+        ("likelihood_min", 2.0, "--likelihood-min: found 2.0, expected a number from 0 to 1"),
+        ("likelihood_min", float("nan"), "--likelihood-min: found nan, expected a number from 0 to 1"),
+        ("side", "up", "--side: found 'up', expected auto, left or right"),
+        ("form", "soft", "--form: found 'soft', expected deadband or printed"),
+        ("method", "window", "--method: found 'window', expected trajectory or frame"),
+        ("ground", "flat", "--ground: found 'flat', expected auto or none"),
+        ("size_sigma", 0.0, "--size-sigma: found 0.0, expected a share of the size above 0, as in 0.1"),
+        ("tilt_deg", 90.0, "--tilt-deg: found 90.0, expected degrees that the camera looks down, above -90"),
+        ("fast", "very", "--fast: found 'very', expected true or false"),
+        ("angle_prior", "flat", "--angle-prior: found 'flat', expected gaussian or none"),
+        ("camera_rotation", "still", "--camera-rotation: found 'still', expected free or fixed"),
+        ("base_length_m", 0.0, "--base-length-m: found 0.0, expected metres above 0, as in 0.203"),
+        ("base_sigma_m", -1.0, "--base-sigma-m: found -1.0, expected metres above 0, as in 0.001"),
+        ("sigma_px", 0.0, "--sigma-px: found 0.0, expected pixels above 0, as in 3"),
+        ("keypoint_sigma_m", -1.0, "--keypoint-sigma-m: found -1.0, expected metres, 0 or more"),
         (
             "keypoint_sigma_m",
             float("inf"),
-            "--keypoint-sigma-m: keypoint_sigma_m: found inf, expected metres, 0 or more",
+            "--keypoint-sigma-m: found inf, expected metres, 0 or more",
         ),
         (
             "image_size_px",
             "1920",
-            "--image-size: image_size_px: found '1920', expected width x height in pixels, as in 192",
+            "--image-size: found '1920', expected width x height in pixels, as in 192",
         ),
         (
             "image_size_px",
             "0x0",
-            "--image-size: image_size_px: found '0x0', expected width x height in pixels, as in 192",
+            "--image-size: found '0x0', expected width x height in pixels, as in 192",
         ),
-        ("image_size_px", "1x2x3", "--image-size: image_size_px: found '1x2x3', expected width x height in pixels"),
-        ("frames", "9", "--frames: frames: found '9', expected frame numbers A:B with A < B"),
-        ("frames", "9:3", "--frames: frames: found '9:3', expected frame numbers A:B with A < B"),
-        ("frames", "a:b", "--frames: frames: found 'a:b', expected frame numbers A:B with A < B"),
+        ("image_size_px", "1x2x3", "--image-size: found '1x2x3', expected width x height in pixels"),
+        ("frames", "9", "--frames: found '9', expected frame numbers A:B with A < B"),
+        ("frames", "9:3", "--frames: found '9:3', expected frame numbers A:B with A < B"),
+        ("frames", "a:b", "--frames: found 'a:b', expected frame numbers A:B with A < B"),
     ],
 )
 def test_wrong_value_is_named_in_plain_words(name, value, message):
@@ -190,9 +190,7 @@ def test_wrong_value_is_named_in_plain_words(name, value, message):
 @pytest.mark.parametrize("degrees", [0.0, 180.0, float("nan")])
 def test_field_of_view_lies_between_0_and_180(degrees):
     (found,) = messages({"keypoints": Path("c.csv"), "fps": 30.0, "hfov_deg": degrees, "image_size_px": "1920x1080"})
-    assert found == (
-        f"--hfov-deg: hfov_deg: found {degrees}, expected a field of view in degrees, above 0 and below 180"
-    )
+    assert found == (f"--hfov-deg: found {degrees}, expected a field of view in degrees, above 0 and below 180")
 
 
 def test_every_wrong_setting_is_named_at_once():
@@ -223,20 +221,19 @@ def test_no_message_is_in_the_language_of_the_validator():
     [
         (
             {"keypoints": Path("c.csv"), "fps": 30.0},
-            "--camera: camera: found nothing, expected a camera file, or --hfov-deg with --image-size for a rough one",
+            "--camera: found nothing, expected a camera file, or --hfov-deg with --image-size for a rough one",
         ),
         (
             {"keypoints": Path("c.csv"), "fps": 30.0, "hfov_deg": 60.0},
-            "--image-size: image_size_px: found nothing, "
-            "expected the size of the video beside --hfov-deg, as in 1920x1080",
+            "--image-size: found nothing, expected the size of the video beside --hfov-deg, as in 1920x1080",
         ),
         (
             {**GIVEN, "hfov_deg": 60.0},
-            "--hfov-deg: hfov_deg: found 60.0 beside a camera file, expected one of the two",
+            "--hfov-deg: found 60.0 beside a camera file, expected one of the two",
         ),
         (
             {"keypoints": Path("c.csv"), "fps": 30.0, "hfov_deg": 60.0, "image_size_px": "9x9", "camera_name": "cam2"},
-            "--camera-name: camera_name: found 'cam2' without a camera file, expected --camera with it",
+            "--camera-name: found 'cam2' without a camera file, expected --camera with it",
         ),
     ],
 )
@@ -267,7 +264,7 @@ def test_options_of_the_other_method_are_refused(tmp_path, name, value, method):
     other = "frame" if method == "trajectory" else "trajectory"
     assert name in of_method(method)
     expected = (
-        f"{name}: found {value!r} with the {other} method, which does not read it, "
+        f"found {value!r} with the {other} method, which does not read it, "
         f"expected nothing, or --method {method} with it"
     )
     assert messages({**GIVEN, "method": other, name: value}) == [f"{option(name)}: {expected}"]
@@ -277,7 +274,7 @@ def test_options_of_the_other_method_are_refused(tmp_path, name, value, method):
     config = saved(tmp_path, method=other)
     toml_value = str(value).lower() if isinstance(value, bool | int | float) else f'"{value}"'
     config.write_text(f"{config.read_text()}{name} = {toml_value}\n")
-    assert messages({}, config) == [f"{config}: {expected}"]
+    assert messages({}, config) == [f"{config}: {name}: {expected}"]
 
 
 @pytest.mark.parametrize(("method", "other"), [("trajectory", "frame"), ("frame", "trajectory")])
@@ -330,7 +327,7 @@ def test_mistakes_in_a_config_name_the_file(tmp_path):
         f"{config}: speed: found an unknown setting, expected one of {', '.join(SETTINGS)}",
     ]
     # A mistake on the command line is the command line's.
-    assert "--fps: fps: found 0.0, expected a number of frames per second above 0, as in 120" in messages(
+    assert "--fps: found 0.0, expected a number of frames per second above 0, as in 120" in messages(
         {"fps": 0.0}, config
     )
 

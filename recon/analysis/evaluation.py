@@ -89,9 +89,9 @@ class Evaluation:
 
 
 def evaluate_files(pose_path: str | Path, truth_path: str | Path) -> Evaluation:
-    """Evaluates a file of 3D positions (see `read_pose3d`), or the results that `recon fit` wrote into a folder,
-    against another file. Raises InputError."""
-    pose, truth = all_of(lambda: read_pose3d(_pose_file(Path(pose_path))), lambda: read_pose3d(truth_path))
+    """Evaluates a file of 3D positions (see `read_pose3d`) against another; either may be the folder of results that
+    `recon fit` wrote. Raises InputError."""
+    pose, truth = all_of(*(lambda path=path: read_pose3d(_pose_file(Path(path))) for path in (pose_path, truth_path)))
     return evaluate(pose, truth)
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from recon.app.cameras import cameras_in
 from recon.arrays import Array
 from recon.body import Side
 from recon.errors import InputError, Problem, all_of
@@ -52,13 +53,13 @@ def run_overlay(
     """`recon overlay`: every frame of a result's clip, drawn on the video that it came from.
 
     first_frame: the number that the video's first frame has in the result. camera: whose video it is, by name, which
-    may be left out where the result has one. speed: of the playback. Raises InputError, with every problem, for inputs
-    that do not belong together; then nothing is written.
+    may be left out where the result has one, or the video's own name contains it. speed: of the playback. Raises
+    InputError, with every problem, for inputs that do not belong together; then nothing is written.
     """
     result, info, _ = all_of(
         lambda: read_results(folder), lambda: probe(video), lambda: _check_out(out, overwrite, video)
     )
-    number = camera_number(result, camera)
+    number = camera_number(result, camera, video)
     if speed is None:
         speed = min(1.0, SLOW_FPS / result.fps)
     zoom = -(-MIN_WIDTH_PX // info.size_px[0])
@@ -87,12 +88,16 @@ def run_overlay(
     return OverlayRun(written, fps, speed)
 
 
-def camera_number(result: Results, camera: str | None) -> int:
-    """Which of the result's cameras is meant. Raises InputError."""
+def camera_number(result: Results, camera: str | None, video: Path | None) -> int:
+    """Which of the result's cameras is meant, or has filmed a video: by name, or by the video's, which may contain it;
+    without either the first. Raises InputError."""
     names = [one.name for one in result.cameras]
+    if camera is None and video is not None and len(names) > 1:
+        named = [*cameras_in(video.stem, names)]
+        camera = named[0] if len(named) == 1 else None
     if camera in names:
         return names.index(camera)
-    if camera is None and len(names) == 1:
+    if camera is None and (len(names) == 1 or video is None):
         return 0
     found = "nothing" if camera is None else camera
     raise InputError(Problem("--camera-name", "camera", found, f"one of {', '.join(names)}, whose video it is"))

@@ -41,7 +41,7 @@ def run_page(
         lambda: None if video is None else probe(video),
         lambda: require_own_page(page),
     )
-    number = 0 if video is None and camera is None else camera_number(result, camera)
+    number = camera_number(result, camera, video)
     if video is not None and info is not None:
         check_video(result, number, video, info, first_frame)
     progress("pictures", 0.1)

@@ -29,13 +29,14 @@ def run_sheet(
     overwrite: bool = False,
 ) -> int:
     """`recon overlay --sheet`: `count` frames with a pose, evenly spaced, as one PNG; how many there are. video: what
-    is behind them, plain without one; the others: see `run_overlay`. Raises InputError, with every problem."""
+    is behind them, plain without one, and then the first camera's unless another is named; the others: see
+    `run_overlay`. Raises InputError, with every problem."""
     result, info, _ = all_of(
         lambda: read_results(folder),
         lambda: None if video is None else probe(video),
         lambda: _check(sheet, count, overwrite, video),
     )
-    number = camera_number(result, camera)
+    number = camera_number(result, camera, video)
     overlay, _ = all_of(
         lambda: overlay_of(result, number=number),
         lambda: None if video is None or info is None else check_video(result, number, video, info, first_frame),

@@ -39,12 +39,11 @@ from recon.interrupts import Interrupts, installed
 
 
 class _Commands(TyperGroup):
-    """Any command ends at Ctrl-C with one line and exit code 130. `calibrate extrinsics` is a command, too."""
+    """Any command ends at Ctrl-C with one line and exit code 130. A command's name may be of two words."""
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
-        if args[:2] == ["calibrate", "extrinsics"]:
-            args = ["calibrate-extrinsics", *args[2:]]
-        return super().resolve_command(ctx, args)
+        both = " ".join(args[:2])
+        return super().resolve_command(ctx, [both, *args[2:]] if both in self.commands else args)
 
     def invoke(self, ctx: Any) -> Any:
         interrupts = installed() or Interrupts()
@@ -61,7 +60,7 @@ class _Commands(TyperGroup):
 
 app = typer.Typer(
     cls=_Commands,
-    help="Metric 3D motion of a running animal from one camera and DeepLabCut keypoints.",
+    help="Metric 3D motion of a running animal from the keypoints of one camera or several, still or panning.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
@@ -74,7 +73,7 @@ for command in (train, predict):
     app.command()(command)
 app.command("evaluate-2d")(evaluate_2d)
 app.command("camera-motion")(camera_motion)
-app.command("calibrate-extrinsics")(extrinsics)
+app.command("calibrate extrinsics")(extrinsics)
 app.command("camera-advice")(camera_advice)
 
 prior_app = typer.Typer(help="Motion priors: which poses occur, and how they change.", no_args_is_help=True)

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 def evaluate(
     pose3d: Annotated[Path, typer.Argument(help="Results of recon fit, or a file of 3D positions, as pose3d.csv (m).")],
-    truth: Annotated[Path, typer.Argument(help="Reference of the same layout and frame numbers, as in truth.csv (m).")],
+    truth: Annotated[Path, typer.Argument(help="The reference, with the same frame numbers: likewise, as truth.csv.")],
     as_json: Annotated[bool, typer.Option("--json", help="Print everything as JSON, per joint and frame.")] = False,
 ) -> None:
     """Compare a reconstruction with a reference, over the joints and frames that both have.

@@ -27,7 +27,12 @@ def overlay(
     ] = None,
     count: Annotated[int, typer.Option(help="Of the stills.")] = 12,
     camera_name: Annotated[
-        str | None, typer.Option(help="Whose video it is, of a clip with several cameras, as in cam2.")
+        str | None,
+        typer.Option(
+            help="Whose video it is, of a clip with several cameras, as in cam2. (default: whose name the video's has; "
+            "of plain stills the first)",
+            show_default=False,
+        ),
     ] = None,
     first_frame: Annotated[
         int, typer.Option(help="Number that the video's first frame has in the keypoint file, if it was cut.")

@@ -99,11 +99,11 @@ def _size(solution: TrajectorySolution, settings: Mapping[str, Any]) -> dict[str
 def _assumptions(motion: Motion, settings: Mapping[str, Any], size: Mapping[str, Any]) -> dict[str, Any]:
     """What the data does not say, in numbers and in sentences."""
     solution = _solution(motion)
-    of_animal = "measured on this animal" if size["measured"] else "assumed"
+    of_animal = "measured on this animal" if size["measured"] else "not measured on this one"
     sentences = [
-        f"The scale: the lengths are those of {size['lengths']!r}, {of_animal}, times a size that is expected to be "
-        f"1 with a standard deviation of {size['prior_sigma']:.2g}. Distances, speeds and sizes scale with it."
-        + "".join(f" It is measured by {SAID_BY[what]}." for what in size["from"] if what in SAID_BY),
+        f"The proportions are those of {size['lengths']!r}, {of_animal}. How large the animal is, a factor on all its "
+        f"lengths, distances and speeds, is expected to be 1 with a standard deviation of {size['prior_sigma']:.2g}; "
+        f"{_size_told(size)}.",
         f"Keypoints are taken to lie {_keypoints_lie(motion.body.detector)}.",
         "Poses and their changes are expected to be "
         + (
@@ -349,7 +349,6 @@ def lines(report: Mapping[str, Any]) -> common.Lines:
     """For the summary."""
     summary, size = report["summary"], report["size"]
     path = report["root_path"]["exact"]
-    lengths = "measured lengths" if size["measured"] else "assumed lengths"
     return [
         common.clip_line(report),
         *([("side", f"{report['side']['fitted']}: {report['side']['reason']}")] if report["side"]["fitted"] else []),
@@ -365,8 +364,8 @@ def lines(report: Mapping[str, Any]) -> common.Lines:
         ("heading", common.heading_text(report["heading"]["heading_to_picture_rad"])),
         (
             "size",
-            f"{size['factor']:.3f} ± {size['sigma']:.3f} of the {lengths} "
-            f"({_size_sources(size)}1 ± {size['prior_sigma']:.2g} expected): {size['lengths']}",
+            f"{size['factor']:.3f} ± {size['sigma']:.3f} of the lengths of {size['lengths']!r} "
+            f"({_size_sources(size)}1 ± {size['prior_sigma']:.2g} expected)",
         ),
         (
             "uncertainty",
@@ -408,10 +407,21 @@ def _distance_text(report: Mapping[str, Any]) -> str:
 
 
 def _size_sources(size: Mapping[str, Any]) -> str:
-    """Where they say more than the expectation; the ground often says a little only."""
-    known = size["data_share"] >= MEASURED_SHARE
-    measured = [f"the {what}" for what in size["from"] if what in SAID_BY and known]
+    measured = [f"the {what}" for what in _telling(size)]
     return f"from {' and '.join(measured)}; " if measured else ""
+
+
+def _size_told(size: Mapping[str, Any]) -> str:
+    """Whether this clip says it."""
+    telling = [SAID_BY[what] for what in _telling(size)]
+    if not telling:
+        return "this clip hardly says it"
+    return f"by {' and '.join(telling)} it is {size['factor']:.3f} ± {size['sigma']:.3f}"
+
+
+def _telling(size: Mapping[str, Any]) -> list[str]:
+    """Of `SAID_BY`, where they say more than the expectation; the ground often says a little only."""
+    return [what for what in size["from"] if what in SAID_BY and size["data_share"] >= MEASURED_SHARE]
 
 
 def _prior_text(name: str) -> str:
