@@ -145,8 +145,8 @@ def test_a_cost_of_ones_own_a_factor_and_parameters_of_each_frame(folder):
     table = pd.read_csv(folder / "ik" / "parameters.csv")
     times = table["time_s"].to_numpy()
     assert done.series is not None
-    assert len(times) == len(done.stride.q)
-    assert times[0] == pytest.approx(limb.first_s + done.stride.start_s)
+    assert len(times) == len(done.found.stride.q)
+    assert times[0] == pytest.approx(limb.first_s + done.found.stride.start_s)
     np.testing.assert_allclose(np.diff(times), 1 / limb.fps)
     weights = table[[f"weighted_{joint}" for joint in limb.names]].to_numpy()
     np.testing.assert_allclose(weights, done.series.by_method["weighted"].parameter)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
 
@@ -138,19 +139,90 @@ class IKRun:
     """What was moved, and how."""
 
     limb: Limb
-    stride: Stride
+    found: Found
     target_m: Array | None
     """(dim,)"""
     drives: Mapping[str, Drive]
     """By method, empty where not asked for."""
     follows: Mapping[str, Follow]
     """By method, empty where not asked for."""
+    turns: int
+    """How often the stride was followed."""
     parameters: Mapping[str, Fitted]
     """Fitted to the clip, by method."""
+    fitted: bool
+    """Whether the methods had them."""
+    alpha: float | Literal["step"] | None
+    """As `methods_of`."""
     series: ParameterSeries | None
     """Fitted to each frame of the stride; None where not asked for."""
-    summary: dict[str, Any]
-    """What ik.json holds."""
+
+    @cached_property
+    def summary(self) -> dict[str, Any]:
+        """What ik.json holds."""
+        limb, stride = self.limb, self.found.stride
+
+        def names(joints: tuple[int, ...]) -> list[str]:
+            return [limb.names[j] for j in joints]
+
+        def shared(run: Drive | Follow) -> dict[str, Any]:
+            return {
+                "us_per_step": 1e6 * float(np.median(run.solve_s)) if len(run.solve_s) else None,
+                "length_m": run.length_m,
+                "roughness_rad2": run.roughness_rad2,
+                "least_manipulability": float(run.manipulability.min()),
+                "limits_hit": names(run.limits_hit),
+            }
+
+        followed = {}
+        for name, run in self.follows.items():
+            closed = run.closures()
+            followed[name] = {
+                "worst_error_m": float(run.distance_m.max()),
+                "note": run.note,
+                **shared(run),
+                "least_closure_angle_percent": _least(closed.angle),
+                "least_closure_plane_percent": _least(closed.plane),
+                "closure_angle_percent": dict(zip(limb.names, closed.angle.tolist(), strict=True)),
+                "closure_plane_percent": dict(zip(limb.names, closed.plane.tolist(), strict=True)),
+            }
+        return {
+            "schema": {"name": "recon.ik", "version": 1},
+            "foot": limb.foot,
+            "dimensions": limb.chain.dim,
+            "joints": list(limb.names),
+            "base_frame": "U forwards, V down, W left" if limb.base == "UVW" else "x forwards, y left, z up",
+            "misfit_m": limb.misfit_m,
+            "stride": {
+                "start_s": limb.first_s + stride.start_s,
+                "end_s": limb.first_s + stride.end_s,
+                "how": self.found.how,
+                "notes": self.found.notes,
+                "gap_m": stride.gap_m,
+                "gap_percent": stride.gap_percent,
+            },
+            "parameters": {
+                "used": "fitted to the clip" if self.fitted else "standard",
+                "fitted": {
+                    name: {
+                        "value": f.parameter,
+                        "rms_rad_s": f.rms_rad_s,
+                        "explained": f.explained,
+                        "best_alpha": f.alpha,
+                        "note": f.note,
+                    }
+                    for name, f in self.parameters.items()
+                },
+                "alpha": self.alpha,
+            },
+            "target_m": self.target_m,
+            "to_target": {
+                name: {"reached": run.reached, "reason": run.reason, "iterations": run.iterations, **shared(run)}
+                for name, run in self.drives.items()
+            },
+            "turns": self.turns if self.follows else None,
+            "along_stride": followed,
+        }
 
 
 # -- the animal's chain ----------------------------------------------------------------------------------------------
@@ -340,42 +412,26 @@ def run_ik(
     with sole_writer(out):
         require_free_folder(out, (SUMMARY,), overwrite)
         limb = limb_of(results, foot, dim, limited)
-        chosen = cost_of(limb, cost) if isinstance(cost, str) else cost
-        solved = _solved(results, limb, methods, target, along_stride, turns, fitted, stride_s, chosen, alpha)
+        cost = cost_of(limb, cost) if isinstance(cost, str) else cost
+        goal = _coordinates(target, limb.chain.dim) if target not in (None, STRIDE_MAX) else None
+        with threadpool_limits(1, user_api="blas"):
+            found = stride_of(results, limb, stride_s)
+            stride = found.stride
+            parameters = fit_parameters(limb, cost)
+            series = fit_parameter_series(limb, stride, cost) if fitted else None
+            by_name = methods_of(limb, methods, parameters, fitted, cost, alpha)
+            start, foremost = farthest_reach(limb.chain, stride.q)
+            goal = foremost if target == STRIDE_MAX else goal
+            drives = {} if goal is None else {n: drive_to(limb.chain, start, goal, m) for n, m in by_name.items()}
+            followed = by_name if along_stride else {}
+            follows = {n: follow_stride(limb.chain, stride, m, turns) for n, m in followed.items()}
+        solved = IKRun(limb, found, goal, drives, follows, turns, parameters, fitted, alpha, series)
         with staged_folder(out) as staging:
             _write(solved, staging)
         if figures:  # after the tables, which are there whatever befalls them
             with staged_folder(out) as staging:
                 write_figures(solved, staging)
     return solved
-
-
-def _solved(
-    results: Results,
-    limb: Limb,
-    methods: tuple[str, ...],
-    target: str | None,
-    along_stride: bool,
-    turns: int,
-    fitted: bool,
-    stride_s: tuple[float, float] | None,
-    cost: Cost | None,
-    alpha: float | Literal["step"] | None,
-) -> IKRun:
-    goal = _coordinates(target, limb.chain.dim) if target not in (None, STRIDE_MAX) else None
-    with threadpool_limits(1, user_api="blas"):
-        found = stride_of(results, limb, stride_s)
-        stride = found.stride
-        parameters = fit_parameters(limb, cost)
-        series = fit_parameter_series(limb, stride, cost) if fitted else None
-        by_name = methods_of(limb, methods, parameters, fitted, cost, alpha)
-        start, foremost = farthest_reach(limb.chain, stride.q)
-        goal = foremost if target == STRIDE_MAX else goal
-        drives = {} if goal is None else {n: drive_to(limb.chain, start, goal, m) for n, m in by_name.items()}
-        follows = {n: follow_stride(limb.chain, stride, m, turns) for n, m in by_name.items()} if along_stride else {}
-    summary = _summary(limb, found, goal, drives, follows, parameters, fitted, turns)
-    summary["parameters"]["alpha"] = alpha
-    return IKRun(limb, stride, goal, drives, follows, parameters, series, summary)
 
 
 def _check(methods: tuple[str, ...], cost: Cost | str | None, alpha: float | Literal["step"] | None) -> None:
@@ -460,80 +516,6 @@ def follow_stride(chain: SerialChain, stride: Stride, method: Method, turns: int
 # -- what is written -------------------------------------------------------------------------------------------------
 
 
-def _summary(
-    limb: Limb,
-    found: Found,
-    target_m: Array | None,
-    drives: Mapping[str, Drive],
-    follows: Mapping[str, Follow],
-    parameters: Mapping[str, Fitted],
-    fitted: bool,
-    turns: int,
-) -> dict[str, Any]:
-    stride = found.stride
-
-    def names(joints: tuple[int, ...]) -> list[str]:
-        return [limb.names[j] for j in joints]
-
-    def shared(run: Drive | Follow) -> dict[str, Any]:
-        return {
-            "us_per_step": 1e6 * float(np.median(run.solve_s)) if len(run.solve_s) else None,
-            "length_m": run.length_m,
-            "roughness_rad2": run.roughness_rad2,
-            "least_manipulability": float(run.manipulability.min()),
-            "limits_hit": names(run.limits_hit),
-        }
-
-    followed = {}
-    for name, run in follows.items():
-        closed = run.closures()
-        followed[name] = {
-            "worst_error_m": float(run.distance_m.max()),
-            "note": run.note,
-            **shared(run),
-            "least_closure_angle_percent": _least(closed.angle),
-            "least_closure_plane_percent": _least(closed.plane),
-            "closure_angle_percent": dict(zip(limb.names, closed.angle.tolist(), strict=True)),
-            "closure_plane_percent": dict(zip(limb.names, closed.plane.tolist(), strict=True)),
-        }
-    return {
-        "schema": {"name": "recon.ik", "version": 1},
-        "foot": limb.foot,
-        "dimensions": limb.chain.dim,
-        "joints": list(limb.names),
-        "base_frame": "U forwards, V down, W left" if limb.base == "UVW" else "x forwards, y left, z up",
-        "misfit_m": limb.misfit_m,
-        "stride": {
-            "start_s": limb.first_s + stride.start_s,
-            "end_s": limb.first_s + stride.end_s,
-            "how": found.how,
-            "notes": found.notes,
-            "gap_m": stride.gap_m,
-            "gap_percent": stride.gap_percent,
-        },
-        "parameters": {
-            "used": "fitted to the clip" if fitted else "standard",
-            "fitted": {
-                name: {
-                    "value": f.parameter,
-                    "rms_rad_s": f.rms_rad_s,
-                    "explained": f.explained,
-                    "best_alpha": f.alpha,
-                    "note": f.note,
-                }
-                for name, f in parameters.items()
-            },
-        },
-        "target_m": target_m,
-        "to_target": {
-            name: {"reached": run.reached, "reason": run.reason, "iterations": run.iterations, **shared(run)}
-            for name, run in drives.items()
-        },
-        "turns": turns if follows else None,
-        "along_stride": followed,
-    }
-
-
 def _least(values: Array) -> float:
     """NaN where nothing moves."""
     return float(np.nanmin(values)) if np.isfinite(values).any() else np.nan
@@ -547,23 +529,12 @@ def _write(solved: IKRun, folder: Path) -> None:
         ("follow.csv", FOLLOW_TABLE.split(", "), summary["along_stride"]),
     ):
         if rows:
-            write_rows(
-                folder / file, [columns], [[n, *(_cell(row[c]) for c in columns[1:])] for n, row in rows.items()]
-            )
-    if summary["along_stride"]:
-        columns = ["joint", *(f"{n}_{kind}" for n in summary["along_stride"] for kind in ("angle", "plane"))]
-        rows = [
-            [
-                j,
-                *(
-                    row[f"closure_{k}_percent"][j]
-                    for row in summary["along_stride"].values()
-                    for k in ("angle", "plane")
-                ),
-            ]
-            for j in names
-        ]
-        write_rows(folder / "closures.csv", [columns], rows)
+            cells = [[name, *(_cell(row[column]) for column in columns[1:])] for name, row in rows.items()]
+            write_rows(folder / file, [columns], cells)
+    if followed := summary["along_stride"]:
+        kinds = [(name, kind) for name in followed for kind in ("angle", "plane")]
+        rows = [[j, *(followed[name][f"closure_{kind}_percent"][j] for name, kind in kinds)] for j in names]
+        write_rows(folder / "closures.csv", [["joint", *(f"{name}_{kind}" for name, kind in kinds)]], rows)
     if solved.series is not None:
         write_rows(folder / "parameters.csv", *_parameter_table(solved.series, names))
     axes = list(solved.limb.base)[: solved.limb.chain.dim]
@@ -607,7 +578,7 @@ def write_figures(solved: IKRun, folder: Path) -> None:
         plots.save(plots.joint_space(solved.drives, limb.names), folder, "target_joint_space")
         plots.save(plots.distances(solved.drives), folder, "target_distance")
     if solved.follows:
-        figure = plots.task_space(solved.follows, path_m=solved.stride.path_m, chain=limb.chain, base=limb.base)
+        figure = plots.task_space(solved.follows, path_m=solved.found.stride.path_m, chain=limb.chain, base=limb.base)
         plots.save(figure, folder, "follow_task_space")
         plots.save(plots.joint_space(solved.follows, limb.names), folder, "follow_joint_space")
         plots.save(plots.distances(solved.follows), folder, "follow_distance")
