@@ -22,8 +22,6 @@ from recon.results import Results
 
 AXIS: dict[str, tuple[int, int, int]] = {"yaw": (0, 1, 0), "pitch": (0, 0, -1), "roll": (1, 0, 0)}
 """What each kind of angle turns about."""
-ROOT_AXES: tuple[tuple[int, int, int], ...] = ((1, 0, 0), (0, 0, -1), (0, 1, 0))
-"""Along which the first three unknowns of a state put the root's origin."""
 RANGE_SIGMAS = 3.0
 SAME_M = 1e-4
 """Lengths by which joints are further off than this are others."""

@@ -14,14 +14,13 @@ import numpy as np
 
 from recon.errors import InputError, Problem
 from recon.io.column_map import ColumnLayout, find_layout, layout_by_name
-from recon.io.common import MAX_FRAME, choose, first_problems, frames_of_times, name_problems, number, rate
+from recon.io.common import MAX_FRAME, choose, first_problems, frames_of_times, name_problems, numbers, rate
 from recon.io.hdf5 import is_hdf5
 from recon.io.pose import StoredPoints
 from recon.io.table import write_rows
 from recon.keypoints import Keypoints
 
 SEPARATORS = (",", ";", "\t")
-MISSING = ("", "nan", "na", "none", "null")
 
 Columns = Mapping[str, Sequence[Any] | np.ndarray]
 """A table by column: text cells, or numbers."""
@@ -53,29 +52,29 @@ def gather(path: Path, table: Columns, layout: ColumnLayout, individual: str | N
         choose(path, [""], individual)
     problems: list[Problem] = []
 
-    def numbers(column: str) -> np.ndarray:
+    def cells_of(column: str) -> np.ndarray:
         return _numbers(path, column, table[column], rows, problems)
 
     if not len(rows):
         raise InputError(Problem(path, "rows", "no frames", "at least one row below the header"))
     fps = None
     if "fps" in layout.of_role:
-        rates = set(numbers(layout.of_role["fps"]).tolist())
+        rates = set(cells_of(layout.of_role["fps"]).tolist())
         fps = rate(rates.pop()) if len(rates) == 1 else None
     clock = layout.of_role.get("frame") or layout.of_role["time"]
-    ticks = numbers(clock)
+    ticks = cells_of(clock)
     problems += _clock_problems(path, clock, ticks, rows, "frame" in layout.of_role)
     if problems:
         raise InputError(first_problems(problems, path))
     distinct, row_of = np.unique(ticks, return_inverse=True)
     if layout.of_part:
         names = tuple(dict.fromkeys(part for part, _ in layout.of_part))
-        values, likelihood = _from_wide(path, layout, names, coords, row_of, len(distinct), numbers, problems)
+        values, likelihood = _from_wide(path, layout, names, coords, row_of, len(distinct), cells_of, problems)
     else:
         labels = table[layout.of_role["bodypart"]]
         points = [str(labels[row]).strip() for row in rows.tolist()]
         names = tuple(dict.fromkeys(points))
-        values, likelihood = _from_long(path, layout, names, points, coords, row_of, len(distinct), numbers, problems)
+        values, likelihood = _from_long(path, layout, names, points, coords, row_of, len(distinct), cells_of, problems)
     problems += name_problems(path, "bodypart", names)
     if problems:
         raise InputError(first_problems(problems, path))
@@ -113,7 +112,7 @@ def _from_wide(
     coords: Sequence[str],
     row_of: np.ndarray,
     T: int,
-    numbers: Callable[[str], np.ndarray],
+    cells_of: Callable[[str], np.ndarray],
     problems: list[Problem],
 ) -> tuple[np.ndarray, np.ndarray]:
     """values (T, K, C) and likelihood (T, K)."""
@@ -124,7 +123,7 @@ def _from_wide(
     for k, name in enumerate(names):
         for c, coord in enumerate((*coords, "likelihood")):
             if (name, coord) in layout.of_part:
-                both[row_of, k, c] = numbers(layout.of_part[name, coord])
+                both[row_of, k, c] = cells_of(layout.of_part[name, coord])
             elif coord != "likelihood":
                 problems.append(Problem(path, f"bodypart {name}", f"no {coord}", ", ".join(coords)))
     return both[..., :-1], both[..., -1]
@@ -138,7 +137,7 @@ def _from_long(
     coords: Sequence[str],
     row_of: np.ndarray,
     T: int,
-    numbers: Callable[[str], np.ndarray],
+    cells_of: Callable[[str], np.ndarray],
     problems: list[Problem],
 ) -> tuple[np.ndarray, np.ndarray]:
     """values (T, K, C) and likelihood (T, K)."""
@@ -153,7 +152,7 @@ def _from_long(
     both = np.full((T, len(names), len(coords) + 1), np.nan)
     for c, coord in enumerate((*coords, "likelihood")):
         if coord in layout.of_role:
-            both[row_of, column_of, c] = numbers(layout.of_role[coord])
+            both[row_of, column_of, c] = cells_of(layout.of_role[coord])
     return both[..., :-1], both[..., -1]
 
 
@@ -161,18 +160,13 @@ def _numbers(path: Path, column: str, cells: Any, rows: np.ndarray, problems: li
     """The cells of some rows as floats; those that are no numbers, or infinite, become problems."""
     if isinstance(cells, np.ndarray) and cells.dtype.kind in "fiu":
         values = cells[rows].astype(float)
+        wrong = np.flatnonzero(np.isinf(values)).tolist()
     else:
-        values = np.full(len(rows), np.nan)
-        for i, row in enumerate(rows):
-            cell = "" if cells[row] is None else str(cells[row]).strip()
-            if cell.lower() not in MISSING:
-                try:
-                    values[i] = number(cell)
-                except ValueError:
-                    expected = "a number or an empty cell"
-                    problems.append(Problem(path, f"line {row + 2}, {column}", f"'{cell}'", expected))
-    for i in np.flatnonzero(np.isinf(values)):
-        problems.append(Problem(path, f"line {rows[i] + 2}, {column}", f"'{values[i]}'", "a number or an empty cell"))
+        values, wrong = numbers(cells[row] for row in rows)
+    problems += [
+        Problem(path, f"line {rows[i] + 2}, {column}", f"'{str(cells[rows[i]]).strip()}'", "a number or an empty cell")
+        for i in wrong
+    ]
     return values
 
 

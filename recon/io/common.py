@@ -16,6 +16,7 @@ from recon.package import install_command
 
 # What tools call the only animal of a file when nobody named it.
 UNNAMED = ("individual_0", "id_0", "track_0")
+MISSING = ("", "nan", "na", "none", "null")
 # Enough to see what is wrong with a file; a file of the wrong kind has thousands.
 PROBLEMS_SHOWN = 10
 MAX_FRAME = 10**15
@@ -105,6 +106,23 @@ def number(text: str) -> float:
     if "_" in text or not text.isascii():
         raise ValueError(f"'{text}' is no number")
     return float(text or "nan")
+
+
+def numbers(cells: Iterable[object]) -> tuple[np.ndarray, list[int]]:
+    """Cells (N,) as floats, NaN for those that are `MISSING`; and the places of those that are no numbers, which are
+    NaN, or infinite."""
+    values, wrong = [], []
+    for i, cell in enumerate(cells):
+        text, value = "" if cell is None else str(cell).strip(), np.nan
+        if text.lower() not in MISSING:
+            try:
+                value = number(text)
+            except ValueError:
+                wrong.append(i)
+            if np.isinf(value):
+                wrong.append(i)
+        values.append(value)
+    return np.array(values, dtype=float), wrong
 
 
 def frame_number(text: str) -> int | None:

@@ -22,7 +22,7 @@ import numpy as np
 from recon.errors import InputError, Problem
 from recon.files import write_bytes
 from recon.io import pandas_hdf
-from recon.io.common import PROBLEMS_SHOWN, choose, first_problems, frame_number, number, rate
+from recon.io.common import PROBLEMS_SHOWN, choose, first_problems, frame_number, numbers, rate
 from recon.io.hdf5 import is_hdf5
 from recon.io.pose import Pose3D, StoredPoints, points_of
 from recon.io.table import write_table
@@ -37,7 +37,6 @@ HEADERS = (
 COORDS = ("x", "y", "z", "likelihood")
 # DeepLabCut files the bodyparts that belong to no animal, such as the corners of the arena, under this individual.
 UNIQUE_BODYPARTS = "single"
-MISSING_CELLS = ("", "nan", "na")
 PADDING = -1.0
 """x, y and likelihood of an animal that DeepLabCut 3 did not see in a frame."""
 SCORER = "recon"
@@ -298,8 +297,8 @@ def _table(
         for i, j, cell in sorted([*bad, *infinite])
     ]
     if not problems:
-        numbers, count = np.unique(np.array(frames), return_counts=True)
-        problems = [Problem(path, f"frame {number}", "more than one row", "one") for number in numbers[count > 1]]
+        distinct, count = np.unique(np.array(frames), return_counts=True)
+        problems = [Problem(path, f"frame {frame}", "more than one row", "one") for frame in distinct[count > 1]]
     if problems:
         raise InputError(first_problems(problems, path))
     order = np.argsort(frames)
@@ -337,16 +336,9 @@ def _frame_numbers(path: Path, index: Sequence[tuple[str, ...]]) -> tuple[list[i
 
 def _numbers(cells: Sequence[str], row: int, bad: list[tuple[int, int, str]]) -> list[float]:
     """The cells of one row as floats; those that are none are added to `bad` as (row, column, text)."""
-    numbers = []
-    for column, cell in enumerate(cells):
-        value = np.nan
-        if cell.strip().lower() not in MISSING_CELLS:
-            try:
-                value = number(cell.strip())
-            except ValueError:
-                bad.append((row, column, cell))
-        numbers.append(value)
-    return numbers
+    values, wrong = numbers(cells)
+    bad += [(row, j, cells[j]) for j in wrong if np.isnan(values[j])]
+    return values.tolist()
 
 
 def of_one_animal(table: Table, path: Path, individual: str | None) -> tuple[Table, str | None]:

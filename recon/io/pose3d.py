@@ -10,7 +10,7 @@ import numpy as np
 
 from recon.errors import InputError, Problem
 from recon.io import Reader, file_head, read_points
-from recon.io.common import PROBLEMS_SHOWN, frame_number, number
+from recon.io.common import PROBLEMS_SHOWN, frame_number, numbers
 from recon.io.deeplabcut import Column, Table, gather
 from recon.io.pose import PER_METRE, Pose3D, StoredPoints, z_up_from_y_up
 
@@ -77,13 +77,13 @@ def read_pose_segments(path: str | Path) -> dict[str, Pose3D]:
     if problems:
         raise InputError(problems[:PROBLEMS_SHOWN])
     columns = tuple(Column("", name.strip(), c.strip()) for name, c in zip(names[2:], coords[2:], strict=True))
-    numbers = np.array([[number(cell.strip()) for cell in row[2:]] for row in rows])
+    values = np.array([numbers(row[2:])[0] for row in rows])
     pieces = np.array([row[0] for row in rows])
     frames = np.array([int(row[1]) for row in rows])
     segments = {}
     for piece in dict.fromkeys(pieces.tolist()):
         of = pieces == piece
-        joints, xyz_m = gather(Table(columns, numbers[of], frames[of], ()), path, required=("x", "y", "z"))
+        joints, xyz_m = gather(Table(columns, values[of], frames[of], ()), path, required=("x", "y", "z"))
         segments[piece] = Pose3D(joints, xyz_m, frames[of], source=str(path))
     return segments
 
@@ -104,14 +104,6 @@ def _segment_problems(path: Path, names: list[str], coords: list[str], rows: lis
             yield Problem(path, f"line {line}, frame", f"'{row[1]}'", expected)
         else:
             last[row[0]] = frame
-        for name, coord, cell in zip(names[2:], coords[2:], row[2:], strict=False):
-            if not _is_number(cell):
-                yield Problem(path, f"line {line}, column {name}/{coord}", f"'{cell}'", "a number or an empty cell")
-
-
-def _is_number(cell: str) -> bool:
-    """Whether a cell is empty or holds a number that is not infinite."""
-    try:
-        return not np.isinf(number(cell.strip()))
-    except ValueError:
-        return False
+        for i in numbers(row[2:])[1]:
+            where = f"line {line}, column {names[i + 2]}/{coords[i + 2]}"
+            yield Problem(path, where, f"'{row[i + 2]}'", "a number or an empty cell")

@@ -13,7 +13,7 @@ from recon.io.common import (
     first_problems,
     frame_number,
     name_problems,
-    number,
+    numbers,
     rate,
     require_names,
     required_fps,
@@ -89,15 +89,11 @@ def _row(path: Path, line: int, row: list[str], width: int) -> tuple[int, list[f
     if frame is None:
         frame = 0
         problems.append(Problem(path, f"line {line}, Frame#", f"'{row[0]}'", "a frame number"))
-    values = [np.nan] * (width - 2)
-    for i, cell in enumerate(row[2:width]):
-        try:
-            values[i] = number(cell)
-        except ValueError:
-            problems.append(Problem(path, f"line {line}, column {i + 3}", f"'{cell}'", "a number or an empty cell"))
-        if np.isinf(values[i]):
-            problems.append(Problem(path, f"line {line}, column {i + 3}", f"'{cell}'", "a number or an empty cell"))
-    return frame, values, problems
+    values, wrong = numbers(row[2:width])
+    problems += [
+        Problem(path, f"line {line}, column {i + 3}", f"'{row[i + 2]}'", "a number or an empty cell") for i in wrong
+    ]
+    return frame, values.tolist(), problems
 
 
 # -- writing ---------------------------------------------------------------------------------------------------------
