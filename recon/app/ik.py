@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from threadpoolctl import threadpool_limits
 
@@ -18,6 +17,7 @@ from recon.analysis.clip import gaits_of, limb_chains, stride_given
 from recon.analysis.gait import AGREE, OVERSAMPLING, Gait, doubt_text, pose_return_s
 from recon.analysis.gait import Method as Rule
 from recon.analysis.path import MIN_POINTS
+from recon.arrays import Array
 from recon.chain import Chain
 from recon.errors import InputError, Problem
 from recon.files import require_free_folder, sole_writer, staged_folder
@@ -57,7 +57,6 @@ from recon.report import to_json
 from recon.results import Results, read_results
 from recon.skeleton_file import load_chain
 
-Array = NDArray[np.float64]
 Dim = Literal[2, 3]
 
 COSTS = ("differences", "energy", "harmonic", "pose")

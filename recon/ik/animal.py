@@ -12,15 +12,14 @@ from __future__ import annotations
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from recon.arrays import Array
 from recon.body import Body
 from recon.chain import UVW_BODY, Chain, upright_rotation
 from recon.ik.chain import MAX_RATE_RAD_S, PlanarChain, SummedChain
 from recon.ik.joint_chain import JointChain
 from recon.kinematics import ANGLE_OF_AXIS, AXES, PITCH, ROOT, YAW, Segment
-
-Array = NDArray[np.float64]
 
 BASE_THETA_RAD = 0.9
 """Limit of the first link's pitch: three standard deviations of a running animal's."""

@@ -17,10 +17,11 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.linalg import lapack
 
-Array = NDArray[np.float64]
+from recon.arrays import Array, Index
+
 Curvature = Callable[[Array], Array]
 """mu (dim,) -> sum_i mu_i Hess f_i (n, n)."""
 
@@ -41,7 +42,7 @@ class SerialChain(ABC):
     """(n,), finite."""
     groups: tuple[tuple[int, ...], ...]
     """The joints that follow each other along the chain, one tuple for each kind of angle."""
-    _later: NDArray[np.intp] = field(init=False, repr=False)
+    _later: Index = field(init=False, repr=False)
     """(n, n): the later of two joints."""
 
     def __init__(

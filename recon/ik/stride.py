@@ -18,13 +18,11 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from recon.analysis.phase import diameter
+from recon.arrays import Array, Index
 from recon.ik.chain import SerialChain
-
-Array = NDArray[np.float64]
 
 OVERSAMPLING = 10
 """Points of the path in a frame."""
@@ -133,7 +131,7 @@ def _ends(chain: SerialChain, q: Array) -> Array:
     return np.array([chain.end(x) for x in q])
 
 
-def _return(frames: NDArray[np.intp], ends: Array, least: float, most: float) -> tuple[int, int] | None:
+def _return(frames: Index, ends: Array, least: float, most: float) -> tuple[int, int] | None:
     """Rows of the return (see the module) of a path (F, dim), of least to most frames, with the smallest gap; None
     without any."""
     velocity = np.gradient(ends, frames, axis=0)

@@ -15,8 +15,8 @@ from functools import cached_property
 from typing import TYPE_CHECKING, ClassVar, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from recon.arrays import Array
 from recon.camera import Camera
 from recon.chain import MIN_JOINTS, MIN_REACH_PX, Chain, Posed
 from recon.clip import View
@@ -41,7 +41,6 @@ from recon.solve.result import OUTLIER_SIGMAS, Solution, Spell
 if TYPE_CHECKING:
     from scipy.optimize import OptimizeResult
 
-Array = NDArray[np.float64]
 Status = Literal["converged", "not_converged", "no_data"]
 
 CONVERGED = (1, 2, 3, 4)

@@ -20,12 +20,11 @@ from dataclasses import dataclass
 from typing import ClassVar, Literal, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from recon.arrays import Array
 from recon.camera import Camera
 from recon.chain import AngleRanges, Posed
 
-Array = NDArray[np.float64]
 Form = Literal["deadband", "printed"]
 Rows = tuple[Array, Array]
 

@@ -9,15 +9,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from recon.arrays import Array
 from recon.camera import Camera
 from recon.chain import MIN_JOINTS, Chain, upright_rotation
 from recon.frames import level_axes
 from recon.rotations import euler_angles
 from recon.straight_runs import place_on_rays, straight_runs
-
-Array = NDArray[np.float64]
 
 _HEADINGS = 36
 _STRETCH_S = 1.0

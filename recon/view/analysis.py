@@ -6,16 +6,14 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from recon.analysis.clip import ClipAnalysis
 from recon.analysis.solver import SolverRecord
+from recon.arrays import Array
 from recon.results import MEASURED_SHARE
 from recon.view.added import AddedSeries, AddedStates, StateRow, write_plots
 from recon.view.scene import GRID, LEFT, LIMB_COLOURS, LINK, MIDDLE, RIGHT, TRAIL
 from recon.view.series import LINE_COLOURS
-
-Array = NDArray[np.float64]
 
 
 def write_analysis(found: ClipAnalysis, path: Path, playback: Path, solver: SolverRecord | None = None) -> None:

@@ -15,8 +15,8 @@ from pathlib import Path
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
-from numpy.typing import NDArray
 
+from recon.arrays import Array, Bools
 from recon.body import Side
 from recon.recording import recording
 from recon.robot.climb.paths import Step
@@ -39,8 +39,6 @@ from recon.view.scene import (
     strips,
 )
 from recon.view.series import TimePlot, line_style, state_columns, state_style
-
-Array = NDArray[np.float64]
 
 ROBOT = DETECTION
 STEP = (58, 62, 72)
@@ -134,7 +132,7 @@ def _write_motion(
         log.fix(label, state_style({"stance": colours[k]}))
 
 
-def _polygon(feet_m: Array, standing: NDArray[np.bool_]) -> list[Array]:
+def _polygon(feet_m: Array, standing: Bools) -> list[Array]:
     around = [LEGS.index(label) for label in ("LF", "LH", "RH", "RF")]
     feet = [feet_m[k] for k in around if standing[k]]
     return [np.array([*feet, feet[0]])] if len(feet) > 2 else []

@@ -7,15 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 import rerun as rr
-from numpy.typing import NDArray
 
-from recon.arrays import Bools
+from recon.arrays import Array, Bools, Integers
 from recon.body import Side
 from recon.frames import level_from_camera
 from recon.motion import Motion, Picture
 from recon.solve import Spell
 
-Array = NDArray[np.float64]
 Colour = tuple[int, int, int]
 
 
@@ -24,7 +22,7 @@ class Log:
     """Where the entities of T frames are written to."""
 
     stream: rr.RecordingStream
-    frames: NDArray[np.int64]
+    frames: Integers
     """(T,): numbers."""
     time_s: Array
     """(T,)"""
@@ -153,7 +151,7 @@ def limb_colours(motion: Motion) -> list[Colour]:
     return [SIDE_COLOURS[side] for side in motion.limb_sides.values()]
 
 
-def joint_limbs(motion: Motion) -> NDArray[np.int64]:
+def joint_limbs(motion: Motion) -> Integers:
     """(J,): the limb that each joint is drawn with: the trunk if it is part of it, or else the one that it ends or
     continues."""
     limbs = list(motion.limbs.values())
