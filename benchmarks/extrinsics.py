@@ -30,7 +30,7 @@ from trajectory import body_of, prior_of
 from recon import Body
 from recon.clip import View, still_view
 from recon.solve import TrajectoryOptions, solve_trajectory
-from recon.solve.extrinsics import Rig, solve_extrinsics
+from recon.solve.extrinsics import Rig, search_offsets, solve_extrinsics
 from recon.solve.setting import Setting
 
 PARTS = {
@@ -45,18 +45,21 @@ CLIPS, SEEDS = (1, 2, 4, 8), (0, 1, 2)
 SECTORS, LASTING_M, PASSING_M, PASSING_S, WHITE_PX = 8, 0.03, 0.03, 0.16, 5.0
 """Of simulated detections: how far keypoints lie off along each axis, by which eighth of the animal's sides is seen,
 and in passing, and for how long."""
+PUT_FRAMES = 6
+"""Cameras out of step began so many frames earlier or later, at most."""
 FIELD_M = 1.5
 """How far the middle of a simulated way lies from that of the run, along each axis."""
 
 
+def without_poses(views: Sequence[View], body: Body, fps: float, **options: object) -> Setting:
+    lenses = [replace(view.camera, rotation=None, translation_m=None) for view in views]
+    bare = [still_view(lens, view.xy_px, view.confidence) for lens, view in zip(lenses, views, strict=True)]
+    return Setting.of(bare, body, prior_of(PRIOR), fps, TrajectoryOptions(**options), ground_near_zero=False)  # type: ignore[arg-type]
+
+
 def found(views: Sequence[Sequence[View]], bodies: Sequence[Body], fps: Sequence[float]) -> Rig:
     """Of cameras without their poses."""
-    prior, options, settings = prior_of(PRIOR), TrajectoryOptions(), []
-    for of, body, rate in zip(views, bodies, fps, strict=True):
-        lenses = [replace(view.camera, rotation=None, translation_m=None) for view in of]
-        bare = [still_view(lens, view.xy_px, view.confidence) for lens, view in zip(lenses, of, strict=True)]
-        settings.append(Setting.of(bare, body, prior, rate, options, ground_near_zero=False))
-    return solve_extrinsics(settings)
+    return solve_extrinsics([without_poses(*of) for of in zip(views, bodies, fps, strict=True)])
 
 
 def placed(rig: Rig, views: Sequence[View]) -> list[View]:
@@ -73,17 +76,26 @@ def beside(rig: Rig, own: Sequence[View]) -> dict[str, float]:
         np.array([np.linalg.norm(view.centre_m[0] - of[0].centre_m[0]) for view in of[1:]]) for of in (views, own)
     )
     up, own_up = (of[0].T_camera_world[:3, 2] for of in (views, own))
+    off = []
+    for view, of_file, sigma in zip(views[1:], own[1:], rig.sigma[1:], strict=True):
+        T, own_T = (
+            v.T_camera_world @ np.linalg.inv(w.T_camera_world) for v, w in ((view, views[0]), (of_file, own[0]))
+        )
+        by = T @ np.linalg.inv(own_T)
+        off.append(np.concatenate([Rotation.from_matrix(by[:3, :3]).as_rotvec(), by[:3, 3]]) / sigma)
     return {
         "rotation of pairs, median": float(np.median(apart)),
         "worst": float(np.max(apart)),
         "stated": float(np.degrees(np.median(rig.sigma[1:, :3]))),
+        "off / stated": float(np.sqrt(np.mean(np.square(off)))),
         "up": float(np.degrees(np.arccos(np.clip(up @ own_up, -1, 1)))),
         "distances": float(np.mean(far / own_far - 1)),
     }
 
 
 def shown(row: dict[str, float]) -> dict[str, str]:
-    return {name: f"{v:+.1%}" if name == "distances" else f"{v:.1f}°" for name, v in row.items()}
+    units = {"distances": "{:+.1%}", "off / stated": "{:.1f}"}
+    return {name: units.get(name, "{:.1f}°").format(value) for name, value in row.items()}
 
 
 def rows_of(clips: Sequence[Run], runs: Sequence[Run]) -> list[dict]:
@@ -166,6 +178,54 @@ def causes(runs: Sequence[Run]) -> list[dict]:
     return table
 
 
+# -- out of step --------------------------------------------------------------------------------------------------
+
+
+def out_of_step(clips: Sequence[Run], runs: Sequence[Run]) -> dict:
+    """Whole frames put between the cameras of each clip, and found: beside what is found of the clips as they are,
+    which are out of step by parts of a frame."""
+    cameras, rng = cameras_of(clips[0])["all"], np.random.default_rng(0)
+    own = [[run.views[camera] for camera in cameras] for run in clips]
+    given = [(as_seen(body_of(run.subject), run, runs), run.fps) for run in clips]
+
+    def solved_at(views: Sequence[Sequence[View]]) -> Rig:
+        settings = [without_poses(of, *its, find_offsets=True) for of, its in zip(views, given, strict=True)]
+        return solve_extrinsics(settings)
+
+    put = [np.append(0, rng.integers(-PUT_FRAMES, PUT_FRAMES + 1, len(cameras) - 1)) for _ in clips]
+    late = [
+        [began_later(view, k) for view, k in zip(of, frames, strict=True)] for of, frames in zip(own, put, strict=True)
+    ]
+    whole = [search_offsets(without_poses(of, *its)) for of, its in zip(late, given, strict=True)]
+    label = ", ".join(run.folder.name[:28] for run in clips)
+    refused = [f"cam{c}" for c, frames in zip(cameras, np.transpose(whole), strict=True) if np.isnan(frames).any()]
+    if refused:
+        return {"clips": label, "frames off, worst": f"refused: {', '.join(refused)}"}
+    mended = [
+        [began_later(view, -k) for view, k in zip(of, frames, strict=True)]
+        for of, frames in zip(late, whole, strict=True)
+    ]
+    as_they_are, rig = solved_at(own), solved_at(mended)
+    off = [
+        frames + lags - k - beside
+        for frames, lags, k, beside in zip(whole, rig.lag_frames, put, as_they_are.lag_frames, strict=True)
+    ]
+    degrees = {
+        f"rotation of pairs, {name}": f"{beside(of, own[0])['rotation of pairs, median']:.1f}°"
+        for name, of in (("in step", as_they_are), ("found", rig))
+    }
+    return {"clips": label, "frames off, worst": f"{np.abs(np.concatenate(off)).max():.2f}", **degrees}
+
+
+def began_later(view: View, frames: float) -> View:
+    """The view of a camera that began so many whole frames later: its first picture shows what happened then."""
+    at = np.arange(len(view.xy_px)) + int(frames)
+    inside = (at >= 0) & (at < len(at))
+    at = np.clip(at, 0, len(at) - 1)
+    xy_px = np.where(inside[:, None, None], view.xy_px[at], np.nan)
+    return replace(view, xy_px=xy_px, confidence=np.where(inside[:, None], view.confidence[at], 0.0))
+
+
 # -- simulated clips ----------------------------------------------------------------------------------------------
 
 
@@ -229,11 +289,13 @@ def main() -> None:
         ("Real clips", lambda: [row for clips in real for row in rows_of(clips, runs)]),
         ("The animal's size with the file's cameras", lambda: sizes(runs)),
         ("One clip, other detections", lambda: causes(runs)),
+        ("Out of step", lambda: [out_of_step(clips, runs) for clips in real]),
         ("Simulated clips", lambda: simulated(max(runs, key=lambda run: len(run.views) * len(run.truth_m)))),
     ):
         print(f"{title}\n")
         table = rows()
-        print_table(list(table[0]), [list(row.values()) for row in table])
+        names = max(map(list, table), key=len)
+        print_table(names, [[row.get(name, "") for name in names] for row in table])
 
 
 if __name__ == "__main__":

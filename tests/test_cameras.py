@@ -241,6 +241,25 @@ def test_clips_of_one_rig(folder, tmp_path):
     assert only.keypoints == clips[0].keypoints
 
 
+def test_cameras_out_of_step_without_poses(folder, tmp_path):
+    """The second camera of the run began four frames later: its file's numbers say so, and then do not."""
+    table = (folder / "run_cam2.csv").read_text().splitlines()
+    late = [line.split(",", 1) for line in table[3:]]
+    rows = [f"{int(frame) - 4},{rest}" for frame, rest in late]
+    (tmp_path / "run_cam2.csv").write_text("\n".join([*table[:3], *rows]) + "\n")
+    given = replace(
+        settings(folder, 1, 2, find_offsets=True), keypoints=(folder / "run_cam1.csv", tmp_path / "run_cam2.csv")
+    )
+    run = run_extrinsics([given], tmp_path / "out.toml")
+    assert run.offsets_s[0] == pytest.approx((0.0, 4 / FPS), abs=0.5 / FPS)
+    assert [line for line in run.lines() if "run_cam2.csv +0.0" in line]
+    alone = replace(given, keypoints=(folder / "run_cam1.csv", tmp_path / "blind_cam2.csv"))
+    (tmp_path / "blind_cam2.csv").write_text("\n".join([*table[:3], *rows[:3]]) + "\n")
+    with pytest.raises(InputError) as error:
+        run_extrinsics([alone], tmp_path / "other.toml")
+    assert problems(error).startswith("--find-offsets: camera cam2: found no offset at which it sees the motion")
+
+
 def test_refined_extrinsics_need_poses(folder, tmp_path):
     lenses = [replace(camera, rotation=None, translation_m=None) for camera in read_cameras(folder / "scene.json")]
     write_cameras(lenses, tmp_path / "lenses.toml")

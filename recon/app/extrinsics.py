@@ -16,13 +16,13 @@ from recon.app.clip import Prepared, prepare
 from recon.arrays import Array
 from recon.calibration import write_cameras
 from recon.camera import Camera
-from recon.clip import View, camera_poses, together
+from recon.clip import Source, View, camera_poses, together
 from recon.errors import InputError, Problem, all_of
 from recon.files import require_free_file
 from recon.frames import level_from_camera, rigid
 from recon.progress import Progress, silent
 from recon.settings import FitSettings, read_settings
-from recon.solve.extrinsics import TooLittleInCommonError, solve_extrinsics
+from recon.solve.extrinsics import TooLittleInCommonError, search_offsets, solve_extrinsics
 from recon.solve.setting import Setting
 
 
@@ -35,6 +35,8 @@ class ExtrinsicsRun:
     sigma: Array
     converged: bool
     clips: tuple[FitSettings, ...]
+    offsets_s: tuple[tuple[float, ...], ...]
+    """Of each clip's files: how much later than the first each camera began, as given or found."""
     out: Path
 
     def to_dict(self) -> dict[str, Any]:
@@ -45,7 +47,10 @@ class ExtrinsicsRun:
                 camera.to_dict() | {"turn_sigma_rad": sigma[:3].tolist(), "shift_sigma_m": sigma[3:].tolist()}
                 for camera, sigma in both
             ],
-            "clips": [[str(path) for path in clip.keypoints] for clip in self.clips],
+            "clips": [
+                {"keypoints": [str(path) for path in clip.keypoints], "offset_s": list(offsets)}
+                for clip, offsets in zip(self.clips, self.offsets_s, strict=True)
+            ],
             "converged": self.converged,
             "written": str(self.out),
         }
@@ -58,6 +63,10 @@ class ExtrinsicsRun:
             turn, shift = math.degrees(np.linalg.norm(sigma[:3])), float(np.linalg.norm(sigma[3:]))
             known = f", ± {turn:.1f}° and {shift:.2f} m beside the first" if sigma.any() else ""
             yield f"{camera.name}: {place[2]:.2f} m high, {np.linalg.norm(place - first):.2f} m from the first{known}"
+        for clip, offsets in zip(self.clips, self.offsets_s, strict=True):
+            if clip.find_offsets:
+                both = zip(clip.keypoints[1:], offsets[1:], strict=True)
+                yield f"After {clip.keypoints[0].name}: " + ", ".join(f"{path.name} {s:+.4f} s" for path, s in both)
         if not self.converged:
             yield "The search had not settled when it was ended: more clips, of other ways through the view, tell more."
 
@@ -91,7 +100,8 @@ def run_extrinsics(
     else:  # each one's own level world
         cameras = [replace(camera, rotation=None, translation_m=None) for camera in cameras]
         poses = [rigid(level_from_camera(camera.up).T, np.zeros(3)) for camera in cameras]
-    settings = [_setting(*of, cameras, poses) for of in zip(clips, given, strict=True)]
+    in_step = [_in_step(*of) for of in zip(clips, given, strict=True)]
+    settings = [_setting(*of, cameras, poses) for of in zip(clips, given, in_step, strict=True)]
     try:
         rig = solve_extrinsics(settings, posed, progress)
     except TooLittleInCommonError as error:
@@ -105,18 +115,41 @@ def run_extrinsics(
         for camera, T in zip(cameras, rig.T_camera_world, strict=True)
     )
     write_cameras(found, out)
-    return ExtrinsicsRun(found, rig.sigma, rig.converged, tuple(clips), out)
+    offsets_s = []
+    for sources, fps, lags in zip(in_step, (of[0].fps for of in given), rig.lag_frames, strict=True):
+        late_s = {camera.name: lag / fps for camera, lag in zip(cameras, lags, strict=True)}
+        began_s = np.array([source.offset_s + late_s[source.camera.name] for source in sources])
+        offsets_s.append(tuple((began_s - began_s[0]).tolist()))
+    return ExtrinsicsRun(found, rig.sigma, rig.converged, tuple(clips), tuple(offsets_s), out)
+
+
+def _in_step(clip: FitSettings, given: Sequence[Prepared]) -> tuple[Source, ...]:
+    """The sources of a clip on its frames, by the offsets that are given, or found to whole frames beside those."""
+    apart, fps = [one.sources[0] for one in given], given[0].fps
+    later = np.array(clip.offset_s or np.zeros(len(given))) * fps
+    sources = together(apart, (later - later[0]).tolist())
+    if not clip.find_offsets:
+        return sources
+    cameras = [replace(source.camera, rotation=None, translation_m=None) for source in sources]
+    frames = search_offsets(_setting(clip, given, sources, cameras, [np.eye(4)] * len(cameras)))
+    lost = [camera.name for camera, lost in zip(cameras, np.isnan(frames), strict=True) if lost]
+    if lost:
+        found = f"no offset at which it sees the motion that {cameras[0].name} sees"
+        expected = "clips that both see well, or --offset-s in place of it"
+        raise InputError(Problem("--find-offsets", f"camera {name}", found, expected) for name in lost)
+    return together(apart, (later - later[0] + frames).tolist())
 
 
 def _setting(
-    clip: FitSettings, given: Sequence[Prepared], cameras: Sequence[Camera], poses: Sequence[Array]
+    clip: FitSettings,
+    given: Sequence[Prepared],
+    sources: Sequence[Source],
+    cameras: Sequence[Camera],
+    poses: Sequence[Array],
 ) -> Setting:
     """A clip with a view of every camera; one that did not film it has seen nothing."""
-    fps, model = given[0].fps, given[0].model
+    model, by_name = given[0].model, {source.camera.name: source for source in sources}
     assert model.prior is not None
-    later = clip.offset_s or (0.0,) * len(given)
-    sources = together([one.sources[0] for one in given], [(s - later[0]) * fps for s in later])
-    by_name = {source.camera.name: source for source in sources}
     nothing = np.full_like(sources[0].keypoints.xy_px, np.nan)
     views = []
     for camera, pose in zip(cameras, poses, strict=True):
@@ -127,13 +160,13 @@ def _setting(
             points = source.keypoints
             views.append(View(camera, pose, points.xy_px, points.confidence, lead_frames=source.lead_frames))
     knows_up = bool(clip.refine_cameras) and None  # where the ground is, the camera file says
-    return Setting.of(views, model.body, model.prior, fps, clip.trajectory_options(), knows_up)
+    return Setting.of(views, model.body, model.prior, given[0].fps, clip.trajectory_options(), knows_up)
 
 
 def _each_alone(settings: FitSettings) -> list[Prepared]:
     """Each camera's keypoints, prepared as a clip of one camera."""
     names = settings.camera_name or (None,) * len(settings.keypoints)
-    alone = replace(settings, offset_s=None, refine_cameras=None)
+    alone = replace(settings, offset_s=None, refine_cameras=None, find_offsets=None)
     given = all_of(
         *(
             lambda path=path, name=name: prepare(

@@ -13,7 +13,8 @@ from recon.cli.common import progress_bar, say, terminal
 from recon.cli.settings import takes_settings
 
 _SETTINGS = (
-    *("camera", "camera_name", "camera_unit", "image_size_px", "tilt_deg", "refine_cameras", "offset_s", "fps"),
+    *("camera", "camera_name", "camera_unit", "image_size_px", "tilt_deg", "refine_cameras", "offset_s"),
+    *("find_offsets", "fps"),
     *("skeleton", "subject", "detector", "prior", "individual", "rename", "frames", "likelihood_min", "sigma_px"),
     "keypoint_sigma_m",
 )

@@ -36,6 +36,10 @@ _PLACING_RAD, _PLACING_M = float(np.radians(10.0)), 1.0
 _LEVEL_RAD = float(np.radians(5.0))
 """How far cameras are from level, or from the tilt that is said, about each axis."""
 _HELD, _SIZE_SIGMA, _MIN_FRAMES = 1e-6, 1e-3, 5
+_SEARCHED_S = 1.0
+"""How much later or earlier than said a camera may have begun."""
+_ALIKE = 0.5
+"""Joints are nowhere near others if they are off by more than that part of their distance from the animal's middle."""
 ROUNDS, CLOSE_ENOUGH = 12, 0.05
 """Rounds at most, and the step, in standard deviations, that ends them."""
 
@@ -58,6 +62,8 @@ class Rig:
     """(V, 6): of each one's place beside the first, as in `View.placed`."""
     ground_m: float
     """Height of the ground below the middle of the animal's longest path; NaN where none was found."""
+    lag_frames: tuple[Array, ...]
+    """(V,) of each clip: how much later than said the cameras' pictures were taken; 0 of one that saw nothing."""
     converged: bool
     """Whether the last step was small."""
 
@@ -96,7 +102,44 @@ def solve_extrinsics(settings: Sequence[Setting], posed: bool = False, progress:
                 break
     poses = tuple(view.T_camera_world for view in settings[0].views)
     covariance = np.asarray(np.linalg.inv(total), dtype=float)
-    return Rig(poses, _beside_first(poses, covariance), _ground_m(settings, spells), converged)
+    lags = tuple(_lags([spell for clip, spell in spells if clip == i], one) for i, one in enumerate(settings))
+    return Rig(poses, _beside_first(poses, covariance), _ground_m(settings, spells), lags, converged)
+
+
+def search_offsets(setting: Setting) -> Array:
+    """(V,): by how many whole frames cameras without poses began later, beside the first, than the views say: where the
+    joints that each sees by itself are most nearly the first one's from elsewhere. NaN where they are never near."""
+    joints = [_alone(setting, view) for view in setting.views]
+    return np.array([_offset(joints[0], own, round(_SEARCHED_S * setting.fps)) for own in joints])
+
+
+def _offset(first: Array, own: Array, most: int) -> float:
+    """Of joints (T, J, 3) in two cameras' frames. Of offsets as near as each other, that with more frames in common: a
+    stride later the same pose comes again."""
+    T, found = len(first), np.nan
+    seen = min(np.isfinite(joints[:, 0, 0]).sum() for joints in (first, own))
+    size_m = np.nanmedian(np.linalg.norm(first - first.mean(axis=1, keepdims=True), axis=-1)) if seen else 0.0
+    least = _ALIKE * size_m / np.sqrt(max(seen, 1))
+    for later in range(-min(most, T - 1), min(most, T - 1) + 1):
+        a, b = first[max(later, 0) : T + min(later, 0)], own[max(-later, 0) : T - max(later, 0)]
+        common = np.isfinite(a[:, 0, 0]) & np.isfinite(b[:, 0, 0])
+        if common.sum() < max(_MIN_FRAMES, seen / 2):
+            continue
+        a, b = a[common].reshape(-1, 3), b[common].reshape(-1, 3)
+        T_b_a = _aligned(a, b, 8)
+        off_m = np.median(np.linalg.norm(a @ T_b_a[:3, :3].T + T_b_a[:3, 3] - b, axis=1)) / np.sqrt(common.sum())
+        if off_m < least:
+            least, found = off_m, float(later)
+    return found
+
+
+def _lags(spells: Sequence[Solved], setting: Setting) -> Array:
+    """(V,): those of the longest spell."""
+    V = range(len(setting.views))
+    if not spells:
+        return np.zeros(len(V))
+    longest = max(spells, key=lambda spell: len(spell.estimate.states))
+    return np.array([longest.lag_frames(i) if setting.views[i].present.any() else 0.0 for i in V])
 
 
 def _level(views: Sequence[View], sigma_rad: float) -> tuple[Array, Array]:
@@ -148,10 +191,10 @@ def _alone(setting: Setting, view: View) -> Array:
     ).joints_camera_m
 
 
-def _aligned(a: Array, b: Array) -> Array:
+def _aligned(a: Array, b: Array, rounds: int = 30) -> Array:
     """T (4, 4) that takes points (N, 3) to others as well as can be, those far off counting less."""
     weight, R, t = np.ones(len(a)), np.eye(3), np.zeros(3)
-    for _ in range(30):
+    for _ in range(rounds):
         share = weight / weight.sum()
         from_a, from_b = a - share @ a, b - share @ b
         u, _, vt = np.linalg.svd((share[:, None] * from_b).T @ from_a)
@@ -169,18 +212,19 @@ class _Reduced:
     curvature: Array
     gradient: Array
     solved: Solved
-    Y: Array
-    """(T, D, P + 1): how the states follow the shared unknowns, the places last, and their own step."""
-    own_Y: Array
-    """(P - 6V, 6V + 1): how the clip's own shared unknowns follow the places, and their own step."""
+    states: Array
+    """(T, D, 6V + 1): how the states follow the places, and their own step."""
+    own: Array
+    """(P, 6V + 1): the same of the clip's own shared unknowns."""
 
     def follow(self, step: Array) -> Solved:
         """The spell as it is expected to be after a step of the places (6V,)."""
-        own = -self.own_Y @ np.append(step, 1.0)
-        estimate, problem = self.solved.estimate, self.solved.problem
-        states = estimate.states - self.Y @ np.concatenate([own, step, [1.0]])
-        shared = {name: value + own[problem.columns[name]] for name, value in estimate.shared.items()}
-        return replace(self.solved, estimate=replace(estimate, states=states, shared=shared))
+        estimate, columns, by = self.solved.estimate, self.solved.problem.columns, np.append(step, 1.0)
+        own = -self.own @ by
+        shared = {name: value + own[columns[name]] for name, value in estimate.shared.items()}
+        return replace(
+            self.solved, estimate=replace(estimate, states=estimate.states - self.states @ by, shared=shared)
+        )
 
 
 def _reduced(setting: Setting, solved: Solved) -> _Reduced:
@@ -198,9 +242,9 @@ def _reduced(setting: Setting, solved: Solved) -> _Reduced:
     corner = np.concatenate([normal.corner, normal.shared_gradient[:, None]], axis=1)
     S = corner - np.tensordot(normal.border, Y, ((0, 1), (0, 1)))
     n = len(S) - 6 * V
-    own_Y = np.asarray(np.linalg.solve(S[:n, :n], S[:n, n:]), dtype=float)
-    S = S[n:, n:] - S[n:, :n] @ own_Y
-    return _Reduced(S[:, :-1], S[:, -1], solved, Y, own_Y)
+    own = np.asarray(np.linalg.solve(S[:n, :n], S[:n, n:]), dtype=float)
+    left = S[n:, n:] - S[n:, :n] @ own
+    return _Reduced(left[:, :-1], left[:, -1], solved, Y[..., n:] - Y[..., :n] @ own, own)
 
 
 def _moved(setting: Setting, step: Array) -> Setting:
