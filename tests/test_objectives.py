@@ -9,9 +9,8 @@ import pytest
 
 from recon.camera import Camera
 from recon.published.objectives import (
-    AnglePrior,
     AngleRange,
-    BaseLengthPrior,
+    GaussianPrior,
     HeadingTie,
     JointPositions,
     Objective,
@@ -55,8 +54,8 @@ TERMS: list[Objective] = [
     *(AngleRange("phi range", SK.phi_slice, SK.phi, 0.15, form) for form in ("deadband", "printed")),
     *(RateLimit("theta rate", SK.theta_slice, SK.theta.max_rate_rad_s, 0.15, f) for f in ("deadband", "printed")),
     *(RateLimit("phi rate", SK.phi_slice, SK.phi.max_rate_rad_s, 0.15, f) for f in ("deadband", "printed")),
-    AnglePrior("theta prior", SK.theta_slice, SK.theta.mean_rad, 0.8),
-    BaseLengthPrior(0.2, 0.02),
+    GaussianPrior("theta prior", SK.theta_slice, SK.theta.mean_rad, 0.8),
+    GaussianPrior("base length prior", slice(SK.base_index, SK.base_index + 1), 0.21, 0.02),
     RollPrior(UP, 0.12, SK.euler_slice),
     HeadingTie(UP, 1.0, SK.euler_slice),
     TravelPrior(UP, HEADING, 0.25, SK.euler_slice),

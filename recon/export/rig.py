@@ -10,6 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from recon.arrays import Array, Index
 from recon.body import Body
@@ -130,12 +131,10 @@ def make_rig(body: Body, size: float, names: tuple[str, ...], frames: Index, sta
 
 def turned(turns: tuple[Turn, ...], count: int) -> Array:
     """(count, 3, 3): rotations from a bone's frame to its parent's, in each frame."""
-    R = np.tile(np.eye(3), (count, 1, 1))
+    R = Rotation.identity(count)
     for turn in turns:
-        across = np.cross(np.eye(3), AXIS[turn.kind])  # takes a vector v to axis x v
-        sine, cosine = np.sin(turn.angle_rad)[:, None, None], np.cos(turn.angle_rad)[:, None, None]
-        R = R @ (np.eye(3) + sine * across + (1 - cosine) * across @ across)
-    return R
+        R = R * Rotation.from_rotvec(np.outer(turn.angle_rad, AXIS[turn.kind]))
+    return R.as_matrix()
 
 
 def _scaled(tree: Tree, size: float) -> Tree:

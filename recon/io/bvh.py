@@ -126,6 +126,8 @@ def _value(lines: Iterator[str], pattern: str) -> str:
 
 def _positions(joints: list[_Joint], motion: np.ndarray) -> np.ndarray:
     """(T, J, 3): p = p_parent + R_parent t, with R = R_parent R_1 R_2 R_3 in the order of the channels."""
+    from scipy.spatial.transform import Rotation  # slow to import
+
     T = len(motion)
     xyz = np.zeros((T, len(joints), 3))
     turned: list[np.ndarray] = []
@@ -137,7 +139,7 @@ def _positions(joints: list[_Joint], motion: np.ndarray) -> np.ndarray:
             if channel.endswith("position"):
                 local[:, axis] = values
             else:
-                turn = turn @ _rotation(axis, np.radians(values))
+                turn = turn @ Rotation.from_euler(channel[0].lower(), values[:, None], degrees=True).as_matrix()
         if joint.parent >= 0:
             above = turned[joint.parent]
             local = xyz[:, joint.parent] + np.einsum("tij,tj->ti", above, local)
@@ -145,12 +147,3 @@ def _positions(joints: list[_Joint], motion: np.ndarray) -> np.ndarray:
         xyz[:, j] = local
         turned.append(turn)
     return xyz
-
-
-def _rotation(axis: int, angle_rad: np.ndarray) -> np.ndarray:
-    """(T, 3, 3): about one axis, right-handed."""
-    i, j = (axis + 1) % 3, (axis + 2) % 3
-    R = np.tile(np.eye(3), (len(angle_rad), 1, 1))
-    R[:, i, i] = R[:, j, j] = np.cos(angle_rad)
-    R[:, j, i], R[:, i, j] = np.sin(angle_rad), -np.sin(angle_rad)
-    return R

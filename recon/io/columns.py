@@ -6,7 +6,7 @@ Which column is what: see `recon.io.column_map`.
 from __future__ import annotations
 
 import csv
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -67,14 +67,11 @@ def gather(path: Path, table: Columns, layout: ColumnLayout, individual: str | N
     if problems:
         raise InputError(first_problems(problems, path))
     distinct, row_of = np.unique(ticks, return_inverse=True)
-    if layout.of_part:
-        names = tuple(dict.fromkeys(part for part, _ in layout.of_part))
-        values, likelihood = _from_wide(path, layout, names, coords, row_of, len(distinct), cells_of, problems)
-    else:
-        labels = table[layout.of_role["bodypart"]]
-        points = [str(labels[row]).strip() for row in rows.tolist()]
-        names = tuple(dict.fromkeys(points))
-        values, likelihood = _from_long(path, layout, names, points, coords, row_of, len(distinct), cells_of, problems)
+    names, placed, faults = _placed(path, table, layout, coords, rows, row_of)
+    problems += faults
+    both = np.full((len(distinct), len(names), len(coords) + 1), np.nan)
+    for column, k, c in placed:
+        both[row_of, k, c] = cells_of(column)
     problems += name_problems(path, "bodypart", names)
     if problems:
         raise InputError(first_problems(problems, path))
@@ -86,9 +83,9 @@ def gather(path: Path, table: Columns, layout: ColumnLayout, individual: str | N
     notes = (f"Columns left out: {', '.join(ignored)}.",) if ignored else ()
     return StoredPoints(
         names,
-        values,
+        both[..., :-1],
         frames,
-        likelihood,
+        both[..., -1],
         fps=fps,
         individual=animal or None,
         unit=layout.unit if layout.unit != "px" else None,
@@ -105,55 +102,37 @@ def _clock_problems(path: Path, column: str, ticks: np.ndarray, rows: np.ndarray
         yield Problem(path, f"line {rows[i] + 2}, {column}", found, expected)
 
 
-def _from_wide(
-    path: Path,
-    layout: ColumnLayout,
-    names: Sequence[str],
-    coords: Sequence[str],
-    row_of: np.ndarray,
-    T: int,
-    cells_of: Callable[[str], np.ndarray],
-    problems: list[Problem],
-) -> tuple[np.ndarray, np.ndarray]:
-    """values (T, K, C) and likelihood (T, K)."""
-    if len(row_of) != T:
-        problems.append(Problem(path, "frames", f"{len(row_of)} rows for {T} frames", "one row for each"))
-        return np.empty((T, len(names), len(coords))), np.empty((T, len(names)))
-    both = np.full((T, len(names), len(coords) + 1), np.nan)
-    for k, name in enumerate(names):
-        for c, coord in enumerate((*coords, "likelihood")):
-            if (name, coord) in layout.of_part:
-                both[row_of, k, c] = cells_of(layout.of_part[name, coord])
-            elif coord != "likelihood":
-                problems.append(Problem(path, f"bodypart {name}", f"no {coord}", ", ".join(coords)))
-    return both[..., :-1], both[..., -1]
-
-
-def _from_long(
-    path: Path,
-    layout: ColumnLayout,
-    names: Sequence[str],
-    points: Sequence[str],
-    coords: Sequence[str],
-    row_of: np.ndarray,
-    T: int,
-    cells_of: Callable[[str], np.ndarray],
-    problems: list[Problem],
-) -> tuple[np.ndarray, np.ndarray]:
-    """values (T, K, C) and likelihood (T, K)."""
-    index = {name: k for k, name in enumerate(names)}
-    column_of = np.array([index[point] for point in points])
-    cells, count = np.unique(row_of * len(names) + column_of, return_counts=True)
-    problems += [
+def _placed(
+    path: Path, table: Columns, layout: ColumnLayout, coords: Sequence[str], rows: np.ndarray, row_of: np.ndarray
+) -> tuple[tuple[str, ...], list[tuple[str, int | np.ndarray, int]], list[Problem]]:
+    """The points; columns with the point of their cells, or of each (N,), and the place of what they hold among the
+    coordinates and, last, the likelihood; and what is wrong with them. rows, row_of (N,): of the table, and frames."""
+    places = {coord: c for c, coord in enumerate((*coords, "likelihood"))}
+    if layout.of_part:
+        names = tuple(dict.fromkeys(part for part, _ in layout.of_part))
+        problems = [
+            Problem(path, f"bodypart {name}", f"no {coord}", ", ".join(coords))
+            for name in names
+            for coord in coords
+            if (name, coord) not in layout.of_part
+        ]
+        if row_of.max() + 1 < len(row_of):
+            found = f"{len(row_of)} rows for {row_of.max() + 1} frames"
+            problems.append(Problem(path, "frames", found, "one row for each"))
+        of_part = layout.of_part.items()
+        return names, [(column, names.index(part), places[coord]) for (part, coord), column in of_part], problems
+    labels = table[layout.of_role["bodypart"]]
+    points = [str(labels[row]).strip() for row in rows.tolist()]
+    index = {name: k for k, name in enumerate(dict.fromkeys(points))}
+    names, point_of = tuple(index), np.array([index[point] for point in points])
+    cells, count = np.unique(row_of * len(names) + point_of, return_counts=True)
+    problems = [
         Problem(path, f"bodypart {names[cell % len(names)]}", f"{n} rows in one frame", "one")
         for cell, n in zip(cells, count, strict=True)
         if n > 1
     ]
-    both = np.full((T, len(names), len(coords) + 1), np.nan)
-    for c, coord in enumerate((*coords, "likelihood")):
-        if coord in layout.of_role:
-            both[row_of, column_of, c] = cells_of(layout.of_role[coord])
-    return both[..., :-1], both[..., -1]
+    placed = [(layout.of_role[coord], point_of, c) for coord, c in places.items() if coord in layout.of_role]
+    return names, placed, problems
 
 
 def _numbers(path: Path, column: str, cells: Any, rows: np.ndarray, problems: list[Problem]) -> np.ndarray:

@@ -23,10 +23,9 @@ from recon.clip import View
 from recon.frames import inverse, moved
 from recon.kinematics import ROLL, YAW
 from recon.published.objectives import (
-    AnglePrior,
     AngleRange,
-    BaseLengthPrior,
     Form,
+    GaussianPrior,
     HeadingTie,
     JointPositions,
     Objective,
@@ -168,13 +167,13 @@ def frame_objectives(
         AngleRange("phi range", chain.phi_slice, chain.phi, s.softness_rad, form),
         RateLimit("theta rate", chain.theta_slice, chain.theta.max_rate_rad_s, s.softness_rad, form),
         RateLimit("phi rate", chain.phi_slice, chain.phi.max_rate_rad_s, s.softness_rad, form),
-        BaseLengthPrior(*base_length(chain, options)),
+        GaussianPrior("base length prior", slice(chain.base_index, chain.base_index + 1), *base_length(chain, options)),
     ]
     if options.angle_prior == "gaussian":
         moving = np.where(travel.speed_m_s[:, None] > 0, travel.heading, np.nan)
         terms += [
-            AnglePrior("theta prior", chain.theta_slice, chain.theta.mean_rad, s.theta_rad),
-            AnglePrior("phi prior", chain.phi_slice, chain.phi.mean_rad, s.phi_rad),
+            GaussianPrior("theta prior", chain.theta_slice, chain.theta.mean_rad, s.theta_rad),
+            GaussianPrior("phi prior", chain.phi_slice, chain.phi.mean_rad, s.phi_rad),
             RollPrior(camera.up, s.roll_rad, chain.euler_slice),
             HeadingTie(camera.up, s.heading_rad_per_sqrt_s, chain.euler_slice),
             TravelPrior(camera.up, moving, s.travel_rad, chain.euler_slice),

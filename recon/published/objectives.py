@@ -141,33 +141,18 @@ class RateLimit:
 
 
 @dataclass(frozen=True)
-class AnglePrior:
-    """Gaussian prior on angles: (angle - mean) / sigma. mean_rad (A,)."""
+class GaussianPrior:
+    """On some unknowns (A,): (unknown - mean) / sigma. That on the base length fixes the metric scale."""
 
     name: str
     where: slice
-    mean_rad: Array
-    sigma_rad: float
+    mean: Array | float
+    sigma: float
     ties: ClassVar[bool] = False
 
     def evaluate(self, now: Posed, before: Posed | None, frame: int, dt_s: float) -> Rows:
-        residual = (now.state[0, self.where] - self.mean_rad) / self.sigma_rad
-        return residual, _diagonal(np.full_like(residual, 1.0 / self.sigma_rad), self.where, now.state.shape[1])
-
-
-@dataclass(frozen=True)
-class BaseLengthPrior:
-    """Gaussian prior on the base length, which fixes the metric scale: (base_length - nominal) / sigma."""
-
-    nominal_m: float
-    sigma_m: float
-    name: str = "base length prior"
-    ties: ClassVar[bool] = False
-
-    def evaluate(self, now: Posed, before: Posed | None, frame: int, dt_s: float) -> Rows:
-        jacobian = np.zeros_like(now.state)
-        jacobian[0, -1] = 1.0 / self.sigma_m
-        return (now.state[0, -1:] - self.nominal_m) / self.sigma_m, jacobian
+        residual = (now.state[0, self.where] - self.mean) / self.sigma
+        return residual, _diagonal(np.full_like(residual, 1.0 / self.sigma), self.where, now.state.shape[1])
 
 
 @dataclass(frozen=True)
