@@ -133,10 +133,9 @@ def small_film(folder: Path) -> None:
             write(np.asarray(cv2.resize(picture, (160, 90), interpolation=cv2.INTER_AREA), np.uint8))
 
 
-@pytest.mark.usefixtures("small_pictures")
+@pytest.mark.usefixtures("optimiser", "small_pictures")
 def test_video_to_3d(said, folder, monkeypatch):
     """With a network that learned next to nothing."""
-    pytest.importorskip("torch")
     narrow_networks(monkeypatch)
     monkeypatch.setattr("recon.net.train.EVALUATIONS", 1)
     small_film(folder)
