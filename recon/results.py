@@ -8,6 +8,7 @@ angles_sigma.csv, all as one run of `recon fit` wrote them: manifest.json says w
 from __future__ import annotations
 
 import csv
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -98,7 +99,7 @@ class Results:
     @property
     def skeleton_name(self) -> str:
         """As it was given for the fit, which may be a file, or the name."""
-        return _skeleton_name(self.report)
+        return skeleton_names(self.report, self.folder)[0]
 
     @cached_property
     def flags(self) -> tuple[tuple[str, ...], ...]:
@@ -199,7 +200,7 @@ def read_results(folder: str | Path) -> Results:
     cameras = require_fields(report, folder / REPORT)
     camera = cameras[0]
     body, pose, states = all_of(
-        lambda: load_skeleton(_skeleton_name(report), report["settings"].get("subject")),
+        lambda: load_skeleton(*skeleton_names(report, folder)),
         lambda: read_pose3d(folder / "pose3d.csv"),
         lambda: _states(folder / "angles.csv", report["skeleton"]["state_names"]),
     )
@@ -262,9 +263,14 @@ def _require_skeleton(report: dict[str, Any], body: Body, path: Path) -> None:
         raise InputError(problems)
 
 
-def _skeleton_name(report: dict[str, Any]) -> str:
-    """As it was given, which may be a file, or the name."""
-    return report["settings"].get("skeleton") or report["skeleton"]["name"]
+def skeleton_names(report: Mapping[str, Any], folder: Path) -> tuple[str, str | None]:
+    """Of a report in a folder: its skeleton and its measured animal, each the name or the file that was given."""
+
+    def found(name: str) -> str:
+        return str(folder / name) if name.endswith(".toml") else name
+
+    skeleton, subject = report["settings"].get("skeleton"), report["settings"].get("subject")
+    return found(skeleton or report["skeleton"]["name"]), None if subject is None else found(subject)
 
 
 def _states(path: Path, names: list[str]) -> Array:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import os
 import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import MISSING, dataclass
@@ -477,6 +478,10 @@ class FitSettings:
         """The keypoint files in one line."""
         return ", ".join(str(path) for path in self.keypoints)
 
+    def keypoints_from(self, folder: Path) -> list[str]:
+        """The same, each as seen from a folder."""
+        return seen_from(folder, "keypoints", [str(path) for path in self.keypoints])
+
     @property
     def skeleton_name(self) -> str:
         """As given, or the method's default."""
@@ -499,16 +504,18 @@ class FitSettings:
         names += ("find_offsets", "refine_cameras", "focal_sigma")
         return TrajectoryOptions(**{name: getattr(self, name) for name in names})
 
-    def plain(self) -> dict[str, Any]:
-        """All that the method reads, as plain JSON types; None for what is not given and has no default."""
+    def plain(self, folder: Path | None = None) -> dict[str, Any]:
+        """All that the method reads, as plain JSON types; None for what is not given and has no default. folder: that
+        paths are relative to, as `beside` reads them; None: they are absolute."""
         values = {name: getattr(self, name) for name, it in SETTINGS.items() if it.method in (None, self.method)}
-        return {name: SETTINGS[name].kind.plain(value) for name, value in values.items()}
+        plain = {name: SETTINGS[name].kind.plain(value) for name, value in values.items()}
+        return plain if folder is None else {name: seen_from(folder, name, value) for name, value in plain.items()}
 
-    def to_toml(self) -> str:
-        """The text of config.toml. Settings that are not given are left out."""
+    def to_toml(self, folder: Path | None = None) -> str:
+        """The text of config.toml. Settings that are not given are left out; folder: see `plain`."""
         import tomli_w
 
-        plain = {name: value for name, value in self.plain().items() if value is not None}
+        plain = {name: value for name, value in self.plain(folder).items() if value is not None}
         return tomli_w.dumps({"recon": {"fit": plain}})
 
 
@@ -518,13 +525,30 @@ SETTINGS: dict[str, Setting] = {one.name: one.metadata["setting"] for one in dat
 
 def beside(folder: Path, name: str, given: Any) -> Any:
     """The value of a setting that stands in a file of that folder: its paths are relative to the folder."""
+    return _with_paths(name, given, lambda path: os.path.normpath(folder.absolute() / path))
+
+
+def seen_from(folder: Path, name: str, given: Any) -> Any:
+    """The value as it has to stand in a file of that folder, so that both can be moved together, and nobody reads in it
+    where they lay. A path on another drive stays absolute."""
+
+    def seen(path: str) -> str:
+        try:
+            return Path(os.path.relpath(path, folder.absolute())).as_posix()
+        except ValueError:
+            return path
+
+    return _with_paths(name, given, seen)
+
+
+def _with_paths(name: str, given: Any, change: Callable[[str], str]) -> Any:
     if isinstance(given, list):
-        return [beside(folder, name, one) for one in given]
+        return [_with_paths(name, one, change) for one in given]
     kind = SETTINGS[name].kind if name in SETTINGS else None
     is_file = kind is not None and (
         kind.option_type is Path or (kind is _NAME_OR_FILE and str(given).endswith(FILE_SUFFIXES))
     )
-    return str((folder / given).absolute()) if is_file and isinstance(given, str) else given
+    return change(given) if is_file and isinstance(given, str) else given
 
 
 def of_method(method: Method) -> tuple[str, ...]:

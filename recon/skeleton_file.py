@@ -11,12 +11,12 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
 import numpy as np
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
 from recon import package
 from recon.body import CHAIN_PLACES, PLACES, Body, other_side, side_of
 from recon.chain import MIN_JOINTS, AngleRanges, Chain, Link, PriorScales
-from recon.documents import parse_toml, read_toml
+from recon.documents import parse_toml, read_toml, validated
 from recon.errors import InputError, Problem
 from recon.kinematics import ANGLE_OF_AXIS, AXES, Marker, Segment, Tree
 
@@ -213,18 +213,11 @@ _File = TypeVar("_File", bound=Table)
 
 
 def parsed_file(kind: type[_File], raw: dict[str, Any], source: str) -> tuple[_File | None, list[Problem]]:
+    """A file's content, None where something is wrong with it, and what that is."""
     try:
-        return kind.model_validate(raw), []
-    except ValidationError as error:
-        return None, [
-            Problem(
-                source,
-                ".".join(str(p) for p in e["loc"]),
-                repr(e["input"])[:60],
-                e["msg"].removeprefix("Value error, "),  # pydantic's, before a message of our own
-            )
-            for e in error.errors()
-        ]
+        return validated(kind, raw, source), []
+    except InputError as error:
+        return None, list(error.problems)
 
 
 def subject_toml(skeleton: str | Path, body: Body, title: str, notes: Sequence[str] = ()) -> str:
@@ -305,11 +298,11 @@ def _chain_problems(parsed: _ChainFile, source: str):
     known = {parsed.root}
     for i, link in enumerate(parsed.links):
         if link.start not in known:
-            yield Problem(source, f"links.{i}.from", repr(link.start), "the root or the `to` of an earlier link")
+            yield Problem(source, f"links[{i}].from", repr(link.start), "the root or the `to` of an earlier link")
         if link.end in known:
-            yield Problem(source, f"links.{i}.to", repr(link.end), "a joint that no earlier link ends in")
+            yield Problem(source, f"links[{i}].to", repr(link.end), "a joint that no earlier link ends in")
         if (link.theta is None) != (link.phi is None):
-            yield Problem(source, f"links.{i}", "only one of theta and phi", "both or neither")
+            yield Problem(source, f"links[{i}]", "only one of theta and phi", "both or neither")
         known.add(link.end)
     if len(parsed.links) + 1 < MIN_JOINTS:
         yield Problem(
@@ -438,7 +431,7 @@ def _expected_angles(segment: _Segment) -> list[str]:
 def _body_problems(file: _BodyFile, source: str) -> Iterator[Problem]:
     segments, used = set[str](), set[str]()
     for i, segment in _both_sides(file.segments):
-        at = f"segments.{i}"
+        at = f"segments[{i}]"
         yield from _name_problems(segment, at, used, source)
         if i == 0:
             yield from _root_problems(segment, source)
@@ -457,9 +450,9 @@ def _body_problems(file: _BodyFile, source: str) -> Iterator[Problem]:
         used.add(segment.name)
     markers = set[str]()
     for i, marker in _both_sides(file.markers):
-        yield from _name_problems(marker, f"markers.{i}", used, source)
+        yield from _name_problems(marker, f"markers[{i}]", used, source)
         if marker.segment not in segments:
-            yield Problem(source, f"markers.{i}.segment", repr(marker.segment), "the name of a segment")
+            yield Problem(source, f"markers[{i}].segment", repr(marker.segment), "the name of a segment")
         markers.add(marker.name)
         used.add(marker.name)
     if len(markers) < MIN_JOINTS:
@@ -494,13 +487,13 @@ def _name_problems(item: _Segment | _Marker, field: str, used: set[str], source:
 
 def _root_problems(root: _Segment, source: str) -> Iterator[Problem]:
     if root.joint != "free":
-        yield Problem(source, "segments.0.joint", repr(root.joint), "free: the first segment is the root")
+        yield Problem(source, "segments[0].joint", repr(root.joint), "free: the first segment is the root")
     if root.parent is not None:
-        yield Problem(source, "segments.0.parent", repr(root.parent), "none: the first segment is the root")
+        yield Problem(source, "segments[0].parent", repr(root.parent), "none: the first segment is the root")
     if any(root.at_m):
-        yield Problem(source, "segments.0.at_m", f"{list(root.at_m)}", "none: the root's origin is an unknown")
+        yield Problem(source, "segments[0].at_m", f"{list(root.at_m)}", "none: the root's origin is an unknown")
     if root.mirrored:
-        yield Problem(source, "segments.0.mirrored", "true", "one root")
+        yield Problem(source, "segments[0].mirrored", "true", "one root")
 
 
 def _body(f: _BodyFile) -> Body:

@@ -27,11 +27,12 @@ from recon.camera import Camera
 from recon.clip import Source, camera_poses, still_view, views_of
 from recon.frames import inverse, moved
 from recon.keypoints import Keypoints, clean
+from recon.manifest import write_manifest
 from recon.motion import Motion
 from recon.plots import style
 from recon.published import FrameOptions, solve_frames
 from recon.published.starts import mean_pose
-from recon.settings import FitSettings
+from recon.settings import FitSettings, read_settings
 from recon.skeleton_file import load_chain, load_skeleton
 from recon.solve import Ground, Spell, Start, TrajectorySolution
 
@@ -120,7 +121,10 @@ def of_results(made_once, whole_results) -> Callable[[str], tuple[str, Path]]:
 
     def once(command: str) -> tuple[str, Path]:
         def make(folder: Path) -> None:
-            shutil.copytree(whole_results, folder / "results" / "clip")
+            clip = shutil.copytree(whole_results, folder / "results" / "clip")
+            settings = read_settings(whole_results / "config.toml", {})  # what it names lies elsewhere from there
+            (clip / "config.toml").write_text(settings.to_toml(clip), encoding="utf-8")
+            write_manifest(clip)
             with pytest.MonkeyPatch.context() as patch:
                 draw_small(patch)
                 patch.setattr(analyse, "figures_of", lambda found: dict.fromkeys(figures_of(found), empty_figure))

@@ -192,23 +192,28 @@ def test_mirrored_segments_expect_the_mirror_image(tmp_path: Path):
 @pytest.mark.parametrize(
     ("old", "new", "field", "expected"),
     [
-        ('parent = "front_trunk"', 'parent = "trunk"', "segments.2.parent", "the name of an earlier segment"),
-        ('parent = "front_trunk"', 'parent = "l_lower_leg"', "segments.2.parent", "the name of an earlier segment"),
-        ('parent = "rear_trunk"\n', "", "segments.1.parent", "the name of an earlier segment"),
-        ('name = "spine"', 'name = "rear_trunk"', "markers.0.name", "a name that no earlier"),
-        ('name = "l_upper_leg"', 'name = "rear_trunk"', "segments.2.name", "a name that no earlier"),
-        ('name = "front_trunk"', 'name = "r_upper_leg"', "segments.2.name", "a name that no earlier"),
-        ('segment = "rear_trunk"', 'segment = "trunk"', "markers.0.segment", "the name of a segment"),
-        ('joint = "free"', 'joint = "ball"', "segments.0.joint", "free: the first segment is the root"),
-        ('joint = "hinge"', 'joint = "free"', "segments.2.joint", "only the root is free"),
-        ('joint = "free"', 'joint = "free"\nparent = "x"', "segments.0.parent", "none: the first segment is the root"),
-        ('joint = "free"', 'joint = "free"\nat_m = [1, 0, 0]', "segments.0.at_m", "the root's origin is an unknown"),
-        ('joint = "free"', 'joint = "free"\nmirrored = true', "segments.0.mirrored", "one root"),
-        ('joint = "universal"', 'joint = "ball"', "segments.1.roll", "yaw and pitch and roll, since its joint is ball"),
-        ('joint = "universal"', 'joint = "hinge"', "segments.1.yaw", "pitch, since its joint is hinge"),
-        ('joint = "universal"', 'joint = "fixed"', "segments.1.pitch", "no angle, since its joint is fixed"),
-        ('joint = "universal"', 'joint = "summed"', "segments.1.joint", "'free', 'ball', 'universal', 'hinge' or"),
-        ("roll = {", "yaw = {", "segments.0.yaw", "pitch and roll, since its joint is free"),
+        ('parent = "front_trunk"', 'parent = "trunk"', "segments[2].parent", "the name of an earlier segment"),
+        ('parent = "front_trunk"', 'parent = "l_lower_leg"', "segments[2].parent", "the name of an earlier segment"),
+        ('parent = "rear_trunk"\n', "", "segments[1].parent", "the name of an earlier segment"),
+        ('name = "spine"', 'name = "rear_trunk"', "markers[0].name", "a name that no earlier"),
+        ('name = "l_upper_leg"', 'name = "rear_trunk"', "segments[2].name", "a name that no earlier"),
+        ('name = "front_trunk"', 'name = "r_upper_leg"', "segments[2].name", "a name that no earlier"),
+        ('segment = "rear_trunk"', 'segment = "trunk"', "markers[0].segment", "the name of a segment"),
+        ('joint = "free"', 'joint = "ball"', "segments[0].joint", "free: the first segment is the root"),
+        ('joint = "hinge"', 'joint = "free"', "segments[2].joint", "only the root is free"),
+        ('joint = "free"', 'joint = "free"\nparent = "x"', "segments[0].parent", "none: the first segment is the root"),
+        ('joint = "free"', 'joint = "free"\nat_m = [1, 0, 0]', "segments[0].at_m", "the root's origin is an unknown"),
+        ('joint = "free"', 'joint = "free"\nmirrored = true', "segments[0].mirrored", "one root"),
+        (
+            'joint = "universal"',
+            'joint = "ball"',
+            "segments[1].roll",
+            "yaw and pitch and roll, since its joint is ball",
+        ),
+        ('joint = "universal"', 'joint = "hinge"', "segments[1].yaw", "pitch, since its joint is hinge"),
+        ('joint = "universal"', 'joint = "fixed"', "segments[1].pitch", "no angle, since its joint is fixed"),
+        ('joint = "universal"', 'joint = "summed"', "segments[1].joint", "'free', 'ball', 'universal', 'hinge' or"),
+        ("roll = {", "yaw = {", "segments[0].yaw", "pitch and roll, since its joint is free"),
         ('["tail_base", "neck_base"]', '["tail", "neck_base"]', "forward", "one of l_front_knee"),
         ('["tail_base", "neck_base"]', '["spine", "spine"]', "forward", "two markers, from rear to front"),
         ('left_fore = "l_', 'left_fore = "x_', "feet", "one of l_front_knee"),
@@ -217,9 +222,9 @@ def test_mirrored_segments_expect_the_mirror_image(tmp_path: Path):
         ("left_fore =", "right_hind =", "feet.right_hind", "a right one: by its name it is left"),
         ('"r_front_paw"\n', '"l_front_paw"\n', "feet", "every foot once"),
         ('trunk = ["tail_base"', 'trunk = ["tail"', "limbs.trunk", "one of l_front_knee"),
-        ('name = "spine"', 'name = "spine"\nmirrored = true', "markers.0.mirrored", "a word of the left side in it"),
-        ("sigma_rad = 0.25", "sigma_rad = 0.0", "segments.0.pitch.sigma_rad", "greater than 0"),
-        ("at_m = [-0.3, 0.0, 0.0]", "at_m = [-0.3, nan, 0.0]", "markers.1.at_m.1", "a finite number"),
+        ('name = "spine"', 'name = "spine"\nmirrored = true', "markers[0].mirrored", "a word of the left side in it"),
+        ("sigma_rad = 0.25", "sigma_rad = 0.0", "segments[0].pitch.sigma_rad", "greater than 0"),
+        ("at_m = [-0.3, 0.0, 0.0]", "at_m = [-0.3, nan, 0.0]", "markers[1].at_m[1]", "a finite number"),
         ("[limbs]", "[limb]", "limbs", "Field required"),
         ("size_sigma = 0.1", 'extends = "cheetah-24"', "extends", "not permitted"),
     ],
@@ -237,7 +242,7 @@ def test_every_problem_is_named(tmp_path: Path):
     text = EXAMPLE.replace('parent = "front_trunk"', 'parent = "trunk"').replace('left_fore = "l_', 'left_fore = "x_')
     subject = SUBJECT.replace("l_lower_leg", "r_lower_leg").replace("l_front_paw", "rear_trunk")
     found = problems(in_file(tmp_path, text), in_file(tmp_path, subject, "subject.toml"))
-    assert {*found} == {"segments.2.parent", "feet", "at_m.r_lower_leg", "at_m.rear_trunk"}
+    assert {*found} == {"segments[2].parent", "feet", "at_m.r_lower_leg", "at_m.rear_trunk"}
     assert "a segment but the root, or a marker, of trunk-and-front-legs: front_trunk," in found["at_m.rear_trunk"][1]
     found = problems(
         in_file(tmp_path, EXAMPLE.replace('title = "trunk and both front legs"', "name_ = 3")),

@@ -180,6 +180,11 @@ def test_files_of_others_are_not_replaced(film, called):
     with pytest.raises(InputError, match=r"pose3d.csv: file: found one that recon run has not made"):
         run_video(job(film))
     assert (called, (out / "pose3d.csv").read_text()) == ([], "mine")
+    for name in ("angles.csv", "report.json"):
+        (out / name).write_text("mine")
+    with pytest.raises(InputError, match="recon run has not made, and so are 2 more") as caught:
+        run_video(job(film))
+    assert len(caught.value.problems) == 1  # of a folder full of results
     assert done(job(film, overwrite=True), called) == ALL
     (out / "pose3d.csv").write_text("corrected by hand")
     (out / "report.json").unlink()

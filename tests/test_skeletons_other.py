@@ -467,7 +467,7 @@ def test_every_fault_is_named(tmp_path):
     with pytest.raises(InputError) as error:
         run_skeleton_check(str(in_file(tmp_path, text)), out=tmp_path / "out")
     fields = [problem.field for problem in error.value.problems]
-    assert fields == ["segments.1.parent", "markers.4.segment", "feet", "limbs.tail"]
+    assert fields == ["segments[1].parent", "markers[4].segment", "feet", "limbs.tail"]
     assert not (tmp_path / "out").exists()
     with pytest.raises(InputError, match=r"one of .*dog-27, horse-22, quadruped, or a skeleton file"):
         check_skeleton("unicorn")

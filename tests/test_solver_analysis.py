@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +21,7 @@ from recon.errors import InputError
 from recon.export import solver_csv
 from recon.manifest import write_manifest
 from recon.results import read_results
+from recon.settings import read_settings
 from recon.view.analysis import _solver
 
 SAMPLES = Path(__file__).parents[1] / "data" / "samples"
@@ -165,8 +167,9 @@ def test_command_writes_all_of_it(of_results):
 def test_inputs_that_are_not_those_of_the_fit(chain_results, tmp_path, change, told):
     folder, files = tmp_path / "clip", ("noisy.csv", "camera.toml")
     shutil.copytree(chain_results, folder)
-    config = (folder / "config.toml").read_text(encoding="utf-8").replace(str(SAMPLES), str(tmp_path))
-    (folder / "config.toml").write_text(config, encoding="utf-8")
+    settings = read_settings(chain_results / "config.toml", {})
+    moved = replace(settings, keypoints=tmp_path / "noisy.csv", camera=tmp_path / "camera.toml")
+    (folder / "config.toml").write_text(moved.to_toml(folder), encoding="utf-8")
     write_manifest(folder)
     points, camera = ((SAMPLES / name).read_text(encoding="utf-8") for name in files)
     if change == "reversed":

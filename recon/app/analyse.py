@@ -112,7 +112,7 @@ def summarise(found: ClipAnalysis) -> dict[str, Any]:
     moved = found.joints[found.reference]
     return {
         "schema": {"name": "recon.analysis", "version": 1},
-        "results": str(found.results.folder),
+        "results": found.results.folder.absolute().name,
         "fps": found.results.fps,
         "frames": len(found.pose.frames),
         "smoothed": found.smoothed,

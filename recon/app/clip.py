@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import nullcontext, suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -171,9 +171,9 @@ def prepare(
 
     read_shared: `read_model_and_cameras`, or one that remembers. Raises InputError as `fit_clip`.
     """
-    (model, cameras), files = all_of(
-        lambda: (read_shared or read_model_and_cameras)(settings),
+    files, (model, cameras) = all_of(
         lambda: read_clips(settings),
+        lambda: (read_shared or read_model_and_cameras)(settings),
     )
     body = model.body
     wanted = tuple(dict.fromkeys(name for pair in body.keypoints for name in pair))
@@ -208,11 +208,11 @@ def write_clip(
     with them."""
     from recon import view  # rerun is slow to import
 
-    report = build_report(motion, settings.plain(), None if solve_s is None else {"solve_s": solve_s})
+    report = build_report(motion, settings.plain(out), None if solve_s is None else {"solve_s": solve_s})
     with staged_results(out, output_files(out)) as folder:
         write_tables(motion, folder)
         write_report(report, folder / "report.json")
-        (folder / "config.toml").write_text(settings.to_toml(), encoding="utf-8")
+        (folder / "config.toml").write_text(settings.to_toml(out), encoding="utf-8")
         view.write(motion, folder / "motion.rrd")
         if settings.seeks_cameras:
             write_cameras([source.camera for source in motion.sources], folder / REFINED_CAMERAS)
@@ -293,6 +293,15 @@ def read_clips(settings: FitSettings) -> list[Keypoints]:
         expected = "one frame rate for all cameras of a clip, --fps, or --camera-fps for each"
         raise InputError(Problem("KEYPOINTS", "fps", found, expected))
     return list(files)
+
+
+def keypoint_problems(paths: Iterable[Path], individual: str | None) -> list[Problem]:
+    """Of the files themselves, beside settings that cannot be used."""
+    try:
+        all_of(*(lambda path=path: read_keypoints(path, individual) for path in paths))
+    except InputError as error:
+        return list(error.problems)
+    return []
 
 
 def _read_clip(path: Path, given_fps: float | None, settings: FitSettings) -> Keypoints:

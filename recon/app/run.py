@@ -371,4 +371,6 @@ def _require_own(stage: Stage, before: Mapping[str, Any] | None, changed: Iterab
         foreign, found = [path for path in changed if path.exists()], "other than recon run wrote it"
         expected = f"--from {stage.name} to write it again; --keypoints takes a file of your own"
     if foreign:
-        raise InputError(Problem(path, "file", found, expected) for path in foreign)
+        first, *others = foreign
+        more = f", and so {'are' if len(others) > 1 else 'is'} {len(others)} more" if others else ""
+        raise InputError(Problem(first, "file", found + more, expected))

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
-from recon.cli.common import number_option, number_table, say, terminal
+from recon.cli.common import EXIT_UNSOLVED, number_option, number_table, say, terminal
 
 
 def climb(
@@ -46,8 +47,10 @@ def climb(
     """A four-legged robot climbs a step by potential fields.
 
     Example: recon climb published-50 --height 0.045 --out results/climb
+
+    Exit code 0: valid in every frame. 1: it is not, and all is written. 2: the input cannot be used.
     """
-    from math import degrees
+    from math import degrees, isfinite
 
     from recon.app.climb import run_climb
     from recon.report import to_json
@@ -55,13 +58,15 @@ def climb(
     report = run_climb(recipe, out, robot, height, method, at, after, figures, overwrite).report
     if as_json:
         typer.echo(to_json(report), nl=False)
+        _end(report)
         return
     console = terminal()
-    pitch, rate = degrees(report["largest_pitch_rad"]), 100 * report["rate_share"]
+    pitch, share = degrees(report["largest_pitch_rad"]), report["rate_share"]
+    rate = f"at {100 * share:.0f} % of the fastest rate at most" if isfinite(share) else "out of their reach"
     say(
         console,
         f"{report['robot']} climbs {1000 * report['step_m']:.0f} mm in {report['duration_s']:.1f} s, "
-        f"{report['frames']} frames; pitch up to {pitch:.0f}°; joints at {rate:.0f} % of the fastest rate at most",
+        f"{report['frames']} frames; pitch up to {pitch:.0f}°; joints {rate}",
     )
     if "after" in report:
         before = report["after"]
@@ -81,3 +86,10 @@ def climb(
         say(console, f"note: in equilibrium in {100 * report['settled_share']:.0f} % of the frames only")
     drawn = f"; the field is drawn at {report['field_drawn_at_s']:.2f} s" if figures else ""
     say(console, f"The playback is {out / 'climb.rrd'}{drawn}.")
+    _end(report)
+
+
+def _end(report: Mapping[str, Any]) -> None:
+    """So that a script can tell."""
+    if not report["valid"]:
+        raise typer.Exit(EXIT_UNSOLVED)

@@ -34,14 +34,15 @@ def fit(
 
     Exit code 0: done. 1: no frame could be solved. 2: the input cannot be used.
     """
-    from recon.app.clip import run_clip
+    from recon.app.clip import keypoint_problems, run_clip
     from recon.settings import read_settings
 
-    no_out = Problem("--out", "folder", "nothing", "a folder for the results, as in results/clip1")
+    no_out = [Problem("--out", "folder", "nothing", "a folder for the results, as in results/clip1")]
     try:
         settings = read_settings(config, given)
     except InputError as error:
-        raise InputError(error.problems if out else (*error.problems, no_out)) from None
+        files = keypoint_problems(given["keypoints"] or (), given["individual"])
+        raise InputError((*files, *error.problems, *([] if out else no_out))) from None
     if out is None:
         raise InputError(no_out)
     console = terminal(quiet=quiet, stderr=as_json)

@@ -104,7 +104,7 @@ def _clock_problems(path: Path, column: str, ticks: np.ndarray, rows: np.ndarray
 
 def _placed(
     path: Path, table: Columns, layout: ColumnLayout, coords: Sequence[str], rows: np.ndarray, row_of: np.ndarray
-) -> tuple[tuple[str, ...], list[tuple[str, int | np.ndarray, int]], list[Problem]]:
+) -> tuple[tuple[str, ...], Sequence[tuple[str, int | np.ndarray, int]], list[Problem]]:
     """The points; columns with the point of their cells, or of each (N,), and the place of what they hold among the
     coordinates and, last, the likelihood; and what is wrong with them. rows, row_of (N,): of the table, and frames."""
     places = {coord: c for c, coord in enumerate((*coords, "likelihood"))}

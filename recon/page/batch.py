@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -19,7 +20,7 @@ from recon.errors import InputError
 from recon.export.clip_csv import camera_files
 from recon.page import PAGE
 from recon.page.render import rendered
-from recon.results import REPORT
+from recon.results import REPORT, skeleton_names
 from recon.skeleton_file import load_skeleton
 
 FIRST = ("failed", "unsolved", "pending")
@@ -34,6 +35,8 @@ NUMBERS = {
 }
 """Columns of summary.csv that the table has, with their headings and formats."""
 THUMBNAIL_PX = (96, 60)
+FOLDERS = re.compile(r"(?<![\w.])(?:[A-Za-z]:)?[/\\](?:[^/\\:]+[/\\])+")
+"""Of a file that an error names: they stay in the house."""
 
 
 @dataclass(frozen=True)
@@ -89,6 +92,7 @@ def batch_page(out: Path, rows: Sequence[Mapping[str, str]]) -> str:
 
 def _clip_row(out: Path, cells: Mapping[str, str]) -> ClipRow:
     folder = out / cells["clip"]
+    cells = {**cells, "error": FOLDERS.sub("", cells["error"])}
     page = f"{cells['clip']}/{PAGE}" if (folder / PAGE).is_file() else None
     try:
         report = json.loads((folder / REPORT).read_text(encoding="utf-8"))
@@ -104,8 +108,7 @@ def _thumbnail(folder: Path, report: Mapping[str, Any]) -> Thumbnail | None:
     points = _middle_points(folder / camera_files("reprojection.csv", names)[0])
     if points is None:
         return None
-    settings = report["settings"]
-    body = _body(settings.get("skeleton") or report["skeleton"]["name"], settings.get("subject"))
+    body = _body(*skeleton_names(report, folder))
     at = {joint: j for j, joint in enumerate(report["skeleton"]["joints"])}
     low, high = np.nanmin(points, axis=0), np.nanmax(points, axis=0)
     scale = float(np.min(0.9 * np.array(THUMBNAIL_PX) / np.maximum(high - low, 1.0)))

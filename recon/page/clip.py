@@ -87,7 +87,8 @@ def _base(path: str | None) -> str:
 
 
 def _plain(value: Any) -> str:
-    return ", ".join(map(str, value)) if isinstance(value, list) else str(value)
+    """Of files the names: their folders are nobody's business whom the page is passed on to."""
+    return ", ".join(map(_plain, value)) if isinstance(value, list) else _base(str(value))
 
 
 def _subtitle(results: Results) -> str:

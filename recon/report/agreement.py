@@ -48,10 +48,12 @@ def _finding_text(finding: Finding, agreement: Agreement, names: list[str], offs
     who = " and ".join(names[v] for v in finding.cameras)
     camera = finding.found or agreement.cameras[finding.cameras[0]]
     if finding.kind == "exchanged":
-        return f"{who}: as if their files were exchanged ({_error_text(camera)} as they are)"
+        other = ", or one of them of another clip" if len(names) == 2 else ""
+        return f"{who}: as if their files were exchanged{other} ({_error_text(camera)} as they are)"
     if finding.kind == "apart":
         of_whom = who if len(names) == 2 else "the cameras"
-        return f"{of_whom} do not agree with each other: {_error_text(camera)}, and which of them is off cannot be told"
+        cause = "which of them is off, or of another clip, cannot be told"
+        return f"{of_whom} do not agree with each other: {_error_text(camera)}, and {cause}"
     if finding.kind == "turned":
         degrees = math.degrees(camera.turn_rad)
         return f"{who}: turned by about {degrees:.1f} degrees against the others ({_error_text(camera)})"

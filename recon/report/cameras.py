@@ -11,7 +11,7 @@ import numpy as np
 
 from recon.clip import Source
 from recon.motion import Motion, Picture
-from recon.report.plain import Array, finite, frame_count, mean, median, number
+from recon.report.plain import Array, file_name, finite, frame_count, mean, median, number
 from recon.solve import TrajectorySolution
 
 OUT_OF_STEP_SIGMAS = 3.0
@@ -59,7 +59,7 @@ def _entry(
     rejected = sum(counted.rejected for counted in source.cleaning.keypoints if counted.name in names)
     return {
         "name": picture.name,
-        "keypoints": source.keypoints.source,
+        "keypoints": file_name(source.keypoints.source),
         "camera": picture.camera.to_dict(),
         "offset_s": source.offset_s,
         "lag_frames": lag_frames,

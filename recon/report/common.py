@@ -15,7 +15,7 @@ from recon.motion import Motion
 from recon.naming import suggestions
 from recon.published import FrameOptions
 from recon.report import cameras
-from recon.report.plain import Array, by_name, finite, mean, median
+from recon.report.plain import Array, by_name, file_name, finite, mean, median
 from recon.solve import TrajectoryOptions
 from recon.solve.result import OUTLIER_SIGMAS
 
@@ -40,7 +40,7 @@ def head(motion: Motion) -> dict[str, Any]:
     keypoints = motion.keypoints
     return {
         "input": {
-            "keypoints": keypoints.source,
+            "keypoints": file_name(keypoints.source),
             "individual": keypoints.individual,
             "fps": motion.fps,
             "frames": (motion.frames[0], motion.frames[-1] + 1),

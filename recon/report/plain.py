@@ -46,6 +46,11 @@ def to_plain(value: Any) -> Any:
     return str(value)
 
 
+def file_name(path: str | None) -> str | None:
+    """Without its folders, which are nobody's business whom a report is passed on to; a name of no file as it is."""
+    return None if path is None else Path(path).name
+
+
 def by_name(names: Sequence[str], values: Sequence[Any]) -> dict[str, Any]:
     return dict(zip(names, values, strict=True))
 

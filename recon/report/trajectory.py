@@ -15,7 +15,7 @@ from recon.mistakes import GARBAGE, SIDES
 from recon.motion import Motion
 from recon.prior import NONE
 from recon.report import agreement, cameras, common, mistakes
-from recon.report.plain import Array, by_name, finite, frame_count, mean, median, number
+from recon.report.plain import Array, by_name, file_name, finite, frame_count, mean, median, number
 from recon.results import MEASURED_SHARE
 from recon.solve import TrajectoryOptions
 from recon.solve.result import Spell, TrajectorySolution
@@ -54,7 +54,7 @@ def sections(motion: Motion, settings: Mapping[str, Any]) -> dict[str, Any]:
         "ground": next((spell["ground"] for spell in spells if spell["ground"] is not None), None),
         "spells": spells,
         "prior": _prior(motion),
-        "detector": motion.body.detector or NO_DETECTOR,
+        "detector": file_name(motion.body.detector) or NO_DETECTOR,
         "alternative": _alternative(solution),
         "stances": by_name([motion.names[foot] for foot in motion.feet], _stances(motion)),
         "heading": _heading(motion),
@@ -104,12 +104,12 @@ def _assumptions(motion: Motion, settings: Mapping[str, Any], size: Mapping[str,
         f"The proportions are those of {size['lengths']!r}, {of_animal}. How large the animal is, a factor on all its "
         f"lengths, distances and speeds, is expected to be 1 with a standard deviation of {size['prior_sigma']:.2g}; "
         f"{_size_told(size)}.",
-        f"Keypoints are taken to lie {_keypoints_lie(motion.body.detector)}.",
+        f"Keypoints are taken to lie {_keypoints_lie(file_name(motion.body.detector))}.",
         "Poses and their changes are expected to be "
         + (
             "as the skeleton's file says, each angle on its own."
             if solution.prior == NONE
-            else f"as in the motions that the prior {solution.prior} was made from."
+            else f"as in the motions that the prior {file_name(solution.prior)} was made from."
         ),
         *common.sentences(motion, settings),
     ]
@@ -200,7 +200,7 @@ def _prior(motion: Motion) -> dict[str, Any]:
     surprises = [spell.surprise for spell in solution.spells if spell.surprise is not None]
     weight = min((spell.prior_weight for spell in solution.spells), default=1.0)
     return {
-        "name": solution.prior,
+        "name": file_name(solution.prior),
         "mean_data_share": mean(solution.data_share),
         "data_share": by_name(motion.names, list(solution.data_share)),
         "surprise": max(surprises, default=None),

@@ -35,13 +35,15 @@ LEAST = 4096
 
 class Case(NamedTuple):
     """arguments: of recon, {out} being the place to write to; out: its name. whole: whether a run that fails leaves
-    nothing, rather than what was finished before. read: raises for something that is broken."""
+    nothing, rather than what was finished before. read: raises for something that is broken. beside: a folder whose
+    files are in {out} before, as links."""
 
     name: str
     arguments: Sequence[object]
     out: str
     whole: bool = True
     read: Callable[[Path], object] = lambda path: None
+    beside: Path | None = None
 
 
 def read_results(out: Path) -> object:
@@ -75,6 +77,11 @@ def read_video(out: Path) -> object:
     frames = sum(1 for _ in read_frames(out))
     assert frames == probe(out).stated_frames
     return frames
+
+
+def read_page(out: Path) -> object:
+    assert (out / "report.html").read_text(encoding="utf-8").rstrip().endswith("</html>")
+    return out
 
 
 def read_summary(out: Path) -> object:
@@ -130,6 +137,17 @@ def cases(folder: Path) -> list[Case]:
             )
             for kind in ("mp4", "avi")
         ),
+        Case(
+            "run",
+            (
+                *("run", folder / "black.avi", "--keypoints", SAMPLES / "whole.csv", *CAMERA, "--frames", "0:8"),
+                *("--fast", "--out", "{out}"),
+            ),
+            "all",
+            False,
+            lambda out: (read_results(out), read_video(out / "overlay.mp4"), read_page(out)),
+        ),
+        Case("report", ("report", "{out}"), "clip", False, read_page, clip),
         Case("overlay sheet", ("overlay", clip, "--sheet", "{out}"), "sheet.png"),
         Case("skeleton draft", ("skeleton", "from-keypoints", SAMPLES / "whole.csv", "--out", "{out}"), "mine.toml"),
         Case("skeleton check", ("skeleton", "check", "cheetah-24", "--out", "{out}"), "pictures", False),
@@ -186,6 +204,10 @@ class Child:
         if then_read:
             case.read(out)
             return 0
+        if case.beside is not None:
+            out.mkdir()
+            for path in case.beside.iterdir():
+                (out / path.name).symlink_to(path)
         if limit is not None:
             resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
         sys.argv = ["recon", *(str(out) if a == "{out}" else str(a) for a in case.arguments)]
@@ -261,7 +283,7 @@ def size_of(case: Case) -> tuple[int, int]:
     with Disk(None) as folder:
         ended = Child(case, folder).wait()
         assert ended[0] == 0, (case.name, ended)
-        sizes = [path.stat().st_size for path in folder.rglob("*") if path.is_file()]
+        sizes = [path.stat().st_size for path in folder.rglob("*") if path.is_file() and not path.is_symlink()]
         return sum(-(-size // 4096) * 4096 for size in sizes), max(sizes)
 
 

@@ -21,7 +21,7 @@ from recon.errors import InputError, Problem
 from recon.files import require_free_folder, staged_file
 from recon.manifest import MANIFEST, read_manifest
 from recon.package import version
-from recon.settings import FitSettings
+from recon.settings import FitSettings, beside
 
 RECORD = "batch.json"
 CRASH_LOG = "crash.log"
@@ -74,9 +74,10 @@ def _planned(clip: Clip, out: Path, overwrite: bool) -> Planned:
     if record is None or (record["state"] == "finished" and not _is_own(out, record)):
         raise InputError(_occupied_problem(out, "results that no batch has made"))
     theirs = record["identity"]
-    same_files = {*record["keypoints"].split(", ")} & {str(path) for path in clip.settings.keypoints}
+    there_before = beside(out, "keypoints", record["keypoints"].split(", "))
+    same_files = {*there_before} & {str(path) for path in clip.settings.keypoints}
     if not same_files and not _keypoints(theirs) & _keypoints(mine):
-        raise InputError(_occupied_problem(out, f"results of {record['keypoints']}"))
+        raise InputError(_occupied_problem(out, f"results of {', '.join(there_before)}"))
     if record["state"] != "finished":
         return Planned(clip, out, "refit", "not finished before", mine)
     if theirs != mine:
@@ -219,7 +220,8 @@ def _write(
     known: Mapping[str, Any],
     results: Mapping[str, Any] | None = None,
 ) -> None:
-    head = {"schema": SCHEMA, "state": state, "run": run, "attempt": attempt, "keypoints": settings.keypoints_text}
+    head = {"schema": SCHEMA, "state": state, "run": run, "attempt": attempt}
+    head["keypoints"] = ", ".join(settings.keypoints_from(out))
     text = json.dumps({**head, "identity": known, **(results or {})}, indent=1)
     with staged_file(out / RECORD) as staged:
         staged.write_text(text + "\n", encoding="utf-8")

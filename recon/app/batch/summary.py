@@ -56,7 +56,7 @@ class Summary:
 
     def __init__(self, plan: Sequence[Planned], out: Path) -> None:
         self.path = out / SUMMARY
-        self.rows: dict[str, dict[str, Any]] = {planned.clip.name: _row(planned) for planned in plan}
+        self.rows: dict[str, dict[str, Any]] = {planned.clip.name: _row(planned, out) for planned in plan}
         self._written_s = -WRITE_EVERY_S
         self._changed = True
 
@@ -97,10 +97,10 @@ def write_summary_page(out: Path) -> Path:
     return page
 
 
-def _row(planned: Planned) -> dict[str, Any]:
+def _row(planned: Planned, out: Path) -> dict[str, Any]:
     row = dict.fromkeys(COLUMNS) | {
         "clip": planned.clip.name,
-        "keypoints": planned.clip.settings.keypoints_text,
+        "keypoints": ", ".join(planned.clip.settings.keypoints_from(out)),
         "cameras": len(planned.clip.settings.keypoints),
         "out": str(planned.out),
         "status": "pending",
