@@ -45,6 +45,8 @@ CLIPS, SEEDS = (1, 2, 4, 8), (0, 1, 2)
 SECTORS, LASTING_M, PASSING_M, PASSING_S, WHITE_PX = 8, 0.03, 0.03, 0.16, 5.0
 """Of simulated detections: how far keypoints lie off along each axis, by which eighth of the animal's sides is seen,
 and in passing, and for how long."""
+LEVEL_RAD = float(np.radians(1.0))
+"""Of cameras that were levelled, or whose tilt and roll were measured."""
 PUT_FRAMES = 6
 """Cameras out of step began so many frames earlier or later, at most."""
 FIELD_M = 1.5
@@ -178,6 +180,18 @@ def causes(runs: Sequence[Run]) -> list[dict]:
     return table
 
 
+def levelled(run: Run, runs: Sequence[Run]) -> dict:
+    """One clip of cameras whose upward directions were measured to a degree."""
+    rng, own = np.random.default_rng(0), [run.views[camera] for camera in cameras_of(run)["all"]]
+    setting, views = without_poses(own, as_seen(body_of(run.subject), run, runs), run.fps), []
+    for bare, view in zip(setting.views, own, strict=True):
+        turn = Rotation.from_rotvec(LEVEL_RAD * rng.normal(size=3)).as_matrix()
+        rotation = turn @ view.T_camera_world[:3, :3]
+        views.append(replace(bare, camera=replace(bare.camera, rotation=rotation, translation_m=np.zeros(3))))
+    rig = solve_extrinsics([replace(setting, views=tuple(views))], level_rad=LEVEL_RAD)
+    return {"run": run.folder.name[:28], **shown(beside(rig, own))}
+
+
 # -- out of step --------------------------------------------------------------------------------------------------
 
 
@@ -287,6 +301,7 @@ def main() -> None:
     real = [[run] for run in runs] + [group for group in groups if len(group) > 1]
     for title, rows in (
         ("Real clips", lambda: [row for clips in real for row in rows_of(clips, runs)]),
+        ("One clip, cameras level to a degree", lambda: [levelled(run, runs) for run in runs]),
         ("The animal's size with the file's cameras", lambda: sizes(runs)),
         ("One clip, other detections", lambda: causes(runs)),
         ("Out of step", lambda: [out_of_step(clips, runs) for clips in real]),

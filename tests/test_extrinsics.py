@@ -59,6 +59,15 @@ def test_two_clips_tell_what_one_does_not():
     assert (both.sigma[1] < one.sigma[1]).all()
 
 
+def test_cameras_that_were_levelled_say_which_way_is_up():
+    """A slope of 5 degrees, which the cameras stand on as well: level to half a degree, they say so."""
+    slope = rigid(euler_rotation([np.radians(5.0), 0, 0]), np.zeros(3))
+    views = [view_of(moved(slope, truth_m()), p, seed=i) for i, p in enumerate((AHEAD, ASIDE))]
+    rig = solve_extrinsics([setting(views)], level_rad=np.radians(0.5))
+    for T, view in zip(rig.T_camera_world, views, strict=True):
+        assert np.degrees(np.arccos(T[:3, 2] @ view.camera.up)) < 0.5
+
+
 def test_cameras_are_placed_beside_those_already_placed(monkeypatch):
     """The first and the third have no frame in common; the second has some with each."""
     poses, points, unseen = [AHEAD, ASIDE, BEHIND], truth_m(), [np.s_[20:], np.r_[0:10, 30:40], np.s_[:20]]

@@ -22,7 +22,7 @@ from recon.files import require_free_file
 from recon.frames import level_from_camera, rigid
 from recon.progress import Progress, silent
 from recon.settings import FitSettings, read_settings
-from recon.solve.extrinsics import TooLittleInCommonError, search_offsets, solve_extrinsics
+from recon.solve.extrinsics import LEVEL_RAD, TooLittleInCommonError, search_offsets, solve_extrinsics
 from recon.solve.setting import Setting
 
 
@@ -83,12 +83,17 @@ def clips_of(
 
 
 def run_extrinsics(
-    clips: Sequence[FitSettings], out: Path, overwrite: bool = False, progress: Progress = silent
+    clips: Sequence[FitSettings],
+    out: Path,
+    overwrite: bool = False,
+    level_rad: float = LEVEL_RAD,
+    progress: Progress = silent,
 ) -> ExtrinsicsRun:
     """`recon calibrate extrinsics`: write `out`, which `recon.calibration.read_cameras` reads.
 
-    Poses in the camera file are read where the clips' settings say that they are refined. Raises InputError, with every
-    problem, for inputs that cannot be used.
+    level_rad: how far cameras are from level, or from the tilt that is said. Poses in the camera file are read where
+    the clips' settings say that they are refined. Raises InputError, with every problem, for inputs that cannot be
+    used.
     """
     given, _ = all_of(
         lambda: all_of(*(lambda clip=clip: _each_alone(clip) for clip in clips)), lambda: _check_out(out, overwrite)
@@ -103,7 +108,7 @@ def run_extrinsics(
     in_step = [_in_step(*of) for of in zip(clips, given, strict=True)]
     settings = [_setting(*of, cameras, poses) for of in zip(clips, given, in_step, strict=True)]
     try:
-        rig = solve_extrinsics(settings, posed, progress)
+        rig = solve_extrinsics(settings, posed, level_rad, progress)
     except TooLittleInCommonError as error:
         expected = "some in which it and another camera see enough of the animal for a pose"
         raise InputError(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -38,6 +39,14 @@ def extrinsics(
         str,
         typer.Option(metavar="auto|PATTERN", help="Which files are one clip, as for recon batch."),
     ] = "auto",
+    level_deg: Annotated[
+        float,
+        typer.Option(
+            min=0.01,
+            max=90,
+            help="How far each camera is from level, or from its tilt, about each axis; 1 with a bubble.",
+        ),
+    ] = 5.0,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the file.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print everything as JSON.")] = False,
 ) -> None:
@@ -55,7 +64,7 @@ def extrinsics(
     for note in notes:
         terminal(stderr=True).print(Text(note, "yellow"), soft_wrap=True)
     with progress_bar(terminal(stderr=True), "solving: ") as progress:
-        run = run_extrinsics(clips, out, overwrite, progress)
+        run = run_extrinsics(clips, out, overwrite, math.radians(level_deg), progress)
     if as_json:
         typer.echo(json.dumps(run.to_dict(), indent=1))
         return

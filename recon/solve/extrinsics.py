@@ -33,8 +33,8 @@ from recon.solve.trajectory import Solved, refined, solve_spells, solve_trajecto
 
 _PLACING_RAD, _PLACING_M = float(np.radians(10.0)), 1.0
 """How far off the first poses are, about each axis and along it."""
-_LEVEL_RAD = float(np.radians(5.0))
-"""How far cameras are from level, or from the tilt that is said, about each axis."""
+LEVEL_RAD = float(np.radians(5.0))
+"""How far cameras are from level, or from the tilt that is said, about each axis, if nobody looked."""
 _HELD, _SIZE_SIGMA, _MIN_FRAMES = 1e-6, 1e-3, 5
 _SEARCHED_S = 1.0
 """How much later or earlier than said a camera may have begun."""
@@ -68,9 +68,12 @@ class Rig:
     """Whether the last step was small."""
 
 
-def solve_extrinsics(settings: Sequence[Setting], posed: bool = False, progress: Progress = silent) -> Rig:
+def solve_extrinsics(
+    settings: Sequence[Setting], posed: bool = False, level_rad: float = LEVEL_RAD, progress: Progress = silent
+) -> Rig:
     """settings: of clips, each with the same V cameras in the same order; one that did not film a clip saw nothing
-    in it. posed: the cameras stand where the views say, but for the options' `placing_rad` and `placing_m`.
+    in it. posed: the cameras stand where the views say, but for the options' `placing_rad` and `placing_m`. level_rad:
+    how far the upward directions of cameras that are not (`Camera.up`) are from the truth, about each axis.
 
     Raises TooLittleInCommonError.
     """
@@ -79,7 +82,6 @@ def solve_extrinsics(settings: Sequence[Setting], posed: bool = False, progress:
     turn_rad, shift_m = (options.placing_rad, options.placing_m) if posed else (_PLACING_RAD, _PLACING_M)
     sigma = np.tile(np.repeat([turn_rad, shift_m], 3), len(settings[0].views))
     sigma[: 6 if posed else 0] = sigma[3:6] = _HELD
-    level_rad = np.inf if posed else _LEVEL_RAD
     with threadpool_limits(1, user_api="blas"):
         if not posed:
             settings = _placed(settings, lambda what, done: progress(what, 0.5 * done))
@@ -87,7 +89,7 @@ def solve_extrinsics(settings: Sequence[Setting], posed: bool = False, progress:
         values, converged, total = np.zeros(len(sigma)), False, np.diag(sigma**-2.0)
         for i in range(ROUNDS):
             progress("all cameras", 0.5 * (1 + i / ROUNDS))
-            total, pull = _level(settings[0].views, level_rad)
+            total, pull = _level(settings[0].views, np.inf if posed else level_rad)
             total, pull = total + np.diag(sigma**-2.0), pull + values / sigma**2
             reduced = [(clip, _reduced(settings[clip], spell)) for clip, spell in spells]
             for clip, one in reduced:
