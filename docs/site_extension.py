@@ -1,7 +1,8 @@
 """What the site needs beside its pages: an extension of Markdown, named in mkdocs.yml.
 
 Formulas become MathML, which browsers show without scripts. A file of the repository that a page holds as a snippet has
-links to docs/: on the page they lead to the pages beside it.
+links to docs/: on the page they lead to the pages beside it. Pages have links to the scripts that they hold as
+snippets, for who reads them where snippets stay empty: here the scripts follow by themselves.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from markdown.postprocessors import Postprocessor
 from markdown.preprocessors import Preprocessor
 
 FORMULA = re.compile(r'<(span|div) class="arithmatex">\\([(\[])(.*?)\\[)\]]</\1>', re.DOTALL)
+SCRIPT = re.compile(r"\[([^]]+)]\(\.\./pipelines/[^)]+\)")
 AFTER_SNIPPETS = 31
 """pymdownx.snippets has 32; the higher comes first."""
 
@@ -27,7 +29,7 @@ class SiteExtension(Extension):
 
 class LinksBeside(Preprocessor):
     def run(self, lines: list[str]) -> list[str]:
-        return [line.replace("](docs/", "](") for line in lines]
+        return [SCRIPT.sub(r"\1", line).replace("](docs/", "](") for line in lines]
 
 
 class Formulas(Postprocessor):

@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import io
+import shutil
 import subprocess
 import sys
 from contextlib import redirect_stderr, redirect_stdout
+from pathlib import Path
 from typing import NamedTuple
 
 import pytest
 
 from recon.cli import main
+from recon.manifest import write_manifest
+from recon.settings import read_settings
 
 
 class Ended(NamedTuple):
@@ -37,3 +41,11 @@ def run_process(*args: object, before: str = "") -> Ended:
     command = [sys.executable, "-W", "error", "-c", f"{before}\nfrom recon.cli import main\nmain()", *map(str, args)]
     done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
     return Ended(done.returncode, done.stdout, done.stderr)
+
+
+def copy_results(results: Path, to: Path) -> Path:
+    """A folder of results elsewhere, which finds what they were made from."""
+    shutil.copytree(results, to)
+    (to / "config.toml").write_text(read_settings(results / "config.toml", {}).to_toml(to), encoding="utf-8")
+    write_manifest(to)
+    return to

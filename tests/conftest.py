@@ -6,7 +6,6 @@ import gc
 import os
 import re
 import shlex
-import shutil
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
@@ -18,7 +17,7 @@ os.environ.update(dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL
 
 import numpy as np
 import pytest
-from command_line import run
+from command_line import copy_results, run
 from motions import with_first
 
 from recon.app import analyse
@@ -27,12 +26,11 @@ from recon.camera import Camera
 from recon.clip import Source, camera_poses, still_view, views_of
 from recon.frames import inverse, moved
 from recon.keypoints import Keypoints, clean
-from recon.manifest import write_manifest
 from recon.motion import Motion
 from recon.plots import style
 from recon.published import FrameOptions, solve_frames
 from recon.published.starts import mean_pose
-from recon.settings import FitSettings, read_settings
+from recon.settings import FitSettings
 from recon.skeleton_file import load_chain, load_skeleton
 from recon.solve import Ground, Spell, Start, TrajectorySolution
 
@@ -121,10 +119,7 @@ def of_results(made_once, whole_results) -> Callable[[str], tuple[str, Path]]:
 
     def once(command: str) -> tuple[str, Path]:
         def make(folder: Path) -> None:
-            clip = shutil.copytree(whole_results, folder / "results" / "clip")
-            settings = read_settings(whole_results / "config.toml", {})  # what it names lies elsewhere from there
-            (clip / "config.toml").write_text(settings.to_toml(clip), encoding="utf-8")
-            write_manifest(clip)
+            copy_results(whole_results, folder / "results" / "clip")
             with pytest.MonkeyPatch.context() as patch:
                 draw_small(patch)
                 patch.setattr(analyse, "figures_of", lambda found: dict.fromkeys(figures_of(found), empty_figure))

@@ -25,7 +25,7 @@ from urllib.parse import unquote, urlsplit
 
 import pytest
 import typer
-from command_line import run
+from command_line import copy_results, run
 from conftest import draw_small
 from docs_files import FILES, OF_PAGE
 
@@ -125,7 +125,7 @@ class Workshop:
                 path.parent.mkdir(parents=True, exist_ok=True)
                 make(path)
         if re.search(r"(?<!--out )\bresults/clip\b", text) and not (self.folder / "results" / "clip").exists():
-            shutil.copytree(self.results, self.folder / "results" / "clip")
+            copy_results(self.results, self.folder / "results" / "clip")
 
     def shell(self, command: str) -> str:
         """What it prints."""

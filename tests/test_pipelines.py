@@ -154,8 +154,10 @@ def test_video_to_3d(said, folder, monkeypatch):
 
 def test_all_of_it_is_on_the_page():
     """By reference, so that it cannot be out of date."""
-    shown = re.findall(r'--8<-- "(pipelines/.*)"', (ROOT / "docs" / "pipelines.md").read_text(encoding="utf-8"))
+    page = (ROOT / "docs" / "pipelines.md").read_text(encoding="utf-8")
+    shown = re.findall(r'--8<-- "(pipelines/.*)"', page)
     assert sorted(shown) == sorted(str(path.relative_to(ROOT)) for path in PIPELINES.iterdir() if path.is_file())
+    assert sorted(re.findall(r"]\(\.\./(pipelines/[^)]+)\)", page)) == sorted(shown)  # for who reads it unbuilt
 
 
 # -- what they are -------------------------------------------------------------------------------------------------
