@@ -104,6 +104,7 @@ def _segment_problems(path: Path, names: list[str], coords: list[str], rows: lis
             yield Problem(path, f"line {line}, frame", f"'{row[1]}'", expected)
         else:
             last[row[0]] = frame
-        for i in numbers(row[2:])[1]:
-            where = f"line {line}, column {names[i + 2]}/{coords[i + 2]}"
-            yield Problem(path, where, f"'{row[i + 2]}'", "a number or an empty cell")
+        cells = list(zip(names[2:], coords[2:], row[2:], strict=False))
+        for i in numbers(cell for _, _, cell in cells)[1]:
+            name, coord, cell = cells[i]
+            yield Problem(path, f"line {line}, column {name}/{coord}", f"'{cell}'", "a number or an empty cell")
