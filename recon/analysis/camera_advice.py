@@ -32,6 +32,8 @@ STRIDES_HZ, LENGTHS_S = 3.0, 5.0
 AWAY_LENGTHS = 4.0
 """Distance of the camera by default, in lengths of the animal."""
 PICTURE_PX = (1920, 1080)
+SAME = 1e-6
+"""Relative difference of deviations that are equal but for rounding."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,8 +58,9 @@ class Advice:
 
     @property
     def best(self) -> tuple[int, int]:
-        """Of the least deviation: indices of elevation and azimuth."""
-        row, column = np.unravel_index(int(np.argmin(self.sigma)), self.sigma.shape)
+        """Of the least deviation: indices of elevation and azimuth. Of places that are equally good, as both sides of
+        an animal can be, the first."""
+        row, column = np.argwhere(self.sigma <= (1 + SAME) * self.sigma.min())[0]
         return int(row), int(column)
 
     @property
