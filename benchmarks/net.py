@@ -1,6 +1,8 @@
-"""The keypoint network: the rendered sample through the whole circle, speed of prediction, and a labelled real video.
+"""The keypoint network: the rendered sample through the whole circle, the same animal large, speed of prediction, and a
+labelled real video.
 
     python benchmarks/net.py circle [--minutes 15 | --steps N]
+    python benchmarks/net.py large [--minutes 15 | --steps N] [--seeds 0 1 2]
     python benchmarks/net.py speed [--model DIR]
     python benchmarks/net.py horse [--minutes 15 | --steps N] [--seeds 0 1 2] [--random-half]
 
@@ -24,6 +26,7 @@ import cv2
 import numpy as np
 from markdown_table import print_header, print_row
 from net_circle import run_circle
+from net_large import run_large, write_large_film
 
 from recon.app.net import LabelSource, run_prediction, run_training
 from recon.net.evaluate2d import Evaluation2D, evaluate_2d_files
@@ -31,7 +34,7 @@ from recon.net.labels import read_label_file
 from recon.net.model import build_network
 from recon.net.predict import predict_video
 from recon.net.run import TrainSettings
-from recon.net.torch_extra import choose_device, fast_half, require_torch, use_threads
+from recon.net.torch_extra import choose_device, fast_half, require_torch
 from recon.net.trained import CHANNELS, Spec, Trained, load_model, prepared
 from recon.video import video_writer
 
@@ -41,20 +44,20 @@ FIRST = 50
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("what", choices=("circle", "speed", "horse"))
+    parser.add_argument("what", choices=("circle", "large", "speed", "horse"))
     parser.add_argument("--minutes", type=float, default=15.0)
     parser.add_argument("--steps", type=int)
     parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2])
     parser.add_argument("--random-half", action="store_true")
     parser.add_argument("--model", type=Path)
     parser.add_argument("--device", default="auto")
-    parser.add_argument("--threads", type=int, default=2)
+    parser.add_argument("--threads", type=int, help="on the CPU (default: those that are fastest)")
     parser.add_argument("--out", type=Path, help="where the networks go (default: a folder that is removed)")
     args = parser.parse_args()
     require_torch()
     with tempfile.TemporaryDirectory() as temporary:
         out = args.out or Path(temporary)
-        {"circle": circle, "speed": speed, "horse": horse}[args.what](args, out)
+        {"circle": circle, "large": large, "speed": speed, "horse": horse}[args.what](args, out)
 
 
 def settings(args: argparse.Namespace, seed: int) -> TrainSettings:
@@ -73,13 +76,28 @@ def circle(args: argparse.Namespace, out: Path) -> None:
         ))  # fmt: skip
 
 
+def large(args: argparse.Namespace, out: Path) -> None:
+    """Processor times are those of the whole process: training, and its report."""
+    write_large_film(out)
+    print_header(("seed", "quality", "steps", "s", "processor, s", "median, px", "PCK@2.5/5/10px", "ECE"))
+    for seed in args.seeds:
+        before = time.process_time()
+        report, scores = run_large(out, out / f"large{seed}", settings(args, seed), args.device, args.threads)
+        used = time.process_time() - before
+        for quality, found in scores.items():
+            assert found.reliability is not None
+            print_row((
+                seed, quality, report["steps"], round(report["seconds"]), round(used), f"{found.all.median_px:.2f}",
+                "/".join(f"{share:.2f}" for share in found.all.pck_px), f"{found.reliability.error:.3f}",
+            ))  # fmt: skip
+
+
 def speed(args: argparse.Namespace, out: Path) -> None:
     """Frames a second, decoding included, and the most memory that a process takes for videos of two lengths.
 
     With the weights of a network or random ones, which are as fast; pictures are not scaled then.
     """
     device = choose_device(args.device)
-    use_threads(args.threads)
     trained = _network(args.model, args.device)
     print_header(("video", "type", "frames/s"))
     for size, frames in (((288, 162), 900), ((640, 360), 300)):
@@ -87,7 +105,7 @@ def speed(args: argparse.Namespace, out: Path) -> None:
         _noise_video(video, size, frames)
         for half in (False, True) if fast_half(device) else (False,):
             start = time.perf_counter()
-            predict_video(trained, video, half=half)
+            predict_video(trained, video, half=half, threads=args.threads)
             rate = frames / (time.perf_counter() - start)
             print_row((f"{size[0]}x{size[1]}", "16 bits" if half else "float32", f"{rate:.0f}"))
     print()
@@ -115,11 +133,10 @@ def _noise_video(path: Path, size_px: tuple[int, int], frames: int) -> None:
             write(np.roll(scene, n % 7, axis=1))
 
 
-def _most_memory(model: Path | None, device: str, threads: int, video: Path) -> float:
+def _most_memory(model: Path | None, device: str, threads: int | None, video: Path) -> float:
     import resource
 
-    use_threads(threads)
-    predict_video(_network(model, device), video)
+    predict_video(_network(model, device), video, threads=threads)
     most = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     return most / (2**20 if sys.platform == "darwin" else 2**10)
 

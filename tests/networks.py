@@ -10,10 +10,13 @@ EVALUATIONS = 3
 
 
 def narrow_networks(patch: pytest.MonkeyPatch) -> None:
-    """Networks as deep as those of users, but narrow, and judged three times in a run."""
-    from recon.net import model, run, train, trained
+    """Networks as deep as those of users, but narrow, judged three times in a run, and the same on every machine."""
+    from recon.net import model, predict, train, trained
 
     narrow = partial(model.build_network, widths=(4, 8, 12, 16, 16), head=8)
-    for module in (run, trained):
+    patch.setattr(model, "SECOND_WIDTHS", (4, 8, 12, 16))
+    for module in (model, trained):
         patch.setattr(module, "build_network", narrow)
     patch.setattr(train, "EVALUATIONS", EVALUATIONS)
+    for module in (train, predict):
+        patch.setattr(module, "fast_half", lambda device: None)

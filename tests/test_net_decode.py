@@ -9,7 +9,7 @@ import pytest
 
 torch = pytest.importorskip("torch")
 
-from recon.net.decode import decode, loss, probabilities, targets  # noqa: E402
+from recon.net.decode import Window, decode, loss, probabilities, targets, variance  # noqa: E402
 from recon.net.model import build_network, count_parameters  # noqa: E402
 
 
@@ -92,3 +92,35 @@ def test_any_number_of_keypoints_and_any_size_go_through(keypoints, height, widt
 @pytest.mark.parametrize("keypoints", [1, 22, 200])
 def test_the_network_is_small(keypoints):
     assert count_parameters(build_network(keypoints, 6)) <= 3_000_000
+
+
+def test_a_broad_probability_is_less_sure_of_its_point():
+    xy = np.array([[12.0, 12.0]])
+    found = []
+    for sigma in (0.9, 1.2, 1.5):
+        probability = probabilities(gaussian_scores(xy, (24, 26), sigma))
+        found.append(float(variance(probability, decode(probability, 1.0)[0])))
+    np.testing.assert_allclose(found, [0.15**2 + sigma**2 - 0.9**2 for sigma in (0.9, 1.2, 1.5)], rtol=0.1)
+    probability[0, 0] *= 0.5
+    probability[0, 0, 0, 25] += 0.5  # somewhere else
+    assert float(variance(probability, torch.tensor([[[12.0, 12.0]]]))) == pytest.approx(
+        0.5 * (found[2] - 0.8) + 4, rel=0.05
+    )
+
+
+def test_a_window_leaves_out_what_is_elsewhere():
+    scores = gaussian_scores(np.array([[6.0, 6.0], [6.0, 6.0]]), (16, 30), 1.0)
+    scores[0, :, 12, 24] = 50.0  # far likelier, and outside
+    window = Window(torch.tensor([[[8.0, 5.0], [math.nan, math.nan]]]), 4.0)
+    probability = probabilities(scores, window)
+    xy, _ = decode(probability, 1.0)
+    np.testing.assert_allclose(xy[0, 0].numpy(), [6, 6], atol=0.05)
+    assert float(probability[0, 0, 12, 24]) == 0
+    label = torch.tensor([[[6.2, 6.0], [math.nan, math.nan]]])
+    assert float(loss(scores, label, 1.0, window)) < 3 < float(loss(scores, label, 1.0))
+    inside = scores.clone().requires_grad_()
+    loss(inside, label, 1.0, window).backward()
+    assert inside.grad is not None
+    assert torch.isfinite(inside.grad).all()
+    assert inside.grad[0, 0, 12, 24] == 0
+    assert (inside.grad[0, 1] == 0).all()

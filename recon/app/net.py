@@ -15,7 +15,7 @@ from recon.net.predict import predict_video
 from recon.net.report import write_training_report
 from recon.net.run import CHECKPOINT_FILE, TrainSettings, prepare
 from recon.net.split import parse_choice, split_labels
-from recon.net.torch_extra import choose_device, require_torch, use_threads
+from recon.net.torch_extra import choose_device, require_torch
 from recon.net.train import train
 from recon.net.trained import MODEL_FILE, VIEWS, load_model
 from recon.progress import Progress, silent
@@ -65,11 +65,10 @@ def run_training(
         lambda: parse_choice(source.test, "--test"),
         lambda: _check_folder(out, resume, overwrite),
     )
-    use_threads(threads)
     run = prepare(labels, split_labels(labels, validation, test, settings.seed), settings, chosen)
     with sole_writer(out):
         _check_folder(out, resume, overwrite)
-        state = train(run, out, resume, progress)
+        state = train(run, out, resume, threads, progress)
         progress("report", 1.0)
         with staged_folder(out) as staging:
             return write_training_report(run, state, staging)
@@ -99,7 +98,6 @@ def run_prediction(
         lambda: _check_overlay(overlay, overwrite, video),
         lambda: _check_quality(quality),
     )
-    use_threads(threads)
     trained = load_model(model, chosen)
     keypoints = predict_video(
         trained,
@@ -110,6 +108,7 @@ def run_prediction(
         overlay=overlay,
         likelihood_min=likelihood_min,
         partial=partial,
+        threads=threads,
         progress=progress,
     )
     with staged_file(out) as staged:

@@ -40,7 +40,7 @@ def predict(
         bool, typer.Option("--half/--no-half", help="Compute in 16 bits where the device is faster with them.")
     ] = True,
     device: Annotated[str, typer.Option(help="auto, cpu, cuda or mps.")] = "auto",
-    threads: Annotated[int | None, typer.Option(help="Threads on the CPU. (default: all cores)")] = None,
+    threads: Annotated[int | None, typer.Option(help="Threads on the CPU. (default: the fastest)")] = None,
     partial: Annotated[
         bool, typer.Option("--partial", help="Accept a video of which fewer frames can be decoded than it states.")
     ] = False,

@@ -73,7 +73,7 @@ def train(
         ),
     ] = True,
     device: Annotated[str, typer.Option(help="auto, cpu, cuda or mps.")] = "auto",
-    threads: Annotated[int | None, typer.Option(help="Threads on the CPU. (default: all cores)")] = None,
+    threads: Annotated[int | None, typer.Option(help="Threads on the CPU. (default: the fastest)")] = None,
     resume: Annotated[bool, typer.Option("--resume", help="Go on from the checkpoint in DIR.")] = False,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Begin again in a DIR that has a network.")] = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print errors only.")] = False,
@@ -120,13 +120,16 @@ def train(
 def _summary(report: dict[str, Any], out: Path) -> Iterator[str]:
     early = ", stopped early" if report["stopped_early"] else ""
     yield f"{report['steps']} steps in {report['seconds']:.0f} s on {report['device']}{early}."
+    if report["device"] == "cpu":
+        timed = ", ".join(f"{1000 * s:.0f} ms with {n}" for n, s in report["step_s_by_threads"].items())
+        yield f"Threads: {report['threads']}{timed and f' (a step took {timed})'}; --threads chooses others."
     best = report["best_validation"]
     if best:
         yield f"Validation pictures, before any was learned from: median error {best['median_px']:.2f} px at best."
         if best["median_px"] > 2 * report["tolerance_px"]:
             yield (
                 f"That is too far off to be of use: a point counts as right within {report['tolerance_px']:.1f} px. "
-                "Train longer (--minutes), with --threads 1 where the machine is busy, or label more."
+                "Train longer (--minutes), or label more."
             )
     if "test" in report["errors"]:
         score = report["errors"]["test"]["all"]

@@ -55,6 +55,8 @@ class Example:
     """(K, 2), NaN where not labelled."""
     length_px: float
     """Of the animal."""
+    part: bool = False
+    """Whether pictures are made of what is around one of its points, rather than of all of it."""
 
 
 def augment(
@@ -104,10 +106,12 @@ def motion_blur(picture: Image, length_px: float, angle_rad: float) -> Image:
 def _affine(
     example: Example, size_px: tuple[int, int], options: Augmentation, mirrored: bool, rng: np.random.Generator
 ) -> Array:
-    """(2, 3): the animal's middle to anywhere in the new picture but its edges."""
+    """(2, 3): the animal's middle, or one of its points, to anywhere in the new picture but its edges."""
     known = example.xy_px[known_points(example.xy_px)]
     height, width = example.picture.shape[:2]
     centre = 0.5 * (known.min(axis=0) + known.max(axis=0)) if len(known) else rng.uniform(0, [width, height])
+    if example.part and len(known):
+        centre = known[rng.integers(len(known))]
     scale = math.exp(rng.uniform(*np.log(options.scale)))
     stretch = math.exp(rng.uniform(-options.stretch, options.stretch))
     turn = math.radians(rng.normal(0, options.rotation_deg / 2))

@@ -14,11 +14,13 @@ import cv2
 import numpy as np
 
 from recon.arrays import Array, Integers
-from recon.net.labels import Labels, known_points, resize
+from recon.net.labels import Labels, known_points, resize, scaled_size
 from recon.video import Image, probe, read_frames
 
 LEAST_PICTURES = 8
 MOST_PICTURES = 60
+MOST_BYTES = 2**28
+"""Of those that are held at a time of a video."""
 STILL_LEVELS = 12.0
 """Grey levels by which most of a picture differs at most from the background where the camera is still."""
 STILL_SHARE = 0.6
@@ -51,9 +53,11 @@ def backgrounds(labels: Labels, apart: Integers) -> tuple[Image | None, ...]:
 
 def background_of_video(video: Path, scale: float) -> Image | None:
     """From pictures spread over the frames that the video states, at the network's scale. Few are held at a time."""
-    stated = probe(video).stated_frames or MOST_PICTURES
-    step = max(1, stated // MOST_PICTURES)
-    pictures = [resize(picture, scale) for _, picture in read_frames(video, 0, step * MOST_PICTURES, step)]
+    info = probe(video)
+    width, height = scaled_size(info.size_px, scale)
+    most = int(np.clip(MOST_BYTES // (3 * width * height), LEAST_PICTURES, MOST_PICTURES))
+    step = max(1, (info.stated_frames or MOST_PICTURES) // most)
+    pictures = [resize(picture, scale) for _, picture in read_frames(video, 0, step * most, step)]
     return background_of(pictures)
 
 

@@ -9,19 +9,53 @@ is what the network is trained on. The raw likelihood is the probability within 
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     import torch  # pyright: ignore[reportMissingImports]
 
+SIGMA = 0.9
+"""Of the Gaussian that the network is to give, in places of the grid."""
+LEAST_SIGMA = 0.15
+"""Standard deviation of a point in places, if the probability is no broader than that."""
 BLUR = 0.8
 """Standard deviation, in places of the grid."""
+FAR = 4.0
 _REACH = 3
 
 
-def probabilities(scores: torch.Tensor) -> torch.Tensor:
+@dataclass(frozen=True)
+class Window:
+    """Where each keypoint may be: within `reach` of `near` (B, K, 2), in places of the grid."""
+
+    near: torch.Tensor
+    reach: float
+
+    def mask(self, size: torch.Size | tuple[int, int]) -> torch.Tensor:
+        """(B, K, h, w): which places are in it; none for a keypoint that is NaN."""
+        return distance2(self.near, size) <= self.reach**2
+
+
+def distance2(xy: torch.Tensor, size: torch.Size | tuple[int, int]) -> torch.Tensor:
+    """(B, K, h, w): squared distance of each place from points (B, K, 2)."""
+    import torch  # pyright: ignore[reportMissingImports]
+
+    rows, columns = (torch.arange(n, dtype=torch.float32, device=xy.device) for n in size)
+    across, down = (columns - xy[..., :1]) ** 2, (rows - xy[..., 1:]) ** 2
+    return down[..., :, None] + across[..., None, :]
+
+
+NOWHERE = -1e4
+"""Score of places outside of the window."""
+
+
+def probabilities(scores: torch.Tensor, window: Window | None = None) -> torch.Tensor:
     """(B, K, h, w), float32, each keypoint's grid adding up to 1."""
-    return scores.float().flatten(2).softmax(dim=2).view(scores.shape)
+    scores = scores.float()
+    if window is not None:
+        scores = scores.masked_fill(~window.mask(scores.shape[2:]), NOWHERE)
+    return scores.flatten(2).softmax(dim=2).view(scores.shape)
 
 
 def decode(probability: torch.Tensor, tolerance: float) -> tuple[torch.Tensor, torch.Tensor]:
@@ -61,6 +95,13 @@ def decode(probability: torch.Tensor, tolerance: float) -> tuple[torch.Tensor, t
     return torch.stack([x, y], dim=1).view(b, k, 2), within.clamp(0, 1).view(b, k)
 
 
+def variance(probability: torch.Tensor, xy: torch.Tensor) -> torch.Tensor:
+    """(B, K), in places squared, along each axis, of points (B, K, 2): how much broader the probability (B, K, h, w) is
+    around them than the Gaussian that the network is to give. What is far away counts as at `FAR`."""
+    spread = 0.5 * (probability * distance2(xy, probability.shape[2:]).clamp(max=FAR**2)).sum(dim=(2, 3))
+    return (spread - SIGMA**2).clamp_min(0) + LEAST_SIGMA**2
+
+
 def targets(xy: torch.Tensor, size: tuple[int, int], sigma: float) -> torch.Tensor:
     """Gaussians (B, K, h, w) around points (B, K, 2) in places of the grid, each adding up to 1. A point that is NaN
     gives NaN, to be masked."""
@@ -74,14 +115,20 @@ def targets(xy: torch.Tensor, size: tuple[int, int], sigma: float) -> torch.Tens
     return down[..., :, None] * across[..., None, :]
 
 
-def loss(scores: torch.Tensor, xy: torch.Tensor, sigma: float) -> torch.Tensor:
+def loss(scores: torch.Tensor, xy: torch.Tensor, sigma: float, window: Window | None = None) -> torch.Tensor:
     """Mean cross-entropy over the points that are labelled: those of xy (B, K, 2), in places of the grid, that are not
-    NaN. 0 where there is none."""
+    NaN; inside of the window, if there is one. 0 where there is none."""
     import torch  # pyright: ignore[reportMissingImports]
 
     labelled = torch.isfinite(xy).all(dim=2)
     known = torch.where(labelled[..., None], xy, torch.zeros_like(xy))
     aim = targets(known, (scores.shape[2], scores.shape[3]), sigma)
-    log = scores.float().flatten(2).log_softmax(dim=2)
+    scores = scores.float()
+    if window is not None:
+        mask = window.mask(scores.shape[2:])
+        aim = aim * mask
+        aim = aim / aim.sum(dim=(2, 3), keepdim=True).clamp_min(1e-6)
+        scores = scores.masked_fill(~mask, NOWHERE)
+    log = scores.flatten(2).log_softmax(dim=2)
     each = -(aim.flatten(2) * log).sum(dim=2)
     return (each * labelled).sum() / labelled.sum().clamp_min(1)

@@ -22,6 +22,8 @@ WIDTHS = (16, 32, 64, 128, 192)
 BLOCKS = (0, 1, 2, 2, 2)
 """Residual blocks there."""
 HEAD = 48
+SECOND_WIDTHS, SECOND_BLOCKS = (16, 32, 64, 96), (0, 1, 2, 2)
+"""Of the second stage, which sees parts of a large animal at full size: less context, and less work."""
 
 
 def build_network(
@@ -72,6 +74,18 @@ def build_network(
             return self.scores(x)
 
     return Network()
+
+
+def build_stages(keypoints: int, channels: int) -> torch.nn.Module:
+    """Two networks, `first` for the whole animal and `second` for its parts at full size."""
+    first = build_network(keypoints, channels)
+    second = build_network(keypoints, channels, widths=SECOND_WIDTHS, blocks=SECOND_BLOCKS)
+    return require_torch().nn.ModuleDict({"first": first, "second": second})
+
+
+def stages(network: torch.nn.Module) -> tuple[torch.nn.Module, ...]:
+    """Those of `build_stages`, or the one that there is."""
+    return tuple(network.children()) if isinstance(network, require_torch().nn.ModuleDict) else (network,)
 
 
 def count_parameters(network: torch.nn.Module) -> int:

@@ -7,9 +7,10 @@ from __future__ import annotations
 
 import queue
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass
+from functools import partial as partial_of
 from pathlib import Path
 
 import cv2
@@ -21,7 +22,7 @@ from recon.keypoints import Keypoints
 from recon.net.background import background_of_video
 from recon.net.draw import draw_points
 from recon.net.labels import resize
-from recon.net.torch_extra import fast_half
+from recon.net.torch_extra import fast_half, fastest_threads, use_threads
 from recon.net.trained import Trained
 from recon.progress import Progress, silent
 from recon.video import Image, VideoInfo, probe, read_frames, video_writer
@@ -30,6 +31,8 @@ PIXELS = 2**20
 """Of a batch, at the network's scale."""
 WAITING = 2
 """Batches that are decoded ahead."""
+TO_TIME = 12
+"""Batches of a video from which on it is worth the time to see how many threads are fastest."""
 LOST_SHARE, LOST_FRAMES = 0.01, 3
 """So many frames fewer than the video states are its count's fault; more are the video's."""
 
@@ -55,12 +58,14 @@ def predict_video(
     overlay: Path | None = None,
     likelihood_min: float = 0.5,
     partial: bool = False,
+    threads: int | None = None,
     progress: Progress = silent,
 ) -> Keypoints:
     """Every frame's points as the network sees them, without smoothing, with calibrated likelihoods.
 
     overlay: a new video with the points drawn, those less likely than likelihood_min small and pale. partial: whether
-    a video that ends before its stated end is good enough. Raises InputError.
+    a video that ends before its stated end is good enough. threads: for the CPU; None: as many as are fastest for the
+    first frames of a long video, one for a short one. Raises InputError.
     """
     info = probe(video)
     spec = trained.spec
@@ -77,7 +82,10 @@ def predict_video(
             even = (info.size_px[0] // 2 * 2, info.size_px[1] // 2 * 2)
             write = stack.enter_context(video_writer(overlay, even, info.fps or 30.0))
         for chunk in chunks(video, info, spec.scale, keep=write is not None):
-            xy, raw = trained.points(chunk.pictures, background, quality, precision)
+            points = partial_of(trained.points, chunk.pictures, background, quality, precision)
+            if not numbers:
+                _choose_threads(threads, points, total / len(chunk.numbers), trained.device.type == "cpu")
+            xy, raw = points()
             sure = spec.likelihood(raw, quality)
             numbers += chunk.numbers
             xy_px.append(xy.astype(np.float32))
@@ -143,6 +151,14 @@ def chunks(video: Path, info: VideoInfo, scale: float, keep: bool) -> Iterator[C
     finally:
         given_up.set()
         thread.join()
+
+
+def _choose_threads(given: int | None, work: Callable[[], object], times: float, on_cpu: bool) -> None:
+    """times: how often the work will be done, about."""
+    if given or not on_cpu or times < TO_TIME:
+        use_threads(given or (1 if on_cpu else None))
+    else:
+        fastest_threads(work)
 
 
 def _check_count(video: Path, info: VideoInfo, decoded: int, partial: bool) -> None:

@@ -51,6 +51,8 @@ def write_training_report(run: TrainingRun, state: State, folder: Path) -> dict[
         "recon": __version__,
         "torch": str(require_torch().__version__),
         "device": str(run.device),
+        "threads": state.threads,
+        "step_s_by_threads": state.threads_s,
         "source": run.labels.source,
         "keypoints": list(spec.names),
         "mirror_partners": {
@@ -58,7 +60,8 @@ def write_training_report(run: TrainingRun, state: State, folder: Path) -> dict[
         },
         "parameters": count_parameters(state.network),
         "scale": spec.scale,
-        "training_picture_px": list(crop_size(run.scaled)),
+        "first_stage_scale": spec.first,
+        "training_picture_px": list(crop_size(run.scaled, spec.first)),
         "body_length_px": spec.body_length_px,
         "tolerance_px": spec.tolerance_px,
         "still_background": [b is not None for b in run.still],

@@ -17,13 +17,12 @@ from recon.errors import InputError, Problem
 from recon.files import staged_file, write_bytes
 from recon.net.augment import Augmentation
 from recon.net.background import backgrounds
-from recon.net.batches import network_scale
+from recon.net.batches import network_scales
 from recon.net.calibrate import LikelihoodCalibration
 from recon.net.labels import Labels, body_length_px, sides
-from recon.net.model import build_network
 from recon.net.split import Split
 from recon.net.torch_extra import placed, require_torch
-from recon.net.trained import CHANNELS, Spec, load_file
+from recon.net.trained import Spec, load_file, new_network
 from recon.report import to_plain
 from recon.video import Image
 
@@ -97,6 +96,10 @@ class State:
     judged: dict[str, tuple[Array, Bools]] = field(default_factory=dict)
     """By quality: of the labelled validation points, calibrated likelihoods, and which of them are right."""
     history: list[dict[str, float]] = field(default_factory=list)
+    threads: int = 0
+    """With which it computes on the CPU; 0 where none were chosen yet."""
+    threads_s: dict[int, float] = field(default_factory=dict)
+    """Seconds of a step by number of threads, where they were chosen by that."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,11 +117,11 @@ class TrainingRun:
 
 def prepare(labels: Labels, split: Split, settings: TrainSettings, device: torch.device) -> TrainingRun:
     known = np.concatenate([split.train, split.validation])
-    scale = network_scale(labels.xy_px[known])
+    scale, first = network_scales(labels.xy_px[known])
     length = body_length_px(labels.xy_px[known])
     length = length if np.isfinite(length) else 100.0
     partner = sides(labels.names)
-    spec = Spec(labels.names, scale, float(length), float(TOLERANCE * length), partner, settings.mirror, {})
+    spec = Spec(labels.names, scale, float(length), float(TOLERANCE * length), partner, settings.mirror, {}, first)
     scaled = labels.scaled(scale)
     still = backgrounds(scaled, split.test) if settings.still_background else (None,) * len(labels.clips)
     return TrainingRun(settings, spec, labels, scaled, split, still, device)
@@ -128,7 +131,7 @@ def begin(run: TrainingRun) -> State:
     torch = require_torch()
     with torch.random.fork_rng():
         torch.manual_seed(run.settings.seed)
-        network = build_network(len(run.spec.names), CHANNELS)
+        network = new_network(run.spec)
     network = placed(network, run.device)
     return State(network, copy.deepcopy(network).requires_grad_(False), _optimizer(network, run.settings))
 
@@ -165,7 +168,7 @@ def save_checkpoint(state: State, run: TrainingRun, out: Path) -> None:
 
 
 _PLAIN = ("step", "share", "seconds", "finishing", "best_error_px", "best_step", "since_best", "stopped_early",
-          "skipped")  # fmt: skip
+          "skipped", "threads", "threads_s")  # fmt: skip
 
 
 def resumed(run: TrainingRun, out: Path) -> State:
@@ -187,6 +190,9 @@ def resumed(run: TrainingRun, out: Path) -> State:
     if problems:
         raise InputError(problems)
     state = begin(run)
+    if content["network"].keys() != state.network.state_dict().keys():
+        expected = "one of this version of recon; --overwrite begins again"
+        raise InputError(Problem(path, "network", "one that another version began", expected))
     state.network.load_state_dict(content["network"])
     state.average.load_state_dict(content["average"])
     state.optimizer.load_state_dict(content["optimizer"])
@@ -198,6 +204,6 @@ def resumed(run: TrainingRun, out: Path) -> State:
         quality: (np.array(likelihood, float), np.array(right, bool))
         for quality, (likelihood, right) in content["judged"].items()
     }
-    for name in _PLAIN:
+    for name in content.keys() & set(_PLAIN):
         setattr(state, name, content[name])
     return state

@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+import math
 import os
+import time
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from recon.errors import InputError, Problem
 from recon.package import install_command
@@ -11,6 +16,10 @@ from recon.package import install_command
 if TYPE_CHECKING:
     import torch  # pyright: ignore[reportMissingImports]
 
+TIMED = 3
+"""Times that work is done with each number of threads, to time it."""
+SLOWER = 1.2
+"""From which on more threads are not tried, either."""
 DEVICES = ("auto", "cpu", "cuda", "mps")
 
 
@@ -38,11 +47,35 @@ def choose_device(name: str) -> torch.device:
     return torch.device(name)
 
 
-def use_threads(count: int | None) -> int:
+def use_threads(count: int | None) -> None:
     """Threads for the CPU: as given, or as many as this process may use. The number is part of what a run repeats."""
+    require_torch().set_num_threads(count or available_cores())
+
+
+def fastest_threads(work: Callable[[], object]) -> dict[int, float]:
+    """Sets the number of threads with which the work is fastest now: 1, 2, 4 and so on, up to all cores. Seconds by
+    number, the fastest first. Beside other work, all cores can be many times slower than one: each waits for the last.
+
+    The work is done four times with each number, the first of them to warm up; where it gets slower, no more are tried.
+    """
     torch = require_torch()
-    torch.set_num_threads(count or available_cores())
-    return torch.get_num_threads()
+    cores, took = available_cores(), {}
+    for count in [*(n for n in (2**i for i in range(16)) if n < cores), cores]:
+        torch.set_num_threads(count)
+        best = min(took.values(), default=math.inf)
+        times = []
+        for _ in range(1 + TIMED):
+            start = time.perf_counter()
+            work()
+            times.append(time.perf_counter() - start)
+            if times[-1] > 2 * best and len(times) > 1:
+                break
+        took[count] = float(np.median(times[1:]))
+        if took[count] > SLOWER * best:
+            break
+    took = dict(sorted(took.items(), key=lambda item: item[1]))
+    torch.set_num_threads(next(iter(took)))
+    return took
 
 
 def available_cores() -> int:
@@ -56,8 +89,9 @@ def fast_half(device: torch.device) -> Any:
     torch = require_torch()
     if device.type == "cuda":
         return torch.bfloat16 if torch.cuda.is_bf16_supported() else None
-    if device.type == "cpu" and getattr(torch.cpu, "_is_amx_tile_supported", lambda: False)():
-        return torch.bfloat16
+    if device.type == "cpu":
+        has = (getattr(torch.cpu, f"_is_{unit}_supported", lambda: False)() for unit in ("amx_tile", "avx512_bf16"))
+        return torch.bfloat16 if any(has) else None
     return None
 
 

@@ -21,13 +21,23 @@ from typing import Any
 import numpy as np
 
 from recon.arrays import Array, Integers
-from recon.net.batches import Batch, BatchSource, ahead, crop_size, examples_of
+from recon.net.batches import (
+    NETWORK_LENGTH_PX,
+    OFF,
+    PART_PX,
+    Batch,
+    BatchSource,
+    ahead,
+    crop_size,
+    examples_of,
+)
 from recon.net.calibrate import fit_calibration
-from recon.net.decode import loss
-from recon.net.model import STRIDE
+from recon.net.decode import SIGMA, Window, loss
+from recon.net.labels import resize
+from recon.net.model import STRIDE, stages
 from recon.net.run import State, TrainingRun, TrainSettings, begin, resumed, save_checkpoint
-from recon.net.torch_extra import fast_half, require_torch
-from recon.net.trained import MODEL_FILE, VIEWS, Trained, as_input, prepared, save_model
+from recon.net.torch_extra import fast_half, fastest_threads, require_torch, use_threads
+from recon.net.trained import MODEL_FILE, VIEWS, Trained, as_input, places, prepared, save_model
 from recon.progress import Progress, silent
 
 FINISH = 0.6
@@ -35,33 +45,35 @@ FINISH = 0.6
 FINISH_RATE = 0.5
 """The learning rate with which that begins, relative to the highest before."""
 WARM_UP = 0.04
-SIGMA = 0.9
-"""Of the Gaussian that the network is to give, in places of the grid."""
 EVALUATIONS = 30
 MOST_AVERAGED = 300.0
 """Steps over which the weights are averaged, at most; fewer at the beginning."""
 
 
-def train(run: TrainingRun, out: Path, resume: bool = False, progress: Progress = silent) -> State:
-    """Trains, or goes on, to the end; `out` gets a checkpoint at each evaluation, and the model at the end."""
+def train(
+    run: TrainingRun, out: Path, resume: bool = False, threads: int | None = None, progress: Progress = silent
+) -> State:
+    """Trains, or goes on, to the end; `out` gets a checkpoint at each evaluation, and the model at the end.
+
+    threads: for the CPU; None: those that a run had before, or those with which a step is fastest now.
+    """
     torch = require_torch()
     torch.backends.cudnn.deterministic, torch.backends.cudnn.benchmark = True, False
     state = resumed(run, out) if resume else begin(run)
     settings, split = run.settings, run.split
     half = fast_half(run.device) if settings.half else None
-    augmentation = dataclasses.replace(settings.augmentation, partner=run.spec.partner if settings.mirror else None)
-    source = BatchSource(
-        examples_of(run.scaled, run.still, augmentation.paste > 0),
-        crop_size(run.scaled),
-        augmentation,
-        settings.batch,
-        settings.seed,
-    )
     shown = np.flatnonzero(run.labels.labelled.any(axis=1))
     first = np.intersect1d(split.train, shown)
     both = np.intersect1d(np.concatenate([split.train, split.validation]), shown)
-    clock = _Clock(state.seconds)
-    with ahead(source) as batches:
+    with ahead(*_sources(run)) as batches:
+        if threads or state.threads or run.device.type != "cpu":
+            use_threads(threads or state.threads)
+        else:
+            progress("timing threads", 0.0)
+            trial = begin(run)
+            state.threads_s = fastest_threads(lambda: _learn(trial, batches.get(trial.step, first), 0.0, run, half))
+        state.threads = torch.get_num_threads()
+        clock = _Clock(state.seconds)
         while state.share < 1.0:
             batch = batches.get(state.step, both if state.finishing else first)
             held_out = not state.finishing
@@ -81,6 +93,27 @@ def train(run: TrainingRun, out: Path, resume: bool = False, progress: Progress 
     spec = dataclasses.replace(run.spec, calibrations=state.calibrations)
     save_model(spec, state.average.state_dict(), out / MODEL_FILE)
     return state
+
+
+def _sources(run: TrainingRun) -> tuple[BatchSource, ...]:
+    """One for each stage."""
+    settings, spec = run.settings, run.spec
+    options = dataclasses.replace(settings.augmentation, partner=spec.partner if settings.mirror else None)
+    labels, still = run.scaled, run.still
+    if spec.two_stages:
+        labels = labels.scaled(spec.first)
+        still = tuple(None if b is None else resize(b, spec.first) for b in still)
+    examples = examples_of(labels, still, options.paste > 0)
+    first = BatchSource(examples, crop_size(run.scaled, spec.first), options, settings.batch, settings.seed)
+    if not spec.two_stages:
+        return (first,)
+    # What is drawn or blurred on a part is as large in it as on the whole animal in its smaller picture.
+    parts = [
+        dataclasses.replace(e, part=True, length_px=NETWORK_LENGTH_PX)
+        for e in examples_of(run.scaled, run.still, options.paste > 0)
+    ]
+    off_px = OFF * spec.reach_places * STRIDE
+    return first, BatchSource(parts, PART_PX, options, settings.batch, settings.seed, off_px)
 
 
 def schedule(share: float, finish: bool) -> float:
@@ -110,19 +143,23 @@ class _Clock:
         return self._before + time.monotonic() - self._start
 
 
-def _learn(state: State, batch: Batch, rate: float, run: TrainingRun, half: Any) -> float:
+def _learn(state: State, batch: tuple[Batch, ...], rate: float, run: TrainingRun, half: Any) -> float:
     import torch  # pyright: ignore[reportMissingImports]
 
     state.network.train()
     for group in state.optimizer.param_groups:
         group["lr"] = rate
-    x = as_input(batch.pictures, batch.backgrounds, run.device)
-    xy = torch.from_numpy((batch.xy_px / STRIDE).astype(np.float32)).to(run.device)
     state.optimizer.zero_grad(set_to_none=True)
-    with torch.autocast(run.device.type, half, enabled=half is not None):
-        scores = state.network(x)
-    value = loss(scores, xy, SIGMA)
-    value.backward()
+    value = 0.0
+    for stage, part in zip(stages(state.network), batch, strict=True):
+        x = as_input(part.pictures, part.backgrounds, run.device)
+        xy = places(part.xy_px, run.device)
+        window = None if part.near_px is None else Window(places(part.near_px, run.device), run.spec.reach_places)
+        with torch.autocast(run.device.type, half, enabled=half is not None):
+            scores = stage(x)
+        error = loss(scores, xy, SIGMA, window)
+        error.backward()
+        value += float(error.detach())
     torch.nn.utils.clip_grad_norm_(state.network.parameters(), 5.0)
     state.optimizer.step()
     state.step += 1
@@ -133,7 +170,7 @@ def _learn(state: State, batch: Batch, rate: float, run: TrainingRun, half: Any)
                 a.lerp_(b, 1 - keep)
             else:
                 a.copy_(b)
-    return float(value.detach())
+    return value
 
 
 def _advance(state: State, settings: TrainSettings, clock: _Clock) -> None:

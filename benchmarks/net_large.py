@@ -1,0 +1,83 @@
+"""The rendered animal in pictures that it nearly fills: a camera with a longer lens, of whose picture a window moves
+along with the animal, so that nothing in it stands still. Where its points are in the pictures is known exactly."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from recon.app.demo import samples_folder
+from recon.app.net import LabelSource, run_prediction, run_training
+from recon.io import read_keypoints
+from recon.keypoints import Keypoints
+from recon.net.evaluate2d import Evaluation2D, evaluate_2d
+from recon.net.labels import body_length_px, read_label_file
+from recon.net.run import TrainSettings
+from recon.video import video_writer
+
+sys.path.insert(0, str(samples_folder()))
+from draw_film import render_frames  # pyright: ignore[reportMissingImports]
+from make_rendered import FPS, film, labelled_frames, write_labels  # pyright: ignore[reportMissingImports]
+from make_samples import write_keypoints  # pyright: ignore[reportMissingImports]
+
+SIZE_PX = (640, 480)
+LENS = 4.4
+"""Focal length, relative to the film's: the animal is 403 to 474 px long."""
+ABOVE_PX = 40
+"""By which the camera's axis is above the middle of the picture."""
+
+
+def write_large_film(folder: Path) -> Keypoints:
+    """large.mp4, labels of some of its frames, and the truth in all of them, which is returned."""
+    folder.mkdir(parents=True, exist_ok=True)
+    clip, ground_m = film()
+    width, height = SIZE_PX
+    wide = 2 * round(0.5 * LENS * clip.camera.image_size_px[0])
+    matrix = clip.camera.matrix * np.array([[LENS], [LENS], [1]])
+    matrix[:2, 2] = (wide - 1) / 2, (height - 1) / 2 - ABOVE_PX
+    camera = replace(clip.camera, matrix=matrix, image_size_px=(wide, height))
+    xy_px, _ = camera.project(camera.world_to_camera(clip.truth_m))
+    frames = np.arange(len(xy_px))
+    middle = 0.5 * (xy_px.min(axis=1) + xy_px.max(axis=1))[:, 0]
+    left = np.polyval(np.polyfit(frames, middle, 1), frames) - 0.5 * width
+    left = np.clip(left.round().astype(int), 0, wide - width)
+    xy_px[..., 0] -= left[:, None]
+    inside = ((xy_px >= 0) & (xy_px <= np.array(SIZE_PX) - 1)).all(axis=2)
+    truth = replace(
+        clip.keypoints, xy_px=np.where(inside[..., None], xy_px, np.nan), confidence=inside.astype(float),
+        image_size_px=SIZE_PX,
+    )  # fmt: skip
+    with video_writer(folder / "large.mp4", SIZE_PX, FPS) as write:
+        pictures = render_frames(clip.truth_m, clip.names, lambda t: camera, ground_m)
+        for picture, x in zip(pictures, left, strict=True):
+            write(np.ascontiguousarray(picture[:, x : x + width]))
+    write_labels(truth, labelled_frames(), folder / "large_labels.csv")
+    write_keypoints(truth, folder / "large_points.csv", decimals=2)
+    return truth
+
+
+def run_large(
+    film: Path, out: Path, settings: TrainSettings, device: str, threads: int | None
+) -> tuple[dict[str, Any], dict[str, Evaluation2D]]:
+    """The training's report, and by quality the scores in the frames that were not labelled; film: a folder of
+    `write_large_film`."""
+    video, labels = film / "large.mp4", film / "large_labels.csv"
+    report = run_training(
+        LabelSource(video, labels), settings, out, device=device, threads=threads, overwrite=True
+    )  # fmt: skip
+    truth, labelled = read_keypoints(film / "large_points.csv"), read_label_file(labels)[0]
+    others, length_px = ~np.isin(truth.frames, labelled.frames), body_length_px(truth.xy_px)
+    scores = {}
+    for quality in ("fast", "best"):
+        found = run_prediction(
+            video, out, out / f"{quality}.csv", quality=quality, device=device, threads=threads, overwrite=True
+        )
+        scores[quality] = evaluate_2d(
+            truth.names, found.xy_px[others], found.confidence[others], truth.xy_px[others], length_px,
+            tolerance_px=report["tolerance_px"],
+        )  # fmt: skip
+    return report, scores

@@ -1,0 +1,203 @@
+"""Animals that are large in their pictures: found in small ones, and then point by point at full size."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from networks import narrow_networks
+
+torch = pytest.importorskip("torch")
+
+from recon.app.net import LabelSource, run_prediction, run_training  # noqa: E402
+from recon.errors import InputError  # noqa: E402
+from recon.net import batches, torch_extra  # noqa: E402
+from recon.net.batches import network_scales  # noqa: E402
+from recon.net.run import CHECKPOINT_FILE, TrainSettings  # noqa: E402
+from recon.net.torch_extra import fastest_threads  # noqa: E402
+from recon.net.trained import MODEL_FILE, Spec, Trained, load_file, load_model, part_of  # noqa: E402
+from recon.video import video_writer  # noqa: E402
+
+SIZE, FRAMES = (160, 96), 12
+NAMES = ("nose", "l_paw", "r_paw")
+SETTINGS = TrainSettings(steps=8, batch=2, seed=3, mirror=True)
+
+
+@pytest.fixture
+def no_report(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Only what is in it on threads."""
+    monkeypatch.setattr(
+        "recon.app.net.write_training_report",
+        lambda run, state, folder: {"threads": state.threads, "step_s_by_threads": state.threads_s},
+    )
+
+
+class Killed(Exception):
+    pass
+
+
+@pytest.fixture(autouse=True)
+def small(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Narrow networks, for which an animal of 24 px is large."""
+    narrow_networks(monkeypatch)
+    monkeypatch.setattr(batches, "NETWORK_LENGTH_PX", 15.0)
+
+
+@pytest.fixture(scope="module")
+def clip(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Three discs of one colour each, with labels in every frame."""
+    folder = tmp_path_factory.mktemp("clip")
+    y, x = np.mgrid[: SIZE[1], : SIZE[0]]
+    rows = ["scorer" + ",me" * 6, "bodyparts," + ",".join(n for n in NAMES for _ in "xy"), "coords" + ",x,y" * 3]
+    with video_writer(folder / "clip.avi", SIZE, 25.0) as write:
+        for frame in range(FRAMES):
+            picture = np.full((SIZE[1], SIZE[0], 3), 110, np.uint8)
+            points = np.array([[30.0, 30], [22, 48], [40, 52]]) + np.array([8 * frame, 0])
+            for k, (px, py) in enumerate(points):
+                picture[(x - px) ** 2 + (y - py) ** 2 < 16] = 255 * np.eye(3)[k]
+            write(picture)
+            rows.append(f"labeled-data/clip/{frame:03d}.png," + ",".join(f"{v:.1f}" for v in points.ravel()))
+    (folder / "labels.csv").write_text("\n".join(rows) + "\n", encoding="utf-8")
+    return folder
+
+
+def train_in(out: Path, clip: Path, threads: int | None = 1, **options: object) -> dict:
+    source = LabelSource(clip / "clip.avi", clip / "labels.csv")
+    return run_training(source, SETTINGS, out, device="cpu", threads=threads, **options)  # pyright: ignore
+
+
+def test_what_is_small_has_one_stage_and_what_is_large_two():
+    box = np.array([[[0.0, 0.0], [3, 4]]])
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(batches, "NETWORK_LENGTH_PX", 120.0)
+        assert network_scales(box * 24) == (1.0, 1.0)
+        assert network_scales(box * 34) == (pytest.approx(120 / 170, abs=1e-3), 1.0)
+        assert network_scales(box * 90) == (1.0, pytest.approx(120 / 450, abs=1e-3))
+        full, first = network_scales(box * 400)
+        assert full == pytest.approx(480 / 2000)
+        assert full * first * 2000 == pytest.approx(120, rel=0.01)
+        assert network_scales(np.full((1, 2, 2), np.nan)) == (1.0, 1.0)
+
+
+def test_two_stages_from_labels_to_points(clip, tmp_path):
+    """A run that is killed and goes on ends in the same weights; the points are in pixels of the clip."""
+
+    def stop(stage: str, share: float) -> None:
+        if share >= 0.8:
+            raise Killed
+
+    report = train_in(tmp_path / "whole", clip)
+    assert report["scale"] == 1
+    assert report["first_stage_scale"] < 0.7
+    with pytest.raises(Killed):
+        train_in(tmp_path / "broken", clip, progress=stop)
+    train_in(tmp_path / "broken", clip, threads=None, resume=True)
+    one, other = (load_file(tmp_path / name / MODEL_FILE) for name in ("whole", "broken"))
+    assert one["spec"] == other["spec"]
+    assert set(one["spec"]["calibrations"]) == {"fast", "best"}
+    assert all(torch.equal(w, other["weights"][name]) for name, w in one["weights"].items())
+    assert {name.partition(".")[0] for name in one["weights"]} == {"first", "second"}
+    for quality in ("fast", "best"):
+        found = run_prediction(
+            clip / "clip.avi", tmp_path / "whole", tmp_path / f"{quality}.csv", quality=quality, device="cpu", threads=1
+        )
+        assert np.isfinite(found.xy_px).all()
+        assert (found.xy_px > -10).all()
+        assert (found.xy_px < 170).all()
+
+
+@pytest.mark.usefixtures("no_report")
+def test_a_run_that_began_with_one_stage_does_not_go_on_with_two(clip, tmp_path, monkeypatch):
+    monkeypatch.setattr(batches, "NETWORK_LENGTH_PX", 30.0)
+    train_in(tmp_path, clip)
+    assert (tmp_path / CHECKPOINT_FILE).is_file()
+    monkeypatch.setattr(batches, "NETWORK_LENGTH_PX", 15.0)
+    with pytest.raises(InputError, match="one that another version began"):
+        train_in(tmp_path, clip, resume=True)
+    assert load_model(tmp_path, torch.device("cpu")).spec.first == 1
+
+
+@pytest.mark.usefixtures("no_report")
+def test_a_network_of_before_is_read(clip, tmp_path, monkeypatch):
+    monkeypatch.setattr(batches, "NETWORK_LENGTH_PX", 30.0)
+    train_in(tmp_path, clip)
+    content = load_file(tmp_path / MODEL_FILE)
+    del content["spec"]["first"]
+    torch.save(content, tmp_path / MODEL_FILE)
+    assert not load_model(tmp_path, torch.device("cpu")).spec.two_stages
+
+
+class Stage(torch.nn.Module):
+    """Sure of what is bright."""
+
+    def __init__(self, weight: float) -> None:
+        super().__init__()
+        self.weight = weight
+
+    def forward(self, x: Any) -> Any:
+        return self.weight * x[:, :1, ::4, ::4]
+
+
+@pytest.mark.parametrize("quality", ["fast", "best"])
+def test_the_second_stage_looks_near_the_first_ones_points(quality):
+    """Each stage sees the brightest: the first a large spot, the second would see a small one, which is too far."""
+    picture = np.full((200, 400, 3), 100, np.uint8)
+    y, x = np.mgrid[:200, :400]
+    for at, level, radius in (((305.5, 97.5), 210, 6), ((60, 50), 250, 3)):
+        picture[(x - at[0]) ** 2 + (y - at[1]) ** 2 <= radius**2] = level
+    spec = Spec(("point",), 1.0, 400.0, 16.0, (0,), True, {}, 0.25)
+    network = torch.nn.ModuleDict({"first": Stage(60.0), "second": Stage(60.0)})
+    xy, _ = Trained(spec, network, torch.device("cpu")).points([picture, picture], None, quality)
+    np.testing.assert_allclose(xy[:, 0], [[305.5, 97.5]] * 2, atol=2.0)
+
+
+def test_the_part_of_a_picture_where_the_points_are():
+    xy = np.array([[[100.0, 100], [140, 120], [900, 10]], [[400.0, 380], [500, 470], [0, 0]]])
+    raw = np.array([[0.9, 0.8, 0.01], [0.9, 0.8, 0.01]])
+    low, size = part_of(xy, raw, 10.0, (640, 480))
+    assert size == (128, 128)
+    assert low.tolist() == [[56, 46], [386, 352]]
+    assert part_of(xy, np.ones((2, 3)), 10.0, (640, 480))[1] == (640, 480)
+    low, size = part_of(xy[:1], 0.01 * raw[:1], 10.0, (640, 480))
+    assert size == (32, 32)
+    assert low.tolist() == [[84, 84]]
+
+
+def test_the_fastest_number_of_threads_is_taken(monkeypatch):
+    """Of a machine with 6 cores, on which 2 are best; so many that they are slow are tried once, and no more after."""
+    import time
+
+    before = torch.get_num_threads()
+    done: list[int] = []
+
+    def work() -> None:
+        done.append(torch.get_num_threads())
+        time.sleep({1: 0.02, 2: 0.01, 4: 0.06}[done[-1]])
+
+    monkeypatch.setattr(torch_extra, "available_cores", lambda: 6)
+    try:
+        took = fastest_threads(work)
+        assert torch.get_num_threads() == 2
+    finally:
+        torch.set_num_threads(before)
+    assert list(took) == [2, 1, 4]
+    assert done == [1] * 4 + [2] * 4 + [4] * 2
+
+
+@pytest.mark.usefixtures("no_report")
+def test_threads_are_timed_unless_given_and_kept_on_resume(clip, tmp_path, monkeypatch):
+    monkeypatch.setattr(torch_extra, "available_cores", lambda: 1)
+    report = train_in(tmp_path, clip, threads=None)
+    assert report["threads"] == 1
+    assert list(report["step_s_by_threads"]) == [1]
+    again = train_in(tmp_path, clip, threads=None, resume=True)
+    assert again["threads"] == 1
+    assert again["step_s_by_threads"] == report["step_s_by_threads"]
+    given = train_in(tmp_path, clip, threads=1, overwrite=True)
+    assert given["step_s_by_threads"] == {}
+    weights = [load_file(tmp_path / MODEL_FILE)["weights"]["first.scores.weight"]]
+    train_in(tmp_path, clip, threads=None, overwrite=True)
+    weights.append(load_file(tmp_path / MODEL_FILE)["weights"]["first.scores.weight"])
+    assert torch.equal(*weights)
