@@ -127,7 +127,7 @@ def test_a_page_has_the_video_behind_its_pictures(folder, tmp_path, monkeypatch)
             write(np.full((1080, 1920, 3), 10 * number, np.uint8))
     shown = {}
 
-    def clip_page(results, stills, behind, files) -> str:
+    def clip_page(results, stills, behind, files, number) -> str:
         shown[behind] = [still.source for still in stills]
         return GENERATED
 
@@ -141,6 +141,14 @@ def test_a_page_has_the_video_behind_its_pictures(folder, tmp_path, monkeypatch)
     assert not {*shown[None]} & {*shown["run & away.avi"]}
     with pytest.raises(InputError, match=r"--first-frame: number: found 11, expected 10 or less"):
         run_page(folder, video=video, first_frame=11)
+
+
+def test_of_several_cameras_the_page_says_whose_pictures_they_are(two_cameras, tmp_path):
+    files = (Path("run_cam1.csv"), Path("run_cam2.csv"))
+    write_clip(two_cameras, FitSettings(keypoints=files, camera=Path("scene.json"), fps=30), tmp_path)
+    for camera, name in ((None, "cam1"), ("cam2", "cam2")):
+        page = run_page(tmp_path, camera=camera)
+        assert f"The pose as {name} sees it" in page.read_text(encoding="utf-8")
 
 
 def test_a_page_goes_with_its_results(small_trajectory, tmp_path):
@@ -284,5 +292,6 @@ def test_pages_of_a_batch_are_made_beside_each_other(batch, monkeypatch):
     (batch / EVIL / "report.html").unlink()
     run("report", batch)
     assert pages == [EVIL]
+    assert "found a file, expected the folder of results" in run("report", batch / "summary.csv").err
     ended = run("report", batch, "--video", "clip.mp4")
     assert (ended.code, "the folder of one clip's results" in ended.err) == (2, True)

@@ -47,7 +47,7 @@ def run_page(
     progress("pictures", 0.1)
     stills = _stills(result, video, first_frame, number)
     progress("figures", 0.3)
-    html = clip_page(result, stills, None if video is None else video.name, _files(result))
+    html = clip_page(result, stills, None if video is None else video.name, _files(result), number)
     with staged_file(page) as staged:
         staged.write_text(html, encoding="utf-8")
     return page

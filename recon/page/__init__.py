@@ -19,6 +19,6 @@ GENERATED = '<meta name="generator" content="recon">'
 
 def require_own_page(path: Path) -> None:
     """Raises InputError where a file is in the page's place that recon has not made."""
-    with suppress(FileNotFoundError), path.open(encoding="utf-8", errors="replace") as file:
+    with suppress(FileNotFoundError, NotADirectoryError), path.open(encoding="utf-8", errors="replace") as file:
         if GENERATED not in file.read(2000):
             raise InputError(Problem(path, "file", "one that recon has not made", f"a place for {path.name}"))

@@ -55,9 +55,11 @@ class Still:
     text: str
 
 
-def clip_page(results: Results, stills: Sequence[Still], behind: str | None, files: Sequence[str]) -> str:
+def clip_page(
+    results: Results, stills: Sequence[Still], behind: str | None, files: Sequence[str], number: int = 0
+) -> str:
     """HTML of a result. behind: the video's name behind the stills, None: a plain ground; files: their names beside the
-    page, with forward slashes, for links."""
+    page, with forward slashes, for links; number: of the camera whose stills they are."""
     report = results.report
     posed = np.isfinite(results.pose.xyz_m).all(axis=(1, 2))
     moved, gaits = (reference_motion(results), gaits_of(results)) if posed.sum() >= MIN_POINTS else (None, {})
@@ -70,6 +72,7 @@ def clip_page(results: Results, stills: Sequence[Still], behind: str | None, fil
         warnings=report["warnings"],
         stills=stills,
         behind=behind,
+        camera=results.cameras[number].name if len(results.cameras) > 1 else "the camera",
         sections=[] if moved is None else list(_sections(results, moved, gaits)),
         doubtful=doubtful[:SHOWN],
         more_doubtful=max(0, len(doubtful) - SHOWN),
@@ -177,7 +180,7 @@ def _sections(results: Results, moved: JointKinematics, gaits: Mapping[Method, G
     yield Section(
         "Angles",
         "Of each joint of the model, with bands of one standard deviation: left sides blue and dashed, right sides "
-        "orange, the middle black; grey ones are mostly expected, not seen. Doubtful frames have a grey ground.",
+        "orange, the middle as the axes; grey ones are mostly expected, not seen. Doubtful frames have a grey ground.",
         _inline([angle_over_time(results.time_s, curves, doubtful, title) for title, curves in panels]),
         "small",
     )
