@@ -196,6 +196,11 @@ def test_the_report_of_exchanged_files_and_of_two_cameras():
     views = cameras(2)
     (finding,) = section([views[0], turned(views[1], 0)])["findings"]
     assert finding["text"].startswith("cam1 and cam2 do not agree with each other: ")
+    assert finding["text"].endswith(", and which of them is off, or of another clip, cannot be told")
+    (finding,) = section(exchanged(views, 0, 1))["findings"]
+    assert finding["text"].startswith(
+        "cam1 and cam2: as if their files were exchanged, or one of them of another clip ("
+    )
 
 
 def test_one_camera_has_nobody_to_agree_with():

@@ -569,6 +569,8 @@ def test_no_camera(tmp_path):
     ended = run(*fit_args(tmp_path / "a", camera=None))
     assert ended.code == 2
     assert ended.err.startswith("error: --camera: found nothing, expected a camera file, or --hfov-deg with")
+    ended = run(*fit_args(tmp_path / "a", camera=None, keypoints=CAMERA))  # what is wrong with the file comes first
+    assert [line.split(": ")[1] for line in ended.err.splitlines()] == [str(CAMERA), "--camera"]
     ended = run(*fit_args(tmp_path / "a", "--hfov-deg", 60, camera=None))
     assert ended.code == 2
     assert ended.err.startswith("error: --image-size: found nothing, expected the size of the video")

@@ -232,7 +232,11 @@ def batch(folder, tmp_path_factory) -> Path:
         writer.writeheader()
         for name, status in names.items():
             row = {"clip": name, "status": status, "frames": 8, "mean_reprojection_px": 7.77, "size": 1}
-            writer.writerow(row if status != "failed" else row | {"frames": "", "size": "", "error": "<b>no</b>"})
+            writer.writerow(
+                row
+                if status != "failed"
+                else row | {"frames": "", "size": "", "error": "/home/me/my clips/a.csv: <b>no</b>"}
+            )
     for name in ("good", EVIL):
         shutil.copytree(folder, out / name, ignore=shutil.ignore_patterns("motion.rrd", "report.html"))
     report = json.loads((out / "good" / "report.json").read_text())
@@ -253,7 +257,8 @@ def test_a_batch_has_a_table_with_the_doubtful_first(batch):
     ]  # fmt: skip
     assert page.attributes("a", "href") == [f"{quote(EVIL)}/report.html"]
     assert "5 clips: 2 done, 1 done earlier, 1 failed, 1 unsolved" in page.text
-    assert "<b>no</b>" in page.text
+    assert "a.csv: <b>no</b>" in page.text
+    assert "/home" not in page.html
     assert page.text.count("7.8") == 5
     assert [row.count("<polyline") for row in rows] == [0, 0, 8, 8, 0]
 
