@@ -47,6 +47,7 @@ SECTORS, LASTING_M, PASSING_M, PASSING_S, WHITE_PX = 8, 0.03, 0.03, 0.16, 5.0
 and in passing, and for how long."""
 LEVEL_RAD = float(np.radians(1.0))
 """Of cameras that were levelled, or whose tilt and roll were measured."""
+TOUCHED_DEG = (2.0, 5.0)
 PUT_FRAMES = 6
 """Cameras out of step began so many frames earlier or later, at most."""
 FIELD_M = 1.5
@@ -240,6 +241,35 @@ def began_later(view: View, frames: float) -> View:
     return replace(view, xy_px=xy_px, confidence=np.where(inside[:, None], view.confidence[at], 0.0))
 
 
+# -- touched ------------------------------------------------------------------------------------------------------
+
+
+def touched(clips: Sequence[Run], runs: Sequence[Run]) -> dict:
+    """How far clips disagree on where the cameras stand, at most, with every second one turned in the last clip: the
+    least and the most of these."""
+    cameras = cameras_of(clips[0])["all"]
+    own = [[run.views[camera] for camera in cameras] for run in clips]
+    bodies, fps = [as_seen(body_of(run.subject), run, runs) for run in clips], [run.fps for run in clips]
+    row = {"clips": ", ".join(run.folder.name[:28] for run in clips)}
+    row["as filmed"] = f"{found(own, bodies, fps).disagreement.max():.0f}"
+    for degrees in TOUCHED_DEG:
+        apart = []
+        for i in range(1, len(cameras), 2):
+            last = [turned(view, degrees) if j == i else view for j, view in enumerate(own[-1])]
+            apart.append(found([*own[:-1], last], bodies, fps).disagreement.max())
+        row[f"turned by {degrees:.0f}°"] = f"{min(apart):.0f} to {max(apart):.0f}"
+    return row
+
+
+def turned(view: View, degrees: float) -> View:
+    """What a camera sees that is turned about the picture's upright axis."""
+    rays, _ = view.camera.rays(view.xy_px)
+    xy_px, valid = view.camera.project(
+        np.nan_to_num(rays, nan=1.0) @ Rotation.from_euler("y", degrees, True).as_matrix().T
+    )
+    return replace(view, xy_px=np.where((valid & view.present)[..., None], xy_px, np.nan))
+
+
 # -- simulated clips ----------------------------------------------------------------------------------------------
 
 
@@ -305,6 +335,7 @@ def main() -> None:
         ("The animal's size with the file's cameras", lambda: sizes(runs)),
         ("One clip, other detections", lambda: causes(runs)),
         ("Out of step", lambda: [out_of_step(clips, runs) for clips in real]),
+        ("A camera that was touched", lambda: [touched(clips, runs) for clips in real if len(clips) > 1]),
         ("Simulated clips", lambda: simulated(max(runs, key=lambda run: len(run.views) * len(run.truth_m)))),
     ):
         print(f"{title}\n")

@@ -339,7 +339,7 @@ def test_completion_offers_commands_and_options(monkeypatch, words, offered):
     """As bash asks: the words, and which of them is being typed."""
     count = str(len(words.split(" ")) - 1)
     shown = called(monkeypatch, _RECON_COMPLETE="complete_bash", COMP_WORDS=words, COMP_CWORD=count)
-    assert set(shown.split()) == offered
+    assert set(shown.splitlines()) == offered
 
 
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])

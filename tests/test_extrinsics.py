@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from recon.app.extrinsics import DISAGREEMENT
 from recon.clip import View, still_view
 from recon.frames import inverse, moved, rigid
 from recon.progress import silent
@@ -57,6 +58,17 @@ def test_two_clips_tell_what_one_does_not():
         assert metres < 0.2
     assert not both.sigma[0].any()
     assert (both.sigma[1] < one.sigma[1]).all()
+    assert both.disagreement.shape == (2, 3)
+    assert both.disagreement.max() < DISAGREEMENT
+
+
+def test_a_camera_that_was_touched_between_two_clips():
+    turned = rigid(euler_rotation([0.0, np.radians(5.0), 0.0]), np.zeros(3)) @ ASIDE
+    clips = [
+        setting([view_of(truth_m(), p, seed=i) for i, p in enumerate((AHEAD, ASIDE, BEHIND))]),
+        setting([view_of(across(), p, seed=3 + i) for i, p in enumerate((AHEAD, turned, BEHIND))]),
+    ]
+    assert solve_extrinsics(clips).disagreement.max() > DISAGREEMENT
 
 
 def test_cameras_that_were_levelled_say_which_way_is_up():

@@ -25,6 +25,9 @@ from recon.settings import FitSettings, read_settings
 from recon.solve.extrinsics import LEVEL_RAD, TooLittleInCommonError, search_offsets, solve_extrinsics
 from recon.solve.setting import Setting
 
+DISAGREEMENT = 16.0
+"""Squared deviations, of 6 unknowns, from which on a camera that stood still is unlikely (1 in 70)."""
+
 
 @dataclass(frozen=True, eq=False)
 class ExtrinsicsRun:
@@ -35,21 +38,27 @@ class ExtrinsicsRun:
     sigma: Array
     converged: bool
     clips: tuple[FitSettings, ...]
+    disagreement: Array
+    """(C, V): see `recon.solve.extrinsics.Rig`."""
     offsets_s: tuple[tuple[float, ...], ...]
     """Of each clip's files: how much later than the first each camera began, as given or found."""
     out: Path
 
     def to_dict(self) -> dict[str, Any]:
         """Plain strings, numbers and lists."""
-        both = zip(self.cameras, self.sigma, strict=True)
+        both, names = zip(self.cameras, self.sigma, strict=True), [camera.name for camera in self.cameras]
         return {
             "cameras": [
                 camera.to_dict() | {"turn_sigma_rad": sigma[:3].tolist(), "shift_sigma_m": sigma[3:].tolist()}
                 for camera, sigma in both
             ],
             "clips": [
-                {"keypoints": [str(path) for path in clip.keypoints], "offset_s": list(offsets)}
-                for clip, offsets in zip(self.clips, self.offsets_s, strict=True)
+                {
+                    "keypoints": [str(path) for path in clip.keypoints],
+                    "offset_s": list(offsets),
+                    "disagreement": dict(zip(names, apart.tolist(), strict=True)),
+                }
+                for clip, offsets, apart in zip(self.clips, self.offsets_s, self.disagreement, strict=True)
             ],
             "converged": self.converged,
             "written": str(self.out),
@@ -67,6 +76,9 @@ class ExtrinsicsRun:
             if clip.find_offsets:
                 both = zip(clip.keypoints[1:], offsets[1:], strict=True)
                 yield f"After {clip.keypoints[0].name}: " + ", ".join(f"{path.name} {s:+.4f} s" for path, s in both)
+        if len(self.clips) > 1 and self.disagreement.max() > DISAGREEMENT:
+            most = self.cameras[int(np.argmax(self.disagreement.max(axis=0)))].name
+            yield f"The clips disagree on where the cameras stand, most on {most}: was one moved between them?"
         if not self.converged:
             yield "The search had not settled when it was ended: more clips, of other ways through the view, tell more."
 
@@ -125,7 +137,7 @@ def run_extrinsics(
         late_s = {camera.name: lag / fps for camera, lag in zip(cameras, lags, strict=True)}
         began_s = np.array([source.offset_s + late_s[source.camera.name] for source in sources])
         offsets_s.append(tuple((began_s - began_s[0]).tolist()))
-    return ExtrinsicsRun(found, rig.sigma, rig.converged, tuple(clips), tuple(offsets_s), out)
+    return ExtrinsicsRun(found, rig.sigma, rig.converged, tuple(clips), rig.disagreement, tuple(offsets_s), out)
 
 
 def _in_step(clip: FitSettings, given: Sequence[Prepared]) -> tuple[Source, ...]:

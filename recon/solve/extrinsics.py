@@ -62,6 +62,9 @@ class Rig:
     """(V, 6): of each one's place beside the first, as in `View.placed`."""
     ground_m: float
     """Height of the ground below the middle of the animal's longest path; NaN where none was found."""
+    disagreement: Array
+    """(C, V): squared deviations by which each of C clips would have each camera elsewhere than all do together; about
+    6 at most, from errors of the size that is stated."""
     lag_frames: tuple[Array, ...]
     """(V,) of each clip: how much later than said the cameras' pictures were taken; 0 of one that saw nothing."""
     converged: bool
@@ -77,8 +80,10 @@ def solve_extrinsics(
 
     Raises TooLittleInCommonError.
     """
-    options = replace(settings[0].options, refine_cameras=False, size_sigma=_SIZE_SIGMA)
-    settings = [replace(one, options=replace(options, fast=one.options.fast)) for one in settings]
+    options = settings[0].options
+    settings = [
+        replace(one, options=replace(one.options, refine_cameras=False, size_sigma=_SIZE_SIGMA)) for one in settings
+    ]
     turn_rad, shift_m = (options.placing_rad, options.placing_m) if posed else (_PLACING_RAD, _PLACING_M)
     sigma = np.tile(np.repeat([turn_rad, shift_m], 3), len(settings[0].views))
     sigma[: 6 if posed else 0] = sigma[3:6] = _HELD
@@ -86,7 +91,7 @@ def solve_extrinsics(
         if not posed:
             settings = _placed(settings, lambda what, done: progress(what, 0.5 * done))
         spells = [(i, spell) for i, one in enumerate(settings) for spell in solve_spells(one)]
-        values, converged, total = np.zeros(len(sigma)), False, np.diag(sigma**-2.0)
+        values, converged, total, reduced = np.zeros(len(sigma)), False, np.diag(sigma**-2.0), []
         for i in range(ROUNDS):
             progress("all cameras", 0.5 * (1 + i / ROUNDS))
             total, pull = _level(settings[0].views, np.inf if posed else level_rad)
@@ -105,7 +110,8 @@ def solve_extrinsics(
     poses = tuple(view.T_camera_world for view in settings[0].views)
     covariance = np.asarray(np.linalg.inv(total), dtype=float)
     lags = tuple(_lags([spell for clip, spell in spells if clip == i], one) for i, one in enumerate(settings))
-    return Rig(poses, _beside_first(poses, covariance), _ground_m(settings, spells), lags, converged)
+    sigma, apart = _beside_first(poses, covariance), _disagreement(settings, reduced)
+    return Rig(poses, sigma, _ground_m(settings, spells), apart, lags, converged)
 
 
 def search_offsets(setting: Setting) -> Array:
@@ -247,6 +253,19 @@ def _reduced(setting: Setting, solved: Solved) -> _Reduced:
     own = np.asarray(np.linalg.solve(S[:n, :n], S[:n, n:]), dtype=float)
     left = S[n:, n:] - S[n:, :n] @ own
     return _Reduced(left[:, :-1], left[:, -1], solved, Y[..., n:] - Y[..., :n] @ own, own)
+
+
+def _disagreement(settings: Sequence[Setting], reduced: Sequence[tuple[int, _Reduced]]) -> Array:
+    """(C, V), see `Rig`: the drop of each clip's cost if that camera stood elsewhere for this clip alone, twice."""
+    C, V = len(settings), len(settings[0].views)
+    curvature, gradient = np.zeros((C, V, 6, 6)), np.zeros((C, V, 6))
+    for clip, one in reduced:
+        for i in range(V):
+            own = slice(6 * i, 6 * i + 6)
+            curvature[clip, i] += one.curvature[own, own] / settings[clip].alike
+            gradient[clip, i] += one.gradient[own] / settings[clip].alike
+    held = curvature + 1e-9 * np.eye(6)  # nothing is known of a camera that saw nothing
+    return np.sum(gradient * np.linalg.solve(held, gradient[..., None])[..., 0], axis=-1)
 
 
 def _moved(setting: Setting, step: Array) -> Setting:
