@@ -281,6 +281,9 @@ def test_command_writes_tables_figures_and_plots(of_results, whole_results, monk
     monkeypatch.chdir(ran_in)
     folder = Path("results/clip")
     results = {path.name: path.read_bytes() for path in whole_results.iterdir()}
+    for name in ("config.toml", "manifest.json"):  # of a copy: its paths are those from its folder
+        results[name] = (folder / name).read_bytes()
+        assert (folder / name).stat().st_mtime_ns < (folder / "analysis").stat().st_mtime_ns
     assert "transverse gallop" in printed
     assert "peak" in printed
     labels = [line.partition(": ")[0] for line in printed.splitlines() if ": " in line]
