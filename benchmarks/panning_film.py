@@ -1,6 +1,6 @@
 """The rendered film with a camera that pans after the animal, from its video to the pose, beside the still one.
 
-    python benchmarks/panning_film.py [--steps 1000] [--seeds 0 1] [--out DIR]
+    python benchmarks/panning_film.py [--steps 1000] [--seeds 0 1 2] [--out DIR]
 
 The same animal in the same world, filmed from the same place through the same lens at the same times; the camera turns
 after the animal, and shakes. Each film's labels, of the same frames, train a network of its own, which
@@ -121,7 +121,7 @@ def row(name: str, seed: int, circle: Circle, truth: np.ndarray | None, out: Pat
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--steps", type=int, default=1000)
-    parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1])
+    parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2])
     parser.add_argument("--device", default="auto")
     parser.add_argument("--threads", type=int, default=2)
     parser.add_argument("--out", type=Path, help="for the film and the networks (default: one that is removed)")
