@@ -132,7 +132,7 @@ def job_of(
     info, settings, _ = all_of(
         lambda: probe(video),
         lambda: read_settings(config, {**given, "keypoints": keypoints or found_here}),
-        lambda: _check_camera_motion(given, more.get("camera_motion"), more.get("start"), model),
+        lambda: _check(given, more.get("camera_motion"), more.get("start"), more.get("quality"), model),
     )
     if settings.fps is None:
         if info.fps is None:
@@ -141,10 +141,13 @@ def job_of(
     return Job(video, out, settings, model, **more)
 
 
-def _check_camera_motion(
-    given: Mapping[str, Any], camera_motion: Motion | None, start: str | None, model: Path | None
+def _check(
+    given: Mapping[str, Any], camera_motion: Motion | None, start: str | None, quality: str | None, model: Path | None
 ) -> None:
+    """Raises InputError for options that cannot be used, or not with each other."""
     problems = []
+    if quality not in (None, "fast", "best"):
+        problems.append(Problem("--quality", "quality", repr(quality), "fast or best"))
     if camera_motion is not None and camera_motion not in ("turns", "zooms"):
         problems.append(Problem("--camera-motion", "motion", repr(camera_motion), "turns or zooms"))
     if camera_motion is not None and given.get("camera") is None:
