@@ -113,16 +113,15 @@ def numbers(cells: Iterable[object]) -> tuple[np.ndarray, list[int]]:
     NaN, or infinite."""
     values, wrong = [], []
     for i, cell in enumerate(cells):
-        text, value = "" if cell is None else str(cell).strip(), np.nan
-        if text.lower() not in MISSING:
-            try:
-                value = number(text)
-            except ValueError:
+        text = cell.strip() if isinstance(cell, str) else "" if cell is None else str(cell)
+        try:
+            values.append(number(text))
+        except ValueError:
+            values.append(np.nan)
+            if text.lower() not in MISSING:
                 wrong.append(i)
-            if np.isinf(value):
-                wrong.append(i)
-        values.append(value)
-    return np.array(values, dtype=float), wrong
+    found = np.array(values, dtype=float)
+    return found, sorted([*wrong, *np.flatnonzero(np.isinf(found)).tolist()])
 
 
 def frame_number(text: str) -> int | None:
