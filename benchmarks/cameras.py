@@ -3,9 +3,11 @@
     python benchmarks/cameras.py [FOLDER]
 
 Each run is a folder as in `cheetah_runs.py`. Two: the named camera and the one that sees the animal from the most
-different direction. Where the detector's keypoints lie is measured in the other runs, with all their cameras, as `recon
-subject fit --no-lengths --offsets` does: the shipped file knows them all. Errors are over all 24 joints. Without
-FOLDER: the cheetah-runs of $RECON_SHARED_DATA, or of ../shared/data. One thread.
+different direction. Where the detector's keypoints lie is measured in the other runs, with all their cameras and the
+poses that the reference has; without these, as `recon subject fit --no-lengths --offsets` does, in one table beside it.
+The
+shipped file knows all runs, and is printed in the end. Errors are over all 24 joints. Without FOLDER: the
+cheetah-runs of $RECON_SHARED_DATA, or of ../shared/data. One thread.
 """
 
 from __future__ import annotations
@@ -16,9 +18,10 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import argparse
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from markdown_table import print_table
@@ -28,13 +31,21 @@ from trajectory import INSIDE_50, INSIDE_90, SKELETON, body_of, meta_of, prior_o
 from recon import Body, FitSettings
 from recon.app.clip import prepare
 from recon.clip import Source, View, views_of
+from recon.detector import detector_toml
+from recon.kinematics import ROOT, YAW
 from recon.solve import TrajectoryOptions, TrajectorySolution, solve_trajectory
+from recon.solve.least_squares import LeastSquares
+from recon.solve.points import solve_points
 from recon.solve.setting import Setting
 from recon.solve.shape import Shape, fit_shape
+from recon.solve.terms import Rows, Span
 
 PRIOR = "running-cheetah"
 HELD = 1e-6
 """A lag's standard deviation, in frames, that leaves it no room."""
+HELD_RAD = 1e-4
+POSED_OFFSET_SIGMA_M = 0.02
+"""How far a keypoint is expected to lie from its marker where the poses are known, and no offset is another pose."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,21 +142,59 @@ def too_far(run: Run, solution: TrajectorySolution) -> float:
     return float(np.nanmean(np.log(found / true)))
 
 
+@dataclass(frozen=True)
+class Held:
+    """All angles are those of states (T, D)."""
+
+    states: np.ndarray
+    name: str = "held"
+    stencil: tuple[int, ...] = (0,)
+
+    def evaluate(self, span: Span, jacobian: bool) -> Rows:
+        own = span.states[span.own]
+        frames = np.arange(span.first, span.first + len(own))
+        r = (own - self.states[frames])[:, YAW:] / HELD_RAD
+        rows = np.tile(np.eye(own.shape[1])[YAW:] / HELD_RAD, (len(own), 1, 1))[:, :, None]
+        return Rows(frames, 0.5 * np.sum(r * r, axis=1), r, rows)
+
+
+@dataclass(frozen=True, eq=False)
+class Posed(Setting):
+    """A clip whose poses and headings are the reference's."""
+
+    states: np.ndarray = field(kw_only=True)
+    """(T, D), the root about the origin."""
+
+    @classmethod
+    def of_run(cls, run: Run, cameras: Iterable[int], body: Body) -> Posed:
+        plain = Setting.of([run.views[c] for c in cameras], body, prior_of(PRIOR), run.fps, TrajectoryOptions())
+        states = solve_points(body_of(run.subject), run.truth_m)[0]
+        states[:, ROOT] -= plain.origin_m
+        return cls(**vars(plain), states=states)
+
+    def part(self, frames: slice | np.ndarray) -> Posed:
+        return replace(self, views=tuple(view.part(frames) for view in self.views), states=self.states[frames])
+
+    def problem(self, *given: Any, **more: Any) -> LeastSquares:
+        problem = super().problem(*given, **more)
+        return replace(problem, terms=[*problem.terms, Held(self.states)])
+
+
 @cache
-def _detector(runs: tuple[Run, ...]) -> Body:
-    """A body as the detector sees it in these runs."""
-    settings = [
-        Setting.of(list(o.views.values()), body_of(o.subject), prior_of(PRIOR), o.fps, TrajectoryOptions())
-        for o in runs
-    ]
+def _detector(runs: tuple[Run, ...], posed: bool) -> Body:
+    """A body as the detector sees it in these runs. posed: where the reference has the animal's poses."""
+    settings = [Posed.of_run(o, o.views, body_of(o.subject)) for o in runs]
     shape = Shape.of(body_of(), lengths=False, offsets=True)
-    fit = fit_shape(shape, settings)
-    return fit.seen(body_of())
+    if posed:
+        shape = replace(shape, offset_sigma_m=POSED_OFFSET_SIGMA_M)
+    else:
+        settings = [Setting.of(s.views, s.body, s.prior, s.fps, s.options) for s in settings]
+    return fit_shape(shape, settings).seen(body_of())
 
 
-def as_seen(body: Body, run: Run, runs: Sequence[Run]) -> Body:
+def as_seen(body: Body, run: Run, runs: Sequence[Run], posed: bool = False) -> Body:
     """As the detector sees it in all runs but one."""
-    of = _detector(tuple(other for other in runs if other is not run))
+    of = _detector(tuple(other for other in runs if other is not run), posed)
     return replace(
         body,
         keypoint_sigma_m=of.keypoint_sigma_m,
@@ -176,7 +225,7 @@ def accuracy(runs: Sequence[Run], known: bool, **options: float) -> list[dict]:
     """One, two and all cameras; known: with the lengths of the subject."""
     rows: dict[str, list[dict[str, float]]] = {}
     for run in runs:
-        body = as_seen(body_of(run.subject if known else None), run, runs)
+        body = as_seen(body_of(run.subject if known else None), run, runs, posed=True)
         for label, cameras in cameras_of(run).items():
             row = errors(run, solved(run, cameras, body, **options))
             rows.setdefault(label, []).append(row | {"size off": abs(row["size"] - (1.0 if known else true_size(run)))})
@@ -189,7 +238,7 @@ def left_out(runs: Sequence[Run], **options: float) -> list[dict]:
     for run in runs:
         found, true = [], []
         for camera, view in run.views.items():
-            body = as_seen(body_of(run.subject), run, runs)
+            body = as_seen(body_of(run.subject), run, runs, posed=True)
             solution = solved(run, [c for c in run.views if c != camera], body, fast=True, **options)
             for points_m, out in ((solution.markers_m, found), (run.truth_m, true)):
                 pixels, _ = view.project(view.at_its_time(points_m))
@@ -206,7 +255,7 @@ def lags(runs: Sequence[Run]) -> list[dict]:
     """What each camera's lag comes out as, in frames, with all of them."""
     rows = []
     for run in runs:
-        found = solved(run, list(run.views), as_seen(body_of(run.subject), run, runs)).lag_frames
+        found = solved(run, list(run.views), as_seen(body_of(run.subject), run, runs, posed=True)).lag_frames
         by_camera = dict(zip(run.views, found, strict=True))
         cameras = range(1, 1 + max(max(other.views) for other in runs))
         rows.append(
@@ -218,10 +267,11 @@ def lags(runs: Sequence[Run]) -> list[dict]:
 def measured(runs: Sequence[Run]) -> list[dict]:
     """One camera, every view: keypoints on the markers, and where they lie in the other runs."""
     found = []
-    for label in ("none", "from the other runs"):
+    for label in ("none", "from the other runs, `subject fit`", "from the other runs, poses known"):
         rows = []
         for run in runs:
-            body = body_of(run.subject) if label == "none" else as_seen(body_of(run.subject), run, runs)
+            body = body_of(run.subject)
+            body = body if label == "none" else as_seen(body, run, runs, posed="known" in label)
             for camera in run.views:
                 solution = solved(run, [camera], body)
                 far = {"too far": too_far(run, solution), "named": float(camera == run.named)}
@@ -262,6 +312,7 @@ def main() -> None:
         ("One camera, all views", lambda: measured(runs)),
     ):
         show(title, rows())
+    print(detector_toml(_detector(tuple(runs), posed=True), "the network and the labellers of AcinoSet"))
 
 
 def show(title: str, rows: Sequence[dict]) -> None:

@@ -381,7 +381,7 @@ def test_prior_and_uncertainty(trajectory):
 
 
 def test_a_motion_that_the_prior_does_not_know_is_named_first(trajectory, small_trajectory):
-    """Of the spell that it fits least; nothing is said where it has all of its weight."""
+    """Of the spell that it fits least; nothing is said where it fits."""
     assert (trajectory["prior"]["surprise"], trajectory["prior"]["weight"], trajectory["prior"]["code"]) == (
         None,
         1,
@@ -391,7 +391,7 @@ def test_a_motion_that_the_prior_does_not_know_is_named_first(trajectory, small_
     (spell,) = small_trajectory.solution.spells
     spells = (
         replace(spell, rows=slice(0, 4), surprise=0.8),
-        replace(spell, rows=slice(4, 8), surprise=2.5, prior_weight=0.16),
+        replace(spell, rows=slice(4, 8), surprise=2.5, prior_weight=0.16, unlike_prior=True),
     )
     report = build_report(with_solution(small_trajectory, spells=spells), {})
     prior = report["prior"]

@@ -59,10 +59,15 @@ def test_pixels_that_say_nothing_make_no_surprise():
 
 
 def test_few_unknowns_have_to_be_further_off():
-    assert Surprise(1.99, 1e4).trust == 1.0
-    assert Surprise(2.1, 1e4).trust == pytest.approx(1 / 2.1)
-    assert Surprise(2.2, 10.0).trust == 1.0  # 2.32 of a chi square with ten degrees of freedom: one in 100
-    assert Surprise(2.4, 10.0).trust == pytest.approx(1 / 2.4)
+    assert not Surprise(1.99, 1e4).unlike
+    assert Surprise(2.01, 1e4).unlike
+    assert not Surprise(2.2, 10.0).unlike  # 2.32 of a chi square with ten degrees of freedom: one in 100
+    assert Surprise(2.4, 10.0).unlike
+
+
+def test_a_prior_loses_its_weight_little_by_little():
+    trusts = [Surprise(level, 1e3).trust for level in (0.5, 1.0, 1.001, 1.999, 2.001)]
+    assert trusts == pytest.approx([1.0, 1.0, 1 / 1.001, 1 / 1.999, 1 / 2.001])
 
 
 def solved(prior: MotionPrior, at: np.ndarray, **options) -> tuple[TrajectorySolution, float]:
@@ -87,6 +92,7 @@ def test_a_prior_that_does_not_know_the_motion_gives_way(fast, monkeypatch):
     assert spell.surprise is not None
     assert spell.surprise > 2
     assert spell.prior_weight <= (1 + 1e-9) / spell.surprise
+    assert spell.unlike_prior
     monkeypatch.setattr(Surprise, "trust", 1.0)
     held, held_m = solved(NARROW, at, fast=fast)
     assert held.spells[0].prior_weight == 1.0

@@ -205,7 +205,7 @@ def _prior(motion: Motion) -> dict[str, Any]:
         "data_share": by_name(motion.names, list(solution.data_share)),
         "surprise": max(surprises, default=None),
         "weight": weight,
-        "code": UNLIKE if weight < 1 else None,
+        "code": UNLIKE if any(spell.unlike_prior for spell in solution.spells) else None,
     }
 
 

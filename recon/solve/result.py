@@ -54,7 +54,10 @@ class Spell:
     surprise: float | None = None
     """How surprising the motion is under the prior, about 1 where that fits; None where there is none."""
     prior_weight: float = 1.0
-    """The part of its weight that the prior kept, each angle on its own having the rest: less than 1 in a surprise."""
+    """The part of its weight that the prior kept, each angle on its own having the rest: less than 1 where the motion
+    is more of a surprise than one that fits."""
+    unlike_prior: bool = False
+    """The motion is none that the prior knows."""
 
 
 @dataclass(frozen=True, eq=False)

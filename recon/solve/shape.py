@@ -49,6 +49,7 @@ class Shape:
     """Segments and markers whose distance from their origin is unknown; the right side's follow the left's."""
     offsets: tuple[str, ...] = ()
     """Markers whose keypoints' offsets are unknown, each with x, y and z; the right side's are mirrored."""
+    offset_sigma_m: float = OFFSET_SIGMA_M
 
     @classmethod
     def of(cls, body: Body, lengths: bool = True, offsets: bool = False) -> Shape:
@@ -72,7 +73,7 @@ class Shape:
     def expected_precision(self, size_sigma: float) -> Array:
         """(K, K): lengths share the animal's size, and differ a little from it."""
         n = len(self.lengths)
-        covariance = np.diag(np.repeat([LENGTH_SIGMA**2, OFFSET_SIGMA_M**2], [n, len(self) - n]))
+        covariance = np.diag(np.repeat([LENGTH_SIGMA**2, self.offset_sigma_m**2], [n, len(self) - n]))
         covariance[:n, :n] += size_sigma**2
         return np.linalg.inv(covariance)
 

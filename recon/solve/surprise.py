@@ -20,7 +20,8 @@ LASTS_S = 0.04
 """How long a surprise lasts: so that clips of a motion that the prior fits, but was not made from, have a level of
 about 1 (benchmarks/mismatch.py)."""
 LEVEL, SIGMAS = 2.0, 2.33
-"""A motion is a surprise from this level on, if a motion that fits would by chance be as far off in 1 of 100 clips."""
+"""A motion is unlike those that the prior knows from this level on, if one that fits would by chance be as far off in 1
+of 100 clips."""
 
 
 @dataclass(frozen=True)
@@ -33,10 +34,15 @@ class Surprise:
 
     @property
     def trust(self) -> float:
-        """The part of its weight that the prior keeps: 1, or where the motion is a surprise, one over the scale."""
+        """The part of its weight that the prior keeps: one over the scale, 1 at most."""
+        return 1.0 / max(self.level, 1.0)
+
+    @property
+    def unlike(self) -> bool:
+        """Whether the motion is none that the prior knows."""
         variance = 2.0 / (9.0 * self.freedom)  # a chi square's cube root is nearly normal (Wilson and Hilferty)
         by_chance = (1.0 - variance + SIGMAS * variance**0.5) ** 3
-        return 1.0 if self.level < max(LEVEL, by_chance) else 1.0 / self.level
+        return self.level >= max(LEVEL, by_chance)
 
 
 def surprise_of(problem: LeastSquares, found: Estimate, fps: float) -> Surprise:

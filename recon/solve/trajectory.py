@@ -54,7 +54,7 @@ WINDOW_S = 1.0
 _TEMPERATURES = (8.0, 3.0, 1.0)
 """Of the mixture of poses."""
 _MORE_ROUNDS = 3
-"""Where the prior has lost weight: until noise and contacts have settled again."""
+"""Where the prior has lost most of its weight: until noise and contacts have settled again."""
 POOR_SHARE, POORER_SHARE = 1 / 3, 0.8
 """Frames are "data poor" in which less than this part of the joints is seen and trusted, or less than this part of what
 it is in the clip's good frames (their 90th percentile)."""
@@ -188,7 +188,8 @@ def _solve_spell(setting: Setting, rows: slice, progress: Progress) -> Solved:
             setting = replace(setting, trust=setting.trust * found.trust)
             solved = replace(solved, surprise=solved.surprise or found, trust=setting.trust)
         progress("whole clip", 0.4 + 0.6 * (i + 1) / len(steps))
-    for _ in range(_MORE_ROUNDS if solved.trust < 1 else 0):
+    settled = solved.surprise is None or not solved.surprise.unlike
+    for _ in range(int(o.noise_rounds == 1 and solved.trust < 1) if settled else _MORE_ROUNDS):
         solved = _round(setting, solved, 1.0, whole=True)
     stage_s["whole clip"] = time.perf_counter() - clock
     return replace(solved, windows=windows, stage_s=stage_s, iterations=solved.iterations + iterations)
@@ -338,6 +339,7 @@ def _solution(setting: Setting, solved: Sequence[Solved], began: float) -> Traje
                 one.ground and one.ground.about(setting.origin_m, size),
                 one.surprise and one.surprise.level,
                 one.trust,
+                one.surprise is not None and one.surprise.unlike,
             )
             for one in solved
             if not away[one.rows].all()

@@ -1,0 +1,146 @@
+"""How well one camera can know the place at all, and whose doing what is missing is: real runs with the truth's help.
+
+    python benchmarks/place.py [FOLDER]
+
+Every view of `cameras.py` by itself, where the detector's keypoints lie measured in the other runs, and something of
+the truth given: its poses and headings, where this view's own keypoints lie beside its markers, or detections without
+noise. Then what other cameras say of the reference itself: all cameras of a run, and all but the one along whose line
+of sight the distance is compared; and how large all of them together see the animal. One thread.
+"""
+
+from __future__ import annotations
+
+import os
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+from cameras import Posed, Run, as_seen, body_of, runs_given, show, solved
+
+from recon import Body
+from recon.solve.least_squares import Estimate, LeastSquares
+from recon.solve.terms import Reprojection
+from recon.solve.trajectory import Solved, refined
+
+ROUNDS = 3
+OFFSET_SIGMA_M = 0.1
+"""Of a view's own offsets: hardly any bound."""
+
+
+def placed(run: Run, camera: int, body: Body) -> np.ndarray:
+    """Joints (T, J, 3) of the truth's poses and headings, where one camera's detections have them."""
+    setting = Posed.of_run(run, [camera], body)
+    states, one, T = setting.states, np.ones((1, len(body.markers))), len(setting)
+    nothing = LeastSquares(body.detected, [], [])
+    found = Solved(slice(0, T), Estimate(states, np.inf, 0, False), nothing, one, one[None], np.zeros((T, 4)), None)
+    for _ in range(ROUNDS):
+        found = refined(setting, found)
+    return setting.in_world(body.tree.pose(found.estimate.states).points_m)
+
+
+def own_offsets(run: Run, camera: int, body: Body) -> Body:
+    """With keypoints where this view has them beside the truth's markers, all the time."""
+    view, states = run.views[camera], Posed.of_run(run, [camera], body).states
+    R = body.tree.orientations(states)
+    at = [[segment.name for segment in body.tree.segments].index(m.segment) for m in body.tree.markers]
+    turned, off_m = R[:, at], np.zeros((len(body.markers), 3))
+    term = Reprojection(view, np.full(view.present.shape, 15.0), 3.0, np.zeros(3))
+    for _ in range(10):
+        points_m = run.truth_m + (turned @ off_m[..., None])[..., 0]
+        pixels, by_point, valid = view.project_with_jacobian(points_m)
+        root = np.sqrt(np.nan_to_num(term.weights(points_m)))[..., None] * valid[..., None] / 15.0
+        A = root[..., None] * (by_point @ turned)
+        e = np.where(view.present[..., None], view.xy_px - pixels, 0.0) * root
+        H = np.einsum("tjai,tjak->jik", A, A) + np.eye(3) / OFFSET_SIGMA_M**2
+        pull = np.einsum("tjai,tja->ji", A, e) - off_m / OFFSET_SIGMA_M**2
+        off_m = off_m + np.linalg.solve(H, pull[..., None])[..., 0]
+    return replace(body, keypoint_offset_m={m: tuple(o) for m, o in zip(body.markers, off_m, strict=True)})
+
+
+def projected(run: Run, camera: int, body: Body) -> Run:
+    """Its keypoints exactly where the detector of a body sees them."""
+    view = run.views[camera]
+    setting = Posed.of_run(run, [camera], body)
+    xy_px, _ = view.project(setting.in_world(setting.markers(setting.states)))
+    exact = replace(view, xy_px=np.where(view.present[..., None], xy_px, np.nan))
+    return replace(run, views=run.views | {camera: exact})
+
+
+def row(label: str, runs: Sequence[Run], found: Callable[[Run, int], np.ndarray]) -> dict:
+    """found: joints (T, J, 3) of a run and camera."""
+    mpe, mpjpe, far = [], [], []
+    for run in runs:
+        for camera, view in run.views.items():
+            points_m = found(run, camera)
+            off = points_m - run.truth_m
+            mpe.append(1000 * np.nanmean(np.linalg.norm(off, axis=-1)))
+            mpjpe.append(1000 * np.nanmean(np.linalg.norm(off - off.mean(axis=1, keepdims=True), axis=-1)))
+            here, true = (np.linalg.norm(p.mean(axis=1) - view.centre_m, axis=-1) for p in (points_m, run.truth_m))
+            far.append(float(np.nanmean(np.log(here / true))))
+    return {
+        "known": label,
+        "mpe_mm median": np.median(mpe),
+        "mpe_mm mean": np.mean(mpe),
+        "too far": f"{np.mean(far):+.1%}",
+        "rms": f"{np.sqrt(np.mean(np.square(far))):.1%}",
+        "views too far": int(np.sum(np.array(far) > 0)),
+        "mpjpe_mm mean": np.mean(mpjpe),
+    }
+
+
+def one_camera(runs: Sequence[Run]) -> list[dict]:
+    seen = {run: as_seen(body_of(run.subject), run, runs, posed=True) for run in runs}
+
+    def alone(run: Run, camera: int, body: Body) -> np.ndarray:
+        return solved(run, [camera], body).joints_m
+
+    return [
+        row("nothing", runs, lambda run, camera: alone(run, camera, seen[run])),
+        row("where the view's keypoints lie", runs, lambda r, c: alone(r, c, own_offsets(r, c, seen[r]))),
+        row("detections without noise", runs, lambda r, c: alone(projected(r, c, seen[r]), c, seen[r])),
+        row("poses and headings", runs, lambda r, c: placed(r, c, seen[r])),
+        row("poses, headings, no detector", runs, lambda r, c: placed(r, c, body_of(r.subject))),
+        row("poses, headings, view's keypoints", runs, lambda r, c: placed(r, c, own_offsets(r, c, seen[r]))),
+    ]
+
+
+def reference(runs: Sequence[Run]) -> list[dict]:
+    """What other cameras make of the reference, along each camera's line of sight."""
+
+    def several(run: Run, cameras: Sequence[int], body: Body) -> np.ndarray:
+        return solved(run, cameras, body).joints_m
+
+    def others(run: Run, camera: int) -> list[int]:
+        return [c for c in run.views if c != camera]
+
+    seen = {run: as_seen(body_of(run.subject), run, runs, posed=True) for run in runs}
+    return [
+        row("all cameras", runs, lambda r, c: several(r, list(r.views), seen[r])),
+        row("all cameras, no detector", runs, lambda r, c: several(r, list(r.views), body_of(r.subject))),
+        row("all but that one", runs, lambda r, c: several(r, others(r, c), seen[r])),
+        row("all but that one, no detector", runs, lambda r, c: several(r, others(r, c), body_of(r.subject))),
+    ]
+
+
+def sizes(runs: Sequence[Run]) -> list[dict]:
+    """Of the subject beside its measured lengths, by all cameras."""
+    rows = []
+    for run in runs:
+        body = as_seen(body_of(run.subject), run, runs, posed=True)
+        solution = solved(run, list(run.views), body, size_sigma=0.1)
+        rows.append({"run": run.folder.name, "size": solution.size, "sigma": solution.size_sigma})
+    return rows
+
+
+def main() -> None:
+    runs = runs_given(__doc__)
+    show("One camera, all views, and what it is told", one_camera(runs))
+    show("The reference, along each camera's line of sight", reference(runs))
+    show("How large all cameras see the animal, beside the lengths that the reference has", sizes(runs))
+
+
+if __name__ == "__main__":
+    main()
