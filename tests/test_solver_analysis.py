@@ -66,11 +66,12 @@ def test_limits_passed_are_counted_as_in_the_report(frame):
 
 @pytest.mark.parametrize("name", ["whole", "chain"])
 def test_the_trajectory_methods_problem_is_that_of_its_last_round(name, request):
-    """But for the contacts, which follow from the solution once more."""
+    """But for the contacts, which follow from the solution once more: a weight that the prior lost moves them."""
     record = request.getfixturevalue(name)
     told = record.results.report["convergence"]["cost_by_term"]
     found = {term: cost.sum() for term, cost in record.problem.cost.items()}
-    assert found == {term: pytest.approx(cost, rel=0.004) for term, cost in told.items()}
+    near = {term: 0.02 if term in ("stance", "ground") else 0.004 for term in told}
+    assert found == {term: pytest.approx(cost, rel=near[term]) for term, cost in told.items()}
     assert found["reprojection"] == pytest.approx(told["reprojection"], rel=1e-4)
     # A minimum: the next step is of hundredths of a radian and lowers the cost by next to nothing.
     assert 0 < record.step_norm.max() < 0.02
