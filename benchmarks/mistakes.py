@@ -5,6 +5,7 @@
 Each run is a folder as in `cheetah_runs.py`. Every view is changed in its file or in what `recon fit` is told,
 and fitted as it does. Errors are means of the joints' distances, both poses centred. Without FOLDER:
 the cheetah-runs of $RECON_SHARED_DATA, or of ../shared/data; without any runs, nothing. --views: every so many of them.
+--folds: the threshold of an exchanged stretch, chosen on all runs but one, for each of them.
 """
 
 from __future__ import annotations
@@ -25,16 +26,25 @@ import numpy as np
 import pandas as pd
 from markdown_table import print_header, print_row
 from recordings import recordings
-from trajectory import GROUPS, body_of, meta_of, view_of
+from trajectory import GROUPS, PRIOR, body_of, meta_of, prior_of, view_of
 
 from recon import FitSettings, Motion, fit_clip, read_keypoints
 from recon.analysis.evaluation import centre, joint_errors
 from recon.body import other_side
 from recon.io.deeplabcut import write_csv
 from recon.keypoints import Keypoints
+from recon.mistakes import Mistake
+from recon.mistakes.likelihood import given_of
+from recon.mistakes.mistake import CLEAR
+from recon.mistakes.sides import likeliest, pairs_of, tried
+from recon.solve import TrajectoryOptions
+from recon.solve.setting import Setting
 
 TEN, END = 10, 12
 """Frames exchanged in the middle, and of garbage at an end."""
+FALSE = 0.02
+"""So many frames of untouched clips may be named wrongly."""
+FOLDED = ("untouched", "ten frames exchanged", "fore legs exchanged, second half", "hind legs exchanged, second half")
 Change = Callable[["View"], tuple[np.ndarray, np.ndarray]]
 
 
@@ -169,17 +179,34 @@ def named(motion: Motion, kind: str, markers: tuple[int, ...] | None = None) -> 
     return frames
 
 
+def agreed(view: View, motion: Motion, one: Mistake) -> bool:
+    """Whether the reconstruction from all cameras says, too, that the detector exchanged those keypoints there."""
+    lens, _, _, truth_m = view_of(view.run, view.camera)
+    projected, _ = lens.project(truth_m)
+    sigma_px, rows = motion.solution.noise_px[0], slice(*(one.rows or (0, None)))
+    places = np.arange(len(motion.names))
+    places[[*one.markers]] = _opposites(motion.names, None)[[*one.markers]]
+    q = [np.sum((to - view.xy_px) ** 2, axis=-1) / sigma_px**2 for to in (projected, projected[:, places])]
+    return float(np.nansum((np.log1p(q[0] / 3.0) - np.log1p(q[1] / 3.0))[rows][:, [*one.markers]])) > 0.0
+
+
+def _wanted(names: tuple[str, ...], name: str) -> tuple[int, ...]:
+    """The keypoints that a case exchanges."""
+    places = _opposites(names, {"fore": "fore legs", "hind": "hind legs"}.get(name[:4]))
+    return tuple(int(j) for j in np.flatnonzero(places != np.arange(len(places))))
+
+
 def row(view: View, name: str, case: Case, folder: Path, untouched_mm: float) -> dict[str, Any]:
     """kind_right: a mistake of the right kind, of the right keypoints; frames_right: in frames that have at least half
-    in common with those changed. other_flags: share of the other frames with a mistake that is about frames."""
+    in common with those changed. other_flags: share of the other frames with a mistake that is about frames;
+    real_flags: with one that the reconstruction says, too."""
     began = time.process_time()
     motion, changed = fitted(view, case, folder)
     seconds, others = time.process_time() - began, ~changed
-    wanted = None
-    if case.kind == "sides":
-        places = _opposites(motion.names, {"fore": "fore legs", "hind": "hind legs"}.get(name[:4]))
-        wanted = tuple(int(j) for j in np.flatnonzero(places != np.arange(len(places))))
+    wanted = _wanted(motion.names, name) if case.kind == "sides" else None
     found, flagged = named(motion, case.kind or "", wanted), named(motion, "sides") | named(motion, "garbage")
+    sides = [one for one in motion.mistakes if one.kind == "sides"]
+    real = named(replace(motion, mistakes=tuple(one for one in sides if agreed(view, motion, one))), "sides")
     scored = others if case.kind == "garbage" else np.ones(len(changed), dtype=bool)
     mm = {"mm": error_mm(view, motion, scored)}
     if case.mends:
@@ -192,6 +219,7 @@ def row(view: View, name: str, case: Case, folder: Path, untouched_mm: float) ->
         "frames_right": bool((found & changed).sum() >= 0.5 * (found | changed).sum()) and bool(found.any()),
         "changed_flagged": float(found[changed].mean()) if changed.any() else np.nan,
         "other_flags": float(flagged[others].mean()) if others.any() else np.nan,
+        "real_flags": float(real[others].mean()) if others.any() else np.nan,
         "kinds": " ".join(sorted({one.kind for one in motion.mistakes})),
         "untouched_mm": untouched_mm,
         "mistakes_s": motion.solution.stage_s["mistakes"],
@@ -222,6 +250,7 @@ def print_tables(table: pd.DataFrame) -> None:
             "frames right",
             "changed frames flagged",
             "others flagged",
+            "of these real",
             "error / untouched",
             "mended / untouched",
         ]
@@ -242,6 +271,7 @@ def print_tables(table: pd.DataFrame) -> None:
                 f"{of_case['frames_right'].mean():.0%}" if is_case else "",
                 f"{of_case['changed_flagged'].mean():.0%}" if is_case else "",
                 f"{of_case['other_flags'].mean():.1%}",
+                f"{of_case['real_flags'].mean():.1%}",
                 ratio("mm"),
                 ratio("mended_mm"),
             ]
@@ -255,12 +285,50 @@ def print_tables(table: pd.DataFrame) -> None:
         )
 
 
+def likeliest_row(view: View, name: str, folder: Path) -> dict[str, Any]:
+    """What is told most of a view's stretches, how much, and whether that is the exchange put in; of an untouched one
+    the part of its frames that are named wrongly."""
+    motion, _ = fitted(view, CASES[name], folder)
+    body, solution = motion.body, motion.solution
+    setting = Setting.of(solution.views, body, prior_of(PRIOR), motion.fps, TrajectoryOptions())
+    best = likeliest(tried(given_of(setting, 0, solution.states, solution.size), pairs_of(body)), 0.0)
+    result = {"run": view.run.name, "case": name, "told": best.told if best else 0.0, "right": False, "wrong": 0.0}
+    if best is not None:
+        rows = best.stretch.rows
+        one = Mistake("sides", best.ratio, 0, (rows.start, rows.stop), best.stretch.markers)
+        result["right"] = name != "untouched" and one.markers == _wanted(motion.names, name)
+        wrong = name == "untouched" and not agreed(view, motion, one)
+        result["wrong"] = (rows.stop - rows.start) / len(view.xy_px) if wrong else 0.0
+    return result
+
+
+def print_folds(table: pd.DataFrame) -> None:
+    """The lowest threshold, from a thousand to one on, that names at most `FALSE` of the other runs' untouched frames
+    wrongly, and what it does on the run that was left out; last, on all runs."""
+
+    def share(part: pd.DataFrame, least: float) -> float:
+        untouched = part[part["case"] == "untouched"]
+        return float((untouched["wrong"] * (untouched["told"] > least)).mean())
+
+    print_header(["left out", "threshold", "ten frames", "fore legs", "hind legs", "untouched frames named wrongly"])
+    for run in [*table["run"].unique(), "none"]:
+        rest = table[table["run"] != run]
+        least = min(c for c in np.arange(np.ceil(CLEAR), 40.0, 0.5) if share(rest, c) <= FALSE)
+        part = table if run == "none" else table[table["run"] == run]
+        found = [
+            f"{int((of['right'] & (of['told'] > least)).sum())} of {len(of)}"
+            for of in (part[part["case"].str.startswith(case)] for case in ("ten", "fore", "hind"))
+        ]
+        print_row([run, f"{least:.1f}", *found, f"{share(part, least):.1%}"])
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path, nargs="?", default=recordings("cheetah-runs"))
     parser.add_argument("--views", type=int, default=1, help="every so many views")
     parser.add_argument("--first", type=int, default=0, help="from this view on")
     parser.add_argument("--only", help="cases whose name has this in it")
+    parser.add_argument("--folds", action="store_true", help="choose the threshold, leaving runs out")
     parser.add_argument("--csv", type=Path, help="write all rows here")
     arguments = parser.parse_args()
     runs = sorted(p.parent for p in arguments.folder.glob("*/meta.json"))
@@ -272,11 +340,16 @@ def main() -> None:
         lens, xy_px, confidence, _ = view_of(run, camera)
         file = read_keypoints(run / f"cam{camera}.csv")
         file = replace(file, names=body_of().markers, xy_px=xy_px, confidence=confidence)
-        rows += rows_of(View(run, camera, file, lens.image_size_px), arguments.only)
+        view = View(run, camera, file, lens.image_size_px)
+        if arguments.folds:
+            with tempfile.TemporaryDirectory() as folder:
+                rows += [likeliest_row(view, name, Path(folder)) for name in FOLDED]
+        else:
+            rows += rows_of(view, arguments.only)
     table = pd.DataFrame(rows)
     if arguments.csv:
         table.to_csv(arguments.csv, index=False)
-    print_tables(table)
+    (print_folds if arguments.folds else print_tables)(table)
 
 
 if __name__ == "__main__":

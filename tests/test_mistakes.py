@@ -20,7 +20,7 @@ from recon.mistakes.likelihood import given_of
 from recon.mistakes.mistake import CLEAR
 from recon.mistakes.picture import of_other_camera, of_smaller_video, of_unit_square, smaller, turned_over
 from recon.mistakes.rate import other_rate
-from recon.mistakes.sides import Stretch, exchanged, exchanges, jumps, opposites, pairs_of
+from recon.mistakes.sides import Stretch, Tried, exchanged, exchanges, jumps, likeliest, opposites, pairs_of, tried
 from recon.motion import Motion
 from recon.report import mistakes as in_report
 from recon.settings import FitSettings
@@ -66,7 +66,8 @@ def test_tracks_jump_where_an_exchange_begins_and_ends():
     gain = jumps(exchanged(view(), stretch("all", 15, 25)), pairs_of(BODY)["all"])
     assert sorted(np.argsort(-gain)[:2].tolist()) == [15, 25]
     assert gain[[15, 25]].min() > 20
-    assert np.delete(gain, [0, 15, 25]).max() < -10
+    assert np.delete(gain, [15, 25]).max() < -3
+    assert np.flatnonzero(np.isinf(gain)).tolist() == [0, 1, 2, T - 2, T - 1]
 
 
 def test_missing_points_say_nothing_of_jumps():
@@ -74,17 +75,39 @@ def test_missing_points_say_nothing_of_jumps():
     xy_px[:, 3] = np.nan
     xy_px[10:14] = np.nan
     gain = jumps(moved(xy_px), pairs_of(BODY)["all"])
-    assert np.isfinite(gain).all()
-    assert gain[11:13].tolist() == [0.0, 0.0]
-    assert not jumps(moved(np.full_like(xy_px, np.nan)), pairs_of(BODY)["all"]).any()
+    assert np.flatnonzero(np.isinf(gain)).tolist() == [0, 1, 2, *range(8, 17), T - 2, T - 1]
+    legs = view().xy_px.copy()
+    legs[10:14, pairs_of(BODY)["hind"] != np.arange(24)] = np.nan
+    assert not jumps(moved(legs), pairs_of(BODY)["hind"])[8:17].any()
+    assert np.isinf(jumps(moved(np.full_like(xy_px, np.nan)), pairs_of(BODY)["all"])).all()
+    rng = np.random.default_rng(0)
+    outlier = rng.uniform(size=xy_px.shape[:2]) < 0.3
+    wild = np.where(outlier[..., None], rng.uniform((0, 0), (1920, 1080), xy_px.shape), view().xy_px)
+    assert np.isinf(jumps(moved(wild), pairs_of(BODY)["hind"])).all()
+    assert np.isinf(jumps(view().part(slice(0, 5)), pairs_of(BODY)["all"])).all()
 
 
-@pytest.mark.parametrize(("kind", "first", "stop"), [("all", 15, 25), ("all", 0, T)])
+@pytest.mark.parametrize(("kind", "first", "stop"), [("all", 15, 25), ("all", 0, T), ("fore", 20, T), ("hind", 0, 20)])
 def test_exchanged_sides_are_found(kind, first, stop):
     (found,) = exchanges(given(exchanged(view(), stretch(kind, first, stop))), 0)
     assert (found.kind, found.view, found.rows) == ("sides", 0, (first, stop))
     assert found.markers == stretch(kind, first, stop).markers
     assert found.ratio > CLEAR
+
+
+def test_a_clip_without_states_has_no_exchanged_stretch():
+    nothing = given(exchanged(view(), stretch("all", 15, 25)))
+    assert tried(replace(nothing, states=np.full_like(nothing.states, np.nan)), pairs_of(BODY)) == []
+
+
+def test_of_stretches_about_as_likely_the_shortest_is_taken():
+    def one(first: int, stop: int, ratio: float, told: float) -> Tried:
+        return Tried(stretch("fore", first, stop), ratio, told)
+
+    long, short, unlikely = one(0, 20, 15.0, 31.0), one(0, 10, 15.0, 30.0), one(0, 5, 15.0, 20.0)
+    assert likeliest([long, short, unlikely], 10.0) is short
+    assert likeliest([unlikely, one(5, 10, 1.0, 40.0)], 10.0) is unlikely  # the fit itself has to say so, too
+    assert likeliest([short], 30.0) is None
 
 
 def test_an_untouched_clip_has_no_mistakes():

@@ -62,6 +62,7 @@ def find_mistakes(
 ) -> tuple[Mistake, ...]:
     """In the keypoints that a solution was fitted to."""
     setting = Setting.of(solution.views, body, prior, fps, options)
+    unlike = any(spell.prior_weight < 1 for spell in solution.spells)
     found: list[Mistake] = []
     with threadpool_limits(1, user_api="blas"):
         for number in range(len(setting.views)):
@@ -70,7 +71,7 @@ def find_mistakes(
             if of_picture is not None:
                 found.append(of_picture)
             elif known.sides:
-                found += exchanges(given, number)
+                found += exchanges(given, number, unlike)
         if not any(one.kind == "normalised" for one in found):
             found += _of_rate(setting, solution, known.stated_hz)
     return tuple(found)

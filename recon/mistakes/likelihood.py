@@ -1,8 +1,8 @@
 """How likely what a camera saw is, under what is expected of an animal and its motion, as it was given or otherwise.
 
 A hypothesis is a `Setting`: other keypoints, or another camera. Its animal is sought from the start, as the fast search
-does, at the approach's frame rate: the motion that was found for the keypoints as given has adapted to them, and would
-judge any other by it.
+does, at the approach's frame rate; or from the motion that was found, where the hypothesis leaves the animal there:
+its minimum is then nearly always the same one, in a third of the time.
 """
 
 from __future__ import annotations
@@ -13,19 +13,22 @@ from functools import cached_property
 
 import numpy as np
 
-from recon.arrays import Array
+from recon.arrays import Array, Bools
 from recon.chain import MIN_JOINTS
 from recon.clip import View
+from recon.keypoints import frame_ranges
 from recon.kinematics import ROOT, YAW
 from recon.prior import ANGLES
 from recon.solve.least_squares import LeastSquares
 from recon.solve.setting import Setting
-from recon.solve.starts import APPROACH_HZ, approach
+from recon.solve.starts import APPROACH_HZ, approach, between
 
-_WIDE, _TOLERANCE, _ITERATIONS = (8.0, 2.0, 1.0), 3e-3, 12
-"""Factors on the noise on the way in from a straight run, and when a minimum is good enough."""
+_TOLERANCE, _ITERATIONS = 3e-3, 12
+"""When a minimum is good enough."""
 AT_ONCE_S = 1.0
 """So much of a clip is judged at once."""
+LOOSE = 2.0
+"""Factor on the noise of a fit that does not know which side is which."""
 LOW_FEET = 0.1
 """Of the frames, the part in which the lowest foot is taken to be on the ground."""
 
@@ -36,21 +39,19 @@ def alone(setting: Setting, view: View) -> Setting:
     return replace(setting, views=(view,), origin_m=origin_m, options=replace(setting.options, fast=True))
 
 
-def surprise(
-    setting: Setting, start: Array | None = None, widen: Sequence[float] = _WIDE, lasting: bool = False
-) -> float:
+def surprise(setting: Setting, start: Array | None = None, widen: Sequence[float] = (), lasting: bool = False) -> float:
     """Minus the logarithm of the likelihood of one view's keypoints, but for a constant; infinite without any.
 
     The errors of a detector last (`Setting.alike`), and their costs count once in that time. lasting: so do those of
-    the priors, for what is off in the same way all the time. start: states (T, D) to begin with, with the noise as many
-    times wider; by default the animal is sought.
+    the priors, for what is off in the same way all the time. start: states (T, D) to begin with; by default it is
+    sought. widen: factors on the noise on the way in from there.
     """
     if (setting.present().sum(axis=1) >= MIN_JOINTS).sum() < 2:
         return np.inf
     step = max(1, round(setting.fps / APPROACH_HZ))
     thin, ones = setting.thinned(step), np.ones((1, len(setting.body.markers)))
     states = (approach(setting)[0].estimate.states if start is None else start)[::step]
-    for times in () if start is None else widen:
+    for times in widen:
         noise_px = times * thin.noise_px(thin.markers(states), ones)
         states = thin.problem(noise_px).minimise(states, _TOLERANCE, _ITERATIONS).states
     problem = thin.problem(thin.noise_px(thin.markers(states), ones), 1.0)
@@ -84,22 +85,53 @@ class Given:
         """Of a part of the clip, from the states that were found."""
         key = (part.start, part.stop, lasting)
         if key not in self._known:
-            start = self.states[part]
-            known = start if np.isfinite(start).all() else None
-            self._known[key] = surprise(self.setting.part(part), known, (1.0,), lasting)
+            self._known[key] = surprise(self.setting.part(part), self.found(part), lasting=lasting)
         return self._known[key]
 
-    def straight(self, part: slice) -> Array | None:
-        """States (n, D) of the mean pose that goes along where the animal was found; None where it was not."""
-        found = self.states[part]
-        if not np.isfinite(found).all():
+    def found(self, part: slice) -> Array | None:
+        """The states (n, D) of a part; None where some frame has none."""
+        states = self.states[part]
+        return states if np.isfinite(states).all() else None
+
+    def mirrored(self, part: slice) -> Array | None:
+        """States (n, D) of the mean pose that goes along where the animal was found, mirrored in depth."""
+        found = self.found(part)
+        if found is None:
             return None
-        start = np.zeros_like(found)
-        start[:, ANGLES], start[:, YAW] = self.setting.prior.mean, np.median(np.unwrap(found[:, YAW]))
-        time = np.linspace(-1.0, 1.0, len(found))
-        path = np.polynomial.polynomial.polyfit(time, found[:, ROOT], min(2, len(found) - 1))
-        start[:, ROOT] = np.polynomial.polynomial.polyval(time, path).T
+        start, right, away = _mean_pose(self.setting, found), self.setting.right, self.setting.away
+        start[:, YAW] = 2 * np.arctan2(right[1], right[0]) - start[:, YAW]
+        off = start[:, ROOT] - start[:, ROOT].mean(axis=0)
+        start[:, ROOT] -= 2 * np.outer(off @ away, away)
         return start
+
+
+def _mean_pose(setting: Setting, found: Array) -> Array:
+    """States (n, D) of the mean pose where the animal was found."""
+    start = np.zeros_like(found)
+    start[:, ANGLES], start[:, ROOT], start[:, YAW] = setting.prior.mean, found[:, ROOT], found[:, YAW]
+    return start
+
+
+def either_side(given: Given, other: View, which: Bools) -> tuple[Array, Array]:
+    """Where a fit to both views of a clip, half each, has the keypoints in the picture, (T, J, 2), and their noise
+    (T, J): NaN in frames without states. which (J,): the markers that the views have on different sides."""
+    setting, posed = given.setting, np.flatnonzero(np.isfinite(given.states[:, 0]))
+    shares = (np.where(which, 0.5, 1.0), np.where(which, 0.5, 0.0))
+    views = [replace(v, confidence=v.confidence * of) for v, of in zip((given.view, other), shares, strict=True)]
+    projected, sigma_px = np.full(other.xy_px.shape, np.nan), np.full(other.confidence.shape, np.nan)
+    for rows in (slice(first, stop) for first, stop in frame_ranges(posed)):
+        part = replace(setting, views=tuple(view.part(rows) for view in views))
+        step = max(1, round(setting.fps / APPROACH_HZ))
+        every, ones = np.arange(0, len(part), step), np.ones((2, len(which)))
+        thin = part.thinned(step)
+        states = _mean_pose(setting, given.states[rows])[every]
+        for times in (4.0, LOOSE):
+            noise_px = times * thin.noise_px(thin.markers(states), ones)
+            states = thin.problem(noise_px).minimise(states, _TOLERANCE, _ITERATIONS).states
+        markers = part.markers(between(states, every, len(part)))
+        sigma_px[rows] = LOOSE * part.noise_px(markers, ones)[0]
+        projected[rows], _ = part.views[0].project(part.views[0].at_its_time(part.in_world(markers)))
+    return projected, sigma_px
 
 
 def given_of(setting: Setting, number: int, states: Array, size: float) -> Given:

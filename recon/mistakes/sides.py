@@ -1,35 +1,44 @@
 """Left and right exchanged: in single frames, a stretch or a whole clip, of all keypoints or of one pair of legs.
 
-A fit follows exchanged keypoints, and its residuals say little. Where an exchange begins or ends, though, the keypoints
-of both sides jump at once: their tracks in the picture say where that may be, and the likelihood of the clip with the
-stretches between exchanged says whether it is, and which of them. A whole clip is tried in any case.
+A fit follows exchanged keypoints, and its residuals say little. Three things together say it. Where an exchange begins
+or ends, the keypoints of both sides jump at once, unless the legs cross there: their tracks in the picture say where
+that may be. A fit to which each keypoint of a leg may be either side's says which of them it looks like in each frame.
+And the likelihood of the clip with the few best of the stretches exchanged says whether they are. A whole clip is tried
+in any case; exchanged, it looks like the animal mirrored in depth.
 """
 
 from __future__ import annotations
 
+import warnings
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from recon.arrays import Array, Bools, Index
+from recon.arrays import Array, Index
 from recon.body import Body, other_side
 from recon.clip import View
-from recon.mistakes.likelihood import AT_ONCE_S, Given, best_seen, surprise
+from recon.mistakes.likelihood import AT_ONCE_S, Given, best_seen, either_side, surprise
 from recon.mistakes.mistake import CLEAR, Mistake
 
-JUMP = 3.0
-"""Tracks jump where that makes them so much likelier, as a logarithm."""
-CLEAR_STRETCH = 21.5
-"""A stretch is exchanged where that makes the tracks at its ends and the clip so many times as likely together, as a
-logarithm: it could be any of thousands, and no animal's legs go quite as the prior has them. Set on real clips."""
-JUMPS, TRIED, STRETCHES = 3, 4, 4
-"""So many of the largest jumps of each kind are looked at a second, so many stretches between them tried, and so many
-exchanges found in a clip."""
+JUMP = -3.0
+"""Exchanges begin and end where that makes the tracks so much likelier, as a logarithm: legs that cross hardly jump."""
+LOOKS, CLEAR_FIT, CLEAR_STRETCH = 0.5, 3.0, 10.0
+"""Tracks and looks count that much, as errors last. A stretch is exchanged where that makes the clip likelier by
+`CLEAR_FIT`, and all three together by `CLEAR_STRETCH`, as logarithms: it could be any of hundreds, and no animal's legs
+go quite as the prior has them. Chosen on real clips, by leaving runs out (docs/benchmarks.md, mistakes)."""
+LIKELY, TRIED, STRETCHES = 6.0, 3, 4
+"""Stretches are tried of which tracks and looks say so much, so many of them for each second, and so many exchanges
+found in a clip."""
 OF_LEG = 3
 """Of a leg, the last markers: what is above hardly tells its side."""
 _TAILS = 3.0
-"""Degrees of freedom of Student's distribution, which the tracks' bends have."""
-_LEAST_BEND_PX = 3.0
+"""Degrees of freedom of Student's distribution, which errors have."""
+_STRAIGHT = 3
+"""So many frames before and after an end, tracks are straight lines."""
+_LEAST_OFF_PX = 3.0
+STEADY = 1.0
+"""Tracks that usually lie off a line by more than this part of how far the sides lie apart say nothing."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,39 +78,75 @@ def pairs_of(body: Body) -> dict[str, Index]:
     return {name: places for name, places in kinds.items() if (places != none).any()}
 
 
-def exchanges(given: Given, number: int) -> list[Mistake]:
-    """Of one view of a clip. number: the view's."""
+def exchanges(given: Given, number: int, unlike: bool = False) -> list[Mistake]:
+    """Of one view of a clip. number: the view's. unlike: the prior does not know the motion (`recon.solve.surprise`):
+    what it says of the sides counts only where tracks and looks say it, too."""
     kinds, view = pairs_of(given.setting.body), given.view
     found: list[Mistake] = []
     while len(found) < STRETCHES and "all" in kinds:
-        best = _best(given, kinds, whole=not found)
+        all_tried = [one for one in tried(given, kinds) if not unlike or one.told - one.ratio > CLEAR_STRETCH]
+        best = likeliest(all_tried, CLEAR_STRETCH)
+        whole = None if found or unlike else _whole(given, kinds["all"])
+        if whole is not None and whole.ratio > max(CLEAR, best.ratio if best else 0.0):
+            best = whole
         if best is None:
             break
-        stretch, ratio = best
-        found.append(Mistake("sides", ratio, number, (stretch.rows.start, stretch.rows.stop), stretch.markers))
-        view = exchanged(view, stretch)
+        rows, markers = best.stretch.rows, best.stretch.markers
+        found.append(Mistake("sides", best.ratio, number, (rows.start, rows.stop), markers))
+        if best is whole:  # the states are the other way round, and nothing more is told by them
+            break
+        view = exchanged(view, best.stretch)
         given = Given(given.other(view), given.states)
     return found
 
 
-def _best(given: Given, kinds: dict[str, Index], whole: bool) -> tuple[Stretch, float] | None:
-    """What makes the clip so much likelier if it is exchanged, and its ratio. whole: the whole clip is tried, too."""
+@dataclass(frozen=True, eq=False)
+class Tried:
+    """A stretch that was exchanged: how much likelier that makes the clip, and how much with what tracks and looks say,
+    as logarithms."""
+
+    stretch: Stretch
+    ratio: float
+    told: float
+
+
+def likeliest(all_tried: Sequence[Tried], least: float) -> Tried | None:
+    """What is told most clearly, and more than at least; of those about as likely the shortest."""
+    clear = [one for one in all_tried if one.ratio > CLEAR_FIT and one.told > least]
+    most = max((one.told for one in clear), default=0.0)
+    about = [one for one in clear if one.told > most - CLEAR_FIT]
+    return min(about, key=lambda one: one.stretch.rows.stop - one.stretch.rows.start, default=None)
+
+
+def tried(given: Given, kinds: dict[str, Index]) -> list[Tried]:
+    """The stretches that tracks and looks say most of."""
     T, fps, found = len(given.view.xy_px), given.setting.fps, []
-    for stretch, jump in _stretches(given.view, kinds, fps):
+    if not np.isfinite(given.states).any():
+        return []
+    looks = _looks(given, kinds)
+    most = TRIED * max(1, round(T / fps))
+    likely = [
+        one for name, places in kinds.items() for one in _told(jumps(given.view, places), looks[name], name, most)
+    ]
+    for _, name, (first, stop), jump in sorted(likely, reverse=True)[:most]:
+        stretch = Stretch(slice(first, stop), kinds[name])
         part = _around(stretch.rows, T, fps)
         other = given.other(exchanged(given.view, stretch)).part(part)
-        ratio = given.surprise(part) - surprise(other, given.straight(part))
-        if ratio > CLEAR and ratio + jump > CLEAR_STRETCH:
-            found.append((ratio + jump - CLEAR_STRETCH, stretch, ratio))
-    if whole:
-        stretch, part = Stretch(slice(0, T), kinds["all"]), best_seen(given.view, fps)
-        ratio = given.surprise(part) - surprise(given.other(exchanged(given.view, stretch)).part(part))
-        if ratio > CLEAR:
-            found.append((ratio - CLEAR, stretch, ratio))
-    if not found:
-        return None
-    _, stretch, ratio = max(found, key=lambda one: one[0])
-    return stretch, ratio
+        ratio = given.surprise(part) - surprise(other, given.found(part))
+        look = float(looks[name][max(first, part.start) : min(stop, part.stop)].sum())
+        found.append(Tried(stretch, ratio, ratio + LOOKS * (jump + look)))
+    return found
+
+
+def _whole(given: Given, places: Index) -> Tried:
+    """The whole clip exchanged, judged where most is seen: from what was found, and from that mirrored in depth."""
+    view, part = given.view, best_seen(given.view, given.setting.fps)
+    stretch = Stretch(slice(0, len(view.xy_px)), places)
+    other = given.other(exchanged(view, stretch)).part(part)
+    starts = {(): given.found(part), (8.0, 2.0): given.mirrored(part)}
+    likely = [surprise(other, start, widen) for widen, start in starts.items() if start is not None]
+    ratio = given.surprise(part) - min(likely or [surprise(other)])
+    return Tried(stretch, ratio, ratio)
 
 
 def _around(rows: slice, T: int, fps: float) -> slice:
@@ -113,59 +158,67 @@ def _around(rows: slice, T: int, fps: float) -> slice:
     return slice(first, min(first + n, T))
 
 
-def _stretches(view: View, kinds: dict[str, Index], fps: float) -> list[tuple[Stretch, float]]:
-    """Those between jumps of the tracks, the clearest first, with what the tracks say of them."""
-    T = len(view.xy_px)
-    most = JUMPS * max(1, round(T / fps))
-    found: list[tuple[Stretch, float]] = []
-    for places in kinds.values():
-        gain = jumps(view, places)
-        at = sorted(_peaks(gain, most))
-        edges = [0, *at, T]
-        for i, first in enumerate(edges):
-            for stop in edges[i + 1 :][:3]:
-                if (first, stop) != (0, T):
-                    clear = sum(float(gain[edge]) for edge in (first, stop) if 0 < edge < T)
-                    found.append((Stretch(slice(first, stop), places), clear))
-    return sorted(found, key=lambda one: -one[1])[: TRIED * max(1, round(T / fps))]
+def _told(jump: Array, looks: Array, name: str, most: int) -> list[tuple[float, str, tuple[int, int], float]]:
+    """Stretches of a kind that hardly overlap, the likeliest first: by how much tracks and looks (T,) say so, the kind,
+    first and stop, and what the tracks say of it."""
+    T = len(jump)
+    ends = np.concatenate([[0], 1 + np.flatnonzero(jump[1:] > JUMP), [T]])
+    gain = np.concatenate([[0.0], jump[ends[1:-1]], [0.0]])
+    sums = np.concatenate([[0.0], np.cumsum(looks)])[ends]
+    first, stop = ends[:, None], ends[None]
+    score = np.where(stop > first, sums[None] - sums[:, None] + gain[:, None] + gain[None], -np.inf)
+    score[0, -1] = -np.inf
+    found: list[tuple[float, str, tuple[int, int], float]] = []
+    while len(found) < most and score.max() > LIKELY:
+        a, b = np.unravel_index(np.argmax(score), score.shape)
+        found.append((float(score[a, b]), name, (int(ends[a]), int(ends[b])), float(gain[a] + gain[b])))
+        both = np.minimum(stop, ends[b]) - np.maximum(first, ends[a])
+        score[2 * both >= np.maximum(stop, ends[b]) - np.minimum(first, ends[a])] = -np.inf
+    return found
+
+
+def _looks(given: Given, kinds: dict[str, Index]) -> dict[str, Array]:
+    """By kind, (T,): how much likelier a frame's keypoints are if the sides are exchanged, as a logarithm, under a fit
+    to which each of a leg may be either side's; "all" is all legs."""
+    legs = {name: places != np.arange(len(places)) for name, places in kinds.items() if name != "all"}
+    which = np.any([np.zeros(len(kinds["all"]), dtype=bool), *legs.values()], axis=0)
+    places, seen = np.where(which, kinds["all"], np.arange(len(which))), given.view.xy_px
+    projected, sigma_px = either_side(given, exchanged(given.view, Stretch(slice(None), places)), which)
+    straight, other = (_log_density(points - seen, sigma_px) for points in (projected, projected[:, places]))
+    likelier = np.where(np.isfinite(given.states[:, :1]), other - straight, 0.0)
+    return {name: likelier[:, of].sum(axis=1) for name, of in (legs | {"all": which}).items()}
 
 
 def jumps(view: View, places: Index) -> Array:
     """(T,): how much likelier the tracks are if the sides are exchanged from a frame on, as a logarithm.
 
-    What lies between the points of a pair bends little from frame to frame, by as much as it does in the clip.
+    What lies between the points of a pair goes along a straight line for a few frames, as nearly as in the clip. Minus
+    infinity where nothing at all is seen meanwhile, or where all pairs jump about as far as their points lie apart.
     """
-    pairs = [(j, int(k)) for j, k in enumerate(places) if j < k]
+    n, pairs = 2 * _STRAIGHT, [(j, int(k)) for j, k in enumerate(places) if j < k]
     apart = view.xy_px[:, [j for j, _ in pairs]] - view.xy_px[:, [k for _, k in pairs]]
-    gain = np.zeros(len(apart))
-    if len(apart) < 4:
+    gain = np.full(len(apart), -np.inf)
+    if len(apart) < n:
         return gain
-    before, here, after = apart[:-2], apart[1:-1], apart[2:]
-    bends = after - 2.0 * here + before
-    lengths = np.linalg.norm(bends, axis=-1)
-    known = np.isfinite(lengths)
-    typical = np.array(
-        [np.median(of[seen]) if seen.any() else np.inf for of, seen in zip(lengths.T, known.T, strict=True)]
-    )
-    sigma = np.maximum(typical / np.sqrt(2 * np.log(2)), _LEAST_BEND_PX)
-    given = _log_density(bends, sigma)
-    at_last = _log_density(-after - 2.0 * here + before, sigma) - given  # exchanged from the last of three frames on
-    at_middle = _log_density(-after + 2.0 * here + before, sigma) - given
-    gain[2:] += at_last.sum(axis=1)
-    gain[1:-1] += at_middle.sum(axis=1)
+    line = np.vander(np.arange(n), 2)
+    off = np.eye(n) - line @ np.linalg.pinv(line)
+    turn = np.where(np.arange(n) < _STRAIGHT, -1.0, 1.0)
+    around = np.lib.stride_tricks.sliding_window_view(apart, n, axis=0)  # (N, P, 2, n)
+    given, other = (np.sum((around @ by) * around, axis=(2, 3)) for by in (off, turn[:, None] * off * turn))
+    known, freedom = np.isfinite(given), 2 * (n - 2)
+    with np.errstate(all="ignore"), warnings.catch_warnings(action="ignore"):  # of a pair that is never seen
+        square_px = np.nanmedian(np.where(known, given, np.nan), axis=0) / freedom
+        far_px = np.nanmedian(np.sum(apart**2, axis=-1), axis=0)
+    seen = np.lib.stride_tricks.sliding_window_view(view.present.any(axis=1), n).all(axis=1)
+    steady = square_px < (STEADY**2) * far_px
+    scale = _TAILS * np.maximum(np.nan_to_num(square_px), _LEAST_OFF_PX**2)
+    likelier = np.log1p(np.where(known, given, 0.0) / scale) - np.log1p(np.where(known, other, 0.0) / scale)
+    told = 0.5 * (_TAILS + freedom) * likelier.sum(axis=1)
+    gain[_STRAIGHT : len(gain) - _STRAIGHT + 1] = np.where(seen & steady.any(), told, -np.inf)
     return gain
 
 
-def _log_density(bends: Array, sigma: Array) -> Array:
-    """(N, P), but for a constant; 0 where a point is missing."""
-    q = np.sum(bends**2, axis=-1) / sigma**2
+def _log_density(off_px: Array, sigma_px: Array) -> Array:
+    """(T, J) of (T, J, 2), but for a constant; 0 where a point is missing."""
+    q = np.sum(off_px**2, axis=-1) / sigma_px**2
     return np.where(np.isfinite(q), -(_TAILS + 2) / 2 * np.log1p(np.nan_to_num(q) / _TAILS), 0.0)
-
-
-def _peaks(gain: Array, most: int) -> list[int]:
-    """The highest of the frames at which tracks jump."""
-    inner: Bools = (gain[1:-1] > JUMP) & (gain[1:-1] >= gain[:-2]) & (gain[1:-1] > gain[2:])
-    at = np.flatnonzero(inner) + 1
-    if len(gain) > 1 and gain[-1] > JUMP and gain[-1] > gain[-2]:
-        at = np.append(at, len(gain) - 1)
-    return [int(t) for t in at[np.argsort(-gain[at])][:most]]
