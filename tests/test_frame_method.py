@@ -204,8 +204,8 @@ def test_the_base_lengths_prior_is_the_one_that_is_told():
     view = still_view(clip.camera, near(clip, clip.keypoints.xy_px), near(clip, clip.keypoints.confidence))
     solver, _ = frame._solver(view, SK, 30.0, options)
     (prior,) = (term for term in solver.others if term.name == "base length prior")
-    assert (prior.nominal_m, prior.sigma_m) == pytest.approx(base_length(SK, options))
-    assert prior.sigma_m == pytest.approx(0.6 * 0.02 / 0.203)
+    assert (prior.mean, prior.sigma) == pytest.approx(base_length(SK, options))
+    assert prior.sigma == pytest.approx(0.6 * 0.02 / 0.203)
 
 
 def test_precision_shares_of_a_problem_done_by_hand():

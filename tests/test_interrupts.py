@@ -33,7 +33,7 @@ def run_clip(*args):
         print("cleaned up", flush=True)
 
 pipeline = types.ModuleType("recon.app.clip")
-pipeline.run_clip = run_clip
+pipeline.run_clip, pipeline.keypoint_problems = run_clip, None
 sys.modules["recon.app.clip"] = pipeline
 sys.modules["pandas"] = types.ModuleType("pandas")
 """

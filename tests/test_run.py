@@ -268,7 +268,7 @@ def test_the_stages_are_those_of_the_commands(tmp_path, monkeypatch):
     """All of it, with the beginning of the rendered film, but for figures, which take long."""
     monkeypatch.setattr("recon.app.analyse.write_figures", lambda *given: None)
     page = '<meta name="generator" content="recon">'
-    monkeypatch.setattr("recon.app.page.clip_page", lambda results, stills, behind, files: f"{page} {behind} {files}")
+    monkeypatch.setattr("recon.app.page.clip_page", lambda _, stills, behind, files, camera: f"{page} {behind} {files}")
     given = {"camera": SAMPLES / "rendered_camera.toml", "fast": True, "frames": "0:6"}
     job = job_of(SAMPLES / "rendered.mp4", tmp_path / "out", given, keypoints=SAMPLES / "rendered_points.csv")
     stages, shares = [], []

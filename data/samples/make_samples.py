@@ -18,6 +18,7 @@ from recon.solve import solve_points
 from recon.synthetic import SyntheticClip, add_noise, gallop
 
 SCORER = "recon_synthetic"
+SAMPLES = Path(__file__).parent
 
 
 def write_keypoints(keypoints: Keypoints, path: Path, decimals: int) -> None:
@@ -58,7 +59,7 @@ def _write(path: Path, rows: list[list[str]]) -> None:
 
 def whole_animal(fps: float = 60, n_frames: int = 60) -> tuple[SyntheticClip, SyntheticClip]:
     """The skeleton `cheetah-24` in the gallop of `recon.synthetic`, and the same with its keypoints in place of its
-    markers: where the skeleton's detector sees them.
+    markers: where the detector of `detector.toml` sees them, which is not quite the one that fits take it for.
 
     It takes the poses that are nearest to the gallop's trunk and legs; the head stays level and the tail swings.
     """
@@ -75,7 +76,7 @@ def whole_animal(fps: float = 60, n_frames: int = 60) -> tuple[SyntheticClip, Sy
     column["tail_2_yaw"][:] = 0.3 * np.sin(2 * np.pi * 1.3 * t - 0.8)
     column["tail_1_pitch"][:] = -0.45 + 0.2 * np.cos(2 * np.pi * 3.3 * t)
     clip = replace(clip, truth_m=body.tree.pose(states).points_m, names=body.markers)
-    return clip, replace(clip, truth_m=detector.seen_by(body, None).detected.pose(states).points_m)
+    return clip, replace(clip, truth_m=detector.seen_by(body, SAMPLES / "detector.toml").detected.pose(states).points_m)
 
 
 def scene(first: Camera) -> tuple[Camera, ...]:
