@@ -4,10 +4,9 @@
 
 Each run is a folder as in `cheetah_runs.py`. Two: the named camera and the one that sees the animal from the most
 different direction. Where the detector's keypoints lie is measured in the other runs, with all their cameras and the
-poses that the reference has; without these, as `recon subject fit --no-lengths --offsets` does, in one table beside it.
-The
-shipped file knows all runs, and is printed in the end. Errors are over all 24 joints. Without FOLDER: the
-cheetah-runs of $RECON_SHARED_DATA, or of ../shared/data. One thread.
+poses that the reference has, as `recon subject fit --no-lengths --offsets --poses` does; without these in one table
+beside it. The shipped file knows all runs, and is printed in the end. Errors are over all 24 joints. Without FOLDER:
+the cheetah-runs of $RECON_SHARED_DATA, or of ../shared/data. One thread.
 """
 
 from __future__ import annotations
@@ -18,10 +17,9 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import argparse
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from markdown_table import print_table
@@ -32,20 +30,15 @@ from recon import Body, FitSettings
 from recon.app.clip import prepare
 from recon.clip import Source, View, views_of
 from recon.detector import detector_toml
-from recon.kinematics import ROOT, YAW
+from recon.kinematics import ROOT
 from recon.solve import TrajectoryOptions, TrajectorySolution, solve_trajectory
-from recon.solve.least_squares import LeastSquares
 from recon.solve.points import solve_points
 from recon.solve.setting import Setting
-from recon.solve.shape import Shape, fit_shape
-from recon.solve.terms import Rows, Span
+from recon.solve.shape import POSED_OFFSET_SIGMA_M, Shape, fit_shape
 
 PRIOR = "running-cheetah"
 HELD = 1e-6
 """A lag's standard deviation, in frames, that leaves it no room."""
-HELD_RAD = 1e-4
-POSED_OFFSET_SIGMA_M = 0.02
-"""How far a keypoint is expected to lie from its marker where the poses are known, and no offset is another pose."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,53 +135,28 @@ def too_far(run: Run, solution: TrajectorySolution) -> float:
     return float(np.nanmean(np.log(found / true)))
 
 
-@dataclass(frozen=True)
-class Held:
-    """All angles are those of states (T, D)."""
-
-    states: np.ndarray
-    name: str = "held"
-    stencil: tuple[int, ...] = (0,)
-
-    def evaluate(self, span: Span, jacobian: bool) -> Rows:
-        own = span.states[span.own]
-        frames = np.arange(span.first, span.first + len(own))
-        r = (own - self.states[frames])[:, YAW:] / HELD_RAD
-        rows = np.tile(np.eye(own.shape[1])[YAW:] / HELD_RAD, (len(own), 1, 1))[:, :, None]
-        return Rows(frames, 0.5 * np.sum(r * r, axis=1), r, rows)
+def with_poses(run: Run, cameras: Iterable[int], body: Body) -> Setting:
+    """Some cameras' setting, with the poses and headings that the reference has."""
+    plain = Setting.of([run.views[c] for c in cameras], body, prior_of(PRIOR), run.fps, TrajectoryOptions())
+    return replace(plain, known=states_of(run, plain.origin_m))
 
 
-@dataclass(frozen=True, eq=False)
-class Posed(Setting):
-    """A clip whose poses and headings are the reference's."""
-
-    states: np.ndarray = field(kw_only=True)
-    """(T, D), the root about the origin."""
-
-    @classmethod
-    def of_run(cls, run: Run, cameras: Iterable[int], body: Body) -> Posed:
-        plain = Setting.of([run.views[c] for c in cameras], body, prior_of(PRIOR), run.fps, TrajectoryOptions())
-        states = solve_points(body_of(run.subject), run.truth_m)[0]
-        states[:, ROOT] -= plain.origin_m
-        return cls(**vars(plain), states=states)
-
-    def part(self, frames: slice | np.ndarray) -> Posed:
-        return replace(self, views=tuple(view.part(frames) for view in self.views), states=self.states[frames])
-
-    def problem(self, *given: Any, **more: Any) -> LeastSquares:
-        problem = super().problem(*given, **more)
-        return replace(problem, terms=[*problem.terms, Held(self.states)])
+def states_of(run: Run, origin_m: np.ndarray) -> np.ndarray:
+    """(T, D): the reference's, about an origin."""
+    states = solve_points(body_of(run.subject), run.truth_m)[0]
+    states[:, ROOT] -= origin_m
+    return states
 
 
 @cache
 def _detector(runs: tuple[Run, ...], posed: bool) -> Body:
     """A body as the detector sees it in these runs. posed: where the reference has the animal's poses."""
-    settings = [Posed.of_run(o, o.views, body_of(o.subject)) for o in runs]
+    settings = [with_poses(o, o.views, body_of(o.subject)) for o in runs]
     shape = Shape.of(body_of(), lengths=False, offsets=True)
     if posed:
         shape = replace(shape, offset_sigma_m=POSED_OFFSET_SIGMA_M)
     else:
-        settings = [Setting.of(s.views, s.body, s.prior, s.fps, s.options) for s in settings]
+        settings = [replace(one, known=None) for one in settings]
     return fit_shape(shape, settings).seen(body_of())
 
 

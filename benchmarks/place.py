@@ -18,7 +18,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
-from cameras import Posed, Run, as_seen, body_of, runs_given, show, solved
+from cameras import Run, as_seen, body_of, runs_given, show, solved, states_of, with_poses
 
 from recon import Body
 from recon.solve.least_squares import Estimate, LeastSquares
@@ -32,8 +32,8 @@ OFFSET_SIGMA_M = 0.1
 
 def placed(run: Run, camera: int, body: Body) -> np.ndarray:
     """Joints (T, J, 3) of the truth's poses and headings, where one camera's detections have them."""
-    setting = Posed.of_run(run, [camera], body)
-    states, one, T = setting.states, np.ones((1, len(body.markers))), len(setting)
+    setting = with_poses(run, [camera], body)
+    states, one, T = states_of(run, setting.origin_m), np.ones((1, len(body.markers))), len(setting)
     nothing = LeastSquares(body.detected, [], [])
     found = Solved(slice(0, T), Estimate(states, np.inf, 0, False), nothing, one, one[None], np.zeros((T, 4)), None)
     for _ in range(ROUNDS):
@@ -43,7 +43,7 @@ def placed(run: Run, camera: int, body: Body) -> np.ndarray:
 
 def own_offsets(run: Run, camera: int, body: Body) -> Body:
     """With keypoints where this view has them beside the truth's markers, all the time."""
-    view, states = run.views[camera], Posed.of_run(run, [camera], body).states
+    view, states = run.views[camera], states_of(run, np.zeros(3))
     R = body.tree.orientations(states)
     at = [[segment.name for segment in body.tree.segments].index(m.segment) for m in body.tree.markers]
     turned, off_m = R[:, at], np.zeros((len(body.markers), 3))
@@ -63,8 +63,7 @@ def own_offsets(run: Run, camera: int, body: Body) -> Body:
 def projected(run: Run, camera: int, body: Body) -> Run:
     """Its keypoints exactly where the detector of a body sees them."""
     view = run.views[camera]
-    setting = Posed.of_run(run, [camera], body)
-    xy_px, _ = view.project(setting.in_world(setting.markers(setting.states)))
+    xy_px, _ = view.project(body.detected.pose(states_of(run, np.zeros(3))).points_m)
     exact = replace(view, xy_px=np.where(view.present[..., None], xy_px, np.nan))
     return replace(run, views=run.views | {camera: exact})
 

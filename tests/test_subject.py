@@ -10,7 +10,10 @@ import pytest
 
 from recon import Body, InputError, load_skeleton
 from recon.app.subject import run_subject_fit
+from recon.io.deeplabcut import write_csv
+from recon.io.pose3d import Pose3D
 from recon.solve import TrajectoryOptions
+from recon.solve.points import solve_points
 from recon.solve.setting import Setting
 from recon.solve.shape import Shape, ShapeFit, fit_shape
 from tests.command_line import run
@@ -51,12 +54,13 @@ def test_left_and_right_share_their_unknowns():
         np.testing.assert_allclose(new.offset_m, np.exp(0.1) * np.array(old.offset_m))
 
 
-def fitted(shape: Shape, true: np.ndarray) -> ShapeFit:
-    """What is found from two cameras that filmed an animal of that shape."""
+def fitted(shape: Shape, true: np.ndarray, posed: bool = False) -> ShapeFit:
+    """What is found from two cameras that filmed an animal of that shape; posed: with its poses known."""
     points = _run_of(shape.applied(body(), true))
     views = [view_of(points, AHEAD, 1.0), view_of(points, ASIDE, 1.0, seed=1)]
     options = TrajectoryOptions(fast=True, keypoint_sigma_m=0.005, sigma_px=1.0, error_time_s=0.0)
-    return fit_shape(shape, [Setting.of(views, shape.body, PRIOR, FPS, options)])
+    setting = Setting.of(views, shape.body, PRIOR, FPS, options)
+    return fit_shape(shape, [replace(setting, known=solve_points(BODY, truth_m())[0] if posed else None)])
 
 
 def true_values(shape: Shape) -> np.ndarray:
@@ -83,6 +87,17 @@ def test_offsets_are_found():
     assert (np.abs(fit.values - true) < 3 * fit.sigma).all()
 
 
+def test_beside_known_poses_an_offset_is_no_other_pose():
+    """The keypoints of a whole fore leg four centimetres ahead of it."""
+    shape = replace(Shape.of(body(), lengths=False, offsets=True), offset_sigma_m=0.02)
+    true = np.zeros(len(shape))
+    moved = [shape.names.index(f"l_{name}_x") for name in ("shoulder", "front_knee", "front_ankle", "front_paw")]
+    true[moved] = 0.04
+    known, free = (np.abs(fitted(shape, true, posed).values - true) for posed in (True, False))
+    assert known.max() < 0.006
+    assert free.max() > 0.015
+
+
 def test_lengths_and_offsets_together_are_less_certain():
     shape = Shape.of(replace(body(), size_sigma=0.1), lengths=True, offsets=True)
     fit = fitted(shape, true_values(shape))
@@ -92,8 +107,6 @@ def test_lengths_and_offsets_together_are_less_certain():
 
 def _run_of(animal: Body) -> np.ndarray:
     """(T, J, 3): keypoints of the run of `truth_m` by another body."""
-    from recon.solve.points import solve_points
-
     states, _ = solve_points(BODY, truth_m())
     return animal.detected.pose(states).points_m
 
@@ -116,6 +129,12 @@ def test_command(folder, tmp_path):  # noqa: F811
     table = run("subject", "fit", config, "--out", out, "--overwrite", "--no-lengths", "--offsets")
     assert "keypoint off its marker" in table.out
     assert "length of" not in table.out
+    poses = tmp_path / "poses.csv"
+    xyz_m = truth_m()
+    write_csv(Pose3D(BODY.markers, xyz_m, np.arange(len(xyz_m))), poses)
+    offsets = ("--no-lengths", "--offsets", "--poses", poses, "--json")
+    said = json.loads(run("subject", "fit", config, "--out", tmp_path / "network.toml", *offsets).out)
+    assert max(abs(row["value"]) for row in said["values"]) < 12  # mm: the keypoints lie on the markers
 
 
 def _mean_factor(animal: Body) -> float:
@@ -130,12 +149,21 @@ def test_what_is_wrong_is_said(folder, tmp_path):  # noqa: F811
     config, one = tmp_path / "config.toml", tmp_path / "one.toml"
     config.write_text(settings(folder, 1, 2).to_toml())
     one.write_text(settings(folder, 1).to_toml())
+    other, detector = tmp_path / "other.csv", {"lengths": False, "offsets": True}
+    write_csv(Pose3D(("nose",), np.zeros((40, 1, 3)), np.arange(40)), other)
     for paths, options, expected in (
         ([one], {}, "found one camera that stands still, cam1, expected several cameras, or a moving one"),
         ([config], {"out": tmp_path / "x.txt"}, "expected a file name that ends in .toml"),
         ([config], {"out": config}, "which is there already, expected a new name, or --overwrite"),
         ([config], {"lengths": False}, "found nothing to fit"),
         ([tmp_path / "none"], {}, "no such file"),
+        ([config], {"poses": [other]}, "--poses: unknowns: found lengths, or no offsets"),
+        ([config], detector | {"poses": [other, other]}, "found 2 for 1 clips, expected one for each clip"),
+        (
+            [config],
+            detector | {"poses": [other]},
+            "found 40 of the clip's frames, 1 of the skeleton's markers",
+        ),
     ):
         with pytest.raises(InputError, match=expected.replace("(", r"\(")):
             run_subject_fit(paths, **{"out": tmp_path / "cat.toml", **options})

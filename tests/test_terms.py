@@ -14,6 +14,7 @@ from recon.skeleton_file import load_skeleton
 from recon.solve.least_squares import LeastSquares
 from recon.solve.terms import (
     Heading,
+    KnownAngles,
     Linear,
     OnGround,
     PoseMixture,
@@ -91,6 +92,7 @@ def terms():
         Reprojection(replace(view(xy_px, confidence), lead_frames=0.3), sigma, 3.0, np.zeros(3)),
         Reprojection(moving_view(xy_px, confidence), sigma, 3.0, np.zeros(3)),
         Heading(rear, front, FPS, 0.5),
+        KnownAngles(some_states(1), 0.05),
         Standing(FEET, FPS, 2.5, 2.0, 0.8),
         OnGround(FEET, contact, np.array([-0.8, 0.01, -0.02]), np.array([0.3, 7.0]), FPS, 0.04, 0.8),
     ]

@@ -8,16 +8,20 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from recon.app.clip import prepare
+from recon.arrays import Array
 from recon.clip import views_of
 from recon.detector import NONE, detector_toml
 from recon.errors import InputError, Problem, all_of
 from recon.files import require_free_file, staged_file
+from recon.io.pose3d import Pose3D, read_pose3d
 from recon.settings import FitSettings, read_settings
 from recon.skeleton_file import subject_toml
+from recon.solve.points import MIN_MARKERS, solve_points
 from recon.solve.setting import Setting
-from recon.solve.shape import Shape, ShapeFit, fit_shape
+from recon.solve.shape import POSED_OFFSET_SIGMA_M, Shape, ShapeFit, fit_shape
 
 CONFIG = "config.toml"
 LEAST_SIZE_SIGMA = 0.01
@@ -67,23 +71,31 @@ def run_subject_fit(
     offsets: bool = False,
     title: str | None = None,
     overwrite: bool = False,
+    poses: Sequence[Path] = (),
 ) -> SubjectFit:
     """`recon subject fit`: measure an animal and its detector, and write the subject file; without lengths, the
     detector file.
 
     clips: result folders of `recon fit`, or their config.toml. lengths: of the segments; offsets: of the keypoints from
-    the markers. Raises InputError for clips and options that cannot be used, with the problems of all of them.
+    the markers. poses: of each clip, its 3D poses in the cameras' world as another method knows them, and then the
+    offsets are those beside these. Raises InputError for clips and options that cannot be used, with the problems of
+    all of them.
     """
-    settings, _ = all_of(
-        lambda: all_of(*(_reader(path) for path in clips)), lambda: _check_options(out, lengths, offsets, overwrite)
+    settings, _, known = all_of(
+        lambda: all_of(*(_reader(path) for path in clips)),
+        lambda: _check_options(out, lengths, offsets, overwrite, clips, poses),
+        lambda: all_of(*(lambda path=path: read_pose3d(path) for path in poses)),
     )
     _require_one_skeleton(settings, clips)
     if lengths:  # those of a measured animal would be measured again
         settings = [replace(one, subject=None) for one in settings]
     if offsets:
         settings = [replace(one, detector=NONE) for one in settings]
-    given = all_of(*(_setting_reader(one, path) for one, path in zip(settings, clips, strict=True)))
+    each = zip(settings, clips, known or (None,) * len(clips), strict=True)
+    given = all_of(*(_setting_reader(*of) for of in each))
     shape = Shape.of(given[0].body, lengths, offsets)
+    if known:
+        shape = replace(shape, offset_sigma_m=POSED_OFFSET_SIGMA_M)
     try:
         fit = fit_shape(shape, given)
     except ValueError as error:
@@ -112,11 +124,17 @@ def run_subject_fit(
 # -- input --------------------------------------------------------------------------------------------------------
 
 
-def _check_options(out: Path, lengths: bool, offsets: bool, overwrite: bool) -> None:
+def _check_options(
+    out: Path, lengths: bool, offsets: bool, overwrite: bool, clips: Sequence[Path], poses: Sequence[Path]
+) -> None:
     if out.suffix != ".toml":
         raise InputError(Problem("--out", "file", repr(str(out)), "a file name that ends in .toml"))
     if not lengths and not offsets:
         raise InputError(Problem("--no-lengths", "unknowns", "nothing to fit", "--offsets with it, or without it"))
+    if poses and (lengths or not offsets):
+        raise InputError(Problem("--poses", "unknowns", "lengths, or no offsets", "--no-lengths --offsets beside it"))
+    if poses and len(poses) != len(clips):
+        raise InputError(Problem("--poses", "files", f"{len(poses)} for {len(clips)} clips", "one for each clip"))
     require_free_file(out, overwrite)
 
 
@@ -132,7 +150,7 @@ def _require_one_skeleton(settings: Sequence[FitSettings], clips: Sequence[Path]
         raise InputError(Problem("CLIPS", "skeleton", found, "clips of the same skeleton"))
 
 
-def _setting_reader(settings: FitSettings, path: Path) -> Callable[[], Setting]:
+def _setting_reader(settings: FitSettings, path: Path, pose: Pose3D | None) -> Callable[[], Setting]:
     def read() -> Setting:
         if settings.method != "trajectory":
             raise InputError(Problem(path, "method", settings.method, "the trajectory method"))
@@ -147,6 +165,25 @@ def _setting_reader(settings: FitSettings, path: Path) -> Callable[[], Setting]:
             raise InputError(
                 Problem(path, "cameras", found, "several cameras, or a moving one: one cannot tell lengths")
             )
-        return setting
+        if pose is None:
+            return setting
+        return replace(setting, known=_states_known(setting, given.sources[0].keypoints.frames, pose))
 
     return read
+
+
+def _states_known(setting: Setting, frames: NDArray[np.int_], pose: Pose3D) -> Array:
+    """(T, D): states of the setting's body, whose markers are nearest to a pose, NaN where it has none. Raises
+    InputError where it has no frame or too few of the markers."""
+    markers = setting.body.markers
+    shared = [name for name in markers if name in pose.names]
+    _, mine, theirs = np.intersect1d(frames, pose.frames, return_indices=True)
+    points_m = np.full((len(frames), len(markers), 3), np.nan)
+    for name in shared:
+        points_m[mine, markers.index(name)] = pose.xyz_m[theirs, pose.names.index(name)]
+    states, _ = solve_points(setting.body, points_m)
+    if not np.isfinite(states).all(axis=1).any():
+        found = f"{len(mine)} of the clip's frames, {len(shared)} of the skeleton's markers"
+        expected = f"{MIN_MARKERS} or more of {', '.join(markers)} in frames of the clip, numbered as its keypoints are"
+        raise InputError(Problem(pose.source or "--poses", "poses", found, expected))
+    return states

@@ -30,6 +30,13 @@ def subject_fit(
         bool,
         typer.Option("--offsets/--no-offsets", help="Measure where the detector's keypoints lie beside the markers."),
     ] = False,
+    poses: Annotated[
+        list[Path] | None,
+        typer.Option(
+            help="3D poses of a clip that another method knows, in the cameras' world, once for each clip: offsets are "
+            "measured beside these."
+        ),
+    ] = None,
     title: Annotated[str | None, typer.Option(help="Of the animal, in words. (default: made up)")] = None,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the file.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print the table as JSON.")] = False,
@@ -41,7 +48,7 @@ def subject_fit(
     """
     from recon.app.subject import run_subject_fit
 
-    found = run_subject_fit(clips, out, lengths, offsets, title, overwrite)
+    found = run_subject_fit(clips, out, lengths, offsets, title, overwrite, poses or ())
     if as_json:
         typer.echo(json.dumps({"out": str(out), **found.to_dict()}, indent=1))
         return

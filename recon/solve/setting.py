@@ -16,6 +16,7 @@ from recon.solve.least_squares import LeastSquares, Shared
 from recon.solve.terms import (
     SIZE,
     Heading,
+    KnownAngles,
     Linear,
     PoseMixture,
     Reprojection,
@@ -120,6 +121,8 @@ class Setting:
     """Whether the ground is known to lie near the world's z = 0."""
     trust: float = 1.0
     """The part of its weight that the prior has; each angle on its own has the rest (`recon.solve.surprise`)."""
+    known: Array | None = None
+    """(T, D): states whose heading and angles the animal has, NaN in frames where they are not known."""
 
     @classmethod
     def of(
@@ -142,7 +145,8 @@ class Setting:
         return len(self.views[0].xy_px)
 
     def part(self, frames: slice | Index) -> Setting:
-        return replace(self, views=tuple(view.part(frames) for view in self.views))
+        known = None if self.known is None else self.known[frames]
+        return replace(self, views=tuple(view.part(frames) for view in self.views), known=known)
 
     def thinned(self, step: int) -> Setting:
         """Of every step-th frame, which counts for those left out."""
@@ -278,6 +282,8 @@ class Setting:
             plain = prior_from_body(self.body)
             linear.append(pose_term(plain, D, self.fps, o.pose_weight * (1 - self.trust)))
             linear.append(dynamics_term(plain, D, self.fps, o.motion_weight * (1 - self.trust)))
+        if self.known is not None:
+            terms.append(KnownAngles(self.known))
         if T > 1:
             linear.append(climb_term(D, self.fps, o.climb_m_s))
             terms.append(Heading(rear, front, self.fps, o.lateral_m_s))

@@ -32,6 +32,8 @@ OFFSET_SIGMA_M = 0.01
 """How far a keypoint is expected to lie from its marker along each axis. Keypoints lie further off than that, but a
 body that is fitted to them adapts; of the values tried, this one lets single cameras of runs that were left out find
 the published poses best (docs/benchmarks.md)."""
+POSED_OFFSET_SIGMA_M = 0.02
+"""The same where the poses are known, and an offset cannot be another pose."""
 SIZE_HELD = 1e-4
 """Sigma of the size, which the lengths stand for."""
 _AS_EXPECTED = 8

@@ -317,6 +317,27 @@ class Reprojection:
         return np.where(self.view.present, np.where(valid, 1.0 / (1.0 + q), 0.0), np.nan)
 
 
+@dataclass(frozen=True, eq=False)
+class KnownAngles:
+    """Heading and angles are those of states (T, D) of the whole clip, in frames that have them; the place is free."""
+
+    states: Array
+    sigma_rad: float = 1e-4
+    name: str = "known angles"
+    stencil: tuple[int, ...] = (0,)
+
+    def evaluate(self, span: Span, jacobian: bool) -> Rows:
+        own = span.states[span.own]
+        frames = np.arange(span.first, span.first + len(own))
+        r = np.nan_to_num((own - self.states[frames])[:, YAW:] / self.sigma_rad)
+        cost = 0.5 * np.sum(r * r, axis=1)
+        if not jacobian:
+            return Rows(frames, cost)
+        known = np.isfinite(self.states[frames][:, YAW:])[..., None]
+        rows = np.where(known, np.eye(own.shape[1])[YAW:] / self.sigma_rad, 0.0)
+        return Rows(frames, cost, r, rows[:, :, None])
+
+
 @dataclass(frozen=True)
 class Heading:
     """The animal goes where it looks: the root's velocity across the trunk's level direction is small.
