@@ -62,7 +62,7 @@ def find_mistakes(
 ) -> tuple[Mistake, ...]:
     """In the keypoints that a solution was fitted to."""
     setting = Setting.of(solution.views, body, prior, fps, options)
-    unlike = any(spell.prior_weight < 1 for spell in solution.spells)
+    unlike = any(spell.unlike_prior for spell in solution.spells)
     found: list[Mistake] = []
     with threadpool_limits(1, user_api="blas"):
         for number in range(len(setting.views)):

@@ -23,7 +23,7 @@ from recon.mistakes.mistake import CLEAR, Mistake
 
 JUMP = -3.0
 """Exchanges begin and end where that makes the tracks so much likelier, as a logarithm: legs that cross hardly jump."""
-LOOKS, CLEAR_FIT, CLEAR_STRETCH = 0.5, 3.0, 10.0
+LOOKS, CLEAR_FIT, CLEAR_STRETCH = 0.5, 3.0, 12.0
 """Tracks and looks count that much, as errors last. A stretch is exchanged where that makes the clip likelier by
 `CLEAR_FIT`, and all three together by `CLEAR_STRETCH`, as logarithms: it could be any of hundreds, and no animal's legs
 go quite as the prior has them. Chosen on real clips, by leaving runs out (docs/benchmarks.md, mistakes)."""
