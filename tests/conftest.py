@@ -70,7 +70,7 @@ def made_once(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str, Callab
     def once(name: str, make: Callable[[Path], object]) -> Path:
         path = shared / f"shared-{name}"
         if not path.exists():
-            making = tmp_path_factory.mktemp(name) / name
+            making = shared / f"{os.environ.get('PYTEST_XDIST_WORKER', 'made')}-{name}"  # as deep: for relative paths
             make(making)
             with suppress(OSError):  # the other process was first
                 making.rename(path)

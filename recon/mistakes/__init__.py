@@ -62,6 +62,7 @@ def find_mistakes(
 ) -> tuple[Mistake, ...]:
     """In the keypoints that a solution was fitted to."""
     setting = Setting.of(solution.views, body, prior, fps, options)
+    weighed = replace(setting, trust=min((spell.prior_weight for spell in solution.spells), default=1.0))
     unlike = any(spell.unlike_prior for spell in solution.spells)
     found: list[Mistake] = []
     with threadpool_limits(1, user_api="blas"):
@@ -71,6 +72,7 @@ def find_mistakes(
             if of_picture is not None:
                 found.append(of_picture)
             elif known.sides:
+                given = given_of(weighed, number, solution.states, solution.size)
                 found += exchanges(given, number, unlike)
         if not any(one.kind == "normalised" for one in found):
             found += _of_rate(setting, solution, known.stated_hz)
