@@ -291,6 +291,7 @@ def likeliest_row(view: View, name: str, folder: Path) -> dict[str, Any]:
     motion, _ = fitted(view, CASES[name], folder)
     body, solution = motion.body, motion.solution
     setting = Setting.of(solution.views, body, prior_of(PRIOR), motion.fps, TrajectoryOptions())
+    setting = replace(setting, trust=min(spell.prior_weight for spell in solution.spells))
     best = likeliest(tried(given_of(setting, 0, solution.states, solution.size), pairs_of(body)), 0.0)
     result = {"run": view.run.name, "case": name, "told": best.told if best else 0.0, "right": False, "wrong": 0.0}
     if best is not None:
