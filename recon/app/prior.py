@@ -188,7 +188,7 @@ def _solved_pieces(
     sizes: dict[Path, float] = {}
     rate = iter(rates if len(rates) > 1 else list(rates) * sum(map(len, files.values())))
     for path, of_file in files.items():
-        points_m = np.concatenate([_markers_m(pose, body) for pose in of_file.values()])
+        points_m = np.concatenate([pose.of_joints(body.markers) for pose in of_file.values()])
         states, rms_m, sizes[path] = _states_of_points(body, points_m, None if estimate_size else 1.0, path)
         first = 0
         for piece, pose in of_file.items():
@@ -332,15 +332,6 @@ def _require_rates(rates: list[float], files: dict[Path, dict[str, Pose3D]], fps
     pieces = sum(len(pieces) for pieces in files.values())
     if len(rates) not in (1, pieces):
         raise InputError(Problem(fps, "fps", f"{len(rates)} numbers", f"one, or {pieces}: one for every piece"))
-
-
-def _markers_m(pose: Pose3D, body: Body) -> Array:
-    """(T, J, 3): the markers of the body, NaN where the file lacks them."""
-    points_m = np.full((len(pose.frames), len(body.markers), 3), np.nan)
-    for j, marker in enumerate(body.markers):
-        if marker in pose.names:
-            points_m[:, j] = pose.xyz_m[:, pose.names.index(marker)]
-    return points_m
 
 
 def _states_of_points(body: Body, points_m: Array, size: float | None, path: Path) -> tuple[Array, Array, float]:

@@ -176,14 +176,12 @@ def _states_known(setting: Setting, frames: NDArray[np.int_], pose: Pose3D) -> A
     """(T, D): states of the setting's body, whose markers are nearest to a pose, NaN where it has none. Raises
     InputError where it has no frame or too few of the markers."""
     markers = setting.body.markers
-    shared = [name for name in markers if name in pose.names]
     _, mine, theirs = np.intersect1d(frames, pose.frames, return_indices=True)
     points_m = np.full((len(frames), len(markers), 3), np.nan)
-    for name in shared:
-        points_m[mine, markers.index(name)] = pose.xyz_m[theirs, pose.names.index(name)]
+    points_m[mine] = pose.of_joints(markers)[theirs]
     states, _ = solve_points(setting.body, points_m)
     if not np.isfinite(states).all(axis=1).any():
-        found = f"{len(mine)} of the clip's frames, {len(shared)} of the skeleton's markers"
+        found = f"{len(mine)} of the clip's frames, {len({*markers} & {*pose.names})} of the skeleton's markers"
         expected = f"{MIN_MARKERS} or more of {', '.join(markers)} in frames of the clip, numbered as its keypoints are"
         raise InputError(Problem(pose.source or "--poses", "poses", found, expected))
     return states

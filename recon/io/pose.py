@@ -47,6 +47,14 @@ class Pose3D:
         if not {name for edge in self.edges for name in edge} <= set(self.names):
             raise ValueError("an edge links a joint that is not there")
 
+    def of_joints(self, names: Sequence[str]) -> np.ndarray:
+        """(T, N, 3): of N joints, NaN where they are not among these."""
+        xyz_m = np.full((len(self.frames), len(names), 3), np.nan)
+        for j, name in enumerate(names):
+            if name in self.names:
+                xyz_m[:, j] = self.xyz_m[:, self.names.index(name)]
+        return xyz_m
+
 
 @dataclass(frozen=True, eq=False)
 class StoredPoints:

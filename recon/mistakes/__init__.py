@@ -72,7 +72,8 @@ def find_mistakes(
             if of_picture is not None:
                 found.append(of_picture)
             elif known.sides:
-                given = given_of(weighed, number, solution.states, solution.size)
+                if weighed.trust < 1:
+                    given = given_of(weighed, number, solution.states, solution.size)
                 found += exchanges(given, number, unlike)
         if not any(one.kind == "normalised" for one in found):
             found += _of_rate(setting, solution, known.stated_hz)
