@@ -88,7 +88,7 @@ def main() -> None:
             start = time.perf_counter()
             subprocess.run([*command, str(Path(folder) / str(i))], check=True)
             walls.append(time.perf_counter() - start)
-    print(f"\n`recon demo` (30 frames) as a whole process: median {np.median(walls):.1f} s of five.")
+    print(f"\n`recon demo` (60 frames) as a whole process: median {np.median(walls):.1f} s of five.")
 
 
 if __name__ == "__main__":

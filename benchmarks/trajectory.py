@@ -3,7 +3,7 @@
     python benchmarks/trajectory.py [FOLDER] [--only accuracy] [--csv TABLE.csv]
 
 Each run is a folder as in `cheetah_runs.py`; every camera view is a problem of its own, and the other cameras are for
-scoring, except where keypoint offsets are fitted (on other runs). Errors are over all 24 joints. Without FOLDER: the
+scoring. Keypoints are taken to lie on the markers. Errors are over all 24 joints. Without FOLDER: the
 cheetah-runs of $RECON_SHARED_DATA, or of ../shared/data; without any runs, what is simulated. One thread; two processes
 where no times are measured.
 """
@@ -43,7 +43,7 @@ from recon.keypoints import clean
 from recon.prior import MotionPrior, as_one_gaussian, load_prior
 from recon.skeleton_file import load_chain
 from recon.solve import TrajectoryOptions, TrajectorySolution, solve_trajectory
-from recon.solve.points import solve_points, solve_points_and_size
+from recon.solve.points import solve_points_and_size
 from recon.synthetic import gallop
 
 SKELETON, PRIOR = "cheetah-24", "running-cheetah"
@@ -52,10 +52,6 @@ VISIBLE = 0.8
 """Views with a larger share of the truth inside the picture count in the worst one."""
 INSIDE_50, INSIDE_90 = 2.366, 6.251
 """Squared Mahalanobis distances in three dimensions that 50 and 90 % stay below."""
-OFFSET_SHARE = 0.6
-"""The part of the fitted keypoint offsets that is applied: the truth is itself a model fitted to such detections."""
-OFFSET_SIGMA_M, OFFSET_C, OFFSET_ROUNDS, ALIKE = 0.03, 4.0, 8, 10
-"""Of the offsets' fit: prior, robust constant, rounds; and how many neighbouring frames say the same."""
 HOLE = 10
 GROUPS = {
     "head": ("nose", "l_eye", "r_eye"),
@@ -76,8 +72,8 @@ Rows = list[dict]
 
 @dataclass(frozen=True)
 class Job:
-    """One view and how it is fitted. subject: with the animal's own lengths, all lengths times scale. offsets_m: of the
-    keypoints, by marker. change: a key of `CHANGES`, or "projected": the truth's projections for detections."""
+    """One view and how it is fitted. subject: with the animal's own lengths, all lengths times scale. change: a key of
+    `CHANGES`, or "projected": the truth's projections for detections."""
 
     run: Path
     camera: int
@@ -85,7 +81,6 @@ class Job:
     scale: float = 1.0
     prior: str = PRIOR
     options: dict = field(default_factory=dict)
-    offsets_m: dict[str, tuple[float, float, float]] = field(default_factory=dict)
     change: str = "nothing"
 
 
@@ -207,7 +202,7 @@ def solution_of(job: Job) -> TrajectorySolution:
     trusted = np.where(np.isfinite(xy_px[..., 0]), 1.0 if job.change == "projected" else confidence, 0.0)
     return solve_trajectory(
         [still_view(lens, xy_px, trusted)],
-        replace(body, keypoint_offset_m=job.offsets_m),
+        replace(body, keypoint_offset_m={}),
         prior_of(job.prior),
         meta["fps"],
         TrajectoryOptions(**job.options),
@@ -360,78 +355,6 @@ def accuracy(runs: Sequence[Path]) -> dict[str, Rows]:
         "accuracy, compared": compared,
         "accuracy, MPJPE of the named views by run": by_run,
     }
-
-
-def offsets(runs: Sequence[Path]) -> dict[str, Rows]:
-    with multiprocessing.Pool(2) as pool:
-        others = [[other for other in runs if other != run] for run in runs]
-        fitted = dict(zip(runs, pool.map(fitted_offsets, others), strict=True))
-    rows = []
-    for share in (0.0, OFFSET_SHARE, 1.0):
-        jobs = [
-            replace(job, offsets_m={m: tuple(share * x) for m, x in zip(body_of().markers, fitted[job.run])})  # noqa: B905
-            for job in views(runs)
-        ]
-        rows.append(summary(f"{share:g} of the offsets" if share else "no offsets", fits(jobs)))
-    spread = np.array(list(fitted.values()))
-    length = [
-        {
-            "marker": m,
-            "x_mm": 1000 * spread[:, j, 0].mean(),
-            "y_mm": 1000 * spread[:, j, 1].mean(),
-            "z_mm": 1000 * spread[:, j, 2].mean(),
-            "spread between folds mm": 1000 * float(np.linalg.norm(spread[:, j].std(axis=0))),
-        }
-        for j, m in enumerate(body_of().markers)
-        if not m.startswith("r_")
-    ]
-    return {"offsets of the keypoints, leave one run out": rows, "offsets, mean of the five fits": length}
-
-
-def fitted_offsets(runs: Sequence[Path]) -> np.ndarray:
-    """(J, 3): from the markers to the keypoints, in the markers' segments, on all cameras of those runs.
-
-    Robust least squares of the reprojection, the poses of the truth held; left and right are each other's mirror image.
-    """
-    markers = body_of().markers
-    mirror, sign = [markers.index(other_side(m)) for m in markers], np.array([1.0, -1.0, 1.0])
-    data = [item for run in runs for item in _offset_data(run)]
-    offset_m = np.zeros((len(markers), 3))
-    for _ in range(OFFSET_ROUNDS):
-        H = np.tile(np.eye(3) / OFFSET_SIGMA_M**2, (len(markers), 1, 1))
-        g = -offset_m / OFFSET_SIGMA_M**2
-        for lens, xy_px, points_m, turned in data:
-            at = points_m + (turned @ offset_m[..., None])[..., 0]
-            projected, by_point, valid = lens.project_with_jacobian(at)
-            depth = np.maximum(np.median(points_m[..., 2], axis=1), 0.3)
-            focal_px = np.sqrt(lens.matrix[0, 0] * lens.matrix[1, 1])
-            sigma_px = np.hypot(3.0, 0.05 * focal_px / depth)[:, None, None]
-            seen = np.isfinite(xy_px[..., 0]) & valid
-            e = np.where(seen[..., None], xy_px - projected, 0.0) / sigma_px
-            w = seen / (1 + np.sum(e**2, axis=-1) / OFFSET_C**2) / ALIKE
-            A = by_point @ turned / sigma_px[..., None]
-            H += np.einsum("tj,tjac,tjad->jcd", w, A, A)
-            g += np.einsum("tj,tjac,tja->jc", w, A, e)
-        H, g = H + H[mirror] * np.outer(sign, sign), g + g[mirror] * sign
-        offset_m = offset_m + np.linalg.solve(H, g[..., None])[..., 0]
-    return offset_m
-
-
-def _offset_data(run: Path) -> list[tuple[Camera, np.ndarray, np.ndarray, np.ndarray]]:
-    """For every camera: it, detections (T, J, 2), and in its frame the truth's markers (T, J, 3) and their segments'
-    orientations (T, J, 3, 3)."""
-    body = body_of(meta_of(run)["subject"])
-    names = [s.name for s in body.tree.segments]
-    on = [names.index(m.segment) for m in body.tree.markers]
-    states, _ = solve_points(body, truth_of(run)[1])
-    points_m, turned = body.tree.pose(states).points_m, body.tree.orientations(states)[:, on]
-    data = []
-    for camera in meta_of(run)["cameras"]:
-        lens, xy_px, _, truth_m = view_of(run, camera)
-        scored, rotation = np.isfinite(truth_m[:, 0, 0]), lens.rotation
-        assert rotation is not None
-        data.append((lens, xy_px[scored], lens.world_to_camera(points_m), rotation @ turned))
-    return data
 
 
 def size(runs: Sequence[Path]) -> dict[str, Rows]:
@@ -775,7 +698,6 @@ def cell(name: str, value: object) -> str:
 
 REAL: dict[str, Callable[[Sequence[Path]], dict[str, Rows]]] = {
     "accuracy": accuracy,
-    "offsets": offsets,
     "size": size,
     "uncertainty": uncertainty,
     "rates": rates,
