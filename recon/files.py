@@ -297,7 +297,8 @@ def require_free_folder(out: Path, names: Iterable[str], overwrite: bool, expect
     names = tuple(names)
     present = [name for name in names if (out / name).exists()]
     if present and not overwrite:
-        found = f"{', '.join(present)} in {out}"
+        more = f" and {len(present) - 1} more" if len(present) > 1 else ""
+        found = f"{present[0]}{more} in {out}"
         raise InputError(Problem("--out", "folder", found, f"a folder without {expected}, or --overwrite"))
     _require_places(out, names)
 

@@ -511,12 +511,13 @@ class FitSettings:
         plain = {name: SETTINGS[name].kind.plain(value) for name, value in values.items()}
         return plain if folder is None else {name: seen_from(folder, name, value) for name, value in plain.items()}
 
-    def to_toml(self, folder: Path | None = None) -> str:
-        """The text of config.toml. Settings that are not given are left out; folder: see `plain`."""
+    def to_toml(self, folder: Path | None = None, sha256: Mapping[str, str] | None = None) -> str:
+        """The text of config.toml. Settings that are not given are left out; folder: see `plain`; sha256: what is
+        written down of the files' content."""
         import tomli_w
 
         plain = {name: value for name, value in self.plain(folder).items() if value is not None}
-        return tomli_w.dumps({"recon": {"fit": plain}})
+        return tomli_w.dumps({"recon": {"fit": plain, **({"sha256": sha256} if sha256 else {})}})
 
 
 SETTINGS: dict[str, Setting] = {one.name: one.metadata["setting"] for one in dataclasses.fields(FitSettings)}

@@ -253,6 +253,24 @@ def test_results_can_be_moved_with_what_they_were_made_from(tmp_path, monkeypatc
     assert run("analyse", moved / "out", "--solver", "--no-figures", "-q") == (0, "", "")
 
 
+def test_a_config_away_from_its_files_or_beside_others_says_so(tmp_path):
+    for path in (CLIP, CAMERA):
+        shutil.copy(path, tmp_path / path.name)
+    out, config = tmp_path / "moved" / "out", tmp_path / "moved" / "out" / "config.toml"
+    clip, args = tmp_path / "noisy.csv", ("--frames", ":9")
+    assert run(*whole_args(out, *args, keypoints=clip, camera=tmp_path / "camera.toml")).code == 0
+    again = run("fit", "--config", config, "--out", tmp_path / "again")
+    assert "note" not in again.out
+    rewrite(clip, lambda rows: rows[3].__setitem__(1, "700"))
+    said = f"note: {clip} is not the file that {config} was written for: its content is another"
+    assert run("fit", "--config", config, "--out", tmp_path / "other").out.splitlines()[0] == said
+    assert "note" not in run("fit", clip, "--config", config, "--out", tmp_path / "given").out
+    clip.unlink()
+    gone = run("fit", "--config", config, "--out", tmp_path / "gone")
+    expected = "the file that config.toml names, seen from its own folder: move both together, or name it anew"
+    assert gone.err == f"error: {config}: keypoints: found {clip}, no such file, expected {expected}\n"
+
+
 def test_camera_from_its_field_of_view(tmp_path):
     args = fit_args(tmp_path, "--hfov-deg", 60, "--image-size", "1920x1080", camera=None)
     assert run(*args).code == 0

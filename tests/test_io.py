@@ -238,7 +238,7 @@ def test_several_animals(tmp_path):
     assert (keypoints.names, keypoints.individual) == (("nose",), "m2")
     assert keypoints.xy_px.tolist() == [[[3, 4]]]
     assert keypoints.notes == ("Left out, because they are no part of an animal: corner.",)
-    assert problems(path) == [f"{path}: individual: found 2 animals and no choice, expected one of: m1, m2"]
+    assert problems(path) == [f"{path}: individual: found 2 animals and no --individual, expected one of: m1, m2"]
     assert problems(path, "single") == [f"{path}: individual: found 'single', expected one of: m1, m2"]
 
 
@@ -254,9 +254,9 @@ def test_animals_without_points_are_no_choice(tmp_path, nothing):
     assert read_keypoints(path, "m1").individual == "m1"
     assert problems(path, "m4") == [f"{path}: individual: found 'm4', expected one of: m2"]
     two = save(tmp_path, f"{text}\n0,{none},3,4,0.9,{none}\n1,5,6,0.9,{none},{none}\n")
-    assert problems(two) == [f"{two}: individual: found 2 animals and no choice, expected one of: m1, m2"]
+    assert problems(two) == [f"{two}: individual: found 2 animals and no --individual, expected one of: m1, m2"]
     empty = save(tmp_path, f"{text}\n0,{none},{none},{none}\n")
-    assert problems(empty) == [f"{empty}: individual: found 3 animals and no choice, expected one of: m1, m2, m3"]
+    assert problems(empty) == [f"{empty}: individual: found 3 animals and no --individual, expected one of: m1, m2, m3"]
 
 
 def test_the_only_animal_needs_no_choice(tmp_path):

@@ -83,7 +83,7 @@ def test_sleap(tmp_path, orders, dims):
     np.testing.assert_array_equal(a.xy_px, XY[:, 0])
     np.testing.assert_array_equal(b.xy_px, XY[1:, 1])
     np.testing.assert_array_equal(b.confidence, SCORE[1:, 1])
-    assert refused(path) == [f"{path}: individual: found 2 animals and no choice, expected one of: a, b"]
+    assert refused(path) == [f"{path}: individual: found 2 animals and no --individual, expected one of: a, b"]
     assert "found 'c'" in refused(path, "c")[0]
 
 

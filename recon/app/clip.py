@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from recon.app.cameras import Cameras, ClipCamera, cameras_in, other_cameras, read_clip_cameras
+from recon.app.made_from import digests
 from recon.app.offsets import solved_in_step
 from recon.arrays import Array
 from recon.body import Body, Side, facing_side
@@ -212,7 +213,7 @@ def write_clip(
     with staged_results(out, output_files(out)) as folder:
         write_tables(motion, folder)
         write_report(report, folder / "report.json")
-        (folder / "config.toml").write_text(settings.to_toml(out), encoding="utf-8")
+        (folder / "config.toml").write_text(settings.to_toml(out, digests(settings)), encoding="utf-8")
         view.write(motion, folder / "motion.rrd")
         if settings.seeks_cameras:
             write_cameras([source.camera for source in motion.sources], folder / REFINED_CAMERAS)

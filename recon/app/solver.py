@@ -9,12 +9,12 @@ import numpy as np
 
 from recon.analysis.solver import SolverRecord, linearised_clip, linearised_frames
 from recon.app.clip import REFINED_CAMERAS, prepare
+from recon.app.made_from import read_config
 from recon.app.overlay import overlay_of
 from recon.calibration import read_cameras
 from recon.clip import Source, together, views_of
 from recon.errors import InputError, Problem
 from recon.results import Results
-from recon.settings import read_settings
 from recon.skeleton_file import load_chain
 from recon.solve.setting import Setting
 
@@ -28,7 +28,7 @@ def read_solver(results: Results) -> SolverRecord:
     """Raises InputError where the keypoints or the camera of the fit are no longer there, or are others."""
     results.manifest.require(CONFIG)
     config = results.folder / CONFIG
-    settings = read_settings(config, {})
+    settings = read_config(config, {})
     given = prepare(settings)
     model, sources = given.model, given.sources
     if settings.find_offsets:

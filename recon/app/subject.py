@@ -11,13 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recon.app.clip import prepare
+from recon.app.made_from import read_config
 from recon.arrays import Array
 from recon.clip import views_of
 from recon.detector import NONE, detector_toml
 from recon.errors import InputError, Problem, all_of
 from recon.files import require_free_file, staged_file
 from recon.io.pose3d import Pose3D, read_pose3d
-from recon.settings import FitSettings, read_settings
+from recon.settings import FitSettings
 from recon.skeleton_file import subject_toml
 from recon.solve.points import MIN_MARKERS, solve_points
 from recon.solve.setting import Setting
@@ -140,7 +141,7 @@ def _check_options(
 
 def _reader(path: Path) -> Callable[[], FitSettings]:
     config = path / CONFIG if path.is_dir() else path
-    return lambda: read_settings(config, {})
+    return lambda: read_config(config, {})
 
 
 def _require_one_skeleton(settings: Sequence[FitSettings], clips: Sequence[Path]) -> None:

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
-from recon.cli.common import finish, leave_pandas_out, progress_bar, terminal
+from recon.cli.common import finish, leave_pandas_out, progress_bar, say, terminal
 from recon.cli.settings import OPTIONS, takes_settings
 from recon.errors import InputError, Problem
 
@@ -35,17 +35,20 @@ def fit(
     Exit code 0: done. 1: no frame could be solved. 2: the input cannot be used.
     """
     from recon.app.clip import keypoint_problems, run_clip
+    from recon.app.made_from import read_config, replaced_files
     from recon.settings import read_settings
 
     no_out = [Problem("--out", "folder", "nothing", "a folder for the results, as in results/clip1")]
     try:
-        settings = read_settings(config, given)
+        settings = read_settings(None, given) if config is None else read_config(config, given)
     except InputError as error:
         files = keypoint_problems(given["keypoints"] or (), given["individual"])
         raise InputError((*files, *error.problems, *([] if out else no_out))) from None
     if out is None:
         raise InputError(no_out)
     console = terminal(quiet=quiet, stderr=as_json)
+    for path in [] if config is None else replaced_files(config, given, settings):
+        say(console, f"note: {path} is not the file that {config} was written for: its content is another")
     leave_pandas_out()
     with progress_bar(console, "fitting: ") as progress:
         report = run_clip(settings, out, overwrite, progress, camera_motion)

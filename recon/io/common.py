@@ -53,7 +53,7 @@ class NoChoiceError(InputError):
     """A file has several animals with points, and none of them is chosen."""
 
     def __init__(self, path: Path, animals: Sequence[str]) -> None:
-        found = f"{len(animals)} animals and no choice"
+        found = f"{len(animals)} animals and no --individual"
         super().__init__(Problem(path, "individual", found, "one of: " + ", ".join(animals)))
         self.animals = tuple(animals)
 

@@ -16,7 +16,7 @@ from typing import Any, Literal
 
 from recon.app.batch.inputs import Clip
 from recon.app.clip import output_files
-from recon.camera_track import track_files
+from recon.app.made_from import digest, input_files
 from recon.errors import InputError, Problem
 from recon.files import require_free_folder, staged_file
 from recon.manifest import MANIFEST, read_manifest
@@ -130,28 +130,8 @@ def identity_of(files: Mapping[str, Path], settings: Mapping[str, Any]) -> dict[
     }
 
 
-def input_files(settings: FitSettings) -> dict[str, Path]:
-    """By the setting that names them; built-in skeletons, subjects, priors and maps of names are no files."""
-    first, *others = settings.keypoints
-    files = {"keypoints": first} | {f"keypoints {i}": path for i, path in enumerate(others, start=2)}
-    if settings.camera is not None:
-        files["camera"] = settings.camera
-    tracks = [path for track in settings.camera_track or () for path in track_files(track)]
-    files |= {f"camera_track {i}" if i else "camera_track": path for i, path in enumerate(tracks)}
-    for role in ("skeleton", "subject", "prior", "rename"):
-        name = getattr(settings, role)
-        if name is not None and Path(name).is_absolute():
-            files[role] = Path(name)
-    return files
-
-
-@cache
-def file_sha256(path: Path) -> str | None:
-    try:
-        with path.open("rb") as file:
-            return hashlib.file_digest(file, "sha256").hexdigest()
-    except OSError:
-        return None
+file_sha256 = cache(digest)
+"""As a batch asks again and again."""
 
 
 def short_hash(part: Any) -> str:
@@ -183,7 +163,7 @@ def finish_record(
 ) -> None:
     """When all results are in place."""
     (out / CRASH_LOG).unlink(missing_ok=True)
-    results = {"manifest_sha256": file_digest(out / MANIFEST), "row": row}
+    results = {"manifest_sha256": digest(out / MANIFEST), "row": row}
     _write(out, "finished", run, attempt, settings, known, results)
 
 
@@ -193,14 +173,10 @@ def drop_record(out: Path) -> None:
         (out / RECORD).unlink(missing_ok=True)
 
 
-def file_digest(path: Path) -> str | None:
-    return file_sha256.__wrapped__(path)
-
-
 def _is_own(out: Path, record: Mapping[str, Any]) -> bool:
     """Whether the results are those that the batch has written: each report has its own times, and so each manifest its
     own hashes. Without a manifest they are what is left of some run."""
-    return not (out / MANIFEST).exists() or file_digest(out / MANIFEST) == record["manifest_sha256"]
+    return not (out / MANIFEST).exists() or digest(out / MANIFEST) == record["manifest_sha256"]
 
 
 def _is_whole(out: Path) -> bool:
