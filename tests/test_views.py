@@ -253,6 +253,7 @@ def test_cameras_beside_their_poses_come_back():
     assert np.degrees(np.arccos((np.trace(turned) - 1) / 2)) < 0.7
     off = found.joints_m - truth_m()
     assert np.linalg.norm(off - off.mean(axis=1, keepdims=True), axis=-1).mean() < 0.03
+    assert np.nanmean(found.weight[1]) > 0.8  # beside the refined camera, not beside the one that was given
 
 
 def test_a_wrong_focal_length_is_found_by_two_cameras():
@@ -262,6 +263,7 @@ def test_a_wrong_focal_length_is_found_by_two_cameras():
     found = solve_trajectory([views[0], views[1].lengthened(-0.08)], BODY, PRIOR, FPS, options)
     assert found.focal[1] - found.focal[0] == pytest.approx(0.08, abs=0.03)
     assert (found.focal_sigma > 0).all()
+    assert np.nanmean(found.weight[1]) > 0.8
     assert found.views[1].focal_px == pytest.approx(views[1].focal_px * np.exp(found.focal[1] - 0.08))
     alone = solve_trajectory(views[:1], BODY, PRIOR, FPS, options)
     assert (alone.focal[0], alone.focal_sigma[0]) == (0, 0)

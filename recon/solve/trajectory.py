@@ -399,7 +399,8 @@ def _of_spell(
     centred = by_size - by_size.mean(axis=1, keepdims=True)
     reprojections = [term for term in one.problem.terms if isinstance(term, Reprojection)]
     views = in_step(setting.part(one.rows), one).views
-    weight = [term.weights(view.at_its_time(markers)) for term, view in zip(reprojections, views, strict=True)]
+    seen_by = [replace(term, view=view) for term, view in zip(reprojections, views, strict=True)]
+    weight = [term.weights(term.view.at_its_time(markers)) for term in seen_by]
     in_world, joints_m = states.copy(), setting.in_world(points, size)
     in_world[:, ROOT] = setting.in_world(states[:, ROOT], size)
     covariance_m2 = with_size(known.covariance_m2, by_size, size, size_sigma)
