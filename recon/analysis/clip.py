@@ -23,11 +23,12 @@ from recon.analysis.kinematics import (
     Errors,
     JointKinematics,
     angle_kinematics,
+    jitter_errors,
     joint_angle,
     joint_kinematics,
     spine_flexion,
 )
-from recon.analysis.path import MIN_POINTS, frame_jitter_m
+from recon.analysis.path import MIN_POINTS
 from recon.analysis.phase import (
     Closure,
     LinkField,
@@ -136,7 +137,7 @@ def analyse(
         raise InputError(Problem(results.folder, "frames", found, f"at least {MIN_POINTS}"))
     smooth = results.jitters if smooth is None else smooth
     pose, fps, options = results.pose, results.fps, {"smooth": smooth}
-    errors = _jitter(pose.xyz_m) if smooth else _errors(results)
+    errors = jitter_errors(pose.xyz_m) if smooth else _errors(results)
     reference = results.report["root_path"]["keypoint"]
     joints = {}
     for name in pose.names:
@@ -185,7 +186,7 @@ def gaits_of(results: Results, smooth: bool | None = None) -> dict[Method, Gait]
     """Only the gaits of `analyse`, by method; none without feet."""
     pose = results.pose
     if results.jitters if smooth is None else smooth:
-        errors = _jitter(pose.xyz_m)
+        errors = jitter_errors(pose.xyz_m)
         pose = _on_paths(
             pose,
             [joint_kinematics(pose, n, results.fps, errors, smooth=True, propagate=False) for n in pose.names],
@@ -195,7 +196,7 @@ def gaits_of(results: Results, smooth: bool | None = None) -> dict[Method, Gait]
 
 def reference_motion(results: Results) -> JointKinematics:
     """Only the motion of the joint that stands for the animal's place, as `analyse` has it."""
-    errors = _jitter(results.pose.xyz_m) if results.jitters else _errors(results)
+    errors = jitter_errors(results.pose.xyz_m) if results.jitters else _errors(results)
     name = results.report["root_path"]["keypoint"]
     return joint_kinematics(results.pose, name, results.fps, errors, smooth=results.jitters)
 
@@ -217,7 +218,7 @@ def limb_chains(results: Results) -> dict[str, tuple[str, ...]]:
     return chains
 
 
-def _errors(results: Results) -> list[Errors]:
+def _errors(results: Results) -> Sequence[Errors]:
     """Of the place, of the pose; none where the fit does not give them over time."""
     if results.jitters:
         return []
@@ -231,7 +232,7 @@ def _errors(results: Results) -> list[Errors]:
 def _angle_errors(results: Results, smooth: bool) -> list[Sequence[Errors]]:
     """Of each of the fit's own angles."""
     if smooth:
-        return [_jitter(angle) for angle in results.angles_rad.T]
+        return [jitter_errors(angle) for angle in results.angles_rad.T]
     if results.jitters:
         return [() for _ in results.angle_names]
     least = 1e-6
@@ -275,13 +276,6 @@ def _on_paths(pose: Pose3D, joints: Iterable[JointKinematics]) -> Pose3D:
     """The frames' positions on the joints' splines."""
     paths = [joint.series.value[:: joint.series.oversampling] for joint in joints]
     return replace(pose, xyz_m=np.stack(paths, axis=1))
-
-
-def _jitter(values: Array) -> list[Errors]:
-    """Independent errors of the size that values (T, ...) jitter with from frame to frame."""
-    jitter = frame_jitter_m(values.reshape(len(values), -1)).reshape(values.shape[1:])
-    smallest = 1e-9  # an exact series has none
-    return [Errors(np.broadcast_to(np.maximum(np.nan_to_num(jitter, nan=smallest), smallest), values.shape))]
 
 
 def _angles(

@@ -13,7 +13,7 @@ from threadpoolctl import threadpool_limits
 
 from recon.analysis.clip import ClipAnalysis, analyse
 from recon.analysis.gait import Gait, doubt_text
-from recon.analysis.path import frame_jitter_m, peak_doubt
+from recon.analysis.kinematics import peak_doubt
 from recon.export import analysis_csv, solver_csv
 from recon.files import require_free_folder, sole_writer, staged_folder
 from recon.progress import Progress, silent
@@ -154,10 +154,10 @@ def summarise(found: ClipAnalysis) -> dict[str, Any]:
 def _doubt(found: ClipAnalysis) -> str | None:
     """Why not to trust the path's speed, of a fit that does not say how uncertain it is."""
     results = found.results
-    if results.sigma_m is not None:
+    if not results.jitters:
         return None
     points_m = results.pose.xyz_m[:, results.pose.names.index(found.reference)]
-    return peak_doubt(results.time_s, points_m, frame_jitter_m(points_m) if found.smoothed else None)
+    return peak_doubt(results.time_s, points_m, found.smoothed)
 
 
 def notes(found: ClipAnalysis) -> list[str]:

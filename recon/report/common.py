@@ -9,7 +9,8 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from recon.analysis.path import frame_jitter_m, path_kinematics
+from recon.analysis.kinematics import jitter_errors, point_kinematics
+from recon.analysis.path import frame_jitter_m
 from recon.keypoints import KeypointCounts
 from recon.motion import Motion
 from recon.naming import suggestions
@@ -208,16 +209,17 @@ def _root_path(motion: Motion, jitters: bool) -> dict[str, Any]:
 
 
 def _kinematics(motion: Motion, smoothing_m: Array | None) -> dict[str, Any]:
-    path = path_kinematics(motion.time_s, motion.root_m, smoothing_m=smoothing_m)
-    acceleration = finite(path.acceleration_m_s2)
-    at_frames = slice(None, None, path.oversampling)
+    smooth = smoothing_m is not None
+    errors = jitter_errors(motion.root_m) if smooth else ()
+    path = point_kinematics(motion.time_s, motion.root_m, errors, smooth=smooth, propagate=False)
+    at_frames = slice(None, None, path.series.oversampling)
     return {
         "smoothing_m": smoothing_m,
-        "oversampling": path.oversampling,
+        "oversampling": path.series.oversampling,
         "distance_m": path.distance_m,
         "peak_speed_m_s": path.peak_speed_m_s,
         "mean_speed_m_s": path.mean_speed_m_s,
-        "peak_acceleration_m_s2": float(acceleration.max()) if len(acceleration) else np.nan,
+        "peak_acceleration_m_s2": path.peak_acceleration_m_s2,
         "speed_m_s": path.speed_m_s[at_frames],
         "acceleration_m_s2": path.acceleration_m_s2[at_frames],
     }

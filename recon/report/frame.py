@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from recon.analysis.path import peak_doubt
+from recon.analysis.kinematics import peak_doubt
 from recon.frames import level_axes
 from recon.motion import Motion
 from recon.published import FrameOptions, FrameReport, FrameSolution, base_length
@@ -248,8 +248,8 @@ def _speed_text(speed_m_s: float | None) -> str:
 def _path_text(report: Mapping[str, Any]) -> str:
     root, frame = report["root_path"], f"{report['frame_of_reference']} frame"
     path = root["smoothed"] or root["exact"]
-    time_s, points_m, jitter_m = (np.array(root[name], dtype=float) for name in ("time_s", "position_m", "jitter_m"))
-    doubt = peak_doubt(time_s, points_m.reshape(-1, 3), jitter_m if root["smoothed"] else None)
+    time_s, points_m = (np.array(root[name], dtype=float) for name in ("time_s", "position_m"))
+    doubt = peak_doubt(time_s, points_m.reshape(-1, 3), smooth=root["smoothed"] is not None)
     if doubt is not None:
         other = "" if report["travel"]["median_speed_m_s"] is None else "; take the speed above"
         return f"too uncertain in depth for its speed ({frame}): {doubt}{other}"

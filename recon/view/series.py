@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 import rerun as rr
 
-from recon.analysis.path import frame_jitter_m, speed_at_frames
+from recon.analysis.kinematics import speed_at_frames
+from recon.analysis.path import frame_jitter_m
 from recon.body import side_of, without_side
 from recon.motion import Motion
 from recon.published import FrameSolution
@@ -177,8 +178,8 @@ def _speeds_m_s(motion: Motion) -> tuple[Array, Array]:
     """Speed of the reference joint in solved frames, (T,) each: from the exact spline, and from one smoothed by the
     jitter from frame to frame (the exact one where that cannot be told)."""
     exact = speed_at_frames(motion.time_s, motion.root_m)
-    jitter = frame_jitter_m(motion.root_m)
-    smooth = speed_at_frames(motion.time_s, motion.root_m, jitter) if np.isfinite(jitter).all() else exact
+    told = np.isfinite(frame_jitter_m(motion.root_m)).all()
+    smooth = speed_at_frames(motion.time_s, motion.root_m, smooth=True) if told else exact
     return np.where(motion.solved, exact, np.nan), np.where(motion.solved, smooth, np.nan)
 
 
