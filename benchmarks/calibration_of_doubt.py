@@ -24,8 +24,7 @@ from functools import partial
 
 import numpy as np
 from markdown_table import print_table
-from scipy.stats import kstest, norm
-from trajectory import INSIDE_50, INSIDE_90
+from scipy.stats import kstest
 
 from recon import Body, Camera, load_skeleton
 from recon.clip import View, still_view
@@ -33,6 +32,7 @@ from recon.detector import seen_by
 from recon.errors import InputError
 from recon.kinematics import YAW
 from recon.prior import ANGLES, MotionPrior, as_one_gaussian, builtin_priors, load_prior, prior_from_body
+from recon.regions import share_below, share_inside
 from recon.solve import TrajectoryOptions, solve_trajectory
 from recon.solve.setting import Setting
 from recon.solve.terms import dynamics_term, pose_term
@@ -123,15 +123,14 @@ def _scored(
     row = {}
     tail = [i for i, marker in enumerate(body.markers) if "tail" in marker]
     for what, e, C in (("pose", centred, solution.relative_covariance_m2), ("place", off, solution.covariance_m2)):
-        q = np.sum(e * np.linalg.solve(C + 1e-12 * np.eye(3), e[..., None])[..., 0], axis=-1)
-        row |= {f"{what} 90": float(np.mean(q < INSIDE_90)), f"{what} 50": float(np.mean(q < INSIDE_50))}
+        row |= {f"{what} 90": share_inside(e, C, 0.9), f"{what} 50": share_inside(e, C, 0.5)}
         if what == "pose" and tail:
-            row["tail 90"] = float(np.mean(q[:, tail] < INSIDE_90))
+            row["tail 90"] = share_inside(e[:, tail], C[:, tail], 0.9)
     t, j = T // 2, int(np.argmin(np.linalg.norm(truth_m[T // 2] - truth_m[T // 2].mean(axis=0), axis=1)))
     ray = truth_m[t, j] / np.linalg.norm(truth_m[t, j])
     sigma_m = float(np.sqrt(ray @ solution.covariance_m2[t, j] @ ray))
     found, true = (np.linalg.norm(points[t].mean(axis=0)) for points in (solution.joints_m, truth_m))
-    return row | {"rank": float(norm.cdf((true - found) / sigma_m)), "too far": float(np.log(found / true))}
+    return row | {"rank": share_below(float(true - found) / sigma_m), "too far": float(np.log(found / true))}
 
 
 def summary(label: str, rows: Sequence[dict[str, float]]) -> list[object]:

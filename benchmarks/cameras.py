@@ -24,13 +24,14 @@ from pathlib import Path
 import numpy as np
 from markdown_table import print_table
 from recordings import recordings
-from trajectory import INSIDE_50, INSIDE_90, SKELETON, body_of, meta_of, prior_of, truth_of
+from trajectory import SKELETON, body_of, meta_of, prior_of, truth_of
 
 from recon import Body, FitSettings
 from recon.app.clip import prepare
 from recon.clip import Source, View, views_of
 from recon.detector import detector_toml
 from recon.kinematics import ROOT
+from recon.regions import share_inside
 from recon.solve import TrajectoryOptions, TrajectorySolution, solve_trajectory
 from recon.solve.points import solve_points
 from recon.solve.setting import Setting
@@ -112,18 +113,12 @@ def errors(run: Run, solution: TrajectorySolution) -> dict[str, float]:
     return {
         "mpjpe_mm": 1000 * float(np.nanmean(np.linalg.norm(centred, axis=-1))),
         "mpe_mm": 1000 * float(np.nanmean(np.linalg.norm(off, axis=-1))),
-        **{f"{what} inside 90 %": inside(off_m, cov_m2, INSIDE_90) for what, (off_m, cov_m2) in regions.items()},
-        **{f"{what} inside 50 %": inside(off_m, cov_m2, INSIDE_50) for what, (off_m, cov_m2) in regions.items()},
+        **{f"{what} inside 90 %": share_inside(off_m, cov_m2, 0.9) for what, (off_m, cov_m2) in regions.items()},
+        **{f"{what} inside 50 %": share_inside(off_m, cov_m2, 0.5) for what, (off_m, cov_m2) in regions.items()},
         "size": solution.size,
         "size sigma": solution.size_sigma,
         "solve_s": solution.stage_s["all"],
     }
-
-
-def inside(off_m: np.ndarray, covariance_m2: np.ndarray, limit: float) -> float:
-    known = np.isfinite(off_m).all(axis=-1)
-    e, C = off_m[known], covariance_m2[known] + 1e-12 * np.eye(3)
-    return float(np.mean(np.sum(e * np.linalg.solve(C, e[..., None])[..., 0], axis=-1) < limit))
 
 
 def too_far(run: Run, solution: TrajectorySolution) -> float:

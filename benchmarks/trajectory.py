@@ -41,6 +41,7 @@ from recon.clip import View, still_view
 from recon.frames import inverse, moved, rigid
 from recon.keypoints import clean
 from recon.prior import MotionPrior, as_one_gaussian, load_prior
+from recon.regions import radius, sigmas
 from recon.skeleton_file import load_chain
 from recon.solve import TrajectoryOptions, TrajectorySolution, solve_trajectory
 from recon.solve.points import solve_points_and_size
@@ -50,8 +51,6 @@ SKELETON, PRIOR = "cheetah-24", "running-cheetah"
 ONE_GAUSSIAN = "one Gaussian"
 VISIBLE = 0.8
 """Views with a larger share of the truth inside the picture count in the worst one."""
-INSIDE_50, INSIDE_90 = 2.366, 6.251
-"""Squared Mahalanobis distances in three dimensions that 50 and 90 % stay below."""
 HOLE = 10
 GROUPS = {
     "head": ("nose", "l_eye", "r_eye"),
@@ -245,13 +244,8 @@ def _in_camera(solution: TrajectorySolution, covariance_m2: np.ndarray) -> np.nd
 
 def _inside(error_m: np.ndarray, covariance_m2: np.ndarray) -> np.ndarray:
     """(T, J) 1.0 inside the 90 % region, 0.0 outside, NaN without truth or solution."""
-    known = np.isfinite(error_m).all(axis=-1)
-    inside = np.full(known.shape, np.nan)
-    e, C = error_m[known], covariance_m2[known]
-    # Relative covariances may be singular to rounding.
-    C = C + 1e-12 * np.eye(3)
-    inside[known] = np.sum(e * np.linalg.solve(C, e[..., None])[..., 0], axis=-1) < INSIDE_90
-    return inside
+    off = sigmas(error_m, covariance_m2)
+    return np.where(np.isfinite(off), off < radius(0.9, 3), np.nan)
 
 
 def fits(jobs: Iterable[Job], processes: int = 2) -> list[Fit]:

@@ -32,6 +32,7 @@ LAYERS = (
     "video",
     "rotations",
     "frames",
+    "regions",
     "banded",
     "keypoints",
     "io",

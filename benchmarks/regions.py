@@ -1,0 +1,164 @@
+"""How heavy the tails of errors are beside the stated covariances, and what right regions would hold of 28 views.
+
+    python benchmarks/regions.py [FOLDER]
+
+All views of the runs that `cameras.py` takes, each by itself, lengths known, the detector measured in the other runs.
+Degrees of freedom of Student's t are the most likely ones, a view's mean over its joints counting as one error of the
+pose and one of the place; each run is judged with those of the others. In the end errors are drawn as they are stated,
+for whole clips at a time with all that their frames share, and with one scale a clip: what the worst of so many views
+holds then.
+"""
+
+from __future__ import annotations
+
+import os
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from cameras import PRIOR, Run, as_seen, cameras_of, runs_given, solved
+from markdown_table import print_table
+from scipy.linalg.lapack import dtbtrs
+from scipy.special import gammaln
+from trajectory import body_of, prior_of
+
+from recon.regions import DEGREES_OF_FREEDOM, radius, sigmas
+from recon.solve import TrajectoryOptions
+from recon.solve.posterior import factored
+from recon.solve.setting import Setting
+from recon.solve.trajectory import Solved, solve_spells
+
+NUMBERS = (2.5, 3, 3.5, 4, 4.5, 5, 5.5, 6, 6.5, 7, 7.5, 8, 9, 10, 12, 15, 20, 30, 50, 100, 1e6)
+"""Degrees of freedom that are compared; the last are a Gaussian's."""
+KINDS, LEVELS = ("pose", "place"), (0.9, 0.5)
+DRAWS = 400
+WORST = 0.6
+
+
+@dataclass(frozen=True)
+class Fit:
+    """off: of the known joints, how many standard deviations pose and place are off."""
+
+    run: Run
+    cameras: str
+    off: dict[str, np.ndarray]
+
+
+def fits(runs: Sequence[Run]) -> list[Fit]:
+    found = []
+    for run in runs:
+        body = as_seen(body_of(run.subject), run, runs, posed=True)
+        sets = [("one", [c]) for c in run.views] + [(k, c) for k, c in cameras_of(run).items() if k != "one"]
+        for label, cameras in sets:
+            solution = solved(run, cameras, body)
+            place = solution.joints_m - run.truth_m
+            pose = place - place.mean(axis=1, keepdims=True)
+            off = {
+                "pose": sigmas(pose, solution.relative_covariance_m2),
+                "place": sigmas(place, solution.covariance_m2),
+            }
+            found.append(Fit(run, label, {what: of[np.isfinite(of)] for what, of in off.items()}))
+    return found
+
+
+def likelihood(off: np.ndarray) -> np.ndarray:
+    """By `NUMBERS`: the mean logarithm of the density of errors in space, beside a Gaussian's."""
+    nu, k = np.array(NUMBERS)[:, None], 3
+    scale = gammaln((nu + k) / 2) - gammaln(nu / 2) - k / 2 * np.log(nu - 2)
+    found = (scale - (nu + k) / 2 * np.log1p(off**2 / (nu - 2))).mean(axis=1)
+    return found - found[-1]
+
+
+def inside(some: Sequence[Fit], what: str, nu: float) -> str:
+    """The share in regions of 90 and 50 %, the mean over clips."""
+    return " ".join(f"{np.mean([np.mean(fit.off[what] < radius(p, 3, nu)) for fit in some]):.3f}" for p in LEVELS)
+
+
+def heaviness(found: Sequence[Fit]) -> None:
+    one = [fit for fit in found if fit.cameras == "one"]
+    by_fit = {id(fit): {what: likelihood(off) for what, off in fit.off.items()} for fit in one}
+
+    def most(some: Sequence[Fit], *kinds: str) -> int:
+        return int(np.argmax(sum(by_fit[id(fit)][what] for fit in some for what in kinds)))
+
+    rows = []
+    for name in sorted({fit.run.folder.name for fit in one}):
+        own, others = ([fit for fit in one if (fit.run.folder.name == name) is its] for its in (True, False))
+        best = most(others, *KINDS)
+        gained = sum(float(by_fit[id(fit)][what][best]) for fit in own for what in fit.off)
+        shares = [inside(own, what, nu) for what in KINDS for nu in (1e6, NUMBERS[best])]
+        rows.append([name, f"{NUMBERS[best]:g}", f"{gained:+.2f}", *shares])
+    head = ["run left out", "nu of the others", "log likelihood beside a Gaussian"]
+    print_table([*head, *(f"{what}, {of}" for what in KINDS for of in ("Gaussian", "t"))], rows)
+    of_all = {what: f"{NUMBERS[most(one, what)]:g}" for what in KINDS}
+    best = NUMBERS[most(one, *KINDS)]
+    print(f"\nOf all: {best:g}; of the pose alone {of_all['pose']}, of the place {of_all['place']}.\n")
+    rows = []
+    for label in ("one", "two", "all"):
+        some = [fit for fit in found if fit.cameras == label]
+        rows.append([label, *(inside(some, w, nu) for w in KINDS for nu in (1e6, DEGREES_OF_FREEDOM))])
+    print("Inside 90 and 50 %, Gaussian and t\n")
+    print_table(["cameras", *(f"{what}, {of}" for what in KINDS for of in ("Gaussian", "t"))], rows)
+
+
+# -- what is stated, drawn ---------------------------------------------------------------------------------------------
+
+
+def drawn(setting: Setting, solved: Solved, rng: np.random.Generator) -> dict[str, np.ndarray]:
+    """(DRAWS, n): how many standard deviations the joints are off that are drawn as stated, pose and place."""
+    problem, states = solved.problem, solved.estimate.states
+    problem = replace(problem, shared=[*problem.shared, *problem.doubtful], doubtful=())
+    normal, (T, D) = problem.normal(states, problem.expected() | dict(solved.estimate.shared)), states.shape
+    own = factored(normal.H)
+    Y = own.solve_many(normal.border)
+    S = normal.corner - np.tensordot(normal.border, Y, ((0, 1), (0, 1)))
+    shared = np.linalg.solve(np.linalg.cholesky(S).T, rng.normal(size=(len(S), DRAWS)))
+    moved, _ = dtbtrs(own.band, rng.normal(size=(T * D, DRAWS)), uplo="L", trans="T")
+    moved = np.sqrt(setting.alike) * (moved.reshape(T, D, DRAWS) - Y @ shared)
+    pose = setting.body.tree.pose_with_jacobian(states)
+    assert pose.jacobian is not None
+    place = np.einsum("tjid,tdn->ntji", pose.jacobian, moved)
+    place += setting.size_sigma * rng.normal(size=(DRAWS, 1, 1, 1)) * pose.points_m
+    off = {}
+    for what, error in (("pose", place - place.mean(axis=2, keepdims=True)), ("place", place)):
+        covariance = np.einsum("ntji,ntjk->tjik", error, error) / DRAWS
+        scale = np.sqrt((DEGREES_OF_FREEDOM - 2) / rng.chisquare(DEGREES_OF_FREEDOM, (DRAWS, 1, 1)))
+        off[what] = (scale * sigmas(error, np.broadcast_to(covariance, (*error.shape, 3)))).reshape(DRAWS, -1)
+    return off
+
+
+def worst_views(runs: Sequence[Run], found: Sequence[Fit]) -> None:
+    """With the covariances that the draws have themselves, which are the stated ones."""
+    rng, shares = np.random.default_rng(0), {what: [] for what in KINDS}
+    for run in runs:
+        body = as_seen(body_of(run.subject), run, runs, posed=True)
+        for view in run.views.values():
+            setting = Setting.of([view], body, prior_of(PRIOR), run.fps, TrajectoryOptions())
+            spell = max(solve_spells(setting), key=lambda one: one.rows.stop - one.rows.start)
+            for what, off in drawn(setting.part(spell.rows), spell, rng).items():
+                shares[what].append(np.mean(off < radius(0.9, 3), axis=1))
+    rows = []
+    for what in KINDS:
+        held = np.array(shares[what])
+        worst, low = held.min(axis=0), np.sum(held < WORST, axis=0)
+        real = np.array([np.mean(fit.off[what] < radius(0.9, 3)) for fit in found if fit.cameras == "one"])
+        between = " to ".join(f"{q:.2f}" for q in np.quantile(worst, (0.05, 0.95)))
+        cells = [f"{held.mean():.2f}", f"{np.median(worst):.2f} ({between})", f"{np.mean(low == 0):.0%}"]
+        rows.append([what, *cells, f"{low.mean():.1f}", f"{real.min():.2f}", str(int(np.sum(real < WORST)))])
+    print(f"\n90 % regions of each view, drawn as stated {DRAWS} times, and the real ones\n")
+    head = ["", "all views", "worst view, median (90 %)", f"none below {WORST}", f"views below {WORST}"]
+    print_table([*head, "real worst view", f"real views below {WORST}"], rows)
+
+
+def main() -> None:
+    runs = runs_given(__doc__)
+    found = fits(runs)
+    heaviness(found)
+    worst_views(runs, found)
+
+
+if __name__ == "__main__":
+    main()
