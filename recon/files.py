@@ -218,6 +218,20 @@ def _exchange(staging: Path, folder: Path, obsolete: Iterable[str]) -> None:
         raise
 
 
+def seen_from(folder: Path, path: str | Path) -> str:
+    """A path as it has to stand in a file of that folder, so that both can be moved together, and nobody reads in it
+    where they lay. One on another drive stays absolute."""
+    try:
+        return Path(os.path.relpath(path, folder.absolute())).as_posix()
+    except ValueError:
+        return str(path)
+
+
+def name_seen_from(folder: Path, name: str) -> str:
+    """The same of what may be the name of something built in."""
+    return seen_from(folder, name) if Path(name).suffix else name
+
+
 # -- not over others -------------------------------------------------------------------------------------------------
 
 

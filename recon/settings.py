@@ -15,6 +15,7 @@ from dataclasses import MISSING, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+from recon import files
 from recon.documents import read_toml
 from recon.errors import InputError, Problem
 
@@ -530,16 +531,8 @@ def beside(folder: Path, name: str, given: Any) -> Any:
 
 
 def seen_from(folder: Path, name: str, given: Any) -> Any:
-    """The value as it has to stand in a file of that folder, so that both can be moved together, and nobody reads in it
-    where they lay. A path on another drive stays absolute."""
-
-    def seen(path: str) -> str:
-        try:
-            return Path(os.path.relpath(path, folder.absolute())).as_posix()
-        except ValueError:
-            return path
-
-    return _with_paths(name, given, seen)
+    """The value as it has to stand in a file of that folder, see `files.seen_from`."""
+    return _with_paths(name, given, lambda path: files.seen_from(folder, path))
 
 
 def _with_paths(name: str, given: Any, change: Callable[[str], str]) -> Any:

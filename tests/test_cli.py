@@ -431,7 +431,7 @@ BAD_INPUT: dict[str, tuple[list[str], list[str]]] = {
         ["{in}/animals.csv", "--individual", "animal3"],
         ["{in}/animals.csv: individual: found 'animal3', expected one of: animal1, animal2"],
     ),
-    "no individual chosen": (["{in}/animals.csv"], ["{in}/animals.csv: individual: found 2 animals and no choice"]),
+    "no individual chosen": (["{in}/animals.csv"], ["{in}/animals.csv: individual: found 2 animals and no --ind"]),
     "individual in a file of one": (
         ["{clip}", "--individual", "a"],
         ["{clip}: individual: found a file without named"],
@@ -777,7 +777,8 @@ def test_evaluate_prints_the_numbers_of_the_function(fitted):
     ended = run("evaluate", pose, TRUTH)
     assert ended.code == 0
     lines = [line.rstrip() for line in ended.out.splitlines()]
-    assert max(map(len, lines[:16])) <= 80
+    assert lines[0] == f"{pose} against the reference {TRUTH}"
+    assert max(map(len, lines[1:16])) <= 80
     rows = {line.split()[0]: line.split()[1:] for line in lines if line}
     scores = (result.mpjpe_m, result.mpe_m, result.scale_mpjpe_m, result.pa_mpjpe_m)
     shares = [score for _, score in result.pck]
@@ -789,6 +790,7 @@ def test_evaluate_prints_the_numbers_of_the_function(fitted):
     assert any(line.startswith("Joints only in the reference: l_front_knee, ") for line in lines)
     assert "Look at this" not in ended.out
     assert run("evaluate", fitted[0], TRUTH).out == ended.out
+    assert f"Look at this: the reference, {fitted[0]}, is a result of" in run("evaluate", TRUTH, fitted[0]).out
 
 
 def test_evaluate_as_json(fitted):
@@ -858,10 +860,12 @@ def test_view_shows_what_goes_with_the_recording(fitted, tmp_path, monkeypatch):
     assert run("view", out) == Ended(0, "", "")
     assert seen == [{"/analysis/x", "/speed"}] * 2
     assert {path: path.read_bytes() for path in out.rglob("*") if path.is_file()} == before
-    assert run("view", out, "--out", tmp_path / "all.rrd") == Ended(0, "", "")
+    said = f"The recording is in {tmp_path / 'all.rrd'}. Watch it with: rerun {tmp_path / 'all.rrd'}\n"
+    assert run("view", out, "--out", tmp_path / "all.rrd") == Ended(0, said, "")
     look(tmp_path / "all.rrd")
     assert seen.pop() == {"/analysis/x", "/speed"}
     assert "which is there already" in run("view", out, "--out", tmp_path / "all.rrd").err
+    assert run("view", out, "--out", tmp_path / "all.rrd", "--overwrite").code == 0
     ended = run("view", out, "--analysis", tmp_path)
     assert ended.err.startswith(f"error: {tmp_path / 'analysis.rrd'}: file: found no such file")
     run(*fit_args(out, "--overwrite", "-q"))

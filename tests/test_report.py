@@ -361,6 +361,11 @@ def test_every_spell_keeps_its_ground(small_trajectory):
     assert one["middle_m"] == pytest.approx([-1.2, 9.0])
     assert other["middle_m"] == pytest.approx([0.3, 9.0])
     assert other["height_m"] == pytest.approx(one["height_m"] - 0.4)
+    higher = Spell(slice(0, 3), replace(ground, height_m=ground.height_m + 2.0))
+    above = build_report(with_solution(small_trajectory, states=states, spells=(higher, second)), {})
+    said = f"{-above['ground']['camera_height_m']:.2f} ± 0.03 m above the camera"
+    assert dict(summary_lines(above))["ground"].startswith(said)
+    assert f"the ground comes out {said}" in next(w for w in above["warnings"] if "ground" in w)
     heights = [f"{spell['camera_height_m']:.2f} ± 0.03 m below the camera" for spell in (one, other)]
     text = dict(summary_lines(report))["ground"]
     assert text.startswith(f"{heights[0]} (frames 10 to 12), {heights[1]} (frames 15 to 17); stances")
@@ -481,6 +486,7 @@ def test_cameras_that_look_out_of_step_are_named(lags, warned):
     said = list(step_warnings({"solver": {"lag_frames": 12**-0.5}, "cameras": seen[::-1]}))
     assert len(said) == warned
     assert all("cam0 and cam2 look out of step, by 1.5 frames or more" in text for text in said)
+    assert all(text.endswith("or of another clip") for text in said)
     assert not list(step_warnings({"solver": {}, "cameras": seen}))
 
 
@@ -614,6 +620,8 @@ def test_console_summary_of_several_cameras(several, two_cameras):
     assert ("clip", "run.csv, cam2.csv, frames 10 to 17 at 30 fps") in lines
     cameras = [text for label, text in lines if label == "camera"]
     assert cameras[1].startswith("cam2: 6 of 8 frames, 144 points used; 1.4 px mean, 0.0 px median, 1 outlier; ")
+    assert " below cam1; stances" in dict(lines)["ground"]
+    assert dict(lines)["heading"].endswith(", as cam1 sees it")
     assert several["size"]["from"] == ["prior", "views"]
     assert "(from the views; 1 ± " in dict(lines)["size"]
     sentences = " ".join(several["assumptions"]["sentences"])

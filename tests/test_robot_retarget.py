@@ -2,6 +2,7 @@
 
 import csv
 import json
+import os
 from dataclasses import replace
 
 import numpy as np
@@ -314,6 +315,7 @@ def test_command(whole_results, tmp_path):
     robot = load_robot("a1")
     report = json.loads((out / "report.json").read_text())
     assert list(report["robot"]["joints"]) == list(robot.joints)
+    assert (report["robot"]["source"], report["animal"]["results"]) == ("a1", os.path.relpath(whole_results, out))
     for prefix in ("", "stride_"):
         header, joints = table(out / f"{prefix}joints.csv")
         assert header == ["time_s", *robot.joints]

@@ -9,7 +9,7 @@ are known.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +19,7 @@ from recon.analysis.mismatch import mismatches
 from recon.errors import InputError, Problem, all_of
 from recon.io.pose3d import Pose3D, read_pose3d
 from recon.keypoints import frame_ranges
+from recon.manifest import MANIFEST
 
 PCK_THRESHOLDS_M = (0.05, 0.1, 0.15)
 
@@ -39,6 +40,9 @@ class Score:
 class Evaluation:
     """A reconstruction against the truth, over T common frames and J common joints. Frame ranges are half-open."""
 
+    pose: str
+    """What was scored, by its file, and below against what."""
+    truth: str
     names: tuple[str, ...]
     frames: np.ndarray
     mpjpe_m: Score
@@ -64,7 +68,8 @@ class Evaluation:
     def to_dict(self) -> dict[str, Any]:
         """Plain JSON types: keys that end in `_mm` are millimetres, pck are fractions, NaN is None."""
         errors = {name: getattr(self, f"{name}_m") for name in ("mpjpe", "mpe", "scale_mpjpe", "pa_mpjpe")}
-        result: dict[str, Any] = {f"{name}_mm": _plain_types(score.mean * 1e3) for name, score in errors.items()}
+        result: dict[str, Any] = {"pose": self.pose, "truth": self.truth}
+        result |= {f"{name}_mm": _plain_types(score.mean * 1e3) for name, score in errors.items()}
         for name, score in errors.items():
             result[f"{name}_per_joint_mm"] = dict(zip(self.names, _plain_types(score.per_joint * 1e3), strict=True))
             result[f"{name}_per_frame_mm"] = _plain_types(score.per_frame * 1e3)
@@ -92,7 +97,15 @@ def evaluate_files(pose_path: str | Path, truth_path: str | Path) -> Evaluation:
     """Evaluates a file of 3D positions (see `read_pose3d`) against another; either may be the folder of results that
     `recon fit` wrote. Raises InputError."""
     pose, truth = all_of(*(lambda path=path: read_pose3d(_pose_file(Path(path))) for path in (pose_path, truth_path)))
-    return evaluate(pose, truth)
+    found = evaluate(pose, truth)
+    if _is_result(Path(truth_path)) and not _is_result(Path(pose_path)):
+        note = f"the reference, {truth_path}, is a result of recon fit, and what is scored is not: perhaps exchanged"
+        return replace(found, notes=(*found.notes, note))
+    return found
+
+
+def _is_result(path: Path) -> bool:
+    return path.is_dir() or (path.parent / MANIFEST).is_file()
 
 
 def _pose_file(path: Path) -> Path:
@@ -112,7 +125,7 @@ def evaluate(pose: Pose3D, truth: Pose3D) -> Evaluation:
     truth_m = truth.xyz_m[in_truth][:, [truth.names.index(name) for name in names]]
     common = common_joints(pose_m, truth_m)
 
-    here, there = pose.source or "pose", truth.source or "truth"
+    here, there = str(pose.source or "pose"), str(truth.source or "truth")
     problems = []
     if not names:
         shown = " and ".join(", ".join(p.names[:5]) for p in (pose, truth))
@@ -128,6 +141,8 @@ def evaluate(pose: Pose3D, truth: Pose3D) -> Evaluation:
     centred_m = joint_errors(centre(pose_m, truth_m), truth_m)
     similar_m = joint_errors(align_similarity(pose_m, truth_m), truth_m)
     return Evaluation(
+        pose=here,
+        truth=there,
         names=names,
         frames=frames,
         mpjpe_m=score(centred_m),

@@ -12,7 +12,7 @@ import numpy as np
 from recon.app.retarget import solve, write_tables
 from recon.arrays import Array
 from recon.errors import InputError, Problem, all_of
-from recon.files import require_free_folder, sole_writer, staged_results
+from recon.files import name_seen_from, require_free_folder, seen_from, sole_writer, staged_results
 from recon.io.table import write_rows
 from recon.report import to_json
 from recon.results import read_results
@@ -76,7 +76,8 @@ def run_climb(
         if results is not None:
             run = solve(reference_of(results), machine).motion.clip
             motion, start_s = before(run, motion, climb.recipe.step, climb.recipe.fps)
-        solved = _solved(climb, motion, start_s, at_s, method, str(recipe), after)
+        name, origin = name_seen_from(out, str(recipe)), after and seen_from(out, after)
+        solved = _solved(climb, motion, start_s, at_s, method, name, origin)
         with staged_results(out) as staging:
             write(solved, staging, figures)
     return solved
@@ -97,7 +98,7 @@ def _reach(walker: Walker) -> float:
 
 
 def _solved(
-    climb: Climb, motion: RobotMotion, start_s: float, at_s: float | None, method: str, name: str, after: Path | None
+    climb: Climb, motion: RobotMotion, start_s: float, at_s: float | None, method: str, name: str, after: str | None
 ) -> ClimbRun:
     found = margins(climb.walker, climb.recipe.step, climb.torso, climb.feet_m, climb.lifted)
     least = {rule: values.min(axis=-1) for rule, values in found.items()}
@@ -106,7 +107,7 @@ def _solved(
     if after is not None:
         count = int((motion.time_s < start_s).sum())
         report["after"] = {
-            "results": str(after),
+            "results": after,
             "scale": motion.scale,
             "slower": motion.slower,
             "climb_starts_s": start_s,

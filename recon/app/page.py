@@ -64,7 +64,8 @@ def _stills(result: Results, video: Path | None, first_frame: int, number: int) 
 
 
 def _files(result: Results) -> list[str]:
-    return [*(name for name in BESIDE if (result.folder / name).is_file()), *sorted(result.manifest.files)]
+    names = [*BESIDE, *sorted(result.manifest.files)]
+    return [name for name in names if (result.folder / name).is_file()]
 
 
 def is_batch(folder: Path) -> bool:

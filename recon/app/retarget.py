@@ -12,7 +12,7 @@ from scipy.spatial.transform import RigidTransform
 from recon.analysis.gait import doubt_text
 from recon.arrays import Array
 from recon.errors import InputError, Problem, all_of
-from recon.files import require_free_folder, sole_writer, staged_results
+from recon.files import name_seen_from, require_free_folder, seen_from, sole_writer, staged_results
 from recon.io.table import write_rows
 from recon.report import to_json
 from recon.results import read_results
@@ -77,6 +77,8 @@ def run_retarget(
     with sole_writer(out):
         require_free_folder(out, (REPORT,), overwrite)
         solved = solve(animal, machine, scale, slower, lag)
+        solved.report["animal"]["results"] = seen_from(out, folder)
+        solved.report["robot"]["source"] = name_seen_from(out, machine.source)
         with staged_results(out) as staging:
             write(solved, staging)
     return solved

@@ -25,6 +25,7 @@ def run_view(
     first_frame: int = 0,
     camera: str | None = None,
     out: Path | None = None,
+    overwrite: bool = False,
     say: Callable[[str], None] = lambda note: None,
 ) -> None:
     """`recon view`: open the playback, with the plots of `recon analyse` and the frames of a video.
@@ -44,7 +45,7 @@ def run_view(
         if value and video is None:
             raise InputError(Problem(option, "video", "no --video", "one beside the other"))
     if out is not None:
-        require_free_file(out, overwrite=False)
+        require_free_file(out, overwrite)
     with TemporaryDirectory() as temporary:
         place = folder if os.access(folder, os.W_OK | os.X_OK) else Path(temporary)
         pictures = (place if video is not None else folder) / VIDEO

@@ -12,7 +12,7 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Column, Table
 from rich.text import Text
 
-from recon.cli.common import STRIDE, progress_bar, stride_times, terminal
+from recon.cli.common import STRIDE, progress_bar, say_what_is_gone, stride_times, terminal
 
 if TYPE_CHECKING:
     from recon.app.analyse import Analysed
@@ -67,6 +67,7 @@ def analyse(
         console.print(_stances(done))
     for note in done.summary["notes"]:
         console.print(Text(f"note: {note}"), soft_wrap=True)
+    say_what_is_gone(console, folder)
     console.print(Text(f"{len(done.files)} files are in {done.out}."), soft_wrap=True)
     if done.plots is not None:
         results = done.found.results.folder

@@ -21,6 +21,7 @@ from rich.text import Text
 
 from recon.errors import InputError, Problem
 from recon.interrupts import EXIT_INTERRUPTED, MESSAGE, installed
+from recon.manifest import read_manifest
 from recon.settings import NUMBER, SETTINGS
 
 FPS = SETTINGS["fps"].expected
@@ -38,6 +39,13 @@ def terminal(**given: Any) -> Console:
 def say(console: Console, text: str) -> None:
     """One line, however long: no markup, and no breaks that a terminal would not make."""
     console.print(Text(text), soft_wrap=True)
+
+
+def say_what_is_gone(console: Console, folder: Path) -> None:
+    """Of results, the files that a command can do without."""
+    names = read_manifest(folder).gone()
+    if names:
+        say(console, f"note: no longer in {folder}: {', '.join(names)}; left out where it would be shown")
 
 
 def number_table(*texts: str, numbers: Iterable[str], **more: Any) -> Table:

@@ -11,7 +11,7 @@ import typer
 from rich.table import Table
 from rich.text import Text
 
-from recon.cli.common import number_table, terminal
+from recon.cli.common import number_table, say, terminal
 
 if TYPE_CHECKING:
     from recon.analysis.evaluation import Evaluation
@@ -32,7 +32,9 @@ def evaluate(
     if as_json:
         typer.echo(json.dumps(result.to_dict(), indent=1))
         return
-    terminal().print(_table(result))
+    console = terminal()
+    say(console, f"{result.pose} against the reference {result.truth}")
+    console.print(_table(result))
     for line in _table_notes(result):
         typer.echo(line)
     for note in result.notes:

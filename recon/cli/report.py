@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from recon.cli.common import error_text, progress_bar, say, terminal
+from recon.cli.common import error_text, progress_bar, say, say_what_is_gone, terminal
 from recon.errors import InputError, Problem
 
 
@@ -29,7 +29,8 @@ def report(
 ) -> None:
     """Make a page of a result to look at and to pass on: report.html in its folder, one file that opens in any browser.
 
-    In the folder of a batch, those of all clips, and summary.html with links to them.
+    In the folder of a batch, those of all clips, and summary.html with links to them. A page that was made before is
+    replaced.
 
     Example: recon report results/clip --video clip.mp4
     """
@@ -47,4 +48,5 @@ def report(
         return
     with progress_bar(console) as progress:
         page = run_page(folder, video=video, first_frame=first_frame, camera=camera_name, progress=progress)
+    say_what_is_gone(console, folder)
     say(console, f"Open {page} in a browser.")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
 from typing import Annotated
 
@@ -26,6 +27,7 @@ def view(
     out: Annotated[
         Path | None, typer.Option(help="Write all that is shown as one recording, and open nothing, as in clip.rrd.")
     ] = None,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the recording of --out.")] = False,
 ) -> None:
     """Open the playback of a reconstruction in the rerun viewer, with the plots of its analysis.
 
@@ -33,4 +35,9 @@ def view(
     """
     from recon.app.view import run_view
 
-    run_view(folder, analysis, video, first_frame, camera_name, out, lambda note: typer.echo(note, err=True))
+    def note(text: str) -> None:
+        typer.echo(text, err=True)
+
+    run_view(folder, analysis, video, first_frame, camera_name, out, overwrite, note)
+    if out is not None:
+        typer.echo(f"The recording is in {out}. Watch it with: rerun {shlex.quote(str(out))}")

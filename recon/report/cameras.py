@@ -110,8 +110,8 @@ def step_warnings(report: Mapping[str, Any]) -> Iterator[str]:
     apart = last["lag_frames"] - first["lag_frames"]
     if apart > OUT_OF_STEP_SIGMAS * math.sqrt(2.0) * expected:
         yield (
-            f"{first['name']} and {last['name']} look out of step, by {apart:.1f} frames or more, or one of them is "
-            "turned: --find-offsets measures the first"
+            f"{first['name']} and {last['name']} look out of step, by {apart:.1f} frames or more (measured by "
+            "--find-offsets), or one of them is turned, or of another clip"
         )
 
 
@@ -129,6 +129,11 @@ def points(report: Mapping[str, Any]) -> dict[str, int]:
 def notes(report: Mapping[str, Any]) -> list[str]:
     """What had to be decided about the files when they were read; of several cameras, what is alike is said once."""
     return list(dict.fromkeys(note for camera in report["cameras"] for note in camera["notes"]))
+
+
+def called(name: str, report: Mapping[str, Any]) -> str:
+    """What a sentence of the summary calls a camera."""
+    return name if len(report["cameras"]) > 1 else "the camera"
 
 
 def files(report: Mapping[str, Any]) -> str:

@@ -19,6 +19,7 @@ from recon.report.plain import Array, by_name, file_name, finite, frame_count, m
 from recon.results import MEASURED_SHARE
 from recon.solve import TrajectoryOptions
 from recon.solve.result import Spell, TrajectorySolution
+from recon.solve.surprise import LEVEL
 from recon.solve.trajectory import ALTERNATIVE_M
 
 FLAGS = ("no data", "ran away", "data poor", "ambiguous depth", "second solution", SIDES, GARBAGE)
@@ -300,15 +301,23 @@ def warnings(report: Mapping[str, Any]) -> Iterator[str]:
     yield from cameras.step_warnings(report)
     if report["prior"]["code"] == UNLIKE and all(one["kind"] != "frame_rate" for one in report["mistakes"]):
         yield (
-            f"the motion is {_unlike_text(report)}. The prior has {report['prior']['weight']:.0%} of its weight, each "
-            "angle on its own the rest; one fitted to such motions would do better (recon prior fit)"
+            f"the motion is {_unlike_text(report)}. So the prior has {report['prior']['weight']:.0%} of its weight: "
+            "the pixels and each angle's own range count more, and sigmas are larger; to many such clips a prior of "
+            "their own can be fitted (recon prior fit)"
         )
+    for ground in (spell["ground"] for spell in report["spells"]):
+        if ground and ground["camera_height_m"] < 0:
+            yield (
+                f"the ground comes out {_height_text(ground, _first(report))}: it cannot be, unless the animal runs "
+                "higher up a slope. Check which way the camera looks (--tilt-deg, the camera file), then the size"
+            )
     if report["convergence"]["status"] != "converged":
         yield "the search ended before it had converged"
     if abs(size["factor"] - 1) > WARN_SIZE * size["prior_sigma"]:
         yield (
-            f"size {size['factor']:.2f} is far from what is expected, 1 ± {size['prior_sigma']:.2g}: check the camera, "
-            "the frame rate and the skeleton"
+            f"size {size['factor']:.2f} is far from what is expected, 1 ± {size['prior_sigma']:.2g}: check the "
+            + ("camera" if len(report["cameras"]) == 1 else "cameras, whether all files are of one clip")
+            + ", the frame rate and the skeleton"
         )
     if second := _ambiguous_frames(report):
         yield (
@@ -361,7 +370,7 @@ def lines(report: Mapping[str, Any]) -> common.Lines:
             f"{number(path['mean_speed_m_s'], '.1f')} m/s mean, {number(path['peak_speed_m_s'], '.1f')} m/s peak, over "
             f"{number(path['distance_m'], '.1f')} m",
         ),
-        ("heading", common.heading_text(report["heading"]["heading_to_picture_rad"])),
+        ("heading", _heading_text(report)),
         (
             "size",
             f"{size['factor']:.3f} ± {size['sigma']:.3f} of the lengths of {size['lengths']!r} "
@@ -390,20 +399,28 @@ def _frames_text(report: Mapping[str, Any]) -> str:
     return f"{summary['frames_with_pose']} of {summary['frames']} with a pose, {flagged}"
 
 
+def _heading_text(report: Mapping[str, Any]) -> str:
+    text = common.heading_text(report["heading"]["heading_to_picture_rad"])
+    return text if len(report["cameras"]) == 1 else f"{text}, as {_first(report)} sees it"
+
+
 def _hardly_told(report: Mapping[str, Any]) -> bool:
     """Whether the distance from the nearest camera is."""
-    sigma_m, away_m = report["summary"]["place_sigma_m"], _nearest_m(report)
-    return sigma_m is not None and away_m is not None and sigma_m > HARDLY_TOLD * away_m
+    sigma_m, nearest = report["summary"]["place_sigma_m"], _nearest(report)
+    return sigma_m is not None and nearest is not None and sigma_m > HARDLY_TOLD * nearest[0]
 
 
-def _nearest_m(report: Mapping[str, Any]) -> float | None:
-    return min((one["distance_m"] for one in report["cameras"] if one["distance_m"] is not None), default=None)
+def _nearest(report: Mapping[str, Any]) -> tuple[float, str] | None:
+    """The nearest camera's distance, and how it is called."""
+    known = [one for one in report["cameras"] if one["distance_m"] is not None]
+    return min(((one["distance_m"], cameras.called(one["name"], report)) for one in known), default=None)
 
 
 def _distance_text(report: Mapping[str, Any]) -> str:
     sigma_m, size = report["summary"]["place_sigma_m"], report["size"]
     why = "the size is not known better" if size["sigma"] > HARDLY_TOLD / 2 else "these pictures hardly tell it"
-    return f"{_nearest_m(report):.1f} ± {sigma_m:.1f} m from the camera: {why}"
+    away_m, camera = _nearest(report) or (math.nan, "")
+    return f"{away_m:.1f} ± {sigma_m:.1f} m from {camera}: {why}"
 
 
 def _size_sources(size: Mapping[str, Any]) -> str:
@@ -431,7 +448,8 @@ def _prior_text(name: str) -> str:
 def _unlike_text(report: Mapping[str, Any]) -> str:
     prior = report["prior"]
     return (
-        f"unlike those that the prior {prior['name']} knows (surprise {prior['surprise']:.1f}, about 1 where it fits)"
+        f"unlike those that the prior {prior['name']} knows (surprise {prior['surprise']:.1f}, where 1 is "
+        f"usual and {LEVEL:g} the limit)"
     )
 
 
@@ -442,10 +460,19 @@ def _ground_text(report: Mapping[str, Any]) -> str:
     stances = ", ".join(f"{foot} {len(ranges)}" for foot, ranges in report["stances"].items())
     found = []
     for (first, stop), ground in ((spell["frames"], spell["ground"]) for spell in spells):
-        height = f"{ground['camera_height_m']:.2f} ± {ground['sigma_m']:.2f} m below the camera" if ground else ""
-        text = height or "not found"
+        text = _height_text(ground, _first(report)) if ground else "not found"
         found.append(text if len(spells) == 1 else f"{text} (frames {first} to {stop - 1})")
     return f"{', '.join(found)}; stances: {stances}"
+
+
+def _first(report: Mapping[str, Any]) -> str:
+    """The camera that the heading and the ground are said of."""
+    return cameras.called(report["cameras"][0]["name"], report)
+
+
+def _height_text(ground: Mapping[str, Any], camera: str) -> str:
+    height, side = ground["camera_height_m"], "below" if ground["camera_height_m"] > 0 else "above"
+    return f"{abs(height):.2f} ± {ground['sigma_m']:.2f} m {side} {camera}"
 
 
 def _alternative_text(report: Mapping[str, Any]) -> str:

@@ -74,6 +74,6 @@ def open_viewer(path: Path) -> None:
     command = [sys.executable, "-m", "rerun", "--bind", "127.0.0.1", str(path)]
     code = subprocess.run(command, check=False).returncode
     if code:
-        found = f"a viewer that ended with exit code {code}"
-        expected = "a display, or the recording opened on a machine with one: recon view DIR --out FILE.rrd"
-        raise InputError(Problem(path, "viewer", found, expected))
+        found = f"one that ended with exit code {code}"
+        expected = "a display; or, by --out FILE.rrd, a recording of it all for a machine with one (rerun FILE.rrd)"
+        raise InputError(Problem("recon view", "viewer", found, expected))

@@ -12,7 +12,7 @@ from typing import Any
 
 from recon.app.batch.inputs import SUMMARY
 from recon.app.batch.record import Planned, short_hash
-from recon.files import staged_file
+from recon.files import seen_from, staged_file
 from recon.page import SUMMARY_PAGE, require_own_page
 from recon.report import frames_with_pose
 
@@ -102,7 +102,7 @@ def _row(planned: Planned, out: Path) -> dict[str, Any]:
         "clip": planned.clip.name,
         "keypoints": ", ".join(planned.clip.settings.keypoints_from(out)),
         "cameras": len(planned.clip.settings.keypoints),
-        "out": str(planned.out),
+        "out": seen_from(out, planned.out),
         "status": "pending",
         "attempts": 0,
         "settings_hash": short_hash([planned.identity["settings"], planned.identity["version"]]),
