@@ -166,10 +166,10 @@ FILES: dict[str, tuple[str | None, Callable[[Path], None]]] = {
 """Each with its map."""
 
 
-def mpjpe_m(keypoints: Path, rename: str | None = None) -> tuple[float, int]:
-    """Of a fit, all joints of the skeleton; and how many of them the file has."""
+def mpjpe_m(keypoints: Path, rename: str | None = None, skeleton: str = "cheetah-24") -> tuple[float, int]:
+    """Of a fit, all joints of the skeleton that the truth has; and how many of them the file has."""
     camera = SAMPLES / "camera.toml"
-    motion = fit_clip(FitSettings(keypoints=(keypoints,), camera=camera, fps=60.0, rename=rename))
+    motion = fit_clip(FitSettings(keypoints=(keypoints,), camera=camera, fps=60.0, rename=rename, skeleton=skeleton))
     pose = Pose3D(motion.names, motion.joints_m, motion.frames)
     error = evaluate(pose, read_pose3d(SAMPLES / "whole_truth.csv")).mpjpe_m.mean
     return error, len(motion.names) - len(motion.missing_keypoints)
@@ -184,6 +184,8 @@ def main() -> None:
             write(Path(folder) / name)
             error, used = mpjpe_m(Path(folder) / name, bundled)
             print_row([name, bundled or "", used, f"{1000 * error:.0f}", f"{error / native:.2f}"])
+        error, _ = mpjpe_m(Path(folder) / "superanimal.csv", "superanimal-quadruped", "quadruped")
+        print(f"\n`superanimal.csv` with `--skeleton quadruped`: {1000 * error:.0f} mm.")
 
 
 if __name__ == "__main__":
