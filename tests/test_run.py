@@ -253,6 +253,8 @@ def test_all_mistakes_are_said_before_any_work(film, called):
     for wrong in ((), ("--keypoints", "a.csv", "--model", "net")):
         ended = run("run", film, "--camera", "camera.toml", "--out", film.parent / "out", *wrong)
         assert "expected a keypoint file, or --model with a network" in ended.err
+    ended = run("run", film, "--camera", "camera.toml", "--out", film.parent / "out", "--model", "none")
+    assert ended.err.startswith("error: --model: file: found none, no such file, expected the model.pt of a folder")
     assert called == []
     assert not (film.parent / "out").exists()
 

@@ -17,7 +17,7 @@ from recon.net.run import CHECKPOINT_FILE, TrainSettings, prepare
 from recon.net.split import parse_choice, split_labels
 from recon.net.torch_extra import choose_device, require_torch
 from recon.net.train import train
-from recon.net.trained import MODEL_FILE, VIEWS, load_model
+from recon.net.trained import MODEL_FILE, VIEWS, load_model, model_file
 from recon.progress import Progress, silent
 from recon.video import require_codec
 
@@ -91,8 +91,8 @@ def run_prediction(
     progress: Progress = silent,
 ) -> Keypoints:
     """`recon predict`: a keypoint file in DeepLabCut's layout. Raises InputError; then nothing is written."""
-    require_torch()
-    chosen, *_ = all_of(
+    _, chosen, *_ = all_of(
+        lambda: model_file(model),
         lambda: choose_device(device),
         lambda: _check_out(out, overwrite),
         lambda: _check_overlay(overlay, overwrite, video),

@@ -129,8 +129,9 @@ def job_of(
         found = "nothing" if model is None else f"{keypoints} beside --model"
         raise InputError(Problem("--keypoints", "keypoints", found, "a keypoint file, or --model with a network"))
     found_here = out / f"{video.stem}_keypoints.csv"
-    info, settings, _ = all_of(
+    info, _, settings, _ = all_of(
         lambda: probe(video),
+        lambda: None if model is None else _model_file(model),
         lambda: read_settings(config, {**given, "keypoints": keypoints or found_here}),
         lambda: _check(given, more.get("camera_motion"), more.get("start"), more.get("quality"), model),
     )
@@ -139,6 +140,12 @@ def job_of(
             raise InputError(Problem("--fps", "fps", f"nothing, and {video} does not say", "frames per second"))
         settings = replace(settings, fps=info.fps)
     return Job(video, out, settings, model, **more)
+
+
+def _model_file(model: Path) -> Path:
+    from recon.net.trained import model_file  # slow to import
+
+    return model_file(model)
 
 
 def _check(
@@ -220,7 +227,7 @@ def _stages(job: Job) -> Iterator[Stage]:
     """Those that this job has."""
     keypoints = job.settings.keypoints[0]
     if job.model is not None:
-        files = {"video": job.video, "model": job.model / "model.pt"}
+        files = {"video": job.video, "model": _model_file(job.model)}
         yield Stage("detect", lambda: identity_of(files, {"quality": job.quality}), (keypoints,), _detection(job))
     settings = job.settings
     if job.camera_motion is not None:

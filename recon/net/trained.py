@@ -261,14 +261,19 @@ def save_model(spec: Spec, weights: dict[str, Any], path: Path) -> None:
         write_bytes(staged, made.getvalue())
 
 
-def load_model(folder: Path, device: torch.device) -> Trained:
-    """The network of a folder that `recon train` wrote, with its normalisation folded in. Raises InputError."""
-    require_torch()
+def model_file(folder: Path) -> Path:
+    """Where the network of a folder is that `recon train` wrote. Raises InputError where there is none."""
     path = folder / MODEL_FILE if folder.is_dir() else folder
     if not path.is_file():
-        raise InputError(
-            Problem(path, "model", "no such file", f"the {MODEL_FILE} of a folder that `recon train` wrote")
-        )
+        expected = f"the {MODEL_FILE} of a folder that `recon train` wrote"
+        raise InputError(Problem("--model", "file", f"{path}, no such file", expected))
+    return path
+
+
+def load_model(folder: Path, device: torch.device) -> Trained:
+    """The network of such a folder, with its normalisation folded in. Raises InputError."""
+    path = model_file(folder)
+    require_torch()
     content = load_file(path)
     if not isinstance(content, dict) or content.get("format") != FORMAT:
         raise InputError(Problem(path, "model", "a file of another kind or version", "one that `recon train` wrote"))
