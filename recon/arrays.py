@@ -1,6 +1,8 @@
-"""Arrays by what is in them; their shapes stand in docstrings."""
+"""Arrays by what is in them, their shapes stand in docstrings; and of those with unknown values what is known."""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,3 +12,21 @@ Bools = NDArray[np.bool_]
 Integers = NDArray[np.int64]
 Index = NDArray[np.intp]
 """Places in another array."""
+
+
+def finite(values: Array | Sequence[float]) -> Array:
+    """(N,)"""
+    values = np.asarray(values, dtype=float)
+    return values[np.isfinite(values)]
+
+
+def mean(values: Array | Sequence[float]) -> float:
+    """Of those that are known, NaN without any."""
+    known = finite(values)
+    return float(known.mean()) if len(known) else np.nan
+
+
+def median(values: Array | Sequence[float]) -> float:
+    """The same."""
+    known = finite(values)
+    return float(np.median(known)) if len(known) else np.nan

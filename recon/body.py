@@ -17,11 +17,10 @@ from functools import cached_property
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from recon.arrays import Array, Index
 from recon.kinematics import Tree
 
-Array = NDArray[np.float64]
 Side = Literal["left", "right"]
 
 SIDES = {"left": "right", "near": "off", "l": "r"}
@@ -205,7 +204,7 @@ class Body:
         return self.tree.state_names
 
     @cached_property
-    def mirror(self) -> tuple[NDArray[np.intp], Array]:
+    def mirror(self) -> tuple[Index, Array]:
         """Permutation and sign, both (D,): state[..., permutation] * sign is the animal mirrored left to right.
 
         The mirror is the world's x-z plane. What has no counterpart on the other side is taken for the middle.

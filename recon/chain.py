@@ -26,14 +26,11 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from recon.arrays import Array, Index
 from recon.body import Body, Side
 from recon.kinematics import PITCH, ROLL, ROOT, YAW, Joint, Marker, Segment, Tree
 from recon.rotations import euler_angles, euler_rotation, euler_rotation_with_jacobian
-
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 
 MIN_JOINTS = 5
 """Fewer detected joints than this do not place a chain."""

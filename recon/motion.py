@@ -7,8 +7,8 @@ from functools import cached_property
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from recon.arrays import Array, Bools, Integers
 from recon.body import Body, Side
 from recon.camera import Camera
 from recon.clip import Source
@@ -18,8 +18,6 @@ from recon.kinematics import ROOT, YAW
 from recon.mistakes import Mistake
 from recon.solve import Solution, Spell
 from recon.solve.result import OUTLIER_SIGMAS
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,7 +51,7 @@ class Picture:
         return self.source.keypoints.xy_px
 
     @property
-    def present(self) -> NDArray[np.bool_]:
+    def present(self) -> Bools:
         """(T, J): detected."""
         return self.source.keypoints.present
 
@@ -68,7 +66,7 @@ class Picture:
         return np.linalg.norm(self.image_error_px, axis=-1)
 
     @cached_property
-    def outliers(self) -> NDArray[np.bool_]:
+    def outliers(self) -> Bools:
         """(T, J): detections that the pose does not explain."""
         return self.distance_px > OUTLIER_SIGMAS * self.sigma_px
 
@@ -175,7 +173,7 @@ class Motion:
         return self.keypoints.fps
 
     @property
-    def frames(self) -> NDArray[np.int64]:
+    def frames(self) -> Integers:
         """(T,): frame numbers of the first keypoint file."""
         return self.keypoints.frames
 
@@ -185,7 +183,7 @@ class Motion:
         return self.frames / self.fps
 
     @cached_property
-    def detections(self) -> NDArray[np.int64]:
+    def detections(self) -> Integers:
         """(T,): points that the cameras saw together."""
         return np.sum([source.keypoints.present.sum(axis=1) for source in self.sources], axis=0)
 
@@ -268,7 +266,7 @@ class Motion:
         return self.solution.joints_camera_m
 
     @cached_property
-    def solved(self) -> NDArray[np.bool_]:
+    def solved(self) -> Bools:
         """(T,): frames that have a pose."""
         return self.solution.posed
 

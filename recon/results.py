@@ -15,8 +15,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from recon.arrays import Array
 from recon.body import Body, Side
 from recon.camera import Camera
 from recon.documents import read_json
@@ -27,8 +27,6 @@ from recon.manifest import Manifest, read_manifest
 from recon.report_fields import require_fields, require_fitting
 from recon.skeleton_file import load_skeleton
 from recon.solve.result import Ground, Spell
-
-Array = NDArray[np.float64]
 
 SCHEMA_NAME, SCHEMA_VERSION = "recon.fit.report", 3
 """Of report.json."""

@@ -8,9 +8,8 @@ while it runs along it. The path decides what a single frame cannot: whether the
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from recon.arrays import Array
 
 _MISFIT_M = 0.15
 """Distance from a ray at which a joint of the mean pose counts half: a leg's swing."""

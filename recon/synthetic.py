@@ -18,15 +18,14 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from recon.arrays import Array, Bools
 from recon.camera import Camera
 from recon.chain import Chain, Side
 from recon.keypoints import Keypoints
 from recon.rotations import euler_angles, euler_rotation
 from recon.skeleton_file import load_chain
 
-Array = NDArray[np.float64]
 Direction = Literal["right", "left"]
 CameraModel = Literal["pinhole", "fisheye"]
 
@@ -140,7 +139,7 @@ def gallop(
 
 def add_noise(
     keypoints: Keypoints, sigma_px: float = 2.0, dropout: float = 0.05, outlier: float = 0.02, seed: int = 0
-) -> tuple[Keypoints, NDArray[np.bool_]]:
+) -> tuple[Keypoints, Bools]:
     """Detections as a network would give them, and which of them are gross outliers, (T, K) bool.
 
     sigma_px: standard deviation of the Gaussian noise of each coordinate; dropout: share of points that go missing;

@@ -47,14 +47,14 @@ from typing import Literal
 
 import numpy as np
 from numpy.lib.stride_tricks import as_strided
-from numpy.typing import NDArray
 from scipy.spatial.distance import cdist
 
 from recon.analysis.kinematics import Errors, Series, frame_times, joint_index, series_kinematics
 from recon.analysis.path import MIN_POINTS
+from recon.arrays import Array, Bools, mean, median
 from recon.io.pose3d import Pose3D
+from recon.keypoints import frame_ranges
 
-Array = NDArray[np.float64]
 Method = Literal["body", "ground"]
 
 FEET: Mapping[str, str] = MappingProxyType(
@@ -283,7 +283,7 @@ def tracks(
         reach_m=reach,
         height_m=_above(grounds, foot),
         grounds=grounds,
-        leg_m=_median(_above(grounds, body.value)),
+        leg_m=median(_above(grounds, body.value)),
     )
 
 
@@ -323,8 +323,7 @@ def _path(time_s: Array, points_m: Array, sigma_m: Array | None) -> Series:
 
 def _fine(rows: slice) -> slice:
     """Of the fine grid, from the first of the clip's rows to the last."""
-    start = rows.start or 0
-    return slice(start * OVERSAMPLING, None if rows.stop is None else (rows.stop - 1) * OVERSAMPLING + 1)
+    return slice((rows.start or 0) * OVERSAMPLING, None if rows.stop is None else (rows.stop - 1) * OVERSAMPLING + 1)
 
 
 def _above(grounds: Sequence[tuple[slice, Plane]], xyz_m: Array) -> Array:
@@ -334,7 +333,7 @@ def _above(grounds: Sequence[tuple[slice, Plane]], xyz_m: Array) -> Array:
     return above
 
 
-def _ground_under(foot_m: Array, slow: NDArray[np.bool_]) -> Plane:
+def _ground_under(foot_m: Array, slow: Bools) -> Plane:
     return ground_plane(foot_m[slow]) if slow.any() else _level(foot_m)
 
 
@@ -382,11 +381,6 @@ def _travel(time_s: Array, body_m: Array) -> Array:
     return np.divide(chord, length, out=np.full_like(chord, np.nan), where=(length > 1e-9) & known[:, None])
 
 
-def _median(values: Array) -> float:
-    known = values[np.isfinite(values)]
-    return float(np.median(known)) if len(known) else np.nan
-
-
 _OTHER: Mapping[Method, Method] = MappingProxyType({"ground": "body", "body": "ground"})
 
 # -- stances ---------------------------------------------------------------------------------------------------------
@@ -405,11 +399,12 @@ def _ground_stances(moved: Tracks, k: int) -> list[Stance]:
     sure = still[height[still] < LOW[0] * moved.leg_m]
     known = np.isfinite(speed + moved.body_speed_m_s)
     found = []
-    for first, last in _runs(np.less(speed, SLOW[1] * moved.body_speed_m_s) & np.less(height, LOW[1] * moved.leg_m)):
-        if np.any((sure >= first) & (sure <= last)):
-            inside = still[(still >= first) & (still <= last)]
+    slow = np.less(speed, SLOW[1] * moved.body_speed_m_s) & np.less(height, LOW[1] * moved.leg_m)
+    for first, end in frame_ranges(np.flatnonzero(slow)):
+        if np.any((sure >= first) & (sure < end)):
+            inside = still[(still >= first) & (still < end)]
             # A time that the clip cuts may have begun earlier, even if the foot is not quite still at the edge.
-            begins, ends = _inside(known, first - 1), _inside(known, last + 1)
+            begins, ends = _inside(known, first - 1), _inside(known, end)
             found.append(_stance(moved, k, int(inside[0]), int(inside[-1]), begins, ends))
     return [s for s in found if s.duration_s >= MIN_STANCE_S or not (s.begins and s.ends)]
 
@@ -418,13 +413,13 @@ def _body_stances(moved: Tracks, k: int) -> list[Stance]:
     reach, height = moved.reach_m[:, k], moved.height_m[:, k]
     known = np.isfinite(reach) & np.isfinite(height)
     found = []
-    for first, last in _runs(known):
-        for a, b in pairwise(_turning_points(reach[first : last + 1], SWEEP * moved.leg_m)):
+    for first, end in frame_ranges(np.flatnonzero(known)):
+        for a, b in pairwise(_turning_points(reach[first:end], SWEEP * moved.leg_m)):
             if reach[first + a] <= reach[first + b]:
                 continue
             a, b = first + a, first + b
             lowest = a + int(np.argmin(height[a : b + 1]))
-            begins, ends = a > first, b < last
+            begins, ends = a > first, b < end - 1
             if (lowest > a or not begins) and (lowest < b or not ends):
                 found.append(_stance(moved, k, a, b, begins, ends))
     return found
@@ -453,13 +448,7 @@ def _turning_points(x: Array, least: float) -> list[int]:
     return points
 
 
-def _runs(flags: NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """First and last index, inclusive, of each run of True."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(int)))
-    return [(int(a), int(b) - 1) for a, b in edges.reshape(-1, 2)]
-
-
-def _inside(known: NDArray[np.bool_], i: int) -> bool:
+def _inside(known: Bools, i: int) -> bool:
     return 0 <= i < len(known) and bool(known[i])
 
 
@@ -484,8 +473,8 @@ def match_stances(first: tuple[Stance, ...], second: tuple[Stance, ...]) -> Matc
         pairs=tuple(pairs),
         only_first=_without(first, [a for a, _ in pairs]),
         only_second=_without(second, [b for _, b in pairs]),
-        start_lag_frames=float(np.mean(starts)) if starts else np.nan,
-        end_lag_frames=float(np.mean(ends)) if ends else np.nan,
+        start_lag_frames=mean(starts),
+        end_lag_frames=mean(ends),
     )
 
 
@@ -530,10 +519,10 @@ def _gait(
         stances=found,
         strides=taken,
         order=tuple(s.foot for s in landed),
-        stride_length_m=_mean(lengths),
-        stride_frequency_hz=1.0 / _mean(durations) if durations else np.nan,
-        duty_factor={foot: _mean([s.duty_factor for s in taken if s.foot == foot]) for foot in moved.feet},
-        speed_m_s=_mean(moved.body_speed_m_s[np.isfinite(moved.body_speed_m_s)]),
+        stride_length_m=mean(lengths),
+        stride_frequency_hz=1.0 / mean(durations) if durations else np.nan,
+        duty_factor={foot: mean([s.duty_factor for s in taken if s.foot == foot]) for foot in moved.feet},
+        speed_m_s=mean(moved.body_speed_m_s),
         name=name_gait(found, taken, float(moved.time_s[-1])),
         doubtful=doubtful,
     )
@@ -644,7 +633,7 @@ def footfall_table(found: tuple[Stance, ...]) -> list[tuple[str, float, float]]:
 def name_gait(found: tuple[Stance, ...], taken: tuple[Stride, ...], until_s: float) -> GaitName:
     """The gait by the four feet's phases: see `classify`. The stride's period is the median over the strides; without a
     complete one see `classify_within`. until_s: the end of the clip."""
-    duty = _mean([s.duty_factor for s in taken])
+    duty = mean([s.duty_factor for s in taken])
     lacking = [foot for foot in FEET if not any(s.foot == foot for s in found)]
     if lacking:
         return GaitName("unknown", f"no stance of {', '.join(lacking)}", dict.fromkeys(FEET, np.nan), duty)
@@ -744,7 +733,3 @@ def classify_within(landed_s: Mapping[str, float], until_s: float) -> tuple[str,
 def _signed(phase: float) -> float:
     """[-0.5, 0.5)"""
     return (phase + 0.5) % 1.0 - 0.5
-
-
-def _mean(values: Sequence[float] | Array) -> float:
-    return float(np.mean(values)) if len(values) else np.nan

@@ -14,9 +14,8 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
-from recon.arrays import Array, Index
+from recon.arrays import Array, Bools, Index
 from recon.chain import Chain
 from recon.clip import View
 from recon.files import write_bytes
@@ -78,7 +77,7 @@ class Linearised:
         return np.sqrt(self._sums[2])
 
     @cached_property
-    def solved(self) -> NDArray[np.bool_]:
+    def solved(self) -> Bools:
         """(T,)"""
         return np.isfinite(self.gradient[:, 0])
 

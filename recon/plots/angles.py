@@ -10,6 +10,7 @@ import numpy as np
 
 from recon.arrays import Array, Bools
 from recon.body import both_sides, side_of
+from recon.keypoints import frame_ranges
 from recon.plots.style import COLOURS, GREY, PALE, SMALL, drawing
 
 if TYPE_CHECKING:
@@ -54,8 +55,7 @@ def angle_over_time(time_s: Array, curves: Mapping[str, AngleCurve], doubtful: B
             axes.plot(time_s, degrees, color=colour, lw=1.0, linestyle=(0, (4, 1.2)) if side == "left" else "-")
             axes.fill_between(time_s, degrees - spread, degrees + spread, color=colour, alpha=0.2, lw=0)
         half = 0.5 * float(np.median(np.diff(time_s))) if len(time_s) > 1 else 0.5
-        edges = np.flatnonzero(np.diff(np.concatenate(([False], doubtful, [False]))))
-        for first, stop in edges.reshape(-1, 2):
+        for first, stop in frame_ranges(np.flatnonzero(doubtful)):
             ends = float(time_s[first]) - half, float(time_s[stop - 1]) + half
             axes.axvspan(*ends, color=PALE, alpha=0.4, lw=0, zorder=0)
         axes.set_xlim(time_s[0] - half, time_s[-1] + half)

@@ -33,8 +33,7 @@ def climb_footfalls(climb: Climb) -> Figure:
         frames.append(int(up[len(up) // 2]))
     frames.append(len(climb) - 1)
     rows = -(-len(frames) // _COLUMNS)
-    with drawing(24.0 * rows + 20) as figure:
-        figure.suptitle(_title(climb))
+    with drawing(24.0 * rows + 20, title=_title(climb)) as figure:
         panels = np.ravel(figure.subplots(rows, _COLUMNS, sharex=True, sharey=True, squeeze=False))
         for axes, frame in zip(panels, frames, strict=False):
             _robot(axes, climb, frame, (1, 2))
@@ -54,8 +53,7 @@ def climb_footfalls(climb: Climb) -> Figure:
 
 def climb_margins(climb: Climb, found: Mapping[str, Array]) -> Figure:
     """Of each rule, the least in every frame (T,) by the names of `RULES`; bands are where a foot is up."""
-    with drawing(130.0) as figure:
-        figure.suptitle(f"{_title(climb)}: distance from what it must not do")
+    with drawing(130.0, title=f"{_title(climb)}: distance from what it must not do") as figure:
         panels = np.ravel(figure.subplots(-(-len(RULES) // 2), 2, sharex=True))
         for axes, (name, rule) in zip(panels, RULES.items(), strict=True):
             values = np.where(np.isfinite(found[name]), found[name], np.nan) * rule.per_unit

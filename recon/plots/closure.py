@@ -24,8 +24,7 @@ def closures(found: Mapping[str, Closures], names: Sequence[str] | None = None, 
     """
     n = next((len(c.angle) for c in found.values()), 0)
     row_mm, legend_mm = max(6.0, 1.5 * len(found)), legend_shape([*found])[1]
-    with drawing(row_mm * n + 20 + legend_mm) as figure:
-        figure.suptitle(title)
+    with drawing(row_mm * n + 20 + legend_mm, title=title) as figure:
         if not n:
             return figure
         panels = figure.subplots(1, 2, sharey=True)

@@ -54,9 +54,8 @@ def composites(
     """
     rows = chosen(joints_m, limbs)
     if not len(rows):
-        with drawing(40) as figure:
+        with drawing(40, title=title) as figure:
             blank(figure.subplots())
-            figure.suptitle(title)
         return figure
     R, origin = run_frame(joints_m, time_s, rows)
     points = (joints_m[rows] - origin) @ R.T

@@ -58,8 +58,7 @@ def body_fixed(
     box = _extents(joints_m[rows], limbs)
     u, v, w = np.ptp(box, axis=1).tolist()
     scale = min((WIDTH_MM - 2 * _MARGIN_MM) / (u + w), (PAGE_MM - 90) / (v + w))
-    with drawing(scale * (v + w) + 2 * _MARGIN_MM + 6 * bool(title)) as figure:
-        figure.suptitle(title)
+    with drawing(scale * (v + w) + 2 * _MARGIN_MM + 6 * bool(title), title=title) as figure:
         if not len(rows):
             return figure
         (side, front), (top, rest) = figure.subplots(2, 2, width_ratios=(u, w), height_ratios=(v, w))

@@ -35,8 +35,7 @@ def vector_fields(fields: tuple[LinkField, ...], time_s: Array, title: str = "")
     every = max(1, -(-len(time_s) // ARROWS))
     fastest = max((np.nanmax(f.speed_m_s) for f in fields if np.isfinite(f.speed_m_s).any()), default=np.nan)
     height = min(_ROW_MM * len(fields), PAGE_MM - _REST_MM) + _REST_MM
-    with drawing(height) as figure:
-        figure.suptitle(title or " ")
+    with drawing(height, title=title or " ") as figure:
         if not fields:
             return figure
         panels = figure.subplots(len(fields), 2, sharex="col", squeeze=False, width_ratios=(2, 1))

@@ -32,7 +32,7 @@ def footfall(gaits: Mapping[str, Gait] | Mapping[Method, Gait], fps: float, titl
     lines = sum(caption.count("\n") + 1 for caption in captions)
     others = [foot for gait in gaits.values() for foot in gait.tracks.feet if foot not in ROWS]
     feet = [foot for foot in ROWS if any(foot in g.tracks.feet for g in gaits.values())] + list(dict.fromkeys(others))
-    with drawing(9.0 * len(feet) + 32 + 3.4 * lines + 4 * bool(title)) as figure:
+    with drawing(9.0 * len(feet) + 32 + 3.4 * lines + 4 * bool(title), title=title) as figure:
         if not gaits:
             return figure
         from matplotlib.collections import LineCollection
@@ -62,7 +62,6 @@ def footfall(gaits: Mapping[str, Gait] | Mapping[Method, Gait], fps: float, titl
         if not any(g.stances for g in gaits.values()):
             axes.text(0.5, 0.5, "no stances", transform=axes.transAxes, ha="center", va="center")
         _legend(figure, gaits)
-        figure.suptitle(title)
     return figure
 
 

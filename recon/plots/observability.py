@@ -44,8 +44,7 @@ def observability(body: Body, share: Array, time_s: Array, title: str = "") -> F
     """
     names = body.state_names[4:]
     height = min(_VIEWS_MM + _ROW_MM * len(names) + _REST_MM, PAGE_MM)
-    with drawing(height) as figure:
-        figure.suptitle(title)
+    with drawing(height, title=title) as figure:
         known = np.isfinite(share).any(axis=0)
         if not known.any():
             return figure

@@ -32,8 +32,7 @@ def parameter_series(
     single = [name for name in _PANELS if name in found]
     rows = 1 + -(-len(single) // 2)
     legend_mm = legend_shape(list(found))[1] + legend_shape(joints)[1]
-    with drawing(38 * (rows + ("weighted" in found)) + 18 + legend_mm) as figure:
-        figure.suptitle(title)
+    with drawing(38 * (rows + ("weighted" in found)) + 18 + legend_mm, title=title) as figure:
         parts: Any = figure.subfigures(2, 1, height_ratios=(rows, 1.15)) if "weighted" in found else (figure, None)
         upper, lower = parts
         panels = np.ravel(upper.subplots(rows, 2, sharex=True, squeeze=False))

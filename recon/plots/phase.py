@@ -44,8 +44,7 @@ def phase_portraits(
     count = len(portraits)
     width = COLUMN_MM if count == 1 else WIDTH_MM
     rows, columns = grid_shape(count, width, _ASPECT, 2 if count == 4 else 3) if count else (0, 1)
-    with drawing(rows * _ASPECT * min(width / columns, 60.0) + _REST_MM, width) as figure:
-        figure.suptitle(title)
+    with drawing(rows * _ASPECT * min(width / columns, 60.0) + _REST_MM, width, title=title) as figure:
         if not count:
             return figure
         from matplotlib.cm import ScalarMappable

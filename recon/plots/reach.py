@@ -45,8 +45,7 @@ def task_space(
     dim = next((m.end_m.shape[1] for m in moves.values()), 2)
     views = VIEWS[base][: dim - 1]
     labels = [f"{name}{_outcome(move)}" for name, move in moves.items()]
-    with drawing(92 + legend_shape([*labels, *("start", "target", "path", "chain")])[1]) as figure:
-        figure.suptitle(title)
+    with drawing(92 + legend_shape([*labels, *("start", "target", "path", "chain")])[1], title=title) as figure:
         if not moves:
             return figure
         panels = np.ravel(figure.subplots(1, len(views), squeeze=False))
@@ -86,8 +85,7 @@ def joint_space(moves: Mapping[str, Drive | Follow], names: Sequence[str] | None
     least, aspect = (3, 0.62) if n <= 6 else (5, 0.9)
     rows, columns = grid_shape(n, WIDTH_MM, aspect, least) if n else (0, 0)
     labels = [f"{name}{_outcome(move)}" for name, move in moves.items()]
-    with drawing(rows * aspect * WIDTH_MM / max(columns, 1) + 14 + legend_shape(labels)[1]) as figure:
-        figure.suptitle(title)
+    with drawing(rows * aspect * WIDTH_MM / max(columns, 1) + 14 + legend_shape(labels)[1], title=title) as figure:
         if not n:
             return figure
         panels = figure.subplots(rows, columns, sharex=True, squeeze=False).ravel()
@@ -111,8 +109,7 @@ def distances(moves: Mapping[str, Drive | Follow], tolerance_m: float = TOLERANC
     """Distance (mm) to the target over the iterations, by method; a ring where it was reached, a cross where not. Or
     from the path over its points."""
     labels = [f"{name}: {_figure(move)}{_outcome(move)}" for name, move in moves.items()]
-    with drawing(72 + legend_shape(labels)[1]) as figure:
-        figure.suptitle(title)
+    with drawing(72 + legend_shape(labels)[1], title=title) as figure:
         if not moves:
             return figure
         from matplotlib.ticker import LogFormatter, MaxNLocator

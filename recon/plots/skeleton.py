@@ -36,8 +36,7 @@ def views(body: Body, title: str = "") -> Figure:
         shape = np.ptp(points[:, axes[1]]) / across * 0.42 * WIDTH_MM
         names = max(map(len, _columns(labels[view])))
         heights.append(max(shape + 8, _NAME_MM * names + 6, 30.0))
-    with drawing(sum(heights) + 12, WIDTH_MM) as figure:
-        figure.suptitle(title)
+    with drawing(sum(heights) + 12, title=title) as figure:
         panels = figure.subplots(len(VIEWS), 1, height_ratios=heights)
         for axes, (view, coordinates) in zip(panels, VIEWS.items(), strict=True):
             draw_limbs(axes, body, points[:, coordinates])
@@ -59,8 +58,7 @@ def angle_ranges(body: Body, low: Sequence[str], high: Sequence[str], reach_rad:
     shown = [i for i, name in enumerate(names) if not (side_of(name) == "right" and other_side(name) in names)]
     mean = expected_pose(body)
     rows, columns = grid_shape(len(shown), WIDTH_MM, 0.9, least=4)
-    with drawing(rows * 38 + 14, WIDTH_MM) as figure:
-        figure.suptitle(title)
+    with drawing(rows * 38 + 14, title=title) as figure:
         panels = figure.subplots(rows, columns, squeeze=False).flat
         for axes, i in zip(panels, shown, strict=False):
             view = {"y": "side", "z": "top", "x": "front"}[body.tree.axes[i + 1]]

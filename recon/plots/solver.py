@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from recon.analysis.solver import SolverRecord
-from recon.arrays import Array
+from recon.arrays import Array, mean
 from recon.plots.style import (
     GREY,
     MOST_DOTS,
@@ -44,8 +44,7 @@ def solver_search(record: SolverRecord) -> Figure:
     if record.limits:
         panels.append(("limits", "limits passed"))
     names = [name if np.nansum(of_term) > 0 else f"{name}: 0" for name, of_term in cost.items()]
-    with drawing(48 + 27 * (len(panels) - 1) + 14 + legend_shape(names)[1]) as figure:
-        figure.suptitle(_outcome(record))
+    with drawing(48 + 27 * (len(panels) - 1) + 14 + legend_shape(names)[1], title=_outcome(record)) as figure:
         shares = [1.8] + [1.0] * (len(panels) - 1)
         rows = figure.subplots(len(panels), 1, sharex=True, squeeze=False, height_ratios=shares)[:, 0]
         for axes, (name, label) in zip(rows, panels, strict=True):
@@ -112,7 +111,7 @@ def image_errors(record: SolverRecord) -> Figure:
             axes.set_yticks(range(len(names)), names)
             axes.set_ylim(len(names) - 0.5, -0.5)
             axes.tick_params(axis="y", length=0)
-            axes.set_title(f"{camera}: mean {_mean(values):.1f} px", loc="left")
+            axes.set_title(f"{camera}: mean {mean(values):.1f} px", loc="left")
             bar = figure.colorbar(image, ax=axes, label="error in the picture (px)", extend="min", aspect=40, pad=0.01)
             _plain_ticks(bar.ax, "y")
         panels[-1].set_xlabel("frame")
@@ -122,7 +121,8 @@ def image_errors(record: SolverRecord) -> Figure:
 def solver_unknowns(record: SolverRecord) -> Figure:
     """Of every unknown: parts of the gradient, and norms of the Jacobian's columns, over the frames."""
     names, problem = record.problem.unknowns, record.problem
-    with drawing(min(4.0 * len(names) + 20, PAGE_MM)) as figure:
+    says = "dots: median of the frames, lines: from the least to the most"
+    with drawing(min(4.0 * len(names) + 20, PAGE_MM), title=says) as figure:
         panels = figure.subplots(1, 2, sharey=True)
         given = (np.abs(problem.gradient), "|gradient|"), (problem.column_norm, "norm of the Jacobian's column")
         for axes, (values, label) in zip(panels, given, strict=True):
@@ -143,7 +143,6 @@ def solver_unknowns(record: SolverRecord) -> Figure:
             axes.set_axisbelow(True)
         panels[0].set_yticks(range(len(names)), names, fontsize=SMALL)
         panels[0].set_ylim(len(names) - 0.5, -0.5)
-        figure.suptitle("dots: median of the frames, lines: from the least to the most")
     return figure
 
 
@@ -175,8 +174,3 @@ def _outcome(record: SolverRecord) -> str:
     found = report["convergence"]
     status = found["status"].replace("_", " ")
     return f"all frames at once: {status}, {found['iterations']} iterations from {len(found['starts'])} starts"
-
-
-def _mean(values: Array) -> float:
-    known = values[np.isfinite(values)]
-    return float(known.mean()) if len(known) else np.nan

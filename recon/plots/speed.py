@@ -28,7 +28,7 @@ def speeds(curves: Mapping[str, JointKinematics], title: str = "", width_mm: flo
     peak, which has a ring.
     """
     labels = [f"{name}: {_peak(motion)}" for name, motion in curves.items()]
-    with drawing(98 + legend_shape(labels, width_mm)[1], width_mm) as figure:
+    with drawing(98 + legend_shape(labels, width_mm)[1], width_mm, title) as figure:
         above, below = figure.subplots(2, 1, sharex=True)
         handles = []
         for i, motion in enumerate(curves.values()):
@@ -41,7 +41,6 @@ def speeds(curves: Mapping[str, JointKinematics], title: str = "", width_mm: flo
             axes.set_ylabel(unit)
             _limit(axes, [(getattr(m, values), getattr(m, sigmas)) for m in curves.values()])
         below.set_xlabel("time (s)")
-        figure.suptitle(title)
         add_legend(figure, handles, labels, width_mm)
     return figure
 

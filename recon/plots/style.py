@@ -73,14 +73,16 @@ _SETTINGS: dict[Any, Any] = {
 
 
 @contextmanager
-def drawing(height_mm: float, width_mm: float = WIDTH_MM) -> Iterator[Figure]:
-    """A new figure to draw on, laid out for good at the end of the block."""
+def drawing(height_mm: float, width_mm: float = WIDTH_MM, title: str | None = None) -> Iterator[Figure]:
+    """A new figure to draw on, laid out for good at the end of the block. title: above all, None leaves no room."""
     with _settings():
         from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.figure import Figure
 
         figure = Figure(figsize=(width_mm * MM, height_mm * MM), layout="constrained")
         FigureCanvasAgg(figure)
+        if title is not None:
+            figure.suptitle(title)
         yield figure
         if not figure.axes:
             figure.text(0.5, 0.5, "no data", ha="center", va="center", color=GREY)

@@ -11,6 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from recon.arrays import Array, Bools
+from recon.keypoints import frame_ranges
 
 EASE = 0.5
 
@@ -34,8 +35,7 @@ def planted(time_s: Array, path_m: Array, standing: Bools, advance_m: Array | No
 
 def stances(standing: Bools) -> list[tuple[int, int]]:
     """First and last sample of each."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], standing, [False]]).astype(int)))
-    return [(int(a), int(b) - 1) for a, b in edges.reshape(-1, 2)]
+    return [(first, end - 1) for first, end in frame_ranges(np.flatnonzero(standing))]
 
 
 def _planted_path(time_s: Array, path_m: Array, standing: Bools) -> Array:
