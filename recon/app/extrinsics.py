@@ -70,7 +70,7 @@ class ExtrinsicsRun:
         for camera, sigma in zip(self.cameras, self.sigma, strict=True):
             place = camera.camera_to_world(np.zeros(3))
             turn, shift = math.degrees(np.linalg.norm(sigma[:3])), float(np.linalg.norm(sigma[3:]))
-            known = f", ± {turn:.1f}° and {shift:.2f} m beside the first" if sigma.any() else ""
+            known = f", known to {turn:.1f}° and {shift:.2f} m" if sigma.any() else ""
             yield f"{camera.name}: {place[2]:.2f} m high, {np.linalg.norm(place - first):.2f} m from the first{known}"
         for clip, offsets in zip(self.clips, self.offsets_s, strict=True):
             if clip.find_offsets:

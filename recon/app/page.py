@@ -20,7 +20,7 @@ from recon.progress import Progress, silent
 from recon.results import REPORT, Results, read_results
 from recon.video import probe
 
-STILLS = 8
+STILLS = 9
 BESIDE = ("overlay.mp4", "analysis/analysis.json")
 """Files that a page has links to, besides the fit's own, where they are there when it is made."""
 

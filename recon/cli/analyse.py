@@ -105,7 +105,8 @@ def _lines(done: Analysed) -> Iterator[str]:
 
 def _stances(done: Analysed) -> Table:
     """By foot: what both methods found."""
-    table = Table(Column("foot", no_wrap=True), box=SIMPLE_HEAD)
+    title = "times: seconds since frame 0"
+    table = Table(Column("foot", no_wrap=True), box=SIMPLE_HEAD, title=title, title_justify="left")
     found = done.found
     for method in found.gaits:
         table.add_column(f"stances by {method}, s")

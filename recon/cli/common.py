@@ -119,7 +119,7 @@ RENAME = typer.Option(
 )
 STRIDE = typer.Option(
     metavar="START:END",
-    help="A stride from when to when, in seconds of the clip, as in 0.31:0.62. (default: one that is found)",
+    help="A stride from when to when, in seconds since frame 0, as in 0.31:0.62. (default: one that is found)",
     show_default=False,
 )
 

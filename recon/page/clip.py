@@ -14,6 +14,7 @@ from recon.analysis.clip import gaits_of, reference_motion
 from recon.analysis.gait import Gait, Method
 from recon.analysis.kinematics import JointKinematics
 from recon.analysis.path import MIN_POINTS
+from recon.arrays import Array
 from recon.page.render import inline, rendered
 from recon.plots.angles import AngleCurve, angle_over_time, together
 from recon.report import summary_lines
@@ -24,6 +25,8 @@ SECTION_CHARACTERS = 600_000
 SHOWN = 100
 """Rows of the table of doubtful frames."""
 SPEED_MM = 130.0
+LENGTHS, POSES, STRETCHES = 4.0, 7, 3
+"""How many times its length an animal runs in a figure of so many poses, in so many stretches of the clip at most."""
 MEANING = {
     "no data": "nothing was detected: the pose, if there is one, comes from the frames around",
     "ran away": "the best pose was out of the camera's sight, and the frame has none",
@@ -97,7 +100,7 @@ def _plain(value: Any) -> str:
 def _subtitle(results: Results) -> str:
     frames = results.pose.frames
     many = f" · {len(results.cameras)} cameras" if len(results.cameras) > 1 else ""
-    return f"frames {frames[0]} to {frames[-1]} · {results.fps:g} a second{many} · {results.title}"
+    return f"frames {frames[0]} to {frames[-1]} · {results.fps:g} a second, times since frame 0{many} · {results.title}"
 
 
 # -- words ------------------------------------------------------------------------------------------------------------
@@ -158,11 +161,11 @@ def doubtful_frames(results: Results) -> Iterator[tuple[str, str]]:
 
 def _sections(results: Results, moved: JointKinematics, gaits: Mapping[Method, Gait]) -> Iterator[Section]:
     ground = gaits["ground"].tracks.grounds if gaits else None
-    poses = plots.composites(results.pose.xyz_m, results.limbs, results.time_s, ground, sides=results.limb_sides)
+    drawn = {"ground": ground, "sides": results.limb_sides}
     yield Section(
         "From the side, from above and from ahead",
         "Poses evenly spaced in time, turned so that the animal runs to the right.",
-        _inline([poses]),
+        _inline([plots.composites(m, results.limbs, results.time_s, **drawn) for m in _stretches(results, moved)]),
     )
     name = results.report["root_path"]["keypoint"]
     yield Section(
@@ -184,6 +187,19 @@ def _sections(results: Results, moved: JointKinematics, gaits: Mapping[Method, G
         _inline([angle_over_time(results.time_s, curves, doubtful, title) for title, curves in panels]),
         "small",
     )
+
+
+def _stretches(results: Results, moved: JointKinematics) -> Iterator[Array]:
+    """Some of the poses (T, J, 3), in parts of the clip that are short enough to be seen; the rest is NaN."""
+    joints_m = results.pose.xyz_m
+    posed = np.flatnonzero(np.isfinite(joints_m).all(axis=(1, 2)))
+    long_m = float(np.nanmedian(np.nanmax(joints_m, axis=1) - np.nanmin(joints_m, axis=1), axis=0).max())
+    count = int(np.clip(np.round(moved.distance_m / (LENGTHS * long_m)), 1, STRETCHES))
+    shown = posed[np.round(np.linspace(0, len(posed) - 1, count * POSES)).astype(int)]
+    for rows in np.split(shown, count):
+        part = np.full_like(joints_m, np.nan)
+        part[rows] = joints_m[rows]
+        yield part
 
 
 def _inline(figures: Sequence[Any]) -> list[str]:
