@@ -30,7 +30,7 @@ def camera_advice(found: Sequence[Advice]) -> Figure:
         for number, (axes, advice) in enumerate(zip(panels, found, strict=True), start=1):
             _grid(axes, advice)
             if len(found) > 1:
-                axes.set_title(f"camera {number}" + (", beside the first (+)" if number > 1 else ""), loc="left", pad=3)
+                axes.set_title(f"camera {number}" + (", with the first (+)" if number > 1 else ""), loc="left", pad=3)
         panels[-1].set_xlabel("azimuth about the animal, from above counter-clockwise")
         bar = figure.colorbar(panels[-1].get_images()[0], ax=panels.tolist(), location="bottom", aspect=60, shrink=0.7)
         bar.set_label(
