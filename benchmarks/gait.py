@@ -18,6 +18,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
+from gallop import gallop
 from markdown_table import print_table
 from recordings import recordings
 
@@ -28,7 +29,6 @@ from recon.analysis.kinematics import joint_kinematics, spine_flexion
 from recon.analysis.phase import field_means, pose_vector_field
 from recon.app.clip import run_clip
 from recon.results import read_results
-from recon.synthetic import gallop
 
 SAMPLES = Path(__file__).resolve().parents[1] / "data" / "samples"
 REFERENCE = "spine"

@@ -20,6 +20,7 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
+from gallop import SyntheticClip
 from markdown_table import print_header, print_row
 from net_circle import Circle, run_circle
 from scipy.ndimage import gaussian_filter1d
@@ -29,7 +30,6 @@ from recon.app.demo import samples_folder
 from recon.camera import Camera
 from recon.camera_track import read_camera_track
 from recon.net.run import TrainSettings
-from recon.synthetic import SyntheticClip
 
 sys.path.insert(0, str(samples_folder()))
 from draw_film import render_frames  # pyright: ignore[reportMissingImports]

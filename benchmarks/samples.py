@@ -13,13 +13,14 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from gallop import SyntheticClip, gallop
 
 from recon.chain import MIN_JOINTS
 from recon.clip import still_view
 from recon.published import FrameOptions, solve_frames
 from recon.skeleton_file import load_chain
 from recon.solve.result import OUTLIER_SIGMAS
-from recon.synthetic import SyntheticClip, add_noise, gallop
+from recon.synthetic import add_noise
 
 SKELETON = load_chain("cheetah-8u")
 CLEAN = FrameOptions(sigma_px=1.0, keypoint_sigma_m=0.0, base_sigma_m=0.001)

@@ -28,6 +28,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 from cheetah_runs import PUBLISHED, view_row
+from gallop import gallop
 from recordings import recordings
 
 from recon import Body, Camera, load_skeleton, read_camera, read_keypoints, read_pose3d
@@ -45,7 +46,6 @@ from recon.regions import radius, sigmas
 from recon.skeleton_file import load_chain
 from recon.solve import TrajectoryOptions, TrajectorySolution, solve_trajectory
 from recon.solve.points import solve_points_and_size
-from recon.synthetic import gallop
 
 SKELETON, PRIOR = "cheetah-24", "running-cheetah"
 ONE_GAUSSIAN = "one Gaussian"

@@ -202,13 +202,6 @@ class Camera:
         rays = np.stack((a, b, np.ones_like(a)), axis=-1) / np.hypot(np.hypot(a, b), 1)[:, None]
         return rays.reshape(*uv.shape[:-1], 3), valid.reshape(uv.shape[:-1])
 
-    def undistort(self, pixels: npt.ArrayLike) -> Array:
-        """Pixels (..., 2) as an ideal pinhole camera with the same matrix would see them; NaN where there is no ray."""
-        uv = np.asarray(pixels, dtype=float)
-        a, b, _ = self._undistort(uv.reshape(-1, 2))
-        fx, s, ox, fy, oy = self._intrinsics
-        return np.stack((fx * a + s * b + ox, fy * b + oy), axis=-1).reshape(uv.shape)
-
     def _undistort(self, uv: Array) -> tuple[Array, Array, Bools]:
         """Ideal normalised coordinates (N,), (N,) of pixels (N, 2), NaN where invalid, and validity (N,)."""
         fx, s, ox, fy, oy = self._intrinsics

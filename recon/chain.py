@@ -30,7 +30,7 @@ import numpy as np
 from recon.arrays import Array, Index
 from recon.body import Body, Side
 from recon.kinematics import PITCH, ROLL, ROOT, YAW, Joint, Marker, Segment, Tree
-from recon.rotations import euler_angles, euler_rotation, euler_rotation_with_jacobian
+from recon.rotations import euler_rotation, euler_rotation_with_jacobian
 
 MIN_JOINTS = 5
 """Fewer detected joints than this do not place a chain."""
@@ -246,21 +246,6 @@ class Chain:
         body_state[:, ROLL] = np.arctan2(R[:, 2, 1], R[:, 2, 2])
         body_state[:, self.body_angles] = state[:, : 2 * self.n_angles]
         return body_state, state[:, self.base_index] / self.nominal_base_length_m
-
-    def from_body(self, body_state: Array, size: Array | float, R_camera_level: Array) -> Array:
-        """The other way round, the body's world with its origin in the camera's centre: states (N, D).
-
-        size: one or (N,). R_camera_level: (3, 3).
-        """
-        root = self.body.tree.orientations(body_state)[:, 0]
-        R_camera_local = R_camera_level @ root @ UVW_BODY.T
-        place = (body_state[:, None, ROOT] @ R_camera_level.T @ R_camera_local)[:, 0]
-        state = np.empty((len(body_state), self.n_state))
-        state[:, : 2 * self.n_angles] = body_state[:, self.body_angles]
-        state[:, self.place_slice] = place
-        state[:, self.euler_slice] = euler_angles(R_camera_local)
-        state[:, self.base_index] = np.asarray(size) * self.nominal_base_length_m
-        return state
 
     @cached_property
     def _local_tree(self) -> Tree:

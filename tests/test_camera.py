@@ -104,11 +104,6 @@ class TestEveryLens:
         np.testing.assert_allclose(projected[valid], pixels[valid], atol=1e-9)
         assert np.isnan(rays[~valid]).all()
 
-    def test_undistorted_pixels_are_those_of_a_pinhole(self, camera, points):
-        ideal = Camera("ideal", camera.matrix, [], "pinhole", SIZE)
-        found = camera.undistort(camera.project(points)[0])
-        np.testing.assert_allclose(found, ideal.project(points)[0], rtol=1e-9, atol=1e-7)
-
     def test_behind_and_missing_points_are_invalid(self, camera):
         points = np.array(
             [(0.1, 0.2, 3.0), (0.1, 0.2, -3.0), (0.1, 0.2, 0.0), (0, 0, 0), (np.nan, 0, 3), (np.inf, 0, 3)]
@@ -123,7 +118,6 @@ class TestEveryLens:
         rays, valid = camera.rays([(np.nan, 3.0), (np.inf, 3.0), (np.nan, np.nan)])
         assert not valid.any()
         assert np.isnan(rays).all()
-        assert np.isnan(camera.undistort((np.nan, 3.0))).all()
         rays, valid = camera.rays((1e30, -1e200))
         assert valid == np.isfinite(rays).all()
 
@@ -135,7 +129,6 @@ class TestEveryLens:
         assert (pixels.shape, jacobian.shape, valid.shape) == ((*batch, 2), (*batch, 2, 3), batch)
         rays, valid = camera.rays(pixels)
         assert (rays.shape, valid.shape) == (shape, batch)
-        assert camera.undistort(pixels).shape == pixels.shape
         assert camera.in_image(pixels).shape == batch
 
     def test_distorted_radius_increases_up_to_the_limit_and_no_further(self, camera):

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from gallop import gallop
 
 from recon.clip import still_view
 from recon.frames import inverse
@@ -14,7 +15,7 @@ from recon.published.frame import CONVERGED, evaluate, posterior_covariance, pre
 from recon.published.objectives import JointPositions, Reprojection
 from recon.published.starts import Travel, mean_pose
 from recon.skeleton_file import load_chain
-from recon.synthetic import add_noise, gallop
+from recon.synthetic import add_noise
 
 SK = load_chain("cheetah-8u")
 UP = np.array([0.0, -1, 0])

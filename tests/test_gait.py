@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from gallop import KEYPOINT_NAMES, gallop
 
 from recon.analysis.gait import (
     FEET,
@@ -16,7 +17,6 @@ from recon.analysis.gait import (
     classify,
     classify_within,
     doubt_text,
-    footfall_table,
     gait,
     ground_plane,
     match_stances,
@@ -30,7 +30,6 @@ from recon.analysis.gait import (
 from recon.errors import InputError
 from recon.io.pose3d import Pose3D, read_pose3d
 from recon.skeleton_file import load_skeleton
-from recon.synthetic import KEYPOINT_NAMES, gallop
 
 FPS = 90.0
 NAMES = (*FEET.values(), "neck_base", "tail_base")
@@ -99,14 +98,12 @@ def test_gaits_are_named(name):
     assert found.name.criterion
 
 
-def test_footfall_order_and_table():
+def test_footfall_order():
     phase, duty = PATTERNS["rotary gallop"]
     found = pose_gait(runner(phase, duty), FPS)
     joined = "".join(f" {foot}" for foot in found.order)
     assert " LH RH RF LF LH RH RF LF" in joined
-    table = footfall_table(found.stances)
-    assert [row[0] for row in table] == sorted(row[0] for row in table)
-    touchdowns = np.array([start for foot, start, _ in table if foot == "RF"])
+    touchdowns = np.array([s.start_s for s in found.stances if s.foot == "RF"])
     np.testing.assert_allclose(np.diff(touchdowns), 0.4, atol=2e-3)
 
 

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from gallop import gallop
 
 from recon.frames import inverse, rigid
 from recon.ik.animal import body_chain, body_chain_angles, chain_angles, planar_chain, spine_front_leg
 from recon.ik.chain import PlanarChain
 from recon.kinematics import ROOT, YAW
 from recon.skeleton_file import load_chain, load_skeleton
-from recon.synthetic import gallop
 
 # -- the spine-front-leg chain ---------------------------------------------------------------------------------------
 

@@ -10,6 +10,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from command_line import run
+from gallop import RISE_S, START_STRIDES_HZ, TOP_STRIDES_HZ, gallop
 
 from recon.analysis.gait import pose_gait
 from recon.app.ik import (
@@ -31,7 +32,6 @@ from recon.ik.methods import DampedLeastSquares, LeastNorm
 from recon.io.pose3d import Pose3D
 from recon.manifest import write_manifest
 from recon.results import read_results
-from recon.synthetic import RISE_S, START_STRIDES_HZ, TOP_STRIDES_HZ, gallop
 
 pytestmark = pytest.mark.usefixtures("small_pictures")
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from gallop import gallop
 
 from recon.analysis.kinematics import (
     Errors,
@@ -22,7 +23,6 @@ from recon.analysis.kinematics import (
 )
 from recon.errors import InputError
 from recon.io.pose3d import Pose3D
-from recon.synthetic import gallop
 
 FPS = 60.0
 TIME_S = np.arange(60) / FPS

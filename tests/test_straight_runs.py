@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from gallop import gallop
 
 from recon import straight_runs as runs
 from recon.body import facing_side
@@ -11,7 +12,6 @@ from recon.chain import upright_rotation
 from recon.published.starts import estimate_travel, geometric_start, mean_pose, state_from_joints
 from recon.skeleton_file import load_chain
 from recon.straight_runs import place_on_rays, straight_runs
-from recon.synthetic import gallop
 
 SK = load_chain("cheetah-8u")
 

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from gallop import gallop
 
 from recon.analysis.evaluation import evaluate
 from recon.app.clip import fit_clip
@@ -19,7 +20,6 @@ from recon.prior import load_prior, prior_from_body
 from recon.settings import FitSettings
 from recon.skeleton_file import load_chain, load_skeleton
 from recon.solve import TrajectoryOptions, TrajectorySolution, solve_trajectory
-from recon.synthetic import gallop
 
 FPS = 90.0
 CAMERA = Camera.from_hfov(60.0, (1920, 1080))

@@ -9,12 +9,11 @@ from pathlib import Path
 
 import numpy as np
 from draw_film import render_frames
-from make_samples import seen_by, whole_animal, write_keypoints, write_truth
+from make_samples import SyntheticClip, seen_by, whole_animal, write_keypoints, write_truth
 
 from recon.calibration import write_camera
 from recon.camera import Camera
 from recon.keypoints import Keypoints
-from recon.synthetic import SyntheticClip
 from recon.video import Image, video_writer
 
 FPS, FRAMES, LABELLED = 120, 90, 40

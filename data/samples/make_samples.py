@@ -15,7 +15,10 @@ from recon.camera import Camera
 from recon.keypoints import Keypoints
 from recon.skeleton_file import load_skeleton
 from recon.solve import solve_points
-from recon.synthetic import SyntheticClip, add_noise, gallop
+from recon.synthetic import add_noise
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "benchmarks"))
+from gallop import SyntheticClip, gallop
 
 SCORER = "recon_synthetic"
 SAMPLES = Path(__file__).parent
@@ -58,7 +61,7 @@ def _write(path: Path, rows: list[list[str]]) -> None:
 
 
 def whole_animal(fps: float = 60, n_frames: int = 60) -> tuple[SyntheticClip, SyntheticClip]:
-    """The skeleton `cheetah-24` in the gallop of `recon.synthetic`, and the same with its keypoints in place of its
+    """The skeleton `cheetah-24` in that gallop, and the same with its keypoints in place of its
     markers: where the detector of `detector.toml` sees them, which is not quite the one that fits take it for.
 
     It takes the poses that are nearest to the gallop's trunk and legs; the head stays level and the tail swings.

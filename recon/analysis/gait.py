@@ -625,11 +625,6 @@ def _return_lag(values: Array) -> int | None:
     return None
 
 
-def footfall_table(found: tuple[Stance, ...]) -> list[tuple[str, float, float]]:
-    """Hildebrand's diagram as rows (foot, start, end), seconds, by foot and time; bounds where the clip cuts."""
-    return [(s.foot, s.start_s, s.end_s) for s in sorted(found, key=lambda s: (s.foot, s.start_s))]
-
-
 def name_gait(found: tuple[Stance, ...], taken: tuple[Stride, ...], until_s: float) -> GaitName:
     """The gait by the four feet's phases: see `classify`. The stride's period is the median over the strides; without a
     complete one see `classify_within`. until_s: the end of the clip."""

@@ -1,0 +1,270 @@
+"""Simulated clips with their truth: an accelerating cheetah in a gallop, seen by one camera.
+
+The motion is a formula. Speed and stride frequency rise towards a limit; the links' inclinations to the ground are
+short Fourier series of the stride's phase whose swing grows slowly with speed. The coefficients come from an
+optimisation: feet nearly still and on the ground in stance, clear of it in swing, angles and rates within the ranges of
+the skeleton `cheetah-8u`, and means and spreads of the angles near those of galloping cheetahs in AcinoSet (Joska et
+al. 2021). The transverse angles, the trunk's yaw and roll and its sway to the side are slow waves drawn from a seed.
+
+World: right-handed, z up, metres; the ground passes through the origin in the middle of the first second's path; the
+camera stands on the side of negative y. Near means the side of the animal that faces the camera.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from recon.arrays import Array
+from recon.camera import Camera
+from recon.chain import Chain, Side
+from recon.keypoints import Keypoints
+from recon.rotations import euler_angles, euler_rotation
+from recon.skeleton_file import load_chain
+
+Direction = Literal["right", "left"]
+CameraModel = Literal["pinhole", "fisheye"]
+
+KEYPOINT_NAMES = (
+    *("neck_base", "spine", "tail_base"),
+    *(f"{side}_{leg}_{part}" for side in "rl" for leg in ("front", "back") for part in ("knee", "ankle", "paw")),
+)
+IMAGE_SIZE_PX = (1920, 1080)
+MARGIN_PX = 20.0
+"""All joints of the first second keep at least this distance from the picture's edges."""
+
+START_SPEED_M_S, TOP_SPEED_M_S = 9.5, 20.0
+START_STRIDES_HZ, TOP_STRIDES_HZ = 3.2, 3.5
+RISE_S = 0.85
+"""Time in which speed and stride frequency come nearer to their limits by a factor e."""
+START_PHASE = 0.40
+"""The clip begins shortly before the near forefoot's mid-stance; hind stance begins at phase 0, fore stance at 0.42."""
+SLOPE = 0.03
+"""The ground rises by this in the direction of travel."""
+WIDTH_M = 0.18
+"""Lateral distance between the near and the far legs."""
+
+_HIND_LAG, _FORE_LAG = 0.08, 0.11
+"""By how much of a stride the far leg follows the near one."""
+_SWING_SPEED_M_S, _SWING_POWER = 14.0, 0.26
+"""Speed at which the series below hold, and how their swing about the mean grows with it."""
+# Inclination of each link to the ground (rad; 0 forwards, pi/2 down), and the root's height (m), over the stride's
+# phase: mean, then cosine and sine of each harmonic. tail_base -> spine -> neck_base are T5 and T1.
+_SERIES: dict[str, tuple[float, ...]] = {
+    "height": (0.664, -0.025, -0.026, 0.001, 0.012),
+    "T5": (-0.026, -0.143, 0.022),
+    "T1": (0.014, 0.007, -0.199),
+    "T6": (0.977, -0.508, 0.556, -0.008, 0.017, -0.005, -0.233),
+    "T7": (2.579, -0.961, 0.281, 0.092, 0.278, -0.061, -0.016),
+    "T8": (1.202, -0.412, 0.721, 0.126, 0.529, 0.022, -0.133),
+    "T2": (1.927, 0.178, -0.754, 0.252, 0.026, -0.101, -0.103),
+    "T3": (1.063, -0.425, -1.044, -0.012, -0.069, 0.056, -0.045),
+    "T4": (1.645, 0.586, -1.012, -0.079, -0.165, 0.164, 0.000),
+}
+
+
+@dataclass(frozen=True, eq=False)
+class SyntheticClip:
+    """A simulated clip and its truth; T frames, K = 15 keypoints."""
+
+    keypoints: Keypoints
+    """Exact detections, missing where they fall outside the picture."""
+    camera: Camera
+    truth_m: Array
+    """(T, K, 3), world, metres."""
+    names: tuple[str, ...]
+    """The K keypoints."""
+    state: Array
+    """(T, D), states of `cheetah-8u` for the near side's legs, in the camera frame."""
+    side: Side
+    """The animal's near side."""
+
+
+def gallop(
+    fps: float = 30.0,
+    n_frames: int = 30,
+    heading_rad: float = 0.0,
+    direction: Direction = "right",
+    camera_model: CameraModel = "pinhole",
+    seed: int = 0,
+) -> SyntheticClip:
+    """A cheetah that accelerates: about 13 m and three strides in the first second, then to 20 m/s.
+
+    heading_rad: angle between the direction of travel and the picture's plane, positive when it goes away from the
+    camera; direction: which way it runs in the picture; seed: of the slow waves. The camera is still and holds the
+    first second in the picture; what runs out of the picture later is missing. Raises ValueError.
+    """
+    if abs(heading_rad) > 1.2:
+        raise ValueError(f"the heading must lie within 1.2 rad of the picture's plane, got {heading_rad}")
+    chain = load_chain("cheetah-8u")
+    side: Side = "right" if direction == "right" else "left"
+    rng = np.random.default_rng(seed)
+    waves = [_Waves.draw(rng, 2 * chain.n_angles + 3) for _ in range(2)]
+
+    def joints(t: Array) -> tuple[Array, Array, Array, Array]:
+        return _run(chain, t, heading_rad, direction, waves)
+
+    seen = joints(np.arange(0.0, 1.0, 1 / 60))
+    camera = _place_camera(camera_model, np.concatenate([seen[2], seen[3]], axis=1).reshape(-1, 3))
+    assert camera.rotation is not None
+    assert camera.translation_m is not None
+
+    state, rotation, near, far = joints(np.arange(n_frames) / fps)
+    r, t = camera.rotation, camera.translation_m
+    in_camera = r @ rotation
+    root = near[:, 0] @ r.T + t
+    state[:, chain.place_slice] = np.einsum("tji,tj->ti", in_camera, root)
+    state[:, chain.euler_slice] = np.unwrap(euler_angles(in_camera), axis=0)
+
+    other: Side = "left" if side == "right" else "right"
+    by_name = dict(zip(chain.keypoint_names(other), np.moveaxis(far, 1, 0), strict=True))
+    by_name |= dict(zip(chain.keypoint_names(side), np.moveaxis(near, 1, 0), strict=True))
+    truth_m = np.stack([by_name[name] for name in KEYPOINT_NAMES], axis=1)
+    xy_px, valid = camera.project(truth_m @ r.T + t)
+    visible = valid & camera.in_image(xy_px)
+    keypoints = Keypoints(
+        names=KEYPOINT_NAMES,
+        xy_px=np.where(visible[..., None], xy_px, np.nan),
+        confidence=visible.astype(float),
+        frames=np.arange(n_frames),
+        fps=float(fps),
+        image_size_px=camera.image_size_px,
+    )
+    return SyntheticClip(keypoints, camera, truth_m, KEYPOINT_NAMES, state, side)
+
+
+# -- motion ----------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class _Waves:
+    """Slow waves about small means, each array (W,)."""
+
+    mean: Array
+    amplitude: Array
+    frequency_hz: Array
+    phase_rad: Array
+
+    @classmethod
+    def draw(cls, rng: np.random.Generator, count: int) -> _Waves:
+        """Waves with standard deviations of 0.05 to 0.13 and means within 0.04."""
+        return cls(
+            mean=rng.uniform(-0.04, 0.04, count),
+            amplitude=math.sqrt(2) * rng.uniform(0.05, 0.13, count),
+            frequency_hz=rng.uniform(0.8, 1.6, count),
+            phase_rad=rng.uniform(0, 2 * np.pi, count),
+        )
+
+    def __call__(self, t: Array) -> Array:
+        """(T,) seconds -> (T, W)."""
+        return self.mean + self.amplitude * np.sin(2 * np.pi * t[:, None] * self.frequency_hz + self.phase_rad)
+
+
+def _rising(t: Array, start: float, top: float) -> tuple[Array, Array]:
+    """A quantity that rises from start towards top, and its integral over time, each (T,)."""
+    gap = (top - start) * np.exp(-t / RISE_S)
+    return top - gap, top * t - RISE_S * (top - start - gap)
+
+
+def _series(name: str, phase: Array, swing: Array) -> Array:
+    """(T,): one of `_SERIES` with its excursions about the mean scaled by `swing`."""
+    mean, *terms = _SERIES[name]
+    angle = 2 * np.pi * phase
+    return mean + swing * sum(
+        a * np.cos(k * angle) + b * np.sin(k * angle)
+        for k, (a, b) in enumerate(zip(terms[::2], terms[1::2], strict=True), start=1)
+    )
+
+
+def _thetas(chain: Chain, phase: Array, swing: Array, hind_lag: float, fore_lag: float) -> Array:
+    """Sagittal angles (T, A) of the links to their parents."""
+    trunk = {name: _series(name, phase, swing) for name in ("T5", "T1")}
+    hind = {name: _series(name, phase - hind_lag, swing) for name in ("T6", "T7", "T8")}
+    fore = {name: _series(name, phase - fore_lag, swing) for name in ("T2", "T3", "T4")}
+    inclination = trunk | hind | fore
+    parent = {"J6": "T5", "J7": "T6", "J8": "T7", "J1": "T5", "J2": "T1", "J3": "T2", "J4": "T3"}
+    ends = [link.end for link in chain.links if link.free]
+    return np.stack([inclination[end.replace("J", "T")] - inclination[parent[end]] for end in ends], axis=1)
+
+
+def _run(
+    chain: Chain, t: Array, heading_rad: float, direction: Direction, waves: list[_Waves]
+) -> tuple[Array, Array, Array, Array]:
+    """The animal at times t (T,), seconds.
+
+    Returns states (T, D) without place and orientation, R_world_local (T, 3, 3), and the joints (T, J, 3) in the world
+    with the near and with the far legs.
+    """
+    speed, distance = _rising(t, START_SPEED_M_S, TOP_SPEED_M_S)
+    _, strides = _rising(t, START_STRIDES_HZ, TOP_STRIDES_HZ)
+    phase, swing = START_PHASE + strides, (speed / _SWING_SPEED_M_S) ** _SWING_POWER
+    middle = 0.5 * _rising(np.array([1.0]), START_SPEED_M_S, TOP_SPEED_M_S)[1]
+
+    sign = 1.0 if direction == "right" else -1.0
+    level = np.array([sign * math.cos(heading_rad), math.sin(heading_rad), 0.0])
+    tilt = math.atan(SLOPE)
+    ahead = math.cos(tilt) * level + [0, 0, math.sin(tilt)]
+    up = -math.sin(tilt) * level + [0, 0, math.cos(tilt)]
+    left = np.cross(ahead, -up)
+    ground = np.stack([ahead, -up, left], axis=1)
+
+    n = chain.n_angles
+    near_waves, far_waves = (w(t) for w in waves)
+    roll, yaw, sway_m = 0.25 * near_waves[:, 2 * n :].T
+    rotation = ground @ euler_rotation(np.stack([roll, yaw, _series("T5", phase, swing)], axis=1))
+    height_m = _series("height", phase, swing)
+    root = (distance - middle)[:, None] * ahead + height_m[:, None] * up + sway_m[:, None] * left
+
+    def state(hind_lag: float, fore_lag: float, phi: Array) -> Array:
+        out = np.zeros((len(t), chain.n_state))
+        out[:, chain.theta_slice] = _thetas(chain, phase, swing, hind_lag, fore_lag)
+        out[:, chain.phi_slice] = phi
+        out[:, chain.base_index] = chain.nominal_base_length_m
+        return out
+
+    phi, far_phi = near_waves[:, :n], far_waves[:, :n].copy()
+    spine = [i for i, link in enumerate(link for link in chain.links if link.free) if link.limb == "spine"]
+    far_phi[:, spine] = phi[:, spine]
+    near_state = state(0.0, 0.0, phi)
+    local_near = chain.local_joints(near_state)
+    local_far = chain.local_joints(state(_HIND_LAG, _FORE_LAG, far_phi)) + np.array([0.0, 0.0, sign * WIDTH_M])
+    near, far = (root[:, None] + local @ rotation.transpose(0, 2, 1) for local in (local_near, local_far))
+    return near_state, rotation, near, far
+
+
+# -- camera ----------------------------------------------------------------------------------------------------------
+
+
+def _place_camera(model: CameraModel, points_m: Array) -> Camera:
+    """The camera, moved back from its least distance until world points (N, 3) lie within the picture's margin."""
+    width, height = IMAGE_SIZE_PX
+    if model == "pinhole":
+        bare, distance_m = Camera.from_hfov(60.0, IMAGE_SIZE_PX, name="synthetic pinhole"), 14.0
+    else:
+        matrix = np.array([[860.0, 0, 953.0], [0, 862.0, 546.0], [0, 0, 1]])
+        coefficients = np.array([0.12, -0.05, 0.015, -0.001])
+        bare, distance_m = Camera("synthetic fisheye", matrix, coefficients, "fisheye", IMAGE_SIZE_PX), 8.0
+    for _ in range(200):
+        camera = _look(bare, np.array([0.3, -distance_m, 1.5]), target_m=np.array([0.0, 0.0, 0.7]), roll_rad=0.01)
+        assert camera.rotation is not None
+        assert camera.translation_m is not None
+        xy_px, valid = camera.project(points_m @ camera.rotation.T + camera.translation_m)
+        inside = (xy_px >= MARGIN_PX) & (xy_px <= np.array([width, height]) - 1 - MARGIN_PX)
+        if valid.all() and inside.all():
+            return camera
+        distance_m += 0.25
+    raise ValueError("no place of the camera holds the animal in the picture")
+
+
+def _look(camera: Camera, place_m: Array, target_m: Array, roll_rad: float) -> Camera:
+    """The camera at a place in the world (3,), its axis towards a target (3,), rolled about that axis."""
+    forward = (target_m - place_m) / np.linalg.norm(target_m - place_m)
+    right = np.cross(forward, [0.0, 0.0, 1.0])
+    right /= np.linalg.norm(right)
+    upright = np.stack([right, np.cross(forward, right), forward])
+    rotation = euler_rotation(np.array([0.0, 0.0, roll_rad])) @ upright
+    return dataclasses.replace(camera, rotation=rotation, translation_m=-rotation @ place_m)
