@@ -41,12 +41,14 @@ NUMBER = "<number>"
 class Kind:
     """read: the value from what TOML, an option or a table's cell holds; raises ValueError. option_type: what the
     command line makes of an option before that; metavar: how its help calls it, if not by that type. many: the value is
-    a tuple, one for each camera of the clip, and an option may be given several times."""
+    a tuple, one for each camera of the clip, and an option may be given several times. expected: ends the sentence
+    "expected ..." of an error message, where all settings of the kind expect the same."""
 
     read: Callable[[Any], Any]
     metavar: str | None = None
     option_type: type = str
     many: bool = False
+    expected: str = ""
 
     def plain(self, value: Any) -> Any:
         """The value as TOML and JSON have it; a single one of many by itself."""
@@ -93,7 +95,7 @@ def _one_of(*words: str) -> Kind:
             raise ValueError(given)
         return given
 
-    return Kind(read)
+    return Kind(read, expected=f"{', '.join(words[:-1])} or {words[-1]}")
 
 
 def _text(given: Any) -> str:
@@ -141,7 +143,7 @@ def _frames(given: Any) -> str:
 _POSITIVE = _number(lambda number: number > 0)
 _COUNT = Kind(_count, NUMBER)
 _TEXT, _NAME_OR_FILE, _FRAMES = Kind(_text), Kind(_name_or_file), Kind(_frames)
-_FLAG, _FILE = Kind(_flag, option_type=bool), Kind(_file, option_type=Path)
+_FLAG, _FILE = Kind(_flag, option_type=bool, expected="true or false"), Kind(_file, option_type=Path)
 
 
 # -- the table ----------------------------------------------------------------------------------------------------
@@ -151,9 +153,9 @@ _FLAG, _FILE = Kind(_flag, option_type=bool), Kind(_file, option_type=Path)
 class Setting:
     """What is known of a setting besides its name.
 
-    help: for the command line; where there is no default, it says in brackets what happens instead. expected: ends the
-    sentence "expected ..." of an error message. default: where it is not given, None for nothing. method: the only one
-    that reads it. is_option: whether the command line has it, or config.toml and manifests only.
+    help: for the command line; where there is no default, it says in brackets what happens instead. expected: see
+    `Kind`. default: where it is not given, None for nothing. method: the only one that reads it. is_option: whether the
+    command line has it, or config.toml and manifests only.
     """
 
     kind: Kind
@@ -165,9 +167,9 @@ class Setting:
 
 
 def _field(
-    kind: Kind, help: str, expected: str, default: Any = None, method: Method | None = None, is_option: bool = True
+    kind: Kind, help: str, expected: str = "", default: Any = None, method: Method | None = None, is_option: bool = True
 ) -> Any:
-    setting = Setting(kind, help, expected, default, method, is_option)
+    setting = Setting(kind, help, expected or kind.expected, default, method, is_option)
     return dataclasses.field(default=None if method else default, metadata={"setting": setting})
 
 
@@ -200,7 +202,6 @@ class FitSettings:
     camera_unit: Unit = _field(  # noqa: RUF009
         _one_of(*UNITS_M),
         "Unit of the places of cameras in the calibration file: m, cm or mm, as Anipose's often are.",
-        "m, cm or mm",
         default="m",
     )
     camera_track: tuple[Path, ...] | None = _field(
@@ -222,7 +223,6 @@ class FitSettings:
         _FLAG,
         "Find how much later than the first each camera began to film, from the animal's motion; --offset-s is where "
         "the search begins.",
-        "true or false",
         default=False,
         method="trajectory",
     )
@@ -230,7 +230,6 @@ class FitSettings:
         _FLAG,
         "Take the poses of all cameras but the first for as good as 2 degrees and 5 cm, and find them with the fit; "
         "the refined cameras go into cameras.toml.",
-        "true or false",
         default=False,
         method="trajectory",
     )
@@ -256,7 +255,6 @@ class FitSettings:
     method: Method = _field(  # noqa: RUF009
         _one_of("trajectory", "frame"),
         "trajectory: the whole animal over the whole clip; frame: one side, one frame after the other.",
-        "trajectory or frame",
         default="trajectory",
     )
     skeleton: str | None = _field(
@@ -322,13 +320,11 @@ class FitSettings:
     side: Literal["auto", "left", "right"] = _field(
         _one_of("auto", "left", "right"),
         "With a skeleton of one side, which to fit: auto, left or right.",
-        "auto, left or right",
         default="auto",
     )
     ground: Literal["auto", "none"] | None = _field(
         _one_of("auto", "none"),
         "auto: feet that stand are still and on one plane; none: nothing is said about them.",
-        "auto or none",
         default="auto",
         method="trajectory",
     )
@@ -338,34 +334,28 @@ class FitSettings:
         "a share of the size above 0, as in 0.1",
         method="trajectory",
     )
-    fast: bool | None = _field(
-        _FLAG, "Quicker: fewer directions to start from.", "true or false", default=False, method="trajectory"
-    )
+    fast: bool | None = _field(_FLAG, "Quicker: fewer directions to start from.", default=False, method="trajectory")
     fix_swaps: bool | None = _field(
         _FLAG,
         "Exchange left and right back where they look exchanged, and fit again.",
-        "true or false",
         default=False,
         method="trajectory",
     )
     form: Literal["deadband", "printed"] | None = _field(
         _one_of("deadband", "printed"),
         "Ranges and rates: deadband (beyond the limit) or printed (two-sided).",
-        "deadband or printed",
         default="deadband",
         method="frame",
     )
     angle_prior: Literal["gaussian", "none"] | None = _field(
         _one_of("gaussian", "none"),
         "Gaussian priors on angles and heading: gaussian or none.",
-        "gaussian or none",
         default="gaussian",
         method="frame",
     )
     camera_rotation: Literal["free", "fixed"] | None = _field(
         _one_of("free", "fixed"),
         "The body's rotation: free, or fixed to the first frame's.",
-        "free or fixed",
         default="free",
         method="frame",
     )
