@@ -71,7 +71,7 @@ def circle(args: argparse.Namespace, out: Path) -> None:
         score = found.points.all
         print_row((
             seed, found.training["steps"], round(found.training["seconds"]), f"{score.median_px:.2f}",
-            f"{score.pck_px[1]:.2f}", f"{1000 * found.predicted_m:.1f}", f"{1000 * found.noisy_m:.1f}",
+            f"{score.pck_px['5.0']:.2f}", f"{1000 * found.predicted_m:.1f}", f"{1000 * found.noisy_m:.1f}",
             f"{found.ratio:.2f}",
         ))  # fmt: skip
 
@@ -88,7 +88,8 @@ def large(args: argparse.Namespace, out: Path) -> None:
             assert found.reliability is not None
             print_row((
                 seed, quality, report["steps"], round(report["seconds"]), round(used), f"{found.all.median_px:.2f}",
-                "/".join(f"{share:.2f}" for share in found.all.pck_px), f"{found.reliability.error:.3f}",
+                "/".join(f"{share:.2f}" for share in found.all.pck_px.values()),
+                f"{found.reliability.expected_calibration_error:.3f}",
             ))  # fmt: skip
 
 
@@ -178,8 +179,9 @@ def _row(seed: int, quality: str, report: dict, result: Evaluation2D) -> tuple[o
     assert table is not None
     return (
         seed, quality, report["steps"], round(report["seconds"]), f"{score.median_px:.2f}",
-        "/".join(f"{share:.2f}" for share in score.pck_px), f"{forgiven.median_px:.2f} px, {forgiven.pck_px[1]:.2f}",
-        f"{table.error:.3f}",
+        "/".join(f"{share:.2f}" for share in score.pck_px.values()),
+        f"{forgiven.median_px:.2f} px, {forgiven.pck_px['5.0']:.2f}",
+        f"{table.expected_calibration_error:.3f}",
     )  # fmt: skip
 
 

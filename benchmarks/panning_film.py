@@ -112,7 +112,7 @@ def row(name: str, seed: int, circle: Circle, truth: np.ndarray | None, out: Pat
         turned = (f"{np.median(error):.3f}", f"{error.max():.3f}")
     score, predicted, noisy = circle.points.all, circle.predicted, circle.noisy
     return (
-        name, seed, f"{score.median_px:.2f}", f"{score.pck_px[1]:.2f}", *turned,
+        name, seed, f"{score.median_px:.2f}", f"{score.pck_px['5.0']:.2f}", *turned,
         *(f"{1000 * error.mean:.1f}" for error in (predicted.mpjpe_m, noisy.mpjpe_m)),
         *(f"{1000 * error.mean:.0f}" for error in (predicted.mpe_m, noisy.mpe_m)),
     )  # fmt: skip

@@ -22,10 +22,10 @@ def test_expected_calibration_error_by_hand():
     likelihood = np.array([0.05, 0.05, *[0.55] * 4, *[1.0] * 4])
     right = np.array([0, 0, 1, 1, 1, 0, 1, 1, 1, 0], bool)
     table = reliability(likelihood, right)
-    assert table.error == pytest.approx(0.19)
-    assert [b.points for b in table.bins] == [2, 0, 0, 0, 0, 4, 0, 0, 0, 4]
-    assert table.bins[5].likelihood == pytest.approx(0.55)
-    assert table.bins[9].right == pytest.approx(0.75)
+    assert table.expected_calibration_error == pytest.approx(0.19)
+    assert [(b.low, b.points) for b in table.bins] == [(0.0, 2), (0.5, 4), (0.9, 4)]
+    assert table.bins[1].likelihood == pytest.approx(0.55)
+    assert table.bins[2].right == pytest.approx(0.75)
 
 
 def test_calibration_finds_what_made_the_points():
@@ -34,8 +34,8 @@ def test_calibration_finds_what_made_the_points():
     right = rng.random(20_000) < expit(0.6 * logit(raw) - 0.8)
     found = fit_calibration(raw, right)
     assert (found.slope, found.offset) == (pytest.approx(0.6, abs=0.03), pytest.approx(-0.8, abs=0.05))
-    assert reliability(found.apply(raw), right).error < 0.01
-    assert reliability(raw, right).error > 0.1
+    assert reliability(found.apply(raw), right).expected_calibration_error < 0.01
+    assert reliability(raw, right).expected_calibration_error > 0.1
 
 
 def test_calibration_stays_finite_where_all_points_are_right():
@@ -57,8 +57,8 @@ def test_scores_by_hand():
     assert score.found == pytest.approx(0.75)
     assert score.rmse_px == pytest.approx(np.sqrt((9 + 16 + 144) / 3))
     assert score.median_px == pytest.approx(4)
-    assert score.pck_px == pytest.approx((0, 0.5, 0.5))
-    assert score.pck_relative == pytest.approx((0, 0.5, 0.5))  # 2.5, 5 and 10 px
+    assert score.pck_px == pytest.approx({"2.5": 0, "5.0": 0.5, "10.0": 0.5})
+    assert score.pck_relative == pytest.approx({"0.05": 0, "0.1": 0.5, "0.2": 0.5})  # 2.5, 5 and 10 px
     assert result.likely.found == pytest.approx(0.5)
     assert result.likely.median_px == pytest.approx(7.5)
     assert result.per_keypoint["nose"].median_px == pytest.approx(7.5)
@@ -73,8 +73,8 @@ def test_swapped_sides_are_forgiven_by_the_pair():
     result = evaluate_2d(names, xy, np.ones((1, 4)), label, 40.0)
     assert result.swaps_forgiven is not None
     # The knees are swapped: errors of 1. The right paw is 19 px off and not swapped: its pair stays as it is.
-    assert result.swaps_forgiven.pck_px == pytest.approx((0.75, 0.75, 0.75))
-    assert result.all.pck_px == pytest.approx((0.25, 0.25, 0.25))
+    assert result.swaps_forgiven.pck_px == pytest.approx(dict.fromkeys(("2.5", "5.0", "10.0"), 0.75))
+    assert result.all.pck_px == pytest.approx(dict.fromkeys(("2.5", "5.0", "10.0"), 0.25))
     assert evaluate_2d(("nose", "hip"), xy[:, :2], np.ones((1, 2)), label[:, :2], 40.0).swaps_forgiven is None
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -52,7 +53,7 @@ def evaluate_2d(
         tolerance_px=tolerance_px,
     )
     if as_json:
-        typer.echo(to_json(result.to_dict()), nl=False)
+        typer.echo(to_json(asdict(result)), nl=False)
         return
     terminal().print(_table(result))
     for line in _notes(result):
@@ -67,7 +68,7 @@ def _table(result: Evaluation2D) -> Table:
 
     def add_row(name: str, score: Score2D, last: bool = False) -> None:
         cells = [str(score.points), f"{score.found:.0%}", f"{score.rmse_px:.2f}", f"{score.median_px:.2f}"]
-        cells += [f"{share:.0%}" for share in (*score.pck_px, *score.pck_relative)]
+        cells += [f"{share:.0%}" for share in (*score.pck_px.values(), *score.pck_relative.values())]
         row = (cell.replace("nan%", "-").replace("nan", "-") for cell in cells)
         table.add_row(Text(name), *row, end_section=last)
 
@@ -92,7 +93,6 @@ def _notes(result: Evaluation2D) -> Iterator[str]:
     if table is not None:
         yield f"Likelihood against the share of points within {result.tolerance_px:g} px, {table.points} points:"
         for b in table.bins:
-            if b.points:
-                shares = f"likelihood {b.likelihood:.2f}  right {b.right:.2f}"
-                yield f"  {b.low:.1f} to {b.high:.1f}  {b.points:6d} points  {shares}"
-        yield f"Expected calibration error: {table.error:.3f}"
+            shares = f"likelihood {b.likelihood:.2f}  right {b.right:.2f}"
+            yield f"  {b.low:.1f} to {b.high:.1f}  {b.points:6d} points  {shares}"
+        yield f"Expected calibration error: {table.expected_calibration_error:.3f}"

@@ -8,7 +8,6 @@ them, and a table of reliability says how well it holds.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from scipy.optimize import minimize
@@ -74,26 +73,21 @@ class Bin:
 class Reliability:
     """Likelihoods against shares of right points."""
 
-    bins: tuple[Bin, ...]
     points: int
-    error: float
-    """Expected calibration error, the mean difference of the two weighted by the points; NaN without any."""
-
-    def to_dict(self) -> dict[str, Any]:
-        rows = [{"low": b.low, "high": b.high, "points": b.points, "likelihood": b.likelihood, "right": b.right}
-                for b in self.bins if b.points]  # fmt: skip
-        return {"points": self.points, "expected_calibration_error": self.error, "bins": rows}
+    expected_calibration_error: float
+    """The mean difference of the two weighted by the points; NaN without any."""
+    bins: tuple[Bin, ...]
+    """Those with points."""
 
 
 def reliability(likelihood: Array, right: Bools, bins: int = BINS) -> Reliability:
     """Over likelihoods (N,) in 0 to 1 and whether their points are right (N,), in bins of equal width."""
     which = np.minimum((likelihood * bins).astype(int), bins - 1)
     rows = []
-    for b in range(bins):
+    for b in np.unique(which):
         here = which == b
-        n = int(here.sum())
-        mean = (float(likelihood[here].mean()), float(right[here].mean())) if n else (float("nan"),) * 2
-        rows.append(Bin(b / bins, (b + 1) / bins, n, *mean))
+        mean = float(likelihood[here].mean()), float(right[here].mean())
+        rows.append(Bin(float(b / bins), float((b + 1) / bins), int(here.sum()), *mean))
     total = len(likelihood)
-    error = sum(r.points * abs(r.likelihood - r.right) for r in rows if r.points) / total if total else float("nan")
-    return Reliability(tuple(rows), total, float(error))
+    error = sum(r.points * abs(r.likelihood - r.right) for r in rows) / total if total else float("nan")
+    return Reliability(total, float(error), tuple(rows))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -35,20 +34,10 @@ class Score2D:
     """Over those found, NaN without any."""
     median_px: float
     """Over those found, NaN without any."""
-    pck_px: tuple[float, ...]
-    """Shares of all labelled points, those not found being wrong."""
-    pck_relative: tuple[float, ...]
-    """Shares of all labelled points, those not found being wrong."""
-
-    def to_dict(self) -> dict[str, Any]:
-        return {
-            "points": self.points,
-            "found": self.found,
-            "rmse_px": self.rmse_px,
-            "median_px": self.median_px,
-            "pck_px": dict(zip(map(str, PCK_PX), self.pck_px, strict=True)),
-            "pck_relative": dict(zip(map(str, PCK_RELATIVE), self.pck_relative, strict=True)),
-        }
+    pck_px: dict[str, float]
+    """By distance, shares of all labelled points, those not found being wrong."""
+    pck_relative: dict[str, float]
+    """The same by parts of the body length."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,20 +56,6 @@ class Evaluation2D:
     per_keypoint: dict[str, Score2D]
     likely_per_keypoint: dict[str, Score2D]
     reliability: Reliability | None
-
-    def to_dict(self) -> dict[str, Any]:
-        return {
-            "frames": self.frames,
-            "body_length_px": self.body_length_px,
-            "likelihood_min": self.likelihood_min,
-            "tolerance_px": self.tolerance_px,
-            "all": self.all.to_dict(),
-            "likely": self.likely.to_dict(),
-            "swaps_forgiven": self.swaps_forgiven.to_dict() if self.swaps_forgiven else None,
-            "per_keypoint": {name: s.to_dict() for name, s in self.per_keypoint.items()},
-            "likely_per_keypoint": {name: s.to_dict() for name, s in self.likely_per_keypoint.items()},
-            "reliability": self.reliability.to_dict() if self.reliability else None,
-        }
 
 
 def evaluate_2d_files(
@@ -196,6 +171,6 @@ def _score(errors: Array, labelled: Bools, length_px: float) -> Score2D:
         len(found) / n if n else nan,
         float(np.sqrt(np.mean(found**2))) if len(found) else nan,
         float(np.median(found)) if len(found) else nan,
-        tuple(share(limit) for limit in PCK_PX),
-        tuple(share(limit * length_px) for limit in PCK_RELATIVE),
+        {str(limit): share(limit) for limit in PCK_PX},
+        {str(limit): share(limit * length_px) for limit in PCK_RELATIVE},
     )

@@ -192,11 +192,12 @@ def _read_video(video: Path, path: Path, first_frame: int, individual: str | Non
         problems.append(Problem(video, "frames", f"{decoded} frames that can be decoded{stated}", expected))
     if problems:
         raise InputError(problems)
-    zeros = np.zeros(len(images), np.int64)
-    return Labels(
-        keypoints.names, keypoints.xy_px, keypoints.frames, images, zeros, (str(video),), tuple(found), str(path),
-        keypoints.notes,
-    )  # fmt: skip
+    return _of_clip(video, keypoints, images, found, path)
+
+
+def _of_clip(clip: Path, keypoints: Keypoints, images: tuple[str, ...], pictures: list[Image], source: Path) -> Labels:
+    zeros, points = np.zeros(len(images), np.int64), (keypoints.names, keypoints.xy_px, keypoints.frames)
+    return Labels(*points, images, zeros, (str(clip),), tuple(pictures), str(source), keypoints.notes)
 
 
 def _read_project(folder: Path, individual: str | None) -> Labels:
@@ -261,11 +262,7 @@ def _read_folder(path: Path, individual: str | None) -> Labels | None:
         problems.append(Problem(path.parent, "pictures", f"several sizes: {shown} px", "one size, that of the video"))
     if problems:
         raise InputError(first_problems(problems, path))
-    zeros = np.zeros(len(images), np.int64)
-    return Labels(
-        keypoints.names, keypoints.xy_px, keypoints.frames, images, zeros, (str(path.parent),), tuple(pictures),
-        str(path), keypoints.notes,
-    )  # fmt: skip
+    return _of_clip(path.parent, keypoints, images, pictures, path)
 
 
 def extents_px(xy_px: Array) -> Array:

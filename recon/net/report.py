@@ -74,8 +74,8 @@ def write_training_report(run: TrainingRun, state: State, folder: Path) -> dict[
         "best_validation": None if state.best is None else {"median_px": state.best_error_px, "step": state.best_step},
         "validation_in_training_from": _finish_step(state),
         "calibrations": {quality: dataclasses.asdict(c) for quality, c in spec.calibrations.items()},
-        "reliability_validation": {quality: table.to_dict() for quality, table in before.items()},
-        "errors": {name: e.to_dict() for name, e in judged.items()},
+        "reliability_validation": {quality: dataclasses.asdict(table) for quality, table in before.items()},
+        "errors": {name: dataclasses.asdict(e) for name, e in judged.items()},
         "suspicious_labels": [dataclasses.asdict(s) for s in suspects],
         "history": _thinned(state.history),
         "notes": list(run.labels.notes),
@@ -198,11 +198,9 @@ def _draw_reliability(tables: dict[str, Reliability], folder: Path) -> None:
         axes = figure.subplots()
         axes.plot([0, 1], [0, 1], color=GREY, lw=0.6)
         for i, (part, table) in enumerate(tables.items()):
-            bins = [b for b in table.bins if b.points]
-            label = f"{part}: {table.points} points, error {table.error:.3f}"
-            axes.plot(
-                [b.likelihood for b in bins], [b.right for b in bins], marker="os"[i], color=COLOURS[i], label=label
-            )
+            label = f"{part}: {table.points} points, error {table.expected_calibration_error:.3f}"
+            likelihood, right = [b.likelihood for b in table.bins], [b.right for b in table.bins]
+            axes.plot(likelihood, right, marker="os"[i], color=COLOURS[i], label=label)
         axes.set(xlabel="likelihood", ylabel="share of right points", xlim=(0, 1), ylim=(0, 1), aspect="equal")
         if tables:
             axes.legend(loc="upper left")

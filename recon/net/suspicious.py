@@ -64,20 +64,9 @@ def suspicious_labels(labels: Labels, xy_px: Array, length_px: float) -> list[Su
             rank = sum(value for value, limit, _ in parts if value > limit)
             if time[i, k] <= JUMP:
                 rank *= 0.5
-            x, y = labels.xy_px[i, k]
-            found.append(
-                Suspect(
-                    labels.images[i],
-                    labels.names[k],
-                    float(x),
-                    float(y),
-                    parts[0][0],
-                    parts[1][0],
-                    parts[2][0],
-                    rank,
-                    reasons,
-                )
-            )
+            (by_network, by_others, by_time), (x, y) = (value for value, *_ in parts), labels.xy_px[i, k].tolist()
+            named = labels.images[i], labels.names[k], x, y
+            found.append(Suspect(*named, by_network, by_others, by_time, rank, reasons))
     return sorted(found, key=lambda s: -s.rank)[:MOST]
 
 
