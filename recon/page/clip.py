@@ -193,7 +193,7 @@ def _stretches(results: Results, moved: JointKinematics) -> Iterator[Array]:
     """Some of the poses (T, J, 3), in parts of the clip that are short enough to be seen; the rest is NaN."""
     joints_m = results.pose.xyz_m
     posed = np.flatnonzero(np.isfinite(joints_m).all(axis=(1, 2)))
-    long_m = float(np.nanmedian(np.nanmax(joints_m, axis=1) - np.nanmin(joints_m, axis=1), axis=0).max())
+    long_m = float(np.median(np.ptp(joints_m[posed], axis=1), axis=0).max())
     count = int(np.clip(np.round(moved.distance_m / (LENGTHS * long_m)), 1, STRETCHES))
     shown = posed[np.round(np.linspace(0, len(posed) - 1, count * POSES)).astype(int)]
     for rows in np.split(shown, count):
