@@ -87,7 +87,8 @@ class Job:
 class Fit:
     """Errors (T, J) in m, centred and not; inside_relative, inside_place (T, J): the truth in the 90 % regions;
     sigma_m (T,): root mean square over the joints of the relative sigma; too_far_m: distance of the
-    animal's middle from the camera less the true one, mean; visible: share of the truth in the picture."""
+    animal's middle from the camera less the true one, mean; visible: share of the truth in the picture; reference_px:
+    median distance of the truth's projections from the detections."""
 
     job: Job
     centred_m: np.ndarray
@@ -97,6 +98,7 @@ class Fit:
     sigma_m: np.ndarray
     too_far_m: float
     visible: float
+    reference_px: float
     flags: tuple[tuple[str, ...], ...]
     status: str
     size: float
@@ -209,7 +211,7 @@ def solution_of(job: Job) -> TrajectorySolution:
 
 
 def fit(job: Job) -> Fit:
-    lens, _, _, truth_m = view_of(job.run, job.camera)
+    lens, xy_px, _, truth_m = view_of(job.run, job.camera)
     solution = solution_of(job)
     projected, valid = lens.project(truth_m)
     found = solution.joints_camera_m
@@ -223,6 +225,7 @@ def fit(job: Job) -> Fit:
         sigma_m=np.sqrt(np.trace(solution.relative_covariance_m2, axis1=2, axis2=3).mean(axis=1)),
         too_far_m=float(np.nanmean(_distance_m(found) - _distance_m(truth_m))),
         visible=float(np.mean(valid & lens.in_image(projected))),
+        reference_px=float(np.nanmedian(np.linalg.norm(projected - xy_px, axis=-1))),
         flags=solution.flags,
         status=solution.status,
         size=solution.size,
@@ -300,6 +303,7 @@ def accuracy(runs: Sequence[Path]) -> dict[str, Rows]:
             "cam": f"{f.job.camera}{' *' if f.named else ''}",
             "frames": len(f.flags),
             "visible": f.visible,
+            "reference px": f.reference_px,
             "mpjpe_mm": f.mpjpe_mm,
             "mpe_mm": f.mpe_mm,
             "too far m": f.too_far_m,
