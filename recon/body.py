@@ -195,6 +195,12 @@ class Body:
             for limb, along in self.limbs.items()
         }
 
+    @cached_property
+    def limb_rows(self) -> dict[str, tuple[int, ...]]:
+        """Markers along each limb by their places, for drawing."""
+        at = {marker: j for j, marker in enumerate(self.markers)}
+        return {limb: tuple(at[marker] for marker in along) for limb, along in self.limbs.items()}
+
     @property
     def n_state(self) -> int:
         return self.tree.n_state

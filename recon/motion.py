@@ -119,11 +119,10 @@ class Motion:
         """(J,): the joints' keypoints, as the file calls them."""
         return self.keypoints.names
 
-    @cached_property
+    @property
     def limbs(self) -> dict[str, tuple[int, ...]]:
         """Joints along each limb, as indices, for drawing."""
-        index = {joint: j for j, joint in enumerate(self.joints)}
-        return {limb: tuple(index[joint] for joint in along) for limb, along in self.body.limbs.items()}
+        return self.body.limb_rows
 
     @cached_property
     def limb_sides(self) -> dict[str, Side | None]:

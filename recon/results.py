@@ -119,11 +119,10 @@ class Results:
         """The keypoint that a joint of the skeleton is called by."""
         return dict(zip(self.report["skeleton"]["joints"], self.report["skeleton"]["keypoints"], strict=True))
 
-    @cached_property
+    @property
     def limbs(self) -> dict[str, tuple[int, ...]]:
         """Joints along each limb, as indices, for drawing."""
-        at = {joint: j for j, joint in enumerate(self.report["skeleton"]["joints"])}
-        return {limb: tuple(at[joint] for joint in along) for limb, along in self.body.limbs.items()}
+        return self.body.limb_rows
 
     @cached_property
     def forward(self) -> tuple[str, str]:
@@ -232,7 +231,9 @@ def _manifest(folder: Path) -> Manifest:
     """Of results whose files are all there and as they were written."""
     if not (folder / REPORT).is_file():
         found = f"no {REPORT}" if folder.is_dir() else "a file" if folder.is_file() else "no such folder"
-        raise InputError(Problem(folder, "folder", found, "the folder of results that `recon fit` wrote"))
+        clips = sorted(path.parent for path in folder.glob(f"*/{REPORT}")) if folder.is_dir() else []
+        expected = f"that of one clip, as in {clips[0]}" if clips else "the folder of results that `recon fit` wrote"
+        raise InputError(Problem(folder, "folder", found, expected))
     manifest = read_manifest(folder)
     manifest.require(REPORT, *TABLES, SIGMAS, ANGLE_SIGMAS)
     return manifest

@@ -109,14 +109,13 @@ def _thumbnail(folder: Path, report: Mapping[str, Any]) -> Thumbnail | None:
     if points is None:
         return None
     body = _body(*skeleton_names(report, folder))
-    at = {joint: j for j, joint in enumerate(report["skeleton"]["joints"])}
     low, high = np.nanmin(points, axis=0), np.nanmax(points, axis=0)
     scale = float(np.min(0.9 * np.array(THUMBNAIL_PX) / np.maximum(high - low, 1.0)))
     places = (points - (low + high) / 2) * scale + np.array(THUMBNAIL_PX) / 2
     sides = body.limb_sides(report["side"]["fitted"])
     lines = [
-        (str(sides[limb] or "middle"), " ".join(f"{x:.0f},{y:.0f}" for x, y in places[[at[joint] for joint in along]]))
-        for limb, along in body.limbs.items()
+        (str(sides[limb] or "middle"), " ".join(f"{x:.0f},{y:.0f}" for x, y in places[list(along)]))
+        for limb, along in body.limb_rows.items()
     ]
     return Thumbnail([line for line in lines if "nan" not in line[1]])
 

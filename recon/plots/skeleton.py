@@ -85,12 +85,11 @@ def expected_pose(body: Body, angle: int | None = None, off_rad: float = 0.0) ->
 def draw_limbs(axes: Axes, body: Body, points: Array, colour: str | None = None, only: Bools | None = None) -> None:
     """Lines along the limbs; only: those that lead to a marker that is in it. One call for each colour: lines are slow
     to lay out."""
-    at = {marker: j for j, marker in enumerate(body.markers)}
     lines: dict[str, list[Array]] = {}
     sides = body.limb_sides()
-    for limb, along in body.limbs.items():
+    for limb, along in body.limb_rows.items():
         own = colour or _SIDE_COLOURS[sides[limb]]
-        for a, b in pairwise(at[marker] for marker in along):
+        for a, b in pairwise(along):
             if only is None or only[a] or only[b]:
                 lines.setdefault(own, []).append(np.stack([points[a], points[b], [np.nan, np.nan]]))
     for own, parts in lines.items():

@@ -9,9 +9,10 @@ from typing import Any
 
 import numpy as np
 
+from recon.arrays import Array, finite, mean, median
 from recon.clip import Source
 from recon.motion import Motion, Picture
-from recon.report.plain import Array, file_name, finite, frame_count, mean, median, number
+from recon.report.plain import file_name, frame_count, number
 from recon.solve import TrajectorySolution
 
 OUT_OF_STEP_SIGMAS = 3.0

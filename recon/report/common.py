@@ -11,12 +11,13 @@ import numpy as np
 
 from recon.analysis.kinematics import jitter_errors, point_kinematics
 from recon.analysis.path import frame_jitter_m
+from recon.arrays import Array, finite, mean, median
 from recon.keypoints import KeypointCounts
 from recon.motion import Motion
 from recon.naming import suggestions
 from recon.published import FrameOptions
 from recon.report import cameras
-from recon.report.plain import Array, by_name, file_name, finite, mean, median
+from recon.report.plain import by_name, file_name
 from recon.solve import TrajectoryOptions
 from recon.solve.result import OUTLIER_SIGMAS
 

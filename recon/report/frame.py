@@ -9,12 +9,13 @@ from typing import Any
 import numpy as np
 
 from recon.analysis.kinematics import peak_doubt
+from recon.arrays import Array, finite, mean, median
 from recon.frames import level_axes
 from recon.motion import Motion
 from recon.published import FrameOptions, FrameReport, FrameSolution, base_length
 from recon.published.frame import FEW_POINTS_SHARE
 from recon.report import common
-from recon.report.plain import Array, by_name, finite, frame_count, mean, median, number, spread
+from recon.report.plain import by_name, frame_count, number, spread
 from recon.results import MEASURED_SHARE
 
 WARN_FEW_POINTS, WARN_LIMITS = 0.2, 0.25

@@ -10,9 +10,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from recon.arrays import Array, finite, mean
 
 DIGITS = 9
 """Significant digits of the numbers in the report."""
@@ -59,20 +58,6 @@ def spread(values: Array) -> dict[str, float]:
     known = finite(values)
     low, high = (float(known.min()), float(known.max())) if len(known) else (np.nan, np.nan)
     return {"mean": mean(values), "min": low, "max": high}
-
-
-def finite(values: Array) -> Array:
-    return values[np.isfinite(values)]
-
-
-def mean(values: Array) -> float:
-    known = finite(values)
-    return float(known.mean()) if len(known) else np.nan
-
-
-def median(values: Array) -> float:
-    known = finite(values)
-    return float(np.median(known)) if len(known) else np.nan
 
 
 def number(value: float | None, spec: str) -> str:

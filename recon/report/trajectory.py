@@ -7,15 +7,16 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from recon.arrays import Array, finite, mean, median
 from recon.detector import NONE as NO_DETECTOR
 from recon.detector import OWN
+from recon.keypoints import frame_ranges
 from recon.mistakes import GARBAGE, SIDES
 from recon.motion import Motion
 from recon.prior import NONE
 from recon.report import agreement, cameras, common, mistakes
-from recon.report.plain import Array, by_name, file_name, finite, frame_count, mean, median, number
+from recon.report.plain import by_name, file_name, frame_count, number
 from recon.results import MEASURED_SHARE
 from recon.solve import TrajectoryOptions
 from recon.solve.result import Spell, TrajectorySolution
@@ -224,12 +225,7 @@ def _alternative(solution: TrajectorySolution) -> dict[str, Any] | None:
 
 def _stances(motion: Motion) -> list[list[tuple[int, int]]]:
     """By foot: the ranges of frame numbers in which it stands."""
-    return [_ranges(contact > STANCE, motion.frames) for contact in motion.solution.contact.T]
-
-
-def _ranges(which: NDArray[np.bool_], frames: NDArray[np.int64]) -> list[tuple[int, int]]:
-    edges = np.flatnonzero(np.diff(np.concatenate(([False], which, [False]))))
-    return [(int(frames[first]), int(frames[stop - 1]) + 1) for first, stop in edges.reshape(-1, 2)]
+    return [[*frame_ranges(motion.frames[contact > STANCE])] for contact in motion.solution.contact.T]
 
 
 def _heading(motion: Motion) -> dict[str, Any]:
