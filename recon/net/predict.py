@@ -5,15 +5,14 @@ Pictures are held for a few batches only; what grows with the video are the poin
 
 from __future__ import annotations
 
-import queue
-import threading
-from collections.abc import Callable, Iterator
+from collections import deque
+from collections.abc import Callable, Generator, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import partial as partial_of
 from pathlib import Path
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -111,46 +110,30 @@ def chunks(video: Path, info: VideoInfo, scale: float, keep: bool) -> Iterator[C
     """The frames of a video in batches, decoded in a thread of their own, a few batches ahead."""
     width, height = info.size_px
     size = int(np.clip(PIXELS / (width * height * scale**2), 1, 32))
-    waiting: queue.Queue[Chunk | BaseException | None] = queue.Queue(WAITING)
-    given_up = threading.Event()
 
-    def put(item: Chunk | BaseException | None) -> None:
-        while not given_up.is_set():
-            try:
-                waiting.put(item, timeout=0.1)
-                break
-            except queue.Full:
-                continue
+    def decoded() -> Generator[Chunk]:
+        chunk = Chunk([], [], [])
+        for number, picture in read_frames(video):
+            chunk.numbers.append(number)
+            chunk.pictures.append(resize(picture, scale))
+            if keep:
+                chunk.originals.append(picture)
+            if len(chunk.numbers) == size:
+                yield chunk
+                chunk = Chunk([], [], [])
+        if chunk.numbers:
+            yield chunk
 
-    def decode() -> None:
+    made = decoded()
+    with ThreadPoolExecutor(max_workers=1, thread_name_prefix="decoding") as executor:
+        waiting = deque(executor.submit(next, made, None) for _ in range(WAITING + 1))
         try:
-            chunk = Chunk([], [], [])
-            for number, picture in read_frames(video):
-                if given_up.is_set():
-                    return
-                chunk.numbers.append(number)
-                chunk.pictures.append(resize(picture, scale))
-                if keep:
-                    chunk.originals.append(picture)
-                if len(chunk.numbers) == size:
-                    put(chunk)
-                    chunk = Chunk([], [], [])
-            if chunk.numbers:
-                put(chunk)
-            put(None)
-        except (OSError, ValueError, cv2.error, MemoryError) as error:
-            put(error)
-
-    thread = threading.Thread(target=decode, name="decoding", daemon=True)
-    thread.start()
-    try:
-        while (item := waiting.get()) is not None:
-            if isinstance(item, BaseException):
-                raise item
-            yield item
-    finally:
-        given_up.set()
-        thread.join()
+            while (chunk := waiting.popleft().result()) is not None:
+                waiting.append(executor.submit(next, made, None))
+                yield chunk
+        finally:
+            executor.shutdown(wait=True, cancel_futures=True)
+            made.close()
 
 
 def _choose_threads(given: int | None, work: Callable[[], object], times: float, on_cpu: bool) -> None:
