@@ -289,6 +289,10 @@ def read_clips(settings: FitSettings) -> list[Keypoints]:
     rates = settings.camera_fps or (settings.fps,) * len(settings.keypoints)
     pairs = list(zip(settings.keypoints, rates, strict=True))
     files = all_of(*(lambda path=path, fps=fps: _read_clip(path, fps, settings) for path, fps in pairs))
+    silent = [path.name for path, file in zip(settings.keypoints, files, strict=True) if file.fps is None]
+    if silent:
+        found = f"nothing, and {', '.join(silent)} {'does' if len(silent) == 1 else 'do'} not say"
+        raise InputError(Problem("--fps", "fps", found, "frames per second above 0, as in 120"))
     if len({file.fps for file in files}) > 1 and settings.camera_fps is None:
         found = ", ".join(f"{path.name} {file.fps:g}" for path, file in zip(settings.keypoints, files, strict=True))
         expected = "one frame rate for all cameras of a clip, --fps, or --camera-fps for each"
@@ -310,10 +314,7 @@ def _read_clip(path: Path, given_fps: float | None, settings: FitSettings) -> Ke
     if settings.rename is not None:
         file = renamed(file, load_names(settings.rename))
     fps = file.fps if given_fps is None else given_fps
-    if fps is None:
-        found = f"nothing, and {path.name} does not say"
-        raise InputError(Problem("--fps", "fps", found, "frames per second above 0, as in 120"))
-    if not RATES_HZ[0] <= fps <= RATES_HZ[1]:
+    if fps is not None and not RATES_HZ[0] <= fps <= RATES_HZ[1]:
         where = path if given_fps is None else "--fps" if settings.camera_fps is None else "--camera-fps"
         expected = f"{RATES_HZ[0]:g} to {RATES_HZ[1]:g} frames per second"
         raise InputError(Problem(where, "fps", f"{fps:g}", expected))

@@ -16,7 +16,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextC
 from rich.table import Column, Table
 from rich.text import Text
 
-from recon.cli.common import stop, terminal
+from recon.cli.common import counted, stop, terminal
 from recon.cli.settings import OPTIONS, takes_settings
 
 if TYPE_CHECKING:
@@ -111,7 +111,7 @@ def batch(
     check_shared(clips)
     left = sum(planned.action != "done" for planned in plan)
     if left < len(plan):
-        console.print(f"{len(plan) - left} of {len(plan)} clips are done already.")
+        console.print(f"{len(plan) - left} of {counted(len(plan), 'clip')} {'is' if len(plan) == 1 else 'are'} done already.")
     summary = shown_batch(console, left, as_json, lambda tell: run_batch(plan, out, jobs, retries, scheduler, tell))
     if strict and any(row["status"] in ("failed", "unsolved") for row in summary.rows.values()):
         raise typer.Exit(EXIT_STRICT)
@@ -181,10 +181,9 @@ def _print_plan(
         console.print(Text.assemble((f"{names}{more}: ", "bold red"), str(same.problem)), soft_wrap=True)
     count = [row["action"] for row in rows]
     bad = count.count(CANNOT)
-    console.print(
-        f"{len(rows)} clips: {count.count('new')} new, {count.count('refit')} to fit again, {count.count('done')} done"
-        + (f", {bad} that cannot be fitted" if bad else "")
-    )
+    parts = [f"{count.count('new')} new", f"{count.count('refit')} to fit again", f"{count.count('done')} done"]
+    parts += [f"{bad} that cannot be fitted"] if bad else []
+    console.print(f"{counted(len(rows), 'clip')}: {', '.join(parts)}")
 
 
 def _print_end(console: Console, summary: Summary, seconds: float) -> None:

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from recon.cli.common import number_option, progress_bar, say, terminal
+from recon.cli.common import counted, number_option, progress_bar, say, terminal
 
 
 def camera_motion(
@@ -70,9 +70,8 @@ def camera_motion(
         return
     console, report = terminal(), run.report
     lost = len(report["frames_without_background"])
-    say(
-        console, f"{report['frames'] - lost} of {report['frames']} frames placed, {len(report['keyframes'])} keyframes."
-    )
+    keyframes = counted(len(report["keyframes"]), "keyframe")
+    say(console, f"{report['frames'] - lost} of {report['frames']} frames placed, {keyframes}.")
     if lost:
         say(console, f"{lost} frames have too little background: no pose there.")
     say(console, f"Off by {report['residual_px']:.2f} px, turned to {report['sigma_deg']:.3f} degrees.")

@@ -48,6 +48,11 @@ def say_what_is_gone(console: Console, folder: Path) -> None:
         say(console, f"note: no longer in {folder}: {', '.join(names)}; left out where it would be shown")
 
 
+def counted(count: int, what: str) -> str:
+    """As in 1 clip, 2 clips."""
+    return f"{count} {what}{'s' * (count != 1)}"
+
+
 def number_table(*texts: str, numbers: Iterable[str], **more: Any) -> Table:
     """A table without rows: columns of texts, the first of which names the row, then of numbers."""
     first, *others = texts

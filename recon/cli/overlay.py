@@ -47,8 +47,9 @@ def overlay(
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the new files.")] = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print errors only.")] = False,
 ) -> None:
-    """Draw a reconstruction on its video: detections, skeleton, doubtful frames, and the pose from three sides; or some
-    frames of it as one picture.
+    """Draw a reconstruction on its video, or some frames of it as one picture.
+
+    Shown are detections, skeleton, doubtful frames, and in the video the pose from three sides.
 
     Example: recon overlay results/clip --video clip.mp4 --out overlay.mp4
     """

@@ -11,7 +11,7 @@ import typer
 from rich.table import Table
 from rich.text import Text
 
-from recon.cli.common import number_table, terminal
+from recon.cli.common import counted, number_table, terminal
 
 if TYPE_CHECKING:
     from recon.app.subject import SubjectFit
@@ -59,7 +59,9 @@ def subject_fit(
     if not found.fit.converged:
         typer.echo("The last step was not small yet: more frames would say more.")
     kind = "subject" if found.fit.shape.lengths else "detector"
-    typer.echo(f"From {found.clips} clips, {found.frames} frames. The {kind} is in {out}: recon fit --{kind} {out}")
+    typer.echo(
+        f"From {counted(found.clips, 'clip')}, {found.frames} frames. The {kind} is in {out}: recon fit --{kind} {out}"
+    )
 
 
 def _tables(found: SubjectFit) -> Iterator[Table]:
