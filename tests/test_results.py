@@ -145,6 +145,7 @@ def test_what_is_no_result_folder(tmp_path, whole_results):
     assert "no such folder" in problem(tmp_path / "nothing")
     assert "no report.json" in problem(tmp_path)
     folder = copy(whole_results, tmp_path)
+    assert problem(tmp_path).endswith(f"no report.json, expected that of one clip, as in {folder}")  # of a batch
     (folder / "angles.csv").unlink()
     (folder / "pose3d.csv").unlink()
     both = problem(folder)

@@ -111,7 +111,8 @@ def batch(
     check_shared(clips)
     left = sum(planned.action != "done" for planned in plan)
     if left < len(plan):
-        console.print(f"{len(plan) - left} of {counted(len(plan), 'clip')} {'is' if len(plan) == 1 else 'are'} done already.")
+        are = "clip is" if len(plan) == 1 else "clips are"
+        console.print(f"{len(plan) - left} of {len(plan)} {are} done already.")
     summary = shown_batch(console, left, as_json, lambda tell: run_batch(plan, out, jobs, retries, scheduler, tell))
     if strict and any(row["status"] in ("failed", "unsolved") for row in summary.rows.values()):
         raise typer.Exit(EXIT_STRICT)
