@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import cv2
 import numpy as np
@@ -177,20 +178,15 @@ class Tracker:
         seen = _Seen.of(self.camera, keys, frame, guess, mask)
         for key in keys:
             key.used = number
-        rays, valid = rays_of(self.camera, seen.pixels, guess.zoom)
-        seen = seen.where(valid)
-        agreement = agreed_turn(
-            self.camera,
-            seen.rays,
-            seen.pixels,
-            rays[valid],
-            seen.trust,
-            guess.zoom,
-            solve_zoom=self.solve_zoom,
-            limit_px=self._limit_px,
-        )
+        seen = seen.where(rays_of(self.camera, seen.pixels, guess.zoom)[1])
+        agreement = self._agreed(seen.rays, seen.pixels, seen.trust, guess.zoom, self._limit_px)
         enough = agreement is not None and agreement.spread > MIN_SUPPORT * self.support
         return (agreement, seen) if agreement is not None and enough else None
+
+    def _agreed(self, rays: Array, pixels: Array, trust: Array, zoom: float, limit_px: float) -> AgreedTurn | None:
+        there, valid = rays_of(self.camera, pixels, zoom)
+        of_points = rays[valid], pixels[valid], there[valid], trust[valid]
+        return agreed_turn(self.camera, *of_points, zoom, solve_zoom=self.solve_zoom, limit_px=limit_px)
 
     def _nearest(self, turn: Turn, count: int) -> list[Key]:
         """Keyframes with a picture that look the same way."""
@@ -226,18 +222,8 @@ class Tracker:
         if not rays:
             return None
         seen = np.concatenate(places)
-        zoom = self.turns[-1].zoom
-        there, valid = rays_of(self.camera, seen, zoom)
-        found = agreed_turn(
-            self.camera,
-            np.concatenate(rays)[valid],
-            seen[valid],
-            there[valid],
-            np.ones(valid.sum()),
-            zoom,
-            solve_zoom=self.solve_zoom,
-            limit_px=2 * self._limit_px,
-        )
+        zoom, limit_px = self.turns[-1].zoom, 2 * self._limit_px
+        found = self._agreed(np.concatenate(rays), seen, np.ones(len(seen)), zoom, limit_px)
         return None if found is None else found.turn
 
     # -- what is learnt --
@@ -310,21 +296,10 @@ class Tracker:
         rays, valid = rays_of(self.camera, points, turn.zoom)
         scale = min(1.0, THUMBNAIL_PX / max(picture.shape))
         small = np.asarray(cv2.resize(picture, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA), np.uint8)
-        place = len(self.frames) - 1
-        self.keys.append(
-            Key(
-                place,
-                frame,
-                points[valid],
-                turn,
-                trust[valid],
-                described(frame),
-                small,
-                rays[valid],
-                np.zeros(valid.sum(), bool),
-                self.frames[-1],
-            )
-        )
+        place, known, points, trust = len(self.frames) - 1, described(frame), points[valid], trust[valid]
+        settled = np.zeros(len(points), bool)
+        key = Key(place, frame, points, turn, trust, known, small, rays[valid], settled, self.frames[-1])
+        self.keys.append(key)
         with_picture = [key for key in self.keys if key.frame is not None]
         if len(with_picture) > MAX_PICTURES:
             min(with_picture, key=lambda key: key.used).frame = None
@@ -365,7 +340,7 @@ class _Seen:
     @classmethod
     def of(cls, camera: Camera, keys: list[Key], frame: GreyPicture, guess: Turn, mask: Bools | None) -> _Seen:
         none = np.zeros(0, np.int64)
-        parts = [cls(keys, none, none, np.zeros((0, 3)), np.zeros((0, 2)), np.zeros(0))]
+        parts: list[tuple[Any, ...]] = [(none, none, np.zeros((0, 3)), np.zeros((0, 2)), np.zeros(0))]
         for k, key in enumerate(keys):
             if key.frame is None:
                 continue
@@ -378,17 +353,10 @@ class _Seen:
                 height, width = mask.shape
                 good &= ~mask[np.clip(y, 0, height - 1), np.clip(x, 0, width - 1)]
             at = at[good].astype(np.int64)
-            parts.append(cls(keys, np.full(len(at), k, dtype=np.int64), at, world[at], found[good], key.trust[at]))
-        return cls(
-            keys,
-            np.concatenate([part.of_key for part in parts]),
-            np.concatenate([part.index for part in parts]),
-            np.concatenate([part.rays for part in parts]),
-            np.concatenate([part.pixels for part in parts]),
-            np.concatenate([part.trust for part in parts]),
-        )
+            parts.append((np.full(len(at), k, dtype=np.int64), at, world[at], found[good], key.trust[at]))
+        joined: Any = map(np.concatenate, zip(*parts, strict=True))
+        return cls(keys, *joined)
 
     def where(self, kept: Bools) -> _Seen:
-        return _Seen(
-            self.keys, self.of_key[kept], self.index[kept], self.rays[kept], self.pixels[kept], self.trust[kept]
-        )
+        parts: tuple[Any, ...] = (self.of_key, self.index, self.rays, self.pixels, self.trust)
+        return _Seen(self.keys, *(part[kept] for part in parts))
