@@ -568,7 +568,9 @@ def test_the_frame_rate_comes_from_the_file_or_has_to_be_given(tmp_path):
     assert missing.code == 2
     assert "--fps: found nothing, and noisy.csv does not say" in missing.err
     assert "none.toml" in missing.err  # together with what is wrong with the camera
-    two = run("fit", SAMPLES / "whole_cam1.csv", SAMPLES / "whole_cam2.csv", "--camera", CAMERA, "--out", tmp_path / "a")
+    two = run(
+        "fit", SAMPLES / "whole_cam1.csv", SAMPLES / "whole_cam2.csv", "--camera", CAMERA, "--out", tmp_path / "a"
+    )
     assert "--fps: found nothing, and whole_cam1.csv, whole_cam2.csv do not say" in two.err  # once
     stated = tmp_path / "stated.nc"
     assert run("convert", CLIP, stated, "--fps", 30).code == 0
