@@ -23,6 +23,7 @@ import numpy as np
 
 from recon.arrays import Array, Bools, Integers
 from recon.camera import Camera, LensModel
+from recon.clip import FramePoses
 from recon.documents import read_text
 from recon.errors import InputError, Problem
 from recon.frames import inverse, rigid
@@ -74,8 +75,9 @@ class CameraTrack:
     turn_sigma_rad: Array | None = None
     """(N,): standard deviation of each pose's rotation about any axis, where the track says it."""
 
-    def at(self, frames: Integers, fps: float) -> FramePoses:
-        """In each of T increasing frames; between poses no more than `MAX_GAP_S` apart turned and moved evenly."""
+    def at(self, frames: Integers, fps: float) -> tuple[FramePoses, Bools]:
+        """In each of T increasing frames; between poses no more than `MAX_GAP_S` apart turned and moved evenly. And
+        which these are, (T,)."""
         after = np.clip(np.searchsorted(self.frames, frames), 0, len(self.frames) - 1)
         before = np.maximum(after - (self.frames[after] > frames), 0)
         gap = self.frames[after] - self.frames[before]
@@ -91,26 +93,8 @@ class CameraTrack:
             a, b = self.intrinsics_px[before], self.intrinsics_px[after]
             intrinsics = np.where(known[:, None], a + share[:, None] * (b - a), np.nan)
         sigma = self.turn_sigma_rad
-        return FramePoses(poses, intrinsics, filled, None if sigma is None else np.maximum(sigma[before], sigma[after]))
-
-
-@dataclass(frozen=True, eq=False)
-class FramePoses:
-    """A camera's poses in T frames of a clip."""
-
-    T_camera_world: Array
-    """(T, 4, 4), NaN where none is known."""
-    intrinsics_px: Array | None
-    """(T, 4), NaN likewise."""
-    filled: Bools
-    """(T,): between poses of the track."""
-    turn_sigma_rad: Array | None = None
-    """(T,)"""
-
-    @property
-    def known(self) -> Bools:
-        """(T,)"""
-        return np.isfinite(self.T_camera_world[:, 0, 0])
+        sigmas = None if sigma is None else np.maximum(sigma[before], sigma[after])
+        return FramePoses(poses, intrinsics, sigmas), filled
 
 
 def _between(a: Array, b: Array, share: Array) -> Array:

@@ -312,9 +312,7 @@ class Motion:
 
     def _where_known(self, source: Source, pixels: Array) -> Array:
         """Pixels (T, J, 2), NaN in frames in which it is not known where the camera was."""
-        if source.T_camera_world is None:
-            return pixels
-        return np.where(np.isfinite(source.T_camera_world[:, 0, 0])[:, None, None], pixels, np.nan)
+        return pixels if source.poses is None else np.where(source.poses.known[:, None, None], pixels, np.nan)
 
     # -- how far it can be trusted --------------------------------------------------------------------------------
 

@@ -115,9 +115,9 @@ def test_short_gaps_are_filled_and_long_ones_are_not(tmp_path):
     poses[:, :3, 3] = -(poses[:, :3, :3] @ np.array([[t, 0.1 * t, 1.0] for t in range(12)])[..., None])[..., 0]
     zoom = np.column_stack([1000.0 + 10 * np.arange(12), 1000.0 + 10 * np.arange(12), np.zeros((12, 2))])
     track = read_camera_track(write_track(tmp_path / "track.csv", kept + 5, poses[kept], zoom[kept]))
-    found = track.at(np.arange(3, 16), 30.0)
+    found, filled = track.at(np.arange(3, 16), 30.0)
     np.testing.assert_array_equal(np.flatnonzero(found.known) - 2, [0, 1, 2, 3, 7, 8])
-    np.testing.assert_array_equal(np.flatnonzero(found.filled) - 2, [1, 2])
+    np.testing.assert_array_equal(np.flatnonzero(filled) - 2, [1, 2])
     np.testing.assert_allclose(found.T_camera_world[found.known], poses[[0, 1, 2, 3, 7, 8]], atol=1e-12)
     assert found.intrinsics_px is not None
     np.testing.assert_allclose(found.intrinsics_px[found.known], zoom[[0, 1, 2, 3, 7, 8]])
@@ -167,7 +167,7 @@ def test_how_exact_its_turns_are(tmp_path):
     head, *rows = path.read_text().splitlines()
     said = [f"{row},{sigma}" for row, sigma in zip(rows, (0.02, 0.05, 0.01), strict=True)]
     path.write_text("\n".join([f"{head},sigma_deg", *said]))
-    found = read_camera_track(path).at(np.arange(3, 7), 60.0).turn_sigma_rad
+    found = read_camera_track(path).at(np.arange(3, 7), 60.0)[0].turn_sigma_rad
     np.testing.assert_allclose(np.degrees(found), [0.02, 0.05, 0.05, 0.01])
     for wrong in ("-0.1", "nan", "60"):
         text = "\n".join([f"{head},sigma_deg", *said[:2], f"{rows[2]},{wrong}"])
@@ -314,8 +314,8 @@ def test_frames_without_a_pose_have_no_detections(folder, tmp_path):
     (source,) = prepare(settings(folder, 1, camera_track=track)).sources
     absent = [*range(11, 23), *range(35, 40)]
     np.testing.assert_array_equal(np.flatnonzero(~source.keypoints.present.any(axis=1)), absent)
-    assert source.T_camera_world is not None
-    np.testing.assert_array_equal(np.flatnonzero(np.isnan(source.T_camera_world[:, 0, 0])), absent)
+    assert source.poses is not None
+    np.testing.assert_array_equal(np.flatnonzero(~source.poses.known), absent)
     lost = len(absent) * len(BODY.markers)
     assert source.cleaning.notes == (
         "2 frames have a camera pose between two of its track that are 0.1 s apart or less",

@@ -17,13 +17,13 @@ import numpy as np
 from recon.app.cameras import Cameras, ClipCamera, cameras_in, other_cameras, read_clip_cameras
 from recon.app.made_from import digests
 from recon.app.offsets import solved_in_step
-from recon.arrays import Array
+from recon.arrays import Array, Bools
 from recon.body import Body, Side, facing_side
 from recon.calibration import write_cameras
 from recon.camera import Camera
-from recon.camera_track import MAX_GAP_S, CameraTrack, FramePoses
+from recon.camera_track import MAX_GAP_S, CameraTrack
 from recon.chain import Chain
-from recon.clip import Source, View, at_rate, held, together, views_of
+from recon.clip import FramePoses, Source, View, at_rate, held, together, views_of
 from recon.detector import seen_by
 from recon.errors import InputError, Problem, all_of
 from recon.export.clip_csv import CAMERA_OUTPUTS, CLIP_OUTPUTS, of_any_camera, write_tables
@@ -375,28 +375,27 @@ def _cleaned(
         keypoints = at_rate(keypoints, fps)
         note = f"{of.camera.name} filmed at {file.fps:g} Hz: its points are taken between its frames, at {fps:g} Hz"
         cleaning = replace(cleaning, notes=(*cleaning.notes, note))
-    poses = intrinsics_px = turn_sigma_rad = None
+    poses = None
     if of.track is not None:
-        known = of.track.at(keypoints.frames, fps)
-        keypoints, cleaning = _with_pose(keypoints, cleaning, known, of.track)
-        poses, intrinsics_px, turn_sigma_rad = known.T_camera_world, known.intrinsics_px, known.turn_sigma_rad
-    lenses = None if intrinsics_px is None else held(intrinsics_px)
+        poses, filled = of.track.at(keypoints.frames, fps)
+        keypoints, cleaning = _with_pose(keypoints, cleaning, poses, filled, of.track)
+    lenses = None if poses is None else poses.each(held).intrinsics_px
     view = View(of.camera, np.eye(4), keypoints.xy_px, keypoints.confidence, lenses)
     keypoints, cleaning = leave_out(keypoints, cleaning, keypoints.present & ~view.seen, _FAR_OUTSIDE)
-    return Source(of.camera, keypoints, cleaning, file.names, 0.0, poses, intrinsics_px, turn_sigma_rad)
+    return Source(of.camera, keypoints, cleaning, file.names, 0.0, poses)
 
 
 def _with_pose(
-    keypoints: Keypoints, cleaning: CleaningReport, poses: FramePoses, track: CameraTrack
+    keypoints: Keypoints, cleaning: CleaningReport, poses: FramePoses, filled: Bools, track: CameraTrack
 ) -> tuple[Keypoints, CleaningReport]:
     """Without detections in frames for which a track has no pose. Raises InputError where there are no others."""
     if not (keypoints.present & poses.known[:, None]).any():
         first, last = keypoints.frames[[0, -1]]
         found = f"{track.frames[0]} to {track.frames[-1]}, none in common with {keypoints.source or 'the keypoints'}"
         raise InputError(Problem(track.source, "frame", found, f"the numbers of the clip's frames, {first} to {last}"))
-    if poses.filled.any():
+    if filled.any():
         between = f"between two of its track that are {MAX_GAP_S:g} s apart or less"
-        note = f"{poses.filled.sum()} frames have a camera pose {between}"
+        note = f"{filled.sum()} frames have a camera pose {between}"
         cleaning = replace(cleaning, notes=(*cleaning.notes, note))
     return leave_out(keypoints, cleaning, keypoints.present & ~poses.known[:, None], _WITHOUT_POSE)
 

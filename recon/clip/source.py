@@ -2,16 +2,38 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from recon.arrays import Array, Integers
+from recon.arrays import Array, Bools, Integers
 from recon.camera import Camera
 from recon.clip.view import View, camera_poses
 from recon.errors import InputError, Problem
 from recon.keypoints import CleaningReport, Keypoints
+
+
+@dataclass(frozen=True, eq=False)
+class FramePoses:
+    """Where a camera that moves was in T frames, in a world with z up; NaN where that is not known."""
+
+    T_camera_world: Array
+    """(T, 4, 4)"""
+    intrinsics_px: Array | None = None
+    """(T, 4): fx, fy, cx, cy, of a camera that zooms."""
+    turn_sigma_rad: Array | None = None
+    """(T,): standard deviation of each pose's rotation about any axis, where that is known."""
+
+    @property
+    def known(self) -> Bools:
+        """(T,)"""
+        return np.isfinite(self.T_camera_world[:, 0, 0])
+
+    def each(self, change: Callable[[Array], Array]) -> FramePoses:
+        """With all that there is changed."""
+        zoom, sigma = (None if a is None else change(a) for a in (self.intrinsics_px, self.turn_sigma_rad))
+        return FramePoses(change(self.T_camera_world), zoom, sigma)
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,37 +48,25 @@ class Source:
     """All keypoints of the file."""
     lead_frames: float = 0.0
     """0 up to 1: its pictures were taken that much later than the clip's frames."""
-    T_camera_world: Array | None = None
-    """(T, 4, 4): of a camera that moves, in a world with z up; NaN where it is not known, and nothing is detected. The
-    camera itself has no pose then."""
-    intrinsics_px: Array | None = None
-    """(T, 4): fx, fy, cx, cy, where it zooms, too; NaN likewise."""
-    turn_sigma_rad: Array | None = None
-    """(T,): of the pose's rotation, where that is known; NaN likewise."""
+    poses: FramePoses | None = None
+    """Of a camera that moves; where they are not known, nothing is detected. The camera itself has no pose then."""
     offset_s: float = 0.0
     """How much later than the first camera's frame 0 its own was taken, as given or found."""
 
     @property
     def moves(self) -> bool:
-        return self.T_camera_world is not None
+        return self.poses is not None
 
 
 def views_of(sources: Sequence[Source]) -> tuple[View, ...]:
     """Where a camera moves, those that stand still must know their place in the same world."""
     still = [source.camera for source in sources if not source.moves]
-    poses = iter(camera_poses(still) if still else ())
-    return tuple(
-        View(
-            source.camera,
-            next(poses) if source.T_camera_world is None else held(source.T_camera_world),
-            source.keypoints.xy_px,
-            source.keypoints.confidence,
-            None if source.intrinsics_px is None else held(source.intrinsics_px),
-            source.lead_frames,
-            None if source.turn_sigma_rad is None else held(source.turn_sigma_rad),
-        )
-        for source in sources
-    )
+    poses, views = iter(camera_poses(still) if still else ()), []
+    for source in sources:
+        where = FramePoses(next(poses)) if source.poses is None else source.poses.each(held)
+        seen = (source.keypoints.xy_px, source.keypoints.confidence, where.intrinsics_px, source.lead_frames)
+        views.append(View(source.camera, where.T_camera_world, *seen, where.turn_sigma_rad))
+    return tuple(views)
 
 
 def held(values: Array) -> Array:
@@ -114,7 +124,7 @@ def _on_frames(source: Source, start: int, frames: Integers) -> Source:
     """What was seen in frames without a gap, as rows from `start` on; missing before and after."""
     keypoints, T = source.keypoints, len(frames)
 
-    def spread(values: Array, missing: float) -> Array:
+    def spread(values: Array, missing: float = np.nan) -> Array:
         spread = np.full((T, *values.shape[1:]), missing)
         spread[start : start + len(values)] = values
         return spread
@@ -123,11 +133,9 @@ def _on_frames(source: Source, start: int, frames: Integers) -> Source:
         source,
         keypoints=replace(
             keypoints,
-            xy_px=spread(keypoints.xy_px, np.nan),
+            xy_px=spread(keypoints.xy_px),
             confidence=spread(keypoints.confidence, 0.0),
             frames=frames,
         ),
-        T_camera_world=None if source.T_camera_world is None else spread(source.T_camera_world, np.nan),
-        intrinsics_px=None if source.intrinsics_px is None else spread(source.intrinsics_px, np.nan),
-        turn_sigma_rad=None if source.turn_sigma_rad is None else spread(source.turn_sigma_rad, np.nan),
+        poses=source.poses and source.poses.each(spread),
     )

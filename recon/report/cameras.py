@@ -81,14 +81,14 @@ def _entry(
 
 def _track(source: Source) -> dict[str, Any] | None:
     """Where a camera was that moves: X_camera = R X_world + t."""
-    if source.T_camera_world is None:
+    if source.poses is None:
         return None
-    poses = source.T_camera_world
+    poses = source.poses.T_camera_world
     return {
-        "frames_without_pose": int(np.isnan(poses[:, 0, 0]).sum()),
+        "frames_without_pose": int((~source.poses.known).sum()),
         "rotation": poses[:, :3, :3],
         "translation_m": poses[:, :3, 3],
-        "intrinsics_px": source.intrinsics_px,
+        "intrinsics_px": source.poses.intrinsics_px,
     }
 
 
