@@ -5,20 +5,36 @@ from __future__ import annotations
 import io
 import json
 from collections.abc import Sequence
-from dataclasses import asdict, fields
+from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
+from pydantic import ConfigDict, Json
 
 from recon.body import Body
 from recon.errors import InputError, Problem
 from recon.files import staged_file, write_bytes
 from recon.package import builtin_file, builtin_names
 from recon.prior.model import ANGLES, NONE, SHAPES, MotionPrior, SegmentRow, misfits, prior_from_body
+from recon.skeleton_file import Table, parsed_file
 
 _FORMAT = 1
 _EXPECTED = "a motion prior, as `recon prior fit` writes it"
+
+
+class _About(Table):
+    model_config = ConfigDict(extra="ignore", frozen=True)
+
+    format: Literal[1]
+    name: str
+    source: str
+    angles: list[str]
+    segments: list[SegmentRow]
+
+
+class _Texts(Table):
+    about: Json[_About]
 
 
 def builtin_priors() -> tuple[str, ...]:
@@ -28,13 +44,8 @@ def builtin_priors() -> tuple[str, ...]:
 
 def save_prior(prior: MotionPrior, path: str | Path) -> None:
     """Write an .npz: the arrays in single precision, the texts as JSON, no pickles."""
-    about: dict[str, Any] = {
-        "format": _FORMAT,
-        "name": prior.name,
-        "source": prior.source,
-        "angles": list(prior.angles),
-    }
-    about["segments"] = [asdict(row) for row in prior.segments]
+    about: dict[str, Any] = {"format": _FORMAT, "name": prior.name, "source": prior.source}
+    about |= {"angles": list(prior.angles), "segments": [asdict(row) for row in prior.segments]}
     arrays = {name: getattr(prior, name).astype(np.float32) for name in SHAPES}
     made = io.BytesIO()
     np.savez_compressed(made, about=np.array(json.dumps(about)), **arrays)
@@ -69,55 +80,24 @@ def _prior(content: bytes, source: str, body: Body) -> MotionPrior:
     lacking = [key for key in ("about", *SHAPES) if key not in stored]
     if lacking:
         raise InputError([Problem(source, key, "nothing", _EXPECTED) for key in lacking])
-    about, problems = _texts(stored["about"], source)
-    arrays = {}
+    texts, problems = parsed_file(_Texts, {"about": str(stored["about"])}, source)
+    about, arrays = None if texts is None else texts.about, {}
     for key in SHAPES:
         if stored[key].dtype.kind == "f":
             arrays[key] = stored[key].astype(float)
         else:
             problems.append(Problem(source, key, f"an array of {stored[key].dtype}", "floating-point numbers"))
-    if about is not None and list(about["angles"]) != list(body.state_names[ANGLES]):
-        problems.append(_other_angles(about["angles"], body, source))
+    if about is not None and about.angles != list(body.state_names[ANGLES]):
+        problems.append(_other_angles(about.angles, body, source))
     elif about is not None and len(arrays) == len(SHAPES):
-        found = misfits(arrays, len(about["angles"]))
+        found = misfits(arrays, len(about.angles))
         problems += [Problem(source, field, what, expected) for field, what, expected in found]
     if about is None or problems:
         raise InputError(problems)
     for key in ("covariances", "covariance", "acceleration_covariance"):
         arrays[key] = (arrays[key] + arrays[key].swapaxes(-1, -2)) / 2
     arrays["weights"] = arrays["weights"] / arrays["weights"].sum()
-    segments = tuple(SegmentRow(**row) for row in about["segments"])
-    return MotionPrior(about["name"], tuple(about["angles"]), **arrays, source=about["source"], segments=segments)
-
-
-def _texts(stored: np.ndarray, source: str) -> tuple[dict | None, list[Problem]]:
-    """The texts of a file, None where they are not as they should be."""
-    try:
-        about = json.loads(str(stored))
-    except json.JSONDecodeError:
-        return None, [Problem(source, "about", repr(str(stored))[:60], "JSON")]
-    if not isinstance(about, dict) or about.get("format") != _FORMAT:
-        found = repr(about.get("format")) if isinstance(about, dict) else repr(about)[:60]
-        return None, [Problem(source, "about.format", found, f"{_FORMAT}")]
-    kinds = (
-        ("name", "a text", str, None),
-        ("source", "a text", str, None),
-        ("angles", "a list of names", list, str),
-        ("segments", "a list of tables", list, dict),
-    )
-    problems = [
-        Problem(source, f"about.{key}", repr(about.get(key))[:60], what)
-        for key, what, kind, item in kinds
-        if not isinstance(about.get(key), kind) or (item and not all(isinstance(one, item) for one in about[key]))
-    ]
-    if not problems:
-        expected = [field.name for field in fields(SegmentRow)]
-        problems = [
-            Problem(source, f"about.segments.{i}", ", ".join(row), ", ".join(expected))
-            for i, row in enumerate(about["segments"])
-            if list(row) != expected
-        ]
-    return None if problems else about, problems
+    return MotionPrior(about.name, tuple(about.angles), **arrays, source=about.source, segments=tuple(about.segments))
 
 
 def _other_angles(angles: Sequence[str], body: Body, source: str) -> Problem:
