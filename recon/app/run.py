@@ -76,6 +76,13 @@ class Job:
     def track(self) -> Path:
         return self.out / f"{self.video.stem}_camera.csv"
 
+    @property
+    def fitted(self) -> FitSettings:
+        """With the track that is found."""
+        if self.camera_motion is None:
+            return self.settings
+        return replace(self.settings, camera_track=(self.track,), tilt_deg=None)
+
 
 @dataclass(frozen=True)
 class Stage:
@@ -86,7 +93,7 @@ class Stage:
     """What it is made from."""
     places: tuple[Path, ...]
     """Files that are in its way, unless a run has made them; none where it looks for itself what it may replace."""
-    work: Callable[[Progress], Iterable[Path]]
+    work: Callable[[Job, Progress], Iterable[Path]]
     """Does it, over what is there, and gives the files that it wrote."""
 
 
@@ -206,7 +213,7 @@ def _carry_out(stage: Stage, job: Job, record: dict[str, Any], again: bool, prog
     record[stage.name] = {"identity": known, "files": None}
     _write_record(job.out, record)
     progress("starting", 0.0)
-    folder, paths = job.out.absolute(), [path.absolute() for path in stage.work(progress)]
+    folder, paths = job.out.absolute(), [path.absolute() for path in stage.work(job, progress)]
     files = {path.relative_to(folder).as_posix(): sha256_of(path) for path in paths}
     record[stage.name] = {"identity": known, "files": files}
     _write_record(job.out, record)
@@ -228,44 +235,30 @@ def _stages(job: Job) -> Iterator[Stage]:
     keypoints = job.settings.keypoints[0]
     if job.model is not None:
         files = {"video": job.video, "model": _model_file(job.model)}
-        yield Stage("detect", lambda: identity_of(files, {"quality": job.quality}), (keypoints,), _detection(job))
-    settings = job.settings
+        yield Stage("detect", lambda: identity_of(files, {"quality": job.quality}), (keypoints,), _detection)
     if job.camera_motion is not None:
-        settings = replace(settings, camera_track=(job.track,), tilt_deg=None)
-        yield Stage("camera-motion", _motion_identity(job), (job.track,), _camera_motion(job))
+        yield Stage("camera-motion", lambda: _motion_identity(job), (job.track,), _camera_motion)
     places = tuple(job.out / name for name in output_files(job.out) if name != PAGE)
-    yield Stage("fit", lambda: identity(settings), places, _fit(settings, job.out))
+    yield Stage("fit", lambda: identity(job.fitted), places, _fit)
     fit, film = {"fit": job.out / MANIFEST}, {"video": job.video}
     options = {"first_frame": job.first_frame}
-    yield Stage("analyse", lambda: identity_of(fit, {}), (job.out / "analysis" / "analysis.json",), _analysis(job))
-    yield Stage("overlay", lambda: identity_of(fit | film, options), (job.out / OVERLAY,), _overlay(job))
-    yield Stage("page", lambda: identity_of(fit | film, options), (), _page(job))
+    yield Stage("analyse", lambda: identity_of(fit, {}), (job.out / "analysis" / "analysis.json",), _analysis)
+    yield Stage("overlay", lambda: identity_of(fit | film, options), (job.out / OVERLAY,), _overlay)
+    yield Stage("page", lambda: identity_of(fit | film, options), (), _page)
 
 
-Work = Callable[[Progress], Iterable[Path]]
+def _detection(job: Job, progress: Progress) -> list[Path]:
+    from recon.app.net import run_prediction  # torch is slow to import
+
+    assert job.model is not None
+    (out,) = job.settings.keypoints
+    run_prediction(
+        job.video, job.model, out, quality=job.quality, threads=job.threads, overwrite=True, progress=progress
+    )
+    return [out]
 
 
-def _detection(job: Job) -> Work:
-    def work(progress: Progress) -> Iterable[Path]:
-        from recon.app.net import run_prediction  # torch is slow to import
-
-        assert job.model is not None
-        (out,) = job.settings.keypoints
-        run_prediction(
-            job.video,
-            job.model,
-            out,
-            quality=job.quality,
-            threads=job.threads,
-            overwrite=True,
-            progress=progress,
-        )
-        return [out]
-
-    return work
-
-
-def _motion_identity(job: Job) -> Callable[[], dict[str, Any]]:
+def _motion_identity(job: Job) -> dict[str, Any]:
     settings = job.settings
     assert settings.camera is not None
     files = {"video": job.video, "camera": settings.camera, "keypoints": settings.keypoints[0]}
@@ -276,71 +269,56 @@ def _motion_identity(job: Job) -> Callable[[], dict[str, Any]]:
         "tilt_deg": settings.tilt_deg,
         "individual": settings.individual,
     }
-    return lambda: identity_of(files, options)
+    return identity_of(files, options)
 
 
-def _camera_motion(job: Job) -> Work:
-    def work(progress: Progress) -> Iterable[Path]:
-        from recon.app.camera_motion import run_camera_motion
+def _camera_motion(job: Job, progress: Progress) -> Iterable[Path]:
+    from recon.app.camera_motion import run_camera_motion
 
-        settings = job.settings
-        assert settings.camera is not None
-        run = run_camera_motion(
-            job.video,
-            settings.camera,
-            job.track,
-            camera_name=settings.camera_name[0] if settings.camera_name else None,
-            keypoints=settings.keypoints[0],
-            individual=settings.individual,
-            first_frame=job.first_frame,
-            tilt_deg=settings.tilt_deg,
-            zoom=job.camera_motion == "zooms",
-            overwrite=True,
-            progress=progress,
-        )
-        return run.files
-
-    return work
+    settings = job.settings
+    assert settings.camera is not None
+    run = run_camera_motion(
+        job.video,
+        settings.camera,
+        job.track,
+        camera_name=settings.camera_name[0] if settings.camera_name else None,
+        keypoints=settings.keypoints[0],
+        individual=settings.individual,
+        first_frame=job.first_frame,
+        tilt_deg=settings.tilt_deg,
+        zoom=job.camera_motion == "zooms",
+        overwrite=True,
+        progress=progress,
+    )
+    return run.files
 
 
-def _fit(settings: FitSettings, out: Path) -> Work:
-    def work(progress: Progress) -> Iterable[Path]:
-        began = time.perf_counter()
-        motion = fit_clip(settings, progress)
-        write_clip(motion, settings, out, time.perf_counter() - began)
-        return [out / name for name in (*read_manifest(out).files, MANIFEST)]
-
-    return work
+def _fit(job: Job, progress: Progress) -> list[Path]:
+    began = time.perf_counter()
+    motion = fit_clip(job.fitted, progress)
+    write_clip(motion, job.fitted, job.out, time.perf_counter() - began)
+    return [job.out / name for name in (*read_manifest(job.out).files, MANIFEST)]
 
 
-def _analysis(job: Job) -> Work:
-    def work(progress: Progress) -> Iterable[Path]:
-        from recon.app.analyse import run_analyse
+def _analysis(job: Job, progress: Progress) -> list[Path]:
+    from recon.app.analyse import run_analyse
 
-        done = run_analyse(job.out, overwrite=True)
-        return [done.out / name for name in done.files]
-
-    return work
+    done = run_analyse(job.out, overwrite=True, progress=progress)
+    return [done.out / name for name in done.files]
 
 
-def _overlay(job: Job) -> Work:
-    def work(progress: Progress) -> Iterable[Path]:
-        out = job.out / OVERLAY
-        run_overlay(job.out, job.video, out, first_frame=job.first_frame, overwrite=True, progress=progress)
-        return [out]
-
-    return work
+def _overlay(job: Job, progress: Progress) -> list[Path]:
+    out = job.out / OVERLAY
+    run_overlay(job.out, job.video, out, first_frame=job.first_frame, overwrite=True, progress=progress)
+    return [out]
 
 
-def _page(job: Job) -> Work:
-    def work(progress: Progress) -> Iterable[Path]:
-        from recon.app.page import run_page
+def _page(job: Job, progress: Progress) -> list[Path]:
+    from recon.app.page import run_page
 
-        posed = frames_with_pose(_report(job.out)) > 0
-        video = job.video if posed else None
-        return [run_page(job.out, video=video, first_frame=job.first_frame, progress=progress)]
-
-    return work
+    posed = frames_with_pose(_report(job.out)) > 0
+    video = job.video if posed else None
+    return [run_page(job.out, video=video, first_frame=job.first_frame, progress=progress)]
 
 
 # -- what was done ----------------------------------------------------------------------------------------------------

@@ -8,11 +8,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.box import SIMPLE_HEAD
-from rich.table import Column, Table
-from rich.text import Text
+from rich.table import Table
 
-from recon.cli.common import STRIDE, progress_bar, say_what_is_gone, stride_times, terminal
+from recon.cli.common import STRIDE, progress_bar, say, say_what_is_gone, stride_times, table_of, terminal
 
 if TYPE_CHECKING:
     from recon.app.analyse import Analysed
@@ -59,20 +57,20 @@ def analyse(
         typer.echo(to_json(done.summary), nl=False)
         return
     for line in _lines(done):
-        console.print(Text(line), soft_wrap=True)
+        say(console, line)
     count = sum(len(gait.stances) for gait in done.found.gaits.values())
     if count > MOST_STANCES:
-        console.print(Text(f"{count} stances are in {done.out / 'stances.csv'}."), soft_wrap=True)
+        say(console, f"{count} stances are in {done.out / 'stances.csv'}.")
     elif done.found.gaits:
         console.print(_stances(done))
     for note in done.summary["notes"]:
-        console.print(Text(f"note: {note}"), soft_wrap=True)
+        say(console, f"note: {note}")
     say_what_is_gone(console, folder)
-    console.print(Text(f"{len(done.files)} files are in {done.out}."), soft_wrap=True)
+    say(console, f"{len(done.files)} files are in {done.out}.")
     if done.plots is not None:
         results = done.found.results.folder
         own = "" if done.out == results / "analysis" else f" --analysis {done.out}"
-        console.print(Text(f"See them beside the playback with: recon view {results}{own}"), soft_wrap=True)
+        say(console, f"See them beside the playback with: recon view {results}{own}")
 
 
 def _lines(done: Analysed) -> Iterator[str]:
@@ -105,11 +103,8 @@ def _lines(done: Analysed) -> Iterator[str]:
 
 def _stances(done: Analysed) -> Table:
     """By foot: what both methods found."""
-    title = "times: seconds since frame 0"
-    table = Table(Column("foot", no_wrap=True), box=SIMPLE_HEAD, title=title, title_justify="left")
-    found = done.found
-    for method in found.gaits:
-        table.add_column(f"stances by {method}, s")
+    found, title = done.found, "times: seconds since frame 0"
+    table = table_of("foot", *(f"stances by {method}, s" for method in found.gaits), title=title)
     for foot, joint in found.results.feet.items():
         cells = []
         for gait in found.gaits.values():

@@ -16,7 +16,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextC
 from rich.table import Column, Table
 from rich.text import Text
 
-from recon.cli.common import counted, stop, terminal
+from recon.cli.common import counted, say, stop, terminal
 from recon.cli.settings import OPTIONS, takes_settings
 
 if TYPE_CHECKING:
@@ -102,7 +102,7 @@ def batch(
     console = terminal(quiet=quiet, stderr=as_json)
     clips, notes = find_clips(inputs, given, config, cameras_by)
     for note in notes:
-        console.print(Text(note, "yellow"), soft_wrap=True)
+        say(console, note, "yellow")
     plan = plan_batch(clips, out, overwrite)
     if dry_run:
         problems = input_problems(clips)
@@ -179,7 +179,7 @@ def _print_plan(
     for same in repeated(problems):
         names = ", ".join(rows[place]["clip"] for place in same.clips[:NAMED])
         more = "" if len(same.clips) <= NAMED else f" and {len(same.clips) - NAMED} more clips"
-        console.print(Text.assemble((f"{names}{more}: ", "bold red"), str(same.problem)), soft_wrap=True)
+        say(console, Text.assemble((f"{names}{more}: ", "bold red"), str(same.problem)))
     count = [row["action"] for row in rows]
     bad = count.count(CANNOT)
     parts = [f"{count.count('new')} new", f"{count.count('refit')} to fit again", f"{count.count('done')} done"]
@@ -190,9 +190,7 @@ def _print_plan(
 def _print_end(console: Console, summary: Summary, seconds: float) -> None:
     counts = summary.counts()
     parts = [Text(f"{n} {status}", _STYLES[status]) for status, n in counts.items()]
-    console.print(
-        Text.assemble(Text(", ").join(parts), f" in {seconds:.0f} s. Summary: {summary.path}"), soft_wrap=True
-    )
+    say(console, Text.assemble(Text(", ").join(parts), f" in {seconds:.0f} s. Summary: {summary.path}"))
 
 
 # -- meanwhile ----------------------------------------------------------------------------------------------------
@@ -211,9 +209,8 @@ def _shown(console: Console, left: int) -> Iterator[Any]:
             if event.kind == "ended":
                 ended += 1
                 row = summary.rows[event.clip]
-                (errors if row["status"] == "failed" else console).print(
-                    Text(f"[{ended}/{left}] ").append_text(_row_text(row)), soft_wrap=True
-                )
+                where = errors if row["status"] == "failed" else console
+                say(where, Text(f"[{ended}/{left}] ").append_text(_row_text(row)))
 
         yield line
         return
@@ -235,7 +232,7 @@ def _shown(console: Console, left: int) -> Iterator[Any]:
                 bar.advance(overall)
                 row = summary.rows[event.clip]
                 if row["status"] != "done":
-                    bar.console.print(_row_text(row), soft_wrap=True)
+                    say(bar.console, _row_text(row))
 
         yield bars
 

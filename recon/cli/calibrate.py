@@ -11,7 +11,7 @@ import typer
 from rich.console import Console
 from rich.text import Text
 
-from recon.cli.common import error_text, number_table, progress_bar, say, terminal
+from recon.cli.common import error_text, progress_bar, say, table_of, terminal
 
 if TYPE_CHECKING:
     from recon.app.calibrate import CalibrationRun
@@ -67,7 +67,7 @@ def calibrate(
 
 def _print(run: CalibrationRun, console: Console) -> None:
     calibration = run.calibration
-    table = number_table("picture", numbers=("corners", "error px", "worst px", "tilt", "distance m", ""))
+    table = table_of("picture", numbers=("corners", "error px", "worst px", "tilt", "distance m", ""))
     for view in calibration.views:
         table.add_row(
             Text(view.name),
@@ -94,6 +94,6 @@ def _print(run: CalibrationRun, console: Console) -> None:
     console.print(f"reprojection error {calibration.rms_px:.3f} px (root mean square)", highlight=False)
     for check in run.checks:
         if check.verdict == "warning" or (check.verdict == "refused" and run.written is not None):
-            console.print(Text.assemble(("warning: ", "yellow"), str(check)), soft_wrap=True)
+            say(console, Text.assemble(("warning: ", "yellow"), str(check)))
     if run.written is not None:
         say(console, f"Written: {run.written}, and what it rests on: {run.picture}")

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from recon.cli.common import counted, number_option, progress_bar, say, terminal
+from recon.cli.common import FIRST_FRAME, counted, number_option, progress_bar, say, terminal
 
 
 def camera_motion(
@@ -20,9 +20,7 @@ def camera_motion(
         Path | None, typer.Option(help="Keypoints of the animal, which is then no background, as in clip.csv.")
     ] = None,
     individual: Annotated[str | None, typer.Option(help="Which animal of a keypoint file with several.")] = None,
-    first_frame: Annotated[
-        int, typer.Option(help="Number that the video's first frame has in the keypoint file, if it was cut.")
-    ] = 0,
+    first_frame: Annotated[int, FIRST_FRAME] = 0,
     tilt_deg: Annotated[
         float | None,
         number_option(

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from recon.cli.common import EXIT_UNSOLVED, number_option, number_table, say, terminal
+from recon.cli.common import EXIT_UNSOLVED, number_option, say, table_of, terminal
 
 
 def climb(
@@ -77,7 +77,7 @@ def climb(
         )
         if before["out_of_reach_share"]:
             say(console, f"note: a foot out of reach in {100 * before['out_of_reach_share']:.0f} % of that, drawn in")
-    table = number_table("least margin", numbers=("", "", "at s"))
+    table = table_of("least margin", numbers=("", "", "at s"))
     for row in report["least_margins"].values():
         table.add_row(row["what"], f"{row['value']:.1f}", row["unit"], f"{row['at_s']:.2f}")
     console.print(table)

@@ -36,9 +36,9 @@ def terminal(**given: Any) -> Console:
     return Console(markup=False, emoji=False, **given)
 
 
-def say(console: Console, text: str) -> None:
+def say(console: Console, text: str | Text, style: str = "") -> None:
     """One line, however long: no markup, and no breaks that a terminal would not make."""
-    console.print(Text(text), soft_wrap=True)
+    console.print(Text(text, style) if isinstance(text, str) else text, soft_wrap=True)
 
 
 def say_what_is_gone(console: Console, folder: Path) -> None:
@@ -53,11 +53,11 @@ def counted(count: int, what: str) -> str:
     return f"{count} {what}{'s' * (count != 1)}"
 
 
-def number_table(*texts: str, numbers: Iterable[str], **more: Any) -> Table:
+def table_of(*texts: str, numbers: Iterable[str] = (), **more: Any) -> Table:
     """A table without rows: columns of texts, the first of which names the row, then of numbers."""
     first, *others = texts
     columns = (Column(first, no_wrap=True), *others, *(Column(name, justify="right") for name in numbers))
-    return Table(*columns, box=SIMPLE_HEAD, **more)
+    return Table(*columns, box=SIMPLE_HEAD, title_justify="left", **more)
 
 
 def error_text(message: str) -> Text:
@@ -122,6 +122,7 @@ RENAME = typer.Option(
     "superanimal-quadruped.",
     show_default=False,
 )
+FIRST_FRAME = typer.Option(help="Number that the video's first frame has in the keypoint file, if it was cut.")
 STRIDE = typer.Option(
     metavar="START:END",
     help="A stride from when to when, in seconds since frame 0, as in 0.31:0.62. (default: one that is found)",

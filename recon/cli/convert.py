@@ -7,11 +7,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.box import SIMPLE_HEAD
-from rich.table import Table
 from rich.text import Text
 
-from recon.cli.common import FPS, RENAME, number_option, terminal
+from recon.cli.common import FPS, RENAME, number_option, table_of, terminal
 from recon.errors import InputError, Problem
 
 if TYPE_CHECKING:
@@ -89,7 +87,7 @@ def _print_formats(as_json: bool) -> None:
     if as_json:
         typer.echo(json.dumps([dict(zip(names, row, strict=True)) for row in rows], indent=1))
         return
-    table = Table(*names, box=SIMPLE_HEAD)
+    table = table_of(*names)
     for row in rows:
         table.add_row(*(Text(cell) for cell in row))
     terminal().print(table)

@@ -11,7 +11,7 @@ import typer
 from rich.table import Table
 from rich.text import Text
 
-from recon.cli.common import number_table, say, terminal
+from recon.cli.common import say, table_of, terminal
 
 if TYPE_CHECKING:
     from recon.analysis.evaluation import Evaluation
@@ -46,7 +46,7 @@ def _table(result: Evaluation) -> Table:
     scores = (result.mpjpe_m, result.mpe_m, result.scale_mpjpe_m, result.pa_mpjpe_m)
     shares = [score for _, score in result.pck]
     pck = (f"PCK {1000 * t:.0f}" for t, _ in result.pck)
-    table = number_table("errors in mm", numbers=("MPJPE", "MPE", "scaled", "PA", *pck))
+    table = table_of("errors in mm", numbers=("MPJPE", "MPE", "scaled", "PA", *pck))
 
     def add_row(name: str, errors_m: Iterable[float], shares: Iterable[float], last: bool = False) -> None:
         cells = [f"{1000 * e:.1f}" for e in errors_m] + [f"{share:.0%}" for share in shares]

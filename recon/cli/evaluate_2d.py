@@ -11,7 +11,7 @@ import typer
 from rich.table import Table
 from rich.text import Text
 
-from recon.cli.common import RENAME, number_option, number_table, terminal
+from recon.cli.common import RENAME, number_option, table_of, terminal
 
 if TYPE_CHECKING:
     from recon.net.evaluate2d import Evaluation2D, Score2D
@@ -64,7 +64,7 @@ def _table(result: Evaluation2D) -> Table:
     from recon.net.evaluate2d import PCK_PX, PCK_RELATIVE
 
     pck = (*(f"{t:g}px" for t in PCK_PX), *(f"{t:.0%}" for t in PCK_RELATIVE))
-    table = number_table("errors in px", numbers=("n", "found", "RMSE", "median", *pck), padding=(0, 1, 0, 0))
+    table = table_of("errors in px", numbers=("n", "found", "RMSE", "median", *pck), padding=(0, 1, 0, 0))
 
     def add_row(name: str, score: Score2D, last: bool = False) -> None:
         cells = [str(score.points), f"{score.found:.0%}", f"{score.rmse_px:.2f}", f"{score.median_px:.2f}"]

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from rich.text import Text
 
 from recon.cli.common import progress_bar, say, terminal
 from recon.cli.settings import takes_settings
@@ -62,7 +61,7 @@ def extrinsics(
 
     clips, notes = clips_of(inputs, given, cameras_by)
     for note in notes:
-        terminal(stderr=True).print(Text(note, "yellow"), soft_wrap=True)
+        say(terminal(stderr=True), note, "yellow")
     with progress_bar(terminal(stderr=True), "solving: ") as progress:
         run = run_extrinsics(clips, out, overwrite, math.radians(level_deg), progress)
     if as_json:

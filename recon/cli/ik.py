@@ -6,12 +6,9 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import typer
-from rich.box import SIMPLE_HEAD
 from rich.console import Console
-from rich.table import Column, Table
-from rich.text import Text
 
-from recon.cli.common import STRIDE, stride_times, terminal
+from recon.cli.common import STRIDE, say, stride_times, table_of, terminal
 from recon.errors import InputError, Problem
 
 WIDE_GAP_PERCENT = 25
@@ -128,9 +125,6 @@ def _dimension(dim: int) -> Literal[2, 3]:
 
 
 def _print(console: Console, summary: dict[str, Any], out: Path) -> None:
-    def say(text: str) -> None:
-        console.print(Text(text), soft_wrap=True)
-
     stride = summary["stride"]
     how = {
         "given": "as given",
@@ -140,50 +134,51 @@ def _print(console: Console, summary: dict[str, Any], out: Path) -> None:
         "whole clip": "the clip has no complete one: the whole clip",
     }[stride["how"]]
     joints = summary["joints"]
-    say(f"{summary['foot']}: {len(joints)} joints, {summary['dimensions']}D ({summary['base_frame']})")
+    say(console, f"{summary['foot']}: {len(joints)} joints, {summary['dimensions']}D ({summary['base_frame']})")
     if summary["misfit_m"]:
-        say(f"the chain's end lies {1000 * summary['misfit_m']:.0f} mm from the foot's projection (median)")
+        say(console, f"the chain's end lies {1000 * summary['misfit_m']:.0f} mm from the foot's projection (median)")
     say(
+        console,
         f"stride: {stride['start_s']:.3f} to {stride['end_s']:.3f} s, {how}; gap {1000 * stride['gap_m']:.0f} mm "
-        f"({stride['gap_percent']:.1f} % of its extent), closed"
+        f"({stride['gap_percent']:.1f} % of its extent), closed",
     )
     for note in stride["notes"]:
-        say(f"note: {note}")
+        say(console, f"note: {note}")
     if stride["gap_percent"] > WIDE_GAP_PERCENT:
-        say("note: so wide a gap is not of one stride: a touchdown may have been missed, or the clip is too short")
+        say(
+            console,
+            "note: so wide a gap is not of one stride: a touchdown was missed, or the clip is too short",
+        )
     if summary["to_target"]:
         place = ", ".join(f"{x:.3f}" for x in summary["target_m"])
         columns = ("reached", "steps", "µs each", "path m", "limits")
-        table = _table(f"to ({place}) m", columns)
+        table = table_of("method", numbers=columns, title=f"to ({place}) m")
         for name, row in summary["to_target"].items():
             table.add_row(name, "yes" if row["reached"] else "no", str(row["iterations"]), *_shared(row))
         console.print(table)
         for name, row in summary["to_target"].items():
             if not row["reached"]:
-                say(f"{name}: {row['reason']}")
+                say(console, f"{name}: {row['reason']}")
     if summary["along_stride"]:
         columns = ("worst mm", "µs each", "path m", "limits", "closure %")
-        table = _table(f"along the stride, turns: {summary['turns']}", columns)
+        title = f"along the stride, turns: {summary['turns']}"
+        table = table_of("method", numbers=columns, title=title)
         for name, row in summary["along_stride"].items():
             closed = f"{row['least_closure_angle_percent']:.1f}/{row['least_closure_plane_percent']:.1f}"
             table.add_row(name, f"{1000 * row['worst_error_m']:.1f}", *_shared(row), closed)
         console.print(table)
         for name, row in summary["along_stride"].items():
             if row["note"]:
-                say(f"{name}: {row['note']}")
+                say(console, f"{name}: {row['note']}")
     if summary["along_stride"]:
-        say("closure: the least of any joint, of its angle/of the angle with its rate; limits: joints that reached one")
+        say(
+            console,
+            "closure: the least of any joint, of its angle/of angle and rate; limits: joints that reached one",
+        )
     parameters = summary["parameters"]
     explained = ", ".join(f"{name} {fit['explained']:.0%}" for name, fit in parameters["fitted"].items())
-    say(f"parameters: {parameters['used']}. Fitted to the clip, they explain of its joint rates: {explained}")
-    say(f"Tables and figures are in {out}.")
-
-
-def _table(title: str, columns: tuple[str, ...]) -> Table:
-    table = Table(Column("method", no_wrap=True), box=SIMPLE_HEAD, title=title, title_justify="left")
-    for name in columns:
-        table.add_column(name, justify="right" if name else "left")
-    return table
+    say(console, f"parameters: {parameters['used']}. Fitted to the clip, they explain of its joint rates: {explained}")
+    say(console, f"Tables and figures are in {out}.")
 
 
 def _shared(row: dict[str, Any]) -> tuple[str, ...]:

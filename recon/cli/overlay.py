@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from recon.cli.common import number_option, progress_bar, say, terminal
+from recon.cli.common import FIRST_FRAME, number_option, progress_bar, say, terminal
 from recon.errors import InputError, Problem
 
 
@@ -34,9 +34,7 @@ def overlay(
             show_default=False,
         ),
     ] = None,
-    first_frame: Annotated[
-        int, typer.Option(help="Number that the video's first frame has in the keypoint file, if it was cut.")
-    ] = 0,
+    first_frame: Annotated[int, FIRST_FRAME] = 0,
     speed: Annotated[
         float | None,
         number_option(

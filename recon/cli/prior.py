@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 from rich.text import Text
 
-from recon.cli.common import number_option, number_table, terminal
+from recon.cli.common import number_option, table_of, terminal
 
 
 def prior_fit(
@@ -70,7 +70,7 @@ def prior_fit(
     if as_json:
         typer.echo(json.dumps({"out": str(out), **done.to_dict()}, indent=1))
         return
-    table = number_table("segment", numbers=("frames", "fps", "speed m/s", "misfit mm", "used"))
+    table = table_of("segment", numbers=("frames", "fps", "speed m/s", "misfit mm", "used"))
     for row, rms_mm in zip(done.prior.segments, done.rms_mm, strict=True):
         numbers = f"{row.frames}", f"{row.fps:g}", f"{row.speed_m_s:.1f}", f"{rms_mm:.1f}".replace("nan", "-")
         table.add_row(Text(row.name), *numbers, "yes" if row.used else "no")

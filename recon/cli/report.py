@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from recon.cli.common import error_text, progress_bar, say, say_what_is_gone, terminal
+from recon.cli.common import FIRST_FRAME, error_text, progress_bar, say, say_what_is_gone, terminal
 from recon.errors import InputError, Problem
 
 
@@ -22,9 +22,7 @@ def report(
     camera_name: Annotated[
         str | None, typer.Option(help="Whose pictures, of a clip with several cameras, as in cam2.")
     ] = None,
-    first_frame: Annotated[
-        int, typer.Option(help="Number that the video's first frame has in the keypoint file, if it was cut.")
-    ] = 0,
+    first_frame: Annotated[int, FIRST_FRAME] = 0,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print errors only.")] = False,
 ) -> None:
     """Make a page of a result to look at and to pass on: report.html in its folder, one file that opens in any browser.

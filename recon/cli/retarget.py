@@ -7,9 +7,8 @@ from typing import Annotated, Any
 
 import typer
 from rich.console import Console
-from rich.text import Text
 
-from recon.cli.common import STRIDE, number_option, stride_times, terminal
+from recon.cli.common import STRIDE, number_option, say, stride_times, terminal
 
 
 def retarget(
@@ -55,11 +54,8 @@ def retarget(
 
 
 def _print(console: Console, report: dict[str, Any], out: Path) -> None:
-    def say(text: str) -> None:
-        console.print(Text(text), soft_wrap=True)
-
     title = report["robot"]["title"]
-    say(f"{title}: {report['scale']:.3f} of the animal's size, {report['slower']:.2f} times slower")
+    say(console, f"{title}: {report['scale']:.3f} of the animal's size, {report['slower']:.2f} times slower")
     for name in ("clip", "stride"):
         part = report[name]
         slip, margin = 1000 * max(part["slip_m"].values()), min(part["least_margin_rad"].values())
@@ -70,7 +66,10 @@ def _print(console: Console, report: dict[str, Any], out: Path) -> None:
         )
         if name == "stride":
             text += f"; it closes to {part['closing_percent']:.2g} %"
-        say(text)
+        say(console, text)
     for note in report["notes"]:
-        say(f"note: {note}")
-    say(f"Joint angles are in {out / 'joints.csv'}, of one stride in stride_joints.csv; the playback is motion.rrd.")
+        say(console, f"note: {note}")
+    say(
+        console,
+        f"Joint angles: {out / 'joints.csv'}, of one stride stride_joints.csv; the playback is motion.rrd.",
+    )

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import typer
 from rich.console import Console
 
-from recon.cli.common import number_option, number_table, numbers, say, terminal
+from recon.cli.common import number_option, numbers, say, table_of, terminal
 
 robot_app = typer.Typer(
     help="A robot's kinematics: its body's pose, a leg, an arm, a table of parameters; all solutions.",
@@ -51,7 +51,7 @@ def pose(
         _json(answer)
         return
     console = terminal()
-    table = number_table("leg", "joint", numbers=("angle °", "foot x m", "y m", "z m"), title=answer["robot"])
+    table = table_of("leg", "joint", numbers=("angle °", "foot x m", "y m", "z m"), title=answer["robot"])
     for label, leg in answer["legs"].items():
         foot = [f"{x:.4f}" for x in leg["foot_m"]]
         degrees = ["-"] * len(leg["joints"]) if leg["angles_rad"] is None else _deg(leg["angles_rad"])
@@ -156,7 +156,7 @@ def arm(
         x, y, angle = answer["forward"]["hand"]
         say(console, f"hand at {x:.4f}, {y:.4f}, turned by {degrees(angle):.2f}°, height {q[0] if q else 0:g}")
     if "inverse" in answer:
-        table = number_table("branch", numbers=("height", "first °", "second °", "wrist °"))
+        table = table_of("branch", numbers=("height", "first °", "second °", "wrist °"))
         for k, branch in enumerate(answer["inverse"]["solutions"]):
             table.add_row(str(k + 1), f"{branch[0]:g}", *_deg(branch[1:]))
         if answer["inverse"]["solutions"]:
@@ -167,7 +167,7 @@ def arm(
 
 def _print_chain(console: Console, answer: dict[str, Any], title: str) -> None:
     slides = answer["slides"]
-    table = number_table(
+    table = table_of(
         "joint",
         numbers=("a m", "alpha °", "d m", "theta °", "least", "most"),
         title=f"{title}: {answer['dh']['convention']}",
@@ -184,7 +184,7 @@ def _print_chain(console: Console, answer: dict[str, Any], title: str) -> None:
         say(console, f"end: {_pose_text(answer['forward'])}{beyond}")
     if "inverse" in answer:
         every = answer["inverse"]["solutions"]
-        table = number_table("solution", numbers=(*answer["joints"], "within limits"))
+        table = table_of("solution", numbers=(*answer["joints"], "within limits"))
         for k, solution in enumerate(every):
             table.add_row(str(k + 1), *_typed(solution["q"], slides), "yes" if solution["within_limits"] else "no")
         if every:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from recon.cli.batch import shown_batch
-from recon.cli.common import finish, progress_bar, say, terminal
+from recon.cli.common import FIRST_FRAME, finish, progress_bar, say, terminal
 from recon.cli.settings import OPTIONS, takes_settings
 from recon.errors import InputError, Problem
 
@@ -46,9 +46,7 @@ def run(
         str | None,
         typer.Option("--from", metavar="STAGE", help=f"Do this stage again, and all after it: {_STAGES}."),
     ] = None,
-    first_frame: Annotated[
-        int, typer.Option(help="Number that the video's first frame has in the keypoint file, if it was cut.")
-    ] = 0,
+    first_frame: Annotated[int, FIRST_FRAME] = 0,
     quality: Annotated[str, typer.Option(help="Of the network's points: fast, or best.")] = "fast",
     jobs: Annotated[
         int | None,

@@ -9,11 +9,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, TypeVar
 
 import typer
-from rich.box import SIMPLE_HEAD
-from rich.table import Column, Table
+from rich.table import Table
 from rich.text import Text
 
-from recon.cli.common import number_table, say, terminal
+from recon.cli.common import say, table_of, terminal
 
 if TYPE_CHECKING:
     from recon.app.skeleton_check import AngleRow, MarkerRow, PartRow, SkeletonCheck
@@ -35,7 +34,7 @@ def skeleton_list(as_json: Annotated[bool, typer.Option("--json", help="Print JS
     if as_json:
         typer.echo(json.dumps([asdict(row) for row in found], indent=1))
         return
-    table = number_table("name", "kind", numbers=("markers", "unknowns"))
+    table = table_of("name", "kind", numbers=("markers", "unknowns"))
     table.add_column("title")
     for row in found:
         table.add_row(Text(row.name), row.kind, f"{row.markers}", f"{row.unknowns}", Text(row.title))
@@ -110,16 +109,14 @@ def _summary(check: SkeletonCheck) -> Iterator[str]:
 
 def _body_tables(check: SkeletonCheck) -> Iterator[Table]:
     """Segments, then markers: left and right in one row where they are mirror images."""
-    table = Table(Column("segment", no_wrap=True), "turns on", box=SIMPLE_HEAD)
-    for title in ("m", "yaw °", "pitch °", "roll °"):
-        table.add_column(title, justify="right", no_wrap=True)
+    table = table_of("segment", "turns on", numbers=("m", "yaw °", "pitch °", "roll °"))
     for part, star in _pairs_as_one(check.parts, _alike):
         angles = {angle.name: _range(angle) for angle in part.angles}
         length = f"{part.length_m:.3f}" if part.parent else ""
         of_angles = (angles.get(name, "") for name in ("yaw", "pitch", "roll"))
         table.add_row(Text(part.name + star), Text(part.parent), length, *of_angles)
     yield table
-    table = number_table("marker", "on segment", numbers=("x m", "y m", "z m"))
+    table = table_of("marker", "on segment", numbers=("x m", "y m", "z m"))
     for marker, star in _pairs_as_one(check.markers, _opposite):
         numbers = (f"{x:.3f}" for x in marker.at_m)
         table.add_row(Text(marker.name + star), Text(marker.segment), *numbers)
@@ -162,9 +159,7 @@ def _opposite(marker: MarkerRow, twin: MarkerRow) -> bool:
 
 
 def _chain_table(check: SkeletonCheck) -> Table:
-    table = Table(Column("link", no_wrap=True), "from", "to", box=SIMPLE_HEAD)
-    for title in ("length m", "theta °", "phi °"):
-        table.add_column(title, justify="right", no_wrap=True)
+    table = table_of("link", "from", "to", numbers=("length m", "theta °", "phi °"))
     table.add_column("keypoints of its end")
     for part in check.parts:
         angles = {angle.name: _range(angle) for angle in part.angles}

@@ -11,7 +11,7 @@ import typer
 from rich.table import Table
 from rich.text import Text
 
-from recon.cli.common import counted, number_table, terminal
+from recon.cli.common import counted, table_of, terminal
 
 if TYPE_CHECKING:
     from recon.app.subject import SubjectFit
@@ -68,12 +68,12 @@ def _tables(found: SubjectFit) -> Iterator[Table]:
     rows, shape = list(found.rows()), found.fit.shape
     first = len(shape.lengths)
     if shape.lengths:
-        table = number_table("length of", numbers=("m", "±"))
+        table = table_of("length of", numbers=("m", "±"))
         for name, value, sigma, _ in rows[:first]:
             table.add_row(Text(name), f"{value:.3f}", f"{sigma:.3f}")
         yield table
     if shape.offsets:
-        table = number_table("keypoint off its marker, mm", numbers=("forwards", "left", "up", "±"))
+        table = table_of("keypoint off its marker, mm", numbers=("forwards", "left", "up", "±"))
         for i, name in enumerate(shape.offsets):
             three = rows[first + 3 * i : first + 3 * i + 3]
             sigma = max(s for _, _, s, _ in three)

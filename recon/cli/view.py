@@ -8,6 +8,8 @@ from typing import Annotated
 
 import typer
 
+from recon.cli.common import FIRST_FRAME
+
 
 def view(
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of results, as in results/clip.")],
@@ -18,9 +20,7 @@ def view(
     video: Annotated[
         Path | None, typer.Option(help="Show the frames of this video with it from now on, as in clip.mp4.")
     ] = None,
-    first_frame: Annotated[
-        int, typer.Option(help="Number that the video's first frame has in the keypoint file, if the video was cut.")
-    ] = 0,
+    first_frame: Annotated[int, FIRST_FRAME] = 0,
     camera_name: Annotated[
         str | None, typer.Option(help="Whose video it is, of a clip with several cameras, as in cam2.")
     ] = None,
