@@ -85,12 +85,7 @@ class Normal:
 
 
 def add_normal(
-    blocks: Array,
-    gradient: Array,
-    frames: Index,
-    stencil: Sequence[int],
-    residual: Array,
-    jacobian: Array,
+    blocks: Array, gradient: Array, frames: Index, stencil: Sequence[int], residual: Array, jacobian: Array
 ) -> None:
     """Add a term's J'J to blocks (T, W+1, D, D) and its J'r to gradient (T, D), in place.
 

@@ -238,10 +238,7 @@ def select_frames(keypoints: Keypoints, frames: tuple[int | None, int | None] | 
             Problem(_source(keypoints), "frames", f"none in the range {shown}", f"a range within its frames ({has})")
         )
     return dataclasses.replace(
-        keypoints,
-        xy_px=keypoints.xy_px[keep],
-        confidence=keypoints.confidence[keep],
-        frames=keypoints.frames[keep],
+        keypoints, xy_px=keypoints.xy_px[keep], confidence=keypoints.confidence[keep], frames=keypoints.frames[keep]
     )
 
 

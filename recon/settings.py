@@ -372,10 +372,7 @@ class FitSettings:
         method="frame",
     )
     sigma_px: float = _field(
-        _POSITIVE,
-        "Noise of the detector in pixels, one standard deviation.",
-        "pixels above 0, as in 3",
-        default=3.0,
+        _POSITIVE, "Noise of the detector in pixels, one standard deviation.", "pixels above 0, as in 3", default=3.0
     )
     keypoint_sigma_m: float | None = _field(
         _number(lambda number: number >= 0),

@@ -188,8 +188,7 @@ def gaits_of(results: Results, smooth: bool | None = None) -> dict[Method, Gait]
     if results.jitters if smooth is None else smooth:
         errors = jitter_errors(pose.xyz_m)
         pose = _on_paths(
-            pose,
-            [joint_kinematics(pose, n, results.fps, errors, smooth=True, propagate=False) for n in pose.names],
+            pose, [joint_kinematics(pose, n, results.fps, errors, smooth=True, propagate=False) for n in pose.names]
         )
     return _gaits(results, pose)
 

@@ -132,10 +132,7 @@ def _on_frames(source: Source, start: int, frames: Integers) -> Source:
     return replace(
         source,
         keypoints=replace(
-            keypoints,
-            xy_px=spread(keypoints.xy_px),
-            confidence=spread(keypoints.confidence, 0.0),
-            frames=frames,
+            keypoints, xy_px=spread(keypoints.xy_px), confidence=spread(keypoints.confidence, 0.0), frames=frames
         ),
         poses=source.poses and source.poses.each(spread),
     )

@@ -21,16 +21,7 @@ from typing import Any
 import numpy as np
 
 from recon.arrays import Array, Integers
-from recon.net.batches import (
-    NETWORK_LENGTH_PX,
-    OFF,
-    PART_PX,
-    Batch,
-    BatchSource,
-    ahead,
-    crop_size,
-    examples_of,
-)
+from recon.net.batches import NETWORK_LENGTH_PX, OFF, PART_PX, Batch, BatchSource, ahead, crop_size, examples_of
 from recon.net.calibrate import fit_calibration
 from recon.net.decode import SIGMA, Window, loss
 from recon.net.labels import resize
@@ -73,14 +64,14 @@ def train(
             trial = begin(run)
             state.threads_s = fastest_threads(lambda: _learn(trial, batches.get(trial.step, first), 0.0, run, half))
         state.threads = torch.get_num_threads()
-        clock = _Clock(state.seconds)
+        began_s = time.monotonic() - state.seconds
         while state.share < 1.0:
             batch = batches.get(state.step, both if state.finishing else first)
             held_out = not state.finishing
             rate = settings.learning_rate * schedule(state.share, settings.finish)
             value = _learn(state, batch, rate, run, half)
-            _advance(state, settings, clock)
-            state.seconds = clock.seconds
+            state.seconds = time.monotonic() - began_s
+            _advance(state, settings)
             row = {"step": state.step, "loss": value, "rate": rate, "share": state.share}
             state.history.append(row | ({} if held_out else {"finishing": 1.0}))
             if _is_evaluation_due(state) or (held_out and state.finishing):
@@ -134,15 +125,6 @@ def _cosine(share: float) -> float:
     return 1e-3 + (0.5 + 0.5 * math.cos(math.pi * share))
 
 
-class _Clock:
-    def __init__(self, before_s: float) -> None:
-        self._start, self._before = time.monotonic(), before_s
-
-    @property
-    def seconds(self) -> float:
-        return self._before + time.monotonic() - self._start
-
-
 def _learn(state: State, batch: tuple[Batch, ...], rate: float, run: TrainingRun, half: Any) -> float:
     import torch  # pyright: ignore[reportMissingImports]
 
@@ -173,12 +155,12 @@ def _learn(state: State, batch: tuple[Batch, ...], rate: float, run: TrainingRun
     return value
 
 
-def _advance(state: State, settings: TrainSettings, clock: _Clock) -> None:
+def _advance(state: State, settings: TrainSettings) -> None:
     """The share of the run that is done: of its steps, or of its time."""
     if settings.steps is not None:
         share = state.share + 1 / settings.steps
     else:
-        share = max(state.share, clock.seconds / (60 * settings.minutes) + state.skipped)
+        share = max(state.share, state.seconds / (60 * settings.minutes) + state.skipped)
     state.share = 1.0 if share > 1 - 1e-9 else share
     state.finishing = settings.finish and state.share >= FINISH
 

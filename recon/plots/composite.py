@@ -149,11 +149,7 @@ def run_frame(joints_m: Array, time_s: Array, rows: Index) -> tuple[Array, Array
 
 
 def _draw(
-    axes: Axes,
-    points: Array,
-    limbs: Mapping[str, Sequence[int]],
-    sides: Mapping[str, Side | None],
-    colour: tuple,
+    axes: Axes, points: Array, limbs: Mapping[str, Sequence[int]], sides: Mapping[str, Side | None], colour: tuple
 ) -> None:
     for limb, joints in limbs.items():
         dashes, wide, _ = STYLES[sides.get(limb)]

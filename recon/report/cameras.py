@@ -39,12 +39,7 @@ def _placing(found: Array, sigma: Array) -> dict[str, Any] | None:
     """How far a camera was beside the pose that was given, and standard deviations; None where that was not sought."""
     if not sigma.any():
         return None
-    return {
-        "turn_rad": found[:3],
-        "turn_sigma_rad": sigma[:3],
-        "shift_m": found[3:],
-        "shift_sigma_m": sigma[3:],
-    }
+    return {"turn_rad": found[:3], "turn_sigma_rad": sigma[:3], "shift_m": found[3:], "shift_sigma_m": sigma[3:]}
 
 
 def _entry(

@@ -118,11 +118,7 @@ def counts(motion: Motion) -> dict[str, Any]:
     worst = int(np.nanargmax(by_joint)) if len(errors) else None
     used = int(present.any(axis=(0, 1)).sum())
     return {
-        "keypoints": {
-            "used": used,
-            "missing": len(motion.names) - used,
-            "unused": len(motion.unused_keypoints),
-        },
+        "keypoints": {"used": used, "missing": len(motion.names) - used, "unused": len(motion.unused_keypoints)},
         "detections": int(present.sum()),
         "outliers": sum(int(picture.outliers.sum()) for picture in motion.pictures),
         "reprojection_px": {
