@@ -11,8 +11,8 @@ import numpy as np
 from recon.arrays import Array, Bools, Integers
 from recon.body import Body, Side
 from recon.camera import Camera
-from recon.clip import Source
-from recon.frames import inverse, moved, rigid
+from recon.clip import Source, world_from_reference
+from recon.frames import inverse, moved
 from recon.keypoints import CleaningReport, Keypoints
 from recon.kinematics import ROOT, YAW
 from recon.mistakes import Mistake
@@ -243,12 +243,7 @@ class Motion:
     @cached_property
     def T_reference_world(self) -> Array:
         """(4, 4): from the frame that the motion was solved in to the frame of reference (`recon.frames`)."""
-        camera, view = self.camera, self.solution.views[0]
-        if self.knows_up:
-            return np.eye(4)
-        if camera.rotation is None or camera.translation_m is None:
-            return view.T_camera_world
-        return inverse(rigid(camera.rotation, camera.translation_m)) @ view.T_camera_world
+        return np.eye(4) if self.camera_moves else inverse(world_from_reference(self.camera))
 
     def in_reference(self, world_m: Array) -> Array:
         """Points (..., 3) of the solution's world frame in the frame of reference."""

@@ -9,19 +9,20 @@ from __future__ import annotations
 
 import csv
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from recon.arrays import Array
+from recon.arrays import Array, median
 from recon.body import Body, Side
 from recon.camera import Camera
+from recon.clip import world_from_reference
 from recon.documents import read_json
 from recon.errors import InputError, Problem, all_of
-from recon.frames import level_from_camera
+from recon.frames import moved
 from recon.io.pose3d import Pose3D, read_pose3d
 from recon.manifest import Manifest, read_manifest
 from recon.report_fields import require_fields, require_fitting
@@ -87,7 +88,7 @@ class Results:
     @property
     def R_upright_reference(self) -> Array:
         """(3, 3): rotation from the frame of reference that the fit's files have."""
-        return np.eye(3) if self.knows_up else _level_from_reference(self.camera)
+        return np.eye(3) if self.camera_moves else world_from_reference(self.camera)[:3, :3]
 
     @property
     def method(self) -> str:
@@ -174,10 +175,7 @@ class Results:
     def data_shares(self) -> dict[str, float]:
         """Of every angle the part of its precision that comes from the pixels, the median over the frames; NaN where it
         is not known."""
-        known = np.isfinite(self.angle_data_share).any(axis=0)
-        shares = np.full(len(self.angle_names), np.nan)
-        shares[known] = np.nanmedian(self.angle_data_share[:, known], axis=0)
-        return dict(zip(self.angle_names, shares.tolist(), strict=True))
+        return dict(zip(self.angle_names, map(median, self.angle_data_share.T), strict=True))
 
     @cached_property
     def size(self) -> float:
@@ -206,9 +204,8 @@ def read_results(folder: str | Path) -> Results:
         raise InputError(Problem(folder / "angles.csv", "rows", found, "both files of the same fit"))
     require_fitting(report, pose, folder / REPORT)
     _require_skeleton(report, body, folder / REPORT)
-    is_upright = camera.knows_up or _track(report, 0) is not None
-    R = np.eye(3) if is_upright else _level_from_reference(camera)
-    sigma, relative = _sigmas(folder / SIGMAS, pose, R)
+    T_upright_reference = np.eye(4) if _track(report, 0) is not None else world_from_reference(camera)
+    sigma, relative = _sigmas(folder / SIGMAS, pose, T_upright_reference[:3, :3])
     angle_sigma, angle_share = _angle_sigmas(folder / ANGLE_SIGMAS, states, report["skeleton"]["state_names"])
     manifest.require_same()
     return Results(
@@ -218,7 +215,7 @@ def read_results(folder: str | Path) -> Results:
         fps=float(report["input"]["fps"]),
         cameras=cameras,
         body=body,
-        pose=pose if is_upright else Pose3D(pose.names, _in_level_frame(camera, pose.xyz_m), pose.frames, pose.source),
+        pose=replace(pose, xyz_m=moved(T_upright_reference, pose.xyz_m)),
         states=states,
         sigma_m=sigma,
         relative_sigma_m=relative,
@@ -321,15 +318,3 @@ def _table(path: Path, header_rows: int, columns: list[Any]) -> Array:
 def _track(report: dict[str, Any], number: int) -> dict[str, Any] | None:
     written = report.get("cameras")
     return written[number].get("track") if written else None
-
-
-def _level_from_reference(camera: Camera) -> Array:
-    """(3, 3): rotation from the frame of reference of a camera that does not know which way is up."""
-    level = level_from_camera(camera.up)
-    return level if camera.rotation is None else level @ camera.rotation
-
-
-def _in_level_frame(camera: Camera, points_m: Array) -> Array:
-    """Points (..., 3) of its frame of reference in its level frame."""
-    in_camera = camera.world_to_camera(points_m) if camera.has_extrinsics else points_m
-    return in_camera @ level_from_camera(camera.up).T

@@ -232,5 +232,5 @@ def test_tables_of_cameras_are_results(two_cameras, tmp_path):
     for path in tmp_path.iterdir():
         if not path.name.startswith("reprojection_"):
             path.unlink()
-    with pytest.raises(InputError, match=r"reprojection_cam1.csv, reprojection_cam2.csv in "):
+    with pytest.raises(InputError, match=r"reprojection_cam1.csv and 1 more in "):
         run_clip(sample(), tmp_path)

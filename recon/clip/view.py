@@ -163,22 +163,21 @@ class View:
         return (self._zoom[:, None, :, :2] @ pixels[..., None])[..., 0] + self._zoom[:, None, :, 2]
 
 
+def world_from_reference(first: Camera) -> Array:
+    """T_world_reference (4, 4) of `recon.frames`, of a clip whose first camera stands still."""
+    return np.eye(4) if first.knows_up else rigid(level_from_camera(first.up), np.zeros(3)) @ _pose(first)
+
+
 def camera_poses(cameras: Sequence[Camera]) -> list[Array]:
     """T_camera_world (4, 4) of still cameras, in the world frame of `recon.frames`."""
-    first = cameras[0]
-    if first.knows_up:
-        T_world_file = np.eye(4)
-    else:
-        R_level_camera = level_from_camera(first.up)
-        T_world_file = rigid(R_level_camera, np.zeros(3))
-        if first.rotation is not None and first.translation_m is not None:
-            T_world_file = T_world_file @ rigid(first.rotation, first.translation_m)
-    poses = []
-    for camera in cameras:
-        rotation = np.eye(3) if camera.rotation is None else camera.rotation
-        translation = np.zeros(3) if camera.translation_m is None else camera.translation_m
-        poses.append(rigid(rotation, translation) @ inverse(T_world_file))
-    return poses
+    T_reference_world = inverse(world_from_reference(cameras[0]))
+    return [_pose(camera) @ T_reference_world for camera in cameras]
+
+
+def _pose(camera: Camera) -> Array:
+    """T_camera_reference (4, 4)."""
+    rotation = np.eye(3) if camera.rotation is None else camera.rotation
+    return rigid(rotation, np.zeros(3) if camera.translation_m is None else camera.translation_m)
 
 
 def still_view(camera: Camera, xy_px: Array, confidence: Array) -> View:

@@ -11,7 +11,7 @@ from pathlib import Path, PureWindowsPath
 import cv2
 import numpy as np
 
-from recon.arrays import Array, Bools, Integers
+from recon.arrays import Array, Bools, Integers, median
 from recon.errors import InputError, Problem, all_of
 from recon.io import as_keypoints, deeplabcut, file_head
 from recon.io.common import first_problems
@@ -278,9 +278,7 @@ def body_length_px(xy_px: Array) -> float:
     """Of the animal in the pictures: the median diagonal of the box around its points, over the pictures that show
     most of it (NaN where nothing has two points)."""
     known = known_points(xy_px).sum(axis=1)
-    extents = extents_px(xy_px)
-    whole = known >= max(2, 0.7 * known.max(initial=0))
-    return float(np.median(extents[whole])) if whole.any() else float("nan")
+    return median(extents_px(xy_px)[known >= max(2, 0.7 * known.max(initial=0))])
 
 
 def sides(names: Sequence[str]) -> tuple[int, ...]:

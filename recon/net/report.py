@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 
 from recon import __version__
-from recon.arrays import Array, Integers
+from recon.arrays import Array, Integers, median
 from recon.files import write_bytes
 from recon.net.batches import crop_size
 from recon.net.calibrate import Reliability, reliability
@@ -92,8 +92,8 @@ def write_training_report(run: TrainingRun, state: State, folder: Path) -> dict[
 
 
 def _evaluation(run: TrainingRun, which: Integers, xy_px: Array, likelihood: Array) -> Evaluation2D:
-    length = extents_px(run.labels.xy_px[which])
-    length_px = float(np.nanmedian(length)) if np.isfinite(length).any() else run.spec.body_length_px
+    length_px = median(extents_px(run.labels.xy_px[which]))
+    length_px = length_px if np.isfinite(length_px) else run.spec.body_length_px
     names, truth = run.spec.names, run.labels.xy_px[which]
     return evaluate_2d(names, xy_px[which], likelihood[which], truth, length_px, tolerance_px=run.spec.tolerance_px)
 

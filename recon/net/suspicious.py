@@ -10,12 +10,11 @@ lies on the line in time: of two labels that are too far from each other, that i
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass
 
 import numpy as np
 
-from recon.arrays import Array
+from recon.arrays import Array, median
 from recon.net.labels import Labels
 
 FAR, APART, JUMP = 0.2, 0.15, 0.15
@@ -49,9 +48,7 @@ def suspicious_labels(labels: Labels, xy_px: Array, length_px: float) -> list[Su
     has not learned from."""
     network = np.linalg.norm(xy_px - labels.xy_px, axis=2) / length_px
     others, time = _excess_distance_px(labels.xy_px) / length_px, _off_line_px(labels) / length_px
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", RuntimeWarning)  # a keypoint that the network says nothing about
-        far = np.fmax(FAR, LEARNED * np.nanmedian(network, axis=0))
+    far = np.fmax(FAR, LEARNED * np.array([median(of_one) for of_one in network.T]))
     found = []
     for i, k in np.argwhere(labels.labelled):
         parts = (

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from recon.arrays import Array
+from recon.arrays import Array, median
 from recon.body import Body, side_of
 from recon.kinematics import AXES, Marker, Tree
 from recon.plots.skeleton import VIEWS, draw_limbs, expected_pose
@@ -45,11 +45,9 @@ def observability(body: Body, share: Array, time_s: Array, title: str = "") -> F
     names = body.state_names[4:]
     height = min(_VIEWS_MM + _ROW_MM * len(names) + _REST_MM, PAGE_MM)
     with drawing(height, title=title) as figure:
-        known = np.isfinite(share).any(axis=0)
-        if not known.any():
+        medians = np.array([median(of_angle) for of_angle in share.T])
+        if np.isnan(medians).all():
             return figure
-        medians = np.full(len(names), np.nan)
-        medians[known] = np.nanmedian(share[:, known], axis=0)
         colours = share_colours()
         parts = figure.subfigures(2, 1, squeeze=False, height_ratios=(_VIEWS_MM, height - _VIEWS_MM))
         above, below = parts[:, 0]
@@ -101,15 +99,15 @@ def _over_time(
     half = 0.5 * float(np.median(np.diff(time_s))) if len(time_s) > 1 else 0.5
     extent = (float(time_s[0]) - half, float(time_s[-1]) + half, len(names) - 0.5, -0.5)
     image = axes.imshow(share.T, cmap=colours, vmin=0, vmax=1, aspect="auto", interpolation="nearest", extent=extent)
-    for row, median in enumerate(medians):
-        text = f"{median:.0%}" if np.isfinite(median) else "–"
-        colour = "k" if median >= MEASURED_SHARE else GREY
+    for row, middle in enumerate(medians):
+        text = f"{middle:.0%}" if np.isfinite(middle) else "–"
+        colour = "k" if middle >= MEASURED_SHARE else GREY
         axes.text(1.01, row, text, transform=axes.get_yaxis_transform(), va="center", fontsize=SMALL, color=colour)
     axes.set_yticks(range(len(names)), [name.replace("_", " ") for name in names])
-    for label, median in zip(axes.get_yticklabels(), medians, strict=True):
-        label.set_color("k" if median >= MEASURED_SHARE else GREY)
+    for label, middle in zip(axes.get_yticklabels(), medians, strict=True):
+        label.set_color("k" if middle >= MEASURED_SHARE else GREY)
     axes.tick_params(axis="y", length=0)
-    axes.set_xlabel("time (s);  right: median over these frames")
+    axes.set_xlabel("time (s);  right: middle over these frames")
     bar = figure.colorbar(image, ax=axes, location="bottom", aspect=60, pad=0.01, shrink=0.7)
     bar.set_label(
         f"share of the precision that comes from the pixels;  grey: less than {MEASURED_SHARE:g}, mostly expected"
