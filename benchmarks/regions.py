@@ -6,7 +6,7 @@ All views of the runs that `cameras.py` takes, each by itself, lengths known, th
 Degrees of freedom of Student's t are the most likely ones, a view's mean over its joints counting as one error of the
 pose and one of the place; each run is judged with those of the others. In the end errors are drawn as they are stated,
 for whole clips at a time with all that their frames share, and with one scale a clip: what the worst of so many views
-holds then.
+holds then. And places without what the joint minimum is expected to be too near (`calibration_of_doubt.py`).
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from calibration_of_doubt import pull_of_the_mode
 from cameras import PRIOR, Run, as_seen, cameras_of, runs_given, solved
 from markdown_table import print_table
 from scipy.linalg.lapack import dtbtrs
@@ -132,14 +133,20 @@ def drawn(setting: Setting, solved: Solved, rng: np.random.Generator) -> dict[st
 
 def worst_views(runs: Sequence[Run], found: Sequence[Fit]) -> None:
     """With the covariances that the draws have themselves, which are the stated ones."""
-    rng, shares = np.random.default_rng(0), {what: [] for what in KINDS}
+    rng, shares, off_m, far = np.random.default_rng(0), {what: [] for what in KINDS}, [], []
     for run in runs:
         body = as_seen(body_of(run.subject), run, runs, posed=True)
         for view in run.views.values():
             setting = Setting.of([view], body, prior_of(PRIOR), run.fps, TrajectoryOptions())
             spell = max(solve_spells(setting), key=lambda one: one.rows.stop - one.rows.start)
-            for what, off in drawn(setting.part(spell.rows), spell, rng).items():
+            part, truth_m = setting.part(spell.rows), run.truth_m[spell.rows] - setting.origin_m
+            for what, off in drawn(part, spell, rng).items():
                 shares[what].append(np.mean(off < radius(0.9, 3), axis=1))
+            found_m, pull = body.tree.pose(spell.estimate.states).points_m, pull_of_the_mode(part, spell)
+            both = [found_m, np.exp(-pull) * found_m]
+            off_m.append([np.nanmean(np.linalg.norm(points_m - truth_m, axis=-1)) for points_m in both])
+            middles = [np.linalg.norm(points_m.mean(axis=1), axis=-1) for points_m in (*both, truth_m)]
+            far.append([np.nanmean(np.log(distance / middles[2])) for distance in middles[:2]])
     rows = []
     for what in KINDS:
         held = np.array(shares[what])
@@ -151,6 +158,14 @@ def worst_views(runs: Sequence[Run], found: Sequence[Fit]) -> None:
     print(f"\n90 % regions of each view, drawn as stated {DRAWS} times, and the real ones\n")
     head = ["", "all views", "worst view, median (90 %)", f"none below {WORST}", f"views below {WORST}"]
     print_table([*head, "real worst view", f"real views below {WORST}"], rows)
+    rows = []
+    for label, mm, too_far in zip(
+        ("as found", "without the pull"), 1000 * np.array(off_m).T, np.array(far).T, strict=True
+    ):
+        cells = [f"{too_far.mean():+.1%}", f"{np.sqrt(np.mean(too_far**2)):.1%}", str(int((too_far > 0).sum()))]
+        rows.append([label, *cells, f"{mm.mean():.0f}", f"{np.median(mm):.0f}"])
+    print("\nThe pull of the joint minimum taken off\n")
+    print_table(["places", "too far", "rms", "views too far", "mpe_mm mean", "median"], rows)
 
 
 def main() -> None:

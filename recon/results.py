@@ -205,7 +205,7 @@ def read_results(folder: str | Path) -> Results:
     require_fitting(report, pose, folder / REPORT)
     _require_skeleton(report, body, folder / REPORT)
     T_upright_reference = np.eye(4) if _track(report, 0) is not None else world_from_reference(camera)
-    sigma, relative = _sigmas(folder / SIGMAS, pose, T_upright_reference[:3, :3])
+    sigma, relative = read_sigmas(folder, pose, T_upright_reference[:3, :3])
     angle_sigma, angle_share = _angle_sigmas(folder / ANGLE_SIGMAS, states, report["skeleton"]["state_names"])
     manifest.require_same()
     return Results(
@@ -275,9 +275,10 @@ def _states(path: Path, names: list[str]) -> Array:
     return _table(path, 1, expected)
 
 
-def _sigmas(path: Path, pose: Pose3D, R: Array) -> tuple[Array, Array]:
-    """Of the positions and of the relative ones, along the upright axes. Off the axes, a correlation between two
-    coordinates is not in the file, and not taken into account."""
+def read_sigmas(folder: Path, pose: Pose3D, R: Array) -> tuple[Array, Array]:
+    """Standard deviations (T, J, 3) of a result's positions and of the relative ones, along axes that R (3, 3) turns
+    the file's to. Off the axes, a correlation of two coordinates is not in the file, and not taken into account."""
+    path = folder / SIGMAS
     coords = ("x_sigma", "y_sigma", "z_sigma", "x_rel", "y_rel", "z_rel")
     values = _table(path, 2, [(name, coord) for name in pose.names for coord in coords])
     if len(values) != len(pose.frames):

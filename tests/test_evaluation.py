@@ -178,6 +178,19 @@ def test_to_dict_is_json_in_millimetres():
     assert written["frames_not_scored"] == 1
 
 
+def test_stated_doubt_is_compared_with_the_errors():
+    """Intervals of 50 and 90 % are 0.60 and 1.60 standard deviations; an error that all joints share is the place's."""
+    off = np.zeros(TRUTH.shape)
+    off[:, :, 0], off[:, :, 1], off[:, :, 2] = 0.05, 0.11, 0.17
+    sigma = np.full(TRUTH.shape, 0.1)
+    order = [2, 0, 1, 3, 4, 5]
+    reconstructed = pose((TRUTH + off)[:, order], "cabdef")
+    result = evaluate(reconstructed, pose(TRUTH), (sigma, sigma))
+    assert result.inside == {"place": (pytest.approx(1 / 3), pytest.approx(2 / 3)), "pose": (1.0, 1.0)}
+    assert result.to_dict()["inside"]["place"][1] == {"level": 0.9, "share": pytest.approx(2 / 3)}
+    assert evaluate(reconstructed, pose(TRUTH)).inside == {}
+
+
 NAMES = ("l_paw", "r_paw", "l_ear", "r_ear", "nose", "tail")
 RUN = TRUTH + np.arange(4)[:, None, None] * [1.0, 0.0, 0.0]
 TURN = Rotation.from_rotvec([1.2, -0.7, 0.4]).as_matrix()
@@ -222,6 +235,7 @@ def test_a_result_folder(whole_results, level_results, tmp_path):
     found = evaluate_files(whole_results, truth)
     assert found.to_dict() == evaluate_files(whole_results / "pose3d.csv", truth).to_dict()
     assert found.notes == ()
+    assert all(0.3 < half < often and 0.8 < often <= 1.0 for half, often in found.inside.values())
     assert evaluate_files(truth, whole_results).mpjpe_m.mean == found.mpjpe_m.mean  # a folder may be the reference
     (note,) = evaluate_files(level_results, truth).notes
     assert "different frames of reference" in note

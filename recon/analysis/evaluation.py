@@ -20,8 +20,12 @@ from recon.errors import InputError, Problem, all_of
 from recon.io.pose3d import Pose3D, read_pose3d
 from recon.keypoints import frame_ranges
 from recon.manifest import MANIFEST
+from recon.regions import radius
+from recon.results import SIGMAS, read_sigmas
 
 PCK_THRESHOLDS_M = (0.05, 0.1, 0.15)
+LEVELS = (0.5, 0.9)
+"""Of the intervals that are compared with the truth."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,6 +59,9 @@ class Evaluation:
     """After a similarity (Procrustes) per frame."""
     pck: tuple[tuple[float, Score], ...]
     """For each threshold (m), the fraction of centred errors up to it."""
+    inside: dict[str, tuple[float, ...]]
+    """Of each of `LEVELS` the share of the coordinates within the intervals that the reconstruction states for it, as
+    "place" and "pose", which is centred; empty where it states none."""
     frames_not_scored: int
     frames_without_pa: int
     joints_only_in_pose: tuple[str, ...]
@@ -82,6 +89,10 @@ class Evaluation:
             }
             for threshold, score in self.pck
         ]
+        result["inside"] = {
+            what: [{"level": p, "share": _plain_types(share)} for p, share in zip(LEVELS, shares, strict=True)]
+            for what, shares in self.inside.items()
+        }
         result["joints"] = list(self.names)
         result["frames"] = self.frames.tolist()
         result["frames_not_scored"] = self.frames_not_scored
@@ -95,9 +106,11 @@ class Evaluation:
 
 def evaluate_files(pose_path: str | Path, truth_path: str | Path) -> Evaluation:
     """Evaluates a file of 3D positions (see `read_pose3d`) against another; either may be the folder of results that
-    `recon fit` wrote. Raises InputError."""
+    `recon fit` wrote, whose standard deviations are then compared with the errors. Raises InputError."""
     pose, truth = all_of(*(lambda path=path: read_pose3d(_pose_file(Path(path))) for path in (pose_path, truth_path)))
-    found = evaluate(pose, truth)
+    folder = _pose_file(Path(pose_path)).parent
+    has_sigmas = _is_result(Path(pose_path)) and (folder / SIGMAS).is_file()
+    found = evaluate(pose, truth, read_sigmas(folder, pose, np.eye(3)) if has_sigmas else None)
     if _is_result(Path(truth_path)) and not _is_result(Path(pose_path)):
         note = f"the reference, {truth_path}, is a result of recon fit, and what is scored is not: perhaps exchanged"
         return replace(found, notes=(*found.notes, note))
@@ -114,9 +127,10 @@ def _pose_file(path: Path) -> Path:
     return path / "pose3d.csv" if path.is_dir() else path
 
 
-def evaluate(pose: Pose3D, truth: Pose3D) -> Evaluation:
+def evaluate(pose: Pose3D, truth: Pose3D, sigmas_m: tuple[np.ndarray, np.ndarray] | None = None) -> Evaluation:
     """Scores a reconstruction. Joints are matched by name, frames by number; what only one side has is reported.
 
+    sigmas_m: standard deviations of the pose's positions, and of those relative to the mean of all joints.
     Raises InputError if they have no joint, no frame, or no point in common.
     """
     names = tuple(name for name in pose.names if name in truth.names)
@@ -150,6 +164,14 @@ def evaluate(pose: Pose3D, truth: Pose3D) -> Evaluation:
         scale_mpjpe_m=score(joint_errors(align_scale(pose_m, truth_m), truth_m)),
         pa_mpjpe_m=score(similar_m),
         pck=tuple((t, score(correct(centred_m, t))) for t in PCK_THRESHOLDS_M),
+        inside={}
+        if sigmas_m is None
+        else {
+            what: _inside(of_pose_m - truth_m, sigma_m[in_pose][:, [pose.names.index(name) for name in names]])
+            for what, of_pose_m, sigma_m in zip(
+                ("place", "pose"), (pose_m, centre(pose_m, truth_m)), sigmas_m, strict=True
+            )
+        },
         frames_not_scored=int((~common.any(axis=1)).sum()),
         frames_without_pa=int(np.isnan(similar_m).all(axis=1).sum()),
         joints_only_in_pose=tuple(name for name in pose.names if name not in names),
@@ -158,6 +180,12 @@ def evaluate(pose: Pose3D, truth: Pose3D) -> Evaluation:
         frames_only_in_truth=frame_ranges(np.setdiff1d(truth.frames, frames)),
         notes=mismatches(pose_m, truth_m, names),
     )
+
+
+def _inside(error_m: np.ndarray, sigma_m: np.ndarray) -> tuple[float, ...]:
+    """Of each of `LEVELS` the share of coordinates (T, J, 3) within its interval; NaN without any."""
+    off = (np.abs(error_m) / sigma_m)[np.isfinite(error_m) & (sigma_m > 0)]
+    return tuple(float(np.mean(off < radius(level))) if len(off) else np.nan for level in LEVELS)
 
 
 def common_joints(pose_m: np.ndarray, truth_m: np.ndarray) -> np.ndarray:

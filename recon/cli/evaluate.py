@@ -59,12 +59,17 @@ def _table(result: Evaluation) -> Table:
 
 
 def _table_notes(result: Evaluation) -> Iterator[str]:
+    from recon.analysis.evaluation import LEVELS
+
     thresholds = ", ".join(f"{1000 * t:.0f}" for t, _ in result.pck)
     yield "MPJPE   mean distance of the joints from the reference, each frame centred"
     yield "MPE     without centring"
     yield "scaled  centred, and scaled to the size of the reference"
     yield "PA      centred, scaled and turned onto the reference"
     yield f"PCK     share of the joints within {thresholds} mm, centred"
+    for what, shares in result.inside.items():
+        stated, held = (" and ".join(f"{100 * p:.0f}".replace("nan", "-") for p in of) for of in (LEVELS, shares))
+        yield f"Doubt of the {what}: intervals of {stated} % hold {held} % of the reference's coordinates"
     yield f"Compared: {len(result.frames) - result.frames_not_scored} frames, {len(result.names)} joints."
     for what, reconstruction, reference in (
         ("Joints", result.joints_only_in_pose, result.joints_only_in_truth),
