@@ -39,7 +39,7 @@ from recon.solve.shape import POSED_OFFSET_SIGMA_M, Shape, fit_shape
 
 PRIOR = "running-cheetah"
 HELD = 1e-6
-"""A lag's standard deviation, in frames, that leaves it no room."""
+"""A standard deviation, of a lag in frames or an angle, that leaves it no room."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,13 +157,26 @@ def _detector(runs: tuple[Run, ...], posed: bool) -> Body:
 
 def as_seen(body: Body, run: Run, runs: Sequence[Run], posed: bool = False) -> Body:
     """As the detector sees it in all runs but one."""
-    of = _detector(tuple(other for other in runs if other is not run), posed)
+    return with_detector(body, _detector(tuple(other for other in runs if other is not run), posed))
+
+
+def with_detector(body: Body, of: Body) -> Body:
+    """With the detector of another body."""
     return replace(
         body,
         keypoint_sigma_m=of.keypoint_sigma_m,
         keypoint_offset_m=of.keypoint_offset_m,
         keypoint_spread_m=of.keypoint_spread_m,
     )
+
+
+def knowing(what: str, run: Run, runs: Sequence[Run]) -> Body:
+    """The subject, and what is known of where keypoints lie: "none", in "other runs", or in "this run" itself."""
+    body = body_of(run.subject)
+    if what == "none":
+        return body
+    others = tuple(other for other in runs if (other is run) == (what == "this run"))
+    return with_detector(body, _detector(others, True))
 
 
 def means(label: str, rows: Sequence[dict[str, float]]) -> dict:
@@ -195,14 +208,15 @@ def accuracy(runs: Sequence[Run], known: bool, **options: float) -> list[dict]:
     return [means(label, found) for label, found in rows.items()]
 
 
-def left_out(runs: Sequence[Run], **options: float) -> list[dict]:
-    """Every camera left out once: reprojection of the others' pose into it, beside the truth's, same detections."""
+def left_out(runs: Sequence[Run], known: str = "other runs", **options: float) -> list[dict]:
+    """Every camera left out once: reprojection of the others' pose into it, beside the truth's, same detections.
+    known: of keypoints, see `knowing`."""
     rows = []
     for run in runs:
         found, true = [], []
         for camera, view in run.views.items():
-            body = as_seen(body_of(run.subject), run, runs, posed=True)
-            solution = solved(run, [c for c in run.views if c != camera], body, fast=True, **options)
+            others = [c for c in run.views if c != camera]
+            solution = solved(run, others, knowing(known, run, runs), fast=True, **options)
             for points_m, out in ((solution.markers_m, found), (run.truth_m, true)):
                 pixels, _ = view.project(view.at_its_time(points_m))
                 seen = view.present & np.isfinite(run.truth_m[..., 0]) & np.isfinite(solution.joints_m[..., 0])
@@ -210,6 +224,36 @@ def left_out(runs: Sequence[Run], **options: float) -> list[dict]:
         medians = [float(np.nanmedian(np.concatenate(values))) for values in (found, true)]
         rows.append(
             {"run": run.folder.name, "px": medians[0], "reference px": medians[1], "ratio": medians[0] / medians[1]}
+        )
+    return rows
+
+
+def keypoints(runs: Sequence[Run]) -> list[dict]:
+    """All cameras, by what is known of where keypoints lie beside markers."""
+    found = []
+    for known in ("none", "other runs", "this run"):
+        rows = [errors(run, solved(run, cameras_of(run)["all"], knowing(known, run, runs))) for run in runs]
+        ratio = float(np.mean([row["ratio"] for row in left_out(runs, known)]))
+        row = {"detector": known} | {name: value for name, value in means("all", rows).items() if name != "cameras"}
+        found.append(row | {"left out": ratio})
+    return found
+
+
+def ways(runs: Sequence[Run]) -> list[dict]:
+    """How far to the left of where they look animals go: by the reference, level, and by all cameras."""
+    rows = []
+    for run in runs:
+        body, known = body_of(run.subject), np.isfinite(run.truth_m).all(axis=(1, 2))
+        rear, front = (run.truth_m[known][:, body.markers.index(marker)] for marker in body.forward)
+        looks, goes = front - rear, np.gradient(run.truth_m[known].mean(axis=1), axis=0)
+        apart = np.angle([complex(*g[:2]) / complex(*u[:2]) for g, u in zip(goes, looks, strict=True)])
+        found = solved(run, list(run.views), as_seen(body, run, runs, posed=True))
+        rows.append(
+            {
+                "run": run.folder.name,
+                "reference, rad": f"{apart.mean():+.3f} ± {apart.std():.3f}",
+                "all cameras": f"{found.crab_rad:+.3f} ± {found.crab_sigma_rad:.3f}",
+            }
         )
     return rows
 
@@ -267,8 +311,12 @@ def main() -> None:
     runs = runs_given(__doc__)
     for title, rows in (
         (f"Measured lengths of {SKELETON}", lambda: accuracy(runs, known=True)),
+        ("Measured lengths, every animal goes where it looks", lambda: accuracy(runs, known=True, crab_rad=HELD)),
+        ("Measured lengths, no camera shares displacements", lambda: accuracy(runs, known=True, common_share=0.0)),
         ("Size not known", lambda: accuracy(runs, known=False)),
         ("A camera left out: median reprojection into it", lambda: left_out(runs)),
+        ("All cameras, and what is known of keypoints", lambda: keypoints(runs)),
+        ("Where animals go beside where they look", lambda: ways(runs)),
         ("Measured lengths, lags held", lambda: accuracy(runs, known=True, lag_frames=HELD)),
         ("A camera left out, lags held", lambda: left_out(runs, lag_frames=HELD)),
         ("Lags with all cameras, frames", lambda: lags(runs)),

@@ -21,11 +21,14 @@ import numpy as np
 from cameras import Run, as_seen, body_of, runs_given, show, solved, states_of, with_poses
 
 from recon import Body
+from recon.solve import TrajectoryOptions
 from recon.solve.least_squares import Estimate, LeastSquares
 from recon.solve.terms import Reprojection
 from recon.solve.trajectory import Solved, refined
 
 ROUNDS = 3
+COMMON_M, OWN_M = np.arange(0.0, 0.031, 0.001), np.arange(0.01, 0.041, 0.001)
+"""Standard deviations that are tried of displacements that all cameras share, and of each camera's own."""
 OFFSET_SIGMA_M = 0.1
 """Of a view's own offsets: hardly any bound."""
 
@@ -41,12 +44,15 @@ def placed(run: Run, camera: int, body: Body) -> np.ndarray:
     return setting.in_world(body.tree.pose(found.estimate.states).points_m)
 
 
+def orientations(run: Run, body: Body) -> np.ndarray:
+    """(T, J, 3, 3): of the segments that the markers lie on, by the reference."""
+    at = [[segment.name for segment in body.tree.segments].index(m.segment) for m in body.tree.markers]
+    return body.tree.orientations(states_of(run, np.zeros(3)))[:, at]
+
+
 def own_offsets(run: Run, camera: int, body: Body) -> Body:
     """With keypoints where this view has them beside the truth's markers, all the time."""
-    view, states = run.views[camera], states_of(run, np.zeros(3))
-    R = body.tree.orientations(states)
-    at = [[segment.name for segment in body.tree.segments].index(m.segment) for m in body.tree.markers]
-    turned, off_m = R[:, at], np.zeros((len(body.markers), 3))
+    view, turned, off_m = run.views[camera], orientations(run, body), np.zeros((len(body.markers), 3))
     term = Reprojection(view, np.full(view.present.shape, 15.0), 3.0, np.zeros(3))
     for _ in range(10):
         points_m = run.truth_m + (turned @ off_m[..., None])[..., 0]
@@ -124,6 +130,55 @@ def reference(runs: Sequence[Run]) -> list[dict]:
     ]
 
 
+def displacements(run: Run, body: Body) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Of every marker: how far its keypoints lie on average beside where a body has them with the reference's poses,
+    metres to the right and down in each of its n cameras, (2n,); and how a displacement in the body shows there,
+    (2n, 3). What all markers of a camera have in common is taken off."""
+    points_m, turned = body.detected.pose(states_of(run, np.zeros(3))).points_m, orientations(run, body)
+    J = len(body.markers)
+    found: list[list[tuple[np.ndarray, np.ndarray]]] = [[] for _ in range(J)]
+    for view in run.views.values():
+        pixels, by_point, valid = view.project_with_jacobian(points_m)
+        px_per_m = view.focal_px / np.median(view.to_camera(points_m)[..., 2], axis=1)
+        sigma_px = np.repeat(body.keypoint_sigma_m * px_per_m[:, None], J, axis=1)
+        weight = np.nan_to_num(Reprojection(view, sigma_px, 3.0, np.zeros(3)).weights(points_m)) * valid
+        share = weight / np.maximum(weight.sum(axis=0), 1e-9) / px_per_m[:, None]
+        off_m = np.einsum("tj,tja->ja", share, np.where(weight[..., None] > 0, view.xy_px - pixels, 0.0))
+        shows = np.einsum("tj,tjab->jab", share, by_point @ turned)
+        seen = np.flatnonzero(view.present.sum(axis=0) >= TrajectoryOptions().error_time_s * run.fps)
+        for j in seen:
+            found[j].append((off_m[j] - np.median(off_m[seen], axis=0), shows[j]))
+    return [tuple(map(np.concatenate, zip(*of, strict=True))) for of in found if of]  # type: ignore[misc]
+
+
+def log_likelihoods(run: Run, body: Body) -> np.ndarray:
+    """Of each of `COMMON_M` and `OWN_M`, of a run's displacements."""
+    levels = np.zeros((len(COMMON_M), len(OWN_M)))
+    for off_m, shows in displacements(run, body):
+        C = COMMON_M[:, None, None, None] ** 2 * (shows @ shows.T) + OWN_M[:, None, None] ** 2 * np.eye(len(off_m))
+        levels -= 0.5 * (np.einsum("a,...ab,b->...", off_m, np.linalg.inv(C), off_m) + np.linalg.slogdet(C)[1])
+    return levels
+
+
+def shares(runs: Sequence[Run]) -> list[dict]:
+    """How far keypoints lie beside where the other runs have them: what all cameras share, and each one's own."""
+    levels = {run: log_likelihoods(run, as_seen(body_of(run.subject), run, runs, posed=True)) for run in runs}
+
+    def likeliest(of: Sequence[Run]) -> str:
+        level = sum(levels[run] for run in of)
+        common, own = np.unravel_index(np.argmax(level), np.shape(level))
+        return f"{1000 * COMMON_M[common]:.0f}, {1000 * OWN_M[own]:.0f} mm: {share(COMMON_M[common], OWN_M[own]):.2f}"
+
+    def share(common_m: float, own_m: float) -> float:
+        return common_m**2 / (common_m**2 + own_m**2)
+
+    rows = [(run.folder.name, [run], [other for other in runs if other is not run]) for run in runs]
+    return [
+        {"run": name, "in common, own: share": likeliest(own), "by the other runs": likeliest(others)}
+        for name, own, others in [*rows, ("all", list(runs), list(runs))]
+    ]
+
+
 def sizes(runs: Sequence[Run]) -> list[dict]:
     """Of the subject beside its measured lengths, by all cameras."""
     rows = []
@@ -138,6 +193,7 @@ def main() -> None:
     runs = runs_given(__doc__)
     show("One camera, all views, and what it is told", one_camera(runs))
     show("The reference, along each camera's line of sight", reference(runs))
+    show("Keypoints' displacements that last, by the reference's poses", shares(runs))
     show("How large all cameras see the animal, beside the lengths that the reference has", sizes(runs))
 
 

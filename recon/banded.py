@@ -33,6 +33,8 @@ from scipy.linalg import cho_solve_banded, cholesky_banded
 
 from recon.arrays import Array, Index
 
+_COLUMNS_AT_ONCE = 32
+
 
 @dataclass(frozen=True)
 class BlockBanded:
@@ -116,8 +118,12 @@ class Factor:
 
     def solve_many(self, columns: Array) -> Array:
         """X (T, D, P) for P right-hand sides (T, D, P)."""
-        T, D = self.shape
-        return cho_solve_banded((self.band, True), columns.reshape(T * D, -1), check_finite=False).reshape(T, D, -1)
+        flat = columns.reshape(len(self.band.T), -1)
+        found = np.empty_like(flat)
+        for first in range(0, flat.shape[1], _COLUMNS_AT_ONCE):  # LAPACK works on copies
+            part = slice(first, first + _COLUMNS_AT_ONCE)
+            found[:, part] = cho_solve_banded((self.band, True), flat[:, part], check_finite=False)
+        return found.reshape(columns.shape)
 
     def marginal_blocks(self) -> Array:
         """(T, W+1, D, D), the inverse's blocks: [t, k] is the covariance of frame t + k (rows) with frame t (columns),

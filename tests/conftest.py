@@ -260,6 +260,8 @@ def small_trajectory() -> Motion:
         placing_sigma=np.zeros((1, 6)),
         focal=np.zeros(1),
         focal_sigma=np.zeros(1),
+        crab_rad=0.0,
+        crab_sigma_rad=0.0,
         starts=(Start(0.1, 150.0, True), Start(np.pi - 0.1, 155.0, False)),
         stage_s={"starts": 0.2, "all": 0.5},
     )

@@ -97,7 +97,7 @@ def test_command(tmp_path, small_pictures):
     out = tmp_path / "advice"
     done = run("camera-advice", "--skeleton", "cheetah-8u", "--angle", "theta_6", "--out", out)
     assert done.code == 0
-    assert done.out.startswith("Put the camera on its left side, level with its middle (90°), 0.31 m above its middle")
+    assert done.out.startswith("Put the camera behind to its left, raised (120°), 1.8 m above its middle")
     assert "The worst place for one camera is ahead of it" in done.out
     table, report = pd.read_csv(out / "camera_advice.csv"), json.loads((out / "camera_advice.json").read_text())
     assert len(table) == 48

@@ -14,7 +14,10 @@ from recon.solve import least_squares as module
 from recon.solve.least_squares import Estimate, LeastSquares, Shared
 from recon.solve.posterior import posterior
 from recon.solve.terms import (
+    CRAB,
+    DISPLACED,
     SIZE,
+    Heading,
     Linear,
     Reprojection,
     Standing,
@@ -82,16 +85,24 @@ def seen_late(shared: bool = True) -> LeastSquares:
         Reprojection(of, sigma, 3.0, np.zeros(3), i, 0.1 * rng.normal(size=(T, J, 3)), rng.uniform(100, 200, T))
         for i, of in enumerate((view(xy_px), replace(view(xy_px), lead_frames=0.3)))
     ]
-    unknown = [Shared(SIZE, np.ones(1), np.array([0.1]))]
+    unknown = [Shared(SIZE, np.ones(1), np.array([0.1])), Shared(CRAB, np.zeros(1), np.array([0.2]))]
     unknown += [Shared(lag(i), np.zeros(1), np.array([0.3])) for i in range(2)]
     unknown += [Shared(focal(i), np.zeros(1), np.array([0.1])) for i in range(2)]
     unknown += [Shared(placing(1), np.zeros(6), np.repeat([0.1, 0.5], 3))]
     displaced = [Shared(beside(i), np.zeros(2 * J), np.full(2 * J, 0.03)) for i in range(2)]
+    common = [] if shared else [Shared(DISPLACED, np.zeros(3 * J), np.full(3 * J, 0.02))]
     linear = [t for t in terms() if isinstance(t, Linear)]
     held = Linear("held", (0,), 0.01 * np.eye(BODY.n_state)[None], np.zeros(BODY.n_state))  # the last frame by one view
     free = [*unknown, *displaced] if shared else unknown
     stance = Standing(FEET, FPS, 2.5, 2.0, 0.8)
-    return LeastSquares(BODY.tree, [*linear, held], [*seen, stance], free, () if shared else displaced)
+    rear, front = (BODY.markers.index(marker) for marker in BODY.forward)
+    return LeastSquares(
+        BODY.tree,
+        [*linear, held],
+        [*seen, stance, Heading(rear, front, FPS, 0.5)],
+        free,
+        () if shared else [*displaced, *common],
+    )
 
 
 def some_shared(problem: LeastSquares) -> dict[str, np.ndarray]:
@@ -113,6 +124,28 @@ def test_shared_unknowns_have_the_gradient_of_the_cost():
         along = sum(normal.shared_gradient[own] @ by_name[name] for name, own in problem.columns.items())
         exact = float(np.sum(normal.gradient * step) + along)
         assert (up - down) / (2 * h) == pytest.approx(exact, rel=2e-5, abs=1e-4 * np.linalg.norm(normal.gradient))
+
+
+def test_keypoints_that_all_cameras_see_displaced():
+    """How residuals follow, at zero, from bodies with keypoints beside their markers, between two frames too."""
+    problem, states, h = seen_late(shared=False), some_states(), 1e-6
+    J = len(BODY.markers)
+    shared = problem.expected() | {DISPLACED: np.zeros(3 * J)}
+    (span,) = problem.spans(states, shared, jacobian=True)
+    for term in problem.terms[:2]:
+        rows = term.evaluate(span, jacobian=True)
+        assert rows.jacobian is not None
+        of_marker = rows.by_shared[DISPLACED].reshape(*rows.by_shared[DISPLACED].shape[:2], J, 3)
+        for marker in ("l_hip", "nose"):
+            moved = []
+            for step in (h, -h):
+                tree = replace(BODY, keypoint_offset_m={marker: (0.0, step, 2 * step)}).detected
+                (there,) = replace(problem, tree=tree).spans(states, shared, jacobian=True)
+                moved.append(term.evaluate(there, jacobian=False).cost)
+            slope = (moved[0] - moved[1]) / (2 * h)
+            assert rows.residual is not None
+            along = of_marker[:, :, BODY.markers.index(marker)] @ [0.0, 1.0, 2.0]
+            np.testing.assert_allclose(np.sum(rows.residual * along, axis=1), slope, rtol=1e-4, atol=1e-3)
 
 
 def test_the_posterior_is_that_of_the_dense_equations():

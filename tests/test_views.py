@@ -133,6 +133,23 @@ def test_a_view_that_does_not_see_the_animal_for_a_while():
     assert sigma[30:].mean() > 1.5 * sigma[:10].mean()
 
 
+def test_an_animal_that_goes_beside_where_it_looks():
+    """Every frame turned by 0.2 rad about its middle: two cameras see it, and say so where it goes straight on."""
+    points, turn = truth_m(), 0.2
+    middle = points.mean(axis=1, keepdims=True)
+    rotation = np.array([[np.cos(turn), np.sin(turn), 0.0], [-np.sin(turn), np.cos(turn), 0.0], [0.0, 0.0, 1.0]])
+    beside = middle + (points - middle) @ rotation.T
+    views = [view_of(beside, AHEAD), view_of(beside, ASIDE, seed=1)]
+    found, held = (
+        solve_trajectory(views, BODY, PRIOR, FPS, TrajectoryOptions(fast=True, crab_rad=sigma)) for sigma in (0.1, 1e-4)
+    )
+    assert found.crab_rad == pytest.approx(turn, abs=3 * found.crab_sigma_rad)
+    assert found.crab_sigma_rad < 0.05
+    assert abs(two().crab_rad) < 3 * two().crab_sigma_rad
+    errors = [np.linalg.norm(solution.joints_m - beside, axis=-1).mean() for solution in (found, held)]
+    assert errors[0] < 0.9 * errors[1]
+
+
 def test_where_points_are_between_two_frames_and_at_the_end_of_a_stretch():
     points = np.arange(6.0)[:, None, None] * np.ones((6, 1, 3))
     points[3] = np.nan

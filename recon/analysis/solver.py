@@ -26,7 +26,7 @@ from recon.results import Results
 from recon.solve.contacts import contacts
 from recon.solve.least_squares import LeastSquares
 from recon.solve.setting import Setting
-from recon.solve.terms import SIZE, lag
+from recon.solve.terms import CRAB, SIZE, lag
 
 _LEAST_DAMPING = 1e-4
 """Of the step that is left: as of the solver's last ones."""
@@ -159,7 +159,7 @@ def linearised_clip(setting: Setting, results: Results) -> Linearised:
     o, told_px = setting.options, np.array([camera["noise_px"] for camera in results.report["cameras"]], dtype=float)
     size = results.size if setting.shows_size else 1.0
     told = {lag(i): np.array([camera["lag_frames"]]) for i, camera in enumerate(results.report["cameras"])}
-    told[SIZE] = np.array([size])
+    told |= {SIZE: np.array([size]), CRAB: np.array([results.report["heading"].get("crab_rad") or 0.0])}
     states = results.states.copy()
     states[:, ROOT] = (states[:, ROOT] - setting.origin_m) / results.size
     spells, step = [], np.full(states.shape, np.nan)

@@ -230,8 +230,8 @@ def _stances(motion: Motion) -> list[list[tuple[int, int]]]:
 
 def _heading(motion: Motion) -> dict[str, Any]:
     """The way the animal faces, level, as the first camera sees it."""
-    rear, front = motion.forward
-    joints, R = motion.solution.joints_m, motion.solution.views[0].T_camera_world[..., :3, :3]
+    (rear, front), solution = motion.forward, _solution(motion)
+    joints, R = solution.joints_m, solution.views[0].T_camera_world[..., :3, :3]
     level = joints[:, front] - joints[:, rear]
     level[:, 2] = 0.0
     level /= np.linalg.norm(level, axis=1, keepdims=True)
@@ -241,6 +241,8 @@ def _heading(motion: Motion) -> dict[str, Any]:
     return {
         "heading_to_picture_rad": median(np.arcsin(np.clip(np.sum(level * away, axis=-1), -1.0, 1.0))),
         "heading_camera": (R @ level[..., None])[..., 0],
+        "crab_rad": solution.crab_rad if solution.crab_sigma_rad else None,
+        "crab_sigma_rad": solution.crab_sigma_rad or None,
     }
 
 

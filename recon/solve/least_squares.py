@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from recon.banded import BlockBanded, Normal, add_normal
 from recon.kinematics import Tree
-from recon.solve.terms import Linear, Span, Term
+from recon.solve.terms import DISPLACED, Linear, Span, Term
 
 Array = NDArray[np.float64]
 
@@ -173,10 +173,13 @@ class LeastSquares:
     def spans(self, states: Array, shared: Mapping[str, Array], jacobian: bool) -> Iterator[Span]:
         """The clip in pieces that overlap by one frame."""
         pose = self.tree.pose_with_jacobian if jacobian else self.tree.pose
+        names = [segment.name for segment in self.tree.segments]
+        at = [names.index(marker.segment) for marker in self.tree.markers]
         for first in range(0, len(states), _FRAMES_AT_ONCE):
             piece = states[first : first + _FRAMES_AT_ONCE + 1]
             last = first + len(piece) == len(states)
-            yield Span(first, piece, pose(piece), last, shared)
+            turned = self.tree.orientations(piece)[:, at] if jacobian and DISPLACED in shared else None
+            yield Span(first, piece, pose(piece), last, shared, turned)
             if last:
                 return
 

@@ -80,11 +80,14 @@ def posterior(problem: LeastSquares, body: Body, found: Estimate, variance_facto
         known = S[0, 0] + S[0, 1:] @ others_by_size - problem.shared[0].sigma[0] ** -2
         precision = max(float(known), 0.0) / variance_factor
     sigma = np.sqrt(variance_factor * np.diagonal(np.linalg.inv(S)))
-    lasting = others @ np.linalg.cholesky(of_others)
+    root = np.linalg.cholesky(of_others)
     held = np.zeros(states.shape)
     held[:, ROOT] = held[:, YAW, None] = _HELD
     priors = replace(problem, terms=[term for term in problem.terms if term.name != "reprojection"], shared=())
-    blocks = [solved.marginal_blocks()[:, 0] + lasting @ lasting.swapaxes(1, 2)]
+    blocks = [solved.marginal_blocks()[:, 0].copy()]
+    for start in range(0, len(states), _FRAMES_AT_ONCE):
+        lasting = others[start : start + _FRAMES_AT_ONCE] @ root
+        blocks[0][start : start + _FRAMES_AT_ONCE] += lasting @ lasting.swapaxes(1, 2)
     without = priors.normal(states).H
     blocks += [factored(H, held).marginal_blocks()[:, 0] for H in (normal.H, without)]
     (absolute, relative), *shares, by_size = _of_joints(body, states, blocks, size, follows)

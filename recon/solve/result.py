@@ -152,5 +152,8 @@ class TrajectorySolution(Solution):
     unknown."""
     focal_sigma: Array
     """(V,)"""
+    crab_rad: float
+    """By how much the animal goes to the left of where it looks, all the time; 0 where that is not an unknown."""
+    crab_sigma_rad: float
 
     method: ClassVar = "trajectory"

@@ -14,6 +14,8 @@ from recon.clip import View
 from recon.prior import MotionPrior, prior_from_body
 from recon.solve.least_squares import LeastSquares, Shared
 from recon.solve.terms import (
+    CRAB,
+    DISPLACED,
     SIZE,
     Heading,
     KnownAngles,
@@ -35,6 +37,8 @@ Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 
 UP = np.array([0.0, 0.0, 1.0])
+_NEAREST_M = 0.3
+"""Nearer than this to a camera nothing is taken to be."""
 _APART_M = 1e-6
 """Cameras nearer to the origin than this are in it."""
 
@@ -44,23 +48,25 @@ class TrajectoryOptions:
     """How the trajectory method weighs and searches. Standard deviations unless said otherwise.
 
     sigma_px: the detector's noise; keypoint_sigma_m: how far keypoints lie from the markers, in place of the body's;
-    beside_share: the part of it that stays the same over a clip. size_sigma: of the size, relative, in place of the
+    beside_share: the part of it that stays the same over a clip; common_share: the part of that variance which several
+    cameras see alike. size_sigma: of the size, relative, in place of the
     body's. lag_frames: how much later or earlier than said a camera's pictures are taken. find_offsets:
     they may be later or earlier than the first camera's by found_lag_frames. refine_cameras: all but the first lie
     beside their poses, turned by placing_rad about each axis and moved by placing_m along it. focal_sigma: of all
     cameras' focal lengths, relative, of several cameras. robust_c: residuals of that many sigmas count half.
     pose_weight, mixture_weight, motion_weight: how many times the priors count per 1/90 s. acceleration_m_s2: of the
-    root in the level frame. lateral_m_s: of the velocity across the trunk. climb_m_s: of the root. ground: "auto" uses
-    contacts and a plane, "none" does not; the stance's loss saturates at slip_c slip_m_s. noise_rounds: of step 4.
-    error_time_s: how long errors last; what is seen in that time counts once in the uncertainty.
+    root in the level frame. lateral_m_s: of the velocity across the trunk. crab_rad: of the angle to the trunk at which
+    it goes all the time, of several cameras. climb_m_s: of the root. ground: "auto" uses contacts and a plane, "none"
+    does not; the stance's loss saturates at slip_c slip_m_s. noise_rounds: of step 4. error_time_s: how long errors
+    last; what is seen in that time counts once in the uncertainty.
     fast: fewer starts, one of them to the end, and looser tolerances.
 
     Where the values come from: those of the root's movement and of feet that stand have the size of what is seen in the
-    reconstructions that the prior `running-cheetah` is made of; lateral_m_s is an angle of 0.05 rad at 10 m/s;
-    lag_frames is that of a picture taken anywhere within a frame, found_lag_frames a few of them; beside_share is what
-    residuals of several cameras have in common over a clip. The rest are round numbers; docs/benchmarks.md shows what
-    they matter. error_time_s was set on the real runs of the benchmark, so that 90 % regions hold about 90 % of the
-    joints.
+    reconstructions that the prior `running-cheetah` is made of; lateral_m_s is an angle of 0.05 rad at 10 m/s, and
+    crab_rad that of the benchmark's real runs; lag_frames is that of a picture taken anywhere within a frame,
+    found_lag_frames a few of them; beside_share is what residuals of several cameras have in common over a clip, and
+    common_share what is likeliest in the real runs. The rest are round numbers; docs/benchmarks.md shows what they
+    matter. error_time_s was set on the real runs of the benchmark, so that 90 % regions hold about 90 % of the joints.
     """
 
     fast: bool = False
@@ -69,6 +75,7 @@ class TrajectoryOptions:
     keypoint_sigma_m: float | None = None
     size_sigma: float | None = None
     beside_share: float = 0.6
+    common_share: float = 0.4
     lag_frames: float = 12**-0.5
     find_offsets: bool = False
     found_lag_frames: float = 2.0
@@ -83,6 +90,7 @@ class TrajectoryOptions:
     acceleration_m_s2: tuple[float, float, float] = (12.0, 12.0, 9.0)
     yaw_acceleration_rad_s2: float = 40.0
     lateral_m_s: float = 0.5
+    crab_rad: float = 0.1
     climb_m_s: float = 0.5
     stance_weight: float = 1.0
     slip_m_s: float = 2.5
@@ -212,10 +220,21 @@ class Setting:
         return self.options.keypoint_noise_m(self.body)
 
     def px_per_m(self, points_m: Array, size: float = 1.0) -> Array:
-        """(V, T): how large a metre of the nominal body is in the picture at the distance of its markers (T, J, 3)."""
-        world = self.in_world(points_m, size)
-        depths = [np.maximum(np.median(view.to_camera(world)[..., 2], axis=1), 0.3) for view in self.views]
-        return np.array([size * view.focal_px / depth for view, depth in zip(self.views, depths, strict=True)])
+        """(V, T): how large a metre of the nominal body is in the picture, in the middle of its markers (T, J, 3).
+
+        Of all directions in space, as the lens shows them there: an animal that a camera turns towards is as large in
+        angles, whatever the lens."""
+        middle = self.in_world(np.median(points_m, axis=1, keepdims=True), size)
+        return np.array([size * self._px_per_m(view, middle) for view in self.views])
+
+    @staticmethod
+    def _px_per_m(view: View, point_m: Array) -> Array:
+        """(T,), at a point (T, 1, 3) of the world."""
+        nearest = np.max(view.focal_px) / _NEAREST_M
+        _, by_point, valid = view.project_with_jacobian(point_m)
+        along = np.sqrt(0.5 * np.sum(by_point[:, 0] ** 2, axis=(1, 2)))
+        far = view.focal_px / np.maximum(np.linalg.norm(point_m[:, 0] - view.centre_m, axis=1), _NEAREST_M)
+        return np.where(valid[:, 0], np.minimum(along, nearest), far)
 
     def noise_px(self, points_m: Array, factor: Array, size: float = 1.0) -> Array:
         """(V, T, J): the detector's noise, and the keypoints' at the animal's distance, times sqrt(factor) (V, J), and
@@ -230,23 +249,28 @@ class Setting:
     def shared(self) -> tuple[list[Shared], list[Shared]]:
         """What all frames share: the unknowns that pictures can tell, and those that only add to the doubt.
 
-        A single camera cannot tell its lag from a place further on, nor keypoints that stay beside their markers from
-        another pose. A standard deviation is that of what lasts: the frames' number makes it no better known.
+        A single camera cannot tell its lag from a place further on, an animal that goes beside where it looks from one
+        that looks elsewhere, nor keypoints that stay beside their markers from another pose. A standard deviation is
+        that of what lasts: the frames' number makes it no better known.
         """
         o, J, V = self.options, len(self.body.markers), len(self.views)
         root = np.sqrt(self.alike)
         size = [Shared(SIZE, np.ones(1), np.array([self.size_sigma]))] if self.shows_size else []
         first, late = (1, o.found_lag_frames) if o.find_offsets else (0, o.lag_frames)
         lags = [Shared(lag(i), np.zeros(1), np.array([late / root])) for i in range(first, V)]
+        crab = [Shared(CRAB, np.zeros(1), np.array([o.crab_rad / root]))] if len(self) > 1 else []
         sigma = np.repeat([o.placing_rad, o.placing_m], 3) / root
         placings = [Shared(placing(i), np.zeros(6), sigma) for i in range(1, V)] if o.refine_cameras else []
         if o.focal_sigma is not None and V > 1:
             width = np.array([o.focal_sigma / root])
             placings += [Shared(focal(i), np.zeros(1), width) for i in range(V)]
         spread_m = self.body.keypoint_spread_m
-        beside_m = np.repeat([spread_m.get(m, o.beside_share * self.keypoint_sigma_m) for m in self.body.markers], 2)
-        displaced = [Shared(beside(i), np.zeros(2 * J), beside_m / root) for i in range(V)] if beside_m.all() else []
-        return ([*size, *lags, *placings], displaced) if V > 1 else (size, [*lags, *displaced])
+        off_m = np.array([spread_m.get(m, o.beside_share * self.keypoint_sigma_m) for m in self.body.markers]) / root
+        common = o.common_share if V > 1 else 0.0
+        own_m, common_m = np.repeat(off_m * (1 - common) ** 0.5, 2), np.repeat(off_m * common**0.5, 3)
+        displaced = [Shared(beside(i), np.zeros(2 * J), own_m) for i in range(V)] if own_m.all() else []
+        displaced += [Shared(DISPLACED, np.zeros(3 * J), common_m)] if common_m.all() else []
+        return ([*size, *crab, *lags, *placings], displaced) if V > 1 else (size, [*lags, *displaced])
 
     def problem(
         self,

@@ -38,6 +38,11 @@ Index = NDArray[np.intp]
 
 SIZE = "size"
 """The shared unknown: a factor on all lengths. 1 where it is not one."""
+DISPLACED = "displaced"
+"""The shared unknowns (3J,): how far all cameras see the keypoints of each marker beside it all the time, metres in its
+segment. Held at zero: they count in the doubt only."""
+CRAB = "crab"
+"""The shared unknown: by how much an animal goes to the left of where it looks all the time, rad."""
 _ONE, _ZERO = np.ones(1), np.zeros(1)
 
 
@@ -87,6 +92,8 @@ class Span:
     pose: TreePose
     last: bool
     shared: Mapping[str, Array] = field(default_factory=dict)
+    turned: Array | None = None
+    """(n, J, 3, 3): orientations of the markers' segments, where `DISPLACED` is asked for."""
 
     @property
     def own(self) -> slice:
@@ -295,6 +302,11 @@ class Reprojection:
         if off is not None and self.px_per_m is not None:
             each = np.repeat((root / sigma[..., None])[..., 0] * self.px_per_m[frames, None], 2, axis=1)
             by_shared[beside(self.number)] = each[..., None] * np.eye(2 * J)
+        if span.turned is not None:
+            of_marker, each = np.zeros((N, J, 2, J, 3)), np.arange(J)
+            for part, share in parts:
+                of_marker[:, each, :, each] += (by_state * share @ span.turned[part]).swapaxes(0, 1)
+            by_shared[DISPLACED] = of_marker.reshape(N, 2 * J, 3 * J)
         if longer is not None:
             off_centre = np.where(seen[..., None], in_picture - view.camera.matrix[:2, 2], 0.0)
             by_shared[focal(self.number)] = (off_centre * root / sigma[..., None]).reshape(N, 2 * J, 1)
@@ -340,9 +352,9 @@ class KnownAngles:
 
 @dataclass(frozen=True)
 class Heading:
-    """The animal goes where it looks: the root's velocity across the trunk's level direction is small.
+    """The animal goes where it looks, or `CRAB` beside it: the root's velocity across that level direction is small.
 
-    rear, front: the markers that give the direction. One row a pair of frames: (v x u) / sigma, m/s.
+    rear, front: the markers that give the trunk's direction. One row a pair of frames: (v x u) / sigma, m/s.
     """
 
     rear: int
@@ -357,7 +369,9 @@ class Heading:
         forward = span.pose.points_m[:, self.front, :2] - span.pose.points_m[:, self.rear, :2]
         length = np.maximum(np.linalg.norm(forward, axis=1, keepdims=True), 1e-6)
         u = forward / length
-        v = np.diff(span.states[:, :2], axis=0) * self.fps
+        beside = float(span.shared.get(CRAB, _ZERO)[0])
+        turned = np.array([[np.cos(beside), np.sin(beside)], [-np.sin(beside), np.cos(beside)]])
+        v = np.diff(span.states[:, :2], axis=0) * self.fps @ turned.T
         scale = _rate(self.fps, 1.0) / self.sigma_m_s
         mean = 0.5 * (u[1:] + u[:-1])
         r = scale * (mean[:, 0] * v[:, 1] - mean[:, 1] * v[:, 0])
@@ -370,11 +384,13 @@ class Heading:
         d_u = (turn - u[..., None] * (u[:, None] @ turn)) / length[..., None]
         rows = np.zeros((n, 1, 2, D))
         across = np.stack([v[:, 1], -v[:, 0]], axis=1)
+        by_velocity = np.stack([-mean[:, 1], mean[:, 0]], axis=1) @ turned
         for slot, sign in enumerate((-1.0, 1.0)):
             rows[:, 0, slot] = 0.5 * scale * (across[:, None] @ d_u[slot : n + slot])[:, 0]
-            rows[:, 0, slot, 0] += -sign * scale * self.fps * mean[:, 1]
-            rows[:, 0, slot, 1] += sign * scale * self.fps * mean[:, 0]
-        return Rows(frames, 0.5 * r**2, r[:, None], rows)
+            rows[:, 0, slot, :2] += sign * scale * self.fps * by_velocity
+        along = -scale * np.sum(mean * v, axis=1)
+        by_shared = {CRAB: along[:, None, None]} if CRAB in span.shared else {}
+        return Rows(frames, 0.5 * r**2, r[:, None], rows, by_shared)
 
 
 @dataclass(frozen=True)

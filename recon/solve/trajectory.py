@@ -24,6 +24,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,7 +43,7 @@ from recon.solve.result import Ground, Spell, Start, TrajectorySolution
 from recon.solve.setting import Setting, TrajectoryOptions
 from recon.solve.starts import Approached, approach, between
 from recon.solve.surprise import Surprise, surprise_of
-from recon.solve.terms import Reprojection, focal, lag, placing, size_of
+from recon.solve.terms import CRAB, Reprojection, focal, lag, placing, size_of
 
 Array = NDArray[np.float64]
 
@@ -237,6 +238,24 @@ def _of_views(
     return np.average(found, axis=0, weights=frames), np.linalg.norm(shares * np.array(sigmas), axis=0)
 
 
+def _of_clip(setting: Setting, solved: Sequence[Solved], known: Sequence[Posterior]) -> dict[str, Any]:
+    """The solution's fields of what all frames share, besides the size."""
+    late, late_sigma = _of_views(setting, solved, known, lag, 1)
+    places, places_sigma = _of_views(setting, solved, known, placing, 6)
+    longer, longer_sigma = _of_views(setting, solved, known, focal, 1)
+    crab, crab_sigma = _of_views(setting, solved, known, lambda _: CRAB, 1)
+    return {
+        "lag_frames": late[:, 0],
+        "lag_sigma_frames": late_sigma[:, 0],
+        "placing": places,
+        "placing_sigma": places_sigma,
+        "focal": longer[:, 0],
+        "focal_sigma": longer_sigma[:, 0],
+        "crab_rad": float(crab[0, 0]),
+        "crab_sigma_rad": float(crab_sigma[0, 0]),
+    }
+
+
 def in_step(setting: Setting, solved: Solved) -> Setting:
     """With the lags and the cameras' places of a solution in its views."""
     V = range(len(setting.views))
@@ -317,13 +336,11 @@ def _solution(setting: Setting, solved: Sequence[Solved], began: float) -> Traje
     for values in (*of_frames.values(), *(np.moveaxis(v, 0, 1) for v in of_views.values()), second.apart_m):
         values[away] = np.nan
     shares = [of_one.data_share * (one.rows.stop - one.rows.start) for one, of_one in zip(solved, known, strict=True)]
-    late, late_sigma = _of_views(setting, solved, known, lag, 1)
-    places, places_sigma = _of_views(setting, solved, known, placing, 6)
-    longer, longer_sigma = _of_views(setting, solved, known, focal, 1)
+    shared = _of_clip(setting, solved, known)
     costs = _summed([one.problem.costs(one.estimate.states, one.estimate.shared) for one in solved])
     return TrajectorySolution(
         body=setting.body,
-        views=_found(setting.views, late[:, 0], places, longer[:, 0]),
+        views=_found(setting.views, shared["lag_frames"], shared["placing"], shared["focal"]),
         **of_frames,
         **of_views,
         size=size,
@@ -351,12 +368,7 @@ def _solution(setting: Setting, solved: Sequence[Solved], began: float) -> Traje
         starts=tuple(
             Start(a.heading_rad, a.first_cost, a.finished) for one in solved for _, tried in one.windows for a in tried
         ),
-        lag_frames=late[:, 0],
-        lag_sigma_frames=late_sigma[:, 0],
-        placing=places,
-        placing_sigma=places_sigma,
-        focal=longer[:, 0],
-        focal_sigma=longer_sigma[:, 0],
+        **shared,
         stage_s=_summed([stage_s, *(one.stage_s for one in solved)]) | {"all": time.perf_counter() - began},
     )
 
