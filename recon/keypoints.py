@@ -120,15 +120,6 @@ class CleaningReport:
         }
 
 
-@dataclass(frozen=True, eq=False)
-class MissingCounts:
-    """Missing points per keypoint, each (K,) int, by the way they are stored (see `KeypointCounts`)."""
-
-    zero_zero: np.ndarray
-    nan_with_likelihood: np.ndarray
-    empty: np.ndarray
-
-
 def parse_frame_range(text: str) -> tuple[int | None, int | None]:
     """The frame range "A:B" as (A, B); either side may be empty (None). Like a Python slice, B is not included.
 
@@ -176,11 +167,9 @@ def clean(
             name=name,
             frames=len(cleaned.frames),
             used=int(used[k]),
-            missing=int(missing.zero_zero[k] + missing.nan_with_likelihood[k] + missing.empty[k]) + absent,
+            missing=int(sum(counts[k] for counts in missing.values())) + absent,
             rejected=int(rejected[k]),
-            missing_zero_zero=int(missing.zero_zero[k]),
-            missing_nan_with_likelihood=int(missing.nan_with_likelihood[k]),
-            missing_empty=int(missing.empty[k]),
+            **{how: int(counts[k]) for how, counts in missing.items()},
             missing_absent_frame=absent,
             likelihood_unknown=int(likelihood_unknown[k]),
         )
@@ -242,8 +231,9 @@ def select_frames(keypoints: Keypoints, frames: tuple[int | None, int | None] | 
     )
 
 
-def mark_missing(keypoints: Keypoints) -> tuple[Keypoints, MissingCounts]:
-    """Missing points become NaN in both coordinates with confidence 0.
+def mark_missing(keypoints: Keypoints) -> tuple[Keypoints, dict[str, np.ndarray]]:
+    """Missing points become NaN in both coordinates with confidence 0. Also how many they are of each keypoint, (K,) by
+    the way they are stored, as `KeypointCounts` calls it.
 
     Some tools store a missing point as (0, 0): it is one only where the likelihood is 0 or unknown, because the
     corner of the image can be a detection like any other.
@@ -251,11 +241,11 @@ def mark_missing(keypoints: Keypoints) -> tuple[Keypoints, MissingCounts]:
     has_likelihood = keypoints.confidence > 0
     no_xy = ~keypoints.present
     zero_zero = (keypoints.xy_px == 0).all(axis=2) & ~has_likelihood
-    counts = MissingCounts(
-        zero_zero=zero_zero.sum(axis=0),
-        nan_with_likelihood=(no_xy & has_likelihood).sum(axis=0),
-        empty=(no_xy & ~has_likelihood).sum(axis=0),
-    )
+    counts = {
+        "missing_zero_zero": zero_zero.sum(axis=0),
+        "missing_nan_with_likelihood": (no_xy & has_likelihood).sum(axis=0),
+        "missing_empty": (no_xy & ~has_likelihood).sum(axis=0),
+    }
     return _without_points(keypoints, no_xy | zero_zero), counts
 
 

@@ -70,8 +70,8 @@ def convert(
             expected = f"3D positions for {target.title}: fit the clip first (recon fit)"
             raise InputError(Problem(source, "content", "2D keypoints", expected))
         data, missing = mark_missing(data)
-        if missing.zero_zero.sum():
-            notes += (f"{missing.zero_zero.sum()} points that were stored as (0, 0) are missing ones.",)
+        if zeros := missing["missing_zero_zero"].sum():
+            notes += (f"{zeros} points that were stored as (0, 0) are missing ones.",)
         with staged_file(out) as staged:
             target.keypoints(data, staged)
     else:
