@@ -25,7 +25,7 @@ import recon.app.batch.worker as worker_module
 from recon.app.analyse import run_analyse
 from recon.app.batch import COLUMNS, Clip, Event, Summary, find_clips, input_problems, plan_batch, run_batch
 from recon.app.batch.record import RECORD, finish_record, read_record, start_record
-from recon.app.batch.worker import Worker, WorkerDied, fit_one, task_of
+from recon.app.batch.worker import Worker, WorkerDied, done_with, task_of
 from recon.app.clip import fit_clip, run_clip
 from recon.calibration import read_cameras
 from recon.cli import main
@@ -487,7 +487,7 @@ def fit(clips: list[Clip], out: Path, overwrite: bool = False) -> list[tuple[str
     plan = plan_batch(clips, out, overwrite)
     for planned in plan:
         if planned.action != "done":
-            outcome = fit_one(task_of(planned, uuid.uuid4().hex), lambda stage, share: None)
+            outcome = done_with(task_of(planned, uuid.uuid4().hex), lambda stage, share: None)
             assert outcome["status"] == "done"
     return [(planned.action, planned.reason) for planned in plan]
 
@@ -586,7 +586,7 @@ def test_what_another_process_is_writing_to_is_left_alone(clips, tmp_path, monke
         with pytest.raises(InputError, match=r"another process .*, which is writing to it, expected one at a time"):
             run_batch([planned], out, jobs=1)
         with sole_writer(out / "a"):
-            outcome = fit_one(task_of(planned, "run"), lambda stage, share: None)
+            outcome = done_with(task_of(planned, "run"), lambda stage, share: None)
     assert outcome["status"] == "failed"
     assert outcome["error"].startswith(f"{out / 'a'}: folder: found another process")
     assert not out.exists()
@@ -599,7 +599,7 @@ def test_a_clip_that_fails_leaves_nothing_but_older_results(clips, tmp_path):
         (clips / f"{name}.csv").write_text("scorer,x\n")
     (out / "c").mkdir()
     for planned in plan_batch(found(clips / "a.csv", clips / "b.csv"), out):
-        outcome = fit_one(task_of(planned, "run"), lambda stage, share: None)
+        outcome = done_with(task_of(planned, "run"), lambda stage, share: None)
         assert outcome["status"] == "failed"
         assert outcome["error"].startswith(f"{planned.clip.settings.keypoints_text}: header: ")
         assert outcome["attempts"] == 1
@@ -611,11 +611,11 @@ def test_a_clip_that_fails_leaves_nothing_but_older_results(clips, tmp_path):
 def test_a_clip_is_fitted_once_in_a_run(clips, tmp_path):
     """A cluster's scheduler asks again where a worker has died after it was done."""
     (planned,) = plan_batch(found(clips / "a.csv"), tmp_path / "out")
-    first = fit_one(task_of(planned, "run"), lambda stage, share: None)
+    first = done_with(task_of(planned, "run"), lambda stage, share: None)
     written = (tmp_path / "out" / "a" / "report.json").stat().st_mtime_ns
-    assert fit_one(task_of(planned, "run"), lambda stage, share: None) == first
+    assert done_with(task_of(planned, "run"), lambda stage, share: None) == first
     assert (tmp_path / "out" / "a" / "report.json").stat().st_mtime_ns == written
-    fit_one(task_of(planned, "another run"), lambda stage, share: None)
+    done_with(task_of(planned, "another run"), lambda stage, share: None)
     assert (tmp_path / "out" / "a" / "report.json").stat().st_mtime_ns > written
 
 
@@ -623,7 +623,7 @@ def test_another_version_on_the_worker(clips, tmp_path):
     (planned,) = plan_batch(found(clips / "a.csv"), tmp_path / "out")
     task = task_of(planned, "run")
     task["identity"]["version"] = "99"
-    outcome = fit_one(task, lambda stage, share: None)
+    outcome = done_with(task, lambda stage, share: None)
     assert outcome["status"] == "failed"
     assert "99 where the batch runs" in outcome["error"]
     assert not (tmp_path / "out" / "a").exists()
@@ -779,7 +779,7 @@ def test_worker(clips, tmp_path, monkeypatch):
     }
     log = (tmp_path / "crash" / "crash.log").read_text()
     assert "Traceback" in log
-    assert "fit_one" in log
+    assert "_fit_alone" in log
     worker.start()
     last = worker.pid
     worker.stop()

@@ -19,7 +19,7 @@ from motions import with_first
 
 from recon.app.batch import COLUMNS, Event
 from recon.app.batch.summary import write_summary_page
-from recon.app.batch.worker import WORK
+from recon.app.batch.worker import done_with
 from recon.app.clip import write_clip
 from recon.app.page import run_page
 from recon.errors import InputError
@@ -286,7 +286,7 @@ def test_pages_of_a_batch_are_made_beside_each_other(batch, monkeypatch):
 
     def carry_out(pool, tasks, tell) -> None:
         for clip, task in tasks:
-            outcome = WORK[task["work"]](task, lambda stage, share: None)
+            outcome = done_with(task, lambda stage, share: None)
             tell(Event("ended", clip, outcome=outcome))
 
     monkeypatch.setattr("recon.app.page.carry_out", carry_out)

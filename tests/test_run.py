@@ -13,7 +13,7 @@ import pytest
 from command_line import run
 
 from recon.app.batch import Event
-from recon.app.batch.worker import WORK
+from recon.app.batch.worker import done_with
 from recon.app.clip import output_files, write_clip
 from recon.app.run import Job, job_of, run_video
 from recon.app.run_folder import jobs_of, keypoints_of, run_folder
@@ -314,10 +314,10 @@ def test_a_folder_is_a_batch(tmp_path, called, monkeypatch):
     def carry_out(pool, tasks, tell, now_and_then) -> None:
         for clip, task in tasks:
             assert task["job"]["threads"] == 1
-            outcome = WORK[task["work"]](json.loads(json.dumps(task)), lambda stage, share: None)
+            outcome = done_with(json.loads(json.dumps(task)), lambda stage, share: None)
             tell(Event("ended", clip, outcome=outcome))
 
-    monkeypatch.setattr("recon.app.run_folder.carry_out", carry_out)
+    monkeypatch.setattr("recon.app.batch.carry_out", carry_out)
     videos = tmp_path / "videos"
     videos.mkdir()
     for name in ("a", "b"):

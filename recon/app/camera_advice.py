@@ -11,7 +11,6 @@ import numpy as np
 
 from recon import plots
 from recon.analysis.camera_advice import PICTURE_PX, Advice, advise
-from recon.app.skeleton_check import default_prior
 from recon.body import Body
 from recon.errors import InputError, Problem
 from recon.files import require_free_folder, staged_folder
@@ -81,7 +80,7 @@ def run_camera_advice(
     first one. Writes a report, a table and a figure into `out`. Raises InputError."""
     body = load_skeleton(skeleton, subject)
     _require(body, angle, joint, cameras, hfov_deg, distance_m)
-    motions = load_prior(prior or default_prior(body), body)
+    motions = load_prior(prior, body)
     require_free_folder(out, (REPORT, TABLE, f"{FIGURE}.png", f"{FIGURE}.svg"), overwrite, "advice")
     found: list[Advice] = []
     for number in range(cameras):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Iterable, Sequence
-from contextlib import nullcontext, suppress
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -35,7 +35,7 @@ from recon.mistakes import Known, find_mistakes, with_flags, with_sides_mended, 
 from recon.motion import Motion
 from recon.naming import fitting_maps, load_names, map_to_write, renamed
 from recon.page import PAGE
-from recon.prior import MotionPrior, builtin_priors, load_prior, prior_from_body
+from recon.prior import MotionPrior, load_prior
 from recon.progress import Progress, silent
 from recon.published import solve_frames
 from recon.report import build_report, write_report
@@ -326,18 +326,8 @@ def _model(settings: FitSettings) -> Model:
         chain = load_chain(settings.skeleton_name)
         return Model(chain.body, chain=chain)
     body = seen_by(load_skeleton(settings.skeleton_name, settings.subject), settings.detector)
-    prior, _ = all_of(lambda: _prior(settings, body), lambda: _require_no_side(settings, body))
+    prior, _ = all_of(lambda: load_prior(settings.prior, body), lambda: _require_no_side(settings, body))
     return Model(body, prior)
-
-
-def _prior(settings: FitSettings, body: Body) -> MotionPrior:
-    """As given; else a built-in one for a body with these angles, if there is one."""
-    if settings.prior is not None:
-        return load_prior(settings.prior, body)
-    for name in builtin_priors():
-        with suppress(InputError):  # it is another animal's
-            return load_prior(name, body)
-    return prior_from_body(body)
 
 
 def _require_no_side(settings: FitSettings, body: Body) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -56,23 +57,18 @@ def run_overlay(
     may be left out where the result has one, or the video's own name contains it. speed: of the playback. Raises
     InputError, with every problem, for inputs that do not belong together; then nothing is written.
     """
-    result, info, _ = all_of(
-        lambda: read_results(folder), lambda: probe(video), lambda: _check_out(out, overwrite, video)
+    result, number, (wide, high) = result_and_video(
+        folder, video, camera, first_frame, lambda: _check_out(out, overwrite, video), lambda: _check_speed(speed)
     )
-    number = camera_number(result, camera, video)
     if speed is None:
         speed = min(1.0, SLOW_FPS / result.fps)
-    zoom = -(-MIN_WIDTH_PX // info.size_px[0])
-    overlay, *_ = all_of(
-        lambda: overlay_of(result, speed, zoom, number),
-        lambda: check_video(result, number, video, info, first_frame),
-        lambda: _check_speed(speed),
-    )
+    zoom = -(-MIN_WIDTH_PX // wide)
+    overlay = overlay_of(result, speed, zoom, number)
     rows = {int(frame): t for t, frame in enumerate(result.pose.frames)}
     first, last = min(rows), max(rows)
     fps = result.fps * speed
     written = 0
-    with video_writer(out, canvas_size((zoom * info.size_px[0], zoom * info.size_px[1])), fps) as write:
+    with video_writer(out, canvas_size((zoom * wide, zoom * high)), fps) as write:
         for index, picture in read_frames(video, first - first_frame, last + 1 - first_frame):
             frame = index + first_frame
             enlarged = np.asarray(cv2.resize(picture, None, fx=zoom, fy=zoom), dtype=np.uint8)
@@ -88,9 +84,25 @@ def run_overlay(
     return OverlayRun(written, fps, speed)
 
 
+def result_and_video(
+    folder: Path, video: Path | None, camera: str | None, first_frame: int, *checks: Callable[[], None]
+) -> tuple[Results, int, tuple[int, int]]:
+    """A result, which of its cameras is meant, and the size of the pictures: the video's, if there is one, which has to
+    be of that camera. checks: of what else was given. The others: see `run_overlay`. Raises InputError."""
+
+    def opened() -> tuple[Results, int]:
+        result, info = all_of(lambda: read_results(folder), lambda: None if video is None else probe(video))
+        number = camera_number(result, camera, video)
+        if video is not None:
+            _check_video(result, number, video, info, first_frame)
+        return result, number
+
+    (result, number), *_ = all_of(opened, *checks)
+    return result, number, result.cameras[number].image_size_px
+
+
 def camera_number(result: Results, camera: str | None, video: Path | None) -> int:
-    """Which of the result's cameras is meant, or has filmed a video: by name, or by the video's, which may contain it;
-    without either the first. Raises InputError."""
+    """By name, or by the video's, which may contain it; without either the first. Raises InputError."""
     names = [one.name for one in result.cameras]
     if camera is None and video is not None and len(names) > 1:
         named = [*cameras_in(video.stem, names)]
@@ -161,7 +173,7 @@ def _reprojection(result: Results, number: int) -> Keypoints:
     return found
 
 
-def check_video(result: Results, number: int, video: Path, info: VideoInfo, first_frame: int) -> None:
+def _check_video(result: Results, number: int, video: Path, info: VideoInfo, first_frame: int) -> None:
     problems = []
     size = result.cameras[number].image_size_px
     if info.size_px != size:
@@ -175,8 +187,8 @@ def check_video(result: Results, number: int, video: Path, info: VideoInfo, firs
         raise InputError(problems)
 
 
-def _check_speed(speed: float) -> None:
-    if not 0 < speed <= 10:
+def _check_speed(speed: float | None) -> None:
+    if speed is not None and not 0 < speed <= 10:
         raise InputError(Problem("--speed", "factor", f"{speed:g}", "more than 0 and at most 10; 1 is real time"))
 
 

@@ -8,17 +8,15 @@ from recon.app.batch import available_cores
 from recon.app.batch.inputs import SUMMARY
 from recon.app.batch.pool import Event, LocalPool, carry_out
 from recon.app.batch.summary import write_summary_page
-from recon.app.overlay import camera_number, check_video, overlay_of
+from recon.app.overlay import overlay_of, result_and_video
 from recon.app.sheet import pictures_of, rows_to_show
-from recon.errors import all_of
 from recon.files import sole_writer, staged_file
 from recon.overlay import draw_tiles
 from recon.page import PAGE, require_own_page
 from recon.page.clip import Still, clip_page
 from recon.page.render import jpeg
 from recon.progress import Progress, silent
-from recon.results import REPORT, Results, read_results
-from recon.video import probe
+from recon.results import REPORT, Results
 
 STILLS = 9
 BESIDE = ("overlay.mp4", "analysis/analysis.json")
@@ -36,14 +34,7 @@ def run_page(
     """`recon report`: the page of a result, in its folder; an earlier one is replaced. video: what is behind the
     pictures, plain without one; the others: see `run_overlay`. Raises InputError, with every problem."""
     page = folder / PAGE
-    result, info, _ = all_of(
-        lambda: read_results(folder),
-        lambda: None if video is None else probe(video),
-        lambda: require_own_page(page),
-    )
-    number = camera_number(result, camera, video)
-    if video is not None and info is not None:
-        check_video(result, number, video, info, first_frame)
+    result, number, _ = result_and_video(folder, video, camera, first_frame, lambda: require_own_page(page))
     progress("pictures", 0.1)
     stills = _stills(result, video, first_frame, number)
     progress("figures", 0.3)

@@ -7,11 +7,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from recon.app.batch import available_cores
+from recon.app.batch import available_cores, work_off
 from recon.app.batch.inputs import Clip, file_names
-from recon.app.batch.pool import Event, LocalPool, carry_out
+from recon.app.batch.pool import Event, LocalPool
 from recon.app.batch.record import Planned, identity
-from recon.app.batch.summary import Summary, write_summary_page
+from recon.app.batch.summary import Summary
 from recon.app.run import Job, job_of
 from recon.errors import InputError, Problem
 from recon.files import sole_writer
@@ -69,22 +69,8 @@ def run_folder(
 ) -> Summary:
     """`run_video` for all jobs, and summary.csv and summary.html of them in `out`. processes: at a time, by default one
     for each core, each with one thread. A video that fails stops nothing; KeyboardInterrupt as in `run_batch`."""
-    count = processes or available_cores()
     with sole_writer(out):
         require_own_page(out / SUMMARY_PAGE)
         plan = [Planned(Clip(job.out.name, job.settings), job.out, "new", "", identity(job.settings)) for job in jobs]
-        summary = Summary(plan, out)
         tasks = [(job.out.name, {"work": "run", "job": replace(job, threads=1).plain()}) for job in jobs]
-
-        def tell(event: Event) -> None:
-            if event.kind == "ended":
-                summary.end(event.clip, event.outcome)
-            on_event(event, summary)
-
-        summary.write()
-        try:
-            carry_out(LocalPool(count, retries=0), tasks, tell, summary.write_now_and_then)
-        finally:
-            summary.write()
-            write_summary_page(out)
-    return summary
+        return work_off(plan, out, LocalPool(processes or available_cores(), retries=0), tasks, on_event)

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 
 import cv2
 import numpy as np
 
-from recon.app.overlay import camera_number, check_video, overlay_of
+from recon.app.overlay import overlay_of, result_and_video
 from recon.arrays import Index
-from recon.errors import InputError, Problem, all_of
+from recon.errors import InputError, Problem
 from recon.files import require_free_file, staged_file, write_bytes
 from recon.overlay import Overlay, draw_sheet
-from recon.results import Results, read_results
-from recon.video import Image, probe, read_frames
+from recon.results import Results
+from recon.video import Image, read_frames
 
 COUNT, MOST = 12, 60
 
@@ -31,16 +32,9 @@ def run_sheet(
     """`recon overlay --sheet`: `count` frames with a pose, evenly spaced, as one PNG; how many there are. video: what
     is behind them, plain without one, and then the first camera's unless another is named; the others: see
     `run_overlay`. Raises InputError, with every problem."""
-    result, info, _ = all_of(
-        lambda: read_results(folder),
-        lambda: None if video is None else probe(video),
-        lambda: _check(sheet, count, overwrite, video),
-    )
-    number = camera_number(result, camera, video)
-    overlay, _ = all_of(
-        lambda: overlay_of(result, number=number),
-        lambda: None if video is None or info is None else check_video(result, number, video, info, first_frame),
-    )
+    check = partial(_check, sheet, count, overwrite, video)
+    result, number, _ = result_and_video(folder, video, camera, first_frame, check)
+    overlay = overlay_of(result, number=number)
     rows = rows_to_show(overlay, count)
     if not len(rows):
         raise InputError(Problem(folder, "frames", "none with a pose", "one at least"))

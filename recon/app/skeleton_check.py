@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -12,10 +11,9 @@ import numpy as np
 
 from recon.body import Body, other_side
 from recon.chain import AngleRanges, Chain
-from recon.errors import InputError
 from recon.files import require_free_folder
 from recon.kinematics import ANGLE_OF_AXIS, AXES
-from recon.prior import NONE, builtin_priors, load_prior
+from recon.prior import load_prior
 from recon.skeleton_file import builtin_names, load_chain, load_skeleton
 
 STEMS = ("skeleton", "angles")
@@ -148,21 +146,13 @@ def check_skeleton(name_or_path: str | Path, subject: str | Path | None = None) 
         height_m=height,
         size_sigma=body.size_sigma,
         keypoint_sigma_m=body.keypoint_sigma_m,
-        prior=default_prior(body),
+        prior=load_prior(None, body).name,
         parts=tuple(_links(chain) if chain else _segments(body)),
         markers=tuple(MarkerRow(m.name, m.segment, m.offset_m) for m in body.tree.markers),
         feet=body.feet_by_label(),
         limbs=body.limbs,
         remarks=tuple(_remarks(body)),
     )
-
-
-def default_prior(body: Body) -> str:
-    """The name of the prior that a fit takes for a body: "none" if there is none."""
-    for name in builtin_priors():
-        with suppress(InputError):  # it is another animal's
-            return load_prior(name, body).name
-    return NONE
 
 
 def _mean_state(body: Body) -> np.ndarray:

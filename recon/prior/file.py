@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Literal
@@ -53,12 +54,17 @@ def save_prior(prior: MotionPrior, path: str | Path) -> None:
         write_bytes(staged, made.getvalue())
 
 
-def load_prior(name_or_path: str | Path, body: Body) -> MotionPrior:
-    """The built-in prior of that name, or the one in a file; "none": `prior_from_body`.
+def load_prior(name_or_path: str | Path | None, body: Body) -> MotionPrior:
+    """The built-in prior of that name, or the one in a file; "none": `prior_from_body`. None: the built-in one for a
+    body with these angles, or else that of the body.
 
     Raises InputError, naming every problem: no such name or file, no prior, or one for other angles than the body's.
     """
-    if str(name_or_path) == NONE:
+    if name_or_path is None:
+        for name in builtin_priors():
+            with suppress(InputError):  # it is another animal's
+                return load_prior(name, body)
+    if name_or_path is None or str(name_or_path) == NONE:
         return prior_from_body(body)
     if str(name_or_path) in builtin_priors():
         content = builtin_file("priors", f"{name_or_path}.npz").read_bytes()

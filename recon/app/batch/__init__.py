@@ -9,7 +9,7 @@ from pathlib import Path
 
 from recon.app.batch.checks import check_shared, input_problems, repeated
 from recon.app.batch.inputs import Clip, find_clips
-from recon.app.batch.pool import DaskPool, Event, LocalPool, carry_out
+from recon.app.batch.pool import DaskPool, Event, LocalPool, Pool, Task, carry_out
 from recon.app.batch.record import Planned, plan_batch
 from recon.app.batch.summary import COLUMNS, STATUSES, Summary, write_summary_page
 from recon.app.batch.worker import task_of
@@ -30,6 +30,7 @@ __all__ = [
     "plan_batch",
     "repeated",
     "run_batch",
+    "work_off",
 ]
 
 
@@ -50,27 +51,28 @@ def run_batch(
     or goes away, and where another batch is writing to `out`.
     """
     with sole_writer(out):
-        return _run(plan, out, jobs or available_cores(), retries, scheduler, on_event)
+        require_own_page(out / SUMMARY_PAGE)
+        run = uuid.uuid4().hex
+        tasks = [(p.clip.name, task_of(p, run)) for p in plan if p.action != "done"]
+        pool = DaskPool(scheduler, retries, run) if scheduler else LocalPool(jobs or available_cores(), retries)
+        return work_off(plan, out, pool, tasks, on_event)
 
 
-def _run(
+def work_off(
     plan: Sequence[Planned],
     out: Path,
-    jobs: int,
-    retries: int,
-    scheduler: str | None,
+    pool: Pool,
+    tasks: Sequence[tuple[str, Task]],
     on_event: Callable[[Event, Summary], None],
 ) -> Summary:
-    require_own_page(out / SUMMARY_PAGE)
-    summary, run = Summary(plan, out), uuid.uuid4().hex
-    tasks = [(p.clip.name, task_of(p, run)) for p in plan if p.action != "done"]
+    """The tasks of a plan, each with its clip's name, and the summary of it all, written again and again."""
+    summary = Summary(plan, out)
 
     def tell(event: Event) -> None:
         if event.kind == "ended":
             summary.end(event.clip, event.outcome)
         on_event(event, summary)
 
-    pool = DaskPool(scheduler, retries, run) if scheduler else LocalPool(jobs, retries)
     summary.write()
     try:
         carry_out(pool, tasks, tell, summary.write_now_and_then)

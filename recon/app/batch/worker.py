@@ -59,49 +59,49 @@ def task_of(planned: Planned, run: str) -> dict[str, Any]:
 # -- in the worker ------------------------------------------------------------------------------------------------
 
 
-def fit_one(task: Mapping[str, Any], progress: Progress) -> dict[str, Any]:
-    """Fit and write one clip: columns of the summary. Input that cannot be used is an outcome; a fault is not."""
+def done_with(task: Mapping[str, Any], progress: Progress) -> dict[str, Any]:
+    """Do a task: columns of the summary. Input that cannot be used is an outcome; a fault is not."""
+    began = time.perf_counter()
+    try:
+        row = WORK[task["work"]](task, progress)
+    except (InputError, OSError) as error:
+        row = _failed(error)
+    return {"seconds": round(time.perf_counter() - began, 3), "attempts": 1, **row}
+
+
+def _fit(task: Mapping[str, Any], progress: Progress) -> dict[str, Any]:
+    """Fit and write one clip."""
     out = Path(task["out"])
     try:
         with sole_writer(out, DYING_S):
-            return _fit_one(task, progress)
-    except (InputError, OSError) as error:
-        return _failed(error)
+            return _fit_alone(task, progress)
     finally:
         with contextlib.suppress(OSError):  # there is something in it
             out.rmdir()
 
 
-def page_one(task: Mapping[str, Any], progress: Progress) -> dict[str, Any]:
-    """The page of one result, likewise."""
+def _page(task: Mapping[str, Any], progress: Progress) -> dict[str, Any]:
+    """The page of one result."""
     from recon.app.page import run_page
 
-    try:
-        run_page(Path(task["out"]), progress=progress)
-    except (InputError, OSError) as error:
-        return _failed(error)
-    return {"status": "done", "attempts": 1}
+    run_page(Path(task["out"]), progress=progress)
+    return {"status": "done"}
 
 
-def run_one(task: Mapping[str, Any], progress: Progress) -> dict[str, Any]:
-    """All of `recon run` on one video, likewise."""
+def _run(task: Mapping[str, Any], progress: Progress) -> dict[str, Any]:
+    """All of `recon run` on one video."""
     from recon.app.run import Job, run_video
 
-    began = time.perf_counter()
-    try:
-        done = run_video(Job.from_plain(task["job"]), progress)
-    except (InputError, OSError) as error:
-        return {"seconds": round(time.perf_counter() - began, 3), **_failed(error)}
+    done = run_video(Job.from_plain(task["job"]), progress)
     status = "unsolved" if is_unsolved(done.report) else "done earlier" if done.unchanged else "done"
-    seconds = round(time.perf_counter() - began, 3)
-    return {"status": status, **results_of(done.report), "seconds": seconds, "attempts": 1}
+    return {"status": status, **results_of(done.report)}
 
 
-WORK = {"fit": fit_one, "page": page_one, "run": run_one}
+WORK = {"fit": _fit, "page": _page, "run": _run}
 """What tasks are for."""
 
 
-def _fit_one(task: Mapping[str, Any], progress: Progress) -> dict[str, Any]:
+def _fit_alone(task: Mapping[str, Any], progress: Progress) -> dict[str, Any]:
     began = time.perf_counter()
     settings, out = FitSettings(**task["settings"]), Path(task["out"])
     attempt, finished, row = 1, False, {}
@@ -128,14 +128,14 @@ def _fit_one(task: Mapping[str, Any], progress: Progress) -> dict[str, Any]:
     finally:
         if not finished:
             drop_record(out)
-    return {"seconds": round(time.perf_counter() - began, 3), **row, "attempts": attempt}
+    return {**row, "attempts": attempt}
 
 
 def _failed(error: InputError | OSError) -> dict[str, Any]:
     text = str(error)
     if isinstance(error, OSError) and error.filename:
         text = f"{error.filename}: {error.strerror}"
-    return {"status": "failed", "error": text, "attempts": 1}
+    return {"status": "failed", "error": text}
 
 
 def main() -> None:
@@ -160,7 +160,7 @@ def main() -> None:
 
     while True:
         task = json.loads(tasks.get())
-        answer({"outcome": WORK[task["work"]](task, progress)})
+        answer({"outcome": done_with(task, progress)})
 
 
 def _listen(tasks: queue.SimpleQueue[bytes]) -> None:
