@@ -18,8 +18,7 @@ from recon import FitSettings, read_results, samples_folder
 from recon.app.analyse import run_analyse
 from recon.app.camera_advice import run_camera_advice
 from recon.app.clip import run_clip
-from recon.app.overlay import run_overlay
-from recon.app.sheet import run_sheet
+from recon.app.overlay import run_overlay, run_sheet
 from recon.app.skeleton_check import run_skeleton_check
 from recon.video import read_frames, video_writer
 

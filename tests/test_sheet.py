@@ -10,8 +10,7 @@ import pytest
 from command_line import run
 
 from recon.app.clip import write_clip
-from recon.app.overlay import overlay_of
-from recon.app.sheet import run_sheet
+from recon.app.overlay import overlay_of, run_sheet
 from recon.errors import InputError
 from recon.overlay import DETECTION, LEFT, PAPER, TILE_PX, draw_sheet
 from recon.results import read_results

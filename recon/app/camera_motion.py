@@ -214,8 +214,8 @@ def _report(
         rounded |= {"zoom": np.array([turn.zoom for turn in motion.turns]), "sigma_zoom": motion.sigma_zoom}
     rounded["residual_px"] = motion.residual_px
     return {
-        "video": str(video),
-        "camera": {"file": str(camera), "name": lens.name},
+        "video": video.name,
+        "camera": {"file": camera.name, "name": lens.name},
         "level": level,
         "notes": [*NOTES, *(["the first frame has the camera file's focal length"] if zoom else [])],
         "frames": len(motion.frames) + len(motion.lost),

@@ -8,8 +8,7 @@ from recon.app.batch import available_cores
 from recon.app.batch.inputs import SUMMARY
 from recon.app.batch.pool import Event, LocalPool, carry_out
 from recon.app.batch.summary import write_summary_page
-from recon.app.overlay import overlay_of, result_and_video
-from recon.app.sheet import pictures_of, rows_to_show
+from recon.app.overlay import overlay_of, pictures_of, result_and_video, rows_to_show
 from recon.files import sole_writer, staged_file
 from recon.overlay import draw_tiles
 from recon.page import PAGE, require_own_page

@@ -51,13 +51,11 @@ def overlay(
 
     Example: recon overlay results/clip --video clip.mp4 --out overlay.mp4
     """
-    from recon.app.overlay import run_overlay
+    from recon.app.overlay import run_overlay, run_sheet
 
     console = terminal(quiet=quiet)
     _require(video, out, sheet)
     if sheet is not None:
-        from recon.app.sheet import run_sheet
-
         shown = run_sheet(
             folder,
             sheet,
