@@ -81,7 +81,6 @@ def advise(
     azimuths_rad: Array = AZIMUTHS_RAD,
     elevations_rad: Array = ELEVATIONS_RAD,
     progress: Callable[[float], None] = lambda share: None,
-    options: TrajectoryOptions | None = None,
 ) -> Advice:
     """angle: of the body's states, without its place and heading; joint: a marker; without either, all markers.
     distance_m: of the camera from the animal's middle, by default `AWAY_LENGTHS`; beside: where another camera stays.
@@ -100,7 +99,7 @@ def advise(
         for row, elevation in enumerate(elevations_rad):
             for column, azimuth in enumerate(azimuths_rad):
                 cameras = [*others, camera((float(azimuth), float(elevation)), "there")]
-                found[row, column] = known(body, prior, states, cameras, angle, joint, options)
+                found[row, column] = known(body, prior, states, cameras, angle, joint)
                 progress((row * len(azimuths_rad) + column + 1) / (len(elevations_rad) * len(azimuths_rad)))
     return Advice(
         of=angle or joint or "all joints",

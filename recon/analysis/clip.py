@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -182,14 +182,12 @@ def stride_given(results: Results, stride_s: tuple[float, float]) -> Stride:
     return Stride("", start_s, end_s, np.nan, np.nan, "given")
 
 
-def gaits_of(results: Results, smooth: bool | None = None) -> dict[Method, Gait]:
+def gaits_of(results: Results) -> dict[Method, Gait]:
     """Only the gaits of `analyse`, by method; none without feet."""
     pose = results.pose
-    if results.jitters if smooth is None else smooth:
-        errors = jitter_errors(pose.xyz_m)
-        pose = _on_paths(
-            pose, [joint_kinematics(pose, n, results.fps, errors, smooth=True, propagate=False) for n in pose.names]
-        )
+    if results.jitters:
+        of_joint = partial(joint_kinematics, errors=jitter_errors(pose.xyz_m), smooth=True, propagate=False)
+        pose = _on_paths(pose, [of_joint(pose, name, results.fps) for name in pose.names])
     return _gaits(results, pose)
 
 
