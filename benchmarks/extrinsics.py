@@ -79,21 +79,26 @@ def beside(rig: Rig, own: Sequence[View]) -> dict[str, float]:
         np.array([np.linalg.norm(view.centre_m[0] - of[0].centre_m[0]) for view in of[1:]]) for of in (views, own)
     )
     up, own_up = (of[0].T_camera_world[:3, 2] for of in (views, own))
-    off = []
-    for view, of_file, sigma in zip(views[1:], own[1:], rig.sigma[1:], strict=True):
-        T, own_T = (
-            v.T_camera_world @ np.linalg.inv(w.T_camera_world) for v, w in ((view, views[0]), (of_file, own[0]))
-        )
-        by = T @ np.linalg.inv(own_T)
-        off.append(np.concatenate([Rotation.from_matrix(by[:3, :3]).as_rotvec(), by[:3, 3]]) / sigma)
     return {
         "rotation of pairs, median": float(np.median(apart)),
         "worst": float(np.max(apart)),
         "stated": float(np.degrees(np.median(rig.sigma[1:, :3]))),
-        "off / stated": float(np.sqrt(np.mean(np.square(off)))),
+        "off / stated": off_in_sigmas(views, own, rig.sigma),
         "up": float(np.degrees(np.arccos(np.clip(up @ own_up, -1, 1)))),
         "distances": float(np.mean(far / own_far - 1)),
     }
+
+
+def off_in_sigmas(views: Sequence[View], own: Sequence[View], sigma: np.ndarray) -> float:
+    """Root mean square, over all but the first: how far off places beside the first are, in sigmas (V, 6)."""
+    off = []
+    for view, of_file in zip(views[1:], own[1:], strict=True):
+        T, own_T = (
+            v.T_camera_world @ np.linalg.inv(first.T_camera_world) for v, first in ((view, views[0]), (of_file, own[0]))
+        )
+        by = T @ np.linalg.inv(own_T)
+        off.append(np.concatenate([Rotation.from_matrix(by[:3, :3]).as_rotvec(), by[:3, 3]]))
+    return float(np.sqrt(np.mean(np.square(off / sigma[1:]))))
 
 
 def shown(row: dict[str, float]) -> dict[str, str]:

@@ -6,7 +6,9 @@ Each run is a folder as in `cheetah_runs.py`, with all cameras. All but the firs
 and moved by 5 cm in a direction, drawn at random; the first one, named in the run, stays. What comes out is compared
 with what comes out of the poses as they are, refined as well: those are not exact either. Errors are over all 24
 joints. First comes what runs of one camera file tell together, beside what each one tells; where the detector's
-keypoints lie is measured in the other runs. Without FOLDER: the cheetah-runs of $RECON_SHARED_DATA, or of
+keypoints lie is measured in the other runs. Then what one run tells with other detections, means over the runs: the
+truth's projections, and white noise of the size of the detector's deviations beside them, taken for what it is as well.
+Without FOLDER: the cheetah-runs of $RECON_SHARED_DATA, or of
 ../shared/data. One thread.
 """
 
@@ -21,11 +23,12 @@ from dataclasses import replace
 
 import numpy as np
 from cameras import PRIOR, Run, as_seen, cameras_of, errors, runs_given
-from extrinsics import rigs
+from extrinsics import off_in_sigmas, rigs, with_parts
 from markdown_table import print_table
 from scipy.spatial.transform import Rotation
 from trajectory import body_of, prior_of
 
+from recon import Body
 from recon.clip import View
 from recon.frames import rigid
 from recon.solve import TrajectoryOptions, TrajectorySolution, solve_trajectory
@@ -82,36 +85,59 @@ def rows(run: Run) -> Iterator[dict]:
             "MPJPE mm": errors(run, found)["mpjpe_mm"],
             "not refined": errors(run, solved(wrong, False))["mpjpe_mm"],
             "sigma": f"{np.degrees(sigma[:, :3].max()):.2f}°, {100 * sigma[:, 3:].max():.1f} cm",
+            "off / stated": off_in_sigmas(found.views, views, found.placing_sigma),
         }
 
 
-def together(clips: Sequence[Run], runs: Sequence[Run]) -> dict:
-    """What all clips of a rig tell, from the poses as they are and from displaced ones; means over the draws."""
-    prior, cameras = prior_of(PRIOR), cameras_of(clips[0])["all"]
-    own = [[run.views[camera] for camera in cameras] for run in clips]
-    bodies = [as_seen(body_of(run.subject), run, runs) for run in clips]
+def together(clips: Sequence[Run], views: Sequence[Sequence[View]], bodies: Sequence[Body], **options: object) -> dict:
+    """What all clips of a rig tell, from the poses as they are and from displaced ones: degrees and metres, means over
+    the draws; and how far off the displaced are then, in what is stated."""
+    own = views[0]
 
     def refined(first: Sequence[View]) -> tuple[list[View], np.ndarray]:
         settings = []
-        for run, of, body in zip(clips, own, bodies, strict=True):
-            views = [replace(view, T_camera_world=at.T_camera_world) for view, at in zip(of, first, strict=True)]
-            settings.append(Setting.of(views, body, prior, run.fps, TrajectoryOptions()))
+        for run, of, body in zip(clips, views, bodies, strict=True):
+            placed = [replace(view, T_camera_world=at.T_camera_world) for view, at in zip(of, first, strict=True)]
+            settings.append(Setting.of(placed, body, prior_of(PRIOR), run.fps, TrajectoryOptions(**options)))  # type: ignore[arg-type]
         rig = solve_extrinsics(settings, posed=True)
-        found = [replace(view, T_camera_world=T) for view, T in zip(first, rig.T_camera_world, strict=True)]
-        return found, rig.sigma[1:]
+        return [replace(view, T_camera_world=T) for view, T in zip(first, rig.T_camera_world, strict=True)], rig.sigma
 
-    in_place, sigma = refined(own[0])
-    found = [refined(displaced(own[0], np.random.default_rng(draw)))[0] for draw in range(DRAWS)]
-    of_file, of_refined = (
-        np.array([[f(apart(one, other), axis=0) for f in (np.median, np.max)] for one in found]).mean(axis=0)
-        for other in (own[0], in_place)
-    )
-    row = {"clips": ", ".join(run.folder.name[:28] for run in clips)}
-    for beside, (median, worst) in (("the file's", of_file), ("those refined in place", of_refined)):
-        row |= {f"beside {beside}: median": _worst(median[None]), f"{beside}: worst": _worst(worst[None])}
-    return row | {
-        "stated, median": f"{np.degrees(np.median(sigma[:, :3])):.2f}°, {100 * np.median(sigma[:, 3:]):.1f} cm"
-    }
+    in_place, sigma = refined(own)
+    found = [refined(displaced(own, np.random.default_rng(draw))) for draw in range(DRAWS)]
+    row: dict = {}
+    for beside, other in (("the file's", own), ("those refined in place", in_place)):
+        far = np.array([apart(one, other) for one, _ in found])
+        row[f"beside {beside}: median"] = np.median(far, axis=1).mean(axis=0)
+        row[f"{beside}: worst"] = far.max(axis=1).mean(axis=0)
+    row["stated, median"] = np.median(sigma[1:].reshape(-1, 2, 3), axis=(0, 2)) * [180 / np.pi, 1]
+    return row | {"off / stated": np.sqrt(np.mean([off_in_sigmas(at, own, stated) ** 2 for at, stated in found]))}
+
+
+def of_detector(clips: Sequence[Run], runs: Sequence[Run]) -> dict:
+    cameras = cameras_of(clips[0])["all"]
+    views = [[run.views[camera] for camera in cameras] for run in clips]
+    row = together(clips, views, [as_seen(body_of(run.subject), run, runs) for run in clips])
+    return {"clips": ", ".join(run.folder.name[:28] for run in clips)} | _shown(row)
+
+
+def of_others(runs: Sequence[Run]) -> Iterator[dict]:
+    """Means over the runs, one clip each."""
+    independent = {"error_time_s": 0.0, "beside_share": 0.0}
+    for label, random, options in (
+        ("projections of the truth", 0, {}),
+        ("and white noise", 1, {}),
+        ("and white noise, taken for it", 1, independent),
+    ):
+        rows = []
+        for i, run in enumerate(runs):
+            rng = np.random.default_rng(i)
+            views = [with_parts(run, run.views[c], 0, 0, random, rng) for c in cameras_of(run)["all"]]
+            rows.append(together([run], [views], [replace(body_of(run.subject), keypoint_spread_m={})], **options))
+        yield {"detections": label} | _shown({name: np.mean([row[name] for row in rows], axis=0) for name in rows[0]})
+
+
+def _shown(row: dict) -> dict[str, str]:
+    return {n: _worst(value[None]) if np.ndim(value) else f"{value:.1f}" for n, value in row.items()}
 
 
 def _worst(far: np.ndarray) -> str:
@@ -121,8 +147,8 @@ def _worst(far: np.ndarray) -> str:
 def main() -> None:
     runs = runs_given(__doc__)
     groups = [[run] for run in runs] + [group for group in rigs(runs) if len(group) > 1]
-    of_clips = [together(clips, runs) for clips in groups]
-    print_table(list(of_clips[0]), [list(row.values()) for row in of_clips])
+    for table in ([of_detector(clips, runs) for clips in groups], list(of_others(runs))):
+        print_table(list(table[0]), [list(row.values()) for row in table])
     found = [row for run in runs for row in rows(run)]
     names = list(found[-1])
     print_table(

@@ -271,6 +271,27 @@ def test_refined_extrinsics_need_poses(folder, tmp_path):
     assert problems(error) == expected
 
 
+def test_which_way_is_up_is_said_once(folder, tmp_path):
+    """By the file where its poses are read, and by one tilt where they are not."""
+    clip, out = settings(folder, 1, 2, tilt_deg=3.0), tmp_path / "out.toml"
+    with pytest.raises(InputError) as error:
+        run_extrinsics([replace(clip, refine_cameras=True)], out, level_rad=np.radians(1.0))
+    beside = "beside --refine-cameras, where the camera file says which way is up, expected one of the two"
+    assert problems(error).splitlines() == [f"--tilt-deg: found 3 {beside}", f"--level-deg: found 1 {beside}"]
+    with pytest.raises(InputError) as error:
+        run_extrinsics([clip, replace(clip, tilt_deg=4.0)], out)
+    assert problems(error) == "--tilt-deg: found 3, 4, expected one for all clips, whose cameras stand still"
+
+
+def test_a_tilt_beside_poses_that_are_not_read(folder, tmp_path):
+    run = run_extrinsics(
+        [settings(folder, 1, 2, frames="10:36", tilt_deg=10.0)], tmp_path / "out.toml", level_rad=np.radians(0.5)
+    )
+    for camera in run.cameras:
+        ahead = camera.camera_to_world(np.array([0.0, 0.0, 1.0])) - camera.centre_world
+        assert np.degrees(np.arcsin(-ahead[2])) == pytest.approx(10, abs=3)
+
+
 def test_a_camera_has_one_lens(folder, tmp_path):
     scene = json.loads((folder / "scene.json").read_text())
     scene["cameras"][1]["k"][0][0] *= 1.1

@@ -98,29 +98,34 @@ def run_extrinsics(
     clips: Sequence[FitSettings],
     out: Path,
     overwrite: bool = False,
-    level_rad: float = LEVEL_RAD,
+    level_rad: float | None = None,
     progress: Progress = silent,
 ) -> ExtrinsicsRun:
     """`recon calibrate extrinsics`: write `out`, which `recon.calibration.read_cameras` reads.
 
-    level_rad: how far cameras are from level, or from the tilt that is said. Poses in the camera file are read where
-    the clips' settings say that they are refined. Raises InputError, with every problem, for inputs that cannot be
-    used.
+    level_rad: how far cameras are from level, or from the tilt that is said, by default `LEVEL_RAD`. Poses in the
+    camera file are read where the clips' settings say that they are refined; these know which way is up. Raises
+    InputError, with every problem, for inputs that cannot be used.
     """
-    given, _ = all_of(
-        lambda: all_of(*(lambda clip=clip: _each_alone(clip) for clip in clips)), lambda: _check_out(out, overwrite)
+    posed = bool(clips[0].refine_cameras)
+    given, tilt_rad, _ = all_of(
+        lambda: all_of(*(lambda clip=clip: _each_alone(clip) for clip in clips)),
+        lambda: _tilt_rad(clips, level_rad, posed),
+        lambda: _check_out(out, overwrite),
     )
-    posed, cameras = bool(clips[0].refine_cameras), _all_cameras(given)
+    cameras = _all_cameras(given)
     if posed:
         _require_poses(cameras)
         poses = camera_poses(cameras)
     else:  # each one's own level world
         cameras = [replace(camera, rotation=None, translation_m=None) for camera in cameras]
+        if tilt_rad is not None:
+            cameras = [replace(camera, tilt_rad=tilt_rad) for camera in cameras]
         poses = [rigid(level_from_camera(camera.up).T, np.zeros(3)) for camera in cameras]
     in_step = [_in_step(*of) for of in zip(clips, given, strict=True)]
     settings = [_setting(*of, cameras, poses) for of in zip(clips, given, in_step, strict=True)]
     try:
-        rig = solve_extrinsics(settings, posed, level_rad, progress)
+        rig = solve_extrinsics(settings, posed, LEVEL_RAD if level_rad is None else level_rad, progress)
     except TooLittleInCommonError as error:
         expected = "some in which it and another camera see enough of the animal for a pose"
         raise InputError(
@@ -183,7 +188,7 @@ def _setting(
 def _each_alone(settings: FitSettings) -> list[Prepared]:
     """Each camera's keypoints, prepared as a clip of one camera."""
     names = settings.camera_name or (None,) * len(settings.keypoints)
-    alone = replace(settings, offset_s=None, refine_cameras=None, find_offsets=None)
+    alone = replace(settings, offset_s=None, refine_cameras=None, find_offsets=None, tilt_deg=None)
     given = all_of(
         *(
             lambda path=path, name=name: prepare(
@@ -211,6 +216,23 @@ def _all_cameras(given: Sequence[Sequence[Prepared]]) -> list[Camera]:
             expected = "the same in all clips"
             raise InputError(Problem("KEYPOINTS", f"camera {one.name}", "two lenses or poses of that name", expected))
     return list(cameras.values())
+
+
+def _tilt_rad(clips: Sequence[FitSettings], level_rad: float | None, posed: bool) -> float | None:
+    """Of all cameras in all clips, where it is said."""
+    tilts = sorted({clip.tilt_deg for clip in clips if clip.tilt_deg is not None})
+    levels = [] if level_rad is None else [math.degrees(level_rad)]
+    problems = []
+    for name, values in (("tilt_deg", tilts), ("level_deg", levels)):
+        option, found = "--" + name.replace("_", "-"), ", ".join(f"{value:g}" for value in values)
+        if posed and values:
+            found += " beside --refine-cameras, where the camera file says which way is up"
+            problems.append(Problem(option, name, found, "one of the two"))
+        elif len(values) > 1:
+            problems.append(Problem(option, name, found, "one for all clips, whose cameras stand still"))
+    if problems:
+        raise InputError(problems)
+    return math.radians(tilts[0]) if tilts else None
 
 
 def _require_poses(cameras: Sequence[Camera]) -> None:

@@ -39,13 +39,13 @@ def extrinsics(
         typer.Option(metavar="auto|PATTERN", help="Which files are one clip, as for recon batch."),
     ] = "auto",
     level_deg: Annotated[
-        float,
+        float | None,
         typer.Option(
             min=0.01,
             max=90,
-            help="How far each camera is from level, or from its tilt, about each axis; 1 with a bubble.",
+            help="How far each camera is from level, or from its tilt, about each axis; 1 with a bubble. (default: 5)",
         ),
-    ] = 5.0,
+    ] = None,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the file.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print everything as JSON.")] = False,
 ) -> None:
@@ -63,7 +63,8 @@ def extrinsics(
     for note in notes:
         say(terminal(stderr=True), note, "yellow")
     with progress_bar(terminal(stderr=True), "solving: ") as progress:
-        run = run_extrinsics(clips, out, overwrite, math.radians(level_deg), progress)
+        level_rad = None if level_deg is None else math.radians(level_deg)
+        run = run_extrinsics(clips, out, overwrite, level_rad, progress)
     if as_json:
         typer.echo(json.dumps(run.to_dict(), indent=1))
         return

@@ -9,8 +9,8 @@
    roll with them. Up is where the ground under the feet, the animal's climb and its upright posture say. A few rounds
    of both lead to the minimum over all unknowns, and the inverse of the sum is the poses' covariance.
 
-Where poses are known roughly, only the third is done, and the first camera stays. The scale is the animal's: its size
-is held at that of the body.
+Where poses are known roughly, only the third is done, and the first camera stays; the distances between the cameras say
+how large the animal is. Otherwise the scale is the animal's: its size is held at that of the body.
 """
 
 from __future__ import annotations
@@ -36,6 +36,8 @@ _PLACING_RAD, _PLACING_M = float(np.radians(10.0)), 1.0
 LEVEL_RAD = float(np.radians(5.0))
 """How far cameras are from level, or from the tilt that is said, about each axis, if nobody looked."""
 _HELD, _SIZE_SIGMA, _MIN_FRAMES = 1e-6, 1e-3, 5
+_LAG_FRAMES = 1.0
+"""How far out of step cameras are that began together: in two clips a camera's turn would stand for what is more."""
 _SEARCHED_S = 1.0
 """How much later or earlier than said a camera may have begun."""
 _ALIKE = 0.5
@@ -81,9 +83,7 @@ def solve_extrinsics(
     Raises TooLittleInCommonError.
     """
     options = settings[0].options
-    settings = [
-        replace(one, options=replace(one.options, refine_cameras=False, size_sigma=_SIZE_SIGMA)) for one in settings
-    ]
+    settings = [_as_rig(one, posed) for one in settings]
     turn_rad, shift_m = (options.placing_rad, options.placing_m) if posed else (_PLACING_RAD, _PLACING_M)
     sigma = np.tile(np.repeat([turn_rad, shift_m], 3), len(settings[0].views))
     sigma[: 6 if posed else 0] = sigma[3:6] = _HELD
@@ -112,6 +112,12 @@ def solve_extrinsics(
     lags = tuple(_lags([spell for clip, spell in spells if clip == i], one) for i, one in enumerate(settings))
     sigma, apart = _beside_first(poses, covariance), _disagreement(settings, reduced)
     return Rig(poses, sigma, _ground_m(settings, spells), apart, lags, converged)
+
+
+def _as_rig(setting: Setting, posed: bool) -> Setting:
+    size_sigma = setting.options.size_sigma if posed else _SIZE_SIGMA
+    o = replace(setting.options, refine_cameras=False, lag_frames=_LAG_FRAMES, size_sigma=size_sigma)
+    return replace(setting, options=o)
 
 
 def search_offsets(setting: Setting) -> Array:
