@@ -252,6 +252,7 @@ def test_command_writes_a_track_that_the_fit_reads(pan_film, tmp_path):
     assert track.intrinsics_px is not None
     np.testing.assert_allclose(track.intrinsics_px[:, :2], 300, rtol=2e-3)
     report = json.loads((tmp_path / "track_report.json").read_text())
+    assert (report["video"], report["camera"]["file"]) == ("pan.avi", "camera.toml")  # nobody reads where they lay
     assert report["by_frame"]["tilt_deg"][0] == pytest.approx(10)
     assert report["by_frame"]["frame"] == list(range(5, 13))
     assert "rolling shutter" in " ".join(report["notes"])

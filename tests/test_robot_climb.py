@@ -417,6 +417,7 @@ def test_the_command_writes_what_the_plan_is(tmp_path, walker):
     report = json.loads((out / "report.json").read_text())
     climb = plan(walker, raised(load_recipe(tmp_path / "short.toml"), 0.03))
     found = check(climb)
+    assert report["recipe"]["name"] == "../short.toml"  # as seen from the report
     assert report["problems"] == found.problems()
     for name, row in report["least_margins"].items():
         assert row["value"] == pytest.approx(found.rows[name].value)
