@@ -59,15 +59,18 @@ DISTORTION_MODELS: dict[str, LensModel] = {
 
 @dataclass(frozen=True)
 class _Record:
-    """One camera as its file has it: unchecked values by field of `Camera`, and what the file calls each field."""
+    """One camera as its file has it: a table of unchecked values, and what it calls each field of `Camera`."""
 
     name: Any
     place: str
     model: Any
     world_z_up: Any
-    values: dict[str, Any]
+    table: dict[str, Any]
     keys: dict[str, str]
     tilt_rad: Any = 0.0
+
+    def value(self, field: str) -> Any:
+        return self.table.get(self.keys[field])
 
 
 def read_cameras(path: str | Path, image_size_px: tuple[int, int] | None = None) -> tuple[Camera, ...]:
@@ -134,21 +137,19 @@ def read_camera(
 
 def write_camera(camera: Camera, path: str | Path) -> None:
     """Write one camera as TOML that `read_camera` reads back exactly; whole or not at all."""
-    import tomli_w
-
-    path = Path(path)
-    text = tomli_w.dumps({"camera": _table(camera)})
-    with staged_file(path) as staged:
-        staged.write_text(text, encoding="utf-8")
+    _write({"camera": _table(camera)}, path)
 
 
 def write_cameras(cameras: Sequence[Camera], path: str | Path) -> None:
     """The same of several, that `read_cameras` reads."""
+    _write({"cameras": [_table(camera) for camera in cameras]}, path)
+
+
+def _write(document: dict[str, Any], path: str | Path) -> None:
     import tomli_w
 
-    path = Path(path)
     with staged_file(path) as staged:
-        staged.write_text(tomli_w.dumps({"cameras": [_table(camera) for camera in cameras]}), encoding="utf-8")
+        staged.write_text(tomli_w.dumps(document), encoding="utf-8")
 
 
 def _table(camera: Camera) -> dict[str, Any]:
@@ -220,16 +221,9 @@ def _own_record(path: Path, table: dict[str, Any], place: str = "camera.") -> _R
     if (table["format"], table.get("version")) != (FORMAT, VERSION):
         found = f"format {table['format']!r}, version {table.get('version')!r}"
         raise InputError(Problem(path, f"{place}format", found, f"format {FORMAT!r}, version {VERSION}"))
-    fields = ("matrix", "distortion", "image_size_px", "rotation", "translation_m")
-    return _Record(
-        name=table.get("name"),
-        place=place,
-        model=table.get("model"),
-        world_z_up=table.get("world_z_up", True),
-        values={field: table.get(field) for field in fields},
-        keys={field: field for field in fields},
-        tilt_rad=table.get("tilt_rad", 0.0),
-    )
+    keys = {field: field for field in ("matrix", "distortion", "image_size_px", "rotation", "translation_m")}
+    up, tilt_rad = table.get("world_z_up", True), table.get("tilt_rad", 0.0)
+    return _Record(table.get("name"), place, table.get("model"), up, table, keys, tilt_rad)
 
 
 def _anipose_record(section: str, table: dict[str, Any]) -> _Record:
@@ -240,35 +234,29 @@ def _anipose_record(section: str, table: dict[str, Any]) -> _Record:
         "rotation": "rotation",
         "translation_m": "translation",
     }
-    values = {field: table.get(key) for field, key in keys.items()}
-    if isinstance(values["distortion"], list) and len(values["distortion"]) == 1:
-        values["distortion"] = values["distortion"] + [0.0] * 3  # k1 alone, the others were not estimated
-    return _Record(
-        name=table.get("name", section),
-        place=f"{section}.",
-        model="fisheye" if table.get("fisheye") else "radtan",
-        world_z_up=False,
-        values=values,
-        keys=keys,
-    )
+    bent = table.get("distortions")
+    if isinstance(bent, list) and len(bent) == 1:
+        table = table | {"distortions": bent + [0.0] * 3}  # k1 alone, the others were not estimated
+    model = "fisheye" if table.get("fisheye") else "radtan"
+    return _Record(table.get("name", section), f"{section}.", model, False, table, keys)
 
 
 def _acinoset_records(path: Path, document: dict[str, Any]) -> list[_Record]:
     entries = document.get("cameras", [document])
     if not isinstance(entries, list) or not entries or not all(isinstance(entry, dict) for entry in entries):
         raise InputError(Problem(path, "cameras", "no list of cameras", "a list with k, d, r and t of each camera"))
-    keys = {"matrix": "k", "distortion": "d", "rotation": "r", "translation_m": "t"}
+    keys = {
+        "matrix": "k",
+        "distortion": "d",
+        "rotation": "r",
+        "translation_m": "t",
+        "image_size_px": "camera_resolution",
+    }
+    size = {"camera_resolution": document.get("camera_resolution")}
+    places = [f"cameras[{index}]." if "cameras" in document else "" for index in range(len(entries))]
     return [
-        _Record(
-            name=entry.get("name"),
-            place=f"cameras[{index}]." if "cameras" in document else "",
-            model="fisheye",
-            world_z_up=True,
-            values={field: entry.get(key) for field, key in keys.items()}
-            | {"image_size_px": document.get("camera_resolution")},
-            keys=keys | {"image_size_px": "camera_resolution"},
-        )
-        for index, entry in enumerate(entries)
+        _Record(entry.get("name"), place, "fisheye", True, entry | size, keys)
+        for place, entry in zip(places, entries, strict=True)
     ]
 
 
@@ -277,22 +265,17 @@ def _opencv_record(document: dict[str, Any]) -> _Record:
         field: next((alias for alias in aliases if alias in document), aliases[0])
         for field, aliases in OPENCV_KEYS.items()
     }
-    values = {field: document.get(key) for field, key in keys.items()}
-    if keys["rotation"] == "R" and values["translation_m"] is None:
-        values["rotation"] = None  # ROS: the rectification, not a pose
     size = [document.get(f"image_{side}", document.get(side)) for side in ("width", "height")]
-    values["image_size_px"] = None if None in size else size
+    changed: dict[str, Any] = {"image_width, image_height": None if None in size else size}
+    if keys["rotation"] == "R" and document.get(keys["translation_m"]) is None:
+        changed["R"] = None  # ROS: the rectification, not a pose
     keys |= {"image_size_px": "image_width, image_height", "model": "distortion_model"}
     model = document.get("distortion_model")
     if model is None:
         model = "fisheye" if document.get("fisheye") or document.get("fisheye_model") else "radtan"
+    up = bool(document.get("world_z_up", False))
     return _Record(
-        name=document.get("camera_name"),
-        place="",
-        model=DISTORTION_MODELS.get(str(model), model),
-        world_z_up=bool(document.get("world_z_up", False)),
-        values=values,
-        keys=keys,
+        document.get("camera_name"), "", DISTORTION_MODELS.get(str(model), model), up, document | changed, keys
     )
 
 
@@ -349,8 +332,8 @@ def _build(
 
     def block(field: str, sizes: tuple[int, ...], expected: str) -> Array | None:
         """The numbers of a field, where they have one of the sizes (any, for no sizes) and are finite."""
-        array = _numbers(record.values[field])
-        if record.values[field] is None:
+        array = _numbers(record.value(field))
+        if record.value(field) is None:
             fault(field, "nothing", expected)
         elif array is None:
             fault(field, "something other than a block of numbers", expected)
@@ -386,10 +369,10 @@ def _build(
             expected = f"{' or '.join(map(str, counts))} coefficients of a {model} lens"
             fault("distortion", f"{distortion.size} coefficients", expected)
 
-    size = _image_size(record.values["image_size_px"], image_size_px, fault)
+    size = _image_size(record.value("image_size_px"), image_size_px, fault)
 
     rotation = translation = None
-    if record.values["rotation"] is not None or record.values["translation_m"] is not None:
+    if record.value("rotation") is not None or record.value("translation_m") is not None:
         rotation = block("rotation", (3, 9), "a rotation, world to camera: 3x3 or a Rodrigues vector")
         translation = block("translation_m", (3,), "a translation of 3 numbers")
         if rotation is not None:
