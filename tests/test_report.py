@@ -24,6 +24,7 @@ from recon.report import (
     to_plain,
     write_report,
 )
+from recon.report.agreement import warnings as agreement_warnings
 from recon.report.cameras import step_warnings
 from recon.report.common import keypoint_warnings
 from recon.solve import Spell
@@ -499,6 +500,17 @@ def test_a_keypoint_that_does_not_fit_is_named():
     assert list(keypoint_warnings(report))[1:] == [
         "l_shoulder does not fit in 75% of its 40 detections: check what it is a label of"
     ]
+    report["keypoints"] = [{"name": f"p{i}", "outliers": 30, "used": 40} for i in range(7)]  # one line of them all
+    said = "7 keypoints do not fit in a third or more of their detections: p0, p1, p2, p3, p4 and 2 more"
+    assert list(keypoint_warnings(report))[1:] == [said]
+
+
+def test_cameras_that_never_see_the_animal_together_are_told():
+    cameras = [{"points": 0}, {"points": 0}]
+    (said,) = agreement_warnings({"agreement": {"cameras": cameras, "findings": []}})
+    assert said.startswith("no two cameras see a point at the same time: check --offset-s")
+    assert not list(agreement_warnings({"agreement": {"cameras": [{"points": 9}, *cameras], "findings": []}}))
+    assert not list(agreement_warnings({"agreement": None}))
 
 
 def test_no_pose_at_all(small_trajectory):

@@ -40,8 +40,10 @@ def section(motion: Motion, settings: Mapping[str, Any]) -> dict[str, Any] | Non
 
 
 def warnings(report: Mapping[str, Any]) -> Iterator[str]:
-    for finding in (report["agreement"] or {}).get("findings", ()):
-        yield finding["text"]
+    found = report["agreement"]
+    if found is not None and not any(camera["points"] for camera in found["cameras"]):
+        yield "no two cameras see a point at the same time: check --offset-s, and whether all files are of one clip"
+    yield from (finding["text"] for finding in (found or {}).get("findings", ()))
 
 
 def _finding_text(finding: Finding, agreement: Agreement, names: list[str], offsets_s: list[float], fps: float) -> str:

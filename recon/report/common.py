@@ -232,11 +232,15 @@ def keypoint_warnings(report: Mapping[str, Any]) -> Iterator[str]:
     if summary["outliers"] > WARN_OUTLIERS * max(summary["detections"], 1):
         share = summary["outliers"] / summary["detections"]
         yield f"many outliers: {summary['outliers']} detections ({share:.0%}) do not agree with the pose"
+    off = {}
     for row in report["keypoints"]:
         count, used = row["outliers"] or 0, row["used"] or 0
         if count > max(WARN_KEYPOINT * used, WARN_KEYPOINT_LEAST):
-            share = count / used
-            yield f"{row['name']} does not fit in {share:.0%} of its {used} detections: check what it is a label of"
+            off[row["name"]] = f"{row['name']} does not fit in {count / used:.0%} of its {used} detections"
+    if len(off) > NAMED:
+        yield f"{len(off)} keypoints do not fit in a third or more of their detections: {first_names([*off])}"
+        return
+    yield from (f"{text}: check what it is a label of" for text in off.values())
 
 
 def camera_warnings(report: Mapping[str, Any]) -> Iterator[str]:
