@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 
 from recon import __version__
-from recon.arrays import Array, Integers, median
+from recon.arrays import Array, Integers, mean, median
 from recon.files import write_bytes
 from recon.net.batches import crop_size
 from recon.net.calibrate import Reliability, reliability
@@ -24,7 +24,7 @@ from recon.net.suspicious import Suspect, suspicious_labels
 from recon.net.torch_extra import require_torch
 from recon.net.train import judge
 from recon.net.trained import Trained, prepared
-from recon.plots.style import COLOURS, GREY, drawing, save
+from recon.plots.style import COLOURS, GREY, drawing, plain_logarithm, save
 from recon.report import to_json
 
 WORST = 6
@@ -125,17 +125,15 @@ def _write_suspects(suspects: list[Suspect], path: Path) -> None:
 
 def _write_worst(labels: Labels, errors: Array, xy_px: Array, which: Integers, path: Path) -> None:
     """The pictures with the largest mean error, no two of them neighbours in time."""
-    known = np.isfinite(errors[which]).any(axis=1)
-    mean = np.full(len(which), -np.inf)
-    mean[known] = np.nanmean(errors[which][known], axis=1)
+    by_picture = np.nan_to_num([mean(errors[i]) for i in which], nan=-np.inf)
     chosen: list[int] = []
-    for i in which[np.argsort(-mean)]:
+    for i in which[np.argsort(-by_picture)]:
         apart = all(labels.clip[i] != labels.clip[j] or abs(labels.numbers[i] - labels.numbers[j]) > 2 for j in chosen)
         if apart and np.isfinite(errors[i]).any() and len(chosen) < WORST:
             chosen.append(int(i))
     tiles = [
         draw_comparison(
-            labels.pictures[i], labels.xy_px[i], xy_px[i], f"{labels.images[i]}: mean {np.nanmean(errors[i]):.1f} px"
+            labels.pictures[i], labels.xy_px[i], xy_px[i], f"{labels.images[i]}: mean {mean(errors[i]):.1f} px"
         )
         for i in chosen
     ]
@@ -156,7 +154,7 @@ def _draw_curves(state: State, folder: Path) -> None:
         if judged:
             right.plot([r["step"] for r in judged], [r["validation_px"] for r in judged], color=COLOURS[1], marker=".")
             right.set(yscale="log")
-            _plain_numbers(right.yaxis)
+            plain_logarithm(right.yaxis)
         else:
             right.text(0.5, 0.5, "no validation pictures", transform=right.transAxes, ha="center", color=GREY)
         right.set(xlabel="step", ylabel="median validation error (px)")
@@ -179,18 +177,9 @@ def _draw_keypoints(judged: dict[str, Evaluation2D], folder: Path) -> None:
         axes.invert_yaxis()
         axes.grid(axis="x", lw=0.4, color="#DDDDDD")
         axes.set(xlabel="median error (px)", xscale="log")
-        _plain_numbers(axes.xaxis)
+        plain_logarithm(axes.xaxis)
         axes.legend()
     save(figure, folder, "keypoints")
-
-
-def _plain_numbers(axis: Any) -> None:
-    """1, 2, 5, 10 and so on along a logarithmic axis."""
-    from matplotlib.ticker import LogLocator, NullLocator
-
-    axis.set_major_locator(LogLocator(subs=(1, 2, 5)))
-    axis.set_major_formatter("{x:g}")
-    axis.set_minor_locator(NullLocator())
 
 
 def _draw_reliability(tables: dict[str, Reliability], folder: Path) -> None:

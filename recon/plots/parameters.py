@@ -9,7 +9,7 @@ import numpy as np
 
 from recon.arrays import Array
 from recon.ik.fit import FittedSeries
-from recon.plots.style import GREY, SMALL, add_legend, drawing, legend_shape, look
+from recon.plots.style import GREY, SMALL, add_legend, drawing, legend_shape, look, plain_logarithm
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -69,10 +69,6 @@ def _weights(axes: Axes, time_s: Array, weights: Array) -> None:
 
 def _logarithmic(axes: Axes, values: Array) -> None:
     """Without powers in the ticks, and no axis within less than a power of ten."""
-    from matplotlib.ticker import LogLocator, NullFormatter
-
     axes.set_yscale("log")
     axes.set_ylim(values.min() / 3, values.max() * 4)
-    axes.yaxis.set_major_locator(LogLocator(numticks=6))
-    axes.yaxis.set_major_formatter("{x:g}")
-    axes.yaxis.set_minor_formatter(NullFormatter())
+    plain_logarithm(axes.yaxis)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -21,6 +21,7 @@ from recon.plots.style import (
     drawing,
     legend_shape,
     look,
+    plain_logarithm,
 )
 
 if TYPE_CHECKING:
@@ -113,7 +114,7 @@ def image_errors(record: SolverRecord) -> Figure:
             axes.tick_params(axis="y", length=0)
             axes.set_title(f"{camera}: mean {mean(values):.1f} px", loc="left")
             bar = figure.colorbar(image, ax=axes, label="error in the picture (px)", extend="min", aspect=40, pad=0.01)
-            _plain_ticks(bar.ax, "y")
+            plain_logarithm(bar.ax.yaxis)
         panels[-1].set_xlabel("frame")
     return figure
 
@@ -137,7 +138,7 @@ def solver_unknowns(record: SolverRecord) -> Figure:
             axes.plot(middle, at, "o", ms=3.5, color=look(0)["color"], label="median of the frames")
             axes.set_xscale("log")
             axes.set_xlim(left=max(axes.get_xlim()[0], _DECADES * float(high.max())))
-            _plain_ticks(axes, "x")
+            plain_logarithm(axes.xaxis)
             axes.tick_params(axis="y", length=0)
             axes.grid(color=PALE, lw=0.4)
             axes.set_axisbelow(True)
@@ -152,18 +153,7 @@ def _logarithmic(axes: Axes, time_s: Array, curves: Sequence[Array]) -> None:
     axes.set_yscale("log")
     low, high = axes.get_ylim()
     axes.set_ylim(max(low, _DECADES * high), high)
-    _plain_ticks(axes, "y")
-
-
-def _plain_ticks(axes: Axes, which: Literal["x", "y"]) -> None:
-    """Of a logarithmic axis: few, and as plain numbers."""
-    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
-
-    axis = axes.xaxis if which == "x" else axes.yaxis
-    low, high = sorted(axis.get_view_interval())
-    axis.set_major_locator(LogLocator(subs=(1.0,) if high > 30 * low else (1.0, 2.0, 5.0), numticks=7))
-    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    axis.set_minor_formatter(NullFormatter())
+    plain_logarithm(axes.yaxis)
 
 
 def _outcome(record: SolverRecord) -> str:

@@ -24,6 +24,7 @@ from recon.files import staged_folder
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.axis import Axis
     from matplotlib.colors import ListedColormap, Normalize
     from matplotlib.figure import Figure
 
@@ -170,6 +171,16 @@ def blank(axes: Axes) -> None:
     axes.text(0.5, 0.5, "no data", transform=axes.transAxes, ha="center", va="center", color=GREY)
     axes.set_xticks([])
     axes.set_yticks([])
+
+
+def plain_logarithm(axis: Axis) -> None:
+    """Of a logarithmic axis: few ticks, as plain numbers."""
+    from matplotlib.ticker import LogLocator, NullFormatter
+
+    low, high = sorted(axis.get_view_interval())
+    axis.set_major_locator(LogLocator(subs=(1.0,) if high > 30 * low else (1.0, 2.0, 5.0), numticks=7))
+    axis.set_major_formatter("{x:g}")
+    axis.set_minor_formatter(NullFormatter())
 
 
 def time_colours(time_s: Array) -> tuple[ListedColormap, Normalize]:
