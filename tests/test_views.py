@@ -12,6 +12,7 @@ from recon.clip import View, camera_poses, still_view
 from recon.frames import inverse, level_from_camera, moved, rigid
 from recon.io.pose3d import read_pose3d
 from recon.solve import TrajectoryOptions, TrajectorySolution, solve_trajectory
+from recon.solve.setting import Setting
 from tests.conftest import SAMPLES
 from tests.test_trajectory import BODY, CAMERA, FPS, PRIOR, run, seen
 
@@ -88,6 +89,22 @@ def test_rays_of_a_moving_view_meet_the_points():
     view = view_of(points, poses, sigma_px=0.0)
     off = points - view.centre_m[:, None]
     np.testing.assert_allclose(view.rays(), off / np.linalg.norm(off, axis=-1, keepdims=True), atol=1e-9)
+
+
+def test_keypoints_noise_is_as_many_pixels_as_the_lens_makes_of_it():
+    """The root mean square of how far the middle of the animal goes in the picture with a millimetre in any direction;
+    a fisheye that turns towards the animal shows it as large as before."""
+    lens, points = replace(CAMERA, model="fisheye", distortion=np.zeros(4)), truth_m()
+    found = []
+    for heading in (np.pi / 2, np.pi / 2 + 0.5):
+        view = replace(view_of(points, pose([0.0, 0.0, 0.0], heading)), camera=lens)
+        found.append(Setting.of([view], BODY, PRIOR, FPS, TrajectoryOptions()).px_per_m(points)[0])
+        middle = np.median(points, axis=1, keepdims=True)
+        steps = 1e-6 * np.concatenate([np.eye(3), -np.eye(3)])
+        moved, at = view.project(middle + steps)[0], view.project(middle)[0]
+        along = np.sqrt(np.sum((moved - at) ** 2, axis=(1, 2)) / 4)  # both ways of three axes, by two coordinates
+        np.testing.assert_allclose(found[-1], 1e6 * along, rtol=1e-4)
+    np.testing.assert_allclose(found[1], found[0], rtol=0.06)
 
 
 # -- motions -------------------------------------------------------------------------------------------------------
