@@ -13,7 +13,7 @@ import numpy as np
 from recon.arrays import Array
 
 DEGREES_OF_FREEDOM = 7.0
-"""nu: the most likely one for the errors of 28 real views, and 5.5 to 9 without one of their five runs
+"""nu: the most likely one for the errors of 28 real views, and 5.5 to 8 without one of their five runs
 (`benchmarks/regions.py`)."""
 _ROUNDING_M2 = 1e-12
 """Added to variances: those of a pose relative to its own middle may be singular to rounding."""
