@@ -325,8 +325,14 @@ def _require_usable(out: Path) -> None:
         raise InputError(Problem("--out", "folder", f"{there}, which may not be written to", "a folder of your own"))
 
 
-def require_free_file(out: Path, overwrite: bool, option: str = "--out", source: Path | None = None) -> None:
-    """Raises InputError where a file is there already that may not be replaced, as the source never may."""
+def require_free_file(
+    out: Path, overwrite: bool, option: str = "--out", source: Path | None = None, suffixes: Iterable[str] = ()
+) -> None:
+    """Raises InputError where a file is there already that may not be replaced, as the source never may. suffixes: one
+    of which the name has to end in; any, if none are given."""
+    if suffixes and out.suffix.lower() not in suffixes:
+        expected = f"a file name that ends in {' or '.join(suffixes)}"
+        raise InputError(Problem(option, "file", repr(str(out)), expected))
     if source is not None and out.resolve() == source.resolve():
         raise InputError(Problem(option, "file", f"{out}, which is the input", "a new name"))
     if out.exists() and not overwrite:

@@ -310,5 +310,5 @@ def test_one_camera_has_no_place_beside_others(folder, tmp_path):
         run_extrinsics([settings(folder, 1)], tmp_path / "found.csv")
     assert problems(error).splitlines() == [
         "run_cam1.csv: cameras: found cam1, expected two or more, each once",
-        f"--out: file: found {tmp_path / 'found.csv'}, expected a name that ends in .toml",
+        f"--out: file: found '{tmp_path / 'found.csv'}', expected a file name that ends in .toml",
     ]

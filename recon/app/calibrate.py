@@ -94,7 +94,10 @@ def run_calibration(
     """
     picture = out.with_name(f"{out.stem}_coverage.png")
     files, the_board, lens, _ = all_of(
-        lambda: collect(inputs), lambda: parse_board(board), lambda: _model(model), lambda: _check_out(out, overwrite)
+        lambda: collect(inputs),
+        lambda: parse_board(board),
+        lambda: _model(model),
+        lambda: require_free_file(out, overwrite, suffixes=(".toml",)),
     )
     views = find_views(files, the_board, progress)
     progress("solving", 1.0)
@@ -113,9 +116,3 @@ def _model(model: str) -> LensModel:
         if model == known:
             return known
     raise InputError(Problem("--model", "lens model", repr(model), "one of " + ", ".join(get_args(LensModel))))
-
-
-def _check_out(out: Path, overwrite: bool) -> None:
-    if out.suffix.lower() != ".toml":
-        raise InputError(Problem("--out", "file", str(out), "a name that ends in .toml"))
-    require_free_file(out, overwrite)

@@ -110,9 +110,7 @@ def run_camera_motion(
 
 
 def _require_out(out: Path, stabilised: Path | None, overwrite: bool, video: Path) -> None:
-    if out.suffix.lower() != ".csv":
-        raise InputError(Problem("--out", "file", str(out), "a name that ends in .csv"))
-    require_free_file(out, overwrite)
+    require_free_file(out, overwrite, suffixes=(".csv",))
     if stabilised is not None:
         require_codec(stabilised)
         require_free_file(stabilised, overwrite, "--stabilised", source=video)

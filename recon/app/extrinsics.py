@@ -111,7 +111,7 @@ def run_extrinsics(
     given, tilt_rad, _ = all_of(
         lambda: all_of(*(lambda clip=clip: _each_alone(clip) for clip in clips)),
         lambda: _tilt_rad(clips, level_rad, posed),
-        lambda: _check_out(out, overwrite),
+        lambda: require_free_file(out, overwrite, suffixes=(".toml",)),
     )
     cameras = _all_cameras(given)
     if posed:
@@ -240,9 +240,3 @@ def _require_poses(cameras: Sequence[Camera]) -> None:
     if without:
         expected = "a camera file with the poses of all cameras"
         raise InputError(Problem("--refine-cameras", "poses", f"none of {', '.join(without)}", expected))
-
-
-def _check_out(out: Path, overwrite: bool) -> None:
-    if out.suffix.lower() != ".toml":
-        raise InputError(Problem("--out", "file", str(out), "a name that ends in .toml"))
-    require_free_file(out, overwrite)

@@ -94,7 +94,7 @@ def run_prediction(
     _, chosen, *_ = all_of(
         lambda: model_file(model),
         lambda: choose_device(device),
-        lambda: _check_out(out, overwrite),
+        lambda: require_free_file(out, overwrite, suffixes=WRITERS),
         lambda: _check_overlay(overlay, overwrite, video),
         lambda: _check_quality(quality),
     )
@@ -126,12 +126,6 @@ def _check_folder(out: Path, resume: bool, overwrite: bool) -> None:
         raise InputError(Problem("--out", "folder", f"{out}, which has a {there[0]}", expected))
     if out.exists() and not out.is_dir():
         raise InputError(Problem("--out", "folder", f"{out}, which is a file", "a folder"))
-
-
-def _check_out(out: Path, overwrite: bool) -> None:
-    if out.suffix.lower() not in WRITERS:
-        raise InputError(Problem("--out", "suffix", repr(out.suffix), "one of " + ", ".join(WRITERS)))
-    require_free_file(out, overwrite)
 
 
 def _check_overlay(overlay: Path | None, overwrite: bool, video: Path) -> None:

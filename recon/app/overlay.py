@@ -100,8 +100,8 @@ def run_sheet(
     """`recon overlay --sheet`: `count` frames with a pose, evenly spaced, as one PNG; how many there are. video: what
     is behind them, plain without one, and then the first camera's unless another is named; the others: see
     `run_overlay`. Raises InputError, with every problem."""
-    check = partial(_check_sheet, sheet, count, overwrite, video)
-    result, number, _ = result_and_video(folder, video, camera, first_frame, check)
+    free = partial(require_free_file, sheet, overwrite, "--sheet", video, (".png",))
+    result, number, _ = result_and_video(folder, video, camera, first_frame, free, lambda: _check_count(count))
     overlay = overlay_of(result, number=number)
     rows = rows_to_show(overlay, count)
     if not len(rows):
@@ -241,12 +241,6 @@ def _check_out(out: Path, overwrite: bool, video: Path) -> None:
     require_free_file(out, overwrite, source=video)
 
 
-def _check_sheet(sheet: Path, count: int, overwrite: bool, video: Path | None) -> None:
-    problems = []
-    if sheet.suffix.lower() != ".png":
-        problems.append(Problem("--sheet", "file", repr(str(sheet)), "a file name that ends in .png"))
+def _check_count(count: int) -> None:
     if not 1 <= count <= MOST:
-        problems.append(Problem("--count", "number", str(count), f"1 to {MOST} frames"))
-    if problems:
-        raise InputError(problems)
-    require_free_file(sheet, overwrite, "--sheet", video)
+        raise InputError(Problem("--count", "number", str(count), f"1 to {MOST} frames"))

@@ -16,6 +16,7 @@ from recon.arrays import Array, Integers
 from recon.body import Body
 from recon.documents import read_json
 from recon.errors import InputError, Problem, all_of
+from recon.files import require_free_file
 from recon.io.pose3d import Pose3D, read_pose_segments
 from recon.prior import (
     FRAMES_PER_COMPONENT,
@@ -140,12 +141,13 @@ def run_prior_fit(
     """
     paths = list(dict.fromkeys(poses))
     folders, tables = [path for path in paths if path.is_dir()], [path for path in paths if not path.is_dir()]
-    given, results, files, rates, _ = all_of(
+    given, results, files, rates, *_ = all_of(
         lambda: _body(skeleton, subject, folders),
         lambda: _by_path(_results, folders),
         lambda: _by_path(read_pose_segments, tables),
         lambda: _rates(fps, tables),
-        lambda: _check_options(out, overwrite, components, min_speed_m_s),
+        lambda: require_free_file(out, overwrite, suffixes=(".npz",)),
+        lambda: _check_options(components, min_speed_m_s),
     )
     body = _common_body(given, results)
     all_of(lambda: _require_markers(body, files), lambda: _require_rates(rates, files, fps or "--fps"))
@@ -302,12 +304,8 @@ def _rates(fps: str | None, tables: Sequence[Path]) -> list[float]:
     return rates
 
 
-def _check_options(out: Path, overwrite: bool, components: int, min_speed_m_s: float) -> None:
+def _check_options(components: int, min_speed_m_s: float) -> None:
     problems = []
-    if out.suffix != ".npz" or out.is_dir():
-        problems.append(Problem("--out", "file", repr(str(out)), "a file name that ends in .npz"))
-    elif out.exists() and not overwrite:
-        problems.append(Problem("--out", "file", f"{out}, which exists", "a new file, or --overwrite"))
     if components < 1:
         problems.append(Problem("--components", "number", f"{components}", "1 or more"))
     if not (math.isfinite(min_speed_m_s) and min_speed_m_s >= 0):

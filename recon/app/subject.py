@@ -128,15 +128,13 @@ def run_subject_fit(
 def _check_options(
     out: Path, lengths: bool, offsets: bool, overwrite: bool, clips: Sequence[Path], poses: Sequence[Path]
 ) -> None:
-    if out.suffix != ".toml":
-        raise InputError(Problem("--out", "file", repr(str(out)), "a file name that ends in .toml"))
     if not lengths and not offsets:
         raise InputError(Problem("--no-lengths", "unknowns", "nothing to fit", "--offsets with it, or without it"))
     if poses and (lengths or not offsets):
         raise InputError(Problem("--poses", "unknowns", "lengths, or no offsets", "--no-lengths --offsets beside it"))
     if poses and len(poses) != len(clips):
         raise InputError(Problem("--poses", "files", f"{len(poses)} for {len(clips)} clips", "one for each clip"))
-    require_free_file(out, overwrite)
+    require_free_file(out, overwrite, suffixes=(".toml",))
 
 
 def _reader(path: Path) -> Callable[[], FitSettings]:
