@@ -107,7 +107,7 @@ def _over_time(
     for label, middle in zip(axes.get_yticklabels(), medians, strict=True):
         label.set_color("k" if middle >= MEASURED_SHARE else GREY)
     axes.tick_params(axis="y", length=0)
-    axes.set_xlabel("time (s);  right: middle over these frames")
+    axes.set_xlabel("time (s);  right: median over these frames")
     bar = figure.colorbar(image, ax=axes, location="bottom", aspect=60, pad=0.01, shrink=0.7)
     bar.set_label(
         f"share of the precision that comes from the pixels;  grey: less than {MEASURED_SHARE:g}, mostly expected"
