@@ -281,7 +281,7 @@ def test_a_checkpoint_of_other_keypoints(clip, quick, tmp_path):
         (("predict", "{clip}/labels.csv", "--model", "{model}", "--out", "p.csv"), "cannot be decoded"),
         (("predict", "{clip}/clip.avi", "--model", "{clip}", "--out", "p.csv"), "no such file"),
         (("predict", "{clip}/clip.avi", "--model", "{clip}/labels.csv", "--out", "p.csv"), "torch cannot read"),
-        (("predict", "{clip}/clip.avi", "--model", "{model}", "--out", "p.txt"), "a file name that ends in .csv or .h5"),
+        (("predict", "{clip}/clip.avi", "--model", "{model}", "--out", "p.txt"), "that ends in .csv or .h5"),
         (
             ("predict", "{clip}/clip.avi", "--model", "{model}", "--out", "p.csv", "--quality", "odd"),
             "fast, best",

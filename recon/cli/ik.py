@@ -84,7 +84,10 @@ def ik(
         problems.append(Problem("--follow", "path", repr(follow), "stride"))
     if target is None and follow is None and not compare:
         problems.append(Problem("options", "job", "none", "--target, --follow stride or --compare"))
-    if alpha not in (None, "step") and not _is_number(alpha):
+    factor: float | Literal["step"] | None = None
+    try:
+        factor = "step" if alpha == "step" else None if alpha is None else float(alpha)
+    except ValueError:
         problems.append(Problem("--alpha", "factor", repr(alpha), "step, or a number other than 0"))
     if problems:
         raise InputError(problems)
@@ -95,7 +98,7 @@ def ik(
         STRIDE_MAX if both else target,
         both or follow is not None,
         foot,
-        _dimension(dim),
+        2 if dim == 2 else 3,
         turns,
         limits,
         fitted,
@@ -104,24 +107,12 @@ def ik(
         overwrite,
         stride_times(stride),
         cost,
-        "step" if alpha == "step" else None if alpha is None else float(alpha),
+        factor,
     )
     if as_json:
         typer.echo(to_json(solved.summary), nl=False)
         return
     _print(terminal(), solved.summary, folder / "ik" if out is None else out)
-
-
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
-
-
-def _dimension(dim: int) -> Literal[2, 3]:
-    return 2 if dim == 2 else 3
 
 
 def _print(console: Console, summary: dict[str, Any], out: Path) -> None:
