@@ -5,7 +5,10 @@
 Each run is a folder as in `cheetah_runs.py`. Every view is changed in its file or in what `recon fit` is told,
 and fitted as it does. Errors are means of the joints' distances, both poses centred. Without FOLDER:
 the cheetah-runs of $RECON_SHARED_DATA, or of ../shared/data; without any runs, nothing. --views: every so many of them.
---folds: the threshold of an exchanged stretch, chosen on all runs but one, for each of them.
+--folds: how much of what keypoints say is each one's own, chosen on all runs but one, for each of them. --bound: which
+exchanges of legs could be told at all, by somebody who knows the poses: those of the reconstruction. --others: what is
+named in untouched clips of other animals: dogs as in `dog.py`, with the prior of the other clips and with each angle on
+its own, and a horse's labels by hand, its camera guessed, of the dog-mocap and the horse-side of $RECON_SHARED_DATA.
 """
 
 from __future__ import annotations
@@ -17,11 +20,12 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import argparse
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+import dog
 import numpy as np
 import pandas as pd
 from markdown_table import print_header, print_row
@@ -31,20 +35,25 @@ from trajectory import GROUPS, PRIOR, body_of, meta_of, prior_of, view_of
 from recon import FitSettings, Motion, fit_clip, read_keypoints
 from recon.analysis.evaluation import centre, joint_errors
 from recon.body import other_side
+from recon.clip import still_view
 from recon.io.deeplabcut import write_csv
 from recon.keypoints import Keypoints
-from recon.mistakes import Mistake
-from recon.mistakes.likelihood import given_of
+from recon.mistakes import Known, Mistake, find_mistakes, likelihood
+from recon.mistakes.likelihood import given_of, unlikely
 from recon.mistakes.mistake import CLEAR
-from recon.mistakes.sides import likeliest, pairs_of, tried
-from recon.solve import TrajectoryOptions
+from recon.mistakes.sides import Stretch, exchanged, exchanges, pairs_of
+from recon.prior import fit_prior, prior_from_body
+from recon.solve import TrajectoryOptions, solve_trajectory
 from recon.solve.setting import Setting
 
 TEN, END = 10, 12
 """Frames exchanged in the middle, and of garbage at an end."""
 FALSE = 0.02
 """So many frames of untouched clips may be named wrongly."""
-FOLDED = ("untouched", "ten frames exchanged", "fore legs exchanged, second half", "hind legs exchanged, second half")
+LEGS = {"fore": "fore legs exchanged, second half", "hind": "hind legs exchanged, second half"}
+FOLDED = ("untouched", "ten frames exchanged", *LEGS.values(), "whole clip exchanged")
+SHARES = (0.2, 0.3, 0.4, 0.5, 0.6)
+"""Of `recon.mistakes.likelihood.TOGETHER`."""
 Change = Callable[["View"], tuple[np.ndarray, np.ndarray]]
 
 
@@ -285,42 +294,113 @@ def print_tables(table: pd.DataFrame) -> None:
         )
 
 
-def likeliest_row(view: View, name: str, folder: Path) -> dict[str, Any]:
-    """What is told most of a view's stretches, how much, and whether that is the exchange put in; of an untouched one
-    the part of its frames that are named wrongly."""
+def share_rows(view: View, name: str, folder: Path) -> list[dict[str, Any]]:
+    """For each of `SHARES`: whether the exchange put in is found, and of an untouched view the part of its frames that
+    are named wrongly."""
     motion, _ = fitted(view, CASES[name], folder)
-    body, solution = motion.body, motion.solution
-    setting = Setting.of(solution.views, body, prior_of(PRIOR), motion.fps, TrajectoryOptions())
+    solution, given_share, rows = motion.solution, likelihood.TOGETHER, []
+    setting = Setting.of(solution.views, motion.body, prior_of(PRIOR), motion.fps, TrajectoryOptions())
     setting = replace(setting, trust=min(spell.prior_weight for spell in solution.spells))
-    best = likeliest(tried(given_of(setting, 0, solution.states, solution.size), pairs_of(body)), 0.0)
-    result = {"run": view.run.name, "case": name, "told": best.told if best else 0.0, "right": False, "wrong": 0.0}
-    if best is not None:
-        rows = best.stretch.rows
-        one = Mistake("sides", best.ratio, 0, (rows.start, rows.stop), best.stretch.markers)
-        result["right"] = name != "untouched" and one.markers == _wanted(motion.names, name)
-        wrong = name == "untouched" and not agreed(view, motion, one)
-        result["wrong"] = (rows.stop - rows.start) / len(view.xy_px) if wrong else 0.0
-    return result
+    given = given_of(setting, 0, solution.states, solution.size)
+    unlike = any(spell.unlike_prior for spell in solution.spells)
+    for share in SHARES:
+        likelihood.TOGETHER = share
+        found = exchanges(replace(given), 0, unlike)  # without what was found with another share
+        wrong = np.zeros(len(view.xy_px), dtype=bool)
+        for one in found:
+            wrong[slice(*(one.rows or (0, None)))] |= not agreed(view, motion, one)
+        right = any(one.markers == _wanted(motion.names, name) for one in found)
+        wrong_part = float(wrong.mean()) if name == "untouched" else np.nan
+        rows.append({"run": view.run.name, "case": name, "share": share, "right": right, "wrong": wrong_part})
+    likelihood.TOGETHER = given_share
+    return rows
 
 
 def print_folds(table: pd.DataFrame) -> None:
-    """The lowest threshold, from a thousand to one on, that names at most `FALSE` of the other runs' untouched frames
-    wrongly, and what it does on the run that was left out; last, on all runs."""
-
-    def share(part: pd.DataFrame, least: float) -> float:
-        untouched = part[part["case"] == "untouched"]
-        return float((untouched["wrong"] * (untouched["told"] > least)).mean())
-
-    print_header(["left out", "threshold", "ten frames", "fore legs", "hind legs", "untouched frames named wrongly"])
+    """The share that finds most in the other runs with at most `FALSE` of their untouched frames named wrongly, the
+    smallest of equals, and what it does on the run that was left out; last, on all runs."""
+    print_header(["left out", "share", "ten frames", "fore legs", "hind legs", "whole clip", "named wrongly"])
     for run in [*table["run"].unique(), "none"]:
         rest = table[table["run"] != run]
-        least = min(c for c in np.arange(np.ceil(CLEAR), 40.0, 0.5) if share(rest, c) <= FALSE)
-        part = table if run == "none" else table[table["run"] == run]
-        found = [
-            f"{int((of['right'] & (of['told'] > least)).sum())} of {len(of)}"
-            for of in (part[part["case"].str.startswith(case)] for case in ("ten", "fore", "hind"))
-        ]
-        print_row([run, f"{least:.1f}", *found, f"{share(part, least):.1%}"])
+        allowed = rest.groupby("share")["wrong"].mean() <= FALSE
+        best = rest[rest["case"] != "untouched"].groupby("share")["right"].sum().where(allowed).idxmax()
+        part = (table if run == "none" else table[table["run"] == run]).loc[lambda t, best=best: t["share"] == best]
+        of_case = part[part["case"] != "untouched"].groupby("case", sort=False)["right"]
+        found = [f"{int(one.sum())} of {len(one)}" for _, one in of_case]
+        print_row([run, f"{best:.1f}", *found, f"{part['wrong'].mean():.1%}"])
+
+
+def bound_rows(view: View, folder: Path) -> list[dict[str, Any]]:
+    """By pair of legs: how much likelier the reconstruction's poses make the untouched keypoints than those with the
+    second half exchanged; and of the untouched ones, with which stretch exchanged they are likelier, and how much."""
+    motion, _ = fitted(view, CASES["untouched"], folder)
+    lens, _, _, truth_m = view_of(view.run, view.camera)
+    (seen,), sigma_px, T = motion.solution.views, motion.solution.noise_px[0], len(view.xy_px)
+    alike = max(TrajectoryOptions().error_time_s * motion.fps, 1.0)
+    projected, _ = lens.project(truth_m)
+
+    def surprise(stretch: Stretch) -> float:
+        return unlikely(exchanged(seen, stretch), projected, sigma_px, alike)
+
+    rows = []
+    for name in LEGS:
+        places = pairs_of(motion.body)[name]
+        as_it_is = surprise(Stretch(slice(0, 0), places))
+        told = surprise(Stretch(slice(_half(view), T), places)) - as_it_is
+        gains = {
+            (a, b): as_it_is - surprise(Stretch(slice(a, b), places)) for a in range(T) for b in range(a + 1, T + 1)
+        }
+        (first, stop), gain = max(gains.items(), key=lambda one: one[1])
+        rows.append({"run": view.run.name, "cam": view.camera, "legs": name, "told": told, "gain": gain})
+        rows[-1]["part"] = (stop - first) / T
+    return rows
+
+
+def print_bound(table: pd.DataFrame) -> None:
+    print_header(["likelier by", "fore legs", "hind legs", "untouched frames"])
+    for least in (0.0, np.log(20.0), CLEAR):
+        told = [f"{int((of['told'] > least).sum())} of {len(of)}" for _, of in table.groupby("legs")]
+        named = (table["part"] * (table["gain"] > least)).groupby(table["legs"]).mean().sum()
+        print_row([f"{np.exp(least):.0f} times", *told, f"{named:.1%}"])
+    lost = table[table["told"] <= CLEAR]
+    print("\nNot clear: " + ", ".join(f"{r.run} cam{r.cam} {r.legs} {r.told:.1f}" for r in lost.itertuples()) + ".")
+
+
+def dog_rows(folder: Path) -> list[dict[str, Any]]:
+    body, clips = dog.body_of(), dog.read_clips(folder)
+    solved, plain, rows = dog.solve(clips), prior_from_body(body), []
+    for one in solved:
+        known = [(other.clip.name, other.states, other.clip.fps) for other in solved if other is not one]
+        for prior in (fit_prior(body, known, "the other clips"), plain):
+            camera, truth_m = dog.side_view(one.clip)[0], one.clip.markers(body)
+            px, _ = camera.project(camera.world_to_camera(truth_m))
+            px = px + np.random.default_rng(clips.index(one.clip)).normal(0, dog.NOISE_PX, px.shape)
+            view, options = still_view(camera, px, np.ones(px.shape[:2])), TrajectoryOptions()
+            solution = solve_trajectory([view], body, prior, one.clip.fps)
+            found = find_mistakes(solution, body, prior, one.clip.fps, options, Known(((),), (None,)))
+            rows.append(_others(f"dog {one.clip.name}", len(px), prior.name, found))
+    return rows
+
+
+def horse_rows(folder: Path) -> list[dict[str, Any]]:
+    settings: dict[str, Any] = {"keypoints": folder / "CollectedData_Byron.csv", "skeleton": "horse-22", "fps": 24.0}
+    motion = fit_clip(FitSettings(**settings, hfov_deg=50.0, image_size_px=(288, 162)))
+    return [_others("horse", len(motion.frames), "none", motion.mistakes)]
+
+
+def _others(name: str, T: int, prior: str, found: Sequence[Mistake]) -> dict[str, Any]:
+    named = np.zeros(T, dtype=bool)
+    for one in found:
+        if one.kind in ("sides", "garbage"):
+            named[slice(*(one.rows or (0, None)))] = True
+    rest = sorted({one.kind for one in found} - {"sides", "garbage"})
+    return {"clip": name, "frames": T, "prior": prior, "frames named": named.mean(), "else named": ", ".join(rest)}
+
+
+def print_others(table: pd.DataFrame) -> None:
+    print_header(list(table.columns))
+    for row in table.itertuples(index=False):
+        print_row([*row[:3], f"{row[3]:.1%}", row[4]])
 
 
 def main() -> None:
@@ -329,28 +409,35 @@ def main() -> None:
     parser.add_argument("--views", type=int, default=1, help="every so many views")
     parser.add_argument("--first", type=int, default=0, help="from this view on")
     parser.add_argument("--only", help="cases whose name has this in it")
-    parser.add_argument("--folds", action="store_true", help="choose the threshold, leaving runs out")
+    parser.add_argument("--folds", action="store_true", help="choose the share, leaving runs out")
+    parser.add_argument("--others", action="store_true", help="what is named in clips of other animals")
+    parser.add_argument("--bound", action="store_true", help="what could be told by the poses of the reconstruction")
     parser.add_argument("--csv", type=Path, help="write all rows here")
     arguments = parser.parse_args()
     runs = sorted(p.parent for p in arguments.folder.glob("*/meta.json"))
     if not runs:
         parser.exit(message=f"no runs in {arguments.folder}: nothing measured\n")
     rows = []
+    if arguments.others:
+        print_others(pd.DataFrame(dog_rows(recordings("dog-mocap")) + horse_rows(recordings("horse-side"))))
+        return
     views = [(run, camera) for run in runs for camera in meta_of(run)["cameras"]]
     for run, camera in views[arguments.first :: arguments.views]:
         lens, xy_px, confidence, _ = view_of(run, camera)
         file = read_keypoints(run / f"cam{camera}.csv")
         file = replace(file, names=body_of().markers, xy_px=xy_px, confidence=confidence)
         view = View(run, camera, file, lens.image_size_px)
-        if arguments.folds:
+        if arguments.folds or arguments.bound:
             with tempfile.TemporaryDirectory() as folder:
-                rows += [likeliest_row(view, name, Path(folder)) for name in FOLDED]
+                cases = FOLDED if arguments.folds else ()
+                rows += [row for name in cases for row in share_rows(view, name, Path(folder))]
+                rows += bound_rows(view, Path(folder)) if arguments.bound else []
         else:
             rows += rows_of(view, arguments.only)
     table = pd.DataFrame(rows)
     if arguments.csv:
         table.to_csv(arguments.csv, index=False)
-    (print_folds if arguments.folds else print_tables)(table)
+    (print_folds if arguments.folds else print_bound if arguments.bound else print_tables)(table)
 
 
 if __name__ == "__main__":

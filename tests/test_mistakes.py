@@ -10,18 +10,20 @@ import pytest
 
 from recon.app.clip import fit_clip, prepare
 from recon.app.demo import samples_folder
+from recon.body import other_side
 from recon.clip import View, still_view
 from recon.io import read_keypoints
 from recon.io.deeplabcut import write_csv
 from recon.keypoints import CleaningReport
 from recon.mistakes import Known, Mistake, find_mistakes, with_flags, with_sides_mended, without_garbage
 from recon.mistakes.garbage import garbage_ratios
-from recon.mistakes.likelihood import given_of
+from recon.mistakes.likelihood import given_of, unlikely
 from recon.mistakes.mistake import CLEAR
 from recon.mistakes.picture import of_other_camera, of_smaller_video, of_unit_square, smaller, turned_over
 from recon.mistakes.rate import other_rate
-from recon.mistakes.sides import Stretch, Tried, exchanged, exchanges, jumps, likeliest, opposites, pairs_of, tried
+from recon.mistakes.sides import Stretch, exchanged, exchanges, jumps, opposites, pairs_of, tried
 from recon.motion import Motion
+from recon.prior import prior_from_body
 from recon.report import mistakes as in_report
 from recon.settings import FitSettings
 from recon.solve import TrajectoryOptions
@@ -100,18 +102,64 @@ def test_a_clip_without_states_has_no_exchanged_stretch():
     assert tried(replace(nothing, states=np.full_like(nothing.states, np.nan)), pairs_of(BODY)) == []
 
 
-def test_of_stretches_about_as_likely_the_shortest_is_taken():
-    def one(first: int, stop: int, ratio: float, told: float) -> Tried:
-        return Tried(stretch("fore", first, stop), ratio, told)
+def test_an_end_of_a_clip_is_judged_beside_the_rest_of_it():
+    ends = {(one.stretch.rows.start, one.stretch.rows.stop): one.ratio for one in tried(given_half(), pairs_of(BODY))}
+    assert {(0, 20), (20, T)} <= set(ends)
+    assert ends[20, T] > max(ends[0, 20], CLEAR)
 
-    long, short, unlikely = one(0, 20, 15.0, 31.0), one(0, 10, 15.0, 30.0), one(0, 5, 15.0, 20.0)
-    assert likeliest([long, short, unlikely], 10.0) is short
-    assert likeliest([unlikely, one(5, 10, 1.0, 40.0)], 10.0) is unlikely  # the fit itself has to say so, too
-    assert likeliest([short], 30.0) is None
+
+def given_half():
+    return given(exchanged(view(), stretch("hind", 20, T)))
+
+
+def test_of_a_motion_that_the_prior_does_not_know_a_stretch_is_found_but_no_whole_clip():
+    (found,) = exchanges(given_half(), 0, unlike=True)
+    assert found.rows == (20, T)
+    assert exchanges(given(exchanged(view(), stretch("all", 0, T))), 0, unlike=True) == []
+
+
+def test_an_error_that_lasts_is_likelier_than_one_that_jumps():
+    xy_px = view().xy_px
+    off, sigma_px = np.zeros_like(xy_px), np.full(xy_px.shape[:2], 3.0)
+    none = unlikely(view(), xy_px, sigma_px, 10.0)
+    off[10:30] = [3.0, 0.0]
+    lasts = unlikely(view(), xy_px + off, sigma_px, 10.0) - none
+    jumps_about = unlikely(view(), xy_px + off[np.random.default_rng(0).permutation(T)], sigma_px, 10.0) - none
+    assert 0 < 3 * lasts < jumps_about
+    # of a steady error the frames that are alike count once, but for the first ones
+    each, alike = (
+        unlikely(view(), xy_px + np.array([0.3, 0.0]), sigma_px, n) - unlikely(view(), xy_px, sigma_px, n)
+        for n in (1.0, 10.0)
+    )
+    assert alike == pytest.approx(each / T * (1 + (T - 1) / 10), rel=0.01)
+    hidden = view().xy_px.copy()
+    hidden[:, 3] = np.nan
+    assert np.isfinite(unlikely(moved(hidden), xy_px, sigma_px, 10.0))
+
+
+def test_ten_frames_of_the_sample_are_found(tmp_path):
+    clip = read_keypoints(samples_folder() / "whole.csv")
+    other = [clip.names.index(other_side(name)) for name in clip.names]
+    xy_px, confidence, rows = clip.xy_px.copy(), clip.confidence.copy(), slice(20, 30)
+    xy_px[rows], confidence[rows] = xy_px[rows][:, other], confidence[rows][:, other]
+    write_csv(replace(clip, xy_px=xy_px, confidence=confidence), tmp_path / "exchanged.csv")
+    camera = samples_folder() / "camera.toml"
+    motion = fit_clip(FitSettings(keypoints=tmp_path / "exchanged.csv", camera=camera, fps=60))
+    (found,) = motion.mistakes
+    assert (found.kind, found.rows, len(found.markers)) == ("sides", (20, 30), 18)
 
 
 def test_an_untouched_clip_has_no_mistakes():
     assert find_mistakes(plain(), BODY, PRIOR, FPS, TrajectoryOptions(), KNOWN) == ()
+
+
+def test_without_a_prior_of_motions_neither_sides_nor_rates_are_judged():
+    wrong = replace(plain(), views=(exchanged(view(), stretch("all", 15, 25)),))
+    (found,) = find_mistakes(wrong, BODY, PRIOR, FPS, TrajectoryOptions(), KNOWN)
+    assert found.kind == "sides"
+    assert find_mistakes(wrong, BODY, prior_from_body(BODY), FPS, TrajectoryOptions(), KNOWN) == ()
+    setting = Setting.of([view()], BODY, prior_from_body(BODY), 2 * FPS, TrajectoryOptions())
+    assert other_rate(setting, given(view()).states, plain().noise_px, None) is None
 
 
 def test_mending_exchanges_back(small_trajectory: Motion):

@@ -20,7 +20,7 @@ from recon.mistakes.mistake import Mistake, MistakeKind
 from recon.mistakes.picture import of_other_camera, of_smaller_video, of_unit_square, turned_over
 from recon.mistakes.rate import other_rate
 from recon.mistakes.sides import exchanges
-from recon.prior import MotionPrior
+from recon.prior import NONE, MotionPrior
 from recon.solve import TrajectoryOptions, TrajectorySolution
 from recon.solve.setting import Setting
 
@@ -60,7 +60,8 @@ def find_mistakes(
     options: TrajectoryOptions,
     known: Known,
 ) -> tuple[Mistake, ...]:
-    """In the keypoints that a solution was fitted to."""
+    """In the keypoints that a solution was fitted to. Each angle on its own, where no prior was learned, tells neither
+    sides nor rates."""
     setting = Setting.of(solution.views, body, prior, fps, options)
     weighed = replace(setting, trust=min((spell.prior_weight for spell in solution.spells), default=1.0))
     unlike = any(spell.unlike_prior for spell in solution.spells)
@@ -71,7 +72,7 @@ def find_mistakes(
             of_picture = _of_picture(given, number, known)
             if of_picture is not None:
                 found.append(of_picture)
-            elif known.sides:
+            elif known.sides and prior.name != NONE:
                 if weighed.trust < 1:
                     given = given_of(weighed, number, solution.states, solution.size)
                 found += exchanges(given, number, unlike)

@@ -3,6 +3,9 @@
 A hypothesis is a `Setting`: other keypoints, or another camera. Its animal is sought from the start, as the fast search
 does, at the approach's frame rate; or from the motion that was found, where the hypothesis leaves the animal there:
 its minimum is then nearly always the same one, in a third of the time.
+
+A detector's errors last, and keypoints of one limb err together. An error that stays is hardly surprising, one that
+jumps is (`unlikely`): where sides are exchanged, the motion or the errors of all of a limb's keypoints jump at once.
 """
 
 from __future__ import annotations
@@ -19,12 +22,16 @@ from recon.clip import View
 from recon.keypoints import frame_ranges
 from recon.kinematics import ROOT, YAW
 from recon.prior import ANGLES
-from recon.solve.least_squares import LeastSquares
 from recon.solve.setting import Setting
 from recon.solve.starts import APPROACH_HZ, approach, between
 
 _TOLERANCE, _ITERATIONS = 3e-3, 12
 """When a minimum is good enough."""
+TOGETHER = 0.4
+"""Keypoints of one limb err together: so much of what they say is each one's own. Chosen on real clips, by leaving runs
+out (docs/benchmarks.md, mistakes)."""
+TAILS = 3.0
+"""Degrees of freedom of Student's distribution, which errors have."""
 AT_ONCE_S = 1.0
 """So much of a clip is judged at once."""
 LOOSE = 2.0
@@ -39,26 +46,57 @@ def alone(setting: Setting, view: View) -> Setting:
     return replace(setting, views=(view,), origin_m=origin_m, options=replace(setting.options, fast=True))
 
 
-def surprise(setting: Setting, start: Array | None = None, widen: Sequence[float] = (), lasting: bool = False) -> float:
+def surprise(
+    setting: Setting, start: Array | None = None, widen: Sequence[float] = (1.0,), lasting: bool = False
+) -> float:
     """Minus the logarithm of the likelihood of one view's keypoints, but for a constant; infinite without any.
 
-    The errors of a detector last (`Setting.alike`), and their costs count once in that time. lasting: so do those of
-    the priors, for what is off in the same way all the time. start: states (T, D) to begin with; by default it is
-    sought. widen: factors on the noise on the way in from there.
+    lasting: the costs of the priors count once in the time that errors last, for what is off in the same way all the
+    time. start: states (T, D) to begin with; by default it is sought. widen: factors on the noise of the fits on the
+    way in from there.
     """
     if (setting.present().sum(axis=1) >= MIN_JOINTS).sum() < 2:
         return np.inf
     step = max(1, round(setting.fps / APPROACH_HZ))
     thin, ones = setting.thinned(step), np.ones((1, len(setting.body.markers)))
     states = (approach(setting)[0].estimate.states if start is None else start)[::step]
-    for times in widen:
-        noise_px = times * thin.noise_px(thin.markers(states), ones)
-        states = thin.problem(noise_px).minimise(states, _TOLERANCE, _ITERATIONS).states
     problem = thin.problem(thin.noise_px(thin.markers(states), ones), 1.0)
-    states = problem.minimise(states, _TOLERANCE, _ITERATIONS).states
-    noise_px = thin.noise_px(thin.markers(states), ones)
-    seen, expected = costs(thin, thin.problem(noise_px, 1.0), states, noise_px)
-    return seen / setting.alike + expected / (setting.alike if lasting else 1.0) + off_ground(setting, states)
+    for number, times in enumerate(widen, start=1):
+        noise_px = times * thin.noise_px(thin.markers(states), ones)
+        problem = thin.problem(noise_px, 1.0 if number == len(widen) else None)
+        states = problem.minimise(states, _TOLERANCE, _ITERATIONS).states
+    expected = sum(cost for name, cost in problem.costs(states).items() if name != "reprojection")
+    seen = _seen(setting, between(states, np.arange(0, len(setting), step), len(setting)))
+    return seen + expected / (setting.alike if lasting else 1.0) + off_ground(setting, states)
+
+
+def _seen(setting: Setting, states: Array) -> float:
+    """Of one view's keypoints around a motion (T, D)."""
+    (view,), markers = setting.views, setting.markers(states)
+    (sigma_px,) = setting.noise_px(markers, np.ones((1, markers.shape[1])))
+    projected, _ = view.project(view.at_its_time(setting.in_world(markers)))
+    return unlikely(view, projected, sigma_px, setting.alike)
+
+
+def unlikely(view: View, projected: Array, sigma_px: Array, alike: float) -> float:
+    """Minus the logarithm of the density in pixels of a view's keypoints around where a motion has them (T, J, 2), with
+    noise (T, J), but for a constant.
+
+    Of each error a part is the one before, so that alike neighbouring frames count once, and the rest is its own. The
+    noise's size, which only follows the distance, counts once in that time.
+    """
+    off, kept = (projected - view.xy_px) / sigma_px[..., None], (alike - 1) / (alike + 1)
+    own = off.copy()
+    own[1:] = np.where(np.isfinite(off[:-1]), (off[1:] - kept * off[:-1]) / np.sqrt(1 - kept**2), off[1:])
+    weight = np.where(view.present, view.confidence, 0.0)
+    spread = 2.0 * float(np.sum(np.log(sigma_px) * weight)) / alike
+    return TOGETHER * float(np.sum(log_tail(own) * weight)) + spread
+
+
+def log_tail(off: Array) -> Array:
+    """(T, J): minus the logarithm of the density of errors (T, J, 2), in standard deviations, but for a constant; 0
+    where a point is missing."""
+    return (TAILS + 2) / 2 * np.log1p(np.nan_to_num(np.sum(off**2, axis=-1)) / TAILS)
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,14 +116,14 @@ class Given:
         return alone(self.setting, view)
 
     @cached_property
-    def _known(self) -> dict[tuple[int, int, bool], float]:
+    def _known(self) -> dict[tuple[int, int, float, bool], float]:
         return {}
 
-    def surprise(self, part: slice, lasting: bool = False) -> float:
+    def surprise(self, part: slice, widen: float = 1.0, lasting: bool = False) -> float:
         """Of a part of the clip, from the states that were found."""
-        key = (part.start, part.stop, lasting)
+        key = (part.start, part.stop, widen, lasting)
         if key not in self._known:
-            self._known[key] = surprise(self.setting.part(part), self.found(part), lasting=lasting)
+            self._known[key] = surprise(self.setting.part(part), self.found(part), (widen,), lasting)
         return self._known[key]
 
     def found(self, part: slice) -> Array | None:
@@ -140,14 +178,6 @@ def given_of(setting: Setting, number: int, states: Array, size: float) -> Given
     found = states.copy()
     found[:, ROOT] = (states[:, ROOT] - own.origin_m) / size
     return Given(own, found)
-
-
-def costs(setting: Setting, problem: LeastSquares, states: Array, noise_px: Array) -> tuple[float, float]:
-    """Of the keypoints, as a density in pixels, and of what is expected of the motion."""
-    of_terms = problem.costs(states)
-    (view,) = setting.views
-    spread = 2.0 * float(np.sum(np.log(noise_px[0]) * np.where(view.present, view.confidence, 0.0)))
-    return of_terms.pop("reprojection") + spread, sum(of_terms.values())
 
 
 def off_ground(setting: Setting, states: Array) -> float:

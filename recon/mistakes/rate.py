@@ -12,7 +12,7 @@ import numpy as np
 
 from recon.arrays import Array
 from recon.mistakes.mistake import CLEAR, Mistake
-from recon.prior import ANGLES
+from recon.prior import ANGLES, NONE
 from recon.solve.setting import Setting
 from recon.solve.starts import APPROACH_HZ
 
@@ -28,7 +28,8 @@ def other_rate(setting: Setting, states: Array, noise_px: Array, stated_hz: floa
     stated_hz: what the file says."""
     if stated_hz is not None and not 1 / NEARLY < stated_hz / setting.fps < NEARLY:
         return Mistake("frame_rate", np.nan, found=stated_hz)
-    factors = [factor for factor in OTHER_RATES if _swings_better(setting, states, factor)]
+    learned = setting.prior.name != NONE
+    factors = [factor for factor in OTHER_RATES if learned and _swings_better(setting, states, factor)]
     if not factors:
         return None
     given = _surprise(setting, states, noise_px, 1.0)

@@ -3,14 +3,13 @@
 A fit follows exchanged keypoints, and its residuals say little. Three things together say it. Where an exchange begins
 or ends, the keypoints of both sides jump at once, unless the legs cross there: their tracks in the picture say where
 that may be. A fit to which each keypoint of a leg may be either side's says which of them it looks like in each frame.
-And the likelihood of the clip with the few best of the stretches exchanged says whether they are. A whole clip is tried
-in any case; exchanged, it looks like the animal mirrored in depth.
+The likelihood of the clip with each of the few best stretches exchanged says whether one is. A whole clip is tried in
+any case; exchanged, it looks like the animal mirrored in depth.
 """
 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,22 +17,16 @@ import numpy as np
 from recon.arrays import Array, Index
 from recon.body import Body, other_side
 from recon.clip import View
-from recon.mistakes.likelihood import AT_ONCE_S, Given, best_seen, either_side, surprise
+from recon.mistakes.likelihood import AT_ONCE_S, LOOSE, TAILS, Given, best_seen, either_side, log_tail, surprise
 from recon.mistakes.mistake import CLEAR, Mistake
 
 JUMP = -3.0
 """Exchanges begin and end where that makes the tracks so much likelier, as a logarithm: legs that cross hardly jump."""
-LOOKS, CLEAR_FIT, CLEAR_STRETCH = 0.5, 3.0, 12.0
-"""Tracks and looks count that much, as errors last. A stretch is exchanged where that makes the clip likelier by
-`CLEAR_FIT`, and all three together by `CLEAR_STRETCH`, as logarithms: it could be any of hundreds, and no animal's legs
-go quite as the prior has them. Chosen on real clips, by leaving runs out (docs/benchmarks.md, mistakes)."""
 LIKELY, TRIED, STRETCHES = 6.0, 3, 4
 """Stretches are tried of which tracks and looks say so much, so many of them for each second, and so many exchanges
 found in a clip."""
 OF_LEG = 3
 """Of a leg, the last markers: what is above hardly tells its side."""
-_TAILS = 3.0
-"""Degrees of freedom of Student's distribution, which errors have."""
 _STRAIGHT = 3
 """So many frames before and after an end, tracks are straight lines."""
 _LEAST_OFF_PX = 3.0
@@ -79,21 +72,19 @@ def pairs_of(body: Body) -> dict[str, Index]:
 
 
 def exchanges(given: Given, number: int, unlike: bool = False) -> list[Mistake]:
-    """Of one view of a clip. number: the view's. unlike: the prior does not know the motion (`recon.solve.surprise`):
-    what it says of the sides counts only where tracks and looks say it, too."""
+    """Of one view of a clip, under a prior learned from motions. number: the view's. unlike: the prior does not know
+    this one (`recon.solve.surprise`); a whole clip, in which no keypoints jump, is then not tried: nothing but the
+    prior tells it."""
     kinds, view = pairs_of(given.setting.body), given.view
     found: list[Mistake] = []
     while len(found) < STRETCHES and "all" in kinds:
-        all_tried = [one for one in tried(given, kinds) if not unlike or one.told - one.ratio > CLEAR_STRETCH]
-        best = likeliest(all_tried, CLEAR_STRETCH)
-        whole = None if found or unlike else _whole(given, kinds["all"])
-        if whole is not None and whole.ratio > max(CLEAR, best.ratio if best else 0.0):
-            best = whole
-        if best is None:
+        whole = [] if unlike else [_whole(given, kinds["all"])]
+        best = max([*tried(given, kinds), *whole], key=lambda one: one.ratio, default=None)
+        if best is None or best.ratio <= CLEAR:
             break
         rows, markers = best.stretch.rows, best.stretch.markers
         found.append(Mistake("sides", best.ratio, number, (rows.start, rows.stop), markers))
-        if best is whole:  # the states are the other way round, and nothing more is told by them
+        if best in whole:  # the states are the other way round, and nothing more is told by them
             break
         view = exchanged(view, best.stretch)
         given = Given(given.other(view), given.states)
@@ -102,20 +93,10 @@ def exchanges(given: Given, number: int, unlike: bool = False) -> list[Mistake]:
 
 @dataclass(frozen=True, eq=False)
 class Tried:
-    """A stretch that was exchanged: how much likelier that makes the clip, and how much with what tracks and looks say,
-    as logarithms."""
+    """A stretch that was exchanged: how much likelier that makes the clip, as a logarithm."""
 
     stretch: Stretch
     ratio: float
-    told: float
-
-
-def likeliest(all_tried: Sequence[Tried], least: float) -> Tried | None:
-    """What is told most clearly, and more than at least; of those about as likely the shortest."""
-    clear = [one for one in all_tried if one.ratio > CLEAR_FIT and one.told > least]
-    most = max((one.told for one in clear), default=0.0)
-    about = [one for one in clear if one.told > most - CLEAR_FIT]
-    return min(about, key=lambda one: one.stretch.rows.stop - one.stretch.rows.start, default=None)
 
 
 def tried(given: Given, kinds: dict[str, Index]) -> list[Tried]:
@@ -128,25 +109,33 @@ def tried(given: Given, kinds: dict[str, Index]) -> list[Tried]:
     likely = [
         one for name, places in kinds.items() for one in _told(jumps(given.view, places), looks[name], name, most)
     ]
-    for _, name, (first, stop), jump in sorted(likely, reverse=True)[:most]:
+    chosen = [(name, rows) for _, name, ends in sorted(likely, reverse=True)[:most] for rows in _parts(*ends, T)]
+    for name, (first, stop) in dict.fromkeys(chosen):
         stretch = Stretch(slice(first, stop), kinds[name])
         part = _around(stretch.rows, T, fps)
-        other = given.other(exchanged(given.view, stretch)).part(part)
-        ratio = given.surprise(part) - surprise(other, given.found(part))
-        look = float(looks[name][max(first, part.start) : min(stop, part.stop)].sum())
-        found.append(Tried(stretch, ratio, ratio + LOOKS * (jump + look)))
+        other = surprise(given.other(exchanged(given.view, stretch)).part(part), given.found(part), (LOOSE,))
+        found.append(Tried(stretch, given.surprise(part, LOOSE) - other))
     return found
 
 
+def _parts(first: int, stop: int, T: int) -> list[tuple[int, int]]:
+    """A stretch, and what is left of the clip before or after it: which of them is exchanged only the motion tells."""
+    rest = [(stop, T)] if first == 0 else [(0, first)] if stop == T else []
+    return [(first, stop), *rest]
+
+
 def _whole(given: Given, places: Index) -> Tried:
-    """The whole clip exchanged, judged where most is seen: from what was found, and from that mirrored in depth."""
+    """The whole clip exchanged, judged where most is seen: from what was found, and from that mirrored in depth. What
+    was found need not be the best even of the clip as it is: before that is doubted, it is sought anew."""
     view, part = given.view, best_seen(given.view, given.setting.fps)
     stretch = Stretch(slice(0, len(view.xy_px)), places)
     other = given.other(exchanged(view, stretch)).part(part)
-    starts = {(): given.found(part), (8.0, 2.0): given.mirrored(part)}
+    starts = {(1.0,): given.found(part), (LOOSE, 1.0): given.mirrored(part)}
     likely = [surprise(other, start, widen) for widen, start in starts.items() if start is not None]
     ratio = given.surprise(part) - min(likely or [surprise(other)])
-    return Tried(stretch, ratio, ratio)
+    if ratio > CLEAR:
+        ratio += min(surprise(given.setting.part(part)) - given.surprise(part), 0.0)
+    return Tried(stretch, ratio)
 
 
 def _around(rows: slice, T: int, fps: float) -> slice:
@@ -158,9 +147,9 @@ def _around(rows: slice, T: int, fps: float) -> slice:
     return slice(first, min(first + n, T))
 
 
-def _told(jump: Array, looks: Array, name: str, most: int) -> list[tuple[float, str, tuple[int, int], float]]:
+def _told(jump: Array, looks: Array, name: str, most: int) -> list[tuple[float, str, tuple[int, int]]]:
     """Stretches of a kind that hardly overlap, the likeliest first: by how much tracks and looks (T,) say so, the kind,
-    first and stop, and what the tracks say of it."""
+    first and stop."""
     T = len(jump)
     ends = np.concatenate([[0], 1 + np.flatnonzero(jump[1:] > JUMP), [T]])
     gain = np.concatenate([[0.0], jump[ends[1:-1]], [0.0]])
@@ -168,10 +157,10 @@ def _told(jump: Array, looks: Array, name: str, most: int) -> list[tuple[float, 
     first, stop = ends[:, None], ends[None]
     score = np.where(stop > first, sums[None] - sums[:, None] + gain[:, None] + gain[None], -np.inf)
     score[0, -1] = -np.inf
-    found: list[tuple[float, str, tuple[int, int], float]] = []
+    found: list[tuple[float, str, tuple[int, int]]] = []
     while len(found) < most and score.max() > LIKELY:
         a, b = np.unravel_index(np.argmax(score), score.shape)
-        found.append((float(score[a, b]), name, (int(ends[a]), int(ends[b])), float(gain[a] + gain[b])))
+        found.append((float(score[a, b]), name, (int(ends[a]), int(ends[b]))))
         both = np.minimum(stop, ends[b]) - np.maximum(first, ends[a])
         score[2 * both >= np.maximum(stop, ends[b]) - np.minimum(first, ends[a])] = -np.inf
     return found
@@ -184,8 +173,8 @@ def _looks(given: Given, kinds: dict[str, Index]) -> dict[str, Array]:
     which = np.any([np.zeros(len(kinds["all"]), dtype=bool), *legs.values()], axis=0)
     places, seen = np.where(which, kinds["all"], np.arange(len(which))), given.view.xy_px
     projected, sigma_px = either_side(given, exchanged(given.view, Stretch(slice(None), places)), which)
-    straight, other = (_log_density(points - seen, sigma_px) for points in (projected, projected[:, places]))
-    likelier = np.where(np.isfinite(given.states[:, :1]), other - straight, 0.0)
+    straight, other = (log_tail((points - seen) / sigma_px[..., None]) for points in (projected, projected[:, places]))
+    likelier = np.where(np.isfinite(given.states[:, :1]), straight - other, 0.0)
     return {name: likelier[:, of].sum(axis=1) for name, of in (legs | {"all": which}).items()}
 
 
@@ -211,14 +200,8 @@ def jumps(view: View, places: Index) -> Array:
         far_px = np.nanmedian(np.sum(apart**2, axis=-1), axis=0)
     seen = np.lib.stride_tricks.sliding_window_view(view.present.any(axis=1), n).all(axis=1)
     steady = square_px < (STEADY**2) * far_px
-    scale = _TAILS * np.maximum(np.nan_to_num(square_px), _LEAST_OFF_PX**2)
+    scale = TAILS * np.maximum(np.nan_to_num(square_px), _LEAST_OFF_PX**2)
     likelier = np.log1p(np.where(known, given, 0.0) / scale) - np.log1p(np.where(known, other, 0.0) / scale)
-    told = 0.5 * (_TAILS + freedom) * likelier.sum(axis=1)
+    told = 0.5 * (TAILS + freedom) * likelier.sum(axis=1)
     gain[_STRAIGHT : len(gain) - _STRAIGHT + 1] = np.where(seen & steady.any(), told, -np.inf)
     return gain
-
-
-def _log_density(off_px: Array, sigma_px: Array) -> Array:
-    """(T, J) of (T, J, 2), but for a constant; 0 where a point is missing."""
-    q = np.sum(off_px**2, axis=-1) / sigma_px**2
-    return np.where(np.isfinite(q), -(_TAILS + 2) / 2 * np.log1p(np.nan_to_num(q) / _TAILS), 0.0)
