@@ -15,6 +15,7 @@ from recon.mistakes.mistake import CLEAR, Mistake
 from recon.prior import ANGLES, NONE
 from recon.solve.setting import Setting
 from recon.solve.starts import APPROACH_HZ
+from recon.solve.surprise import surprise_of
 
 OTHER_RATES = (0.25, 1 / 3, 0.5, 2.0, 3.0, 4.0)
 """Videos are slowed down, sped up and thinned by such factors."""
@@ -32,9 +33,12 @@ def other_rate(setting: Setting, states: Array, noise_px: Array, stated_hz: floa
     factors = [factor for factor in OTHER_RATES if learned and _swings_better(setting, states, factor)]
     if not factors:
         return None
-    given = _surprise(setting, states, noise_px, 1.0)
-    ratio, factor = max((given - _surprise(setting, states, noise_px, factor), factor) for factor in factors)
-    return Mistake("frame_rate", ratio, found=setting.fps * factor) if ratio > CLEAR else None
+    given, surprise = _at_rate(setting, states, noise_px, 1.0)
+    tried = {factor: _at_rate(setting, states, noise_px, factor) for factor in factors}
+    factor, (cost, there) = min(tried.items(), key=lambda one: one[1][0])
+    # A motion that is as much of a surprise there is one that the prior knows at no rate.
+    clear = given - cost > CLEAR and there < surprise
+    return Mistake("frame_rate", given - cost, found=setting.fps * factor) if clear else None
 
 
 def _swings_better(setting: Setting, states: Array, factor: float) -> bool:
@@ -56,12 +60,14 @@ def _unexplained(setting: Setting, states: Array, fps: float) -> float:
     return float(np.einsum("na,ab,nb->", off, np.linalg.inv(prior.acceleration_covariance), off))
 
 
-def _surprise(setting: Setting, states: Array, noise_px: Array, factor: float) -> float:
-    """Of the keypoints and of how the angles move. Not of the poses: they are as likely at any rate."""
+def _at_rate(setting: Setting, states: Array, noise_px: Array, factor: float) -> tuple[float, float]:
+    """The cost of the keypoints and of how the angles move, not of the poses, which are as likely at any rate; and how
+    surprising poses and motion are there."""
     step = max(1, round(setting.fps / APPROACH_HZ))
     thin = setting.thinned(step)
     thin = replace(thin, fps=thin.fps * factor)
     problem = thin.problem(noise_px[:, ::step])
     found = problem.minimise(states[::step], _TOLERANCE, _ITERATIONS)
     of_terms = problem.costs(found.states)
-    return of_terms["reprojection"] / setting.alike + of_terms.get("motion prior", 0.0)
+    cost = of_terms["reprojection"] / setting.alike + of_terms.get("motion prior", 0.0)
+    return cost, surprise_of(problem, found, thin.fps).level
