@@ -65,6 +65,7 @@ def find_mistakes(
     setting = Setting.of(solution.views, body, prior, fps, options)
     weighed = replace(setting, trust=min((spell.prior_weight for spell in solution.spells), default=1.0))
     unlike = any(spell.unlike_prior for spell in solution.spells)
+    sides = known.sides and prior.name != NONE and bool(solution.posed.any())
     found: list[Mistake] = []
     with threadpool_limits(1, user_api="blas"):
         for number in range(len(setting.views)):
@@ -72,7 +73,7 @@ def find_mistakes(
             of_picture = _of_picture(given, number, known)
             if of_picture is not None:
                 found.append(of_picture)
-            elif known.sides and prior.name != NONE:
+            elif sides:
                 if weighed.trust < 1:
                     given = given_of(weighed, number, solution.states, solution.size)
                 found += exchanges(given, number, unlike)
