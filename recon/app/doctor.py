@@ -26,7 +26,7 @@ from recon.progress import Progress, silent
 Status = Literal["ok", "absent", "note", "broken"]
 
 EXTRAS = {
-    "formats": "SLEAP, movement, NWB, C3D and Parquet files",
+    "formats": "writing movement, NWB and C3D files",
     "cluster": "batches on a Dask cluster",
     "net": "the keypoint network",
     "urdf": "robots from URDF files",

@@ -240,4 +240,7 @@ def _shown(console: Console, left: int) -> Iterator[Any]:
 def _row_text(row: Mapping[str, Any]) -> Text:
     """One clip's end in a line."""
     text = Text.assemble((row["status"], _STYLES[row["status"]]), f"  {row['clip']}")
-    return text.append(f": {row['error']}" if row["error"] else f"  {row['frames']} frames, {row['seconds']:.1f} s")
+    if row["error"]:
+        return text.append(f": {row['error']}")
+    warned = f", {counted(row['warnings'], 'warning')}: see report.json" if row["warnings"] else ""
+    return text.append(f"  {row['frames']} frames, {row['seconds']:.1f} s{warned}")

@@ -27,6 +27,7 @@ FIRST = ("failed", "unsolved", "pending")
 """Of the statuses, those above all others."""
 NUMBERS = {
     "frames": ("frames", "d"),
+    "warnings": ("warnings", "d"),
     "outliers": ("outliers", "d"),
     "mean_reprojection_px": ("off by, px", ".1f"),
     "mean_speed_m_s": ("mean m/s", ".1f"),

@@ -300,8 +300,8 @@ def warnings(report: Mapping[str, Any]) -> Iterator[str]:
     if report["prior"]["code"] == UNLIKE and all(one["kind"] != "frame_rate" for one in report["mistakes"]):
         yield (
             f"the motion is {_unlike_text(report)}. So the prior has {report['prior']['weight']:.0%} of its weight: "
-            "the pixels and each angle's own range count more, and sigmas are larger; to many such clips a prior of "
-            "their own can be fitted (recon prior fit)"
+            "the pixels and each angle's own range count more, and sigmas are larger. A wrong frame rate or "
+            "exchanged sides surprise it, too; to many such clips a prior of their own can be fitted (recon prior fit)"
         )
     for ground in (spell["ground"] for spell in report["spells"]):
         if ground and ground["camera_height_m"] < 0:

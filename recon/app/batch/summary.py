@@ -16,7 +16,16 @@ from recon.files import seen_from, staged_file
 from recon.page import SUMMARY_PAGE, require_own_page
 from recon.report import frames_with_pose
 
-RESULTS = ("frames", "frames_with_pose", "outliers", "mean_reprojection_px", "mean_speed_m_s", "peak_speed_m_s", "size")
+RESULTS = (
+    "frames",
+    "frames_with_pose",
+    "warnings",
+    "outliers",
+    "mean_reprojection_px",
+    "mean_speed_m_s",
+    "peak_speed_m_s",
+    "size",
+)
 COLUMNS = (
     "clip",
     "keypoints",
@@ -37,12 +46,13 @@ WRITE_EVERY_S = 0.5
 
 def results_of(report: Mapping[str, Any]) -> dict[str, Any]:
     """The columns `RESULTS`. Speeds are the root's, without the jitter from frame to frame where that can be told;
-    size is the factor on the skeleton's lengths, which only the trajectory method has."""
+    warnings is how many the report has; size is the factor on the skeleton's lengths, which only the trajectory method has."""
     summary, path = report["summary"], report["root_path"]
     speeds = path["smoothed"] or path["exact"]
     return {
         "frames": summary["frames"],
         "frames_with_pose": frames_with_pose(report),
+        "warnings": len(report["warnings"]),
         "outliers": summary["outliers"],
         "mean_reprojection_px": summary["reprojection_px"]["mean"],
         "mean_speed_m_s": speeds["mean_speed_m_s"],
