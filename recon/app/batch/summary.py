@@ -46,7 +46,8 @@ WRITE_EVERY_S = 0.5
 
 def results_of(report: Mapping[str, Any]) -> dict[str, Any]:
     """The columns `RESULTS`. Speeds are the root's, without the jitter from frame to frame where that can be told;
-    warnings is how many the report has; size is the factor on the skeleton's lengths, which only the trajectory method has."""
+    warnings is how many the report has; size is the factor on the skeleton's lengths, which only the trajectory method
+    has."""
     summary, path = report["summary"], report["root_path"]
     speeds = path["smoothed"] or path["exact"]
     return {
