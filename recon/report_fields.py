@@ -86,6 +86,12 @@ class _Frame(_Part):
     flags: list[str]
 
 
+class _Mistake(_Part):
+    kind: str
+    camera: str | None
+    frames: Annotated[list[int], Field(min_length=2, max_length=2)]
+
+
 class _Outlier(_Part):
     frame: int
     keypoint: str
@@ -109,6 +115,7 @@ class _Report(_Part):
     skeleton: _Skeleton
     root_path: _RootPath
     frames: list[_Frame]
+    mistakes: list[_Mistake] = []
     outliers: list[_Outlier]
     image_error_px: _ImageError
     size: _Size | None = None

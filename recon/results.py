@@ -31,6 +31,13 @@ from recon.solve.result import Ground, Spell
 
 SCHEMA_NAME, SCHEMA_VERSION = "recon.fit.report", 3
 """Of report.json."""
+MADE_BY = {
+    "recon.retarget": "recon retarget",
+    "recon.climb": "recon climb",
+    "recon.analysis": "recon analyse",
+    "recon.ik": "recon ik",
+}
+"""The commands whose folders may be taken for a fit's, by the schema of their reports."""
 REPORT, TABLES, SIGMAS = "report.json", ("pose3d.csv", "angles.csv"), "pose3d_sigma.csv"
 ANGLE_SIGMAS = "angles_sigma.csv"
 """What is read."""
@@ -226,14 +233,28 @@ def read_results(folder: str | Path) -> Results:
 
 def _manifest(folder: Path) -> Manifest:
     """Of results whose files are all there and as they were written."""
+    own = "the folder of results that `recon fit` wrote"
     if not (folder / REPORT).is_file():
         found = f"no {REPORT}" if folder.is_dir() else "a file" if folder.is_file() else "no such folder"
         clips = sorted(path.parent for path in folder.glob(f"*/{REPORT}")) if folder.is_dir() else []
-        expected = f"that of one clip, as in {clips[0]}" if clips else "the folder of results that `recon fit` wrote"
-        raise InputError(Problem(folder, "folder", found, expected))
+        expected = f"that of one clip, as in {clips[0]}" if clips else own
+        raise InputError(Problem(folder, "folder", _made_by(folder) or found, expected))
     manifest = read_manifest(folder)
+    if TABLES[0] not in manifest and (found := _made_by(folder)) is not None:
+        raise InputError(Problem(folder, "folder", found, own))
     manifest.require(REPORT, *TABLES, SIGMAS, ANGLE_SIGMAS)
     return manifest
+
+
+def _made_by(folder: Path) -> str | None:
+    """Of a folder that another command wrote: which."""
+    for path in sorted(folder.glob("*.json")):
+        try:
+            command = MADE_BY[read_json(path, "a report")["schema"]["name"]]
+        except (InputError, KeyError, TypeError):
+            continue
+        return f"what `{command}` wrote"
+    return None
 
 
 def _report(path: Path) -> dict[str, Any]:

@@ -249,6 +249,16 @@ def test_each_camera_has_its_picture(filmed_twice, two_cameras, number):
     np.testing.assert_allclose(overlay.nearness, np.clip(-relative / scale, -1, 1), atol=1e-6)
 
 
+def test_what_is_wrong_with_one_cameras_detections_is_not_said_of_anothers(filmed_twice):
+    result = read_results(filmed_twice)
+    flags = [["garbage"] * (t < 3) + ["data poor"] * (t == 2) for t in range(8)]
+    wrong = {"kind": "garbage", "camera": "cam2", "frames": [10, 13]}
+    frames = [frame | {"flags": own} for frame, own in zip(result.report["frames"], flags, strict=True)]
+    result = replace(result, report=result.report | {"frames": frames, "mistakes": [wrong]})
+    assert overlay_of(result, number=1).flags == flags
+    assert overlay_of(result, number=0).flags == [["data poor"] if t == 2 else [] for t in range(8)]
+
+
 def test_the_camera_of_the_video_is_chosen_by_name(filmed_twice, folder, video, tmp_path):
     out = tmp_path / "o.avi"
     run = run_overlay(filmed_twice, video, out, first_frame=7, camera="cam2")

@@ -146,6 +146,13 @@ def test_what_is_no_result_folder(tmp_path, whole_results):
     assert "no report.json" in problem(tmp_path)
     folder = copy(whole_results, tmp_path)
     assert problem(tmp_path).endswith(f"no report.json, expected that of one clip, as in {folder}")  # of a batch
+    (tmp_path / "analysis.json").write_text('{"schema": {"name": "recon.analysis", "version": 1}}')
+    assert "found what `recon analyse` wrote, expected that of one clip" in problem(tmp_path)
+    robot = tmp_path / "robot"
+    robot.mkdir()
+    (robot / "report.json").write_text('{"schema": {"name": "recon.retarget", "version": 1}}')
+    write_manifest(robot)
+    assert "found what `recon retarget` wrote, expected the folder of results that `recon fit` wrote" in problem(robot)
     (folder / "angles.csv").unlink()
     (folder / "pose3d.csv").unlink()
     both = problem(folder)

@@ -303,6 +303,7 @@ def table(path):
 def test_command(whole_results, tmp_path):
     out = tmp_path / "robot"
     ended = run("retarget", whole_results, "--robot", "a1", "--out", out)
+    assert "; its ends meet to 0.1 %" in ended.out
     assert ended.code == 0, ended.err
     assert "Unitree A1" in ended.out
     assert {f.name for f in out.iterdir()} == {

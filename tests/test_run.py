@@ -265,6 +265,12 @@ def test_a_video_of_another_size_is_refused_before_the_network_looks_at_it(film,
     assert not (film.parent / "out" / "run_keypoints.csv").exists()
 
 
+def test_a_video_of_another_size_is_refused_before_the_fit(film):
+    with pytest.raises(InputError, match=r"run.avi: size: found 64x48, expected 1920x1080"):
+        run_video(job(film))
+    assert not (film.parent / "out" / "report.json").exists()
+
+
 @pytest.mark.usefixtures("small_pictures")
 def test_the_stages_are_those_of_the_commands(tmp_path, monkeypatch):
     """All of it, with the beginning of the rendered film, but for figures, which take long."""

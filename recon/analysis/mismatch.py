@@ -20,6 +20,9 @@ SMALL = 0.05
 from their mean."""
 SCALED = 2.0
 """Nor does a size that is less than this many times too large or too small: one camera hardly sees it."""
+UNLIKE = 0.3
+"""An error above this part of the size is that of another clip: those of running cheetahs are 0.28 to 0.6 of it apart,
+and the poorest of the fits in docs/benchmarks.md is 0.22 of it off."""
 FAR = 4.0
 """The same of the distance between the two, in sizes."""
 
@@ -38,6 +41,14 @@ def mismatches(pose_m: Array, truth_m: Array, names: Sequence[str]) -> tuple[str
     for said, other in _explanations(pose_m, truth_m, common, names):
         if left > SMALL * size and other <= SHARE * left:
             note, left = said.format(f"brings MPJPE from {1000 * error:.1f} to {1000 * other:.1f} mm"), other
+    if left > UNLIKE * size:  # whatever else takes some of it away
+        left = min(left, _error(pose @ _turn(pose, truth), truth, common))
+    if left > UNLIKE * size:
+        return (
+            f"Even turned as a whole, the poses are {1000 * left:.0f} mm from the reference's, {left / size:.0%} of "
+            "the animal's size, as those of different clips are: probably it is of another clip or animal, its frames "
+            "are numbered otherwise, or the fit has failed.",
+        )
     if note is not None:
         return (note,)
     away = np.stack([np.mean(p, axis=0, where=c[:, None]) for p, c in zip(pose_m - truth_m, common, strict=True)])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -28,6 +28,8 @@ SLOW_FPS = 30.0
 SIDES: dict[Side | None, Colour] = {"left": LEFT, "right": RIGHT, None: MIDDLE}
 
 
+OF_DETECTIONS = {"sides": "sides exchanged", "garbage": "garbage"}
+"""Flags that are about one camera's detections, by the kind of mistake in the report."""
 COUNT, MOST = 12, 60
 """Of the stills of a sheet."""
 MIN_WIDTH_PX = 640
@@ -186,9 +188,21 @@ def overlay_of(result: Results, speed: float = 1.0, zoom: int = 1, number: int =
         depth_m=np.einsum("tjk,tk->tj", result.pose.xyz_m, _viewing_directions(result, number)),
         upright_m=result.pose.xyz_m,
         trunk=(rear, front),
-        flags=result.flags,
+        flags=[*_flags(result, number)],
         speed=speed,
     )
+
+
+def _flags(result: Results, number: int) -> Iterator[list[str]]:
+    """By frame: what is doubtful about it in a camera's picture, without what is wrong with others' detections."""
+    own = [
+        (OF_DETECTIONS.get(mistake["kind"]), *mistake["frames"])
+        for mistake in result.report.get("mistakes", ())
+        if mistake["camera"] in (None, result.cameras[number].name)
+    ]
+    for frame, flags in zip(result.pose.frames.tolist(), result.flags, strict=True):
+        here = {flag for flag, first, stop in own if first <= frame < stop}
+        yield [flag for flag in flags if flag in here or flag not in OF_DETECTIONS.values()]
 
 
 def _enlarged(xy_px: Array, zoom: int) -> Array:

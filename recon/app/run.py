@@ -208,7 +208,7 @@ def _carry_out(stage: Stage, job: Job, record: dict[str, Any], again: bool, prog
         _require_own(stage, before, changed)
     if before is not None and before["identity"] == known and not again and before["files"] and not changed:
         return Done(stage.name, "unchanged", time.perf_counter() - began, tuple(before["files"]))
-    if stage.name in ("detect", "camera-motion"):
+    if stage.name in ("detect", "camera-motion", "fit"):
         _check_inputs(job)
     record[stage.name] = {"identity": known, "files": None}
     _write_record(job.out, record)
@@ -221,7 +221,7 @@ def _carry_out(stage: Stage, job: Job, record: dict[str, Any], again: bool, prog
 
 
 def _check_inputs(job: Job) -> None:
-    """What the fit would only say after minutes of work. Raises InputError."""
+    """What would only be said after minutes of work. Raises InputError."""
     info, (_, cameras) = all_of(lambda: probe(job.video), lambda: read_model_and_cameras(job.settings))
     size = cameras[0].camera.image_size_px
     if info.size_px != size:

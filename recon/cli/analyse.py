@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from rich.table import Table
 
-from recon.cli.common import STRIDE, progress_bar, say, say_what_is_gone, stride_times, table_of, terminal
+from recon.cli.common import STRIDE, counted, progress_bar, say, say_what_is_gone, stride_times, table_of, terminal
 
 if TYPE_CHECKING:
     from recon.app.analyse import Analysed
@@ -93,8 +93,8 @@ def _lines(done: Analysed) -> Iterator[str]:
         yield f"gait by {method}: {gait.name.name} ({gait.name.criterion})"
         if gait.strides:
             yield (
-                f"  {len(gait.strides)} strides: {gait.stride_length_m:.2f} m, {gait.stride_frequency_hz:.2f} Hz, "
-                f"duty factor {gait.name.duty_factor:.2f}"
+                f"  means over {counted(len(gait.strides), 'stride')} of single feet: {gait.stride_length_m:.2f} m, "
+                f"{gait.stride_frequency_hz:.2f} Hz, duty factor {gait.name.duty_factor:.2f}"
             )
     if (stride := found.stride) is not None:
         which = "as given" if found.stride_by == "given" else f"of {stride.foot}, by {found.stride_by}"

@@ -65,7 +65,7 @@ def _print(console: Console, report: dict[str, Any], out: Path) -> None:
             f"stance; joints stay {margin:.2f} rad within their limits, at {rate:.0f} % of the fastest rate"
         )
         if name == "stride":
-            text += f"; it closes to {part['closing_percent']:.2g} %"
+            text += f"; its ends meet to {max(part['closing_percent'], 0.1):.1g} %"
         say(console, text)
     for note in report["notes"]:
         say(console, f"note: {note}")

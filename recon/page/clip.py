@@ -27,6 +27,7 @@ SHOWN = 100
 SPEED_MM = 130.0
 LENGTHS, POSES, STRETCHES = 4.0, 7, 3
 """How many times its length an animal runs in a figure of so many poses, in so many stretches of the clip at most."""
+UNKNOWN_ACCELERATION = " The acceleration is hardly known: most of the time it is less than its standard deviation."
 MEANING = {
     "no data": "nothing was detected: the pose, if there is one, comes from the frames around",
     "ran away": "the best pose was out of the camera's sight, and the frame has none",
@@ -140,10 +141,9 @@ def _gait_sentences(gaits: Mapping[Method, Gait]) -> Iterator[str]:
     by = {"ground": "feet that are slow and low", "body": "feet that move backwards below the body"}[method]
     yield f"Gait, from {by}: {gait.name.name} ({gait.name.criterion})."
     if gait.strides:
-        count = len(gait.strides)
         yield (
-            f"{count} complete stride{'s' * (count > 1)} of {gait.stride_length_m:.2f} m, "
-            f"{gait.stride_frequency_hz:.2f} a second; a foot stands {gait.name.duty_factor:.0%} of the time."
+            f"Strides are {gait.stride_length_m:.2f} m long, {gait.stride_frequency_hz:.2f} a second (means over "
+            f"{len(gait.strides)} of single feet); a foot stands {gait.name.duty_factor:.0%} of the time."
         )
 
 
@@ -171,7 +171,8 @@ def _sections(results: Results, moved: JointKinematics, gaits: Mapping[Method, G
     yield Section(
         "Speed",
         f"Of {name}, along its path"
-        + ("." if moved.speed_sigma_m_s is None else ", with bands of one standard deviation."),
+        + ("." if moved.speed_sigma_m_s is None else ", with bands of one standard deviation.")
+        + (UNKNOWN_ACCELERATION if _is_unknown(moved.acceleration_m_s2, moved.acceleration_sigma_m_s2) else ""),
         _inline([plots.speeds({name: moved}, width_mm=SPEED_MM)]),
         "narrow",
     )
@@ -187,6 +188,11 @@ def _sections(results: Results, moved: JointKinematics, gaits: Mapping[Method, G
         _inline([angle_over_time(results.time_s, curves, doubtful, title) for title, curves in panels]),
         "small",
     )
+
+
+def _is_unknown(values: Array, sigma: Array | None) -> bool:
+    """Whether most of the values (N,) are less than their standard deviations."""
+    return sigma is not None and float(np.mean(sigma > values, where=np.isfinite(values))) > 0.5
 
 
 def _stretches(results: Results, moved: JointKinematics) -> Iterator[Array]:

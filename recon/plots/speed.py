@@ -63,10 +63,13 @@ def _curve(axes: Axes, i: int, motion: JointKinematics, value: Array, sigma: Arr
 def _peak(motion: JointKinematics) -> str:
     if not np.isfinite(motion.peak_speed_m_s):
         return "no data"
-    sigma = motion.peak_speed_sigma_m_s
-    deviation = "" if np.isnan(sigma) else f" ± {sigma:.2f}"
-    speed = f"peak {motion.peak_speed_m_s:.2f}{deviation} m/s at {motion.peak_speed_time_s:.3f} s"
-    return f"{speed}, {motion.peak_acceleration_m_s2:.0f} m/s²"
+    speed = f"{motion.peak_speed_m_s:.2f}{_deviation(motion.peak_speed_sigma_m_s, 2)} m/s"
+    acceleration = f"{motion.peak_acceleration_m_s2:.0f}{_deviation(motion.peak_acceleration_sigma_m_s2, 0)} m/s²"
+    return f"peak {speed} at {motion.peak_speed_time_s:.3f} s, {acceleration}"
+
+
+def _deviation(sigma: float, digits: int) -> str:
+    return "" if np.isnan(sigma) else f" ± {sigma:.{digits}f}"
 
 
 def _limit(axes: Axes, series: list[tuple[Array, Array | None]]) -> None:
