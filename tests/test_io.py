@@ -12,7 +12,7 @@ import pandas as pd
 import pytest
 
 from recon.errors import InputError
-from recon.io import deeplabcut, read_keypoints
+from recon.io import deeplabcut, individuals, read_keypoints
 from recon.io.pose3d import Pose3D, read_pose3d
 from recon.keypoints import Keypoints, clean
 
@@ -82,13 +82,21 @@ def assert_same(keypoints: Keypoints, columns: dict[str, np.ndarray]) -> None:
 # Real files
 
 
-@pytest.mark.parametrize("name", ["deepof_single.csv", "deepof_two_animals_prefixed.csv"])
-def test_real_csv_of_one_animal(shared_data, name):
-    path = shared_data / "importer-files" / "deeplabcut" / name
+def test_real_csv_of_one_animal(shared_data):
+    path = shared_data / "importer-files" / "deeplabcut" / "deepof_single.csv"
     keypoints = read_keypoints(path)
     assert_same(keypoints, naive_csv(path))
     assert keypoints.individual is None
     assert keypoints.notes == ()
+
+
+def test_real_file_of_animals_told_apart_by_their_names_beginnings(shared_data):
+    path = shared_data / "importer-files" / "deeplabcut" / "deepof_two_animals_prefixed.csv"
+    assert problems(path) == [f"{path}: individual: found 2 animals and no --individual, expected one of: B, W"]
+    keypoints, columns = read_keypoints(path, "W"), naive_csv(path)
+    own = {name.removeprefix("W_"): column for name, column in columns.items() if name[:2] == "W_" or name == "frame"}
+    assert_same(keypoints, own)
+    assert (keypoints.individual, keypoints.names[0]) == ("W", "Nose")
 
 
 @pytest.mark.parametrize("suffix", ["csv", "h5"])
@@ -240,6 +248,29 @@ def test_several_animals(tmp_path):
     assert keypoints.notes == ("Left out, because they are no part of an animal: corner.",)
     assert problems(path) == [f"{path}: individual: found 2 animals and no --individual, expected one of: m1, m2"]
     assert problems(path, "single") == [f"{path}: individual: found 'single', expected one of: m1, m2"]
+
+
+@pytest.mark.parametrize(
+    ("names", "animals"),
+    [
+        ("B_nose B_ear B_tail W_nose W_ear W_tail", ("B", "W")),
+        ("l_paw l_ear l_hip r_paw r_ear r_hip", ()),  # sides
+        ("B_nose B_ear B_tail W_nose W_ear W_tail corner", ()),
+        ("B_nose B_ear B_tail W_nose W_ear W_hip", ()),
+        ("nose ear tail", ()),
+    ],
+)
+def test_animals_told_apart_by_the_beginning_of_names(tmp_path, names, animals):
+    header = [["scorer"], ["bodyparts"], ["coords"]]
+    for name in names.split():
+        for row, cells in zip(header, (["n"] * 3, [name] * 3, ["x", "y", "likelihood"]), strict=True):
+            row += cells
+    path = save(tmp_path, "\n".join(",".join(row) for row in (*header, ["0", *"121" * len(names.split())])) + "\n")
+    assert individuals(path) == animals
+    if animals:
+        assert read_keypoints(path, "W").names == ("nose", "ear", "tail")
+    else:
+        assert read_keypoints(path).names == tuple(names.split())
 
 
 @pytest.mark.parametrize("nothing", ["", "0.0"])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -203,17 +203,22 @@ def read_model_and_cameras(settings: FitSettings) -> tuple[Model, Cameras]:
 
 
 def write_clip(
-    motion: Motion, settings: FitSettings, out: Path, solve_s: float | None = None, beside: Sequence[Path] = ()
+    motion: Motion,
+    settings: FitSettings,
+    out: Path,
+    solve_s: float | None = None,
+    beside: Sequence[Path] = (),
+    sha256: Mapping[str, str | None] | None = None,
 ) -> dict[str, Any]:
     """Write every output of a clip into the folder `out`, all or none, and give back the report. beside: files that go
-    with them."""
+    with them. sha256: of the input files (`recon.app.made_from.digests`), if they are known."""
     from recon import view  # rerun is slow to import
 
     report = build_report(motion, settings.plain(out), None if solve_s is None else {"solve_s": solve_s})
     with staged_results(out, output_files(out)) as folder:
         write_tables(motion, folder)
         write_report(report, folder / "report.json")
-        (folder / "config.toml").write_text(settings.to_toml(out, digests(settings)), encoding="utf-8")
+        (folder / "config.toml").write_text(settings.to_toml(out, digests(settings, sha256)), encoding="utf-8")
         view.write(motion, folder / "motion.rrd")
         if settings.seeks_cameras:
             write_cameras([source.camera for source in motion.sources], folder / REFINED_CAMERAS)

@@ -36,9 +36,9 @@ def digest(path: Path) -> str | None:
         return None
 
 
-def digests(settings: FitSettings) -> dict[str, str]:
-    """Of all input files that can be read, for config.toml."""
-    found = {role: digest(path) for role, path in input_files(settings).items()}
+def digests(settings: FitSettings, known: Mapping[str, str | None] | None = None) -> dict[str, str]:
+    """Of all input files that can be read, for config.toml; known: from before."""
+    found = {role: digest(path) for role, path in input_files(settings).items()} if known is None else known
     return {role: sha256 for role, sha256 in found.items() if sha256 is not None}
 
 

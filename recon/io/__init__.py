@@ -123,8 +123,11 @@ def individuals(path: str | Path) -> tuple[str, ...]:
 
 def _is_of_one(path: Path) -> bool:
     """Whether it can be told without reading all of it: DeepLabCut's CSV names animals in its first rows."""
-    named = b"individuals" in file_head(path, 1 << 18)  # a row with the network's name in every column is before it
-    return not named and not is_hdf5(path) and deeplabcut.recognises(path)
+    head = file_head(path, 1 << 18)  # a row with the network's name in every column is before those that count
+    if b"individuals" in head or is_hdf5(path) or not deeplabcut.recognises(path):
+        return False
+    row = next((line for line in head.splitlines() if line.startswith(b"bodyparts")), b"")
+    return not deeplabcut.prefixes(row.decode(errors="replace").split(",")[1:] or [""])
 
 
 def file_head(path: Path, length: int = 64) -> bytes:

@@ -11,7 +11,7 @@ import csv
 import pickle
 import re
 from array import array
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from io import BytesIO
 from pathlib import Path, PureWindowsPath
@@ -39,6 +39,9 @@ COORDS = ("x", "y", "z", "likelihood")
 UNIQUE_BODYPARTS = "single"
 PADDING = -1.0
 """x, y and likelihood of an animal that DeepLabCut 3 did not see in a frame."""
+PLACES = {"l", "r", "left", "right", "f", "h", "front", "back", "fore", "hind", "rear", "upper", "lower", "near", "far"}
+MIN_PARTS = 3
+"""What names of one animal's bodyparts may begin with, and of how many each animal has that names tell apart."""
 SCORER = "recon"
 """Of our own files; where the frame rate is known, it stands in it: recon_90fps."""
 KEY = "df_with_missing"
@@ -344,6 +347,10 @@ def _numbers(cells: Sequence[str], row: int, bad: list[tuple[int, int, str]]) ->
 def of_one_animal(table: Table, path: Path, individual: str | None) -> tuple[Table, str | None]:
     """The columns of the chosen animal, and its name where the file names animals. Raises InputError."""
     everyone = list(dict.fromkeys(c.individual for c in table.columns))
+    if everyone == [""] and prefixes(c.bodypart for c in table.columns):
+        split = ((c.bodypart.partition("_"), c.coord) for c in table.columns)
+        table = replace(table, columns=tuple(Column(animal, part, coord) for (animal, _, part), coord in split))
+        everyone = list(dict.fromkeys(c.individual for c in table.columns))
     if everyone == [""]:
         if individual is not None:
             raise InputError(Problem(path, "individual", "a file without named animals", f"an animal '{individual}'"))
@@ -357,6 +364,18 @@ def of_one_animal(table: Table, path: Path, individual: str | None) -> tuple[Tab
     keep = [j for j, c in enumerate(table.columns) if c.individual == chosen]
     columns = tuple(table.columns[j] for j in keep)
     return replace(table, columns=columns, numbers=table.numbers[:, keep], notes=notes), chosen
+
+
+def prefixes(bodyparts: Iterable[str]) -> tuple[str, ...]:
+    """Of animals that are told apart by the first part of every name, as B and W in B_nose, B_tail, W_nose, W_tail;
+    none where that is a place on an animal, or where some parts are one's only."""
+    parts: dict[str, set[str]] = {}
+    for name in bodyparts:
+        animal, _, part = name.partition("_")
+        parts.setdefault(animal, set()).add(part)
+    alike = len(parts) > 1 and len({*map(frozenset, parts.values())}) == 1
+    many = min(map(len, parts.values()), default=0) >= MIN_PARTS
+    return tuple(parts) if alike and many and not PLACES & {name.lower() for name in parts} else ()
 
 
 def _has_points(table: Table, animal: str) -> bool:

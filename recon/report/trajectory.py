@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from recon.analysis.path import MIN_POINTS
 from recon.arrays import Array, finite, mean, median
 from recon.detector import NONE as NO_DETECTOR
 from recon.detector import OWN
@@ -30,6 +31,8 @@ HARDLY_TOLD = 0.1
 """Standard deviation of the distance, relative to it, from which the summary begins with it."""
 UNLIKE = "motion_unlike_prior"
 """The code of a motion that the prior does not know."""
+FEW_FRAMES = 12
+"""Fewer tell little more than one does."""
 WARN_POOR = 0.2
 """Share of the frames from which the report warns."""
 SAID_BY = {"views": "where the cameras are", "ground": "the camera's height above the ground"}
@@ -330,6 +333,11 @@ def warnings(report: Mapping[str, Any]) -> Iterator[str]:
     bridged = flags["no data"] - unseen
     if bridged > 0:
         yield f"{frame_count(bridged)} without detections: the pose comes from the frames around"
+    if solved < FEW_FRAMES:
+        yield (
+            f"a clip of {frame_count(solved)} tells little: not how the animal moves, nor where it steps, and so poses "
+            "and places are much less certain than with 20 or more"
+        )
     if flags["data poor"] > WARN_POOR * solved:
         yield f"few data: {frame_count(flags['data poor'])} of {solved} with few joints seen and trusted"
     yield from common.keypoint_warnings(report)
@@ -365,8 +373,10 @@ def lines(report: Mapping[str, Any]) -> common.Lines:
         *common.point_lines(report),
         (
             "speed",
-            f"{number(path['mean_speed_m_s'], '.1f')} m/s mean, {number(path['peak_speed_m_s'], '.1f')} m/s peak, over "
-            f"{number(path['distance_m'], '.1f')} m",
+            f"{path['mean_speed_m_s']:.1f} m/s mean, {path['peak_speed_m_s']:.1f} m/s peak, over "
+            f"{path['distance_m']:.1f} m"
+            if path["mean_speed_m_s"] is not None
+            else f"none from fewer than {MIN_POINTS} frames",
         ),
         ("heading", _heading_text(report)),
         (

@@ -118,7 +118,7 @@ def _fit_alone(task: Mapping[str, Any], progress: Progress) -> dict[str, Any]:
             motion = fit_clip(settings, progress)
             solve_s = time.perf_counter() - began
             progress("writing", 1.0)
-            report = write_clip(motion, settings, out, solve_s)
+            report = write_clip(motion, settings, out, solve_s, sha256=task["identity"]["inputs"])
         row = {"status": "unsolved" if is_unsolved(report) else "done", **results_of(report)}
         row["seconds"] = round(time.perf_counter() - began, 3)
         finish_record(out, task["run"], attempt, settings, task["identity"], row)
