@@ -19,6 +19,7 @@ from recon.clip import Source, View, together
 from recon.io.deeplabcut import write_csv
 from recon.keypoints import Keypoints, clean
 from tests.command_line import run as command
+from tests.conftest import SAMPLES
 from tests.test_trajectory import BODY, CAMERA, FPS
 from tests.test_views import AHEAD, ASIDE, truth_m
 
@@ -218,6 +219,19 @@ def test_where_cameras_stand_from_the_animal_alone(folder, tmp_path):
     assert run.to_dict()["cameras"][1]["turn_sigma_rad"] == run.sigma[1, :3].tolist()
 
 
+def test_heights_have_deviations(tmp_path):
+    """Of the sample's cameras, 1.5 and 1.6 m high."""
+    files, given = [SAMPLES / f"whole_cam{n}.csv" for n in (1, 2)], {"camera": SAMPLES / "whole_scene.json", "fps": 60}
+    run = run_extrinsics(clips_of(files, given | {"fast": True})[0], tmp_path / "found.toml")
+    heights_m = np.array([camera.centre_world[2] for camera in run.cameras])
+    assert (np.abs(heights_m - [1.5, 1.6]) < 2 * run.height_sigma_m).all()
+    assert ((run.height_sigma_m > 0.1) & (run.height_sigma_m < 1.0)).all()
+    assert [line.split(" high")[0] for line in run.lines()] == [
+        f"{camera.name}: {height:.2f} ± {sigma:.2f} m"
+        for camera, height, sigma in zip(run.cameras, heights_m, run.height_sigma_m, strict=True)
+    ]
+
+
 def test_clips_of_one_rig(folder, tmp_path):
     """By their names; the files' poses, refined, stay where they are: in their world, the first camera as it was."""
     for number in (1, 2):
@@ -237,6 +251,7 @@ def test_clips_of_one_rig(folder, tmp_path):
     np.testing.assert_allclose(first.centre_world, own.centre_world, atol=1e-5)
     np.testing.assert_allclose(second.centre_world, other.centre_world, atol=0.15)
     assert len(run.to_dict()["clips"]) == 2
+    assert run.to_dict()["cameras"][0]["height_sigma_m"] is None  # the file says where the ground is
     (only,), _ = clips_of(clips[0].keypoints, given | {"camera_name": ["cam1", "cam2"]})
     assert only.keypoints == clips[0].keypoints
 

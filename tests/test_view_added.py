@@ -180,6 +180,7 @@ def test_states_are_rows_with_gaps(both: tuple[Stored, Stored]) -> None:
     assert {frame: value for frame, value in by_frame.items() if value} == {11: ["stance"]}
     assert sorted(by_frame) == list(range(10, 16))
     assert after.static("/LF.ground")["StateConfiguration:values"] == ["stance", "late"]
+    assert after.static("/LF.ground")["StateConfiguration:labels"] == [" ", "late"]
     assert not any(after.on("time", r"/RF\/by\ body", "StateChange:state").values())
 
 

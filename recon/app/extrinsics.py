@@ -36,6 +36,8 @@ class ExtrinsicsRun:
 
     cameras: tuple[Camera, ...]
     sigma: Array
+    height_sigma_m: Array
+    """(V,): of their heights above the ground, NaN where it was not found, or is the camera file's."""
     converged: bool
     clips: tuple[FitSettings, ...]
     disagreement: Array
@@ -46,11 +48,13 @@ class ExtrinsicsRun:
 
     def to_dict(self) -> dict[str, Any]:
         """Plain strings, numbers and lists."""
-        both, names = zip(self.cameras, self.sigma, strict=True), [camera.name for camera in self.cameras]
+        names = [camera.name for camera in self.cameras]
         return {
             "cameras": [
-                camera.to_dict() | {"turn_sigma_rad": sigma[:3].tolist(), "shift_sigma_m": sigma[3:].tolist()}
-                for camera, sigma in both
+                camera.to_dict()
+                | {"turn_sigma_rad": sigma[:3].tolist(), "shift_sigma_m": sigma[3:].tolist()}
+                | {"height_sigma_m": None if math.isnan(high) else float(high)}
+                for camera, sigma, high in zip(self.cameras, self.sigma, self.height_sigma_m, strict=True)
             ],
             "clips": [
                 {
@@ -67,11 +71,12 @@ class ExtrinsicsRun:
     def lines(self) -> Iterator[str]:
         """For the terminal."""
         first = self.cameras[0].camera_to_world(np.zeros(3))
-        for camera, sigma in zip(self.cameras, self.sigma, strict=True):
+        for camera, sigma, high in zip(self.cameras, self.sigma, self.height_sigma_m, strict=True):
             place = camera.camera_to_world(np.zeros(3))
             turn, shift = math.degrees(np.linalg.norm(sigma[:3])), float(np.linalg.norm(sigma[3:]))
             known = f", known to {turn:.1f}° and {shift:.2f} m" if sigma.any() else ""
-            yield f"{camera.name}: {place[2]:.2f} m high, {np.linalg.norm(place - first):.2f} m from the first{known}"
+            height = f"{place[2]:.2f} m" if math.isnan(high) else f"{place[2]:.2f} ± {high:.2f} m"
+            yield f"{camera.name}: {height} high, {np.linalg.norm(place - first):.2f} m from the first{known}"
         for clip, offsets in zip(self.clips, self.offsets_s, strict=True):
             if clip.find_offsets:
                 both = zip(clip.keypoints[1:], offsets[1:], strict=True)
@@ -142,7 +147,10 @@ def run_extrinsics(
         late_s = {camera.name: lag / fps for camera, lag in zip(cameras, lags, strict=True)}
         began_s = np.array([source.offset_s + late_s[source.camera.name] for source in sources])
         offsets_s.append(tuple((began_s - began_s[0]).tolist()))
-    return ExtrinsicsRun(found, rig.sigma, rig.converged, tuple(clips), rig.disagreement, tuple(offsets_s), out)
+    high_sigma = np.full(len(found), np.nan) if posed else rig.height_sigma_m
+    return ExtrinsicsRun(
+        found, rig.sigma, high_sigma, rig.converged, tuple(clips), rig.disagreement, tuple(offsets_s), out
+    )
 
 
 def _in_step(clip: FitSettings, given: Sequence[Prepared]) -> tuple[Source, ...]:

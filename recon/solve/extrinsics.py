@@ -64,6 +64,8 @@ class Rig:
     """(V, 6): of each one's place beside the first, as in `View.placed`."""
     ground_m: float
     """Height of the ground below the middle of the animal's longest path; NaN where none was found."""
+    height_sigma_m: Array
+    """(V,): of the cameras above it, NaN without."""
     disagreement: Array
     """(C, V): squared deviations by which each of C clips would have each camera elsewhere than all do together; about
     6 at most, from errors of the size that is stated."""
@@ -111,7 +113,7 @@ def solve_extrinsics(
     covariance = np.asarray(np.linalg.inv(total), dtype=float)
     lags = tuple(_lags([spell for clip, spell in spells if clip == i], one) for i, one in enumerate(settings))
     sigma, apart = _beside_first(poses, covariance), _disagreement(settings, reduced)
-    return Rig(poses, sigma, _ground_m(settings, spells), apart, lags, converged)
+    return Rig(poses, sigma, *_above_ground(settings, spells, reduced, covariance), apart, lags, converged)
 
 
 def _as_rig(setting: Setting, posed: bool) -> Setting:
@@ -293,12 +295,25 @@ def _beside_first(poses: Sequence[Array], covariance: Array) -> Array:
     return found
 
 
-def _ground_m(settings: Sequence[Setting], spells: Sequence[tuple[int, Solved]]) -> float:
-    on_ground = [(settings[clip], spell) for clip, spell in spells if spell.ground is not None]
+def _above_ground(
+    settings: Sequence[Setting],
+    spells: Sequence[tuple[int, Solved]],
+    reduced: Sequence[tuple[int, _Reduced]],
+    covariance: Array,
+) -> tuple[float, Array]:
+    """The ground's height and the deviations (V,) of the cameras' heights above it, see `Rig`. The ground follows the
+    cameras' places as the animal does."""
+    V = len(settings[0].views)
+    both = [(settings[clip], spell, one) for (clip, spell), (_, one) in zip(spells, reduced, strict=True)]
+    on_ground = [of for of in both if of[1].ground is not None]
     if not on_ground:
-        return float("nan")
-    one, spell = max(on_ground, key=lambda pair: len(pair[1].estimate.states))
+        return float("nan"), np.full(V, np.nan)
+    setting, spell, one = max(on_ground, key=lambda of: len(of[1].estimate.states))
     assert spell.ground is not None
-    ground = spell.ground.about(one.origin_m, spell.size)
-    middle = one.in_world(np.mean(spell.estimate.states[:, :3], axis=0), spell.size)
-    return float(ground.height_m + ground.slope @ middle[:2])
+    ground = spell.ground.about(setting.origin_m, spell.size)
+    middle = setting.in_world(np.mean(spell.estimate.states[:, :3], axis=0), spell.size)
+    by = np.tile(spell.size * one.states[:, 2, : 6 * V].mean(axis=0), (V, 1))
+    for i, view in enumerate(setting.views):
+        by[i, 6 * i + 3 : 6 * i + 6] -= view.T_camera_world[:3, 2]
+    variance = np.einsum("vi,ij,vj->v", by, covariance, by) + ground.sigma_m**2
+    return float(ground.height_m + ground.slope @ middle[:2]), np.sqrt(variance)

@@ -82,7 +82,9 @@ def state_columns(texts: Sequence[str]) -> rr.ComponentColumnList:
 
 
 def state_style(colours: Mapping[str, Colour]) -> rr.StateConfiguration:
-    return rr.StateConfiguration(values=list(colours), colors=list(colours.values()))
+    """A stance has a blank for its text, which would be cut; without any the viewer writes the value."""
+    labels = [" " if value == "stance" else value for value in colours]
+    return rr.StateConfiguration(values=list(colours), labels=labels, colors=list(colours.values()))
 
 
 # -- what is shown ------------------------------------------------------------------------------------------------
@@ -154,7 +156,8 @@ def other_series(motion: Motion) -> list[TimePlot]:
 def _speed(motion: Motion) -> TimePlot:
     if not isinstance(motion.solution, FrameSolution):
         speed = np.where(motion.solved, speed_at_frames(motion.time_s, motion.root_m), np.nan)
-        return TimePlot("speed", "Speed (m/s)", ["speed"], [TRAIL], speed[:, None])
+        low, high = (f"{end:.1f}" for end in (np.nanmin(speed), np.nanmax(speed))) if np.isfinite(speed).any() else "??"
+        return TimePlot("speed", f"Speed, {low} to {high} m/s", ["speed"], [TRAIL], speed[:, None])
     straight = np.where(motion.solved, motion.solution.travel.speed_m_s, np.nan)
     exact, smooth = _speeds_m_s(motion)
     # Splines overshoot, at the ends above all.
