@@ -37,6 +37,8 @@ COLUMNS = {"side": 0.38, "from above": 0.26, "from ahead": 0.18}
 TILE_PX, SHEET_COLUMNS = (480, 300), 4
 """Of a sheet of stills."""
 TILE_UNIT, KEY_UNIT = 0.55, 0.85
+DARKENED = 0.35
+"""What a text's ground keeps of the picture."""
 _FILLED = 0.8
 """Of a tile, by the largest animal."""
 CLOSE_UP, WORTH = 0.36, 1.6
@@ -415,8 +417,11 @@ def draw_circle(image: Image, centre: Array, radius: float, colour: Colour, thic
 
 
 def draw_text(image: Image, text: str, place: tuple[int, int], scale: float, colour: Colour) -> None:
+    """On a darker ground, as pictures may be of any brightness."""
     scale = max(scale, 0.35)
-    thick, off = max(1, round(2 * scale)), max(1, round(1.5 * scale))
-    for dx, dy in ((-off, 0), (off, 0), (0, -off), (0, off)):  # a thicker text is also a longer one
-        cv2.putText(image, text, (place[0] + dx, place[1] + dy), FONT, scale, SHADOW, thick, cv2.LINE_AA)
+    thick, pad = max(1, round(2 * scale)), round(8 * scale)
+    (wide, high), below = cv2.getTextSize(text, FONT, scale, thick)
+    left, top = max(place[0] - pad, 0), max(place[1] - high - pad // 2, 0)
+    ground = image[top : place[1] + below, left : place[0] + wide + pad]
+    ground[:] = PAPER + DARKENED * (ground - np.array(PAPER, dtype=float))
     cv2.putText(image, text, place, FONT, scale, colour, thick, cv2.LINE_AA)

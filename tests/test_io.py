@@ -440,6 +440,9 @@ def test_unknown_format(tmp_path):
     for content in (b"\x00\x01\x02\x03", bytes(range(128, 192)), b"\x89PNG\r\n\x1a\n\x00\x00"):
         binary.write_bytes(content)
         assert "a binary file" in problems(binary)[0]
+    for content in (b"\0\0\0\x20ftypisom", b"RIFF\0\0\0\0AVI LIST", b"\x1aE\xdf\xa3"):
+        binary.write_bytes(content)
+        assert "a video (recon run and recon predict find" in problems(binary)[0]
     assert "begins with 'äöü" in problems(save(tmp_path, "äöü" * 50))[0]
 
 

@@ -128,6 +128,12 @@ def test_doubtful_frames_have_a_border(overlay):
     assert tuple(draw_frame(overlay, None, 3, GREY)[540, 1]) == DOUBT
 
 
+def test_captions_are_read_on_a_bright_picture(overlay):
+    corner = draw_frame(overlay, 0, 10, np.full_like(GREY, 255))[20:60, 20:200]
+    assert np.percentile(corner, 20) < 120
+    assert corner.max() > 220
+
+
 def test_near_is_lighter_than_far():
     brightness = [sum(shade(LEFT, n)) for n in (-1.0, -0.5, 0.0, 0.5, 1.0)]
     assert brightness == sorted(brightness)
