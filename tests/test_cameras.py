@@ -154,9 +154,14 @@ def test_what_is_wrong_is_said(folder, tmp_path):
     given = replace(settings(folder, 1, 2), keypoints=(tmp_path / "clip.csv", folder / "run_cam2.csv"))
     with pytest.raises(InputError) as error:
         prepare(given)
-    assert "found 2 cameras and no choice, expected one of cam1, cam2 by --camera-name, or in the file's name" in (
-        problems(error)
+    said = (
+        "found 2 cameras and no choice for clip.csv, expected one of cam1, cam2 by --camera-name, or in the file's name"
     )
+    assert said in problems(error)
+    write_cameras([CAMERA], tmp_path / "one.toml")
+    with pytest.raises(InputError) as error:
+        prepare(replace(given, camera=tmp_path / "one.toml"))
+    assert "found 1 of the 2 cameras, expected a file with the camera of every keypoint file" in problems(error)
 
 
 def test_command(folder, tmp_path):

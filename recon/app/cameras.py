@@ -137,6 +137,9 @@ def _cameras_in_file(path: Path, settings: FitSettings) -> tuple[Camera, ...]:
     cameras = read_cameras(path, settings.image_size_px)
     if len(cameras) == 1 == len(settings.keypoints):
         return cameras
+    if len(cameras) < len(settings.keypoints):
+        found = f"{len(cameras)} of the {len(settings.keypoints)} cameras"
+        raise InputError(Problem(path, "camera", found, "a file with the camera of every keypoint file"))
     chosen, problems = [], []
     for file in settings.keypoints:
         names = cameras_in(file.stem, [camera.name for camera in cameras])
@@ -144,6 +147,7 @@ def _cameras_in_file(path: Path, settings: FitSettings) -> tuple[Camera, ...]:
         chosen += named
         if len(named) != 1:
             found = f"{len(cameras)} cameras and no choice"
+            found += f" for {file.name}" if len(settings.keypoints) > 1 else ""
             expected = f"one of {', '.join(camera.name for camera in cameras)} by --camera-name, or in the file's name"
             problems.append(Problem(path, "camera", found, expected))
     if problems:
