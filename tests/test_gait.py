@@ -302,6 +302,13 @@ def test_what_has_no_name(phase, duty, why):
     assert why in criterion
 
 
+def test_the_foot_that_lands_second_leads():
+    name, criterion = classify({"LH": 0.0, "RH": 0.9, "LF": 0.3, "RF": 0.45}, 0.2)
+    assert name == "rotary gallop"
+    said = "hind feet 0.10 of a stride apart, right first; fore feet 0.15, left first; leading: left hind, right fore"
+    assert criterion == said
+
+
 def test_names_do_not_depend_on_where_phases_start():
     for name, (phase, duty) in PATTERNS.items():
         for shift in (0.3, 0.77):

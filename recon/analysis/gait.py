@@ -673,11 +673,11 @@ def classify(phase: Mapping[str, float], duty_factor: float) -> tuple[str, str]:
     if any(np.isnan(phase[foot]) for foot in FEET):
         return "unknown", "phases not known for " + ", ".join(foot for foot in FEET if np.isnan(phase[foot]))
     hind, fore = _signed(phase["RH"] - phase["LH"]), _signed(phase["RF"] - phase["LF"])
-    seen = f"hind pair {hind:+.2f}, fore pair {fore:+.2f} of a stride apart (right after left)"
+    seen = f"hind feet {abs(hind):.2f} of a stride apart, {_first(hind)}; fore feet {abs(fore):.2f}, {_first(fore)}"
     if min(abs(hind), abs(fore)) >= ALTERNATE:
         sides = np.exp(2j * np.pi * np.array([phase["LF"] - phase["LH"], phase["RF"] - phase["RH"]]))
         lateral = float(np.angle(sides.mean()) / (2 * np.pi) % 1.0)
-        seen += f", fore {lateral:.2f} after the same-sided hind foot, duty factor {duty_factor:.2f}"
+        seen += f"; fore {lateral:.2f} after the same-sided hind foot, duty factor {duty_factor:.2f}"
         if np.isnan(duty_factor):
             return "unknown", seen + ": walk or run is open"
         if duty_factor > 0.5:
@@ -697,7 +697,14 @@ def _asymmetrical(hind: float, fore: float, seen: str) -> tuple[str, str]:
     if abs(fore) < TOGETHER:
         return "unknown", seen + ": the fore pair lands together, the hind pair does not"
     leads = ["right" if lag > 0 else "left" for lag in (hind, fore)]
-    return ("transverse" if leads[0] == leads[1] else "rotary") + " gallop", f"{seen}, leads {leads[0]} and {leads[1]}"
+    return (
+        "transverse" if leads[0] == leads[1] else "rotary"
+    ) + " gallop", f"{seen}; leading: {leads[0]} hind, {leads[1]} fore"
+
+
+def _first(lag: float) -> str:
+    """Of a pair, by how much its right foot lands after its left one."""
+    return "left first" if lag > 0 else "right first"
 
 
 def classify_within(landed_s: Mapping[str, float], until_s: float) -> tuple[str, str]:
@@ -715,8 +722,8 @@ def classify_within(landed_s: Mapping[str, float], until_s: float) -> tuple[str,
     lags = landed_s["RH"] - landed_s["LH"], landed_s["RF"] - landed_s["LF"]
     hind, fore = (lag / least_s for lag in lags)
     seen = (
-        f"no complete stride, but one takes at least {least_s:.2f} s: hind pair {1000 * lags[0]:+.0f} ms, fore pair "
-        f"{1000 * lags[1]:+.0f} ms apart (right after left)"
+        f"no complete stride, but one takes at least {least_s:.2f} s: hind feet {1000 * abs(lags[0]):.0f} ms apart, "
+        f"{_first(lags[0])}; fore feet {1000 * abs(lags[1]):.0f} ms, {_first(lags[1])}"
     )
     if max(abs(hind), abs(fore)) >= ALTERNATE:
         return "unknown", seen + ": open whether they alternate"
