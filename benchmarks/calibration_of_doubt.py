@@ -104,8 +104,8 @@ def one_clip(skeleton: str, motion_s: float, seed: int) -> dict[str, float]:
     px_per_m, J = setting.px_per_m(marked_m)[0], len(body.markers)
     late_m = marked_m + options.lag_frames * rng.normal() * np.gradient(marked_m, axis=0)
     beside_m = setting.shared()[1][-1].sigma.reshape(J, 2) * np.sqrt(setting.alike) * rng.normal(size=(J, 2))
-    in_frame_m = np.sqrt(np.maximum(body.keypoint_sigma_m**2 - beside_m.var(), 0.0))
-    noise_px = np.hypot(options.sigma_px, in_frame_m * px_per_m)[:, None, None] * lasting_noise(
+    in_frame_m = np.sqrt(np.maximum(setting.in_frame_m**2 - beside_m.var(), 0.0))
+    noise_px = np.hypot(options.sigma_px, in_frame_m * px_per_m[:, None])[..., None] * lasting_noise(
         (J, 2), setting.alike, rng
     )
     pixels, valid = blank.project(late_m)

@@ -167,6 +167,7 @@ def with_detector(body: Body, of: Body) -> Body:
         keypoint_sigma_m=of.keypoint_sigma_m,
         keypoint_offset_m=of.keypoint_offset_m,
         keypoint_spread_m=of.keypoint_spread_m,
+        keypoint_noise_m=of.keypoint_noise_m,
     )
 
 

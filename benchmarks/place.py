@@ -3,9 +3,10 @@
     python benchmarks/place.py [FOLDER]
 
 Every view of `cameras.py` by itself, where the detector's keypoints lie measured in the other runs, and something of
-the truth given: its poses and headings, where this view's own keypoints lie beside its markers, or detections without
-noise. Then what other cameras say of the reference itself: all cameras of a run, and all but the one along whose line
-of sight the distance is compared; and how large all of them together see the animal. One thread.
+the truth given: its poses and headings, where this view's own keypoints lie beside its markers, or detections that are
+its projections: exact, with white noise of the size of the detector's, or as far off as those of other runs. Then what
+other cameras say of the reference itself: all cameras of a run, and all but the one along whose line of sight the
+distance is compared; and how large all of them together see the animal. One thread.
 """
 
 from __future__ import annotations
@@ -24,11 +25,13 @@ from recon import Body
 from recon.solve import TrajectoryOptions
 from recon.solve.least_squares import Estimate, LeastSquares
 from recon.solve.terms import Reprojection
-from recon.solve.trajectory import Solved, refined
+from recon.solve.trajectory import Solved, refined, solve_spells
 
 ROUNDS = 3
 COMMON_M, OWN_M = np.arange(0.0, 0.031, 0.001), np.arange(0.01, 0.041, 0.001)
 """Standard deviations that are tried of displacements that all cameras share, and of each camera's own."""
+DRAWS, SEEN = 3, 6
+"""Of noise for each view; frames that a marker is seen in at least where its errors are taken from."""
 OFFSET_SIGMA_M = 0.1
 """Of a view's own offsets: hardly any bound."""
 
@@ -66,18 +69,60 @@ def own_offsets(run: Run, camera: int, body: Body) -> Body:
     return replace(body, keypoint_offset_m={m: tuple(o) for m, o in zip(body.markers, off_m, strict=True)})
 
 
-def projected(run: Run, camera: int, body: Body) -> Run:
-    """Its keypoints exactly where the detector of a body sees them."""
-    view = run.views[camera]
-    xy_px, _ = view.project(body.detected.pose(states_of(run, np.zeros(3))).points_m)
-    exact = replace(view, xy_px=np.where(view.present[..., None], xy_px, np.nan))
-    return replace(run, views=run.views | {camera: exact})
+def in_picture(run: Run, camera: int, body: Body) -> tuple[np.ndarray, np.ndarray]:
+    """Where the truth's keypoints are in the picture (T, J, 2), and how large a metre is there (T,)."""
+    setting = with_poses(run, [camera], body)
+    points_m = body.detected.pose(states_of(run, setting.origin_m)).points_m
+    return run.views[camera].project(setting.in_world(points_m))[0], setting.px_per_m(points_m)[0]
 
 
-def row(label: str, runs: Sequence[Run], found: Callable[[Run, int], np.ndarray]) -> dict:
-    """found: joints (T, J, 3) of a run and camera."""
+def beside_truth(run: Run, camera: int, body: Body) -> np.ndarray:
+    """(T, J, 2): how far detections lie from the truth's, metres at its distance, forwards in the picture and down."""
+    xy_px, px_per_m = in_picture(run, camera, body)
+    view = run.views[camera].credible()
+    off_m = np.where(view.present[..., None], view.xy_px - xy_px, np.nan) / px_per_m[:, None, None]
+    return off_m * [forwards(xy_px), 1.0]
+
+
+def forwards(xy_px: np.ndarray) -> float:
+    """1.0 where points (T, J, 2) go to the right, else -1.0."""
+    return 1.0 if np.nanmean(np.diff(np.nanmean(xy_px[..., 0], axis=1))) > 0 else -1.0
+
+
+def with_noise(run: Run, camera: int, body: Body, noise_m: np.ndarray) -> Run:
+    """Its keypoints where the detector of a body sees them, and metres (T, J, 2) beside there as in `beside_truth`."""
+    (xy_px, px_per_m), view = in_picture(run, camera, body), run.views[camera]
+    xy_px = xy_px + px_per_m[:, None, None] * noise_m * [forwards(xy_px), 1.0]
+    noisy = replace(view, xy_px=np.where(view.present[..., None], xy_px, np.nan))
+    return replace(run, views=run.views | {camera: noisy})
+
+
+def another(beside: Sequence[np.ndarray], T: int, rng: np.random.Generator) -> np.ndarray:
+    """(T, J, 2): of each marker what one view of some has, from its beginning, and again and again."""
+    J = beside[0].shape[1]
+    noise_m = np.zeros((T, J, 2))
+    for j in range(J):
+        known = [of[:, j][np.isfinite(of[:, j, 0])] for of in beside]
+        known = [of for of in known if len(of) >= SEEN]
+        chosen = known[rng.integers(len(known))]
+        noise_m[:, j] = chosen[np.arange(T) % len(chosen)]
+    return noise_m
+
+
+def told(run: Run, camera: int, body: Body, segments: Sequence[str]) -> np.ndarray:
+    """Joints (T, J, 3) with the truth's angles of some segments."""
+    setting, points_m = with_poses(run, [camera], body), np.full(run.truth_m.shape, np.nan)
+    own = [any(part in name for part in segments) for name in body.tree.state_names]
+    setting = replace(setting, known=np.where(own, states_of(run, setting.origin_m), np.nan))
+    for spell in solve_spells(setting):
+        points_m[spell.rows] = setting.in_world(body.tree.pose(spell.estimate.states).points_m)
+    return points_m
+
+
+def row(label: str, runs: Sequence[Run], found: Callable[[Run, int], np.ndarray], draws: int = 1) -> dict:
+    """found: joints (T, J, 3) of a run and camera, each time others of so many draws."""
     mpe, mpjpe, far = [], [], []
-    for run in runs:
+    for run in [run for run in runs for _ in range(draws)]:
         for camera, view in run.views.items():
             points_m = found(run, camera)
             off = points_m - run.truth_m
@@ -91,7 +136,7 @@ def row(label: str, runs: Sequence[Run], found: Callable[[Run, int], np.ndarray]
         "mpe_mm mean": np.mean(mpe),
         "too far": f"{np.mean(far):+.1%}",
         "rms": f"{np.sqrt(np.mean(np.square(far))):.1%}",
-        "views too far": int(np.sum(np.array(far) > 0)),
+        "views too far": round(np.sum(np.array(far) > 0) / draws),
         "mpjpe_mm mean": np.mean(mpjpe),
     }
 
@@ -99,13 +144,29 @@ def row(label: str, runs: Sequence[Run], found: Callable[[Run, int], np.ndarray]
 def one_camera(runs: Sequence[Run]) -> list[dict]:
     seen = {run: as_seen(body_of(run.subject), run, runs, posed=True) for run in runs}
 
+    beside = {run: [beside_truth(run, camera, seen[run]) for camera in run.views] for run in runs}
+    rng = np.random.default_rng(0)
+
     def alone(run: Run, camera: int, body: Body) -> np.ndarray:
         return solved(run, [camera], body).joints_m
+
+    def noisy(run: Run, camera: int, white: bool) -> np.ndarray:
+        body, T = seen[run], len(run.truth_m)
+        if white:
+            sigma_m = np.array([body.keypoint_noise_m[marker] for marker in body.markers])[:, None]
+            noise_m = sigma_m * rng.normal(size=(T, len(body.markers), 2))
+        else:
+            noise_m = another([of for other in runs if other is not run for of in beside[other]], T, rng)
+        return alone(with_noise(run, camera, body, noise_m), camera, body)
 
     return [
         row("nothing", runs, lambda run, camera: alone(run, camera, seen[run])),
         row("where the view's keypoints lie", runs, lambda r, c: alone(r, c, own_offsets(r, c, seen[r]))),
-        row("detections without noise", runs, lambda r, c: alone(projected(r, c, seen[r]), c, seen[r])),
+        row("detections without noise", runs, lambda r, c: alone(with_noise(r, c, seen[r], np.zeros(())), c, seen[r])),
+        row("detections with white noise", runs, lambda r, c: noisy(r, c, white=True), DRAWS),
+        row("detections with another run's errors", runs, lambda r, c: noisy(r, c, white=False), DRAWS),
+        row("headings and angles of the trunk", runs, lambda r, c: told(r, c, seen[r], ("trunk",))),
+        row("angles of the legs", runs, lambda r, c: told(r, c, seen[r], ("fore", "hind"))),
         row("poses and headings", runs, lambda r, c: placed(r, c, seen[r])),
         row("poses, headings, no detector", runs, lambda r, c: placed(r, c, body_of(r.subject))),
         row("poses, headings, view's keypoints", runs, lambda r, c: placed(r, c, own_offsets(r, c, seen[r]))),
@@ -140,7 +201,7 @@ def displacements(run: Run, body: Body) -> list[tuple[np.ndarray, np.ndarray]]:
     for view in run.views.values():
         pixels, by_point, valid = view.project_with_jacobian(points_m)
         px_per_m = view.focal_px / np.median(view.to_camera(points_m)[..., 2], axis=1)
-        sigma_px = np.repeat(body.keypoint_sigma_m * px_per_m[:, None], J, axis=1)
+        sigma_px = np.array([body.keypoint_noise_m[m] for m in body.markers]) * px_per_m[:, None]
         weight = np.nan_to_num(Reprojection(view, sigma_px, 3.0, np.zeros(3)).weights(points_m)) * valid
         share = weight / np.maximum(weight.sum(axis=0), 1e-9) / px_per_m[:, None]
         off_m = np.einsum("tj,tja->ja", share, np.where(weight[..., None] > 0, view.xy_px - pixels, 0.0))

@@ -6,7 +6,8 @@ All views of the runs that `cameras.py` takes, each by itself, lengths known, th
 Degrees of freedom of Student's t are the most likely ones, a view's mean over its joints counting as one error of the
 pose and one of the place; each run is judged with those of the others. In the end errors are drawn as they are stated,
 for whole clips at a time with all that their frames share, and with one scale a clip: what the worst of so many views
-holds then. And places without what the joint minimum is expected to be too near (`calibration_of_doubt.py`).
+holds then, and how large errors are where they are as large as stated. And places without what the joint minimum is
+expected to be too near (`calibration_of_doubt.py`).
 """
 
 from __future__ import annotations
@@ -41,11 +42,13 @@ WORST = 0.6
 
 @dataclass(frozen=True)
 class Fit:
-    """off: of the known joints, how many standard deviations pose and place are off."""
+    """off: of the known joints, how many standard deviations pose and place are off; mm: by how much, the mean."""
 
     run: Run
     cameras: str
     off: dict[str, np.ndarray]
+    mm: dict[str, float]
+    named: bool
 
 
 def fits(runs: Sequence[Run]) -> list[Fit]:
@@ -61,8 +64,15 @@ def fits(runs: Sequence[Run]) -> list[Fit]:
                 "pose": sigmas(pose, solution.relative_covariance_m2),
                 "place": sigmas(place, solution.covariance_m2),
             }
-            found.append(Fit(run, label, {what: of[np.isfinite(of)] for what, of in off.items()}))
+            known = {what: of[np.isfinite(of)] for what, of in off.items()}
+            mm = {what: float(np.nanmean(_mm(e))) for what, e in (("pose", pose), ("place", place))}
+            found.append(Fit(run, label, known, mm, cameras == [run.named]))
     return found
+
+
+def _mm(error_m: np.ndarray) -> np.ndarray:
+    """(...): the lengths of (..., 3)."""
+    return 1000 * np.linalg.norm(error_m, axis=-1)
 
 
 def likelihood(off: np.ndarray) -> np.ndarray:
@@ -108,8 +118,9 @@ def heaviness(found: Sequence[Fit]) -> None:
 # -- what is stated, drawn ---------------------------------------------------------------------------------------------
 
 
-def drawn(setting: Setting, solved: Solved, rng: np.random.Generator) -> dict[str, np.ndarray]:
-    """(DRAWS, n): how many standard deviations the joints are off that are drawn as stated, pose and place."""
+def drawn(setting: Setting, solved: Solved, rng: np.random.Generator) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """(DRAWS, n): how many standard deviations the joints are off that are drawn as stated, pose and place; and
+    (DRAWS,) how many mm in the mean."""
     problem, states = solved.problem, solved.estimate.states
     problem = replace(problem, shared=[*problem.shared, *problem.doubtful], doubtful=())
     normal, (T, D) = problem.normal(states, problem.expected() | dict(solved.estimate.shared)), states.shape
@@ -127,21 +138,24 @@ def drawn(setting: Setting, solved: Solved, rng: np.random.Generator) -> dict[st
     for what, error in (("pose", place - place.mean(axis=2, keepdims=True)), ("place", place)):
         covariance = np.einsum("ntji,ntjk->tjik", error, error) / DRAWS
         scale = np.sqrt((DEGREES_OF_FREEDOM - 2) / rng.chisquare(DEGREES_OF_FREEDOM, (DRAWS, 1, 1)))
-        off[what] = (scale * sigmas(error, np.broadcast_to(covariance, (*error.shape, 3)))).reshape(DRAWS, -1)
+        in_sigmas = scale * sigmas(error, np.broadcast_to(covariance, (*error.shape, 3)))
+        off[what] = in_sigmas.reshape(DRAWS, -1), (scale * _mm(error)).mean(axis=(1, 2))
     return off
 
 
 def worst_views(runs: Sequence[Run], found: Sequence[Fit]) -> None:
     """With the covariances that the draws have themselves, which are the stated ones."""
-    rng, shares, off_m, far = np.random.default_rng(0), {what: [] for what in KINDS}, [], []
+    rng, off_m, far = np.random.default_rng(0), [], []
+    shares, mm = ({what: [] for what in KINDS} for _ in range(2))
     for run in runs:
         body = as_seen(body_of(run.subject), run, runs, posed=True)
         for view in run.views.values():
             setting = Setting.of([view], body, prior_of(PRIOR), run.fps, TrajectoryOptions())
             spell = max(solve_spells(setting), key=lambda one: one.rows.stop - one.rows.start)
             part, truth_m = setting.part(spell.rows), run.truth_m[spell.rows] - setting.origin_m
-            for what, off in drawn(part, spell, rng).items():
+            for what, (off, off_mm) in drawn(part, spell, rng).items():
                 shares[what].append(np.mean(off < radius(0.9, 3), axis=1))
+                mm[what].append(off_mm)
             found_m, pull = body.tree.pose(spell.estimate.states).points_m, pull_of_the_mode(part, spell)
             both = [found_m, np.exp(-pull) * found_m]
             off_m.append([np.nanmean(np.linalg.norm(points_m - truth_m, axis=-1)) for points_m in both])
@@ -158,14 +172,30 @@ def worst_views(runs: Sequence[Run], found: Sequence[Fit]) -> None:
     print(f"\n90 % regions of each view, drawn as stated {DRAWS} times, and the real ones\n")
     head = ["", "all views", "worst view, median (90 %)", f"none below {WORST}", f"views below {WORST}"]
     print_table([*head, "real worst view", f"real views below {WORST}"], rows)
+    sizes({what: np.array(of) for what, of in mm.items()}, [fit for fit in found if fit.cameras == "one"])
     rows = []
-    for label, mm, too_far in zip(
+    for label, off_mm, too_far in zip(
         ("as found", "without the pull"), 1000 * np.array(off_m).T, np.array(far).T, strict=True
     ):
         cells = [f"{too_far.mean():+.1%}", f"{np.sqrt(np.mean(too_far**2)):.1%}", str(int((too_far > 0).sum()))]
-        rows.append([label, *cells, f"{mm.mean():.0f}", f"{np.median(mm):.0f}"])
+        rows.append([label, *cells, f"{off_mm.mean():.0f}", f"{np.median(off_mm):.0f}"])
     print("\nThe pull of the joint minimum taken off\n")
     print_table(["places", "too far", "rms", "views too far", "mpe_mm mean", "median"], rows)
+
+
+def sizes(drawn_mm: dict[str, np.ndarray], views: Sequence[Fit]) -> None:
+    """How large errors are over all views where they are as large as stated (V, DRAWS), and the real ones."""
+    named = [view.named for view in views]
+    rows = []
+    for what in KINDS:
+        of_views = (drawn_mm[what], np.array([[view.mm[what]] for view in views]))
+        for label, mm in zip(("as stated", "real"), of_views, strict=True):
+            each = (np.median(mm, axis=0), mm.mean(axis=0), mm.max(axis=0), mm[named].mean(axis=0))
+            between = [f" ({low:.0f} to {high:.0f})" for low, high in (np.quantile(of, (0.05, 0.95)) for of in each)]
+            cells = [f"{of.mean():.0f}{b if len(of) > 1 else ''}" for of, b in zip(each, between, strict=True)]
+            rows.append([f"{what}, {label}", *cells])
+    print("\nErrors as large as stated, mm, mean (90 % of the draws), and the real ones\n")
+    print_table(["", "median view", "mean of the views", "worst view", "named views"], rows)
 
 
 def main() -> None:

@@ -146,6 +146,8 @@ class Body:
     """How far a detector's keypoint lies from a marker, (x, y, z) in the marker's segment, by marker."""
     keypoint_spread_m: dict[str, float] = field(default_factory=dict)
     """How far off that it lies in one clip, along each axis and all the time."""
+    keypoint_noise_m: dict[str, float] = field(default_factory=dict)
+    """How far off in a single frame, of markers of which it is known; of others it is keypoint_sigma_m."""
     detector: str | None = None
     """Whose keypoints are expected (`recon.detector`)."""
 

@@ -27,6 +27,7 @@ OWN = "own"
 class _Keypoint(Table):
     offset_m: tuple[Number, Number, Number]
     spread_m: Sigma
+    sigma_m: Sigma | None = None
 
 
 class _DetectorFile(Table):
@@ -48,7 +49,7 @@ def seen_by(body: Body, detector: str | Path | None) -> Body:
     if detector is None:
         return body
     if str(detector) == NONE:
-        return replace(body, detector=NONE, keypoint_offset_m={}, keypoint_spread_m={})
+        return replace(body, detector=NONE, keypoint_offset_m={}, keypoint_spread_m={}, keypoint_noise_m={})
     raw, source = read_named(detector, "detector")
     file, problems = parsed_file(_DetectorFile, raw, source)
     if file is not None and file.skeleton != body.name:
@@ -60,19 +61,21 @@ def seen_by(body: Body, detector: str | Path | None) -> Body:
         ]
     if file is None or problems:
         raise InputError(problems)
-    offset_m, spread_m = {}, {}
+    offset_m, spread_m, noise_m = {}, {}, {}
     for marker in body.markers:
         follows = marker not in file.keypoints and side_of(marker) == "right"
         found = file.keypoints.get(other_side(marker) if follows else marker)
         if found is not None:
             x, y, z = found.offset_m
             offset_m[marker], spread_m[marker] = (x, -y if follows else y, z), found.spread_m
+            noise_m |= {marker: found.sigma_m} if found.sigma_m is not None else {}
     return replace(
         body,
         detector=str(detector),
         keypoint_sigma_m=file.keypoint_sigma_m,
         keypoint_offset_m=offset_m,
         keypoint_spread_m=spread_m,
+        keypoint_noise_m=noise_m,
     )
 
 
@@ -81,7 +84,11 @@ def detector_toml(body: Body, title: str, notes: Sequence[str] = ()) -> str:
     import tomli_w
 
     keypoints = {
-        marker: {"offset_m": [round(x, 4) for x in body.keypoint_offset_m[marker]], "spread_m": round(spread, 4)}
+        marker: {
+            "offset_m": [round(x, 4) for x in body.keypoint_offset_m[marker]],
+            "spread_m": round(spread, 4),
+            "sigma_m": round(body.keypoint_noise_m.get(marker, body.keypoint_sigma_m), 4),
+        }
         for marker, spread in body.keypoint_spread_m.items()
         if marker in body.keypoint_offset_m and (side_of(marker) != "right" or other_side(marker) not in body.markers)
     }

@@ -7,9 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from recon import Body, InputError, load_skeleton
+from recon import Body, Camera, InputError, load_skeleton
 from recon.app.clip import prepare
+from recon.clip import still_view
 from recon.detector import detector_toml, seen_by
+from recon.prior import prior_from_body
+from recon.solve import TrajectoryOptions
+from recon.solve.setting import Setting
 from tests.test_cameras import folder, settings  # noqa: F401
 
 
@@ -35,8 +39,10 @@ def test_the_offsets_of_a_measured_animal_come_first():
 def test_a_file_is_read_as_it_was_written(tmp_path):
     """And the right side is the left one's mirror image."""
     path, offsets = tmp_path / "mine.toml", {"l_hip": (0.01, 0.02, -0.03), "spine": (0.0, 0.0, 0.04)}
-    spread = {"l_hip": 0.02, "spine": 0.03}
-    as_seen = replace(body(), keypoint_sigma_m=0.07, keypoint_offset_m=offsets, keypoint_spread_m=spread)
+    spread, noise = {"l_hip": 0.02, "spine": 0.03}, {"l_hip": 0.06}
+    as_seen = replace(
+        body(), keypoint_sigma_m=0.07, keypoint_offset_m=offsets, keypoint_spread_m=spread, keypoint_noise_m=noise
+    )
     text = detector_toml(as_seen, "mine", ["a note"])
     path.write_text(text)
     found = seen_by(body(), path)
@@ -44,11 +50,28 @@ def test_a_file_is_read_as_it_was_written(tmp_path):
     assert found.keypoint_offset_m == offsets | {"r_hip": (0.01, -0.02, -0.03)}
     assert found.keypoint_sigma_m == 0.07
     assert found.keypoint_spread_m == {"l_hip": 0.02, "r_hip": 0.02, "spine": 0.03}
+    assert found.keypoint_noise_m == {"l_hip": 0.06, "r_hip": 0.06, "spine": 0.07}
     shift = (
         found.detected.pose(np.zeros((1, found.n_state))).points_m
         - found.tree.pose(np.zeros((1, found.n_state))).points_m
     )
     np.testing.assert_allclose(shift[0, found.markers.index("spine")], [0.0, 0.0, 0.04], atol=1e-12)
+
+
+def test_each_markers_noise_is_its_own():
+    """Unless one is asked for, of all."""
+    seen = replace(body(), keypoint_sigma_m=0.03, keypoint_noise_m={"l_hip": 0.06})
+    view = still_view(Camera.from_hfov(60.0, (1920, 1080)), np.zeros((1, 24, 2)), np.ones((1, 24)))
+    points_m = np.tile([0.0, 5.0, 0.0], (1, 24, 1))
+
+    def noise_px(sigma_m: float | None) -> np.ndarray:
+        options = TrajectoryOptions(sigma_px=0.0, keypoint_sigma_m=sigma_m)
+        setting = Setting.of([view], seen, prior_from_body(seen), 90.0, options)
+        return setting.noise_px(points_m, np.ones((1, 24)))[0, 0]
+
+    own, alike = noise_px(None), noise_px(0.03)
+    np.testing.assert_allclose(own / alike, np.where(np.array(seen.markers) == "l_hip", 2.0, 1.0))
+    assert np.ptp(alike) == 0
 
 
 @pytest.mark.parametrize(
@@ -57,11 +80,13 @@ def test_a_file_is_read_as_it_was_written(tmp_path):
         ('skeleton = "cheetah-24"', 'skeleton = "dog"', "skeleton: found 'dog', expected cheetah-24"),
         ("[keypoints.spine]", "[keypoints.fin]", "keypoints.fin: found 'fin', expected one of nose, "),
         ("spread_m = 0.03", "spread_m = -1", "keypoints.spine.spread_m: found -1"),
+        ("sigma_m = 0.06\n", "sigma_m = 0.0\n", "keypoints.spine.sigma_m: found 0"),
     ],
 )
 def test_what_is_wrong_with_a_file_is_said(tmp_path, old, new, said):
     path = tmp_path / "mine.toml"
-    as_seen = replace(body(), keypoint_offset_m={"spine": (0.0, 0.0, 0.04)}, keypoint_spread_m={"spine": 0.03})
+    spine = {"keypoint_spread_m": {"spine": 0.03}, "keypoint_noise_m": {"spine": 0.06}}
+    as_seen = replace(body(), keypoint_offset_m={"spine": (0.0, 0.0, 0.04)}, **spine)
     path.write_text(detector_toml(as_seen, "mine").replace(old, new))
     with pytest.raises(InputError, match=said.replace("[", r"\[")):
         seen_by(body(), path)

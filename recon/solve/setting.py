@@ -219,6 +219,12 @@ class Setting:
     def keypoint_sigma_m(self) -> float:
         return self.options.keypoint_noise_m(self.body)
 
+    @property
+    def in_frame_m(self) -> Array:
+        """(J,): how far the keypoints of each marker lie off in a single frame."""
+        known = self.body.keypoint_noise_m if self.options.keypoint_sigma_m is None else {}
+        return np.array([known.get(marker, self.keypoint_sigma_m) for marker in self.body.markers])
+
     def px_per_m(self, points_m: Array, size: float = 1.0) -> Array:
         """(V, T): how large a metre of the nominal body is in the picture, in the middle of its markers (T, J, 3).
 
@@ -239,8 +245,8 @@ class Setting:
     def noise_px(self, points_m: Array, factor: Array, size: float = 1.0) -> Array:
         """(V, T, J): the detector's noise, and the keypoints' at the animal's distance, times sqrt(factor) (V, J), and
         that of a camera's turn, for markers (T, J, 3) at nominal size."""
-        noise = np.hypot(self.options.sigma_px, self.keypoint_sigma_m * self.px_per_m(points_m, size))
-        noise = noise[..., None] * np.sqrt(factor)[:, None]
+        px_per_m = self.px_per_m(points_m, size)[..., None]
+        noise = np.hypot(self.options.sigma_px, self.in_frame_m * px_per_m) * np.sqrt(factor)[:, None]
         if all(view.turn_sigma_rad is None for view in self.views):
             return noise
         turned = np.array([np.broadcast_to(view.turn_px, len(self)) for view in self.views])

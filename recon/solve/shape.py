@@ -147,6 +147,8 @@ class ShapeFit:
     """Whether the last step was small."""
     keypoint_sigma_m: float
     """How far keypoints lie off in a single frame, what is left of the offsets included."""
+    noise_m: dict[str, float]
+    """The same by marker of the left and the middle."""
     spread_m: dict[str, float]
     """By marker of the left and the middle: how far off the offset its keypoints lie in one clip and camera, along each
     axis, the same all the time."""
@@ -158,9 +160,11 @@ class ShapeFit:
 
     def seen(self, body: Body) -> Body:
         """A body of that shape with what was found of the detector, the right side as the left."""
-        spread_m = {name: self.spread_m[self.shape.leader(name)] for name in body.markers}
-        shaped = self.shape.applied(body, self.values)
-        return replace(shaped, keypoint_sigma_m=self.keypoint_sigma_m, keypoint_spread_m=spread_m)
+        spread_m, noise_m = (
+            {name: of[self.shape.leader(name)] for name in body.markers} for of in (self.spread_m, self.noise_m)
+        )
+        shaped, sigma_m = self.shape.applied(body, self.values), self.keypoint_sigma_m
+        return replace(shaped, keypoint_sigma_m=sigma_m, keypoint_spread_m=spread_m, keypoint_noise_m=noise_m)
 
 
 def fit_shape(shape: Shape, settings: Sequence[Setting]) -> ShapeFit:
@@ -194,9 +198,20 @@ def fit_shape(shape: Shape, settings: Sequence[Setting]) -> ShapeFit:
             if converged:
                 break
     covariance = np.asarray(np.linalg.inv(total), dtype=float)
-    noise = np.concatenate([np.log(spell.noise).ravel() for _, spell in solved])
-    keypoint_sigma_m = given[0].keypoint_sigma_m * float(np.exp(0.5 * noise.mean()))
-    return ShapeFit(shape, values, covariance, converged, keypoint_sigma_m, _spread_m(shape.body, solved))
+    # (J, views), of each marker's logarithm
+    noise_m = np.concatenate([np.log(one.in_frame_m) + 0.5 * np.log(spell.noise) for one, spell in solved]).T
+    by_marker: dict[str, list[Array]] = {}
+    for name, of in zip(shape.body.markers, noise_m, strict=True):
+        by_marker.setdefault(shape.leader(name), []).append(of)
+    return ShapeFit(
+        shape,
+        values,
+        covariance,
+        converged,
+        float(np.exp(noise_m.mean())),
+        {name: float(np.exp(np.mean(of))) for name, of in by_marker.items()},
+        _spread_m(shape.body, solved),
+    )
 
 
 def _spread_m(body: Body, solved: Sequence[tuple[Setting, Solved]]) -> dict[str, float]:
