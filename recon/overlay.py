@@ -422,6 +422,6 @@ def draw_text(image: Image, text: str, place: tuple[int, int], scale: float, col
     thick, pad = max(1, round(2 * scale)), round(8 * scale)
     (wide, high), below = cv2.getTextSize(text, FONT, scale, thick)
     left, top = max(place[0] - pad, 0), max(place[1] - high - pad // 2, 0)
-    ground = image[top : place[1] + below, left : place[0] + wide + pad]
+    ground = image[top : place[1] + below + pad // 2, left : place[0] + wide + pad]
     ground[:] = PAPER + DARKENED * (ground - np.array(PAPER, dtype=float))
     cv2.putText(image, text, place, FONT, scale, colour, thick, cv2.LINE_AA)
