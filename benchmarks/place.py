@@ -22,7 +22,8 @@ import numpy as np
 from cameras import Run, as_seen, body_of, runs_given, show, solved, states_of, with_poses
 
 from recon import Body
-from recon.solve import TrajectoryOptions
+from recon.prior import prior_from_body
+from recon.solve import TrajectoryOptions, solve_trajectory
 from recon.solve.least_squares import Estimate, LeastSquares
 from recon.solve.terms import Reprojection
 from recon.solve.trajectory import Solved, refined, solve_spells
@@ -150,6 +151,9 @@ def one_camera(runs: Sequence[Run]) -> list[dict]:
     def alone(run: Run, camera: int, body: Body) -> np.ndarray:
         return solved(run, [camera], body).joints_m
 
+    def plain(run: Run, camera: int) -> np.ndarray:
+        return solve_trajectory([run.views[camera]], seen[run], prior_from_body(seen[run]), run.fps).joints_m
+
     def noisy(run: Run, camera: int, white: bool) -> np.ndarray:
         body, T = seen[run], len(run.truth_m)
         if white:
@@ -161,6 +165,7 @@ def one_camera(runs: Sequence[Run]) -> list[dict]:
 
     return [
         row("nothing", runs, lambda run, camera: alone(run, camera, seen[run])),
+        row("nothing, each angle on its own", runs, plain),
         row("where the view's keypoints lie", runs, lambda r, c: alone(r, c, own_offsets(r, c, seen[r]))),
         row("detections without noise", runs, lambda r, c: alone(with_noise(r, c, seen[r], np.zeros(())), c, seen[r])),
         row("detections with white noise", runs, lambda r, c: noisy(r, c, white=True), DRAWS),
