@@ -69,6 +69,8 @@ def main() -> None:
     parser.add_argument("--poses", type=Path, default=recordings("cheetah-poses"))
     arguments = parser.parse_args()
     runs = [run_of(path.parent) for path in sorted(arguments.folder.resolve().glob("*/meta.json"))]
+    if not runs:
+        raise SystemExit(f"no runs in {arguments.folder}")
     segments = segments_of(arguments.poses)
     gallops = [one for one in segments if mean_speed_m_s(one[1], one[2]) >= FAST_M_S]
     of_runs = {run: (run.folder.name, states_of(run, np.zeros(3)), run.fps) for run in runs}
