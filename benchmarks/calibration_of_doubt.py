@@ -1,17 +1,22 @@
 """Whether stated doubt is true where the truth is drawn from what is expected: simulation-based calibration.
 
     python benchmarks/calibration_of_doubt.py [--clips 200] [--skeleton cheetah-24] [--seed 0] [--motion-s 0.16]
+    python benchmarks/calibration_of_doubt.py --recorded dog|cheetah [--clips 200]
 
 Each clip draws a motion, a size, a camera and a detector's errors as the trajectory method expects them, and is fitted
 again. Angles: the Gaussian of the pose prior and the motion prior together, flattened so that `error_time_s` of clip
 says the same, as the stated doubt has it. Path: straight on at 6 to 14 m/s, headings all around. Camera: 40 to 100
 degrees wide, the animal 3 to 12 m off and up to 1.5 m below. Detections: noise that lasts as long, keypoints beside
 their markers, the camera's lag, 5 % of gross outliers, points missing at random. If the doubt is true, the truth is in
-50 and 90 % regions as often, and its rank in the distance's distribution is uniform (Kolmogorov-Smirnov).
+50 and 90 % regions as often, and its rank in the distance's distribution is uniform (Kolmogorov-Smirnov, p > 0.05).
 
-The solution is the most likely motion and distance together. Nearer by, the same pixels take smaller angles, which cost
-the prior less, while fewer motions fit; the distance's own distribution counts these, by the determinant of the normal
-equations. "mode": what that is expected to take off the distance, and ranks without it. A motion drawn as widely as the
+--recorded: the motions are those of real animals, turned about the vertical, and all else is drawn: the motion capture
+that `dog.py` reads, without a learned prior, or the runs that `cameras.py` reads.
+
+The minimum for one camera is the most likely motion and distance together. Nearer by, the same pixels take smaller
+angles, which cost the prior less, while fewer motions fit; the distance's own distribution counts these, by the
+determinant of the normal equations (`recon.solve.trajectory.pull`). "mode": what that is expected to take off the
+distance, and ranks without it; without a learned prior it is off the solution already. A motion drawn as widely as the
 doubt says (0.16 s) surprises four times as much as real ones do, for which a surprise lasts 0.04 s: --motion-s 0.04.
 """
 
@@ -25,33 +30,45 @@ import argparse
 import multiprocessing
 from collections.abc import Sequence
 from contextlib import suppress
-from functools import partial
+from dataclasses import dataclass
+from functools import cache, partial
 
+import dog
 import numpy as np
+from cameras import PRIOR, run_of
 from markdown_table import print_table
+from recordings import recordings
 from scipy.stats import kstest
+from trajectory import body_of, prior_of
 
 from recon import Body, Camera, load_skeleton
 from recon.clip import View, still_view
 from recon.detector import seen_by
 from recon.errors import InputError
 from recon.kinematics import ROOT, YAW
-from recon.prior import ANGLES, MotionPrior, as_one_gaussian, builtin_priors, load_prior, prior_from_body
+from recon.prior import ANGLES, NONE, MotionPrior, as_one_gaussian, builtin_priors, load_prior, prior_from_body
 from recon.regions import share_below, share_inside
 from recon.solve import TrajectoryOptions, solve_trajectory
-from recon.solve.posterior import factored
 from recon.solve.setting import Setting
-from recon.solve.surprise import LASTS_S
 from recon.solve.terms import dynamics_term, pose_term
-from recon.solve.trajectory import Solved, solve_spells
+from recon.solve.trajectory import Solved, pull, solve_spells
 
 FPS, T = 90.0, 36
 OUTLIERS, MISSING = 0.05, 0.1
 END_ON_DEG = 30.0
-STEP = 0.02
-"""Of the logarithm of the distance."""
 
 
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """points_m (n, J, 3): of the body's markers at nominal size, about the middle of the path."""
+
+    body: Body
+    prior: MotionPrior
+    fps: float
+    points_m: np.ndarray
+
+
+@cache
 def model(skeleton: str) -> tuple[Body, MotionPrior]:
     body = load_skeleton(skeleton)
     if not isinstance(body, Body):
@@ -62,8 +79,13 @@ def model(skeleton: str) -> tuple[Body, MotionPrior]:
     return seen_by(body, None), prior_from_body(body)
 
 
-def drawn_states(body: Body, prior: MotionPrior, alike: float, rng: np.random.Generator) -> np.ndarray:
-    """(T, D), the root's place about the middle of the path."""
+def extent(body: Body) -> float:
+    """How large a body is beside one whose joints lie half a metre from its root."""
+    return float(np.linalg.norm(body.tree.pose(np.zeros((1, body.n_state))).points_m[0], axis=1).mean()) / 0.5
+
+
+def drawn(skeleton: str, motion_s: float, rng: np.random.Generator) -> Motion:
+    (body, prior), alike = model(skeleton), max(motion_s * FPS, 1.0)
     A, D = len(prior.mean), body.n_state
     rows = []
     for term in (pose_term(prior, D, FPS, 1.0), dynamics_term(prior, D, FPS, 1.0)):
@@ -77,55 +99,80 @@ def drawn_states(body: Body, prior: MotionPrior, alike: float, rng: np.random.Ge
     states, heading_rad = np.zeros((T, D)), rng.uniform(-np.pi, np.pi)
     states[:, ANGLES] = prior.mean + z.reshape(T, A)
     along = np.array([np.cos(heading_rad), np.sin(heading_rad), 0.0])
-    states[:, :3] = np.outer((np.arange(T) - T / 2) / FPS * rng.uniform(6.0, 14.0), along)
+    states[:, ROOT] = extent(body) * np.outer((np.arange(T) - T / 2) / FPS * rng.uniform(6.0, 14.0), along)
     states[:, YAW] = heading_rad
-    return states
+    return Motion(body, prior, FPS, body.tree.pose(states).points_m)
+
+
+@cache
+def recorded_motions(animal: str) -> list[Motion]:
+    """Whole ones."""
+    if animal == "dog":
+        body, prior = model(dog.SKELETON)
+        clips = dog.read_clips(recordings("dog-mocap"))
+        return [Motion(body, prior, clip.fps, clip.markers(body)) for clip in clips]
+    runs = [run_of(path.parent) for path in sorted(recordings("cheetah-runs").resolve().glob("*/meta.json"))]
+    bodies, known = [seen_by(body_of(run.subject), None) for run in runs], [np.isfinite(run.truth_m) for run in runs]
+    return [
+        Motion(body, prior_of(PRIOR), run.fps, run.truth_m[of_run.all(axis=(1, 2))])
+        for run, body, of_run in zip(runs, bodies, known, strict=True)
+    ]
+
+
+def recorded(animal: str, rng: np.random.Generator) -> Motion:
+    """T frames at most of one of them, turned about the vertical."""
+    motions = recorded_motions(animal)
+    whole = motions[rng.integers(len(motions))]
+    first = rng.integers(max(len(whole.points_m) - T, 0) + 1)
+    points_m, turned = whole.points_m[first : first + T], rng.uniform(-np.pi, np.pi)
+    c, s = np.cos(turned), np.sin(turned)
+    points_m = (points_m - points_m.mean(axis=(0, 1))) @ np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]])
+    return Motion(whole.body, whole.prior, whole.fps, points_m)
 
 
 def lasting_noise(shape: Sequence[int], alike: float, rng: np.random.Generator) -> np.ndarray:
-    """(T, ...): unit variance, and as many neighbours alike."""
+    """(n, ...): unit variance, and as many neighbours alike."""
     keep = (alike - 1.0) / (alike + 1.0)
-    noise = rng.normal(size=(T, *shape))
-    for t in range(1, T):
+    noise = rng.normal(size=shape)
+    for t in range(1, len(noise)):
         noise[t] = keep * noise[t - 1] + np.sqrt(1 - keep**2) * noise[t]
     return noise
 
 
-def one_clip(skeleton: str, motion_s: float, seed: int) -> dict[str, float]:
-    rng, (body, prior) = np.random.default_rng(seed), model(skeleton)
-    options = TrajectoryOptions(ground="none")
+def one_clip(skeleton: str, motion_s: float, animal: str | None, seed: int) -> dict[str, float]:
+    rng = np.random.default_rng(seed)
     camera = Camera.from_hfov(rng.uniform(40.0, 100.0), (1920, 1080))
-    scale = float(np.mean([np.linalg.norm(m) for m in body.tree.pose(np.zeros((1, body.n_state))).points_m[0]])) / 0.5
-    blank = still_view(camera, np.zeros((T, len(body.markers), 2)), np.ones((T, len(body.markers))))
-    setting = Setting.of([blank], body, prior, FPS, options)
-    states, size = drawn_states(body, prior, max(motion_s * FPS, 1.0), rng), 1.0 + body.size_sigma * rng.normal()
-    states[:, :3] = scale * states[:, :3] + [0.0, scale * rng.uniform(3.0, 12.0), -scale * rng.uniform(0.0, 1.5)]
-    truth_m, marked_m = size * body.tree.pose(states).points_m, setting.markers(states)
-    px_per_m, J = setting.px_per_m(marked_m)[0], len(body.markers)
-    late_m = marked_m + options.lag_frames * rng.normal() * np.gradient(marked_m, axis=0)
+    motion = recorded(animal, rng) if animal else drawn(skeleton, motion_s, rng)
+    body, (n, J, _) = motion.body, motion.points_m.shape
+    options, scale, size = TrajectoryOptions(ground="none"), extent(body), 1.0 + body.size_sigma * rng.normal()
+    blank = still_view(camera, np.zeros((n, J, 2)), np.ones((n, J)))
+    setting = Setting.of([blank], body, motion.prior, motion.fps, options)
+    points_m = motion.points_m + scale * np.array([0.0, rng.uniform(3.0, 12.0), -rng.uniform(0.0, 1.5)])
+    px_per_m = setting.px_per_m(points_m)[0]
+    late_m = points_m + options.lag_frames * rng.normal() * np.gradient(points_m, axis=0)
     beside_m = setting.shared()[1][-1].sigma.reshape(J, 2) * np.sqrt(setting.alike) * rng.normal(size=(J, 2))
     in_frame_m = np.sqrt(np.maximum(setting.in_frame_m**2 - beside_m.var(), 0.0))
     noise_px = np.hypot(options.sigma_px, in_frame_m * px_per_m[:, None])[..., None] * lasting_noise(
-        (J, 2), setting.alike, rng
+        (n, J, 2), setting.alike, rng
     )
     pixels, valid = blank.project(late_m)
     pixels = pixels + px_per_m[:, None, None] * beside_m + noise_px
-    gross = rng.uniform(size=(T, J)) < OUTLIERS
+    gross = rng.uniform(size=(n, J)) < OUTLIERS
     pixels[gross] += rng.uniform(-200, 200, size=(int(gross.sum()), 2))
-    gone = (rng.uniform(size=(T, J)) < MISSING) | ~valid | ~camera.in_image(pixels)
+    gone = (rng.uniform(size=(n, J)) < MISSING) | ~valid | ~camera.in_image(pixels)
     pixels[gone] = np.nan
-    return _scored(body, prior, options, blank, pixels, truth_m) | {
-        "end on": float(abs(np.cos(states[0, YAW])) < np.sin(np.radians(END_ON_DEG))),
+    view = View(camera, blank.T_camera_world, pixels, (~gone).astype(float))
+    rear, front = (points_m[:, body.markers.index(marker)].mean(axis=0) for marker in body.forward)
+    x, y = (front - rear)[:2]
+    return _scored(Setting.of([view], body, motion.prior, motion.fps, options), size * points_m) | {
+        "end on": float(abs(x) < np.sin(np.radians(END_ON_DEG)) * np.hypot(x, y)),
         "seen": float(1 - gone.mean()),
     }
 
 
-def _scored(
-    body: Body, prior: MotionPrior, options: TrajectoryOptions, blank: View, pixels: np.ndarray, truth_m: np.ndarray
-) -> dict[str, float]:
-    trusted = np.isfinite(pixels[..., 0]).astype(float)
-    view = View(blank.camera, blank.T_camera_world, pixels, trusted)
-    solution = solve_trajectory([view], body, prior, FPS, options)
+def _scored(setting: Setting, truth_m: np.ndarray) -> dict[str, float]:
+    body, prior = setting.body, setting.prior
+    solution = solve_trajectory(setting.views, body, prior, setting.fps, setting.options)
     off = solution.joints_m - truth_m
     centred = off - off.mean(axis=1, keepdims=True)
     if not np.isfinite(off).all():
@@ -136,42 +183,28 @@ def _scored(
         row |= {f"{what} 90": share_inside(e, C, 0.9), f"{what} 50": share_inside(e, C, 0.5)}
         if what == "pose" and tail:
             row["tail 90"] = share_inside(e[:, tail], C[:, tail], 0.9)
-    t, j = T // 2, int(np.argmin(np.linalg.norm(truth_m[T // 2] - truth_m[T // 2].mean(axis=0), axis=1)))
+    t = len(truth_m) // 2
+    j = int(np.argmin(np.linalg.norm(truth_m[t] - truth_m[t].mean(axis=0), axis=1)))
     ray = truth_m[t, j] / np.linalg.norm(truth_m[t, j])
     sigma_m = float(np.sqrt(ray @ solution.covariance_m2[t, j] @ ray))
     found, true = (np.linalg.norm(points[t].mean(axis=0)) for points in (solution.joints_m, truth_m))
-    setting = Setting.of([view], body, prior, FPS, options)
-    pull = pull_of_the_mode(setting, *solve_spells(setting))
+    mode = pull_of_the_mode(setting, *solve_spells(setting))
+    left = 0.0 if prior.name == NONE else mode
     return row | {
+        "mpjpe mm": 1000 * float(np.linalg.norm(centred, axis=-1).mean()),
         "rank": share_below(float(true - found) / sigma_m),
-        "rank without": share_below(float(true - found * np.exp(-pull)) / sigma_m),
+        "rank without": share_below(float(true - found * np.exp(-left)) / sigma_m),
         "too far": float(np.log(found / true)),
-        "mode": pull,
+        "mode": mode,
         "surprise": solution.spells[0].surprise or np.nan,
     }
 
 
 def pull_of_the_mode(setting: Setting, solved: Solved) -> float:
-    """By how much the logarithm of the distance at the joint minimum is expected to lie above its own distribution.
-
-    That has the density exp(-cost / l) / sqrt(det H) where the other unknowns follow the distance, H theirs, and l the
-    number of frames in which a surprise lasts. Beside the cost's minimum its top is off by the slope times a variance.
-    """
-    problem, states = solved.problem, solved.estimate.states
-
-    def at(states: np.ndarray) -> tuple[float, float, np.ndarray]:
-        """Half the logarithm of the determinant; the distance's variance; and how the states follow the distance."""
-        middle_m = setting.body.tree.pose(states).points_m.mean(axis=1)
-        by_state = np.zeros(states.shape)
-        by_state[:, ROOT] = middle_m / np.sum(middle_m**2, axis=1, keepdims=True) / len(states)
-        H = factored(problem.normal(states).H)
-        followed = H.solve(by_state)
-        variance = float(np.sum(by_state * followed))
-        return float(np.log(H.band[0]).sum() + np.log(variance) / 2), variance, followed / variance
-
-    _, variance, along = at(states)
-    slope = (at(states + STEP * along)[0] - at(states - STEP * along)[0]) / (2 * STEP)
-    return max(LASTS_S * setting.fps, 1.0) * variance * slope
+    """By how much the logarithm of the distance at the joint minimum is expected to lie above its own distribution."""
+    middle_m = setting.body.tree.pose(solved.estimate.states).points_m.mean(axis=1)
+    further = np.sum(middle_m * pull(setting, solved)[:, ROOT], axis=1)
+    return float(np.mean(further / np.sum(middle_m**2, axis=1)))
 
 
 def summary(label: str, rows: Sequence[dict[str, float]]) -> list[object]:
@@ -187,7 +220,7 @@ def summary(label: str, rows: Sequence[dict[str, float]]) -> list[object]:
         far,
         f"{np.mean(table['rank'] < 0.5):.0%}",
     ]
-    return [*cells, p, mode, p_without]
+    return [*cells, p, mode, p_without, f"{np.mean(table['mpjpe mm']):.0f}"]
 
 
 _SHARES = ("pose 90", "pose 50", "tail 90", "place 90", "place 50")
@@ -199,14 +232,15 @@ def main() -> None:
     parser.add_argument("--skeleton", default="cheetah-24")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--motion-s", type=float, default=TrajectoryOptions().error_time_s)
+    parser.add_argument("--recorded", choices=("dog", "cheetah"))
     given = parser.parse_args()
     with multiprocessing.Pool(2) as pool:
         seeds = range(given.seed, given.seed + given.clips)
-        rows = pool.map(partial(one_clip, given.skeleton, given.motion_s), seeds, chunksize=1)
+        rows = pool.map(partial(one_clip, given.skeleton, given.motion_s, given.recorded), seeds, chunksize=1)
     solved = [row for row in rows if "rank" in row]
-    print(f"{given.skeleton}: {len(solved)} of {len(rows)} clips with a pose in every frame\n")
+    print(f"{given.recorded or given.skeleton}: {len(solved)} of {len(rows)} clips with a pose in every frame\n")
     head = ["clips", "number", "surprise", *_SHARES, "too far", "true one nearer", "ranks uniform, p"]
-    head += ["mode", "p without"]
+    head += ["mode", "p without", "mpjpe_mm"]
     end_on = [row for row in solved if row["end on"]]
     few = [row for row in solved if row["seen"] < 0.6]
     groups = [("all", solved), ("seen from ahead or behind", end_on), ("less than 60 % of the points", few)]

@@ -19,7 +19,7 @@ from recon.io.pose3d import Pose3D, read_pose3d
 from recon.prior import load_prior, prior_from_body
 from recon.settings import FitSettings
 from recon.skeleton_file import load_chain, load_skeleton
-from recon.solve import TrajectoryOptions, TrajectorySolution, solve_trajectory
+from recon.solve import TrajectoryOptions, TrajectorySolution, solve_trajectory, trajectory
 
 FPS = 90.0
 CAMERA = Camera.from_hfov(60.0, (1920, 1080))
@@ -245,6 +245,22 @@ def test_without_a_learned_prior():
     solution = solve(seen(run()), prior=prior_from_body(BODY))
     assert solution.prior == "none"
     assert errors_m(solution, run()).mean() < 0.1
+
+
+def test_without_a_learned_prior_the_pull_of_the_minimum_is_off_the_distance(monkeypatch):
+    """It is too near; and the doubt is that of the expected noise where a motion follows errors that last."""
+    xy_px, _ = CAMERA.project(run())
+    noise = np.random.default_rng(0).normal(size=(len(xy_px) + 20, *xy_px.shape[1:]))
+    xy_px += 30.0 * np.array([noise[t : t + 20].mean(axis=0) for t in range(len(xy_px))])  # 7 px that last 20 frames
+    found = solve(xy_px, prior=prior_from_body(BODY))
+    monkeypatch.setattr(trajectory, "_without_pull", lambda setting, one: one)
+    monkeypatch.setattr(trajectory, "_in_doubt", lambda setting, one: one.problem)
+    minimum = solve(xy_px, prior=prior_from_body(BODY))
+    true, *both = (np.linalg.norm(p.mean(axis=(0, 1))) for p in (run(), found.joints_m, minimum.joints_m))
+    assert both[1] < both[0] < true
+    assert errors_m(found, run()).mean() < errors_m(minimum, run()).mean()
+    variances = [np.trace(one.covariance_m2, axis1=2, axis2=3).mean() for one in (found, minimum)]
+    assert variances[0] > 1.1 * variances[1]
 
 
 def test_scale_cannot_be_seen():
