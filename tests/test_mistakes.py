@@ -15,6 +15,7 @@ from recon.clip import View, still_view
 from recon.io import read_keypoints
 from recon.io.deeplabcut import write_csv
 from recon.keypoints import CleaningReport
+from recon.kinematics import ROOT
 from recon.mistakes import Known, Mistake, find_mistakes, with_flags, with_sides_mended, without_garbage
 from recon.mistakes.garbage import garbage_ratios
 from recon.mistakes.likelihood import given_of, unlikely
@@ -102,6 +103,26 @@ def test_a_clip_without_states_has_no_exchanged_stretch():
     assert tried(replace(nothing, states=np.full_like(nothing.states, np.nan)), pairs_of(BODY)) == []
 
 
+def test_where_an_exchanged_animal_is_sought():
+    clip, part = given(view()), slice(0, T)
+    setting, found = clip.setting, clip.found(part)
+    assert found is not None
+    turned, mirrored = clip.exchanged(part), clip.mirrored(part)
+    assert turned is not None
+    assert mirrored is not None
+    to, sign = BODY.mirror
+    limbs = to != np.arange(len(to))
+    np.testing.assert_array_equal(turned[:, ~limbs], found[:, ~limbs])
+    np.testing.assert_array_equal(turned[:, limbs], (found[:, to] * sign)[:, limbs])
+    there, here = (states[:, ROOT] - states[:, ROOT].mean(axis=0) for states in (mirrored, found))
+    np.testing.assert_allclose(there @ setting.away, -here @ setting.away, atol=1e-9)
+    np.testing.assert_allclose(there @ setting.right, here @ setting.right, atol=1e-9)
+    assert np.ptp(here @ setting.right) > 1.0
+    nothing = replace(clip, states=np.full_like(clip.states, np.nan))
+    assert nothing.exchanged(part) is None
+    assert nothing.mirrored(part) is None
+
+
 def test_an_end_of_a_clip_is_judged_beside_the_rest_of_it():
     ends = {(one.stretch.rows.start, one.stretch.rows.stop): one.ratio for one in tried(given_half(), pairs_of(BODY))}
     assert {(0, 20), (20, T)} <= set(ends)
@@ -159,7 +180,7 @@ def test_without_a_prior_of_motions_neither_sides_nor_rates_are_judged():
     assert found.kind == "sides"
     assert find_mistakes(wrong, BODY, prior_from_body(BODY), FPS, TrajectoryOptions(), KNOWN) == ()
     setting = Setting.of([view()], BODY, prior_from_body(BODY), 2 * FPS, TrajectoryOptions())
-    assert other_rate(setting, given(view()).states, plain().noise_px, None) is None
+    assert other_rate(setting, given(view()).states, None) is None
 
 
 def test_mending_exchanges_back(small_trajectory: Motion):
@@ -258,19 +279,26 @@ def test_the_name_of_another_camera_is_taken_at_its_word():
 
 def test_the_frame_rate_that_the_file_states():
     setting = Setting.of([view()], BODY, PRIOR, FPS, TrajectoryOptions())
-    found = other_rate(setting, plain().states, plain().noise_px, 120.0)
+    found = other_rate(setting, plain().states, 120.0)
     assert found == Mistake("frame_rate", found.ratio if found else 0.0, found=120.0)
     assert np.isnan(found.ratio)
-    assert other_rate(setting, plain().states, plain().noise_px, 90.5) is None
+    assert other_rate(setting, plain().states, 90.5) is None
 
 
 @pytest.mark.parametrize("factor", [0.5, 2.0])
 def test_a_motion_at_another_rate_than_it_was_filmed_at(factor):
     setting = Setting.of([view()], BODY, PRIOR, FPS * factor, TrajectoryOptions())
-    found = other_rate(setting, given(view()).states, plain().noise_px, None)
+    found = other_rate(setting, given(view()).states, None)
     assert found is not None
     assert found.found == pytest.approx(FPS)
     assert found.ratio > CLEAR
+
+
+def test_half_the_frame_rate_of_the_sample_is_named():
+    camera = samples_folder() / "camera.toml"
+    motion = fit_clip(FitSettings(keypoints=samples_folder() / "whole.csv", camera=camera, fps=30))
+    (found,) = motion.mistakes
+    assert (found.kind, found.found) == ("frame_rate", 60.0)
 
 
 # -- what is said of them ------------------------------------------------------------------------------------------

@@ -100,7 +100,7 @@ def _of_rate(setting: Setting, solution: TrajectorySolution, stated_hz: float | 
     longest = max(spells, key=lambda rows: rows.stop - rows.start)
     states = solution.states[longest].copy()
     states[:, ROOT] = (states[:, ROOT] - setting.origin_m) / solution.size
-    found = other_rate(setting.part(longest), states, solution.noise_px[:, longest], stated_hz)
+    found = other_rate(setting.part(longest), states, stated_hz)
     return () if found is None else (found,)
 
 

@@ -24,6 +24,8 @@ from recon.kinematics import ROOT, YAW
 from recon.prior import ANGLES
 from recon.solve.setting import Setting
 from recon.solve.starts import APPROACH_HZ, approach, between
+from recon.solve.surprise import LASTS_S
+from recon.solve.terms import POSE, REFERENCE_HZ
 
 _TOLERANCE, _ITERATIONS = 3e-3, 12
 """When a minimum is good enough."""
@@ -32,6 +34,8 @@ TOGETHER = 0.4
 out (docs/benchmarks.md, mistakes)."""
 TAILS = 3.0
 """Degrees of freedom of Student's distribution, which errors have."""
+POSES = 1.0 / (LASTS_S * REFERENCE_HZ)
+"""Weight of the prior's poses, of which each frame's counts, where those that are alike count once."""
 AT_ONCE_S = 1.0
 """So much of a clip is judged at once."""
 LOOSE = 2.0
@@ -46,28 +50,51 @@ def alone(setting: Setting, view: View) -> Setting:
     return replace(setting, views=(view,), origin_m=origin_m, options=replace(setting.options, fast=True))
 
 
-def surprise(
-    setting: Setting, start: Array | None = None, widen: Sequence[float] = (1.0,), lasting: bool = False
-) -> float:
-    """Minus the logarithm of the likelihood of one view's keypoints, but for a constant; infinite without any.
+@dataclass(frozen=True)
+class Judged:
+    """Minus the logarithm of the likelihood of one view's keypoints at a minimum, but for a constant, by what it is of:
+    the keypoints and the ground, the prior's poses, and what else is expected of the motion."""
 
-    lasting: the costs of the priors count once in the time that errors last, for what is off in the same way all the
-    time. start: states (T, D) to begin with; by default it is sought. widen: factors on the noise of the fits on the
-    way in from there.
-    """
+    seen: float
+    poses: float
+    rest: float
+    cost: float = np.inf
+    """Of the least-squares problem."""
+
+    @property
+    def surprise(self) -> float:
+        return self.seen + self.poses + self.rest
+
+    @property
+    def of_stretch(self) -> float:
+        """Against another stretch of the clip: what is unlikely of its poses lasts as long as it."""
+        return self.seen + POSES * self.poses + self.rest
+
+    def lasting(self, alike: float) -> float:
+        """Where all that is expected is off in the same way all the time, and counts once in so many frames."""
+        return self.seen + (self.poses + self.rest) / alike
+
+
+def judged(
+    setting: Setting, start: Array | None = None, widen: Sequence[float] = (1.0,), wanted: float = np.inf
+) -> Judged:
+    """Infinite without keypoints. start: states (T, D) to begin with; by default it is sought. widen: factors on the
+    noise of the fits on the way in from there. wanted: the cost of what it is compared with; a fit that will not come
+    to it ends early."""
     if (setting.present().sum(axis=1) >= MIN_JOINTS).sum() < 2:
-        return np.inf
+        return Judged(np.inf, 0.0, 0.0)
     step = max(1, round(setting.fps / APPROACH_HZ))
     thin, ones = setting.thinned(step), np.ones((1, len(setting.body.markers)))
     states = (approach(setting)[0].estimate.states if start is None else start)[::step]
-    problem = thin.problem(thin.noise_px(thin.markers(states), ones), 1.0)
+    costs: dict[str, float] = {}
     for number, times in enumerate(widen, start=1):
         noise_px = times * thin.noise_px(thin.markers(states), ones)
         problem = thin.problem(noise_px, 1.0 if number == len(widen) else None)
-        states = problem.minimise(states, _TOLERANCE, _ITERATIONS).states
-    expected = sum(cost for name, cost in problem.costs(states).items() if name != "reprojection")
+        states = problem.minimise(states, _TOLERANCE, _ITERATIONS, wanted=wanted).states
+        costs = problem.costs(states)
     seen = _seen(setting, between(states, np.arange(0, len(setting), step), len(setting)))
-    return seen + expected / (setting.alike if lasting else 1.0) + off_ground(setting, states)
+    rest = sum(cost for name, cost in costs.items() if name not in ("reprojection", POSE))
+    return Judged(seen + off_ground(setting, states), costs[POSE], rest, sum(costs.values()))
 
 
 def _seen(setting: Setting, states: Array) -> float:
@@ -116,20 +143,28 @@ class Given:
         return alone(self.setting, view)
 
     @cached_property
-    def _known(self) -> dict[tuple[int, int, float, bool], float]:
+    def _known(self) -> dict[tuple[int, int, tuple[float, ...]], Judged]:
         return {}
 
-    def surprise(self, part: slice, widen: float = 1.0, lasting: bool = False) -> float:
+    def judged(self, part: slice, widen: tuple[float, ...] = (1.0,)) -> Judged:
         """Of a part of the clip, from the states that were found."""
-        key = (part.start, part.stop, widen, lasting)
+        key = (part.start, part.stop, widen)
         if key not in self._known:
-            self._known[key] = surprise(self.setting.part(part), self.found(part), (widen,), lasting)
+            self._known[key] = judged(self.setting.part(part), self.found(part), widen)
         return self._known[key]
 
     def found(self, part: slice) -> Array | None:
         """The states (n, D) of a part; None where some frame has none."""
         states = self.states[part]
         return states if np.isfinite(states).all() else None
+
+    def exchanged(self, part: slice) -> Array | None:
+        """States (n, D) of a part, with the limbs' angles exchanged left to right."""
+        found = self.found(part)
+        if found is None:
+            return None
+        to, sign = self.setting.body.mirror
+        return np.where(to == np.arange(len(to)), found, found[:, to] * sign)
 
     def mirrored(self, part: slice) -> Array | None:
         """States (n, D) of the mean pose that goes along where the animal was found, mirrored in depth."""
@@ -163,9 +198,8 @@ def either_side(given: Given, other: View, which: Bools) -> tuple[Array, Array]:
         every, ones = np.arange(0, len(part), step), np.ones((2, len(which)))
         thin = part.thinned(step)
         states = _mean_pose(setting, given.states[rows])[every]
-        for times in (4.0, LOOSE):
-            noise_px = times * thin.noise_px(thin.markers(states), ones)
-            states = thin.problem(noise_px).minimise(states, _TOLERANCE, _ITERATIONS).states
+        problem = thin.problem(LOOSE * thin.noise_px(thin.markers(states), ones))
+        states = problem.minimise(states, _TOLERANCE, _ITERATIONS).states
         markers = part.markers(between(states, every, len(part)))
         sigma_px[rows] = LOOSE * part.noise_px(markers, ones)[0]
         projected[rows], _ = part.views[0].project(part.views[0].at_its_time(part.in_world(markers)))

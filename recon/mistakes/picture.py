@@ -14,7 +14,7 @@ import numpy as np
 from recon.arrays import Array
 from recon.camera import Camera
 from recon.clip import View, camera_poses
-from recon.mistakes.likelihood import Given, best_seen, off_ground, surprise
+from recon.mistakes.likelihood import Given, best_seen, judged, off_ground
 from recon.mistakes.mistake import CLEAR, Mistake
 from recon.solve.setting import Setting
 
@@ -106,11 +106,10 @@ def of_other_camera(given: Given, number: int, others: Sequence[Camera], named: 
     posed = np.isfinite(given.states[part]).all()
     if not (others and posed and off_ground(given.setting, given.states[part]) > CLEAR):
         return None
-    as_given = given.surprise(part, lasting=True)
-    ratio, found = max(
-        (as_given - surprise(given.other(_seen_by(view, camera)).part(part), lasting=True), camera.name)
-        for camera in others
-    )
+    alike = given.setting.alike
+    seen = [(judged(given.other(_seen_by(view, camera)).part(part)).lasting(alike), camera.name) for camera in others]
+    least, found = min(seen)
+    ratio = given.judged(part).lasting(alike) - least
     return Mistake("other_camera", ratio, number, found=found) if ratio > CLEAR else None
 
 
@@ -121,4 +120,4 @@ def _seen_by(view: View, camera: Camera) -> View:
 def _ratio(given: Given, other: View) -> float:
     """How many times as likely the keypoints are with another view in place of the given one, as a logarithm."""
     part = best_seen(given.view, given.setting.fps)
-    return given.surprise(part) - surprise(given.other(other).part(part))
+    return given.judged(part).surprise - judged(given.other(other).part(part)).surprise

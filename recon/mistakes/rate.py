@@ -13,6 +13,7 @@ import numpy as np
 from recon.arrays import Array
 from recon.mistakes.mistake import CLEAR, Mistake
 from recon.prior import ANGLES, NONE
+from recon.solve.least_squares import Estimate, LeastSquares
 from recon.solve.setting import Setting
 from recon.solve.starts import APPROACH_HZ
 from recon.solve.surprise import surprise_of
@@ -24,20 +25,18 @@ NEARLY = 1.02
 _TOLERANCE, _ITERATIONS = 1e-3, 10
 
 
-def other_rate(setting: Setting, states: Array, noise_px: Array, stated_hz: float | None) -> Mistake | None:
-    """states (T, D) at nominal size about the origin, without gaps, and noise_px (V, T, J), of a solved stretch.
-    stated_hz: what the file says."""
+def other_rate(setting: Setting, states: Array, stated_hz: float | None) -> Mistake | None:
+    """states (T, D) at nominal size about the origin, without gaps, of a solved stretch. stated_hz: what the file
+    says."""
     if stated_hz is not None and not 1 / NEARLY < stated_hz / setting.fps < NEARLY:
         return Mistake("frame_rate", np.nan, found=stated_hz)
     learned = setting.prior.name != NONE
     factors = [factor for factor in OTHER_RATES if learned and _swings_better(setting, states, factor)]
     if not factors:
         return None
-    given, surprise = _at_rate(setting, states, noise_px, 1.0)
-    tried = {factor: _at_rate(setting, states, noise_px, factor) for factor in factors}
-    factor, (cost, there) = min(tried.items(), key=lambda one: one[1][0])
-    # A motion that is as much of a surprise there is one that the prior knows at no rate.
-    clear = given - cost > CLEAR and there < surprise
+    given = _cost(setting, states, 1.0)
+    cost, factor = min((_cost(setting, states, factor), factor) for factor in factors)
+    clear = given - cost > CLEAR and _known(setting, states, factor)
     return Mistake("frame_rate", given - cost, found=setting.fps * factor) if clear else None
 
 
@@ -60,14 +59,23 @@ def _unexplained(setting: Setting, states: Array, fps: float) -> float:
     return float(np.einsum("na,ab,nb->", off, np.linalg.inv(prior.acceleration_covariance), off))
 
 
-def _at_rate(setting: Setting, states: Array, noise_px: Array, factor: float) -> tuple[float, float]:
-    """The cost of the keypoints and of how the angles move, not of the poses, which are as likely at any rate; and how
-    surprising poses and motion are there."""
+def _cost(setting: Setting, states: Array, factor: float) -> float:
+    """Of the keypoints and of how the angles move, not of the poses, which are as likely at any rate."""
     step = max(1, round(setting.fps / APPROACH_HZ))
-    thin = setting.thinned(step)
-    thin = replace(thin, fps=thin.fps * factor)
-    problem = thin.problem(noise_px[:, ::step])
-    found = problem.minimise(states[::step], _TOLERANCE, _ITERATIONS)
-    of_terms = problem.costs(found.states)
-    cost = of_terms["reprojection"] / setting.alike + of_terms.get("motion prior", 0.0)
-    return cost, surprise_of(problem, found, thin.fps).level
+    problem, found = _at_rate(setting.thinned(step), states[::step], factor)
+    costs = problem.costs(found.states)
+    return costs["reprojection"] / setting.alike + costs.get("motion prior", 0.0)
+
+
+def _known(setting: Setting, states: Array, factor: float) -> bool:
+    """Whether the prior knows the motion at that rate, or better than at the given one: one that is as much of a
+    surprise there says nothing of the rate."""
+    given, there = (surprise_of(*_at_rate(setting, states, by), setting.fps * by) for by in (1.0, factor))
+    return not there.unlike or there.level < given.level
+
+
+def _at_rate(setting: Setting, states: Array, factor: float) -> tuple[LeastSquares, Estimate]:
+    """The minimum at another rate. With the noise that is expected: what a fit found depends on its rate."""
+    noise_px = setting.noise_px(setting.markers(states), np.ones((len(setting.views), len(setting.body.markers))))
+    problem = replace(setting, fps=setting.fps * factor).problem(noise_px)
+    return problem, problem.minimise(states, _TOLERANCE, _ITERATIONS)

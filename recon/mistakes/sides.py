@@ -17,7 +17,7 @@ import numpy as np
 from recon.arrays import Array, Index
 from recon.body import Body, other_side
 from recon.clip import View
-from recon.mistakes.likelihood import AT_ONCE_S, LOOSE, TAILS, Given, best_seen, either_side, log_tail, surprise
+from recon.mistakes.likelihood import AT_ONCE_S, LOOSE, TAILS, Given, best_seen, either_side, judged, log_tail
 from recon.mistakes.mistake import CLEAR, Mistake
 
 JUMP = -3.0
@@ -72,15 +72,18 @@ def pairs_of(body: Body) -> dict[str, Index]:
 
 
 def exchanges(given: Given, number: int, unlike: bool = False) -> list[Mistake]:
-    """Of one view of a clip, under a prior learned from motions. number: the view's. unlike: the prior does not know
-    this one (`recon.solve.surprise`); a whole clip, in which no keypoints jump, is then not tried: nothing but the
-    prior tells it."""
+    """Of one view of a clip, under a prior learned from motions. Stretches that are clear by a quick fit are judged
+    again by one that knows less of the sides, and so is the clip as it is. number: the view's. unlike: the prior does
+    not know this motion (`recon.solve.surprise`); a whole clip, in which no keypoints jump, is then not tried: nothing
+    but the prior tells it."""
     kinds, view = pairs_of(given.setting.body), given.view
     found: list[Mistake] = []
     while len(found) < STRETCHES and "all" in kinds:
         whole = [] if unlike else [_whole(given, kinds["all"])]
-        best = max([*tried(given, kinds), *whole], key=lambda one: one.ratio, default=None)
-        if best is None or best.ratio <= CLEAR:
+        clear = [one for one in tried(given, kinds) if one.ratio > CLEAR]
+        again = [_judged(given, one.stretch, (LOOSE, 1.0)) for one in clear]
+        best = max([*again, *whole], key=lambda one: one.ratio, default=None)
+        if best is None or not best.ratio > CLEAR:  # nor where nothing is known
             break
         rows, markers = best.stretch.rows, best.stretch.markers
         found.append(Mistake("sides", best.ratio, number, (rows.start, rows.stop), markers))
@@ -101,7 +104,7 @@ class Tried:
 
 def tried(given: Given, kinds: dict[str, Index]) -> list[Tried]:
     """The stretches that tracks and looks say most of."""
-    T, fps, found = len(given.view.xy_px), given.setting.fps, []
+    T, fps = len(given.view.xy_px), given.setting.fps
     if not np.isfinite(given.states).any():
         return []
     looks = _looks(given, kinds)
@@ -110,12 +113,14 @@ def tried(given: Given, kinds: dict[str, Index]) -> list[Tried]:
         one for name, places in kinds.items() for one in _told(jumps(given.view, places), looks[name], name, most)
     ]
     chosen = [(name, rows) for _, name, ends in sorted(likely, reverse=True)[:most] for rows in _parts(*ends, T)]
-    for name, (first, stop) in dict.fromkeys(chosen):
-        stretch = Stretch(slice(first, stop), kinds[name])
-        part = _around(stretch.rows, T, fps)
-        other = surprise(given.other(exchanged(given.view, stretch)).part(part), given.found(part), (LOOSE,))
-        found.append(Tried(stretch, given.surprise(part, LOOSE) - other))
-    return found
+    return [_judged(given, Stretch(slice(*ends), kinds[name])) for name, ends in dict.fromkeys(chosen)]
+
+
+def _judged(given: Given, stretch: Stretch, widen: tuple[float, ...] = (1.0,)) -> Tried:
+    """By a fit from what was found, with noise that is so many times as wide on the way in."""
+    part = _around(stretch.rows, len(given.view.xy_px), given.setting.fps)
+    as_given, other = given.judged(part, widen), given.other(exchanged(given.view, stretch)).part(part)
+    return Tried(stretch, as_given.of_stretch - judged(other, given.found(part), widen, as_given.cost).of_stretch)
 
 
 def _parts(first: int, stop: int, T: int) -> list[tuple[int, int]]:
@@ -125,16 +130,18 @@ def _parts(first: int, stop: int, T: int) -> list[tuple[int, int]]:
 
 
 def _whole(given: Given, places: Index) -> Tried:
-    """The whole clip exchanged, judged where most is seen: from what was found, and from that mirrored in depth. What
-    was found need not be the best even of the clip as it is: before that is doubted, it is sought anew."""
+    """The whole clip exchanged, judged where most is seen. What was found need not be the best even of the clip as it
+    is: before that is doubted, it is sought anew."""
     view, part = given.view, best_seen(given.view, given.setting.fps)
     stretch = Stretch(slice(0, len(view.xy_px)), places)
     other = given.other(exchanged(view, stretch)).part(part)
-    starts = {(1.0,): given.found(part), (LOOSE, 1.0): given.mirrored(part)}
-    likely = [surprise(other, start, widen) for widen, start in starts.items() if start is not None]
-    ratio = given.surprise(part) - min(likely or [surprise(other)])
+    as_given = given.judged(part)
+    starts = {(1.0,): given.exchanged(part), (LOOSE, 1.0): given.mirrored(part)}
+    tries = [judged(other, start, widen, as_given.cost) for widen, start in starts.items() if start is not None]
+    likely = min(one.surprise for one in tries or [judged(other)])
+    ratio = as_given.surprise - likely
     if ratio > CLEAR:
-        ratio += min(surprise(given.setting.part(part)) - given.surprise(part), 0.0)
+        ratio = min(ratio, judged(given.setting.part(part)).surprise - likely)
     return Tried(stretch, ratio)
 
 

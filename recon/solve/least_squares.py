@@ -138,18 +138,25 @@ class LeastSquares:
         return Normal(BlockBanded(blocks), gradient, border, corner, shared_gradient)
 
     def minimise(
-        self, states: Array, tolerance: float, max_iterations: int, shared: Mapping[str, Array] | None = None
+        self,
+        states: Array,
+        tolerance: float,
+        max_iterations: int,
+        shared: Mapping[str, Array] | None = None,
+        wanted: float = np.inf,
     ) -> Estimate:
         """The minimum from a start; stops when a step lowers the cost by less than tolerance times the cost, or times
-        one: what a residual of a sigma and a half costs, below which rounding is all that is left to lower."""
+        one: what a residual of a sigma and a half costs, below which rounding is all that is left to lower. And where
+        another step like the last would not reach a wanted cost: nearly always they get smaller."""
         shared = self.expected() if shared is None else shared
         here = _Point(states, shared, self.cost(states, shared), _FIRST_DAMPING)
         for iteration in range(1, max_iterations + 1):
             lower = self._lower(here)
             done = lower is None or here.cost - lower.cost < tolerance * max(here.cost, 1.0)
+            hopeless = lower is not None and 2 * lower.cost - here.cost > wanted
             here = lower or here
-            if done:  # without a direction that leads down, a minimum to rounding
-                return Estimate(here.states, here.cost, iteration, True, here.shared)
+            if done or hopeless:  # without a direction that leads down, a minimum to rounding
+                return Estimate(here.states, here.cost, iteration, done, here.shared)
         return Estimate(here.states, here.cost, max_iterations, False, here.shared)
 
     def _lower(self, here: _Point) -> _Point | None:
