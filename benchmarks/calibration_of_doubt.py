@@ -1,7 +1,8 @@
 """Whether stated doubt is true where the truth is drawn from what is expected: simulation-based calibration.
 
     python benchmarks/calibration_of_doubt.py [--clips 200] [--skeleton cheetah-24] [--seed 0] [--motion-s 0.16]
-    python benchmarks/calibration_of_doubt.py --recorded dog|cheetah [--clips 200]
+        [--noise-s 0.16]
+    python benchmarks/calibration_of_doubt.py --recorded dog|cheetah [--clips 200] [--noise-s 0.16]
 
 Each clip draws a motion, a size, a camera and a detector's errors as the trajectory method expects them, and is fitted
 again. Angles: the Gaussian of the pose prior and the motion prior together, flattened so that `error_time_s` of clip
@@ -13,11 +14,11 @@ their markers, the camera's lag, 5 % of gross outliers, points missing at random
 --recorded: the motions are those of real animals, turned about the vertical, and all else is drawn: the motion capture
 that `dog.py` reads, without a learned prior, or the runs that `cameras.py` reads.
 
-The minimum for one camera is the most likely motion and distance together. Nearer by, the same pixels take smaller
-angles, which cost the prior less, while fewer motions fit; the distance's own distribution counts these, by the
-determinant of the normal equations (`recon.solve.trajectory.pull`). "mode": what that is expected to take off the
-distance, and ranks without it; without a learned prior it is off the solution already. A motion drawn as widely as the
+The solution is the most likely motion and distance together. Nearer by, the same pixels take smaller angles, which cost
+the prior less, while fewer motions fit; the distance's own distribution counts these, by the determinant of the normal
+equations. "mode": what that is expected to take off the distance, and ranks without it. A motion drawn as widely as the
 doubt says (0.16 s) surprises four times as much as real ones do, for which a surprise lasts 0.04 s: --motion-s 0.04.
+The noise of real detections lasts some frames: --noise-s 0.035.
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ from functools import cache, partial
 
 import dog
 import numpy as np
-from cameras import PRIOR, run_of
+from cameras import PRIOR, run_of, states_of
 from markdown_table import print_table
 from recordings import recordings
 from scipy.stats import kstest
@@ -46,26 +47,32 @@ from recon.clip import View, still_view
 from recon.detector import seen_by
 from recon.errors import InputError
 from recon.kinematics import ROOT, YAW
-from recon.prior import ANGLES, NONE, MotionPrior, as_one_gaussian, builtin_priors, load_prior, prior_from_body
+from recon.prior import ANGLES, MotionPrior, as_one_gaussian, builtin_priors, load_prior, prior_from_body
 from recon.regions import share_below, share_inside
 from recon.solve import TrajectoryOptions, solve_trajectory
+from recon.solve.posterior import factored
 from recon.solve.setting import Setting
+from recon.solve.surprise import LASTS_S
 from recon.solve.terms import dynamics_term, pose_term
-from recon.solve.trajectory import Solved, pull, solve_spells
+from recon.solve.trajectory import Solved, solve_spells
 
 FPS, T = 90.0, 36
 OUTLIERS, MISSING = 0.05, 0.1
 END_ON_DEG = 30.0
+STEP = 0.02
+"""Of the logarithm of the distance."""
 
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """points_m (n, J, 3): of the body's markers at nominal size, about the middle of the path."""
+    """points_m, marked_m (n, J, 3): the body's markers at nominal size, about the middle of the path, and where the
+    detector has them."""
 
     body: Body
     prior: MotionPrior
     fps: float
     points_m: np.ndarray
+    marked_m: np.ndarray
 
 
 @cache
@@ -101,7 +108,7 @@ def drawn(skeleton: str, motion_s: float, rng: np.random.Generator) -> Motion:
     along = np.array([np.cos(heading_rad), np.sin(heading_rad), 0.0])
     states[:, ROOT] = extent(body) * np.outer((np.arange(T) - T / 2) / FPS * rng.uniform(6.0, 14.0), along)
     states[:, YAW] = heading_rad
-    return Motion(body, prior, FPS, body.tree.pose(states).points_m)
+    return Motion(body, prior, FPS, body.tree.pose(states).points_m, body.detected.pose(states).points_m)
 
 
 @cache
@@ -109,14 +116,15 @@ def recorded_motions(animal: str) -> list[Motion]:
     """Whole ones."""
     if animal == "dog":
         body, prior = model(dog.SKELETON)
-        clips = dog.read_clips(recordings("dog-mocap"))
-        return [Motion(body, prior, clip.fps, clip.markers(body)) for clip in clips]
-    runs = [run_of(path.parent) for path in sorted(recordings("cheetah-runs").resolve().glob("*/meta.json"))]
-    bodies, known = [seen_by(body_of(run.subject), None) for run in runs], [np.isfinite(run.truth_m) for run in runs]
-    return [
-        Motion(body, prior_of(PRIOR), run.fps, run.truth_m[of_run.all(axis=(1, 2))])
-        for run, body, of_run in zip(runs, bodies, known, strict=True)
-    ]
+        clips = ((clip.fps, clip.markers(body)) for clip in dog.read_clips(recordings("dog-mocap")))
+        return [Motion(body, prior, fps, points_m, points_m) for fps, points_m in clips]
+    motions = []
+    for path in sorted(recordings("cheetah-runs").resolve().glob("*/meta.json")):
+        run = run_of(path.parent)
+        body, known = seen_by(body_of(run.subject), None), np.isfinite(run.truth_m).all(axis=(1, 2))
+        marked_m = body.detected.pose(states_of(run, np.zeros(3))).points_m
+        motions.append(Motion(body, prior_of(PRIOR), run.fps, run.truth_m[known], marked_m[known]))
+    return motions
 
 
 def recorded(animal: str, rng: np.random.Generator) -> Motion:
@@ -124,10 +132,11 @@ def recorded(animal: str, rng: np.random.Generator) -> Motion:
     motions = recorded_motions(animal)
     whole = motions[rng.integers(len(motions))]
     first = rng.integers(max(len(whole.points_m) - T, 0) + 1)
-    points_m, turned = whole.points_m[first : first + T], rng.uniform(-np.pi, np.pi)
+    turned = rng.uniform(-np.pi, np.pi)
     c, s = np.cos(turned), np.sin(turned)
-    points_m = (points_m - points_m.mean(axis=(0, 1))) @ np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]])
-    return Motion(whole.body, whole.prior, whole.fps, points_m)
+    points_m, marked_m = (of[first : first + T] for of in (whole.points_m, whole.marked_m))
+    about_m, about_z = points_m.mean(axis=(0, 1)), np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]])
+    return Motion(whole.body, whole.prior, whole.fps, (points_m - about_m) @ about_z, (marked_m - about_m) @ about_z)
 
 
 def lasting_noise(shape: Sequence[int], alike: float, rng: np.random.Generator) -> np.ndarray:
@@ -139,7 +148,7 @@ def lasting_noise(shape: Sequence[int], alike: float, rng: np.random.Generator) 
     return noise
 
 
-def one_clip(skeleton: str, motion_s: float, animal: str | None, seed: int) -> dict[str, float]:
+def one_clip(skeleton: str, motion_s: float, noise_s: float, animal: str | None, seed: int) -> dict[str, float]:
     rng = np.random.default_rng(seed)
     camera = Camera.from_hfov(rng.uniform(40.0, 100.0), (1920, 1080))
     motion = recorded(animal, rng) if animal else drawn(skeleton, motion_s, rng)
@@ -147,13 +156,14 @@ def one_clip(skeleton: str, motion_s: float, animal: str | None, seed: int) -> d
     options, scale, size = TrajectoryOptions(ground="none"), extent(body), 1.0 + body.size_sigma * rng.normal()
     blank = still_view(camera, np.zeros((n, J, 2)), np.ones((n, J)))
     setting = Setting.of([blank], body, motion.prior, motion.fps, options)
-    points_m = motion.points_m + scale * np.array([0.0, rng.uniform(3.0, 12.0), -rng.uniform(0.0, 1.5)])
-    px_per_m = setting.px_per_m(points_m)[0]
-    late_m = points_m + options.lag_frames * rng.normal() * np.gradient(points_m, axis=0)
+    place_m = scale * np.array([0.0, rng.uniform(3.0, 12.0), -rng.uniform(0.0, 1.5)])
+    points_m, marked_m = motion.points_m + place_m, motion.marked_m + place_m
+    px_per_m = setting.px_per_m(marked_m)[0]
+    late_m = marked_m + options.lag_frames * rng.normal() * np.gradient(marked_m, axis=0)
     beside_m = setting.shared()[1][-1].sigma.reshape(J, 2) * np.sqrt(setting.alike) * rng.normal(size=(J, 2))
     in_frame_m = np.sqrt(np.maximum(setting.in_frame_m**2 - beside_m.var(), 0.0))
     noise_px = np.hypot(options.sigma_px, in_frame_m * px_per_m[:, None])[..., None] * lasting_noise(
-        (n, J, 2), setting.alike, rng
+        (n, J, 2), max(noise_s * motion.fps, 1.0), rng
     )
     pixels, valid = blank.project(late_m)
     pixels = pixels + px_per_m[:, None, None] * beside_m + noise_px
@@ -189,11 +199,10 @@ def _scored(setting: Setting, truth_m: np.ndarray) -> dict[str, float]:
     sigma_m = float(np.sqrt(ray @ solution.covariance_m2[t, j] @ ray))
     found, true = (np.linalg.norm(points[t].mean(axis=0)) for points in (solution.joints_m, truth_m))
     mode = pull_of_the_mode(setting, *solve_spells(setting))
-    left = 0.0 if prior.name == NONE else mode
     return row | {
         "mpjpe mm": 1000 * float(np.linalg.norm(centred, axis=-1).mean()),
         "rank": share_below(float(true - found) / sigma_m),
-        "rank without": share_below(float(true - found * np.exp(-left)) / sigma_m),
+        "rank without": share_below(float(true - found * np.exp(-mode)) / sigma_m),
         "too far": float(np.log(found / true)),
         "mode": mode,
         "surprise": solution.spells[0].surprise or np.nan,
@@ -201,10 +210,26 @@ def _scored(setting: Setting, truth_m: np.ndarray) -> dict[str, float]:
 
 
 def pull_of_the_mode(setting: Setting, solved: Solved) -> float:
-    """By how much the logarithm of the distance at the joint minimum is expected to lie above its own distribution."""
-    middle_m = setting.body.tree.pose(solved.estimate.states).points_m.mean(axis=1)
-    further = np.sum(middle_m * pull(setting, solved)[:, ROOT], axis=1)
-    return float(np.mean(further / np.sum(middle_m**2, axis=1)))
+    """By how much the logarithm of the distance at the joint minimum is expected to lie above its own distribution.
+
+    That has the density exp(-cost / l) / sqrt(det H) where the other unknowns follow the distance, H theirs, and l the
+    number of frames in which a surprise lasts. Beside the cost's minimum its top is off by the slope times a variance.
+    """
+    problem, states = solved.problem, solved.estimate.states
+
+    def at(states: np.ndarray) -> tuple[float, float, np.ndarray]:
+        """Half the logarithm of the determinant; the distance's variance; and how the states follow the distance."""
+        middle_m = setting.body.tree.pose(states).points_m.mean(axis=1)
+        by_state = np.zeros(states.shape)
+        by_state[:, ROOT] = middle_m / np.sum(middle_m**2, axis=1, keepdims=True) / len(states)
+        H = factored(problem.normal(states).H)
+        followed = H.solve(by_state)
+        variance = float(np.sum(by_state * followed))
+        return float(np.log(H.band[0]).sum() + np.log(variance) / 2), variance, followed / variance
+
+    _, variance, along = at(states)
+    slope = (at(states + STEP * along)[0] - at(states - STEP * along)[0]) / (2 * STEP)
+    return max(LASTS_S * setting.fps, 1.0) * variance * slope
 
 
 def summary(label: str, rows: Sequence[dict[str, float]]) -> list[object]:
@@ -232,11 +257,14 @@ def main() -> None:
     parser.add_argument("--skeleton", default="cheetah-24")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--motion-s", type=float, default=TrajectoryOptions().error_time_s)
+    parser.add_argument("--noise-s", type=float, default=TrajectoryOptions().error_time_s)
     parser.add_argument("--recorded", choices=("dog", "cheetah"))
     given = parser.parse_args()
     with multiprocessing.Pool(2) as pool:
         seeds = range(given.seed, given.seed + given.clips)
-        rows = pool.map(partial(one_clip, given.skeleton, given.motion_s, given.recorded), seeds, chunksize=1)
+        rows = pool.map(
+            partial(one_clip, given.skeleton, given.motion_s, given.noise_s, given.recorded), seeds, chunksize=1
+        )
     solved = [row for row in rows if "rank" in row]
     print(f"{given.recorded or given.skeleton}: {len(solved)} of {len(rows)} clips with a pose in every frame\n")
     head = ["clips", "number", "surprise", *_SHARES, "too far", "true one nearer", "ranks uniform, p"]

@@ -9,10 +9,10 @@ import pytest
 from scipy.optimize import least_squares
 
 from recon.banded import BlockBanded
-from recon.kinematics import ROOT, Marker, Segment, Tree
+from recon.kinematics import Marker, Segment, Tree
 from recon.solve import least_squares as module
 from recon.solve.least_squares import Estimate, LeastSquares, Shared
-from recon.solve.posterior import posterior, pull_of
+from recon.solve.posterior import posterior
 from recon.solve.terms import (
     CRAB,
     DISPLACED,
@@ -168,24 +168,6 @@ def test_the_posterior_is_that_of_the_dense_equations():
         np.testing.assert_allclose(found.covariance_m2[t], dense, rtol=1e-5, atol=1e-9)
     of_size = 1.0 / np.linalg.inv(whole)[n, n] - problem.shared[0].sigma[0] ** -2
     assert found.size_precision == pytest.approx(of_size / factor, rel=1e-5)
-
-
-def test_the_pull_of_the_minimum_is_the_slope_of_the_determinant():
-    """Of the dense matrix, where all frames go further together; the slope acts on the distances alone."""
-    problem, states = whole_problem(), some_states()
-    H = to_dense(problem.normal(states).H)
-    slopes = (H @ pull_of(problem, BODY, Estimate(states, 0.0, 1, True)).ravel()).reshape(states.shape)
-    others = np.delete(slopes, np.arange(states.shape[1])[ROOT], axis=1)
-    np.testing.assert_allclose(others, 0.0, atol=1e-6 * np.abs(slopes).max())
-    middle_m = BODY.tree.pose(states).points_m.mean(axis=1)
-    by_state = np.zeros(states.shape)
-    by_state[:, ROOT] = middle_m / np.sum(middle_m**2, axis=1, keepdims=True)
-    further = np.linalg.solve(H, by_state.ravel()).reshape(states.shape)
-    further *= len(states) / np.sum(by_state * further)
-    h = 1e-4
-    up, down = (np.linalg.slogdet(to_dense(problem.normal(states + s * h * further).H))[1] for s in (1, -1))
-    slope = (up - down) / (4 * h)
-    assert np.sum(slopes[:, ROOT] * middle_m) == pytest.approx(slope, rel=0.02)
 
 
 def test_a_step_equals_the_dense_one():

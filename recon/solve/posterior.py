@@ -8,11 +8,6 @@ with the frame's unknowns, and by p ds with the size; where the pixels tie the t
     cov(joint) = s^2 J C J' + var(s) q q'
 
 and relative to the mean of all joints with the means of J and q taken off.
-
-The minimum is the most likely motion and distance together. Nearer by, the same pixels take smaller angles, which cost
-the prior less, while fewer motions fit: the distance by itself has the density exp(-cost) / sqrt(det H) where the other
-unknowns follow it. The top of that lies off the minimum by -H^-1 g, g the gradient of log(det H) / 2, times the number
-of frames in which errors are alike (`pull_of`).
 """
 
 from __future__ import annotations
@@ -37,8 +32,6 @@ _UNKNOWN = 1e-9
 _HARDLY = 1e-3
 """Precision of a place and a heading of which next to nothing is known (1 / m^2, 1 / rad^2)."""
 _FRAMES_AT_ONCE = 256
-_STEP = 0.02
-"""Of the logarithm of the distance."""
 
 
 @dataclass(frozen=True)
@@ -108,24 +101,6 @@ def posterior(problem: LeastSquares, body: Body, found: Estimate, variance_facto
         size_precision=precision,
         shared_sigma={name: sigma[problem.columns[name]] for name in solved_for},
     )
-
-
-def pull_of(problem: LeastSquares, body: Body, found: Estimate) -> Array:
-    """(T, D): how far the states at the minimum are from those at the top of the distances' own distribution, per frame
-    in which errors are alike; see the module's text.
-
-    The slope of the determinant is that of its factor's part in each frame, where all frames go further by one factor.
-    """
-    problem, states = replace(problem, shared=(), doubtful=()), found.states
-    middle_m = body.tree.pose(states).points_m.mean(axis=1)
-    by_state = np.zeros(states.shape)
-    by_state[:, ROOT] = middle_m / np.sum(middle_m**2, axis=1, keepdims=True)
-    H = factored(problem.normal(states).H)
-    further = H.solve(by_state / len(states))
-    further *= len(states) / np.sum(by_state * further)
-    beyond, before = (factored(problem.normal(states + step * further).H) for step in (_STEP, -_STEP))
-    slope = np.log(beyond.band[0] / before.band[0]).reshape(states.shape).sum(axis=1) / (2 * _STEP)
-    return H.solve(slope[:, None] * by_state)
 
 
 def with_size(covariance_m2: Array, by_size_m: Array, size: float, size_sigma: float) -> Array:

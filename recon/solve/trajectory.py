@@ -38,11 +38,11 @@ from recon.prior import ANGLES, NONE, MotionPrior
 from recon.progress import Progress, silent
 from recon.solve.contacts import contacts
 from recon.solve.least_squares import Estimate, LeastSquares
-from recon.solve.posterior import Posterior, posterior, pull_of, with_size
+from recon.solve.posterior import Posterior, posterior, with_size
 from recon.solve.result import Ground, Spell, Start, TrajectorySolution
 from recon.solve.setting import Setting, TrajectoryOptions
 from recon.solve.starts import Approached, approach, between
-from recon.solve.surprise import LASTS_S, Surprise, surprise_of
+from recon.solve.surprise import Surprise, surprise_of
 from recon.solve.terms import CRAB, Reprojection, focal, lag, placing, size_of
 
 Array = NDArray[np.float64]
@@ -56,8 +56,6 @@ _TEMPERATURES = (8.0, 3.0, 1.0)
 """Of the mixture of poses."""
 _MORE_ROUNDS = 3
 """Where the prior has lost most of its weight: until noise and contacts have settled again."""
-_LINEAR_RAD = 1.0
-"""Angles further off the minimum are not found from its slopes."""
 _EXPECTED = 8.0
 """So many detections of the expected noise count beside a joint's own."""
 POOR_SHARE, POORER_SHARE = 1 / 3, 0.8
@@ -334,34 +332,9 @@ def _in_doubt(setting: Setting, one: Solved) -> LeastSquares:
     return replace(one.problem, terms=terms)
 
 
-def pull(setting: Setting, one: Solved) -> Array:
-    """(n, D): how far a spell's minimum is from the top of the distances' own distribution (`pull_of`). What is off the
-    prior counts for as many frames as it lasts: as many times as it costs more than if each frame's were its own."""
-    surprise = surprise_of(one.problem, one.estimate, setting.fps)
-    lasts = max(LASTS_S * setting.fps, 1.0) * min(surprise.level, 1.0)
-    return lasts * pull_of(one.problem, setting.body, one.estimate)
-
-
-def _without_pull(setting: Setting, one: Solved) -> Solved:
-    """Where one camera and no learned prior say the distance."""
-    if len(setting.views) > 1 or setting.prior.name != NONE:
-        return one
-    setting = setting.part(one.rows)
-    states = one.estimate.states - pull(setting, one)
-    beyond = np.abs(states - one.estimate.states)[:, YAW:].max()
-    if not beyond < _LINEAR_RAD:  # next to nothing is known
-        return one
-    one = replace(one, estimate=replace(one.estimate, states=states))
-    if one.ground is None:
-        return one
-    contact, ground, _ = contacts(setting, setting.markers(one.estimate.states), one.size)
-    return replace(one, contact=contact, ground=ground)
-
-
 def _solution(setting: Setting, solved: Sequence[Solved], began: float) -> TrajectorySolution:
     clock = time.perf_counter()
     known = [posterior(_in_doubt(setting, one), setting.body, one.estimate, setting.alike) for one in solved]
-    solved = [_without_pull(setting, one) for one in solved]
     size, size_sigma, size_from = _size(setting, solved, known)
     stage_s = {"posterior": time.perf_counter() - clock}
     of_frames, of_views = _arrays(setting)
