@@ -272,6 +272,37 @@ def lags(runs: Sequence[Run]) -> list[dict]:
     return rows
 
 
+def of_each_view(run: Run, body: Body) -> list[dict[str, float]]:
+    """One camera, every view of a run."""
+    found = []
+    for camera in run.views:
+        solution = solved(run, [camera], body)
+        far = {"too far": too_far(run, solution), "named": float(camera == run.named)}
+        found.append(errors(run, solution) | far)
+    return found
+
+
+def over_views(rows: Sequence[dict[str, float]]) -> dict[str, object]:
+    table = {name: np.array([row[name] for row in rows]) for name in rows[0]}
+    named = table["named"] > 0
+    shares = [name for name in table if "inside" in name]
+    return {
+        "named mpjpe_mm": table["mpjpe_mm"][named].mean(),
+        "named mpe_mm": table["mpe_mm"][named].mean(),
+        "mpjpe_mm mean": table["mpjpe_mm"].mean(),
+        "median": np.median(table["mpjpe_mm"]),
+        "worst": table["mpjpe_mm"].max(),
+        "mpe_mm mean": table["mpe_mm"].mean(),
+        "mpe median": np.median(table["mpe_mm"]),
+        "too far": f"{table['too far'].mean():+.1%}",
+        "rms": f"{np.sqrt(np.mean(table['too far'] ** 2)):.1%}",
+        "views too far": int((table["too far"] > 0).sum()),
+        **{name: table[name].mean() for name in shares},
+        "worst view, pose and place": f"{table[shares[0]].min():.2f} {table[shares[1]].min():.2f}",
+        "solve_s": np.median(table["solve_s"]),
+    }
+
+
 def measured(runs: Sequence[Run]) -> list[dict]:
     """One camera, every view: keypoints on the markers, and where they lie in the other runs."""
     found = []
@@ -279,33 +310,18 @@ def measured(runs: Sequence[Run]) -> list[dict]:
         rows = []
         for run in runs:
             body = body_of(run.subject)
-            body = body if label == "none" else as_seen(body, run, runs, posed="known" in label)
-            for camera in run.views:
-                solution = solved(run, [camera], body)
-                far = {"too far": too_far(run, solution), "named": float(camera == run.named)}
-                rows.append(errors(run, solution) | far)
-        table = {name: np.array([row[name] for row in rows]) for name in rows[0]}
-        named = table["named"] > 0
-        shares = [name for name in table if "inside" in name]
-        found.append(
-            {
-                "detector": label,
-                "named mpjpe_mm": table["mpjpe_mm"][named].mean(),
-                "named mpe_mm": table["mpe_mm"][named].mean(),
-                "mpjpe_mm mean": table["mpjpe_mm"].mean(),
-                "median": np.median(table["mpjpe_mm"]),
-                "worst": table["mpjpe_mm"].max(),
-                "mpe_mm mean": table["mpe_mm"].mean(),
-                "mpe median": np.median(table["mpe_mm"]),
-                "too far": f"{table['too far'].mean():+.1%}",
-                "rms": f"{np.sqrt(np.mean(table['too far'] ** 2)):.1%}",
-                "views too far": int((table["too far"] > 0).sum()),
-                **{name: table[name].mean() for name in shares},
-                "worst view, pose and place": f"{table[shares[0]].min():.2f} {table[shares[1]].min():.2f}",
-                "solve_s": np.median(table["solve_s"]),
-            }
-        )
+            rows += of_each_view(run, body if label == "none" else as_seen(body, run, runs, posed="known" in label))
+        found.append({"detector": label} | over_views(rows))
     return found
+
+
+def by_run(runs: Sequence[Run]) -> list[dict]:
+    """The last of these by run, and of all runs but one."""
+    of_run = {run: of_each_view(run, as_seen(body_of(run.subject), run, runs, posed=True)) for run in runs}
+    without = {run: [row for other in runs if other is not run for row in of_run[other]] for run in runs}
+    return [{"views": f"of {run.folder.name}"} | over_views(of_run[run]) for run in runs] + [
+        {"views": f"without {run.folder.name}"} | over_views(without[run]) for run in runs
+    ]
 
 
 def main() -> None:
@@ -322,6 +338,7 @@ def main() -> None:
         ("A camera left out, lags held", lambda: left_out(runs, lag_frames=HELD)),
         ("Lags with all cameras, frames", lambda: lags(runs)),
         ("One camera, all views", lambda: measured(runs)),
+        ("One camera, by run", lambda: by_run(runs)),
     ):
         show(title, rows())
     print(detector_toml(_detector(tuple(runs), posed=True), "the network and the labellers of AcinoSet"))
