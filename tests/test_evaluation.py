@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -247,6 +248,14 @@ def test_a_result_folder(whole_results, level_results, tmp_path):
     assert "different frames of reference" in note
     with pytest.raises(InputError, match=r"no pose3d\.csv, expected results"):
         evaluate_files(tmp_path, truth)
+
+
+def test_a_result_folder_of_two_fits_is_refused(whole_results, level_results, tmp_path):
+    mixed = tmp_path / "mixed"
+    shutil.copytree(whole_results, mixed)
+    shutil.copy(level_results / "pose3d.csv", mixed)
+    with pytest.raises(InputError, match=r"pose3d\.csv: content: found other"):
+        evaluate_files(mixed, SAMPLES / "whole_truth.csv")
 
 
 def test_real_truth_moved(shared_data, tmp_path):

@@ -19,9 +19,9 @@ from recon.analysis.mismatch import mismatches
 from recon.errors import InputError, Problem, all_of
 from recon.io.pose3d import Pose3D, read_pose3d
 from recon.keypoints import frame_ranges
-from recon.manifest import MANIFEST
+from recon.manifest import MANIFEST, read_manifest
 from recon.regions import radius
-from recon.results import SIGMAS, read_sigmas
+from recon.results import SIGMAS, TABLES, read_sigmas
 
 PCK_THRESHOLDS_M = (0.05, 0.1, 0.15)
 LEVELS = (0.5, 0.9)
@@ -109,7 +109,10 @@ def evaluate_files(pose_path: str | Path, truth_path: str | Path) -> Evaluation:
     `recon fit` wrote, whose standard deviations are then compared with the errors. Raises InputError."""
     pose, truth = all_of(*(lambda path=path: read_pose3d(_pose_file(Path(path))) for path in (pose_path, truth_path)))
     folder = _pose_file(Path(pose_path)).parent
-    has_sigmas = _is_result(Path(pose_path)) and (folder / SIGMAS).is_file()
+    is_fit = _is_result(Path(pose_path)) and _pose_file(Path(pose_path)).name == TABLES[0]
+    has_sigmas = is_fit and (folder / SIGMAS).is_file()
+    if has_sigmas and (folder / MANIFEST).is_file():  # both of one fit
+        read_manifest(folder).require(TABLES[0], SIGMAS)
     found = evaluate(pose, truth, read_sigmas(folder, pose, np.eye(3)) if has_sigmas else None)
     if _is_result(Path(truth_path)) and not _is_result(Path(pose_path)):
         note = f"the reference, {truth_path}, is a result of recon fit, and what is scored is not: perhaps exchanged"

@@ -56,8 +56,6 @@ _TEMPERATURES = (8.0, 3.0, 1.0)
 """Of the mixture of poses."""
 _MORE_ROUNDS = 3
 """Where the prior has lost most of its weight: until noise and contacts have settled again."""
-_EXPECTED = 8.0
-"""So many detections of the expected noise count beside a joint's own."""
 POOR_SHARE, POORER_SHARE = 1 / 3, 0.8
 """Frames are "data poor" in which less than this part of the joints is seen and trusted, or less than this part of what
 it is in the clip's good frames (their 90th percentile)."""
@@ -297,7 +295,7 @@ def _joined(T: int, windows: Sequence[tuple[slice, list[Approached]]]) -> Array:
 def _noise_factors(setting: Setting, points_m: Array, size: float, factors: Array) -> Array:
     """(V, J): variance of each joint's detections relative to the expected one, as the robust loss would have it.
 
-    The mean of weight times squared residual per coordinate, with `_EXPECTED` detections of the expected noise. Between
+    The mean of weight times squared residual per coordinate, with eight detections' worth of the expectation. Between
     1/4 and 6, that is half and two and a half times the expected standard deviation: a joint is neither followed
     blindly nor given up.
     """
@@ -310,7 +308,7 @@ def _noise_factors(setting: Setting, points_m: Array, size: float, factors: Arra
         q = np.where(seen, np.sum((projected - view.xy_px) ** 2, axis=-1) / expected_px**2, 0.0)
         for _ in range(10):
             weight = seen / (1.0 + q / factor / setting.options.robust_c**2)
-            factor = (np.sum(weight * q, axis=0) / 2 + _EXPECTED) / (seen.sum(axis=0) + _EXPECTED)
+            factor = (np.sum(weight * q, axis=0) / 2 + 8.0) / (seen.sum(axis=0) + 8.0)
         found.append(np.clip(factor, 0.25, 6.0))
     return np.array(found)
 
@@ -318,23 +316,9 @@ def _noise_factors(setting: Setting, points_m: Array, size: float, factors: Arra
 # -- the result ----------------------------------------------------------------------------------------------------
 
 
-def _in_doubt(setting: Setting, one: Solved) -> LeastSquares:
-    """A spell's problem with the noise that its doubt is of. Without a learned prior the motion follows errors that
-    last, and its residuals say too little of them: they count as the fewer detections whose errors are not alike."""
-    if setting.prior.name != NONE:
-        return one.problem
-    setting = setting.part(one.rows)
-    seen = np.array([view.present.sum(axis=0) for view in setting.views])
-    more = _EXPECTED * (setting.alike - 1)
-    factors = (one.noise * (seen + _EXPECTED) + more) / (seen + _EXPECTED + more)
-    noise_px = iter(setting.noise_px(setting.markers(one.estimate.states), factors, one.size))
-    terms = [replace(t, sigma_px=next(noise_px)) if isinstance(t, Reprojection) else t for t in one.problem.terms]
-    return replace(one.problem, terms=terms)
-
-
 def _solution(setting: Setting, solved: Sequence[Solved], began: float) -> TrajectorySolution:
     clock = time.perf_counter()
-    known = [posterior(_in_doubt(setting, one), setting.body, one.estimate, setting.alike) for one in solved]
+    known = [posterior(one.problem, setting.body, one.estimate, setting.alike) for one in solved]
     size, size_sigma, size_from = _size(setting, solved, known)
     stage_s = {"posterior": time.perf_counter() - clock}
     of_frames, of_views = _arrays(setting)
