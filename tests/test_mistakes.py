@@ -25,6 +25,7 @@ from recon.mistakes.rate import other_rate
 from recon.mistakes.sides import Stretch, exchanged, exchanges, jumps, opposites, pairs_of, tried
 from recon.motion import Motion
 from recon.prior import prior_from_body
+from recon.report import build_report
 from recon.report import mistakes as in_report
 from recon.settings import FitSettings
 from recon.solve import TrajectoryOptions
@@ -299,6 +300,14 @@ def test_half_the_frame_rate_of_the_sample_is_named():
     motion = fit_clip(FitSettings(keypoints=samples_folder() / "whole.csv", camera=camera, fps=30))
     (found,) = motion.mistakes
     assert (found.kind, found.found) == ("frame_rate", 60.0)
+
+
+def test_of_an_animal_that_is_too_fast_no_whole_clip_is_exchanged():
+    camera = samples_folder() / "camera.toml"
+    motion = fit_clip(FitSettings(keypoints=samples_folder() / "whole.csv", camera=camera, fps=240))
+    assert motion.mistakes == ()
+    (said,) = (one for one in build_report(motion, {})["warnings"] if "no animal runs so fast" in one)
+    assert said.endswith("m/s: no animal runs so fast; check the frame rate, then the camera and the size")
 
 
 # -- what is said of them ------------------------------------------------------------------------------------------

@@ -20,11 +20,12 @@ from recon.mistakes.mistake import Mistake, MistakeKind
 from recon.mistakes.picture import of_other_camera, of_smaller_video, of_unit_square, turned_over
 from recon.mistakes.rate import other_rate
 from recon.mistakes.sides import exchanges
-from recon.prior import NONE, MotionPrior
+from recon.prior import NONE, MotionPrior, mean_speed_m_s
 from recon.solve import TrajectoryOptions, TrajectorySolution
 from recon.solve.setting import Setting
 
 __all__ = [
+    "FASTEST_M_S",
     "GARBAGE",
     "SIDES",
     "Known",
@@ -38,6 +39,8 @@ __all__ = [
 
 SIDES, GARBAGE = "sides exchanged", "garbage"
 """Flags of frames."""
+FASTEST_M_S = 40.0
+"""No animal runs as fast: cheetahs reach 29 m/s (N. Sharp, *Timed running speed of a cheetah*, J. Zool. 1997)."""
 
 
 @dataclass(frozen=True)
@@ -64,7 +67,8 @@ def find_mistakes(
     sides nor rates."""
     setting = Setting.of(solution.views, body, prior, fps, options)
     weighed = replace(setting, trust=min((spell.prior_weight for spell in solution.spells), default=1.0))
-    unlike = any(spell.unlike_prior for spell in solution.spells)
+    too_fast = mean_speed_m_s(solution.states, fps) > FASTEST_M_S  # nor does the prior know it
+    unlike = too_fast or any(spell.unlike_prior for spell in solution.spells)
     sides = known.sides and prior.name != NONE and bool(solution.posed.any())
     found: list[Mistake] = []
     with threadpool_limits(1, user_api="blas"):

@@ -13,7 +13,7 @@ from recon.arrays import Array, finite, mean, median
 from recon.detector import NONE as NO_DETECTOR
 from recon.detector import OWN
 from recon.keypoints import frame_ranges
-from recon.mistakes import GARBAGE, SIDES
+from recon.mistakes import FASTEST_M_S, GARBAGE, SIDES
 from recon.motion import Motion
 from recon.prior import NONE
 from recon.report import agreement, cameras, common, mistakes
@@ -320,6 +320,10 @@ def warnings(report: Mapping[str, Any]) -> Iterator[str]:
             + ("camera" if len(report["cameras"]) == 1 else "cameras, whether all files are of one clip")
             + ", the frame rate and the skeleton"
         )
+    path = report["root_path"]
+    speed = (path["smoothed"] or path["exact"])["mean_speed_m_s"]
+    if speed is not None and speed > FASTEST_M_S:
+        yield f"{speed:.0f} m/s: no animal runs so fast; check the frame rate, then the camera and the size"
     if second := _ambiguous_frames(report):
         yield (
             f"another solution explains {frame_count(len(second))} nearly as well, up to "
