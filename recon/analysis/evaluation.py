@@ -108,8 +108,8 @@ def evaluate_files(pose_path: str | Path, truth_path: str | Path) -> Evaluation:
     """Evaluates a file of 3D positions (see `read_pose3d`) against another; either may be the folder of results that
     `recon fit` wrote, whose standard deviations are then compared with the errors. Raises InputError."""
     pose, truth = all_of(*(lambda path=path: read_pose3d(_pose_file(Path(path))) for path in (pose_path, truth_path)))
-    folder = _pose_file(Path(pose_path)).parent
-    is_fit = _is_result(Path(pose_path)) and _pose_file(Path(pose_path)).name == TABLES[0]
+    scored = _pose_file(Path(pose_path))
+    folder, is_fit = scored.parent, _is_result(Path(pose_path)) and scored.name == TABLES[0]
     has_sigmas = is_fit and (folder / SIGMAS).is_file()
     if has_sigmas and (folder / MANIFEST).is_file():  # both of one fit
         read_manifest(folder).require(TABLES[0], SIGMAS)

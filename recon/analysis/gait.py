@@ -697,9 +697,8 @@ def _asymmetrical(hind: float, fore: float, seen: str) -> tuple[str, str]:
     if abs(fore) < TOGETHER:
         return "unknown", seen + ": the fore pair lands together, the hind pair does not"
     leads = ["right" if lag > 0 else "left" for lag in (hind, fore)]
-    return (
-        "transverse" if leads[0] == leads[1] else "rotary"
-    ) + " gallop", f"{seen}; leading: {leads[0]} hind, {leads[1]} fore"
+    kind = "transverse" if leads[0] == leads[1] else "rotary"
+    return f"{kind} gallop", f"{seen}; leading: {leads[0]} hind, {leads[1]} fore"
 
 
 def _first(lag: float) -> str:

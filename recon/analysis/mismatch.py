@@ -21,7 +21,7 @@ from their mean."""
 SCALED = 2.0
 """Nor does a size that is less than this many times too large or too small: one camera hardly sees it."""
 UNLIKE = 0.3
-"""An error above this part of the size is that of another clip: those of running cheetahs are 0.28 to 0.6 of it apart,
+"""An error above this part of the size is that of another clip: those of running cheetahs are 0.27 to 0.67 of it apart,
 and the poorest of the fits in docs/benchmarks.md is 0.22 of it off."""
 FAR = 4.0
 """The same of the distance between the two, in sizes."""

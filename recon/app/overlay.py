@@ -18,6 +18,7 @@ from recon.export.clip_csv import camera_files
 from recon.files import require_free_file, staged_file, write_bytes
 from recon.io import read_keypoints
 from recon.keypoints import Keypoints
+from recon.mistakes import FLAGS
 from recon.overlay import LEFT, MIDDLE, RIGHT, Colour, Overlay, canvas_size, draw_frame, draw_sheet
 from recon.progress import Progress, silent
 from recon.results import Results, read_results
@@ -26,10 +27,6 @@ from recon.video import Image, VideoInfo, probe, read_frames, require_codec, vid
 SLOW_FPS = 30.0
 """Every frame is shown, and no more than this many in a second, unless a speed is given."""
 SIDES: dict[Side | None, Colour] = {"left": LEFT, "right": RIGHT, None: MIDDLE}
-
-
-OF_DETECTIONS = {"sides": "sides exchanged", "garbage": "garbage"}
-"""Flags that are about one camera's detections, by the kind of mistake in the report."""
 COUNT, MOST = 12, 60
 """Of the stills of a sheet."""
 MIN_WIDTH_PX = 640
@@ -196,13 +193,13 @@ def overlay_of(result: Results, speed: float = 1.0, zoom: int = 1, number: int =
 def _flags(result: Results, number: int) -> Iterator[list[str]]:
     """By frame: what is doubtful about it in a camera's picture, without what is wrong with others' detections."""
     own = [
-        (OF_DETECTIONS.get(mistake["kind"]), *mistake["frames"])
+        (FLAGS.get(mistake["kind"]), *mistake["frames"])
         for mistake in result.report.get("mistakes", ())
         if mistake["camera"] in (None, result.cameras[number].name)
     ]
     for frame, flags in zip(result.pose.frames.tolist(), result.flags, strict=True):
         here = {flag for flag, first, stop in own if first <= frame < stop}
-        yield [flag for flag in flags if flag in here or flag not in OF_DETECTIONS.values()]
+        yield [flag for flag in flags if flag in here or flag not in FLAGS.values()]
 
 
 def _enlarged(xy_px: Array, zoom: int) -> Array:

@@ -26,6 +26,7 @@ from recon.solve.setting import Setting
 
 __all__ = [
     "FASTEST_M_S",
+    "FLAGS",
     "GARBAGE",
     "SIDES",
     "Known",
@@ -38,7 +39,8 @@ __all__ = [
 ]
 
 SIDES, GARBAGE = "sides exchanged", "garbage"
-"""Flags of frames."""
+FLAGS: dict[str, str] = {"sides": SIDES, "garbage": GARBAGE}
+"""Flags of frames, by the kind of mistake in one camera's detections."""
 FASTEST_M_S = 40.0
 """No animal runs as fast: cheetahs reach 29 m/s (N. Sharp, *Timed running speed of a cheetah*, J. Zool. 1997)."""
 
@@ -112,7 +114,7 @@ def with_flags(solution: TrajectorySolution, mistakes: Sequence[Mistake]) -> Tra
     """With those of the frames that mistakes are about and that were not mended."""
     flags = [*solution.flags]
     for one in mistakes:
-        name = {"sides": SIDES, "garbage": GARBAGE}.get(one.kind)
+        name = FLAGS.get(one.kind)
         if name is not None and one.rows is not None and not one.mended:
             for t in range(*one.rows):
                 flags[t] = flags[t] if name in flags[t] else (*flags[t], name)

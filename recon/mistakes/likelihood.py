@@ -22,6 +22,7 @@ from recon.clip import View
 from recon.keypoints import frame_ranges
 from recon.kinematics import ROOT, YAW
 from recon.prior import ANGLES
+from recon.solve.least_squares import LeastSquares
 from recon.solve.setting import Setting
 from recon.solve.starts import APPROACH_HZ, approach, between
 from recon.solve.surprise import LASTS_S
@@ -86,12 +87,15 @@ def judged(
     step = max(1, round(setting.fps / APPROACH_HZ))
     thin, ones = setting.thinned(step), np.ones((1, len(setting.body.markers)))
     states = (approach(setting)[0].estimate.states if start is None else start)[::step]
-    costs: dict[str, float] = {}
-    for number, times in enumerate(widen, start=1):
-        noise_px = times * thin.noise_px(thin.markers(states), ones)
-        problem = thin.problem(noise_px, 1.0 if number == len(widen) else None)
-        states = problem.minimise(states, _TOLERANCE, _ITERATIONS, wanted=wanted).states
-        costs = problem.costs(states)
+
+    def minimum(states: Array, times: float, temperature: float | None) -> tuple[LeastSquares, Array]:
+        problem = thin.problem(times * thin.noise_px(thin.markers(states), ones), temperature)
+        return problem, problem.minimise(states, _TOLERANCE, _ITERATIONS, wanted=wanted).states
+
+    for times in widen[:-1]:
+        _, states = minimum(states, times, None)
+    problem, states = minimum(states, widen[-1], 1.0)
+    costs = problem.costs(states)
     seen = _seen(setting, between(states, np.arange(0, len(setting), step), len(setting)))
     rest = sum(cost for name, cost in costs.items() if name not in ("reprojection", POSE))
     return Judged(seen + off_ground(setting, states), costs[POSE], rest, sum(costs.values()))
