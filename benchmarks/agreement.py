@@ -27,12 +27,12 @@ import numpy as np
 from markdown_table import print_table
 
 from recon import FitSettings, load_skeleton
-from recon.analysis.agreement import Agreement, Finding, Kind, camera_agreement
-from recon.app.clip import prepare
+from recon.check.agreement import Agreement, Finding, Kind, camera_agreement
 from recon.clip import View, views_of
-from recon.frames import rigid
-from recon.rotations import euler_rotation
-from recon.solve import TrajectoryOptions
+from recon.fit import TrajectoryOptions
+from recon.geometry.frames import rigid
+from recon.geometry.rotations import euler_rotation
+from recon.workflows.clip import prepare
 
 SKELETON = "cheetah-24"
 TURN_DEG, LAG = 5.0, 10

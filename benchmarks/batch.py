@@ -24,12 +24,12 @@ from typing import Any
 import numpy as np
 from markdown_table import print_table
 
-from recon.app.batch.record import read_record
-from recon.app.demo import samples_folder
+from recon.base.package import install_command
+from recon.clip.keypoints import Keypoints
+from recon.fit.synthetic import add_noise
 from recon.io import read_keypoints
-from recon.keypoints import Keypoints
-from recon.package import install_command
-from recon.synthetic import add_noise
+from recon.workflows.batch.record import read_record
+from recon.workflows.demo import samples_folder
 
 SAMPLE = samples_folder() / "whole.csv"
 CAMERA = samples_folder() / "camera.toml"
@@ -117,7 +117,7 @@ BREAK: tuple[Callable[[Path], object], ...] = (
 
 
 def command(patterns: list[Path], out: Path, *more: object) -> list[str]:
-    code = "from recon.cli import main; main()"
+    code = "from recon.workflows.cli import main; main()"
     given = [*patterns, "--camera", CAMERA, "--fps", 60, "--out", out, "--json", "--quiet", *more]
     return [sys.executable, "-c", code, "batch", *map(str, given)]
 

@@ -10,9 +10,9 @@ import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from recon.arrays import Array
-from recon.camera import Camera
-from recon.intrinsics.board import Board, Charuco, Chessboard, Gray
+from recon.base.arrays import Array
+from recon.calibrate.intrinsics.board import Board, Charuco, Chessboard, Gray
+from recon.geometry.camera import Camera
 
 EDGE_PARTS = 8
 FRACTION_BITS = 6

@@ -224,9 +224,9 @@ def worst_m(found: Joints, names: tuple[str, ...], xyz_m: Array) -> float:
 
 def main() -> None:
     from recon import FitSettings
-    from recon.app.clip import run_clip
-    from recon.app.convert import convert
-    from recon.results import read_results
+    from recon.fit.results import read_results
+    from recon.workflows.clip import run_clip
+    from recon.workflows.convert import convert
 
     samples = Path(__file__).resolve().parents[1] / "data" / "samples"
     print_header(["file", "read by", "whole animal, mm", "chain, mm"])

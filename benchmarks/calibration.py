@@ -10,8 +10,8 @@ import time
 import numpy as np
 from board_pictures import poses, render
 
-from recon.camera import Camera
-from recon.intrinsics import BoardView, BoardViews, Calibration, calibrate, check, parse_board
+from recon.calibrate.intrinsics import BoardView, BoardViews, Calibration, calibrate, check, parse_board
+from recon.geometry.camera import Camera
 
 SIZE = (1280, 720)
 VIEWS = 24

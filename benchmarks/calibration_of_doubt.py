@@ -43,18 +43,18 @@ from scipy.stats import kstest
 from trajectory import body_of, prior_of
 
 from recon import Body, Camera, load_skeleton
+from recon.animal.detector import seen_by
+from recon.animal.prior import ANGLES, MotionPrior, as_one_gaussian, builtin_priors, load_prior, prior_from_body
+from recon.base.errors import InputError
 from recon.clip import View, still_view
-from recon.detector import seen_by
-from recon.errors import InputError
-from recon.kinematics import ROOT, YAW
-from recon.prior import ANGLES, MotionPrior, as_one_gaussian, builtin_priors, load_prior, prior_from_body
-from recon.regions import share_below, share_inside
-from recon.solve import TrajectoryOptions, solve_trajectory
-from recon.solve.posterior import factored
-from recon.solve.setting import Setting
-from recon.solve.surprise import LASTS_S
-from recon.solve.terms import dynamics_term, pose_term
-from recon.solve.trajectory import Solved, solve_spells
+from recon.fit import TrajectoryOptions, solve_trajectory
+from recon.fit.posterior import factored
+from recon.fit.regions import share_below, share_inside
+from recon.fit.setting import Setting
+from recon.fit.surprise import LASTS_S
+from recon.fit.terms import dynamics_term, pose_term
+from recon.fit.trajectory import Solved, solve_spells
+from recon.geometry.kinematics import ROOT, YAW
 
 FPS, T = 90.0, 36
 OUTLIERS, MISSING = 0.05, 0.1

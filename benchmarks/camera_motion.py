@@ -25,9 +25,9 @@ from recordings import recordings
 from scipy.ndimage import gaussian_filter1d
 from scipy.spatial.transform import Rotation
 
-from recon.camera import Camera
-from recon.camera_motion import Tracker, TurningMotion
-from recon.video import read_frames
+from recon.calibrate.camera_motion import Tracker, TurningMotion
+from recon.geometry.camera import Camera
+from recon.io.video import read_frames
 
 STILL_F_PX = 1400.0
 SUBFRAMES = 7

@@ -27,15 +27,15 @@ from recordings import recordings
 from trajectory import SKELETON, body_of, meta_of, prior_of, truth_of
 
 from recon import Body, FitSettings
-from recon.app.clip import prepare
+from recon.animal.detector import detector_toml
 from recon.clip import Source, View, views_of
-from recon.detector import detector_toml
-from recon.kinematics import ROOT
-from recon.regions import share_inside
-from recon.solve import TrajectoryOptions, TrajectorySolution, solve_trajectory
-from recon.solve.points import solve_points
-from recon.solve.setting import Setting
-from recon.solve.shape import POSED_OFFSET_SIGMA_M, Shape, fit_shape
+from recon.fit import TrajectoryOptions, TrajectorySolution, solve_trajectory
+from recon.fit.points import solve_points
+from recon.fit.regions import share_inside
+from recon.fit.setting import Setting
+from recon.fit.shape import POSED_OFFSET_SIGMA_M, Shape, fit_shape
+from recon.geometry.kinematics import ROOT
+from recon.workflows.clip import prepare
 
 PRIOR = "running-cheetah"
 HELD = 1e-6

@@ -20,8 +20,8 @@ import pandas as pd
 from recordings import recordings
 
 from recon import FitSettings, InputError, Motion, Pose3D, evaluate, fit_clip, read_pose3d
-from recon.published import FrameSolution
-from recon.skeleton_file import builtin_names
+from recon.animal.skeleton_file import builtin_names
+from recon.thesis import FrameSolution
 
 PUBLISHED = "cheetah-8u"
 

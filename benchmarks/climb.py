@@ -16,11 +16,11 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
 from markdown_table import print_table
 
-from recon.robot.climb import Climb, Walker, bundled, check, load_recipe, plan
-from recon.robot.climb.equilibrium import MAX_EVALUATIONS
-from recon.robot.climb.margins import RULES
-from recon.robot.climb.plan import Method
-from recon.robot.robot_file import load_robot
+from recon.robotics.robot.climb import Climb, Walker, bundled, check, load_recipe, plan
+from recon.robotics.robot.climb.equilibrium import MAX_EVALUATIONS
+from recon.robotics.robot.climb.margins import RULES
+from recon.robotics.robot.climb.plan import Method
+from recon.robotics.robot.robot_file import load_robot
 
 RUNS = 5
 

@@ -18,8 +18,8 @@ import numpy as np
 from markdown_table import print_header, print_row
 
 from recon import FitSettings, Pose3D, evaluate, fit_clip, read_pose3d
+from recon.animal.naming import load_names
 from recon.io import read_keypoints
-from recon.naming import load_names
 
 SAMPLES = Path(__file__).resolve().parents[1] / "data" / "samples"
 

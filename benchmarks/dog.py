@@ -31,11 +31,11 @@ from recordings import recordings
 from trajectory import print_table
 
 from recon import Body, Camera, FitSettings, fit_clip, load_skeleton, write_camera
-from recon.analysis.evaluation import align_similarity, centre, joint_errors, score
-from recon.app.prior import run_prior_fit
-from recon.prior import prior_from_body, save_prior
-from recon.solve import TrajectorySolution
-from recon.solve.points import solve_points
+from recon.animal.prior import prior_from_body, save_prior
+from recon.fit import TrajectorySolution
+from recon.fit.points import solve_points
+from recon.gait.evaluation import align_similarity, centre, joint_errors, score
+from recon.workflows.prior import run_prior_fit
 
 SKELETON = "dog-27"
 WIDEN = 1.5

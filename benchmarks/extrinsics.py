@@ -29,9 +29,9 @@ from trajectory import body_of, prior_of
 
 from recon import Body
 from recon.clip import View, still_view
-from recon.solve import TrajectoryOptions, solve_trajectory
-from recon.solve.extrinsics import Rig, search_offsets, solve_extrinsics
-from recon.solve.setting import Setting
+from recon.fit import TrajectoryOptions, solve_trajectory
+from recon.fit.extrinsics import Rig, search_offsets, solve_extrinsics
+from recon.fit.setting import Setting
 
 PARTS = {
     "projections of the truth": (0, 0, 0),

@@ -3,7 +3,7 @@
     python benchmarks/gait.py [FOLDER]
 
 The samples: speeds and stance events of the true joints, and of reconstructions, against the formula at 3600 fps. Each
-run is a folder with truth.csv and meta.json (fps). Prints how well the two methods of `recon.analysis.gait` agree
+run is a folder with truth.csv and meta.json (fps). Prints how well the two methods of `recon.gait.gait` agree
 on the stances, what the clips show of the gait, and the mean magnitudes of the links' motion relative to their parents.
 Stances that end in the last ten frames by both methods are not counted. Without FOLDER: the cheetah-runs of
 $RECON_SHARED_DATA, or of ../shared/data; without any runs, the samples only.
@@ -23,12 +23,12 @@ from markdown_table import print_table
 from recordings import recordings
 
 from recon import FitSettings, Pose3D, read_pose3d
-from recon.analysis.clip import analyse
-from recon.analysis.gait import FEET, gait, match_stances, pose_tracks, stances
-from recon.analysis.kinematics import joint_kinematics, spine_flexion
-from recon.analysis.phase import field_means, pose_vector_field
-from recon.app.clip import run_clip
-from recon.results import read_results
+from recon.fit.results import read_results
+from recon.gait.clip import analyse
+from recon.gait.gait import FEET, gait, match_stances, pose_tracks, stances
+from recon.gait.kinematics import joint_kinematics, spine_flexion
+from recon.gait.phase import field_means, pose_vector_field
+from recon.workflows.clip import run_clip
 
 SAMPLES = Path(__file__).resolve().parents[1] / "data" / "samples"
 REFERENCE = "spine"

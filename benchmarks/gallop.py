@@ -19,12 +19,12 @@ from typing import Literal
 
 import numpy as np
 
-from recon.arrays import Array
-from recon.camera import Camera
-from recon.chain import Chain, Side
-from recon.keypoints import Keypoints
-from recon.rotations import euler_angles, euler_rotation
-from recon.skeleton_file import load_chain
+from recon.animal.chain import Chain, Side
+from recon.animal.skeleton_file import load_chain
+from recon.base.arrays import Array
+from recon.clip.keypoints import Keypoints
+from recon.geometry.camera import Camera
+from recon.geometry.rotations import euler_angles, euler_rotation
 
 Direction = Literal["right", "left"]
 CameraModel = Literal["pinhole", "fisheye"]

@@ -28,13 +28,14 @@ from recordings import recordings
 from scipy.interpolate import CubicSpline
 
 from recon import Pose3D, read_pose3d
-from recon.analysis.gait import pose_gait
-from recon.app.ik import stride_lasts_s
-from recon.ik.animal import body_chain, body_chain_angles, chain_angles, planar_chain, spine_front_leg
-from recon.ik.chain import SerialChain
-from recon.ik.costs import HarmonicMap, joint_differences, pose_distance, rotational_energy
-from recon.ik.drive import Closures, degree_of_closure, drive_to, follow
-from recon.ik.fit import (
+from recon.animal.skeleton_file import load_chain, load_skeleton
+from recon.fit.points import solve_points_and_size
+from recon.gait.gait import pose_gait
+from recon.robotics.ik.animal import body_chain, body_chain_angles, chain_angles, planar_chain, spine_front_leg
+from recon.robotics.ik.chain import SerialChain
+from recon.robotics.ik.costs import HarmonicMap, joint_differences, pose_distance, rotational_energy
+from recon.robotics.ik.drive import Closures, degree_of_closure, drive_to, follow
+from recon.robotics.ik.fit import (
     Fit,
     Frames,
     best_scale,
@@ -46,8 +47,8 @@ from recon.ik.fit import (
     fit_transpose,
     fit_weights,
 )
-from recon.ik.joint_chain import JointChain
-from recon.ik.methods import (
+from recon.robotics.ik.joint_chain import JointChain
+from recon.robotics.ik.methods import (
     DampedLeastSquares,
     ExtendedJacobian,
     GradientProjection,
@@ -57,11 +58,10 @@ from recon.ik.methods import (
     SelectivelyDamped,
     WeightedLeastNorm,
 )
-from recon.ik.null_space import to_null_space_optimum
-from recon.ik.stride import Stride, find_stride
-from recon.published import solve_joints
-from recon.skeleton_file import load_chain, load_skeleton
-from recon.solve.points import solve_points_and_size
+from recon.robotics.ik.null_space import to_null_space_optimum
+from recon.robotics.ik.stride import Stride, find_stride
+from recon.thesis import solve_joints
+from recon.workflows.ik import stride_lasts_s
 
 Array = np.ndarray
 

@@ -24,8 +24,8 @@ from cameras import Run, as_seen, body_of, errors, run_of, show, states_of, too_
 from mismatch import APART, FAST_M_S, segments_of
 from recordings import recordings
 
-from recon.prior import FRAMES_PER_COMPONENT, MotionPrior, fit_prior, mean_speed_m_s
-from recon.solve import solve_trajectory
+from recon.animal.prior import FRAMES_PER_COMPONENT, MotionPrior, fit_prior, mean_speed_m_s
+from recon.fit import solve_trajectory
 
 BEGINNINGS = 3
 """Of the mixture's clusters, for each prior."""

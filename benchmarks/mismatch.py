@@ -30,13 +30,13 @@ import trajectory
 from recordings import recordings
 
 from recon import Body, Camera
-from recon.analysis.evaluation import centre, joint_errors, score
+from recon.animal.detector import seen_by
+from recon.animal.prior import MotionPrior, fit_prior, load_prior, mean_speed_m_s, prior_from_body
 from recon.clip import View, still_view
-from recon.detector import seen_by
+from recon.fit import TrajectorySolution, solve_trajectory
+from recon.fit.points import solve_points
+from recon.gait.evaluation import centre, joint_errors, score
 from recon.io.pose3d import read_pose_segments
-from recon.prior import MotionPrior, fit_prior, load_prior, mean_speed_m_s, prior_from_body
-from recon.solve import TrajectorySolution, solve_trajectory
-from recon.solve.points import solve_points
 
 FAST_M_S = 8.5
 """Of the segments that `running-cheetah` is made from."""

@@ -33,18 +33,18 @@ from recordings import recordings
 from trajectory import GROUPS, PRIOR, body_of, meta_of, prior_of, view_of
 
 from recon import FitSettings, Motion, fit_clip, read_keypoints
-from recon.analysis.evaluation import centre, joint_errors
-from recon.body import other_side
+from recon.animal.body import other_side
+from recon.animal.prior import fit_prior, prior_from_body
+from recon.check.mistakes import Known, Mistake, find_mistakes, likelihood
+from recon.check.mistakes.likelihood import given_of, unlikely
+from recon.check.mistakes.sides import Stretch, exchanged, exchanges, pairs_of
 from recon.clip import still_view
+from recon.clip.keypoints import Keypoints
+from recon.fit import TrajectoryOptions, solve_trajectory
+from recon.fit.mistake import CLEAR
+from recon.fit.setting import Setting
+from recon.gait.evaluation import centre, joint_errors
 from recon.io.deeplabcut import write_csv
-from recon.keypoints import Keypoints
-from recon.mistakes import Known, Mistake, find_mistakes, likelihood
-from recon.mistakes.likelihood import given_of, unlikely
-from recon.mistakes.mistake import CLEAR
-from recon.mistakes.sides import Stretch, exchanged, exchanges, pairs_of
-from recon.prior import fit_prior, prior_from_body
-from recon.solve import TrajectoryOptions, solve_trajectory
-from recon.solve.setting import Setting
 
 TEN, END = 10, 12
 """Frames exchanged in the middle, and of garbage at an end."""
@@ -53,7 +53,7 @@ FALSE = 0.02
 LEGS = {"fore": "fore legs exchanged, second half", "hind": "hind legs exchanged, second half"}
 FOLDED = ("untouched", "ten frames exchanged", *LEGS.values(), "whole clip exchanged")
 SHARES = (0.2, 0.3, 0.4, 0.5, 0.6)
-"""Of `recon.mistakes.likelihood.TOGETHER`."""
+"""Of `recon.check.mistakes.likelihood.TOGETHER`."""
 Change = Callable[["View"], tuple[np.ndarray, np.ndarray]]
 
 

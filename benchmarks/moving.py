@@ -30,9 +30,9 @@ from scipy.spatial.transform import Rotation
 from trajectory import body_of, prior_of
 
 from recon.clip import View, held
-from recon.frames import rigid
-from recon.solve import TrajectoryOptions, TrajectorySolution, solve_trajectory
-from recon.solve.terms import Standing
+from recon.fit import TrajectoryOptions, TrajectorySolution, solve_trajectory
+from recon.fit.terms import Standing
+from recon.geometry.frames import rigid
 
 SMOOTH_S = 0.1
 """A cameraman does not follow quicker."""

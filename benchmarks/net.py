@@ -28,15 +28,15 @@ from markdown_table import print_header, print_row
 from net_circle import run_circle
 from net_large import run_large, write_large_film
 
-from recon.app.net import LabelSource, run_prediction, run_training
-from recon.net.evaluate2d import Evaluation2D, evaluate_2d_files
-from recon.net.labels import read_label_file
-from recon.net.model import build_network
-from recon.net.predict import predict_video
-from recon.net.run import TrainSettings
-from recon.net.torch_extra import choose_device, fast_half, require_torch
-from recon.net.trained import CHANNELS, Spec, Trained, load_model, prepared
-from recon.video import video_writer
+from recon.io.video import video_writer
+from recon.keypoint_net.evaluate2d import Evaluation2D, evaluate_2d_files
+from recon.keypoint_net.labels import read_label_file
+from recon.keypoint_net.model import build_network
+from recon.keypoint_net.predict import predict_video
+from recon.keypoint_net.run import TrainSettings
+from recon.keypoint_net.torch_extra import choose_device, fast_half, require_torch
+from recon.keypoint_net.trained import CHANNELS, Spec, Trained, load_model, prepared
+from recon.workflows.net import LabelSource, run_prediction, run_training
 
 FIRST = 50
 """Number that the horse's labels give to the video's first frame."""

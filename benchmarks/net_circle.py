@@ -9,17 +9,17 @@ from typing import Any
 
 import numpy as np
 
-from recon.analysis.evaluation import Evaluation, evaluate_files
-from recon.app.clip import run_clip
-from recon.app.demo import samples_folder
-from recon.app.net import LabelSource, run_prediction, run_training
+from recon.clip.keypoints import Keypoints
+from recon.gait.evaluation import Evaluation, evaluate_files
 from recon.io import read_keypoints
 from recon.io.deeplabcut import write_csv
-from recon.keypoints import Keypoints
-from recon.net.evaluate2d import Evaluation2D, evaluate_2d
-from recon.net.labels import body_length_px, read_label_file
-from recon.net.run import TrainSettings
-from recon.settings import FitSettings
+from recon.keypoint_net.evaluate2d import Evaluation2D, evaluate_2d
+from recon.keypoint_net.labels import body_length_px, read_label_file
+from recon.keypoint_net.run import TrainSettings
+from recon.workflows.clip import run_clip
+from recon.workflows.demo import samples_folder
+from recon.workflows.net import LabelSource, run_prediction, run_training
+from recon.workflows.settings import FitSettings
 
 NOISE_PX = 2.0
 """Of the points that the fit of predicted ones is compared with."""

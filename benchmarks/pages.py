@@ -26,11 +26,11 @@ import numpy as np
 from markdown_table import print_header, print_row
 from startup import SAMPLES, seconds
 
-from recon.app.batch import COLUMNS
-from recon.app.batch.summary import results_of, write_summary_page
-from recon.app.clip import run_clip
-from recon.documents import read_json
-from recon.settings import FitSettings
+from recon.base.documents import read_json
+from recon.workflows.batch import COLUMNS
+from recon.workflows.batch.summary import results_of, write_summary_page
+from recon.workflows.clip import run_clip
+from recon.workflows.settings import FitSettings
 
 FILM = SAMPLES / "rendered.mp4"
 FILM_FIT = ("--camera", str(SAMPLES / "rendered_camera.toml"), "--detector", "none")

@@ -26,10 +26,10 @@ from net_circle import Circle, run_circle
 from scipy.ndimage import gaussian_filter1d
 from scipy.spatial.transform import Rotation
 
-from recon.app.demo import samples_folder
-from recon.camera import Camera
-from recon.camera_track import read_camera_track
-from recon.net.run import TrainSettings
+from recon.geometry.camera import Camera
+from recon.io.camera_track import read_camera_track
+from recon.keypoint_net.run import TrainSettings
+from recon.workflows.demo import samples_folder
 
 sys.path.insert(0, str(samples_folder()))
 from draw_film import render_frames  # pyright: ignore[reportMissingImports]

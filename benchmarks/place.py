@@ -22,11 +22,11 @@ import numpy as np
 from cameras import Run, as_seen, body_of, runs_given, show, solved, states_of, with_poses
 
 from recon import Body
-from recon.prior import prior_from_body
-from recon.solve import TrajectoryOptions, solve_trajectory
-from recon.solve.least_squares import Estimate, LeastSquares
-from recon.solve.terms import Reprojection
-from recon.solve.trajectory import Solved, refined, solve_spells
+from recon.animal.prior import prior_from_body
+from recon.fit import TrajectoryOptions, solve_trajectory
+from recon.fit.least_squares import Estimate, LeastSquares
+from recon.fit.terms import Reprojection
+from recon.fit.trajectory import Solved, refined, solve_spells
 
 ROUNDS = 3
 COMMON_M, OWN_M = np.arange(0.0, 0.031, 0.001), np.arange(0.01, 0.041, 0.001)

@@ -30,10 +30,10 @@ from trajectory import body_of, prior_of
 
 from recon import Body
 from recon.clip import View
-from recon.frames import rigid
-from recon.solve import TrajectoryOptions, TrajectorySolution, solve_trajectory
-from recon.solve.extrinsics import solve_extrinsics
-from recon.solve.setting import Setting
+from recon.fit import TrajectoryOptions, TrajectorySolution, solve_trajectory
+from recon.fit.extrinsics import solve_extrinsics
+from recon.fit.setting import Setting
+from recon.geometry.frames import rigid
 
 TURN_DEG, SHIFT_M, DRAWS = 2.0, 0.05, 3
 

@@ -27,11 +27,11 @@ from scipy.linalg.lapack import dtbtrs
 from scipy.special import gammaln
 from trajectory import body_of, prior_of
 
-from recon.regions import DEGREES_OF_FREEDOM, radius, sigmas
-from recon.solve import TrajectoryOptions
-from recon.solve.posterior import factored
-from recon.solve.setting import Setting
-from recon.solve.trajectory import Solved, solve_spells
+from recon.fit import TrajectoryOptions
+from recon.fit.posterior import factored
+from recon.fit.regions import DEGREES_OF_FREEDOM, radius, sigmas
+from recon.fit.setting import Setting
+from recon.fit.trajectory import Solved, solve_spells
 
 NUMBERS = (2.5, 3, 3.5, 4, 4.5, 5, 5.5, 6, 6.5, 7, 7.5, 8, 9, 10, 12, 15, 20, 30, 50, 100, 1e6)
 """Degrees of freedom that are compared; the last are a Gaussian's."""

@@ -21,12 +21,12 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from recon import FitSettings
-from recon.app.clip import run_clip
-from recon.app.retarget import RetargetRun, companion, solve
-from recon.results import Results, read_results
-from recon.robot.reference import reference_of
-from recon.robot.robot_file import builtin_robots, load_robot
-from recon.view.robot import write_robot
+from recon.fit.results import Results, read_results
+from recon.robotics.robot.reference import reference_of
+from recon.robotics.robot.robot_file import builtin_robots, load_robot
+from recon.show.view.robot import write_robot
+from recon.workflows.clip import run_clip
+from recon.workflows.retarget import RetargetRun, companion, solve
 
 ROOT = Path(__file__).resolve().parents[1]
 COLUMNS = (

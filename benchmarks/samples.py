@@ -15,12 +15,12 @@ from pathlib import Path
 import numpy as np
 from gallop import SyntheticClip, gallop
 
-from recon.chain import MIN_JOINTS
+from recon.animal.chain import MIN_JOINTS
+from recon.animal.skeleton_file import load_chain
 from recon.clip import still_view
-from recon.published import FrameOptions, solve_frames
-from recon.skeleton_file import load_chain
-from recon.solve.result import OUTLIER_SIGMAS
-from recon.synthetic import add_noise
+from recon.fit.result import OUTLIER_SIGMAS
+from recon.fit.synthetic import add_noise
+from recon.thesis import FrameOptions, solve_frames
 
 SKELETON = load_chain("cheetah-8u")
 CLEAN = FrameOptions(sigma_px=1.0, keypoint_sigma_m=0.0, base_sigma_m=0.001)
@@ -83,7 +83,7 @@ def main() -> None:
                     + " |"
                 )
     with tempfile.TemporaryDirectory() as folder:
-        command = [sys.executable, "-c", "from recon.cli import main; main()", "demo", "--quiet", "--out"]
+        command = [sys.executable, "-c", "from recon.workflows.cli import main; main()", "demo", "--quiet", "--out"]
         walls = []
         for i in range(5):
             start = time.perf_counter()

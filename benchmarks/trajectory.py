@@ -32,20 +32,20 @@ from gallop import gallop
 from recordings import recordings
 
 from recon import Body, Camera, load_skeleton, read_camera, read_keypoints, read_pose3d
-from recon.analysis.clip import PLACE_LASTS_S, POSE_LASTS_S
-from recon.analysis.evaluation import centre, joint_errors, score
-from recon.analysis.kinematics import Errors, series_kinematics
-from recon.app.clip import arrange
-from recon.app.prior import run_prior_fit
-from recon.body import other_side
+from recon.animal.body import other_side
+from recon.animal.prior import MotionPrior, as_one_gaussian, load_prior
+from recon.animal.skeleton_file import load_chain
 from recon.clip import View, still_view
-from recon.frames import inverse, moved, rigid
-from recon.keypoints import clean
-from recon.prior import MotionPrior, as_one_gaussian, load_prior
-from recon.regions import radius, sigmas
-from recon.skeleton_file import load_chain
-from recon.solve import TrajectoryOptions, TrajectorySolution, solve_trajectory
-from recon.solve.points import solve_points_and_size
+from recon.clip.keypoints import clean
+from recon.fit import TrajectoryOptions, TrajectorySolution, solve_trajectory
+from recon.fit.points import solve_points_and_size
+from recon.fit.regions import radius, sigmas
+from recon.gait.clip import PLACE_LASTS_S, POSE_LASTS_S
+from recon.gait.evaluation import centre, joint_errors, score
+from recon.gait.kinematics import Errors, series_kinematics
+from recon.geometry.frames import inverse, moved, rigid
+from recon.workflows.clip import arrange
+from recon.workflows.prior import run_prior_fit
 
 SKELETON, PRIOR = "cheetah-24", "running-cheetah"
 ONE_GAUSSIAN = "one Gaussian"
@@ -417,7 +417,7 @@ def uncertainty(runs: Sequence[Path]) -> dict[str, Rows]:
 
 
 def rates(runs: Sequence[Path]) -> dict[str, Rows]:
-    """How large velocities' and accelerations' errors are beside what `recon.analysis.clip` says of them."""
+    """How large velocities' and accelerations' errors are beside what `recon.gait.clip` says of them."""
     with multiprocessing.Pool(2) as pool:
         found = pool.map(_rate_errors, views(runs), chunksize=1)
     rows = []

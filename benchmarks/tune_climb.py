@@ -27,12 +27,12 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
 from climb_search import Found, highest, improve
 
-from recon.robot.climb import Recipe, Walker, check, load_recipe, plan, raised, save_recipe
-from recon.robot.climb.equilibrium import TorsoDynamics
-from recon.robot.climb.fields import PLANAR, SPATIAL, Fields, Stand, Well, evaluate
-from recon.robot.climb.paths import Step
-from recon.robot.climb.recipe import RECIPES, Footfall, Primitive, Swing
-from recon.robot.robot_file import load_robot
+from recon.robotics.robot.climb import Recipe, Walker, check, load_recipe, plan, raised, save_recipe
+from recon.robotics.robot.climb.equilibrium import TorsoDynamics
+from recon.robotics.robot.climb.fields import PLANAR, SPATIAL, Fields, Stand, Well, evaluate
+from recon.robotics.robot.climb.paths import Step
+from recon.robotics.robot.climb.recipe import RECIPES, Footfall, Primitive, Swing
+from recon.robotics.robot.robot_file import load_robot
 
 ROBOT = "aibo"
 PACE = 0.95

@@ -15,12 +15,12 @@ import numpy as np
 from PIL import Image
 
 from recon import FitSettings, read_results, samples_folder
-from recon.app.analyse import run_analyse
-from recon.app.camera_advice import run_camera_advice
-from recon.app.clip import run_clip
-from recon.app.overlay import run_overlay, run_sheet
-from recon.app.skeleton_check import run_skeleton_check
-from recon.video import read_frames, video_writer
+from recon.io.video import read_frames, video_writer
+from recon.workflows.analyse import run_analyse
+from recon.workflows.camera_advice import run_camera_advice
+from recon.workflows.clip import run_clip
+from recon.workflows.overlay import run_overlay, run_sheet
+from recon.workflows.skeleton_check import run_skeleton_check
 
 HERE = Path(__file__).resolve().parent
 COLOURS = 255

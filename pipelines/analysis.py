@@ -8,7 +8,7 @@ import tomllib
 from pathlib import Path
 
 import recon
-from recon import plots
+from recon.show import plots
 
 FILE = Path(__file__).with_suffix(".toml")
 config = tomllib.loads(FILE.read_text(encoding="utf-8"))

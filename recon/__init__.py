@@ -11,27 +11,27 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from recon.analysis.clip import ClipAnalysis, analyse
-    from recon.analysis.evaluation import Evaluation, evaluate, evaluate_files
-    from recon.app.batch import find_clips, plan_batch, run_batch
-    from recon.app.calibrate import run_calibration
-    from recon.app.clip import fit_clip, write_clip
-    from recon.app.demo import samples_folder
-    from recon.app.net import LabelSource, run_prediction, run_training
-    from recon.app.prior import run_prior_fit
-    from recon.app.subject import run_subject_fit
-    from recon.body import Body
-    from recon.calibration import read_camera, read_cameras, write_camera
-    from recon.camera import Camera
-    from recon.errors import InputError
+    from recon.animal.body import Body
+    from recon.animal.skeleton_file import load_skeleton
+    from recon.base.errors import InputError
+    from recon.clip.keypoints import Keypoints, clean
+    from recon.fit.motion import Motion
+    from recon.fit.results import Results, read_results
+    from recon.gait.clip import ClipAnalysis, analyse
+    from recon.gait.evaluation import Evaluation, evaluate, evaluate_files
+    from recon.geometry.camera import Camera
     from recon.io import read_keypoints
+    from recon.io.calibration import read_camera, read_cameras, write_camera
     from recon.io.pose3d import Pose3D, read_pose3d
-    from recon.keypoints import Keypoints, clean
-    from recon.motion import Motion
-    from recon.net.run import TrainSettings
-    from recon.results import Results, read_results
-    from recon.settings import FitSettings, read_settings
-    from recon.skeleton_file import load_skeleton
+    from recon.keypoint_net.run import TrainSettings
+    from recon.workflows.batch import find_clips, plan_batch, run_batch
+    from recon.workflows.calibrate import run_calibration
+    from recon.workflows.clip import fit_clip, write_clip
+    from recon.workflows.demo import samples_folder
+    from recon.workflows.net import LabelSource, run_prediction, run_training
+    from recon.workflows.prior import run_prior_fit
+    from recon.workflows.settings import FitSettings, read_settings
+    from recon.workflows.subject import run_subject_fit
 
     __version__: str
 
@@ -74,27 +74,27 @@ __all__ = [
 ]
 
 _NAMES_OF = {
-    "recon.analysis.clip": ("ClipAnalysis", "analyse"),
-    "recon.analysis.evaluation": ("Evaluation", "evaluate", "evaluate_files"),
-    "recon.body": ("Body",),
-    "recon.calibration": ("read_camera", "read_cameras", "write_camera"),
-    "recon.camera": ("Camera",),
-    "recon.errors": ("InputError",),
+    "recon.gait.clip": ("ClipAnalysis", "analyse"),
+    "recon.gait.evaluation": ("Evaluation", "evaluate", "evaluate_files"),
+    "recon.animal.body": ("Body",),
+    "recon.io.calibration": ("read_camera", "read_cameras", "write_camera"),
+    "recon.geometry.camera": ("Camera",),
+    "recon.base.errors": ("InputError",),
     "recon.io": ("read_keypoints",),
     "recon.io.pose3d": ("Pose3D", "read_pose3d"),
-    "recon.keypoints": ("Keypoints", "clean"),
-    "recon.motion": ("Motion",),
-    "recon.app.batch": ("find_clips", "plan_batch", "run_batch"),
-    "recon.app.calibrate": ("run_calibration",),
-    "recon.app.clip": ("fit_clip", "write_clip"),
-    "recon.app.demo": ("samples_folder",),
-    "recon.app.net": ("LabelSource", "run_prediction", "run_training"),
-    "recon.app.prior": ("run_prior_fit",),
-    "recon.app.subject": ("run_subject_fit",),
-    "recon.net.run": ("TrainSettings",),
-    "recon.results": ("Results", "read_results"),
-    "recon.settings": ("FitSettings", "read_settings"),
-    "recon.skeleton_file": ("load_skeleton",),
+    "recon.clip.keypoints": ("Keypoints", "clean"),
+    "recon.fit.motion": ("Motion",),
+    "recon.workflows.batch": ("find_clips", "plan_batch", "run_batch"),
+    "recon.workflows.calibrate": ("run_calibration",),
+    "recon.workflows.clip": ("fit_clip", "write_clip"),
+    "recon.workflows.demo": ("samples_folder",),
+    "recon.workflows.net": ("LabelSource", "run_prediction", "run_training"),
+    "recon.workflows.prior": ("run_prior_fit",),
+    "recon.workflows.subject": ("run_subject_fit",),
+    "recon.keypoint_net.run": ("TrainSettings",),
+    "recon.fit.results": ("Results", "read_results"),
+    "recon.workflows.settings": ("FitSettings", "read_settings"),
+    "recon.animal.skeleton_file": ("load_skeleton",),
 }
 """Where each name comes from. It is imported when it is first used: `recon --help` needs none of them."""
 _MODULE_OF = {name: module for module, names in _NAMES_OF.items() for name in names}
@@ -102,7 +102,7 @@ _MODULE_OF = {name: module for module, names in _NAMES_OF.items() for name in na
 
 def __getattr__(name: str) -> Any:
     if name == "__version__":
-        from recon.package import version
+        from recon.base.package import version
 
         value: Any = version()
     elif name in _MODULE_OF:

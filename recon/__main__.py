@@ -5,7 +5,7 @@ import gc
 import os
 import sys
 
-from recon.interrupts import Interrupts
+from recon.base.interrupts import Interrupts
 
 GC_THRESHOLD = 50_000
 """New objects between two looks for garbage. Imports make many and leave no garbage: Python's 700 costs 0.1 s there."""
@@ -24,7 +24,7 @@ def main() -> None:
 
     atexit.register(end)  # the first to be registered is the last to be called
     try:
-        from recon.cli import main as run
+        from recon.workflows.cli import main as run
 
         run()
         code = 0

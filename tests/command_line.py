@@ -12,9 +12,9 @@ from typing import NamedTuple
 
 import pytest
 
-from recon.cli import main
-from recon.manifest import write_manifest
-from recon.settings import read_settings
+from recon.base.manifest import write_manifest
+from recon.workflows.cli import main
+from recon.workflows.settings import read_settings
 
 
 class Ended(NamedTuple):
@@ -38,7 +38,14 @@ def run(*args: object) -> Ended:
 
 def run_process(*args: object, before: str = "") -> Ended:
     """`recon ARGS` in a process of its own, after some lines of Python."""
-    command = [sys.executable, "-W", "error", "-c", f"{before}\nfrom recon.cli import main\nmain()", *map(str, args)]
+    command = [
+        sys.executable,
+        "-W",
+        "error",
+        "-c",
+        f"{before}\nfrom recon.workflows.cli import main\nmain()",
+        *map(str, args),
+    ]
     done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
     return Ended(done.returncode, done.stdout, done.stderr)
 

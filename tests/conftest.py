@@ -20,19 +20,19 @@ import pytest
 from command_line import copy_results, run
 from motions import with_first
 
-from recon.app import analyse
-from recon.app.clip import run_clip
-from recon.camera import Camera
+from recon.animal.skeleton_file import load_chain, load_skeleton
 from recon.clip import Source, camera_poses, still_view, views_of
-from recon.frames import inverse, moved
-from recon.keypoints import Keypoints, clean
-from recon.motion import Motion
-from recon.plots import style
-from recon.published import FrameOptions, solve_frames
-from recon.published.starts import mean_pose
-from recon.settings import FitSettings
-from recon.skeleton_file import load_chain, load_skeleton
-from recon.solve import Ground, Spell, Start, TrajectorySolution
+from recon.clip.keypoints import Keypoints, clean
+from recon.fit import Ground, Spell, Start, TrajectorySolution
+from recon.fit.motion import Motion
+from recon.geometry.camera import Camera
+from recon.geometry.frames import inverse, moved
+from recon.show.plots import style
+from recon.thesis import FrameOptions, solve_frames
+from recon.thesis.starts import mean_pose
+from recon.workflows import analyse
+from recon.workflows.clip import run_clip
+from recon.workflows.settings import FitSettings
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

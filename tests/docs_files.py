@@ -13,19 +13,19 @@ import numpy as np
 from board_pictures import poses, render
 from detector_files import mmpose
 
-from recon.body import Body
-from recon.calibration import read_camera
-from recon.camera import Camera
-from recon.export import bvh
-from recon.export.rig import make_rig
-from recon.intrinsics.board import parse_board
+from recon.animal.body import Body
+from recon.animal.skeleton_file import load_skeleton
+from recon.calibrate.intrinsics.board import parse_board
+from recon.clip.keypoints import Keypoints
+from recon.geometry.camera import Camera
+from recon.geometry.rotations import quaternions
 from recon.io import columns, read_keypoints, sleap
+from recon.io.calibration import read_camera
 from recon.io.deeplabcut import write_csv
 from recon.io.pose3d import Pose3D, read_pose3d
-from recon.keypoints import Keypoints
-from recon.rotations import quaternions
-from recon.skeleton_file import load_skeleton
-from recon.video import video_writer
+from recon.io.video import video_writer
+from recon.show.export import bvh
+from recon.show.export.rig import make_rig
 
 ROOT = Path(__file__).resolve().parents[1]
 SAMPLES = ROOT / "data" / "samples"
@@ -213,7 +213,9 @@ FILES: dict[str, Callable[[Path], None]] = {
     "board.mp4": _board_video,
     "run1.csv": _runs,
     "run2.csv": _runs,
-    "my-dog.toml": lambda path: Path(shutil.copy(ROOT / "recon" / "skeletons" / "cheetah-24.toml", path)).touch(),
+    "my-dog.toml": lambda path: Path(
+        shutil.copy(ROOT / "recon" / "animal" / "skeletons" / "cheetah-24.toml", path)
+    ).touch(),
     "data/samples/whole.csv": sample("whole.csv"),
     "data/samples/whole_truth.csv": sample("whole_truth.csv"),
     "data/samples/noisy.csv": sample("noisy.csv"),

@@ -9,11 +9,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from recon.analysis.agreement import FRAMES, Agreement, camera_agreement
+from recon.check.agreement import FRAMES, Agreement, camera_agreement
 from recon.clip import View
-from recon.frames import rigid
-from recon.report import agreement as in_report
-from recon.rotations import euler_rotation
+from recon.geometry.frames import rigid
+from recon.geometry.rotations import euler_rotation
+from recon.show.report import agreement as in_report
 from tests.test_trajectory import FPS
 from tests.test_views import AHEAD, ASIDE, pose, truth_m, view_of
 

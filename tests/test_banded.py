@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.linalg import solveh_banded
 
-from recon.banded import BlockBanded, add_normal, factor
+from recon.fit.banded import BlockBanded, add_normal, factor
 
 SIZES = [
     # T, D, W

@@ -21,17 +21,17 @@ from typing import Any, NamedTuple
 import pytest
 import tomli_w
 
-import recon.app.batch.worker as worker_module
-from recon.app.analyse import run_analyse
-from recon.app.batch import COLUMNS, Clip, Event, Summary, find_clips, input_problems, plan_batch, run_batch
-from recon.app.batch.record import RECORD, finish_record, read_record, start_record
-from recon.app.batch.worker import Worker, WorkerDied, done_with, task_of
-from recon.app.clip import fit_clip, run_clip
-from recon.calibration import read_cameras
-from recon.cli import main
-from recon.errors import InputError
-from recon.files import sole_writer
-from recon.settings import FitSettings
+import recon.workflows.batch.worker as worker_module
+from recon.base.errors import InputError
+from recon.base.files import sole_writer
+from recon.io.calibration import read_cameras
+from recon.workflows.analyse import run_analyse
+from recon.workflows.batch import COLUMNS, Clip, Event, Summary, find_clips, input_problems, plan_batch, run_batch
+from recon.workflows.batch.record import RECORD, finish_record, read_record, start_record
+from recon.workflows.batch.worker import Worker, WorkerDied, done_with, task_of
+from recon.workflows.cli import main
+from recon.workflows.clip import fit_clip, run_clip
+from recon.workflows.settings import FitSettings
 
 SAMPLES = Path(__file__).parents[1] / "data" / "samples"
 CAMERA = SAMPLES / "camera.toml"
@@ -579,7 +579,7 @@ def test_what_comes_after_the_fit_does_not_have_it_made_again(clips, tmp_path):
 
 
 def test_what_another_process_is_writing_to_is_left_alone(clips, tmp_path, monkeypatch):
-    monkeypatch.setattr("recon.app.batch.worker.DYING_S", 0.0)
+    monkeypatch.setattr("recon.workflows.batch.worker.DYING_S", 0.0)
     out = tmp_path / "out"
     (planned,) = plan_batch(found(clips / "a.csv"), out)
     with sole_writer(out):
@@ -873,7 +873,13 @@ def in_the_middle(clips, tmp_path) -> Iterator[tuple[subprocess.Popen[str], Path
     command = args(clips, tmp_path / "out", "--jobs", 1)
     # Where the tests run in the background, Ctrl-C is ignored, and children inherit that.
     before = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)"
-    code = [sys.executable, "-c", f"{before}; from recon.cli import main; main()", "batch", *map(str, command)]
+    code = [
+        sys.executable,
+        "-c",
+        f"{before}; from recon.workflows.cli import main; main()",
+        "batch",
+        *map(str, command),
+    ]
     with subprocess.Popen(code, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         try:
             wait_for(lambda: "done" in statuses(tmp_path / "out"))

@@ -7,12 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from recon.body import Body, other_side
-from recon.chain import Chain
-from recon.errors import InputError
-from recon.frames import rigid
-from recon.rotations import euler_rotation
-from recon.skeleton_file import builtin_chains, builtin_names, builtin_subjects, load_chain, load_skeleton
+from recon.animal.body import Body, other_side
+from recon.animal.chain import Chain
+from recon.animal.skeleton_file import builtin_chains, builtin_names, builtin_subjects, load_chain, load_skeleton
+from recon.base.errors import InputError
+from recon.geometry.frames import rigid
+from recon.geometry.rotations import euler_rotation
 
 DOCS = (Path(__file__).parents[1] / "docs" / "skeletons.md").read_text(encoding="utf-8")
 SUBJECT, EXAMPLE = (block.split("```")[0] for block in DOCS.split("```toml")[3:])

@@ -15,11 +15,8 @@ from board_pictures import poses, render
 from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
-from recon.calibration import read_camera
-from recon.camera import Camera
-from recon.cli import app
-from recon.errors import InputError
-from recon.intrinsics import (
+from recon.base.errors import InputError
+from recon.calibrate.intrinsics import (
     BoardView,
     BoardViews,
     Charuco,
@@ -33,8 +30,11 @@ from recon.intrinsics import (
     find_views,
     parse_board,
 )
-from recon.intrinsics.views import choose, corner_sharpness
-from recon.video import video_writer
+from recon.calibrate.intrinsics.views import choose, corner_sharpness
+from recon.geometry.camera import Camera
+from recon.io.calibration import read_camera
+from recon.io.video import video_writer
+from recon.workflows.cli import app
 
 CHESS, CHARUCO = "chessboard:9x6:25mm", "charuco:9x6:30mm:22mm:DICT_4X4_50"
 SIZE = (800, 600)

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from recon.camera import Camera
-from recon.rotations import euler_rotation
+from recon.geometry.camera import Camera
+from recon.geometry.rotations import euler_rotation
 
 SIZE = (2704, 1520)
 K = np.array([[1240.0, 0, 1346.0], [0, 1210.0, 773.0], [0, 0, 1]])

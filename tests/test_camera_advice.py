@@ -9,12 +9,12 @@ import pandas as pd
 import pytest
 from command_line import run
 
-from recon.analysis.camera_advice import ELEVATIONS_RAD, advise, known, length_m, mean_stride, placed
-from recon.app.camera_advice import where
-from recon.camera import Camera
-from recon.prior import prior_from_body
-from recon.skeleton_file import load_skeleton
-from recon.solve import TrajectoryOptions
+from recon.animal.prior import prior_from_body
+from recon.animal.skeleton_file import load_skeleton
+from recon.calibrate.camera_advice import ELEVATIONS_RAD, advise, known, length_m, mean_stride, placed
+from recon.fit import TrajectoryOptions
+from recon.geometry.camera import Camera
+from recon.workflows.camera_advice import where
 
 BODY = load_skeleton("cheetah-8u")
 PRIOR = prior_from_body(BODY)

@@ -11,15 +11,15 @@ import pytest
 from command_line import run
 from scipy.spatial.transform import Rotation
 
-from recon.calibration import write_camera
-from recon.camera import Camera
-from recon.camera_motion import Tracker, Turn, as_level, read_marks, tilted, up_by_marks
-from recon.camera_motion.features import rays_of
-from recon.camera_track import read_camera_track
-from recon.errors import InputError
+from recon.base.errors import InputError
+from recon.base.manifest import read_manifest
+from recon.calibrate.camera_motion import Tracker, Turn, as_level, read_marks, tilted, up_by_marks
+from recon.calibrate.camera_motion.features import rays_of
+from recon.geometry.camera import Camera
+from recon.io.calibration import write_camera
+from recon.io.camera_track import read_camera_track
 from recon.io.pose3d import read_pose3d
-from recon.manifest import read_manifest
-from recon.video import video_writer
+from recon.io.video import video_writer
 from tests.conftest import SAMPLES
 
 SIZE = (320, 180)

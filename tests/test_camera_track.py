@@ -11,16 +11,16 @@ import numpy as np
 import pytest
 
 from recon import FitSettings, InputError, Motion, fit_clip, read_keypoints
-from recon.app.batch.inputs import find_clips
-from recon.app.batch.record import identity
-from recon.app.clip import prepare
-from recon.camera_track import read_camera_track
 from recon.clip import View, held, views_of
-from recon.frames import rigid
+from recon.clip.keypoints import Keypoints
+from recon.fit.results import read_results
+from recon.geometry.frames import rigid
+from recon.geometry.rotations import part_of_turn, quaternion_rotations, quaternions
+from recon.io.camera_track import read_camera_track
 from recon.io.deeplabcut import write_csv
-from recon.keypoints import Keypoints
-from recon.results import read_results
-from recon.rotations import part_of_turn, quaternion_rotations, quaternions
+from recon.workflows.batch.inputs import find_clips
+from recon.workflows.batch.record import identity
+from recon.workflows.clip import prepare
 from tests import test_cameras
 from tests.command_line import run as command
 from tests.test_cameras import FISHEYE, problems, settings

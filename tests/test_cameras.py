@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 
 from recon import FitSettings, InputError, Motion, fit_clip
-from recon.app.cameras import cameras_in
-from recon.app.clip import prepare
-from recon.app.extrinsics import clips_of, run_extrinsics
-from recon.calibration import read_cameras, write_cameras
-from recon.camera import Camera
 from recon.clip import Source, View, together
+from recon.clip.keypoints import Keypoints, clean
+from recon.geometry.camera import Camera
+from recon.io.calibration import read_cameras, write_cameras
 from recon.io.deeplabcut import write_csv
-from recon.keypoints import Keypoints, clean
+from recon.workflows.cameras import cameras_in
+from recon.workflows.clip import prepare
+from recon.workflows.extrinsics import clips_of, run_extrinsics
 from tests.command_line import run as command
 from tests.conftest import SAMPLES
 from tests.test_trajectory import BODY, CAMERA, FPS

@@ -19,16 +19,16 @@ import pytest
 from command_line import Ended, run, run_process
 from rerun.chunk import RrdReader
 
-import recon.cli
-import recon.export.clip_csv
-import recon.view
-from recon.analysis.evaluation import evaluate_files
-from recon.app.clip import OUTPUT_FILES
-from recon.chain import MIN_JOINTS
-from recon.cli.common import terminal
+import recon.show.export.clip_csv
+import recon.show.view
+import recon.workflows.cli
+from recon.animal.chain import MIN_JOINTS
+from recon.gait.evaluation import evaluate_files
 from recon.io import read_keypoints
-from recon.settings import FitSettings, read_settings
-from recon.view.added import AddedSeries, write_plots
+from recon.show.view.added import AddedSeries, write_plots
+from recon.workflows.cli.common import terminal
+from recon.workflows.clip import OUTPUT_FILES
+from recon.workflows.settings import FitSettings, read_settings
 
 SAMPLES = Path(__file__).parents[1] / "data" / "samples"
 CLIP, CAMERA, TRUTH = SAMPLES / "noisy.csv", SAMPLES / "camera.toml", SAMPLES / "noisy_truth.csv"
@@ -236,7 +236,10 @@ def test_options_overrule_the_config(fitted, tmp_path):
 
 def test_results_can_be_moved_with_what_they_were_made_from(tmp_path, monkeypatch):
     """And nobody reads in them where that lay."""
-    house, skeleton = tmp_path / "home" / "me", Path(__file__).parents[1] / "recon" / "skeletons" / "cheetah-24.toml"
+    house, skeleton = (
+        tmp_path / "home" / "me",
+        Path(__file__).parents[1] / "recon" / "animal" / "skeletons" / "cheetah-24.toml",
+    )
     house.mkdir(parents=True)
     for path in (CLIP, CAMERA, skeleton):
         shutil.copy(path, house / path.name)
@@ -707,7 +710,7 @@ def test_overwrite_keeps_other_files(fitted, tmp_path):
 
 KILLED_FITTING = """
 import os, signal
-import recon.app.clip as clip
+import recon.workflows.clip as clip
 solve = clip.solve_frames
 def until_frame_3(*args):
     return solve(*args[:-1], lambda frame: os.kill(os.getpid(), signal.SIGKILL) if frame == 3 else None)
@@ -715,17 +718,17 @@ clip.solve_frames = until_frame_3
 """
 KILLED_APPROACHING = """
 import os, signal
-import recon.app.clip as clip
+import recon.workflows.clip as clip
 solve = clip.solve_trajectory
 clip.solve_trajectory = lambda *args: solve(*args[:-1], lambda stage, share: os.kill(os.getpid(), signal.SIGKILL))
 """
 KILLED_WRITING = """
 import os, signal
-import recon.view
+import recon.show.view
 def half(motion, path):
     path.write_bytes(b"half")
     os.kill(os.getpid(), signal.SIGKILL)
-recon.view.write = half
+recon.show.view.write = half
 """
 
 
@@ -761,9 +764,9 @@ def test_failing_writer_leaves_nothing(full, tmp_path, monkeypatch):
         raise OSError(28, "No space left on device", str(path))
 
     if full == "motion.rrd":
-        monkeypatch.setattr(recon.view, "write", write)
+        monkeypatch.setattr(recon.show.view, "write", write)
     else:
-        monkeypatch.setitem(recon.export.clip_csv.CLIP_OUTPUTS, full, write)
+        monkeypatch.setitem(recon.show.export.clip_csv.CLIP_OUTPUTS, full, write)
     ended = run(*fit_args(tmp_path / "a" / "b", "--frames", ":3"))
     assert ended.code == 2
     assert ended.out == ""
@@ -839,7 +842,7 @@ def test_view_without_a_recording(tmp_path):
 
 def test_view_opens_the_recording(fitted, monkeypatch):
     opened = []
-    monkeypatch.setattr("recon.app.view.open_viewer", opened.append)
+    monkeypatch.setattr("recon.workflows.view.open_viewer", opened.append)
     assert run("view", fitted[0]).code == 0
     assert opened == [fitted[0] / "motion.rrd"]
 
@@ -857,7 +860,7 @@ def test_view_shows_what_goes_with_the_recording(fitted, tmp_path, monkeypatch):
     def look(path):
         seen.append({"/analysis/x", "/speed"} & {chunk.entity_path for chunk in RrdReader(path).stream()})
 
-    monkeypatch.setattr("recon.app.view.open_viewer", look)
+    monkeypatch.setattr("recon.workflows.view.open_viewer", look)
     assert run("view", out, "--analysis", plots.parent) == Ended(0, "", "")
     shutil.copytree(plots.parent, out / "analysis")
     before = {path: path.read_bytes() for path in out.rglob("*") if path.is_file()}
@@ -899,6 +902,8 @@ def test_brackets_in_names_are_no_markup():
     terminal(file=stream).print("x[/b] [red]y :smile:")
     assert stream.getvalue() == "x[/b] [red]y :smile:\n"
     others = [
-        path.name for path in Path(recon.cli.__file__).parent.glob("*.py") if " Console(" in path.read_text("utf-8")
+        path.name
+        for path in Path(recon.workflows.cli.__file__).parent.glob("*.py")
+        if " Console(" in path.read_text("utf-8")
     ]
     assert others == ["common.py"]

@@ -8,17 +8,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from recon.app.clip import OUTPUT_FILES, fit_clip, prepare, run_clip, write_clip
-from recon.app.demo import samples_folder
-from recon.calibration import read_camera
+from recon.animal.skeleton_file import builtin_chains, load_chain
+from recon.base.errors import InputError
+from recon.base.manifest import read_manifest
 from recon.clip import still_view
-from recon.errors import InputError
 from recon.io import read_keypoints
+from recon.io.calibration import read_camera
 from recon.io.deeplabcut import write_csv
-from recon.manifest import read_manifest
-from recon.published import FrameOptions, solve_frames
-from recon.settings import FitSettings
-from recon.skeleton_file import builtin_chains, load_chain
+from recon.thesis import FrameOptions, solve_frames
+from recon.workflows.clip import OUTPUT_FILES, fit_clip, prepare, run_clip, write_clip
+from recon.workflows.demo import samples_folder
+from recon.workflows.settings import FitSettings
 
 EXAMPLE = (Path(__file__).parents[1] / "docs" / "skeletons.md").read_text().split("```toml")[2].split("```")[0]
 # The same chain, hung from its front end: the root is the joint that the animal's front is known by.

@@ -13,16 +13,16 @@ import pandas as pd
 import pytest
 from command_line import run
 
-from recon.analysis.clip import ClipAnalysis, analyse, limb_chains
-from recon.app.analyse import figures_of, notes, summarise
-from recon.errors import InputError
-from recon.export import analysis_csv
+from recon.base.errors import InputError
+from recon.base.manifest import write_manifest
+from recon.fit.results import read_results
+from recon.gait.clip import ClipAnalysis, analyse, limb_chains
 from recon.io.pose3d import read_pose3d
-from recon.manifest import write_manifest
-from recon.plots import save
-from recon.report.frame import lines as frame_lines
-from recon.results import read_results
-from recon.view.series import state_entity
+from recon.show.export import analysis_csv
+from recon.show.plots import save
+from recon.show.report.frame import lines as frame_lines
+from recon.show.view.series import state_entity
+from recon.workflows.analyse import figures_of, notes, summarise
 
 SAMPLES = Path(__file__).parents[1] / "data" / "samples"
 
@@ -342,7 +342,7 @@ def test_lean_holds_what_is_written_all_the_same(whole, whole_results, tables, t
 def test_quiet_prints_nothing_and_many_stances_are_not_listed(whole_results, tmp_path, monkeypatch):
     quiet = run("analyse", whole_results, "--out", tmp_path / "a", "--no-figures", "--quiet")
     assert (quiet.code, quiet.out, quiet.err) == (0, "", "")
-    monkeypatch.setattr(sys.modules["recon.cli.analyse"], "MOST_STANCES", 3)
+    monkeypatch.setattr(sys.modules["recon.workflows.cli.analyse"], "MOST_STANCES", 3)
     many = run("analyse", whole_results, "--out", tmp_path / "b", "--no-figures")
     assert f"stances are in {tmp_path / 'b' / 'stances.csv'}." in many.out
     assert "LH l_back_paw" not in many.out
@@ -353,7 +353,7 @@ def test_tables_are_written_where_figures_fail(whole_results, tmp_path, monkeypa
     def full(*args: object) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("recon.app.analyse.write_figures", full)
+    monkeypatch.setattr("recon.workflows.analyse.write_figures", full)
     done = run("analyse", whole_results, "--out", tmp_path / "a")
     assert done.code == 2
     assert "No space left on device" in done.err

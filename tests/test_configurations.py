@@ -7,11 +7,11 @@ import pytest
 from matplotlib.collections import LineCollection
 from matplotlib.colors import to_rgb
 
-from recon import plots
-from recon.body import Side
-from recon.kinematics import YAW
-from recon.plots.configurations import SIDE_COLOURS
-from recon.skeleton_file import load_chain, load_skeleton
+from recon.animal.body import Side
+from recon.animal.skeleton_file import load_chain, load_skeleton
+from recon.geometry.kinematics import YAW
+from recon.show import plots
+from recon.show.plots.configurations import SIDE_COLOURS
 
 LIMBS = {"trunk": (0, 1), "near leg": (0, 2), "off leg": (0, 3)}
 SIDES: dict[str, Side | None] = {"trunk": None, "near leg": "left", "off leg": "right"}

@@ -13,13 +13,13 @@ import pytest
 import tables
 from typer.testing import CliRunner
 
-from recon.app.convert import Options, convert
-from recon.cli import app, main
-from recon.errors import InputError
-from recon.export.formats import FORMATS, Format, choose_format
+from recon.base.errors import InputError
+from recon.clip.keypoints import Keypoints
 from recon.io import read_keypoints
 from recon.io.pose3d import Pose3D, read_pose3d
-from recon.keypoints import Keypoints
+from recon.show.export.formats import FORMATS, Format, choose_format
+from recon.workflows.cli import app, main
+from recon.workflows.convert import Options, convert
 
 NAN = float("nan")
 FRAMES = np.array([7, 8, 9, 10, 14])
@@ -496,8 +496,8 @@ def test_columns_by_a_map(tmp_path):
 
 @pytest.fixture(scope="module")
 def results(small_trajectory, tmp_path_factory) -> Path:
-    from recon.app.clip import write_clip
-    from recon.settings import FitSettings
+    from recon.workflows.clip import write_clip
+    from recon.workflows.settings import FitSettings
 
     folder = tmp_path_factory.mktemp("results")
     settings = FitSettings(Path("run.csv"), fps=30, hfov_deg=64.0, image_size_px=(1920, 1080))
@@ -507,7 +507,7 @@ def results(small_trajectory, tmp_path_factory) -> Path:
 
 def test_folder_of_results(results, tmp_path):
     """The joints upright, with the frame rate of the report and the limbs of the skeleton."""
-    from recon.results import read_results
+    from recon.fit.results import read_results
 
     done = convert(results, tmp_path / "a.nwb")
     assert "level frame" in done.notes[0]

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from recon import Body, Camera, InputError, load_skeleton
-from recon.app.clip import prepare
+from recon.animal.detector import detector_toml, seen_by
+from recon.animal.prior import prior_from_body
 from recon.clip import still_view
-from recon.detector import detector_toml, seen_by
-from recon.prior import prior_from_body
-from recon.solve import TrajectoryOptions
-from recon.solve.setting import Setting
+from recon.fit import TrajectoryOptions
+from recon.fit.setting import Setting
+from recon.workflows.clip import prepare
 from tests.test_cameras import folder, settings  # noqa: F401
 
 

@@ -29,8 +29,8 @@ from command_line import copy_results, run
 from conftest import draw_small
 from docs_files import FILES, OF_PAGE
 
-from recon.app.batch import find_clips
-from recon.cli import app
+from recon.workflows.batch import find_clips
+from recon.workflows.cli import app
 
 ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / "docs"
@@ -103,7 +103,7 @@ ONCE = {
 }
 """Slow commands that several pages have. On the same result, they are run once."""
 
-DRAWN = {"recon analyse results/clip --solver": "recon.app.analyse.figures_of"}
+DRAWN = {"recon analyse results/clip --solver": "recon.workflows.analyse.figures_of"}
 """Commands that draw the figures of one of those too, and what draws them: once is enough."""
 
 
@@ -210,7 +210,9 @@ def folder_after(made_once, whole_results, of_results) -> Callable[[Path, int], 
             with pytest.MonkeyPatch.context() as patch:
                 patch.chdir(folder)
                 draw_small(patch)
-                patch.setattr("recon.app.batch.available_cores", lambda: 1)  # of the processes that fit many clips
+                patch.setattr(
+                    "recon.workflows.batch.available_cores", lambda: 1
+                )  # of the processes that fit many clips
                 do(steps(page)[count - 1], Workshop(folder, name_of(page), whole_results, of_results))
 
         return made_once(re.sub(r"\W+", "-", f"{name_of(page)}-{count}"), make)

@@ -18,10 +18,10 @@ import pandas as pd
 import pytest
 from command_line import run, run_process
 
-import recon.app.doctor as module
-from recon.app.doctor import Check, Doctor, extras, run_doctor, self_test, temporary_folder, versions, viewer
-from recon.cli import app
-from recon.package import install_command
+import recon.workflows.doctor as module
+from recon.base.package import install_command
+from recon.workflows.cli import app
+from recon.workflows.doctor import Check, Doctor, extras, run_doctor, self_test, temporary_folder, versions, viewer
 
 SAMPLES = Path(__file__).parents[1] / "data" / "samples"
 
@@ -355,7 +355,9 @@ def test_completion_works_in_bash(tmp_path):
     if bash is None:
         pytest.skip("no bash")
     program = tmp_path / "recon"
-    program.write_text(f"#!{sys.executable}\nimport sys\nfrom recon.cli import main\nsys.argv[0] = 'recon'\nmain()\n")
+    program.write_text(
+        f"#!{sys.executable}\nimport sys\nfrom recon.workflows.cli import main\nsys.argv[0] = 'recon'\nmain()\n"
+    )
     program.chmod(0o755)
     lines = [
         f'export PATH="{tmp_path}:$PATH" _TYPER_COMPLETE_TEST_DISABLE_SHELL_DETECTION=1',

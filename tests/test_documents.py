@@ -7,13 +7,13 @@ from importlib import resources
 
 import pytest
 
-from recon.documents import MAX_TOML_BYTES, read_content, read_json, read_toml
-from recon.errors import InputError
+from recon.animal.skeleton_file import load_skeleton
+from recon.base.documents import MAX_TOML_BYTES, read_content, read_json, read_toml
+from recon.base.errors import InputError
 from recon.io import read_keypoints
 from recon.io.pose3d import read_pose3d
-from recon.robot.robot_file import load_robot
-from recon.settings import read_settings
-from recon.skeleton_file import load_skeleton
+from recon.robotics.robot.robot_file import load_robot
+from recon.workflows.settings import read_settings
 
 DIGITS = "1" * 5000
 TEXTS = {
@@ -77,7 +77,7 @@ def test_a_pipe_is_not_waited_for(tmp_path):
     ],
 )
 def test_robots(tmp_path, change, said):
-    content = (resources.files("recon.robot") / "robots" / "a1.toml").read_bytes()
+    content = (resources.files("recon.robotics.robot") / "robots" / "a1.toml").read_bytes()
     (tmp_path / "a.toml").write_bytes(content.replace(*change, 1))
     with pytest.raises(InputError) as error:
         load_robot(tmp_path / "a.toml")

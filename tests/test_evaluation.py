@@ -11,7 +11,8 @@ import pytest
 from scipy.optimize import minimize
 from scipy.spatial.transform import Rotation
 
-from recon.analysis.evaluation import (
+from recon.base.errors import InputError
+from recon.gait.evaluation import (
     align_scale,
     align_similarity,
     centre,
@@ -19,7 +20,6 @@ from recon.analysis.evaluation import (
     evaluate_files,
     joint_errors,
 )
-from recon.errors import InputError
 from recon.io.pose3d import Pose3D
 
 NAN = float("nan")

@@ -7,14 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from recon.app.extrinsics import DISAGREEMENT
+from recon.base.progress import silent
 from recon.clip import View, still_view
-from recon.frames import inverse, moved, rigid
-from recon.progress import silent
-from recon.rotations import euler_rotation
-from recon.solve import TrajectoryOptions
-from recon.solve.extrinsics import TooLittleInCommonError, _beside_first, _level, _placed, solve_extrinsics
-from recon.solve.setting import Setting
+from recon.fit import TrajectoryOptions
+from recon.fit.extrinsics import TooLittleInCommonError, _beside_first, _level, _placed, solve_extrinsics
+from recon.fit.setting import Setting
+from recon.geometry.frames import inverse, moved, rigid
+from recon.geometry.rotations import euler_rotation
+from recon.workflows.extrinsics import DISAGREEMENT
 from tests.test_trajectory import BODY, FPS, PRIOR
 from tests.test_views import AHEAD, ASIDE, pose, truth_m, view_of
 
@@ -91,7 +91,7 @@ def test_cameras_are_placed_beside_those_already_placed(monkeypatch):
         joints[unseen[i]] = np.nan
         return joints
 
-    monkeypatch.setattr("recon.solve.extrinsics._alone", alone)
+    monkeypatch.setattr("recon.fit.extrinsics._alone", alone)
     (placed,) = _placed([setting(views)], silent)
     for view, true in zip(placed.views, poses, strict=True):
         relative = view.T_camera_world @ inverse(placed.views[0].T_camera_world)

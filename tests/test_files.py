@@ -13,9 +13,9 @@ from pathlib import Path
 
 import pytest
 
-from recon.errors import InputError
-from recon.files import require_free_folder, sole_writer, staged_file, staged_folder, staged_results
-from recon.manifest import read_manifest
+from recon.base.errors import InputError
+from recon.base.files import require_free_folder, sole_writer, staged_file, staged_folder, staged_results
+from recon.base.manifest import read_manifest
 
 
 def contents(folder: Path) -> dict[str, str]:
@@ -93,7 +93,7 @@ def test_kill_leaves_only_a_hidden_folder_which_the_next_run_removes(tmp_path):
     (out / "one.csv").write_text("old")
     script = (
         "import os, signal, sys\n"
-        "from recon.files import staged_folder\n"
+        "from recon.base.files import staged_folder\n"
         "with staged_folder(sys.argv[1]) as folder:\n"
         "    (folder / 'one.csv').write_text('half')\n"
         "    os.kill(os.getpid(), signal.SIGKILL)\n"
@@ -125,7 +125,7 @@ def test_two_at_a_time_leave_each_other_alone(tmp_path):
 
 WRITE_AT_A_SIGN = """
 import sys
-from recon.files import staged_file
+from recon.base.files import staged_file
 with staged_file(sys.argv[1]) as path:
     path.write_text("begun")
     print("begun", flush=True)

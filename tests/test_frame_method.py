@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 from gallop import gallop
 
+from recon.animal.skeleton_file import load_chain
 from recon.clip import still_view
-from recon.frames import inverse
-from recon.published import FrameOptions, base_length, frame, solve_frames, solve_joints
-from recon.published.frame import CONVERGED, evaluate, posterior_covariance, precision_shares
-from recon.published.objectives import JointPositions, Reprojection
-from recon.published.starts import Travel, mean_pose
-from recon.skeleton_file import load_chain
-from recon.synthetic import add_noise
+from recon.fit.synthetic import add_noise
+from recon.geometry.frames import inverse
+from recon.thesis import FrameOptions, base_length, frame, solve_frames, solve_joints
+from recon.thesis.frame import CONVERGED, evaluate, posterior_covariance, precision_shares
+from recon.thesis.objectives import JointPositions, Reprojection
+from recon.thesis.starts import Travel, mean_pose
 
 SK = load_chain("cheetah-8u")
 UP = np.array([0.0, -1, 0])

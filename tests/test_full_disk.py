@@ -14,16 +14,16 @@ import numpy as np
 import pytest
 from command_line import run
 
-from recon.app.clip import write_clip
-from recon.export.formats import FORMATS, Format
-from recon.export.rig import make_rig
-from recon.files import staged_file
+from recon.animal.skeleton_file import load_skeleton
+from recon.base.files import staged_file
+from recon.clip.keypoints import Keypoints
+from recon.fit.motion import Motion
 from recon.io.pose import Pose3D
-from recon.keypoints import Keypoints
-from recon.motion import Motion
-from recon.settings import FitSettings
-from recon.skeleton_file import load_skeleton
-from recon.video import video_writer
+from recon.io.video import video_writer
+from recon.show.export.formats import FORMATS, Format
+from recon.show.export.rig import make_rig
+from recon.workflows.clip import write_clip
+from recon.workflows.settings import FitSettings
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="limits are of POSIX")
 

@@ -10,7 +10,9 @@ import numpy as np
 import pytest
 from gallop import KEYPOINT_NAMES, gallop
 
-from recon.analysis.gait import (
+from recon.animal.skeleton_file import load_skeleton
+from recon.base.errors import InputError
+from recon.gait.gait import (
     FEET,
     SLOW,
     Stance,
@@ -27,9 +29,7 @@ from recon.analysis.gait import (
     strides,
     tracks,
 )
-from recon.errors import InputError
 from recon.io.pose3d import Pose3D, read_pose3d
-from recon.skeleton_file import load_skeleton
 
 FPS = 90.0
 NAMES = (*FEET.values(), "neck_base", "tail_base")

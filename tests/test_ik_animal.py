@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from gallop import gallop
 
-from recon.frames import inverse, rigid
-from recon.ik.animal import body_chain, body_chain_angles, chain_angles, planar_chain, spine_front_leg
-from recon.ik.chain import PlanarChain
-from recon.kinematics import ROOT, YAW
-from recon.skeleton_file import load_chain, load_skeleton
+from recon.animal.skeleton_file import load_chain, load_skeleton
+from recon.geometry.frames import inverse, rigid
+from recon.geometry.kinematics import ROOT, YAW
+from recon.robotics.ik.animal import body_chain, body_chain_angles, chain_angles, planar_chain, spine_front_leg
+from recon.robotics.ik.chain import PlanarChain
 
 # -- the spine-front-leg chain ---------------------------------------------------------------------------------------
 

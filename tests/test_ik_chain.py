@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from recon.ik.chain import PlanarChain, SummedChain, manipulability, null_basis
-from recon.ik.costs import (
+from recon.robotics.ik.chain import PlanarChain, SummedChain, manipulability, null_basis
+from recon.robotics.ik.costs import (
     HarmonicMap,
     UserCost,
     WeightedSum,
@@ -14,7 +14,7 @@ from recon.ik.costs import (
     pose_distance,
     rotational_energy,
 )
-from recon.ik.two_link import two_link
+from recon.robotics.ik.two_link import two_link
 
 LENGTHS = (0.4, 0.3, 0.25, 0.28, 0.2)
 CHAINS = {"planar": PlanarChain(LENGTHS), "summed": SummedChain(LENGTHS)}

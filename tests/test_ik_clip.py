@@ -12,8 +12,15 @@ import pytest
 from command_line import run
 from gallop import RISE_S, START_STRIDES_HZ, TOP_STRIDES_HZ, gallop
 
-from recon.analysis.gait import pose_gait
-from recon.app.ik import (
+from recon.base.errors import InputError
+from recon.base.manifest import write_manifest
+from recon.fit.results import read_results
+from recon.gait.gait import pose_gait
+from recon.io.pose3d import Pose3D
+from recon.robotics.ik.drive import drive_to
+from recon.robotics.ik.fit import DAMPING_M
+from recon.robotics.ik.methods import DampedLeastSquares, LeastNorm
+from recon.workflows.ik import (
     FITTED,
     METHODS,
     cost_of,
@@ -25,13 +32,6 @@ from recon.app.ik import (
     stride_lasts_s,
     stride_of,
 )
-from recon.errors import InputError
-from recon.ik.drive import drive_to
-from recon.ik.fit import DAMPING_M
-from recon.ik.methods import DampedLeastSquares, LeastNorm
-from recon.io.pose3d import Pose3D
-from recon.manifest import write_manifest
-from recon.results import read_results
 
 pytestmark = pytest.mark.usefixtures("small_pictures")
 
@@ -269,7 +269,7 @@ def test_tables_are_written_where_figures_fail(whole_results, tmp_path, monkeypa
     def full(*args: object) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("recon.app.ik.write_figures", full)
+    monkeypatch.setattr("recon.workflows.ik.write_figures", full)
     done = run("ik", whole_results, "--method", "damped", "--target", "0.7,0.1,-0.4", "--out", tmp_path / "a")
     assert done.code == 2
     assert "No space left on device" in done.err

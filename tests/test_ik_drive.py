@@ -5,11 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from recon.ik.animal import spine_front_leg
-from recon.ik.chain import PlanarChain, null_basis
-from recon.ik.costs import HarmonicMap, UserCost, joint_differences, rotational_energy
-from recon.ik.drive import degree_of_closure, drive_to, follow, roughness
-from recon.ik.methods import (
+from recon.animal.skeleton_file import load_chain
+from recon.robotics.ik.animal import spine_front_leg
+from recon.robotics.ik.chain import PlanarChain, null_basis
+from recon.robotics.ik.costs import HarmonicMap, UserCost, joint_differences, rotational_energy
+from recon.robotics.ik.drive import degree_of_closure, drive_to, follow, roughness
+from recon.robotics.ik.methods import (
     DampedLeastSquares,
     ExtendedJacobian,
     GradientProjection,
@@ -18,8 +19,7 @@ from recon.ik.methods import (
     SelectivelyDamped,
     WeightedLeastNorm,
 )
-from recon.ik.null_space import to_null_space_optimum
-from recon.skeleton_file import load_chain
+from recon.robotics.ik.null_space import to_null_space_optimum
 
 STARTS = 50
 

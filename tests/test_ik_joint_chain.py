@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from recon.ik.chain import PlanarChain, unreachable
-from recon.ik.costs import joint_differences, rotational_energy
-from recon.ik.drive import drive_to
-from recon.ik.joint_chain import JointChain
-from recon.ik.methods import DampedLeastSquares, ExtendedJacobian, LeastNorm
+from recon.robotics.ik.chain import PlanarChain, unreachable
+from recon.robotics.ik.costs import joint_differences, rotational_energy
+from recon.robotics.ik.drive import drive_to
+from recon.robotics.ik.joint_chain import JointChain
+from recon.robotics.ik.methods import DampedLeastSquares, ExtendedJacobian, LeastNorm
 
 SLIDING = np.array([False, True, False, False, False, True])
 

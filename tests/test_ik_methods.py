@@ -7,9 +7,16 @@ from functools import partial
 import numpy as np
 import pytest
 
-from recon.ik.chain import PlanarChain, SummedChain, null_basis
-from recon.ik.costs import HarmonicMap, UserCost, WeightedSum, joint_differences, pose_distance, rotational_energy
-from recon.ik.fit import (
+from recon.robotics.ik.chain import PlanarChain, SummedChain, null_basis
+from recon.robotics.ik.costs import (
+    HarmonicMap,
+    UserCost,
+    WeightedSum,
+    joint_differences,
+    pose_distance,
+    rotational_energy,
+)
+from recon.robotics.ik.fit import (
     PULL,
     Frames,
     explained_by,
@@ -21,7 +28,7 @@ from recon.ik.fit import (
     fit_transpose,
     fit_weights,
 )
-from recon.ik.methods import (
+from recon.robotics.ik.methods import (
     DampedLeastSquares,
     ExtendedJacobian,
     GradientProjection,

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from recon.ik.chain import PlanarChain
-from recon.ik.drive import follow
-from recon.ik.methods import LeastNorm
-from recon.ik.stride import farthest_reach, find_stride
+from recon.robotics.ik.chain import PlanarChain
+from recon.robotics.ik.drive import follow
+from recon.robotics.ik.methods import LeastNorm
+from recon.robotics.ik.stride import farthest_reach, find_stride
 
 CHAIN = PlanarChain((0.5, 0.4, 0.3))
 

@@ -11,7 +11,7 @@ import pytest
 from command_line import Ended, run
 from fuzz.ctrl_c import fault, interrupted
 
-from recon.interrupts import MESSAGE
+from recon.base.interrupts import MESSAGE
 
 posix = pytest.mark.skipif(os.name != "posix", reason="signals as POSIX has them")
 FIT = ("fit", "clip.csv", "--camera", "camera.toml", "--fps", "60", "--out", "results")
@@ -19,7 +19,7 @@ FIT = ("fit", "clip.csv", "--camera", "camera.toml", "--fps", "60", "--out", "re
 # In place of the pipeline, so that the process is at a known place; the real ones are for tests/fuzz/ctrl_c.py.
 START = """
 import atexit, hashlib, os, signal, sys, time, types
-from recon import interrupts
+from recon.base import interrupts
 from recon.__main__ import main
 signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored where the tests run in the background
 
@@ -32,9 +32,9 @@ def run_clip(*args):
     finally:
         print("cleaned up", flush=True)
 
-pipeline = types.ModuleType("recon.app.clip")
+pipeline = types.ModuleType("recon.workflows.clip")
 pipeline.run_clip, pipeline.keypoint_problems = run_clip, None
-sys.modules["recon.app.clip"] = pipeline
+sys.modules["recon.workflows.clip"] = pipeline
 sys.modules["pandas"] = types.ModuleType("pandas")
 """
 IN_A_LIBRARY = "hashlib.pbkdf2_hmac('sha256', b'', b'', 10**9)"
@@ -72,7 +72,7 @@ def test_a_command_called_from_python_ends_with_one_line(monkeypatch):
     def interrupted(*args: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("recon.app.clip.run_clip", interrupted)
+    monkeypatch.setattr("recon.workflows.clip.run_clip", interrupted)
     assert run(*FIT) == Ended(130, "", f"{MESSAGE}\n")
 
 
@@ -84,7 +84,7 @@ def test_the_command_cleans_up(moment):
 
 
 @posix
-@pytest.mark.parametrize("module", ["typer", "rich.markup", "recon.cli.fit"])
+@pytest.mark.parametrize("module", ["typer", "rich.markup", "recon.workflows.cli.fit"])
 def test_within_an_import(module):
     """There, libraries print exceptions that are not theirs."""
     code = f"""

@@ -11,10 +11,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from recon.errors import InputError
+from recon.base.errors import InputError
+from recon.clip.keypoints import Keypoints, clean
 from recon.io import deeplabcut, individuals, read_keypoints
 from recon.io.pose3d import Pose3D, read_pose3d
-from recon.keypoints import Keypoints, clean
 
 NAN = float("nan")
 SINGLE = """\

@@ -12,13 +12,13 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from recon.errors import InputError
-from recon.export.formats import FORMATS
+from recon.base.errors import InputError
+from recon.clip.keypoints import Keypoints
 from recon.io import read_keypoints
 from recon.io.column_map import parse_map
 from recon.io.common import frames_of_text, frames_of_times, frames_text
 from recon.io.pose3d import Pose3D, read_pose3d
-from recon.keypoints import Keypoints
+from recon.show.export.formats import FORMATS
 
 NAN = float("nan")
 

@@ -16,10 +16,10 @@ import pandas as pd
 import pytest
 from typer.testing import CliRunner
 
-from recon.cli import app
-from recon.errors import InputError
+from recon.base.errors import InputError
+from recon.clip.keypoints import Keypoints
 from recon.io import deeplabcut, movement, nwb, plain_pickle, read_keypoints
-from recon.keypoints import Keypoints
+from recon.workflows.cli import app
 
 CLIP = Keypoints(("nose", "tail"), np.arange(12.0).reshape(3, 2, 2), np.ones((3, 2)), np.arange(3), fps=50.0)
 
@@ -186,7 +186,7 @@ def test_data_in_other_files(tmp_path):
 
 def test_hostile_network_runs_nothing(tmp_path):
     torch = pytest.importorskip("torch")
-    from recon.net.trained import load_model
+    from recon.keypoint_net.trained import load_model
 
     marker, path = tmp_path / "ran", tmp_path / "model.pt"
     torch.save({"format": Touch(str(marker))}, path)
@@ -203,7 +203,7 @@ def test_hostile_network_runs_nothing(tmp_path):
 )
 def test_altered_network(tmp_path, change):
     torch = pytest.importorskip("torch")
-    from recon.net.trained import FORMAT, load_model
+    from recon.keypoint_net.trained import FORMAT, load_model
 
     spec = {"names": ["a"], "scale": 0.5, "body_length_px": 9.0, "tolerance_px": 9.0, "partner": [0], "mirrored": True}
     content = {"format": FORMAT, "spec": spec | {"calibrations": {}}, "weights": {}} | change

@@ -7,8 +7,8 @@ import json
 import numpy as np
 import pytest
 
-from recon.errors import InputError
-from recon.keypoints import Keypoints, clean, fill_gaps, frame_ranges, leave_out, parse_frame_range
+from recon.base.errors import InputError
+from recon.clip.keypoints import Keypoints, clean, fill_gaps, frame_ranges, leave_out, parse_frame_range
 
 NAN = float("nan")
 

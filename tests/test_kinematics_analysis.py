@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from gallop import gallop
 
-from recon.analysis.kinematics import (
+from recon.base.errors import InputError
+from recon.gait.kinematics import (
     Errors,
     _curve,
     _evaluate,
@@ -21,7 +22,6 @@ from recon.analysis.kinematics import (
     series_kinematics,
     spine_flexion,
 )
-from recon.errors import InputError
 from recon.io.pose3d import Pose3D
 
 FPS = 60.0

@@ -1,8 +1,8 @@
-"""Modules import in one direction only, and nothing that the base install lacks.
+"""Rooms import in one direction only, and nothing that the base install lacks.
 
-`LAYERS` is the order: a module or package directly under `recon` imports from those named before it and from its own
-package, wherever the import stands. `recon/__init__.py` is the public API: it may import all of them, and none imports
-it.
+`LAYERS` is the order: a room, which is a package directly under `recon`, imports from those named before it and from
+its own package, wherever the import stands. `recon/__init__.py` is the public API: it may import all of them, and none
+imports it.
 """
 
 from __future__ import annotations
@@ -20,57 +20,20 @@ ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "recon"
 
 LAYERS = (
-    "arrays",
-    "interrupts",
-    "package",
-    "errors",
-    "progress",
-    "documents",
-    "manifest",
-    "files",
-    "recording",
-    "video",
-    "rotations",
-    "frames",
-    "regions",
-    "banded",
-    "keypoints",
-    "io",
-    "camera",
+    "base",
+    "geometry",
     "clip",
-    "calibration",
-    "camera_track",
-    "camera_motion",
-    "intrinsics",
-    "kinematics",
-    "body",
-    "capsules",
-    "naming",
-    "chain",
-    "skeleton_file",
-    "detector",
-    "prior",
-    "synthetic",
-    "straight_runs",
-    "solve",
-    "mistakes",
-    "published",
-    "motion",
-    "report_fields",
-    "results",
-    "overlay",
-    "analysis",
-    "ik",
-    "robot",
-    "plots",
-    "report",
-    "export",
-    "page",
-    "view",
-    "settings",
-    "net",
-    "app",
-    "cli",
+    "animal",
+    "io",
+    "fit",
+    "check",
+    "gait",
+    "calibrate",
+    "robotics",
+    "thesis",
+    "show",
+    "keypoint_net",
+    "workflows",
     "__main__",
 )
 
@@ -166,27 +129,27 @@ def test_imports(path):
 
 
 def test_there_is_something_to_check():
-    assert (PACKAGE / "camera.py").is_file()
+    assert (PACKAGE / "geometry" / "camera.py").is_file()
     assert {"numpy", "cv2", "rerun", "tomli_w", "json", "recon"} <= base_imports()
 
 
 @pytest.mark.parametrize(
     ("module", "source"),
     [
-        ("recon.camera", "from recon.solve import solve"),
-        ("recon.camera", "import recon.solve"),
-        ("recon.camera", "import numpy, recon.solve"),
-        ("recon.camera", "from recon import solve"),
-        ("recon.camera", "from recon import fit"),
-        ("recon.camera", "import recon"),
-        ("recon.camera", "from . import solve"),
-        ("recon.camera", "from .solve import solve"),
-        ("recon.io.pose3d", "from ..camera import Camera"),
-        ("recon.io.__init__", "from ..camera import Camera"),
-        ("recon.io.pose3d", "from .. import camera"),
-        ("recon.solve", "def f():\n    from recon.motion import Motion"),
-        ("recon.solve", "import importlib\ndef f():\n    importlib.import_module('recon.view')"),
-        ("recon.errors", "from recon.files import write"),
+        ("recon.geometry.camera", "from recon.fit import solve_points"),
+        ("recon.geometry.camera", "import recon.fit"),
+        ("recon.geometry.camera", "import numpy, recon.fit"),
+        ("recon.geometry.camera", "from recon import fit"),
+        ("recon.geometry.camera", "from recon import fit_clip"),
+        ("recon.geometry.camera", "import recon"),
+        ("recon.geometry.camera", "from .. import fit"),
+        ("recon.geometry.camera", "from ..fit import solve_points"),
+        ("recon.io.pose3d", "from ..fit.motion import Motion"),
+        ("recon.io.__init__", "from ..fit import Motion"),
+        ("recon.io.pose3d", "from .. import fit"),
+        ("recon.fit.result", "def f():\n    from recon.show.page import clip_page"),
+        ("recon.fit.result", "import importlib\ndef f():\n    importlib.import_module('recon.show.view')"),
+        ("recon.base.errors", "from recon.io.npz import write"),
     ],
 )
 def test_catches_an_import_against_the_order(module, source):
@@ -213,7 +176,7 @@ def test_catches_a_module_without_a_place(module):
         "with b:\n    import torch",
     ],
 )
-@pytest.mark.parametrize("module", ["recon.__init__", "recon.view", "recon.ik.damped"])
+@pytest.mark.parametrize("module", ["recon.__init__", "recon.show.view", "recon.robotics.ik.damped"])
 def test_catches_an_optional_import_at_the_top(module, source):
     (found,) = violations(module, source, base_imports())
     assert "the base install has no" in found
@@ -222,10 +185,10 @@ def test_catches_an_optional_import_at_the_top(module, source):
 @pytest.mark.parametrize(
     ("module", "source"),
     [
-        ("recon.__init__", "from recon.cli import main\nfrom .solve import solve"),
+        ("recon.__init__", "from recon.workflows.cli import main\nfrom .fit import solve_points"),
         (
-            "recon.solve",
-            "from recon.straight_runs import place_on_rays\nfrom recon import camera\nfrom .errors import InputError",
+            "recon.fit.starts",
+            "from recon.geometry.camera import Camera\nfrom recon import geometry\nfrom .points import solve_points",
         ),
         (
             "recon.io.__init__",
@@ -233,12 +196,12 @@ def test_catches_an_optional_import_at_the_top(module, source):
         ),
         (
             "recon.io.pose3d",
-            "from recon.io import describe\nfrom .deeplabcut import read\nfrom ..errors import Problem",
+            "from recon.io import describe\nfrom .deeplabcut import read\nfrom ..base.errors import Problem",
         ),
-        ("recon.cli", "from recon import __version__"),
-        ("recon.view", "def f():\n    import torch"),
-        ("recon.view", "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    import torch"),
-        ("recon.view", "import json\nimport numpy as np\nimport rerun.blueprint as rrb\nimport cv2"),
+        ("recon.workflows.cli", "from recon import __version__"),
+        ("recon.show.view", "def f():\n    import torch"),
+        ("recon.show.view", "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    import torch"),
+        ("recon.show.view", "import json\nimport numpy as np\nimport rerun.blueprint as rrb\nimport cv2"),
     ],
 )
 def test_lets_good_imports_pass(module, source):

@@ -8,12 +8,11 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from recon.banded import BlockBanded
-from recon.kinematics import Marker, Segment, Tree
-from recon.solve import least_squares as module
-from recon.solve.least_squares import Estimate, LeastSquares, Shared
-from recon.solve.posterior import posterior
-from recon.solve.terms import (
+from recon.fit import least_squares as module
+from recon.fit.banded import BlockBanded
+from recon.fit.least_squares import Estimate, LeastSquares, Shared
+from recon.fit.posterior import posterior
+from recon.fit.terms import (
     CRAB,
     DISPLACED,
     SIZE,
@@ -30,6 +29,7 @@ from recon.solve.terms import (
     pose_term,
     root_term,
 )
+from recon.geometry.kinematics import Marker, Segment, Tree
 from tests.test_banded import to_dense
 from tests.test_terms import BODY, FEET, FPS, PRIOR, T, detections, gradient, some_states, terms, view
 
@@ -171,7 +171,7 @@ def test_the_posterior_is_that_of_the_dense_equations():
 
 
 def test_a_step_equals_the_dense_one():
-    from recon.banded import factor
+    from recon.fit.banded import factor
 
     problem, states = whole_problem(), some_states()
     r, J = dense_rows(problem, states)

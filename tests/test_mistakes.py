@@ -8,28 +8,28 @@ from functools import cache
 import numpy as np
 import pytest
 
-from recon.app.clip import fit_clip, prepare
-from recon.app.demo import samples_folder
-from recon.body import other_side
+from recon.animal.body import other_side
+from recon.animal.prior import prior_from_body
+from recon.check.mistakes import Known, Mistake, find_mistakes, with_flags, with_sides_mended, without_garbage
+from recon.check.mistakes.garbage import garbage_ratios
+from recon.check.mistakes.likelihood import given_of, unlikely
+from recon.check.mistakes.picture import of_other_camera, of_smaller_video, of_unit_square, smaller, turned_over
+from recon.check.mistakes.rate import other_rate
+from recon.check.mistakes.sides import Stretch, exchanged, exchanges, jumps, opposites, pairs_of, tried
 from recon.clip import View, still_view
+from recon.clip.keypoints import CleaningReport
+from recon.fit import TrajectoryOptions
+from recon.fit.mistake import CLEAR
+from recon.fit.motion import Motion
+from recon.fit.setting import Setting
+from recon.geometry.kinematics import ROOT
 from recon.io import read_keypoints
 from recon.io.deeplabcut import write_csv
-from recon.keypoints import CleaningReport
-from recon.kinematics import ROOT
-from recon.mistakes import Known, Mistake, find_mistakes, with_flags, with_sides_mended, without_garbage
-from recon.mistakes.garbage import garbage_ratios
-from recon.mistakes.likelihood import given_of, unlikely
-from recon.mistakes.mistake import CLEAR
-from recon.mistakes.picture import of_other_camera, of_smaller_video, of_unit_square, smaller, turned_over
-from recon.mistakes.rate import other_rate
-from recon.mistakes.sides import Stretch, exchanged, exchanges, jumps, opposites, pairs_of, tried
-from recon.motion import Motion
-from recon.prior import prior_from_body
-from recon.report import build_report
-from recon.report import mistakes as in_report
-from recon.settings import FitSettings
-from recon.solve import TrajectoryOptions
-from recon.solve.setting import Setting
+from recon.show.report import build_report
+from recon.show.report import mistakes as in_report
+from recon.workflows.clip import fit_clip, prepare
+from recon.workflows.demo import samples_folder
+from recon.workflows.settings import FitSettings
 from tests.test_trajectory import BODY, CAMERA, FPS, PRIOR, plain, run, seen
 
 T = 40

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from motions import with_first
 
-from recon.motion import Motion
-from recon.skeleton_file import load_skeleton
-from recon.solve import TrajectorySolution
+from recon.animal.skeleton_file import load_skeleton
+from recon.fit import TrajectorySolution
+from recon.fit.motion import Motion
 
 
 @pytest.fixture(params=["small_motion", "small_trajectory", "world_trajectory"])

@@ -14,23 +14,32 @@ from command_line import run
 from detector_files import ACINOSET, ANIMAL3D, AP_10K, HORSE_10, MMPOSE_AP_10K, SUPERANIMAL, UNSEEN
 
 from recon import FitSettings, InputError, Keypoints, evaluate, load_skeleton, read_pose3d
-from recon.analysis.clip import gaits_of
-from recon.app.batch.record import file_sha256, identity
-from recon.app.clip import prepare, run_clip
-from recon.app.convert import Options, read_any
-from recon.app.retarget import solve
-from recon.app.skeleton_check import check_skeleton
-from recon.app.skeleton_draft import draft_skeleton
+from recon.animal.naming import (
+    NameMap,
+    builtin_maps,
+    fitting_maps,
+    load_names,
+    map_to_write,
+    new_names,
+    renamed,
+    suggestions,
+)
+from recon.fit.results import read_results
+from recon.gait.clip import gaits_of
 from recon.io import read_keypoints
 from recon.io.deeplabcut import write_csv
-from recon.naming import NameMap, builtin_maps, fitting_maps, load_names, map_to_write, new_names, renamed, suggestions
-from recon.net.evaluate2d import evaluate_2d_files
-from recon.plots.skeleton import expected_pose
-from recon.report import build_report
-from recon.report.common import point_lines
-from recon.results import read_results
-from recon.robot.reference import reference_of
-from recon.robot.robot_file import load_robot
+from recon.keypoint_net.evaluate2d import evaluate_2d_files
+from recon.robotics.robot.reference import reference_of
+from recon.robotics.robot.robot_file import load_robot
+from recon.show.plots.skeleton import expected_pose
+from recon.show.report import build_report
+from recon.show.report.common import point_lines
+from recon.workflows.batch.record import file_sha256, identity
+from recon.workflows.clip import prepare, run_clip
+from recon.workflows.convert import Options, read_any
+from recon.workflows.retarget import solve
+from recon.workflows.skeleton_check import check_skeleton
+from recon.workflows.skeleton_draft import draft_skeleton
 
 SAMPLES = Path(__file__).parents[1] / "data" / "samples"
 
@@ -346,7 +355,7 @@ def test_positions_in_3d_are_not_renamed(tmp_path):
 
 
 def test_labels_and_predictions_of_other_names(tmp_path):
-    from recon.net.labels import read_labels
+    from recon.keypoint_net.labels import read_labels
 
     names = in_file(tmp_path, "".join(f"{n},{n.upper()}\n" for n in ("nose", "l_eye", "spine")))
     labels = read_labels(SAMPLES / "rendered.mp4", SAMPLES / "rendered_labels.csv", rename=str(names))

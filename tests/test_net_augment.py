@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from recon.net.augment import Augmentation, Example, augment, motion_blur
-from recon.net.background import background_of, moving_mask
-from recon.net.batches import BatchSource
-from recon.video import Image
+from recon.io.video import Image
+from recon.keypoint_net.augment import Augmentation, Example, augment, motion_blur
+from recon.keypoint_net.background import background_of, moving_mask
+from recon.keypoint_net.batches import BatchSource
 
 SIZE = (96, 80)
 GEOMETRY_ONLY = {"contrast": 0.0, "brightness": 0.0, "gamma": 0.0, "colour": 0.0, "light_patch": 0.0, "cutout": 0.0,

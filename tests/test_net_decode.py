@@ -9,8 +9,8 @@ import pytest
 
 torch = pytest.importorskip("torch")
 
-from recon.net.decode import Window, decode, loss, probabilities, targets, variance  # noqa: E402
-from recon.net.model import build_network, count_parameters  # noqa: E402
+from recon.keypoint_net.decode import Window, decode, loss, probabilities, targets, variance  # noqa: E402
+from recon.keypoint_net.model import build_network, count_parameters  # noqa: E402
 
 
 def gaussian_scores(xy: np.ndarray, size: tuple[int, int], sigma: float) -> torch.Tensor:

@@ -7,11 +7,11 @@ import pytest
 from command_line import run
 from scipy.special import expit, logit
 
-from recon.errors import InputError
-from recon.net.calibrate import LikelihoodCalibration, fit_calibration, reliability
-from recon.net.evaluate2d import evaluate_2d, evaluate_2d_files
-from recon.net.labels import Labels
-from recon.net.suspicious import suspicious_labels
+from recon.base.errors import InputError
+from recon.keypoint_net.calibrate import LikelihoodCalibration, fit_calibration, reliability
+from recon.keypoint_net.evaluate2d import evaluate_2d, evaluate_2d_files
+from recon.keypoint_net.labels import Labels
+from recon.keypoint_net.suspicious import suspicious_labels
 
 NAN = float("nan")
 

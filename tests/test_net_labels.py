@@ -8,10 +8,10 @@ import cv2
 import numpy as np
 import pytest
 
-from recon.errors import InputError
-from recon.net.labels import body_length_px, read_labels, resize, scale_points, sides
-from recon.net.split import parse_choice, split_labels
-from recon.video import video_writer
+from recon.base.errors import InputError
+from recon.io.video import video_writer
+from recon.keypoint_net.labels import body_length_px, read_labels, resize, scale_points, sides
+from recon.keypoint_net.split import parse_choice, split_labels
 
 NAMES = ("nose", "left_paw", "right_paw")
 

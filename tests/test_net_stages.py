@@ -11,14 +11,14 @@ from networks import narrow_networks
 
 torch = pytest.importorskip("torch")
 
-from recon.app.net import LabelSource, run_prediction, run_training  # noqa: E402
-from recon.errors import InputError  # noqa: E402
-from recon.net import batches, torch_extra  # noqa: E402
-from recon.net.batches import network_scales  # noqa: E402
-from recon.net.run import CHECKPOINT_FILE, TrainSettings  # noqa: E402
-from recon.net.torch_extra import fastest_threads  # noqa: E402
-from recon.net.trained import MODEL_FILE, Spec, Trained, load_file, load_model, part_of  # noqa: E402
-from recon.video import video_writer  # noqa: E402
+from recon.base.errors import InputError  # noqa: E402
+from recon.io.video import video_writer  # noqa: E402
+from recon.keypoint_net import batches, torch_extra  # noqa: E402
+from recon.keypoint_net.batches import network_scales  # noqa: E402
+from recon.keypoint_net.run import CHECKPOINT_FILE, TrainSettings  # noqa: E402
+from recon.keypoint_net.torch_extra import fastest_threads  # noqa: E402
+from recon.keypoint_net.trained import MODEL_FILE, Spec, Trained, load_file, load_model, part_of  # noqa: E402
+from recon.workflows.net import LabelSource, run_prediction, run_training  # noqa: E402
 
 SIZE, FRAMES = (160, 96), 12
 NAMES = ("nose", "l_paw", "r_paw")
@@ -29,7 +29,7 @@ SETTINGS = TrainSettings(steps=8, batch=2, seed=3, mirror=True)
 def no_report(monkeypatch: pytest.MonkeyPatch) -> None:
     """Only what is in it on threads."""
     monkeypatch.setattr(
-        "recon.app.net.write_training_report",
+        "recon.workflows.net.write_training_report",
         lambda run, state, folder: {"threads": state.threads, "step_s_by_threads": state.threads_s},
     )
 

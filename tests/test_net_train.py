@@ -13,17 +13,17 @@ from networks import EVALUATIONS, narrow_networks
 
 torch = pytest.importorskip("torch")
 
-from recon.app.net import LabelSource, run_prediction, run_training  # noqa: E402
-from recon.errors import InputError  # noqa: E402
+from recon.base.errors import InputError  # noqa: E402
+from recon.base.package import install_command  # noqa: E402
 from recon.io import read_keypoints  # noqa: E402
 from recon.io.deeplabcut import write_h5  # noqa: E402
-from recon.net import predict as predict_module  # noqa: E402
-from recon.net import train as train_module  # noqa: E402
-from recon.net.run import TrainSettings  # noqa: E402
-from recon.net.train import schedule  # noqa: E402
-from recon.net.trained import load_file, load_model  # noqa: E402
-from recon.package import install_command  # noqa: E402
-from recon.video import VideoInfo, probe, video_writer  # noqa: E402
+from recon.io.video import VideoInfo, probe, video_writer  # noqa: E402
+from recon.keypoint_net import predict as predict_module  # noqa: E402
+from recon.keypoint_net import train as train_module  # noqa: E402
+from recon.keypoint_net.run import TrainSettings  # noqa: E402
+from recon.keypoint_net.train import schedule  # noqa: E402
+from recon.keypoint_net.trained import load_file, load_model  # noqa: E402
+from recon.workflows.net import LabelSource, run_prediction, run_training  # noqa: E402
 
 SIZE, FRAMES = (96, 64), 20
 NAMES = ("nose", "l_paw", "r_paw")
@@ -95,7 +95,7 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
 def quick_training(patch: pytest.MonkeyPatch) -> None:
     """Narrow networks, and no report."""
     narrow_networks(patch)
-    patch.setattr("recon.app.net.write_training_report", lambda run, state, folder: {})
+    patch.setattr("recon.workflows.net.write_training_report", lambda run, state, folder: {})
 
 
 class Killed(Exception):
@@ -149,7 +149,7 @@ def test_ctrl_c_says_how_to_go_on(clip, tmp_path, monkeypatch):
     def interrupted(*args: object, **options: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("recon.app.net.train", interrupted)
+    monkeypatch.setattr("recon.workflows.net.train", interrupted)
     arguments = ["train", clip / "clip.avi", "--labels", clip / "labels.csv", "--first-frame", "50", "--steps", "3"]
     ended = run(*arguments, "--out", tmp_path / "out")
     assert ended.code == 130
@@ -237,7 +237,7 @@ def test_h5_and_csv_hold_the_same(clip, model, tmp_path):
 
 def test_averaged_views_agree_with_the_plain_one(clip, model):
     trained = load_model(model, torch.device("cpu"))
-    from recon.net.labels import read_labels
+    from recon.keypoint_net.labels import read_labels
 
     labels = read_labels(clip / "clip.avi", clip / "labels.csv", 50).scaled(trained.spec.scale)
     truth = np.stack([places(int(n) - 50) for n in labels.numbers])

@@ -7,8 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from recon.camera import Camera
-from recon.published.objectives import (
+from recon.animal.skeleton_file import load_chain
+from recon.geometry.camera import Camera
+from recon.thesis.objectives import (
     AngleRange,
     GaussianPrior,
     HeadingTie,
@@ -19,7 +20,6 @@ from recon.published.objectives import (
     RollPrior,
     TravelPrior,
 )
-from recon.skeleton_file import load_chain
 
 SK = load_chain("cheetah-8u")
 RNG = np.random.default_rng(1)

@@ -11,13 +11,12 @@ import pytest
 from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
-from recon.app.clip import write_clip
-from recon.app.overlay import camera_number, overlay_of, run_overlay
-from recon.cli import app
-from recon.errors import InputError
-from recon.manifest import write_manifest
-from recon.motion import Motion
-from recon.overlay import (
+from recon.base.errors import InputError
+from recon.base.manifest import write_manifest
+from recon.fit.motion import Motion
+from recon.fit.results import read_results
+from recon.io.video import probe, read_frames, video_writer
+from recon.show.overlay import (
     CLOSE_UP,
     DETECTION,
     DOUBT,
@@ -31,9 +30,10 @@ from recon.overlay import (
     shade,
     smoothed_headings,
 )
-from recon.results import read_results
-from recon.settings import FitSettings
-from recon.video import probe, read_frames, video_writer
+from recon.workflows.cli import app
+from recon.workflows.clip import write_clip
+from recon.workflows.overlay import camera_number, overlay_of, run_overlay
+from recon.workflows.settings import FitSettings
 
 SIZE = (1920, 1080)
 GREY = np.full((1080, 1920, 3), 128, np.uint8)

@@ -12,8 +12,8 @@ from types import SimpleNamespace
 import pytest
 
 import recon
-from recon import package
-from recon.package import DISTRIBUTION, install_command
+from recon.base import package
+from recon.base.package import DISTRIBUTION, install_command
 
 ROOT = Path(__file__).parents[1]
 

@@ -17,19 +17,19 @@ import pytest
 from command_line import run
 from motions import with_first
 
-from recon.app.batch import COLUMNS, Event
-from recon.app.batch.summary import write_summary_page
-from recon.app.batch.worker import done_with
-from recon.app.clip import write_clip
-from recon.app.page import run_page
-from recon.errors import InputError
-from recon.page.clip import doubtful_frames
-from recon.page.render import inline
-from recon.plots.angles import AngleCurve, angle_over_time, together
-from recon.plots.style import drawing
-from recon.results import read_results
-from recon.settings import FitSettings
-from recon.video import video_writer
+from recon.base.errors import InputError
+from recon.fit.results import read_results
+from recon.io.video import video_writer
+from recon.show.page.clip import doubtful_frames
+from recon.show.page.render import inline
+from recon.show.plots.angles import AngleCurve, angle_over_time, together
+from recon.show.plots.style import drawing
+from recon.workflows.batch import COLUMNS, Event
+from recon.workflows.batch.summary import write_summary_page
+from recon.workflows.batch.worker import done_with
+from recon.workflows.clip import write_clip
+from recon.workflows.page import run_page
+from recon.workflows.settings import FitSettings
 
 EVIL = '<img src=x onerror="alert(1)">&\'.csv'
 MOST_BYTES = 3_000_000
@@ -132,7 +132,7 @@ def test_a_page_has_the_video_behind_its_pictures(folder, tmp_path, monkeypatch)
         shown[behind] = [still.source for still in stills]
         return GENERATED
 
-    monkeypatch.setattr("recon.app.page.clip_page", clip_page)
+    monkeypatch.setattr("recon.workflows.page.clip_page", clip_page)
     copy = tmp_path / "copy"
     shutil.copytree(folder, copy)
     run_page(copy)
@@ -290,8 +290,10 @@ def test_pages_of_a_batch_are_made_beside_each_other(batch, monkeypatch):
             outcome = done_with(task, lambda stage, share: None)
             tell(Event("ended", clip, outcome=outcome))
 
-    monkeypatch.setattr("recon.app.page.carry_out", carry_out)
-    monkeypatch.setattr("recon.app.page.clip_page", lambda results, *_: pages.append(results.folder.name) or GENERATED)
+    monkeypatch.setattr("recon.workflows.page.carry_out", carry_out)
+    monkeypatch.setattr(
+        "recon.workflows.page.clip_page", lambda results, *_: pages.append(results.folder.name) or GENERATED
+    )
     ended = run("report", batch)
     assert ended.code == 0
     assert pages == []

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
 
-from recon.analysis.kinematics import JointKinematics, jitter_errors, peak_doubt, point_kinematics, speed_at_frames
-from recon.analysis.path import MAX_GAP_S, frame_jitter_m
+from recon.gait.kinematics import JointKinematics, jitter_errors, peak_doubt, point_kinematics, speed_at_frames
+from recon.gait.path import MAX_GAP_S, frame_jitter_m
 
 FPS = 30.0
 TIME_S = np.arange(40) / FPS

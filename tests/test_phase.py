@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from recon.analysis.kinematics import angle_kinematics
-from recon.analysis.phase import (
+from recon.base.errors import InputError
+from recon.gait.kinematics import angle_kinematics
+from recon.gait.phase import (
     Portrait,
     closure,
     degree_of_closure,
@@ -18,7 +19,6 @@ from recon.analysis.phase import (
     scaled,
     vector_field,
 )
-from recon.errors import InputError
 from recon.io.pose3d import Pose3D
 
 FPS = 90.0

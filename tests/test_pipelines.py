@@ -15,8 +15,8 @@ from board_pictures import poses, render
 from networks import narrow_networks
 
 import recon
-from recon.intrinsics import parse_board
-from recon.video import read_frames, video_writer
+from recon.calibrate.intrinsics import parse_board
+from recon.io.video import read_frames, video_writer
 from tests.test_calibrate import CAMERAS
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -137,7 +137,7 @@ def small_film(folder: Path) -> None:
 def test_video_to_3d(said, folder, monkeypatch):
     """With a network that learned next to nothing."""
     narrow_networks(monkeypatch)
-    monkeypatch.setattr("recon.net.train.EVALUATIONS", 1)
+    monkeypatch.setattr("recon.keypoint_net.train.EVALUATIONS", 1)
     small_film(folder)
     changes = {
         "../data/samples/rendered.mp4": "film.mp4",
@@ -170,5 +170,5 @@ def test_is_short_has_its_settings_beside_it_and_calls_only_what_is_public(name)
     code = text.split('"""', 2)[2].splitlines()
     assert sum(bool(line.strip()) and not line.startswith("#") for line in code) <= MOST_LINES
     imported = re.findall(r"^(?:import|from) (recon.*)$", text, re.MULTILINE)
-    assert {*imported} <= {"recon", "recon import plots"}
-    assert {*re.findall(r"\brecon\.(\w+)", text)} <= {*recon.__all__}
+    assert {*imported} <= {"recon", "recon.show import plots"}
+    assert {*re.findall(r"\brecon\.(\w+)", text)} <= {*recon.__all__, "show"}

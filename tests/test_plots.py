@@ -14,18 +14,18 @@ from matplotlib.patches import PathPatch
 from matplotlib.quiver import Quiver
 from PIL import Image
 
-from recon import plots
-from recon.analysis.gait import Plane, Stance, Stride, gait, tracks
-from recon.analysis.kinematics import Errors, angle_kinematics, point_kinematics
-from recon.analysis.phase import Closure, Portrait, phase_portrait, vector_field
-from recon.body import Side
-from recon.ik.chain import PlanarChain, SummedChain
-from recon.ik.drive import Closures, drive_to, follow
-from recon.ik.fit import FittedSeries
-from recon.ik.methods import DampedLeastSquares, JacobianTranspose, LeastNorm
-from recon.plots import composite, phase, style
-from recon.plots.observability import share_colours
-from recon.skeleton_file import load_skeleton
+from recon.animal.body import Side
+from recon.animal.skeleton_file import load_skeleton
+from recon.gait.gait import Plane, Stance, Stride, gait, tracks
+from recon.gait.kinematics import Errors, angle_kinematics, point_kinematics
+from recon.gait.phase import Closure, Portrait, phase_portrait, vector_field
+from recon.robotics.ik.chain import PlanarChain, SummedChain
+from recon.robotics.ik.drive import Closures, drive_to, follow
+from recon.robotics.ik.fit import FittedSeries
+from recon.robotics.ik.methods import DampedLeastSquares, JacobianTranspose, LeastNorm
+from recon.show import plots
+from recon.show.plots import composite, phase, style
+from recon.show.plots.observability import share_colours
 
 FPS = 50.0
 LIMBS = {"trunk": (0, 1), "near leg": (0, 2), "off leg": (0, 3)}

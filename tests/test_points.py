@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from recon.body import Body
-from recon.kinematics import PITCH, ROOT, YAW
-from recon.skeleton_file import builtin_names, load_skeleton
-from recon.solve.points import MIN_MARKERS, solve_points, solve_points_and_size
+from recon.animal.body import Body
+from recon.animal.skeleton_file import builtin_names, load_skeleton
+from recon.fit.points import MIN_MARKERS, solve_points, solve_points_and_size
+from recon.geometry.kinematics import PITCH, ROOT, YAW
 
 FAINT = 1e-6
 """A pull of the angles that moves no marker by anything that shows."""

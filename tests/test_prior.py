@@ -14,13 +14,8 @@ from command_line import run
 from scipy.stats import multivariate_normal
 from typer.testing import CliRunner
 
-from recon.app.clip import write_clip
-from recon.app.prior import _sound_states, run_prior_fit
-from recon.body import Body
-from recon.cli import app
-from recon.errors import InputError
-from recon.io.pose3d import read_pose_segments
-from recon.prior import (
+from recon.animal.body import Body
+from recon.animal.prior import (
     MotionPrior,
     as_one_gaussian,
     builtin_priors,
@@ -31,11 +26,16 @@ from recon.prior import (
     prior_from_body,
     save_prior,
 )
-from recon.prior.fit import POSE_FLOOR_RAD
-from recon.prior.motion import ACCELERATION_FLOOR_RAD_S2, RIDGE_PER_ROW
-from recon.results import read_results
-from recon.settings import FitSettings
-from recon.skeleton_file import load_chain, load_skeleton
+from recon.animal.prior.fit import POSE_FLOOR_RAD
+from recon.animal.prior.motion import ACCELERATION_FLOOR_RAD_S2, RIDGE_PER_ROW
+from recon.animal.skeleton_file import load_chain, load_skeleton
+from recon.base.errors import InputError
+from recon.fit.results import read_results
+from recon.io.pose3d import read_pose_segments
+from recon.workflows.cli import app
+from recon.workflows.clip import write_clip
+from recon.workflows.prior import _sound_states, run_prior_fit
+from recon.workflows.settings import FitSettings
 
 OMEGA_RAD_S = 12.0
 SPREAD_RAD = 0.3
@@ -243,7 +243,7 @@ def test_builtin(name):
     np.testing.assert_allclose(prior.weights @ prior.means, prior.mean, rtol=0, atol=1e-5)
     assert np.linalg.eigvalsh(prior.covariances).min() > 0.9 * POSE_FLOOR_RAD**2
     assert np.linalg.eigvalsh(prior.acceleration_covariance).min() > 0.9 * ACCELERATION_FLOOR_RAD_S2**2
-    assert (Path(__file__).parents[1] / "recon" / "priors" / f"{name}.npz").stat().st_size < 300_000
+    assert (Path(__file__).parents[1] / "recon" / "animal" / "priors" / f"{name}.npz").stat().st_size < 300_000
     chain = load_chain("cheetah-8u").body
     with pytest.raises(InputError) as error:
         load_prior(name, chain)

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2, t
 
-from recon.regions import DEGREES_OF_FREEDOM, radius, share_below, share_inside, sigmas
+from recon.fit.regions import DEGREES_OF_FREEDOM, radius, share_below, share_inside, sigmas
 
 
 def test_intervals_are_those_of_students_t_with_the_stated_variance():

@@ -13,9 +13,8 @@ import pytest
 from motions import with_first
 from rich.console import Console
 
-from recon.published import FrameReport
-from recon.published.frame import in_world
-from recon.report import (
+from recon.fit import Spell
+from recon.show.report import (
     SCHEMA_VERSION,
     build_report,
     console_summary,
@@ -24,10 +23,11 @@ from recon.report import (
     to_plain,
     write_report,
 )
-from recon.report.agreement import warnings as agreement_warnings
-from recon.report.cameras import step_warnings
-from recon.report.common import keypoint_warnings
-from recon.solve import Spell
+from recon.show.report.agreement import warnings as agreement_warnings
+from recon.show.report.cameras import step_warnings
+from recon.show.report.common import keypoint_warnings
+from recon.thesis import FrameReport
+from recon.thesis.frame import in_world
 
 DOCS = Path(__file__).resolve().parents[1] / "docs" / "report.md"
 

@@ -11,12 +11,12 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from recon.camera import Camera
-from recon.errors import InputError
+from recon.animal.skeleton_file import load_chain
+from recon.base.errors import InputError
+from recon.base.manifest import write_manifest
+from recon.fit.results import read_results
+from recon.geometry.camera import Camera
 from recon.io.pose3d import read_pose3d
-from recon.manifest import write_manifest
-from recon.results import read_results
-from recon.skeleton_file import load_chain
 
 
 def copy(folder: Path, to: Path) -> Path:
@@ -211,7 +211,7 @@ def test_without_a_manifest_they_are_no_results(whole_results, tmp_path):
 
 
 @pytest.mark.parametrize(
-    "content", ["", "[]", "{}", '{"schema": {"name": "recon.manifest", "version": 1}}', "9" * 5000]
+    "content", ["", "[]", "{}", '{"schema": {"name": "recon.base.manifest", "version": 1}}', "9" * 5000]
 )
 def test_a_manifest_of_another_kind(whole_results, tmp_path, content):
     folder = copy(whole_results, tmp_path)
@@ -249,7 +249,7 @@ def test_results_that_are_replaced_while_they_are_read(whole_results, tmp_path, 
         (folder / "manifest.json").unlink()
         return read_pose3d(path)
 
-    monkeypatch.setattr("recon.results.read_pose3d", replaced)
+    monkeypatch.setattr("recon.fit.results.read_pose3d", replaced)
     assert "no manifest.json" in problem(folder)
 
 

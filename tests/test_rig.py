@@ -13,13 +13,13 @@ import numpy as np
 import pytest
 from command_line import run
 
-from recon.app.convert import convert
-from recon.errors import InputError
-from recon.export import bvh, gltf, opensim
-from recon.export.rig import Rig, make_rig, rig_of
+from recon.animal.skeleton_file import builtin_names, load_skeleton
+from recon.base.errors import InputError
+from recon.fit.results import read_results
 from recon.io.pose3d import read_pose3d
-from recon.results import read_results
-from recon.skeleton_file import builtin_names, load_skeleton
+from recon.show.export import bvh, gltf, opensim
+from recon.show.export.rig import Rig, make_rig, rig_of
+from recon.workflows.convert import convert
 
 FRAMES = np.array([10, 11, 13, 14])
 MOST_M = 1e-5

@@ -16,21 +16,30 @@ from scipy.optimize import root
 from scipy.spatial.transform import Rotation
 from tune_climb import PUBLISHED, published
 
-from recon.errors import InputError
-from recon.plots import climb_field, climb_margins
-from recon.robot.body_pose import body_pose
-from recon.robot.climb import Recipe, Walker, bundled, check, load_recipe, plan, raised, save_recipe, scaled
-from recon.robot.climb.equilibrium import MAX_EVALUATIONS, Torso, TorsoDynamics, between, capped, moved, ride, solve
-from recon.robot.climb.fields import PLANAR, SPATIAL, Fields, Stand, Well, evaluate, leg_forces, wrench
-from recon.robot.climb.margins import NONE, margins, support_m
-from recon.robot.climb.motion import before, robot_motion
-from recon.robot.climb.paths import Step, along, corners
-from recon.robot.climb.plan import field_at
-from recon.robot.climb.walker import LABELS
-from recon.robot.leg import Leg, SwingLeg
-from recon.robot.quadruped import LEGS
-from recon.robot.retarget import posed
-from recon.robot.robot_file import load_robot
+from recon.base.errors import InputError
+from recon.robotics.robot.body_pose import body_pose
+from recon.robotics.robot.climb import Recipe, Walker, bundled, check, load_recipe, plan, raised, save_recipe, scaled
+from recon.robotics.robot.climb.equilibrium import (
+    MAX_EVALUATIONS,
+    Torso,
+    TorsoDynamics,
+    between,
+    capped,
+    moved,
+    ride,
+    solve,
+)
+from recon.robotics.robot.climb.fields import PLANAR, SPATIAL, Fields, Stand, Well, evaluate, leg_forces, wrench
+from recon.robotics.robot.climb.margins import NONE, margins, support_m
+from recon.robotics.robot.climb.motion import before, robot_motion
+from recon.robotics.robot.climb.paths import Step, along, corners
+from recon.robotics.robot.climb.plan import field_at
+from recon.robotics.robot.climb.walker import LABELS
+from recon.robotics.robot.leg import Leg, SwingLeg
+from recon.robotics.robot.quadruped import LEGS
+from recon.robotics.robot.retarget import posed
+from recon.robotics.robot.robot_file import load_robot
+from recon.show.plots import climb_field, climb_margins
 
 HIPS = np.array([[-0.0625, 0.065, 0], [-0.0625, -0.065, 0], [0.0625, 0.065, 0], [0.0625, -0.065, 0]])
 SIDE = np.sign(HIPS[:, 0])

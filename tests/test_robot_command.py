@@ -8,7 +8,7 @@ import pytest
 from command_line import run
 from robot_urdf import a1_urdf
 
-from recon.robot.robot_file import load_robot
+from recon.robotics.robot.robot_file import load_robot
 
 PUMA = """convention = "modified"
 joints = [

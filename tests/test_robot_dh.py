@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from recon.ik.costs import joint_differences
-from recon.ik.drive import drive_to
-from recon.ik.methods import (
+from recon.robotics.ik.costs import joint_differences
+from recon.robotics.ik.drive import drive_to
+from recon.robotics.ik.methods import (
     DampedLeastSquares,
     ExtendedJacobian,
     GradientProjection,
@@ -14,9 +14,9 @@ from recon.ik.methods import (
     SelectivelyDamped,
     WeightedLeastNorm,
 )
-from recon.robot.dh import DHRow, dh_chain, dh_table
-from recon.robot.lift_arm import lift_arm, lift_arm_chain, lift_arm_hand
-from recon.robot.solutions import all_solutions
+from recon.robotics.robot.dh import DHRow, dh_chain, dh_table
+from recon.robotics.robot.lift_arm import lift_arm, lift_arm_chain, lift_arm_hand
+from recon.robotics.robot.solutions import all_solutions
 
 QUARTER = np.pi / 2
 PUMA_MODIFIED = tuple(

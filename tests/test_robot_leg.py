@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from recon.robot.leg import NOT_FINITE, REASONS, TOO_FAR, TOO_LATERAL, TOO_NEAR, FlapLeg, Leg, SwingLeg
+from recon.robotics.robot.leg import NOT_FINITE, REASONS, TOO_FAR, TOO_LATERAL, TOO_NEAR, FlapLeg, Leg, SwingLeg
 
 AIBO = SwingLeg(thigh_m=0.0695, shin_m=0.0715, knee_offset_m=0.009, foot_offset_m=-0.009)
 FLAP = FlapLeg(thigh_m=0.213, shin_m=0.213, lateral_m=0.08)

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from recon.errors import InputError
-from recon.robot.quadruped import LEGS
-from recon.robot.robot_file import builtin_robots, load_robot
+from recon.base.errors import InputError
+from recon.robotics.robot.quadruped import LEGS
+from recon.robotics.robot.robot_file import builtin_robots, load_robot
 
 AIBO = """
 name = "mine"

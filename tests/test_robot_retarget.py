@@ -11,19 +11,19 @@ from command_line import run
 from rerun.chunk import RrdReader
 from robot_urdf import a1_urdf
 
-from recon.app.retarget import companion, repeated, run_retarget, solve
-from recon.errors import InputError
-from recon.results import read_results
-from recon.robot.body_pose import feet_in_world
-from recon.robot.footholds import planted, stances
-from recon.robot.quadruped import LEGS
-from recon.robot.reference import closed_stride, reference_of, stride_window, with_other_side
-from recon.robot.retarget import drawn_in, place, retarget
-from recon.robot.robot_file import load_robot
-from recon.skeleton_file import load_skeleton
-from recon.view.robot import Companion, write_robot
-from recon.view.scene import LEFT, MIDDLE, RIGHT
-from recon.view.stored import Part
+from recon.animal.skeleton_file import load_skeleton
+from recon.base.errors import InputError
+from recon.fit.results import read_results
+from recon.robotics.robot.body_pose import feet_in_world
+from recon.robotics.robot.footholds import planted, stances
+from recon.robotics.robot.quadruped import LEGS
+from recon.robotics.robot.reference import closed_stride, reference_of, stride_window, with_other_side
+from recon.robotics.robot.retarget import drawn_in, place, retarget
+from recon.robotics.robot.robot_file import load_robot
+from recon.show.view.robot import Companion, write_robot
+from recon.show.view.scene import LEFT, MIDDLE, RIGHT
+from recon.show.view.stored import Part
+from recon.workflows.retarget import companion, repeated, run_retarget, solve
 
 # -- footholds ---------------------------------------------------------------------------------------------------------
 
@@ -338,7 +338,7 @@ def test_command(whole_results, tmp_path):
 
 
 def test_urdf_file(whole, tmp_path):
-    """The same robot joint by joint, solved by the methods of recon.ik."""
+    """The same robot joint by joint, solved by the methods of recon.robotics.ik."""
     path = tmp_path / "a1.urdf"
     path.write_text(a1_urdf())
     stride = closed_stride(whole, stride_window(whole))
@@ -363,8 +363,8 @@ def test_every_problem_at_once(tmp_path):
 
 def test_a_real_run(shared_data, tmp_path):
     """A clip without a complete stride: nearest return, said so."""
-    from recon.app.clip import run_clip
-    from recon.settings import FitSettings
+    from recon.workflows.clip import run_clip
+    from recon.workflows.settings import FitSettings
 
     run_folder = shared_data / "cheetah-runs" / "2017_09_02-top-phantom-run1_2"
     meta = json.loads((run_folder / "meta.json").read_text())

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from recon.robot.rigid import exp_se2, exp_se3, log_se2, log_se3
+from recon.robotics.robot.rigid import exp_se2, exp_se3, log_se2, log_se3
 
 V, W = np.array([2.0, 1.0, -3.0]), np.array([np.pi / 10, -np.pi / 4, np.pi / 9])
 

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from robot_urdf import HEAD, JOINT, a1_urdf, moving
 
-from recon.errors import InputError
-from recon.ik.costs import joint_differences
-from recon.ik.drive import drive_to
-from recon.ik.methods import (
+from recon.base.errors import InputError
+from recon.robotics.ik.costs import joint_differences
+from recon.robotics.ik.drive import drive_to
+from recon.robotics.ik.methods import (
     DampedLeastSquares,
     ExtendedJacobian,
     GradientProjection,
@@ -18,9 +18,9 @@ from recon.ik.methods import (
     SelectivelyDamped,
     WeightedLeastNorm,
 )
-from recon.robot.quadruped import LEGS
-from recon.robot.robot_file import load_robot
-from recon.robot.urdf import read_urdf, urdf_chain
+from recon.robotics.robot.quadruped import LEGS
+from recon.robotics.robot.robot_file import load_robot
+from recon.robotics.robot.urdf import read_urdf, urdf_chain
 
 ARM = (
     (

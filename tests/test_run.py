@@ -12,15 +12,15 @@ import numpy as np
 import pytest
 from command_line import run
 
-from recon.app.batch import Event
-from recon.app.batch.worker import done_with
-from recon.app.clip import output_files, write_clip
-from recon.app.run import Job, job_of, run_video
-from recon.app.run_folder import jobs_of, keypoints_of, run_folder
-from recon.errors import InputError
-from recon.files import staged_results
-from recon.settings import FitSettings
-from recon.video import video_writer
+from recon.base.errors import InputError
+from recon.base.files import staged_results
+from recon.io.video import video_writer
+from recon.workflows.batch import Event
+from recon.workflows.batch.worker import done_with
+from recon.workflows.clip import output_files, write_clip
+from recon.workflows.run import Job, job_of, run_video
+from recon.workflows.run_folder import jobs_of, keypoints_of, run_folder
+from recon.workflows.settings import FitSettings
 
 SAMPLES = Path(__file__).parents[1] / "data" / "samples"
 ALL = ["fit", "analyse", "overlay", "page"]
@@ -74,17 +74,17 @@ def called(monkeypatch, report) -> list[str]:
             (folder / "report.json").write_text(report, encoding="utf-8")
             (folder / "pose3d.csv").write_text(f"poses {next(numbers)}")
 
-    monkeypatch.setattr("recon.app.net.run_prediction", predict)
-    monkeypatch.setattr("recon.app.camera_motion.run_camera_motion", track)
-    monkeypatch.setattr("recon.app.run._check_inputs", lambda job: None)
-    monkeypatch.setattr("recon.app.run.fit_clip", lambda settings, progress: None)
-    monkeypatch.setattr("recon.app.run.write_clip", write_results)
+    monkeypatch.setattr("recon.workflows.net.run_prediction", predict)
+    monkeypatch.setattr("recon.workflows.camera_motion.run_camera_motion", track)
+    monkeypatch.setattr("recon.workflows.run._check_inputs", lambda job: None)
+    monkeypatch.setattr("recon.workflows.run.fit_clip", lambda settings, progress: None)
+    monkeypatch.setattr("recon.workflows.run.write_clip", write_results)
     analysed = does(
         "analyse", "analysis/analysis.json", lambda path: SimpleNamespace(out=path.parent, files=[path.name])
     )
-    monkeypatch.setattr("recon.app.analyse.run_analyse", analysed)
-    monkeypatch.setattr("recon.app.run.run_overlay", does("overlay", "overlay.mp4"))
-    monkeypatch.setattr("recon.app.page.run_page", does("page", "report.html"))
+    monkeypatch.setattr("recon.workflows.analyse.run_analyse", analysed)
+    monkeypatch.setattr("recon.workflows.run.run_overlay", does("overlay", "overlay.mp4"))
+    monkeypatch.setattr("recon.workflows.page.run_page", does("page", "report.html"))
     return names
 
 
@@ -151,7 +151,7 @@ def test_names_of_files_are_relative_to_where_one_is(film, called, monkeypatch):
 
 def test_a_camera_that_turns(film, called, monkeypatch):
     fitted = []
-    monkeypatch.setattr("recon.app.run.fit_clip", lambda settings, progress: fitted.append(settings))
+    monkeypatch.setattr("recon.workflows.run.fit_clip", lambda settings, progress: fitted.append(settings))
     turning = {"camera_motion": "turns", "given": {"tilt_deg": 3.0}}
     assert done(job(film, **turning), called) == ["camera-motion", *ALL]
     assert fitted[0].camera_track == (film.parent.absolute() / "out" / "run_camera.csv",)
@@ -165,7 +165,7 @@ def test_a_stage_that_was_interrupted_is_done_again(film, called, monkeypatch):
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr("recon.app.run.run_overlay", interrupted)
+        patch.setattr("recon.workflows.run.run_overlay", interrupted)
         with pytest.raises(KeyboardInterrupt):
             run_video(job(film))
     assert called == ["fit", "analyse"]
@@ -207,7 +207,7 @@ def test_without_a_pose_there_is_a_page_and_no_more(film, called, report, monkey
         with staged_results(out, output_files(out)) as folder:
             (folder / "report.json").write_text(json.dumps(nothing))
 
-    monkeypatch.setattr("recon.app.run.write_clip", write)
+    monkeypatch.setattr("recon.workflows.run.write_clip", write)
     ended = run(
         "run", film, "--camera", SAMPLES / "camera.toml", "--keypoints", film.parent / "points.csv",
         "--out", film.parent / "out",
@@ -274,9 +274,11 @@ def test_a_video_of_another_size_is_refused_before_the_fit(film):
 @pytest.mark.usefixtures("small_pictures")
 def test_the_stages_are_those_of_the_commands(tmp_path, monkeypatch):
     """All of it, with the beginning of the rendered film, but for figures, which take long."""
-    monkeypatch.setattr("recon.app.analyse.write_figures", lambda *given: None)
+    monkeypatch.setattr("recon.workflows.analyse.write_figures", lambda *given: None)
     page = '<meta name="generator" content="recon">'
-    monkeypatch.setattr("recon.app.page.clip_page", lambda _, stills, behind, files, camera: f"{page} {behind} {files}")
+    monkeypatch.setattr(
+        "recon.workflows.page.clip_page", lambda _, stills, behind, files, camera: f"{page} {behind} {files}"
+    )
     given = {"camera": SAMPLES / "rendered_camera.toml", "fast": True, "frames": "0:6"}
     job = job_of(SAMPLES / "rendered.mp4", tmp_path / "out", given, keypoints=SAMPLES / "rendered_points.csv")
     stages, shares = [], []
@@ -323,7 +325,7 @@ def test_a_folder_is_a_batch(tmp_path, called, monkeypatch):
             outcome = done_with(json.loads(json.dumps(task)), lambda stage, share: None)
             tell(Event("ended", clip, outcome=outcome))
 
-    monkeypatch.setattr("recon.app.batch.carry_out", carry_out)
+    monkeypatch.setattr("recon.workflows.batch.carry_out", carry_out)
     videos = tmp_path / "videos"
     videos.mkdir()
     for name in ("a", "b"):

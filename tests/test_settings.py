@@ -11,11 +11,11 @@ import pytest
 import typer
 from rich.text import Text
 
-from recon.cli import app
-from recon.errors import InputError
-from recon.published import FrameOptions
-from recon.settings import SETTINGS, FitSettings, of_method, option, read_settings
-from recon.solve import TrajectoryOptions
+from recon.base.errors import InputError
+from recon.fit import TrajectoryOptions
+from recon.thesis import FrameOptions
+from recon.workflows.cli import app
+from recon.workflows.settings import SETTINGS, FitSettings, of_method, option, read_settings
 
 GIVEN = {"keypoints": Path("/data/clip.csv"), "camera": Path("/data/camera.toml"), "fps": 30.0}
 
@@ -387,7 +387,7 @@ def test_the_help_of_an_option_is_the_tables():
 
 
 def test_nothing_slow_is_imported_with_the_table():
-    code = "import sys, recon.settings; print({'numpy', 'scipy', 'pydantic', 'pandas'} & {*sys.modules})"
+    code = "import sys, recon.workflows.settings; print({'numpy', 'scipy', 'pydantic', 'pandas'} & {*sys.modules})"
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout == "set()\n"
 
 

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 from command_line import run
 
-from recon.app.clip import write_clip
-from recon.app.overlay import overlay_of, run_sheet
-from recon.errors import InputError
-from recon.overlay import DETECTION, LEFT, PAPER, TILE_PX, draw_sheet
-from recon.results import read_results
-from recon.settings import FitSettings
-from recon.video import video_writer
+from recon.base.errors import InputError
+from recon.fit.results import read_results
+from recon.io.video import video_writer
+from recon.show.overlay import DETECTION, LEFT, PAPER, TILE_PX, draw_sheet
+from recon.workflows.clip import write_clip
+from recon.workflows.overlay import overlay_of, run_sheet
+from recon.workflows.settings import FitSettings
 
 WIDTH, HEIGHT = TILE_PX
 

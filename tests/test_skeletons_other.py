@@ -13,16 +13,16 @@ import pytest
 from typer.testing import CliRunner
 
 from recon import Body, Camera, FitSettings, InputError, Keypoints, Motion, fit_clip, load_skeleton
-from recon.analysis.evaluation import centre, joint_errors, score
-from recon.app.skeleton_check import check_skeleton, list_skeletons, run_skeleton_check
-from recon.body import both_sides, other_side, side_of, without_side
-from recon.cli import app
+from recon.animal.body import both_sides, other_side, side_of, without_side
+from recon.animal.naming import builtin_maps, load_names
+from recon.animal.prior import prior_from_body
+from recon.animal.skeleton_file import builtin_chains, builtin_names, load_chain
 from recon.clip import still_view
+from recon.fit import TrajectoryOptions, solve_trajectory
+from recon.gait.evaluation import centre, joint_errors, score
 from recon.io import read_keypoints
-from recon.naming import builtin_maps, load_names
-from recon.prior import prior_from_body
-from recon.skeleton_file import builtin_chains, builtin_names, load_chain
-from recon.solve import TrajectoryOptions, solve_trajectory
+from recon.workflows.cli import app
+from recon.workflows.skeleton_check import check_skeleton, list_skeletons, run_skeleton_check
 
 PAGE = (Path(__file__).parents[1] / "docs" / "writing-a-skeleton.md").read_text(encoding="utf-8")
 CAT = PAGE.split("```toml")[1].split("```")[0]
@@ -330,7 +330,7 @@ def test_a_users_file_works_where_a_name_does(tmp_path, monkeypatch):
 
 
 def test_a_chain_may_extend_a_file_beside_it(tmp_path, monkeypatch):
-    chain = Path(__file__).parents[1] / "recon" / "skeletons" / "cheetah-8u.toml"
+    chain = Path(__file__).parents[1] / "recon" / "animal" / "skeletons" / "cheetah-8u.toml"
     in_file(tmp_path, chain.read_text(encoding="utf-8"), "base.toml")
     own = in_file(
         tmp_path, 'extends = "base.toml"\nname = "mine"\ntitle = "longer"\n[length_m]\nr5 = 0.5\n', "mine.toml"

@@ -13,16 +13,16 @@ import pytest
 from command_line import run
 from scipy.sparse import load_npz
 
-from recon import plots
-from recon.analysis.solver import SolverRecord
-from recon.app.analyse import solver_figures
-from recon.app.solver import read_solver
-from recon.errors import InputError
-from recon.export import solver_csv
-from recon.manifest import write_manifest
-from recon.results import read_results
-from recon.settings import read_settings
-from recon.view.analysis import _solver
+from recon.base.errors import InputError
+from recon.base.manifest import write_manifest
+from recon.fit.results import read_results
+from recon.show import plots
+from recon.show.export import solver_csv
+from recon.show.view.analysis import _solver
+from recon.thesis.solver import SolverRecord
+from recon.workflows.analyse import solver_figures
+from recon.workflows.settings import read_settings
+from recon.workflows.solver import read_solver
 
 SAMPLES = Path(__file__).parents[1] / "data" / "samples"
 

@@ -37,15 +37,23 @@ def test_a_fit_imports_what_it_uses(tmp_path):
     modules = imported_by(*fit, "--out", tmp_path)
     assert (tmp_path / "motion.rrd").is_file()
     assert {"numpy", "rerun"} <= modules
-    unused = {"scipy.interpolate", "scipy.optimize", "scipy.spatial", "scipy.special", "recon.analysis.clip", "h5py"}
+    unused = {"scipy.interpolate", "scipy.optimize", "scipy.spatial", "scipy.special", "recon.gait.clip", "h5py"}
     unused |= {"pandas.core", "cv2", "torch", "matplotlib", "tables"}
     assert modules & unused == set()
 
 
 def test_the_process_that_fits_many_clips_imports_what_it_uses():
-    modules = imported_by(what=("-c", "import recon.app.batch.worker"))
-    assert "recon.app.clip" in modules
-    unused = {"scipy.interpolate", "scipy.optimize", "recon.plots", "recon.net", "jinja2", "cv2", "pandas.core"}
+    modules = imported_by(what=("-c", "import recon.workflows.batch.worker"))
+    assert "recon.workflows.clip" in modules
+    unused = {
+        "scipy.interpolate",
+        "scipy.optimize",
+        "recon.show.plots",
+        "recon.keypoint_net",
+        "jinja2",
+        "cv2",
+        "pandas.core",
+    }
     assert modules & unused == set()
 
 

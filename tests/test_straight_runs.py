@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from gallop import gallop
 
-from recon import straight_runs as runs
-from recon.body import facing_side
-from recon.chain import upright_rotation
-from recon.published.starts import estimate_travel, geometric_start, mean_pose, state_from_joints
-from recon.skeleton_file import load_chain
-from recon.straight_runs import place_on_rays, straight_runs
+from recon.animal.body import facing_side
+from recon.animal.chain import upright_rotation
+from recon.animal.skeleton_file import load_chain
+from recon.fit import straight_runs as runs
+from recon.fit.straight_runs import place_on_rays, straight_runs
+from recon.thesis.starts import estimate_travel, geometric_start, mean_pose, state_from_joints
 
 SK = load_chain("cheetah-8u")
 

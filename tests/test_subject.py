@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 from recon import Body, InputError, load_skeleton
-from recon.app.subject import run_subject_fit
+from recon.fit import TrajectoryOptions
+from recon.fit.points import solve_points
+from recon.fit.setting import Setting
+from recon.fit.shape import Shape, ShapeFit, fit_shape
 from recon.io.deeplabcut import write_csv
 from recon.io.pose3d import Pose3D
-from recon.solve import TrajectoryOptions
-from recon.solve.points import solve_points
-from recon.solve.setting import Setting
-from recon.solve.shape import Shape, ShapeFit, fit_shape
+from recon.workflows.subject import run_subject_fit
 from tests.command_line import run
 from tests.test_cameras import folder, settings  # noqa: F401
 from tests.test_trajectory import BODY, FPS, PRIOR

@@ -7,14 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from recon.camera import Camera
+from recon.animal.prior import ANGLES, MotionPrior, prior_from_body
+from recon.animal.skeleton_file import load_skeleton
 from recon.clip import still_view
-from recon.prior import ANGLES, MotionPrior, prior_from_body
-from recon.skeleton_file import load_skeleton
-from recon.solve import TrajectoryOptions, TrajectorySolution, solve_trajectory
-from recon.solve.least_squares import Estimate, LeastSquares
-from recon.solve.surprise import LASTS_S, Surprise, surprise_of
-from recon.solve.terms import POSE, Linear, pose_term
+from recon.fit import TrajectoryOptions, TrajectorySolution, solve_trajectory
+from recon.fit.least_squares import Estimate, LeastSquares
+from recon.fit.surprise import LASTS_S, Surprise, surprise_of
+from recon.fit.terms import POSE, Linear, pose_term
+from recon.geometry.camera import Camera
 
 BODY = load_skeleton("cheetah-24", "phantom")
 PLAIN = prior_from_body(BODY)

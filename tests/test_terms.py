@@ -7,12 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from recon.camera import Camera
+from recon.animal.prior import load_prior
+from recon.animal.skeleton_file import load_skeleton
 from recon.clip import View, still_view
-from recon.prior import load_prior
-from recon.skeleton_file import load_skeleton
-from recon.solve.least_squares import LeastSquares
-from recon.solve.terms import (
+from recon.fit.least_squares import LeastSquares
+from recon.fit.terms import (
     Heading,
     KnownAngles,
     Linear,
@@ -26,6 +25,7 @@ from recon.solve.terms import (
     pose_term,
     root_term,
 )
+from recon.geometry.camera import Camera
 
 FPS = 90.0
 T = 5
@@ -155,7 +155,7 @@ def test_a_steady_gait_of_the_prior_costs_no_motion():
 
 def test_a_component_on_its_own_is_a_gaussian():
     """K = 1: the mixture's cost less its constant is the Gaussian's."""
-    from recon.prior import as_one_gaussian
+    from recon.animal.prior import as_one_gaussian
 
     one = as_one_gaussian(PRIOR)
     a, b = some_states(0), some_states(1)

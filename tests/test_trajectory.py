@@ -10,16 +10,16 @@ import numpy as np
 import pytest
 from gallop import gallop
 
-from recon.analysis.evaluation import evaluate
-from recon.app.clip import fit_clip
-from recon.body import other_side
-from recon.camera import Camera
+from recon.animal.body import other_side
+from recon.animal.prior import load_prior, prior_from_body
+from recon.animal.skeleton_file import load_chain, load_skeleton
 from recon.clip import still_view
+from recon.fit import TrajectoryOptions, TrajectorySolution, solve_trajectory
+from recon.gait.evaluation import evaluate
+from recon.geometry.camera import Camera
 from recon.io.pose3d import Pose3D, read_pose3d
-from recon.prior import load_prior, prior_from_body
-from recon.settings import FitSettings
-from recon.skeleton_file import load_chain, load_skeleton
-from recon.solve import TrajectoryOptions, TrajectorySolution, solve_trajectory
+from recon.workflows.clip import fit_clip
+from recon.workflows.settings import FitSettings
 
 FPS = 90.0
 CAMERA = Camera.from_hfov(60.0, (1920, 1080))

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from recon.errors import InputError
-from recon.video import probe, read_frames, video_writer
+from recon.base.errors import InputError
+from recon.io.video import probe, read_frames, video_writer
 
 
 def grey(level: int) -> np.ndarray:

@@ -13,13 +13,13 @@ import pytest
 from rerun.chunk import RrdReader
 from scipy.spatial.transform import Rotation
 
+from recon.base.errors import InputError
 from recon.clip import Source, views_of
-from recon.errors import InputError
-from recon.motion import Motion
-from recon.published import FrameOptions, FrameSolution, solve_frames
-from recon.solve import Solution, Spell
-from recon.view import open_viewer, write
-from recon.view.world import BRIGHT_BLUE, FAINT_BLUE, UNSEEN, share_colours
+from recon.fit import Solution, Spell
+from recon.fit.motion import Motion
+from recon.show.view import open_viewer, write
+from recon.show.view.world import BRIGHT_BLUE, FAINT_BLUE, UNSEEN, share_colours
+from recon.thesis import FrameOptions, FrameSolution, solve_frames
 
 # World axes x, y (ahead), z (up) seen from 2 m above the origin, looking along y.
 LOOKING_ALONG_Y = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])

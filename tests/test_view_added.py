@@ -13,11 +13,11 @@ import rerun as rr
 import rerun.blueprint as rrb
 from rerun.chunk import Chunk, RrdReader
 
-from recon.errors import InputError
-from recon.motion import Motion
-from recon.view import write
-from recon.view.added import AddedSeries, AddedStates, StateRow, write_plots
-from recon.view.together import put_together
+from recon.base.errors import InputError
+from recon.fit.motion import Motion
+from recon.show.view import write
+from recon.show.view.added import AddedSeries, AddedStates, StateRow, write_plots
+from recon.show.view.together import put_together
 
 BLUE, ORANGE = (86, 180, 233), (230, 159, 0)
 TABS, HORIZONTAL = 1, 2

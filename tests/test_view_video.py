@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 from rerun.chunk import RrdReader
 
-from recon.errors import InputError
-from recon.motion import Motion
-from recon.video import video_writer
-from recon.view import write
-from recon.view.added import AddedSeries, write_plots
-from recon.view.together import put_together
-from recon.view.video import write_video
+from recon.base.errors import InputError
+from recon.fit.motion import Motion
+from recon.io.video import video_writer
+from recon.show.view import write
+from recon.show.view.added import AddedSeries, write_plots
+from recon.show.view.together import put_together
+from recon.show.view.video import write_video
 
 FRAMES = list(range(10, 18))
 

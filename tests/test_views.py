@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from recon.clip import View, camera_poses, still_view
-from recon.frames import inverse, level_from_camera, moved, rigid
+from recon.fit import TrajectoryOptions, TrajectorySolution, solve_trajectory
+from recon.fit.setting import Setting
+from recon.geometry.frames import inverse, level_from_camera, moved, rigid
 from recon.io.pose3d import read_pose3d
-from recon.solve import TrajectoryOptions, TrajectorySolution, solve_trajectory
-from recon.solve.setting import Setting
 from tests.conftest import SAMPLES
 from tests.test_trajectory import BODY, CAMERA, FPS, PRIOR, run, seen
 

@@ -11,8 +11,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from recon.camera import Camera
-from recon.video import Image
+from recon.geometry.camera import Camera
+from recon.io.video import Image
 
 Array = NDArray[np.float64]
 Colour = tuple[float, float, float]

@@ -11,10 +11,10 @@ import numpy as np
 from draw_film import render_frames
 from make_samples import SyntheticClip, seen_by, whole_animal, write_keypoints, write_truth
 
-from recon.calibration import write_camera
-from recon.camera import Camera
-from recon.keypoints import Keypoints
-from recon.video import Image, video_writer
+from recon.clip.keypoints import Keypoints
+from recon.geometry.camera import Camera
+from recon.io.calibration import write_camera
+from recon.io.video import Image, video_writer
 
 FPS, FRAMES, LABELLED = 120, 90, 40
 SIZE_PX = (640, 360)

@@ -9,13 +9,13 @@ from pathlib import Path
 
 import numpy as np
 
-from recon import detector
-from recon.calibration import write_camera
-from recon.camera import Camera
-from recon.keypoints import Keypoints
-from recon.skeleton_file import load_skeleton
-from recon.solve import solve_points
-from recon.synthetic import add_noise
+from recon.animal import detector
+from recon.animal.skeleton_file import load_skeleton
+from recon.clip.keypoints import Keypoints
+from recon.fit import solve_points
+from recon.fit.synthetic import add_noise
+from recon.geometry.camera import Camera
+from recon.io.calibration import write_camera
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "benchmarks"))
 from gallop import SyntheticClip, gallop

@@ -7,11 +7,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from recon.arrays import Array, Bools, Integers
-from recon.camera import Camera
+from recon.base.arrays import Array, Bools, Integers
+from recon.base.errors import InputError, Problem
+from recon.clip.keypoints import CleaningReport, Keypoints
 from recon.clip.view import View, camera_poses
-from recon.errors import InputError, Problem
-from recon.keypoints import CleaningReport, Keypoints
+from recon.geometry.camera import Camera
 
 
 @dataclass(frozen=True, eq=False)

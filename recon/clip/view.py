@@ -8,10 +8,10 @@ from functools import cached_property
 
 import numpy as np
 
-from recon.arrays import Array, Bools, Index
-from recon.camera import Camera
-from recon.frames import inverse, level_from_camera, rigid
-from recon.rotations import euler_rotation
+from recon.base.arrays import Array, Bools, Index
+from recon.geometry.camera import Camera
+from recon.geometry.frames import inverse, level_from_camera, rigid
+from recon.geometry.rotations import euler_rotation
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,8 +92,8 @@ class View:
         return near & self.camera.rays(np.where(near[..., None], self._unzoomed_px, np.nan))[1]
 
     def placed(self, placing: Array) -> View:
-        """Of a camera that lies beside its pose by a placing (6,): turned by angles about its axes (`recon.rotations`),
-        then moved along them, X_camera = R(angles) X + metres."""
+        """Of a camera that lies beside its pose by a placing (6,): turned by angles about its axes
+        (`recon.geometry.rotations`), then moved along them, X_camera = R(angles) X + metres."""
         if not placing.any():
             return self
         return replace(self, T_camera_world=rigid(euler_rotation(placing[:3]), placing[3:]) @ self.T_camera_world)
@@ -164,12 +164,12 @@ class View:
 
 
 def world_from_reference(first: Camera) -> Array:
-    """T_world_reference (4, 4) of `recon.frames`, of a clip whose first camera stands still."""
+    """T_world_reference (4, 4) of `recon.geometry.frames`, of a clip whose first camera stands still."""
     return np.eye(4) if first.knows_up else rigid(level_from_camera(first.up), np.zeros(3)) @ _pose(first)
 
 
 def camera_poses(cameras: Sequence[Camera]) -> list[Array]:
-    """T_camera_world (4, 4) of still cameras, in the world frame of `recon.frames`."""
+    """T_camera_world (4, 4) of still cameras, in the world frame of `recon.geometry.frames`."""
     T_reference_world = inverse(world_from_reference(cameras[0]))
     return [_pose(camera) @ T_reference_world for camera in cameras]
 

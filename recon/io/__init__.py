@@ -12,13 +12,13 @@ from typing import Literal
 
 import numpy as np
 
-from recon.documents import require_file
-from recon.errors import InputError, Problem
+from recon.base.documents import require_file
+from recon.base.errors import InputError, Problem
+from recon.clip.keypoints import Keypoints
 from recon.io import bvh, c3d, coco, columns, deeplabcut, mmpose, movement, npz, nwb, parquet, sleap, trc
 from recon.io.common import NoChoiceError, with_likelihoods
 from recon.io.hdf5 import is_hdf5
 from recon.io.pose import StoredPoints
-from recon.keypoints import Keypoints
 
 Kind = Literal["2D", "3D"]
 
@@ -59,7 +59,7 @@ READERS = tuple(reader for reader in FORMATS if "2D" in reader.holds)
 
 
 def read_keypoints(path: str | Path, individual: str | None = None) -> Keypoints:
-    """The keypoints of one animal, as the file states them (see `recon.keypoints.clean`), in any known format.
+    """The keypoints of one animal, as the file states them (see `recon.clip.keypoints.clean`), in any known format.
 
     individual: the animal's name, needed where the file holds several. Raises InputError for a file that is missing,
     empty, of no known format, or faulty.

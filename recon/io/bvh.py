@@ -13,8 +13,8 @@ from pathlib import Path
 
 import numpy as np
 
-from recon.documents import read_text
-from recon.errors import InputError, Problem
+from recon.base.documents import read_text
+from recon.base.errors import InputError, Problem
 from recon.io.common import choose, frame_number, name_problems, number, starts_with_text
 from recon.io.pose import StoredPoints
 

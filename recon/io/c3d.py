@@ -19,8 +19,8 @@ from typing import Any
 
 import numpy as np
 
-from recon.errors import InputError, Problem
-from recon.files import write_bytes
+from recon.base.errors import InputError, Problem
+from recon.base.files import write_bytes
 from recon.io.common import (
     choose,
     formats_extra,

@@ -14,11 +14,11 @@ from typing import Any
 
 import numpy as np
 
-from recon.documents import read_json
-from recon.errors import InputError, Problem
+from recon.base.documents import read_json
+from recon.base.errors import InputError, Problem
+from recon.clip.keypoints import Keypoints
 from recon.io.common import MAX_FRAME, choose, first_problems, name_problems, rate, starts_with_text
 from recon.io.pose import StoredPoints
-from recon.keypoints import Keypoints
 
 FRAME_KEYS = ("frame_id", "frame_index", "frame_number")
 

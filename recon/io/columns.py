@@ -12,13 +12,13 @@ from typing import Any
 
 import numpy as np
 
-from recon.errors import InputError, Problem
+from recon.base.errors import InputError, Problem
+from recon.clip.keypoints import Keypoints
 from recon.io.column_map import ColumnLayout, find_layout, layout_by_name
 from recon.io.common import MAX_FRAME, choose, first_problems, frames_of_times, name_problems, numbers, rate
 from recon.io.hdf5 import is_hdf5
 from recon.io.pose import StoredPoints
 from recon.io.table import write_rows
-from recon.keypoints import Keypoints
 
 SEPARATORS = (",", ";", "\t")
 

@@ -10,9 +10,9 @@ from pathlib import Path
 
 import numpy as np
 
-from recon.errors import InputError, Problem
-from recon.keypoints import Keypoints, frame_ranges
-from recon.package import install_command
+from recon.base.errors import InputError, Problem
+from recon.base.package import install_command
+from recon.clip.keypoints import Keypoints, frame_ranges
 
 # What tools call the only animal of a file when nobody named it.
 UNNAMED = ("individual_0", "id_0", "track_0")

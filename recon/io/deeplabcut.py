@@ -19,14 +19,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from recon.errors import InputError, Problem
-from recon.files import write_bytes
+from recon.base.errors import InputError, Problem
+from recon.base.files import write_bytes
+from recon.clip.keypoints import Keypoints
 from recon.io import pandas_hdf
 from recon.io.common import PROBLEMS_SHOWN, choose, first_problems, frame_number, numbers, rate
 from recon.io.hdf5 import is_hdf5
 from recon.io.pose import Pose3D, StoredPoints, points_of
 from recon.io.table import write_table
-from recon.keypoints import Keypoints
 
 HEADERS = (
     ("scorer", "bodyparts", "coords"),

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from recon.errors import InputError, Problem
+from recon.base.errors import InputError, Problem
 
 if TYPE_CHECKING:
     import h5py

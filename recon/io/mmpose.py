@@ -9,8 +9,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from recon.documents import read_json
-from recon.errors import InputError, Problem
+from recon.base.documents import read_json
+from recon.base.errors import InputError, Problem
 from recon.io import coco
 from recon.io.common import starts_with_text
 from recon.io.pose import StoredPoints

@@ -15,8 +15,9 @@ from typing import Any
 
 import numpy as np
 
-from recon.errors import InputError, Problem
-from recon.files import write_bytes
+from recon.base.errors import InputError, Problem
+from recon.base.files import write_bytes
+from recon.clip.keypoints import Keypoints
 from recon.io.common import UNNAMED, choose, formats_extra, frames_of_times, name_problems, rate, starts_with
 from recon.io.hdf5 import (
     DAMAGE,
@@ -32,7 +33,6 @@ from recon.io.hdf5 import (
     texts,
 )
 from recon.io.pose import UNIT_NAMES, Pose3D, StoredPoints, points_of
-from recon.keypoints import Keypoints
 
 CLASSIC = b"CDF"
 VARIABLES = ("position", "confidence", "time", "space", "keypoint", "individual", "keypoints", "individuals")

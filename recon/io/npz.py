@@ -10,8 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
-from recon.errors import InputError, Problem
-from recon.files import write_bytes
+from recon.base.errors import InputError, Problem
+from recon.base.files import write_bytes
 from recon.io.common import choose, name_problems, rate, starts_with
 from recon.io.pose import Pose3D, StoredPoints, index_edges
 

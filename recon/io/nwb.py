@@ -16,8 +16,9 @@ from uuid import uuid4
 
 import numpy as np
 
-from recon.errors import InputError, Problem
-from recon.files import write_bytes
+from recon.base.errors import InputError, Problem
+from recon.base.files import write_bytes
+from recon.clip.keypoints import Keypoints
 from recon.io.common import (
     choose,
     formats_extra,
@@ -29,7 +30,6 @@ from recon.io.common import (
 )
 from recon.io.hdf5 import attribute, child, groups, names, numbers, opened, outline, texts
 from recon.io.pose import UNIT_NAMES, Pose3D, StoredPoints, index_edges, points_of
-from recon.keypoints import Keypoints
 
 TITLE = "ndx-pose NWB"
 NO_NAMES = r"[/:]"

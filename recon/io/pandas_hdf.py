@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from recon.errors import InputError, Problem
+from recon.base.errors import InputError, Problem
 from recon.io import plain_pickle
 from recon.io.hdf5 import attribute, child, groups, names, numbers, opened, raw_attribute, read
 

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from recon.errors import InputError, Problem
-from recon.files import write_bytes
+from recon.base.errors import InputError, Problem
+from recon.base.files import write_bytes
 from recon.io.column_map import find_layout
 from recon.io.columns import gather
 from recon.io.common import formats_extra, rate, starts_with

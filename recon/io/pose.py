@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from recon.keypoints import Keypoints
+from recon.clip.keypoints import Keypoints
 
 PER_METRE = {"m": 1.0, "cm": 100.0, "mm": 1000.0}
 UNIT_NAMES = {

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from recon.errors import InputError, Problem
+from recon.base.errors import InputError, Problem
 from recon.io import Reader, file_head, read_points
 from recon.io.common import PROBLEMS_SHOWN, frame_number, numbers
 from recon.io.deeplabcut import Column, Table, gather

@@ -14,12 +14,12 @@ from typing import Any
 
 import numpy as np
 
-from recon.errors import InputError, Problem
-from recon.files import write_bytes
+from recon.base.errors import InputError, Problem
+from recon.base.files import write_bytes
+from recon.clip.keypoints import Keypoints
 from recon.io.common import choose, formats_extra, name_problems, rate, require_span
 from recon.io.hdf5 import attribute, child, numbers, opened, outline, texts
 from recon.io.pose import StoredPoints
-from recon.keypoints import Keypoints
 
 TITLE = "SLEAP analysis H5"
 ORDERS = {

@@ -1,4 +1,4 @@
-"""Spoilt files for every reader and settings file: each is read, or refused in words (`recon.errors.InputError`).
+"""Spoilt files for every reader and settings file: each is read, or refused in words (`recon.base.errors.InputError`).
 
     python -m tests.fuzz [--cases 100000] [--seed 0] [--jobs 2] [--first 0]
     python -m tests.fuzz --case 1234 --seed 0     # one of them again, with its traceback; the file is left

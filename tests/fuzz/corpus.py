@@ -11,30 +11,30 @@ from pathlib import Path
 
 import numpy as np
 
-from recon.app.batch.inputs import find_clips
-from recon.app.batch.record import read_record
-from recon.app.clip import run_clip
-from recon.calibration import read_cameras, write_camera
-from recon.camera import Camera
-from recon.camera_track import read_camera_track
-from recon.detector import seen_by
-from recon.errors import InputError
-from recon.export import bvh
-from recon.export.formats import FORMATS
-from recon.export.rig import make_rig
+from recon.animal.detector import seen_by
+from recon.animal.naming import load_names
+from recon.animal.prior import load_prior
+from recon.animal.skeleton_file import builtin_subjects, load_skeleton
+from recon.base.errors import InputError
+from recon.base.manifest import MANIFEST, write_manifest
+from recon.clip.keypoints import Keypoints, clean
+from recon.fit.results import read_results
+from recon.geometry.camera import Camera
 from recon.io import columns, read_keypoints
+from recon.io.calibration import read_cameras, write_camera
+from recon.io.camera_track import read_camera_track
 from recon.io.column_map import parse_map
 from recon.io.pose3d import Pose3D, read_pose3d, read_pose_segments
-from recon.keypoints import Keypoints, clean
-from recon.manifest import MANIFEST, write_manifest
-from recon.naming import load_names
-from recon.net.labels import read_label_file
-from recon.prior import load_prior
-from recon.results import read_results
-from recon.robot.climb.recipe import load_recipe
-from recon.robot.robot_file import load_dh, load_robot
-from recon.settings import FitSettings, read_settings
-from recon.skeleton_file import builtin_subjects, load_skeleton
+from recon.keypoint_net.labels import read_label_file
+from recon.robotics.robot.climb.recipe import load_recipe
+from recon.robotics.robot.robot_file import load_dh, load_robot
+from recon.show.export import bvh
+from recon.show.export.formats import FORMATS
+from recon.show.export.rig import make_rig
+from recon.workflows.batch.inputs import find_clips
+from recon.workflows.batch.record import read_record
+from recon.workflows.clip import run_clip
+from recon.workflows.settings import FitSettings, read_settings
 
 SAMPLES = Path(__file__).resolve().parents[2] / "data" / "samples"
 LABELS = """scorer,me,me,me,me
@@ -236,7 +236,7 @@ def _by_map(path: Path) -> object:
 
 
 def _rates(path: Path) -> object:
-    from recon.app.prior import _rates as read
+    from recon.workflows.prior import _rates as read
 
     return read(str(path), [path])
 
@@ -277,7 +277,7 @@ def _track(path: Path) -> object:
 
 
 def _built_in() -> Iterator[Seed]:
-    package = resources.files("recon")
+    package = resources.files("recon") / "animal"
     for name in ("cheetah-8u", "cheetah-24", "horse-22"):
         yield Seed(f"{name}.toml", (package / "skeletons" / f"{name}.toml").read_bytes(), _body_of, 1.5)
     subject = builtin_subjects()[0]
@@ -290,12 +290,12 @@ def _built_in() -> Iterator[Seed]:
     prior = (package / "priors" / "running-cheetah.npz").read_bytes()
     yield Seed("prior.npz", prior, lambda path: load_prior(path, body), 1.5)
     for name in ("aibo", "a1"):
-        content = (resources.files("recon.robot") / "robots" / f"{name}.toml").read_bytes()
+        content = (resources.files("recon.robotics.robot") / "robots" / f"{name}.toml").read_bytes()
         yield Seed(f"robot-{name}.toml", content, load_robot, 1.5)
     yield Seed("dh.toml", DH, load_dh)
     if find_spec("yourdfpy") is not None:
         yield Seed("robot.urdf", _urdf().encode(), load_robot, 0.3)
-    recipe = sorted((resources.files("recon.robot.climb") / "recipes").iterdir(), key=str)[0]
+    recipe = sorted((resources.files("recon.robotics.robot.climb") / "recipes").iterdir(), key=str)[0]
     yield Seed("recipe.toml", recipe.read_bytes(), load_recipe)
 
 
@@ -344,7 +344,7 @@ def _models(folder: Path) -> Iterator[Seed]:
         return
     import torch
 
-    from recon.net.trained import FORMAT, load_model
+    from recon.keypoint_net.trained import FORMAT, load_model
 
     calibration = {"slope": 1.0, "offset": 0.0, "points": 0}
     spec = {"names": ["nose", "tail"], "scale": 0.5, "body_length_px": 300.0, "tolerance_px": 9.0, "partner": [0, 1]}

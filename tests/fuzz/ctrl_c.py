@@ -32,7 +32,7 @@ READY = "READY"
 CODE = f"""
 import os, signal
 from recon.__main__ import main
-from recon.interrupts import Interrupts
+from recon.base.interrupts import Interrupts
 install = Interrupts.install
 def install_and_tell(self):
     install(self)

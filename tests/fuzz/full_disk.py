@@ -47,14 +47,14 @@ class Case(NamedTuple):
 
 
 def read_results(out: Path) -> object:
-    from recon.results import read_results
+    from recon.fit.results import read_results
 
     read_manifest(out)
     return read_results(out)
 
 
 def read_data(out: Path) -> object:
-    from recon.app.convert import Options, read_any
+    from recon.workflows.convert import Options, read_any
 
     if out.suffix in (".osim", ".glb"):  # by others
         sizes = [path.stat().st_size for path in out.parent.glob(f"{out.stem}.*")]
@@ -64,7 +64,7 @@ def read_data(out: Path) -> object:
 
 
 def read_manifest(out: Path) -> object:
-    from recon.manifest import read_manifest
+    from recon.base.manifest import read_manifest
 
     changed = read_manifest(out).changed()
     assert not changed, changed
@@ -72,7 +72,7 @@ def read_manifest(out: Path) -> object:
 
 
 def read_video(out: Path) -> object:
-    from recon.video import probe, read_frames
+    from recon.io.video import probe, read_frames
 
     frames = sum(1 for _ in read_frames(out))
     assert frames == probe(out).stated_frames
@@ -165,7 +165,7 @@ def prepare(folder: Path) -> None:
     import cv2
     import numpy as np
 
-    from recon.video import video_writer
+    from recon.io.video import video_writer
 
     ended = Child(Case("fit", (*FIT, "--out", "{out}"), "clip"), folder).wait()
     assert ended == (0, ""), ended
@@ -195,7 +195,7 @@ class Child:
                 os._exit(code)
 
     def _run(self, case: Case, out: Path, limit: int | None, then_read: bool) -> int:
-        from recon.cli import main
+        from recon.workflows.cli import main
 
         nothing = os.open(os.devnull, os.O_RDWR)
         for stream, target in ((0, nothing), (1, nothing), (2, self.err.fileno())):
@@ -311,11 +311,6 @@ def main() -> None:
     parser.add_argument("--by-file", action="store_true", help="limit the size of files: no root needed")
     given = parser.parse_args()
     os.environ.update(dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "RAYON_NUM_THREADS"), "1"))
-    import recon.app.analyse
-    import recon.app.clip
-    import recon.app.convert
-    import recon.plots
-    import recon.view.together  # noqa: F401  # children have it all
 
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)

@@ -23,11 +23,11 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from recon.app.clip import OUTPUT_FILES, run_clip
-from recon.errors import InputError
-from recon.files import staged_results
-from recon.results import read_results
-from recon.settings import FitSettings
+from recon.base.errors import InputError
+from recon.base.files import staged_results
+from recon.fit.results import read_results
+from recon.workflows.clip import OUTPUT_FILES, run_clip
+from recon.workflows.settings import FitSettings
 
 SAMPLES = Path(__file__).resolve().parents[2] / "data" / "samples"
 STEPS = ("mkdir", "replace")

@@ -27,18 +27,18 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from recon.app.clip import fit_clip
-from recon.calibration import write_camera
-from recon.camera import Camera
-from recon.errors import InputError
-from recon.export.clip_csv import write_tables
+from recon.animal.skeleton_file import builtin_chains, builtin_names, load_skeleton
+from recon.base.errors import InputError
+from recon.clip.keypoints import Keypoints
+from recon.fit.motion import Motion
+from recon.geometry.camera import Camera
+from recon.io.calibration import write_camera
 from recon.io.deeplabcut import write_csv
-from recon.keypoints import Keypoints
-from recon.motion import Motion
-from recon.published import FrameSolution
-from recon.report import build_report, summary_lines, write_report
-from recon.settings import FitSettings
-from recon.skeleton_file import builtin_chains, builtin_names, load_skeleton
+from recon.show.export.clip_csv import write_tables
+from recon.show.report import build_report, summary_lines, write_report
+from recon.thesis import FrameSolution
+from recon.workflows.clip import fit_clip
+from recon.workflows.settings import FitSettings
 
 Array = NDArray[np.float64]
 Rng = np.random.Generator

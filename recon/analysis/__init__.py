@@ -1,1 +1,0 @@
-"""Functions of a reconstruction: what it says, and how good it is."""

@@ -1,0 +1,1 @@
+"""The animal: its body, skeleton and subject files, detectors, names, and what its motions look like."""

@@ -1,0 +1,223 @@
+"""An animal: a tree of segments (`recon.geometry.kinematics`), its markers, and what is expected of its pose.
+
+The states are the tree's. Right-handed frames, x forwards, y left, z up. There is one model for all: a whole animal of
+`[[segments]]`, and a chain of `[[links]]` (`recon.animal.chain`), which is a tree with the limbs of one side.
+
+What is left and right, fore and hind, stands here and nowhere else: names of segments and markers say by a word
+wherever it stands in them which side they belong to (`SIDES`), the skeleton's file says where each foot is (`PLACES`),
+and a limb has the side of its markers. A marker of a chain has a keypoint for either side.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Literal
+
+import numpy as np
+
+from recon.base.arrays import Array, Index
+from recon.geometry.kinematics import Tree
+
+Side = Literal["left", "right"]
+
+SIDES = {"left": "right", "near": "off", "l": "r"}
+"""Words for the left side, and for the right. A horse's near side is its left one, wherever it is seen from."""
+_OPPOSITE = SIDES | {right: left for left, right in SIDES.items()}
+_SEPARATORS = "_-. "
+
+
+def _side_pattern() -> re.Pattern[str]:
+    """A word of a side in a name: between separators, as in front_left_paw, eye.L or paw_off2, or told apart by
+    capitals, as in frontLeftPaw, LHip or hipR. At the beginning one with a capital needs no end, as in Nearknee. A
+    letter beside a number is none: l1 may be a vertebra."""
+    words = [word for word in _OPPOSITE if len(word) > 1]
+    lower, title, upper = ("|".join(map(case, words)) for case in (str.lower, str.title, str.upper))
+    return re.compile(
+        f"^(?:{title})"
+        f"|(?<![A-Za-z])(?:{upper})(?![A-Za-z])"
+        f"|(?<![A-Za-z])(?:{lower}|{title})(?![a-z])"
+        f"|(?<=[a-z0-9])(?:{title})(?![a-z])"
+        "|(?<![A-Za-z0-9])[lrLR](?![A-Za-z0-9])"
+        "|(?<![A-Za-z0-9])[lrLR](?=[A-Z][a-z])"
+        "|(?<=[a-z])[LR](?=[A-Z][a-z]|[^A-Za-z0-9]|$)"
+    )
+
+
+_SIDE = _side_pattern()
+
+PLACES = {"left_fore": "LF", "right_fore": "RF", "left_hind": "LH", "right_hind": "RH"}
+"""Where a foot of a whole animal is, and its label."""
+_LABELLED: dict[str, Side] = {"L": "left", "R": "right"}
+CHAIN_PLACES = {"fore": "F", "hind": "H"}
+"""The same of a chain, which stands for either side: the label gets that of the fit in front of it."""
+
+
+def side_of(name: str) -> Side | None:
+    """None: the middle. Of several sides the first counts."""
+    word = _SIDE.search(name)
+    return None if word is None else "left" if word[0].lower() in SIDES else "right"
+
+
+def other_side(name: str) -> str:
+    """l_paw -> r_paw and back; names of the middle stay."""
+    word = _SIDE.search(name)
+    return name if word is None else name[: word.start()] + _opposite(word[0]) + name[word.end() :]
+
+
+def without_side(name: str) -> str:
+    """front_left_paw -> front_paw; names of the middle stay."""
+    word = _SIDE.search(name)
+    if word is None:
+        return name
+    before, after = name[: word.start()], name[word.end() :]
+    if not before or before[-1] in _SEPARATORS:
+        after = after.lstrip(_SEPARATORS)
+    return (before + after if after else before.rstrip(_SEPARATORS)) or name
+
+
+def both_sides(name: str) -> str:
+    """l_paw or r_paw -> l/r_paw; names of the middle stay."""
+    word = _SIDE.search(name)
+    if word is None:
+        return name
+    left, right = sorted((word[0], _opposite(word[0])), key=lambda one: one.lower() not in SIDES)
+    return f"{name[: word.start()]}{left}/{right}{name[word.end() :]}"
+
+
+def _opposite(word: str) -> str:
+    """In the same case."""
+    other = _OPPOSITE[word.lower()]
+    return other.upper() if word.isupper() else other.title() if word.istitle() else other
+
+
+def common_side(sides: Iterable[Side | None]) -> Side | None:
+    """Of what has points of these sides: None where they are of both, or all in the middle."""
+    found: set[Side] = {side for side in sides if side is not None}
+    return found.pop() if len(found) == 1 else None
+
+
+def facing_side(rear_px: Array, front_px: Array) -> tuple[Side, str]:
+    """The side of the animal that faces an upright camera, and why.
+
+    rear_px, front_px (T, 2): ends of the trunk, NaN where missing. An animal that faces the right of the picture shows
+    its right side.
+    """
+    ahead = (front_px - rear_px)[:, 0]
+    ahead = ahead[np.isfinite(ahead)]
+    if len(ahead) == 0:
+        return "right", "no frame shows both ends of the trunk: right by default"
+    side: Side = "right" if np.median(ahead) > 0 else "left"
+    agree = np.mean((ahead > 0) == (side == "right"))
+    return side, f"the animal faces the {side} of the picture in {agree:.0%} of {len(ahead)} frames"
+
+
+@dataclass(frozen=True)
+class Body:
+    """A tree with J markers and D unknowns per frame, and the expectations of them."""
+
+    name: str
+    title: str
+    tree: Tree
+    keypoints: tuple[tuple[str, str], ...]
+    """(J,): of each marker the keypoint's name when the limbs of the left, and of the right side are fitted. Of a whole
+    animal both are the marker's own."""
+    limbs: dict[str, tuple[str, ...]]
+    """Marker names along each limb, for drawing."""
+    forward: tuple[str, str]
+    """Two markers, from rear to front."""
+    feet: tuple[str, ...]
+    """The markers that touch the ground."""
+    foot_labels: tuple[str, ...]
+    """Where the feet are, of `PLACES`, or of a chain `CHAIN_PLACES`."""
+    keypoint_sigma_m: float
+    """How far keypoints lie from the markers."""
+    size_sigma: float
+    """Of the size, the factor on all lengths, around 1."""
+    mean_rad: Array
+    """(D - 4,): expected angles state[:, 4:], that is the root's pitch and roll and the joints' angles."""
+    sigma_rad: Array
+    """(D - 4,): one standard deviation of them."""
+    acceleration_rad_s2: Array
+    """(D - 4,): one standard deviation of their acceleration."""
+    keypoint_offset_m: dict[str, tuple[float, float, float]] = field(default_factory=dict)
+    """How far a detector's keypoint lies from a marker, (x, y, z) in the marker's segment, by marker."""
+    keypoint_spread_m: dict[str, float] = field(default_factory=dict)
+    """How far off that it lies in one clip, along each axis and all the time."""
+    keypoint_noise_m: dict[str, float] = field(default_factory=dict)
+    """How far off in a single frame, of markers of which it is known; of others it is keypoint_sigma_m."""
+    detector: str | None = None
+    """Whose keypoints are expected (`recon.animal.detector`)."""
+
+    @cached_property
+    def detected(self) -> Tree:
+        """The tree with its markers where a detector sees them."""
+        if not self.keypoint_offset_m:
+            return self.tree
+        zero = (0.0, 0.0, 0.0)
+        shifts = [self.keypoint_offset_m.get(m.name, zero) for m in self.tree.markers]
+        markers = (
+            replace(m, offset_m=(m.offset_m[0] + x, m.offset_m[1] + y, m.offset_m[2] + z))
+            for m, (x, y, z) in zip(self.tree.markers, shifts, strict=True)
+        )
+        return replace(self.tree, markers=tuple(markers))
+
+    @cached_property
+    def markers(self) -> tuple[str, ...]:
+        """(J,)"""
+        return tuple(m.name for m in self.tree.markers)
+
+    @cached_property
+    def one_sided(self) -> bool:
+        """A chain, which stands for the limbs of either side; otherwise a whole animal."""
+        return any(left != right for left, right in self.keypoints)
+
+    def keypoint_names(self, side: Side | None) -> tuple[str, ...]:
+        """(J,): of the markers, when the limbs of that side are fitted. None: of a whole animal."""
+        return tuple(right if side == "right" else left for left, right in self.keypoints)
+
+    def feet_by_label(self, side: Side | None = None) -> dict[str, str]:
+        """Markers of the feet by LF, RF, LH, RH. side: the fitted one, of a chain."""
+        start = "" if side is None else side[0].upper()
+        labels = (label if label in PLACES.values() else start + label for label in self.foot_labels)
+        return dict(zip(labels, self.feet, strict=True))
+
+    def side_of(self, marker: str) -> Side | None:
+        """By what is said of it as a foot, or else by its name."""
+        label = dict(zip(self.feet, self.foot_labels, strict=True)).get(marker, "")
+        return _LABELLED[label[0]] if label in PLACES.values() else side_of(marker)
+
+    def limb_sides(self, side: Side | None = None) -> dict[str, Side | None]:
+        """The side of each limb; None: the middle, or both. side: the fitted one, of a chain."""
+        of_either = {m for m, (left, right) in zip(self.markers, self.keypoints, strict=True) if left != right}
+        return {
+            limb: common_side(side if marker in of_either else self.side_of(marker) for marker in along)
+            for limb, along in self.limbs.items()
+        }
+
+    @cached_property
+    def limb_rows(self) -> dict[str, tuple[int, ...]]:
+        """Markers along each limb by their places, for drawing."""
+        at = {marker: j for j, marker in enumerate(self.markers)}
+        return {limb: tuple(at[marker] for marker in along) for limb, along in self.limbs.items()}
+
+    @property
+    def n_state(self) -> int:
+        return self.tree.n_state
+
+    @property
+    def state_names(self) -> tuple[str, ...]:
+        return self.tree.state_names
+
+    @cached_property
+    def mirror(self) -> tuple[Index, Array]:
+        """Permutation and sign, both (D,): state[..., permutation] * sign is the animal mirrored left to right.
+
+        The mirror is the world's x-z plane. What has no counterpart on the other side is taken for the middle.
+        """
+        at = {name: i for i, name in enumerate(self.state_names)}
+        permutation = np.array([at.get(other_side(name), i) for name, i in at.items()])
+        flips = np.array([False, True, False, *(axis != "y" for axis in self.tree.axes)])
+        return permutation, np.where(flips, -1.0, 1.0)

@@ -1,0 +1,302 @@
+"""A chain of rigid links joined by universal joints: the 8U chain, as published and as a tree of segments.
+
+The chain hangs from a root joint in the local frame UVW (U forwards along the first spine link, V down, W to the side,
+right-handed). Every link has two angles relative to its parent, theta in the sagittal UV plane and phi in the
+transverse UW plane, and no twist. Along a path from the root the angles add up, T = sum of theta, P = sum of phi, and a
+link of length r adds
+
+    r (cos T cos P,  sin T,  cos T sin P)
+
+to the position, so that it keeps its length for any angles. The pose of the chain in the camera frame is R (p0 + c): c
+is the joint's local position, p0 the root's, R = Rx(xi) Ry(psi) Rz(zeta). One frame's unknowns, the state, are
+
+    [theta of every free link, phi of every free link, x0, y0, z0, xi, psi, zeta, base_length]
+
+with base_length in metres scaling all links. That is the form of the frame method (`recon.thesis`). For everything
+else the chain is a tree of segments as any animal's (`Chain.body`).
+
+Source: C. van der Leek, "Kinematic Modeling and Dynamic Aspects of an Accelerating Quadruped", MSc(Eng), University of
+Cape Town, 2022, with the link direction corrected (printed sin T cos P for the first component does not keep the
+length).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from recon.animal.body import Body, Side
+from recon.base.arrays import Array, Index
+from recon.geometry.kinematics import PITCH, ROLL, ROOT, YAW, Joint, Marker, Segment, Tree
+from recon.geometry.rotations import euler_rotation, euler_rotation_with_jacobian
+
+MIN_JOINTS = 5
+"""Fewer detected joints than this do not place a chain."""
+MIN_REACH_PX = 50.0
+"""All links end to end shorter than this in the picture: too far away to have been detected."""
+
+UVW_BODY = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+"""Takes the body's axes x forwards, y left, z up to U, V (down), W."""
+_PITCH_RAD = 0.3
+"""Standard deviation of a running animal's pitch."""
+_ROOT_RAD_S2 = 40.0
+"""Standard deviation of the acceleration of its pitch and roll."""
+
+
+@dataclass(frozen=True)
+class Link:
+    """One rigid link. `free` says whether it has angles of its own or lies on its parent's axis."""
+
+    name: str
+    start: str
+    end: str
+    limb: str
+    length_ratio: float
+    free: bool
+
+
+@dataclass(frozen=True)
+class AngleRanges:
+    """Expected ranges of the free links' angles, in the order of the state: each array has shape (A,)."""
+
+    mean_rad: Array
+    """The expected range is mean +- tolerance."""
+    tolerance_rad: Array
+    max_rate_rad_s: Array
+    """The fastest expected change."""
+
+
+@dataclass(frozen=True)
+class PriorScales:
+    """Standard deviations of the chain's soft expectations (see docs/skeletons.md for the fields)."""
+
+    softness_rad: float
+    theta_rad: float
+    phi_rad: float
+    roll_rad: float
+    heading_rad_per_sqrt_s: float
+    travel_rad: float
+    base_length_m: float
+    keypoint_m: float
+
+
+@dataclass(frozen=True)
+class Posed:
+    """States and where they put the chain, in the camera frame; N states, J joints, D unknowns. The Jacobians are
+    None unless they were asked for."""
+
+    state: Array
+    """(N, D)"""
+    rotation: Array
+    """(N, 3, 3): R_camera_local."""
+    joints_m: Array
+    """(N, J, 3)"""
+    joints_jacobian: Array | None = None
+    """(N, J, 3, D)"""
+    rotation_jacobian: Array | None = None
+    """(N, 3, 3, 3), whose axis 1 runs over xi, psi, zeta."""
+
+
+@dataclass(frozen=True)
+class Chain:
+    """A chain's geometry, its keypoints and what is expected of its angles."""
+
+    name: str
+    title: str
+    links: tuple[Link, ...]
+    joints: tuple[str, ...]
+    """Names, root first, then the links' ends in the order of the links."""
+    keypoints: tuple[tuple[str, str], ...]
+    """For each joint its keypoint's name on the (left, right) side."""
+    forward: tuple[str, str]
+    """Two joints, from rear to front."""
+    feet: tuple[str, ...]
+    """The joints that touch the ground."""
+    foot_labels: tuple[str, ...]
+    """Where they are, of `recon.animal.body.CHAIN_PLACES`."""
+    theta: AngleRanges
+    phi: AngleRanges
+    scales: PriorScales
+    nominal_base_length_m: float
+
+    # -- layout of the state --------------------------------------------------------------------------------------
+
+    @cached_property
+    def n_angles(self) -> int:
+        """Number of free links A; a state has D = 2 A + 7 unknowns."""
+        return sum(link.free for link in self.links)
+
+    @property
+    def n_state(self) -> int:
+        return 2 * self.n_angles + 7
+
+    @cached_property
+    def theta_slice(self) -> slice:
+        return slice(0, self.n_angles)
+
+    @cached_property
+    def phi_slice(self) -> slice:
+        return slice(self.n_angles, 2 * self.n_angles)
+
+    @cached_property
+    def place_slice(self) -> slice:
+        """x0, y0, z0: the root in the local frame, metres."""
+        return slice(2 * self.n_angles, 2 * self.n_angles + 3)
+
+    @cached_property
+    def euler_slice(self) -> slice:
+        """xi, psi, zeta of R_camera_local, rad."""
+        return slice(2 * self.n_angles + 3, 2 * self.n_angles + 6)
+
+    @property
+    def base_index(self) -> int:
+        return 2 * self.n_angles + 6
+
+    @cached_property
+    def angle_names(self) -> tuple[str, ...]:
+        """theta_<link's end> and phi_<link's end> without the joint's letter, as in theta_6."""
+        ends = [link.end.lstrip("J") for link in self.links if link.free]
+        return tuple(f"theta_{e}" for e in ends) + tuple(f"phi_{e}" for e in ends)
+
+    @cached_property
+    def state_names(self) -> tuple[str, ...]:
+        return (*self.angle_names, "x0_m", "y0_m", "z0_m", "xi", "psi", "zeta", "base_length_m")
+
+    def keypoint_names(self, side: Side) -> tuple[str, ...]:
+        """The joints' keypoints when the limbs of that side are fitted, (J,)."""
+        return tuple(left if side == "left" else right for left, right in self.keypoints)
+
+    @cached_property
+    def limbs(self) -> dict[str, tuple[str, ...]]:
+        """Joints along each limb, from its start, for drawing."""
+        limbs: dict[str, list[str]] = {}
+        for link in self.links:
+            limbs.setdefault(link.limb, [link.start]).append(link.end)
+        return {name: tuple(joints) for name, joints in limbs.items()}
+
+    # -- kinematics ----------------------------------------------------------------------------------------------
+
+    @cached_property
+    def length_ratios(self) -> Array:
+        """(L,)"""
+        return np.array([link.length_ratio for link in self.links])
+
+    @cached_property
+    def body(self) -> Body:
+        """The same chain as a tree of segments in metres, root first: one per link, named after the joint it ends in.
+
+        The segments' x axes lie along the links. The root's axes are x = U, y = W, z = -V, its origin is the root
+        joint, and every joint is a marker: theta is pitch, phi is yaw, both summed.
+        """
+        length = {link.end: link.length_ratio * self.nominal_base_length_m for link in self.links}
+        segments = [Segment(self.joints[0], None, "free")]
+        for link in self.links:
+            joint: Joint = "summed" if link.free else "fixed"
+            segments.append(Segment(link.end, link.start, joint, (length.get(link.start, 0.0), 0.0, 0.0)))
+        markers = (Marker(self.joints[0], self.joints[0]), *(Marker(j, j, (length[j], 0.0, 0.0)) for j in length))
+        tree = Tree(tuple(segments), markers)
+
+        ranges = [self.theta, self.phi]
+        expected = np.zeros((3, tree.n_state))
+        expected[:, PITCH] = 0.0, _PITCH_RAD, _ROOT_RAD_S2
+        expected[:, ROLL] = 0.0, self.scales.roll_rad, _ROOT_RAD_S2
+        expected[0, self.body_angles] = np.concatenate([r.mean_rad for r in ranges])
+        expected[1, self.body_angles] = np.repeat([self.scales.theta_rad, self.scales.phi_rad], self.n_angles)
+        # A swing through the expected range that just reaches the fastest rate, w = rate / tolerance, accelerates by
+        # w^2 tolerance at most, and by that over sqrt(2) on the average.
+        swing = [r.max_rate_rad_s**2 / r.tolerance_rad / np.sqrt(2) for r in ranges]
+        expected[2, self.body_angles] = np.concatenate(swing)
+        return Body(
+            name=self.name,
+            title=self.title,
+            tree=tree,
+            keypoints=self.keypoints,
+            limbs=self.limbs,
+            forward=self.forward,
+            feet=self.feet,
+            foot_labels=self.foot_labels,
+            keypoint_sigma_m=self.scales.keypoint_m,
+            size_sigma=self.scales.base_length_m / self.nominal_base_length_m,
+            mean_rad=expected[0, 4:],
+            sigma_rad=expected[1, 4:],
+            acceleration_rad_s2=expected[2, 4:],
+        )
+
+    @cached_property
+    def body_angles(self) -> Index:
+        """(2 A,): where the body's state has this state's angles."""
+        # After the root's six unknowns, every free link has its yaw and then its pitch.
+        pitch = 7 + 2 * np.arange(self.n_angles)
+        return np.concatenate([pitch, pitch - 1])
+
+    def to_body(self, state: Array, T_world_camera: Array) -> tuple[Array, Array]:
+        """States (N, D') of the body in the world, and its sizes (N,), from states of this chain (N, D).
+
+        T_world_camera: (4, 4) or (N, 4, 4).
+        """
+        R_world_local = T_world_camera[..., :3, :3] @ euler_rotation(state[:, self.euler_slice])
+        R = R_world_local @ UVW_BODY
+        body_state = np.empty((len(state), self.body.n_state))
+        in_local = state[:, self.place_slice, None]
+        body_state[:, ROOT] = (R_world_local @ in_local)[..., 0] + T_world_camera[..., :3, 3]
+        body_state[:, YAW] = np.arctan2(R[:, 1, 0], R[:, 0, 0])
+        body_state[:, PITCH] = np.arctan2(-R[:, 2, 0], np.hypot(R[:, 0, 0], R[:, 1, 0]))
+        body_state[:, ROLL] = np.arctan2(R[:, 2, 1], R[:, 2, 2])
+        body_state[:, self.body_angles] = state[:, : 2 * self.n_angles]
+        return body_state, state[:, self.base_index] / self.nominal_base_length_m
+
+    @cached_property
+    def _local_tree(self) -> Tree:
+        """The body with its root held at the origin of the world, whose axes are the body's."""
+        root, *links = self.body.tree.segments
+        return Tree((replace(root, joint="fixed"), *links), self.body.tree.markers)
+
+    def _local_state(self, state: Array) -> Array:
+        """The chain's angles as the state of `_local_tree`."""
+        local_state = np.zeros((len(state), self._local_tree.n_state))
+        local_state[:, self._local_angles] = state[:, : 2 * self.n_angles]
+        return local_state
+
+    @cached_property
+    def _local_angles(self) -> Index:
+        return self.body_angles - 3
+
+    def local_joints(self, state: Array) -> Array:
+        """Joint positions relative to the root in the local frame UVW, metres: states (N, D) -> (N, J, 3)."""
+        size = state[:, self.base_index] / self.nominal_base_length_m
+        return self._local_tree.pose(self._local_state(state), size).points_m @ UVW_BODY.T
+
+    def pose(self, state: Array) -> Posed:
+        """Joints in the camera frame for states (N, D), without Jacobian."""
+        R = euler_rotation(state[:, self.euler_slice])
+        p = self.local_joints(state) + state[:, None, self.place_slice]
+        return Posed(state, R, p @ R.transpose(0, 2, 1))
+
+    def pose_with_jacobian(self, state: Array) -> Posed:
+        """Joints in the camera frame and their exact derivatives with respect to the state (N, D)."""
+        N, J, A = len(state), len(self.joints), self.n_angles
+        tree = self._local_tree.pose_with_jacobian(self._local_state(state))
+        assert tree.jacobian is not None
+        size = state[:, self.base_index, None, None] / self.nominal_base_length_m
+        c_per_size = UVW_BODY @ tree.points_m.transpose(0, 2, 1)  # (N, 3, J)
+        p = c_per_size * size + state[:, self.place_slice, None]
+        # One frame is the frame method's inner loop, and one rotation by itself is several times quicker.
+        angles = state[:, self.euler_slice]
+        R, dR = euler_rotation_with_jacobian(angles[0] if N == 1 else angles)
+        R, dR = R.reshape(N, 3, 3), dR.reshape(N, 3, 3, 3)
+
+        jacobian = np.empty((N, 3, J, self.n_state))
+        turned = tree.jacobian.take(self._local_angles, axis=-1).transpose(0, 2, 1, 3).reshape(N, 3, J * 2 * A)
+        jacobian[..., : 2 * A] = (size * (R @ UVW_BODY) @ turned).reshape(N, 3, J, 2 * A)
+        jacobian[..., self.place_slice] = R[:, :, None]
+        jacobian[..., self.euler_slice] = (dR @ p[:, None]).transpose(0, 2, 3, 1)
+        jacobian[..., self.base_index] = R @ (c_per_size / self.nominal_base_length_m)
+        return Posed(state, R, (R @ p).transpose(0, 2, 1), jacobian.transpose(0, 2, 1, 3), dR)
+
+
+def upright_rotation(heading: Array, up: Array) -> Array:
+    """R_camera_local (..., 3, 3) of a level animal: U along heading (..., 3), V down, W to the side."""
+    down = np.broadcast_to(-up, heading.shape)
+    return np.stack([heading, down, np.cross(heading, down)], axis=-1)

@@ -1,0 +1,175 @@
+"""Names of keypoints: from those of a detector to those of a skeleton, by a map.
+
+A map is a CSV file with two columns: a keypoint's name in the file, and the skeleton's name for it; nothing there
+leaves the keypoint out. Built-in maps are the files of `recon/animal/names`.
+"""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from difflib import SequenceMatcher
+from pathlib import Path
+
+from recon.animal.body import side_of, without_side
+from recon.base.documents import read_text
+from recon.base.errors import InputError, Problem
+from recon.base.package import builtin_file, builtin_names
+from recon.clip.keypoints import Keypoints
+
+HEADER = ("file", "skeleton")
+"""May be the first row of a map."""
+_EXPECTED = "a CSV file with two columns: a keypoint's name in the file, and the skeleton's"
+_SAME_WORDS: dict[str, str] = {
+    "thai": "thigh",
+    **dict.fromkeys(("fore", "f"), "front"),
+    **dict.fromkeys(("hind", "rear", "b", "h"), "back"),
+    **dict.fromkeys(("foot", "hoof", "hand"), "paw"),
+    "root": "base",
+}
+_FILLERS = {"of", "the"}
+_NEAR = 0.8
+"""Names are near each other if they share this part of their letters."""
+
+
+@dataclass(frozen=True)
+class NameMap:
+    """What keypoints of a file are called in a skeleton."""
+
+    source: str
+    """A built-in name, or the file's."""
+    names: Mapping[str, str]
+    """The skeleton's by the file's, empty for those that are left out."""
+
+
+def builtin_maps() -> tuple[str, ...]:
+    """Names of the maps that come with the package."""
+    return builtin_names("animal/names", ".csv")
+
+
+def load_names(name_or_path: str | Path) -> NameMap:
+    """The built-in map of that name, or the one in a CSV file. Raises InputError with every problem."""
+    source = str(name_or_path)
+    if source in builtin_maps():
+        text = builtin_file("animal/names", f"{source}.csv").read_text(encoding="utf-8")
+    elif Path(source).is_file():
+        text = read_text(Path(source), _EXPECTED)
+    else:
+        expected = f"one of {', '.join(builtin_maps())}, or {_EXPECTED}"
+        raise InputError(Problem("--rename", "name or file", repr(source), expected))
+    lines = [(i, line) for i, line in enumerate(text.splitlines(), start=1) if line.strip() and line.strip()[0] != "#"]
+    delimiter = next((mark for mark in ",;\t" if lines and mark in lines[0][1]), ",")
+    names: dict[str, str] = {}
+    problems = []
+    for i, line in lines:
+        cells = _cells(line, delimiter)
+        if len(cells) != 2 or not cells[0] or not "".join(cells).isprintable():
+            problems.append(Problem(source, f"line {i}", repr(line)[:60], _EXPECTED))
+        elif cells[0] in names:
+            problems.append(Problem(source, f"line {i}", f"{cells[0]!r} again", "every name of the file once"))
+        elif tuple(cells) != HEADER or names:
+            names[cells[0]] = cells[1]
+    if not names and not problems:
+        problems = [Problem(source, "lines", "none", _EXPECTED)]
+    if problems:
+        raise InputError(problems)
+    return NameMap(source, names)
+
+
+def _cells(line: str, delimiter: str) -> list[str]:
+    try:
+        return [cell.strip() for row in csv.reader([line], delimiter=delimiter) for cell in row]
+    except csv.Error:  # a cell of more than 128 kB
+        return []
+
+
+def renamed(keypoints: Keypoints, by: NameMap) -> Keypoints:
+    """With the map's names, and a note. Raises InputError as `new_names`."""
+    keep, names, note = new_names(keypoints.names, by, keypoints.source or "the keypoints")
+    return replace(
+        keypoints,
+        names=names,
+        xy_px=keypoints.xy_px[:, keep],
+        confidence=keypoints.confidence[:, keep],
+        notes=(*keypoints.notes, note),
+    )
+
+
+def new_names(names: Sequence[str], by: NameMap, source: str) -> tuple[list[int], tuple[str, ...], str]:
+    """Which of a file's names stay, by their places, what they are called then, and a note of it. source: the file.
+
+    Raises InputError where none of the map's names is in the file, or two keypoints would have the same.
+    """
+    known = [name for name in names if name in by.names]
+    if not known:
+        found = f"{', '.join(by.names)}: none of them in {source}"
+        raise InputError(Problem(by.source, "names", found, f"some of {', '.join(names)}"))
+    olds: dict[str, list[str]] = {}
+    for name in names:
+        olds.setdefault(by.names.get(name, name), []).append(name)
+    left_out = olds.pop("", [])
+    problems = [
+        Problem(by.source, "names", f"{new!r} for {', '.join(several)}", "it for one of them only")
+        for new, several in olds.items()
+        if len(several) > 1
+    ]
+    if not olds:
+        problems = [Problem(by.source, "names", f"every keypoint of {source} left out", "a name for some of them")]
+    if problems:
+        raise InputError(problems)
+    note = f"{len(known)} of {len(names)} keypoints have their names from {Path(by.source).name}"
+    note += f"; left out: {', '.join(left_out)}" if left_out else ""
+    absent = [] if by.source in builtin_maps() else [name for name in by.names if name not in names]
+    note += f"; not in the file: {', '.join(absent)}." if absent else "."
+    return [k for k, name in enumerate(names) if name not in left_out], tuple(olds), note
+
+
+# -- near misses ---------------------------------------------------------------------------------------------------
+
+
+def suggestions(unused: Iterable[str], missing: Iterable[str]) -> dict[str, str]:
+    """Which missing name of a skeleton an unused one of a file probably stands for; each once, the closest first."""
+    pairs = [(likeness, a, b) for a in unused for b in missing if (likeness := _likeness(a, b)) >= _NEAR]
+    found: dict[str, str] = {}
+    for _, a, b in sorted(pairs, key=lambda pair: -pair[0]):
+        if a not in found and b not in found.values():
+            found[a] = b
+    return found
+
+
+def fitting_maps(names: Sequence[str], wanted: Iterable[str]) -> list[str]:
+    """Built-in maps that give a file more of the wanted names than it has, the best first."""
+    wanted = set(wanted)
+    maps = [load_names(name) for name in builtin_maps()]
+    shares = {by.source: len({by.names.get(name, name) for name in names} & wanted) for by in maps}
+    better = [name for name, share in shares.items() if share > len({*names} & wanted)]
+    return sorted(better, key=lambda name: -shares[name])
+
+
+def map_to_write(names: Iterable[str], wanted: Iterable[str]) -> Iterator[str]:
+    """Lines of a map for a file with these names: near misses filled in, and nothing for names without one."""
+    names, wanted = list(names), list(wanted)
+    near = suggestions([n for n in names if n not in wanted], [w for w in wanted if w not in names])
+    yield ",".join(HEADER)
+    yield from (f"{name},{near.get(name, '')}" for name in names if name not in wanted)
+
+
+def _likeness(a: str, b: str) -> float:
+    """From 0 to 1; 0 between the sides."""
+    if side_of(a) != side_of(b):
+        return 0.0
+    words_a, words_b = _words(a), _words(b)
+    if sorted(words_a) == sorted(words_b):
+        return 1.0
+    if ({*words_a} ^ {*words_b}) & {"front", "back"}:
+        return 0.0
+    return SequenceMatcher(None, "".join(words_a), "".join(words_b), autojunk=False).ratio()
+
+
+def _words(name: str) -> list[str]:
+    """Of a name without its side, in lower case: rootOfTail -> base, tail."""
+    parts = re.findall(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])|[0-9]+|[^\W\d_a-zA-Z]+", without_side(name))
+    lower: list[str] = [part.lower() for part in parts]
+    return [_SAME_WORDS.get(word, word) for word in lower if word not in _FILLERS]

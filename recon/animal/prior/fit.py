@@ -1,0 +1,95 @@
+"""Segments of motion in, a prior out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from recon.animal.body import Body
+from recon.animal.prior.mixture import mixture, still
+from recon.animal.prior.model import ANGLES, MotionPrior, SegmentRow
+from recon.animal.prior.motion import ridge
+from recon.base.arrays import Array
+from recon.base.errors import InputError, Problem
+
+FRAMES_PER_COMPONENT = 20
+"""Fewer would let a component of the mixture be one short piece of one segment."""
+POSE_FLOOR_RAD = 0.1
+"""Added to the spread of every angle: no reconstruction that a prior is fitted to is exact. Held-out segments like it
+best (docs/priors.md)."""
+
+
+def fit_prior(
+    body: Body,
+    segments: Sequence[tuple[str, Array, float]],
+    name: str = "fitted",
+    source: str = "",
+    components: int = 16,
+    shrink: float = 0.6,
+    min_speed_m_s: float = 0.0,
+    missing_sigma_rad: float = 0.15,
+    apart: Sequence[str] = (),
+    seed: int = 0,
+) -> MotionPrior:
+    """The statistics of segments, each (name, states (T, D), frames per second); NaN frames are left out.
+
+    Every segment counts a second time mirrored left to right. shrink: how far the covariance of a component is moved
+    towards the average within all of them. Segments slower than min_speed_m_s are listed, but not used.
+    missing_sigma_rad: the spread of angles that do not move in the data. apart: segments of the body, such as a tail,
+    whose movement neither follows from the pose nor says anything about the others'; their acceleration is noise.
+    Raises InputError where there are too few frames, or apart names what is no segment with angles.
+    """
+    rows = tuple(
+        SegmentRow(label, len(states), float(fps), speed, speed >= min_speed_m_s)
+        for label, states, fps in segments
+        for speed in [mean_speed_m_s(states, fps)]
+    )
+    used = [(states, fps) for (_, states, fps), row in zip(segments, rows, strict=True) if row.used]
+    poses, at, rates, accelerations = _poses_and_changes(body, used)
+    angles = body.state_names[ANGLES]
+    owners = [angle.rsplit("_", 1)[0] for angle in angles]
+    n_frames, problems = len(poses) // 2, []
+    if n_frames < components * FRAMES_PER_COMPONENT:
+        fits = n_frames // FRAMES_PER_COMPONENT
+        expected = f"{FRAMES_PER_COMPONENT} frames for each component" + (f", so at most {fits}" if fits else "")
+        problems.append(Problem("prior", "components", f"{components} for {n_frames} frames", expected))
+    expected = f"one of {', '.join(dict.fromkeys(owners))}"
+    problems += [Problem("prior", "apart", repr(s), expected) for s in apart if s not in owners]
+    if not len(accelerations):
+        problems.append(Problem("prior", "frames", "no three in a row", "segments without gaps"))
+    if problems:
+        raise InputError(problems)
+
+    mean = poses.mean(axis=0)
+    extra = np.diag(POSE_FLOOR_RAD**2 + np.where(still(poses), missing_sigma_rad**2, 0.0))
+    weights, means, covariances = mixture(poses, components, shrink, extra, np.random.default_rng(seed))
+    loose = np.isin(owners, apart)
+    drift, acceleration_covariance = ridge(np.concatenate([at - mean, rates], axis=1), accelerations, loose)
+    covariance = np.cov(poses.T, bias=True) + extra
+    arrays = (weights, means, covariances, mean, covariance, drift, acceleration_covariance)
+    return MotionPrior(name, angles, *arrays, source=source, segments=rows)
+
+
+def mean_speed_m_s(states: Array, fps: float) -> float:
+    """Mean horizontal speed of the root over states (T, D), 0 if no two frames follow each other."""
+    steps = np.linalg.norm(np.diff(states[:, :2], axis=0), axis=1) * fps
+    return float(np.nanmean(steps)) if np.isfinite(steps).any() else 0.0
+
+
+def _poses_and_changes(body: Body, segments: Sequence[tuple[Array, float]]) -> tuple[Array, Array, Array, Array]:
+    """Poses (N, A); and where three follow each other, poses, rates and accelerations, each (M, A). Each segment is
+    followed by its mirror image."""
+    permutation, sign = body.mirror
+    nothing = np.empty((0, body.n_state - 4))
+    parts: tuple[list[Array], ...] = ([nothing], [nothing], [nothing], [nothing])
+    for states, fps in segments:
+        for z in (states[:, ANGLES], (states[:, permutation] * sign)[:, ANGLES]):
+            whole = np.asarray(np.isfinite(z).all(axis=1))
+            inner = np.nonzero(whole[:-2] & whole[1:-1] & whole[2:])[0] + 1
+            before, at, after = z[inner - 1], z[inner], z[inner + 1]
+            moving = (after - before) * (fps / 2), (after - 2 * at + before) * fps**2
+            for part, values in zip(parts, (z[whole], at, *moving), strict=True):
+                part.append(values)
+    poses, at, rates, accelerations = (np.concatenate(part) for part in parts)
+    return poses, at, rates, accelerations

@@ -1,0 +1,522 @@
+"""Skeleton files (TOML) -> Body: a tree of `[[segments]]`, or a chain of `[[links]]`.
+
+Built-in skeletons are the files of `recon/animal/skeletons`, built-in subjects (one animal's lengths) those of
+`recon/animal/subjects`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from pathlib import Path
+from typing import Annotated, Any, Literal, TypeVar
+
+import numpy as np
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
+
+from recon.animal.body import CHAIN_PLACES, PLACES, Body, other_side, side_of
+from recon.animal.chain import MIN_JOINTS, AngleRanges, Chain, Link, PriorScales
+from recon.base import package
+from recon.base.documents import parse_toml, read_toml, validated
+from recon.base.errors import InputError, Problem
+from recon.geometry.kinematics import ANGLE_OF_AXIS, AXES, Marker, Segment, Tree
+
+Number = Annotated[float, Field(gt=-1e6, lt=1e6, allow_inf_nan=False)]
+Sigma = Annotated[float, Field(gt=1e-9, lt=1e6, allow_inf_nan=False)]
+"""More, or less, can only be damage."""
+
+
+class Table(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class _Sides(Table):
+    left: str
+    right: str
+
+
+class _Range(Table):
+    mean_rad: Number
+    tolerance_rad: Sigma
+    max_rate_rad_s: Sigma
+
+
+class _Link(Table):
+    name: str
+    start: str = Field(alias="from")
+    end: str = Field(alias="to")
+    limb: str
+    length_ratio: Sigma
+    keypoint: str | _Sides
+    theta: _Range | None = None
+    phi: _Range | None = None
+
+
+class _BaseLength(Table):
+    nominal_m: Sigma
+    sigma_m: Sigma
+
+
+class _Prior(Table):
+    theta_sigma_rad: Sigma
+    phi_sigma_rad: Sigma
+    roll_sigma_rad: Sigma
+    heading_sigma_rad_per_sqrt_s: Sigma
+    travel_sigma_rad: Sigma
+
+
+def _foot_table(places: Iterable[str], example: str) -> BeforeValidator:
+    """One message for whatever else stands there, and for nothing."""
+
+    def checked(value: Any) -> Any:
+        if isinstance(value, dict) and {*value} <= {*places} and all(isinstance(foot, str) for foot in value.values()):
+            return value
+        raise ValueError(f"a table that says where each foot is, as {example}")
+
+    return BeforeValidator(checked)
+
+
+_ChainFeet = Annotated[dict[str, str], _foot_table(CHAIN_PLACES, '{ fore = "J4", hind = "J8" }, with its joints')]
+_BodyFeet = Annotated[
+    dict[str, str],
+    _foot_table(
+        PLACES,
+        '{ left_fore = "l_front_paw", right_fore = "r_front_paw", left_hind = "l_back_paw", right_hind = '
+        '"r_back_paw" }, with its markers',
+    ),
+]
+
+
+class _ChainFile(Table):
+    name: str
+    title: str
+    root: str
+    root_keypoint: str | _Sides
+    forward: tuple[str, str]
+    feet: _ChainFeet = Field(default=None, validate_default=True)
+    keypoint_sigma_m: Sigma
+    base_length: _BaseLength
+    softness_rad: Sigma
+    prior: _Prior
+    links: tuple[_Link, ...] = Field(min_length=1)
+
+
+Offset = tuple[Number, Number, Number]
+
+
+class _Expectation(Table):
+    mean_rad: Number
+    sigma_rad: Sigma
+    acceleration_rad_s2: Sigma
+
+    def mirrored(self) -> _Expectation:
+        return self.model_copy(update={"mean_rad": -self.mean_rad})
+
+
+class _Segment(Table):
+    name: str
+    joint: Literal["free", "ball", "universal", "hinge", "fixed"]
+    parent: str | None = None
+    at_m: Offset = (0.0, 0.0, 0.0)
+    mirrored: bool = False
+    yaw: _Expectation | None = None
+    pitch: _Expectation | None = None
+    roll: _Expectation | None = None
+
+
+class _Marker(Table):
+    name: str
+    segment: str
+    at_m: Offset = (0.0, 0.0, 0.0)
+    keypoint_offset_m: Offset = (0.0, 0.0, 0.0)
+    mirrored: bool = False
+
+
+class _BodyFile(Table):
+    name: str
+    title: str
+    forward: tuple[str, str]
+    feet: _BodyFeet = Field(default=None, validate_default=True)
+    keypoint_sigma_m: Sigma
+    size_sigma: Sigma
+    detector: str | None = None
+    segments: tuple[_Segment, ...] = Field(min_length=1)
+    markers: tuple[_Marker, ...]
+    limbs: dict[str, tuple[str, ...]]
+
+
+class _SubjectFile(Table):
+    skeleton: str
+    title: str
+    size_sigma: Sigma
+    at_m: dict[str, Offset]
+    keypoint_offset_m: dict[str, Offset] = {}
+
+
+def builtin_names() -> tuple[str, ...]:
+    """Names of the skeletons that come with the package."""
+    return package.builtin_names("animal/skeletons", ".toml")
+
+
+def builtin_chains() -> tuple[str, ...]:
+    """Those of them that are chains, for the frame method."""
+    return tuple(name for name in builtin_names() if "segments" not in read_named(name)[0])
+
+
+def builtin_subjects() -> tuple[str, ...]:
+    """Names of the subjects that come with the package."""
+    return package.builtin_names("animal/subjects", ".toml")
+
+
+def load_skeleton(name_or_path: str | Path, subject: str | Path | None = None) -> Body:
+    """The built-in skeleton of that name, or the one in a TOML file.
+
+    subject: name or file of a measured animal, for a whole one only. Raises InputError: no such name or file, a file
+    that does not describe a skeleton, or a subject of another one; every problem is named.
+    """
+    raw, source = read_named(name_or_path)
+    if "segments" in raw:
+        return _load_body(raw, source, subject)
+    if subject is not None:
+        expected = f"none: {source} is a chain, and a measured chain is a skeleton of its own"
+        raise InputError(Problem("--subject", "name or file", repr(str(subject)), expected))
+    return _load_chain(raw, source).body
+
+
+def load_chain(name_or_path: str | Path) -> Chain:
+    """The chain that a skeleton is, for the frame method. Raises InputError for a whole animal, too."""
+    raw, source = read_named(name_or_path, suggested=builtin_chains)
+    if "segments" in raw:
+        expected = f"a chain for the frame method: one of {', '.join(builtin_chains())}, or a file with [[links]]"
+        raise InputError(Problem("--skeleton", "name or file", repr(str(name_or_path)), expected))
+    return _load_chain(raw, source)
+
+
+def read_named(
+    name_or_path: str | Path,
+    kind: Literal["skeleton", "subject", "detector"] = "skeleton",
+    suggested: Callable[[], Iterable[str]] | None = None,
+) -> tuple[dict[str, Any], str]:
+    """A file's tables, and what to call it in messages. suggested: names to choose from, if not all."""
+    folder = f"animal/{kind}s"
+    if str(name_or_path) in package.builtin_names(folder, ".toml"):
+        file = package.builtin_file(folder, f"{name_or_path}.toml")
+        return parse_toml(file.read_text(encoding="utf-8"), name_or_path), f"{kind} {name_or_path}"
+    path = Path(name_or_path)
+    if not path.is_file():
+        names = package.builtin_names(folder, ".toml") if suggested is None else suggested()
+        expected = f"one of {', '.join(names)}, or a {kind} file (.toml)"
+        raise InputError(Problem(f"--{kind}", "name or file", repr(str(name_or_path)), expected))
+    return read_toml(path), str(path)
+
+
+_File = TypeVar("_File", bound=Table)
+
+
+def parsed_file(kind: type[_File], raw: dict[str, Any], source: str) -> tuple[_File | None, list[Problem]]:
+    """A file's content, None where something is wrong with it, and what that is."""
+    try:
+        return validated(kind, raw, source), []
+    except InputError as error:
+        return None, list(error.problems)
+
+
+def subject_toml(skeleton: str | Path, body: Body, title: str, notes: Sequence[str] = ()) -> str:
+    """The text of a subject file: the lengths and keypoint offsets of a body, of that skeleton. notes: comments."""
+    import tomli_w
+
+    raw, source = read_named(skeleton)
+    file, _ = parsed_file(_BodyFile, raw, source)
+    if file is None:
+        raise ValueError(f"{source} is no skeleton of a whole animal")
+    placed = {item.name: item.offset_m for item in (*body.tree.segments, *body.tree.markers)}
+    given = [item.name for item in (*file.segments[1:], *file.markers)]
+    offsets = {marker.name: body.keypoint_offset_m.get(marker.name) for marker in file.markers}
+    plain = {
+        "skeleton": file.name,
+        "title": title,
+        "size_sigma": round(body.size_sigma, 4),
+        "at_m": {name: [round(x, 4) for x in placed[name]] for name in given if any(placed[name])},
+        "keypoint_offset_m": {name: [round(x, 4) for x in at] for name, at in offsets.items() if at is not None},
+    }
+    return "".join(f"# {note}\n" for note in notes) + tomli_w.dumps(plain)
+
+
+# -- chains -------------------------------------------------------------------------------------------------------
+
+
+def _load_chain(raw: dict[str, Any], source: str) -> Chain:
+    if "extends" in raw:
+        raw = _extended(raw, source)
+    parsed, problems = parsed_file(_ChainFile, raw, source)
+    if parsed is not None:
+        problems = list(_chain_problems(parsed, source))
+    if parsed is None or problems:
+        raise InputError(problems)
+    return _chain(parsed)
+
+
+def _extended(raw: dict[str, Any], source: str) -> dict[str, Any]:
+    """`extends` takes another skeleton's tables; `length_m` gives its links measured lengths."""
+    name, lengths = raw["extends"], raw.get("length_m", {})
+    if not isinstance(name, str):
+        raise InputError(Problem(source, "extends", repr(name), f"one of {', '.join(builtin_names())}, or a file"))
+    if not isinstance(lengths, dict):
+        raise InputError(Problem(source, "length_m", repr(lengths), "a table of lengths in metres by link"))
+    parent, parent_source = read_named(_beside(name, source))
+    if "segments" in parent:
+        raise InputError(Problem(source, "extends", parent_source, "a chain; a body's lengths stand in a subject file"))
+    if "extends" in parent:
+        raise InputError(Problem(source, "extends", parent_source, "a skeleton that does not extend another"))
+    if lengths and "links" in raw:
+        raise InputError(Problem(source, "length_m", "links beside it", "one of the two"))
+    links = [dict(link) for link in parent.get("links", [])]
+    base = raw.get("base_length", parent.get("base_length", {})).get("nominal_m")
+    names = {str(link.get("name")) for link in links}
+    problems = [
+        Problem(source, f"length_m.{name}", repr(length), f"a length in metres of one of {', '.join(sorted(names))}")
+        for name, length in lengths.items()
+        if name not in names or not isinstance(length, int | float)
+    ]
+    if lengths and not isinstance(base, int | float):
+        problems.append(Problem(source, "base_length.nominal_m", repr(base), "a length in metres"))
+    if problems:
+        raise InputError(problems)
+    for link in links:
+        if link["name"] in lengths:
+            link["length_ratio"] = lengths[link["name"]] / base
+    own = {key: value for key, value in raw.items() if key not in ("extends", "length_m")}
+    return {**parent, "links": links, **own}
+
+
+def _beside(name: str, source: str) -> str:
+    """A skeleton that a file names: built in, or a file that lies beside it, or is found from where the user is."""
+    file = Path(source).parent / name
+    return str(file) if file.is_file() and name not in builtin_names() else name
+
+
+def _chain_problems(parsed: _ChainFile, source: str):
+    known = {parsed.root}
+    for i, link in enumerate(parsed.links):
+        if link.start not in known:
+            yield Problem(source, f"links[{i}].from", repr(link.start), "the root or the `to` of an earlier link")
+        if link.end in known:
+            yield Problem(source, f"links[{i}].to", repr(link.end), "a joint that no earlier link ends in")
+        if (link.theta is None) != (link.phi is None):
+            yield Problem(source, f"links[{i}]", "only one of theta and phi", "both or neither")
+        known.add(link.end)
+    if len(parsed.links) + 1 < MIN_JOINTS:
+        yield Problem(
+            source, "links", f"{len(parsed.links)}", f"at least {MIN_JOINTS - 1}: fewer joints do not place it"
+        )
+    if not any(link.theta is None and link.start == parsed.root for link in parsed.links):
+        expected = f"one from {parsed.root} without theta and phi: the body's forward axis lies along it"
+        yield Problem(source, "links", "none without angles from the root", expected)
+    for field, joints in (("forward", parsed.forward), ("feet", parsed.feet.values())):
+        for joint in joints:
+            if joint not in known:
+                yield Problem(source, field, repr(joint), f"one of {', '.join(sorted(known))}")
+    yield from _foot_problems(parsed.feet, source)
+
+
+def _sides(keypoint: str | _Sides) -> tuple[str, str]:
+    return (keypoint, keypoint) if isinstance(keypoint, str) else (keypoint.left, keypoint.right)
+
+
+def _ranges(links: tuple[_Link, ...], kind: Literal["theta", "phi"]) -> AngleRanges:
+    ranges = [r for link in links if (r := getattr(link, kind)) is not None]
+    columns = ([r.mean_rad for r in ranges], [r.tolerance_rad for r in ranges], [r.max_rate_rad_s for r in ranges])
+    return AngleRanges(*(np.array(c, dtype=float) for c in columns))
+
+
+def _chain(f: _ChainFile) -> Chain:
+    return Chain(
+        name=f.name,
+        title=f.title,
+        links=tuple(Link(x.name, x.start, x.end, x.limb, x.length_ratio, free=x.theta is not None) for x in f.links),
+        joints=(f.root, *(x.end for x in f.links)),
+        keypoints=(_sides(f.root_keypoint), *(_sides(x.keypoint) for x in f.links)),
+        forward=f.forward,
+        feet=tuple(f.feet.values()),
+        foot_labels=tuple(CHAIN_PLACES[place] for place in f.feet),
+        theta=_ranges(f.links, "theta"),
+        phi=_ranges(f.links, "phi"),
+        scales=PriorScales(
+            softness_rad=f.softness_rad,
+            theta_rad=f.prior.theta_sigma_rad,
+            phi_rad=f.prior.phi_sigma_rad,
+            roll_rad=f.prior.roll_sigma_rad,
+            heading_rad_per_sqrt_s=f.prior.heading_sigma_rad_per_sqrt_s,
+            travel_rad=f.prior.travel_sigma_rad,
+            base_length_m=f.base_length.sigma_m,
+            keypoint_m=f.keypoint_sigma_m,
+        ),
+        nominal_base_length_m=f.base_length.nominal_m,
+    )
+
+
+# -- bodies -------------------------------------------------------------------------------------------------------
+
+
+def _load_body(raw: dict[str, Any], source: str, subject: str | Path | None) -> Body:
+    file, problems = parsed_file(_BodyFile, raw, source)
+    if subject is not None:
+        raw, subject_source = read_named(subject, "subject")
+        animal, more = parsed_file(_SubjectFile, raw, subject_source)
+        problems += more
+        if file is not None and animal is not None:
+            problems += _subject_problems(animal, file, subject_source)
+            file = _measured(file, animal)
+    if file is not None:
+        problems += _body_problems(file, source)
+    if file is None or problems:
+        raise InputError(dict.fromkeys(problems))  # both sides of a mirrored segment can have the same
+    return _body(file)
+
+
+def _subject_problems(animal: _SubjectFile, file: _BodyFile, source: str) -> Iterator[Problem]:
+    if animal.skeleton != file.name:
+        yield Problem(source, "skeleton", repr(animal.skeleton), f"{file.name!r}, the skeleton that it is used with")
+        return
+    names = [item.name for item in (*file.segments[1:], *file.markers)]
+    for name in animal.at_m:
+        if name not in names:
+            expected = f"a segment but the root, or a marker, of {file.name}: {', '.join(names)}"
+            yield Problem(source, f"at_m.{name}", repr(name), expected)
+    markers = [marker.name for marker in file.markers]
+    for name in animal.keypoint_offset_m:
+        if name not in markers:
+            expected = f"a marker of {file.name}: {', '.join(markers)}"
+            yield Problem(source, f"keypoint_offset_m.{name}", repr(name), expected)
+
+
+def _measured(file: _BodyFile, animal: _SubjectFile) -> _BodyFile:
+    def placed(items: tuple[_Item, ...]) -> tuple[_Item, ...]:
+        return tuple(x.model_copy(update={"at_m": animal.at_m.get(x.name, x.at_m)}) for x in items)
+
+    def detected(marker: _Marker) -> _Marker:
+        offset = animal.keypoint_offset_m.get(marker.name, marker.keypoint_offset_m)
+        return marker.model_copy(update={"keypoint_offset_m": offset})
+
+    changed = {
+        "segments": (file.segments[0], *placed(file.segments[1:])),
+        "markers": tuple(detected(marker) for marker in placed(file.markers)),
+    }
+    return file.model_copy(update={"title": animal.title, "size_sigma": animal.size_sigma, **changed})
+
+
+_Item = TypeVar("_Item", _Segment, _Marker)
+
+
+def _both_sides(items: Iterable[_Item]) -> Iterator[tuple[int, _Item]]:
+    """Every segment or marker with its row in the file; the mirrored ones are followed by their right counterpart."""
+    for i, item in enumerate(items):
+        yield i, item
+        if item.mirrored and side_of(item.name) == "left":
+            x, y, z = item.at_m
+            changed: dict[str, Any] = {"name": other_side(item.name), "at_m": (x, -y, z), "mirrored": False}
+            if isinstance(item, _Marker):
+                dx, dy, dz = item.keypoint_offset_m
+                changed |= {"segment": other_side(item.segment), "keypoint_offset_m": (dx, -dy, dz)}
+            else:
+                changed["parent"] = None if item.parent is None else other_side(item.parent)
+                changed |= {a: e.mirrored() for a in ("yaw", "roll") if (e := getattr(item, a)) is not None}
+            yield i, item.model_copy(update=changed)
+
+
+def _expected_angles(segment: _Segment) -> list[str]:
+    """The angles that have an expectation, in the order of the state: all but the heading of the root."""
+    return [ANGLE_OF_AXIS[axis] for axis in AXES[segment.joint] if (segment.joint, axis) != ("free", "z")]
+
+
+def _body_problems(file: _BodyFile, source: str) -> Iterator[Problem]:
+    segments, used = set[str](), set[str]()
+    for i, segment in _both_sides(file.segments):
+        at = f"segments[{i}]"
+        yield from _name_problems(segment, at, used, source)
+        if i == 0:
+            yield from _root_problems(segment, source)
+        elif segment.joint == "free":
+            yield Problem(source, f"{at}.joint", "'free'", "ball, universal, hinge or fixed: only the root is free")
+        if i > 0 and segment.parent not in segments:
+            yield Problem(source, f"{at}.parent", repr(segment.parent), "the name of an earlier segment")
+        expected = _expected_angles(segment)
+        for angle in ANGLE_OF_AXIS.values():
+            given = getattr(segment, angle) is not None
+            if given != (angle in expected):
+                found = "an expectation" if given else "none"
+                wanted = f"{' and '.join(expected) or 'no angle'}, since its joint is {segment.joint}"
+                yield Problem(source, f"{at}.{angle}", found, wanted)
+        segments.add(segment.name)
+        used.add(segment.name)
+    markers = set[str]()
+    for i, marker in _both_sides(file.markers):
+        yield from _name_problems(marker, f"markers[{i}]", used, source)
+        if marker.segment not in segments:
+            yield Problem(source, f"markers[{i}].segment", repr(marker.segment), "the name of a segment")
+        markers.add(marker.name)
+        used.add(marker.name)
+    if len(markers) < MIN_JOINTS:
+        yield Problem(source, "markers", f"{len(markers)}", f"at least {MIN_JOINTS}: fewer do not place it")
+    feet = tuple(file.feet.values())
+    named = [("forward", file.forward), ("feet", feet), *((f"limbs.{k}", v) for k, v in file.limbs.items())]
+    for field, names in named:
+        for name in names:
+            if name not in markers:
+                yield Problem(source, field, repr(name), f"one of {', '.join(sorted(markers)) or 'the markers'}")
+    if file.forward[0] == file.forward[1]:
+        yield Problem(source, "forward", f"{file.forward[0]!r} twice", "two markers, from rear to front")
+    yield from _foot_problems(file.feet, source)
+
+
+def _foot_problems(feet: dict[str, str], source: str) -> Iterator[Problem]:
+    for place, foot in feet.items():
+        side = side_of(foot)
+        if side is not None and place in PLACES and not place.startswith(side):
+            yield Problem(source, f"feet.{place}", repr(foot), f"a {place.split('_')[0]} one: by its name it is {side}")
+    if len({*feet.values()}) < len(feet):
+        yield Problem(source, "feet", ", ".join(feet.values()), "every foot once")
+
+
+def _name_problems(item: _Segment | _Marker, field: str, used: set[str], source: str) -> Iterator[Problem]:
+    if item.name in used:
+        yield Problem(source, f"{field}.name", repr(item.name), "a name that no earlier segment or marker has")
+    if item.mirrored and side_of(item.name) != "left":
+        expected = "a name with a word of the left side in it, as l_paw, front_left_paw or LeftPaw"
+        yield Problem(source, f"{field}.mirrored", repr(item.name), expected)
+
+
+def _root_problems(root: _Segment, source: str) -> Iterator[Problem]:
+    if root.joint != "free":
+        yield Problem(source, "segments[0].joint", repr(root.joint), "free: the first segment is the root")
+    if root.parent is not None:
+        yield Problem(source, "segments[0].parent", repr(root.parent), "none: the first segment is the root")
+    if any(root.at_m):
+        yield Problem(source, "segments[0].at_m", f"{list(root.at_m)}", "none: the root's origin is an unknown")
+    if root.mirrored:
+        yield Problem(source, "segments[0].mirrored", "true", "one root")
+
+
+def _body(f: _BodyFile) -> Body:
+    segments = [segment for _, segment in _both_sides(f.segments)]
+    markers = [marker for _, marker in _both_sides(f.markers)]
+    expected = [getattr(s, angle) for s in segments for angle in _expected_angles(s)]
+    return Body(
+        name=f.name,
+        title=f.title,
+        tree=Tree(
+            segments=tuple(Segment(s.name, s.parent, s.joint, s.at_m) for s in segments),
+            markers=tuple(Marker(m.name, m.segment, m.at_m) for m in markers),
+        ),
+        keypoints=tuple((m.name, m.name) for m in markers),
+        limbs=f.limbs,
+        forward=f.forward,
+        feet=tuple(f.feet.values()),
+        foot_labels=tuple(PLACES[place] for place in f.feet),
+        keypoint_sigma_m=f.keypoint_sigma_m,
+        size_sigma=f.size_sigma,
+        mean_rad=np.array([e.mean_rad for e in expected]),
+        sigma_rad=np.array([e.sigma_rad for e in expected]),
+        acceleration_rad_s2=np.array([e.acceleration_rad_s2 for e in expected]),
+        keypoint_offset_m={m.name: m.keypoint_offset_m for m in markers if any(m.keypoint_offset_m)},
+        detector=f.detector,
+    )

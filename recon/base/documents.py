@@ -1,0 +1,113 @@
+"""Settings, lists and reports as text: JSON and TOML files of unknown origin.
+
+Whatever is in them, the answer is a table or an InputError. What the parsers of the standard library die of or take
+ages for is limited: the size of a file, its nesting, and the digits of its numbers.
+"""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+
+from recon.base.errors import InputError, Problem
+
+if TYPE_CHECKING:
+    from pydantic import BaseModel
+
+MAX_BYTES = 1 << 28
+MAX_TOML_BYTES = 1 << 23
+"""The parser is slow; a skeleton has some ten thousand."""
+
+
+def read_text(path: Path, expected: str, most: int = MAX_BYTES) -> str:
+    """A text in UTF-8, with a byte order mark or without. expected: what the file should be, in a message.
+
+    Raises InputError for anything but a file that can be read, of no more bytes than that.
+    """
+    content = read_content(path, expected, most)
+    try:
+        return content.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        found = f"byte {error.start + 1} of the file is not UTF-8"
+        raise InputError(Problem(path, "text", found, f"{expected}, as text in UTF-8")) from None
+
+
+def read_content(path: Path, expected: str, most: int = MAX_BYTES) -> bytes:
+    """The same as bytes."""
+    require_file(path, expected)
+    try:
+        with path.open("rb") as file:
+            content = file.read(most + 1)
+    except OSError as error:
+        found = f"a file that cannot be opened ({error.strerror or error})"
+        raise InputError(Problem(path, "file", found, expected)) from None
+    if len(content) > most:
+        raise InputError(Problem(path, "file", f"more than {most >> 20} MB", expected))
+    return content
+
+
+def require_file(path: Path, expected: str = "a file that can be read") -> None:
+    """Raises InputError for anything but a file, such as a pipe, which reading would wait for."""
+    try:
+        found = None if path.is_file() else "a folder" if path.is_dir() else _neither(path)
+    except (OSError, ValueError) as error:  # ValueError: a name with a zero in it
+        found = f"a file that cannot be opened ({error})"
+    if found is not None:
+        raise InputError(Problem(path, "file", found, expected))
+
+
+def _neither(path: Path) -> str:
+    return "a pipe or a device" if path.exists() else "no such file"
+
+
+def read_json(path: Path, expected: str) -> Any:
+    """Raises InputError for anything but a file of JSON."""
+    return parse_json(read_text(path, expected), path, expected)
+
+
+def read_toml(path: Path, expected: str = "a TOML file") -> dict[str, Any]:
+    """Raises InputError for anything but a file of TOML."""
+    return parse_toml(read_text(path, expected, MAX_TOML_BYTES), path, expected)
+
+
+def parse_json(text: str, source: str | Path, expected: str = "JSON") -> Any:
+    return _parsed(json.loads, text, source, expected)
+
+
+def parse_toml(text: str, source: str | Path, expected: str = "TOML") -> dict[str, Any]:
+    return _parsed(tomllib.loads, text, source, expected)
+
+
+def _parsed(parse: Callable[[str], Any], text: str, source: str | Path, expected: str) -> Any:
+    try:
+        return parse(text)
+    except RecursionError:
+        found = "tables or lists that are nested too deeply"
+    except (ValueError, OverflowError, MemoryError, AttributeError, KeyError, IndexError, TypeError) as error:
+        # Beside its own error tomllib lets those of dates and of long numbers pass.
+        found = " ".join(str(error).split())[:200]
+    raise InputError(Problem(source, "content", found, expected))
+
+
+_Model = TypeVar("_Model", bound="BaseModel")
+
+
+def validated(model: type[_Model], table: Mapping[str, Any], source: str | Path) -> _Model:
+    """A table with the fields of a model. Raises InputError with everything that is wrong with it."""
+    from pydantic import ValidationError  # slow to import
+
+    try:
+        return model.model_validate(table)
+    except ValidationError as error:
+        raise InputError(
+            Problem(source, _field(e["loc"]), repr(e["input"])[:60], e["msg"].removeprefix("Value error, "))
+            for e in error.errors()
+        ) from None
+
+
+def _field(place: tuple[int | str, ...]) -> str:
+    """As in legs[0].hip_m."""
+    return "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in place).removeprefix(".")

@@ -1,0 +1,1 @@
+"""Cameras found from pictures of a board, from a video, or planned."""

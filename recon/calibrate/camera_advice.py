@@ -1,0 +1,182 @@
+"""Where to put a camera so that its pixels say something of an angle, or of a joint.
+
+A mean stride runs through the middle of the picture: the prior's mean pose, which swings along its two widest
+directions. Nothing is searched for: the posterior is that of a fit which has found this motion, and only needs the
+curvature of the problem there (`recon.fit.posterior`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from recon.animal.body import Body
+from recon.animal.prior import MotionPrior
+from recon.base.arrays import Array
+from recon.clip import View, still_view
+from recon.fit.least_squares import Estimate
+from recon.fit.posterior import posterior
+from recon.fit.setting import Setting, TrajectoryOptions
+from recon.geometry.camera import Camera
+from recon.geometry.kinematics import ROOT
+
+AZIMUTHS_RAD = np.radians(np.arange(0, 360, 30))
+"""About the animal, from above counter-clockwise: 0 ahead of it, a quarter turn to its left."""
+ELEVATIONS_RAD = np.radians([5, 30, 55, 80])
+FPS, FRAMES = 60.0, 21
+STRIDES_HZ, LENGTHS_S = 3.0, 5.0
+"""Of the stride: how often it repeats, and how many of its own lengths the animal runs in a second."""
+AWAY_LENGTHS = 4.0
+"""Distance of the camera by default, in lengths of the animal."""
+PICTURE_PX = (1920, 1080)
+SAME = 1e-6
+"""Relative difference of deviations that are equal but for rounding."""
+
+
+@dataclass(frozen=True, eq=False)
+class Advice:
+    """One camera on a sphere about the animal, in every place of a grid of A azimuths and E elevations."""
+
+    of: str
+    """What is to be seen."""
+    unit: str
+    """"rad" of an angle, "m" of joints."""
+    distance_m: float
+    azimuths_rad: Array
+    """(A,): see `AZIMUTHS_RAD`."""
+    elevations_rad: Array
+    """(E,): above the level of the animal's middle."""
+    sigma: Array
+    """(E, A): standard deviation, the median over the frames; infinite where the animal is not in the picture."""
+    share: Array
+    """(E, A): of its precision, what comes from the pixels of all cameras."""
+    beside: tuple[float, float] | None = None
+    """Azimuth and elevation of another camera that is there already."""
+
+    @property
+    def best(self) -> tuple[int, int]:
+        """Of the least deviation: indices of elevation and azimuth. Of places that are equally good, as both sides of
+        an animal can be, the first."""
+        row, column = np.argwhere(self.sigma <= (1 + SAME) * self.sigma.min())[0]
+        return int(row), int(column)
+
+    @property
+    def place(self) -> tuple[float, float]:
+        """The best azimuth and elevation."""
+        row, column = self.best
+        return float(self.azimuths_rad[column]), float(self.elevations_rad[row])
+
+
+def advise(
+    body: Body,
+    prior: MotionPrior,
+    angle: str | None = None,
+    joint: str | None = None,
+    hfov_deg: float = 60.0,
+    distance_m: float | None = None,
+    beside: tuple[float, float] | None = None,
+    azimuths_rad: Array = AZIMUTHS_RAD,
+    elevations_rad: Array = ELEVATIONS_RAD,
+    progress: Callable[[float], None] = lambda share: None,
+) -> Advice:
+    """angle: of the body's states, without its place and heading; joint: a marker; without either, all markers.
+    distance_m: of the camera from the animal's middle, by default `AWAY_LENGTHS`; beside: where another camera stays.
+    Raises ValueError for a name that the body lacks, and for a field of view outside (0, 180) degrees."""
+    states = mean_stride(body, prior)
+    middle = body.tree.pose(states).points_m.mean(axis=(0, 1))
+    distance = AWAY_LENGTHS * length_m(body) if distance_m is None else distance_m
+    lens = Camera.from_hfov(hfov_deg, PICTURE_PX)
+
+    def camera(place: tuple[float, float], name: str) -> Camera:
+        return placed(replace(lens, name=name), middle, *place, distance)
+
+    others = [] if beside is None else [camera(beside, "beside")]
+    found = np.empty((len(elevations_rad), len(azimuths_rad), 2))
+    with threadpool_limits(1, user_api="blas"):
+        for row, elevation in enumerate(elevations_rad):
+            for column, azimuth in enumerate(azimuths_rad):
+                cameras = [*others, camera((float(azimuth), float(elevation)), "there")]
+                found[row, column] = known(body, prior, states, cameras, angle, joint)
+                progress((row * len(azimuths_rad) + column + 1) / (len(elevations_rad) * len(azimuths_rad)))
+    return Advice(
+        of=angle or joint or "all joints",
+        unit="m" if angle is None else "rad",
+        distance_m=distance,
+        azimuths_rad=azimuths_rad,
+        elevations_rad=elevations_rad,
+        sigma=found[..., 0],
+        share=found[..., 1],
+        beside=beside,
+    )
+
+
+def known(
+    body: Body,
+    prior: MotionPrior,
+    states: Array,
+    cameras: Sequence[Camera],
+    angle: str | None = None,
+    joint: str | None = None,
+    options: TrajectoryOptions | None = None,
+) -> tuple[float, float]:
+    """Standard deviation (rad, or m of a joint within the pose) and the pixels' share of the precision, medians over
+    frames, where cameras see the motion of states (T, D). (inf, 0) where none sees it. See `advise`."""
+    options = options or TrajectoryOptions()
+    views = [_seen(body, states, camera) for camera in cameras]
+    if not any(view.present.any() for view in views):
+        return np.inf, 0.0
+    setting = Setting.of(views, body, prior, FPS, options)
+    at_origin = states.copy()
+    at_origin[:, ROOT] -= setting.origin_m
+    around_m = setting.markers(at_origin)
+    noise_px = setting.noise_px(around_m, np.ones((len(views), len(body.markers))))
+    problem = setting.problem(noise_px, temperature=1.0, around_m=around_m)
+    found = Estimate(at_origin, 0.0, 0, True, problem.expected())
+    result = posterior(problem, body, found, max(options.error_time_s * FPS, 1.0))
+    if angle is not None:
+        column = body.state_names[3:].index(angle)
+        return (
+            float(np.median(np.sqrt(result.angle_variance[0][:, column]))),
+            float(np.median(result.angle_data_share[:, column])),
+        )
+    which = slice(None) if joint is None else [body.markers.index(joint)]
+    variance = np.trace(result.relative_covariance_m2[:, which], axis1=2, axis2=3).mean(axis=1)
+    return float(np.median(np.sqrt(variance))), float(np.nanmean(result.data_share[which]))
+
+
+def mean_stride(body: Body, prior: MotionPrior) -> Array:
+    """(FRAMES, D): along x through the origin of the world."""
+    values, vectors = np.linalg.eigh(prior.covariance)
+    time_s = (np.arange(FRAMES) - FRAMES // 2) / FPS
+    phase = 2 * np.pi * STRIDES_HZ * time_s
+    states = np.zeros((FRAMES, body.n_state))
+    states[:, 0] = LENGTHS_S * length_m(body) * time_s
+    states[:, 4:] = prior.mean
+    for swing, k in ((np.cos(phase), -1), (np.sin(phase), -2)):
+        states[:, 4:] += np.outer(swing, vectors[:, k] * np.sqrt(values[k]))
+    return states
+
+
+def length_m(body: Body) -> float:
+    """From end to end, in the expected pose."""
+    state = np.concatenate([np.zeros(4), body.mean_rad])
+    return float(np.ptp(body.tree.pose(state[None]).points_m[0, :, 0]))
+
+
+def placed(camera: Camera, target_m: Array, azimuth_rad: float, elevation_rad: float, distance_m: float) -> Camera:
+    """The camera in that place about an animal that faces x, with the target in the middle of its upright picture."""
+    level = np.array([np.cos(azimuth_rad), np.sin(azimuth_rad), 0.0])
+    towards = -np.cos(elevation_rad) * level - np.sin(elevation_rad) * np.array([0.0, 0.0, 1.0])
+    right = np.array([-level[1], level[0], 0.0])
+    rotation = np.stack([right, np.cross(towards, right), towards])
+    return replace(camera, rotation=rotation, translation_m=-rotation @ (target_m - distance_m * towards))
+
+
+def _seen(body: Body, states: Array, camera: Camera) -> View:
+    """What a detector sees of the markers that are in the picture."""
+    pixels, valid = camera.project(camera.world_to_camera(body.detected.pose(states).points_m))
+    seen = valid & camera.in_image(pixels)
+    return still_view(camera, np.where(seen[..., None], pixels, np.nan), seen.astype(float))

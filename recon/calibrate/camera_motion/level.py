@@ -1,0 +1,119 @@
+"""Which way is up, as said, marked in the pictures, or supposed."""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from recon.base.arrays import Array
+from recon.base.documents import read_text
+from recon.base.errors import InputError, Problem
+from recon.calibrate.camera_motion.features import rays_of
+from recon.calibrate.camera_motion.rotation import Turn
+from recon.geometry.camera import Camera
+from recon.geometry.frames import level_from_camera
+from recon.io.common import first_problems, frame_number, number
+
+COLUMNS = ("kind", "frame", "x1", "y1", "x2", "y2")
+EXPECTED = f"a table (.csv) with the columns {', '.join(COLUMNS)}: horizon or vertical, and two points of it, px"
+MARKED_PX = 2.0
+"""How exactly a point is marked."""
+MAX_SIGMA_RAD = math.radians(3.0)
+"""Marks that say less of the upward direction do not say it: a single vertical, or parallel ones."""
+
+
+@dataclass(frozen=True)
+class LevelMark:
+    """Two points of the horizon, or of something upright, in the picture of a frame."""
+
+    kind: Literal["horizon", "vertical"]
+    frame: int
+    ends_px: tuple[tuple[float, float], tuple[float, float]]
+
+
+def as_level(turns: Sequence[Turn], up: Array | None) -> tuple[Turn, ...]:
+    """The turns from a world with z up, y away from the camera.
+
+    up: (3,) in the first frame's camera. None: the mean frame looks level.
+    """
+    reference = turns[0].rotation
+    if up is None:
+        from scipy.spatial.transform import Rotation  # slow to import
+
+        reference, up = Rotation.from_matrix([turn.rotation for turn in turns]).mean().as_matrix(), tilted(0.0)
+    level = level_from_camera(up) @ reference  # of the old world
+    return tuple(replace(turn, rotation=turn.rotation @ level.T) for turn in turns)
+
+
+def tilted(tilt_rad: float) -> Array:
+    """Up (3,) in a camera that looks down so far, its picture level to the sides."""
+    return np.array([0.0, -math.cos(tilt_rad), -math.sin(tilt_rad)])
+
+
+def up_by_marks(
+    source: Path, marks: Sequence[LevelMark], camera: Camera, turns: Mapping[int, Turn]
+) -> tuple[Array, float]:
+    """Up (3,) in the first frame's camera, and its standard deviation in rad. turns: by frame.
+
+    The horizon's rays lie level, and something upright lies in the plane through its ends' rays: up is at right angles
+    to all of the first and to the normals of the second. Raises InputError for a frame without a turn, a point
+    outside the lens's range, and for marks that do not tell.
+    """
+    first = turns[min(turns)].rotation
+    rows, problems = [], []
+    for mark in marks:
+        turn = turns.get(mark.frame)
+        rays, valid = rays_of(camera, np.array(mark.ends_px), turn.zoom if turn else 1.0)
+        if turn is None:
+            problems.append(Problem(source, "frame", str(mark.frame), "one of the video in which the turn was found"))
+        elif not valid.all():
+            problems.append(Problem(source, f"frame {mark.frame}", str(mark.ends_px), "points of the picture"))
+        else:
+            level = rays if mark.kind == "horizon" else np.cross(*rays)[None]
+            rows.append(level @ turn.rotation @ first.T)
+    if problems:
+        raise InputError(dict.fromkeys(problems))
+    # A ray is as exact as a mark over the focal length; a plane's normal as two marks over the length between them,
+    # which is that of the cross product.
+    A = np.concatenate(rows) * camera.matrix[0, 0] / MARKED_PX
+    _, size, directions = np.linalg.svd(A, full_matrices=True)
+    sigma = math.sqrt(np.sum(size[:2] ** -2.0)) if len(size) > 1 and size[1] > 0 else math.inf
+    if sigma > MAX_SIGMA_RAD:
+        found = "marks that leave the upward direction open"
+        raise InputError(Problem(source, "marks", found, "two points of the horizon, or verticals far from each other"))
+    up = directions[2]
+    return (up if up[1] < 0 else -up), sigma
+
+
+def read_marks(path: Path) -> tuple[LevelMark, ...]:
+    """From a CSV table of `COLUMNS`. Raises InputError with every problem."""
+    rows = list(csv.reader(read_text(path, EXPECTED).splitlines()))
+    if not rows or tuple(cell.strip() for cell in rows[0]) != COLUMNS:
+        raise InputError(Problem(path, "header", repr(",".join(rows[0] if rows else []))[:80], EXPECTED))
+    marks = [_mark(cells) for cells in rows[1:]]
+    problems = [
+        Problem(path, f"line {line}", repr(",".join(cells))[:80], EXPECTED)
+        for line, (cells, mark) in enumerate(zip(rows[1:], marks, strict=True), start=2)
+        if mark is None
+    ]
+    if problems or not marks:
+        raise InputError(first_problems(problems, path) if marks else Problem(path, "lines", "none", EXPECTED))
+    return tuple(mark for mark in marks if mark)
+
+
+def _mark(cells: Sequence[str]) -> LevelMark | None:
+    if len(cells) != len(COLUMNS) or cells[0].strip() not in ("horizon", "vertical"):
+        return None
+    try:
+        frame, (x1, y1, x2, y2) = frame_number(cells[1].strip()), (number(cell.strip()) for cell in cells[2:])
+    except ValueError:
+        return None
+    if frame is None or not np.isfinite([x1, y1, x2, y2]).all() or (x1, y1) == (x2, y2):
+        return None
+    return LevelMark("horizon" if cells[0].strip() == "horizon" else "vertical", frame, ((x1, y1), (x2, y2)))

@@ -1,0 +1,362 @@
+"""Frames in, one after the other; how the camera was turned in each out. Keyframes are what is remembered."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import cv2
+import numpy as np
+
+from recon.base.arrays import Array, Bools, Integers
+from recon.calibrate.camera_motion.adjust import FLOOR_PX, Link, adjust
+from recon.calibrate.camera_motion.features import (
+    GreyPicture,
+    alike,
+    corners,
+    described,
+    followed,
+    hull_mask,
+    matched,
+    pixels_of,
+    rays_of,
+    same_scene,
+)
+from recon.calibrate.camera_motion.rotation import AgreedTurn, Turn, agreed_turn, expected_px, normal_equations
+from recon.geometry.camera import Camera
+from recon.io.video import Image
+
+LIMIT = 1 / 320
+"""Of the picture's longer side: a point that is further off does not agree with a turn that is tried."""
+MIN_CORNERS = 40
+NEW_KEY_LIKENESS, MIN_LIKENESS = 0.7, 0.25
+NEW_KEY_SUPPORT, MIN_SUPPORT = 0.6, 0.25
+"""Of the most that a turn has been worth since the last keyframe."""
+BY_ZOOM = 5.0
+"""How much less alike two pictures are by the difference of their log zooms."""
+KEYS_AT_ONCE, KEYS_TO_LINK = 3, 5
+MAX_PICTURES = 120
+"""Keyframes whose pictures are kept, the last ones used: what bounds the memory."""
+LEARNING = 0.15
+SETTLED, COME_APART, MAX_APART = 0.75, 0.6, 0.25
+"""A point that has mostly agreed is background; where fewer than so many of these agree, the background has come apart,
+and in more than so many frames it does so for a camera that has not only turned."""
+MIN_STILL, MAX_TORN = 0.4, 1
+"""Of an old keyframe's background as much is still in its place, but for so many times."""
+THUMBNAIL_PX = 400
+
+
+@dataclass(eq=False)
+class Key:
+    """A frame that others are compared with.
+
+    number: its place among those that have a turn. frame: None where the picture has been forgotten. points_px, rays:
+    (N, 2), (N, 3), camera frame. trust: (N,) from 0 to 1, how far each point has been background. settled: (N,),
+    whether one was. known: what `described` has found. used: the last frame that was compared with it.
+    """
+
+    number: int
+    frame: GreyPicture | None
+    points_px: Array
+    turn: Turn
+    trust: Array
+    known: tuple[Array, Image]
+    thumbnail: Image
+    rays: Array
+    settled: Bools
+    used: int
+
+    @property
+    def world_rays(self) -> Array:
+        return self.rays @ self.turn.rotation
+
+
+@dataclass(frozen=True, eq=False)
+class TurningMotion:
+    """Of F frames of the video, N of which have a turn. frames: (N,) numbers from 0. inliers, residual_px, sigma_rad,
+    sigma_zoom: (N,). lost: numbers of the frames without enough background. keys: (K,) places among the N frames, and
+    their pictures. turned_only: whether the background has kept together. cut: the number of the frame where another
+    take begins."""
+
+    frames: Integers
+    turns: tuple[Turn, ...]
+    inliers: Integers
+    residual_px: Array
+    sigma_rad: Array
+    sigma_zoom: Array
+    lost: Integers
+    keys: Integers
+    pictures: tuple[Image, ...]
+    turned_only: bool
+    cut: int | None
+
+
+@dataclass(eq=False)
+class Tracker:
+    """masked: pixels (K, 2) of the animal in a frame, by its number, or None. What has been found so far: frames with
+    their turns, supports (points that agree, their root mean square in px) and links; frames that were lost; in how
+    many the background came apart, and how much of old keyframes' backgrounds was still in its place. support: the most
+    that a turn has been worth since the last keyframe. last: the last frame that was placed."""
+
+    camera: Camera
+    solve_zoom: bool = False
+    masked: Callable[[int], Array | None] = lambda number: None
+    keys: list[Key] = field(default_factory=list)
+    frames: list[int] = field(default_factory=list)
+    turns: list[Turn] = field(default_factory=list)
+    supports: list[tuple[int, float]] = field(default_factory=list)
+    links: list[Link] = field(default_factory=list)
+    lost: list[int] = field(default_factory=list)
+    apart: int = 0
+    support: float = 0.0
+    last: GreyPicture | None = None
+    still: list[float] = field(default_factory=list)
+    cut: int | None = None
+
+    def add(self, number: int, picture: Image) -> bool:
+        """Whether the frame could be placed; afterwards `cut` says whether it is another take."""
+        frame = GreyPicture.of(picture)
+        points = self.masked(number)
+        mask = None if points is None else hull_mask(frame, points)
+        if not self.keys:
+            return self._begin(number, frame, picture, mask)
+        found = self._placed(number, frame, mask, self._predicted(number), KEYS_AT_ONCE)
+        if found is None and (again := self._found_again(frame, mask)) is not None:
+            found = self._placed(number, frame, mask, again, KEYS_AT_ONCE)
+        if found is None:
+            self.lost.append(number)
+            if len(corners(frame, mask)) >= max(MIN_CORNERS, 0.5 * len(self.keys[-1].points_px)):
+                same = same_scene(self.keys[-1].known, described(frame))
+                self.apart += same
+                if not same and self.frames[-1] == number - 1 and not (self.last and alike(self.last, frame)):
+                    self.cut = number
+            return False
+        agreement, seen = found
+        apart = self._learn(agreement, seen)
+        self.apart += apart
+        self.support = max(self.support, agreement.spread)
+        new = max(self._likeness(key, agreement.turn) for key in seen.keys) < NEW_KEY_LIKENESS
+        new |= agreement.spread < NEW_KEY_SUPPORT * self.support and not apart
+        if new:
+            agreement, seen = self._placed(number, frame, mask, agreement.turn, KEYS_TO_LINK) or found
+            self._look_back(agreement, seen)
+        self._keep(number, agreement, seen)
+        self.last = frame
+        if new:
+            self._new_key(frame, picture, mask, agreement, seen)
+        return True
+
+    @property
+    def _limit_px(self) -> float:
+        return LIMIT * max(self.camera.image_size_px)
+
+    # -- one frame --
+
+    def _begin(self, number: int, frame: GreyPicture, picture: Image, mask: Bools | None) -> bool:
+        points = corners(frame, mask)
+        if len(points) < MIN_CORNERS:
+            self.lost.append(number)
+            return False
+        self.frames.append(number)
+        self.turns.append(Turn(np.eye(3)))
+        self.supports.append((len(points), 0.0))
+        self._remember(frame, picture, points, np.full(len(points), 0.5))
+        return True
+
+    def _predicted(self, number: int) -> Turn:
+        """Turned on as before."""
+        if len(self.turns) < 2 or self.frames[-2:] != [number - 2, number - 1]:
+            return self.turns[-1]
+        a, b = self.turns[-2:]
+        return Turn(b.rotation @ a.rotation.T @ b.rotation, b.zoom * b.zoom / a.zoom)
+
+    def _placed(
+        self, number: int, frame: GreyPicture, mask: Bools | None, guess: Turn, count: int
+    ) -> tuple[AgreedTurn, _Seen] | None:
+        keys = self._nearest(guess, count)
+        seen = _Seen.of(self.camera, keys, frame, guess, mask)
+        for key in keys:
+            key.used = number
+        seen = seen.where(rays_of(self.camera, seen.pixels, guess.zoom)[1])
+        agreement = self._agreed(seen.rays, seen.pixels, seen.trust, guess.zoom, self._limit_px)
+        enough = agreement is not None and agreement.spread > MIN_SUPPORT * self.support
+        return (agreement, seen) if agreement is not None and enough else None
+
+    def _agreed(self, rays: Array, pixels: Array, trust: Array, zoom: float, limit_px: float) -> AgreedTurn | None:
+        there, valid = rays_of(self.camera, pixels, zoom)
+        of_points = rays[valid], pixels[valid], there[valid], trust[valid]
+        return agreed_turn(self.camera, *of_points, zoom, solve_zoom=self.solve_zoom, limit_px=limit_px)
+
+    def _nearest(self, turn: Turn, count: int) -> list[Key]:
+        """Keyframes with a picture that look the same way."""
+        near = [(float(turn.rotation[2] @ key.turn.rotation[2]), key) for key in self.keys if key.frame is not None]
+        near = sorted(near, key=lambda pair: -pair[0])[: 2 * count]
+        best = sorted(((self._likeness(key, turn), key) for _, key in near), key=lambda pair: -pair[0])
+        alike = [key for likeness, key in best if likeness >= MIN_LIKENESS]
+        kept = alike[:count]
+        if count == KEYS_TO_LINK and alike[count:]:
+            kept.append(min(alike[count:], key=lambda key: key.number))
+        return kept or [key for _, key in best[:1]]
+
+    def _likeness(self, key: Key, turn: Turn) -> float:
+        """Share of a frame's picture that is in the keyframe's, less where it is larger or smaller there."""
+        width, height = self.camera.image_size_px
+        x, y = np.meshgrid(np.linspace(0, width - 1, 9), np.linspace(0, height - 1, 9))
+        rays, valid = rays_of(self.camera, np.column_stack([x.ravel(), y.ravel()]), turn.zoom)
+        if not valid.any():
+            return 0.0
+        inside = expected_px(self.camera, rays[valid] @ turn.rotation, key.turn)[1].mean()
+        return float(inside) - BY_ZOOM * abs(np.log(turn.zoom / key.turn.zoom))
+
+    def _found_again(self, frame: GreyPicture, mask: Bools | None) -> Turn | None:
+        """By points that are known wherever they have gone: after a jerk, or a stretch without background."""
+        pixels, descriptors = described(frame)
+        recent = sorted((key for key in self.keys if key.frame is not None), key=lambda key: -key.used)[:20]
+        rays, places = [], []
+        for key in recent:
+            pairs = matched(key.known[1], descriptors)
+            there, valid = rays_of(self.camera, key.known[0][pairs[:, 0]], key.turn.zoom)
+            rays.append(there[valid] @ key.turn.rotation)
+            places.append(pixels[pairs[valid, 1]])
+        if not rays:
+            return None
+        seen = np.concatenate(places)
+        zoom, limit_px = self.turns[-1].zoom, 2 * self._limit_px
+        found = self._agreed(np.concatenate(rays), seen, np.ones(len(seen)), zoom, limit_px)
+        return None if found is None else found.turn
+
+    # -- what is learnt --
+
+    def _learn(self, agreement: AgreedTurn, seen: _Seen) -> bool:
+        """Which points are background; whether what was background has come apart."""
+        settled = kept = 0
+        for k, key in enumerate(seen.keys):
+            own = seen.of_key == k
+            at, agree = seen.index[own], agreement.agree[own]
+            was = key.settled[at]
+            settled, kept = settled + int(was.sum()), kept + int((was & agree).sum())
+            key.trust[at] += LEARNING * (np.where(agree, 1.0, 0.05) - key.trust[at])
+            key.settled |= key.trust > SETTLED
+        return settled >= MIN_CORNERS and kept < COME_APART * settled
+
+    def _look_back(self, agreement: AgreedTurn, seen: _Seen) -> None:
+        """How much of the settled background of the oldest keyframe that looks the same way is still in its place."""
+        k = min(range(len(seen.keys)), key=lambda k: seen.keys[k].number)
+        key = seen.keys[k]
+        inside = expected_px(self.camera, key.world_rays, agreement.turn)[1] & key.settled
+        if inside.sum() >= MIN_CORNERS:
+            at = seen.index[(seen.of_key == k) & agreement.agree]
+            self.still.append(float(inside[at].sum() / inside.sum()))
+
+    def _keep(self, number: int, agreement: AgreedTurn, seen: _Seen) -> None:
+        self.frames.append(number)
+        self.turns.append(agreement.turn)
+        agree = agreement.agree
+        error = np.linalg.norm(agreement.residual_px[agree], axis=1)
+        self.supports.append((int(agree.sum()), float(np.sqrt((error**2).mean()))))
+        place = len(self.frames) - 1
+        for k, key in enumerate(seen.keys):
+            own = (seen.of_key == k) & agree
+            if own.sum() >= 8:
+                self.links.append(self._link(place, key, agreement, seen, own))
+
+    def _link(self, place: int, key: Key, agreement: AgreedTurn, seen: _Seen, own: Bools) -> Link:
+        turn, J = agreement.turn, agreement.jacobian[own]
+        by_key = np.zeros((len(J), 2, 1))
+        if self.solve_zoom:
+            step = 1e-4
+            points = key.points_px[seen.index[own]]
+            ends = [rays_of(self.camera, points, key.turn.zoom * np.exp(d))[0] for d in (-step, step)]
+            between = turn.rotation @ key.turn.rotation.T
+            a, b = (pixels_of(self.camera, rays @ between.T, turn.zoom)[0] for rays in ends)
+            by_key = np.nan_to_num((b - a) / (2 * step))[:, :, None]
+        J = np.concatenate([J, by_key], axis=2)
+        weights = agreement.weights[own] / agreement.sigma_px**2
+        normal, gradient = normal_equations(J, weights, agreement.residual_px[own])
+        zooms = np.log([turn.zoom, key.turn.zoom])
+        return Link(place, key.number, turn.rotation @ key.turn.rotation.T, zooms, normal, gradient)
+
+    def _new_key(
+        self, frame: GreyPicture, picture: Image, mask: Bools | None, agreement: AgreedTurn, seen: _Seen
+    ) -> None:
+        """Its points are as trusted as the nearest that were followed into it."""
+        points = corners(frame, mask)
+        trust = np.full(len(points), 0.5)
+        if len(points) >= MIN_CORNERS:
+            apart = np.linalg.norm(points[:, None] - seen.pixels, axis=2)
+            nearest = apart.argmin(axis=1)
+            close = apart[np.arange(len(points)), nearest] < 0.04 * max(self.camera.image_size_px)
+            trust[close] = np.clip(np.where(agreement.agree[nearest], 0.6, 0.2), 0, 1)[close]
+            self._remember(frame, picture, points, trust)
+
+    def _remember(self, frame: GreyPicture, picture: Image, points: Array, trust: Array) -> None:
+        self.support = 0.0
+        turn = self.turns[-1]
+        rays, valid = rays_of(self.camera, points, turn.zoom)
+        scale = min(1.0, THUMBNAIL_PX / max(picture.shape))
+        small = np.asarray(cv2.resize(picture, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA), np.uint8)
+        place, known, points, trust = len(self.frames) - 1, described(frame), points[valid], trust[valid]
+        settled = np.zeros(len(points), bool)
+        key = Key(place, frame, points, turn, trust, known, small, rays[valid], settled, self.frames[-1])
+        self.keys.append(key)
+        with_picture = [key for key in self.keys if key.frame is not None]
+        if len(with_picture) > MAX_PICTURES:
+            min(with_picture, key=lambda key: key.used).frame = None
+
+    # -- all of them --
+
+    def finish(self) -> TurningMotion:
+        """Everything adjusted together."""
+        frames, lost = np.array(self.frames, dtype=np.int64), np.array(self.lost, dtype=np.int64)
+        inliers = np.array([n for n, _ in self.supports], dtype=np.int64)
+        residual = np.array([px for _, px in self.supports])
+        keys = np.array([key.number for key in self.keys], dtype=np.int64)
+        pictures = tuple(key.thumbnail for key in self.keys)
+        turns: Sequence[Turn] = self.turns
+        sigma, sigma_zoom = np.zeros(len(frames)), np.zeros(len(frames))
+        if self.links:
+            done = adjust(turns, self.links, self.solve_zoom, FLOOR_PX / self.camera.matrix[0, 0])
+            turns, sigma, sigma_zoom = done.turns, done.sigma_rad, done.sigma_zoom
+        torn = sum(share < MIN_STILL for share in self.still)
+        turned_only = self.apart <= MAX_APART * (len(frames) + len(lost)) and torn <= MAX_TORN
+        return TurningMotion(
+            frames, tuple(turns), inliers, residual, sigma, sigma_zoom, lost, keys, pictures, turned_only, self.cut
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class _Seen:
+    """Points of some keyframes in one frame. of_key, index: (N,), whose they are and which of its. rays: (N, 3), world.
+    pixels: (N, 2). trust: (N,)."""
+
+    keys: list[Key]
+    of_key: Integers
+    index: Integers
+    rays: Array
+    pixels: Array
+    trust: Array
+
+    @classmethod
+    def of(cls, camera: Camera, keys: list[Key], frame: GreyPicture, guess: Turn, mask: Bools | None) -> _Seen:
+        none = np.zeros(0, np.int64)
+        parts: list[tuple[Any, ...]] = [(none, none, np.zeros((0, 3)), np.zeros((0, 2)), np.zeros(0))]
+        for k, key in enumerate(keys):
+            if key.frame is None:
+                continue
+            world = key.world_rays
+            expected, inside = expected_px(camera, world, guess)
+            at = np.flatnonzero(inside)
+            found, good = followed(key.frame, frame, key.points_px[at], expected[at])
+            if mask is not None:
+                x, y = np.rint(frame.work_px(found)).astype(int).T
+                height, width = mask.shape
+                good &= ~mask[np.clip(y, 0, height - 1), np.clip(x, 0, width - 1)]
+            at = at[good].astype(np.int64)
+            parts.append((np.full(len(at), k, dtype=np.int64), at, world[at], found[good], key.trust[at]))
+        joined: Any = map(np.concatenate, zip(*parts, strict=True))
+        return cls(keys, *joined)
+
+    def where(self, kept: Bools) -> _Seen:
+        parts: tuple[Any, ...] = (self.of_key, self.index, self.rays, self.pixels, self.trust)
+        return _Seen(self.keys, *(part[kept] for part in parts))

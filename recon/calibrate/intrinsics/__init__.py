@@ -1,0 +1,29 @@
+"""A camera's matrix and lens from views of a flat board."""
+
+from __future__ import annotations
+
+from recon.calibrate.intrinsics.board import Board, Charuco, Chessboard, Corners, parse_board
+from recon.calibrate.intrinsics.checks import LIMITS, Check, check, coverage
+from recon.calibrate.intrinsics.picture import draw
+from recon.calibrate.intrinsics.solve import Calibration, FittedBoardView, calibrate
+from recon.calibrate.intrinsics.views import BoardView, BoardViews, collect, find_views
+
+__all__ = [
+    "LIMITS",
+    "Board",
+    "BoardView",
+    "BoardViews",
+    "Calibration",
+    "Charuco",
+    "Check",
+    "Chessboard",
+    "Corners",
+    "FittedBoardView",
+    "calibrate",
+    "check",
+    "collect",
+    "coverage",
+    "draw",
+    "find_views",
+    "parse_board",
+]

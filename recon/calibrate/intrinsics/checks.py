@@ -1,0 +1,156 @@
+"""Whether a calibration is good enough to use: measured values, limits, and why the limits are where they are.
+
+Each limit has two steps: beyond the first it is a warning, beyond the second a reason to refuse. What matters for a
+reconstruction is the scale of the picture (the focal length: 1 % is 1 % of every distance from the camera, and little
+beside the 3 to 10 % to which an animal's size is known), the direction of the axis (the principal point: 1 % of the
+width is about 0.6 degrees), and a lens model that holds where the animal is, which is anywhere in the picture.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+import cv2
+import numpy as np
+
+from recon.base.arrays import Array, Bools
+from recon.calibrate.intrinsics.solve import Calibration
+
+Verdict = Literal["ok", "warning", "refused"]
+
+
+@dataclass(frozen=True)
+class Limit:
+    """What a measured value is held against. A limit of NaN is never reached."""
+
+    name: str
+    what: str
+    unit: str
+    warn: float
+    """A warning where the value is beyond it (below it, if `at_least`)."""
+    refuse: float
+    """A reason to refuse where the value is beyond it (below it, if `at_least`)."""
+    at_least: bool
+    advice: str
+
+
+LIMITS = (
+    Limit(
+        "images", "pictures used", "", 10, 6, True, "take more pictures"
+    ),  # three determine the matrix, two more the lens; with six an error of one can still be seen in the others
+    Limit(
+        "dropped", "pictures left out as outliers", "%", 10, 25, False, "look for a board that bends, or moves"
+    ),  # one in four is no exception any more: the median itself is in doubt
+    Limit(
+        "rms", "reprojection error", "px of 1920", 0.5, 1.0, False, "check the board's numbers, flatness, and --model"
+    ),  # corners are found to 0.05-0.3 px; more is a wrong lens model or board. Relative to the width above 1920
+    Limit(
+        "coverage", "share of the picture where the board was", "%", 60, 30, True, "move the board over all of it"
+    ),  # the lens is measured there and extrapolated elsewhere, by polynomials
+    Limit(
+        "border", "widest strip along a border without a corner", "% of the side", 12, math.nan, False,
+        "hold the board at the borders, partly outside if it is a ChArUco board",
+    ),  # the distortion is largest there
+    Limit(
+        "tilt", "largest angle between two boards", "degrees", 40, 20, True, "tilt the board by 30 to 45 degrees"
+    ),  # parallel boards say nothing new: a longer focal length and a longer distance look alike
+    Limit(
+        "tilt axes", "spread of the tilt in its least varied direction", "degrees", 6, 2, True,
+        "tilt the board sideways as well as forwards",
+    ),  # about one axis, only one of fx and fy is determined by perspective
+    Limit(
+        "focal length", "standard deviation of fx or fy", "%", 0.3, 1.0, False, "take more pictures, closer and tilted"
+    ),  # what the lens model cannot express is not in it: take it for a third of the truth
+    Limit(
+        "principal point", "standard deviation of cx or cy", "% of the width", 0.3, 1.0, False,
+        "take more pictures, tilted and at the borders",
+    ),
+    Limit(
+        "aspect", "difference between fx and fy", "%", 0.5, 5.0, False, "check that the video is not stretched"
+    ),  # pixels of today's sensors are square to 0.1 %
+    Limit(
+        "centre", "distance of the principal point from the middle", "% of the width", 5, 15, False,
+        "check that the picture is not cropped",
+    ),  # lenses are centred to some 2 %
+    Limit(
+        "folded", "part of the picture where the lens model has no ray", "%", 0.0, 5.0, False,
+        "cover the borders, or use another --model",
+    ),  # there the fitted polynomial turns back; a circular fisheye picture has such corners by nature
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Check:
+    """A measured value beside its limit."""
+
+    limit: Limit
+    value: float
+
+    @property
+    def verdict(self) -> Verdict:
+        if self._beyond(self.limit.refuse):
+            return "refused"
+        return "warning" if self._beyond(self.limit.warn) else "ok"
+
+    def _beyond(self, bound: float) -> bool:
+        if math.isnan(bound):
+            return False
+        # Not a number is no good value.
+        return not (self.value >= bound if self.limit.at_least else self.value <= bound)
+
+    def __str__(self) -> str:
+        """What was found, the limit that it is beyond, by how much, and what to do."""
+        limit = self.limit
+        bound = limit.refuse if self.verdict == "refused" else limit.warn
+        unit = f" {limit.unit}" if limit.unit else ""
+        if self.verdict == "ok":
+            return f"{limit.name}: {limit.what} {self.value:.3g}{unit}"
+        side = "at least" if limit.at_least else "at most"
+        return (
+            f"{limit.name}: {limit.what} {self.value:.3g}{unit}, {side} {bound:g} wanted "
+            f"({abs(self.value - bound):.2g} {'short' if limit.at_least else 'over'}): {limit.advice}"
+        )
+
+
+def check(calibration: Calibration) -> tuple[Check, ...]:
+    """Every limit with its value, in the order of `LIMITS`."""
+    camera, used = calibration.camera, calibration.used
+    width, height = camera.image_size_px
+    values, sigma = calibration.parameters, calibration.sigma
+    covered = coverage(calibration)
+    corners = np.concatenate([view.corners.xy_px for view in used])
+    gaps = [*(corners.min(axis=0) / (width, height)), *(1 - (corners.max(axis=0) + 1) / (width, height))]
+    normals = np.array([view.rotation[:, 2] * np.sign(view.rotation[2, 2] or 1.0) for view in used])
+    measured = {
+        "images": len(used),
+        "dropped": 100 * (1 - len(used) / len(calibration.views)),
+        "rms": calibration.rms_px / max(1.0, max(width, height) / 1920),
+        "coverage": 100 * covered.mean(),
+        "border": 100 * max(0.0, *gaps),
+        "tilt": math.degrees(np.arccos(np.clip(normals @ normals.T, -1, 1)).max()),
+        "tilt axes": math.degrees(math.sqrt(max(0.0, np.linalg.eigvalsh(np.cov(normals[:, :2].T, bias=True))[0]))),
+        "focal length": 100 * max(sigma[0] / values["fx"], sigma[1] / values["fy"]),
+        "principal point": 100 * max(sigma[2:4]) / width,
+        "aspect": 100 * abs(values["fx"] / values["fy"] - 1),
+        "centre": 100 * math.hypot(values["cx"] - (width - 1) / 2, values["cy"] - (height - 1) / 2) / width,
+        "folded": 100 * (1 - camera.rays(_pixel_grid(width, height))[1].mean()),
+    }
+    return tuple(Check(limit, float(measured[limit.name])) for limit in LIMITS)
+
+
+def coverage(calibration: Calibration, columns: int = 320) -> Bools:
+    """Which cells of the picture lie among the corners of some picture that was used: (rows, columns)."""
+    width, height = calibration.camera.image_size_px
+    scale = columns / width
+    mask = np.zeros((max(1, round(height * scale)), columns), dtype=np.uint8)
+    for view in calibration.used:
+        hull = cv2.convexHull(((view.corners.xy_px + 0.5) * scale - 0.5).astype(np.float32))
+        cv2.fillConvexPoly(mask, np.rint(hull).astype(np.int32), 1)
+    return mask.astype(bool)
+
+
+def _pixel_grid(width: int, height: int) -> Array:
+    y, x = np.mgrid[0 : height - 1 : 41j, 0 : width - 1 : 41j]
+    return np.stack((x, y), axis=-1)

@@ -1,0 +1,232 @@
+"""Views of a board: from pictures, or from a video, of which the sharp and different frames are enough."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from recon.base.arrays import Array
+from recon.base.errors import InputError, Problem
+from recon.base.progress import Progress, silent
+from recon.calibrate.intrinsics.board import Board, Corners, Gray
+from recon.io.video import SUFFIXES as VIDEO_SUFFIXES
+from recon.io.video import probe, read_frames
+
+IMAGE_SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp", ".webp")
+MAX_VIEWS = 40
+"""Of a video. The standard deviations fall with the square root of the number: more add time and little else."""
+MAX_EXAMINED = 600
+"""Frames of a video in which the board is looked for."""
+EXAMINED_HZ = 5.0
+SHARPNESS_KEPT = 0.7
+"""A frame that is less sharp than this share of the sharp ones (their 75th percentile) is left out."""
+MIN_DIFFERENCE = 0.02
+"""Two frames between which the board's outline moved by less, relative to the picture's diagonal, are the same view."""
+
+"""Called with what is being done, and how much of it is done, 0 to 1."""
+
+
+@dataclass(frozen=True)
+class BoardView:
+    """One picture in which the board was found. name: the file's, or the frame's number."""
+
+    name: str
+    corners: Corners
+
+
+@dataclass(frozen=True)
+class BoardViews:
+    """The pictures of a board in some files."""
+
+    board: Board
+    image_size_px: tuple[int, int]
+    views: tuple[BoardView, ...]
+    """Those to calibrate from."""
+    without_board: tuple[str, ...]
+    """Names of the pictures in which it was not found."""
+    examined: int
+    """How many pictures were looked at."""
+    found: int
+    """In how many of them the board was."""
+
+
+def collect(paths: Iterable[Path]) -> list[Path]:
+    """Pictures, those in folders included; or one video, alone.
+
+    Raises InputError for every path with nothing behind it, every folder without pictures, and a video among others.
+    """
+    files: list[Path] = []
+    problems = []
+    for path in paths:
+        if path.is_dir():
+            inside = sorted(file for file in path.iterdir() if file.suffix.lower() in IMAGE_SUFFIXES)
+            if not inside:
+                expected = f"pictures ({', '.join(IMAGE_SUFFIXES)})"
+                problems.append(Problem(path, "folder", "no pictures", expected))
+            files += inside
+        elif not path.exists():
+            problems.append(Problem(path, "file", "nothing there", "a picture, a folder of pictures or a video"))
+        else:
+            files.append(path)
+    videos = [file for file in files if _is_video(file)]
+    if videos and len(files) > 1:
+        expected = "one video alone, or pictures and folders of pictures"
+        problems.append(Problem(videos[0], "inputs", f"a video among {len(files)} files", expected))
+    if problems:
+        raise InputError(problems)
+    return list(dict.fromkeys(files))
+
+
+def find_views(files: Sequence[Path], board: Board, progress: Progress = silent) -> BoardViews:
+    """Find a board in pictures or in one video, as `collect` gives them.
+
+    Raises InputError, with every problem at once, for files that cannot be read, pictures that differ in size, and
+    where the board is in none of them.
+    """
+    is_video = _is_video(files[0])
+    views = _from_video(files[0], board, progress) if is_video else _from_images(files, board, progress)
+    if not views.views:
+        where = files[0] if len(files) == 1 else "pictures"
+        expected = (
+            f"a {board}, whole and with a white margin: is that the board? --board counts inner corners, one fewer "
+            "than squares each way"
+            if board.needs_all
+            else f"a {board}: is that the board? It may have the layout of OpenCV before 4.6: try :legacy"
+        )
+        looked = f"in {views.examined} {'frames' if is_video else 'pictures'}"
+        raise InputError(Problem(where, "board", f"none {looked}", expected))
+    return views
+
+
+def _is_video(path: Path) -> bool:
+    return path.suffix.lower() in VIDEO_SUFFIXES
+
+
+def _from_images(files: Sequence[Path], board: Board, progress: Progress) -> BoardViews:
+    views, without, problems = [], [], []
+    sizes: dict[str, tuple[int, int]] = {}
+    names = [file.name for file in files] if len({file.name for file in files}) == len(files) else list(map(str, files))
+    for done, (file, name) in enumerate(zip(files, names, strict=True)):
+        progress("looking for the board", done / len(files))
+        image = _read_gray(file)
+        if image is None:
+            problems.append(Problem(file, "file", "no picture that OpenCV can read", ", ".join(IMAGE_SUFFIXES)))
+            continue
+        sizes[name] = (image.shape[1], image.shape[0])
+        if len(set(sizes.values())) > 1 or problems:
+            continue  # it is an error already; what remains is to name all of it
+        corners = board.detect(image)
+        if corners is None:
+            without.append(name)
+        else:
+            views.append(BoardView(name, corners))
+    if len(set(sizes.values())) > 1:
+        problems.append(_mixed_sizes(sizes))
+    if problems:
+        raise InputError(problems)
+    return BoardViews(board, next(iter(sizes.values())), tuple(views), tuple(without), len(files), len(views))
+
+
+def _read_gray(file: Path) -> Gray | None:
+    """A picture turned upright as its camera says, or None."""
+    try:
+        data = np.fromfile(file, dtype=np.uint8)  # cv2.imread does not take every path on Windows
+    except OSError:
+        return None
+    image = cv2.imdecode(data, cv2.IMREAD_GRAYSCALE) if data.size else None
+    return None if image is None else np.asarray(image, dtype=np.uint8)
+
+
+def _mixed_sizes(sizes: dict[str, tuple[int, int]]) -> Problem:
+    counted = Counter(sizes.values()).most_common()
+    parts = []
+    for size, count in counted:
+        names = [name for name, other in sizes.items() if other == size]
+        more = "" if count <= 3 else f" and {count - 3} more"
+        parts.append(f"{size[0]}x{size[1]} ({', '.join(names[:3])}{more})")
+    turned = any((h, w) in dict(counted) for (w, h), _ in counted)
+    expected = "one size, that of the clips: a calibration holds for one resolution and crop" + (
+        " (some pictures are stored upright, others lying)" if turned else ""
+    )
+    return Problem("pictures", "size", "; ".join(parts), expected)
+
+
+# ---- videos ----
+
+
+def _from_video(path: Path, board: Board, progress: Progress) -> BoardViews:
+    info = probe(path)
+    count = info.stated_frames or sum(1 for _ in read_frames(path, step=2**31))
+    step = max(1, math.ceil(max((info.fps or 30.0) / EXAMINED_HZ, count / MAX_EXAMINED)))
+    found: list[BoardView] = []
+    without: list[str] = []
+    sharpness: list[float] = []
+    outlines: list[Array] = []
+    for number, image in read_frames(path, step=step):
+        progress("looking for the board", min(1.0, number / count))
+        gray = np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), dtype=np.uint8)
+        corners = board.detect(gray)
+        if corners is None:
+            without.append(f"frame {number}")
+            continue
+        found.append(BoardView(f"frame {number}", corners))
+        sharpness.append(corner_sharpness(gray, corners.xy_px))
+        outlines.append(_outline(board, corners) / math.hypot(*info.size_px))
+    chosen = choose(np.array(sharpness), np.array(outlines)) if found else []
+    views = tuple(found[i] for i in chosen)
+    return BoardViews(board, info.size_px, views, tuple(without), len(found) + len(without), len(found))
+
+
+def choose(sharpness: Array, outlines: Array, most: int = MAX_VIEWS) -> list[int]:
+    """Frames that are sharp and as different as can be, in order.
+
+    sharpness: (N,). outlines: (N, 4, 2), the board's corners relative to the picture's diagonal. The first is the
+    sharpest; every next one is, of the sharp ones, the one that is farthest from all that were chosen (root mean square
+    over the outline), until `most` are chosen or the farthest is a repetition.
+    """
+    sharp = np.flatnonzero(sharpness >= SHARPNESS_KEPT * np.percentile(sharpness, 75))
+    first = int(np.argmax(sharpness))
+    chosen = [first]
+    distance = np.full(len(sharp), np.inf)
+    while len(chosen) < most:
+        step = outlines[sharp] - outlines[chosen[-1]]
+        distance = np.minimum(distance, np.sqrt((step**2).sum(axis=2).mean(axis=1)))
+        farthest = int(np.argmax(distance))
+        if distance[farthest] < MIN_DIFFERENCE:
+            break
+        chosen.append(int(sharp[farthest]))
+    return sorted(chosen)
+
+
+def corner_sharpness(image: Gray, xy_px: Array) -> float:
+    """How sharp a board is in a picture (height, width), from its corners (N, 2): about 1 / the width of an edge (px).
+
+    Around each corner, the root of the smaller eigenvalue of the mean outer product of the gradients, relative to the
+    contrast: motion in one direction blurs the edges across it, and leaves the larger eigenvalue as it is.
+    """
+    half = 5
+    scores = []
+    for x, y in np.rint(xy_px).astype(int):
+        patch = image[max(0, y - half) : y + half + 1, max(0, x - half) : x + half + 1].astype(np.float32)
+        low, high = np.percentile(patch, (5, 95)) if patch.size else (0.0, 0.0)
+        if min(patch.shape) < 3 or high - low < 10:
+            continue
+        gy, gx = np.gradient(patch)
+        tensor = np.array([[np.mean(gx * gx), np.mean(gx * gy)], [np.mean(gx * gy), np.mean(gy * gy)]])
+        scores.append(math.sqrt(max(0.0, float(np.linalg.eigvalsh(tensor)[0]))) / float(high - low))
+    return float(np.median(scores)) if scores else 0.0
+
+
+def _outline(board: Board, corners: Corners) -> Array:
+    """The board's outermost corners (4, 2) in the picture, extrapolated as if there was no distortion."""
+    points = board.points_m[corners.ids, :2]
+    homography, _ = cv2.findHomography(points, corners.xy_px)
+    if homography is None:  # all corners on one line
+        return np.tile(corners.xy_px.mean(axis=0), (4, 1))
+    return cv2.perspectiveTransform(board.outline_m[None, :, :2], np.asarray(homography, dtype=float))[0]

@@ -1,9 +1,0 @@
-"""How a camera that turns about a fixed point was turned in each frame of its video, from the background."""
-
-from __future__ import annotations
-
-from recon.camera_motion.level import LevelMark, as_level, read_marks, tilted, up_by_marks
-from recon.camera_motion.rotation import Turn
-from recon.camera_motion.track import Tracker, TurningMotion
-
-__all__ = ["LevelMark", "Tracker", "Turn", "TurningMotion", "as_level", "read_marks", "tilted", "up_by_marks"]

@@ -1,0 +1,468 @@
+"""Whether the cameras of a clip agree: each one's detections against the points that the others see.
+
+Where cameras see the same keypoint in the same frame, their rays should meet. A point is triangulated from all cameras
+but one, robustly and with its covariance, and compared with the direction in which that one saw it. The typical error
+in units of what is expected is the camera's level, about 1 where all is well. Two cameras alone can only be compared
+with each other: whether their rays lie in one plane with the line between them.
+
+No body and no fit is needed, so that a camera which pulls the fit away from the others cannot hide. Where levels are
+high, the camera is sought without which the others agree, and whether a turn of the camera, a time lag or an exchange
+of two files would bring it back.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
+from typing import Literal
+
+import numpy as np
+
+from recon.base.arrays import Array, Index
+from recon.clip import View
+
+Kind = Literal["exchanged", "turned", "late", "unknown", "apart"]
+Levels = Mapping[int, float]
+"""By the camera's place. NaN: too few points to tell."""
+
+MAX_LEVEL = 1.6
+"""A camera agrees up to this level, or more where the others are noisier than expected."""
+NOISIEST = 2.0
+"""Up to how many times the expected errors are taken for noise of the detector."""
+EXPLAINED = 0.25
+"""A cause that leaves no more than this part of a camera's level explains it, too."""
+CLEAR_TURN_RAD, CLEAR_LAG, CLEAR_GAIN = np.radians(3.0), 3.0, 1.5
+"""Cameras that agree are named, too, where such a turn, or lag in frames, makes their level so many times smaller."""
+LARGEST_TURN_RAD = np.radians(45.0)
+"""A rotation that fits better only if it is larger is no turn of the camera."""
+MIN_POINTS = 30
+"""Fewer points, over all frames, say nothing."""
+LAG_S, LITTLE_LAG = 0.5, 3
+"""How far a lag is sought: seconds for a camera that does not agree, frames for one that does."""
+FRAMES = 480
+"""Of longer clips the stretch of so many frames in which most is seen together is compared."""
+_ROBUST = 3.0
+"""Rays of that many sigmas count half in a point."""
+_ROUNDS = 3
+_MEDIAN_OF_LINE, _MEDIAN_OF_POINT = 0.4549, 1.3863
+"""Of a squared error in sigmas with one dimension, and with two."""
+_PARALLEL = 1e-4
+"""Rays that fix a point less well along than across, in variances, than this make none."""
+
+
+@dataclass(frozen=True)
+class CameraAgreement:
+    """One camera against those that agree with each other."""
+
+    points: int
+    """How many were compared, over all frames."""
+    error_px: float
+    """Median distance from where the others say; NaN, like what follows, where that cannot be told."""
+    level: float
+    """Typical error in units of the expected."""
+    turn_rad: float
+    """Angle of the rotation of the camera that fits best."""
+    level_turned: float
+    """What the level would be with it."""
+    late_frames: float
+    """How much later than said its pictures seem to have been taken; negative: earlier."""
+    level_late: float
+    """What the level would be with that."""
+
+
+@dataclass(frozen=True)
+class Finding:
+    """Cameras, by their places, that do not agree with the others, and why: as if their files were exchanged; turned;
+    late; for a reason unknown; or, where it cannot be said which of them is off, apart."""
+
+    cameras: tuple[int, ...]
+    kind: Kind
+    found: CameraAgreement | None = None
+    """What says so of a single camera, beside others in whose files exchanges are undone."""
+
+
+@dataclass(frozen=True)
+class Agreement:
+    frames: slice
+    """Rows of the clip that were compared."""
+    max_level: float
+    """Up to which a camera agrees."""
+    cameras: tuple[CameraAgreement, ...]
+    """Of each view, its file as it came."""
+    findings: tuple[Finding, ...]
+
+
+def camera_agreement(views: Sequence[View], fps: float, sigma_px: float, keypoint_sigma_m: float) -> Agreement:
+    """Of two or more views of the same T frames. Deterministic.
+
+    sigma_px: noise of the detector; keypoint_sigma_m: how far off a keypoint's place on the body it may lie as well.
+    """
+    frames = _best_seen(views)
+    views = [view.part(frames) for view in views]
+    noise = (sigma_px, keypoint_sigma_m)
+    sights = sights_of(views, *noise)
+    everyone = tuple(range(len(views)))
+    levels, limit = _levels(sights, everyone), MAX_LEVEL
+    exchanged, judged = None, sights
+    if not _agree(levels, limit):
+        doubtful = {v for v in everyone if not _fits(levels[v], limit)}
+        pairs = [pair for pair in combinations(everyone, 2) if doubtful & {*pair}]
+        trials = {pair: sights_of(_with_exchanged(views, *pair), *noise) for pair in pairs}
+        of_trials = {pair: _levels(trial, everyone) for pair, trial in trials.items()}
+        without = [_levels(sights, rest) for rest in combinations(everyone, len(everyone) - 1) if len(rest) > 1]
+        limit *= float(np.clip(min(_median_level(of) for of in (*without, *of_trials.values())), 1.0, NOISIEST))
+        exchanged = _exchanged_pair(levels, of_trials, limit)
+        judged = trials[exchanged] if exchanged else sights
+    among = _agreeing(judged, fps, limit)
+    found = _agreements(judged, among or everyone, fps)
+    while len(among) > 2 and (turned := _standing_out(found, among)) is not None:
+        among = tuple(v for v in among if v != turned)
+        found = _agreements(judged, among, fps)
+    findings = [Finding(exchanged, "exchanged")] if exchanged else []
+    findings += [] if among else [Finding(everyone, "apart")]
+    for v in everyone if among else ():
+        if v not in among and not (_fits(found[v].level, limit) and _gain(found[v]) < CLEAR_GAIN):
+            findings.append(Finding((v,), _kind(found[v], limit), found[v]))
+    for v in exchanged or ():  # as it came
+        found[v] = _agreement(sights[v], [judged[o] for o in among or everyone if o != v], fps, wide=False)
+    return Agreement(frames, limit, tuple(found), tuple(findings))
+
+
+def _best_seen(views: Sequence[View]) -> slice:
+    """The rows of the stretch in which most keypoints are seen by two cameras or more."""
+    together = (np.sum([view.present for view in views], axis=0) > 1).sum(axis=1)
+    total = np.concatenate([[0], np.cumsum(together)])
+    n = min(FRAMES, len(together))
+    first = int(np.argmax(total[n:] - total[: len(total) - n]))
+    return slice(first, first + n)
+
+
+# -- who agrees ----------------------------------------------------------------------------------------------------
+
+
+def _fits(level: float, limit: float) -> bool:
+    """Whether a level is no reason to doubt: NaN is none."""
+    return not level > limit
+
+
+def _agree(levels: Levels, limit: float) -> bool:
+    return all(_fits(level, limit) for level in levels.values())
+
+
+def _median_level(levels: Levels) -> float:
+    """Infinite where nothing is known."""
+    known = [level for level in levels.values() if np.isfinite(level)]
+    return float(np.median(known)) if known else np.inf
+
+
+def _level_sum(levels: Levels) -> float:
+    return sum(level for level in levels.values() if np.isfinite(level))
+
+
+def _is_explained(level: float, before: float, limit: float) -> bool:
+    return level <= max(limit, EXPLAINED * before)
+
+
+def _exchanged_pair(levels: Levels, trials: Mapping[tuple[int, int], Levels], limit: float) -> tuple[int, int] | None:
+    """The two cameras whose levels exchanged files explain."""
+    good = {
+        pair: _level_sum(after)
+        for pair, after in trials.items()
+        if _level_sum(after) < _level_sum(levels) / 2
+        and all(_is_explained(after[v], levels[v], limit) for v in pair)
+        and (len(levels) > 2 or _agree(after, limit))
+    }
+    return min(good, key=lambda pair: good[pair], default=None)
+
+
+def _agreements(sights: Sequence[Sight], among: Sequence[int], fps: float) -> list[CameraAgreement]:
+    """Each camera with those of them that are others."""
+    return [
+        _agreement(sight, [sights[o] for o in among if o != v], fps, wide=v not in among)
+        for v, sight in enumerate(sights)
+    ]
+
+
+def _gain(found: CameraAgreement) -> float:
+    """How many times as high a camera's level is as with the turn or the lag that fits best; 1 where both are small."""
+    clear = [
+        found.level / max(level, 1e-9)
+        for level, is_clear in (
+            (found.level_turned, CLEAR_TURN_RAD <= found.turn_rad <= LARGEST_TURN_RAD),
+            (found.level_late, abs(found.late_frames) >= CLEAR_LAG),
+        )
+        if is_clear
+    ]
+    return max(clear, default=1.0)
+
+
+def _standing_out(found: Sequence[CameraAgreement], among: Sequence[int]) -> int | None:
+    """The camera that a turn or a lag improves most, if it does so clearly: about its line of sight a camera can be
+    turned by some degrees, and its level is still low."""
+    worst = max(among, key=lambda v: _gain(found[v]))
+    return worst if _gain(found[worst]) >= CLEAR_GAIN else None
+
+
+def _with_exchanged(views: Sequence[View], a: int, b: int) -> list[View]:
+    there = dict(enumerate(views)) | {a: views[b], b: views[a]}
+    return [
+        replace(view, xy_px=there[v].xy_px, confidence=there[v].confidence).credible() for v, view in enumerate(views)
+    ]
+
+
+def _agreeing(sights: Sequence[Sight], fps: float, limit: float) -> tuple[int, ...]:
+    """The cameras that are left when those that agree least have gone one by one; () if no two agree.
+
+    Of three cameras the two that are left can only be compared with each other, which a camera beside another may pass
+    in spite of its lag: so that one goes first which a turn or a lag makes agree with both.
+    """
+    among = tuple(range(len(sights)))
+    while not _agree(_levels(sights, among), limit):
+        if len(among) == 2:
+            return ()
+        rests = combinations(among, len(among) - 1)
+        among = min(rests, key=lambda rest: _cost_without(sights, among, rest, fps, limit))
+    return among
+
+
+def _cost_without(
+    sights: Sequence[Sight], among: Sequence[int], rest: Sequence[int], fps: float, limit: float
+) -> tuple[bool, float]:
+    """To be made small: whether nothing brings the camera that is left out back, and how well the rest agrees."""
+    (v,) = {*among} - {*rest}
+    if len(rest) > 2:
+        return False, _level_sum(_levels(sights, rest))
+    points = _points([sights[o] for o in rest])
+    turned, _ = _best_turned(sights[v], points)
+    late, _ = _best_shifted(sights[v], points, fps, wide=True)
+    levels = [_levels([*sights[:v], sight, *sights[v + 1 :]], among) for sight in (turned, late)]
+    best = min(levels, key=_level_sum)
+    return not _agree(best, limit), _level_sum(best)
+
+
+def _kind(found: CameraAgreement, limit: float) -> Kind:
+    causes: dict[Kind, float] = {"late": found.level_late}
+    if found.turn_rad <= LARGEST_TURN_RAD:
+        causes["turned"] = found.level_turned
+    best = min(causes, key=lambda kind: causes[kind] if np.isfinite(causes[kind]) else np.inf)
+    return best if _is_explained(causes[best], found.level, limit) else "unknown"
+
+
+# -- rays and points -----------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Sight:
+    """The directions in which one camera saw J keypoints in T frames, as unit vectors of the world frame."""
+
+    rays: Array
+    """(T, J, 3), NaN where missing."""
+    centre_m: Array
+    """(T, 3)"""
+    rotation: Array
+    """(T, 3, 3): R_camera_world."""
+    focal_px: float
+    noise_rad: Array
+    """(T, 1)"""
+
+    def later(self, frames: float) -> Sight:
+        """If the pictures were taken that much later."""
+        if not frames:
+            return self
+        return replace(
+            self,
+            rays=_shifted(self.rays, frames),
+            centre_m=_shifted(self.centre_m, frames),
+            rotation=_shifted(self.rotation, round(frames)),
+        )
+
+    def part(self, rows: Index) -> Sight:
+        """Of these rows only."""
+        parts = (self.rays[rows], self.centre_m[rows], self.rotation[rows], self.focal_px, self.noise_rad[rows])
+        return Sight(*parts)
+
+
+@dataclass(frozen=True, eq=False)
+class _Points:
+    """Places (T, J, 3) and their covariances (T, J, 3, 3), NaN where fewer than two rays meet."""
+
+    place_m: Array
+    covariance_m2: Array
+
+
+def _shifted(values: Array, frames: float) -> Array:
+    """Values (T, ...) moved on by so many rows, between rows along straight lines; NaN where they come from outside."""
+    whole = int(np.floor(frames))
+    result = np.full((2, *values.shape), np.nan)
+    for moved, by in zip(result, (whole, whole + 1), strict=True):
+        if by >= 0:
+            moved[by:] = values[: max(len(values) - by, 0)]
+        else:
+            moved[:by] = values[-by:]
+    share = frames - whole
+    return (1 - share) * result[0] + share * result[1] if share else result[0]
+
+
+def sights_of(views: Sequence[View], sigma_px: float, keypoint_sigma_m: float) -> list[Sight]:
+    T = len(views[0].xy_px)
+    sights = []
+    for view in views:
+        focal_px = float(np.mean(view.focal_px))
+        rotation = np.broadcast_to(view.T_camera_world[..., :3, :3], (T, 3, 3))
+        sight = Sight(view.rays(), view.centre_m, rotation, focal_px, np.full((T, 1), sigma_px / focal_px))
+        sights.append(sight.later(view.lead_frames))
+    points = _points(sights)
+    return [_with_keypoint_noise(sight, points, keypoint_sigma_m) for sight in sights]
+
+
+def _with_keypoint_noise(sight: Sight, points: _Points, keypoint_sigma_m: float) -> Sight:
+    """That of a place on the body, at the points' typical distance from the camera."""
+    distance = np.linalg.norm(points.place_m - sight.centre_m[:, None], axis=-1)
+    known = np.isfinite(distance)
+    if not known.any():
+        return sight
+    typical = np.full(len(distance), np.median(distance[known]))
+    for t in np.flatnonzero(known.any(axis=1)):
+        typical[t] = np.median(distance[t, known[t]])
+    return replace(sight, noise_rad=np.hypot(sight.noise_rad, keypoint_sigma_m / typical[:, None]))
+
+
+def _points(sights: Sequence[Sight]) -> _Points:
+    """Where the rays of two or more cameras come nearest to each other, those far off counting less."""
+    rays = np.array([sight.rays for sight in sights])
+    centres = np.array([sight.centre_m for sight in sights])[:, :, None]
+    noise = np.array([sight.noise_rad for sight in sights])
+    seen = np.isfinite(rays[..., 0])
+    rays, centres = np.where(seen[..., None], rays, 0.0), np.where(np.isfinite(centres), centres, 0.0)
+    across = np.eye(3) - rays[..., :, None] * rays[..., None, :]
+    weight, distance, enough = seen.astype(float), np.ones(seen.shape), seen.sum(axis=0) > 1
+    place, information = np.zeros((*enough.shape, 3)), np.zeros((*enough.shape, 3, 3))
+    for _ in range(_ROUNDS):
+        of_rays = (weight / (noise * distance) ** 2)[..., None, None] * across
+        information = of_rays.sum(axis=0)
+        spread = np.linalg.eigvalsh(information)
+        enough &= spread[..., 0] > _PARALLEL * spread[..., 2]
+        information[~enough] = np.eye(3)
+        place = np.linalg.solve(information, (of_rays @ centres[..., None]).sum(axis=0))[..., 0]
+        distance = np.maximum(np.linalg.norm(place - centres, axis=-1), 1e-3)
+        error = np.linalg.norm((place - centres) / distance[..., None] - rays, axis=-1)
+        weight = seen / (1.0 + (error / noise / _ROBUST) ** 2)
+    place[~enough] = np.nan
+    covariance = np.asarray(np.linalg.inv(information), dtype=float)
+    covariance[~enough] = np.nan
+    return _Points(place, covariance)
+
+
+# -- one camera against others -------------------------------------------------------------------------------------
+
+
+def _levels(sights: Sequence[Sight], among: Sequence[int]) -> Levels:
+    """Of each of these cameras against the others of them."""
+    if len(among) == 2:
+        a, b = among
+        return dict.fromkeys(among, pair_level(sights[a], sights[b])[0])
+    return {v: _level(sights[v], _points([sights[o] for o in among if o != v])) for v in among}
+
+
+def _agreement(sight: Sight, others: Sequence[Sight], fps: float, wide: bool) -> CameraAgreement:
+    """wide: a lag is sought far and wide."""
+    if len(others) == 1:
+        level, error_rad, n = pair_level(sight, others[0])
+        return CameraAgreement(n, error_rad * sight.focal_px, level, np.nan, np.nan, np.nan, np.nan)
+    points = _points(others)
+    towards, squared = _errors(sight, points)
+    off_rad = np.linalg.norm(towards - sight.rays, axis=-1)
+    known = np.isfinite(squared)
+    error_px = float(np.median(off_rad[known])) * sight.focal_px if known.sum() >= MIN_POINTS else np.nan
+    turned, turn_rad = _best_turned(sight, points)
+    late, late_frames = _best_shifted(sight, points, fps, wide)
+    return CameraAgreement(
+        int(known.sum()),
+        error_px,
+        _level(sight, points),
+        turn_rad,
+        _level(turned, points),
+        late_frames,
+        _level(late, points),
+    )
+
+
+def pair_level(a: Sight, b: Sight) -> tuple[float, float, int]:
+    """Level, median angle between a's rays and the planes through both centres and b's rays, and number of points."""
+    line = b.centre_m - a.centre_m
+    plane_a, plane_b = np.cross(b.rays, line[:, None]), np.cross(line[:, None], a.rays)
+    size_a, size_b = np.linalg.norm(plane_a, axis=-1), np.linalg.norm(plane_b, axis=-1)
+    off = np.abs(np.sum(a.rays * plane_a, axis=-1))
+    known = np.isfinite(off) & (size_a > 0) & (size_b > 0)
+    if known.sum() < MIN_POINTS:
+        return np.nan, np.nan, int(known.sum())
+    sigma = np.hypot(size_a * a.noise_rad, size_b * b.noise_rad)[known]
+    level = np.sqrt(np.median((off[known] / sigma) ** 2) / _MEDIAN_OF_LINE)
+    return float(level), float(np.median(off[known] / size_a[known])), int(known.sum())
+
+
+def _errors(sight: Sight, points: _Points) -> tuple[Array, Array]:
+    """Unit vectors (T, J, 3) towards the points, and by how many sigmas squared (T, J) the rays lie beside them."""
+    off = points.place_m - sight.centre_m[:, None]
+    distance = np.linalg.norm(off, axis=-1, keepdims=True)
+    towards = off / distance
+    x, y = _across(sight.rays)
+    error = np.stack([np.sum((towards - sight.rays) * axis, axis=-1) for axis in (x, y)], axis=-1)
+    basis = np.stack([x, y], axis=-2) / distance[..., None]
+    covariance = basis @ points.covariance_m2 @ basis.swapaxes(-1, -2)
+    a, b, c = (covariance[..., i, j] for i, j in ((0, 0), (0, 1), (1, 1)))
+    a, c = a + sight.noise_rad**2, c + sight.noise_rad**2
+    squared = (c * error[..., 0] ** 2 - 2 * b * error[..., 0] * error[..., 1] + a * error[..., 1] ** 2) / (a * c - b**2)
+    return towards, np.where(
+        np.sum(off * sight.rays, axis=-1) > 0, squared, np.where(np.isnan(squared), np.nan, np.inf)
+    )
+
+
+def _across(rays: Array) -> tuple[Array, Array]:
+    """Two unit vectors that make a right-angled frame with each ray."""
+    helper = np.where(np.abs(rays[..., 2:]) < 0.9, [0.0, 0.0, 1.0], [1.0, 0.0, 0.0])
+    x = np.cross(helper, rays)
+    x /= np.linalg.norm(x, axis=-1, keepdims=True)
+    return x, np.asarray(np.cross(rays, x), dtype=float)
+
+
+def _level(sight: Sight, points: _Points) -> float:
+    _, squared = _errors(sight, points)
+    known = squared[~np.isnan(squared)]
+    return float(np.sqrt(np.median(known) / _MEDIAN_OF_POINT)) if len(known) >= MIN_POINTS else np.nan
+
+
+def _best_turned(sight: Sight, points: _Points) -> tuple[Sight, float]:
+    """With the rotation of the camera that brings its rays nearest to the points, and the rotation's angle."""
+    R = np.eye(3)
+    towards, _ = _errors(sight, points)
+    goal, rays = (np.einsum("tij,tkj->tki", sight.rotation, v) for v in (towards, sight.rays))
+    known = np.isfinite(goal[..., 0]) & np.isfinite(rays[..., 0])
+    if known.sum() < MIN_POINTS:
+        return sight, np.nan
+    noise = np.broadcast_to(sight.noise_rad, known.shape)[known]
+    for _ in range(10):
+        error = np.linalg.norm(goal[known] - rays[known] @ R.T, axis=-1)
+        scale = max(float(np.median(error / noise)), 1.0)
+        weight = noise**-2 / (1.0 + (error / noise / scale / _ROBUST) ** 2)
+        u, _, vt = np.linalg.svd((weight[:, None] * goal[known]).T @ rays[known])
+        R = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
+    angle = float(np.arccos(np.clip((np.trace(R) - 1) / 2, -1.0, 1.0)))
+    in_world = sight.rotation.swapaxes(-1, -2) @ R @ sight.rotation
+    return replace(sight, rays=np.einsum("tij,tkj->tki", in_world, sight.rays)), angle
+
+
+def _best_shifted(sight: Sight, points: _Points, fps: float, wide: bool) -> tuple[Sight, float]:
+    """If its pictures were taken when they fit best, and how many frames later that is."""
+    reach = min(max(round(LAG_S * fps), LITTLE_LAG) if wide else LITTLE_LAG, len(sight.rays) // 2)
+    levels = {float(by): _level(sight.later(by), points) for by in range(-reach, reach + 1)}
+    if not np.isfinite([*levels.values()]).any():
+        return sight, np.nan
+    best = min(levels, key=lambda by: (np.nan_to_num(levels[by], nan=np.inf), abs(by)))
+    if not wide and abs(best) == reach:
+        return _best_shifted(sight, points, fps, wide=True)
+    for by in (-0.75, -0.5, -0.25, 0.25, 0.5, 0.75):
+        levels[best + by] = _level(sight.later(best + by), points)
+    best = min(levels, key=lambda by: (np.nan_to_num(levels[by], nan=np.inf), abs(by)))
+    return sight.later(best), best

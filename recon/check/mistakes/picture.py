@@ -1,0 +1,123 @@
+"""Keypoints of another picture than the camera's: of 0 to 1, upside down or y up, of a smaller video, another camera's.
+
+What could make a clip so at all is looked at first, and costs nothing; only then is the animal sought under the other
+hypothesis.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from recon.base.arrays import Array
+from recon.check.mistakes.likelihood import Given, best_seen, judged, off_ground
+from recon.clip import View, camera_poses
+from recon.fit.mistake import CLEAR, Mistake
+from recon.fit.setting import Setting
+from recon.geometry.camera import Camera
+
+SMALLER = (2, 3, 4)
+"""A video may be so many times smaller than the camera's calibration says."""
+NEARLY_ALL = 99.0
+"""Percentile of the points that have to lie in a part of the picture."""
+
+
+def of_unit_square(given: Given, number: int) -> Mistake | None:
+    """Keypoints as parts of the picture's width and height: all lie in its corner, where the detector of a video would
+    have put them anywhere."""
+    view = given.view
+    points = view.xy_px[view.present]
+    if not len(points) or np.percentile(np.abs(points - 0.5), NEARLY_ALL) > 1.0:
+        return None
+    width, height = view.camera.image_size_px
+    frames = float(view.present.any(axis=1).sum())
+    return Mistake("normalised", float(np.log(width * height / 4.0)) * max(frames / given.setting.alike, 1.0), number)
+
+
+def turned_over(given: Given, number: int) -> Mistake | None:
+    """A picture upside down, or with y up: the feet are above the trunk."""
+    view = given.view
+    if not _feet_up(given.setting, view):
+        return None
+    width, height = view.camera.image_size_px
+    turned = {
+        "y_up": replace(view, xy_px=[0, height - 1] + [1, -1] * view.xy_px),
+        "upside_down": replace(view, xy_px=[width - 1, height - 1] - view.xy_px),
+    }
+    ratios = {kind: _ratio(given, other) for kind, other in turned.items()}
+    kind = "y_up" if ratios["y_up"] > ratios["upside_down"] else "upside_down"
+    return Mistake(kind, ratios[kind], number) if ratios[kind] > CLEAR else None
+
+
+def _feet_up(setting: Setting, view: View) -> bool:
+    """Whether the feet are above the trunk's ends in the picture, for the most part."""
+    trunk = [setting.body.markers.index(marker) for marker in setting.body.forward]
+    up = view.rotation.reshape(-1, 3, 3)[0, :2, 2]  # of the camera, in its picture
+    height = view.xy_px @ up
+    with np.errstate(invalid="ignore"):
+        above = _mean(height[:, setting.feet]) - _mean(height[:, trunk])
+    above = above[np.isfinite(above)]
+    return bool(len(above)) and float(np.median(above)) > 0.0
+
+
+def _mean(values: Array) -> Array:
+    """(T,) of (T, N), over what is known."""
+    count = np.isfinite(values).sum(axis=1)
+    return np.where(count > 0, np.nansum(values, axis=1) / np.maximum(count, 1), np.nan)
+
+
+def of_smaller_video(given: Given, number: int) -> Mistake | None:
+    """Keypoints found in a smaller version of the video: all lie in the part of the picture that it would fill."""
+    view = given.view
+    points, size = view.xy_px[view.present], np.array(view.camera.image_size_px)
+    ratios = {
+        times: _ratio(given, replace(view, camera=smaller(view.camera, times)))
+        for times in SMALLER
+        if len(points) and (np.percentile(points, NEARLY_ALL, axis=0) < size / times).all()
+    }
+    times = max(ratios, key=lambda n: ratios[n], default=None)
+    return (
+        None
+        if times is None or ratios[times] <= CLEAR
+        else Mistake("smaller_video", ratios[times], number, found=times)
+    )
+
+
+def smaller(camera: Camera, times: float) -> Camera:
+    """The camera of the same video, made smaller."""
+    scale = np.array([[1.0 / times], [1.0 / times], [1.0]])
+    # pixels count from the middle of the first one
+    shift = np.array([[0, 0, 0.5 / times - 0.5], [0, 0, 0.5 / times - 0.5], [0, 0, 0]])
+    width, height = camera.image_size_px
+    size_px = (max(round(width / times), 1), max(round(height / times), 1))
+    return replace(camera, matrix=scale * camera.matrix + shift, image_size_px=size_px)
+
+
+def of_other_camera(given: Given, number: int, others: Sequence[Camera], named: str | None) -> Mistake | None:
+    """Keypoints that another camera of the file found. named: whose name their own file has.
+
+    Where no name says so, the height of the ground may: cameras look alike, but stand elsewhere and are tilted.
+    """
+    if named is not None:
+        return Mistake("other_camera", np.nan, number, found=named)
+    view, part = given.view, best_seen(given.view, given.setting.fps)
+    posed = np.isfinite(given.states[part]).all()
+    if not (others and posed and off_ground(given.setting, given.states[part]) > CLEAR):
+        return None
+    alike = given.setting.alike
+    seen = [(judged(given.other(_seen_by(view, camera)).part(part)).lasting(alike), camera.name) for camera in others]
+    least, found = min(seen)
+    ratio = given.judged(part).lasting(alike) - least
+    return Mistake("other_camera", ratio, number, found=found) if ratio > CLEAR else None
+
+
+def _seen_by(view: View, camera: Camera) -> View:
+    return replace(view, camera=camera, T_camera_world=camera_poses([camera])[0])
+
+
+def _ratio(given: Given, other: View) -> float:
+    """How many times as likely the keypoints are with another view in place of the given one, as a logarithm."""
+    part = best_seen(given.view, given.setting.fps)
+    return given.judged(part).surprise - judged(given.other(other).part(part)).surprise

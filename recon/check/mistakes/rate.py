@@ -1,0 +1,81 @@
+"""Another frame rate than was given: what the file says of itself, and what the motion is like.
+
+Played too slowly or too fast, an animal's angles do not swing as the motion prior knows it: poses stay as they are, but
+speeds and accelerations change. The motion that was found is fitted again at other rates, from where it is.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from recon.animal.prior import ANGLES, NONE
+from recon.base.arrays import Array
+from recon.fit.least_squares import Estimate, LeastSquares
+from recon.fit.mistake import CLEAR, Mistake
+from recon.fit.setting import Setting
+from recon.fit.starts import APPROACH_HZ
+from recon.fit.surprise import surprise_of
+
+OTHER_RATES = (0.25, 1 / 3, 0.5, 2.0, 3.0, 4.0)
+"""Videos are slowed down, sped up and thinned by such factors."""
+NEARLY = 1.02
+"""Rates that differ by less are one."""
+_TOLERANCE, _ITERATIONS = 1e-3, 10
+
+
+def other_rate(setting: Setting, states: Array, stated_hz: float | None) -> Mistake | None:
+    """states (T, D) at nominal size about the origin, without gaps, of a solved stretch. stated_hz: what the file
+    says."""
+    if stated_hz is not None and not 1 / NEARLY < stated_hz / setting.fps < NEARLY:
+        return Mistake("frame_rate", np.nan, found=stated_hz)
+    learned = setting.prior.name != NONE
+    factors = [factor for factor in OTHER_RATES if learned and _swings_better(setting, states, factor)]
+    if not factors:
+        return None
+    given = _cost(setting, states, 1.0)
+    cost, factor = min((_cost(setting, states, factor), factor) for factor in factors)
+    clear = given - cost > CLEAR and _known(setting, states, factor)
+    return Mistake("frame_rate", given - cost, found=setting.fps * factor) if clear else None
+
+
+def _swings_better(setting: Setting, states: Array, factor: float) -> bool:
+    """Whether the angles as they are could be likelier at another rate: at a lower one they accelerate less than the
+    noise that is expected, at a higher one they follow the expected swing more closely."""
+    given, other = (_unexplained(setting, states, setting.fps * by) for by in (1.0, factor))
+    return other * min(factor, 1.0) ** 3 < given
+
+
+def _unexplained(setting: Setting, states: Array, fps: float) -> float:
+    """What the motion prior does not expect of the angles' bends from frame to frame, squared."""
+    prior, z = setting.prior, states[:, ANGLES]
+    A = z.shape[1]
+    if len(z) < 3:
+        return 0.0
+    bend, slope = z[2:] - 2 * z[1:-1] + z[:-2], 0.5 * (z[2:] - z[:-2])
+    expected = (z[1:-1] - prior.mean) @ prior.drift[:, :A].T / fps**2 + slope @ prior.drift[:, A:].T / fps
+    off = bend - expected
+    return float(np.einsum("na,ab,nb->", off, np.linalg.inv(prior.acceleration_covariance), off))
+
+
+def _cost(setting: Setting, states: Array, factor: float) -> float:
+    """Of the keypoints and of how the angles move, not of the poses, which are as likely at any rate."""
+    step = max(1, round(setting.fps / APPROACH_HZ))
+    problem, found = _at_rate(setting.thinned(step), states[::step], factor)
+    costs = problem.costs(found.states)
+    return costs["reprojection"] / setting.alike + costs.get("motion prior", 0.0)
+
+
+def _known(setting: Setting, states: Array, factor: float) -> bool:
+    """Whether the prior knows the motion at that rate, or better than at the given one: one that is as much of a
+    surprise there says nothing of the rate."""
+    given, there = (surprise_of(*_at_rate(setting, states, by), setting.fps * by) for by in (1.0, factor))
+    return not there.unlike or there.level < given.level
+
+
+def _at_rate(setting: Setting, states: Array, factor: float) -> tuple[LeastSquares, Estimate]:
+    """The minimum at another rate. With the noise that is expected: what a fit found depends on its rate."""
+    noise_px = setting.noise_px(setting.markers(states), np.ones((len(setting.views), len(setting.body.markers))))
+    problem = replace(setting, fps=setting.fps * factor).problem(noise_px)
+    return problem, problem.minimise(states, _TOLERANCE, _ITERATIONS)

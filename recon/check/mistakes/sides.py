@@ -1,0 +1,214 @@
+"""Left and right exchanged: in single frames, a stretch or a whole clip, of all keypoints or of one pair of legs.
+
+A fit follows exchanged keypoints, and its residuals say little. Three things together say it. Where an exchange begins
+or ends, the keypoints of both sides jump at once, unless the legs cross there: their tracks in the picture say where
+that may be. A fit to which each keypoint of a leg may be either side's says which of them it looks like in each frame.
+The likelihood of the clip with each of the few best stretches exchanged says whether one is. A whole clip is tried in
+any case; exchanged, it looks like the animal mirrored in depth.
+"""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from recon.animal.body import Body, other_side
+from recon.base.arrays import Array, Index
+from recon.check.mistakes.likelihood import AT_ONCE_S, LOOSE, TAILS, Given, best_seen, either_side, judged, log_tail
+from recon.clip import View
+from recon.fit.mistake import CLEAR, Mistake
+
+JUMP = -3.0
+"""Exchanges begin and end where that makes the tracks so much likelier, as a logarithm: legs that cross hardly jump."""
+LIKELY, TRIED, STRETCHES = 6.0, 3, 4
+"""Stretches are tried of which tracks and looks say so much, so many of them for each second, and so many exchanges
+found in a clip."""
+OF_LEG = 3
+"""Of a leg, the last markers: what is above hardly tells its side."""
+_STRAIGHT = 3
+"""So many frames before and after an end, tracks are straight lines."""
+_LEAST_OFF_PX = 3.0
+STEADY = 1.0
+"""Tracks that usually lie off a line by more than this part of how far the sides lie apart say nothing."""
+
+
+@dataclass(frozen=True, eq=False)
+class Stretch:
+    """Rows of a clip, and the permutation (J,) of its markers there."""
+
+    rows: slice
+    places: Index
+
+    @property
+    def markers(self) -> tuple[int, ...]:
+        return tuple(int(j) for j in np.flatnonzero(self.places != np.arange(len(self.places))))
+
+
+def exchanged(view: View, stretch: Stretch) -> View:
+    """The view with the sides of a stretch exchanged."""
+    xy_px, confidence = view.xy_px.copy(), view.confidence.copy()
+    xy_px[stretch.rows] = xy_px[stretch.rows][:, stretch.places]
+    confidence[stretch.rows] = confidence[stretch.rows][:, stretch.places]
+    return replace(view, xy_px=xy_px, confidence=confidence)
+
+
+def opposites(body: Body) -> Index:
+    """(J,): the marker's on the other side; of the middle its own."""
+    at = {marker: j for j, marker in enumerate(body.markers)}
+    return np.array([at.get(other_side(marker), j) for marker, j in at.items()], dtype=np.intp)
+
+
+def pairs_of(body: Body) -> dict[str, Index]:
+    """By kind, the permutation (J,) of the markers that are exchanged: of all, and of the fore and the hind legs."""
+    places, none = opposites(body), np.arange(len(body.markers))
+    kinds = {"all": places}
+    for name, end in (("fore", "F"), ("hind", "H")):
+        feet = {foot for foot, label in zip(body.feet, body.foot_labels, strict=True) if label.endswith(end)}
+        legs = {marker for limb in body.limbs.values() if {*limb} & feet for marker in limb[-OF_LEG:]}
+        kinds[name] = np.where([marker in legs for marker in body.markers], places, none)
+    return {name: places for name, places in kinds.items() if (places != none).any()}
+
+
+def exchanges(given: Given, number: int, unlike: bool = False) -> list[Mistake]:
+    """Of one view of a clip, under a prior learned from motions. Stretches that are clear by a quick fit are judged
+    again by one that knows less of the sides, and so is the clip as it is. number: the view's. unlike: the prior does
+    not know this motion (`recon.fit.surprise`); a whole clip, in which no keypoints jump, is then not tried: nothing
+    but the prior tells it."""
+    kinds, view = pairs_of(given.setting.body), given.view
+    found: list[Mistake] = []
+    while len(found) < STRETCHES and "all" in kinds:
+        whole = [] if unlike else [_whole(given, kinds["all"])]
+        clear = [one for one in tried(given, kinds) if one.ratio > CLEAR]
+        again = [_judged(given, one.stretch, (LOOSE, 1.0)) for one in clear]
+        best = max([*again, *whole], key=lambda one: one.ratio, default=None)
+        if best is None or not best.ratio > CLEAR:  # nor where nothing is known
+            break
+        rows, markers = best.stretch.rows, best.stretch.markers
+        found.append(Mistake("sides", best.ratio, number, (rows.start, rows.stop), markers))
+        if best in whole:  # the states are the other way round, and nothing more is told by them
+            break
+        view = exchanged(view, best.stretch)
+        given = Given(given.other(view), given.states)
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class Tried:
+    """A stretch that was exchanged: how much likelier that makes the clip, as a logarithm."""
+
+    stretch: Stretch
+    ratio: float
+
+
+def tried(given: Given, kinds: dict[str, Index]) -> list[Tried]:
+    """The stretches that tracks and looks say most of."""
+    T, fps = len(given.view.xy_px), given.setting.fps
+    if not np.isfinite(given.states).any():
+        return []
+    looks = _looks(given, kinds)
+    most = TRIED * max(1, round(T / fps))
+    likely = [
+        one for name, places in kinds.items() for one in _told(jumps(given.view, places), looks[name], name, most)
+    ]
+    chosen = [(name, rows) for _, name, ends in sorted(likely, reverse=True)[:most] for rows in _parts(*ends, T)]
+    return [_judged(given, Stretch(slice(*ends), kinds[name])) for name, ends in dict.fromkeys(chosen)]
+
+
+def _judged(given: Given, stretch: Stretch, widen: tuple[float, ...] = (1.0,)) -> Tried:
+    """By a fit from what was found, with noise that is so many times as wide on the way in."""
+    part = _around(stretch.rows, len(given.view.xy_px), given.setting.fps)
+    as_given, other = given.judged(part, widen), given.other(exchanged(given.view, stretch)).part(part)
+    return Tried(stretch, as_given.of_stretch - judged(other, given.found(part), widen, as_given.cost).of_stretch)
+
+
+def _parts(first: int, stop: int, T: int) -> list[tuple[int, int]]:
+    """A stretch, and what is left of the clip before or after it: which of them is exchanged only the motion tells."""
+    rest = [(stop, T)] if first == 0 else [(0, first)] if stop == T else []
+    return [(first, stop), *rest]
+
+
+def _whole(given: Given, places: Index) -> Tried:
+    """The whole clip exchanged, judged where most is seen. What was found need not be the best even of the clip as it
+    is: before that is doubted, it is sought anew."""
+    view, part = given.view, best_seen(given.view, given.setting.fps)
+    stretch = Stretch(slice(0, len(view.xy_px)), places)
+    other = given.other(exchanged(view, stretch)).part(part)
+    as_given = given.judged(part)
+    starts = {(1.0,): given.exchanged(part), (LOOSE, 1.0): given.mirrored(part)}
+    tries = [judged(other, start, widen, as_given.cost) for widen, start in starts.items() if start is not None]
+    likely = min(one.surprise for one in tries or [judged(other)])
+    ratio = as_given.surprise - likely
+    if ratio > CLEAR:
+        ratio = min(ratio, judged(given.setting.part(part)).surprise - likely)
+    return Tried(stretch, ratio)
+
+
+def _around(rows: slice, T: int, fps: float) -> slice:
+    """The second around a stretch, or around the beginning or the end of a longer one."""
+    n = max(round(AT_ONCE_S * fps), 4)
+    inner = [edge for edge in (rows.start, rows.stop) if 0 < edge < T]
+    middle = sum(inner) // 2 if inner[-1] - inner[0] < n else inner[0]
+    first = int(np.clip(middle - n // 2, 0, max(T - n, 0)))
+    return slice(first, min(first + n, T))
+
+
+def _told(jump: Array, looks: Array, name: str, most: int) -> list[tuple[float, str, tuple[int, int]]]:
+    """Stretches of a kind that hardly overlap, the likeliest first: by how much tracks and looks (T,) say so, the kind,
+    first and stop."""
+    T = len(jump)
+    ends = np.concatenate([[0], 1 + np.flatnonzero(jump[1:] > JUMP), [T]])
+    gain = np.concatenate([[0.0], jump[ends[1:-1]], [0.0]])
+    sums = np.concatenate([[0.0], np.cumsum(looks)])[ends]
+    first, stop = ends[:, None], ends[None]
+    score = np.where(stop > first, sums[None] - sums[:, None] + gain[:, None] + gain[None], -np.inf)
+    score[0, -1] = -np.inf
+    found: list[tuple[float, str, tuple[int, int]]] = []
+    while len(found) < most and score.max() > LIKELY:
+        a, b = np.unravel_index(np.argmax(score), score.shape)
+        found.append((float(score[a, b]), name, (int(ends[a]), int(ends[b]))))
+        both = np.minimum(stop, ends[b]) - np.maximum(first, ends[a])
+        score[2 * both >= np.maximum(stop, ends[b]) - np.minimum(first, ends[a])] = -np.inf
+    return found
+
+
+def _looks(given: Given, kinds: dict[str, Index]) -> dict[str, Array]:
+    """By kind, (T,): how much likelier a frame's keypoints are if the sides are exchanged, as a logarithm, under a fit
+    to which each of a leg may be either side's; "all" is all legs."""
+    legs = {name: places != np.arange(len(places)) for name, places in kinds.items() if name != "all"}
+    which = np.any([np.zeros(len(kinds["all"]), dtype=bool), *legs.values()], axis=0)
+    places, seen = np.where(which, kinds["all"], np.arange(len(which))), given.view.xy_px
+    projected, sigma_px = either_side(given, exchanged(given.view, Stretch(slice(None), places)), which)
+    straight, other = (log_tail((points - seen) / sigma_px[..., None]) for points in (projected, projected[:, places]))
+    likelier = np.where(np.isfinite(given.states[:, :1]), straight - other, 0.0)
+    return {name: likelier[:, of].sum(axis=1) for name, of in (legs | {"all": which}).items()}
+
+
+def jumps(view: View, places: Index) -> Array:
+    """(T,): how much likelier the tracks are if the sides are exchanged from a frame on, as a logarithm.
+
+    What lies between the points of a pair goes along a straight line for a few frames, as nearly as in the clip. Minus
+    infinity where nothing at all is seen meanwhile, or where all pairs jump about as far as their points lie apart.
+    """
+    n, pairs = 2 * _STRAIGHT, [(j, int(k)) for j, k in enumerate(places) if j < k]
+    apart = view.xy_px[:, [j for j, _ in pairs]] - view.xy_px[:, [k for _, k in pairs]]
+    gain = np.full(len(apart), -np.inf)
+    if len(apart) < n:
+        return gain
+    line = np.vander(np.arange(n), 2)
+    off = np.eye(n) - line @ np.linalg.pinv(line)
+    turn = np.where(np.arange(n) < _STRAIGHT, -1.0, 1.0)
+    around = np.lib.stride_tricks.sliding_window_view(apart, n, axis=0)  # (N, P, 2, n)
+    given, other = (np.sum((around @ by) * around, axis=(2, 3)) for by in (off, turn[:, None] * off * turn))
+    known, freedom = np.isfinite(given), 2 * (n - 2)
+    with np.errstate(all="ignore"), warnings.catch_warnings(action="ignore"):  # of a pair that is never seen
+        square_px = np.nanmedian(np.where(known, given, np.nan), axis=0) / freedom
+        far_px = np.nanmedian(np.sum(apart**2, axis=-1), axis=0)
+    seen = np.lib.stride_tricks.sliding_window_view(view.present.any(axis=1), n).all(axis=1)
+    steady = square_px < (STEADY**2) * far_px
+    scale = TAILS * np.maximum(np.nan_to_num(square_px), _LEAST_OFF_PX**2)
+    likelier = np.log1p(np.where(known, given, 0.0) / scale) - np.log1p(np.where(known, other, 0.0) / scale)
+    told = 0.5 * (TAILS + freedom) * likelier.sum(axis=1)
+    gain[_STRAIGHT : len(gain) - _STRAIGHT + 1] = np.where(seen & steady.any(), told, -np.inf)
+    return gain

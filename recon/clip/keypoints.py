@@ -1,0 +1,307 @@
+"""2D keypoints of one animal in one camera, and the steps that clean them."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from recon.base.errors import InputError, Problem
+
+
+@dataclass(frozen=True, eq=False)
+class Keypoints:
+    """Detections of K named keypoints in T frames of one camera.
+
+    A reader hands over what its file says: a confidence of NaN means that the file has none, and a missing point may
+    still carry one. `clean` turns this into the form below.
+
+    Raises ValueError where names, shapes or types do not fit together.
+    """
+
+    names: tuple[str, ...]
+    """K unique names."""
+    xy_px: np.ndarray
+    """(T, K, 2) float, pixels, NaN = missing."""
+    confidence: np.ndarray
+    """(T, K) float in 0 to 1, 0 where missing."""
+    frames: np.ndarray
+    """(T,) int, original frame numbers, strictly increasing."""
+    fps: float | None = None
+    """Frames per second."""
+    stated_fps: float | None = None
+    """What the file says of itself, where another rate was given."""
+    image_size_px: tuple[int, int] | None = None
+    """(width, height)"""
+    individual: str | None = None
+    """The animal's name in a file of several."""
+    source: str | None = None
+    """The file they came from."""
+    notes: tuple[str, ...] = ()
+    """What the reader had to decide, in plain sentences."""
+
+    def __post_init__(self) -> None:
+        t, k = len(self.frames), len(self.names)
+        if len(set(self.names)) != k or not all(self.names):
+            raise ValueError(f"keypoint names must be unique and not empty: {self.names}")
+        if self.xy_px.shape != (t, k, 2) or self.confidence.shape != (t, k) or self.frames.shape != (t,):
+            raise ValueError(
+                f"expected xy_px {(t, k, 2)}, confidence {(t, k)}, frames {(t,)}; "
+                f"found {self.xy_px.shape}, {self.confidence.shape}, {self.frames.shape}"
+            )
+        if self.xy_px.dtype.kind != "f" or self.confidence.dtype.kind != "f" or self.frames.dtype.kind != "i":
+            raise ValueError("xy_px and confidence must be floats, frames integers")
+        if np.any(np.diff(self.frames) <= 0):
+            raise ValueError("frames must be strictly increasing")
+        if self.fps is not None and not 0 < self.fps < float("inf"):
+            raise ValueError(f"fps must be positive: {self.fps}")
+
+    @property
+    def present(self) -> np.ndarray:
+        """(T, K) bool: both coordinates are known."""
+        return np.all(~np.isnan(self.xy_px), axis=2)
+
+
+@dataclass(frozen=True)
+class KeypointCounts:
+    """What became of one keypoint, in frames: `used + missing + rejected == frames`."""
+
+    name: str
+    frames: int
+    used: int
+    missing: int
+    """The sum of the `missing_*`."""
+    rejected: int
+    missing_zero_zero: int
+    """Stored as (0, 0) without a likelihood."""
+    missing_nan_with_likelihood: int
+    """A coordinate that is NaN although its likelihood is above 0."""
+    missing_empty: int
+    """No coordinates and no likelihood."""
+    missing_absent_frame: int
+    """A frame that the file lacks."""
+    likelihood_unknown: int
+    """The used points that came without a likelihood."""
+
+
+@dataclass(frozen=True)
+class CleaningReport:
+    """What `clean` did. Frame ranges are half-open pairs (A, B) of original frame numbers: A is in, B is not."""
+
+    likelihood_min: float
+    frames: tuple[int, int]
+    """The range after cleaning."""
+    frames_dropped: int
+    """Rows of the file outside the range that was asked for."""
+    inserted: tuple[tuple[int, int], ...]
+    """Ranges of frames that the file lacks, now all missing."""
+    keypoints: tuple[KeypointCounts, ...]
+    notes: tuple[str, ...] = ()
+    """What the reader had to decide."""
+
+    def total(self, count: str) -> int:
+        """Sum over the keypoints of one field of `KeypointCounts`, such as "rejected"."""
+        return sum(getattr(k, count) for k in self.keypoints)
+
+    def to_dict(self) -> dict[str, Any]:
+        """The report as plain JSON types, with the totals over all keypoints."""
+        counts = [f.name for f in dataclasses.fields(KeypointCounts) if f.name not in ("name", "frames")]
+        return {
+            "likelihood_min": self.likelihood_min,
+            "frames": list(self.frames),
+            "frames_dropped": self.frames_dropped,
+            "inserted": [list(r) for r in self.inserted],
+            "total": {count: self.total(count) for count in counts},
+            "keypoints": [dataclasses.asdict(k) for k in self.keypoints],
+            "notes": list(self.notes),
+        }
+
+
+def parse_frame_range(text: str) -> tuple[int | None, int | None]:
+    """The frame range "A:B" as (A, B); either side may be empty (None). Like a Python slice, B is not included.
+
+    The numbers are those of the file, not positions in it. Raises InputError.
+    """
+    match = re.fullmatch(r"\s*(\d*)\s*:\s*(\d*)\s*", text, flags=re.ASCII)
+    start, stop = (int(n) if n else None for n in match.groups()) if match else (None, None)
+    if match is None or (start is not None and stop is not None and start >= stop):
+        raise InputError(
+            Problem("--frames", "range", f"'{text}'", "A:B with A < B, original frame numbers, B not included")
+        )
+    return start, stop
+
+
+def clean(
+    keypoints: Keypoints, likelihood_min: float, frames: tuple[int | None, int | None] | None = None
+) -> tuple[Keypoints, CleaningReport]:
+    """Turns what a file says into points that can be trusted: missing is NaN with confidence 0, time is regular.
+
+    likelihood_min: points less likely than this are rejected; frames: half-open range of original frame numbers.
+    Raises InputError if no frame or no point is left, or if gaps make the clip absurdly long.
+    """
+    if not 0 <= likelihood_min <= 1:
+        raise InputError(Problem("--likelihood-min", "likelihood_min", str(likelihood_min), "a number from 0 to 1"))
+    rows_in_file = len(keypoints.frames)
+    selected = select_frames(keypoints, frames)
+    marked, missing = mark_missing(selected)
+    known, likelihood_unknown = assume_likely(marked)
+    likely, rejected = reject_unlikely(known, likelihood_min)
+    cleaned, inserted = fill_gaps(likely)
+
+    absent = len(cleaned.frames) - len(selected.frames)
+    used = cleaned.present.sum(axis=0)
+    if not used.any():
+        raise InputError(
+            Problem(
+                _source(keypoints),
+                "points",
+                f"every point of the clip missing ({rejected.sum()} rejected as less likely than {likelihood_min:g})",
+                "at least one point to work with",
+            )
+        )
+    counts = tuple(
+        KeypointCounts(
+            name=name,
+            frames=len(cleaned.frames),
+            used=int(used[k]),
+            missing=int(sum(counts[k] for counts in missing.values())) + absent,
+            rejected=int(rejected[k]),
+            **{how: int(counts[k]) for how, counts in missing.items()},
+            missing_absent_frame=absent,
+            likelihood_unknown=int(likelihood_unknown[k]),
+        )
+        for k, name in enumerate(cleaned.names)
+    )
+    report = CleaningReport(
+        likelihood_min=float(likelihood_min),
+        frames=(int(cleaned.frames[0]), int(cleaned.frames[-1]) + 1),
+        frames_dropped=rows_in_file - len(selected.frames),
+        inserted=inserted,
+        keypoints=counts,
+        notes=keypoints.notes,
+    )
+    return cleaned, report
+
+
+def leave_out(
+    keypoints: Keypoints, report: CleaningReport, points: np.ndarray, why: str
+) -> tuple[Keypoints, CleaningReport]:
+    """Further points (T, K) of a cleaned clip become missing, count as rejected, and are named in a note.
+
+    why: what is wrong with them, in words.
+    """
+    if not points.any():
+        return keypoints, report
+    out = points.sum(axis=0)
+    counts = tuple(
+        dataclasses.replace(
+            k, used=k.used - n, rejected=k.rejected + n, likelihood_unknown=min(k.likelihood_unknown, k.used - n)
+        )
+        for k, n in zip(report.keypoints, out.tolist(), strict=True)
+    )
+    frame, first = (int(i) for i in np.argwhere(points)[0])
+    note = f"{out.sum()} points are {why}, and left out: {keypoints.names[first]} in frame {keypoints.frames[frame]}"
+    note += ", ..." if out.sum() > 1 else ""
+    report = dataclasses.replace(report, keypoints=counts, notes=(*report.notes, note))
+    return _without_points(keypoints, points), report
+
+
+def select_frames(keypoints: Keypoints, frames: tuple[int | None, int | None] | None) -> Keypoints:
+    """The rows whose original frame number lies in the half-open range (A, B); None is an open side or no limit.
+
+    Raises InputError if there is none.
+    """
+    start, stop = frames or (None, None)
+    keep = np.ones(len(keypoints.frames), bool)
+    if start is not None:
+        keep &= keypoints.frames >= start
+    if stop is not None:
+        keep &= keypoints.frames < stop
+    if not keep.any():
+        shown = f"{'' if start is None else start}:{'' if stop is None else stop}"
+        has = f"{keypoints.frames[0]} to {keypoints.frames[-1]}" if len(keypoints.frames) else "none"
+        raise InputError(
+            Problem(_source(keypoints), "frames", f"none in the range {shown}", f"a range within its frames ({has})")
+        )
+    return dataclasses.replace(
+        keypoints, xy_px=keypoints.xy_px[keep], confidence=keypoints.confidence[keep], frames=keypoints.frames[keep]
+    )
+
+
+def mark_missing(keypoints: Keypoints) -> tuple[Keypoints, dict[str, np.ndarray]]:
+    """Missing points become NaN in both coordinates with confidence 0. Also how many they are of each keypoint, (K,) by
+    the way they are stored, as `KeypointCounts` calls it.
+
+    Some tools store a missing point as (0, 0): it is one only where the likelihood is 0 or unknown, because the
+    corner of the image can be a detection like any other.
+    """
+    has_likelihood = keypoints.confidence > 0
+    no_xy = ~keypoints.present
+    zero_zero = (keypoints.xy_px == 0).all(axis=2) & ~has_likelihood
+    counts = {
+        "missing_zero_zero": zero_zero.sum(axis=0),
+        "missing_nan_with_likelihood": (no_xy & has_likelihood).sum(axis=0),
+        "missing_empty": (no_xy & ~has_likelihood).sum(axis=0),
+    }
+    return _without_points(keypoints, no_xy | zero_zero), counts
+
+
+def assume_likely(keypoints: Keypoints) -> tuple[Keypoints, np.ndarray]:
+    """Present points of unknown (NaN) confidence get confidence 1, as hand labels have. Returns their count, (K,)."""
+    unknown = keypoints.present & np.isnan(keypoints.confidence)
+    return dataclasses.replace(keypoints, confidence=np.where(unknown, 1.0, keypoints.confidence)), unknown.sum(axis=0)
+
+
+def reject_unlikely(keypoints: Keypoints, likelihood_min: float) -> tuple[Keypoints, np.ndarray]:
+    """Present points of confidence below `likelihood_min` become missing. Returns their count, (K,)."""
+    unlikely = keypoints.present & (keypoints.confidence < likelihood_min)
+    return _without_points(keypoints, unlikely), unlikely.sum(axis=0)
+
+
+def fill_gaps(keypoints: Keypoints) -> tuple[Keypoints, tuple[tuple[int, int], ...]]:
+    """All-missing rows for the frame numbers absent between the first and the last, so that time is regular.
+
+    Returns the half-open ranges that were inserted. Raises InputError if they would dwarf the clip.
+    """
+    frames, (t, k) = keypoints.frames, keypoints.confidence.shape
+    span = int(frames[-1]) - int(frames[0]) + 1
+    if span - t > 10 * t + 10_000:
+        raise InputError(
+            Problem(
+                _source(keypoints),
+                "frames",
+                f"{t} frames between {frames[0]} and {frames[-1]}, which leaves {span - t} to insert as missing",
+                "a clip without such gaps; choose a part of it with --frames A:B",
+            )
+        )
+    if span == t:
+        return keypoints, ()
+    rows = frames - frames[0]
+    xy_px, confidence = np.full((span, k, 2), np.nan), np.zeros((span, k))
+    xy_px[rows], confidence[rows] = keypoints.xy_px, keypoints.confidence
+    regular = np.arange(frames[0], frames[-1] + 1)
+    filled = dataclasses.replace(keypoints, xy_px=xy_px, confidence=confidence, frames=regular)
+    return filled, frame_ranges(np.setdiff1d(regular, frames))
+
+
+def frame_ranges(frames: np.ndarray) -> tuple[tuple[int, int], ...]:
+    """Increasing frame numbers (T,) as half-open ranges (A, B) of consecutive ones."""
+    if not len(frames):
+        return ()
+    runs = np.split(frames, np.flatnonzero(np.diff(frames) > 1) + 1)
+    return tuple((int(run[0]), int(run[-1]) + 1) for run in runs)
+
+
+def _without_points(keypoints: Keypoints, points: np.ndarray) -> Keypoints:
+    return dataclasses.replace(
+        keypoints,
+        xy_px=np.where(points[..., None], np.nan, keypoints.xy_px),
+        confidence=np.where(points, 0.0, keypoints.confidence),
+    )
+
+
+def _source(keypoints: Keypoints) -> str:
+    return keypoints.source or "keypoints"

@@ -1,0 +1,20 @@
+"""Views of a clip -> an animal's motion over the whole clip.
+
+The only place that solves for an animal's motion, besides the reference method (`recon.thesis`).
+"""
+
+from recon.fit.points import solve_points
+from recon.fit.result import Ground, Solution, Spell, Start, TrajectorySolution
+from recon.fit.setting import TrajectoryOptions
+from recon.fit.trajectory import solve_trajectory
+
+__all__ = [
+    "Ground",
+    "Solution",
+    "Spell",
+    "Start",
+    "TrajectoryOptions",
+    "TrajectorySolution",
+    "solve_points",
+    "solve_trajectory",
+]

@@ -1,0 +1,366 @@
+"""The result of a fit: the animal's motion, what it was fitted to, and how far it can be trusted."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Literal
+
+import numpy as np
+
+from recon.animal.body import Body, Side
+from recon.base.arrays import Array, Bools, Integers
+from recon.clip import Source, world_from_reference
+from recon.clip.keypoints import CleaningReport, Keypoints
+from recon.fit import Solution, Spell
+from recon.fit.mistake import Mistake
+from recon.fit.result import OUTLIER_SIGMAS
+from recon.geometry.camera import Camera
+from recon.geometry.frames import inverse, moved
+from recon.geometry.kinematics import ROOT, YAW
+
+
+@dataclass(frozen=True, eq=False)
+class Picture:
+    """One camera's picture of a motion, T frames with J joints: where the detector saw them, and where they are."""
+
+    source: Source
+    T_reference_camera: Array
+    """(4, 4), or (T, 4, 4) of a camera that moves: to the motion's frame of reference."""
+    joints_camera_m: Array
+    """(T, J, 3) in this camera's frame when its pictures were taken, NaN without a pose."""
+    reprojected_px: Array
+    """(T, J, 2): the joints in the picture, where the detector sees them; NaN without a pose."""
+    sigma_px: Array
+    """(T, J): standard deviation that a detection was given."""
+    weight: Array
+    """(T, J): how far it was trusted, 0 to 1, NaN where missing; with the frame method the mean of the frame."""
+
+    @property
+    def camera(self) -> Camera:
+        return self.source.camera
+
+    @property
+    def name(self) -> str:
+        """Of the camera."""
+        return self.camera.name
+
+    @property
+    def detected_px(self) -> Array:
+        """(T, J, 2), NaN where missing."""
+        return self.source.keypoints.xy_px
+
+    @property
+    def present(self) -> Bools:
+        """(T, J): detected."""
+        return self.source.keypoints.present
+
+    @cached_property
+    def image_error_px(self) -> Array:
+        """(T, J, 2): reprojected minus detected, NaN where either is missing."""
+        return self.reprojected_px - self.detected_px
+
+    @cached_property
+    def distance_px(self) -> Array:
+        """(T, J): distance between reprojection and detection."""
+        return np.linalg.norm(self.image_error_px, axis=-1)
+
+    @cached_property
+    def outliers(self) -> Bools:
+        """(T, J): detections that the pose does not explain."""
+        return self.distance_px > OUTLIER_SIGMAS * self.sigma_px
+
+    @cached_property
+    def distance_m(self) -> Array:
+        """(T,): of the mean of all joints from the camera."""
+        return np.linalg.norm(self.joints_camera_m.mean(axis=1), axis=-1)
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """T frames of an animal with J joints and D unknowns, of which A are angles."""
+
+    sources: tuple[Source, ...]
+    """What each camera saw, in the order of the solution's views: cleaned keypoints in the order of the joints,
+    all-missing for joints that the file does not have."""
+    side: Side | None
+    """Whose limbs were fitted, of a chain; None: both."""
+    side_reason: str
+    solution: Solution
+    """What the method found, and what else it says: a `TrajectorySolution`, or a `recon.thesis.FrameSolution`."""
+    mistakes: tuple[Mistake, ...] = ()
+    """What may be wrong with what the cameras saw."""
+
+    def __post_init__(self) -> None:
+        if self.keypoints.fps is None:
+            raise ValueError("keypoints without a frame rate")
+        expected = self.body.keypoint_names(self.side)
+        if self.keypoints.names != expected:
+            raise ValueError(f"keypoints {self.keypoints.names} are not those of the joints {expected}")
+
+    # -- the animal -----------------------------------------------------------------------------------------------
+
+    @property
+    def body(self) -> Body:
+        return self.solution.body
+
+    @property
+    def title(self) -> str:
+        """Of the skeleton, one line."""
+        return self.body.title
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """(J,): what the skeleton calls them."""
+        return self.body.markers
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """(J,): the joints' keypoints, as the file calls them."""
+        return self.keypoints.names
+
+    @property
+    def limbs(self) -> dict[str, tuple[int, ...]]:
+        """Joints along each limb, as indices, for drawing."""
+        return self.body.limb_rows
+
+    @cached_property
+    def limb_sides(self) -> dict[str, Side | None]:
+        """The side of each limb; None: the middle."""
+        return self.body.limb_sides(self.side)
+
+    @property
+    def forward(self) -> tuple[int, int]:
+        """Two joints, from rear to front."""
+        rear, front = self.body.forward
+        return self.joints.index(rear), self.joints.index(front)
+
+    @cached_property
+    def feet(self) -> tuple[int, ...]:
+        return tuple(self.joints.index(foot) for foot in self.body.feet)
+
+    @cached_property
+    def foot_labels(self) -> tuple[str, ...]:
+        """Of the feet: LF, RF, LH, RH."""
+        return tuple(self.body.feet_by_label(self.side))
+
+    # -- what was fitted, of the first camera ---------------------------------------------------------------------
+
+    @property
+    def camera(self) -> Camera:
+        return self.sources[0].camera
+
+    @property
+    def keypoints(self) -> Keypoints:
+        return self.sources[0].keypoints
+
+    @property
+    def cleaning(self) -> CleaningReport:
+        """What happened to the file's points."""
+        return self.sources[0].cleaning
+
+    @property
+    def camera_moves(self) -> bool:
+        """Along a track, in a world with z up."""
+        return self.sources[0].moves
+
+    # -- frames and points ----------------------------------------------------------------------------------------
+
+    @property
+    def fps(self) -> float:
+        assert self.keypoints.fps is not None
+        return self.keypoints.fps
+
+    @property
+    def frames(self) -> Integers:
+        """(T,): frame numbers of the first keypoint file."""
+        return self.keypoints.frames
+
+    @cached_property
+    def time_s(self) -> Array:
+        """(T,): since frame 0 of the file."""
+        return self.frames / self.fps
+
+    @cached_property
+    def detections(self) -> Integers:
+        """(T,): points that the cameras saw together."""
+        return np.sum([source.keypoints.present.sum(axis=1) for source in self.sources], axis=0)
+
+    @property
+    def unused_keypoints(self) -> tuple[str, ...]:
+        """Of a file, but not of the skeleton."""
+        return tuple(name for name in self._file_names if name not in self.names)
+
+    @property
+    def missing_keypoints(self) -> tuple[str, ...]:
+        """Of the skeleton, but of no file."""
+        return tuple(name for name in self.names if name not in self._file_names)
+
+    @cached_property
+    def _file_names(self) -> dict[str, None]:
+        """Keypoints in the files' order, each once."""
+        return dict.fromkeys(name for source in self.sources for name in source.file_names)
+
+    # -- the states -----------------------------------------------------------------------------------------------
+
+    @property
+    def states_frame(self) -> Literal["world", "level"]:
+        """What the place and the rotation in `states` refer to, as in `recon.geometry.frames`."""
+        return "world" if self.knows_up else "level"
+
+    @property
+    def state_names(self) -> tuple[str, ...]:
+        """(D,)"""
+        return self.body.state_names
+
+    @property
+    def states(self) -> Array:
+        """(T, D), NaN where a frame has no pose."""
+        return self.solution.states
+
+    @property
+    def angle_names(self) -> tuple[str, ...]:
+        """(A,): the root's yaw, pitch and roll, then the joints' angles."""
+        return self.state_names[YAW:]
+
+    @property
+    def angles_rad(self) -> Array:
+        """(T, A)"""
+        return self.states[:, YAW:]
+
+    # -- in the frame of reference --------------------------------------------------------------------------------
+
+    @property
+    def frame_of_reference(self) -> Literal["world", "camera"]:
+        """ "world" where the camera file has extrinsics or the camera moves, otherwise "camera"."""
+        return "world" if self.camera.has_extrinsics or self.camera_moves else "camera"
+
+    @property
+    def knows_up(self) -> bool:
+        """Whether the frame of reference is a world with z up."""
+        return self.camera.knows_up or self.camera_moves
+
+    @cached_property
+    def T_reference_world(self) -> Array:
+        """(4, 4): from the frame that the motion was solved in to the frame of reference (`recon.geometry.frames`)."""
+        return np.eye(4) if self.camera_moves else inverse(world_from_reference(self.camera))
+
+    def in_reference(self, world_m: Array) -> Array:
+        """Points (..., 3) of the solution's world frame in the frame of reference."""
+        return moved(self.T_reference_world, world_m)
+
+    @cached_property
+    def joints_m(self) -> Array:
+        """(T, J, 3), NaN without a pose."""
+        return self.in_reference(self.solution.joints_m)
+
+    @property
+    def joints_camera_m(self) -> Array:
+        """(T, J, 3) in the first camera's frame."""
+        return self.solution.joints_camera_m
+
+    @cached_property
+    def solved(self) -> Bools:
+        """(T,): frames that have a pose."""
+        return self.solution.posed
+
+    @property
+    def root_name(self) -> str:
+        """What the skeleton calls the reference point that `root_m` is the path of: the marker in the root's origin, or
+        the root segment."""
+        root = self.body.tree.segments[0].name
+        return next((m.name for m in self.body.tree.markers if m.segment == root and not any(m.offset_m)), root)
+
+    @cached_property
+    def root_m(self) -> Array:
+        """(T, 3)"""
+        return self.in_reference(self.states[:, ROOT])
+
+    def below_m(self, spell: Spell) -> Array | None:
+        """(3,): the ground below the middle of the root's path in a spell, the solution's world frame; None where it is
+        not known."""
+        xy_m = self.states[spell.rows, :2]
+        xy_m = xy_m[np.isfinite(xy_m[:, 0])]
+        if spell.ground is None or not len(xy_m):
+            return None
+        middle = xy_m.mean(axis=0)
+        return np.append(middle, spell.ground.height_m + spell.ground.slope @ middle)
+
+    # -- pictures -------------------------------------------------------------------------------------------------
+
+    @cached_property
+    def pictures(self) -> tuple[Picture, ...]:
+        """Of each camera, in the order of the sources."""
+        solution = self.solution
+        given = zip(self.sources, solution.views, solution.noise_px, solution.weight, strict=True)
+        return tuple(
+            Picture(
+                source,
+                self.T_reference_world @ inverse(view.T_camera_world),
+                view.to_camera(view.at_its_time(solution.joints_m)),
+                self._where_known(source, view.project(view.at_its_time(solution.markers_m))[0]),
+                noise_px,
+                weight,
+            )
+            for source, view, noise_px, weight in given
+        )
+
+    def _where_known(self, source: Source, pixels: Array) -> Array:
+        """Pixels (T, J, 2), NaN in frames in which it is not known where the camera was."""
+        return pixels if source.poses is None else np.where(source.poses.known[:, None, None], pixels, np.nan)
+
+    # -- how far it can be trusted --------------------------------------------------------------------------------
+
+    @property
+    def flags(self) -> tuple[tuple[str, ...], ...]:
+        """(T,): what is doubtful about a frame; a frame without a pose has one that says why."""
+        return self.solution.flags
+
+    @property
+    def alternative_m(self) -> Array:
+        """(T,): mean distance of the joints in the second best solution, both centred, NaN where there is none."""
+        return self.solution.alternative_m
+
+    @cached_property
+    def joint_sigma_m(self) -> Array:
+        """(T, J, 3): standard deviation along the axes of the frame of reference, place and size included."""
+        return self._along_axes(self.solution.covariance_m2)
+
+    @cached_property
+    def relative_covariance_m2(self) -> Array:
+        """(T, J, 3, 3): of the joints relative to the mean of all joints, in the frame of reference."""
+        return self._turned(self.solution.relative_covariance_m2)
+
+    @cached_property
+    def relative_sigma_m(self) -> Array:
+        """(T, J, 3): the same along the axes."""
+        return self._along_axes(self.solution.relative_covariance_m2)
+
+    @cached_property
+    def relative_rms_m(self) -> Array:
+        """(T,): what is expected of a joint's distance from its true place once both poses are centred, root mean
+        square over the joints."""
+        return np.sqrt(np.trace(self.solution.relative_covariance_m2, axis1=2, axis2=3).mean(axis=1))
+
+    @cached_property
+    def place_sigma_m(self) -> Array:
+        """(T,): standard deviation of the mean of all joints along the first camera's line of sight."""
+        # Joints are the mean plus offsets that sum to zero: mean covariances differ by the mean's own.
+        of_mean = (self.solution.covariance_m2 - self.solution.relative_covariance_m2).mean(axis=1)
+        ray = self.solution.joints_m.mean(axis=1) - self.solution.views[0].centre_m
+        ray /= np.linalg.norm(ray, axis=1, keepdims=True)
+        return np.sqrt(np.maximum(np.einsum("ta,tab,tb->t", ray, of_mean, ray), 0.0))
+
+    @cached_property
+    def mean_weight(self) -> Array:
+        """(T,): how far all cameras' detections were trusted on average, 0 to 1, NaN without any or without a pose."""
+        weight = self.solution.weight
+        seen = np.isfinite(weight).sum(axis=(0, 2))
+        return np.where(seen > 0, np.nansum(weight, axis=(0, 2)) / np.maximum(seen, 1), np.nan)
+
+    def _turned(self, covariance_m2: Array) -> Array:
+        R = self.T_reference_world[:3, :3]
+        return R @ covariance_m2 @ R.T
+
+    def _along_axes(self, covariance_m2: Array) -> Array:
+        return np.sqrt(np.diagonal(self._turned(covariance_m2), axis1=2, axis2=3))

@@ -1,0 +1,187 @@
+"""Markers in 3D -> states: what a body's angles were, where its markers are known already."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from recon.animal.body import Body
+from recon.geometry.kinematics import PITCH, ROOT, YAW
+
+Array = NDArray[np.float64]
+
+MIN_MARKERS = 8
+"""A frame with fewer known markers stays without a state."""
+
+_BLOCK = 512
+"""Frames that are solved together: bounds the memory that the Jacobians take."""
+_ITERATIONS = 300
+_TOLERANCE = 1e-10
+"""A frame is done when a step changes no angle by more (rad) and no length (m)."""
+_SIZE_ROUNDS = 20
+_RETRIES = 2
+_DAMPING = (1e-12, 1e12)
+"""Smallest and largest; at the largest no step is left that helps."""
+
+
+def solve_points(
+    body: Body, points_m: Array, size: float | None = 1.0, pull_m_per_rad: float = 1e-2
+) -> tuple[Array, Array]:
+    """States (T, D) whose markers are nearest to points_m (T, J, 3), and rms_m (T,), the distance that is left.
+
+    points_m: metres, world z up, NaN where missing; size: the factor on the body's lengths, one for all frames, None to
+    estimate it. pull_m_per_rad holds the angles to the body's expectations: weakly, so that angles that nothing else
+    says, such as a yaw about an axis that points along the segment, do not wander. The heading is continuous over time.
+    Frames with fewer than `MIN_MARKERS` markers are NaN.
+    """
+    return solve_points_and_size(body, points_m, size, pull_m_per_rad)[:2]
+
+
+def solve_points_and_size(
+    body: Body, points_m: Array, size: float | None = None, pull_m_per_rad: float = 1e-2
+) -> tuple[Array, Array, float]:
+    """The same, and the size.
+
+    Raises ValueError if the points do not fit the body, or if a size is to be estimated from nothing.
+    """
+    points_m = np.asarray(points_m, dtype=float)
+    if points_m.ndim != 3 or points_m.shape[1:] != (len(body.markers), 3):
+        raise ValueError(f"points {points_m.shape} for a body of {len(body.markers)} markers")
+    known = np.asarray(np.isfinite(points_m).all(axis=2))
+    enough = np.asarray(known.sum(axis=1) >= MIN_MARKERS)
+    states = np.full((len(points_m), body.n_state), np.nan)
+    rms_m = np.full(len(points_m), np.nan)
+    if not enough.any():
+        if size is None:
+            raise ValueError("no frame to estimate the size from")
+        return states, rms_m, size
+    targets, weight = np.where(known[..., None], points_m, 0.0)[enough], known[enough].astype(float)
+    factor = 1.0 if size is None else size
+    found = _start(body, targets, weight, factor)
+    for _ in range(_SIZE_ROUNDS if size is None else 0):
+        found = _solve(body, targets, weight, factor, pull_m_per_rad, found)
+        step = _log_size_step(body, targets, weight, factor, pull_m_per_rad, found)
+        factor *= float(np.exp(np.clip(step, -0.3, 0.3)))
+        if abs(step) < 1e-9:
+            break
+    found = _nearest_turns(body, _solve(body, targets, weight, factor, pull_m_per_rad, found))
+    for _ in range(_RETRIES):
+        found = _retried(body, targets, weight, factor, pull_m_per_rad, found)
+    found[:, YAW] = np.unwrap(found[:, YAW])
+    states[enough] = found
+    squares = (weight[..., None] * (body.tree.pose(found, factor).points_m - targets) ** 2).sum(axis=(1, 2))
+    rms_m[enough] = np.sqrt(squares / weight.sum(axis=1))
+    return states, rms_m, factor
+
+
+def _start(body: Body, targets: Array, weight: Array, size: float) -> Array:
+    """The expected angles, turned about the vertical and moved to where the markers are."""
+    states = np.zeros((len(targets), body.n_state))
+    states[:, PITCH:] = body.mean_rad
+    share = (weight / weight.sum(axis=1, keepdims=True))[..., None]
+    model = body.tree.pose(states[:1], size).points_m
+    a = (model - (share * model).sum(axis=1, keepdims=True)) * share
+    b = targets - (share * targets).sum(axis=1, keepdims=True)
+    cross = (a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]).sum(axis=1)
+    states[:, YAW] = np.arctan2(cross, (a[..., :2] * b[..., :2]).sum(axis=(1, 2)))
+    states[:, ROOT] = (share * (targets - body.tree.pose(states, size).points_m)).sum(axis=1)
+    return states
+
+
+def _nearest_turns(body: Body, states: Array) -> Array:
+    """With every angle the one nearest to its expectation, of those that differ by whole turns."""
+    off = states[:, PITCH:] - body.mean_rad
+    return np.concatenate([states[:, :PITCH], body.mean_rad + np.remainder(off + np.pi, 2 * np.pi) - np.pi], axis=1)
+
+
+def _retried(body: Body, targets: Array, weight: Array, size: float, pull: float, states: Array) -> Array:
+    """Frames in an odd pose or with a large misfit, solved again from the poses of the frames around them.
+
+    A segment that turns about two axes points the same way with both turned over (yaw + pi, pi - pitch): a second
+    minimum, from which no small step leads back. The lower cost wins.
+    """
+    cost = _cost(body, targets, weight, size, pull, states)
+    odd = (np.abs(states[:, PITCH:] - body.mean_rad) > np.pi / 2).any(axis=1) | (cost > 4 * np.median(cost))
+    sound, again = np.nonzero(~odd)[0], np.nonzero(odd)[0]
+    if not len(again) or not len(sound):
+        return states
+    start = states[again]
+    for a in range(PITCH, states.shape[1]):
+        start[:, a] = np.interp(again, sound, states[sound, a])
+    tried = _nearest_turns(body, _solve(body, targets[again], weight[again], size, pull, start))
+    better = _cost(body, targets[again], weight[again], size, pull, tried) < cost[again]
+    states = states.copy()
+    states[again[better]] = tried[better]
+    return states
+
+
+def _normal_equations(
+    body: Body, targets: Array, weight: Array, size: float, pull: float, states: Array
+) -> tuple[Array, Array, Array, Array]:
+    """Hessian (N, D, D), gradient (N, D), and those of the size's logarithm with the state, (N, D + 1), last: its own
+    entry; then its gradient (N,)."""
+    N, D = states.shape
+    pose = body.tree.pose_with_jacobian(states, size)
+    assert pose.jacobian is not None
+    assert pose.d_size is not None
+    jacobian = (pose.jacobian * weight[..., None, None]).reshape(N, -1, D)
+    residual = ((pose.points_m - targets) * weight[..., None]).reshape(N, -1)
+    d_size = (pose.d_size * weight[..., None]).reshape(N, -1)
+    hessian = jacobian.swapaxes(1, 2) @ jacobian
+    gradient = (residual[:, None] @ jacobian)[:, 0]
+    angles = np.arange(PITCH, D)
+    hessian[:, angles, angles] += pull**2
+    gradient[:, angles] += pull**2 * (states[:, angles] - body.mean_rad)
+    by_size = np.concatenate([(d_size[:, None] @ jacobian)[:, 0], (d_size**2).sum(axis=1)[:, None]], axis=1)
+    return hessian, gradient, by_size, (d_size * residual).sum(axis=1)
+
+
+def _cost(body: Body, targets: Array, weight: Array, size: float, pull: float, states: Array) -> Array:
+    """(N,): half the squared distances, and the pull."""
+    off = (body.tree.pose(states, size).points_m - targets) * weight[..., None]
+    pulled = pull * (states[:, PITCH:] - body.mean_rad)
+    return 0.5 * ((off**2).sum(axis=(1, 2)) + (pulled**2).sum(axis=1))
+
+
+def _solve(body: Body, targets: Array, weight: Array, size: float, pull: float, start: Array) -> Array:
+    """Levenberg-Marquardt on all frames of a block at once; each has a damping of its own and leaves when done."""
+    found = start.copy()
+    for first in range(0, len(start), _BLOCK):
+        block = slice(first, first + _BLOCK)
+        _solve_block(body, targets[block], weight[block], size, pull, found[block])
+    return found
+
+
+def _solve_block(body: Body, targets: Array, weight: Array, size: float, pull: float, states: Array) -> None:
+    """In place."""
+    damping = np.full(len(states), 1e-3)
+    active = np.arange(len(states))
+    cost = _cost(body, targets, weight, size, pull, states)
+    for _ in range(_ITERATIONS):
+        goals, weights = targets[active], weight[active]
+        hessian, gradient, _, _ = _normal_equations(body, goals, weights, size, pull, states[active])
+        diagonal = np.arange(states.shape[1])
+        hessian[:, diagonal, diagonal] *= 1.0 + damping[active, None]
+        step = -np.linalg.solve(hessian, gradient[..., None])[..., 0]
+        tried = states[active] + step
+        new_cost = _cost(body, goals, weights, size, pull, tried)
+        better = new_cost < cost[active]
+        states[active[better]], cost[active[better]] = tried[better], new_cost[better]
+        damping[active] = np.clip(damping[active] * np.where(better, 0.2, 5.0), *_DAMPING)
+        # Near the minimum rounding decides what is better: a step as small as that is the end either way.
+        done = (np.abs(step).max(axis=1) < _TOLERANCE) | (damping[active] >= _DAMPING[1])
+        active = active[~done]
+        if not len(active):
+            return
+
+
+def _log_size_step(body: Body, targets: Array, weight: Array, size: float, pull: float, states: Array) -> float:
+    """Gauss-Newton step of the size's logarithm with all states eliminated, at their minimum."""
+    curvature = gradient = 0.0
+    for first in range(0, len(states), _BLOCK):
+        block = slice(first, first + _BLOCK)
+        hessian, _, by_size, d_size = _normal_equations(body, targets[block], weight[block], size, pull, states[block])
+        cross = by_size[:, :-1]
+        curvature += (by_size[:, -1] - (cross * np.linalg.solve(hessian, cross[..., None])[..., 0]).sum(axis=1)).sum()
+        gradient += d_size.sum()
+    return float(-gradient / curvature)

@@ -1,0 +1,159 @@
+"""What the methods give back: a `Solution`, and what the trajectory method adds."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import ClassVar, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from recon.animal.body import Body
+from recon.clip import View
+
+Array = NDArray[np.float64]
+
+OUTLIER_SIGMAS = 3.0
+"""A detection further than this from its joint's reprojection is named an outlier."""
+
+
+@dataclass(frozen=True)
+class Start:
+    """One heading that the clip was started from: heading_rad about the world's z axis from the right of the first
+    camera's picture, cost of its first, wide
+    fit, and whether it was carried to the end."""
+
+    heading_rad: float
+    cost: float
+    kept: bool
+
+
+@dataclass(frozen=True)
+class Ground:
+    """A plane: z = height_m + slope (2,) . (x, y), and the standard deviation of its height under
+    the animal."""
+
+    height_m: float
+    slope: Array
+    sigma_m: float
+
+    def about(self, origin_m: Array, size: float) -> Ground:
+        """The same where the scene is scaled and its origin lies at (3,)."""
+        height = origin_m[2] + size * self.height_m - self.slope @ origin_m[:2]
+        return replace(self, height_m=float(height), sigma_m=size * self.sigma_m)
+
+
+@dataclass(frozen=True)
+class Spell:
+    """A stretch of the clip that was solved by itself, as nothing was seen for long before and after: its rows of the
+    clip, and the ground under its feet, None where none stood. Spells lie in the order of their rows, and apart."""
+
+    rows: slice
+    ground: Ground | None
+    surprise: float | None = None
+    """How surprising the motion is under the prior, about 1 where that fits; None where there is none."""
+    prior_weight: float = 1.0
+    """The part of its weight that the prior kept, each angle on its own having the rest: less than 1 where the motion
+    is more of a surprise than one that fits."""
+    unlike_prior: bool = False
+    """The motion is none that the prior knows."""
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """An animal's motion over T frames, as every method gives it: J markers, D unknowns a frame, F feet, V views.
+
+    In the world frame (`recon.geometry.frames`) and metres; NaN in frames without a pose."""
+
+    method: ClassVar[Literal["trajectory", "frame"]]
+
+    body: Body
+    views: tuple[View, ...]
+    """What it was fitted to, with the lags that were found."""
+    states: Array
+    """(T, D): the root's place is in the world; the body's lengths are those of `body` times `size`."""
+    size: float
+    """Of a method that has one for each frame, their median."""
+    joints_m: Array
+    """(T, J, 3)"""
+    covariance_m2: Array
+    """(T, J, 3, 3): of the joints, place and size included."""
+    relative_covariance_m2: Array
+    """(T, J, 3, 3): of the joints relative to the mean of all joints."""
+    angle_sigma_rad: Array
+    """(T, D - 3): of the root's rotation and the joints' angles, `states[:, 3:]`."""
+    angle_data_share: Array
+    """(T, D - 3): the part of their precision that comes from the pixels, 0 to 1."""
+    noise_px: Array
+    """(V, T, J): for each view, the standard deviation that a detection was given."""
+    weight: Array
+    """(V, T, J): how far it was trusted, 1 to 0, NaN where missing."""
+    flags: tuple[tuple[str, ...], ...]
+    """(T,): what is doubtful about a frame; a frame without a pose has one that says why."""
+    alternative_m: Array
+    """(T,): mean distance of the joints in the second best solution, both centred, NaN where there is none."""
+    contact: Array
+    """(T, F): of the feet with the ground, 0 to 1; 0 of a method that does not look for it."""
+    spells: tuple[Spell, ...]
+    """The stretches of the clip that have a pose, each with its own ground."""
+    stage_s: dict[str, float]
+    """Seconds by stage, where the method tells them apart."""
+
+    @property
+    def posed(self) -> NDArray[np.bool_]:
+        """(T,): frames that have a pose."""
+        return np.asarray(np.isfinite(self.joints_m[:, 0, 0]))
+
+    @cached_property
+    def joints_camera_m(self) -> Array:
+        """(T, J, 3) in the first camera's frame."""
+        return self.views[0].to_camera(self.joints_m)
+
+    @cached_property
+    def markers_m(self) -> Array:
+        """(T, J, 3): where the detector sees the joints."""
+        if not self.body.keypoint_offset_m:
+            return self.joints_m
+        return self.joints_m + (
+            self.body.detected.pose(self.states, self.size).points_m
+            - self.body.tree.pose(self.states, self.size).points_m
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class TrajectorySolution(Solution):
+    """Of the trajectory method. Flags: "no data", "ran away", "data poor", "ambiguous depth", "second solution"."""
+
+    size_sigma: float
+    """Of the size: its posterior standard deviation."""
+    size_from: tuple[str, ...]
+    """What says the size: "prior", and where they do "views" and "ground"."""
+    data_share: Array
+    """(J,): the part of the posterior precision that comes from the pixels, 0 to 1."""
+    alternative_cost: float
+    """By how much the second best solution's cost is higher (half squared sigmas)."""
+    prior: str
+    status: Literal["converged", "not_converged"]
+    cost_by_term: dict[str, float]
+    """Half the squared norm, robust."""
+    iterations: int
+    starts: tuple[Start, ...]
+    lag_frames: Array
+    """(V,): how much later than said each camera's pictures were taken, where several cameras show it, else 0."""
+    lag_sigma_frames: Array
+    """(V,): their standard deviations; 0 of a lag that is not an unknown."""
+    placing: Array
+    """(V, 6): how far each camera lies beside its pose, as in `View.placed`; 0 where that is not an unknown."""
+    placing_sigma: Array
+    """(V, 6)"""
+    focal: Array
+    """(V,): by what factor each camera's focal lengths are longer than said, its logarithm; 0 where that is not an
+    unknown."""
+    focal_sigma: Array
+    """(V,)"""
+    crab_rad: float
+    """By how much the animal goes to the left of where it looks, all the time; 0 where that is not an unknown."""
+    crab_sigma_rad: float
+
+    method: ClassVar = "trajectory"

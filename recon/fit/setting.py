@@ -1,0 +1,323 @@
+"""What a trajectory is solved for: views of a clip, a body, what is expected of its motion, and the options."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from recon.animal.body import Body
+from recon.animal.prior import MotionPrior, prior_from_body
+from recon.clip import View
+from recon.fit.least_squares import LeastSquares, Shared
+from recon.fit.terms import (
+    CRAB,
+    DISPLACED,
+    SIZE,
+    Heading,
+    KnownAngles,
+    Linear,
+    PoseMixture,
+    Reprojection,
+    Term,
+    beside,
+    climb_term,
+    dynamics_term,
+    focal,
+    lag,
+    placing,
+    pose_term,
+    root_term,
+)
+
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+
+UP = np.array([0.0, 0.0, 1.0])
+_NEAREST_M = 0.3
+"""Nearer than this to a camera nothing is taken to be."""
+_APART_M = 1e-6
+"""Cameras nearer to the origin than this are in it."""
+
+
+@dataclass(frozen=True)
+class TrajectoryOptions:
+    """How the trajectory method weighs and searches. Standard deviations unless said otherwise.
+
+    sigma_px: the detector's noise; keypoint_sigma_m: how far keypoints lie from the markers, in place of the body's;
+    beside_share: the part of it that stays the same over a clip; common_share: the part of that variance which several
+    cameras see alike. size_sigma: of the size, relative, in place of the
+    body's. lag_frames: how much later or earlier than said a camera's pictures are taken. find_offsets:
+    they may be later or earlier than the first camera's by found_lag_frames. refine_cameras: all but the first lie
+    beside their poses, turned by placing_rad about each axis and moved by placing_m along it. focal_sigma: of all
+    cameras' focal lengths, relative, of several cameras. robust_c: residuals of that many sigmas count half.
+    pose_weight, mixture_weight, motion_weight: how many times the priors count per 1/90 s. acceleration_m_s2: of the
+    root in the level frame. lateral_m_s: of the velocity across the trunk. crab_rad: of the angle to the trunk at which
+    it goes all the time, of several cameras. climb_m_s: of the root. ground: "auto" uses contacts and a plane, "none"
+    does not; the stance's loss saturates at slip_c slip_m_s. noise_rounds: of step 4. error_time_s: how long errors
+    last; what is seen in that time counts once in the uncertainty.
+    fast: fewer starts, one of them to the end, and looser tolerances.
+
+    Where the values come from: those of the root's movement and of feet that stand have the size of what is seen in the
+    reconstructions that the prior `running-cheetah` is made of; lateral_m_s is an angle of 0.05 rad at 10 m/s, and
+    crab_rad that of the benchmark's real runs; lag_frames is that of a picture taken anywhere within a frame,
+    found_lag_frames a few of them; beside_share is what residuals of several cameras have in common over a clip, and
+    common_share what is likeliest in the real runs. The rest are round numbers; docs/benchmarks.md shows what they
+    matter. error_time_s was set on the real runs of the benchmark, so that 90 % regions hold about 90 % of the joints.
+    """
+
+    fast: bool = False
+    ground: Literal["auto", "none"] = "auto"
+    sigma_px: float = 3.0
+    keypoint_sigma_m: float | None = None
+    size_sigma: float | None = None
+    beside_share: float = 0.6
+    common_share: float = 0.4
+    lag_frames: float = 12**-0.5
+    find_offsets: bool = False
+    found_lag_frames: float = 2.0
+    refine_cameras: bool = False
+    placing_rad: float = float(np.radians(2.0))
+    placing_m: float = 0.05
+    focal_sigma: float | None = None
+    robust_c: float = 3.0
+    pose_weight: float = 1.0
+    mixture_weight: float = 1.0
+    motion_weight: float = 1.0
+    acceleration_m_s2: tuple[float, float, float] = (12.0, 12.0, 9.0)
+    yaw_acceleration_rad_s2: float = 40.0
+    lateral_m_s: float = 0.5
+    crab_rad: float = 0.1
+    climb_m_s: float = 0.5
+    stance_weight: float = 1.0
+    slip_m_s: float = 2.5
+    slip_c: float = 2.0
+    ground_height_m: float = 0.12
+    ground_slope: float = 0.02
+    ground_foot_m: float = 0.04
+    error_time_s: float = 0.16
+    noise_rounds: int = 3
+    tolerance: float = 1e-4
+    max_iterations: int = 30
+
+    def keypoint_noise_m(self, body: Body) -> float:
+        """How far a body's keypoints lie from the markers."""
+        return body.keypoint_sigma_m if self.keypoint_sigma_m is None else self.keypoint_sigma_m
+
+    def as_run(self) -> TrajectoryOptions:
+        """With what `fast` makes of the last rounds."""
+        if self.fast:
+            return replace(self, tolerance=10 * self.tolerance, noise_rounds=1)
+        return replace(self, noise_rounds=max(self.noise_rounds, 1))
+
+
+@dataclass(frozen=True, eq=False)
+class Setting:
+    """What does not change on the way to a solution, of all T frames of a clip or a part of them."""
+
+    views: tuple[View, ...]
+    body: Body
+    prior: MotionPrior
+    fps: float
+    options: TrajectoryOptions
+    origin_m: Array
+    """(3,), world frame: the point that the body's size scales the scene about, the first camera's (mean) centre."""
+    ground_near_zero: bool
+    """Whether the ground is known to lie near the world's z = 0."""
+    trust: float = 1.0
+    """The part of its weight that the prior has; each angle on its own has the rest (`recon.fit.surprise`)."""
+    known: Array | None = None
+    """(T, D): states whose heading and angles the animal has, NaN in frames where they are not known."""
+
+    @classmethod
+    def of(
+        cls,
+        views: Sequence[View],
+        body: Body,
+        prior: MotionPrior,
+        fps: float,
+        options: TrajectoryOptions,
+        ground_near_zero: bool | None = None,
+    ) -> Setting:
+        """Of a whole clip: see `recon.fit.trajectory.solve_trajectory`."""
+        if ground_near_zero is None:
+            ground_near_zero = all(view.camera.knows_up for view in views)
+        views = tuple(view.credible() for view in views)
+        return cls(views, body, prior, fps, options, np.mean(views[0].centre_m, axis=0), ground_near_zero)
+
+    def __len__(self) -> int:
+        """T"""
+        return len(self.views[0].xy_px)
+
+    def part(self, frames: slice | Index) -> Setting:
+        known = None if self.known is None else self.known[frames]
+        return replace(self, views=tuple(view.part(frames) for view in self.views), known=known)
+
+    def thinned(self, step: int) -> Setting:
+        """Of every step-th frame, which counts for those left out."""
+        thin = self.part(slice(None, None, step))
+        views = tuple(
+            replace(view, confidence=step * view.confidence, lead_frames=view.lead_frames / step) for view in thin.views
+        )
+        return replace(thin, views=views, fps=self.fps / step)
+
+    # -- the scene ------------------------------------------------------------------------------------------------
+
+    @property
+    def right(self) -> Array:
+        """(3,): the level direction to the right of the first camera's picture."""
+        x = self.views[0].T_camera_world.reshape(-1, 4, 4)[0, 0, :3]
+        level = x - UP * x[2]
+        return level / np.linalg.norm(level)
+
+    @property
+    def away(self) -> Array:
+        """(3,): the level direction away from the first camera."""
+        return np.asarray(np.cross(UP, self.right), dtype=float)
+
+    @property
+    def feet(self) -> Index:
+        return np.array([self.body.markers.index(foot) for foot in self.body.feet], dtype=np.intp)
+
+    @property
+    def ground_known(self) -> bool:
+        return self.ground_near_zero and self.options.ground == "auto"
+
+    @property
+    def size_sigma(self) -> float:
+        """Prior standard deviation of the size, around 1."""
+        return self.body.size_sigma if self.options.size_sigma is None else self.options.size_sigma
+
+    @property
+    def shows_size(self) -> bool:
+        """Whether a picture was taken from elsewhere than the origin."""
+        return any(np.abs(view.centre_m - self.origin_m).max() > _APART_M for view in self.views)
+
+    def present(self) -> NDArray[np.bool_]:
+        """(T, J): seen by a camera."""
+        return np.any([view.present for view in self.views], axis=0)
+
+    def markers(self, states: Array) -> Array:
+        """(T, J, 3): where the detector sees them, at nominal size about the origin."""
+        return self.body.detected.pose(states).points_m
+
+    def in_world(self, points_m: Array, size: float = 1.0) -> Array:
+        """Points (..., 3) of nominal size about the origin."""
+        return self.origin_m + size * points_m
+
+    # -- the problem ----------------------------------------------------------------------------------------------
+
+    @property
+    def alike(self) -> float:
+        """How many neighbouring frames' errors are alike and count once in the uncertainty."""
+        return max(self.options.error_time_s * self.fps, 1.0)
+
+    @property
+    def keypoint_sigma_m(self) -> float:
+        return self.options.keypoint_noise_m(self.body)
+
+    @property
+    def in_frame_m(self) -> Array:
+        """(J,): how far the keypoints of each marker lie off in a single frame."""
+        known = self.body.keypoint_noise_m if self.options.keypoint_sigma_m is None else {}
+        return np.array([known.get(marker, self.keypoint_sigma_m) for marker in self.body.markers])
+
+    def px_per_m(self, points_m: Array, size: float = 1.0) -> Array:
+        """(V, T): how large a metre of the nominal body is in the picture, in the middle of its markers (T, J, 3).
+
+        Of all directions in space, as the lens shows them there: an animal that a camera turns towards is as large in
+        angles, whatever the lens."""
+        middle = self.in_world(np.median(points_m, axis=1, keepdims=True), size)
+        return np.array([size * self._px_per_m(view, middle) for view in self.views])
+
+    @staticmethod
+    def _px_per_m(view: View, point_m: Array) -> Array:
+        """(T,), at a point (T, 1, 3) of the world."""
+        nearest = np.max(view.focal_px) / _NEAREST_M
+        _, by_point, valid = view.project_with_jacobian(point_m)
+        along = np.sqrt(0.5 * np.sum(by_point[:, 0] ** 2, axis=(1, 2)))
+        far = view.focal_px / np.maximum(np.linalg.norm(point_m[:, 0] - view.centre_m, axis=1), _NEAREST_M)
+        return np.where(valid[:, 0], np.minimum(along, nearest), far)
+
+    def noise_px(self, points_m: Array, factor: Array, size: float = 1.0) -> Array:
+        """(V, T, J): the detector's noise, and the keypoints' at the animal's distance, times sqrt(factor) (V, J), and
+        that of a camera's turn, for markers (T, J, 3) at nominal size."""
+        px_per_m = self.px_per_m(points_m, size)[..., None]
+        noise = np.hypot(self.options.sigma_px, self.in_frame_m * px_per_m) * np.sqrt(factor)[:, None]
+        if all(view.turn_sigma_rad is None for view in self.views):
+            return noise
+        turned = np.array([np.broadcast_to(view.turn_px, len(self)) for view in self.views])
+        return np.hypot(noise, turned[..., None])
+
+    def shared(self) -> tuple[list[Shared], list[Shared]]:
+        """What all frames share: the unknowns that pictures can tell, and those that only add to the doubt.
+
+        A single camera cannot tell its lag from a place further on, an animal that goes beside where it looks from one
+        that looks elsewhere, nor keypoints that stay beside their markers from another pose. A standard deviation is
+        that of what lasts: the frames' number makes it no better known.
+        """
+        o, J, V = self.options, len(self.body.markers), len(self.views)
+        root = np.sqrt(self.alike)
+        size = [Shared(SIZE, np.ones(1), np.array([self.size_sigma]))] if self.shows_size else []
+        first, late = (1, o.found_lag_frames) if o.find_offsets else (0, o.lag_frames)
+        lags = [Shared(lag(i), np.zeros(1), np.array([late / root])) for i in range(first, V)]
+        crab = [Shared(CRAB, np.zeros(1), np.array([o.crab_rad / root]))] if len(self) > 1 else []
+        sigma = np.repeat([o.placing_rad, o.placing_m], 3) / root
+        placings = [Shared(placing(i), np.zeros(6), sigma) for i in range(1, V)] if o.refine_cameras else []
+        if o.focal_sigma is not None and V > 1:
+            width = np.array([o.focal_sigma / root])
+            placings += [Shared(focal(i), np.zeros(1), width) for i in range(V)]
+        spread_m = self.body.keypoint_spread_m
+        off_m = np.array([spread_m.get(m, o.beside_share * self.keypoint_sigma_m) for m in self.body.markers]) / root
+        common = o.common_share if V > 1 else 0.0
+        own_m, common_m = np.repeat(off_m * (1 - common) ** 0.5, 2), np.repeat(off_m * common**0.5, 3)
+        displaced = [Shared(beside(i), np.zeros(2 * J), own_m) for i in range(V)] if own_m.all() else []
+        displaced += [Shared(DISPLACED, np.zeros(3 * J), common_m)] if common_m.all() else []
+        return ([*size, *crab, *lags, *placings], displaced) if V > 1 else (size, [*lags, *displaced])
+
+    def problem(
+        self,
+        noise_px: Array,
+        temperature: float | None = None,
+        contact_terms: Sequence[Term] = (),
+        around_m: Array | None = None,
+        size: float = 1.0,
+    ) -> LeastSquares:
+        """All terms, each switched on here. noise_px (V, T, J). temperature: of the mixture of poses; None: one
+        Gaussian of poses in its place. around_m (T, J, 3): the markers of a solution, and its size; then what all
+        frames share is unknown."""
+        o, D, T = self.options, self.body.n_state, len(self)
+        rear, front = (self.body.markers.index(marker) for marker in self.body.forward)
+        seen = [
+            Reprojection(view, sigma_px, o.robust_c, self.origin_m, i)
+            for i, (view, sigma_px) in enumerate(zip(self.views, noise_px, strict=True))
+        ]
+        shared: list[Shared] = []
+        doubtful: list[Shared] = []
+        if around_m is not None:
+            shared, doubtful = self.shared()
+            drift_m = np.gradient(around_m, axis=0) if T > 1 else np.zeros_like(around_m)
+            px_per_m = self.px_per_m(around_m, size)
+            seen = [replace(term, drift_m=drift_m, px_per_m=px) for term, px in zip(seen, px_per_m, strict=True)]
+        linear: list[Linear] = []
+        terms: list[Term] = [*seen]
+        if temperature is None:
+            linear.append(pose_term(self.prior, D, self.fps, o.pose_weight * self.trust))
+        else:
+            terms.append(PoseMixture(self.prior, self.fps, o.mixture_weight * self.trust, temperature))
+        if self.trust < 1:
+            plain = prior_from_body(self.body)
+            linear.append(pose_term(plain, D, self.fps, o.pose_weight * (1 - self.trust)))
+            linear.append(dynamics_term(plain, D, self.fps, o.motion_weight * (1 - self.trust)))
+        if self.known is not None:
+            terms.append(KnownAngles(self.known))
+        if T > 1:
+            linear.append(climb_term(D, self.fps, o.climb_m_s))
+            terms.append(Heading(rear, front, self.fps, o.lateral_m_s))
+        if T > 2:
+            linear.append(dynamics_term(self.prior, D, self.fps, o.motion_weight * self.trust))
+            linear.append(root_term(D, self.fps, np.array(o.acceleration_m_s2), o.yaw_acceleration_rad_s2))
+        return LeastSquares(self.body.detected, linear, [*terms, *contact_terms], shared, doubtful)

@@ -1,0 +1,467 @@
+"""The terms of the trajectory problem: one small class each.
+
+A term reads a span of consecutive frames and gives its cost and rows r, J for the frames it stands for, such that J'r
+is the exact gradient of the cost and J'J its curvature: residuals divided by standard deviations, and for a robust loss
+reweighted by the square root of its slope (so that the cost is not half of r'r). With N frames, M rows, S offsets and D
+unknowns a frame:
+
+    evaluate(span, jacobian) -> Rows: frames (N,), cost (N,), residual (N, M), jacobian (N, M, S, D), and of the rows
+                                that read unknowns which all frames share, the derivatives (N, M, P) by those of a name
+
+stencil (S,) are the offsets of the frames that a row reads, relative to the frame it stands for. The rows of a `Linear`
+term have a constant Jacobian: the solver works out their curvature once.
+
+States are those of a body of nominal size about an origin, the first camera's centre: the point p of such a scene lies
+at origin + size p in the world. Larger animals move further in proportion, so no prior could tell the size, nor can a
+camera that stays in the origin, whose picture is the same for any size: only `Reprojection` of other cameras reads it.
+
+Detections are correlated over time, and so are the errors of the priors: priors count as many times a second as they
+were weighed at, whatever the frame rate (`REFERENCE_HZ`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from recon.animal.prior import ANGLES, MotionPrior
+from recon.clip import View
+from recon.geometry.kinematics import ROOT, YAW, TreePose
+from recon.geometry.rotations import euler_rotation_with_jacobian
+
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+
+SIZE = "size"
+"""The shared unknown: a factor on all lengths. 1 where it is not one."""
+DISPLACED = "displaced"
+"""The shared unknowns (3J,): how far all cameras see the keypoints of each marker beside it all the time, metres in its
+segment. Held at zero: they count in the doubt only."""
+CRAB = "crab"
+"""The shared unknown: by how much an animal goes to the left of where it looks all the time, rad."""
+_ONE, _ZERO = np.ones(1), np.zeros(1)
+
+
+def lag(view: int) -> str:
+    """The shared unknown: by how many frames a camera's pictures were taken later than its view says."""
+    return f"lag {view}"
+
+
+def beside(view: int) -> str:
+    """The shared unknowns (2J,): how far a view's keypoints of each marker lie beside it all the time, metres to the
+    right and down at the animal's distance."""
+    return f"beside {view}"
+
+
+def placing(view: int) -> str:
+    """The shared unknowns (6,): how far a camera lies beside its pose, as in `View.placed`."""
+    return f"placing {view}"
+
+
+def focal(view: int) -> str:
+    """The shared unknown: by what factor a camera's focal lengths are longer than said, its logarithm."""
+    return f"focal {view}"
+
+
+def size_of(shared: Mapping[str, Array]) -> float:
+    """Among the values of shared unknowns."""
+    return float(shared.get(SIZE, _ONE)[0])
+
+
+REFERENCE_HZ = 90.0
+OUT_OF_SIGHT = 50.0
+"""Squared sigmas, in units of the loss's c^2, of a detected joint that the camera cannot project."""
+PRIOR_TERMS = POSE, MOTION = "pose prior", "motion prior"
+"""The names of the terms that a prior makes."""
+
+
+@dataclass(frozen=True)
+class Span:
+    """Frames first, first + 1, ... of a clip: states (n, D), the posed markers, which detections belong to, and by name
+    the values of the unknowns that all frames share.
+
+    The last frame is there for stencils that reach it unless `last`: terms that read one frame at a time leave it out.
+    """
+
+    first: int
+    states: Array
+    pose: TreePose
+    last: bool
+    shared: Mapping[str, Array] = field(default_factory=dict)
+    turned: Array | None = None
+    """(n, J, 3, 3): orientations of the markers' segments, where `DISPLACED` is asked for."""
+
+    @property
+    def own(self) -> slice:
+        return slice(0, len(self.states) - (not self.last))
+
+
+@dataclass(frozen=True)
+class Rows:
+    """See the module's text. Without Jacobian, residual and what follows are left out."""
+
+    frames: Index
+    cost: Array
+    residual: Array | None = None
+    jacobian: Array | None = None
+    by_shared: Mapping[str, Array] = field(default_factory=dict)
+
+
+class Term(Protocol):
+    """A term of the problem: see the module's text."""
+
+    @property
+    def name(self) -> str: ...
+    @property
+    def stencil(self) -> tuple[int, ...]: ...
+    def evaluate(self, span: Span, jacobian: bool) -> Rows: ...
+
+
+@dataclass(frozen=True)
+class Linear:
+    """A Gaussian term: r = sum of slots[s] x(frame + stencil[s]) - target, for every frame whose stencil fits.
+
+    slots (S, M, D); target (M,). Rows are already divided by their standard deviations.
+    """
+
+    name: str
+    stencil: tuple[int, ...]
+    slots: Array
+    target: Array
+
+    def frames(self, T: int) -> Index:
+        return np.arange(-self.stencil[0], max(T - self.stencil[-1], -self.stencil[0]))
+
+    def residual(self, states: Array) -> Array:
+        """(N, M) of a whole clip (T, D)."""
+        at = self.frames(len(states))
+        r = np.tile(-self.target, (len(at), 1))
+        for offset, slot in zip(self.stencil, self.slots, strict=True):
+            r += states[at + offset] @ slot.T
+        return r
+
+
+def _rate(fps: float, weight: float) -> float:
+    """Factor on residuals."""
+    return float(np.sqrt(weight * REFERENCE_HZ / fps))
+
+
+def _whitener(covariance: Array) -> Array:
+    """L' with L L' = covariance^-1: residuals L' d have unit covariance."""
+    return np.asarray(np.linalg.cholesky(np.linalg.inv(covariance)).swapaxes(-1, -2), dtype=np.float64)
+
+
+def pose_term(prior: MotionPrior, n_state: int, fps: float, weight: float) -> Linear:
+    """One Gaussian of poses."""
+    rows = np.zeros((len(prior.mean), n_state))
+    rows[:, ANGLES] = _whitener(prior.covariance) * _rate(fps, weight)
+    return Linear(POSE, (0,), rows[None], rows[:, ANGLES] @ prior.mean)
+
+
+def dynamics_term(prior: MotionPrior, n_state: int, fps: float, weight: float) -> Linear:
+    """The angles' acceleration is what the prior expects of pose and rates, white noise apart."""
+    A = len(prior.mean)
+    white = _whitener(prior.acceleration_covariance) * _rate(fps, weight)
+    by_angle, by_rate = prior.drift[:, :A], prior.drift[:, A:]
+    slots = np.zeros((3, A, n_state))
+    for slot, bend, slope in zip(slots, (1.0, -2.0, 1.0), (-0.5, 0.0, 0.5), strict=True):
+        slot[:, ANGLES] = white @ (bend * fps**2 * np.eye(A) - slope * fps * by_rate)
+    slots[1][:, ANGLES] -= white @ by_angle
+    return Linear(MOTION, (-1, 0, 1), slots, -white @ by_angle @ prior.mean)
+
+
+def root_term(n_state: int, fps: float, acceleration_m_s2: Array, yaw_acceleration_rad_s2: float) -> Linear:
+    """The root's acceleration (level x, y, z) and its yaw's are Gaussian about zero."""
+    rows = np.zeros((4, n_state))
+    rows[:3, ROOT] = np.diag(1.0 / np.asarray(acceleration_m_s2))
+    rows[3, YAW] = 1.0 / yaw_acceleration_rad_s2
+    rows *= fps**2 * _rate(fps, 1.0)
+    return Linear("root acceleration", (-1, 0, 1), np.array([rows, -2 * rows, rows]), np.zeros(4))
+
+
+def climb_term(n_state: int, fps: float, sigma_m_s: float) -> Linear:
+    """The root climbs or sinks slowly."""
+    row = np.zeros((1, n_state))
+    row[0, 2] = fps / sigma_m_s * _rate(fps, 1.0)
+    return Linear("climb", (0, 1), np.array([-row, row]), np.zeros(1))
+
+
+@dataclass(frozen=True)
+class PoseMixture:
+    """A mixture of Gaussians of poses, -log sum_k w_k N(z; mean_k, cov_k), flattened by a temperature >= 1.
+
+    The rows are those of the Gaussian with the components' mean precision that has the mixture's gradient.
+    """
+
+    prior: MotionPrior
+    fps: float
+    weight: float
+    temperature: float = 1.0
+    name: str = POSE
+    stencil: tuple[int, ...] = (0,)
+    _white: Array = field(init=False, repr=False)
+    _precision: Array = field(init=False, repr=False)
+    _offset: Array = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        white = _whitener(self.prior.covariances)
+        offset = -np.log(self.prior.weights) - np.log(np.diagonal(white, axis1=1, axis2=2)).sum(axis=1)
+        object.__setattr__(self, "_white", white)
+        object.__setattr__(self, "_precision", white.swapaxes(1, 2) @ white)
+        object.__setattr__(self, "_offset", offset - offset.min())
+
+    def evaluate(self, span: Span, jacobian: bool) -> Rows:
+        z = span.states[span.own, ANGLES]
+        N, A = z.shape
+        off = (z[:, None] - self.prior.means).transpose(1, 0, 2)  # (K, N, A)
+        white = off @ self._white.swapaxes(1, 2)
+        level = 0.5 * np.sum(white**2, axis=2).T + self._offset
+        least = level.min(axis=1, keepdims=True)
+        share = np.exp(-(level - least) / self.temperature)
+        total = share.sum(axis=1)
+        weight = self.weight * REFERENCE_HZ / self.fps
+        frames = np.arange(span.first, span.first + N)
+        cost = weight * (least[:, 0] - self.temperature * np.log(total))
+        if not jacobian:
+            return Rows(frames, cost)
+        share /= total[:, None]
+        gradient = weight * np.einsum("nk,kna->na", share, white @ self._white)
+        precision = weight * (share @ self._precision.reshape(-1, A * A)).reshape(N, A, A)
+        root = np.linalg.cholesky(precision)  # root root' = precision; rows root' dz, residual root^-1 gradient
+        rows = np.zeros((N, A, 1, span.states.shape[1]))
+        rows[:, :, 0, ANGLES] = root.swapaxes(1, 2)
+        return Rows(frames, cost, np.linalg.solve(root, gradient[..., None])[..., 0], rows)
+
+
+@dataclass(frozen=True)
+class Reprojection:
+    """Projected minus detected position, one robust loss per point: c^2/2 log(1 + |e|^2 / (c sigma)^2) (Cauchy).
+
+    sigma_px (T, J), frozen: a standard deviation that followed the depth would let the noise's size decide the
+    distance. The view's confidence is a factor on the cost. A view that leads is between two frames.
+    """
+
+    view: View
+    sigma_px: Array
+    c: float
+    origin_m: Array
+    number: int = 0
+    """Of the view, in the names of the unknowns that are its own: `lag`, `beside`, `placing` and `focal`."""
+    drift_m: Array | None = None
+    """(T, J, 3), frozen: how far the markers go in a frame, at nominal size. None: no lag is read."""
+    px_per_m: Array | None = None
+    """(T,), frozen: how large a metre is in the picture at the animal's distance. None: no `beside` is read."""
+    name: str = "reprojection"
+
+    @property
+    def stencil(self) -> tuple[int, ...]:
+        return (0, 1) if self.view.lead_frames else (0,)
+
+    def evaluate(self, span: Span, jacobian: bool) -> Rows:
+        parts = self._parts(span)
+        points = np.sum([share * span.pose.points_m[part] for part, share in parts], axis=0)
+        frames = np.arange(span.first, span.first + len(points))
+        view, sigma = self.view.part(slice(span.first, span.first + len(points))), self.sigma_px[frames]
+        size, late, off = size_of(span.shared), span.shared.get(lag(self.number)), span.shared.get(beside(self.number))
+        if late is not None and self.drift_m is not None:
+            points = points + late * self.drift_m[frames]
+        world, place = self.origin_m + size * points, span.shared.get(placing(self.number))
+        before, view = view, view if place is None else view.placed(place)
+        longer = span.shared.get(focal(self.number))
+        view = view if longer is None else view.lengthened(float(longer[0]))
+        if jacobian:
+            projected, by_point, valid = view.project_with_jacobian(world)
+        else:
+            (projected, valid), by_point = view.project(world), None
+        in_picture = projected
+        if off is not None and self.px_per_m is not None:
+            projected = projected + self.px_per_m[frames, None, None] * off.reshape(-1, 2)
+        present = view.present
+        seen = present & valid
+        e = np.where(seen[..., None], projected - view.xy_px, 0.0) / sigma[..., None]
+        q = np.sum(e * e, axis=-1) / self.c**2
+        trust = np.where(present, view.confidence, 0.0)
+        loss = np.where(valid, np.log1p(q), OUT_OF_SIGHT)
+        cost = 0.5 * self.c**2 * np.sum(loss * trust, axis=1)
+        if by_point is None:
+            return Rows(frames, cost)
+        assert span.pose.jacobian is not None
+        root = np.sqrt(np.where(seen, trust / (1.0 + q), 0.0))[..., None]
+        by_point = by_point * np.where(seen[..., None], root / sigma[..., None], 0.0)[..., None]
+        N, J = q.shape
+        by_state = by_point * size
+        slots = [(by_state * share @ span.pose.jacobian[part]).reshape(N, 2 * J, 1, -1) for part, share in parts]
+        rows = slots[0] if len(slots) == 1 else np.concatenate(slots, axis=2)
+        by_shared = {SIZE: (by_point @ points[..., None]).reshape(N, 2 * J, 1)} if SIZE in span.shared else {}
+        if late is not None and self.drift_m is not None:
+            by_shared[lag(self.number)] = (by_state @ self.drift_m[frames, ..., None]).reshape(N, 2 * J, 1)
+        if off is not None and self.px_per_m is not None:
+            each = np.repeat((root / sigma[..., None])[..., 0] * self.px_per_m[frames, None], 2, axis=1)
+            by_shared[beside(self.number)] = each[..., None] * np.eye(2 * J)
+        if span.turned is not None:
+            of_marker, each = np.zeros((N, J, 2, J, 3)), np.arange(J)
+            for part, share in parts:
+                of_marker[:, each, :, each] += (by_state * share @ span.turned[part]).swapaxes(0, 1)
+            by_shared[DISPLACED] = of_marker.reshape(N, 2 * J, 3 * J)
+        if longer is not None:
+            off_centre = np.where(seen[..., None], in_picture - view.camera.matrix[:2, 2], 0.0)
+            by_shared[focal(self.number)] = (off_centre * root / sigma[..., None]).reshape(N, 2 * J, 1)
+        if place is not None:
+            by_camera = by_point @ view.rotation.swapaxes(-1, -2)
+            turn = euler_rotation_with_jacobian(place[:3])[1] @ before.to_camera(world)[..., None, :, None]
+            by_placing = np.concatenate([by_camera @ turn[..., 0].swapaxes(-1, -2), by_camera], axis=-1)
+            by_shared[placing(self.number)] = by_placing.reshape(N, 2 * J, 6)
+        return Rows(frames, cost, (e * root).reshape(N, 2 * J), rows, by_shared)
+
+    def _parts(self, span: Span) -> list[tuple[slice, float]]:
+        """The span's frames that each picture lies between, and their shares."""
+        lead, n = self.view.lead_frames, len(span.states)
+        return [(slice(0, n - 1), 1.0 - lead), (slice(1, n), lead)] if lead else [(span.own, 1.0)]
+
+    def weights(self, points_m: Array) -> Array:
+        """(T, J): how far each detection is trusted, 1 to 0, NaN where missing, for markers (T, J, 3) of the world."""
+        projected, valid = self.view.project(points_m)
+        q = np.sum((projected - self.view.xy_px) ** 2, axis=-1) / (self.c * self.sigma_px) ** 2
+        return np.where(self.view.present, np.where(valid, 1.0 / (1.0 + q), 0.0), np.nan)
+
+
+@dataclass(frozen=True, eq=False)
+class KnownAngles:
+    """Heading and angles are those of states (T, D) of the whole clip, in frames that have them; the place is free."""
+
+    states: Array
+    sigma_rad: float = 1e-4
+    name: str = "known angles"
+    stencil: tuple[int, ...] = (0,)
+
+    def evaluate(self, span: Span, jacobian: bool) -> Rows:
+        own = span.states[span.own]
+        frames = np.arange(span.first, span.first + len(own))
+        r = np.nan_to_num((own - self.states[frames])[:, YAW:] / self.sigma_rad)
+        cost = 0.5 * np.sum(r * r, axis=1)
+        if not jacobian:
+            return Rows(frames, cost)
+        known = np.isfinite(self.states[frames][:, YAW:])[..., None]
+        rows = np.where(known, np.eye(own.shape[1])[YAW:] / self.sigma_rad, 0.0)
+        return Rows(frames, cost, r, rows[:, :, None])
+
+
+@dataclass(frozen=True)
+class Heading:
+    """The animal goes where it looks, or `CRAB` beside it: the root's velocity across that level direction is small.
+
+    rear, front: the markers that give the trunk's direction. One row a pair of frames: (v x u) / sigma, m/s.
+    """
+
+    rear: int
+    front: int
+    fps: float
+    sigma_m_s: float
+    name: str = "heading"
+    stencil: tuple[int, ...] = (0, 1)
+
+    def evaluate(self, span: Span, jacobian: bool) -> Rows:
+        n = len(span.states) - 1
+        forward = span.pose.points_m[:, self.front, :2] - span.pose.points_m[:, self.rear, :2]
+        length = np.maximum(np.linalg.norm(forward, axis=1, keepdims=True), 1e-6)
+        u = forward / length
+        beside = float(span.shared.get(CRAB, _ZERO)[0])
+        turned = np.array([[np.cos(beside), np.sin(beside)], [-np.sin(beside), np.cos(beside)]])
+        v = np.diff(span.states[:, :2], axis=0) * self.fps @ turned.T
+        scale = _rate(self.fps, 1.0) / self.sigma_m_s
+        mean = 0.5 * (u[1:] + u[:-1])
+        r = scale * (mean[:, 0] * v[:, 1] - mean[:, 1] * v[:, 0])
+        frames = np.arange(span.first, span.first + n)
+        if not jacobian:
+            return Rows(frames, 0.5 * r**2)
+        assert span.pose.jacobian is not None
+        D = span.states.shape[1]
+        turn = span.pose.jacobian[:, self.front, :2] - span.pose.jacobian[:, self.rear, :2]  # (n + 1, 2, D)
+        d_u = (turn - u[..., None] * (u[:, None] @ turn)) / length[..., None]
+        rows = np.zeros((n, 1, 2, D))
+        across = np.stack([v[:, 1], -v[:, 0]], axis=1)
+        by_velocity = np.stack([-mean[:, 1], mean[:, 0]], axis=1) @ turned
+        for slot, sign in enumerate((-1.0, 1.0)):
+            rows[:, 0, slot] = 0.5 * scale * (across[:, None] @ d_u[slot : n + slot])[:, 0]
+            rows[:, 0, slot, :2] += sign * scale * self.fps * by_velocity
+        along = -scale * np.sum(mean * v, axis=1)
+        by_shared = {CRAB: along[:, None, None]} if CRAB in span.shared else {}
+        return Rows(frames, 0.5 * r**2, r[:, None], rows, by_shared)
+
+
+@dataclass(frozen=True)
+class Standing:
+    """A foot that nearly stands, stands: its velocity with a redescending loss, weight (c sigma)^2 / 2 at most.
+
+    In the world: at nominal size, feet that a moving camera follows would stand for any animal that is large enough.
+    feet (F,): markers. Geman-McClure: a foot in swing, well beyond c sigma, hardly pulls.
+    """
+
+    feet: Index
+    fps: float
+    sigma_m_s: float
+    c: float
+    weight: float
+    name: str = "stance"
+    stencil: tuple[int, ...] = (0, 1)
+
+    def contact(self, points_m: Array, size: float) -> tuple[Array, Array, Array]:
+        """Velocity (n, F, 3), loss (n, F) and its slope (n, F) between frames of markers (n + 1, J, 3)."""
+        v = np.diff(points_m[:, self.feet], axis=0) * self.fps * size
+        q = np.sum(v * v, axis=-1) / self.sigma_m_s**2
+        shrink = 1.0 / (1.0 + q / self.c**2)
+        return v, q * shrink, shrink**2
+
+    def evaluate(self, span: Span, jacobian: bool) -> Rows:
+        n, F = len(span.states) - 1, len(self.feet)
+        size = size_of(span.shared)
+        v, loss, slope = self.contact(span.pose.points_m, size)
+        weight = self.weight * REFERENCE_HZ / self.fps
+        frames = np.arange(span.first, span.first + n)
+        cost = 0.5 * weight * loss.sum(axis=1)
+        if not jacobian:
+            return Rows(frames, cost)
+        assert span.pose.jacobian is not None
+        root = np.sqrt(weight * slope)[..., None] / self.sigma_m_s
+        foot = span.pose.jacobian[:, self.feet] * self.fps * size
+        rows = np.stack([-foot[:-1] * root[..., None], foot[1:] * root[..., None]], axis=3)
+        by_shared = {SIZE: (v / size * root).reshape(n, 3 * F, 1)} if SIZE in span.shared else {}
+        return Rows(frames, cost, (v * root).reshape(n, 3 * F), rows.reshape(n, 3 * F, 2, -1), by_shared)
+
+
+@dataclass(frozen=True)
+class OnGround:
+    """Feet in stance lie on a plane: (z - height - slope . (x - middle)) sqrt(contact) / sigma.
+
+    feet (F,); contact (T - 1, F), frozen; plane (3,): height, slope x, slope y; middle (2,).
+    """
+
+    feet: Index
+    contact: Array
+    plane: Array
+    middle: Array
+    fps: float
+    sigma_m: float
+    weight: float
+    name: str = "ground"
+    stencil: tuple[int, ...] = (0, 1)
+
+    def evaluate(self, span: Span, jacobian: bool) -> Rows:
+        n = len(span.states) - 1
+        frames = np.arange(span.first, span.first + n)
+        foot = span.pose.points_m[:, self.feet]
+        middle = 0.5 * (foot[1:] + foot[:-1])
+        root = np.sqrt(self.contact[frames] * self.weight * REFERENCE_HZ / self.fps) / self.sigma_m
+        r = (middle[..., 2] - self.plane[0] - (middle[..., :2] - self.middle) @ self.plane[1:]) * root
+        cost = 0.5 * np.sum(r * r, axis=1)
+        if not jacobian:
+            return Rows(frames, cost)
+        assert span.pose.jacobian is not None
+        normal = np.array([-self.plane[1], -self.plane[2], 1.0])
+        lift = 0.5 * np.einsum("a,njad->njd", normal, span.pose.jacobian[:, self.feet])
+        rows = np.stack([lift[:-1] * root[..., None], lift[1:] * root[..., None]], axis=2)
+        return Rows(frames, cost, r, rows)

@@ -1,0 +1,302 @@
+"""All that `recon.gait` says of a fitted clip: kinematics, angles, gait by both methods, vector fields, closures.
+
+Where the fit gives no uncertainty (the frame method), its joints jitter from frame to frame, and derivatives of the
+exact splines are mostly noise: paths and angles are then smoothed by their own jitter, unless told otherwise, and all
+the rest is worked out from the smoothed ones.
+
+Errors of a fit with uncertainty are taken for two kinds that last for different times: the place of the whole animal,
+and the pose. The times are those at which the deviations of velocities are right in the mean for real runs (`python
+benchmarks/trajectory.py --only rates`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
+
+import numpy as np
+
+from recon.base.arrays import Array, Bools
+from recon.base.errors import InputError, Problem
+from recon.fit.results import MEASURED_SHARE, Results
+from recon.gait.gait import BODY, Gait, Match, Method, Stride, gaits, match_stances, pose_tracks
+from recon.gait.kinematics import (
+    AngleKinematics,
+    Errors,
+    JointKinematics,
+    angle_kinematics,
+    jitter_errors,
+    joint_angle,
+    joint_kinematics,
+    spine_flexion,
+)
+from recon.gait.path import MIN_POINTS
+from recon.gait.phase import (
+    Closure,
+    LinkField,
+    Portrait,
+    closure,
+    field_with_sigma,
+    phase_portrait,
+    portrait_between,
+    pose_vector_field,
+    tips,
+)
+from recon.io.pose3d import Pose3D
+
+PLACE_LASTS_S, POSE_LASTS_S = 0.2, 0.05
+"""`Errors.correlation_s` of the animal's place and of the joints relative to their mean."""
+
+
+@dataclass(frozen=True, eq=False)
+class ClipAnalysis:
+    """T frames of a clip, N times on the grid of ten times the frame rate."""
+
+    results: Results
+    pose: Pose3D
+    """What all is worked out from, upright, smoothed where `smoothed` says so."""
+    smoothed: bool
+    reference: str
+    """The joint that stands for the animal's place."""
+    joints: Mapping[str, JointKinematics]
+    """Motion by joint."""
+    angles: Mapping[str, AngleKinematics]
+    """The angle at every inner joint of a chain and the flexion of the spine, where the skeleton has one."""
+    skeleton_angles: Mapping[str, AngleKinematics]
+    """The fit's own angles."""
+    gaits: Mapping[Method, Gait]
+    """By method, the ground's first, none without feet."""
+    match: Match | None
+    """Of the stances of "body" (first) and "ground"."""
+    fields: Mapping[str, tuple[LinkField, ...]]
+    """By limb."""
+    given: Stride | None = None
+    """A stride, if the user gave one."""
+
+    @cached_property
+    def stride(self) -> Stride | None:
+        """The stride that phase portraits are shown for: the one that was given, or the first complete one of the foot
+        with the most, by the rule of the ground or else by that of the body; None without."""
+        if self.given is not None:
+            return self.given
+        strides = next((gait.strides for gait in self.gaits.values() if gait.strides), ())
+        feet = [stride.foot for stride in strides]
+        return min(strides, key=lambda s: (-feet.count(s.foot), s.start_s), default=None)
+
+    @property
+    def stride_by(self) -> str | None:
+        """What found `stride`: "given", "ground" or "body"."""
+        if self.stride is self.given:
+            return None if self.given is None else "given"
+        return next(method for method, gait in self.gaits.items() if gait.strides)
+
+    @cached_property
+    def not_measured(self) -> tuple[str, ...]:
+        """The fit's angles with less than `MEASURED_SHARE` of their precision from the pixels."""
+        return tuple(name for name, share in self.results.data_shares.items() if share < MEASURED_SHARE)
+
+    @property
+    def during_stride(self) -> Bools:
+        """(T,): the frames of `stride`, or without one all."""
+        time_s, half = self.results.time_s, 0.5 / self.results.fps
+        if self.stride is None:
+            return np.ones(len(time_s), dtype=bool)
+        return (time_s >= self.stride.start_s - half) & (time_s <= self.stride.end_s + half)
+
+    @cached_property
+    def portraits(self) -> dict[str, Portrait]:
+        """Of the fit's own angles: over `stride`, or without one over the whole clip."""
+        portraits = {name: phase_portrait(angle) for name, angle in self.skeleton_angles.items()}
+        if (stride := self.stride) is None:
+            return portraits
+        return {name: portrait_between(p, stride.start_s, stride.end_s) for name, p in portraits.items()}
+
+    @cached_property
+    def closures(self) -> dict[str, Closure]:
+        """Of the portraits over `stride`, of those without gaps; empty without a stride."""
+        if self.stride is None:
+            return {}
+        known = {n: p for n, p in self.portraits.items() if len(p.time_s) > 1 and np.isfinite(p.rate_rad_s).all()}
+        return {name: closure(portrait) for name, portrait in known.items()}
+
+
+def analyse(
+    results: Results, smooth: bool | None = None, stride_s: tuple[float, float] | None = None, lean: bool = False
+) -> ClipAnalysis:
+    """smooth: whether to smooth paths and angles by their jitter; None: where the fit gives no uncertainty. stride_s:
+    from when to when a stride lasts; None: one that is found. lean: the series of joints other than the reference, and
+    of the angles at them, hold the frames only, which takes a third of the memory.
+
+    Raises InputError for a clip with fewer than four frames with a pose, or a stride that it does not hold.
+    """
+    given = None if stride_s is None else stride_given(results, stride_s)
+    known = np.isfinite(results.pose.xyz_m).all(axis=(1, 2))
+    if known.sum() < MIN_POINTS:
+        found = f"{known.sum()} frames with a pose"
+        raise InputError(Problem(results.folder, "frames", found, f"at least {MIN_POINTS}"))
+    smooth = results.jitters if smooth is None else smooth
+    pose, fps, options = results.pose, results.fps, {"smooth": smooth}
+    errors = jitter_errors(pose.xyz_m) if smooth else _errors(results)
+    reference = results.report["root_path"]["keypoint"]
+    joints = {}
+    for name in pose.names:
+        moved = joint_kinematics(pose, name, fps, errors, **options)
+        joints[name] = moved.at_frames() if lean and name != reference else moved
+    if smooth:
+        pose = _on_paths(pose, joints.values())
+    # A common displacement of all joints turns none of the angles.
+    of_pose = [] if smooth else errors[1:]
+    chains = limb_chains(results)
+    both = _gaits(results, pose)
+    skeleton_angles = {
+        name: angle_kinematics(results.time_s, angle, error, **options)
+        for name, angle, error in zip(
+            results.angle_names, results.angles_rad.T, _angle_errors(results, smooth), strict=True
+        )
+    }
+    fields = {limb: pose_vector_field(pose, chain, fps, results.forward) for limb, chain in chains.items()}
+    return ClipAnalysis(
+        results=results,
+        pose=pose,
+        smoothed=smooth,
+        reference=reference,
+        joints=joints,
+        angles=_angles(results, pose, chains, of_pose, lean),
+        skeleton_angles=skeleton_angles,
+        gaits=both,
+        match=match_stances(both["body"].stances, both["ground"].stances) if both else None,
+        fields=_with_sigma(fields, results, chains, [*skeleton_angles.values()]),
+        given=given,
+    )
+
+
+def stride_given(results: Results, stride_s: tuple[float, float]) -> Stride:
+    """As `--stride` gives it, of no foot. Raises InputError for times that are not in the clip."""
+    start_s, end_s = stride_s
+    first_s, last_s = results.time_s[[0, -1]]
+    slack = 0.5 / results.fps
+    if not first_s - slack <= start_s < end_s <= last_s + slack or end_s - start_s < 2 / results.fps:
+        expected = f"two frames or more within {first_s:.3f}:{last_s:.3f}, in seconds"
+        raise InputError(Problem("--stride", "times", f"{start_s:g}:{end_s:g}", expected))
+    return Stride("", start_s, end_s, np.nan, np.nan, "given")
+
+
+def gaits_of(results: Results) -> dict[Method, Gait]:
+    """Only the gaits of `analyse`, by method; none without feet."""
+    pose = results.pose
+    if results.jitters:
+        of_joint = partial(joint_kinematics, errors=jitter_errors(pose.xyz_m), smooth=True, propagate=False)
+        pose = _on_paths(pose, [of_joint(pose, name, results.fps) for name in pose.names])
+    return _gaits(results, pose)
+
+
+def reference_motion(results: Results) -> JointKinematics:
+    """Only the motion of the joint that stands for the animal's place, as `analyse` has it."""
+    errors = jitter_errors(results.pose.xyz_m) if results.jitters else _errors(results)
+    name = results.report["root_path"]["keypoint"]
+    return joint_kinematics(results.pose, name, results.fps, errors, smooth=results.jitters)
+
+
+def limb_chains(results: Results) -> dict[str, tuple[str, ...]]:
+    """The joints along every limb that hangs on the trunk, at least three, begun with the trunk's joint before it, so
+    that the limb's first link has a parent; and the trunk itself."""
+    limbs = {limb: tuple(results.pose.names[j] for j in along) for limb, along in results.limbs.items()}
+    trunk = next((along for along in limbs.values() if set(results.forward) <= {*along}), results.forward)
+    chains = {}
+    for limb, along in limbs.items():
+        if along[0] in trunk and along != trunk:
+            at = trunk.index(along[0])
+            along = (trunk[at - 1] if at else trunk[1], *along)
+        elif along != trunk:
+            continue
+        if len(along) > 2:
+            chains[limb] = along
+    return chains
+
+
+def _errors(results: Results) -> Sequence[Errors]:
+    """Of the place, of the pose; none where the fit does not give them over time."""
+    if results.jitters:
+        return []
+    # What is common to all joints; the relative errors of a single one can be larger than its absolute ones.
+    floor = 1e-4
+    place = np.sqrt(np.maximum(results.sigma_m**2 - results.relative_sigma_m**2, floor**2))
+    pose = np.maximum(results.relative_sigma_m, floor)
+    return [Errors(place, PLACE_LASTS_S), Errors(pose, POSE_LASTS_S)]
+
+
+def _angle_errors(results: Results, smooth: bool) -> list[Sequence[Errors]]:
+    """Of each of the fit's own angles."""
+    if smooth:
+        return [jitter_errors(angle) for angle in results.angles_rad.T]
+    if results.jitters:
+        return [() for _ in results.angle_names]
+    least = 1e-6
+    sigma = np.maximum(np.nan_to_num(results.angle_sigma_rad), least)
+    return [[Errors(of_one, POSE_LASTS_S)] for of_one in sigma.T]
+
+
+def _with_sigma(
+    fields: dict[str, tuple[LinkField, ...]],
+    results: Results,
+    chains: Mapping[str, tuple[str, ...]],
+    angles: Sequence[AngleKinematics],
+) -> dict[str, tuple[LinkField, ...]]:
+    """Fields with what the errors of the angles' rates mean for them, each angle's on its own."""
+    rates = [angle.series.rate_sigma for angle in angles]
+    if not fields or any(rate is None for rate in rates):
+        return fields
+    names, step = results.pose.names, 1e-5
+    moved: dict[str, list[Array]] = {limb: [] for limb in chains}
+    for k, (angle, rate) in enumerate(zip(angles, rates, strict=True)):
+        assert rate is not None
+        ends = [results.states.copy(), results.states.copy()]
+        ends[0][:, 4 + k] -= step
+        ends[1][:, 4 + k] += step
+        joints = [results.body.tree.pose(end, results.size).points_m for end in ends]
+        rear, front = (names.index(joint) for joint in results.forward)
+        turned = (joints[0] != joints[1]).any(axis=(0, 2))
+        for limb, chain in chains.items():
+            at = [names.index(joint) for joint in chain]
+            if turned[[*at, rear, front]].any():
+                before, after = (tips(points[:, at], points[:, front] - points[:, rear]) for points in joints)
+                per_rad = (after - before) / (2 * step)
+                moved[limb].append(per_rad * rate[:: angle.series.oversampling, :, None])
+    return {
+        limb: tuple(field_with_sigma(field, np.stack(moved[limb])[:, :, i]) for i, field in enumerate(of_limb))
+        for limb, of_limb in fields.items()
+    }
+
+
+def _on_paths(pose: Pose3D, joints: Iterable[JointKinematics]) -> Pose3D:
+    """The frames' positions on the joints' splines."""
+    paths = [joint.series.value[:: joint.series.oversampling] for joint in joints]
+    return replace(pose, xyz_m=np.stack(paths, axis=1))
+
+
+def _angles(
+    results: Results, pose: Pose3D, chains: Mapping[str, tuple[str, ...]], errors: Sequence[Errors], lean: bool
+) -> dict[str, AngleKinematics]:
+    found = {}
+    rear, front = results.forward
+    for along in chains.values():
+        for i in range(1, len(along) - 1):
+            if along[i] not in found:
+                angle = joint_angle(pose, (along[i - 1], along[i], along[i + 1]), results.fps, errors)
+                found[along[i]] = angle.at_frames() if lean else angle
+        if {rear, front} <= {*along}:
+            first, last = sorted((along.index(rear), along.index(front)))
+            if between := along[first + 1 : last]:
+                middle = between[len(between) // 2]
+                found["spine_flexion"] = spine_flexion(pose, results.fps, errors, (rear, middle, front))
+    return found
+
+
+def _gaits(results: Results, pose: Pose3D) -> dict[Method, Gait]:
+    if not results.feet:
+        return {}
+    body = BODY if set(BODY) <= {*pose.names} else results.forward
+    spells = [spell.rows for spell in results.spells]
+    moved = pose_tracks(pose, results.fps, feet=results.feet, body=body, spells=spells)
+    return gaits(moved)

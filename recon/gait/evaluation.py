@@ -1,0 +1,273 @@
+"""How far a reconstruction lies from the truth: MPJPE and its relatives.
+
+Positions are arrays (T, J, 3) in metres with NaN for missing. A joint counts in the frames where both sides have it;
+centring, scaling and rotating use these common joints only.
+
+Every mean is taken over frames of the mean within the frame, so that a frame counts the same however many of its joints
+are known.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from recon.base.errors import InputError, Problem, all_of
+from recon.base.manifest import MANIFEST, read_manifest
+from recon.check.mismatch import mismatches
+from recon.clip.keypoints import frame_ranges
+from recon.fit.regions import radius
+from recon.fit.results import SIGMAS, TABLES, read_sigmas
+from recon.io.pose3d import Pose3D, read_pose3d
+
+PCK_THRESHOLDS_M = (0.05, 0.1, 0.15)
+LEVELS = (0.5, 0.9)
+"""Of the intervals that are compared with the truth."""
+
+
+@dataclass(frozen=True, eq=False)
+class Score:
+    """One metric. NaN where nothing could be scored."""
+
+    mean: float
+    """Over the frames of per_frame."""
+    per_frame: np.ndarray
+    """(T,)"""
+    per_joint: np.ndarray
+    """(J,), mean over its frames."""
+
+
+@dataclass(frozen=True, eq=False)
+class Evaluation:
+    """A reconstruction against the truth, over T common frames and J common joints. Frame ranges are half-open."""
+
+    pose: str
+    """What was scored, by its file, and below against what."""
+    truth: str
+    names: tuple[str, ...]
+    frames: np.ndarray
+    mpjpe_m: Score
+    """Centred on the mean of the frame's common joints."""
+    mpe_m: Score
+    """As is."""
+    scale_mpjpe_m: Score
+    """Centred, with one scale per frame."""
+    pa_mpjpe_m: Score
+    """After a similarity (Procrustes) per frame."""
+    pck: tuple[tuple[float, Score], ...]
+    """For each threshold (m), the fraction of centred errors up to it."""
+    inside: dict[str, tuple[float, ...]]
+    """Of each of `LEVELS` the share of the coordinates within the intervals that the reconstruction states for it, as
+    "place" and "pose", which is centred; empty where it states none."""
+    frames_not_scored: int
+    frames_without_pa: int
+    joints_only_in_pose: tuple[str, ...]
+    joints_only_in_truth: tuple[str, ...]
+    frames_only_in_pose: tuple[tuple[int, int], ...]
+    frames_only_in_truth: tuple[tuple[int, int], ...]
+    notes: tuple[str, ...]
+    """What is probably wrong, where one motion of the whole clip, or an exchange of names, takes most of the error
+    away."""
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain JSON types: keys that end in `_mm` are millimetres, pck are fractions, NaN is None."""
+        errors = {name: getattr(self, f"{name}_m") for name in ("mpjpe", "mpe", "scale_mpjpe", "pa_mpjpe")}
+        result: dict[str, Any] = {"pose": self.pose, "truth": self.truth}
+        result |= {f"{name}_mm": _plain_types(score.mean * 1e3) for name, score in errors.items()}
+        for name, score in errors.items():
+            result[f"{name}_per_joint_mm"] = dict(zip(self.names, _plain_types(score.per_joint * 1e3), strict=True))
+            result[f"{name}_per_frame_mm"] = _plain_types(score.per_frame * 1e3)
+        result["pck"] = [
+            {
+                "threshold_mm": threshold * 1e3,
+                "mean": _plain_types(score.mean),
+                "per_joint": dict(zip(self.names, _plain_types(score.per_joint), strict=True)),
+                "per_frame": _plain_types(score.per_frame),
+            }
+            for threshold, score in self.pck
+        ]
+        result["inside"] = {
+            what: [{"level": p, "share": _plain_types(share)} for p, share in zip(LEVELS, shares, strict=True)]
+            for what, shares in self.inside.items()
+        }
+        result["joints"] = list(self.names)
+        result["frames"] = self.frames.tolist()
+        result["frames_not_scored"] = self.frames_not_scored
+        result["frames_without_pa"] = self.frames_without_pa
+        for side in ("pose", "truth"):
+            result[f"joints_only_in_{side}"] = list(getattr(self, f"joints_only_in_{side}"))
+            result[f"frames_only_in_{side}"] = [list(r) for r in getattr(self, f"frames_only_in_{side}")]
+        result["notes"] = list(self.notes)
+        return result
+
+
+def evaluate_files(pose_path: str | Path, truth_path: str | Path) -> Evaluation:
+    """Evaluates a file of 3D positions (see `read_pose3d`) against another; either may be the folder of results that
+    `recon fit` wrote, whose standard deviations are then compared with the errors. Raises InputError."""
+    pose, truth = all_of(*(lambda path=path: read_pose3d(_pose_file(Path(path))) for path in (pose_path, truth_path)))
+    scored = _pose_file(Path(pose_path))
+    folder, is_fit = scored.parent, _is_result(Path(pose_path)) and scored.name == TABLES[0]
+    has_sigmas = is_fit and (folder / SIGMAS).is_file()
+    if has_sigmas and (folder / MANIFEST).is_file():  # both of one fit
+        read_manifest(folder).require(TABLES[0], SIGMAS)
+    found = evaluate(pose, truth, read_sigmas(folder, pose, np.eye(3)) if has_sigmas else None)
+    if _is_result(Path(truth_path)) and not _is_result(Path(pose_path)):
+        note = f"the reference, {truth_path}, is a result of recon fit, and what is scored is not: perhaps exchanged"
+        return replace(found, notes=(*found.notes, note))
+    return found
+
+
+def _is_result(path: Path) -> bool:
+    return path.is_dir() or (path.parent / MANIFEST).is_file()
+
+
+def _pose_file(path: Path) -> Path:
+    if path.is_dir() and not (path / "pose3d.csv").is_file():
+        raise InputError(Problem(path, "folder", "no pose3d.csv", "results that `recon fit` wrote, or a file"))
+    return path / "pose3d.csv" if path.is_dir() else path
+
+
+def evaluate(pose: Pose3D, truth: Pose3D, sigmas_m: tuple[np.ndarray, np.ndarray] | None = None) -> Evaluation:
+    """Scores a reconstruction. Joints are matched by name, frames by number; what only one side has is reported.
+
+    sigmas_m: standard deviations of the pose's positions, and of those relative to the mean of all joints.
+    Raises InputError if they have no joint, no frame, or no point in common.
+    """
+    names = tuple(name for name in pose.names if name in truth.names)
+    frames, in_pose, in_truth = np.intersect1d(pose.frames, truth.frames, assume_unique=True, return_indices=True)
+    pose_m = pose.xyz_m[in_pose][:, [pose.names.index(name) for name in names]]
+    truth_m = truth.xyz_m[in_truth][:, [truth.names.index(name) for name in names]]
+    common = common_joints(pose_m, truth_m)
+
+    here, there = str(pose.source or "pose"), str(truth.source or "truth")
+    problems = []
+    if not names:
+        shown = " and ".join(", ".join(p.names[:5]) for p in (pose, truth))
+        problems.append(Problem(here, "joints", f"none in common ({shown})", f"joints that are in {there}"))
+    if not len(frames):
+        shown = " and ".join(f"{p.frames[0]} to {p.frames[-1]}" if len(p.frames) else "none" for p in (pose, truth))
+        problems.append(Problem(here, "frames", f"none in common ({shown})", f"frames that are in {there}"))
+    if not problems and not common.any():
+        problems.append(Problem(here, "positions", "no joint known on both sides in any frame", "at least one"))
+    if problems:
+        raise InputError(problems)
+
+    centred_m = joint_errors(centre(pose_m, truth_m), truth_m)
+    similar_m = joint_errors(align_similarity(pose_m, truth_m), truth_m)
+    return Evaluation(
+        pose=here,
+        truth=there,
+        names=names,
+        frames=frames,
+        mpjpe_m=score(centred_m),
+        mpe_m=score(joint_errors(pose_m, truth_m)),
+        scale_mpjpe_m=score(joint_errors(align_scale(pose_m, truth_m), truth_m)),
+        pa_mpjpe_m=score(similar_m),
+        pck=tuple((t, score(correct(centred_m, t))) for t in PCK_THRESHOLDS_M),
+        inside={}
+        if sigmas_m is None
+        else {
+            what: _inside(of_pose_m - truth_m, sigma_m[in_pose][:, [pose.names.index(name) for name in names]])
+            for what, of_pose_m, sigma_m in zip(
+                ("place", "pose"), (pose_m, centre(pose_m, truth_m)), sigmas_m, strict=True
+            )
+        },
+        frames_not_scored=int((~common.any(axis=1)).sum()),
+        frames_without_pa=int(np.isnan(similar_m).all(axis=1).sum()),
+        joints_only_in_pose=tuple(name for name in pose.names if name not in names),
+        joints_only_in_truth=tuple(name for name in truth.names if name not in names),
+        frames_only_in_pose=frame_ranges(np.setdiff1d(pose.frames, frames)),
+        frames_only_in_truth=frame_ranges(np.setdiff1d(truth.frames, frames)),
+        notes=mismatches(pose_m, truth_m, names),
+    )
+
+
+def _inside(error_m: np.ndarray, sigma_m: np.ndarray) -> tuple[float, ...]:
+    """Of each of `LEVELS` the share of coordinates (T, J, 3) within its interval; NaN without any."""
+    off = (np.abs(error_m) / sigma_m)[np.isfinite(error_m) & (sigma_m > 0)]
+    return tuple(float(np.mean(off < radius(level))) if len(off) else np.nan for level in LEVELS)
+
+
+def common_joints(pose_m: np.ndarray, truth_m: np.ndarray) -> np.ndarray:
+    """(T, J) bool: all three coordinates are known on both sides."""
+    return np.all(~np.isnan(pose_m + truth_m), axis=2)
+
+
+def joint_errors(pose_m: np.ndarray, truth_m: np.ndarray) -> np.ndarray:
+    """Distances (T, J) in metres between (T, J, 3) positions, NaN where either is missing."""
+    return np.linalg.norm(pose_m - truth_m, axis=2)
+
+
+def correct(errors_m: np.ndarray, threshold_m: float) -> np.ndarray:
+    """1.0 where an error is at most the threshold, 0.0 where it is larger, NaN where there is none; same shape."""
+    return np.where(np.isnan(errors_m), np.nan, errors_m <= threshold_m)
+
+
+def score(values: np.ndarray) -> Score:
+    """The means of (T, J) values that may be NaN."""
+    per_frame = _mean(values, axis=1)
+    return Score(mean=float(_mean(per_frame, axis=0)), per_frame=per_frame, per_joint=_mean(values, axis=0))
+
+
+def centre(pose_m: np.ndarray, truth_m: np.ndarray) -> np.ndarray:
+    """The pose (T, J, 3), moved in each frame so that the means of the common joints coincide."""
+    pose_0, _, _, target = _centred(pose_m, truth_m)
+    return pose_0 + target
+
+
+def align_scale(pose_m: np.ndarray, truth_m: np.ndarray) -> np.ndarray:
+    """The pose (T, J, 3), moved as by `centre` and scaled about that mean by one least-squares factor per frame.
+
+    The factor is not negative: that would mirror the animal.
+    """
+    pose_0, truth_0, common, target = _centred(pose_m, truth_m)
+    product = np.sum(pose_0 * truth_0, axis=(1, 2), where=common)
+    square = np.sum(pose_0**2, axis=(1, 2), where=common)
+    return _ratio(np.maximum(product, 0), square)[:, None, None] * pose_0 + target
+
+
+def align_similarity(pose_m: np.ndarray, truth_m: np.ndarray) -> np.ndarray:
+    """The pose (T, J, 3), moved, scaled and rotated (not mirrored) onto the truth by least squares in each frame.
+
+    All NaN in frames of fewer than 3 common joints, where a rotation has no meaning. (Umeyama 1991.)
+    """
+    pose_0, truth_0, common, target = _centred(pose_m, truth_m)
+    p, t = np.where(common, pose_0, 0), np.where(common, truth_0, 0)
+    u, s, vt = np.linalg.svd(np.swapaxes(p, 1, 2) @ t)
+    # A determinant of -1 is a reflection: turn the direction that matters least.
+    sign = np.sign(np.linalg.det(u @ vt))
+    s[:, 2] *= sign
+    vt[:, 2] *= sign[:, None]
+    scale = _ratio(s.sum(axis=1), np.sum(p**2, axis=(1, 2)))
+    aligned = scale[:, None, None] * (pose_0 @ (u @ vt)) + target
+    return np.where((common.sum(axis=1) >= 3)[:, None], aligned, np.nan)
+
+
+def _centred(pose_m: np.ndarray, truth_m: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Both sides less the mean of their common joints, which joints these are (T, J, 1), the mean of the truth."""
+    common = common_joints(pose_m, truth_m)[..., None]
+    pose_mean, truth_mean = (_mean(np.where(common, p, np.nan), axis=1)[:, None] for p in (pose_m, truth_m))
+    return pose_m - pose_mean, truth_m - truth_mean, common, truth_mean
+
+
+def _ratio(product: np.ndarray, square: np.ndarray) -> np.ndarray:
+    """The least-squares factor of each frame; 1 where all joints coincide and every factor is as good."""
+    return np.divide(product, square, out=np.ones_like(square), where=square > 0)
+
+
+def _mean(values: np.ndarray, axis: int) -> np.ndarray:
+    """np.nanmean without its warning: NaN where there is nothing."""
+    known = ~np.isnan(values)
+    count = known.sum(axis=axis)
+    total = np.sum(values, axis=axis, where=known)
+    return np.divide(total, count, out=np.full(count.shape, np.nan), where=count > 0)
+
+
+def _plain_types(values: Any) -> Any:
+    """A float or a list of floats, with None for NaN."""
+    if np.ndim(values) == 0:
+        return None if np.isnan(values) else float(values)
+    return [_plain_types(v) for v in values]

@@ -1,0 +1,736 @@
+"""Gait: stances by two methods, strides, duty factors, footfall order and the gait's name.
+
+Feet are LH, RH, LF, RF (left and right, hind and fore). World frame, z up, metres; the ground may lie anywhere and
+slope. Paths are cubic splines on a grid of ten times the frame rate (`recon.gait.kinematics`), and so are the
+events' times. The body is the mean of `body`'s joints; its direction of travel at a time is the horizontal chord of its
+path over `CHORD_S` on either side.
+
+Method "body" (end effector): a foot's horizontal position relative to the body along the direction of travel, x = (foot
+- body) . d, rises in the swing and falls in the stance. The published rule is "stance where the horizontal position is
+a local minimum, the height an extremum and the horizontal velocity crosses zero". In the world neither a minimum nor a
+zero is well defined, as a standing foot has zero velocity all the time; relative to the body both are: the velocity
+crosses zero at the foremost and at the rearmost position, and the rearmost, a minimum, ends the stance. A stance is
+here the time from a foremost to the next rearmost position (the retraction), if the sweep between them is at least
+`SWEEP` of the leg's length and the foot is lowest, a minimum of its height, somewhere within it rather than at one of
+its ends (an end that the clip cuts excepted). The rule needs no ground and no speed, but it begins early and ends late:
+a foot at an extremum moves over the ground as fast as the body.
+
+Method "ground": a foot may stand where its speed over the ground is below `SLOW[1]` of the body's speed and its height
+below `LOW[1]` of the leg's length; such a time is a stance if at least one instant in it is below `SLOW[0]` and
+`LOW[0]` too (hysteresis), and the stance lasts from the first to the last instant in it below `SLOW[0]`. Reasons: at
+half the body's speed a foot is as near to standing as to travelling with the body; a quarter leaves room for a marker
+that rolls over the paw and for the noise of a reconstruction. A foot starts from rest into the swing, so that a lower
+threshold would be nearer to the lift-off, but noise would cut the stance: a swing with a half sine of speed makes it
+0.05 of a stride too long in all. A marker lies some centimetres above the sole and rises with the heel, hence 0.15 of
+the leg (9 cm of 0.6 m) to count as low at all, and 0.3 for the end of the push-off. Stances shorter than `MIN_STANCE_S`
+are noise. The ground is a plane through the slow feet's positions, fitted with Tukey weights; clips of a few strides
+hardly fix its slope across the track, so that slopes have a prior of 0 +- `SLOPE_SIGMA`. Every spell of a clip, a
+stretch that was reconstructed by itself, has a plane of its own.
+
+The leg's length is the body's median height above the ground, the length of Froude numbers.
+
+Strides: a stance that was missed makes two strides one, and a stance that was cut makes one two. Each stride is held
+against the other method's stride of the same foot at that time, and against the return of the pose, the feet's places
+before and below the body: the first lag after which, in the mean over the time of two such strides, they are less than
+`BACK` of the distance apart that two poses taken at random are, having been `AWAY` of it apart. Where the pose returns
+it decides, as all feet and two strides are in it: a stride counts if it is within `AGREE` of that time. Where it does
+not return, in a motion that changes, the other method decides; where nothing can be said, it counts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from types import MappingProxyType
+from typing import Literal
+
+import numpy as np
+from numpy.lib.stride_tricks import as_strided
+from scipy.spatial.distance import cdist
+
+from recon.base.arrays import Array, Bools, mean, median
+from recon.clip.keypoints import frame_ranges
+from recon.gait.kinematics import Errors, Series, frame_times, joint_index, series_kinematics
+from recon.gait.path import MIN_POINTS
+from recon.io.pose3d import Pose3D
+
+Method = Literal["body", "ground"]
+
+FEET: Mapping[str, str] = MappingProxyType(
+    {"LH": "l_back_paw", "RH": "r_back_paw", "LF": "l_front_paw", "RF": "r_front_paw"}
+)
+BODY = ("neck_base", "tail_base")
+
+OVERSAMPLING = 10
+MAX_GAP_S = 0.05
+"""Longer gaps of a foot or the body are not bridged: they could hide a touchdown."""
+CHORD_S = 0.25
+SWEEP = 0.25
+"""Least sweep of a stance relative to the body, leg lengths. Galloping cheetahs sweep 1.3 to 2.1."""
+SLOW = (0.25, 0.5)
+"""Speed over the ground of a standing foot, of the body's: surely, and at most."""
+LOW = (0.15, 0.3)
+"""Height of a standing foot above the ground, leg lengths: surely, and at most."""
+MIN_STANCE_S = 0.02
+"""Far below a galloping cheetah's stances, some 0.06 s."""
+SLOPE_SIGMA, HEIGHT_SIGMA_M = 0.1, 0.03
+"""One sigma of the ground's slopes, and of a standing foot's marker about the plane."""
+
+AWAY, BACK = 0.7, 0.5
+"""Root mean square distances of poses, of that between two taken at random, that make a return."""
+RETURN_SEEN = 0.5
+"""A lag is told only from a clip that is longer by this share of it: fewer pairs of poses meet by chance."""
+AGREE = 0.2
+"""A stride that misses a stance is twice as long; the ends of a right one are off by two frames of some ten at most."""
+
+TOGETHER = 0.05
+"""Two feet of a pair land together if less than this of a stride lies between: bound."""
+ALTERNATE = 0.4
+"""They alternate if at least this lies between (0.5 is exact): a symmetrical gait."""
+IN_PHASE = 0.125
+"""Trot and pace: how far the fore foot may be from its diagonal or same-sided hind foot (Hildebrand's eighths)."""
+
+
+@dataclass(frozen=True)
+class Stance:
+    """A foot's time on the ground."""
+
+    foot: str
+    start_s: float
+    end_s: float
+    start_frame: float
+    """Counts rows of the clip and has fractions."""
+    end_frame: float
+    """Counts rows of the clip and has fractions."""
+    begins: bool = True
+    """False where the clip, or a gap in it, cuts the beginning, so that the time is only a bound."""
+    ends: bool = True
+    """The same of the end."""
+
+    @property
+    def duration_s(self) -> float:
+        return self.end_s - self.start_s
+
+
+@dataclass(frozen=True)
+class Plane:
+    """Ground z = height_m + slope[0] (x - x0) + slope[1] (y - y0), through the middle (x0, y0) of the slow feet."""
+
+    middle_m: tuple[float, float]
+    height_m: float
+    slope: tuple[float, float]
+    spread_m: float
+    """Robust standard deviation of the slow feet about it."""
+    samples: int
+    """Their number (fine grid), 0 if there was no slow foot and the plane is level, through the lowest position of
+    any foot."""
+
+    def above(self, xyz_m: Array) -> Array:
+        """Heights (...) of points (..., 3) above the plane."""
+        return xyz_m[..., 2] - self.height_m - (xyz_m[..., :2] - self.middle_m) @ np.array(self.slope)
+
+
+@dataclass(frozen=True, eq=False)
+class Tracks:
+    """The feet's and the body's motion on the fine grid, N times, F feet; NaN where unknown."""
+
+    feet: tuple[str, ...]
+    time_s: Array
+    """(N,)"""
+    frame: Array
+    """(N,)"""
+    foot_m: Array
+    """(N, F, 3)"""
+    body_m: Array
+    """(N, 3)"""
+    foot_speed_m_s: Array
+    """(N, F): horizontal."""
+    body_speed_m_s: Array
+    """(N,): horizontal."""
+    reach_m: Array
+    """(N, F): of the foot before the body along the travel."""
+    height_m: Array
+    """(N, F): above the ground."""
+    grounds: tuple[tuple[slice, Plane], ...]
+    """The clip's rows and the plane under the feet in them, one for every spell of the clip."""
+    leg_m: float
+
+    def above_ground(self, xyz_m: Array) -> Array:
+        """Heights (N, ...) of points (N, ..., 3), each above its spell's ground; NaN outside of all."""
+        return _above(self.grounds, xyz_m)
+
+
+@dataclass(frozen=True)
+class Stride:
+    """From one touchdown of a foot to its next, or from one lift-off to the next where the clip holds no two
+    touchdowns. One that is given is of no foot, length and duty factor NaN."""
+
+    foot: str
+    start_s: float
+    end_s: float
+    length_m: float
+    """The body's horizontal travel."""
+    duty_factor: float
+    """Of its stance, which lies in the clip from its beginning to its end."""
+    at: Literal["touchdown", "lift-off", "given"]
+    """What it goes from and to."""
+
+    @property
+    def frequency_hz(self) -> float:
+        return 1.0 / (self.end_s - self.start_s)
+
+
+@dataclass(frozen=True)
+class Doubt:
+    """A stride that is not counted."""
+
+    stride: Stride
+    other_s: float | None
+    """Duration of the other method's stride of the foot at that time; None where there is nothing to tell it from."""
+    returns_s: float | None
+    """After how long the pose returns about then, NaN if it does not; None where there is nothing to tell it from."""
+
+
+@dataclass(frozen=True)
+class GaitName:
+    """What a gait is called."""
+
+    name: str
+    """walk, trot, pace, bound, half-bound, rotary gallop, transverse gallop, or unknown."""
+    criterion: str
+    """What it was decided on."""
+    phase: Mapping[str, float]
+    """Each foot's touchdown after the first foot's, in strides, [0, 1)."""
+    duty_factor: float
+    """Mean, or NaN."""
+
+
+@dataclass(frozen=True, eq=False)
+class Gait:
+    """The gait of a clip by one method. Means are over complete strides, NaN without any."""
+
+    method: Method
+    tracks: Tracks
+    stances: tuple[Stance, ...]
+    strides: tuple[Stride, ...]
+    order: tuple[str, ...]
+    """The feet in the order of their touchdowns (those the clip holds)."""
+    stride_length_m: float
+    stride_frequency_hz: float
+    duty_factor: Mapping[str, float]
+    speed_m_s: float
+    name: GaitName
+    doubtful: tuple[Doubt, ...] = ()
+    """Strides by the method that the return of the pose, or the other method, speaks against; none of them is in
+    `strides`."""
+
+
+@dataclass(frozen=True)
+class Match:
+    """Stances of two methods, paired one to one. Lags are second less first, in frames; means over pairs whose ends
+    both lie in the clip, NaN without any."""
+
+    pairs: tuple[tuple[Stance, Stance], ...]
+    only_first: tuple[Stance, ...]
+    only_second: tuple[Stance, ...]
+    start_lag_frames: float
+    end_lag_frames: float
+
+    @property
+    def share(self) -> float:
+        """Pairs among all stances, a pair counting once; NaN without stances."""
+        total = len(self.pairs) + len(self.only_first) + len(self.only_second)
+        return len(self.pairs) / total if total else np.nan
+
+
+# -- tracks ----------------------------------------------------------------------------------------------------------
+
+
+def tracks(
+    time_s: Array,
+    feet_m: Array,
+    body_m: Array,
+    feet: tuple[str, ...],
+    feet_sigma_m: Array | None = None,
+    body_sigma_m: Array | None = None,
+    spells: Sequence[slice] = (slice(None),),
+) -> Tracks:
+    """Feet (T, F, 3) and body (T, 3) at times (T,), metres, z up, NaN where missing. With standard deviations, of the
+    same shapes, the splines smooth by as much; without, they are exact. spells: rows that have a ground of their own.
+    Raises ValueError."""
+    if feet_m.shape != (len(time_s), len(feet), 3) or body_m.shape != (len(time_s), 3):
+        raise ValueError(f"{len(time_s)} times, {len(feet)} feet, but positions {feet_m.shape} and {body_m.shape}")
+    if len(time_s) < MIN_POINTS:
+        raise ValueError(f"a gait needs at least {MIN_POINTS} frames, got {len(time_s)}")
+    sigmas = [None] * len(feet) if feet_sigma_m is None else [*np.moveaxis(feet_sigma_m, 1, 0)]
+    paths = [_path(time_s, points, sigma) for points, sigma in zip(np.moveaxis(feet_m, 1, 0), sigmas, strict=True)]
+    body = _path(time_s, body_m, body_sigma_m)
+    foot = np.stack([p.value for p in paths], axis=1)
+    foot_speed = np.stack([np.linalg.norm(p.rate[:, :2], axis=1) for p in paths], axis=1)
+    body_speed = np.linalg.norm(body.rate[:, :2], axis=1)
+    reach = np.einsum("nfk,nk->nf", (foot - body.value[:, None])[..., :2], _travel(body.time_s, body.value))
+    slow = foot_speed < SLOW[0] * body_speed[:, None]
+    grounds = tuple((rows, _ground_under(foot[_fine(rows)], slow[_fine(rows)])) for rows in spells)
+    return Tracks(
+        feet=feet,
+        time_s=body.time_s,
+        frame=np.arange(len(body.time_s)) / OVERSAMPLING,
+        foot_m=foot,
+        body_m=body.value,
+        foot_speed_m_s=foot_speed,
+        body_speed_m_s=body_speed,
+        reach_m=reach,
+        height_m=_above(grounds, foot),
+        grounds=grounds,
+        leg_m=median(_above(grounds, body.value)),
+    )
+
+
+def pose_tracks(
+    pose: Pose3D,
+    fps: float,
+    sigma_m: Array | None = None,
+    feet: Mapping[str, str] = FEET,
+    body: tuple[str, ...] = BODY,
+    spells: Sequence[slice] = (slice(None),),
+) -> Tracks:
+    """The tracks of a pose; sigma_m (T, J, 3) smooths as in `tracks`; feet: joint of each foot, by LH, RH, LF, RF;
+    body: joints whose mean stands for the body; spells: see `tracks`. Raises InputError with every joint that the pose
+    lacks, ValueError."""
+    where, n = joint_index(pose, (*feet.values(), *body)), len(feet)
+    points = pose.xyz_m[:, where]
+    feet_sigma = body_sigma = None
+    if sigma_m is not None:
+        feet_sigma = sigma_m[:, where[:n]]
+        # Errors of a body's joints go together: the mean is no better than they are.
+        body_sigma = np.sqrt(np.mean(sigma_m[:, where[n:]] ** 2, axis=1))
+    body_m = points[:, n:].mean(axis=1)
+    return tracks(frame_times(pose.frames, fps), points[:, :n], body_m, tuple(feet), feet_sigma, body_sigma, spells)
+
+
+def _path(time_s: Array, points_m: Array, sigma_m: Array | None) -> Series:
+    return series_kinematics(
+        time_s,
+        points_m,
+        () if sigma_m is None else (Errors(sigma_m),),
+        smooth=sigma_m is not None,
+        propagate=False,
+        oversampling=OVERSAMPLING,
+        max_gap_s=MAX_GAP_S,
+    )
+
+
+def _fine(rows: slice) -> slice:
+    """Of the fine grid, from the first of the clip's rows to the last."""
+    return slice((rows.start or 0) * OVERSAMPLING, None if rows.stop is None else (rows.stop - 1) * OVERSAMPLING + 1)
+
+
+def _above(grounds: Sequence[tuple[slice, Plane]], xyz_m: Array) -> Array:
+    above = np.full(xyz_m.shape[:-1], np.nan)
+    for rows, plane in grounds:
+        above[_fine(rows)] = plane.above(xyz_m[_fine(rows)])
+    return above
+
+
+def _ground_under(foot_m: Array, slow: Bools) -> Plane:
+    return ground_plane(foot_m[slow]) if slow.any() else _level(foot_m)
+
+
+def ground_plane(points_m: Array) -> Plane:
+    """The plane through points (M, 3), by least squares with Tukey's weights and a prior on its slopes."""
+    middle = np.median(points_m[:, :2], axis=0)
+    design = np.column_stack([np.ones(len(points_m)), points_m[:, :2] - middle])
+    # Samples of the fine grid within one stance say the same: the prior counts as one of them, not less.
+    prior = np.diag([0.0, 1.0, 1.0]) * (HEIGHT_SIGMA_M / SLOPE_SIGMA) ** 2
+    weight = np.ones(len(points_m))
+    parameters, spread = np.zeros(3), 0.0
+    for _ in range(20):
+        normal = design.T @ (weight[:, None] * design) / OVERSAMPLING + prior
+        parameters = np.linalg.solve(normal, design.T @ (weight * points_m[:, 2]) / OVERSAMPLING)
+        off = points_m[:, 2] - design @ parameters
+        spread = float(np.median(np.abs(off)) / 0.6745)
+        limit = 4.685 * max(spread, HEIGHT_SIGMA_M)
+        weight = np.where(np.abs(off) < limit, (1 - (off / limit) ** 2) ** 2, 0.0)
+    return Plane(
+        middle_m=(float(middle[0]), float(middle[1])),
+        height_m=float(parameters[0]),
+        slope=(float(parameters[1]), float(parameters[2])),
+        spread_m=spread,
+        samples=len(points_m),
+    )
+
+
+def _level(foot_m: Array) -> Plane:
+    lowest = float(np.nanmin(foot_m[..., 2])) if np.isfinite(foot_m).any() else np.nan
+    return Plane((0.0, 0.0), lowest, (0.0, 0.0), np.nan, 0)
+
+
+def _travel(time_s: Array, body_m: Array) -> Array:
+    """Horizontal direction of travel (N, 2), unit length; NaN while the body is unknown or does not move."""
+    known = np.isfinite(body_m.sum(axis=1))
+    if not known.any():
+        return np.full((len(time_s), 2), np.nan)
+    t = time_s[known]
+    ends = [
+        np.stack([np.interp(np.clip(time_s + s, t[0], t[-1]), t, x) for x in body_m[known, :2].T], axis=1)
+        for s in (-CHORD_S, CHORD_S)
+    ]
+    chord = ends[1] - ends[0]
+    length = np.linalg.norm(chord, axis=1, keepdims=True)
+    return np.divide(chord, length, out=np.full_like(chord, np.nan), where=(length > 1e-9) & known[:, None])
+
+
+_OTHER: Mapping[Method, Method] = MappingProxyType({"ground": "body", "body": "ground"})
+
+# -- stances ---------------------------------------------------------------------------------------------------------
+
+
+def stances(moved: Tracks, method: Method = "ground") -> tuple[Stance, ...]:
+    """All feet's stances in the order of their beginnings (see the module)."""
+    find = _body_stances if method == "body" else _ground_stances
+    found = [s for k in range(len(moved.feet)) for s in find(moved, k)]
+    return tuple(sorted(found, key=lambda s: (s.start_s, s.foot)))
+
+
+def _ground_stances(moved: Tracks, k: int) -> list[Stance]:
+    speed, height = moved.foot_speed_m_s[:, k], moved.height_m[:, k]
+    still = np.flatnonzero(speed < SLOW[0] * moved.body_speed_m_s)
+    sure = still[height[still] < LOW[0] * moved.leg_m]
+    known = np.isfinite(speed + moved.body_speed_m_s)
+    found = []
+    slow = np.less(speed, SLOW[1] * moved.body_speed_m_s) & np.less(height, LOW[1] * moved.leg_m)
+    for first, end in frame_ranges(np.flatnonzero(slow)):
+        if np.any((sure >= first) & (sure < end)):
+            inside = still[(still >= first) & (still < end)]
+            # A time that the clip cuts may have begun earlier, even if the foot is not quite still at the edge.
+            begins, ends = _inside(known, first - 1), _inside(known, end)
+            found.append(_stance(moved, k, int(inside[0]), int(inside[-1]), begins, ends))
+    return [s for s in found if s.duration_s >= MIN_STANCE_S or not (s.begins and s.ends)]
+
+
+def _body_stances(moved: Tracks, k: int) -> list[Stance]:
+    reach, height = moved.reach_m[:, k], moved.height_m[:, k]
+    known = np.isfinite(reach) & np.isfinite(height)
+    found = []
+    for first, end in frame_ranges(np.flatnonzero(known)):
+        for a, b in pairwise(_turning_points(reach[first:end], SWEEP * moved.leg_m)):
+            if reach[first + a] <= reach[first + b]:
+                continue
+            a, b = first + a, first + b
+            lowest = a + int(np.argmin(height[a : b + 1]))
+            begins, ends = a > first, b < end - 1
+            if (lowest > a or not begins) and (lowest < b or not ends):
+                found.append(_stance(moved, k, a, b, begins, ends))
+    return found
+
+
+def _turning_points(x: Array, least: float) -> list[int]:
+    """Indices of the maxima and minima of x in turn, each at least `least` from the next, the two ends included."""
+    points, low, high, rising = [], 0, 0, None
+    for i in range(len(x)):
+        if x[i] > x[high]:
+            high = i
+        if x[i] < x[low]:
+            low = i
+        if rising is not False and x[high] - x[i] >= least:
+            points.append(high)
+            rising, low = False, i
+        elif rising is not True and x[i] - x[low] >= least:
+            points.append(low)
+            rising, high = True, i
+        if rising is True:
+            low = i
+        elif rising is False:
+            high = i
+    if rising is not None:
+        points.append(high if rising else low)
+    return points
+
+
+def _inside(known: Bools, i: int) -> bool:
+    return 0 <= i < len(known) and bool(known[i])
+
+
+def _stance(moved: Tracks, k: int, a: int, b: int, begins: bool, ends: bool) -> Stance:
+    t, f = moved.time_s, moved.frame
+    return Stance(moved.feet[k], float(t[a]), float(t[b]), float(f[a]), float(f[b]), begins, ends)
+
+
+def match_stances(first: tuple[Stance, ...], second: tuple[Stance, ...]) -> Match:
+    """Pairs stances of the same foot that overlap, each with the one it overlaps most, if that is mutual."""
+    partners = {}
+    for foot in dict.fromkeys(s.foot for s in first):
+        ours, theirs = ([s for s in some if s.foot == foot] for some in (first, second))
+        if theirs:
+            overlap = _overlap(ours, theirs)
+            best, back = overlap.argmax(axis=1), overlap.argmax(axis=0)
+            partners |= {id(ours[i]): theirs[k] for i, k in enumerate(best) if overlap[i, k] > 0 and back[k] == i}
+    pairs = [(a, partners[id(a)]) for a in first if id(a) in partners]
+    starts = [b.start_frame - a.start_frame for a, b in pairs if a.begins and b.begins]
+    ends = [b.end_frame - a.end_frame for a, b in pairs if a.ends and b.ends]
+    return Match(
+        pairs=tuple(pairs),
+        only_first=_without(first, [a for a, _ in pairs]),
+        only_second=_without(second, [b for _, b in pairs]),
+        start_lag_frames=mean(starts),
+        end_lag_frames=mean(ends),
+    )
+
+
+def _overlap(ours: Sequence[Stance | Stride], theirs: Sequence[Stance | Stride]) -> Array:
+    """(N, M): seconds that each of the one shares with each of the other, negative for what lies between them."""
+    start, end = (np.array([[s.start_s, s.end_s] for s in some]).T for some in (ours, theirs))
+    return np.minimum.outer(start[1], end[1]) - np.maximum.outer(start[0], end[0])
+
+
+def _without(found: Sequence[Stance], paired: Sequence[Stance]) -> tuple[Stance, ...]:
+    gone = {*map(id, paired)}
+    return tuple(s for s in found if id(s) not in gone)
+
+
+# -- strides and gait ------------------------------------------------------------------------------------------------
+
+
+def gait(moved: Tracks, method: Method = "ground") -> Gait:
+    """Stances, strides and the gait's name by one method, its strides held against the other and the pose's return."""
+    return gaits(moved)[method]
+
+
+def gaits(moved: Tracks) -> dict[Method, Gait]:
+    """The same by both methods, the ground's first."""
+    methods: tuple[Method, ...] = ("ground", "body")
+    found = {method: stances(moved, method) for method in methods}
+    complete = {method: strides(moved, found[method]) for method in methods}
+    return {
+        method: _gait(moved, method, found[method], *checked(moved, complete[method], complete[_OTHER[method]]))
+        for method in methods
+    }
+
+
+def _gait(
+    moved: Tracks, method: Method, found: tuple[Stance, ...], taken: tuple[Stride, ...], doubtful: tuple[Doubt, ...]
+) -> Gait:
+    lengths, durations = [s.length_m for s in taken], [s.end_s - s.start_s for s in taken]
+    landed = sorted((s for s in found if s.begins), key=lambda s: s.start_s)
+    return Gait(
+        method=method,
+        tracks=moved,
+        stances=found,
+        strides=taken,
+        order=tuple(s.foot for s in landed),
+        stride_length_m=mean(lengths),
+        stride_frequency_hz=1.0 / mean(durations) if durations else np.nan,
+        duty_factor={foot: mean([s.duty_factor for s in taken if s.foot == foot]) for foot in moved.feet},
+        speed_m_s=mean(moved.body_speed_m_s),
+        name=name_gait(found, taken, float(moved.time_s[-1])),
+        doubtful=doubtful,
+    )
+
+
+def pose_gait(pose: Pose3D, fps: float, method: Method = "ground", sigma_m: Array | None = None, **options) -> Gait:
+    """The gait of a pose; options as `pose_tracks`. Raises InputError, ValueError."""
+    return gait(pose_tracks(pose, fps, sigma_m, **options), method)
+
+
+def strides(moved: Tracks, found: tuple[Stance, ...]) -> tuple[Stride, ...]:
+    """Complete strides: both touchdowns (or, for a foot without two, both lift-offs) and the stance are in the clip."""
+    taken = []
+    for foot in moved.feet:
+        own = [s for s in found if s.foot == foot]
+        landings = [(a.start_s, b.start_s, a.duration_s) for a, b in pairwise(own) if a.begins and a.ends and b.begins]
+        liftings = [(a.end_s, b.end_s, b.duration_s) for a, b in pairwise(own) if a.ends and b.begins and b.ends]
+        at: Literal["touchdown", "lift-off"] = "touchdown" if landings else "lift-off"
+        for start, end, stance in landings or liftings:
+            a, b = np.searchsorted(moved.time_s, [start, end])
+            # A foot or a body that was lost in between may have hidden a stance.
+            step = np.diff(moved.body_m[a : b + 1, :2], axis=0)
+            if np.isfinite(step).all() and np.isfinite(moved.foot_m[a : b + 1, moved.feet.index(foot)]).all():
+                length = float(np.linalg.norm(step, axis=1).sum())
+                taken.append(Stride(foot, start, end, length, stance / (end - start), at))
+    return tuple(sorted(taken, key=lambda s: (s.start_s, s.foot)))
+
+
+def checked(
+    moved: Tracks, own: tuple[Stride, ...], others: tuple[Stride, ...]
+) -> tuple[tuple[Stride, ...], tuple[Doubt, ...]]:
+    """Strides of one method that count, and those that do not, held against the other's and the return of the pose."""
+    counted, doubtful = [], []
+    by_foot = {foot: [s for s in others if s.foot == foot] for foot in moved.feet}
+    for stride in own:
+        other_s = _other_s(stride, by_foot[stride.foot])
+        returns_s = pose_return_s(moved, stride.start_s, stride.end_s)
+        decides = returns_s if returns_s is not None and (returns_s > 0 or other_s is None) else other_s
+        if decides is None or abs(decides * stride.frequency_hz - 1) <= AGREE:
+            counted.append(stride)
+        else:
+            doubtful.append(Doubt(stride, other_s, returns_s))
+    return tuple(counted), tuple(doubtful)
+
+
+def _other_s(stride: Stride, others: Sequence[Stride]) -> float | None:
+    """Duration of the stride that overlaps most with it, of those of its foot by the other method."""
+    if not others:
+        return None
+    (shared,) = _overlap([stride], others)
+    other = others[int(shared.argmax())]
+    return other.end_s - other.start_s if shared.max() > 0 else None
+
+
+def doubt_text(method: Method, doubt: Doubt) -> str:
+    """One sentence."""
+    stride = doubt.stride
+    text = f"by {method}, {stride.foot}'s stride from {stride.start_s:.3f} to {stride.end_s:.3f} s does not count: "
+    said = []
+    if doubt.returns_s is not None:
+        after = f"returns after {doubt.returns_s:.3f} s" if doubt.returns_s > 0 else "does not return about then"
+        said.append(f"the pose {after}")
+    if doubt.other_s is not None:
+        said.append(f"by {_OTHER[method]} the foot's stride there takes {doubt.other_s:.3f} s")
+    return text + ", and ".join(said)
+
+
+def pose_return_s(moved: Tracks, start_s: float, end_s: float) -> float | None:
+    """After how long the feet are back where they were relative to the body (see the module), in a time twice as long
+    as that from start to end about it, as far as the clip has it; NaN if they are not, None if the clip is too short to
+    tell."""
+    time, length = moved.time_s, end_s - start_s
+    first_s = float(np.clip(start_s - length / 2, time[0], max(time[0], time[-1] - 2 * length)))
+    a, b = np.searchsorted(time, [first_s - 1e-9, first_s + 2 * length + 1e-9])
+    step = max(1, (b - a) // 200)  # of two strides
+    below = moved.foot_m[a:b:step, :, 2] - moved.body_m[a:b:step, None, 2]
+    lag = _return_lag(np.concatenate([moved.reach_m[a:b:step], below], axis=1))
+    if lag is not None:
+        return float(lag * step * (time[1] - time[0]))
+    return np.nan if time[b - 1] - time[a] >= (1 + AGREE) * (1 + RETURN_SEEN) * length else None
+
+
+def _return_lag(values: Array) -> int | None:
+    """Rows after which values (N, D) are back, in the mean: the first least distance that is near enough."""
+    values = values[:, np.isfinite(values).any(axis=0)]
+    random = 2 * float(np.nanvar(values, axis=0).sum()) if values.size else 0.0
+    if not random > 0:
+        return None
+    lags = np.arange(1, int(len(values) / (1 + RETURN_SEEN)) + 1)
+    n = len(values)
+    apart = np.full((n, 2 * n), np.nan)
+    apart[:, :n] = cdist(values, values, "sqeuclidean")
+    by_lag = as_strided(apart[:, 1:], (n, len(lags)), ((2 * n + 1) * apart.itemsize, apart.itemsize))
+    pairs = np.isfinite(by_lag).sum(axis=0)
+    squares = np.divide(np.nansum(by_lag, axis=0), random * pairs, out=np.full(len(lags), np.nan), where=pairs > 0)
+    away = np.flatnonzero(squares > AWAY**2)
+    for i in range(away[0] + 1 if len(away) else len(lags), len(lags) - 1):
+        if squares[i] < BACK**2 and squares[i] <= squares[i - 1] and squares[i] < squares[i + 1]:
+            return int(lags[i])
+    return None
+
+
+def name_gait(found: tuple[Stance, ...], taken: tuple[Stride, ...], until_s: float) -> GaitName:
+    """The gait by the four feet's phases: see `classify`. The stride's period is the median over the strides; without a
+    complete one see `classify_within`. until_s: the end of the clip."""
+    duty = mean([s.duty_factor for s in taken])
+    lacking = [foot for foot in FEET if not any(s.foot == foot for s in found)]
+    if lacking:
+        return GaitName("unknown", f"no stance of {', '.join(lacking)}", dict.fromkeys(FEET, np.nan), duty)
+    if not taken:
+        landed = {s.foot: s.start_s for s in reversed(found) if s.begins}
+        return GaitName(*classify_within(landed, until_s), dict.fromkeys(FEET, np.nan), duty)
+    period = float(np.median([s.end_s - s.start_s for s in taken]))
+    phase = {"LH": 0.0} | {foot: _lag(found, "LH", foot, period) for foot in ("RH", "LF", "RF")}
+    # A foot that never landed together with LH in view may have done so with RH.
+    for foot in ("LF", "RF"):
+        if np.isnan(phase[foot]):
+            phase[foot] = (phase["RH"] + _lag(found, "RH", foot, period)) % 1.0
+    name, criterion = classify(phase, duty)
+    return GaitName(name, criterion, phase, duty)
+
+
+def _lag(found: tuple[Stance, ...], reference: str, foot: str, period_s: float) -> float:
+    """Circular mean, [0, 1), of the time from a foot's touchdown to the nearest of another, in strides.
+
+    Of the lift-offs where the clip holds no touchdown of one of them; NaN if it holds neither.
+    """
+    for known, event in (("begins", "start_s"), ("ends", "end_s")):
+        a, b = (
+            np.array([getattr(s, event) for s in found if s.foot == f and getattr(s, known)]) for f in (reference, foot)
+        )
+        if len(a) and len(b):
+            off = b - a[np.argmin(np.abs(b[:, None] - a), axis=1)]
+            # Events further apart than a stride have drifted out of step.
+            near = off[np.abs(off) <= max(period_s, np.abs(off).min())]
+            return float(np.angle(np.mean(np.exp(2j * np.pi * near / period_s))) / (2 * np.pi) % 1.0)
+    return np.nan
+
+
+def classify(phase: Mapping[str, float], duty_factor: float) -> tuple[str, str]:
+    """Name and criterion from touchdown phases (strides, of LH, RH, LF, RF) and the mean duty factor.
+
+    After Hildebrand (1965, 1977). Symmetrical, both pairs at least 0.4 apart: walk if the duty factor is over 0.5;
+    otherwise trot or pace if the fore feet land within 0.125 of the diagonal or of the same-sided hind foot.
+    Asymmetrical, both pairs less than 0.4 apart: bound if both pairs land within 0.05, half-bound if only the hind pair
+    does; gallop if neither does, transverse if the same side leads (lands second) in both pairs, rotary if not.
+    """
+    if any(np.isnan(phase[foot]) for foot in FEET):
+        return "unknown", "phases not known for " + ", ".join(foot for foot in FEET if np.isnan(phase[foot]))
+    hind, fore = _signed(phase["RH"] - phase["LH"]), _signed(phase["RF"] - phase["LF"])
+    seen = f"hind feet {abs(hind):.2f} of a stride apart, {_first(hind)}; fore feet {abs(fore):.2f}, {_first(fore)}"
+    if min(abs(hind), abs(fore)) >= ALTERNATE:
+        sides = np.exp(2j * np.pi * np.array([phase["LF"] - phase["LH"], phase["RF"] - phase["RH"]]))
+        lateral = float(np.angle(sides.mean()) / (2 * np.pi) % 1.0)
+        seen += f"; fore {lateral:.2f} after the same-sided hind foot, duty factor {duty_factor:.2f}"
+        if np.isnan(duty_factor):
+            return "unknown", seen + ": walk or run is open"
+        if duty_factor > 0.5:
+            return "walk", seen
+        if abs(_signed(lateral - 0.5)) <= IN_PHASE:
+            return "trot", seen
+        return ("pace", seen) if abs(_signed(lateral)) <= IN_PHASE else ("unknown", seen + ": between trot and pace")
+    if max(abs(hind), abs(fore)) >= ALTERNATE:
+        return "unknown", seen + ": one pair alternates, the other does not"
+    return _asymmetrical(hind, fore, seen)
+
+
+def _asymmetrical(hind: float, fore: float, seen: str) -> tuple[str, str]:
+    """Lags within the pairs, right after left, strides."""
+    if abs(hind) < TOGETHER:
+        return ("bound" if abs(fore) < TOGETHER else "half-bound"), seen
+    if abs(fore) < TOGETHER:
+        return "unknown", seen + ": the fore pair lands together, the hind pair does not"
+    leads = ["right" if lag > 0 else "left" for lag in (hind, fore)]
+    kind = "transverse" if leads[0] == leads[1] else "rotary"
+    return f"{kind} gallop", f"{seen}; leading: {leads[0]} hind, {leads[1]} fore"
+
+
+def _first(lag: float) -> str:
+    """Of a pair, by how much its right foot lands after its left one."""
+    return "left first" if lag > 0 else "right first"
+
+
+def classify_within(landed_s: Mapping[str, float], until_s: float) -> tuple[str, str]:
+    """Name and criterion from the first touchdown of every foot in a clip without a complete stride, seconds.
+
+    No foot has landed again until the clip ends, so that a stride takes at least the time from the first touchdown to
+    then, and lags are at most so many strides: enough to tell that a gait is asymmetrical, which pairs land together,
+    and in gallops which feet lead. Pairs count as apart if they were even in a stride of twice that time. Symmetrical
+    gaits need a stride.
+    """
+    order = " ".join(sorted(landed_s, key=lambda foot: landed_s[foot])) or "none"
+    if any(foot not in landed_s for foot in FEET):
+        return "unknown", f"no complete stride; landed in the clip: {order}"
+    least_s = until_s - min(landed_s.values())
+    lags = landed_s["RH"] - landed_s["LH"], landed_s["RF"] - landed_s["LF"]
+    hind, fore = (lag / least_s for lag in lags)
+    seen = (
+        f"no complete stride, but one takes at least {least_s:.2f} s: hind feet {1000 * abs(lags[0]):.0f} ms apart, "
+        f"{_first(lags[0])}; fore feet {1000 * abs(lags[1]):.0f} ms, {_first(lags[1])}"
+    )
+    if max(abs(hind), abs(fore)) >= ALTERNATE:
+        return "unknown", seen + ": open whether they alternate"
+    if any(TOGETHER < abs(lag) <= 2 * TOGETHER for lag in (hind, fore)):
+        return "unknown", seen + ": open whether a pair lands together"
+    return _asymmetrical(hind, fore, seen)
+
+
+def _signed(phase: float) -> float:
+    """[-0.5, 0.5)"""
+    return (phase + 0.5) % 1.0 - 0.5

@@ -1,0 +1,542 @@
+"""Velocity, acceleration, joint angles and their rates, with standard deviations.
+
+A series is a cubic spline through the frames that have a value, evaluated at ten times the frame rate. Two kinds:
+
+- exact (`recon.gait.path`, not-a-knot ends): passes through every value. White noise of s in the values becomes
+  about 1.2 s fps in the rate and 6 s fps^2 in the acceleration.
+- smoothing (scipy's `make_smoothing_spline`, natural ends): minimises sum(((x - f) / sigma)^2) + lam * integral(f''^2),
+  with the largest lam that leaves the sum at no more than the number of values (Reinsch 1967). Its acceleration is zero
+  at the ends by construction.
+
+Both ends of a span are weaker than its middle. Of an exact spline, the rate at the very end is about four times as
+uncertain and that of the next frame 1.3 times, the acceleration at the end 1.5 times; from the third frame on, all is
+within 10 %. The standard deviations say so. Nothing is extrapolated, and a gap longer than `max_gap_s` splits a series
+into spans; a shorter one is interpolated.
+
+For a given lam a spline is linear in its values, so that their covariance C propagates exactly: C' = W C W^T, with W
+the splines through unit vectors. Coordinates are independent of one another, and so are the `Errors` that add up; each
+has C_ij = sigma_i sigma_j exp(-((t_i - t_j) / correlation_s)^2 / 2). What a fit over time leaves is smooth: taken for
+independent frames, the rates' deviations would be too large. The choice of lam is not part of the propagation, nor is
+what smoothing takes away from the motion itself.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+
+from recon.base.arrays import Array, Index
+from recon.base.errors import InputError, Problem
+from recon.gait.path import MAX_GAP_S, MIN_POINTS, exact_spline, frame_jitter_m, stretches
+from recon.io.pose3d import Pose3D
+
+Curve = Callable[[Array, int], Array]
+
+OVERSAMPLING = 10
+MIN_SMOOTHING_POINTS = 5
+"""`make_smoothing_spline` needs this many."""
+_LOG10_LAM = (-16.0, 8.0)
+"""Range of lam, relative to (span / number of values)^3: from an exact spline to a straight line."""
+NEAR_S, ASIDE = 0.25, 2**0.5
+"""An animal that is this much faster than it gets on, within the time on either side, moves across its way as fast as
+along it. Trunks of real cheetahs and dogs that walk or run are 1.02 to 1.34 times as fast at their peaks."""
+STEADY = 0.1
+"""How much of a peak speed may be due to how strongly the path is smoothed."""
+
+_WINDOW, _MARGIN = 200, 40
+"""Frames of an exact spline whose deviations are worked out at once, and how many on either side count: a value's share
+in the spline falls by 2 - sqrt(3) from frame to frame, to 1e-23 over the margin."""
+_REACH, _LEAST_PRODUCT = 20, 1e-11
+"""The same of evenly spaced frames away from the ends, 1e-11 over the reach; and which products of two values' shares
+count, relative to the largest."""
+
+
+@dataclass(frozen=True, eq=False)
+class Errors:
+    """How far values may be wrong."""
+
+    sigma: Array
+    """Standard deviations of the values, in their shape and unit, positive."""
+    correlation_s: float = 0.0
+    """How long an error lasts (see the module), 0 for frames that have nothing to do with each other."""
+
+    def __getitem__(self, at) -> Errors:
+        """Of a part of the values."""
+        return Errors(self.sigma[at], self.correlation_s)
+
+
+@dataclass(frozen=True, eq=False)
+class Series:
+    """Values in d dimensions and their derivatives on a fine grid, N = (T - 1) oversampling + 1 times. NaN where
+    unknown."""
+
+    time_s: Array
+    """(N,), every `oversampling`-th is a frame."""
+    value: Array
+    """(N, d)"""
+    rate: Array
+    """(N, d), per second in the values' unit."""
+    acceleration: Array
+    """(N, d), per second^2 in the values' unit."""
+    value_sigma: Array | None
+    """(N, d): one standard deviation, None where none was given."""
+    rate_sigma: Array | None
+    """(N, d), likewise."""
+    acceleration_sigma: Array | None
+    """(N, d), likewise."""
+    spans: tuple[tuple[int, int], ...]
+    """(first, last) frame index of each stretch, inclusive."""
+    lam: Array | None
+    """The smoothing of each span and dimension, (spans, d), in the values' weighted unit; None for the exact spline."""
+    oversampling: int
+
+    @property
+    def smoothed(self) -> bool:
+        return self.lam is not None
+
+    def at_frames(self) -> Series:
+        """Without the samples between frames, which take ten times the memory."""
+        arrays = ("time_s", "value", "rate", "acceleration", "value_sigma", "rate_sigma", "acceleration_sigma")
+        return replace(self, **_every(self.oversampling, self, arrays), oversampling=1)
+
+
+@dataclass(frozen=True, eq=False)
+class JointKinematics:
+    """A point's motion, world frame. NaN where nothing is known."""
+
+    series: Series
+    """Position (m), velocity (m/s) and acceleration (m/s^2) vectors, (N, 3)."""
+    speed_m_s: Array
+    """(N,): norm of the velocity."""
+    acceleration_m_s2: Array
+    """(N,): norm of the acceleration."""
+    speed_sigma_m_s: Array | None
+    """(N,): linear, None without errors (noise also biases a norm upwards, by about sigma^2 / norm, which is not
+    taken out)."""
+    acceleration_sigma_m_s2: Array | None
+    """(N,), likewise."""
+    distance_m: float
+    """Arc length of the known spans."""
+    mean_speed_m_s: float
+    """Over the time the known spans take."""
+    peak_speed_m_s: float
+    peak_speed_sigma_m_s: float
+    """NaN without errors."""
+    peak_speed_time_s: float
+    peak_acceleration_m_s2: float
+    peak_acceleration_sigma_m_s2: float
+    """NaN without errors."""
+
+    def at_frames(self) -> JointKinematics:
+        """Without the samples between frames; peaks and means are those of all."""
+        arrays = ("speed_m_s", "acceleration_m_s2", "speed_sigma_m_s", "acceleration_sigma_m_s2")
+        return replace(self, **_every(self.series.oversampling, self, arrays), series=self.series.at_frames())
+
+
+@dataclass(frozen=True, eq=False)
+class AngleKinematics:
+    """An angle over time. NaN where nothing is known."""
+
+    series: Series
+    """(N, 1), rad, rad/s, rad/s^2."""
+    range_rad: tuple[float, float]
+    """(least, greatest)"""
+    range_of_motion_rad: float
+    """Their difference."""
+    peak_rate_rad_s: float
+    """Greatest magnitude."""
+    peak_acceleration_rad_s2: float
+    """Greatest magnitude."""
+
+    def at_frames(self) -> AngleKinematics:
+        """Without the samples between frames; range and peaks are those of all."""
+        return replace(self, series=self.series.at_frames())
+
+
+def _every(step: int, of: Series | JointKinematics, arrays: Sequence[str]) -> dict[str, Any]:
+    """Every step-th row of these arrays, which may be None."""
+    return {name: None if (a := getattr(of, name)) is None else a[::step].copy() for name in arrays}
+
+
+# -- series ----------------------------------------------------------------------------------------------------------
+
+
+def series_kinematics(
+    time_s: Array,
+    values: Array,
+    errors: Sequence[Errors] = (),
+    *,
+    smooth: bool = False,
+    propagate: bool = True,
+    oversampling: int = OVERSAMPLING,
+    max_gap_s: float = MAX_GAP_S,
+) -> Series:
+    """Values (T, d) at increasing times (T,) -> their spline; NaN in any dimension is a missing frame.
+
+    errors: what adds up to the values' errors, sigma (T, d) each; with smooth, all together are the weights as well. A
+    span needs four values (five with smooth). propagate: whether to work out deviations, which with smooth takes memory
+    of 8 bytes x N x T, and a spline for each value. Raises ValueError.
+    """
+    time_s, values = np.asarray(time_s, float), np.asarray(values, float)
+    _check_series(time_s, values, errors, smooth)
+    T, d = values.shape
+    N = (T - 1) * oversampling + 1 if T else 0
+    fine_s = np.interp(np.arange(N) / oversampling, np.arange(T), time_s) if T else np.empty(0)
+    out = np.full((3, N, d), np.nan)
+    spread = np.full((3, N, d), np.nan) if len(errors) and propagate else None
+    weight = 1.0 / np.sqrt(sum(e.sigma**2 for e in errors)) if smooth else np.ones((T, d))
+    spans, lams = [], []
+    for rows in stretches(time_s, values, max_gap_s, MIN_SMOOTHING_POINTS if smooth else MIN_POINTS):
+        where = slice(rows[0] * oversampling, rows[-1] * oversampling + 1)
+        t, at = time_s[rows], fine_s[where]
+        lam = np.zeros(d)
+        if not smooth:
+            out[:, where] = _evaluate(exact_spline(t, values[rows]), at)
+        for k in range(d) if smooth else ():
+            lam[k] = _discrepancy_lam(t, values[rows, k], weight[rows, k])
+            out[:, where, k] = _evaluate(_curve(t, values[rows, k, None], weight[rows, k], lam[k]), at)[..., 0]
+        if spread is not None:
+            spread[:, where] = _spline_sigmas(t, at, [e[rows] for e in errors], weight[rows], lam)
+        spans.append((int(rows[0]), int(rows[-1])))
+        lams.append(lam)
+    value_sigma, rate_sigma, acceleration_sigma = (None, None, None) if spread is None else spread
+    return Series(
+        time_s=fine_s,
+        value=out[0],
+        rate=out[1],
+        acceleration=out[2],
+        value_sigma=value_sigma,
+        rate_sigma=rate_sigma,
+        acceleration_sigma=acceleration_sigma,
+        spans=tuple(spans),
+        lam=np.reshape(lams, (len(spans), d)) if smooth else None,
+        oversampling=oversampling,
+    )
+
+
+def _check_series(time_s: Array, values: Array, errors: Sequence[Errors], smooth: bool) -> None:
+    if values.ndim != 2 or time_s.shape != values.shape[:1]:
+        raise ValueError(f"values (T, d) at times (T,) expected, got {values.shape} and {time_s.shape}")
+    if np.any(np.diff(time_s) <= 0):
+        raise ValueError("times must increase")
+    if smooth and not len(errors):
+        raise ValueError("smoothing needs the values' standard deviations")
+    known = np.isfinite(values).all(axis=1)
+    for error in errors:
+        if np.shape(error.sigma) != values.shape or not np.all(np.asarray(error.sigma)[known] > 0):
+            raise ValueError("standard deviations must be positive, one for each known value")
+        if error.correlation_s < 0:
+            raise ValueError("a correlation time is not negative")
+
+
+def _curve(t: Array, x: Array, weight: Array, lam: float) -> Curve:
+    """curve(time (M,), order of the derivative) -> (M, m) through x (n, m); lam 0: exact."""
+    if lam == 0:
+        return exact_spline(t, x)
+    from scipy.interpolate import make_smoothing_spline  # slow to import, as below
+
+    # Least squares weighs by w, not by its square.
+    curves = [make_smoothing_spline(t, column, w=weight**2, lam=lam) for column in x.T]
+    return lambda at, order: np.stack([c(at, nu=order) for c in curves], axis=-1)
+
+
+def _evaluate(curve: Curve, at: Array) -> Array:
+    """(3, M, ...): value, rate and acceleration."""
+    return np.stack([curve(at, order) for order in range(3)])
+
+
+def _discrepancy_lam(t: Array, x: Array, weight: Array) -> float:
+    """The lam with sum((weight (x - f))^2) = n; the largest in range where a straight line is as close as that."""
+    from scipy.interpolate import make_smoothing_spline
+    from scipy.optimize import brentq
+
+    scale = np.mean(weight**2) * ((t[-1] - t[0]) / len(t)) ** 3
+
+    def excess(log10_lam: float) -> float:
+        lam = 10.0**log10_lam * scale
+        fit = make_smoothing_spline(t, x, w=weight**2, lam=lam)(t)
+        return float(np.sum((weight * (x - fit)) ** 2)) / len(t) - 1.0
+
+    low, high = _LOG10_LAM
+    if excess(high) <= 0:
+        return 10.0**high * scale
+    return 10.0 ** float(brentq(excess, low, high, xtol=1e-3)) * scale
+
+
+def _spline_sigmas(t: Array, at: Array, errors: Sequence[Errors], weight: Array, lam: Array) -> Array:
+    """Standard deviations (3, M, d) of value, rate and acceleration at times (M,) of the splines of a span (n,)."""
+    variance = np.zeros((3, len(at), len(lam)))
+    smooth = bool(lam.any())
+    pieces = [(slice(None), slice(None))] if smooth else [*_windows(t, at)]
+    if not smooth and len(t) > 4 * _REACH and np.allclose(np.diff(t), t[1] - t[0], rtol=1e-6, atol=0):
+        per = (len(at) - 1) // (len(t) - 1)
+        first, last = _REACH * per, (len(t) - 1 - _REACH) * per
+        variance[:, first:last] = _amid(t, errors, per)
+        pieces = [(slice(2 * _REACH), slice(first)), (slice(len(t) - 2 * _REACH, None), slice(last, None))]
+    for values, samples in pieces:
+        unit, operator = np.eye(len(t[values])), np.empty(0)
+        for k in range(len(lam)):
+            if smooth or k == 0:  # an exact spline is the same for all dimensions
+                operator = _evaluate(_curve(t[values], unit, weight[values, k], lam[k]), at[samples])
+            for error in errors:
+                variance[:, samples, k] += _propagate(operator * error.sigma[values, k], t[values], error.correlation_s)
+    return np.sqrt(variance)
+
+
+def _amid(t: Array, errors: Sequence[Errors], per: int) -> Array:
+    """Variances (3, M, d) of an exact spline through evenly spaced values (n,), `per` samples a frame, without the
+    `_REACH` frames at either end: there every frame's samples depend alike on the values about it."""
+    wide, step = 2 * _REACH, (t[-1] - t[0]) / (len(t) - 1)
+    spline = exact_spline(step * np.arange(2 * wide), np.eye(2 * wide))
+    shares = _evaluate(spline, step * (wide - 1 + np.arange(per) / per))[:, :, _REACH:-_REACH].reshape(3 * per, wide)
+    frames = len(t) - 1 - wide
+    variance = np.zeros((3 * per, frames, errors[0].sigma.shape[1]))
+    for error in errors:
+        taken, factors = _products(shares, step, error.correlation_s)
+        products = np.empty((factors.shape[1], frames))
+        for k, sigma in enumerate(error.sigma.T):
+            done = 0
+            for lag, (first, end) in taken.items():
+                both = sliding_window_view(sigma[: len(sigma) - lag] * sigma[lag:], frames)
+                products[done : (done := done + end - first)] = both[1 + first : 1 + end]
+            variance[:, :, k] += factors @ products
+    return np.maximum(variance, 0.0).reshape(3, per, frames, -1).swapaxes(1, 2).reshape(3, frames * per, -1)
+
+
+def _products(shares: Array, step: float, correlation_s: float) -> tuple[dict[int, tuple[int, int]], Array]:
+    """By how many frames two values are apart: from which to which first one their products count; and the factors
+    (S, products) of all those in the variances of samples with shares (S, n) in the values."""
+    taken, factors = {}, []
+    largest = np.max(shares**2, axis=1, keepdims=True)
+    for lag in range(shares.shape[1] if correlation_s else 1):
+        alike = np.exp(-0.5 * (lag * step / correlation_s) ** 2) if lag else 1.0
+        of_lag = (2.0 if lag else 1.0) * alike * shares[:, : shares.shape[1] - lag] * shares[:, lag:]
+        counts = np.flatnonzero((np.abs(of_lag) > _LEAST_PRODUCT * largest).any(axis=0))
+        if len(counts):
+            taken[lag] = (int(counts[0]), int(counts[-1]) + 1)
+            factors.append(of_lag[:, slice(*taken[lag])])
+    return taken, np.concatenate(factors, axis=1)
+
+
+def _windows(t: Array, at: Array) -> Iterator[tuple[slice, slice]]:
+    """Pieces of the times `at`, each with the values of a span that its samples depend on."""
+    for first in range(0, max(len(t) - 1, 1), _WINDOW):
+        last = min(first + _WINDOW, len(t) - 1)
+        begin, end = np.searchsorted(at, [t[first], t[last]])
+        final = last == len(t) - 1
+        yield slice(max(first - _MARGIN, 0), last + _MARGIN + 1), slice(begin, len(at) if final else end)
+
+
+def _propagate(weighted: Array, t: Array, correlation_s: float) -> Array:
+    """Variances (3, M) of operators (3, M, n), already times sigma."""
+    if correlation_s == 0:
+        return np.sum(weighted**2, axis=-1)
+    correlation = np.exp(-0.5 * ((t[:, None] - t) / correlation_s) ** 2)
+    return np.maximum(np.sum((weighted @ correlation) * weighted, axis=-1), 0.0)
+
+
+# -- points ----------------------------------------------------------------------------------------------------------
+
+
+def frame_times(frames: Array | Index, fps: float) -> Array:
+    """Times (T,) of frame numbers, seconds; frame 0 is at 0. Raises ValueError unless fps is positive."""
+    if not (np.isfinite(fps) and fps > 0):
+        raise ValueError(f"a positive frame rate is needed, got {fps}")
+    return np.asarray(frames, float) / fps
+
+
+def joint_index(pose: Pose3D, names: tuple[str, ...]) -> list[int]:
+    """Where the joints stand in a pose. Raises InputError with every one that it lacks."""
+    lacking = [name for name in dict.fromkeys(names) if name not in pose.names]
+    if lacking:
+        where = pose.source or "pose"
+        shown = ", ".join(pose.names)
+        raise InputError([Problem(where, "joints", f"no '{name}'", f"one of {shown}") for name in lacking])
+    return [pose.names.index(name) for name in names]
+
+
+def point_kinematics(time_s: Array, xyz_m: Array, errors: Sequence[Errors] = (), **options) -> JointKinematics:
+    """A point's path (T, 3) in metres at times (T,), errors (T, 3); options as `series_kinematics`."""
+    series = series_kinematics(time_s, xyz_m, errors, **options)
+    speed, speed_sigma = _norm(series.rate, series.rate_sigma)
+    acceleration, acceleration_sigma = _norm(series.acceleration, series.acceleration_sigma)
+    distance = covered = 0.0
+    for first, last in series.spans:
+        where = slice(first * series.oversampling, last * series.oversampling + 1)
+        distance += float(np.linalg.norm(np.diff(series.value[where], axis=0), axis=1).sum())
+        covered += float(time_s[last] - time_s[first])
+    return JointKinematics(
+        series=series,
+        speed_m_s=speed,
+        acceleration_m_s2=acceleration,
+        speed_sigma_m_s=speed_sigma,
+        acceleration_sigma_m_s2=acceleration_sigma,
+        distance_m=distance if covered else np.nan,
+        mean_speed_m_s=distance / covered if covered else np.nan,
+        peak_speed_m_s=_at_peak(speed, speed),
+        peak_speed_sigma_m_s=_at_peak(speed, speed_sigma),
+        peak_speed_time_s=_at_peak(speed, series.time_s),
+        peak_acceleration_m_s2=_at_peak(acceleration, acceleration),
+        peak_acceleration_sigma_m_s2=_at_peak(acceleration, acceleration_sigma),
+    )
+
+
+def _at_peak(values: Array, others: Array | None) -> float:
+    """Of the others (N,), where values (N,) are largest; NaN without."""
+    return np.nan if others is None or not np.isfinite(values).any() else float(others[np.nanargmax(values)])
+
+
+def jitter_errors(values: Array, times: float = 1.0) -> tuple[Errors]:
+    """Independent errors of the size, or so many times that, that values (T, ...) jitter with from frame to frame."""
+    jitter = times * frame_jitter_m(values.reshape(len(values), -1)).reshape(values.shape[1:])
+    smallest = 1e-9  # an exact series has none
+    return (Errors(np.broadcast_to(np.maximum(np.nan_to_num(jitter, nan=smallest), smallest), values.shape)),)
+
+
+def speed_at_frames(time_s: Array, xyz_m: Array, smooth: bool = False) -> Array:
+    """Speed (T,) in m/s of a path (T, 3) at its frames; smooth: by its jitter."""
+    errors = jitter_errors(xyz_m) if smooth else ()
+    return point_kinematics(time_s, xyz_m, errors, smooth=smooth, propagate=False, oversampling=1).speed_m_s
+
+
+def peak_doubt(time_s: Array, xyz_m: Array, smooth: bool) -> str | None:
+    """Why the peak speed of a path (T, 3) is not to be trusted, None where it is; smooth: by its jitter.
+
+    It is the jitter's where the path moves across its way as fast as along it, and where it changes with the smoothing:
+    the jitter's size is known from some dozens of frames, and not to a factor of two.
+    """
+    options = {"smooth": smooth, "propagate": False}
+    path = point_kinematics(time_s, xyz_m, jitter_errors(xyz_m) if smooth else (), **options)
+    peak, fine_s = path.peak_speed_m_s, path.series.time_s
+    if not np.isfinite(peak):
+        return None
+    near = np.flatnonzero((np.abs(fine_s - path.peak_speed_time_s) <= NEAR_S + 1e-9) & np.isfinite(path.speed_m_s))
+    first, last = near[[0, -1]]
+    along = float(np.linalg.norm(path.series.value[last] - path.series.value[first])) / (fine_s[last] - fine_s[first])
+    if peak > ASIDE * along:
+        return f"at its peak it moves at {peak:.1f} m/s, but gets on at {along:.1f} m/s"
+    if smooth:
+        smoother = point_kinematics(time_s, xyz_m, jitter_errors(xyz_m, times=2.0), **options).peak_speed_m_s
+        if abs(smoother - peak) > STEADY * peak:
+            return f"its peak is {peak:.1f} m/s, but {smoother:.1f} m/s where it is smoothed by twice its jitter"
+    return None
+
+
+def joint_kinematics(pose: Pose3D, joint: str, fps: float, errors: Sequence[Errors] = (), **options) -> JointKinematics:
+    """Motion of one joint of a pose; errors (T, J, 3) of all, metres. Raises InputError, ValueError."""
+    (j,) = joint_index(pose, (joint,))
+    of_joint = [error[:, j] for error in errors]
+    return point_kinematics(frame_times(pose.frames, fps), pose.xyz_m[:, j], of_joint, **options)
+
+
+def _norm(vector: Array, sigma: Array | None) -> tuple[Array, Array | None]:
+    """Norms (N,) of vectors (N, d), and their standard deviations: sum((v_k / |v|)^2 sigma_k^2)."""
+    norm = np.linalg.norm(vector, axis=1)
+    if sigma is None:
+        return norm, None
+    # At rest the direction is unknown: the mean over the directions.
+    share = np.divide(vector, norm[:, None], out=np.full_like(vector, vector.shape[1] ** -0.5), where=norm[:, None] > 0)
+    return norm, np.sqrt(np.sum((share * sigma) ** 2, axis=1))
+
+
+# -- angles ----------------------------------------------------------------------------------------------------------
+
+
+def angle_between(a_m: Array, b_m: Array, c_m: Array) -> Array:
+    """The angle (T,) at b between a and c, 0 to pi, from positions (T, 3); NaN where two of them coincide."""
+    u, v = a_m - b_m, c_m - b_m
+    # atan2 keeps its precision near 0 and pi, where arccos loses half the digits.
+    angle = np.arctan2(np.linalg.norm(np.cross(u, v), axis=1), np.sum(u * v, axis=1))
+    return np.where((np.linalg.norm(u, axis=1) > 0) & (np.linalg.norm(v, axis=1) > 0), angle, np.nan)
+
+
+def sagittal_flexion(rear_m: Array, middle_m: Array, front_m: Array) -> Array:
+    """Flexion (T,) of the back in the sagittal plane from positions (T, 3), z up: 0 when straight, rad in (-pi, pi].
+
+    The sagittal plane is the vertical one through rear and front, so that roll is neglected. Positive: flexed, the back
+    arched upwards, the middle above the line from rear to front; negative: extended, the back hollow. It is the
+    inclination of rear -> middle less that of middle -> front.
+    """
+    ahead = (front_m - rear_m)[:, :2]
+    length = np.linalg.norm(ahead, axis=1, keepdims=True)
+    ahead = np.divide(ahead, length, out=np.full_like(ahead, np.nan), where=length > 0)
+    rise = [
+        np.arctan2(link[:, 2], np.sum(link[:, :2] * ahead, axis=1)) for link in (middle_m - rear_m, front_m - middle_m)
+    ]
+    return np.pi - np.mod(np.pi - (rise[0] - rise[1]), 2 * np.pi)
+
+
+def angle_kinematics(time_s: Array, angle_rad: Array, errors: Sequence[Errors] = (), **options) -> AngleKinematics:
+    """An angle (T,) over times (T,), errors (T,) in rad, jumps of 2 pi between known frames taken out; options as
+    `series_kinematics`."""
+    angle = np.array(angle_rad, float)
+    known = np.isfinite(angle)
+    angle[known] = np.unwrap(angle[known])
+    series = series_kinematics(time_s, angle[:, None], [error[:, None] for error in errors], **options)
+    value = series.value[np.isfinite(series.value)]
+    low, high = (float(value.min()), float(value.max())) if len(value) else (np.nan, np.nan)
+    return AngleKinematics(
+        series=series,
+        range_rad=(low, high),
+        range_of_motion_rad=high - low,
+        peak_rate_rad_s=float(np.nanmax(np.abs(series.rate))) if len(value) else np.nan,
+        peak_acceleration_rad_s2=float(np.nanmax(np.abs(series.acceleration))) if len(value) else np.nan,
+    )
+
+
+def joint_angle(
+    pose: Pose3D, joints: tuple[str, str, str], fps: float, errors: Sequence[Errors] = (), **options
+) -> AngleKinematics:
+    """The angle at joints[1] between joints[0] and joints[2], 0 to pi. errors (T, J, 3), metres, of joints independent
+    of each other. Raises InputError."""
+    return _pose_angle(pose, joints, fps, angle_between, errors, options)
+
+
+def spine_flexion(
+    pose: Pose3D,
+    fps: float,
+    errors: Sequence[Errors] = (),
+    joints: tuple[str, str, str] = ("tail_base", "spine", "neck_base"),
+    **options,
+) -> AngleKinematics:
+    """Flexion of the back, positive when arched upwards (`sagittal_flexion`); joints: rear, middle, front."""
+    return _pose_angle(pose, joints, fps, sagittal_flexion, errors, options)
+
+
+def _pose_angle(
+    pose: Pose3D,
+    joints: tuple[str, str, str],
+    fps: float,
+    angle_of: Callable[[Array, Array, Array], Array],
+    errors: Sequence[Errors],
+    options: dict,
+) -> AngleKinematics:
+    where = joint_index(pose, joints)
+    points = pose.xyz_m[:, where]
+    angle = angle_of(*np.moveaxis(points, 1, 0))
+    of_angle = [Errors(angle_sigma(angle_of, points, e.sigma[:, where]), e.correlation_s) for e in errors]
+    for error in of_angle:
+        # Where the angle has no first derivative there is no linear deviation either.
+        angle = np.where(np.isfinite(error.sigma) & (error.sigma > 0), angle, np.nan)
+    return angle_kinematics(frame_times(pose.frames, fps), angle, of_angle, **options)
+
+
+def angle_sigma(angle_of: Callable[[Array, Array, Array], Array], points_m: Array, sigma_m: Array) -> Array:
+    """Linear standard deviation (T,) of an angle of three points (T, 3, 3), whose nine coordinates have sigma_m.
+
+    The derivatives are central differences over a micrometre.
+    """
+    step, variance = 1e-6, np.zeros(len(points_m))
+    for i in range(3):
+        for k in range(3):
+            ahead, behind = points_m.copy(), points_m.copy()
+            ahead[:, i, k] += step
+            behind[:, i, k] -= step
+            change = angle_of(*np.moveaxis(ahead, 1, 0)) - angle_of(*np.moveaxis(behind, 1, 0))
+            change = np.mod(change + np.pi, 2 * np.pi) - np.pi
+            variance += (change / (2 * step) * sigma_m[:, i, k]) ** 2
+    return np.sqrt(variance)

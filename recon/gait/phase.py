@@ -1,0 +1,282 @@
+"""Links' motion relative to their parents (vector field), phase portraits and the degree of closure.
+
+Vector field of a chain of joints: for each link but the first, its tip's position and velocity in the frame of the link
+before it. That frame's origin is the joint between the two, x along the parent, z to the animal's right, normal to x
+(the part of the level direction across the travel that is), y = z x x. For a parent that runs forwards y is up, for one
+that hangs down it is forwards. In the plane of x and y, in polar form,
+
+    r = |(x, y)|,   dr = (x dx + y dy) / r,   dtheta = (x dy - y dx) / r^2
+
+so that a rigid link in the plane has dr = 0 and moves with r |dtheta|. What leaves the plane is `z`. The frame turns
+with the parent: (dx, dy, dz) are the derivatives of the coordinates. The first link is the reference of the second and
+has no motion of its own (zero by definition in published tables).
+
+Degree of closure of a path in phase space, D = 100 (1 - d / d_max) in percent: d is the distance between the path's
+start and its end, d_max its diameter, the largest distance between any two of its points. A path that ends where it
+began has 100, one that ends as far away as it ever gets 0. Source: C. van der Leek, MSc(Eng), University of Cape Town,
+2022, which leaves d_max open.
+
+Where angles have deviations, closures have one, too: that of the closures of `DRAWN` paths drawn from them. An error of
+the angle is sigma(t) z(t), z smooth noise of unit variance, and that of the rate follows z' (its deviation is known as
+well, and the ratio of the two says how fast z changes), so that start, end and turning points err as they do together.
+"""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from dataclasses import dataclass, fields, replace
+from statistics import NormalDist
+
+import numpy as np
+from scipy.spatial import ConvexHull, QhullError
+
+from recon.base.arrays import Array
+from recon.gait.kinematics import AngleKinematics, frame_times, joint_index, series_kinematics
+from recon.io.pose3d import Pose3D
+
+FORWARD = ("tail_base", "neck_base")
+CHUNK = 1000
+DRAWN, _WAVES, _DIRECTIONS = 100, 50, 32
+"""Paths that a closure's deviation comes from, waves in each, and directions in which their extent is measured."""
+
+
+@dataclass(frozen=True, eq=False)
+class LinkField:
+    """One link's tip in its parent's frame, at the T frames, NaN where unknown."""
+
+    link: tuple[str, str]
+    """(start, end) joints."""
+    parent: tuple[str, str]
+    """(start, end) joints."""
+    position_m: Array
+    """(T, 3): x, y, z."""
+    velocity_m_s: Array
+    """(T, 3): x, y, z."""
+    radius_m: Array
+    """(T,): polar, in the plane of x and y, as the next two."""
+    dr_m_s: Array
+    """(T,)"""
+    dtheta_rad_s: Array
+    """(T,)"""
+    speed_m_s: Array
+    """(T,): in that plane, the norm of (dr, r dtheta)."""
+    dr_sigma_m_s: Array | None = None
+    """(T,): one standard deviation (`field_with_sigma`), None where none is known."""
+    dtheta_sigma_rad_s: Array | None = None
+    """(T,), likewise."""
+    speed_sigma_m_s: Array | None = None
+    """(T,), likewise."""
+
+
+@dataclass(frozen=True)
+class LinkMeans:
+    """Means over a link's known frames; NaN without any."""
+
+    link: tuple[str, str]
+    parent: tuple[str, str]
+    speed_m_s: float
+    """Of the speed in the plane."""
+    speed_3d_m_s: float
+    """Of the speed in space."""
+    dr_m_s: float
+    """Of |dr|."""
+    dtheta_rad_s: float
+    """Of |dtheta|."""
+    speed_sigma_m_s: float
+    """Of the speed in the plane at one frame, root mean square over them; NaN where it is not known."""
+    frames: int
+    """Their number."""
+
+
+@dataclass(frozen=True)
+class Closure:
+    """Degrees of closure in percent. NaN for a path that does not move."""
+
+    angle: float
+    """Of the angle alone."""
+    plane: float
+    """In the (angle, rate) plane, both axes divided by their ranges."""
+    angle_sigma: float = np.nan
+    """Standard deviation, NaN where none is known."""
+    plane_sigma: float = np.nan
+    """Standard deviation, NaN where none is known."""
+
+
+@dataclass(frozen=True, eq=False)
+class Portrait:
+    """A path in phase space."""
+
+    time_s: Array
+    """(N,)"""
+    angle_rad: Array
+    """(N,), NaN where unknown."""
+    rate_rad_s: Array
+    """(N,), NaN where unknown."""
+    angle_sigma_rad: Array | None = None
+    """(N,): standard deviation, None where none is known."""
+    rate_sigma_rad_s: Array | None = None
+    """(N,): standard deviation, None where none is known."""
+
+
+# -- vector field ----------------------------------------------------------------------------------------------------
+
+
+def vector_field(time_s: Array, joints_m: Array, names: tuple[str, ...], forward_m: Array) -> tuple[LinkField, ...]:
+    """Fields of the links of a chain of J >= 3 joints (T, J, 3) in order, J - 2 links; forward_m (T, 3): any vector
+    from rear to front (its horizontal part counts). Raises ValueError."""
+    if len(names) < 3 or joints_m.shape != (len(time_s), len(names), 3):
+        raise ValueError(f"positions (T, J, 3) of at least three joints expected, got {joints_m.shape} of {len(names)}")
+    along = np.moveaxis(tips(joints_m, forward_m), 1, 0)
+    return tuple(_link_field(time_s, tip, (names[i], names[i + 1], names[i + 2])) for i, tip in enumerate(along))
+
+
+def pose_vector_field(
+    pose: Pose3D, chain: tuple[str, ...], fps: float, forward: tuple[str, str] = FORWARD
+) -> tuple[LinkField, ...]:
+    """The field of a chain of a pose's joints, as (spine, tail_base, l_back_knee, l_back_ankle, l_back_paw); forward:
+    two joints, from rear to front. Raises InputError with every joint that the pose lacks, ValueError."""
+    where, (rear, front) = joint_index(pose, (*chain, *forward))[: len(chain)], joint_index(pose, forward)
+    ahead = pose.xyz_m[:, front] - pose.xyz_m[:, rear]
+    return vector_field(frame_times(pose.frames, fps), pose.xyz_m[:, where], chain, ahead)
+
+
+def field_means(fields: tuple[LinkField, ...]) -> tuple[LinkMeans, ...]:
+    """The table of mean magnitudes, one row per link."""
+    rows = []
+    for field in fields:
+        space = np.linalg.norm(field.velocity_m_s, axis=1)
+        values = np.abs(np.stack([field.speed_m_s, space, field.dr_m_s, field.dtheta_rad_s]))
+        known = np.isfinite(values).all(axis=0)
+        speed, speed_3d, dr, dtheta = values[:, known].mean(axis=1) if known.any() else np.full(4, np.nan)
+        sigma = np.nan
+        if field.speed_sigma_m_s is not None and known.any():
+            sigma = float(np.sqrt(np.nanmean(field.speed_sigma_m_s[known] ** 2)))
+        means = (float(speed), float(speed_3d), float(dr), float(dtheta), sigma)
+        rows.append(LinkMeans(field.link, field.parent, *means, int(known.sum())))
+    return tuple(rows)
+
+
+def tips(joints_m: Array, forward_m: Array) -> Array:
+    """(T, J - 2, 3): the positions of `vector_field`, of joints (T, J, 3) and forward_m (T, 3)."""
+    right = np.stack([forward_m[:, 1], -forward_m[:, 0], np.zeros(len(forward_m))], axis=1)
+    found = []
+    for before, start, end in zip(*(np.moveaxis(joints_m, 1, 0)[i:] for i in range(3)), strict=False):
+        x_axis = _unit(start - before)
+        z_axis = _unit(right - np.sum(right * x_axis, axis=1, keepdims=True) * x_axis)
+        axes = np.stack([x_axis, np.cross(z_axis, x_axis), z_axis], axis=1)
+        found.append(np.einsum("tij,tj->ti", axes, end - start))
+    return np.stack(found, axis=1)
+
+
+def field_with_sigma(field: LinkField, moved_m_s: Array) -> LinkField:
+    """With deviations. moved_m_s (K, T, 3): what K errors that are independent of each other, each of one standard
+    deviation, add to the tip's velocity. Linear; at rest and at radius 0 unknown."""
+    (x, y), (dx, dy) = field.position_m[:, :2].T, field.velocity_m_s[:, :2].T
+    ex, ey = moved_m_s[..., 0], moved_m_s[..., 1]
+
+    def sigma(change: Array, by: Array) -> Array:
+        total = np.sqrt(np.sum(change**2, axis=0))
+        return np.divide(total, by, out=np.full_like(total, np.nan), where=by > 0)
+
+    return replace(
+        field,
+        dr_sigma_m_s=sigma(x * ex + y * ey, field.radius_m),
+        dtheta_sigma_rad_s=sigma(x * ey - y * ex, field.radius_m**2),
+        speed_sigma_m_s=sigma(dx * ex + dy * ey, field.speed_m_s),
+    )
+
+
+def _link_field(time_s: Array, tip_m: Array, names: tuple[str, str, str]) -> LinkField:
+    series = series_kinematics(time_s, tip_m, oversampling=1)
+    position, velocity = series.value, series.rate
+    (x, y), (dx, dy) = position[:, :2].T, velocity[:, :2].T
+    radius = np.hypot(x, y)
+    known = radius > 0
+    dr = np.divide(x * dx + y * dy, radius, out=np.full_like(radius, np.nan), where=known)
+    dtheta = np.divide(x * dy - y * dx, radius**2, out=np.full_like(radius, np.nan), where=known)
+    return LinkField(
+        link=(names[1], names[2]),
+        parent=(names[0], names[1]),
+        position_m=position,
+        velocity_m_s=velocity,
+        radius_m=radius,
+        dr_m_s=dr,
+        dtheta_rad_s=dtheta,
+        speed_m_s=np.hypot(dx, dy),
+    )
+
+
+def _unit(vectors: Array) -> Array:
+    """Unit vectors (T, 3), NaN for those shorter than a nanometre (a parent that points exactly across, say)."""
+    length = np.linalg.norm(vectors, axis=1, keepdims=True)
+    return np.divide(vectors, length, out=np.full_like(vectors, np.nan), where=length > 1e-9)
+
+
+# -- phase space -----------------------------------------------------------------------------------------------------
+
+
+def phase_portrait(angle: AngleKinematics) -> Portrait:
+    """The path of (angle, rate), on the fine grid of `angle`."""
+    s = angle.series
+    if s.value_sigma is None or s.rate_sigma is None:
+        return Portrait(s.time_s, s.value[:, 0], s.rate[:, 0])
+    return Portrait(s.time_s, s.value[:, 0], s.rate[:, 0], s.value_sigma[:, 0], s.rate_sigma[:, 0])
+
+
+def portrait_between(portrait: Portrait, start_s: float, end_s: float) -> Portrait:
+    """The part of a path between two times, both inclusive, as a stride's start and end."""
+    # The times of a grid carry rounding errors.
+    inside = (portrait.time_s >= start_s - 1e-9) & (portrait.time_s <= end_s + 1e-9)
+    values = {field.name: getattr(portrait, field.name) for field in fields(portrait)}
+    return replace(portrait, **{name: value[inside] for name, value in values.items() if value is not None})
+
+
+def closure(portrait: Portrait) -> Closure:
+    """Degrees of closure of a path, from its first to its last point. Raises ValueError if a point in it is unknown or
+    it has fewer than two: what is missing may have been the turning point."""
+    path = np.column_stack([portrait.angle_rad, portrait.rate_rad_s])
+    if len(path) < 2 or not np.isfinite(path).all():
+        raise ValueError("a closure needs a path of two points or more without gaps")
+    return Closure(degree_of_closure(path[:, :1]), degree_of_closure(scaled(path)), *_closure_sigma(portrait))
+
+
+def _closure_sigma(portrait: Portrait) -> tuple[float, float]:
+    """Standard deviations of the closures of the angle and in the plane; see the module's text."""
+    if portrait.angle_sigma_rad is None or portrait.rate_sigma_rad_s is None or not portrait.rate_sigma_rad_s.any():
+        return np.nan, np.nan
+    lasts_s = portrait.angle_sigma_rad.sum() / portrait.rate_sigma_rad_s.sum()
+    turns = np.array([NormalDist().inv_cdf((k + 0.5) / _WAVES) for k in range(_WAVES)])  # over lasts_s
+    phase = np.outer(turns, portrait.time_s / lasts_s)
+    a, b = np.random.default_rng(0).normal(0, _WAVES**-0.5, (2, DRAWN, _WAVES))
+    noise = a @ np.cos(phase) + b @ np.sin(phase)
+    change = (b * turns) @ np.cos(phase) - (a * turns) @ np.sin(phase)
+    angle = portrait.angle_rad + portrait.angle_sigma_rad * noise
+    rate = portrait.rate_rad_s + portrait.rate_sigma_rad_s * change
+    alone = np.abs(angle[:, -1] - angle[:, 0]) / np.ptp(angle, axis=1)
+    plane = np.stack([values / np.ptp(values, axis=1, keepdims=True) for values in (angle, rate)], axis=2)
+    around = np.linspace(0, np.pi, _DIRECTIONS, endpoint=False)
+    widest = np.ptp(plane @ np.stack([np.cos(around), np.sin(around)]), axis=1).max(axis=1)
+    apart = np.linalg.norm(plane[:, -1] - plane[:, 0], axis=1) / widest
+    return float(100 * alone.std()), float(100 * apart.std())
+
+
+def degree_of_closure(path: Array) -> float:
+    """D = 100 (1 - d / d_max) of a path (N, d) as it stands, in percent; NaN if all points coincide."""
+    extent = diameter(path)
+    return float(100 * (1 - np.linalg.norm(path[-1] - path[0]) / extent)) if extent > 0 else np.nan
+
+
+def scaled(path: Array) -> Array:
+    """The path (N, d) with each axis divided by its range; an axis without range becomes 0."""
+    span = np.ptp(path, axis=0)
+    return np.divide(path - path.min(axis=0), span, out=np.zeros_like(path), where=span > 0)
+
+
+def diameter(path: Array) -> float:
+    """Largest distance between any two points of a path (N, d)."""
+    if path.shape[1] == 1:
+        return float(np.ptp(path))
+    with suppress(QhullError):  # flat
+        path = path[ConvexHull(path).vertices]  # two of its corners are the farthest from each other
+    rows = [path[i : i + CHUNK] for i in range(0, len(path), CHUNK)]
+    return max(float(np.sqrt(np.sum((a[:, None] - b) ** 2, axis=2)).max()) for a in rows for b in rows)

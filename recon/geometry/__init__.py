@@ -1,0 +1,1 @@
+"""Rotations, frames of reference, cameras and kinematic trees."""

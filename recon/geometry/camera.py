@@ -1,0 +1,455 @@
+"""A camera: intrinsics, lens model and pose; projection with exact derivatives, and the way back to rays.
+
+Camera frame: x right, y down, z forward, metres. Pixels: centres at whole numbers, (0, 0) is the top left pixel.
+Projection is `sigma * (u, v, 1) = K (x', y', 1)`, `K = [[fx, s, ox], [0, fy, oy], [0, 0, 1]]`, where (x', y') are the
+normalised coordinates (x/z, y/z) after lens distortion.
+
+Lens models, as in OpenCV's documentation (modules calib3d and fisheye):
+
+- "pinhole": no distortion, no coefficients.
+- "radtan": radial-tangential, k1 k2 p1 p2 [k3 [k4 k5 k6]]; with 8 coefficients the radial part is rational.
+- "fisheye": equidistant, k1 k2 k3 k4; theta_d = theta (1 + k1 theta^2 + k2 theta^4 + k3 theta^6 + k4 theta^8).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, Literal, get_args
+
+import numpy as np
+import numpy.typing as npt
+from numpy.polynomial import polynomial
+
+from recon.base.arrays import Array, Bools
+from recon.geometry.rotations import euler_rotation
+
+LensModel = Literal["pinhole", "radtan", "fisheye"]
+
+COEFFICIENT_COUNTS: dict[LensModel, tuple[int, ...]] = {"pinhole": (0,), "radtan": (4, 5, 8), "fisheye": (4,)}
+MIN_DEPTH_M = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class Camera:
+    """One calibrated camera.
+
+    Raises ValueError, naming every fault, for wrong shapes or numbers of coefficients, values that are not finite,
+    focal lengths or image sizes that are not positive, a rotation that is not orthonormal and right-handed to 1e-6, and
+    a tilt of a right angle or more, or beside a pose that says which way is up.
+    """
+
+    name: str
+    """The name in its calibration file."""
+    matrix: Array
+    """(3, 3), K with skew s = K[0, 1]."""
+    distortion: Array
+    """(n,) coefficients of `model`."""
+    model: LensModel
+    image_size_px: tuple[int, int]
+    """(width, height)"""
+    rotation: Array | None = None
+    """(3, 3), of T_camera_world: X_camera = rotation X_world + translation_m. None when the pose is unknown."""
+    translation_m: Array | None = None
+    """(3,), None when the pose is unknown."""
+    world_z_up: bool = True
+    """Whether the world frame's z axis points up (False where a calibration board defines the world)."""
+    tilt_rad: float = 0.0
+    """How far a camera that does not know which way is up looks down; 0 is level."""
+
+    def __post_init__(self) -> None:
+        for field in ("matrix", "distortion", "rotation", "translation_m"):
+            value = getattr(self, field)
+            if value is not None:
+                array = np.array(value, dtype=float)
+                array.setflags(write=False)
+                object.__setattr__(self, field, array)
+        object.__setattr__(self, "image_size_px", tuple(int(n) for n in self.image_size_px))
+        if faults := self._faults():
+            raise ValueError(f"camera {self.name!r}: " + "; ".join(faults))
+
+    def _faults(self) -> list[str]:
+        faults = []
+        k = self.matrix
+        if k.shape != (3, 3) or not np.isfinite(k).all():
+            faults.append(f"matrix must be 3x3 and finite, got shape {k.shape}")
+        elif k[0, 0] <= 0 or k[1, 1] <= 0 or k[1, 0] != 0 or (k[2] != (0, 0, 1)).any():
+            faults.append("matrix must be [[fx, s, ox], [0, fy, oy], [0, 0, 1]] with positive fx and fy")
+        if self.model not in get_args(LensModel):
+            faults.append(f"model must be one of {get_args(LensModel)}, got {self.model!r}")
+        elif self.distortion.ndim != 1 or self.distortion.size not in COEFFICIENT_COUNTS[self.model]:
+            counts = COEFFICIENT_COUNTS[self.model]
+            faults.append(f"distortion of a {self.model} lens has {counts} coefficients, got {self.distortion.shape}")
+        if not np.isfinite(self.distortion).all():
+            faults.append("distortion must be finite")
+        if len(self.image_size_px) != 2 or min(self.image_size_px) <= 0:
+            faults.append(f"image_size_px must be a positive width and height, got {self.image_size_px}")
+        r, t = self.rotation, self.translation_m
+        if (r is None) != (t is None):
+            faults.append("rotation and translation_m must be given together")
+        if r is not None and (r.shape != (3, 3) or not is_rotation(r, tolerance=1e-6)):
+            faults.append("rotation must be a 3x3 rotation matrix")
+        if t is not None and (t.shape != (3,) or not np.isfinite(t).all()):
+            faults.append(f"translation_m must be 3 finite numbers, got shape {t.shape}")
+        if not abs(self.tilt_rad) < math.pi / 2:
+            faults.append(f"tilt_rad must lie between -pi/2 and pi/2, got {self.tilt_rad}")
+        elif self.tilt_rad and self.knows_up:
+            faults.append(f"tilt_rad must be 0 beside a pose that says which way is up, got {self.tilt_rad}")
+        return faults
+
+    @classmethod
+    def from_hfov(cls, hfov_deg: float, image_size_px: tuple[int, int], name: str = "cam1") -> Camera:
+        """A pinhole camera with square pixels and a central principal point, from its horizontal field of view.
+
+        Raises ValueError for a field of view outside (0, 180) degrees.
+        """
+        if not 0 < hfov_deg < 180:
+            raise ValueError(f"the horizontal field of view must lie between 0 and 180 degrees, got {hfov_deg}")
+        width, height = image_size_px
+        focal = 0.5 * width / math.tan(math.radians(hfov_deg) / 2)
+        matrix = np.array([[focal, 0, (width - 1) / 2], [0, focal, (height - 1) / 2], [0, 0, 1]])
+        return cls(name, matrix, np.zeros(0), "pinhole", (width, height))
+
+    # ---- projection ----
+
+    def project(self, points_m: npt.ArrayLike) -> tuple[Array, Bools]:
+        """Pixels (..., 2) and validity (...) of points (..., 3) in the camera frame.
+
+        Valid: in front of the camera and where the lens model still increases with the angle from the optical axis
+        (beyond, a polynomial folds points back into the image). Invalid points are NaN. A valid point may lie outside
+        the image: see `in_image`.
+        """
+        pixels, _, valid = self._project(points_m, with_jacobian=False)
+        return pixels, valid
+
+    def project_with_jacobian(self, points_m: npt.ArrayLike) -> tuple[Array, Array, Bools]:
+        """Pixels (..., 2), exact derivatives d pixels / d point (..., 2, 3), and validity (...).
+
+        points_m: (..., 3) in the camera frame. Invalid points (see `project`) have NaN pixels and zero derivatives.
+        """
+        pixels, jacobian, valid = self._project(points_m, with_jacobian=True)
+        assert jacobian is not None
+        return pixels, jacobian, valid
+
+    def _project(self, points_m: npt.ArrayLike, with_jacobian: bool) -> tuple[Array, Array | None, Bools]:
+        points = np.asarray(points_m, dtype=float)
+        x, y, z = points.reshape(-1, 3).T
+        fx, s, ox, fy, oy = self._intrinsics
+        jacobian = None
+        with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
+            a, b = x / z, y / z
+            r2 = a * a + b * b
+            valid = (z > MIN_DEPTH_M) & (r2 < self.max_radius**2)
+            xd, yd, d_aa, d_ab, d_bb = self._distort(a, b, r2)
+            if self._has_tangential:
+                valid &= d_aa * d_bb > d_ab * d_ab
+            pixels = np.empty((len(z), 2))
+            pixels[:, 0] = fx * xd + (s * yd + ox if s else ox)
+            pixels[:, 1] = fy * yd + oy
+            if with_jacobian:
+                jacobian = np.empty((len(z), 2, 3))
+                gx, gy = fx / z, fy / z
+                jacobian[:, 0, 0] = gx * d_aa
+                jacobian[:, 0, 1] = gx * d_ab
+                jacobian[:, 1, 0] = gy * d_ab
+                jacobian[:, 1, 1] = gy * d_bb
+                if s:
+                    jacobian[:, 0, 0] += s / z * d_ab
+                    jacobian[:, 0, 1] += s / z * d_bb
+                ab = np.stack((a, b), axis=-1)
+                jacobian[:, :, 2] = -(jacobian[:, :, :2] @ ab[:, :, None])[:, :, 0]
+        if not valid.all():
+            pixels[~valid] = np.nan
+            if jacobian is not None:
+                jacobian[~valid] = 0.0
+        shape = points.shape[:-1]
+        if jacobian is not None:
+            jacobian = jacobian.reshape(*shape, 2, 3)
+        return pixels.reshape(*shape, 2), jacobian, valid.reshape(shape)
+
+    def in_image(self, pixels: npt.ArrayLike) -> Bools:
+        """Whether pixels (..., 2) lie on the image, whose edges are half a pixel outside the outermost centres."""
+        uv = np.asarray(pixels, dtype=float)
+        return np.asarray(((uv >= -0.5) & (uv <= np.array(self.image_size_px) - 0.5)).all(axis=-1))
+
+    def sees(self, pixels: npt.ArrayLike) -> Bools:
+        """Whether something found at pixels (..., 2) can be in the picture: no further outside than the picture is
+        wide and high, and with a ray. False for NaN.
+
+        Trackers and interpolation carry points a little over the edge. What lies further out is a mistake, and a lens
+        model has no say there.
+        """
+        near = self.near(pixels)
+        return near & self.rays(np.where(near[..., None], np.asarray(pixels, dtype=float), np.nan))[1]
+
+    def near(self, pixels: npt.ArrayLike) -> Bools:
+        """Whether pixels (..., 2) lie no further outside the picture than it is wide and high."""
+        uv, size = np.asarray(pixels, dtype=float), np.array(self.image_size_px)
+        return np.asarray(((uv >= -size) & (uv <= 2 * size)).all(axis=-1))
+
+    # ---- the way back ----
+
+    def rays(self, pixels: npt.ArrayLike) -> tuple[Array, Bools]:
+        """Unit rays (..., 3) in the camera frame through pixels (..., 2), and validity (...).
+
+        Invalid, and NaN: pixels that are NaN or that no point within the lens model's range projects to. A valid ray
+        projects back to its pixel to about 1e-11 px.
+        """
+        uv = np.asarray(pixels, dtype=float)
+        a, b, valid = self._undistort(uv.reshape(-1, 2))
+        rays = np.stack((a, b, np.ones_like(a)), axis=-1) / np.hypot(np.hypot(a, b), 1)[:, None]
+        return rays.reshape(*uv.shape[:-1], 3), valid.reshape(uv.shape[:-1])
+
+    def _undistort(self, uv: Array) -> tuple[Array, Array, Bools]:
+        """Ideal normalised coordinates (N,), (N,) of pixels (N, 2), NaN where invalid, and validity (N,)."""
+        fx, s, ox, fy, oy = self._intrinsics
+        valid = np.asarray(np.isfinite(uv).all(axis=-1))
+        yd = np.where(valid, uv[:, 1] - oy, 0.0) / fy
+        xd = (np.where(valid, uv[:, 0] - ox, 0.0) - s * yd) / fx
+        a, b = xd, yd
+        if self.model != "pinhole":
+            with np.errstate(all="ignore"):
+                radius_d = np.hypot(xd, yd)
+                radius, found = self._undistorted_radius(radius_d)
+                scale = np.where(radius_d > 0, radius / radius_d, 1.0)
+                a, b = scale * xd, scale * yd
+                if self._has_tangential:
+                    # It can carry pixels past the largest radius that the radial part alone reaches.
+                    start = np.where(found, 1.0, 0.95)
+                    a, b, found = self._newton(xd, yd, start * a, start * b)
+                valid &= found
+        return np.where(valid, a, np.nan), np.where(valid, b, np.nan), valid
+
+    def _undistorted_radius(self, radius_d: Array) -> tuple[Array, Bools]:
+        """Invert the radial part of the lens model, leaving tangential distortion aside."""
+        if self.model == "fisheye":
+            theta, found = _invert_increasing(self._fisheye_angle, radius_d, math.atan(self.max_radius))
+            return np.tan(theta), found
+
+        def radial(r: Array) -> tuple[Array, Array]:
+            f, df = self._radial_factor(r * r)
+            return r * f, f + 2 * r * r * df
+
+        upper = self.max_radius
+        if not math.isfinite(upper):
+            upper = 2.0
+            # A rational model may level off: beyond the limit there is no ray.
+            while radial(np.array(upper))[0] <= np.max(radius_d, initial=0.0) and upper < 1e6:
+                upper *= 2
+        return _invert_increasing(radial, radius_d, upper)
+
+    def _newton(self, xd: Array, yd: Array, a: Array, b: Array) -> tuple[Array, Array, Bools]:
+        """Newton's method on the whole distortion, started from the inverse of its radial part."""
+        tolerance = 1e-14 * (1 + np.hypot(xd, yd))
+        error = determinant = np.full(a.shape, np.inf)
+        for _ in range(30):
+            x, y, d_aa, d_ab, d_bb = self._distort(a, b, a * a + b * b)
+            ex, ey = xd - x, yd - y
+            error, determinant = np.hypot(ex, ey), d_aa * d_bb - d_ab * d_ab
+            if (error <= tolerance).all():
+                break
+            a, b = a + (d_bb * ex - d_ab * ey) / determinant, b + (d_aa * ey - d_ab * ex) / determinant
+        return a, b, (error <= 100 * tolerance) & (determinant > 0) & (np.hypot(a, b) < self.max_radius)
+
+    # ---- lens model ----
+
+    @cached_property
+    def _intrinsics(self) -> tuple[float, float, float, float, float]:
+        (fx, s, ox), (_, fy, oy), _ = self.matrix.tolist()
+        return fx, s, ox, fy, oy
+
+    @cached_property
+    def _coefficients(self) -> tuple[float, ...]:
+        """Coefficients as floats; radial-tangential ones filled up with zeros to eight."""
+        given = self.distortion.tolist()
+        return tuple(given + [0.0] * (8 - len(given))) if self.model == "radtan" else tuple(given)
+
+    @cached_property
+    def _has_tangential(self) -> bool:
+        """Whether the image can fold before `max_radius`: there the determinant of the distortion turns negative."""
+        return self.model == "radtan" and self._coefficients[2:4] != (0.0, 0.0)
+
+    @cached_property
+    def max_radius(self) -> float:
+        """Radius sqrt(x^2 + y^2) / z up to which the distorted radius increases with it; inf where it always does."""
+        k = self._coefficients
+        if self.model == "pinhole":
+            return math.inf
+        if self.model == "fisheye":
+            theta2 = _first_positive_root((1.0, 3 * k[0], 5 * k[1], 7 * k[2], 9 * k[3]))
+            return math.tan(math.sqrt(theta2)) if theta2 < (math.pi / 2) ** 2 else math.inf
+        # d(r N/D)/dr has the sign of N D + 2 q (N' D - N D'), q = r^2, up to the first pole of N/D.
+        n, d = np.array((1, k[0], k[1], k[4])), np.array((1, k[5], k[6], k[7]))
+        cross = polynomial.polysub(
+            polynomial.polymul(polynomial.polyder(n), d), polynomial.polymul(n, polynomial.polyder(d))
+        )
+        slope = polynomial.polyadd(polynomial.polymul(n, d), polynomial.polymul((0, 2), cross))
+        return math.sqrt(min(_first_positive_root(slope), _first_positive_root(d)))
+
+    def _radial_factor(self, r2: Array) -> tuple[Array, Array]:
+        """Radial factor f of the radial-tangential model and df/d(r^2)."""
+        k1, k2, _, _, k3, k4, k5, k6 = self._coefficients
+        f = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
+        df = k1 + r2 * (2 * k2 + r2 * (3 * k3))
+        if k4 or k5 or k6:
+            denominator = 1 + r2 * (k4 + r2 * (k5 + r2 * k6))
+            f = f / denominator
+            df = (df - f * (k4 + r2 * (2 * k5 + r2 * (3 * k6)))) / denominator
+        return f, df
+
+    def _fisheye_angle(self, theta: Array) -> tuple[Array, Array]:
+        """theta_d of the fisheye model and its derivative."""
+        k1, k2, k3, k4 = self._coefficients
+        t2 = theta * theta
+        theta_d = theta * (1 + t2 * (k1 + t2 * (k2 + t2 * (k3 + t2 * k4))))
+        return theta_d, 1 + t2 * (3 * k1 + t2 * (5 * k2 + t2 * (7 * k3 + t2 * (9 * k4))))
+
+    def _distort(self, a: Array, b: Array, r2: Array) -> tuple[Any, ...]:
+        """Distorted coordinates and the derivatives dx'/da, dx'/db = dy'/da, dy'/db (symmetric in every model)."""
+        if self.model == "pinhole":
+            return a, b, 1.0, 0.0, 1.0
+        if self.model == "fisheye":
+            # The offset keeps 0/0 away from the axis and is lost in rounding everywhere else.
+            r = np.sqrt(r2 + 1e-30)
+            theta_d, slope = self._fisheye_angle(np.arctan(r))
+            f = theta_d / r
+            df2 = (slope / (1 + r2) - f) / (r * r)
+            return a * f, b * f, f + df2 * a * a, df2 * a * b, f + df2 * b * b
+        _, _, p1, p2, *_ = self._coefficients
+        f, df = self._radial_factor(r2)
+        df2, ab = 2 * df, a * b
+        return (
+            a * f + 2 * p1 * ab + p2 * (r2 + 2 * a * a),
+            b * f + p1 * (r2 + 2 * b * b) + 2 * p2 * ab,
+            f + df2 * a * a + 2 * p1 * b + 6 * p2 * a,
+            df2 * ab + 2 * p1 * a + 2 * p2 * b,
+            f + df2 * b * b + 6 * p1 * b + 2 * p2 * a,
+        )
+
+    # ---- pose ----
+
+    @property
+    def has_extrinsics(self) -> bool:
+        return self.rotation is not None
+
+    @property
+    def knows_up(self) -> bool:
+        """Whether the pose says which way is up."""
+        return self.rotation is not None and self.world_z_up
+
+    @property
+    def up(self) -> Array:
+        """Unit vector (3,), camera frame, that points up.
+
+        From the pose where the world's z axis points up; otherwise the camera's x axis is taken to be level, and its
+        tilt is `tilt_rad`: (0, -1, 0) for a level camera.
+        """
+        if self.rotation is not None and self.world_z_up:
+            return self.rotation[:, 2].copy()
+        return np.array((0.0, -math.cos(self.tilt_rad), 0.0 - math.sin(self.tilt_rad)))
+
+    @property
+    def centre_world(self) -> Array:
+        """Centre of projection (3,), world frame, metres. Raises ValueError when the pose is unknown."""
+        return self.camera_to_world(np.zeros(3))
+
+    def world_to_camera(self, points_m: npt.ArrayLike) -> Array:
+        """Points (..., 3), metres, from world to camera frame. Raises ValueError when the pose is unknown."""
+        rotation, translation = self._pose()
+        return np.asarray(points_m, dtype=float) @ rotation.T + translation
+
+    def camera_to_world(self, points_m: npt.ArrayLike) -> Array:
+        """Points (..., 3), metres, from camera to world frame. Raises ValueError when the pose is unknown."""
+        rotation, translation = self._pose()
+        return (np.asarray(points_m, dtype=float) - translation) @ rotation
+
+    def _pose(self) -> tuple[Array, Array]:
+        if self.rotation is None or self.translation_m is None:
+            raise ValueError(f"camera {self.name!r} has no rotation and translation, so its place is unknown")
+        return self.rotation, self.translation_m
+
+    def placed(self, placing: Array) -> Camera:
+        """A camera that lies beside this one's pose by a placing (6,): turned by angles about its own axes
+        (`recon.geometry.rotations`), then moved along them by metres. Raises ValueError when the pose is unknown."""
+        rotation, translation = self._pose()
+        turn = euler_rotation(placing[:3])
+        return replace(self, rotation=turn @ rotation, translation_m=turn @ translation + placing[3:])
+
+    def lengthened(self, logarithm: float) -> Camera:
+        """With focal lengths that are longer by a factor, given by its logarithm."""
+        matrix = self.matrix.copy()
+        matrix[:2, :2] *= math.exp(logarithm)
+        return replace(self, matrix=matrix)
+
+    # ---- plain data ----
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain strings, numbers and lists, in the order of the fields; an unknown pose and no tilt are left out."""
+        plain: dict[str, Any] = {
+            "name": self.name,
+            "model": self.model,
+            "image_size_px": list(self.image_size_px),
+            "matrix": self.matrix.tolist(),
+            "distortion": self.distortion.tolist(),
+        }
+        if self.rotation is not None and self.translation_m is not None:
+            plain |= {"rotation": self.rotation.tolist(), "translation_m": self.translation_m.tolist()}
+        if self.tilt_rad:
+            plain["tilt_rad"] = self.tilt_rad
+        return plain | {"world_z_up": self.world_z_up}
+
+    @classmethod
+    def from_dict(cls, plain: Mapping[str, Any]) -> Camera:
+        """The inverse of `to_dict`. Raises ValueError for values that are no camera, KeyError for missing ones."""
+        return cls(
+            name=plain["name"],
+            matrix=plain["matrix"],
+            distortion=plain["distortion"],
+            model=plain["model"],
+            image_size_px=plain["image_size_px"],
+            rotation=plain.get("rotation"),
+            translation_m=plain.get("translation_m"),
+            world_z_up=plain["world_z_up"],
+            tilt_rad=plain.get("tilt_rad", 0.0),
+        )
+
+
+def is_rotation(matrix: Array, tolerance: float) -> bool:
+    """Whether a 3x3 matrix is finite, orthonormal to `tolerance` (largest entry of |R R' - I|) and right-handed."""
+    with np.errstate(invalid="ignore", over="ignore"):
+        off = np.abs(matrix @ matrix.T - np.eye(3)).max()
+    return bool(off <= tolerance and np.linalg.det(matrix) > 0)
+
+
+def _first_positive_root(coefficients: npt.ArrayLike) -> float:
+    """Smallest positive real root of a polynomial, coefficients in increasing order; inf if there is none."""
+    array = np.asarray(coefficients, dtype=float)
+    trimmed = np.trim_zeros(np.where(np.abs(array) < 1e-100, 0.0, array), "b")  # roots divide by the last one
+    roots = polynomial.polyroots(trimmed) if trimmed.size > 1 else np.zeros(0)
+    real = roots.real[(np.abs(roots.imag) <= 1e-9 * np.abs(roots)) & (roots.real > 0)]
+    return float(real.min(initial=math.inf))
+
+
+def _invert_increasing(
+    function: Callable[[Array], tuple[Array, Array]], values: Array, upper: float
+) -> tuple[Array, Bools]:
+    """Solve function(x)[0] = values for x in [0, upper) by Newton's method kept inside a bracket.
+
+    function gives value and slope, starts at 0 and increases up to `upper`. Returns x and whether a solution exists.
+    """
+    found = np.asarray(values < function(np.array(upper))[0])
+    low, high = np.zeros_like(values), np.full_like(values, upper)
+    x = np.clip(values, 0.0, 0.5 * upper)
+    for _ in range(100):
+        value, slope = function(x)
+        error = value - values
+        low, high = np.where(error <= 0, x, low), np.where(error >= 0, x, high)
+        newton = x - error / slope
+        new = np.where((newton >= low) & (newton <= high), newton, 0.5 * (low + high))
+        done = np.abs(new - x) <= 1e-15 * np.abs(x)
+        x = new
+        if done[found].all():
+            break
+    return x, found

@@ -1,0 +1,117 @@
+"""Rotations from Euler angles with their derivatives: what scipy's `Rotation` does not give.
+
+One convention throughout: R = Rx(xi) Ry(psi) Rz(zeta), elementary right-handed rotations about X, Y and Z multiplied in
+that order (scipy's intrinsic "XYZ"), angles in radians in the order (xi, psi, zeta).
+"""
+
+from __future__ import annotations
+
+import warnings
+
+import numpy as np
+import numpy.typing as npt
+
+from recon.base.arrays import Array
+
+
+def euler_rotation(angles_rad: npt.ArrayLike) -> Array:
+    """Rotation matrices R = Rx(xi) Ry(psi) Rz(zeta), shape (..., 3, 3), of angles (xi, psi, zeta), shape (..., 3)."""
+    angles = np.asarray(angles_rad, dtype=float)
+    entries, _ = _matrix_entries(angles)
+    return np.array(entries).T.reshape(*angles.shape[:-1], 3, 3)
+
+
+def euler_rotation_with_jacobian(angles_rad: npt.ArrayLike) -> tuple[Array, Array]:
+    """Rotation matrices and their exact derivatives with respect to the angles.
+
+    angles_rad: (..., 3), (xi, psi, zeta). Returns R (..., 3, 3) and dR (..., 3, 3, 3), where dR[..., k, :, :] is the
+    derivative of R with respect to angle k.
+    """
+    angles = np.asarray(angles_rad, dtype=float)
+    r, (cx, cy, sx, sy, cz, sz) = _matrix_entries(angles)
+    zero = 0.0 * cx
+    # Rx is on the left: its derivative mixes rows. Rz is on the right: its derivative mixes columns.
+    d_xi = (zero, zero, zero, -r[6], -r[7], -r[8], r[3], r[4], r[5])
+    d_psi = (-sy * cz, sy * sz, cy, sx * r[0], sx * r[1], sx * sy, -cx * r[0], -cx * r[1], -cx * sy)
+    d_zeta = (r[1], -r[0], zero, r[4], -r[3], zero, r[7], -r[6], zero)
+    stack = np.array((*r, *d_xi, *d_psi, *d_zeta)).T.reshape(*angles.shape[:-1], 4, 3, 3)
+    return stack[..., 0, :, :], stack[..., 1:, :, :]
+
+
+def euler_angles(rotation: npt.ArrayLike) -> Array:
+    """Angles (xi, psi, zeta), shape (..., 3), of rotation matrices (..., 3, 3): the inverse of `euler_rotation`.
+
+    psi lies in [-pi/2, pi/2]. At psi = +-pi/2 only xi + zeta or xi - zeta is determined; zeta is then set to 0.
+    Raises ValueError for a matrix that is not a rotation (determinant not positive).
+    """
+    from scipy.spatial.transform import Rotation  # slow to import
+
+    matrices = np.asarray(rotation, dtype=float)
+    if (np.linalg.det(matrices) <= 0).any():  # older scipy takes them for rotations
+        raise ValueError("a matrix with a determinant that is not positive is no rotation")
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message="Gimbal lock")
+        angles = Rotation.from_matrix(matrices.reshape(-1, 3, 3)).as_euler("XYZ")
+    return np.asarray(angles).reshape(*matrices.shape[:-2], 3)
+
+
+def quaternions(rotations: Array) -> Array:
+    """Unit quaternions (N, 4), x, y, z, w, of rotation matrices (N, 3, 3). scipy's take long to import."""
+    m = rotations
+    x, y, z = np.eye(3)
+    diagonal = np.einsum("nii->ni", m)
+    squares = 1 + diagonal @ np.array([2 * x - 1, 2 * y - 1, 2 * z - 1, [1, 1, 1]]).T  # 4 q_i^2
+    xy, xz, yz = m[:, 0, 1] + m[:, 1, 0], m[:, 0, 2] + m[:, 2, 0], m[:, 1, 2] + m[:, 2, 1]
+    xw, yw, zw = m[:, 2, 1] - m[:, 1, 2], m[:, 0, 2] - m[:, 2, 0], m[:, 1, 0] - m[:, 0, 1]
+    products = np.array(
+        [
+            [squares[:, 0], xy, xz, xw],
+            [xy, squares[:, 1], yz, yw],
+            [xz, yz, squares[:, 2], zw],
+            [xw, yw, zw, squares[:, 3]],
+        ]
+    )  # 4 q_i q_j: every row is a multiple of the quaternion, that of its largest element the most exact
+    found = products[squares.argmax(axis=1), :, np.arange(len(m))]
+    return found / np.linalg.norm(found, axis=1, keepdims=True)
+
+
+def quaternion_rotations(quaternions: Array) -> Array:
+    """Rotation matrices (N, 3, 3) of unit quaternions (N, 4), x, y, z, w: the inverse of `quaternions`."""
+    x, y, z, w = quaternions.T
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+    ]
+    return np.moveaxis(np.array(rows), -1, 0)
+
+
+def part_of_turn(rotations: Array, share: Array) -> Array:
+    """Rotations (N, 3, 3) about the same axes, by a share (N,) of the angle, the shorter way round."""
+    q = quaternions(rotations)
+    q = np.where(q[:, 3:] < 0, -q, q)
+    sine = np.linalg.norm(q[:, :3], axis=1)
+    half = share * np.arctan2(sine, q[:, 3])
+    axis = q[:, :3] / np.where(sine > 0, sine, 1.0)[:, None]
+    return quaternion_rotations(np.column_stack([np.sin(half)[:, None] * axis, np.cos(half)]))
+
+
+def _matrix_entries(angles: Array):
+    """The nine entries of R row by row, and cosines and sines. Each is a (N,) array, or a float for one rotation.
+
+    Python floats are several times faster than numpy scalars, and one rotation per call is the solver's inner loop.
+    """
+    if angles.ndim == 1:
+        cx, cy, cz = np.cos(angles).tolist()
+        sx, sy, sz = np.sin(angles).tolist()
+    else:
+        flat = angles.reshape(-1, 3).T
+        cx, cy, cz = np.cos(flat)
+        sx, sy, sz = np.sin(flat)
+    sxsy, cxsy = sx * sy, cx * sy
+    entries = (
+        *(cy * cz, -cy * sz, sy),
+        *(cx * sz + sxsy * cz, cx * cz - sxsy * sz, -sx * cy),
+        *(sx * sz - cxsy * cz, sx * cz + cxsy * sz, cx * cy),
+    )
+    return entries, (cx, cy, sx, sy, cz, sz)

@@ -1,0 +1,375 @@
+"""Where a camera that moves was in each frame: tracks, read from a CSV table or from a COLMAP model as text.
+
+- CSV: columns frame, qw, qx, qy, qz, tx, ty, tz, of a camera that zooms fx, fy, cx, cy, and sigma_deg where it is known
+  how exact a turn is, in any order; others are not read. Unit quaternion and translation take points from the world to
+  the camera, X_camera = R X_world + t.
+- COLMAP: images.txt with cameras.txt beside it, or their folder. Frame numbers are the last digits of the images'
+  names. Its pixels begin at the corner of the first one, ours in its middle: half a pixel is taken off.
+
+In either the world has to be in metres with z up, which neither format promises.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import re
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from recon.base.arrays import Array, Bools, Integers
+from recon.base.documents import read_text
+from recon.base.errors import InputError, Problem
+from recon.clip import FramePoses
+from recon.geometry.camera import Camera, LensModel
+from recon.geometry.frames import inverse, rigid
+from recon.geometry.rotations import part_of_turn, quaternion_rotations
+from recon.io.common import MAX_FRAME, first_problems, frame_number
+from recon.io.common import number as plain_number
+
+MAX_GAP_S = 0.1
+"""Poses further apart have none in between."""
+POSE, INTRINSICS = ("qw", "qx", "qy", "qz", "tx", "ty", "tz"), ("fx", "fy", "cx", "cy")
+SIGMA = "sigma_deg"
+UNIT_TOLERANCE = 1e-2
+"""Of a quaternion's length: rounded to three digits it is within this."""
+MAX_PLACE_M, MAX_PX, MAX_SIGMA_DEG = 1e7, 1e6, 10.0
+LEANING_MAX_RAD = np.radians(60)
+"""A camera that leans further for most of the time hangs in a world whose z axis does not point up."""
+IMAGES, CAMERAS = "images.txt", "cameras.txt"
+EXPECTED = f"a table (.csv) with the columns frame, {', '.join(POSE)}, or a COLMAP model as text ({IMAGES})"
+
+COLMAP_MODELS: dict[str, tuple[LensModel, str]] = {
+    "SIMPLE_PINHOLE": ("pinhole", "f cx cy"),
+    "PINHOLE": ("pinhole", "fx fy cx cy"),
+    "SIMPLE_RADIAL": ("radtan", "f cx cy k1"),
+    "RADIAL": ("radtan", "f cx cy k1 k2"),
+    "OPENCV": ("radtan", "fx fy cx cy k1 k2 p1 p2"),
+    "OPENCV_FISHEYE": ("fisheye", "fx fy cx cy k1 k2 k3 k4"),
+}
+"""By COLMAP's name: ours, and the parameters in their order."""
+_COEFFICIENTS: dict[LensModel, tuple[str, ...]] = {
+    "pinhole": (),
+    "radtan": ("k1", "k2", "p1", "p2"),
+    "fisheye": ("k1", "k2", "k3", "k4"),
+}
+
+
+@dataclass(frozen=True, eq=False)
+class CameraTrack:
+    """The poses of one camera in N frames of its video."""
+
+    source: Path
+    frames: Integers
+    """(N,), increasing."""
+    T_camera_world: Array
+    """(N, 4, 4); the world is in metres and has z up."""
+    intrinsics_px: Array | None = None
+    """(N, 4): fx, fy, cx, cy, of a camera that zooms."""
+    camera: Camera | None = None
+    """The lens, where the track comes with one. It has no pose."""
+    turn_sigma_rad: Array | None = None
+    """(N,): standard deviation of each pose's rotation about any axis, where the track says it."""
+
+    def at(self, frames: Integers, fps: float) -> tuple[FramePoses, Bools]:
+        """In each of T increasing frames; between poses no more than `MAX_GAP_S` apart turned and moved evenly. And
+        which these are, (T,)."""
+        after = np.clip(np.searchsorted(self.frames, frames), 0, len(self.frames) - 1)
+        before = np.maximum(after - (self.frames[after] > frames), 0)
+        gap = self.frames[after] - self.frames[before]
+        exact = self.frames[after] == frames
+        inside = (self.frames[before] < frames) & (frames < self.frames[after])
+        filled = inside & (gap <= MAX_GAP_S * fps + 1e-9)
+        share = np.where(filled, (frames - self.frames[before]) / np.maximum(gap, 1), 1.0)
+        known = exact | filled
+        poses = _between(self.T_camera_world[before], self.T_camera_world[after], share)
+        poses[~known] = np.nan
+        intrinsics = None
+        if self.intrinsics_px is not None:
+            a, b = self.intrinsics_px[before], self.intrinsics_px[after]
+            intrinsics = np.where(known[:, None], a + share[:, None] * (b - a), np.nan)
+        sigma = self.turn_sigma_rad
+        sigmas = None if sigma is None else np.maximum(sigma[before], sigma[after])
+        return FramePoses(poses, intrinsics, sigmas), filled
+
+
+def _between(a: Array, b: Array, share: Array) -> Array:
+    """Poses (T, 4, 4) at a share (T,) of the way from a to b: the camera turns evenly, and its centre moves evenly."""
+    turn = b[:, :3, :3] @ a[:, :3, :3].swapaxes(1, 2)
+    rotation = part_of_turn(turn, share) @ a[:, :3, :3]
+    start, end = inverse(a)[:, :3, 3], inverse(b)[:, :3, 3]
+    centre = start + share[:, None] * (end - start)
+    return rigid(rotation, -(rotation @ centre[..., None])[..., 0])
+
+
+# -- reading --------------------------------------------------------------------------------------------------------
+
+
+def track_files(path: Path) -> tuple[Path, ...]:
+    """Of a track as it is given: the files that it is read from."""
+    images = path / IMAGES if path.is_dir() else path
+    if images.suffix.lower() == ".csv":
+        return (images,)
+    beside = images.with_name(CAMERAS)
+    return (images, beside) if beside.is_file() else (images,)
+
+
+def track_label(path: Path) -> str:
+    """What a track is called by, for whose it is: a table's name without suffix, or the folder of a COLMAP model."""
+    return path.stem if path.suffix.lower() == ".csv" else path.parent.name if path.name == IMAGES else path.name
+
+
+def read_camera_track(path: Path) -> CameraTrack:
+    """Raises InputError with everything that is wrong with the file, and where its world has not z up."""
+    first, *beside = track_files(path)
+    if first.suffix.lower() == ".csv":
+        track = _read_csv(path)
+    elif first.suffix.lower() == ".txt":
+        track = _read_colmap(first, beside[0] if beside else None)
+    else:
+        raise InputError(Problem(path, "format", f"suffix {path.suffix!r}", EXPECTED))
+    _require_upright(track, path)
+    return track
+
+
+def _require_upright(track: CameraTrack, path: Path) -> None:
+    upward = -track.T_camera_world[:, 1, 2]  # of the picture's upward direction, along z
+    leans = upward < np.cos(LEANING_MAX_RAD)
+    if leans.mean() > 0.5:
+        found = f"a camera whose picture's upper edge is not up by z in {leans.sum()} of {len(leans)} frames"
+        expected = (
+            "a world with z up, and poses from the world to the camera (X_camera = R X_world + t): turn the model so "
+            "that z points up"
+        )
+        raise InputError(Problem(path, "poses", found, expected))
+
+
+@dataclass(eq=False)
+class _Poses:
+    """Rows on their way to a track, unchecked, each with the place it was found in."""
+
+    path: Path
+    frames: list[int]
+    values: list[list[float]]
+    """7 of the pose, and 4 of the intrinsics where there are some."""
+    places: list[str]
+    sigma_deg: list[float] = field(default_factory=list)
+
+    def problems(self) -> Iterator[Problem]:
+        if not self.frames:
+            yield Problem(self.path, "rows", "none", "a pose for each frame")
+            return
+        table = np.array(self.values)
+        for kind, expected, wrong in _CHECKS:
+            with np.errstate(all="ignore"):
+                rows = np.flatnonzero(wrong(table).any(axis=1))
+            if len(rows):
+                yield Problem(self.path, kind, f"others in {_some([self.places[row] for row in rows])}", expected)
+        if wrong_deg := [sigma for sigma in self.sigma_deg if not 0 <= sigma <= MAX_SIGMA_DEG]:
+            yield Problem(self.path, SIGMA, f"{wrong_deg[0]:g}", f"0 to {MAX_SIGMA_DEG:g} degrees")
+        order = np.sort(self.frames)
+        twice = np.unique(order[1:][np.diff(order) == 0])
+        if len(twice):
+            expected = "one pose for each frame, of one camera"
+            yield Problem(self.path, "frame", f"{_some(twice.tolist())} more than once", expected)
+
+    def track(self, zooms: bool, camera: Camera | None = None) -> CameraTrack:
+        if problems := list(self.problems()):
+            raise InputError(problems)
+        order = np.argsort(self.frames)
+        table = np.array(self.values)[order]
+        quaternion = table[:, :4] / np.linalg.norm(table[:, :4], axis=1, keepdims=True)
+        return CameraTrack(
+            self.path,
+            np.array(self.frames, dtype=np.int64)[order],
+            rigid(quaternion_rotations(quaternion[:, [1, 2, 3, 0]]), table[:, 4:7]),
+            table[:, 7:] if zooms else None,
+            camera,
+            np.radians(np.array(self.sigma_deg)[order]) if self.sigma_deg else None,
+        )
+
+
+_CHECKS: tuple[tuple[str, str, Callable[[Array], Bools]], ...] = (
+    ("numbers", "finite numbers", lambda table: ~np.isfinite(table)),
+    (
+        "qw, qx, qy, qz",
+        f"unit quaternions (to {UNIT_TOLERANCE:g})",
+        lambda table: np.abs(np.linalg.norm(table[:, :4], axis=1, keepdims=True) - 1) > UNIT_TOLERANCE,
+    ),
+    ("tx, ty, tz", f"metres, no more than {MAX_PLACE_M:g}", lambda table: np.abs(table[:, 4:7]) > MAX_PLACE_M),
+    (
+        "fx, fy, cx, cy",
+        f"pixels, no more than {MAX_PX:g}, fx and fy above 0",
+        lambda table: np.hstack([table[:, 7:9] <= 0, np.abs(table[:, 7:]) > MAX_PX]),
+    ),
+)
+"""Field, what is expected of it, and what is otherwise (N, any), by rows of a table."""
+
+
+def _some(items: Sequence[Any]) -> str:
+    more = f" and {len(items) - 3} more" if len(items) > 3 else ""
+    return ", ".join(map(str, items[:3])) + more
+
+
+# -- CSV ------------------------------------------------------------------------------------------------------------
+
+
+def _read_csv(path: Path) -> CameraTrack:
+    text = read_text(path, EXPECTED)
+    head = next(iter(text.strip().splitlines()), "")
+    delimiter = max((",", ";", "\t"), key=head.count)
+    reader = csv.reader(io.StringIO(text, newline=""), delimiter=delimiter)
+    try:
+        rows = [(reader.line_num, cells) for cells in reader if any(cell.strip() for cell in cells)]
+    except csv.Error as error:
+        raise InputError(Problem(path, f"line {reader.line_num}", str(error), EXPECTED)) from None
+    header = [cell.strip().lower() for cell in rows[0][1]] if rows else []
+    zooms = any(name in header for name in INTRINSICS)
+    wanted = ("frame", *POSE, *(INTRINSICS if zooms else ()), *([SIGMA] if SIGMA in header else []))
+    problems = [Problem(path, "columns", f"no {name}", EXPECTED) for name in wanted if name not in header]
+    problems += [
+        Problem(path, "columns", f"{name} more than once", "each once") for name in wanted if header.count(name) > 1
+    ]
+    if problems:
+        raise InputError(problems)
+    at = [header.index(name) for name in wanted]
+    poses = _Poses(path, [], [], [])
+    for line, cells in rows[1:]:
+        if len(cells) <= max(at):
+            problems.append(Problem(path, f"line {line}", f"{len(cells)} cells", f"{len(header)}, as in the header"))
+            continue
+        frame, values = _frame(cells[at[0]]), [_number(cells[column]) for column in at[1:]]
+        wrong = [name for name, value in zip(wanted, [frame, *values], strict=True) if value is None]
+        if wrong:
+            found = ", ".join(f"{name} {cells[header.index(name)].strip()!r}" for name in wrong)
+            problems.append(Problem(path, f"line {line}", found, "numbers, and a whole one for the frame"))
+            continue
+        poses.frames.append(frame)  # type: ignore[arg-type]
+        if SIGMA in header:
+            poses.sigma_deg.append(values.pop())  # type: ignore[arg-type]
+        poses.values.append(values)  # type: ignore[arg-type]
+        poses.places.append(f"line {line}")
+    if problems:
+        raise InputError([*first_problems(problems, path), *(poses.problems() if poses.frames else ())])
+    return poses.track(zooms)
+
+
+def _number(cell: str) -> float | None:
+    try:
+        return plain_number(cell.strip())
+    except ValueError:
+        return None
+
+
+def _frame(cell: str) -> int | None:
+    """Also as spreadsheets and pandas write it, 7.0."""
+    value = _number(cell)
+    return int(value) if value is not None and 0 <= value <= MAX_FRAME and value == int(value) else None
+
+
+# -- COLMAP ---------------------------------------------------------------------------------------------------------
+
+
+def _read_colmap(images: Path, cameras: Path | None) -> CameraTrack:
+    """Without cameras.txt the lens is to come from elsewhere."""
+    poses, of_camera = _images(images)
+    lenses = None if cameras is None else _lenses(cameras, dict.fromkeys(of_camera))
+    if lenses is None:
+        return poses.track(zooms=False)
+    first = lenses[of_camera[0]]
+    own = np.array([_intrinsics(lenses[key]) for key in of_camera])
+    zooms = bool(np.ptp(own, axis=0).any())
+    if zooms:
+        poses = replace(poses, values=np.column_stack([poses.values, own]).tolist())
+    return replace(poses.track(zooms), camera=replace(first, name=track_label(images)))
+
+
+def _images(path: Path) -> tuple[_Poses, list[str]]:
+    """The poses, and which camera each is of. Every image has two lines, the second for its points."""
+    lines = enumerate(read_text(path, EXPECTED).splitlines(), start=1)
+    poses, of_camera, problems = _Poses(path, [], [], []), [], []
+    for number, line in lines:
+        if not line.strip() or line.lstrip().startswith("#"):
+            continue
+        cells = line.split(maxsplit=9)
+        values = [_number(cell) for cell in cells[1:8]]
+        frame = _frame_of_name(cells[9]) if len(cells) == 10 else None
+        if len(values) < 7 or None in values or frame is None:
+            expected = "IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME, with the frame's number last in the name"
+            problems.append(Problem(path, f"line {number}", repr(line.strip()[:60]), expected))
+        else:
+            poses.frames.append(frame)
+            poses.values.append(values)  # type: ignore[arg-type]
+            poses.places.append(f"line {number}")
+            of_camera.append(cells[8])
+        number, points = next(lines, (0, ""))
+        if len(points.split()) % 3:
+            expected = "the points of the image above, X Y POINT3D_ID each, or an empty line"
+            problems.append(Problem(path, f"line {number}", repr(points.strip()[:60]), expected))
+    if problems:
+        raise InputError([*first_problems(problems, path), *(poses.problems() if poses.frames else ())])
+    if problems := list(poses.problems()):
+        raise InputError(problems)
+    return poses, of_camera
+
+
+def _frame_of_name(name: str) -> int | None:
+    """The last digits of a file's name: 12 of run/frame_0012.png."""
+    digits = re.findall(r"[0-9]+", re.sub(r"\.[A-Za-z0-9]*$", "", re.split(r"[/\\]", name.strip())[-1]))
+    return frame_number(digits[-1]) if digits else None
+
+
+def _lenses(path: Path, wanted: dict[str, None]) -> dict[str, Camera]:
+    """By COLMAP's number, those that images have. They may differ in focal length and centre only."""
+    problems: list[Problem] = []
+    found: dict[str, Camera] = {}
+    for number, line in enumerate(read_text(path, f"{CAMERAS} of a COLMAP model").splitlines(), start=1):
+        cells = line.split()
+        if not cells or cells[0].startswith("#") or cells[0] not in wanted:
+            continue
+        try:
+            found[cells[0]] = _lens(cells)
+        except (ValueError, OverflowError) as error:
+            problems.append(Problem(path, f"line {number}", str(error)[:200], "CAMERA_ID MODEL WIDTH HEIGHT PARAMS"))
+    if not problems:
+        missing = [key for key in wanted if key not in found]
+        problems += [Problem(path, "cameras", f"no camera {_some(missing)}", f"those of {IMAGES}")] if missing else []
+    if not problems and len({_bending(lens) for lens in found.values()}) > 1:
+        expected = "one lens, whose focal length and centre alone may change from image to image"
+        problems.append(Problem(path, "cameras", f"{len(found)} with different lenses or picture sizes", expected))
+    if problems:
+        raise InputError(first_problems(problems, path))
+    return found
+
+
+def _lens(cells: Sequence[str]) -> Camera:
+    """Raises ValueError."""
+    if len(cells) < 4 or cells[1] not in COLMAP_MODELS:
+        model = cells[1] if len(cells) > 1 else "nothing"
+        raise ValueError(f"lens model {model}, none of {', '.join(COLMAP_MODELS)}")
+    model, names = COLMAP_MODELS[cells[1]]
+    given = [plain_number(cell) for cell in cells[4:]]
+    if len(given) != len(names.split()):
+        raise ValueError(f"{len(given)} parameters of {cells[1]}, which has {len(names.split())}: {names}")
+    value = dict(zip(names.split(), given, strict=True))
+    fx, fy = (value.get(name, value.get("f", np.nan)) for name in ("fx", "fy"))
+    if not max(fx, fy) <= MAX_PX or not max(abs(value["cx"]), abs(value["cy"])) <= MAX_PX:
+        raise ValueError(f"focal length or centre beyond {MAX_PX:g} px")
+    matrix = np.array([[fx, 0, value["cx"] - 0.5], [0, fy, value["cy"] - 0.5], [0, 0, 1]])
+    distortion = np.array([value.get(name, 0.0) for name in _COEFFICIENTS[model]])
+    sizes = [frame_number(cell) for cell in cells[2:4]]
+    if None in sizes or not max(sizes) <= MAX_PX:  # type: ignore[type-var]
+        raise ValueError(f"picture of {cells[2]} by {cells[3]} px")
+    return Camera(cells[0], matrix, distortion, model, (sizes[0], sizes[1]))  # type: ignore[arg-type]
+
+
+def _intrinsics(lens: Camera) -> tuple[float, ...]:
+    return tuple(lens.matrix[[0, 1, 0, 1], [0, 1, 2, 2]].tolist())
+
+
+def _bending(lens: Camera) -> tuple[Any, ...]:
+    return lens.model, lens.image_size_px, *lens.distortion.tolist()

@@ -1,0 +1,172 @@
+"""Videos: frames in, one after the other, and frames out.
+
+Frames are counted from 0 in the order in which they are decoded, never by seeking: seeking is inexact in many formats,
+and a detector that went through the video counted its frames in this way. The number of frames that a file states is
+only an estimate.
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from recon.base.errors import InputError, Problem
+from recon.base.files import staged_file
+
+Image = npt.NDArray[np.uint8]
+CODECS = {".mp4": "mp4v", ".avi": "MJPG"}
+"""What OpenCV's own wheels can encode quickly: MPEG-4 part 2, which players show but browsers do not, and Motion JPEG.
+They hold no encoder for H.264, and VP9 takes half a second for a picture of 1920x1080."""
+
+SUFFIXES = (".mp4", ".avi", ".mov", ".mkv", ".webm", ".m4v", ".mpg", ".mpeg", ".wmv", ".mts")
+
+
+@dataclass(frozen=True)
+class VideoInfo:
+    """What a video's file says about it."""
+
+    size_px: tuple[int, int]
+    """(width, height)"""
+    fps: float | None
+    """None where the file does not say."""
+    stated_frames: int | None
+    """What the file says, None where it says nothing; the frames that can be decoded may be fewer or more."""
+
+
+def probe(path: str | Path) -> VideoInfo:
+    """What a video says about itself; its first frame is decoded. Raises InputError for a file that is no video."""
+    capture = _open(Path(path))
+    try:
+        fps, count = capture.get(cv2.CAP_PROP_FPS), capture.get(cv2.CAP_PROP_FRAME_COUNT)
+        found, image = capture.read()
+    finally:
+        capture.release()
+    if not found:
+        raise InputError(Problem(path, "video", "no frame that can be decoded", "a video"))
+    known = np.isfinite(fps) and 0 < fps < 1e5
+    return VideoInfo((image.shape[1], image.shape[0]), float(fps) if known else None, int(count) if count > 0 else None)
+
+
+def read_frames(
+    path: str | Path, first: int = 0, stop: int | None = None, step: int = 1
+) -> Iterator[tuple[int, Image]]:
+    """Numbers and pictures (height, width, 3; blue, green, red) of every `step`th frame from `first` up to, but
+    without, `stop`, as far as the video goes. One picture is held at a time."""
+    capture = _open(Path(path))
+    try:
+        number = 0
+        while (stop is None or number < stop) and capture.grab():
+            if number >= first and (number - first) % step == 0:
+                found, image = capture.retrieve()
+                if not found:
+                    return
+                yield number, np.asarray(image, dtype=np.uint8)
+            number += 1
+    finally:
+        capture.release()
+
+
+@contextmanager
+def video_writer(path: str | Path, size_px: tuple[int, int], fps: float) -> Iterator[Callable[[Image], None]]:
+    """A function that appends a picture (height, width, 3; blue, green, red) to a new video.
+
+    size_px: (width, height), even. The file appears, or replaces its predecessor, when the block ends without an
+    exception; otherwise nothing is left. Raises InputError for a suffix that is not in `CODECS`, or where OpenCV lacks
+    the encoder; OSError where the disk does not hold all of it.
+    """
+    path = Path(path)
+    codec = require_codec(path)
+    with staged_file(path) as staged, _quiet():
+        staged.touch()  # an OSError with the reason, where OpenCV would only say no
+        writer: Any = cv2.VideoWriter(_local(staged), cv2.CAP_FFMPEG, cv2.VideoWriter.fourcc(*codec), fps, size_px)
+        written = 0
+        try:
+            if not writer.isOpened():
+                found = f"an OpenCV without an encoder for {codec} of {size_px[0]}x{size_px[1]} px"
+                raise InputError(Problem(path, "video", found, "one of the suffixes " + ", ".join(CODECS)))
+
+            def write(image: Image) -> None:
+                nonlocal written
+                if image.shape != (size_px[1], size_px[0], 3):
+                    raise ValueError(f"a picture of shape {image.shape} in a video of {size_px[0]}x{size_px[1]} px")
+                writer.write(image)
+                written += 1
+
+            yield write
+        finally:
+            writer.release()
+        # OpenCV says nothing of a full disk.
+        if not _ends_as_it_says(staged) or _frames_in(staged) != (written, written):
+            raise OSError(errno.ENOSPC, "the video could not be written: is the disk full?", str(path))
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """What OpenCV and FFmpeg print on standard error about a full disk is said here, in one line."""
+    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # read when the first video of a process is opened
+    level = cv2.utils.logging.getLogLevel()
+    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
+    try:
+        yield
+    finally:
+        cv2.utils.logging.setLogLevel(level)
+
+
+def _ends_as_it_says(path: Path) -> bool:
+    """Whether the parts of an AVI (RIFF) or MP4 file, of which each states its length, are all of it."""
+    end, at = path.stat().st_size, 0
+    with path.open("rb") as file:
+        while at < end:
+            file.seek(at)
+            head = file.read(16).ljust(16, b"\0")
+            if path.suffix.lower() == ".avi":
+                length = 8 + int.from_bytes(head[4:8], "little")
+            else:
+                length = int.from_bytes(head[:4], "big")
+                length = int.from_bytes(head[8:], "big") if length == 1 else length
+            at += max(length, 8)
+    return at == end
+
+
+def _frames_in(path: Path) -> tuple[int, int]:
+    """How many can be decoded, and how many the file states, which it is the last to be told."""
+    capture = cv2.VideoCapture(_local(path), cv2.CAP_FFMPEG)
+    count, stated = 0, round(capture.get(cv2.CAP_PROP_FRAME_COUNT))
+    try:
+        while capture.grab():
+            count += 1
+    finally:
+        capture.release()
+    return count, stated
+
+
+def require_codec(path: Path) -> str:
+    """The codec for a video of this name. Raises InputError for a suffix without one."""
+    codec = CODECS.get(path.suffix.lower())
+    if codec is None:
+        raise InputError(Problem(path, "suffix", repr(path.suffix), "one of " + ", ".join(CODECS)))
+    return codec
+
+
+def _local(path: Path) -> str:
+    """A name that ffmpeg takes for a file: run10:30.mp4, or a folder called http:, would be a protocol."""
+    return str(path.absolute())
+
+
+def _open(path: Path) -> cv2.VideoCapture:
+    if not path.is_file():
+        raise InputError(Problem(path, "video", "a folder" if path.is_dir() else "no such file", "a video"))
+    with _quiet():
+        capture = cv2.VideoCapture(_local(path), cv2.CAP_FFMPEG)
+    if not capture.isOpened():
+        raise InputError(Problem(path, "video", "a file that cannot be decoded", "a video"))
+    return capture

@@ -1,0 +1,176 @@
+"""Predicted keypoints against labels, in the picture."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from recon.animal.naming import load_names, map_to_write, renamed
+from recon.base.arrays import Array, Bools
+from recon.base.errors import InputError, Problem, all_of
+from recon.clip.keypoints import Keypoints, mark_missing
+from recon.io import read_keypoints
+from recon.keypoint_net.calibrate import Reliability, reliability
+from recon.keypoint_net.labels import body_length_px, known_points, read_label_file, sides
+
+PCK_PX = (2.5, 5.0, 10.0)
+PCK_RELATIVE = (0.05, 0.1, 0.2)
+"""Of the body length, the median diagonal of the box around an animal's labels."""
+LIKELIHOOD_MIN = 0.5
+TOLERANCE_PX = 5.0
+
+
+@dataclass(frozen=True)
+class Score2D:
+    """Of predictions, over labelled points."""
+
+    points: int
+    """How many."""
+    found: float
+    """The share of them that was predicted (and likely enough)."""
+    rmse_px: float
+    """Over those found, NaN without any."""
+    median_px: float
+    """Over those found, NaN without any."""
+    pck_px: dict[str, float]
+    """By distance, shares of all labelled points, those not found being wrong."""
+    pck_relative: dict[str, float]
+    """The same by parts of the body length."""
+
+
+@dataclass(frozen=True, eq=False)
+class Evaluation2D:
+    """Scores over everything, by keypoint, with a likelihood cut-off (likely), and with the two sides of the animal
+    allowed to be the wrong way round (swaps_forgiven; None where no names differ in their side). reliability: of the
+    likelihoods, against points within tolerance_px; None without likelihoods."""
+
+    frames: int
+    body_length_px: float
+    likelihood_min: float
+    tolerance_px: float
+    all: Score2D
+    likely: Score2D
+    swaps_forgiven: Score2D | None
+    per_keypoint: dict[str, Score2D]
+    likely_per_keypoint: dict[str, Score2D]
+    reliability: Reliability | None
+
+
+def evaluate_2d_files(
+    predicted: Path,
+    labels: Path,
+    *,
+    first_frame: int = 0,
+    frames: tuple[int | None, int | None] | None = None,
+    individual: str | None = None,
+    rename: str | None = None,
+    likelihood_min: float = LIKELIHOOD_MIN,
+    tolerance_px: float = TOLERANCE_PX,
+) -> Evaluation2D:
+    """first_frame: the number that the labels give to frame 0 of the predictions. frames: a half-open range of the
+    labels' numbers. rename: a map of the predictions' names to the labels' (see `recon.animal.naming`). Raises
+    InputError for files that cannot be read or have nothing in common."""
+
+    def read() -> Keypoints:
+        return read_label_file(labels, individual)[0]
+
+    def read_predicted() -> Keypoints:
+        keypoints = mark_missing(read_keypoints(predicted, individual))[0]
+        return keypoints if rename is None else renamed(keypoints, load_names(rename))
+
+    guess, truth = all_of(read_predicted, read)
+    common = [name for name in truth.names if name in guess.names]
+    problems = []
+    if not common:
+        expected = f"some of: {', '.join(truth.names)}; --rename with a file of these lines, completed"
+        lines = tuple(map_to_write(guess.names, truth.names))
+        problems.append(Problem(predicted, "keypoints", ", ".join(guess.names), expected, lines))
+    low, high = frames or (None, None)
+    row = {int(n) + first_frame: t for t, n in enumerate(guess.frames)}
+    both = [
+        (row[int(n)], t)
+        for t, n in enumerate(truth.frames)
+        if int(n) in row and (low is None or n >= low) and (high is None or n < high)
+    ]
+    if not both:
+        found = f"frames {guess.frames[0] + first_frame} to {guess.frames[-1] + first_frame}, in the labels' numbers"
+        expected = (
+            f"some of the labels' frames {truth.frames[0]} to {truth.frames[-1]} that are asked for; --first-frame"
+        )
+        problems.append(Problem(predicted, "frames", found, expected))
+    if problems:
+        raise InputError(problems)
+    rows_g, rows_t = map(list, zip(*both, strict=True))
+    g, t = [guess.names.index(n) for n in common], [truth.names.index(n) for n in common]
+    return evaluate_2d(
+        tuple(common),
+        guess.xy_px[rows_g][:, g],
+        guess.confidence[rows_g][:, g],
+        truth.xy_px[rows_t][:, t],
+        body_length_px(truth.xy_px[rows_t]),
+        likelihood_min,
+        tolerance_px,
+    )
+
+
+def evaluate_2d(
+    names: tuple[str, ...],
+    xy_px: Array,
+    likelihood: Array,
+    label_px: Array,
+    length_px: float,
+    likelihood_min: float = LIKELIHOOD_MIN,
+    tolerance_px: float = TOLERANCE_PX,
+) -> Evaluation2D:
+    """Of points (N, K, 2) with likelihoods (N, K), against labels (N, K, 2), each NaN where there is none."""
+    labelled = known_points(label_px)
+    errors = np.linalg.norm(xy_px - label_px, axis=2)
+    likely = np.where(likelihood >= likelihood_min, errors, np.nan)
+    partner = sides(names)
+    paired = any(p != k for k, p in enumerate(partner))
+    forgiven = _score(_forgiving_errors_px(xy_px, label_px, partner), labelled, length_px) if paired else None
+    known = np.isfinite(errors) & np.isfinite(likelihood)
+    by_keypoint = {n: _score(errors[:, k], labelled[:, k], length_px) for k, n in enumerate(names)}
+    likely_by_keypoint = {n: _score(likely[:, k], labelled[:, k], length_px) for k, n in enumerate(names)}
+    return Evaluation2D(
+        len(label_px),
+        length_px,
+        likelihood_min,
+        tolerance_px,
+        _score(errors, labelled, length_px),
+        _score(likely, labelled, length_px),
+        forgiven,
+        by_keypoint,
+        likely_by_keypoint,
+        reliability(np.clip(likelihood[known], 0, 1), errors[known] <= tolerance_px) if known.any() else None,
+    )
+
+
+def _forgiving_errors_px(xy_px: Array, label_px: Array, partner: tuple[int, ...]) -> Array:
+    """Errors (N, K) with each pair of sides the right way round or the other, whichever is better for the pair."""
+    own = np.linalg.norm(xy_px - label_px, axis=2)
+    other = np.linalg.norm(xy_px[:, list(partner)] - label_px, axis=2)
+    cost = np.stack([own, other])
+    of_pair = np.nansum(np.stack([cost, cost[:, :, list(partner)]]), axis=0)
+    return np.where(of_pair[1] < of_pair[0], other, own)
+
+
+def _score(errors: Array, labelled: Bools, length_px: float) -> Score2D:
+    """errors: NaN where not labelled or not found."""
+    n = int(labelled.sum())
+    found = errors[labelled & np.isfinite(errors)]
+    nan = float("nan")
+
+    def share(limit_px: float) -> float:
+        return float((found <= limit_px).sum() / n) if n and np.isfinite(limit_px) else nan
+
+    return Score2D(
+        n,
+        len(found) / n if n else nan,
+        float(np.sqrt(np.mean(found**2))) if len(found) else nan,
+        float(np.median(found)) if len(found) else nan,
+        {str(limit): share(limit) for limit in PCK_PX},
+        {str(limit): share(limit * length_px) for limit in PCK_RELATIVE},
+    )

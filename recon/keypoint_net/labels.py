@@ -1,0 +1,313 @@
+"""Labelled pictures: DeepLabCut's label files with the images of a project folder, or with the frames of one video."""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path, PureWindowsPath
+
+import cv2
+import numpy as np
+
+from recon.animal.naming import load_names, new_names
+from recon.base.arrays import Array, Bools, Integers, median
+from recon.base.errors import InputError, Problem, all_of
+from recon.clip.keypoints import Keypoints, mark_missing
+from recon.io import as_keypoints, deeplabcut, file_head
+from recon.io.common import first_problems
+from recon.io.hdf5 import is_hdf5
+from recon.io.video import Image, probe, read_frames
+
+OUTSIDE = 0.1
+"""Share of the labels that may lie outside of their pictures."""
+
+
+@dataclass(frozen=True, eq=False)
+class Labels:
+    """N labelled pictures of K keypoints."""
+
+    names: tuple[str, ...]
+    xy_px: Array
+    """(N, K, 2), NaN where a point is not labelled."""
+    numbers: Integers
+    """(N,) int, the frame numbers that the labels' image names end in."""
+    images: tuple[str, ...]
+    """N names, as in labeled-data/run/img0050.png."""
+    clip: Integers
+    """(N,) int, which of `clips` a picture comes from."""
+    clips: tuple[str, ...]
+    """Folders of the project, or the video."""
+    pictures: tuple[Image, ...]
+    """N arrays (height, width, 3; blue, green, red), one size within a clip."""
+    source: str
+    """What was read."""
+    notes: tuple[str, ...] = ()
+    """What had to be decided, in sentences."""
+
+    @property
+    def labelled(self) -> Bools:
+        """(N, K)."""
+        return known_points(self.xy_px)
+
+    def scaled(self, scale: float) -> Labels:
+        """Pictures and labels at another size; the centres of pixels lie at whole numbers."""
+        pictures = tuple(resize(picture, scale) for picture in self.pictures)
+        return replace(self, pictures=pictures, xy_px=scale_points(self.xy_px, scale))
+
+
+def known_points(xy_px: Array) -> Bools:
+    """Which points (..., 2) have both coordinates, (...)."""
+    return np.asarray(np.isfinite(xy_px).all(axis=-1), dtype=np.bool_)
+
+
+def resize(picture: Image, scale: float) -> Image:
+    """Of the size that `scaled_size` says; pixel (x, y) moves to `scale_points`."""
+    if scale == 1.0:
+        return picture
+    size = scaled_size((picture.shape[1], picture.shape[0]), scale)
+    to = np.array([[scale, 0.0, (scale - 1) / 2], [0.0, scale, (scale - 1) / 2]])
+    if scale < 0.8:  # each pixel averages those that it covers
+        blurred = cv2.GaussianBlur(picture, (0, 0), 0.5 * (1 / scale - 1) ** 0.5 + 0.15 / scale)
+        return np.asarray(cv2.warpAffine(blurred, to, size, borderMode=cv2.BORDER_REPLICATE), np.uint8)
+    return np.asarray(cv2.warpAffine(picture, to, size, borderMode=cv2.BORDER_REPLICATE), np.uint8)
+
+
+def scaled_size(size_px: tuple[int, int], scale: float) -> tuple[int, int]:
+    return max(1, round(size_px[0] * scale)), max(1, round(size_px[1] * scale))
+
+
+def scale_points(xy_px: Array, scale: float) -> Array:
+    """Of pixel coordinates with whole numbers at the centres of pixels, from one size of picture to another."""
+    return (xy_px + 0.5) * scale - 0.5
+
+
+def read_labels(
+    data: Path,
+    labels: Path | None = None,
+    first_frame: int = 0,
+    individual: str | None = None,
+    rename: str | None = None,
+) -> Labels:
+    """A project folder, or a video with its label file.
+
+    first_frame: the number that the label file gives to the video's first frame. rename: a map of the keypoints' names.
+    Raises InputError with every problem: labels without a picture, pictures that cannot be read, files that do not fit
+    each other.
+    """
+    if labels is None:
+        if data.is_file():
+            raise InputError(Problem("--labels", "file", "none", f"the label file (CSV or H5) of the video {data}"))
+        return _inside(_renamed(_read_project(data, individual), rename))
+    if data.is_dir():
+        raise InputError(Problem("--labels", "file", str(labels), f"none: the folder {data} has its own label files"))
+    return _inside(_renamed(_read_video(data, labels, first_frame, individual), rename))
+
+
+def _renamed(labels: Labels, rename: str | None) -> Labels:
+    if rename is None:
+        return labels
+    keep, names, note = new_names(labels.names, load_names(rename), labels.source)
+    return replace(labels, names=names, xy_px=labels.xy_px[:, keep], notes=(*labels.notes, note))
+
+
+def _inside(labels: Labels) -> Labels:
+    """Raises InputError where too many labels lie outside of their pictures to be theirs."""
+    sizes = np.array([picture.shape[1::-1] for picture in labels.pictures], float)[:, None]
+    outside = labels.labelled & ((labels.xy_px < -0.5) | (labels.xy_px > sizes - 0.5)).any(axis=2)
+    if outside.sum() > OUTSIDE * labels.labelled.sum():
+        i, k = np.argwhere(outside)[0]
+        x, y = labels.xy_px[i, k]
+        width, height = labels.pictures[i].shape[1::-1]
+        found = (
+            f"{outside.sum()} of {labels.labelled.sum()} points outside of their pictures, {labels.names[k]} in "
+            f"{labels.images[i]} first: at ({x:.0f}, {y:.0f}) in {width}x{height} px"
+        )
+        raise InputError(Problem(labels.source, "labels", found, "labels of these pictures"))
+    return labels
+
+
+def read_label_file(path: Path, individual: str | None = None) -> tuple[Keypoints, tuple[str, ...]]:
+    """Points as labelled, NaN where there is none, and the name of each row's image (its number, where it has none).
+
+    Raises InputError for a file that is no table of DeepLabCut's, or that has no label in it.
+    """
+    keypoints, images = _read_rows(path, individual)
+    if not keypoints.present.any():
+        raise InputError(Problem(path, "labels", "none: every cell is empty", "at least one labelled point"))
+    return keypoints, images
+
+
+def _read_rows(path: Path, individual: str | None) -> tuple[Keypoints, tuple[str, ...]]:
+    file_head(path)
+    if not deeplabcut.recognises(path):
+        raise InputError(Problem(path, "format", "another kind of file", "labels in DeepLabCut's layout, CSV or H5"))
+    keypoints, _ = mark_missing(as_keypoints(path, deeplabcut.read(path, individual)))
+    named = dict(_image_names(path))
+    return keypoints, tuple(named.get(int(n), str(n)) for n in keypoints.frames)
+
+
+def _image_names(path: Path) -> list[tuple[int, str]]:
+    """Frame numbers and image names of a CSV file of labels."""
+    if is_hdf5(path):
+        return _numbered(deeplabcut.image_names(path))
+    found, wide = [], False
+    with path.open(encoding="utf-8-sig", newline="") as file:
+        for row in csv.reader(file):
+            if row and row[0].strip() in ("scorer", "individuals", "bodyparts", "coords"):
+                wide = len(row) > 3 and not row[1].strip() and not row[2].strip()
+                continue
+            cells = row[: 3 if wide else 1]
+            found.append("/".join(cell for cell in cells if cell))
+    return _numbered(found)
+
+
+def _numbered(images: Iterable[str]) -> list[tuple[int, str]]:
+    return [(int(m[1]), text) for text in images if (m := re.search(r"([0-9]+)$", PureWindowsPath(text).stem))]
+
+
+def _read_video(video: Path, path: Path, first_frame: int, individual: str | None) -> Labels:
+    (keypoints, images), info = all_of(lambda: read_label_file(path, individual), lambda: probe(video))
+    problems = []
+    if keypoints.frames[0] < first_frame:
+        expected = f"{keypoints.frames[0]} or less: the labels begin with frame {keypoints.frames[0]}"
+        problems.append(Problem("--first-frame", "number", str(first_frame), expected))
+    wanted = {int(n) - first_frame: i for i, n in enumerate(keypoints.frames)}
+    pictures: list[Image | None] = [None] * len(wanted)
+    decoded = 0
+    if not problems:
+        for number, picture in read_frames(video, 0, max(wanted) + 1):
+            decoded = number + 1
+            if number in wanted:
+                pictures[wanted[number]] = picture
+    found = [p for p in pictures if p is not None]
+    if not problems and len(found) < len(pictures):
+        stated = "" if info.stated_frames in (None, decoded) else f" (the file states {info.stated_frames})"
+        missing = [images[i] for i, p in enumerate(pictures) if p is None]
+        expected = (
+            f"a picture for each of the {len(pictures)} labelled frames; none for {len(missing)} of them, "
+            f"{missing[0]} first. --first-frame says which number the labels give to the video's first frame"
+        )
+        problems.append(Problem(video, "frames", f"{decoded} frames that can be decoded{stated}", expected))
+    if problems:
+        raise InputError(problems)
+    return _of_clip(video, keypoints, images, found, path)
+
+
+def _of_clip(clip: Path, keypoints: Keypoints, images: tuple[str, ...], pictures: list[Image], source: Path) -> Labels:
+    zeros, points = np.zeros(len(images), np.int64), (keypoints.names, keypoints.xy_px, keypoints.frames)
+    return Labels(*points, images, zeros, (str(clip),), tuple(pictures), str(source), keypoints.notes)
+
+
+def _read_project(folder: Path, individual: str | None) -> Labels:
+    if not folder.is_dir():
+        raise InputError(Problem(folder, "data", "nothing there", "a video, or a DeepLabCut project folder"))
+    files = _label_files(folder)
+    if not files:
+        expected = "labeled-data/*/CollectedData_*.csv, as in a DeepLabCut project"
+        raise InputError(Problem(folder, "label files", "none", expected))
+    parts = [part for part in all_of(*(lambda f=f: _read_folder(f, individual) for f in files)) if part is not None]
+    if not parts:
+        raise InputError(Problem(folder, "labels", "none in any label file", "at least one labelled point"))
+    names = parts[0].names
+    problems = [
+        Problem(p.source, "bodyparts", ", ".join(p.names), f"those of {parts[0].source}: {', '.join(names)}")
+        for p in parts
+        if sorted(p.names) != sorted(names)
+    ]
+    if problems:
+        raise InputError(problems)
+    return Labels(
+        names,
+        np.concatenate([p.xy_px[:, [p.names.index(n) for n in names]] for p in parts]),
+        np.concatenate([p.numbers for p in parts]),
+        tuple(image for p in parts for image in p.images),
+        np.concatenate([np.full(len(p.images), i) for i, p in enumerate(parts)]),
+        tuple(p.clips[0] for p in parts),
+        tuple(picture for p in parts for picture in p.pictures),
+        str(folder),
+        tuple(note for p in parts for note in p.notes),
+    )
+
+
+def _label_files(folder: Path) -> list[Path]:
+    """One a folder; where several people labelled it, H5 and CSV of the first in the alphabet."""
+    for pattern in ("labeled-data/*/CollectedData_*.csv", "*/CollectedData_*.csv", "CollectedData_*.csv"):
+        by_folder: dict[Path, Path] = {}
+        for file in sorted(folder.glob(pattern)):
+            by_folder.setdefault(file.parent, file)
+        if by_folder:
+            return list(by_folder.values())
+    return []
+
+
+def _read_folder(path: Path, individual: str | None) -> Labels | None:
+    """The pictures beside a label file; None where nothing is labelled in it, as in folders that wait for it."""
+    keypoints, images = _read_rows(path, individual)
+    if not keypoints.present.any():
+        return None
+    problems, pictures = [], []
+    for image in images:
+        file = path.parent / PureWindowsPath(image).name
+        picture = cv2.imread(str(file), cv2.IMREAD_COLOR) if file.is_file() else None
+        if picture is None:
+            found = "a picture that cannot be read" if file.is_file() else "no such picture"
+            problems.append(Problem(file, "picture", found, f"the picture that {path.name} labels"))
+        else:
+            pictures.append(np.asarray(picture, np.uint8))
+    sizes = sorted({p.shape[1::-1] for p in pictures})
+    if len(sizes) > 1:
+        shown = ", ".join(f"{w}x{h}" for w, h in sizes)
+        problems.append(Problem(path.parent, "pictures", f"several sizes: {shown} px", "one size, that of the video"))
+    if problems:
+        raise InputError(first_problems(problems, path))
+    return _of_clip(path.parent, keypoints, images, pictures, path)
+
+
+def extents_px(xy_px: Array) -> Array:
+    """(N,): diagonals of the boxes around the labelled points (N, K, 2); NaN with fewer than two."""
+    known = known_points(xy_px)
+    low = np.where(known[..., None], xy_px, np.inf).min(axis=1)
+    high = np.where(known[..., None], xy_px, -np.inf).max(axis=1)
+    several = known.sum(axis=1, keepdims=True) > 1
+    return np.linalg.norm(np.where(several, high - low, np.nan), axis=1)
+
+
+def body_length_px(xy_px: Array) -> float:
+    """Of the animal in the pictures: the median diagonal of the box around its points, over the pictures that show
+    most of it (NaN where nothing has two points)."""
+    known = known_points(xy_px).sum(axis=1)
+    return median(extents_px(xy_px)[known >= max(2, 0.7 * known.max(initial=0))])
+
+
+def sides(names: Sequence[str]) -> tuple[int, ...]:
+    """For each keypoint, the one that it becomes in a mirror: names that differ in left/right, near/off or near/far at
+    their beginning or end, or in those, l/r or a leg's letters (fl/fr, lf/rf) as a word, as in paw_l, pawFL and l-eye.
+    A keypoint without a partner is its own."""
+    plain = [_as_words(name) for name in names]
+    by_name = {name: i for i, name in enumerate(plain)}
+    return tuple(next((by_name[m] for m in _mirrored(name) if m in by_name), i) for i, name in enumerate(plain))
+
+
+_LONG = (("left", "right"), ("near", "off"), ("near", "far"))
+_SHORT = (("l", "r"), *((leg + "l", leg + "r") for leg in "fhbr"), *(("l" + leg, "r" + leg) for leg in "fhbr"))
+"""Front, hind, back and rear legs."""
+
+
+def _as_words(name: str) -> str:
+    """pawFL and PawLeft as paw_fl and paw_left."""
+    return re.sub(r"(?<=[a-z0-9])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])", "_", name).lower()
+
+
+def _mirrored(name: str) -> Iterator[str]:
+    """Names that the mirror picture of a keypoint may have."""
+    for pair in (*_LONG, *_SHORT):
+        for a, b in (pair, pair[::-1]):
+            swapped = re.sub(rf"(?<![a-z0-9]){a}(?![a-z0-9])", b, name)
+            if swapped != name:
+                yield swapped
+            if pair in _LONG and name.startswith(a):
+                yield b + name[len(a) :]
+            if pair in _LONG and name.endswith(a):
+                yield name[: -len(a)] + b

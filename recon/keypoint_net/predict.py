@@ -1,0 +1,152 @@
+"""Prediction: the frames of a video in batches through a trained network, the next ones decoded meanwhile.
+
+Pictures are held for a few batches only; what grows with the video are the points, 12 bytes each.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Generator, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
+from dataclasses import dataclass
+from functools import partial as partial_of
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from recon.base.errors import InputError, Problem
+from recon.base.progress import Progress, silent
+from recon.clip.keypoints import Keypoints
+from recon.io.video import Image, VideoInfo, probe, read_frames, video_writer
+from recon.keypoint_net.background import background_of_video
+from recon.keypoint_net.draw import draw_points
+from recon.keypoint_net.labels import resize
+from recon.keypoint_net.torch_extra import fast_half, fastest_threads, use_threads
+from recon.keypoint_net.trained import Trained
+
+PIXELS = 2**20
+"""Of a batch, at the network's scale."""
+WAITING = 2
+"""Batches that are decoded ahead."""
+TO_TIME = 12
+"""Batches of a video from which on it is worth the time to see how many threads are fastest."""
+LOST_SHARE, LOST_FRAMES = 0.01, 3
+"""So many frames fewer than the video states are its count's fault; more are the video's."""
+
+
+@dataclass(frozen=True, eq=False)
+class Chunk:
+    """Consecutive frames."""
+
+    numbers: list[int]
+    pictures: list[Image]
+    """At the network's scale."""
+    originals: list[Image]
+    """Empty unless they are drawn on."""
+
+
+def predict_video(
+    trained: Trained,
+    video: Path,
+    *,
+    quality: str = "fast",
+    still_background: bool = True,
+    half: bool = True,
+    overlay: Path | None = None,
+    likelihood_min: float = 0.5,
+    partial: bool = False,
+    threads: int | None = None,
+    progress: Progress = silent,
+) -> Keypoints:
+    """Every frame's points as the network sees them, without smoothing, with calibrated likelihoods.
+
+    overlay: a new video with the points drawn, those less likely than likelihood_min small and pale. partial: whether
+    a video that ends before its stated end is good enough. threads: for the CPU; None: as many as are fastest for the
+    first frames of a long video, one for a short one. Raises InputError.
+    """
+    info = probe(video)
+    spec = trained.spec
+    progress("background", 0.0)
+    background = background_of_video(video, spec.scale) if still_background else None
+    precision = fast_half(trained.device) if half else None
+    numbers: list[int] = []
+    xy_px: list[NDArray[np.float32]] = []
+    likelihood: list[NDArray[np.float32]] = []
+    total = max(info.stated_frames or 0, 1)
+    with ExitStack() as stack:
+        write = None
+        if overlay is not None:
+            even = (info.size_px[0] // 2 * 2, info.size_px[1] // 2 * 2)
+            write = stack.enter_context(video_writer(overlay, even, info.fps or 30.0))
+        for chunk in chunks(video, info, spec.scale, keep=write is not None):
+            points = partial_of(trained.points, chunk.pictures, background, quality, precision)
+            if not numbers:
+                _choose_threads(threads, points, total / len(chunk.numbers), trained.device.type == "cpu")
+            xy, raw = points()
+            sure = spec.likelihood(raw, quality)
+            numbers += chunk.numbers
+            xy_px.append(xy.astype(np.float32))
+            likelihood.append(sure.astype(np.float32))
+            if write is not None:
+                for picture, points, how in zip(chunk.originals, xy, sure, strict=True):
+                    drawn = draw_points(picture, points, how, likelihood_min)
+                    write(drawn[: drawn.shape[0] // 2 * 2, : drawn.shape[1] // 2 * 2])
+            progress(f"frame {numbers[-1]}", min(1.0, len(numbers) / total))
+        _check_count(video, info, len(numbers), partial)
+    return Keypoints(
+        spec.names,
+        np.concatenate(xy_px).astype(float),
+        np.concatenate(likelihood).astype(float),
+        np.array(numbers, dtype=np.int64),
+        fps=info.fps,
+        image_size_px=info.size_px,
+        source=str(video),
+    )
+
+
+def chunks(video: Path, info: VideoInfo, scale: float, keep: bool) -> Iterator[Chunk]:
+    """The frames of a video in batches, decoded in a thread of their own, a few batches ahead."""
+    width, height = info.size_px
+    size = int(np.clip(PIXELS / (width * height * scale**2), 1, 32))
+
+    def decoded() -> Generator[Chunk]:
+        chunk = Chunk([], [], [])
+        for number, picture in read_frames(video):
+            chunk.numbers.append(number)
+            chunk.pictures.append(resize(picture, scale))
+            if keep:
+                chunk.originals.append(picture)
+            if len(chunk.numbers) == size:
+                yield chunk
+                chunk = Chunk([], [], [])
+        if chunk.numbers:
+            yield chunk
+
+    made = decoded()
+    with ThreadPoolExecutor(max_workers=1, thread_name_prefix="decoding") as executor:
+        waiting = deque(executor.submit(next, made, None) for _ in range(WAITING + 1))
+        try:
+            while (chunk := waiting.popleft().result()) is not None:
+                waiting.append(executor.submit(next, made, None))
+                yield chunk
+        finally:
+            executor.shutdown(wait=True, cancel_futures=True)
+            made.close()
+
+
+def _choose_threads(given: int | None, work: Callable[[], object], times: float, on_cpu: bool) -> None:
+    """times: how often the work will be done, about."""
+    if given or not on_cpu or times < TO_TIME:
+        use_threads(given or (1 if on_cpu else None))
+    else:
+        fastest_threads(work)
+
+
+def _check_count(video: Path, info: VideoInfo, decoded: int, partial: bool) -> None:
+    stated = info.stated_frames or 0
+    if partial or stated - decoded <= max(LOST_FRAMES, LOST_SHARE * stated):
+        return
+    expected = f"the {stated} that the file states; --partial takes what can be decoded"
+    raise InputError(Problem(video, "frames", f"{decoded} that can be decoded", expected))

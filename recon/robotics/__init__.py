@@ -1,0 +1,1 @@
+"""Robots: inverse kinematics, legged machines, retargeting, climbing."""

@@ -1,0 +1,350 @@
+"""Joint rates dq (n,), rad/s, for a velocity of the end effector dx (dim,), m/s: one class for each method.
+
+All have `rates(chain, q, dx, free=None)`; free (n,), bool: joints that may move, the others are taken out of the chain.
+Rates are finite and within the chain's limits: where one is passed, what moves along the null space is scaled down
+first, then all together. J is the Jacobian, J' its transpose. Near a singular configuration, det J J' small, the
+inverse of J J' is damped, and the step says so.
+
+Formulas: least norm, gradient projection, weighted and damped least squares as in C. van der Leek, MSc(Eng),
+University of Cape Town, 2022, with inverses where print lost them; selectively damped least squares: S. R. Buss and
+J.-S. Kim, J. Graphics Tools 10 (2005); extended Jacobian: J. Baillieul, ICRA 1985. See docs/ik.md.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import NamedTuple, Protocol
+
+import numpy as np
+from scipy.linalg import lapack
+
+from recon.base.arrays import Array, Bools
+from recon.robotics.ik.chain import Curvature, SerialChain, null_basis
+from recon.robotics.ik.costs import Cost
+
+INTERVAL_S = 1 / 90
+"""What one iteration of `recon.robotics.ik.drive` takes."""
+SINGULAR = 1e-6
+"""Of the eigenvalues of J J', least over largest: a ratio of singular values of a thousandth."""
+LOST = 1e-12
+"""Of the singular values of J: directions without motion."""
+EXTENDED_SINGULAR = 1e-3
+"""Of the eigenvalues of N' M N, least over largest by magnitude."""
+MAX_CORRECTION_RAD = 0.05
+"""What the gain takes away at once, at most: a longer step along the null space would move the end effector, to second
+order, by more than millimetres."""
+
+
+class JointRates(NamedTuple):
+    """How fast the joints are to move."""
+
+    dq: Array
+    """(n,), rad/s."""
+    singular: bool = False
+    """Whether the rates are damped because a direction is lost."""
+    note: str = ""
+    """What is held back or damped, in words, or empty."""
+
+
+class Method(Protocol):
+    def rates(self, chain: SerialChain, q: Array, dx: Array, free: Bools | None = None) -> JointRates:
+        """Rates for q (n,) and dx (dim,)."""
+        ...
+
+
+@dataclass(frozen=True)
+class LeastNorm:
+    """J+ dx = J' (J J')^-1 dx: the smallest rates."""
+
+    def rates(self, chain: SerialChain, q: Array, dx: Array, free: Bools | None = None) -> JointRates:
+        pseudo, singular = right_inverse(_jacobian(chain, q, free))
+        return _within_limits(chain, pseudo @ dx, free, singular)
+
+
+@dataclass(frozen=True)
+class JacobianTranspose:
+    """alpha J' dx; alpha None: <dx, J J' dx> / |J J' dx|^2 at every step, with which J dq is nearest to dx."""
+
+    alpha: float | None = None
+
+    def rates(self, chain: SerialChain, q: Array, dx: Array, free: Bools | None = None) -> JointRates:
+        J = _jacobian(chain, q, free)
+        dq = J.T @ dx
+        alpha = nearest_scale(J @ dq, dx) if self.alpha is None else self.alpha
+        _, singular = _inverse(J @ J.T)
+        return _within_limits(chain, alpha * dq, free, singular)
+
+
+@dataclass(frozen=True)
+class GradientProjection:
+    """J+ dx + k (I - J+ J) g."""
+
+    gradient: Cost | Callable[[Array], Array]
+    """g (n,) as a function of q, or a cost, whose gradient it is."""
+    k: float = -1.0
+    """1/s, negative to descend."""
+
+    def rates(self, chain: SerialChain, q: Array, dx: Array, free: Bools | None = None) -> JointRates:
+        J = _jacobian(chain, q, free)
+        g = self.gradient(q) if callable(self.gradient) else self.gradient.gradient(q)
+        g = self.k * (g if free is None else g[free])
+        pseudo, singular = right_inverse(J)
+        return _within_limits(chain, pseudo @ dx, free, singular, g - pseudo @ (J @ g))
+
+
+@dataclass(frozen=True, eq=False)
+class WeightedLeastNorm:
+    """W^-1 J' (J W^-1 J')^-1 dx, which minimises dq' W dq. weights: diag W (n,), positive."""
+
+    weights: Array
+
+    def rates(self, chain: SerialChain, q: Array, dx: Array, free: Bools | None = None) -> JointRates:
+        J = _jacobian(chain, q, free)
+        inverse, singular = right_inverse(J, J / (self.weights if free is None else self.weights[free]))
+        return _within_limits(chain, inverse @ dx, free, singular)
+
+
+@dataclass(frozen=True)
+class DampedLeastSquares:
+    """J' (J J' + lambda^2 I)^-1 dx, which minimises |J dq - dx|^2 + lambda^2 |dq|^2. damping_m: lambda, metres."""
+
+    damping_m: float = 0.05
+
+    def rates(self, chain: SerialChain, q: Array, dx: Array, free: Bools | None = None) -> JointRates:
+        J = _jacobian(chain, q, free)
+        inverse, singular = right_inverse(J, J, self.damping_m**2)
+        return _within_limits(chain, inverse @ dx, free, singular)
+
+
+@dataclass(frozen=True)
+class SelectivelyDamped:
+    """Each singular direction i damped by itself: (v_i (u_i . dx) / s_i), no joint of which turns more than
+
+        gamma_i = min(1, 1 / M_i) gamma_max,   M_i = sum_j |v_ji| |J_j| / s_i
+
+    in an interval, and their sum no more than gamma_max. Buss and Kim 2005, for one end effector.
+    """
+
+    gamma_max_rad: float = math.pi / 4
+    interval_s: float = INTERVAL_S
+
+    def rates(self, chain: SerialChain, q: Array, dx: Array, free: Bools | None = None) -> JointRates:
+        J = _jacobian(chain, q, free)
+        limit = self.gamma_max_rad / self.interval_s
+        if not J.size or not np.isfinite(J).all():
+            return _within_limits(chain, np.zeros(J.shape[1]), free, True)
+        u, s, vt, _ = lapack.dgesdd(J, full_matrices=False)
+        along = (dx @ u).tolist()
+        sways = (np.abs(vt) @ np.sqrt((J * J).sum(axis=0))).tolist()
+        dq, values = np.zeros(J.shape[1]), s.tolist()
+        for i, (value, part, sway) in enumerate(zip(values, along, sways, strict=True)):
+            if value <= LOST * values[0]:
+                continue
+            turn = vt[i] * (part / value)
+            dq += _clamped(turn, min(1.0, value / sway) * limit)
+        return _within_limits(chain, _clamped(dq, limit), free, values[-1] ** 2 <= SINGULAR * values[0] ** 2)
+
+
+@dataclass(frozen=True)
+class ExtendedJacobian:
+    """Keeps G = N' grad g = 0, N an orthonormal basis of the null space of J: [J; dG/dq] dq = [dx; -gain G].
+
+    full: dG/dq = N' (Hess g - sum_i mu_i Hess f_i) with J' mu = grad g, f the forward kinematics; otherwise N is held
+    constant, N' Hess g. gain_per_s: 0 keeps G as it is; 1 / interval takes away what an integration step has left.
+
+    The rates do not depend on which basis N is (another one multiplies the lower rows, and G, by an orthogonal matrix),
+    so that a continuous one need not be tracked. With M the bracket above and K = N (N' M N)^-1 N' the square system's
+    solution is
+
+        dq = J+ dx - K (M J+ dx + gain grad g)
+
+    where the gain takes away `MAX_CORRECTION_RAD` at most. The extended matrix is singular where J is or where N' M N
+    is: there, its small eigenvalues are damped, and the step says so.
+    """
+
+    cost: Cost
+    full: bool = True
+    gain_per_s: float = 0.0
+
+    def rates(self, chain: SerialChain, q: Array, dx: Array, free: Bools | None = None) -> JointRates:
+        J, curvature = derivatives(chain, q, free)
+        pseudo, singular = right_inverse(J)
+        dq = pseudo @ dx
+        if J.shape[1] <= J.shape[0] or (singular and not np.isfinite(J).all()):
+            return _within_limits(chain, dq, free, singular)
+        g, M = reduced_gradient(self.cost, q, pseudo, curvature if self.full else None, free)
+        K, lost = _reduced_inverse(M, null_basis(J))
+        along = -(K @ (M @ dq))
+        if self.gain_per_s:
+            back = K @ g
+            size = math.sqrt(float(back @ back))
+            along -= back * (self.gain_per_s * min(1.0, MAX_CORRECTION_RAD / size if size > 0 else 1.0))
+        return _within_limits(
+            chain, dq, free, singular or lost, along, "singular: the extended Jacobian" if lost else ""
+        )
+
+
+def reduced_gradient(
+    cost: Cost, q: Array, pseudo: Array, curvature: Curvature | None, free: Bools | None = None
+) -> tuple[Array, Array]:
+    """grad g (n,) and M = Hess g - sum_i mu_i Hess f_i (n, n) of the free joints, whose J+ is pseudo (n, dim) and whose
+    curvature is given; None leaves the sum out."""
+    g, M = cost.gradient(q), cost.hessian(q)
+    if free is not None:
+        g, M = g[free], M[np.ix_(free, free)]
+    return g, M if curvature is None else M - curvature(g @ pseudo)
+
+
+@dataclass(frozen=True, eq=False)
+class Scaled:
+    """alpha times the rates of another method; alpha None: <dx, J dq> / |J dq|^2 at every step, with which J dq is
+    nearest to dx."""
+
+    method: Method
+    alpha: float | None = None
+
+    def rates(self, chain: SerialChain, q: Array, dx: Array, free: Bools | None = None) -> JointRates:
+        step = self.method.rates(chain, q, dx, free)
+        alpha = nearest_scale(chain.jacobian(q) @ step.dq, dx) if self.alpha is None else self.alpha
+        dq = alpha * (step.dq if free is None else step.dq[free])
+        scaled = _within_limits(chain, dq, free, step.singular)
+        return scaled._replace(note=step.note)
+
+
+def nearest_scale(moved: Array, dx: Array) -> float:
+    """<dx, moved> / |moved|^2, both (dim,); 1 where nothing moves."""
+    square = float(moved @ moved)
+    return float(dx @ moved) / square if square > 0 else 1.0
+
+
+def kept_cost(method: Method) -> Cost | None:
+    """What the extended Jacobian keeps stationary, scaled or not; None for other methods."""
+    if isinstance(method, Scaled):
+        return kept_cost(method.method)
+    return method.cost if isinstance(method, ExtendedJacobian) else None
+
+
+# -- small linear algebra --------------------------------------------------------------------------------------------
+
+
+def _jacobian(chain: SerialChain, q: Array, free: Bools | None) -> Array:
+    return chain.jacobian(q) if free is None else chain.jacobian(q)[:, free]
+
+
+def derivatives(chain: SerialChain, q: Array, free: Bools | None = None) -> tuple[Array, Curvature]:
+    """Those of the free joints: J (dim, n), and the curvature (n, n)."""
+    J, curvature = chain.derivatives(q)
+    if free is None:
+        return J, curvature
+    return J[:, free], lambda mu: curvature(mu)[np.ix_(free, free)]
+
+
+def right_inverse(J: Array, along: Array | None = None, damping: float = 0.0) -> tuple[Array, bool]:
+    """A' (J A' + damping I)^-1 (n, dim) with A (dim, n) = along, or J, which gives J+; and whether J A' is singular
+    without the damping."""
+    turned = J.T if along is None else along.T
+    inverse, singular = _inverse(J @ turned, damping)
+    return turned @ inverse, singular
+
+
+def _inverse(gram: Array, damping: float = 0.0) -> tuple[Array, bool]:
+    """(gram + damping I)^-1 of a symmetric gram (dim, dim) of no negative eigenvalue, and whether it is singular
+    without the damping; if so, at least SINGULAR trace is added. Of a gram that is zero or not finite: zero.
+
+    The closed forms are a tenth of the time of a general solver. The ratio of the eigenvalues is estimated from below.
+    """
+    if len(gram) == 2:
+        (a, c), (_, d) = gram.tolist()
+        trace = a + d
+        if not 0.0 < trace < math.inf:
+            return np.zeros((2, 2)), True
+        singular = a * d - c * c <= SINGULAR * trace * trace
+        if singular:
+            damping = max(damping, SINGULAR * trace)
+        a, d = a + damping, d + damping
+        determinant = a * d - c * c
+        c = -c / determinant
+        return np.array(((d / determinant, c), (c, a / determinant))), singular
+    if len(gram) == 3:
+        (a, p, r), (_, d, s), (_, _, f) = gram.tolist()
+        trace = a + d + f
+        if not 0.0 < trace < math.inf:
+            return np.zeros((3, 3)), True
+        determinant = a * (d * f - s * s) - p * (p * f - s * r) + r * (p * s - d * r)
+        # The two larger eigenvalues' product is at most trace^2 / 4.
+        singular = determinant <= SINGULAR * trace**3 / 4
+        if singular:
+            damping = max(damping, SINGULAR * trace)
+        a, d, f = a + damping, d + damping, f + damping
+        aa, pp, rr = d * f - s * s, r * s - p * f, p * s - d * r
+        dd, ss, ff = a * f - r * r, p * r - a * s, a * d - p * p
+        determinant = a * aa + p * pp + r * rr
+        if determinant <= 0.0:
+            return np.zeros((3, 3)), True
+        return np.array(((aa, pp, rr), (pp, dd, ss), (rr, ss, ff))) / determinant, singular
+    trace = float(gram.trace())
+    if not 0.0 < trace < math.inf:
+        return np.zeros(gram.shape), True
+    values, vectors = np.linalg.eigh(gram)
+    singular = bool(values[0] <= SINGULAR * values[-1])
+    if singular:
+        damping = max(damping, SINGULAR * trace)
+    return (vectors / (np.maximum(values, 0.0) + damping)) @ vectors.T, singular
+
+
+def _reduced_inverse(M: Array, N: Array) -> tuple[Array, bool]:
+    """N (N' M N)^-1 N' (n, n), for a symmetric M (n, n) and a basis N (n, m), and whether an eigenvalue of N' M N is
+    lost against the largest; those are damped."""
+    A = N.T @ M @ N
+    if not math.isfinite(sum(map(sum, A.tolist()))):
+        return np.zeros(M.shape), True
+    values, vectors, _ = lapack.dsyev(A)
+    sizes = [abs(value) for value in values.tolist()]
+    largest, least = max(sizes), min(sizes)
+    if not largest > 0.0:
+        return np.zeros(M.shape), True
+    lost = least <= EXTENDED_SINGULAR * largest
+    floor = EXTENDED_SINGULAR * largest if lost else 0.0
+    turned = N @ vectors
+    return (turned * (values / (values * values + floor * floor))) @ turned.T, lost
+
+
+def _clamped(values: Array, limit: float) -> Array:
+    """Scaled down to a largest magnitude of `limit`."""
+    largest = float(np.abs(values).max())
+    return values * (limit / largest) if largest > limit else values
+
+
+def _within_limits(
+    chain: SerialChain, dq: Array, free: Bools | None, singular: bool, along: Array | None = None, note: str = ""
+) -> JointRates:
+    """Rates dq of the free joints, and as much of a motion along the null space as the limits leave to it; 0 for the
+    others. The note says what was held back, and where."""
+    limit = chain.max_rate_rad_s if free is None else chain.max_rate_rad_s[free]
+    total = dq if along is None else dq + along
+    limits = limit.tolist()
+    if not all(abs(rate) <= most for rate, most in zip(total.tolist(), limits, strict=True)):
+        if along is not None:
+            total = dq + _share_within(dq.tolist(), along.tolist(), limits) * along
+            note = note or "rate limit: part of the motion along the null space"
+        most = float((np.abs(total) / limit).max())
+        if not math.isfinite(most):
+            return JointRates(np.zeros(chain.n), True, "singular: rates that are not finite")
+        total = total / max(most, 1.0)
+    if singular and not note.startswith("singular"):
+        note = "singular: the Jacobian"
+    if free is not None:
+        some, total = total, np.zeros(chain.n)
+        total[free] = some
+    return JointRates(total, singular, note)
+
+
+def _share_within(rates: list[float], along: list[float], limits: list[float]) -> float:
+    """The largest share of `along`, up to 1, that brings no rate beyond its limit."""
+    share = 1.0
+    for rate, more, most in zip(rates, along, limits, strict=True):
+        if abs(rate + share * more) > most:
+            share = max(0.0, (math.copysign(most, more) - rate) / more) if more else 0.0
+    return share

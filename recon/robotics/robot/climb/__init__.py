@@ -1,0 +1,23 @@
+"""Climbing a step by potential fields: the torso moves by fields, the feet follow given paths (docs/climb.md).
+
+After D. Cohen, SUNFEST, University of Pennsylvania, 2005. World: x to the right, y forward, z up.
+"""
+
+from recon.robotics.robot.climb.check import ClimbCheck, check
+from recon.robotics.robot.climb.plan import Climb, plan
+from recon.robotics.robot.climb.recipe import Recipe, bundled, load_recipe, raised, save_recipe, scaled
+from recon.robotics.robot.climb.walker import Walker
+
+__all__ = [
+    "Climb",
+    "ClimbCheck",
+    "Recipe",
+    "Walker",
+    "bundled",
+    "check",
+    "load_recipe",
+    "plan",
+    "raised",
+    "save_recipe",
+    "scaled",
+]

@@ -1,0 +1,66 @@
+"""A four-joint arm in closed form: a lift, two planar joints, and a wrist that turns the hand in the plane.
+
+q = (height, q1, q2, q3): metres (or whatever unit the links have) and rad; the hand is at
+
+    x = l1 cos q1 + l2 cos(q1 + q2)    y = l1 sin q1 + l2 sin(q1 + q2)    angle = q1 + q2 + q3
+
+so that the wrist takes what the two-link arm (`recon.robotics.ik.two_link`) leaves of the angle.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from recon.base.arrays import Array
+from recon.robotics.ik.chain import MAX_RATE_RAD_S
+from recon.robotics.ik.joint_chain import JointChain
+from recon.robotics.ik.two_link import two_link
+
+
+@dataclass(frozen=True, eq=False)
+class LiftArmAngles:
+    """The arm's joint values for a place of its end."""
+
+    branches: Array
+    """(2, 4): (height, q1, q2, q3) with q2 <= 0, then with q2 >= 0; NaN without a solution."""
+    reason: str = ""
+    """Why there is none or only one, empty for two."""
+
+
+def lift_arm(lengths_m: tuple[float, float], hand: ArrayLike, height_m: float) -> LiftArmAngles:
+    """Both branches for a hand at (x, y, angle), metres and rad, at a height. Raises ValueError for lengths that are
+    not two positive ones."""
+    x, y, angle = np.asarray(hand, float)
+    planar = two_link(lengths_m, (x, y))
+    wrist = angle - planar.branches_rad.sum(axis=1)
+    wrist = np.pi - (np.pi - wrist) % (2 * np.pi)
+    height = np.where(np.isfinite(wrist), height_m, np.nan)
+    return LiftArmAngles(np.column_stack([height, planar.branches_rad, wrist]), planar.reason)
+
+
+def lift_arm_hand(lengths_m: tuple[float, float], q: ArrayLike) -> tuple[Array, Array]:
+    """Hands (..., 3), x, y and angle, and heights (...) of q (..., 4)."""
+    height, q1, q2, q3 = np.moveaxis(np.asarray(q, float), -1, 0)
+    l1, l2 = lengths_m
+    x = l1 * np.cos(q1) + l2 * np.cos(q1 + q2)
+    y = l1 * np.sin(q1) + l2 * np.sin(q1 + q2)
+    return np.stack([x, y, q1 + q2 + q3], axis=-1), height
+
+
+def lift_arm_chain(
+    lengths_m: tuple[float, float],
+    limits_rad: tuple[ArrayLike, ArrayLike] | None = None,
+    max_rate_rad_s: ArrayLike = MAX_RATE_RAD_S,
+) -> JointChain:
+    """The same arm joint by joint, for `recon.robotics.ik`; its end effector is the hand's place."""
+    l1, l2 = lengths_m
+    return JointChain(
+        [(0, 0, 0), (0, 0, 0), (l1, 0, 0), (l2, 0, 0)],
+        np.tile([0.0, 0.0, 1.0], (4, 1)),
+        sliding=[True, False, False, False],
+        limits_rad=limits_rad,
+        max_rate_rad_s=max_rate_rad_s,
+    )

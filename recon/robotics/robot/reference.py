@@ -1,0 +1,339 @@
+"""An animal's motion as a reference for a legged machine: where its trunk goes, and where its feet are from there.
+
+The reference has the animal's own size and time. World: z up, the ground at 0, x along the travel. The base is the
+middle of the trunk. Its height, pitch and roll are deviations from their means, since a machine stands as it stands;
+roll is that of the lines between hips and between shoulders, 0 where the skeleton has one side. They and the heading
+are smoothed over `SMOOTH_S`, as a fit's errors last a few frames and a body is heavy.
+
+Feet are in heading axes (x forwards, y left, level) from the base, less each foot's middle place: halfway between
+foremost and rearmost, and the mean to the side. Their heights are above the ground, less the mean height while they
+stand, for a marker lies above the sole.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.ndimage import gaussian_filter1d
+from scipy.spatial.transform import Rotation
+
+from recon.base.arrays import Array, Bools, Index
+from recon.base.errors import InputError, Problem
+from recon.fit.results import Results
+from recon.gait.clip import ClipAnalysis, analyse
+from recon.gait.gait import Method, Stance, Tracks
+
+SMOOTH_S = 0.02
+MIN_SAMPLES = 40
+"""Four frames."""
+HARMONICS = 8
+"""What a closed stride consists of: the seam where it was cut is smooth then."""
+FEET = ("LF", "RF", "LH", "RH")
+
+
+@dataclass(frozen=True, eq=False)
+class Reference:
+    """What a robot is to follow, at N times, evenly spaced, with F feet."""
+
+    time_s: Array
+    """(N,)"""
+    base_m: Array
+    """(N, 3): x and y in the world, z the deviation of the height."""
+    roll_pitch_yaw_rad: Array
+    """(N, 3)"""
+    feet: tuple[str, ...]
+    """(F): of `FEET`."""
+    feet_m: Array
+    """(N, F, 3)"""
+    standing: Bools
+    """(N, F)"""
+    leg_m: float
+    """The animal's length of leg."""
+    advance_m: Array | None = None
+    """(2,): of a closed stride, the way from its first to its last sample, which are one and the same otherwise;
+    None for a clip."""
+
+    @property
+    def interval_s(self) -> float:
+        return float(self.time_s[1] - self.time_s[0])
+
+
+@dataclass(frozen=True)
+class StrideWindow:
+    """A stride as samples of a reference, first and last."""
+
+    first: int
+    last: int
+    how: str
+    """One of "given", "stride", a complete one of a foot, or "return", where all feet come back nearest to where they
+    began."""
+    gap_percent: float
+    """How far apart its ends are, of the paths' extent."""
+
+
+@dataclass(frozen=True, eq=False)
+class Animal:
+    """An animal's motion, and the reference that was made of it."""
+
+    reference: Reference
+    analysis: ClipAnalysis
+    rotation: Rotation
+    """Takes the upright frame to the reference's world, with origin_m."""
+    origin_m: Array
+    rows: Index
+    """(N,), samples of the analysis' fine grid that the reference is made from."""
+    stances: tuple[Stance, ...]
+    """Those that the reference has."""
+    method: Method
+    """That the stances are by."""
+
+    def in_world(self, points_m: Array) -> Array:
+        """Points (..., 3) of the upright frame in the reference's world, still of the animal's size."""
+        return ((points_m - self.origin_m).reshape(-1, 3) @ self.rotation.as_matrix().T).reshape(points_m.shape)
+
+
+# -- the clip --------------------------------------------------------------------------------------------------------
+
+
+def reference_of(results: Results, stride_s: tuple[float, float] | None = None) -> Animal:
+    """stride_s: as `analyse`. Raises InputError where the clip shows no feet, or too few frames of all of them."""
+    analysis = analyse(results, stride_s=stride_s)
+    _check(results, analysis)
+    tracks = analysis.gaits["ground"].tracks
+    trunk = _trunk(analysis)
+    feet_m, n = tracks.foot_m, len(tracks.time_s)
+    known = np.column_stack([feet_m.reshape(n, -1), tracks.body_m, trunk])
+    rows = _longest(np.asarray(np.isfinite(known).all(axis=1)))
+    if len(rows) < MIN_SAMPLES:
+        found = f"{len(rows) // 10} frames in a row with all feet and the trunk"
+        raise InputError(Problem(results.folder, "frames", found, f"at least {MIN_SAMPLES // 10}"))
+    time, body = tracks.time_s[rows], tracks.body_m[rows]
+    trunk = trunk[rows]
+    chord = body[-1] - body[0]
+    if np.hypot(*chord[:2]) < tracks.leg_m / 2:
+        chord = trunk.mean(axis=0)
+    to_world = Rotation.from_euler("z", -np.arctan2(chord[1], chord[0]))
+    height = tracks.above_ground(tracks.body_m)[rows]
+    origin = np.append(body[0, :2], body[0, 2] - height[0])
+
+    level = to_world.apply(body - origin)
+    angles = _angles(analysis, rows, to_world, trunk)
+    interval = float(time[1] - time[0])
+    smoothed = gaussian_filter1d(
+        np.column_stack([height - height.mean(), angles]), SMOOTH_S / interval, axis=0, mode="nearest"
+    )
+    smoothed[:, :3] -= smoothed[:, :3].mean(axis=0)
+    heading = Rotation.from_euler("z", -smoothed[:, 3:])
+    feet = np.stack([heading.apply(to_world.apply(feet_m[rows, k] - body)) for k in range(len(tracks.feet))], 1)
+    stances, method = _stances(analysis)
+    standing = standing_mask(stances, tracks.feet, time)
+    order = [tracks.feet.index(foot) for foot in FEET if foot in tracks.feet]
+    feet[..., 2] = _above_standing(tracks, rows, standing)
+    feet[..., 0] -= (feet[..., 0].min(axis=0) + feet[..., 0].max(axis=0)) / 2
+    feet[..., 1] -= feet[..., 1].mean(axis=0)
+    reference = Reference(
+        time_s=time,
+        base_m=np.column_stack([level[:, :2], smoothed[:, 0]]),
+        roll_pitch_yaw_rad=smoothed[:, 1:],
+        feet=tuple(tracks.feet[k] for k in order),
+        feet_m=feet[:, order],
+        standing=standing[:, order],
+        leg_m=tracks.leg_m,
+    )
+    return Animal(reference, analysis, to_world, origin, rows, stances, method)
+
+
+def _check(results: Results, analysis: ClipAnalysis) -> None:
+    feet = set(results.feet)
+    if not analysis.gaits or not any({f"{side}F", f"{side}H"} <= feet for side in "LR"):
+        found = ", ".join(sorted(feet)) or "none"
+        expected = "a fore and a hind foot of one side at least, the feet of the skeleton"
+        raise InputError(Problem(results.folder, "feet", found, expected))
+    lonely = [foot for foot in FEET if foot in feet and {"L": "R", "R": "L"}[foot[0]] + foot[1] not in feet]
+    if len(feet) == 3:
+        raise InputError(Problem(results.folder, "feet", f"no counterpart of {', '.join(lonely)}", "two or four feet"))
+
+
+def _stances(analysis: ClipAnalysis) -> tuple[tuple[Stance, ...], Method]:
+    """By the method "ground"; of a fit that jitters, in which feet hardly ever stand by it, the middle halves of those
+    by the method "body", which begin early and end late."""
+    if not analysis.smoothed:
+        return analysis.gaits["ground"].stances, "ground"
+    halves = [
+        replace(s, start_s=0.75 * s.start_s + 0.25 * s.end_s, end_s=0.25 * s.start_s + 0.75 * s.end_s)
+        for s in analysis.gaits["body"].stances
+    ]
+    return tuple(halves), "body"
+
+
+def _trunk(analysis: ClipAnalysis) -> Array:
+    """From rear to front (N, 3) on the fine grid."""
+    rear, front = (analysis.joints[name].series.value for name in analysis.results.forward)
+    return front - rear
+
+
+def _angles(analysis: ClipAnalysis, rows: Index, to_world: Rotation, trunk: Array) -> Array:
+    """Roll, pitch and yaw (N, 3) of the trunk."""
+    ahead = to_world.apply(trunk)
+    yaw = np.unwrap(np.arctan2(ahead[:, 1], ahead[:, 0]))
+    pitch = -np.arctan2(ahead[:, 2], np.hypot(ahead[:, 0], ahead[:, 1]))
+    across = np.zeros((len(rows), 3))
+    for left, right in _pairs(analysis.results):
+        across += analysis.joints[left].series.value[rows] - analysis.joints[right].series.value[rows]
+    if not np.isfinite(across).all() or not across.any():
+        return np.column_stack([np.zeros(len(rows)), pitch, yaw])
+    in_body = (Rotation.from_euler("ZY", np.column_stack([yaw, pitch])).inv() * to_world).apply(across)
+    return np.column_stack([np.arctan2(in_body[:, 2], in_body[:, 1]), pitch, yaw])
+
+
+def _pairs(results: Results) -> list[tuple[str, str]]:
+    """Where the legs hang on the trunk: the first joints of the limbs to a left and a right foot that differ."""
+    limbs = [[results.pose.names[j] for j in along] for along in results.limbs.values()]
+    to_foot = {label: next((a for a in limbs if a[-1] == foot), []) for label, foot in results.feet.items()}
+    legs = [(to_foot.get(f"L{end}", []), to_foot.get(f"R{end}", [])) for end in "FH"]
+    first = [next((pair for pair in zip(*both, strict=False) if pair[0] != pair[1]), None) for both in legs]
+    return [pair for pair in first if pair is not None]
+
+
+def _above_standing(tracks: Tracks, rows: Index, standing: Bools) -> Array:
+    """(N, F)"""
+    height = tracks.height_m[rows]
+    for k in range(height.shape[1]):
+        still = height[standing[:, k], k]
+        height[:, k] -= still.mean() if len(still) else height[:, k].min()
+    return height
+
+
+def standing_mask(stances: Sequence[Stance], feet: Sequence[str], time_s: Array) -> Bools:
+    """(N, F)"""
+    mask = np.zeros((len(time_s), len(feet)), bool)
+    slack = 1e-9
+    for s in stances:
+        mask[(time_s >= s.start_s - slack) & (time_s <= s.end_s + slack), feet.index(s.foot)] = True
+    return mask
+
+
+def _longest(known: Bools) -> Index:
+    runs = np.split(np.arange(len(known)), np.flatnonzero(np.diff(known)) + 1)
+    return max((run for run in runs if len(run) and known[run[0]]), key=len, default=np.empty(0, int))
+
+
+# -- a stride --------------------------------------------------------------------------------------------------------
+
+
+def stride_window(animal: Animal) -> StrideWindow:
+    """The stride that was given, or a complete one, the first of the foot with the most, or else the nearest return of
+    all feet.
+
+    As no foot has landed twice then, a stride takes at least the time from the first touchdown to the end of the clip.
+    """
+    reference, time = animal.reference, animal.reference.time_s
+    if (given := animal.analysis.given) is not None:
+        first, last = (int(np.argmin(np.abs(time - t))) for t in (given.start_s, given.end_s))
+        if time[last] - time[first] < 0.8 * (given.end_s - given.start_s):
+            expected = f"within {time[0]:.3f}:{time[-1]:.3f}, where all feet are seen"
+            raise InputError(Problem("--stride", "times", f"{given.start_s:g}:{given.end_s:g}", expected))
+        return StrideWindow(first, last, "given", _gap_percent(reference.feet_m, first, last))
+    strides = [
+        s
+        for s in animal.analysis.gaits[animal.method].strides
+        if time[0] - 1e-9 <= s.start_s and s.end_s <= time[-1] + 1e-9
+    ]
+    if strides:
+        feet = [s.foot for s in strides]
+        stride = min(strides, key=lambda s: (-feet.count(s.foot), s.start_s))
+        first, last = (int(np.argmin(np.abs(time - t))) for t in (stride.start_s, stride.end_s))
+        return StrideWindow(first, last, "stride", _gap_percent(reference.feet_m, first, last))
+    landed = [s.start_s for s in animal.stances if s.begins]
+    duration = float(time[-1] - time[0])
+    least = min(duration, max(duration / 2, float(time[-1]) - min(landed, default=float(time[0]))))
+    flat = reference.feet_m.reshape(len(time), -1)
+    best, chosen = np.inf, (0, len(time) - 1)
+    for first in range(0, len(time), max(1, len(time) // 200)):
+        lasts = np.flatnonzero(time - time[first] >= least - 1e-9)
+        if len(lasts):
+            distance = np.linalg.norm(flat[lasts] - flat[first], axis=1)
+            k = int(np.argmin(distance))
+            if distance[k] < best:
+                best, chosen = float(distance[k]), (first, int(lasts[k]))
+    return StrideWindow(*chosen, "return", _gap_percent(reference.feet_m, *chosen))
+
+
+def _gap_percent(feet_m: Array, first: int, last: int) -> float:
+    """Mean over the feet."""
+    extent = np.linalg.norm(np.ptp(feet_m[first : last + 1], axis=0), axis=-1)
+    return 100 * float(np.mean(np.linalg.norm(feet_m[last] - feet_m[first], axis=-1) / extent))
+
+
+def closed_stride(animal: Animal, window: StrideWindow) -> Reference:
+    """The window as a stride that repeats: gaps are spread evenly over it, and `HARMONICS` kept. It goes straight on.
+
+    A foot that does not stand in the window stands when it does so before or after, one stride away.
+    """
+    whole = animal.reference
+    n = window.last - window.first
+    time = whole.time_s[window.first : window.last + 1]
+    period = float(time[-1] - time[0])
+    values = np.column_stack([whole.base_m, whole.roll_pitch_yaw_rad, whole.feet_m.reshape(len(whole.time_s), -1)])
+    values = values[window.first : window.last + 1]
+    ramp = np.linspace(0.0, 1.0, n + 1)[:, None]
+    advance = values[-1, :2] - values[0, :2]
+    values = values - ramp * (values[-1] - values[0])
+    spectrum = np.fft.rfft(values[:-1], axis=0)
+    spectrum[HARMONICS + 1 :] = 0.0
+    values = np.fft.irfft(spectrum, n, axis=0)
+    values[:, 5] -= values[:, 5].mean()
+    values = np.concatenate([values, values[:1]])
+    turned = Rotation.from_euler("z", -np.arctan2(advance[1], advance[0]))
+    values[:, :2] = turned.apply(np.column_stack([values[:, :2], np.zeros(n + 1)]))[:, :2]
+    length = float(np.hypot(*advance))
+    values[:, 0] += length * ramp[:, 0] - values[0, 0]
+
+    standing = whole.standing[window.first : window.last + 1].copy()
+    for k in np.flatnonzero(~standing.any(axis=0)):
+        at = np.flatnonzero(whole.standing[:, k]) - window.first
+        standing[at % n, k] = True
+    standing[-1] = standing[0] = standing[0] | standing[-1]
+    return replace(
+        whole,
+        time_s=np.linspace(0.0, period, n + 1),
+        base_m=values[:, :3],
+        roll_pitch_yaw_rad=values[:, 3:6],
+        feet_m=values[:, 6:].reshape(n + 1, -1, 3),
+        standing=standing,
+        advance_m=np.array([length, 0.0]),
+    )
+
+
+# -- the other side --------------------------------------------------------------------------------------------------
+
+
+def with_other_side(reference: Reference, lag: float, period_s: float) -> Reference:
+    """Four feet of two: the other side does the same, mirrored, the share `lag` of a stride later. A clip loses its
+    first part, in which the other side is not known (its last one for a negative lag)."""
+    if len(reference.feet) == len(FEET):
+        return reference
+    shift = round(lag * period_s / reference.interval_s)
+    own = np.arange(len(reference.time_s))
+    if reference.advance_m is not None:
+        then = (own[:-1] - shift) % (len(own) - 1)
+        then = np.append(then, then[0])
+    else:
+        own = own[max(shift, 0) : len(own) + min(shift, 0)]
+        then = own - shift
+    swapped = [{"L": "R", "R": "L"}[foot[0]] + foot[1] for foot in reference.feet]
+    labels = [*reference.feet, *swapped]
+    feet = np.concatenate([reference.feet_m[own], reference.feet_m[then] * (1.0, -1.0, 1.0)], axis=1)
+    standing = np.concatenate([reference.standing[own], reference.standing[then]], axis=1)
+    order = [labels.index(foot) for foot in FEET]
+    return replace(
+        reference,
+        time_s=reference.time_s[own],
+        base_m=reference.base_m[own],
+        roll_pitch_yaw_rad=reference.roll_pitch_yaw_rad[own],
+        feet=FEET,
+        feet_m=feet[:, order],
+        standing=standing[:, order],
+    )

@@ -1,0 +1,285 @@
+"""A reference motion on a quadruped: footholds, the body's pose, joint angles, and how well they do.
+
+One factor, the scale, turns the animal's lengths into the robot's. The robot's base goes where the scaled animal's
+does; it stands at its own height, to which the scaled deviations of height, pitch and roll are added, held within
+`LIFT`, `PITCH_RAD` and `ROLL_RAD` by a tanh. A foot is at its neutral place under the hip, moved by the scaled way of
+the animal's foot from its middle place, and plants itself where the animal's does (`recon.robotics.robot.footholds`).
+It is lifted as high as the scaled animal's, but held by a tanh within `CLEARANCE` of what the leg can be folded by.
+
+Unless it is given, the scale is the largest up to stand_m / leg_m at which all feet, of the clip and of the stride that
+repeats, are within the legs' reach and the joints' limits; and the motion is as slow as the joints' rates ask for, but
+not faster than the animal's. With a given scale, a foot out of reach is drawn towards its neutral place until it is
+not.
+
+An animal with a back that bends gathers its feet so far in a gallop that on a rigid body fore and hind legs would meet.
+Hind feet go outside of the fore feet then, as a cheetah's do: by the least of `SPREADS` that keeps the legs' lines
+`LEGS_APART` from each other.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from recon.base.arrays import Array, Bools
+from recon.robotics.robot.body_pose import body_pose, feet_in_world, leg_targets
+from recon.robotics.robot.footholds import planted, stances
+from recon.robotics.robot.quadruped import LEGS, Quadruped, RobotLeg
+from recon.robotics.robot.reference import Reference
+
+PITCH_RAD, ROLL_RAD = 0.25, 0.15
+LIFT = 0.15
+"""Of the height that the hips stand at."""
+CLEARANCE = 0.7
+SPREADS = (0.0, 0.1, 0.2, 0.3, 0.4)
+LEGS_APART = 0.15
+"""Both of the height that the hips stand at; legs are about as thick."""
+SMALLEST = 0.1
+"""Scale below which none is sought, of the largest."""
+STEP = 0.97
+"""Between the scales that are tried."""
+_EVERY = 5
+"""Samples from one to the next that a scale is tried on; half a frame."""
+_BISECTIONS = 25
+_ALONG = 9
+"""Points on a link."""
+
+
+@dataclass(frozen=True, eq=False)
+class RobotMotion:
+    """A robot's motion at N times, its 4 legs in the order of `LEGS`, its joints in that of robot.joints."""
+
+    robot: Quadruped
+    scale: float
+    slower: float
+    time_s: Array
+    """(N,): the robot's."""
+    angles_rad: Array
+    """(N, joints)"""
+    pose: RigidTransform
+    """(N): T_world_body."""
+    feet_m: Array
+    """(N, 4, 3): where the feet should be, in the world."""
+    standing: Bools
+    """(N, 4)"""
+    short: Bools
+    """(N, 4): feet that were out of reach."""
+    advance_m: Array | None
+    """As of the reference."""
+
+    def leg_angles(self, label: str, angles_rad: Array | None = None) -> Array:
+        """(N, n) of one leg."""
+        start = 0
+        for other in LEGS[: LEGS.index(label)]:
+            start += len(self.robot.legs[other].joints)
+        angles = self.angles_rad if angles_rad is None else angles_rad
+        return angles[:, start : start + len(self.robot.legs[label].joints)]
+
+    @cached_property
+    def rates_rad_s(self) -> Array:
+        """(N - 1, joints), between the samples."""
+        return np.diff(self.angles_rad, axis=0) / np.diff(self.time_s)[:, None]
+
+    @cached_property
+    def rate_share(self) -> Array:
+        """(joints,): the fastest rate, of the limit."""
+        limits = np.concatenate([self.robot.legs[label].max_rate_rad_s for label in LEGS])
+        return np.abs(self.rates_rad_s).max(axis=0) / limits
+
+    @cached_property
+    def margin_rad(self) -> Array:
+        """(joints,): the least distance from a limit, negative beyond it."""
+        lower = np.concatenate([self.robot.legs[label].lower_rad for label in LEGS])
+        upper = np.concatenate([self.robot.legs[label].upper_rad for label in LEGS])
+        return np.minimum(self.angles_rad - lower, upper - self.angles_rad).min(axis=0)
+
+    def points(self, label: str) -> Array:
+        """A leg's hip, joints and foot in the world (N, ., 3)."""
+        along = self.robot.legs[label].points(self.leg_angles(label))
+        return feet_in_world(self.pose, np.zeros(3), along)
+
+    @cached_property
+    def lowest_m(self) -> float:
+        """Height of the lowest point of any leg above the ground."""
+        return float(min(self.points(label)[..., 2].min() for label in LEGS))
+
+    @cached_property
+    def apart_m(self) -> float:
+        """The least distance between the fore and the hind leg of a side, by points along their links."""
+        share = np.linspace(0.0, 1.0, _ALONG)[:, None]
+
+        def along(label: str) -> Array:
+            points = self.points(label)[::_EVERY]
+            links = points[:, :-1, None] * (1 - share) + points[:, 1:, None] * share
+            return links.reshape(len(points), -1, 3)
+
+        pairs = ((along(f"{side}F"), along(f"{side}H")) for side in "LR")
+        return float(min(np.linalg.norm(a[:, :, None] - b[:, None], axis=-1).min() for a, b in pairs))
+
+    @cached_property
+    def slip_m(self) -> Array:
+        """(4,): farthest that a foot gets from where it stood first, in any stance, by the joints' angles. Also looked
+        at between the samples, with angles and base between theirs. 0 for a foot that never stands."""
+        middle = (self.angles_rad[1:] + self.angles_rad[:-1]) / 2
+        half = RigidTransform.from_components(
+            (self.pose.translation[1:] + self.pose.translation[:-1]) / 2, _between(self.pose)
+        )
+        slip = np.zeros(len(LEGS))
+        for k, label in enumerate(LEGS):
+            leg = self.robot.legs[label]
+            at = feet_in_world(self.pose, np.zeros(3), leg.foot(self.leg_angles(label))[:, None])[:, 0]
+            between = feet_in_world(half, np.zeros(3), leg.foot(self.leg_angles(label, middle))[:, None])[:, 0]
+            for first, last in stances(self.standing[:, k]):
+                stood = np.concatenate([at[first : last + 1], between[first:last]])
+                slip[k] = max(slip[k], float(np.linalg.norm(stood - at[first], axis=1).max()))
+        return slip
+
+    @cached_property
+    def closing_percent(self) -> float:
+        """Of a stride that repeats: the largest difference of an angle between its ends, of the angle's range."""
+        return 100 * float(np.max(np.abs(self.angles_rad[-1] - self.angles_rad[0]) / np.ptp(self.angles_rad, axis=0)))
+
+
+@dataclass(frozen=True, eq=False)
+class Retargeted:
+    """A robot's motion after an animal's."""
+
+    clip: RobotMotion
+    """The whole of it."""
+    stride: RobotMotion
+    """One that repeats."""
+    found: bool
+    """Whether the scale was sought, rather than given."""
+    spread_m: float
+    """How far outside of its neutral place each hind foot goes."""
+
+    @property
+    def apart_m(self) -> float:
+        return min(self.clip.apart_m, self.stride.apart_m)
+
+
+def retarget(
+    clip: Reference, stride: Reference, robot: Quadruped, scale: float | None = None, slower: float | None = None
+) -> Retargeted:
+    """A clip and a closed stride of it, four feet each, on a robot. scale: of lengths, None: the largest that fits;
+    slower: factor on times, None: as the rates ask for. ValueError for factors that are not positive."""
+    if any(factor is not None and not factor > 0 for factor in (scale, slower)):
+        raise ValueError(f"positive factors expected: {scale}, {slower}")
+    tried: list[Retargeted] = []
+    for share in SPREADS:
+        spread = share * robot.stand_m
+        chosen = largest_scale((clip, stride), robot, spread) if scale is None else scale
+        moved = [_robot_motion(reference, robot, chosen, spread) for reference in (clip, stride)]
+        tried.append(Retargeted(moved[0], moved[1], scale is None, spread))
+        if tried[-1].apart_m >= LEGS_APART * robot.stand_m:
+            break
+    best = max(tried, key=lambda motion: min(motion.apart_m, LEGS_APART * robot.stand_m))
+    if slower is None:
+        slower = max(1.0, *(float(motion.rate_share.max()) for motion in (best.clip, best.stride)))
+    return replace(best, clip=_slowed(best.clip, slower), stride=_slowed(best.stride, slower))
+
+
+def largest_scale(references: tuple[Reference, ...], robot: Quadruped, spread_m: float = 0.0) -> float:
+    """The largest at which every foot is in reach; where there is none down to `SMALLEST`, half of the largest."""
+    most = robot.stand_m / references[0].leg_m
+
+    def fits(scale: float, every: int) -> bool:
+        for reference in references:
+            pose, feet, _ = place(reference, robot, scale, spread_m)
+            targets = leg_targets(pose, np.zeros(3), feet)[::every]
+            if not all(np.isfinite(leg.angles(targets[:, k])).all() for k, leg in enumerate(_legs(robot))):
+                return False
+        return True
+
+    for n in range(int(np.log(SMALLEST) / np.log(STEP)) + 1):
+        scale = most * STEP**n
+        if fits(scale, _EVERY) and fits(scale, 1):
+            return scale
+    return most / 2
+
+
+def place(
+    reference: Reference, robot: Quadruped, scale: float, spread_m: float = 0.0
+) -> tuple[RigidTransform, Array, Bools]:
+    """T_world_body (N), the feet in the world (N, 4, 3) with their footholds, and which stand (N, 4)."""
+    roll, pitch, yaw = reference.roll_pitch_yaw_rad.T
+    lift = LIFT * robot.stand_m
+    position = scale * reference.base_m
+    position[:, 2] = _within(position[:, 2], lift) - robot.ground_m
+    pose = body_pose(position, _within(roll, ROLL_RAD), _within(pitch, PITCH_RAD), yaw)
+    level = body_pose(position * (1.0, 1.0, 0.0), 0.0, 0.0, yaw)
+    columns = [reference.feet.index(label) for label in LEGS]
+    neutral = np.array([leg.neutral_m * (1.0, 1.0, 0.0) for leg in _legs(robot)])
+    neutral[:, 1] += [spread_m * (label[1] == "H") * (1 if label[0] == "L" else -1) for label in LEGS]
+    ways = scale * reference.feet_m[:, columns]
+    room = CLEARANCE * robot.folding_m
+    ways[..., 2] = np.where(ways[..., 2] > 0, room * np.tanh(ways[..., 2] / room), ways[..., 2])
+    standing = reference.standing[:, columns]
+    advance = None if reference.advance_m is None else scale * reference.advance_m
+
+    def on_ground(raw: Array) -> Array:
+        paths = [planted(reference.time_s, raw[:, k], standing[:, k], advance) for k in range(len(LEGS))]
+        return np.stack(paths, axis=1)
+
+    # Footholds move the middle of a foot's way, by which the animal's was taken off: back under the hip with it.
+    moved = leg_targets(level, neutral, on_ground(feet_in_world(level, neutral, ways)))[..., 0]
+    middle = (moved.min(axis=0) + moved.max(axis=0)) / 2
+    ways[..., 0] -= middle
+    return pose, on_ground(feet_in_world(level, neutral, ways)), standing
+
+
+def _robot_motion(reference: Reference, robot: Quadruped, scale: float, spread_m: float) -> RobotMotion:
+    pose, feet, standing = place(reference, robot, scale, spread_m)
+    motion = posed(robot, reference.time_s - reference.time_s[0], pose, feet, standing)
+    return replace(motion, scale=scale, advance_m=None if reference.advance_m is None else scale * reference.advance_m)
+
+
+def posed(robot: Quadruped, time_s: Array, pose: RigidTransform, feet_m: Array, standing: Bools) -> RobotMotion:
+    """Of T_world_body (N), feet in the world (N, 4, 3) and which stand (N, 4); feet out of reach are drawn in."""
+    targets = leg_targets(pose, np.zeros(3), feet_m)
+    solved = [drawn_in(leg, targets[:, k]) for k, leg in enumerate(_legs(robot))]
+    angles = np.concatenate([angles for angles, _ in solved], axis=1)
+    short = np.stack([short for _, short in solved], axis=1)
+    return RobotMotion(robot, 1.0, 1.0, time_s, angles, pose, feet_m, standing, short, None)
+
+
+def drawn_in(leg: RobotLeg, feet_m: Array) -> tuple[Array, Bools]:
+    """Angles (T, n) of feet (T, 3) in body axes, and which of them (T,) are out of reach: these are drawn towards the
+    neutral place as little as needed."""
+    angles = leg.angles(feet_m)
+    short = ~np.asarray(np.isfinite(angles).all(axis=1))
+    if not short.any():
+        return angles, short
+    away = feet_m[short] - leg.neutral_m
+    near, far = np.zeros(len(away)), np.ones(len(away))
+    best = np.tile(leg.angles(leg.neutral_m[None]), (len(away), 1))
+    for _ in range(_BISECTIONS):
+        share = (near + far) / 2
+        tried = leg.angles(leg.neutral_m + share[:, None] * away)
+        good = np.isfinite(tried).all(axis=1)
+        best[good] = tried[good]
+        near, far = np.where(good, share, near), np.where(good, far, share)
+    angles[short] = best
+    return angles, short
+
+
+def _slowed(motion: RobotMotion, slower: float) -> RobotMotion:
+    return replace(motion, slower=slower, time_s=slower * motion.time_s)
+
+
+def _between(pose: RigidTransform) -> Rotation:
+    """Rotations halfway between those that follow each other (N - 1)."""
+    R = pose.rotation
+    first = R[:-1]
+    return first * Rotation.from_rotvec((first.inv() * R[1:]).as_rotvec() / 2)
+
+
+def _within(values: Array, limit: float) -> Array:
+    return limit * np.tanh(values / limit)
+
+
+def _legs(robot: Quadruped) -> list[RobotLeg]:
+    return [robot.legs[label] for label in LEGS]

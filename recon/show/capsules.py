@@ -1,0 +1,61 @@
+"""What an animal looks like, roughly: capsules along the segments of its tree, for pictures."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from recon.animal.body import Side, common_side, side_of
+from recon.base.arrays import Array
+from recon.geometry.kinematics import Marker, Tree
+
+_SLENDER = 0.12
+"""Radius of a segment, at least, relative to its longest capsule."""
+
+
+@dataclass(frozen=True)
+class Capsule:
+    """A cylinder with round ends, from a segment's origin to a point (x, y, z) of its frame. Metres."""
+
+    segment: int
+    """Of the tree's."""
+    end_m: tuple[float, float, float]
+    radius_m: float
+    side: Side | None
+
+
+def capsules(tree: Tree, names: Sequence[str]) -> tuple[Capsule, ...]:
+    """Of a tree whose J markers have these names, which say the sides with those of the segments.
+
+    They lie in a segment's middle plane, from its origin to those of the next segments and to its markers. It is as
+    thick as these are far apart; between two others of the trunk, at least as the thinner of them.
+    """
+    segments = tree.segments
+    ends, radii, sides = [], [], []
+    for segment in segments:
+        on_it = [(m.offset_m, name) for m, name in zip(tree.markers, names, strict=True) if m.segment == segment.name]
+        points = [s.offset_m for s in segments if s.parent == segment.name] + [offset_m for offset_m, _ in on_it]
+        ends.append(list(dict.fromkeys((x, 0.0, z) for x, y, z in points if (x, y, z) != (0.0, 0.0, 0.0))))
+        reach = max((float(np.hypot(x, z)) for x, _, z in ends[-1]), default=0.0)
+        radii.append(max([_SLENDER * reach, *(abs(y) for _, y, _ in points)]))
+        sides.append(common_side(side_of(name) for name in (segment.name, *(name for _, name in on_it))))
+    at = {segment.name: i for i, segment in enumerate(segments)}
+    found = []
+    for i, segment in enumerate(segments):
+        radius = radii[i]
+        if sides[i] is None and segment.parent is not None:
+            beyond = [radii[j] for j, s in enumerate(segments) if s.parent == segment.name and sides[j] is None]
+            radius = max(radius, min(radii[at[segment.parent]], max(beyond, default=0.0)))
+        found += [Capsule(i, end, radius, sides[i]) for end in ends[i]]
+    return tuple(found)
+
+
+def capsule_ends(tree: Tree, shape: Sequence[Capsule], states: Array, size: float) -> tuple[Array, Array]:
+    """Where states (T, D) put both ends of C capsules of a tree: (T, C, 3) each."""
+    at = [tree.segments[capsule.segment].name for capsule in shape]
+    begins = [Marker(segment, segment) for segment in at]
+    ends = [Marker(segment, segment, capsule.end_m) for segment, capsule in zip(at, shape, strict=True)]
+    points = Tree(tree.segments, (*begins, *ends)).pose(states, size).points_m
+    return points[:, : len(shape)], points[:, len(shape) :]

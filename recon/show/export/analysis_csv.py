@@ -1,0 +1,238 @@
+"""The tables of `recon analyse`, from a `ClipAnalysis`. Columns: docs/gait.md."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from recon.gait.clip import ClipAnalysis
+from recon.gait.gait import Gait
+from recon.gait.kinematics import AngleKinematics
+from recon.gait.phase import LinkField, field_means
+from recon.io.table import write_columns, write_rows
+
+Rows = Iterable[Sequence[Any]]
+Table = tuple[Sequence[str], Rows]
+"""Columns, and rows."""
+Columns = dict[str, np.ndarray]
+"""The same of a long table, by column."""
+
+
+def joints(found: ClipAnalysis) -> Table:
+    """Distance, mean and peak speed and peak acceleration of every joint."""
+    columns = (
+        "joint, distance_m, mean_speed_m_s, peak_speed_m_s, peak_speed_sigma_m_s, peak_speed_time_s, "
+        "peak_acceleration_m_s2, peak_acceleration_sigma_m_s2"
+    )
+    rows = [
+        (
+            *(name, moved.distance_m, moved.mean_speed_m_s, moved.peak_speed_m_s),
+            *(moved.peak_speed_sigma_m_s, moved.peak_speed_time_s),
+            *(moved.peak_acceleration_m_s2, moved.peak_acceleration_sigma_m_s2),
+        )
+        for name, moved in found.joints.items()
+    ]
+    return columns.split(", "), rows
+
+
+def reference(found: ClipAnalysis) -> Columns:
+    """The reference joint on the fine grid."""
+    moved = found.joints[found.reference]
+    series = moved.series
+    columns = {"time_s": series.time_s, "frame": series.time_s * found.results.fps} | _axes("{}_m", series.value)
+    columns |= _axes("v{}_m_s", series.rate) | _axes("a{}_m_s2", series.acceleration)
+    columns |= {"speed_m_s": moved.speed_m_s, "speed_sigma_m_s": _or_nan(moved.speed_sigma_m_s, series.time_s)}
+    deviation = _or_nan(moved.acceleration_sigma_m_s2, series.time_s)
+    return columns | {"acceleration_m_s2": moved.acceleration_m_s2, "acceleration_sigma_m_s2": deviation}
+
+
+def velocities(found: ClipAnalysis) -> Columns:
+    """Velocity and acceleration vectors of every joint at every frame, and the velocities' standard deviations."""
+    columns = {"frame": found.pose.frames, "time_s": found.results.time_s}
+    for name, moved in found.joints.items():
+        s = moved.series
+        for column, of in (("v{}_m_s", s.rate), ("v{}_sigma_m_s", s.rate_sigma), ("a{}_m_s2", s.acceleration)):
+            if of is not None:
+                columns |= _axes(f"{name}_{column}", of[:: s.oversampling])
+    return columns
+
+
+def angles(found: ClipAnalysis) -> Table:
+    """Range of motion and peak rates: the angles at the joints and the spine's flexion, then the skeleton's own."""
+    columns = "angle, kind, least_rad, greatest_rad, range_of_motion_rad, peak_rate_rad_s, peak_acceleration_rad_s2"
+    shares = found.results.data_shares
+    kinds = (("joint", found.angles), ("skeleton", found.skeleton_angles))
+    rows = [
+        (
+            *(name, kind, *angle.range_rad, angle.range_of_motion_rad),
+            *(angle.peak_rate_rad_s, angle.peak_acceleration_rad_s2),
+            shares[name] if kind == "skeleton" else np.nan,
+        )
+        for kind, some in kinds
+        for name, angle in some.items()
+    ]
+    return [*columns.split(", "), "data_share"], rows
+
+
+def angle_rates(found: ClipAnalysis) -> Columns:
+    """Every angle, its rate and acceleration at every frame, with standard deviations where there are any."""
+    columns = {"frame": found.pose.frames, "time_s": found.results.time_s}
+    named: list[tuple[str, AngleKinematics]] = [
+        *((f"{name}_angle" if name != "spine_flexion" else name, angle) for name, angle in found.angles.items()),
+        *found.skeleton_angles.items(),
+    ]
+    for name, angle in named:
+        s = angle.series
+        for column, of in (
+            ("rad", s.value),
+            ("sigma_rad", s.value_sigma),
+            ("rate_rad_s", s.rate),
+            ("rate_sigma_rad_s", s.rate_sigma),
+            ("acceleration_rad_s2", s.acceleration),
+        ):
+            if of is not None:
+                columns[f"{name}_{column}"] = of[:: s.oversampling, 0]
+    return columns
+
+
+def stances(found: ClipAnalysis) -> Table:
+    """Every stance by both methods; `pair` numbers those that both found."""
+    columns = "method, foot, joint, start_s, end_s, start_frame, end_frame, duration_s, begins, ends, pair"
+    pair = {id(stance): i for i, two in enumerate(found.match.pairs if found.match else (), start=1) for stance in two}
+    rows = [
+        (
+            *(method, s.foot, found.results.feet[s.foot], s.start_s, s.end_s),
+            *(file_frame(found, s.start_frame), file_frame(found, s.end_frame), s.duration_s),
+            *(_yes(s.begins), _yes(s.ends), pair.get(id(s), "")),
+        )
+        for method, gait in found.gaits.items()
+        for s in gait.stances
+    ]
+    return columns.split(", "), rows
+
+
+def strides(found: ClipAnalysis) -> Table:
+    """Every complete stride by both methods."""
+    columns = "method, foot, at, start_s, end_s, duration_s, length_m, frequency_hz, duty_factor"
+    rows = [
+        (method, s.foot, s.at, s.start_s, s.end_s, s.end_s - s.start_s, s.length_m, s.frequency_hz, s.duty_factor)
+        for method, gait in found.gaits.items()
+        for s in gait.strides
+    ]
+    return columns.split(", "), rows
+
+
+def gait(found: ClipAnalysis) -> Table:
+    """One row a method: the gait's name and criterion, and means over complete strides."""
+    columns = "method, gait, criterion, speed_m_s, strides, stride_length_m, stride_frequency_hz, duty_factor"
+    feet = list(found.results.feet)
+    columns += "".join(f", duty_factor_{foot}, phase_{foot}" for foot in feet) + ", footfalls"
+    return columns.split(", "), [_gait_row(method, one, feet) for method, one in found.gaits.items()]
+
+
+def vector_field(found: ClipAnalysis) -> Columns:
+    """Every link at every frame: its tip in its parent's frame, and how it moves there."""
+    links = [(limb, field) for limb, fields in found.fields.items() for field in fields]
+    T, none = len(found.pose.frames), np.empty(0)
+
+    def of_all(values: Callable[[LinkField], np.ndarray]) -> np.ndarray:
+        return np.concatenate([none, *(values(field) for _, field in links)])
+
+    names = {"limb": [limb for limb, _ in links]}
+    names |= {name: ["-".join(getattr(field, name)) for _, field in links] for name in ("link", "parent")}
+    columns = {column: np.repeat(np.array(some, dtype=str), T) for column, some in names.items()}
+    columns |= {"frame": np.tile(found.pose.frames, len(links)), "time_s": np.tile(found.results.time_s, len(links))}
+    for k, axis in enumerate("xyz"):
+        columns[f"{axis}_m"] = of_all(lambda field, k=k: field.position_m[:, k])
+    for k, axis in enumerate("xyz"):
+        columns[f"d{axis}_m_s"] = of_all(lambda field, k=k: field.velocity_m_s[:, k])
+    numbers = ("radius_m", "dr_m_s", "dtheta_rad_s", "speed_m_s")
+    for name in (*numbers, "dr_sigma_m_s", "dtheta_sigma_rad_s", "speed_sigma_m_s"):
+        columns[name] = of_all(lambda field, name=name: _or_nan(getattr(field, name), field.speed_m_s))
+    return columns
+
+
+def vector_field_means(found: ClipAnalysis) -> Table:
+    """Mean magnitudes over the frames."""
+    columns = "limb, link, parent, speed_m_s, speed_3d_m_s, dr_m_s, dtheta_rad_s, speed_sigma_m_s, frames"
+    rows = [
+        (
+            *(limb, "-".join(m.link), "-".join(m.parent), m.speed_m_s, m.speed_3d_m_s),
+            *(m.dr_m_s, m.dtheta_rad_s, m.speed_sigma_m_s, m.frames),
+        )
+        for limb, fields in found.fields.items()
+        for m in field_means(fields)
+    ]
+    return columns.split(", "), rows
+
+
+def closures(found: ClipAnalysis) -> Table:
+    """Degrees of closure of the skeleton's angles over one stride."""
+    columns = (
+        "angle, foot, start_s, end_s, closure_angle_percent, closure_plane_percent, closure_angle_sigma_percent, "
+        "closure_plane_sigma_percent, data_share"
+    )
+    rows = []
+    if (s := found.stride) is not None:
+        shares = found.results.data_shares
+        rows = [
+            (name, s.foot, s.start_s, s.end_s, c.angle, c.plane, c.angle_sigma, c.plane_sigma, shares[name])
+            for name, c in found.closures.items()
+        ]
+    return columns.split(", "), rows
+
+
+TABLES: dict[str, Callable[[ClipAnalysis], Table | Columns]] = {
+    "joints.csv": joints,
+    "reference.csv": reference,
+    "velocities.csv": velocities,
+    "joint_angles.csv": angles,
+    "angle_rates.csv": angle_rates,
+    "stances.csv": stances,
+    "strides.csv": strides,
+    "gait.csv": gait,
+    "vector_field.csv": vector_field,
+    "vector_field_means.csv": vector_field_means,
+    "closures.csv": closures,
+}
+"""By file name."""
+
+
+def write(found: ClipAnalysis, folder: Path) -> None:
+    """Every table, into a folder that exists."""
+    for name, table in TABLES.items():
+        made = table(found)
+        if isinstance(made, dict):
+            write_columns(folder / name, made)
+        else:
+            write_rows(folder / name, [made[0]], made[1])
+
+
+def file_frame(found: ClipAnalysis, row: float) -> float:
+    """The frame number of the keypoint file, with a fraction, of a row of the clip."""
+    return float(np.interp(row, np.arange(len(found.pose.frames)), found.pose.frames))
+
+
+def _gait_row(method: str, one: Gait, feet: list[str]) -> Sequence[Any]:
+    name = one.name
+    by_foot = [value for f in feet for value in (one.duty_factor.get(f, np.nan), name.phase.get(f, np.nan))]
+    return (
+        *(method, name.name, name.criterion, one.speed_m_s, len(one.strides), one.stride_length_m),
+        *(one.stride_frequency_hz, name.duty_factor, *by_foot, " ".join(one.order)),
+    )
+
+
+def _axes(name: str, vectors: np.ndarray) -> Columns:
+    """The columns of vectors (N, 3)."""
+    return {name.format(axis): column for axis, column in zip("xyz", vectors.T, strict=True)}
+
+
+def _or_nan(values: np.ndarray | None, like: np.ndarray) -> np.ndarray:
+    return np.full(like.shape, np.nan) if values is None else values
+
+
+def _yes(value: bool) -> str:
+    return "yes" if value else "no"

@@ -1,0 +1,188 @@
+"""An animal as bones that turn against each other, for programs that know bones rather than points.
+
+There is a bone for each segment of the skeleton, under its name, or with `_bone` behind it where a joint is called so.
+Axes are x forwards, y up, z right, as OpenSim, glTF and BVH have them. With all angles 0 every bone's axes are those of
+the world. Angles keep their names and signs: yaw turns about y, pitch about -z and roll about x.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from recon.animal.body import Body
+from recon.base.arrays import Array, Index
+from recon.base.errors import InputError, Problem
+from recon.fit.results import Results
+from recon.geometry.kinematics import ANGLE_OF_AXIS, AXES, ROOT, Tree
+from recon.io.common import frames_text, require_span
+from recon.io.pose import Pose3D, y_up_from_z_up
+from recon.show.capsules import Capsule, capsules
+
+AXIS: dict[str, tuple[int, int, int]] = {"yaw": (0, 1, 0), "pitch": (0, 0, -1), "roll": (1, 0, 0)}
+"""What each kind of angle turns about."""
+RANGE_SIGMAS = 3.0
+SAME_M = 1e-4
+"""Lengths by which joints are further off than this are others."""
+
+
+@dataclass(frozen=True, eq=False)
+class Turn:
+    """One angle of a bone against its parent, (T,), about an axis that the bone's turns before it have turned."""
+
+    name: str
+    kind: str
+    """yaw, pitch or roll."""
+    angle_rad: Array
+    mean_rad: float
+    range_rad: tuple[float, float]
+    """What the skeleton expects: three standard deviations about the mean, or, where it says nothing, any angle."""
+
+
+@dataclass(frozen=True, eq=False)
+class Bone:
+    """A segment. parent: None of the root, which follows a path."""
+
+    name: str
+    parent: int | None
+    offset_m: Array
+    """(3,): its origin in its parent's frame."""
+    turns: tuple[Turn, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Rig:
+    """Bones, each after its parent, and J joints fixed on them, in T frames that follow one another without a gap."""
+
+    name: str
+    title: str
+    bones: tuple[Bone, ...]
+    joints: tuple[str, ...]
+    """As their keypoints are called."""
+    joint_bones: tuple[int, ...]
+    joint_offsets_m: Array
+    """(J, 3): in their bones' frames."""
+    capsules: tuple[Capsule, ...]
+    """Of the bones, in the segments' frames, where z is up."""
+    root_m: Array
+    """(T, 3): the origin of the first bone."""
+    pose: Pose3D
+    """The joints in these frames, z up."""
+    fps: float
+    notes: tuple[str, ...]
+
+
+def rig_of(results: Results, fps: float | None = None) -> Rig:
+    """From the first to the last frame with a pose; those without one in between are interpolated, which a note says.
+
+    fps: in place of the results'. Raises InputError without any pose, and where lengths change from frame to frame.
+    """
+    frames, states, joints_m = results.pose.frames, results.states, results.pose.xyz_m
+    off_m = np.abs(results.body.tree.pose(states, results.size).points_m - joints_m).max(axis=(1, 2))
+    known = np.isfinite(off_m)
+    if not known.any():
+        raise InputError(Problem(results.folder, "frames", "none with a pose", "at least one"))
+    if off_m[known].max() > SAME_M:
+        expected = "bones of one length: fit with --method trajectory"
+        raise InputError(Problem(results.folder, "size", "lengths that change from frame to frame", expected))
+    rig = make_rig(
+        results.body,
+        results.size,
+        results.pose.names,
+        frames[known],
+        states[known],
+        results.fps if fps is None else fps,
+    )
+    filled = np.setdiff1d(rig.pose.frames, frames[known])
+    note = f"Without a pose, and interpolated: frames {', '.join(frames_text(filled))}."
+    return replace(rig, notes=(note,) if len(filled) else ())
+
+
+def make_rig(body: Body, size: float, names: tuple[str, ...], frames: Index, states: Array, fps: float) -> Rig:
+    """Of states (N, D) in these frames (N,), and between them. names: of the J joints."""
+    tree = _scaled(body.tree, size)
+    frames, states = _without_gaps(frames, states)
+    at = {segment.name: i for i, segment in enumerate(tree.segments)}
+    bones = tuple(
+        Bone(
+            f"{segment.name}_bone" if segment.name in names else segment.name,
+            None if segment.parent is None else at[segment.parent],
+            y_up_from_z_up(np.array(segment.offset_m)),
+            turns,
+        )
+        for segment, turns in zip(tree.segments, _turns(body, states), strict=True)
+    )
+    return Rig(
+        name=body.name,
+        title=body.title,
+        bones=bones,
+        joints=names,
+        joint_bones=tuple(at[marker.segment] for marker in tree.markers),
+        joint_offsets_m=y_up_from_z_up(np.array([marker.offset_m for marker in tree.markers])),
+        capsules=capsules(tree, names),
+        root_m=y_up_from_z_up(states[:, ROOT]),
+        pose=Pose3D(names, tree.pose(states).points_m, frames, fps=fps),
+        fps=fps,
+        notes=(),
+    )
+
+
+def turned(turns: tuple[Turn, ...], count: int) -> Array:
+    """(count, 3, 3): rotations from a bone's frame to its parent's, in each frame."""
+    R = Rotation.identity(count)
+    for turn in turns:
+        R = R * Rotation.from_rotvec(np.outer(turn.angle_rad, AXIS[turn.kind]))
+    return R.as_matrix()
+
+
+def _scaled(tree: Tree, size: float) -> Tree:
+    def longer(offset_m: tuple[float, float, float]) -> tuple[float, float, float]:
+        x, y, z = offset_m
+        return size * x, size * y, size * z
+
+    return Tree(
+        tuple(replace(s, offset_m=longer(s.offset_m)) for s in tree.segments),
+        tuple(replace(m, offset_m=longer(m.offset_m)) for m in tree.markers),
+    )
+
+
+def _without_gaps(frames: Index, states: Array) -> tuple[Index, Array]:
+    """All frame numbers from the first to the last, and the states in between (T, D)."""
+    require_span(int(frames[-1] - frames[0]) + 1, states.shape[1], "bones")
+    all_frames = np.arange(frames[0], frames[-1] + 1)
+    states = np.column_stack([states[:, ROOT], np.unwrap(states[:, 3:], axis=0)])
+    return all_frames, np.column_stack([np.interp(all_frames, frames, column) for column in states.T])
+
+
+def _turns(body: Body, states: Array) -> list[tuple[Turn, ...]]:
+    """Of each segment, for states (T, D). A summed joint turns relative to the root: against its parent it turns as its
+    angles say, but in the order pitch, yaw, and a roll that is left over."""
+    tree, turns = body.tree, []
+    column = 3
+    expected = [(0.0, np.pi / RANGE_SIGMAS), *zip(body.mean_rad.tolist(), body.sigma_rad.tolist(), strict=True)]
+    orientations = tree.orientations(states)
+    at = {segment.name: i for i, segment in enumerate(tree.segments)}
+    for segment in tree.segments:
+        kinds = [ANGLE_OF_AXIS[axis] for axis in AXES[segment.joint]]
+        columns = range(column, column + len(kinds))
+        column += len(kinds)
+        angles, means = [states[:, c] for c in columns], [expected[c - 3] for c in columns]
+        if segment.joint == "summed" and segment.parent is not None:
+            above = orientations[:, at[segment.parent]]
+            angles = _pitch_yaw_roll(above.swapaxes(1, 2) @ orientations[:, at[segment.name]])
+            kinds, means = ["pitch", "yaw", "roll"], [means[1], means[0], (0.0, np.pi / RANGE_SIGMAS)]
+        turns.append(
+            tuple(
+                Turn(f"{segment.name}_{kind}", kind, a, mean, (mean - RANGE_SIGMAS * sd, mean + RANGE_SIGMAS * sd))
+                for kind, a, (mean, sd) in zip(kinds, angles, means, strict=True)
+            )
+        )
+    return turns
+
+
+def _pitch_yaw_roll(R: Array) -> list[Array]:
+    """Angles (T,) of rotations (T, 3, 3) = Ry(pitch) Rz(yaw) Rx(roll), without jumps."""
+    pitch, yaw = np.arctan2(-R[:, 2, 0], R[:, 0, 0]), np.arcsin(np.clip(R[:, 1, 0], -1.0, 1.0))
+    return [np.unwrap(pitch), yaw, np.unwrap(np.arctan2(-R[:, 1, 2], R[:, 1, 1]))]

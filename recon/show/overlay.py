@@ -1,0 +1,427 @@
+"""A reconstruction drawn on a frame of its video, with the pose from three sides beneath: plain arrays and OpenCV.
+
+On the picture: limbs in the colour of their side, light and thick where they are nearer to the camera than the animal's
+middle, dark and thin where they are farther away; rings where the detector saw a keypoint, red crosses with a line to
+the reprojection where the pose does not explain it. Beneath, so that nothing of the picture is hidden: the pose from
+its side, from above and from ahead, at one scale, turned with the animal, and the key to the colours. An animal that is
+small in the picture is shown enlarged in a corner that it hardly comes to.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+
+import cv2
+import numpy as np
+
+from recon.base.arrays import Array, Bools, Index, Integers
+from recon.io.video import Image
+
+Colour = tuple[int, int, int]
+"""Blue, green, red."""
+
+# Okabe and Ito's palette, which the colour-blind can tell apart; as in the playback.
+LEFT, RIGHT, MIDDLE = (233, 180, 86), (0, 159, 230), (115, 158, 0)
+PAPER, INK, FAINT, SHADOW = (27, 21, 18), (235, 235, 235), (110, 104, 98), (0, 0, 0)
+DETECTION, OUTLIER, DOUBT = (255, 255, 255), (40, 60, 235), (60, 200, 255)
+FONT = cv2.FONT_HERSHEY_SIMPLEX
+SHIFT = 4
+STRIP_SHARE = 0.3
+"""Height of the strip with the three views, relative to 9/16 of the width."""
+COLUMNS = {"side": 0.38, "from above": 0.26, "from ahead": 0.18}
+"""Shares of the width; what remains is the key's."""
+TILE_PX, SHEET_COLUMNS = (480, 300), 4
+"""Of a sheet of stills."""
+TILE_UNIT, KEY_UNIT = 0.55, 0.85
+DARKENED = 0.35
+"""What a text's ground keeps of the picture."""
+_FILLED = 0.8
+"""Of a tile, by the largest animal."""
+CLOSE_UP, WORTH = 0.36, 1.6
+"""Of the picture's sides, those of the close-up; what it has to enlarge by to be shown."""
+HEADING_S = 0.25
+"""The views turn with the trunk's direction, averaged over this time, so that they do not shake."""
+
+
+@dataclass(frozen=True, eq=False)
+class Overlay:
+    """What is drawn on a video: T frames of J joints."""
+
+    frames: Integers
+    """(T,): numbers."""
+    fps: float
+    limbs: Sequence[Sequence[int]]
+    """Joints along each, as indices."""
+    colours: Sequence[Colour]
+    """One for each limb."""
+    detected_px: Array
+    """(T, J, 2), NaN where there is none."""
+    reprojected_px: Array
+    """(T, J, 2), NaN where there is none."""
+    outliers: Bools
+    """(T, J): detections that the pose does not explain."""
+    depth_m: Array
+    """(T, J): how far joints are from the camera, from any origin."""
+    upright_m: Array
+    """(T, J, 3): z up."""
+    trunk: tuple[int, int]
+    """Two joints, from rear to front."""
+    flags: Sequence[Sequence[str]]
+    """(T): what is doubtful about each frame."""
+    speed: float = 1.0
+    """Of the playback, 1 is real time."""
+
+    @cached_property
+    def nearness(self) -> Array:
+        """(T, J): 1 near, -1 far, 0 at the middle of the animal; the same scale over the clip."""
+        known = np.isfinite(self.depth_m)
+        count = np.maximum(known.sum(axis=1, keepdims=True), 1)
+        relative = self.depth_m - np.where(known, self.depth_m, 0.0).sum(axis=1, keepdims=True) / count
+        reach = float(np.percentile(np.abs(relative[known]), 95)) if known.any() else 1.0
+        return np.clip(-relative / max(reach, 1e-9), -1.0, 1.0)
+
+    @cached_property
+    def views(self) -> dict[str, Array]:
+        """By name, (T, J, 3): metres to the right, upwards and towards the viewer; heights from the lowest joints."""
+        rear, front = self.trunk
+        along = smoothed_headings(self.upright_m[:, front] - self.upright_m[:, rear], self.fps)
+        left = np.stack((-along[:, 1], along[:, 0]), axis=1)
+        flat = self.upright_m[..., :2] - 0.5 * (self.upright_m[:, [rear], :2] + self.upright_m[:, [front], :2])
+        height = self.upright_m[..., 2]
+        if np.isfinite(height).any():
+            height = height - np.nanpercentile(height, 2)
+        forwards, leftwards = np.einsum("tjk,tk->tj", flat, along), np.einsum("tjk,tk->tj", flat, left)
+        facing = self._facing
+        return {
+            "side": np.stack((facing * forwards, height, -facing * leftwards), axis=-1),
+            "from above": np.stack((facing * forwards, facing * leftwards, height), axis=-1),
+            "from ahead": np.stack((leftwards, height, forwards), axis=-1),
+        }
+
+    @cached_property
+    def extent_px(self) -> float:
+        """Length of the animal in the picture: the diagonal of its joints' box, in the median of the frames."""
+        known = self.reprojected_px[np.isfinite(self.reprojected_px).all(axis=(1, 2))]
+        return float(np.median(np.linalg.norm(np.ptp(known, axis=1), axis=1))) if len(known) else math.inf
+
+    @cached_property
+    def joints_px(self) -> Array:
+        """(N, 2): all of the clip."""
+        return self.reprojected_px[np.isfinite(self.reprojected_px).all(axis=2)]
+
+    @cached_property
+    def box_px(self) -> Array:
+        """(2,): sides of the largest box about the joints of a frame, but for poses that went astray."""
+        known = self.reprojected_px[np.isfinite(self.reprojected_px).all(axis=(1, 2))]
+        sides = np.ptp(known, axis=1) if len(known) else np.full((1, 2), np.inf)
+        return np.maximum(np.percentile(sides, 98, axis=0), 1.0)
+
+    @cached_property
+    def _facing(self) -> float:
+        """1 where the animal faces right in the picture, -1 where it faces left."""
+        rear, front = self.trunk
+        ahead = self.reprojected_px[:, front, 0] - self.reprojected_px[:, rear, 0]
+        return -1.0 if np.isfinite(ahead).any() and float(np.nanmedian(ahead)) < 0 else 1.0
+
+    @cached_property
+    def bounds(self) -> dict[str, tuple[Array, Array]]:
+        """By view: lowest and highest (2,), metres, over the clip but for poses that went astray."""
+        found = {}
+        for name, points in self.views.items():
+            known = points[np.isfinite(points).all(axis=-1)][:, :2]
+            low, high = np.percentile(known, (1, 99), axis=0) if len(known) else (-np.ones(2), np.ones(2))
+            found[name] = (low, high)
+        return found
+
+
+def smoothed_headings(forward_m: Array, fps: float) -> Array:
+    """Level unit vectors (T, 2) along forward_m (T, 3), averaged over `HEADING_S`.
+
+    Where there is none, that of the nearest frame that has one; x where there is none at all.
+    """
+    level = forward_m[:, :2]
+    known = np.asarray(np.isfinite(level).all(axis=1))
+    if not known.any():
+        return np.tile([1.0, 0.0], (len(level), 1))
+    window = np.ones(2 * round(0.5 * HEADING_S * fps) + 1)
+    half = len(window) // 2
+    filled = np.where(known[:, None], level, 0.0)
+    total = np.stack([np.convolve(filled[:, k], window)[half : half + len(level)] for k in (0, 1)], axis=1)
+    length = np.linalg.norm(total, axis=1)
+    usable = np.flatnonzero(length > 0)
+    nearest = usable[np.argmin(np.abs(usable[:, None] - np.arange(len(level))), axis=0)]
+    return total[nearest] / length[nearest, None]
+
+
+def canvas_size(size_px: tuple[int, int]) -> tuple[int, int]:
+    """(width, height) of what `draw_frame` makes of a picture of this size: even, as codecs want."""
+    width, height = size_px
+    strip = round(STRIP_SHARE * width * 9 / 16)
+    return width + width % 2, height + strip + (height + strip) % 2
+
+
+def draw_frame(overlay: Overlay, t: int | None, frame: int, picture: Image) -> Image:
+    """The picture (height, width, 3) of a frame with all that is known about it, and the strip beneath.
+
+    t: the frame's row; None for a frame that the reconstruction does not have.
+    """
+    height, width = picture.shape[:2]
+    canvas_w, canvas_h = canvas_size((width, height))
+    canvas = np.empty((canvas_h, canvas_w, 3), dtype=np.uint8)
+    canvas[:height, :width] = picture
+    canvas[height:], canvas[:, width:] = PAPER, PAPER
+    unit = max(width, height) / 1920  # sizes are those for 1920 px
+    if t is not None:
+        image = canvas[:height, :width]
+        # Marks that do not hide a small animal.
+        marks = min(unit, max(0.4 * unit, overlay.extent_px / 700))
+        _draw_skeleton(image, overlay, t, marks)
+        _draw_detections(image, overlay, t, marks)
+        _draw_close_up(image, overlay, t, picture, unit)
+    _draw_caption(canvas, overlay, t, frame, (width, height), unit)
+    _draw_strip(canvas, overlay, t, height, width)
+    return canvas
+
+
+def draw_sheet(overlay: Overlay, rows: Sequence[int] | Index, pictures: Sequence[Image] | None = None) -> Image:
+    """`draw_tiles` side by side, and the key beneath."""
+    width, height = TILE_PX
+    columns = min(SHEET_COLUMNS, len(rows))
+    key_px = round(190 * KEY_UNIT)
+    canvas = np.empty((height * -(-len(rows) // columns) + key_px, width * columns, 3), dtype=np.uint8)
+    canvas[:] = PAPER
+    for i, tile in enumerate(draw_tiles(overlay, rows, pictures)):
+        x, y = width * (i % columns), height * (i // columns)
+        canvas[y : y + height, x : x + width] = tile
+        cv2.rectangle(canvas, (x, y), (x + width - 1, y + height - 1), FAINT, 1)
+    _draw_key(canvas, overlay, (round(24 * KEY_UNIT), len(canvas) - key_px + round(30 * KEY_UNIT)), KEY_UNIT)
+    return canvas
+
+
+def draw_tiles(overlay: Overlay, rows: Sequence[int] | Index, pictures: Sequence[Image] | None = None) -> list[Image]:
+    """These frames, each cut out about the animal, at one scale. pictures: of each of them, in the pixels of the
+    overlay; without, on a plain ground."""
+    corners, scale = _cut_out(overlay, rows)
+    tiles = []
+    for i, (t, corner) in enumerate(zip(rows, corners, strict=True)):
+        tile, cut = np.empty((TILE_PX[1], TILE_PX[0], 3), dtype=np.uint8), Cut(corner, scale)
+        tile[:] = PAPER
+        if pictures is not None:
+            tile[:] = cut.of(pictures[i], TILE_PX)
+        _draw_skeleton(tile, overlay, int(t), TILE_UNIT, cut)
+        _draw_detections(tile, overlay, int(t), TILE_UNIT, cut)
+        _draw_caption(tile, overlay, int(t), int(overlay.frames[t]), TILE_PX, TILE_UNIT)
+        tiles.append(tile)
+    return tiles
+
+
+def _cut_out(overlay: Overlay, rows: Sequence[int] | Index) -> tuple[Array, float]:
+    """Corners (N, 2) of what is shown of the frames, and the scale that fits the largest animal of them."""
+    boxes = np.array([(np.nanmin(xy, axis=0), np.nanmax(xy, axis=0)) for xy in overlay.reprojected_px[list(rows)]])
+    largest = np.max(boxes[:, 1] - boxes[:, 0], axis=0)
+    scale = float(np.min(_FILLED * np.array(TILE_PX) / np.maximum(largest, 1.0)))
+    return boxes.mean(axis=1) - 0.5 * np.array(TILE_PX) / scale, scale
+
+
+@dataclass(frozen=True, eq=False)
+class Cut:
+    """A part of the picture, from a corner (2,), px, enlarged by a scale."""
+
+    corner_px: Array
+    scale: float
+
+    def place(self, points_px: Array) -> Array:
+        return self.scale * (points_px - self.corner_px)
+
+    def of(self, picture: Image, size_px: tuple[int, int]) -> Image:
+        """(height, width, 3)"""
+        (x, y), scale = self.corner_px, self.scale
+        to_cut = np.array([[scale, 0.0, -scale * x], [0.0, scale, -scale * y]])
+        return np.asarray(cv2.warpAffine(picture, to_cut, size_px, flags=cv2.INTER_LINEAR, borderValue=PAPER), np.uint8)
+
+
+WHOLE = Cut(np.zeros(2), 1.0)
+
+
+def _draw_close_up(image: Image, overlay: Overlay, t: int, picture: Image, unit: float) -> None:
+    """Into the corner of the picture that holds the fewest of the clip's joints, but for the caption's, if it is worth
+    it."""
+    height, width = picture.shape[:2]
+    size = np.array([round(CLOSE_UP * width), round(CLOSE_UP * height)])
+    xy = overlay.reprojected_px[t]
+    scale = float(np.min(_FILLED * size / overlay.box_px))
+    if scale < WORTH or not np.isfinite(xy).any():
+        return
+    corners = np.array([[width, height], [0, height], [width, 0]]) - size * [[1, 1], [0, 1], [1, 0]]
+    inside = [((overlay.joints_px >= at) & (overlay.joints_px <= at + size)).all(axis=1).sum() for at in corners]
+    left, top = corners[int(np.argmin(inside))].tolist()
+    wide, high = size.tolist()
+    cut = Cut(0.5 * (np.nanmin(xy, axis=0) + np.nanmax(xy, axis=0)) - 0.5 * size / scale, scale)
+    tile = image[top : top + high, left : left + wide]
+    tile[:] = cut.of(picture, (wide, high))
+    _draw_skeleton(tile, overlay, t, 0.8 * unit, cut)
+    _draw_detections(tile, overlay, t, 0.8 * unit, cut)
+    cv2.rectangle(tile, (0, 0), (wide - 1, high - 1), INK, max(1, round(2 * unit)))
+    draw_text(tile, f"{scale:.1f} times larger", (round(14 * unit), high - round(16 * unit)), 0.7 * unit, INK)
+
+
+def _draw_skeleton(image: Image, overlay: Overlay, t: int, unit: float, cut: Cut = WHOLE) -> None:
+    xy, near = cut.place(overlay.reprojected_px[t]), overlay.nearness[t]
+    segments = [
+        (0.5 * (near[a] + near[b]), a, b, colour)
+        for limb, colour in zip(overlay.limbs, overlay.colours, strict=True)
+        for a, b in pairwise(limb)
+        if np.isfinite(xy[[a, b]]).all()
+    ]
+    for nearness, a, b, colour in sorted(segments, key=lambda s: s[0]):
+        thick = max(2, round((4.0 + 2.0 * nearness) * unit))
+        draw_line(image, xy[a], xy[b], SHADOW, thick + 2)
+        draw_line(image, xy[a], xy[b], shade(colour, nearness), thick)
+
+
+def shade(colour: Colour, nearness: float) -> Colour:
+    """A colour mixed with white where it is near (1), with black where it is far (-1)."""
+    target, amount = (255.0, 0.45 * nearness) if nearness > 0 else (0.0, -0.45 * nearness)
+    blue, green, red = (round(c + (target - c) * amount) for c in colour)
+    return blue, green, red
+
+
+def _draw_detections(image: Image, overlay: Overlay, t: int, unit: float, cut: Cut = WHOLE) -> None:
+    size, thick = 7 * unit, max(1, round(1.5 * unit))
+    detected, reprojected = cut.place(overlay.detected_px[t]), cut.place(overlay.reprojected_px[t])
+    for at, to, outlier in zip(detected, reprojected, overlay.outliers[t], strict=True):
+        if not np.isfinite(at).all():
+            continue
+        if outlier:
+            if np.isfinite(to).all():
+                draw_line(image, at, to, OUTLIER, thick)
+            draw_line(image, at - size, at + size, OUTLIER, thick + 1)
+            across = np.array([size, -size])
+            draw_line(image, at - across, at + across, OUTLIER, thick + 1)
+        else:
+            draw_circle(image, at, size + 0.5 * thick + 0.5, SHADOW, 1)
+            draw_circle(image, at, size, DETECTION, thick)
+
+
+def _draw_caption(
+    canvas: Image, overlay: Overlay, t: int | None, frame: int, size_px: tuple[int, int], unit: float
+) -> None:
+    """Frame number and time; what is doubtful, with a border around the picture."""
+    slow = "" if overlay.speed == 1 else f"   {overlay.speed:.3g}x"
+    x, y, scale = round(24 * unit), round(48 * unit), 1.1 * unit
+    draw_text(canvas, f"frame {frame}   {frame / overlay.fps:.3f} s{slow}", (x, y), scale, INK)
+    flags = list(overlay.flags[t]) if t is not None else ["not reconstructed"]
+    if t is not None and not np.isfinite(overlay.reprojected_px[t]).any() and not flags:
+        flags = ["no pose"]
+    if flags:
+        draw_text(canvas, ", ".join(flags), (x, y + round(46 * unit)), scale, DOUBT)
+        edge = max(2, round(6 * unit))
+        cv2.rectangle(
+            canvas, (edge // 2, edge // 2), (size_px[0] - 1 - edge // 2, size_px[1] - 1 - edge // 2), DOUBT, edge
+        )
+
+
+def _draw_strip(canvas: Image, overlay: Overlay, t: int | None, top: int, width: int) -> None:
+    """The three views beneath the picture, and the key."""
+    height = round(STRIP_SHARE * width * 9 / 16)
+    unit = width / 1920
+    pad, foot = round(18 * unit), round(44 * unit)
+    boxes, left = {}, 0.0
+    for name, share in COLUMNS.items():
+        boxes[name] = (round(left * width) + pad, top + pad, round(share * width) - 2 * pad, height - pad - foot)
+        left += share
+    scale = min(
+        side / max(extent, 1e-6)
+        for name, (_, _, w, h) in boxes.items()
+        for side, extent in zip((w, h), np.subtract(*overlay.bounds[name][::-1]), strict=True)
+    )
+    for name, (x, y, w, h) in boxes.items():
+        low, high = overlay.bounds[name]
+        middle = np.array([x + w / 2, y + h / 2])
+
+        def place(points: Array, middle: Array = middle, low: Array = low, high: Array = high) -> Array:
+            return middle + (points[..., :2] - 0.5 * (low + high)) * scale * [1.0, -1.0]
+
+        if name != "from above":
+            ground = float(place(np.zeros(2))[1])
+            draw_line(canvas, np.array([x, ground]), np.array([x + w, ground]), FAINT, max(1, round(unit)))
+        if t is not None:
+            _draw_view(canvas, overlay, overlay.views[name][t], place, max(1, round(3 * unit)))
+        draw_text(canvas, name, (x, top + height - round(14 * unit)), 0.7 * unit, INK)
+    _draw_scale(canvas, boxes["side"], scale, top + height - round(20 * unit), unit)
+    _draw_key(canvas, overlay, (round(left * width) + pad, top + pad + round(16 * unit)), unit)
+
+
+def _draw_view(canvas: Image, overlay: Overlay, points: Array, place: Callable[[Array], Array], thickness: int) -> None:
+    """The limbs of a pose (J, 3) as `Overlay.views` has it, the nearest to the viewer last."""
+    drawn = [
+        (float(np.nanmean(points[list(limb), 2])), limb, colour)
+        for limb, colour in zip(overlay.limbs, overlay.colours, strict=True)
+        if np.isfinite(points[list(limb)]).any()
+    ]
+    for _, limb, colour in sorted(drawn, key=lambda d: d[0]):
+        ends = [(place(points[a]), place(points[b])) for a, b in pairwise(limb)]
+        known = [pair for pair in ends if np.isfinite(pair).all()]
+        for paint, width in ((PAPER, thickness + 2), (colour, thickness)):
+            for start, end in known:
+                draw_line(canvas, start, end, paint, width)
+
+
+def _draw_scale(canvas: Image, box: tuple[int, int, int, int], scale: float, y: int, unit: float) -> None:
+    """A bar of a round length, about a fifth of the view."""
+    x, _, w, _ = box
+    length = min((0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0), key=lambda m: abs(math.log(m * scale / (0.2 * w))))
+    start, end = np.array([[x + 0.5 * w, y], [x + 0.5 * w + length * scale, y]])
+    draw_line(canvas, start, end, INK, max(1, round(2 * unit)))
+    end = (round(end[0] + 10 * unit), y + round(6 * unit))
+    draw_text(canvas, f"{length:g} m", end, 0.6 * unit, INK)
+
+
+def _draw_key(canvas: Image, overlay: Overlay, corner: tuple[int, int], unit: float) -> None:
+    x, y = corner
+    step, bar = round(34 * unit), 46 * unit
+    names = {LEFT: "left", RIGHT: "right", MIDDLE: "middle"}
+    for colour in (c for c in names if c in overlay.colours):
+        for part in range(8):
+            ends = np.array([[x + part / 8 * bar, y], [x + (part + 1) / 8 * bar, y]])
+            draw_line(
+                canvas, ends[0], ends[1], shade(colour, 1 - 2 * part / 7), max(1, round((6 - 4 * part / 7) * unit))
+            )
+        label = f"{names[colour]}, near to far"
+        draw_text(canvas, label, (round(x + bar + 12 * unit), y + round(7 * unit)), 0.6 * unit, INK)
+        y += step
+    centre = np.array([x + bar / 2, y])
+    draw_circle(canvas, centre, 7 * unit, DETECTION, max(1, round(1.5 * unit)))
+    draw_text(canvas, "detected", (round(x + bar + 12 * unit), y + round(7 * unit)), 0.6 * unit, INK)
+    centre[1] += step
+    for arm in (np.array([7, 7]) * unit, np.array([7, -7]) * unit):
+        draw_line(canvas, centre - arm, centre + arm, OUTLIER, max(1, round(2.5 * unit)))
+    draw_text(canvas, "outlier", (round(x + bar + 12 * unit), y + step + round(7 * unit)), 0.6 * unit, INK)
+
+
+# ---- strokes ----
+
+
+def draw_line(image: Image, start: Array, end: Array, colour: Colour, thickness: int) -> None:
+    ends = np.rint(np.clip([start, end], -30000, 30000) * 2**SHIFT).astype(int).tolist()
+    cv2.line(image, tuple(ends[0]), tuple(ends[1]), colour, thickness, cv2.LINE_AA, SHIFT)
+
+
+def draw_circle(image: Image, centre: Array, radius: float, colour: Colour, thickness: int) -> None:
+    x, y = np.rint(np.clip(centre, -30000, 30000) * 2**SHIFT).astype(int).tolist()
+    cv2.circle(image, (x, y), round(radius * 2**SHIFT), colour, thickness, cv2.LINE_AA, SHIFT)
+
+
+def draw_text(image: Image, text: str, place: tuple[int, int], scale: float, colour: Colour) -> None:
+    """On a darker ground, as pictures may be of any brightness."""
+    scale = max(scale, 0.35)
+    thick, pad = max(1, round(2 * scale)), round(8 * scale)
+    (wide, high), below = cv2.getTextSize(text, FONT, scale, thick)
+    left, top = max(place[0] - pad, 0), max(place[1] - high - pad // 2, 0)
+    ground = image[top : place[1] + below + pad // 2, left : place[0] + wide + pad]
+    ground[:] = PAPER + DARKENED * (ground - np.array(PAPER, dtype=float))
+    cv2.putText(image, text, place, FONT, scale, colour, thick, cv2.LINE_AA)

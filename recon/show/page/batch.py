@@ -1,0 +1,138 @@
+"""The page of a batch: a table of its clips, the doubtful first."""
+
+from __future__ import annotations
+
+import csv
+import json
+import re
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from recon.animal.body import Body
+from recon.animal.skeleton_file import load_skeleton
+from recon.base.arrays import Array
+from recon.base.errors import InputError
+from recon.fit.results import REPORT, skeleton_names
+from recon.show.export.clip_csv import camera_files
+from recon.show.page import PAGE
+from recon.show.page.render import rendered
+
+FIRST = ("failed", "unsolved", "pending")
+"""Of the statuses, those above all others."""
+NUMBERS = {
+    "frames": ("frames", "d"),
+    "warnings": ("warnings", "d"),
+    "outliers": ("outliers", "d"),
+    "mean_reprojection_px": ("off by, px", ".1f"),
+    "mean_speed_m_s": ("mean m/s", ".1f"),
+    "peak_speed_m_s": ("peak m/s", ".1f"),
+    "size": ("size", ".2f"),
+}
+"""Columns of summary.csv that the table has, with their headings and formats."""
+THUMBNAIL_PX = (96, 60)
+FOLDERS = re.compile(r"(?<![\w.])(?:[A-Za-z]:)?[/\\](?:[^/\\:]+[/\\])+")
+"""Of a file that an error names: they stay in the house."""
+
+
+@dataclass(frozen=True)
+class Thumbnail:
+    """A pose as the camera saw it: its lines, each with its side, in a box of `THUMBNAIL_PX`."""
+
+    lines: Sequence[tuple[str, str]]
+
+
+@dataclass(frozen=True)
+class ClipRow:
+    """One clip: its row of summary.csv, and what its results say."""
+
+    cells: Mapping[str, str]
+    page: str | None
+    """Beside the summary, with forward slashes."""
+    doubtful: int | None
+    """Frames with a flag; None where there is no report."""
+    thumbnail: Thumbnail | None
+
+    @property
+    def share(self) -> float:
+        """Of the frames that are doubtful; 0 where it is not known."""
+        return (self.doubtful or 0) / max(1.0, float(self.cells["frames"] or 0))
+
+    def number(self, column: str, spec: str) -> str:
+        """Of summary.csv, rounded; nothing where it has none."""
+        cell = self.cells[column]
+        return format(int(cell) if spec == "d" else float(cell), spec) if cell else ""
+
+    @property
+    def rank(self) -> tuple[int, float, float]:
+        """The smallest is the most doubtful."""
+        status = self.cells["status"]
+        place = FIRST.index(status) if status in FIRST else len(FIRST)
+        return place, -self.share, -float(self.cells["mean_reprojection_px"] or 0)
+
+
+def batch_page(out: Path, rows: Sequence[Mapping[str, str]]) -> str:
+    """HTML of the batch in a folder, whose summary.csv has these rows."""
+    clips = sorted((_clip_row(out, row) for row in rows), key=lambda clip: clip.rank)
+    counts = Counter(row["status"] for row in rows)
+    return rendered(
+        "summary.html",
+        title=out.absolute().name or "batch",
+        clips=clips,
+        counts=", ".join(f"{count} {status}" for status, count in counts.items()),
+        numbers=NUMBERS,
+        pages=any(clip.page for clip in clips),
+        box=THUMBNAIL_PX,
+    )
+
+
+def _clip_row(out: Path, cells: Mapping[str, str]) -> ClipRow:
+    folder = out / cells["clip"]
+    cells = {**cells, "error": FOLDERS.sub("", cells["error"])}
+    page = f"{cells['clip']}/{PAGE}" if (folder / PAGE).is_file() else None
+    try:
+        report = json.loads((folder / REPORT).read_text(encoding="utf-8"))
+        doubtful = sum(bool(frame["flags"]) for frame in report["frames"])
+        return ClipRow(cells, page, doubtful, _thumbnail(folder, report))
+    except (OSError, ValueError, TypeError, LookupError, InputError):  # failed, or damaged since
+        return ClipRow(cells, page, None, None)
+
+
+def _thumbnail(folder: Path, report: Mapping[str, Any]) -> Thumbnail | None:
+    """Of the frame with a pose that is nearest to the middle, in the first camera's picture."""
+    names = [camera["name"] for camera in report["cameras"]]
+    points = _middle_points(folder / camera_files("reprojection.csv", names)[0])
+    if points is None:
+        return None
+    body = _body(*skeleton_names(report, folder))
+    low, high = np.nanmin(points, axis=0), np.nanmax(points, axis=0)
+    scale = float(np.min(0.9 * np.array(THUMBNAIL_PX) / np.maximum(high - low, 1.0)))
+    places = (points - (low + high) / 2) * scale + np.array(THUMBNAIL_PX) / 2
+    sides = body.limb_sides(report["side"]["fitted"])
+    lines = [
+        (str(sides[limb] or "middle"), " ".join(f"{x:.0f},{y:.0f}" for x, y in places[list(along)]))
+        for limb, along in body.limb_rows.items()
+    ]
+    return Thumbnail([line for line in lines if "nan" not in line[1]])
+
+
+def _middle_points(path: Path) -> Array | None:
+    """(J, 2), of a table of reprojections."""
+    with path.open(encoding="utf-8", newline="") as file:
+        rows = list(csv.reader(file))[3:]
+    middle = len(rows) / 2
+    for place in sorted(range(len(rows)), key=lambda t: abs(t - middle)):
+        cells = np.array([float(cell or "nan") for cell in rows[place][1:]]).reshape(-1, 3)
+        if np.isfinite(cells[:, :2]).any():
+            return cells[:, :2]
+    return None
+
+
+@cache
+def _body(skeleton: str, subject: str | None) -> Body:
+    return load_skeleton(skeleton, subject)

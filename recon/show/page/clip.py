@@ -1,0 +1,218 @@
+"""The page of one result."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import groupby
+from typing import Any, Literal
+
+import numpy as np
+
+from recon.base.arrays import Array
+from recon.fit.results import MEASURED_SHARE, Results
+from recon.gait.clip import gaits_of, reference_motion
+from recon.gait.gait import Gait, Method
+from recon.gait.kinematics import JointKinematics
+from recon.gait.path import MIN_POINTS
+from recon.show import plots
+from recon.show.page.render import inline, rendered
+from recon.show.plots.angles import AngleCurve, angle_over_time, together
+from recon.show.report import summary_lines
+
+SECTION_CHARACTERS = 600_000
+"""The most that the vector graphics of a section take; three sections and the stills are below 3 MB."""
+SHOWN = 100
+"""Rows of the table of doubtful frames."""
+SPEED_MM = 130.0
+LENGTHS, POSES, STRETCHES = 4.0, 7, 3
+"""How many times its length an animal runs in a figure of so many poses, in so many stretches of the clip at most."""
+UNKNOWN_ACCELERATION = " The acceleration is hardly known: most of the time it is less than its standard deviation."
+MEANING = {
+    "no data": "nothing was detected: the pose, if there is one, comes from the frames around",
+    "ran away": "the best pose was out of the camera's sight, and the frame has none",
+    "data poor": "few joints were seen and trusted",
+    "ambiguous depth": "another pose, with near and far exchanged, explains it nearly as well",
+    "second solution": "another pose explains it nearly as well",
+    "sides exchanged": "the detections look as if left and right were exchanged",
+    "garbage": "the detections are not those of an animal",
+}
+"""Of flags, for readers who have not seen docs/how-to/read-the-report.md."""
+
+
+@dataclass(frozen=True)
+class Section:
+    """Figures with a heading and what they show."""
+
+    heading: str
+    text: str
+    figures: Sequence[str]
+    width: Literal["wide", "narrow", "small"] = "wide"
+    """small: several beside each other; a wide one scrolls on a phone."""
+
+
+@dataclass(frozen=True)
+class Still:
+    """A frame's picture: its source, and what to say where it is not shown."""
+
+    source: str
+    text: str
+
+
+def clip_page(
+    results: Results, stills: Sequence[Still], behind: str | None, files: Sequence[str], number: int = 0
+) -> str:
+    """HTML of a result. behind: the video's name behind the stills, None: a plain ground; files: their names beside the
+    page, with forward slashes, for links; number: of the camera whose stills they are."""
+    report = results.report
+    posed = np.isfinite(results.pose.xyz_m).all(axis=(1, 2))
+    moved, gaits = (reference_motion(results), gaits_of(results)) if posed.sum() >= MIN_POINTS else (None, {})
+    doubtful = list(doubtful_frames(results))
+    return rendered(
+        "report.html",
+        title=", ".join(dict.fromkeys(_base(camera["keypoints"]) for camera in report["cameras"])),
+        subtitle=_subtitle(results),
+        words=list(_words(results, moved, gaits)),
+        warnings=report["warnings"],
+        stills=stills,
+        behind=behind,
+        camera=results.cameras[number].name if len(results.cameras) > 1 else "the camera",
+        sections=[] if moved is None else list(_sections(results, moved, gaits)),
+        doubtful=doubtful[:SHOWN],
+        more_doubtful=max(0, len(doubtful) - SHOWN),
+        meaning={flag: text for flag, text in MEANING.items() if any(flag in flags for flags in results.flags)},
+        summary=[line for line in summary_lines(report) if line[0] != "warning"],
+        assumptions=report["assumptions"]["sentences"],
+        settings=[(name, _plain(value)) for name, value in report["settings"].items() if value is not None],
+        files=files,
+    )
+
+
+def _base(path: str | None) -> str:
+    """Of a file of any system."""
+    return (path or "clip").replace("\\", "/").rsplit("/", 1)[-1]
+
+
+def _plain(value: Any) -> str:
+    """Of files the names: their folders are nobody's business whom the page is passed on to."""
+    return ", ".join(map(_plain, value)) if isinstance(value, list) else _base(str(value))
+
+
+def _subtitle(results: Results) -> str:
+    frames = results.pose.frames
+    many = f" · {len(results.cameras)} cameras" if len(results.cameras) > 1 else ""
+    return f"frames {frames[0]} to {frames[-1]} · {results.fps:g} a second, times since frame 0{many} · {results.title}"
+
+
+# -- words ------------------------------------------------------------------------------------------------------------
+
+
+def _words(results: Results, moved: JointKinematics | None, gaits: Mapping[Method, Gait]) -> Iterator[str]:
+    """The result in a few sentences."""
+    lines = dict(summary_lines(results.report))
+    yield f"Frames: {lines['frames']}."
+    if moved is None:
+        yield "Too few frames have a pose for a speed or a gait."
+        return
+    yield _speed_sentence(results, moved)
+    yield from _gait_sentences(gaits)
+    if "uncertainty" in lines:
+        yield f"Uncertainty: {lines['uncertainty']}."
+
+
+def _speed_sentence(results: Results, moved: JointKinematics) -> str:
+    if results.jitters:
+        run = results.report.get("travel", {}).get("median_speed_m_s")
+        if run is not None:
+            return f"A straight run through all frames has {run:.1f} m/s; this method's path jitters in depth."
+    sigma = moved.peak_speed_sigma_m_s
+    spread = "" if np.isnan(sigma) else f" ± {sigma:.1f}"
+    return (
+        f"It ran {moved.distance_m:.1f} m, at {moved.mean_speed_m_s:.1f} m/s in the mean and "
+        f"{moved.peak_speed_m_s:.1f}{spread} m/s at most."
+    )
+
+
+def _gait_sentences(gaits: Mapping[Method, Gait]) -> Iterator[str]:
+    if not gaits:
+        yield "The skeleton has no feet: no gait."
+        return
+    method, gait = next(((m, g) for m, g in gaits.items() if g.strides), next(iter(gaits.items())))
+    by = {"ground": "feet that are slow and low", "body": "feet that move backwards below the body"}[method]
+    yield f"Gait, from {by}: {gait.name.name} ({gait.name.criterion})."
+    if gait.strides:
+        yield (
+            f"Strides are {gait.stride_length_m:.2f} m long, {gait.stride_frequency_hz:.2f} a second (means over "
+            f"{len(gait.strides)} of single feet); a foot stands {gait.name.duty_factor:.0%} of the time."
+        )
+
+
+def doubtful_frames(results: Results) -> Iterator[tuple[str, str]]:
+    """Runs of frames with the same flags: numbers and flags in words."""
+    for flags, run in groupby(range(len(results.flags)), lambda t: results.flags[t]):
+        if flags:
+            rows = [*run]
+            first, last = results.pose.frames[[rows[0], rows[-1]]]
+            yield (f"{first}" if first == last else f"{first} to {last}"), ", ".join(flags)
+
+
+# -- figures ----------------------------------------------------------------------------------------------------------
+
+
+def _sections(results: Results, moved: JointKinematics, gaits: Mapping[Method, Gait]) -> Iterator[Section]:
+    ground = gaits["ground"].tracks.grounds if gaits else None
+    drawn = {"ground": ground, "sides": results.limb_sides}
+    yield Section(
+        "From the side, from above and from ahead",
+        "Poses evenly spaced in time, turned so that the animal runs to the right.",
+        _inline([plots.composites(m, results.limbs, results.time_s, **drawn) for m in _stretches(results, moved)]),
+    )
+    name = results.report["root_path"]["keypoint"]
+    yield Section(
+        "Speed",
+        f"Of {name}, along its path"
+        + ("." if moved.speed_sigma_m_s is None else ", with bands of one standard deviation.")
+        + (UNKNOWN_ACCELERATION if _is_unknown(moved.acceleration_m_s2, moved.acceleration_sigma_m_s2) else ""),
+        _inline([plots.speeds({name: moved}, width_mm=SPEED_MM)]),
+        "narrow",
+    )
+    if gaits:
+        text = "When each foot stands: by its speed over the ground and its height, and by its path below the body."
+        yield Section("Footfalls", text, _inline([plots.footfall(gaits, results.fps)]))
+    panels = together(_angle_curves(results)).items()
+    doubtful = np.array([bool(flags) for flags in results.flags])
+    yield Section(
+        "Angles",
+        "Of each joint of the model, with bands of one standard deviation: left sides blue and dashed, right sides "
+        "orange, the middle as the axes; grey ones are mostly expected, not seen. Doubtful frames have a grey ground.",
+        _inline([angle_over_time(results.time_s, curves, doubtful, title) for title, curves in panels]),
+        "small",
+    )
+
+
+def _is_unknown(values: Array, sigma: Array | None) -> bool:
+    """Whether most of the values (N,) are less than their standard deviations."""
+    return sigma is not None and float(np.mean(sigma > values, where=np.isfinite(values))) > 0.5
+
+
+def _stretches(results: Results, moved: JointKinematics) -> Iterator[Array]:
+    """Some of the poses (T, J, 3), in parts of the clip that are short enough to be seen; the rest is NaN."""
+    joints_m = results.pose.xyz_m
+    posed = np.flatnonzero(np.isfinite(joints_m).all(axis=(1, 2)))
+    long_m = float(np.median(np.ptp(joints_m[posed], axis=1), axis=0).max())
+    count = int(np.clip(np.round(moved.distance_m / (LENGTHS * long_m)), 1, STRETCHES))
+    shown = posed[np.round(np.linspace(0, len(posed) - 1, count * POSES)).astype(int)]
+    for rows in np.split(shown, count):
+        part = np.full_like(joints_m, np.nan)
+        part[rows] = joints_m[rows]
+        yield part
+
+
+def _inline(figures: Sequence[Any]) -> list[str]:
+    return [inline(figure, SECTION_CHARACTERS // len(figures)) for figure in figures]
+
+
+def _angle_curves(results: Results) -> dict[str, AngleCurve]:
+    shares = results.data_shares
+    columns: Iterable[Any] = zip(results.angle_names, results.angles_rad.T, results.angle_sigma_rad.T, strict=True)
+    return {name: AngleCurve(angle, sigma, not shares[name] < MEASURED_SHARE) for name, angle, sigma in columns}

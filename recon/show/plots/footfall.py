@@ -1,0 +1,109 @@
+"""Footfall diagram after Hildebrand: when each foot stands."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from recon.gait.gait import Gait, Method, Stance
+from recon.show.plots.style import COLOURS, PALE, SMALL, add_legend, drawing
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+ROWS = ("LH", "RH", "RF", "LF")
+"""From the top."""
+HATCHES = ("", "////", "....", "xxxx")
+_BAR = 0.76
+"""Of a row, all methods together."""
+
+
+def footfall(gaits: Mapping[str, Gait] | Mapping[Method, Gait], fps: float, title: str = "") -> Figure:
+    """Stances by foot, the methods' bars one above the other; the second axis counts frames, of which 0 is at 0 s.
+
+    A stance that the clip cuts has no edge there, but an arrow: it is at least as long as its bar. Thin lines with
+    ticks are complete strides. Below: each method's name of the gait and why.
+    """
+    captions = [_caption(name, gait) for name, gait in gaits.items()]
+    lines = sum(caption.count("\n") + 1 for caption in captions)
+    others = [foot for gait in gaits.values() for foot in gait.tracks.feet if foot not in ROWS]
+    feet = [foot for foot in ROWS if any(foot in g.tracks.feet for g in gaits.values())] + list(dict.fromkeys(others))
+    with drawing(9.0 * len(feet) + 32 + 3.4 * lines + 4 * bool(title), title=title) as figure:
+        if not gaits:
+            return figure
+        from matplotlib.collections import LineCollection
+        from matplotlib.ticker import MaxNLocator
+
+        axes = figure.subplots()
+        thick = _BAR / len(gaits)
+        for m, gait in enumerate(gaits.values()):
+            place = {foot: row - _BAR / 2 + (m + 0.5) * thick for row, foot in enumerate(feet)}
+            ends = [[(s.start_s, place[s.foot]), (s.end_s, place[s.foot])] for s in gait.strides]
+            axes.add_collection(LineCollection(ends, color="k", lw=0.7, zorder=3.5), autolim=False)
+            axes.plot(*np.reshape(ends, (-1, 2)).T, "k|", ms=5, zorder=3.5)
+            for foot, y in place.items():
+                _bars(axes, [s for s in gait.stances if s.foot == foot], y, 0.86 * thick, m)
+        axes.set_yticks(range(len(feet)), feet)
+        axes.set_ylim(len(feet) - 0.5, -0.5)
+        axes.tick_params(axis="y", length=0)
+        for row in range(1, len(feet)):
+            axes.axhline(row - 0.5, color=PALE, lw=0.5, zorder=0)
+        times = np.concatenate([g.tracks.time_s for g in gaits.values()])
+        room = 0.02 * float(np.ptp(times)) or 0.5 / fps
+        axes.set_xlim(times.min() - room, times.max() + room)
+        axes.set_xlabel("time (s)\n\n" + "\n".join(captions), loc="left", fontsize=SMALL)
+        frames = axes.secondary_xaxis("top", functions=(lambda t: np.multiply(t, fps), lambda f: np.divide(f, fps)))
+        frames.set_xlabel("frame")
+        frames.xaxis.set_major_locator(MaxNLocator("auto", integer=True, steps=[1, 2, 5, 10]))
+        if not any(g.stances for g in gaits.values()):
+            axes.text(0.5, 0.5, "no stances", transform=axes.transAxes, ha="center", va="center")
+        _legend(figure, gaits)
+    return figure
+
+
+def _bars(axes: Axes, stances: Sequence[Stance], y: float, height: float, m: int) -> None:
+    """Of one foot."""
+    from matplotlib.collections import LineCollection
+
+    colour, low, high, edges = COLOURS[m % len(COLOURS)], y - height / 2, y + height / 2, []
+    axes.broken_barh([(s.start_s, s.duration_s) for s in stances], (low, height), **_fill(m), lw=0, zorder=2)
+    for stance in stances:
+        # An edge only where the stance begins or ends.
+        left, right = stance.start_s, stance.end_s
+        edges += [[(left, low), (right, low)], [(left, high), (right, high)]]
+        edges += [[(left, low), (left, high)]] * stance.begins + [[(right, low), (right, high)]] * stance.ends
+        for at, marker in [(left, "<")] * (not stance.begins) + [(right, ">")] * (not stance.ends):
+            axes.plot(at, y, marker=marker, ms=4, color=colour, mec="w", mew=0.4, zorder=4, clip_on=False)
+    lines = LineCollection(edges, color=colour, lw=1.1, capstyle="projecting", zorder=3)
+    axes.add_collection(lines, autolim=False)
+
+
+def _caption(name: str, gait: Gait) -> str:
+    text = f"{name}: {gait.name.name} ({gait.name.criterion})"
+    if gait.strides:
+        text += f"; stride {gait.stride_length_m:.2f} m, {gait.stride_frequency_hz:.2f} Hz"
+    return textwrap.fill(text, 125)
+
+
+def _legend(figure: Figure, gaits: Mapping[str, Gait] | Mapping[Method, Gait]) -> None:
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
+    handles: list = [Patch(**_fill(m), label=name) for m, name in enumerate(gaits)]
+    if not all(s.begins and s.ends for g in gaits.values() for s in g.stances):
+        handles.append(Line2D([], [], linestyle="", marker=">", ms=4, color="k", label="cut by the clip"))
+    if any(g.strides for g in gaits.values()):
+        handles.append(Line2D([], [], color="k", lw=0.7, marker="|", ms=5, label="complete stride"))
+    add_legend(figure, handles, [h.get_label() for h in handles])
+
+
+def _fill(m: int) -> dict[str, Any]:
+    """Pale, with a hatch and an edge, of the m-th method."""
+    from matplotlib.colors import to_rgb
+
+    colour = COLOURS[m % len(COLOURS)]
+    return {"fc": [0.55 + 0.45 * c for c in to_rgb(colour)], "ec": colour, "hatch": HATCHES[m % len(HATCHES)]}

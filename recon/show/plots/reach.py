@@ -1,0 +1,177 @@
+"""Inverse kinematics: the ways of several methods to a target or along a path."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+
+from recon.base.arrays import Array
+from recon.robotics.ik.chain import SerialChain
+from recon.robotics.ik.drive import TOLERANCE_M, Drive, Follow
+from recon.show.plots.style import GREY, PALE, SMALL, WIDTH_MM, add_legend, drawing, grid_shape, legend_shape, look
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+    from matplotlib.lines import Line2D
+
+
+VIEWS = {
+    "UVW": (("side", 0, 1, "forwards (m)", "down (m)"), ("top", 0, 2, "forwards (m)", "to the left (m)")),
+    "xyz": (("side", 0, 2, "forwards (m)", "up (m)"), ("top", 0, 1, "forwards (m)", "to the left (m)")),
+}
+"""Of the base frames of `recon.robotics.ik.animal`: name, coordinates, and what the axes are called."""
+_ROOM = 0.06
+_NONE_MM = 0.001
+"""From a path: nothing."""
+
+
+def task_space(
+    moves: Mapping[str, Drive | Follow],
+    target_m: Array | None = None,
+    path_m: Array | None = None,
+    chain: SerialChain | None = None,
+    base: Literal["UVW", "xyz"] = "UVW",
+    title: str = "",
+) -> Figure:
+    """The end effector's paths by method: in the plane, or in space from the side and from above.
+
+    target_m (dim,) is a cross, path_m (K, dim) the way that was to be followed. chain: draws the first configuration
+    of the first method and the last one of every method. base: what the coordinates mean, forwards, down and left or
+    forwards, left and up; two are U and V.
+    """
+    dim = next((m.end_m.shape[1] for m in moves.values()), 2)
+    views = VIEWS[base][: dim - 1]
+    labels = [f"{name}{_outcome(move)}" for name, move in moves.items()]
+    with drawing(92 + legend_shape([*labels, *("start", "target", "path", "chain")])[1], title=title) as figure:
+        if not moves:
+            return figure
+        panels = np.ravel(figure.subplots(1, len(views), squeeze=False))
+        for axes, (view, i, j, across, upwards) in zip(panels, views, strict=True):
+            if chain is not None:
+                first = next(iter(moves.values()))
+                _chain(axes, chain, first.q[0], (i, j), color=GREY, lw=2.2, alpha=0.5, zorder=1)
+            if path_m is not None:
+                axes.plot(path_m[:, i], path_m[:, j], color=PALE, lw=3.5, zorder=1, gid="path")
+            for k, move in enumerate(moves.values()):
+                style = look(k)
+                if chain is not None:
+                    _chain(axes, chain, move.q[-1], (i, j), **style, lw=0.7, alpha=0.8, zorder=2)
+                axes.plot(move.end_m[:, i], move.end_m[:, j], **style, zorder=3, label=labels[k])
+                axes.plot(*move.end_m[-1, [i, j]], "o", ms=3.5, color=style["color"], zorder=4)
+            start = next(iter(moves.values())).end_m[0]
+            axes.plot(*start[[i, j]], "o", ms=5, mfc="w", mec="k", zorder=5)
+            if target_m is not None:
+                axes.plot(*np.asarray(target_m)[[i, j]], "k+", ms=10, mew=1.2, zorder=5, gid="target")
+            axes.set_xlabel(across)
+            axes.set_ylabel(upwards)
+            axes.set_aspect("equal", adjustable="datalim")
+            axes.margins(_ROOM)
+            if upwards.startswith("down"):
+                axes.invert_yaxis()
+            if dim == 3:
+                axes.set_title(view, loc="left", fontsize=SMALL, color=GREY)
+        marks = _marks(target_m is not None, path_m is not None, chain is not None)
+        handles, _ = panels[0].get_legend_handles_labels()
+        add_legend(figure, [*handles, *marks], [*labels, *(str(mark.get_label()) for mark in marks)])
+    return figure
+
+
+def joint_space(moves: Mapping[str, Drive | Follow], names: Sequence[str] | None = None, title: str = "") -> Figure:
+    """Each joint's angle (deg) by method, over the iterations to a target or the points of a path. names (n,)."""
+    n = next((m.q.shape[1] for m in moves.values()), 0)
+    least, aspect = (3, 0.62) if n <= 6 else (5, 0.9)
+    rows, columns = grid_shape(n, WIDTH_MM, aspect, least) if n else (0, 0)
+    labels = [f"{name}{_outcome(move)}" for name, move in moves.items()]
+    with drawing(rows * aspect * WIDTH_MM / max(columns, 1) + 14 + legend_shape(labels)[1], title=title) as figure:
+        if not n:
+            return figure
+        panels = figure.subplots(rows, columns, sharex=True, squeeze=False).ravel()
+        for joint, axes in enumerate(panels[:n]):
+            for k, move in enumerate(moves.values()):
+                axes.plot(np.degrees(move.q[:, joint]), **look(k))
+            axes.set_title(f"joint {joint + 1}" if names is None else names[joint], fontsize=SMALL, pad=2)
+            axes.locator_params(axis="y", nbins=4)
+        for axes in panels[n:]:
+            axes.set_axis_off()
+        driven = any(isinstance(m, Drive) for m in moves.values())
+        for axes in panels[max(0, n - columns) : n]:
+            axes.set_xlabel("iteration" if driven else "point of the path")
+            axes.tick_params(labelbottom=True)
+        figure.supylabel("angle (deg)", fontsize=8)
+        add_legend(figure, panels[0].get_lines(), labels)
+    return figure
+
+
+def distances(moves: Mapping[str, Drive | Follow], tolerance_m: float = TOLERANCE_M, title: str = "") -> Figure:
+    """Distance (mm) to the target over the iterations, by method; a ring where it was reached, a cross where not. Or
+    from the path over its points."""
+    labels = [f"{name}: {_figure(move)}{_outcome(move)}" for name, move in moves.items()]
+    with drawing(72 + legend_shape(labels)[1], title=title) as figure:
+        if not moves:
+            return figure
+        from matplotlib.ticker import LogFormatter, MaxNLocator
+
+        axes, handles = figure.subplots(), []
+        for k, move in enumerate(moves.values()):
+            style, distance_mm = look(k), 1000 * move.distance_m
+            handles += axes.plot(distance_mm, **style)
+            if isinstance(move, Drive):
+                end = {"marker": "o", "mfc": "w", "ms": 5} if move.reached else {"marker": "X", "ms": 7}
+                axes.plot(move.iterations, distance_mm[-1], **end, color=style["color"], mec=style["color"], zorder=4)
+        axes.set_yscale("log", nonpositive="clip")
+        axes.yaxis.set_major_formatter(LogFormatter())
+        driven = any(isinstance(move, Drive) for move in moves.values())
+        if driven:
+            axes.axhline(1000 * tolerance_m, color=GREY, lw=0.8, zorder=1, gid="tolerance")
+            axes.annotate(
+                f"{1000 * tolerance_m:g} mm",
+                (0, 1000 * tolerance_m),
+                (2, 2),
+                xycoords=("axes fraction", "data"),
+                textcoords="offset points",
+                fontsize=SMALL,
+                color=GREY,
+            )
+        else:
+            axes.set_ylim(bottom=_NONE_MM)
+        axes.set_xlabel("iteration" if driven else "point of the path")
+        axes.set_ylabel(f"distance {'to the target' if driven else 'from the path'} (mm)")
+        axes.xaxis.set_major_locator(MaxNLocator("auto", integer=True, steps=[1, 2, 5, 10]))
+        axes.yaxis.set_major_formatter("{x:g}")
+        add_legend(figure, handles, labels)
+    return figure
+
+
+def _chain(axes: Axes, chain: SerialChain, q: Array, view: tuple[int, int], **options) -> None:
+    points = chain.positions(q)[:, list(view)]
+    axes.plot(*points.T, marker="o", ms=2, **options)
+
+
+def _figure(move: Drive | Follow) -> str:
+    if isinstance(move, Drive):
+        return str(move.iterations)
+    return f"{1000 * float(np.max(move.distance_m)):.3g} mm"
+
+
+def _outcome(move: Drive | Follow) -> str:
+    """What did not go as it should, in a few words."""
+    if isinstance(move, Drive):
+        return "" if move.reached else f" (not reached, {move.reason.split(':')[0]})"
+    return f" ({move.note.split(':')[0].split(' (')[0]})" if move.note else ""
+
+
+def _marks(target: bool, path: bool, chain: bool) -> list[Line2D]:
+    """What the legend explains besides the methods."""
+    from matplotlib.lines import Line2D
+
+    marks = [Line2D([], [], linestyle="", marker="o", mfc="w", mec="k", ms=5, label="start")]
+    if target:
+        marks.append(Line2D([], [], linestyle="", marker="+", color="k", ms=10, mew=1.2, label="target"))
+    if path:
+        marks.append(Line2D([], [], color=PALE, lw=3.5, label="path to follow"))
+    if chain:
+        marks.append(Line2D([], [], color=GREY, lw=2.2, alpha=0.5, marker="o", ms=2, label="chain at the start"))
+    return marks

@@ -1,0 +1,202 @@
+"""How the figures look, and how they are written.
+
+Widths are those of a page (180 mm) or a column (85 mm), text is 8 points. Colours are those of Okabe and Ito without
+yellow, which is pale on paper; lines that have to be told apart differ in dashes too. Time is viridis without its
+palest tenth.
+
+A figure is laid out once, when it is drawn. All files are the same byte for byte for the same data and version of
+matplotlib, whatever the user's own settings of matplotlib are, and those are left alone.
+"""
+
+from __future__ import annotations
+
+import io
+import re
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from recon.base.arrays import Array, Index
+from recon.base.files import staged_folder
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.axis import Axis
+    from matplotlib.colors import ListedColormap, Normalize
+    from matplotlib.figure import Figure
+
+
+WIDTH_MM, COLUMN_MM = 180.0, 85.0
+PAGE_MM = 235.0
+"""Height of a page within its margins."""
+MM = 1 / 25.4
+"""Inches."""
+PNG_DPI = 200
+
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#000000")
+DASHES = ("-", (0, (5, 1.5)), (0, (1, 1)), (0, (5, 1, 1, 1)))
+MOST_DOTS = 500
+"""In a line: more would touch, and take long to draw."""
+STRETCHES = 1500
+"""Of a line: as many as a page has pixels across."""
+MARKERS = ("o", "s", "^", "D", "v", "P", "X")
+GREY, PALE = "#666666", "#BBBBBB"
+SMALL = 7.0
+"""Points: ticks, legends, captions."""
+
+_SETTINGS: dict[Any, Any] = {
+    "font.family": "sans-serif",
+    "font.sans-serif": ["DejaVu Sans"],
+    "font.size": 8.0,
+    "axes.titlesize": 8.0,
+    "axes.titley": 1.0,  # nothing stands on top of axes; to look there takes a tenth of the time
+    "axes.labelsize": 8.0,
+    "figure.titlesize": 9.0,
+    "xtick.labelsize": SMALL,
+    "ytick.labelsize": SMALL,
+    "legend.fontsize": SMALL,
+    "legend.frameon": False,
+    "legend.handlelength": 3.0,
+    "axes.linewidth": 0.6,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "xtick.major.width": 0.6,
+    "ytick.major.width": 0.6,
+    "lines.linewidth": 1.1,
+    "hatch.linewidth": 0.6,
+    "svg.fonttype": "none",
+    "text.parse_math": False,  # names are no formulas
+    "svg.hashsalt": "recon",
+}
+
+
+@contextmanager
+def drawing(height_mm: float, width_mm: float = WIDTH_MM, title: str | None = None) -> Iterator[Figure]:
+    """A new figure to draw on, laid out for good at the end of the block. title: above all, None leaves no room."""
+    with _settings():
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
+        from matplotlib.figure import Figure
+
+        figure = Figure(figsize=(width_mm * MM, height_mm * MM), layout="constrained")
+        FigureCanvasAgg(figure)
+        if title is not None:
+            figure.suptitle(title)
+        yield figure
+        if not figure.axes:
+            figure.text(0.5, 0.5, "no data", ha="center", va="center", color=GREY)
+        elif layout := figure.get_layout_engine():
+            layout.execute(figure)
+        figure.set_layout_engine(None)
+
+
+def save(figure: Figure, folder: str | Path, stem: str) -> tuple[Path, Path]:
+    """Writes stem.png (`PNG_DPI`) and stem.svg (text as text) into the folder, which is made; returns their paths."""
+    paths = Path(folder) / f"{stem}.png", Path(folder) / f"{stem}.svg"
+    with _settings(), staged_folder(folder) as staging:
+        figure.savefig(staging / paths[0].name, dpi=PNG_DPI, metadata={"Software": None})
+        figure.savefig(staging / paths[1].name, metadata={"Date": None, "Creator": None})
+    return paths
+
+
+def svg_of(figure: Figure) -> str:
+    """The element <svg> by itself, for a page: no ground behind it, and text as text."""
+    content = io.StringIO()
+    with _settings():
+        figure.savefig(content, format="svg", transparent=True, metadata=dict.fromkeys(("Date", "Creator")))
+    text = content.getvalue()
+    return re.sub(r"<metadata>.*?</metadata>|<style .*?</style>", "", text[text.index("<svg") :], flags=re.DOTALL)
+
+
+def png_of(figure: Figure, dpi: float) -> bytes:
+    """No ground behind it."""
+    content = io.BytesIO()
+    with _settings():
+        figure.savefig(content, format="png", dpi=dpi, transparent=True, metadata={"Software": None})
+    return content.getvalue()
+
+
+@contextmanager
+def _settings() -> Iterator[None]:
+    import matplotlib as mpl
+
+    with mpl.rc_context():
+        mpl.rcdefaults()
+        mpl.rcParams.update(_SETTINGS)
+        yield
+
+
+def look(i: int) -> dict[str, Any]:
+    """Colour and dashes of the i-th of several lines; 28 differ."""
+    return {"color": COLOURS[i % len(COLOURS)], "linestyle": DASHES[i % len(DASHES)]}
+
+
+def dots(count: int, size: float) -> dict[str, Any]:
+    """Of a line through count samples, where there is room for them."""
+    return {"marker": "o", "ms": size} if count <= MOST_DOTS else {}
+
+
+def telling(*lines: Array) -> Index:
+    """Rows that lines (N,) need to look as with all of them: the least and the greatest of each in every `STRETCHES`th
+    of them, and where gaps begin."""
+    N = len(lines[0])
+    each = -(-N // STRETCHES)
+    if each < 5:
+        return np.arange(N)
+    found = [np.array([0, N - 1])]
+    for values in lines:
+        parts = np.pad(values, (0, -N % each), mode="edge").reshape(-1, each)
+        gap = np.isnan(parts)
+        least, most = np.where(gap, np.inf, parts).argmin(axis=1), np.where(gap, -np.inf, parts).argmax(axis=1)
+        found += [np.arange(len(parts)) * each + place for place in (least, most, gap.argmax(axis=1))]
+    return np.unique(np.minimum(np.concatenate(found), N - 1))
+
+
+def legend_shape(labels: Sequence[str], width_mm: float = WIDTH_MM) -> tuple[int, float]:
+    """Columns of a legend that fits a width, and its height (mm)."""
+    longest = max((len(label) for label in labels), default=0)
+    columns = int(np.clip((width_mm - 4) / (1.2 * longest + 15), 1, max(len(labels), 1)))
+    return columns, 3.9 * -(-len(labels) // columns)
+
+
+def add_legend(figure: Figure, handles: Sequence[Any], labels: Sequence[str], width_mm: float = WIDTH_MM) -> None:
+    """Below everything else."""
+    figure.legend(handles, labels, loc="outside lower left", ncols=legend_shape(labels, width_mm)[0])
+
+
+def blank(axes: Axes) -> None:
+    """Says that there is nothing to show."""
+    axes.text(0.5, 0.5, "no data", transform=axes.transAxes, ha="center", va="center", color=GREY)
+    axes.set_xticks([])
+    axes.set_yticks([])
+
+
+def plain_logarithm(axis: Axis) -> None:
+    """Of a logarithmic axis: few ticks, as plain numbers."""
+    from matplotlib.ticker import LogLocator, NullFormatter
+
+    low, high = sorted(axis.get_view_interval())
+    axis.set_major_locator(LogLocator(subs=(1.0,) if high > 30 * low else (1.0, 2.0, 5.0), numticks=7))
+    axis.set_major_formatter("{x:g}")
+    axis.set_minor_formatter(NullFormatter())
+
+
+def time_colours(time_s: Array) -> tuple[ListedColormap, Normalize]:
+    """The colours of times, from the first to the last that is known."""
+    import matplotlib as mpl
+    from matplotlib.colors import ListedColormap, Normalize
+
+    known = time_s[np.isfinite(time_s)]
+    low, high = (float(known.min()), float(known.max())) if len(known) else (0.0, 1.0)
+    colours = mpl.colormaps["viridis"](np.linspace(0.0, 0.9, 256))
+    return ListedColormap(colours), Normalize(low, high if high > low else low + 1.0)
+
+
+def grid_shape(count: int, width_mm: float, aspect: float, least: int = 1) -> tuple[int, int]:
+    """Rows and columns of count small figures of height aspect x width, as few columns as fit on a page."""
+    columns = min(least, count)
+    while -(-count // columns) * aspect * width_mm / columns > PAGE_MM:
+        columns += 1
+    return -(-count // columns), columns

@@ -1,0 +1,82 @@
+"""The report of a fit, as plain JSON types. Every field is documented in docs/report.md.
+
+common: what both methods have. frame, trajectory: what each adds, its warnings and its summary.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from rich.table import Table
+from rich.text import Text
+
+from recon.base.package import version
+from recon.fit.motion import Motion
+from recon.fit.results import SCHEMA_NAME, SCHEMA_VERSION
+from recon.show.report import frame, trajectory
+from recon.show.report.plain import to_json, to_plain, write_report
+
+__all__ = [
+    "SCHEMA_NAME",
+    "SCHEMA_VERSION",
+    "build_report",
+    "console_summary",
+    "frames_with_pose",
+    "is_unsolved",
+    "summary_lines",
+    "to_json",
+    "to_plain",
+    "write_report",
+]
+
+_METHODS = {"frame": frame, "trajectory": trajectory}
+
+
+def build_report(
+    motion: Motion, settings: Mapping[str, Any], timing: Mapping[str, float] | None = None
+) -> dict[str, Any]:
+    """The report of one clip.
+
+    settings: all that the fit was told, as plain types, the fields of `FrameOptions` or `TrajectoryOptions` among them
+    (a missing one has its default). timing: seconds by name. NaN becomes None, floats have nine significant digits.
+    """
+    method = motion.solution.method
+    own = _METHODS[method].sections(motion, settings)
+    seconds = {**(timing or {}), **motion.solution.stage_s} or None
+    head = {
+        "schema": {"name": SCHEMA_NAME, "version": SCHEMA_VERSION},
+        "recon_version": version(),
+        "method": method,
+        "settings": settings,
+        "timing_s": seconds,
+        "warnings": [],
+    }
+    plain = to_plain(head | own)
+    plain["warnings"] = list(_METHODS[method].warnings(plain))
+    return plain
+
+
+def is_unsolved(report: Mapping[str, Any]) -> bool:
+    """Whether there is no pose to look at."""
+    return _METHODS[report["method"]].is_unsolved(report)
+
+
+def frames_with_pose(report: Mapping[str, Any]) -> int:
+    return sum(None not in place for place in report["root_path"]["position_m"])
+
+
+def summary_lines(report: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """(label, value) of what one wants to see after a fit; the warnings come last."""
+    return [*_METHODS[report["method"]].lines(report), *(("warning", text) for text in report["warnings"])]
+
+
+def console_summary(report: Mapping[str, Any]) -> Table:
+    """`summary_lines` for a terminal, to be printed with rich."""
+    table = Table.grid(padding=(0, 2))
+    table.add_column(no_wrap=True)
+    table.add_column()
+    for label, value in summary_lines(report):
+        warning = label == "warning"
+        table.add_row(Text(label, style="bold yellow" if warning else "bold"), Text(value, "yellow" if warning else ""))
+    return table

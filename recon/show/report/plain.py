@@ -1,0 +1,69 @@
+"""Plain JSON types, and the few statistics that a report needs."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from recon.base.arrays import Array, finite, mean
+
+DIGITS = 9
+"""Significant digits of the numbers in the report."""
+
+
+def write_report(report: Mapping[str, Any], path: Path) -> None:
+    """report.json: indented, with each list of numbers on one line."""
+    text = json.dumps(report, indent=1, allow_nan=False, ensure_ascii=False)
+    # A line break never stands inside a JSON string, so that this changes only the white space between values.
+    text = re.sub(r"\[[^\[\]{}]*\]", lambda match: re.sub(r"\s*\n\s*", " ", match[0]), text)
+    path.write_text(text + "\n", encoding="utf-8")
+
+
+def to_json(value: Any) -> str:
+    """The text of a file, and what `--json` prints."""
+    return json.dumps(to_plain(value), indent=1, allow_nan=False, ensure_ascii=False) + "\n"
+
+
+def to_plain(value: Any) -> Any:
+    """Arrays, tuples, mappings and numbers as JSON types; NaN and infinities are None."""
+    if isinstance(value, Mapping):
+        return {str(key): to_plain(item) for key, item in value.items()}
+    if isinstance(value, np.ndarray | np.generic):
+        return to_plain(value.tolist())
+    if isinstance(value, list | tuple):
+        return [to_plain(item) for item in value]
+    if isinstance(value, float):
+        return float(f"{value:.{DIGITS}g}") if math.isfinite(value) else None
+    if value is None or isinstance(value, bool | int | str):
+        return value
+    return str(value)
+
+
+def file_name(path: str | None) -> str | None:
+    """Without its folders, which are nobody's business whom a report is passed on to; a name of no file as it is."""
+    return None if path is None else Path(path).name
+
+
+def by_name(names: Sequence[str], values: Sequence[Any]) -> dict[str, Any]:
+    return dict(zip(names, values, strict=True))
+
+
+def spread(values: Array) -> dict[str, float]:
+    known = finite(values)
+    low, high = (float(known.min()), float(known.max())) if len(known) else (np.nan, np.nan)
+    return {"mean": mean(values), "min": low, "max": high}
+
+
+def number(value: float | None, spec: str) -> str:
+    """For a summary: ? where it is unknown."""
+    return "?" if value is None else format(value, spec)
+
+
+def frame_count(n: int) -> str:
+    return "1 frame" if n == 1 else f"{n} frames"

@@ -1,0 +1,79 @@
+"""Playback: a Motion as a rerun recording that opens ready to read, and the viewer on such a file.
+
+Entities of the recording; those without "(static)" have a row a frame, which is empty where the frame has no pose:
+
+- `world`: metres, in the motion's frame of reference. `world/skeleton` and its joints, `world/path` (static) and
+  `world/trail` of the reference point, `world/ground` (static; of a clip with several spells each one's, from its
+  first frame on), `world/camera` (static, but for one that moves), its frustum, and `world/followed`, invisible;
+  `world/body`, capsules along the segments, which a view of its own shows in place of the skeleton;
+  `world/uncertainty`, one sigma of the joints' positions relative to their mean, `world/stance`, the feet that stand,
+  and `world/doubt`, a label in frames with a flag; `world/observability`, the joints' axes in the colour of what the
+  pixels show of their angles, in a view of their own.
+- `picture`: pixels of the distorted picture. `picture/frame` (static), its edge; `picture/detections`,
+  `picture/outliers`, `picture/reprojections` with the skeleton's lines in it, `picture/links` between the two.
+- `picture/video`: a video's frames, of a file that `recon.show.view.video` writes.
+- `closeup`: the same points, relative to the middle of the reprojected skeleton in each frame.
+- Of several cameras each has its own `world/camera/<name>`, `picture/<name>/...` and `closeup/<name>/...`, and there is
+  `world/camera_names` (static, unless one moves).
+- `angles/...` in degrees: a chain's `theta` and `phi`, or the `left` and `right` of a whole animal, and the `middle`,
+  in parts where they are many; `speed` of the reference point in m/s; `residuals` in px, of all
+  cameras: the median of a frame, and the largest but for outliers.
+- `uncertainty` in m, and states over time: `doubtful`, the frames' flags, and by its name each foot, where it stands.
+- `analysis/...` and more states, with samples between frames on `time`, of a file that `recon.show.view.added` writes.
+
+Those files are parts of the same recording; `recon.show.view.together` makes one file of it.
+
+Timelines: `frame`, the frame number of the keypoint file, and `time`, seconds since its frame 0.
+"""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import rerun as rr
+
+from recon.base.errors import InputError, Problem
+from recon.fit.motion import Motion
+from recon.show.recording import recording
+from recon.show.view.layout import blueprint
+from recon.show.view.picture import write_pictures
+from recon.show.view.scene import Log, Scene, limb_colours
+from recon.show.view.series import write_series, write_states
+from recon.show.view.world import write_doubt, write_observability, write_world
+
+
+def write(motion: Motion, path: Path, start_frame: int | None = None) -> None:
+    """Write the recording `motion.rrd`, with the blueprint that lays out its views.
+
+    The viewer plays it in a loop, slowly where it is short. start_frame: a frame number to hold instead, for pictures.
+    """
+    scene = Scene.of(motion)
+    with recording(path, blueprint(motion, scene, start_frame)) as stream:
+        stream.send_recording_name(Path(motion.keypoints.source or motion.title).stem)
+        log = Log(stream, motion.frames, motion.time_s)
+        labels = zip(motion.limbs, limb_colours(motion), strict=True)
+        log.fix("/", rr.AnnotationContext([(i, limb, colour) for i, (limb, colour) in enumerate(labels)]))
+        write_world(motion, scene, log)
+        write_pictures(motion, log)
+        write_series(motion, log)
+        write_doubt(motion, scene, log)
+        write_observability(motion, scene, log)
+        write_states(motion, log)
+
+
+def open_viewer(path: Path) -> None:
+    """Show a recording in rerun's viewer; returns when the viewer is closed.
+
+    Raises InputError where there is no such file or the viewer cannot run.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise InputError(Problem(path, "file", "no such file", "a recording (.rrd) that `recon fit` has written"))
+    command = [sys.executable, "-m", "rerun", "--bind", "127.0.0.1", str(path)]
+    code = subprocess.run(command, check=False).returncode
+    if code:
+        found = f"one that ended with exit code {code}"
+        expected = "a display; or, by --out FILE.rrd, a recording of it all for a machine with one (rerun FILE.rrd)"
+        raise InputError(Problem("recon view", "viewer", found, expected))

@@ -1,0 +1,137 @@
+"""Plots that go with a playback, in a file of their own.
+
+Entities are `analysis/...`, of states the rows' names. Their views are tabs beside the row of plots that the playback
+opens with. On `time` they have all their samples, on `frame` those that lie on a frame of the playback.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
+from numpy.typing import NDArray
+
+from recon.base.errors import InputError, Problem
+from recon.show.recording import recording
+from recon.show.view.layout import held_at, plot, state_rows
+from recon.show.view.scene import Array, Colour
+from recon.show.view.series import TimePlot, line_style, state_columns, state_entity, state_style
+from recon.show.view.stored import Playback
+
+ROOT = "analysis"
+PRESENT = "Reconstruction"
+"""The tab of the plots that the playback has without additions."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class AddedSeries(TimePlot):
+    """A plot of lines: values (N, lines) at time_s (N,), increasing, seconds since frame 0; NaN is a gap in its line.
+
+    tab: the name of the tab that it stands in, side by side with others of that name.
+    """
+
+    time_s: Array
+    tab: str
+
+
+@dataclass(frozen=True)
+class StateRow:
+    """One row of a plot of states: a text for each of N samples, "" for none, and the texts' colours."""
+
+    name: str
+    texts: Sequence[str]
+    colours: Mapping[str, Colour]
+
+
+@dataclass(frozen=True, kw_only=True)
+class AddedStates:
+    """A plot of states over time, at time_s (N,). Rows are entities of their own, and the viewer shows and sorts
+    their names, such as `l_front_paw.ground`."""
+
+    title: str
+    rows: Sequence[StateRow]
+    time_s: Array
+    tab: str
+
+
+def write_plots(
+    path: Path,
+    playback: Path,
+    series: Sequence[AddedSeries],
+    states: Sequence[AddedStates],
+    start_frame: int | None = None,
+) -> None:
+    """Write plots that go with the playback of a clip, and the layout of both (`recon.show.view.together`).
+
+    start_frame: a frame number to hold, with the first of the new tabs in front, for pictures.
+
+    Raises InputError where there is no such playback, or where samples lie on none of its frames; ValueError where two
+    plots have the same entity.
+    """
+    series = [replace(s, entity=f"{ROOT}/{s.entity}") for s in series]
+    plots = [*series, *states]
+    entities = [*(s.entity for s in series), *(state_entity(row.name) for s in states for row in s.rows)]
+    if len({*entities}) < len(entities):
+        raise ValueError(f"entities must differ: {', '.join(entities)}")
+    whole = replace(Playback.read(playback), data=())  # of a long clip a lot of memory
+    found = [whole.on_frames(p.time_s) for p in plots]
+    problems = [
+        Problem(
+            playback, "frames", f"none at the {len(p.time_s)} times of {p.title!r}", "the playback of the same clip"
+        )
+        for p, (rows, _) in zip(plots, found, strict=True)
+        if not len(rows)  # an empty chunk would make the viewer crash
+    ]
+    if problems:
+        raise InputError(problems)
+
+    with recording(path, _layout(whole, plots, start_frame), part_of=whole.id) as stream:
+        for p, (rows, frames) in zip(plots, found, strict=True):
+            # Two chunks, each on one timeline: the samples between frames have no place on the other.
+            for entity, values, columns, style in _lines(p) if isinstance(p, AddedSeries) else _states(p):
+                stream.send_columns(entity, [rr.TimeColumn("frame", sequence=frames)], columns(values[rows]))
+                stream.send_columns(entity, [rr.TimeColumn("time", duration=p.time_s)], columns(values))
+                stream.log(entity, style, static=True)
+
+
+_Entity = tuple[str, NDArray[Any], Callable[[NDArray[Any]], rr.ComponentColumnList], rr.AsComponents]
+"""Its path, what it has over time (N, ...), how to write that, and what is static."""
+
+
+def _lines(series: AddedSeries) -> Iterator[_Entity]:
+    lines = len(series.names)
+    yield (
+        series.entity,
+        series.values,
+        lambda values: rr.Scalars.columns(scalars=values.ravel()).partition([lines] * len(values)),
+        line_style(series),
+    )
+
+
+def _states(states: AddedStates) -> Iterator[_Entity]:
+    for row in states.rows:
+        texts = np.array(row.texts, dtype=object)
+        yield state_entity(row.name), texts, lambda values: state_columns(values.tolist()), state_style(row.colours)
+
+
+def _layout(playback: Playback, plots: Sequence[AddedSeries | AddedStates], start_frame: int | None) -> rrb.Blueprint:
+    tabs = {
+        tab: rrb.Horizontal(
+            *(
+                plot(p) if isinstance(p, AddedSeries) else state_rows([state_entity(r.name) for r in p.rows], p.title)
+                for p in plots
+                if p.tab == tab
+            ),
+            name=tab,
+        )
+        for tab in dict.fromkeys(p.tab for p in plots)
+    }
+    if start_frame is None:
+        return playback.layout.with_tabs(PRESENT, list(tabs.values()), 0, None)
+    time = held_at(start_frame, len(playback.frames))
+    return playback.layout.with_tabs(PRESENT, list(tabs.values()), 1, time)

@@ -1,0 +1,124 @@
+"""The plots of an analysis, which go with the playback."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from recon.base.arrays import Array
+from recon.fit.results import MEASURED_SHARE
+from recon.gait.clip import ClipAnalysis
+from recon.show.view.added import AddedSeries, AddedStates, StateRow, write_plots
+from recon.show.view.scene import GRID, LEFT, LIMB_COLOURS, LINK, MIDDLE, RIGHT, TRAIL
+from recon.show.view.series import LINE_COLOURS
+from recon.thesis.solver import SolverRecord
+
+
+def write_analysis(found: ClipAnalysis, path: Path, playback: Path, solver: SolverRecord | None = None) -> None:
+    """Speed, acceleration and flexion with one sigma, the links' speeds, the stances by both methods, which angles the
+    pixels show, and what the optimiser did. Raises InputError as `write_plots`."""
+    series = [*_kinematics(found), *_links(found), *([] if solver is None else _solver(solver))]
+    write_plots(path, playback, series, [*_stances(found), *_observability(found)])
+
+
+def _kinematics(found: ClipAnalysis) -> Iterator[AddedSeries]:
+    moved = found.joints[found.reference]
+    yield _with_sigma(found, "speed", f"Speed of {found.reference} (m/s)", moved.speed_m_s, moved.speed_sigma_m_s)
+    title = f"Acceleration of {found.reference} (m/s²)"
+    yield _with_sigma(found, "acceleration", title, moved.acceleration_m_s2, moved.acceleration_sigma_m_s2)
+    if "spine_flexion" in found.angles:
+        series = found.angles["spine_flexion"].series
+        sigma = None if series.value_sigma is None else np.degrees(series.value_sigma[:, 0])
+        yield _with_sigma(found, "spine", "Flexion of the spine (°)", np.degrees(series.value[:, 0]), sigma)
+
+
+def _with_sigma(found: ClipAnalysis, entity: str, title: str, values: Array, sigma: Array | None) -> AddedSeries:
+    names: Sequence[str] = [entity] if sigma is None else [entity, "minus one sigma", "plus one sigma"]
+    lines = [values] if sigma is None else [values, values - sigma, values + sigma]
+    return AddedSeries(
+        entity=entity,
+        title=title,
+        names=names,
+        colours=[TRAIL, LINK, LINK][: len(lines)],
+        values=np.stack(lines, axis=1),
+        shown=values[:, None] if entity == "acceleration" else None,  # its deviations are many times as large
+        time_s=found.joints[found.reference].series.time_s,
+        tab="Kinematics",
+    )
+
+
+def _links(found: ClipAnalysis) -> Iterator[AddedSeries]:
+    paws = {*found.results.feet.values()}
+    for limb, fields in found.fields.items():
+        yield AddedSeries(
+            entity=f"links/{limb.replace(' ', '_')}",
+            title=f"{limb} (m/s)",
+            names=[field.link[1].replace("_", " ") for field in fields],
+            colours=[LIMB_COLOURS[i % len(LIMB_COLOURS)] for i in range(len(fields))],
+            values=np.stack([field.speed_m_s for field in fields], axis=1),
+            time_s=found.results.time_s,
+            tab="Legs, tips about parents" if paws & {fields[-1].link[1]} else "Trunk, tips about parents",
+        )
+
+
+def _observability(found: ClipAnalysis) -> Iterator[AddedStates]:
+    """Of every angle, when the pixels show it."""
+    results, rows = found.results, []
+    for name, share in zip(results.angle_names, results.angle_data_share.T, strict=True):
+        texts = ["" if np.isnan(s) else "seen" if s >= MEASURED_SHARE else "expected" for s in share]
+        rows.append(StateRow(name, texts, {"seen": LEFT, "expected": GRID}))
+    title = f"Angles: seen, {MEASURED_SHARE:.0%} or more of their precision is the pixels', or mostly expected"
+    yield AddedStates(title=title, rows=rows, time_s=results.time_s, tab="What is seen")
+
+
+def _stances(found: ClipAnalysis) -> list[AddedStates]:
+    time_s = found.joints[found.reference].series.time_s
+    plots = []
+    for method, gait in found.gaits.items():
+        rows = []
+        for foot, joint in found.results.feet.items():
+            stands = np.zeros(len(time_s), dtype=bool)
+            for s in gait.stances:
+                if s.foot == foot:
+                    stands[np.searchsorted(time_s, s.start_s) : np.searchsorted(time_s, s.end_s, "right")] = True
+            texts = ["stance" if down else "" for down in stands]
+            rows.append(StateRow(f"{joint}.{method}", texts, {"stance": {"L": LEFT, "R": RIGHT}.get(foot[0], MIDDLE)}))
+        title = f"Stances by {method}: {gait.name.name}"
+        plots.append(AddedStates(title=title, rows=rows, time_s=time_s, tab="Gait"))
+    return plots
+
+
+def _solver(record: SolverRecord) -> Iterator[AddedSeries]:
+    """What is of very different sizes in powers of ten."""
+    cost = {name: _log10(of_term) for name, of_term in record.problem.cost.items() if np.nansum(of_term) > 0}
+    search = {"largest of the gradient": _log10(record.optimality), "step": _log10(record.step_norm)}
+    worst = {name: np.fmax.reduce(values, axis=0) for name, values in record.image_error_px.items()}
+    rotation = {name: np.degrees(values) for name, values in record.rotation_rad.items()}
+    shown = [
+        ("cost", "Cost by term (log10)", cost),
+        ("optimality", "Gradient and step (log10)", search),
+        ("iterations", "Iterations", {"iterations": record.of_frames("iterations")} if record.results.jitters else {}),
+        ("limits", "Limits passed", {name: count.astype(float) for name, count in record.active.items()}),
+        ("image_error", "Error in the picture (px), worst joint", worst),
+        ("rotation", "Rotation of the root (°)", rotation),
+        ("length", "Base length (m)" if record.results.jitters else "Size", record.length),
+    ]
+    for entity, title, lines in shown:
+        if not lines:
+            continue
+        yield AddedSeries(
+            entity=f"solver/{entity}",
+            title=title,
+            names=[*lines],
+            colours=[LINE_COLOURS[i % len(LINE_COLOURS)] for i in range(len(lines))],
+            values=np.stack([*lines.values()], axis=1),
+            time_s=record.results.time_s,
+            tab="Picture and root" if entity in ("image_error", "rotation", "length") else "Solver",
+        )
+
+
+def _log10(values: Array) -> Array:
+    """NaN where there is nothing."""
+    return np.log10(np.where(values > 0, values, np.nan))

@@ -1,0 +1,216 @@
+"""What the views share: colours, the geometry of the scene, and how to write lines."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import rerun as rr
+
+from recon.animal.body import Side
+from recon.base.arrays import Array, Bools, Integers
+from recon.fit import Spell
+from recon.fit.motion import Motion, Picture
+from recon.geometry.frames import level_from_camera
+
+Colour = tuple[int, int, int]
+
+
+@dataclass(frozen=True)
+class Log:
+    """Where the entities of T frames are written to."""
+
+    stream: rr.RecordingStream
+    frames: Integers
+    """(T,): numbers."""
+    time_s: Array
+    """(T,)"""
+
+    def send(self, entity: str, columns: rr.ComponentColumnList, rows: Sequence[int] | slice = slice(None)) -> None:
+        """Columns of an entity with a row for each of these rows of the clip."""
+        times = [
+            rr.TimeColumn("frame", sequence=self.frames[rows]),
+            rr.TimeColumn("time", duration=self.time_s[rows]),
+        ]
+        self.stream.send_columns(entity, times, columns)
+
+    def fix(self, entity: str, archetype: rr.AsComponents) -> None:
+        """What is the same in all frames."""
+        self.stream.log(entity, archetype, static=True)
+
+
+# Okabe and Ito's palette, which the colour-blind can tell apart.
+LIMB_COLOURS: tuple[Colour, ...] = ((0, 158, 115), (86, 180, 233), (230, 159, 0), (0, 114, 178), (240, 228, 66))
+"""Of the limbs of one side, in their order: hind leg, spine, front leg, and two to spare."""
+LEFT, RIGHT, MIDDLE = (86, 180, 233), (230, 159, 0), (0, 158, 115)
+"""Of the limbs of a whole animal."""
+SIDE_COLOURS: dict[Side | None, Colour] = {"left": LEFT, "right": RIGHT, None: MIDDLE}
+DETECTION, OUTLIER, LINK = (255, 255, 255), (235, 60, 40), (204, 121, 167)
+PATH, TRAIL, GRID, CAMERA, EDGE = (110, 110, 120), (240, 228, 66), (58, 64, 74), (190, 190, 200), (130, 130, 140)
+BACKGROUND = (18, 21, 27)
+
+BODY = "world/body"
+CAMERAS, PICTURE, CLOSEUP = "world/camera", "picture", "closeup"
+"""Entities of a camera, or of all (`by_camera`)."""
+GRID_SPACING_M = 1.0
+GRID_MARGIN_M = 1.5
+MAX_GRID_LINES = 200
+
+
+@dataclass(frozen=True)
+class Floor:
+    """The ground from a row of the clip on: a point of it and its normal (3,), in the motion's frame of reference, and
+    the bounds (2,) along the level axes of where the animal was meanwhile."""
+
+    start: int
+    point_m: Array
+    normal: Array
+    low_m: Array
+    high_m: Array
+
+
+@dataclass(frozen=True)
+class Scene:
+    """Geometry that views and entities share, in the motion's frame of reference.
+
+    axes (3, 3): rows are two level unit vectors and the upward one. floors: the ground of every spell of the clip.
+    low_m, high_m (3,): bounds of the animal over the clip along the axes. size_m: diagonal of the animal.
+    camera_m (3,): centre of projection of the first camera, of one that moves the mean.
+    """
+
+    axes: Array
+    floors: tuple[Floor, ...]
+    low_m: Array
+    high_m: Array
+    size_m: float
+    camera_m: Array
+
+    @classmethod
+    def of(cls, motion: Motion) -> Scene:
+        camera = motion.camera
+        axes, centre = level_from_camera(camera.up), np.zeros(3)
+        if motion.frame_of_reference == "world":
+            poses = motion.pictures[0].T_reference_camera.reshape(-1, 4, 4)
+            centre = poses[:, :3, 3].mean(axis=0)
+            axes = np.eye(3) if camera.world_z_up else axes @ poses[0, :3, :3].T
+        joints = motion.joints_m[motion.solved] @ axes.T
+        if not len(joints):
+            floor = Floor(0, np.zeros(3), axes[2], -np.ones(2), np.ones(2))
+            return cls(axes, (floor,), -np.ones(3), np.ones(3), 1.0, centre)
+        low, high = _bounds(joints)
+        size = float(np.median(np.linalg.norm(np.ptp(joints, axis=1), axis=1)))
+        floors = tuple(_floor(motion, axes, spell) for spell in motion.solution.spells)
+        return cls(axes, floors, low, high, size, centre)
+
+    @property
+    def centre_m(self) -> Array:
+        """(3,): middle of the clip's motion."""
+        return (self.low_m + self.high_m) / 2 @ self.axes
+
+    def on_ground(self, floor: Floor, level: Array) -> Array:
+        """(N, 3) in the frame of reference: the ground at (N, 2) along the level axes."""
+        flat = level @ self.axes[:2]
+        rise = (floor.point_m - flat) @ floor.normal / (self.axes[2] @ floor.normal)
+        return flat + rise[:, None] * self.axes[2]
+
+
+def _bounds(joints_m: Array) -> tuple[Array, Array]:
+    """Of joints (N, J, 3). Single poses that went astray do not enlarge them."""
+    low, high = np.percentile(joints_m.reshape(-1, 3), (1, 99), axis=0)
+    return low, high
+
+
+def _floor(motion: Motion, axes: Array, spell: Spell) -> Floor:
+    """Where no foot stood, the ground is level, and as low as the feet."""
+    joints = motion.joints_m[spell.rows][motion.solved[spell.rows]] @ axes.T
+    low, high = _bounds(joints)
+    below = motion.below_m(spell)
+    if below is None or spell.ground is None:
+        lowest = joints[:, motion.feet or slice(None), 2]
+        return Floor(spell.rows.start, float(np.percentile(lowest, 10)) * axes[2], axes[2], low[:2], high[:2])
+    below, above = motion.in_reference(np.stack((below, below + np.append(-spell.ground.slope, 1.0))))
+    normal = (above - below) / np.linalg.norm(above - below)
+    return Floor(spell.rows.start, below, normal, low[:2], high[:2])
+
+
+def by_camera(root: str, pictures: Sequence[Picture]) -> list[str]:
+    """The entity of each camera: the root itself, or, where there are several, the camera's part of it."""
+    if len(pictures) == 1:
+        return [root]
+    return [f"{root}/{rr.escape_entity_path_part(picture.name)}" for picture in pictures]
+
+
+# -- limbs --------------------------------------------------------------------------------------------------------
+
+
+def limb_colours(motion: Motion) -> list[Colour]:
+    """One per limb: of a whole animal by its side, otherwise one after the other."""
+    if motion.side is not None:
+        return [LIMB_COLOURS[i % len(LIMB_COLOURS)] for i in range(len(motion.limbs))]
+    return [SIDE_COLOURS[side] for side in motion.limb_sides.values()]
+
+
+def joint_limbs(motion: Motion) -> Integers:
+    """(J,): the limb that each joint is drawn with: the trunk if it is part of it, or else the one that it ends or
+    continues."""
+    limbs = list(motion.limbs.values())
+    trunk = max(range(len(limbs)), key=lambda i: len({*motion.forward} & {*limbs[i]}), default=0)
+    chosen = []
+    for j in range(len(motion.joints)):
+        on = [i for i, limb in enumerate(limbs) if j in limb]
+        later = [i for i in on if limbs[i][0] != j]
+        chosen.append(trunk if trunk in on or not on else (later or on)[0])
+    return np.array(chosen)
+
+
+def shade(colour: Colour, number: int, count: int) -> Colour:
+    """The number-th of count tints of a colour, from dark to light."""
+    if count == 1:
+        return colour
+    share = number / (count - 1)
+    target, amount = (0.0, 0.35 * (1 - 2 * share)) if share < 0.5 else (255.0, 0.55 * (2 * share - 1))
+    red, green, blue = (round(c + (target - c) * amount) for c in colour)
+    return red, green, blue
+
+
+# -- what is in every scene ----------------------------------------------------------------------------------------
+
+
+def follow(log: Log, entity: str, middle_m: Array, half_m: float, rows: Bools | None = None) -> None:
+    """An invisible entity for the viewer to go along with, which it frames by its bounds: middle_m (T, 3) and half
+    their size. rows (T,): those that have one, None: all."""
+    kept = np.ones(len(middle_m), bool) if rows is None else rows
+    corners = np.stack((middle_m - half_m, middle_m + half_m), axis=1)[kept]
+    log.fix(entity, rr.Points3D.from_fields(colors=(0, 0, 0, 0), radii=0.0))
+    log.send(entity, rr.Points3D.columns(positions=corners.reshape(-1, 3)).partition(np.where(kept, 2, 0)))
+
+
+def grid_lines(low_m: Array, high_m: Array, spacing_m: float) -> list[Array]:
+    """Lines (2, 2) at multiples of the spacing, from corner to corner (2,) of a rectangle."""
+    lines = []
+    for axis in (0, 1):
+        for at in np.arange(low_m[axis], high_m[axis] + spacing_m / 2, spacing_m):
+            line = np.empty((2, 2))
+            line[:, axis] = at
+            line[:, 1 - axis] = low_m[1 - axis], high_m[1 - axis]
+            lines.append(line)
+    return lines
+
+
+# -- lines --------------------------------------------------------------------------------------------------------
+
+
+def strips(
+    archetype: type[rr.LineStrips2D | rr.LineStrips3D], frames: Sequence[Sequence[Array]]
+) -> rr.ComponentColumnList:
+    """Columns of line strips: any number a frame, each of shape (points, 2 or 3)."""
+    columns = archetype.columns(strips=[strip for strips in frames for strip in strips])
+    return columns.partition([len(strips) for strips in frames])
+
+
+def unbroken(points: Array) -> list[Array]:
+    """The stretches of a line (N, 2 or 3) without NaN that have at least two points."""
+    known = np.isfinite(points[:, 0])
+    runs = np.split(np.arange(len(points)), np.flatnonzero(np.diff(known)) + 1)
+    return [points[run] for run in runs if len(run) > 1 and known[run[0]]]

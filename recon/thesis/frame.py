@@ -1,0 +1,690 @@
+"""The frame method, a reference: what was published, repaired where it has to be.
+
+It solves the 21 unknowns of the 8U chain one frame after the other with scipy's Levenberg-Marquardt
+(`least_squares(method="lm")`, MINPACK) on the stacked residuals of all objectives. A frame starts from the solution of
+the frame before, its place carried on along its path; the first starts from geometry (`recon.thesis.starts`). Frames
+whose solution leaves points unexplained get further starts, and the lowest cost wins.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import TYPE_CHECKING, ClassVar, Literal
+
+import numpy as np
+
+from recon.animal.chain import MIN_JOINTS, MIN_REACH_PX, Chain, Posed
+from recon.base.arrays import Array
+from recon.clip import View
+from recon.fit.result import OUTLIER_SIGMAS, Solution, Spell
+from recon.geometry.camera import Camera
+from recon.geometry.frames import inverse, moved
+from recon.geometry.kinematics import ROLL, YAW
+from recon.thesis.objectives import (
+    AngleRange,
+    Form,
+    GaussianPrior,
+    HeadingTie,
+    JointPositions,
+    Objective,
+    RateLimit,
+    Reprojection,
+    RollPrior,
+    TravelPrior,
+)
+from recon.thesis.starts import Travel, estimate_travel, geometric_start, state_from_joints
+
+if TYPE_CHECKING:
+    from scipy.optimize import OptimizeResult
+
+Status = Literal["converged", "not_converged", "no_data"]
+
+CONVERGED = (1, 2, 3, 4)
+"""Status values of scipy's least_squares that name a tolerance that was met."""
+
+FEW_POINTS_SHARE = 0.75
+"""Frames with a smaller part of the joints detected are flagged "few points"."""
+TRUSTED_SHARE = 1 / 3
+"""Frames with a smaller part of the joints detected and trusted are flagged "data poor"."""
+MOST_SIZE = 10.0
+"""A base length so many times larger or smaller than expected is no animal's."""
+SPARE_SEARCHES = 4
+"""A clip may take `FrameOptions.max_evaluations` for each of its frames, and so many times that for all of them."""
+
+
+@dataclass(frozen=True)
+class FrameOptions:
+    """How the frame method weighs and searches.
+
+    form: of f1-f5, see `recon.thesis.objectives`. angle_prior: the Gaussian priors on angles, roll and heading, or
+    none of them. camera_rotation: "fixed" holds R at the first frame's. base_length_m, base_sigma_m: in place of the
+    skeleton's. sigma_px: the detector's noise; keypoint_sigma_m: how far keypoints lie from the model's joints, in
+    place of the skeleton's, and at most keypoint_sigma_max_px in the picture. robust_c: residuals of this many sigmas
+    count half. max_evaluations: of the residuals, in one search, and a frame on average (`SPARE_SEARCHES`).
+    """
+
+    form: Form = "deadband"
+    angle_prior: Literal["gaussian", "none"] = "gaussian"
+    camera_rotation: Literal["free", "fixed"] = "free"
+    base_length_m: float | None = None
+    base_sigma_m: float | None = None
+    sigma_px: float = 3.0
+    keypoint_sigma_m: float | None = None
+    keypoint_sigma_max_px: float = 12.0
+    robust_c: float = 4.5
+    tolerance: float = 1e-8
+    max_evaluations: int = 400
+
+
+@dataclass(frozen=True)
+class FrameReport:
+    """What the optimiser did for one frame; all residuals are without unit."""
+
+    status: Status
+    starts: int
+    """How many were solved."""
+    iterations: int
+    """Levenberg-Marquardt iterations of the start that won, counted by their Jacobian evaluations; these and the
+    function evaluations include its approach with a wide loss."""
+    function_evaluations: int
+    jacobian_evaluations: int
+    optimizer_status: int
+    message: str
+    squared_norm: float
+    mean_residual: float
+    cost_shares: dict[str, float]
+    """Each term's part of the squared norm."""
+    optimality: float
+    step_norm: float
+    jacobian_mean_abs: float
+    jacobian_sparsity: float
+    gradient: Array
+    """(D,)"""
+    sigma_px: float
+    """Standard deviation of a detection."""
+    data_share: Array
+    """(D,): the part of the posterior precision that comes from the pixels, 0 to 1, NaN where data and priors together
+    leave an unknown undetermined."""
+    joint_data_share: Array
+    """(J,): the same of the joints."""
+    mean_weight: float
+    """How far the detections were trusted, 0 to 1."""
+    solve_s: float
+    """Time spent on the frame, all starts."""
+    in_view: bool
+    """The camera can see the pose, and it has an animal's size; a pose that ran away is not converged, not part of the
+    solution, and has no shares and covariance (NaN)."""
+    stopped: bool
+    """The evaluations that the clip may take up to this frame were spent before the frame's searches ended."""
+
+
+@dataclass(frozen=True, eq=False)
+class FrameSolution(Solution):
+    """Of the frame method, D unknowns of the chain. Covariances are given the frame before."""
+
+    chain: Chain
+    chain_states: Array
+    """(T, D): as published (`recon.animal.chain`), NaN where a frame has no data or its pose ran away."""
+    reports: tuple[FrameReport | None, ...]
+    """One a frame, None without data."""
+    travel: Travel
+    """What the start came from."""
+    objectives: tuple[str, ...]
+    fps: float
+
+    method: ClassVar = "frame"
+
+    @cached_property
+    def status(self) -> tuple[Status, ...]:
+        """(T,)"""
+        return tuple("no_data" if r is None else r.status for r in self.reports)
+
+    @cached_property
+    def beyond_range_rad(self) -> Array:
+        """(T, 2 A): how far angles lie beyond their expected ranges; negative inside, NaN without a pose."""
+        return beyond_range_rad(self.chain, self.chain_states)
+
+    @cached_property
+    def beyond_rate_rad_s(self) -> Array:
+        """(T, 2 A): chord rate since the solved frame before, above its limit; NaN for the first and without a pose."""
+        return beyond_rate_rad_s(self.chain, self.chain_states, self.fps)
+
+
+def frame_objectives(
+    camera: Camera, chain: Chain, xy_px: Array, confidence: Array, travel: Travel, options: FrameOptions
+) -> tuple[Objective, ...]:
+    """f1-f5, the prior of the base length, and the Gaussian priors if they are on. Reprojection comes first.
+
+    xy_px (T, J, 2), NaN where missing; confidence (T, J).
+    """
+    s, form = chain.scales, options.form
+    terms: list[Objective] = [
+        Reprojection(camera, xy_px, confidence, options.sigma_px, options.robust_c),
+        AngleRange("theta range", chain.theta_slice, chain.theta, s.softness_rad, form),
+        AngleRange("phi range", chain.phi_slice, chain.phi, s.softness_rad, form),
+        RateLimit("theta rate", chain.theta_slice, chain.theta.max_rate_rad_s, s.softness_rad, form),
+        RateLimit("phi rate", chain.phi_slice, chain.phi.max_rate_rad_s, s.softness_rad, form),
+        GaussianPrior("base length prior", slice(chain.base_index, chain.base_index + 1), *base_length(chain, options)),
+    ]
+    if options.angle_prior == "gaussian":
+        moving = np.where(travel.speed_m_s[:, None] > 0, travel.heading, np.nan)
+        terms += [
+            GaussianPrior("theta prior", chain.theta_slice, chain.theta.mean_rad, s.theta_rad),
+            GaussianPrior("phi prior", chain.phi_slice, chain.phi.mean_rad, s.phi_rad),
+            RollPrior(camera.up, s.roll_rad, chain.euler_slice),
+            HeadingTie(camera.up, s.heading_rad_per_sqrt_s, chain.euler_slice),
+            TravelPrior(camera.up, moving, s.travel_rad, chain.euler_slice),
+        ]
+    return tuple(terms)
+
+
+def base_length(chain: Chain, options: FrameOptions) -> tuple[float, float]:
+    """Nominal value and standard deviation of the base length, metres."""
+    nominal = options.base_length_m or chain.nominal_base_length_m
+    relative = chain.scales.base_length_m / chain.nominal_base_length_m
+    return nominal, options.base_sigma_m or relative * nominal
+
+
+def solve_frames(
+    view: View,
+    chain: Chain,
+    fps: float,
+    options: FrameOptions,
+    progress: Callable[[int], None] = lambda frame: None,
+) -> FrameSolution:
+    """Fit the chain frame by frame to what a still camera saw: keypoints in the order of its joints, frames fps apart.
+
+    Never raises for a frame that cannot be solved: its report says so. Detections that no detector can have found in
+    the camera's picture are left out (`Camera.sees`). progress is called with the count of frames, the one in hand
+    included.
+    """
+    view = view.credible()
+    camera, xy_px = view.camera, view.xy_px
+    solver, travel = _solver(view, chain, fps, options)
+    rays, _ = camera.rays(xy_px)
+    seen = np.isfinite(rays[..., 0]).sum(axis=1)
+
+    states = np.full((len(xy_px), chain.n_state), np.nan)
+    covariance = np.full((len(xy_px), chain.n_state, chain.n_state), np.nan)
+    reports: list[FrameReport | None] = []
+    before: list[int] = []  # the last two solved frames, newest last
+    for frame in range(len(xy_px)):
+        progress(frame + 1)
+        if seen[frame] < MIN_JOINTS:
+            reports.append(None)
+            continue
+        state, C, report = solver.solve(frame, rays[frame], travel.heading[frame], states, before, fps)
+        reports.append(report)
+        if report.in_view:  # a pose that ran away is no start for the next frame
+            states[frame], covariance[frame] = state, C
+            before = [*before[-1:], frame]
+    names = tuple(term.name for term in solver.objectives)
+    return in_world(view, chain, states, covariance, tuple(reports), travel, names, fps)
+
+
+def frame_rows(
+    view: View, chain: Chain, fps: float, options: FrameOptions, states: Array, sigma_px: Array
+) -> Iterator[tuple[int, dict[str, tuple[Array, Array]]]]:
+    """Of every frame with a pose, its row, and by term what was solved there: residuals (M,) and their Jacobian (M, D)
+    by the frame's unknowns, the frame before being held. As given to `solve_frames`, and as it found them: states
+    (T, D), NaN without a pose, and sigma_px (T,)."""
+    solver, _ = _solver(view.credible(), chain, fps, options)
+    solved = np.flatnonzero(np.isfinite(states[:, 0]))
+    for frame, before in zip(solved.tolist(), [None, *solved.tolist()], strict=False):
+        given = solver.given(frame, states, before, fps, float(sigma_px[frame]))
+        terms = solver.terms(given)
+        parts = by_term(terms, solver.chain, frame, states[frame], given.previous, given.dt_s)
+        yield frame, {term.name: part for term, part in zip(terms, parts, strict=True)}
+
+
+def _solver(view: View, chain: Chain, fps: float, options: FrameOptions) -> tuple[_FrameSolver, Travel]:
+    """Of what a still camera saw, as far as it is credible."""
+    nominal, sigma = base_length(chain, options)
+    expected, options = replace(chain, nominal_base_length_m=nominal), replace(options, base_sigma_m=sigma)
+    travel = estimate_travel(view.camera, expected, view.xy_px, fps)
+    objectives = frame_objectives(view.camera, expected, view.xy_px, view.confidence, travel, options)
+    return _FrameSolver(view.camera, expected, objectives, options), travel
+
+
+def in_world(
+    view: View,
+    chain: Chain,
+    states: Array,
+    covariance: Array,
+    reports: tuple[FrameReport | None, ...],
+    travel: Travel,
+    objectives: tuple[str, ...],
+    fps: float,
+) -> FrameSolution:
+    """What was solved, in the world. states (T, D) and their covariance (T, D, D) are the chain's."""
+    T, J = view.present.shape
+    solved = np.flatnonzero(np.isfinite(states[:, 0]))
+    T_world_camera = inverse(view.T_camera_world)
+    body_states, joints_m = np.full((T, chain.body.n_state), np.nan), np.full((T, J, 3), np.nan)
+    absolute, relative = np.full((2, T, J, 3, 3), np.nan)
+    angle_sigma, angle_share = np.full((2, T, chain.body.n_state - 3), np.nan)
+    size = 1.0
+    if len(solved):
+        posed = chain.pose_with_jacobian(states[solved])
+        assert posed.joints_jacobian is not None
+        body_states[solved], sizes = chain.to_body(states[solved], T_world_camera)
+        size = float(np.median(sizes))
+        shares = np.array(
+            [np.full(chain.n_state, np.nan) if (r := reports[t]) is None else r.data_share for t in solved]
+        )
+        angle_sigma[solved], angle_share[solved] = _of_angles(
+            chain, states[solved], covariance[solved], shares, T_world_camera
+        )
+        joints_m[solved] = moved(T_world_camera, posed.joints_m)
+        in_world = T_world_camera[:3, :3] @ posed.joints_jacobian
+        for of_joints, jacobian in ((absolute, in_world), (relative, in_world - in_world.mean(axis=1, keepdims=True))):
+            of_joints[solved] = np.einsum("tjad,tde,tjbe->tjab", jacobian, covariance[solved], jacobian, optimize=True)
+    sigma_px, trusted = (
+        np.array([np.nan if r is None else getattr(r, field) for r in reports]) for field in ("sigma_px", "mean_weight")
+    )
+    return FrameSolution(
+        body=chain.body,
+        views=(view,),
+        states=body_states,
+        size=size,
+        joints_m=joints_m,
+        covariance_m2=absolute,
+        relative_covariance_m2=relative,
+        angle_sigma_rad=angle_sigma,
+        angle_data_share=angle_share,
+        noise_px=np.repeat(sigma_px[None, :, None], J, axis=2),
+        weight=np.where(view.present, trusted[:, None], np.nan)[None],
+        flags=_flags(view, chain, states, joints_m, reports, sigma_px, trusted, fps),
+        alternative_m=np.full(T, np.nan),  # of all starts only the best is kept
+        contact=np.zeros((T, len(chain.feet))),
+        spells=(Spell(slice(0, T), None),),
+        stage_s={},
+        chain=chain,
+        chain_states=states,
+        reports=reports,
+        travel=travel,
+        objectives=objectives,
+        fps=fps,
+    )
+
+
+def _of_angles(
+    chain: Chain, states: Array, covariance: Array, shares: Array, T_world_camera: Array
+) -> tuple[Array, Array]:
+    """Standard deviations and the pixels' shares (N, D' - 3) of the body's angles, from the chain's states (N, D),
+    their covariance (N, D, D) and shares (N, D). The root's rotation follows the Euler angles: its shares are theirs,
+    weighted by what they contribute to its variance."""
+    euler, step, n = chain.euler_slice, 1e-6, 2 * chain.n_angles
+    turned = np.zeros((len(states), 3, 3))  # how yaw, pitch and roll follow the Euler angles
+    for k in range(3):
+        ends = [states.copy(), states.copy()]
+        ends[0][:, euler][:, k] -= step
+        ends[1][:, euler][:, k] += step
+        before, after = (chain.to_body(end, T_world_camera)[0][:, YAW : ROLL + 1] for end in ends)
+        turned[..., k] = (np.mod(after - before + np.pi, 2 * np.pi) - np.pi) / (2 * step)
+    own, variance = np.diagonal(covariance, axis1=1, axis2=2), np.empty((len(states), chain.body.n_state - 3))
+    share, angles = np.empty_like(variance), chain.body_angles - YAW
+    variance[:, angles], share[:, angles] = own[:, :n], shares[:, :n]
+    weight = turned**2 * own[:, None, euler]
+    variance[:, :3] = np.einsum("nik,nkl,nil->ni", turned, covariance[:, euler, euler], turned)
+    share[:, :3] = np.sum(weight * shares[:, None, euler], axis=2) / np.sum(weight, axis=2)
+    return np.sqrt(variance), share
+
+
+def _flags(
+    view: View,
+    chain: Chain,
+    states: Array,
+    joints_m: Array,
+    reports: Sequence[FrameReport | None],
+    sigma_px: Array,
+    trusted: Array,
+    fps: float,
+) -> tuple[tuple[str, ...], ...]:
+    """(T,). sigma_px, trusted (T,): of the reports."""
+    present, J = view.present.sum(axis=1), len(chain.joints)
+    off_px = np.linalg.norm(view.project(joints_m)[0] - view.xy_px, axis=-1)
+    doubtful = {
+        "no data": [r is None for r in reports],
+        "ran away": [r is not None and not r.in_view for r in reports],
+        "few points": [r is not None for r in reports] & (present < FEW_POINTS_SHARE * J),
+        "data poor": present * trusted < TRUSTED_SHARE * J,
+        "outliers": (off_px > OUTLIER_SIGMAS * sigma_px[:, None]).any(axis=1),
+        "not converged": [r is not None and r.status == "not_converged" for r in reports],
+        "stopped early": [r is not None and r.stopped for r in reports],
+        "at range limit": (beyond_range_rad(chain, states) > 0).any(axis=1),
+        "at rate limit": (beyond_rate_rad_s(chain, states, fps) > 0).any(axis=1),
+    }
+    return tuple(tuple(name for name, which in doubtful.items() if which[t]) for t in range(len(reports)))
+
+
+def _expected(chain: Chain, field: str) -> Array:
+    """(2 A,): of theta and phi."""
+    return np.concatenate([getattr(ranges, field) for ranges in (chain.theta, chain.phi)])
+
+
+def beyond_range_rad(chain: Chain, states: Array) -> Array:
+    """See `FrameSolution`; for states (T, D)."""
+    angles = states[:, : 2 * chain.n_angles]
+    return np.abs(angles - _expected(chain, "mean_rad")) - _expected(chain, "tolerance_rad")
+
+
+def beyond_rate_rad_s(chain: Chain, states: Array, fps: float) -> Array:
+    """See `FrameSolution`; for states (T, D), frames fps apart."""
+    angles = states[:, : 2 * chain.n_angles]
+    rows = np.flatnonzero(np.isfinite(states[:, 0]))
+    beyond = np.full(angles.shape, np.nan)
+    chord = 2 * np.abs(np.sin(np.diff(angles[rows], axis=0) / 2)) * fps / np.diff(rows)[:, None]
+    beyond[rows[1:]] = chord - _expected(chain, "max_rate_rad_s")
+    return beyond
+
+
+def solve_joints(chain: Chain, joints_m: Array, up: Array, tolerance: float = 1e-15) -> Array:
+    """States (T, D) whose joints are nearest to known ones, joints_m (T, J, 3) in the camera frame.
+
+    For joints from several cameras or motion capture. The roll about the first link is not determined by joints and
+    stays near zero against the unit vector up (3,). NaN for frames in which a joint is missing.
+    """
+    from scipy.optimize import least_squares  # slow to import
+
+    target = JointPositions(joints_m, sigma_m=0.01)
+    states = np.full((len(joints_m), chain.n_state), np.nan)
+    for frame in np.flatnonzero(np.isfinite(joints_m).all(axis=(1, 2))):
+        start = state_from_joints(chain, joints_m[frame], up)
+        result = least_squares(
+            lambda x, f=frame: evaluate((target,), chain, f, x, None, 0.0)[0],
+            start,
+            lambda x, f=frame: evaluate((target,), chain, f, x, None, 0.0)[1],
+            method="lm",
+            ftol=tolerance,
+            xtol=tolerance,
+            gtol=tolerance,
+        )
+        states[frame] = result.x
+    return states
+
+
+@dataclass(frozen=True)
+class _Candidate:
+    """One start that was solved."""
+
+    x: Array
+    cost: float
+    result: OptimizeResult
+    step_norm: float
+    function_evaluations: int
+    jacobian_evaluations: int
+
+
+@dataclass(frozen=True)
+class _Given:
+    """What does not change while a frame is solved. previous: the pose before, dt_s earlier, None at the start."""
+
+    frame: int
+    previous: Posed | None
+    dt_s: float
+    sigma_px: float
+
+
+class _FrameSolver:
+    def __init__(self, camera: Camera, chain: Chain, objectives: Sequence[Objective], options: FrameOptions) -> None:
+        self.camera, self.chain, self.options = camera, chain, options
+        self.objectives = objectives
+        reprojection, *self.others = objectives
+        assert isinstance(reprojection, Reprojection)
+        self.reprojection = reprojection
+        self.focal_px = float(np.sqrt(camera.matrix[0, 0] * camera.matrix[1, 1]))
+        self.evaluations_left = SPARE_SEARCHES * options.max_evaluations
+        self.stopped = False
+
+    def solve(
+        self, frame: int, rays: Array, heading: Array, states: Array, before: Sequence[int], fps: float
+    ) -> tuple[Array, Array, FrameReport]:
+        """State (D,), its covariance (D, D) given the frame before, and what was done."""
+        began = time.perf_counter()
+        self.evaluations_left = max(self.evaluations_left + self.options.max_evaluations, 1)
+        self.stopped = False
+        starts = [self._carried_on(frame, states, before)] if before else self._first_starts(rays, heading)
+        fixed = self.given(frame, states, before[-1] if before else None, fps, self._noise_px(starts[0]))
+        tried = self._tried(starts, fixed)
+        best = self._best(fixed, tried)
+        if before and not self._explained(fixed, best):
+            tried += self._tried(self._more_starts(rays, heading, states[before[-1]]), fixed)
+            best = self._best(fixed, tried)
+        return best.x, *self._report(fixed, best, len(tried), began)
+
+    def given(self, frame: int, states: Array, before: int | None, fps: float, sigma_px: float) -> _Given:
+        """before: the last solved frame, None at the start."""
+        if before is None:
+            return _Given(frame, None, 1.0 / fps, sigma_px)
+        return _Given(frame, self.chain.pose(states[before][None]), (frame - before) / fps, sigma_px)
+
+    # -- starts ---------------------------------------------------------------------------------------------------
+
+    def _first_starts(self, rays: Array, heading: Array) -> list[Array]:
+        """The mean pose along the direction of travel, and turned half a radian to either side of it."""
+        across = np.cross(self.camera.up, heading)
+        return [
+            geometric_start(self.camera, self.chain, rays, np.cos(turn) * heading + np.sin(turn) * across)
+            for turn in (0.0, 0.5, -0.5)
+        ]
+
+    def _carried_on(self, frame: int, states: Array, before: Sequence[int]) -> Array:
+        """The state before, its root moved on along its path. The place R p0 is moved, never p0: R turns it."""
+        last = self.chain.pose(states[before])
+        place = last.joints_m[-1, 0]
+        if len(before) == 2:
+            place = place + (place - last.joints_m[0, 0]) * (frame - before[1]) / (before[1] - before[0])
+        return self._placed(states[before[-1]], place if place[2] > 0 else last.joints_m[-1, 0])
+
+    def _more_starts(self, rays: Array, heading: Array, last: Array) -> list[Array]:
+        """The mean pose along the direction of travel, and the last pose where the rays put that."""
+        mean = geometric_start(self.camera, self.chain, rays, heading)
+        if self.options.camera_rotation == "fixed":
+            mean[self.chain.euler_slice] = last[self.chain.euler_slice]
+        place = self.chain.pose(mean[None]).joints_m[0, 0]
+        return [mean, self._placed(last, place)]
+
+    def _placed(self, state: Array, place_m: Array) -> Array:
+        moved = state.copy()
+        moved[self.chain.place_slice] = self.chain.pose(state[None]).rotation[0].T @ place_m
+        return moved
+
+    # -- one optimisation -----------------------------------------------------------------------------------------
+
+    def _tried(self, starts: Sequence[Array], fixed: _Given) -> list[_Candidate]:
+        """The minima from the starts, as far as the evaluations go; at a frame's beginning there are some."""
+        tried = []
+        for start in starts:
+            if self.evaluations_left <= 0:
+                self.stopped = True
+                break
+            tried.append(self._solve_from(start, fixed))
+        return tried
+
+    def _solve_from(self, start: Array, fixed: _Given) -> _Candidate:
+        """The minimum from one start, approached with a wide loss where the start is far off for the noise.
+
+        Geman-McClure residuals beyond c sigma hardly pull: a start that far off would stay there.
+        """
+        off = float(np.nanmedian(self._distances_px(fixed, start))) / fixed.sigma_px
+        if not off <= self.options.robust_c / 2:
+            wide = fixed.sigma_px * min(off, 50.0) if np.isfinite(off) else fixed.sigma_px * 10.0
+            near = self._minimise(start, replace(fixed, sigma_px=wide), tolerance=1e-3)
+            best = self._minimise(near.x, fixed, self.options.tolerance)
+            return replace(
+                best,
+                function_evaluations=near.function_evaluations + best.function_evaluations,
+                jacobian_evaluations=near.jacobian_evaluations + best.jacobian_evaluations,
+            )
+        return self._minimise(start, fixed, self.options.tolerance)
+
+    def _minimise(self, start: Array, fixed: _Given, tolerance: float) -> _Candidate:
+        terms = self.terms(fixed)
+        free = np.ones(self.chain.n_state, dtype=bool)
+        if self.options.camera_rotation == "fixed" and fixed.previous is not None:
+            free[self.chain.euler_slice] = False
+        x = start.copy()
+        last: dict[str, Array] = {}
+        steps: list[Array] = []
+
+        def residual(y: Array) -> Array:
+            x[free] = y
+            last["y"] = y.copy()
+            last["r"], last["J"] = evaluate(terms, self.chain, fixed.frame, x, fixed.previous, fixed.dt_s)
+            return last["r"]
+
+        def jacobian(y: Array) -> Array:
+            # MINPACK asks for the Jacobian at accepted points only: their differences are the steps taken.
+            steps.append(y.copy())
+            if not np.array_equal(last["y"], y):
+                residual(y)
+            return last["J"][:, free]
+
+        from scipy.optimize import least_squares  # slow to import
+
+        tolerance = max(tolerance, float(np.finfo(float).eps))  # less is the same to MINPACK
+        result = least_squares(
+            residual,
+            start[free],
+            jacobian,  # type: ignore[arg-type]  # the stubs want a function of any array type
+            method="lm",
+            x_scale="jac",
+            ftol=tolerance,
+            xtol=tolerance,
+            gtol=tolerance,
+            max_nfev=max(min(self.options.max_evaluations, self.evaluations_left), 1),
+        )
+        self.evaluations_left -= int(result.nfev)
+        self.stopped |= self.evaluations_left <= 0 and result.status not in CONVERGED
+        x[free] = result.x
+        moves = np.linalg.norm(np.diff([*steps, result.x], axis=0), axis=1)
+        step_norm = float(moves[moves > 0][-1]) if np.any(moves > 0) else 0.0
+        return _Candidate(x.copy(), float(result.cost), result, step_norm, int(result.nfev), int(result.njev or 0))
+
+    def _noise_px(self, start: Array) -> float:
+        """Standard deviation of a detection: the detector's noise and, at a start's distance, the keypoints'."""
+        o = self.options
+        depth = max(float(self.chain.pose(start[None]).joints_m[0, :, 2].mean()), 0.1)
+        keypoint_m = self.chain.scales.keypoint_m if o.keypoint_sigma_m is None else o.keypoint_sigma_m
+        return float(np.hypot(o.sigma_px, min(keypoint_m * self.focal_px / depth, o.keypoint_sigma_max_px)))
+
+    def terms(self, fixed: _Given) -> tuple[Objective, ...]:
+        """The objectives with this frame's noise; without a frame before, no ties to it."""
+        terms = (replace(self.reprojection, sigma_px=fixed.sigma_px), *self.others)
+        return terms if fixed.previous is not None else tuple(term for term in terms if not term.ties)
+
+    def _distances_px(self, fixed: _Given, state: Array) -> Array:
+        """(n,) from the frame's detections to the state's reprojections, infinite where a joint cannot be projected."""
+        pixels, valid = self.camera.project(self.chain.pose(state[None]).joints_m[0])
+        detected = self.reprojection.xy_px[fixed.frame]
+        off = np.where(valid, np.linalg.norm(pixels - detected, axis=1), np.inf)
+        return off[np.isfinite(detected[:, 0])]
+
+    def _best(self, fixed: _Given, tried: Sequence[_Candidate]) -> _Candidate:
+        """The lowest cost among the poses that the camera can see, or among all if it can see none."""
+        return min(tried, key=lambda c: (not self._in_view(fixed, c.x), c.cost))
+
+    def _in_view(self, fixed: _Given, state: Array) -> bool:
+        """Whether every detected joint can be projected, and the animal has a size (MOST_SIZE) and is near enough to be
+        seen (MIN_REACH_PX)."""
+        base, nominal = float(state[self.chain.base_index]), self.chain.nominal_base_length_m
+        if not nominal / MOST_SIZE < base < nominal * MOST_SIZE:
+            return False
+        depth = float(np.median(self.chain.pose(state[None]).joints_m[0, :, 2]))
+        seen = float(self.chain.length_ratios.sum()) * base * self.focal_px > MIN_REACH_PX * depth
+        return seen and bool(np.all(np.isfinite(self._distances_px(fixed, state))))
+
+    def _explained(self, fixed: _Given, candidate: _Candidate) -> bool:
+        """Converged, and no detection further off than c sigma."""
+        within = self._distances_px(fixed, candidate.x) < self.options.robust_c * fixed.sigma_px
+        return candidate.result.status in CONVERGED and bool(np.all(within))
+
+    # -- report ---------------------------------------------------------------------------------------------------
+
+    def _report(self, fixed: _Given, best: _Candidate, starts: int, began: float) -> tuple[Array, FrameReport]:
+        result, terms = best.result, self.terms(fixed)
+        parts = by_term(terms, self.chain, fixed.frame, best.x, fixed.previous, fixed.dt_s)
+        costs = {term.name: float(np.sum(r**2)) for term, (r, _) in zip(terms, parts, strict=True)}
+        total = sum(costs.values())
+        J = np.concatenate([j for _, j in parts])
+        r = np.concatenate([r for r, _ in parts])
+        in_view = self._in_view(fixed, best.x)
+        C = posterior_covariance(J) if in_view else np.full((len(best.x), len(best.x)), np.nan)
+        by_state = self.chain.pose_with_jacobian(best.x[None]).joints_jacobian
+        assert by_state is not None
+        data_share, joint_share = precision_shares(C, parts[0][1], by_state[0])
+        far = self._distances_px(fixed, best.x) / fixed.sigma_px
+        return C, FrameReport(
+            status="converged" if result.status in CONVERGED and in_view else "not_converged",
+            starts=starts,
+            iterations=best.jacobian_evaluations,
+            function_evaluations=best.function_evaluations,
+            jacobian_evaluations=best.jacobian_evaluations,
+            optimizer_status=int(result.status),
+            message=str(result.message)
+            + (" The evaluations that the clip may take up to here were spent." if self.stopped else "")
+            + ("" if in_view else " The pose left the camera's view, or ended out of sight."),
+            squared_norm=total,
+            mean_residual=float(np.mean(np.abs(r))),
+            cost_shares={name: cost / total if total > 0 else 0.0 for name, cost in costs.items()},
+            optimality=float(np.max(np.abs(J.T @ r))),
+            step_norm=best.step_norm,
+            jacobian_mean_abs=float(np.mean(np.abs(J))),
+            jacobian_sparsity=float(np.mean(J == 0)),
+            gradient=J.T @ r,
+            sigma_px=fixed.sigma_px,
+            data_share=data_share,
+            joint_data_share=joint_share,
+            mean_weight=float(np.mean((1.0 + (far / self.options.robust_c) ** 2) ** -2.0)) if in_view else np.nan,
+            solve_s=time.perf_counter() - began,
+            in_view=in_view,
+            stopped=self.stopped,
+        )
+
+
+def evaluate(
+    terms: Sequence[Objective], chain: Chain, frame: int, x: Array, previous: Posed | None, dt_s: float
+) -> tuple[Array, Array]:
+    """Stacked residuals (M,) of one frame and their Jacobian (M, D) with respect to its state x (D,).
+
+    previous: the frame before, held fixed, dt_s earlier; None for terms that read this frame only.
+    """
+    residuals, jacobians = zip(*by_term(terms, chain, frame, x, previous, dt_s), strict=True)
+    return np.concatenate(residuals), np.concatenate(jacobians)
+
+
+def by_term(
+    terms: Sequence[Objective], chain: Chain, frame: int, x: Array, previous: Posed | None, dt_s: float
+) -> list[tuple[Array, Array]]:
+    """The same, one pair for each of the terms."""
+    now = chain.pose_with_jacobian(x[None])
+    return [term.evaluate(now, previous, frame, dt_s) for term in terms]
+
+
+def posterior_covariance(J: Array) -> Array:
+    """(D, D): C = (J'J)^-1 for the Jacobian J (M, D) of all residuals; all NaN where J'J is singular."""
+    from scipy.linalg import eigh  # slow to import
+
+    scale = np.maximum(np.linalg.norm(J, axis=0), 1e-12)
+    values, vectors = eigh((J / scale).T @ (J / scale))
+    if values[0] < 1e-10 * values[-1]:
+        return np.full((J.shape[1], J.shape[1]), np.nan)
+    return (vectors / values) @ vectors.T / np.outer(scale, scale)
+
+
+def precision_shares(C: Array, J_data: Array, joints_jacobian: Array) -> tuple[Array, Array]:
+    """What the pixels contribute: shares of the unknowns (D,) and of the joints (J,).
+
+    With C^-1 = H_data + H_priors, C = C H_data C + C H_priors C splits every variance of the posterior covariance
+    C (D, D) into two non-negative parts; the share is the first one's. J_data: the reprojection's rows of the Jacobian.
+    joints_jacobian (J, 3, D). All NaN where C is.
+    """
+    from_data = C @ (J_data.T @ J_data) @ C
+    variance = np.einsum("jad,de,jae->j", joints_jacobian, C, joints_jacobian)
+    data_variance = np.einsum("jad,de,jae->j", joints_jacobian, from_data, joints_jacobian)
+    share = np.diag(from_data) / np.diag(C)
+    return np.clip(share, 0, 1), np.clip(data_variance / variance, 0, 1)

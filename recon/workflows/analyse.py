@@ -1,0 +1,261 @@
+"""What a fitted clip says of the animal's movement: tables, figures, and plots that go with the playback."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from recon.base.files import require_free_folder, sole_writer, staged_folder
+from recon.base.progress import Progress, silent
+from recon.fit.results import MEASURED_SHARE, Results, read_results
+from recon.gait.clip import ClipAnalysis, analyse
+from recon.gait.gait import Gait, doubt_text
+from recon.gait.kinematics import peak_doubt
+from recon.show.export import analysis_csv, solver_csv
+from recon.show.report import to_json
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from recon.thesis.solver import SolverRecord
+
+SUMMARY = "analysis.json"
+FOLDER = "analysis"
+"""In the results' own, by default."""
+PLAYBACK, PLOTS = "motion.rrd", "analysis.rrd"
+"""What the fit wrote, and what goes with it."""
+FIGURES_BEGIN = 0.5
+"""Of the progress."""
+SHOWN = 3
+"""Of strides that do not count, by method: said one by one."""
+
+
+@dataclass(frozen=True, eq=False)
+class Analysed:
+    """found: all of it; summary: what analysis.json holds; files: the names of what was written, in the folder out;
+    plots: the file of those that go with the playback, None without one."""
+
+    found: ClipAnalysis
+    summary: dict[str, Any]
+    out: Path
+    files: tuple[str, ...]
+    plots: Path | None
+
+
+def run_analyse(
+    folder: Path,
+    out: Path | None = None,
+    smooth: bool | None = None,
+    figures: bool = True,
+    overwrite: bool = False,
+    stride_s: tuple[float, float] | None = None,
+    solver: bool = False,
+    progress: Progress = silent,
+) -> Analysed:
+    """`recon analyse`: into `out`, by default the folder analysis in the results' own. smooth, stride_s: see `analyse`.
+    solver: also what the optimiser did, see `read_solver`.
+
+    The results are not written to. Figures come last: whatever befalls them, the tables are there. Raises InputError:
+    no results, too few frames, or files in the way.
+    """
+    out = folder / FOLDER if out is None else out
+    progress("reading", 0.0)
+    results = read_results(folder)
+    with sole_writer(out):
+        own = (*solver_csv.TABLES, solver_csv.JACOBIAN) if solver else ()
+        require_free_folder(out, (SUMMARY, PLOTS, *analysis_csv.TABLES, *own), overwrite, "an analysis")
+        progress("analysis", 0.1)
+        with threadpool_limits(1, user_api="blas"):  # of small matrices, threads cost more than they bring
+            record = _solver_record(results) if solver else None  # before the other, which takes as much memory
+            found = analyse(results, smooth, stride_s, lean=True)
+        summary = summarise(found) | ({} if record is None else {"solver": record.summary()})
+        progress("tables", FIGURES_BEGIN - 0.1)
+        with staged_folder(out) as staging:
+            analysis_csv.write(found, staging)
+            if record is not None:
+                solver_csv.write(record, staging)
+            (staging / SUMMARY).write_text(to_json(summary), encoding="utf-8")
+            if (folder / PLAYBACK).is_file():
+                _write_plots(found, record, staging)
+            files = [path.name for path in staging.iterdir()]
+        if figures:
+            with staged_folder(out) as staging:
+                write_figures(found, staging, record, progress)
+                files += [path.name for path in staging.iterdir()]
+    return Analysed(found, summary, out, tuple(sorted(files)), out / PLOTS if PLOTS in files else None)
+
+
+def _solver_record(results: Results) -> SolverRecord:
+    from recon.workflows.solver import read_solver  # slow to import: all of a fit
+
+    return read_solver(results)
+
+
+def _write_plots(found: ClipAnalysis, record: SolverRecord | None, folder: Path) -> None:
+    from recon.show.view.analysis import write_analysis  # rerun is slow to import
+
+    found.results.manifest.require(PLAYBACK)
+    write_analysis(found, folder / PLOTS, found.results.folder / PLAYBACK, record)
+
+
+# -- summary ---------------------------------------------------------------------------------------------------------
+
+
+def summarise(found: ClipAnalysis) -> dict[str, Any]:
+    """The figures of a clip in short; what they are is in docs/gait.md."""
+    moved = found.joints[found.reference]
+    return {
+        "schema": {"name": "recon.analysis", "version": 1},
+        "results": found.results.folder.absolute().name,
+        "fps": found.results.fps,
+        "frames": len(found.pose.frames),
+        "smoothed": found.smoothed,
+        "reference_joint": found.reference,
+        "speed": {
+            "distance_m": moved.distance_m,
+            "mean_m_s": moved.mean_speed_m_s,
+            "peak_m_s": moved.peak_speed_m_s,
+            "peak_sigma_m_s": None if np.isnan(moved.peak_speed_sigma_m_s) else moved.peak_speed_sigma_m_s,
+            "peak_time_s": moved.peak_speed_time_s,
+            "peak_acceleration_m_s2": moved.peak_acceleration_m_s2,
+            "doubt": _doubt(found),
+            "straight_run_m_s": found.results.report.get("travel", {}).get("median_speed_m_s"),
+        },
+        "spine_flexion_rad": found.angles["spine_flexion"].range_rad if "spine_flexion" in found.angles else None,
+        "angles": {"data_share": found.results.data_shares, "not_measured": list(found.not_measured)},
+        "gait": {method: _gait_summary(gait) for method, gait in found.gaits.items()},
+        "stride": None
+        if found.stride is None
+        else {
+            "foot": found.stride.foot,
+            "start_s": found.stride.start_s,
+            "end_s": found.stride.end_s,
+            "by": found.stride_by,
+        },
+        "methods_agree": None
+        if found.match is None
+        else {
+            "pairs": len(found.match.pairs),
+            "only_body": len(found.match.only_first),
+            "only_ground": len(found.match.only_second),
+            "ground_starts_later_frames": found.match.start_lag_frames,
+            "ground_ends_later_frames": found.match.end_lag_frames,
+        },
+        "notes": notes(found),
+    }
+
+
+def _doubt(found: ClipAnalysis) -> str | None:
+    """Why not to trust the path's speed, of a fit that does not say how uncertain it is."""
+    results = found.results
+    if not results.jitters:
+        return None
+    points_m = results.pose.xyz_m[:, results.pose.names.index(found.reference)]
+    return peak_doubt(results.time_s, points_m, found.smoothed)
+
+
+def notes(found: ClipAnalysis) -> list[str]:
+    """What a reader should know before using the numbers."""
+    said = []
+    if found.smoothed:
+        said.append("Paths and angles are smoothed by their jitter from frame to frame.")
+    elif found.results.jitters:
+        said.append("Nothing is smoothed and the fit gives no uncertainty: rates and accelerations hold its jitter.")
+    if count := len(found.not_measured):
+        said.append(
+            f"{count} of {len(found.skeleton_angles)} angles are mostly expected, not seen (less than "
+            f"{MEASURED_SHARE:.0%} of their precision from the pixels), and grey in figures: "
+            f"{', '.join(found.not_measured)}."
+        )
+    if not found.gaits:
+        said.append("The skeleton has no feet: no gait.")
+    elif len(found.results.feet) < 4:
+        said.append(f"Only the feet {', '.join(found.results.feet)} were fitted: the gait has no name.")
+    for method, gait in found.gaits.items():
+        said += [doubt_text(method, doubt) for doubt in gait.doubtful[:SHOWN]]
+        if (more := len(gait.doubtful) - SHOWN) > 0:
+            said.append(f"{more} more strides by {method} do not count, for reasons of the same kind")
+    if found.stride_by == "body":
+        said.append("No complete stride by ground: phase portraits and closures are of one by body.")
+    if found.gaits and found.stride is None:
+        said.append("No complete stride in the clip: no stride figures, and phase portraits are of the whole clip.")
+    return said
+
+
+def _gait_summary(gait: Gait) -> dict[str, Any]:
+    return {
+        "name": gait.name.name,
+        "criterion": gait.name.criterion,
+        "footfalls": list(gait.order),
+        "stances": len(gait.stances),
+        "strides": len(gait.strides),
+        "stride_length_m": gait.stride_length_m,
+        "stride_frequency_hz": gait.stride_frequency_hz,
+        "duty_factor": gait.name.duty_factor,
+        "duty_factor_by_foot": dict(gait.duty_factor),
+    }
+
+
+# -- figures ---------------------------------------------------------------------------------------------------------
+
+
+def write_figures(found: ClipAnalysis, folder: Path, record: SolverRecord | None, progress: Progress) -> None:
+    """PNG and SVG of composites, speed, footfalls, vector fields by limb, phase portraits, what the pixels say of the
+    angles, the stride's configurations in the animal's own frame, and what the optimiser did."""
+    from recon.show import plots
+
+    drawn = figures_of(found) | ({} if record is None else solver_figures(record))
+    for done, (name, draw) in enumerate(drawn.items()):
+        progress(f"figures: {name}", FIGURES_BEGIN + (1.0 - FIGURES_BEGIN) * done / len(drawn))
+        plots.save(draw(), folder, name)
+
+
+def figures_of(found: ClipAnalysis) -> dict[str, Callable[[], Figure]]:
+    """By file name, what draws it."""
+    from recon.show import plots
+
+    results, time_s, during = found.results, found.results.time_s, found.during_stride
+    ground = found.gaits["ground"].tracks.grounds if found.gaits else None
+    joints_m = plots.in_body(results.body, results.states[during], results.size, results.report["root_path"]["joint"])
+    title = {
+        None: "whole clip: no complete stride",
+        "given": "the stride that was given",
+    }.get(found.stride_by, f"one stride of {found.stride.foot if found.stride else ''}")
+    own = (joints_m, results.limbs, time_s[during], results.limb_sides, title)
+    return {
+        "composites": lambda: plots.composites(
+            found.pose.xyz_m, results.limbs, time_s, ground, sides=results.limb_sides
+        ),
+        "speed": lambda: plots.speeds({found.reference: found.joints[found.reference]}),
+        **({"footfalls": lambda: plots.footfall(found.gaits, results.fps)} if found.gaits else {}),
+        **{
+            f"vector_field_{limb.replace(' ', '_')}": partial(plots.vector_fields, fields, time_s, title=limb)
+            for limb, fields in found.fields.items()
+        },
+        "phase_portraits": lambda: plots.phase_portraits(
+            found.portraits, found.closures, title=title, shares=results.data_shares
+        ),
+        "observability": lambda: plots.observability(
+            results.body, results.angle_data_share[during], time_s[during], title=title
+        ),
+        "body_fixed": partial(plots.body_fixed, *own),
+        "body_fixed_limbs": partial(plots.limbs_apart, *own),
+    }
+
+
+def solver_figures(record: SolverRecord) -> dict[str, Callable[[], Figure]]:
+    """The same of what the optimiser did."""
+    from recon.show import plots
+
+    return {
+        "solver_search": partial(plots.solver_search, record),
+        "solver_root": partial(plots.solver_root, record),
+        "solver_unknowns": partial(plots.solver_unknowns, record),
+        "image_errors": partial(plots.image_errors, record),
+    }

@@ -1,0 +1,426 @@
+"""Which clips a batch has: files, globs, folders and manifests in, one `Clip` with its settings and name each out."""
+
+from __future__ import annotations
+
+import csv
+import glob
+import io
+import os
+import re
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from recon.base.errors import InputError, Problem
+from recon.io import READERS, file_head, individuals
+from recon.io.calibration import read_cameras
+from recon.show.page import SUMMARY_PAGE
+from recon.show.report.common import first_names
+from recon.workflows.batch.anipose import Session, sessions_in
+from recon.workflows.batch.groups import AUTO, Draft, join_cameras, missing_cameras
+from recon.workflows.settings import SETTINGS, FitSettings, beside, option, read_settings
+
+SUMMARY = "summary.csv"
+_UNFIT = re.compile(r'[<>:"/\\|?*\x00-\x1f]')
+"""Characters that some file system does not take in a name."""
+BETWEEN = "|"
+"""In a manifest's cell, between the files, names or numbers of several cameras."""
+LEAST_NO_METRES = 1.0
+"""No board has squares of a metre: a calibration with such a number is in another unit."""
+
+
+@dataclass(frozen=True)
+class Clip:
+    """One fit of a batch. name: of its folder, unique among the batch's clips whatever their case."""
+
+    name: str
+    settings: FitSettings
+
+
+def find_clips(
+    inputs: Sequence[str | Path],
+    common: Mapping[str, Any],
+    config: Path | None = None,
+    cameras_by: str = AUTO,
+    posed: bool = True,
+) -> tuple[list[Clip], list[str]]:
+    """The clips of all inputs in their order, and notes: what was left out, and which files are one clip.
+
+    inputs: keypoint files, quoted globs, folders (every file that a reader recognises; of files that differ in their
+    suffix only the last one, .h5 rather than .csv, as DeepLabCut writes its tables twice; Anipose's sessions) and CSV
+    manifests (a header with `keypoints`). common: settings of every clip by name, None where not given; a manifest's
+    cells overrule them, and they overrule those of config. Each animal of a file of several is a clip, unless one is
+    chosen. cameras_by: which files are one clip, see `join_cameras`; posed: only if the camera file says where its
+    cameras stand.
+    Raises InputError with the problems of all inputs and rows.
+    """
+    drafts, notes, problems = [], [], []
+    for given in inputs:
+        try:
+            found, said = _drafts_of(str(given), common)
+        except InputError as error:
+            problems += error.problems
+        else:
+            drafts += found
+            notes += said
+    try:
+        drafts, said = join_cameras(
+            _without_repeats(drafts), cameras_by, common.get("camera_name"), _CamerasOf(common, config, posed)
+        )
+        notes += said
+    except InputError as error:
+        problems += error.problems
+    every: list[tuple[Draft, FitSettings]] = []
+    for draft in drafts:
+        try:
+            every += _each_animal(draft, _settings(draft, common, config))
+        except InputError as error:
+            problems += error.problems
+    problems += _name_problems(drafts)
+    drafts, settings = [draft for draft, _ in every], [its for _, its in every]
+    problems += _effect_problems(common, settings)
+    if problems:
+        raise InputError(dict.fromkeys(problems))  # what all clips have in common is said once
+    if not drafts:
+        raise InputError(Problem("INPUT", "clips", "none", "keypoint files, a folder of them, or a manifest"))
+    names = _names(drafts)
+    notes += missing_cameras(drafts, names)
+    return [Clip(*pair) for pair in zip(names, settings, strict=True)], notes
+
+
+# -- inputs -------------------------------------------------------------------------------------------------------
+
+
+def _drafts_of(given: str, common: Mapping[str, Any]) -> tuple[list[Draft], list[str]]:
+    path = Path(given)
+    if os.path.isdir(path):  # a Path raises OSError where a name is too long
+        files, notes = _files_in(path)
+        of_anipose = sessions_in(path) if not files or path.absolute().name.startswith("pose-2d") else []
+        if of_anipose:
+            return _drafts_of_sessions(of_anipose, common)
+        if not files:
+            raise InputError(Problem(path, "files", "no keypoint files", f"files of a known format: {_format_names()}"))
+        return [Draft((file,)) for file in files], notes
+    if not os.path.exists(path) and glob.has_magic(given):
+        matches = [Path(match) for match in sorted(glob.glob(given, recursive=True))]
+        files = [match for match in matches if not match.is_dir()]
+        if not files:
+            raise InputError(Problem(given, "files", "none that match", "a pattern such as 'clips/*.csv'"))
+        return [draft for file in files for draft in _drafts_of_file(file)], []
+    file_head(path)  # a typing error ends the batch before it begins
+    return _drafts_of_file(path), []
+
+
+def _drafts_of_file(path: Path) -> list[Draft]:
+    return _drafts_of_manifest(path) if is_manifest(path) else [Draft((path.absolute(),))]
+
+
+def _drafts_of_sessions(sessions: Sequence[Session], common: Mapping[str, Any]) -> tuple[list[Draft], list[str]]:
+    """A draft for each file of 2D poses, with the calibration of its session unless another camera is given."""
+    own_cameras = common.get("camera") is None and common.get("hfov_deg") is None
+    drafts, notes, problems = [], [], []
+    for session in sessions:
+        files, said = _files_in(session.poses)
+        notes += said
+        row = {}
+        if own_cameras and session.calibration is None:
+            expected = "calibration/calibration.toml in it or above it, or --camera"
+            problems.append(Problem(session.folder, "calibration", "none", expected))
+        elif own_cameras:
+            row = {"camera": str(session.calibration)}
+            if common.get("camera_unit") is None and (session.square_length or 0.0) >= LEAST_NO_METRES:
+                found = f"{session.square_length:g}, so that the calibration is not in metres"
+                expected = "its unit besides, as in --camera-unit mm"
+                problems.append(
+                    Problem(session.config_file or session.folder, "board_square_side_length", found, expected)
+                )
+        drafts += [
+            Draft((file,), row, called=session.folder / file.name, cam_regex=session.cam_regex) for file in files
+        ]
+    if problems:
+        raise InputError(dict.fromkeys(problems))
+    if not drafts:
+        places = first_names([str(session.poses) for session in sessions])
+        raise InputError(Problem(places, "files", "no keypoint files", f"files of a known format: {_format_names()}"))
+    folders = dict.fromkeys(session.poses.name for session in sessions)
+    said = (
+        f"{len(sessions)} session{'s' * (len(sessions) > 1)} of Anipose: {len(drafts)} files of {' and '.join(folders)}"
+    )
+    return drafts, [said, *notes]
+
+
+def _files_in(folder: Path) -> tuple[list[Path], list[str]]:
+    chosen: dict[str, Path] = {}
+    twins, others = [], []
+    for path in sorted(p for p in folder.iterdir() if p.is_file() and not p.name.startswith(".")):
+        if not _is_recognised(path):
+            others.append(path)
+        else:
+            if path.stem in chosen:
+                twins.append(chosen[path.stem])
+            chosen[path.stem] = path
+    notes = []
+    for left_out, why in ((twins, "beside a file of the same name"), (others, "of no known format")):
+        if left_out:
+            notes.append(f"Left out of {folder}, {why}: {first_names([path.name for path in left_out])}")
+    return [path.absolute() for path in chosen.values()], notes
+
+
+def _is_recognised(path: Path) -> bool:
+    """Whether a reader takes the file; one that is too damaged to tell is a clip, which will say so."""
+    try:
+        file_head(path)
+    except InputError:
+        return False
+    try:
+        return any(reader.recognises(path) for reader in READERS)
+    except InputError:
+        return True
+
+
+def _format_names() -> str:
+    return ", ".join(reader.name for reader in READERS)
+
+
+def _without_repeats(drafts: Sequence[Draft]) -> list[Draft]:
+    """A file that two patterns name is one clip; the rows of a manifest are all meant."""
+    seen: set[Path] = set()
+    kept = []
+    for draft in drafts:
+        if draft.where is not None or not seen.issuperset(draft.paths):
+            kept.append(draft)
+        if draft.where is None:
+            seen.update(draft.paths)
+    return kept
+
+
+# -- manifests ----------------------------------------------------------------------------------------------------
+
+
+def is_manifest(path: Path) -> bool:
+    """Whether a file is a CSV table whose header has a column `keypoints`."""
+    return path.suffix.lower() == ".csv" and os.path.isfile(path) and "keypoints" in _header(path)
+
+
+def _header(path: Path) -> list[str]:
+    with path.open("rb") as file:
+        line = file.readline(65536).decode("utf-8-sig", errors="replace")
+    line = next(iter(line.strip().splitlines()), "")  # lines may end as on old Macs
+    try:
+        return [cell.strip() for cell in next(csv.reader([line], delimiter=_delimiter(line)), [])]
+    except csv.Error:
+        return []
+
+
+def _delimiter(line: str) -> str:
+    """Spreadsheets of some languages separate by semicolons."""
+    return ";" if ";" in line and "," not in line else ","
+
+
+def _drafts_of_manifest(path: Path) -> list[Draft]:
+    """One draft a row. Raises InputError with everything that is wrong with the table itself."""
+    header = _header(path)
+    known = ("out", *SETTINGS)
+    problems = [
+        Problem(path, f"column {name!r}" if name else "header", "an unknown column", f"one of {', '.join(known)}")
+        for name in header
+        if name not in known
+    ]
+    twice = [name for name, count in Counter(header).items() if count > 1 and name in known]
+    problems += [Problem(path, f"column {name!r}", "more than one", "one") for name in twice]
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise InputError(Problem(path, "content", str(error), "text in UTF-8")) from None
+    first = next(iter(text.strip().splitlines()), "")
+    reader = csv.reader(io.StringIO(text, newline=""), delimiter=_delimiter(first))
+    try:
+        rows = [(reader.line_num, cells) for cells in reader]
+    except csv.Error as error:
+        raise InputError(Problem(path, f"line {reader.line_num}", str(error), "rows of a CSV table")) from None
+    drafts = []
+    for line_number, cells in rows[1:]:
+        line = f"line {line_number}"
+        if not any(cell.strip() for cell in cells):
+            continue
+        if len(cells) > len(header):
+            problems.append(Problem(path, line, f"{len(cells)} cells", f"{len(header)}, as in the header"))
+        row = {name: cell.strip() for name, cell in zip(header, cells, strict=False) if cell.strip()}
+        if "keypoints" not in row:
+            problems.append(Problem(path, f"{line}, keypoints", "nothing", "a keypoint file"))
+            continue
+        out = row.pop("out", None)
+        values = {name: beside(path.parent, name, _cell_value(name, cell)) for name, cell in row.items()}
+        files = [file for one in values.pop("keypoints") for file in _matching_files(Path(one))]
+        if not files:
+            problems.append(Problem(path, f"{line}, keypoints", f"no files that match {row['keypoints']}", "some"))
+            continue
+        drafts.append(Draft(tuple(files), values, out, (path, line)))
+    if not drafts and not problems:
+        problems.append(Problem(path, "rows", "none", "one row a clip below the header"))
+    if problems:
+        raise InputError(problems)
+    return drafts
+
+
+def _cell_value(name: str, cell: str) -> str | list[str]:
+    """A cell of what each camera has, as a list."""
+    return [one.strip() for one in cell.split(BETWEEN)] if name in SETTINGS and SETTINGS[name].kind.many else cell
+
+
+def _matching_files(path: Path) -> list[Path]:
+    """A file, or those of a pattern."""
+    if os.path.exists(path) or not glob.has_magic(str(path)):
+        return [path]
+    return [file for match in sorted(glob.glob(str(path), recursive=True)) if (file := Path(match)).is_file()]
+
+
+# -- settings -----------------------------------------------------------------------------------------------------
+
+
+def _settings(draft: Draft, common: Mapping[str, Any], config: Path | None) -> FitSettings:
+    """A row over the common options over config. Problems of a row are said of the manifest's line."""
+    row = draft.row
+    under = {name: value for name, value in common.items() if value is not None and name not in row}
+    if "camera" in row and under.pop("hfov_deg", None) is not None:
+        under.pop("image_size_px", None)
+    if "hfov_deg" in row:
+        under = {name: value for name, value in under.items() if name not in ("camera", "camera_name")}
+    if "method" in row:  # the common options are for the clips of the other method
+        under = {name: value for name, value in under.items() if SETTINGS[name].method in (None, row["method"])}
+    try:
+        return read_settings(config, {"keypoints": draft.paths, **under, **row})
+    except InputError as error:
+        raise InputError(_problem_of_row(problem, draft, under) for problem in error.problems) from None
+
+
+def _each_animal(draft: Draft, settings: FitSettings) -> list[tuple[Draft, FitSettings]]:
+    animals = () if settings.individual is not None else individuals(settings.keypoints[0])
+    if not animals:
+        return [(draft, settings)]
+    names = [None if draft.name is None else f"{draft.name}-{animal}" for animal in animals]
+    return [
+        (replace(draft, row={**draft.row, "individual": animal}, name=name), replace(settings, individual=animal))
+        for animal, name in zip(animals, names, strict=True)
+    ]
+
+
+_OF_SEVERAL = ("offset_s", "camera_track", "camera_fps", "find_offsets", "refine_cameras", "focal_sigma")
+
+
+def _without_lists(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Without what may be there once for each camera of a clip."""
+    return {name: value for name, value in values.items() if name not in _OF_SEVERAL}
+
+
+class _CamerasOf:
+    """Of a draft: the names of the cameras in its file that can film a clip together, none where they cannot, or where
+    it is given which camera is meant. The draft may still be a part of a clip. posed: without poses they cannot."""
+
+    def __init__(self, common: Mapping[str, Any], config: Path | None, posed: bool = True) -> None:
+        self._common = _without_lists(common)
+        self._config = config
+        self._posed = posed
+        self._known: dict[tuple[Path, tuple[int, int] | None], tuple[str, ...]] = {}
+
+    def __call__(self, draft: Draft) -> tuple[str, ...]:
+        try:
+            settings = _settings(
+                replace(draft, paths=draft.paths[:1], row=_without_lists(draft.row)), self._common, self._config
+            )
+        except InputError:  # said later
+            return ()
+        if settings.camera is None or settings.camera_name is not None or settings.method == "frame":
+            return ()
+        key = settings.camera, settings.image_size_px
+        if key not in self._known:
+            try:
+                cameras = read_cameras(*key)
+            except InputError:
+                cameras = ()
+            usable = not self._posed or all(camera.has_extrinsics for camera in cameras)
+            self._known[key] = tuple(camera.name for camera in cameras) if usable else ()
+        return self._known[key]
+
+
+def _effect_problems(common: Mapping[str, Any], settings: Sequence[FitSettings]) -> Iterator[Problem]:
+    """Of the common options: where every clip has the other method, nothing reads them."""
+    methods = {clip.method for clip in settings}
+    for name, value in common.items():
+        method = SETTINGS[name].method
+        if value is not None and settings and method is not None and method not in methods:
+            found = f"{value!r}, and no clip of the {method} method"
+            yield Problem(option(name), name, found, f"nothing, or --method {method} with it")
+
+
+def _problem_of_row(problem: Problem, draft: Draft, common: Mapping[str, Any]) -> Problem:
+    in_row = problem.field in draft.row or (problem.found == "nothing" and problem.field not in common)
+    if draft.where is None or not in_row:
+        return problem
+    manifest, line = draft.where
+    return replace(problem, file=manifest, field=f"{line}, {problem.field}")
+
+
+# -- names --------------------------------------------------------------------------------------------------------
+
+
+def _name_problems(drafts: Sequence[Draft]) -> list[Problem]:
+    """Of names given in manifests: they must be plain, and different."""
+    problems = []
+    first: dict[str, str] = {}
+    for draft in drafts:
+        if draft.name is None or draft.where is None:
+            continue
+        manifest, line = draft.where
+        if _UNFIT.search(draft.name) or draft.name.startswith(".") or draft.name.casefold() in (SUMMARY, SUMMARY_PAGE):
+            expected = f"a plain name of a folder below --out, other than {SUMMARY} and {SUMMARY_PAGE}"
+            problems.append(Problem(manifest, f"{line}, out", repr(draft.name), expected))
+        elif draft.name.casefold() in first:
+            found = f"{draft.name!r}, as in {first[draft.name.casefold()]}"
+            problems.append(Problem(manifest, f"{line}, out", found, "a name of its own"))
+        else:
+            first[draft.name.casefold()] = line
+    return problems
+
+
+def _names(drafts: Sequence[Draft]) -> list[str]:
+    """As given; else the file's name, with its suffix or its folders where files share it, the animal and the frames
+    where the row says them, and a number where that is still not enough."""
+    base = file_names(dict.fromkeys(draft.title for draft in drafts))
+    taken = {SUMMARY, SUMMARY_PAGE, *(draft.name.casefold() for draft in drafts if draft.name is not None)}
+    names = []
+    for draft in drafts:
+        name = draft.name
+        if name is None:
+            plain = _UNFIT.sub("_", base[draft.title] + draft.tag).strip(". ") or "clip"
+            name, count = plain, 1
+            while name.casefold() in taken:
+                count += 1
+                name = f"{plain}-{count}"
+            taken.add(name.casefold())
+        names.append(name)
+    return names
+
+
+def file_names(paths: Sequence[Path] | Mapping[Path, None]) -> dict[Path, str]:
+    """A name for each file: those that share it get their suffix or as many folders in front as it takes."""
+    siblings = Counter((path.parent, path.stem.casefold()) for path in paths)
+    stems = {
+        path: f"{path.stem}-{path.suffix[1:]}" if siblings[path.parent, path.stem.casefold()] > 1 else path.stem
+        for path in paths
+    }
+    depth = dict.fromkeys(paths, 0)
+
+    def name(path: Path) -> str:
+        folders = [part for part in path.parent.parts if part != path.anchor]
+        return "-".join([*folders[len(folders) - depth[path] :], stems[path]])
+
+    while True:
+        count = Counter(name(path).casefold() for path in paths)
+        shared = [p for p in paths if count[name(p).casefold()] > 1 and depth[p] < len(p.parent.parts) - 1]
+        if not shared:
+            return {path: name(path) for path in paths}
+        for path in shared:
+            depth[path] += 1

@@ -1,0 +1,126 @@
+"""summary.csv: one row a clip, the whole file written again while clips finish; and summary.html, made of it."""
+
+from __future__ import annotations
+
+import csv
+import time
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+from recon.base.files import seen_from, staged_file
+from recon.show.page import SUMMARY_PAGE, require_own_page
+from recon.show.report import frames_with_pose
+from recon.workflows.batch.inputs import SUMMARY
+from recon.workflows.batch.record import Planned, short_hash
+
+RESULTS = (
+    "frames",
+    "frames_with_pose",
+    "warnings",
+    "outliers",
+    "mean_reprojection_px",
+    "mean_speed_m_s",
+    "peak_speed_m_s",
+    "size",
+)
+COLUMNS = (
+    "clip",
+    "keypoints",
+    "cameras",
+    "out",
+    "status",
+    "error",
+    *RESULTS,
+    "seconds",
+    "attempts",
+    "settings_hash",
+    "inputs_hash",
+)
+STATUSES = ("done", "done earlier", "unsolved", "failed", "pending")
+"""unsolved: fitted, but no frame has a pose. pending: not tried, because the batch was interrupted."""
+WRITE_EVERY_S = 0.5
+
+
+def results_of(report: Mapping[str, Any]) -> dict[str, Any]:
+    """The columns `RESULTS`. Speeds are the root's, without the jitter from frame to frame where that can be told;
+    warnings is how many the report has; size is the factor on the skeleton's lengths, which only the trajectory method
+    has."""
+    summary, path = report["summary"], report["root_path"]
+    speeds = path["smoothed"] or path["exact"]
+    return {
+        "frames": summary["frames"],
+        "frames_with_pose": frames_with_pose(report),
+        "warnings": len(report["warnings"]),
+        "outliers": summary["outliers"],
+        "mean_reprojection_px": summary["reprojection_px"]["mean"],
+        "mean_speed_m_s": speeds["mean_speed_m_s"],
+        "peak_speed_m_s": speeds["peak_speed_m_s"],
+        "size": report["size"]["factor"] if report["method"] == "trajectory" else None,
+    }
+
+
+class Summary:
+    """The rows of a batch, by clip, and their file. What was done earlier has its row already."""
+
+    def __init__(self, plan: Sequence[Planned], out: Path) -> None:
+        self.path = out / SUMMARY
+        self.rows: dict[str, dict[str, Any]] = {planned.clip.name: _row(planned, out) for planned in plan}
+        self._written_s = -WRITE_EVERY_S
+        self._changed = True
+
+    def end(self, clip: str, outcome: Mapping[str, Any]) -> None:
+        """outcome: some of the columns."""
+        self.rows[clip] |= outcome
+        self._changed = True
+
+    def counts(self) -> dict[str, int]:
+        """By status, in the order of `STATUSES`, without those that no clip has."""
+        count = Counter(row["status"] for row in self.rows.values())
+        return {status: count[status] for status in STATUSES if count[status]}
+
+    def write_now_and_then(self) -> None:
+        """If something has changed, but not all the time; a file that is open elsewhere can wait."""
+        if self._changed and time.monotonic() - self._written_s >= WRITE_EVERY_S:
+            with suppress(PermissionError):
+                self.write()
+
+    def write(self) -> None:
+        with staged_file(self.path) as staged, staged.open("w", encoding="utf-8", newline="") as f:
+            writer = csv.writer(f, lineterminator="\n")
+            writer.writerow(COLUMNS)
+            writer.writerows([row[column] for column in COLUMNS] for row in self.rows.values())
+        self._written_s, self._changed = time.monotonic(), False
+
+
+def write_summary_page(out: Path) -> Path:
+    """summary.html, of what summary.csv in the folder says. Raises InputError for another file in its place."""
+    from recon.show.page.batch import batch_page  # slow to import
+
+    page = out / SUMMARY_PAGE
+    require_own_page(page)
+    with (out / SUMMARY).open(encoding="utf-8", newline="") as file:
+        html = batch_page(out, list(csv.DictReader(file)))
+    with staged_file(page) as staged:
+        staged.write_text(html, encoding="utf-8")
+    return page
+
+
+def _row(planned: Planned, out: Path) -> dict[str, Any]:
+    row = dict.fromkeys(COLUMNS) | {
+        "clip": planned.clip.name,
+        "keypoints": ", ".join(planned.clip.settings.keypoints_from(out)),
+        "cameras": len(planned.clip.settings.keypoints),
+        "out": seen_from(out, planned.out),
+        "status": "pending",
+        "attempts": 0,
+        "settings_hash": short_hash([planned.identity["settings"], planned.identity["version"]]),
+        "inputs_hash": short_hash(planned.identity["inputs"]),
+    }
+    if planned.row is not None:
+        earlier = dict(planned.row)
+        earlier["status"] = "done earlier" if earlier["status"] == "done" else earlier["status"]
+        row |= earlier
+    return row

@@ -1,0 +1,154 @@
+"""`recon camera-advice`: where to put a camera, or a second one, to see an angle or a joint."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from recon.animal.body import Body
+from recon.animal.prior import load_prior
+from recon.animal.skeleton_file import load_skeleton
+from recon.base.errors import InputError, Problem
+from recon.base.files import require_free_folder, staged_folder
+from recon.calibrate.camera_advice import PICTURE_PX, Advice, advise
+from recon.fit.results import MEASURED_SHARE
+from recon.io.table import write_rows
+from recon.show import plots
+from recon.show.plots.advice import in_words
+from recon.show.report import to_json
+
+REPORT, TABLE, FIGURE = "camera_advice.json", "camera_advice.csv", "camera_advice"
+DIRECTIONS = (
+    *("ahead of it", "ahead to its left", "on its left side", "behind to its left"),
+    *("behind it", "behind to its right", "on its right side", "ahead to its right"),
+)
+HIGH_RAD = ((np.radians(15), "level with its middle"), (np.radians(45), "raised"), (np.radians(70), "high up"))
+ABOVE = "almost above it"
+
+
+@dataclass(frozen=True, eq=False)
+class CameraAdvice:
+    """found: one camera, or the best first one and a second beside it."""
+
+    found: tuple[Advice, ...]
+    report: dict[str, Any]
+
+    @property
+    def lines(self) -> Iterator[str]:
+        """In words."""
+        for number, advice in enumerate(self.found, start=1):
+            camera = "the camera" if len(self.found) == 1 else f"camera {number}"
+            share, sigma = (float(values[advice.best]) for values in (advice.share, advice.sigma))
+            yield (
+                f"Put {camera} {where(*advice.place)}, {advice.distance_m * np.sin(advice.place[1]):.2g} m above its "
+                f"middle and {advice.distance_m:.3g} m away: {share:.0%} of the precision of {advice.of} comes from "
+                f"the pixels, ±{in_words(sigma, advice.unit)}."
+            )
+        worst = np.unravel_index(int(np.argmax(self.found[0].sigma)), self.found[0].sigma.shape)
+        place = self.found[0].azimuths_rad[worst[1]], self.found[0].elevations_rad[worst[0]]
+        sigma = float(self.found[0].sigma[worst])
+        said = f"±{in_words(sigma, self.found[0].unit)}" if np.isfinite(sigma) else "it is not in the picture"
+        yield f"The worst place for one camera is {where(*map(float, place))}: {said}."
+        if self.found[-1].share.max() < MEASURED_SHARE:
+            yield "No place shows it well: what is expected of it says more than the pixels everywhere."
+
+
+def where(azimuth_rad: float, elevation_rad: float) -> str:
+    direction = DIRECTIONS[round(azimuth_rad / (np.pi / 4)) % 8]
+    height = next((text for limit, text in HIGH_RAD if elevation_rad < limit), ABOVE)
+    return f"{direction}, {height} ({np.degrees(azimuth_rad):.0f}°)" if height != ABOVE else f"{ABOVE}, {direction}"
+
+
+def run_camera_advice(
+    skeleton: str,
+    out: Path,
+    prior: str | None = None,
+    angle: str | None = None,
+    joint: str | None = None,
+    cameras: int = 1,
+    hfov_deg: float = 60.0,
+    distance_m: float | None = None,
+    subject: str | None = None,
+    overwrite: bool = False,
+    progress: Callable[[str, float], None] = lambda stage, share: None,
+) -> CameraAdvice:
+    """See `recon.calibrate.camera_advice.advise`; cameras: 1, or 2, of which the second is looked for beside the best
+    first one. Writes a report, a table and a figure into `out`. Raises InputError."""
+    body = load_skeleton(skeleton, subject)
+    _require(body, angle, joint, cameras, hfov_deg, distance_m)
+    motions = load_prior(prior, body)
+    require_free_folder(out, (REPORT, TABLE, f"{FIGURE}.png", f"{FIGURE}.svg"), overwrite, "advice")
+    found: list[Advice] = []
+    for number in range(cameras):
+        beside = found[0].place if found else None
+        found.append(
+            advise(
+                body,
+                motions,
+                angle,
+                joint,
+                hfov_deg,
+                distance_m,
+                beside,
+                progress=lambda share, done=number: progress("cameras", (done + share) / cameras),
+            )
+        )
+    advice = CameraAdvice(tuple(found), _report(found, body, motions.name, hfov_deg))
+    with staged_folder(out) as staging:
+        (staging / REPORT).write_text(to_json(advice.report | {"words": [*advice.lines]}), encoding="utf-8")
+        columns = "camera, azimuth_rad, elevation_rad, height_m, sigma_" + found[0].unit + ", data_share"
+        write_rows(staging / TABLE, [columns.split(", ")], _rows(found))
+        plots.save(plots.camera_advice(found), staging, FIGURE)
+    return advice
+
+
+def _require(
+    body: Body, angle: str | None, joint: str | None, cameras: int, hfov_deg: float, distance_m: float | None
+) -> None:
+    angles = body.state_names[4:]
+    checks = [
+        (angle is None or joint is None, "--angle", "--joint as well", "one of the two, or neither for all joints"),
+        (angle is None or angle in angles, "--angle", repr(angle), f"one of {', '.join(angles)}"),
+        (joint is None or joint in body.markers, "--joint", repr(joint), f"one of {', '.join(body.markers)}"),
+        (cameras in (1, 2), "--cameras", str(cameras), "1 or 2"),
+        (0 < hfov_deg < 180, "--hfov-deg", f"{hfov_deg:g}", "degrees between 0 and 180"),
+        (distance_m is None or 0 < distance_m < 1e4, "--distance-m", f"{distance_m}", "metres above 0, up to 10,000"),
+    ]
+    problems = [Problem(option, "value", found, expected) for ok, option, found, expected in checks if not ok]
+    if problems:
+        raise InputError(problems)
+
+
+def _report(found: Sequence[Advice], body: Body, prior: str, hfov_deg: float) -> dict[str, Any]:
+    return {
+        "schema": {"name": "recon.camera_advice", "version": 1},
+        "skeleton": body.name,
+        "prior": prior,
+        "of": found[0].of,
+        "hfov_deg": hfov_deg,
+        "image_size_px": PICTURE_PX,
+        "distance_m": found[0].distance_m,
+        "cameras": [
+            {
+                "azimuth_rad": advice.place[0],
+                "elevation_rad": advice.place[1],
+                "height_m": advice.distance_m * np.sin(advice.place[1]),
+                f"sigma_{advice.unit}": float(advice.sigma[advice.best]),
+                "data_share": float(advice.share[advice.best]),
+            }
+            for advice in found
+        ],
+    }
+
+
+def _rows(found: Sequence[Advice]) -> Iterator[Sequence[Any]]:
+    for number, advice in enumerate(found, start=1):
+        for row, elevation in enumerate(advice.elevations_rad):
+            for column, azimuth in enumerate(advice.azimuths_rad):
+                height = advice.distance_m * np.sin(elevation)
+                sigma, share = advice.sigma[row, column], advice.share[row, column]
+                yield number, azimuth, elevation, height, sigma if np.isfinite(sigma) else np.nan, share

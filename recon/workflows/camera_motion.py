@@ -1,0 +1,287 @@
+"""How a camera turned while it filmed: a video in, a camera track, a report and a panorama out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from recon.base.arrays import Array, Integers
+from recon.base.errors import InputError, Problem, all_of
+from recon.base.files import require_free_file, staged_folder, write_bytes
+from recon.base.progress import Progress, silent
+from recon.calibrate.camera_motion import (
+    LevelMark,
+    Tracker,
+    Turn,
+    TurningMotion,
+    as_level,
+    read_marks,
+    tilted,
+    up_by_marks,
+)
+from recon.calibrate.camera_motion.features import rays_of
+from recon.calibrate.camera_motion.panorama import ANIMAL, PATH, Canvas, draw_path, draw_view, panorama
+from recon.clip.keypoints import Keypoints
+from recon.geometry.camera import Camera
+from recon.geometry.rotations import quaternions
+from recon.io import read_keypoints
+from recon.io.calibration import read_camera
+from recon.io.camera_track import INTRINSICS, POSE, SIGMA
+from recon.io.table import write_table
+from recon.io.video import Image, probe, read_frames, require_codec, video_writer
+from recon.show.report import to_json
+
+MIN_LIKELIHOOD = 0.3
+"""Keypoints that are less sure do not hide anything."""
+MAX_LOST = 0.5
+NOTES = (
+    "the camera is taken to turn about its centre: its place is the world's origin in every frame",
+    "a rolling shutter is not modelled: in a fast turn the rows of a picture were seen at different times",
+    "standard deviations are against the first frame, per axis, and hold where the lens is as the camera file says",
+)
+
+
+@dataclass(frozen=True, eq=False)
+class CameraMotionRun:
+    """report: what is in the report file. files: what was written."""
+
+    report: dict[str, Any]
+    files: tuple[Path, ...]
+
+
+def run_camera_motion(
+    video: Path,
+    camera: Path,
+    out: Path,
+    *,
+    camera_name: str | None = None,
+    keypoints: Path | None = None,
+    individual: str | None = None,
+    first_frame: int = 0,
+    tilt_deg: float | None = None,
+    level_marks: Path | None = None,
+    zoom: bool = False,
+    stabilised: Path | None = None,
+    overwrite: bool = False,
+    progress: Progress = silent,
+) -> CameraMotionRun:
+    """`recon camera-motion`: write `out` (`recon.io.camera_track`), and beside it <stem>_report.json and
+    <stem>_panorama.png; `stabilised` is the video laid over the panorama.
+
+    first_frame: the number that the video's first frame has in the keypoint file and the track. tilt_deg: how far the
+    camera looks down in the first frame, level to the sides; level_marks: a table of horizons and verticals in its
+    pictures; neither: it is level in the mean of all frames. Raises InputError, with every problem, for inputs that
+    cannot be used, and for a camera that did more than turn.
+    """
+    info, lens, animal, marks, *_ = all_of(
+        lambda: probe(video),
+        lambda: read_camera(camera, camera_name),
+        lambda: None if keypoints is None else read_keypoints(keypoints, individual),
+        lambda: () if level_marks is None else read_marks(level_marks),
+        lambda: _require_out(out, stabilised, overwrite, video),
+        lambda: _require_tilt(tilt_deg, level_marks),
+    )
+    if info.size_px != lens.image_size_px:
+        found, wanted = ("{}x{} px".format(*size) for size in (info.size_px, lens.image_size_px))
+        raise InputError(Problem(video, "size", found, f"{wanted}, the size that {camera} is calibrated for"))
+    points = {} if animal is None else _points(animal, first_frame)
+    tracker = Tracker(lens, zoom, points.get)
+    for number, picture in read_frames(video):
+        tracker.add(number, picture)
+        if tracker.cut is not None:
+            break
+        progress("following the background", min(1.0, number / (info.stated_frames or number + 1)))
+    motion = tracker.finish()
+    _require_turning(video, motion, zoom, first_frame)
+    if animal is not None:
+        _require_same_frames(keypoints, points, motion, video)
+    up, level = _up(motion, lens, first_frame, tilt_deg, level_marks, marks)
+    motion = replace(motion, turns=as_level(motion.turns, up))
+    report = _report(video, camera, motion, lens, first_frame, level, zoom)
+    canvas, background, picture = _pictures(lens, motion, points)
+    report_file, picture_file = (out.with_name(out.stem + end) for end in ("_report.json", "_panorama.png"))
+    if stabilised is not None:
+        _write_stabilised(stabilised, video, lens, motion, points, canvas, background, info.fps or 30.0, progress)
+    with staged_folder(out.absolute().parent) as folder:
+        _write_track(folder / out.name, motion, lens, first_frame, zoom)
+        (folder / report_file.name).write_text(to_json(report), encoding="utf-8")
+        write_bytes(folder / picture_file.name, cv2.imencode(".png", picture)[1].tobytes())
+    written = (out, report_file, picture_file, *([] if stabilised is None else [stabilised]))
+    return CameraMotionRun(report, written)
+
+
+# -- what cannot be used ----------------------------------------------------------------------------------------------
+
+
+def _require_out(out: Path, stabilised: Path | None, overwrite: bool, video: Path) -> None:
+    require_free_file(out, overwrite, suffixes=(".csv",))
+    if stabilised is not None:
+        require_codec(stabilised)
+        require_free_file(stabilised, overwrite, "--stabilised", source=video)
+
+
+def _require_tilt(tilt_deg: float | None, level_marks: Path | None) -> None:
+    if tilt_deg is not None and level_marks is not None:
+        raise InputError(Problem("--tilt-deg", "level", f"{tilt_deg:g} beside {level_marks}", "one of the two"))
+    if tilt_deg is not None and not abs(tilt_deg) < 60:
+        raise InputError(Problem("--tilt-deg", "angle", f"{tilt_deg:g}", "between -60 and 60 degrees, down positive"))
+
+
+def _require_turning(video: Path, motion: TurningMotion, zoom: bool, first_frame: int) -> None:
+    """Raises InputError for a cut, for too little background, and for a camera that did more than turn."""
+    if motion.cut is not None:
+        found = f"a cut, or a jump of the whole view, at frame {motion.cut + first_frame}"
+        raise InputError(Problem(video, "video", found, "one take: cut the video there"))
+    if not motion.turned_only:
+        found = "a background that no turn explains: parts of it move against each other"
+        if not zoom:
+            found += ", or it grows"
+        expected = "a camera that turns about a fixed point, and is calibrated"
+        expected += "" if zoom else " (--zoom if its focal length changes)"
+        expected += "; of one that is carried or driven, make the track with COLMAP, and give that to --camera-track"
+        raise InputError(Problem(video, "motion", found, expected))
+    number = len(motion.frames) + len(motion.lost)
+    if not len(motion.frames) or len(motion.lost) > MAX_LOST * number:
+        found = (
+            f"too little background that can be followed in {len(motion.lost)} of {number} frames: blurred, without "
+        )
+        found += "structure, or hidden"
+        raise InputError(Problem(video, "background", found, f"no more than {MAX_LOST:.0%} of such frames"))
+
+
+def _require_same_frames(path: Path | None, points: dict[int, Array], motion: TurningMotion, video: Path) -> None:
+    """Raises InputError where the keypoint file counts otherwise than the video."""
+    last = len(motion.frames) + len(motion.lost) - 1
+    outside = [number for number in points if not 0 <= number <= last]
+    if outside:
+        found = f"{len(outside)} of {len(points)} frames that {video} does not have ({last + 1} frames)"
+        raise InputError(Problem(path or "--keypoints", "frames", found, "the video's frames, or --first-frame"))
+
+
+def _points(keypoints: Keypoints, first_frame: int) -> dict[int, Array]:
+    """By the frame's number in the video, of those with points: pixels (K, 2), NaN where unsure."""
+    unsure = keypoints.confidence < MIN_LIKELIHOOD
+    pixels = np.where(unsure[..., None], np.nan, keypoints.xy_px)
+    shown = ((int(frame), np.asarray(some, float)) for frame, some in zip(keypoints.frames, pixels, strict=True))
+    return {frame - first_frame: some for frame, some in shown if np.isfinite(some).all(axis=1).any()}
+
+
+# -- which way is up --------------------------------------------------------------------------------------------------
+
+
+def _up(
+    motion: TurningMotion,
+    lens: Camera,
+    first_frame: int,
+    tilt_deg: float | None,
+    source: Path | None,
+    marks: Sequence[LevelMark],
+) -> tuple[Array | None, str]:
+    """Up (3,) in the first frame's camera, None if the mean frame is to be level, and how that is known."""
+    if tilt_deg is not None:
+        level = f"the first frame looks {tilt_deg:g} degrees down, as given, and its roll is taken as 0"
+        return tilted(np.radians(tilt_deg)), level
+    if source is None:
+        return None, "the mean of all frames is taken as level: its tilt and roll are 0"
+    by_frame = dict(zip((motion.frames + first_frame).tolist(), motion.turns, strict=True))
+    up, sigma = up_by_marks(source, marks, lens, by_frame)
+    return up, f"by {len(marks)} marks in {source}, to {np.degrees(sigma):.1g} degrees if they are 2 px off"
+
+
+# -- what comes out ---------------------------------------------------------------------------------------------------
+
+
+def _write_track(path: Path, motion: TurningMotion, camera: Camera, first_frame: int, zoom: bool) -> None:
+    q = quaternions(np.stack([turn.rotation for turn in motion.turns]))[:, [3, 0, 1, 2]]
+    q *= np.where(q[:, :1] < 0, -1.0, 1.0)
+    poses = np.round(np.concatenate([q, np.zeros((len(q), 3))], axis=1), 9)
+    if zoom:
+        K, zooms = camera.matrix, np.array([turn.zoom for turn in motion.turns])[:, None]
+        lens = [zooms * [K[0, 0], K[1, 1]], np.tile(K[:2, 2], (len(q), 1))]
+        poses = np.concatenate([poses, np.round(np.concatenate(lens, axis=1), 4)], axis=1)
+    poses = np.concatenate([poses, np.round(np.degrees(motion.sigma_rad)[:, None], 5)], axis=1)
+    write_table(path, [["frame", *POSE, *(INTRINSICS if zoom else ()), SIGMA]], motion.frames + first_frame, poses)
+
+
+def _report(
+    video: Path, camera: Path, motion: TurningMotion, lens: Camera, first_frame: int, level: str, zoom: bool
+) -> dict[str, Any]:
+    axes = np.stack([turn.rotation[2] for turn in motion.turns])
+    pan = np.degrees(np.unwrap(np.arctan2(axes[:, 0], axes[:, 1])))
+    tilt = np.degrees(-np.arcsin(np.clip(axes[:, 2], -1, 1)))
+    down = np.stack([turn.rotation[:, 2] for turn in motion.turns])
+    roll = np.degrees(np.arctan2(down[:, 0], -down[:, 1]))
+    rounded = {"pan_deg": pan, "tilt_deg": tilt, "roll_deg": roll, "sigma_deg": np.degrees(motion.sigma_rad)}
+    if zoom:
+        rounded |= {"zoom": np.array([turn.zoom for turn in motion.turns]), "sigma_zoom": motion.sigma_zoom}
+    rounded["residual_px"] = motion.residual_px
+    return {
+        "video": video.name,
+        "camera": {"file": camera.name, "name": lens.name},
+        "level": level,
+        "notes": [*NOTES, *(["the first frame has the camera file's focal length"] if zoom else [])],
+        "frames": len(motion.frames) + len(motion.lost),
+        "frames_without_background": (motion.lost + first_frame).tolist(),
+        "keyframes": (motion.frames[motion.keys] + first_frame).tolist(),
+        "residual_px": float(np.median(motion.residual_px)),
+        "inliers": float(np.median(motion.inliers)),
+        "sigma_deg": float(np.degrees(np.median(motion.sigma_rad))),
+        "by_frame": {
+            "frame": (motion.frames + first_frame).tolist(),
+            **{name: np.round(values, 5).tolist() for name, values in rounded.items()},
+            "inliers": motion.inliers.tolist(),
+        },
+    }
+
+
+def _pictures(camera: Camera, motion: TurningMotion, points: dict[int, Array]) -> tuple[Canvas, Image, Image]:
+    """The canvas, the panorama, and the panorama with the camera's and the animal's path."""
+    canvas = Canvas.around(camera, motion.turns)
+    background = panorama(canvas, camera, [motion.turns[key] for key in motion.keys], motion.pictures)
+    drawn = background.copy()
+    for turn in (motion.turns[0], motion.turns[len(motion.turns) // 2], motion.turns[-1]):
+        draw_view(canvas, drawn, camera, turn)
+    draw_path(canvas, drawn, np.stack([turn.rotation[2] for turn in motion.turns]), PATH)
+    draw_path(canvas, drawn, _animal(camera, motion.frames, motion.turns, points), ANIMAL)
+    return canvas, background, drawn
+
+
+def _animal(camera: Camera, frames: Integers, turns: tuple[Turn, ...], points: dict[int, Array]) -> Array:
+    """(N, 3): world rays of the middle of the animal's points, NaN where it has none."""
+    rays = np.full((len(frames), 3), np.nan)
+    for t, (frame, turn) in enumerate(zip(frames.tolist(), turns, strict=True)):
+        if frame in points:
+            rays[t] = rays_of(camera, np.nanmean(points[frame], axis=0)[None], turn.zoom)[0][0] @ turn.rotation
+    return rays
+
+
+def _write_stabilised(
+    out: Path,
+    video: Path,
+    camera: Camera,
+    motion: TurningMotion,
+    points: dict[int, Array],
+    canvas: Canvas,
+    background: Image,
+    fps: float,
+    progress: Progress,
+) -> None:
+    """Every frame where it belongs in the panorama, which stands still behind it, darker."""
+    turns = dict(zip(motion.frames.tolist(), motion.turns, strict=True))
+    dark = (background * 0.4).astype(np.uint8)
+    path = _animal(camera, motion.frames, motion.turns, points)
+    with video_writer(out, canvas.size_px, fps) as write:
+        for number, picture in read_frames(video):
+            drawn = dark.copy()
+            if number in turns:
+                warped, depth = canvas.warped(camera, turns[number], picture)
+                drawn = np.where(depth[..., None] > 0, warped, dark)
+                draw_view(canvas, drawn, camera, turns[number])
+            draw_path(canvas, drawn, path[: np.searchsorted(motion.frames, number, side="right")], ANIMAL)
+            write(drawn)
+            progress("writing the stabilised video", number / (len(motion.frames) + len(motion.lost)))

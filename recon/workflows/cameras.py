@@ -1,0 +1,195 @@
+"""Which camera a keypoint file is of, and where it was: the camera file, names, and tracks of cameras that move."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from recon.base.errors import InputError, Problem, all_of
+from recon.geometry.camera import Camera
+from recon.io.calibration import read_camera, read_cameras
+from recon.io.camera_track import CameraTrack, read_camera_track, track_label
+from recon.workflows.settings import UNITS_M, FitSettings, Unit
+
+
+@dataclass(frozen=True, eq=False)
+class ClipCamera:
+    """The camera of a keypoint file."""
+
+    camera: Camera
+    """With a track its lens only: it has no pose."""
+    track: CameraTrack | None = None
+    """Of a camera that moves."""
+
+
+Cameras = tuple[ClipCamera, ...]
+
+
+def read_clip_cameras(settings: FitSettings) -> Cameras:
+    """The camera of each keypoint file. Raises InputError."""
+    reads = (lambda path=path: read_camera_track(path) for path in settings.camera_track or ())
+    tracks = tuple(all_of(*reads))
+    chosen = (
+        _cameras_of_one(settings, tracks) if len(settings.keypoints) == 1 else _cameras_of_several(settings, tracks)
+    )
+    moving = tuple(_in_metres(_moving(one), settings.camera_unit) for one in chosen)
+    if settings.tilt_deg is None:
+        return moving
+    if any(one.camera.knows_up for one in chosen):
+        found = f"{settings.tilt_deg:g} beside the pose in {settings.camera}, which says which way is up"
+        raise InputError(Problem("--tilt-deg", "tilt_deg", found, "one of the two"))
+    tilt_rad = math.radians(settings.tilt_deg)
+    return tuple(replace(one, camera=replace(one.camera, tilt_rad=tilt_rad)) for one in moving)
+
+
+def other_cameras(camera: Camera, settings: FitSettings) -> tuple[Camera, ...]:
+    """The cameras of the camera file that the clip is not said to be of, none where there is no such file."""
+    if settings.camera is None:
+        return ()
+    cameras = read_cameras(settings.camera, settings.image_size_px)
+    return tuple(other for other in cameras if other.name != camera.name)
+
+
+def _moving(one: ClipCamera) -> ClipCamera:
+    """Where a track says where the camera was, the camera file does not."""
+    if one.track is None:
+        return one
+    return replace(one, camera=replace(one.camera, rotation=None, translation_m=None, tilt_rad=0.0))
+
+
+def _in_metres(one: ClipCamera, unit: Unit) -> ClipCamera:
+    """Where a camera file says where the camera is, in that unit."""
+    if one.camera.translation_m is None or unit == "m":
+        return one
+    return replace(one, camera=replace(one.camera, translation_m=UNITS_M[unit] * one.camera.translation_m))
+
+
+def _cameras_of_one(settings: FitSettings, tracks: Sequence[CameraTrack]) -> Cameras:
+    """A clip with one keypoint file, whose camera any track is."""
+    track = tracks[0] if tracks else None
+    given = "a camera file" if settings.camera is not None else "--hfov-deg" if settings.hfov_deg is not None else None
+    if track is not None and track.camera is not None:
+        if given is not None:
+            found = f"{given} beside {track.source}, which has the lens"
+            raise InputError(Problem("--camera-track", "camera", found, "one of the two"))
+        return (ClipCamera(_own_lens(track.camera, settings, 0), track),)
+    if settings.camera is not None:
+        (camera,) = _cameras_in_file(settings.camera, settings)
+    elif settings.hfov_deg is not None and settings.image_size_px is not None:
+        camera = Camera.from_hfov(settings.hfov_deg, settings.image_size_px)
+    else:
+        found = "nothing" if track is None else f"nothing, and {track.source.name} comes without a lens"
+        raise InputError(Problem("settings", "camera", found, "a camera file, or hfov_deg with image_size_px"))
+    return (ClipCamera(camera, track),)
+
+
+def _own_lens(camera: Camera, settings: FitSettings, place: int) -> Camera:
+    """Of a track, named as given. Raises InputError for another size of the picture than is given."""
+    size, given = camera.image_size_px, settings.image_size_px
+    if given is not None and size != given:
+        expected = f"{given[0]}x{given[1]}, as was given"
+        raise InputError(Problem("--camera-track", "image size", f"{size[0]}x{size[1]}", expected))
+    return camera if settings.camera_name is None else replace(camera, name=settings.camera_name[place])
+
+
+def _cameras_of_several(settings: FitSettings, tracks: Sequence[CameraTrack]) -> Cameras:
+    """A track is that of the camera whose name its own contains."""
+    if settings.camera_name is not None:
+        reads = (
+            lambda i=i, name=name: _camera_by_name(settings, i, name, tracks)
+            for i, name in enumerate(settings.camera_name)
+        )
+        cameras = tuple(all_of(*reads))
+    else:
+        assert settings.camera is not None
+        cameras = _cameras_in_file(settings.camera, settings)
+    problems = list(_problems_of_several(settings.camera, cameras, tracks))
+    if problems:
+        raise InputError(problems)
+    chosen, names = [], [camera.name for camera in cameras]
+    for i, camera in enumerate(cameras):
+        track = next((one for one in tracks if camera.name in cameras_in(track_label(one.source), names)), None)
+        lens = None if track is None else track.camera
+        chosen.append(
+            ClipCamera(camera if lens is None else _own_lens(replace(lens, name=camera.name), settings, i), track)
+        )
+    return tuple(chosen)
+
+
+def _camera_by_name(settings: FitSettings, place: int, name: str, tracks: Sequence[CameraTrack]) -> Camera:
+    """Of a track with a lens, or from the camera file."""
+    for track in tracks:
+        if track.camera is not None and name in cameras_in(track_label(track.source), settings.camera_name or ()):
+            return _own_lens(track.camera, settings, place)
+    if settings.camera is None:
+        raise InputError(Problem("--camera", "camera", f"no lens of {name}", "a camera file with it"))
+    return read_camera(settings.camera, name, settings.image_size_px)
+
+
+def _cameras_in_file(path: Path, settings: FitSettings) -> tuple[Camera, ...]:
+    """By name as given; else the only one, or the one whose name the keypoint file's name contains."""
+    if settings.camera_name is not None:
+        named = (lambda name=name: read_camera(path, name, settings.image_size_px) for name in settings.camera_name)
+        return tuple(all_of(*named))
+    cameras = read_cameras(path, settings.image_size_px)
+    if len(cameras) == 1 == len(settings.keypoints):
+        return cameras
+    if len(cameras) < len(settings.keypoints):
+        found = f"{len(cameras)} of the {len(settings.keypoints)} cameras"
+        raise InputError(Problem(path, "camera", found, "a file with the camera of every keypoint file"))
+    chosen, problems = [], []
+    for file in settings.keypoints:
+        names = cameras_in(file.stem, [camera.name for camera in cameras])
+        named = [camera for camera in cameras if camera.name in names]
+        chosen += named
+        if len(named) != 1:
+            found = f"{len(cameras)} cameras and no choice"
+            found += f" for {file.name}" if len(settings.keypoints) > 1 else ""
+            expected = f"one of {', '.join(camera.name for camera in cameras)} by --camera-name, or in the file's name"
+            problems.append(Problem(path, "camera", found, expected))
+    if problems:
+        raise InputError(problems)
+    return tuple(chosen)
+
+
+def _problems_of_several(
+    path: Path | None, cameras: Sequence[Camera], tracks: Sequence[CameraTrack]
+) -> Iterator[Problem]:
+    """What cameras that film together must have."""
+    file = path or "--camera"
+    names = [camera.name for camera in cameras]
+    for name in sorted({name for name in names if names.count(name) > 1}):
+        yield Problem(file, "camera", f"{name} for two keypoint files", "a camera for each, by --camera-name")
+    of_track = {track.source: list(cameras_in(track_label(track.source), dict.fromkeys(names))) for track in tracks}
+    for track, owners in of_track.items():
+        if len(owners) != 1:
+            found = f"{track_label(track)}, with the name of {' and of '.join(owners) or 'no camera'}"
+            yield Problem(track, "name", found, f"the name of one of {', '.join(names)} in it")
+    owned = [owners[0] for owners in of_track.values() if len(owners) == 1]
+    for name in sorted({name for name in owned if owned.count(name) > 1}):
+        yield Problem("--camera-track", name, f"{owned.count(name)} tracks of it", "one")
+    for camera in cameras:
+        if camera.name in owned:
+            continue
+        if not camera.has_extrinsics:
+            yield Problem(file, f"camera {camera.name}", "no pose", "its rotation and translation beside the others'")
+        elif tracks and not camera.knows_up:
+            expected = "one in the world of the camera track, z up (world_z_up)"
+            yield Problem(file, f"camera {camera.name}", "a pose that does not say which way is up", expected)
+
+
+def cameras_in(stem: str, names: Iterable[str]) -> dict[str, re.Match[str]]:
+    """Which cameras' names a file's name has, and where: cam1 is in run_cam1DLC, not in run_cam10; A is in run-A, not
+    in run-Alex. If a file's name has camA or cam-1, the cameras A and 1 are looked for nowhere else in it."""
+    names = tuple(names)
+    for before in ("cam(?:era)?[-_ ]?", ""):
+        ends = {name: "(?![0-9])" if name[-1:].isdigit() else "(?![0-9])(?=DLC|[^a-z]|$)" for name in names}
+        patterns = {name: rf"(?<![0-9A-Za-z]){before}{re.escape(name)}{ends[name]}" for name in names}
+        matches = {name: re.search(pattern, stem, re.IGNORECASE) for name, pattern in patterns.items()}
+        found = {name: match for name, match in matches.items() if match is not None}
+        if found:
+            return found
+    return {}

@@ -1,0 +1,127 @@
+"""`recon analyse`."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from rich.table import Table
+
+from recon.workflows.cli.common import (
+    STRIDE,
+    counted,
+    progress_bar,
+    say,
+    say_what_is_gone,
+    stride_times,
+    table_of,
+    terminal,
+)
+
+if TYPE_CHECKING:
+    from recon.workflows.analyse import Analysed
+
+MOST_STANCES = 100
+"""That are printed, of all feet by both methods."""
+
+
+def analyse(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of results, as in results/clip.")],
+    out: Annotated[
+        Path | None, typer.Option(help="Folder for tables and figures. (default: analysis in DIR)", show_default=False)
+    ] = None,
+    smooth: Annotated[
+        bool | None,
+        typer.Option(
+            "--smooth/--no-smooth",
+            help="Smooth paths and angles by their jitter. (default: only where the fit gives no uncertainty)",
+            show_default=False,
+        ),
+    ] = None,
+    stride: Annotated[str | None, STRIDE] = None,
+    solver: Annotated[
+        bool, typer.Option("--solver", help="Also what the optimiser did: cost, gradient, Jacobian, limits.")
+    ] = False,
+    figures: Annotated[bool, typer.Option("--figures/--no-figures", help="PNG and SVG beside the tables.")] = True,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace an earlier analysis.")] = False,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print errors only.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the summary as JSON.")] = False,
+) -> None:
+    """Kinematics, gait, vector fields and phase portraits of a reconstruction.
+
+    Writes tables (CSV), figures (PNG, SVG), and plots that recon view shows beside the playback.
+
+    Example: recon analyse results/clip
+    """
+    from recon.show.report import to_json
+    from recon.workflows.analyse import run_analyse
+
+    console = terminal(quiet=quiet, stderr=as_json)
+    with progress_bar(console) as progress:
+        done = run_analyse(folder, out, smooth, figures, overwrite, stride_times(stride), solver, progress)
+    if as_json:
+        typer.echo(to_json(done.summary), nl=False)
+        return
+    for line in _lines(done):
+        say(console, line)
+    count = sum(len(gait.stances) for gait in done.found.gaits.values())
+    if count > MOST_STANCES:
+        say(console, f"{count} stances are in {done.out / 'stances.csv'}.")
+    elif done.found.gaits:
+        console.print(_stances(done))
+    for note in done.summary["notes"]:
+        say(console, f"note: {note}")
+    say_what_is_gone(console, folder)
+    say(console, f"{len(done.files)} files are in {done.out}.")
+    if done.plots is not None:
+        results = done.found.results.folder
+        own = "" if done.out == results / "analysis" else f" --analysis {done.out}"
+        say(console, f"See them beside the playback with: recon view {results}{own}")
+
+
+def _lines(done: Analysed) -> Iterator[str]:
+    speed, found = done.summary["speed"], done.found
+    sigma = speed["peak_sigma_m_s"]
+    spread = "" if sigma is None else f" ± {sigma:.1f}"
+    if speed["doubt"] is None:
+        yield (
+            f"path of {found.reference}: {speed['distance_m']:.2f} m, mean {speed['mean_m_s']:.1f} m/s, "
+            f"peak {speed['peak_m_s']:.1f}{spread} m/s at {speed['peak_time_s']:.2f} s"
+        )
+    else:
+        run = speed["straight_run_m_s"]
+        other = "" if run is None else f"{run:.1f} m/s, of a straight run through all frames; "
+        yield f"speed of {found.reference}: {other}its path is too uncertain in depth for it: {speed['doubt']}"
+    if "spine_flexion" in found.angles:
+        low, high = (math.degrees(angle) for angle in found.angles["spine_flexion"].range_rad)
+        yield f"flexion of the spine: {low:+.0f}° to {high:+.0f}° (positive: arched up)"
+    for method, gait in found.gaits.items():
+        yield f"gait by {method}: {gait.name.name} ({gait.name.criterion})"
+        if gait.strides:
+            yield (
+                f"  means over {counted(len(gait.strides), 'stride')} of single feet: {gait.stride_length_m:.2f} m, "
+                f"{gait.stride_frequency_hz:.2f} Hz, duty factor {gait.name.duty_factor:.2f}"
+            )
+    if (stride := found.stride) is not None:
+        which = "as given" if found.stride_by == "given" else f"of {stride.foot}, by {found.stride_by}"
+        yield f"phase portraits: the stride from {stride.start_s:.3f} to {stride.end_s:.3f} s, {which}"
+
+
+def _stances(done: Analysed) -> Table:
+    """By foot: what both methods found."""
+    found, title = done.found, "times: seconds since frame 0"
+    table = table_of("foot", *(f"stances by {method}, s" for method in found.gaits), title=title)
+    for foot, joint in found.results.feet.items():
+        cells = []
+        for gait in found.gaits.values():
+            spans = [
+                f"{'' if s.begins else '≤'}{s.start_s:.3f}-{s.end_s:.3f}{'' if s.ends else '+'}"
+                for s in gait.stances
+                if s.foot == foot
+            ]
+            cells.append(", ".join(spans) or "none")
+        table.add_row(f"{foot} {joint}", *cells)
+    return table

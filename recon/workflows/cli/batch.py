@@ -1,0 +1,246 @@
+"""`recon batch`."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from rich.box import SIMPLE_HEAD
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
+from rich.table import Column, Table
+from rich.text import Text
+
+from recon.workflows.cli.common import counted, say, stop, terminal
+from recon.workflows.cli.settings import OPTIONS, takes_settings
+
+if TYPE_CHECKING:
+    from recon.base.errors import Problem
+    from recon.workflows.batch import Event, Planned, Summary
+
+EXIT_STRICT = 1
+CANNOT = "cannot be fitted"
+NAMED = 3
+"""Clips with the same problem are named up to this number."""
+_STYLES = {"done": "green", "done earlier": "green", "unsolved": "yellow", "failed": "red", "pending": ""}
+_COMMON, _WORK = "Settings of every clip", "How the work is done"
+
+
+@takes_settings([name for name in OPTIONS if name != "keypoints"], _COMMON)
+def batch(
+    *,
+    inputs: Annotated[
+        list[str],
+        typer.Argument(
+            metavar="INPUT...",
+            help="Keypoint files, quoted patterns as in 'clips/*.csv', folders, also Anipose's, or manifests: CSV "
+            "tables with a column keypoints, and one for every setting that differs between clips.",
+        ),
+    ],
+    out: Annotated[Path, typer.Option(help="Folder for the results: one folder a clip, and summary.csv.")],
+    config: Annotated[
+        Path | None,
+        typer.Option(
+            help="Settings as in the config.toml of a fit; options here overrule it.", rich_help_panel=_COMMON
+        ),
+    ] = None,
+    given: dict[str, Any],
+    cameras_by: Annotated[
+        str,
+        typer.Option(
+            metavar="auto|none|PATTERN",
+            help="Which files are one clip of several cameras. auto: those whose names are the same but for the name "
+            "of a camera in the camera file; none: each is a clip; or a regular expression for the camera's name in a "
+            "file's, as in '-cam([A-Z])'.",
+            rich_help_panel=_COMMON,
+        ),
+    ] = "auto",
+    jobs: Annotated[
+        int | None,
+        typer.Option(
+            min=1, help="Clips at a time, each in a process. (default: one for each core)", rich_help_panel=_WORK
+        ),
+    ] = None,
+    scheduler: Annotated[
+        str | None,
+        typer.Option(help="Run on this Dask cluster instead, as in tcp://host:8786.", rich_help_panel=_WORK),
+    ] = None,
+    retries: Annotated[
+        int, typer.Option(min=0, help="Tries more for a clip at which a worker died.", rich_help_panel=_WORK)
+    ] = 1,
+    overwrite: Annotated[
+        bool, typer.Option("--overwrite", help="Fit everything again, and replace any results.", rich_help_panel=_WORK)
+    ] = False,
+    dry_run: Annotated[
+        bool,
+        typer.Option("--dry-run", help="Only look: what would be done, and what inputs lack.", rich_help_panel=_WORK),
+    ] = False,
+    strict: Annotated[
+        bool, typer.Option("--strict", help="Exit code 1 if any clip failed or is unsolved.", rich_help_panel=_WORK)
+    ] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the summary as JSON.")] = False,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print errors only.")] = False,
+) -> None:
+    """Reconstruct many clips in parallel. The same command again goes on where it was stopped.
+
+    A clip is done when its folder holds results of the same keypoints, camera and other files (by their content), the
+    same settings and the same version of recon. Where one of these has changed it is fitted again and its results are
+    replaced. Folders with results that are not of a batch, or of another clip, are never touched without --overwrite.
+
+    Example: recon batch 'clips/*.csv' --camera camera.toml --fps 120 --out results
+
+    Exit code 0: done, whatever became of single clips (see --strict). 2: the input as a whole cannot be used; nothing
+    was done. 130: stopped with Ctrl-C; what is done is kept.
+    """
+    from recon.workflows.batch import check_shared, find_clips, input_problems, plan_batch, run_batch
+
+    console = terminal(quiet=quiet, stderr=as_json)
+    clips, notes = find_clips(inputs, given, config, cameras_by)
+    for note in notes:
+        say(console, note, "yellow")
+    plan = plan_batch(clips, out, overwrite)
+    if dry_run:
+        problems = input_problems(clips)
+        _print_plan(console, plan, problems, as_json)
+        raise typer.Exit(EXIT_STRICT if strict and any(problems) else 0)
+    check_shared(clips)
+    left = sum(planned.action != "done" for planned in plan)
+    if left < len(plan):
+        are = "clip is" if len(plan) == 1 else "clips are"
+        console.print(f"{len(plan) - left} of {len(plan)} {are} done already.")
+    summary = shown_batch(console, left, as_json, lambda tell: run_batch(plan, out, jobs, retries, scheduler, tell))
+    if strict and any(row["status"] in ("failed", "unsolved") for row in summary.rows.values()):
+        raise typer.Exit(EXIT_STRICT)
+
+
+def shown_batch(
+    console: Console, left: int, as_json: bool, work: Callable[[Callable[[Event, Summary], None]], Summary]
+) -> Summary:
+    """Do what tells of its events, and say how it went. left: how many clips there are to do."""
+    summary: Summary | None = None
+    began = time.monotonic()
+    try:
+        with _shown(console, left) as show:
+
+            def tell(event: Event, so_far: Summary) -> None:
+                nonlocal summary
+                summary = so_far
+                show(event, so_far)
+
+            summary = work(tell)
+    except KeyboardInterrupt:
+        counts = {} if summary is None else summary.counts()
+        said = ", ".join(f"{n} {status}" for status, n in counts.items()) or "nothing was done"
+        stop(f"Stopped: {said}. What is done is kept: the same command again goes on from here.")
+    if as_json:
+        typer.echo(
+            json.dumps({"summary": str(summary.path), "counts": summary.counts(), "clips": [*summary.rows.values()]})
+        )
+    _print_end(console, summary, time.monotonic() - began)
+    return summary
+
+
+# -- before and after ---------------------------------------------------------------------------------------------
+
+
+def _print_plan(
+    console: Console, plan: Sequence[Planned], problems: Sequence[tuple[Problem, ...]], as_json: bool
+) -> None:
+    from recon.workflows.batch import repeated
+
+    rows = [
+        {
+            "clip": planned.clip.name,
+            "keypoints": planned.clip.settings.keypoints_text,
+            "cameras": list(planned.clip.settings.camera_name or ()),
+            "out": str(planned.out),
+            "action": planned.action if planned.action == "done" or not found else CANNOT,
+            "reason": planned.reason,
+            "problems": [str(problem) for problem in found],
+        }
+        for planned, found in zip(plan, problems, strict=True)
+    ]
+    if as_json:
+        typer.echo(json.dumps({"clips": rows}))
+        return
+    named = any(row["cameras"] for row in rows)
+    headings = ["clip", *(["cameras"] if named else []), "out"]
+    table = Table(*(Column(heading, overflow="fold") for heading in headings), "what", box=SIMPLE_HEAD)
+    for row in rows:
+        reason = f" ({row['reason']})" if row["reason"] else ""
+        cameras = [", ".join(row["cameras"])] if named else []
+        table.add_row(*map(Text, (row["clip"], *cameras, row["out"], row["action"] + reason)))
+    console.print(table)
+    for same in repeated(problems):
+        names = ", ".join(rows[place]["clip"] for place in same.clips[:NAMED])
+        more = "" if len(same.clips) <= NAMED else f" and {len(same.clips) - NAMED} more clips"
+        say(console, Text.assemble((f"{names}{more}: ", "bold red"), str(same.problem)))
+    count = [row["action"] for row in rows]
+    bad = count.count(CANNOT)
+    parts = [f"{count.count('new')} new", f"{count.count('refit')} to fit again", f"{count.count('done')} done"]
+    parts += [f"{bad} that cannot be fitted"] if bad else []
+    console.print(f"{counted(len(rows), 'clip')}: {', '.join(parts)}")
+
+
+def _print_end(console: Console, summary: Summary, seconds: float) -> None:
+    counts = summary.counts()
+    parts = [Text(f"{n} {status}", _STYLES[status]) for status, n in counts.items()]
+    say(console, Text.assemble(Text(", ").join(parts), f" in {seconds:.0f} s. Summary: {summary.path}"))
+
+
+# -- meanwhile ----------------------------------------------------------------------------------------------------
+
+
+@contextmanager
+def _shown(console: Console, left: int) -> Iterator[Any]:
+    """A function of an event and the summary that shows it: bars on a terminal, a line a clip elsewhere. Trouble goes
+    to stderr, even where nothing else is printed."""
+    errors = terminal(stderr=True, soft_wrap=True)
+    if console.quiet or not console.is_terminal:
+        ended = 0
+
+        def line(event: Event, summary: Summary) -> None:
+            nonlocal ended
+            if event.kind == "ended":
+                ended += 1
+                row = summary.rows[event.clip]
+                where = errors if row["status"] == "failed" else console
+                say(where, Text(f"[{ended}/{left}] ").append_text(_row_text(row)))
+
+        yield line
+        return
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=console, transient=True) as bar:
+        overall = bar.add_task("all clips", total=left)
+        running: dict[str, TaskID] = {}
+
+        def bars(event: Event, summary: Summary) -> None:
+            if event.kind == "progress":
+                if event.clip not in running:
+                    running[event.clip] = bar.add_task(event.clip, total=100)
+                bar.update(
+                    running[event.clip], description=f"{event.clip}: {event.stage}", completed=int(100 * event.share)
+                )
+            else:
+                if event.clip in running:
+                    bar.remove_task(running.pop(event.clip))
+                bar.advance(overall)
+                row = summary.rows[event.clip]
+                if row["status"] != "done":
+                    say(bar.console, _row_text(row))
+
+        yield bars
+
+
+def _row_text(row: Mapping[str, Any]) -> Text:
+    """One clip's end in a line."""
+    text = Text.assemble((row["status"], _STYLES[row["status"]]), f"  {row['clip']}")
+    if row["error"]:
+        return text.append(f": {row['error']}")
+    warned = f", {counted(row['warnings'], 'warning')}: see report.json" if row["warnings"] else ""
+    return text.append(f"  {row['frames']} frames, {row['seconds']:.1f} s{warned}")

@@ -1,0 +1,168 @@
+"""What several commands print."""
+
+from __future__ import annotations
+
+import json
+import shlex
+import sys
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from importlib import import_module
+from math import isfinite
+from pathlib import Path
+from typing import Any, NoReturn
+
+import typer
+from rich.box import SIMPLE_HEAD
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
+from rich.table import Column, Table
+from rich.text import Text
+
+from recon.base.errors import InputError, Problem
+from recon.base.interrupts import EXIT_INTERRUPTED, MESSAGE, installed
+from recon.base.manifest import read_manifest
+from recon.workflows.settings import NUMBER, SETTINGS
+
+FPS = SETTINGS["fps"].expected
+"""What is expected of an option --fps."""
+
+EXIT_UNSOLVED = 1
+EXIT_BAD_INPUT = 2
+
+
+def terminal(**given: Any) -> Console:
+    """Where a command prints. Brackets and colons in names are no markup."""
+    return Console(markup=False, emoji=False, **given)
+
+
+def say(console: Console, text: str | Text, style: str = "") -> None:
+    """One line, however long: no markup, and no breaks that a terminal would not make."""
+    console.print(Text(text, style) if isinstance(text, str) else text, soft_wrap=True)
+
+
+def say_what_is_gone(console: Console, folder: Path) -> None:
+    """Of results, the files that a command can do without."""
+    names = read_manifest(folder).gone()
+    if names:
+        say(console, f"note: no longer in {folder}: {', '.join(names)}; left out where it would be shown")
+
+
+def counted(count: int, what: str) -> str:
+    """As in 1 clip, 2 clips."""
+    return f"{count} {what}{'s' * (count != 1)}"
+
+
+def table_of(*texts: str, numbers: Iterable[str] = (), **more: Any) -> Table:
+    """A table without rows: columns of texts, the first of which names the row, then of numbers."""
+    first, *others = texts
+    columns = (Column(first, no_wrap=True), *others, *(Column(name, justify="right") for name in numbers))
+    return Table(*columns, box=SIMPLE_HEAD, title_justify="left", **more)
+
+
+def error_text(message: str) -> Text:
+    return Text.assemble(("error:", "bold red"), " ", message)
+
+
+def stop(message: str = MESSAGE) -> NoReturn:
+    """End a command at Ctrl-C: one line, and exit code 130."""
+    interrupts = installed()
+    if interrupts is not None:
+        interrupts.said = True
+    terminal(stderr=True, soft_wrap=True).print(Text(message, "bold"))
+    raise typer.Exit(EXIT_INTERRUPTED)
+
+
+class _NoPandas:
+    @staticmethod
+    def find_spec(name: str, *_: Any) -> None:
+        if name == "pandas":
+            raise ModuleNotFoundError(name=name)
+
+
+def leave_pandas_out() -> None:
+    """In a process that only fits, for its playback: rerun writes with pyarrow, which imports pandas (0.3 to 0.4 s) to
+    ask whether a list of names is a column of pandas'. It asks once, and is content if there is none."""
+    if installed() is None or "pandas" in sys.modules:
+        return
+    lib = import_module("pyarrow.lib")
+    sys.meta_path.insert(0, _NoPandas)
+    try:
+        getattr(getattr(lib, "_pandas_api", None), "have_pandas", None)
+    finally:
+        sys.meta_path.remove(_NoPandas)
+
+
+def number_option(help: str, expected: str, **more: Any) -> Any:
+    """An option that is a number; anything else is said to be one in the form of all other mistakes."""
+
+    def number(parameter: typer.CallbackParam, given: str | None) -> float | None:
+        try:
+            return None if given is None else float(given)
+        except ValueError:
+            raise InputError(Problem(parameter.opts[0], str(parameter.name), repr(given), expected)) from None
+
+    return typer.Option(help=help, metavar=NUMBER, parser=str, callback=number, **more)
+
+
+def numbers(option: str, given: str, count: int | None = None) -> list[float]:
+    """Of "1,2.5,-3"; count: how many, None: any. Raises InputError."""
+    try:
+        found = [float(part) for part in given.split(",")]
+    except ValueError:
+        found = []
+    if not found or not all(map(isfinite, found)) or count not in (None, len(found)):
+        expected = f"{'' if count is None else f'{count} '}numbers with commas, as in 0.1,-20,3"
+        raise InputError(Problem(option, "numbers", repr(given), expected))
+    return found
+
+
+RENAME = typer.Option(
+    help="New names of the keypoints: a CSV file with two columns, old and new, or a built-in map, as in "
+    "superanimal-quadruped.",
+    show_default=False,
+)
+FIRST_FRAME = typer.Option(help="Number that the video's first frame has in the keypoint file, if it was cut.")
+STRIDE = typer.Option(
+    metavar="START:END",
+    help="A stride from when to when, in seconds since frame 0, as in 0.31:0.62. (default: one that is found)",
+    show_default=False,
+)
+
+
+def stride_times(given: str | None) -> tuple[float, float] | None:
+    """What `--stride` says, seconds. Raises InputError."""
+    if given is None:
+        return None
+    try:
+        start, end = map(float, given.split(":"))
+    except ValueError:
+        raise InputError(Problem("--stride", "times", repr(given), "START:END in seconds, as in 0.31:0.62")) from None
+    return start, end
+
+
+@contextmanager
+def progress_bar(console: Console, doing: str = "") -> Iterator[Any]:
+    """A function of a stage and how much of all is done (0 to 1). doing: what stands before the stage."""
+    columns = (TextColumn("{task.description}", markup=False), BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=console, transient=True, disable=console.quiet or not console.is_terminal) as bar:
+        task = bar.add_task("reading", total=1.0)
+        yield lambda stage, share: bar.update(task, description=f"{doing}{stage}", completed=share)
+
+
+def finish(console: Console, report: dict[str, Any], out: Path, as_json: bool = False, **more: Any) -> None:
+    """Print what there is to say of a fit; as_json: to the standard output, with `more` fields."""
+    from recon.show.report import console_summary, is_unsolved
+
+    if as_json:
+        own = {name: report[name] for name in ("method", "summary", "warnings")}
+        seconds = report["timing_s"]["solve_s"]
+        typer.echo(json.dumps({"out": str(out), **own, "seconds": seconds, **more}, indent=1))
+    else:
+        console.print(console_summary(report))
+    if is_unsolved(report):
+        message = f"no frame could be solved: see {out / 'report.json'}"
+        terminal(stderr=True, soft_wrap=True).print(error_text(message))
+        raise typer.Exit(EXIT_UNSOLVED)
+    if not as_json:
+        say(console, f"Results are in {out}. Watch them with: recon view {shlex.quote(str(out))}")

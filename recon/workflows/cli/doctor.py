@@ -1,0 +1,55 @@
+"""`recon doctor`."""
+
+from __future__ import annotations
+
+import json
+from itertools import groupby
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from rich.box import SIMPLE_HEAD
+from rich.console import Console
+from rich.table import Column, Table
+from rich.text import Text
+
+from recon.workflows.cli.common import progress_bar, say, terminal
+
+if TYPE_CHECKING:
+    from recon.workflows.doctor import Doctor
+
+EXIT_BROKEN = 1
+_STYLES = {"ok": "green", "absent": "", "note": "yellow", "broken": "bold red"}
+
+
+def doctor(as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False) -> None:
+    """Check the installation: versions, optional parts, the viewer, and a fit of the sample.
+
+    Example: recon doctor
+
+    Exit code 0: recon works here. 1: something that it cannot do without is broken.
+    """
+    from recon.workflows.doctor import run_doctor
+
+    with progress_bar(terminal(stderr=True), "checking: ") as progress:
+        found = run_doctor(progress)
+    if as_json:
+        typer.echo(json.dumps(found.to_dict(), indent=1))
+    else:
+        _print(terminal(), found)
+    if not found.ok:
+        raise typer.Exit(EXIT_BROKEN)
+
+
+def _print(console: Console, found: Doctor) -> None:
+    columns = Column(no_wrap=True), Column(no_wrap=True), Column(overflow="fold")
+    table = Table(*columns, box=SIMPLE_HEAD, show_header=False)
+    for _, group in groupby(found.checks, key=lambda check: check.group):
+        for check in group:
+            text = Text(check.found)
+            if check.hint and check.status != "ok":
+                text.append(f"\n{check.hint}", "italic")
+            table.add_row(Text(check.name), Text(check.status, _STYLES[check.status]), text)
+        table.add_section()
+    console.print(table)
+    broken = [check.name for check in found.checks if check.status == "broken"]
+    say(console, f"Broken: {', '.join(broken)}" if broken else "recon works here.")

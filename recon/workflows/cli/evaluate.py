@@ -1,0 +1,87 @@
+"""`recon evaluate`."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from rich.table import Table
+from rich.text import Text
+
+from recon.workflows.cli.common import say, table_of, terminal
+
+if TYPE_CHECKING:
+    from recon.gait.evaluation import Evaluation
+
+
+def evaluate(
+    pose3d: Annotated[Path, typer.Argument(help="Results of recon fit, or a file of 3D positions, as pose3d.csv (m).")],
+    truth: Annotated[Path, typer.Argument(help="The reference, with the same frame numbers: likewise, as truth.csv.")],
+    as_json: Annotated[bool, typer.Option("--json", help="Print everything as JSON, per joint and frame.")] = False,
+) -> None:
+    """Compare a reconstruction with a reference, over the joints and frames that both have.
+
+    Example: recon evaluate results/clip truth.csv
+    """
+    from recon.gait.evaluation import evaluate_files
+
+    result = evaluate_files(pose3d, truth)
+    if as_json:
+        typer.echo(json.dumps(result.to_dict(), indent=1))
+        return
+    console = terminal()
+    say(console, f"{result.pose} against the reference {result.truth}")
+    console.print(_table(result))
+    for line in _table_notes(result):
+        typer.echo(line)
+    for note in result.notes:
+        typer.echo(f"Look at this: {note}")
+
+
+def _table(result: Evaluation) -> Table:
+    """Errors in millimetres and shares of good points, over all and by joint."""
+    scores = (result.mpjpe_m, result.mpe_m, result.scale_mpjpe_m, result.pa_mpjpe_m)
+    shares = [score for _, score in result.pck]
+    pck = (f"PCK {1000 * t:.0f}" for t, _ in result.pck)
+    table = table_of("errors in mm", numbers=("MPJPE", "MPE", "scaled", "PA", *pck))
+
+    def add_row(name: str, errors_m: Iterable[float], shares: Iterable[float], last: bool = False) -> None:
+        cells = [f"{1000 * e:.1f}" for e in errors_m] + [f"{share:.0%}" for share in shares]
+        table.add_row(Text(name), *(cell.replace("nan%", "-").replace("nan", "-") for cell in cells), end_section=last)
+
+    add_row("all", (s.mean for s in scores), (s.mean for s in shares), last=True)
+    for j, name in enumerate(result.names):
+        add_row(name, (s.per_joint[j] for s in scores), (s.per_joint[j] for s in shares))
+    return table
+
+
+def _table_notes(result: Evaluation) -> Iterator[str]:
+    from recon.gait.evaluation import LEVELS
+
+    thresholds = ", ".join(f"{1000 * t:.0f}" for t, _ in result.pck)
+    yield "MPJPE   mean distance of the joints from the reference, each frame centred"
+    yield "MPE     without centring"
+    yield "scaled  centred, and scaled to the size of the reference"
+    yield "PA      centred, scaled and turned onto the reference"
+    yield f"PCK     share of the joints within {thresholds} mm, centred"
+    for what, shares in result.inside.items():
+        stated, held = (" and ".join(f"{100 * p:.0f}".replace("nan", "-") for p in of) for of in (LEVELS, shares))
+        yield f"Doubt of the {what}: intervals of {stated} % hold {held} % of the reference's coordinates"
+    yield f"Compared: {len(result.frames) - result.frames_not_scored} frames, {len(result.names)} joints."
+    for what, reconstruction, reference in (
+        ("Joints", result.joints_only_in_pose, result.joints_only_in_truth),
+        ("Frames", _ranges(result.frames_only_in_pose), _ranges(result.frames_only_in_truth)),
+    ):
+        if reconstruction:
+            yield f"{what} only in the reconstruction: {', '.join(reconstruction)}"
+        if reference:
+            yield f"{what} only in the reference: {', '.join(reference)}"
+    if result.frames_not_scored:
+        yield f"Frames of both without a joint known on both sides: {result.frames_not_scored}"
+
+
+def _ranges(ranges: Iterable[tuple[int, int]]) -> list[str]:
+    return [f"{first}" if stop == first + 1 else f"{first} to {stop - 1}" for first, stop in ranges]

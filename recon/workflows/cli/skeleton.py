@@ -1,0 +1,197 @@
+"""`recon skeleton`."""
+
+from __future__ import annotations
+
+import json
+import shlex
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, TypeVar
+
+import typer
+from rich.table import Table
+from rich.text import Text
+
+from recon.workflows.cli.common import say, table_of, terminal
+
+if TYPE_CHECKING:
+    from recon.workflows.skeleton_check import AngleRow, MarkerRow, PartRow, SkeletonCheck
+
+skeleton_app = typer.Typer(help="Skeletons: those that come with the package, and your own.", no_args_is_help=True)
+
+
+@skeleton_app.command("list")
+def skeleton_list(as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False) -> None:
+    """List the skeletons that come with the package.
+
+    Example: recon skeleton list
+    """
+    from dataclasses import asdict
+
+    from recon.workflows.skeleton_check import list_skeletons
+
+    found = list_skeletons()
+    if as_json:
+        typer.echo(json.dumps([asdict(row) for row in found], indent=1))
+        return
+    table = table_of("name", "kind", numbers=("markers", "unknowns"))
+    table.add_column("title")
+    for row in found:
+        table.add_row(Text(row.name), row.kind, f"{row.markers}", f"{row.unknowns}", Text(row.title))
+    terminal().print(table)
+
+
+@skeleton_app.command("check")
+def skeleton_check(
+    skeleton: Annotated[
+        str, typer.Argument(help="A TOML file, or the name of a built-in skeleton, as in my-dog.toml.")
+    ],
+    subject: Annotated[
+        str | None, typer.Option(help="Lengths measured on one animal: built-in name or TOML file.")
+    ] = None,
+    out: Annotated[Path | None, typer.Option(help="Folder for pictures (skeleton, angles: PNG and SVG).")] = None,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace pictures in the folder.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+) -> None:
+    """Check a skeleton file, list what is in it, and draw it.
+
+    Example: recon skeleton check my-dog.toml --out my-dog
+
+    Exit code 0: it can be used. 2: it cannot; every problem is named.
+    """
+    from recon.workflows.skeleton_check import run_skeleton_check
+
+    check = run_skeleton_check(skeleton, subject, out, overwrite)
+    if as_json:
+        typer.echo(json.dumps(check.to_dict(), indent=1))
+        return
+    console = terminal()
+    for line in _summary(check):
+        say(console, line)
+    for table in [_chain_table(check)] if check.kind == "chain" else _body_tables(check):
+        console.print(table)
+    for line in _notes(check, out):
+        say(console, line)
+
+
+@skeleton_app.command("from-keypoints")
+def skeleton_from_keypoints(
+    keypoints: Annotated[Path, typer.Argument(help="Keypoint file of any known format, as in clip.csv.")],
+    out: Annotated[Path, typer.Option(help="Skeleton file to write, as in my-animal.toml.")],
+    individual: Annotated[str | None, typer.Option(help="Which animal of a multi-animal file, as in animal1.")] = None,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the file.")] = False,
+) -> None:
+    """Draft a skeleton for the keypoints of a file: the proportions of the quadruped, with markers called so.
+
+    Example: recon skeleton from-keypoints clip.csv --out my-animal.toml
+    """
+    from recon.workflows.skeleton_draft import run_skeleton_draft
+
+    draft = run_skeleton_draft(keypoints, out, individual, overwrite)
+    console = terminal()
+    say(console, f"{out}: {len(draft.markers)} of {len(draft.markers) + len(draft.others)} keypoints have a place.")
+    other = [f"{name} as {marker}" for name, marker in draft.markers.items() if name != marker]
+    if other:
+        say(console, f"Taken for the quadruped's: {', '.join(other)}.")
+    if draft.others:
+        say(console, f"Without a place: {', '.join(draft.others)}.")
+    say(console, f"Look at it with: recon skeleton check {shlex.quote(str(out))} --out pictures")
+
+
+def _summary(check: SkeletonCheck) -> Iterator[str]:
+    yield f"{check.name}: {check.title}"
+    yield (
+        f"A {check.kind} with {len(check.body.markers)} markers and {check.unknowns} unknowns a frame, "
+        f"{check.length_m:.2f} m long and {check.height_m:.2f} m high in its expected pose "
+        f"(size ± {100 * check.size_sigma:.0f} %, keypoints within {100 * check.keypoint_sigma_m:.0f} cm)."
+    )
+
+
+def _body_tables(check: SkeletonCheck) -> Iterator[Table]:
+    """Segments, then markers: left and right in one row where they are mirror images."""
+    table = table_of("segment", "turns on", numbers=("m", "yaw °", "pitch °", "roll °"))
+    for part, star in _pairs_as_one(check.parts, _alike):
+        angles = {angle.name: _range(angle) for angle in part.angles}
+        length = f"{part.length_m:.3f}" if part.parent else ""
+        of_angles = (angles.get(name, "") for name in ("yaw", "pitch", "roll"))
+        table.add_row(Text(part.name + star), Text(part.parent), length, *of_angles)
+    yield table
+    table = table_of("marker", "on segment", numbers=("x m", "y m", "z m"))
+    for marker, star in _pairs_as_one(check.markers, _opposite):
+        numbers = (f"{x:.3f}" for x in marker.at_m)
+        table.add_row(Text(marker.name + star), Text(marker.segment), *numbers)
+    yield table
+
+
+_Row = TypeVar("_Row", "PartRow", "MarkerRow")
+
+
+def _pairs_as_one(rows: Sequence[_Row], alike: Callable[[_Row, _Row], bool]) -> Iterator[tuple[_Row, str]]:
+    """Rows without the right ones that are alike their left counterparts, and the star of these."""
+    from recon.animal.body import other_side, side_of
+
+    named = {row.name: row for row in rows}
+    for row in rows:
+        twin = named.get(other_side(row.name)) if side_of(row.name) else None
+        paired = twin is not None and alike(row, twin)
+        if not (paired and side_of(row.name) == "right"):
+            yield row, " *" if paired else ""
+
+
+def _alike(part: PartRow, twin: PartRow) -> bool:
+    """Mirror images: yaw and roll with the opposite sign."""
+    return (
+        part.joint == twin.joint
+        and abs(part.length_m - twin.length_m) < 1e-9
+        and all(
+            abs(a.mean_deg - (b.mean_deg if a.name == "pitch" else -b.mean_deg)) < 1e-9
+            and abs((a.high_deg - a.low_deg) - (b.high_deg - b.low_deg)) < 1e-9
+            for a, b in zip(part.angles, twin.angles, strict=True)
+        )
+    )
+
+
+def _opposite(marker: MarkerRow, twin: MarkerRow) -> bool:
+    from recon.animal.body import other_side
+
+    (x, y, z), on = marker.at_m, other_side(marker.segment)
+    return on == twin.segment and max(abs(a - b) for a, b in zip((x, -y, z), twin.at_m, strict=True)) < 1e-9
+
+
+def _chain_table(check: SkeletonCheck) -> Table:
+    table = table_of("link", "from", "to", numbers=("length m", "theta °", "phi °"))
+    table.add_column("keypoints of its end")
+    for part in check.parts:
+        angles = {angle.name: _range(angle) for angle in part.angles}
+        table.add_row(
+            Text(part.name),
+            Text(part.parent),
+            Text(part.end),
+            f"{part.length_m:.3f}",
+            angles.get("theta", "-"),
+            angles.get("phi", "-"),
+            Text(", ".join(part.points)),
+        )
+    return table
+
+
+def _range(angle: AngleRow) -> str:
+    return f"{angle.low_deg:.0f} to {angle.high_deg:.0f}"
+
+
+def _notes(check: SkeletonCheck, out: Path | None) -> Iterator[str]:
+    if check.kind == "chain":
+        yield "Angles: the expected range, relative to the link before; - for none."
+    else:
+        yield "Angles: mean ± 2 standard deviations. *: the same on the right, mirrored."
+    yield f"Feet: {', '.join(f'{foot} ({label})' for label, foot in check.feet.items()) or 'none'}"
+    for limb, markers in check.limbs.items():
+        yield f"Limb {limb}: {', '.join(markers)}"
+    if check.kind == "whole animal":
+        alone = "none, each angle on its own" if check.prior == "none" else check.prior
+        yield f"Prior of a fit, unless --prior says otherwise: {alone}"
+    yield from (f"Look at this: {remark}" for remark in check.remarks)
+    if not check.remarks:
+        yield "Nothing looks odd."
+    if out is not None:
+        yield f"Pictures are in {out}."

@@ -1,0 +1,468 @@
+"""One clip: a keypoint file and a camera in, a folder with its 3D motion out."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import nullcontext
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+
+from recon.animal.body import Body, Side, facing_side
+from recon.animal.chain import Chain
+from recon.animal.detector import seen_by
+from recon.animal.naming import fitting_maps, load_names, map_to_write, renamed
+from recon.animal.prior import MotionPrior, load_prior
+from recon.animal.skeleton_file import load_chain, load_skeleton
+from recon.base.arrays import Array, Bools
+from recon.base.errors import InputError, Problem, all_of
+from recon.base.files import require_free_folder, sole_writer, staged_results, write_bytes
+from recon.base.manifest import MANIFEST
+from recon.base.progress import Progress, silent
+from recon.check.mistakes import Known, find_mistakes, with_flags, with_sides_mended, without_garbage
+from recon.clip import FramePoses, Source, View, at_rate, held, together, views_of
+from recon.clip.keypoints import CleaningReport, Keypoints, clean, leave_out, parse_frame_range
+from recon.fit import TrajectorySolution, solve_trajectory
+from recon.fit.motion import Motion
+from recon.geometry.camera import Camera
+from recon.io import read_keypoints
+from recon.io.calibration import write_cameras
+from recon.io.camera_track import MAX_GAP_S, CameraTrack
+from recon.show.export.clip_csv import CAMERA_OUTPUTS, CLIP_OUTPUTS, of_any_camera, write_tables
+from recon.show.page import PAGE
+from recon.show.report import build_report, write_report
+from recon.thesis import solve_frames
+from recon.workflows.cameras import Cameras, ClipCamera, cameras_in, other_cameras, read_clip_cameras
+from recon.workflows.made_from import digests
+from recon.workflows.offsets import solved_in_step
+from recon.workflows.settings import FitSettings
+
+REFINED_CAMERAS = "cameras.toml"
+"""Where cameras' poses were refined."""
+TRACK_FILES = ("track.csv", "track_report.json", "track_panorama.png")
+"""Of a camera whose motion was found with the fit."""
+OUTPUT_FILES = (
+    *CLIP_OUTPUTS,
+    *CAMERA_OUTPUTS,
+    "report.json",
+    "motion.rrd",
+    "config.toml",
+    MANIFEST,
+)
+"""Every file that a clip of one camera gets. With several cameras there are `CAMERA_OUTPUTS` for each."""
+
+
+def output_files(out: Path) -> tuple[str, ...]:
+    """Every file in a folder that is a clip's, or that a clip of one camera could get there. Its page goes with
+    them: it shows the results that it was made of."""
+    return (*OUTPUT_FILES, *TRACK_FILES, PAGE, REFINED_CAMERAS, *of_any_camera(out))
+
+
+RATES_HZ = (1.0, 10_000.0)
+"""Frame rates that a clip can have. Slower, a whole stride lies between two frames, and nothing ties them; faster, what
+an animal does from one frame to the next is lost in the rounding of its acceleration."""
+
+
+FEW_OF_SKELETON, FEW_OF_FILE = 0.25, 0.5
+"""A file with fewer of the skeleton's keypoints, to which fewer of its own belong, has other names for them."""
+PADDED, INSIDE = 0.05, 0.9
+"""Detectors pad the picture: keypoints that many times its width or height outside are as good as in it. At least so
+many of a clip's have to be."""
+_FAR_OUTSIDE = "too far outside the picture to have been found in it"
+_WITHOUT_POSE = "in frames for which the camera's track has no pose"
+
+
+def fit_clip(settings: FitSettings, progress: Progress = silent) -> Motion:
+    """Reconstruct one clip by `settings.method`: the whole animal, or a chain, over all frames at once (trajectory), or
+    one side of the animal as a chain, one frame after the other (frame).
+
+    Raises InputError for files and settings that cannot be used, with the problems of all of them. Frames that cannot
+    be solved are part of the result.
+    """
+    given = prepare(settings)
+    chain = given.model.chain
+    if chain is None:
+        return _whole_motion(given, settings, progress)
+    (view,), T = views_of(given.sources), len(given.sources[0].keypoints.frames)
+    solution = solve_frames(view, chain, given.fps, settings.frame_options(), lambda done: progress("frames", done / T))
+    return Motion(given.sources, given.side, given.side_reason, solution)
+
+
+def _whole_motion(given: Prepared, settings: FitSettings, progress: Progress) -> Motion:
+    """By the trajectory method, again where detections are garbage or, as asked for, sides exchanged."""
+    body, prior, sources, options = given.model.body, given.model.prior, given.sources, settings.trajectory_options()
+    assert prior is not None
+
+    def solved(sources: tuple[Source, ...]) -> TrajectorySolution:
+        return solve_trajectory(views_of(sources), body, prior, given.fps, options, progress)
+
+    if options.find_offsets:
+        noise = (options.sigma_px, options.keypoint_noise_m(body))
+        sources, solution = solved_in_step(given.apart, given.later_frames, solved, *noise)
+    else:
+        solution = solved(sources)
+    began = time.perf_counter()
+    cleaned, garbage = without_garbage(sources, solution)
+    again = solved(cleaned) if garbage else solution
+    if again.posed.any() or not solution.posed.any():
+        sources, solution = cleaned, again
+    else:  # a fit that gets nowhere without them was wrong about them
+        garbage = ()
+    mistakes = find_mistakes(solution, body, prior, given.fps, options, _known(given, settings))
+    if settings.fix_swaps and any(one.kind == "sides" for one in mistakes):
+        sources, mistakes = with_sides_mended(sources, mistakes, body)
+        solution = solved(sources)
+    stage_s = solution.stage_s | {"mistakes": time.perf_counter() - began}
+    solution = with_flags(replace(solution, stage_s=stage_s), (*garbage, *mistakes))
+    if settings.seeks_cameras:
+        found = zip(sources, solution.placing, solution.focal, strict=True)
+        sources = tuple(replace(s, camera=s.camera.placed(by).lengthened(longer)) for s, by, longer in found)
+    return Motion(sources, given.side, given.side_reason, solution, (*garbage, *mistakes))
+
+
+def _known(given: Prepared, settings: FitSettings) -> Known:
+    """What the files say of a clip besides its keypoints."""
+    others, named = [], []
+    for source, path in zip(given.sources, settings.keypoints, strict=True):
+        cameras = () if source.moves else other_cameras(source.camera, settings)
+        names = cameras_in(path.stem, [source.camera.name, *(camera.name for camera in cameras)])
+        others.append(() if names else tuple(camera for camera in cameras if camera.has_extrinsics))
+        named.append(None if not names or source.camera.name in names else next(iter(names)))
+    stated_hz = next((s.keypoints.stated_fps for s in given.sources if s.keypoints.stated_fps is not None), None)
+    return Known(tuple(others), tuple(named), stated_hz, sides=not settings.fast or bool(settings.fix_swaps))
+
+
+@dataclass(frozen=True)
+class Model:
+    """What is fitted: the animal, and what the trajectory method expects of its motion, or the frame method's chain."""
+
+    body: Body
+    prior: MotionPrior | None = None
+    chain: Chain | None = None
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """All that a fit works on: the model, and for each camera its keypoints on its own frames, which began so many
+    frames later than the first's. side: whose limbs, None for a whole animal."""
+
+    model: Model
+    apart: tuple[Source, ...]
+    later_frames: tuple[float, ...]
+    fps: float
+    side: Side | None
+    side_reason: str
+
+    @cached_property
+    def sources(self) -> tuple[Source, ...]:
+        """On the frames of the clip."""
+        return together(self.apart, self.later_frames) if len(self.apart) > 1 else self.apart
+
+
+def prepare(
+    settings: FitSettings, read_shared: Callable[[FitSettings], tuple[Model, Cameras]] | None = None
+) -> Prepared:
+    """Everything that comes before solving: the one list of checks, of a fit and of who asks whether it can be done.
+
+    read_shared: `read_model_and_cameras`, or one that remembers. Raises InputError as `fit_clip`.
+    """
+    files, (model, cameras) = all_of(
+        lambda: read_clips(settings),
+        lambda: (read_shared or read_model_and_cameras)(settings),
+    )
+    body = model.body
+    wanted = tuple(dict.fromkeys(name for pair in body.keypoints for name in pair))
+    later = settings.offset_s or (0.0,) * len(files)
+    fps = files[0].fps
+    assert fps is not None
+    later_frames = tuple((s - later[0]) * fps for s in later)
+    cleaned = all_of(
+        *(
+            lambda file=file, camera=camera, late=late: _cleaned(file, wanted, body.name, camera, settings, late, fps)
+            for file, camera, late in zip(files, cameras, later_frames, strict=True)
+        )
+    )
+    side, reason = None, "both sides are fitted"
+    if body.one_sided:
+        side, reason = _side(body, cleaned[0].keypoints, settings)
+    names = body.keypoint_names(side)
+    sources = tuple(replace(source, keypoints=arrange(source.keypoints, names)) for source in cleaned)
+    return Prepared(model, sources, later_frames, fps, side, reason)
+
+
+def read_model_and_cameras(settings: FitSettings) -> tuple[Model, Cameras]:
+    """What clips of one animal before the same cameras share. Raises InputError with the problems of both."""
+    model, cameras = all_of(lambda: _model(settings), lambda: read_clip_cameras(settings))
+    return model, cameras
+
+
+def write_clip(
+    motion: Motion,
+    settings: FitSettings,
+    out: Path,
+    solve_s: float | None = None,
+    beside: Sequence[Path] = (),
+    sha256: Mapping[str, str | None] | None = None,
+) -> dict[str, Any]:
+    """Write every output of a clip into the folder `out`, all or none, and give back the report. beside: files that go
+    with them. sha256: of the input files (`recon.workflows.made_from.digests`), if they are known."""
+    from recon.show import view  # rerun is slow to import
+
+    report = build_report(motion, settings.plain(out), None if solve_s is None else {"solve_s": solve_s})
+    with staged_results(out, output_files(out)) as folder:
+        write_tables(motion, folder)
+        write_report(report, folder / "report.json")
+        (folder / "config.toml").write_text(settings.to_toml(out, digests(settings, sha256)), encoding="utf-8")
+        view.write(motion, folder / "motion.rrd")
+        if settings.seeks_cameras:
+            write_cameras([source.camera for source in motion.sources], folder / REFINED_CAMERAS)
+        for path in beside:
+            write_bytes(folder / path.name, path.read_bytes())
+    return report
+
+
+def run_clip(
+    settings: FitSettings, out: Path, overwrite: bool = False, progress: Progress = silent, video: Path | None = None
+) -> dict[str, Any]:
+    """`recon fit`: reconstruct a clip and write its folder; the report. Raises InputError before any work is done if
+    `out` holds results already and may not be overwritten, or if another process is writing to it.
+
+    video: of a camera that turns; the track that is found in it (`recon.workflows.camera_motion`) goes with the
+    results.
+    """
+    with sole_writer(out), nullcontext(out) if video is None else TemporaryDirectory() as made:
+        require_free_folder(out, output_files(out), overwrite)
+        track, folder = (out / TRACK_FILES[0]).absolute(), Path(made)
+        if video is not None:
+            settings = _followed(settings, video, folder, progress)
+        start = time.perf_counter()
+        motion = fit_clip(settings, progress)
+        own = settings.camera_track == (folder.absolute() / TRACK_FILES[0],)
+        beside = [folder / name for name in TRACK_FILES if (folder / name).is_file()] if own else []
+        recorded = replace(settings, camera_track=(track,)) if own else settings
+        return write_clip(motion, recorded, out, time.perf_counter() - start, beside)
+
+
+def _followed(settings: FitSettings, video: Path, folder: Path, progress: Progress) -> FitSettings:
+    """With the track of a camera that turns, which its video shows, in that folder."""
+    keypoints, *others = settings.keypoints
+    problems = []
+    if settings.camera_track is not None:
+        problems.append(Problem("--camera-motion", "camera", "a video beside --camera-track", "one of the two"))
+    if others:
+        expected = "one camera; for several, make each one's track by recon camera-motion"
+        problems.append(Problem("--camera-motion", "cameras", f"{len(settings.keypoints)}", expected))
+    if settings.camera is None:
+        problems.append(Problem("--camera-motion", "camera", "no --camera", "the camera's calibration, for its lens"))
+    if problems or settings.camera is None:
+        raise InputError(problems)
+    from recon.workflows.camera_motion import run_camera_motion
+
+    track = folder.absolute() / TRACK_FILES[0]
+    run_camera_motion(
+        video,
+        settings.camera,
+        track,
+        camera_name=next(iter(settings.camera_name or ()), None),
+        keypoints=keypoints,
+        individual=settings.individual,
+        tilt_deg=settings.tilt_deg,
+        progress=progress,
+    )
+    return replace(settings, camera_track=(track,), tilt_deg=None)
+
+
+def arrange(keypoints: Keypoints, names: tuple[str, ...]) -> Keypoints:
+    """The named keypoints in that order, all missing where the file does not have them."""
+    T = len(keypoints.frames)
+    xy, confidence = np.full((T, len(names), 2), np.nan), np.zeros((T, len(names)))
+    for column, name in enumerate(names):
+        if name in keypoints.names:
+            xy[:, column] = keypoints.xy_px[:, keypoints.names.index(name)]
+            confidence[:, column] = keypoints.confidence[:, keypoints.names.index(name)]
+    return replace(keypoints, names=names, xy_px=xy, confidence=confidence)
+
+
+def read_clips(settings: FitSettings) -> list[Keypoints]:
+    """The keypoint files, with the frame rate as given or their own. Raises InputError with the problems of all, also
+    without a frame rate, or with two that nobody gave."""
+    rates = settings.camera_fps or (settings.fps,) * len(settings.keypoints)
+    pairs = list(zip(settings.keypoints, rates, strict=True))
+    files = all_of(*(lambda path=path, fps=fps: _read_clip(path, fps, settings) for path, fps in pairs))
+    silent = [path.name for path, file in zip(settings.keypoints, files, strict=True) if file.fps is None]
+    if silent:
+        found = f"nothing, and {', '.join(silent)} {'does' if len(silent) == 1 else 'do'} not say"
+        raise InputError(Problem("--fps", "fps", found, "frames per second above 0, as in 120"))
+    if len({file.fps for file in files}) > 1 and settings.camera_fps is None:
+        found = ", ".join(f"{path.name} {file.fps:g}" for path, file in zip(settings.keypoints, files, strict=True))
+        expected = "one frame rate for all cameras of a clip, --fps, or --camera-fps for each"
+        raise InputError(Problem("KEYPOINTS", "fps", found, expected))
+    return list(files)
+
+
+def keypoint_problems(paths: Iterable[Path], individual: str | None) -> list[Problem]:
+    """Of the files themselves, beside settings that cannot be used."""
+    try:
+        all_of(*(lambda path=path: read_keypoints(path, individual) for path in paths))
+    except InputError as error:
+        return list(error.problems)
+    return []
+
+
+def _read_clip(path: Path, given_fps: float | None, settings: FitSettings) -> Keypoints:
+    file = read_keypoints(path, settings.individual)
+    if settings.rename is not None:
+        file = renamed(file, load_names(settings.rename))
+    fps = file.fps if given_fps is None else given_fps
+    if fps is not None and not RATES_HZ[0] <= fps <= RATES_HZ[1]:
+        where = path if given_fps is None else "--fps" if settings.camera_fps is None else "--camera-fps"
+        expected = f"{RATES_HZ[0]:g} to {RATES_HZ[1]:g} frames per second"
+        raise InputError(Problem(where, "fps", f"{fps:g}", expected))
+    return replace(file, fps=fps, stated_fps=file.fps if file.fps != fps else None)
+
+
+def _model(settings: FitSettings) -> Model:
+    if settings.method == "frame":
+        chain = load_chain(settings.skeleton_name)
+        return Model(chain.body, chain=chain)
+    body = seen_by(load_skeleton(settings.skeleton_name, settings.subject), settings.detector)
+    prior, _ = all_of(lambda: load_prior(settings.prior, body), lambda: _require_no_side(settings, body))
+    return Model(body, prior)
+
+
+def _require_no_side(settings: FitSettings, body: Body) -> None:
+    if settings.side != "auto" and not body.one_sided:
+        expected = f"nothing: {body.name} is a whole animal, and both sides are fitted"
+        raise InputError(Problem("--side", "side", repr(settings.side), expected))
+
+
+def _cleaned(
+    file: Keypoints,
+    wanted: Sequence[str],
+    skeleton: str,
+    of: ClipCamera,
+    settings: FitSettings,
+    later_frames: float,
+    fps: float,
+) -> Source:
+    """All keypoints of a file, at the clip's frame rate. wanted: those that the skeleton, by its name, may be fitted
+    to. Raises InputError without any of them, or where they lie outside the camera's picture; a few that are far
+    outside are left out, and those of frames in which it is not known where the camera was."""
+    _require_keypoints_of(wanted, skeleton, file)
+    first, stop = parse_frame_range(settings.frames) if settings.frames else (None, None)
+    assert file.fps is not None
+    shift, per_frame = math.floor(later_frames), file.fps / fps  # the clip's frames are the first camera's
+
+    def own(frame: int | None) -> int | None:
+        return None if frame is None else math.ceil((frame - shift) * per_frame)
+
+    keypoints, cleaning = clean(file, settings.likelihood_min, (own(first), own(stop)))
+    _require_inside(of.camera, keypoints, settings)
+    if file.fps != fps:
+        if of.track is not None:
+            expected = f"that of the first camera, {fps:g}: one that moves cannot have another"
+            raise InputError(Problem(of.track.source, "fps", f"{file.fps:g}", expected))
+        keypoints = at_rate(keypoints, fps)
+        note = f"{of.camera.name} filmed at {file.fps:g} Hz: its points are taken between its frames, at {fps:g} Hz"
+        cleaning = replace(cleaning, notes=(*cleaning.notes, note))
+    poses = None
+    if of.track is not None:
+        poses, filled = of.track.at(keypoints.frames, fps)
+        keypoints, cleaning = _with_pose(keypoints, cleaning, poses, filled, of.track)
+    lenses = None if poses is None else poses.each(held).intrinsics_px
+    view = View(of.camera, np.eye(4), keypoints.xy_px, keypoints.confidence, lenses)
+    keypoints, cleaning = leave_out(keypoints, cleaning, keypoints.present & ~view.seen, _FAR_OUTSIDE)
+    return Source(of.camera, keypoints, cleaning, file.names, 0.0, poses)
+
+
+def _with_pose(
+    keypoints: Keypoints, cleaning: CleaningReport, poses: FramePoses, filled: Bools, track: CameraTrack
+) -> tuple[Keypoints, CleaningReport]:
+    """Without detections in frames for which a track has no pose. Raises InputError where there are no others."""
+    if not (keypoints.present & poses.known[:, None]).any():
+        first, last = keypoints.frames[[0, -1]]
+        found = f"{track.frames[0]} to {track.frames[-1]}, none in common with {keypoints.source or 'the keypoints'}"
+        raise InputError(Problem(track.source, "frame", found, f"the numbers of the clip's frames, {first} to {last}"))
+    if filled.any():
+        between = f"between two of its track that are {MAX_GAP_S:g} s apart or less"
+        note = f"{filled.sum()} frames have a camera pose {between}"
+        cleaning = replace(cleaning, notes=(*cleaning.notes, note))
+    return leave_out(keypoints, cleaning, keypoints.present & ~poses.known[:, None], _WITHOUT_POSE)
+
+
+def _require_keypoints_of(wanted: Sequence[str], skeleton: str, keypoints: Keypoints) -> None:
+    """A few names in common, such as nose, are those of another detector."""
+    known = [name for name in keypoints.names if name in wanted]
+    if known and (len(known) >= FEW_OF_SKELETON * len(wanted) or len(known) >= FEW_OF_FILE * len(keypoints.names)):
+        return
+    maps = fitting_maps(keypoints.names, wanted)
+    hint = f"--rename {maps[0]}, or" if maps else "another animal's --skeleton, or"
+    raise InputError(
+        Problem(
+            keypoints.source or "keypoints",
+            "bodyparts",
+            f"{', '.join(keypoints.names)}: {', '.join(known) or 'none'} of the skeleton's",
+            f"those of the skeleton {skeleton}: {', '.join(wanted)}; {hint} --rename with a file of these lines, "
+            "completed",
+            tuple(map_to_write(keypoints.names, wanted)),
+        )
+    )
+
+
+def _require_inside(camera: Camera, keypoints: Keypoints, settings: FitSettings) -> None:
+    """A picture smaller than the points' is another camera's, or the wrong size was given."""
+    points = np.clip(keypoints.xy_px[keypoints.present], -1e9, 1e9)
+    if _holds(camera.image_size_px, points):
+        return
+    (x0, y0), (x1, y1) = np.percentile(points, [1, 99], axis=0)
+    width, height = camera.image_size_px
+    raise InputError(
+        Problem(
+            settings.camera or "--image-size",
+            "image size",
+            f"{width}x{height}, but keypoints at x {x0:.0f} to {x1:.0f}, y {y0:.0f} to {y1:.0f} px",
+            "the camera and the size of the video that the keypoints were found in"
+            + _perhaps(camera, points, settings),
+        )
+    )
+
+
+def _holds(size_px: tuple[int, int], points: Array) -> bool:
+    """Whether nearly all points (n, 2) lie in a picture of that size, or as little outside as detectors put them, which
+    pad it."""
+    over = np.max([-points, points - size_px], axis=0) / size_px
+    return bool(np.mean(over.max(axis=1) <= PADDED) >= INSIDE)
+
+
+def _perhaps(camera: Camera, points: Array, settings: FitSettings) -> str:
+    """What would put points (n, 2) in the picture."""
+    causes = ["x and y are exchanged"] if _holds(camera.image_size_px, points[:, ::-1]) else []
+    others = (one for one in other_cameras(camera, settings) if _holds(one.image_size_px, points))
+    causes += [f"they are of {other.name} of the file" for other in others]
+    larger = (n for n in (2, 3, 4) if _holds((n * camera.image_size_px[0], n * camera.image_size_px[1]), points))
+    causes = causes or [f"they were found in a video {n} times as large" for n in larger][:1]
+    return f"; perhaps {', or '.join(causes)}" if causes else ""
+
+
+def _side(body: Body, keypoints: Keypoints, settings: FitSettings) -> tuple[Side, str]:
+    """The side as given, or the one that faces the camera unless the file has far more points of the other."""
+    ends = []
+    for marker in body.forward:
+        names = body.keypoints[body.markers.index(marker)]
+        both = arrange(keypoints, tuple(dict.fromkeys(names))).xy_px
+        counts = np.isfinite(both).sum(axis=1, keepdims=True)
+        ends.append(np.nansum(both, axis=1) / np.where(counts[:, 0] > 0, counts[:, 0], np.nan))
+    facing, reason = facing_side(*ends)
+    if settings.side != "auto":
+        return settings.side, f"as given; {reason}"
+    other: Side = "left" if facing == "right" else "right"
+    of_facing, of_other = (int(arrange(keypoints, body.keypoint_names(s)).present.sum()) for s in (facing, other))
+    if of_facing < of_other / 2:
+        return other, f"{reason}, but that side has {of_facing} points and the other {of_other}"
+    return facing, reason

@@ -1,0 +1,250 @@
+"""Where cameras stand, from clips of the animal alone: lenses and keypoints in, a file of all cameras out."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from recon.base.arrays import Array
+from recon.base.errors import InputError, Problem, all_of
+from recon.base.files import require_free_file
+from recon.base.progress import Progress, silent
+from recon.clip import Source, View, camera_poses, together
+from recon.fit.extrinsics import LEVEL_RAD, TooLittleInCommonError, search_offsets, solve_extrinsics
+from recon.fit.setting import Setting
+from recon.geometry.camera import Camera
+from recon.geometry.frames import level_from_camera, rigid
+from recon.io.calibration import write_cameras
+from recon.workflows.batch.groups import AUTO
+from recon.workflows.batch.inputs import find_clips
+from recon.workflows.clip import Prepared, prepare
+from recon.workflows.settings import FitSettings, read_settings
+
+DISAGREEMENT = 16.0
+"""Squared deviations, of 6 unknowns, from which on a camera that stood still is unlikely (1 in 70)."""
+
+
+@dataclass(frozen=True, eq=False)
+class ExtrinsicsRun:
+    """cameras: with poses in a world with z up, the ground at z = 0, or that of the camera file if those are refined.
+    sigma (V, 6): of each one's place beside the first (`Camera.placed`)."""
+
+    cameras: tuple[Camera, ...]
+    sigma: Array
+    height_sigma_m: Array
+    """(V,): of their heights above the ground, NaN where it was not found, or is the camera file's."""
+    converged: bool
+    clips: tuple[FitSettings, ...]
+    disagreement: Array
+    """(C, V): see `recon.fit.extrinsics.Rig`."""
+    offsets_s: tuple[tuple[float, ...], ...]
+    """Of each clip's files: how much later than the first each camera began, as given or found."""
+    out: Path
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain strings, numbers and lists."""
+        names = [camera.name for camera in self.cameras]
+        return {
+            "cameras": [
+                camera.to_dict()
+                | {"turn_sigma_rad": sigma[:3].tolist(), "shift_sigma_m": sigma[3:].tolist()}
+                | {"height_sigma_m": None if math.isnan(high) else float(high)}
+                for camera, sigma, high in zip(self.cameras, self.sigma, self.height_sigma_m, strict=True)
+            ],
+            "clips": [
+                {
+                    "keypoints": [str(path) for path in clip.keypoints],
+                    "offset_s": list(offsets),
+                    "disagreement": dict(zip(names, apart.tolist(), strict=True)),
+                }
+                for clip, offsets, apart in zip(self.clips, self.offsets_s, self.disagreement, strict=True)
+            ],
+            "converged": self.converged,
+            "written": str(self.out),
+        }
+
+    def lines(self) -> Iterator[str]:
+        """For the terminal."""
+        first = self.cameras[0].camera_to_world(np.zeros(3))
+        for camera, sigma, high in zip(self.cameras, self.sigma, self.height_sigma_m, strict=True):
+            place = camera.camera_to_world(np.zeros(3))
+            turn, shift = math.degrees(np.linalg.norm(sigma[:3])), float(np.linalg.norm(sigma[3:]))
+            known = f", known to {turn:.1f}° and {shift:.2f} m" if sigma.any() else ""
+            height = f"{place[2]:.2f} m" if math.isnan(high) else f"{place[2]:.2f} ± {high:.2f} m"
+            yield f"{camera.name}: {height} high, {np.linalg.norm(place - first):.2f} m from the first{known}"
+        for clip, offsets in zip(self.clips, self.offsets_s, strict=True):
+            if clip.find_offsets:
+                both = zip(clip.keypoints[1:], offsets[1:], strict=True)
+                yield f"After {clip.keypoints[0].name}: " + ", ".join(f"{path.name} {s:+.4f} s" for path, s in both)
+        if len(self.clips) > 1 and self.disagreement.max() > DISAGREEMENT:
+            most = self.cameras[int(np.argmax(self.disagreement.max(axis=0)))].name
+            yield f"The clips disagree on where the cameras stand, most on {most}: was one moved between them?"
+        if not self.converged:
+            yield "The search had not settled when it was ended: more clips, of other ways through the view, tell more."
+
+
+def clips_of(
+    inputs: Sequence[str | Path], given: Mapping[str, Any], cameras_by: str = AUTO
+) -> tuple[list[FitSettings], list[str]]:
+    """The clips that keypoint files, folders and manifests are, as in a batch, and notes; with the names of their
+    cameras beside them, files are one clip. Raises InputError."""
+    if given.get("camera_name") is not None:
+        return [read_settings(None, {**given, "keypoints": inputs})], []
+    clips, notes = find_clips(inputs, given, None, cameras_by, posed=False)
+    return [clip.settings for clip in clips], notes
+
+
+def run_extrinsics(
+    clips: Sequence[FitSettings],
+    out: Path,
+    overwrite: bool = False,
+    level_rad: float | None = None,
+    progress: Progress = silent,
+) -> ExtrinsicsRun:
+    """`recon calibrate extrinsics`: write `out`, which `recon.io.calibration.read_cameras` reads.
+
+    level_rad: how far cameras are from level, or from the tilt that is said, by default `LEVEL_RAD`. Poses in the
+    camera file are read where the clips' settings say that they are refined; these know which way is up. Raises
+    InputError, with every problem, for inputs that cannot be used.
+    """
+    posed = bool(clips[0].refine_cameras)
+    given, tilt_rad, _ = all_of(
+        lambda: all_of(*(lambda clip=clip: _each_alone(clip) for clip in clips)),
+        lambda: _tilt_rad(clips, level_rad, posed),
+        lambda: require_free_file(out, overwrite, suffixes=(".toml",)),
+    )
+    cameras = _all_cameras(given)
+    if posed:
+        _require_poses(cameras)
+        poses = camera_poses(cameras)
+    else:  # each one's own level world
+        cameras = [replace(camera, rotation=None, translation_m=None) for camera in cameras]
+        if tilt_rad is not None:
+            cameras = [replace(camera, tilt_rad=tilt_rad) for camera in cameras]
+        poses = [rigid(level_from_camera(camera.up).T, np.zeros(3)) for camera in cameras]
+    in_step = [_in_step(*of) for of in zip(clips, given, strict=True)]
+    settings = [_setting(*of, cameras, poses) for of in zip(clips, given, in_step, strict=True)]
+    try:
+        rig = solve_extrinsics(settings, posed, LEVEL_RAD if level_rad is None else level_rad, progress)
+    except TooLittleInCommonError as error:
+        expected = "some in which it and another camera see enough of the animal for a pose"
+        raise InputError(
+            Problem("KEYPOINTS", f"camera {cameras[error.view].name}", "too few frames", expected)
+        ) from None
+    height_m = 0.0 if posed else -np.nan_to_num(rig.ground_m)
+    found = tuple(
+        replace(camera, rotation=T[:3, :3], translation_m=T[:3, 3] - height_m * T[:3, 2], world_z_up=True, tilt_rad=0.0)
+        for camera, T in zip(cameras, rig.T_camera_world, strict=True)
+    )
+    write_cameras(found, out)
+    offsets_s = []
+    for sources, fps, lags in zip(in_step, (of[0].fps for of in given), rig.lag_frames, strict=True):
+        late_s = {camera.name: lag / fps for camera, lag in zip(cameras, lags, strict=True)}
+        began_s = np.array([source.offset_s + late_s[source.camera.name] for source in sources])
+        offsets_s.append(tuple((began_s - began_s[0]).tolist()))
+    high_sigma = np.full(len(found), np.nan) if posed else rig.height_sigma_m
+    return ExtrinsicsRun(
+        found, rig.sigma, high_sigma, rig.converged, tuple(clips), rig.disagreement, tuple(offsets_s), out
+    )
+
+
+def _in_step(clip: FitSettings, given: Sequence[Prepared]) -> tuple[Source, ...]:
+    """The sources of a clip on its frames, by the offsets that are given, or found to whole frames beside those."""
+    apart, fps = [one.sources[0] for one in given], given[0].fps
+    later = np.array(clip.offset_s or np.zeros(len(given))) * fps
+    sources = together(apart, (later - later[0]).tolist())
+    if not clip.find_offsets:
+        return sources
+    cameras = [replace(source.camera, rotation=None, translation_m=None) for source in sources]
+    frames = search_offsets(_setting(clip, given, sources, cameras, [np.eye(4)] * len(cameras)))
+    lost = [camera.name for camera, lost in zip(cameras, np.isnan(frames), strict=True) if lost]
+    if lost:
+        found = f"no offset at which it sees the motion that {cameras[0].name} sees"
+        expected = "clips that both see well, or --offset-s in place of it"
+        raise InputError(Problem("--find-offsets", f"camera {name}", found, expected) for name in lost)
+    return together(apart, (later - later[0] + frames).tolist())
+
+
+def _setting(
+    clip: FitSettings,
+    given: Sequence[Prepared],
+    sources: Sequence[Source],
+    cameras: Sequence[Camera],
+    poses: Sequence[Array],
+) -> Setting:
+    """A clip with a view of every camera; one that did not film it has seen nothing."""
+    model, by_name = given[0].model, {source.camera.name: source for source in sources}
+    assert model.prior is not None
+    nothing = np.full_like(sources[0].keypoints.xy_px, np.nan)
+    views = []
+    for camera, pose in zip(cameras, poses, strict=True):
+        source = by_name.get(camera.name)
+        if source is None:
+            views.append(View(camera, pose, nothing, np.zeros(nothing.shape[:2])))
+        else:
+            points = source.keypoints
+            views.append(View(camera, pose, points.xy_px, points.confidence, lead_frames=source.lead_frames))
+    knows_up = bool(clip.refine_cameras) and None  # where the ground is, the camera file says
+    return Setting.of(views, model.body, model.prior, given[0].fps, clip.trajectory_options(), knows_up)
+
+
+def _each_alone(settings: FitSettings) -> list[Prepared]:
+    """Each camera's keypoints, prepared as a clip of one camera."""
+    names = settings.camera_name or (None,) * len(settings.keypoints)
+    alone = replace(settings, offset_s=None, refine_cameras=None, find_offsets=None, tilt_deg=None)
+    given = all_of(
+        *(
+            lambda path=path, name=name: prepare(
+                replace(alone, keypoints=(path,), camera_name=None if name is None else (name,))
+            )
+            for path, name in zip(settings.keypoints, names, strict=True)
+        )
+    )
+    rates = {one.fps for one in given}
+    if len(rates) > 1:
+        expected = "one frame rate for all cameras, or --fps"
+        raise InputError(Problem("KEYPOINTS", "fps", ", ".join(f"{rate:g}" for rate in sorted(rates)), expected))
+    found = [one.sources[0].camera.name for one in given]
+    if len(found) < 2 or len(set(found)) < len(found):
+        where = ", ".join(path.name for path in settings.keypoints)
+        raise InputError(Problem(where, "cameras", ", ".join(found), "two or more, each once"))
+    return list(given)
+
+
+def _all_cameras(given: Sequence[Sequence[Prepared]]) -> list[Camera]:
+    """Of all clips, each once, those of the first clip first."""
+    cameras: dict[str, Camera] = {}
+    for one in (prepared.sources[0].camera for clip in given for prepared in clip):
+        if cameras.setdefault(one.name, one).to_dict() != one.to_dict():
+            expected = "the same in all clips"
+            raise InputError(Problem("KEYPOINTS", f"camera {one.name}", "two lenses or poses of that name", expected))
+    return list(cameras.values())
+
+
+def _tilt_rad(clips: Sequence[FitSettings], level_rad: float | None, posed: bool) -> float | None:
+    """Of all cameras in all clips, where it is said."""
+    tilts = sorted({clip.tilt_deg for clip in clips if clip.tilt_deg is not None})
+    levels = [] if level_rad is None else [math.degrees(level_rad)]
+    problems = []
+    for name, values in (("tilt_deg", tilts), ("level_deg", levels)):
+        option, found = "--" + name.replace("_", "-"), ", ".join(f"{value:g}" for value in values)
+        if posed and values:
+            found += " beside --refine-cameras, where the camera file says which way is up"
+            problems.append(Problem(option, name, found, "one of the two"))
+        elif len(values) > 1:
+            problems.append(Problem(option, name, found, "one for all clips, whose cameras stand still"))
+    if problems:
+        raise InputError(problems)
+    return math.radians(tilts[0]) if tilts else None
+
+
+def _require_poses(cameras: Sequence[Camera]) -> None:
+    without = [camera.name for camera in cameras if not camera.has_extrinsics]
+    if without:
+        expected = "a camera file with the poses of all cameras"
+        raise InputError(Problem("--refine-cameras", "poses", f"none of {', '.join(without)}", expected))

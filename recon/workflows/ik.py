@@ -1,0 +1,592 @@
+"""Inverse kinematics on a fitted clip: its chain from the trunk to a foot is driven to a target, or along a stride."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+from threadpoolctl import threadpool_limits
+
+from recon.animal.chain import Chain
+from recon.animal.skeleton_file import load_chain
+from recon.base.arrays import Array
+from recon.base.errors import InputError, Problem
+from recon.base.files import require_free_folder, sole_writer, staged_folder
+from recon.fit.results import Results, read_results
+from recon.gait.clip import gaits_of, limb_chains, stride_given
+from recon.gait.gait import AGREE, OVERSAMPLING, Gait, doubt_text, pose_return_s
+from recon.gait.gait import Method as Rule
+from recon.gait.path import MIN_POINTS
+from recon.io.table import write_rows
+from recon.robotics.ik.animal import (
+    body_chain,
+    body_chain_angles,
+    body_travel,
+    chain_angles,
+    planar_chain,
+    spine_front_leg,
+)
+from recon.robotics.ik.chain import SerialChain
+from recon.robotics.ik.costs import Cost, HarmonicMap, WeightedSum, joint_differences, pose_distance, rotational_energy
+from recon.robotics.ik.drive import Drive, Follow, drive_to, follow
+from recon.robotics.ik.fit import (
+    PULL,
+    Fit,
+    Fitted,
+    FittedSeries,
+    Frames,
+    fit_damped,
+    fit_gradient,
+    fit_least_norm,
+    fit_selectively_damped,
+    fit_series,
+    fit_transpose,
+    fit_weights,
+)
+from recon.robotics.ik.methods import (
+    DampedLeastSquares,
+    ExtendedJacobian,
+    GradientProjection,
+    JacobianTranspose,
+    LeastNorm,
+    Method,
+    Scaled,
+    SelectivelyDamped,
+    kept_cost,
+)
+from recon.robotics.ik.null_space import to_null_space_optimum
+from recon.robotics.ik.stride import Stride, farthest_reach, find_stride
+from recon.show.report import to_json
+
+Dim = Literal[2, 3]
+
+COSTS = ("differences", "energy", "harmonic", "pose")
+METHODS = (
+    "least-norm",
+    "transpose",
+    "gradient-projection",
+    "weighted",
+    "damped",
+    "selectively-damped",
+    *(f"extended-{cost}" for cost in COSTS[:3]),
+)
+EXTENDED = "extended"
+"""The extended Jacobian with the cost that is asked for."""
+PARAMETERS = {
+    "transpose": "alpha_1_m2",
+    "gradient-projection": "k_1_s",
+    "weighted": "weight",
+    "damped": "lambda_m",
+    "selectively-damped": "gamma_max_rad",
+}
+"""What is fitted to each configuration, of the weights one for each joint."""
+FITTED = METHODS[:6]
+"""Methods with a parameter that can be fitted, and least norm for comparison."""
+STRIDE_MAX = "stride-max"
+SLOWER = 10
+"""How many times slower than the animal a stride is followed: rate limits are what is expected of its joints, and would
+hold back a method that moves others than the animal does. Closures do not depend on it."""
+TARGET_TABLE = (
+    "method, reached, reason, iterations, us_per_step, length_m, roughness_rad2, least_manipulability, limits_hit"
+)
+FOLLOW_TABLE = (
+    "method, worst_error_m, note, us_per_step, length_m, roughness_rad2, least_manipulability, limits_hit, "
+    "least_closure_angle_percent, least_closure_plane_percent"
+)
+SUMMARY = "ik.json"
+
+
+@dataclass(frozen=True, eq=False)
+class Limb:
+    """A chain of the animal, and its joint angles in the clip."""
+
+    foot: str
+    chain: SerialChain
+    names: tuple[str, ...]
+    q: Array
+    """(T, n)"""
+    fps: float
+    first_s: float
+    """Time of the clip's first frame."""
+    base: Literal["UVW", "xyz"]
+    """What the base frame's axes mean, U forwards, V down and W left, or x forwards, y left and z up."""
+    misfit_m: float
+    """Distance of the chain's end from the foot, median."""
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """A stride of the animal, and how it was found."""
+
+    stride: Stride
+    how: str
+    """One of "given", "ground" or "body", the rule that found it complete, "return" or "whole clip"."""
+    notes: tuple[str, ...]
+    """Strides that do not count, and what else is to be known of it."""
+
+
+@dataclass(frozen=True, eq=False)
+class ParameterSeries:
+    """What is fitted to each of F frames by itself."""
+
+    time_s: Array
+    """(F,), of the clip."""
+    by_method: Mapping[str, FittedSeries]
+
+
+@dataclass(frozen=True, eq=False)
+class IKRun:
+    """What was moved, and how."""
+
+    limb: Limb
+    found: Found
+    target_m: Array | None
+    """(dim,)"""
+    drives: Mapping[str, Drive]
+    """By method, empty where not asked for."""
+    follows: Mapping[str, Follow]
+    """By method, empty where not asked for."""
+    turns: int
+    """How often the stride was followed."""
+    parameters: Mapping[str, Fitted]
+    """Fitted to the clip, by method."""
+    fitted: bool
+    """Whether the methods had them."""
+    alpha: float | Literal["step"] | None
+    """As `methods_of`."""
+    series: ParameterSeries | None
+    """Fitted to each frame of the stride; None where not asked for."""
+
+    @cached_property
+    def summary(self) -> dict[str, Any]:
+        """What ik.json holds."""
+        limb, stride = self.limb, self.found.stride
+
+        def names(joints: tuple[int, ...]) -> list[str]:
+            return [limb.names[j] for j in joints]
+
+        def shared(run: Drive | Follow) -> dict[str, Any]:
+            return {
+                "us_per_step": 1e6 * float(np.median(run.solve_s)) if len(run.solve_s) else None,
+                "length_m": run.length_m,
+                "roughness_rad2": run.roughness_rad2,
+                "least_manipulability": float(run.manipulability.min()),
+                "limits_hit": names(run.limits_hit),
+            }
+
+        followed = {}
+        for name, run in self.follows.items():
+            closed = run.closures()
+            followed[name] = {
+                "worst_error_m": float(run.distance_m.max()),
+                "note": run.note,
+                **shared(run),
+                "least_closure_angle_percent": _least(closed.angle),
+                "least_closure_plane_percent": _least(closed.plane),
+                "closure_angle_percent": dict(zip(limb.names, closed.angle.tolist(), strict=True)),
+                "closure_plane_percent": dict(zip(limb.names, closed.plane.tolist(), strict=True)),
+            }
+        return {
+            "schema": {"name": "recon.ik", "version": 1},
+            "foot": limb.foot,
+            "dimensions": limb.chain.dim,
+            "joints": list(limb.names),
+            "base_frame": "U forwards, V down, W left" if limb.base == "UVW" else "x forwards, y left, z up",
+            "misfit_m": limb.misfit_m,
+            "stride": {
+                "start_s": limb.first_s + stride.start_s,
+                "end_s": limb.first_s + stride.end_s,
+                "how": self.found.how,
+                "notes": self.found.notes,
+                "gap_m": stride.gap_m,
+                "gap_percent": stride.gap_percent,
+            },
+            "parameters": {
+                "used": "fitted to the clip" if self.fitted else "standard",
+                "fitted": {
+                    name: {
+                        "value": f.parameter,
+                        "rms_rad_s": f.rms_rad_s,
+                        "explained": f.explained,
+                        "best_alpha": f.alpha,
+                        "note": f.note,
+                    }
+                    for name, f in self.parameters.items()
+                },
+                "alpha": self.alpha,
+            },
+            "target_m": self.target_m,
+            "to_target": {
+                name: {"reached": run.reached, "reason": run.reason, "iterations": run.iterations, **shared(run)}
+                for name, run in self.drives.items()
+            },
+            "turns": self.turns if self.follows else None,
+            "along_stride": followed,
+        }
+
+
+# -- the animal's chain ----------------------------------------------------------------------------------------------
+
+
+def limb_of(results: Results, foot: str | None = None, dim: Dim = 3, limited: bool = True) -> Limb:
+    """The chain to a foot, by its label (LF) or joint, by default the first fore foot. Raises InputError.
+
+    Of the 8U chain that is the spine and the front leg. Of a whole animal, in space, all joints from the root to the
+    foot, and in the plane the joints' projections onto the vertical plane of travel.
+    """
+    label = _foot_label(results, foot)
+    name = results.feet[label]
+    if results.body.one_sided:
+        return _spine_front_leg(results, load_chain(results.skeleton_name), label, dim, limited)
+    travel, first_s = body_travel(results.states), float(results.time_s[0])
+    if dim == 3:
+        marker = next(joint for joint, keypoint in results.keypoint_of.items() if keypoint == name)
+        chain, names = body_chain(results.body, marker, results.size, limited)
+        q = body_chain_angles(results.body, marker, results.states)
+        return Limb(name, chain, names, q, results.fps, first_s, "xyz", 0.0)
+    along = next(along for along in limb_chains(results).values() if along[-1] == name)
+    points = results.pose.xyz_m[:, [results.pose.names.index(joint) for joint in along]]
+    chain, q, misfit = planar_chain(points, travel)
+    return Limb(name, chain, along[:-1], q, results.fps, first_s, "UVW", float(np.nanmedian(misfit)))
+
+
+def _foot_label(results: Results, foot: str | None) -> str:
+    """LH, RH, LF or RF."""
+    chain = results.body.one_sided
+    there = [label for label in results.feet if label.endswith("F")] if chain else list(results.feet)
+    if foot is None and there:
+        return next((label for label in there if label.endswith("F")), there[0])
+    found = next((label for label in there if foot in (label, results.feet[label])), None)
+    if found is None:
+        expected = ", ".join(f"{label} ({results.feet[label]})" for label in there) or "a skeleton with feet"
+        raise InputError(Problem("--foot", "foot", repr(foot or "none"), expected))
+    return found
+
+
+def _spine_front_leg(results: Results, chain: Chain, label: str, dim: Dim, limited: bool) -> Limb:
+    leg = spine_front_leg(chain, results.size * chain.nominal_base_length_m, dim, limited)
+    q = chain_angles(chain, results.states, dim=dim)
+    links = len(leg.lengths_m)
+    names = tuple(f"{kind}_{k}" for kind in ("theta", "phi")[: dim - 1] for k in range(1, links + 1))
+    return Limb(results.feet[label], leg, names, q, results.fps, float(results.time_s[0]), "UVW", 0.0)
+
+
+# -- methods ---------------------------------------------------------------------------------------------------------
+
+
+def methods_of(
+    limb: Limb,
+    names: tuple[str, ...],
+    parameters: Mapping[str, Fitted],
+    fitted: bool = False,
+    cost: Cost | None = None,
+    alpha: float | Literal["step"] | None = None,
+) -> dict[str, Method]:
+    """The methods by name (`METHODS`, `EXTENDED`), with their standard parameters, or those fitted to the clip
+    (`fit_parameters`). Weights have no standard, and are fitted in any case.
+
+    cost: of `EXTENDED`, which needs one, and of gradient projection, by default the joint differences. alpha: a factor
+    on all rates, or "step" for the one of each step with which the foot moves nearest to what is asked for.
+    """
+    chain = limb.chain
+    standard: dict[str, Callable[[], Method]] = {
+        "least-norm": LeastNorm,
+        "transpose": JacobianTranspose,
+        "gradient-projection": lambda: GradientProjection(cost or joint_differences(chain)),
+        "weighted": lambda: parameters["weighted"].method,
+        "damped": DampedLeastSquares,
+        "selectively-damped": SelectivelyDamped,
+    }
+    chosen: dict[str, Method] = {}
+    for name in names:
+        if name == EXTENDED and cost is not None:
+            chosen[name] = ExtendedJacobian(cost)
+        elif name.startswith("extended-"):
+            chosen[name] = ExtendedJacobian(_costs(limb)[name.removeprefix("extended-")]())
+        else:
+            chosen[name] = parameters[name].method if fitted else standard[name]()
+    if alpha is None:
+        return chosen
+    return {name: Scaled(method, None if alpha == "step" else alpha) for name, method in chosen.items()}
+
+
+def _costs(limb: Limb) -> dict[str, Callable[[], Cost]]:
+    """By name (`COSTS`)."""
+    chain = limb.chain
+    last = max(chain.groups, key=len)[-3:]
+    return {
+        "differences": lambda: joint_differences(chain),
+        "energy": lambda: rotational_energy(chain),
+        "harmonic": lambda: HarmonicMap(joints=(last[0], last[1], last[2])),
+        "pose": lambda: pose_distance(np.nanmean(limb.q, axis=0)),
+    }
+
+
+def cost_of(limb: Limb, text: str) -> Cost:
+    """A cost of `COSTS`, or a sum of some with weights, as in "energy,differences=0.1". Raises InputError."""
+    every, costs, weights, problems = _costs(limb), [], [], []
+    for part in text.split(","):
+        name, _, weight = part.strip().partition("=")
+        try:
+            weights.append(float(weight or 1))
+            costs.append(every[name]())
+        except (ValueError, KeyError):
+            expected = f"{', '.join(COSTS)}, or a sum with weights, as in energy,differences=0.1"
+            problems.append(Problem("--cost", "cost", repr(part), expected))
+    if problems:
+        raise InputError(problems)
+    return costs[0] if len(costs) == 1 and weights == [1.0] else WeightedSum(tuple(costs), tuple(weights))
+
+
+def fit_parameters(limb: Limb, cost: Cost | None = None) -> dict[str, Fitted]:
+    """Of `FITTED`, by least squares to the joint rates of the clip, from a spline through its angles. cost: of gradient
+    projection; None: any constant vector. Raises InputError for fewer than four frames in a row."""
+    frames = _rates_of(limb)
+    return {name: fit(frames) for name, fit in _fits(cost).items()}
+
+
+def fit_parameter_series(limb: Limb, stride: Stride, cost: Cost | None = None) -> ParameterSeries:
+    """Of `FITTED`, to each frame of a stride by itself. cost: of gradient projection, by default the joint differences,
+    of which k is fitted. Raises InputError as `fit_parameters`."""
+    at_s = np.flatnonzero(np.isfinite(limb.q).all(axis=1)) / limb.fps
+    first, last = np.searchsorted(at_s, [stride.start_s - 1e-6, stride.end_s + 1e-6]).tolist()
+    frames = _rates_of(limb)[first:last]
+    fits = _fits(cost or joint_differences(limb.chain))
+    fits["weighted"] = lambda one: fit_weights(one, PULL)
+    return ParameterSeries(
+        limb.first_s + at_s[first:last], {name: fit_series(fit, frames) for name, fit in fits.items()}
+    )
+
+
+def _fits(cost: Cost | None) -> dict[str, Fit]:
+    return {
+        "least-norm": fit_least_norm,
+        "transpose": fit_transpose,
+        "gradient-projection": lambda frames: fit_gradient(frames, () if cost is None else (cost,)),
+        "weighted": fit_weights,
+        "damped": fit_damped,
+        "selectively-damped": fit_selectively_damped,
+    }
+
+
+def _rates_of(limb: Limb) -> Frames:
+    """The frames with a pose."""
+    known = np.flatnonzero(np.isfinite(limb.q).all(axis=1))
+    if len(known) < MIN_POINTS:
+        raise InputError(Problem("results", "frames", f"{len(known)} with a pose", f"at least {MIN_POINTS}"))
+    q, dq = limb.q[known], CubicSpline(known / limb.fps, limb.q[known])(known / limb.fps, 1)
+    dx = np.stack([limb.chain.jacobian(x) @ rate for x, rate in zip(q, dq, strict=True)])
+    return Frames.of(limb.chain, q, dx, dq)
+
+
+# -- the jobs --------------------------------------------------------------------------------------------------------
+
+
+def run_ik(
+    folder: Path,
+    methods: tuple[str, ...],
+    target: str | None = None,
+    along_stride: bool = False,
+    foot: str | None = None,
+    dim: Dim = 3,
+    turns: int = 1,
+    limited: bool = True,
+    fitted: bool = False,
+    out: Path | None = None,
+    figures: bool = True,
+    overwrite: bool = False,
+    stride_s: tuple[float, float] | None = None,
+    cost: Cost | str | None = None,
+    alpha: float | Literal["step"] | None = None,
+) -> IKRun:
+    """`recon ik`: tables and figures into `out`, by default the folder ik in the results' own.
+
+    methods: of `METHODS`, or `EXTENDED`. target: `STRIDE_MAX`, or coordinates in the chain's base frame, as in
+    "0.8,0.3"; None: none. along_stride: follow a stride of the foot, closed, turns times. fitted: with parameters
+    fitted to the clip, which are fitted to each frame of the stride, too. stride_s: from when to when in the clip it
+    lasts; None: see `stride_of`. cost, alpha: as `methods_of`, the cost also as `cost_of` reads it. Raises InputError.
+    """
+    out = folder / "ik" if out is None else out
+    results = read_results(folder)
+    _check(methods, cost, alpha)
+    with sole_writer(out):
+        require_free_folder(out, (SUMMARY,), overwrite)
+        limb = limb_of(results, foot, dim, limited)
+        cost = cost_of(limb, cost) if isinstance(cost, str) else cost
+        goal = _coordinates(target, limb.chain.dim) if target not in (None, STRIDE_MAX) else None
+        with threadpool_limits(1, user_api="blas"):
+            found = stride_of(results, limb, stride_s)
+            stride = found.stride
+            parameters = fit_parameters(limb, cost)
+            series = fit_parameter_series(limb, stride, cost) if fitted else None
+            by_name = methods_of(limb, methods, parameters, fitted, cost, alpha)
+            start, foremost = farthest_reach(limb.chain, stride.q)
+            goal = foremost if target == STRIDE_MAX else goal
+            drives = {} if goal is None else {n: drive_to(limb.chain, start, goal, m) for n, m in by_name.items()}
+            followed = by_name if along_stride else {}
+            follows = {n: follow_stride(limb.chain, stride, m, turns) for n, m in followed.items()}
+        solved = IKRun(limb, found, goal, drives, follows, turns, parameters, fitted, alpha, series)
+        with staged_folder(out) as staging:
+            _write(solved, staging)
+        if figures:  # after the tables, which are there whatever befalls them
+            with staged_folder(out) as staging:
+                write_figures(solved, staging)
+    return solved
+
+
+def _check(methods: tuple[str, ...], cost: Cost | str | None, alpha: float | Literal["step"] | None) -> None:
+    known = METHODS if cost is None else (*METHODS, EXTENDED)
+    expected = ", ".join(METHODS) + f", or {EXTENDED} with --cost"
+    problems = [Problem("--method", "method", repr(name), expected) for name in methods if name not in known]
+    if isinstance(alpha, float) and not (np.isfinite(alpha) and alpha):
+        problems.append(Problem("--alpha", "factor", f"{alpha:g}", "step, or a number other than 0"))
+    if problems:
+        raise InputError(problems)
+
+
+def _coordinates(target: str, dim: int) -> Array:
+    parts = re.split(r"\s*,\s*", target.strip())
+    try:
+        values = np.array([float(part) for part in parts])
+    except ValueError:
+        values = np.empty(0)
+    if len(values) != dim or not np.isfinite(values).all():
+        expected = f"{STRIDE_MAX}, or {dim} coordinates in metres, as in {'0.8,0.3,0.1'[: 4 * dim - 1]}"
+        raise InputError(Problem("--target", "target", repr(target), expected))
+    return values
+
+
+def stride_of(results: Results, limb: Limb, stride_s: tuple[float, float] | None = None) -> Found:
+    """The stride that is given; or the first of the foot that counts (`recon.gait.gait`), by the rule of the ground
+    or else by that of the body; or, of a clip without any, where the foot comes back to nearest in the time that a
+    stride takes. Raises InputError for a clip that shows too little."""
+    if stride_s is not None:
+        stride = stride_given(results, stride_s)
+        return _found_stride(results, limb, "given", (stride.start_s, stride.end_s))
+    gaits = gaits_of(results)
+    label = next(label for label, joint in results.feet.items() if joint == limb.foot)
+    doubts = [doubt_text(rule, d) for rule, gait in gaits.items() for d in gait.doubtful if d.stride.foot == label]
+    rules: tuple[Rule, ...] = ("ground", "body")
+    for rule in rules:
+        if complete := next((s for s in gaits[rule].strides if s.foot == label), None):
+            return _found_stride(results, limb, rule, (complete.start_s, complete.end_s), doubts)
+    return _found_stride(results, limb, notes=doubts, lasts_s=stride_lasts_s(gaits["ground"]))
+
+
+def stride_lasts_s(ground: Gait) -> tuple[float, float]:
+    """How long a stride of a clip without a complete one lasts, at least and at most: about as long as the pose takes
+    to return. In a clip that is too short to tell, and in which no foot lands twice, it takes the time from the first
+    touchdown to the end at least, to half a frame."""
+    time_s = ground.tracks.time_s
+    back_s = pose_return_s(ground.tracks, time_s[0], time_s[-1])
+    if back_s is not None and back_s > 0:
+        return (1 - AGREE) * back_s, (1 + AGREE) * back_s
+    landed = [s for s in ground.stances if s.begins]
+    if len({s.foot for s in landed}) < len(landed):
+        return 0.0, np.inf
+    first_s = min((s.start_s for s in landed), default=time_s[-1])
+    return float(time_s[-1] - first_s - OVERSAMPLING / 2 * (time_s[1] - time_s[0])), np.inf
+
+
+def _found_stride(
+    results: Results,
+    limb: Limb,
+    how: str = "",
+    span_s: tuple[float, float] | None = None,
+    notes: Sequence[str] = (),
+    lasts_s: tuple[float, float] = (0.0, np.inf),
+) -> Found:
+    start_s, end_s = (None, None) if span_s is None else (at_s - limb.first_s for at_s in span_s)
+    try:
+        stride = find_stride(limb.chain, limb.q, limb.fps, start_s, end_s, lasts_s)
+    except ValueError as error:
+        raise InputError(Problem(results.folder, "stride", str(error), "a clip that shows more of one")) from None
+    return Found(stride, how or stride.how, tuple(notes))
+
+
+def follow_stride(chain: SerialChain, stride: Stride, method: Method, turns: int = 1) -> Follow:
+    """Along the stride, `SLOWER` than the animal. The extended Jacobian starts where its cost is stationary, with the
+    foot in the same place."""
+    q0 = stride.q[0]
+    if (cost := kept_cost(method)) is not None:
+        q0 = to_null_space_optimum(chain, q0, cost).q[-1]
+    return follow(chain, q0, stride.path_m, method, turns, SLOWER * stride.interval_s)
+
+
+# -- what is written -------------------------------------------------------------------------------------------------
+
+
+def _least(values: Array) -> float:
+    """NaN where nothing moves."""
+    return float(np.nanmin(values)) if np.isfinite(values).any() else np.nan
+
+
+def _write(solved: IKRun, folder: Path) -> None:
+    summary, names = solved.summary, solved.limb.names
+    (folder / SUMMARY).write_text(to_json(summary), encoding="utf-8")
+    for file, columns, rows in (
+        ("target.csv", TARGET_TABLE.split(", "), summary["to_target"]),
+        ("follow.csv", FOLLOW_TABLE.split(", "), summary["along_stride"]),
+    ):
+        if rows:
+            cells = [[name, *(_cell(row[column]) for column in columns[1:])] for name, row in rows.items()]
+            write_rows(folder / file, [columns], cells)
+    if followed := summary["along_stride"]:
+        kinds = [(name, kind) for name in followed for kind in ("angle", "plane")]
+        rows = [[j, *(followed[name][f"closure_{kind}_percent"][j] for name, kind in kinds)] for j in names]
+        write_rows(folder / "closures.csv", [["joint", *(f"{name}_{kind}" for name, kind in kinds)]], rows)
+    if solved.series is not None:
+        write_rows(folder / "parameters.csv", *_parameter_table(solved.series, names))
+    axes = list(solved.limb.base)[: solved.limb.chain.dim]
+    for job, runs in (("target", solved.drives), ("follow", solved.follows)):
+        for name, run in runs.items():
+            columns = ["step", *(f"{joint}_rad" for joint in names), *(f"end_{axis}_m" for axis in axes), "distance_m"]
+            values = np.column_stack((run.q, run.end_m, run.distance_m)).tolist()
+            write_rows(folder / f"{job}_{name}.csv", [columns], [[k, *row] for k, row in enumerate(values)])
+
+
+def _parameter_table(series: ParameterSeries, joints: tuple[str, ...]) -> tuple[list[list[str]], list[list[float]]]:
+    columns, values = ["time_s"], [series.time_s]
+    for name, of_method in series.by_method.items():
+        if name == "weighted":
+            columns += [f"weighted_{joint}" for joint in joints]
+        elif name in PARAMETERS:
+            columns.append(f"{name}_{PARAMETERS[name]}")
+        columns += [f"{name}_best_alpha", f"{name}_explained"]
+        values += [*of_method.parameter.T, of_method.alpha, of_method.explained]
+    return [columns], np.column_stack(values).tolist()
+
+
+def _cell(value: Any) -> Any:
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    return " ".join(value) if isinstance(value, list) else "" if value is None else value
+
+
+def write_figures(solved: IKRun, folder: Path) -> None:
+    """Paths in task and joint space, distances, closures, parameters, PNG and SVG."""
+    from recon.show import plots
+
+    limb = solved.limb
+    if solved.series is not None:
+        found = solved.series
+        figure = plots.parameter_series(found.time_s, found.by_method, limb.names)
+        plots.save(figure, folder, "parameters")
+    if solved.drives:
+        figure = plots.task_space(solved.drives, solved.target_m, chain=limb.chain, base=limb.base)
+        plots.save(figure, folder, "target_task_space")
+        plots.save(plots.joint_space(solved.drives, limb.names), folder, "target_joint_space")
+        plots.save(plots.distances(solved.drives), folder, "target_distance")
+    if solved.follows:
+        figure = plots.task_space(solved.follows, path_m=solved.found.stride.path_m, chain=limb.chain, base=limb.base)
+        plots.save(figure, folder, "follow_task_space")
+        plots.save(plots.joint_space(solved.follows, limb.names), folder, "follow_joint_space")
+        plots.save(plots.distances(solved.follows), folder, "follow_distance")
+        found = {name: run.closures() for name, run in solved.follows.items()}
+        plots.save(plots.closures(found, limb.names), folder, "follow_closures")

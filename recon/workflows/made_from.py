@@ -1,0 +1,65 @@
+"""Which files a fit was made from, and whether they are still the same."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from recon.base.documents import read_toml
+from recon.base.errors import InputError, Problem
+from recon.base.manifest import sha256_of
+from recon.io.camera_track import track_files
+from recon.workflows.settings import FitSettings, read_settings
+
+
+def input_files(settings: FitSettings) -> dict[str, Path]:
+    """By the setting that names them; built-in skeletons, subjects, detectors, priors and maps are no files."""
+    first, *others = settings.keypoints
+    files = {"keypoints": first} | {f"keypoints {i}": path for i, path in enumerate(others, start=2)}
+    if settings.camera is not None:
+        files["camera"] = settings.camera
+    tracks = [path for track in settings.camera_track or () for path in track_files(track)]
+    files |= {f"camera_track {i}" if i else "camera_track": path for i, path in enumerate(tracks)}
+    for role in ("skeleton", "subject", "detector", "prior", "rename"):
+        name = getattr(settings, role)
+        if name is not None and Path(name).is_absolute():
+            files[role] = Path(name)
+    return files
+
+
+def digest(path: Path) -> str | None:
+    """Of a file's content; None where it cannot be read."""
+    try:
+        return sha256_of(path)
+    except OSError:
+        return None
+
+
+def digests(settings: FitSettings, known: Mapping[str, str | None] | None = None) -> dict[str, str]:
+    """Of all input files that can be read, for config.toml; known: from before."""
+    found = {role: digest(path) for role, path in input_files(settings).items()} if known is None else known
+    return {role: sha256 for role, sha256 in found.items() if sha256 is not None}
+
+
+def read_config(config: Path, given: Mapping[str, Any]) -> FitSettings:
+    """As `read_settings`; raises InputError also where files are missing that the config.toml of a result names."""
+    settings = read_settings(config, given)
+    gone = {role: path for role, path in _named(given, settings).items() if not path.exists()}
+    if gone:
+        expected = "the file that config.toml names, seen from its own folder: move both together, or name it anew"
+        raise InputError(Problem(config, role, f"{path}, no such file", expected) for role, path in gone.items())
+    return settings
+
+
+def replaced_files(config: Path, given: Mapping[str, Any], settings: FitSettings) -> list[Path]:
+    """Those that the config.toml names whose content is another than when it was written."""
+    table = read_toml(config, "a config.toml of an earlier run").get("recon", {}).get("sha256", {})
+    known = table if isinstance(table, dict) else {}
+    files = _named(given, settings).items()
+    return [path for role, path in files if role in known and digest(path) != known[role]]
+
+
+def _named(given: Mapping[str, Any], settings: FitSettings) -> dict[str, Path]:
+    """The input files that are not given beside the config.toml."""
+    return {role: path for role, path in input_files(settings).items() if given.get(role.split()[0]) is None}

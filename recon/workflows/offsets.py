@@ -1,0 +1,60 @@
+"""Cameras that are out of step: how much later than the first each began, solved with the fit."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+
+import numpy as np
+
+from recon.base.arrays import Array
+from recon.base.errors import InputError, Problem
+from recon.check.offsets import search_offsets
+from recon.clip import Source, together, views_of
+from recon.fit import TrajectorySolution
+
+ROUNDS = 5
+CLOSE_FRAMES = 0.05
+"""Lags this small are left to the solver, which takes the motion for straight over them."""
+MAX_SIGMA_FRAMES = 1.0
+"""Offsets that are known less well, or do not settle so far, are refused."""
+
+Solve = Callable[[tuple[Source, ...]], TrajectorySolution]
+
+
+def solved_in_step(
+    apart: Sequence[Source], later_frames: Sequence[float], solve: Solve, sigma_px: float, keypoint_sigma_m: float
+) -> tuple[tuple[Source, ...], TrajectorySolution]:
+    """Sources on their own frames put on those of one clip, with the offsets that were found, and their solution.
+
+    later_frames: where the search begins. solve: with `find_offsets`. Raises InputError where the motion does not tell.
+    """
+    later, fps = np.array(later_frames), apart[0].keypoints.fps
+    assert fps is not None
+    begun = views_of(together(apart, later_frames))
+    found = search_offsets(begun, fps, sigma_px, keypoint_sigma_m)
+    names = [source.camera.name for source in apart]
+    alone = [name for name, frames in zip(names, found, strict=True) if np.isnan(frames)]
+    if alone:
+        expected = "keypoints that it sees together with another camera, in 30 or more points"
+        raise InputError(Problem("--find-offsets", f"camera {name}", "too few", expected) for name in alone)
+    later = later + found
+    sources = together(apart, later.tolist())
+    solution = solve(sources)
+    for _ in range(1, ROUNDS):
+        if np.abs(solution.lag_frames).max() < CLOSE_FRAMES:
+            break
+        later = later + solution.lag_frames
+        sources = together(apart, later.tolist())
+        solution = solve(sources)
+    problems = list(_problems(names, later, solution.lag_frames, solution.lag_sigma_frames))
+    if problems:
+        raise InputError(problems)
+    return sources, solution
+
+
+def _problems(names: Sequence[str], later: Array, lags: Array, sigmas: Array) -> Iterator[Problem]:
+    for name, frames, lag, sigma in zip(names, later, lags, sigmas, strict=True):
+        if sigma > MAX_SIGMA_FRAMES or abs(lag) > MAX_SIGMA_FRAMES:
+            found = f"{frames + lag:.1f} ± {max(sigma, abs(lag)):.1f} frames later, from a motion that hardly tells"
+            expected = f"a clip that tells it to {MAX_SIGMA_FRAMES:g}, or --offset-s as measured otherwise"
+            yield Problem("--find-offsets", f"camera {name}", found, expected)

@@ -1,0 +1,258 @@
+"""A result drawn on its video, or some of its frames side by side, as one picture."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from recon.animal.body import Side
+from recon.base.arrays import Array, Index
+from recon.base.errors import InputError, Problem, all_of
+from recon.base.files import require_free_file, staged_file, write_bytes
+from recon.base.progress import Progress, silent
+from recon.check.mistakes import FLAGS
+from recon.clip.keypoints import Keypoints
+from recon.fit.results import Results, read_results
+from recon.io import read_keypoints
+from recon.io.video import Image, VideoInfo, probe, read_frames, require_codec, video_writer
+from recon.show.export.clip_csv import camera_files
+from recon.show.overlay import LEFT, MIDDLE, RIGHT, Colour, Overlay, canvas_size, draw_frame, draw_sheet
+from recon.workflows.cameras import cameras_in
+
+SLOW_FPS = 30.0
+"""Every frame is shown, and no more than this many in a second, unless a speed is given."""
+SIDES: dict[Side | None, Colour] = {"left": LEFT, "right": RIGHT, None: MIDDLE}
+COUNT, MOST = 12, 60
+"""Of the stills of a sheet."""
+MIN_WIDTH_PX = 640
+"""Smaller videos are enlarged, by a whole number: the text would not be read."""
+
+
+@dataclass(frozen=True)
+class OverlayRun:
+    """frames: how many were written. fps: of the new video. speed: 1 is real time."""
+
+    frames: int
+    fps: float
+    speed: float
+
+
+def run_overlay(
+    folder: Path,
+    video: Path,
+    out: Path,
+    *,
+    first_frame: int = 0,
+    camera: str | None = None,
+    speed: float | None = None,
+    overwrite: bool = False,
+    progress: Progress = silent,
+) -> OverlayRun:
+    """`recon overlay`: every frame of a result's clip, drawn on the video that it came from.
+
+    first_frame: the number that the video's first frame has in the result. camera: whose video it is, by name, which
+    may be left out where the result has one, or the video's own name contains it. speed: of the playback. Raises
+    InputError, with every problem, for inputs that do not belong together; then nothing is written.
+    """
+    result, number, (wide, high) = result_and_video(
+        folder, video, camera, first_frame, lambda: _check_out(out, overwrite, video), lambda: _check_speed(speed)
+    )
+    if speed is None:
+        speed = min(1.0, SLOW_FPS / result.fps)
+    zoom = -(-MIN_WIDTH_PX // wide)
+    overlay = overlay_of(result, speed, zoom, number)
+    rows = {int(frame): t for t, frame in enumerate(result.pose.frames)}
+    first, last = min(rows), max(rows)
+    fps = result.fps * speed
+    written = 0
+    with video_writer(out, canvas_size((zoom * wide, zoom * high)), fps) as write:
+        for index, picture in read_frames(video, first - first_frame, last + 1 - first_frame):
+            frame = index + first_frame
+            enlarged = np.asarray(cv2.resize(picture, None, fx=zoom, fy=zoom), dtype=np.uint8)
+            write(draw_frame(overlay, rows.get(frame), frame, enlarged))
+            written += 1
+            progress("drawing", written / (last + 1 - first))
+        if written < last + 1 - first:
+            found = f"{first - first_frame + written} frames that can be decoded"
+            expected = f"{last + 1 - first_frame} or more, for the result's frames {first} to {last}" + (
+                f" (the video's first frame being {first_frame})" if first_frame else ""
+            )
+            raise InputError(Problem(video, "video", found, f"{expected}: the video of this clip, or --first-frame"))
+    return OverlayRun(written, fps, speed)
+
+
+def run_sheet(
+    folder: Path,
+    sheet: Path,
+    *,
+    video: Path | None = None,
+    first_frame: int = 0,
+    camera: str | None = None,
+    count: int = COUNT,
+    overwrite: bool = False,
+) -> int:
+    """`recon overlay --sheet`: `count` frames with a pose, evenly spaced, as one PNG; how many there are. video: what
+    is behind them, plain without one, and then the first camera's unless another is named; the others: see
+    `run_overlay`. Raises InputError, with every problem."""
+    free = partial(require_free_file, sheet, overwrite, "--sheet", video, (".png",))
+    result, number, _ = result_and_video(folder, video, camera, first_frame, free, lambda: _check_count(count))
+    overlay = overlay_of(result, number=number)
+    rows = rows_to_show(overlay, count)
+    if not len(rows):
+        raise InputError(Problem(folder, "frames", "none with a pose", "one at least"))
+    pictures = None if video is None else pictures_of(video, result, rows, first_frame)
+    with staged_file(sheet) as staged:
+        write_bytes(staged, cv2.imencode(".png", draw_sheet(overlay, rows, pictures))[1].tobytes())
+    return len(rows)
+
+
+def rows_to_show(overlay: Overlay, count: int) -> Index:
+    """Rows of up to `count` frames with a pose, evenly spaced."""
+    posed = np.flatnonzero(np.isfinite(overlay.reprojected_px).any(axis=(1, 2)))
+    return posed[np.unique(np.round(np.linspace(0, len(posed) - 1, count)).astype(int))] if len(posed) else posed
+
+
+def pictures_of(video: Path, result: Results, rows: Index, first_frame: int) -> list[Image]:
+    """The video's frames for these rows of a result. Raises InputError for one that is not in it."""
+    wanted = [int(result.pose.frames[t]) - first_frame for t in rows]
+    found = {at: picture for at, picture in read_frames(video, wanted[0], wanted[-1] + 1) if at in wanted}
+    if len(found) < len(wanted):
+        number = next(at for at in wanted if at not in found) + first_frame
+        raise InputError(Problem(video, "video", f"no frame {number}", "the video of this clip, or --first-frame"))
+    return [found[at] for at in wanted]
+
+
+def result_and_video(
+    folder: Path, video: Path | None, camera: str | None, first_frame: int, *checks: Callable[[], None]
+) -> tuple[Results, int, tuple[int, int]]:
+    """A result, which of its cameras is meant, and the size of the pictures: the video's, if there is one, which has to
+    be of that camera. checks: of what else was given. The others: see `run_overlay`. Raises InputError."""
+
+    def opened() -> tuple[Results, int]:
+        result, info = all_of(lambda: read_results(folder), lambda: None if video is None else probe(video))
+        number = camera_number(result, camera, video)
+        if video is not None:
+            _check_video(result, number, video, info, first_frame)
+        return result, number
+
+    (result, number), *_ = all_of(opened, *checks)
+    return result, number, result.cameras[number].image_size_px
+
+
+def camera_number(result: Results, camera: str | None, video: Path | None) -> int:
+    """By name, or by the video's, which may contain it; without either the first. Raises InputError."""
+    names = [one.name for one in result.cameras]
+    if camera is None and video is not None and len(names) > 1:
+        named = [*cameras_in(video.stem, names)]
+        camera = named[0] if len(named) == 1 else None
+    if camera in names:
+        return names.index(camera)
+    if camera is None and (len(names) == 1 or video is None):
+        return 0
+    found = "nothing" if camera is None else camera
+    raise InputError(Problem("--camera-name", "camera", found, f"one of {', '.join(names)}, whose video it is"))
+
+
+def overlay_of(result: Results, speed: float = 1.0, zoom: int = 1, number: int = 0) -> Overlay:
+    """What there is to draw of a result in a camera's picture, by its number, enlarged by zoom. Raises InputError
+    where its files do not fit each other."""
+    reprojected = _reprojection(result, number)
+    # Reprojected less detected, joints x {x, y} x frames; null is None, which becomes NaN.
+    values = result.report["image_error_px"]["values"]
+    values = result.report["image_error_px"]["others"][number - 1] if number else values
+    errors = np.array(values, dtype=float).transpose(2, 0, 1)
+    at = {name: j for j, name in enumerate(result.pose.names)}
+    row = {int(frame): t for t, frame in enumerate(result.pose.frames)}
+    outliers = np.zeros(errors.shape[:2], dtype=bool)
+    for outlier in result.report["outliers"]:
+        if outlier.get("camera", result.camera.name) != result.cameras[number].name:
+            continue
+        outliers[row[outlier["frame"]], at[outlier["keypoint"]]] = True
+    rear, front = (at[name] for name in result.forward)
+    return Overlay(
+        frames=result.pose.frames,
+        fps=result.fps,
+        limbs=list(result.limbs.values()),
+        colours=[SIDES[result.limb_sides[limb]] for limb in result.limbs],
+        detected_px=_enlarged(reprojected.xy_px - errors, zoom),
+        reprojected_px=_enlarged(reprojected.xy_px, zoom),
+        outliers=outliers,
+        depth_m=np.einsum("tjk,tk->tj", result.pose.xyz_m, _viewing_directions(result, number)),
+        upright_m=result.pose.xyz_m,
+        trunk=(rear, front),
+        flags=[*_flags(result, number)],
+        speed=speed,
+    )
+
+
+def _flags(result: Results, number: int) -> Iterator[list[str]]:
+    """By frame: what is doubtful about it in a camera's picture, without what is wrong with others' detections."""
+    own = [
+        (FLAGS.get(mistake["kind"]), *mistake["frames"])
+        for mistake in result.report.get("mistakes", ())
+        if mistake["camera"] in (None, result.cameras[number].name)
+    ]
+    for frame, flags in zip(result.pose.frames.tolist(), result.flags, strict=True):
+        here = {flag for flag, first, stop in own if first <= frame < stop}
+        yield [flag for flag in flags if flag in here or flag not in FLAGS.values()]
+
+
+def _enlarged(xy_px: Array, zoom: int) -> Array:
+    """Pixels' centres are whole numbers, before and after."""
+    return zoom * xy_px + 0.5 * (zoom - 1)
+
+
+def _viewing_directions(result: Results, number: int) -> Array:
+    """(T, 3): unit vectors along a camera's axis in the upright frame (`recon.fit.results`), zero where it is not
+    known."""
+    track = result.track(number)
+    if track is not None:
+        return np.nan_to_num(np.array(track["rotation"], dtype=float)[:, 2])
+    rotation = result.cameras[number].rotation
+    ahead = np.array([0.0, 0.0, 1.0]) if rotation is None else rotation[2]
+    return np.tile(result.R_upright_reference @ ahead, (len(result.pose.frames), 1))
+
+
+def _reprojection(result: Results, number: int) -> Keypoints:
+    files = camera_files("reprojection.csv", [camera.name for camera in result.cameras])
+    path = result.folder / files[number]
+    result.manifest.require(path.name)
+    found = read_keypoints(path)
+    result.manifest.require_same()
+    if found.names != result.pose.names or not np.array_equal(found.frames, result.pose.frames):
+        raise InputError(Problem(path, "content", "other joints or frames", "those of pose3d.csv, of the same fit"))
+    return found
+
+
+def _check_video(result: Results, number: int, video: Path, info: VideoInfo, first_frame: int) -> None:
+    problems = []
+    size = result.cameras[number].image_size_px
+    if info.size_px != size:
+        expected = f"{size[0]}x{size[1]}, the size that the camera is calibrated for"
+        problems.append(Problem(video, "size", f"{info.size_px[0]}x{info.size_px[1]}", expected))
+    first = int(result.pose.frames.min())
+    if first_frame > first:
+        expected = f"{first} or less: the result begins with frame {first}"
+        problems.append(Problem("--first-frame", "number", str(first_frame), expected))
+    if problems:
+        raise InputError(problems)
+
+
+def _check_speed(speed: float | None) -> None:
+    if speed is not None and not 0 < speed <= 10:
+        raise InputError(Problem("--speed", "factor", f"{speed:g}", "more than 0 and at most 10; 1 is real time"))
+
+
+def _check_out(out: Path, overwrite: bool, video: Path) -> None:
+    require_codec(out)
+    require_free_file(out, overwrite, source=video)
+
+
+def _check_count(count: int) -> None:
+    if not 1 <= count <= MOST:
+        raise InputError(Problem("--count", "number", str(count), f"1 to {MOST} frames"))

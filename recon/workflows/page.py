@@ -1,0 +1,84 @@
+"""Pages to look at: `report.html` of a result, `summary.html` of a batch."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from recon.base.files import sole_writer, staged_file
+from recon.base.progress import Progress, silent
+from recon.fit.results import REPORT, Results
+from recon.show.overlay import draw_tiles
+from recon.show.page import PAGE, require_own_page
+from recon.show.page.clip import Still, clip_page
+from recon.show.page.render import jpeg
+from recon.workflows.batch import available_cores
+from recon.workflows.batch.inputs import SUMMARY
+from recon.workflows.batch.pool import Event, LocalPool, carry_out
+from recon.workflows.batch.summary import write_summary_page
+from recon.workflows.overlay import overlay_of, pictures_of, result_and_video, rows_to_show
+
+STILLS = 9
+BESIDE = ("overlay.mp4", "analysis/analysis.json")
+"""Files that a page has links to, besides the fit's own, where they are there when it is made."""
+
+
+def run_page(
+    folder: Path,
+    *,
+    video: Path | None = None,
+    first_frame: int = 0,
+    camera: str | None = None,
+    progress: Progress = silent,
+) -> Path:
+    """`recon report`: the page of a result, in its folder; an earlier one is replaced. video: what is behind the
+    pictures, plain without one; the others: see `run_overlay`. Raises InputError, with every problem."""
+    page = folder / PAGE
+    result, number, _ = result_and_video(folder, video, camera, first_frame, lambda: require_own_page(page))
+    progress("pictures", 0.1)
+    stills = _stills(result, video, first_frame, number)
+    progress("figures", 0.3)
+    html = clip_page(result, stills, None if video is None else video.name, _files(result), number)
+    with staged_file(page) as staged:
+        staged.write_text(html, encoding="utf-8")
+    return page
+
+
+def _stills(result: Results, video: Path | None, first_frame: int, number: int) -> list[Still]:
+    overlay = overlay_of(result, number=number)
+    rows = rows_to_show(overlay, STILLS)
+    if not len(rows):
+        return []
+    pictures = None if video is None else pictures_of(video, result, rows, first_frame)
+    tiles = draw_tiles(overlay, rows, pictures)
+    return [Still(jpeg(tile), f"frame {overlay.frames[t]}") for tile, t in zip(tiles, rows, strict=True)]
+
+
+def _files(result: Results) -> list[str]:
+    names = [*BESIDE, *sorted(result.manifest.files)]
+    return [name for name in names if (result.folder / name).is_file()]
+
+
+def is_batch(folder: Path) -> bool:
+    """Whether a folder holds results of many clips, rather than of one."""
+    return (folder / SUMMARY).is_file() and not (folder / REPORT).is_file()
+
+
+def run_batch_pages(out: Path, jobs: int | None = None, progress: Progress = silent) -> tuple[Path, dict[str, str]]:
+    """`recon report` on the folder of a batch: the page of every result in it, in parallel, and the summary's page; its
+    path, and what went wrong by clip. jobs: as `run_batch`."""
+    failed: dict[str, str] = {}
+    with sole_writer(out):
+        clips = [path.parent for path in sorted(out.glob(f"*/{REPORT}"))]
+        done = 0
+
+        def tell(event: Event) -> None:
+            nonlocal done
+            if event.kind == "ended":
+                done += 1
+                if event.outcome["status"] == "failed":
+                    failed[event.clip] = event.outcome["error"]
+                progress(f"{done} of {len(clips)} pages", done / len(clips))
+
+        tasks = [(clip.name, {"work": "page", "out": str(clip.absolute())}) for clip in clips]
+        carry_out(LocalPool(jobs or available_cores(), retries=0), tasks, tell)
+        return write_summary_page(out), failed

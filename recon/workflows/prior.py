@@ -1,0 +1,345 @@
+"""Results of fits or 3D poses of a class of motions in, a motion prior out."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+
+from recon.animal.body import Body
+from recon.animal.prior import (
+    FRAMES_PER_COMPONENT,
+    MotionPrior,
+    as_one_gaussian,
+    fit_prior,
+    log_likelihood,
+    mean_speed_m_s,
+    save_prior,
+)
+from recon.animal.skeleton_file import load_skeleton
+from recon.base.arrays import Array, Integers
+from recon.base.documents import read_json
+from recon.base.errors import InputError, Problem, all_of
+from recon.base.files import require_free_file
+from recon.fit.points import MIN_MARKERS, solve_points_and_size
+from recon.fit.results import Results, read_results
+from recon.io.pose3d import Pose3D, read_pose_segments
+from recon.workflows.batch.inputs import file_names
+
+Segment = tuple[str, Array, float]
+"""Name, states (T, D), frames per second."""
+T = TypeVar("T")
+
+
+@dataclass(frozen=True, eq=False)
+class Piece:
+    """A continuous piece of motion."""
+
+    name: str
+    states: Array
+    """(T, D): NaN where it is not known."""
+    fps: float
+    rms_mm: float = math.nan
+    """The body's misfit to a pose file, NaN where no frame had enough markers."""
+
+
+@dataclass(frozen=True)
+class HeldOut:
+    """Mean log-likelihood per frame of segments that a prior was not fitted to, each left out once."""
+
+    mixture: float
+    """Of the mixture."""
+    one_gaussian: float
+    """Of one Gaussian."""
+    components: int
+    """The fewest of all these fits."""
+
+
+@dataclass(frozen=True, eq=False)
+class PriorFit:
+    """A prior, and what there is to say of it."""
+
+    prior: MotionPrior
+    rms_mm: tuple[float, ...]
+    """Of each segment of prior.segments, see `Piece`."""
+    sizes: dict[Path, float]
+    """The factor on the body's lengths by pose file."""
+    lacking: tuple[str, ...]
+    """Markers of the body that no pose file has."""
+    frames: int
+    """That the prior was fitted to."""
+    left_out: int
+    """Frames of results that have a flag or no pose."""
+    held_out: HeldOut | None
+    """None if it was not asked for, or if no segment can be left out."""
+    components_asked: int
+    """The prior has as many, or what its frames allow."""
+
+    def to_dict(self) -> dict[str, Any]:
+        """The table of segments and what is said beside it, as plain types; unknown is None."""
+        rows = zip(self.prior.segments, self.rms_mm, strict=True)
+        return {
+            "segments": [asdict(row) | {"misfit_mm": rms if math.isfinite(rms) else None} for row, rms in rows],
+            "components": len(self.prior.weights),
+            "components_asked": self.components_asked,
+            "sizes": {str(path): size for path, size in self.sizes.items()},
+            "lacking": list(self.lacking),
+            "frames": self.frames,
+            "left_out": self.left_out,
+            "held_out": None if self.held_out is None else asdict(self.held_out),
+        }
+
+    def notes(self) -> Iterator[str]:
+        """What there is to say beside the table of segments."""
+        rows = self.prior.segments
+        used = f"{sum(row.used for row in rows)} of {len(rows)} segments, {self.frames} frames"
+        yield f"Used: {used} and their mirror images."
+        if len(self.prior.weights) < self.components_asked:
+            yield (
+                f"{len(self.prior.weights)} components in place of {self.components_asked}: each takes "
+                f"{FRAMES_PER_COMPONENT} frames."
+            )
+        if self.left_out:
+            yield f"{self.left_out} frames of results have a flag or no pose: left out."
+        if self.lacking:
+            yield f"Markers that no file has: {', '.join(self.lacking)}"
+        for path, size in self.sizes.items():
+            if size != 1.0:
+                yield f"{path}: {size:.3f} times the skeleton's lengths"
+        if self.held_out is not None:
+            yield (
+                f"Held-out log-likelihood per frame: {self.held_out.mixture:.2f} with {self.held_out.components} "
+                f"components, {self.held_out.one_gaussian:.2f} with one Gaussian"
+            )
+
+
+def run_prior_fit(
+    poses: Sequence[Path],
+    out: Path,
+    skeleton: str | None = None,
+    fps: str | None = None,
+    subject: str | None = None,
+    name: str | None = None,
+    source: str = "",
+    components: int = 16,
+    min_speed_m_s: float = 0.0,
+    estimate_size: bool = False,
+    apart: Sequence[str] = (),
+    check: bool = False,
+    overwrite: bool = False,
+) -> PriorFit:
+    """`recon prior fit`: fit a prior to results of `recon fit`, which are folders, and to pose files, and write it.
+
+    Of results, frames without a pose or with a flag are left out. skeleton: None for that of the results. fps: of the
+    pose files, a number, or a JSON file with one for every piece of motion in their order; None without any. Raises
+    InputError for files and options that cannot be used, with the problems of all of them.
+    """
+    paths = list(dict.fromkeys(poses))
+    folders, tables = [path for path in paths if path.is_dir()], [path for path in paths if not path.is_dir()]
+    given, results, files, rates, *_ = all_of(
+        lambda: _body(skeleton, subject, folders),
+        lambda: _by_path(_results, folders),
+        lambda: _by_path(read_pose_segments, tables),
+        lambda: _rates(fps, tables),
+        lambda: require_free_file(out, overwrite, suffixes=(".npz",)),
+        lambda: _check_options(components, min_speed_m_s),
+    )
+    body = _common_body(given, results)
+    all_of(lambda: _require_markers(body, files), lambda: _require_rates(rates, files, fps or "--fps"))
+
+    names = file_names([*dict.fromkeys(path.absolute() for path in paths)])
+    of_results = [Piece(names[path.absolute()], _sound_states(one), one.fps) for path, one in results.items()]
+    of_files, sizes = _solved_pieces(body, files, _labels(files, names), rates, estimate_size)
+    pieces = [*of_results, *of_files]
+    segments = [(piece.name, piece.states, piece.fps) for piece in pieces]
+    frames = _used_frames(segments, min_speed_m_s)
+    fits = min(components, max(frames // FRAMES_PER_COMPONENT, 1))
+    prior = fit_prior(body, segments, name or out.stem, source, fits, min_speed_m_s=min_speed_m_s, apart=apart)
+    held_out = _held_out(body, segments, prior) if check else None
+    save_prior(prior, out)
+    rms_mm = tuple(piece.rms_mm for piece in pieces)
+    left_out = sum(int(np.isnan(piece.states[:, 0]).sum()) for piece in of_results)
+    return PriorFit(prior, rms_mm, sizes, _lacking(body, files), frames, left_out, held_out, components)
+
+
+def _lacking(body: Body, files: Mapping[Path, Mapping[str, Pose3D]]) -> tuple[str, ...]:
+    there = {joint for pieces in files.values() for pose in pieces.values() for joint in pose.names}
+    return tuple(marker for marker in body.markers if files and marker not in there)
+
+
+def _sound_states(results: Results) -> Array:
+    """(T, D), NaN in frames without a pose and in those that a flag calls doubtful."""
+    flagged = np.array([bool(flags) for flags in results.flags])
+    return np.where(flagged[:, None], np.nan, results.states)
+
+
+def _solved_pieces(
+    body: Body,
+    files: Mapping[Path, Mapping[str, Pose3D]],
+    labels: Mapping[tuple[Path, str], str],
+    rates: Sequence[float],
+    estimate_size: bool,
+) -> tuple[list[Piece], dict[Path, float]]:
+    """The pieces of pose files as states, and the factor on the body's lengths of each file."""
+    pieces: list[Piece] = []
+    sizes: dict[Path, float] = {}
+    rate = iter(rates if len(rates) > 1 else list(rates) * sum(map(len, files.values())))
+    for path, of_file in files.items():
+        points_m = np.concatenate([pose.of_joints(body.markers) for pose in of_file.values()])
+        states, rms_m, sizes[path] = _states_of_points(body, points_m, None if estimate_size else 1.0, path)
+        first = 0
+        for piece, pose in of_file.items():
+            piece_fps = next(rate)
+            for part, suffix in _without_gaps(pose.frames):
+                own = slice(first + part.start, first + part.stop)
+                known = rms_m[own][np.isfinite(rms_m[own])]
+                rms_mm = 1e3 * float(np.sqrt(np.mean(known**2))) if len(known) else math.nan
+                pieces.append(Piece(labels[path, piece] + suffix, states[own], piece_fps, rms_mm))
+            first += len(pose.frames)
+    return pieces, sizes
+
+
+def _labels(files: Mapping[Path, Mapping[str, Pose3D]], names: Mapping[Path, str]) -> dict[tuple[Path, str], str]:
+    """A name of its own for every piece of motion: that in the file, or the file's of `names`, or both."""
+    count = Counter(piece for pieces in files.values() for piece in pieces)
+    labels = {}
+    for path, pieces in files.items():
+        for piece in pieces:
+            if piece == path.stem and len(names) > 1:
+                labels[path, piece] = names[path.absolute()]
+            else:
+                plain = len(names) == 1 or (len(pieces) == 1 and count[piece] == 1)
+                labels[path, piece] = piece if plain else f"{names[path.absolute()]} {piece}"
+    return labels
+
+
+def _used_frames(segments: Sequence[Segment], min_speed_m_s: float) -> int:
+    return sum(
+        int(np.isfinite(states).all(axis=1).sum())
+        for _, states, fps in segments
+        if mean_speed_m_s(states, fps) >= min_speed_m_s
+    )
+
+
+def _held_out(body: Body, segments: Sequence[Segment], prior: MotionPrior) -> HeldOut | None:
+    used = [segment for segment, row in zip(segments, prior.segments, strict=True) if row.used]
+    frames = [int(np.isfinite(states).all(axis=1).sum()) for _, states, _ in used]
+    scores, weights, fewest = [], [], len(prior.weights)
+    for i, (_, states, _) in enumerate(used):
+        components = min(len(prior.weights), (sum(frames) - frames[i]) // FRAMES_PER_COMPONENT)
+        if components and frames[i]:
+            rest = fit_prior(body, used[:i] + used[i + 1 :], components=components)
+            scores.append((log_likelihood(rest, states), log_likelihood(as_one_gaussian(rest), states)))
+            weights.append(frames[i])
+            fewest = min(fewest, components)
+    if not scores:
+        return None
+    mixture, one_gaussian = np.average(scores, axis=0, weights=weights).tolist()
+    return HeldOut(mixture, one_gaussian, fewest)
+
+
+# -- input --------------------------------------------------------------------------------------------------------
+
+
+def _body(skeleton: str | None, subject: str | None, folders: Sequence[Path]) -> Body | None:
+    """As given; None where results have it."""
+    if skeleton is None:
+        if folders and subject is None:
+            return None
+        expected = f"a whole animal's{'' if folders else ', or results of `recon fit`'}"
+        raise InputError(Problem("--skeleton", "name or file", "nothing", expected))
+    body = load_skeleton(skeleton, subject)
+    if body.one_sided:
+        raise InputError(Problem("--skeleton", "name or file", repr(skeleton), "a whole animal, with [[segments]]"))
+    return body
+
+
+def _common_body(given: Body | None, results: Mapping[Path, Results]) -> Body:
+    bodies = ({} if given is None else {Path("--skeleton"): given}) | {path: one.body for path, one in results.items()}
+    if len({(body.name, body.state_names) for body in bodies.values()}) > 1:
+        found = ", ".join(f"{path}: {body.name}" for path, body in bodies.items())
+        raise InputError(Problem("POSES", "skeleton", found, "the same for all, with the same angles"))
+    return next(iter(bodies.values()))
+
+
+def _by_path(read: Callable[[Path], T], paths: Sequence[Path]) -> dict[Path, T]:
+    return dict(zip(paths, all_of(*(lambda path=path: read(path) for path in paths)), strict=True))
+
+
+def _results(folder: Path) -> Results:
+    results = read_results(folder)
+    if results.body.one_sided:
+        raise InputError(Problem(folder, "skeleton", results.body.name, "a whole animal, with [[segments]]"))
+    return results
+
+
+def _rates(fps: str | None, tables: Sequence[Path]) -> list[float]:
+    """The number, or those of a JSON file; none where there are no pose files."""
+    expected = 'frames per second above 0, as in 120, or a JSON file with {"fps": [120, 90]}'
+    if fps is None and not tables:
+        return []
+    if fps is None or not tables:
+        wanted = expected if tables else "nothing: results have their own"
+        raise InputError(Problem("--fps", "frame rate", fps or "nothing", wanted))
+    try:
+        rates = [float(fps)]
+    except ValueError:
+        path = Path(fps)
+        if not path.is_file():
+            raise InputError(Problem("--fps", "frame rate", repr(fps), expected)) from None
+        try:
+            rates = read_json(path, expected)["fps"]
+            rates = [float(rate) for rate in (rates if isinstance(rates, list) else [rates])]
+        except InputError:
+            raise
+        except (ValueError, KeyError, TypeError, OverflowError):
+            raise InputError(Problem(path, "fps", "no such list of numbers", expected)) from None
+    if not rates or not all(math.isfinite(rate) and rate > 0 for rate in rates):
+        raise InputError(Problem("--fps", "frame rate", ", ".join(f"{rate:g}" for rate in rates) or "none", expected))
+    return rates
+
+
+def _check_options(components: int, min_speed_m_s: float) -> None:
+    problems = []
+    if components < 1:
+        problems.append(Problem("--components", "number", f"{components}", "1 or more"))
+    if not (math.isfinite(min_speed_m_s) and min_speed_m_s >= 0):
+        problems.append(Problem("--min-speed-m-s", "speed", f"{min_speed_m_s:g}", "0 m/s or more"))
+    if problems:
+        raise InputError(problems)
+
+
+def _require_markers(body: Body, files: dict[Path, dict[str, Pose3D]]) -> None:
+    problems = []
+    for path, pieces in files.items():
+        names = next(iter(pieces.values())).names
+        there = sum(marker in names for marker in body.markers)
+        if there < MIN_MARKERS:
+            expected = f"at least {MIN_MARKERS} markers of {body.name}: {', '.join(body.markers)}"
+            problems.append(Problem(path, "joints", f"{there} of {len(body.markers)}: {', '.join(names)}", expected))
+    if problems:
+        raise InputError(problems)
+
+
+def _require_rates(rates: list[float], files: dict[Path, dict[str, Pose3D]], fps: str) -> None:
+    pieces = sum(len(pieces) for pieces in files.values())
+    if len(rates) not in (1, pieces):
+        raise InputError(Problem(fps, "fps", f"{len(rates)} numbers", f"one, or {pieces}: one for every piece"))
+
+
+def _states_of_points(body: Body, points_m: Array, size: float | None, path: Path) -> tuple[Array, Array, float]:
+    if not (np.isfinite(points_m).all(axis=2).sum(axis=1) >= MIN_MARKERS).any():
+        raise InputError(Problem(path, "frames", "too few points in each", f"{MIN_MARKERS} markers in some frame"))
+    return solve_points_and_size(body, points_m, size)
+
+
+def _without_gaps(frames: Integers) -> Iterator[tuple[slice, str]]:
+    """The rows between two jumps of the frame numbers, and what sets their name apart."""
+    jumps = (np.nonzero(np.diff(frames) != 1)[0] + 1).tolist()
+    for start, stop in zip([0, *jumps], [*jumps, len(frames)], strict=True):
+        yield slice(start, stop), f" from {frames[start]}" if jumps else ""

@@ -1,0 +1,76 @@
+"""`recon run` on a folder of videos: a batch of it, in the worker processes of `recon.workflows.batch`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from recon.base.errors import InputError, Problem
+from recon.base.files import sole_writer
+from recon.io import READERS
+from recon.io.video import SUFFIXES
+from recon.show.page import SUMMARY_PAGE, require_own_page
+from recon.workflows.batch import available_cores, work_off
+from recon.workflows.batch.inputs import Clip, file_names
+from recon.workflows.batch.pool import Event, LocalPool
+from recon.workflows.batch.record import Planned, identity
+from recon.workflows.batch.summary import Summary
+from recon.workflows.run import Job, job_of
+
+
+def jobs_of(
+    folder: Path,
+    out: Path,
+    given: Mapping[str, Any],
+    config: Path | None = None,
+    *,
+    keypoints: Path | None = None,
+    **more: Any,
+) -> list[Job]:
+    """One for each video of a folder, into a folder with its name. keypoints: a folder with the file of each video;
+    the others: see `job_of`. Raises InputError with the problems of all."""
+    videos = sorted(p for p in folder.iterdir() if p.suffix.lower() in SUFFIXES and not p.name.startswith("."))
+    if not videos:
+        raise InputError(Problem(folder, "files", "no videos", f"files that end in {', '.join(SUFFIXES)}"))
+    names = file_names(videos)
+    jobs, problems = [], []
+    for video in videos:
+        try:
+            own = None if keypoints is None else keypoints_of(video, keypoints)
+            jobs.append(job_of(video, out / names[video], given, config, keypoints=own, **more))
+        except InputError as error:
+            problems += error.problems
+    if problems:
+        raise InputError(dict.fromkeys(problems))  # what all videos have in common is said once
+    return jobs
+
+
+def keypoints_of(video: Path, folder: Path) -> Path:
+    """The file of a folder that is called as the video, or as DeepLabCut calls its keypoints; of the same in two
+    formats the last. Raises InputError where there is none, or several."""
+    if not folder.is_dir():
+        raise InputError(Problem("--keypoints", "folder", str(folder), "a folder with a file for each video"))
+    called = [p for p in sorted(folder.iterdir()) if p.stem == video.stem or p.stem.startswith(f"{video.stem}DLC")]
+    files = {path.stem: path for path in called if path != video and any(reader.recognises(path) for reader in READERS)}
+    if len(files) != 1:
+        found = ", ".join(path.name for path in files.values()) or "none"
+        expected = f"one keypoint file called {video.stem}, or {video.stem}DLC..."
+        raise InputError(Problem(folder, f"keypoints of {video.name}", found, expected))
+    return next(iter(files.values()))
+
+
+def run_folder(
+    jobs: Sequence[Job],
+    out: Path,
+    processes: int | None = None,
+    on_event: Callable[[Event, Summary], None] = lambda event, summary: None,
+) -> Summary:
+    """`run_video` for all jobs, and summary.csv and summary.html of them in `out`. processes: at a time, by default one
+    for each core, each with one thread. A video that fails stops nothing; KeyboardInterrupt as in `run_batch`."""
+    with sole_writer(out):
+        require_own_page(out / SUMMARY_PAGE)
+        plan = [Planned(Clip(job.out.name, job.settings), job.out, "new", "", identity(job.settings)) for job in jobs]
+        tasks = [(job.out.name, {"work": "run", "job": replace(job, threads=1).plain()}) for job in jobs]
+        return work_off(plan, out, LocalPool(processes or available_cores(), retries=0), tasks, on_event)

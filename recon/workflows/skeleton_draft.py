@@ -1,0 +1,138 @@
+"""A skeleton file from the names of a detector's keypoints: the quadruped's segments, with markers of these names."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from recon.animal.body import PLACES, Body, other_side, side_of
+from recon.animal.chain import MIN_JOINTS
+from recon.animal.naming import fitting_maps, load_names, suggestions
+from recon.animal.skeleton_file import load_skeleton
+from recon.base.errors import InputError, Problem
+from recon.base.files import require_free_file, staged_file
+from recon.base.package import builtin_file
+from recon.geometry.kinematics import Marker
+from recon.io import read_keypoints
+
+BASE = "quadruped"
+REAR, FRONT = ("tail_base", "l_hip", "spine"), ("neck_base", "withers", "l_shoulder", "nose")
+"""Markers of it that `forward` may begin and end with, the best first."""
+
+
+@dataclass(frozen=True)
+class Draft:
+    """A skeleton file, to be completed."""
+
+    text: str
+    markers: dict[str, str]
+    """The file's keypoints that have a place, and the quadruped's markers that they are taken for."""
+    others: tuple[str, ...]
+    """Those that have none yet."""
+
+
+def run_skeleton_draft(keypoints: Path, out: Path, individual: str | None = None, overwrite: bool = False) -> Draft:
+    """`recon skeleton from-keypoints`: write a draft of a skeleton for a keypoint file. Raises InputError."""
+    require_free_file(out, overwrite, source=keypoints)
+    draft = draft_skeleton(read_keypoints(keypoints, individual).names, out.stem, keypoints)
+    with staged_file(out) as staged:
+        staged.write_text(draft.text, encoding="utf-8")
+    return draft
+
+
+def draft_skeleton(names: Sequence[str], title: str, source: Path) -> Draft:
+    """Raises InputError where too few names are understood to place an animal, or none of either end of its trunk."""
+    body = load_skeleton(BASE)
+    known = _understood(names, body.markers)
+    called = {marker: name for name, marker in known.items()}
+    rear, front = (next((called[m] for m in ends if m in called), None) for ends in (REAR, FRONT))
+    if rear is None or front is None or len(known) < MIN_JOINTS:
+        found = f"{', '.join(names)}: of these, {', '.join(known) or 'none'} can be placed"
+        expected = (
+            f"at least {MIN_JOINTS}, one of them at the rear of the trunk ({', '.join(REAR)}) and one at its front "
+            f"({', '.join(FRONT)}); or a skeleton written by hand"
+        )
+        raise InputError(Problem(source, "bodyparts", found, expected))
+    others = tuple(name for name in names if name not in known)
+    parts = (_head(title, source, rear, front, called, body, others), _segments(body, names))
+    return Draft("".join((*parts, *_markers(body, called), *_limbs(body, called))), known, others)
+
+
+def _understood(names: Sequence[str], markers: Sequence[str]) -> dict[str, str]:
+    """Markers by keypoint: of the same name, of the built-in map that knows most of them, or a near miss."""
+    maps = fitting_maps(names, markers)
+    by = load_names(maps[0]).names if maps else {}
+    known: dict[str, str] = {}
+    for name in names:
+        marker = by.get(name, name)
+        if marker in markers and marker not in known.values():
+            known[name] = marker
+    lacking = [marker for marker in markers if marker not in known.values()]
+    return known | suggestions([name for name in names if name not in known], lacking)
+
+
+def _head(
+    title: str, source: Path, rear: str, front: str, called: dict[str, str], body: Body, others: Iterable[str]
+) -> str:
+    labels = dict(zip(PLACES.values(), PLACES, strict=True))
+    feet = {labels[label]: called[foot] for label, foot in body.feet_by_label().items() if foot in called}
+    lines = [
+        f"# A draft for the keypoints of {_text(source.name)}: proportions and expectations are those of the skeleton",
+        f"# {BASE}, which are no animal's, and its markers are called as the keypoints. Look at it with recon skeleton",
+        "# check, and replace the lengths by those of your animal. The fields are explained in docs/skeletons.md.",
+        *([f"# Keypoints without a place yet: {', '.join(others)}"] if others else []),
+        f"name = {_text(title)}",
+        f"title = {_text(f'{title}, drafted from the names of its keypoints')}",
+        f"forward = [{_text(rear)}, {_text(front)}]",
+        f"keypoint_sigma_m = {body.keypoint_sigma_m}",
+        f"size_sigma = {body.size_sigma}",
+        "",
+        "[feet]",
+        *(f"{place} = {_text(foot)}" for place, foot in feet.items()),
+    ]
+    return "\n".join(lines) + "\n\n"
+
+
+def _segments(body: Body, names: Sequence[str]) -> str:
+    """As they stand in the skeleton's own file; those that are called as a keypoint get another name."""
+    text = builtin_file("animal/skeletons", f"{BASE}.toml").read_text(encoding="utf-8")
+    text = text[text.index("[[segments]]") : text.index("[[markers]]")]
+    for segment in body.tree.segments:
+        if segment.name in names:
+            text = text.replace(f'"{segment.name}"', f'"{_segment(segment.name, names)}"')
+    return text
+
+
+def _segment(segment: str, names: Iterable[str]) -> str:
+    return f"{segment}_part" if segment in names else segment
+
+
+def _markers(body: Body, called: dict[str, str]) -> Iterator[str]:
+    """Pairs of which the names are a pair's, too, are written once."""
+    for marker in body.tree.markers:
+        if marker.name in called:
+            twin = called.get(other_side(marker.name))
+            paired = twin is not None and twin == other_side(called[marker.name])
+            if not paired or side_of(called[marker.name]) != "right":
+                yield _marker(marker, called, mirrored=paired and side_of(called[marker.name]) == "left")
+
+
+def _marker(marker: Marker, called: dict[str, str], mirrored: bool) -> str:
+    lines = [f"name = {_text(called[marker.name])}", f"segment = {_text(_segment(marker.segment, called.values()))}"]
+    lines += ["mirrored = true"] * mirrored
+    lines += [f"at_m = {list(marker.offset_m)}"] * any(marker.offset_m)
+    return "\n".join(["[[markers]]", *lines]) + "\n\n"
+
+
+def _limbs(body: Body, called: dict[str, str]) -> Iterator[str]:
+    yield "[limbs]\n"
+    for limb, along in body.limbs.items():
+        there = [_text(called[marker]) for marker in along if marker in called]
+        if len(there) > 1:
+            yield f"{_text(limb)} = [{', '.join(there)}]\n"
+
+
+def _text(text: str) -> str:
+    return json.dumps(text, ensure_ascii=False)

@@ -1,0 +1,186 @@
+"""Clips that several cameras filmed in, one animal's lengths and its detector's offsets out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from recon.animal.detector import NONE, detector_toml
+from recon.animal.skeleton_file import subject_toml
+from recon.base.arrays import Array
+from recon.base.errors import InputError, Problem, all_of
+from recon.base.files import require_free_file, staged_file
+from recon.clip import views_of
+from recon.fit.points import MIN_MARKERS, solve_points
+from recon.fit.setting import Setting
+from recon.fit.shape import POSED_OFFSET_SIGMA_M, Shape, ShapeFit, fit_shape
+from recon.io.pose3d import Pose3D, read_pose3d
+from recon.workflows.clip import prepare
+from recon.workflows.made_from import read_config
+from recon.workflows.settings import FitSettings
+
+CONFIG = "config.toml"
+LEAST_SIZE_SIGMA = 0.01
+"""Of a measured animal: its lengths are known no better than a keypoint's place on it is."""
+
+
+@dataclass(frozen=True, eq=False)
+class SubjectFit:
+    """What was found, of `frames` frames with enough detections in `clips` clips."""
+
+    fit: ShapeFit
+    clips: int
+    frames: int
+    size: float
+    """The lengths' mean factor on the skeleton's, and its standard deviation."""
+    size_sigma: float
+
+    def rows(self) -> Iterator[tuple[str, float, float, str]]:
+        """Name, value, standard deviation and unit: lengths in metres, offsets in millimetres."""
+        shape, values, sigma = self.fit.shape, self.fit.values, self.fit.sigma
+        body = shape.applied(shape.body, values)
+        items = {item.name: item for item in (*body.tree.segments, *body.tree.markers)}
+        for name, s in zip(shape.lengths, sigma, strict=False):
+            length = float(np.linalg.norm(items[name].offset_m))
+            yield name, length, float(length * s), "m"
+        first = len(shape.lengths)
+        for name, value, s in zip(shape.names[first:], values[first:], sigma[first:], strict=True):
+            yield name, 1e3 * float(value), 1e3 * float(s), "mm"
+
+    def to_dict(self) -> dict[str, Any]:
+        """As plain types."""
+        rows = [dict(zip(("name", "value", "sigma", "unit"), row, strict=True)) for row in self.rows()]
+        return {
+            "clips": self.clips,
+            "frames": self.frames,
+            "converged": self.fit.converged,
+            "size": self.size,
+            "size_sigma": self.size_sigma,
+            "values": rows,
+        }
+
+
+def run_subject_fit(
+    clips: Sequence[Path],
+    out: Path,
+    lengths: bool = True,
+    offsets: bool = False,
+    title: str | None = None,
+    overwrite: bool = False,
+    poses: Sequence[Path] = (),
+) -> SubjectFit:
+    """`recon subject fit`: measure an animal and its detector, and write the subject file; without lengths, the
+    detector file.
+
+    clips: result folders of `recon fit`, or their config.toml. lengths: of the segments; offsets: of the keypoints from
+    the markers. poses: of each clip, its 3D poses in the cameras' world as another method knows them, and then the
+    offsets are those beside these. Raises InputError for clips and options that cannot be used, with the problems of
+    all of them.
+    """
+    settings, _, known = all_of(
+        lambda: all_of(*(_reader(path) for path in clips)),
+        lambda: _check_options(out, lengths, offsets, overwrite, clips, poses),
+        lambda: all_of(*(lambda path=path: read_pose3d(path) for path in poses)),
+    )
+    _require_one_skeleton(settings, clips)
+    if lengths:  # those of a measured animal would be measured again
+        settings = [replace(one, subject=None) for one in settings]
+    if offsets:
+        settings = [replace(one, detector=NONE) for one in settings]
+    each = zip(settings, clips, known or (None,) * len(clips), strict=True)
+    given = all_of(*(_setting_reader(*of) for of in each))
+    shape = Shape.of(given[0].body, lengths, offsets)
+    if known:
+        shape = replace(shape, offset_sigma_m=POSED_OFFSET_SIGMA_M)
+    try:
+        fit = fit_shape(shape, given)
+    except ValueError as error:
+        raise InputError(Problem(clips[0], "clips", str(error), "clips that `recon fit` can solve")) from None
+    n = len(shape.lengths)
+    size, sigma = 1.0, given[0].size_sigma
+    if n:
+        size = float(np.exp(fit.values[:n].mean()))
+        sigma = max(float(np.sqrt(fit.covariance[:n, :n].mean())), LEAST_SIZE_SIGMA)
+    frames = sum(int((one.present().sum(axis=1) > 0).sum()) for one in given)
+    found = SubjectFit(fit, len(clips), frames, size, sigma)
+    body = replace(shape.applied(shape.body, fit.values), size_sigma=sigma)
+    notes = [f"{name}: {value:.4g} ± {s:.2g} {unit}" for name, value, s, unit in found.rows()]
+    count = f"measured in {len(clips)} clip{'s' * (len(clips) > 1)}"
+    if lengths:
+        if not offsets:  # the detector's are not the animal's
+            body = replace(body, keypoint_offset_m={})
+        text = subject_toml(settings[0].skeleton_name, body, title or f"{shape.body.title}, {count}", notes)
+    else:
+        text = detector_toml(fit.seen(shape.body), title or f"a detector, {count}", notes)
+    with staged_file(out) as staged:
+        staged.write_text(text, encoding="utf-8")
+    return found
+
+
+# -- input --------------------------------------------------------------------------------------------------------
+
+
+def _check_options(
+    out: Path, lengths: bool, offsets: bool, overwrite: bool, clips: Sequence[Path], poses: Sequence[Path]
+) -> None:
+    if not lengths and not offsets:
+        raise InputError(Problem("--no-lengths", "unknowns", "nothing to fit", "--offsets with it, or without it"))
+    if poses and (lengths or not offsets):
+        raise InputError(Problem("--poses", "unknowns", "lengths, or no offsets", "--no-lengths --offsets beside it"))
+    if poses and len(poses) != len(clips):
+        raise InputError(Problem("--poses", "files", f"{len(poses)} for {len(clips)} clips", "one for each clip"))
+    require_free_file(out, overwrite, suffixes=(".toml",))
+
+
+def _reader(path: Path) -> Callable[[], FitSettings]:
+    config = path / CONFIG if path.is_dir() else path
+    return lambda: read_config(config, {})
+
+
+def _require_one_skeleton(settings: Sequence[FitSettings], clips: Sequence[Path]) -> None:
+    names = {one.skeleton_name for one in settings}
+    if len(names) > 1:
+        found = ", ".join(f"{path}: {one.skeleton_name}" for path, one in zip(clips, settings, strict=True))
+        raise InputError(Problem("CLIPS", "skeleton", found, "clips of the same skeleton"))
+
+
+def _setting_reader(settings: FitSettings, path: Path, pose: Pose3D | None) -> Callable[[], Setting]:
+    def read() -> Setting:
+        if settings.method != "trajectory":
+            raise InputError(Problem(path, "method", settings.method, "the trajectory method"))
+        given = prepare(settings)
+        model = given.model
+        if model.body.one_sided or model.prior is None:
+            expected = "a whole animal: a chain's lengths stand in its own skeleton file"
+            raise InputError(Problem(path, "skeleton", model.body.name, expected))
+        setting = Setting.of(views_of(given.sources), model.body, model.prior, given.fps, settings.trajectory_options())
+        if not setting.shows_size:
+            found = f"one camera that stands still, {given.sources[0].camera.name}"
+            raise InputError(
+                Problem(path, "cameras", found, "several cameras, or a moving one: one cannot tell lengths")
+            )
+        if pose is None:
+            return setting
+        return replace(setting, known=_states_known(setting, given.sources[0].keypoints.frames, pose))
+
+    return read
+
+
+def _states_known(setting: Setting, frames: NDArray[np.int_], pose: Pose3D) -> Array:
+    """(T, D): states of the setting's body, whose markers are nearest to a pose, NaN where it has none. Raises
+    InputError where it has no frame or too few of the markers."""
+    markers = setting.body.markers
+    _, mine, theirs = np.intersect1d(frames, pose.frames, return_indices=True)
+    points_m = np.full((len(frames), len(markers), 3), np.nan)
+    points_m[mine] = pose.of_joints(markers)[theirs]
+    states, _ = solve_points(setting.body, points_m)
+    if not np.isfinite(states).all(axis=1).any():
+        found = f"{len(mine)} of the clip's frames, {len({*markers} & {*pose.names})} of the skeleton's markers"
+        expected = f"{MIN_MARKERS} or more of {', '.join(markers)} in frames of the clip, numbered as its keypoints are"
+        raise InputError(Problem(pose.source or "--poses", "poses", found, expected))
+    return states
