@@ -16,10 +16,10 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
 from markdown_table import print_table
 
-from recon.robotics.robot.climb import Climb, Walker, bundled, check, load_recipe, plan
-from recon.robotics.robot.climb.equilibrium import MAX_EVALUATIONS
-from recon.robotics.robot.climb.margins import RULES
-from recon.robotics.robot.climb.plan import Method
+from recon.robotics.climb import Climb, Walker, bundled, check, load_recipe, plan
+from recon.robotics.climb.equilibrium import MAX_EVALUATIONS
+from recon.robotics.climb.margins import RULES
+from recon.robotics.climb.plan import Method
 from recon.robotics.robot.robot_file import load_robot
 
 RUNS = 5

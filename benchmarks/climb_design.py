@@ -10,9 +10,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from recon.robotics.robot.climb.fields import Fields, Well
-from recon.robotics.robot.climb.paths import Step
-from recon.robotics.robot.climb.recipe import Primitive, Recipe
+from recon.robotics.climb.fields import Fields, Well
+from recon.robotics.climb.paths import Step
+from recon.robotics.climb.recipe import Primitive, Recipe
 
 Array = NDArray[np.float64]
 

@@ -17,15 +17,15 @@ from climb_design import Design, Numbers, sampled
 from numpy.typing import NDArray
 from scipy.optimize import linprog
 
-from recon.robotics.robot.climb.check import check
-from recon.robotics.robot.climb.equilibrium import Torso, TorsoDynamics, between, moved, solve
-from recon.robotics.robot.climb.fields import Stand, evaluate
-from recon.robotics.robot.climb.margins import NONE, RULES, margins
-from recon.robotics.robot.climb.paths import Step, along, corners
-from recon.robotics.robot.climb.plan import plan
-from recon.robotics.robot.climb.plan import start as begin
-from recon.robotics.robot.climb.recipe import Recipe, raised
-from recon.robotics.robot.climb.walker import Walker
+from recon.robotics.climb.check import check
+from recon.robotics.climb.equilibrium import Torso, TorsoDynamics, between, moved, solve
+from recon.robotics.climb.fields import Stand, evaluate
+from recon.robotics.climb.margins import NONE, RULES, margins
+from recon.robotics.climb.paths import Step, along, corners
+from recon.robotics.climb.plan import plan
+from recon.robotics.climb.plan import start as begin
+from recon.robotics.climb.recipe import Recipe, raised
+from recon.robotics.climb.walker import Walker
 
 Array = NDArray[np.float64]
 

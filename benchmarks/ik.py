@@ -33,6 +33,7 @@ from recon.fit.points import solve_points_and_size
 from recon.gait.gait import pose_gait
 from recon.robotics.ik.animal import body_chain, body_chain_angles, chain_angles, planar_chain, spine_front_leg
 from recon.robotics.ik.chain import SerialChain
+from recon.robotics.ik.clip import stride_lasts_s
 from recon.robotics.ik.costs import HarmonicMap, joint_differences, pose_distance, rotational_energy
 from recon.robotics.ik.drive import Closures, degree_of_closure, drive_to, follow
 from recon.robotics.ik.fit import (
@@ -61,7 +62,6 @@ from recon.robotics.ik.methods import (
 from recon.robotics.ik.null_space import to_null_space_optimum
 from recon.robotics.ik.stride import Stride, find_stride
 from recon.thesis import solve_joints
-from recon.workflows.ik import stride_lasts_s
 
 Array = np.ndarray
 

@@ -22,11 +22,11 @@ from pathlib import Path
 
 from recon import FitSettings
 from recon.fit.results import Results, read_results
+from recon.robotics.robot.playback import write_robot
 from recon.robotics.robot.reference import reference_of
+from recon.robotics.robot.retarget_clip import RetargetRun, companion, solve
 from recon.robotics.robot.robot_file import builtin_robots, load_robot
-from recon.show.view.robot import write_robot
 from recon.workflows.clip import run_clip
-from recon.workflows.retarget import RetargetRun, companion, solve
 
 ROOT = Path(__file__).resolve().parents[1]
 COLUMNS = (

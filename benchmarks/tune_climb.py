@@ -27,11 +27,11 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
 from climb_search import Found, highest, improve
 
-from recon.robotics.robot.climb import Recipe, Walker, check, load_recipe, plan, raised, save_recipe
-from recon.robotics.robot.climb.equilibrium import TorsoDynamics
-from recon.robotics.robot.climb.fields import PLANAR, SPATIAL, Fields, Stand, Well, evaluate
-from recon.robotics.robot.climb.paths import Step
-from recon.robotics.robot.climb.recipe import RECIPES, Footfall, Primitive, Swing
+from recon.robotics.climb import Recipe, Walker, check, load_recipe, plan, raised, save_recipe
+from recon.robotics.climb.equilibrium import TorsoDynamics
+from recon.robotics.climb.fields import PLANAR, SPATIAL, Fields, Stand, Well, evaluate
+from recon.robotics.climb.paths import Step
+from recon.robotics.climb.recipe import RECIPES, Footfall, Primitive, Swing
 from recon.robotics.robot.robot_file import load_robot
 
 ROBOT = "aibo"

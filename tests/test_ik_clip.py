@@ -17,10 +17,7 @@ from recon.base.manifest import write_manifest
 from recon.fit.results import read_results
 from recon.gait.gait import pose_gait
 from recon.io.pose3d import Pose3D
-from recon.robotics.ik.drive import drive_to
-from recon.robotics.ik.fit import DAMPING_M
-from recon.robotics.ik.methods import DampedLeastSquares, LeastNorm
-from recon.workflows.ik import (
+from recon.robotics.ik.clip import (
     FITTED,
     METHODS,
     cost_of,
@@ -32,6 +29,9 @@ from recon.workflows.ik import (
     stride_lasts_s,
     stride_of,
 )
+from recon.robotics.ik.drive import drive_to
+from recon.robotics.ik.fit import DAMPING_M
+from recon.robotics.ik.methods import DampedLeastSquares, LeastNorm
 
 pytestmark = pytest.mark.usefixtures("small_pictures")
 
@@ -269,7 +269,7 @@ def test_tables_are_written_where_figures_fail(whole_results, tmp_path, monkeypa
     def full(*args: object) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("recon.workflows.ik.write_figures", full)
+    monkeypatch.setattr("recon.robotics.ik.clip.write_figures", full)
     done = run("ik", whole_results, "--method", "damped", "--target", "0.7,0.1,-0.4", "--out", tmp_path / "a")
     assert done.code == 2
     assert "No space left on device" in done.err

@@ -1,8 +1,8 @@
 """Rooms import in one direction only, and nothing that the base install lacks.
 
 `LAYERS` is the order: a room, which is a package directly under `recon`, imports from those named before it and from
-its own package, wherever the import stands. `recon/__init__.py` is the public API: it may import all of them, and none
-imports it.
+its own package, wherever the import stands. `WINGS` come after all rooms: a wing imports rooms and itself, no other
+wing, and no room imports a wing. `recon/__init__.py` is the public API: it may import all of them, and none imports it.
 """
 
 from __future__ import annotations
@@ -29,13 +29,16 @@ LAYERS = (
     "check",
     "gait",
     "calibrate",
-    "robotics",
-    "thesis",
     "show",
-    "keypoint_net",
     "workflows",
-    "__main__",
 )
+WINGS = ("robotics", "keypoint_net", "thesis")
+
+NOT_YET = {
+    "recon.show": {"thesis"},
+    "recon.workflows": {"thesis", "keypoint_net"},
+}
+"""Wings that a room still imports, by room. May only become fewer."""
 
 IMPORT_NAMES = {"opencv-python-headless": "cv2", "rerun-sdk": "rerun"}
 """Distributions whose modules have another name."""
@@ -58,13 +61,14 @@ def violations(module: str, source: str, base: set[str]) -> list[str]:
     tree = ast.parse(source)
     found = []
     layer = module.split(".")[1]
-    if layer == "__init__":
+    if layer in ("__init__", "__main__"):
         wrong_way = []
-    elif layer not in LAYERS:
+    elif layer not in (*LAYERS, *WINGS):
         found.append(f"{module} is not named in LAYERS")
         wrong_way = []
     else:
-        allowed = {*LAYERS[: LAYERS.index(layer)], layer}
+        before = LAYERS if layer in WINGS else LAYERS[: LAYERS.index(layer)]
+        allowed = {*before, layer, *NOT_YET.get(f"recon.{layer}", ())}
         wrong_way = [(line, t) for line, t in all_imports(module, tree) if t[0] == "recon" and not allowed & {*t[1:2]}]
     found += [
         f"{module}:{line} imports {'.'.join(target)}, which does not come before it" for line, target in wrong_way
@@ -101,7 +105,7 @@ def all_imports(module: str, tree: ast.Module) -> Iterator[tuple[int, tuple[str,
 
 
 def is_module(name: str) -> bool:
-    return name in LAYERS or (PACKAGE / name).is_dir() or (PACKAGE / f"{name}.py").is_file()
+    return name in (*LAYERS, *WINGS) or (PACKAGE / name).is_dir() or (PACKAGE / f"{name}.py").is_file()
 
 
 def called_name(call: ast.Call) -> str | None:
@@ -150,6 +154,8 @@ def test_there_is_something_to_check():
         ("recon.fit.result", "def f():\n    from recon.show.page import clip_page"),
         ("recon.fit.result", "import importlib\ndef f():\n    importlib.import_module('recon.show.view')"),
         ("recon.base.errors", "from recon.io.npz import write"),
+        ("recon.workflows.clip", "from recon.robotics.ik.clip import run_ik"),
+        ("recon.robotics.ik.clip", "from recon.thesis.frame import Frame"),
     ],
 )
 def test_catches_an_import_against_the_order(module, source):
@@ -209,4 +215,4 @@ def test_lets_good_imports_pass(module, source):
 
 
 def test_layers_are_named_once():
-    assert len(set(LAYERS)) == len(LAYERS)
+    assert len({*LAYERS, *WINGS}) == len((*LAYERS, *WINGS))

@@ -30,6 +30,7 @@ from recon.io import read_keypoints
 from recon.io.deeplabcut import write_csv
 from recon.keypoint_net.evaluate2d import evaluate_2d_files
 from recon.robotics.robot.reference import reference_of
+from recon.robotics.robot.retarget_clip import solve
 from recon.robotics.robot.robot_file import load_robot
 from recon.show.plots.skeleton import expected_pose
 from recon.show.report import build_report
@@ -37,7 +38,6 @@ from recon.show.report.common import point_lines
 from recon.workflows.batch.record import file_sha256, identity
 from recon.workflows.clip import prepare, run_clip
 from recon.workflows.convert import Options, read_any
-from recon.workflows.retarget import solve
 from recon.workflows.skeleton_check import check_skeleton
 from recon.workflows.skeleton_draft import draft_skeleton
 

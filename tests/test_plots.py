@@ -19,6 +19,7 @@ from recon.animal.skeleton_file import load_skeleton
 from recon.gait.gait import Plane, Stance, Stride, gait, tracks
 from recon.gait.kinematics import Errors, angle_kinematics, point_kinematics
 from recon.gait.phase import Closure, Portrait, phase_portrait, vector_field
+from recon.robotics.ik import plots as ik_plots
 from recon.robotics.ik.chain import PlanarChain, SummedChain
 from recon.robotics.ik.drive import Closures, drive_to, follow
 from recon.robotics.ik.fit import FittedSeries
@@ -139,16 +140,16 @@ def every_figure():
         "one portrait": plots.phase_portraits(dict([*portraits.items()][:1]), closed, "a title"),
         "four portraits": plots.phase_portraits(dict([*portraits.items()][:4])),
         "footfall": plots.footfall(gaits(), FPS, "a title"),
-        "task space": plots.task_space(found, target, chain=chain, title="a title"),
-        "task space in 3D": plots.task_space(found3, target3, chain=chain3, title="a title"),
-        "task space of a stride": plots.task_space(turns, path_m=circle),
-        "joint space": plots.joint_space(found3, title="a title"),
-        "joint space, many": plots.joint_space(names),
-        "distances": plots.distances(found, title="a title"),
-        "distances, many": plots.distances(names),
-        "distances from a path": plots.distances(turns),
-        "parameters": plots.parameter_series(t[:9], parameters(), ("shoulder_pitch", "elbow", "wrist")),
-        "closures": plots.closures({k: m.closures() for k, m in names.items()}, title="a title"),
+        "task space": ik_plots.task_space(found, target, chain=chain, title="a title"),
+        "task space in 3D": ik_plots.task_space(found3, target3, chain=chain3, title="a title"),
+        "task space of a stride": ik_plots.task_space(turns, path_m=circle),
+        "joint space": ik_plots.joint_space(found3, title="a title"),
+        "joint space, many": ik_plots.joint_space(names),
+        "distances": ik_plots.distances(found, title="a title"),
+        "distances, many": ik_plots.distances(names),
+        "distances from a path": ik_plots.distances(turns),
+        "parameters": ik_plots.parameter_series(t[:9], parameters(), ("shoulder_pitch", "elbow", "wrist")),
+        "closures": ik_plots.closures({k: m.closures() for k, m in names.items()}, title="a title"),
     }
 
 
@@ -200,7 +201,7 @@ def test_files_are_reproducible_whatever_the_users_settings(tmp_path):
 
 
 def test_resolution_and_text(tmp_path):
-    png, svg = plots.save(plots.distances(drives()[2], title="way & aim"), tmp_path, "d")
+    png, svg = plots.save(ik_plots.distances(drives()[2], title="way & aim"), tmp_path, "d")
     with Image.open(png) as image:
         assert image.width == int(180 / 25.4 * 200)
         assert image.info["dpi"] == pytest.approx((200, 200), abs=0.1)
@@ -232,16 +233,16 @@ def test_nothing_known_is_said():
         plots.vector_fields((), t),
         plots.phase_portraits({}),
         plots.footfall({}, FPS),
-        plots.task_space({}),
-        plots.joint_space({}),
-        plots.distances({}),
-        plots.closures({}),
+        ik_plots.task_space({}),
+        ik_plots.joint_space({}),
+        ik_plots.distances({}),
+        ik_plots.closures({}),
     ]
     for i, figure in enumerate(empty):
         assert "no data" in texts(figure), i
     still = gait(still_tracks())
     assert "no stances" in texts(plots.footfall({"ground": replace(still, stances=(), strides=())}, FPS))
-    unmoved = plots.closures({"a": Closures(np.array([99.0, np.nan]), np.array([98.0, np.nan]))})
+    unmoved = ik_plots.closures({"a": Closures(np.array([99.0, np.nan]), np.array([98.0, np.nan]))})
     assert texts(unmoved).count("does not move") == 2
 
 
@@ -549,7 +550,7 @@ def test_bars_stand_where_feet_do():
 
 def test_paths_in_the_plane():
     chain, target, found = drives()
-    figure = plots.task_space(found, target, chain=chain)
+    figure = ik_plots.task_space(found, target, chain=chain)
     (axes,) = figure.axes
     ways = {line.get_label(): line for line in axes.get_lines() if not line.get_label().startswith("_")}
     assert list(ways) == ["a", "b", "far (not reached, unreachable)"]
@@ -567,7 +568,7 @@ def test_paths_in_the_plane():
 @pytest.mark.parametrize(("base", "columns"), [("UVW", ((0, 1), (0, 2))), ("xyz", ((0, 2), (0, 1)))])
 def test_paths_in_space_from_the_side_and_from_above(base, columns):
     _, target, found = drives(3)
-    figure = plots.task_space(found, target, base=base)
+    figure = ik_plots.task_space(found, target, base=base)
     for axes, view, name in zip(figure.axes, columns, ("side", "top"), strict=True):
         assert axes.get_title(loc="left") == name
         np.testing.assert_array_equal(axes.get_lines()[0].get_xydata(), found["a"].end_m[:, view])
@@ -577,7 +578,7 @@ def test_paths_in_space_from_the_side_and_from_above(base, columns):
 
 def test_joint_angles_in_degrees():
     _, _, found = drives()
-    figure = plots.joint_space(found, names=("shoulder", "elbow", "wrist"))
+    figure = ik_plots.joint_space(found, names=("shoulder", "elbow", "wrist"))
     for joint, axes in enumerate(figure.axes):
         assert axes.get_title() == ("shoulder", "elbow", "wrist")[joint]
         for line, drive in zip(axes.get_lines(), found.values(), strict=True):
@@ -588,7 +589,7 @@ def test_joint_angles_in_degrees():
 
 def test_distances_in_millimetres():
     _, _, found = drives()
-    figure = plots.distances(found)
+    figure = ik_plots.distances(found)
     (axes,) = figure.axes
     assert axes.get_yscale() == "log"
     lines = axes.get_lines()
@@ -603,7 +604,7 @@ def test_distances_in_millimetres():
 
 def test_parameters_of_each_configuration():
     found, t = parameters(), times(9)
-    figure = plots.parameter_series(t, found, ("a", "b", "c"))
+    figure = ik_plots.parameter_series(t, found, ("a", "b", "c"))
     explained, alpha, transpose, _, damped, _, weights = figure.axes
     for k, series in enumerate(found.values()):
         np.testing.assert_allclose(explained.get_lines()[k].get_ydata(), 100 * series.explained)
@@ -619,7 +620,7 @@ def test_closures_by_joint_and_method():
         "a": Closures(np.array([90.0, 80.0]), np.array([70.0, 60.0])),
         "b": Closures(*np.array([[99.0, np.nan]] * 2)),
     }
-    figure = plots.closures(found, names=("hip", "knee"))
+    figure = ik_plots.closures(found, names=("hip", "knee"))
     left, right = figure.axes
     assert [label.get_text() for label in left.get_yticklabels()] == ["hip", "knee"]
     for axes, kind in ((left, "angle"), (right, "plane")):

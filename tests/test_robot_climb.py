@@ -17,9 +17,8 @@ from scipy.spatial.transform import Rotation
 from tune_climb import PUBLISHED, published
 
 from recon.base.errors import InputError
-from recon.robotics.robot.body_pose import body_pose
-from recon.robotics.robot.climb import Recipe, Walker, bundled, check, load_recipe, plan, raised, save_recipe, scaled
-from recon.robotics.robot.climb.equilibrium import (
+from recon.robotics.climb import Recipe, Walker, bundled, check, load_recipe, plan, raised, save_recipe, scaled
+from recon.robotics.climb.equilibrium import (
     MAX_EVALUATIONS,
     Torso,
     TorsoDynamics,
@@ -29,17 +28,18 @@ from recon.robotics.robot.climb.equilibrium import (
     ride,
     solve,
 )
-from recon.robotics.robot.climb.fields import PLANAR, SPATIAL, Fields, Stand, Well, evaluate, leg_forces, wrench
-from recon.robotics.robot.climb.margins import NONE, margins, support_m
-from recon.robotics.robot.climb.motion import before, robot_motion
-from recon.robotics.robot.climb.paths import Step, along, corners
-from recon.robotics.robot.climb.plan import field_at
-from recon.robotics.robot.climb.walker import LABELS
+from recon.robotics.climb.fields import PLANAR, SPATIAL, Fields, Stand, Well, evaluate, leg_forces, wrench
+from recon.robotics.climb.margins import NONE, margins, support_m
+from recon.robotics.climb.motion import before, robot_motion
+from recon.robotics.climb.paths import Step, along, corners
+from recon.robotics.climb.plan import field_at
+from recon.robotics.climb.plots import climb_field, climb_margins
+from recon.robotics.climb.walker import LABELS
+from recon.robotics.robot.body_pose import body_pose
 from recon.robotics.robot.leg import Leg, SwingLeg
 from recon.robotics.robot.quadruped import LEGS
 from recon.robotics.robot.retarget import posed
 from recon.robotics.robot.robot_file import load_robot
-from recon.show.plots import climb_field, climb_margins
 
 HIPS = np.array([[-0.0625, 0.065, 0], [-0.0625, -0.065, 0], [0.0625, 0.065, 0], [0.0625, -0.065, 0]])
 SIDE = np.sign(HIPS[:, 0])

@@ -16,14 +16,14 @@ from recon.base.errors import InputError
 from recon.fit.results import read_results
 from recon.robotics.robot.body_pose import feet_in_world
 from recon.robotics.robot.footholds import planted, stances
+from recon.robotics.robot.playback import Companion, write_robot
 from recon.robotics.robot.quadruped import LEGS
 from recon.robotics.robot.reference import closed_stride, reference_of, stride_window, with_other_side
 from recon.robotics.robot.retarget import drawn_in, place, retarget
+from recon.robotics.robot.retarget_clip import companion, repeated, run_retarget, solve
 from recon.robotics.robot.robot_file import load_robot
-from recon.show.view.robot import Companion, write_robot
 from recon.show.view.scene import LEFT, MIDDLE, RIGHT
 from recon.show.view.stored import Part
-from recon.workflows.retarget import companion, repeated, run_retarget, solve
 
 # -- footholds ---------------------------------------------------------------------------------------------------------
 

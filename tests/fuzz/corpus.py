@@ -26,7 +26,7 @@ from recon.io.camera_track import read_camera_track
 from recon.io.column_map import parse_map
 from recon.io.pose3d import Pose3D, read_pose3d, read_pose_segments
 from recon.keypoint_net.labels import read_label_file
-from recon.robotics.robot.climb.recipe import load_recipe
+from recon.robotics.climb.recipe import load_recipe
 from recon.robotics.robot.robot_file import load_dh, load_robot
 from recon.show.export import bvh
 from recon.show.export.formats import FORMATS
@@ -295,7 +295,7 @@ def _built_in() -> Iterator[Seed]:
     yield Seed("dh.toml", DH, load_dh)
     if find_spec("yourdfpy") is not None:
         yield Seed("robot.urdf", _urdf().encode(), load_robot, 0.3)
-    recipe = sorted((resources.files("recon.robotics.robot.climb") / "recipes").iterdir(), key=str)[0]
+    recipe = sorted((resources.files("recon.robotics.climb") / "recipes").iterdir(), key=str)[0]
     yield Seed("recipe.toml", recipe.read_bytes(), load_recipe)
 
 

@@ -1,16 +1,12 @@
 """Figures of a result, for print: one function for each, which returns matplotlib's Figure. `save` writes it."""
 
 from recon.show.plots.advice import camera_advice
-from recon.show.plots.climb import climb_field, climb_footfalls, climb_margins
-from recon.show.plots.closure import closures
 from recon.show.plots.composite import composites
 from recon.show.plots.configurations import body_fixed, in_body, limbs_apart
 from recon.show.plots.field import vector_fields
 from recon.show.plots.footfall import footfall
 from recon.show.plots.observability import observability
-from recon.show.plots.parameters import parameter_series
 from recon.show.plots.phase import phase_portraits
-from recon.show.plots.reach import distances, joint_space, task_space
 from recon.show.plots.solver import image_errors, solver_root, solver_search, solver_unknowns
 from recon.show.plots.speed import speeds
 from recon.show.plots.style import COLUMN_MM, WIDTH_MM, save
@@ -20,25 +16,17 @@ __all__ = [
     "WIDTH_MM",
     "body_fixed",
     "camera_advice",
-    "climb_field",
-    "climb_footfalls",
-    "climb_margins",
-    "closures",
     "composites",
-    "distances",
     "footfall",
     "image_errors",
     "in_body",
-    "joint_space",
     "limbs_apart",
     "observability",
-    "parameter_series",
     "phase_portraits",
     "save",
     "solver_root",
     "solver_search",
     "solver_unknowns",
     "speeds",
-    "task_space",
     "vector_fields",
 ]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from importlib import import_module
 from typing import Annotated, Any
 
 import typer
@@ -15,7 +16,6 @@ from recon.workflows.cli.batch import batch
 from recon.workflows.cli.calibrate import calibrate
 from recon.workflows.cli.camera_advice import camera_advice
 from recon.workflows.cli.camera_motion import camera_motion
-from recon.workflows.cli.climb import climb
 from recon.workflows.cli.common import EXIT_BAD_INPUT, error_text, stop, terminal
 from recon.workflows.cli.convert import convert
 from recon.workflows.cli.demo import demo
@@ -24,18 +24,20 @@ from recon.workflows.cli.evaluate import evaluate
 from recon.workflows.cli.evaluate_2d import evaluate_2d
 from recon.workflows.cli.extrinsics import extrinsics
 from recon.workflows.cli.fit import fit
-from recon.workflows.cli.ik import ik
 from recon.workflows.cli.overlay import overlay
 from recon.workflows.cli.predict import predict
 from recon.workflows.cli.prior import prior_fit
 from recon.workflows.cli.report import report
-from recon.workflows.cli.retarget import retarget
-from recon.workflows.cli.robot import robot_app
 from recon.workflows.cli.run import run
 from recon.workflows.cli.skeleton import skeleton_app
 from recon.workflows.cli.subject import subject_fit
 from recon.workflows.cli.train import train
 from recon.workflows.cli.view import view
+
+
+def _of_wing(wing: str, name: str) -> Any:
+    """A command of a wing by the name of its module: rooms import no wing, and only this table knows their commands."""
+    return getattr(import_module(f"recon.{wing}.cli.{name}"), name)
 
 
 class _Commands(TyperGroup):
@@ -65,9 +67,22 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-for command in (run, fit, batch, analyse, ik, evaluate, view, demo, calibrate, convert, overlay, report):
+for command in (
+    run,
+    fit,
+    batch,
+    analyse,
+    _of_wing("robotics", "ik"),
+    evaluate,
+    view,
+    demo,
+    calibrate,
+    convert,
+    overlay,
+    report,
+):
     app.command()(command)
-for command in (retarget, climb, doctor):
+for command in (_of_wing("robotics", "retarget"), _of_wing("robotics", "climb"), doctor):
     app.command()(command)
 for command in (train, predict):
     app.command()(command)
@@ -79,7 +94,7 @@ app.command("camera-advice")(camera_advice)
 prior_app = typer.Typer(help="Motion priors: which poses occur, and how they change.", no_args_is_help=True)
 prior_app.command("fit")(prior_fit)
 app.add_typer(prior_app, name="prior")
-app.add_typer(robot_app, name="robot")
+app.add_typer(_of_wing("robotics", "robot"), name="robot")
 app.add_typer(skeleton_app, name="skeleton")
 subject_app = typer.Typer(
     help="Measured animals: lengths of one animal, and how a detector sees it.", no_args_is_help=True

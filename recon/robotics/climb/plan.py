@@ -14,12 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recon.base.arrays import Array, Bools, Integers
-from recon.robotics.robot.climb.equilibrium import Torso, between, capped, moved, ride, solve
-from recon.robotics.robot.climb.fields import Fields, Stand
-from recon.robotics.robot.climb.margins import NONE
-from recon.robotics.robot.climb.paths import PHASES, along, corners
-from recon.robotics.robot.climb.recipe import Footfall, Primitive, Recipe
-from recon.robotics.robot.climb.walker import Walker
+from recon.robotics.climb.equilibrium import Torso, between, capped, moved, ride, solve
+from recon.robotics.climb.fields import Fields, Stand
+from recon.robotics.climb.margins import NONE
+from recon.robotics.climb.paths import PHASES, along, corners
+from recon.robotics.climb.recipe import Footfall, Primitive, Recipe
+from recon.robotics.climb.walker import Walker
 
 SHIFT = "shift"
 MAX_WAIT = 400

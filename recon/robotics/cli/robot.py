@@ -11,7 +11,7 @@ from rich.console import Console
 
 from recon.workflows.cli.common import number_option, numbers, say, table_of, terminal
 
-robot_app = typer.Typer(
+robot = typer.Typer(
     help="A robot's kinematics: its body's pose, a leg, an arm, a table of parameters; all solutions.",
     no_args_is_help=True,
 )
@@ -27,7 +27,7 @@ def _degrees(help: str) -> Any:
     return number_option(help, "degrees, as in 10")
 
 
-@robot_app.command("pose")
+@robot.command("pose")
 def pose(
     robot: Robot,
     move: Annotated[
@@ -44,7 +44,7 @@ def pose(
     """
     from math import radians
 
-    from recon.workflows.robot import pose_of
+    from recon.robotics.robot.answers import pose_of
 
     answer = pose_of(robot, numbers("--move", move, 3), *(radians(x) for x in (roll, pitch, yaw)))
     if as_json:
@@ -63,7 +63,7 @@ def pose(
             say(console, f"{label}: {leg['why']}")
 
 
-@robot_app.command("leg")
+@robot.command("leg")
 def leg(
     robot: Robot,
     label: Annotated[str, typer.Argument(metavar="LEG", help="LF, RF, LH or RH.", show_default=False)],
@@ -77,7 +77,7 @@ def leg(
 
     Example: recon robot leg aibo LF --foot 0.09,0.07,-0.1
     """
-    from recon.workflows.robot import leg_of
+    from recon.robotics.robot.answers import leg_of
 
     typed = None if angles is None else numbers("--angles", angles)
     answer = leg_of(robot, label, typed, None if foot is None else numbers("--foot", foot, 3))
@@ -87,7 +87,7 @@ def leg(
     _print_chain(terminal(), answer, f"{answer['robot']}, leg {label}")
 
 
-@robot_app.command("dh")
+@robot.command("dh")
 def dh(
     file: Annotated[Path, typer.Argument(help="A table of parameters (.toml), or a .urdf.", show_default=False)],
     tip: Annotated[str | None, typer.Option(help="Of a URDF: the link at the end. (default: the only leaf)")] = None,
@@ -107,7 +107,7 @@ def dh(
     """
     from math import radians
 
-    from recon.workflows.robot import table_of
+    from recon.robotics.robot.answers import table_of
 
     typed = None if angles is None else numbers("--angles", angles)
     end = None if place is None else numbers("--place", place, 3)
@@ -119,7 +119,7 @@ def dh(
     _print_chain(terminal(), answer, str(file))
 
 
-@robot_app.command("arm")
+@robot.command("arm")
 def arm(
     lengths: Annotated[str, typer.Argument(help="The two links, as in 4.5,4, in any unit.", show_default=False)],
     hand: Annotated[
@@ -137,7 +137,7 @@ def arm(
     """
     from math import degrees, radians
 
-    from recon.workflows.robot import arm_of
+    from recon.robotics.robot.answers import arm_of
 
     l1, l2 = numbers("LENGTHS", lengths, 2)
     at = None if hand is None else numbers("--hand", hand, 3)

@@ -8,9 +8,9 @@ from typing import NamedTuple
 import numpy as np
 
 from recon.base.arrays import Array, Integers
-from recon.robotics.robot.climb.equilibrium import Torso
-from recon.robotics.robot.climb.paths import Step
-from recon.robotics.robot.climb.walker import AROUND, SHIN_POINTS, Walker
+from recon.robotics.climb.equilibrium import Torso
+from recon.robotics.climb.paths import Step
+from recon.robotics.climb.walker import AROUND, SHIN_POINTS, Walker
 
 NONE = -1
 """The lifted leg where all are planted."""

@@ -8,9 +8,9 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation, Slerp
 
 from recon.base.arrays import Array
-from recon.robotics.robot.climb.paths import Step
-from recon.robotics.robot.climb.plan import Climb
-from recon.robotics.robot.climb.walker import LABELS
+from recon.robotics.climb.paths import Step
+from recon.robotics.climb.plan import Climb
+from recon.robotics.climb.walker import LABELS
 from recon.robotics.robot.quadruped import LEGS, Quadruped
 from recon.robotics.robot.retarget import RobotMotion, posed
 

@@ -14,15 +14,15 @@ from recon.base.errors import InputError, Problem, all_of
 from recon.base.files import name_seen_from, require_free_folder, seen_from, sole_writer, staged_results
 from recon.fit.results import read_results
 from recon.io.table import write_rows
-from recon.robotics.robot.climb import Climb, Walker, check, load_recipe, plan, raised, scaled
-from recon.robotics.robot.climb.margins import RULES, margins
-from recon.robotics.robot.climb.motion import before, robot_motion
-from recon.robotics.robot.climb.plan import Method
+from recon.robotics.climb import Climb, Walker, check, load_recipe, plan, raised, scaled
+from recon.robotics.climb.margins import RULES, margins
+from recon.robotics.climb.motion import before, robot_motion
+from recon.robotics.climb.plan import Method
 from recon.robotics.robot.reference import reference_of
 from recon.robotics.robot.retarget import RobotMotion
+from recon.robotics.robot.retarget_clip import solve, write_tables
 from recon.robotics.robot.robot_file import load_robot
 from recon.show.report import to_json
-from recon.workflows.retarget import solve, write_tables
 
 REPORT = "report.json"
 METHODS = get_args(Method)
@@ -157,7 +157,7 @@ def _report(climb: Climb, method: str, name: str, frame: int) -> dict[str, Any]:
 
 def write(solved: ClimbRun, folder: Path, figures: bool = True) -> None:
     """Everything, into a folder that there is."""
-    from recon.show.view.robot import write_robot
+    from recon.robotics.robot.playback import write_robot
 
     climb = solved.climb
     write_tables(solved.motion, folder, "")
@@ -171,11 +171,12 @@ def write(solved: ClimbRun, folder: Path, figures: bool = True) -> None:
     path = folder / "climb.rrd"
     write_robot(solved.motion, path, step=climb.recipe.step, more=_curves(solved), title=title)
     if figures:
-        from recon.show import plots
+        from recon.robotics.climb import plots
+        from recon.show.plots.style import save
 
-        plots.save(plots.climb_footfalls(climb), folder, "footfalls")
-        plots.save(plots.climb_margins(climb, solved.margins), folder, "margins")
-        plots.save(plots.climb_field(climb, solved.frame), folder, "field")
+        save(plots.climb_footfalls(climb), folder, "footfalls")
+        save(plots.climb_margins(climb, solved.margins), folder, "margins")
+        save(plots.climb_field(climb, solved.frame), folder, "field")
 
 
 def _curves(solved: ClimbRun) -> list[Any]:

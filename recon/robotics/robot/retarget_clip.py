@@ -219,7 +219,7 @@ def _notes(window: StrideWindow, motion: Retargeted, mirrored: list[str], lag: f
 
 def write(solved: RetargetRun, folder: Path) -> None:
     """Everything, into a folder that there is."""
-    from recon.show.view.robot import write_robot
+    from recon.robotics.robot.playback import write_robot
 
     write_tables(solved.motion.clip, folder, "")
     write_tables(solved.motion.stride, folder, "stride_")
@@ -250,7 +250,7 @@ def _table(path: Path, columns: list[str], *parts: Array) -> None:
 
 def companion(solved: RetargetRun) -> Any:
     """The animal, of the robot's size, to the left of the robot, at the samples of the clip."""
-    from recon.show.view.robot import Companion
+    from recon.robotics.robot.playback import Companion
 
     animal, motion = solved.animal, solved.motion.clip
     results = animal.analysis.results

@@ -52,8 +52,8 @@ def climb(
     """
     from math import degrees, isfinite
 
+    from recon.robotics.climb.run import run_climb
     from recon.show.report import to_json
-    from recon.workflows.climb import run_climb
 
     report = run_climb(recipe, out, robot, height, method, at, after, figures, overwrite).report
     if as_json:

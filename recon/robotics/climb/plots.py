@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from recon.base.arrays import Array
-from recon.robotics.robot.climb.equilibrium import moved
-from recon.robotics.robot.climb.fields import evaluate, leg_forces, leg_vectors
-from recon.robotics.robot.climb.margins import RULES
-from recon.robotics.robot.climb.plan import Climb, field_at
-from recon.robotics.robot.climb.walker import AROUND, LEGS
+from recon.robotics.climb.equilibrium import moved
+from recon.robotics.climb.fields import evaluate, leg_forces, leg_vectors
+from recon.robotics.climb.margins import RULES
+from recon.robotics.climb.plan import Climb, field_at
+from recon.robotics.climb.walker import AROUND, LEGS
 from recon.show.plots.style import COLOURS, GREY, PALE, SMALL, add_legend, drawing
 
 if TYPE_CHECKING:

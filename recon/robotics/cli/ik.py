@@ -76,8 +76,8 @@ def ik(
 
     Example: recon ik results/clip --compare
     """
+    from recon.robotics.ik.clip import EXTENDED, METHODS, STRIDE_MAX, run_ik
     from recon.show.report import to_json
-    from recon.workflows.ik import EXTENDED, METHODS, STRIDE_MAX, run_ik
 
     problems = []
     if follow not in (None, "stride"):

@@ -15,7 +15,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from recon.base.arrays import Array, Bools, Integers
-from recon.robotics.robot.climb.fields import PLANAR, Fields, Stand, evaluate, wrench
+from recon.robotics.climb.fields import PLANAR, Fields, Stand, evaluate, wrench
 
 MAX_EVALUATIONS = 100
 """Of the fields, in one frame."""

@@ -13,9 +13,9 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_valida
 from recon.base.arrays import Array
 from recon.base.documents import read_toml, validated
 from recon.base.files import staged_file
-from recon.robotics.robot.climb.equilibrium import TorsoDynamics
-from recon.robotics.robot.climb.fields import PLANAR, SPATIAL, Fields, Well
-from recon.robotics.robot.climb.paths import Step
+from recon.robotics.climb.equilibrium import TorsoDynamics
+from recon.robotics.climb.fields import PLANAR, SPATIAL, Fields, Well
+from recon.robotics.climb.paths import Step
 
 RECIPES = Path(__file__).parent / "recipes"
 WELLS = ("radial", "swing", "flap")

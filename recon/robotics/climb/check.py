@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from recon.robotics.robot.climb.margins import RULES, margins
-from recon.robotics.robot.climb.plan import Climb
-from recon.robotics.robot.climb.walker import LEGS
+from recon.robotics.climb.margins import RULES, margins
+from recon.robotics.climb.plan import Climb
+from recon.robotics.climb.walker import LEGS
 
 ROUNDING_M = 1e-9
 """A planted foot may be this far under the surface that it stands on."""

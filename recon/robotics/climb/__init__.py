@@ -3,10 +3,10 @@
 After D. Cohen, SUNFEST, University of Pennsylvania, 2005. World: x to the right, y forward, z up.
 """
 
-from recon.robotics.robot.climb.check import ClimbCheck, check
-from recon.robotics.robot.climb.plan import Climb, plan
-from recon.robotics.robot.climb.recipe import Recipe, bundled, load_recipe, raised, save_recipe, scaled
-from recon.robotics.robot.climb.walker import Walker
+from recon.robotics.climb.check import ClimbCheck, check
+from recon.robotics.climb.plan import Climb, plan
+from recon.robotics.climb.recipe import Recipe, bundled, load_recipe, raised, save_recipe, scaled
+from recon.robotics.climb.walker import Walker
 
 __all__ = [
     "Climb",

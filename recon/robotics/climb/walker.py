@@ -11,8 +11,8 @@ import numpy as np
 
 from recon.base.arrays import Array
 from recon.base.errors import InputError, Problem
-from recon.robotics.robot.climb.equilibrium import Torso
-from recon.robotics.robot.climb.fields import leg_vectors
+from recon.robotics.climb.equilibrium import Torso
+from recon.robotics.climb.fields import leg_vectors
 from recon.robotics.robot.leg import Leg, SwingLeg
 from recon.robotics.robot.quadruped import ClosedLeg, Quadruped
 

@@ -571,22 +571,23 @@ def _cell(value: Any) -> Any:
 
 def write_figures(solved: IKRun, folder: Path) -> None:
     """Paths in task and joint space, distances, closures, parameters, PNG and SVG."""
-    from recon.show import plots
+    from recon.robotics.ik import plots
+    from recon.show.plots.style import save
 
     limb = solved.limb
     if solved.series is not None:
         found = solved.series
         figure = plots.parameter_series(found.time_s, found.by_method, limb.names)
-        plots.save(figure, folder, "parameters")
+        save(figure, folder, "parameters")
     if solved.drives:
         figure = plots.task_space(solved.drives, solved.target_m, chain=limb.chain, base=limb.base)
-        plots.save(figure, folder, "target_task_space")
-        plots.save(plots.joint_space(solved.drives, limb.names), folder, "target_joint_space")
-        plots.save(plots.distances(solved.drives), folder, "target_distance")
+        save(figure, folder, "target_task_space")
+        save(plots.joint_space(solved.drives, limb.names), folder, "target_joint_space")
+        save(plots.distances(solved.drives), folder, "target_distance")
     if solved.follows:
         figure = plots.task_space(solved.follows, path_m=solved.found.stride.path_m, chain=limb.chain, base=limb.base)
-        plots.save(figure, folder, "follow_task_space")
-        plots.save(plots.joint_space(solved.follows, limb.names), folder, "follow_joint_space")
-        plots.save(plots.distances(solved.follows), folder, "follow_distance")
+        save(figure, folder, "follow_task_space")
+        save(plots.joint_space(solved.follows, limb.names), folder, "follow_joint_space")
+        save(plots.distances(solved.follows), folder, "follow_distance")
         found = {name: run.closures() for name, run in solved.follows.items()}
-        plots.save(plots.closures(found, limb.names), folder, "follow_closures")
+        save(plots.closures(found, limb.names), folder, "follow_closures")

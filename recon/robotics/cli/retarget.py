@@ -43,8 +43,8 @@ def retarget(
 
     Example: recon retarget results/clip --robot a1 --out results/robot
     """
+    from recon.robotics.robot.retarget_clip import run_retarget
     from recon.show.report import to_json
-    from recon.workflows.retarget import run_retarget
 
     solved = run_retarget(folder, robot, out, scale, slower, lag, overwrite, stride_times(stride))
     if as_json:
