@@ -36,7 +36,7 @@ from recon.keypoint_net.predict import predict_video
 from recon.keypoint_net.run import TrainSettings
 from recon.keypoint_net.torch_extra import choose_device, fast_half, require_torch
 from recon.keypoint_net.trained import CHANNELS, Spec, Trained, load_model, prepared
-from recon.workflows.net import LabelSource, run_prediction, run_training
+from recon.keypoint_net.workflows import LabelSource, run_prediction, run_training
 
 FIRST = 50
 """Number that the horse's labels give to the video's first frame."""

@@ -16,9 +16,9 @@ from recon.io.deeplabcut import write_csv
 from recon.keypoint_net.evaluate2d import Evaluation2D, evaluate_2d
 from recon.keypoint_net.labels import body_length_px, read_label_file
 from recon.keypoint_net.run import TrainSettings
+from recon.keypoint_net.workflows import LabelSource, run_prediction, run_training
 from recon.workflows.clip import run_clip
 from recon.workflows.demo import samples_folder
-from recon.workflows.net import LabelSource, run_prediction, run_training
 from recon.workflows.settings import FitSettings
 
 NOISE_PX = 2.0

@@ -16,8 +16,8 @@ from recon.io.video import video_writer
 from recon.keypoint_net.evaluate2d import Evaluation2D, evaluate_2d
 from recon.keypoint_net.labels import body_length_px, read_label_file
 from recon.keypoint_net.run import TrainSettings
+from recon.keypoint_net.workflows import LabelSource, run_prediction, run_training
 from recon.workflows.demo import samples_folder
-from recon.workflows.net import LabelSource, run_prediction, run_training
 
 sys.path.insert(0, str(samples_folder()))
 from draw_film import render_frames  # pyright: ignore[reportMissingImports]

@@ -24,11 +24,11 @@ if TYPE_CHECKING:
     from recon.io.calibration import read_camera, read_cameras, write_camera
     from recon.io.pose3d import Pose3D, read_pose3d
     from recon.keypoint_net.run import TrainSettings
+    from recon.keypoint_net.workflows import LabelSource, run_prediction, run_training
     from recon.workflows.batch import find_clips, plan_batch, run_batch
     from recon.workflows.calibrate import run_calibration
     from recon.workflows.clip import fit_clip, write_clip
     from recon.workflows.demo import samples_folder
-    from recon.workflows.net import LabelSource, run_prediction, run_training
     from recon.workflows.prior import run_prior_fit
     from recon.workflows.settings import FitSettings, read_settings
     from recon.workflows.subject import run_subject_fit
@@ -88,7 +88,7 @@ _NAMES_OF = {
     "recon.workflows.calibrate": ("run_calibration",),
     "recon.workflows.clip": ("fit_clip", "write_clip"),
     "recon.workflows.demo": ("samples_folder",),
-    "recon.workflows.net": ("LabelSource", "run_prediction", "run_training"),
+    "recon.keypoint_net.workflows": ("LabelSource", "run_prediction", "run_training"),
     "recon.workflows.prior": ("run_prior_fit",),
     "recon.workflows.subject": ("run_subject_fit",),
     "recon.keypoint_net.run": ("TrainSettings",),

@@ -36,7 +36,7 @@ WINGS = ("robotics", "keypoint_net", "thesis")
 
 NOT_YET = {
     "recon.show": {"thesis"},
-    "recon.workflows": {"thesis", "keypoint_net"},
+    "recon.workflows": {"thesis"},
 }
 """Wings that a room still imports, by room. May only become fewer."""
 

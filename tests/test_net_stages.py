@@ -18,7 +18,7 @@ from recon.keypoint_net.batches import network_scales  # noqa: E402
 from recon.keypoint_net.run import CHECKPOINT_FILE, TrainSettings  # noqa: E402
 from recon.keypoint_net.torch_extra import fastest_threads  # noqa: E402
 from recon.keypoint_net.trained import MODEL_FILE, Spec, Trained, load_file, load_model, part_of  # noqa: E402
-from recon.workflows.net import LabelSource, run_prediction, run_training  # noqa: E402
+from recon.keypoint_net.workflows import LabelSource, run_prediction, run_training  # noqa: E402
 
 SIZE, FRAMES = (160, 96), 12
 NAMES = ("nose", "l_paw", "r_paw")
@@ -29,7 +29,7 @@ SETTINGS = TrainSettings(steps=8, batch=2, seed=3, mirror=True)
 def no_report(monkeypatch: pytest.MonkeyPatch) -> None:
     """Only what is in it on threads."""
     monkeypatch.setattr(
-        "recon.workflows.net.write_training_report",
+        "recon.keypoint_net.workflows.write_training_report",
         lambda run, state, folder: {"threads": state.threads, "step_s_by_threads": state.threads_s},
     )
 

@@ -23,7 +23,7 @@ from recon.keypoint_net import train as train_module  # noqa: E402
 from recon.keypoint_net.run import TrainSettings  # noqa: E402
 from recon.keypoint_net.train import schedule  # noqa: E402
 from recon.keypoint_net.trained import load_file, load_model  # noqa: E402
-from recon.workflows.net import LabelSource, run_prediction, run_training  # noqa: E402
+from recon.keypoint_net.workflows import LabelSource, run_prediction, run_training  # noqa: E402
 
 SIZE, FRAMES = (96, 64), 20
 NAMES = ("nose", "l_paw", "r_paw")
@@ -95,7 +95,7 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
 def quick_training(patch: pytest.MonkeyPatch) -> None:
     """Narrow networks, and no report."""
     narrow_networks(patch)
-    patch.setattr("recon.workflows.net.write_training_report", lambda run, state, folder: {})
+    patch.setattr("recon.keypoint_net.workflows.write_training_report", lambda run, state, folder: {})
 
 
 class Killed(Exception):
@@ -149,7 +149,7 @@ def test_ctrl_c_says_how_to_go_on(clip, tmp_path, monkeypatch):
     def interrupted(*args: object, **options: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("recon.workflows.net.train", interrupted)
+    monkeypatch.setattr("recon.keypoint_net.workflows.train", interrupted)
     arguments = ["train", clip / "clip.avi", "--labels", clip / "labels.csv", "--first-frame", "50", "--steps", "3"]
     ended = run(*arguments, "--out", tmp_path / "out")
     assert ended.code == 130

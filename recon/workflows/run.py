@@ -11,6 +11,7 @@ import json
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
+from importlib import import_module
 from pathlib import Path
 from typing import Any, Literal
 
@@ -33,6 +34,8 @@ RECORD = "run.json"
 SCHEMA = {"name": "recon.run", "version": 1}
 STAGES = ("detect", "camera-motion", "fit", "analyse", "overlay", "page")
 OVERLAY = "overlay.mp4"
+DETECTOR = "recon.keypoint_net"
+"""The package that finds keypoints. It is imported by its name, where a job has a network: no room needs a wing."""
 Motion = Literal["turns", "zooms"]
 Status = Literal["done", "unchanged", "left out"]
 
@@ -138,7 +141,7 @@ def job_of(
     found_here = out / f"{video.stem}_keypoints.csv"
     info, _, settings, _ = all_of(
         lambda: probe(video),
-        lambda: None if model is None else _model_file(model),
+        lambda: None if model is None else import_module(DETECTOR).model_file(model),
         lambda: read_settings(config, {**given, "keypoints": keypoints or found_here}),
         lambda: _check(given, more.get("camera_motion"), more.get("start"), more.get("quality"), model),
     )
@@ -147,12 +150,6 @@ def job_of(
             raise InputError(Problem("--fps", "fps", f"nothing, and {video} does not say", "frames per second"))
         settings = replace(settings, fps=info.fps)
     return Job(video, out, settings, model, **more)
-
-
-def _model_file(model: Path) -> Path:
-    from recon.keypoint_net.trained import model_file  # slow to import
-
-    return model_file(model)
 
 
 def _check(
@@ -234,7 +231,7 @@ def _stages(job: Job) -> Iterator[Stage]:
     """Those that this job has."""
     keypoints = job.settings.keypoints[0]
     if job.model is not None:
-        files = {"video": job.video, "model": _model_file(job.model)}
+        files = {"video": job.video, "model": import_module(DETECTOR).model_file(job.model)}
         yield Stage("detect", lambda: identity_of(files, {"quality": job.quality}), (keypoints,), _detection)
     if job.camera_motion is not None:
         yield Stage("camera-motion", lambda: _motion_identity(job), (job.track,), _camera_motion)
@@ -248,11 +245,9 @@ def _stages(job: Job) -> Iterator[Stage]:
 
 
 def _detection(job: Job, progress: Progress) -> list[Path]:
-    from recon.workflows.net import run_prediction  # torch is slow to import
-
     assert job.model is not None
     (out,) = job.settings.keypoints
-    run_prediction(
+    import_module(DETECTOR).run_prediction(
         job.video, job.model, out, quality=job.quality, threads=job.threads, overwrite=True, progress=progress
     )
     return [out]

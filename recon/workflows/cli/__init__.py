@@ -21,17 +21,14 @@ from recon.workflows.cli.convert import convert
 from recon.workflows.cli.demo import demo
 from recon.workflows.cli.doctor import doctor
 from recon.workflows.cli.evaluate import evaluate
-from recon.workflows.cli.evaluate_2d import evaluate_2d
 from recon.workflows.cli.extrinsics import extrinsics
 from recon.workflows.cli.fit import fit
 from recon.workflows.cli.overlay import overlay
-from recon.workflows.cli.predict import predict
 from recon.workflows.cli.prior import prior_fit
 from recon.workflows.cli.report import report
 from recon.workflows.cli.run import run
 from recon.workflows.cli.skeleton import skeleton_app
 from recon.workflows.cli.subject import subject_fit
-from recon.workflows.cli.train import train
 from recon.workflows.cli.view import view
 
 
@@ -84,9 +81,8 @@ for command in (
     app.command()(command)
 for command in (_of_wing("robotics", "retarget"), _of_wing("robotics", "climb"), doctor):
     app.command()(command)
-for command in (train, predict):
-    app.command()(command)
-app.command("evaluate-2d")(evaluate_2d)
+for command in ("train", "predict", "evaluate_2d"):
+    app.command(command.replace("_", "-"))(_of_wing("keypoint_net", command))
 app.command("camera-motion")(camera_motion)
 app.command("calibrate extrinsics")(extrinsics)
 app.command("camera-advice")(camera_advice)

@@ -83,7 +83,7 @@ def train(
     Example: recon train run.mp4 --labels CollectedData_me.csv --out models/run
     """
     from recon.keypoint_net.run import CHECKPOINT_FILE, TrainSettings
-    from recon.workflows.net import LabelSource, run_training
+    from recon.keypoint_net.workflows import LabelSource, run_training
 
     settings = TrainSettings(
         steps=steps,

@@ -51,7 +51,7 @@ def predict(
 
     Example: recon predict run.mp4 --model models/run --out run.csv --overlay run_points.mp4
     """
-    from recon.workflows.net import run_prediction
+    from recon.keypoint_net.workflows import run_prediction
 
     console = terminal(quiet=quiet)
     start = time.monotonic()
