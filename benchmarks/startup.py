@@ -20,7 +20,15 @@ from statistics import median
 from markdown_table import print_header, print_row
 
 SAMPLES = Path(__file__).resolve().parents[1] / "data" / "samples"
-SMALL, LARGE = "import typer, rich", "import numpy, scipy.optimize, pandas, rerun"
+SMALL, LARGE = "import typer, rich", "import numpy, scipy, pandas, rerun"
+FIT = ("fit", f"{SAMPLES / 'whole.csv'}", "--camera", f"{SAMPLES / 'camera.toml'}", "--fps", "60")
+FIT_40 = (*FIT, "--frames", "0:40", "--out", "out", "--overwrite", "--quiet")
+COMMANDS = (
+    ("recon --help", ("--help",), SMALL, ""),
+    ("recon --version", ("--version",), SMALL, "6"),
+    ("recon fit, 40 frames", FIT_40, LARGE, "2"),
+)
+"""Name, arguments, the imports beside them, and how many times as long it may take."""
 
 
 def seconds(command: Sequence[str], folder: str) -> tuple[float, float]:
@@ -38,24 +46,26 @@ def seconds(command: Sequence[str], folder: str) -> tuple[float, float]:
     return time.perf_counter() - began, used
 
 
+def compared(
+    arguments: Sequence[str], imports: str, runs: int, folder: str
+) -> tuple[float, float, float, float, float]:
+    """Medians: seconds of `recon ARGUMENTS`, of the processor, of Python with the imports; ratios of a pair's seconds,
+    and of the processor's."""
+    pair = [sys.executable, "-m", "recon", *arguments], [sys.executable, "-c", imports]
+    taken = [[seconds(command, folder) for command in pair] for _ in range(runs + 1)][1:]
+    (ours_s, ours_cpu_s), (theirs_s, _) = ([median(run[i][k] for run in taken) for k in (0, 1)] for i in (0, 1))
+    ratio, cpu_ratio = (median(ours[k] / theirs[k] for ours, theirs in taken) for k in (0, 1))
+    return ours_s, ours_cpu_s, theirs_s, ratio, cpu_ratio
+
+
 def main() -> None:
     runs = int(sys.argv[1]) if sys.argv[1:] else 15
-    fit = ("fit", f"{SAMPLES / 'whole.csv'}", "--camera", f"{SAMPLES / 'camera.toml'}", "--fps", "60")
-    fit_40 = (*fit, "--frames", "0:40", "--out", "out", "--overwrite", "--quiet")
-    commands = (
-        ("recon --help", ("--help",), SMALL),
-        ("recon --version", ("--version",), SMALL),
-        ("recon fit, 40 frames", fit_40, LARGE),
-    )
-    print_header(["command", "s", "of the processor", "beside", "s", "ratio", "of the processor"])
+    print_header(["command", "s", "of the processor", "beside", "s", "ratio", "of the processor", "at most"])
     with tempfile.TemporaryDirectory() as folder:
-        for name, arguments, imports in commands:
-            pair = [sys.executable, "-m", "recon", *arguments], [sys.executable, "-c", imports]
-            taken = [[seconds(command, folder) for command in pair] for _ in range(runs + 1)][1:]
-            (ours_s, ours_cpu_s), (theirs_s, _) = ([median(run[i][k] for run in taken) for k in (0, 1)] for i in (0, 1))
-            ratio, cpu_ratio = (median(ours[k] / theirs[k] for ours, theirs in taken) for k in (0, 1))
+        for name, arguments, imports, limit in COMMANDS:
+            ours_s, ours_cpu_s, theirs_s, ratio, cpu_ratio = compared(arguments, imports, runs, folder)
             numbers = (f"{ours_s:.2f}", f"{ours_cpu_s:.2f}", f"`{imports}`", f"{theirs_s:.2f}")
-            print_row([name, *numbers, f"{ratio:.2f}", f"{cpu_ratio:.2f}"])
+            print_row([name, *numbers, f"{ratio:.2f}", f"{cpu_ratio:.2f}", limit])
 
 
 if __name__ == "__main__":

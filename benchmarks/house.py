@@ -1,0 +1,222 @@
+"""How large the package is to carry, in one table: code, classes, what a fit loads, its options, circles, times.
+
+python benchmarks/house.py [--rooms] [--quick]
+
+Code lines are those with code: no blank lines, comments or docstrings. A public class is one at the top of a module
+whose name has no underscore in front. A circle is a group of files that import each other, wherever in a file the
+import stands. --rooms adds a table of lines and classes for each room; --quick leaves out the times.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ast
+import io
+import json
+import os
+import re
+import subprocess
+import sys
+import tempfile
+import tokenize
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+
+import startup
+from markdown_table import print_table
+
+ROOT = Path(__file__).resolve().parents[1]
+PACKAGE = ROOT / "recon"
+SAMPLES = ROOT / "data" / "samples"
+RUNS = 5
+"""Pairs of processes for each ratio of times."""
+NO_CODE = {
+    tokenize.COMMENT,
+    tokenize.NL,
+    tokenize.NEWLINE,
+    tokenize.INDENT,
+    tokenize.DEDENT,
+    tokenize.ENDMARKER,
+}
+LOADED = """
+import json, sys, recon
+from pathlib import Path
+samples = Path(sys.argv[1])
+settings = recon.FitSettings(keypoints=samples / "whole.csv", camera=samples / "camera.toml", fps=60)
+recon.fit_clip(settings)
+print(json.dumps([m.__file__ for name, m in sys.modules.items() if name.split(".")[0] == "recon" and m.__file__]))
+"""
+
+
+def sources() -> dict[str, ast.Module]:
+    """The syntax tree of every file of the package, by the name of its module (recon.io for recon/io/__init__.py)."""
+    return {module_of(path): ast.parse(path.read_text(encoding="utf-8")) for path in sorted(PACKAGE.rglob("*.py"))}
+
+
+def module_of(path: Path) -> str:
+    parts = path.relative_to(ROOT).with_suffix("").parts
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+def code_lines(path: Path) -> int:
+    """Lines of a file that are neither blank nor only a comment or a docstring."""
+    text = path.read_text(encoding="utf-8")
+    docstrings: set[int] = set()
+    for node in ast.walk(ast.parse(text)):
+        if isinstance(node, ast.Module | ast.ClassDef):
+            strings = node.body  # what stands below a field or a constant describes it
+        elif isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+            strings = node.body[:1]
+        else:
+            continue
+        for one in strings:
+            if isinstance(one, ast.Expr) and isinstance(one.value, ast.Constant) and isinstance(one.value.value, str):
+                docstrings.update(range(one.lineno, (one.end_lineno or one.lineno) + 1))
+    lines: set[int] = set()
+    for token in tokenize.generate_tokens(io.StringIO(text).readline):
+        if token.type not in NO_CODE:
+            lines.update(range(token.start[0], token.end[0] + 1))
+    return len(lines - docstrings)
+
+
+def public_classes(tree: ast.Module) -> list[str]:
+    return [node.name for node in tree.body if isinstance(node, ast.ClassDef) and not node.name.startswith("_")]
+
+
+# -- circles ----------------------------------------------------------------------------------------------------------
+
+
+def imported_by(module: str, tree: ast.Module, is_package: bool, modules: Mapping[str, object]) -> set[str]:
+    """The package's modules that a module imports: at its top, in a function, for types only, or by `import_module`."""
+    found = set()
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            names = [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            parts = module.split(".") if is_package else module.split(".")[:-1]
+            origin = ".".join([*parts[: len(parts) - node.level + 1]] if node.level else [])
+            origin = ".".join(part for part in (origin, node.module) if part)
+            # a submodule where there is one of that name, else what the module itself has
+            called = [alias.name for alias in node.names if not alias.name.startswith("__")]  # __version__ is no API
+            names = [f"{origin}.{name}" if f"{origin}.{name}" in modules else origin for name in called]
+        elif isinstance(node, ast.Call) and node.args and ast.unparse(node.func).endswith("import_module"):
+            names = [node.args[0].value] if isinstance(node.args[0], ast.Constant) else []
+        else:
+            continue
+        found.update(name for name in names if name in modules)
+    return found - {module}
+
+
+def imports() -> dict[str, set[str]]:
+    """For each module of the package those of the package that it imports."""
+    trees = sources()
+    return {name: imported_by(name, tree, is_package(name), trees) for name, tree in trees.items()}
+
+
+def is_package(module: str) -> bool:
+    return (ROOT / Path(*module.split(".")) / "__init__.py").is_file()
+
+
+def circles(graph: Mapping[str, set[str]]) -> list[list[str]]:
+    """Groups of modules that import each other (strongly connected components of more than one), by Tarjan's way."""
+    number: dict[str, int] = {}
+    lowest: dict[str, int] = {}
+    path: list[str] = []
+    found: list[list[str]] = []
+
+    def visit(name: str) -> None:
+        number[name] = lowest[name] = len(number)
+        path.append(name)
+        for other in sorted(graph.get(name, ())):
+            if other not in number:
+                visit(other)
+            if other in path:
+                lowest[name] = min(lowest[name], lowest[other])
+        if lowest[name] == number[name]:
+            group = path[path.index(name) :]
+            del path[path.index(name) :]
+            if len(group) > 1:
+                found.append(sorted(group))
+
+    for name in sorted(graph):
+        if name not in number:
+            visit(name)
+    return found
+
+
+# -- what runs --------------------------------------------------------------------------------------------------------
+
+
+def output_of(*arguments: str) -> str:
+    environment = {**os.environ, "COLUMNS": "100", "TERM": "dumb"}
+    return subprocess.run(
+        [sys.executable, *arguments], capture_output=True, text=True, check=True, cwd=ROOT, env=environment
+    ).stdout
+
+
+def loaded_by_a_fit() -> list[Path]:
+    """The package's files that are loaded once the sample has been fitted from Python."""
+    return [Path(file) for file in json.loads(output_of("-c", LOADED, str(SAMPLES)).splitlines()[-1])]
+
+
+def fit_help() -> tuple[int, int]:
+    """Options of `recon fit --help`, and its lines 100 columns wide."""
+    text = output_of("-m", "recon", "fit", "--help")
+    options = re.findall(r"^\W*(?:\*\s+)?(--[a-z][\w-]*)", text, re.MULTILINE)
+    return len({*options} - {"--help"}), len(text.strip().splitlines())
+
+
+def lines_of(files: Sequence[Path]) -> int:
+    return sum(len(file.read_text(encoding="utf-8").splitlines()) for file in files)
+
+
+def rows(quick: bool) -> Iterator[list[object]]:
+    files, trees = sorted(PACKAGE.rglob("*.py")), sources()
+    yield ["code lines", sum(map(code_lines, files)), "25,500"]
+    yield ["all lines", lines_of(files), ""]
+    yield ["entries at the top of `recon/`", sum(p.name != "__pycache__" for p in PACKAGE.iterdir()), "16"]
+    names = Counter(name for tree in trees.values() for name in public_classes(tree))
+    yield ["public classes", names.total(), "190"]
+    shared = sorted(name for name, count in names.items() if count > 1)
+    yield ["names that two of them share", f"{len(shared)}{': ' if shared else ''}{', '.join(shared)}", "0"]
+    loaded = loaded_by_a_fit()
+    yield ["modules that fitting the sample from Python loads", len(loaded), "45"]
+    yield ["their lines", lines_of(loaded), "9,500"]
+    options, lines = fit_help()
+    yield ["options in `recon fit --help`", options, "24"]
+    yield ["its lines", lines, ""]
+    groups = circles(imports())
+    yield ["circles of files", f"{len(groups)}{': ' if groups else ''}{'; '.join(map(', '.join, groups))}", "0"]
+    if not quick:
+        with tempfile.TemporaryDirectory() as folder:
+            for name, arguments, beside, limit in startup.COMMANDS:
+                *_, ratio, _ = startup.compared(arguments, beside, RUNS, folder)
+                yield [f"time of `{name}` by that of `{beside}`", f"{ratio:.1f}", limit]
+
+
+def print_rooms() -> None:
+    lines: Counter[str] = Counter()
+    classes: Counter[str] = Counter()
+    for path in PACKAGE.rglob("*.py"):
+        parts = path.relative_to(PACKAGE).parts
+        room = "/".join(parts[: min(2, len(parts) - 1)]) or parts[0]
+        lines[room] += code_lines(path)
+        classes[room] += len(public_classes(ast.parse(path.read_text(encoding="utf-8"))))
+    print_table(
+        ["folder", "code lines", "public classes"], [[room, n, classes[room]] for room, n in lines.most_common()]
+    )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--rooms", action="store_true")
+    parser.add_argument("--quick", action="store_true")
+    options = parser.parse_args()
+    print_table(["what", "now", "at most"], list(rows(options.quick)))
+    if options.rooms:
+        print_rooms()
+
+
+if __name__ == "__main__":
+    main()
