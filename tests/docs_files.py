@@ -19,12 +19,11 @@ from recon.calibrate.intrinsics.board import parse_board
 from recon.clip.keypoints import Keypoints
 from recon.geometry.camera import Camera
 from recon.geometry.rotations import quaternions
-from recon.io import columns, read_keypoints, sleap
+from recon.io import bvh, columns, read_keypoints, sleap
 from recon.io.calibration import read_camera
 from recon.io.deeplabcut import write_csv
 from recon.io.pose3d import Pose3D, read_pose3d
 from recon.io.video import video_writer
-from recon.show.export import bvh
 from recon.show.export.rig import make_rig
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -15,23 +15,22 @@ from typer.testing import CliRunner
 
 from recon.base.errors import InputError
 from recon.clip.keypoints import Keypoints
-from recon.io import read_keypoints
+from recon.io import FORMATS, Format, choose_format, read_keypoints
 from recon.io.pose3d import Pose3D, read_pose3d
-from recon.show.export.formats import FORMATS, Format, choose_format
 from recon.workflows.cli import app, main
 from recon.workflows.convert import Options, convert
 
 NAN = float("nan")
 FRAMES = np.array([7, 8, 9, 10, 14])
 FPS = 119.88
-OF_2D = [f for f in FORMATS if f.keypoints]
-OF_3D = [f for f in FORMATS if f.pose]
-OF_POINTS = [f for f in FORMATS if f.keypoints or f.pose]
+OF_2D = [f for f in FORMATS if "2D" in f.writes]
+OF_3D = [f for f in FORMATS if "3D" in f.writes]
+OF_POINTS = [f for f in FORMATS if f in OF_2D or f in OF_3D]
 TOLERANCE_M = {"c3d": 3e-7}  # 32 bits and millimetres
 
 
 def label(f: Format) -> str:
-    return f.name + f.extensions[0]
+    return f.name + f.suffixes[0]
 
 
 def a_clip(frames: np.ndarray = FRAMES) -> Keypoints:
@@ -74,18 +73,18 @@ def assert_same_pose(found: Pose3D, expected: Pose3D, tolerance_m: float = 0.0) 
 @pytest.fixture(scope="module")
 def files_2d(tmp_path_factory) -> dict[str, Path]:
     folder = tmp_path_factory.mktemp("2d")
-    paths = {label(f): folder / f"clip_{f.name}{f.extensions[0]}" for f in OF_2D}
+    paths = {label(f): folder / f"clip_{f.name}{f.suffixes[0]}" for f in OF_2D}
     for f in OF_2D:
-        f.keypoints(a_clip(), paths[label(f)])
+        f.write(a_clip(), paths[label(f)])
     return paths
 
 
 @pytest.fixture(scope="module")
 def files_3d(tmp_path_factory) -> dict[str, Path]:
     folder = tmp_path_factory.mktemp("3d")
-    paths = {label(f): folder / f"clip_{f.name}{f.extensions[0]}" for f in OF_3D}
+    paths = {label(f): folder / f"clip_{f.name}{f.suffixes[0]}" for f in OF_3D}
     for f in OF_3D:
-        f.pose(a_pose(), paths[label(f)])
+        f.write(a_pose(), paths[label(f)])
     return paths
 
 
@@ -95,7 +94,7 @@ def files_3d(tmp_path_factory) -> dict[str, Path]:
 @pytest.mark.parametrize("end", OF_2D, ids=label)
 @pytest.mark.parametrize("start", OF_2D, ids=label)
 def test_pairs_of_2d_formats(files_2d, start, end, tmp_path):
-    out = tmp_path / f"out{end.extensions[0]}"
+    out = tmp_path / f"out{end.suffixes[0]}"
     done = convert(files_2d[label(start)], out, end.name)
     assert done.format is end
     assert done.notes == ()
@@ -105,7 +104,7 @@ def test_pairs_of_2d_formats(files_2d, start, end, tmp_path):
 @pytest.mark.parametrize("end", OF_3D, ids=label)
 @pytest.mark.parametrize("start", OF_3D, ids=label)
 def test_pairs_of_3d_formats(files_3d, start, end, tmp_path):
-    out = tmp_path / f"out{end.extensions[0]}"
+    out = tmp_path / f"out{end.suffixes[0]}"
     done = convert(files_3d[label(start)], out)
     assert done.format is end
     assert done.notes == ()
@@ -118,21 +117,21 @@ def test_pairs_of_3d_formats(files_3d, start, end, tmp_path):
 )
 @pytest.mark.parametrize("target", OF_POINTS, ids=label)
 def test_one_frame_and_other_beginnings(target, frames, tmp_path):
-    path = tmp_path / f"clip{target.extensions[0]}"
-    if target.keypoints:
-        target.keypoints(a_clip(frames), path)
+    path = tmp_path / f"clip{target.suffixes[0]}"
+    if target in OF_2D:
+        target.write(a_clip(frames), path)
         assert_same_keypoints(read_keypoints(path), a_clip(frames))
-    if target.pose:
-        target.pose(a_pose(frames), path)
+    if target in OF_3D:
+        target.write(a_pose(frames), path)
         assert_same_pose(read_pose3d(path), a_pose(frames), TOLERANCE_M.get(target.name, 0.0))
 
 
 @pytest.mark.parametrize("target", OF_POINTS, ids=label)
 def test_without_a_frame_rate(target, tmp_path):
-    path = tmp_path / f"clip{target.extensions[0]}"
+    path = tmp_path / f"clip{target.suffixes[0]}"
     for write, data, read in (
-        (target.keypoints, replace(a_clip(), fps=None, individual=None), read_keypoints),
-        (target.pose, replace(a_pose(), fps=None), read_pose3d),
+        ("2D" in target.writes and target.write, replace(a_clip(), fps=None, individual=None), read_keypoints),
+        ("3D" in target.writes and target.write, replace(a_pose(), fps=None), read_pose3d),
     ):
         if write and target.fps == "needed":
             with pytest.raises(InputError, match=r"--fps: found nothing.*as in 90"):
@@ -153,7 +152,7 @@ def test_edges_are_kept(files_3d):
 
 def test_image_size_and_time_gaps(tmp_path):
     coco = next(f for f in FORMATS if f.name == "coco")
-    coco.keypoints(replace(a_clip(), image_size_px=(1920, 1080)), tmp_path / "a.json")
+    coco.write(replace(a_clip(), image_size_px=(1920, 1080)), tmp_path / "a.json")
     assert read_keypoints(tmp_path / "a.json").image_size_px == (1920, 1080)
 
 
@@ -166,7 +165,7 @@ def test_image_size_and_time_gaps(tmp_path):
     ],
 )
 def test_names_that_a_format_cannot_hold(target, names, said, tmp_path):
-    write = next(f.pose for f in FORMATS if f.name == target)
+    write = next(f.write for f in FORMATS if f.name == target)
     with pytest.raises(InputError, match=said):
         write(Pose3D(names, np.zeros((2, 1, 3)), np.arange(2), fps=10.0), tmp_path / "a")
     assert list(tmp_path.iterdir()) == []
@@ -175,9 +174,9 @@ def test_names_that_a_format_cannot_hold(target, names, said, tmp_path):
 @pytest.mark.parametrize("target", [f for f in FORMATS if f.name in ("sleap", "c3d")], ids=label)
 def test_frame_numbers_far_apart(target, tmp_path):
     frames = np.array([0, 10**9])
-    write, data = (target.keypoints, a_clip(frames)) if target.keypoints else (target.pose, a_pose(frames))
+    data = a_clip(frames) if target in OF_2D else a_pose(frames)
     with pytest.raises(InputError, match="frames: found"):
-        write(data, tmp_path / "a")
+        target.write(data, tmp_path / "a")
 
 
 # Independent readers, 2D
@@ -286,7 +285,7 @@ def test_regular_nwb_has_a_rate(tmp_path):
     from pynwb import NWBHDF5IO
 
     nwb = next(f for f in FORMATS if f.name == "nwb")
-    nwb.keypoints(replace(a_clip(np.arange(30, 34)), fps=30.0), tmp_path / "a.nwb")
+    nwb.write(replace(a_clip(np.arange(30, 34)), fps=30.0), tmp_path / "a.nwb")
     with NWBHDF5IO(str(tmp_path / "a.nwb"), "r") as io:
         poses = io.read().processing["behavior"]["Phantom é"]
         assert poses.pose_estimation_series["nose"].rate == 30.0
@@ -369,7 +368,7 @@ def test_c3d_by_ezc3d(files_3d):
 def test_more_points_than_one_list_of_labels_holds(tmp_path):
     names = tuple(f"p{i}" for i in range(300))
     pose = Pose3D(names, np.random.default_rng(0).normal(size=(2, 300, 3)), np.arange(2), fps=100.0)
-    next(f for f in FORMATS if f.name == "c3d").pose(pose, tmp_path / "a.c3d")
+    next(f for f in FORMATS if f.name == "c3d").write(pose, tmp_path / "a.c3d")
     assert_same_pose(read_pose3d(tmp_path / "a.c3d"), pose, 3e-7)
 
 
@@ -415,7 +414,7 @@ def test_choice_of_format():
         choose_format(Path("a.xyz"), None)
     with pytest.raises(InputError, match=r"extension: found '.csv', expected one of: .trc$"):
         choose_format(Path("a.csv"), "trc")
-    with pytest.raises(InputError, match=r"--to: format: found 'fbx', expected one of: deeplabcut, long"):
+    with pytest.raises(InputError, match=r"--to: format: found 'fbx', expected one of: deeplabcut, sleap"):
         choose_format(Path("a.csv"), "fbx")
 
 
@@ -442,7 +441,7 @@ def test_every_problem_at_once(tmp_path):
 def test_whole_or_not_at_all(files_2d, tmp_path):
     out = tmp_path / "new" / "a.nwb"
     no_rate = replace(a_clip(), fps=None)
-    FORMATS[0].keypoints(no_rate, tmp_path / "a.csv")
+    FORMATS[0].write(no_rate, tmp_path / "a.csv")
     with pytest.raises(InputError, match="--fps"):
         convert(tmp_path / "a.csv", out)
     assert not out.parent.exists()
@@ -535,9 +534,9 @@ def test_command(files_3d, tmp_path):
 
 def test_command_lists_formats():
     listed = json.loads(run("--list", "--json").output)
-    assert [row["--to"] for row in listed] == [f.name for f in FORMATS]
+    assert [row["--to"] for row in listed] == [f.name for f in FORMATS if f.writes]
     shown = run("--list").output
-    assert all(f.name in shown for f in FORMATS)
+    assert all(f.name in shown for f in FORMATS if f.writes)
 
 
 def test_command_names_problems(monkeypatch, capsys, tmp_path):

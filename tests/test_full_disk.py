@@ -18,9 +18,9 @@ from recon.animal.skeleton_file import load_skeleton
 from recon.base.files import staged_file
 from recon.clip.keypoints import Keypoints
 from recon.fit.motion import Motion
+from recon.io import FORMATS, Format
 from recon.io.pose import Pose3D
 from recon.io.video import video_writer
-from recon.show.export.formats import FORMATS, Format
 from recon.show.export.rig import make_rig
 from recon.workflows.clip import write_clip
 from recon.workflows.settings import FitSettings
@@ -33,8 +33,8 @@ KEYPOINTS = Keypoints(NAMES, 1e3 * RNG.random((40, 3, 2)), RNG.random((40, 3)), 
 POSE = Pose3D(("nose", "tail_base", "paw"), RNG.random((40, 3, 3)), FRAMES, fps=50.0)
 CHAIN = load_skeleton("cheetah-8u")
 RIG = make_rig(CHAIN, 1.0, CHAIN.keypoint_names("left"), np.arange(3), np.zeros((3, CHAIN.n_state)), 50.0)
-DATA = {"keypoints": KEYPOINTS, "pose": POSE, "rig": RIG}
-WRITERS = [(f, kind) for f in FORMATS for kind in DATA if getattr(f, kind)]
+DATA = {"2D": KEYPOINTS, "3D": POSE, "bones": RIG}
+WRITERS = [(f, kind) for f in FORMATS for kind in f.writes]
 
 
 @contextmanager
@@ -51,7 +51,7 @@ def files_up_to(size: int) -> Iterator[None]:
 
 def put(format: Format, kind: str, path: Path) -> None:
     with staged_file(path) as staged:
-        getattr(format, kind)(DATA[kind], staged)
+        format.write(DATA[kind], staged)
 
 
 def film(path: Path) -> None:
@@ -63,7 +63,7 @@ def film(path: Path) -> None:
 
 @pytest.mark.parametrize(("format", "kind"), WRITERS, ids=[f"{f.title} {kind}" for f, kind in WRITERS])
 def test_every_format(format: Format, kind: str, tmp_path: Path) -> None:
-    path = tmp_path / f"data{format.extensions[0]}"
+    path = tmp_path / f"data{format.suffixes[0]}"
     put(format, kind, path)
     size = path.stat().st_size
     for written in tmp_path.iterdir():
@@ -105,7 +105,7 @@ def test_a_video(suffix: str, lacking: int, tmp_path: Path, capfd: pytest.Captur
 
 def test_a_command_says_one_line(tmp_path: Path) -> None:
     source, out = tmp_path / "source.npz", tmp_path / "clip.trc"
-    put(next(f for f in FORMATS if f.name == "npz"), "pose", source)
+    put(next(f for f in FORMATS if f.name == "npz"), "3D", source)
     with files_up_to(1000):
         ended = run("convert", source, out)
     assert ended == (2, "", f"error: {out}: File too large\n")

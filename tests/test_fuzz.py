@@ -70,7 +70,7 @@ def setting_cases(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable
 
 @pytest.mark.parametrize("first", range(0, 750, PART))
 def test_spoilt_clips_and_poses_are_read_or_refused(first: int, format_cases) -> None:
-    check(format_cases(first), 40)
+    check(format_cases(first), PART // 10)
 
 
 @pytest.mark.parametrize("first", range(0, 1250, PART))

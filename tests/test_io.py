@@ -172,7 +172,7 @@ def test_real_labels(shared_data):
     "name", ["sleap/small_robot.000_small_robot_3_frame.analysis.h5", "ndx-pose/0.3.0_poseestimation_one_camera.nwb"]
 )
 def test_real_hdf5_of_other_kinds_is_no_deeplabcut_file(shared_data, name):
-    assert not deeplabcut.recognises(shared_data / "importer-files" / name)
+    assert not deeplabcut.recognises_h5(shared_data / "importer-files" / name)
 
 
 def test_hdf5_of_another_kind(tmp_path):
@@ -434,7 +434,7 @@ def test_no_file(tmp_path):
 
 def test_unknown_format(tmp_path):
     assert "begins with 'frame,x,y'" in problems(save(tmp_path, "frame,x,y\n0,1,2\n"))[0]
-    assert "DeepLabCut CSV or H5" in problems(save(tmp_path, "frame,x,y\n0,1,2\n"))[0]
+    assert "DeepLabCut CSV" in problems(save(tmp_path, "frame,x,y\n0,1,2\n"))[0]
     assert "a file of blanks" in problems(save(tmp_path, " \n\n"))[0]
     binary = tmp_path / "binary.csv"
     for content in (b"\x00\x01\x02\x03", bytes(range(128, 192)), b"\x89PNG\r\n\x1a\n\x00\x00"):

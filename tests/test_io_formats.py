@@ -14,11 +14,10 @@ import pytest
 
 from recon.base.errors import InputError
 from recon.clip.keypoints import Keypoints
-from recon.io import read_keypoints
+from recon.io import FORMATS, read_keypoints
 from recon.io.column_map import parse_map
 from recon.io.common import frames_of_text, frames_of_times, frames_text
 from recon.io.pose3d import Pose3D, read_pose3d
-from recon.show.export.formats import FORMATS
 
 NAN = float("nan")
 
@@ -255,7 +254,7 @@ def nwb_file(path: Path, edit=None) -> Path:
     """Two animals, a and b, of our own writer, which `edit` may change."""
     import h5py
 
-    write = next(f.keypoints for f in FORMATS if f.name == "nwb")
+    write = next(f.write for f in FORMATS if f.name == "nwb")
     clip = Keypoints(("nose", "tail"), XY[:, 0, :2], SCORE[:, 0, :2], np.arange(5), fps=20.0, individual="a")
     write(clip, path)
     with h5py.File(path, "a") as file:
@@ -279,12 +278,13 @@ def test_nwb_of_several_animals(tmp_path):
 def test_nwb_problems(tmp_path):
     def shift(behavior):
         behavior["a/tail/starting_time"][()] = 7.0
+
+    assert "a/tail: found other times than in nose" in refused(nwb_file(tmp_path / "a.nwb", shift), "a")[0]
+
+    def explode(behavior):
         behavior["a/nose/data"][2] = np.inf
 
-    said = refused(nwb_file(tmp_path / "a.nwb", shift), "a")
-    assert len(said) == 2
-    assert "a/nose: found infinite coordinates" in said[0]
-    assert "a/tail: found other times than in nose" in said[1]
+    assert "points: found infinite coordinates" in refused(nwb_file(tmp_path / "c.nwb", explode), "a")[0]
 
     def shorten(behavior):
         del behavior["a/tail/confidence"]
@@ -725,10 +725,10 @@ def written(folder: Path) -> list[tuple[Path, object]]:
     pose = Pose3D(("nose", "tail"), np.random.default_rng(0).normal(size=(5, 2, 3)), np.arange(5), fps=20.0)
     files = []
     for f in FORMATS:
-        for write, data, read in ((f.keypoints, clip, read_keypoints), (f.pose, pose, read_pose3d)):
-            if write:
-                path = folder / f"{'2d' if data is clip else '3d'}_{f.name}{f.extensions[0]}"
-                write(data, path)
+        for kind, data, read in (("2D", clip, read_keypoints), ("3D", pose, read_pose3d)):
+            if kind in f.writes:
+                path = folder / f"{kind}_{f.name}{f.suffixes[0]}"
+                f.write(data, path)
                 files.append((path, read))
     return files
 
@@ -766,3 +766,13 @@ def test_pose_fps_and_edges():
         replace(pose, fps=0.0)
     with pytest.raises(ValueError, match="edge"):
         replace(pose, edges=(("a", "c"),))
+
+
+def test_a_bvh_file_of_infinite_size(tmp_path):
+    path = tmp_path / "a.bvh"
+    path.write_text(
+        "HIERARCHY\nROOT hip\n{\nOFFSET inf 0 0\nCHANNELS 1 Xrotation\nEnd Site\n{\nOFFSET 0 0 0\n}\n}\n"
+        "MOTION\nFrames: 1\nFrame Time: 0.1\n0\n"
+    )
+    with pytest.raises(InputError, match="points: found infinite coordinates"):
+        read_pose3d(path, unit="m")

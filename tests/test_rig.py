@@ -16,16 +16,17 @@ from command_line import run
 from recon.animal.skeleton_file import builtin_names, load_skeleton
 from recon.base.errors import InputError
 from recon.fit.results import read_results
+from recon.io import bvh, gltf, opensim
+from recon.io.bones import Armature
 from recon.io.pose3d import read_pose3d
-from recon.show.export import bvh, gltf, opensim
-from recon.show.export.rig import Rig, make_rig, rig_of
+from recon.show.export.rig import make_rig, rig_of
 from recon.workflows.convert import convert
 
 FRAMES = np.array([10, 11, 13, 14])
 MOST_M = 1e-5
 
 
-def a_rig(skeleton: str, seed: int = 0) -> Rig:
+def a_rig(skeleton: str, seed: int = 0) -> Armature:
     """In any poses, a frame of which is missing."""
     body = load_skeleton(skeleton)
     rng = np.random.default_rng(seed)
@@ -35,11 +36,11 @@ def a_rig(skeleton: str, seed: int = 0) -> Rig:
 
 
 @pytest.fixture(params=builtin_names())
-def rig(request) -> Rig:
+def rig(request) -> Armature:
     return a_rig(request.param)
 
 
-def off_m(rig: Rig, joints: bones.Joints) -> float:
+def off_m(rig: Armature, joints: bones.Joints) -> float:
     return bones.worst_m(joints, rig.joints, rig.pose.xyz_m)
 
 

@@ -87,8 +87,6 @@ def read(path: Path, individual: str | None = None) -> StoredPoints:
         problems.append(Problem(path, "points", "no frames", "at least one"))
     if fps is None:
         problems.append(Problem(path, "POINT:RATE", "nothing", "frames per second"))
-    if np.isinf(xyz).any():
-        problems.append(Problem(path, "points", "infinite coordinates", "numbers"))
     if problems:
         raise InputError(problems)
     listed = frames_of_text(_texts(content.parameters.get(OWN_GROUP, {}).get("FRAMES")))

@@ -90,8 +90,6 @@ def _keypoints(path: Path, content: dict[str, Any], individual: str | None) -> S
             score[t] = scores if len(scores) else np.where(known, np.nan, 0.0)
     if not frames.size:
         problems.append(Problem(path, "images", "none", "at least one"))
-    if np.isinf(xy).any():
-        problems.append(Problem(path, "annotations", "infinite coordinates", "numbers"))
     if problems:
         raise InputError(first_problems(problems, path))
     info = content.get("info")

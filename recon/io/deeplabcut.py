@@ -79,13 +79,13 @@ class Table:
     """Whether there is a header row or level of that name."""
 
 
-def recognises(path: Path) -> bool:
-    """Whether a file is DeepLabCut's, by its content: header rows, or a pandas table inside HDF5.
+def recognises_h5(path: Path) -> bool:
+    """Whether an HDF5 file has a pandas table. Raises InputError for one that cannot be opened."""
+    return is_hdf5(path) and bool(pandas_hdf.keys(path))
 
-    Raises InputError for an HDF5 file that cannot be opened.
-    """
-    if is_hdf5(path):
-        return bool(pandas_hdf.keys(path))
+
+def recognises_csv(path: Path) -> bool:
+    """Whether a text has DeepLabCut's header rows."""
     with path.open("rb") as file:
         head = file.read(64).removeprefix(b"\xef\xbb\xbf")
     return re.match(rb'\s*"?\s*(scorer|individuals|bodyparts)\s*"?\s*([,;\t\r\n]|$)', head) is not None

@@ -114,8 +114,6 @@ def read(path: Path, individual: str | None = None) -> StoredPoints:
     problems += name_problems(path, "keypoint", labels["keypoint"])
     problems += name_problems(path, "individual", labels["individual"])
     values = position.along(POSITION)
-    if np.isinf(values).any():
-        problems.append(Problem(path, "position", "infinite coordinates", "numbers, or NaN where missing"))
     frames, fps = None, None
     try:
         frames, fps = _frames(path, stored.get("time"), sizes["time"], attributes)

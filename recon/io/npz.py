@@ -59,8 +59,6 @@ def read(path: Path, individual: str | None = None) -> StoredPoints:
         problems.append(Problem(path, "xyz_m", found, "(frames, names, 3)"))
     if (np.diff(frames) <= 0).any():
         problems.append(Problem(path, "frames", "numbers that do not increase", "increasing frame numbers"))
-    if np.isinf(xyz).any():
-        problems.append(Problem(path, "xyz_m", "infinite coordinates", "numbers, or NaN where missing"))
     if edges.ndim != 2 or edges.shape[1] != 2 or ((edges < 0) | (edges >= len(names))).any():
         problems.append(Problem(path, "edges", f"{edges.shape}", "(E, 2), places in names"))
     if problems:

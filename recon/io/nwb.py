@@ -177,8 +177,6 @@ def _checked_series(path: Path, container: _Container) -> tuple[list[_PoseSeries
             problems.append(Problem(path, where, found, "2D points or 3D points, not both"))
         if s.times_s.shape != first.times_s.shape or not np.allclose(s.times_s, first.times_s, rtol=0, atol=1e-6):
             problems.append(Problem(path, where, f"other times than in {first.name}", "one time line"))
-        if np.isinf(s.values).any():
-            problems.append(Problem(path, where, "infinite coordinates", "numbers, or NaN where missing"))
     if not len(first.times_s):
         problems.append(Problem(path, container.name, "no frames", "at least one"))
     if problems:

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 
 from recon.base.errors import InputError, Problem
-from recon.io import Reader, file_head, read_points
 from recon.io.common import PROBLEMS_SHOWN, frame_number, numbers
 from recon.io.deeplabcut import Column, Table, gather
+from recon.io.formats import Format, file_head, read_points
 from recon.io.pose import PER_METRE, Pose3D, StoredPoints, z_up_from_y_up
 
 
@@ -28,7 +28,7 @@ def read_pose3d(
     return in_metres(Path(path), reader, stored, unit, up)
 
 
-def in_metres(path: Path, reader: Reader, stored: StoredPoints, unit: str | None, up: str | None) -> Pose3D:
+def in_metres(path: Path, reader: Format, stored: StoredPoints, unit: str | None, up: str | None) -> Pose3D:
     """The positions of a file in our unit and axes; unit and up as for `read_pose3d`. Raises InputError."""
     notes = list(stored.notes)
     problems = [

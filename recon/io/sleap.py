@@ -119,8 +119,6 @@ def _checked_arrays(
         if array.shape != shape:
             axes = ", ".join(WANTED[name])
             problems.append(Problem(path, name, f"{array.shape} ({axes})", f"{shape}, as in tracks"))
-    if np.isinf(xy).any():
-        problems.append(Problem(path, "tracks", "infinite coordinates", "numbers, or NaN where missing"))
     if problems:
         raise InputError(problems)
     return xy, score, occupied > 0

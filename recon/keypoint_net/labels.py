@@ -141,7 +141,7 @@ def read_label_file(path: Path, individual: str | None = None) -> tuple[Keypoint
 
 def _read_rows(path: Path, individual: str | None) -> tuple[Keypoints, tuple[str, ...]]:
     file_head(path)
-    if not deeplabcut.recognises(path):
+    if not (deeplabcut.recognises_csv(path) or deeplabcut.recognises_h5(path)):
         raise InputError(Problem(path, "format", "another kind of file", "labels in DeepLabCut's layout, CSV or H5"))
     keypoints, _ = mark_missing(as_keypoints(path, deeplabcut.read(path, individual)))
     named = dict(_image_names(path))

@@ -6,18 +6,16 @@ from dataclasses import dataclass, replace
 from functools import partial
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 from recon.animal.naming import load_names, renamed
 from recon.base.errors import InputError, Problem, all_of
 from recon.base.files import staged_file
 from recon.clip.keypoints import Keypoints, mark_missing
 from recon.fit.results import read_results
-from recon.io import FORMATS, Reader, as_keypoints, columns, file_head, read_points
+from recon.io import Format, Pose3D, as_keypoints, choose_format, in_metres, read_points
 from recon.io.column_map import parse_map
 from recon.io.common import rate
-from recon.io.pose import Pose3D, StoredPoints
-from recon.io.pose3d import in_metres
-from recon.show.export.formats import Format, choose_format
 from recon.show.export.rig import rig_of
 
 
@@ -63,28 +61,23 @@ def convert(
         lambda: _require_free(out, overwrite),
     )
     notes = data.notes
-    if target.rig is not None:
+    if "bones" in target.writes:
         return _as_bones(source, data, target, out, overwrite)
     if isinstance(data, Keypoints):
-        if target.keypoints is None:
+        if "2D" not in target.writes:
             expected = f"3D positions for {target.title}: fit the clip first (recon fit)"
             raise InputError(Problem(source, "content", "2D keypoints", expected))
         data, missing = mark_missing(data)
         if zeros := missing["missing_zero_zero"].sum():
             notes += (f"{zeros} points that were stored as (0, 0) are missing ones.",)
-        with staged_file(out) as staged:
-            target.keypoints(data, staged)
-    else:
-        if target.pose is None:
-            raise InputError(Problem(source, "content", "3D positions", f"2D keypoints for {target.title}"))
-        with staged_file(out) as staged:
-            target.pose(data, staged)
+    elif "3D" not in target.writes:
+        raise InputError(Problem(source, "content", "3D positions", f"2D keypoints for {target.title}"))
+    _write(target, data, out)
     return Conversion(data, target, notes)
 
 
 def _as_bones(source: Path, data: Keypoints | Pose3D, target: Format, out: Path, overwrite: bool) -> Conversion:
     """data: what was read of the source."""
-    assert target.rig is not None
     if not source.is_dir():
         found = "2D keypoints" if isinstance(data, Keypoints) else "3D positions"
         expected = f"a folder of results of recon fit: {target.title} has bones, which turn"
@@ -92,12 +85,17 @@ def _as_bones(source: Path, data: Keypoints | Pose3D, target: Format, out: Path,
     beside = [out.with_suffix(extension) for extension in target.beside]
     all_of(*(partial(_require_free, path, overwrite) for path in beside))
     rig = rig_of(read_results(source), data.fps)
-    with staged_file(out) as staged:
-        target.rig(rig, staged)
+    _write(target, rig, out)
     notes = data.notes + rig.notes
     if beside:
         notes += (f"Beside it: {', '.join(map(str, beside))}.",)
     return Conversion(rig.pose, target, notes)
+
+
+def _write(target: Format, data: Any, out: Path) -> None:
+    assert target.write is not None
+    with staged_file(out) as staged:
+        target.write(data, staged)
 
 
 def read_any(source: Path, options: Options) -> Keypoints | Pose3D:
@@ -107,10 +105,10 @@ def read_any(source: Path, options: Options) -> Keypoints | Pose3D:
     if source.is_dir():
         data = _of_results(source)
     else:
-        by_name = options.columns is None
-        reader, stored = read_points(source, options.individual) if by_name else _by_map(source, options)
+        by = None if options.columns is None else parse_map(options.columns)
+        found, stored = read_points(source, options.individual, by=by)
         if stored.in_space:
-            data = in_metres(source, reader, stored, options.unit, options.up)
+            data = in_metres(source, found, stored, options.unit, options.up)
         else:
             data = as_keypoints(source, stored)
     if options.rename is not None:
@@ -123,13 +121,6 @@ def read_any(source: Path, options: Options) -> Keypoints | Pose3D:
     if data.fps is not None:
         notes += (f"{data.fps:g} frames per second in the source, {options.fps:g} as given.",)
     return replace(data, fps=options.fps, notes=notes)
-
-
-def _by_map(source: Path, options: Options) -> tuple[Reader, StoredPoints]:
-    """A plain CSV by its map of columns, which has a z or has none."""
-    given = parse_map(options.columns or "")
-    file_head(source)
-    return FORMATS[-1], columns.read(source, options.individual, given)
 
 
 def _of_results(folder: Path) -> Pose3D:

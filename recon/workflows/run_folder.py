@@ -9,7 +9,7 @@ from typing import Any
 
 from recon.base.errors import InputError, Problem
 from recon.base.files import sole_writer
-from recon.io import READERS
+from recon.io import recognised
 from recon.io.video import SUFFIXES
 from recon.show.page import SUMMARY_PAGE, require_own_page
 from recon.workflows.batch import available_cores, work_off
@@ -53,7 +53,7 @@ def keypoints_of(video: Path, folder: Path) -> Path:
     if not folder.is_dir():
         raise InputError(Problem("--keypoints", "folder", str(folder), "a folder with a file for each video"))
     called = [p for p in sorted(folder.iterdir()) if p.stem == video.stem or p.stem.startswith(f"{video.stem}DLC")]
-    files = {path.stem: path for path in called if path != video and any(reader.recognises(path) for reader in READERS)}
+    files = {path.stem: path for path in called if path != video and recognised(path, "2D")}
     if len(files) != 1:
         found = ", ".join(path.name for path in files.values()) or "none"
         expected = f"one keypoint file called {video.stem}, or {video.stem}DLC..."

@@ -20,7 +20,7 @@ from recon.base.manifest import MANIFEST, write_manifest
 from recon.clip.keypoints import Keypoints, clean
 from recon.fit.results import read_results
 from recon.geometry.camera import Camera
-from recon.io import columns, read_keypoints
+from recon.io import FORMATS, bvh, columns, read_keypoints
 from recon.io.calibration import read_cameras, write_camera
 from recon.io.camera_track import read_camera_track
 from recon.io.column_map import parse_map
@@ -28,8 +28,6 @@ from recon.io.pose3d import Pose3D, read_pose3d, read_pose_segments
 from recon.keypoint_net.labels import read_label_file
 from recon.robotics.climb.recipe import load_recipe
 from recon.robotics.robot.robot_file import load_dh, load_robot
-from recon.show.export import bvh
-from recon.show.export.formats import FORMATS
 from recon.show.export.rig import make_rig
 from recon.workflows.batch.inputs import find_clips
 from recon.workflows.batch.record import read_record
@@ -168,14 +166,14 @@ def of_formats(folder: Path) -> Iterator[Seed]:
     clip = Keypoints(names, xy_px, confidence, FRAMES, fps=50.0, image_size_px=(1920, 1080))
     pose = Pose3D(names, random.normal(size=(5, 3, 3)).round(3), FRAMES, fps=50.0, edges=(("nose", "spine"),))
     for kind in FORMATS:
-        path = folder / f"{kind.name}{kind.extensions[0]}"
-        if kind.keypoints is not None:
-            kind.keypoints(clip, path)
+        path = folder / f"{kind.name}{kind.suffixes[0]}"
+        if "2D" in kind.writes:
+            kind.write(clip, path)
             yield Seed(f"2d-{path.name}", path.read_bytes(), _points)
-            kind.keypoints(replace(clip, individual="bella"), path)
+            kind.write(replace(clip, individual="bella"), path)
             yield Seed(f"2d-animal-{path.name}", path.read_bytes(), _animal, 0.4)
-        if kind.pose is not None:
-            kind.pose(pose, path)
+        if "3D" in kind.writes:
+            kind.write(pose, path)
             yield Seed(f"3d-{path.name}", path.read_bytes(), _positions)
     chain = load_skeleton("cheetah-8u")
     rig = make_rig(chain, 1.0, chain.markers, FRAMES, random.normal(size=(5, chain.n_state)).round(2), 50.0)

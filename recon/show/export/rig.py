@@ -1,80 +1,30 @@
-"""An animal as bones that turn against each other, for programs that know bones rather than points.
+"""A fit as bones that turn against each other (`recon.io.bones`), for programs that know bones rather than points.
 
 There is a bone for each segment of the skeleton, under its name, or with `_bone` behind it where a joint is called so.
-Axes are x forwards, y up, z right, as OpenSim, glTF and BVH have them. With all angles 0 every bone's axes are those of
-the world. Angles keep their names and signs: yaw turns about y, pitch about -z and roll about x.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from recon.animal.body import Body
+from recon.animal.capsules import capsules
 from recon.base.arrays import Array, Index
 from recon.base.errors import InputError, Problem
 from recon.fit.results import Results
 from recon.geometry.kinematics import ANGLE_OF_AXIS, AXES, ROOT, Tree
+from recon.io.bones import Armature, Bone, BoneAngle
 from recon.io.common import frames_text, require_span
 from recon.io.pose import Pose3D, y_up_from_z_up
-from recon.show.capsules import Capsule, capsules
 
-AXIS: dict[str, tuple[int, int, int]] = {"yaw": (0, 1, 0), "pitch": (0, 0, -1), "roll": (1, 0, 0)}
-"""What each kind of angle turns about."""
 RANGE_SIGMAS = 3.0
 SAME_M = 1e-4
 """Lengths by which joints are further off than this are others."""
 
 
-@dataclass(frozen=True, eq=False)
-class Turn:
-    """One angle of a bone against its parent, (T,), about an axis that the bone's turns before it have turned."""
-
-    name: str
-    kind: str
-    """yaw, pitch or roll."""
-    angle_rad: Array
-    mean_rad: float
-    range_rad: tuple[float, float]
-    """What the skeleton expects: three standard deviations about the mean, or, where it says nothing, any angle."""
-
-
-@dataclass(frozen=True, eq=False)
-class Bone:
-    """A segment. parent: None of the root, which follows a path."""
-
-    name: str
-    parent: int | None
-    offset_m: Array
-    """(3,): its origin in its parent's frame."""
-    turns: tuple[Turn, ...]
-
-
-@dataclass(frozen=True, eq=False)
-class Rig:
-    """Bones, each after its parent, and J joints fixed on them, in T frames that follow one another without a gap."""
-
-    name: str
-    title: str
-    bones: tuple[Bone, ...]
-    joints: tuple[str, ...]
-    """As their keypoints are called."""
-    joint_bones: tuple[int, ...]
-    joint_offsets_m: Array
-    """(J, 3): in their bones' frames."""
-    capsules: tuple[Capsule, ...]
-    """Of the bones, in the segments' frames, where z is up."""
-    root_m: Array
-    """(T, 3): the origin of the first bone."""
-    pose: Pose3D
-    """The joints in these frames, z up."""
-    fps: float
-    notes: tuple[str, ...]
-
-
-def rig_of(results: Results, fps: float | None = None) -> Rig:
+def rig_of(results: Results, fps: float | None = None) -> Armature:
     """From the first to the last frame with a pose; those without one in between are interpolated, which a note says.
 
     fps: in place of the results'. Raises InputError without any pose, and where lengths change from frame to frame.
@@ -100,7 +50,7 @@ def rig_of(results: Results, fps: float | None = None) -> Rig:
     return replace(rig, notes=(note,) if len(filled) else ())
 
 
-def make_rig(body: Body, size: float, names: tuple[str, ...], frames: Index, states: Array, fps: float) -> Rig:
+def make_rig(body: Body, size: float, names: tuple[str, ...], frames: Index, states: Array, fps: float) -> Armature:
     """Of states (N, D) in these frames (N,), and between them. names: of the J joints."""
     tree = _scaled(body.tree, size)
     frames, states = _without_gaps(frames, states)
@@ -114,7 +64,7 @@ def make_rig(body: Body, size: float, names: tuple[str, ...], frames: Index, sta
         )
         for segment, turns in zip(tree.segments, _turns(body, states), strict=True)
     )
-    return Rig(
+    return Armature(
         name=body.name,
         title=body.title,
         bones=bones,
@@ -127,14 +77,6 @@ def make_rig(body: Body, size: float, names: tuple[str, ...], frames: Index, sta
         fps=fps,
         notes=(),
     )
-
-
-def turned(turns: tuple[Turn, ...], count: int) -> Array:
-    """(count, 3, 3): rotations from a bone's frame to its parent's, in each frame."""
-    R = Rotation.identity(count)
-    for turn in turns:
-        R = R * Rotation.from_rotvec(np.outer(turn.angle_rad, AXIS[turn.kind]))
-    return R.as_matrix()
 
 
 def _scaled(tree: Tree, size: float) -> Tree:
@@ -156,7 +98,7 @@ def _without_gaps(frames: Index, states: Array) -> tuple[Index, Array]:
     return all_frames, np.column_stack([np.interp(all_frames, frames, column) for column in states.T])
 
 
-def _turns(body: Body, states: Array) -> list[tuple[Turn, ...]]:
+def _turns(body: Body, states: Array) -> list[tuple[BoneAngle, ...]]:
     """Of each segment, for states (T, D). A summed joint turns relative to the root: against its parent it turns as its
     angles say, but in the order pitch, yaw, and a roll that is left over."""
     tree, turns = body.tree, []
@@ -175,7 +117,7 @@ def _turns(body: Body, states: Array) -> list[tuple[Turn, ...]]:
             kinds, means = ["pitch", "yaw", "roll"], [means[1], means[0], (0.0, np.pi / RANGE_SIGMAS)]
         turns.append(
             tuple(
-                Turn(f"{segment.name}_{kind}", kind, a, mean, (mean - RANGE_SIGMAS * sd, mean + RANGE_SIGMAS * sd))
+                BoneAngle(f"{segment.name}_{kind}", kind, a, mean, (mean - RANGE_SIGMAS * sd, mean + RANGE_SIGMAS * sd))
                 for kind, a, (mean, sd) in zip(kinds, angles, means, strict=True)
             )
         )

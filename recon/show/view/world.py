@@ -10,11 +10,11 @@ import rerun as rr
 from numpy.typing import NDArray
 from rerun.components import FillMode
 
+from recon.animal.capsules import capsule_ends, capsules
 from recon.fit.motion import Motion, Picture
 from recon.fit.results import MEASURED_SHARE
 from recon.geometry.kinematics import AXES, Marker
 from recon.geometry.rotations import quaternions
-from recon.show.capsules import capsule_ends, capsules
 from recon.show.view.scene import (
     BODY,
     CAMERA,

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from recon.base.errors import InputError, Problem
-from recon.io import READERS, file_head, individuals
+from recon.io import file_head, individuals, recognised, titles
 from recon.io.calibration import read_cameras
 from recon.show.page import SUMMARY_PAGE
 from recon.show.report.common import first_names
@@ -175,13 +175,13 @@ def _is_recognised(path: Path) -> bool:
     except InputError:
         return False
     try:
-        return any(reader.recognises(path) for reader in READERS)
+        return recognised(path, "2D") is not None
     except InputError:
         return True
 
 
 def _format_names() -> str:
-    return ", ".join(reader.name for reader in READERS)
+    return titles("2D")
 
 
 def _without_repeats(drafts: Sequence[Draft]) -> list[Draft]:

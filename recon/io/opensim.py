@@ -1,6 +1,6 @@
 """An OpenSim model (.osim), with its motion (.mot) and its markers' paths (.trc) beside it.
 
-Metres, rad, y up (see `recon.show.export.rig`). Bodies have no mass, as skeletons state none: the model is for
+Metres, rad, y up (see `recon.io.bones`). Bodies have no mass, as skeletons state none: the model is for
 kinematics. Times are as in the keypoint file.
 """
 
@@ -13,9 +13,9 @@ import numpy as np
 
 from recon.base.arrays import Array
 from recon.io import trc
+from recon.io.bones import AXIS, Armature, Bone
 from recon.io.common import require_names
 from recon.io.pose import y_up_from_z_up
-from recon.show.export.rig import AXIS, Bone, Rig
 
 TITLE = "OpenSim model"
 BESIDE = (".mot", ".trc")
@@ -25,7 +25,7 @@ PLACE = {"x_m": (1, 0, 0), "y_m": (0, 0, -1), "z_m": (0, 1, 0)}
 """Coordinates of the root's origin, and along which axes they lie."""
 
 
-def write(rig: Rig, path: Path) -> None:
+def write(rig: Armature, path: Path) -> None:
     """The model, and its motion and markers under the same name. Raises InputError for names with blanks or slashes."""
     require_names([bone.name for bone in rig.bones] + list(rig.joints), r"[\s/\\*+]", TITLE)
     document = Element("OpenSimDocument", Version=VERSION)
@@ -50,7 +50,7 @@ def write(rig: Rig, path: Path) -> None:
     trc.write(rig.pose, path.with_suffix(".trc"))
 
 
-def _join(joints: Element, rig: Rig, bone: Bone) -> None:
+def _join(joints: Element, rig: Armature, bone: Bone) -> None:
     """To its parent, or the ground."""
     is_root = bone.parent is None
     joint = SubElement(joints, "CustomJoint" if bone.turns else "WeldJoint", name=bone.name)
@@ -81,7 +81,7 @@ def _join(joints: Element, rig: Rig, bone: Bone) -> None:
                 _texts(SubElement(element, "LinearFunction", name="function"), coefficients="1 0")
 
 
-def _draw(body: Element, rig: Rig, bone: Bone) -> None:
+def _draw(body: Element, rig: Armature, bone: Bone) -> None:
     """Cylinders where its capsules are."""
     of_it = [c for c in rig.capsules if rig.bones[c.segment] is bone]
     components = SubElement(body, "components") if of_it else body
@@ -95,7 +95,7 @@ def _draw(body: Element, rig: Rig, bone: Bone) -> None:
         _texts(frame, orientation=_numbers([0.0, 0.0, float(np.arctan2(-end[0], end[1]))]))
 
 
-def _write_motion(rig: Rig, path: Path) -> None:
+def _write_motion(rig: Armature, path: Path) -> None:
     turns = [turn for bone in rig.bones for turn in bone.turns]
     place = rig.root_m @ np.array([*PLACE.values()], dtype=float).T
     values = np.column_stack([rig.pose.frames / rig.fps, place, *(turn.angle_rad for turn in turns)])

@@ -1,6 +1,6 @@
 """A glTF 2.0 file (.glb): capsules around an animal's bones, which a skin moves as the animal did.
 
-Metres, y up (see `recon.show.export.rig`); the animation begins at 0 s. Joints are bones as well, that end limbs.
+Metres, y up (see `recon.io.bones`); the animation begins at 0 s. Joints are bones as well, that end limbs.
 """
 
 from __future__ import annotations
@@ -13,12 +13,12 @@ from typing import Any
 import numpy as np
 
 from recon.animal.body import Side
+from recon.animal.capsules import Capsule
 from recon.base.arrays import Array
 from recon.base.package import version
 from recon.geometry.rotations import quaternions
+from recon.io.bones import Armature, turned
 from recon.io.pose import y_up_from_z_up
-from recon.show.capsules import Capsule
-from recon.show.export.rig import Rig, turned
 
 COLOURS: dict[Side | None, tuple[float, float, float]] = {
     "left": (0.09, 0.46, 0.81),
@@ -58,7 +58,7 @@ class _Buffer:
         return len(self.accessors) - 1
 
 
-def write(rig: Rig, path: Path) -> None:
+def write(rig: Armature, path: Path) -> None:
     buffer = _Buffer()
     offsets_m = np.concatenate([[bone.offset_m for bone in rig.bones], rig.joint_offsets_m])
     parents = [bone.parent for bone in rig.bones] + list(rig.joint_bones)
@@ -106,7 +106,7 @@ def write(rig: Rig, path: Path) -> None:
     path.write_bytes(struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks)
 
 
-def _animation(buffer: _Buffer, rig: Rig, turns: list[Array]) -> dict[str, Any]:
+def _animation(buffer: _Buffer, rig: Armature, turns: list[Array]) -> dict[str, Any]:
     """The root's path, and the turns of the bones that do."""
     time_s = buffer.add(np.arange(len(rig.root_m)) / rig.fps)
     moved = [(0, "translation", rig.root_m)]
@@ -118,7 +118,7 @@ def _animation(buffer: _Buffer, rig: Rig, turns: list[Array]) -> dict[str, Any]:
     }
 
 
-def _primitive(buffer: _Buffer, rig: Rig, side: Side | None, at_rest: Array, material: int) -> dict[str, Any]:
+def _primitive(buffer: _Buffer, rig: Armature, side: Side | None, at_rest: Array, material: int) -> dict[str, Any]:
     """The capsules of one side, each moved by its own bone."""
     points, normals, triangles, bones = [], [], [], []
     for capsule in rig.capsules:

@@ -1,0 +1,257 @@
+"""The table of file formats, and reading points by it.
+
+A new format is one module with `recognises(path)`, `read(path, individual)` and `write(data, path)`, whichever it has,
+and one line in `FORMATS`: `recon fit`, `batch`, `evaluate` and `convert` take it from there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from recon.base.documents import require_file
+from recon.base.errors import InputError, Problem
+from recon.clip.keypoints import Keypoints
+from recon.io import (
+    bvh,
+    c3d,
+    coco,
+    columns,
+    deeplabcut,
+    gltf,
+    mmpose,
+    movement,
+    npz,
+    nwb,
+    opensim,
+    parquet,
+    sleap,
+    trc,
+)
+from recon.io.common import NoChoiceError, with_likelihoods
+from recon.io.hdf5 import is_hdf5
+from recon.io.pose import StoredPoints
+
+Kind = Literal["2D", "3D", "bones"]
+"""2D keypoints, 3D positions, or bones (`recon.io.bones`)."""
+
+
+@dataclass(frozen=True)
+class Format:
+    """One kind of file."""
+
+    name: str
+    """For `--to`."""
+    title: str
+    suffixes: tuple[str, ...]
+    """The first is the usual one."""
+    recognises: Callable[[Path], bool] | None = None
+    """Whether a readable file, not empty, is of this format. It looks at the content, not at the name, and raises
+    InputError for a file so damaged that this cannot be told. None for one that is not read."""
+    read: Callable[[Path, str | None], StoredPoints] | None = None
+    """The points of one animal, by its name, from a file that is recognised; raises InputError."""
+    reads: tuple[Kind, ...] = ()
+    write: Callable[[Any, Path], None] | None = None
+    """`Keypoints`, `Pose3D` or `Armature`, whichever of them it `writes`, as a new file; raises InputError."""
+    writes: tuple[Kind, ...] = ()
+    fps: str = ""
+    """Where it has the frame rate, or needed if it cannot be without."""
+    frames: str = ""
+    """Where it has the frame numbers."""
+    axes: str = ""
+    """Unit and axes of 3D positions as they are written."""
+    unit: str | None = None
+    """Of 3D positions that are read, where the file does not say it; None for one that the user has to give."""
+    up: str = "z"
+    """Likewise, the axis that points up."""
+    beside: tuple[str, ...] = ()
+    """Suffixes of further files that are written under the same name."""
+
+
+_2D: tuple[Kind, ...] = ("2D",)
+_3D: tuple[Kind, ...] = ("3D",)
+_BOTH: tuple[Kind, ...] = ("2D", "3D")
+_BONES: tuple[Kind, ...] = ("bones",)
+
+# fmt: off
+FORMATS: tuple[Format, ...] = (
+    Format("deeplabcut", "DeepLabCut CSV", (".csv",), deeplabcut.recognises_csv, deeplabcut.read, _BOTH,
+           deeplabcut.write_csv, _BOTH, "in the scorer", "kept", "m, z up", unit="m"),
+    Format("deeplabcut", "DeepLabCut H5", (".h5", ".hdf5"), deeplabcut.recognises_h5, deeplabcut.read, _BOTH,
+           deeplabcut.write_h5, _BOTH, "in the scorer", "kept", "m, z up", unit="m"),
+    Format("sleap", "SLEAP analysis H5", (".analysis.h5", ".h5"), sleap.recognises, sleap.read, _2D,
+           sleap.write, _2D, "in provenance", "from frame 0"),
+    Format("movement", "movement netCDF", (".nc",), movement.recognises, movement.read, _BOTH,
+           movement.write, _BOTH, "kept", "as times", "m, z up"),
+    Format("nwb", "ndx-pose NWB", (".nwb",), nwb.recognises, nwb.read, _BOTH,
+           nwb.write, _BOTH, "needed", "as times", "m, z up"),
+    Format("coco", "COCO JSON", (".json",), coco.recognises, coco.read, _2D,
+           coco.write, _2D, "in info", "kept"),
+    Format("mmpose", "MMPose JSON", (".json",), mmpose.recognises, mmpose.read, _2D),
+    Format("trc", "TRC", (".trc",), trc.recognises, trc.read, _3D,
+           trc.write, _3D, "needed", "kept", "m, y up", up="y"),
+    Format("c3d", "C3D", (".c3d",), c3d.recognises, c3d.read, _3D,
+           c3d.write, _3D, "needed", "RECON:FRAMES", "mm, z up"),
+    Format("npz", "NPZ", (".npz",), npz.recognises, npz.read, _3D,
+           npz.write, _3D, "kept", "kept", "m, z up"),
+    Format("parquet", "Parquet", (".parquet",), parquet.recognises, parquet.read, _3D,
+           parquet.write, _3D, "in metadata", "kept", "m, z up"),
+    Format("bvh", "BVH", (".bvh",), bvh.recognises, bvh.read, _3D,
+           bvh.write, _BONES, "kept", "from 0", "m, y up", up="y"),
+    Format("opensim", "OpenSim model", (".osim",), None, None, (),
+           opensim.write, _BONES, "as times", "as times", "m, y up", beside=opensim.BESIDE),
+    Format("gltf", "glTF", (".glb",), None, None, (),
+           gltf.write, _BONES, "as times", "from 0", "m, y up"),
+    Format("long", "long CSV", (".csv",), columns.recognises, columns.read, _BOTH,
+           columns.write_long, _2D, "as a column", "kept"),
+    Format("wide", "wide CSV", (".csv",), columns.recognises, columns.read, _BOTH,
+           columns.write_wide, _2D, "as a column", "kept"),
+)
+# fmt: on
+"""A file is of the first that recognises it. Where an extension has several, the first that writes it is meant unless
+`--to` names another."""
+PLAIN = next(f for f in FORMATS if f.read is columns.read)
+
+
+def choose_format(out: Path, name: str | None) -> Format:
+    """What to write, by the name of a format, if given, and the file's extension; the longest that fits counts.
+
+    Raises InputError for names and extensions that are not there.
+    """
+    written = [f for f in FORMATS if f.writes]
+    names = tuple(dict.fromkeys(f.name for f in written))
+    if name is not None and name not in names:
+        raise InputError(Problem("--to", "format", f"'{name}'", f"one of: {', '.join(names)}"))
+    named = [f for f in written if name in (None, f.name)]
+    fitting = [(len(s), -i, f) for i, f in enumerate(named) for s in f.suffixes if out.name.lower().endswith(s)]
+    if not fitting:
+        expected = ", ".join(dict.fromkeys(s for f in named for s in f.suffixes))
+        raise InputError(Problem(out, "extension", f"'{out.suffix}'", f"one of: {expected}"))
+    return max(fitting, key=lambda fit: fit[:2])[2]
+
+
+def recognised(path: Path, kind: Kind | None = None) -> Format | None:
+    """The format of a readable file, or of those that can hold such data; None where there is none.
+
+    Raises InputError for a file so damaged that this cannot be told.
+    """
+    return next((f for f in FORMATS if f.recognises and (kind is None or kind in f.reads) and f.recognises(path)), None)
+
+
+def titles(kind: Kind | None = None) -> str:
+    """The formats that are read, for a message."""
+    return ", ".join(f.title for f in FORMATS if f.read and (kind is None or kind in f.reads))
+
+
+# -- reading ---------------------------------------------------------------------------------------------------------
+
+
+def read_keypoints(path: str | Path, individual: str | None = None) -> Keypoints:
+    """The keypoints of one animal, as the file states them (see `recon.clip.keypoints.clean`), in any known format.
+
+    individual: the animal's name, needed where the file holds several. Raises InputError for a file that is missing,
+    empty, of no known format, or faulty.
+    """
+    return as_keypoints(Path(path), read_points(path, individual, "2D")[1])
+
+
+def read_points(
+    path: str | Path, individual: str | None = None, kind: Kind | None = None, by: Mapping[str, str] | None = None
+) -> tuple[Format, StoredPoints]:
+    """The points of one animal, and the format of the file. Raises InputError likewise.
+
+    kind: what they have to be; by: the columns of a plain table (`recon.io.column_map.parse_map`).
+    """
+    path = Path(path)
+    head = file_head(path)
+    if by is not None:
+        return PLAIN, columns.read(path, individual, by)
+    found = recognised(path)
+    if found is None or found.read is None:
+        raise InputError(Problem(path, "format", describe(head), f"one of: {titles(kind)}"))
+    try:
+        stored = found.read(path, individual) if kind is None or kind in found.reads else None
+    except NoChoiceError as error:
+        _require_kind(path, kind, found, found.read(path, error.animals[0]))  # or else a choice would not help
+        raise
+    stored = _require_kind(path, kind, found, stored)
+    if np.isinf(stored.values).any():
+        raise InputError(Problem(path, "points", "infinite coordinates", "numbers, or nothing where one is missing"))
+    return found, stored
+
+
+def _require_kind(path: Path, kind: Kind | None, found: Format, stored: StoredPoints | None) -> StoredPoints:
+    if kind == "2D" and (stored is None or stored.in_space):
+        raise InputError(Problem(path, "coords", "x, y, z: 3D positions", "2D keypoints in pixels (x, y)"))
+    if stored is None or (kind == "3D" and not stored.in_space):
+        raise InputError(Problem(path, "coords", f"no z ({found.title})", "x, y, z: 3D positions"))
+    return stored
+
+
+def as_keypoints(path: Path, stored: StoredPoints) -> Keypoints:
+    """The 2D points of a file. Raises InputError for likelihoods that are none."""
+    keypoints = Keypoints(
+        stored.names,
+        stored.values,
+        np.full(stored.values.shape[:2], np.nan) if stored.likelihood is None else stored.likelihood,
+        stored.frames,
+        fps=stored.fps,
+        image_size_px=stored.image_size_px,
+        individual=stored.individual,
+        source=str(path),
+        notes=stored.notes,
+    )
+    return with_likelihoods(keypoints, path)
+
+
+def individuals(path: str | Path) -> tuple[str, ...]:
+    """The animals with points in a file of several; none for a file of one, or one that cannot be read."""
+    try:
+        if not _is_of_one(Path(path)):
+            read_keypoints(path)
+    except NoChoiceError as error:
+        return error.animals
+    except InputError:  # said when it is read
+        pass
+    return ()
+
+
+def _is_of_one(path: Path) -> bool:
+    """Whether it can be told without reading all of it: DeepLabCut's CSV names animals in its first rows."""
+    head = file_head(path, 1 << 18)  # a row with the network's name in every column is before those that count
+    if b"individuals" in head or is_hdf5(path) or not deeplabcut.recognises_csv(path):
+        return False
+    row = next((line for line in head.splitlines() if line.startswith(b"bodyparts")), b"")
+    return not deeplabcut.prefixes(row.decode(errors="replace").split(",")[1:] or [""])
+
+
+def file_head(path: Path, length: int = 64) -> bytes:
+    """The first bytes of a file. Raises InputError where there is no file to read, or nothing in it."""
+    require_file(path)
+    try:
+        with path.open("rb") as file:
+            head = file.read(length)
+    except OSError as error:
+        found = f"a file that cannot be opened ({error.strerror})"
+    else:
+        if head:
+            return head
+        found = "an empty file"
+    raise InputError(Problem(path, "file", found, "a file that can be read"))
+
+
+def describe(head: bytes) -> str:
+    """What the first bytes of a file of no known format look like, in the user's words."""
+    if head.startswith(b"\x89HDF\r\n\x1a\n"):
+        return "an HDF5 file of another kind"
+    if head[4:8] == b"ftyp" or head[8:12] == b"AVI " or head.startswith(b"\x1aE\xdf\xa3"):
+        return "a video (recon run and recon predict find the keypoints in one)"
+    text = head.decode("utf-8", errors="ignore").lstrip("\ufeff").strip()
+    # The head may end in the middle of a character of up to 4 bytes; more than that is lost only from binary files.
+    if len(text.encode()) < len(head.strip()) - 6 or not all(c.isprintable() or c.isspace() for c in text):
+        return "a binary file"
+    return f"a file that begins with '{text.splitlines()[0][:40]}'" if text else "a file of blanks"
