@@ -23,9 +23,9 @@ def test_expected_calibration_error_by_hand():
     right = np.array([0, 0, 1, 1, 1, 0, 1, 1, 1, 0], bool)
     table = reliability(likelihood, right)
     assert table.expected_calibration_error == pytest.approx(0.19)
-    assert [(b.low, b.points) for b in table.bins] == [(0.0, 2), (0.5, 4), (0.9, 4)]
-    assert table.bins[1].likelihood == pytest.approx(0.55)
-    assert table.bins[2].right == pytest.approx(0.75)
+    assert [(b["low"], b["points"]) for b in table.bins] == [(0.0, 2), (0.5, 4), (0.9, 4)]
+    assert table.bins[1]["likelihood"] == pytest.approx(0.55)
+    assert table.bins[2]["right"] == pytest.approx(0.75)
 
 
 def test_calibration_finds_what_made_the_points():

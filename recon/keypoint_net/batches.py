@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import contextmanager
+from collections.abc import Generator, Sequence
 from dataclasses import dataclass, replace
+from itertools import count
 
 import numpy as np
 from numpy.typing import NDArray
 
 from recon.base.arrays import Array, Integers
 from recon.io.video import Image
+from recon.keypoint_net.ahead import ahead
 from recon.keypoint_net.augment import Augmentation, Example, augment
 from recon.keypoint_net.background import moving_mask
 from recon.keypoint_net.labels import Labels, body_length_px, known_points, scaled_size
@@ -36,18 +36,10 @@ NO_BACKGROUND = 0.2
 AHEAD = 3
 
 
-@dataclass(frozen=True, eq=False)
-class Batch:
-    """B pictures of H by W pixels, with K points."""
-
-    pictures: NDArray[np.uint8]
-    """(B, H, W, 3)"""
-    backgrounds: NDArray[np.uint8]
-    """(B, H, W, 3). Where there is none, the picture itself, which makes the difference 0."""
-    xy_px: Array
-    """(B, K, 2), NaN where a point is not labelled or not in the picture."""
-    near_px: Array | None = None
-    """(B, K, 2), places near the points, as a first stage might find them; None for the first stage itself."""
+Batch = tuple[NDArray[np.uint8], NDArray[np.uint8], Array, Array | None]
+"""Pictures (B, H, W, 3); their backgrounds (B, H, W, 3), the picture itself where there is none, which makes the
+difference 0; K points of each (B, K, 2), NaN where a point is not labelled or not in the picture; and places near them
+(B, K, 2), as a first stage might find them, None for the first stage itself."""
 
 
 def network_scales(xy_px: Array) -> tuple[float, float]:
@@ -113,35 +105,9 @@ class BatchSource:
                 angle, far = rng.uniform(0, 2 * np.pi, len(xy)), self.off_px * rng.uniform(0, 1, len(xy)) ** 0.5
                 near.append(xy + np.stack([far * np.cos(angle), far * np.sin(angle)], axis=1))
         near_px = np.stack(near) if near else None
-        return Batch(np.stack(pictures), np.stack(backgrounds), np.stack(points), near_px)
+        return np.stack(pictures), np.stack(backgrounds), np.stack(points), near_px
 
 
-class Ahead:
-    """Batches of the steps to come, one of each source, asked for before they are needed. A change of the pool drops
-    those in flight."""
-
-    def __init__(self, sources: tuple[BatchSource, ...], executor: ThreadPoolExecutor) -> None:
-        self._sources, self._executor = sources, executor
-        self._waiting: dict[int, Future[tuple[Batch, ...]]] = {}
-        self._pool: Integers = np.zeros(0, np.int64)
-
-    def get(self, step: int, pool: Integers) -> tuple[Batch, ...]:
-        if not np.array_equal(pool, self._pool):
-            self._waiting.clear()
-            self._pool = pool
-        for s in range(step, step + AHEAD):
-            if s not in self._waiting:
-                self._waiting[s] = self._executor.submit(self._made, s, pool)
-        return self._waiting.pop(step).result()
-
-    def _made(self, step: int, pool: Integers) -> tuple[Batch, ...]:
-        return tuple(source.batch(step, pool) for source in self._sources)
-
-
-@contextmanager
-def ahead(*sources: BatchSource) -> Iterator[Ahead]:
-    with ThreadPoolExecutor(max_workers=1, thread_name_prefix="pictures") as executor:
-        try:
-            yield Ahead(sources, executor)
-        finally:
-            executor.shutdown(wait=True, cancel_futures=True)
+def batches(sources: Sequence[BatchSource], step: int, pool: Integers) -> Generator[tuple[Batch, ...]]:
+    """Of this step and all that follow, one batch of each source, made ahead."""
+    return ahead((tuple(source.batch(s, pool) for source in sources) for s in count(step)), AHEAD)

@@ -56,28 +56,15 @@ def fit_calibration(raw: Array, right: Bools) -> LikelihoodCalibration:
 
 
 @dataclass(frozen=True)
-class Bin:
-    """Points whose likelihood lies in [low, high)."""
-
-    low: float
-    high: float
-    points: int
-    """How many."""
-    likelihood: float
-    """Their mean."""
-    right: float
-    """The share of them that is right."""
-
-
-@dataclass(frozen=True)
 class Reliability:
     """Likelihoods against shares of right points."""
 
     points: int
     expected_calibration_error: float
     """The mean difference of the two weighted by the points; NaN without any."""
-    bins: tuple[Bin, ...]
-    """Those with points."""
+    bins: tuple[dict[str, float], ...]
+    """Of those with points in them: points, how many; their likelihoods lie in [low, high), and likelihood is their
+    mean; right, the share of them that is right."""
 
 
 def reliability(likelihood: Array, right: Bools, bins: int = BINS) -> Reliability:
@@ -86,8 +73,8 @@ def reliability(likelihood: Array, right: Bools, bins: int = BINS) -> Reliabilit
     rows = []
     for b in np.unique(which):
         here = which == b
-        mean = float(likelihood[here].mean()), float(right[here].mean())
-        rows.append(Bin(float(b / bins), float((b + 1) / bins), int(here.sum()), *mean))
+        ends = {"low": float(b / bins), "high": float((b + 1) / bins), "points": int(here.sum())}
+        rows.append(ends | {"likelihood": float(likelihood[here].mean()), "right": float(right[here].mean())})
     total = len(likelihood)
-    error = sum(r.points * abs(r.likelihood - r.right) for r in rows) / total if total else float("nan")
+    error = sum(r["points"] * abs(r["likelihood"] - r["right"]) for r in rows) / total if total else float("nan")
     return Reliability(total, float(error), tuple(rows))

@@ -5,12 +5,10 @@ Pictures are held for a few batches only; what grows with the video are the poin
 
 from __future__ import annotations
 
-from collections import deque
-from collections.abc import Callable, Generator, Iterator
-from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack
-from dataclasses import dataclass
+from collections.abc import Callable, Generator
+from contextlib import ExitStack, closing
 from functools import partial as partial_of
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +18,7 @@ from recon.base.errors import InputError, Problem
 from recon.base.progress import Progress, silent
 from recon.clip.keypoints import Keypoints
 from recon.io.video import Image, VideoInfo, probe, read_frames, video_writer
+from recon.keypoint_net.ahead import ahead
 from recon.keypoint_net.background import background_of_video
 from recon.keypoint_net.draw import draw_points
 from recon.keypoint_net.labels import resize
@@ -36,15 +35,8 @@ LOST_SHARE, LOST_FRAMES = 0.01, 3
 """So many frames fewer than the video states are its count's fault; more are the video's."""
 
 
-@dataclass(frozen=True, eq=False)
-class Chunk:
-    """Consecutive frames."""
-
-    numbers: list[int]
-    pictures: list[Image]
-    """At the network's scale."""
-    originals: list[Image]
-    """Empty unless they are drawn on."""
+Chunk = tuple[list[int], list[Image], list[Image]]
+"""Numbers of consecutive frames, their pictures at the network's scale, and as they are, if they are drawn on."""
 
 
 def predict_video(
@@ -80,17 +72,18 @@ def predict_video(
         if overlay is not None:
             even = (info.size_px[0] // 2 * 2, info.size_px[1] // 2 * 2)
             write = stack.enter_context(video_writer(overlay, even, info.fps or 30.0))
-        for chunk in chunks(video, info, spec.scale, keep=write is not None):
-            points = partial_of(trained.points, chunk.pictures, background, quality, precision)
+        made = chunks(video, info, spec.scale, keep=write is not None)
+        for of_chunk, pictures, originals in stack.enter_context(closing(ahead(made, 1 + WAITING))):
+            points = partial_of(trained.points, pictures, background, quality, precision)
             if not numbers:
-                _choose_threads(threads, points, total / len(chunk.numbers), trained.device.type == "cpu")
+                _choose_threads(threads, points, total / len(of_chunk), trained.device.type == "cpu")
             xy, raw = points()
             sure = spec.likelihood(raw, quality)
-            numbers += chunk.numbers
+            numbers += of_chunk
             xy_px.append(xy.astype(np.float32))
             likelihood.append(sure.astype(np.float32))
             if write is not None:
-                for picture, points, how in zip(chunk.originals, xy, sure, strict=True):
+                for picture, points, how in zip(originals, xy, sure, strict=True):
                     drawn = draw_points(picture, points, how, likelihood_min)
                     write(drawn[: drawn.shape[0] // 2 * 2, : drawn.shape[1] // 2 * 2])
             progress(f"frame {numbers[-1]}", min(1.0, len(numbers) / total))
@@ -106,34 +99,14 @@ def predict_video(
     )
 
 
-def chunks(video: Path, info: VideoInfo, scale: float, keep: bool) -> Iterator[Chunk]:
-    """The frames of a video in batches, decoded in a thread of their own, a few batches ahead."""
+def chunks(video: Path, info: VideoInfo, scale: float, keep: bool) -> Generator[Chunk]:
+    """The frames of a video in batches. keep: the original pictures, too."""
     width, height = info.size_px
     size = int(np.clip(PIXELS / (width * height * scale**2), 1, 32))
-
-    def decoded() -> Generator[Chunk]:
-        chunk = Chunk([], [], [])
-        for number, picture in read_frames(video):
-            chunk.numbers.append(number)
-            chunk.pictures.append(resize(picture, scale))
-            if keep:
-                chunk.originals.append(picture)
-            if len(chunk.numbers) == size:
-                yield chunk
-                chunk = Chunk([], [], [])
-        if chunk.numbers:
-            yield chunk
-
-    made = decoded()
-    with ThreadPoolExecutor(max_workers=1, thread_name_prefix="decoding") as executor:
-        waiting = deque(executor.submit(next, made, None) for _ in range(WAITING + 1))
-        try:
-            while (chunk := waiting.popleft().result()) is not None:
-                waiting.append(executor.submit(next, made, None))
-                yield chunk
-        finally:
-            executor.shutdown(wait=True, cancel_futures=True)
-            made.close()
+    frames = read_frames(video)
+    while some := list(islice(frames, size)):
+        pictures = [resize(picture, scale) for _, picture in some]
+        yield [number for number, _ in some], pictures, [picture for _, picture in some if keep]
 
 
 def _choose_threads(given: int | None, work: Callable[[], object], times: float, on_cpu: bool) -> None:

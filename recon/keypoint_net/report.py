@@ -188,7 +188,7 @@ def _draw_reliability(tables: dict[str, Reliability], folder: Path) -> None:
         axes.plot([0, 1], [0, 1], color=GREY, lw=0.6)
         for i, (part, table) in enumerate(tables.items()):
             label = f"{part}: {table.points} points, error {table.expected_calibration_error:.3f}"
-            likelihood, right = [b.likelihood for b in table.bins], [b.right for b in table.bins]
+            likelihood, right = ([b[name] for b in table.bins] for name in ("likelihood", "right"))
             axes.plot(likelihood, right, marker="os"[i], color=COLOURS[i], label=label)
         axes.set(xlabel="likelihood", ylabel="share of right points", xlim=(0, 1), ylim=(0, 1), aspect="equal")
         if tables:

@@ -15,6 +15,7 @@ import copy
 import dataclasses
 import math
 import time
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +29,7 @@ from recon.keypoint_net.batches import (
     PART_PX,
     Batch,
     BatchSource,
-    ahead,
+    batches,
     crop_size,
     examples_of,
 )
@@ -65,31 +66,33 @@ def train(
     shown = np.flatnonzero(run.labels.labelled.any(axis=1))
     first = np.intersect1d(split.train, shown)
     both = np.intersect1d(np.concatenate([split.train, split.validation]), shown)
-    with ahead(*_sources(run)) as batches:
-        if threads or state.threads or run.device.type != "cpu":
-            use_threads(threads or state.threads)
-        else:
-            progress("timing threads", 0.0)
-            trial = begin(run)
-            state.threads_s = fastest_threads(lambda: _learn(trial, batches.get(trial.step, first), 0.0, run, half))
-        state.threads = torch.get_num_threads()
-        began_s = time.monotonic() - state.seconds
-        while state.share < 1.0:
-            batch = batches.get(state.step, both if state.finishing else first)
-            held_out = not state.finishing
-            rate = settings.learning_rate * schedule(state.share, settings.finish)
-            value = _learn(state, batch, rate, run, half)
-            state.seconds = time.monotonic() - began_s
-            _advance(state, settings)
-            row = {"step": state.step, "loss": value, "rate": rate, "share": state.share}
-            state.history.append(row | ({} if held_out else {"finishing": 1.0}))
-            if _is_evaluation_due(state) or (held_out and state.finishing):
-                _evaluate(state, run, held_out)
-                _stop_early(state, settings)
-                if held_out and (state.finishing or state.share >= 1):
-                    _end_first_part(state, run)
-                save_checkpoint(state, run, out)
-            progress(f"{'finishing' if state.finishing else 'learning'}: {_figures_text(state)}", state.share)
+    sources = _sources(run)
+    if threads or state.threads or run.device.type != "cpu":
+        use_threads(threads or state.threads)
+    else:
+        progress("timing threads", 0.0)
+        trial = begin(run)
+        with closing(batches(sources, 0, first)) as drawn:
+            state.threads_s = fastest_threads(lambda: _learn(trial, next(drawn), 0.0, run, half))
+    state.threads = torch.get_num_threads()
+    began_s = time.monotonic() - state.seconds
+    while state.share < 1.0:
+        held_out = not state.finishing
+        with closing(batches(sources, state.step, first if held_out else both)) as drawn:
+            while state.share < 1.0 and held_out != state.finishing:
+                rate = settings.learning_rate * schedule(state.share, settings.finish)
+                value = _learn(state, next(drawn), rate, run, half)
+                state.seconds = time.monotonic() - began_s
+                _advance(state, settings)
+                row = {"step": state.step, "loss": value, "rate": rate, "share": state.share}
+                state.history.append(row | ({} if held_out else {"finishing": 1.0}))
+                if _is_evaluation_due(state) or (held_out and state.finishing):
+                    _evaluate(state, run, held_out)
+                    _stop_early(state, settings)
+                    if held_out and (state.finishing or state.share >= 1):
+                        _end_first_part(state, run)
+                    save_checkpoint(state, run, out)
+                progress(f"{'finishing' if state.finishing else 'learning'}: {_figures_text(state)}", state.share)
     spec = dataclasses.replace(run.spec, calibrations=state.calibrations)
     save_model(spec, state.average.state_dict(), out / MODEL_FILE)
     return state
@@ -143,9 +146,10 @@ def _learn(state: State, batch: tuple[Batch, ...], rate: float, run: TrainingRun
     state.optimizer.zero_grad(set_to_none=True)
     value = 0.0
     for stage, part in zip(stages(state.network), batch, strict=True):
-        x = as_input(part.pictures, part.backgrounds, run.device)
-        xy = places(part.xy_px, run.device)
-        window = None if part.near_px is None else Window(places(part.near_px, run.device), run.spec.reach_places)
+        pictures, backgrounds, xy_px, near_px = part
+        x = as_input(pictures, backgrounds, run.device)
+        xy = places(xy_px, run.device)
+        window = None if near_px is None else Window(places(near_px, run.device), run.spec.reach_places)
         with torch.autocast(run.device.type, half, enabled=half is not None):
             scores = stage(x)
         error = loss(scores, xy, SIGMA, window)

@@ -81,8 +81,8 @@ class Spec:
 
 
 @dataclass(frozen=True, eq=False)
-class Found:
-    """Of B pictures by one stage."""
+class _StagePoints:
+    """What one stage sees in B pictures."""
 
     xy_px: Array
     """(B, K, 2)"""
@@ -111,11 +111,11 @@ class Trained:
             return scale_points(found.xy_px, 1 / self.spec.scale), found.raw
         small = np.stack([resize(picture, first) for picture in pictures])
         found = self._found(0, small, None if background is None else resize(background, first), quality, half)
-        begin = Found(scale_points(found.xy_px, 1 / first), found.raw, found.variance_px2 / first**2)
+        begin = _StagePoints(scale_points(found.xy_px, 1 / first), found.raw, found.variance_px2 / first**2)
         return scale_points(self._refined(begin, pictures, background, quality, half), 1 / self.spec.scale), found.raw
 
     def _refined(
-        self, begin: Found, pictures: Sequence[Image], background: Image | None, quality: str, half: Any
+        self, begin: _StagePoints, pictures: Sequence[Image], background: Image | None, quality: str, half: Any
     ) -> Array:
         """Points (B, K, 2): the mean of what both stages see, weighted by how sure each is of it, in the part of each
         picture where most points are; others stay."""
@@ -133,7 +133,7 @@ class Trained:
     def _found(
         self, stage: int, pictures: NDArray[np.uint8], background: NDArray[np.uint8] | None, quality: str, half: Any,
         near_px: Array | None = None,
-    ) -> Found:  # fmt: skip
+    ) -> _StagePoints:  # fmt: skip
         """In pixels of the pictures; near_px: where the second looks."""
         torch = require_torch()
         with torch.inference_mode():
@@ -147,7 +147,7 @@ class Trained:
                 found = self._averaged(stage, plain, x, views, half, window)
             xy, raw = decode(found, self.spec.tolerance_places)
             parts = (STRIDE * xy, raw, STRIDE**2 * variance(plain, xy))
-        return Found(*(part.cpu().double().numpy() for part in parts))
+        return _StagePoints(*(part.cpu().double().numpy() for part in parts))
 
     def _probability(self, stage: int, x: torch.Tensor, half: Any, window: Window | None) -> torch.Tensor:
         import torch  # pyright: ignore[reportMissingImports]
