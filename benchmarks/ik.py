@@ -31,7 +31,7 @@ from recon import Pose3D, read_pose3d
 from recon.animal.skeleton_file import load_chain, load_skeleton
 from recon.fit.points import solve_points_and_size
 from recon.gait.gait import pose_gait
-from recon.robotics.ik.animal import body_chain, body_chain_angles, chain_angles, planar_chain, spine_front_leg
+from recon.robotics.ik.animal import body_chain, body_chain_angles, chain_angles, projected_chain, spine_front_leg
 from recon.robotics.ik.chain import SerialChain
 from recon.robotics.ik.clip import stride_lasts_s
 from recon.robotics.ik.costs import HarmonicMap, joint_differences, pose_distance, rotational_energy
@@ -48,7 +48,6 @@ from recon.robotics.ik.fit import (
     fit_transpose,
     fit_weights,
 )
-from recon.robotics.ik.joint_chain import JointChain
 from recon.robotics.ik.methods import (
     DampedLeastSquares,
     ExtendedJacobian,
@@ -103,7 +102,7 @@ def methods(chain: SerialChain) -> dict[str, Method]:
         "extended Jacobian (energy)": ExtendedJacobian(energy),
         "extended Jacobian (energy), N constant": ExtendedJacobian(energy, full=False),
     }
-    if not isinstance(chain, JointChain):  # the map is one of the 8U chain's joints
+    if chain.base.shape == (2, 3) or len(chain.groups) == 2:  # the map is one of the 8U chain's joints
         every["extended Jacobian (harmonic map)"] = ExtendedJacobian(HarmonicMap())
     return every
 
@@ -235,7 +234,7 @@ def real_legs(folder: Path) -> dict[str, list[Leg]]:
             name = f"{meta.parent.name}, {side}"
             leg = ("tail_base", "spine", "neck_base", *(f"{side[0]}_front_{part}" for part in ("knee", "ankle", "paw")))
             known = np.isfinite(root[:, 0])
-            flat, q, _ = planar_chain(points(leg), root[known][-1] - root[known][0])
+            flat, q, _ = projected_chain(points(leg), root[known][-1] - root[known][0])
             legs["2D"].append(Leg(name, flat, q, fps, lasts_s))
             published = solve_joints(skeleton, points(skeleton.keypoint_names(side)), UP)
             states, _ = skeleton.to_body(published, np.eye(4))

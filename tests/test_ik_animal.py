@@ -9,8 +9,8 @@ from gallop import gallop
 from recon.animal.skeleton_file import load_chain, load_skeleton
 from recon.geometry.frames import inverse, rigid
 from recon.geometry.kinematics import ROOT, YAW
-from recon.robotics.ik.animal import body_chain, body_chain_angles, chain_angles, planar_chain, spine_front_leg
-from recon.robotics.ik.chain import PlanarChain
+from recon.robotics.ik.animal import body_chain, body_chain_angles, chain_angles, projected_chain, spine_front_leg
+from recon.robotics.ik.chain import planar_chain
 
 # -- the spine-front-leg chain ---------------------------------------------------------------------------------------
 
@@ -142,12 +142,12 @@ def test_body_chain_refuses_what_it_cannot_do():
 
 def test_planar_chain_of_a_planar_motion_is_exact():
     rng = np.random.default_rng(5)
-    true, q = PlanarChain((0.4, 0.3, 0.25)), rng.uniform(-1, 1, (7, 3))
+    true, q = planar_chain((0.4, 0.3, 0.25)), rng.uniform(-1, 1, (7, 3))
     travel, side = np.array([0.6, 0.8, 0.0]), np.array([-0.8, 0.6, 0.0])
     flat = np.array([true.positions(x) for x in q])
     points = flat[..., :1] * travel - flat[..., 1:] * [0, 0, 1] + rng.normal(size=(7, 4, 1)) * side + [1.0, 2.0, 3.0]
     points[3] = np.nan
-    chain, found, misfit = planar_chain(points, travel + np.array([0, 0, 0.2]))
+    chain, found, misfit = projected_chain(points, travel + np.array([0, 0, 0.2]))
     known = np.arange(7) != 3
     np.testing.assert_allclose(chain.lengths_m, true.lengths_m)
     np.testing.assert_allclose(found[known], q[known], atol=1e-12)
@@ -155,7 +155,7 @@ def test_planar_chain_of_a_planar_motion_is_exact():
     assert np.isnan(misfit[3])
     # A link that is seen shorter in one frame: the chain, which keeps its length, ends beside the foot.
     points[0, 3] = points[0, 2] + 0.8 * (points[0, 3] - points[0, 2])
-    chain, _, misfit = planar_chain(points, travel)
+    chain, _, misfit = projected_chain(points, travel)
     np.testing.assert_allclose(chain.lengths_m, true.lengths_m)
     np.testing.assert_allclose(misfit[0], 0.2 * 0.25, atol=1e-12)
 
@@ -165,6 +165,6 @@ def test_planar_chain_does_not_jump():
     points = np.zeros((40, 3, 3))
     points[:, 1] = 0.3 * np.stack([np.cos(angles), 0 * angles, -np.sin(angles)], axis=1)
     points[:, 2] = points[:, 1] * 2
-    _, q, _ = planar_chain(points, [1.0, 0.0, 0.0])
+    _, q, _ = projected_chain(points, [1.0, 0.0, 0.0])
     np.testing.assert_allclose(q[:, 0], angles, atol=1e-12)
     np.testing.assert_allclose(q[:, 1], 0, atol=1e-12)

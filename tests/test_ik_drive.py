@@ -7,7 +7,7 @@ import pytest
 
 from recon.animal.skeleton_file import load_chain
 from recon.robotics.ik.animal import spine_front_leg
-from recon.robotics.ik.chain import PlanarChain, null_basis
+from recon.robotics.ik.chain import null_basis, planar_chain
 from recon.robotics.ik.costs import HarmonicMap, UserCost, joint_differences, rotational_energy
 from recon.robotics.ik.drive import degree_of_closure, drive_to, follow, roughness
 from recon.robotics.ik.methods import (
@@ -84,7 +84,7 @@ def test_unreachable_targets_have_a_reason(name):
         drive = drive_to(chain, np.full(5, 0.3), target, methods(chain)[name])
         assert drive.reason.startswith("unreachable")
         assert drive.iterations == 0
-    arm = PlanarChain((1.0, 0.3))
+    arm = planar_chain((1.0, 0.3))
     assert "0.700 to 1.300 m" in drive_to(arm, [0.1, 0.2], [0.5, 0.0], LeastNorm()).reason
 
 

@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from recon.robotics.ik.chain import PlanarChain, unreachable
+from recon.robotics.ik.chain import joint_chain, planar_chain, unreachable
 from recon.robotics.ik.costs import joint_differences, rotational_energy
 from recon.robotics.ik.drive import drive_to
-from recon.robotics.ik.joint_chain import JointChain
 from recon.robotics.ik.methods import DampedLeastSquares, ExtendedJacobian, LeastNorm
 
 SLIDING = np.array([False, True, False, False, False, True])
@@ -27,7 +26,7 @@ def random_parts(seed=0):
 
 
 def random_chain(seed=0, **more):
-    return JointChain(**random_parts(seed), sliding=SLIDING, **more)
+    return joint_chain(**random_parts(seed), sliding=SLIDING, **more)
 
 
 def differences(function, q, step=1e-6):
@@ -65,7 +64,7 @@ def test_derivatives_agree_with_differences():
         np.testing.assert_allclose(J, differences(chain.end, q), atol=1e-8)
         np.testing.assert_allclose(chain.hessian(q), differences(chain.jacobian, q), atol=1e-8)
         np.testing.assert_allclose(chain.hessian(q), chain.hessian(q).transpose(0, 2, 1), atol=1e-14)
-        np.testing.assert_allclose(chain.curvature(q, mu), np.tensordot(mu, chain.hessian(q), 1), atol=1e-14)
+        np.testing.assert_allclose(chain.derivatives(q)[1](mu), np.tensordot(mu, chain.hessian(q), 1), atol=1e-14)
         # dR R' = [w]x
         spin = differences(lambda x: chain.pose(x)[0], q).transpose(2, 0, 1) @ chain.pose(q)[0].T
         angular = np.stack([spin[:, 2, 1], spin[:, 0, 2], spin[:, 1, 0]])
@@ -80,7 +79,7 @@ def test_a_denavit_hartenberg_chain():
     # The next joint's z axis is turned by alpha about x; d comes before.
     offsets, twists = np.zeros((6, 3)), np.concatenate([[0.0], alpha[:-1]])
     offsets[1:, 2] = d[:-1]
-    chain = JointChain(
+    chain = joint_chain(
         offsets, [(0, 0, 1)] * 6, Rotation.from_euler("x", twists[:, None]), sliding, (0, 0, d[5]), Rotation.identity()
     )
     q = np.array([0.3, -0.8, 0.5, 1.1, 0.7, -0.4])
@@ -96,17 +95,17 @@ def test_a_denavit_hartenberg_chain():
 
 def test_a_planar_chain_is_one_of_these():
     lengths, q, mu = (0.4, 0.3, 0.2), np.array([0.3, -0.7, 1.2]), np.array([0.6, -1.1])
-    flat = PlanarChain(lengths)
-    chain = JointChain([(0, 0, 0), (0.4, 0, 0), (0.3, 0, 0)], [(0, 0, 2.0)] * 3, tool_m=(0.2, 0, 0))
+    flat = planar_chain(lengths)
+    chain = joint_chain([(0, 0, 0), (0.4, 0, 0), (0.3, 0, 0)], [(0, 0, 2.0)] * 3, tool_m=(0.2, 0, 0))
     np.testing.assert_allclose(chain.positions(q)[:, :2], flat.positions(q), atol=1e-15)
     np.testing.assert_allclose(chain.jacobian(q)[:2], flat.jacobian(q), atol=1e-15)
-    np.testing.assert_allclose(chain.curvature(q, np.array([*mu, 0])), flat.curvature(q, mu), atol=1e-15)
+    np.testing.assert_allclose(chain.derivatives(q)[1](np.array([*mu, 0])), flat.derivatives(q)[1](mu), atol=1e-15)
     np.testing.assert_allclose(chain.reach_m, flat.reach_m)
     np.testing.assert_allclose(chain.joint_lengths_m, flat.joint_lengths_m)
 
 
 def test_joints_at_one_place_turn_the_same_link():
-    chain = JointChain(
+    chain = joint_chain(
         [(0, 0, 0), (0, 0, 0), (0.5, 0, 0), (0, 0, 0)], [(0, 0, 1), (0, 1, 0), (0, 1, 0), (1, 0, 0)], tool_m=(0.2, 0, 0)
     )
     np.testing.assert_allclose(chain.lengths_m, [0, 0.5, 0, 0.2])
@@ -125,8 +124,8 @@ def test_reach_holds_everywhere():
     assert random_chain().reach_m == (0.0, np.inf)
     # A long link with a short one: the hole in the middle; a slide of 0.1 to 0.2 m makes it smaller by as much.
     parts = {"axes": [(0, 0, 1), (0, 0, 1)], "tool_m": (0.3, 0, 0)}
-    assert JointChain([(0, 0, 0), (1.0, 0, 0)], **parts).reach_m == pytest.approx((0.7, 1.3))
-    slide = JointChain(
+    assert joint_chain([(0, 0, 0), (1.0, 0, 0)], **parts).reach_m == pytest.approx((0.7, 1.3))
+    slide = joint_chain(
         [(0, 0, 0), (1.0, 0, 0), (0.3, 0, 0)],
         [(0, 0, 1), (0, 0, 1), (1, 0, 0)],
         sliding=[False, False, True],
@@ -139,13 +138,13 @@ def test_reach_holds_everywhere():
 
 def test_bad_chains_are_refused():
     with pytest.raises(ValueError, match=r"\(n, 3\)"):
-        JointChain([(0, 0)], [(0, 0, 1)])
+        joint_chain([(0, 0)], [(0, 0, 1)])
     with pytest.raises(ValueError, match="no axis zero"):
-        JointChain([(0, 0, 0)], [(0, 0, 0)])
+        joint_chain([(0, 0, 0)], [(0, 0, 0)])
     with pytest.raises(ValueError, match="2 rotations"):
-        JointChain(np.zeros((2, 3)), np.eye(3)[:2], Rotation.identity(3))
+        joint_chain(np.zeros((2, 3)), np.eye(3)[:2], Rotation.identity(3))
     with pytest.raises(ValueError, match="above"):
-        JointChain([(0, 0, 0)], [(0, 0, 1)], limits_rad=(1.0, -1.0))
+        joint_chain([(0, 0, 0)], [(0, 0, 1)], limits_rad=(1.0, -1.0))
 
 
 @pytest.mark.parametrize("kind", ["damped", "least norm", "energy", "differences"])

@@ -7,7 +7,7 @@ from functools import partial
 import numpy as np
 import pytest
 
-from recon.robotics.ik.chain import PlanarChain, SummedChain, null_basis
+from recon.robotics.ik.chain import null_basis, planar_chain, summed_chain
 from recon.robotics.ik.costs import (
     HarmonicMap,
     UserCost,
@@ -43,7 +43,7 @@ from recon.robotics.ik.methods import (
 )
 
 LENGTHS = (0.4, 0.3, 0.25, 0.28, 0.2)
-CHAINS = {"planar": PlanarChain(LENGTHS), "summed": SummedChain(LENGTHS)}
+CHAINS = {"planar": planar_chain(LENGTHS), "summed": summed_chain(LENGTHS)}
 EACH = pytest.mark.parametrize("chain", CHAINS.values(), ids=CHAINS)
 
 
@@ -94,7 +94,7 @@ def test_formulas(chain):
 
 def test_one_damped_link():
     # One link of length r at angle q: J = r (-sin q, cos q), and J' (J J' + l^2)^-1 dx = r t . dx / (r^2 + l^2).
-    chain, q, dx = PlanarChain((0.7,)), np.array([0.6]), np.array([0.3, -0.2])
+    chain, q, dx = planar_chain((0.7,)), np.array([0.6]), np.array([0.3, -0.2])
     expected = 0.7 * (-np.sin(0.6) * 0.3 - np.cos(0.6) * 0.2) / (0.7**2 + 0.1**2)
     np.testing.assert_allclose(DampedLeastSquares(0.1).rates(chain, q, dx).dq, [expected], atol=1e-12)
 
@@ -110,7 +110,7 @@ def test_transpose_is_the_nearest_along_its_direction(chain):
 
 def test_selectively_damped_holds_each_direction():
     # Nearly stretched: along the arm s is small and the direction damped, across it hardly.
-    chain, q = PlanarChain((0.5, 0.5)), np.array([0.0, 0.02])
+    chain, q = planar_chain((0.5, 0.5)), np.array([0.0, 0.02])
     method = SelectivelyDamped(gamma_max_rad=0.5, interval_s=1.0)
     along = method.rates(chain, q, np.array([-0.1, 0.0])).dq
     assert np.abs(along).max() < 0.02
@@ -187,7 +187,7 @@ def test_joints_taken_out_do_not_move(chain):
 
 
 def test_a_limit_of_the_rates_spares_the_end_effector():
-    chain = PlanarChain(LENGTHS, max_rate_rad_s=3.0)
+    chain = planar_chain(LENGTHS, max_rate_rad_s=3.0)
     q, dx = configuration(chain)
     step = GradientProjection(rotational_energy(chain), k=-1e3).rates(chain, q, dx)
     assert step.note.startswith("rate limit")

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from recon.robotics.ik.chain import PlanarChain
+from recon.robotics.ik.chain import planar_chain
 from recon.robotics.ik.drive import follow
 from recon.robotics.ik.methods import LeastNorm
 from recon.robotics.ik.stride import farthest_reach, find_stride
 
-CHAIN = PlanarChain((0.5, 0.4, 0.3))
+CHAIN = planar_chain((0.5, 0.4, 0.3))
 
 
 def swings(frames, period=20.0, drift=0.0):
@@ -105,8 +105,8 @@ def test_farthest_reach():
     q[3] = np.nan
     start, target = farthest_reach(CHAIN, q)
     ends = np.array([CHAIN.end(x) for x in q])
-    assert CHAIN.end(start)[0] == np.nanmin(ends[:, 0])
-    assert target[0] == np.nanmax(ends[:, 0])
-    np.testing.assert_array_equal(target, ends[np.nanargmax(ends[:, 0])])
+    assert CHAIN.end(start)[0] == pytest.approx(np.nanmin(ends[:, 0]), abs=1e-15)
+    assert target[0] == pytest.approx(np.nanmax(ends[:, 0]), abs=1e-15)
+    np.testing.assert_allclose(target, ends[np.nanargmax(ends[:, 0])], rtol=0, atol=1e-15)
     with pytest.raises(ValueError, match="missing value"):
         farthest_reach(CHAIN, np.full((2, 3), np.nan))

@@ -20,7 +20,7 @@ from recon.gait.gait import Plane, Stance, Stride, gait, tracks
 from recon.gait.kinematics import Errors, angle_kinematics, point_kinematics
 from recon.gait.phase import Closure, Portrait, phase_portrait, vector_field
 from recon.robotics.ik import plots as ik_plots
-from recon.robotics.ik.chain import PlanarChain, SummedChain
+from recon.robotics.ik.chain import planar_chain, summed_chain
 from recon.robotics.ik.drive import Closures, drive_to, follow
 from recon.robotics.ik.fit import FittedSeries
 from recon.robotics.ik.methods import DampedLeastSquares, JacobianTranspose, LeastNorm
@@ -88,7 +88,7 @@ def gaits():
 
 
 def drives(dim=2):
-    chain = PlanarChain([0.5, 0.4, 0.3]) if dim == 2 else SummedChain([0.5, 0.4, 0.3])
+    chain = planar_chain([0.5, 0.4, 0.3]) if dim == 2 else summed_chain([0.5, 0.4, 0.3])
     q = np.full(chain.n, 0.4)
     target = chain.end(q) + [-0.1, 0.1, 0.05][:dim]
     found = {name: drive_to(chain, q, target, m) for name, m in (("a", LeastNorm()), ("b", JacobianTranspose()))}

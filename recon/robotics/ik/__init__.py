@@ -1,7 +1,7 @@
 """Inverse kinematics of serial chains at the rate level: chains, methods, driving and following, fits (docs/ik.md)."""
 
-from recon.robotics.ik.animal import body_chain, body_chain_angles, chain_angles, planar_chain, spine_front_leg
-from recon.robotics.ik.chain import PlanarChain, SerialChain, SummedChain
+from recon.robotics.ik.animal import body_chain, body_chain_angles, chain_angles, projected_chain, spine_front_leg
+from recon.robotics.ik.chain import SerialChain, joint_chain, planar_chain, summed_chain
 from recon.robotics.ik.costs import (
     HarmonicMap,
     UserCost,
@@ -11,7 +11,6 @@ from recon.robotics.ik.costs import (
     rotational_energy,
 )
 from recon.robotics.ik.drive import Drive, Follow, drive_to, follow
-from recon.robotics.ik.joint_chain import JointChain
 from recon.robotics.ik.methods import (
     DampedLeastSquares,
     ExtendedJacobian,
@@ -34,14 +33,11 @@ __all__ = [
     "GradientProjection",
     "HarmonicMap",
     "JacobianTranspose",
-    "JointChain",
     "LeastNorm",
-    "PlanarChain",
     "Scaled",
     "SelectivelyDamped",
     "SerialChain",
     "Stride",
-    "SummedChain",
     "UserCost",
     "WeightedLeastNorm",
     "WeightedSum",
@@ -52,11 +48,14 @@ __all__ = [
     "farthest_reach",
     "find_stride",
     "follow",
+    "joint_chain",
     "joint_differences",
     "planar_chain",
     "pose_distance",
+    "projected_chain",
     "rotational_energy",
     "spine_front_leg",
+    "summed_chain",
     "to_null_space_optimum",
     "two_link",
 ]

@@ -9,7 +9,8 @@ the rotation of the skeleton. The chains of whole animals have x along the direc
 
 from __future__ import annotations
 
-from typing import Literal
+from dataclasses import replace
+from typing import Literal, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -17,9 +18,8 @@ from numpy.typing import ArrayLike
 from recon.animal.body import Body
 from recon.animal.chain import UVW_BODY, Chain, upright_rotation
 from recon.base.arrays import Array
-from recon.geometry.kinematics import ANGLE_OF_AXIS, AXES, PITCH, ROOT, YAW, Segment
-from recon.robotics.ik.chain import MAX_RATE_RAD_S, PlanarChain, SummedChain
-from recon.robotics.ik.joint_chain import JointChain
+from recon.geometry.kinematics import PITCH, ROOT, YAW, Marker, Segment, Tree
+from recon.robotics.ik.chain import MAX_RATE_RAD_S, SerialChain, planar_chain, summed_chain
 
 BASE_THETA_RAD = 0.9
 """Limit of the first link's pitch: three standard deviations of a running animal's."""
@@ -28,13 +28,14 @@ LIMIT_SIGMAS = 3.0
 _TRAVEL_M = 0.1
 """A shorter path of the root has no direction."""
 _UP = np.array([0.0, 0.0, 1.0])
+_Item = TypeVar("_Item", Segment, Marker)
 
 # -- the spine-front-leg chain ---------------------------------------------------------------------------------------
 
 
 def spine_front_leg(
     chain: Chain, base_length_m: float | None = None, dim: Literal[2, 3] = 3, limited: bool = True
-) -> PlanarChain | SummedChain:
+) -> SerialChain:
     """The chain from the root to the front foot, r5, r1, r2, r3, r4 of the 8U skeleton, in its level base frame.
 
     base_length_m: None for the nominal one. Limits are the skeleton's expected ranges, those of the first link
@@ -52,7 +53,7 @@ def spine_front_leg(
             lower.append(-base_limit if k is None else ranges.mean_rad[k] - ranges.tolerance_rad[k])
             upper.append(base_limit if k is None else ranges.mean_rad[k] + ranges.tolerance_rad[k])
             rate.append(rates[0] if k is None else ranges.max_rate_rad_s[k])
-    kind = PlanarChain if dim == 2 else SummedChain
+    kind = planar_chain if dim == 2 else summed_chain
     n = len(links) * (dim - 1)
     return kind(lengths, (lower[:n], upper[:n]) if limited else None, rate[:n])
 
@@ -122,42 +123,38 @@ def _angle_index(chain: Chain, links: list[int]) -> list[int | None]:
 # -- whole animals ---------------------------------------------------------------------------------------------------
 
 
-def body_chain(body: Body, foot: str, size: float = 1.0, limited: bool = True) -> tuple[JointChain, tuple[str, ...]]:
+def body_chain(body: Body, foot: str, size: float = 1.0, limited: bool = True) -> tuple[SerialChain, tuple[str, ...]]:
     """The chain from the root segment's origin to a marker, and its joints' names, those of the state.
 
     The first joints are the root's yaw against the direction of travel, its pitch and its roll. Limits are the body's
     expectations, `LIMIT_SIGMAS` standard deviations each way, of the yaw half a turn. limited: False leaves them out,
     but for the rates'. Raises ValueError for a marker that the body lacks, or one behind joints whose angles add up.
     """
-    way, tool = _way(body, foot)
-    names, axes, offsets, kinds = [], [], [], []
-    offset = np.zeros(3)
-    for segment in way:
-        if segment.joint == "summed":
-            raise ValueError(
-                f"{body.name}: the angles of {segment.name} add up, which is a chain of recon.robotics.ik.chain"
-            )
-        offset = offset + segment.offset_m
-        for axis in AXES[segment.joint]:
-            names.append(f"{segment.name}_{ANGLE_OF_AXIS[axis]}")
-            axes.append(np.eye(3)["xyz".index(axis)])
-            offsets.append(offset)
-            kinds.append(axis)
-            offset = np.zeros(3)
+    marker = next((m for m in body.tree.markers if m.name == foot), None)
+    if marker is None:
+        raise ValueError(f"{body.name} has no marker {foot}, only {', '.join(body.markers)}")
+    by_name = {segment.name: segment for segment in body.tree.segments}
+    way = [by_name[marker.segment]]
+    while way[0].parent is not None:
+        way.insert(0, by_name[way[0].parent])
+    if summed := [segment.name for segment in way if segment.joint == "summed"]:
+        raise ValueError(f"{body.name}: the angles of {summed[0]} add up, which is `summed_chain`")
+    tree = Tree(tuple(_scaled(segment, size) for segment in way), (_scaled(marker, size),))
+    names = tree.state_names[3:]
     where = np.array([body.state_names.index(name) for name in names])
     mean, sigma = np.concatenate([[0.0], body.mean_rad]), np.concatenate([[np.inf], body.sigma_rad])
     low, high = ((mean + sign * LIMIT_SIGMAS * sigma)[where - YAW] for sign in (-1, 1))
     low[0], high[0] = -np.pi, np.pi
-    groups = (tuple(i for i, kind in enumerate(kinds) if kind == axis) for axis in "zyx")
-    chain = JointChain(
-        size * np.array(offsets),
-        axes,
-        tool_m=size * (offset + tool),
-        limits_rad=(low, high) if limited else None,
-        max_rate_rad_s=MAX_RATE_RAD_S,
-        groups=tuple(group for group in groups if group),
-    )
-    return chain, tuple(names)
+    groups = (tuple(i for i, about in enumerate(tree.axes) if about == axis) for axis in "zyx")
+    limits = (low, high) if limited else None
+    columns = 3 + np.arange(len(names))
+    chain = SerialChain.of(tree, columns, limits, MAX_RATE_RAD_S, tuple(group for group in groups if group))
+    return chain, names
+
+
+def _scaled(item: _Item, size: float) -> _Item:
+    x, y, z = item.offset_m
+    return replace(item, offset_m=(size * x, size * y, size * z))
 
 
 def body_chain_angles(body: Body, foot: str, states: Array, travel: Array | None = None) -> Array:
@@ -187,7 +184,7 @@ def body_travel(states: Array) -> Array:
     return np.array([chord[0], chord[1], 0.0]) / np.hypot(chord[0], chord[1])
 
 
-def planar_chain(points_m: Array, travel: ArrayLike) -> tuple[PlanarChain, Array, Array]:
+def projected_chain(points_m: Array, travel: ArrayLike) -> tuple[SerialChain, Array, Array]:
     """A planar chain through consecutive joints of any skeleton: the chain, q (T, K - 1), and its misfit (T,), metres.
 
     points_m (T, K, 3): joints, world z up, NaN where missing; travel (3,). Everything is projected into the vertical
@@ -202,21 +199,8 @@ def planar_chain(points_m: Array, travel: ArrayLike) -> tuple[PlanarChain, Array
     directions = np.arctan2(links[..., 1], links[..., 0])
     turns = np.diff(directions, axis=1, prepend=0.0)
     q = np.apply_along_axis(_unwrapped, 0, np.angle(np.exp(1j * turns)))
-    chain = PlanarChain(lengths)
-    ends = np.array([chain.end(x) for x in q])
-    return chain, q, np.linalg.norm(ends - points[:, -1], axis=1)
-
-
-def _way(body: Body, foot: str) -> tuple[list[Segment], Array]:
-    """Segments from the root to the one that a marker is on, and the marker's offset (3,) on it."""
-    marker = next((m for m in body.tree.markers if m.name == foot), None)
-    if marker is None:
-        raise ValueError(f"{body.name} has no marker {foot}, only {', '.join(body.markers)}")
-    by_name = {segment.name: segment for segment in body.tree.segments}
-    way = [by_name[marker.segment]]
-    while way[0].parent is not None:
-        way.insert(0, by_name[way[0].parent])
-    return way, np.array(marker.offset_m)
+    chain = planar_chain(lengths)
+    return chain, q, np.linalg.norm(chain.end(q) - points[:, -1], axis=1)
 
 
 def _unwrapped(angle: Array) -> Array:

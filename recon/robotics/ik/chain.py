@@ -1,40 +1,49 @@
-"""Serial chains with exact derivatives: what the methods ask of a chain, and chains whose angles add up.
+"""Serial chains: a tree (`recon.geometry.kinematics`) of one branch, with the limits of its joints.
 
-Joint angles are relative to the link before and add up along the chain; T_k, P_k are the sums up to link k, r_k its
-length. In two dimensions link k adds r_k (cos T_k, sin T_k), in three, with q = [theta..., phi...],
+Three ways to make one. The publication's chains have angles that are relative to the link before and add up; T_k, P_k
+are the sums up to link k, r_k its length. In two dimensions (`planar_chain`) link k adds r_k (cos T_k, sin T_k), in
+three (`summed_chain`), with q = [theta..., phi...],
 
     r_k (cos T_k cos P_k,  sin T_k,  cos T_k sin P_k)
 
-(`recon.animal.chain`). Every joint turns all links after it, so the derivative by joint j is the sum over the links k
->= j, and the second derivative by i and j the one over k >= max(i, j). Chains of any joints:
-`recon.robotics.ik.joint_chain`.
+in the base frame UVW of `recon.animal.chain`. `joint_chain` has joints in space, each placed rigidly on the link
+before it, which turn about their axes or slide along them: tables of Denavit and Hartenberg, legs, URDF files.
 """
 
 from __future__ import annotations
 
 import math
-from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.linalg import lapack
+from scipy.spatial.transform import Rotation
 
-from recon.base.arrays import Array, Index
+from recon.animal.chain import UVW_BODY
+from recon.base.arrays import Array, Bools, Index
+from recon.geometry.kinematics import AXES, Marker, Segment, Tree
 
 Curvature = Callable[[Array], Array]
 """mu (dim,) -> sum_i mu_i Hess f_i (n, n)."""
+Limits = tuple[ArrayLike, ArrayLike]
+"""Lower and upper."""
 
 MAX_RATE_RAD_S = 50.0
 """Where a chain has no rate limit of its own."""
 
 
 @dataclass(frozen=True, eq=False)
-class SerialChain(ABC):
-    """A chain with n joint angles in dim dimensions, its base at the origin. A kind of chain says how it is
-    differentiated; its rates and curvatures follow."""
+class SerialChain:
+    """A chain with n joints in dim dimensions, its base at the origin. Joint angles q are (n,) or, for many
+    configurations at once, (..., n): rad, and metres of joints that slide."""
 
+    tree: Tree
+    """Of one branch, with one marker: the end effector."""
+    columns: Index
+    """(n,): where the tree's state has the joints."""
     lower_rad: Array
     """(n,); metres for joints that slide, as of all limits."""
     upper_rad: Array
@@ -43,201 +52,230 @@ class SerialChain(ABC):
     """(n,), finite."""
     groups: tuple[tuple[int, ...], ...]
     """The joints that follow each other along the chain, one tuple for each kind of angle."""
-    _later: Index = field(init=False, repr=False)
-    """(n, n): the later of two joints."""
+    base: Array
+    """(dim, 3): from the axes of the tree's world to those of the base frame."""
+    tool_rotation: Array
+    """(3, 3): of the end effector on the last link."""
 
-    def __init__(
-        self,
-        n: int,
-        limits_rad: tuple[ArrayLike, ArrayLike] | None,
-        max_rate_rad_s: ArrayLike,
-        groups: tuple[tuple[int, ...], ...],
-    ) -> None:
+    @classmethod
+    def of(
+        cls,
+        tree: Tree,
+        columns: Index,
+        limits_rad: Limits | None = None,
+        max_rate_rad_s: ArrayLike = MAX_RATE_RAD_S,
+        groups: tuple[tuple[int, ...], ...] | None = None,
+        base: Array | None = None,
+        tool_rotation: Array | None = None,
+    ) -> SerialChain:
+        """limits_rad: lower and upper, each one number or (n,); max_rate_rad_s: one or (n,); groups: None: all joints
+        are of one kind. Raises ValueError."""
+        n = len(columns)
         lower, upper = (-np.inf, np.inf) if limits_rad is None else limits_rad
         lower, upper, rate = (np.array(np.broadcast_to(x, n), float) for x in (lower, upper, max_rate_rad_s))
         if not np.all(lower <= upper):
             raise ValueError("a lower limit is above the upper one")
         if not np.all(np.isfinite(rate) & (rate > 0)):
             raise ValueError("rate limits must be positive and finite")
-        later = np.maximum(np.arange(n)[:, None], np.arange(n))
-        self._set(lower_rad=lower, upper_rad=upper, max_rate_rad_s=rate, groups=groups, _later=later)
-
-    def _set(self, **values: object) -> None:
-        for name, value in values.items():
-            object.__setattr__(self, name, value)
+        groups = (tuple(range(n)),) if groups is None else groups
+        base, tool = (np.eye(3) if rotation is None else rotation for rotation in (base, tool_rotation))
+        return cls(tree, columns, lower, upper, rate, groups, base, tool)
 
     @property
     def n(self) -> int:
-        return len(self.lower_rad)
+        return len(self.columns)
 
     @property
-    @abstractmethod
-    def dim(self) -> int: ...
+    def dim(self) -> int:
+        return len(self.base)
 
-    @property
-    @abstractmethod
-    def joint_lengths_m(self) -> Array:
-        """(n,): of the link that each joint turns."""
+    # -- where it is -------------------------------------------------------------------------------------------------
 
-    @property
-    @abstractmethod
-    def reach_m(self) -> tuple[float, float]:
-        """Bounds of the end effector's distance from the base, which no angles leave."""
-
-    @abstractmethod
     def positions(self, q: Array) -> Array:
-        """The joints along the chain and, last, the end effector (., dim), metres."""
+        """The joints' places along the chain and, last, the end effector (..., ., dim), metres."""
+        states = self._states(q)
+        points = np.concatenate([self.tree.origins(states)[:, self._moving], self.tree.pose(states).points_m], axis=1)
+        return (points @ self.base.T).reshape(*q.shape[:-1], -1, self.dim)
 
-    @abstractmethod
     def end(self, q: Array) -> Array:
-        """The end effector (dim,), metres."""
+        """The end effector (..., dim), metres."""
+        return (self.tree.pose(self._states(q)).points_m[:, 0] @ self.base.T).reshape(*q.shape[:-1], self.dim)
 
-    @abstractmethod
+    def pose(self, q: Array) -> tuple[Array, Array]:
+        """Of a chain in space, T_base_end: rotation (3, 3) and position (3,) of the end effector, for q (n,)."""
+        return self.base @ self.tree.orientations(self._states(q))[0, -1] @ self.tool_rotation, self.end(q)
+
+    # -- how it moves, for q (n,) ------------------------------------------------------------------------------------
+
     def derivatives(self, q: Array) -> tuple[Array, Curvature]:
         """The end effector's Jacobian (dim, n) and its curvature, for both of which the chain is gone through once."""
+        jacobian, _, curvature = self.tree.derivatives(self._states(q)[0])
+        pick = np.ix_(self.columns - 3, self.columns - 3)
+        return self.base @ jacobian[0].take(self.columns, axis=1), lambda mu: curvature(mu[None] @ self.base)[pick]
 
     def jacobian(self, q: Array) -> Array:
         """(dim, n) of the end effector."""
         return self.derivatives(q)[0]
-
-    def curvature(self, q: Array, mu: Array) -> Array:
-        """sum_i mu_i Hess f_i (n, n), for mu (dim,)."""
-        return self.derivatives(q)[1](mu)
 
     def hessian(self, q: Array) -> Array:
         """(dim, n, n)"""
         curvature = self.derivatives(q)[1]
         return np.stack([curvature(axis) for axis in np.eye(self.dim)])
 
+    def joint_axes(self, q: Array) -> Array:
+        """Of a chain of `joint_chain` (n, 3): unit vectors along the joints' axes, in the base frame."""
+        return self.tree.derivatives(self._states(q)[0])[1]
 
-class _SummedAngles(SerialChain):
-    lengths_m: Array
-    lengths: list[float]
-    """The same as floats, which are several times quicker than numpy's in loops."""
-    _angles_per_link = 1
+    def geometric_jacobian(self, q: Array) -> Array:
+        """Of a chain of `joint_chain` (6, n): velocity (m/s) and angular velocity (rad/s) of the end effector."""
+        jacobian, axes, _ = self.tree.derivatives(self._states(q)[0])
+        return np.concatenate([jacobian[0, :, self.columns].T, axes.T * ~self.sliding])
 
-    def __init__(
-        self,
-        lengths_m: ArrayLike,
-        limits_rad: tuple[ArrayLike, ArrayLike] | None = None,
-        max_rate_rad_s: ArrayLike = MAX_RATE_RAD_S,
-    ) -> None:
-        lengths = np.array(lengths_m, float)
-        if lengths.ndim != 1 or not len(lengths) or not np.all(np.isfinite(lengths) & (lengths > 0)):
-            raise ValueError(f"positive lengths (L,) expected, got {lengths_m}")
-        links, kinds = len(lengths), self._angles_per_link
-        groups = tuple(tuple(range(k * links, (k + 1) * links)) for k in range(kinds))
-        super().__init__(kinds * links, limits_rad, max_rate_rad_s, groups)
-        self._set(lengths_m=lengths, lengths=lengths.tolist(), _later=np.ascontiguousarray(self._later[:links, :links]))
+    def _states(self, q: Array) -> Array:
+        """(N, D)"""
+        states = np.zeros((q.size // self.n, self.tree.n_state))
+        states[:, self.columns] = q.reshape(-1, self.n)
+        return states
 
-    @property
+    # -- how long it is ----------------------------------------------------------------------------------------------
+
+    @cached_property
+    def sliding(self) -> Bools:
+        """(n,): the joints that slide along their axes."""
+        return np.array(["s" in self.tree.axes[column - 3] for column in self.columns])
+
+    @cached_property
+    def _moving(self) -> Index:
+        """The segments with joints."""
+        return np.array([i for i, segment in enumerate(self.tree.segments) if AXES[segment.joint]])
+
+    @cached_property
+    def lengths_m(self) -> Array:
+        """(L,): from each place with joints to the next, the last to the end effector, with nothing slid out."""
+        return np.linalg.norm(np.diff(self.positions(np.zeros(self.n)), axis=0), axis=1)
+
+    @cached_property
     def joint_lengths_m(self) -> Array:
-        return np.tile(self.lengths_m, self._angles_per_link)
+        """(n,): of the link that each joint turns, to the next place along the chain that is not the joint's own; 0
+        where there is none."""
+        lengths = self.lengths_m.copy()
+        for k in range(len(lengths) - 2, -1, -1):
+            if lengths[k] == 0:
+                lengths[k] = lengths[k + 1]
+        joints = [len(AXES[self.tree.segments[i].joint]) for i in self._moving]
+        return np.repeat(lengths, joints)[self.columns - 3]
 
-    @property
+    @cached_property
     def reach_m(self) -> tuple[float, float]:
-        """Of an annulus or a shell, which the end effector fills."""
-        total, longest = sum(self.lengths), max(self.lengths)
-        return max(0.0, 2 * longest - total), total
+        """Bounds of the end effector's distance from the base, which no angles leave. From the triangle inequality: of
+        a chain in space not every distance between has to be reached."""
+        zero = np.zeros(self.n)
+        places, frames = self.positions(zero), self.tree.orientations(self._states(zero))[0, self._moving]
+        hops = [(float(np.linalg.norm(places[0])),) * 2]
+        for k, (length, i) in enumerate(zip(self.lengths_m.tolist(), self._moving, strict=True)):
+            if self.tree.segments[i].joint != "slide":
+                hops.append((length, length))
+                continue
+            # The next place is start + q z in this joint's frame before it slides.
+            start = (places[k + 1] - places[k]) @ frames[k]
+            across, low, high = math.hypot(*start[:2]), start[2] + self.lower_rad[k], start[2] + self.upper_rad[k]
+            nearest = 0.0 if low <= 0.0 <= high else min(abs(low), abs(high))
+            hops.append((math.hypot(across, nearest), math.hypot(across, max(abs(low), abs(high)))))
+        shortest, longest = np.array(hops).T
+        others = [longest[np.arange(len(hops)) != k].sum() for k in range(len(hops))]
+        return max(0.0, float((shortest - others).max())), float(longest.sum())
 
 
-class PlanarChain(_SummedAngles):
-    """Links in a plane: q (L,), angle 0 along +x, positive towards +y.
+# -- chains that are made --------------------------------------------------------------------------------------------
 
-    lengths_m (L,); limits_rad: lower and upper, each one number or (L,); max_rate_rad_s: one or (L,).
+
+def planar_chain(
+    lengths_m: ArrayLike, limits_rad: Limits | None = None, max_rate_rad_s: ArrayLike = MAX_RATE_RAD_S
+) -> SerialChain:
+    """Links in a plane: q (L,), angle 0 along +x, positive towards +y, of lengths_m (L,). Limits and rates as
+    `SerialChain.of`. Raises ValueError."""
+    return _summed(lengths_m, 2, limits_rad, max_rate_rad_s)
+
+
+def summed_chain(
+    lengths_m: ArrayLike, limits_rad: Limits | None = None, max_rate_rad_s: ArrayLike = MAX_RATE_RAD_S
+) -> SerialChain:
+    """Universal joints in space whose angles add up: q (2 L,) = [theta..., phi...], base frame UVW, of lengths_m (L,).
+    Limits and rates as `SerialChain.of`. Raises ValueError."""
+    return _summed(lengths_m, 3, limits_rad, max_rate_rad_s)
+
+
+def _summed(
+    lengths_m: ArrayLike, dim: Literal[2, 3], limits_rad: Limits | None, max_rate_rad_s: ArrayLike
+) -> SerialChain:
+    lengths = np.array(lengths_m, float)
+    if lengths.ndim != 1 or not len(lengths) or not np.all(np.isfinite(lengths) & (lengths > 0)):
+        raise ValueError(f"positive lengths (L,) expected, got {lengths_m}")
+    L, along = len(lengths), [(float(x), 0.0, 0.0) for x in (0.0, *lengths)]
+    names = ["base", *(f"link_{k}" for k in range(1, L + 1))]
+    links = [Segment(names[k + 1], names[k], "summed", along[k]) for k in range(L)]
+    tree = Tree((Segment("base", None, "fixed"), *links), (Marker("end", names[-1], along[-1]),))
+    # Of every link the tree has phi, then theta.
+    phi = 3 + 2 * np.arange(L)
+    columns = np.concatenate([phi + 1, phi])[: L * (dim - 1)]
+    groups = tuple(tuple(range(k * L, (k + 1) * L)) for k in range(dim - 1))
+    return SerialChain.of(tree, columns, limits_rad, max_rate_rad_s, groups, UVW_BODY[:dim])
+
+
+def joint_chain(
+    offsets_m: ArrayLike,
+    axes: ArrayLike,
+    rotations: Rotation | None = None,
+    sliding: ArrayLike = False,
+    tool_m: ArrayLike = (0.0, 0.0, 0.0),
+    tool_rotation: Rotation | None = None,
+    limits_rad: Limits | None = None,
+    max_rate_rad_s: ArrayLike = MAX_RATE_RAD_S,
+) -> SerialChain:
+    """n joints in space: q (n,), rad, or metres of those that slide.
+
+    offsets_m (n, 3), rotations (n): each joint's place on the link before it, None: not turned; axes (n, 3): in its own
+    frame; sliding: one or (n,), which slide along their axes; tool_m (3,), tool_rotation: the end effector on the last
+    link; limits and rates as `SerialChain.of`. Raises ValueError.
     """
-
-    @property
-    def dim(self) -> int:
-        return 2
-
-    def positions(self, q: Array) -> Array:
-        """Base and the links' ends (L + 1, 2)."""
-        T = np.cumsum(q)
-        points = np.zeros((len(self.lengths) + 1, 2))
-        np.cumsum(self.lengths_m * np.cos(T), out=points[1:, 0])
-        np.cumsum(self.lengths_m * np.sin(T), out=points[1:, 1])
-        return points
-
-    def end(self, q: Array) -> Array:
-        T = x = y = 0.0
-        for angle, r in zip(q.tolist(), self.lengths, strict=True):
-            T += angle
-            x += r * math.cos(T)
-            y += r * math.sin(T)
-        return np.array((x, y))
-
-    def derivatives(self, q: Array) -> tuple[Array, Curvature]:
-        # x and y of the links from each joint on.
-        T, x, y = 0.0, [], []
-        for angle, r in zip(q.tolist(), self.lengths, strict=True):
-            T += angle
-            x.append(r * math.cos(T))
-            y.append(r * math.sin(T))
-        for k in range(len(x) - 2, -1, -1):
-            x[k] += x[k + 1]
-            y[k] += y[k + 1]
-
-        def curvature(mu: Array) -> Array:
-            a, b = mu.tolist()
-            return np.array([-a * u - b * v for u, v in zip(x, y, strict=True)]).take(self._later)
-
-        return np.array(([-v for v in y], x)), curvature
+    offsets, axes, tool = (np.array(x, float) for x in (offsets_m, axes, tool_m))
+    n = len(offsets)
+    if not n or offsets.shape != (n, 3) or axes.shape != (n, 3) or tool.shape != (3,):
+        raise ValueError(f"offsets and axes (n, 3) and a tool (3,) expected: {offsets.shape}, {axes.shape}")
+    sizes = np.linalg.norm(axes, axis=1)
+    if not all(np.isfinite(x).all() for x in (offsets, axes, tool)) or not (sizes > 0).all():
+        raise ValueError("offsets, axes and tool must be finite, and no axis zero")
+    turned = np.tile(np.eye(3), (n, 1, 1)) if rotations is None else rotations.as_matrix()
+    if turned.shape != (n, 3, 3):
+        raise ValueError(f"{n} rotations expected, got {turned.shape}")
+    # Frames whose z axes are the joints': what hangs on one of them is turned back first.
+    to_z = np.array([_with_z_along(axis) for axis in axes / sizes[:, None]])
+    before = np.concatenate([np.eye(3)[None], to_z]).transpose(0, 2, 1)
+    segments = [Segment("base", None, "fixed")]
+    for j, slides in enumerate(np.broadcast_to(sliding, n).tolist()):
+        placed = before[j] @ turned[j] @ to_z[j]
+        kind: Literal["turn", "slide"] = "slide" if slides else "turn"
+        offset, rotation = _triple(before[j] @ offsets[j]), tuple(map(_triple, placed))
+        segments.append(Segment(f"joint_{j + 1}", segments[-1].name, kind, offset, rotation))
+    tree = Tree(tuple(segments), (Marker("end", segments[-1].name, _triple(before[n] @ tool)),))
+    end = before[n] if tool_rotation is None else before[n] @ tool_rotation.as_matrix()
+    return SerialChain.of(tree, 3 + np.arange(n), limits_rad, max_rate_rad_s, tool_rotation=end)
 
 
-class SummedChain(_SummedAngles):
-    """Universal joints in space, the convention of `recon.animal.chain`: q (2 L,) = [theta..., phi...], base frame UVW.
+def _triple(v: Array) -> tuple[float, float, float]:
+    x, y, z = v.tolist()
+    return x, y, z
 
-    lengths_m (L,); limits_rad: lower and upper, each one number or (2 L,); max_rate_rad_s: one or (2 L,).
-    """
 
-    _angles_per_link = 2
+def _with_z_along(z: Array) -> Array:
+    """A rotation (3, 3) whose z axis is the given unit vector (3,); none for the z axis itself."""
+    x = np.eye(3)[np.argmin(np.abs(z))]
+    x = x - (x @ z) * z
+    x /= np.linalg.norm(x)
+    return np.column_stack([x, np.cross(z, x), z])
 
-    @property
-    def dim(self) -> int:
-        return 3
 
-    def _directions(self, q: Array) -> Iterator[tuple[float, float, float, float, float]]:
-        """Length, cos T, sin T, cos P, sin P of each link."""
-        T = P = 0.0
-        angles, L = q.tolist(), len(self.lengths)
-        for theta, phi, r in zip(angles[:L], angles[L:], self.lengths, strict=True):
-            T += theta
-            P += phi
-            yield r, math.cos(T), math.sin(T), math.cos(P), math.sin(P)
-
-    def positions(self, q: Array) -> Array:
-        """Base and the links' ends (L + 1, 3)."""
-        links = [(r * ct * cp, r * st, r * ct * sp) for r, ct, st, cp, sp in self._directions(q)]
-        return np.cumsum([(0.0, 0.0, 0.0), *links], axis=0)
-
-    def end(self, q: Array) -> Array:
-        u = v = w = 0.0
-        for r, ct, st, cp, sp in self._directions(q):
-            u += r * ct * cp
-            v += r * st
-            w += r * ct * sp
-        return np.array((u, v, w))
-
-    def derivatives(self, q: Array) -> tuple[Array, Curvature]:
-        # The links' u, v, w and what they change by with T (v, w with P as well), summed from each joint on.
-        rows = [(r * ct * cp, r * st, r * ct * sp, -r * st * cp, r * ct, -r * st * sp) for r, ct, st, cp, sp in
-                self._directions(q)]  # fmt: skip
-        u, v, w, u_T, v_T, w_T = np.array(rows)[::-1].cumsum(axis=0)[::-1].T
-        L = len(rows)
-        J = np.zeros((3, 2 * L))
-        J[0, :L], J[1, :L], J[2, :L], J[0, L:], J[2, L:] = u_T, v_T, w_T, -w, u
-
-        def curvature(mu: Array) -> Array:
-            a, b, c = mu.tolist()
-            level = -a * u - c * w
-            out = np.empty((2 * L, 2 * L))
-            out[:L, :L] = (level - b * v).take(self._later)
-            out[:L, L:] = out[L:, :L] = (c * u_T - a * w_T).take(self._later)
-            out[L:, L:] = level.take(self._later)
-            return out
-
-        return J, curvature
+# -- what is asked of them -------------------------------------------------------------------------------------------
 
 
 def unreachable(chain: SerialChain, target_m: Array, tolerance_m: float = 0.0) -> str:
@@ -261,12 +299,7 @@ def null_basis(J: Array, like: Array | None = None) -> Array:
     like: a basis at a neighbouring configuration. N is then the nearest basis to it, without turning within the null
     space, which makes it continuous along a path.
     """
-    dim, n = J.shape
-    columns = np.zeros((n, n), order="F")
-    # LAPACK without numpy's checks takes a quarter of the time of `numpy.linalg.qr`.
-    factors, tau, _, _ = lapack.dgeqrf(J.T)
-    columns[:, :dim] = factors
-    N = lapack.dorgqr(columns, tau, overwrite_a=True)[0][:, dim:]
+    N = np.linalg.qr(J.T, mode="complete")[0][:, len(J) :]
     if like is None:
         return N
     u, _, vt = np.linalg.svd(N.T @ like)

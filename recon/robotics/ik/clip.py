@@ -29,7 +29,7 @@ from recon.robotics.ik.animal import (
     body_chain_angles,
     body_travel,
     chain_angles,
-    planar_chain,
+    projected_chain,
     spine_front_leg,
 )
 from recon.robotics.ik.chain import SerialChain
@@ -252,7 +252,7 @@ def limb_of(results: Results, foot: str | None = None, dim: Dim = 3, limited: bo
         return Limb(name, chain, names, q, results.fps, first_s, "xyz", 0.0)
     along = next(along for along in limb_chains(results).values() if along[-1] == name)
     points = results.pose.xyz_m[:, [results.pose.names.index(joint) for joint in along]]
-    chain, q, misfit = planar_chain(points, travel)
+    chain, q, misfit = projected_chain(points, travel)
     return Limb(name, chain, along[:-1], q, results.fps, first_s, "UVW", float(np.nanmedian(misfit)))
 
 
@@ -272,8 +272,7 @@ def _foot_label(results: Results, foot: str | None) -> str:
 def _spine_front_leg(results: Results, chain: Chain, label: str, dim: Dim, limited: bool) -> Limb:
     leg = spine_front_leg(chain, results.size * chain.nominal_base_length_m, dim, limited)
     q = chain_angles(chain, results.states, dim=dim)
-    links = len(leg.lengths_m)
-    names = tuple(f"{kind}_{k}" for kind in ("theta", "phi")[: dim - 1] for k in range(1, links + 1))
+    names = tuple(f"{kind}_{k}" for kind in ("theta", "phi")[: dim - 1] for k in range(1, len(leg.lengths_m) + 1))
     return Limb(results.feet[label], leg, names, q, results.fps, float(results.time_s[0]), "UVW", 0.0)
 
 

@@ -18,7 +18,6 @@ from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
 import numpy as np
-from scipy.linalg import lapack
 
 from recon.base.arrays import Array, Bools
 from recon.robotics.ik.chain import Curvature, SerialChain, null_basis
@@ -135,7 +134,7 @@ class SelectivelyDamped:
         limit = self.gamma_max_rad / self.interval_s
         if not J.size or not np.isfinite(J).all():
             return _within_limits(chain, np.zeros(J.shape[1]), free, True)
-        u, s, vt, _ = lapack.dgesdd(J, full_matrices=False)
+        u, s, vt = np.linalg.svd(J, full_matrices=False)
         along = (dx @ u).tolist()
         sways = (np.abs(vt) @ np.sqrt((J * J).sum(axis=0))).tolist()
         dq, values = np.zeros(J.shape[1]), s.tolist()
@@ -253,59 +252,29 @@ def _inverse(gram: Array, damping: float = 0.0) -> tuple[Array, bool]:
     """(gram + damping I)^-1 of a symmetric gram (dim, dim) of no negative eigenvalue, and whether it is singular
     without the damping; if so, at least SINGULAR trace is added. Of a gram that is zero or not finite: zero.
 
-    The closed forms are a tenth of the time of a general solver. The ratio of the eigenvalues is estimated from below.
+    The ratio of the eigenvalues is estimated from below, by the determinant: all but the least multiply to their mean's
+    power at most.
     """
-    if len(gram) == 2:
-        (a, c), (_, d) = gram.tolist()
-        trace = a + d
-        if not 0.0 < trace < math.inf:
-            return np.zeros((2, 2)), True
-        singular = a * d - c * c <= SINGULAR * trace * trace
-        if singular:
-            damping = max(damping, SINGULAR * trace)
-        a, d = a + damping, d + damping
-        determinant = a * d - c * c
-        c = -c / determinant
-        return np.array(((d / determinant, c), (c, a / determinant))), singular
-    if len(gram) == 3:
-        (a, p, r), (_, d, s), (_, _, f) = gram.tolist()
-        trace = a + d + f
-        if not 0.0 < trace < math.inf:
-            return np.zeros((3, 3)), True
-        determinant = a * (d * f - s * s) - p * (p * f - s * r) + r * (p * s - d * r)
-        # The two larger eigenvalues' product is at most trace^2 / 4.
-        singular = determinant <= SINGULAR * trace**3 / 4
-        if singular:
-            damping = max(damping, SINGULAR * trace)
-        a, d, f = a + damping, d + damping, f + damping
-        aa, pp, rr = d * f - s * s, r * s - p * f, p * s - d * r
-        dd, ss, ff = a * f - r * r, p * r - a * s, a * d - p * p
-        determinant = a * aa + p * pp + r * rr
-        if determinant <= 0.0:
-            return np.zeros((3, 3)), True
-        return np.array(((aa, pp, rr), (pp, dd, ss), (rr, ss, ff))) / determinant, singular
-    trace = float(gram.trace())
+    trace, others = float(gram.trace()), max(len(gram) - 1, 1)
     if not 0.0 < trace < math.inf:
         return np.zeros(gram.shape), True
-    values, vectors = np.linalg.eigh(gram)
-    singular = bool(values[0] <= SINGULAR * values[-1])
+    singular = bool(np.linalg.det(gram) <= SINGULAR * trace * (trace / others) ** others)
     if singular:
         damping = max(damping, SINGULAR * trace)
-    return (vectors / (np.maximum(values, 0.0) + damping)) @ vectors.T, singular
+    return np.linalg.inv(gram + damping * np.eye(len(gram))), singular
 
 
 def _reduced_inverse(M: Array, N: Array) -> tuple[Array, bool]:
     """N (N' M N)^-1 N' (n, n), for a symmetric M (n, n) and a basis N (n, m), and whether an eigenvalue of N' M N is
     lost against the largest; those are damped."""
     A = N.T @ M @ N
-    if not math.isfinite(sum(map(sum, A.tolist()))):
+    if not np.isfinite(A).all():
         return np.zeros(M.shape), True
-    values, vectors, _ = lapack.dsyev(A)
-    sizes = [abs(value) for value in values.tolist()]
-    largest, least = max(sizes), min(sizes)
+    values, vectors = np.linalg.eigh(A)
+    largest, least = np.abs(values).max(), np.abs(values).min()
     if not largest > 0.0:
         return np.zeros(M.shape), True
-    lost = least <= EXTENDED_SINGULAR * largest
+    lost = bool(least <= EXTENDED_SINGULAR * largest)
     floor = EXTENDED_SINGULAR * largest if lost else 0.0
     turned = N @ vectors
     return (turned * (values / (values * values + floor * floor))) @ turned.T, lost

@@ -73,7 +73,7 @@ def find_stride(
     known = max(np.split(known, np.flatnonzero(np.diff(known) > MAX_GAP_FRAMES + 1) + 1), key=np.size)
     if len(known) < MIN_FRAMES:
         raise ValueError(f"a stride needs {MIN_FRAMES} known frames in a row or more, got {len(known)}")
-    ends = _ends(chain, q[known])
+    ends = chain.end(q[known])
     curve = CubicSpline(known, ends)
     how = "given"
     if start_s is not None and end_s is not None:
@@ -122,13 +122,8 @@ def farthest_reach(chain: SerialChain, q: Array) -> tuple[Array, Array]:
     known = q[np.isfinite(q).all(axis=1)]
     if not len(known):
         raise ValueError("no frame without a missing value")
-    ends = _ends(chain, known)
+    ends = chain.end(known)
     return known[np.argmin(ends[:, 0])], ends[np.argmax(ends[:, 0])]
-
-
-def _ends(chain: SerialChain, q: Array) -> Array:
-    """(K, dim)"""
-    return np.array([chain.end(x) for x in q])
 
 
 def _return(frames: Index, ends: Array, least: float, most: float) -> tuple[int, int] | None:

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from recon.base.arrays import Array
-from recon.robotics.ik.chain import PlanarChain, unreachable
+from recon.robotics.ik.chain import planar_chain, unreachable
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,7 +38,7 @@ def two_link(lengths_m: tuple[float, float], target_m: ArrayLike) -> TwoLink:
         raise ValueError(f"two lengths expected, got {len(lengths_m)}")
     target = np.asarray(target_m, float)
     # Rounding must not put the stretched arm out of its own reach.
-    reason = unreachable(PlanarChain(lengths_m), target, 1e-12 * sum(lengths_m))
+    reason = unreachable(planar_chain(lengths_m), target, 1e-12 * sum(lengths_m))
     if reason:
         return TwoLink(np.full((2, 2), np.nan), reason)
     (r1, r2), (x, y) = lengths_m, target.tolist()

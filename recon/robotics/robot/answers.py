@@ -15,7 +15,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from recon.base.arrays import Array
 from recon.base.errors import InputError, Problem
-from recon.robotics.ik.joint_chain import JointChain
+from recon.robotics.ik.chain import SerialChain
 from recon.robotics.robot.body_pose import body_pose, leg_targets
 from recon.robotics.robot.dh import DHRow, dh_table
 from recon.robotics.robot.lift_arm import lift_arm, lift_arm_hand
@@ -111,12 +111,12 @@ def arm_of(lengths: tuple[float, float], hand: ArrayLike | None, height: float, 
     return answer
 
 
-def _chain_answer(chain: JointChain, joints: tuple[str, ...], table: Answer) -> Answer:
+def _chain_answer(chain: SerialChain, joints: tuple[str, ...], table: Answer) -> Answer:
     lists = {"joints": joints, "slides": chain.sliding, "lower": chain.lower_rad, "upper": chain.upper_rad}
     return lists | {"dh": table}
 
 
-def _table_answer(chain: JointChain) -> Answer:
+def _table_answer(chain: SerialChain) -> Answer:
     table = dh_table(chain)
     return {"base": _pose_answer(table.base), "tool": _pose_answer(table.tool), **_table("modified", table.rows)}
 
@@ -126,7 +126,7 @@ def _table(convention: str, rows: Sequence[DHRow]) -> Answer:
     return {"convention": convention, "rows": [{name: getattr(row, name) for name in columns} for row in rows]}
 
 
-def _forward(chain: JointChain, q: Array) -> Answer:
+def _forward(chain: SerialChain, q: Array) -> Answer:
     R, place = chain.pose(q)
     end = RigidTransform.from_components(place, Rotation.from_matrix(R))
     return {"q": q, **_pose_answer(end), "within_limits": _within(chain, q)}
@@ -137,21 +137,21 @@ def _pose_answer(transform: RigidTransform) -> Answer:
     return {"place_m": transform.translation, "roll_pitch_yaw_rad": [roll, pitch, yaw]}
 
 
-def _inverse(chain: JointChain, every: Array, isolated: bool) -> Answer:
+def _inverse(chain: SerialChain, every: Array, isolated: bool) -> Answer:
     solutions = [_in_limits(chain, q) for q in every]
     note = "no solution" if not solutions else "" if isolated else ENDLESS
     rows = [{"q": q, "within_limits": _within(chain, q)} for q in solutions]
     return {"solutions": rows, "note": note}
 
 
-def _in_limits(chain: JointChain, q: Array) -> Array:
+def _in_limits(chain: SerialChain, q: Array) -> Array:
     """Turning joints by whole turns, to nearest the middle of their limits, if they have any."""
     bounded = np.isfinite(chain.lower_rad) & np.isfinite(chain.upper_rad) & ~chain.sliding
     middle = np.where(bounded, (np.where(bounded, chain.lower_rad, 0) + np.where(bounded, chain.upper_rad, 0)) / 2, q)
     return np.where(bounded, middle + (q - middle + np.pi) % (2 * np.pi) - np.pi, q)
 
 
-def _within(chain: JointChain, q: Array) -> bool:
+def _within(chain: SerialChain, q: Array) -> bool:
     return bool(((q >= chain.lower_rad - 1e-9) & (q <= chain.upper_rad + 1e-9)).all())
 
 
@@ -159,7 +159,7 @@ def _rotation_matrix(roll_pitch_yaw_rad: ArrayLike) -> Array:
     return Rotation.from_euler("ZYX", np.asarray(roll_pitch_yaw_rad, float)[::-1]).as_matrix()
 
 
-def _joints(given: ArrayLike, chain: JointChain) -> Array:
+def _joints(given: ArrayLike, chain: SerialChain) -> Array:
     """(n,), rad and m, of what is typed: degrees where a joint turns."""
     q = np.asarray(given, float)
     if len(q) != chain.n:

@@ -19,8 +19,7 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from recon.base.arrays import Array
-from recon.robotics.ik.chain import MAX_RATE_RAD_S
-from recon.robotics.ik.joint_chain import JointChain
+from recon.robotics.ik.chain import MAX_RATE_RAD_S, SerialChain, joint_chain
 
 Convention = Literal["modified", "standard"]
 _PARALLEL = 1e-9
@@ -48,8 +47,8 @@ def dh_chain(
     convention: Convention,
     limits_rad: tuple[ArrayLike, ArrayLike] | None = None,
     max_rate_rad_s: ArrayLike = MAX_RATE_RAD_S,
-) -> JointChain:
-    """The chain of the rows from the base. limits_rad, max_rate_rad_s: as `JointChain`. Raises ValueError."""
+) -> SerialChain:
+    """The chain of the rows from the base. limits_rad, max_rate_rad_s: as `SerialChain`. Raises ValueError."""
     if convention not in ("modified", "standard") or not rows:
         raise ValueError(f"rows and the convention, modified or standard, expected, got {len(rows)}, {convention!r}")
     link = [_along("x", row.a_m, row.alpha_rad) for row in rows]
@@ -57,7 +56,7 @@ def dh_chain(
     nothing = RigidTransform.identity()
     before, tool = (link, nothing) if convention == "modified" else ([nothing, *link[:-1]], link[-1])
     placed = [a * b for a, b in zip(before, joint, strict=True)]
-    return JointChain(
+    return joint_chain(
         np.array([t.translation for t in placed]),
         np.tile([0.0, 0.0, 1.0], (len(rows), 1)),
         Rotation.concatenate([t.rotation for t in placed]),
@@ -84,7 +83,7 @@ class DHTable:
         return self.base * RigidTransform.from_components(p, Rotation.from_matrix(R)) * self.tool
 
 
-def dh_table(chain: JointChain) -> DHTable:
+def dh_table(chain: SerialChain) -> DHTable:
     """Of any chain: z along each joint's axis, x along the common normal to the next; where axes are parallel, through
     the origin before."""
     zero = np.zeros(chain.n)

@@ -36,7 +36,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from recon.base.arrays import Array, Bools, Integers
-from recon.robotics.ik.joint_chain import JointChain
+from recon.robotics.ik.chain import SerialChain, joint_chain
 from recon.robotics.robot.solutions import distinct_angles
 
 LEG_ANGLES = ("swing", "flap", "knee")
@@ -106,7 +106,7 @@ class LegGeometry(ABC):
         bent the other way, for the flap that points the leg up."""
 
     @abstractmethod
-    def chain(self) -> JointChain:
+    def chain(self) -> SerialChain:
         """The same leg joint by joint, in leg axes, its joints in the order in which they follow each other."""
 
     def __post_init__(self) -> None:
@@ -172,9 +172,9 @@ class SwingLeg(LegGeometry):
         a = _wrapped(np.arctan2(z, y) + np.arctan2(up * U, P))
         return _leg_angles(np.stack([a, b, s], axis=-1), code, feet)
 
-    def chain(self) -> JointChain:
+    def chain(self) -> SerialChain:
         offset = (0.0, self.knee_offset_m, -self.thigh_m)
-        return JointChain(
+        return joint_chain(
             [(0, 0, 0), (0, 0, 0), offset],
             [(1, 0, 0), (0, -1, 0), (1, 0, 0)],
             tool_m=(0.0, self.foot_offset_m, -self.shin_m),
@@ -215,8 +215,8 @@ class FlapLeg(LegGeometry):
         a = _wrapped(np.arctan2(Z, y) + np.arctan2(Q, P))
         return _leg_angles(np.stack([a, b, s], axis=-1), code, feet)
 
-    def chain(self) -> JointChain:
-        return JointChain(
+    def chain(self) -> SerialChain:
+        return joint_chain(
             [(0, 0, 0), (self.lateral_m, 0, 0), (0.0, self.knee_offset_m, -self.thigh_m)],
             [(0, -1, 0), (1, 0, 0), (1, 0, 0)],
             tool_m=(0.0, self.foot_offset_m, -self.shin_m),

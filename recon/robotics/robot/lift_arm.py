@@ -15,8 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from recon.base.arrays import Array
-from recon.robotics.ik.chain import MAX_RATE_RAD_S
-from recon.robotics.ik.joint_chain import JointChain
+from recon.robotics.ik.chain import MAX_RATE_RAD_S, SerialChain, joint_chain
 from recon.robotics.ik.two_link import two_link
 
 
@@ -54,10 +53,10 @@ def lift_arm_chain(
     lengths_m: tuple[float, float],
     limits_rad: tuple[ArrayLike, ArrayLike] | None = None,
     max_rate_rad_s: ArrayLike = MAX_RATE_RAD_S,
-) -> JointChain:
+) -> SerialChain:
     """The same arm joint by joint, for `recon.robotics.ik`; its end effector is the hand's place."""
     l1, l2 = lengths_m
-    return JointChain(
+    return joint_chain(
         [(0, 0, 0), (0, 0, 0), (l1, 0, 0), (l2, 0, 0)],
         np.tile([0.0, 0.0, 1.0], (4, 1)),
         sliding=[True, False, False, False],

@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from recon.base.arrays import Array
+from recon.robotics.ik.chain import SerialChain, joint_chain
 from recon.robotics.ik.drive import drive_to
-from recon.robotics.ik.joint_chain import JointChain
 from recon.robotics.ik.methods import LeastNorm
 from recon.robotics.robot.leg import FlapLeg, Leg
 from recon.robotics.robot.solutions import all_solutions
@@ -33,7 +33,7 @@ class RobotLeg(ABC):
 
     joints: tuple[str, ...]
     """Their names."""
-    chain: JointChain
+    chain: SerialChain
     """Joint by joint in body axes, its end effector the foot."""
     neutral_m: Array
     """(3,): the foot of the standing leg."""
@@ -52,7 +52,7 @@ class RobotLeg(ABC):
 
     def points(self, angles_rad: Array) -> Array:
         """The hip, the joints after it and the foot (T, n + 1, 3)."""
-        return np.array([self.chain.positions(q) for q in angles_rad])
+        return self.chain.positions(angles_rad)
 
     @abstractmethod
     def foot(self, angles_rad: Array) -> Array:
@@ -89,7 +89,7 @@ class ClosedLeg(RobotLeg):
         axes = _from_leg_axes(straight.joint_axes(np.zeros(3)) * leg.mirror) * np.prod(leg.mirror)
         offsets = np.diff(places, axis=0, prepend=0.0)
         lower, upper = np.sort(np.stack([leg.lower_rad, leg.upper_rad])[:, order] * signs, axis=0)
-        chain = JointChain(
+        chain = joint_chain(
             offsets[:3],
             axes * signs[:, None],
             tool_m=offsets[3],
@@ -140,7 +140,7 @@ class ChainLeg(RobotLeg):
         return all_solutions(self.chain, foot_m).q
 
     def foot(self, angles_rad: Array) -> Array:
-        return np.array([self.chain.end(q) for q in angles_rad])
+        return self.chain.end(angles_rad)
 
 
 @dataclass(frozen=True, eq=False)
@@ -179,7 +179,7 @@ class Quadruped:
         return np.array(heights)
 
 
-def reach(chain: JointChain, q: Array, foot_m: Array) -> Array | None:
+def reach(chain: SerialChain, q: Array, foot_m: Array) -> Array | None:
     """Angles (n,) within the limits that put the end effector there, from nearby ones; None if they are not found."""
     # Rates do not limit a single place: an iteration is given the time that the slowest joint takes for a turn.
     interval = 2 * np.pi / float(chain.max_rate_rad_s.min())
@@ -187,7 +187,7 @@ def reach(chain: JointChain, q: Array, foot_m: Array) -> Array | None:
     return run.q[-1] if run.reached else None
 
 
-def standing(chain: JointChain, foot_m: Array) -> Array | None:
+def standing(chain: SerialChain, foot_m: Array) -> Array | None:
     """Angles (n,) of the standing leg: reached from the middle of the limits, or else from random places in them."""
     lower, upper = np.maximum(chain.lower_rad, -np.pi), np.minimum(chain.upper_rad, np.pi)
     starts = [(lower + upper) / 2, *np.random.default_rng(0).uniform(lower, upper, (30, chain.n))]

@@ -14,7 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field, StrictBool
 from recon.base.documents import parse_toml, read_toml, validated
 from recon.base.errors import InputError, Problem
 from recon.base.package import builtin_file, builtin_names
-from recon.robotics.ik.joint_chain import JointChain
+from recon.robotics.ik.chain import SerialChain
 from recon.robotics.robot.dh import Convention, DHRow, dh_chain
 from recon.robotics.robot.leg import LEG_ANGLES, FlapLeg, Leg, SwingLeg
 from recon.robotics.robot.quadruped import LEGS, ChainLeg, ClosedLeg, Quadruped, standing
@@ -112,7 +112,7 @@ def load_robot(robot: str | Path) -> Quadruped:
     raise InputError(Problem(text, "robot", found, expected))
 
 
-def load_dh(path: Path) -> tuple[JointChain, Convention, list[DHRow]]:
+def load_dh(path: Path) -> tuple[SerialChain, Convention, list[DHRow]]:
     """The chain of a table in TOML (docs/robot.md), and the table. Raises InputError."""
     file = validated(_DHFile, read_toml(path, "a table of Denavit-Hartenberg parameters (TOML)"), path)
     limits = [joint.limits or (-np.inf, np.inf) for joint in file.joints]

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from scipy.optimize import root
 
 from recon.base.arrays import Array, Bools
-from recon.robotics.ik.joint_chain import JointChain
+from recon.robotics.ik.chain import SerialChain
 
 STARTS = 100
 SAME = 1e-4
@@ -35,7 +35,7 @@ class Solutions:
 
 
 def all_solutions(
-    chain: JointChain, place_m: ArrayLike, rotation: ArrayLike | None = None, starts: int = STARTS
+    chain: SerialChain, place_m: ArrayLike, rotation: ArrayLike | None = None, starts: int = STARTS
 ) -> Solutions:
     """Of an end effector at place_m (3,), turned by rotation (3, 3), None: turned anyhow."""
     target = np.asarray(place_m, float)

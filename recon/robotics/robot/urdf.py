@@ -15,8 +15,7 @@ from scipy.spatial.transform import Rotation
 from recon.base.arrays import Array
 from recon.base.errors import InputError, Problem
 from recon.base.package import install_command
-from recon.robotics.ik.chain import MAX_RATE_RAD_S
-from recon.robotics.ik.joint_chain import JointChain
+from recon.robotics.ik.chain import MAX_RATE_RAD_S, SerialChain, joint_chain
 
 LARGEST, SMALLEST = 1e6, 1e-6
 """Of a length or an angle; of a rate or an axis: more, or less, can only be damage."""
@@ -27,7 +26,7 @@ MOVING = ("revolute", "continuous", "prismatic")
 class UrdfChain:
     """A chain in the axes of its base link, its end effector the origin of the tip link."""
 
-    chain: JointChain
+    chain: SerialChain
     joints: tuple[str, ...]
     """Those that move."""
 
@@ -137,7 +136,7 @@ def urdf_chain(robot: str | Path | UrdfRobot, tip: str, base: str | None = None)
     moving = [joint for joint in way if joint.type in MOVING]
     places = np.array(placed)
     limits = np.array([_limits(joint) for joint in moving])
-    chain = JointChain(
+    chain = joint_chain(
         places[:, :3, 3],
         np.array([_axis(joint) for joint in moving]),
         Rotation.from_matrix(places[:, :3, :3]),
