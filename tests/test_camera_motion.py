@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from recon.base.errors import InputError
 from recon.base.manifest import read_manifest
-from recon.calibrate.camera_motion import Tracker, Turn, as_level, read_marks, tilted, up_by_marks
+from recon.calibrate.camera_motion import Orientation, Tracker, as_level, read_marks, tilted, up_by_marks
 from recon.calibrate.camera_motion.features import rays_of
 from recon.geometry.camera import Camera
 from recon.io.calibration import write_camera
@@ -167,7 +167,7 @@ def test_a_camera_that_is_carried_is_recognised(follows):
 
 
 def test_level_is_the_first_frame_as_told_or_the_mean_frame():
-    turns = [Turn(R) for R in pan(9, 10.0)]
+    turns = [Orientation(R) for R in pan(9, 10.0)]
     told = as_level(turns, tilted(np.radians(12)))[0].rotation
     np.testing.assert_allclose(told[2, 2], -np.sin(np.radians(12)))
     np.testing.assert_allclose(told[0], [1, 0, 0], atol=1e-12)
@@ -194,7 +194,7 @@ POSTS = [("vertical", t, 5 * AWAY + x * ACROSS + np.outer([-2.2, 2.2], UP)) for 
 
 @pytest.mark.parametrize("lines", [[HORIZON], POSTS, [HORIZON, *POSTS]], ids=["horizon", "posts", "both"])
 def test_marks_tell_which_way_is_up(tmp_path, lines):
-    path, turns = marked(tmp_path, lines), [Turn(R) for R in pan(9, 10.0)]
+    path, turns = marked(tmp_path, lines), [Orientation(R) for R in pan(9, 10.0)]
     up, sigma = up_by_marks(path, read_marks(path), FISHEYE, {t + 3: turn for t, turn in enumerate(turns)})
     np.testing.assert_allclose(up, turns[0].rotation @ UP, atol=1e-4)
     assert 0.001 < sigma < 0.05
@@ -202,12 +202,12 @@ def test_marks_tell_which_way_is_up(tmp_path, lines):
 
 
 def test_marks_that_do_not_tell_are_refused(tmp_path):
-    turns = {t + 3: Turn(R) for t, R in enumerate(pan(9, 10.0))}
+    turns = {t + 3: Orientation(R) for t, R in enumerate(pan(9, 10.0))}
     path = marked(tmp_path, POSTS[:1])
     with pytest.raises(InputError, match="leave the upward direction open"):
         up_by_marks(path, read_marks(path), FISHEYE, turns)
     with pytest.raises(InputError, match="found 4, expected one of the video"):
-        up_by_marks(path, read_marks(path), FISHEYE, {3: Turn(np.eye(3))})
+        up_by_marks(path, read_marks(path), FISHEYE, {3: Orientation(np.eye(3))})
     path.write_text(
         "kind,frame,x1,y1,x2,y2\nhorizon,1,2,3,4,5\nskyline,1,2,3,4,5\nvertical,1,2,3,2,3\nhorizon,1,2,3,inf,5\n"
     )

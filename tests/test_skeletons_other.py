@@ -345,10 +345,10 @@ def test_a_chain_may_extend_a_file_beside_it(tmp_path, monkeypatch):
 
 
 def test_list():
-    found = {row.name: row for row in list_skeletons()}
+    found = {row["name"]: row for row in list_skeletons()}
     assert {*found} == {*builtin_names()}
-    assert (found["dog-27"].markers, found["horse-22"].markers) == (27, 22)
-    assert {name for name, row in found.items() if row.kind == "chain"} == {*builtin_chains()}
+    assert (found["dog-27"]["markers"], found["horse-22"]["markers"]) == (27, 22)
+    assert {name for name, row in found.items() if row["kind"] == "chain"} == {*builtin_chains()}
     printed = json.loads(output("skeleton", "list", "--json"))
     assert [row["name"] for row in printed] == list(builtin_names())
     assert "horse-22" in output("skeleton", "list")
@@ -369,7 +369,7 @@ def test_nothing_looks_odd_about_builtin_skeletons(name):
 def test_check_lists_what_is_in_a_file(tmp_path):
     file = in_file(tmp_path, CAT)
     check = check_skeleton(file)
-    assert (check.kind, len(check.markers), check.unknowns, check.prior) == ("whole animal", 19, 27, "none")
+    assert (check.kind, len(check.body.markers), check.unknowns, check.prior) == ("whole animal", 19, 27, "none")
     shin = next(part for part in check.parts if part.name == "l_hind_shin")
     (angle,) = shin.angles
     assert (shin.parent, shin.joint, shin.length_m) == ("l_hind_thigh", "hinge", 0.11)

@@ -15,7 +15,7 @@ from typing import Annotated
 from pydantic import Field
 
 from recon.animal.body import Body, other_side, side_of
-from recon.animal.skeleton_file import Number, Sigma, Table, parsed_file, read_named
+from recon.animal.skeleton_file import FileTable, Number, Sigma, parsed_file, read_named
 from recon.base.errors import InputError, Problem
 
 NONE = "none"
@@ -24,13 +24,13 @@ OWN = "own"
 """That of a skeleton or a subject whose own file says where its keypoints lie."""
 
 
-class _Keypoint(Table):
+class _Keypoint(FileTable):
     offset_m: tuple[Number, Number, Number]
     spread_m: Sigma
     sigma_m: Sigma | None = None
 
 
-class _DetectorFile(Table):
+class _DetectorFile(FileTable):
     skeleton: str
     title: str
     keypoint_sigma_m: Sigma

@@ -25,22 +25,24 @@ Sigma = Annotated[float, Field(gt=1e-9, lt=1e6, allow_inf_nan=False)]
 """More, or less, can only be damage."""
 
 
-class Table(BaseModel):
+class FileTable(BaseModel):
+    """A table of a file: other fields than its own are refused."""
+
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
-class _Sides(Table):
+class _Sides(FileTable):
     left: str
     right: str
 
 
-class _Range(Table):
+class _Range(FileTable):
     mean_rad: Number
     tolerance_rad: Sigma
     max_rate_rad_s: Sigma
 
 
-class _Link(Table):
+class _Link(FileTable):
     name: str
     start: str = Field(alias="from")
     end: str = Field(alias="to")
@@ -51,12 +53,12 @@ class _Link(Table):
     phi: _Range | None = None
 
 
-class _BaseLength(Table):
+class _BaseLength(FileTable):
     nominal_m: Sigma
     sigma_m: Sigma
 
 
-class _Prior(Table):
+class _Prior(FileTable):
     theta_sigma_rad: Sigma
     phi_sigma_rad: Sigma
     roll_sigma_rad: Sigma
@@ -86,7 +88,7 @@ _BodyFeet = Annotated[
 ]
 
 
-class _ChainFile(Table):
+class _ChainFile(FileTable):
     name: str
     title: str
     root: str
@@ -103,7 +105,7 @@ class _ChainFile(Table):
 Offset = tuple[Number, Number, Number]
 
 
-class _Expectation(Table):
+class _Expectation(FileTable):
     mean_rad: Number
     sigma_rad: Sigma
     acceleration_rad_s2: Sigma
@@ -112,7 +114,7 @@ class _Expectation(Table):
         return self.model_copy(update={"mean_rad": -self.mean_rad})
 
 
-class _Segment(Table):
+class _Segment(FileTable):
     name: str
     joint: Literal["free", "ball", "universal", "hinge", "fixed"]
     parent: str | None = None
@@ -123,7 +125,7 @@ class _Segment(Table):
     roll: _Expectation | None = None
 
 
-class _Marker(Table):
+class _Marker(FileTable):
     name: str
     segment: str
     at_m: Offset = (0.0, 0.0, 0.0)
@@ -131,7 +133,7 @@ class _Marker(Table):
     mirrored: bool = False
 
 
-class _BodyFile(Table):
+class _BodyFile(FileTable):
     name: str
     title: str
     forward: tuple[str, str]
@@ -144,7 +146,7 @@ class _BodyFile(Table):
     limbs: dict[str, tuple[str, ...]]
 
 
-class _SubjectFile(Table):
+class _SubjectFile(FileTable):
     skeleton: str
     title: str
     size_sigma: Sigma
@@ -209,7 +211,7 @@ def read_named(
     return read_toml(path), str(path)
 
 
-_File = TypeVar("_File", bound=Table)
+_File = TypeVar("_File", bound=FileTable)
 
 
 def parsed_file(kind: type[_File], raw: dict[str, Any], source: str) -> tuple[_File | None, list[Problem]]:

@@ -16,7 +16,7 @@ from recon.base.progress import Progress, silent
 from recon.calibrate.intrinsics import (
     BoardViews,
     Calibration,
-    Check,
+    CalibrationCheck,
     calibrate,
     check,
     collect,
@@ -34,13 +34,13 @@ class CalibrationRun:
 
     views: BoardViews
     calibration: Calibration
-    checks: tuple[Check, ...]
+    checks: tuple[CalibrationCheck, ...]
     picture: Path
     written: Path | None
     """The camera file, or None."""
 
     @property
-    def refused(self) -> tuple[Check, ...]:
+    def refused(self) -> tuple[CalibrationCheck, ...]:
         return tuple(c for c in self.checks if c.verdict == "refused")
 
     def to_dict(self) -> dict[str, Any]:
@@ -51,7 +51,7 @@ class CalibrationRun:
             "camera": calibration.camera.to_dict(),
             "rms_px": calibration.rms_px,
             "parameters": [
-                {"name": name, "value": value, "sigma": sigma if math.isfinite(sigma) else None}
+                {"name": name, "value": value, "sigma": _finite(sigma)}
                 for (name, value), sigma in zip(calibration.parameters.items(), calibration.sigma, strict=True)
             ],
             "pictures": [
@@ -70,21 +70,17 @@ class CalibrationRun:
             "found": self.views.found,
             "without_board": list(self.views.without_board),
             "checks": [
-                {
-                    "name": c.limit.name,
-                    "what": c.limit.what,
-                    "value": c.value if math.isfinite(c.value) else None,
-                    "unit": c.limit.unit,
-                    "warn": c.limit.warn,
-                    "refuse": None if math.isnan(c.limit.refuse) else c.limit.refuse,
-                    "at_least": c.limit.at_least,
-                    "verdict": c.verdict,
-                }
+                {name: _finite(value) for name, value in vars(c).items() if name != "advice"} | {"verdict": c.verdict}
                 for c in self.checks
             ],
             "picture": str(self.picture),
             "written": None if self.written is None else str(self.written),
         }
+
+
+def _finite(value: Any) -> Any:
+    """JSON has no NaN, and no infinity."""
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def run_calibration(

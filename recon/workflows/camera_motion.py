@@ -16,8 +16,8 @@ from recon.base.files import require_free_file, staged_folder, write_bytes
 from recon.base.progress import Progress, silent
 from recon.calibrate.camera_motion import (
     LevelMark,
+    Orientation,
     Tracker,
-    Turn,
     TurningMotion,
     as_level,
     read_marks,
@@ -251,7 +251,7 @@ def _pictures(camera: Camera, motion: TurningMotion, points: dict[int, Array]) -
     return canvas, background, drawn
 
 
-def _animal(camera: Camera, frames: Integers, turns: tuple[Turn, ...], points: dict[int, Array]) -> Array:
+def _animal(camera: Camera, frames: Integers, turns: tuple[Orientation, ...], points: dict[int, Array]) -> Array:
     """(N, 3): world rays of the middle of the animal's points, NaN where it has none."""
     rays = np.full((len(frames), 3), np.nan)
     for t, (frame, turn) in enumerate(zip(frames.tolist(), turns, strict=True)):

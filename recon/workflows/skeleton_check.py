@@ -57,16 +57,6 @@ class PartRow:
     """Markers on it, or the keypoints of its end."""
 
 
-@dataclass(frozen=True)
-class MarkerRow:
-    """A point on a segment."""
-
-    name: str
-    segment: str
-    at_m: tuple[float, float, float]
-    """From the origin of its segment, in that one's frame, (x, y, z)."""
-
-
 @dataclass(frozen=True, eq=False)
 class SkeletonCheck:
     """What a skeleton's file describes."""
@@ -87,7 +77,6 @@ class SkeletonCheck:
     prior: str
     """The one that a fit takes by default, "none" if there is none."""
     parts: tuple[PartRow, ...]
-    markers: tuple[MarkerRow, ...]
     feet: dict[str, str]
     """Markers by label, LF, RF, LH, RH, of a chain F, H."""
     limbs: dict[str, tuple[str, ...]]
@@ -96,26 +85,15 @@ class SkeletonCheck:
 
     def to_dict(self) -> dict[str, Any]:
         """Plain JSON types."""
-        plain = {
-            key: getattr(self, key) for key in self.__dataclass_fields__ if key not in ("body", "parts", "markers")
-        }
-        rows = {"parts": [asdict(part) for part in self.parts], "markers": [asdict(marker) for marker in self.markers]}
-        return plain | rows
+        markers = [{"name": m.name, "segment": m.segment, "at_m": m.offset_m} for m in self.body.tree.markers]
+        rows = {"parts": [asdict(part) for part in self.parts], "markers": markers}
+        return {name: value for name, value in vars(self).items() if name not in ("body", "parts")} | rows
 
 
-@dataclass(frozen=True)
-class ListedSkeleton:
-    name: str
-    title: str
-    kind: str
-    markers: int
-    unknowns: int
-
-
-def list_skeletons() -> list[ListedSkeleton]:
-    """Those that come with the package."""
+def list_skeletons() -> list[dict[str, Any]]:
+    """Those that come with the package: name, title, kind, and how many markers and unknowns they have."""
     return [
-        ListedSkeleton(c.name, c.title, c.kind, len(c.body.markers), c.unknowns)
+        {"name": c.name, "title": c.title, "kind": c.kind, "markers": len(c.body.markers), "unknowns": c.unknowns}
         for c in map(check_skeleton, builtin_names())
     ]
 
@@ -148,7 +126,6 @@ def check_skeleton(name_or_path: str | Path, subject: str | Path | None = None) 
         keypoint_sigma_m=body.keypoint_sigma_m,
         prior=load_prior(None, body).name,
         parts=tuple(_links(chain) if chain else _segments(body)),
-        markers=tuple(MarkerRow(m.name, m.segment, m.offset_m) for m in body.tree.markers),
         feet=body.feet_by_label(),
         limbs=body.limbs,
         remarks=tuple(_remarks(body)),

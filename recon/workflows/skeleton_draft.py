@@ -23,7 +23,7 @@ REAR, FRONT = ("tail_base", "l_hip", "spine"), ("neck_base", "withers", "l_shoul
 
 
 @dataclass(frozen=True)
-class Draft:
+class SkeletonDraft:
     """A skeleton file, to be completed."""
 
     text: str
@@ -33,7 +33,9 @@ class Draft:
     """Those that have none yet."""
 
 
-def run_skeleton_draft(keypoints: Path, out: Path, individual: str | None = None, overwrite: bool = False) -> Draft:
+def run_skeleton_draft(
+    keypoints: Path, out: Path, individual: str | None = None, overwrite: bool = False
+) -> SkeletonDraft:
     """`recon skeleton from-keypoints`: write a draft of a skeleton for a keypoint file. Raises InputError."""
     require_free_file(out, overwrite, source=keypoints)
     draft = draft_skeleton(read_keypoints(keypoints, individual).names, out.stem, keypoints)
@@ -42,7 +44,7 @@ def run_skeleton_draft(keypoints: Path, out: Path, individual: str | None = None
     return draft
 
 
-def draft_skeleton(names: Sequence[str], title: str, source: Path) -> Draft:
+def draft_skeleton(names: Sequence[str], title: str, source: Path) -> SkeletonDraft:
     """Raises InputError where too few names are understood to place an animal, or none of either end of its trunk."""
     body = load_skeleton(BASE)
     known = _understood(names, body.markers)
@@ -57,7 +59,7 @@ def draft_skeleton(names: Sequence[str], title: str, source: Path) -> Draft:
         raise InputError(Problem(source, "bodyparts", found, expected))
     others = tuple(name for name in names if name not in known)
     parts = (_head(title, source, rear, front, called, body, others), _segments(body, names))
-    return Draft("".join((*parts, *_markers(body, called), *_limbs(body, called))), known, others)
+    return SkeletonDraft("".join((*parts, *_markers(body, called), *_limbs(body, called))), known, others)
 
 
 def _understood(names: Sequence[str], markers: Sequence[str]) -> dict[str, str]:

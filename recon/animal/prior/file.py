@@ -15,7 +15,7 @@ from pydantic import ConfigDict, Json
 
 from recon.animal.body import Body
 from recon.animal.prior.model import ANGLES, NONE, SHAPES, MotionPrior, SegmentRow, misfits, prior_from_body
-from recon.animal.skeleton_file import Table, parsed_file
+from recon.animal.skeleton_file import FileTable, parsed_file
 from recon.base.errors import InputError, Problem
 from recon.base.files import staged_file, write_bytes
 from recon.base.package import builtin_file, builtin_names
@@ -24,7 +24,7 @@ _FORMAT = 1
 _EXPECTED = "a motion prior, as `recon prior fit` writes it"
 
 
-class _About(Table):
+class _About(FileTable):
     model_config = ConfigDict(extra="ignore", frozen=True)
 
     format: Literal[1]
@@ -34,7 +34,7 @@ class _About(Table):
     segments: list[SegmentRow]
 
 
-class _Texts(Table):
+class _Texts(FileTable):
     about: Json[_About]
 
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from recon.base.arrays import Array, Index
-from recon.calibrate.camera_motion.rotation import Turn
+from recon.calibrate.camera_motion.rotation import Orientation
 
 STEPS = 4
 FLOOR_PX = 0.1
@@ -32,17 +32,12 @@ class Link:
     gradient: Array
 
 
-@dataclass(frozen=True, eq=False)
-class Adjusted:
-    """turns of the N frames. sigma_rad: (N,), per axis, against the first frame; sigma_zoom: (N,), relative."""
-
-    turns: tuple[Turn, ...]
-    sigma_rad: Array
-    sigma_zoom: Array
-
-
-def adjust(turns: Sequence[Turn], links: Sequence[Link], solve_zoom: bool, floor_rad: float) -> Adjusted:
-    """The first of the frames stays. links: of every other frame at least one. floor_rad: see FLOOR_PX."""
+def adjust(
+    turns: Sequence[Orientation], links: Sequence[Link], solve_zoom: bool, floor_rad: float
+) -> tuple[tuple[Orientation, ...], Array, Array]:
+    """The turns of the N frames, of which the first stays; their standard deviations (N,), rad per axis, against the
+    first frame; and those of the zooms (N,), relative. links: of every other frame at least one. floor_rad: see
+    FLOOR_PX."""
     from scipy.sparse import coo_array
     from scipy.sparse.linalg import splu
     from scipy.spatial.transform import Rotation
@@ -81,9 +76,9 @@ def adjust(turns: Sequence[Turn], links: Sequence[Link], solve_zoom: bool, floor
             log_zoom = log_zoom + step[:, 3]
     assert factor is not None
     sigma = _sigma(factor.solve, blocks, frame, key, n, p)
-    found = tuple(Turn(r, float(z)) for r, z in zip(rotation, np.exp(log_zoom), strict=True))
+    found = tuple(Orientation(r, float(z)) for r, z in zip(rotation, np.exp(log_zoom), strict=True))
     sigma_zoom = sigma[:, 3] if solve_zoom else np.zeros(n)
-    return Adjusted(found, np.hypot(np.sqrt((sigma[:, :3] ** 2).mean(axis=1)), floor_rad), sigma_zoom)
+    return found, np.hypot(np.sqrt((sigma[:, :3] ** 2).mean(axis=1)), floor_rad), sigma_zoom
 
 
 def _sigma(solve: Callable[[Array], Array], blocks: Array, frame: Index, key: Index, n: int, p: int) -> Array:

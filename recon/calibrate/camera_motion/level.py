@@ -15,7 +15,7 @@ from recon.base.arrays import Array
 from recon.base.documents import read_text
 from recon.base.errors import InputError, Problem
 from recon.calibrate.camera_motion.features import rays_of
-from recon.calibrate.camera_motion.rotation import Turn
+from recon.calibrate.camera_motion.rotation import Orientation
 from recon.geometry.camera import Camera
 from recon.geometry.frames import level_from_camera
 from recon.io.common import first_problems, frame_number, number
@@ -37,7 +37,7 @@ class LevelMark:
     ends_px: tuple[tuple[float, float], tuple[float, float]]
 
 
-def as_level(turns: Sequence[Turn], up: Array | None) -> tuple[Turn, ...]:
+def as_level(turns: Sequence[Orientation], up: Array | None) -> tuple[Orientation, ...]:
     """The turns from a world with z up, y away from the camera.
 
     up: (3,) in the first frame's camera. None: the mean frame looks level.
@@ -57,7 +57,7 @@ def tilted(tilt_rad: float) -> Array:
 
 
 def up_by_marks(
-    source: Path, marks: Sequence[LevelMark], camera: Camera, turns: Mapping[int, Turn]
+    source: Path, marks: Sequence[LevelMark], camera: Camera, turns: Mapping[int, Orientation]
 ) -> tuple[Array, float]:
     """Up (3,) in the first frame's camera, and its standard deviation in rad. turns: by frame.
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from recon.base.arrays import Array
 from recon.calibrate.camera_motion.features import rays_of
-from recon.calibrate.camera_motion.rotation import Turn, expected_px
+from recon.calibrate.camera_motion.rotation import Orientation, expected_px
 from recon.geometry.camera import Camera
 from recon.io.video import Image
 
@@ -32,7 +32,7 @@ class Canvas:
     size_px: tuple[int, int]
 
     @classmethod
-    def around(cls, camera: Camera, turns: Sequence[Turn]) -> Canvas:
+    def around(cls, camera: Camera, turns: Sequence[Orientation]) -> Canvas:
         """What all of the views together cover. The longitudes go on in the camera's direction past half a turn."""
         outline = _outline(camera)
         middle = np.unwrap([_angles(turn.rotation[2])[0] for turn in turns])
@@ -54,7 +54,7 @@ class Canvas:
         lon = middle + (lon - middle + np.pi) % turn - np.pi
         return np.column_stack([(lon - self.west) / self.step, (self.north - lat) / self.step])
 
-    def warped(self, camera: Camera, turn: Turn, picture: Image) -> tuple[Image, Array]:
+    def warped(self, camera: Camera, turn: Orientation, picture: Image) -> tuple[Image, Array]:
         """A picture on the canvas, and how deep each pixel (height, width) lies within it: 1 in its middle, 0 outside.
         picture: of the camera's size or smaller."""
         width, height = self.size_px
@@ -75,7 +75,7 @@ class Canvas:
         return np.asarray(warped, np.uint8), np.asarray(depth, float)
 
 
-def panorama(canvas: Canvas, camera: Camera, turns: Sequence[Turn], pictures: Sequence[Image]) -> Image:
+def panorama(canvas: Canvas, camera: Camera, turns: Sequence[Orientation], pictures: Sequence[Image]) -> Image:
     """Pictures with their turns, laid over each other: the deeper within a picture, the more it counts."""
     total = np.zeros((canvas.size_px[1], canvas.size_px[0], 3), np.float32)
     weight = np.full(total.shape[:2], 1e-6, np.float32)
@@ -96,7 +96,7 @@ def draw_path(canvas: Canvas, picture: Image, rays: Array, colour: tuple[int, in
             cv2.line(picture, (x0, y0), (x1, y1), colour, 2, cv2.LINE_AA)
 
 
-def draw_view(canvas: Canvas, picture: Image, camera: Camera, turn: Turn) -> None:
+def draw_view(canvas: Canvas, picture: Image, camera: Camera, turn: Orientation) -> None:
     """The edge of the camera's picture."""
     draw_path(canvas, picture, rays_of(camera, _outline(camera), turn.zoom)[0] @ turn.rotation, VIEW)
 

@@ -27,7 +27,7 @@ ROUNDS = 6
 
 
 @dataclass(frozen=True, eq=False)
-class Turn:
+class Orientation:
     """rotation (3, 3): world to camera. zoom: focal length in the camera file's."""
 
     rotation: Array
@@ -35,12 +35,12 @@ class Turn:
 
 
 @dataclass(frozen=True, eq=False)
-class AgreedTurn:
+class AgreedOrientation:
     """A turn and what supports it. weights: (N,), 0 of points that do not agree. residual_px: (N, 2), seen less
     expected. jacobian: (N, 2, 4) of the expected pixels, by a small turn (rad) in the camera frame and by log zoom.
     spread: what it is worth."""
 
-    turn: Turn
+    turn: Orientation
     weights: Array
     residual_px: Array
     jacobian: Array
@@ -78,7 +78,7 @@ def agreed_turn(
     *,
     solve_zoom: bool,
     limit_px: float,
-) -> AgreedTurn | None:
+) -> AgreedOrientation | None:
     """The turn that takes world rays (N, 3) to where they are seen, pixels (N, 2) and rays (N, 3) at about that zoom.
 
     trust: (N,) from 0 to 1, how far each has been background so far. None where too few points agree or they cover too
@@ -93,17 +93,17 @@ def agreed_turn(
     angle = limit_px / (camera.matrix[0, 0] * zoom)
     weights = trust**2 * (off < 0.5 * angle**2)
     coverage, area = spread(seen_px, camera.image_size_px, weights)
-    best: AgreedTurn | None = None
+    best: AgreedOrientation | None = None
     looked_at: list[Array] = []
     for h in np.argsort(-coverage * area)[:CANDIDATES]:
         if any(np.trace(tried[h] @ other.T) > 1 + 2 * np.cos(2 * angle) for other in looked_at):
             continue
         looked_at.append(tried[h])
-        found = refined(camera, rays, seen_px, Turn(tried[h], zoom), solve_zoom=solve_zoom, limit_px=limit_px)
+        found = refined(camera, rays, seen_px, Orientation(tried[h], zoom), solve_zoom=solve_zoom, limit_px=limit_px)
         if found is None:
             continue
         c, a = spread(seen_px, camera.image_size_px, (trust**2 * found.agree)[None])
-        found = AgreedTurn(**{**vars(found), "spread": float(c[0] * a[0])})
+        found = AgreedOrientation(**{**vars(found), "spread": float(c[0] * a[0])})
         if a[0] >= MIN_SPREAD and (best is None or found.spread > best.spread):
             best = found
     return best
@@ -125,8 +125,8 @@ def _axes(a: Array, b: Array) -> Array:
 
 
 def refined(
-    camera: Camera, rays: Array, seen_px: Array, turn: Turn, *, solve_zoom: bool, limit_px: float
-) -> AgreedTurn | None:
+    camera: Camera, rays: Array, seen_px: Array, turn: Orientation, *, solve_zoom: bool, limit_px: float
+) -> AgreedOrientation | None:
     """Robust least squares in pixels, from a turn nearby (Tukey's weights, with a limit that follows the scatter)."""
     from scipy.spatial.transform import Rotation
 
@@ -138,17 +138,19 @@ def refined(
             return None
         step = np.zeros(4)
         step[free] = np.linalg.solve(*normal_equations(jacobian[:, :, free], weights, residual))
-        turn = Turn(Rotation.from_rotvec(step[:3]).as_matrix() @ turn.rotation, turn.zoom * float(np.exp(step[3])))
+        turn = Orientation(
+            Rotation.from_rotvec(step[:3]).as_matrix() @ turn.rotation, turn.zoom * float(np.exp(step[3]))
+        )
         median = float(np.median(size[weights > 0]))
         limit = limit_px * float(np.clip(4 * median / limit_px, LEAST_LIMIT, FINAL_LIMIT))
     residual, jacobian, weights, size = _weighted(camera, rays, seen_px, turn, limit)
     if (weights > 0).sum() < MIN_POINTS:
         return None
     sigma = float(np.sqrt((weights * size**2).sum() / (2 * weights.sum())))
-    return AgreedTurn(turn, weights, residual, jacobian, max(sigma, 1e-3), 0.0)
+    return AgreedOrientation(turn, weights, residual, jacobian, max(sigma, 1e-3), 0.0)
 
 
-def _weighted(camera: Camera, rays: Array, seen_px: Array, turn: Turn, limit_px: float) -> tuple[Array, ...]:
+def _weighted(camera: Camera, rays: Array, seen_px: Array, turn: Orientation, limit_px: float) -> tuple[Array, ...]:
     """Residuals (N, 2), their derivatives (N, 2, 4), weights (N,) and lengths (N,)."""
     residual, jacobian = _linearised(camera, rays, seen_px, turn)
     size = np.linalg.norm(residual, axis=1)
@@ -162,7 +164,7 @@ def normal_equations(jacobian: Array, weights: Array, residual_px: Array) -> tup
     return weighted.T @ flat, weighted.T @ residual_px.ravel()
 
 
-def _linearised(camera: Camera, rays: Array, seen_px: Array, turn: Turn) -> tuple[Array, Array]:
+def _linearised(camera: Camera, rays: Array, seen_px: Array, turn: Orientation) -> tuple[Array, Array]:
     there = rays @ turn.rotation.T
     pixels, by_point, _ = camera.project_with_jacobian(there)
     from_focus = turn.zoom * (pixels - focus_px(camera))
@@ -174,7 +176,7 @@ def _linearised(camera: Camera, rays: Array, seen_px: Array, turn: Turn) -> tupl
     return np.where(known, seen_px - focus_px(camera) - from_focus, 1e9), np.where(known[:, :, None], jacobian, 0.0)
 
 
-def expected_px(camera: Camera, rays: Array, turn: Turn) -> tuple[Array, Bools]:
+def expected_px(camera: Camera, rays: Array, turn: Orientation) -> tuple[Array, Bools]:
     """Pixels (N, 2) of world rays (N, 3), and whether they are in the picture."""
     pixels, valid = pixels_of(camera, rays @ turn.rotation.T, turn.zoom)
     return pixels, valid & camera.in_image(np.where(valid[:, None], pixels, -1e9))

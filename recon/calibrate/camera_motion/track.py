@@ -23,7 +23,13 @@ from recon.calibrate.camera_motion.features import (
     rays_of,
     same_scene,
 )
-from recon.calibrate.camera_motion.rotation import AgreedTurn, Turn, agreed_turn, expected_px, normal_equations
+from recon.calibrate.camera_motion.rotation import (
+    AgreedOrientation,
+    Orientation,
+    agreed_turn,
+    expected_px,
+    normal_equations,
+)
 from recon.geometry.camera import Camera
 from recon.io.video import Image
 
@@ -59,7 +65,7 @@ class Key:
     number: int
     frame: GreyPicture | None
     points_px: Array
-    turn: Turn
+    turn: Orientation
     trust: Array
     known: tuple[Array, Image]
     thumbnail: Image
@@ -80,7 +86,7 @@ class TurningMotion:
     take begins."""
 
     frames: Integers
-    turns: tuple[Turn, ...]
+    turns: tuple[Orientation, ...]
     inliers: Integers
     residual_px: Array
     sigma_rad: Array
@@ -104,7 +110,7 @@ class Tracker:
     masked: Callable[[int], Array | None] = lambda number: None
     keys: list[Key] = field(default_factory=list)
     frames: list[int] = field(default_factory=list)
-    turns: list[Turn] = field(default_factory=list)
+    turns: list[Orientation] = field(default_factory=list)
     supports: list[tuple[int, float]] = field(default_factory=list)
     links: list[Link] = field(default_factory=list)
     lost: list[int] = field(default_factory=list)
@@ -159,21 +165,21 @@ class Tracker:
             self.lost.append(number)
             return False
         self.frames.append(number)
-        self.turns.append(Turn(np.eye(3)))
+        self.turns.append(Orientation(np.eye(3)))
         self.supports.append((len(points), 0.0))
         self._remember(frame, picture, points, np.full(len(points), 0.5))
         return True
 
-    def _predicted(self, number: int) -> Turn:
+    def _predicted(self, number: int) -> Orientation:
         """Turned on as before."""
         if len(self.turns) < 2 or self.frames[-2:] != [number - 2, number - 1]:
             return self.turns[-1]
         a, b = self.turns[-2:]
-        return Turn(b.rotation @ a.rotation.T @ b.rotation, b.zoom * b.zoom / a.zoom)
+        return Orientation(b.rotation @ a.rotation.T @ b.rotation, b.zoom * b.zoom / a.zoom)
 
     def _placed(
-        self, number: int, frame: GreyPicture, mask: Bools | None, guess: Turn, count: int
-    ) -> tuple[AgreedTurn, _Seen] | None:
+        self, number: int, frame: GreyPicture, mask: Bools | None, guess: Orientation, count: int
+    ) -> tuple[AgreedOrientation, _Seen] | None:
         keys = self._nearest(guess, count)
         seen = _Seen.of(self.camera, keys, frame, guess, mask)
         for key in keys:
@@ -183,12 +189,14 @@ class Tracker:
         enough = agreement is not None and agreement.spread > MIN_SUPPORT * self.support
         return (agreement, seen) if agreement is not None and enough else None
 
-    def _agreed(self, rays: Array, pixels: Array, trust: Array, zoom: float, limit_px: float) -> AgreedTurn | None:
+    def _agreed(
+        self, rays: Array, pixels: Array, trust: Array, zoom: float, limit_px: float
+    ) -> AgreedOrientation | None:
         there, valid = rays_of(self.camera, pixels, zoom)
         of_points = rays[valid], pixels[valid], there[valid], trust[valid]
         return agreed_turn(self.camera, *of_points, zoom, solve_zoom=self.solve_zoom, limit_px=limit_px)
 
-    def _nearest(self, turn: Turn, count: int) -> list[Key]:
+    def _nearest(self, turn: Orientation, count: int) -> list[Key]:
         """Keyframes with a picture that look the same way."""
         near = [(float(turn.rotation[2] @ key.turn.rotation[2]), key) for key in self.keys if key.frame is not None]
         near = sorted(near, key=lambda pair: -pair[0])[: 2 * count]
@@ -199,7 +207,7 @@ class Tracker:
             kept.append(min(alike[count:], key=lambda key: key.number))
         return kept or [key for _, key in best[:1]]
 
-    def _likeness(self, key: Key, turn: Turn) -> float:
+    def _likeness(self, key: Key, turn: Orientation) -> float:
         """Share of a frame's picture that is in the keyframe's, less where it is larger or smaller there."""
         width, height = self.camera.image_size_px
         x, y = np.meshgrid(np.linspace(0, width - 1, 9), np.linspace(0, height - 1, 9))
@@ -209,7 +217,7 @@ class Tracker:
         inside = expected_px(self.camera, rays[valid] @ turn.rotation, key.turn)[1].mean()
         return float(inside) - BY_ZOOM * abs(np.log(turn.zoom / key.turn.zoom))
 
-    def _found_again(self, frame: GreyPicture, mask: Bools | None) -> Turn | None:
+    def _found_again(self, frame: GreyPicture, mask: Bools | None) -> Orientation | None:
         """By points that are known wherever they have gone: after a jerk, or a stretch without background."""
         pixels, descriptors = described(frame)
         recent = sorted((key for key in self.keys if key.frame is not None), key=lambda key: -key.used)[:20]
@@ -228,7 +236,7 @@ class Tracker:
 
     # -- what is learnt --
 
-    def _learn(self, agreement: AgreedTurn, seen: _Seen) -> bool:
+    def _learn(self, agreement: AgreedOrientation, seen: _Seen) -> bool:
         """Which points are background; whether what was background has come apart."""
         settled = kept = 0
         for k, key in enumerate(seen.keys):
@@ -240,7 +248,7 @@ class Tracker:
             key.settled |= key.trust > SETTLED
         return settled >= MIN_CORNERS and kept < COME_APART * settled
 
-    def _look_back(self, agreement: AgreedTurn, seen: _Seen) -> None:
+    def _look_back(self, agreement: AgreedOrientation, seen: _Seen) -> None:
         """How much of the settled background of the oldest keyframe that looks the same way is still in its place."""
         k = min(range(len(seen.keys)), key=lambda k: seen.keys[k].number)
         key = seen.keys[k]
@@ -249,7 +257,7 @@ class Tracker:
             at = seen.index[(seen.of_key == k) & agreement.agree]
             self.still.append(float(inside[at].sum() / inside.sum()))
 
-    def _keep(self, number: int, agreement: AgreedTurn, seen: _Seen) -> None:
+    def _keep(self, number: int, agreement: AgreedOrientation, seen: _Seen) -> None:
         self.frames.append(number)
         self.turns.append(agreement.turn)
         agree = agreement.agree
@@ -261,7 +269,7 @@ class Tracker:
             if own.sum() >= 8:
                 self.links.append(self._link(place, key, agreement, seen, own))
 
-    def _link(self, place: int, key: Key, agreement: AgreedTurn, seen: _Seen, own: Bools) -> Link:
+    def _link(self, place: int, key: Key, agreement: AgreedOrientation, seen: _Seen, own: Bools) -> Link:
         turn, J = agreement.turn, agreement.jacobian[own]
         by_key = np.zeros((len(J), 2, 1))
         if self.solve_zoom:
@@ -278,7 +286,7 @@ class Tracker:
         return Link(place, key.number, turn.rotation @ key.turn.rotation.T, zooms, normal, gradient)
 
     def _new_key(
-        self, frame: GreyPicture, picture: Image, mask: Bools | None, agreement: AgreedTurn, seen: _Seen
+        self, frame: GreyPicture, picture: Image, mask: Bools | None, agreement: AgreedOrientation, seen: _Seen
     ) -> None:
         """Its points are as trusted as the nearest that were followed into it."""
         points = corners(frame, mask)
@@ -313,11 +321,10 @@ class Tracker:
         residual = np.array([px for _, px in self.supports])
         keys = np.array([key.number for key in self.keys], dtype=np.int64)
         pictures = tuple(key.thumbnail for key in self.keys)
-        turns: Sequence[Turn] = self.turns
+        turns: Sequence[Orientation] = self.turns
         sigma, sigma_zoom = np.zeros(len(frames)), np.zeros(len(frames))
         if self.links:
-            done = adjust(turns, self.links, self.solve_zoom, FLOOR_PX / self.camera.matrix[0, 0])
-            turns, sigma, sigma_zoom = done.turns, done.sigma_rad, done.sigma_zoom
+            turns, sigma, sigma_zoom = adjust(turns, self.links, self.solve_zoom, FLOOR_PX / self.camera.matrix[0, 0])
         torn = sum(share < MIN_STILL for share in self.still)
         turned_only = self.apart <= MAX_APART * (len(frames) + len(lost)) and torn <= MAX_TORN
         return TurningMotion(
@@ -338,7 +345,7 @@ class _Seen:
     trust: Array
 
     @classmethod
-    def of(cls, camera: Camera, keys: list[Key], frame: GreyPicture, guess: Turn, mask: Bools | None) -> _Seen:
+    def of(cls, camera: Camera, keys: list[Key], frame: GreyPicture, guess: Orientation, mask: Bools | None) -> _Seen:
         none = np.zeros(0, np.int64)
         parts: list[tuple[Any, ...]] = [(none, none, np.zeros((0, 3)), np.zeros((0, 2)), np.zeros(0))]
         for k, key in enumerate(keys):

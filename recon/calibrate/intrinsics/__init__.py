@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from recon.calibrate.intrinsics.board import Board, Charuco, Chessboard, Corners, parse_board
-from recon.calibrate.intrinsics.checks import LIMITS, Check, check, coverage
+from recon.calibrate.intrinsics.checks import LIMITS, CalibrationCheck, check, coverage
 from recon.calibrate.intrinsics.picture import draw
 from recon.calibrate.intrinsics.solve import Calibration, FittedBoardView, calibrate
 from recon.calibrate.intrinsics.views import BoardView, BoardViews, collect, find_views
@@ -14,8 +14,8 @@ __all__ = [
     "BoardView",
     "BoardViews",
     "Calibration",
+    "CalibrationCheck",
     "Charuco",
-    "Check",
     "Chessboard",
     "Corners",
     "FittedBoardView",

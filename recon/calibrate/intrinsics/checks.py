@@ -9,7 +9,7 @@ width is about 0.6 degrees), and a lens model that holds where the animal is, wh
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import cv2
@@ -22,8 +22,8 @@ Verdict = Literal["ok", "warning", "refused"]
 
 
 @dataclass(frozen=True)
-class Limit:
-    """What a measured value is held against. A limit of NaN is never reached."""
+class CalibrationCheck:
+    """A measured value, and what it is held against."""
 
     name: str
     what: str
@@ -34,88 +34,79 @@ class Limit:
     """A reason to refuse where the value is beyond it (below it, if `at_least`)."""
     at_least: bool
     advice: str
+    value: float = math.nan
+
+    @property
+    def verdict(self) -> Verdict:
+        if self._beyond(self.refuse):
+            return "refused"
+        return "warning" if self._beyond(self.warn) else "ok"
+
+    def _beyond(self, bound: float) -> bool:
+        """Never of a bound that is NaN, and always of a value that is."""
+        return not math.isnan(bound) and not (self.value >= bound if self.at_least else self.value <= bound)
+
+    def __str__(self) -> str:
+        """What was found, the limit that it is beyond, by how much, and what to do."""
+        bound = self.refuse if self.verdict == "refused" else self.warn
+        unit = f" {self.unit}" if self.unit else ""
+        if self.verdict == "ok":
+            return f"{self.name}: {self.what} {self.value:.3g}{unit}"
+        side = "at least" if self.at_least else "at most"
+        return (
+            f"{self.name}: {self.what} {self.value:.3g}{unit}, {side} {bound:g} wanted "
+            f"({abs(self.value - bound):.2g} {'short' if self.at_least else 'over'}): {self.advice}"
+        )
 
 
 LIMITS = (
-    Limit(
+    CalibrationCheck(
         "images", "pictures used", "", 10, 6, True, "take more pictures"
     ),  # three determine the matrix, two more the lens; with six an error of one can still be seen in the others
-    Limit(
+    CalibrationCheck(
         "dropped", "pictures left out as outliers", "%", 10, 25, False, "look for a board that bends, or moves"
     ),  # one in four is no exception any more: the median itself is in doubt
-    Limit(
+    CalibrationCheck(
         "rms", "reprojection error", "px of 1920", 0.5, 1.0, False, "check the board's numbers, flatness, and --model"
     ),  # corners are found to 0.05-0.3 px; more is a wrong lens model or board. Relative to the width above 1920
-    Limit(
+    CalibrationCheck(
         "coverage", "share of the picture where the board was", "%", 60, 30, True, "move the board over all of it"
     ),  # the lens is measured there and extrapolated elsewhere, by polynomials
-    Limit(
+    CalibrationCheck(
         "border", "widest strip along a border without a corner", "% of the side", 12, math.nan, False,
         "hold the board at the borders, partly outside if it is a ChArUco board",
     ),  # the distortion is largest there
-    Limit(
+    CalibrationCheck(
         "tilt", "largest angle between two boards", "degrees", 40, 20, True, "tilt the board by 30 to 45 degrees"
     ),  # parallel boards say nothing new: a longer focal length and a longer distance look alike
-    Limit(
+    CalibrationCheck(
         "tilt axes", "spread of the tilt in its least varied direction", "degrees", 6, 2, True,
         "tilt the board sideways as well as forwards",
     ),  # about one axis, only one of fx and fy is determined by perspective
-    Limit(
+    CalibrationCheck(
         "focal length", "standard deviation of fx or fy", "%", 0.3, 1.0, False, "take more pictures, closer and tilted"
     ),  # what the lens model cannot express is not in it: take it for a third of the truth
-    Limit(
+    CalibrationCheck(
         "principal point", "standard deviation of cx or cy", "% of the width", 0.3, 1.0, False,
         "take more pictures, tilted and at the borders",
     ),
-    Limit(
+    CalibrationCheck(
         "aspect", "difference between fx and fy", "%", 0.5, 5.0, False, "check that the video is not stretched"
     ),  # pixels of today's sensors are square to 0.1 %
-    Limit(
+    CalibrationCheck(
         "centre", "distance of the principal point from the middle", "% of the width", 5, 15, False,
         "check that the picture is not cropped",
     ),  # lenses are centred to some 2 %
-    Limit(
+    CalibrationCheck(
         "folded", "part of the picture where the lens model has no ray", "%", 0.0, 5.0, False,
         "cover the borders, or use another --model",
     ),  # there the fitted polynomial turns back; a circular fisheye picture has such corners by nature
 )  # fmt: skip
+"""Without their values."""
 
 
-@dataclass(frozen=True)
-class Check:
-    """A measured value beside its limit."""
-
-    limit: Limit
-    value: float
-
-    @property
-    def verdict(self) -> Verdict:
-        if self._beyond(self.limit.refuse):
-            return "refused"
-        return "warning" if self._beyond(self.limit.warn) else "ok"
-
-    def _beyond(self, bound: float) -> bool:
-        if math.isnan(bound):
-            return False
-        # Not a number is no good value.
-        return not (self.value >= bound if self.limit.at_least else self.value <= bound)
-
-    def __str__(self) -> str:
-        """What was found, the limit that it is beyond, by how much, and what to do."""
-        limit = self.limit
-        bound = limit.refuse if self.verdict == "refused" else limit.warn
-        unit = f" {limit.unit}" if limit.unit else ""
-        if self.verdict == "ok":
-            return f"{limit.name}: {limit.what} {self.value:.3g}{unit}"
-        side = "at least" if limit.at_least else "at most"
-        return (
-            f"{limit.name}: {limit.what} {self.value:.3g}{unit}, {side} {bound:g} wanted "
-            f"({abs(self.value - bound):.2g} {'short' if limit.at_least else 'over'}): {limit.advice}"
-        )
-
-
-def check(calibration: Calibration) -> tuple[Check, ...]:
-    """Every limit with its value, in the order of `LIMITS`."""
+def check(calibration: Calibration) -> tuple[CalibrationCheck, ...]:
+    """Those of `LIMITS`, with their values."""
     camera, used = calibration.camera, calibration.used
     width, height = camera.image_size_px
     values, sigma = calibration.parameters, calibration.sigma
@@ -137,7 +128,7 @@ def check(calibration: Calibration) -> tuple[Check, ...]:
         "centre": 100 * math.hypot(values["cx"] - (width - 1) / 2, values["cy"] - (height - 1) / 2) / width,
         "folded": 100 * (1 - camera.rays(_pixel_grid(width, height))[1].mean()),
     }
-    return tuple(Check(limit, float(measured[limit.name])) for limit in LIMITS)
+    return tuple(replace(limit, value=float(measured[limit.name])) for limit in LIMITS)
 
 
 def coverage(calibration: Calibration, columns: int = 320) -> Bools:

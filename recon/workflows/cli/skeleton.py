@@ -15,7 +15,8 @@ from rich.text import Text
 from recon.workflows.cli.common import say, table_of, terminal
 
 if TYPE_CHECKING:
-    from recon.workflows.skeleton_check import AngleRow, MarkerRow, PartRow, SkeletonCheck
+    from recon.geometry.kinematics import Marker
+    from recon.workflows.skeleton_check import AngleRow, PartRow, SkeletonCheck
 
 skeleton_app = typer.Typer(help="Skeletons: those that come with the package, and your own.", no_args_is_help=True)
 
@@ -26,18 +27,17 @@ def skeleton_list(as_json: Annotated[bool, typer.Option("--json", help="Print JS
 
     Example: recon skeleton list
     """
-    from dataclasses import asdict
-
     from recon.workflows.skeleton_check import list_skeletons
 
     found = list_skeletons()
     if as_json:
-        typer.echo(json.dumps([asdict(row) for row in found], indent=1))
+        typer.echo(json.dumps(found, indent=1))
         return
     table = table_of("name", "kind", numbers=("markers", "unknowns"))
     table.add_column("title")
     for row in found:
-        table.add_row(Text(row.name), row.kind, f"{row.markers}", f"{row.unknowns}", Text(row.title))
+        name, title, kind, *numbers = row.values()
+        table.add_row(Text(name), kind, *map(str, numbers), Text(title))
     terminal().print(table)
 
 
@@ -117,13 +117,13 @@ def _body_tables(check: SkeletonCheck) -> Iterator[Table]:
         table.add_row(Text(part.name + star), Text(part.parent), length, *of_angles)
     yield table
     table = table_of("marker", "on segment", numbers=("x m", "y m", "z m"))
-    for marker, star in _pairs_as_one(check.markers, _opposite):
-        numbers = (f"{x:.3f}" for x in marker.at_m)
+    for marker, star in _pairs_as_one(check.body.tree.markers, _opposite):
+        numbers = (f"{x:.3f}" for x in marker.offset_m)
         table.add_row(Text(marker.name + star), Text(marker.segment), *numbers)
     yield table
 
 
-_Row = TypeVar("_Row", "PartRow", "MarkerRow")
+_Row = TypeVar("_Row", "PartRow", "Marker")
 
 
 def _pairs_as_one(rows: Sequence[_Row], alike: Callable[[_Row, _Row], bool]) -> Iterator[tuple[_Row, str]]:
@@ -151,11 +151,11 @@ def _alike(part: PartRow, twin: PartRow) -> bool:
     )
 
 
-def _opposite(marker: MarkerRow, twin: MarkerRow) -> bool:
+def _opposite(marker: Marker, twin: Marker) -> bool:
     from recon.animal.body import other_side
 
-    (x, y, z), on = marker.at_m, other_side(marker.segment)
-    return on == twin.segment and max(abs(a - b) for a, b in zip((x, -y, z), twin.at_m, strict=True)) < 1e-9
+    (x, y, z), on = marker.offset_m, other_side(marker.segment)
+    return on == twin.segment and max(abs(a - b) for a, b in zip((x, -y, z), twin.offset_m, strict=True)) < 1e-9
 
 
 def _chain_table(check: SkeletonCheck) -> Table:
