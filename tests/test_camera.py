@@ -7,6 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from recon.geometry.camera import Camera
+from recon.geometry.lens import LENS_MODELS
 from recon.geometry.rotations import euler_rotation
 
 SIZE = (2704, 1520)
@@ -59,7 +60,7 @@ class TestEveryLens:
     @pytest.fixture
     def points(self, camera, rng):
         """200 points all over the lens's range, up to 65 degrees off the axis and clear of its edge."""
-        widest = min(0.9 * np.arctan(camera.max_radius), np.deg2rad(65))
+        widest = min(0.9 * np.arctan(camera.lens.max_radius), np.deg2rad(65))
         angle, around = rng.uniform(0, widest, 200), rng.uniform(-np.pi, np.pi, 200)
         direction = np.stack((np.sin(angle) * np.cos(around), np.sin(angle) * np.sin(around), np.cos(angle)), axis=-1)
         return direction * rng.uniform(1, 20, (200, 1))
@@ -132,19 +133,19 @@ class TestEveryLens:
         assert camera.in_image(pixels).shape == batch
 
     def test_distorted_radius_increases_up_to_the_limit_and_no_further(self, camera):
-        if not np.isfinite(camera.max_radius):
+        if not np.isfinite(camera.lens.max_radius):
             angle = np.linspace(0, np.pi / 2 - 1e-3, 2000)
         else:
-            angle = np.linspace(0, np.arctan(camera.max_radius), 2000)[:-1]
+            angle = np.linspace(0, np.arctan(camera.lens.max_radius), 2000)[:-1]
         points = np.stack((np.tan(angle), 0 * angle, np.ones_like(angle)), axis=-1)
         bare = Camera("radial", np.eye(3), without_tangential(camera), camera.model, (1, 1))
         pixels, valid = bare.project(points)
         assert valid.all()
         assert (np.diff(pixels[:, 0]) > 0).all()
-        if np.isfinite(camera.max_radius):
-            beyond = (camera.max_radius * 1.001, 0, 1)
+        if np.isfinite(camera.lens.max_radius):
+            beyond = (camera.lens.max_radius * 1.001, 0, 1)
             assert not camera.project(beyond)[1]
-            edge, near = opencv_pixels(bare, np.array([beyond, (camera.max_radius * 1.002, 0, 1)]))
+            edge, near = opencv_pixels(bare, np.array([beyond, (camera.lens.max_radius * 1.002, 0, 1)]))
             assert near[0] < edge[0]
 
 
@@ -155,23 +156,27 @@ def without_tangential(camera: Camera) -> np.ndarray:
     return distortion
 
 
+def test_every_lens_model_is_tested():
+    assert {model for model, _, _ in LENSES.values()} == {*LENS_MODELS}
+
+
 def test_some_lenses_have_a_limit():
-    assert make_camera("radtan 5").max_radius < 2
-    assert np.arctan(make_camera("fisheye strong").max_radius) < np.pi / 2
-    assert np.isinf(make_camera("fisheye mild").max_radius)
-    assert np.isinf(make_camera("pinhole").max_radius)
+    assert make_camera("radtan 5").lens.max_radius < 2
+    assert np.arctan(make_camera("fisheye strong").lens.max_radius) < np.pi / 2
+    assert np.isinf(make_camera("fisheye mild").lens.max_radius)
+    assert np.isinf(make_camera("pinhole").lens.max_radius)
 
 
 def test_rational_lens_ends_at_its_pole():
     camera = Camera("c", K, [0, 0, 0, 0, 0, -1.0, 0, 0], "radtan", SIZE)
-    assert camera.max_radius == pytest.approx(1.0)
+    assert camera.lens.max_radius == pytest.approx(1.0)
 
 
 def test_tangential_distortion_folds_before_the_radial_limit():
     """Where the true map folds, the point is invalid although its radius is below the limit, and so is its ray."""
     camera = make_camera("radtan 5")
     around = np.linspace(-np.pi, np.pi, 400)
-    radius = 0.999 * camera.max_radius
+    radius = 0.999 * camera.lens.max_radius
     points = np.stack((radius * np.cos(around), radius * np.sin(around), np.ones_like(around)), axis=-1)
     pixels, valid = camera.project(points)
     assert 0 < valid.sum() < valid.size
@@ -182,7 +187,7 @@ def test_tangential_distortion_folds_before_the_radial_limit():
 
 def test_pixel_outside_the_lens_range_has_no_ray():
     camera = make_camera("radtan 5")
-    edge = camera.project((-0.999 * camera.max_radius, 0, 1))[0]
+    edge = camera.project((-0.999 * camera.lens.max_radius, 0, 1))[0]
     assert camera.rays(edge)[1]
     assert not camera.rays(edge - np.array((100, 0)))[1]
 

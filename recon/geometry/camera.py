@@ -2,33 +2,24 @@
 
 Camera frame: x right, y down, z forward, metres. Pixels: centres at whole numbers, (0, 0) is the top left pixel.
 Projection is `sigma * (u, v, 1) = K (x', y', 1)`, `K = [[fx, s, ox], [0, fy, oy], [0, 0, 1]]`, where (x', y') are the
-normalised coordinates (x/z, y/z) after lens distortion.
-
-Lens models, as in OpenCV's documentation (modules calib3d and fisheye):
-
-- "pinhole": no distortion, no coefficients.
-- "radtan": radial-tangential, k1 k2 p1 p2 [k3 [k4 k5 k6]]; with 8 coefficients the radial part is rational.
-- "fisheye": equidistant, k1 k2 k3 k4; theta_d = theta (1 + k1 theta^2 + k2 theta^4 + k3 theta^6 + k4 theta^8).
+normalised coordinates (x/z, y/z) after the distortion of the lens (`recon.geometry.lens`).
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, Literal, get_args
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from numpy.polynomial import polynomial
 
 from recon.base.arrays import Array, Bools
+from recon.geometry.lens import LENS_MODELS, Lens
 from recon.geometry.rotations import euler_rotation
 
-LensModel = Literal["pinhole", "radtan", "fisheye"]
-
-COEFFICIENT_COUNTS: dict[LensModel, tuple[int, ...]] = {"pinhole": (0,), "radtan": (4, 5, 8), "fisheye": (4,)}
 MIN_DEPTH_M = 1e-6
 
 
@@ -47,7 +38,8 @@ class Camera:
     """(3, 3), K with skew s = K[0, 1]."""
     distortion: Array
     """(n,) coefficients of `model`."""
-    model: LensModel
+    model: str
+    """One of `LENS_MODELS`."""
     image_size_px: tuple[int, int]
     """(width, height)"""
     rotation: Array | None = None
@@ -77,10 +69,11 @@ class Camera:
             faults.append(f"matrix must be 3x3 and finite, got shape {k.shape}")
         elif k[0, 0] <= 0 or k[1, 1] <= 0 or k[1, 0] != 0 or (k[2] != (0, 0, 1)).any():
             faults.append("matrix must be [[fx, s, ox], [0, fy, oy], [0, 0, 1]] with positive fx and fy")
-        if self.model not in get_args(LensModel):
-            faults.append(f"model must be one of {get_args(LensModel)}, got {self.model!r}")
-        elif self.distortion.ndim != 1 or self.distortion.size not in COEFFICIENT_COUNTS[self.model]:
-            counts = COEFFICIENT_COUNTS[self.model]
+        lens = LENS_MODELS.get(self.model) if isinstance(self.model, str) else None
+        if lens is None:
+            faults.append(f"model must be one of {tuple(LENS_MODELS)}, got {self.model!r}")
+        elif self.distortion.ndim != 1 or self.distortion.size not in lens.counts:
+            counts = lens.counts
             faults.append(f"distortion of a {self.model} lens has {counts} coefficients, got {self.distortion.shape}")
         if not np.isfinite(self.distortion).all():
             faults.append("distortion must be finite")
@@ -141,9 +134,9 @@ class Camera:
         with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
             a, b = x / z, y / z
             r2 = a * a + b * b
-            valid = (z > MIN_DEPTH_M) & (r2 < self.max_radius**2)
-            xd, yd, d_aa, d_ab, d_bb = self._distort(a, b, r2)
-            if self._has_tangential:
+            valid = (z > MIN_DEPTH_M) & (r2 < self.lens.max_radius**2)
+            xd, yd, d_aa, d_ab, d_bb = self.lens.distort(a, b, r2)
+            if self.lens.can_fold:
                 valid &= d_aa * d_bb > d_ab * d_ab
             pixels = np.empty((len(z), 2))
             pixels[:, 0] = fx * xd + (s * yd + ox if s else ox)
@@ -208,125 +201,22 @@ class Camera:
         valid = np.asarray(np.isfinite(uv).all(axis=-1))
         yd = np.where(valid, uv[:, 1] - oy, 0.0) / fy
         xd = (np.where(valid, uv[:, 0] - ox, 0.0) - s * yd) / fx
-        a, b = xd, yd
-        if self.model != "pinhole":
-            with np.errstate(all="ignore"):
-                radius_d = np.hypot(xd, yd)
-                radius, found = self._undistorted_radius(radius_d)
-                scale = np.where(radius_d > 0, radius / radius_d, 1.0)
-                a, b = scale * xd, scale * yd
-                if self._has_tangential:
-                    # It can carry pixels past the largest radius that the radial part alone reaches.
-                    start = np.where(found, 1.0, 0.95)
-                    a, b, found = self._newton(xd, yd, start * a, start * b)
-                valid &= found
+        with np.errstate(all="ignore"):
+            a, b, found = self.lens.undistort(xd, yd)
+        valid &= found
         return np.where(valid, a, np.nan), np.where(valid, b, np.nan), valid
 
-    def _undistorted_radius(self, radius_d: Array) -> tuple[Array, Bools]:
-        """Invert the radial part of the lens model, leaving tangential distortion aside."""
-        if self.model == "fisheye":
-            theta, found = _invert_increasing(self._fisheye_angle, radius_d, math.atan(self.max_radius))
-            return np.tan(theta), found
+    # ---- parts ----
 
-        def radial(r: Array) -> tuple[Array, Array]:
-            f, df = self._radial_factor(r * r)
-            return r * f, f + 2 * r * r * df
-
-        upper = self.max_radius
-        if not math.isfinite(upper):
-            upper = 2.0
-            # A rational model may level off: beyond the limit there is no ray.
-            while radial(np.array(upper))[0] <= np.max(radius_d, initial=0.0) and upper < 1e6:
-                upper *= 2
-        return _invert_increasing(radial, radius_d, upper)
-
-    def _newton(self, xd: Array, yd: Array, a: Array, b: Array) -> tuple[Array, Array, Bools]:
-        """Newton's method on the whole distortion, started from the inverse of its radial part."""
-        tolerance = 1e-14 * (1 + np.hypot(xd, yd))
-        error = determinant = np.full(a.shape, np.inf)
-        for _ in range(30):
-            x, y, d_aa, d_ab, d_bb = self._distort(a, b, a * a + b * b)
-            ex, ey = xd - x, yd - y
-            error, determinant = np.hypot(ex, ey), d_aa * d_bb - d_ab * d_ab
-            if (error <= tolerance).all():
-                break
-            a, b = a + (d_bb * ex - d_ab * ey) / determinant, b + (d_aa * ey - d_ab * ex) / determinant
-        return a, b, (error <= 100 * tolerance) & (determinant > 0) & (np.hypot(a, b) < self.max_radius)
-
-    # ---- lens model ----
+    @cached_property
+    def lens(self) -> Lens:
+        """How it bends."""
+        return LENS_MODELS[self.model](self.distortion.tolist())
 
     @cached_property
     def _intrinsics(self) -> tuple[float, float, float, float, float]:
         (fx, s, ox), (_, fy, oy), _ = self.matrix.tolist()
         return fx, s, ox, fy, oy
-
-    @cached_property
-    def _coefficients(self) -> tuple[float, ...]:
-        """Coefficients as floats; radial-tangential ones filled up with zeros to eight."""
-        given = self.distortion.tolist()
-        return tuple(given + [0.0] * (8 - len(given))) if self.model == "radtan" else tuple(given)
-
-    @cached_property
-    def _has_tangential(self) -> bool:
-        """Whether the image can fold before `max_radius`: there the determinant of the distortion turns negative."""
-        return self.model == "radtan" and self._coefficients[2:4] != (0.0, 0.0)
-
-    @cached_property
-    def max_radius(self) -> float:
-        """Radius sqrt(x^2 + y^2) / z up to which the distorted radius increases with it; inf where it always does."""
-        k = self._coefficients
-        if self.model == "pinhole":
-            return math.inf
-        if self.model == "fisheye":
-            theta2 = _first_positive_root((1.0, 3 * k[0], 5 * k[1], 7 * k[2], 9 * k[3]))
-            return math.tan(math.sqrt(theta2)) if theta2 < (math.pi / 2) ** 2 else math.inf
-        # d(r N/D)/dr has the sign of N D + 2 q (N' D - N D'), q = r^2, up to the first pole of N/D.
-        n, d = np.array((1, k[0], k[1], k[4])), np.array((1, k[5], k[6], k[7]))
-        cross = polynomial.polysub(
-            polynomial.polymul(polynomial.polyder(n), d), polynomial.polymul(n, polynomial.polyder(d))
-        )
-        slope = polynomial.polyadd(polynomial.polymul(n, d), polynomial.polymul((0, 2), cross))
-        return math.sqrt(min(_first_positive_root(slope), _first_positive_root(d)))
-
-    def _radial_factor(self, r2: Array) -> tuple[Array, Array]:
-        """Radial factor f of the radial-tangential model and df/d(r^2)."""
-        k1, k2, _, _, k3, k4, k5, k6 = self._coefficients
-        f = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
-        df = k1 + r2 * (2 * k2 + r2 * (3 * k3))
-        if k4 or k5 or k6:
-            denominator = 1 + r2 * (k4 + r2 * (k5 + r2 * k6))
-            f = f / denominator
-            df = (df - f * (k4 + r2 * (2 * k5 + r2 * (3 * k6)))) / denominator
-        return f, df
-
-    def _fisheye_angle(self, theta: Array) -> tuple[Array, Array]:
-        """theta_d of the fisheye model and its derivative."""
-        k1, k2, k3, k4 = self._coefficients
-        t2 = theta * theta
-        theta_d = theta * (1 + t2 * (k1 + t2 * (k2 + t2 * (k3 + t2 * k4))))
-        return theta_d, 1 + t2 * (3 * k1 + t2 * (5 * k2 + t2 * (7 * k3 + t2 * (9 * k4))))
-
-    def _distort(self, a: Array, b: Array, r2: Array) -> tuple[Any, ...]:
-        """Distorted coordinates and the derivatives dx'/da, dx'/db = dy'/da, dy'/db (symmetric in every model)."""
-        if self.model == "pinhole":
-            return a, b, 1.0, 0.0, 1.0
-        if self.model == "fisheye":
-            # The offset keeps 0/0 away from the axis and is lost in rounding everywhere else.
-            r = np.sqrt(r2 + 1e-30)
-            theta_d, slope = self._fisheye_angle(np.arctan(r))
-            f = theta_d / r
-            df2 = (slope / (1 + r2) - f) / (r * r)
-            return a * f, b * f, f + df2 * a * a, df2 * a * b, f + df2 * b * b
-        _, _, p1, p2, *_ = self._coefficients
-        f, df = self._radial_factor(r2)
-        df2, ab = 2 * df, a * b
-        return (
-            a * f + 2 * p1 * ab + p2 * (r2 + 2 * a * a),
-            b * f + p1 * (r2 + 2 * b * b) + 2 * p2 * ab,
-            f + df2 * a * a + 2 * p1 * b + 6 * p2 * a,
-            df2 * ab + 2 * p1 * a + 2 * p2 * b,
-            f + df2 * b * b + 6 * p1 * b + 2 * p2 * a,
-        )
 
     # ---- pose ----
 
@@ -421,35 +311,3 @@ def is_rotation(matrix: Array, tolerance: float) -> bool:
     with np.errstate(invalid="ignore", over="ignore"):
         off = np.abs(matrix @ matrix.T - np.eye(3)).max()
     return bool(off <= tolerance and np.linalg.det(matrix) > 0)
-
-
-def _first_positive_root(coefficients: npt.ArrayLike) -> float:
-    """Smallest positive real root of a polynomial, coefficients in increasing order; inf if there is none."""
-    array = np.asarray(coefficients, dtype=float)
-    trimmed = np.trim_zeros(np.where(np.abs(array) < 1e-100, 0.0, array), "b")  # roots divide by the last one
-    roots = polynomial.polyroots(trimmed) if trimmed.size > 1 else np.zeros(0)
-    real = roots.real[(np.abs(roots.imag) <= 1e-9 * np.abs(roots)) & (roots.real > 0)]
-    return float(real.min(initial=math.inf))
-
-
-def _invert_increasing(
-    function: Callable[[Array], tuple[Array, Array]], values: Array, upper: float
-) -> tuple[Array, Bools]:
-    """Solve function(x)[0] = values for x in [0, upper) by Newton's method kept inside a bracket.
-
-    function gives value and slope, starts at 0 and increases up to `upper`. Returns x and whether a solution exists.
-    """
-    found = np.asarray(values < function(np.array(upper))[0])
-    low, high = np.zeros_like(values), np.full_like(values, upper)
-    x = np.clip(values, 0.0, 0.5 * upper)
-    for _ in range(100):
-        value, slope = function(x)
-        error = value - values
-        low, high = np.where(error <= 0, x, low), np.where(error >= 0, x, high)
-        newton = x - error / slope
-        new = np.where((newton >= low) & (newton <= high), newton, 0.5 * (low + high))
-        done = np.abs(new - x) <= 1e-15 * np.abs(x)
-        x = new
-        if done[found].all():
-            break
-    return x, found

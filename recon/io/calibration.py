@@ -21,7 +21,7 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 import numpy as np
 
@@ -29,7 +29,8 @@ from recon.base.arrays import Array
 from recon.base.documents import parse_json, parse_toml, read_text
 from recon.base.errors import InputError, Problem
 from recon.base.files import staged_file
-from recon.geometry.camera import COEFFICIENT_COUNTS, Camera, LensModel, is_rotation
+from recon.geometry.camera import Camera, is_rotation
+from recon.geometry.lens import LENS_MODELS, lens_named
 
 FORMAT = "recon-camera"
 AS_GIVEN = ", as was given"
@@ -47,13 +48,6 @@ OPENCV_KEYS = {
     "distortion": ("distortion_coefficients", "dist_coeffs", "distCoeffs", "D"),
     "rotation": ("rotation", "R", "rvec"),
     "translation_m": ("translation", "T", "tvec"),
-}
-DISTORTION_MODELS: dict[str, LensModel] = {
-    "plumb_bob": "radtan",
-    "rational_polynomial": "radtan",
-    "radtan": "radtan",
-    "equidistant": "fisheye",
-    "fisheye": "fisheye",
 }
 
 
@@ -274,9 +268,7 @@ def _opencv_record(document: dict[str, Any]) -> _Record:
     if model is None:
         model = "fisheye" if document.get("fisheye") or document.get("fisheye_model") else "radtan"
     up = bool(document.get("world_z_up", False))
-    return _Record(
-        document.get("camera_name"), "", DISTORTION_MODELS.get(str(model), model), up, document | changed, keys
-    )
+    return _Record(document.get("camera_name"), "", lens_named(str(model)) or model, up, document | changed, keys)
 
 
 def _load_file_storage(path: Path, text: str) -> dict[str, Any]:
@@ -355,14 +347,15 @@ def _build(
             fault("matrix", str(matrix.tolist()), expected)
 
     model = record.model
-    if model not in get_args(LensModel):
+    known = model in tuple(LENS_MODELS)
+    if not known:
         fault("model", repr(model), "a known lens model")
     distortion = block("distortion", (), "the lens coefficients")
-    if distortion is not None and model in get_args(LensModel):
+    if distortion is not None and known:
         distortion = distortion.ravel()
         if not distortion.size:
             model = "pinhole"
-        counts = COEFFICIENT_COUNTS[model]
+        counts = LENS_MODELS[model].counts
         while distortion.size not in counts and distortion.size > min(counts) and distortion[-1] == 0:
             distortion = distortion[:-1]  # such as OpenCV's thin prism and tilt, not estimated
         if distortion.size not in counts:

@@ -25,8 +25,9 @@ from recon.base.arrays import Array, Bools, Integers
 from recon.base.documents import read_text
 from recon.base.errors import InputError, Problem
 from recon.clip import FramePoses
-from recon.geometry.camera import Camera, LensModel
+from recon.geometry.camera import Camera
 from recon.geometry.frames import inverse, rigid
+from recon.geometry.lens import LENS_MODELS
 from recon.geometry.rotations import part_of_turn, quaternion_rotations
 from recon.io.common import MAX_FRAME, first_problems, frame_number
 from recon.io.common import number as plain_number
@@ -43,20 +44,8 @@ LEANING_MAX_RAD = np.radians(60)
 IMAGES, CAMERAS = "images.txt", "cameras.txt"
 EXPECTED = f"a table (.csv) with the columns frame, {', '.join(POSE)}, or a COLMAP model as text ({IMAGES})"
 
-COLMAP_MODELS: dict[str, tuple[LensModel, str]] = {
-    "SIMPLE_PINHOLE": ("pinhole", "f cx cy"),
-    "PINHOLE": ("pinhole", "fx fy cx cy"),
-    "SIMPLE_RADIAL": ("radtan", "f cx cy k1"),
-    "RADIAL": ("radtan", "f cx cy k1 k2"),
-    "OPENCV": ("radtan", "fx fy cx cy k1 k2 p1 p2"),
-    "OPENCV_FISHEYE": ("fisheye", "fx fy cx cy k1 k2 k3 k4"),
-}
-"""By COLMAP's name: ours, and the parameters in their order."""
-_COEFFICIENTS: dict[LensModel, tuple[str, ...]] = {
-    "pinhole": (),
-    "radtan": ("k1", "k2", "p1", "p2"),
-    "fisheye": ("k1", "k2", "k3", "k4"),
-}
+COLMAP_MODELS = {name: (lens, of_it) for lens in LENS_MODELS.values() for name, of_it in lens.colmap.items()}
+"""By COLMAP's name: our lens, and the parameters in their order."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -351,7 +340,7 @@ def _lens(cells: Sequence[str]) -> Camera:
     if len(cells) < 4 or cells[1] not in COLMAP_MODELS:
         model = cells[1] if len(cells) > 1 else "nothing"
         raise ValueError(f"lens model {model}, none of {', '.join(COLMAP_MODELS)}")
-    model, names = COLMAP_MODELS[cells[1]]
+    lens, names = COLMAP_MODELS[cells[1]]
     given = [plain_number(cell) for cell in cells[4:]]
     if len(given) != len(names.split()):
         raise ValueError(f"{len(given)} parameters of {cells[1]}, which has {len(names.split())}: {names}")
@@ -360,11 +349,13 @@ def _lens(cells: Sequence[str]) -> Camera:
     if not max(fx, fy) <= MAX_PX or not max(abs(value["cx"]), abs(value["cy"])) <= MAX_PX:
         raise ValueError(f"focal length or centre beyond {MAX_PX:g} px")
     matrix = np.array([[fx, 0, value["cx"] - 0.5], [0, fy, value["cy"] - 0.5], [0, 0, 1]])
-    distortion = np.array([value.get(name, 0.0) for name in _COEFFICIENTS[model]])
+    stated = sum(name in value for name in lens.coefficients)
+    count = min(n for n in lens.counts if n >= stated)
+    distortion = np.array([value.get(name, 0.0) for name in lens.coefficients[:count]])
     sizes = [frame_number(cell) for cell in cells[2:4]]
     if None in sizes or not max(sizes) <= MAX_PX:  # type: ignore[type-var]
         raise ValueError(f"picture of {cells[2]} by {cells[3]} px")
-    return Camera(cells[0], matrix, distortion, model, (sizes[0], sizes[1]))  # type: ignore[arg-type]
+    return Camera(cells[0], matrix, distortion, lens.name, (sizes[0], sizes[1]))  # type: ignore[arg-type]
 
 
 def _intrinsics(lens: Camera) -> tuple[float, ...]:

@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 import cv2
 
@@ -24,7 +24,7 @@ from recon.calibrate.intrinsics import (
     find_views,
     parse_board,
 )
-from recon.geometry.camera import LensModel
+from recon.geometry.lens import LENS_MODELS
 from recon.io.calibration import write_camera
 
 
@@ -117,8 +117,8 @@ def run_calibration(
     return CalibrationRun(views, calibration, checks, picture, out if force or not refused else None)
 
 
-def _model(model: str) -> LensModel:
-    for known in get_args(LensModel):
-        if model == known:
-            return known
-    raise InputError(Problem("--model", "lens model", repr(model), "one of " + ", ".join(get_args(LensModel))))
+def _model(model: str) -> str:
+    known = [name for name, lens in LENS_MODELS.items() if lens.calibrates]
+    if model in known:
+        return model
+    raise InputError(Problem("--model", "lens model", repr(model), "one of " + ", ".join(known)))

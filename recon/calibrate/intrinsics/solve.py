@@ -1,9 +1,8 @@
 """From views of a board to a camera: OpenCV's solvers, what they leave over, and how certain the result is.
 
 Model of a corner: the board's point through the view's pose (6 unknowns for each view), the lens and the matrix. OpenCV
-finds the least squares (`calibrateCamera`; `fisheye.calibrate`, which is started from several fields of view, because
-it keeps to the one it is given). The residuals are those of `Camera.project`, the model that the rest of the package
-uses, so that a difference between the two would show as an error.
+finds the least squares (`Lens.calibrate`). The residuals are those of `Camera.project`, the model that the rest of the
+package uses, so that a difference between the two would show as an error.
 
 A picture whose error (root mean square over its corners) is more than `DROP_FACTOR` times that of the median picture
 is left out, and the rest solved again, up to `ROUNDS` times. Errors of good pictures lie within a factor of two of the
@@ -18,7 +17,6 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
 import cv2
 import numpy as np
@@ -27,25 +25,14 @@ from recon.base.arrays import Array
 from recon.base.errors import InputError, Problem
 from recon.calibrate.intrinsics.board import Board, Corners
 from recon.calibrate.intrinsics.views import BoardView, BoardViews
-from recon.geometry.camera import Camera, LensModel
+from recon.geometry.camera import Camera
+from recon.geometry.lens import LENS_MODELS
 
 DROP_FACTOR = 3.0
 DROP_FLOOR_PX = 0.3
 ROUNDS = 3
 MIN_VIEWS = 3
 """Each view of a plane gives two equations for the four numbers of the matrix; one more than needed."""
-
-FISHEYE_STARTS_DEG = (60.0, 100.0, 140.0, 180.0)
-COEFFICIENTS: dict[LensModel, tuple[str, ...]] = {
-    "pinhole": (),
-    "radtan": ("k1", "k2", "p1", "p2", "k3"),
-    "fisheye": ("k1", "k2", "k3", "k4"),
-}
-_CRITERIA = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 200, 1e-10)
-_FIXED = {
-    "pinhole": cv2.CALIB_ZERO_TANGENT_DIST | cv2.CALIB_FIX_K1 | cv2.CALIB_FIX_K2 | cv2.CALIB_FIX_K3,
-    "radtan": 0,
-}
 
 
 @dataclass(frozen=True)
@@ -103,11 +90,11 @@ class Calibration:
         """fx, fy, cx, cy (px) and the lens's coefficients, by name."""
         matrix = self.camera.matrix
         values = (matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2], *self.camera.distortion)
-        names = ("fx", "fy", "cx", "cy", *COEFFICIENTS[self.camera.model])
-        return {name: float(value) for name, value in zip(names, values, strict=True)}
+        names = ("fx", "fy", "cx", "cy", *self.camera.lens.coefficients)
+        return {name: float(value) for name, value in zip(names, values, strict=False)}
 
 
-def calibrate(views: BoardViews, model: LensModel, name: str = "cam1") -> Calibration:
+def calibrate(views: BoardViews, model: str, name: str = "cam1") -> Calibration:
     """The camera that explains the views best. Raises InputError where they are too few or determine nothing."""
     if len(views.views) < MIN_VIEWS:
         found = f"the board in {len(views.views)} of {views.examined} pictures"
@@ -143,50 +130,17 @@ def _fitted_view(
 
 
 def _solve(
-    views: Sequence[BoardView], points: Array, size: tuple[int, int], model: LensModel, name: str
+    views: Sequence[BoardView], points: Array, size: tuple[int, int], model: str, name: str
 ) -> tuple[Camera, list[FittedBoardView]]:
     try:
-        solve = _solve_fisheye if model == "fisheye" else _solve_radtan
-        matrix, distortion, rotations, translations = solve(views, points, size, model)
+        objects, pixels = [points[view.corners.ids] for view in views], [view.corners.xy_px for view in views]
+        matrix, distortion, rotations, translations = LENS_MODELS[model].calibrate(objects, pixels, size)
         camera = Camera(name, matrix, distortion, model, size)
     except (cv2.error, ValueError) as error:
         expected = "boards tilted in different ways, over the whole picture"
         raise InputError(Problem("pictures", f"{model} model", "no solution", expected)) from error
     poses = zip(views, rotations, translations, strict=True)
     return camera, [_fitted_view(view, points, camera, rotation, place) for view, rotation, place in poses]
-
-
-def _solve_radtan(views: Sequence[BoardView], points: Array, size: tuple[int, int], model: LensModel) -> Any:
-    objects = [points[view.corners.ids].astype(np.float32) for view in views]
-    images = [view.corners.xy_px.astype(np.float32).reshape(-1, 1, 2) for view in views]
-    _, matrix, distortion, rotations, translations = cv2.calibrateCamera(
-        objects, images, size, np.eye(3), np.zeros(5), flags=_FIXED[model], criteria=_CRITERIA
-    )
-    return matrix, np.ravel(distortion)[: len(COEFFICIENTS[model])], rotations, translations
-
-
-def _solve_fisheye(views: Sequence[BoardView], points: Array, size: tuple[int, int], model: LensModel) -> Any:
-    objects = [points[view.corners.ids].reshape(1, -1, 3) for view in views]
-    images = [view.corners.xy_px.reshape(1, -1, 2) for view in views]
-    names = ("CALIB_USE_INTRINSIC_GUESS", "CALIB_RECOMPUTE_EXTRINSIC", "CALIB_FIX_SKEW")
-    # OpenCV 4 has flags of its own for fisheyes, of other values; OpenCV 5 has one set for all lenses.
-    flags = sum(getattr(cv2.fisheye if hasattr(cv2.fisheye, "CALIB_FIX_SKEW") else cv2, name) for name in names)
-    best: Any = None
-    failure: cv2.error | None = None
-    for field_deg in FISHEYE_STARTS_DEG:
-        focal = size[0] / math.radians(field_deg)
-        guess = np.array([[focal, 0, (size[0] - 1) / 2], [0, focal, (size[1] - 1) / 2], [0, 0, 1]])
-        try:
-            found = cv2.fisheye.calibrate(objects, images, size, guess, np.zeros(4), flags=flags, criteria=_CRITERIA)
-        except cv2.error as error:
-            failure = error
-            continue
-        if math.isfinite(found[0]) and (best is None or found[0] < best[0]):
-            best = found
-    if best is None:
-        raise failure or ValueError("no finite solution")
-    _, matrix, distortion, rotations, translations = best
-    return matrix, np.ravel(distortion), rotations, translations
 
 
 def _pose(view: BoardView, points: Array, camera: Camera) -> tuple[Array, Array]:
@@ -207,7 +161,7 @@ def _sigma(views: Sequence[FittedBoardView], points: Array, camera: Camera) -> A
     With the Jacobian [A B] of a view's residuals to camera and pose, the information about the camera is the sum of
     A'A - A'B (B'B)^-1 B'A, and the variance of a residual their sum of squares over the degrees of freedom.
     """
-    n = 4 + len(COEFFICIENTS[camera.model])
+    n = 4 + camera.distortion.size
     information = np.zeros((n, n))
     squares, count = 0.0, 0
     for view in views:
@@ -228,14 +182,6 @@ def _sigma(views: Sequence[FittedBoardView], points: Array, camera: Camera) -> A
 
 def _jacobian(view: FittedBoardView, points: Array, camera: Camera) -> tuple[Array, Array]:
     """Derivatives of a view's pixels with respect to the camera (2N, 4 + coefficients) and the pose (2N, 6)."""
-    rotation, _ = cv2.Rodrigues(view.rotation)
-    objects = points[view.corners.ids].reshape(-1, 1, 3)
-    if camera.model == "fisheye":
-        _, jacobian = cv2.fisheye.projectPoints(objects, rotation, view.translation_m, camera.matrix, camera.distortion)
-        jacobian = np.asarray(jacobian, dtype=float)
-        return jacobian[:, :8], jacobian[:, 8:14]
-    distortion = np.zeros(5)
-    distortion[: camera.distortion.size] = camera.distortion
-    _, jacobian = cv2.projectPoints(objects, rotation, view.translation_m, camera.matrix, distortion)
-    jacobian = np.asarray(jacobian, dtype=float)
-    return jacobian[:, 6 : 10 + len(COEFFICIENTS[camera.model])], jacobian[:, :6]
+    rotation = np.asarray(cv2.Rodrigues(view.rotation)[0], dtype=float)
+    objects = points[view.corners.ids]
+    return camera.lens.calibration_jacobian(objects, rotation, view.translation_m, camera.matrix, camera.distortion)

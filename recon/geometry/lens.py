@@ -1,0 +1,349 @@
+"""Lens models: one class each, and the table of them, from which everything else that knows lenses follows.
+
+A lens bends ideal normalised coordinates (a, b) = (x/z, y/z) to distorted ones, which the camera's matrix makes pixels
+of. As in OpenCV's documentation (modules calib3d and fisheye):
+
+- "pinhole": no distortion, no coefficients.
+- "radtan": radial-tangential, k1 k2 p1 p2 [k3 [k4 k5 k6]]; with 8 coefficients the radial part is rational.
+- "fisheye": equidistant, k1 k2 k3 k4; theta_d = theta (1 + k1 theta^2 + k2 theta^4 + k3 theta^6 + k4 theta^8).
+
+To add one: a class below with `distort`, `undistorted_radius` and `max_radius`, and its place in `LENS_MODELS`.
+Projection with its derivatives, rays, calibration files of every format and COLMAP's models follow; where OpenCV can
+fit it, `calibrate` and `calibration_jacobian` let `recon calibrate` do so. A line in tests/test_camera.py tests it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from functools import cached_property
+from typing import Any, ClassVar
+
+import numpy as np
+import numpy.typing as npt
+from numpy.polynomial import polynomial
+
+from recon.base.arrays import Array, Bools
+
+
+class Lens:
+    """A lens: its coefficients, in one model of how it bends. The base has all that models share."""
+
+    name: ClassVar[str]
+    """As in our own files and options."""
+    coefficients: ClassVar[tuple[str, ...]] = ()
+    """All that it can have, in OpenCV's order."""
+    counts: ClassVar[tuple[int, ...]] = (0,)
+    """How many of them a camera may state; the others are 0."""
+    aliases: ClassVar[tuple[str, ...]] = ()
+    """What ROS (`distortion_model`) and other files call it."""
+    colmap: ClassVar[Mapping[str, str]] = {}
+    """COLMAP's models of this kind, and their parameters in their order."""
+    calibrates: ClassVar[bool] = False
+    """Whether there is a `calibrate`."""
+
+    def __init__(self, coefficients: Sequence[float]) -> None:
+        self.k = (*coefficients, *[0.0] * (len(self.coefficients) - len(coefficients)))
+
+    @cached_property
+    def max_radius(self) -> float:
+        """The radius sqrt(a^2 + b^2) up to which the distorted radius increases with it; inf where it always does."""
+        return math.inf
+
+    @cached_property
+    def can_fold(self) -> bool:
+        """Whether the image can fold before `max_radius`: there the determinant of the derivatives turns negative."""
+        return False
+
+    def distort(self, a: Array, b: Array, r2: Array) -> tuple[Any, ...]:
+        """Distorted coordinates a', b' of ideal ones (N,), with r2 = a^2 + b^2, and their exact derivatives da'/da,
+        da'/db = db'/da (symmetric in every model), db'/db."""
+        raise NotImplementedError
+
+    def undistorted_radius(self, radius_d: Array) -> tuple[Array, Bools]:
+        """Ideal radii (N,) of distorted ones, leaving aside what is not radial, and whether there are any."""
+        raise NotImplementedError
+
+    def undistort(self, xd: Array, yd: Array) -> tuple[Array, Array, Bools]:
+        """Ideal coordinates (N,), (N,) of distorted ones, and whether there are any: the inverse of `distort`."""
+        radius_d = np.hypot(xd, yd)
+        radius, found = self.undistorted_radius(radius_d)
+        scale = np.where(radius_d > 0, radius / radius_d, 1.0)
+        a, b = scale * xd, scale * yd
+        if self.can_fold:
+            # It can carry pixels past the largest radius that the radial part alone reaches.
+            start = np.where(found, 1.0, 0.95)
+            return self._newton(xd, yd, start * a, start * b)
+        return a, b, found
+
+    def _newton(self, xd: Array, yd: Array, a: Array, b: Array) -> tuple[Array, Array, Bools]:
+        """Newton's method on the whole distortion, started from the inverse of its radial part."""
+        tolerance = 1e-14 * (1 + np.hypot(xd, yd))
+        error = determinant = np.full(a.shape, np.inf)
+        for _ in range(30):
+            x, y, d_aa, d_ab, d_bb = self.distort(a, b, a * a + b * b)
+            ex, ey = xd - x, yd - y
+            error, determinant = np.hypot(ex, ey), d_aa * d_bb - d_ab * d_ab
+            if (error <= tolerance).all():
+                break
+            a, b = a + (d_bb * ex - d_ab * ey) / determinant, b + (d_aa * ey - d_ab * ex) / determinant
+        return a, b, (error <= 100 * tolerance) & (determinant > 0) & (np.hypot(a, b) < self.max_radius)
+
+    # ---- from pictures of a board: N points (N, 3) and pixels (N, 2) of each ----
+
+    @staticmethod
+    def calibrate(points: Sequence[Array], pixels: Sequence[Array], size_px: tuple[int, int]) -> tuple[Any, ...]:
+        """OpenCV's least squares: matrix (3, 3), coefficients, and rotation vectors and translations of the boards.
+
+        Raises cv2.error or ValueError where there is no solution.
+        """
+        raise NotImplementedError
+
+    @staticmethod
+    def calibration_jacobian(
+        points: Array, rotation: Array, translation: Array, matrix: Array, coefficients: Array
+    ) -> tuple[Array, Array]:
+        """Derivatives of the pixels of one board by fx, fy, cx, cy and the coefficients, (2N, 4 + coefficients), and by
+        the rotation vector and translation, (2N, 6)."""
+        raise NotImplementedError
+
+
+class _RadialTangential(Lens):
+    name = "radtan"
+    coefficients = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
+    counts = (4, 5, 8)
+    aliases = ("plumb_bob", "rational_polynomial")
+    colmap: ClassVar[Mapping[str, str]] = {
+        "SIMPLE_RADIAL": "f cx cy k1",
+        "RADIAL": "f cx cy k1 k2",
+        "OPENCV": "fx fy cx cy k1 k2 p1 p2",
+        "FULL_OPENCV": "fx fy cx cy k1 k2 p1 p2 k3 k4 k5 k6",
+    }
+    calibrates = True
+
+    @cached_property
+    def max_radius(self) -> float:
+        k = self.k
+        # d(r N/D)/dr has the sign of N D + 2 q (N' D - N D'), q = r^2, up to the first pole of N/D.
+        n, d = np.array((1, k[0], k[1], k[4])), np.array((1, k[5], k[6], k[7]))
+        cross = polynomial.polysub(
+            polynomial.polymul(polynomial.polyder(n), d), polynomial.polymul(n, polynomial.polyder(d))
+        )
+        slope = polynomial.polyadd(polynomial.polymul(n, d), polynomial.polymul((0, 2), cross))
+        return math.sqrt(min(_first_positive_root(slope), _first_positive_root(d)))
+
+    @cached_property
+    def can_fold(self) -> bool:
+        return self.k[2:4] != (0.0, 0.0)
+
+    def _factor(self, r2: Array) -> tuple[Array, Array]:
+        """Radial factor f and df/d(r^2)."""
+        k1, k2, _, _, k3, k4, k5, k6 = self.k
+        f = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
+        df = k1 + r2 * (2 * k2 + r2 * (3 * k3))
+        if k4 or k5 or k6:
+            denominator = 1 + r2 * (k4 + r2 * (k5 + r2 * k6))
+            f = f / denominator
+            df = (df - f * (k4 + r2 * (2 * k5 + r2 * (3 * k6)))) / denominator
+        return f, df
+
+    def distort(self, a: Array, b: Array, r2: Array) -> tuple[Any, ...]:
+        _, _, p1, p2, *_ = self.k
+        f, df = self._factor(r2)
+        df2, ab = 2 * df, a * b
+        return (
+            a * f + 2 * p1 * ab + p2 * (r2 + 2 * a * a),
+            b * f + p1 * (r2 + 2 * b * b) + 2 * p2 * ab,
+            f + df2 * a * a + 2 * p1 * b + 6 * p2 * a,
+            df2 * ab + 2 * p1 * a + 2 * p2 * b,
+            f + df2 * b * b + 6 * p1 * b + 2 * p2 * a,
+        )
+
+    def undistorted_radius(self, radius_d: Array) -> tuple[Array, Bools]:
+        def radial(r: Array) -> tuple[Array, Array]:
+            f, df = self._factor(r * r)
+            return r * f, f + 2 * r * r * df
+
+        upper = self.max_radius
+        if not math.isfinite(upper):
+            upper = 2.0
+            # A rational model may level off: beyond the limit there is no ray.
+            while radial(np.array(upper))[0] <= np.max(radius_d, initial=0.0) and upper < 1e6:
+                upper *= 2
+        return _invert_increasing(radial, radius_d, upper)
+
+    @staticmethod
+    def calibrate(points: Sequence[Array], pixels: Sequence[Array], size_px: tuple[int, int]) -> tuple[Any, ...]:
+        return _calibrate_radtan(points, pixels, size_px, 5)
+
+    @staticmethod
+    def calibration_jacobian(
+        points: Array, rotation: Array, translation: Array, matrix: Array, coefficients: Array
+    ) -> tuple[Array, Array]:
+        import cv2  # slow to import
+
+        five = np.zeros(5)
+        five[: coefficients.size] = coefficients
+        _, jacobian = cv2.projectPoints(points.reshape(-1, 1, 3), rotation, translation, matrix, five)
+        jacobian = np.asarray(jacobian, dtype=float)
+        return jacobian[:, 6 : 10 + coefficients.size], jacobian[:, :6]
+
+
+class _Pinhole(Lens):
+    name = "pinhole"
+    colmap: ClassVar[Mapping[str, str]] = {"SIMPLE_PINHOLE": "f cx cy", "PINHOLE": "fx fy cx cy"}
+    calibrates = True
+    calibration_jacobian = staticmethod(_RadialTangential.calibration_jacobian)
+
+    def distort(self, a: Array, b: Array, r2: Array) -> tuple[Any, ...]:
+        return a, b, 1.0, 0.0, 1.0
+
+    def undistort(self, xd: Array, yd: Array) -> tuple[Array, Array, Bools]:
+        return xd, yd, np.ones(xd.shape, dtype=bool)
+
+    @staticmethod
+    def calibrate(points: Sequence[Array], pixels: Sequence[Array], size_px: tuple[int, int]) -> tuple[Any, ...]:
+        return _calibrate_radtan(points, pixels, size_px, 0)
+
+
+class _Fisheye(Lens):
+    name = "fisheye"
+    coefficients = ("k1", "k2", "k3", "k4")
+    counts = (4,)
+    aliases = ("equidistant",)
+    colmap: ClassVar[Mapping[str, str]] = {"OPENCV_FISHEYE": "fx fy cx cy k1 k2 k3 k4"}
+    calibrates = True
+
+    @cached_property
+    def max_radius(self) -> float:
+        k = self.k
+        theta2 = _first_positive_root((1.0, 3 * k[0], 5 * k[1], 7 * k[2], 9 * k[3]))
+        return math.tan(math.sqrt(theta2)) if theta2 < (math.pi / 2) ** 2 else math.inf
+
+    def _angle(self, theta: Array) -> tuple[Array, Array]:
+        """theta_d and its derivative."""
+        k1, k2, k3, k4 = self.k
+        t2 = theta * theta
+        theta_d = theta * (1 + t2 * (k1 + t2 * (k2 + t2 * (k3 + t2 * k4))))
+        return theta_d, 1 + t2 * (3 * k1 + t2 * (5 * k2 + t2 * (7 * k3 + t2 * (9 * k4))))
+
+    def distort(self, a: Array, b: Array, r2: Array) -> tuple[Any, ...]:
+        # The offset keeps 0/0 away from the axis and is lost in rounding everywhere else.
+        r = np.sqrt(r2 + 1e-30)
+        theta_d, slope = self._angle(np.arctan(r))
+        f = theta_d / r
+        df2 = (slope / (1 + r2) - f) / (r * r)
+        return a * f, b * f, f + df2 * a * a, df2 * a * b, f + df2 * b * b
+
+    def undistorted_radius(self, radius_d: Array) -> tuple[Array, Bools]:
+        theta, found = _invert_increasing(self._angle, radius_d, math.atan(self.max_radius))
+        return np.tan(theta), found
+
+    @staticmethod
+    def calibrate(points: Sequence[Array], pixels: Sequence[Array], size_px: tuple[int, int]) -> tuple[Any, ...]:
+        """Started from several fields of view, because OpenCV keeps to the one it is given."""
+        import cv2  # slow to import
+
+        objects, images = [p.reshape(1, -1, 3) for p in points], [p.reshape(1, -1, 2) for p in pixels]
+        names = ("CALIB_USE_INTRINSIC_GUESS", "CALIB_RECOMPUTE_EXTRINSIC", "CALIB_FIX_SKEW")
+        # OpenCV 4 has flags of its own for fisheyes, of other values; OpenCV 5 has one set for all lenses.
+        flags = sum(getattr(cv2.fisheye if hasattr(cv2.fisheye, "CALIB_FIX_SKEW") else cv2, name) for name in names)
+        best: Any = None
+        failure: cv2.error | None = None
+        for field_deg in (60.0, 100.0, 140.0, 180.0):
+            f, (cx, cy) = size_px[0] / math.radians(field_deg), ((n - 1) / 2 for n in size_px)
+            guess = np.array([[f, 0, cx], [0, f, cy], [0, 0, 1]])
+            try:
+                found = cv2.fisheye.calibrate(
+                    objects, images, size_px, guess, np.zeros(4), flags=flags, criteria=_criteria()
+                )
+            except cv2.error as error:
+                failure = error
+                continue
+            if math.isfinite(found[0]) and (best is None or found[0] < best[0]):
+                best = found
+        if best is None:
+            raise failure or ValueError("no finite solution")
+        _, matrix, coefficients, rotations, translations = best
+        return matrix, np.ravel(coefficients), rotations, translations
+
+    @staticmethod
+    def calibration_jacobian(
+        points: Array, rotation: Array, translation: Array, matrix: Array, coefficients: Array
+    ) -> tuple[Array, Array]:
+        import cv2  # slow to import
+
+        objects = points.reshape(-1, 1, 3)
+        _, jacobian = cv2.fisheye.projectPoints(objects, rotation, translation, matrix, coefficients)
+        jacobian = np.asarray(jacobian, dtype=float)
+        return jacobian[:, :8], jacobian[:, 8:14]
+
+
+LENS_MODELS: dict[str, type[Lens]] = {lens.name: lens for lens in (_Pinhole, _RadialTangential, _Fisheye)}
+"""By name."""
+
+
+def lens_named(text: str) -> str | None:
+    """The name of the model that a file calls by its name or another one; None where there is none."""
+    return next((lens.name for lens in LENS_MODELS.values() if text in (lens.name, *lens.aliases)), None)
+
+
+# -- what the models share -------------------------------------------------------------------------------------------
+
+
+def _criteria() -> tuple[int, int, float]:
+    """When OpenCV's solvers stop."""
+    import cv2  # slow to import
+
+    return cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 200, 1e-10
+
+
+def _calibrate_radtan(
+    points: Sequence[Array], pixels: Sequence[Array], size_px: tuple[int, int], count: int
+) -> tuple[Any, ...]:
+    """As `Lens.calibrate`, with the first five coefficients or with none."""
+    import cv2  # slow to import
+
+    fixed = cv2.CALIB_ZERO_TANGENT_DIST | cv2.CALIB_FIX_K1 | cv2.CALIB_FIX_K2 | cv2.CALIB_FIX_K3
+    _, matrix, coefficients, rotations, translations = cv2.calibrateCamera(
+        [p.astype(np.float32) for p in points],
+        [p.astype(np.float32).reshape(-1, 1, 2) for p in pixels],
+        size_px,
+        np.eye(3),
+        np.zeros(5),
+        flags=0 if count else fixed,
+        criteria=_criteria(),
+    )
+    return matrix, np.ravel(coefficients)[:count], rotations, translations
+
+
+def _first_positive_root(coefficients: npt.ArrayLike) -> float:
+    """Smallest positive real root of a polynomial, coefficients in increasing order; inf if there is none."""
+    array = np.asarray(coefficients, dtype=float)
+    trimmed = np.trim_zeros(np.where(np.abs(array) < 1e-100, 0.0, array), "b")  # roots divide by the last one
+    roots = polynomial.polyroots(trimmed) if trimmed.size > 1 else np.zeros(0)
+    real = roots.real[(np.abs(roots.imag) <= 1e-9 * np.abs(roots)) & (roots.real > 0)]
+    return float(real.min(initial=math.inf))
+
+
+def _invert_increasing(
+    function: Callable[[Array], tuple[Array, Array]], values: Array, upper: float
+) -> tuple[Array, Bools]:
+    """Solve function(x)[0] = values for x in [0, upper) by Newton's method kept inside a bracket.
+
+    function gives value and slope, starts at 0 and increases up to `upper`. Returns x and whether a solution exists.
+    """
+    found = np.asarray(values < function(np.array(upper))[0])
+    low, high = np.zeros_like(values), np.full_like(values, upper)
+    x = np.clip(values, 0.0, 0.5 * upper)
+    for _ in range(100):
+        value, slope = function(x)
+        error = value - values
+        low, high = np.where(error <= 0, x, low), np.where(error >= 0, x, high)
+        newton = x - error / slope
+        new = np.where((newton >= low) & (newton <= high), newton, 0.5 * (low + high))
+        done = np.abs(new - x) <= 1e-15 * np.abs(x)
+        x = new
+        if done[found].all():
+            break
+    return x, found
