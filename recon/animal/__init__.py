@@ -1,1 +1,58 @@
-"""The animal: its body, skeleton and subject files, detectors, names, and what its motions look like."""
+"""Animals: their bodies as trees of segments, files of skeletons, subjects and detectors, names, and motion priors."""
+
+from recon.animal.body import Body, Side, both_sides, facing_side, other_side, side_of, without_side
+from recon.animal.chain import MIN_JOINTS, Chain
+from recon.animal.detector import detector_toml, seen_by
+from recon.animal.naming import (
+    NameMap,
+    builtin_maps,
+    fitting_maps,
+    load_names,
+    map_to_write,
+    new_names,
+    renamed,
+    suggestions,
+)
+from recon.animal.prior import MotionPrior, builtin_priors, fit_prior, load_prior, prior_from_body, save_prior
+from recon.animal.skeleton_file import (
+    builtin_chains,
+    builtin_names,
+    builtin_subjects,
+    load_chain,
+    load_skeleton,
+    subject_toml,
+)
+
+__all__ = [
+    "MIN_JOINTS",
+    "Body",
+    "Chain",
+    "MotionPrior",
+    "NameMap",
+    "Side",
+    "both_sides",
+    "builtin_chains",
+    "builtin_maps",
+    "builtin_names",
+    "builtin_priors",
+    "builtin_subjects",
+    "detector_toml",
+    "facing_side",
+    "fit_prior",
+    "fitting_maps",
+    "load_chain",
+    "load_names",
+    "load_prior",
+    "load_skeleton",
+    "map_to_write",
+    "new_names",
+    "other_side",
+    "prior_from_body",
+    "renamed",
+    "save_prior",
+    "seen_by",
+    "side_of",
+    "subject_toml",
+    "suggestions",
+    "without_side",
+]

@@ -146,6 +146,13 @@ class _BodyFile(FileTable):
     limbs: dict[str, tuple[str, ...]]
 
 
+class _Extension(FileTable):
+    """What a chain says of another one that it is made from."""
+
+    extends: str
+    length_m: dict[str, Sigma] = {}
+
+
 class _SubjectFile(FileTable):
     skeleton: str
     title: str
@@ -259,11 +266,8 @@ def _load_chain(raw: dict[str, Any], source: str) -> Chain:
 
 def _extended(raw: dict[str, Any], source: str) -> dict[str, Any]:
     """`extends` takes another skeleton's tables; `length_m` gives its links measured lengths."""
-    name, lengths = raw["extends"], raw.get("length_m", {})
-    if not isinstance(name, str):
-        raise InputError(Problem(source, "extends", repr(name), f"one of {', '.join(builtin_names())}, or a file"))
-    if not isinstance(lengths, dict):
-        raise InputError(Problem(source, "length_m", repr(lengths), "a table of lengths in metres by link"))
+    extension = validated(_Extension, {key: raw[key] for key in ("extends", "length_m") if key in raw}, source)
+    name, lengths = extension.extends, extension.length_m
     parent, parent_source = read_named(_beside(name, source))
     if "segments" in parent:
         raise InputError(Problem(source, "extends", parent_source, "a chain; a body's lengths stand in a subject file"))
@@ -277,7 +281,7 @@ def _extended(raw: dict[str, Any], source: str) -> dict[str, Any]:
     problems = [
         Problem(source, f"length_m.{name}", repr(length), f"a length in metres of one of {', '.join(sorted(names))}")
         for name, length in lengths.items()
-        if name not in names or not isinstance(length, int | float)
+        if name not in names
     ]
     if lengths and not isinstance(base, int | float):
         problems.append(Problem(source, "base_length.nominal_m", repr(base), "a length in metres"))

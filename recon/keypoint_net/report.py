@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import dataclasses
 from pathlib import Path
 from typing import Any
@@ -13,6 +12,7 @@ import numpy as np
 from recon import __version__
 from recon.base.arrays import Array, Integers, mean, median
 from recon.base.files import write_bytes
+from recon.io import write_rows
 from recon.keypoint_net.batches import crop_size
 from recon.keypoint_net.calibrate import Reliability, reliability
 from recon.keypoint_net.draw import draw_comparison
@@ -115,12 +115,12 @@ def _thinned(history: list[dict[str, float]]) -> list[dict[str, float]]:
 
 
 def _write_suspects(suspects: list[Suspect], path: Path) -> None:
-    with path.open("w", encoding="utf-8", newline="") as file:
-        rows = csv.writer(file, lineterminator="\n")
-        rows.writerow(["image", "keypoint", "x_px", "y_px", "rank", "network", "others", "time", "reasons"])
-        for s in suspects:
-            values = ["" if np.isnan(v) else f"{v:.3f}" for v in (s.rank, s.network, s.others, s.time)]
-            rows.writerow([s.image, s.keypoint, f"{s.x_px:.2f}", f"{s.y_px:.2f}", *values, "; ".join(s.reasons)])
+    rows = []
+    for s in suspects:
+        values = ["" if np.isnan(v) else f"{v:.3f}" for v in (s.rank, s.network, s.others, s.time)]
+        rows.append([s.image, s.keypoint, f"{s.x_px:.2f}", f"{s.y_px:.2f}", *values, "; ".join(s.reasons)])
+    header = ["image", "keypoint", "x_px", "y_px", "rank", "network", "others", "time", "reasons"]
+    write_rows(path, [header], rows)
 
 
 def _write_worst(labels: Labels, errors: Array, xy_px: Array, which: Integers, path: Path) -> None:

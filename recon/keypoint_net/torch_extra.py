@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
@@ -12,6 +11,7 @@ import numpy as np
 
 from recon.base.errors import InputError, Problem
 from recon.base.package import install_command
+from recon.workflows.batch import available_cores
 
 if TYPE_CHECKING:
     import torch  # pyright: ignore[reportMissingImports]
@@ -76,11 +76,6 @@ def fastest_threads(work: Callable[[], object]) -> dict[int, float]:
     took = dict(sorted(took.items(), key=lambda item: item[1]))
     torch.set_num_threads(next(iter(took)))
     return took
-
-
-def available_cores() -> int:
-    affinity = getattr(os, "sched_getaffinity", None)
-    return len(affinity(0)) if affinity else os.cpu_count() or 1
 
 
 def fast_half(device: torch.device) -> Any:

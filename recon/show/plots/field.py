@@ -8,7 +8,7 @@ import numpy as np
 
 from recon.base.arrays import Array
 from recon.gait.phase import LinkField, field_means
-from recon.show.plots.style import COLOURS, GREY, PAGE_MM, PALE, SMALL, blank, dots, drawing, telling
+from recon.show.plots.style import COLOURS, GREY, PAGE_MM, PALE, SMALL, blank, dots, draw_band, drawing, telling
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -62,10 +62,9 @@ def vector_fields(fields: tuple[LinkField, ...], time_s: Array, title: str = "")
             right.plot(time_s[rows], field.speed_m_s[rows], color=colour, **dots(len(time_s), 1.8))
             highest = float(fastest) / larger
             if (sigma := field.speed_sigma_m_s) is not None:
-                low, high = np.maximum(field.speed_m_s - sigma, 0.0), field.speed_m_s + sigma
-                rows = telling(low, high)
-                right.fill_between(time_s[rows], low[rows], high[rows], color=colour, alpha=0.2, lw=0)
-                highest = max(highest, float(np.nanmax(high, initial=0.0))) if larger > 1 else highest
+                draw_band(right, time_s, field.speed_m_s, sigma, colour)
+                if larger > 1:
+                    highest = max(highest, float(np.nanmax(field.speed_m_s + sigma, initial=0.0)))
             right.set_ylim(0, 1.08 * highest or 1.0)
             right.locator_params(axis="y", nbins=3)
             deviation = f", sigma {means.speed_sigma_m_s:.2f}" if np.isfinite(means.speed_sigma_m_s) else ""

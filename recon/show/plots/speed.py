@@ -9,7 +9,7 @@ import numpy as np
 
 from recon.base.arrays import Array
 from recon.gait.kinematics import JointKinematics
-from recon.show.plots.style import WIDTH_MM, add_legend, blank, dots, drawing, legend_shape, look, telling
+from recon.show.plots.style import WIDTH_MM, add_legend, blank, dots, draw_band, drawing, legend_shape, look, telling
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -51,9 +51,7 @@ def _curve(axes: Axes, i: int, motion: JointKinematics, value: Array, sigma: Arr
     rows = telling(value)
     (line,) = axes.plot(t[rows], value[rows], **dots(len(t) // every, 2.2), markevery=every, zorder=3, **style)
     if sigma is not None:
-        low, high = np.maximum(value - sigma, 0.0), value + sigma
-        rows = telling(low, high)
-        axes.fill_between(t[rows], low[rows], high[rows], color=style["color"], alpha=0.2, lw=0)
+        draw_band(axes, t, value, sigma, style["color"])
     if np.isfinite(value).any():
         k = int(np.nanargmax(value))
         axes.plot(t[k], value[k], "o", ms=6, mfc="none", mec=style["color"], mew=1.0, zorder=4)

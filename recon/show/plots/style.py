@@ -154,6 +154,13 @@ def telling(*lines: Array) -> Index:
     return np.unique(np.minimum(np.concatenate(found), N - 1))
 
 
+def draw_band(axes: Axes, time_s: Array, value: Array, sigma: Array, colour: str) -> None:
+    """One standard deviation about a value that is never negative; all (N,)."""
+    low, high = np.maximum(value - sigma, 0.0), value + sigma
+    rows = telling(low, high)
+    axes.fill_between(time_s[rows], low[rows], high[rows], color=colour, alpha=0.2, lw=0)
+
+
 def legend_shape(labels: Sequence[str], width_mm: float = WIDTH_MM) -> tuple[int, float]:
     """Columns of a legend that fits a width, and its height (mm)."""
     longest = max((len(label) for label in labels), default=0)
