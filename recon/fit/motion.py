@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Literal
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, Literal
 
 import numpy as np
 
 from recon.animal.body import Body, Side
-from recon.base.arrays import Array, Bools, Integers
+from recon.base.arrays import Array, Bools, Integers, median
+from recon.base.errors import InputError, Problem
+from recon.base.manifest import MANIFEST, read_manifest
+from recon.base.records import load_record, save_record
 from recon.clip import Source, world_from_reference
 from recon.clip.keypoints import CleaningReport, Keypoints
 from recon.fit import Solution, Spell
@@ -17,7 +23,16 @@ from recon.fit.mistake import Mistake
 from recon.fit.result import OUTLIER_SIGMAS
 from recon.geometry.camera import Camera
 from recon.geometry.frames import inverse, moved
-from recon.geometry.kinematics import ROOT, YAW
+from recon.geometry.kinematics import PITCH, ROOT, YAW
+from recon.io.pose import Pose3D
+
+MOTION = "motion.npz"
+SCHEMA = {"name": "recon.motion", "version": 1}
+EXPECTED = "the motion that `recon fit` or `Motion.save` wrote"
+MEASURED_SHARE = 0.5
+"""A quantity with less of its precision from the pixels is not called measured."""
+_REPORT, _CONFIG = "report.json", "config.toml"
+"""Beside a motion, in the folder of results that `recon fit` wrote."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,6 +105,66 @@ class Motion:
     """What the method found, and what else it says: a `TrajectorySolution`, or a `recon.thesis.FrameSolution`."""
     mistakes: tuple[Mistake, ...] = ()
     """What may be wrong with what the cameras saw."""
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    """All that the fit was told, as JSON has it; its paths are absolute, and in a folder of results relative to it."""
+    timing_s: Mapping[str, float] = field(default_factory=dict)
+    """Seconds that the fit took, by name, besides those of the solution's stages."""
+
+    # -- saved and loaded -----------------------------------------------------------------------------------------
+
+    def save(self, folder: str | Path) -> Path:
+        """Write motion.npz into a folder, which is made if need be, whole or not at all; its path. `load` gives back
+        the same motion, bit for bit."""
+        path = Path(folder) / MOTION
+        save_record(self, path, SCHEMA)
+        return path
+
+    @classmethod
+    def load(cls, folder: str | Path) -> Motion:
+        """The motion in a folder of results of `recon fit`, or in any that it was saved to.
+
+        Raises InputError where there is none, where it is damaged or of another version, and where the folder holds
+        what an interrupted run left, or the files of several runs."""
+        folder = Path(folder)
+        path = folder / MOTION
+        if not path.is_file():
+            raise InputError(_no_motion(folder))
+        if (folder / MANIFEST).exists() or (folder / _REPORT).exists():
+            read_manifest(folder).require(MOTION)
+        motion = load_record(cls, path, SCHEMA, EXPECTED)
+        if faults := motion._misfits():
+            raise InputError(Problem(path, name, found, expected) for name, found, expected in faults)
+        return motion
+
+    def _misfits(self) -> list[tuple[str, str, str]]:
+        """Arrays whose shapes do not fit each other: their names, the shapes that they have, and those expected."""
+        T, J, solution = len(self.frames), len(self.joints), self.solution
+        V, D, F = len(self.sources), self.body.n_state, len(self.body.feet)
+        shapes: dict[str, tuple[int, ...]] = {
+            "states": (T, D),
+            "joints_m": (T, J, 3),
+            "covariance_m2": (T, J, 3, 3),
+            "relative_covariance_m2": (T, J, 3, 3),
+            "angle_sigma_rad": (T, D - YAW),
+            "angle_data_share": (T, D - YAW),
+            "noise_px": (V, T, J),
+            "weight": (V, T, J),
+            "alternative_m": (T,),
+            "contact": (T, F),
+        }
+        found = {f"solution.{name}": (getattr(solution, name).shape, shape) for name, shape in shapes.items()}
+        found["solution.flags"] = ((len(solution.flags),), (T,))
+        found["solution.views"] = ((len(solution.views),), (V,))
+        for number, source in enumerate(self.sources):
+            keypoints, poses = source.keypoints, source.poses
+            found[f"sources.{number}.keypoints.frames"] = (keypoints.frames.shape, (T,))
+            found[f"sources.{number}.keypoints.xy_px"] = (keypoints.xy_px.shape, (T, J, 2))
+            found[f"sources.{number}.keypoints.confidence"] = (keypoints.confidence.shape, (T, J))
+            if poses is not None:
+                found[f"sources.{number}.poses.T_camera_world"] = (poses.T_camera_world.shape, (T, 4, 4))
+        for number, view in enumerate(solution.views):
+            found[f"solution.views.{number}.xy_px"] = (view.xy_px.shape, (T, J, 2))
+        return [(name, str(shape), str(fits)) for name, (shape, fits) in found.items() if shape != fits]
 
     def __post_init__(self) -> None:
         if self.keypoints.fps is None:
@@ -99,6 +174,15 @@ class Motion:
             raise ValueError(f"keypoints {self.keypoints.names} are not those of the joints {expected}")
 
     # -- the animal -----------------------------------------------------------------------------------------------
+
+    @property
+    def method(self) -> Literal["trajectory", "frame"]:
+        return self.solution.method
+
+    @property
+    def jitters(self) -> bool:
+        """Each frame was solved by itself: paths jitter from frame to frame, and sigmas are given the frame before."""
+        return self.method == "frame"
 
     @property
     def body(self) -> Body:
@@ -228,6 +312,33 @@ class Motion:
         """(T, A)"""
         return self.states[:, YAW:]
 
+    @cached_property
+    def data_shares(self) -> dict[str, float]:
+        """By angle, without the root's yaw: the part of its precision that comes from the pixels, the median over the
+        frames; NaN where it is not known."""
+        shares = self.solution.angle_data_share[:, PITCH - YAW :]
+        return dict(zip(self.state_names[PITCH:], map(median, shares.T), strict=True))
+
+    # -- upright: in the frame that the motion was solved in, z up, the world or the level frame --------------------
+
+    @cached_property
+    def upright(self) -> Pose3D:
+        """The joints, called as their keypoints, with limbs as edges."""
+        names = self.names
+        edges = [(names[a], names[b]) for along in self.limbs.values() for a, b in pairwise(along)]
+        pose = Pose3D(names, self.solution.joints_m, self.frames)
+        return replace(pose, fps=self.fps, edges=tuple(dict.fromkeys(edges)))
+
+    @cached_property
+    def upright_sigma_m(self) -> Array:
+        """(T, J, 3): standard deviation of the joints along the axes, position and size included."""
+        return _sigmas(self.solution.covariance_m2)
+
+    @cached_property
+    def upright_relative_sigma_m(self) -> Array:
+        """(T, J, 3): the same of the joints relative to the mean of all joints."""
+        return _sigmas(self.solution.relative_covariance_m2)
+
     # -- in the frame of reference --------------------------------------------------------------------------------
 
     @property
@@ -324,7 +435,7 @@ class Motion:
     @cached_property
     def joint_sigma_m(self) -> Array:
         """(T, J, 3): standard deviation along the axes of the frame of reference, place and size included."""
-        return self._along_axes(self.solution.covariance_m2)
+        return _sigmas(self._turned(self.solution.covariance_m2))
 
     @cached_property
     def relative_covariance_m2(self) -> Array:
@@ -334,7 +445,7 @@ class Motion:
     @cached_property
     def relative_sigma_m(self) -> Array:
         """(T, J, 3): the same along the axes."""
-        return self._along_axes(self.solution.relative_covariance_m2)
+        return _sigmas(self.relative_covariance_m2)
 
     @cached_property
     def relative_rms_m(self) -> Array:
@@ -362,5 +473,19 @@ class Motion:
         R = self.T_reference_world[:3, :3]
         return R @ covariance_m2 @ R.T
 
-    def _along_axes(self, covariance_m2: Array) -> Array:
-        return np.sqrt(np.diagonal(self._turned(covariance_m2), axis1=2, axis2=3))
+
+def _sigmas(covariance: Array) -> Array:
+    """Standard deviations (..., 3) along the axes."""
+    return np.sqrt(np.diagonal(covariance, axis1=-2, axis2=-1))
+
+
+def _no_motion(folder: Path) -> Problem:
+    """What a folder without a motion is instead."""
+    own = "the folder of results that `recon fit` wrote"
+    if (folder / _REPORT).is_file() and (folder / _CONFIG).is_file():
+        found = f"no {MOTION}: results of an earlier version"
+        again = f"recon fit --config {folder / _CONFIG} --out {folder} --overwrite"
+        return Problem(folder, "folder", found, f"results of this one: make them again by {again}")
+    clips = sorted(path.parent for path in folder.glob(f"*/{MOTION}")) if folder.is_dir() else []
+    found = f"no {MOTION}" if folder.is_dir() else "a file" if folder.is_file() else "no such folder"
+    return Problem(folder, "folder", found, f"that of one clip, as in {clips[0]}" if clips else own)

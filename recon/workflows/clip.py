@@ -29,7 +29,7 @@ from recon.check.mistakes import Known, find_mistakes, with_flags, with_sides_me
 from recon.clip import FramePoses, Source, View, at_rate, held, together, views_of
 from recon.clip.keypoints import CleaningReport, Keypoints, clean, leave_out, parse_frame_range
 from recon.fit import TrajectorySolution, solve_trajectory
-from recon.fit.motion import Motion
+from recon.fit.motion import MOTION, Motion
 from recon.geometry.camera import Camera
 from recon.io import read_keypoints
 from recon.io.calibration import write_cameras
@@ -50,6 +50,7 @@ TRACK_FILES = ("track.csv", "track_report.json", "track_panorama.png")
 OUTPUT_FILES = (
     *CLIP_OUTPUTS,
     *CAMERA_OUTPUTS,
+    MOTION,
     "report.json",
     "motion.rrd",
     "config.toml",
@@ -91,7 +92,7 @@ def fit_clip(settings: FitSettings, progress: Progress = silent) -> Motion:
         return _whole_motion(given, settings, progress)
     (view,), T = views_of(given.sources), len(given.sources[0].keypoints.frames)
     solution = solve_frames(view, chain, given.fps, settings.frame_options(), lambda done: progress("frames", done / T))
-    return Motion(given.sources, given.side, given.side_reason, solution)
+    return Motion(given.sources, given.side, given.side_reason, solution, settings=settings.plain())
 
 
 def _whole_motion(given: Prepared, settings: FitSettings, progress: Progress) -> Motion:
@@ -123,7 +124,8 @@ def _whole_motion(given: Prepared, settings: FitSettings, progress: Progress) ->
     if settings.seeks_cameras:
         found = zip(sources, solution.placing, solution.focal, strict=True)
         sources = tuple(replace(s, camera=s.camera.placed(by).lengthened(longer)) for s, by, longer in found)
-    return Motion(sources, given.side, given.side_reason, solution, (*garbage, *mistakes))
+    mistakes = (*garbage, *mistakes)
+    return Motion(sources, given.side, given.side_reason, solution, mistakes, settings=settings.plain())
 
 
 def _known(given: Prepared, settings: FitSettings) -> Known:
@@ -214,8 +216,11 @@ def write_clip(
     with them. sha256: of the input files (`recon.workflows.made_from.digests`), if they are known."""
     from recon.show import view  # rerun is slow to import
 
-    report = build_report(motion, settings.plain(out), None if solve_s is None else {"solve_s": solve_s})
+    timing_s = {} if solve_s is None else {"solve_s": solve_s}
+    motion = replace(motion, settings=settings.plain(out), timing_s=timing_s)
+    report = build_report(motion)
     with staged_results(out, output_files(out)) as folder:
+        motion.save(folder)
         write_tables(motion, folder)
         write_report(report, folder / "report.json")
         (folder / "config.toml").write_text(settings.to_toml(out, digests(settings, sha256)), encoding="utf-8")

@@ -34,16 +34,19 @@ _METHODS = {"frame": frame, "trajectory": trajectory}
 
 
 def build_report(
-    motion: Motion, settings: Mapping[str, Any], timing: Mapping[str, float] | None = None
+    motion: Motion, settings: Mapping[str, Any] | None = None, timing: Mapping[str, float] | None = None
 ) -> dict[str, Any]:
     """The report of one clip.
 
     settings: all that the fit was told, as plain types, the fields of `FrameOptions` or `TrajectoryOptions` among them
-    (a missing one has its default). timing: seconds by name. NaN becomes None, floats have nine significant digits.
+    (a missing one has its default). timing: seconds by name. Where these are None, the motion's own are taken. NaN
+    becomes None, floats have nine significant digits.
     """
+    settings = motion.settings if settings is None else settings
+    timing = motion.timing_s if timing is None else timing
     method = motion.solution.method
     own = _METHODS[method].sections(motion, settings)
-    seconds = {**(timing or {}), **motion.solution.stage_s} or None
+    seconds = {**timing, **motion.solution.stage_s} or None
     head = {
         "schema": {"name": SCHEMA_NAME, "version": SCHEMA_VERSION},
         "recon_version": version(),

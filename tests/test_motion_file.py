@@ -1,0 +1,197 @@
+"""A motion that is saved and loaded is the same, bit for bit; damaged and hostile files are refused."""
+
+from __future__ import annotations
+
+import dataclasses
+import io
+import json
+import zipfile
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from recon import InputError, Motion
+from recon.base.records import load_record, save_record
+from recon.fit.motion import MOTION, SCHEMA
+
+
+def differences(a: Any, b: Any, where: str = "") -> list[str]:
+    """Where two trees of dataclasses differ, also in the last bit."""
+    if type(a) is not type(b) and not (isinstance(a, tuple | list) and isinstance(b, tuple | list)):
+        return [f"{where}: {type(a)} {type(b)}"]
+    if isinstance(a, np.ndarray):
+        return [] if a.dtype == b.dtype and a.shape == b.shape and a.tobytes() == b.tobytes() else [where]
+    if dataclasses.is_dataclass(a):
+        names = [field.name for field in dataclasses.fields(a) if field.init]
+        return [found for name in names for found in differences(getattr(a, name), getattr(b, name), f"{where}.{name}")]
+    if isinstance(a, dict):
+        missing = [] if [*a] == [*b] else [f"{where}: {[*a]} {[*b]}"]
+        return missing or [found for key in a for found in differences(a[key], b[key], f"{where}.{key}")]
+    if isinstance(a, tuple | list):
+        if len(a) != len(b):
+            return [f"{where}: {len(a)} {len(b)}"]
+        return [found for i, pair in enumerate(zip(a, b, strict=True)) for found in differences(*pair, f"{where}.{i}")]
+    same = a == b or (isinstance(a, float) and np.isnan(a) and np.isnan(b))
+    return [] if same else [f"{where}: {a!r} {b!r}"]
+
+
+@pytest.mark.parametrize("fixture", ["small_motion", "small_trajectory", "world_trajectory"])
+def test_same_motion(fixture: str, request: pytest.FixtureRequest, tmp_path: Path) -> None:
+    motion = request.getfixturevalue(fixture)
+    motion = replace(motion, settings={"fps": 30, "frames": None, "keypoints": ["a.csv"]}, timing_s={"solve_s": 0.1})
+    motion.save(tmp_path / "new")
+    loaded = Motion.load(tmp_path / "new")
+    assert type(loaded.solution) is type(motion.solution)
+    assert not differences(motion, loaded)
+
+
+def test_same_file_again(small_trajectory: Motion, tmp_path: Path) -> None:
+    first, second = (small_trajectory.save(tmp_path / name).read_bytes() for name in ("a", "b"))
+    third = Motion.load(tmp_path / "a").save(tmp_path / "c").read_bytes()
+    assert first == second == third
+
+
+# -- damage -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def saved(small_trajectory: Motion, tmp_path: Path) -> Path:
+    return small_trajectory.save(tmp_path)
+
+
+def refused(path: Path) -> str:
+    with pytest.raises(InputError) as raised:
+        Motion.load(path.parent)
+    assert str(path) in str(raised.value)
+    return str(raised.value)
+
+
+def rewritten(path: Path, change: Callable[[dict[str, np.ndarray], dict[str, Any]], None]) -> None:
+    """With other arrays, or another text."""
+    with np.load(path) as file:
+        arrays = {name: file[name] for name in file.files}
+    record = json.loads(arrays.pop("record").tobytes())
+    change(arrays, record)
+    np.savez(path, record=np.frombuffer(json.dumps(record).encode(), np.uint8), **arrays)
+
+
+def test_damaged_bytes(saved: Path) -> None:
+    whole = saved.read_bytes()
+    for content in (b"", b"PK\x03\x04", whole[:-30], whole[: len(whole) // 2], b"x" * 100):
+        saved.write_bytes(content)
+        assert "data that cannot be read" in refused(saved)
+    rng = np.random.default_rng(0)
+    for at in rng.integers(0, len(whole), 60):
+        damaged = bytearray(whole)
+        damaged[at] ^= 1 << rng.integers(8)
+        saved.write_bytes(bytes(damaged))
+        with suppress(InputError):  # some bytes of an archive mean nothing
+            Motion.load(saved.parent)
+
+
+def test_bomb(saved: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("recon.base.records.MAX_BYTES", 1 << 24)
+    with zipfile.ZipFile(saved, "a", zipfile.ZIP_DEFLATED) as archive, archive.open("bomb.npy", "w") as member:
+        member.write(bytes(1 << 25))
+    assert "are too much" in refused(saved)
+
+
+def test_header_that_lies(saved: Path) -> None:
+    made = io.BytesIO()
+    np.lib.format.write_array_header_1_0(made, {"descr": "<f8", "fortran_order": False, "shape": (1 << 40,)})
+    with zipfile.ZipFile(saved, "a") as archive:
+        archive.writestr("huge.npy", made.getvalue())
+    assert "an array of float64 with shape (1099511627776,)" in refused(saved)
+
+
+def test_pickles(saved: Path) -> None:
+    def change(arrays: dict[str, np.ndarray], record: dict[str, Any]) -> None:
+        arrays["solution.states"] = np.array([print], dtype=object)
+
+    rewritten(saved, change)
+    assert "cannot be read" in refused(saved)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda a, r: a.pop("solution.states"), "solution.states"),
+        (lambda a, r: a.update({"solution.states": a["solution.states"][1:]}), "solution.states"),
+        (lambda a, r: r["schema"].update(version=9), "recon.motion, version 9"),
+        (lambda a, r: r.update(schema={"name": "other", "version": 1}), "other, version 1"),
+        (lambda a, r: r.pop("value"), "value"),
+        (lambda a, r: r["value"].pop("side"), "side of a Motion"),
+        (lambda a, r: r["value"].update(more=1), "more of a Motion"),
+        (lambda a, r: r["value"].update(side="up"), "side: 'up'"),
+        (lambda a, r: r["value"]["solution"].update({"class": "os:system"}), "os:system"),
+        (lambda a, r: r["value"]["solution"].update({"class": "recon.animal.body:Body"}), "where a Solution belongs"),
+        (lambda a, r: r["value"]["solution"].update({"class": "recon.none:None"}), "recon.none"),
+        (lambda a, r: r["value"]["solution"].update(size="large"), "solution.size: 'large'"),
+        (lambda a, r: r["value"]["sources"][0]["camera"].update(model="none"), "model"),
+        (lambda a, r: r["value"].update(sources=[]), ""),
+    ],
+)
+def test_other_content(saved: Path, change: Callable[..., Any], said: str) -> None:
+    rewritten(saved, change)
+    assert said in refused(saved)
+
+
+def test_no_motion(tmp_path: Path, small_trajectory: Motion) -> None:
+    with pytest.raises(InputError, match="no such folder"):
+        Motion.load(tmp_path / "none")
+    with pytest.raises(InputError, match=f"no {MOTION}"):
+        Motion.load(tmp_path)
+    small_trajectory.save(tmp_path / "clip")
+    with pytest.raises(InputError, match=r"that of one clip, as in .*clip"):
+        Motion.load(tmp_path)
+
+
+def test_results_of_an_earlier_version(tmp_path: Path) -> None:
+    for name in ("report.json", "config.toml", "pose3d.csv"):
+        (tmp_path / name).write_text("{}")
+    with pytest.raises(
+        InputError, match=rf"earlier version.*recon fit --config {tmp_path}/config.toml --out {tmp_path}"
+    ):
+        Motion.load(tmp_path)
+
+
+# -- other dataclasses ------------------------------------------------------------------------------------------------
+
+
+@dataclasses.dataclass(frozen=True)
+class _Leaf:
+    values: np.ndarray
+    part: slice
+    path: Path | None = None
+
+
+@dataclasses.dataclass(frozen=True)
+class _Tree:
+    leaves: tuple[_Leaf, ...]
+    pairs: dict[str, tuple[int, float]]
+    what: str | float | None
+
+
+def test_any_dataclass(tmp_path: Path) -> None:
+    big = np.asfortranarray(np.arange(600, dtype=np.float32).reshape(20, 30))
+    leaves = (
+        _Leaf(big, slice(1, None), Path("a/b")),
+        _Leaf(big, slice(None, 2, 3)),
+        _Leaf(np.array([np.nan, -0.0]), slice(0)),
+        _Leaf(np.array(7, dtype=np.uint8), slice(0)),
+        _Leaf(np.zeros((0, 3), dtype=bool), slice(0)),
+    )
+    tree = _Tree(leaves, {"a": (1, 0.1), "b": (2, float("inf"))}, "x")
+    path = tmp_path / "tree.npz"
+    save_record(tree, path, SCHEMA)
+    loaded = load_record(_Tree, path, SCHEMA, "a tree")
+    assert not differences(tree, loaded)
+    with np.load(path) as file:
+        assert [*file.files] == ["record", "leaves.0.values"]  # once, though it stands there twice
+    with pytest.raises(TypeError, match="what: a set cannot be saved"):
+        save_record(replace(tree, what={1}), path, SCHEMA)  # type: ignore[arg-type]
