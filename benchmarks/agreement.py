@@ -22,21 +22,23 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 from markdown_table import print_table
 
 from recon import FitSettings, load_skeleton
-from recon.check.agreement import Agreement, Finding, Kind, camera_agreement
+from recon.check.agreement import camera_findings
 from recon.clip import View, views_of
 from recon.fit import TrajectoryOptions
+from recon.fit.finding import Finding
 from recon.geometry.frames import rigid
 from recon.geometry.rotations import euler_rotation
 from recon.workflows.clip import prepare
 
 SKELETON = "cheetah-24"
 TURN_DEG, LAG = 5.0, 10
-Case = tuple[str, list[View], Kind, tuple[int, ...]]
+Case = tuple[str, list[View], str, tuple[int, ...]]
 """What was done, the views with it, and what should be found of which cameras."""
 
 
@@ -54,9 +56,9 @@ def views_of_run(run: Path) -> tuple[list[View], float]:
     return [view.credible() for view in views_of(given.sources)], given.fps
 
 
-def judged(views: Sequence[View], fps: float) -> Agreement:
-    body = load_skeleton(SKELETON)
-    return camera_agreement(views, fps, TrajectoryOptions().sigma_px, body.keypoint_sigma_m)
+def judged(views: Sequence[View], fps: float) -> tuple[Finding, ...]:
+    frames, noise_m = np.arange(len(views[0].xy_px)), load_skeleton(SKELETON).keypoint_sigma_m
+    return camera_findings(views, fps, frames, [0.0] * len(views), TrajectoryOptions().sigma_px, noise_m)
 
 
 def cases(views: list[View]) -> Iterator[Case]:
@@ -65,17 +67,17 @@ def cases(views: list[View]) -> Iterator[Case]:
 
     for v, view in enumerate(views):
         for axis, name in enumerate(("tilted", "panned", "rolled")):
-            yield f"{name} by {TURN_DEG:g} degrees", with_one(v, turned(view, axis)), "turned", (v,)
+            yield f"{name} by {TURN_DEG:g} degrees", with_one(v, turned(view, axis)), "camera_turned", (v,)
         for frames in (LAG, -LAG):
             done = f"{LAG} frames {'late' if frames > 0 else 'early'}"
-            yield done, with_one(v, late(view, frames)), "late", (v,)
+            yield done, with_one(v, late(view, frames)), "camera_late", (v,)
     for a, b in combinations(range(len(views)), 2):
         swapped = [*views]
         swapped[a], swapped[b] = (
             replace(views[here], xy_px=views[there].xy_px, confidence=views[there].confidence).credible()
             for here, there in ((a, b), (b, a))
         )
-        yield "two files exchanged", swapped, "exchanged", (a, b)
+        yield "two files exchanged", swapped, "cameras_exchanged", (a, b)
 
 
 def turned(view: View, axis: int) -> View:
@@ -91,8 +93,14 @@ def late(view: View, frames: int) -> View:
     return replace(view, xy_px=xy_px, confidence=confidence)
 
 
-def named(findings: Sequence[Finding]) -> set[tuple[Kind, tuple[int, ...]]]:
-    return {(finding.kind, finding.cameras) for finding in findings}
+def named(findings: Sequence[Finding], views: Sequence[View]) -> set[tuple[str, tuple[int, ...]]]:
+    """Codes but for notes, and the cameras that they are about."""
+    names = [view.camera.name for view in views]
+    return {
+        (one.code, tuple(names.index(name) for name in one.numbers.get("cameras", (one.camera,))))
+        for one in findings
+        if one.severity != "note"
+    }
 
 
 def main() -> None:
@@ -108,8 +116,9 @@ def main() -> None:
         began = time.process_time()
         as_it_is = judged(views, fps)
         seconds["as it is"].append(time.process_time() - began)
-        for v, (view, found) in enumerate(zip(views, as_it_is.cameras, strict=True)):
-            says = [finding.kind for finding in as_it_is.findings if v in finding.cameras]
+        notes = [SimpleNamespace(**one.numbers) for one in as_it_is if one.code == "camera_agreement"]
+        for v, (view, found) in enumerate(zip(views, notes, strict=True)):
+            says = [code for code, cameras in named(as_it_is, views) if v in cameras]
             unchanged.append(
                 [
                     run.name,
@@ -121,9 +130,9 @@ def main() -> None:
             )
         for done, changed, kind, cameras in cases(views):
             began = time.process_time()
-            findings = named(judged(changed, fps).findings)
+            findings = named(judged(changed, fps), changed)
             seconds["changed"].append(time.process_time() - began)
-            ok = (kind, cameras) in findings and findings - {(kind, cameras)} <= named(as_it_is.findings)
+            ok = (kind, cameras) in findings and findings - {(kind, cameras)} <= named(as_it_is, views)
             for table, by in ((right, ok), (total, 1)):
                 row = table.setdefault(done, {})
                 row[run.name] = row.get(run.name, 0) + by

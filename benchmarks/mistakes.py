@@ -1,4 +1,4 @@
-"""Mistakes put into real clips: which are recognised, what is named in untouched ones, and what mending leaves.
+"""Mistakes put into real clips: which are found, what is named in untouched ones, and what mending leaves.
 
     python benchmarks/mistakes.py [FOLDER] [--views 1] [--csv TABLE.csv]
 
@@ -35,17 +35,18 @@ from trajectory import GROUPS, PRIOR, body_of, meta_of, prior_of, view_of
 from recon import FitSettings, Motion, fit_clip, read_keypoints
 from recon.animal.body import other_side
 from recon.animal.prior import fit_prior, prior_from_body
-from recon.check.mistakes import Known, Mistake, find_mistakes, likelihood
-from recon.check.mistakes.likelihood import given_of, unlikely
-from recon.check.mistakes.sides import Stretch, exchanged, exchanges, pairs_of
-from recon.clip import still_view
-from recon.clip.keypoints import Keypoints
+from recon.check import FileFacts, Finding, input_findings
+from recon.check.inputs import likelihood
+from recon.check.inputs.likelihood import CLEAR, baseline_of, unlikely
+from recon.check.inputs.swaps import Stretch, exchanged, pairs_of, swaps
+from recon.clip import Source, views_of
+from recon.clip.keypoints import Keypoints, clean
 from recon.fit import TrajectoryOptions, solve_trajectory
-from recon.fit.mistake import CLEAR
 from recon.fit.setting import Setting
 from recon.gait.evaluation import centre, joint_errors
 from recon.io.deeplabcut import write_csv
 
+SWAP, OUTLIERS = "left_right_swap", "gross_outliers"
 TEN, END = 10, 12
 """Frames exchanged in the middle, and of garbage at an end."""
 FALSE = 0.02
@@ -53,7 +54,7 @@ FALSE = 0.02
 LEGS = {"fore": "fore legs exchanged, second half", "hind": "hind legs exchanged, second half"}
 FOLDED = ("untouched", "ten frames exchanged", *LEGS.values(), "whole clip exchanged")
 SHARES = (0.2, 0.3, 0.4, 0.5, 0.6)
-"""Of `recon.check.mistakes.likelihood.TOGETHER`."""
+"""Of `recon.check.inputs.likelihood.TOGETHER`."""
 Change = Callable[["View"], tuple[np.ndarray, np.ndarray]]
 
 
@@ -107,11 +108,11 @@ def _everywhere(points: Callable[[View], np.ndarray]) -> Change:
 
 @dataclass(frozen=True)
 class Case:
-    """change: of the keypoints; kind: the mistake that it is, None where there is none to be named; told: settings of
-    the fit in place of the right ones, given the view. mends: whether it is fitted with --fix-swaps, too."""
+    """change: of the keypoints; code: of the finding that it is, None where there is none to be made; told: settings
+    of the fit in place of the right ones, given the view. mends: whether it is fitted with --fix-swaps, too."""
 
     change: Change
-    kind: str | None = None
+    code: str | None = None
     told: Callable[[View], dict[str, Any]] = field(default=lambda view: {})
     mends: bool = False
 
@@ -132,26 +133,24 @@ def _half(view: View) -> int:
 
 CASES = {
     "untouched": Case(_as_given),
-    "ten frames exchanged": Case(
-        lambda v: _exchanged(v, _half(v) - TEN // 2, _half(v) + TEN // 2), "sides", mends=True
-    ),
+    "ten frames exchanged": Case(lambda v: _exchanged(v, _half(v) - TEN // 2, _half(v) + TEN // 2), SWAP, mends=True),
     "fore legs exchanged, second half": Case(
-        lambda v: _exchanged(v, _half(v), len(v.xy_px), "fore legs"), "sides", mends=True
+        lambda v: _exchanged(v, _half(v), len(v.xy_px), "fore legs"), SWAP, mends=True
     ),
     "hind legs exchanged, second half": Case(
-        lambda v: _exchanged(v, _half(v), len(v.xy_px), "hind legs"), "sides", mends=True
+        lambda v: _exchanged(v, _half(v), len(v.xy_px), "hind legs"), SWAP, mends=True
     ),
-    "whole clip exchanged": Case(lambda v: _exchanged(v, 0, len(v.xy_px)), "sides", mends=True),
-    "y up": Case(_everywhere(lambda v: np.array([0, v.size_px[1] - 1]) + v.xy_px * [1, -1]), "y_up"),
-    "upside down": Case(_everywhere(lambda v: np.subtract(v.size_px, 1) - v.xy_px), "upside_down"),
-    "from 0 to 1": Case(_everywhere(lambda v: v.xy_px / v.size_px), "normalised"),
+    "whole clip exchanged": Case(lambda v: _exchanged(v, 0, len(v.xy_px)), SWAP, mends=True),
+    "y up": Case(_everywhere(lambda v: np.array([0, v.size_px[1] - 1]) + v.xy_px * [1, -1]), "keypoints_y_up"),
+    "upside down": Case(_everywhere(lambda v: np.subtract(v.size_px, 1) - v.xy_px), "picture_upside_down"),
+    "from 0 to 1": Case(_everywhere(lambda v: v.xy_px / v.size_px), "keypoints_normalised"),
     "video of half the size": Case(_everywhere(lambda v: v.xy_px / 2), "smaller_video"),
-    "next camera of the file": Case(_as_given, "other_camera", _other_camera),
+    "next camera of the file": Case(_as_given, "other_camera_named", _other_camera),
     "half the frame rate": Case(_as_given, "frame_rate", lambda v: {"fps": meta_of(v.run)["fps"] / 2}),
     "twice the frame rate": Case(_as_given, "frame_rate", lambda v: {"fps": meta_of(v.run)["fps"] * 2}),
     "30 % outliers": Case(_outliers),
-    "garbage at the start": Case(lambda v: _garbage(v, slice(0, END)), "garbage"),
-    "garbage at the end": Case(lambda v: _garbage(v, slice(-END, None)), "garbage"),
+    "garbage at the start": Case(lambda v: _garbage(v, slice(0, END)), OUTLIERS),
+    "garbage at the end": Case(lambda v: _garbage(v, slice(-END, None)), OUTLIERS),
 }
 
 
@@ -179,24 +178,35 @@ def error_mm(view: View, motion: Motion, frames: np.ndarray) -> float:
     return 1000 * float(np.nanmean(joint_errors(centre(motion.joints_camera_m[frames], truth_m), truth_m)))
 
 
-def named(motion: Motion, kind: str, markers: tuple[int, ...] | None = None) -> np.ndarray:
-    """(T,): frames of which a mistake of that kind is named, and of just these keypoints."""
+def of_input(motion: Motion) -> list[Finding]:
+    """The findings of the keypoints that a motion was fitted to."""
+    return [one for one in motion.findings if one.code in {SWAP, *(case.code for case in CASES.values())}]
+
+
+def stretch_of(motion: Motion, one: Finding) -> Stretch:
+    """The rows, and the permutation of the keypoints, of a swap."""
+    places, to = np.arange(len(motion.names)), [motion.names.index(name) for name in one.numbers["keypoints"]]
+    places[to] = _opposites(motion.names, None)[to]
+    first, stop = np.searchsorted(motion.frames, one.frames or ())
+    return Stretch(slice(int(first), int(stop)), places)
+
+
+def named(motion: Motion, code: str, markers: tuple[int, ...] | None = None) -> np.ndarray:
+    """(T,): frames of which something is found by that code, and of just these keypoints."""
     frames = np.zeros(len(motion.frames), dtype=bool)
-    for one in motion.mistakes:
-        if one.kind == kind and markers in (None, one.markers):
-            frames[slice(*(one.rows or (0, None)))] = True
+    for one in of_input(motion):
+        if one.code == code and (markers is None or markers == stretch_of(motion, one).markers):
+            frames[slice(*(np.searchsorted(motion.frames, one.frames) if one.frames else (0, None)))] = True
     return frames
 
 
-def agreed(view: View, motion: Motion, one: Mistake) -> bool:
+def agreed(view: View, motion: Motion, one: Stretch) -> bool:
     """Whether the reconstruction from all cameras says, too, that the detector exchanged those keypoints there."""
     lens, _, _, truth_m = view_of(view.run, view.camera)
     projected, _ = lens.project(truth_m)
-    sigma_px, rows = motion.solution.noise_px[0], slice(*(one.rows or (0, None)))
-    places = np.arange(len(motion.names))
-    places[[*one.markers]] = _opposites(motion.names, None)[[*one.markers]]
-    q = [np.sum((to - view.xy_px) ** 2, axis=-1) / sigma_px**2 for to in (projected, projected[:, places])]
-    return float(np.nansum((np.log1p(q[0] / 3.0) - np.log1p(q[1] / 3.0))[rows][:, [*one.markers]])) > 0.0
+    sigma_px = motion.solution.noise_px[0]
+    q = [np.sum((to - view.xy_px) ** 2, axis=-1) / sigma_px**2 for to in (projected, projected[:, one.places])]
+    return float(np.nansum((np.log1p(q[0] / 3.0) - np.log1p(q[1] / 3.0))[one.rows][:, [*one.markers]])) > 0.0
 
 
 def _wanted(names: tuple[str, ...], name: str) -> tuple[int, ...]:
@@ -212,11 +222,12 @@ def row(view: View, name: str, case: Case, folder: Path, untouched_mm: float) ->
     began = time.process_time()
     motion, changed = fitted(view, case, folder)
     seconds, others = time.process_time() - began, ~changed
-    wanted = _wanted(motion.names, name) if case.kind == "sides" else None
-    found, flagged = named(motion, case.kind or "", wanted), named(motion, "sides") | named(motion, "garbage")
-    sides = [one for one in motion.mistakes if one.kind == "sides"]
-    real = named(replace(motion, mistakes=tuple(one for one in sides if agreed(view, motion, one))), "sides")
-    scored = others if case.kind == "garbage" else np.ones(len(changed), dtype=bool)
+    wanted = _wanted(motion.names, name) if case.code == SWAP else None
+    found, flagged = named(motion, case.code or "", wanted), named(motion, SWAP) | named(motion, OUTLIERS)
+    found_swaps = [one for one in motion.findings if one.code == SWAP]
+    real = tuple(one for one in found_swaps if agreed(view, motion, stretch_of(motion, one)))
+    real = named(replace(motion, findings=real), SWAP)
+    scored = others if case.code == OUTLIERS else np.ones(len(changed), dtype=bool)
     mm = {"mm": error_mm(view, motion, scored)}
     if case.mends:
         mm["mended_mm"] = error_mm(view, fitted(view, case, folder, fix_swaps=True)[0], scored)
@@ -229,9 +240,9 @@ def row(view: View, name: str, case: Case, folder: Path, untouched_mm: float) ->
         "changed_flagged": float(found[changed].mean()) if changed.any() else np.nan,
         "other_flags": float(flagged[others].mean()) if others.any() else np.nan,
         "real_flags": float(real[others].mean()) if others.any() else np.nan,
-        "kinds": " ".join(sorted({one.kind for one in motion.mistakes})),
+        "kinds": " ".join(sorted({one.code for one in of_input(motion)})),
         "untouched_mm": untouched_mm,
-        "mistakes_s": motion.solution.stage_s["mistakes"],
+        "mistakes_s": motion.solution.stage_s["input_findings"],
         "solve_s": motion.solution.stage_s["all"],
         "cpu_s": seconds,
         **mm,
@@ -245,7 +256,7 @@ def rows_of(view: View, only: str | None) -> list[dict[str, Any]]:
         rows = []
         for name, case in CASES.items():
             if only is None or only in name:
-                scored = ~case.change(view)[1] if case.kind == "garbage" else everywhere
+                scored = ~case.change(view)[1] if case.code == OUTLIERS else everywhere
                 rows.append(row(view, name, case, Path(folder), error_mm(view, motion, scored)))
         return rows
 
@@ -271,7 +282,7 @@ def print_tables(table: pd.DataFrame) -> None:
                 return ""
             return f"{of_case[column].sum() / of_case['untouched_mm'].sum():.2f}"
 
-        is_case = CASES[str(name)].kind
+        is_case = CASES[str(name)].code
         print_row(
             [
                 name,
@@ -301,15 +312,15 @@ def share_rows(view: View, name: str, folder: Path) -> list[dict[str, Any]]:
     solution, given_share, rows = motion.solution, likelihood.TOGETHER, []
     setting = Setting.of(solution.views, motion.body, prior_of(PRIOR), motion.fps, TrajectoryOptions())
     setting = replace(setting, trust=min(spell.prior_weight for spell in solution.spells))
-    given = given_of(setting, 0, solution.states, solution.size)
+    given = baseline_of(setting, 0, solution.states, solution.size)
     unlike = any(spell.unlike_prior for spell in solution.spells)
     for share in SHARES:
         likelihood.TOGETHER = share
-        found = exchanges(replace(given), 0, unlike)  # without what was found with another share
+        found = swaps(replace(given), unlike)  # without what was found with another share
         wrong = np.zeros(len(view.xy_px), dtype=bool)
         for one in found:
-            wrong[slice(*(one.rows or (0, None)))] |= not agreed(view, motion, one)
-        right = any(one.markers == _wanted(motion.names, name) for one in found)
+            wrong[one.stretch.rows] |= not agreed(view, motion, one.stretch)
+        right = any(one.stretch.markers == _wanted(motion.names, name) for one in found)
         wrong_part = float(wrong.mean()) if name == "untouched" else np.nan
         rows.append({"run": view.run.name, "case": name, "share": share, "right": right, "wrong": wrong_part})
     likelihood.TOGETHER = given_share
@@ -375,9 +386,11 @@ def dog_rows(folder: Path) -> list[dict[str, Any]]:
             camera, truth_m = dog.side_view(one.clip)[0], one.clip.markers(body)
             px, _ = camera.project(camera.world_to_camera(truth_m))
             px = px + np.random.default_rng(clips.index(one.clip)).normal(0, dog.NOISE_PX, px.shape)
-            view, options = still_view(camera, px, np.ones(px.shape[:2])), TrajectoryOptions()
-            solution = solve_trajectory([view], body, prior, one.clip.fps)
-            found = find_mistakes(solution, body, prior, one.clip.fps, options, Known(((),), (None,)))
+            keypoints = Keypoints(body.markers, px, np.ones(px.shape[:2]), np.arange(len(px)), one.clip.fps)
+            source = Source(camera, *clean(keypoints, 0.0), body.markers)
+            solution = solve_trajectory(views_of([source]), body, prior, one.clip.fps)
+            motion = Motion((source,), None, "", solution)
+            found = input_findings(motion, prior, TrajectoryOptions(), FileFacts(((),), (None,)))
             rows.append(_others(f"dog {one.clip.name}", len(px), prior.name, found))
     return rows
 
@@ -385,15 +398,15 @@ def dog_rows(folder: Path) -> list[dict[str, Any]]:
 def horse_rows(folder: Path) -> list[dict[str, Any]]:
     settings: dict[str, Any] = {"keypoints": folder / "CollectedData_Byron.csv", "skeleton": "horse-22", "fps": 24.0}
     motion = fit_clip(FitSettings(**settings, hfov_deg=50.0, image_size_px=(288, 162)))
-    return [_others("horse", len(motion.frames), "none", motion.mistakes)]
+    return [_others("horse", len(motion.frames), "none", of_input(motion))]
 
 
-def _others(name: str, T: int, prior: str, found: Sequence[Mistake]) -> dict[str, Any]:
+def _others(name: str, T: int, prior: str, found: Sequence[Finding]) -> dict[str, Any]:
     named = np.zeros(T, dtype=bool)
     for one in found:
-        if one.kind in ("sides", "garbage"):
-            named[slice(*(one.rows or (0, None)))] = True
-    rest = sorted({one.kind for one in found} - {"sides", "garbage"})
+        if one.code in (SWAP, OUTLIERS):
+            named[slice(*(one.frames or (0, None)))] = True
+    rest = sorted({one.code for one in found} - {SWAP, OUTLIERS})
     return {"clip": name, "frames": T, "prior": prior, "frames named": named.mean(), "else named": ", ".join(rest)}
 
 

@@ -23,8 +23,9 @@ report = recon.write_clip(motion, settings, results)
 for frame, flags in zip(motion.frames, motion.flags, strict=True):
     if flags:
         print(f"frame {frame}: {', '.join(flags)}")
-for warning in report["warnings"]:
-    print(warning)
+for finding in report["findings"]:
+    if finding["severity"] != "note":
+        print(finding["text"])
 
 # The motion itself is arrays, NaN in frames without a pose: joints_m is (frames, joints, 3).
 centre_m = motion.joints_m.mean(axis=1)[motion.solved]

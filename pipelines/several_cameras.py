@@ -22,7 +22,8 @@ report = recon.write_clip(motion, settings, results)
 # What each camera gave, and which one was turned, late or exchanged.
 for camera in report["cameras"]:
     print(f"{camera['name']}: {camera['frames_seen']} frames, {camera['points']['used']} points")
-print("\n".join(finding["text"] for finding in report["agreement"]["findings"]) or "The cameras agree.")
+errors = [finding["text"] for finding in report["findings"] if finding["severity"] == "error"]
+print("\n".join(errors) or "The cameras agree.")
 
 # Several cameras measure the animal's size, which one camera cannot.
 size = report["size"]

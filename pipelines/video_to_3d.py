@@ -33,7 +33,8 @@ motion = recon.fit_clip(settings)
 report = recon.write_clip(motion, settings, results / "motion")
 summary = report["summary"]
 print(f"{summary['frames_with_pose']} of {summary['frames']} frames have a pose, {summary['frames_flagged']} doubtful")
-for warning in report["warnings"]:
-    print(warning)
+for finding in report["findings"]:
+    if finding["severity"] != "note":
+        print(finding["text"])
 
 print(f"Results are in {results / 'motion'}. Watch them with: recon view {results / 'motion'}")

@@ -236,6 +236,7 @@ def small_trajectory() -> Motion:
         states=states,
         size=1.0,
         size_sigma=0.06,
+        size_prior_sigma=0.1,
         size_from=("prior",),
         joints_m=joints,
         covariance_m2=relative + np.diag([0.05, 0.3, 0.05]) ** 2,

@@ -9,11 +9,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from recon.check.agreement import FRAMES, Agreement, camera_agreement
+from recon.check import Finding, agreement_findings, sentence
+from recon.check.agreement import FRAMES, camera_findings
 from recon.clip import View
 from recon.geometry.frames import rigid
 from recon.geometry.rotations import euler_rotation
-from recon.show.report import agreement as in_report
 from tests.test_trajectory import FPS
 from tests.test_views import AHEAD, ASIDE, pose, truth_m, view_of
 
@@ -27,12 +27,23 @@ def cameras(n: int = 4) -> list[View]:
     return [replace(view, camera=replace(view.camera, name=f"cam{i + 1}")) for i, view in enumerate(views)]
 
 
-def judged(views: list[View]) -> Agreement:
-    return camera_agreement(views, FPS, 2.0, KEYPOINT_M)
+def judged(views: list[View]) -> tuple[Finding, ...]:
+    frames = np.arange(100, 100 + len(views[0].xy_px))
+    return camera_findings(views, FPS, frames, [0.0] * len(views), 2.0, KEYPOINT_M)
 
 
-def findings(agreement: Agreement) -> list[tuple[str, tuple[int, ...]]]:
-    return [(finding.kind, finding.cameras) for finding in agreement.findings]
+def findings(found: Sequence[Finding]) -> list[tuple[str, tuple[int, ...]]]:
+    """Codes but for notes, and the cameras that they are about, by their places."""
+    return [
+        (one.code, tuple(int(name[3:]) - 1 for name in one.numbers.get("cameras", (one.camera,))))
+        for one in found
+        if one.severity != "note"
+    ]
+
+
+def notes(found: Sequence[Finding]) -> list[SimpleNamespace]:
+    """What is said of each camera."""
+    return [SimpleNamespace(**one.numbers) for one in found if one.code == "camera_agreement"]
 
 
 def turned(view: View, axis: int) -> View:
@@ -60,14 +71,14 @@ def exchanged(views: list[View], a: int, b: int) -> list[View]:
 @pytest.mark.parametrize("n", [2, 3, 4])
 def test_cameras_that_agree(n):
     found = judged(cameras(n))
-    assert found.findings == ()
-    assert found.max_level == 1.6
-    for camera in found.cameras:
+    assert findings(found) == []
+    assert notes(found)[0].max_level == 1.6
+    for camera in notes(found):
         assert camera.points == truth_m()[..., 0].size
         assert camera.level == pytest.approx(0.95, abs=0.15)  # the expected noise has the keypoints' own, too
     if n > 2:
-        assert max(camera.turn_rad for camera in found.cameras) < np.radians(0.3)
-        assert {camera.late_frames for camera in found.cameras} <= {-0.25, 0.0, 0.25}
+        assert max(camera.turn_rad for camera in notes(found)) < np.radians(0.3)
+        assert {camera.late_frames for camera in notes(found)} <= {-0.25, 0.0, 0.25}
 
 
 @pytest.mark.parametrize("n", [3, 4])
@@ -77,9 +88,9 @@ def test_a_camera_that_is_turned(n, which, axis):
     views = cameras(n)
     views[which] = turned(views[which], axis)
     found = judged(views)
-    assert findings(found) == [("turned", (which,))]
-    assert np.degrees(found.cameras[which].turn_rad) == pytest.approx(5.0, abs=0.5)
-    assert found.cameras[which].level_turned < 1.2
+    assert findings(found) == [("camera_turned", (which,))]
+    assert np.degrees(notes(found)[which].turn_rad) == pytest.approx(5.0, abs=0.5)
+    assert notes(found)[which].level_turned < 1.2
 
 
 @pytest.mark.parametrize("n", [3, 4])
@@ -88,49 +99,50 @@ def test_a_camera_that_is_late_or_early(n, which, frames):
     views = cameras(n)
     views[which] = late(views[which], frames)
     found = judged(views)
-    assert findings(found) == [("late", (which,))]
-    assert found.cameras[which].late_frames == pytest.approx(frames, abs=0.25)
-    assert found.cameras[which].level_late < 1.2 < 3 < found.cameras[which].level
+    assert findings(found) == [("camera_late", (which,))]
+    assert notes(found)[which].late_frames == pytest.approx(frames, abs=0.25)
+    assert notes(found)[which].level_late < 1.2 < 3 < notes(found)[which].level
 
 
 def test_what_is_known_of_the_lag_is_taken_into_account():
     """Half a frame is in the view; the other half is found."""
     views, points = cameras(3), truth_m()
     between = 0.5 * (points + np.concatenate([points[1:], 2 * points[-1:] - points[-2:-1]]))
-    views[1] = replace(view_of(between, ASIDE, sigma_px=0.5, seed=1), lead_frames=0.5)
-    assert judged(views).cameras[1].late_frames == 0.0
-    assert judged([views[0], replace(views[1], lead_frames=0.0), views[2]]).cameras[1].late_frames == 0.5
+    views[1] = replace(view_of(between, ASIDE, sigma_px=0.5, seed=1), camera=views[1].camera, lead_frames=0.5)
+    assert notes(judged(views))[1].late_frames == 0.0
+    assert notes(judged([views[0], replace(views[1], lead_frames=0.0), views[2]]))[1].late_frames == 0.5
 
 
 @pytest.mark.parametrize("n", [3, 4])
 @pytest.mark.parametrize("pair", [(0, 1), (1, 2)])
 def test_two_exchanged_files(n, pair):
     found = judged(exchanged(cameras(n), *pair))
-    assert findings(found) == [("exchanged", pair)]
-    assert min(found.cameras[v].level for v in pair) > 3
+    assert findings(found) == [("cameras_exchanged", pair)]
+    assert min(notes(found)[v].level for v in pair) > 3
 
 
 def test_a_camera_of_another_clip():
     """Neither a turn nor a lag makes the detections of another run fit."""
     views = cameras()
     points = truth_m()[::-1] * [1.0, 1.0, 1.6] + [0.0, 2.0, 0.4]
-    views[3] = view_of(points, POSES[3], seed=9)
-    assert findings(judged(views)) == [("unknown", (3,))]
+    views[3] = replace(view_of(points, POSES[3], seed=9), camera=views[3].camera)
+    assert findings(judged(views)) == [("camera_off", (3,))]
 
 
 def test_two_cameras_that_are_off():
     views = cameras()
     views[1], views[3] = turned(views[1], 1), late(views[3], 8)
-    views.append(view_of(truth_m(), pose([1.0, -1.0, 1.5], 0.45 * np.pi), seed=5))
-    assert findings(judged(views)) == [("turned", (1,)), ("late", (3,))]
+    fifth = view_of(truth_m(), pose([1.0, -1.0, 1.5], 0.45 * np.pi), seed=5)
+    views.append(replace(fifth, camera=replace(fifth.camera, name="cam5")))
+    assert findings(judged(views)) == [("camera_turned", (1,)), ("camera_late", (3,))]
 
 
 def test_of_two_cameras_none_can_be_named():
     views = cameras(2)
     views[1] = turned(views[1], 0)
     found = judged(views)
-    assert findings(found) == [("apart", (0, 1))]
-    assert np.isnan(found.cameras[0].turn_rad)
+    assert findings(found) == [("cameras_disagree", (0, 1))]
+    assert np.isnan(notes(found)[0].turn_rad)
 
 
 def test_cameras_that_see_the_animal_one_after_the_other_cannot_be_compared():
@@ -138,17 +150,17 @@ def test_cameras_that_see_the_animal_one_after_the_other_cannot_be_compared():
     views[0] = replace(views[0], xy_px=np.where(np.arange(len(truth_m()))[:, None, None] < 12, views[0].xy_px, np.nan))
     views[1] = replace(views[1], xy_px=np.where(np.arange(len(truth_m()))[:, None, None] < 12, np.nan, views[1].xy_px))
     found = judged(views)
-    assert found.findings == ()
-    assert [camera.points for camera in found.cameras] == [0, 0]
-    assert np.isnan(found.cameras[0].level)
+    assert [one.code for one in found if one.severity != "note"] == ["cameras_apart_in_time"]
+    assert [camera.points for camera in notes(found)] == [0, 0]
+    assert np.isnan(notes(found)[0].level)
 
 
 def test_noisier_detections_than_expected_are_no_disagreement():
     views = [view_of(truth_m(), T, sigma_px=4.0, seed=i) for i, T in enumerate(POSES)]
     found = judged(views)
-    assert found.findings == ()
-    assert 1.6 * 1.5 < found.max_level < 1.6 * 2.0
-    assert max(camera.level for camera in found.cameras) > 1.6
+    assert findings(found) == []
+    assert 1.6 * 1.5 < notes(found)[0].max_level < 1.6 * 2.0
+    assert max(camera.level for camera in notes(found)) > 1.6
 
 
 def test_of_a_long_clip_the_stretch_in_which_most_is_seen_is_compared():
@@ -157,53 +169,45 @@ def test_of_a_long_clip_the_stretch_in_which_most_is_seen_is_compared():
     views = [replace(v, xy_px=xy, confidence=np.ones(xy.shape[:2])) for v, xy in zip(views, xy_px, strict=True)]
     T = len(xy_px[0])
     found = judged(views)
-    assert (found.frames.start, found.frames.stop) == (T - FRAMES, T)
-    assert found.cameras[0].points == truth_m()[..., 0].size
+    assert found[0].frames == (100 + T - FRAMES, 100 + T)
+    assert notes(found)[0].points == truth_m()[..., 0].size
 
 
 # -- in words ------------------------------------------------------------------------------------------------------
 
 
-def section(views: list[View], offset_s: Sequence[float] = (0.0, 0.0, 0.0, 0.0)) -> dict:
-    """Of a motion that has what the report reads."""
+def found_in(views: list[View], offset_s: Sequence[float] = (0.0, 0.0, 0.0, 0.0)) -> list[Finding]:
+    """But for notes, of a motion that has what is read."""
     frames = np.arange(100, 100 + len(views[0].xy_px))
-    body = SimpleNamespace(keypoint_sigma_m=KEYPOINT_M)
     late = replace(views[0], lead_frames=views[0].lead_frames + 0.3)  # a lag that was found does not hide another
     solution = SimpleNamespace(views=[late, *views[1:]])
     leads = [view.lead_frames for view in views]
     sources = [SimpleNamespace(lead_frames=lead, offset_s=s) for lead, s in zip(leads, offset_s, strict=False)]
-    motion = SimpleNamespace(solution=solution, sources=sources, body=body, fps=FPS, frames=frames)
-    found = in_report.section(motion, {"sigma_px": 2.0})  # type: ignore[arg-type]
-    assert found is not None
-    return found
+    motion = SimpleNamespace(solution=solution, sources=sources, fps=FPS, frames=frames)
+    found = agreement_findings(motion, 2.0, KEYPOINT_M)  # type: ignore[arg-type]
+    return [one for one in found if one.severity != "note"]
 
 
-def test_the_report_names_the_camera_and_what_to_do():
+def test_the_camera_is_named_and_what_to_do():
     views = cameras()
     views[2] = late(views[2], 10)
-    found = section(views, offset_s=[0.0, 0.0, 0.5, 0.0])
-    assert found["frames"] == (100, 100 + len(truth_m()))
-    (finding,) = found["findings"]
-    assert (finding["cameras"], finding["kind"]) == (["cam3"], "late")
-    assert finding["text"].startswith("cam3: about 10.0 frames late against the others (")
-    assert finding["text"].endswith(f"; its --offset-s would be {0.5 + 10 / FPS:.3f}")
-    assert list(in_report.warnings({"agreement": found})) == [finding["text"]]
+    (found,) = found_in(views, offset_s=[0.0, 0.0, 0.5, 0.0])
+    assert (found.code, found.camera, found.frames) == ("camera_late", "cam3", (100, 100 + len(truth_m())))
+    assert found.numbers["offset_s"] == pytest.approx(0.5 + 10 / FPS)
+    assert sentence(found).startswith("cam3 looks +10.0 frames late against the other cameras (")
+    assert sentence(found).endswith(f" Its --offset-s would be {0.5 + 10 / FPS:.3f}.")
 
 
-def test_the_report_of_exchanged_files_and_of_two_cameras():
-    (finding,) = section(exchanged(cameras(), 1, 3))["findings"]
-    assert finding["text"].startswith("cam2 and cam4: as if their files were exchanged (")
+def test_exchanged_files_and_two_cameras():
+    (found,) = found_in(exchanged(cameras(), 1, 3))
+    assert (found.code, found.numbers["cameras"]) == ("cameras_exchanged", ("cam2", "cam4"))
     views = cameras(2)
-    (finding,) = section([views[0], turned(views[1], 0)])["findings"]
-    assert finding["text"].startswith("cam1 and cam2 do not agree with each other: ")
-    assert finding["text"].endswith(", and which of them is off, or of another clip, cannot be told")
-    (finding,) = section(exchanged(views, 0, 1))["findings"]
-    assert finding["text"].startswith(
-        "cam1 and cam2: as if their files were exchanged, or one of them of another clip ("
-    )
+    (found,) = found_in([views[0], turned(views[1], 0)])
+    assert (found.code, found.numbers["cameras"]) == ("cameras_disagree", ("cam1", "cam2"))
+    (found,) = found_in(exchanged(views, 0, 1))
+    assert (found.code, found.numbers["cameras"]) == ("cameras_exchanged", ("cam1", "cam2"))
 
 
 def test_one_camera_has_nobody_to_agree_with():
     motion = SimpleNamespace(solution=SimpleNamespace(views=cameras(1)), sources=cameras(1))
-    assert in_report.section(motion, {}) is None  # type: ignore[arg-type]
-    assert list(in_report.warnings({"agreement": None})) == []
+    assert agreement_findings(motion, 2.0, KEYPOINT_M) == ()  # type: ignore[arg-type]

@@ -381,7 +381,8 @@ def test_command(tmp_path):
     assert report["assumptions"]["camera_level"] is False
     assert any("whose world is taken to be in metres with z up" in said for said in report["assumptions"]["sentences"])
     assert not any("stands still" in said for said in report["assumptions"]["sentences"])
-    assert any("its track has no pose for 5 frames of" in warning for warning in report["warnings"])
+    (found,) = (one for one in report["findings"] if one["code"] == "track_gaps")
+    assert found["numbers"]["count"] == 5
     assert report["cameras"][0]["track"]["frames_without_pose"] == 5
     results = read_results(out)
     truth = SAMPLES / "whole_truth.csv"

@@ -669,7 +669,7 @@ def test_exit_code_1_when_no_pose_can_be_found(tmp_path):
     used = sum(row["used"] or 0 for row in report_of(out)["keypoints"])
     assert f"{used} used, {30 * 24 - used} missing, 0 rejected" in ended.out
     assert report_of(out)["summary"]["keypoints"] == {"used": 4, "missing": 20, "unused": 0}
-    assert report_of(out)["warnings"] == ["no pose: too few points detected in every frame"]
+    assert [one["code"] for one in report_of(out)["findings"]] == ["no_pose"]
 
 
 def test_exit_code_1_when_no_frame_can_be_solved(tmp_path):

@@ -220,8 +220,8 @@ def test_fit_and_demo_print_their_summary_as_json(tmp_path):
     ended = run(*clip, "--out", tmp_path / "fit", "--json")
     assert (ended.code, ended.err) == (0, "")
     shown, report = json.loads(ended.out), json.loads((tmp_path / "fit" / "report.json").read_text())
-    assert {name: shown[name] for name in ("method", "summary", "warnings")} == {
-        name: report[name] for name in ("method", "summary", "warnings")
+    assert {name: shown[name] for name in ("method", "summary", "findings")} == {
+        name: report[name] for name in ("method", "summary", "findings")
     }
     assert shown["out"] == str(tmp_path / "fit")
     assert shown["seconds"] == report["timing_s"]["solve_s"]

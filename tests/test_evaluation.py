@@ -200,15 +200,15 @@ TURN = Rotation.from_rotvec([1.2, -0.7, 0.4]).as_matrix()
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        (lambda xyz: xyz @ TURN.T + [3.0, 1.0, 2.0], "One turn of the whole clip, by 8"),
+        (lambda xyz: xyz @ TURN.T + [3.0, 1.0, 2.0], "One rotation of the whole clip, by 8"),
         (lambda xyz: xyz[:, [1, 0, 3, 2, 4, 5]], "named the other way round."),
         (
             lambda xyz: xyz[:, [1, 0, 3, 2, 4, 5]] @ TURN,
-            "the other way round, and the two are probably in",
+            "the other way round, and the two in",
         ),
         (lambda xyz: xyz * [1.0, 1.0, -1.0], "left-handed axes"),
         (lambda xyz: 1000 * xyz, "One scale, by 0.00"),
-        (lambda xyz: 1000 * xyz @ TURN, "One scale and one turn of the whole clip, by 0.00"),
+        (lambda xyz: 1000 * xyz @ TURN, "One scale and one rotation of the whole clip, by 0.00"),
         (lambda xyz: xyz + np.array([0.0, 9.0, 0.0]), "m apart in all frames: they probably have different origins"),
     ],
 )

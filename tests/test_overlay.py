@@ -257,10 +257,10 @@ def test_each_camera_has_its_picture(filmed_twice, two_cameras, number):
 
 def test_what_is_wrong_with_one_cameras_detections_is_not_said_of_anothers(filmed_twice):
     result = read_results(filmed_twice)
-    flags = [["garbage"] * (t < 3) + ["data poor"] * (t == 2) for t in range(8)]
-    wrong = {"kind": "garbage", "camera": "cam2", "frames": [10, 13]}
+    flags = [["gross outliers"] * (t < 3) + ["data poor"] * (t == 2) for t in range(8)]
+    wrong = {"code": "gross_outliers", "camera": "cam2", "frames": [10, 13]}
     frames = [frame | {"flags": own} for frame, own in zip(result.report["frames"], flags, strict=True)]
-    result = replace(result, report=result.report | {"frames": frames, "mistakes": [wrong]})
+    result = replace(result, report=result.report | {"frames": frames, "findings": [wrong]})
     assert overlay_of(result, number=1).flags == flags
     assert overlay_of(result, number=0).flags == [["data poor"] if t == 2 else [] for t in range(8)]
 

@@ -18,6 +18,7 @@ from command_line import run
 from motions import with_first
 
 from recon.base.errors import InputError
+from recon.check import findings_of
 from recon.fit.results import read_results
 from recon.io.video import video_writer
 from recon.show.page.clip import doubtful_frames
@@ -80,6 +81,7 @@ def folder(small_trajectory, tmp_path_factory) -> Path:
     path = tmp_path_factory.mktemp("page") / "a & <b>"
     source = small_trajectory.sources[0]
     motion = with_first(small_trajectory, keypoints=replace(source.keypoints, source=f"/tmp/{EVIL}"))
+    motion = replace(motion, findings=findings_of(motion))
     write_clip(motion, FitSettings(keypoints=Path(EVIL), camera=Path("<script>.toml"), fps=30), path)
     return path
 
@@ -101,7 +103,7 @@ def test_a_page_says_what_the_report_says(page, folder):
     for text in (
         "Frames: 8 of 8 with a pose, 2 doubtful (1 no data, 1 data poor, 1 ambiguous depth).",
         "It ran 2.1 m, at 9.0 m/s in the mean and 9.0",
-        *results.report["warnings"],
+        *(one["text"] for one in results.report["findings"]),
         *results.report["assumptions"]["sentences"],
         "few joints were seen and trusted",
         "The acceleration is hardly known: most of the time it is less than its standard deviation.",
@@ -174,8 +176,9 @@ def test_a_page_without_any_pose(small_trajectory, tmp_path):
     names = ("states", "joints_m", "covariance_m2", "relative_covariance_m2", "alternative_m", "contact", "noise_px")
     nothing = {name: np.full_like(getattr(small_trajectory.solution, name), np.nan) for name in names}
     solution = replace(small_trajectory.solution, **nothing, spells=(), flags=(("no data",),) * 8)
+    motion = replace(small_trajectory, solution=solution)
     write_clip(
-        replace(small_trajectory, solution=solution),
+        replace(motion, findings=findings_of(motion)),
         FitSettings(keypoints=Path("run.csv"), camera=Path("camera.toml"), fps=30),
         tmp_path,
     )
@@ -183,7 +186,7 @@ def test_a_page_without_any_pose(small_trajectory, tmp_path):
     assert (ended.code, ended.err) == (0, "")
     assert ended.out.split() == f"Open {tmp_path / 'report.html'} in a browser.".split()
     page = Page(tmp_path / "report.html")
-    assert "no pose: too few points detected in every frame" in page.text
+    assert "No frame has a pose: too few points were detected in every frame." in page.text
     assert "Too few frames have a pose" in page.text
     assert "10 to 17" in page.text
     assert not page.attributes("img", "src")

@@ -13,23 +13,36 @@ import pytest
 from motions import with_first
 from rich.console import Console
 
+from recon.check import findings_of
 from recon.fit import Spell
+from recon.show import report as reports
 from recon.show.report import (
     SCHEMA_VERSION,
-    build_report,
     console_summary,
     is_unsolved,
     summary_lines,
     to_plain,
     write_report,
 )
-from recon.show.report.agreement import warnings as agreement_warnings
-from recon.show.report.cameras import step_warnings
-from recon.show.report.common import keypoint_warnings
 from recon.thesis import FrameReport
 from recon.thesis.frame import in_world
 
 DOCS = Path(__file__).resolve().parents[1] / "docs" / "report.md"
+
+
+def build_report(motion, *of_fit):
+    """Of a motion with the findings that it has now."""
+    return reports.build_report(replace(motion, findings=findings_of(motion)), *of_fit)
+
+
+def codes(report):
+    return [one["code"] for one in report["findings"]]
+
+
+def numbers(report, code):
+    """Of the finding with that code."""
+    (found,) = (one["numbers"] for one in report["findings"] if one["code"] == code)
+    return found
 
 
 @pytest.fixture(scope="module")
@@ -121,8 +134,8 @@ def test_a_frame_that_ran_away_says_so_and_has_no_part_in_the_medians(small_moti
     report = build_report(with_states(small_motion, states, tuple(reports)), {})
     assert report["frames"][2]["flags"] == ["ran away", "not converged", "stopped early"]
     assert (report["summary"]["frames_ran_away"], report["summary"]["frames_stopped"]) == (1, 1)
-    assert "1 frame without a pose: it ran out of the camera's sight" in report["warnings"]
-    assert "1 frame stopped early: no pose explains the points of this clip" in report["warnings"]
+    for code in ("frames_not_converged", "frames_diverged", "frames_stopped_early"):
+        assert numbers(report, code) == {"count": 1, "frames_total": 6}
     assert max(report["cost_shares"].values()) <= 1
     assert report["root_path"]["position_m"][2] == [None] * 3
 
@@ -155,14 +168,14 @@ def test_a_keypoint_that_the_file_lacks(small_motion):
     row = report["keypoints"][small_motion.names.index("spine")]
     assert (row["in_file"], row["used"], row["joint"]) == (False, None, "J9")
     assert report["missing_keypoints"] == ["spine"]
-    assert any("spine" in warning for warning in report["warnings"])
+    assert numbers(report, "keypoints_missing") == {"keypoints": ["spine"]}
 
 
 def test_scale_is_not_called_measured(report):
     base = report["assumptions"]["base_length"]
     assert (base["nominal_m"], base["sigma_m"], base["measured"]) == (0.203, 0.02, False)
     assert base["data_share"] == report["data_share"]["states"]["base_length_m"] < 0.01
-    assert any("scale not measured" in warning for warning in report["warnings"])
+    assert "scale_not_measured" in codes(report)
     assert report["assumptions"]["camera_level"] is True
 
 
@@ -254,7 +267,7 @@ def test_console_summary(report):
         "neck_base",
         "9.0 m/s",
         "0.203 m",
-        "scale not measured",
+        "The scale is not measured",
     ):
         assert expected in text
     assert 10 <= len(summary_lines(report)) <= 16
@@ -284,8 +297,8 @@ def test_summary_of_a_trajectory_adds_up(trajectory):
         "data poor": 1,
         "ambiguous depth": 1,
         "second solution": 0,
-        "sides exchanged": 0,
-        "garbage": 0,
+        "left-right swap": 0,
+        "gross outliers": 0,
     }
     assert summary["detections"] == 7 * 23
     assert summary["reprojection_px"]["mean"] == pytest.approx(300 / (7 * 23))
@@ -319,15 +332,18 @@ def test_size_says_what_it_comes_from(trajectory, small_trajectory):
     size = trajectory["size"]
     assert (size["factor"], size["sigma"], size["prior_sigma"], size["measured"]) == (1, 0.06, 0.1, False)
     assert size["data_share"] == pytest.approx(1 - 0.36)
-    assert not any("scale" in w for w in trajectory["warnings"])
-    given = build_report(small_trajectory, {"subject": "jules", "size_sigma": 0.06})
+    assert "scale_not_measured" not in codes(trajectory)
+    measured = with_solution(
+        small_trajectory, body=replace(small_trajectory.body, subject="jules"), size_prior_sigma=0.06
+    )
+    given = build_report(measured, {"subject": "jules"})
     assert (given["size"]["prior_sigma"], given["size"]["data_share"]) == (0.06, 0)
     assert given["size"]["measured"] is True
-    assert not any("scale" in w for w in given["warnings"])
-    assumed = build_report(small_trajectory, {"size_sigma": 0.06})
-    assert any("scale not measured" in w for w in assumed["warnings"])
+    assert "scale_not_measured" not in codes(given)
+    assumed = build_report(with_solution(small_trajectory, size_prior_sigma=0.06), {})
+    assert "scale_not_measured" in codes(assumed)
     odd = build_report(with_solution(small_trajectory, size=0.7), {})
-    assert any("size 0.70 is far from what is expected, 1 ± 0.1" in w for w in odd["warnings"])
+    assert numbers(odd, "size_unexpected") == {"size": 0.7, "expected_sigma": 0.1}
 
 
 def test_ground_and_stances(trajectory, small_trajectory, world_trajectory):
@@ -366,7 +382,9 @@ def test_every_spell_keeps_its_ground(small_trajectory):
     above = build_report(with_solution(small_trajectory, states=states, spells=(higher, second)), {})
     said = f"{-above['ground']['camera_height_m']:.2f} ± 0.03 m above the camera"
     assert dict(summary_lines(above))["ground"].startswith(said)
-    assert f"the ground comes out {said}" in next(w for w in above["warnings"] if "ground" in w)
+    (found,) = (one for one in above["findings"] if one["code"] == "ground_above_camera")
+    assert found["frames"] == [10, 13]
+    assert found["text"].startswith(f"The ground comes out {said}")
     heights = [f"{spell['camera_height_m']:.2f} ± 0.03 m below the camera" for spell in (one, other)]
     text = dict(summary_lines(report))["ground"]
     assert text.startswith(f"{heights[0]} (frames 10 to 12), {heights[1]} (frames 15 to 17); stances")
@@ -403,8 +421,9 @@ def test_a_motion_that_the_prior_does_not_know_is_named_first(trajectory, small_
     prior = report["prior"]
     assert (prior["surprise"], prior["weight"], prior["code"]) == (2.5, 0.16, "motion_unlike_prior")
     said = "unlike those that the prior running-cheetah knows (surprise 2.5"
-    assert report["warnings"][0].startswith(f"the motion is {said}")
-    assert "16% of its weight" in report["warnings"][0]
+    assert codes(report)[0] == "motion_unlike_prior"
+    found = {"prior": "running-cheetah", "misfit": 2.5, "limit": 2, "weight": 0.16}
+    assert numbers(report, "motion_unlike_prior") == found
     labels = [label for label, _ in summary_lines(report)]
     assert labels.index("motion") == labels.index("frames") + 1
     assert dict(summary_lines(report))["motion"].startswith(said)
@@ -413,11 +432,11 @@ def test_a_motion_that_the_prior_does_not_know_is_named_first(trajectory, small_
 def test_alternative(trajectory, small_trajectory):
     found = trajectory["alternative"]
     assert found == {"cost_difference": 3.5, "frames": 8, "mean_m": pytest.approx(0.65 / 8), "max_m": 0.3}
-    assert any("another solution explains 1 frame nearly as well, up to 0.30 m" in w for w in trajectory["warnings"])
+    assert numbers(trajectory, "second_solution") == {"count": 1, "frames_total": 8, "apart_m": 0.3}
     none = with_solution(small_trajectory, alternative_m=np.full(8, np.nan), flags=((),) * 8)
     report = build_report(none, {})
     assert report["alternative"] is None
-    assert not any("another solution" in w for w in report["warnings"])
+    assert "second_solution" not in codes(report)
     assert dict(summary_lines(report))["alternative"] == "no other solution nearly as good"
 
 
@@ -441,29 +460,28 @@ def test_which_way_is_up_is_an_assumption_or_not(trajectory, small_trajectory, w
     assert (given["assumptions"]["camera_level"], given["assumptions"]["camera_tilt_rad"]) == (False, 0.1)
     assert any("look down by 5.73 degrees" in sentence for sentence in given["assumptions"]["sentences"])
     for report, warned in ((trajectory, True), (known, False), (given, False)):
-        assert any("taken to be level" in warning for warning in report["warnings"]) == warned
+        assert ("camera_taken_level" in codes(report)) == warned
 
 
 def test_warnings_where_a_trajectory_is_not_to_be_trusted(small_trajectory):
     poor = (("data poor",),) * 8
     motion = with_solution(small_trajectory, status="not_converged", data_share=np.full(24, 0.3), flags=poor)
-    warnings = build_report(motion, {})["warnings"]
-    for expected in (
-        "before it had converged",
-        "a clip of 8 frames tells little",
-        "few data: 8 frames of 8",
-        "30% of their precision",
-        "not in the file",
-    ):
-        assert any(expected in warning for warning in warnings), expected
+    report = build_report(motion, {})
+    for code, expected in {
+        "not_converged": {},
+        "few_frames": {"count": 8},
+        "few_data": {"count": 8, "frames_total": 8},
+        "pose_mostly_expected": {"share": 0.3},
+        "keypoints_missing": {"keypoints": ["r_eye"]},
+    }.items():
+        assert numbers(report, code) == expected
     states, joints = small_trajectory.solution.states.copy(), small_trajectory.solution.joints_m.copy()
     states[:2], joints[:2] = np.nan, np.nan
     gaps = (("no data",),) * 4 + ((),) * 4
     report = build_report(with_solution(small_trajectory, states=states, joints_m=joints, flags=gaps), {})
-    assert report["warnings"][:2] == [
-        "2 frames of 8 without a pose: nothing detected",
-        "2 frames without detections: the pose comes from the frames around",
-    ]
+    assert codes(report)[:2] == ["frames_without_pose", "frames_bridged"]
+    assert numbers(report, "frames_without_pose") == {"count": 2, "frames_total": 8}
+    assert numbers(report, "frames_bridged") == {"count": 2, "frames_total": 8}
     assert report["root_path"]["position_m"][0] == [None] * 3
 
 
@@ -485,38 +503,39 @@ def test_the_summary_begins_with_a_distance_that_is_hardly_told(small_trajectory
             assert expected in dict(lines)["distance"]
 
 
-@pytest.mark.parametrize(("lags", "warned"), [((-0.4, 0.5), False), ((-0.7, 0.1, 0.8), True)])
-def test_cameras_that_look_out_of_step_are_named(lags, warned):
+@pytest.mark.parametrize(("lags", "warned"), [((-0.4, 0.5), False), ((0.8, -0.7), True)])
+def test_cameras_that_look_out_of_step_are_named(two_cameras, lags, warned):
     """A lag is expected within 0.29 frames, and the difference of two within 0.41."""
-    names = [f"cam{i}" for i in range(len(lags))]
-    seen = [{"name": name, "lag_frames": late} for name, late in zip(names, lags, strict=True)]
-    said = list(step_warnings({"solver": {"lag_frames": 12**-0.5}, "cameras": seen[::-1]}))
-    assert len(said) == warned
-    assert all("cam0 and cam2 look out of step, by 1.5 frames or more" in text for text in said)
-    assert all(text.endswith("or of another clip") for text in said)
-    assert not list(step_warnings({"solver": {}, "cameras": seen}))
+    both = zip(two_cameras.solution.views, two_cameras.sources, lags, strict=True)
+    views = tuple(replace(view, lead_frames=source.lead_frames + lag) for view, source, lag in both)
+    report = build_report(with_solution(two_cameras, views=views), {})
+    assert ("cameras_out_of_step" in codes(report)) == warned
+    if warned:
+        found = numbers(report, "cameras_out_of_step")
+        assert found == {"cameras": ["cam2", "cam1"], "apart_frames": pytest.approx(1.5)}
 
 
-def test_a_keypoint_that_does_not_fit_is_named():
-    rows = [
-        {"name": name, "outliers": outliers, "used": used}
-        for name, outliers, used in (("nose", 12, 40), ("l_shoulder", 30, 40), ("tail1", 9, 10), ("spare", None, None))
-    ]
-    report = {"missing_keypoints": [], "summary": {"outliers": 51, "detections": 90}, "keypoints": rows}
-    assert list(keypoint_warnings(report))[1:] == [
-        "l_shoulder does not fit in 75% of its 40 detections: check what it is a label of"
-    ]
-    report["keypoints"] = [{"name": f"p{i}", "outliers": 30, "used": 40} for i in range(7)]  # one line of them all
-    said = "7 keypoints do not fit in a third or more of their detections: p0, p1, p2, p3, p4 and 2 more"
-    assert list(keypoint_warnings(report))[1:] == [said]
+def shifted(motion, keypoints):
+    """Detections of these keypoints are 500 px off in all pictures."""
+    sources = []
+    for source in motion.sources:
+        xy_px = source.keypoints.xy_px.copy()
+        xy_px[:, keypoints] += 500.0
+        sources.append(replace(source, keypoints=replace(source.keypoints, xy_px=xy_px)))
+    return replace(motion, sources=tuple(sources))
 
 
-def test_cameras_that_never_see_the_animal_together_are_told():
-    cameras = [{"points": 0}, {"points": 0}]
-    (said,) = agreement_warnings({"agreement": {"cameras": cameras, "findings": []}})
-    assert said.startswith("no two cameras see a point at the same time: check --offset-s")
-    assert not list(agreement_warnings({"agreement": {"cameras": [{"points": 9}, *cameras], "findings": []}}))
-    assert not list(agreement_warnings({"agreement": None}))
+def test_a_keypoint_that_does_not_fit_is_named(two_cameras):
+    """In all detections of both cameras; of many, in one line."""
+    column = two_cameras.names.index("l_shoulder")
+    report = build_report(shifted(two_cameras, [column]), {})
+    assert numbers(report, "keypoint_does_not_fit") == {"keypoint": "l_shoulder", "share": 1, "used": 13}
+    assert "many_outliers" not in codes(report)
+    many = build_report(shifted(two_cameras, [*range(12)]), {})
+    assert "keypoint_does_not_fit" not in codes(many)
+    named = [name for name in two_cameras.names[:12] if name != "r_eye"]
+    assert numbers(many, "keypoints_do_not_fit") == {"count": len(named), "keypoints": named}
+    assert numbers(many, "many_outliers")["share"] == pytest.approx(0.5, abs=0.05)
 
 
 def test_no_pose_at_all(small_trajectory):
@@ -535,7 +554,7 @@ def test_no_pose_at_all(small_trajectory):
     report = build_report(motion, {})
     json.dumps(report, allow_nan=False)
     assert is_unsolved(report)
-    assert report["warnings"] == ["no pose: too few points detected in every frame"]
+    assert codes(report) == ["no_pose"]
     lines = dict(summary_lines(report))
     assert lines["frames"] == "0 of 8 with a pose, 8 doubtful (8 no data)"
     assert "nan" not in str(lines)
@@ -558,7 +577,7 @@ def test_console_summary_of_a_trajectory(trajectory):
         "stances: l_front_paw 1, r_front_paw 0",
         "at a cost higher by 3.5",
         "0.5 s, 25 iterations",
-        "camera taken to be level",
+        "The camera is taken to be level",
     ):
         assert expected in text
     assert "side" not in dict(summary_lines(trajectory))
@@ -653,9 +672,10 @@ def test_console_summary_of_several_cameras(several, two_cameras):
 @pytest.mark.parametrize("method", ["report", "trajectory", "several"])
 def test_every_field_is_documented(method, request):
     report = request.getfixturevalue(method)
-    documented = set(re.findall(r"`([\w ]+)`", DOCS.read_text(encoding="utf-8")))
-    open_names = {"settings", "solver", "timing_s", "camera"}  # others' fields
-    open_names |= {"cost_shares", "states", "ranges", "rates", "total", "cost_by_term", "stances"}  # by name
+    pages = DOCS.read_text(encoding="utf-8") + DOCS.with_name("findings.md").read_text(encoding="utf-8")
+    documented = set(re.findall(r"`([\w -]+)`", pages))
+    open_names = {"settings", "solver", "timing_s", "camera", "numbers"}  # others' fields
+    open_names |= {"cost_shares", "states", "ranges", "rates", "total", "cost_by_term", "stances", "flags"}  # by name
     by_name = {*report["skeleton"]["state_names"], *report["skeleton"]["keypoints"]}
 
     def keys(node):

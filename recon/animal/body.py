@@ -150,6 +150,8 @@ class Body:
     """How far off in a single frame, of markers of which it is known; of others it is keypoint_sigma_m."""
     detector: str | None = None
     """Whose keypoints are expected (`recon.animal.detector`)."""
+    subject: str | None = None
+    """The measured animal whose lengths these are, as it was named; None: those of the skeleton."""
 
     @cached_property
     def detected(self) -> Tree:

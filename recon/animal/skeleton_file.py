@@ -7,6 +7,7 @@ Built-in skeletons are the files of `recon/animal/skeletons`, built-in subjects 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
@@ -376,7 +377,7 @@ def _load_body(raw: dict[str, Any], source: str, subject: str | Path | None) -> 
         problems += _body_problems(file, source)
     if file is None or problems:
         raise InputError(dict.fromkeys(problems))  # both sides of a mirrored segment can have the same
-    return _body(file)
+    return replace(_body(file), subject=None if subject is None else str(subject))
 
 
 def _subject_problems(animal: _SubjectFile, file: _BodyFile, source: str) -> Iterator[Problem]:

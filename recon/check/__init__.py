@@ -1,1 +1,34 @@
-"""Diagnoses of an input or a fit."""
+"""Every diagnosis of an input or of a fit: a `Finding` has a code and numbers, `CODES` its severity and its words.
+
+`findings_of` are those of a motion; those that fit a clip again are `input_findings`, those that compare its cameras
+`agreement_findings`.
+"""
+
+from recon.check.agreement import agreement_findings
+from recon.check.codes import CODES, FLAG_OF, FLAGS, finding, names_text, sentence, sentences
+from recon.check.inputs import FileFacts, flagged, input_findings
+from recon.check.inputs.outliers import without_gross_outliers
+from recon.check.inputs.swaps import without_swaps
+from recon.check.mismatch import mismatches
+from recon.check.rules import findings_of
+from recon.fit.finding import Finding, Severity
+
+__all__ = [
+    "CODES",
+    "FLAGS",
+    "FLAG_OF",
+    "FileFacts",
+    "Finding",
+    "Severity",
+    "agreement_findings",
+    "finding",
+    "findings_of",
+    "flagged",
+    "input_findings",
+    "mismatches",
+    "names_text",
+    "sentence",
+    "sentences",
+    "without_gross_outliers",
+    "without_swaps",
+]

@@ -13,16 +13,18 @@ of two files would bring it back.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from itertools import combinations
-from typing import Literal
+from typing import Any
 
 import numpy as np
 
 from recon.base.arrays import Array, Index
+from recon.check.codes import finding
 from recon.clip import View
+from recon.fit.finding import Finding
+from recon.fit.motion import Motion
 
-Kind = Literal["exchanged", "turned", "late", "unknown", "apart"]
 Levels = Mapping[int, float]
 """By the camera's place. NaN: too few points to tell."""
 
@@ -52,7 +54,7 @@ _PARALLEL = 1e-4
 
 
 @dataclass(frozen=True)
-class CameraAgreement:
+class _CameraAgreement:
     """One camera against those that agree with each other."""
 
     points: int
@@ -70,37 +72,40 @@ class CameraAgreement:
     level_late: float
     """What the level would be with that."""
 
-
-@dataclass(frozen=True)
-class Finding:
-    """Cameras, by their places, that do not agree with the others, and why: as if their files were exchanged; turned;
-    late; for a reason unknown; or, where it cannot be said which of them is off, apart."""
-
-    cameras: tuple[int, ...]
-    kind: Kind
-    found: CameraAgreement | None = None
-    """What says so of a single camera, beside others in whose files exchanges are undone."""
+    @property
+    def numbers(self) -> dict[str, Any]:
+        """For a finding."""
+        return asdict(self)
 
 
-@dataclass(frozen=True)
-class Agreement:
-    frames: slice
-    """Rows of the clip that were compared."""
-    max_level: float
-    """Up to which a camera agrees."""
-    cameras: tuple[CameraAgreement, ...]
-    """Of each view, its file as it came."""
-    findings: tuple[Finding, ...]
-
-
-def camera_agreement(views: Sequence[View], fps: float, sigma_px: float, keypoint_sigma_m: float) -> Agreement:
-    """Of two or more views of the same T frames. Deterministic.
+def agreement_findings(motion: Motion, sigma_px: float, keypoint_sigma_m: float) -> tuple[Finding, ...]:
+    """Of a motion's cameras, as they were given: the lags that a fit found do not hide others. None of one camera.
 
     sigma_px: noise of the detector; keypoint_sigma_m: how far off a keypoint's place on the body it may lie as well.
     """
-    frames = _best_seen(views)
-    views = [view.part(frames) for view in views]
-    noise = (sigma_px, keypoint_sigma_m)
+    both = zip(motion.solution.views, motion.sources, strict=True)
+    views = [replace(view, lead_frames=source.lead_frames) for view, source in both]
+    if len(views) < 2:
+        return ()
+    offsets_s = [source.offset_s for source in motion.sources]
+    return camera_findings(views, motion.fps, motion.frames, offsets_s, sigma_px, keypoint_sigma_m)
+
+
+def camera_findings(
+    views: Sequence[View],
+    fps: float,
+    frames: Index,
+    offsets_s: Sequence[float],
+    sigma_px: float,
+    keypoint_sigma_m: float,
+) -> tuple[Finding, ...]:
+    """Of two or more views of the same T frames with these numbers: a note on each camera, and which do not agree with
+    the others and why, as if their files were exchanged, turned, late, for a reason unknown, or, where it cannot be
+    said which of them is off, with each other. Deterministic."""
+    rows = _best_seen(views)
+    views = [view.part(rows) for view in views]
+    compared = (int(frames[rows][0]), int(frames[rows][-1]) + 1)
+    names, noise = [view.camera.name for view in views], (sigma_px, keypoint_sigma_m)
     sights = sights_of(views, *noise)
     everyone = tuple(range(len(views)))
     levels, limit = _levels(sights, everyone), MAX_LEVEL
@@ -119,14 +124,33 @@ def camera_agreement(views: Sequence[View], fps: float, sigma_px: float, keypoin
     while len(among) > 2 and (turned := _standing_out(found, among)) is not None:
         among = tuple(v for v in among if v != turned)
         found = _agreements(judged, among, fps)
-    findings = [Finding(exchanged, "exchanged")] if exchanged else []
-    findings += [] if among else [Finding(everyone, "apart")]
-    for v in everyone if among else ():
-        if v not in among and not (_fits(found[v].level, limit) and _gain(found[v]) < CLEAR_GAIN):
-            findings.append(Finding((v,), _kind(found[v], limit), found[v]))
+    off = [v for v in everyone if among and v not in among and not _passes(found[v], limit)]
+    findings = [
+        finding(
+            _code(found[v], limit),
+            compared,
+            names[v],
+            **found[v].numbers,
+            offset_s=offsets_s[v] + found[v].late_frames / fps,
+        )
+        for v in off
+    ]
     for v in exchanged or ():  # as it came
         found[v] = _agreement(sights[v], [judged[o] for o in among or everyone if o != v], fps, wide=False)
-    return Agreement(frames, limit, tuple(found), tuple(findings))
+    for code, which in (("cameras_exchanged", exchanged), ("cameras_disagree", None if among else everyone)):
+        if which:
+            of_first = found[which[0]].numbers
+            findings.append(finding(code, compared, cameras=tuple(names[v] for v in which), **of_first))
+    if not any(one.points for one in found):
+        findings.append(finding("cameras_apart_in_time", compared))
+    notes = zip(names, found, strict=True)
+    findings += [finding("camera_agreement", compared, name, max_level=limit, **of.numbers) for name, of in notes]
+    return tuple(findings)
+
+
+def _passes(found: _CameraAgreement, limit: float) -> bool:
+    """Whether a camera that was put aside agrees all the same."""
+    return _fits(found.level, limit) and _gain(found) < CLEAR_GAIN
 
 
 def _best_seen(views: Sequence[View]) -> slice:
@@ -176,7 +200,7 @@ def _exchanged_pair(levels: Levels, trials: Mapping[tuple[int, int], Levels], li
     return min(good, key=lambda pair: good[pair], default=None)
 
 
-def _agreements(sights: Sequence[Sight], among: Sequence[int], fps: float) -> list[CameraAgreement]:
+def _agreements(sights: Sequence[Sight], among: Sequence[int], fps: float) -> list[_CameraAgreement]:
     """Each camera with those of them that are others."""
     return [
         _agreement(sight, [sights[o] for o in among if o != v], fps, wide=v not in among)
@@ -184,7 +208,7 @@ def _agreements(sights: Sequence[Sight], among: Sequence[int], fps: float) -> li
     ]
 
 
-def _gain(found: CameraAgreement) -> float:
+def _gain(found: _CameraAgreement) -> float:
     """How many times as high a camera's level is as with the turn or the lag that fits best; 1 where both are small."""
     clear = [
         found.level / max(level, 1e-9)
@@ -197,7 +221,7 @@ def _gain(found: CameraAgreement) -> float:
     return max(clear, default=1.0)
 
 
-def _standing_out(found: Sequence[CameraAgreement], among: Sequence[int]) -> int | None:
+def _standing_out(found: Sequence[_CameraAgreement], among: Sequence[int]) -> int | None:
     """The camera that a turn or a lag improves most, if it does so clearly: about its line of sight a camera can be
     turned by some degrees, and its level is still low."""
     worst = max(among, key=lambda v: _gain(found[v]))
@@ -241,12 +265,12 @@ def _cost_without(
     return not _agree(best, limit), _level_sum(best)
 
 
-def _kind(found: CameraAgreement, limit: float) -> Kind:
-    causes: dict[Kind, float] = {"late": found.level_late}
+def _code(found: _CameraAgreement, limit: float) -> str:
+    causes = {"camera_late": found.level_late}
     if found.turn_rad <= LARGEST_TURN_RAD:
-        causes["turned"] = found.level_turned
-    best = min(causes, key=lambda kind: causes[kind] if np.isfinite(causes[kind]) else np.inf)
-    return best if _is_explained(causes[best], found.level, limit) else "unknown"
+        causes["camera_turned"] = found.level_turned
+    best = min(causes, key=lambda code: causes[code] if np.isfinite(causes[code]) else np.inf)
+    return best if _is_explained(causes[best], found.level, limit) else "camera_off"
 
 
 # -- rays and points -----------------------------------------------------------------------------------------------
@@ -365,11 +389,11 @@ def _levels(sights: Sequence[Sight], among: Sequence[int]) -> Levels:
     return {v: _level(sights[v], _points([sights[o] for o in among if o != v])) for v in among}
 
 
-def _agreement(sight: Sight, others: Sequence[Sight], fps: float, wide: bool) -> CameraAgreement:
+def _agreement(sight: Sight, others: Sequence[Sight], fps: float, wide: bool) -> _CameraAgreement:
     """wide: a lag is sought far and wide."""
     if len(others) == 1:
         level, error_rad, n = pair_level(sight, others[0])
-        return CameraAgreement(n, error_rad * sight.focal_px, level, np.nan, np.nan, np.nan, np.nan)
+        return _CameraAgreement(n, error_rad * sight.focal_px, level, np.nan, np.nan, np.nan, np.nan)
     points = _points(others)
     towards, squared = _errors(sight, points)
     off_rad = np.linalg.norm(towards - sight.rays, axis=-1)
@@ -377,7 +401,7 @@ def _agreement(sight: Sight, others: Sequence[Sight], fps: float, wide: bool) ->
     error_px = float(np.median(off_rad[known])) * sight.focal_px if known.sum() >= MIN_POINTS else np.nan
     turned, turn_rad = _best_turned(sight, points)
     late, late_frames = _best_shifted(sight, points, fps, wide)
-    return CameraAgreement(
+    return _CameraAgreement(
         int(known.sum()),
         error_px,
         _level(sight, points),

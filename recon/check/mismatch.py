@@ -7,11 +7,14 @@ two stand in different axes, units or names instead.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from typing import Any
 
 import numpy as np
 
 from recon.animal.body import other_side
 from recon.base.arrays import Array, Bools
+from recon.check.codes import finding
+from recon.fit.finding import Finding
 
 SHARE = 1 / 3
 """An error that falls to this part of itself has been explained."""
@@ -27,8 +30,8 @@ FAR = 4.0
 """The same of the distance between the two, in sizes."""
 
 
-def mismatches(pose_m: Array, truth_m: Array, names: Sequence[str]) -> tuple[str, ...]:
-    """Sentences about two sets of positions (T, J, 3) in metres, NaN for missing; none where nothing is suspicious."""
+def mismatches(pose_m: Array, truth_m: Array, names: Sequence[str]) -> tuple[Finding, ...]:
+    """Of two sets of positions (T, J, 3) in metres, NaN for missing; none where nothing is suspicious."""
     joints = _common(pose_m, truth_m).sum(axis=1) >= 3
     pose_m, truth_m = pose_m[joints], truth_m[joints]
     common = _common(pose_m, truth_m)
@@ -37,63 +40,45 @@ def mismatches(pose_m: Array, truth_m: Array, names: Sequence[str]) -> tuple[str
     pose, truth = _centred(pose_m, common), _centred(truth_m, common)
     size = float(np.sqrt(np.mean(np.sum(truth**2, axis=2), where=common)))
     error = _error(pose, truth, common)
-    note, left = None, error
-    for said, other in _explanations(pose_m, truth_m, common, names):
+    found, left = None, error
+    for code, other, numbers in _explanations(pose_m, truth_m, common, names):
         if left > SMALL * size and other <= SHARE * left:
-            note, left = said.format(f"brings MPJPE from {1000 * error:.1f} to {1000 * other:.1f} mm"), other
+            found, left = finding(code, error_mm=1000 * error, left_mm=1000 * other, **numbers), other
     if left > UNLIKE * size:  # whatever else takes some of it away
         left = min(left, _error(pose @ _turn(pose, truth), truth, common))
     if left > UNLIKE * size:
-        return (
-            f"Even turned as a whole, the poses are {1000 * left:.0f} mm from the reference's, {left / size:.0%} of "
-            "the animal's size, as those of different clips are: probably it is of another clip or animal, its frames "
-            "are numbered otherwise, or the fit has failed.",
-        )
-    if note is not None:
-        return (note,)
+        return (finding("reference_unlike", left_mm=1000 * left, share=left / size),)
+    if found is not None:
+        return (found,)
     away = np.stack([np.mean(p, axis=0, where=c[:, None]) for p, c in zip(pose_m - truth_m, common, strict=True)])
     middle = np.median(away, axis=0)
     distance, rest = (float(np.linalg.norm(x, axis=1).mean()) for x in (away, away - middle))
     if distance > FAR * size and rest <= SHARE * distance:
-        x, y, z = middle
-        return (
-            f"The two are about ({x:.2f}, {y:.2f}, {z:.2f}) m apart in all frames: they probably have different "
-            "origins, or the animal's size, and with it its distance from the camera, is far off.",
-        )
+        x, y, z = middle.tolist()
+        return (finding("reference_elsewhere", x_m=x, y_m=y, z_m=z),)
     return ()
 
 
-def _explanations(pose_m: Array, truth_m: Array, common: Bools, names: Sequence[str]) -> Iterator[tuple[str, float]]:
-    """What the matter could be, the simplest first, and the error that would then be left."""
+def _explanations(
+    pose_m: Array, truth_m: Array, common: Bools, names: Sequence[str]
+) -> Iterator[tuple[str, float, dict[str, Any]]]:
+    """What the matter could be, the simplest first: its code, the error that would then be left, and its numbers."""
     pose, truth = _centred(pose_m, common), _centred(truth_m, common)
-    axes = (
-        "the two are probably in different frames of reference. A fit's pose3d.csv is in the frame of its camera "
-        "unless the camera file says where that stands, and every camera has its own."
-    )
     turn = _turn(pose, truth)
-    angle = np.degrees(np.arccos(np.clip((np.trace(turn) - 1) / 2, -1, 1)))
-    yield f"One turn of the whole clip, by {angle:.0f}°, {{}}: {axes}", _error(pose @ turn, truth, common)
+    angle = float(np.arccos(np.clip((np.trace(turn) - 1) / 2, -1, 1)))
+    yield "reference_rotated", _error(pose @ turn, truth, common), {"turn_rad": angle}
     sides = [names.index(other_side(name)) if other_side(name) in names else j for j, name in enumerate(names)]
     if sides != [*range(len(names))]:
         both = _common(pose_m[:, sides], truth_m)
-        exchanged, of_them = _centred(pose_m[:, sides], both), _centred(truth_m, both)
-        named = "the sides of the two are probably named the other way round"
-        yield f"Left exchanged with right {{}}: {named}.", _error(exchanged, of_them, both)
-        turned = exchanged @ _turn(exchanged, of_them)
-        yield (
-            f"Left exchanged with right, and one turn of the whole clip, {{}}: {named}, and {axes}",
-            _error(turned, of_them, both),
-        )
+        swapped, of_them = _centred(pose_m[:, sides], both), _centred(truth_m, both)
+        yield "reference_swapped", _error(swapped, of_them, both), {}
+        yield "reference_swapped_rotated", _error(swapped @ _turn(swapped, of_them), of_them, both), {}
     mirrored = pose * (1.0, -1.0, 1.0)
-    yield (
-        "A mirror image, turned, {}: one of the two probably has left-handed axes.",
-        _error(mirrored @ _turn(mirrored, truth), truth, common),
-    )
-    for what, moved in (("One scale", pose), ("One scale and one turn of the whole clip", pose @ turn)):
+    yield "reference_mirrored", _error(mirrored @ _turn(mirrored, truth), truth, common), {}
+    for code, moved in (("reference_scaled", pose), ("reference_scaled_rotated", pose @ turn)):
         factor = float(np.sum(moved * truth) / max(np.sum(moved**2), 1e-300))
         if not 1 / SCALED < factor < SCALED:
-            units = f"{what}, by {factor:.2g}, {{}}: the two are probably in different units"
-            yield units + (f", and {axes}" if moved is not pose else "."), _error(factor * moved, truth, common)
+            yield code, _error(factor * moved, truth, common), {"factor": factor}
 
 
 def _common(pose_m: Array, truth_m: Array) -> Bools:

@@ -25,7 +25,7 @@ def search_offsets(views: Sequence[View], fps: float, sigma_px: float, keypoint_
     """(V,): how many whole frames later than said each camera's pictures were taken, beside the first's; NaN where it
     sees too little together with the others to compare.
 
-    Of views of the same T frames; noise as in `recon.check.agreement.camera_agreement`. Each camera in turn is put
+    Of views of the same T frames; noise as in `recon.check.agreement.camera_findings`. Each camera in turn is put
     where its rays pass those of the cameras before it most closely, then, a few times, those of all others. 0 where
     nothing else is clearly better.
     """

@@ -19,7 +19,7 @@ from recon.base.records import load_record, save_record
 from recon.clip import Source, world_from_reference
 from recon.clip.keypoints import CleaningReport, Keypoints
 from recon.fit import Solution, Spell
-from recon.fit.mistake import Mistake
+from recon.fit.finding import Finding
 from recon.fit.result import OUTLIER_SIGMAS
 from recon.geometry.camera import Camera
 from recon.geometry.frames import inverse, moved
@@ -103,8 +103,8 @@ class Motion:
     side_reason: str
     solution: Solution
     """What the method found, and what else it says: a `TrajectorySolution`, or a `recon.thesis.FrameSolution`."""
-    mistakes: tuple[Mistake, ...] = ()
-    """What may be wrong with what the cameras saw."""
+    findings: tuple[Finding, ...] = ()
+    """What checks of the input and of the fit found (`recon.check`), the most serious first."""
     settings: Mapping[str, Any] = field(default_factory=dict)
     """All that the fit was told, as JSON has it; its paths are absolute, and in a folder of results relative to it."""
     timing_s: Mapping[str, float] = field(default_factory=dict)

@@ -86,10 +86,12 @@ class _Frame(_Part):
     flags: list[str]
 
 
-class _Mistake(_Part):
-    kind: str
+class _Finding(_Part):
+    code: str
+    severity: Literal["error", "warning", "note"]
     camera: str | None
-    frames: Annotated[list[int], Field(min_length=2, max_length=2)]
+    frames: Annotated[list[int], Field(min_length=2, max_length=2)] | None
+    text: str
 
 
 class _Outlier(_Part):
@@ -115,7 +117,7 @@ class _Report(_Part):
     skeleton: _Skeleton
     root_path: _RootPath
     frames: list[_Frame]
-    mistakes: list[_Mistake] = []
+    findings: list[_Finding]
     outliers: list[_Outlier]
     image_error_px: _ImageError
     size: _Size | None = None

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from recon.animal.body import Body
 from recon.clip import View
+from recon.fit.finding import Finding
 
 Array = NDArray[np.float64]
 
@@ -100,6 +101,10 @@ class Solution:
     stage_s: dict[str, float]
     """Seconds by stage, where the method tells them apart."""
 
+    def findings(self) -> tuple[Finding, ...]:
+        """What only this method can say of its own solution."""
+        return ()
+
     @property
     def posed(self) -> NDArray[np.bool_]:
         """(T,): frames that have a pose."""
@@ -127,6 +132,8 @@ class TrajectorySolution(Solution):
 
     size_sigma: float
     """Of the size: its posterior standard deviation."""
+    size_prior_sigma: float
+    """Of the size, what was expected around 1."""
     size_from: tuple[str, ...]
     """What says the size: "prior", and where they do "views" and "ground"."""
     data_share: Array

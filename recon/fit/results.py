@@ -29,7 +29,7 @@ from recon.geometry.camera import Camera
 from recon.geometry.frames import moved
 from recon.io.pose3d import Pose3D, read_pose3d
 
-SCHEMA_NAME, SCHEMA_VERSION = "recon.fit.report", 3
+SCHEMA_NAME, SCHEMA_VERSION = "recon.fit.report", 4
 """Of report.json."""
 MADE_BY = {
     "recon.retarget": "recon retarget",

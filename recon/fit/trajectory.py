@@ -345,6 +345,7 @@ def _solution(setting: Setting, solved: Sequence[Solved], began: float) -> Traje
         **of_views,
         size=size,
         size_sigma=size_sigma,
+        size_prior_sigma=setting.size_sigma,
         size_from=size_from,
         data_share=np.sum(shares, axis=0) / posed if shares else np.full(len(setting.body.markers), np.nan),
         flags=flags,

@@ -17,7 +17,7 @@ import numpy as np
 
 from recon.base.errors import InputError, Problem, all_of
 from recon.base.manifest import MANIFEST, read_manifest
-from recon.check.mismatch import mismatches
+from recon.check import mismatches, sentence
 from recon.clip.keypoints import frame_ranges
 from recon.fit.regions import radius
 from recon.fit.results import SIGMAS, TABLES, read_sigmas
@@ -181,7 +181,7 @@ def evaluate(pose: Pose3D, truth: Pose3D, sigmas_m: tuple[np.ndarray, np.ndarray
         joints_only_in_truth=tuple(name for name in truth.names if name not in names),
         frames_only_in_pose=frame_ranges(np.setdiff1d(pose.frames, frames)),
         frames_only_in_truth=frame_ranges(np.setdiff1d(truth.frames, frames)),
-        notes=mismatches(pose_m, truth_m, names),
+        notes=tuple(map(sentence, mismatches(pose_m, truth_m, names))),
     )
 
 

@@ -25,7 +25,15 @@ from recon.base.errors import InputError, Problem, all_of
 from recon.base.files import require_free_folder, sole_writer, staged_results, write_bytes
 from recon.base.manifest import MANIFEST
 from recon.base.progress import Progress, silent
-from recon.check.mistakes import Known, find_mistakes, with_flags, with_sides_mended, without_garbage
+from recon.check import (
+    FileFacts,
+    agreement_findings,
+    findings_of,
+    flagged,
+    input_findings,
+    without_gross_outliers,
+    without_swaps,
+)
 from recon.clip import FramePoses, Source, View, at_rate, held, together, views_of
 from recon.clip.keypoints import CleaningReport, Keypoints, clean, leave_out, parse_frame_range
 from recon.fit import TrajectorySolution, solve_trajectory
@@ -92,11 +100,12 @@ def fit_clip(settings: FitSettings, progress: Progress = silent) -> Motion:
         return _whole_motion(given, settings, progress)
     (view,), T = views_of(given.sources), len(given.sources[0].keypoints.frames)
     solution = solve_frames(view, chain, given.fps, settings.frame_options(), lambda done: progress("frames", done / T))
-    return Motion(given.sources, given.side, given.side_reason, solution, settings=settings.plain())
+    motion = Motion(given.sources, given.side, given.side_reason, solution, settings=settings.plain())
+    return replace(motion, findings=findings_of(motion))
 
 
 def _whole_motion(given: Prepared, settings: FitSettings, progress: Progress) -> Motion:
-    """By the trajectory method, again where detections are garbage or, as asked for, sides exchanged."""
+    """By the trajectory method, again without gross outliers and, as asked for, without left-right swaps."""
     body, prior, sources, options = given.model.body, given.model.prior, given.sources, settings.trajectory_options()
     assert prior is not None
 
@@ -109,26 +118,28 @@ def _whole_motion(given: Prepared, settings: FitSettings, progress: Progress) ->
     else:
         solution = solved(sources)
     began = time.perf_counter()
-    cleaned, garbage = without_garbage(sources, solution)
-    again = solved(cleaned) if garbage else solution
+    cleaned, outliers = without_gross_outliers(sources, solution)
+    again = solved(cleaned) if outliers else solution
     if again.posed.any() or not solution.posed.any():
         sources, solution = cleaned, again
     else:  # a fit that gets nowhere without them was wrong about them
-        garbage = ()
-    mistakes = find_mistakes(solution, body, prior, given.fps, options, _known(given, settings))
-    if settings.fix_swaps and any(one.kind == "sides" for one in mistakes):
-        sources, mistakes = with_sides_mended(sources, mistakes, body)
+        outliers = ()
+    motion = Motion(sources, given.side, given.side_reason, solution, settings=settings.plain())
+    found = input_findings(motion, prior, options, _file_facts(given, settings))
+    if settings.fix_swaps and any(one.code == "left_right_swap" for one in found):
+        sources, found = without_swaps(sources, found, body)
         solution = solved(sources)
-    stage_s = solution.stage_s | {"mistakes": time.perf_counter() - began}
-    solution = with_flags(replace(solution, stage_s=stage_s), (*garbage, *mistakes))
+    stage_s = solution.stage_s | {"input_findings": time.perf_counter() - began}
+    motion = replace(motion, sources=sources, solution=replace(solution, stage_s=stage_s))
+    found = (*outliers, *found, *agreement_findings(motion, options.sigma_px, options.keypoint_noise_m(body)))
     if settings.seeks_cameras:
-        found = zip(sources, solution.placing, solution.focal, strict=True)
-        sources = tuple(replace(s, camera=s.camera.placed(by).lengthened(longer)) for s, by, longer in found)
-    mistakes = (*garbage, *mistakes)
-    return Motion(sources, given.side, given.side_reason, solution, mistakes, settings=settings.plain())
+        placed = zip(sources, solution.placing, solution.focal, strict=True)
+        sources = tuple(replace(s, camera=s.camera.placed(by).lengthened(longer)) for s, by, longer in placed)
+    motion = replace(flagged(motion, found), sources=sources, findings=found)
+    return replace(motion, findings=findings_of(motion))
 
 
-def _known(given: Prepared, settings: FitSettings) -> Known:
+def _file_facts(given: Prepared, settings: FitSettings) -> FileFacts:
     """What the files say of a clip besides its keypoints."""
     others, named = [], []
     for source, path in zip(given.sources, settings.keypoints, strict=True):
@@ -137,7 +148,7 @@ def _known(given: Prepared, settings: FitSettings) -> Known:
         others.append(() if names else tuple(camera for camera in cameras if camera.has_extrinsics))
         named.append(None if not names or source.camera.name in names else next(iter(names)))
     stated_hz = next((s.keypoints.stated_fps for s in given.sources if s.keypoints.stated_fps is not None), None)
-    return Known(tuple(others), tuple(named), stated_hz, sides=not settings.fast or bool(settings.fix_swaps))
+    return FileFacts(tuple(others), tuple(named), stated_hz, swaps=not settings.fast or bool(settings.fix_swaps))
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from recon.base.arrays import Array, Index
 from recon.base.errors import InputError, Problem, all_of
 from recon.base.files import require_free_file, staged_file, write_bytes
 from recon.base.progress import Progress, silent
-from recon.check.mistakes import FLAGS
+from recon.check import FLAG_OF
 from recon.clip.keypoints import Keypoints
 from recon.fit.results import Results, read_results
 from recon.io import read_keypoints
@@ -193,13 +193,13 @@ def overlay_of(result: Results, speed: float = 1.0, zoom: int = 1, number: int =
 def _flags(result: Results, number: int) -> Iterator[list[str]]:
     """By frame: what is doubtful about it in a camera's picture, without what is wrong with others' detections."""
     own = [
-        (FLAGS.get(mistake["kind"]), *mistake["frames"])
-        for mistake in result.report.get("mistakes", ())
-        if mistake["camera"] in (None, result.cameras[number].name)
+        (FLAG_OF[one["code"]], *one["frames"])
+        for one in result.report["findings"]
+        if one["code"] in FLAG_OF and one["camera"] in (None, result.cameras[number].name)
     ]
     for frame, flags in zip(result.pose.frames.tolist(), result.flags, strict=True):
         here = {flag for flag, first, stop in own if first <= frame < stop}
-        yield [flag for flag in flags if flag in here or flag not in FLAGS.values()]
+        yield [flag for flag in flags if flag in here or flag not in FLAG_OF.values()]
 
 
 def _enlarged(xy_px: Array, zoom: int) -> Array:

@@ -10,6 +10,7 @@ from typing import Any, Literal
 import numpy as np
 
 from recon.base.arrays import Array
+from recon.check import FLAGS
 from recon.fit.results import MEASURED_SHARE, Results
 from recon.gait.clip import gaits_of, reference_motion
 from recon.gait.gait import Gait, Method
@@ -18,7 +19,7 @@ from recon.gait.path import MIN_POINTS
 from recon.show import plots
 from recon.show.page.render import inline, rendered
 from recon.show.plots.angles import AngleCurve, angle_over_time, together
-from recon.show.report import summary_lines
+from recon.show.report import summary_lines, warnings
 
 SECTION_CHARACTERS = 600_000
 """The most that the vector graphics of a section take; three sections and the stills are below 3 MB."""
@@ -28,16 +29,6 @@ SPEED_MM = 130.0
 LENGTHS, POSES, STRETCHES = 4.0, 7, 3
 """How many times its length an animal runs in a figure of so many poses, in so many stretches of the clip at most."""
 UNKNOWN_ACCELERATION = " The acceleration is hardly known: most of the time it is less than its standard deviation."
-MEANING = {
-    "no data": "nothing was detected: the pose, if there is one, comes from the frames around",
-    "ran away": "the best pose was out of the camera's sight, and the frame has none",
-    "data poor": "few joints were seen and trusted",
-    "ambiguous depth": "another pose, with near and far exchanged, explains it nearly as well",
-    "second solution": "another pose explains it nearly as well",
-    "sides exchanged": "the detections look as if left and right were exchanged",
-    "garbage": "the detections are not those of an animal",
-}
-"""Of flags, for readers who have not seen docs/how-to/read-the-report.md."""
 
 
 @dataclass(frozen=True)
@@ -73,14 +64,14 @@ def clip_page(
         title=", ".join(dict.fromkeys(_base(camera["keypoints"]) for camera in report["cameras"])),
         subtitle=_subtitle(results),
         words=list(_words(results, moved, gaits)),
-        warnings=report["warnings"],
+        warnings=warnings(report),
         stills=stills,
         behind=behind,
         camera=results.cameras[number].name if len(results.cameras) > 1 else "the camera",
         sections=[] if moved is None else list(_sections(results, moved, gaits)),
         doubtful=doubtful[:SHOWN],
         more_doubtful=max(0, len(doubtful) - SHOWN),
-        meaning={flag: text for flag, text in MEANING.items() if any(flag in flags for flags in results.flags)},
+        meaning={flag: text for flag, text in FLAGS.items() if any(flag in flags for flags in results.flags)},
         summary=[line for line in summary_lines(report) if line[0] != "warning"],
         assumptions=report["assumptions"]["sentences"],
         settings=[(name, _plain(value)) for name, value in report["settings"].items() if value is not None],

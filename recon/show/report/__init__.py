@@ -1,17 +1,19 @@
 """The report of a fit, as plain JSON types. Every field is documented in docs/report.md.
 
-common: what both methods have. frame, trajectory: what each adds, its warnings and its summary.
+common: what both methods have. frame, trajectory: what each adds, and its summary.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import fields
 from typing import Any
 
 from rich.table import Table
 from rich.text import Text
 
 from recon.base.package import version
+from recon.check import Finding, sentences
 from recon.fit.motion import Motion
 from recon.fit.results import SCHEMA_NAME, SCHEMA_VERSION
 from recon.show.report import frame, trajectory
@@ -27,6 +29,7 @@ __all__ = [
     "summary_lines",
     "to_json",
     "to_plain",
+    "warnings",
     "write_report",
 ]
 
@@ -53,11 +56,18 @@ def build_report(
         "method": method,
         "settings": settings,
         "timing_s": seconds,
-        "warnings": [],
+        "findings": [_entry(one, text) for one, text in sentences(motion)],
     }
-    plain = to_plain(head | own)
-    plain["warnings"] = list(_METHODS[method].warnings(plain))
-    return plain
+    return to_plain(head | own)
+
+
+def _entry(one: Finding, text: str) -> dict[str, Any]:
+    return {field.name: getattr(one, field.name) for field in fields(Finding)} | {"text": text}
+
+
+def warnings(report: Mapping[str, Any]) -> list[str]:
+    """What is wrong or to be used with care, in words: the findings but for notes."""
+    return [one["text"] for one in report["findings"] if one["severity"] != "note"]
 
 
 def is_unsolved(report: Mapping[str, Any]) -> bool:
@@ -71,7 +81,7 @@ def frames_with_pose(report: Mapping[str, Any]) -> int:
 
 def summary_lines(report: Mapping[str, Any]) -> list[tuple[str, str]]:
     """(label, value) of what one wants to see after a fit; the warnings come last."""
-    return [*_METHODS[report["method"]].lines(report), *(("warning", text) for text in report["warnings"])]
+    return [*_METHODS[report["method"]].lines(report), *(("warning", text) for text in warnings(report))]
 
 
 def console_summary(report: Mapping[str, Any]) -> Table:

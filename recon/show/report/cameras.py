@@ -13,10 +13,7 @@ from recon.base.arrays import Array, finite, mean, median
 from recon.clip import Source
 from recon.fit import TrajectorySolution
 from recon.fit.motion import Motion, Picture
-from recon.show.report.plain import file_name, frame_count, number
-
-OUT_OF_STEP_SIGMAS = 3.0
-"""Two cameras' lags further apart than this, of what is expected of their difference, are a mistake in time."""
+from recon.show.report.plain import file_name, number
 
 
 def section(motion: Motion) -> list[dict[str, Any]]:
@@ -85,30 +82,6 @@ def _track(source: Source) -> dict[str, Any] | None:
         "translation_m": poses[:, :3, 3],
         "intrinsics_px": source.poses.intrinsics_px,
     }
-
-
-def warnings(report: Mapping[str, Any]) -> Iterator[str]:
-    for camera in report["cameras"]:
-        missing = (camera["track"] or {}).get("frames_without_pose")
-        if missing:
-            yield (
-                f"camera {camera['name']}: its track has no pose for {frame_count(missing)} of "
-                f"{report['summary']['frames']}, whose detections are left out"
-            )
-
-
-def step_warnings(report: Mapping[str, Any]) -> Iterator[str]:
-    """A lag is expected to be a fraction of a frame: one that comes out larger is held back, and larger still."""
-    expected, seen = report["solver"].get("lag_frames"), [c for c in report["cameras"] if c["lag_frames"] is not None]
-    if expected is None or len(seen) < 2:
-        return
-    first, *_, last = sorted(seen, key=lambda camera: camera["lag_frames"])
-    apart = last["lag_frames"] - first["lag_frames"]
-    if apart > OUT_OF_STEP_SIGMAS * math.sqrt(2.0) * expected:
-        yield (
-            f"{first['name']} and {last['name']} look out of step, by {apart:.1f} frames or more (measured by "
-            "--find-offsets), or one of them is turned, or of another clip"
-        )
 
 
 def stacked(motion: Motion, field: str) -> Array:

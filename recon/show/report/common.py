@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import fields
 from typing import Any, TypeVar
 
@@ -11,6 +11,7 @@ import numpy as np
 
 from recon.animal.naming import suggestions
 from recon.base.arrays import Array, finite, mean, median
+from recon.check import names_text
 from recon.clip.keypoints import KeypointCounts
 from recon.fit import TrajectoryOptions
 from recon.fit.motion import Motion
@@ -22,12 +23,6 @@ from recon.show.report.plain import by_name, file_name
 from recon.thesis import FrameOptions
 
 BEST_SHARE = 0.9
-NAMED = 5
-"""Keypoints are listed up to this number in the summary."""
-WARN_OUTLIERS = 0.05
-"""Share of the detections from which the report warns."""
-WARN_KEYPOINT, WARN_KEYPOINT_LEAST = 1 / 3, 10
-"""Share, and number, of one keypoint's detections from which it is named."""
 
 Options = TypeVar("Options", FrameOptions, TrajectoryOptions)
 Lines = list[tuple[str, str]]
@@ -225,29 +220,6 @@ def _kinematics(motion: Motion, smoothing_m: Array | None) -> dict[str, Any]:
 # -- summing up ---------------------------------------------------------------------------------------------------
 
 
-def keypoint_warnings(report: Mapping[str, Any]) -> Iterator[str]:
-    summary = report["summary"]
-    if report["missing_keypoints"]:
-        yield f"not in the file: {', '.join(report['missing_keypoints'])}"
-    if summary["outliers"] > WARN_OUTLIERS * max(summary["detections"], 1):
-        share = summary["outliers"] / summary["detections"]
-        yield f"many outliers: {summary['outliers']} detections ({share:.0%}) do not agree with the pose"
-    off = {}
-    for row in report["keypoints"]:
-        count, used = row["outliers"] or 0, row["used"] or 0
-        if count > max(WARN_KEYPOINT * used, WARN_KEYPOINT_LEAST):
-            off[row["name"]] = f"{row['name']} does not fit in {count / used:.0%} of its {used} detections"
-    if len(off) > NAMED:
-        yield f"{len(off)} keypoints do not fit in a third or more of their detections: {first_names([*off])}"
-        return
-    yield from (f"{text}: check what it is a label of" for text in off.values())
-
-
-def camera_warnings(report: Mapping[str, Any]) -> Iterator[str]:
-    if report["assumptions"]["camera_level"]:
-        yield "camera taken to be level: its file does not say which way is up"
-
-
 def clip_line(report: Mapping[str, Any]) -> tuple[str, str]:
     given = report["input"]
     first, stop = given["frames"]
@@ -284,17 +256,11 @@ def _keypoints_text(report: Mapping[str, Any]) -> str:
     lacking = [row["name"] for row in report["keypoints"] if row["joint"] is not None and not row["used"]]
     total = counts["used"] + counts["missing"]
     share = f"{counts['used']}" if lacking else "all"
-    missing = f"; missing: {first_names(lacking)}" if lacking else ""
-    unused = f"; not used: {first_names(report['unused_keypoints'])}" if report["unused_keypoints"] else ""
+    missing = f"; missing: {names_text(lacking)}" if lacking else ""
+    unused = f"; not used: {names_text(report['unused_keypoints'])}" if report["unused_keypoints"] else ""
     near = suggestions(report["unused_keypoints"], report["missing_keypoints"])
-    perhaps = f"; perhaps the same (--rename): {first_names([f'{a} for {b}' for a, b in near.items()])}" if near else ""
+    perhaps = f"; perhaps the same (--rename): {names_text([f'{a} for {b}' for a, b in near.items()])}" if near else ""
     return f"{share} of the skeleton's {total} used{missing}{unused}{perhaps}"
-
-
-def first_names(names: Sequence[str]) -> str:
-    """The first of them."""
-    more = f" and {len(names) - NAMED} more" if len(names) > NAMED else ""
-    return ", ".join(names[:NAMED]) + more
 
 
 def _reprojection(errors: Mapping[str, Any]) -> str:

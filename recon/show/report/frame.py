@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import fields
 from typing import Any
 
@@ -14,12 +14,8 @@ from recon.fit.results import MEASURED_SHARE
 from recon.gait.kinematics import peak_doubt
 from recon.geometry.frames import level_axes
 from recon.show.report import common
-from recon.show.report.plain import by_name, frame_count, number, spread
+from recon.show.report.plain import by_name, number, spread
 from recon.thesis import FrameOptions, FrameReport, FrameSolution, base_length
-from recon.thesis.frame import FEW_POINTS_SHARE
-
-WARN_FEW_POINTS, WARN_LIMITS = 0.2, 0.25
-"""Shares of the frames from which the report warns."""
 
 
 def sections(motion: Motion, settings: Mapping[str, Any]) -> dict[str, Any]:
@@ -184,30 +180,6 @@ def _field_of_frames(solution: FrameSolution, field: str, *shape: int) -> Array:
 
 
 # -- summing up ---------------------------------------------------------------------------------------------------
-
-
-def warnings(report: Mapping[str, Any]) -> Iterator[str]:
-    """What a reader should know before using the numbers, most serious first."""
-    summary, frames = report["summary"], report["frames"]
-    total, solved = summary["frames"], summary["frames"] - summary["frames_no_data"]
-    if summary["frames_not_converged"]:
-        yield f"{frame_count(summary['frames_not_converged'])} did not converge"
-    if summary["frames_ran_away"]:
-        yield f"{frame_count(summary['frames_ran_away'])} without a pose: it ran out of the camera's sight"
-    if summary["frames_stopped"]:
-        yield f"{frame_count(summary['frames_stopped'])} stopped early: no pose explains the points of this clip"
-    if summary["frames_no_data"]:
-        yield f"{frame_count(summary['frames_no_data'])} of {total} without a pose: too few points detected"
-    few = sum("few points" in frame["flags"] for frame in frames)
-    if solved and few > WARN_FEW_POINTS * solved:
-        yield f"few data: {frame_count(few)} of {solved} with less than {FEW_POINTS_SHARE:.0%} of the joints detected"
-    yield from common.keypoint_warnings(report)
-    at_limit = sum("at range limit" in frame["flags"] for frame in frames)
-    if solved and at_limit > WARN_LIMITS * solved:
-        yield f"angles beyond their expected ranges in {at_limit} of {solved} frames"
-    if not report["assumptions"]["base_length"]["measured"]:
-        yield "scale not measured: it comes from the expected base length"
-    yield from common.camera_warnings(report)
 
 
 def lines(report: Mapping[str, Any]) -> common.Lines:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -12,7 +12,7 @@ from recon.animal.detector import NONE as NO_DETECTOR
 from recon.animal.detector import OWN
 from recon.animal.prior import NONE
 from recon.base.arrays import Array, finite, mean, median
-from recon.check.mistakes import FASTEST_M_S, GARBAGE, SIDES
+from recon.check import FLAGS
 from recon.clip.keypoints import frame_ranges
 from recon.fit import TrajectoryOptions
 from recon.fit.motion import Motion
@@ -21,29 +21,22 @@ from recon.fit.results import MEASURED_SHARE
 from recon.fit.surprise import LEVEL
 from recon.fit.trajectory import ALTERNATIVE_M
 from recon.gait.path import MIN_POINTS
-from recon.show.report import agreement, cameras, common, mistakes
+from recon.show.report import cameras, common
 from recon.show.report.plain import by_name, file_name, frame_count, number
 
-FLAGS = ("no data", "ran away", "data poor", "ambiguous depth", "second solution", SIDES, GARBAGE)
 STANCE = 0.5
 """A foot with more contact than this stands."""
 HARDLY_TOLD = 0.1
 """Standard deviation of the distance, relative to it, from which the summary begins with it."""
 UNLIKE = "motion_unlike_prior"
 """The code of a motion that the prior does not know."""
-FEW_FRAMES = 12
-"""Fewer tell little more than one does."""
-WARN_POOR = 0.2
-"""Share of the frames from which the report warns."""
 SAID_BY = {"views": "where the cameras are", "ground": "the camera's height above the ground"}
 """What else than the expectation says the size."""
-WARN_SIZE = 2.5
-"""A size further off what is expected, in standard deviations, says that something else is wrong."""
 
 
 def sections(motion: Motion, settings: Mapping[str, Any]) -> dict[str, Any]:
     solution = _solution(motion)
-    size, spells = _size(solution, settings), _spells(motion)
+    size, spells = _size(solution), _spells(motion)
     return {
         **common.head(motion),
         "skeleton": common.skeleton(motion),
@@ -63,8 +56,6 @@ def sections(motion: Motion, settings: Mapping[str, Any]) -> dict[str, Any]:
         "alternative": _alternative(solution),
         "stances": by_name([motion.names[foot] for foot in motion.feet], _stances(motion)),
         "heading": _heading(motion),
-        "agreement": agreement.section(motion, settings),
-        "mistakes": mistakes.section(motion),
         "uncertainty": _uncertainty(motion),
         "angles": common.angles(motion),
         "frames": _frames(motion),
@@ -84,18 +75,16 @@ def _solution(motion: Motion) -> TrajectorySolution:
 # -- sections -----------------------------------------------------------------------------------------------------
 
 
-def _size(solution: TrajectorySolution, settings: Mapping[str, Any]) -> dict[str, Any]:
+def _size(solution: TrajectorySolution) -> dict[str, Any]:
     """The factor on the skeleton's lengths: what was expected, and what came out."""
-    given = settings.get("size_sigma")
-    prior_sigma = solution.body.size_sigma if given is None else given
-    subject = settings.get("subject")
+    prior_sigma, subject = solution.size_prior_sigma, solution.body.subject
     return {
         "factor": solution.size,
         "sigma": solution.size_sigma,
         "prior_sigma": prior_sigma,
         "data_share": max(0.0, 1.0 - (solution.size_sigma / prior_sigma) ** 2),
         "from": solution.size_from,
-        "subject": subject,
+        "subject": file_name(subject),
         "lengths": solution.body.title,
         "measured": subject is not None,
     }
@@ -286,72 +275,6 @@ def _tail(motion: Motion) -> dict[str, Any]:
 
 
 # -- summing up ---------------------------------------------------------------------------------------------------
-
-
-def warnings(report: Mapping[str, Any]) -> Iterator[str]:
-    """What a reader should know before using the numbers, most serious first."""
-    summary, size = report["summary"], report["size"]
-    flags, solved = summary["flags"], summary["frames_with_pose"]
-    yield from mistakes.warnings(report)
-    if not solved:
-        why = "too far off to be seen" if flags["ran away"] else "too few points detected in every frame"
-        yield f"no pose: {why}"
-        yield from agreement.warnings(report)
-        return
-    yield from agreement.warnings(report)
-    yield from cameras.step_warnings(report)
-    if report["prior"]["code"] == UNLIKE and all(one["kind"] != "frame_rate" for one in report["mistakes"]):
-        yield (
-            f"the motion is {_unlike_text(report)}. So the prior has {report['prior']['weight']:.0%} of its weight: "
-            "the pixels and each angle's own range count more, and sigmas are larger. A wrong frame rate or "
-            "exchanged sides surprise it, too; to many such clips a prior of their own can be fitted (recon prior fit)"
-        )
-    for ground in (spell["ground"] for spell in report["spells"]):
-        if ground and ground["camera_height_m"] < 0:
-            yield (
-                f"the ground comes out {_height_text(ground, _first(report))}: it cannot be, unless the animal runs "
-                "higher up a slope. Check which way the camera looks (--tilt-deg, the camera file), then the size"
-            )
-    if report["convergence"]["status"] != "converged":
-        yield "the search ended before it had converged"
-    if abs(size["factor"] - 1) > WARN_SIZE * size["prior_sigma"]:
-        yield (
-            f"size {size['factor']:.2f} is far from what is expected, 1 ± {size['prior_sigma']:.2g}: check the "
-            + ("camera" if len(report["cameras"]) == 1 else "cameras, whether all files are of one clip")
-            + ", the frame rate and the skeleton"
-        )
-    path = report["root_path"]
-    speed = (path["smoothed"] or path["exact"])["mean_speed_m_s"]
-    if speed is not None and speed > FASTEST_M_S:
-        yield f"{speed:.0f} m/s: no animal runs so fast; check the frame rate, then the camera and the size"
-    if second := _ambiguous_frames(report):
-        yield (
-            f"another solution explains {frame_count(len(second))} nearly as well, up to "
-            f"{max(frame['alternative_m'] or 0.0 for frame in second):.2f} m away"
-        )
-    if away := flags["ran away"]:
-        yield f"{frame_count(away)} of {summary['frames']} without a pose: it was too far off to be seen"
-    unseen = summary["frames"] - solved - away
-    if unseen > 0:
-        yield f"{frame_count(unseen)} of {summary['frames']} without a pose: nothing detected"
-    bridged = flags["no data"] - unseen
-    if bridged > 0:
-        yield f"{frame_count(bridged)} without detections: the pose comes from the frames around"
-    if solved < FEW_FRAMES:
-        yield (
-            f"a clip of {frame_count(solved)} tells little: not how the animal moves, nor where it steps, and so poses "
-            "and places are much less certain than with 20 or more"
-        )
-    if flags["data poor"] > WARN_POOR * solved:
-        yield f"few data: {frame_count(flags['data poor'])} of {solved} with few joints seen and trusted"
-    yield from common.keypoint_warnings(report)
-    share = report["prior"]["mean_data_share"]
-    if share is not None and share < MEASURED_SHARE:
-        yield f"the poses come from what is expected for the most part: {share:.0%} of their precision is the pixels'"
-    if not size["measured"] and size["data_share"] < MEASURED_SHARE:
-        yield "scale not measured: it comes from the expected size of the animal"
-    yield from common.camera_warnings(report)
-    yield from cameras.warnings(report)
 
 
 def _ambiguous_frames(report: Mapping[str, Any]) -> list[dict[str, Any]]:

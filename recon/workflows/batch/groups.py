@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from recon.base.errors import InputError, Problem
-from recon.show.report.common import first_names
+from recon.check import names_text
 from recon.workflows.cameras import cameras_in
 
 AUTO, NONE = "auto", "none"
@@ -124,7 +124,7 @@ def missing_cameras(drafts: Sequence[Draft], names: Sequence[str]) -> list[str]:
         missing = [one for one in every[draft.cam_regex] if one not in draft.row["camera_name"]]
         if missing:
             lacks.append(f"{name} ({', '.join(missing)})")
-    return [f"Fitted without cameras that others have: {first_names(lacks)}"] if lacks else []
+    return [f"Fitted without cameras that others have: {names_text(lacks)}"] if lacks else []
 
 
 def _compiled_pattern(text: str, where: Path | str) -> re.Pattern[str]:
@@ -228,4 +228,4 @@ def _joined_text(groups: Sequence[Sequence[_Named]]) -> str:
 
 
 def _file_names_text(paths: Sequence[Path]) -> str:
-    return first_names([path.name for path in paths])
+    return names_text([path.name for path in paths])

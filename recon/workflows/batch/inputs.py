@@ -14,10 +14,10 @@ from pathlib import Path
 from typing import Any
 
 from recon.base.errors import InputError, Problem
+from recon.check import names_text
 from recon.io import file_head, individuals, recognised, titles
 from recon.io.calibration import read_cameras
 from recon.show.page import SUMMARY_PAGE
-from recon.show.report.common import first_names
 from recon.workflows.batch.anipose import Session, sessions_in
 from recon.workflows.batch.groups import AUTO, Draft, join_cameras, missing_cameras
 from recon.workflows.settings import SETTINGS, FitSettings, beside, option, read_settings
@@ -142,7 +142,7 @@ def _drafts_of_sessions(sessions: Sequence[Session], common: Mapping[str, Any]) 
     if problems:
         raise InputError(dict.fromkeys(problems))
     if not drafts:
-        places = first_names([str(session.poses) for session in sessions])
+        places = names_text([str(session.poses) for session in sessions])
         raise InputError(Problem(places, "files", "no keypoint files", f"files of a known format: {_format_names()}"))
     folders = dict.fromkeys(session.poses.name for session in sessions)
     said = (
@@ -164,7 +164,7 @@ def _files_in(folder: Path) -> tuple[list[Path], list[str]]:
     notes = []
     for left_out, why in ((twins, "beside a file of the same name"), (others, "of no known format")):
         if left_out:
-            notes.append(f"Left out of {folder}, {why}: {first_names([path.name for path in left_out])}")
+            notes.append(f"Left out of {folder}, {why}: {names_text([path.name for path in left_out])}")
     return [path.absolute() for path in chosen.values()], notes
 
 

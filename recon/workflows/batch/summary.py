@@ -12,7 +12,7 @@ from typing import Any
 
 from recon.base.files import seen_from, staged_file
 from recon.show.page import SUMMARY_PAGE, require_own_page
-from recon.show.report import frames_with_pose
+from recon.show.report import frames_with_pose, warnings
 from recon.workflows.batch.inputs import SUMMARY
 from recon.workflows.batch.record import Planned, short_hash
 
@@ -53,7 +53,7 @@ def results_of(report: Mapping[str, Any]) -> dict[str, Any]:
     return {
         "frames": summary["frames"],
         "frames_with_pose": frames_with_pose(report),
-        "warnings": len(report["warnings"]),
+        "warnings": len(warnings(report)),
         "outliers": summary["outliers"],
         "mean_reprojection_px": summary["reprojection_px"]["mean"],
         "mean_speed_m_s": speeds["mean_speed_m_s"],

@@ -155,7 +155,7 @@ def finish(console: Console, report: dict[str, Any], out: Path, as_json: bool = 
     from recon.show.report import console_summary, is_unsolved
 
     if as_json:
-        own = {name: report[name] for name in ("method", "summary", "warnings")}
+        own = {name: report[name] for name in ("method", "summary", "findings")}
         seconds = report["timing_s"]["solve_s"]
         typer.echo(json.dumps({"out": str(out), **own, "seconds": seconds, **more}, indent=1))
     else:

@@ -1,4 +1,4 @@
-"""Left and right exchanged: in single frames, a stretch or a whole clip, of all keypoints or of one pair of legs.
+"""Left-right swaps: in single frames, a stretch or a whole clip, of all keypoints or of one pair of legs.
 
 A fit follows exchanged keypoints, and its residuals say little. Three things together say it. Where an exchange begins
 or ends, the keypoints of both sides jump at once, unless the legs cross there: their tracks in the picture say where
@@ -10,15 +10,27 @@ any case; exchanged, it looks like the animal mirrored in depth.
 from __future__ import annotations
 
 import warnings
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from recon.animal.body import Body, other_side
 from recon.base.arrays import Array, Index
-from recon.check.mistakes.likelihood import AT_ONCE_S, LOOSE, TAILS, Given, best_seen, either_side, judged, log_tail
-from recon.clip import View
-from recon.fit.mistake import CLEAR, Mistake
+from recon.check.codes import finding
+from recon.check.inputs.likelihood import (
+    AT_ONCE_S,
+    CLEAR,
+    LOOSE,
+    TAILS,
+    Baseline,
+    best_seen,
+    either_side,
+    judged,
+    log_tail,
+)
+from recon.clip import Source, View
+from recon.fit.finding import Finding
 
 JUMP = -3.0
 """Exchanges begin and end where that makes the tracks so much likelier, as a logarithm: legs that cross hardly jump."""
@@ -71,13 +83,13 @@ def pairs_of(body: Body) -> dict[str, Index]:
     return {name: places for name, places in kinds.items() if (places != none).any()}
 
 
-def exchanges(given: Given, number: int, unlike: bool = False) -> list[Mistake]:
+def swaps(given: Baseline, unlike: bool = False) -> list[SwapTrial]:
     """Of one view of a clip, under a prior learned from motions. Stretches that are clear by a quick fit are judged
-    again by one that knows less of the sides, and so is the clip as it is. number: the view's. unlike: the prior does
+    again by one that knows less of the sides, and so is the clip as it is. unlike: the prior does
     not know this motion (`recon.fit.surprise`); a whole clip, in which no keypoints jump, is then not tried: nothing
     but the prior tells it."""
     kinds, view = pairs_of(given.setting.body), given.view
-    found: list[Mistake] = []
+    found: list[SwapTrial] = []
     while len(found) < STRETCHES and "all" in kinds:
         whole = [] if unlike else [_whole(given, kinds["all"])]
         clear = [one for one in tried(given, kinds) if one.ratio > CLEAR]
@@ -85,24 +97,23 @@ def exchanges(given: Given, number: int, unlike: bool = False) -> list[Mistake]:
         best = max([*again, *whole], key=lambda one: one.ratio, default=None)
         if best is None or not best.ratio > CLEAR:  # nor where nothing is known
             break
-        rows, markers = best.stretch.rows, best.stretch.markers
-        found.append(Mistake("sides", best.ratio, number, (rows.start, rows.stop), markers))
+        found.append(best)
         if best in whole:  # the states are the other way round, and nothing more is told by them
             break
         view = exchanged(view, best.stretch)
-        given = Given(given.other(view), given.states)
+        given = Baseline(given.other(view), given.states)
     return found
 
 
 @dataclass(frozen=True, eq=False)
-class Tried:
+class SwapTrial:
     """A stretch that was exchanged: how much likelier that makes the clip, as a logarithm."""
 
     stretch: Stretch
     ratio: float
 
 
-def tried(given: Given, kinds: dict[str, Index]) -> list[Tried]:
+def tried(given: Baseline, kinds: dict[str, Index]) -> list[SwapTrial]:
     """The stretches that tracks and looks say most of."""
     T, fps = len(given.view.xy_px), given.setting.fps
     if not np.isfinite(given.states).any():
@@ -116,11 +127,11 @@ def tried(given: Given, kinds: dict[str, Index]) -> list[Tried]:
     return [_judged(given, Stretch(slice(*ends), kinds[name])) for name, ends in dict.fromkeys(chosen)]
 
 
-def _judged(given: Given, stretch: Stretch, widen: tuple[float, ...] = (1.0,)) -> Tried:
+def _judged(given: Baseline, stretch: Stretch, widen: tuple[float, ...] = (1.0,)) -> SwapTrial:
     """By a fit from what was found, with noise that is so many times as wide on the way in."""
     part = _around(stretch.rows, len(given.view.xy_px), given.setting.fps)
     as_given, other = given.judged(part, widen), given.other(exchanged(given.view, stretch)).part(part)
-    return Tried(stretch, as_given.of_stretch - judged(other, given.found(part), widen, as_given.cost).of_stretch)
+    return SwapTrial(stretch, as_given.of_stretch - judged(other, given.found(part), widen, as_given.cost).of_stretch)
 
 
 def _parts(first: int, stop: int, T: int) -> list[tuple[int, int]]:
@@ -129,7 +140,7 @@ def _parts(first: int, stop: int, T: int) -> list[tuple[int, int]]:
     return [(first, stop), *rest]
 
 
-def _whole(given: Given, places: Index) -> Tried:
+def _whole(given: Baseline, places: Index) -> SwapTrial:
     """The whole clip exchanged, judged where most is seen. What was found need not be the best even of the clip as it
     is: before that is doubted, it is sought anew."""
     view, part = given.view, best_seen(given.view, given.setting.fps)
@@ -142,7 +153,7 @@ def _whole(given: Given, places: Index) -> Tried:
     ratio = as_given.surprise - likely
     if ratio > CLEAR:
         ratio = min(ratio, judged(given.setting.part(part)).surprise - likely)
-    return Tried(stretch, ratio)
+    return SwapTrial(stretch, ratio)
 
 
 def _around(rows: slice, T: int, fps: float) -> slice:
@@ -173,7 +184,7 @@ def _told(jump: Array, looks: Array, name: str, most: int) -> list[tuple[float, 
     return found
 
 
-def _looks(given: Given, kinds: dict[str, Index]) -> dict[str, Array]:
+def _looks(given: Baseline, kinds: dict[str, Index]) -> dict[str, Array]:
     """By kind, (T,): how much likelier a frame's keypoints are if the sides are exchanged, as a logarithm, under a fit
     to which each of a leg may be either side's; "all" is all legs."""
     legs = {name: places != np.arange(len(places)) for name, places in kinds.items() if name != "all"}
@@ -212,3 +223,41 @@ def jumps(view: View, places: Index) -> Array:
     told = 0.5 * (TAILS + freedom) * likelier.sum(axis=1)
     gain[_STRAIGHT : len(gain) - _STRAIGHT + 1] = np.where(seen & steady.any(), told, -np.inf)
     return gain
+
+
+PARTS = {"all": "all keypoints", "fore": "the fore legs", "hind": "the hind legs"}
+"""What is swapped, in words."""
+
+
+def swap_finding(trial: SwapTrial, source: Source, body: Body) -> Finding:
+    """What a swap in one camera's keypoints is said by."""
+    numbers, rows, places = source.keypoints.frames, trial.stretch.rows, trial.stretch.places
+    part = next(PARTS[name] for name, of_part in pairs_of(body).items() if np.array_equal(of_part, places))
+    return finding(
+        "left_right_swap",
+        (int(numbers[rows.start]), int(numbers[rows.stop - 1]) + 1),
+        source.camera.name,
+        part=part,
+        keypoints=tuple(source.keypoints.names[j] for j in trial.stretch.markers),
+        log_likelihood_ratio=trial.ratio,
+    )
+
+
+def without_swaps(
+    sources: Sequence[Source], findings: Sequence[Finding], body: Body
+) -> tuple[tuple[Source, ...], tuple[Finding, ...]]:
+    """The sources with left and right swapped back where a finding says so, and the findings, which say that, too."""
+    mended, marked, places = [*sources], [*findings], opposites(body)
+    for i, one in enumerate(findings):
+        if one.code != "left_right_swap" or one.frames is None:
+            continue
+        number = next(v for v, source in enumerate(sources) if source.camera.name == one.camera)
+        keypoints = mended[number].keypoints
+        rows = slice(*np.searchsorted(keypoints.frames, one.frames))
+        to = [keypoints.names.index(name) for name in one.numbers["keypoints"]]
+        xy_px, confidence = keypoints.xy_px.copy(), keypoints.confidence.copy()
+        for values in (xy_px, confidence):
+            values[rows, to] = values[rows][:, places[to]]
+        mended[number] = replace(mended[number], keypoints=replace(keypoints, xy_px=xy_px, confidence=confidence))
+        marked[i] = finding("left_right_swap_mended", one.frames, one.camera, **one.numbers)
+    return tuple(mended), tuple(marked)

@@ -12,8 +12,10 @@ import numpy as np
 
 from recon.animal.prior import ANGLES, NONE
 from recon.base.arrays import Array
+from recon.check.codes import finding
+from recon.check.inputs.likelihood import CLEAR
+from recon.fit.finding import Finding
 from recon.fit.least_squares import Estimate, LeastSquares
-from recon.fit.mistake import CLEAR, Mistake
 from recon.fit.setting import Setting
 from recon.fit.starts import APPROACH_HZ
 from recon.fit.surprise import surprise_of
@@ -25,19 +27,21 @@ NEARLY = 1.02
 _TOLERANCE, _ITERATIONS = 1e-3, 10
 
 
-def other_rate(setting: Setting, states: Array, stated_hz: float | None) -> Mistake | None:
+def other_rate(setting: Setting, states: Array, stated_hz: float | None) -> Finding | None:
     """states (T, D) at nominal size about the origin, without gaps, of a solved stretch. stated_hz: what the file
     says."""
     if stated_hz is not None and not 1 / NEARLY < stated_hz / setting.fps < NEARLY:
-        return Mistake("frame_rate", np.nan, found=stated_hz)
+        return finding("frame_rate_stated", given_hz=setting.fps, other_hz=stated_hz)
     learned = setting.prior.name != NONE
     factors = [factor for factor in OTHER_RATES if learned and _swings_better(setting, states, factor)]
     if not factors:
         return None
     given = _cost(setting, states, 1.0)
     cost, factor = min((_cost(setting, states, factor), factor) for factor in factors)
-    clear = given - cost > CLEAR and _known(setting, states, factor)
-    return Mistake("frame_rate", given - cost, found=setting.fps * factor) if clear else None
+    if not (given - cost > CLEAR and _known(setting, states, factor)):
+        return None
+    other_hz = setting.fps * factor
+    return finding("frame_rate", given_hz=setting.fps, other_hz=other_hz, log_likelihood_ratio=given - cost)
 
 
 def _swings_better(setting: Setting, states: Array, factor: float) -> bool:

@@ -30,6 +30,8 @@ from recon.geometry.kinematics import ROOT, YAW
 
 _TOLERANCE, _ITERATIONS = 3e-3, 12
 """When a minimum is good enough."""
+CLEAR = float(np.log(1000.0))
+"""A hypothesis is believed where it makes what was seen so many times as likely, as a logarithm."""
 TOGETHER = 0.4
 """Keypoints of one limb err together: so much of what they say is each one's own. Chosen on real clips, by leaving runs
 out (docs/benchmarks.md, mistakes)."""
@@ -52,7 +54,7 @@ def alone(setting: Setting, view: View) -> Setting:
 
 
 @dataclass(frozen=True)
-class Judged:
+class Likelihood:
     """Minus the logarithm of the likelihood of one view's keypoints at a minimum, but for a constant, by what it is of:
     the keypoints and the ground, the prior's poses, and what else is expected of the motion."""
 
@@ -78,12 +80,12 @@ class Judged:
 
 def judged(
     setting: Setting, start: Array | None = None, widen: Sequence[float] = (1.0,), wanted: float = np.inf
-) -> Judged:
+) -> Likelihood:
     """Infinite without keypoints. start: states (T, D) to begin with; by default it is sought. widen: factors on the
     noise of the fits on the way in from there. wanted: the cost of what it is compared with; a fit that will not come
     to it ends early."""
     if (setting.present().sum(axis=1) >= MIN_JOINTS).sum() < 2:
-        return Judged(np.inf, 0.0, 0.0)
+        return Likelihood(np.inf, 0.0, 0.0)
     step = max(1, round(setting.fps / APPROACH_HZ))
     thin, ones = setting.thinned(step), np.ones((1, len(setting.body.markers)))
     states = (approach(setting)[0].estimate.states if start is None else start)[::step]
@@ -98,7 +100,7 @@ def judged(
     costs = problem.costs(states)
     seen = _seen(setting, between(states, np.arange(0, len(setting), step), len(setting)))
     rest = sum(cost for name, cost in costs.items() if name not in ("reprojection", POSE))
-    return Judged(seen + off_ground(setting, states), costs[POSE], rest, sum(costs.values()))
+    return Likelihood(seen + off_ground(setting, states), costs[POSE], rest, sum(costs.values()))
 
 
 def _seen(setting: Setting, states: Array) -> float:
@@ -131,7 +133,7 @@ def log_tail(off: Array) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
-class Given:
+class Baseline:
     """A view of a clip as it is, alone, and the states (T, D) that were found for it, at nominal size about its origin;
     NaN where there are none."""
 
@@ -147,10 +149,10 @@ class Given:
         return alone(self.setting, view)
 
     @cached_property
-    def _known(self) -> dict[tuple[int, int, tuple[float, ...]], Judged]:
+    def _known(self) -> dict[tuple[int, int, tuple[float, ...]], Likelihood]:
         return {}
 
-    def judged(self, part: slice, widen: tuple[float, ...] = (1.0,)) -> Judged:
+    def judged(self, part: slice, widen: tuple[float, ...] = (1.0,)) -> Likelihood:
         """Of a part of the clip, from the states that were found."""
         key = (part.start, part.stop, widen)
         if key not in self._known:
@@ -189,7 +191,7 @@ def _mean_pose(setting: Setting, found: Array) -> Array:
     return start
 
 
-def either_side(given: Given, other: View, which: Bools) -> tuple[Array, Array]:
+def either_side(given: Baseline, other: View, which: Bools) -> tuple[Array, Array]:
     """Where a fit to both views of a clip, half each, has the keypoints in the picture, (T, J, 2), and their noise
     (T, J): NaN in frames without states. which (J,): the markers that the views have on different sides."""
     setting, posed = given.setting, np.flatnonzero(np.isfinite(given.states[:, 0]))
@@ -210,12 +212,12 @@ def either_side(given: Given, other: View, which: Bools) -> tuple[Array, Array]:
     return projected, sigma_px
 
 
-def given_of(setting: Setting, number: int, states: Array, size: float) -> Given:
+def baseline_of(setting: Setting, number: int, states: Array, size: float) -> Baseline:
     """Of one view of a clip. states (T, D) with the root in the world."""
     own = alone(setting, setting.views[number])
     found = states.copy()
     found[:, ROOT] = (states[:, ROOT] - own.origin_m) / size
-    return Given(own, found)
+    return Baseline(own, found)
 
 
 def off_ground(setting: Setting, states: Array) -> float:

@@ -12,9 +12,10 @@ from dataclasses import replace
 import numpy as np
 
 from recon.base.arrays import Array
-from recon.check.mistakes.likelihood import Given, best_seen, judged, off_ground
+from recon.check.codes import finding
+from recon.check.inputs.likelihood import CLEAR, Baseline, best_seen, judged, off_ground
 from recon.clip import View, camera_poses
-from recon.fit.mistake import CLEAR, Mistake
+from recon.fit.finding import Finding
 from recon.fit.setting import Setting
 from recon.geometry.camera import Camera
 
@@ -24,7 +25,7 @@ NEARLY_ALL = 99.0
 """Percentile of the points that have to lie in a part of the picture."""
 
 
-def of_unit_square(given: Given, number: int) -> Mistake | None:
+def of_unit_square(given: Baseline) -> Finding | None:
     """Keypoints as parts of the picture's width and height: all lie in its corner, where the detector of a video would
     have put them anywhere."""
     view = given.view
@@ -33,22 +34,25 @@ def of_unit_square(given: Given, number: int) -> Mistake | None:
         return None
     width, height = view.camera.image_size_px
     frames = float(view.present.any(axis=1).sum())
-    return Mistake("normalised", float(np.log(width * height / 4.0)) * max(frames / given.setting.alike, 1.0), number)
+    ratio = float(np.log(width * height / 4.0)) * max(frames / given.setting.alike, 1.0)
+    return finding("keypoints_normalised", camera=view.camera.name, log_likelihood_ratio=ratio)
 
 
-def turned_over(given: Given, number: int) -> Mistake | None:
+def turned_over(given: Baseline) -> Finding | None:
     """A picture upside down, or with y up: the feet are above the trunk."""
     view = given.view
     if not _feet_up(given.setting, view):
         return None
     width, height = view.camera.image_size_px
     turned = {
-        "y_up": replace(view, xy_px=[0, height - 1] + [1, -1] * view.xy_px),
-        "upside_down": replace(view, xy_px=[width - 1, height - 1] - view.xy_px),
+        "keypoints_y_up": replace(view, xy_px=[0, height - 1] + [1, -1] * view.xy_px),
+        "picture_upside_down": replace(view, xy_px=[width - 1, height - 1] - view.xy_px),
     }
-    ratios = {kind: _ratio(given, other) for kind, other in turned.items()}
-    kind = "y_up" if ratios["y_up"] > ratios["upside_down"] else "upside_down"
-    return Mistake(kind, ratios[kind], number) if ratios[kind] > CLEAR else None
+    ratios = {code: _ratio(given, other) for code, other in turned.items()}
+    code = max(reversed(ratios), key=lambda code: ratios[code])
+    if not ratios[code] > CLEAR:
+        return None
+    return finding(code, camera=view.camera.name, log_likelihood_ratio=ratios[code])
 
 
 def _feet_up(setting: Setting, view: View) -> bool:
@@ -68,7 +72,7 @@ def _mean(values: Array) -> Array:
     return np.where(count > 0, np.nansum(values, axis=1) / np.maximum(count, 1), np.nan)
 
 
-def of_smaller_video(given: Given, number: int) -> Mistake | None:
+def of_smaller_video(given: Baseline) -> Finding | None:
     """Keypoints found in a smaller version of the video: all lie in the part of the picture that it would fill."""
     view = given.view
     points, size = view.xy_px[view.present], np.array(view.camera.image_size_px)
@@ -78,11 +82,9 @@ def of_smaller_video(given: Given, number: int) -> Mistake | None:
         if len(points) and (np.percentile(points, NEARLY_ALL, axis=0) < size / times).all()
     }
     times = max(ratios, key=lambda n: ratios[n], default=None)
-    return (
-        None
-        if times is None or ratios[times] <= CLEAR
-        else Mistake("smaller_video", ratios[times], number, found=times)
-    )
+    if times is None or ratios[times] <= CLEAR:
+        return None
+    return finding("smaller_video", camera=view.camera.name, times=times, log_likelihood_ratio=ratios[times])
 
 
 def smaller(camera: Camera, times: float) -> Camera:
@@ -95,29 +97,32 @@ def smaller(camera: Camera, times: float) -> Camera:
     return replace(camera, matrix=scale * camera.matrix + shift, image_size_px=size_px)
 
 
-def of_other_camera(given: Given, number: int, others: Sequence[Camera], named: str | None) -> Mistake | None:
+def of_other_camera(given: Baseline, others: Sequence[Camera], named: str | None) -> Finding | None:
     """Keypoints that another camera of the file found. named: whose name their own file has.
 
     Where no name says so, the height of the ground may: cameras look alike, but stand elsewhere and are tilted.
     """
-    if named is not None:
-        return Mistake("other_camera", np.nan, number, found=named)
     view, part = given.view, best_seen(given.view, given.setting.fps)
+    name = view.camera.name
+    if named is not None:
+        return finding("other_camera_named", camera=name, given=name, other=named)
     posed = np.isfinite(given.states[part]).all()
     if not (others and posed and off_ground(given.setting, given.states[part]) > CLEAR):
         return None
     alike = given.setting.alike
     seen = [(judged(given.other(_seen_by(view, camera)).part(part)).lasting(alike), camera.name) for camera in others]
-    least, found = min(seen)
+    least, other = min(seen)
     ratio = given.judged(part).lasting(alike) - least
-    return Mistake("other_camera", ratio, number, found=found) if ratio > CLEAR else None
+    if not ratio > CLEAR:
+        return None
+    return finding("other_camera", camera=name, given=name, other=other, log_likelihood_ratio=ratio)
 
 
 def _seen_by(view: View, camera: Camera) -> View:
     return replace(view, camera=camera, T_camera_world=camera_poses([camera])[0])
 
 
-def _ratio(given: Given, other: View) -> float:
+def _ratio(given: Baseline, other: View) -> float:
     """How many times as likely the keypoints are with another view in place of the given one, as a logarithm."""
     part = best_seen(given.view, given.setting.fps)
     return given.judged(part).surprise - judged(given.other(other).part(part)).surprise

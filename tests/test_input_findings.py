@@ -1,4 +1,4 @@
-"""Mistakes in what a clip was given: put into a simulated run, each is found, and none where there is none."""
+"""Input findings: put into a simulated run, each is found, and none where there is none."""
 
 from __future__ import annotations
 
@@ -10,30 +10,27 @@ import pytest
 
 from recon.animal.body import other_side
 from recon.animal.prior import prior_from_body
-from recon.check.mistakes import Known, Mistake, find_mistakes, with_flags, with_sides_mended, without_garbage
-from recon.check.mistakes.garbage import garbage_ratios
-from recon.check.mistakes.likelihood import given_of, unlikely
-from recon.check.mistakes.picture import of_other_camera, of_smaller_video, of_unit_square, smaller, turned_over
-from recon.check.mistakes.rate import other_rate
-from recon.check.mistakes.sides import Stretch, exchanged, exchanges, jumps, opposites, pairs_of, tried
-from recon.clip import View, still_view
-from recon.clip.keypoints import CleaningReport
+from recon.check import FileFacts, finding, flagged, input_findings, without_gross_outliers, without_swaps
+from recon.check.inputs.likelihood import CLEAR, baseline_of, unlikely
+from recon.check.inputs.outliers import outlier_ratios
+from recon.check.inputs.picture import of_other_camera, of_smaller_video, of_unit_square, smaller, turned_over
+from recon.check.inputs.rate import other_rate
+from recon.check.inputs.swaps import Stretch, exchanged, jumps, opposites, pairs_of, swaps, tried
+from recon.clip import Source, View, still_view
+from recon.clip.keypoints import CleaningReport, Keypoints, clean
 from recon.fit import TrajectoryOptions
-from recon.fit.mistake import CLEAR
 from recon.fit.motion import Motion
 from recon.fit.setting import Setting
 from recon.geometry.kinematics import ROOT
 from recon.io import read_keypoints
 from recon.io.deeplabcut import write_csv
-from recon.show.report import build_report
-from recon.show.report import mistakes as in_report
 from recon.workflows.clip import fit_clip, prepare
 from recon.workflows.demo import samples_folder
 from recon.workflows.settings import FitSettings
 from tests.test_trajectory import BODY, CAMERA, FPS, PRIOR, plain, run, seen
 
 T = 40
-KNOWN = Known(((),), (None,))
+FACTS = FileFacts(((),), (None,))
 
 
 @cache
@@ -44,7 +41,7 @@ def view() -> View:
 
 def given(changed: View, **options):
     setting = Setting.of([changed], BODY, PRIOR, FPS, TrajectoryOptions(**options))
-    return given_of(setting, 0, plain().states, plain().size)
+    return baseline_of(setting, 0, plain().states, plain().size)
 
 
 def moved(xy_px: np.ndarray) -> View:
@@ -93,9 +90,9 @@ def test_missing_points_say_nothing_of_jumps():
 
 @pytest.mark.parametrize(("kind", "first", "stop"), [("all", 15, 25), ("all", 0, T), ("fore", 20, T), ("hind", 0, 20)])
 def test_exchanged_sides_are_found(kind, first, stop):
-    (found,) = exchanges(given(exchanged(view(), stretch(kind, first, stop))), 0)
-    assert (found.kind, found.view, found.rows) == ("sides", 0, (first, stop))
-    assert found.markers == stretch(kind, first, stop).markers
+    (found,) = swaps(given(exchanged(view(), stretch(kind, first, stop))))
+    assert found.stretch.rows == slice(first, stop)
+    assert found.stretch.markers == stretch(kind, first, stop).markers
     assert found.ratio > CLEAR
 
 
@@ -135,9 +132,9 @@ def given_half():
 
 
 def test_of_a_motion_that_the_prior_does_not_know_a_stretch_is_found_but_no_whole_clip():
-    (found,) = exchanges(given_half(), 0, unlike=True)
-    assert found.rows == (20, T)
-    assert exchanges(given(exchanged(view(), stretch("all", 0, T))), 0, unlike=True) == []
+    (found,) = swaps(given_half(), unlike=True)
+    assert found.stretch.rows == slice(20, T)
+    assert swaps(given(exchanged(view(), stretch("all", 0, T))), unlike=True) == []
 
 
 def test_an_error_that_lasts_is_likelier_than_one_that_jumps():
@@ -167,67 +164,81 @@ def test_ten_frames_of_the_sample_are_found(tmp_path):
     write_csv(replace(clip, xy_px=xy_px, confidence=confidence), tmp_path / "exchanged.csv")
     camera = samples_folder() / "camera.toml"
     motion = fit_clip(FitSettings(keypoints=tmp_path / "exchanged.csv", camera=camera, fps=60))
-    (found,) = motion.mistakes
-    assert (found.kind, found.rows, len(found.markers)) == ("sides", (20, 30), 18)
+    found = motion.findings[0]
+    assert (found.code, found.frames, len(found.numbers["keypoints"])) == ("left_right_swap", (20, 30), 18)
+    assert found.numbers["part"] == "all keypoints"
+    assert [t for t, flags in enumerate(motion.flags) if "left-right swap" in flags] == [*range(20, 30)]
 
 
-def test_an_untouched_clip_has_no_mistakes():
-    assert find_mistakes(plain(), BODY, PRIOR, FPS, TrajectoryOptions(), KNOWN) == ()
+def motion_of(solution) -> Motion:
+    """What was fitted to the view of a solution."""
+    (one,) = solution.views
+    keypoints = Keypoints(BODY.markers, one.xy_px, one.confidence, np.arange(100, 100 + T), FPS)
+    source = Source(CAMERA, *clean(keypoints, 0.0), BODY.markers)
+    return Motion((source,), None, "both sides are fitted", solution)
+
+
+def test_an_untouched_clip_has_no_findings():
+    assert input_findings(motion_of(plain()), PRIOR, TrajectoryOptions(), FACTS) == ()
 
 
 def test_without_a_prior_of_motions_neither_sides_nor_rates_are_judged():
-    wrong = replace(plain(), views=(exchanged(view(), stretch("all", 15, 25)),))
-    (found,) = find_mistakes(wrong, BODY, PRIOR, FPS, TrajectoryOptions(), KNOWN)
-    assert found.kind == "sides"
-    assert find_mistakes(wrong, BODY, prior_from_body(BODY), FPS, TrajectoryOptions(), KNOWN) == ()
+    wrong = motion_of(replace(plain(), views=(exchanged(view(), stretch("all", 15, 25)),)))
+    (found,) = input_findings(wrong, PRIOR, TrajectoryOptions(), FACTS)
+    assert (found.code, found.frames, found.camera) == ("left_right_swap", (115, 125), CAMERA.name)
+    assert input_findings(wrong, prior_from_body(BODY), TrajectoryOptions(), FACTS) == ()
     setting = Setting.of([view()], BODY, prior_from_body(BODY), 2 * FPS, TrajectoryOptions())
     assert other_rate(setting, given(view()).states, None) is None
 
 
-def test_mending_exchanges_back(small_trajectory: Motion):
+def test_mending_swaps_back(small_trajectory: Motion):
     (source,) = small_trajectory.sources
     places = opposites(small_trajectory.body)
-    legs = tuple(int(j) for j in np.flatnonzero(places != np.arange(24)))
-    found = (Mistake("sides", 30.0, 0, (2, 4), legs), Mistake("frame_rate", 20.0, found=60.0))
-    (mended,), marked = with_sides_mended((source,), found, small_trajectory.body)
+    legs = tuple(small_trajectory.names[j] for j in np.flatnonzero(places != np.arange(24)))
+    found = (
+        finding("left_right_swap", (12, 14), source.camera.name, part="all keypoints", keypoints=legs),
+        finding("frame_rate", given_hz=30.0, other_hz=60.0),
+    )
+    (mended,), marked = without_swaps((source,), found, small_trajectory.body)
     expected = source.keypoints.xy_px.copy()
     expected[2:4] = expected[2:4][:, places]
     np.testing.assert_array_equal(mended.keypoints.xy_px, expected)
-    assert [one.mended for one in marked] == [True, False]
-    (again,), _ = with_sides_mended((mended,), found, small_trajectory.body)
+    assert [one.code for one in marked] == ["left_right_swap_mended", "frame_rate"]
+    assert marked[0].numbers == found[0].numbers
+    (again,), _ = without_swaps((mended,), found, small_trajectory.body)
     np.testing.assert_array_equal(again.keypoints.xy_px, source.keypoints.xy_px)
     np.testing.assert_array_equal(again.keypoints.confidence, source.keypoints.confidence)
 
 
-# -- garbage -------------------------------------------------------------------------------------------------------
+# -- gross outliers---------------------------------------------------------------------------------------------------
 
 
-def test_frames_of_garbage_are_left_out_and_flagged(small_trajectory: Motion):
+def test_frames_of_gross_outliers_are_left_out_and_flagged(small_trajectory: Motion):
     solution, (source,) = small_trajectory.solution, small_trajectory.sources
     xy_px = source.keypoints.xy_px.copy()
     rng = np.random.default_rng(0)
     xy_px[5:7] = np.where(np.isfinite(xy_px[5:7]), rng.uniform((0, 0), (1920, 1080), xy_px[5:7].shape), np.nan)
     source = replace(source, keypoints=replace(source.keypoints, xy_px=xy_px))
     spoilt = replace(solution, views=(replace(solution.views[0], xy_px=xy_px),))
-    ratios = garbage_ratios(spoilt.views[0], spoilt.markers_m, spoilt.noise_px[0])
+    ratios = outlier_ratios(spoilt.views[0], spoilt.markers_m, spoilt.noise_px[0])
     assert np.isnan(ratios[3])  # nothing was seen
     assert ratios[5:7].min() > 40
     assert np.nanmax(np.delete(ratios, [5, 6])) < -40
-    (kept,), (found,) = without_garbage((source,), spoilt)
-    assert (found.kind, found.view, found.rows) == ("garbage", 0, (5, 7))
+    (kept,), (found,) = without_gross_outliers((source,), spoilt)
+    assert (found.code, found.camera, found.frames) == ("gross_outliers", source.camera.name, (15, 17))
     assert not kept.keypoints.present[5:7].any()
     np.testing.assert_array_equal(kept.keypoints.present[:5], source.keypoints.present[:5])
     (note,) = kept.cleaning.notes
-    assert "in frames whose detections are garbage, and left out" in note
-    flags = with_flags(solution, [found, replace(found, kind="sides", rows=(0, 1), mended=True)]).flags
-    assert [t for t, of_frame in enumerate(flags) if "garbage" in of_frame] == [5, 6]
-    assert not any("sides exchanged" in of_frame for of_frame in flags)
+    assert "in frames whose detections are gross outliers, and left out" in note
+    flags = flagged(small_trajectory, [found, replace(found, code="left_right_swap_mended", frames=(10, 11))]).flags
+    assert [t for t, of_frame in enumerate(flags) if "gross outliers" in of_frame] == [5, 6]
+    assert not any("left-right swap" in of_frame for of_frame in flags)
 
 
-def test_where_most_frames_are_garbage_none_is_left_out(small_trajectory: Motion):
+def test_where_most_frames_are_outliers_none_is_left_out(small_trajectory: Motion):
     solution, (source,) = small_trajectory.solution, small_trajectory.sources
     far = replace(solution.views[0], xy_px=solution.views[0].xy_px + 700.0)
-    (kept,), found = without_garbage((source,), replace(solution, views=(far,)))
+    (kept,), found = without_gross_outliers((source,), replace(solution, views=(far,)))
     assert found == ()
     assert isinstance(kept.cleaning, CleaningReport)
     np.testing.assert_array_equal(kept.keypoints.present, source.keypoints.present)
@@ -237,30 +248,30 @@ def test_where_most_frames_are_garbage_none_is_left_out(small_trajectory: Motion
 
 
 def test_keypoints_from_0_to_1():
-    found = of_unit_square(given(moved(view().xy_px / (1920, 1080))), 0)
+    found = of_unit_square(given(moved(view().xy_px / (1920, 1080))))
     assert found is not None
-    assert (found.kind, found.view) == ("normalised", 0)
-    assert found.ratio == pytest.approx(np.log(1920 * 1080 / 4) * T / (0.16 * FPS))
-    assert of_unit_square(given(view()), 0) is None
+    assert (found.code, found.severity, found.camera) == ("keypoints_normalised", "error", CAMERA.name)
+    assert found.numbers["log_likelihood_ratio"] == pytest.approx(np.log(1920 * 1080 / 4) * T / (0.16 * FPS))
+    assert of_unit_square(given(view())) is None
 
 
 @pytest.mark.parametrize(
-    ("kind", "turn"),
-    [("y_up", lambda xy: [0, 1079] + [1, -1] * xy), ("upside_down", lambda xy: [1919, 1079] - xy)],
+    ("code", "turn"),
+    [("keypoints_y_up", lambda xy: [0, 1079] + [1, -1] * xy), ("picture_upside_down", lambda xy: [1919, 1079] - xy)],
 )
-def test_a_picture_turned_over(kind, turn):
-    found = turned_over(given(moved(turn(view().xy_px))), 0)
+def test_a_picture_turned_over(code, turn):
+    found = turned_over(given(moved(turn(view().xy_px))))
     assert found is not None
-    assert found.kind == kind
-    assert found.ratio > 10 * CLEAR
-    assert turned_over(given(view()), 0) is None
+    assert found.code == code
+    assert found.numbers["log_likelihood_ratio"] > 10 * CLEAR
+    assert turned_over(given(view())) is None
 
 
 def test_a_smaller_video():
-    found = of_smaller_video(given(moved(view().xy_px / 2)), 0)
+    found = of_smaller_video(given(moved(view().xy_px / 2)))
     assert found is not None
-    assert (found.kind, found.found) == ("smaller_video", 2)
-    assert of_smaller_video(given(view()), 0) is None
+    assert (found.code, found.numbers["times"]) == ("smaller_video", 2)
+    assert of_smaller_video(given(view())) is None
     half = smaller(CAMERA, 2)
     assert half.image_size_px == (960, 540)
     points = np.array([[0.3, -0.2, 4.0], [0.0, 0.0, 3.0]])
@@ -268,11 +279,10 @@ def test_a_smaller_video():
 
 
 def test_the_name_of_another_camera_is_taken_at_its_word():
-    found = of_other_camera(given(view()), 0, (), "cam3")
+    found = of_other_camera(given(view()), (), "cam3")
     assert found is not None
-    assert (found.kind, found.found) == ("other_camera", "cam3")
-    assert np.isnan(found.ratio)
-    assert of_other_camera(given(view()), 0, (), None) is None
+    assert (found.code, found.numbers) == ("other_camera_named", {"given": CAMERA.name, "other": "cam3"})
+    assert of_other_camera(given(view()), (), None) is None
 
 
 # -- the frame rate ------------------------------------------------------------------------------------------------
@@ -281,8 +291,7 @@ def test_the_name_of_another_camera_is_taken_at_its_word():
 def test_the_frame_rate_that_the_file_states():
     setting = Setting.of([view()], BODY, PRIOR, FPS, TrajectoryOptions())
     found = other_rate(setting, plain().states, 120.0)
-    assert found == Mistake("frame_rate", found.ratio if found else 0.0, found=120.0)
-    assert np.isnan(found.ratio)
+    assert found == finding("frame_rate_stated", given_hz=FPS, other_hz=120.0)
     assert other_rate(setting, plain().states, 90.5) is None
 
 
@@ -291,53 +300,28 @@ def test_a_motion_at_another_rate_than_it_was_filmed_at(factor):
     setting = Setting.of([view()], BODY, PRIOR, FPS * factor, TrajectoryOptions())
     found = other_rate(setting, given(view()).states, None)
     assert found is not None
-    assert found.found == pytest.approx(FPS)
-    assert found.ratio > CLEAR
+    assert found.code == "frame_rate"
+    assert found.numbers["other_hz"] == pytest.approx(FPS)
+    assert found.numbers["log_likelihood_ratio"] > CLEAR
 
 
 def test_half_the_frame_rate_of_the_sample_is_named():
     camera = samples_folder() / "camera.toml"
     motion = fit_clip(FitSettings(keypoints=samples_folder() / "whole.csv", camera=camera, fps=30))
-    (found,) = motion.mistakes
-    assert (found.kind, found.found) == ("frame_rate", 60.0)
+    found = motion.findings[0]
+    assert (found.code, found.numbers["other_hz"]) == ("frame_rate", 60.0)
+    assert "motion_unlike_prior" not in [one.code for one in motion.findings]
 
 
 def test_of_an_animal_that_is_too_fast_no_whole_clip_is_exchanged():
     camera = samples_folder() / "camera.toml"
     motion = fit_clip(FitSettings(keypoints=samples_folder() / "whole.csv", camera=camera, fps=240))
-    assert motion.mistakes == ()
-    (said,) = (one for one in build_report(motion, {})["warnings"] if "no animal runs so fast" in one)
-    assert said.endswith("m/s: no animal runs so fast; check the frame rate, then the camera and the size")
+    codes = {one.code: one for one in motion.findings}
+    assert not {"left_right_swap", "frame_rate"} & {*codes}
+    assert codes["too_fast"].numbers["speed_m_s"] > 40
 
 
-# -- what is said of them ------------------------------------------------------------------------------------------
-
-
-def test_every_mistake_has_a_sentence(small_trajectory: Motion):
-    legs = tuple(small_trajectory.names.index(f"{s}_front_paw") for s in "lr")
-    mistakes = {
-        "left and right look exchanged in frames 12 to 13, l_front_paw, r_front_paw: --fix-swaps": Mistake(
-            "sides", 30.0, 0, (2, 4), legs
-        ),
-        "left and right were exchanged in the whole clip, of all keypoints: exchanged back": Mistake(
-            "sides", 9.0, 0, (0, 8), tuple(range(24)), mended=True
-        ),
-        "the detections in frame 10 are garbage": Mistake("garbage", 90.0, 0, (0, 1)),
-        "from 0 to 1": Mistake("normalised", 90.0, 0),
-        "y went up": Mistake("y_up", 90.0, 0),
-        "upside down": Mistake("upside_down", 90.0, 0),
-        "2 times smaller": Mistake("smaller_video", 90.0, 0, found=2),
-        "the keypoint file's name says cam3": Mistake("other_camera", np.nan, 0, found="cam3"),
-        "look like those of cam3": Mistake("other_camera", 9.0, 0, found="cam3"),
-        "the keypoint file says 60 frames per second, but --fps is 30": Mistake("frame_rate", np.nan, found=60.0),
-        "as if filmed at about 60 frames per second, not 30": Mistake("frame_rate", 9.0, found=60.0),
-    }
-    entries = in_report.section(replace(small_trajectory, mistakes=tuple(mistakes.values())))
-    for words, entry in zip(mistakes, entries, strict=True):
-        assert words in entry["text"]
-    assert entries[0]["frames"] == (12, 14)
-    assert entries[0]["keypoints"] == ["l_front_paw", "r_front_paw"]
-    assert list(in_report.warnings({"mistakes": entries})) == [entry["text"] for entry in entries]
+# -- what files say ------------------------------------------------------------------------------------------------
 
 
 def test_a_file_says_which_rate_it_is_of(tmp_path):
@@ -359,6 +343,6 @@ def test_a_file_of_another_camera():
         fast=True,
     )
     motion = fit_clip(settings)
-    (found,) = motion.mistakes
-    assert (found.kind, found.found) == ("other_camera", "cam1")
-    assert motion.solution.stage_s["mistakes"] > 0
+    found = motion.findings[0]
+    assert (found.code, found.numbers) == ("other_camera_named", {"given": "cam2", "other": "cam1"})
+    assert motion.solution.stage_s["input_findings"] > 0

@@ -1,0 +1,98 @@
+"""Input findings: left-right swaps, gross outliers, a picture turned over, another camera's, a wrong frame rate.
+
+Each is recognised by how much likelier the clip is with it undone (`likelihood`), where that can be told.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from recon.animal.prior import NONE, MotionPrior, mean_speed_m_s
+from recon.check.codes import FLAG_OF
+from recon.check.inputs.likelihood import Baseline, baseline_of
+from recon.check.inputs.picture import of_other_camera, of_smaller_video, of_unit_square, turned_over
+from recon.check.inputs.rate import other_rate
+from recon.check.inputs.swaps import swap_finding, swaps
+from recon.fit import TrajectoryOptions, TrajectorySolution
+from recon.fit.finding import Finding
+from recon.fit.motion import Motion
+from recon.fit.setting import Setting
+from recon.geometry.camera import Camera
+from recon.geometry.kinematics import ROOT
+
+FASTEST_M_S = 40.0
+"""No animal runs as fast: cheetahs reach 29 m/s (N. Sharp, *Timed running speed of a cheetah*, J. Zool. 1997)."""
+
+
+@dataclass(frozen=True)
+class FileFacts:
+    """What is known besides the keypoints: by view, other cameras that it might be of, none where its file's name says
+    which it is, and the one that the name says instead; the frame rate that a file states, where another was given; and
+    whether left-right swaps are looked for, which takes longest."""
+
+    others: tuple[tuple[Camera, ...], ...]
+    named: tuple[str | None, ...]
+    stated_hz: float | None = None
+    swaps: bool = True
+
+
+def input_findings(
+    motion: Motion, prior: MotionPrior, options: TrajectoryOptions, facts: FileFacts
+) -> tuple[Finding, ...]:
+    """Of the keypoints that a motion was fitted to. Each angle on its own, where no prior was learned, tells neither
+    sides nor rates."""
+    solution, body, fps = motion.solution, motion.body, motion.fps
+    assert isinstance(solution, TrajectorySolution)
+    setting = Setting.of(solution.views, body, prior, fps, options)
+    weighed = replace(setting, trust=min((spell.prior_weight for spell in solution.spells), default=1.0))
+    too_fast = mean_speed_m_s(solution.states, fps) > FASTEST_M_S  # nor does the prior know it
+    unlike = too_fast or any(spell.unlike_prior for spell in solution.spells)
+    seeks_swaps = facts.swaps and prior.name != NONE and bool(solution.posed.any())
+    found: list[Finding] = []
+    with threadpool_limits(1, user_api="blas"):
+        for number, source in enumerate(motion.sources):
+            given = baseline_of(setting, number, solution.states, solution.size)
+            of_picture = _of_picture(given, facts.others[number], facts.named[number])
+            if of_picture is not None:
+                found.append(of_picture)
+            elif seeks_swaps:
+                if weighed.trust < 1:
+                    given = baseline_of(weighed, number, solution.states, solution.size)
+                found += [swap_finding(trial, source, body) for trial in swaps(given, unlike)]
+        if not any(one.code == "keypoints_normalised" for one in found):
+            found += _of_rate(setting, solution, facts.stated_hz)
+    return tuple(found)
+
+
+def _of_picture(given: Baseline, others: Sequence[Camera], named: str | None) -> Finding | None:
+    """The first of those that leave nothing else to be told."""
+    return (
+        of_unit_square(given) or turned_over(given) or of_smaller_video(given) or of_other_camera(given, others, named)
+    )
+
+
+def _of_rate(setting: Setting, solution: TrajectorySolution, stated_hz: float | None) -> Sequence[Finding]:
+    posed = np.isfinite(solution.states[:, 0])
+    spells = [spell.rows for spell in solution.spells if posed[spell.rows].all()]
+    if not spells:
+        return ()
+    longest = max(spells, key=lambda rows: rows.stop - rows.start)
+    states = solution.states[longest].copy()
+    states[:, ROOT] = (states[:, ROOT] - setting.origin_m) / solution.size
+    found = other_rate(setting.part(longest), states, stated_hz)
+    return () if found is None else (found,)
+
+
+def flagged(motion: Motion, findings: Sequence[Finding]) -> Motion:
+    """A motion with the flags of the frames that findings are about."""
+    flags = [*motion.flags]
+    for one in findings:
+        name = FLAG_OF.get(one.code)
+        if name is not None and one.frames is not None:
+            for t in range(*np.searchsorted(motion.frames, one.frames)):
+                flags[t] = flags[t] if name in flags[t] else (*flags[t], name)
+    return replace(motion, solution=replace(motion.solution, flags=tuple(flags)))

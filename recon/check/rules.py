@@ -1,0 +1,212 @@
+"""What a motion says by itself of how far it can be used: rules that cost nothing, one list of them.
+
+A rule is a function of a motion that yields its findings. Those that fit the clip again are called where clips are
+fitted (`recon.check.inputs`, `recon.check.agreement`).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+
+import numpy as np
+
+from recon.animal.prior import mean_speed_m_s
+from recon.base.arrays import mean
+from recon.check.codes import finding, ordered
+from recon.check.inputs import FASTEST_M_S
+from recon.fit import TrajectoryOptions, TrajectorySolution
+from recon.fit.finding import Finding
+from recon.fit.motion import Motion
+from recon.fit.results import MEASURED_SHARE
+from recon.fit.surprise import LEVEL
+from recon.fit.trajectory import ALTERNATIVE_M
+
+Rule = Callable[[Motion], Iterator[Finding]]
+
+MANY_OUTLIERS = 0.05
+"""Share of the detections from which outliers are named."""
+KEYPOINT_SHARE, KEYPOINT_LEAST, KEYPOINTS_NAMED = 1 / 3, 10, 5
+"""Share, and number, of one keypoint's detections from which it is named, and up to how many are, each by itself."""
+OUT_OF_STEP_SIGMAS = 3.0
+"""Two cameras' lags further apart than this, of what is expected of their difference, are a mistake in time."""
+FEW_FRAMES = 12
+"""Fewer tell little more than one does."""
+POOR_SHARE = 0.2
+"""Share of the frames from which few data are named."""
+SIZE_SIGMAS = 2.5
+"""A size further off what is expected, in standard deviations, says that something else is wrong."""
+
+
+def findings_of(motion: Motion) -> tuple[Finding, ...]:
+    """All findings of a motion, those that it has and those of the rules, in the order of their codes."""
+    solution = motion.solution
+    own = [*motion.findings, *solution.findings()]
+    rules = COMMON
+    if isinstance(solution, TrajectorySolution):
+        rules = (*COMMON, *OF_TRAJECTORY) if motion.solved.any() else (no_pose,)
+    return ordered([*own, *(one for rule in rules for one in rule(motion))])
+
+
+# -- both methods -----------------------------------------------------------------------------------------------------
+
+
+def missing_keypoints(motion: Motion) -> Iterator[Finding]:
+    if motion.missing_keypoints:
+        yield finding("keypoints_missing", keypoints=motion.missing_keypoints)
+
+
+def many_outliers(motion: Motion) -> Iterator[Finding]:
+    count, detections = (
+        sum(int(values.sum()) for values in of_all)
+        for of_all in zip(*((picture.outliers, picture.present) for picture in motion.pictures), strict=True)
+    )
+    if count > MANY_OUTLIERS * max(detections, 1):
+        yield finding("many_outliers", count=count, share=count / detections)
+
+
+def keypoints_that_do_not_fit(motion: Motion) -> Iterator[Finding]:
+    counted = [{k.name: k.used for k in source.cleaning.keypoints} for source in motion.sources]
+    off = []
+    for j, name in enumerate(motion.names):
+        count = sum(int(picture.outliers[:, j].sum()) for picture in motion.pictures)
+        used = sum(of_file.get(name, 0) for of_file in counted)
+        if count > max(KEYPOINT_SHARE * used, KEYPOINT_LEAST):
+            off.append(finding("keypoint_does_not_fit", keypoint=name, share=count / used, used=used))
+    if len(off) > KEYPOINTS_NAMED:
+        names = tuple(one.numbers["keypoint"] for one in off)
+        yield finding("keypoints_do_not_fit", count=len(off), keypoints=names)
+    else:
+        yield from off
+
+
+def camera_taken_level(motion: Motion) -> Iterator[Finding]:
+    if not motion.knows_up and motion.camera.tilt_rad == 0:
+        yield finding("camera_taken_level")
+
+
+COMMON: tuple[Rule, ...] = (missing_keypoints, many_outliers, keypoints_that_do_not_fit, camera_taken_level)
+
+# -- trajectory method ------------------------------------------------------------------------------------------------
+
+
+def no_pose(motion: Motion) -> Iterator[Finding]:
+    yield finding("no_pose_diverged" if _flagged(motion, "ran away") else "no_pose")
+
+
+def frames_without_pose(motion: Motion) -> Iterator[Finding]:
+    total, solved, away = len(motion.frames), int(motion.solved.sum()), _flagged(motion, "ran away")
+    unseen = total - solved - away
+    counts = {
+        "frames_diverged": away,
+        "frames_without_pose": unseen,
+        "frames_bridged": _flagged(motion, "no data") - unseen,
+    }
+    for code, count in counts.items():
+        if count > 0:
+            yield finding(code, count=count, frames_total=total)
+    poor = _flagged(motion, "data poor")
+    if poor > POOR_SHARE * solved:
+        yield finding("few_data", count=poor, frames_total=solved)
+    if solved < FEW_FRAMES:
+        yield finding("few_frames", count=solved)
+
+
+def cameras_out_of_step(motion: Motion) -> Iterator[Finding]:
+    """A lag is expected to be a fraction of a frame: one that comes out larger is held back, and larger still."""
+    if len(motion.sources) < 2:
+        return
+    late = [v.lead_frames - s.lead_frames for v, s in zip(motion.solution.views, motion.sources, strict=True)]
+    first, last = int(np.argmin(late)), int(np.argmax(late))
+    apart = late[last] - late[first]
+    if apart > OUT_OF_STEP_SIGMAS * math.sqrt(2.0) * TrajectoryOptions.lag_frames:
+        names = tuple(motion.pictures[v].name for v in (first, last))
+        yield finding("cameras_out_of_step", cameras=names, apart_frames=apart)
+
+
+def motion_unlike_prior(motion: Motion) -> Iterator[Finding]:
+    """Of the spell that the prior fits least; nothing where another frame rate explains it."""
+    solution = _solution(motion)
+    if any(spell.unlike_prior for spell in solution.spells) and not any(
+        one.code in ("frame_rate", "frame_rate_stated") for one in motion.findings
+    ):
+        misfit = max(spell.surprise for spell in solution.spells if spell.surprise is not None)
+        weight = min(spell.prior_weight for spell in solution.spells)
+        yield finding("motion_unlike_prior", prior=solution.prior, misfit=misfit, limit=LEVEL, weight=weight)
+
+
+def ground_above_camera(motion: Motion) -> Iterator[Finding]:
+    for spell in motion.solution.spells:
+        ground, below = spell.ground, motion.below_m(spell)
+        if ground is None or below is None:
+            continue
+        height = float(below[2] - motion.solution.views[0].centre_m[:, 2].mean())
+        if height > 0:
+            frames = (int(motion.frames[spell.rows.start]), int(motion.frames[spell.rows.stop - 1]) + 1)
+            camera = motion.pictures[0].name
+            yield finding("ground_above_camera", frames, camera, height_m=height, sigma_m=ground.sigma_m)
+
+
+def not_converged(motion: Motion) -> Iterator[Finding]:
+    if _solution(motion).status != "converged":
+        yield finding("not_converged")
+
+
+def size(motion: Motion) -> Iterator[Finding]:
+    solution = _solution(motion)
+    expected = solution.size_prior_sigma
+    if abs(solution.size - 1) > SIZE_SIGMAS * expected:
+        yield finding("size_unexpected", size=solution.size, expected_sigma=expected)
+    share = max(0.0, 1.0 - (solution.size_sigma / expected) ** 2)
+    if motion.body.subject is None and share < MEASURED_SHARE:
+        yield finding("scale_not_measured")
+
+
+def too_fast(motion: Motion) -> Iterator[Finding]:
+    speed = mean_speed_m_s(motion.states, motion.fps)
+    if speed > FASTEST_M_S:
+        yield finding("too_fast", speed_m_s=speed)
+
+
+def second_solution(motion: Motion) -> Iterator[Finding]:
+    named = np.array([bool({"ambiguous depth", "second solution"} & {*flags}) for flags in motion.flags])
+    rows = named & (np.nan_to_num(motion.alternative_m) > ALTERNATIVE_M)
+    if rows.any():
+        apart = float(motion.alternative_m[rows].max())
+        yield finding("second_solution", count=int(rows.sum()), frames_total=len(rows), apart_m=apart)
+
+
+def pose_mostly_expected(motion: Motion) -> Iterator[Finding]:
+    share = mean(_solution(motion).data_share)
+    if share < MEASURED_SHARE:
+        yield finding("pose_mostly_expected", share=share)
+
+
+def track_gaps(motion: Motion) -> Iterator[Finding]:
+    for source in motion.sources:
+        missing = 0 if source.poses is None else int((~source.poses.known).sum())
+        if missing:
+            yield finding("track_gaps", camera=source.camera.name, count=missing, frames_total=len(motion.frames))
+
+
+OF_TRAJECTORY: tuple[Rule, ...] = (
+    cameras_out_of_step,
+    motion_unlike_prior,
+    ground_above_camera,
+    not_converged,
+    size,
+    too_fast,
+    second_solution,
+    frames_without_pose,
+    pose_mostly_expected,
+    track_gaps,
+)
+
+
+def _flagged(motion: Motion, flag: str) -> int:
+    return sum(flag in flags for flags in motion.flags)
+
+
+def _solution(motion: Motion) -> TrajectorySolution:
+    assert isinstance(motion.solution, TrajectorySolution)
+    return motion.solution

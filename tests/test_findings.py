@@ -1,0 +1,121 @@
+"""Findings: each code has a severity, one sentence, and a line in docs/findings.md."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from recon.check import CODES, FLAG_OF, FLAGS, Finding, finding, findings_of, sentence
+from recon.fit.motion import Motion
+
+DOCS = Path(__file__).resolve().parents[1] / "docs" / "findings.md"
+AGAINST = {"error_px": 31.4, "level": 5.24}
+SENTENCES = {
+    "gross_outliers": ("in frame 10 are gross outliers", {}),
+    "keypoints_normalised": ("parts of the picture, from 0 to 1", {}),
+    "keypoints_y_up": ("as if y went up", {}),
+    "picture_upside_down": ("looks upside down", {}),
+    "smaller_video": ("a video 2 times smaller than", {"times": 2}),
+    "other_camera_named": ("file's name says cam3, but the camera is cam1", {"other": "cam3", "given": "cam1"}),
+    "other_camera": ("look like those of cam3 of the camera file, not of cam1", {"other": "cam3", "given": "cam1"}),
+    "left_right_swap": ("look swapped in frame 10, of the fore legs. --fix-swaps", {"part": "the fore legs"}),
+    "left_right_swap_mended": ("were swapped in frame 10, of all keypoints, and", {"part": "all keypoints"}),
+    "frame_rate_stated": ("file says 60 frames per second, but --fps is 30", {"other_hz": 60.0, "given_hz": 30.0}),
+    "frame_rate": ("at about 60 frames per second, not 30", {"other_hz": 60.0, "given_hz": 30.0}),
+    "no_pose": ("too few points were detected in every frame", {}),
+    "no_pose_diverged": ("too far off to be seen", {}),
+    "cameras_apart_in_time": ("No two cameras see a point at the same time. Check --offset-s", {}),
+    "cameras_exchanged": ("cam1, cam2 look as if their files", {"cameras": ("cam1", "cam2"), **AGAINST}),
+    "cameras_disagree": ("with each other (31 px, 5.2 sigma)", {"cameras": ("cam1", "cam2"), **AGAINST}),
+    "camera_turned": ("cam1 looks turned by about 5.0 degrees", {"turn_rad": np.radians(5.0), **AGAINST}),
+    "camera_late": ("-2.5 frames late", {"late_frames": -2.5, "offset_s": 0.1, **AGAINST}),
+    "camera_off": ("cam1 does not agree with the other cameras (31 px", AGAINST),
+    "cameras_out_of_step": ("by 1.5 frames or more", {"cameras": ("cam1", "cam2"), "apart_frames": 1.5}),
+    "motion_unlike_prior": (
+        "prior cats knows (misfit 2.5, where 1 is usual and 2 the limit). The prior has 16% of its weight",
+        {"prior": "cats", "misfit": 2.5, "limit": 2.0, "weight": 0.16},
+    ),
+    "ground_above_camera": ("0.52 ± 0.03 m above cam1", {"height_m": 0.52, "sigma_m": 0.03}),
+    "frames_not_converged": ("2 of 9 frames did not converge", {"count": 2, "frames_total": 9}),
+    "not_converged": ("ended before it had converged", {}),
+    "size_unexpected": ("The size, 0.70, is far from what is expected, 1 ± 0.1.", {"size": 0.7, "expected_sigma": 0.1}),
+    "too_fast": ("41 m/s, and none runs as fast", {"speed_m_s": 41.2}),
+    "second_solution": ("up to 0.30 m away", {"count": 2, "frames_total": 9, "apart_m": 0.3}),
+    "frames_diverged": ("2 of 9 frames have no pose: the best one was too far", {"count": 2, "frames_total": 9}),
+    "frames_stopped_early": ("2 of 9 frames stopped early", {"count": 2, "frames_total": 9}),
+    "frames_without_pose": ("2 of 9 frames have no pose: too little", {"count": 2, "frames_total": 9}),
+    "frames_bridged": ("2 of 9 frames have no detections", {"count": 2, "frames_total": 9}),
+    "few_frames": ("A clip of 8 frames tells little", {"count": 8}),
+    "few_data": ("2 of 9 frames have few joints", {"count": 2, "frames_total": 9}),
+    "keypoints_missing": ("The file lacks a, b, c, d, e and 1 more.", {"keypoints": tuple("abcdef")}),
+    "many_outliers": ("51 detections (57%) do not agree", {"count": 51, "share": 0.566}),
+    "keypoint_does_not_fit": ("75% of nose's 40 detections", {"keypoint": "nose", "share": 0.75, "used": 40}),
+    "keypoints_do_not_fit": (
+        "of 7 keypoints disagree with the pose: a, b",
+        {"count": 7, "keypoints": tuple("abcdefg")},
+    ),
+    "at_range_limits": ("2 of 9 frames have angles beyond", {"count": 2, "frames_total": 9}),
+    "pose_mostly_expected": ("30% of their precision is the pixels'", {"share": 0.3}),
+    "scale_not_measured": ("assume an animal of the expected size", {}),
+    "camera_taken_level": ("taken to be level", {}),
+    "track_gaps": ("track has no pose for 2 of 9 frames", {"count": 2, "frames_total": 9}),
+    "reference_unlike": ("410 mm from the reference's, 61% of", {"left_mm": 410.2, "share": 0.61}),
+    "reference_rotated": (
+        "by 90°, brings MPJPE from 410.2 to 20.0 mm",
+        {"turn_rad": np.pi / 2, "error_mm": 410.2, "left_mm": 20.0},
+    ),
+    "reference_swapped": ("named the other way round", {"error_mm": 410.2, "left_mm": 20.0}),
+    "reference_swapped_rotated": ("and one rotation of the whole clip", {"error_mm": 410.2, "left_mm": 20.0}),
+    "reference_mirrored": ("left-handed axes", {"error_mm": 410.2, "left_mm": 20.0}),
+    "reference_scaled": ("One scale, by 0.001, brings", {"factor": 0.001, "error_mm": 410.2, "left_mm": 20.0}),
+    "reference_scaled_rotated": ("by 0.001, bring MPJPE", {"factor": 0.001, "error_mm": 410.2, "left_mm": 20.0}),
+    "reference_elsewhere": ("about (1.00, 2.00, 3.00) m apart", {"x_m": 1.0, "y_m": 2.0, "z_m": 3.0}),
+    "camera_agreement": ("up to 1.6 sigma agree", {"max_level": 1.6, **AGAINST}),
+}
+
+
+@pytest.mark.parametrize("code", CODES)
+def test_every_code_has_its_sentence(code):
+    words, numbers = SENTENCES[code]
+    one = finding(code, (10, 11), "cam1", **numbers)
+    assert one.severity == CODES[code][0]
+    assert words in sentence(one)
+    assert sentence(one).endswith((".", "?"))
+
+
+def test_of_one_camera_no_name_is_said():
+    one = finding("keypoints_y_up", camera="cam1")
+    assert sentence(one) == f"cam1: {sentence(one, named=False)}"
+    above = finding("ground_above_camera", camera="cam1", height_m=0.5, sigma_m=0.1)
+    assert "0.10 m above the camera" in sentence(above, named=False)
+    several = finding("gross_outliers", (10, 13))
+    assert "in frames 10 to 12 " in sentence(several)
+    assert "in the whole clip" in sentence(finding("gross_outliers"))
+
+
+def test_findings_come_in_the_order_of_their_codes(small_trajectory):
+    codes = [one.code for one in findings_of(small_trajectory)]
+    assert codes == sorted(codes, key=[*CODES].index)
+    assert {"few_frames", "second_solution", "keypoints_missing", "camera_taken_level"} <= {*codes}
+
+
+def test_findings_go_with_a_motion_that_is_saved(small_trajectory, tmp_path):
+    motion = replace(small_trajectory, findings=findings_of(small_trajectory))
+    motion.save(tmp_path)
+    assert Motion.load(tmp_path).findings == motion.findings
+
+
+def test_findings_are_plain_data():
+    one = finding("many_outliers", count=51, share=0.5)
+    assert one == Finding("many_outliers", "warning", None, None, {"count": 51, "share": 0.5})
+
+
+def test_every_code_and_every_flag_is_documented():
+    documented = re.findall(r"^\| `([\w -]+)`", DOCS.read_text(encoding="utf-8"), flags=re.MULTILINE)
+    assert {*CODES, *FLAGS} <= {*documented}
+    assert {*FLAG_OF} <= {*CODES}
+    assert {*FLAG_OF.values()} <= {*FLAGS}
