@@ -37,36 +37,12 @@ T = TypeVar("T")
 
 
 @dataclass(frozen=True, eq=False)
-class Piece:
-    """A continuous piece of motion."""
-
-    name: str
-    states: Array
-    """(T, D): NaN where it is not known."""
-    fps: float
-    rms_mm: float = math.nan
-    """The body's misfit to a pose file, NaN where no frame had enough markers."""
-
-
-@dataclass(frozen=True)
-class HeldOut:
-    """Mean log-likelihood per frame of segments that a prior was not fitted to, each left out once."""
-
-    mixture: float
-    """Of the mixture."""
-    one_gaussian: float
-    """Of one Gaussian."""
-    components: int
-    """The fewest of all these fits."""
-
-
-@dataclass(frozen=True, eq=False)
 class PriorFit:
     """A prior, and what there is to say of it."""
 
     prior: MotionPrior
     rms_mm: tuple[float, ...]
-    """Of each segment of prior.segments, see `Piece`."""
+    """Of each segment of prior.segments: the body's misfit to a pose file, NaN where no frame had enough markers."""
     sizes: dict[Path, float]
     """The factor on the body's lengths by pose file."""
     lacking: tuple[str, ...]
@@ -75,8 +51,10 @@ class PriorFit:
     """That the prior was fitted to."""
     left_out: int
     """Frames of results that have a flag or no pose."""
-    held_out: HeldOut | None
-    """None if it was not asked for, or if no segment can be left out."""
+    held_out: dict[str, float] | None
+    """Mean log-likelihood per frame of segments that a prior was not fitted to, each left out once: of the `mixture`,
+    and of `one_gaussian`; and the fewest `components` of all these fits. None if it was not asked for, or if no segment
+    can be left out."""
     components_asked: int
     """The prior has as many, or what its frames allow."""
 
@@ -91,7 +69,7 @@ class PriorFit:
             "lacking": list(self.lacking),
             "frames": self.frames,
             "left_out": self.left_out,
-            "held_out": None if self.held_out is None else asdict(self.held_out),
+            "held_out": self.held_out,
         }
 
     def notes(self) -> Iterator[str]:
@@ -113,8 +91,8 @@ class PriorFit:
                 yield f"{path}: {size:.3f} times the skeleton's lengths"
         if self.held_out is not None:
             yield (
-                f"Held-out log-likelihood per frame: {self.held_out.mixture:.2f} with {self.held_out.components} "
-                f"components, {self.held_out.one_gaussian:.2f} with one Gaussian"
+                f"Held-out log-likelihood per frame: {self.held_out['mixture']:.2f} with {self.held_out['components']} "
+                f"components, {self.held_out['one_gaussian']:.2f} with one Gaussian"
             )
 
 
@@ -153,17 +131,16 @@ def run_prior_fit(
     all_of(lambda: _require_markers(body, files), lambda: _require_rates(rates, files, fps or "--fps"))
 
     names = file_names([*dict.fromkeys(path.absolute() for path in paths)])
-    of_results = [Piece(names[path.absolute()], _sound_states(one), one.fps) for path, one in results.items()]
-    of_files, sizes = _solved_pieces(body, files, _labels(files, names), rates, estimate_size)
-    pieces = [*of_results, *of_files]
-    segments = [(piece.name, piece.states, piece.fps) for piece in pieces]
+    of_results: list[Segment] = [(names[path.absolute()], _sound_states(one), one.fps) for path, one in results.items()]
+    of_files, misfits_mm, sizes = _solved_segments(body, files, _labels(files, names), rates, estimate_size)
+    segments = [*of_results, *of_files]
     frames = _used_frames(segments, min_speed_m_s)
     fits = min(components, max(frames // FRAMES_PER_COMPONENT, 1))
     prior = fit_prior(body, segments, name or out.stem, source, fits, min_speed_m_s=min_speed_m_s, apart=apart)
     held_out = _held_out(body, segments, prior) if check else None
     save_prior(prior, out)
-    rms_mm = tuple(piece.rms_mm for piece in pieces)
-    left_out = sum(int(np.isnan(piece.states[:, 0]).sum()) for piece in of_results)
+    rms_mm = (*(math.nan for _ in of_results), *misfits_mm)
+    left_out = sum(int(np.isnan(states[:, 0]).sum()) for _, states, _ in of_results)
     return PriorFit(prior, rms_mm, sizes, _lacking(body, files), frames, left_out, held_out, components)
 
 
@@ -178,15 +155,16 @@ def _sound_states(results: Results) -> Array:
     return np.where(flagged[:, None], np.nan, results.states)
 
 
-def _solved_pieces(
+def _solved_segments(
     body: Body,
     files: Mapping[Path, Mapping[str, Pose3D]],
     labels: Mapping[tuple[Path, str], str],
     rates: Sequence[float],
     estimate_size: bool,
-) -> tuple[list[Piece], dict[Path, float]]:
-    """The pieces of pose files as states, and the factor on the body's lengths of each file."""
-    pieces: list[Piece] = []
+) -> tuple[list[Segment], list[float], dict[Path, float]]:
+    """The segments of pose files, the body's misfit to each (mm), and the factor on its lengths by file."""
+    segments: list[Segment] = []
+    misfits_mm: list[float] = []
     sizes: dict[Path, float] = {}
     rate = iter(rates if len(rates) > 1 else list(rates) * sum(map(len, files.values())))
     for path, of_file in files.items():
@@ -198,10 +176,10 @@ def _solved_pieces(
             for part, suffix in _without_gaps(pose.frames):
                 own = slice(first + part.start, first + part.stop)
                 known = rms_m[own][np.isfinite(rms_m[own])]
-                rms_mm = 1e3 * float(np.sqrt(np.mean(known**2))) if len(known) else math.nan
-                pieces.append(Piece(labels[path, piece] + suffix, states[own], piece_fps, rms_mm))
+                misfits_mm.append(1e3 * float(np.sqrt(np.mean(known**2))) if len(known) else math.nan)
+                segments.append((labels[path, piece] + suffix, states[own], piece_fps))
             first += len(pose.frames)
-    return pieces, sizes
+    return segments, misfits_mm, sizes
 
 
 def _labels(files: Mapping[Path, Mapping[str, Pose3D]], names: Mapping[Path, str]) -> dict[tuple[Path, str], str]:
@@ -226,7 +204,7 @@ def _used_frames(segments: Sequence[Segment], min_speed_m_s: float) -> int:
     )
 
 
-def _held_out(body: Body, segments: Sequence[Segment], prior: MotionPrior) -> HeldOut | None:
+def _held_out(body: Body, segments: Sequence[Segment], prior: MotionPrior) -> dict[str, float] | None:
     used = [segment for segment, row in zip(segments, prior.segments, strict=True) if row.used]
     frames = [int(np.isfinite(states).all(axis=1).sum()) for _, states, _ in used]
     scores, weights, fewest = [], [], len(prior.weights)
@@ -240,7 +218,7 @@ def _held_out(body: Body, segments: Sequence[Segment], prior: MotionPrior) -> He
     if not scores:
         return None
     mixture, one_gaussian = np.average(scores, axis=0, weights=weights).tolist()
-    return HeldOut(mixture, one_gaussian, fewest)
+    return {"mixture": mixture, "one_gaussian": one_gaussian, "components": fewest}
 
 
 # -- input --------------------------------------------------------------------------------------------------------
@@ -292,11 +270,9 @@ def _rates(fps: str | None, tables: Sequence[Path]) -> list[float]:
         path = Path(fps)
         if not path.is_file():
             raise InputError(Problem("--fps", "frame rate", repr(fps), expected)) from None
+        content = read_json(path, expected)
         try:
-            rates = read_json(path, expected)["fps"]
-            rates = [float(rate) for rate in (rates if isinstance(rates, list) else [rates])]
-        except InputError:
-            raise
+            rates = [float(rate) for rate in np.ravel(content["fps"])]
         except (ValueError, KeyError, TypeError, OverflowError):
             raise InputError(Problem(path, "fps", "no such list of numbers", expected)) from None
     if not rates or not all(math.isfinite(rate) and rate > 0 for rate in rates):
