@@ -20,7 +20,7 @@ from recon.keypoint_net.evaluate2d import Evaluation2D, evaluate_2d
 from recon.keypoint_net.labels import Labels, extents_px
 from recon.keypoint_net.model import count_parameters
 from recon.keypoint_net.run import State, TrainingRun
-from recon.keypoint_net.suspicious import Suspect, suspicious_labels
+from recon.keypoint_net.suspicious import suspicious_labels
 from recon.keypoint_net.torch_extra import require_torch
 from recon.keypoint_net.train import judge
 from recon.keypoint_net.trained import Trained, prepared
@@ -76,7 +76,7 @@ def write_training_report(run: TrainingRun, state: State, folder: Path) -> dict[
         "calibrations": {quality: dataclasses.asdict(c) for quality, c in spec.calibrations.items()},
         "reliability_validation": {quality: dataclasses.asdict(table) for quality, table in before.items()},
         "errors": {name: dataclasses.asdict(e) for name, e in judged.items()},
-        "suspicious_labels": [dataclasses.asdict(s) for s in suspects],
+        "suspicious_labels": suspects,
         "history": _thinned(state.history),
         "notes": list(run.labels.notes),
     }
@@ -114,11 +114,13 @@ def _thinned(history: list[dict[str, float]]) -> list[dict[str, float]]:
     return found
 
 
-def _write_suspects(suspects: list[Suspect], path: Path) -> None:
+def _write_suspects(suspects: list[dict[str, Any]], path: Path) -> None:
     rows = []
     for s in suspects:
-        values = ["" if np.isnan(v) else f"{v:.3f}" for v in (s.rank, s.network, s.others, s.time)]
-        rows.append([s.image, s.keypoint, f"{s.x_px:.2f}", f"{s.y_px:.2f}", *values, "; ".join(s.reasons)])
+        values = ["" if np.isnan(s[name]) else f"{s[name]:.3f}" for name in ("rank", "network", "others", "time")]
+        rows.append(
+            [s["image"], s["keypoint"], f"{s['x_px']:.2f}", f"{s['y_px']:.2f}", *values, "; ".join(s["reasons"])]
+        )
     header = ["image", "keypoint", "x_px", "y_px", "rank", "network", "others", "time", "reasons"]
     write_rows(path, [header], rows)
 

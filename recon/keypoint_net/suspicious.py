@@ -10,7 +10,7 @@ lies on the line in time: of two labels that are too far from each other, that i
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -28,24 +28,11 @@ NEAR_FRAMES = 3
 """Neighbours in time are at most this many frames away."""
 
 
-@dataclass(frozen=True)
-class Suspect:
-    """A label and what speaks against it, in body lengths (NaN where it says nothing)."""
+def suspicious_labels(labels: Labels, xy_px: Array, length_px: float) -> list[dict[str, Any]]:
+    """The most suspicious first: image and keypoint, x_px and y_px; what speaks against the label, by the network, the
+    others and time, in body lengths (NaN where it says nothing); its rank and the reasons in words.
 
-    image: str
-    keypoint: str
-    x_px: float
-    y_px: float
-    network: float
-    others: float
-    time: float
-    rank: float
-    reasons: tuple[str, ...]
-
-
-def suspicious_labels(labels: Labels, xy_px: Array, length_px: float) -> list[Suspect]:
-    """The most suspicious first. xy_px (N, K, 2): what the network says, in pixels of the clip, NaN in pictures that it
-    has not learned from."""
+    xy_px (N, K, 2): what the network says, in pixels of the clip, NaN in pictures that it has not learned from."""
     network = np.linalg.norm(xy_px - labels.xy_px, axis=2) / length_px
     others, time = _excess_distance_px(labels.xy_px) / length_px, _off_line_px(labels) / length_px
     far = np.fmax(FAR, LEARNED * np.array([median(of_one) for of_one in network.T]))
@@ -61,10 +48,11 @@ def suspicious_labels(labels: Labels, xy_px: Array, length_px: float) -> list[Su
             rank = sum(value for value, limit, _ in parts if value > limit)
             if time[i, k] <= JUMP:
                 rank *= 0.5
-            (by_network, by_others, by_time), (x, y) = (value for value, *_ in parts), labels.xy_px[i, k].tolist()
-            named = labels.images[i], labels.names[k], x, y
-            found.append(Suspect(*named, by_network, by_others, by_time, rank, reasons))
-    return sorted(found, key=lambda s: -s.rank)[:MOST]
+            (x, y), against = labels.xy_px[i, k].tolist(), [value for value, *_ in parts]
+            row = {"image": labels.images[i], "keypoint": labels.names[k], "x_px": x, "y_px": y}
+            row |= dict(zip(("network", "others", "time"), against, strict=True))
+            found.append(row | {"rank": rank, "reasons": reasons})
+    return sorted(found, key=lambda row: -row["rank"])[:MOST]
 
 
 def _excess_distance_px(xy_px: Array) -> Array:

@@ -54,7 +54,7 @@ THUMBNAIL_PX = 400
 
 
 @dataclass(eq=False)
-class Key:
+class _Keyframe:
     """A frame that others are compared with.
 
     number: its place among those that have a turn. frame: None where the picture has been forgotten. points_px, rays:
@@ -108,7 +108,7 @@ class Tracker:
     camera: Camera
     solve_zoom: bool = False
     masked: Callable[[int], Array | None] = lambda number: None
-    keys: list[Key] = field(default_factory=list)
+    keys: list[_Keyframe] = field(default_factory=list)
     frames: list[int] = field(default_factory=list)
     turns: list[Orientation] = field(default_factory=list)
     supports: list[tuple[int, float]] = field(default_factory=list)
@@ -196,7 +196,7 @@ class Tracker:
         of_points = rays[valid], pixels[valid], there[valid], trust[valid]
         return agreed_turn(self.camera, *of_points, zoom, solve_zoom=self.solve_zoom, limit_px=limit_px)
 
-    def _nearest(self, turn: Orientation, count: int) -> list[Key]:
+    def _nearest(self, turn: Orientation, count: int) -> list[_Keyframe]:
         """Keyframes with a picture that look the same way."""
         near = [(float(turn.rotation[2] @ key.turn.rotation[2]), key) for key in self.keys if key.frame is not None]
         near = sorted(near, key=lambda pair: -pair[0])[: 2 * count]
@@ -207,7 +207,7 @@ class Tracker:
             kept.append(min(alike[count:], key=lambda key: key.number))
         return kept or [key for _, key in best[:1]]
 
-    def _likeness(self, key: Key, turn: Orientation) -> float:
+    def _likeness(self, key: _Keyframe, turn: Orientation) -> float:
         """Share of a frame's picture that is in the keyframe's, less where it is larger or smaller there."""
         width, height = self.camera.image_size_px
         x, y = np.meshgrid(np.linspace(0, width - 1, 9), np.linspace(0, height - 1, 9))
@@ -269,7 +269,7 @@ class Tracker:
             if own.sum() >= 8:
                 self.links.append(self._link(place, key, agreement, seen, own))
 
-    def _link(self, place: int, key: Key, agreement: AgreedOrientation, seen: _Seen, own: Bools) -> Link:
+    def _link(self, place: int, key: _Keyframe, agreement: AgreedOrientation, seen: _Seen, own: Bools) -> Link:
         turn, J = agreement.turn, agreement.jacobian[own]
         by_key = np.zeros((len(J), 2, 1))
         if self.solve_zoom:
@@ -306,7 +306,7 @@ class Tracker:
         small = np.asarray(cv2.resize(picture, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA), np.uint8)
         place, known, points, trust = len(self.frames) - 1, described(frame), points[valid], trust[valid]
         settled = np.zeros(len(points), bool)
-        key = Key(place, frame, points, turn, trust, known, small, rays[valid], settled, self.frames[-1])
+        key = _Keyframe(place, frame, points, turn, trust, known, small, rays[valid], settled, self.frames[-1])
         self.keys.append(key)
         with_picture = [key for key in self.keys if key.frame is not None]
         if len(with_picture) > MAX_PICTURES:
@@ -337,7 +337,7 @@ class _Seen:
     """Points of some keyframes in one frame. of_key, index: (N,), whose they are and which of its. rays: (N, 3), world.
     pixels: (N, 2). trust: (N,)."""
 
-    keys: list[Key]
+    keys: list[_Keyframe]
     of_key: Integers
     index: Integers
     rays: Array
@@ -345,7 +345,9 @@ class _Seen:
     trust: Array
 
     @classmethod
-    def of(cls, camera: Camera, keys: list[Key], frame: GreyPicture, guess: Orientation, mask: Bools | None) -> _Seen:
+    def of(
+        cls, camera: Camera, keys: list[_Keyframe], frame: GreyPicture, guess: Orientation, mask: Bools | None
+    ) -> _Seen:
         none = np.zeros(0, np.int64)
         parts: list[tuple[Any, ...]] = [(none, none, np.zeros((0, 3)), np.zeros((0, 2)), np.zeros(0))]
         for k, key in enumerate(keys):
