@@ -5,7 +5,7 @@ After D. Cohen, SUNFEST, University of Pennsylvania, 2005. World: x to the right
 
 from recon.robotics.climb.check import ClimbCheck, check
 from recon.robotics.climb.plan import Climb, plan
-from recon.robotics.climb.recipe import Recipe, bundled, load_recipe, raised, save_recipe, scaled
+from recon.robotics.climb.recipe import Recipe, bundled, load_recipe, raised, scaled
 from recon.robotics.climb.walker import Walker
 
 __all__ = [
@@ -18,6 +18,5 @@ __all__ = [
     "load_recipe",
     "plan",
     "raised",
-    "save_recipe",
     "scaled",
 ]

@@ -15,7 +15,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from recon.base.arrays import Array, Bools, Integers
-from recon.robotics.climb.fields import PLANAR, Fields, Stand, evaluate, wrench
+from recon.robotics.climb.fields import PLANAR, Fields, Stand, evaluate
+from recon.robotics.climb.numbers import FORBID, Positive
 
 MAX_EVALUATIONS = 100
 """Of the fields, in one frame."""
@@ -40,17 +41,18 @@ class Torso(NamedTuple):
 class TorsoDynamics:
     """How a torso follows the fields, an evaluation being the unit of time."""
 
-    mass: float
+    __pydantic_config__ = FORBID
+    mass: Positive
     """Force over speed."""
-    inertia: float
+    inertia: Positive
     """Moment over rate."""
-    max_step_m: float
+    max_step_m: Positive
     """Cap of a frame."""
-    max_turn_rad: float
+    max_turn_rad: Positive
     """Cap of a frame."""
     dofs: tuple[int, ...] = PLANAR
     """Which of x, y, z, pitch, roll, yaw are free."""
-    arm_m: float = 0.065
+    arm_m: Positive = 0.065
     """A turn by one radian counts as this way."""
 
 
@@ -92,7 +94,7 @@ def ride(
     over = np.array([motion.mass] * 3 + [motion.inertia] * 3)[dofs]
     for k in range(max_evaluations):
         step = np.zeros(6)
-        step[dofs] = wrench(fields, stand, *torso)[dofs] / over
+        step[dofs] = evaluate(fields, stand, *torso).wrench[dofs] / over
         step = capped(step, motion.max_step_m, motion.max_turn_rad)
         if np.hypot(np.linalg.norm(step[:3]), motion.arm_m * np.linalg.norm(step[3:])) < SETTLED_M:
             return Held(torso, np.array(k + 1), np.array(True))

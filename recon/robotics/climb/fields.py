@@ -130,7 +130,7 @@ def evaluate(fields: Fields, stand: Stand, position_m: Array, rotation: Array) -
     wrench = np.empty((*position_m.shape[:-1], 6))
     wrench[..., :3] = (rotation @ force[..., None])[..., 0]
     wrench[..., :2] += pull
-    wrench[..., 3:] = _cross(arm, gradient).sum(axis=-2)
+    wrench[..., 3:] = np.cross(arm, gradient).sum(axis=-2)
     jacobian = np.empty((*position_m.shape[:-1], 6, 6))
     jacobian[..., :3, :3] = -pp
     jacobian[..., :2, :2] -= stiffness
@@ -138,16 +138,6 @@ def evaluate(fields: Fields, stand: Stand, position_m: Array, rotation: Array) -
     jacobian[..., 3:, :3] = np.swapaxes(pf, -1, -2)
     jacobian[..., 3:, 3:] = ff
     return FieldValues(energy.sum(axis=-1) + held, wrench, jacobian)
-
-
-def wrench(fields: Fields, stand: Stand, position_m: Array, rotation: Array) -> Array:
-    """(..., 6), as in `FieldValues`, without the rest."""
-    arm = (stand.feet_m - position_m[..., None, :]) @ rotation
-    gradient = leg_forces(fields, arm - stand.hips_m, stand.side).sum(axis=-3)
-    pull = _balance(fields, stand.target_m - position_m[..., :2])[0]
-    force = (rotation @ gradient.sum(axis=-2)[..., None])[..., 0]
-    force[..., :2] += pull
-    return np.concatenate([force, _cross(arm, gradient).sum(axis=-2)], axis=-1)
 
 
 def leg_forces(fields: Fields, r: Array, side: Array) -> Array:
@@ -211,13 +201,6 @@ def _balance(fields: Fields, to_target: Array) -> tuple[Array, Array, Array]:
     # ln cosh without overflow.
     energy = gain / sharp * (sharp * d + np.log1p(np.exp(-2 * sharp * d)) - np.log(2.0))
     return over[..., None] * to_target, stiffness, energy
-
-
-def _cross(a: Array, b: Array) -> Array:
-    """np.cross, which takes many times as long for few vectors."""
-    x, y, z = a[..., 0], a[..., 1], a[..., 2]
-    u, v, w = b[..., 0], b[..., 1], b[..., 2]
-    return np.stack([y * w - z * v, z * u - x * w, x * v - y * u], axis=-1)
 
 
 def _cross_matrix(v: Array) -> Array:

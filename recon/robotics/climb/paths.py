@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from recon.base.arrays import Array
+from recon.robotics.climb.numbers import FORBID, Number
 
 PHASES = ("rise", "traverse", "lower")
 
@@ -16,8 +17,9 @@ PHASES = ("rise", "traverse", "lower")
 class Step:
     """A step up across the way: the ground is level at 0 as far as edge_m forward (y), and at height_m beyond."""
 
-    edge_m: float
-    height_m: float
+    __pydantic_config__ = FORBID
+    edge_m: Number
+    height_m: Number
 
     def distance_m(self, points_m: Array) -> Array:
         """(...): from points (..., 3) to the ground or the step, whichever is nearer, negative inside."""

@@ -126,7 +126,7 @@ def _report(climb: Climb, method: str, name: str, frame: int) -> dict[str, Any]:
     return {
         "schema": {"name": "recon.climb", "version": 1},
         "robot": climb.walker.name,
-        "recipe": {"name": name, "made_by": recipe.made_by, "degrees_of_freedom": len(recipe.motion.dofs)},
+        "recipe": {"name": name, "about": recipe.about, "degrees_of_freedom": len(recipe.motion.dofs)},
         "step_m": recipe.step.height_m,
         "edge_m": recipe.step.edge_m,
         "method": method,
