@@ -3,7 +3,8 @@
 python benchmarks/analyse.py [FRAMES [FOLDER]]
 
 Fits a simulated animal that runs in circles over FRAMES frames (10,000 by default, which takes minutes) unless FOLDER
-holds such results from before, and times the command as a whole process, with the figures, without, and with --solver.
+holds such results from before, and times the command as a whole process, with the figures and without, and so
+`recon solver`.
 """
 
 from __future__ import annotations
@@ -52,8 +53,13 @@ def main() -> None:
         if not folder.exists():
             fit(frames, folder)
         print_header(["frames", "", "s", "of the processor", "ms a frame", "peak memory MB"])
-        for name, options in (("figures", ()), ("no figures", ("--no-figures",)), ("--solver", ("--solver",))):
-            taken_s, used_s, memory_mb = recon("analyse", str(folder), *options, "--overwrite")
+        commands = {
+            "figures": ("analyse",),
+            "no figures": ("analyse", "--no-figures"),
+            "recon solver": ("solver",),
+        }
+        for name, (command, *options) in commands.items():
+            taken_s, used_s, memory_mb = recon(command, str(folder), *options, "--overwrite")
             numbers = (f"{taken_s:.1f}", f"{used_s:.1f}", f"{1000 * used_s / frames:.2f}", f"{memory_mb:.0f}")
             print_row([str(frames), name, *numbers])
 

@@ -145,7 +145,7 @@ def level_results(made_once) -> Path:
 
 @pytest.fixture(scope="session")
 def frame_results(made_once) -> Path:
-    """Folder of `recon fit --method frame` on the noisy sample. Not to be written to."""
+    """Folder of `recon frame` on the noisy sample. Not to be written to."""
     settings = FitSettings(keypoints=SAMPLES / "noisy.csv", camera=SAMPLES / "camera.toml", fps=30, method="frame")
     return made_once("frame", lambda out: run_clip(settings, out))
 

@@ -253,7 +253,7 @@ def test_results_can_be_moved_with_what_they_were_made_from(tmp_path, monkeypatc
     moved = (tmp_path / "home").rename(tmp_path / "elsewhere") / "me"
     settings = read_settings(moved / "out" / "config.toml", {})
     assert (settings.keypoints, settings.camera) == ((moved / "noisy.csv",), moved / "camera.toml")
-    assert run("analyse", moved / "out", "--solver", "--no-figures", "-q") == (0, "", "")
+    assert run("solver", moved / "out", "--no-figures", "-q") == (0, "", "")
 
 
 def test_a_config_away_from_its_files_or_beside_others_says_so(tmp_path):
@@ -710,7 +710,7 @@ def test_overwrite_keeps_other_files(fitted, tmp_path):
 
 KILLED_FITTING = """
 import os, signal
-import recon.workflows.clip as clip
+import recon.thesis.clip as clip
 solve = clip.solve_frames
 def until_frame_3(*args):
     return solve(*args[:-1], lambda frame: os.kill(os.getpid(), signal.SIGKILL) if frame == 3 else None)

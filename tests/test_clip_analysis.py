@@ -20,8 +20,8 @@ from recon.gait.clip import ClipAnalysis, analyse, limb_chains
 from recon.io.pose3d import read_pose3d
 from recon.show.export import analysis_csv
 from recon.show.plots import save
-from recon.show.report.frame import lines as frame_lines
 from recon.show.view.series import state_entity
+from recon.thesis.report import lines as frame_lines
 from recon.workflows.analyse import figures_of, notes, summarise
 
 SAMPLES = Path(__file__).parents[1] / "data" / "samples"

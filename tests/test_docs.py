@@ -103,9 +103,6 @@ ONCE = {
 }
 """Slow commands that several pages have. On the same result, they are run once."""
 
-DRAWN = {"recon analyse results/clip --solver": "recon.workflows.analyse.figures_of"}
-"""Commands that draw the figures of one of those too, and what draws them: once is enough."""
-
 
 # -- running a page -----------------------------------------------------------------------------------------------
 
@@ -135,10 +132,7 @@ class Workshop:
         self.provide(command)
         if command in ONCE and same_pose(self.folder / "results" / "clip", self.results):
             return self.of_results(command)[0]
-        with pytest.MonkeyPatch.context() as patch:
-            if command in DRAWN:
-                patch.setattr(DRAWN[command], lambda found: {})
-            ended = run(*words[1:])
+        ended = run(*words[1:])
         assert ended.code == 0, f"{command}\n{ended.out}{ended.err}"
         return ended.out
 

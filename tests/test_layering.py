@@ -35,10 +35,7 @@ LAYERS = (
 )
 WINGS = ("robotics", "keypoint_net", "thesis")
 
-NOT_YET = {
-    "recon.show": {"thesis"},
-    "recon.workflows": {"thesis"},
-}
+NOT_YET: dict[str, set[str]] = {}
 """Wings that a room still imports, by room. May only become fewer."""
 
 CIRCLES = [

@@ -13,7 +13,7 @@ from rich.text import Text
 
 from recon.base.errors import InputError
 from recon.fit import TrajectoryOptions
-from recon.thesis import FrameOptions
+from recon.thesis import FrameOptions, frame_options
 from recon.workflows.cli import app
 from recon.workflows.settings import SETTINGS, FitSettings, of_method, option, read_settings
 
@@ -40,7 +40,7 @@ def test_what_is_not_given_has_its_default():
     settings = read_settings(None, {**GIVEN, "side": None, "likelihood_min": None})
     assert settings.side == "auto"
     assert settings.likelihood_min == 0.5
-    assert FitSettings(**GIVEN, method="frame").frame_options() == FrameOptions()
+    assert frame_options(FitSettings(**GIVEN, method="frame")) == FrameOptions()
     assert settings.trajectory_options() == TrajectoryOptions()
     assert (settings.method, settings.skeleton_name) == ("trajectory", "cheetah-24")
 
@@ -70,7 +70,7 @@ def test_every_solver_option_is_a_setting():
         "max_evaluations": 50,
     }
     assert set(changed) == set(FrameOptions.__dataclass_fields__)
-    assert FitSettings(**GIVEN, **changed, method="frame").frame_options() == FrameOptions(**changed)
+    assert frame_options(FitSettings(**GIVEN, **changed, method="frame")) == FrameOptions(**changed)
 
 
 @pytest.mark.parametrize(

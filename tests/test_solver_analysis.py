@@ -1,4 +1,4 @@
-"""`recon analyse --solver`: the problem at the solution against the report and scipy, and what is shown."""
+"""`recon solver`: the problem at the solution against the report and scipy, and what is shown."""
 
 from __future__ import annotations
 
@@ -17,12 +17,10 @@ from recon.base.errors import InputError
 from recon.base.manifest import write_manifest
 from recon.fit.results import read_results
 from recon.show import plots
-from recon.show.export import solver_csv
-from recon.show.view.analysis import _solver
-from recon.thesis.solver import SolverRecord
-from recon.workflows.analyse import solver_figures
+from recon.thesis import SolverRecord, read_solver
+from recon.thesis import plots as solver_plots
+from recon.thesis.inspection import TABLES, playback_series, solver_figures, write_tables
 from recon.workflows.settings import read_settings
-from recon.workflows.solver import read_solver
 
 SAMPLES = Path(__file__).parents[1] / "data" / "samples"
 
@@ -109,8 +107,8 @@ def test_rotation_and_length(frame, whole):
 
 def test_tables(whole, frame, tmp_path):
     for record in (whole, frame):
-        solver_csv.write(record, tmp_path)
-        tables = {name: pd.read_csv(tmp_path / name) for name in solver_csv.TABLES}
+        write_tables(record, tmp_path)
+        tables = {name: pd.read_csv(tmp_path / name) for name in TABLES}
         frames, errors = tables["solver_frames.csv"], tables["image_errors.csv"]
         np.testing.assert_array_equal(frames["frame"], record.results.pose.frames)
         np.testing.assert_array_equal(frames["optimality"], record.optimality)
@@ -122,16 +120,16 @@ def test_tables(whole, frame, tmp_path):
 
 
 def test_figures(whole, frame, chain):
-    assert [len(plots.solver_search(record).axes) for record in (whole, chain, frame)] == [3, 4, 5]
-    cost, *_ = plots.solver_search(frame).axes
+    assert [len(solver_plots.solver_search(record).axes) for record in (whole, chain, frame)] == [3, 4, 5]
+    cost, *_ = solver_plots.solver_search(frame).axes
     np.testing.assert_array_equal(cost.lines[0].get_ydata(), frame.problem.cost["reprojection"])
-    rows = plots.solver_root(frame).axes
+    rows = solver_plots.solver_root(frame).axes
     assert [axes.get_ylabel() for axes in rows] == ["xi (°)", "psi (°)", "zeta (°)", "base length (m)"]
     np.testing.assert_allclose(rows[2].lines[0].get_ydata(), np.degrees(frame.rotation_rad["zeta"]))
-    heat, _ = plots.image_errors(whole).axes
+    heat, _ = solver_plots.image_errors(whole).axes
     shown = np.ma.filled(heat.collections[0].get_array(), np.nan)
     np.testing.assert_array_equal(shown, whole.image_error_px["synthetic pinhole"])
-    gradient, norm = plots.solver_unknowns(whole).axes
+    gradient, norm = solver_plots.solver_unknowns(whole).axes
     np.testing.assert_allclose(norm.lines[0].get_xdata(), np.median(whole.problem.column_norm, axis=0))
     assert [label.get_text() for label in gradient.get_yticklabels()] == [*whole.problem.unknowns]
 
@@ -144,7 +142,7 @@ def test_figures_are_written(chain, small_pictures, tmp_path):
 
 
 def test_plots_beside_the_playback(frame):
-    shown = [*_solver(frame)]
+    shown = [*playback_series(frame)]
     assert {series.tab for series in shown} == {"Solver", "Picture and root"}
     lines = {s.entity: dict(zip(s.names, np.transpose(s.values), strict=True)) for s in shown}
     np.testing.assert_array_equal(lines["solver/limits"]["rates"], frame.active["rates"])
@@ -152,12 +150,12 @@ def test_plots_beside_the_playback(frame):
 
 
 def test_command_writes_all_of_it(of_results):
-    printed, folder = of_results("recon analyse results/clip --solver --no-figures")
-    analysis = folder / "results" / "clip" / "analysis"
-    files = {path.name for path in analysis.iterdir()}
-    assert {*solver_csv.TABLES, "jacobian.npz"} <= files
+    printed, folder = of_results("recon solver results/clip --no-figures")
+    solver = folder / "results" / "clip" / "solver"
+    files = {path.name for path in solver.iterdir()}
+    assert {*TABLES, "jacobian.npz"} <= files
     assert f"{len(files)} files" in printed
-    summary = json.loads((analysis / "analysis.json").read_text(encoding="utf-8"))["solver"]
+    summary = json.loads((solver / "solver.json").read_text(encoding="utf-8"))
     assert summary["status"] == "converged"
 
 
@@ -184,5 +182,5 @@ def test_inputs_that_are_not_those_of_the_fit(chain_results, tmp_path, change, t
     (tmp_path / "camera.toml").write_text(camera, encoding="utf-8")
     with pytest.raises(InputError, match=told):
         read_solver(read_results(folder))
-    assert run("analyse", folder, "--solver", "--no-figures").code == 2
-    assert not (folder / "analysis").exists() or not any((folder / "analysis").iterdir())
+    assert run("solver", folder, "--no-figures").code == 2
+    assert not (folder / "solver").exists() or not any((folder / "solver").iterdir())

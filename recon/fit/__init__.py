@@ -1,6 +1,6 @@
 """Views of a clip -> an animal's motion over the whole clip.
 
-The only place that solves for an animal's motion, besides the reference method (`recon.thesis`).
+The only place that solves for an animal's motion, besides the wings' own methods.
 """
 
 from recon.fit.points import solve_points

@@ -102,7 +102,7 @@ class Motion:
     """Whose limbs were fitted, of a chain; None: both."""
     side_reason: str
     solution: Solution
-    """What the method found, and what else it says: a `TrajectorySolution`, or a `recon.thesis.FrameSolution`."""
+    """What the method found, and what else it says: a `TrajectorySolution`, or that of another method."""
     findings: tuple[Finding, ...] = ()
     """What checks of the input and of the fit found (`recon.check`), the most serious first."""
     settings: Mapping[str, Any] = field(default_factory=dict)
@@ -176,13 +176,13 @@ class Motion:
     # -- the animal -----------------------------------------------------------------------------------------------
 
     @property
-    def method(self) -> Literal["trajectory", "frame"]:
+    def method(self) -> str:
         return self.solution.method
 
     @property
     def jitters(self) -> bool:
         """Each frame was solved by itself: paths jitter from frame to frame, and sigmas are given the frame before."""
-        return self.method == "frame"
+        return self.solution.jitters
 
     @property
     def body(self) -> Body:

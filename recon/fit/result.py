@@ -67,7 +67,12 @@ class Solution:
 
     In the world frame (`recon.geometry.frames`) and metres; NaN in frames without a pose."""
 
-    method: ClassVar[Literal["trajectory", "frame"]]
+    method: ClassVar[str]
+    """What the report calls it."""
+    described_by: ClassVar[str] = "recon.show.report.trajectory"
+    """The module with the sections and the summary that the report has of such a solution (`recon.show.report`)."""
+    jitters: ClassVar[bool] = False
+    """Whether each frame was solved by itself, so that paths jitter from frame to frame."""
 
     body: Body
     views: tuple[View, ...]
@@ -104,6 +109,11 @@ class Solution:
     def findings(self) -> tuple[Finding, ...]:
         """What only this method can say of its own solution."""
         return ()
+
+    @property
+    def straight_run_m_s(self) -> Array | None:
+        """(T,): the speed of the straight runs that the search started from, where the method keeps it."""
+        return None
 
     @property
     def posed(self) -> NDArray[np.bool_]:

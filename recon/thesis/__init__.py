@@ -2,27 +2,58 @@
 
 C. van der Leek, "Kinematic Modeling and Dynamic Aspects of an Accelerating Quadruped", MSc(Eng), University of Cape
 Town, 2022. The chain and its states as published stand in `recon.animal.chain`; objectives: the terms f1 to f5 and the
-priors that they need besides, one small class each; starts: where the first frame starts; frame: the solver.
+priors that they need besides, one small class each; starts: where the first frame starts; frame: the solver; clip: what
+`recon frame` runs; solver: what the optimiser did, of this method and of the rooms', which `recon solver` shows.
 """
 
-from recon.thesis.frame import (
-    FrameOptions,
-    FrameReport,
-    FrameSolution,
-    base_length,
-    frame_objectives,
-    frame_rows,
-    solve_frames,
-    solve_joints,
-)
+from typing import TYPE_CHECKING
+
+from recon.base.front_door import lazily
+
+if TYPE_CHECKING:
+    from recon.thesis.clip import fit_clip, frame_options, load_body
+    from recon.thesis.frame import (
+        FrameOptions,
+        FrameReport,
+        FrameSolution,
+        base_length,
+        frame_objectives,
+        solve_frames,
+        solve_joints,
+    )
+    from recon.thesis.inspection import read_solver, run_solver
+    from recon.thesis.solver import SolverRecord
 
 __all__ = [
     "FrameOptions",
     "FrameReport",
     "FrameSolution",
+    "SolverRecord",
     "base_length",
+    "fit_clip",
     "frame_objectives",
-    "frame_rows",
+    "frame_options",
+    "load_body",
+    "read_solver",
+    "run_solver",
     "solve_frames",
     "solve_joints",
 ]
+
+__getattr__ = lazily(
+    __name__,
+    {
+        "clip": ("fit_clip", "frame_options", "load_body"),
+        "frame": (
+            "FrameOptions",
+            "FrameReport",
+            "FrameSolution",
+            "base_length",
+            "frame_objectives",
+            "solve_frames",
+            "solve_joints",
+        ),
+        "inspection": ("read_solver", "run_solver"),
+        "solver": ("SolverRecord",),
+    },
+)

@@ -140,6 +140,12 @@ class FrameSolution(Solution):
     fps: float
 
     method: ClassVar = "frame"
+    described_by: ClassVar = "recon.thesis.report"
+    jitters: ClassVar = True
+
+    @property
+    def straight_run_m_s(self) -> Array:
+        return self.travel.speed_m_s
 
     @cached_property
     def status(self) -> tuple[Status, ...]:

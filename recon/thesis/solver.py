@@ -25,8 +25,7 @@ from recon.fit.results import Results
 from recon.fit.setting import Setting
 from recon.fit.terms import CRAB, SIZE, lag
 from recon.geometry.kinematics import ROOT, YAW
-from recon.thesis import FrameOptions, frame_rows
-from recon.thesis.frame import beyond_range_rad, beyond_rate_rad_s
+from recon.thesis.frame import FrameOptions, beyond_range_rad, beyond_rate_rad_s, frame_rows
 
 _LEAST_DAMPING = 1e-4
 """Of the step that is left: as of the solver's last ones."""
@@ -204,7 +203,7 @@ def _rows(problem: LeastSquares, states: Array, shared: Mapping[str, Array]) -> 
 
 @dataclass(frozen=True, eq=False)
 class SolverRecord:
-    """What `recon analyse --solver` shows, of T frames. problem: at the solution. chain: of a result of a chain."""
+    """What `recon solver` shows, of T frames. problem: at the solution. chain: of a result of a chain."""
 
     results: Results
     problem: Linearised
@@ -278,7 +277,7 @@ class SolverRecord:
         return np.array([frame["unknowns"] or none for frame in self.results.report["frames"]], dtype=float)
 
     def summary(self) -> dict[str, object]:
-        """For analysis.json."""
+        """For solver.json."""
         report, cost = self.results.report, {name: float(np.nansum(c)) for name, c in self.problem.cost.items()}
         found: dict[str, object] = {
             "cost_by_term": cost,

@@ -13,17 +13,15 @@ from threadpoolctl import threadpool_limits
 
 from recon.base.files import require_free_folder, sole_writer, staged_folder
 from recon.base.progress import Progress, silent
-from recon.fit.results import MEASURED_SHARE, Results, read_results
+from recon.fit.results import MEASURED_SHARE, read_results
 from recon.gait.clip import ClipAnalysis, analyse
 from recon.gait.gait import Gait, doubt_text
 from recon.gait.kinematics import peak_doubt
-from recon.show.export import analysis_csv, solver_csv
+from recon.show.export import analysis_csv
 from recon.show.report import to_json
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-    from recon.thesis.solver import SolverRecord
 
 SUMMARY = "analysis.json"
 FOLDER = "analysis"
@@ -55,11 +53,9 @@ def run_analyse(
     figures: bool = True,
     overwrite: bool = False,
     stride_s: tuple[float, float] | None = None,
-    solver: bool = False,
     progress: Progress = silent,
 ) -> Analysed:
     """`recon analyse`: into `out`, by default the folder analysis in the results' own. smooth, stride_s: see `analyse`.
-    solver: also what the optimiser did, see `read_solver`.
 
     The results are not written to. Figures come last: whatever befalls them, the tables are there. Raises InputError:
     no results, too few frames, or files in the way.
@@ -68,40 +64,30 @@ def run_analyse(
     progress("reading", 0.0)
     results = read_results(folder)
     with sole_writer(out):
-        own = (*solver_csv.TABLES, solver_csv.JACOBIAN) if solver else ()
-        require_free_folder(out, (SUMMARY, PLOTS, *analysis_csv.TABLES, *own), overwrite, "an analysis")
+        require_free_folder(out, (SUMMARY, PLOTS, *analysis_csv.TABLES), overwrite, "an analysis")
         progress("analysis", 0.1)
         with threadpool_limits(1, user_api="blas"):  # of small matrices, threads cost more than they bring
-            record = _solver_record(results) if solver else None  # before the other, which takes as much memory
             found = analyse(results, smooth, stride_s, lean=True)
-        summary = summarise(found) | ({} if record is None else {"solver": record.summary()})
+        summary = summarise(found)
         progress("tables", FIGURES_BEGIN - 0.1)
         with staged_folder(out) as staging:
             analysis_csv.write(found, staging)
-            if record is not None:
-                solver_csv.write(record, staging)
             (staging / SUMMARY).write_text(to_json(summary), encoding="utf-8")
             if (folder / PLAYBACK).is_file():
-                _write_plots(found, record, staging)
+                _write_plots(found, staging)
             files = [path.name for path in staging.iterdir()]
         if figures:
             with staged_folder(out) as staging:
-                write_figures(found, staging, record, progress)
+                write_figures(found, staging, progress)
                 files += [path.name for path in staging.iterdir()]
     return Analysed(found, summary, out, tuple(sorted(files)), out / PLOTS if PLOTS in files else None)
 
 
-def _solver_record(results: Results) -> SolverRecord:
-    from recon.workflows.solver import read_solver  # slow to import: all of a fit
-
-    return read_solver(results)
-
-
-def _write_plots(found: ClipAnalysis, record: SolverRecord | None, folder: Path) -> None:
+def _write_plots(found: ClipAnalysis, folder: Path) -> None:
     from recon.show.view.analysis import write_analysis  # rerun is slow to import
 
     found.results.manifest.require(PLAYBACK)
-    write_analysis(found, folder / PLOTS, found.results.folder / PLAYBACK, record)
+    write_analysis(found, folder / PLOTS, found.results.folder / PLAYBACK)
 
 
 # -- summary ---------------------------------------------------------------------------------------------------------
@@ -205,12 +191,12 @@ def _gait_summary(gait: Gait) -> dict[str, Any]:
 # -- figures ---------------------------------------------------------------------------------------------------------
 
 
-def write_figures(found: ClipAnalysis, folder: Path, record: SolverRecord | None, progress: Progress) -> None:
+def write_figures(found: ClipAnalysis, folder: Path, progress: Progress) -> None:
     """PNG and SVG of composites, speed, footfalls, vector fields by limb, phase portraits, what the pixels say of the
-    angles, the stride's configurations in the animal's own frame, and what the optimiser did."""
+    angles, and the stride's configurations in the animal's own frame."""
     from recon.show import plots
 
-    drawn = figures_of(found) | ({} if record is None else solver_figures(record))
+    drawn = figures_of(found)
     for done, (name, draw) in enumerate(drawn.items()):
         progress(f"figures: {name}", FIGURES_BEGIN + (1.0 - FIGURES_BEGIN) * done / len(drawn))
         plots.save(draw(), folder, name)
@@ -246,16 +232,4 @@ def figures_of(found: ClipAnalysis) -> dict[str, Callable[[], Figure]]:
         ),
         "body_fixed": partial(plots.body_fixed, *own),
         "body_fixed_limbs": partial(plots.limbs_apart, *own),
-    }
-
-
-def solver_figures(record: SolverRecord) -> dict[str, Callable[[], Figure]]:
-    """The same of what the optimiser did."""
-    from recon.show import plots
-
-    return {
-        "solver_search": partial(plots.solver_search, record),
-        "solver_root": partial(plots.solver_root, record),
-        "solver_unknowns": partial(plots.solver_unknowns, record),
-        "image_errors": partial(plots.image_errors, record),
     }

@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from functools import cached_property
+from importlib import import_module
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -15,11 +16,10 @@ from typing import Any
 import numpy as np
 
 from recon.animal.body import Body, Side, facing_side
-from recon.animal.chain import Chain
 from recon.animal.detector import seen_by
 from recon.animal.naming import fitting_maps, load_names, map_to_write, renamed
 from recon.animal.prior import MotionPrior, load_prior
-from recon.animal.skeleton_file import load_chain, load_skeleton
+from recon.animal.skeleton_file import load_skeleton
 from recon.base.arrays import Array, Bools
 from recon.base.errors import InputError, Problem, all_of
 from recon.base.files import require_free_folder, sole_writer, staged_results, write_bytes
@@ -45,11 +45,10 @@ from recon.io.camera_track import MAX_GAP_S, CameraTrack
 from recon.show.export.clip_csv import CAMERA_OUTPUTS, CLIP_OUTPUTS, of_any_camera, write_tables
 from recon.show.page import PAGE
 from recon.show.report import build_report, write_report
-from recon.thesis import solve_frames
 from recon.workflows.cameras import Cameras, ClipCamera, cameras_in, other_cameras, read_clip_cameras
 from recon.workflows.made_from import digests
 from recon.workflows.offsets import solved_in_step
-from recon.workflows.settings import FitSettings
+from recon.workflows.settings import METHODS, FitSettings
 
 REFINED_CAMERAS = "cameras.toml"
 """Where cameras' poses were refined."""
@@ -88,24 +87,14 @@ _WITHOUT_POSE = "in frames for which the camera's track has no pose"
 
 
 def fit_clip(settings: FitSettings, progress: Progress = silent) -> Motion:
-    """Reconstruct one clip by `settings.method`: the whole animal, or a chain, over all frames at once (trajectory), or
-    one side of the animal as a chain, one frame after the other (frame).
+    """Reconstruct one clip: the whole animal, or a chain, over all frames at once, or as another of `METHODS` does it.
 
     Raises InputError for files and settings that cannot be used, with the problems of all of them. Frames that cannot
     be solved are part of the result.
     """
+    if settings.method in METHODS:
+        return import_module(METHODS[settings.method]).fit_clip(settings, progress)
     given = prepare(settings)
-    chain = given.model.chain
-    if chain is None:
-        return _whole_motion(given, settings, progress)
-    (view,), T = views_of(given.sources), len(given.sources[0].keypoints.frames)
-    solution = solve_frames(view, chain, given.fps, settings.frame_options(), lambda done: progress("frames", done / T))
-    motion = Motion(given.sources, given.side, given.side_reason, solution, settings=settings.plain())
-    return replace(motion, findings=findings_of(motion))
-
-
-def _whole_motion(given: Prepared, settings: FitSettings, progress: Progress) -> Motion:
-    """By the trajectory method, again without gross outliers and, as asked for, without left-right swaps."""
     body, prior, sources, options = given.model.body, given.model.prior, given.sources, settings.trajectory_options()
     assert prior is not None
 
@@ -153,11 +142,10 @@ def _file_facts(given: Prepared, settings: FitSettings) -> FileFacts:
 
 @dataclass(frozen=True)
 class Model:
-    """What is fitted: the animal, and what the trajectory method expects of its motion, or the frame method's chain."""
+    """What is fitted: the animal, and what is expected of its motion, where the method has a prior of it."""
 
     body: Body
     prior: MotionPrior | None = None
-    chain: Chain | None = None
 
 
 @dataclass(frozen=True)
@@ -344,9 +332,8 @@ def _read_clip(path: Path, given_fps: float | None, settings: FitSettings) -> Ke
 
 
 def _model(settings: FitSettings) -> Model:
-    if settings.method == "frame":
-        chain = load_chain(settings.skeleton_name)
-        return Model(chain.body, chain=chain)
+    if settings.method in METHODS:
+        return Model(import_module(METHODS[settings.method]).load_body(settings))
     body = seen_by(load_skeleton(settings.skeleton_name, settings.subject), settings.detector)
     prior, _ = all_of(lambda: load_prior(settings.prior, body), lambda: _require_no_side(settings, body))
     return Model(body, prior)

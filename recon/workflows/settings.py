@@ -21,13 +21,14 @@ from recon.base.errors import InputError, Problem
 
 if TYPE_CHECKING:
     from recon.fit import TrajectoryOptions
-    from recon.thesis import FrameOptions
 
 Method = Literal["trajectory", "frame"]
 Unit = Literal["m", "cm", "mm"]
 UNITS_M: dict[Unit, float] = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 DEFAULT_SKELETONS: dict[Method, str] = {"trajectory": "cheetah-24", "frame": "cheetah-8u"}
 """By method."""
+METHODS = {"frame": "recon.thesis"}
+"""By the name of another method, the package that fits by it. It is imported by its name: no room needs a wing."""
 FILE_SUFFIXES = (".toml", ".npz", ".csv")
 """What ends so is no name of something built in."""
 NUMBER = "<number>"
@@ -180,7 +181,7 @@ class FitSettings:
     One of camera (a calibration file) and hfov_deg with image_size_px is needed. None: not given, so that a setting has
     its default, and those that only the other method reads stay None. Text is taken for numbers, sizes and files.
     Fields without a unit in their name are counts, names or shares; the solvers' are explained at
-    `recon.thesis.FrameOptions` and `recon.fit.TrajectoryOptions`.
+    `recon.fit.TrajectoryOptions` and by the packages of the other methods.
     """
 
     keypoints: tuple[Path, ...] = _field(
@@ -479,11 +480,6 @@ class FitSettings:
     def seeks_cameras(self) -> bool:
         """Whether cameras come out otherwise than their file says."""
         return bool(self.refine_cameras) or self.focal_sigma is not None
-
-    def frame_options(self) -> FrameOptions:
-        from recon.thesis import FrameOptions  # scipy is slow to import
-
-        return FrameOptions(**{name: getattr(self, name) for name in FrameOptions.__dataclass_fields__})
 
     def trajectory_options(self) -> TrajectoryOptions:
         from recon.fit import TrajectoryOptions

@@ -97,7 +97,7 @@ def cases(folder: Path) -> list[Case]:
              "npz.npz", "opensim.osim", "gltf.glb", "bvh.bvh")  # fmt: skip
     found = [
         Case("fit", (*FIT, "--out", "{out}"), "clip", read=read_results),
-        Case("fit frame", (*FIT[:-1], "--method", "frame", "--out", "{out}"), "clip", read=read_results),
+        Case("fit frame", ("frame", *FIT[1:-1], "--out", "{out}"), "clip", read=read_results),
         Case(
             "batch",
             ("batch", *FIT[1:-1], "--fast", "--jobs", 1, "--strict", "--out", "{out}"),
@@ -106,7 +106,7 @@ def cases(folder: Path) -> list[Case]:
             read_summary,
         ),
         Case("analyse tables", ("analyse", clip, "--no-figures", "--out", "{out}"), "analysis"),
-        Case("analyse solver", ("analyse", clip, "--no-figures", "--solver", "--out", "{out}"), "analysis"),
+        Case("solver", ("solver", clip, "--no-figures", "--out", "{out}"), "solver"),
         Case("analyse", ("analyse", clip, "--out", "{out}"), "analysis", False),
         Case("ik", ("ik", clip, "--target", "stride-max", "--no-figures", "--out", "{out}"), "ik"),
         Case("climb", ("climb", "--no-figures", "--out", "{out}"), "climb", read=read_manifest),

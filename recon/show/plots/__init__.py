@@ -7,7 +7,6 @@ from recon.show.plots.field import vector_fields
 from recon.show.plots.footfall import footfall
 from recon.show.plots.observability import observability
 from recon.show.plots.phase import phase_portraits
-from recon.show.plots.solver import image_errors, solver_root, solver_search, solver_unknowns
 from recon.show.plots.speed import speeds
 from recon.show.plots.style import COLUMN_MM, WIDTH_MM, save
 
@@ -18,15 +17,11 @@ __all__ = [
     "camera_advice",
     "composites",
     "footfall",
-    "image_errors",
     "in_body",
     "limbs_apart",
     "observability",
     "phase_portraits",
     "save",
-    "solver_root",
-    "solver_search",
-    "solver_unknowns",
     "speeds",
     "vector_fields",
 ]

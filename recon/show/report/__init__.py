@@ -1,12 +1,14 @@
 """The report of a fit, as plain JSON types. Every field is documented in docs/report.md.
 
-common: what both methods have. frame, trajectory: what each adds, and its summary.
+common: what all methods have. trajectory: what that method adds, and its summary. A solution of another names the module
+that does the same for it, `Solution.described_by`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import fields
+from importlib import import_module
 from typing import Any
 
 from rich.table import Table
@@ -16,7 +18,6 @@ from recon.base.package import version
 from recon.check import Finding, sentences
 from recon.fit.motion import Motion
 from recon.fit.results import SCHEMA_NAME, SCHEMA_VERSION
-from recon.show.report import frame, trajectory
 from recon.show.report.plain import to_json, to_plain, write_report
 
 __all__ = [
@@ -33,32 +34,32 @@ __all__ = [
     "write_report",
 ]
 
-_METHODS = {"frame": frame, "trajectory": trajectory}
-
 
 def build_report(
     motion: Motion, settings: Mapping[str, Any] | None = None, timing: Mapping[str, float] | None = None
 ) -> dict[str, Any]:
     """The report of one clip.
 
-    settings: all that the fit was told, as plain types, the fields of `FrameOptions` or `TrajectoryOptions` among them
-    (a missing one has its default). timing: seconds by name. Where these are None, the motion's own are taken. NaN
-    becomes None, floats have nine significant digits.
+    settings: all that the fit was told, as plain types, the fields of the method's options among them (a missing one
+    has its default). timing: seconds by name. Where these are None, the motion's own are taken. NaN becomes None,
+    floats have nine significant digits.
     """
     settings = motion.settings if settings is None else settings
     timing = motion.timing_s if timing is None else timing
-    method = motion.solution.method
-    own = _METHODS[method].sections(motion, settings)
+    method = import_module(motion.solution.described_by)
     seconds = {**timing, **motion.solution.stage_s} or None
     head = {
         "schema": {"name": SCHEMA_NAME, "version": SCHEMA_VERSION},
         "recon_version": version(),
-        "method": method,
+        "method": motion.solution.method,
         "settings": settings,
         "timing_s": seconds,
         "findings": [_entry(one, text) for one, text in sentences(motion)],
     }
-    return to_plain(head | own)
+    plain = to_plain(head | method.sections(motion, settings))
+    plain["lines"] = [list(line) for line in method.lines(plain)]
+    plain["unsolved"] = method.is_unsolved(plain)
+    return plain
 
 
 def _entry(one: Finding, text: str) -> dict[str, Any]:
@@ -72,7 +73,7 @@ def warnings(report: Mapping[str, Any]) -> list[str]:
 
 def is_unsolved(report: Mapping[str, Any]) -> bool:
     """Whether there is no pose to look at."""
-    return _METHODS[report["method"]].is_unsolved(report)
+    return report["unsolved"]
 
 
 def frames_with_pose(report: Mapping[str, Any]) -> int:
@@ -81,7 +82,7 @@ def frames_with_pose(report: Mapping[str, Any]) -> int:
 
 def summary_lines(report: Mapping[str, Any]) -> list[tuple[str, str]]:
     """(label, value) of what one wants to see after a fit; the warnings come last."""
-    return [*_METHODS[report["method"]].lines(report), *(("warning", text) for text in warnings(report))]
+    return [*((label, text) for label, text in report["lines"]), *(("warning", text) for text in warnings(report))]
 
 
 def console_summary(report: Mapping[str, Any]) -> Table:

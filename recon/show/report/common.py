@@ -1,11 +1,11 @@
-"""The parts of a report that both methods have."""
+"""The parts of a report that all methods have."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import fields
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 import numpy as np
 
@@ -13,18 +13,16 @@ from recon.animal.naming import suggestions
 from recon.base.arrays import Array, finite, mean, median
 from recon.check import names_text
 from recon.clip.keypoints import KeypointCounts
-from recon.fit import TrajectoryOptions
 from recon.fit.motion import Motion
 from recon.fit.result import OUTLIER_SIGMAS
 from recon.gait.kinematics import jitter_errors, point_kinematics
 from recon.gait.path import frame_jitter_m
 from recon.show.report import cameras
 from recon.show.report.plain import by_name, file_name
-from recon.thesis import FrameOptions
 
 BEST_SHARE = 0.9
 
-Options = TypeVar("Options", FrameOptions, TrajectoryOptions)
+Options = TypeVar("Options")
 Lines = list[tuple[str, str]]
 """(label, value)."""
 
@@ -49,8 +47,8 @@ def head(motion: Motion) -> dict[str, Any]:
     }
 
 
-def tail(motion: Motion, jitters: bool) -> dict[str, Any]:
-    """The keypoints, and arrays over all frames. jitters: whether the path is worth smoothing."""
+def tail(motion: Motion) -> dict[str, Any]:
+    """The keypoints, and arrays over all frames."""
     first_px, *others_px = (picture.image_error_px.transpose(1, 2, 0) for picture in motion.pictures)
     return {
         "cleaning": {k: v for k, v in motion.cleaning.to_dict().items() if k != "keypoints"},
@@ -67,12 +65,12 @@ def tail(motion: Motion, jitters: bool) -> dict[str, Any]:
             for picture in motion.pictures
             for t, j in np.argwhere(picture.outliers)
         ],
-        "root_path": _root_path(motion, jitters),
+        "root_path": _root_path(motion),
         "image_error_px": {"joints": motion.names, "values": first_px, "others": others_px},
     }
 
 
-def solver(options: FrameOptions | TrajectoryOptions, **of_the_skeleton: Any) -> dict[str, Any]:
+def solver(options: Any, **of_the_skeleton: Any) -> dict[str, Any]:
     """Every value that the solver ran with, those that are no settings included. of_the_skeleton: in place of None."""
     values = {field.name: getattr(options, field.name) for field in fields(options)}
     return {name: of_the_skeleton.get(name) if value is None else value for name, value in values.items()}
@@ -80,7 +78,7 @@ def solver(options: FrameOptions | TrajectoryOptions, **of_the_skeleton: Any) ->
 
 def given_options(kind: type[Options], settings: Mapping[str, Any]) -> Options:
     """What is not among the settings has its default."""
-    names = [field.name for field in fields(kind) if settings.get(field.name) is not None]
+    names = [field.name for field in fields(cast(Any, kind)) if settings.get(field.name) is not None]
     return kind(**{name: settings[name] for name in names})
 
 
@@ -185,9 +183,10 @@ def _keypoints(motion: Motion) -> list[dict[str, Any]]:
     return rows
 
 
-def _root_path(motion: Motion, jitters: bool) -> dict[str, Any]:
+def _root_path(motion: Motion) -> dict[str, Any]:
     """Exactly as reconstructed, and without the jitter from frame to frame, if that can be told."""
     jitter = frame_jitter_m(motion.root_m)
+    smooth = motion.solution.jitters and np.isfinite(jitter).all()
     root = motion.root_name
     return {
         "joint": root,
@@ -196,7 +195,7 @@ def _root_path(motion: Motion, jitters: bool) -> dict[str, Any]:
         "position_m": motion.root_m,
         "jitter_m": jitter,
         "exact": _kinematics(motion, None),
-        "smoothed": _kinematics(motion, jitter) if jitters and np.isfinite(jitter).all() else None,
+        "smoothed": _kinematics(motion, jitter) if smooth else None,
     }
 
 

@@ -266,7 +266,7 @@ def _frames(motion: Motion) -> list[dict[str, Any]]:
 
 
 def _tail(motion: Motion) -> dict[str, Any]:
-    tail = common.tail(motion, jitters=False)
+    tail = common.tail(motion)
     for row in tail["keypoints"]:
         column = motion.names.index(row["name"]) if row["joint"] is not None else None
         for field, values in (("noise_px", motion.solution.noise_px), ("mean_weight", motion.solution.weight)):

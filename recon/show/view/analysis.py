@@ -12,15 +12,12 @@ from recon.fit.results import MEASURED_SHARE
 from recon.gait.clip import ClipAnalysis
 from recon.show.view.added import AddedSeries, AddedStates, StateRow, write_plots
 from recon.show.view.scene import GRID, LEFT, LIMB_COLOURS, LINK, MIDDLE, RIGHT, TRAIL
-from recon.show.view.series import LINE_COLOURS
-from recon.thesis.solver import SolverRecord
 
 
-def write_analysis(found: ClipAnalysis, path: Path, playback: Path, solver: SolverRecord | None = None) -> None:
-    """Speed, acceleration and flexion with one sigma, the links' speeds, the stances by both methods, which angles the
-    pixels show, and what the optimiser did. Raises InputError as `write_plots`."""
-    series = [*_kinematics(found), *_links(found), *([] if solver is None else _solver(solver))]
-    write_plots(path, playback, series, [*_stances(found), *_observability(found)])
+def write_analysis(found: ClipAnalysis, path: Path, playback: Path) -> None:
+    """Speed, acceleration and flexion with one sigma, the links' speeds, the stances by both methods, and which
+    angles the pixels show. Raises InputError as `write_plots`."""
+    write_plots(path, playback, [*_kinematics(found), *_links(found)], [*_stances(found), *_observability(found)])
 
 
 def _kinematics(found: ClipAnalysis) -> Iterator[AddedSeries]:
@@ -88,37 +85,3 @@ def _stances(found: ClipAnalysis) -> list[AddedStates]:
         title = f"Stances by {method}: {gait.name.name}"
         plots.append(AddedStates(title=title, rows=rows, time_s=time_s, tab="Gait"))
     return plots
-
-
-def _solver(record: SolverRecord) -> Iterator[AddedSeries]:
-    """What is of very different sizes in powers of ten."""
-    cost = {name: _log10(of_term) for name, of_term in record.problem.cost.items() if np.nansum(of_term) > 0}
-    search = {"largest of the gradient": _log10(record.optimality), "step": _log10(record.step_norm)}
-    worst = {name: np.fmax.reduce(values, axis=0) for name, values in record.image_error_px.items()}
-    rotation = {name: np.degrees(values) for name, values in record.rotation_rad.items()}
-    shown = [
-        ("cost", "Cost by term (log10)", cost),
-        ("optimality", "Gradient and step (log10)", search),
-        ("iterations", "Iterations", {"iterations": record.of_frames("iterations")} if record.results.jitters else {}),
-        ("limits", "Limits passed", {name: count.astype(float) for name, count in record.active.items()}),
-        ("image_error", "Error in the picture (px), worst joint", worst),
-        ("rotation", "Rotation of the root (°)", rotation),
-        ("length", "Base length (m)" if record.results.jitters else "Size", record.length),
-    ]
-    for entity, title, lines in shown:
-        if not lines:
-            continue
-        yield AddedSeries(
-            entity=f"solver/{entity}",
-            title=title,
-            names=[*lines],
-            colours=[LINE_COLOURS[i % len(LINE_COLOURS)] for i in range(len(lines))],
-            values=np.stack([*lines.values()], axis=1),
-            time_s=record.results.time_s,
-            tab="Picture and root" if entity in ("image_error", "rotation", "length") else "Solver",
-        )
-
-
-def _log10(values: Array) -> Array:
-    """NaN where there is nothing."""
-    return np.log10(np.where(values > 0, values, np.nan))

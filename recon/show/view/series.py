@@ -14,7 +14,6 @@ from recon.gait.kinematics import speed_at_frames
 from recon.gait.path import frame_jitter_m
 from recon.show.view.scene import EDGE, LEFT, LIMB_COLOURS, LINK, OUTLIER, RIGHT, TRAIL, Array, Colour, Log, shade
 from recon.show.view.world import STANCE
-from recon.thesis import FrameSolution
 
 MAX_LINES = 4
 """Of angles in one plot, as far as they can be told apart by what they belong to: their names stand above them."""
@@ -154,11 +153,12 @@ def other_series(motion: Motion) -> list[TimePlot]:
 
 
 def _speed(motion: Motion) -> TimePlot:
-    if not isinstance(motion.solution, FrameSolution):
+    run_m_s = motion.solution.straight_run_m_s
+    if run_m_s is None:
         speed = np.where(motion.solved, speed_at_frames(motion.time_s, motion.root_m), np.nan)
         low, high = (f"{end:.1f}" for end in (np.nanmin(speed), np.nanmax(speed))) if np.isfinite(speed).any() else "??"
         return TimePlot("speed", f"Speed, {low} to {high} m/s", ["speed"], [TRAIL], speed[:, None])
-    straight = np.where(motion.solved, motion.solution.travel.speed_m_s, np.nan)
+    straight = np.where(motion.solved, run_m_s, np.nan)
     exact, smooth = _speeds_m_s(motion)
     # Splines overshoot, at the ends above all.
     shown = smooth[smooth <= 1.5 * np.nanpercentile(exact, 90)] if np.isfinite(exact).any() else smooth

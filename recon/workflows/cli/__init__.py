@@ -79,7 +79,13 @@ for command in (
     report,
 ):
     app.command()(command)
-for command in (_of_wing("robotics", "retarget"), _of_wing("robotics", "climb"), doctor):
+for command in (
+    _of_wing("robotics", "retarget"),
+    _of_wing("robotics", "climb"),
+    _of_wing("thesis", "frame"),
+    _of_wing("thesis", "solver"),
+    doctor,
+):
     app.command()(command)
 for command in ("train", "predict", "evaluate_2d"):
     app.command(command.replace("_", "-"))(_of_wing("keypoint_net", command))

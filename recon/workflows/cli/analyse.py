@@ -42,9 +42,6 @@ def analyse(
         ),
     ] = None,
     stride: Annotated[str | None, STRIDE] = None,
-    solver: Annotated[
-        bool, typer.Option("--solver", help="Also what the optimiser did: cost, gradient, Jacobian, limits.")
-    ] = False,
     figures: Annotated[bool, typer.Option("--figures/--no-figures", help="PNG and SVG beside the tables.")] = True,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace an earlier analysis.")] = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print errors only.")] = False,
@@ -61,7 +58,7 @@ def analyse(
 
     console = terminal(quiet=quiet, stderr=as_json)
     with progress_bar(console) as progress:
-        done = run_analyse(folder, out, smooth, figures, overwrite, stride_times(stride), solver, progress)
+        done = run_analyse(folder, out, smooth, figures, overwrite, stride_times(stride), progress)
     if as_json:
         typer.echo(to_json(done.summary), nl=False)
         return

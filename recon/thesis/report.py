@@ -15,7 +15,7 @@ from recon.gait.kinematics import peak_doubt
 from recon.geometry.frames import level_axes
 from recon.show.report import common
 from recon.show.report.plain import by_name, number, spread
-from recon.thesis import FrameOptions, FrameReport, FrameSolution, base_length
+from recon.thesis.frame import FrameOptions, FrameReport, FrameSolution, base_length
 
 
 def sections(motion: Motion, settings: Mapping[str, Any]) -> dict[str, Any]:
@@ -37,7 +37,7 @@ def sections(motion: Motion, settings: Mapping[str, Any]) -> dict[str, Any]:
         "limits": _limits(motion, solution),
         "travel": _travel(motion, solution),
         "frames": _frames(motion, solution),
-        **common.tail(motion, jitters=True),
+        **common.tail(motion),
     }
 
 
