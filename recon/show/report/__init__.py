@@ -1,7 +1,7 @@
 """The report of a fit, as plain JSON types. Every field is documented in docs/report.md.
 
-common: what all methods have. trajectory: what that method adds, and its summary. A solution of another names the module
-that does the same for it, `Solution.described_by`.
+common: what all methods have. trajectory: what that method adds, and its summary. A solution of another names the
+module that does the same for it, `Solution.described_by`.
 """
 
 from __future__ import annotations
