@@ -18,9 +18,7 @@ from recon.io.column_map import ColumnLayout, find_layout, layout_by_name
 from recon.io.common import MAX_FRAME, choose, first_problems, frames_of_times, name_problems, numbers, rate
 from recon.io.hdf5 import is_hdf5
 from recon.io.pose import StoredPoints
-from recon.io.table import write_rows
-
-SEPARATORS = (",", ";", "\t")
+from recon.io.table import SEPARATORS, text_rows, write_rows
 
 Columns = Mapping[str, Sequence[Any] | np.ndarray]
 """A table by column: text cells, or numbers."""
@@ -156,38 +154,24 @@ def _layout_of_head(path: Path) -> ColumnLayout | None:
     with path.open("rb") as file:
         first = file.readline(1 << 20).removeprefix(b"\xef\xbb\xbf")
     try:
-        header = _split_cells(first.decode("utf-8"))
+        text = first.decode("utf-8").rstrip("\r\n")
+        header = next(csv.reader([text], delimiter=max(SEPARATORS, key=text.count)), [])
     except (UnicodeDecodeError, csv.Error):
         return None
     return layout_by_name(header) if len(set(header)) == len(header) else None
 
 
-def _split_cells(line: str) -> list[str]:
-    separator = max(SEPARATORS, key=line.count)
-    return next(csv.reader([line.rstrip("\r\n")], delimiter=separator), [])
-
-
 def _read_csv(path: Path) -> dict[str, list[str]]:
     """Text cells by column. Raises InputError for text that is no table."""
-    problems: list[Problem] = []
-    with path.open(encoding="utf-8-sig", newline="") as file:
-        try:
-            first = file.readline()
-            header = _split_cells(first)
-            rows = csv.reader(file, delimiter=max(SEPARATORS, key=first.count))
-            table = []
-            for row in rows:
-                if len(row) == len(header):
-                    table.append(row)
-                elif any(cell.strip() for cell in row):
-                    found = f"{len(row)} cells"
-                    problems.append(Problem(path, f"line {rows.line_num + 1}", found, f"{len(header)}, as in line 1"))
-        except UnicodeDecodeError:
-            raise InputError(Problem(path, "text", "bytes that are not UTF-8", "a text file in UTF-8")) from None
-        except csv.Error as error:
-            raise InputError(Problem(path, "text", str(error), "a table of text")) from None
-    if len(set(header)) != len(header):
-        problems.append(Problem(path, "header", "a column more than once", "unique columns"))
+    rows = text_rows(path)
+    header = next(rows, (1, []))[1]
+    problems = [Problem(path, "header", "a column more than once", "unique columns")]
+    problems = problems if len(set(header)) != len(header) else []
+    table = []
+    for line, row in rows:
+        table.append(row)
+        if len(row) != len(header):
+            problems.append(Problem(path, f"line {line}", f"{len(row)} cells", f"{len(header)}, as in line 1"))
     if problems:
         raise InputError(first_problems(problems, path))
     columns = list(zip(*table, strict=True)) or [()] * len(header)

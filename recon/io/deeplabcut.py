@@ -7,7 +7,6 @@ or three, and have no likelihood. Our own have the frame rate in the scorer, `re
 
 from __future__ import annotations
 
-import csv
 import pickle
 import re
 from array import array
@@ -26,7 +25,7 @@ from recon.io import pandas_hdf
 from recon.io.common import PROBLEMS_SHOWN, choose, first_problems, frame_number, numbers, rate
 from recon.io.hdf5 import is_hdf5
 from recon.io.pose import Pose3D, StoredPoints, points_of
-from recon.io.table import write_table
+from recon.io.table import text_rows, write_table
 
 HEADERS = (
     ("scorer", "bodyparts", "coords"),
@@ -64,8 +63,8 @@ class Column(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Table:
-    """A whole file, of T frames and C columns."""
+class PointTable:
+    """All that a file of DeepLabCut's has: T frames of C columns."""
 
     columns: tuple[Column, ...]
     numbers: np.ndarray
@@ -112,13 +111,13 @@ def read(path: Path, individual: str | None = None) -> StoredPoints:
     )
 
 
-def read_table(path: Path) -> Table:
+def read_table(path: Path) -> PointTable:
     """A file that is recognised, 2D or 3D, with all its animals. Raises InputError."""
     return _read_h5(path) if is_hdf5(path) else read_csv(path)
 
 
 def gather(
-    table: Table, path: Path, required: Sequence[str], optional: Sequence[str] = ()
+    table: PointTable, path: Path, required: Sequence[str], optional: Sequence[str] = ()
 ) -> tuple[tuple[str, ...], np.ndarray]:
     """The table by bodypart: names (K), in the order of the file, and values (T, K, coords), required ones first.
 
@@ -146,47 +145,33 @@ def gather(
     return names, values
 
 
-def read_csv(path: Path) -> Table:
+def read_csv(path: Path) -> PointTable:
     """A file with DeepLabCut's header rows (see `HEADERS`), whatever its coordinates. Raises InputError."""
-    # utf-8-sig also reads files without a byte order mark.
-    with path.open(encoding="utf-8-sig", newline="") as file:
-        rows = csv.reader(file)
-        try:
-            columns, index_columns, notes, scorers = _read_header(path, rows)
-            index: list[tuple[str, ...]] = []
-            values = array("d")
-            bad: list[tuple[int, int, str]] = []
-            problems: list[Problem] = []
-            width = index_columns + len(columns)
-            for row in rows:
-                if len(row) != width:
-                    if any(cell.strip() for cell in row):
-                        problems.append(
-                            Problem(path, f"line {rows.line_num}", f"{len(row)} cells", f"{width}, as in the header")
-                        )
-                    continue
-                cells = row[index_columns:]
-                try:
-                    if "_" in (joined := "".join(cells)) or not joined.isascii():
-                        raise ValueError
-                    values.extend([float(cell) if cell else np.nan for cell in cells])
-                except ValueError:
-                    values.extend(_numbers(cells, len(index), bad))
-                index.append(tuple(row[:index_columns]))
-        except UnicodeDecodeError as error:
-            raise InputError(Problem(path, "text", "bytes that are not UTF-8", "a text file in UTF-8")) from error
-        except csv.Error as error:
-            raise InputError(Problem(path, f"line {rows.line_num}", str(error), "comma-separated text")) from error
+    rows = text_rows(path, ",")
+    columns, index_columns, notes, scorers = _read_header(path, rows)
+    index: list[tuple[str, ...]] = []
+    values = array("d")
+    bad: list[tuple[int, int, str]] = []
+    problems: list[Problem] = []
+    width = index_columns + len(columns)
+    for line, row in rows:
+        if len(row) == width:
+            values.extend(_numbers(row[index_columns:], len(index), bad))
+            index.append(tuple(row[:index_columns]))
+        else:
+            problems.append(Problem(path, f"line {line}", f"{len(row)} cells", f"{width}, as in the header"))
     table = _table(path, columns, np.array(values).reshape(-1, len(columns)), index, bad, problems, notes)
     return replace(table, fps=_fps(scorers), has_scorer=bool(scorers))
 
 
-def _read_header(path: Path, rows: Iterator[list[str]]) -> tuple[tuple[Column, ...], int, tuple[str, ...], list[str]]:
+def _read_header(
+    path: Path, rows: Iterator[tuple[int, list[str]]]
+) -> tuple[tuple[Column, ...], int, tuple[str, ...], list[str]]:
     """Columns, number of index columns, notes, and the scorers of all columns, none where that row is missing."""
     header: dict[str, list[str]] = {}
     first = ""
-    for row in rows:
-        first = row[0].strip() if row else ""
+    for _, row in rows:
+        first = row[0].strip()
         if first not in ("scorer", "individuals", "bodyparts", "coords") or first in header:
             break
         header[first] = row
@@ -216,7 +201,7 @@ def _fps(scorers: Sequence[str]) -> float | None:
     return rate(match[1]) if match else None
 
 
-def _read_h5(path: Path) -> Table:
+def _read_h5(path: Path) -> PointTable:
     keys = pandas_hdf.keys(path)
     if len(keys) != 1:
         raise InputError(Problem(path, "keys", ", ".join(keys) or "none", "one table"))
@@ -285,7 +270,7 @@ def _table(
     bad: Sequence[tuple[int, int, str]],
     problems: list[Problem],
     notes: tuple[str, ...],
-) -> Table:
+) -> PointTable:
     """The table, once every cell and frame number of it is in order.
 
     bad: (row, column, text) of the cells that are no numbers; problems: others that are known already.
@@ -307,7 +292,7 @@ def _table(
     order = np.argsort(frames)
     if np.any(np.diff(order) != 1):
         notes += ("The rows were not in the order of their frame numbers and have been sorted.",)
-    return Table(columns, values[order], np.array(frames, dtype=np.int64)[order], notes)
+    return PointTable(columns, values[order], np.array(frames, dtype=np.int64)[order], notes)
 
 
 def _frame_numbers(path: Path, index: Sequence[tuple[str, ...]]) -> tuple[list[int | str], list[Problem]]:
@@ -344,7 +329,7 @@ def _numbers(cells: Sequence[str], row: int, bad: list[tuple[int, int, str]]) ->
     return values.tolist()
 
 
-def of_one_animal(table: Table, path: Path, individual: str | None) -> tuple[Table, str | None]:
+def of_one_animal(table: PointTable, path: Path, individual: str | None) -> tuple[PointTable, str | None]:
     """The columns of the chosen animal, and its name where the file names animals. Raises InputError."""
     everyone = list(dict.fromkeys(c.individual for c in table.columns))
     if everyone == [""] and prefixes(c.bodypart for c in table.columns):
@@ -378,7 +363,7 @@ def prefixes(bodyparts: Iterable[str]) -> tuple[str, ...]:
     return tuple(parts) if alike and many and not PLACES & {name.lower() for name in parts} else ()
 
 
-def _has_points(table: Table, animal: str) -> bool:
+def _has_points(table: PointTable, animal: str) -> bool:
     """Not NaN, 0 nor -1 everywhere, as DeepLabCut fills animals that it never saw."""
     columns = [j for j, c in enumerate(table.columns) if c.individual == animal and c.coord != "likelihood"]
     return not np.isin(np.nan_to_num(table.numbers[:, columns]), (0.0, PADDING)).all()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -10,9 +9,10 @@ import numpy as np
 
 from recon.base.errors import InputError, Problem
 from recon.io.common import PROBLEMS_SHOWN, frame_number, numbers
-from recon.io.deeplabcut import Column, Table, gather
+from recon.io.deeplabcut import Column, PointTable, gather
 from recon.io.formats import Format, file_head, read_points
 from recon.io.pose import PER_METRE, Pose3D, StoredPoints, z_up_from_y_up
+from recon.io.table import text_rows
 
 
 def read_pose3d(
@@ -67,12 +67,10 @@ def read_pose_segments(path: str | Path) -> dict[str, Pose3D]:
     head = file_head(path)
     if not head.removeprefix(b"\xef\xbb\xbf").startswith(b"segment,frame,"):
         return {path.stem: read_pose3d(path)}
-    with path.open(encoding="utf-8-sig", newline="") as file:
-        try:
-            names, coords, *rows = csv.reader(file)
-        except (UnicodeDecodeError, csv.Error, ValueError) as error:
-            expected = "two header rows and a row per frame, comma-separated text in UTF-8"
-            raise InputError(Problem(path, "text", str(error), expected)) from None
+    rows = [row for _, row in text_rows(path, ",")]
+    if len(rows) < 2:
+        raise InputError(Problem(path, "text", f"{len(rows)} rows", "two header rows and a row per frame"))
+    names, coords, *rows = rows
     problems = list(_segment_problems(path, names, coords, rows))
     if problems:
         raise InputError(problems[:PROBLEMS_SHOWN])
@@ -83,7 +81,7 @@ def read_pose_segments(path: str | Path) -> dict[str, Pose3D]:
     segments = {}
     for piece in dict.fromkeys(pieces.tolist()):
         of = pieces == piece
-        joints, xyz_m = gather(Table(columns, values[of], frames[of], ()), path, required=("x", "y", "z"))
+        joints, xyz_m = gather(PointTable(columns, values[of], frames[of], ()), path, required=("x", "y", "z"))
         segments[piece] = Pose3D(joints, xyz_m, frames[of], source=str(path))
     return segments
 

@@ -1,13 +1,39 @@
-"""CSV tables whose numbers read back exactly."""
+"""Tables of text: rows in, and out with numbers that read back exactly."""
 
 from __future__ import annotations
 
 import csv
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+
+from recon.base.errors import InputError, Problem
+
+SEPARATORS = (",", ";", "\t")
+
+
+def text_rows(path: Path, separator: str | None = None) -> Iterator[tuple[int, list[str]]]:
+    """The rows of a text table that are not blank, each with the number of its line.
+
+    separator: by default whichever of `SEPARATORS` the first line has most. Raises InputError for bytes that are not
+    UTF-8, with a byte order mark or without, and for text that is no table.
+    """
+    with path.open(encoding="utf-8-sig", newline="") as file:
+        line = 0
+        try:
+            first = file.readline()
+            file.seek(0)
+            rows = csv.reader(file, delimiter=separator or max(SEPARATORS, key=first.count))
+            for row in rows:
+                line = rows.line_num
+                if any(cell.strip() for cell in row):
+                    yield line, row
+        except UnicodeDecodeError:
+            raise InputError(Problem(path, "text", "bytes that are not UTF-8", "a text file in UTF-8")) from None
+        except csv.Error as error:
+            raise InputError(Problem(path, f"line {line + 1}", str(error), "a table of text")) from None
 
 
 def write_table(path: Path, header: Iterable[Sequence[str]], frames: np.ndarray, values: np.ndarray) -> None:
