@@ -11,26 +11,24 @@ In either the world has to be in metres with z up, which neither format promises
 
 from __future__ import annotations
 
-import csv
-import io
 import re
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from recon.base.arrays import Array, Bools, Integers
-from recon.base.documents import read_text
+from recon.base.documents import read_text, require_file
 from recon.base.errors import InputError, Problem
 from recon.clip import FramePoses
 from recon.geometry.camera import Camera
 from recon.geometry.frames import inverse, rigid
 from recon.geometry.lens import LENS_MODELS
 from recon.geometry.rotations import part_of_turn, quaternion_rotations
-from recon.io.common import MAX_FRAME, first_problems, frame_number
-from recon.io.common import number as plain_number
+from recon.io.common import MAX_FRAME, first_problems, frame_number, number, numbers
+from recon.io.table import text_rows
 
 MAX_GAP_S = 0.1
 """Poses further apart have none in between."""
@@ -116,6 +114,7 @@ def read_camera_track(path: Path) -> CameraTrack:
     """Raises InputError with everything that is wrong with the file, and where its world has not z up."""
     first, *beside = track_files(path)
     if first.suffix.lower() == ".csv":
+        require_file(path, EXPECTED)
         track = _read_csv(path)
     elif first.suffix.lower() == ".txt":
         track = _read_colmap(first, beside[0] if beside else None)
@@ -137,49 +136,44 @@ def _require_upright(track: CameraTrack, path: Path) -> None:
         raise InputError(Problem(path, "poses", found, expected))
 
 
-@dataclass(eq=False)
-class _Poses:
-    """Rows on their way to a track, unchecked, each with the place it was found in."""
-
-    path: Path
-    frames: list[int]
-    values: list[list[float]]
-    """7 of the pose, and 4 of the intrinsics where there are some."""
-    places: list[str]
-    sigma_deg: list[float] = field(default_factory=list)
-
-    def problems(self) -> Iterator[Problem]:
-        if not self.frames:
-            yield Problem(self.path, "rows", "none", "a pose for each frame")
-            return
-        table = np.array(self.values)
-        for kind, expected, wrong in _CHECKS:
-            with np.errstate(all="ignore"):
-                rows = np.flatnonzero(wrong(table).any(axis=1))
-            if len(rows):
-                yield Problem(self.path, kind, f"others in {_some([self.places[row] for row in rows])}", expected)
-        if wrong_deg := [sigma for sigma in self.sigma_deg if not 0 <= sigma <= MAX_SIGMA_DEG]:
-            yield Problem(self.path, SIGMA, f"{wrong_deg[0]:g}", f"0 to {MAX_SIGMA_DEG:g} degrees")
-        order = np.sort(self.frames)
-        twice = np.unique(order[1:][np.diff(order) == 0])
-        if len(twice):
-            expected = "one pose for each frame, of one camera"
-            yield Problem(self.path, "frame", f"{_some(twice.tolist())} more than once", expected)
-
-    def track(self, zooms: bool, camera: Camera | None = None) -> CameraTrack:
-        if problems := list(self.problems()):
-            raise InputError(problems)
-        order = np.argsort(self.frames)
-        table = np.array(self.values)[order]
-        quaternion = table[:, :4] / np.linalg.norm(table[:, :4], axis=1, keepdims=True)
-        return CameraTrack(
-            self.path,
-            np.array(self.frames, dtype=np.int64)[order],
-            rigid(quaternion_rotations(quaternion[:, [1, 2, 3, 0]]), table[:, 4:7]),
-            table[:, 7:] if zooms else None,
-            camera,
-            np.radians(np.array(self.sigma_deg)[order]) if self.sigma_deg else None,
-        )
+def _checked_track(
+    path: Path,
+    places: Sequence[str],
+    frames: Integers,
+    table: Array,
+    sigma_deg: Array | None = None,
+    camera: Camera | None = None,
+    problems: Sequence[Problem] = (),
+) -> CameraTrack:
+    """Of rows, each from a place in the file: frames (N,), and a table (N, 7) of poses, or (N, 11) with the intrinsics
+    of a camera that zooms. Raises InputError with what is wrong with them, after the problems that are known."""
+    problems = first_problems(problems, path)
+    if not len(frames) and not problems:
+        problems.append(Problem(path, "rows", "none", "a pose for each frame"))
+    for kind, expected, wrong in _CHECKS if len(frames) else ():
+        with np.errstate(all="ignore"):
+            rows = np.flatnonzero(wrong(table).any(axis=1))
+        if len(rows):
+            problems.append(Problem(path, kind, f"others in {_some([places[row] for row in rows])}", expected))
+    if sigma_deg is not None and len(beyond := sigma_deg[~((sigma_deg >= 0) & (sigma_deg <= MAX_SIGMA_DEG))]):
+        problems.append(Problem(path, SIGMA, f"{beyond[0]:g}", f"0 to {MAX_SIGMA_DEG:g} degrees"))
+    distinct, count = np.unique(frames, return_counts=True)
+    if (count > 1).any():
+        expected = "one pose for each frame, of one camera"
+        problems.append(Problem(path, "frame", f"{_some(distinct[count > 1].tolist())} more than once", expected))
+    if problems:
+        raise InputError(problems)
+    order = np.argsort(frames)
+    table = table[order]
+    quaternion = table[:, :4] / np.linalg.norm(table[:, :4], axis=1, keepdims=True)
+    return CameraTrack(
+        path,
+        frames[order],
+        rigid(quaternion_rotations(quaternion[:, [1, 2, 3, 0]]), table[:, 4:7]),
+        table[:, 7:] if table.shape[1] > 7 else None,
+        camera,
+        None if sigma_deg is None else np.radians(sigma_deg[order]),
+    )
 
 
 _CHECKS: tuple[tuple[str, str, Callable[[Array], Bools]], ...] = (
@@ -208,15 +202,8 @@ def _some(items: Sequence[Any]) -> str:
 
 
 def _read_csv(path: Path) -> CameraTrack:
-    text = read_text(path, EXPECTED)
-    head = next(iter(text.strip().splitlines()), "")
-    delimiter = max((",", ";", "\t"), key=head.count)
-    reader = csv.reader(io.StringIO(text, newline=""), delimiter=delimiter)
-    try:
-        rows = [(reader.line_num, cells) for cells in reader if any(cell.strip() for cell in cells)]
-    except csv.Error as error:
-        raise InputError(Problem(path, f"line {reader.line_num}", str(error), EXPECTED)) from None
-    header = [cell.strip().lower() for cell in rows[0][1]] if rows else []
+    rows = text_rows(path)
+    header = [cell.strip().lower() for cell in next(rows, (1, []))[1]]
     zooms = any(name in header for name in INTRINSICS)
     wanted = ("frame", *POSE, *(INTRINSICS if zooms else ()), *([SIGMA] if SIGMA in header else []))
     problems = [Problem(path, "columns", f"no {name}", EXPECTED) for name in wanted if name not in header]
@@ -226,38 +213,25 @@ def _read_csv(path: Path) -> CameraTrack:
     if problems:
         raise InputError(problems)
     at = [header.index(name) for name in wanted]
-    poses = _Poses(path, [], [], [])
-    for line, cells in rows[1:]:
+    places, found = [], []
+    for line, cells in rows:
         if len(cells) <= max(at):
             problems.append(Problem(path, f"line {line}", f"{len(cells)} cells", f"{len(header)}, as in the header"))
             continue
-        frame, values = _frame(cells[at[0]]), [_number(cells[column]) for column in at[1:]]
-        wrong = [name for name, value in zip(wanted, [frame, *values], strict=True) if value is None]
+        values, others = numbers(cells[column] for column in at)
+        wrong = {i for i in others if np.isnan(values[i])}
+        if not (0 <= values[0] <= MAX_FRAME and values[0] == int(values[0])):  # also 7.0, as spreadsheets write it
+            wrong.add(0)
         if wrong:
-            found = ", ".join(f"{name} {cells[header.index(name)].strip()!r}" for name in wrong)
-            problems.append(Problem(path, f"line {line}", found, "numbers, and a whole one for the frame"))
+            said = ", ".join(f"{wanted[i]} {cells[at[i]].strip()!r}" for i in sorted(wrong))
+            problems.append(Problem(path, f"line {line}", said, "numbers, and a whole one for the frame"))
             continue
-        poses.frames.append(frame)  # type: ignore[arg-type]
-        if SIGMA in header:
-            poses.sigma_deg.append(values.pop())  # type: ignore[arg-type]
-        poses.values.append(values)  # type: ignore[arg-type]
-        poses.places.append(f"line {line}")
-    if problems:
-        raise InputError([*first_problems(problems, path), *(poses.problems() if poses.frames else ())])
-    return poses.track(zooms)
-
-
-def _number(cell: str) -> float | None:
-    try:
-        return plain_number(cell.strip())
-    except ValueError:
-        return None
-
-
-def _frame(cell: str) -> int | None:
-    """Also as spreadsheets and pandas write it, 7.0."""
-    value = _number(cell)
-    return int(value) if value is not None and 0 <= value <= MAX_FRAME and value == int(value) else None
+        places.append(f"line {line}")
+        found.append(values)
+    table = np.reshape(found, (-1, len(wanted)))
+    sigma_deg = table[:, -1] if SIGMA in header else None
+    poses = table[:, 1 : 12 if zooms else 8]
+    return _checked_track(path, places, table[:, 0].astype(np.int64), poses, sigma_deg, problems=problems)
 
 
 # -- COLMAP ---------------------------------------------------------------------------------------------------------
@@ -265,45 +239,43 @@ def _frame(cell: str) -> int | None:
 
 def _read_colmap(images: Path, cameras: Path | None) -> CameraTrack:
     """Without cameras.txt the lens is to come from elsewhere."""
-    poses, of_camera = _images(images)
-    lenses = None if cameras is None else _lenses(cameras, dict.fromkeys(of_camera))
-    if lenses is None:
-        return poses.track(zooms=False)
-    first = lenses[of_camera[0]]
+    places, frames, table, of_camera = _images(images)
+    if cameras is None:
+        return _checked_track(images, places, frames, table)
+    lenses = _lenses(cameras, dict.fromkeys(of_camera))
     own = np.array([_intrinsics(lenses[key]) for key in of_camera])
-    zooms = bool(np.ptp(own, axis=0).any())
-    if zooms:
-        poses = replace(poses, values=np.column_stack([poses.values, own]).tolist())
-    return replace(poses.track(zooms), camera=replace(first, name=track_label(images)))
+    if np.ptp(own, axis=0).any():
+        table = np.column_stack([table, own])
+    camera = replace(lenses[of_camera[0]], name=track_label(images))
+    return _checked_track(images, places, frames, table, camera=camera)
 
 
-def _images(path: Path) -> tuple[_Poses, list[str]]:
-    """The poses, and which camera each is of. Every image has two lines, the second for its points."""
+def _images(path: Path) -> tuple[list[str], Integers, Array, list[str]]:
+    """Where each pose stands, its frame (N,), the poses (N, 7), and which camera each is of. Every image has two lines,
+    the second for its points. Raises InputError."""
     lines = enumerate(read_text(path, EXPECTED).splitlines(), start=1)
-    poses, of_camera, problems = _Poses(path, [], [], []), [], []
-    for number, line in lines:
+    places, frames, poses, of_camera, problems = [], [], [], [], []
+    for at, line in lines:
         if not line.strip() or line.lstrip().startswith("#"):
             continue
         cells = line.split(maxsplit=9)
-        values = [_number(cell) for cell in cells[1:8]]
+        values, wrong = numbers(cells[1:8])
         frame = _frame_of_name(cells[9]) if len(cells) == 10 else None
-        if len(values) < 7 or None in values or frame is None:
+        if len(values) < 7 or any(np.isnan(values[wrong])) or frame is None:
             expected = "IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME, with the frame's number last in the name"
-            problems.append(Problem(path, f"line {number}", repr(line.strip()[:60]), expected))
+            problems.append(Problem(path, f"line {at}", repr(line.strip()[:60]), expected))
         else:
-            poses.frames.append(frame)
-            poses.values.append(values)  # type: ignore[arg-type]
-            poses.places.append(f"line {number}")
+            places.append(f"line {number}")
+            frames.append(frame)
+            poses.append(values)
             of_camera.append(cells[8])
-        number, points = next(lines, (0, ""))
+        at, points = next(lines, (0, ""))
         if len(points.split()) % 3:
             expected = "the points of the image above, X Y POINT3D_ID each, or an empty line"
-            problems.append(Problem(path, f"line {number}", repr(points.strip()[:60]), expected))
-    if problems:
-        raise InputError([*first_problems(problems, path), *(poses.problems() if poses.frames else ())])
-    if problems := list(poses.problems()):
-        raise InputError(problems)
-    return poses, of_camera
+            problems.append(Problem(path, f"line {at}", repr(points.strip()[:60]), expected))
+    found = np.array(frames, dtype=np.int64), np.reshape(poses, (-1, 7))
+    _checked_track(path, places, *found, problems=problems)
+    return places, *found, of_camera
 
 
 def _frame_of_name(name: str) -> int | None:
@@ -316,14 +288,14 @@ def _lenses(path: Path, wanted: dict[str, None]) -> dict[str, Camera]:
     """By COLMAP's number, those that images have. They may differ in focal length and centre only."""
     problems: list[Problem] = []
     found: dict[str, Camera] = {}
-    for number, line in enumerate(read_text(path, f"{CAMERAS} of a COLMAP model").splitlines(), start=1):
+    for at, line in enumerate(read_text(path, f"{CAMERAS} of a COLMAP model").splitlines(), start=1):
         cells = line.split()
         if not cells or cells[0].startswith("#") or cells[0] not in wanted:
             continue
         try:
             found[cells[0]] = _lens(cells)
         except (ValueError, OverflowError) as error:
-            problems.append(Problem(path, f"line {number}", str(error)[:200], "CAMERA_ID MODEL WIDTH HEIGHT PARAMS"))
+            problems.append(Problem(path, f"line {at}", str(error)[:200], "CAMERA_ID MODEL WIDTH HEIGHT PARAMS"))
     if not problems:
         missing = [key for key in wanted if key not in found]
         problems += [Problem(path, "cameras", f"no camera {_some(missing)}", f"those of {IMAGES}")] if missing else []
@@ -341,7 +313,7 @@ def _lens(cells: Sequence[str]) -> Camera:
         model = cells[1] if len(cells) > 1 else "nothing"
         raise ValueError(f"lens model {model}, none of {', '.join(COLMAP_MODELS)}")
     lens, names = COLMAP_MODELS[cells[1]]
-    given = [plain_number(cell) for cell in cells[4:]]
+    given = [number(cell) for cell in cells[4:]]
     if len(given) != len(names.split()):
         raise ValueError(f"{len(given)} parameters of {cells[1]}, which has {len(names.split())}: {names}")
     value = dict(zip(names.split(), given, strict=True))
