@@ -20,9 +20,7 @@ if TYPE_CHECKING:
     from recon.gait.clip import ClipAnalysis, analyse
     from recon.gait.evaluation import Evaluation, evaluate, evaluate_files
     from recon.geometry.camera import Camera
-    from recon.io import read_keypoints
-    from recon.io.calibration import read_camera, read_cameras, write_camera
-    from recon.io.pose3d import Pose3D, read_pose3d
+    from recon.io import Pose3D, read_camera, read_cameras, read_keypoints, read_pose3d, write_camera
     from recon.keypoint_net.run import TrainSettings
     from recon.keypoint_net.workflows import LabelSource, run_prediction, run_training
     from recon.workflows.batch import find_clips, plan_batch, run_batch
@@ -77,11 +75,9 @@ _NAMES_OF = {
     "recon.gait.clip": ("ClipAnalysis", "analyse"),
     "recon.gait.evaluation": ("Evaluation", "evaluate", "evaluate_files"),
     "recon.animal.body": ("Body",),
-    "recon.io.calibration": ("read_camera", "read_cameras", "write_camera"),
     "recon.geometry.camera": ("Camera",),
     "recon.base.errors": ("InputError",),
-    "recon.io": ("read_keypoints",),
-    "recon.io.pose3d": ("Pose3D", "read_pose3d"),
+    "recon.io": ("Pose3D", "read_camera", "read_cameras", "read_keypoints", "read_pose3d", "write_camera"),
     "recon.clip.keypoints": ("Keypoints", "clean"),
     "recon.fit.motion": ("Motion",),
     "recon.workflows.batch": ("find_clips", "plan_batch", "run_batch"),

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from recon.base.errors import InputError
 from recon.geometry.camera import Camera
-from recon.io.calibration import read_camera, read_cameras, write_camera
+from recon.io import read_camera, read_cameras, write_camera
 
 K = [[960.5, 0.0, 945.8], [0.0, 968.4, 584.5], [0.0, 0.0, 1.0]]
 FISHEYE = [0.129, -0.0481, -0.0122, 0.0133]

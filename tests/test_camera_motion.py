@@ -16,7 +16,7 @@ from recon.base.manifest import read_manifest
 from recon.calibrate.camera_motion import Orientation, Tracker, as_level, read_marks, tilted, up_by_marks
 from recon.calibrate.camera_motion.features import rays_of
 from recon.geometry.camera import Camera
-from recon.io.calibration import write_camera
+from recon.io import write_camera
 from recon.io.camera_track import read_camera_track
 from recon.io.pose3d import read_pose3d
 from recon.io.video import video_writer

@@ -13,7 +13,7 @@ from recon import FitSettings, InputError, Motion, fit_clip
 from recon.clip import Source, View, together
 from recon.clip.keypoints import Keypoints, clean
 from recon.geometry.camera import Camera
-from recon.io.calibration import read_cameras, write_cameras
+from recon.io import read_cameras, write_cameras
 from recon.io.deeplabcut import write_csv
 from recon.workflows.cameras import cameras_in
 from recon.workflows.clip import prepare

@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 
 from recon.base.errors import InputError
 from recon.clip.keypoints import Keypoints
-from recon.io import FORMATS, Format, choose_format, read_keypoints
+from recon.io import CONVERTED, FORMATS, Format, choose_format, read_keypoints
 from recon.io.pose3d import Pose3D, read_pose3d
 from recon.workflows.cli import app, main
 from recon.workflows.convert import Options, convert
@@ -534,9 +534,9 @@ def test_command(files_3d, tmp_path):
 
 def test_command_lists_formats():
     listed = json.loads(run("--list", "--json").output)
-    assert [row["--to"] for row in listed] == [f.name for f in FORMATS if f.writes]
+    assert [row["--to"] for row in listed] == [f.name for f in CONVERTED]
     shown = run("--list").output
-    assert all(f.name in shown for f in FORMATS if f.writes)
+    assert all(f.name in shown for f in CONVERTED)
 
 
 def test_command_names_problems(monkeypatch, capsys, tmp_path):

@@ -18,7 +18,7 @@ from recon.animal.skeleton_file import load_skeleton
 from recon.base.files import staged_file
 from recon.clip.keypoints import Keypoints
 from recon.fit.motion import Motion
-from recon.io import FORMATS, Format
+from recon.io import CONVERTED, FORMATS, Format
 from recon.io.pose import Pose3D
 from recon.io.video import video_writer
 from recon.show.export.rig import make_rig
@@ -34,7 +34,7 @@ POSE = Pose3D(("nose", "tail_base", "paw"), RNG.random((40, 3, 3)), FRAMES, fps=
 CHAIN = load_skeleton("cheetah-8u")
 RIG = make_rig(CHAIN, 1.0, CHAIN.keypoint_names("left"), np.arange(3), np.zeros((3, CHAIN.n_state)), 50.0)
 DATA = {"2D": KEYPOINTS, "3D": POSE, "bones": RIG}
-WRITERS = [(f, kind) for f in FORMATS for kind in f.writes]
+WRITERS = [(f, kind) for f in CONVERTED for kind in f.writes]
 
 
 @contextmanager

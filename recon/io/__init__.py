@@ -4,9 +4,11 @@ Videos are in `recon.io.video`, which OpenCV makes slow to import.
 """
 
 from recon.io.bones import Armature, Bone, BoneAngle
-from recon.io.calibration import read_camera, read_cameras, write_camera, write_cameras
+from recon.io.calibration import read_camera, read_cameras
+from recon.io.camera_files import write_camera, write_cameras
 from recon.io.camera_track import CameraTrack, read_camera_track, track_files, track_label
 from recon.io.formats import (
+    CONVERTED,
     FORMATS,
     Format,
     as_keypoints,
@@ -23,6 +25,7 @@ from recon.io.pose3d import in_metres, read_pose3d, read_pose_segments
 from recon.io.table import write_columns, write_rows, write_table
 
 __all__ = [
+    "CONVERTED",
     "FORMATS",
     "Armature",
     "Bone",

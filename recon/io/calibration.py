@@ -1,70 +1,28 @@
-"""Calibration files: cameras in, cameras out.
-
-Formats, told apart by suffix and content:
-
-- OpenCV YAML, JSON and XML (`camera_matrix`, `distortion_coefficients`, `image_width`, `image_height`, and the other
-  spellings in use), including ROS camera_info YAML with `distortion_model`. The lens is a fisheye where the file says
-  `fisheye: 1` or `distortion_model: equidistant`, else radial-tangential. A pose is optional (`R`, `T`; `rotation`,
-  `translation`; `rvec`, `tvec`; world to camera). Whether z points up is only known where the file has `world_z_up: 1`.
-- AcinoSet JSON: a scene (`cameras` with `k`, `d`, `r`, `t` and perhaps `name`) or one camera (`k`, `d`). Fisheye
-  lenses, world to camera, metres, world z up.
-- Anipose and Pose2Sim TOML: one table per camera. World to camera in the length unit of the calibration board, which
-  the file does not name: it is taken to be metres here, and `camera_unit` of a fit's settings says otherwise. The board
-  defines the world, so z need not point up.
-- This package's own TOML: one table `[camera]` with `format = "recon-camera"`, see `write_camera`.
-"""
+"""Cameras from calibration files of any known format (`recon.io.camera_files`), with every value checked."""
 
 from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from recon.base.arrays import Array
-from recon.base.documents import parse_json, parse_toml, read_text
+from recon.base.documents import parse_json, read_text
 from recon.base.errors import InputError, Problem
-from recon.base.files import staged_file
 from recon.geometry.camera import Camera, is_rotation
-from recon.geometry.lens import LENS_MODELS, lens_named
+from recon.geometry.lens import LENS_MODELS
+from recon.io.camera_files import MAX_BYTES, CameraRecord
+from recon.io.formats import FORMATS, recognised, titles
 
-FORMAT = "recon-camera"
 AS_GIVEN = ", as was given"
-VERSION = 1
-MAX_BYTES = 1 << 23
 LARGEST = 1e9
 """Of any number: more can only be damage."""
 MAX_SIZE_PX = 1_000_000
-MAX_NESTING = 5_000
-"""OpenCV dies at 20,000."""
 ROTATION_TOLERANCE = 1e-3
-
-OPENCV_KEYS = {
-    "matrix": ("camera_matrix", "cameraMatrix", "K"),
-    "distortion": ("distortion_coefficients", "dist_coeffs", "distCoeffs", "D"),
-    "rotation": ("rotation", "R", "rvec"),
-    "translation_m": ("translation", "T", "tvec"),
-}
-
-
-@dataclass(frozen=True)
-class _Record:
-    """One camera as its file has it: a table of unchecked values, and what it calls each field of `Camera`."""
-
-    name: Any
-    place: str
-    model: Any
-    world_z_up: Any
-    table: dict[str, Any]
-    keys: dict[str, str]
-    tilt_rad: Any = 0.0
-
-    def value(self, field: str) -> Any:
-        return self.table.get(self.keys[field])
 
 
 def read_cameras(path: str | Path, image_size_px: tuple[int, int] | None = None) -> tuple[Camera, ...]:
@@ -75,7 +33,7 @@ def read_cameras(path: str | Path, image_size_px: tuple[int, int] | None = None)
     """
     path = Path(path)
     problems: list[Problem] = []
-    records = _read_records(path)
+    records = _records(path)
     cameras = [_build(record, number, path, image_size_px, problems) for number, record in enumerate(records, 1)]
     names = [camera.name for camera in cameras if camera]
     problems += [
@@ -129,192 +87,23 @@ def read_camera(
     return matches[0]
 
 
-def write_camera(camera: Camera, path: str | Path) -> None:
-    """Write one camera as TOML that `read_camera` reads back exactly; whole or not at all."""
-    _write({"camera": _table(camera)}, path)
-
-
-def write_cameras(cameras: Sequence[Camera], path: str | Path) -> None:
-    """The same of several, that `read_cameras` reads."""
-    _write({"cameras": [_table(camera) for camera in cameras]}, path)
-
-
-def _write(document: dict[str, Any], path: str | Path) -> None:
-    import tomli_w
-
-    with staged_file(path) as staged:
-        staged.write_text(tomli_w.dumps(document), encoding="utf-8")
-
-
-def _table(camera: Camera) -> dict[str, Any]:
-    return {"format": FORMAT, "version": VERSION, **camera.to_dict()}
-
-
-# ---- from text to records ----
-
-
-def _read_records(path: Path) -> list[_Record]:
-    parsers: dict[str, Callable[[Path, str], list[_Record]]] = {
-        ".json": _parse_json,
-        ".toml": _parse_toml,
-        ".yaml": _parse_yaml,
-        ".yml": _parse_yaml,
-        ".xml": _parse_xml,
-    }
-    parse = parsers.get(path.suffix.lower())
-    if parse is None:
-        raise InputError(
-            Problem(path, "format", f"suffix {path.suffix!r}", f"a calibration file: {', '.join(sorted(parsers))}")
-        )
-    text = read_text(path, "a calibration", MAX_BYTES)
-    if not text.strip():
-        raise InputError(Problem(path, "file", "an empty file", "a calibration"))
-    return parse(path, text)
-
-
-def _parse_json(path: Path, text: str) -> list[_Record]:
-    if '"opencv-matrix"' in text:
-        # OpenCV 4 writes whole numbers as "1.", which is not JSON.
-        return [_opencv_record(_load_file_storage(path, text))]
-    document = parse_json(text, path)
-    if isinstance(document, dict) and ("cameras" in document or "k" in document):
-        return _acinoset_records(path, document)
-    if isinstance(document, dict) and any(key in document for key in OPENCV_KEYS["matrix"]):
-        return [_opencv_record(document)]
-    raise InputError(
-        Problem(path, "format", "JSON of another kind", "an AcinoSet scene (cameras), k and d, or a camera_matrix")
-    )
-
-
-def _parse_yaml(path: Path, text: str) -> list[_Record]:
-    # OpenCV 4 and 5 write different headers, ROS none. All versions read this one.
-    body = re.sub(r"\A(\s*#[^\n]*\n|\s*\n)*(%YAML[^\n]*\n)?(---[^\n]*\n)?", "", text)
-    return [_opencv_record(_load_file_storage(path, "%YAML:1.0\n---\n" + body))]
-
-
-def _parse_xml(path: Path, text: str) -> list[_Record]:
-    return [_opencv_record(_load_file_storage(path, text))]
-
-
-def _parse_toml(path: Path, text: str) -> list[_Record]:
-    document = parse_toml(text, path)
-    own = document.get("camera")
-    if isinstance(own, dict) and "format" in own:
-        return [_own_record(path, own)]
-    several = document.get("cameras")
-    if isinstance(several, list) and all(isinstance(one, dict) and "format" in one for one in several):
-        return [_own_record(path, one, f"cameras[{i}].") for i, one in enumerate(several)]
-    tables = {key: table for key, table in document.items() if isinstance(table, dict) and key != "metadata"}
-    if not tables:
-        expected = f'[camera] with format = "{FORMAT}", or one table per camera as Anipose and Pose2Sim write'
-        raise InputError(Problem(path, "format", "no table of a camera", expected))
-    return [_anipose_record(key, table) for key, table in tables.items()]
-
-
-def _own_record(path: Path, table: dict[str, Any], place: str = "camera.") -> _Record:
-    if (table["format"], table.get("version")) != (FORMAT, VERSION):
-        found = f"format {table['format']!r}, version {table.get('version')!r}"
-        raise InputError(Problem(path, f"{place}format", found, f"format {FORMAT!r}, version {VERSION}"))
-    keys = {field: field for field in ("matrix", "distortion", "image_size_px", "rotation", "translation_m")}
-    up, tilt_rad = table.get("world_z_up", True), table.get("tilt_rad", 0.0)
-    return _Record(table.get("name"), place, table.get("model"), up, table, keys, tilt_rad)
-
-
-def _anipose_record(section: str, table: dict[str, Any]) -> _Record:
-    keys = {
-        "matrix": "matrix",
-        "distortion": "distortions",
-        "image_size_px": "size",
-        "rotation": "rotation",
-        "translation_m": "translation",
-    }
-    bent = table.get("distortions")
-    if isinstance(bent, list) and len(bent) == 1:
-        table = table | {"distortions": bent + [0.0] * 3}  # k1 alone, the others were not estimated
-    model = "fisheye" if table.get("fisheye") else "radtan"
-    return _Record(table.get("name", section), f"{section}.", model, False, table, keys)
-
-
-def _acinoset_records(path: Path, document: dict[str, Any]) -> list[_Record]:
-    entries = document.get("cameras", [document])
-    if not isinstance(entries, list) or not entries or not all(isinstance(entry, dict) for entry in entries):
-        raise InputError(Problem(path, "cameras", "no list of cameras", "a list with k, d, r and t of each camera"))
-    keys = {
-        "matrix": "k",
-        "distortion": "d",
-        "rotation": "r",
-        "translation_m": "t",
-        "image_size_px": "camera_resolution",
-    }
-    size = {"camera_resolution": document.get("camera_resolution")}
-    places = [f"cameras[{index}]." if "cameras" in document else "" for index in range(len(entries))]
-    return [
-        _Record(entry.get("name"), place, "fisheye", True, entry | size, keys)
-        for place, entry in zip(places, entries, strict=True)
-    ]
-
-
-def _opencv_record(document: dict[str, Any]) -> _Record:
-    keys = {
-        field: next((alias for alias in aliases if alias in document), aliases[0])
-        for field, aliases in OPENCV_KEYS.items()
-    }
-    size = [document.get(f"image_{side}", document.get(side)) for side in ("width", "height")]
-    changed: dict[str, Any] = {"image_width, image_height": None if None in size else size}
-    if keys["rotation"] == "R" and document.get(keys["translation_m"]) is None:
-        changed["R"] = None  # ROS: the rectification, not a pose
-    keys |= {"image_size_px": "image_width, image_height", "model": "distortion_model"}
-    model = document.get("distortion_model")
-    if model is None:
-        model = "fisheye" if document.get("fisheye") or document.get("fisheye_model") else "radtan"
-    up = bool(document.get("world_z_up", False))
-    return _Record(document.get("camera_name"), "", lens_named(str(model)) or model, up, document | changed, keys)
-
-
-def _load_file_storage(path: Path, text: str) -> dict[str, Any]:
-    """A document of OpenCV's FileStorage as plain dictionaries, lists, strings and numbers."""
-    import cv2  # slow to import
-
-    if _nesting(text) > MAX_NESTING:
-        raise InputError(Problem(path, "content", "lists or tables that are nested too deeply", "a calibration"))
-    try:
-        storage = cv2.FileStorage(text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
-        document = _plain_node(storage.root())
-    except (cv2.error, SystemError) as error:  # the constructor's cv2.error arrives wrapped in a SystemError
-        reason = str(error.__cause__ or error).strip().splitlines()[-1]
-        reason = reason.rpartition("error)")[2].strip()
-        raise InputError(
-            Problem(path, "file", f"text that OpenCV cannot parse: {reason}", "YAML, XML or JSON")
-        ) from error
-    if not isinstance(document, dict):
-        raise InputError(Problem(path, "file", "no keys", "camera_matrix, distortion_coefficients, ..."))
-    return document
-
-
-def _nesting(text: str) -> int:
-    """A bound on how deeply OpenCV's parsers, which know no limit, go into a text: brackets, elements, or what stands
-    in one line of YAML, times the lines that are indented ever more. Whether they are closed does not matter: what
-    looks like it may be a comment."""
-    inline = max((len(re.findall(r"[-:?](?=\s)", line)) for line in text.splitlines()), default=0)
-    indents = {len(spaces) for spaces in re.findall(r"(?m)^ *(?=\S)", text)}
-    return max(len(re.findall(r"[\[{]", text)), len(re.findall(r"<[^/?!]", text)), inline * len(indents))
-
-
-def _plain_node(node: Any) -> Any:
-    if node.isMap():
-        return {key: _plain_node(node.getNode(key)) for key in node.keys()}  # noqa: SIM118 (not a dict)
-    if node.isSeq():
-        return [_plain_node(node.at(index)) for index in range(node.size())]
-    if node.isString():
-        return node.string()
-    return node.real() if node.isInt() or node.isReal() else None
+def _records(path: Path) -> list[CameraRecord]:
+    suffixes = sorted({suffix for f in FORMATS if "cameras" in f.reads for suffix in f.suffixes})
+    if path.suffix.lower() not in suffixes:
+        expected = f"a calibration file: {', '.join(suffixes)}"
+        raise InputError(Problem(path, "format", f"suffix {path.suffix!r}", expected))
+    found = recognised(path, "cameras")
+    if found is not None and found.read is not None:
+        return found.read(path, None)
+    parse_json(read_text(path, "a calibration", MAX_BYTES), path)
+    raise InputError(Problem(path, "format", "JSON of another kind", f"one of: {titles('cameras')}"))
 
 
 # ---- from records to cameras ----
 
 
 def _build(
-    record: _Record, number: int, path: Path, image_size_px: tuple[int, int] | None, problems: list[Problem]
+    record: CameraRecord, number: int, path: Path, image_size_px: tuple[int, int] | None, problems: list[Problem]
 ) -> Camera | None:
     """The camera of a record; or None, with every reason appended to problems."""
     before = len(problems)

@@ -154,7 +154,7 @@ def _checked_track(
         with np.errstate(all="ignore"):
             rows = np.flatnonzero(wrong(table).any(axis=1))
         if len(rows):
-            problems.append(Problem(path, kind, f"others in {_some([places[row] for row in rows])}", expected))
+            problems.append(Problem(path, kind, f"others in {_some([places[row] for row in rows.tolist()])}", expected))
     if sigma_deg is not None and len(beyond := sigma_deg[~((sigma_deg >= 0) & (sigma_deg <= MAX_SIGMA_DEG))]):
         problems.append(Problem(path, SIGMA, f"{beyond[0]:g}", f"0 to {MAX_SIGMA_DEG:g} degrees"))
     distinct, count = np.unique(frames, return_counts=True)

@@ -19,6 +19,7 @@ from recon.clip.keypoints import Keypoints
 from recon.io import (
     bvh,
     c3d,
+    camera_files,
     coco,
     columns,
     deeplabcut,
@@ -36,8 +37,8 @@ from recon.io.common import NoChoiceError, with_likelihoods
 from recon.io.hdf5 import is_hdf5
 from recon.io.pose import StoredPoints
 
-Kind = Literal["2D", "3D", "bones"]
-"""2D keypoints, 3D positions, or bones (`recon.io.bones`)."""
+Kind = Literal["2D", "3D", "bones", "cameras"]
+"""2D keypoints, 3D positions, bones (`recon.io.bones`), or cameras."""
 
 
 @dataclass(frozen=True)
@@ -52,11 +53,12 @@ class Format:
     recognises: Callable[[Path], bool] | None = None
     """Whether a readable file, not empty, is of this format. It looks at the content, not at the name, and raises
     InputError for a file so damaged that this cannot be told. None for one that is not read."""
-    read: Callable[[Path, str | None], StoredPoints] | None = None
-    """The points of one animal, by its name, from a file that is recognised; raises InputError."""
+    read: Callable[[Path, str | None], Any] | None = None
+    """From a file that is recognised, the `StoredPoints` of one animal, by its name, or a list of `CameraRecord`;
+    raises InputError."""
     reads: tuple[Kind, ...] = ()
     write: Callable[[Any, Path], None] | None = None
-    """`Keypoints`, `Pose3D` or `Armature`, whichever of them it `writes`, as a new file; raises InputError."""
+    """`Keypoints`, `Pose3D`, `Armature` or cameras, whichever of them it `writes`, as a new file; raises InputError."""
     writes: tuple[Kind, ...] = ()
     fps: str = ""
     """Where it has the frame rate, or needed if it cannot be without."""
@@ -76,6 +78,7 @@ _2D: tuple[Kind, ...] = ("2D",)
 _3D: tuple[Kind, ...] = ("3D",)
 _BOTH: tuple[Kind, ...] = ("2D", "3D")
 _BONES: tuple[Kind, ...] = ("bones",)
+_CAMERAS: tuple[Kind, ...] = ("cameras",)
 
 # fmt: off
 FORMATS: tuple[Format, ...] = (
@@ -110,10 +113,20 @@ FORMATS: tuple[Format, ...] = (
            columns.write_long, _2D, "as a column", "kept"),
     Format("wide", "wide CSV", (".csv",), columns.recognises, columns.read, _BOTH,
            columns.write_wide, _2D, "as a column", "kept"),
+    Format("camera", "camera file of recon", (".toml",), camera_files.recognises_own, camera_files.read_own, _CAMERAS,
+           camera_files.write_cameras, _CAMERAS),
+    Format("anipose", "Anipose or Pose2Sim TOML", (".toml",),
+           camera_files.recognises_anipose, camera_files.read_anipose, _CAMERAS),
+    Format("acinoset", "AcinoSet JSON", (".json",),
+           camera_files.recognises_acinoset, camera_files.read_acinoset, _CAMERAS),
+    Format("opencv", "OpenCV YAML, XML or JSON, ROS camera_info", (".yaml", ".yml", ".xml", ".json"),
+           camera_files.recognises_opencv, camera_files.read_opencv, _CAMERAS),
 )
 # fmt: on
 """A file is of the first that recognises it. Where an extension has several, the first that writes it is meant unless
 `--to` names another."""
+CONVERTED = tuple(f for f in FORMATS if f.writes and "cameras" not in f.writes)
+"""What `recon convert` can write."""
 PLAIN = next(f for f in FORMATS if f.read is columns.read)
 
 
@@ -122,11 +135,10 @@ def choose_format(out: Path, name: str | None) -> Format:
 
     Raises InputError for names and extensions that are not there.
     """
-    written = [f for f in FORMATS if f.writes]
-    names = tuple(dict.fromkeys(f.name for f in written))
+    names = tuple(dict.fromkeys(f.name for f in CONVERTED))
     if name is not None and name not in names:
         raise InputError(Problem("--to", "format", f"'{name}'", f"one of: {', '.join(names)}"))
-    named = [f for f in written if name in (None, f.name)]
+    named = [f for f in CONVERTED if name in (None, f.name)]
     fitting = [(len(s), -i, f) for i, f in enumerate(named) for s in f.suffixes if out.name.lower().endswith(s)]
     if not fitting:
         expected = ", ".join(dict.fromkeys(s for f in named for s in f.suffixes))
@@ -135,16 +147,21 @@ def choose_format(out: Path, name: str | None) -> Format:
 
 
 def recognised(path: Path, kind: Kind | None = None) -> Format | None:
-    """The format of a readable file, or of those that can hold such data; None where there is none.
+    """The format of a readable file that can hold such data, by default points; None where there is none.
 
     Raises InputError for a file so damaged that this cannot be told.
     """
-    return next((f for f in FORMATS if f.recognises and (kind is None or kind in f.reads) and f.recognises(path)), None)
+    return next((f for f in _reading(kind) if f.recognises and f.recognises(path)), None)
 
 
 def titles(kind: Kind | None = None) -> str:
-    """The formats that are read, for a message."""
-    return ", ".join(f.title for f in FORMATS if f.read and (kind is None or kind in f.reads))
+    """The formats that such data, by default points, are read from, for a message."""
+    return ", ".join(f.title for f in _reading(kind))
+
+
+def _reading(kind: Kind | None) -> list[Format]:
+    kinds = {"2D", "3D"} if kind is None else {kind}
+    return [f for f in FORMATS if kinds & {*f.reads}]
 
 
 # -- reading ---------------------------------------------------------------------------------------------------------

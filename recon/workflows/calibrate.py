@@ -25,7 +25,7 @@ from recon.calibrate.intrinsics import (
     parse_board,
 )
 from recon.geometry.lens import LENS_MODELS
-from recon.io.calibration import write_camera
+from recon.io import write_camera
 
 
 @dataclass(frozen=True)
@@ -93,7 +93,7 @@ def run_calibration(
     overwrite: bool = False,
     progress: Progress = silent,
 ) -> CalibrationRun:
-    """`recon calibrate`: write `out` (`recon.io.calibration.write_camera`) and, beside it, `<stem>_coverage.png`.
+    """`recon calibrate`: write `out` (`recon.io.write_camera`) and, beside it, `<stem>_coverage.png`.
 
     A calibration that a check refuses is not written unless `force`; the picture is, since it shows what is missing.
     Raises InputError, with every problem, for inputs that cannot be used.

@@ -39,8 +39,7 @@ from recon.clip.keypoints import CleaningReport, Keypoints, clean, leave_out, pa
 from recon.fit import TrajectorySolution, solve_trajectory
 from recon.fit.motion import MOTION, Motion
 from recon.geometry.camera import Camera
-from recon.io import read_keypoints
-from recon.io.calibration import write_cameras
+from recon.io import read_keypoints, write_cameras
 from recon.io.camera_track import MAX_GAP_S, CameraTrack
 from recon.show.export.clip_csv import CAMERA_OUTPUTS, CLIP_OUTPUTS, of_any_camera, write_tables
 from recon.show.page import PAGE

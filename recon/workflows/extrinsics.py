@@ -19,7 +19,7 @@ from recon.fit.extrinsics import LEVEL_RAD, TooLittleInCommonError, search_offse
 from recon.fit.setting import Setting
 from recon.geometry.camera import Camera
 from recon.geometry.frames import level_from_camera, rigid
-from recon.io.calibration import write_cameras
+from recon.io import write_cameras
 from recon.workflows.batch.groups import AUTO
 from recon.workflows.batch.inputs import find_clips
 from recon.workflows.clip import Prepared, prepare

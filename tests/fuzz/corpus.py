@@ -20,8 +20,7 @@ from recon.base.manifest import MANIFEST, write_manifest
 from recon.clip.keypoints import Keypoints, clean
 from recon.fit.results import read_results
 from recon.geometry.camera import Camera
-from recon.io import FORMATS, bvh, columns, read_keypoints
-from recon.io.calibration import read_cameras, write_camera
+from recon.io import FORMATS, bvh, columns, read_cameras, read_keypoints, write_camera
 from recon.io.camera_track import read_camera_track
 from recon.io.column_map import parse_map
 from recon.io.pose3d import Pose3D, read_pose3d, read_pose_segments

@@ -32,7 +32,7 @@ from recon.base.errors import InputError
 from recon.clip.keypoints import Keypoints
 from recon.fit.motion import Motion
 from recon.geometry.camera import Camera
-from recon.io.calibration import write_camera
+from recon.io import write_camera
 from recon.io.deeplabcut import write_csv
 from recon.show.export.clip_csv import write_tables
 from recon.show.report import build_report, summary_lines, write_report

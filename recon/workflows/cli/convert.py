@@ -80,9 +80,9 @@ def _summary(out: Path, done: Conversion) -> str:
 
 
 def _print_formats(as_json: bool) -> None:
-    from recon.io import FORMATS
+    from recon.io import CONVERTED
 
-    rows = [(f.name, " ".join(f.suffixes), ", ".join(f.writes), f.fps, f.frames, f.axes) for f in FORMATS if f.writes]
+    rows = [(f.name, " ".join(f.suffixes), ", ".join(f.writes), f.fps, f.frames, f.axes) for f in CONVERTED]
     names = ("--to", "extension", "holds", "frame rate", "frame numbers", "3D axes")
     if as_json:
         typer.echo(json.dumps([dict(zip(names, row, strict=True)) for row in rows], indent=1))
