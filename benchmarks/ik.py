@@ -34,7 +34,7 @@ from recon.gait.gait import pose_gait
 from recon.robotics.ik.animal import body_chain, body_chain_angles, chain_angles, projected_chain, spine_front_leg
 from recon.robotics.ik.chain import SerialChain
 from recon.robotics.ik.clip import stride_lasts_s
-from recon.robotics.ik.costs import HarmonicMap, joint_differences, pose_distance, rotational_energy
+from recon.robotics.ik.costs import harmonic_map, joint_differences, pose_distance, rotational_energy
 from recon.robotics.ik.drive import Closures, degree_of_closure, drive_to, follow
 from recon.robotics.ik.fit import (
     Fit,
@@ -49,14 +49,14 @@ from recon.robotics.ik.fit import (
     fit_weights,
 )
 from recon.robotics.ik.methods import (
-    DampedLeastSquares,
     ExtendedJacobian,
     GradientProjection,
     JacobianTranspose,
     LeastNorm,
     Method,
     SelectivelyDamped,
-    WeightedLeastNorm,
+    damped_least_squares,
+    weighted_least_norm,
 )
 from recon.robotics.ik.null_space import to_null_space_optimum
 from recon.robotics.ik.stride import Stride, find_stride
@@ -95,15 +95,15 @@ def methods(chain: SerialChain) -> dict[str, Method]:
         "least norm": LeastNorm(),
         "Jacobian transpose": JacobianTranspose(),
         "gradient projection (differences)": GradientProjection(differences),
-        "weighted (lengths)": WeightedLeastNorm(chain.joint_lengths_m),
-        "damped (0.05 m)": DampedLeastSquares(),
+        "weighted (lengths)": weighted_least_norm(chain.joint_lengths_m),
+        "damped (0.05 m)": damped_least_squares(),
         "selectively damped": SelectivelyDamped(),
         "extended Jacobian (differences)": ExtendedJacobian(differences),
         "extended Jacobian (energy)": ExtendedJacobian(energy),
         "extended Jacobian (energy), N constant": ExtendedJacobian(energy, full=False),
     }
     if chain.base.shape == (2, 3) or len(chain.groups) == 2:  # the map is one of the 8U chain's joints
-        every["extended Jacobian (harmonic map)"] = ExtendedJacobian(HarmonicMap())
+        every["extended Jacobian (harmonic map)"] = ExtendedJacobian(harmonic_map())
     return every
 
 

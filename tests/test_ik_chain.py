@@ -7,12 +7,12 @@ import pytest
 
 from recon.robotics.ik.chain import manipulability, null_basis, planar_chain, summed_chain
 from recon.robotics.ik.costs import (
-    HarmonicMap,
-    UserCost,
-    WeightedSum,
+    harmonic_map,
     joint_differences,
     pose_distance,
     rotational_energy,
+    user_cost,
+    weighted_sum,
 )
 from recon.robotics.ik.two_link import two_link
 
@@ -90,10 +90,10 @@ def test_costs_agree_with_differences(chain, kind):
     cost = {
         "differences": joint_differences(chain),
         "energy": rotational_energy(chain),
-        "harmonic": HarmonicMap(a=0.7, b=0.3),
+        "harmonic": harmonic_map(a=0.7, b=0.3),
         "pose": pose_distance(np.linspace(-1.0, 1.0, chain.n)),
-        "sum": WeightedSum((joint_differences(chain), HarmonicMap()), (0.5, -2.0)),
-        "user": UserCost(lambda q: float(np.sin(q[0]) * q[1] + np.sum(q**4))),
+        "sum": weighted_sum((joint_differences(chain), harmonic_map()), (0.5, -2.0)),
+        "user": user_cost(lambda q: float(np.sin(q[0]) * q[1] + np.sum(q**4))),
     }[kind]
     q = np.random.default_rng(3).normal(size=chain.n)
     # Its own differences have their own errors.
@@ -111,8 +111,8 @@ def test_cost_values():
     assert joint_differences(spatial).value(np.concatenate([q, q])) == pytest.approx(2 * 0.54)
     assert rotational_energy(planar).value(q) == pytest.approx(np.sum((np.array(LENGTHS) * q) ** 2))
     assert pose_distance(q + np.array([0.1, 0, 0, 0, 0.2])).value(q) == pytest.approx(0.05)
-    assert WeightedSum((pose_distance(0 * q), HarmonicMap()), (2.0, 0.0)).value(q) == pytest.approx(2 * np.sum(q**2))
-    assert HarmonicMap().value(q) == pytest.approx(0.5 * -0.4 * np.sqrt(1.16))
+    assert weighted_sum((pose_distance(0 * q), harmonic_map()), (2.0, 0.0)).value(q) == pytest.approx(2 * np.sum(q**2))
+    assert harmonic_map().value(q) == pytest.approx(0.5 * -0.4 * np.sqrt(1.16))
 
 
 # -- the two-link arm ------------------------------------------------------------------------------------------------

@@ -31,7 +31,7 @@ from recon.robotics.ik.clip import (
 )
 from recon.robotics.ik.drive import drive_to
 from recon.robotics.ik.fit import DAMPING_M
-from recon.robotics.ik.methods import DampedLeastSquares, LeastNorm
+from recon.robotics.ik.methods import LeastNorm, damped_least_squares
 
 pytestmark = pytest.mark.usefixtures("small_pictures")
 
@@ -190,7 +190,7 @@ def test_the_stride_takes_as_long_as_it_does_and_can_be_followed(fit, dim, reque
         stride = found.stride
         assert found.how in ("ground", "body")
         assert stride.end_s - stride.start_s == pytest.approx(true_stride_s(stride.start_s), rel=0.05)
-        assert follow_stride(limb.chain, stride, DampedLeastSquares()).distance_m.max() < 0.005
+        assert follow_stride(limb.chain, stride, damped_least_squares()).distance_m.max() < 0.005
         assert stride.gap_percent < 15
 
 

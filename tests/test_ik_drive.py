@@ -8,16 +8,16 @@ import pytest
 from recon.animal.skeleton_file import load_chain
 from recon.robotics.ik.animal import spine_front_leg
 from recon.robotics.ik.chain import null_basis, planar_chain
-from recon.robotics.ik.costs import HarmonicMap, UserCost, joint_differences, rotational_energy
+from recon.robotics.ik.costs import harmonic_map, joint_differences, rotational_energy, user_cost
 from recon.robotics.ik.drive import degree_of_closure, drive_to, follow, roughness
 from recon.robotics.ik.methods import (
-    DampedLeastSquares,
     ExtendedJacobian,
     GradientProjection,
     JacobianTranspose,
     LeastNorm,
     SelectivelyDamped,
-    WeightedLeastNorm,
+    damped_least_squares,
+    weighted_least_norm,
 )
 from recon.robotics.ik.null_space import to_null_space_optimum
 
@@ -30,8 +30,8 @@ def methods(chain):
         "least norm": LeastNorm(),
         "transpose": JacobianTranspose(),
         "gradient projection": GradientProjection(joint_differences(chain)),
-        "weighted": WeightedLeastNorm(chain.joint_lengths_m),
-        "damped": DampedLeastSquares(),
+        "weighted": weighted_least_norm(chain.joint_lengths_m),
+        "damped": damped_least_squares(),
         "selectively damped": SelectivelyDamped(),
         "extended, differences": ExtendedJacobian(joint_differences(chain)),
         "extended, energy": ExtendedJacobian(energy),
@@ -205,7 +205,7 @@ def test_degree_of_closure():
 @pytest.mark.parametrize("kind", ["differences", "energy", "harmonic"])
 def test_null_space_optimum(dim, kind):
     chain = front_leg(dim)
-    cost = {"differences": joint_differences, "energy": rotational_energy, "harmonic": lambda _: HarmonicMap()}[kind](
+    cost = {"differences": joint_differences, "energy": rotational_energy, "harmonic": lambda _: harmonic_map()}[kind](
         chain
     )
     q = bent(chain)
@@ -221,7 +221,7 @@ def test_null_space_optimum(dim, kind):
 
 def test_null_space_optimum_reports_what_it_cannot_do():
     chain = front_leg(2)
-    unbounded = UserCost(lambda q: float(np.exp(q[0]) * q[0] * np.inf) if q[0] > 0 else 0.0)
+    unbounded = user_cost(lambda q: float(np.exp(q[0]) * q[0] * np.inf) if q[0] > 0 else 0.0)
     assert not to_null_space_optimum(chain, bent(chain) + 0.3, unbounded).reached
 
 

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from recon.robotics.ik.chain import joint_chain, planar_chain, unreachable
 from recon.robotics.ik.costs import joint_differences, rotational_energy
 from recon.robotics.ik.drive import drive_to
-from recon.robotics.ik.methods import DampedLeastSquares, ExtendedJacobian, LeastNorm
+from recon.robotics.ik.methods import ExtendedJacobian, LeastNorm, damped_least_squares
 
 SLIDING = np.array([False, True, False, False, False, True])
 
@@ -151,7 +151,7 @@ def test_bad_chains_are_refused():
 def test_methods_drive_these_chains(kind):
     chain = random_chain()
     method = {
-        "damped": DampedLeastSquares(),
+        "damped": damped_least_squares(),
         "least norm": LeastNorm(),
         "energy": ExtendedJacobian(rotational_energy(chain)),
         "differences": ExtendedJacobian(joint_differences(chain)),

@@ -23,7 +23,7 @@ from recon.robotics.ik import plots as ik_plots
 from recon.robotics.ik.chain import planar_chain, summed_chain
 from recon.robotics.ik.drive import Closures, drive_to, follow
 from recon.robotics.ik.fit import FittedSeries
-from recon.robotics.ik.methods import DampedLeastSquares, JacobianTranspose, LeastNorm
+from recon.robotics.ik.methods import JacobianTranspose, LeastNorm, damped_least_squares
 from recon.show import plots
 from recon.show.plots import composite, phase, style
 from recon.show.plots.observability import share_colours
@@ -92,7 +92,7 @@ def drives(dim=2):
     q = np.full(chain.n, 0.4)
     target = chain.end(q) + [-0.1, 0.1, 0.05][:dim]
     found = {name: drive_to(chain, q, target, m) for name, m in (("a", LeastNorm()), ("b", JacobianTranspose()))}
-    found["far"] = drive_to(chain, q, 5 * target, DampedLeastSquares())
+    found["far"] = drive_to(chain, q, 5 * target, damped_least_squares())
     return chain, target, found
 
 

@@ -6,13 +6,13 @@ import pytest
 from recon.robotics.ik.costs import joint_differences
 from recon.robotics.ik.drive import drive_to
 from recon.robotics.ik.methods import (
-    DampedLeastSquares,
     ExtendedJacobian,
     GradientProjection,
     JacobianTranspose,
     LeastNorm,
     SelectivelyDamped,
-    WeightedLeastNorm,
+    damped_least_squares,
+    weighted_least_norm,
 )
 from recon.robotics.robot.dh import DHRow, dh_chain, dh_table
 from recon.robotics.robot.lift_arm import lift_arm, lift_arm_chain, lift_arm_hand
@@ -44,9 +44,9 @@ PUMA_STANDARD = tuple(
 METHODS = {
     "least norm": LeastNorm(),
     "transpose": JacobianTranspose(),
-    "damped": DampedLeastSquares(),
+    "damped": damped_least_squares(),
     "selectively damped": SelectivelyDamped(),
-    "weighted": WeightedLeastNorm(np.array([3.0, 2.0, 1.0, 1.0, 1.0, 1.0])),
+    "weighted": weighted_least_norm(np.array([3.0, 2.0, 1.0, 1.0, 1.0, 1.0])),
 }
 
 
@@ -119,7 +119,7 @@ def test_every_method_drives_it(name, convention):
     costs = {
         "gradient projection": lambda: GradientProjection(joint_differences(chain)),
         "extended Jacobian": lambda: ExtendedJacobian(joint_differences(chain)),
-        "weighted": lambda: WeightedLeastNorm(np.linspace(3.0, 1.0, chain.n)),
+        "weighted": lambda: weighted_least_norm(np.linspace(3.0, 1.0, chain.n)),
     }
     method = costs[name]() if name in costs else METHODS[name]
     start = np.linspace(0.1, 0.8, chain.n)
@@ -241,7 +241,7 @@ def test_lift_arm_out_of_reach():
 @pytest.mark.parametrize("name", list(METHODS))
 def test_methods_drive_the_lift_arm(name):
     chain = lift_arm_chain((0.45, 0.4))
-    method = WeightedLeastNorm(np.array([1.0, 2.0, 1.0, 1.0])) if name == "weighted" else METHODS[name]
+    method = weighted_least_norm(np.array([1.0, 2.0, 1.0, 1.0])) if name == "weighted" else METHODS[name]
     hand = lift_arm((0.45, 0.4), (0.5, 0.3, 0.0), 0.2).branches[1]
     run = drive_to(chain, (0.0, 0.1, 0.5, 0.0), chain.end(hand), method)
     assert run.reason == "reached"

@@ -10,13 +10,13 @@ from recon.base.errors import InputError
 from recon.robotics.ik.costs import joint_differences
 from recon.robotics.ik.drive import drive_to
 from recon.robotics.ik.methods import (
-    DampedLeastSquares,
     ExtendedJacobian,
     GradientProjection,
     JacobianTranspose,
     LeastNorm,
     SelectivelyDamped,
-    WeightedLeastNorm,
+    damped_least_squares,
+    weighted_least_norm,
 )
 from recon.robotics.robot.quadruped import LEGS
 from recon.robotics.robot.robot_file import load_robot
@@ -88,9 +88,9 @@ def test_every_method_drives_it(arm):
     for method in (
         LeastNorm(),
         JacobianTranspose(),
-        DampedLeastSquares(),
+        damped_least_squares(),
         SelectivelyDamped(),
-        WeightedLeastNorm(np.array([1.0, 2.0, 1.0, 1.0])),
+        weighted_least_norm(np.array([1.0, 2.0, 1.0, 1.0])),
         GradientProjection(joint_differences(chain)),
         ExtendedJacobian(joint_differences(chain)),
     ):

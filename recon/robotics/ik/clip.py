@@ -33,7 +33,14 @@ from recon.robotics.ik.animal import (
     spine_front_leg,
 )
 from recon.robotics.ik.chain import SerialChain
-from recon.robotics.ik.costs import Cost, HarmonicMap, WeightedSum, joint_differences, pose_distance, rotational_energy
+from recon.robotics.ik.costs import (
+    Cost,
+    harmonic_map,
+    joint_differences,
+    pose_distance,
+    rotational_energy,
+    weighted_sum,
+)
 from recon.robotics.ik.drive import Drive, Follow, drive_to, follow
 from recon.robotics.ik.fit import (
     PULL,
@@ -50,7 +57,6 @@ from recon.robotics.ik.fit import (
     fit_weights,
 )
 from recon.robotics.ik.methods import (
-    DampedLeastSquares,
     ExtendedJacobian,
     GradientProjection,
     JacobianTranspose,
@@ -58,6 +64,7 @@ from recon.robotics.ik.methods import (
     Method,
     Scaled,
     SelectivelyDamped,
+    damped_least_squares,
     kept_cost,
 )
 from recon.robotics.ik.null_space import to_null_space_optimum
@@ -299,7 +306,7 @@ def methods_of(
         "transpose": JacobianTranspose,
         "gradient-projection": lambda: GradientProjection(cost or joint_differences(chain)),
         "weighted": lambda: parameters["weighted"].method,
-        "damped": DampedLeastSquares,
+        "damped": damped_least_squares,
         "selectively-damped": SelectivelyDamped,
     }
     chosen: dict[str, Method] = {}
@@ -322,7 +329,7 @@ def _costs(limb: Limb) -> dict[str, Callable[[], Cost]]:
     return {
         "differences": lambda: joint_differences(chain),
         "energy": lambda: rotational_energy(chain),
-        "harmonic": lambda: HarmonicMap(joints=(last[0], last[1], last[2])),
+        "harmonic": lambda: harmonic_map(joints=(last[0], last[1], last[2])),
         "pose": lambda: pose_distance(np.nanmean(limb.q, axis=0)),
     }
 
@@ -340,7 +347,7 @@ def cost_of(limb: Limb, text: str) -> Cost:
             problems.append(Problem("--cost", "cost", repr(part), expected))
     if problems:
         raise InputError(problems)
-    return costs[0] if len(costs) == 1 and weights == [1.0] else WeightedSum(tuple(costs), tuple(weights))
+    return costs[0] if len(costs) == 1 and weights == [1.0] else weighted_sum(tuple(costs), tuple(weights))
 
 
 def fit_parameters(limb: Limb, cost: Cost | None = None) -> dict[str, Fitted]:

@@ -15,17 +15,17 @@ from scipy.optimize import least_squares, minimize_scalar
 
 from recon.base.arrays import Array
 from recon.robotics.ik.chain import SerialChain
-from recon.robotics.ik.costs import Cost, WeightedSum
+from recon.robotics.ik.costs import Cost, weighted_sum
 from recon.robotics.ik.methods import (
     INTERVAL_S,
     LOST,
-    DampedLeastSquares,
     GradientProjection,
     JacobianTranspose,
     LeastNorm,
     Method,
     SelectivelyDamped,
-    WeightedLeastNorm,
+    damped_least_squares,
+    weighted_least_norm,
 )
 
 DAMPING_M = (1e-4, 1e2)
@@ -151,7 +151,7 @@ def fit_damped(frames: Frames) -> Fitted:
 
     value, edge = _best(lambda damping_m: rates(frames, damping_m), frames.dq, DAMPING_M)
     note = f"lambda at the edge of {DAMPING_M[0]:g} to {DAMPING_M[1]:g} m" if edge else ""
-    return _fitted(DampedLeastSquares(value), np.array([value]), lambda f: rates(f, value), frames, note)
+    return _fitted(damped_least_squares(value), np.array([value]), lambda f: rates(f, value), frames, note)
 
 
 def fit_selectively_damped(frames: Frames) -> Fitted:
@@ -187,7 +187,7 @@ def fit_weights(frames: Frames, pull: float = 0.0) -> Fitted:
     w = np.exp(p) / np.exp(p).mean()
     edge = np.flatnonzero(np.abs(p) > 0.99 * bound)
     note = f"weights of joints {', '.join(map(str, edge))} at the edge of their range" if len(edge) else ""
-    return _fitted(WeightedLeastNorm(w), w, lambda f: _weighted(f, w)[0], frames, note)
+    return _fitted(weighted_least_norm(w), w, lambda f: _weighted(f, w)[0], frames, note)
 
 
 def fit_gradient(frames: Frames, costs: Sequence[Cost] = ()) -> Fitted:
@@ -207,7 +207,7 @@ def fit_gradient(frames: Frames, costs: Sequence[Cost] = ()) -> Fitted:
 
     least, A = parts(frames)
     c = np.array(np.linalg.lstsq(A.reshape(-1, A.shape[-1]), (frames.dq - least).ravel())[0], float)
-    method = GradientProjection(WeightedSum(tuple(costs), tuple(c.tolist())) if costs else lambda _: c, k=1.0)
+    method = GradientProjection(weighted_sum(tuple(costs), tuple(c.tolist())) if costs else lambda _: c, k=1.0)
     return _fitted(method, c, rates, frames)
 
 

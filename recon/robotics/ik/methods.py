@@ -13,9 +13,10 @@ J.-S. Kim, J. Graphics Tools 10 (2005); extended Jacobian: J. Baillieul, ICRA 19
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -47,37 +48,63 @@ class JointRates(NamedTuple):
     """What is held back or damped, in words, or empty."""
 
 
-class Method(Protocol):
+class Method(ABC):
+    """A way to joint rates."""
+
     def rates(self, chain: SerialChain, q: Array, dx: Array, free: Bools | None = None) -> JointRates:
         """Rates for q (n,) and dx (dim,)."""
-        ...
+        free = np.ones(chain.n, bool) if free is None else free
+        return _within_limits(chain, free, *self._solve(chain, q, dx, free))
+
+    @abstractmethod
+    def _solve(self, chain: SerialChain, q: Array, dx: Array, free: Bools) -> tuple[Any, ...]:
+        """What `_within_limits` takes after the free joints."""
+
+
+@dataclass(frozen=True, eq=False)
+class LeastNorm(Method):
+    """W^-1 J' (J W^-1 J' + lambda^2 I)^-1 dx, which minimises dq' W dq + |J dq - dx|^2 / lambda^2: the smallest rates.
+
+    With neither weights nor damping that is J+ dx.
+    """
+
+    weights: Array | None = None
+    """diag W (n,), positive; None: all 1."""
+    damping_m: float = 0.0
+    """lambda, metres."""
+
+    def _solve(self, chain: SerialChain, q: Array, dx: Array, free: Bools) -> tuple[Any, ...]:
+        J = chain.jacobian(q)[:, free]
+        along = J if self.weights is None else J / self.weights[free]
+        inverse, singular = right_inverse(J, along, self.damping_m**2)
+        return inverse @ dx, singular
+
+
+def weighted_least_norm(weights: Array) -> LeastNorm:
+    """W^-1 J' (J W^-1 J')^-1 dx, which minimises dq' W dq. weights: diag W (n,), positive."""
+    return LeastNorm(weights)
+
+
+def damped_least_squares(damping_m: float = 0.05) -> LeastNorm:
+    """J' (J J' + lambda^2 I)^-1 dx, which minimises |J dq - dx|^2 + lambda^2 |dq|^2. damping_m: lambda, metres."""
+    return LeastNorm(damping_m=damping_m)
 
 
 @dataclass(frozen=True)
-class LeastNorm:
-    """J+ dx = J' (J J')^-1 dx: the smallest rates."""
-
-    def rates(self, chain: SerialChain, q: Array, dx: Array, free: Bools | None = None) -> JointRates:
-        pseudo, singular = right_inverse(_jacobian(chain, q, free))
-        return _within_limits(chain, pseudo @ dx, free, singular)
-
-
-@dataclass(frozen=True)
-class JacobianTranspose:
+class JacobianTranspose(Method):
     """alpha J' dx; alpha None: <dx, J J' dx> / |J J' dx|^2 at every step, with which J dq is nearest to dx."""
 
     alpha: float | None = None
 
-    def rates(self, chain: SerialChain, q: Array, dx: Array, free: Bools | None = None) -> JointRates:
-        J = _jacobian(chain, q, free)
+    def _solve(self, chain: SerialChain, q: Array, dx: Array, free: Bools) -> tuple[Any, ...]:
+        J = chain.jacobian(q)[:, free]
         dq = J.T @ dx
         alpha = nearest_scale(J @ dq, dx) if self.alpha is None else self.alpha
-        _, singular = _inverse(J @ J.T)
-        return _within_limits(chain, alpha * dq, free, singular)
+        return alpha * dq, _inverse(J @ J.T)[1]
 
 
 @dataclass(frozen=True)
-class GradientProjection:
+class GradientProjection(Method):
     """J+ dx + k (I - J+ J) g."""
 
     gradient: Cost | Callable[[Array], Array]
@@ -85,40 +112,16 @@ class GradientProjection:
     k: float = -1.0
     """1/s, negative to descend."""
 
-    def rates(self, chain: SerialChain, q: Array, dx: Array, free: Bools | None = None) -> JointRates:
-        J = _jacobian(chain, q, free)
-        g = self.gradient(q) if callable(self.gradient) else self.gradient.gradient(q)
-        g = self.k * (g if free is None else g[free])
+    def _solve(self, chain: SerialChain, q: Array, dx: Array, free: Bools) -> tuple[Any, ...]:
+        J = chain.jacobian(q)[:, free]
+        gradient = self.gradient.gradient if isinstance(self.gradient, Cost) else self.gradient
+        g = self.k * gradient(q)[free]
         pseudo, singular = right_inverse(J)
-        return _within_limits(chain, pseudo @ dx, free, singular, g - pseudo @ (J @ g))
-
-
-@dataclass(frozen=True, eq=False)
-class WeightedLeastNorm:
-    """W^-1 J' (J W^-1 J')^-1 dx, which minimises dq' W dq. weights: diag W (n,), positive."""
-
-    weights: Array
-
-    def rates(self, chain: SerialChain, q: Array, dx: Array, free: Bools | None = None) -> JointRates:
-        J = _jacobian(chain, q, free)
-        inverse, singular = right_inverse(J, J / (self.weights if free is None else self.weights[free]))
-        return _within_limits(chain, inverse @ dx, free, singular)
+        return pseudo @ dx, singular, g - pseudo @ (J @ g)
 
 
 @dataclass(frozen=True)
-class DampedLeastSquares:
-    """J' (J J' + lambda^2 I)^-1 dx, which minimises |J dq - dx|^2 + lambda^2 |dq|^2. damping_m: lambda, metres."""
-
-    damping_m: float = 0.05
-
-    def rates(self, chain: SerialChain, q: Array, dx: Array, free: Bools | None = None) -> JointRates:
-        J = _jacobian(chain, q, free)
-        inverse, singular = right_inverse(J, J, self.damping_m**2)
-        return _within_limits(chain, inverse @ dx, free, singular)
-
-
-@dataclass(frozen=True)
-class SelectivelyDamped:
+class SelectivelyDamped(Method):
     """Each singular direction i damped by itself: (v_i (u_i . dx) / s_i), no joint of which turns more than
 
         gamma_i = min(1, 1 / M_i) gamma_max,   M_i = sum_j |v_ji| |J_j| / s_i
@@ -129,25 +132,22 @@ class SelectivelyDamped:
     gamma_max_rad: float = math.pi / 4
     interval_s: float = INTERVAL_S
 
-    def rates(self, chain: SerialChain, q: Array, dx: Array, free: Bools | None = None) -> JointRates:
-        J = _jacobian(chain, q, free)
+    def _solve(self, chain: SerialChain, q: Array, dx: Array, free: Bools) -> tuple[Any, ...]:
+        J = chain.jacobian(q)[:, free]
         limit = self.gamma_max_rad / self.interval_s
+        dq = np.zeros(J.shape[1])
         if not J.size or not np.isfinite(J).all():
-            return _within_limits(chain, np.zeros(J.shape[1]), free, True)
+            return dq, True
         u, s, vt = np.linalg.svd(J, full_matrices=False)
-        along = (dx @ u).tolist()
-        sways = (np.abs(vt) @ np.sqrt((J * J).sum(axis=0))).tolist()
-        dq, values = np.zeros(J.shape[1]), s.tolist()
-        for i, (value, part, sway) in enumerate(zip(values, along, sways, strict=True)):
-            if value <= LOST * values[0]:
-                continue
-            turn = vt[i] * (part / value)
-            dq += _clamped(turn, min(1.0, value / sway) * limit)
-        return _within_limits(chain, _clamped(dq, limit), free, values[-1] ** 2 <= SINGULAR * values[0] ** 2)
+        sways = np.abs(vt) @ np.linalg.norm(J, axis=0)
+        for value, part, sway, way in zip(s, dx @ u, sways, vt, strict=True):
+            if value > LOST * s[0]:
+                dq += _clamped(way * (part / value), min(1.0, value / sway) * limit)
+        return _clamped(dq, limit), bool(s[-1] ** 2 <= SINGULAR * s[0] ** 2)
 
 
 @dataclass(frozen=True)
-class ExtendedJacobian:
+class ExtendedJacobian(Method):
     """Keeps G = N' grad g = 0, N an orthonormal basis of the null space of J: [J; dG/dq] dq = [dx; -gain G].
 
     full: dG/dq = N' (Hess g - sum_i mu_i Hess f_i) with J' mu = grad g, f the forward kinematics; otherwise N is held
@@ -167,49 +167,43 @@ class ExtendedJacobian:
     full: bool = True
     gain_per_s: float = 0.0
 
-    def rates(self, chain: SerialChain, q: Array, dx: Array, free: Bools | None = None) -> JointRates:
+    def _solve(self, chain: SerialChain, q: Array, dx: Array, free: Bools) -> tuple[Any, ...]:
         J, curvature = derivatives(chain, q, free)
         pseudo, singular = right_inverse(J)
         dq = pseudo @ dx
         if J.shape[1] <= J.shape[0] or (singular and not np.isfinite(J).all()):
-            return _within_limits(chain, dq, free, singular)
+            return dq, singular
         g, M = reduced_gradient(self.cost, q, pseudo, curvature if self.full else None, free)
         K, lost = _reduced_inverse(M, null_basis(J))
         along = -(K @ (M @ dq))
         if self.gain_per_s:
             back = K @ g
-            size = math.sqrt(float(back @ back))
+            size = float(np.linalg.norm(back))
             along -= back * (self.gain_per_s * min(1.0, MAX_CORRECTION_RAD / size if size > 0 else 1.0))
-        return _within_limits(
-            chain, dq, free, singular or lost, along, "singular: the extended Jacobian" if lost else ""
-        )
+        return dq, singular or lost, along, "singular: the extended Jacobian" if lost else ""
 
 
 def reduced_gradient(
-    cost: Cost, q: Array, pseudo: Array, curvature: Curvature | None, free: Bools | None = None
+    cost: Cost, q: Array, pseudo: Array, curvature: Curvature | None, free: Bools
 ) -> tuple[Array, Array]:
     """grad g (n,) and M = Hess g - sum_i mu_i Hess f_i (n, n) of the free joints, whose J+ is pseudo (n, dim) and whose
     curvature is given; None leaves the sum out."""
-    g, M = cost.gradient(q), cost.hessian(q)
-    if free is not None:
-        g, M = g[free], M[np.ix_(free, free)]
+    g, M = cost.gradient(q)[free], cost.hessian(q)[np.ix_(free, free)]
     return g, M if curvature is None else M - curvature(g @ pseudo)
 
 
 @dataclass(frozen=True, eq=False)
-class Scaled:
+class Scaled(Method):
     """alpha times the rates of another method; alpha None: <dx, J dq> / |J dq|^2 at every step, with which J dq is
     nearest to dx."""
 
     method: Method
     alpha: float | None = None
 
-    def rates(self, chain: SerialChain, q: Array, dx: Array, free: Bools | None = None) -> JointRates:
+    def _solve(self, chain: SerialChain, q: Array, dx: Array, free: Bools) -> tuple[Any, ...]:
         step = self.method.rates(chain, q, dx, free)
         alpha = nearest_scale(chain.jacobian(q) @ step.dq, dx) if self.alpha is None else self.alpha
-        dq = alpha * (step.dq if free is None else step.dq[free])
-        scaled = _within_limits(chain, dq, free, step.singular)
-        return scaled._replace(note=step.note)
+        return alpha * step.dq[free], step.singular, None, step.note
 
 
 def nearest_scale(moved: Array, dx: Array) -> float:
@@ -228,15 +222,9 @@ def kept_cost(method: Method) -> Cost | None:
 # -- small linear algebra --------------------------------------------------------------------------------------------
 
 
-def _jacobian(chain: SerialChain, q: Array, free: Bools | None) -> Array:
-    return chain.jacobian(q) if free is None else chain.jacobian(q)[:, free]
-
-
-def derivatives(chain: SerialChain, q: Array, free: Bools | None = None) -> tuple[Array, Curvature]:
+def derivatives(chain: SerialChain, q: Array, free: Bools) -> tuple[Array, Curvature]:
     """Those of the free joints: J (dim, n), and the curvature (n, n)."""
     J, curvature = chain.derivatives(q)
-    if free is None:
-        return J, curvature
     return J[:, free], lambda mu: curvature(mu)[np.ix_(free, free)]
 
 
@@ -287,16 +275,15 @@ def _clamped(values: Array, limit: float) -> Array:
 
 
 def _within_limits(
-    chain: SerialChain, dq: Array, free: Bools | None, singular: bool, along: Array | None = None, note: str = ""
+    chain: SerialChain, free: Bools, dq: Array, singular: bool, along: Array | None = None, note: str = ""
 ) -> JointRates:
     """Rates dq of the free joints, and as much of a motion along the null space as the limits leave to it; 0 for the
     others. The note says what was held back, and where."""
-    limit = chain.max_rate_rad_s if free is None else chain.max_rate_rad_s[free]
+    limit = chain.max_rate_rad_s[free]
     total = dq if along is None else dq + along
-    limits = limit.tolist()
-    if not all(abs(rate) <= most for rate, most in zip(total.tolist(), limits, strict=True)):
+    if not (np.abs(total) <= limit).all():
         if along is not None:
-            total = dq + _share_within(dq.tolist(), along.tolist(), limits) * along
+            total = dq + _share_within(dq, along, limit) * along
             note = note or "rate limit: part of the motion along the null space"
         most = float((np.abs(total) / limit).max())
         if not math.isfinite(most):
@@ -304,16 +291,13 @@ def _within_limits(
         total = total / max(most, 1.0)
     if singular and not note.startswith("singular"):
         note = "singular: the Jacobian"
-    if free is not None:
-        some, total = total, np.zeros(chain.n)
-        total[free] = some
-    return JointRates(total, singular, note)
+    rates = np.zeros(chain.n)
+    rates[free] = total
+    return JointRates(rates, singular, note)
 
 
-def _share_within(rates: list[float], along: list[float], limits: list[float]) -> float:
+def _share_within(rates: Array, along: Array, limit: Array) -> float:
     """The largest share of `along`, up to 1, that brings no rate beyond its limit."""
-    share = 1.0
-    for rate, more, most in zip(rates, along, limits, strict=True):
-        if abs(rate + share * more) > most:
-            share = max(0.0, (math.copysign(most, more) - rate) / more) if more else 0.0
-    return share
+    still = along == 0
+    room = (np.copysign(limit, along) - rates) / np.where(still, 1.0, along)
+    return float(np.clip(np.where(still, np.where(np.abs(rates) <= limit, 1.0, 0.0), room).min(), 0.0, 1.0))
