@@ -5,8 +5,8 @@
 Each run is a folder as in `cheetah_runs.py`, with every camera by itself, its focal length taken for a part or a
 multiple of what it is; the lens stays. Means over all views: MPJPE over all 24 joints, each pose's middle taken off;
 how much too far the animal is, by the logarithm; its speed beside that with the true focal length. Then all cameras of
-each run, the focal length of the last taken for 10 % too long, held and with `--focal-sigma 0.1`. Without FOLDER: the
-cheetah-runs of $RECON_SHARED_DATA, or of ../shared/data. One thread.
+each run, the focal length of the last taken for 10 % too long, held and with `--set focal-sigma=0.1`. Without FOLDER:
+the cheetah-runs of $RECON_SHARED_DATA, or of ../shared/data. One thread.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Offsets put into the second of two cameras, and found: `recon fit --find-offsets`.
+"""Offsets put into the second of two cameras, and found: `recon fit --set find-offsets=true`.
 
     python benchmarks/out_of_step.py [FOLDER]
 

@@ -33,7 +33,7 @@ from recon.workflows.clip import run_clip
 from recon.workflows.settings import FitSettings
 
 FILM = SAMPLES / "rendered.mp4"
-FILM_FIT = ("--camera", str(SAMPLES / "rendered_camera.toml"), "--detector", "none")
+FILM_FIT = ("--camera", str(SAMPLES / "rendered_camera.toml"), "--set", "detector=none")
 CHROMIUM = next(
     (path for name in ("chromium", "chromium-browser", "google-chrome") if (path := shutil.which(name))), ""
 )
@@ -105,7 +105,7 @@ def summary(args: argparse.Namespace, folder: Path) -> None:
 def run(args: argparse.Namespace, folder: Path) -> None:
     if args.model is None:
         raise SystemExit("--model: a network that `recon train` made on the rendered film")
-    settings = (*FILM_FIT, "--likelihood-min", 0)  # whatever the network is worth
+    settings = (*FILM_FIT, "--set", "likelihood-min=0")  # whatever the network is worth
     stages = {
         "detect": ("predict", FILM, "--model", args.model.absolute(), "--out", "points.csv"),
         "fit": ("fit", "points.csv", *settings, "--fps", 120, "--out", "alone"),

@@ -1,4 +1,4 @@
-"""Cameras that lie beside their poses, and are refined: `recon fit`, `recon calibrate extrinsics --refine-cameras`.
+"""Cameras that lie beside their poses, and are refined: `--set refine-cameras=true`, in fits and calibrations.
 
     python benchmarks/refined_cameras.py [FOLDER]
 

@@ -195,7 +195,7 @@ def test_the_camera_is_named_and_what_to_do():
     assert (found.code, found.camera, found.frames) == ("camera_late", "cam3", (100, 100 + len(truth_m())))
     assert found.numbers["offset_s"] == pytest.approx(0.5 + 10 / FPS)
     assert sentence(found).startswith("cam3 looks +10.0 frames late against the other cameras (")
-    assert sentence(found).endswith(f" Its --offset-s would be {0.5 + 10 / FPS:.3f}.")
+    assert sentence(found).endswith(f" Its --set offset-s would be {0.5 + 10 / FPS:.3f}.")
 
 
 def test_exchanged_files_and_two_cameras():

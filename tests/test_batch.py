@@ -196,7 +196,8 @@ def test_common_options_of_one_method_are_not_for_rows_of_the_other(clips):
     assert (second.method, second.fast, second.form) == ("frame", None, "printed")
     path.write_text("keypoints,method\na.csv,frame\nb.csv,frame\n")
     assert problems(path, common=common) == [
-        "--fast: found True, and no clip of the trajectory method, expected nothing, or --method trajectory with it"
+        "--set fast: found True, and no clip of the trajectory method, expected nothing, or --set method=trajectory "
+        "with it"
     ]
 
 
@@ -231,7 +232,7 @@ def test_all_problems_of_a_manifest_at_once(clips):
     said = problems(path, common={"camera": "camera.toml", "likelihood_min": 2})
     assert said == [
         f"{path}: line 2, fps: found '-3', expected a number of frames per second above 0, as in 120",
-        "--likelihood-min: found 2, expected a number from 0 to 1",
+        "--set likelihood-min: found 2, expected a number from 0 to 1",
         f"{path}: line 3, method: found 'walk', expected trajectory or frame",
         f"{path}: line 3, frames: found '9:2', expected frame numbers A:B with A < B, from A up to but without B, "
         "as in 100:160",
@@ -667,10 +668,10 @@ def test_what_many_clips_lack_is_said_once(clips, tmp_path):
         (clips / f"{name}.toml").write_text(two)
     path = manifest(clips, "keypoints,camera\na.csv,a.toml\nb.csv,b.toml\nc.csv,c.toml\n")
     expected = "found 2 cameras and no choice, expected one of cam_a, cam_b by --camera-name, or in the file's name"
-    ended = run(path, "--method", "frame", "--fps", 30, "--out", tmp_path / "out")
+    ended = run(path, "--set", "method=frame", "--fps", 30, "--out", tmp_path / "out")
     assert ended.err == f"error: {clips / 'a.toml'} and 2 more files: camera: {expected}\n"
     assert not (tmp_path / "out").exists()
-    ended = run(path, "--method", "frame", "--fps", 30, "--out", tmp_path / "out", "--dry-run")
+    ended = run(path, "--set", "method=frame", "--fps", 30, "--out", tmp_path / "out", "--dry-run")
     assert f"a, b, c: {clips / 'a.toml'}: camera: {expected}" in ended.out
     assert ended.out.count("no choice") == 1
     assert "3 clips: 0 new, 0 to fit again, 0 done, 3 that cannot be fitted" in ended.out

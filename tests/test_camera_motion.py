@@ -273,7 +273,8 @@ def test_fit_finds_the_track_and_keeps_it_with_the_results(pan_film, tmp_path):
     (tmp_path / "clip.csv").write_text("frame,keypoint,x,y,likelihood\n" + "\n".join(rows) + "\n")
     out = tmp_path / "out"
     ended = run(
-        "fit", tmp_path / "clip.csv", "--camera", pan_film / "camera.toml", "--fps", 60, "--fast", "--out", out,
+        "fit", tmp_path / "clip.csv", "--camera", pan_film / "camera.toml", "--fps", 60,
+        "--set", "fast=true", "--out", out,
         "--camera-motion", pan_film / "pan.avi", "--tilt-deg", 4,
     )  # fmt: skip
     assert ended.code == 0, ended.err

@@ -373,7 +373,7 @@ def test_command(tmp_path):
     lines = track.read_text().splitlines()
     track.write_text("\n".join([lines[0], *lines[6:]]) + "\n")
     files = ["--camera", given["camera"], "--camera-track", track]
-    ended = command("fit", given["keypoints"], *files, "--fps", 60, "--fast", "--out", out)
+    ended = command("fit", given["keypoints"], *files, "--fps", 60, "--set", "fast=true", "--out", out)
     assert ended.code == 0, ended.err
     report = json.loads((out / "report.json").read_text())
     assert report["frame_of_reference"] == "world"

@@ -167,7 +167,7 @@ def test_what_is_wrong_is_said(folder, tmp_path):
 def test_command(folder, tmp_path):
     files = [folder / "run_cam1.csv", folder / "run_cam2.csv"]
     out = tmp_path / "out"
-    ended = command("fit", *files, "--camera", folder / "scene.json", "--fps", 90, "--fast", "--out", out)
+    ended = command("fit", *files, "--camera", folder / "scene.json", "--fps", 90, "--set", "fast=true", "--out", out)
     assert ended.code == 0, ended.err
     assert "run_cam1.csv, run_cam2.csv, frames 0 to 39 at 90 fps" in ended.out
     report = json.loads((out / "report.json").read_text(encoding="utf-8"))
@@ -277,7 +277,7 @@ def test_cameras_out_of_step_without_poses(folder, tmp_path):
     (tmp_path / "blind_cam2.csv").write_text("\n".join([*table[:3], *rows[:3]]) + "\n")
     with pytest.raises(InputError) as error:
         run_extrinsics([alone], tmp_path / "other.toml")
-    assert problems(error).startswith("--find-offsets: camera cam2: found no offset at which it sees the motion")
+    assert problems(error).startswith("--set find-offsets: camera cam2: found no offset at which it sees the motion")
 
 
 def test_refined_extrinsics_need_poses(folder, tmp_path):
@@ -287,7 +287,9 @@ def test_refined_extrinsics_need_poses(folder, tmp_path):
         run_extrinsics(
             [settings(folder, 1, 2, camera=tmp_path / "lenses.toml", refine_cameras=True)], tmp_path / "out.toml"
         )
-    expected = "--refine-cameras: poses: found none of cam1, cam2, expected a camera file with the poses of all cameras"
+    expected = (
+        "--set refine-cameras: poses: found none of cam1, cam2, expected a camera file with the poses of all cameras"
+    )
     assert problems(error) == expected
 
 
@@ -296,7 +298,7 @@ def test_which_way_is_up_is_said_once(folder, tmp_path):
     clip, out = settings(folder, 1, 2, tilt_deg=3.0), tmp_path / "out.toml"
     with pytest.raises(InputError) as error:
         run_extrinsics([replace(clip, refine_cameras=True)], out, level_rad=np.radians(1.0))
-    beside = "beside --refine-cameras, where the camera file says which way is up, expected one of the two"
+    beside = "beside --set refine-cameras=true, where the camera file says which way is up, expected one of the two"
     assert problems(error).splitlines() == [f"--tilt-deg: found 3 {beside}", f"--level-deg: found 1 {beside}"]
     with pytest.raises(InputError) as error:
         run_extrinsics([clip, replace(clip, tilt_deg=4.0)], out)

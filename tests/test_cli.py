@@ -49,7 +49,7 @@ def whole_args(
 
 def fit_args(out: Path, *more: object, **options) -> list:
     """With the frame method."""
-    return whole_args(out, "--method", "frame", *more, **options)
+    return whole_args(out, "--set", "method=frame", *more, **options)
 
 
 def report_of(folder: Path) -> dict:
@@ -223,7 +223,7 @@ def test_config_repeats_the_run_bit_for_bit(fitted, tmp_path, monkeypatch):
 def test_options_overrule_the_config(fitted, tmp_path):
     out, _ = fitted
     other = tmp_path / "other"
-    more = ("--frames", "5:9", "--side", "left", "--likelihood-min", "0.95", "--fps", "60")
+    more = ("--frames", "5:9", "--set", "side=left", "--set", "likelihood-min=0.95", "--fps", "60")
     assert run("fit", "--config", out / "config.toml", "--out", other, *more).code == 0
     report = report_of(other)
     mine, theirs = (read_settings(folder / "config.toml", {}) for folder in (other, out))
@@ -379,8 +379,19 @@ def test_config_repeats_a_trajectory_bit_for_bit(whole, tmp_path, monkeypatch):
 
 
 def test_options_of_a_trajectory(tmp_path):
-    more = ("--skeleton", "cheetah-24", "--subject", "jules", "--prior", "none", "--ground", "none", "--fast")
-    assert run(*whole_args(tmp_path, *more, "--size-sigma", "0.01", "--frames", ":10")).code == 0
+    more = (
+        "--skeleton",
+        "cheetah-24",
+        "--subject",
+        "jules",
+        "--prior",
+        "none",
+        "--set",
+        "ground=none",
+        "--set",
+        "fast=true",
+    )
+    assert run(*whole_args(tmp_path, *more, "--set", "size-sigma=0.01", "--frames", ":10")).code == 0
     report = report_of(tmp_path)
     assert "Jules" in report["size"]["lengths"]
     assert (report["size"]["measured"], report["size"]["prior_sigma"]) == (True, 0.01)
@@ -388,7 +399,7 @@ def test_options_of_a_trajectory(tmp_path):
     assert (report["prior"]["name"], report["ground"]) == ("none", None)
     assert any("fast" in sentence for sentence in report["assumptions"]["sentences"])
     again = tmp_path / "again"
-    assert run("fit", "--config", tmp_path / "config.toml", "--no-fast", "--out", again).code == 0
+    assert run("fit", "--config", tmp_path / "config.toml", "--set", "fast=false", "--out", again).code == 0
     mine, theirs = (read_settings(folder / "config.toml", {}) for folder in (again, tmp_path))
     assert replace(mine, fast=True) == theirs
 
@@ -470,11 +481,11 @@ BAD_INPUT: dict[str, tuple[list[str], list[str]]] = {
         ["--skeleton: name or file: found 'zebra', expected one of cheetah-24, cheetah-8u, "],
     ),
     "unknown chain": (
-        ["{clip}", "--skeleton", "zebra", "--method", "frame"],
+        ["{clip}", "--skeleton", "zebra", "--set", "method=frame"],
         ["--skeleton: name or file: found 'zebra', expected one of cheetah-8u, "],
     ),
     "whole animal for the frame method": (
-        ["{clip}", "--skeleton", "cheetah-24", "--method", "frame"],
+        ["{clip}", "--skeleton", "cheetah-24", "--set", "method=frame"],
         ["--skeleton: name or file: found 'cheetah-24', expected a chain for the frame method: one of cheetah-8u, "],
     ),
     "unknown subject": (
@@ -491,34 +502,34 @@ BAD_INPUT: dict[str, tuple[list[str], list[str]]] = {
         ["prior running-cheetah: angles: found "],
     ),
     "side of a whole animal": (
-        ["{clip}", "--side", "left"],
-        ["--side: found 'left', expected nothing: cheetah-24 is a whole animal"],
+        ["{clip}", "--set", "side=left"],
+        ["--set side: found 'left', expected nothing: cheetah-24 is a whole animal"],
     ),
     "tilt beside extrinsics": (
         ["{clip}", "--tilt-deg", "5"],
         ["--tilt-deg: found 5 beside the pose in {camera}, which says which way is up, expected one of the"],
     ),
     "options of the frame method": (
-        ["{clip}", "--form", "printed", "--base-length-m", "0.2"],
+        ["{clip}", "--set", "form=printed", "--set", "base-length-m=0.2"],
         [
-            "--form: found 'printed' with the trajectory method, which does not read it, expected nothing, or ",
-            "--base-length-m: found '0.2' with the trajectory method, which does not read it, expected ",
+            "--set form: found 'printed' with the trajectory method, which does not read it, expected nothing, or ",
+            "--set base-length-m: found '0.2' with the trajectory method, which does not read it, expected ",
         ],
     ),
     "options of the trajectory method": (
-        ["{clip}", "--method", "frame", "--fast", "--ground", "none"],
-        ["--ground: found 'none' with the frame method", "--fast: found True with the frame method"],
+        ["{clip}", "--set", "method=frame", "--set", "fast=true", "--set", "ground=none"],
+        ["--set ground: found 'none' with the frame method", "--set fast: found 'true' with the frame method"],
     ),
     "incomplete skeleton file": (
         ["{clip}", "--skeleton", "{in}/skeleton.toml"],
         ["{in}/skeleton.toml: title: found", "{in}/skeleton.toml: links: found"],
     ),
     "unknown form": (
-        ["{clip}", "--form", "soft", "--method", "frame"],
-        ["--form: found 'soft', expected deadband or printed"],
+        ["{clip}", "--set", "form=soft", "--set", "method=frame"],
+        ["--set form: found 'soft', expected deadband or printed"],
     ),
-    "unknown side": (["{clip}", "--side", "up"], ["--side: found 'up', expected auto, left or right"]),
-    "unknown method": (["{clip}", "--method", "x"], ["--method: found 'x', expected trajectory or frame"]),
+    "unknown side": (["{clip}", "--set", "side=up"], ["--set side: found 'up', expected auto, left or right"]),
+    "unknown method": (["{clip}", "--set", "method=x"], ["--set method: found 'x', expected trajectory or frame"]),
     "broken config": (["{clip}", "--config", "{in}/config.toml"], ["{in}/config.toml: content: found "]),
     "missing config": (["--config", "{in}/no.toml"], ["{in}/no.toml: file: found no such file"]),
     "camera and keypoints": (
@@ -526,8 +537,8 @@ BAD_INPUT: dict[str, tuple[list[str], list[str]]] = {
         ["--skeleton: name or file: found", "{in}/no.toml: file: found", "{in}/no.csv: file: found"],
     ),
     "several settings": (
-        ["{clip}", "--fps", "0", "--side", "up", "--frames", "5:2"],
-        ["--fps:", "--frames:", "--side:"],
+        ["{clip}", "--fps", "0", "--set", "side=up", "--frames", "5:2"],
+        ["--fps:", "--frames:", "--set side:"],
     ),
 }
 
@@ -578,7 +589,7 @@ def test_the_frame_rate_comes_from_the_file_or_has_to_be_given(tmp_path):
     assert "--fps: found nothing, and whole_cam1.csv, whole_cam2.csv do not say" in two.err  # once
     stated = tmp_path / "stated.nc"
     assert run("convert", CLIP, stated, "--fps", 30).code == 0
-    args = ("--camera", CAMERA, "--method", "frame", "--frames", ":3", "-q")
+    args = ("--camera", CAMERA, "--set", "method=frame", "--frames", ":3", "-q")
     assert run("fit", stated, *args, "--out", tmp_path / "b") == Ended(0, "", "")
     assert report_of(tmp_path / "b")["input"]["fps"] == 30.0
     assert run("fit", stated, *args, "--fps", 60, "--out", tmp_path / "c") == Ended(0, "", "")
@@ -893,7 +904,7 @@ def test_help_has_an_example_and_units(command):
     assert f"Example: recon {command} " in ended.out
     if command == "fit":
         text = " ".join(ended.out.replace("│", " ").split())
-        for phrase in ("Hz", "in degrees", "in metres", "in pixels", "(default: 0.5)", "(default: trajectory)"):
+        for phrase in ("Hz", "in degrees", "in pixels", "(default: m)", "recon settings"):
             assert phrase in text
 
 

@@ -91,6 +91,6 @@ def test_what_is_wrong_with_a_file_is_said(tmp_path, old, new, said):
     with pytest.raises(InputError, match=said.replace("[", r"\[")):
         seen_by(body(), path)
     with pytest.raises(
-        InputError, match="--detector: name or file: found 'zebra', expected one of acinoset, or a detector"
+        InputError, match="--set detector: name or file: found 'zebra', expected one of acinoset, or a detector"
     ):
         seen_by(body(), "zebra")

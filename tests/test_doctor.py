@@ -20,7 +20,7 @@ from command_line import run, run_process
 
 import recon.workflows.doctor as module
 from recon.base.package import install_command
-from recon.workflows.cli import app
+from recon.workflows.cli import GROUPS, app, commands
 from recon.workflows.doctor import Check, Doctor, extras, run_doctor, self_test, temporary_folder, versions, viewer
 
 SAMPLES = Path(__file__).parents[1] / "data" / "samples"
@@ -213,7 +213,8 @@ def test_fit_and_demo_print_their_summary_as_json(tmp_path):
         SAMPLES / "camera.toml",
         "--fps",
         60,
-        "--fast",
+        "--set",
+        "fast=true",
         "--frames",
         "0:20",
     ]
@@ -301,7 +302,7 @@ def test_no_color_is_respected_by_the_help(no_color, monkeypatch):
 
 # -- shell completion ---------------------------------------------------------------------------------------------
 
-COMMANDS = {command.name or getattr(command.callback, "__name__", "") for command in app.registered_commands}
+COMMANDS = {name for name in commands() if name.split()[0] not in GROUPS}
 
 
 def called(monkeypatch: pytest.MonkeyPatch, *args: str, **environment: str) -> str:
@@ -318,16 +319,14 @@ def called(monkeypatch: pytest.MonkeyPatch, *args: str, **environment: str) -> s
 @pytest.mark.parametrize(
     ("words", "offered"),
     [
-        ("recon ", COMMANDS | {"prior", "robot", "skeleton", "subject"}),
+        ("recon ", COMMANDS | {*GROUPS}),
         ("recon ana", {"analyse"}),
         (
             "recon fit --camera",
             {
                 "--camera",
-                "--camera-fps",
                 "--camera-motion",
                 "--camera-name",
-                "--camera-rotation",
                 "--camera-track",
                 "--camera-unit",
             },

@@ -28,7 +28,7 @@ SENTENCES = {
     "frame_rate": ("at about 60 frames per second, not 30", {"other_hz": 60.0, "given_hz": 30.0}),
     "no_pose": ("too few points were detected in every frame", {}),
     "no_pose_diverged": ("too far off to be seen", {}),
-    "cameras_apart_in_time": ("No two cameras see a point at the same time. Check --offset-s", {}),
+    "cameras_apart_in_time": ("No two cameras see a point at the same time. Check --set offset-s", {}),
     "cameras_exchanged": ("cam1, cam2 look as if their files", {"cameras": ("cam1", "cam2"), **AGAINST}),
     "cameras_disagree": ("with each other (31 px, 5.2 sigma)", {"cameras": ("cam1", "cam2"), **AGAINST}),
     "camera_turned": ("cam1 looks turned by about 5.0 degrees", {"turn_rad": np.radians(5.0), **AGAINST}),

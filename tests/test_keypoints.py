@@ -112,7 +112,7 @@ def test_unlikely_points_are_rejected_not_missing():
 
 @pytest.mark.parametrize("likelihood_min", [-0.1, 1.1, NAN])
 def test_threshold_must_be_a_likelihood(likelihood_min):
-    with pytest.raises(InputError, match="--likelihood-min"):
+    with pytest.raises(InputError, match="--set likelihood-min"):
         clean(one_point((1, 1, 1)), likelihood_min)
 
 

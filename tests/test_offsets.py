@@ -72,13 +72,13 @@ def test_a_motion_that_does_not_tell_is_refused():
     with pytest.raises(InputError) as error:
         solved_in_step(sources(), [0.0, 0.0], solve, 2.0, KEYPOINT_M)
     assert problems(error) == (
-        "--find-offsets: camera cam1: found 0.0 ± 1.9 frames later, from a motion that hardly tells, expected a clip "
-        "that tells it to 1, or --offset-s as measured otherwise"
+        "--set find-offsets: camera cam1: found 0.0 ± 1.9 frames later, from a motion that hardly tells, expected a "
+        "clip that tells it to 1, or --set offset-s as measured otherwise"
     )
 
 
 def test_a_clip_whose_cameras_are_out_of_step(folder):
-    """Both began together; --offset-s says five frames later, where the search begins."""
+    """Both began together; --set offset-s says five frames later, where the search begins."""
     motion = fit_clip(settings(folder, 1, 2, find_offsets=True, offset_s=[0.0, 5 / FPS]))
     lag = motion.solution.views[1].lead_frames - motion.sources[1].lead_frames
     assert motion.sources[1].offset_s * FPS + lag == pytest.approx(0, abs=0.1)

@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
+import json
 import tomllib
 from pathlib import Path
 
 import pytest
-import typer
+from command_line import run
 from rich.text import Text
 
 from recon.base.errors import InputError
 from recon.fit import TrajectoryOptions
 from recon.thesis import FrameOptions, frame_options
-from recon.workflows.cli import app
-from recon.workflows.settings import SETTINGS, FitSettings, of_method, option, read_settings
+from recon.workflows.cli import app, commands
+from recon.workflows.settings import SETTINGS, FitSettings, of_method, read_settings
 
 GIVEN = {"keypoints": Path("/data/clip.csv"), "camera": Path("/data/camera.toml"), "fps": 30.0}
 
@@ -141,29 +140,29 @@ def test_image_size_as_text_or_as_numbers(size):
         ("fps", 0.0, "--fps: found 0.0, expected a number of frames per second above 0, as in 120"),
         ("fps", "90fps", "--fps: found '90fps', expected a number of frames per second above 0, as in 120"),
         ("fps", True, "--fps: found True, expected a number of frames per second above 0, as in 120"),
-        ("max_evaluations", 2.5, "--max-evaluations: found 2.5, expected a whole number above 0"),
+        ("max_evaluations", 2.5, "--set max-evaluations: found 2.5, expected a whole number above 0"),
         ("fps", -5.0, "--fps: found -5.0, expected a number of frames per second above 0, as in 120"),
         ("fps", float("nan"), "--fps: found nan, expected a number of frames per second above 0, as in 120"),
         ("fps", float("inf"), "--fps: found inf, expected a number of frames per second above 0, as in 120"),
-        ("likelihood_min", 2.0, "--likelihood-min: found 2.0, expected a number from 0 to 1"),
-        ("likelihood_min", float("nan"), "--likelihood-min: found nan, expected a number from 0 to 1"),
-        ("side", "up", "--side: found 'up', expected auto, left or right"),
-        ("form", "soft", "--form: found 'soft', expected deadband or printed"),
-        ("method", "window", "--method: found 'window', expected trajectory or frame"),
-        ("ground", "flat", "--ground: found 'flat', expected auto or none"),
-        ("size_sigma", 0.0, "--size-sigma: found 0.0, expected a share of the size above 0, as in 0.1"),
+        ("likelihood_min", 2.0, "--set likelihood-min: found 2.0, expected a number from 0 to 1"),
+        ("likelihood_min", float("nan"), "--set likelihood-min: found nan, expected a number from 0 to 1"),
+        ("side", "up", "--set side: found 'up', expected auto, left or right"),
+        ("form", "soft", "--set form: found 'soft', expected deadband or printed"),
+        ("method", "window", "--set method: found 'window', expected trajectory or frame"),
+        ("ground", "flat", "--set ground: found 'flat', expected auto or none"),
+        ("size_sigma", 0.0, "--set size-sigma: found 0.0, expected a share of the size above 0, as in 0.1"),
         ("tilt_deg", 90.0, "--tilt-deg: found 90.0, expected degrees that the camera looks down, above -90"),
-        ("fast", "very", "--fast: found 'very', expected true or false"),
-        ("angle_prior", "flat", "--angle-prior: found 'flat', expected gaussian or none"),
-        ("camera_rotation", "still", "--camera-rotation: found 'still', expected free or fixed"),
-        ("base_length_m", 0.0, "--base-length-m: found 0.0, expected metres above 0, as in 0.203"),
-        ("base_sigma_m", -1.0, "--base-sigma-m: found -1.0, expected metres above 0, as in 0.001"),
-        ("sigma_px", 0.0, "--sigma-px: found 0.0, expected pixels above 0, as in 3"),
-        ("keypoint_sigma_m", -1.0, "--keypoint-sigma-m: found -1.0, expected metres, 0 or more"),
+        ("fast", "very", "--set fast: found 'very', expected true or false"),
+        ("angle_prior", "flat", "--set angle-prior: found 'flat', expected gaussian or none"),
+        ("camera_rotation", "still", "--set camera-rotation: found 'still', expected free or fixed"),
+        ("base_length_m", 0.0, "--set base-length-m: found 0.0, expected metres above 0, as in 0.203"),
+        ("base_sigma_m", -1.0, "--set base-sigma-m: found -1.0, expected metres above 0, as in 0.001"),
+        ("sigma_px", 0.0, "--set sigma-px: found 0.0, expected pixels above 0, as in 3"),
+        ("keypoint_sigma_m", -1.0, "--set keypoint-sigma-m: found -1.0, expected metres, 0 or more"),
         (
             "keypoint_sigma_m",
             float("inf"),
-            "--keypoint-sigma-m: found inf, expected metres, 0 or more",
+            "--set keypoint-sigma-m: found inf, expected metres, 0 or more",
         ),
         (
             "image_size_px",
@@ -200,7 +199,7 @@ def test_every_wrong_setting_is_named_at_once():
         "--fps",
         "--image-size",
         "--frames",
-        "--side",
+        "--set side",
         "--camera",
         "--camera-name",
     ]
@@ -212,7 +211,7 @@ def test_every_wrong_setting_is_named_at_once():
 def test_no_message_is_in_the_language_of_the_validator():
     wrong = dict.fromkeys(SETTINGS, object())
     found = messages(wrong)
-    assert {message.partition(":")[0] for message in found} == {option(name) for name in SETTINGS}
+    assert {message.partition(":")[0] for message in found} == {info.on_command_line for info in SETTINGS.values()}
     assert not [message for message in found if "Input" in message or "valid" in message]
 
 
@@ -246,16 +245,16 @@ def test_settings_that_do_not_go_together(given, message):
     [
         ("form", "printed", "frame"),
         ("angle_prior", "none", "frame"),
-        ("camera_rotation", "free", "frame"),
+        ("camera_rotation", "fixed", "frame"),
         ("base_length_m", 0.2, "frame"),
         ("base_sigma_m", 0.01, "frame"),
-        ("robust_c", 4.5, "frame"),
-        ("tolerance", 1e-8, "frame"),
-        ("max_evaluations", 400, "frame"),
-        ("keypoint_sigma_max_px", 12.0, "frame"),
+        ("robust_c", 5.5, "frame"),
+        ("tolerance", 1e-7, "frame"),
+        ("max_evaluations", 40, "frame"),
+        ("keypoint_sigma_max_px", 10.0, "frame"),
         ("subject", "jules", "trajectory"),
         ("prior", "none", "trajectory"),
-        ("ground", "auto", "trajectory"),
+        ("ground", "none", "trajectory"),
         ("size_sigma", 0.1, "trajectory"),
         ("fast", True, "trajectory"),
     ],
@@ -265,12 +264,11 @@ def test_options_of_the_other_method_are_refused(tmp_path, name, value, method):
     assert name in of_method(method)
     expected = (
         f"found {value!r} with the {other} method, which does not read it, "
-        f"expected nothing, or --method {method} with it"
+        f"expected nothing, or --set method={method} with it"
     )
-    assert messages({**GIVEN, "method": other, name: value}) == [f"{option(name)}: {expected}"]
+    assert messages({**GIVEN, "method": other, name: value}) == [f"{SETTINGS[name].on_command_line}: {expected}"]
     with pytest.raises(InputError, match=f"settings: {name}: found"):
         FitSettings(**{**GIVEN, "method": other, name: value})
-    # By hand, a default that would have no effect is refused as well.
     config = saved(tmp_path, method=other)
     toml_value = str(value).lower() if isinstance(value, bool | int | float) else f'"{value}"'
     config.write_text(f"{config.read_text()}{name} = {toml_value}\n")
@@ -283,7 +281,6 @@ def test_config_and_report_hold_no_setting_of_the_other_method(method, other):
     in_config = tomllib.loads(settings.to_toml())["recon"]["fit"]
     assert not {*in_config, *settings.plain()} & set(of_method(other))
     assert set(settings.plain()) == set(SETTINGS) - set(of_method(other))
-    assert all(getattr(settings, name) is None for name in of_method(other))
 
 
 def test_another_method_replaces_the_settings_of_the_one_in_the_config(tmp_path):
@@ -298,7 +295,7 @@ def test_another_method_replaces_the_settings_of_the_one_in_the_config(tmp_path)
 
 def test_every_option_of_the_other_method_is_named():
     found = messages({**GIVEN, "form": "printed", "base_length_m": 0.2})
-    assert [message.partition(":")[0] for message in found] == ["--form", "--base-length-m"]
+    assert [message.partition(":")[0] for message in found] == ["--set form", "--set base-length-m"]
 
 
 def test_command_line_overrules_config(tmp_path):
@@ -323,8 +320,8 @@ def test_mistakes_in_a_config_name_the_file(tmp_path):
     config = write_config(tmp_path, '[recon.fit]\nkeypoints = "c.csv"\nfps = "fast"\nspeed = 3\n')
     assert messages({}, config) == [
         f"{config}: fps: found 'fast', expected a number of frames per second above 0, as in 120",
-        f"{config}: camera: found nothing, expected a camera file, or --hfov-deg with --image-size for a rough one",
         f"{config}: speed: found an unknown setting, expected one of {', '.join(SETTINGS)}",
+        f"{config}: camera: found nothing, expected a camera file, or --hfov-deg with --image-size for a rough one",
     ]
     # A mistake on the command line is the command line's.
     assert "--fps: found 0.0, expected a number of frames per second above 0, as in 120" in messages(
@@ -369,37 +366,66 @@ def test_missing_config(tmp_path):
     assert messages(GIVEN, config) == [f"{config}: file: found no such file, expected a config.toml of an earlier run"]
 
 
-def test_settings_and_options_of_the_command_line_are_the_same():
-    parameters = typer.main.get_command(app).commands["fit"].params  # type: ignore[attr-defined]
-    names = {str(p.metavar).rstrip(".") if p.param_type_name == "argument" else p.opts[0] for p in parameters}
-    settings = {option(name) for name, it in SETTINGS.items() if it.is_option}
-    assert names == settings | {"--out", "--config", "--overwrite", "--quiet", "--json", "--camera-motion"}
-    of_batch = {p.opts[0] for p in typer.main.get_command(app).commands["batch"].params}  # type: ignore[attr-defined]
-    assert settings - {"KEYPOINTS"} <= of_batch
+def options_in_help(name: str) -> dict[str, str]:
+    return {parameter.opts[0]: parameter.help for parameter in commands()[name].params}  # type: ignore[attr-defined]
 
 
-def test_the_help_of_an_option_is_the_tables():
-    parameters = typer.main.get_command(app).commands["fit"].params  # type: ignore[attr-defined]
-    helps = {parameter.name: parameter.help for parameter in parameters}
-    assert all(helps[name].startswith(it.help) for name, it in SETTINGS.items() if it.is_option)
-    assert helps["likelihood_min"].endswith("0 to 1. (default: 0.5)")
-    assert helps["form"].endswith("(two-sided). (default: deadband)")
+def test_help_of_fit_has_what_is_decided_for_every_clip():
+    options = {f"--{name}" for name in ("out", "config", "camera-motion", "overwrite", "set", "json", "quiet")}
+    common = {"keypoints" if it.option.argument else it.on_command_line for it in SETTINGS.values() if it.option.common}
+    assert {*options_in_help("fit")} == options | common
+    assert len(options | common) + 1 <= 24  # and --help
+    assert common - {"keypoints"} <= {*options_in_help("batch")}
 
 
-def test_nothing_slow_is_imported_with_the_table():
-    code = "import sys, recon.workflows.settings; print({'numpy', 'scipy', 'pydantic', 'pandas'} & {*sys.modules})"
-    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout == "set()\n"
+def test_the_help_of_an_option_is_the_settings():
+    helps = {parameter.name: parameter.help for parameter in commands()["fit"].params}  # type: ignore[attr-defined]
+    assert all(helps[name].startswith(it.option.help) for name, it in SETTINGS.items() if it.option.common)
+    assert helps["camera_unit"].endswith("often are. (default: m)")
 
 
-def commands(command, path=()):
-    yield path, command
-    for name, inner in getattr(command, "commands", {}).items():
-        yield from commands(inner, (*path, name))
+def test_every_setting_is_listed():
+    ended = run("settings", "--json")
+    assert [row["name"] for row in json.loads(ended.out)][: len(SETTINGS)] == [*SETTINGS]
+    assert "--set sigma-px" in run("settings", "fit").out
+    assert run("settings", "fitt").err.startswith("error: COMMAND: command: found 'fitt', expected one of fit, batch, ")
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("--size-sigma", "0.1"), "--size-sigma: found no option of this name, expected --set size-sigma=0.1"),
+        (("--size-sigma=0.1",), "--size-sigma: found no option of this name, expected --set size-sigma=0.1"),
+        (("--no-fast",), "--no-fast: fast: found no option of this name, expected --set fast=false"),
+        (("--set", "sigma"), "--set: setting: found 'sigma', expected name=value, as in sigma-px=2"),
+        (("--set", "sigma=2"), "--set: sigma: found an unknown setting, expected one of keypoints, camera, "),
+        (("--set", "sigma-px=0"), "--set sigma-px: found '0', expected pixels above 0, as in 3"),
+    ],
+)
+def test_settings_that_are_no_options(words, said):
+    ended = run("fit", "a.csv", "--camera", "c.toml", "--out", "x", *words)
+    assert ended.code == 2
+    assert ended.err.splitlines()[-1].startswith(f"error: {said}")
+
+
+def test_a_setting_of_several_values_is_set_several_times(monkeypatch):
+    seen = []
+    monkeypatch.setattr("recon.workflows.cli.fit.read_settings", lambda config, given: seen.append(given))
+    with pytest.raises(InputError):
+        app(["fit", "a.csv", "--set", "offset-s=0", "--set", "offset_s=0.5", "--set", "fast=true", "--no-fix-swaps"])
+    assert seen[0]["offset_s"] == ["0", "0.5"]
+    assert (seen[0]["fast"], seen[0]["fix_swaps"]) == ("true", False)
+    assert FitSettings(keypoints=["a", "b"], camera="c", offset_s=seen[0]["offset_s"]).offset_s == (0.0, 0.5)  # pyright: ignore
+
+
+def test_every_command_says_what_it_does():
+    for name, command in commands().items():
+        assert command.help, name
 
 
 def test_help_is_printed_whole():
     """What looks like markup, as in recon[plots], would be swallowed."""
-    for path, command in commands(typer.main.get_command(app)):
+    for path, command in commands().items():
         texts = [command.help, *(parameter.help for parameter in command.params if hasattr(parameter, "help"))]
         for text in filter(None, texts):
             assert Text.from_markup(text).plain == text, path

@@ -313,7 +313,7 @@ def test_a_users_file_works_where_a_name_does(tmp_path, monkeypatch):
     prior = ("prior", "fit", "poses.csv", "--skeleton", "my-cat.toml", "--fps", 24, "--out", "cat.npz")
     assert "24 frames" in output(*prior, "--components", 1)
 
-    view = ("--hfov-deg", 40, "--image-size", "1920x1080", "--fps", 24, "--fast", "--quiet")
+    view = ("--hfov-deg", 40, "--image-size", "1920x1080", "--fps", 24, "--set", "fast=true", "--quiet")
     files = ("--skeleton", "my-cat.toml", "--subject", "minka.toml", "--prior", "cat.npz")
     output("fit", keypoints, *files, *view, "--out", "out")
     report = json.loads(Path("out/report.json").read_text())

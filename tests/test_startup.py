@@ -13,7 +13,7 @@ import pytest
 import recon
 
 ROOT = Path(__file__).resolve().parents[1]
-SLOW = {"numpy", "pandas", "scipy", "cv2", "rerun", "pyarrow", "pydantic", "torch", "matplotlib", "h5py", "tables"}
+SLOW = {"numpy", "pandas", "scipy", "cv2", "rerun", "pyarrow", "torch", "matplotlib", "h5py", "tables"}
 
 
 def imported_by(*args: object, what: tuple[str, ...] = ("-m", "recon")) -> set[str]:
@@ -33,7 +33,18 @@ def test_the_start_imports_nothing_slow(option):
 
 def test_a_fit_imports_what_it_uses(tmp_path):
     samples = ROOT / "data" / "samples"
-    fit = ("fit", samples / "whole.csv", "--camera", samples / "camera.toml", "--fps", 60, "--frames", "0:8", "--fast")
+    fit = (
+        "fit",
+        samples / "whole.csv",
+        "--camera",
+        samples / "camera.toml",
+        "--fps",
+        60,
+        "--frames",
+        "0:8",
+        "--set",
+        "fast=true",
+    )
     modules = imported_by(*fit, "--out", tmp_path)
     assert (tmp_path / "motion.rrd").is_file()
     assert {"numpy", "rerun"} <= modules

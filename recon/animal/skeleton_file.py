@@ -215,7 +215,8 @@ def read_named(
     if not path.is_file():
         names = package.builtin_names(folder, ".toml") if suggested is None else suggested()
         expected = f"one of {', '.join(names)}, or a {kind} file (.toml)"
-        raise InputError(Problem(f"--{kind}", "name or file", repr(str(name_or_path)), expected))
+        option = "--set detector" if kind == "detector" else f"--{kind}"
+        raise InputError(Problem(option, "name or file", repr(str(name_or_path)), expected))
     return read_toml(path), str(path)
 
 

@@ -32,7 +32,7 @@ class Problem:
 
     def __str__(self) -> str:
         option = "--" + self.field.replace("_", "-")
-        says_it = str(self.file) in (option, option.removesuffix("-px"))
+        says_it = str(self.file) in (option, option.removesuffix("-px"), f"--set {option[2:]}")
         where = self.file if says_it else f"{self.file}: {self.field}"
         return printable(f"{where}: found {self.found}, expected {self.expected}")
 

@@ -143,7 +143,7 @@ def clean(
     Raises InputError if no frame or no point is left, or if gaps make the clip absurdly long.
     """
     if not 0 <= likelihood_min <= 1:
-        raise InputError(Problem("--likelihood-min", "likelihood_min", str(likelihood_min), "a number from 0 to 1"))
+        raise InputError(Problem("--set likelihood-min", "likelihood_min", str(likelihood_min), "a number from 0 to 1"))
     rows_in_file = len(keypoints.frames)
     selected = select_frames(keypoints, frames)
     marked, missing = mark_missing(selected)

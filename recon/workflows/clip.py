@@ -304,7 +304,7 @@ def read_clips(settings: FitSettings) -> list[Keypoints]:
         raise InputError(Problem("--fps", "fps", found, "frames per second above 0, as in 120"))
     if len({file.fps for file in files}) > 1 and settings.camera_fps is None:
         found = ", ".join(f"{path.name} {file.fps:g}" for path, file in zip(settings.keypoints, files, strict=True))
-        expected = "one frame rate for all cameras of a clip, --fps, or --camera-fps for each"
+        expected = "one frame rate for all cameras of a clip, --fps, or --set camera-fps for each"
         raise InputError(Problem("KEYPOINTS", "fps", found, expected))
     return list(files)
 
@@ -324,7 +324,7 @@ def _read_clip(path: Path, given_fps: float | None, settings: FitSettings) -> Ke
         file = renamed(file, load_names(settings.rename))
     fps = file.fps if given_fps is None else given_fps
     if fps is not None and not RATES_HZ[0] <= fps <= RATES_HZ[1]:
-        where = path if given_fps is None else "--fps" if settings.camera_fps is None else "--camera-fps"
+        where = path if given_fps is None else "--fps" if settings.camera_fps is None else "--set camera-fps"
         expected = f"{RATES_HZ[0]:g} to {RATES_HZ[1]:g} frames per second"
         raise InputError(Problem(where, "fps", f"{fps:g}", expected))
     return replace(file, fps=fps, stated_fps=file.fps if file.fps != fps else None)
@@ -341,7 +341,7 @@ def _model(settings: FitSettings) -> Model:
 def _require_no_side(settings: FitSettings, body: Body) -> None:
     if settings.side != "auto" and not body.one_sided:
         expected = f"nothing: {body.name} is a whole animal, and both sides are fitted"
-        raise InputError(Problem("--side", "side", repr(settings.side), expected))
+        raise InputError(Problem("--set side", "side", repr(settings.side), expected))
 
 
 def _cleaned(

@@ -165,8 +165,8 @@ def _in_step(clip: FitSettings, given: Sequence[Prepared]) -> tuple[Source, ...]
     lost = [camera.name for camera, lost in zip(cameras, np.isnan(frames), strict=True) if lost]
     if lost:
         found = f"no offset at which it sees the motion that {cameras[0].name} sees"
-        expected = "clips that both see well, or --offset-s in place of it"
-        raise InputError(Problem("--find-offsets", f"camera {name}", found, expected) for name in lost)
+        expected = "clips that both see well, or --set offset-s in place of it"
+        raise InputError(Problem("--set find-offsets", f"camera {name}", found, expected) for name in lost)
     return together(apart, (later - later[0] + frames).tolist())
 
 
@@ -234,7 +234,7 @@ def _tilt_rad(clips: Sequence[FitSettings], level_rad: float | None, posed: bool
     for name, values in (("tilt_deg", tilts), ("level_deg", levels)):
         option, found = "--" + name.replace("_", "-"), ", ".join(f"{value:g}" for value in values)
         if posed and values:
-            found += " beside --refine-cameras, where the camera file says which way is up"
+            found += " beside --set refine-cameras=true, where the camera file says which way is up"
             problems.append(Problem(option, name, found, "one of the two"))
         elif len(values) > 1:
             problems.append(Problem(option, name, found, "one for all clips, whose cameras stand still"))
@@ -247,4 +247,4 @@ def _require_poses(cameras: Sequence[Camera]) -> None:
     without = [camera.name for camera in cameras if not camera.has_extrinsics]
     if without:
         expected = "a camera file with the poses of all cameras"
-        raise InputError(Problem("--refine-cameras", "poses", f"none of {', '.join(without)}", expected))
+        raise InputError(Problem("--set refine-cameras", "poses", f"none of {', '.join(without)}", expected))

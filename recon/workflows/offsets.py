@@ -36,7 +36,7 @@ def solved_in_step(
     alone = [name for name, frames in zip(names, found, strict=True) if np.isnan(frames)]
     if alone:
         expected = "keypoints that it sees together with another camera, in 30 or more points"
-        raise InputError(Problem("--find-offsets", f"camera {name}", "too few", expected) for name in alone)
+        raise InputError(Problem("--set find-offsets", f"camera {name}", "too few", expected) for name in alone)
     later = later + found
     sources = together(apart, later.tolist())
     solution = solve(sources)
@@ -56,5 +56,5 @@ def _problems(names: Sequence[str], later: Array, lags: Array, sigmas: Array) ->
     for name, frames, lag, sigma in zip(names, later, lags, sigmas, strict=True):
         if sigma > MAX_SIGMA_FRAMES or abs(lag) > MAX_SIGMA_FRAMES:
             found = f"{frames + lag:.1f} ± {max(sigma, abs(lag)):.1f} frames later, from a motion that hardly tells"
-            expected = f"a clip that tells it to {MAX_SIGMA_FRAMES:g}, or --offset-s as measured otherwise"
-            yield Problem("--find-offsets", f"camera {name}", found, expected)
+            expected = f"a clip that tells it to {MAX_SIGMA_FRAMES:g}, or --set offset-s as measured otherwise"
+            yield Problem("--set find-offsets", f"camera {name}", found, expected)

@@ -1,23 +1,33 @@
-"""All settings of a fit: the one table that config.toml, the report and the command line's options are made of.
-
-A setting is one field of `FitSettings` with its `Setting`. Nothing slow is imported here: the command line reads the
-table whenever it starts.
-"""
+"""The settings of a fit: what config.toml, the report and the command line's options are made of."""
 
 from __future__ import annotations
 
-import dataclasses
-import math
 import os
 import re
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import MISSING, dataclass
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import tomli_w
+from pydantic import AfterValidator, BeforeValidator, Field
 
 from recon.base import files
 from recon.base.documents import read_toml
 from recon.base.errors import InputError, Problem
+from recon.base.settings import (
+    Count,
+    File,
+    NameOrFile,
+    NotNegative,
+    Number,
+    OneOrMore,
+    Option,
+    Positive,
+    Settings,
+    on_command_line,
+)
+from recon.clip.keypoints import parse_frame_range
 
 if TYPE_CHECKING:
     from recon.fit import TrajectoryOptions
@@ -25,415 +35,333 @@ if TYPE_CHECKING:
 Method = Literal["trajectory", "frame"]
 Unit = Literal["m", "cm", "mm"]
 UNITS_M: dict[Unit, float] = {"m": 1.0, "cm": 0.01, "mm": 0.001}
-DEFAULT_SKELETONS: dict[Method, str] = {"trajectory": "cheetah-24", "frame": "cheetah-8u"}
-"""By method."""
 METHODS = {"frame": "recon.thesis"}
 """By the name of another method, the package that fits by it. It is imported by its name: no room needs a wing."""
-FILE_SUFFIXES = (".toml", ".npz", ".csv")
-"""What ends so is no name of something built in."""
-NUMBER = "<number>"
-"""Stands for one in the help of the command line."""
+DEFAULT_SKELETONS: dict[Method, str] = {"trajectory": "cheetah-24", "frame": "cheetah-8u"}
+"""By method."""
 
 
-# -- kinds of values ----------------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class Kind:
-    """read: the value from what TOML, an option or a table's cell holds; raises ValueError. option_type: what the
-    command line makes of an option before that; metavar: how its help calls it, if not by that type. many: the value is
-    a tuple, one for each camera of the clip, and an option may be given several times. expected: ends the sentence
-    "expected ..." of an error message, where all settings of the kind expect the same."""
-
-    read: Callable[[Any], Any]
-    metavar: str | None = None
-    option_type: type = str
-    many: bool = False
-    expected: str = ""
-
-    def plain(self, value: Any) -> Any:
-        """The value as TOML and JSON have it; a single one of many by itself."""
-        if self.many and value is not None:
-            values = [str(one) if isinstance(one, Path) else one for one in value]
-            return values[0] if len(values) == 1 else values
-        return str(value) if isinstance(value, Path) else list(value) if isinstance(value, tuple) else value
-
-
-def _each(kind: Kind) -> Kind:
-    """One or several of a kind."""
-
-    def read(given: Any) -> tuple[Any, ...]:
-        values = given if isinstance(given, list | tuple) else [given]
-        if not values:
-            raise ValueError(given)
-        return tuple(kind.read(one) for one in values)
-
-    return Kind(read, kind.metavar, kind.option_type, many=True)
-
-
-def _number(fits: Callable[[float], bool]) -> Kind:
-    """A finite number, also as text."""
-
-    def read(given: Any) -> float:
-        number = math.nan if isinstance(given, bool) or not isinstance(given, int | float | str) else float(given)
-        if not math.isfinite(number) or not fits(number):
-            raise ValueError(given)
-        return number
-
-    return Kind(read, NUMBER)
-
-
-def _count(given: Any) -> int:
-    number = _POSITIVE.read(given)
-    if not number.is_integer():
-        raise ValueError(given)
-    return int(number)
-
-
-def _one_of(*words: str) -> Kind:
-    def read(given: Any) -> str:
-        if given not in words:
-            raise ValueError(given)
-        return given
-
-    return Kind(read, expected=f"{', '.join(words[:-1])} or {words[-1]}")
-
-
-def _text(given: Any) -> str:
-    if not isinstance(given, str):
-        raise ValueError(given)
-    return given
-
-
-def _flag(given: Any) -> bool:
-    words = {"true": True, "yes": True, "1": True, "false": False, "no": False, "0": False}
-    if not isinstance(given, bool) and str(given).lower() not in words:
-        raise ValueError(given)
-    return given if isinstance(given, bool) else words[str(given).lower()]
-
-
-def _file(given: Any) -> Path:
-    """As an absolute path, so that config.toml can be run again from anywhere."""
-    if not isinstance(given, str | Path):
-        raise ValueError(given)
-    return Path(given).absolute()
-
-
-def _name_or_file(given: Any) -> str:
-    """A file as its absolute path; the name of something built in as it is."""
-    name = _text(str(given) if isinstance(given, Path) else given)
-    return str(Path(name).absolute()) if name.endswith(FILE_SUFFIXES) else name
-
-
-def _size(given: Any) -> tuple[int, int]:
-    """(width, height), from two numbers or the text "1920x1080"."""
+def _size(given: Any) -> Any:
+    """(width, height) of the text "1920x1080"; numbers as they are."""
     match = re.fullmatch(r"\s*([0-9]{1,9})\s*[xX]\s*([0-9]{1,9})\s*", given) if isinstance(given, str) else None
-    numbers = match.groups() if match else given
-    if not isinstance(numbers, tuple | list) or len(numbers) != 2:
-        raise ValueError(given)
-    return _count(numbers[0]), _count(numbers[1])
+    return match.groups() if match else given
 
 
-def _frames(given: Any) -> str:
-    from recon.clip.keypoints import parse_frame_range  # numpy is slow to import
-
-    parse_frame_range(_text(given))
+def _frames(given: str) -> str:
+    parse_frame_range(given)
     return given
 
 
-_POSITIVE = _number(lambda number: number > 0)
-_COUNT = Kind(_count, NUMBER)
-_TEXT, _NAME_OR_FILE, _FRAMES = Kind(_text), Kind(_name_or_file), Kind(_frames)
-_FLAG, _FILE = Kind(_flag, option_type=bool, expected="true or false"), Kind(_file, option_type=Path)
+def _start_and_end(given: Any) -> Any:
+    return tuple(given.split(":")) if isinstance(given, str) else given
 
 
-# -- the table ----------------------------------------------------------------------------------------------------
+Size = Annotated[tuple[Count, Count], BeforeValidator(_size)]
+"""Of a picture in pixels: (width, height), or the text "1920x1080"."""
+FrameRange = Annotated[str, AfterValidator(_frames)]
+"""A:B, from A up to but without B."""
+StrideTimes = Annotated[tuple[Number, Number], BeforeValidator(_start_and_end)]
+"""(start, end) in seconds since frame 0, or the text "0.31:0.62"."""
+
+FIRST_FRAME = Option("Number that the video's first frame has in the keypoint file, if it was cut.")
+RENAME = Option(
+    "New names of the keypoints: a CSV file with two columns, old and new, or a built-in map, as in "
+    "superanimal-quadruped."
+)
+STRIDE = Option(
+    "A stride from when to when, in seconds since frame 0, as in 0.31:0.62. (default: one that is found)",
+    "START:END in seconds, as in 0.31:0.62",
+    metavar="START:END",
+)
 
 
-@dataclass(frozen=True)
-class Setting:
-    """What is known of a setting besides its name.
-
-    help: for the command line; where there is no default, it says in brackets what happens instead. expected: see
-    `Kind`. default: where it is not given, None for nothing. method: the only one that reads it. is_option: whether the
-    command line has it, or config.toml and manifests only.
-    """
-
-    kind: Kind
-    help: str
-    expected: str
-    default: Any = None
-    method: Method | None = None
-    is_option: bool = True
-
-
-def _field(
-    kind: Kind, help: str, expected: str = "", default: Any = None, method: Method | None = None, is_option: bool = True
-) -> Any:
-    setting = Setting(kind, help, expected or kind.expected, default, method, is_option)
-    return dataclasses.field(default=None if method else default, metadata={"setting": setting})
-
-
-@dataclass(frozen=True)
-class FitSettings:
+class FitSettings(Settings):
     """What `recon fit` is told. Raises InputError with everything that is wrong with it.
 
-    One of camera (a calibration file) and hfov_deg with image_size_px is needed. None: not given, so that a setting has
-    its default, and those that only the other method reads stay None. Text is taken for numbers, sizes and files.
-    Fields without a unit in their name are counts, names or shares; the solvers' are explained at
+    One of camera (a calibration file) and hfov_deg with image_size_px is needed. Text is taken for numbers, sizes and
+    files. Fields without a unit in their name are counts, names or shares; the solvers' are explained at
     `recon.fit.TrajectoryOptions` and by the packages of the other methods.
     """
 
-    keypoints: tuple[Path, ...] = _field(
-        _each(_FILE),
-        "Keypoint file, as in clip.csv: DeepLabCut, SLEAP, movement, NWB, COCO or a plain table. Of a clip that "
-        "several cameras filmed, one file for each of them.",
-        "a keypoint file, as of DeepLabCut or SLEAP, or a list of them, one for each camera",
-        default=MISSING,
-    )
-    camera: Path | None = _field(  # noqa: RUF009
-        _FILE, "Calibration: OpenCV yaml/json/xml, AcinoSet scene.json, Anipose or recon toml.", "a camera file"
-    )
-    camera_name: tuple[str, ...] | None = _field(
-        _each(_TEXT),
-        "Which camera of the file, by name or number, as in cam2 or 2; with several keypoint files once for each, in "
-        "their order. (default: the one whose name the keypoint file's name contains)",
-        "the name or number of a camera in the camera file, as text; with several keypoint files one for each",
-    )
-    camera_unit: Unit = _field(  # noqa: RUF009
-        _one_of(*UNITS_M),
-        "Unit of the places of cameras in the calibration file: m, cm or mm, as Anipose's often are.",
-        default="m",
-    )
-    camera_track: tuple[Path, ...] | None = _field(
-        _each(_FILE),
-        "Where a camera that moves was in each frame: a CSV table or a COLMAP text model, once for each such camera. "
-        "With several keypoint files it is that of the camera whose name its own name contains. "
-        "(default: cameras stand still)",
-        "a CSV table of poses, or a COLMAP text model, one for each camera that moves",
-        method="trajectory",
-    )
-    offset_s: tuple[float, ...] | None = _field(
-        _each(_number(lambda number: True)),
-        "How much later a camera began to film than the first, in seconds, as in 0.025 or -1.5; once for each keypoint "
-        "file, in their order. (default: all began together)",
-        "seconds, as in 0.025 or -1.5, one for each keypoint file",
-        method="trajectory",
-    )
-    find_offsets: bool | None = _field(
-        _FLAG,
-        "Find how much later than the first each camera began to film, from the animal's motion; --offset-s is where "
-        "the search begins.",
-        default=False,
-        method="trajectory",
-    )
-    refine_cameras: bool | None = _field(
-        _FLAG,
-        "Take the poses of all cameras but the first for as good as 2 degrees and 5 cm, and find them with the fit; "
-        "the refined cameras go into cameras.toml.",
-        default=False,
-        method="trajectory",
-    )
-    focal_sigma: float | None = _field(
-        _POSITIVE,
-        "How well the cameras' focal lengths are known, relative, as in 0.1; of several cameras they are found with "
-        "the fit and go into cameras.toml. (default: exactly)",
-        "a share of the focal length above 0, as in 0.1",
-        method="trajectory",
-    )
-    camera_fps: tuple[float, ...] | None = _field(
-        _each(_POSITIVE),
-        "Frame rates of cameras that differ in it, once for each keypoint file, as in 120 and 59.94. The result has "
-        "the first one's. (default: all have the same)",
-        "frames per second above 0, one number for each keypoint file",
-        method="trajectory",
-    )
-    fps: float | None = _field(
-        _POSITIVE,
-        "Frame rate of the video in Hz, as in 120. (default: what the file says, if it does)",
-        "a number of frames per second above 0, as in 120",
-    )
-    method: Method = _field(  # noqa: RUF009
-        _one_of("trajectory", "frame"),
-        "trajectory: the whole animal over the whole clip; frame: one side, one frame after the other.",
-        default="trajectory",
-    )
-    skeleton: str | None = _field(
-        _NAME_OR_FILE,
-        "Name of a built-in skeleton or a TOML file. (default: cheetah-24; cheetah-8u for the frame method)",
-        "the name of a built-in skeleton, or a TOML file",
-    )
-    subject: str | None = _field(
-        _NAME_OR_FILE,
-        "Lengths measured on one animal: built-in name or TOML file, as in jules. (default: the skeleton's)",
-        "the name of a built-in subject, or a TOML file with one animal's lengths",
-        method="trajectory",
-    )
-    detector: str | None = _field(
-        _NAME_OR_FILE,
-        "Where the detector's keypoints lie beside the markers: a built-in name, as in acinoset, a TOML file, or none. "
-        "(default: as the subject's or the skeleton's file says)",
-        "the name of a built-in detector, a file that `recon subject fit` wrote, or none",
-        method="trajectory",
-    )
-    prior: str | None = _field(
-        _NAME_OR_FILE,
-        "What motions are like: a built-in name, a file of `recon prior fit`, or none. "
-        "(default: the built-in one for this skeleton, if any)",
-        "the name of a built-in prior, a file that `recon prior fit` wrote, or none",
-        method="trajectory",
-    )
-    hfov_deg: float | None = _field(
-        _number(lambda number: 0 < number < 180),
-        "Without a calibration: horizontal field of view in degrees, as in 64.",
-        "a field of view in degrees, above 0 and below 180",
-    )
-    image_size_px: tuple[int, int] | None = _field(
-        Kind(_size),
-        "Size of the video in pixels, if the camera file lacks it, as in 1920x1080.",
-        "width x height in pixels, as in 1920x1080",
-    )
-    tilt_deg: float | None = _field(
-        _number(lambda number: -90 < number < 90),
-        "Without extrinsics: how far the camera looks down, in degrees, as in 5. (default: level)",
-        "degrees that the camera looks down, above -90 and below 90, as in 5",
-    )
-    individual: str | None = _field(
-        _TEXT, "Which animal of a multi-animal file, as in animal1.", "the name of an animal in the keypoint file"
-    )
-    rename: str | None = _field(
-        _NAME_OR_FILE,
-        "New names of the keypoints: a CSV file with two columns, old name and new one, or a built-in map, as in "
-        "superanimal-quadruped. (default: the file's names)",
-        "the name of a built-in map of names, or a CSV file with two columns",
-    )
-    frames: str | None = _field(
-        _FRAMES,
-        "Only these frame numbers, from A up to but without B, as in 100:160.",
-        "frame numbers A:B with A < B, from A up to but without B, as in 100:160",
-    )
-    likelihood_min: float = _field(
-        _number(lambda number: 0 <= number <= 1),
-        "Leave out points less likely than this, 0 to 1.",
-        "a number from 0 to 1",
-        default=0.5,
-    )
-    side: Literal["auto", "left", "right"] = _field(
-        _one_of("auto", "left", "right"),
-        "With a skeleton of one side, which to fit: auto, left or right.",
-        default="auto",
-    )
-    ground: Literal["auto", "none"] | None = _field(
-        _one_of("auto", "none"),
-        "auto: feet that stand are still and on one plane; none: nothing is said about them.",
-        default="auto",
-        method="trajectory",
-    )
-    size_sigma: float | None = _field(
-        _POSITIVE,
-        "Standard deviation of the animal's size, relative, as in 0.1. (default: the skeleton's)",
-        "a share of the size above 0, as in 0.1",
-        method="trajectory",
-    )
-    fast: bool | None = _field(_FLAG, "Quicker: fewer directions to start from.", default=False, method="trajectory")
-    fix_swaps: bool | None = _field(
-        _FLAG,
-        "Exchange left and right back where they look exchanged, and fit again.",
-        default=False,
-        method="trajectory",
-    )
-    form: Literal["deadband", "printed"] | None = _field(
-        _one_of("deadband", "printed"),
-        "Ranges and rates: deadband (beyond the limit) or printed (two-sided).",
-        default="deadband",
-        method="frame",
-    )
-    angle_prior: Literal["gaussian", "none"] | None = _field(
-        _one_of("gaussian", "none"),
-        "Gaussian priors on angles and heading: gaussian or none.",
-        default="gaussian",
-        method="frame",
-    )
-    camera_rotation: Literal["free", "fixed"] | None = _field(
-        _one_of("free", "fixed"),
-        "The body's rotation: free, or fixed to the first frame's.",
-        default="free",
-        method="frame",
-    )
-    base_length_m: float | None = _field(
-        _POSITIVE,
-        "Base length of the chain in metres, as in 0.203. (default: the skeleton's)",
-        "metres above 0, as in 0.203",
-        method="frame",
-    )
-    base_sigma_m: float | None = _field(
-        _POSITIVE,
-        "Standard deviation of the base length in metres, as in 0.001. (default: the skeleton's)",
-        "metres above 0, as in 0.001",
-        method="frame",
-    )
-    sigma_px: float = _field(
-        _POSITIVE, "Noise of the detector in pixels, one standard deviation.", "pixels above 0, as in 3", default=3.0
-    )
-    keypoint_sigma_m: float | None = _field(
-        _number(lambda number: number >= 0),
-        "How far keypoints lie from the joints, metres, as in 0.05. (default: the skeleton's)",
-        "metres, 0 or more, as in 0.05",
-    )
-    keypoint_sigma_max_px: float | None = _field(
-        _POSITIVE,
-        "The most that keypoint_sigma_m may be in the picture, pixels.",
-        "pixels above 0, as in 12",
-        default=12.0,
-        method="frame",
-        is_option=False,
-    )
-    robust_c: float | None = _field(
-        _POSITIVE,
-        "Residuals of this many standard deviations count half.",
-        "a number above 0, as in 4.5",
-        default=4.5,
-        method="frame",
-        is_option=False,
-    )
-    tolerance: float | None = _field(
-        _POSITIVE,
-        "When the optimiser stops.",
-        "a number above 0, as in 1e-8",
-        default=1e-8,
-        method="frame",
-        is_option=False,
-    )
-    max_evaluations: int | None = _field(
-        _COUNT,
-        "How often the optimiser may evaluate a frame.",
-        "a whole number above 0, as in 400",
-        default=400,
-        method="frame",
-        is_option=False,
-    )
+    keypoints: Annotated[
+        OneOrMore[File],
+        Option(
+            "Keypoint file, as in clip.csv: DeepLabCut, SLEAP, movement, NWB, COCO or a plain table. Of a clip "
+            "that several cameras filmed, one file for each of them.",
+            "a keypoint file, as of DeepLabCut or SLEAP, or a list of them, one for each camera",
+            argument="KEYPOINTS",
+        ),
+    ]
+    camera: Annotated[
+        File | None,
+        Option("Calibration: OpenCV yaml/json/xml, AcinoSet scene.json, Anipose or recon toml.", "a camera file"),
+    ] = None
+    camera_name: Annotated[
+        OneOrMore[str] | None,
+        Option(
+            "Which camera of the file, by name or number, as in cam2 or 2; with several keypoint files once for"
+            " each, in their order. (default: the one whose name the keypoint file's name contains)",
+            "the name or number of a camera in the camera file, as text; with several keypoint files one for each",
+        ),
+    ] = None
+    camera_unit: Annotated[
+        Unit, Option("Unit of the places of cameras in the calibration file: m, cm or mm, as Anipose's often are.")
+    ] = "m"
+    camera_track: Annotated[
+        OneOrMore[File] | None,
+        Option(
+            "Where a camera that moves was in each frame: a CSV table or a COLMAP text model, once for each "
+            "such camera. With several keypoint files it is that of the camera whose name its own name "
+            "contains. (default: cameras stand still)",
+            "a CSV table of poses, or a COLMAP text model, one for each camera that moves",
+            method="trajectory",
+        ),
+    ] = None
+    fps: Annotated[
+        Positive | None,
+        Option(
+            "Frame rate of the video in Hz, as in 120. (default: what the file says, if it does)",
+            "a number of frames per second above 0, as in 120",
+        ),
+    ] = None
+    skeleton: Annotated[
+        NameOrFile | None,
+        Option(
+            "Name of a built-in skeleton or a TOML file. (default: cheetah-24; cheetah-8u for the frame method)",
+            "the name of a built-in skeleton, or a TOML file",
+        ),
+    ] = None
+    subject: Annotated[
+        NameOrFile | None,
+        Option(
+            "Lengths measured on one animal: built-in name or TOML file, as in jules. (default: the skeleton's)",
+            "the name of a built-in subject, or a TOML file with one animal's lengths",
+            method="trajectory",
+        ),
+    ] = None
+    prior: Annotated[
+        NameOrFile | None,
+        Option(
+            "What motions are like: a built-in name, a file of `recon prior fit`, or none. (default: the "
+            "built-in one for this skeleton, if any)",
+            "the name of a built-in prior, a file that `recon prior fit` wrote, or none",
+            method="trajectory",
+        ),
+    ] = None
+    hfov_deg: Annotated[
+        Annotated[Number, Field(gt=0, lt=180)] | None,
+        Option(
+            "Without a calibration: horizontal field of view in degrees, as in 64.",
+            "a field of view in degrees, above 0 and below 180",
+        ),
+    ] = None
+    image_size_px: Annotated[
+        Size | None,
+        Option(
+            "Size of the video in pixels, if the camera file lacks it, as in 1920x1080.",
+            "width x height in pixels, as in 1920x1080",
+            name="--image-size",
+        ),
+    ] = None
+    tilt_deg: Annotated[
+        Annotated[Number, Field(gt=-90, lt=90)] | None,
+        Option(
+            "Without extrinsics: how far the camera looks down, in degrees, as in 5. (default: level)",
+            "degrees that the camera looks down, above -90 and below 90, as in 5",
+        ),
+    ] = None
+    individual: Annotated[
+        str | None,
+        Option("Which animal of a multi-animal file, as in animal1.", "the name of an animal in the keypoint file"),
+    ] = None
+    rename: Annotated[
+        NameOrFile | None,
+        Option(
+            "New names of the keypoints: a CSV file with two columns, old name and new one, or a built-in map, "
+            "as in superanimal-quadruped. (default: the file's names)",
+            "the name of a built-in map of names, or a CSV file with two columns",
+        ),
+    ] = None
+    frames: Annotated[
+        FrameRange | None,
+        Option(
+            "Only these frame numbers, from A up to but without B, as in 100:160.",
+            "frame numbers A:B with A < B, from A up to but without B, as in 100:160",
+        ),
+    ] = None
+    fix_swaps: Annotated[
+        bool, Option("Exchange left and right back where they look exchanged, and fit again.", method="trajectory")
+    ] = False
+    offset_s: Annotated[
+        OneOrMore[Number] | None,
+        Option(
+            "How much later a camera began to film than the first, in seconds, as in 0.025 or -1.5; once for "
+            "each keypoint file, in their order. (default: all began together)",
+            "seconds, as in 0.025 or -1.5, one for each keypoint file",
+            common=False,
+            method="trajectory",
+        ),
+    ] = None
+    find_offsets: Annotated[
+        bool,
+        Option(
+            "Find how much later than the first each camera began to film, from the animal's motion; "
+            "offset-s is where the search begins.",
+            common=False,
+            method="trajectory",
+        ),
+    ] = False
+    refine_cameras: Annotated[
+        bool,
+        Option(
+            "Take the poses of all cameras but the first for as good as 2 degrees and 5 cm, and find them with "
+            "the fit; the refined cameras go into cameras.toml.",
+            common=False,
+            method="trajectory",
+        ),
+    ] = False
+    focal_sigma: Annotated[
+        Positive | None,
+        Option(
+            "How well the cameras' focal lengths are known, relative, as in 0.1; of several cameras they are "
+            "found with the fit and go into cameras.toml. (default: exactly)",
+            "a share of the focal length above 0, as in 0.1",
+            common=False,
+            method="trajectory",
+        ),
+    ] = None
+    camera_fps: Annotated[
+        OneOrMore[Positive] | None,
+        Option(
+            "Frame rates of cameras that differ in it, once for each keypoint file, as in 120 and 59.94. The "
+            "result has the first one's. (default: all have the same)",
+            "frames per second above 0, one number for each keypoint file",
+            common=False,
+            method="trajectory",
+        ),
+    ] = None
+    method: Annotated[
+        Method,
+        Option(
+            "trajectory: the whole animal over the whole clip; frame: one side, one frame after the other.",
+            common=False,
+        ),
+    ] = "trajectory"
+    detector: Annotated[
+        NameOrFile | None,
+        Option(
+            "Where the detector's keypoints lie beside the markers: a built-in name, as in acinoset, a TOML "
+            "file, or none. (default: as the subject's or the skeleton's file says)",
+            "the name of a built-in detector, a file that `recon subject fit` wrote, or none",
+            common=False,
+            method="trajectory",
+        ),
+    ] = None
+    likelihood_min: Annotated[
+        Annotated[Number, Field(ge=0, le=1)],
+        Option("Leave out points less likely than this, 0 to 1.", "a number from 0 to 1", common=False),
+    ] = 0.5
+    side: Annotated[
+        Literal["auto", "left", "right"],
+        Option("With a skeleton of one side, which to fit: auto, left or right.", common=False),
+    ] = "auto"
+    ground: Annotated[
+        Literal["auto", "none"],
+        Option(
+            "auto: feet that stand are still and on one plane; none: nothing is said about them.",
+            common=False,
+            method="trajectory",
+        ),
+    ] = "auto"
+    size_sigma: Annotated[
+        Positive | None,
+        Option(
+            "Standard deviation of the animal's size, relative, as in 0.1. (default: the skeleton's)",
+            "a share of the size above 0, as in 0.1",
+            common=False,
+            method="trajectory",
+        ),
+    ] = None
+    fast: Annotated[bool, Option("Quicker: fewer directions to start from.", common=False, method="trajectory")] = False
+    form: Annotated[
+        Literal["deadband", "printed"],
+        Option("Ranges and rates: deadband (beyond the limit) or printed (two-sided).", common=False, method="frame"),
+    ] = "deadband"
+    angle_prior: Annotated[
+        Literal["gaussian", "none"],
+        Option("Gaussian priors on angles and heading: gaussian or none.", common=False, method="frame"),
+    ] = "gaussian"
+    camera_rotation: Annotated[
+        Literal["free", "fixed"],
+        Option("The body's rotation: free, or fixed to the first frame's.", common=False, method="frame"),
+    ] = "free"
+    base_length_m: Annotated[
+        Positive | None,
+        Option(
+            "Base length of the chain in metres, as in 0.203. (default: the skeleton's)",
+            "metres above 0, as in 0.203",
+            common=False,
+            method="frame",
+        ),
+    ] = None
+    base_sigma_m: Annotated[
+        Positive | None,
+        Option(
+            "Standard deviation of the base length in metres, as in 0.001. (default: the skeleton's)",
+            "metres above 0, as in 0.001",
+            common=False,
+            method="frame",
+        ),
+    ] = None
+    sigma_px: Annotated[
+        Positive,
+        Option("Noise of the detector in pixels, one standard deviation.", "pixels above 0, as in 3", common=False),
+    ] = 3.0
+    keypoint_sigma_m: Annotated[
+        NotNegative | None,
+        Option(
+            "How far keypoints lie from the joints, metres, as in 0.05. (default: the skeleton's)",
+            "metres, 0 or more, as in 0.05",
+            common=False,
+        ),
+    ] = None
+    keypoint_sigma_max_px: Annotated[
+        Positive,
+        Option(
+            "The most that keypoint_sigma_m may be in the picture, pixels.",
+            "pixels above 0, as in 12",
+            common=False,
+            method="frame",
+        ),
+    ] = 12.0
+    robust_c: Annotated[
+        Positive,
+        Option(
+            "Residuals of this many standard deviations count half.",
+            "a number above 0, as in 4.5",
+            common=False,
+            method="frame",
+        ),
+    ] = 4.5
+    tolerance: Annotated[
+        Positive, Option("When the optimiser stops.", "a number above 0, as in 1e-8", common=False, method="frame")
+    ] = 1e-08
+    max_evaluations: Annotated[
+        Count,
+        Option(
+            "How often the optimiser may evaluate a frame.",
+            "a whole number above 0, as in 400",
+            common=False,
+            method="frame",
+        ),
+    ] = 400
 
-    def __post_init__(self) -> None:
-        given = {name: value for name in SETTINGS if (value := getattr(self, name)) is not None}
-        problems = []
-        for name, setting in SETTINGS.items():
-            if name in given:
-                try:
-                    object.__setattr__(self, name, setting.kind.read(given[name]))
-                except (ValueError, OverflowError):
-                    problems.append(Problem("settings", name, repr(given[name]), setting.expected))
-            elif setting.default is MISSING:
-                problems.append(Problem("settings", name, "nothing", setting.expected))
-            elif setting.method in (None, self.method):
-                object.__setattr__(self, name, setting.default)
-        problems += _camera_problems(given)
-        if not problems:
-            problems += self._problems_of_several()
-        problems += _of_the_other_method(self.method, given)
-        if problems:
-            raise InputError(problems)
+    @classmethod
+    def problems_of_given(cls, given: Mapping[str, Any]) -> Iterator[Problem]:
+        yield from _camera_problems(given)
+        yield from _of_the_other_method(given)
 
-    def _problems_of_several(self) -> Iterator[Problem]:
+    def problems(self) -> Iterator[Problem]:
         """Where a clip has several cameras, everything of one camera is there once for each."""
         count = len(self.keypoints)
         for name in ("camera_name", "offset_s", "camera_fps"):
@@ -450,7 +378,7 @@ class FitSettings:
             yield Problem("settings", "camera_fps", f"beside fps, {self.fps:g}", "one of the two")
         if count > 1 and self.method == "frame":
             found = f"{count} files with the frame method, which knows one camera"
-            yield Problem("settings", "keypoints", found, "one file, or --method trajectory")
+            yield Problem("settings", "keypoints", found, "one file, or --set method=trajectory")
         named_tracks = self.camera_track is not None and self.camera_name is not None and self.hfov_deg is None
         if count > 1 and self.camera is None and not named_tracks:
             found = f"{count} keypoint files without a camera file"
@@ -491,20 +419,18 @@ class FitSettings:
     def plain(self, folder: Path | None = None) -> dict[str, Any]:
         """All that the method reads, as plain JSON types; None for what is not given and has no default. folder: that
         paths are relative to, as `beside` reads them; None: they are absolute."""
-        values = {name: getattr(self, name) for name, it in SETTINGS.items() if it.method in (None, self.method)}
-        plain = {name: SETTINGS[name].kind.plain(value) for name, value in values.items()}
+        of_method = {name: one for name, one in SETTINGS.items() if one.option.method in (None, self.method)}
+        plain = {name: one.plain(getattr(self, name)) for name, one in of_method.items()}
         return plain if folder is None else {name: seen_from(folder, name, value) for name, value in plain.items()}
 
     def to_toml(self, folder: Path | None = None, sha256: Mapping[str, str] | None = None) -> str:
         """The text of config.toml. Settings that are not given are left out; folder: see `plain`; sha256: what is
         written down of the files' content."""
-        import tomli_w
-
         plain = {name: value for name, value in self.plain(folder).items() if value is not None}
         return tomli_w.dumps({"recon": {"fit": plain, **({"sha256": sha256} if sha256 else {})}})
 
 
-SETTINGS: dict[str, Setting] = {one.name: one.metadata["setting"] for one in dataclasses.fields(FitSettings)}
+SETTINGS = FitSettings.infos()
 """By name, in the order of `FitSettings`."""
 
 
@@ -521,16 +447,13 @@ def seen_from(folder: Path, name: str, given: Any) -> Any:
 def _with_paths(name: str, given: Any, change: Callable[[str], str]) -> Any:
     if isinstance(given, list):
         return [_with_paths(name, one, change) for one in given]
-    kind = SETTINGS[name].kind if name in SETTINGS else None
-    is_file = kind is not None and (
-        kind.option_type is Path or (kind is _NAME_OR_FILE and str(given).endswith(FILE_SUFFIXES))
-    )
-    return change(given) if is_file and isinstance(given, str) else given
+    is_file = isinstance(given, str) and name in SETTINGS and SETTINGS[name].is_file(given)
+    return change(given) if is_file else given
 
 
 def of_method(method: Method) -> tuple[str, ...]:
     """Names of the settings that only this method reads."""
-    return tuple(name for name, setting in SETTINGS.items() if setting.method == method)
+    return tuple(name for name, setting in SETTINGS.items() if setting.option.method == method)
 
 
 def _camera_problems(given: Mapping[str, Any]) -> Iterator[Problem]:
@@ -554,13 +477,15 @@ def _camera_problems(given: Mapping[str, Any]) -> Iterator[Problem]:
         yield Problem("settings", "image_size_px", "nothing", expected)
 
 
-def _of_the_other_method(method: Any, given: Mapping[str, Any]) -> Iterator[Problem]:
+def _of_the_other_method(given: Mapping[str, Any]) -> Iterator[Problem]:
     """What would have no effect. The method may be none, such as a list in a file."""
+    method = given.get("method", SETTINGS["method"].default)
     for name, value in given.items():
-        other = SETTINGS[name].method
+        info = SETTINGS.get(name)
+        other = None if info is None or value == info.default else info.option.method
         if isinstance(method, str) and method in DEFAULT_SKELETONS and other not in (None, method):
             found = f"{value!r} with the {method} method, which does not read it"
-            yield Problem("settings", name, found, f"nothing, or --method {other} with it")
+            yield Problem("settings", name, found, f"nothing, or --set method={other} with it")
 
 
 # -- from config.toml and the command line ------------------------------------------------------------------------
@@ -584,30 +509,18 @@ def read_settings(config: Path | None, given: Mapping[str, Any] | None = None) -
         left_out |= {"tilt_deg"}
     before = under.get("method", SETTINGS["method"].default)
     if given.get("method", before) != before:
-        left_out |= {name for name, setting in SETTINGS.items() if setting.method == before}
+        left_out |= {name for name, setting in SETTINGS.items() if setting.option.method == before}
     plain = {name: value for name, value in under.items() if name not in left_out} | given
 
-    known: dict[str, Any] = {"keypoints": None} | {name: plain[name] for name in plain if name in SETTINGS}
-    unknown = [name for name in plain if name not in SETTINGS]
-    problems = []
     try:
-        settings = FitSettings(**known)
-        if not unknown:
-            return settings
+        return FitSettings(**plain)
     except InputError as error:
-        problems += error.problems
-    problems += [Problem("settings", name, "an unknown setting", f"one of {', '.join(SETTINGS)}") for name in unknown]
-    raise InputError(
-        dataclasses.replace(
-            problem, file=config if config is not None and problem.field not in given else option(problem.field)
-        )
-        for problem in problems
-    )
-
-
-def option(name: str) -> str:
-    """The command line's name for a setting."""
-    return {"keypoints": "KEYPOINTS", "image_size_px": "--image-size"}.get(name, "--" + name.replace("_", "-"))
+        raise InputError(
+            replace(problem, file=config)
+            if config is not None and problem.field not in given
+            else on_command_line(problem, SETTINGS)
+            for problem in error.problems
+        ) from None
 
 
 def _read_config(config: Path) -> dict[str, Any]:

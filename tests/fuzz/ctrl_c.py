@@ -102,7 +102,7 @@ def commands() -> dict[str, tuple[object, ...]]:
         "help": ("--help",),
         "run": ("run", film, *filmed, "--out", "out"),
         "fit": ("fit", whole, *CAMERA, "--fps", 60, "--out", "out"),
-        "fit, frame by frame": ("fit", noisy, *CAMERA, "--fps", 30, "--method", "frame", "--out", "out"),
+        "fit, frame by frame": ("fit", noisy, *CAMERA, "--fps", 30, "--set", "method=frame", "--out", "out"),
         "batch": ("batch", whole, noisy, *CAMERA, "--fps", 60, "--jobs", 2, "--out", "out"),
         "demo": ("demo", "--out", "out"),
         "analyse": ("analyse", "results", "--out", "out"),
@@ -138,7 +138,9 @@ def prepare(folder: Path, names: Sequence[str]) -> None:
     camera, points = SAMPLES / "rendered_camera.toml", SAMPLES / "rendered_points.csv"
     made: list[tuple[object, ...]] = [(*commands()["fit"][:-1], "results")]
     if "overlay" in names:
-        made.append(("fit", points, "--camera", camera, "--fps", 120, "--frames", "0:40", "--fast", "--out", "film"))
+        made.append(
+            ("fit", points, "--camera", camera, "--fps", 120, "--frames", "0:40", "--set", "fast=true", "--out", "film")
+        )
     if "predict" in names:
         film, labels = SAMPLES / "rendered.mp4", SAMPLES / "rendered_labels.csv"
         made.append(("train", film, "--labels", labels, "--steps", 2, "--batch", 2, "--threads", 1, "--out", "model"))

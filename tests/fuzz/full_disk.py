@@ -27,7 +27,7 @@ from typing import Any, NamedTuple
 
 SAMPLES = Path(__file__).resolve().parents[2] / "data" / "samples"
 CAMERA = ("--camera", SAMPLES / "camera.toml")
-FIT = ("fit", SAMPLES / "whole.csv", *CAMERA, "--fps", 60, "--frames", "0:8", "--fast")
+FIT = ("fit", SAMPLES / "whole.csv", *CAMERA, "--fps", 60, "--frames", "0:8", "--set", "fast=true")
 PATIENCE_S = 90.0
 LEAST = 4096
 """Bytes of the smallest disk."""
@@ -97,10 +97,10 @@ def cases(folder: Path) -> list[Case]:
              "npz.npz", "opensim.osim", "gltf.glb", "bvh.bvh")  # fmt: skip
     found = [
         Case("fit", (*FIT, "--out", "{out}"), "clip", read=read_results),
-        Case("fit frame", ("frame", *FIT[1:-1], "--out", "{out}"), "clip", read=read_results),
+        Case("fit frame", ("frame", *FIT[1:-2], "--out", "{out}"), "clip", read=read_results),
         Case(
             "batch",
-            ("batch", *FIT[1:-1], "--fast", "--jobs", 1, "--strict", "--out", "{out}"),
+            ("batch", *FIT[1:-2], "--set", "fast=true", "--jobs", 1, "--strict", "--out", "{out}"),
             "all",
             False,
             read_summary,
@@ -141,7 +141,7 @@ def cases(folder: Path) -> list[Case]:
             "run",
             (
                 *("run", folder / "black.avi", "--keypoints", SAMPLES / "whole.csv", *CAMERA, "--frames", "0:8"),
-                *("--fast", "--out", "{out}"),
+                *("--set", "fast=true", "--out", "{out}"),
             ),
             "all",
             False,

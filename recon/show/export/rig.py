@@ -35,7 +35,7 @@ def rig_of(results: Results, fps: float | None = None) -> Armature:
     if not known.any():
         raise InputError(Problem(results.folder, "frames", "none with a pose", "at least one"))
     if off_m[known].max() > SAME_M:
-        expected = "bones of one length: fit with --method trajectory"
+        expected = "bones of one length: fit with --set method=trajectory"
         raise InputError(Problem(results.folder, "size", "lengths that change from frame to frame", expected))
     rig = make_rig(
         results.body,

@@ -20,7 +20,7 @@ from recon.io.calibration import read_cameras
 from recon.show.page import SUMMARY_PAGE
 from recon.workflows.batch.anipose import Session, sessions_in
 from recon.workflows.batch.groups import AUTO, Draft, join_cameras, missing_cameras
-from recon.workflows.settings import SETTINGS, FitSettings, beside, option, read_settings
+from recon.workflows.settings import SETTINGS, FitSettings, beside, read_settings
 
 SUMMARY = "summary.csv"
 _UNFIT = re.compile(r'[<>:"/\\|?*\x00-\x1f]')
@@ -267,7 +267,7 @@ def _drafts_of_manifest(path: Path) -> list[Draft]:
 
 def _cell_value(name: str, cell: str) -> str | list[str]:
     """A cell of what each camera has, as a list."""
-    return [one.strip() for one in cell.split(BETWEEN)] if name in SETTINGS and SETTINGS[name].kind.many else cell
+    return [one.strip() for one in cell.split(BETWEEN)] if name in SETTINGS and SETTINGS[name].is_many else cell
 
 
 def _matching_files(path: Path) -> list[Path]:
@@ -289,7 +289,7 @@ def _settings(draft: Draft, common: Mapping[str, Any], config: Path | None) -> F
     if "hfov_deg" in row:
         under = {name: value for name, value in under.items() if name not in ("camera", "camera_name")}
     if "method" in row:  # the common options are for the clips of the other method
-        under = {name: value for name, value in under.items() if SETTINGS[name].method in (None, row["method"])}
+        under = {name: value for name, value in under.items() if SETTINGS[name].option.method in (None, row["method"])}
     try:
         return read_settings(config, {"keypoints": draft.paths, **under, **row})
     except InputError as error:
@@ -349,10 +349,10 @@ def _effect_problems(common: Mapping[str, Any], settings: Sequence[FitSettings])
     """Of the common options: where every clip has the other method, nothing reads them."""
     methods = {clip.method for clip in settings}
     for name, value in common.items():
-        method = SETTINGS[name].method
+        method = SETTINGS[name].option.method
         if value is not None and settings and method is not None and method not in methods:
             found = f"{value!r}, and no clip of the {method} method"
-            yield Problem(option(name), name, found, f"nothing, or --method {method} with it")
+            yield Problem(SETTINGS[name].on_command_line, name, found, f"nothing, or --set method={method} with it")
 
 
 def _problem_of_row(problem: Problem, draft: Draft, common: Mapping[str, Any]) -> Problem:

@@ -3,46 +3,96 @@
 from __future__ import annotations
 
 import sys
-from importlib import import_module
 from typing import Annotated, Any
 
 import typer
-from typer.core import TyperGroup
+from typer.core import TyperCommand
 
 from recon.base.errors import InputError
 from recon.base.interrupts import Interrupts, installed
-from recon.workflows.cli.analyse import analyse
-from recon.workflows.cli.batch import batch
-from recon.workflows.cli.calibrate import calibrate
-from recon.workflows.cli.camera_advice import camera_advice
-from recon.workflows.cli.camera_motion import camera_motion
+from recon.workflows.cli.command import HELP, CommandGroup, Entry
 from recon.workflows.cli.common import EXIT_BAD_INPUT, error_text, stop, terminal
-from recon.workflows.cli.convert import convert
-from recon.workflows.cli.demo import demo
-from recon.workflows.cli.doctor import doctor
-from recon.workflows.cli.evaluate import evaluate
-from recon.workflows.cli.extrinsics import extrinsics
-from recon.workflows.cli.fit import fit
-from recon.workflows.cli.overlay import overlay
-from recon.workflows.cli.prior import prior_fit
-from recon.workflows.cli.report import report
-from recon.workflows.cli.run import run
-from recon.workflows.cli.skeleton import skeleton_app
-from recon.workflows.cli.subject import subject_fit
-from recon.workflows.cli.view import view
+
+_CORE, _ROBOTICS, _NET = "recon.workflows.cli.", "recon.robotics.cli.", "recon.keypoint_net.cli."
+_THESIS = "recon.thesis.cli."
+COMMANDS = {
+    "From a clip to its motion": {
+        "fit": (_CORE + "fit:fit", "One clip: keypoints and a camera in, a folder of results out."),
+        "batch": (_CORE + "batch:batch", "Many clips in parallel, from where it was stopped."),
+        "run": (_CORE + "run:run", "From a video to a page: keypoints, fit, analysis, overlay, report.html."),
+        "demo": (_CORE + "demo:demo", "Fit the bundled sample and compare it with its truth."),
+        "settings": (_CORE + "settings:settings", "List all settings of a command, also those that are no options."),
+    },
+    "Look at it and use it": {
+        "view": (_CORE + "view:view", "The playback in the rerun viewer, with the plots of its analysis."),
+        "report": (_CORE + "report:report", "A page of a result, or of a batch, to look at and to pass on."),
+        "analyse": (_CORE + "analyse:analyse", "Speeds, angles, gait, vector fields and phase portraits."),
+        "evaluate": (_CORE + "evaluate:evaluate", "Compare a result with a reference."),
+        "convert": (_CORE + "convert:convert", "Keypoints, 3D positions or results in another file format."),
+        "overlay": (_CORE + "overlay:overlay", "Draw a result on its video."),
+    },
+    "Cameras": {
+        "calibrate": (_CORE + "calibrate:calibrate", "A camera, from pictures of a board."),
+        "calibrate extrinsics": (_CORE + "extrinsics:extrinsics", "Where cameras stand, from clips of the animal."),
+        "camera-motion": (_CORE + "camera_motion:camera_motion", "How a camera turned, from its video."),
+        "camera-advice": (_CORE + "camera_advice:camera_advice", "Where to put a camera, to see an angle or a joint."),
+    },
+    "Keypoints from video": {
+        "train": (_NET + "train:train", "Train a small keypoint network on a few labels."),
+        "predict": (_NET + "predict:predict", "Find the keypoints in every frame of a video."),
+        "evaluate-2d": (_NET + "evaluate_2d:evaluate_2d", "Compare keypoints with labels."),
+    },
+    "Models and priors": {
+        "skeleton list": (_CORE + "skeleton:skeleton_list", "List the skeletons that come with the package."),
+        "skeleton check": (
+            _CORE + "skeleton:skeleton_check",
+            "Check a skeleton file, list what is in it, and draw it.",
+        ),
+        "skeleton from-keypoints": (
+            _CORE + "skeleton:skeleton_from_keypoints",
+            "Draft a skeleton for the keypoints of a file.",
+        ),
+        "subject fit": (_CORE + "subject:subject_fit", "Measure one animal in clips of several cameras."),
+        "prior fit": (_CORE + "prior:prior_fit", "Fit a motion prior to results or 3D poses."),
+    },
+    "Robots and the thesis": {
+        "ik": (_ROBOTICS + "ik:ik", "Inverse kinematics from the trunk to a foot."),
+        "retarget": (_ROBOTICS + "retarget:retarget", "The motion on a four-legged robot."),
+        "robot pose": (
+            _ROBOTICS + "robot:pose",
+            "The legs' angles of a body that is moved and turned, the feet planted.",
+        ),
+        "robot leg": (_ROBOTICS + "robot:leg", "A leg's table and limits, forward and inverse."),
+        "robot dh": (_ROBOTICS + "robot:dh", "A chain by its Denavit-Hartenberg table, forward and inverse."),
+        "robot arm": (_ROBOTICS + "robot:arm", "An arm of a lift, two planar joints and a wrist, forward and inverse."),
+        "climb": (_ROBOTICS + "climb:climb", "A four-legged robot climbs a step by potential fields."),
+        "frame": (_THESIS + "frame:frame", "Fit one side of the animal, one frame after the other."),
+        "solver": (_THESIS + "solver:solver", "What the optimiser of a fit did: cost, gradient, Jacobian, limits."),
+    },
+    "This installation": {
+        "doctor": (_CORE + "doctor:doctor", "Check versions, optional parts, the viewer, and a fit of the sample."),
+    },
+}
+"""By heading and name: where the command's function is, and what `recon --help` says of it. Modules are named, not
+imported: a wing's command is known here by its name only."""
+GROUPS = {
+    "skeleton": "Skeletons: those that come with the package, and your own.",
+    "subject": "Measured animals: lengths of one animal, and how a detector sees it.",
+    "prior": "Motion priors: which poses occur, and how they change.",
+    "robot": "A robot's kinematics: its body's pose, a leg, an arm, a table of parameters; all solutions.",
+}
 
 
-def _of_wing(wing: str, name: str) -> Any:
-    """A command of a wing by the name of its module: rooms import no wing, and only this table knows their commands."""
-    return getattr(import_module(f"recon.{wing}.cli.{name}"), name)
+class _Commands(CommandGroup):
+    """All commands. Any of them ends at Ctrl-C with one line and exit code 130."""
 
-
-class _Commands(TyperGroup):
-    """Any command ends at Ctrl-C with one line and exit code 130. A command's name may be of two words."""
-
-    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
-        both = " ".join(args[:2])
-        return super().resolve_command(ctx, [both, *args[2:]] if both in self.commands else args)
+    def __init__(self, **more: Any) -> None:
+        table = {
+            name: Entry(function, help, panel)
+            for panel, entries in COMMANDS.items()
+            for name, (function, help) in entries.items()
+        }
+        super().__init__(table=table, groups=GROUPS, **more)
 
     def invoke(self, ctx: Any) -> Any:
         interrupts = installed() or Interrupts()
@@ -62,47 +112,14 @@ app = typer.Typer(
     help="Metric 3D motion of a running animal from the keypoints of one camera or several, still or panning.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
-    context_settings={"help_option_names": ["-h", "--help"]},
+    context_settings=HELP,
 )
-for command in (
-    run,
-    fit,
-    batch,
-    analyse,
-    _of_wing("robotics", "ik"),
-    evaluate,
-    view,
-    demo,
-    calibrate,
-    convert,
-    overlay,
-    report,
-):
-    app.command()(command)
-for command in (
-    _of_wing("robotics", "retarget"),
-    _of_wing("robotics", "climb"),
-    _of_wing("thesis", "frame"),
-    _of_wing("thesis", "solver"),
-    doctor,
-):
-    app.command()(command)
-for command in ("train", "predict", "evaluate_2d"):
-    app.command(command.replace("_", "-"))(_of_wing("keypoint_net", command))
-app.command("camera-motion")(camera_motion)
-app.command("calibrate extrinsics")(extrinsics)
-app.command("camera-advice")(camera_advice)
 
-prior_app = typer.Typer(help="Motion priors: which poses occur, and how they change.", no_args_is_help=True)
-prior_app.command("fit")(prior_fit)
-app.add_typer(prior_app, name="prior")
-app.add_typer(_of_wing("robotics", "robot"), name="robot")
-app.add_typer(skeleton_app, name="skeleton")
-subject_app = typer.Typer(
-    help="Measured animals: lengths of one animal, and how a detector sees it.", no_args_is_help=True
-)
-subject_app.command("fit")(subject_fit)
-app.add_typer(subject_app, name="subject")
+
+def commands() -> dict[str, TyperCommand]:
+    """All commands by name, each made."""
+    table = _Commands().table
+    return {name: entry.load(name) for name, entry in table.items()}
 
 
 def main() -> None:

@@ -10,14 +10,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from pydantic import Field
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 from rich.table import Column, Table
 from rich.text import Text
 
+from recon.base.settings import Count, Integer, OneOrMore, Option, Settings
+from recon.workflows.cli.command import OptionsOf
 from recon.workflows.cli.common import counted, say, stop, terminal
-from recon.workflows.cli.settings import OPTIONS, takes_settings
+from recon.workflows.settings import SETTINGS, FitSettings
 
 if TYPE_CHECKING:
     from recon.base.errors import Problem
@@ -29,62 +32,53 @@ NAMED = 3
 """Clips with the same problem are named up to this number."""
 _STYLES = {"done": "green", "done earlier": "green", "unsolved": "yellow", "failed": "red", "pending": ""}
 _COMMON, _WORK = "Settings of every clip", "How the work is done"
+_OF_CLIPS = tuple(name for name in SETTINGS if name != "keypoints")
 
 
-@takes_settings([name for name in OPTIONS if name != "keypoints"], _COMMON)
-def batch(
-    *,
+class BatchSettings(Settings):
+    """What `recon batch` is told besides the settings of every clip's fit."""
+
     inputs: Annotated[
-        list[str],
-        typer.Argument(
-            metavar="INPUT...",
-            help="Keypoint files, quoted patterns as in 'clips/*.csv', folders, also Anipose's, or manifests: CSV "
-            "tables with a column keypoints, and one for every setting that differs between clips.",
+        OneOrMore[str],
+        Option(
+            "Keypoint files, quoted patterns as in 'clips/*.csv', folders, also Anipose's, or manifests: CSV tables "
+            "with a column keypoints, and one for every setting that differs between clips.",
+            argument="INPUT",
         ),
-    ],
-    out: Annotated[Path, typer.Option(help="Folder for the results: one folder a clip, and summary.csv.")],
+    ]
+    out: Annotated[Path, Option("Folder for the results: one folder a clip, and summary.csv.")]
     config: Annotated[
-        Path | None,
-        typer.Option(
-            help="Settings as in the config.toml of a fit; options here overrule it.", rich_help_panel=_COMMON
-        ),
-    ] = None,
-    given: dict[str, Any],
+        Path | None, Option("Settings as in the config.toml of a fit; options here overrule it.", panel=_COMMON)
+    ] = None
     cameras_by: Annotated[
         str,
-        typer.Option(
-            metavar="auto|none|PATTERN",
-            help="Which files are one clip of several cameras. auto: those whose names are the same but for the name "
-            "of a camera in the camera file; none: each is a clip; or a regular expression for the camera's name in a "
+        Option(
+            "Which files are one clip of several cameras. auto: those whose names are the same but for the name of a "
+            "camera in the camera file; none: each is a clip; or a regular expression for the camera's name in a "
             "file's, as in '-cam([A-Z])'.",
-            rich_help_panel=_COMMON,
+            metavar="auto|none|PATTERN",
+            panel=_COMMON,
         ),
-    ] = "auto",
+    ] = "auto"
     jobs: Annotated[
-        int | None,
-        typer.Option(
-            min=1, help="Clips at a time, each in a process. (default: one for each core)", rich_help_panel=_WORK
-        ),
-    ] = None,
+        Count | None, Option("Clips at a time, each in a process. (default: one for each core)", panel=_WORK)
+    ] = None
     scheduler: Annotated[
-        str | None,
-        typer.Option(help="Run on this Dask cluster instead, as in tcp://host:8786.", rich_help_panel=_WORK),
-    ] = None,
+        str | None, Option("Run on this Dask cluster instead, as in tcp://host:8786.", panel=_WORK)
+    ] = None
     retries: Annotated[
-        int, typer.Option(min=0, help="Tries more for a clip at which a worker died.", rich_help_panel=_WORK)
-    ] = 1,
-    overwrite: Annotated[
-        bool, typer.Option("--overwrite", help="Fit everything again, and replace any results.", rich_help_panel=_WORK)
-    ] = False,
-    dry_run: Annotated[
-        bool,
-        typer.Option("--dry-run", help="Only look: what would be done, and what inputs lack.", rich_help_panel=_WORK),
-    ] = False,
-    strict: Annotated[
-        bool, typer.Option("--strict", help="Exit code 1 if any clip failed or is unsolved.", rich_help_panel=_WORK)
-    ] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print the summary as JSON.")] = False,
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print errors only.")] = False,
+        Annotated[Integer, Field(ge=0)], Option("Tries more for a clip at which a worker died.", panel=_WORK)
+    ] = 1
+    overwrite: Annotated[bool, Option("Fit everything again, and replace any results.", panel=_WORK)] = False
+    dry_run: Annotated[bool, Option("Only look: what would be done, and what inputs lack.", panel=_WORK)] = False
+    strict: Annotated[bool, Option("Exit code 1 if any clip failed or is unsolved.", panel=_WORK)] = False
+
+
+def batch(
+    settings: BatchSettings,
+    given: Annotated[dict[str, Any], OptionsOf(FitSettings, _OF_CLIPS, _COMMON)],
+    as_json: bool,
+    quiet: bool,
 ) -> None:
     """Reconstruct many clips in parallel. The same command again goes on where it was stopped.
 
@@ -100,21 +94,22 @@ def batch(
     from recon.workflows.batch import check_shared, find_clips, input_problems, plan_batch, run_batch
 
     console = terminal(quiet=quiet, stderr=as_json)
-    clips, notes = find_clips(inputs, given, config, cameras_by)
+    clips, notes = find_clips(settings.inputs, given, settings.config, settings.cameras_by)
     for note in notes:
         say(console, note, "yellow")
-    plan = plan_batch(clips, out, overwrite)
-    if dry_run:
+    plan = plan_batch(clips, settings.out, settings.overwrite)
+    if settings.dry_run:
         problems = input_problems(clips)
         _print_plan(console, plan, problems, as_json)
-        raise typer.Exit(EXIT_STRICT if strict and any(problems) else 0)
+        raise typer.Exit(EXIT_STRICT if settings.strict and any(problems) else 0)
     check_shared(clips)
     left = sum(planned.action != "done" for planned in plan)
     if left < len(plan):
         are = "clip is" if len(plan) == 1 else "clips are"
         console.print(f"{len(plan) - left} of {len(plan)} {are} done already.")
-    summary = shown_batch(console, left, as_json, lambda tell: run_batch(plan, out, jobs, retries, scheduler, tell))
-    if strict and any(row["status"] in ("failed", "unsolved") for row in summary.rows.values()):
+    how = settings.jobs, settings.retries, settings.scheduler
+    summary = shown_batch(console, left, as_json, lambda tell: run_batch(plan, settings.out, *how, tell))
+    if settings.strict and any(row["status"] in ("failed", "unsolved") for row in summary.rows.values()):
         raise typer.Exit(EXIT_STRICT)
 
 

@@ -22,9 +22,9 @@ from rich.text import Text
 from recon.base.errors import InputError, Problem
 from recon.base.interrupts import EXIT_INTERRUPTED, MESSAGE, installed
 from recon.base.manifest import read_manifest
-from recon.workflows.settings import NUMBER, SETTINGS
 
-FPS = SETTINGS["fps"].expected
+NUMBER = "<number>"
+FPS = "a number of frames per second above 0, as in 120"
 """What is expected of an option --fps."""
 
 EXIT_UNSOLVED = 1

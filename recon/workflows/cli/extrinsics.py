@@ -8,9 +8,12 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
+from pydantic import Field
 
+from recon.base.settings import Number, OneOrMore, Option, Settings
+from recon.workflows.cli.command import OptionsOf
 from recon.workflows.cli.common import progress_bar, say, terminal
-from recon.workflows.cli.settings import takes_settings
+from recon.workflows.settings import FitSettings
 
 _SETTINGS = (
     *("camera", "camera_name", "camera_unit", "image_size_px", "tilt_deg", "refine_cameras", "offset_s"),
@@ -21,37 +24,36 @@ _SETTINGS = (
 """Those of a fit that are read."""
 
 
-@takes_settings(_SETTINGS)
-def extrinsics(
-    *,
+class ExtrinsicsSettings(Settings):
+    """What `recon calibrate extrinsics` is told besides the settings of the clips."""
+
     inputs: Annotated[
-        list[str],
-        typer.Argument(
-            metavar="INPUT...",
-            help="Keypoint files, quoted patterns, folders, or manifests, as for recon batch. Files whose names are "
-            "the same but for the camera's are one clip.",
+        OneOrMore[str],
+        Option(
+            "Keypoint files, quoted patterns, folders, or manifests, as for recon batch. Files whose names are the "
+            "same but for the camera's are one clip.",
+            argument="INPUT",
         ),
-    ],
-    out: Annotated[Path, typer.Option(help="The file of all cameras, as in cameras.toml.")],
-    given: dict[str, Any],
-    cameras_by: Annotated[
-        str,
-        typer.Option(metavar="auto|PATTERN", help="Which files are one clip, as for recon batch."),
-    ] = "auto",
+    ]
+    out: Annotated[Path, Option("The file of all cameras, as in cameras.toml.")]
+    cameras_by: Annotated[str, Option("Which files are one clip, as for recon batch.", metavar="auto|PATTERN")] = "auto"
     level_deg: Annotated[
-        float | None,
-        typer.Option(
-            min=0.01,
-            max=90,
-            help="How far each camera is from level, or from its tilt, about each axis; 1 with a bubble. (default: 5)",
+        Annotated[Number, Field(ge=0.01, le=90)] | None,
+        Option(
+            "How far each camera is from level, or from its tilt, about each axis; 1 with a bubble. (default: 5)",
+            "degrees from 0.01 to 90",
         ),
-    ] = None,
-    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the file.")] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print everything as JSON.")] = False,
+    ] = None
+    overwrite: Annotated[bool, Option("Replace the file.")] = False
+
+
+def extrinsics(
+    settings: ExtrinsicsSettings, given: Annotated[dict[str, Any], OptionsOf(FitSettings, _SETTINGS)], as_json: bool
 ) -> None:
     """Find where cameras stand, from their lenses and clips of the animal: one tells it roughly, several well.
 
-    With --refine-cameras, the poses in the camera file are taken for as good as 2 degrees and 5 cm, and refined.
+    With --set refine-cameras=true, the poses in the camera file are taken for as good as 2 degrees and 5 cm, and are
+    refined.
 
     Example: recon calibrate extrinsics run*_cam*.csv --camera lenses.toml --fps 90 --out cameras.toml
 
@@ -59,16 +61,16 @@ def extrinsics(
     """
     from recon.workflows.extrinsics import clips_of, run_extrinsics
 
-    clips, notes = clips_of(inputs, given, cameras_by)
+    clips, notes = clips_of(settings.inputs, given, settings.cameras_by)
     for note in notes:
         say(terminal(stderr=True), note, "yellow")
     with progress_bar(terminal(stderr=True), "solving: ") as progress:
-        level_rad = None if level_deg is None else math.radians(level_deg)
-        run = run_extrinsics(clips, out, overwrite, level_rad, progress)
+        level_rad = None if settings.level_deg is None else math.radians(settings.level_deg)
+        run = run_extrinsics(clips, settings.out, settings.overwrite, level_rad, progress)
     if as_json:
         typer.echo(json.dumps(run.to_dict(), indent=1))
         return
     console = terminal()
     for line in run.lines():
         say(console, line)
-    say(console, f"Written: {out}. Fit clips with: recon fit ... --camera {out}")
+    say(console, f"Written: {settings.out}. Fit clips with: recon fit ... --camera {settings.out}")

@@ -5,28 +5,27 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Any
 
-import typer
-
 from recon.base.errors import InputError, Problem
+from recon.base.settings import Option, Settings
+from recon.workflows.cli.command import OptionsOf
 from recon.workflows.cli.common import finish, leave_pandas_out, progress_bar, say, terminal
-from recon.workflows.cli.settings import OPTIONS, takes_settings
+from recon.workflows.settings import FitSettings, read_settings
 
 
-@takes_settings(OPTIONS)
-def fit(
-    *,
-    out: Annotated[Path | None, typer.Option(help="Folder for the results, as in results/clip1.")] = None,
-    given: dict[str, Any],
-    config: Annotated[
-        Path | None, typer.Option(help="config.toml of an earlier run; options given here overrule it.")
-    ] = None,
+class FitRunSettings(Settings):
+    """What `recon fit` is told besides the settings of the fit itself."""
+
+    out: Annotated[Path | None, Option("Folder for the results, as in results/clip1.")] = None
+    config: Annotated[Path | None, Option("config.toml of an earlier run; options given here overrule it.")] = None
     camera_motion: Annotated[
         Path | None,
-        typer.Option(help="A camera that turns: its video, in which the track is found first, as in clip.mp4."),
-    ] = None,
-    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace results in the folder.")] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print the report's summary as JSON.")] = False,
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print errors only.")] = False,
+        Option("A camera that turns: its video, in which the track is found first, as in clip.mp4."),
+    ] = None
+    overwrite: Annotated[bool, Option("Replace results in the folder.")] = False
+
+
+def fit(
+    settings: FitRunSettings, given: Annotated[dict[str, Any], OptionsOf(FitSettings)], as_json: bool, quiet: bool
 ) -> None:
     """Reconstruct one clip: keypoints and a camera in, 3D poses, angles, report and playback out.
 
@@ -36,20 +35,20 @@ def fit(
     """
     from recon.workflows.clip import keypoint_problems, run_clip
     from recon.workflows.made_from import read_config, replaced_files
-    from recon.workflows.settings import read_settings
 
+    out, config = settings.out, settings.config
     no_out = [Problem("--out", "folder", "nothing", "a folder for the results, as in results/clip1")]
     try:
-        settings = read_settings(None, given) if config is None else read_config(config, given)
+        fitted = read_settings(None, given) if config is None else read_config(config, given)
     except InputError as error:
-        files = keypoint_problems(given["keypoints"] or (), given["individual"])
+        files = keypoint_problems(given.get("keypoints") or (), given.get("individual"))
         raise InputError((*files, *error.problems, *([] if out else no_out))) from None
     if out is None:
         raise InputError(no_out)
     console = terminal(quiet=quiet, stderr=as_json)
-    for path in [] if config is None else replaced_files(config, given, settings):
+    for path in [] if config is None else replaced_files(config, given, fitted):
         say(console, f"note: {path} is not the file that {config} was written for: its content is another")
     leave_pandas_out()
     with progress_bar(console, "fitting: ") as progress:
-        report = run_clip(settings, out, overwrite, progress, camera_motion)
+        report = run_clip(fitted, out, settings.overwrite, progress, settings.camera_motion)
     finish(console, report, out, as_json)

@@ -3,66 +3,53 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
-
-import typer
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from recon.base.errors import InputError, Problem
+from recon.base.settings import Count, Integer, Option, Settings
 from recon.workflows.cli.batch import shown_batch
-from recon.workflows.cli.common import FIRST_FRAME, finish, progress_bar, say, terminal
-from recon.workflows.cli.settings import OPTIONS, takes_settings
+from recon.workflows.cli.command import OptionsOf
+from recon.workflows.cli.common import finish, progress_bar, say, terminal
+from recon.workflows.settings import FIRST_FRAME, SETTINGS, FitSettings
 
 if TYPE_CHECKING:
     from recon.workflows.run import Done
 
+_OF_THE_FIT = tuple(name for name in SETTINGS if name != "keypoints")
 _STAGES = "detect, camera-motion, fit, analyse, overlay, page"
 
 
-@takes_settings([name for name in OPTIONS if name != "keypoints"], "Settings of the fit")
-def run(
-    *,
-    video: Annotated[Path, typer.Argument(metavar="VIDEO", help="The video, as in run.mp4, or a folder of videos.")],
-    out: Annotated[Path, typer.Option(help="Folder for everything; of a folder of videos one in it for each.")],
-    model: Annotated[
-        Path | None,
-        typer.Option(metavar="DIR", help="Folder of a trained network, as in models/run.", show_default=False),
-    ] = None,
+class RunSettings(Settings):
+    """What `recon run` is told besides the settings of the fit."""
+
+    video: Annotated[Path, Option("The video, as in run.mp4, or a folder of videos.", argument="VIDEO")]
+    out: Annotated[Path, Option("Folder for everything; of a folder of videos one in it for each.")]
+    model: Annotated[Path | None, Option("Folder of a trained network, as in models/run.", metavar="DIR")] = None
     keypoints: Annotated[
         Path | None,
-        typer.Option(
-            help="Instead of a network: the keypoint file; of a folder of videos the folder with a file for each.",
-            show_default=False,
-        ),
-    ] = None,
+        Option("Instead of a network: the keypoint file; of a folder of videos the folder with a file for each."),
+    ] = None
     camera_motion: Annotated[
-        str | None,
-        typer.Option(
-            metavar="turns|zooms",
-            help="Find how the camera turned, or turned and zoomed, from the background. (default: it stands still)",
-            show_default=False,
-        ),
-    ] = None,
+        Literal["turns", "zooms"] | None,
+        Option("Find how the camera turned, or turned and zoomed, from the background. (default: it stands still)"),
+    ] = None
     start: Annotated[
-        str | None,
-        typer.Option("--from", metavar="STAGE", help=f"Do this stage again, and all after it: {_STAGES}."),
-    ] = None,
-    first_frame: Annotated[int, FIRST_FRAME] = 0,
-    quality: Annotated[str, typer.Option(help="Of the network's points: fast, or best.")] = "fast",
+        str | None, Option(f"Do this stage again, and all after it: {_STAGES}.", metavar="STAGE", name="--from")
+    ] = None
+    first_frame: Annotated[Integer, FIRST_FRAME] = 0
+    quality: Annotated[Literal["fast", "best"], Option("Of the network's points: fast, or best.")] = "fast"
     jobs: Annotated[
-        int | None,
-        typer.Option(min=1, help="Of a folder: videos at a time, each in a process. (default: one for each core)"),
-    ] = None,
-    config: Annotated[
-        Path | None, typer.Option(help="Settings as in the config.toml of a fit; options here overrule it.")
-    ] = None,
-    given: dict[str, Any],
-    overwrite: Annotated[
-        bool, typer.Option("--overwrite", help="Replace files that no run has made, or that were changed since.")
-    ] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print what was done, and the report's summary, as JSON.")] = (
-        False
-    ),
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print errors only.")] = False,
+        Count | None, Option("Of a folder: videos at a time, each in a process. (default: one for each core)")
+    ] = None
+    config: Annotated[Path | None, Option("Settings as in the config.toml of a fit; options here overrule it.")] = None
+    overwrite: Annotated[bool, Option("Replace files that no run has made, or that were changed since.")] = False
+
+
+def run(
+    settings: RunSettings,
+    given: Annotated[dict[str, Any], OptionsOf(FitSettings, _OF_THE_FIT, "Settings of the fit")],
+    as_json: bool,
+    quiet: bool,
 ) -> None:
     """From a video to a page: find the keypoints, fit, analyse, draw the overlay, and write report.html.
 
@@ -73,15 +60,9 @@ def run(
 
     Exit code 0: done. 1: no frame could be solved. 2: the input cannot be used; what was done before stays.
     """
-    more = {
-        "model": model,
-        "keypoints": keypoints,
-        "camera_motion": camera_motion,
-        "first_frame": first_frame,
-        "start": start,
-        "quality": quality,
-        "overwrite": overwrite,
-    }
+    names = ("model", "keypoints", "camera_motion", "first_frame", "start", "quality", "overwrite")
+    more = {name: getattr(settings, name) for name in names}
+    video, out, jobs, config = settings.video, settings.out, settings.jobs, settings.config
     console = terminal(quiet=quiet, stderr=as_json)
     if video.is_dir():
         from recon.workflows.run_folder import jobs_of, run_folder

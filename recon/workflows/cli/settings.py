@@ -1,57 +1,48 @@
-"""The settings of a fit as options of a command, made of their table."""
+"""`recon settings`."""
 
 from __future__ import annotations
 
-import functools
-import inspect
-from collections.abc import Callable, Iterable
+import json
+from dataclasses import MISSING
 from typing import Annotated, Any
 
 import typer
+from rich.text import Text
 
-from recon.workflows.settings import NUMBER, SETTINGS, Setting, option
-
-OPTIONS = tuple(name for name, setting in SETTINGS.items() if setting.is_option)
-"""Those that the command line has."""
-_PANELS = {"trajectory": "Trajectory method", "frame": "Frame method"}
-
-
-def takes_settings(
-    names: Iterable[str], panel: str | None = None
-) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """In place of the command's parameter `given` come options for these settings, those that both methods read under
-    the heading `panel`. The command gets their values by name, None where an option was not given; what is wrong with
-    them is for `recon.workflows.settings` to say."""
-    parameters = [_parameter(name, SETTINGS[name], panel) for name in names]
-
-    def with_options(command: Callable[..., None]) -> Callable[..., None]:
-        own = list(inspect.signature(command, eval_str=True).parameters.values())
-        place = [parameter.name for parameter in own].index("given")
-        signature = inspect.Signature([*own[:place], *parameters, *own[place + 1 :]])
-
-        @functools.wraps(command)
-        def with_given(**arguments: Any) -> None:
-            given = {parameter.name: arguments.pop(parameter.name) for parameter in parameters}
-            command(**arguments, given=given)
-
-        with_given.__dict__["__signature__"] = signature
-        with_given.__annotations__ = {name: one.annotation for name, one in signature.parameters.items()}
-        return with_given
-
-    return with_options
+from recon.base.errors import InputError, Problem
+from recon.base.settings import Option, SettingInfo, Settings
+from recon.workflows.cli.common import table_of, terminal
 
 
-def _parameter(name: str, setting: Setting, panel: str | None) -> inspect.Parameter:
-    help, metavar = setting.help, setting.kind.metavar
-    if setting.default is not None and setting.kind.option_type is str:
-        help += f" (default: {setting.default:g})" if metavar == NUMBER else f" (default: {setting.default})"
-    info: Any
-    if name == "keypoints":
-        info = typer.Argument(metavar="KEYPOINTS...", help=help, show_default=False)
-    else:
-        flag = f"{option(name)}/--no-{option(name)[2:]}" if setting.kind.option_type is bool else option(name)
-        heading = _PANELS[setting.method] if setting.method else panel
-        info = typer.Option(flag, help=help, metavar=metavar, rich_help_panel=heading)
-    kind = setting.kind.option_type
-    annotation = Annotated[list[kind] | None if setting.kind.many else kind | None, info]  # type: ignore[valid-type]
-    return inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=None, annotation=annotation)
+class ListedSettings(Settings):
+    """What `recon settings` is told."""
+
+    command: Annotated[str, Option("The command, as in fit.", argument="COMMAND")] = "fit"
+
+
+def settings(settings: ListedSettings, as_json: bool) -> None:
+    """List all settings of a command: those that are options, and those that only --set and config.toml have.
+
+    Example: recon settings fit
+    """
+    from recon.workflows.cli import commands
+
+    command = commands().get(settings.command)
+    if command is None:
+        expected = f"one of {', '.join(commands())}"
+        raise InputError(Problem("COMMAND", "command", repr(settings.command), expected))
+    rows = [row_of(info) for info in command.takes.infos.values()]
+    if as_json:
+        typer.echo(json.dumps(rows, indent=1))
+        return
+    table = table_of("setting", "default", "meaning")
+    for row in rows:
+        default = "" if row["default"] is None else json.dumps(row["default"]).strip('"')
+        table.add_row(*(Text(cell) for cell in (row["written"], default, row["meaning"])))
+    terminal().print(table)
+
+
+def row_of(info: SettingInfo) -> dict[str, Any]:
+    """A setting as JSON has it."""
+    default = None if info.default is MISSING else info.plain(info.default)
+    return {"name": info.field, "written": info.on_command_line, "default": default, "meaning": info.option.help}

@@ -42,7 +42,7 @@ def subject_fit(
     as_json: Annotated[bool, typer.Option("--json", help="Print the table as JSON.")] = False,
 ) -> None:
     """Measure one animal in clips that several cameras filmed, for `recon fit --subject`; without its lengths the
-    detector only, for `recon fit --detector`, also from several measured animals.
+    detector only, for `recon fit --set detector`, also from several measured animals.
 
     Example: recon subject fit results/run1 results/run2 --offsets --out my-cat.toml
     """

@@ -1,0 +1,224 @@
+"""Settings: one class for each command, from which its options, its help and what Python takes follow.
+
+A setting is one field: its type says which values it may have, its `Option` what people are told of it.
+
+    class ViewSettings(Settings):
+        folder: Annotated[Path, Option("Folder of results, as in results/clip.", argument="DIR")]
+        speed: Annotated[Positive, Option("Of the playback, 1 is real time.")] = 1.0
+"""
+
+from __future__ import annotations
+
+import typing
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, fields, replace
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar, dataclass_transform
+
+import pydantic
+from pydantic import AfterValidator, BeforeValidator, Field, ValidationError
+
+from recon.base.errors import InputError, Problem
+
+FILE_SUFFIXES = (".toml", ".npz", ".csv")
+"""What ends so is no name of something built in."""
+
+# -- types of values, beside bool, str, Path and Literal ---------------------------------------------------------
+
+
+def _no_bool(given: Any) -> Any:
+    if isinstance(given, bool):
+        raise ValueError("a truth value")
+    return given
+
+
+def _as_tuple(given: Any) -> Any:
+    return tuple(given) if isinstance(given, list | tuple) else (given,)
+
+
+def _text_of_path(given: Any) -> Any:
+    return str(given) if isinstance(given, Path) else given
+
+
+def _name_or_file(name: str) -> str:
+    return str(Path(name).absolute()) if name.endswith(FILE_SUFFIXES) else name
+
+
+_MAY_BE_FILE = object()
+"""Among the parts of a type: text that names a file where it ends as one."""
+_Value = TypeVar("_Value")
+Number = Annotated[float, BeforeValidator(_no_bool), Field(allow_inf_nan=False)]
+"""A finite number."""
+Positive = Annotated[Number, Field(gt=0)]
+NotNegative = Annotated[Number, Field(ge=0)]
+Integer = Annotated[int, BeforeValidator(_no_bool)]
+Count = Annotated[Integer, Field(gt=0)]
+File = Annotated[Path, AfterValidator(Path.absolute)]
+"""A path, made absolute, so that a config.toml with it can be run again from anywhere."""
+NameOrFile = Annotated[str, BeforeValidator(_text_of_path), AfterValidator(_name_or_file), _MAY_BE_FILE]
+"""The name of something built in, or a file as its absolute path."""
+OneOrMore = Annotated[tuple[_Value, ...], BeforeValidator(_as_tuple), Field(min_length=1)]
+"""One value, or a list of them, as a tuple. Its option may be given several times."""
+
+
+# -- what people are told of a setting ----------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Option:
+    """What is known of a setting besides its type and its default."""
+
+    help: str
+    """For the command line; where the default is None, it says in brackets what happens instead."""
+    expected: str = ""
+    """Ends the sentence "found ..., expected ..." where a value is wrong; empty: made of the type."""
+    common: bool = True
+    """Whether it is an option of its own. Others are set with `--set name=value` and in config.toml."""
+    argument: str = ""
+    """What the help calls it if it is an argument, not an option."""
+    metavar: str = ""
+    """What the help calls the value; empty: made of the type."""
+    name: str = ""
+    """On the command line, if not made of the field's name, as in --from."""
+    panel: str | None = None
+    """The heading in the help that the option stands under."""
+    method: str | None = None
+    """The only method of fitting that reads the setting."""
+
+
+@dataclass(frozen=True)
+class SettingInfo:
+    """One setting of a class, for the command line and for messages."""
+
+    field: str
+    option: Option
+    default: Any
+    """MISSING where it must be given, None where it has none."""
+    parts: tuple[Any, ...]
+    """All that its type consists of."""
+
+    @property
+    def is_flag(self) -> bool:
+        return bool in self.parts
+
+    @property
+    def is_number(self) -> bool:
+        return float in self.parts or (int in self.parts and tuple not in self.parts)
+
+    @property
+    def is_many(self) -> bool:
+        """Whether it is a tuple of one value or several, and its option may be given several times."""
+        return Ellipsis in self.parts
+
+    @property
+    def choices(self) -> tuple[str, ...]:
+        """The words of a `Literal`, none for other types."""
+        return tuple(part for part in self.parts if isinstance(part, str))
+
+    def is_file(self, value: Any) -> bool:
+        """Whether the value is a path."""
+        return Path in self.parts or (_MAY_BE_FILE in self.parts and str(value).endswith(FILE_SUFFIXES))
+
+    @property
+    def on_command_line(self) -> str:
+        """As in --fps, or KEYPOINTS for an argument, or --set sigma-px for what is no option of its own."""
+        if self.option.argument:
+            return self.option.argument
+        name = self.option.name or "--" + self.field.replace("_", "-")
+        return name if self.option.common else f"--set {name[2:]}"
+
+    def expected(self, message: str = "") -> str:
+        """What is expected of a value, in the user's words; message: what pydantic says of a wrong one."""
+        if self.option.expected:
+            return self.option.expected
+        if self.choices:
+            *first, last = self.choices
+            return f"{', '.join(first)} or {last}" if first else last
+        kinds = {bool: "true or false", float: "a number", int: "a whole number", Path: "a file or a folder"}
+        kind = next((words for part, words in kinds.items() if part in self.parts), "text")
+        limit = message.removeprefix("Input should be ")
+        return f"{kind} {limit}" if limit.startswith(("greater", "less")) else kind
+
+    def plain(self, value: Any) -> Any:
+        """The value as TOML and JSON have it; a single one of many by itself."""
+        if isinstance(value, tuple):
+            values = [self.plain(one) for one in value]
+            return values[0] if self.is_many and len(values) == 1 else values
+        return str(value) if isinstance(value, Path) else value
+
+
+@dataclass_transform(frozen_default=True, kw_only_default=True)
+class Settings:
+    """The settings of a command: a subclass is a frozen dataclass, with an `Option` in the `Annotated` of each field.
+
+    Text is taken for numbers, sizes and files; None is not given. Raises InputError with everything that is wrong.
+    """
+
+    if not TYPE_CHECKING:  # type checkers know the fields
+
+        def __init_subclass__(cls) -> None:
+            pydantic.dataclasses.dataclass(frozen=True, kw_only=True, config={"extra": "forbid"})(cls)
+            check = cls.__init__
+
+            def __init__(self: Settings, **given: Any) -> None:
+                given = {name: value for name, value in given.items() if value is not None}
+                problems = []
+                try:
+                    check(self, **given)
+                except ValidationError as error:
+                    problems = _problems(type(self), given, error)
+                problems += self.problems_of_given(given)
+                if not problems:
+                    problems += self.problems()
+                if problems:
+                    raise InputError(problems)
+
+            cls.__init__ = __init__
+
+    @classmethod
+    def problems_of_given(cls, given: Mapping[str, Any]) -> Iterable[Problem]:
+        """What does not go together in what was given, whether or not the single values can be used."""
+        return ()
+
+    def problems(self) -> Iterable[Problem]:
+        """What does not go together, once all values can be used."""
+        return ()
+
+    @classmethod
+    @cache
+    def infos(cls) -> dict[str, SettingInfo]:
+        """All settings by name, in their order."""
+        types = typing.get_type_hints(cls, include_extras=True)
+        found = {}
+        for field in fields(cls):  # pyright: ignore[reportArgumentType]
+            option = next(one for one in types[field.name].__metadata__ if isinstance(one, Option))
+            found[field.name] = SettingInfo(field.name, option, field.default, tuple(_parts(types[field.name])))
+        return found
+
+
+def _problems(cls: type[Settings], given: Mapping[str, Any], error: ValidationError) -> list[Problem]:
+    """In the user's words, one for each setting."""
+    infos, found = cls.infos(), {}
+    for one in error.errors(include_url=False):
+        name = str(one["loc"][0])
+        if name in infos and name not in found:
+            value = repr(given[name]) if name in given else "nothing"
+            found[name] = Problem("settings", name, value, infos[name].expected(one["msg"]))
+        elif name not in found:
+            found[name] = Problem("settings", name, "an unknown setting", f"one of {', '.join(infos)}")
+    return [*found.values()]
+
+
+def _parts(kind: Any) -> Iterator[Any]:
+    """Everything that a type consists of, at any depth."""
+    yield typing.get_origin(kind) or kind
+    inner = typing.get_args(kind)
+    for part in inner:
+        yield from _parts(part)
+
+
+def on_command_line(problem: Problem, infos: Mapping[str, SettingInfo]) -> Problem:
+    """The problem of a setting, with its option in place of the class."""
+    known = problem.file == "settings" and problem.field in infos
+    return replace(problem, file=infos[problem.field].on_command_line) if known else problem

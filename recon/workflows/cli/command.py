@@ -1,0 +1,264 @@
+"""Commands made of their settings: options, help and completion follow from a class of settings and one function.
+
+A command is a function whose parameters say what it takes, all by name:
+
+    def view(settings: ViewSettings, as_json: bool, quiet: bool) -> None:
+
+settings: of the class that is annotated. given: what was given of another class, for example those of every fit of a
+batch, as a dictionary by name (annotated with `OptionsOf`). as_json, quiet: the options --json and --quiet. Its
+docstring is the help.
+"""
+
+from __future__ import annotations
+
+import inspect
+import typing
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import MISSING, dataclass, replace
+from importlib import import_module
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from typer.core import TyperCommand, TyperGroup
+
+from recon.base.errors import InputError, Problem
+from recon.base.settings import SettingInfo, Settings, on_command_line
+
+_FLAGS = {
+    "as_json": typer.Option("--json", help="Print what there is to say as JSON."),
+    "quiet": typer.Option("--quiet", "-q", help="Print errors only."),
+}
+HELP = {"help_option_names": ["-h", "--help"]}
+_SET = "set_"
+"""Name of the parameter of --set."""
+
+
+@dataclass(frozen=True)
+class OptionsOf:
+    """Settings of another class that a command takes too. names: which of them, all if empty; panel: the heading in
+    the help under which they stand."""
+
+    settings: type[Settings]
+    names: tuple[str, ...] = ()
+    panel: str | None = None
+
+    @property
+    def infos(self) -> dict[str, SettingInfo]:
+        infos = self.settings.infos()
+        return {
+            name: replace(infos[name], option=replace(infos[name].option, panel=infos[name].option.panel or self.panel))
+            for name in self.names or infos
+        }
+
+
+@dataclass(frozen=True)
+class Takes:
+    """What a command's function takes: settings of its own class, and those of another one."""
+
+    function: Callable[..., None]
+    own: type[Settings]
+    others: OptionsOf | None
+    parameters: frozenset[str]
+
+    @staticmethod
+    def of(function: Callable[..., None]) -> Takes:
+        hints = typing.get_type_hints(function, include_extras=True)
+        given = hints.get("given")
+        others = None if given is None else next(one for one in given.__metadata__ if isinstance(one, OptionsOf))
+        return Takes(function, hints.get("settings", Settings), others, frozenset(hints))
+
+    @property
+    def infos(self) -> dict[str, SettingInfo]:
+        """All settings by name, those of the other class first."""
+        return ({} if self.others is None else self.others.infos) | self.own_infos
+
+    @property
+    def own_infos(self) -> dict[str, SettingInfo]:
+        return {} if self.own is Settings else self.own.infos()
+
+    @property
+    def by_set(self) -> dict[str, SettingInfo]:
+        """Those that are no options of their own."""
+        return {name: info for name, info in self.infos.items() if not info.option.common}
+
+    def call(self, **arguments: Any) -> None:
+        """Raises InputError with everything that is wrong with the command's own settings."""
+        flags = {name: arguments.pop(name) for name in _FLAGS if name in arguments}
+        values = arguments | self._set(arguments.pop(_SET, None) or ())
+        own = {name: value for name, value in values.items() if name in self.own_infos and value != []}
+        given = {name: value for name, value in values.items() if name not in own and value != []}
+        more = {} if self.others is None else {"given": given}
+        try:
+            settings = {"settings": self.own(**own)} if "settings" in self.parameters else {}
+        except InputError as error:
+            raise InputError(on_command_line(problem, self.own_infos) for problem in error.problems) from None
+        self.function(**settings, **more, **flags)
+
+    def _set(self, texts: list[str]) -> dict[str, Any]:
+        """The values of --set. Raises InputError for those that are none."""
+        found: dict[str, Any] = {}
+        problems = []
+        for text in texts:
+            name, equals, value = text.partition("=")
+            name = name.strip().replace("-", "_")
+            if not equals:
+                problems.append(Problem("--set", "setting", repr(text), "name=value, as in sigma-px=2"))
+            elif name not in self.infos:
+                problems.append(Problem("--set", name, "an unknown setting", f"one of {', '.join(self.infos)}"))
+            elif self.infos[name].is_many:
+                found.setdefault(name, []).append(value)
+            else:
+                found[name] = value
+        if problems:
+            raise InputError(problems)
+        return found
+
+
+class _Command(TyperCommand):
+    """A command whose settings say themselves what is missing or wrong, all at once."""
+
+    takes: Takes
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        problems = [*_no_options(args, self.takes.by_set)]
+        if problems:
+            raise InputError(problems)
+        return super().parse_args(ctx, args)
+
+    def format_help(self, ctx: Any, formatter: Any) -> None:
+        for parameter in self.params:  # the parser never asks for what must be given, the help says it
+            info = self.takes.infos.get(str(parameter.name))
+            parameter.required = info is not None and info.default is MISSING
+        super().format_help(ctx, formatter)
+
+
+def _no_options(args: list[str], by_set: Mapping[str, SettingInfo]) -> Iterator[Problem]:
+    """Settings that were written as options, and how they are written."""
+    settings = {info.on_command_line.removeprefix("--set "): info for info in by_set.values()}
+    for word, following in zip(args, [*args[1:], ""], strict=False):
+        option, equals, value = word.partition("=")
+        name = option.removeprefix("--").removeprefix("no-")
+        if option.startswith("--") and name in settings:
+            info = settings[name]
+            value = value if equals else following
+            if info.is_flag:
+                value = "false" if option.startswith("--no-") else "true"
+            yield Problem(option, info.field, "no option of this name", f"--set {name}={value or 'VALUE'}")
+
+
+def make_command(name: str, function: Callable[..., None]) -> TyperCommand:
+    """The command of a function, see the text of the module."""
+    if _is_typers(function):
+        return _of_typer(name, function)
+    takes = Takes.of(function)
+    of_others = {} if takes.others is None else takes.others.infos
+    parameters = [_parameter(info, name in of_others) for name, info in takes.infos.items() if info.option.common]
+    if takes.by_set:
+        help = "Another setting, as in sigma-px=2, also several times. Listed by: recon settings"
+        parameters.append(_keyword(_SET, list[str] | None, typer.Option("--set", metavar="NAME=VALUE", help=help)))
+    parameters += [_keyword(flag, bool, option, False) for flag, option in _FLAGS.items() if flag in takes.parameters]
+
+    def call(**arguments: Any) -> None:
+        takes.call(**arguments)
+
+    call.__dict__["__signature__"] = inspect.Signature(parameters)
+    call.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
+    app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
+    app.command(name, help=inspect.getdoc(function), cls=_Command, context_settings=HELP)(call)
+    command = typer.main.get_command(app)
+    assert isinstance(command, _Command)
+    command.takes = takes
+    return command
+
+
+def _is_typers(function: Callable[..., None]) -> bool:
+    """Whether the function declares options of typer's itself."""
+    hints = typing.get_type_hints(function, include_extras=True).values()
+    return any("typer" in type(one).__module__ for hint in hints for one in getattr(hint, "__metadata__", ()))
+
+
+def _of_typer(name: str, function: Callable[..., None]) -> TyperCommand:
+    app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
+    app.command(name, context_settings=HELP)(function)
+    command = typer.main.get_command(app)
+    assert isinstance(command, TyperCommand)
+    return command
+
+
+def _keyword(name: str, kind: Any, info: Any, default: Any = None) -> inspect.Parameter:
+    return inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=Annotated[kind, info])
+
+
+def _parameter(info: SettingInfo, overrules: bool) -> inspect.Parameter:
+    """An option or argument of typer's. Its value is text, or a path, which the settings check. overrules: whether it
+    may take back what a file says."""
+    option, default = info.option, None if info.default is MISSING else info.default
+    kind: Any = bool if info.is_flag else Path if Path in info.parts else str
+    help = option.help
+    if default not in (None, "", ()) and not info.is_flag:
+        help += f" (default: {default:g})" if info.is_number else f" (default: {default})"
+    metavar = option.metavar or ("<number>" if info.is_number else "|".join(info.choices)) or None
+    more: dict[str, Any] = {"help": help, "show_default": False}
+    if info.choices:
+        more["autocompletion"] = lambda incomplete: [one for one in info.choices if one.startswith(incomplete)]
+    if option.argument:
+        typer_info = typer.Argument(metavar=option.argument, **more)
+    else:
+        flag = info.on_command_line
+        if info.is_flag and (default is not False or overrules):
+            flag = f"{flag}/--no-{flag[2:]}"
+        typer_info = typer.Option(flag, metavar=metavar, rich_help_panel=option.panel, **more)
+    return _keyword(info.field, list[kind] | None if info.is_many else kind | None, typer_info)
+
+
+# -- many commands ------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A command in the table of all: where its function is, and what the list of commands says of it."""
+
+    function: str
+    """As in recon.workflows.cli.fit:fit. Its module is imported when the command is called."""
+    help: str
+    panel: str | None = None
+
+    def load(self, name: str) -> TyperCommand:
+        module, _, function = self.function.partition(":")
+        return make_command(name, getattr(import_module(module), function))
+
+
+class CommandGroup(TyperGroup):
+    """Commands by name, of which only the one that is called is imported.
+
+    table: by name; the first word of several may be that of a group, whose help stands in `groups`, or a command."""
+
+    def __init__(
+        self, *, table: Mapping[str, Entry] | None = None, groups: Mapping[str, str] | None = None, **more: Any
+    ) -> None:
+        super().__init__(**more)
+        self.table = dict(table or {})
+        for name, entry in self.table.items():
+            first, _, rest = name.partition(" ")
+            if first in (groups or {}):
+                group = self.commands.setdefault(first, _group(first, (groups or {})[first], entry.panel))
+                assert isinstance(group, CommandGroup)
+                group.table[rest] = entry
+                group.add_command(TyperCommand(rest, help=entry.help))
+            else:
+                self.add_command(TyperCommand(name, help=entry.help, rich_help_panel=entry.panel))
+
+    def load(self, name: str) -> TyperCommand:
+        """A command by its name, of one word or two."""
+        return self.table[name].load(name)
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        both = " ".join(args[:2])
+        name, command, rest = super().resolve_command(ctx, [both, *args[2:]] if both in self.commands else args)
+        is_leaf = command is not None and not isinstance(command, CommandGroup)
+        return name, self.load(str(name)) if is_leaf else command, rest
+
+
+def _group(name: str, help: str, panel: str | None) -> CommandGroup:
+    return CommandGroup(name=name, help=help, rich_help_panel=panel, no_args_is_help=True)
