@@ -5,7 +5,7 @@
     python benchmarks/calibration_of_doubt.py --recorded dog|cheetah [--clips 200] [--noise-s 0.16]
 
 Each clip draws a motion, a size, a camera and a detector's errors as the trajectory method expects them, and is fitted
-again. Angles: the Gaussian of the pose prior and the motion prior together, flattened so that `error_time_s` of clip
+again. Angles: the Gaussian of the pose prior and the motion prior together, flattened so that `ERROR_TIME_S` of clip
 says the same, as the stated doubt has it. Path: straight on at 6 to 14 m/s, headings all around. Camera: 40 to 100
 degrees wide, the animal 3 to 12 m off and up to 1.5 m below. Detections: noise that lasts as long, keypoints beside
 their markers, the camera's lag, 5 % of gross outliers, points missing at random. If the doubt is true, the truth is in
@@ -47,7 +47,7 @@ from recon.animal.detector import seen_by
 from recon.animal.prior import ANGLES, MotionPrior, as_one_gaussian, builtin_priors, load_prior, prior_from_body
 from recon.base.errors import InputError
 from recon.clip import View, still_view
-from recon.fit import TrajectoryOptions, solve_trajectory
+from recon.fit import TrajectoryOptions, constants, solve_trajectory
 from recon.fit.posterior import factored
 from recon.fit.regions import share_below, share_inside
 from recon.fit.setting import Setting
@@ -256,8 +256,8 @@ def main() -> None:
     parser.add_argument("--clips", type=int, default=200)
     parser.add_argument("--skeleton", default="cheetah-24")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--motion-s", type=float, default=TrajectoryOptions().error_time_s)
-    parser.add_argument("--noise-s", type=float, default=TrajectoryOptions().error_time_s)
+    parser.add_argument("--motion-s", type=float, default=constants.ERROR_TIME_S)
+    parser.add_argument("--noise-s", type=float, default=constants.ERROR_TIME_S)
     parser.add_argument("--recorded", choices=("dog", "cheetah"))
     given = parser.parse_args()
     with multiprocessing.Pool(2) as pool:

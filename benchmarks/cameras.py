@@ -22,6 +22,7 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
+from held_constants import options_with
 from markdown_table import print_table
 from recordings import recordings
 from trajectory import SKELETON, body_of, meta_of, prior_of, truth_of
@@ -103,7 +104,8 @@ def most_different(run: Run) -> int:
 
 def solved(run: Run, cameras: Iterable[int], body: Body, **options: object) -> TrajectorySolution:
     views = [run.views[c] for c in cameras]
-    return solve_trajectory(views, body, prior_of(PRIOR), run.fps, TrajectoryOptions(**options))  # type: ignore[arg-type]
+    with options_with(options) as chosen:
+        return solve_trajectory(views, body, prior_of(PRIOR), run.fps, chosen)
 
 
 def errors(run: Run, solution: TrajectorySolution) -> dict[str, float]:
@@ -328,14 +330,14 @@ def main() -> None:
     runs = runs_given(__doc__)
     for title, rows in (
         (f"Measured lengths of {SKELETON}", lambda: accuracy(runs, known=True)),
-        ("Measured lengths, every animal goes where it looks", lambda: accuracy(runs, known=True, crab_rad=HELD)),
-        ("Measured lengths, no camera shares displacements", lambda: accuracy(runs, known=True, common_share=0.0)),
+        ("Measured lengths, every animal goes where it looks", lambda: accuracy(runs, known=True, SIDESLIP_RAD=HELD)),
+        ("Measured lengths, no camera shares displacements", lambda: accuracy(runs, known=True, COMMON_BIAS_SHARE=0.0)),
         ("Size not known", lambda: accuracy(runs, known=False)),
         ("A camera left out: median reprojection into it", lambda: left_out(runs)),
         ("All cameras, and what is known of keypoints", lambda: keypoints(runs)),
         ("Where animals go beside where they look", lambda: ways(runs)),
-        ("Measured lengths, lags held", lambda: accuracy(runs, known=True, lag_frames=HELD)),
-        ("A camera left out, lags held", lambda: left_out(runs, lag_frames=HELD)),
+        ("Measured lengths, lags held", lambda: accuracy(runs, known=True, TIME_OFFSET_FRAMES=HELD)),
+        ("A camera left out, lags held", lambda: left_out(runs, TIME_OFFSET_FRAMES=HELD)),
         ("Lags with all cameras, frames", lambda: lags(runs)),
         ("One camera, all views", lambda: measured(runs)),
         ("One camera, by run", lambda: by_run(runs)),

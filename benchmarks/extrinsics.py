@@ -54,10 +54,10 @@ FIELD_M = 1.5
 """How far the middle of a simulated way lies from that of the run, along each axis."""
 
 
-def without_poses(views: Sequence[View], body: Body, fps: float, **options: object) -> Setting:
+def without_poses(views: Sequence[View], body: Body, fps: float, **options: bool) -> Setting:
     lenses = [replace(view.camera, rotation=None, translation_m=None) for view in views]
     bare = [still_view(lens, view.xy_px, view.confidence) for lens, view in zip(lenses, views, strict=True)]
-    return Setting.of(bare, body, prior_of(PRIOR), fps, TrajectoryOptions(**options), ground_near_zero=False)  # type: ignore[arg-type]
+    return Setting.of(bare, body, prior_of(PRIOR), fps, TrajectoryOptions(**options), ground_near_zero=False)
 
 
 def found(views: Sequence[Sequence[View]], bodies: Sequence[Body], fps: Sequence[float]) -> Rig:

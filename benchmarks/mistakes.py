@@ -41,7 +41,7 @@ from recon.check.inputs.likelihood import CLEAR, baseline_of, unlikely
 from recon.check.inputs.swaps import Stretch, exchanged, pairs_of, swaps
 from recon.clip import Source, views_of
 from recon.clip.keypoints import Keypoints, clean
-from recon.fit import TrajectoryOptions, solve_trajectory
+from recon.fit import TrajectoryOptions, constants, solve_trajectory
 from recon.fit.setting import Setting
 from recon.gait.evaluation import centre, joint_errors
 from recon.io.deeplabcut import write_csv
@@ -347,7 +347,7 @@ def bound_rows(view: View, folder: Path) -> list[dict[str, Any]]:
     motion, _ = fitted(view, CASES["untouched"], folder)
     lens, _, _, truth_m = view_of(view.run, view.camera)
     (seen,), sigma_px, T = motion.solution.views, motion.solution.noise_px[0], len(view.xy_px)
-    alike = max(TrajectoryOptions().error_time_s * motion.fps, 1.0)
+    alike = max(constants.ERROR_TIME_S * motion.fps, 1.0)
     projected, _ = lens.project(truth_m)
 
     def surprise(stretch: Stretch) -> float:

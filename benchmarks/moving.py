@@ -23,6 +23,7 @@ from pathlib import Path
 
 import numpy as np
 from cameras import PRIOR, Run, errors, run_of
+from held_constants import options_with
 from markdown_table import print_header, print_row
 from recordings import recordings
 from scipy.ndimage import gaussian_filter1d
@@ -30,7 +31,7 @@ from scipy.spatial.transform import Rotation
 from trajectory import body_of, prior_of
 
 from recon.clip import View, held
-from recon.fit import TrajectoryOptions, TrajectorySolution, solve_trajectory
+from recon.fit import TrajectoryOptions, TrajectorySolution, constants, solve_trajectory
 from recon.fit.terms import Standing
 from recon.geometry.frames import rigid
 
@@ -171,8 +172,8 @@ def size_rows(run: Run) -> Iterator[dict]:
     body, prior = body_of(run.subject), prior_of(PRIOR)
 
     def size(sigma: float, slip_m_s: float, speed_m_s: float = SPEED_M_S) -> str:
-        options = TrajectoryOptions(size_sigma=sigma, slip_m_s=slip_m_s)
-        found = solve_trajectory([driven(run, speed_m_s)["driven"]], body, prior, run.fps, options)
+        with options_with({"size_sigma": sigma, "SLIP_M_S": slip_m_s}) as options:
+            found = solve_trajectory([driven(run, speed_m_s)["driven"]], body, prior, run.fps, options)
         return f"{found.size:.3f} ± {found.size_sigma:.2f}"
 
     feet_m = run.truth_m[:, [body.markers.index(foot) for foot in body.feet]]
@@ -191,7 +192,7 @@ def size_rows(run: Run) -> Iterator[dict]:
 def size_of_feet(run: Run, feet_m: np.ndarray, slip_m_s: float) -> float:
     """The size at which a driven camera's picture has the feet (T, F, 3) stand best, as the solver weighs it."""
     centres = driven(run)["driven"].centre_m[:, None]
-    stance = Standing(np.arange(feet_m.shape[1]), run.fps, slip_m_s, TrajectoryOptions().slip_c, 1.0)
+    stance = Standing(np.arange(feet_m.shape[1]), run.fps, slip_m_s, constants.SLIP_C)
     sizes = np.geomspace(0.5, 2.0, 201)
     losses = [np.nansum(stance.contact(centres + size * (feet_m - centres), 1.0)[1]) for size in sizes]
     return float(sizes[np.argmin(losses)])

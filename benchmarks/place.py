@@ -23,7 +23,7 @@ from cameras import Run, as_seen, body_of, runs_given, show, solved, states_of, 
 
 from recon import Body
 from recon.animal.prior import prior_from_body
-from recon.fit import TrajectoryOptions, solve_trajectory
+from recon.fit import constants, solve_trajectory
 from recon.fit.least_squares import Estimate, LeastSquares
 from recon.fit.terms import Reprojection
 from recon.fit.trajectory import Solved, refined, solve_spells
@@ -211,7 +211,7 @@ def displacements(run: Run, body: Body) -> list[tuple[np.ndarray, np.ndarray]]:
         share = weight / np.maximum(weight.sum(axis=0), 1e-9) / px_per_m[:, None]
         off_m = np.einsum("tj,tja->ja", share, np.where(weight[..., None] > 0, view.xy_px - pixels, 0.0))
         shows = np.einsum("tj,tjab->jab", share, by_point @ turned)
-        seen = np.flatnonzero(view.present.sum(axis=0) >= TrajectoryOptions().error_time_s * run.fps)
+        seen = np.flatnonzero(view.present.sum(axis=0) >= constants.ERROR_TIME_S * run.fps)
         for j in seen:
             found[j].append((off_m[j] - np.median(off_m[seen], axis=0), shows[j]))
     return [tuple(map(np.concatenate, zip(*of, strict=True))) for of in found if of]  # type: ignore[misc]

@@ -24,6 +24,7 @@ from dataclasses import replace
 import numpy as np
 from cameras import PRIOR, Run, as_seen, cameras_of, errors, runs_given
 from extrinsics import off_in_sigmas, rigs, with_parts
+from held_constants import holding
 from markdown_table import print_table
 from scipy.spatial.transform import Rotation
 from trajectory import body_of, prior_of
@@ -89,7 +90,7 @@ def rows(run: Run) -> Iterator[dict]:
         }
 
 
-def together(clips: Sequence[Run], views: Sequence[Sequence[View]], bodies: Sequence[Body], **options: object) -> dict:
+def together(clips: Sequence[Run], views: Sequence[Sequence[View]], bodies: Sequence[Body]) -> dict:
     """What all clips of a rig tell, from the poses as they are and from displaced ones: degrees and metres, means over
     the draws; and how far off the displaced are then, in what is stated."""
     own = views[0]
@@ -98,7 +99,7 @@ def together(clips: Sequence[Run], views: Sequence[Sequence[View]], bodies: Sequ
         settings = []
         for run, of, body in zip(clips, views, bodies, strict=True):
             placed = [replace(view, T_camera_world=at.T_camera_world) for view, at in zip(of, first, strict=True)]
-            settings.append(Setting.of(placed, body, prior_of(PRIOR), run.fps, TrajectoryOptions(**options)))  # type: ignore[arg-type]
+            settings.append(Setting.of(placed, body, prior_of(PRIOR), run.fps, TrajectoryOptions()))
         rig = solve_extrinsics(settings, posed=True)
         return [replace(view, T_camera_world=T) for view, T in zip(first, rig.T_camera_world, strict=True)], rig.sigma
 
@@ -122,8 +123,8 @@ def of_detector(clips: Sequence[Run], runs: Sequence[Run]) -> dict:
 
 def of_others(runs: Sequence[Run]) -> Iterator[dict]:
     """Means over the runs, one clip each."""
-    independent = {"error_time_s": 0.0, "beside_share": 0.0}
-    for label, random, options in (
+    independent = {"ERROR_TIME_S": 0.0, "KEYPOINT_BIAS_SHARE": 0.0}
+    for label, random, constants in (
         ("projections of the truth", 0, {}),
         ("and white noise", 1, {}),
         ("and white noise, taken for it", 1, independent),
@@ -132,7 +133,8 @@ def of_others(runs: Sequence[Run]) -> Iterator[dict]:
         for i, run in enumerate(runs):
             rng = np.random.default_rng(i)
             views = [with_parts(run, run.views[c], 0, 0, random, rng) for c in cameras_of(run)["all"]]
-            rows.append(together([run], [views], [replace(body_of(run.subject), keypoint_spread_m={})], **options))
+            with holding(**constants):
+                rows.append(together([run], [views], [replace(body_of(run.subject), keypoint_spread_m={})]))
         yield {"detections": label} | _shown({name: np.mean([row[name] for row in rows], axis=0) for name in rows[0]})
 
 

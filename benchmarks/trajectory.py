@@ -29,6 +29,7 @@ import numpy as np
 import pandas as pd
 from cheetah_runs import PUBLISHED, view_row
 from gallop import gallop
+from held_constants import options_with
 from recordings import recordings
 
 from recon import Body, Camera, load_skeleton, read_camera, read_keypoints, read_pose3d
@@ -37,7 +38,7 @@ from recon.animal.prior import MotionPrior, as_one_gaussian, load_prior
 from recon.animal.skeleton_file import load_chain
 from recon.clip import View, still_view
 from recon.clip.keypoints import clean
-from recon.fit import TrajectoryOptions, TrajectorySolution, solve_trajectory
+from recon.fit import TrajectoryOptions, TrajectorySolution, constants, solve_trajectory
 from recon.fit.points import solve_points_and_size
 from recon.fit.regions import radius, sigmas
 from recon.gait.clip import PLACE_LASTS_S, POSE_LASTS_S
@@ -201,13 +202,9 @@ def solution_of(job: Job) -> TrajectorySolution:
     meta = meta_of(job.run)
     body = body_of(meta["subject"] if job.subject else None, job.scale)
     trusted = np.where(np.isfinite(xy_px[..., 0]), 1.0 if job.change == "projected" else confidence, 0.0)
-    return solve_trajectory(
-        [still_view(lens, xy_px, trusted)],
-        replace(body, keypoint_offset_m={}),
-        prior_of(job.prior),
-        meta["fps"],
-        TrajectoryOptions(**job.options),
-    )
+    views, body = [still_view(lens, xy_px, trusted)], replace(body, keypoint_offset_m={})
+    with options_with(job.options) as options:
+        return solve_trajectory(views, body, prior_of(job.prior), meta["fps"], options)
 
 
 def fit(job: Job) -> Fit:
@@ -468,13 +465,13 @@ def ablation(runs: Sequence[Path]) -> dict[str, Rows]:
         ("everything", {}, {}),
         ("no learned prior", none, {}),
         ("one Gaussian for the mixture", one_gaussian, {}),
-        ("no motion prior (weight 1e-3)", {}, {"motion_weight": 1e-3}),
-        ("no heading (1e3 m/s across)", {}, {"lateral_m_s": 1e3}),
-        ("no root acceleration (1e3 m/s2)", {}, {"acceleration_m_s2": (1e3, 1e3, 1e3)}),
-        ("no climb (1e3 m/s)", {}, {"climb_m_s": 1e3}),
+        ("no motion prior (weight 1e-3)", {}, {"MOTION_WEIGHT": 1e-3}),
+        ("no heading (1e3 m/s across)", {}, {"LATERAL_M_S": 1e3}),
+        ("no root acceleration (1e3 m/s2)", {}, {"ACCELERATION_M_S2": (1e3, 1e3, 1e3)}),
+        ("no climb (1e3 m/s)", {}, {"CLIMB_M_S": 1e3}),
         ("no ground, no stance", {}, {"ground": "none"}),
-        ("wide robust loss (c = 30)", {}, {"robust_c": 30.0}),
-        ("one noise round of three", {}, {"noise_rounds": 1}),
+        ("wide robust loss (c = 30)", {}, {"ROBUST_C": 30.0}),
+        ("one noise round of three", {}, {"NOISE_ROUNDS": 1}),
         ("fewer starts, looser (fast)", {}, {"fast": True}),
     ]
     poses = runs[0].parents[1] / "cheetah-poses"
@@ -530,10 +527,10 @@ def noise_free(runs: Sequence[Path]) -> Rows:
     for label, options in (
         ("as it is", {}),
         ("no ground, no stance", {"ground": "none"}),
-        ("pose priors / 100", {"pose_weight": 0.01, "mixture_weight": 0.01}),
-        ("motion prior / 100", {"motion_weight": 0.01}),
-        ("all three / 100", {"pose_weight": 0.01, "mixture_weight": 0.01, "motion_weight": 0.01}),
-        ("no heading", {"lateral_m_s": 1e3}),
+        ("pose priors / 100", {"POSE_WEIGHT": 0.01}),
+        ("motion prior / 100", {"MOTION_WEIGHT": 0.01}),
+        ("all three / 100", {"POSE_WEIGHT": 0.01, "MOTION_WEIGHT": 0.01}),
+        ("no heading", {"LATERAL_M_S": 1e3}),
         ("noise 0.1 px, 0.5 mm", {"sigma_px": 0.1, "keypoint_sigma_m": 0.0005}),
     ):
         found = fits(replace(job, change="projected", options=exact | options) for job in views(runs))
@@ -719,7 +716,8 @@ def main() -> None:
         print(f"no runs in {arguments.folder}: simulated clips only")
     print_table(
         f"{SKELETON}, prior {PRIOR}",
-        [{"hyper-parameter": f.name, "value": str(f.default)} for f in fields(TrajectoryOptions)],
+        [{"hyper-parameter": f.name, "value": str(f.default)} for f in fields(TrajectoryOptions)]
+        + [{"hyper-parameter": name, "value": str(value)} for name, value in vars(constants).items() if name.isupper()],
     )
     written: Rows = []
     for name in dict.fromkeys((*REAL, *SIMULATED)):

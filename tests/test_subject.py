@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from recon import Body, InputError, load_skeleton
-from recon.fit import TrajectoryOptions
+from recon.fit import TrajectoryOptions, constants
 from recon.fit.points import solve_points
 from recon.fit.setting import Setting
 from recon.fit.shape import Shape, ShapeFit, fit_shape
@@ -58,9 +58,11 @@ def fitted(shape: Shape, true: np.ndarray, posed: bool = False) -> ShapeFit:
     """What is found from two cameras that filmed an animal of that shape; posed: with its poses known."""
     points = _run_of(shape.applied(body(), true))
     views = [view_of(points, AHEAD, 1.0), view_of(points, ASIDE, 1.0, seed=1)]
-    options = TrajectoryOptions(fast=True, keypoint_sigma_m=0.005, sigma_px=1.0, error_time_s=0.0)
+    options = TrajectoryOptions(fast=True, keypoint_sigma_m=0.005, sigma_px=1.0)
     setting = Setting.of(views, shape.body, PRIOR, FPS, options)
-    return fit_shape(shape, [replace(setting, known=solve_points(BODY, truth_m())[0] if posed else None)])
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(constants, "ERROR_TIME_S", 0.0)
+        return fit_shape(shape, [replace(setting, known=solve_points(BODY, truth_m())[0] if posed else None)])
 
 
 def true_values(shape: Shape) -> np.ndarray:

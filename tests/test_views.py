@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from recon.clip import View, camera_poses, still_view
-from recon.fit import TrajectoryOptions, TrajectorySolution, solve_trajectory
+from recon.fit import TrajectoryOptions, TrajectorySolution, constants, solve_trajectory
 from recon.fit.setting import Setting
 from recon.geometry.frames import inverse, level_from_camera, moved, rigid
 from recon.io.pose3d import read_pose3d
@@ -150,16 +150,17 @@ def test_a_view_that_does_not_see_the_animal_for_a_while():
     assert sigma[30:].mean() > 1.5 * sigma[:10].mean()
 
 
-def test_an_animal_that_goes_beside_where_it_looks():
+def test_an_animal_that_goes_beside_where_it_looks(monkeypatch):
     """Every frame turned by 0.2 rad about its middle: two cameras see it, and say so where it goes straight on."""
     points, turn = truth_m(), 0.2
     middle = points.mean(axis=1, keepdims=True)
     rotation = np.array([[np.cos(turn), np.sin(turn), 0.0], [-np.sin(turn), np.cos(turn), 0.0], [0.0, 0.0, 1.0]])
     beside = middle + (points - middle) @ rotation.T
     views = [view_of(beside, AHEAD), view_of(beside, ASIDE, seed=1)]
-    found, held = (
-        solve_trajectory(views, BODY, PRIOR, FPS, TrajectoryOptions(fast=True, crab_rad=sigma)) for sigma in (0.1, 1e-4)
-    )
+    found = solve_trajectory(views, BODY, PRIOR, FPS, TrajectoryOptions(fast=True))
+    with monkeypatch.context() as patch:
+        patch.setattr(constants, "SIDESLIP_RAD", 1e-4)
+        held = solve_trajectory(views, BODY, PRIOR, FPS, TrajectoryOptions(fast=True))
     assert found.crab_rad == pytest.approx(turn, abs=3 * found.crab_sigma_rad)
     assert found.crab_sigma_rad < 0.05
     assert abs(two().crab_rad) < 3 * two().crab_sigma_rad
@@ -187,29 +188,24 @@ def test_a_camera_half_a_frame_late_is_no_worse_for_it():
     assert error < np.linalg.norm(two().joints_m - points, axis=-1).mean() + 0.003
 
 
-def test_a_camera_late_by_less_than_a_frame_is_found():
+def test_a_camera_late_by_less_than_a_frame_is_found(monkeypatch):
     """Which nobody said: the place does not suffer, and with one camera it is as uncertain as that."""
     points = truth_m()
     late = view_of(0.6 * points + 0.4 * np.concatenate([points[1:], 2 * points[-1:] - points[-2:-1]]), AHEAD)
     third = view_of(points, pose([-6.0, 2.0, 0.5], 0.6), seed=2)
-    found, held = (
-        solve_trajectory(
-            [late, view_of(points, ASIDE, seed=1), third],
-            BODY,
-            PRIOR,
-            FPS,
-            TrajectoryOptions(fast=True, lag_frames=frames),
-        )
-        for frames in (TrajectoryOptions().lag_frames, 1e-3)
-    )
+
+    def known_to(frames: float, *views: View) -> TrajectorySolution:
+        with monkeypatch.context() as patch:
+            patch.setattr(constants, "TIME_OFFSET_FRAMES", frames)
+            return solve_trajectory(views, BODY, PRIOR, FPS, TrajectoryOptions(fast=True))
+
+    of_three = (late, view_of(points, ASIDE, seed=1), third)
+    found, held = (known_to(frames, *of_three) for frames in (constants.TIME_OFFSET_FRAMES, 1e-3))
     assert found.lag_frames[0] - found.lag_frames[1:].mean() == pytest.approx(0.4, abs=0.1)
     error = [np.linalg.norm(solution.joints_m - points, axis=-1).mean() for solution in (found, held)]
     assert error[0] < error[1]
     step_m = 9.0 / FPS
-    one, sure = (
-        solve_trajectory([view_of(points, AHEAD)], BODY, PRIOR, FPS, TrajectoryOptions(fast=True, lag_frames=frames))
-        for frames in (0.5, 1e-6)
-    )
+    one, sure = (known_to(frames, view_of(points, AHEAD)) for frames in (0.5, 1e-6))
     along = np.gradient(points.mean(axis=1), axis=0)
     along /= np.linalg.norm(along, axis=1, keepdims=True)
     more = np.einsum("ta,tjab,tb->tj", along, one.covariance_m2 - sure.covariance_m2, along)

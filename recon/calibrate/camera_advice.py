@@ -17,6 +17,7 @@ from recon.animal.body import Body
 from recon.animal.prior import MotionPrior
 from recon.base.arrays import Array
 from recon.clip import View, still_view
+from recon.fit import constants
 from recon.fit.least_squares import Estimate
 from recon.fit.posterior import posterior
 from recon.fit.setting import Setting, TrajectoryOptions
@@ -135,7 +136,7 @@ def known(
     noise_px = setting.noise_px(around_m, np.ones((len(views), len(body.markers))))
     problem = setting.problem(noise_px, temperature=1.0, around_m=around_m)
     found = Estimate(at_origin, 0.0, 0, True, problem.expected())
-    result = posterior(problem, body, found, max(options.error_time_s * FPS, 1.0))
+    result = posterior(problem, body, found, max(constants.ERROR_TIME_S * FPS, 1.0))
     if angle is not None:
         column = body.state_names[3:].index(angle)
         return (

@@ -15,7 +15,7 @@ from recon.animal.prior import mean_speed_m_s
 from recon.base.arrays import mean
 from recon.check.codes import finding, ordered
 from recon.check.inputs import FASTEST_M_S
-from recon.fit import TrajectoryOptions, TrajectorySolution
+from recon.fit import TrajectorySolution, constants
 from recon.fit.finding import Finding
 from recon.fit.motion import Motion
 from recon.fit.results import MEASURED_SHARE
@@ -119,7 +119,7 @@ def cameras_out_of_step(motion: Motion) -> Iterator[Finding]:
     late = [v.lead_frames - s.lead_frames for v, s in zip(motion.solution.views, motion.sources, strict=True)]
     first, last = int(np.argmin(late)), int(np.argmax(late))
     apart = late[last] - late[first]
-    if apart > OUT_OF_STEP_SIGMAS * math.sqrt(2.0) * TrajectoryOptions.lag_frames:
+    if apart > OUT_OF_STEP_SIGMAS * math.sqrt(2.0) * constants.TIME_OFFSET_FRAMES:
         names = tuple(motion.pictures[v].name for v in (first, last))
         yield finding("cameras_out_of_step", cameras=names, apart_frames=apart)
 

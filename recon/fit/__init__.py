@@ -3,6 +3,7 @@
 The only place that solves for an animal's motion, besides the wings' own methods.
 """
 
+from recon.fit import constants
 from recon.fit.points import solve_points
 from recon.fit.result import Ground, Solution, Spell, Start, TrajectorySolution
 from recon.fit.setting import TrajectoryOptions
@@ -15,6 +16,7 @@ __all__ = [
     "Start",
     "TrajectoryOptions",
     "TrajectorySolution",
+    "constants",
     "solve_points",
     "solve_trajectory",
 ]

@@ -24,6 +24,7 @@ from threadpoolctl import threadpool_limits
 from recon.base.arrays import Array
 from recon.base.progress import Progress, silent
 from recon.clip import View
+from recon.fit import constants
 from recon.fit.least_squares import Shared
 from recon.fit.posterior import factored
 from recon.fit.setting import Setting
@@ -79,14 +80,13 @@ def solve_extrinsics(
     settings: Sequence[Setting], posed: bool = False, level_rad: float = LEVEL_RAD, progress: Progress = silent
 ) -> Rig:
     """settings: of clips, each with the same V cameras in the same order; one that did not film a clip saw nothing
-    in it. posed: the cameras stand where the views say, but for the options' `placing_rad` and `placing_m`. level_rad:
-    how far the upward directions of cameras that are not (`Camera.up`) are from the truth, about each axis.
+    in it. posed: the cameras stand where the views say, but for `constants.CAMERA_TURN_RAD` and `CAMERA_SHIFT_M`.
+    level_rad: how far the upward directions of cameras that are not (`Camera.up`) are from the truth, about each axis.
 
     Raises TooLittleInCommonError.
     """
-    options = settings[0].options
     settings = [_as_rig(one, posed) for one in settings]
-    turn_rad, shift_m = (options.placing_rad, options.placing_m) if posed else (_PLACING_RAD, _PLACING_M)
+    turn_rad, shift_m = (constants.CAMERA_TURN_RAD, constants.CAMERA_SHIFT_M) if posed else (_PLACING_RAD, _PLACING_M)
     sigma = np.tile(np.repeat([turn_rad, shift_m], 3), len(settings[0].views))
     sigma[: 6 if posed else 0] = sigma[3:6] = _HELD
     with threadpool_limits(1, user_api="blas"):
@@ -118,8 +118,8 @@ def solve_extrinsics(
 
 def _as_rig(setting: Setting, posed: bool) -> Setting:
     size_sigma = setting.options.size_sigma if posed else _SIZE_SIGMA
-    o = replace(setting.options, refine_cameras=False, lag_frames=_LAG_FRAMES, size_sigma=size_sigma)
-    return replace(setting, options=o)
+    options = replace(setting.options, refine_cameras=False, size_sigma=size_sigma)
+    return replace(setting, options=options, time_offset_frames=_LAG_FRAMES)
 
 
 def search_offsets(setting: Setting) -> Array:

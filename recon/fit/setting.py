@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from recon.animal.body import Body
 from recon.animal.prior import MotionPrior, prior_from_body
 from recon.clip import View
+from recon.fit import constants
 from recon.fit.least_squares import LeastSquares, Shared
 from recon.fit.terms import (
     CRAB,
@@ -45,73 +46,36 @@ _APART_M = 1e-6
 
 @dataclass(frozen=True)
 class TrajectoryOptions:
-    """How the trajectory method weighs and searches. Standard deviations unless said otherwise.
-
-    sigma_px: the detector's noise; keypoint_sigma_m: how far keypoints lie from the markers, in place of the body's;
-    beside_share: the part of it that stays the same over a clip; common_share: the part of that variance which several
-    cameras see alike. size_sigma: of the size, relative, in place of the
-    body's. lag_frames: how much later or earlier than said a camera's pictures are taken. find_offsets:
-    they may be later or earlier than the first camera's by found_lag_frames. refine_cameras: all but the first lie
-    beside their poses, turned by placing_rad about each axis and moved by placing_m along it. focal_sigma: of all
-    cameras' focal lengths, relative, of several cameras. robust_c: residuals of that many sigmas count half.
-    pose_weight, mixture_weight, motion_weight: how many times the priors count per 1/90 s. acceleration_m_s2: of the
-    root in the level frame. lateral_m_s: of the velocity across the trunk. crab_rad: of the angle to the trunk at which
-    it goes all the time, of several cameras. climb_m_s: of the root. ground: "auto" uses contacts and a plane, "none"
-    does not; the stance's loss saturates at slip_c slip_m_s. noise_rounds: of step 4. error_time_s: how long errors
-    last; what is seen in that time counts once in the uncertainty.
-    fast: fewer starts, one of them to the end, and looser tolerances.
-
-    Where the values come from: those of the root's movement and of feet that stand have the size of what is seen in the
-    reconstructions that the prior `running-cheetah` is made of; lateral_m_s is an angle of 0.05 rad at 10 m/s, and
-    crab_rad that of the benchmark's real runs; lag_frames is that of a picture taken anywhere within a frame,
-    found_lag_frames a few of them; beside_share is what residuals of several cameras have in common over a clip, and
-    common_share what is likeliest in the real runs. The rest are round numbers; docs/benchmarks.md shows what they
-    matter. error_time_s was set on the real runs of the benchmark, so that 90 % regions hold about 90 % of the joints.
-    """
+    """What users say of how a clip is fitted; the numbers that nobody sets are in `recon.fit.constants`."""
 
     fast: bool = False
+    """Fewer starts, one of them to the end, and looser tolerances."""
     ground: Literal["auto", "none"] = "auto"
+    """auto: feet that stand are still and on one plane; none: nothing is said about them."""
     sigma_px: float = 3.0
+    """Standard deviation of the detector's noise."""
     keypoint_sigma_m: float | None = None
+    """Standard deviation of keypoints about the markers, in place of the body's."""
     size_sigma: float | None = None
-    beside_share: float = 0.6
-    common_share: float = 0.4
-    lag_frames: float = 12**-0.5
+    """Standard deviation of the size, relative, in place of the body's."""
     find_offsets: bool = False
-    found_lag_frames: float = 2.0
+    """Other cameras began to film some frames later or earlier than said, and it is found how many."""
     refine_cameras: bool = False
-    placing_rad: float = float(np.radians(2.0))
-    placing_m: float = 0.05
+    """All cameras but the first lie beside their poses, and it is found where."""
     focal_sigma: float | None = None
-    robust_c: float = 3.0
-    pose_weight: float = 1.0
-    mixture_weight: float = 1.0
-    motion_weight: float = 1.0
-    acceleration_m_s2: tuple[float, float, float] = (12.0, 12.0, 9.0)
-    yaw_acceleration_rad_s2: float = 40.0
-    lateral_m_s: float = 0.5
-    crab_rad: float = 0.1
-    climb_m_s: float = 0.5
-    stance_weight: float = 1.0
-    slip_m_s: float = 2.5
-    slip_c: float = 2.0
-    ground_height_m: float = 0.12
-    ground_slope: float = 0.02
-    ground_foot_m: float = 0.04
-    error_time_s: float = 0.16
-    noise_rounds: int = 3
-    tolerance: float = 1e-4
-    max_iterations: int = 30
+    """Standard deviation of all cameras' focal lengths, relative, of several cameras; None: they are exact."""
 
     def keypoint_noise_m(self, body: Body) -> float:
         """How far a body's keypoints lie from the markers."""
         return body.keypoint_sigma_m if self.keypoint_sigma_m is None else self.keypoint_sigma_m
 
-    def as_run(self) -> TrajectoryOptions:
-        """With what `fast` makes of the last rounds."""
-        if self.fast:
-            return replace(self, tolerance=10 * self.tolerance, noise_rounds=1)
-        return replace(self, noise_rounds=max(self.noise_rounds, 1))
+    @property
+    def noise_rounds(self) -> int:
+        return 1 if self.fast else constants.NOISE_ROUNDS
+
+    @property
+    def tolerance(self) -> float:
+        return (10 if self.fast else 1) * constants.TOLERANCE
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,6 +91,9 @@ class Setting:
     """(3,), world frame: the point that the body's size scales the scene about, the first camera's (mean) centre."""
     ground_near_zero: bool
     """Whether the ground is known to lie near the world's z = 0."""
+    time_offset_frames: float
+    """Standard deviation: how much later or earlier than said a camera's pictures are taken, where that is not to be
+    found (`TrajectoryOptions.find_offsets`)."""
     trust: float = 1.0
     """The part of its weight that the prior has; each angle on its own has the rest (`recon.fit.surprise`)."""
     known: Array | None = None
@@ -146,7 +113,8 @@ class Setting:
         if ground_near_zero is None:
             ground_near_zero = all(view.camera.knows_up for view in views)
         views = tuple(view.credible() for view in views)
-        return cls(views, body, prior, fps, options, np.mean(views[0].centre_m, axis=0), ground_near_zero)
+        origin_m = np.mean(views[0].centre_m, axis=0)
+        return cls(views, body, prior, fps, options, origin_m, ground_near_zero, constants.TIME_OFFSET_FRAMES)
 
     def __len__(self) -> int:
         """T"""
@@ -213,11 +181,16 @@ class Setting:
     @property
     def alike(self) -> float:
         """How many neighbouring frames' errors are alike and count once in the uncertainty."""
-        return max(self.options.error_time_s * self.fps, 1.0)
+        return max(constants.ERROR_TIME_S * self.fps, 1.0)
 
     @property
     def keypoint_sigma_m(self) -> float:
         return self.options.keypoint_noise_m(self.body)
+
+    @property
+    def keypoint_bias_m(self) -> float:
+        """How far a keypoint lies from its marker all the time, if nothing else is known of it."""
+        return constants.KEYPOINT_BIAS_SHARE * self.keypoint_sigma_m
 
     @property
     def in_frame_m(self) -> Array:
@@ -262,17 +235,17 @@ class Setting:
         o, J, V = self.options, len(self.body.markers), len(self.views)
         root = np.sqrt(self.alike)
         size = [Shared(SIZE, np.ones(1), np.array([self.size_sigma]))] if self.shows_size else []
-        first, late = (1, o.found_lag_frames) if o.find_offsets else (0, o.lag_frames)
+        first, late = (1, constants.SOUGHT_OFFSET_FRAMES) if o.find_offsets else (0, self.time_offset_frames)
         lags = [Shared(lag(i), np.zeros(1), np.array([late / root])) for i in range(first, V)]
-        crab = [Shared(CRAB, np.zeros(1), np.array([o.crab_rad / root]))] if len(self) > 1 else []
-        sigma = np.repeat([o.placing_rad, o.placing_m], 3) / root
+        crab = [Shared(CRAB, np.zeros(1), np.array([constants.SIDESLIP_RAD / root]))] if len(self) > 1 else []
+        sigma = np.repeat([constants.CAMERA_TURN_RAD, constants.CAMERA_SHIFT_M], 3) / root
         placings = [Shared(placing(i), np.zeros(6), sigma) for i in range(1, V)] if o.refine_cameras else []
         if o.focal_sigma is not None and V > 1:
             width = np.array([o.focal_sigma / root])
             placings += [Shared(focal(i), np.zeros(1), width) for i in range(V)]
         spread_m = self.body.keypoint_spread_m
-        off_m = np.array([spread_m.get(m, o.beside_share * self.keypoint_sigma_m) for m in self.body.markers]) / root
-        common = o.common_share if V > 1 else 0.0
+        off_m = np.array([spread_m.get(m, self.keypoint_bias_m) for m in self.body.markers]) / root
+        common = constants.COMMON_BIAS_SHARE if V > 1 else 0.0
         own_m, common_m = np.repeat(off_m * (1 - common) ** 0.5, 2), np.repeat(off_m * common**0.5, 3)
         displaced = [Shared(beside(i), np.zeros(2 * J), own_m) for i in range(V)] if own_m.all() else []
         displaced += [Shared(DISPLACED, np.zeros(3 * J), common_m)] if common_m.all() else []
@@ -289,10 +262,10 @@ class Setting:
         """All terms, each switched on here. noise_px (V, T, J). temperature: of the mixture of poses; None: one
         Gaussian of poses in its place. around_m (T, J, 3): the markers of a solution, and its size; then what all
         frames share is unknown."""
-        o, D, T = self.options, self.body.n_state, len(self)
+        D, T = self.body.n_state, len(self)
         rear, front = (self.body.markers.index(marker) for marker in self.body.forward)
         seen = [
-            Reprojection(view, sigma_px, o.robust_c, self.origin_m, i)
+            Reprojection(view, sigma_px, constants.ROBUST_C, self.origin_m, i)
             for i, (view, sigma_px) in enumerate(zip(self.views, noise_px, strict=True))
         ]
         shared: list[Shared] = []
@@ -305,19 +278,20 @@ class Setting:
         linear: list[Linear] = []
         terms: list[Term] = [*seen]
         if temperature is None:
-            linear.append(pose_term(self.prior, D, self.fps, o.pose_weight * self.trust))
+            linear.append(pose_term(self.prior, D, self.fps, constants.POSE_WEIGHT * self.trust))
         else:
-            terms.append(PoseMixture(self.prior, self.fps, o.mixture_weight * self.trust, temperature))
+            terms.append(PoseMixture(self.prior, self.fps, constants.POSE_WEIGHT * self.trust, temperature))
         if self.trust < 1:
             plain = prior_from_body(self.body)
-            linear.append(pose_term(plain, D, self.fps, o.pose_weight * (1 - self.trust)))
-            linear.append(dynamics_term(plain, D, self.fps, o.motion_weight * (1 - self.trust)))
+            linear.append(pose_term(plain, D, self.fps, constants.POSE_WEIGHT * (1 - self.trust)))
+            linear.append(dynamics_term(plain, D, self.fps, constants.MOTION_WEIGHT * (1 - self.trust)))
         if self.known is not None:
             terms.append(KnownAngles(self.known))
         if T > 1:
-            linear.append(climb_term(D, self.fps, o.climb_m_s))
-            terms.append(Heading(rear, front, self.fps, o.lateral_m_s))
+            linear.append(climb_term(D, self.fps, constants.CLIMB_M_S))
+            terms.append(Heading(rear, front, self.fps, constants.LATERAL_M_S))
         if T > 2:
-            linear.append(dynamics_term(self.prior, D, self.fps, o.motion_weight * self.trust))
-            linear.append(root_term(D, self.fps, np.array(o.acceleration_m_s2), o.yaw_acceleration_rad_s2))
+            linear.append(dynamics_term(self.prior, D, self.fps, constants.MOTION_WEIGHT * self.trust))
+            accelerations = np.array(constants.ACCELERATION_M_S2), constants.YAW_ACCELERATION_RAD_S2
+            linear.append(root_term(D, self.fps, *accelerations))
         return LeastSquares(self.body.detected, linear, [*terms, *contact_terms], shared, doubtful)

@@ -218,7 +218,7 @@ def _spread_m(body: Body, solved: Sequence[tuple[Setting, Solved]]) -> dict[str,
     """From the mean residuals of every marker in every view, less what all markers of the view share, and as if as many
     more had been as is expected: few say little."""
     setting = solved[0][0]
-    expected_m = setting.options.beside_share * setting.keypoint_sigma_m
+    expected_m = setting.keypoint_bias_m
     squares: dict[str, list[float]] = {name: [] for name in body.markers if not _follows(name, body)}
     for one, spell in solved:
         part = in_step(one.part(spell.rows), spell)

@@ -395,7 +395,7 @@ class Heading:
 
 @dataclass(frozen=True)
 class Standing:
-    """A foot that nearly stands, stands: its velocity with a redescending loss, weight (c sigma)^2 / 2 at most.
+    """A foot that nearly stands, stands: its velocity with a redescending loss, (c sigma)^2 / 2 at most.
 
     In the world: at nominal size, feet that a moving camera follows would stand for any animal that is large enough.
     feet (F,): markers. Geman-McClure: a foot in swing, well beyond c sigma, hardly pulls.
@@ -405,7 +405,6 @@ class Standing:
     fps: float
     sigma_m_s: float
     c: float
-    weight: float
     name: str = "stance"
     stencil: tuple[int, ...] = (0, 1)
 
@@ -420,7 +419,7 @@ class Standing:
         n, F = len(span.states) - 1, len(self.feet)
         size = size_of(span.shared)
         v, loss, slope = self.contact(span.pose.points_m, size)
-        weight = self.weight * REFERENCE_HZ / self.fps
+        weight = REFERENCE_HZ / self.fps
         frames = np.arange(span.first, span.first + n)
         cost = 0.5 * weight * loss.sum(axis=1)
         if not jacobian:
@@ -446,7 +445,6 @@ class OnGround:
     middle: Array
     fps: float
     sigma_m: float
-    weight: float
     name: str = "ground"
     stencil: tuple[int, ...] = (0, 1)
 
@@ -455,7 +453,7 @@ class OnGround:
         frames = np.arange(span.first, span.first + n)
         foot = span.pose.points_m[:, self.feet]
         middle = 0.5 * (foot[1:] + foot[:-1])
-        root = np.sqrt(self.contact[frames] * self.weight * REFERENCE_HZ / self.fps) / self.sigma_m
+        root = np.sqrt(self.contact[frames] * REFERENCE_HZ / self.fps) / self.sigma_m
         r = (middle[..., 2] - self.plane[0] - (middle[..., :2] - self.middle) @ self.plane[1:]) * root
         cost = 0.5 * np.sum(r * r, axis=1)
         if not jacobian:

@@ -35,6 +35,7 @@ from recon.animal.chain import MIN_JOINTS, MIN_REACH_PX
 from recon.animal.prior import ANGLES, NONE, MotionPrior
 from recon.base.progress import Progress, silent
 from recon.clip import View
+from recon.fit import constants
 from recon.fit.contacts import contacts
 from recon.fit.least_squares import Estimate, LeastSquares
 from recon.fit.posterior import Posterior, posterior, with_size
@@ -163,7 +164,7 @@ def refined(setting: Setting, solved: Solved) -> Solved:
 
 
 def _solve_spell(setting: Setting, rows: slice, progress: Progress) -> Solved:
-    o, T = setting.options.as_run(), len(setting)
+    o, T = setting.options, len(setting)
     clock = time.perf_counter()
     windows = _windows(setting, progress)
     iterations = sum(a.estimate.iterations for _, starts in windows for a in starts)
@@ -198,7 +199,7 @@ def _solve_spell(setting: Setting, rows: slice, progress: Progress) -> Solved:
 
 def _round(setting: Setting, solved: Solved, temperature: float | None, whole: bool) -> Solved:
     """The minimum from a solution; whole: with the noise, the contacts and the ground that follow from it."""
-    o = setting.options.as_run()
+    o = setting.options
     estimate, noise, contact, ground, contact_terms = solved.estimate, solved.noise, solved.contact, solved.ground, ()
     points, size = setting.markers(estimate.states), solved.size
     if whole:
@@ -207,7 +208,7 @@ def _round(setting: Setting, solved: Solved, temperature: float | None, whole: b
             contact, ground, contact_terms = contacts(setting, points, size)
     noise_px = setting.noise_px(points, noise, size)
     problem = setting.problem(noise_px, temperature, contact_terms, points, size)
-    limit, tolerance = (o.max_iterations, o.tolerance) if whole else (8, 1e-3)
+    limit, tolerance = (constants.MAX_ITERATIONS, o.tolerance) if whole else (8, 1e-3)
     estimate = problem.minimise(estimate.states, tolerance, limit, problem.expected() | dict(estimate.shared))
     return replace(
         solved,
@@ -307,7 +308,7 @@ def _noise_factors(setting: Setting, points_m: Array, size: float, factors: Arra
         seen = view.present & valid
         q = np.where(seen, np.sum((projected - view.xy_px) ** 2, axis=-1) / expected_px**2, 0.0)
         for _ in range(10):
-            weight = seen / (1.0 + q / factor / setting.options.robust_c**2)
+            weight = seen / (1.0 + q / factor / constants.ROBUST_C**2)
             factor = (np.sum(weight * q, axis=0) / 2 + 8.0) / (seen.sum(axis=0) + 8.0)
         found.append(np.clip(factor, 0.25, 6.0))
     return np.array(found)
@@ -452,7 +453,7 @@ def _size(
             at = one.contact / one.contact.sum()
             below = -float(np.sum(at * setting.markers(one.estimate.states)[:, setting.feet, 2]))
             variance = float(np.sum(at * of_one.covariance_m2[:, setting.feet, 2, 2]))
-            variance += setting.options.ground_height_m**2
+            variance += constants.GROUND_HEIGHT_M**2
             precision += below**2 / variance
             pull += float(setting.origin_m[2]) * below / variance
             told.append("ground")

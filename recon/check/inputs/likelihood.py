@@ -21,6 +21,7 @@ from recon.animal.prior import ANGLES
 from recon.base.arrays import Array, Bools
 from recon.clip import View
 from recon.clip.keypoints import frame_ranges
+from recon.fit import constants
 from recon.fit.least_squares import LeastSquares
 from recon.fit.setting import Setting
 from recon.fit.starts import APPROACH_HZ, approach, between
@@ -226,7 +227,7 @@ def off_ground(setting: Setting, states: Array) -> float:
         return 0.0
     feet_m = setting.markers(states)[:, setting.feet, 2]
     low_m = float(np.quantile(feet_m.min(axis=1), LOW_FEET))
-    sigma_m = np.hypot(setting.options.ground_height_m, setting.size_sigma * low_m)
+    sigma_m = np.hypot(constants.GROUND_HEIGHT_M, setting.size_sigma * low_m)
     return 0.5 * float((setting.origin_m[2] + low_m) / sigma_m) ** 2
 
 

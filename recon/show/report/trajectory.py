@@ -44,7 +44,7 @@ def sections(motion: Motion, settings: Mapping[str, Any]) -> dict[str, Any]:
         "summary": _summary(motion),
         "convergence": _convergence(solution),
         "solver": common.solver(
-            common.given_options(TrajectoryOptions, settings).as_run(),
+            common.given_options(TrajectoryOptions, settings),
             keypoint_sigma_m=motion.body.keypoint_sigma_m,
             size_sigma=motion.body.size_sigma,
         ),

@@ -1,0 +1,27 @@
+"""Other values of the solver's constants (`recon.fit.constants`) for a while, to see what they matter."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from typing import Any
+
+from recon.fit import TrajectoryOptions, constants
+
+
+@contextmanager
+def holding(**values: Any) -> Iterator[None]:
+    """Constants by their names, as in ROBUST_C."""
+    before = {name: getattr(constants, name) for name in values}
+    try:
+        vars(constants).update(values)
+        yield
+    finally:
+        vars(constants).update(before)
+
+
+@contextmanager
+def options_with(given: Mapping[str, Any]) -> Iterator[TrajectoryOptions]:
+    """Options and, where a name is in capitals, constants."""
+    with holding(**{name: value for name, value in given.items() if name.isupper()}):
+        yield TrajectoryOptions(**{name: value for name, value in given.items() if not name.isupper()})

@@ -1,0 +1,60 @@
+"""Numbers of the trajectory method that no user sets, each with its reason. Standard deviations unless said otherwise.
+
+Modules read them from here by name (`constants.ROBUST_C`), so that a test or a benchmark can hold another value for a
+while. docs/benchmarks.md shows what they matter.
+"""
+
+# -- what pictures show -------------------------------------------------------------------------------------------
+
+ROBUST_C = 3.0
+"""Residuals of so many standard deviations count half. A round number."""
+KEYPOINT_BIAS_SHARE = 0.6
+"""The part of a keypoint's distance from its marker that stays the same over a clip: what residuals of several cameras
+have in common over a clip."""
+COMMON_BIAS_SHARE = 0.4
+"""The part of that variance which several cameras see alike: the likeliest in the benchmark's real runs."""
+ERROR_TIME_S = 0.16
+"""How long errors of detections last: what is seen in that time counts once in the uncertainty. Set on the benchmark's
+real runs, so that 90 % regions hold about 90 % of the joints."""
+
+# -- what is not quite as said ------------------------------------------------------------------------------------
+
+TIME_OFFSET_FRAMES = 12**-0.5
+"""How much later or earlier than said a camera's pictures are taken: those taken anywhere within a frame."""
+SOUGHT_OFFSET_FRAMES = 2.0
+"""The same where cameras' offsets are to be found: a few frames."""
+CAMERA_TURN_RAD, CAMERA_SHIFT_M = 0.03490658503988659, 0.05
+"""How far a camera whose pose is to be refined is turned about each of its axes (2 degrees), and moved along it."""
+
+# -- how an animal moves ------------------------------------------------------------------------------------------
+
+POSE_WEIGHT, MOTION_WEIGHT = 1.0, 1.0
+"""How many times the prior's poses and its motion count per 1/90 s; benchmarks take them away by next to nothing."""
+ACCELERATION_M_S2 = (12.0, 12.0, 9.0)
+"""Of the root in the level frame: the size of what is seen in the reconstructions that the prior `running-cheetah` is
+made of, as are the next and those of feet that stand."""
+YAW_ACCELERATION_RAD_S2 = 40.0
+LATERAL_M_S = 0.5
+"""Of the velocity across the trunk: an angle of 0.05 rad at 10 m/s."""
+SIDESLIP_RAD = 0.1
+"""Of the angle to the trunk at which an animal goes all the time, of several cameras: that of the benchmark's real
+runs."""
+CLIMB_M_S = 0.5
+"""Of the root's vertical velocity."""
+
+# -- feet and ground ----------------------------------------------------------------------------------------------
+
+SLIP_M_S, SLIP_C = 2.5, 2.0
+"""Of the velocity of a foot that stands, and the number of standard deviations at which the loss saturates."""
+GROUND_HEIGHT_M, GROUND_SLOPE = 0.12, 0.02
+"""Of the ground below the animal, where it is known to lie near z = 0, and of its slope in each direction."""
+GROUND_FOOT_M = 0.04
+"""Of the height above the ground of a foot that stands."""
+
+# -- the search ---------------------------------------------------------------------------------------------------
+
+NOISE_ROUNDS = 3
+"""How often noise, contacts and ground are worked out anew (step 4 of `recon.fit.trajectory`); once in a fast fit."""
+TOLERANCE = 1e-4
+"""The relative decrease of the cost at which the search ends; ten times that in a fast fit."""
+MAX_ITERATIONS = 30
