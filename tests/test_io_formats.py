@@ -776,3 +776,10 @@ def test_a_bvh_file_of_infinite_size(tmp_path):
     )
     with pytest.raises(InputError, match="points: found infinite coordinates"):
         read_pose3d(path, unit="m")
+
+
+def test_every_format_is_on_its_page():
+    page = (Path(__file__).parents[1] / "docs" / "formats.md").read_text(encoding="utf-8")
+    for f in FORMATS:
+        assert f.title in page or f.title.split()[0] in page
+        assert f"`{f.suffixes[0]}`" in page

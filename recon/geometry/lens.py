@@ -8,8 +8,8 @@ of. As in OpenCV's documentation (modules calib3d and fisheye):
 - "fisheye": equidistant, k1 k2 k3 k4; theta_d = theta (1 + k1 theta^2 + k2 theta^4 + k3 theta^6 + k4 theta^8).
 
 To add one: a class below with `distort`, `undistorted_radius` and `max_radius`, and its place in `LENS_MODELS`.
-Projection with its derivatives, rays, calibration files of every format and COLMAP's models follow; where OpenCV can
-fit it, `calibrate` and `calibration_jacobian` let `recon calibrate` do so. A line in tests/test_camera.py tests it.
+Projection with its derivatives, rays, calibration files of every format and COLMAP's models follow, and `recon
+calibrate` where OpenCV can fit it. A line in tests/test_camera.py tests it.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -39,8 +39,10 @@ class Lens:
     """What ROS (`distortion_model`) and other files call it."""
     colmap: ClassVar[Mapping[str, str]] = {}
     """COLMAP's models of this kind, and their parameters in their order."""
-    calibrates: ClassVar[bool] = False
-    """Whether there is a `calibrate`."""
+    opencv: ClassVar[Literal["standard", "fisheye"] | None] = None
+    """Which of OpenCV's functions fit it to pictures of a board (`recon.calibrate.intrinsics.solve`), if any."""
+    calibrated: ClassVar[int] = 0
+    """How many coefficients they find."""
 
     def __init__(self, coefficients: Sequence[float]) -> None:
         self.k = (*coefficients, *[0.0] * (len(self.coefficients) - len(coefficients)))
@@ -89,24 +91,6 @@ class Lens:
             a, b = a + (d_bb * ex - d_ab * ey) / determinant, b + (d_aa * ey - d_ab * ex) / determinant
         return a, b, (error <= 100 * tolerance) & (determinant > 0) & (np.hypot(a, b) < self.max_radius)
 
-    # ---- from pictures of a board: N points (N, 3) and pixels (N, 2) of each ----
-
-    @staticmethod
-    def calibrate(points: Sequence[Array], pixels: Sequence[Array], size_px: tuple[int, int]) -> tuple[Any, ...]:
-        """OpenCV's least squares: matrix (3, 3), coefficients, and rotation vectors and translations of the boards.
-
-        Raises cv2.error or ValueError where there is no solution.
-        """
-        raise NotImplementedError
-
-    @staticmethod
-    def calibration_jacobian(
-        points: Array, rotation: Array, translation: Array, matrix: Array, coefficients: Array
-    ) -> tuple[Array, Array]:
-        """Derivatives of the pixels of one board by fx, fy, cx, cy and the coefficients, (2N, 4 + coefficients), and by
-        the rotation vector and translation, (2N, 6)."""
-        raise NotImplementedError
-
 
 class _RadialTangential(Lens):
     name = "radtan"
@@ -119,7 +103,8 @@ class _RadialTangential(Lens):
         "OPENCV": "fx fy cx cy k1 k2 p1 p2",
         "FULL_OPENCV": "fx fy cx cy k1 k2 p1 p2 k3 k4 k5 k6",
     }
-    calibrates = True
+    opencv = "standard"
+    calibrated = 5
 
     @cached_property
     def max_radius(self) -> float:
@@ -172,38 +157,17 @@ class _RadialTangential(Lens):
                 upper *= 2
         return _invert_increasing(radial, radius_d, upper)
 
-    @staticmethod
-    def calibrate(points: Sequence[Array], pixels: Sequence[Array], size_px: tuple[int, int]) -> tuple[Any, ...]:
-        return _calibrate_radtan(points, pixels, size_px, 5)
-
-    @staticmethod
-    def calibration_jacobian(
-        points: Array, rotation: Array, translation: Array, matrix: Array, coefficients: Array
-    ) -> tuple[Array, Array]:
-        import cv2  # slow to import
-
-        five = np.zeros(5)
-        five[: coefficients.size] = coefficients
-        _, jacobian = cv2.projectPoints(points.reshape(-1, 1, 3), rotation, translation, matrix, five)
-        jacobian = np.asarray(jacobian, dtype=float)
-        return jacobian[:, 6 : 10 + coefficients.size], jacobian[:, :6]
-
 
 class _Pinhole(Lens):
     name = "pinhole"
     colmap: ClassVar[Mapping[str, str]] = {"SIMPLE_PINHOLE": "f cx cy", "PINHOLE": "fx fy cx cy"}
-    calibrates = True
-    calibration_jacobian = staticmethod(_RadialTangential.calibration_jacobian)
+    opencv = "standard"
 
     def distort(self, a: Array, b: Array, r2: Array) -> tuple[Any, ...]:
         return a, b, 1.0, 0.0, 1.0
 
     def undistort(self, xd: Array, yd: Array) -> tuple[Array, Array, Bools]:
         return xd, yd, np.ones(xd.shape, dtype=bool)
-
-    @staticmethod
-    def calibrate(points: Sequence[Array], pixels: Sequence[Array], size_px: tuple[int, int]) -> tuple[Any, ...]:
-        return _calibrate_radtan(points, pixels, size_px, 0)
 
 
 class _Fisheye(Lens):
@@ -212,7 +176,8 @@ class _Fisheye(Lens):
     counts = (4,)
     aliases = ("equidistant",)
     colmap: ClassVar[Mapping[str, str]] = {"OPENCV_FISHEYE": "fx fy cx cy k1 k2 k3 k4"}
-    calibrates = True
+    opencv = "fisheye"
+    calibrated = 4
 
     @cached_property
     def max_radius(self) -> float:
@@ -239,45 +204,6 @@ class _Fisheye(Lens):
         theta, found = _invert_increasing(self._angle, radius_d, math.atan(self.max_radius))
         return np.tan(theta), found
 
-    @staticmethod
-    def calibrate(points: Sequence[Array], pixels: Sequence[Array], size_px: tuple[int, int]) -> tuple[Any, ...]:
-        """Started from several fields of view, because OpenCV keeps to the one it is given."""
-        import cv2  # slow to import
-
-        objects, images = [p.reshape(1, -1, 3) for p in points], [p.reshape(1, -1, 2) for p in pixels]
-        names = ("CALIB_USE_INTRINSIC_GUESS", "CALIB_RECOMPUTE_EXTRINSIC", "CALIB_FIX_SKEW")
-        # OpenCV 4 has flags of its own for fisheyes, of other values; OpenCV 5 has one set for all lenses.
-        flags = sum(getattr(cv2.fisheye if hasattr(cv2.fisheye, "CALIB_FIX_SKEW") else cv2, name) for name in names)
-        best: Any = None
-        failure: cv2.error | None = None
-        for field_deg in (60.0, 100.0, 140.0, 180.0):
-            f, (cx, cy) = size_px[0] / math.radians(field_deg), ((n - 1) / 2 for n in size_px)
-            guess = np.array([[f, 0, cx], [0, f, cy], [0, 0, 1]])
-            try:
-                found = cv2.fisheye.calibrate(
-                    objects, images, size_px, guess, np.zeros(4), flags=flags, criteria=_criteria()
-                )
-            except cv2.error as error:
-                failure = error
-                continue
-            if math.isfinite(found[0]) and (best is None or found[0] < best[0]):
-                best = found
-        if best is None:
-            raise failure or ValueError("no finite solution")
-        _, matrix, coefficients, rotations, translations = best
-        return matrix, np.ravel(coefficients), rotations, translations
-
-    @staticmethod
-    def calibration_jacobian(
-        points: Array, rotation: Array, translation: Array, matrix: Array, coefficients: Array
-    ) -> tuple[Array, Array]:
-        import cv2  # slow to import
-
-        objects = points.reshape(-1, 1, 3)
-        _, jacobian = cv2.fisheye.projectPoints(objects, rotation, translation, matrix, coefficients)
-        jacobian = np.asarray(jacobian, dtype=float)
-        return jacobian[:, :8], jacobian[:, 8:14]
-
 
 LENS_MODELS: dict[str, type[Lens]] = {lens.name: lens for lens in (_Pinhole, _RadialTangential, _Fisheye)}
 """By name."""
@@ -289,32 +215,6 @@ def lens_named(text: str) -> str | None:
 
 
 # -- what the models share -------------------------------------------------------------------------------------------
-
-
-def _criteria() -> tuple[int, int, float]:
-    """When OpenCV's solvers stop."""
-    import cv2  # slow to import
-
-    return cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 200, 1e-10
-
-
-def _calibrate_radtan(
-    points: Sequence[Array], pixels: Sequence[Array], size_px: tuple[int, int], count: int
-) -> tuple[Any, ...]:
-    """As `Lens.calibrate`, with the first five coefficients or with none."""
-    import cv2  # slow to import
-
-    fixed = cv2.CALIB_ZERO_TANGENT_DIST | cv2.CALIB_FIX_K1 | cv2.CALIB_FIX_K2 | cv2.CALIB_FIX_K3
-    _, matrix, coefficients, rotations, translations = cv2.calibrateCamera(
-        [p.astype(np.float32) for p in points],
-        [p.astype(np.float32).reshape(-1, 1, 2) for p in pixels],
-        size_px,
-        np.eye(3),
-        np.zeros(5),
-        flags=0 if count else fixed,
-        criteria=_criteria(),
-    )
-    return matrix, np.ravel(coefficients)[:count], rotations, translations
 
 
 def _first_positive_root(coefficients: npt.ArrayLike) -> float:

@@ -118,7 +118,7 @@ def run_calibration(
 
 
 def _model(model: str) -> str:
-    known = [name for name, lens in LENS_MODELS.items() if lens.calibrates]
+    known = [name for name, lens in LENS_MODELS.items() if lens.opencv]
     if model in known:
         return model
     raise InputError(Problem("--model", "lens model", repr(model), "one of " + ", ".join(known)))

@@ -1,7 +1,7 @@
 """From views of a board to a camera: OpenCV's solvers, what they leave over, and how certain the result is.
 
 Model of a corner: the board's point through the view's pose (6 unknowns for each view), the lens and the matrix. OpenCV
-finds the least squares (`Lens.calibrate`). The residuals are those of `Camera.project`, the model that the rest of the
+finds the least squares. The residuals are those of `Camera.project`, the model that the rest of the
 package uses, so that a difference between the two would show as an error.
 
 A picture whose error (root mean square over its corners) is more than `DROP_FACTOR` times that of the median picture
@@ -17,6 +17,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import cv2
 import numpy as np
@@ -33,6 +34,8 @@ DROP_FLOOR_PX = 0.3
 ROUNDS = 3
 MIN_VIEWS = 3
 """Each view of a plane gives two equations for the four numbers of the matrix; one more than needed."""
+FISHEYE_STARTS_DEG = (60.0, 100.0, 140.0, 180.0)
+_CRITERIA = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 200, 1e-10)
 
 
 @dataclass(frozen=True)
@@ -133,14 +136,51 @@ def _solve(
     views: Sequence[BoardView], points: Array, size: tuple[int, int], model: str, name: str
 ) -> tuple[Camera, list[FittedBoardView]]:
     try:
-        objects, pixels = [points[view.corners.ids] for view in views], [view.corners.xy_px for view in views]
-        matrix, distortion, rotations, translations = LENS_MODELS[model].calibrate(objects, pixels, size)
+        solve = _solve_fisheye if LENS_MODELS[model].opencv == "fisheye" else _solve_standard
+        matrix, distortion, rotations, translations = solve(views, points, size, LENS_MODELS[model].calibrated)
         camera = Camera(name, matrix, distortion, model, size)
     except (cv2.error, ValueError) as error:
         expected = "boards tilted in different ways, over the whole picture"
         raise InputError(Problem("pictures", f"{model} model", "no solution", expected)) from error
     poses = zip(views, rotations, translations, strict=True)
     return camera, [_fitted_view(view, points, camera, rotation, place) for view, rotation, place in poses]
+
+
+def _solve_standard(views: Sequence[BoardView], points: Array, size: tuple[int, int], coefficients: int) -> Any:
+    """With OpenCV's first five coefficients, or with none."""
+    fixed = cv2.CALIB_ZERO_TANGENT_DIST | cv2.CALIB_FIX_K1 | cv2.CALIB_FIX_K2 | cv2.CALIB_FIX_K3
+    objects = [points[view.corners.ids].astype(np.float32) for view in views]
+    images = [view.corners.xy_px.astype(np.float32).reshape(-1, 1, 2) for view in views]
+    _, matrix, distortion, rotations, translations = cv2.calibrateCamera(
+        objects, images, size, np.eye(3), np.zeros(5), flags=0 if coefficients else fixed, criteria=_CRITERIA
+    )
+    return matrix, np.ravel(distortion)[:coefficients], rotations, translations
+
+
+def _solve_fisheye(views: Sequence[BoardView], points: Array, size: tuple[int, int], coefficients: int) -> Any:
+    """Started from several fields of view, because OpenCV keeps to the one it is given."""
+    objects = [points[view.corners.ids].reshape(1, -1, 3) for view in views]
+    images = [view.corners.xy_px.reshape(1, -1, 2) for view in views]
+    names = ("CALIB_USE_INTRINSIC_GUESS", "CALIB_RECOMPUTE_EXTRINSIC", "CALIB_FIX_SKEW")
+    # OpenCV 4 has flags of its own for fisheyes, of other values; OpenCV 5 has one set for all lenses.
+    flags = sum(getattr(cv2.fisheye if hasattr(cv2.fisheye, "CALIB_FIX_SKEW") else cv2, name) for name in names)
+    best: Any = None
+    failure: cv2.error | None = None
+    for field_deg in FISHEYE_STARTS_DEG:
+        focal = size[0] / math.radians(field_deg)
+        guess = np.array([[focal, 0, (size[0] - 1) / 2], [0, focal, (size[1] - 1) / 2], [0, 0, 1]])
+        try:
+            start = np.zeros(coefficients)
+            found = cv2.fisheye.calibrate(objects, images, size, guess, start, flags=flags, criteria=_CRITERIA)
+        except cv2.error as error:
+            failure = error
+            continue
+        if math.isfinite(found[0]) and (best is None or found[0] < best[0]):
+            best = found
+    if best is None:
+        raise failure or ValueError("no finite solution")
+    _, matrix, distortion, rotations, translations = best
+    return matrix, np.ravel(distortion), rotations, translations
 
 
 def _pose(view: BoardView, points: Array, camera: Camera) -> tuple[Array, Array]:
@@ -183,5 +223,12 @@ def _sigma(views: Sequence[FittedBoardView], points: Array, camera: Camera) -> A
 def _jacobian(view: FittedBoardView, points: Array, camera: Camera) -> tuple[Array, Array]:
     """Derivatives of a view's pixels with respect to the camera (2N, 4 + coefficients) and the pose (2N, 6)."""
     rotation = np.asarray(cv2.Rodrigues(view.rotation)[0], dtype=float)
-    objects = points[view.corners.ids]
-    return camera.lens.calibration_jacobian(objects, rotation, view.translation_m, camera.matrix, camera.distortion)
+    objects = points[view.corners.ids].reshape(-1, 1, 3)
+    pose, n = (rotation, view.translation_m), camera.distortion.size
+    if camera.lens.opencv == "fisheye":
+        _, jacobian = cv2.fisheye.projectPoints(objects, *pose, camera.matrix, camera.distortion)
+        jacobian = np.asarray(jacobian, dtype=float)
+        return jacobian[:, : 4 + n], jacobian[:, 8:14]
+    five = np.pad(camera.distortion, (0, 5 - n))
+    jacobian = np.asarray(cv2.projectPoints(objects, *pose, camera.matrix, five)[1], dtype=float)
+    return jacobian[:, 6 : 10 + n], jacobian[:, :6]
