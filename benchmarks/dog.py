@@ -35,7 +35,7 @@ from recon.animal.prior import prior_from_body, save_prior
 from recon.fit import TrajectorySolution
 from recon.fit.points import solve_points
 from recon.gait.evaluation import align_similarity, centre, joint_errors, score
-from recon.workflows.prior import run_prior_fit
+from recon.workflows.prior import PriorFitSettings, run_prior_fit
 
 SKELETON = "dog-27"
 WIDEN = 1.5
@@ -249,7 +249,17 @@ def write_poses(clips: Sequence[Clip], folder: Path) -> list[Path]:
 def write_prior(clips: Sequence[Clip], out: Path) -> Path:
     with tempfile.TemporaryDirectory() as folder:
         poses = write_poses(clips, Path(folder))
-        run_prior_fit(poses, out, SKELETON, f"{clips[0].fps:g}", name=out.stem, source=SOURCE, overwrite=True)
+        run_prior_fit(
+            PriorFitSettings(
+                poses=poses,
+                out=out,
+                skeleton=SKELETON,
+                fps=f"{clips[0].fps:g}",
+                name=out.stem,
+                source=SOURCE,
+                overwrite=True,
+            )
+        )
     return out
 
 

@@ -46,7 +46,7 @@ from recon.gait.evaluation import centre, joint_errors, score
 from recon.gait.kinematics import Errors, series_kinematics
 from recon.geometry.frames import inverse, moved, rigid
 from recon.workflows.clip import arrange
-from recon.workflows.prior import run_prior_fit
+from recon.workflows.prior import PriorFitSettings, run_prior_fit
 
 SKELETON, PRIOR = "cheetah-24", "running-cheetah"
 ONE_GAUSSIAN = "one Gaussian"
@@ -479,9 +479,15 @@ def ablation(runs: Sequence[Path]) -> dict[str, Rows]:
         if poses.is_dir():
             path = Path(folder) / "all-segments.npz"
             run_prior_fit(
-                [poses / "training_positions.csv"], path, SKELETON, str(poses / "segments.json"), "phantom",
-                apart=("tail_1", "tail_2"),
-            )  # fmt: skip
+                PriorFitSettings(
+                    poses=[poses / "training_positions.csv"],
+                    out=path,
+                    skeleton=SKELETON,
+                    fps=str(poses / "segments.json"),
+                    subject="phantom",
+                    apart=("tail_1", "tail_2"),
+                )
+            )
             variants.append(("prior of all segments, slow ones too", {"prior": str(path)}, {}))
         rows = [
             summary(label, fits(replace(job, options=options, **how) for job in views(runs)))

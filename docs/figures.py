@@ -17,10 +17,10 @@ from PIL import Image
 from recon import FitSettings, read_results, samples_folder
 from recon.io.video import read_frames, video_writer
 from recon.workflows.analyse import run_analyse
-from recon.workflows.camera_advice import run_camera_advice
+from recon.workflows.camera_advice import CameraAdviceSettings, run_camera_advice
 from recon.workflows.clip import run_clip
 from recon.workflows.overlay import run_overlay, run_sheet
-from recon.workflows.skeleton_check import run_skeleton_check
+from recon.workflows.skeleton_check import SkeletonCheckSettings, run_skeleton_check
 
 HERE = Path(__file__).resolve().parent
 COLOURS = 255
@@ -67,12 +67,14 @@ def main() -> None:
         save(out / "sheet.png", "sheet.png", 1200)
         cv2.imwrite(str(out / "overlay.png"), image)
         save(out / "overlay.png", "overlay.png", 960)
-        run_camera_advice("cheetah-24", out / "advice", angle="front_trunk_yaw", cameras=2)
+        run_camera_advice(
+            CameraAdviceSettings(skeleton="cheetah-24", out=out / "advice", angle="front_trunk_yaw", cameras=2)
+        )
         save(out / "advice" / "camera_advice.png", "camera_advice.png", 900)
         page = (HERE / "writing-a-skeleton.md").read_text(encoding="utf-8")
         toml = re.findall(r"```toml\n(.*?)```", page, re.DOTALL)[-1]
         (out / "my-cat.toml").write_text(toml, encoding="utf-8")
-        run_skeleton_check(str(out / "my-cat.toml"), None, out / "my-cat")
+        run_skeleton_check(SkeletonCheckSettings(skeleton=str(out / "my-cat.toml"), subject=None, out=out / "my-cat"))
         save(out / "my-cat" / "skeleton.png", "skeleton.png", 900)
 
 

@@ -15,7 +15,11 @@ config = tomllib.loads(FILE.read_text(encoding="utf-8"))
 pictures = [FILE.parent / path for path in config["pictures"]]
 
 # Nothing is written where a check refuses the calibration.
-run = recon.run_calibration(pictures, config["board"], config["lens"], FILE.parent / config["camera"], overwrite=True)
+run = recon.run_calibration(
+    recon.CalibrationSettings(
+        inputs=pictures, board=config["board"], model=config["lens"], out=FILE.parent / config["camera"], overwrite=True
+    )
+)
 views = run.calibration.views
 print(f"{run.views.found} of {run.views.examined} pictures show the board, {len(views)} were used")
 

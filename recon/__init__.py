@@ -24,17 +24,18 @@ if TYPE_CHECKING:
     from recon.keypoint_net.run import TrainSettings
     from recon.keypoint_net.workflows import LabelSource, run_prediction, run_training
     from recon.workflows.batch import find_clips, plan_batch, run_batch
-    from recon.workflows.calibrate import run_calibration
+    from recon.workflows.calibrate import CalibrationSettings, run_calibration
     from recon.workflows.clip import fit_clip, write_clip
     from recon.workflows.demo import samples_folder
-    from recon.workflows.prior import run_prior_fit
+    from recon.workflows.prior import PriorFitSettings, run_prior_fit
     from recon.workflows.settings import FitSettings, read_settings
-    from recon.workflows.subject import run_subject_fit
+    from recon.workflows.subject import SubjectFitSettings, run_subject_fit
 
     __version__: str
 
 __all__ = [
     "Body",
+    "CalibrationSettings",
     "Camera",
     "ClipAnalysis",
     "Evaluation",
@@ -44,7 +45,9 @@ __all__ = [
     "LabelSource",
     "Motion",
     "Pose3D",
+    "PriorFitSettings",
     "Results",
+    "SubjectFitSettings",
     "TrainSettings",
     "analyse",
     "clean",
@@ -81,12 +84,12 @@ _NAMES_OF = {
     "recon.clip.keypoints": ("Keypoints", "clean"),
     "recon.fit.motion": ("Motion",),
     "recon.workflows.batch": ("find_clips", "plan_batch", "run_batch"),
-    "recon.workflows.calibrate": ("run_calibration",),
+    "recon.workflows.calibrate": ("CalibrationSettings", "run_calibration"),
     "recon.workflows.clip": ("fit_clip", "write_clip"),
     "recon.workflows.demo": ("samples_folder",),
     "recon.keypoint_net.workflows": ("LabelSource", "run_prediction", "run_training"),
-    "recon.workflows.prior": ("run_prior_fit",),
-    "recon.workflows.subject": ("run_subject_fit",),
+    "recon.workflows.prior": ("PriorFitSettings", "run_prior_fit"),
+    "recon.workflows.subject": ("SubjectFitSettings", "run_subject_fit"),
     "recon.keypoint_net.run": ("TrainSettings",),
     "recon.fit.results": ("Results", "read_results"),
     "recon.workflows.settings": ("FitSettings", "read_settings"),

@@ -193,7 +193,7 @@ def test_common_options_of_one_method_are_not_for_rows_of_the_other(clips):
     common = {"camera": CAMERA, "fps": 30, "fast": True}
     first, second = (clip.settings for clip in find_clips([path], common)[0])
     assert (first.method, first.fast) == ("trajectory", True)
-    assert (second.method, second.fast, second.form) == ("frame", None, "printed")
+    assert (second.method, second.fast, second.form) == ("frame", False, "printed")
     path.write_text("keypoints,method\na.csv,frame\nb.csv,frame\n")
     assert problems(path, common=common) == [
         "--set fast: found True, and no clip of the trajectory method, expected nothing, or --set method=trajectory "
@@ -233,9 +233,9 @@ def test_all_problems_of_a_manifest_at_once(clips):
     assert said == [
         f"{path}: line 2, fps: found '-3', expected a number of frames per second above 0, as in 120",
         "--set likelihood-min: found 2, expected a number from 0 to 1",
-        f"{path}: line 3, method: found 'walk', expected trajectory or frame",
         f"{path}: line 3, frames: found '9:2', expected frame numbers A:B with A < B, from A up to but without B, "
         "as in 100:160",
+        f"{path}: line 3, method: found 'walk', expected trajectory or frame",
         f"{path}: line 3, out: found 'X', as in line 2, expected a name of its own",
         f"{path}: line 4, out: found '../up', expected a plain name of a folder below --out, other than summary.csv "
         "and summary.html",
@@ -794,7 +794,7 @@ def test_worker(clips, tmp_path, monkeypatch):
 
 
 def args(clips: Path, out: Path, *more: object) -> list[object]:
-    return [clips, *(f"--{name}={value}" for name, value in QUICK.items()), "--out", out, *more]
+    return [clips, *(f"--set={name}={value}" for name, value in QUICK.items()), "--out", out, *more]
 
 
 def test_dry_run_looks_only(clips, tmp_path):

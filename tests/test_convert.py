@@ -499,7 +499,7 @@ def results(small_trajectory, tmp_path_factory) -> Path:
     from recon.workflows.settings import FitSettings
 
     folder = tmp_path_factory.mktemp("results")
-    settings = FitSettings(Path("run.csv"), fps=30, hfov_deg=64.0, image_size_px=(1920, 1080))
+    settings = FitSettings(keypoints=Path("run.csv"), fps=30, hfov_deg=64.0, image_size_px=(1920, 1080))
     write_clip(small_trajectory, settings, folder)
     return folder
 

@@ -34,7 +34,7 @@ from recon.fit.results import read_results
 from recon.io.pose3d import read_pose_segments
 from recon.workflows.cli import app
 from recon.workflows.clip import write_clip
-from recon.workflows.prior import _sound_states, run_prior_fit
+from recon.workflows.prior import PriorFitSettings, _sound_states, run_prior_fit
 from recon.workflows.settings import FitSettings
 
 OMEGA_RAD_S = 12.0
@@ -266,13 +266,15 @@ def test_running_cheetah_can_be_made_again(shared_data, body, tmp_path):
     if not folder.is_dir():
         pytest.skip(f"no {folder}")
     made = run_prior_fit(
-        [folder / "training_positions.csv"],
-        tmp_path / "running-cheetah.npz",
-        "cheetah-24",
-        str(folder / "segments.json"),
-        subject="phantom",
-        min_speed_m_s=8.5,
-        apart=["tail_1", "tail_2"],
+        PriorFitSettings(
+            poses=[folder / "training_positions.csv"],
+            out=tmp_path / "running-cheetah.npz",
+            skeleton="cheetah-24",
+            fps=str(folder / "segments.json"),
+            subject="phantom",
+            min_speed_m_s=8.5,
+            apart=["tail_1", "tail_2"],
+        )
     )
     assert max(made.rms_mm) < 1
     shipped = load_prior("running-cheetah", body)
@@ -403,12 +405,14 @@ def test_files_of_one_name_and_too_few_frames(body, tmp_path):
     for k, (_, states, _) in enumerate(swinging(body, 2, 60, 100.0)):
         (tmp_path / f"run{k}").mkdir()
         files.append(pose_csv(tmp_path / f"run{k}" / "truth.csv", body, states, np.arange(60)))
-    done = run_prior_fit(files, tmp_path / "a.npz", "cheetah-24", "100")
+    done = run_prior_fit(PriorFitSettings(poses=files, out=tmp_path / "a.npz", skeleton="cheetah-24", fps="100"))
     assert [row.name for row in done.prior.segments] == ["run0-truth", "run1-truth"]
     assert len(done.prior.weights) == 6
     assert "6 components in place of 16: each takes 20 frames." in list(done.notes())
     assert (done.to_dict()["components"], done.to_dict()["components_asked"]) == (6, 16)
-    few = run_prior_fit(files, tmp_path / "b.npz", "cheetah-24", "100", components=6)
+    few = run_prior_fit(
+        PriorFitSettings(poses=files, out=tmp_path / "b.npz", skeleton="cheetah-24", fps="100", components=6)
+    )
     assert not [note for note in few.notes() if "in place of" in note]
 
 
@@ -417,7 +421,15 @@ def test_every_problem_of_a_command(body, tmp_path):
     few = pose_csv(tmp_path / "few.csv", body, states, np.arange(5), without=body.markers[5:])
     (tmp_path / "there.npz").touch()
     with pytest.raises(InputError) as error:
-        run_prior_fit([tmp_path / "no.csv", few], tmp_path / "there.npz", "cheetah-8u", "fast", components=0)
+        run_prior_fit(
+            PriorFitSettings(
+                poses=[tmp_path / "no.csv", few],
+                out=tmp_path / "there.npz",
+                skeleton="cheetah-8u",
+                fps="fast",
+                components=0,
+            )
+        )
     found = [str(p) for p in error.value.problems]
     assert [f.split(": found")[0].removeprefix(f"{tmp_path}/") for f in found] == [
         "--skeleton: name or file",
@@ -429,19 +441,19 @@ def test_every_problem_of_a_command(body, tmp_path):
     rates = tmp_path / "fps.json"
     rates.write_text("[90, 120]")
     with pytest.raises(InputError, match="no such list of numbers"):
-        run_prior_fit([few], tmp_path / "x.npz", "cheetah-24", str(rates))
+        run_prior_fit(PriorFitSettings(poses=[few], out=tmp_path / "x.npz", skeleton="cheetah-24", fps=str(rates)))
     rates.write_text('{"fps": [90, 120]}')
     with pytest.raises(InputError) as error:
-        run_prior_fit([few], tmp_path / "x.npz", "cheetah-24", str(rates))
+        run_prior_fit(PriorFitSettings(poses=[few], out=tmp_path / "x.npz", skeleton="cheetah-24", fps=str(rates)))
     assert [str(p).split(", expected")[0] for p in error.value.problems] == [
         f"{few}: joints: found 5 of 24: nose, l_eye, r_eye, neck_base, spine, extra",
         f"{rates}: fps: found 2 numbers",
     ]
     for fps in ("0", "-3", "nan", "inf"):
         with pytest.raises(InputError, match="--fps"):
-            run_prior_fit([few], tmp_path / "x.npz", "cheetah-24", fps)
+            run_prior_fit(PriorFitSettings(poses=[few], out=tmp_path / "x.npz", skeleton="cheetah-24", fps=fps))
     with pytest.raises(InputError, match=r"--out.*ends in \.npz"):
-        run_prior_fit([few], tmp_path / "x.txt", "cheetah-24", "90")
+        run_prior_fit(PriorFitSettings(poses=[few], out=tmp_path / "x.txt", skeleton="cheetah-24", fps="90"))
     assert not (tmp_path / "x.npz").exists()
 
 
@@ -482,10 +494,16 @@ def test_flagged_frames_and_those_without_a_pose_are_left_out(small_trajectory, 
 def test_results_and_pose_files_together(whole_results, body, tmp_path):
     states = swinging(body, 1, 30, 100.0)[0][1]
     file = pose_csv(tmp_path / "a.csv", body, states, np.arange(30))
-    done = run_prior_fit([file, whole_results], tmp_path / "x.npz", None, "100")
+    done = run_prior_fit(
+        PriorFitSettings(poses=[file, whole_results], out=tmp_path / "x.npz", skeleton=None, fps="100")
+    )
     assert [(row.name, row.fps) for row in done.prior.segments] == [(whole_results.name, 60.0), ("a", 100.0)]
     assert done.rms_mm[1] > 20  # an animal that is larger than the skeleton
-    sized = run_prior_fit([file, whole_results], tmp_path / "y.npz", "cheetah-24", "100", estimate_size=True)
+    sized = run_prior_fit(
+        PriorFitSettings(
+            poses=[file, whole_results], out=tmp_path / "y.npz", skeleton="cheetah-24", fps="100", estimate_size=True
+        )
+    )
     assert sized.rms_mm[1] < 1
     assert np.isnan(sized.rms_mm[0])
 
@@ -513,7 +531,9 @@ def test_what_results_do_not_go_with(whole_results, frame_results, body, tmp_pat
         ([tmp_path], None, None, None, ["no report.json"]),
     ):
         with pytest.raises(InputError) as error:
-            run_prior_fit(poses, tmp_path / "x.npz", skeleton, fps, subject)
+            run_prior_fit(
+                PriorFitSettings(poses=poses, out=tmp_path / "x.npz", skeleton=skeleton, fps=fps, subject=subject)
+            )
         assert len(error.value.problems) == len(expected)
         assert all(start in str(p) for p, start in zip(error.value.problems, expected, strict=True))
     assert not (tmp_path / "x.npz").exists()

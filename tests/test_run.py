@@ -202,6 +202,7 @@ def test_without_a_pose_there_is_a_page_and_no_more(film, called, report, monkey
     nothing = json.loads(report)
     nothing["root_path"]["position_m"] = [[None] * 3] * 8
     nothing["summary"] |= {"frames_with_pose": 0}
+    nothing["unsolved"] = True
 
     def write(motion, settings, out: Path, seconds: float) -> None:
         with staged_results(out, output_files(out)) as folder:

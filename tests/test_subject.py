@@ -15,7 +15,7 @@ from recon.fit.setting import Setting
 from recon.fit.shape import Shape, ShapeFit, fit_shape
 from recon.io.deeplabcut import write_csv
 from recon.io.pose3d import Pose3D
-from recon.workflows.subject import run_subject_fit
+from recon.workflows.subject import SubjectFitSettings, run_subject_fit
 from tests.command_line import run
 from tests.test_cameras import folder, settings  # noqa: F401
 from tests.test_trajectory import BODY, FPS, PRIOR
@@ -168,5 +168,5 @@ def test_what_is_wrong_is_said(folder, tmp_path):  # noqa: F811
         ),
     ):
         with pytest.raises(InputError, match=expected.replace("(", r"\(")):
-            run_subject_fit(paths, **{"out": tmp_path / "cat.toml", **options})
+            run_subject_fit(SubjectFitSettings(clips=paths, **{"out": tmp_path / "cat.toml", **options}))
     assert not (tmp_path / "cat.toml").exists()

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import cv2
 
 from recon.base.errors import InputError, Problem, all_of
 from recon.base.files import require_free_file, staged_folder, write_bytes
 from recon.base.progress import Progress, silent
+from recon.base.settings import OneOrMore, Option, Settings
 from recon.calibrate.intrinsics import (
     BoardViews,
     Calibration,
@@ -83,38 +83,55 @@ def _finite(value: Any) -> Any:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-def run_calibration(
-    inputs: Sequence[Path],
-    board: str,
-    model: str,
-    out: Path,
-    *,
-    force: bool = False,
-    overwrite: bool = False,
-    progress: Progress = silent,
-) -> CalibrationRun:
+class CalibrationSettings(Settings):
+    """What `recon calibrate` is told."""
+
+    inputs: Annotated[
+        OneOrMore[Path],
+        Option("Pictures or folders of pictures of a board, or one video.", argument="IMAGES|FOLDER|VIDEO"),
+    ]
+    board: Annotated[
+        str,
+        Option(
+            "chessboard:9x6:25mm (inner corners, side of a square) or charuco:5x7:40mm:30mm:DICT_4X4_50 (squares, side "
+            "of a square, of a marker, dictionary; :legacy for the layout of OpenCV before 4.6)."
+        ),
+    ]
+    model: Annotated[
+        str,
+        Option(
+            "radtan for most lenses, fisheye for action cameras and other lenses wider than 100 degrees, pinhole for "
+            "pictures that have been undistorted."
+        ),
+    ]
+    out: Annotated[Path, Option("The camera file, as in camera.toml.")]
+    force: Annotated[bool, Option("Write a calibration that is refused.")] = False
+    overwrite: Annotated[bool, Option("Replace the camera file.")] = False
+
+
+def run_calibration(settings: CalibrationSettings, progress: Progress = silent) -> CalibrationRun:
     """`recon calibrate`: write `out` (`recon.io.write_camera`) and, beside it, `<stem>_coverage.png`.
 
     A calibration that a check refuses is not written unless `force`; the picture is, since it shows what is missing.
     Raises InputError, with every problem, for inputs that cannot be used.
     """
-    picture = out.with_name(f"{out.stem}_coverage.png")
+    picture = settings.out.with_name(f"{settings.out.stem}_coverage.png")
     files, the_board, lens, _ = all_of(
-        lambda: collect(inputs),
-        lambda: parse_board(board),
-        lambda: _model(model),
-        lambda: require_free_file(out, overwrite, suffixes=(".toml",)),
+        lambda: collect(settings.inputs),
+        lambda: parse_board(settings.board),
+        lambda: _model(settings.model),
+        lambda: require_free_file(settings.out, settings.overwrite, suffixes=(".toml",)),
     )
     views = find_views(files, the_board, progress)
     progress("solving", 1.0)
-    calibration = calibrate(views, lens, out.stem)
+    calibration = calibrate(views, lens, settings.out.stem)
     checks = check(calibration)
     refused = any(c.verdict == "refused" for c in checks)
-    with staged_folder(out.absolute().parent) as folder:
+    with staged_folder(settings.out.absolute().parent) as folder:
         write_bytes(folder / picture.name, cv2.imencode(".png", draw(calibration))[1].tobytes())
-        if force or not refused:
-            write_camera(calibration.camera, folder / out.name)
-    return CalibrationRun(views, calibration, checks, picture, out if force or not refused else None)
+        if settings.force or not refused:
+            write_camera(calibration.camera, folder / settings.out.name)
+    return CalibrationRun(views, calibration, checks, picture, settings.out if settings.force or not refused else None)
 
 
 def _model(model: str) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
@@ -14,6 +14,7 @@ from recon.animal.prior import load_prior
 from recon.animal.skeleton_file import load_skeleton
 from recon.base.errors import InputError, Problem
 from recon.base.files import require_free_folder, staged_folder
+from recon.base.settings import Integer, Number, Option, Settings
 from recon.calibrate.camera_advice import PICTURE_PX, Advice, advise
 from recon.fit.results import MEASURED_SHARE
 from recon.io.table import write_rows
@@ -63,42 +64,53 @@ def where(azimuth_rad: float, elevation_rad: float) -> str:
     return f"{direction}, {height} ({np.degrees(azimuth_rad):.0f}°)" if height != ABOVE else f"{ABOVE}, {direction}"
 
 
+class CameraAdviceSettings(Settings):
+    """What `recon camera-advice` is told."""
+
+    skeleton: Annotated[str, Option("A built-in skeleton or a TOML file, as in cheetah-24.")]
+    out: Annotated[Path, Option("Folder for the figure, the table and the report.")]
+    prior: Annotated[
+        str | None,
+        Option("What motions are like: a built-in name, a file of recon prior fit, or none. (default: as for a fit)"),
+    ] = None
+    angle: Annotated[str | None, Option("The angle to be seen, as in front_trunk_yaw.")] = None
+    joint: Annotated[str | None, Option("The joint to be seen. (default: all)")] = None
+    cameras: Annotated[Integer, Option("1, or 2: the best second one beside the best first one.")] = 1
+    hfov_deg: Annotated[Number, Option("Horizontal field of view, degrees.", "degrees, as in 60")] = 60.0
+    distance_m: Annotated[
+        Number | None,
+        Option("From the animal's middle, metres. (default: 4 of its lengths)", "metres, as in 8"),
+    ] = None
+    subject: Annotated[str | None, Option("A measured animal: built-in name or TOML file.")] = None
+    overwrite: Annotated[bool, Option("Replace earlier advice.")] = False
+
+
 def run_camera_advice(
-    skeleton: str,
-    out: Path,
-    prior: str | None = None,
-    angle: str | None = None,
-    joint: str | None = None,
-    cameras: int = 1,
-    hfov_deg: float = 60.0,
-    distance_m: float | None = None,
-    subject: str | None = None,
-    overwrite: bool = False,
-    progress: Callable[[str, float], None] = lambda stage, share: None,
+    settings: CameraAdviceSettings, progress: Callable[[str, float], None] = lambda stage, share: None
 ) -> CameraAdvice:
     """See `recon.calibrate.camera_advice.advise`; cameras: 1, or 2, of which the second is looked for beside the best
     first one. Writes a report, a table and a figure into `out`. Raises InputError."""
-    body = load_skeleton(skeleton, subject)
-    _require(body, angle, joint, cameras, hfov_deg, distance_m)
-    motions = load_prior(prior, body)
-    require_free_folder(out, (REPORT, TABLE, f"{FIGURE}.png", f"{FIGURE}.svg"), overwrite, "advice")
+    body = load_skeleton(settings.skeleton, settings.subject)
+    _require(body, settings.angle, settings.joint, settings.cameras, settings.hfov_deg, settings.distance_m)
+    motions = load_prior(settings.prior, body)
+    require_free_folder(settings.out, (REPORT, TABLE, f"{FIGURE}.png", f"{FIGURE}.svg"), settings.overwrite, "advice")
     found: list[Advice] = []
-    for number in range(cameras):
+    for number in range(settings.cameras):
         beside = found[0].place if found else None
         found.append(
             advise(
                 body,
                 motions,
-                angle,
-                joint,
-                hfov_deg,
-                distance_m,
+                settings.angle,
+                settings.joint,
+                settings.hfov_deg,
+                settings.distance_m,
                 beside,
-                progress=lambda share, done=number: progress("cameras", (done + share) / cameras),
+                progress=lambda share, done=number: progress("cameras", (done + share) / settings.cameras),
             )
         )
-    advice = CameraAdvice(tuple(found), _report(found, body, motions.name, hfov_deg))
-    with staged_folder(out) as staging:
+    advice = CameraAdvice(tuple(found), _report(found, body, motions.name, settings.hfov_deg))
+    with staged_folder(settings.out) as staging:
         (staging / REPORT).write_text(to_json(advice.report | {"words": [*advice.lines]}), encoding="utf-8")
         columns = "camera, azimuth_rad, elevation_rad, height_m, sigma_" + found[0].unit + ", data_share"
         write_rows(staging / TABLE, [columns.split(", ")], _rows(found))

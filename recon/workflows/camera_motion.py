@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import cv2
 import numpy as np
@@ -14,6 +14,7 @@ from recon.base.arrays import Array, Integers
 from recon.base.errors import InputError, Problem, all_of
 from recon.base.files import require_free_file, staged_folder, write_bytes
 from recon.base.progress import Progress, silent
+from recon.base.settings import Integer, Number, Option, Settings
 from recon.calibrate.camera_motion import (
     LevelMark,
     Orientation,
@@ -35,6 +36,7 @@ from recon.io.camera_track import INTRINSICS, POSE, SIGMA
 from recon.io.table import write_table
 from recon.io.video import Image, probe, read_frames, require_codec, video_writer
 from recon.show.report import to_json
+from recon.workflows.settings import FIRST_FRAME
 
 MIN_LIKELIHOOD = 0.3
 """Keypoints that are less sure do not hide anything."""
@@ -54,22 +56,37 @@ class CameraMotionRun:
     files: tuple[Path, ...]
 
 
-def run_camera_motion(
-    video: Path,
-    camera: Path,
-    out: Path,
-    *,
-    camera_name: str | None = None,
-    keypoints: Path | None = None,
-    individual: str | None = None,
-    first_frame: int = 0,
-    tilt_deg: float | None = None,
-    level_marks: Path | None = None,
-    zoom: bool = False,
-    stabilised: Path | None = None,
-    overwrite: bool = False,
-    progress: Progress = silent,
-) -> CameraMotionRun:
+class CameraMotionSettings(Settings):
+    """What `recon camera-motion` is told."""
+
+    video: Annotated[Path, Option("The video of a camera that turns, as in clip.mp4.", argument="VIDEO")]
+    camera: Annotated[Path, Option("The camera's calibration, as in camera.toml; its pose is not read.")]
+    out: Annotated[Path, Option("The track for --camera-track, as in track.csv.")]
+    camera_name: Annotated[str | None, Option("Which camera of a file with several.")] = None
+    keypoints: Annotated[
+        Path | None, Option("Keypoints of the animal, which is then no background, as in clip.csv.")
+    ] = None
+    individual: Annotated[str | None, Option("Which animal of a keypoint file with several.")] = None
+    first_frame: Annotated[Integer, FIRST_FRAME] = 0
+    tilt_deg: Annotated[
+        Number | None,
+        Option(
+            "How far the camera looks down in the first frame. (default: level in the mean of all frames)",
+            "degrees between -60 and 60",
+        ),
+    ] = None
+    level_marks: Annotated[
+        Path | None,
+        Option("Instead: a table (kind,frame,x1,y1,x2,y2) of horizons and verticals, as in level.csv."),
+    ] = None
+    zoom: Annotated[bool, Option("The focal length changes; the first frame has the file's.")] = False
+    stabilised: Annotated[
+        Path | None, Option("A video with the background at rest, .mp4 or .avi, as in still.mp4.")
+    ] = None
+    overwrite: Annotated[bool, Option("Replace the track and the video.")] = False
+
+
+def run_camera_motion(settings: CameraMotionSettings, progress: Progress = silent) -> CameraMotionRun:
     """`recon camera-motion`: write `out` (`recon.io.camera_track`), and beside it <stem>_report.json and
     <stem>_panorama.png; `stabilised` is the video laid over the panorama.
 
@@ -79,39 +96,45 @@ def run_camera_motion(
     cannot be used, and for a camera that did more than turn.
     """
     info, lens, animal, marks, *_ = all_of(
-        lambda: probe(video),
-        lambda: read_camera(camera, camera_name),
-        lambda: None if keypoints is None else read_keypoints(keypoints, individual),
-        lambda: () if level_marks is None else read_marks(level_marks),
-        lambda: _require_out(out, stabilised, overwrite, video),
-        lambda: _require_tilt(tilt_deg, level_marks),
+        lambda: probe(settings.video),
+        lambda: read_camera(settings.camera, settings.camera_name),
+        lambda: None if settings.keypoints is None else read_keypoints(settings.keypoints, settings.individual),
+        lambda: () if settings.level_marks is None else read_marks(settings.level_marks),
+        lambda: _require_out(settings.out, settings.stabilised, settings.overwrite, settings.video),
+        lambda: _require_tilt(settings.tilt_deg, settings.level_marks),
     )
     if info.size_px != lens.image_size_px:
         found, wanted = ("{}x{} px".format(*size) for size in (info.size_px, lens.image_size_px))
-        raise InputError(Problem(video, "size", found, f"{wanted}, the size that {camera} is calibrated for"))
-    points = {} if animal is None else _points(animal, first_frame)
-    tracker = Tracker(lens, zoom, points.get)
-    for number, picture in read_frames(video):
+        raise InputError(
+            Problem(settings.video, "size", found, f"{wanted}, the size that {settings.camera} is calibrated for")
+        )
+    points = {} if animal is None else _points(animal, settings.first_frame)
+    tracker = Tracker(lens, settings.zoom, points.get)
+    for number, picture in read_frames(settings.video):
         tracker.add(number, picture)
         if tracker.cut is not None:
             break
         progress("following the background", min(1.0, number / (info.stated_frames or number + 1)))
     motion = tracker.finish()
-    _require_turning(video, motion, zoom, first_frame)
+    _require_turning(settings.video, motion, settings.zoom, settings.first_frame)
     if animal is not None:
-        _require_same_frames(keypoints, points, motion, video)
-    up, level = _up(motion, lens, first_frame, tilt_deg, level_marks, marks)
+        _require_same_frames(settings.keypoints, points, motion, settings.video)
+    up, level = _up(motion, lens, settings.first_frame, settings.tilt_deg, settings.level_marks, marks)
     motion = replace(motion, turns=as_level(motion.turns, up))
-    report = _report(video, camera, motion, lens, first_frame, level, zoom)
+    report = _report(settings.video, settings.camera, motion, lens, settings.first_frame, level, settings.zoom)
     canvas, background, picture = _pictures(lens, motion, points)
-    report_file, picture_file = (out.with_name(out.stem + end) for end in ("_report.json", "_panorama.png"))
-    if stabilised is not None:
-        _write_stabilised(stabilised, video, lens, motion, points, canvas, background, info.fps or 30.0, progress)
-    with staged_folder(out.absolute().parent) as folder:
-        _write_track(folder / out.name, motion, lens, first_frame, zoom)
+    report_file, picture_file = (
+        settings.out.with_name(settings.out.stem + end) for end in ("_report.json", "_panorama.png")
+    )
+    if settings.stabilised is not None:
+        _write_stabilised(
+            settings.stabilised, settings.video, lens, motion, points, canvas, background, info.fps or 30.0, progress
+        )
+    with staged_folder(settings.out.absolute().parent) as folder:
+        _write_track(folder / settings.out.name, motion, lens, settings.first_frame, settings.zoom)
         (folder / report_file.name).write_text(to_json(report), encoding="utf-8")
         write_bytes(folder / picture_file.name, cv2.imencode(".png", picture)[1].tobytes())
-    written = (out, report_file, picture_file, *([] if stabilised is None else [stabilised]))
+    written = (settings.out, report_file, picture_file, *([] if settings.stabilised is None else [settings.stabilised]))
     return CameraMotionRun(report, written)
 
 

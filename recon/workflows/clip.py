@@ -265,17 +265,19 @@ def _followed(settings: FitSettings, video: Path, folder: Path, progress: Progre
         problems.append(Problem("--camera-motion", "camera", "no --camera", "the camera's calibration, for its lens"))
     if problems or settings.camera is None:
         raise InputError(problems)
-    from recon.workflows.camera_motion import run_camera_motion
+    from recon.workflows.camera_motion import CameraMotionSettings, run_camera_motion
 
     track = folder.absolute() / TRACK_FILES[0]
     run_camera_motion(
-        video,
-        settings.camera,
-        track,
-        camera_name=next(iter(settings.camera_name or ()), None),
-        keypoints=keypoints,
-        individual=settings.individual,
-        tilt_deg=settings.tilt_deg,
+        CameraMotionSettings(
+            video=video,
+            camera=settings.camera,
+            out=track,
+            camera_name=next(iter(settings.camera_name or ()), None),
+            keypoints=keypoints,
+            individual=settings.individual,
+            tilt_deg=settings.tilt_deg,
+        ),
         progress=progress,
     )
     return replace(settings, camera_track=(track,), tilt_deg=None)

@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Annotated, Any, TypeVar
 
 import numpy as np
 
@@ -26,6 +26,7 @@ from recon.base.arrays import Array, Integers
 from recon.base.documents import read_json
 from recon.base.errors import InputError, Problem, all_of
 from recon.base.files import require_free_file
+from recon.base.settings import Integer, Number, OneOrMore, Option, Settings
 from recon.fit.points import MIN_MARKERS, solve_points_and_size
 from recon.fit.results import Results, read_results
 from recon.io.pose3d import Pose3D, read_pose_segments
@@ -96,52 +97,77 @@ class PriorFit:
             )
 
 
-def run_prior_fit(
-    poses: Sequence[Path],
-    out: Path,
-    skeleton: str | None = None,
-    fps: str | None = None,
-    subject: str | None = None,
-    name: str | None = None,
-    source: str = "",
-    components: int = 16,
-    min_speed_m_s: float = 0.0,
-    estimate_size: bool = False,
-    apart: Sequence[str] = (),
-    check: bool = False,
-    overwrite: bool = False,
-) -> PriorFit:
+class PriorFitSettings(Settings):
+    """What `recon prior fit` is told."""
+
+    poses: Annotated[
+        OneOrMore[Path],
+        Option("Results of recon fit, or 3D poses as in pose3d.csv: metres, world z up.", argument="POSES"),
+    ]
+    out: Annotated[Path, Option("File for the prior, as in my-dog.npz.")]
+    skeleton: Annotated[
+        str | None,
+        Option("Of 3D poses: a whole animal by name or TOML file, as in cheetah-24. (default: that of the results)"),
+    ] = None
+    fps: Annotated[
+        str | None,
+        Option('Of 3D poses: frame rate in Hz, or a JSON file with {"fps": [...]}, one per piece, in their order.'),
+    ] = None
+    subject: Annotated[str | None, Option("Measured animal, by name or TOML file, as in phantom.")] = None
+    estimate_size: Annotated[bool, Option("Scale the skeleton to the animal of each file.")] = False
+    components: Annotated[
+        Integer, Option("Gaussians in the mixture of poses; fewer if there are not 20 frames for each.")
+    ] = 16
+    min_speed_m_s: Annotated[
+        Number, Option("Leave out slower segments, as in 8.5.", "metres per second, as in 8.5")
+    ] = 0.0
+    apart: Annotated[tuple[str, ...], Option("Segment whose movement says nothing of the others', as in tail_1.")] = ()
+    name: Annotated[str | None, Option("Name of the prior. (default: the file's)")] = None
+    source: Annotated[str, Option("Where the poses come from, for the record.")] = ""
+    check: Annotated[bool, Option("Score each segment under a prior from the others.")] = False
+    overwrite: Annotated[bool, Option("Replace the file.")] = False
+
+
+def run_prior_fit(settings: PriorFitSettings) -> PriorFit:
     """`recon prior fit`: fit a prior to results of `recon fit`, which are folders, and to pose files, and write it.
 
     Of results, frames without a pose or with a flag are left out. skeleton: None for that of the results. fps: of the
     pose files, a number, or a JSON file with one for every piece of motion in their order; None without any. Raises
     InputError for files and options that cannot be used, with the problems of all of them.
     """
-    paths = list(dict.fromkeys(poses))
+    paths = list(dict.fromkeys(settings.poses))
     folders, tables = [path for path in paths if path.is_dir()], [path for path in paths if not path.is_dir()]
     given, results, files, rates, *_ = all_of(
-        lambda: _body(skeleton, subject, folders),
+        lambda: _body(settings.skeleton, settings.subject, folders),
         lambda: _by_path(_results, folders),
         lambda: _by_path(read_pose_segments, tables),
-        lambda: _rates(fps, tables),
-        lambda: require_free_file(out, overwrite, suffixes=(".npz",)),
-        lambda: _check_options(components, min_speed_m_s),
+        lambda: _rates(settings.fps, tables),
+        lambda: require_free_file(settings.out, settings.overwrite, suffixes=(".npz",)),
+        lambda: _check_options(settings.components, settings.min_speed_m_s),
     )
     body = _common_body(given, results)
-    all_of(lambda: _require_markers(body, files), lambda: _require_rates(rates, files, fps or "--fps"))
+    all_of(lambda: _require_markers(body, files), lambda: _require_rates(rates, files, settings.fps or "--fps"))
 
     names = file_names([*dict.fromkeys(path.absolute() for path in paths)])
     of_results: list[Segment] = [(names[path.absolute()], _sound_states(one), one.fps) for path, one in results.items()]
-    of_files, misfits_mm, sizes = _solved_segments(body, files, _labels(files, names), rates, estimate_size)
+    of_files, misfits_mm, sizes = _solved_segments(body, files, _labels(files, names), rates, settings.estimate_size)
     segments = [*of_results, *of_files]
-    frames = _used_frames(segments, min_speed_m_s)
-    fits = min(components, max(frames // FRAMES_PER_COMPONENT, 1))
-    prior = fit_prior(body, segments, name or out.stem, source, fits, min_speed_m_s=min_speed_m_s, apart=apart)
-    held_out = _held_out(body, segments, prior) if check else None
-    save_prior(prior, out)
+    frames = _used_frames(segments, settings.min_speed_m_s)
+    fits = min(settings.components, max(frames // FRAMES_PER_COMPONENT, 1))
+    prior = fit_prior(
+        body,
+        segments,
+        settings.name or settings.out.stem,
+        settings.source,
+        fits,
+        min_speed_m_s=settings.min_speed_m_s,
+        apart=settings.apart,
+    )
+    held_out = _held_out(body, segments, prior) if settings.check else None
+    save_prior(prior, settings.out)
     rms_mm = (*(math.nan for _ in of_results), *misfits_mm)
     left_out = sum(int(np.isnan(states[:, 0]).sum()) for _, states, _ in of_results)
-    return PriorFit(prior, rms_mm, sizes, _lacking(body, files), frames, left_out, held_out, components)
+    return PriorFit(prior, rms_mm, sizes, _lacking(body, files), frames, left_out, held_out, settings.components)
 
 
 def _lacking(body: Body, files: Mapping[Path, Mapping[str, Pose3D]]) -> tuple[str, ...]:

@@ -268,21 +268,23 @@ def _motion_identity(job: Job) -> dict[str, Any]:
 
 
 def _camera_motion(job: Job, progress: Progress) -> Iterable[Path]:
-    from recon.workflows.camera_motion import run_camera_motion
+    from recon.workflows.camera_motion import CameraMotionSettings, run_camera_motion
 
     settings = job.settings
     assert settings.camera is not None
     run = run_camera_motion(
-        job.video,
-        settings.camera,
-        job.track,
-        camera_name=settings.camera_name[0] if settings.camera_name else None,
-        keypoints=settings.keypoints[0],
-        individual=settings.individual,
-        first_frame=job.first_frame,
-        tilt_deg=settings.tilt_deg,
-        zoom=job.camera_motion == "zooms",
-        overwrite=True,
+        CameraMotionSettings(
+            video=job.video,
+            camera=settings.camera,
+            out=job.track,
+            camera_name=settings.camera_name[0] if settings.camera_name else None,
+            keypoints=settings.keypoints[0],
+            individual=settings.individual,
+            first_frame=job.first_frame,
+            tilt_deg=settings.tilt_deg,
+            zoom=job.camera_motion == "zooms",
+            overwrite=True,
+        ),
         progress=progress,
     )
     return run.files

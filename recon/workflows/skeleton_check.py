@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
@@ -14,6 +14,7 @@ from recon.animal.chain import AngleRanges, Chain
 from recon.animal.prior import load_prior
 from recon.animal.skeleton_file import builtin_names, load_chain, load_skeleton
 from recon.base.files import require_free_folder
+from recon.base.settings import Option, Settings
 from recon.geometry.kinematics import ANGLE_OF_AXIS, AXES
 
 STEMS = ("skeleton", "angles")
@@ -98,13 +99,22 @@ def list_skeletons() -> list[dict[str, Any]]:
     ]
 
 
-def run_skeleton_check(
-    skeleton: str, subject: str | None = None, out: Path | None = None, overwrite: bool = False
-) -> SkeletonCheck:
+class SkeletonCheckSettings(Settings):
+    """What `recon skeleton check` is told."""
+
+    skeleton: Annotated[
+        str, Option("A TOML file, or the name of a built-in skeleton, as in my-dog.toml.", argument="SKELETON")
+    ]
+    subject: Annotated[str | None, Option("Lengths measured on one animal: built-in name or TOML file.")] = None
+    out: Annotated[Path | None, Option("Folder for pictures (skeleton, angles: PNG and SVG).")] = None
+    overwrite: Annotated[bool, Option("Replace pictures in the folder.")] = False
+
+
+def run_skeleton_check(settings: SkeletonCheckSettings) -> SkeletonCheck:
     """`recon skeleton check`: read and describe a skeleton, and draw it into the folder `out`. Raises InputError."""
-    check = check_skeleton(skeleton, subject)
-    if out is not None:
-        _draw(check, out, overwrite)
+    check = check_skeleton(settings.skeleton, settings.subject)
+    if settings.out is not None:
+        _draw(check, settings.out, settings.overwrite)
     return check
 
 

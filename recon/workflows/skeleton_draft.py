@@ -6,6 +6,7 @@ import json
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 from recon.animal.body import PLACES, Body, other_side, side_of
 from recon.animal.chain import MIN_JOINTS
@@ -14,6 +15,7 @@ from recon.animal.skeleton_file import load_skeleton
 from recon.base.errors import InputError, Problem
 from recon.base.files import require_free_file, staged_file
 from recon.base.package import builtin_file
+from recon.base.settings import Option, Settings
 from recon.geometry.kinematics import Marker
 from recon.io import read_keypoints
 
@@ -33,13 +35,22 @@ class SkeletonDraft:
     """Those that have none yet."""
 
 
-def run_skeleton_draft(
-    keypoints: Path, out: Path, individual: str | None = None, overwrite: bool = False
-) -> SkeletonDraft:
+class SkeletonDraftSettings(Settings):
+    """What `recon skeleton from-keypoints` is told."""
+
+    keypoints: Annotated[Path, Option("Keypoint file of any known format, as in clip.csv.", argument="KEYPOINTS")]
+    out: Annotated[Path, Option("Skeleton file to write, as in my-animal.toml.")]
+    individual: Annotated[str | None, Option("Which animal of a multi-animal file, as in animal1.")] = None
+    overwrite: Annotated[bool, Option("Replace the file.")] = False
+
+
+def run_skeleton_draft(settings: SkeletonDraftSettings) -> SkeletonDraft:
     """`recon skeleton from-keypoints`: write a draft of a skeleton for a keypoint file. Raises InputError."""
-    require_free_file(out, overwrite, source=keypoints)
-    draft = draft_skeleton(read_keypoints(keypoints, individual).names, out.stem, keypoints)
-    with staged_file(out) as staged:
+    require_free_file(settings.out, settings.overwrite, source=settings.keypoints)
+    draft = draft_skeleton(
+        read_keypoints(settings.keypoints, settings.individual).names, settings.out.stem, settings.keypoints
+    )
+    with staged_file(settings.out) as staged:
         staged.write_text(draft.text, encoding="utf-8")
     return draft
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +15,7 @@ from recon.animal.skeleton_file import subject_toml
 from recon.base.arrays import Array
 from recon.base.errors import InputError, Problem, all_of
 from recon.base.files import require_free_file, staged_file
+from recon.base.settings import OneOrMore, Option, Settings
 from recon.clip import views_of
 from recon.fit.points import MIN_MARKERS, solve_points
 from recon.fit.setting import Setting
@@ -65,15 +66,28 @@ class SubjectFit:
         }
 
 
-def run_subject_fit(
-    clips: Sequence[Path],
-    out: Path,
-    lengths: bool = True,
-    offsets: bool = False,
-    title: str | None = None,
-    overwrite: bool = False,
-    poses: Sequence[Path] = (),
-) -> SubjectFit:
+class SubjectFitSettings(Settings):
+    """What `recon subject fit` is told."""
+
+    clips: Annotated[
+        OneOrMore[Path],
+        Option("Results of recon fit with several cameras, or their config.toml.", argument="CLIPS"),
+    ]
+    out: Annotated[Path, Option("File for the subject, as in my-cat.toml.")]
+    lengths: Annotated[bool, Option("Measure the lengths of the segments, left equal to right.")] = True
+    offsets: Annotated[bool, Option("Measure where the detector's keypoints lie beside the markers.")] = False
+    poses: Annotated[
+        tuple[Path, ...],
+        Option(
+            "3D poses of a clip that another method knows, in the cameras' world, once for each clip: offsets are "
+            "measured beside these."
+        ),
+    ] = ()
+    title: Annotated[str | None, Option("Of the animal, in words. (default: made up)")] = None
+    overwrite: Annotated[bool, Option("Replace the file.")] = False
+
+
+def run_subject_fit(settings: SubjectFitSettings) -> SubjectFit:
     """`recon subject fit`: measure an animal and its detector, and write the subject file; without lengths, the
     detector file.
 
@@ -82,42 +96,44 @@ def run_subject_fit(
     offsets are those beside these. Raises InputError for clips and options that cannot be used, with the problems of
     all of them.
     """
-    settings, _, known = all_of(
-        lambda: all_of(*(_reader(path) for path in clips)),
-        lambda: _check_options(out, lengths, offsets, overwrite, clips, poses),
-        lambda: all_of(*(lambda path=path: read_pose3d(path) for path in poses)),
+    fits, _, known = all_of(
+        lambda: all_of(*(_reader(path) for path in settings.clips)),
+        lambda: _check_options(
+            settings.out, settings.lengths, settings.offsets, settings.overwrite, settings.clips, settings.poses
+        ),
+        lambda: all_of(*(lambda path=path: read_pose3d(path) for path in settings.poses)),
     )
-    _require_one_skeleton(settings, clips)
-    if lengths:  # those of a measured animal would be measured again
-        settings = [replace(one, subject=None) for one in settings]
-    if offsets:
-        settings = [replace(one, detector=NONE) for one in settings]
-    each = zip(settings, clips, known or (None,) * len(clips), strict=True)
+    _require_one_skeleton(fits, settings.clips)
+    if settings.lengths:  # those of a measured animal would be measured again
+        fits = [replace(one, subject=None) for one in fits]
+    if settings.offsets:
+        fits = [replace(one, detector=NONE) for one in fits]
+    each = zip(fits, settings.clips, known or (None,) * len(settings.clips), strict=True)
     given = all_of(*(_setting_reader(*of) for of in each))
-    shape = Shape.of(given[0].body, lengths, offsets)
+    shape = Shape.of(given[0].body, settings.lengths, settings.offsets)
     if known:
         shape = replace(shape, offset_sigma_m=POSED_OFFSET_SIGMA_M)
     try:
         fit = fit_shape(shape, given)
     except ValueError as error:
-        raise InputError(Problem(clips[0], "clips", str(error), "clips that `recon fit` can solve")) from None
+        raise InputError(Problem(settings.clips[0], "clips", str(error), "clips that `recon fit` can solve")) from None
     n = len(shape.lengths)
     size, sigma = 1.0, given[0].size_sigma
     if n:
         size = float(np.exp(fit.values[:n].mean()))
         sigma = max(float(np.sqrt(fit.covariance[:n, :n].mean())), LEAST_SIZE_SIGMA)
     frames = sum(int((one.present().sum(axis=1) > 0).sum()) for one in given)
-    found = SubjectFit(fit, len(clips), frames, size, sigma)
+    found = SubjectFit(fit, len(settings.clips), frames, size, sigma)
     body = replace(shape.applied(shape.body, fit.values), size_sigma=sigma)
     notes = [f"{name}: {value:.4g} ± {s:.2g} {unit}" for name, value, s, unit in found.rows()]
-    count = f"measured in {len(clips)} clip{'s' * (len(clips) > 1)}"
-    if lengths:
-        if not offsets:  # the detector's are not the animal's
+    count = f"measured in {len(settings.clips)} clip{'s' * (len(settings.clips) > 1)}"
+    if settings.lengths:
+        if not settings.offsets:  # the detector's are not the animal's
             body = replace(body, keypoint_offset_m={})
-        text = subject_toml(settings[0].skeleton_name, body, title or f"{shape.body.title}, {count}", notes)
+        text = subject_toml(fits[0].skeleton_name, body, settings.title or f"{shape.body.title}, {count}", notes)
     else:
-        text = detector_toml(fit.seen(shape.body), title or f"a detector, {count}", notes)
-    with staged_file(out) as staged:
+        text = detector_toml(fit.seen(shape.body), settings.title or f"a detector, {count}", notes)
+    with staged_file(settings.out) as staged:
         staged.write_text(text, encoding="utf-8")
     return found
 

@@ -4,56 +4,27 @@ from __future__ import annotations
 
 import json
 import math
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.console import Console
 from rich.text import Text
 
+from recon.workflows.calibrate import CalibrationRun, CalibrationSettings, run_calibration
 from recon.workflows.cli.common import error_text, progress_bar, say, table_of, terminal
-
-if TYPE_CHECKING:
-    from recon.workflows.calibrate import CalibrationRun
 
 EXIT_REFUSED = 1
 
 
-def calibrate(
-    inputs: Annotated[
-        list[Path],
-        typer.Argument(metavar="IMAGES|FOLDER|VIDEO", help="Pictures or folders of pictures of a board, or one video."),
-    ],
-    board: Annotated[
-        str,
-        typer.Option(
-            help="chessboard:9x6:25mm (inner corners, side of a square) or charuco:5x7:40mm:30mm:DICT_4X4_50 (squares, "
-            "side of a square, of a marker, dictionary; :legacy for the layout of OpenCV before 4.6)."
-        ),
-    ],
-    model: Annotated[
-        str,
-        typer.Option(
-            help="radtan for most lenses, fisheye for action cameras and other lenses wider than 100 degrees, pinhole "
-            "for pictures that have been undistorted."
-        ),
-    ],
-    out: Annotated[Path, typer.Option(help="The camera file, as in camera.toml.")],
-    force: Annotated[bool, typer.Option("--force", help="Write a calibration that is refused.")] = False,
-    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the camera file.")] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print everything as JSON.")] = False,
-) -> None:
+def calibrate(settings: CalibrationSettings, as_json: bool) -> None:
     """Calibrate a camera: pictures or a video of a board in, a camera file and a picture of the coverage out.
 
     Example: recon calibrate board/ --board chessboard:9x6:25mm --model radtan --out camera.toml
 
     Exit code 0: written. 1: refused, because a check failed. 2: the input cannot be used.
     """
-    from recon.workflows.calibrate import run_calibration
-
     errors = terminal(stderr=True, soft_wrap=True)
     with progress_bar(errors) as progress:
-        run = run_calibration(inputs, board, model, out, force=force, overwrite=overwrite, progress=progress)
+        run = run_calibration(settings, progress)
     if as_json:
         typer.echo(json.dumps(run.to_dict(), indent=1))
     else:
@@ -61,7 +32,7 @@ def calibrate(
     if run.written is None:
         for failed in run.refused:
             errors.print(error_text(f"refused: {failed}"))
-        errors.print(Text(f"{out} was not written: mend that, or say --force. What there is: {run.picture}"))
+        errors.print(Text(f"{settings.out} was not written: mend that, or say --force. What there is: {run.picture}"))
         raise typer.Exit(EXIT_REFUSED)
 
 

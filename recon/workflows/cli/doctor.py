@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from itertools import groupby
-from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.box import SIMPLE_HEAD
@@ -13,23 +12,19 @@ from rich.table import Column, Table
 from rich.text import Text
 
 from recon.workflows.cli.common import progress_bar, say, terminal
-
-if TYPE_CHECKING:
-    from recon.workflows.doctor import Doctor
+from recon.workflows.doctor import Doctor, run_doctor
 
 EXIT_BROKEN = 1
 _STYLES = {"ok": "green", "absent": "", "note": "yellow", "broken": "bold red"}
 
 
-def doctor(as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False) -> None:
+def doctor(as_json: bool) -> None:
     """Check the installation: versions, optional parts, the viewer, and a fit of the sample.
 
     Example: recon doctor
 
     Exit code 0: recon works here. 1: something that it cannot do without is broken.
     """
-    from recon.workflows.doctor import run_doctor
-
     with progress_bar(terminal(stderr=True), "checking: ") as progress:
         found = run_doctor(progress)
     if as_json:

@@ -11,24 +11,32 @@ import typer
 from rich.table import Table
 from rich.text import Text
 
+from recon.base.settings import Option, Settings
 from recon.workflows.cli.common import say, table_of, terminal
 
 if TYPE_CHECKING:
     from recon.gait.evaluation import Evaluation
 
 
-def evaluate(
-    pose3d: Annotated[Path, typer.Argument(help="Results of recon fit, or a file of 3D positions, as pose3d.csv (m).")],
-    truth: Annotated[Path, typer.Argument(help="The reference, with the same frame numbers: likewise, as truth.csv.")],
-    as_json: Annotated[bool, typer.Option("--json", help="Print everything as JSON, per joint and frame.")] = False,
-) -> None:
+class EvaluateSettings(Settings):
+    """What `recon evaluate` is told."""
+
+    pose3d: Annotated[
+        Path, Option("Results of recon fit, or a file of 3D positions, as pose3d.csv (m).", argument="POSE3D")
+    ]
+    truth: Annotated[
+        Path, Option("The reference, with the same frame numbers: likewise, as truth.csv.", argument="TRUTH")
+    ]
+
+
+def evaluate(settings: EvaluateSettings, as_json: bool) -> None:
     """Compare a reconstruction with a reference, over the joints and frames that both have.
 
     Example: recon evaluate results/clip truth.csv
     """
     from recon.gait.evaluation import evaluate_files
 
-    result = evaluate_files(pose3d, truth)
+    result = evaluate_files(settings.pose3d, settings.truth)
     if as_json:
         typer.echo(json.dumps(result.to_dict(), indent=1))
         return

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
 from recon.base.errors import InputError, Problem
 from recon.base.settings import Count, Integer, Option, Settings
@@ -30,14 +30,17 @@ class RunSettings(Settings):
         Option("Instead of a network: the keypoint file; of a folder of videos the folder with a file for each."),
     ] = None
     camera_motion: Annotated[
-        Literal["turns", "zooms"] | None,
-        Option("Find how the camera turned, or turned and zoomed, from the background. (default: it stands still)"),
+        str | None,
+        Option(
+            "Find how the camera turned, or turned and zoomed, from the background. (default: it stands still)",
+            metavar="turns|zooms",
+        ),
     ] = None
     start: Annotated[
         str | None, Option(f"Do this stage again, and all after it: {_STAGES}.", metavar="STAGE", name="--from")
     ] = None
     first_frame: Annotated[Integer, FIRST_FRAME] = 0
-    quality: Annotated[Literal["fast", "best"], Option("Of the network's points: fast, or best.")] = "fast"
+    quality: Annotated[str, Option("Of the network's points: fast, or best.")] = "fast"
     jobs: Annotated[
         Count | None, Option("Of a folder: videos at a time, each in a process. (default: one for each core)")
     ] = None

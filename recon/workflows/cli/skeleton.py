@@ -6,29 +6,30 @@ import json
 import shlex
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, TypeVar
+from typing import TypeVar
 
 import typer
 from rich.table import Table
 from rich.text import Text
 
+from recon.geometry.kinematics import Marker
 from recon.workflows.cli.common import say, table_of, terminal
+from recon.workflows.skeleton_check import (
+    AngleRow,
+    PartRow,
+    SkeletonCheck,
+    SkeletonCheckSettings,
+    list_skeletons,
+    run_skeleton_check,
+)
+from recon.workflows.skeleton_draft import SkeletonDraftSettings, run_skeleton_draft
 
-if TYPE_CHECKING:
-    from recon.geometry.kinematics import Marker
-    from recon.workflows.skeleton_check import AngleRow, PartRow, SkeletonCheck
 
-skeleton_app = typer.Typer(help="Skeletons: those that come with the package, and your own.", no_args_is_help=True)
-
-
-@skeleton_app.command("list")
-def skeleton_list(as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False) -> None:
+def skeleton_list(as_json: bool) -> None:
     """List the skeletons that come with the package.
 
     Example: recon skeleton list
     """
-    from recon.workflows.skeleton_check import list_skeletons
-
     found = list_skeletons()
     if as_json:
         typer.echo(json.dumps(found, indent=1))
@@ -41,27 +42,14 @@ def skeleton_list(as_json: Annotated[bool, typer.Option("--json", help="Print JS
     terminal().print(table)
 
 
-@skeleton_app.command("check")
-def skeleton_check(
-    skeleton: Annotated[
-        str, typer.Argument(help="A TOML file, or the name of a built-in skeleton, as in my-dog.toml.")
-    ],
-    subject: Annotated[
-        str | None, typer.Option(help="Lengths measured on one animal: built-in name or TOML file.")
-    ] = None,
-    out: Annotated[Path | None, typer.Option(help="Folder for pictures (skeleton, angles: PNG and SVG).")] = None,
-    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace pictures in the folder.")] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
-) -> None:
+def skeleton_check(settings: SkeletonCheckSettings, as_json: bool) -> None:
     """Check a skeleton file, list what is in it, and draw it.
 
     Example: recon skeleton check my-dog.toml --out my-dog
 
     Exit code 0: it can be used. 2: it cannot; every problem is named.
     """
-    from recon.workflows.skeleton_check import run_skeleton_check
-
-    check = run_skeleton_check(skeleton, subject, out, overwrite)
+    check = run_skeleton_check(settings)
     if as_json:
         typer.echo(json.dumps(check.to_dict(), indent=1))
         return
@@ -70,26 +58,21 @@ def skeleton_check(
         say(console, line)
     for table in [_chain_table(check)] if check.kind == "chain" else _body_tables(check):
         console.print(table)
-    for line in _notes(check, out):
+    for line in _notes(check, settings.out):
         say(console, line)
 
 
-@skeleton_app.command("from-keypoints")
-def skeleton_from_keypoints(
-    keypoints: Annotated[Path, typer.Argument(help="Keypoint file of any known format, as in clip.csv.")],
-    out: Annotated[Path, typer.Option(help="Skeleton file to write, as in my-animal.toml.")],
-    individual: Annotated[str | None, typer.Option(help="Which animal of a multi-animal file, as in animal1.")] = None,
-    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the file.")] = False,
-) -> None:
+def skeleton_from_keypoints(settings: SkeletonDraftSettings) -> None:
     """Draft a skeleton for the keypoints of a file: the proportions of the quadruped, with markers called so.
 
     Example: recon skeleton from-keypoints clip.csv --out my-animal.toml
     """
-    from recon.workflows.skeleton_draft import run_skeleton_draft
-
-    draft = run_skeleton_draft(keypoints, out, individual, overwrite)
+    draft, out = run_skeleton_draft(settings), settings.out
     console = terminal()
-    say(console, f"{out}: {len(draft.markers)} of {len(draft.markers) + len(draft.others)} keypoints have a place.")
+    say(
+        console,
+        f"{out}: {len(draft.markers)} of {len(draft.markers) + len(draft.others)} keypoints have a place.",
+    )
     other = [f"{name} as {marker}" for name, marker in draft.markers.items() if name != marker]
     if other:
         say(console, f"Taken for the quadruped's: {', '.join(other)}.")

@@ -4,53 +4,24 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.table import Table
 from rich.text import Text
 
 from recon.workflows.cli.common import counted, table_of, terminal
-
-if TYPE_CHECKING:
-    from recon.workflows.subject import SubjectFit
+from recon.workflows.subject import SubjectFit, SubjectFitSettings, run_subject_fit
 
 
-def subject_fit(
-    clips: Annotated[
-        list[Path],
-        typer.Argument(metavar="CLIPS", help="Results of recon fit with several cameras, or their config.toml."),
-    ],
-    out: Annotated[Path, typer.Option(help="File for the subject, as in my-cat.toml.")],
-    lengths: Annotated[
-        bool, typer.Option("--lengths/--no-lengths", help="Measure the lengths of the segments, left equal to right.")
-    ] = True,
-    offsets: Annotated[
-        bool,
-        typer.Option("--offsets/--no-offsets", help="Measure where the detector's keypoints lie beside the markers."),
-    ] = False,
-    poses: Annotated[
-        list[Path] | None,
-        typer.Option(
-            help="3D poses of a clip that another method knows, in the cameras' world, once for each clip: offsets are "
-            "measured beside these."
-        ),
-    ] = None,
-    title: Annotated[str | None, typer.Option(help="Of the animal, in words. (default: made up)")] = None,
-    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the file.")] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print the table as JSON.")] = False,
-) -> None:
+def subject_fit(settings: SubjectFitSettings, as_json: bool) -> None:
     """Measure one animal in clips that several cameras filmed, for `recon fit --subject`; without its lengths the
     detector only, for `recon fit --set detector`, also from several measured animals.
 
     Example: recon subject fit results/run1 results/run2 --offsets --out my-cat.toml
     """
-    from recon.workflows.subject import run_subject_fit
-
-    found = run_subject_fit(clips, out, lengths, offsets, title, overwrite, poses or ())
+    found = run_subject_fit(settings)
     if as_json:
-        typer.echo(json.dumps({"out": str(out), **found.to_dict()}, indent=1))
+        typer.echo(json.dumps({"out": str(settings.out), **found.to_dict()}, indent=1))
         return
     for table in _tables(found):
         terminal().print(table)
@@ -59,9 +30,9 @@ def subject_fit(
     if not found.fit.converged:
         typer.echo("The last step was not small yet: more frames would say more.")
     kind = "subject" if found.fit.shape.lengths else "detector"
-    typer.echo(
-        f"From {counted(found.clips, 'clip')}, {found.frames} frames. The {kind} is in {out}: recon fit --{kind} {out}"
-    )
+    use = f"--subject {settings.out}" if found.fit.shape.lengths else f"--set detector={settings.out}"
+    typer.echo(f"From {counted(found.clips, 'clip')}, {found.frames} frames. The {kind} is in {settings.out}.")
+    typer.echo(f"Use it with: recon fit {use}")
 
 
 def _tables(found: SubjectFit) -> Iterator[Table]:
