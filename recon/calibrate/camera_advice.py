@@ -13,8 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from recon.animal.body import Body
-from recon.animal.prior import MotionPrior
+from recon.animal import Body, MotionPrior
 from recon.base.arrays import Array
 from recon.clip import View, still_view
 from recon.fit import constants

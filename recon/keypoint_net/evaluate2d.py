@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from recon.animal.naming import load_names, map_to_write, renamed
+from recon.animal import load_names, map_to_write, renamed
 from recon.base.arrays import Array, Bools
 from recon.base.errors import InputError, Problem, all_of
 from recon.clip.keypoints import Keypoints, mark_missing

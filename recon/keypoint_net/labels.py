@@ -11,7 +11,7 @@ from pathlib import Path, PureWindowsPath
 import cv2
 import numpy as np
 
-from recon.animal.naming import load_names, new_names
+from recon.animal import load_names, new_names
 from recon.base.arrays import Array, Bools, Integers, median
 from recon.base.errors import InputError, Problem, all_of
 from recon.clip.keypoints import Keypoints, mark_missing

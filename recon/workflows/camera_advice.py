@@ -9,15 +9,13 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from recon.animal.body import Body
-from recon.animal.prior import load_prior
-from recon.animal.skeleton_file import load_skeleton
+from recon.animal import Body, load_prior, load_skeleton
 from recon.base.errors import InputError, Problem
 from recon.base.files import require_free_folder, staged_folder
 from recon.base.settings import Integer, Number, Option, Settings
 from recon.calibrate.camera_advice import PICTURE_PX, Advice, advise
 from recon.fit.results import MEASURED_SHARE
-from recon.io.table import write_rows
+from recon.io import write_rows
 from recon.show import plots
 from recon.show.plots.advice import in_words
 from recon.show.report import to_json

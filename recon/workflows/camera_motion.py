@@ -30,10 +30,8 @@ from recon.calibrate.camera_motion.panorama import ANIMAL, PATH, Canvas, draw_pa
 from recon.clip.keypoints import Keypoints
 from recon.geometry.camera import Camera
 from recon.geometry.rotations import quaternions
-from recon.io import read_keypoints
-from recon.io.calibration import read_camera
+from recon.io import read_camera, read_keypoints, write_table
 from recon.io.camera_track import INTRINSICS, POSE, SIGMA
-from recon.io.table import write_table
 from recon.io.video import Image, probe, read_frames, require_codec, video_writer
 from recon.show.report import to_json
 from recon.workflows.settings import FIRST_FRAME

@@ -10,8 +10,7 @@ from pathlib import Path
 
 from recon.base.errors import InputError, Problem, all_of
 from recon.geometry.camera import Camera
-from recon.io.calibration import read_camera, read_cameras
-from recon.io.camera_track import CameraTrack, read_camera_track, track_label
+from recon.io import CameraTrack, read_camera, read_camera_track, read_cameras, track_label
 from recon.workflows.settings import UNITS_M, FitSettings, Unit
 
 

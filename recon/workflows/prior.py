@@ -11,17 +11,8 @@ from typing import Annotated, Any, TypeVar
 
 import numpy as np
 
-from recon.animal.body import Body
-from recon.animal.prior import (
-    FRAMES_PER_COMPONENT,
-    MotionPrior,
-    as_one_gaussian,
-    fit_prior,
-    log_likelihood,
-    mean_speed_m_s,
-    save_prior,
-)
-from recon.animal.skeleton_file import load_skeleton
+from recon.animal import Body, MotionPrior, fit_prior, load_skeleton, save_prior
+from recon.animal.prior import FRAMES_PER_COMPONENT, as_one_gaussian, log_likelihood, mean_speed_m_s
 from recon.base.arrays import Array, Integers
 from recon.base.documents import read_json
 from recon.base.errors import InputError, Problem, all_of
@@ -29,7 +20,7 @@ from recon.base.files import require_free_file
 from recon.base.settings import Integer, Number, OneOrMore, Option, Settings
 from recon.fit.points import MIN_MARKERS, solve_points_and_size
 from recon.fit.results import Results, read_results
-from recon.io.pose3d import Pose3D, read_pose_segments
+from recon.io import Pose3D, read_pose_segments
 from recon.workflows.batch.inputs import file_names
 
 Segment = tuple[str, Array, float]

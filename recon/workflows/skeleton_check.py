@@ -9,10 +9,8 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from recon.animal.body import Body, other_side
-from recon.animal.chain import AngleRanges, Chain
-from recon.animal.prior import load_prior
-from recon.animal.skeleton_file import builtin_names, load_chain, load_skeleton
+from recon.animal import Body, Chain, builtin_names, load_chain, load_prior, load_skeleton, other_side
+from recon.animal.chain import AngleRanges
 from recon.base.files import require_free_folder
 from recon.base.settings import Option, Settings
 from recon.geometry.kinematics import ANGLE_OF_AXIS, AXES

@@ -8,10 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-from recon.animal.body import PLACES, Body, other_side, side_of
-from recon.animal.chain import MIN_JOINTS
-from recon.animal.naming import fitting_maps, load_names, suggestions
-from recon.animal.skeleton_file import load_skeleton
+from recon.animal import MIN_JOINTS, Body, fitting_maps, load_names, load_skeleton, other_side, side_of, suggestions
+from recon.animal.body import PLACES
 from recon.base.errors import InputError, Problem
 from recon.base.files import require_free_file, staged_file
 from recon.base.package import builtin_file

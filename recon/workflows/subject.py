@@ -10,8 +10,8 @@ from typing import Annotated, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from recon.animal.detector import NONE, detector_toml
-from recon.animal.skeleton_file import subject_toml
+from recon.animal import detector_toml, subject_toml
+from recon.animal.detector import NONE
 from recon.base.arrays import Array
 from recon.base.errors import InputError, Problem, all_of
 from recon.base.files import require_free_file, staged_file
@@ -20,7 +20,7 @@ from recon.clip import views_of
 from recon.fit.points import MIN_MARKERS, solve_points
 from recon.fit.setting import Setting
 from recon.fit.shape import POSED_OFFSET_SIGMA_M, Shape, ShapeFit, fit_shape
-from recon.io.pose3d import Pose3D, read_pose3d
+from recon.io import Pose3D, read_pose3d
 from recon.workflows.clip import prepare
 from recon.workflows.made_from import read_config
 from recon.workflows.settings import FitSettings

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from recon.animal.body import both_sides, side_of
+from recon.animal import both_sides, side_of
 from recon.base.arrays import Array, Bools
 from recon.clip.keypoints import frame_ranges
 from recon.show.plots.style import COLOURS, GREY, PALE, SMALL, drawing

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from recon.animal.body import Side
+from recon.animal import Side
 from recon.base.arrays import Array, Index
 from recon.gait.gait import Plane
 from recon.show.plots.style import GREY, SMALL, WIDTH_MM, blank, drawing, time_colours

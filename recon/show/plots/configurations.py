@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from recon.animal.body import Body, Side
+from recon.animal import Body, Side
 from recon.animal.chain import UVW_BODY
 from recon.base.arrays import Array
 from recon.geometry.kinematics import ROOT

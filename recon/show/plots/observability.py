@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from recon.animal.body import Body, side_of
+from recon.animal import Body, side_of
 from recon.base.arrays import Array, median
 from recon.fit.results import MEASURED_SHARE
 from recon.geometry.kinematics import AXES, Marker, Tree

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from recon.animal.body import Body, both_sides, other_side, side_of
+from recon.animal import Body, both_sides, other_side, side_of
 from recon.base.arrays import Array, Bools
 from recon.show.plots.style import COLOURS, GREY, PALE, SMALL, WIDTH_MM, drawing, grid_shape
 

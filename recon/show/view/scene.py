@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import rerun as rr
 
-from recon.animal.body import Side
+from recon.animal import Side
 from recon.base.arrays import Array, Bools, Integers
 from recon.fit import Spell
 from recon.fit.motion import Motion, Picture

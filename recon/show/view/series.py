@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import rerun as rr
 
-from recon.animal.body import side_of, without_side
+from recon.animal import side_of, without_side
 from recon.fit.motion import Motion
 from recon.gait.kinematics import speed_at_frames
 from recon.gait.path import frame_jitter_m
