@@ -155,8 +155,9 @@ def horse(args: argparse.Namespace, out: Path) -> None:
             out.mkdir(parents=True, exist_ok=True)
             file, held_out = _random_half(labels, out, seed)
             validation, test = "0.1", "0"
+        source = LabelSource(data=video, labels=file, first_frame=FIRST, validation=validation, test=test)
         report = run_training(
-            LabelSource(video, file, FIRST, None, validation, test), settings(args, seed), folder,
+            source, settings(args, seed), folder,
             device=args.device, threads=args.threads, overwrite=True,
         )  # fmt: skip
         for quality in ("fast", "best"):

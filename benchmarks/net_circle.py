@@ -66,7 +66,8 @@ def run_circle(
     samples = samples or samples_folder()
     film, labels = samples / "rendered.mp4", samples / "rendered_labels.csv"
     training = run_training(
-        LabelSource(film, labels), settings, out / "network", device=device, threads=threads, overwrite=True,
+        LabelSource(data=film, labels=labels), settings, out / "network",
+        device=device, threads=threads, overwrite=True,
     )  # fmt: skip
     points = out / "points.csv"
     run_prediction(film, out / "network", points, device=device, threads=threads, overwrite=True)

@@ -67,7 +67,7 @@ def run_large(
     `write_large_film`."""
     video, labels = film / "large.mp4", film / "large_labels.csv"
     report = run_training(
-        LabelSource(video, labels), settings, out, device=device, threads=threads, overwrite=True
+        LabelSource(data=video, labels=labels), settings, out, device=device, threads=threads, overwrite=True
     )  # fmt: skip
     truth, labelled = read_keypoints(film / "large_points.csv"), read_label_file(labels)[0]
     others, length_px = ~np.isin(truth.frames, labelled.frames), body_length_px(truth.xy_px)

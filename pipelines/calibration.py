@@ -25,7 +25,7 @@ print(f"{run.views.found} of {run.views.examined} pictures show the board, {len(
 
 # Each check says what it is about, and how the calibration stands to its limit.
 for check in run.checks:
-    print(f"{check.verdict}: {check.limit.what}: {check.value:.3g} {check.limit.unit}")
+    print(f"{check.verdict}: {check.what}: {check.value:.3g} {check.unit}")
 for view in views:
     if view.rms_px > 2 * run.calibration.rms_px:
         print(f"look at {view.name}: its corners are {view.rms_px:.2f} px off")

@@ -16,7 +16,7 @@ labels = FILE.parent / config["labels"]["labels"]
 
 # Train a network on the labels, unless there is one.
 if not (model / "model.pt").is_file():
-    source = recon.LabelSource(video, labels, config["labels"]["first_frame"])
+    source = recon.LabelSource(data=video, labels=labels, first_frame=config["labels"]["first_frame"])
     training = recon.run_training(source, recon.TrainSettings(**config["training"]), model)
     print(f"Errors by keypoint, and labels that are probably wrong: {model}")
 

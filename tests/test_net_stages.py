@@ -64,7 +64,7 @@ def clip(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def train_in(out: Path, clip: Path, threads: int | None = 1, **options: object) -> dict:
-    source = LabelSource(clip / "clip.avi", clip / "labels.csv")
+    source = LabelSource(data=clip / "clip.avi", labels=clip / "labels.csv")
     return run_training(source, SETTINGS, out, device="cpu", threads=threads, **options)  # pyright: ignore
 
 

@@ -62,7 +62,7 @@ def clip(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def source(clip: Path, **changes: str) -> LabelSource:
-    return LabelSource(clip / "clip.avi", clip / "labels.csv", 50, validation=changes.get("validation", "0.2"))
+    return LabelSource(data=clip / "clip.avi", labels=clip / "labels.csv", first_frame=50, **changes)
 
 
 SHORT = TrainSettings(steps=9, batch=2, seed=3)
@@ -265,7 +265,7 @@ def test_a_checkpoint_of_other_keypoints(clip, quick, tmp_path):
     text = (clip / "labels.csv").read_text(encoding="utf-8").replace("nose", "tail")
     (tmp_path / "other.csv").write_text(text, encoding="utf-8")
     before = {f.name: f.read_bytes() for f in (tmp_path / "out").iterdir()}
-    other = LabelSource(clip / "clip.avi", tmp_path / "other.csv", 50)
+    other = LabelSource(data=clip / "clip.avi", labels=tmp_path / "other.csv", first_frame=50)
     with pytest.raises(InputError, match="keypoints: found nose, l_paw, r_paw, expected those of the labels: tail"):
         run_training(other, TrainSettings(steps=1, batch=1), tmp_path / "out", device="cpu", threads=1, resume=True)
     with pytest.raises(InputError, match="setting batch: found 1, expected 2"):
@@ -284,7 +284,7 @@ def test_a_checkpoint_of_other_keypoints(clip, quick, tmp_path):
         (("predict", "{clip}/clip.avi", "--model", "{model}", "--out", "p.txt"), "that ends in .csv or .h5"),
         (
             ("predict", "{clip}/clip.avi", "--model", "{model}", "--out", "p.csv", "--quality", "odd"),
-            "fast, best",
+            "fast or best",
         ),
         (("predict", "{clip}/clip.avi", "--model", "{model}", "--out", "p.csv", "--device", "tpu"), "--device"),
         (("train", "{clip}/clip.avi", "--labels", "{clip}/labels.csv", "--out", "o", "--steps", "0"), "1 or more"),

@@ -74,7 +74,7 @@ def called(monkeypatch, report) -> list[str]:
             (folder / "report.json").write_text(report, encoding="utf-8")
             (folder / "pose3d.csv").write_text(f"poses {next(numbers)}")
 
-    monkeypatch.setattr("recon.keypoint_net.workflows.run_prediction", predict)
+    monkeypatch.setattr("recon.keypoint_net.run_prediction", predict)
     monkeypatch.setattr("recon.workflows.camera_motion.run_camera_motion", track)
     monkeypatch.setattr("recon.workflows.run._check_inputs", lambda job: None)
     monkeypatch.setattr("recon.workflows.run.fit_clip", lambda settings, progress: None)

@@ -3,24 +3,17 @@
 It needs torch (extra `net`), which is imported where it is used.
 """
 
-from typing import TYPE_CHECKING
+from recon.keypoint_net.evaluate2d import evaluate_2d_files
+from recon.keypoint_net.run import TrainSettings
+from recon.keypoint_net.trained import model_file
+from recon.keypoint_net.workflows import LabelSource, PredictSettings, run_prediction, run_training
 
-from recon.base.front_door import lazily
-
-if TYPE_CHECKING:
-    from recon.keypoint_net.evaluate2d import evaluate_2d_files
-    from recon.keypoint_net.run import TrainSettings
-    from recon.keypoint_net.trained import model_file
-    from recon.keypoint_net.workflows import LabelSource, run_prediction, run_training
-
-__all__ = ["LabelSource", "TrainSettings", "evaluate_2d_files", "model_file", "run_prediction", "run_training"]
-
-__getattr__ = lazily(
-    __name__,
-    {
-        "evaluate2d": ("evaluate_2d_files",),
-        "run": ("TrainSettings",),
-        "trained": ("model_file",),
-        "workflows": ("LabelSource", "run_prediction", "run_training"),
-    },
-)
+__all__ = [
+    "LabelSource",
+    "PredictSettings",
+    "TrainSettings",
+    "evaluate_2d_files",
+    "model_file",
+    "run_prediction",
+    "run_training",
+]

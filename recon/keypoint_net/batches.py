@@ -65,14 +65,14 @@ def crop_size(labels: Labels, scale: float) -> tuple[int, int]:
     return width, height
 
 
-def examples_of(labels: Labels, backgrounds: tuple[Image | None, ...], paste: bool) -> list[Example]:
+def examples_of(labels: Labels, backgrounds: tuple[Image | None, ...]) -> list[Example]:
     length = body_length_px(labels.xy_px)
     length = length if np.isfinite(length) else NETWORK_LENGTH_PX
     found = []
     for picture, clip, xy in zip(labels.pictures, labels.clip, labels.xy_px, strict=True):
         background = backgrounds[clip]
         mask = None
-        if paste and background is not None and known_points(xy).sum() >= 4:
+        if background is not None and known_points(xy).sum() >= 4:
             mask = moving_mask(picture, background, xy, MARGIN * length)
         found.append(Example(picture, background, mask, xy, length))
     return found

@@ -65,7 +65,7 @@ def write_training_report(run: TrainingRun, state: State, folder: Path) -> dict[
         "body_length_px": spec.body_length_px,
         "tolerance_px": spec.tolerance_px,
         "still_background": [b is not None for b in run.still],
-        "settings": dataclasses.asdict(run.settings),
+        "settings": run.settings.of_training(),
         "split": run.split.to_dict(run.labels),
         "labelled_points": {name: int(run.labels.labelled[which].sum()) for name, which in parts.items()},
         "steps": state.step,

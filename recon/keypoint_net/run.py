@@ -8,15 +8,16 @@ import math
 from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
+from pydantic import Field
 
 from recon.base.arrays import Array, Bools
 from recon.base.errors import InputError, Problem
 from recon.base.files import staged_file, write_bytes
+from recon.base.settings import Count, Integer, Number, Option, Settings
 from recon.io.video import Image
-from recon.keypoint_net.augment import Augmentation
 from recon.keypoint_net.background import backgrounds
 from recon.keypoint_net.batches import network_scales
 from recon.keypoint_net.calibrate import LikelihoodCalibration
@@ -34,40 +35,38 @@ TOLERANCE = 0.04
 """Within this, relative to the body length, a point counts as right for its likelihood."""
 
 
-@dataclass(frozen=True)
-class TrainSettings:
-    """The settings of a training."""
+LEARNING_RATE, WEIGHT_DECAY = 2e-3, 0.05
+TRAINING, SPLIT = "Training", "Which pictures"
 
-    steps: int | None = None
-    """How many, or None for as many as fit into `minutes`."""
-    minutes: float = 15.0
-    batch: int = 8
-    learning_rate: float = 2e-3
-    weight_decay: float = 0.05
-    seed: int = 0
-    mirror: bool = False
-    still_background: bool = True
-    patience: int = 12
-    """Evaluations without improvement after which the first part ends."""
-    finish: bool = True
-    """Whether the last part learns from the validation pictures, too."""
-    half: bool = True
-    augmentation: Augmentation = field(default_factory=Augmentation)
 
-    def __post_init__(self) -> None:
-        problems = [
-            Problem(f"--{name}", "number", f"{value:g}", expected)
-            for name, value, low, expected in (
-                ("steps", 1 if self.steps is None else self.steps, 1, "1 or more"),
-                ("minutes", self.minutes, 0.05, "0.05 or more"),
-                ("batch", self.batch, 1, "1 or more"),
-                ("seed", self.seed, 0, "0 or more"),
-                ("patience", self.patience, 1, "1 or more"),
-            )
-            if not value >= low
-        ]
-        if problems:
-            raise InputError(problems)
+class TrainSettings(Settings):
+    """How a network is trained."""
+
+    finish: Annotated[bool, Option("Learn from the validation pictures, too, at the end.", panel=SPLIT)] = True
+    minutes: Annotated[Number, Field(ge=0.05), Option("Time to train.", "0.05 minutes or more", panel=TRAINING)] = 15.0
+    steps: Annotated[
+        Count | None, Option("Steps to train, instead of a time: the same in every run.", "1 or more", panel=TRAINING)
+    ] = None
+    batch: Annotated[Count, Option("Pictures in a step.", "1 or more", panel=TRAINING)] = 8
+    seed: Annotated[
+        Integer, Field(ge=0), Option("Of weights, split and augmentation.", "0 or more", panel=TRAINING)
+    ] = 0
+    mirror: Annotated[
+        bool,
+        Option(
+            "Train on mirror pictures, too, in which left and right, or near and off, change their names: for animals "
+            "that are labelled going one way and filmed going both. Takes longer to learn.",
+            panel=TRAINING,
+        ),
+    ] = False
+    patience: Annotated[
+        Count, Option("Evaluations without improvement before stopping early.", "1 or more", panel=TRAINING)
+    ] = 12
+    half: Annotated[bool, Option("Compute in 16 bits where the device is faster with them.", panel=TRAINING)] = True
+
+    def of_training(self) -> dict[str, Any]:
+        """Those of training alone, where there are others beside them."""
+        return {name: getattr(self, name) for name in TrainSettings.infos()}
 
 
 @dataclass
@@ -123,8 +122,7 @@ def prepare(labels: Labels, split: Split, settings: TrainSettings, device: torch
     partner = sides(labels.names)
     spec = Spec(labels.names, scale, float(length), float(TOLERANCE * length), partner, settings.mirror, {}, first)
     scaled = labels.scaled(scale)
-    still = backgrounds(scaled, split.test) if settings.still_background else (None,) * len(labels.clips)
-    return TrainingRun(settings, spec, labels, scaled, split, still, device)
+    return TrainingRun(settings, spec, labels, scaled, split, backgrounds(scaled, split.test), device)
 
 
 def begin(run: TrainingRun) -> State:
@@ -133,15 +131,15 @@ def begin(run: TrainingRun) -> State:
         torch.manual_seed(run.settings.seed)
         network = new_network(run.spec)
     network = placed(network, run.device)
-    return State(network, copy.deepcopy(network).requires_grad_(False), _optimizer(network, run.settings))
+    return State(network, copy.deepcopy(network).requires_grad_(False), _optimizer(network))
 
 
-def _optimizer(network: torch.nn.Module, settings: TrainSettings) -> torch.optim.Optimizer:
+def _optimizer(network: torch.nn.Module) -> torch.optim.Optimizer:
     torch = require_torch()
     decayed = [p for p in network.parameters() if p.ndim > 1]
     others = [p for p in network.parameters() if p.ndim <= 1]
-    groups = [{"params": decayed, "weight_decay": settings.weight_decay}, {"params": others, "weight_decay": 0.0}]
-    return torch.optim.AdamW(groups, lr=settings.learning_rate)
+    groups = [{"params": decayed, "weight_decay": WEIGHT_DECAY}, {"params": others, "weight_decay": 0.0}]
+    return torch.optim.AdamW(groups, lr=LEARNING_RATE)
 
 
 def save_checkpoint(state: State, run: TrainingRun, out: Path) -> None:
@@ -149,7 +147,7 @@ def save_checkpoint(state: State, run: TrainingRun, out: Path) -> None:
     torch = require_torch()
     path = out / CHECKPOINT_FILE
     content = {
-        "settings": dataclasses.asdict(run.settings),
+        "settings": run.settings.of_training(),
         "names": list(run.spec.names),
         "split": run.split.to_dict(run.labels),
         "network": state.network.state_dict(),
@@ -181,7 +179,7 @@ def resumed(run: TrainingRun, out: Path) -> State:
     if content["names"] != list(run.spec.names):
         expected = f"those of the labels: {', '.join(run.spec.names)}"
         problems.append(Problem(path, "keypoints", ", ".join(content["names"]), expected))
-    given = dataclasses.asdict(run.settings)
+    given = run.settings.of_training()
     for name, value in content["settings"].items():
         if to_plain(value) != to_plain(given.get(name)):
             problems.append(Problem(path, f"setting {name}", str(value), f"{given.get(name)}, as now given"))

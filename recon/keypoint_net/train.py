@@ -23,6 +23,7 @@ import numpy as np
 
 from recon.base.arrays import Array, Integers
 from recon.base.progress import Progress, silent
+from recon.keypoint_net.augment import Augmentation
 from recon.keypoint_net.batches import (
     NETWORK_LENGTH_PX,
     OFF,
@@ -37,7 +38,7 @@ from recon.keypoint_net.calibrate import fit_calibration
 from recon.keypoint_net.decode import SIGMA, Window, loss
 from recon.keypoint_net.labels import resize
 from recon.keypoint_net.model import STRIDE, stages
-from recon.keypoint_net.run import State, TrainingRun, TrainSettings, begin, resumed, save_checkpoint
+from recon.keypoint_net.run import LEARNING_RATE, State, TrainingRun, TrainSettings, begin, resumed, save_checkpoint
 from recon.keypoint_net.torch_extra import fast_half, fastest_threads, require_torch, use_threads
 from recon.keypoint_net.trained import MODEL_FILE, VIEWS, Trained, as_input, places, prepared, save_model
 
@@ -80,7 +81,7 @@ def train(
         held_out = not state.finishing
         with closing(batches(sources, state.step, first if held_out else both)) as drawn:
             while state.share < 1.0 and held_out != state.finishing:
-                rate = settings.learning_rate * schedule(state.share, settings.finish)
+                rate = LEARNING_RATE * schedule(state.share, settings.finish)
                 value = _learn(state, next(drawn), rate, run, half)
                 state.seconds = time.monotonic() - began_s
                 _advance(state, settings)
@@ -101,20 +102,17 @@ def train(
 def _sources(run: TrainingRun) -> tuple[BatchSource, ...]:
     """One for each stage."""
     settings, spec = run.settings, run.spec
-    options = dataclasses.replace(settings.augmentation, partner=spec.partner if settings.mirror else None)
+    options = Augmentation(partner=spec.partner if settings.mirror else None)
     labels, still = run.scaled, run.still
     if spec.two_stages:
         labels = labels.scaled(spec.first)
         still = tuple(None if b is None else resize(b, spec.first) for b in still)
-    examples = examples_of(labels, still, options.paste > 0)
+    examples = examples_of(labels, still)
     first = BatchSource(examples, crop_size(run.scaled, spec.first), options, settings.batch, settings.seed)
     if not spec.two_stages:
         return (first,)
     # What is drawn or blurred on a part is as large in it as on the whole animal in its smaller picture.
-    parts = [
-        dataclasses.replace(e, part=True, length_px=NETWORK_LENGTH_PX)
-        for e in examples_of(run.scaled, run.still, options.paste > 0)
-    ]
+    parts = [dataclasses.replace(e, part=True, length_px=NETWORK_LENGTH_PX) for e in examples_of(run.scaled, run.still)]
     off_px = OFF * spec.reach_places * STRIDE
     return first, BatchSource(parts, PART_PX, options, settings.batch, settings.seed, off_px)
 

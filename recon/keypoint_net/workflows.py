@@ -2,44 +2,47 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 
 from recon.base.errors import InputError, Problem, all_of
 from recon.base.files import require_free_file, sole_writer, staged_file, staged_folder
 from recon.base.progress import Progress, silent
+from recon.base.settings import Count, Integer, Number, Option, Settings
 from recon.clip.keypoints import Keypoints
 from recon.io.deeplabcut import write_csv, write_h5
 from recon.io.video import require_codec
 from recon.keypoint_net.labels import read_labels
 from recon.keypoint_net.predict import predict_video
 from recon.keypoint_net.report import write_training_report
-from recon.keypoint_net.run import CHECKPOINT_FILE, TrainSettings, prepare
+from recon.keypoint_net.run import CHECKPOINT_FILE, SPLIT, TrainSettings, prepare
 from recon.keypoint_net.split import parse_choice, split_labels
 from recon.keypoint_net.torch_extra import choose_device, require_torch
 from recon.keypoint_net.train import train
-from recon.keypoint_net.trained import MODEL_FILE, VIEWS, load_model, model_file
+from recon.keypoint_net.trained import MODEL_FILE, load_model, model_file
+from recon.workflows.settings import RENAME
 
 WRITERS = {".csv": write_csv, ".h5": write_h5}
 
 
-@dataclass(frozen=True)
-class LabelSource:
+DEVICE = Option("auto, cpu, cuda or mps.")
+THREADS = Option("Threads on the CPU. (default: the fastest)", "1 or more")
+
+
+class LabelSource(Settings):
     """Labelled pictures, and which of them to learn from."""
 
-    data: Path
-    """A DeepLabCut project folder, or a video with its label file."""
-    labels: Path | None = None
-    first_frame: int = 0
-    """The number that the label file gives to the video's first frame."""
-    individual: str | None = None
-    validation: str = "0.2"
-    """A share of the labelled pictures, or a range "A:B"."""
-    test: str = "0"
-    """A share of the labelled pictures, or a range "A:B"."""
-    rename: str | None = None
-    """A map of the labels' names (see `recon.animal.naming`), which the network has."""
+    data: Annotated[Path, Option("DeepLabCut project folder, or a video (with --labels).", argument="DATA")]
+    labels: Annotated[Path | None, Option("Label file of the video, as in CollectedData_me.csv.")] = None
+    first_frame: Annotated[
+        Integer, Option("Number that the labels give to the video's first frame: 50 where 0050.png is frame 0.")
+    ] = 0
+    individual: Annotated[str | None, Option("The animal, where the labels name several.")] = None
+    rename: Annotated[str | None, RENAME] = None
+    validation: Annotated[
+        str, Option("Pictures to judge and calibrate by: a share, or frame numbers A:B (B excluded).", panel=SPLIT)
+    ] = "0.2"
+    test: Annotated[str, Option("Pictures that are only judged at the end, in the same way.", panel=SPLIT)] = "0"
 
 
 def run_training(
@@ -74,41 +77,57 @@ def run_training(
             return write_training_report(run, state, staging)
 
 
-def run_prediction(
-    video: Path,
-    model: Path,
-    out: Path,
-    *,
-    overlay: Path | None = None,
-    quality: str = "fast",
-    likelihood_min: float = 0.5,
-    half: bool = True,
-    still_background: bool = True,
-    device: str = "auto",
-    threads: int | None = None,
-    partial: bool = False,
-    overwrite: bool = False,
-    progress: Progress = silent,
-) -> Keypoints:
-    """`recon predict`: a keypoint file in DeepLabCut's layout. Raises InputError; then nothing is written."""
-    _, chosen, *_ = all_of(
+class PredictSettings(Settings):
+    """What `recon predict` does."""
+
+    video: Annotated[Path, Option("The video, as in run.mp4.", argument="VIDEO")]
+    model: Annotated[Path, Option("Folder of a trained network, as in models/run.", metavar="DIR")]
+    out: Annotated[Path, Option("The keypoint file, .csv or .h5, in DeepLabCut's layout.")]
+    overlay: Annotated[
+        Path | None, Option("A new video with the points drawn, .mp4 (MPEG-4) or .avi (Motion JPEG).")
+    ] = None
+    quality: Annotated[
+        Literal["fast", "best"],
+        Option(
+            "fast, or best: averaged over three scales and, if trained with them, mirror pictures; three to six times "
+            "the work."
+        ),
+    ] = "fast"
+    likelihood_min: Annotated[
+        Number,
+        Option(
+            "Points less likely than this are small rings in the overlay; the file has them all.",
+            "a number from 0 to 1",
+        ),
+    ] = 0.5
+    background: Annotated[bool, Option("Use the still background of a camera that stands still.")] = True
+    half: Annotated[bool, Option("Compute in 16 bits where the device is faster with them.")] = True
+    device: Annotated[str, DEVICE] = "auto"
+    threads: Annotated[Count | None, THREADS] = None
+    partial: Annotated[bool, Option("Accept a video of which fewer frames can be decoded than it states.")] = False
+    overwrite: Annotated[bool, Option("Replace files that are there.")] = False
+
+
+def run_prediction(video: Path, model: Path, out: Path, *, progress: Progress = silent, **options: Any) -> Keypoints:
+    """`recon predict`: a keypoint file in DeepLabCut's layout. options: the other fields of `PredictSettings`. Raises
+    InputError; then nothing is written."""
+    s = PredictSettings(video=video, model=model, out=out, **options)
+    _, device, *_ = all_of(
         lambda: model_file(model),
-        lambda: choose_device(device),
-        lambda: require_free_file(out, overwrite, suffixes=WRITERS),
-        lambda: _check_overlay(overlay, overwrite, video),
-        lambda: _check_quality(quality),
+        lambda: choose_device(s.device),
+        lambda: require_free_file(out, s.overwrite, suffixes=WRITERS),
+        lambda: _check_overlay(s),
     )
-    trained = load_model(model, chosen)
     keypoints = predict_video(
-        trained,
+        load_model(model, device),
         video,
-        quality=quality,
-        still_background=still_background,
-        half=half,
-        overlay=overlay,
-        likelihood_min=likelihood_min,
-        partial=partial,
-        threads=threads,
+        quality=s.quality,
+        still_background=s.background,
+        half=s.half,
+        overlay=s.overlay,
+        likelihood_min=s.likelihood_min,
+        partial=s.partial,
+        threads=s.threads,
         progress=progress,
     )
     with staged_file(out) as staged:
@@ -128,13 +147,7 @@ def _check_folder(out: Path, resume: bool, overwrite: bool) -> None:
         raise InputError(Problem("--out", "folder", f"{out}, which is a file", "a folder"))
 
 
-def _check_overlay(overlay: Path | None, overwrite: bool, video: Path) -> None:
-    if overlay is None:
-        return
-    require_codec(overlay)
-    require_free_file(overlay, overwrite, "--overlay", video)
-
-
-def _check_quality(quality: str) -> None:
-    if quality not in VIEWS:
-        raise InputError(Problem("--quality", "quality", f"'{quality}'", "one of: " + ", ".join(VIEWS)))
+def _check_overlay(settings: PredictSettings) -> None:
+    if settings.overlay is not None:
+        require_codec(settings.overlay)
+        require_free_file(settings.overlay, settings.overwrite, "--overlay", settings.video)

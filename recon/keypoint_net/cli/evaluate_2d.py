@@ -5,52 +5,49 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 from rich.table import Table
 from rich.text import Text
 
-from recon.workflows.cli.common import RENAME, number_option, table_of, terminal
+from recon.base.settings import Integer, Number, Option, Positive, Settings
+from recon.clip.keypoints import parse_frame_range
+from recon.keypoint_net.evaluate2d import PCK_PX, PCK_RELATIVE, Evaluation2D, Score2D, evaluate_2d_files
+from recon.show.report import to_json
+from recon.workflows.cli.common import table_of, terminal
+from recon.workflows.settings import RENAME, FrameRange
 
-if TYPE_CHECKING:
-    from recon.keypoint_net.evaluate2d import Evaluation2D, Score2D
 
+class Evaluate2DSettings(Settings):
+    """What `recon evaluate-2d` compares."""
 
-def evaluate_2d(
-    predicted: Annotated[Path, typer.Argument(help="Keypoints of any known format, as in run.csv.")],
-    labels: Annotated[Path, typer.Argument(help="Labels in DeepLabCut's layout, as in CollectedData_me.csv.")],
-    first_frame: Annotated[int, typer.Option(help="Number that the labels give to frame 0 of the predictions.")] = 0,
-    frames: Annotated[
-        str | None, typer.Option(help="Frame numbers of the labels to compare, A:B (B excluded).")
-    ] = None,
-    individual: Annotated[str | None, typer.Option(help="The animal, where the files name several.")] = None,
-    rename: Annotated[str | None, RENAME] = None,
-    likelihood_min: Annotated[
-        float, number_option("Cut-off for the rows of likely points.", "a number from 0 to 1")
-    ] = 0.5,
+    predicted: Annotated[Path, Option("Keypoints of any known format, as in run.csv.", argument="PREDICTED")]
+    labels: Annotated[Path, Option("Labels in DeepLabCut's layout, as in CollectedData_me.csv.", argument="LABELS")]
+    first_frame: Annotated[Integer, Option("Number that the labels give to frame 0 of the predictions.")] = 0
+    frames: Annotated[FrameRange | None, Option("Frame numbers of the labels to compare, A:B (B excluded).")] = None
+    individual: Annotated[str | None, Option("The animal, where the files name several.")] = None
+    rename: Annotated[str | None, RENAME] = None
+    likelihood_min: Annotated[Number, Option("Cut-off for the rows of likely points.", "a number from 0 to 1")] = 0.5
     tolerance_px: Annotated[
-        float, number_option("Within this a point is right, for the likelihoods' reliability.", "pixels above 0")
-    ] = 5.0,
-    as_json: Annotated[bool, typer.Option("--json", help="Print everything as JSON.")] = False,
-) -> None:
+        Positive, Option("Within this a point is right, for the likelihoods' reliability.", "pixels above 0")
+    ] = 5.0
+
+
+def evaluate_2d(settings: Evaluate2DSettings, as_json: bool) -> None:
     """Compare 2D keypoints with labels: errors in pixels, shares of good points, reliability of the likelihoods.
 
     Example: recon evaluate-2d run.csv CollectedData_me.csv
     """
-    from recon.clip.keypoints import parse_frame_range
-    from recon.keypoint_net.evaluate2d import evaluate_2d_files
-    from recon.show.report import to_json
-
     result = evaluate_2d_files(
-        predicted,
-        labels,
-        first_frame=first_frame,
-        frames=parse_frame_range(frames) if frames else None,
-        individual=individual,
-        rename=rename,
-        likelihood_min=likelihood_min,
-        tolerance_px=tolerance_px,
+        settings.predicted,
+        settings.labels,
+        first_frame=settings.first_frame,
+        frames=parse_frame_range(settings.frames) if settings.frames else None,
+        individual=settings.individual,
+        rename=settings.rename,
+        likelihood_min=settings.likelihood_min,
+        tolerance_px=settings.tolerance_px,
     )
     if as_json:
         typer.echo(to_json(asdict(result)), nl=False)
@@ -61,8 +58,6 @@ def evaluate_2d(
 
 
 def _table(result: Evaluation2D) -> Table:
-    from recon.keypoint_net.evaluate2d import PCK_PX, PCK_RELATIVE
-
     pck = (*(f"{t:g}px" for t in PCK_PX), *(f"{t:.0%}" for t in PCK_RELATIVE))
     table = table_of("errors in px", numbers=("n", "found", "RMSE", "median", *pck), padding=(0, 1, 0, 0))
 

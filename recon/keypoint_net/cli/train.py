@@ -2,110 +2,43 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
-import typer
-
-from recon.workflows.cli.common import RENAME, number_option, progress_bar, say, stop, terminal
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-TRAINING = "Training"
-SPLIT = "Which pictures"
+from recon.base.settings import Count, Option
+from recon.keypoint_net.run import CHECKPOINT_FILE, TrainSettings
+from recon.keypoint_net.workflows import DEVICE, THREADS, LabelSource, run_training
+from recon.workflows.cli.common import progress_bar, say, stop, terminal
 
 
-def train(
-    data: Annotated[Path, typer.Argument(help="DeepLabCut project folder, or a video (with --labels).")],
-    out: Annotated[
-        Path, typer.Option(metavar="DIR", help="Folder for the network and its report, as in models/horse.")
-    ],
-    labels: Annotated[Path | None, typer.Option(help="Label file of the video, as in CollectedData_me.csv.")] = None,
-    first_frame: Annotated[
-        int, typer.Option(help="Number that the labels give to the video's first frame: 50 where 0050.png is frame 0.")
-    ] = 0,
-    individual: Annotated[str | None, typer.Option(help="The animal, where the labels name several.")] = None,
-    rename: Annotated[str | None, RENAME] = None,
-    validation: Annotated[
-        str,
-        typer.Option(
-            help="Pictures to judge and calibrate by: a share, or frame numbers A:B (B excluded).",
-            rich_help_panel=SPLIT,
-        ),
-    ] = "0.2",
-    test: Annotated[
-        str, typer.Option(help="Pictures that are only judged at the end, in the same way.", rich_help_panel=SPLIT)
-    ] = "0",
-    finish: Annotated[
-        bool,
-        typer.Option(
-            "--finish/--no-finish", help="Learn from the validation pictures, too, at the end.", rich_help_panel=SPLIT
-        ),
-    ] = True,
-    minutes: Annotated[
-        float, number_option("Time to train.", "minutes above 0, as in 15", rich_help_panel=TRAINING)
-    ] = 15.0,
-    steps: Annotated[
-        int | None,
-        typer.Option(help="Steps to train, instead of a time: the same in every run.", rich_help_panel=TRAINING),
-    ] = None,
-    batch: Annotated[int, typer.Option(help="Pictures in a step.", rich_help_panel=TRAINING)] = 8,
-    seed: Annotated[int, typer.Option(help="Of weights, split and augmentation.", rich_help_panel=TRAINING)] = 0,
-    mirror: Annotated[
-        bool,
-        typer.Option(
-            "--mirror/--no-mirror",
-            help="Train on mirror pictures, too, in which left and right, or near and off, change their names: for "
-            "animals that are labelled going one way and filmed going both. Takes longer to learn.",
-            rich_help_panel=TRAINING,
-        ),
-    ] = False,
-    patience: Annotated[
-        int, typer.Option(help="Evaluations without improvement before stopping early.", rich_help_panel=TRAINING)
-    ] = 12,
-    half: Annotated[
-        bool,
-        typer.Option(
-            "--half/--no-half",
-            help="Compute in 16 bits where the device is faster with them.",
-            rich_help_panel=TRAINING,
-        ),
-    ] = True,
-    device: Annotated[str, typer.Option(help="auto, cpu, cuda or mps.")] = "auto",
-    threads: Annotated[int | None, typer.Option(help="Threads on the CPU. (default: the fastest)")] = None,
-    resume: Annotated[bool, typer.Option("--resume", help="Go on from the checkpoint in DIR.")] = False,
-    overwrite: Annotated[bool, typer.Option("--overwrite", help="Begin again in a DIR that has a network.")] = False,
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print errors only.")] = False,
-) -> None:
+class TrainRunSettings(LabelSource, TrainSettings):
+    """What `recon train` does: labels, how to learn from them, and where and with what."""
+
+    out: Annotated[Path, Option("Folder for the network and its report, as in models/horse.", metavar="DIR")]
+    device: Annotated[str, DEVICE] = "auto"
+    threads: Annotated[Count | None, THREADS] = None
+    resume: Annotated[bool, Option("Go on from the checkpoint in DIR.")] = False
+    overwrite: Annotated[bool, Option("Begin again in a DIR that has a network.")] = False
+
+
+def train(settings: TrainRunSettings, quiet: bool) -> None:
     """Train a small keypoint network on a few labels in DeepLabCut's layout.
 
     Example: recon train run.mp4 --labels CollectedData_me.csv --out models/run
     """
-    from recon.keypoint_net.run import CHECKPOINT_FILE, TrainSettings
-    from recon.keypoint_net.workflows import LabelSource, run_training
-
-    settings = TrainSettings(
-        steps=steps,
-        minutes=minutes,
-        batch=batch,
-        seed=seed,
-        mirror=mirror,
-        patience=patience,
-        finish=finish,
-        half=half,
-    )
+    out = settings.out
     console = terminal(quiet=quiet)
     try:
         with progress_bar(console) as progress:
             report = run_training(
-                LabelSource(data, labels, first_frame, individual, validation, test, rename),
+                settings,
                 settings,
                 out,
-                device=device,
-                threads=threads,
-                resume=resume,
-                overwrite=overwrite,
+                device=settings.device,
+                threads=settings.threads,
+                resume=settings.resume,
+                overwrite=settings.overwrite,
                 progress=progress,
             )
     except KeyboardInterrupt:
