@@ -13,7 +13,7 @@ from make_samples import SyntheticClip, seen_by, whole_animal, write_keypoints, 
 
 from recon.clip.keypoints import Keypoints
 from recon.geometry.camera import Camera
-from recon.io.calibration import write_camera
+from recon.io import write_camera
 from recon.io.video import Image, video_writer
 
 FPS, FRAMES, LABELLED = 120, 90, 40

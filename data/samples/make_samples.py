@@ -15,7 +15,7 @@ from recon.clip.keypoints import Keypoints
 from recon.fit import solve_points
 from recon.fit.synthetic import add_noise
 from recon.geometry.camera import Camera
-from recon.io.calibration import write_camera
+from recon.io import write_camera
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "benchmarks"))
 from gallop import SyntheticClip, gallop
