@@ -6,6 +6,7 @@ import json
 import re
 import shutil
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,13 +16,14 @@ from command_line import run
 
 from recon.base.errors import InputError
 from recon.base.manifest import write_manifest
+from recon.fit.motion import Motion
 from recon.fit.results import read_results
 from recon.gait.clip import ClipAnalysis, analyse, limb_chains
 from recon.io.pose3d import read_pose3d
 from recon.show.export import analysis_csv
 from recon.show.plots import save
+from recon.show.report import build_report
 from recon.show.view.series import state_entity
-from recon.thesis.report import lines as frame_lines
 from recon.workflows.analyse import figures_of, notes, summarise
 
 SAMPLES = Path(__file__).parents[1] / "data" / "samples"
@@ -219,15 +221,14 @@ def test_the_frame_method_is_smoothed_by_its_jitter(one_sided, frame_results):
 
 def test_a_path_that_jitters_too_much_gives_way_to_the_straight_run(frame_results, one_sided):
     """As in the fit's own summary. The sample's is smooth enough, and right to a tenth."""
-    report = json.loads((frame_results / "report.json").read_text(encoding="utf-8"))
-    told = dict(frame_lines(report))
+    motion = Motion.load(frame_results)
+    told = dict(build_report(motion)["lines"])
     assert told["path"] == "13.3 m, peak 15.8 m/s (world frame, smoothed)"
     assert summarise(one_sided)["speed"]["doubt"] is None
     assert told["path"].startswith(f"{summarise(one_sided)['speed']['distance_m']:.1f} m")  # the same path
-    rng = np.random.default_rng(0)
-    root = report["root_path"]
-    root["position_m"] = (np.array(root["position_m"], float) + rng.normal(size=(30, 3)) * [0, 1.0, 0]).tolist()
-    told = dict(frame_lines(report))
+    states, noise = motion.states.copy(), np.random.default_rng(0).normal(size=(30, 3)) * [0, 1.0, 0]
+    states[:, :3] += noise
+    told = dict(build_report(replace(motion, solution=replace(motion.solution, states=states)))["lines"])
     assert told["path"].startswith("too uncertain in depth for its speed (world frame): ")
     assert told["path"].endswith("; take the speed above")
     assert told["speed"].startswith("14.4 m/s, of a straight run")

@@ -34,7 +34,6 @@ from recon.robotics.robot.retarget_clip import solve
 from recon.robotics.robot.robot_file import load_robot
 from recon.show.plots.skeleton import expected_pose
 from recon.show.report import build_report
-from recon.show.report.common import point_lines
 from recon.workflows.batch.record import file_sha256, identity
 from recon.workflows.clip import prepare, run_clip
 from recon.workflows.convert import Options, read_any
@@ -196,8 +195,7 @@ def test_the_summary_names_what_is_used_and_near_misses(small_trajectory):
             "right_eye for r_eye",
         ),
     ):
-        report = build_report(motion, settings(Path("clip.csv")).plain())
-        assert dict(point_lines(report))["keypoints"] == said
+        assert dict(build_report(motion)["lines"])["keypoints"] == said
 
 
 # -- a skeleton of these names -------------------------------------------------------------------------------------

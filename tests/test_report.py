@@ -20,7 +20,6 @@ from recon.show.report import (
     SCHEMA_VERSION,
     console_summary,
     is_unsolved,
-    summary_lines,
     to_plain,
     write_report,
 )
@@ -30,9 +29,14 @@ from recon.thesis.frame import in_world
 DOCS = Path(__file__).resolve().parents[1] / "docs" / "report.md"
 
 
-def build_report(motion, *of_fit):
+def build_report(motion, settings=None, timing_s=None):
     """Of a motion with the findings that it has now."""
-    return reports.build_report(replace(motion, findings=findings_of(motion)), *of_fit)
+    motion = replace(motion, settings=settings or {}, timing_s=timing_s or {})
+    return reports.build_report(replace(motion, findings=findings_of(motion)))
+
+
+def summary_lines(report):
+    return [(label, text) for label, text in report["lines"]]
 
 
 def codes(report):
@@ -137,7 +141,6 @@ def test_a_frame_that_ran_away_says_so_and_has_no_part_in_the_medians(small_moti
     for code in ("frames_not_converged", "frames_diverged", "frames_stopped_early"):
         assert numbers(report, code) == {"count": 1, "frames_total": 6}
     assert max(report["cost_shares"].values()) <= 1
-    assert report["root_path"]["position_m"][2] == [None] * 3
 
 
 def test_outlier_is_named(report):
@@ -206,16 +209,12 @@ def test_limits_are_counted(small_motion):
     ]
 
 
-def test_root_path(report, small_motion):
+def test_root_path(report):
     path, exact = report["root_path"], report["root_path"]["exact"]
     assert exact["distance_m"] == pytest.approx(1.5, abs=0.02)
     assert exact["peak_speed_m_s"] >= exact["mean_speed_m_s"] == pytest.approx(9, abs=0.1)
-    assert len(exact["speed_m_s"]) == len(exact["acceleration_m_s2"]) == len(path["position_m"]) == 6
     assert exact["smoothing_m"] is None
-    assert exact["speed_m_s"][3] == pytest.approx(9, abs=0.5)
     assert path["smoothed"] is None  # too few frames in a row to tell the jitter
-    assert path["position_m"][3] == [None, None, None]
-    np.testing.assert_allclose(path["time_s"], small_motion.time_s)
     assert report["travel"]["median_speed_m_s"] == pytest.approx(9, abs=1)
     assert abs(report["travel"]["heading_to_picture_rad"]) < 0.1
 
@@ -348,19 +347,19 @@ def test_size_says_what_it_comes_from(trajectory, small_trajectory):
 
 def test_ground_and_stances(trajectory, small_trajectory, world_trajectory):
     (spell,) = small_trajectory.solution.spells
-    ground, below = trajectory["ground"], small_trajectory.below_m(spell)[2]
+    ground, below = trajectory["spells"][0]["ground"], small_trajectory.below_m(spell)[2]
     assert (ground["frame"], ground["sigma_m"], ground["slope"]) == ("level", 0.03, [0, 0.02])
     feet = {"LF": "l_front_paw", "RF": "r_front_paw", "LH": "l_back_paw", "RH": "r_back_paw"}
     assert trajectory["skeleton"]["feet"] == feet
     assert ground["height_m"] == pytest.approx(below) == -ground["camera_height_m"]
     assert trajectory["stances"] == {"l_front_paw": [[11, 13]], "r_front_paw": [], "l_back_paw": [], "r_back_paw": []}
-    ground = build_report(world_trajectory, {})["ground"]
+    ground = build_report(world_trajectory, {})["spells"][0]["ground"]
     assert (ground["frame"], ground["height_m"]) == ("world", pytest.approx(3 + below))
     assert ground["slope"] == pytest.approx([0.02, 0])  # away from this camera is along x
     unknown = with_solution(small_trajectory, spells=(replace(spell, ground=None),))
     for settings, text in (({}, "not found"), ({"ground": "none"}, "not looked for")):
         report = build_report(unknown, settings)
-        assert report["ground"] is None
+        assert report["spells"][0]["ground"] is None
         assert dict(summary_lines(report))["ground"] == text
 
 
@@ -374,13 +373,12 @@ def test_every_spell_keeps_its_ground(small_trajectory):
     report = build_report(with_solution(small_trajectory, states=states, spells=(first, second)), {})
     assert [spell["frames"] for spell in report["spells"]] == [[10, 13], [15, 18]]
     one, other = (spell["ground"] for spell in report["spells"])
-    assert report["ground"] == one
     assert one["middle_m"] == pytest.approx([-1.2, 9.0])
     assert other["middle_m"] == pytest.approx([0.3, 9.0])
     assert other["height_m"] == pytest.approx(one["height_m"] - 0.4)
     higher = Spell(slice(0, 3), replace(ground, height_m=ground.height_m + 2.0))
     above = build_report(with_solution(small_trajectory, states=states, spells=(higher, second)), {})
-    said = f"{-above['ground']['camera_height_m']:.2f} ± 0.03 m above the camera"
+    said = f"{-above['spells'][0]['ground']['camera_height_m']:.2f} ± 0.03 m above the camera"
     assert dict(summary_lines(above))["ground"].startswith(said)
     (found,) = (one for one in above["findings"] if one["code"] == "ground_above_camera")
     assert found["frames"] == [10, 13]
@@ -392,7 +390,7 @@ def test_every_spell_keeps_its_ground(small_trajectory):
     spells = (replace(first, ground=None), second)
     report = build_report(with_solution(small_trajectory, states=states, spells=spells), {})
     assert report["spells"][0]["ground"] is None
-    assert report["ground"] == other
+    assert report["spells"][1]["ground"] == other
 
 
 def test_prior_and_uncertainty(trajectory):
@@ -406,12 +404,8 @@ def test_prior_and_uncertainty(trajectory):
 
 def test_a_motion_that_the_prior_does_not_know_is_named_first(trajectory, small_trajectory):
     """Of the spell that it fits least; nothing is said where it fits."""
-    assert (trajectory["prior"]["surprise"], trajectory["prior"]["weight"], trajectory["prior"]["code"]) == (
-        None,
-        1,
-        None,
-    )
-    assert "motion" not in dict(summary_lines(trajectory))
+    assert (trajectory["prior"]["surprise"], trajectory["prior"]["weight"]) == (None, 1)
+    assert "motion_unlike_prior" not in codes(trajectory)
     (spell,) = small_trajectory.solution.spells
     spells = (
         replace(spell, rows=slice(0, 4), surprise=0.8),
@@ -419,14 +413,10 @@ def test_a_motion_that_the_prior_does_not_know_is_named_first(trajectory, small_
     )
     report = build_report(with_solution(small_trajectory, spells=spells), {})
     prior = report["prior"]
-    assert (prior["surprise"], prior["weight"], prior["code"]) == (2.5, 0.16, "motion_unlike_prior")
-    said = "unlike those that the prior running-cheetah knows (surprise 2.5"
+    assert (prior["surprise"], prior["weight"]) == (2.5, 0.16)
     assert codes(report)[0] == "motion_unlike_prior"
     found = {"prior": "running-cheetah", "misfit": 2.5, "limit": 2, "weight": 0.16}
     assert numbers(report, "motion_unlike_prior") == found
-    labels = [label for label, _ in summary_lines(report)]
-    assert labels.index("motion") == labels.index("frames") + 1
-    assert dict(summary_lines(report))["motion"].startswith(said)
 
 
 def test_alternative(trajectory, small_trajectory):
@@ -446,8 +436,6 @@ def test_path_and_heading_of_a_trajectory(trajectory, world_trajectory):
     assert path["exact"]["mean_speed_m_s"] == pytest.approx(9)
     assert path["exact"]["distance_m"] == pytest.approx(2.1)
     assert trajectory["heading"]["heading_to_picture_rad"] == pytest.approx(0, abs=1e-9)
-    assert trajectory["heading"]["heading_camera"][0] == pytest.approx([1, 0, 0])
-    assert build_report(world_trajectory, {})["heading"]["heading_camera"][0] == pytest.approx([1, 0, 0])
 
 
 def test_which_way_is_up_is_an_assumption_or_not(trajectory, small_trajectory, world_trajectory):
@@ -482,7 +470,6 @@ def test_warnings_where_a_trajectory_is_not_to_be_trusted(small_trajectory):
     assert codes(report)[:2] == ["frames_without_pose", "frames_bridged"]
     assert numbers(report, "frames_without_pose") == {"count": 2, "frames_total": 8}
     assert numbers(report, "frames_bridged") == {"count": 2, "frames_total": 8}
-    assert report["root_path"]["position_m"][0] == [None] * 3
 
 
 def test_the_summary_begins_with_a_distance_that_is_hardly_told(small_trajectory):

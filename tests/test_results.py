@@ -179,7 +179,7 @@ def test_a_first_frame_without_a_pose(tmp_path, whole_results):
     ("name", "change", "said"),
     [
         ("report.json", lambda text: "{", "the report of `recon fit`"),
-        ("report.json", lambda text: text.replace('"version": 3', '"version": 2'), "fit the clip again"),
+        ("report.json", lambda text: text.replace('"version": 4', '"version": 3'), "fit the clip again"),
         ("angles.csv", lambda text: "\n".join(text.splitlines()[:-1]) + "\n", "59 rows, but 60"),
         ("angles.csv", lambda text: text.replace("head_yaw", "neck_yaw"), "columns: found x_m"),
         ("angles.csv", lambda text: text.replace("0.", "0,", 1), "angles.csv: "),

@@ -200,7 +200,6 @@ def test_files_of_others_are_not_replaced(film, called):
 
 def test_without_a_pose_there_is_a_page_and_no_more(film, called, report, monkeypatch):
     nothing = json.loads(report)
-    nothing["root_path"]["position_m"] = [[None] * 3] * 8
     nothing["summary"] |= {"frames_with_pose": 0}
     nothing["unsolved"] = True
 

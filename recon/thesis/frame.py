@@ -42,6 +42,7 @@ from recon.thesis.starts import Travel, estimate_travel, geometric_start, state_
 if TYPE_CHECKING:
     from scipy.optimize import OptimizeResult
 
+
 Status = Literal["converged", "not_converged", "no_data"]
 
 CONVERGED = (1, 2, 3, 4)

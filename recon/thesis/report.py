@@ -1,9 +1,9 @@
-"""The report of the frame method."""
+"""What the frame method has to say in report.json, summary and page."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import fields
+from collections.abc import Iterator
+from dataclasses import asdict, fields
 from typing import Any
 
 import numpy as np
@@ -13,80 +13,70 @@ from recon.fit.motion import Motion
 from recon.fit.results import MEASURED_SHARE
 from recon.gait.kinematics import peak_doubt
 from recon.geometry.frames import level_axes
-from recon.show.report import common
-from recon.show.report.plain import by_name, number, spread
+from recon.show.plain import by_name, number, spread
+from recon.show.sections import given
+from recon.show.sections.arrays import image_errors, outliers
+from recon.show.sections.section import Line, Section
 from recon.thesis.frame import FrameOptions, FrameReport, FrameSolution, base_length
 
 
-def sections(motion: Motion, settings: Mapping[str, Any]) -> dict[str, Any]:
-    solution = motion.solution
-    assert isinstance(solution, FrameSolution)
-    published = {"unknowns": solution.chain.state_names, "objectives": solution.objectives}
-    return {
-        **common.head(motion),
-        "skeleton": common.skeleton(motion) | published,
-        "assumptions": _assumptions(motion, solution, settings),
-        "summary": _summary(motion, solution),
-        "solver": _solver(solution, settings),
-        "size": {"factor": solution.size},
-        "base_length_m": spread(solution.chain_states[:, solution.chain.base_index]),
-        "data_share": _data_share(motion, solution),
-        "angles": common.angles(motion),
-        "joint_sigma_m": _joint_sigma(motion, solution),
-        "cost_shares": _cost_shares(solution),
-        "limits": _limits(motion, solution),
-        "travel": _travel(motion, solution),
-        "frames": _frames(motion, solution),
-        **common.tail(motion),
-    }
+def _solution(motion: Motion) -> FrameSolution:
+    assert isinstance(motion.solution, FrameSolution)
+    return motion.solution
 
 
-def is_unsolved(report: Mapping[str, Any]) -> bool:
-    return report["summary"]["frames_converged"] == 0
+def _options(motion: Motion) -> FrameOptions:
+    names = [field.name for field in fields(FrameOptions) if motion.settings.get(field.name) is not None]
+    return FrameOptions(**{name: motion.settings[name] for name in names})
 
 
-# -- sections -----------------------------------------------------------------------------------------------------
+def skeleton(motion: Motion) -> dict[str, Any]:
+    solution = _solution(motion)
+    return given.skeleton(motion) | {"unknowns": solution.chain.state_names, "objectives": solution.objectives}
 
 
-def _assumptions(motion: Motion, solution: FrameSolution, settings: Mapping[str, Any]) -> dict[str, Any]:
+def assumptions(motion: Motion) -> dict[str, Any]:
     """What the data does not say, in numbers and in sentences."""
-    nominal, sigma = base_length(solution.chain, common.given_options(FrameOptions, settings))
-    share = median(_field_of_frames(solution, "data_share", solution.chain.n_state)[:, solution.chain.base_index])
-    measured = bool(share >= MEASURED_SHARE)
+    base = _base_length(motion)
+    scale = "It is not measured: distances, speeds and sizes scale with it."
+    if base["measured"]:
+        scale = f"The pixels give {base['data_share']:.0%} of its precision."
     sentences = [
-        f"The scale: the base length has a prior of {nominal:g} m with a standard deviation of {sigma:g} m. "
-        + (
-            f"The pixels give {share:.0%} of its precision."
-            if measured
-            else "It is not measured: distances, speeds and sizes scale with it."
-        ),
-        *common.sentences(motion, settings),
+        f"The scale: the base length has a prior of {base['nominal_m']:g} m with a standard deviation of "
+        f"{base['sigma_m']:g} m. {scale}",
+        *given.sentences(motion),
     ]
-    if settings.get("angle_prior") == "none":
+    if motion.settings.get("angle_prior") == "none":
         sentences.append("Without the Gaussian priors the pixels leave the depth of the limbs undetermined.")
-    return {
-        "base_length": {"nominal_m": nominal, "sigma_m": sigma, "data_share": share, "measured": measured},
-        **common.upright(motion),
-        "sentences": sentences,
-    }
+    return {"base_length": base, **given.upright(motion), "sentences": sentences}
 
 
-def _solver(solution: FrameSolution, settings: Mapping[str, Any]) -> dict[str, Any]:
-    options = common.given_options(FrameOptions, settings)
+def _base_length(motion: Motion) -> dict[str, Any]:
+    solution = _solution(motion)
+    nominal, sigma = base_length(solution.chain, _options(motion))
+    share = median(_field_of_frames(solution, "data_share", solution.chain.n_state)[:, solution.chain.base_index])
+    return {"nominal_m": nominal, "sigma_m": sigma, "data_share": share, "measured": bool(share >= MEASURED_SHARE)}
+
+
+def solver(motion: Motion) -> dict[str, Any]:
+    solution, options = _solution(motion), _options(motion)
     nominal, sigma = base_length(solution.chain, options)
-    keypoint_m = solution.chain.scales.keypoint_m
-    return common.solver(options, keypoint_sigma_m=keypoint_m, base_length_m=nominal, base_sigma_m=sigma)
+    of_chain = {"keypoint_sigma_m": solution.chain.scales.keypoint_m, "base_length_m": nominal, "base_sigma_m": sigma}
+    return {name: of_chain.get(name) if value is None else value for name, value in asdict(options).items()}
 
 
-def _summary(motion: Motion, solution: FrameSolution) -> dict[str, Any]:
+def summary(motion: Motion) -> dict[str, Any]:
+    solution = _solution(motion)
     solved = [r for r in solution.reports if r is not None]
     sigma = _joint_sigma_camera_m(solution)
     return {
         "frames": len(motion.frames),
+        "frames_with_pose": int(motion.solved.sum()),
+        "frames_flagged": sum(bool(flags) for flags in motion.flags),
         **{f"frames_{s}": solution.status.count(s) for s in ("converged", "not_converged", "no_data")},
         "frames_ran_away": sum("ran away" in flags for flags in motion.flags),
         "frames_stopped": sum("stopped early" in flags for flags in motion.flags),
-        **common.counts(motion),
+        **given.counts(motion),
         "joint_sigma_across_m": median(np.sqrt((sigma[..., :2] ** 2).mean(axis=-1))),
         "joint_sigma_depth_m": median(sigma[..., 2]),
         "iterations_median": median(np.array([r.iterations for r in solved], dtype=float)),
@@ -94,7 +84,16 @@ def _summary(motion: Motion, solution: FrameSolution) -> dict[str, Any]:
     }
 
 
-def _data_share(motion: Motion, solution: FrameSolution) -> dict[str, Any]:
+def summary_lines(motion: Motion, data: Any) -> Iterator[Line]:
+    yield (
+        "frames",
+        f"{data['frames_converged']} of {data['frames']} converged, {data['frames_not_converged']} did not, "
+        f"{data['frames_no_data']} without data",
+    )
+
+
+def data_share(motion: Motion) -> dict[str, Any]:
+    solution = _solution(motion)
     states = _field_of_frames(solution, "data_share", solution.chain.n_state)
     joints = _field_of_frames(solution, "joint_data_share", len(motion.names))
     return {
@@ -109,52 +108,96 @@ def _joint_sigma_camera_m(solution: FrameSolution) -> Array:
     return np.sqrt(np.diagonal(R @ solution.covariance_m2 @ R.T, axis1=2, axis2=3))
 
 
-def _joint_sigma(motion: Motion, solution: FrameSolution) -> dict[str, Any]:
+def joint_sigma(motion: Motion) -> dict[str, Any]:
     """Median over the frames, camera x, y, z."""
-    sigma = _joint_sigma_camera_m(solution)
+    sigma = _joint_sigma_camera_m(_solution(motion))
     return by_name(motion.names, [[median(sigma[:, j, axis]) for axis in range(3)] for j in range(len(motion.names))])
 
 
-def _cost_shares(solution: FrameSolution) -> dict[str, Any]:
+def sigma_lines(motion: Motion, data: Any) -> Iterator[Line]:
+    across, depth = (summary(motion)[f"joint_sigma_{where}_m"] for where in ("across", "depth"))
+    yield (
+        "uncertainty",
+        f"{number(across, '.2f')} m across the picture, {number(depth, '.2f')} m in depth, size and distance included "
+        "(one sigma)",
+    )
+
+
+def cost_shares(motion: Motion) -> dict[str, Any]:
     """Median over the frames with a pose that have the term."""
+    solution = _solution(motion)
     solved = [r.cost_shares for r in solution.reports if r is not None and r.in_view]
     return {
         name: median(np.array([shares[name] for shares in solved if name in shares])) for name in solution.objectives
     }
 
 
-def _limits(motion: Motion, solution: FrameSolution) -> dict[str, Any]:
+def limits(motion: Motion) -> dict[str, Any]:
+    solution = _solution(motion)
     beyond_rate = solution.beyond_rate_rad_s
+
+    def passed(beyond: Array, largest: str) -> dict[str, Any]:
+        rows = [
+            {"passed": int((column > 0).sum()), largest: float(np.max(finite(column), initial=0.0))}
+            for column in beyond.T
+        ]
+        return by_name(solution.chain.angle_names, rows)
+
     return {
         "frames": int(motion.solved.sum()),
         "intervals": int(np.isfinite(beyond_rate).any(axis=1).sum()),
-        "ranges": _limit_counts(solution, solution.beyond_range_rad, "largest_excess_rad"),
-        "rates": _limit_counts(solution, beyond_rate, "largest_excess_rad_s"),
+        "ranges": passed(solution.beyond_range_rad, "largest_excess_rad"),
+        "rates": passed(beyond_rate, "largest_excess_rad_s"),
     }
 
 
-def _limit_counts(solution: FrameSolution, beyond: Array, largest: str) -> dict[str, Any]:
-    counts = [
-        {"passed": int((column > 0).sum()), largest: float(np.max(finite(column), initial=0.0))} for column in beyond.T
-    ]
-    return by_name(solution.chain.angle_names, counts)
-
-
-def _travel(motion: Motion, solution: FrameSolution) -> dict[str, Any]:
-    travel = solution.travel
+def travel(motion: Motion) -> dict[str, Any]:
+    found = _solution(motion).travel
     _, away = level_axes(motion.camera.up)
-    to_picture = np.arcsin(np.clip(travel.heading @ away, -1.0, 1.0))
-    moving = travel.speed_m_s > 0
+    to_picture = np.arcsin(np.clip(found.heading @ away, -1.0, 1.0))
+    moving = found.speed_m_s > 0
     return {
         "heading_to_picture_rad": median(to_picture[moving] if moving.any() else to_picture),
-        "median_speed_m_s": median(travel.speed_m_s[moving]),
-        "heading_camera": travel.heading,
-        "speed_m_s": travel.speed_m_s,
+        "median_speed_m_s": median(found.speed_m_s[moving]),
     }
 
 
-def _frames(motion: Motion, solution: FrameSolution) -> list[dict[str, Any]]:
-    names = [f.name for f in fields(FrameReport) if f.name != "status"]
+def travel_lines(motion: Motion, data: Any) -> Iterator[Line]:
+    speed = data["median_speed_m_s"]
+    known = f"{number(speed, '.1f')} m/s, of a straight run through all frames"
+    yield "speed", "not told by a path this short or slow" if speed is None else known
+    yield "path", _path_text(motion, speed is not None)
+    yield "heading", given.heading_text(data["heading_to_picture_rad"])
+
+
+def _path_text(motion: Motion, has_speed: bool) -> str:
+    root, frame = given.root_path(motion), f"{motion.frame_of_reference} frame"
+    path = root["smoothed"] or root["exact"]
+    doubt = peak_doubt(motion.time_s, motion.root_m, smooth=root["smoothed"] is not None)
+    if doubt is not None:
+        return f"too uncertain in depth for its speed ({frame}): {doubt}{'; take the speed above' if has_speed else ''}"
+    how = "smoothed" if root["smoothed"] else "not smoothed"
+    far, peak = (number(path[name], ".1f") for name in ("distance_m", "peak_speed_m_s"))
+    return f"{far} m, peak {peak} m/s ({frame}, {how})"
+
+
+def base_length_m(motion: Motion) -> dict[str, float]:
+    solution = _solution(motion)
+    return spread(solution.chain_states[:, solution.chain.base_index])
+
+
+def size_lines(motion: Motion, data: Any) -> Iterator[Line]:
+    base = _base_length(motion)
+    share = number(base["data_share"], ".0%").lstrip("-")
+    yield (
+        "size",
+        f"base length {number(data['mean'], '.3f')} m; expected {base['nominal_m']:.3f} ± {base['sigma_m']:.3f} m; "
+        f"{share} of its precision from pixels",
+    )
+
+
+def frames(motion: Motion) -> list[dict[str, Any]]:
+    solution, names = _solution(motion), [f.name for f in fields(FrameReport) if f.name != "status"]
     distance_px, sigma = motion.pictures[0].distance_px, _joint_sigma_camera_m(solution)
     return [
         {
@@ -173,68 +216,48 @@ def _frames(motion: Motion, solution: FrameSolution) -> list[dict[str, Any]]:
     ]
 
 
+def effort_lines(motion: Motion, data: Any) -> Iterator[Line]:
+    """By the optimiser's own counts."""
+    solved, timing = [r for r in _solution(motion).reports if r is not None], motion.timing_s
+    iterations = median(np.array([r.iterations for r in solved], dtype=float))
+    text = f"{number(iterations, '.0f')} iterations a frame (median)"
+    if "solve_s" in timing:
+        times = [r.solve_s for r in solved]
+        each = f", {1000 * float(np.median(times)):.0f} ms a frame (median)" if times else ""
+        text += f"{each}; {timing['solve_s']:.1f} s with reading"
+    yield "effort", text
+
+
 def _field_of_frames(solution: FrameSolution, field: str, *shape: int) -> Array:
     """(solved frames, *shape): one field of all frame reports."""
     values = [getattr(r, field) for r in solution.reports if r is not None]
     return np.array(values, dtype=float).reshape(-1, *shape)
 
 
-# -- summing up ---------------------------------------------------------------------------------------------------
-
-
-def lines(report: Mapping[str, Any]) -> common.Lines:
-    """For the summary."""
-    summary = report["summary"]
-    base = report["assumptions"]["base_length"]
-    return [
-        common.clip_line(report),
-        ("side", f"{report['side']['fitted']}: {report['side']['reason']}"),
-        (
-            "frames",
-            f"{summary['frames_converged']} of {summary['frames']} converged, "
-            f"{summary['frames_not_converged']} did not, {summary['frames_no_data']} without data",
-        ),
-        *common.point_lines(report),
-        ("speed", _speed_text(report["travel"]["median_speed_m_s"])),
-        ("path", _path_text(report)),
-        ("heading", common.heading_text(report["travel"]["heading_to_picture_rad"])),
-        (
-            "size",
-            f"base length {number(report['base_length_m']['mean'], '.3f')} m; expected {base['nominal_m']:.3f} ± "
-            f"{base['sigma_m']:.3f} m; {number(base['data_share'], '.0%').lstrip('-')} of its precision from pixels",
-        ),
-        (
-            "uncertainty",
-            f"{number(summary['joint_sigma_across_m'], '.2f')} m across the picture, "
-            f"{number(summary['joint_sigma_depth_m'], '.2f')} m in depth, size and distance included (one sigma)",
-        ),
-        ("effort", _effort_text(report)),
-    ]
-
-
-def _speed_text(speed_m_s: float | None) -> str:
-    if speed_m_s is None:
-        return "not told by a path this short or slow"
-    return f"{speed_m_s:.1f} m/s, of a straight run through all frames"
-
-
-def _path_text(report: Mapping[str, Any]) -> str:
-    root, frame = report["root_path"], f"{report['frame_of_reference']} frame"
-    path = root["smoothed"] or root["exact"]
-    time_s, points_m = (np.array(root[name], dtype=float) for name in ("time_s", "position_m"))
-    doubt = peak_doubt(time_s, points_m.reshape(-1, 3), smooth=root["smoothed"] is not None)
-    if doubt is not None:
-        other = "" if report["travel"]["median_speed_m_s"] is None else "; take the speed above"
-        return f"too uncertain in depth for its speed ({frame}): {doubt}{other}"
-    how = "smoothed" if root["smoothed"] else "not smoothed"
-    return f"{number(path['distance_m'], '.1f')} m, peak {number(path['peak_speed_m_s'], '.1f')} m/s ({frame}, {how})"
-
-
-def _effort_text(report: Mapping[str, Any]) -> str:
-    summary, timing = report["summary"], report["timing_s"] or {}
-    text = f"{number(summary['iterations_median'], '.0f')} iterations a frame (median)"
-    if "solve_s" in timing:
-        times = [frame["solve_s"] for frame in report["frames"] if frame.get("solve_s") is not None]
-        median = f", {1000 * float(np.median(times)):.0f} ms a frame (median)" if times else ""
-        text += f"{median}; {timing['solve_s']:.1f} s with reading"
-    return text
+SECTIONS: tuple[Section, ...] = (
+    Section("input", given.clip, given.clip_lines),
+    Section("side", given.side, given.side_lines),
+    Section("frame_of_reference", lambda motion: motion.frame_of_reference),
+    Section("skeleton", skeleton),
+    Section("assumptions", assumptions),
+    Section("solver", solver),
+    Section("summary", summary, summary_lines),
+    Section("unused_keypoints", lambda motion: motion.unused_keypoints),
+    Section("missing_keypoints", lambda motion: motion.missing_keypoints),
+    Section("keypoints", given.keypoints, given.keypoint_lines),
+    Section("cameras", given.cameras, given.camera_lines),
+    Section("cleaning", given.cleaning, given.note_lines),
+    Section("root_path", given.root_path),
+    Section("travel", travel, travel_lines),
+    Section("size", lambda motion: {"factor": motion.solution.size}),
+    Section("base_length_m", base_length_m, size_lines),
+    Section("data_share", data_share),
+    Section("angles", given.angles),
+    Section("joint_sigma_m", joint_sigma, sigma_lines),
+    Section("cost_shares", cost_shares),
+    Section("limits", limits),
+    Section("frames", frames, effort_lines),
+    Section("outliers", outliers),
+    Section("image_error_px", image_errors),
+)
+"""In the order of the summary."""

@@ -24,7 +24,6 @@ from recon.fit.results import REPORT
 from recon.gait.path import MIN_POINTS
 from recon.io.video import probe
 from recon.show.page import PAGE
-from recon.show.report import frames_with_pose
 from recon.workflows.batch.record import file_sha256, identity, identity_of
 from recon.workflows.clip import fit_clip, output_files, read_model_and_cameras, write_clip
 from recon.workflows.overlay import run_overlay
@@ -189,7 +188,7 @@ def run_video(job: Job, progress: Progress = silent, ended: Callable[[Done], Non
             def tell(what: str, share: float, number: int = number, name: str = stage.name) -> None:
                 progress(f"{name}: {what}", (number + share) / len(stages))
 
-            if stage.name in ("analyse", "overlay") and frames_with_pose(_report(job.out)) < MIN_POINTS:
+            if stage.name in ("analyse", "overlay") and _report(job.out)["summary"]["frames_with_pose"] < MIN_POINTS:
                 done = Done(stage.name, "left out", 0.0)
             else:
                 done = _carry_out(stage, job, record, again, tell)
@@ -313,7 +312,7 @@ def _overlay(job: Job, progress: Progress) -> list[Path]:
 def _page(job: Job, progress: Progress) -> list[Path]:
     from recon.workflows.page import run_page
 
-    posed = frames_with_pose(_report(job.out)) > 0
+    posed = _report(job.out)["summary"]["frames_with_pose"] > 0
     video = job.video if posed else None
     return [run_page(job.out, video=video, first_frame=job.first_frame, progress=progress)]
 

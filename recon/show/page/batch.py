@@ -97,7 +97,7 @@ def _clip_row(out: Path, cells: Mapping[str, str]) -> ClipRow:
     page = f"{cells['clip']}/{PAGE}" if (folder / PAGE).is_file() else None
     try:
         report = json.loads((folder / REPORT).read_text(encoding="utf-8"))
-        doubtful = sum(bool(frame["flags"]) for frame in report["frames"])
+        doubtful = report["summary"]["frames_flagged"]
         return ClipRow(cells, page, doubtful, _thumbnail(folder, report))
     except (OSError, ValueError, TypeError, LookupError, InputError):  # failed, or damaged since
         return ClipRow(cells, page, None, None)

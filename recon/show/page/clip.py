@@ -19,7 +19,7 @@ from recon.gait.path import MIN_POINTS
 from recon.show import plots
 from recon.show.page.render import inline, rendered
 from recon.show.plots.angles import AngleCurve, angle_over_time, together
-from recon.show.report import summary_lines, warnings
+from recon.show.report import warnings
 
 SECTION_CHARACTERS = 600_000
 """The most that the vector graphics of a section take; three sections and the stills are below 3 MB."""
@@ -72,7 +72,7 @@ def clip_page(
         doubtful=doubtful[:SHOWN],
         more_doubtful=max(0, len(doubtful) - SHOWN),
         meaning={flag: text for flag, text in FLAGS.items() if any(flag in flags for flags in results.flags)},
-        summary=[line for line in summary_lines(report) if line[0] != "warning"],
+        summary=report["lines"],
         assumptions=report["assumptions"]["sentences"],
         settings=[(name, _plain(value)) for name, value in report["settings"].items() if value is not None],
         files=files,
@@ -100,7 +100,7 @@ def _subtitle(results: Results) -> str:
 
 def _words(results: Results, moved: JointKinematics | None, gaits: Mapping[Method, Gait]) -> Iterator[str]:
     """The result in a few sentences."""
-    lines = dict(summary_lines(results.report))
+    lines = dict(results.report["lines"])
     yield f"Frames: {lines['frames']}."
     if moved is None:
         yield "Too few frames have a pose for a speed or a gait."

@@ -12,7 +12,7 @@ from typing import Any
 
 from recon.base.files import seen_from, staged_file
 from recon.show.page import SUMMARY_PAGE, require_own_page
-from recon.show.report import frames_with_pose, warnings
+from recon.show.report import warnings
 from recon.workflows.batch.inputs import SUMMARY
 from recon.workflows.batch.record import Planned, short_hash
 
@@ -52,7 +52,7 @@ def results_of(report: Mapping[str, Any]) -> dict[str, Any]:
     speeds = path["smoothed"] or path["exact"]
     return {
         "frames": summary["frames"],
-        "frames_with_pose": frames_with_pose(report),
+        "frames_with_pose": summary["frames_with_pose"],
         "warnings": len(warnings(report)),
         "outliers": summary["outliers"],
         "mean_reprojection_px": summary["reprojection_px"]["mean"],

@@ -62,7 +62,7 @@ def spread(values: Array) -> dict[str, float]:
 
 def number(value: float | None, spec: str) -> str:
     """For a summary: ? where it is unknown."""
-    return "?" if value is None else format(value, spec)
+    return "?" if value is None or math.isnan(value) else format(value, spec)
 
 
 def frame_count(n: int) -> str:

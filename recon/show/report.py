@@ -1,0 +1,72 @@
+"""report.json and the summary of a fit, made of the sections of `recon.show.sections`; its fields: docs/report.md."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict
+from typing import Any
+
+from rich.table import Table
+from rich.text import Text
+
+from recon.base.package import version
+from recon.check import sentences
+from recon.fit.motion import Motion
+from recon.fit.results import SCHEMA_NAME, SCHEMA_VERSION
+from recon.show.plain import to_json, to_plain, write_report
+from recon.show.sections import sections_of
+
+__all__ = [
+    "SCHEMA_NAME",
+    "SCHEMA_VERSION",
+    "build_report",
+    "console_summary",
+    "is_unsolved",
+    "to_json",
+    "to_plain",
+    "warnings",
+    "write_report",
+]
+
+
+def build_report(motion: Motion) -> dict[str, Any]:
+    """The report of one clip, plain JSON types: NaN becomes None, floats have nine significant digits. `lines` are the
+    summary's, label and text, without the findings."""
+    report = to_plain(
+        {
+            "schema": {"name": SCHEMA_NAME, "version": SCHEMA_VERSION},
+            "recon_version": version(),
+            "method": motion.solution.method,
+            "settings": motion.settings,
+            "timing_s": {**motion.timing_s, **motion.solution.stage_s} or None,
+            "findings": [asdict(one) | {"text": text} for one, text in sentences(motion)],
+            "lines": [],
+        }
+    )
+    for section in sections_of(motion):
+        data = report[section.name] = to_plain(section.data(motion))
+        report["lines"] += [[label, text] for label, text in section.lines(motion, data)]
+    return report
+
+
+def warnings(report: Mapping[str, Any]) -> list[str]:
+    """What is wrong or to be used with care, in words: the findings but for notes."""
+    return [one["text"] for one in report["findings"] if one["severity"] != "note"]
+
+
+def is_unsolved(report: Mapping[str, Any]) -> bool:
+    """Whether there is no pose to look at."""
+    summary = report["summary"]
+    return summary.get("frames_converged", summary["frames_with_pose"]) == 0
+
+
+def console_summary(report: Mapping[str, Any]) -> Table:
+    """The lines and the warnings for a terminal, to be printed with rich."""
+    table = Table.grid(padding=(0, 2))
+    table.add_column(no_wrap=True)
+    table.add_column()
+    for label, text in report["lines"]:
+        table.add_row(Text(label, style="bold"), Text(text))
+    for text in warnings(report):
+        table.add_row(Text("warning", style="bold yellow"), Text(text, "yellow"))
+    return table

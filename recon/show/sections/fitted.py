@@ -1,0 +1,331 @@
+"""Sections of what the trajectory method found."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import asdict, fields
+from typing import Any
+
+import numpy as np
+
+from recon.animal.detector import NONE as NO_DETECTOR
+from recon.animal.detector import OWN
+from recon.animal.prior import NONE
+from recon.base.arrays import Array, finite, mean, median
+from recon.check import FLAGS
+from recon.clip.keypoints import frame_ranges
+from recon.fit import TrajectoryOptions
+from recon.fit.motion import Motion
+from recon.fit.result import Spell, TrajectorySolution
+from recon.fit.results import MEASURED_SHARE
+from recon.gait.path import MIN_POINTS
+from recon.show.plain import by_name, file_name, frame_count, number
+from recon.show.sections.given import counts, heading_text, sentences, upright
+from recon.show.sections.section import Line
+
+STANCE = 0.5
+"""A foot with more contact than this stands."""
+HARDLY_TOLD = 0.1
+"""Standard deviation of the distance, relative to it, from which the summary begins with it."""
+SAID_BY = {"views": "where the cameras are", "ground": "the camera's height above the ground"}
+"""What else than the expectation says the size."""
+
+
+def _solution(motion: Motion) -> TrajectorySolution:
+    assert isinstance(motion.solution, TrajectorySolution)
+    return motion.solution
+
+
+# -- what was assumed and asked for -----------------------------------------------------------------------------------
+
+
+def assumptions(motion: Motion) -> dict[str, Any]:
+    """What the data does not say, in numbers and in sentences."""
+    return {**upright(motion), "sentences": [*_sentences(motion)]}
+
+
+def _sentences(motion: Motion) -> Iterator[str]:
+    solution, body = _solution(motion), motion.body
+    of_animal = "not measured on this one" if body.subject is None else "measured on this animal"
+    size_told = "this clip hardly says it"
+    if telling := [SAID_BY[what] for what in _telling(solution)]:
+        size_told = f"by {' and '.join(telling)} it is {solution.size:.3f} ± {solution.size_sigma:.3f}"
+    yield (
+        f"The proportions are those of {body.title!r}, {of_animal}. How large the animal is, a factor on all its "
+        f"lengths, distances and speeds, is expected to be 1 with a standard deviation of "
+        f"{solution.size_prior_sigma:.2g}; {size_told}."
+    )
+    detector = file_name(body.detector)
+    lie = f"beside the markers as those of the detector {detector}"
+    if detector in (None, NO_DETECTOR):
+        lie = "on the markers"
+    elif detector == OWN:
+        lie = "beside the markers as the skeleton's or the subject's file says"
+    yield f"Keypoints are taken to lie {lie}."
+    yield "Poses and their changes are expected to be " + (
+        "as the skeleton's file says, each angle on its own."
+        if solution.prior == NONE
+        else f"as in the motions that the prior {file_name(solution.prior)} was made from."
+    )
+    yield from sentences(motion)
+    if any(spell.ground is not None for spell in solution.spells):
+        yield "The ground is a plane, and feet that stand stand still on it."
+    if len(solution.spells) > 1:
+        yield (
+            f"The clip has {len(solution.spells)} spells, between which nothing was seen for long: each was solved by "
+            "itself, with a ground of its own."
+        )
+    if motion.settings.get("fast"):
+        yield "The fast search was asked for: fewer headings to start from, and looser tolerances."
+
+
+def solver(motion: Motion) -> dict[str, Any]:
+    """Every value that the solver ran with, those that are no settings included."""
+    names = [field.name for field in fields(TrajectoryOptions) if motion.settings.get(field.name) is not None]
+    ran = asdict(TrajectoryOptions(**{name: motion.settings[name] for name in names}))
+    of_body = {"keypoint_sigma_m": motion.body.keypoint_sigma_m, "size_sigma": motion.body.size_sigma}
+    return {name: of_body.get(name) if value is None else value for name, value in ran.items()}
+
+
+# -- the frames -------------------------------------------------------------------------------------------------------
+
+
+def summary(motion: Motion) -> dict[str, Any]:
+    flags = dict.fromkeys((*FLAGS, *(flag for flags in motion.flags for flag in flags)))
+    return {
+        "frames": len(motion.frames),
+        "frames_with_pose": int(motion.solved.sum()),
+        "frames_flagged": sum(bool(flags) for flags in motion.flags),
+        "flags": {flag: sum(flag in of_frame for of_frame in motion.flags) for flag in flags},
+        **counts(motion),
+        "mean_weight": mean(motion.solution.weight),
+        "place_sigma_m": median(motion.place_sigma_m),
+        "relative_rms_m": median(motion.relative_rms_m),
+    }
+
+
+def summary_lines(motion: Motion, data: Any) -> Iterator[Line]:
+    why = [f"{count} {flag}" for flag, count in data["flags"].items() if count]
+    flagged = f"{data['frames_flagged']} doubtful ({', '.join(why)})" if why else "none doubtful"
+    yield "frames", f"{data['frames_with_pose']} of {data['frames']} with a pose, {flagged}"
+    sigma_m, distances = data["place_sigma_m"], [mean(picture.distance_m) for picture in motion.pictures]
+    known = [(away, _called(motion, v)) for v, away in enumerate(distances) if math.isfinite(away)]
+    if sigma_m is not None and known and sigma_m > HARDLY_TOLD * min(known)[0]:
+        size_told = _solution(motion).size_sigma <= HARDLY_TOLD / 2
+        why = "these pictures hardly tell it" if size_told else "the size is not known better"
+        yield "distance", f"{min(known)[0]:.1f} ± {sigma_m:.1f} m from {min(known)[1]}: {why}"
+
+
+def _called(motion: Motion, number: int = 0) -> str:
+    """What a sentence of the summary calls a camera."""
+    return motion.pictures[number].name if len(motion.pictures) > 1 else "the camera"
+
+
+# -- path, heading, size ----------------------------------------------------------------------------------------------
+
+
+def speed_lines(motion: Motion, data: Any) -> Iterator[Line]:
+    path = data["exact"]
+    if path["mean_speed_m_s"] is None:
+        yield "speed", f"none from fewer than {MIN_POINTS} frames"
+        return
+    mean_m_s, peak_m_s = path["mean_speed_m_s"], path["peak_speed_m_s"]
+    yield "speed", f"{mean_m_s:.1f} m/s mean, {peak_m_s:.1f} m/s peak, over {path['distance_m']:.1f} m"
+
+
+def heading(motion: Motion) -> dict[str, Any]:
+    """The way the animal faces, level, as the first camera sees it."""
+    (rear, front), solution = motion.forward, _solution(motion)
+    joints, R = solution.joints_m, solution.views[0].T_camera_world[..., :3, :3]
+    level = joints[:, front] - joints[:, rear]
+    level[:, 2] = 0.0
+    level /= np.linalg.norm(level, axis=1, keepdims=True)
+    right = R[..., 0, :] * [1.0, 1.0, 0.0]
+    right /= np.linalg.norm(right, axis=-1, keepdims=True)
+    away = np.cross([0.0, 0.0, 1.0], right)
+    return {
+        "heading_to_picture_rad": median(np.arcsin(np.clip(np.sum(level * away, axis=-1), -1.0, 1.0))),
+        "crab_rad": solution.crab_rad if solution.crab_sigma_rad else None,
+        "crab_sigma_rad": solution.crab_sigma_rad or None,
+    }
+
+
+def heading_lines(motion: Motion, data: Any) -> Iterator[Line]:
+    seen_by = f", as {_called(motion)} sees it" if len(motion.pictures) > 1 else ""
+    yield "heading", heading_text(data["heading_to_picture_rad"]) + seen_by
+
+
+def size(motion: Motion) -> dict[str, Any]:
+    """The factor on the skeleton's lengths: what was expected, and what came out."""
+    solution, subject = _solution(motion), motion.body.subject
+    return {
+        "factor": solution.size,
+        "sigma": solution.size_sigma,
+        "prior_sigma": solution.size_prior_sigma,
+        "data_share": _size_share(solution),
+        "from": solution.size_from,
+        "subject": file_name(subject),
+        "lengths": motion.title,
+        "measured": subject is not None,
+    }
+
+
+def size_lines(motion: Motion, data: Any) -> Iterator[Line]:
+    measured = " and ".join(f"the {what}" for what in _telling(_solution(motion)))
+    yield (
+        "size",
+        f"{data['factor']:.3f} ± {data['sigma']:.3f} of the lengths of {data['lengths']!r} "
+        f"({f'from {measured}; ' if measured else ''}1 ± {data['prior_sigma']:.2g} expected)",
+    )
+
+
+def _size_share(solution: TrajectorySolution) -> float:
+    return max(0.0, 1.0 - (solution.size_sigma / solution.size_prior_sigma) ** 2)
+
+
+def _telling(solution: TrajectorySolution) -> list[str]:
+    """Of `SAID_BY`, where they say more than the expectation; the ground often says a little only."""
+    return [what for what in solution.size_from if what in SAID_BY and _size_share(solution) >= MEASURED_SHARE]
+
+
+# -- how sure ---------------------------------------------------------------------------------------------------------
+
+
+def uncertainty(motion: Motion) -> dict[str, Any]:
+    """Medians over the frames."""
+
+    def medians(values: Array) -> dict[str, Any]:
+        return by_name(motion.names, [[median(column) for column in joint.T] for joint in values.swapaxes(0, 1)])
+
+    return {"joint_sigma_m": medians(motion.joint_sigma_m), "relative_sigma_m": medians(motion.relative_sigma_m)}
+
+
+def uncertainty_lines(motion: Motion, data: Any) -> Iterator[Line]:
+    within, place = median(motion.relative_rms_m), median(motion.place_sigma_m)
+    yield (
+        "uncertainty",
+        f"{number(within, '.2f')} m of a joint within the pose, {number(place, '.2f')} m of the animal's place in "
+        "depth (one sigma, median)",
+    )
+
+
+def prior(motion: Motion) -> dict[str, Any]:
+    """The surprise and the weight are those of the spell that the prior fits least."""
+    solution = _solution(motion)
+    return {
+        "name": file_name(solution.prior),
+        "mean_data_share": mean(solution.data_share),
+        "data_share": by_name(motion.names, list(solution.data_share)),
+        "surprise": max((spell.surprise for spell in solution.spells if spell.surprise is not None), default=None),
+        "weight": min((spell.prior_weight for spell in solution.spells), default=1.0),
+    }
+
+
+def prior_lines(motion: Motion, data: Any) -> Iterator[Line]:
+    name = "none, the skeleton's own expectations" if data["name"] == NONE else data["name"]
+    yield "prior", f"{name}; {number(data['mean_data_share'], '.0%')} of the joints' precision from pixels"
+
+
+# -- the ground and the stances ---------------------------------------------------------------------------------------
+
+
+def spells(motion: Motion) -> list[dict[str, Any]]:
+    """The stretches that were solved, each by itself, and the ground under them."""
+    return [
+        {
+            "frames": (motion.frames[spell.rows.start], motion.frames[spell.rows.stop - 1] + 1),
+            "ground": _ground(motion, spell),
+            "prior_weight": spell.prior_weight,
+        }
+        for spell in motion.solution.spells
+    ]
+
+
+def _ground(motion: Motion, spell: Spell) -> dict[str, Any] | None:
+    """Below the middle of the root's path in the spell."""
+    ground, below = spell.ground, motion.below_m(spell)
+    if ground is None or below is None:
+        return None
+    return {
+        "height_m": below[2],
+        "middle_m": below[:2],
+        "slope": ground.slope,
+        "sigma_m": ground.sigma_m,
+        "camera_height_m": motion.solution.views[0].centre_m[:, 2].mean() - below[2],
+        "frame": "world" if motion.knows_up else "level",
+    }
+
+
+def stances(motion: Motion) -> dict[str, Any]:
+    """By foot: the ranges of frame numbers in which it stands."""
+    ranges = [[*frame_ranges(motion.frames[contact > STANCE])] for contact in motion.solution.contact.T]
+    return by_name([motion.names[foot] for foot in motion.feet], ranges)
+
+
+def ground_lines(motion: Motion, data: Any) -> Iterator[Line]:
+    found = []
+    for spell in spells(motion):
+        ground, (first, stop) = spell["ground"], spell["frames"]
+        text = "not found"
+        if ground is not None:
+            height, side = ground["camera_height_m"], "below" if ground["camera_height_m"] > 0 else "above"
+            text = f"{abs(height):.2f} ± {ground['sigma_m']:.2f} m {side} {_called(motion)}"
+        found.append((text, f" (frames {first} to {stop - 1})"))
+    if all(text == "not found" for text, _ in found):
+        yield "ground", "not looked for" if motion.settings.get("ground") == "none" else "not found"
+        return
+    where = ", ".join(text + (frames if len(found) > 1 else "") for text, frames in found)
+    yield "ground", f"{where}; stances: {', '.join(f'{foot} {len(ranges)}' for foot, ranges in data.items())}"
+
+
+# -- the search -------------------------------------------------------------------------------------------------------
+
+
+def alternative(motion: Motion) -> dict[str, Any] | None:
+    apart = finite(motion.alternative_m)
+    if not len(apart):
+        return None
+    return {
+        "cost_difference": _solution(motion).alternative_cost,
+        "frames": len(apart),
+        "mean_m": apart.mean(),
+        "max_m": apart.max(),
+    }
+
+
+def alternative_lines(motion: Motion, data: Any) -> Iterator[Line]:
+    if data is None:
+        text = "no other solution nearly as good"
+    elif not any(one.code == "second_solution" for one in motion.findings):
+        text = f"another start ended nearby, with joints {data['mean_m']:.2f} m away on average"
+    else:
+        text = (
+            f"joints {data['mean_m']:.2f} m away on average in {frame_count(data['frames'])}, "
+            f"at a cost higher by {number(data['cost_difference'], '.1f')}"
+        )
+    yield "alternative", text
+
+
+def convergence(motion: Motion) -> dict[str, Any]:
+    solution = _solution(motion)
+    return {
+        "status": solution.status,
+        "iterations": solution.iterations,
+        "cost_by_term": solution.cost_by_term,
+        "starts": [
+            {
+                "heading_rad": float(np.angle(np.exp(1j * start.heading_rad))),
+                "heading_to_picture_rad": math.asin(math.sin(start.heading_rad)),
+                "cost": start.cost,
+                "kept": start.kept,
+            }
+            for start in solution.starts
+        ],
+    }
+
+
+def effort_lines(motion: Motion, data: Any) -> Iterator[Line]:
+    seconds = motion.timing_s.get("solve_s", motion.solution.stage_s.get("all"))
+    end = "" if data["status"] == "converged" else ", not converged"
+    yield "effort", f"{number(seconds, '.1f')} s, {data['iterations']} iterations{end}"
