@@ -298,6 +298,8 @@ def _within_limits(
 
 def _share_within(rates: Array, along: Array, limit: Array) -> float:
     """The largest share of `along`, up to 1, that brings no rate beyond its limit."""
-    still = along == 0
-    room = (np.copysign(limit, along) - rates) / np.where(still, 1.0, along)
-    return float(np.clip(np.where(still, np.where(np.abs(rates) <= limit, 1.0, 0.0), room).min(), 0.0, 1.0))
+    share = 1.0
+    for rate, more, most in zip(rates.tolist(), along.tolist(), limit.tolist(), strict=True):
+        if abs(rate + share * more) > most:
+            share = max(0.0, (math.copysign(most, more) - rate) / more) if more else 0.0
+    return share
