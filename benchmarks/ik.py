@@ -59,7 +59,7 @@ from recon.robotics.ik.methods import (
     weighted_least_norm,
 )
 from recon.robotics.ik.null_space import to_null_space_optimum
-from recon.robotics.ik.stride import Stride, find_stride
+from recon.robotics.ik.stride import StridePath, find_stride
 from recon.thesis import solve_joints
 
 Array = np.ndarray
@@ -247,12 +247,12 @@ def real_legs(folder: Path) -> dict[str, list[Leg]]:
     return legs
 
 
-def stride_cell(stride: Stride) -> str:
+def stride_cell(stride: StridePath) -> str:
     whole = " (whole clip)" if stride.how == "whole clip" else ""
     return f"{1000 * (stride.end_s - stride.start_s):.0f} ms, {stride.gap_percent:.0f} %{whole}"
 
 
-def animal_closures(stride: Stride, fps: float) -> Closures:
+def animal_closures(stride: StridePath, fps: float) -> Closures:
     """Of the animal itself."""
     q = stride.q[np.isfinite(stride.q).all(axis=1)]
     paths = np.stack([q, np.gradient(q, 1 / fps, axis=0)], axis=2).transpose(1, 0, 2)
@@ -352,7 +352,7 @@ class Shown:
     """A leg's stride, its frames, and the run that it is of."""
 
     leg: Leg
-    stride: Stride
+    stride: StridePath
     frames: Frames
 
     @classmethod

@@ -19,7 +19,6 @@ from recon.gait.gait import pose_gait
 from recon.io.pose3d import Pose3D
 from recon.robotics.ik.clip import (
     FITTED,
-    METHODS,
     cost_of,
     fit_parameters,
     follow_stride,
@@ -32,6 +31,7 @@ from recon.robotics.ik.clip import (
 from recon.robotics.ik.drive import drive_to
 from recon.robotics.ik.fit import DAMPING_M
 from recon.robotics.ik.methods import LeastNorm, damped_least_squares
+from recon.robotics.settings import METHODS, IkSettings
 
 pytestmark = pytest.mark.usefixtures("small_pictures")
 
@@ -129,8 +129,8 @@ def test_both_jobs_with_all_methods(folder):
 
 
 def test_a_cost_of_ones_own_a_factor_and_parameters_of_each_frame(folder):
-    methods = ("extended", "least-norm")
-    done = run_ik(folder, methods, "stride-max", dim=2, fitted=True, figures=False, cost="energy,pose=0.5", alpha=0.5)
+    asked = {"target": "stride-max", "compare": True, "dim": 2, "fitted": True, "figures": False}
+    done = run_ik(IkSettings(folder=folder, **asked, cost="energy,pose=0.5", alpha=0.5))
     limb, cost = done.limb, cost_of(done.limb, "energy,pose=0.5")
     q = limb.q[0]
     assert cost.value(q) == pytest.approx(
@@ -138,18 +138,18 @@ def test_a_cost_of_ones_own_a_factor_and_parameters_of_each_frame(folder):
     )
     assert cost_of(limb, "energy").value(q) == pytest.approx(np.sum((limb.chain.joint_lengths_m * q) ** 2))
     # Half of each step takes longer, and the reason is in the file.
-    assert all(drive.reached for drive in done.drives.values())
+    assert all(done.drives[name].reached for name in ("extended", "least-norm"))
     usual = drive_to(limb.chain, done.drives["least-norm"].q[0], done.target_m, LeastNorm())
     assert done.drives["least-norm"].iterations > 1.5 * usual.iterations
     assert done.summary["parameters"]["alpha"] == 0.5
     table = pd.read_csv(folder / "ik" / "parameters.csv")
     times = table["time_s"].to_numpy()
     assert done.series is not None
-    assert len(times) == len(done.found.stride.q)
-    assert times[0] == pytest.approx(limb.first_s + done.found.stride.start_s)
+    assert len(times) == len(done.stride.q)
+    assert times[0] == pytest.approx(limb.first_s + done.stride.start_s)
     np.testing.assert_allclose(np.diff(times), 1 / limb.fps)
     weights = table[[f"weighted_{joint}" for joint in limb.names]].to_numpy()
-    np.testing.assert_allclose(weights, done.series.by_method["weighted"].parameter)
+    np.testing.assert_allclose(weights, done.series["weighted"].parameter)
     # The best of each configuration explains no less than the best of all.
     assert (table["weighted_explained"] > table["least-norm_explained"] - 1e-9).all()
     assert table["damped_lambda_m"].between(*DAMPING_M).all()
@@ -186,9 +186,8 @@ def test_the_stride_takes_as_long_as_it_does_and_can_be_followed(fit, dim, reque
     feet = ["RF"] if len(results.feet) == 2 else list(results.feet)
     for foot in feet:
         limb = limb_of(results, foot, dim)
-        found = stride_of(results, limb)
-        stride = found.stride
-        assert found.how in ("ground", "body")
+        stride = stride_of(results, limb)
+        assert stride.how in ("ground", "body")
         assert stride.end_s - stride.start_s == pytest.approx(true_stride_s(stride.start_s), rel=0.05)
         assert follow_stride(limb.chain, stride, damped_least_squares()).distance_m.max() < 0.005
         assert stride.gap_percent < 15
@@ -238,7 +237,7 @@ def test_clip_without_a_stride_is_said(frame_results, tmp_path):
             rows[i] = ",".join([frame, *("" for _ in cells)])
         (folder / name).write_text("\n".join(rows) + "\n")
     write_manifest(folder)
-    done = run_ik(folder, ("damped",), along_stride=True, dim=2, out=tmp_path / "a", figures=False)
+    done = run_ik(IkSettings(folder=folder, follow="stride", dim=2, out=tmp_path / "a", figures=False))
     assert done.summary["stride"]["how"] in ("return", "whole clip")
     assert done.follows["damped"].distance_m.max() < 0.02
 
@@ -247,15 +246,15 @@ def test_clip_without_a_stride_is_said(frame_results, tmp_path):
     ("options", "said"),
     [
         ((), "--target, --follow stride or --compare"),
-        (("--follow", "circle"), "--follow: path: found 'circle'"),
+        (("--follow", "circle"), "--follow: found 'circle'"),
         (("--method", "magic", "--target", "stride-max"), "found 'magic', expected least-norm, transpose"),
         (("--target", "1,2"), "expected stride-max, or 3 coordinates in metres"),
         (("--target", "here"), "expected stride-max, or 3 coordinates"),
         (("--target", "stride-max", "--foot", "XX"), "expected LF (l_front_paw)"),
         (("--target", "stride-max", "--method", "extended"), "extended with --cost"),
         (("--compare", "--cost", "energy,foo=2"), "found 'foo=2', expected differences, energy, harmonic, pose, or"),
-        (("--compare", "--alpha", "large"), "--alpha: factor: found 'large', expected step, or a number other than 0"),
-        (("--compare", "--alpha", "0"), "--alpha: factor: found 0"),
+        (("--compare", "--alpha", "large"), "--alpha: found 'large', expected step, or a number other than 0"),
+        (("--compare", "--alpha", "0"), "--alpha: found 0"),
     ],
 )
 def test_bad_options(whole_results, tmp_path, options, said):

@@ -421,7 +421,7 @@ def test_figures_of_a_climb(walker):
 @pytest.mark.parametrize(
     ("args", "message"),
     [
-        (("--height", "-1"), "--height: step"),
+        (("--height", "-1"), "--height: found "),
         (("--method", "jump"), "solve or ride"),
         (("--robot", "a1"), "swing joint first"),
         (("--after", "nowhere"), "nowhere"),

@@ -133,7 +133,7 @@ def test_arm_has_the_published_branches():
         (("pose", "aibo", "--pitch", "x"), "--pitch"),
         (("pose", "aibo", "--move", "1,2"), "3 numbers with commas"),
         (("pose", "spot"), "no such robot"),
-        (("leg", "aibo", "LX"), "expected LF, RF, LH, RH"),
+        (("leg", "aibo", "LX"), "expected LF, RF, LH or RH"),
         (("leg", "aibo", "LF", "--angles", "1,2"), "found 2 numbers, expected 3"),
         (("arm", "4.5,-4"), "two positive lengths"),
         (("arm", "nan,4"), "2 numbers with commas"),

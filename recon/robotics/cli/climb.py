@@ -3,47 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import typer
 
-from recon.workflows.cli.common import EXIT_UNSOLVED, number_option, say, table_of, terminal
+from recon.robotics.settings import ClimbSettings
+from recon.workflows.cli.common import EXIT_UNSOLVED, say, table_of, terminal
 
 
-def climb(
-    out: Annotated[Path, typer.Option(help="Folder for tables, figures and playback.", show_default=False)],
-    recipe: Annotated[
-        str,
-        typer.Argument(
-            help="found-50, published-50, published-35, spatial-50, highest, highest-spatial, or a file .toml."
-        ),
-    ] = "found-50",
-    height: Annotated[
-        float | None, number_option("Of the step, metres. (default: the recipe's)", "metres, as in 0.045")
-    ] = None,
-    robot: Annotated[
-        str | None,
-        typer.Option(
-            help="aibo, or a file .toml of a robot with its kind of legs; lengths are in proportion to its legs. "
-            "(default: the recipe's)"
-        ),
-    ] = None,
-    method: Annotated[
-        str, typer.Option(help="How the torso finds its equilibrium: solve, or ride, as published.")
-    ] = "solve",
-    at: Annotated[
-        float | None,
-        number_option("When its field is drawn, seconds. (default: where a margin is least)", "seconds, as in 3.5"),
-    ] = None,
-    after: Annotated[
-        Path | None,
-        typer.Option(metavar="DIR", help="Folder of results, whose animal's motion the robot follows up to the step."),
-    ] = None,
-    figures: Annotated[bool, typer.Option("--figures/--no-figures", help="PNG and SVG beside the tables.")] = True,
-    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace earlier ones.")] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print the report as JSON.")] = False,
-) -> None:
+def climb(settings: ClimbSettings, as_json: bool) -> None:
     """A four-legged robot climbs a step by potential fields.
 
     Example: recon climb published-50 --height 0.045 --out results/climb
@@ -55,7 +23,7 @@ def climb(
     from recon.robotics.climb.run import run_climb
     from recon.show.report import to_json
 
-    report = run_climb(recipe, out, robot, height, method, at, after, figures, overwrite).report
+    report = run_climb(settings)
     if as_json:
         typer.echo(to_json(report), nl=False)
         _end(report)
@@ -84,8 +52,8 @@ def climb(
     say(console, "valid in every frame" if report["valid"] else f"not valid: {'; '.join(report['problems'])}")
     if report["settled_share"] < 1:
         say(console, f"note: in equilibrium in {100 * report['settled_share']:.0f} % of the frames only")
-    drawn = f"; the field is drawn at {report['field_drawn_at_s']:.2f} s" if figures else ""
-    say(console, f"The playback is {out / 'climb.rrd'}{drawn}.")
+    drawn = f"; the field is drawn at {report['field_drawn_at_s']:.2f} s" if settings.figures else ""
+    say(console, f"The playback is {settings.out / 'climb.rrd'}{drawn}.")
     _end(report)
 
 

@@ -3,116 +3,30 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any
 
 import typer
 from rich.console import Console
 
-from recon.base.errors import InputError, Problem
-from recon.workflows.cli.common import STRIDE, say, stride_times, table_of, terminal
+from recon.robotics.settings import IkSettings
+from recon.workflows.cli.common import say, table_of, terminal
 
 WIDE_GAP_PERCENT = 25
 
 
-def ik(
-    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of results, as in results/clip.")],
-    method: Annotated[
-        str,
-        typer.Option(
-            help="least-norm, transpose, gradient-projection, weighted, damped, selectively-damped, "
-            "extended-differences, extended-energy, extended-harmonic, or extended with --cost."
-        ),
-    ] = "damped",
-    target: Annotated[
-        str | None,
-        typer.Option(
-            help="Drive the foot there: stride-max, its foremost place in the stride, from its rearmost; or x,y,z in "
-            "metres from the chain's base, as in 0.8,0.1,-0.5."
-        ),
-    ] = None,
-    follow: Annotated[
-        str | None, typer.Option(help="Follow a path with the foot: stride, one of its own, closed.")
-    ] = None,
-    compare: Annotated[
-        bool, typer.Option("--compare", help="All methods in one table; both jobs unless one is asked for.")
-    ] = False,
-    foot: Annotated[
-        str | None, typer.Option(help="LF, RF, LH, RH, or the joint's name. (default: the first fore foot)")
-    ] = None,
-    stride: Annotated[str | None, STRIDE] = None,
-    dim: Annotated[int, typer.Option(help="2: in the vertical plane of travel; 3: in space.", min=2, max=3)] = 3,
-    turns: Annotated[int, typer.Option(help="How often to follow the stride.", min=1)] = 1,
-    limits: Annotated[bool, typer.Option("--limits/--no-limits", help="Limits of the joints.")] = True,
-    fitted: Annotated[
-        bool,
-        typer.Option(
-            "--fitted",
-            help="With the methods' parameters fitted to this clip; also fits them to each frame of the stride.",
-        ),
-    ] = False,
-    cost: Annotated[
-        str | None,
-        typer.Option(
-            help="Of the method extended, and of gradient-projection: differences, energy, harmonic, pose (distance "
-            "from the clip's mean pose), or a sum with weights, as in energy,differences=0.1.",
-        ),
-    ] = None,
-    alpha: Annotated[
-        str | None,
-        typer.Option(
-            help="Factor on the joints' rates of every method: a number, or step, at every step the one with which the "
-            "foot moves nearest to what is asked for. (default: none)",
-            show_default=False,
-        ),
-    ] = None,
-    out: Annotated[
-        Path | None, typer.Option(help="Folder for tables and figures. (default: ik in DIR)", show_default=False)
-    ] = None,
-    figures: Annotated[bool, typer.Option("--figures/--no-figures", help="PNG and SVG beside the tables.")] = True,
-    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace earlier ones.")] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print the summary as JSON.")] = False,
-) -> None:
+def ik(settings: IkSettings, as_json: bool) -> None:
     """Inverse kinematics of the chain from the trunk to a foot: to a target, or along a stride.
 
     Example: recon ik results/clip --compare
     """
-    from recon.robotics.ik.clip import EXTENDED, METHODS, STRIDE_MAX, run_ik
+    from recon.robotics.ik.clip import run_ik
     from recon.show.report import to_json
 
-    problems = []
-    if follow not in (None, "stride"):
-        problems.append(Problem("--follow", "path", repr(follow), "stride"))
-    if target is None and follow is None and not compare:
-        problems.append(Problem("options", "job", "none", "--target, --follow stride or --compare"))
-    factor: float | Literal["step"] | None = None
-    try:
-        factor = "step" if alpha == "step" else None if alpha is None else float(alpha)
-    except ValueError:
-        problems.append(Problem("--alpha", "factor", repr(alpha), "step, or a number other than 0"))
-    if problems:
-        raise InputError(problems)
-    both = target is None and follow is None
-    solved = run_ik(
-        folder,
-        (*METHODS, *([] if cost is None else [EXTENDED])) if compare else (method,),
-        STRIDE_MAX if both else target,
-        both or follow is not None,
-        foot,
-        2 if dim == 2 else 3,
-        turns,
-        limits,
-        fitted,
-        out,
-        figures,
-        overwrite,
-        stride_times(stride),
-        cost,
-        factor,
-    )
+    summary = run_ik(settings).summary
     if as_json:
-        typer.echo(to_json(solved.summary), nl=False)
+        typer.echo(to_json(summary), nl=False)
         return
-    _print(terminal(), solved.summary, folder / "ik" if out is None else out)
+    _print(terminal(), summary, settings.out_folder)
 
 
 def _print(console: Console, summary: dict[str, Any], out: Path) -> None:

@@ -3,50 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
-from typing import Annotated, Any
+from math import degrees, isinf, radians
+from typing import Any
 
 import typer
 from rich.console import Console
 
-from recon.workflows.cli.common import number_option, numbers, say, table_of, terminal
-
-robot = typer.Typer(
-    help="A robot's kinematics: its body's pose, a leg, an arm, a table of parameters; all solutions.",
-    no_args_is_help=True,
-)
-Robot = Annotated[str, typer.Argument(help="a1, aibo, or a file .urdf or .toml.", show_default=False)]
-AsJson = Annotated[bool, typer.Option("--json", help="Print everything as JSON, metres and radians.")]
-Angles = Annotated[
-    str | None,
-    typer.Option(help="Where is the end at these, degrees (metres of joints that slide)? As in 0,45,-90."),
-]
+from recon.robotics.settings import ArmSettings, LegSettings, PoseSettings, TableSettings
+from recon.workflows.cli.common import numbers, say, table_of, terminal
 
 
-def _degrees(help: str) -> Any:
-    return number_option(help, "degrees, as in 10")
-
-
-@robot.command("pose")
-def pose(
-    robot: Robot,
-    move: Annotated[
-        str, typer.Option(help="The body forwards, left and up from where it stands, metres, as in 0,0,-0.02.")
-    ] = "0,0,0",
-    roll: Annotated[float, _degrees("Degrees, right side down.")] = 0.0,
-    pitch: Annotated[float, _degrees("Degrees, nose down.")] = 0.0,
-    yaw: Annotated[float, _degrees("Degrees, to the left.")] = 0.0,
-    as_json: AsJson = False,
-) -> None:
+def pose(settings: PoseSettings, as_json: bool) -> None:
     """The legs' angles of a body that is moved and turned, the feet planted.
 
     Example: recon robot pose aibo --pitch 10 --move 0,0,-0.01
     """
-    from math import radians
-
     from recon.robotics.robot.answers import pose_of
 
-    answer = pose_of(robot, numbers("--move", move, 3), *(radians(x) for x in (roll, pitch, yaw)))
+    turned = (radians(x) for x in (settings.roll, settings.pitch, settings.yaw))
+    answer = pose_of(settings.robot, settings.move or (0.0, 0.0, 0.0), *turned)
     if as_json:
         _json(answer)
         return
@@ -63,89 +38,47 @@ def pose(
             say(console, f"{label}: {leg['why']}")
 
 
-@robot.command("leg")
-def leg(
-    robot: Robot,
-    label: Annotated[str, typer.Argument(metavar="LEG", help="LF, RF, LH or RH.", show_default=False)],
-    angles: Angles = None,
-    foot: Annotated[
-        str | None, typer.Option(help="All angles that put the foot there: body axes, metres, as in 0.1,0.1,-0.2.")
-    ] = None,
-    as_json: AsJson = False,
-) -> None:
+def leg(settings: LegSettings, as_json: bool) -> None:
     """A leg's Denavit-Hartenberg table and limits, its foot at given angles, and all angles of a given foot.
 
     Example: recon robot leg aibo LF --foot 0.09,0.07,-0.1
     """
     from recon.robotics.robot.answers import leg_of
 
-    typed = None if angles is None else numbers("--angles", angles)
-    answer = leg_of(robot, label, typed, None if foot is None else numbers("--foot", foot, 3))
+    answer = leg_of(settings.robot, settings.leg, _angles(settings.angles), settings.foot)
     if as_json:
         _json(answer)
         return
-    _print_chain(terminal(), answer, f"{answer['robot']}, leg {label}")
+    _print_chain(terminal(), answer, f"{answer['robot']}, leg {settings.leg}")
 
 
-@robot.command("dh")
-def dh(
-    file: Annotated[Path, typer.Argument(help="A table of parameters (.toml), or a .urdf.", show_default=False)],
-    tip: Annotated[str | None, typer.Option(help="Of a URDF: the link at the end. (default: the only leaf)")] = None,
-    angles: Angles = None,
-    place: Annotated[
-        str | None, typer.Option(help="All angles that put the end there: base axes, metres, as in 0.4,0.1,0.2.")
-    ] = None,
-    turned: Annotated[
-        str | None,
-        typer.Option(help="With --place: the end's roll, pitch and yaw, degrees, as in 0,90,0. (default: any)"),
-    ] = None,
-    as_json: AsJson = False,
-) -> None:
+def dh(settings: TableSettings, as_json: bool) -> None:
     """The Denavit-Hartenberg table of a chain, its end at given angles, and all angles of a given end.
 
     Example: recon robot dh arm.toml --angles 10,20,30,40,50,60
     """
-    from math import radians
+    from recon.robotics.robot.answers import table_answer
 
-    from recon.robotics.robot.answers import table_of
-
-    typed = None if angles is None else numbers("--angles", angles)
-    end = None if place is None else numbers("--place", place, 3)
-    turn = None if turned is None else [radians(x) for x in numbers("--turned", turned, 3)]
-    answer = table_of(file, tip, typed, end, turn)
+    turned = None if settings.turned is None else [radians(x) for x in settings.turned]
+    answer = table_answer(settings.file, settings.tip, _angles(settings.angles), settings.place, turned)
     if as_json:
         _json(answer)
         return
-    _print_chain(terminal(), answer, str(file))
+    _print_chain(terminal(), answer, str(settings.file))
 
 
-@robot.command("arm")
-def arm(
-    lengths: Annotated[str, typer.Argument(help="The two links, as in 4.5,4, in any unit.", show_default=False)],
-    hand: Annotated[
-        str | None, typer.Option(help="Both branches of a hand at x, y and angle (degrees), as in 3.165,-7.811,-45.")
-    ] = None,
-    height: Annotated[float, number_option("Of the hand.", "a number")] = 0.0,
-    angles: Annotated[
-        str | None, typer.Option(help="Where is the hand at this height and these degrees? As in 0.5,-75,15,15.")
-    ] = None,
-    as_json: AsJson = False,
-) -> None:
+def arm(settings: ArmSettings, as_json: bool) -> None:
     """The arm of a lift, two planar joints and a wrist, in closed form; without the wrist it is the arm of two links.
 
     Example: recon robot arm 4.5,4 --hand 3.165,-7.811,-45 --height 0.5
     """
-    from math import degrees, radians
-
     from recon.robotics.robot.answers import arm_of
 
-    l1, l2 = numbers("LENGTHS", lengths, 2)
-    at = None if hand is None else numbers("--hand", hand, 3)
-    q = None if angles is None else numbers("--angles", angles, 4)
+    hand, q = settings.hand, settings.angles
     answer = arm_of(
-        (l1, l2),
-        None if at is None else [*at[:2], radians(at[2])],
-        height,
+        settings.lengths,
+        None if hand is None else [*hand[:2], radians(hand[2])],
+        settings.height,
         None if q is None else [q[0], *(radians(x) for x in q[1:])],
     )
     if as_json:
@@ -204,8 +137,6 @@ def _typed(values: Sequence[float], slides: Sequence[bool]) -> list[str]:
 
 
 def _deg(angles_rad: Sequence[float]) -> list[str]:
-    from math import degrees, isinf
-
     return ["any" if isinf(x) else f"{degrees(x):z.2f}" for x in angles_rad]
 
 
@@ -213,3 +144,7 @@ def _json(answer: dict[str, Any]) -> None:
     from recon.show.report import to_json
 
     typer.echo(to_json(answer), nl=False)
+
+
+def _angles(typed: str | None) -> list[float] | None:
+    return None if typed is None else numbers("--angles", typed)

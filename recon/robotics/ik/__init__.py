@@ -22,7 +22,7 @@ from recon.robotics.ik.methods import (
     weighted_least_norm,
 )
 from recon.robotics.ik.null_space import to_null_space_optimum
-from recon.robotics.ik.stride import Stride, farthest_reach, find_stride
+from recon.robotics.ik.stride import StridePath, farthest_reach, find_stride
 from recon.robotics.ik.two_link import two_link
 
 __all__ = [
@@ -35,7 +35,7 @@ __all__ = [
     "Scaled",
     "SelectivelyDamped",
     "SerialChain",
-    "Stride",
+    "StridePath",
     "body_chain",
     "body_chain_angles",
     "chain_angles",

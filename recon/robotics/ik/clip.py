@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
@@ -68,23 +68,13 @@ from recon.robotics.ik.methods import (
     kept_cost,
 )
 from recon.robotics.ik.null_space import to_null_space_optimum
-from recon.robotics.ik.stride import Stride, farthest_reach, find_stride
+from recon.robotics.ik.stride import StridePath, farthest_reach, find_stride
+from recon.robotics.settings import EXTENDED, METHODS, STRIDE_MAX, IkSettings
 from recon.show.report import to_json
 
 Dim = Literal[2, 3]
 
 COSTS = ("differences", "energy", "harmonic", "pose")
-METHODS = (
-    "least-norm",
-    "transpose",
-    "gradient-projection",
-    "weighted",
-    "damped",
-    "selectively-damped",
-    *(f"extended-{cost}" for cost in COSTS[:3]),
-)
-EXTENDED = "extended"
-"""The extended Jacobian with the cost that is asked for."""
 PARAMETERS = {
     "transpose": "alpha_1_m2",
     "gradient-projection": "k_1_s",
@@ -95,7 +85,6 @@ PARAMETERS = {
 """What is fitted to each configuration, of the weights one for each joint."""
 FITTED = METHODS[:6]
 """Methods with a parameter that can be fitted, and least norm for comparison."""
-STRIDE_MAX = "stride-max"
 SLOWER = 10
 """How many times slower than the animal a stride is followed: rate limits are what is expected of its joints, and would
 hold back a method that moves others than the animal does. Closures do not depend on it."""
@@ -128,52 +117,29 @@ class Limb:
 
 
 @dataclass(frozen=True, eq=False)
-class Found:
-    """A stride of the animal, and how it was found."""
-
-    stride: Stride
-    how: str
-    """One of "given", "ground" or "body", the rule that found it complete, "return" or "whole clip"."""
-    notes: tuple[str, ...]
-    """Strides that do not count, and what else is to be known of it."""
-
-
-@dataclass(frozen=True, eq=False)
-class ParameterSeries:
-    """What is fitted to each of F frames by itself."""
-
-    time_s: Array
-    """(F,), of the clip."""
-    by_method: Mapping[str, FittedSeries]
-
-
-@dataclass(frozen=True, eq=False)
 class IKRun:
     """What was moved, and how."""
 
+    settings: IkSettings
     limb: Limb
-    found: Found
+    stride: StridePath
     target_m: Array | None
     """(dim,)"""
     drives: Mapping[str, Drive]
     """By method, empty where not asked for."""
     follows: Mapping[str, Follow]
     """By method, empty where not asked for."""
-    turns: int
-    """How often the stride was followed."""
     parameters: Mapping[str, Fitted]
     """Fitted to the clip, by method."""
-    fitted: bool
-    """Whether the methods had them."""
-    alpha: float | Literal["step"] | None
-    """As `methods_of`."""
-    series: ParameterSeries | None
-    """Fitted to each frame of the stride; None where not asked for."""
+    series: Mapping[str, FittedSeries] | None
+    """Fitted to each frame of the stride by itself, by method; None where not asked for."""
+    series_time_s: Array
+    """(F,): times in the clip of those frames."""
 
     @cached_property
     def summary(self) -> dict[str, Any]:
         """What ik.json holds."""
-        limb, stride = self.limb, self.found.stride
+        limb, stride, settings = self.limb, self.stride, self.settings
 
         def names(joints: tuple[int, ...]) -> list[str]:
             return [limb.names[j] for j in joints]
@@ -209,13 +175,13 @@ class IKRun:
             "stride": {
                 "start_s": limb.first_s + stride.start_s,
                 "end_s": limb.first_s + stride.end_s,
-                "how": self.found.how,
-                "notes": self.found.notes,
+                "how": stride.how,
+                "notes": stride.notes,
                 "gap_m": stride.gap_m,
                 "gap_percent": stride.gap_percent,
             },
             "parameters": {
-                "used": "fitted to the clip" if self.fitted else "standard",
+                "used": "fitted to the clip" if settings.fitted else "standard",
                 "fitted": {
                     name: {
                         "value": f.parameter,
@@ -226,14 +192,14 @@ class IKRun:
                     }
                     for name, f in self.parameters.items()
                 },
-                "alpha": self.alpha,
+                "alpha": settings.alpha,
             },
             "target_m": self.target_m,
             "to_target": {
                 name: {"reached": run.reached, "reason": run.reason, "iterations": run.iterations, **shared(run)}
                 for name, run in self.drives.items()
             },
-            "turns": self.turns if self.follows else None,
+            "turns": settings.turns if self.follows else None,
             "along_stride": followed,
         }
 
@@ -357,17 +323,20 @@ def fit_parameters(limb: Limb, cost: Cost | None = None) -> dict[str, Fitted]:
     return {name: fit(frames) for name, fit in _fits(cost).items()}
 
 
-def fit_parameter_series(limb: Limb, stride: Stride, cost: Cost | None = None) -> ParameterSeries:
-    """Of `FITTED`, to each frame of a stride by itself. cost: of gradient projection, by default the joint differences,
-    of which k is fitted. Raises InputError as `fit_parameters`."""
+def fit_parameter_series(
+    limb: Limb, stride: StridePath, cost: Cost | None = None
+) -> tuple[Array, dict[str, FittedSeries]]:
+    """Of `FITTED`, to each frame of a stride by itself: their times in the clip (F,), and what is fitted by method.
+
+    cost: of gradient projection, by default the joint differences, of which k is fitted. Raises InputError as
+    `fit_parameters`.
+    """
     at_s = np.flatnonzero(np.isfinite(limb.q).all(axis=1)) / limb.fps
     first, last = np.searchsorted(at_s, [stride.start_s - 1e-6, stride.end_s + 1e-6]).tolist()
     frames = _rates_of(limb)[first:last]
     fits = _fits(cost or joint_differences(limb.chain))
     fits["weighted"] = lambda one: fit_weights(one, PULL)
-    return ParameterSeries(
-        limb.first_s + at_s[first:last], {name: fit_series(fit, frames) for name, fit in fits.items()}
-    )
+    return limb.first_s + at_s[first:last], {name: fit_series(fit, frames) for name, fit in fits.items()}
 
 
 def _fits(cost: Cost | None) -> dict[str, Fit]:
@@ -394,66 +363,33 @@ def _rates_of(limb: Limb) -> Frames:
 # -- the jobs --------------------------------------------------------------------------------------------------------
 
 
-def run_ik(
-    folder: Path,
-    methods: tuple[str, ...],
-    target: str | None = None,
-    along_stride: bool = False,
-    foot: str | None = None,
-    dim: Dim = 3,
-    turns: int = 1,
-    limited: bool = True,
-    fitted: bool = False,
-    out: Path | None = None,
-    figures: bool = True,
-    overwrite: bool = False,
-    stride_s: tuple[float, float] | None = None,
-    cost: Cost | str | None = None,
-    alpha: float | Literal["step"] | None = None,
-) -> IKRun:
-    """`recon ik`: tables and figures into `out`, by default the folder ik in the results' own.
-
-    methods: of `METHODS`, or `EXTENDED`. target: `STRIDE_MAX`, or coordinates in the chain's base frame, as in
-    "0.8,0.3"; None: none. along_stride: follow a stride of the foot, closed, turns times. fitted: with parameters
-    fitted to the clip, which are fitted to each frame of the stride, too. stride_s: from when to when in the clip it
-    lasts; None: see `stride_of`. cost, alpha: as `methods_of`, the cost also as `cost_of` reads it. Raises InputError.
-    """
-    out = folder / "ik" if out is None else out
-    results = read_results(folder)
-    _check(methods, cost, alpha)
+def run_ik(settings: IkSettings) -> IKRun:
+    """`recon ik`: tables and figures into a folder. With parameters fitted to the clip, these are fitted to each frame
+    of the stride, too. Raises InputError."""
+    out, results = settings.out_folder, read_results(settings.folder)
     with sole_writer(out):
-        require_free_folder(out, (SUMMARY,), overwrite)
-        limb = limb_of(results, foot, dim, limited)
-        cost = cost_of(limb, cost) if isinstance(cost, str) else cost
+        require_free_folder(out, (SUMMARY,), settings.overwrite)
+        limb = limb_of(results, settings.foot, 2 if settings.dim == 2 else 3, settings.limits)
+        cost = None if settings.cost is None else cost_of(limb, settings.cost)
+        target = STRIDE_MAX if settings.both else settings.target
         goal = _coordinates(target, limb.chain.dim) if target not in (None, STRIDE_MAX) else None
         with threadpool_limits(1, user_api="blas"):
-            found = stride_of(results, limb, stride_s)
-            stride = found.stride
+            stride = stride_of(results, limb, settings.stride)
             parameters = fit_parameters(limb, cost)
-            series = fit_parameter_series(limb, stride, cost) if fitted else None
-            by_name = methods_of(limb, methods, parameters, fitted, cost, alpha)
+            times, series = fit_parameter_series(limb, stride, cost) if settings.fitted else (np.empty(0), None)
+            methods = methods_of(limb, settings.methods, parameters, settings.fitted, cost, settings.alpha)
             start, foremost = farthest_reach(limb.chain, stride.q)
             goal = foremost if target == STRIDE_MAX else goal
-            drives = {} if goal is None else {n: drive_to(limb.chain, start, goal, m) for n, m in by_name.items()}
-            followed = by_name if along_stride else {}
-            follows = {n: follow_stride(limb.chain, stride, m, turns) for n, m in followed.items()}
-        solved = IKRun(limb, found, goal, drives, follows, turns, parameters, fitted, alpha, series)
+            drives = {} if goal is None else {n: drive_to(limb.chain, start, goal, m) for n, m in methods.items()}
+            followed = methods if settings.both or settings.follow is not None else {}
+            follows = {n: follow_stride(limb.chain, stride, m, settings.turns) for n, m in followed.items()}
+        solved = IKRun(settings, limb, stride, goal, drives, follows, parameters, series, times)
         with staged_folder(out) as staging:
             _write(solved, staging)
-        if figures:  # after the tables, which are there whatever befalls them
+        if settings.figures:  # after the tables, which are there whatever befalls them
             with staged_folder(out) as staging:
                 write_figures(solved, staging)
     return solved
-
-
-def _check(methods: tuple[str, ...], cost: Cost | str | None, alpha: float | Literal["step"] | None) -> None:
-    known = METHODS if cost is None else (*METHODS, EXTENDED)
-    expected = ", ".join(METHODS) + f", or {EXTENDED} with --cost"
-    problems = [Problem("--method", "method", repr(name), expected) for name in methods if name not in known]
-    if isinstance(alpha, float) and not (np.isfinite(alpha) and alpha):
-        problems.append(Problem("--alpha", "factor", f"{alpha:g}", "step, or a number other than 0"))
-    if problems:
-        raise InputError(problems)
 
 
 def _coordinates(target: str, dim: int) -> Array:
@@ -468,7 +404,7 @@ def _coordinates(target: str, dim: int) -> Array:
     return values
 
 
-def stride_of(results: Results, limb: Limb, stride_s: tuple[float, float] | None = None) -> Found:
+def stride_of(results: Results, limb: Limb, stride_s: tuple[float, float] | None = None) -> StridePath:
     """The stride that is given; or the first of the foot that counts (`recon.gait.gait`), by the rule of the ground
     or else by that of the body; or, of a clip without any, where the foot comes back to nearest in the time that a
     stride takes. Raises InputError for a clip that shows too little."""
@@ -507,16 +443,16 @@ def _found_stride(
     span_s: tuple[float, float] | None = None,
     notes: Sequence[str] = (),
     lasts_s: tuple[float, float] = (0.0, np.inf),
-) -> Found:
+) -> StridePath:
     start_s, end_s = (None, None) if span_s is None else (at_s - limb.first_s for at_s in span_s)
     try:
         stride = find_stride(limb.chain, limb.q, limb.fps, start_s, end_s, lasts_s)
     except ValueError as error:
         raise InputError(Problem(results.folder, "stride", str(error), "a clip that shows more of one")) from None
-    return Found(stride, how or stride.how, tuple(notes))
+    return replace(stride, how=how or stride.how, notes=tuple(notes))
 
 
-def follow_stride(chain: SerialChain, stride: Stride, method: Method, turns: int = 1) -> Follow:
+def follow_stride(chain: SerialChain, stride: StridePath, method: Method, turns: int = 1) -> Follow:
     """Along the stride, `SLOWER` than the animal. The extended Jacobian starts where its cost is stationary, with the
     foot in the same place."""
     q0 = stride.q[0]
@@ -548,7 +484,7 @@ def _write(solved: IKRun, folder: Path) -> None:
         rows = [[j, *(followed[name][f"closure_{kind}_percent"][j] for name, kind in kinds)] for j in names]
         write_rows(folder / "closures.csv", [["joint", *(f"{name}_{kind}" for name, kind in kinds)]], rows)
     if solved.series is not None:
-        write_rows(folder / "parameters.csv", *_parameter_table(solved.series, names))
+        write_rows(folder / "parameters.csv", *_parameter_table(solved.series_time_s, solved.series, names))
     axes = list(solved.limb.base)[: solved.limb.chain.dim]
     for job, runs in (("target", solved.drives), ("follow", solved.follows)):
         for name, run in runs.items():
@@ -557,9 +493,11 @@ def _write(solved: IKRun, folder: Path) -> None:
             write_rows(folder / f"{job}_{name}.csv", [columns], [[k, *row] for k, row in enumerate(values)])
 
 
-def _parameter_table(series: ParameterSeries, joints: tuple[str, ...]) -> tuple[list[list[str]], list[list[float]]]:
-    columns, values = ["time_s"], [series.time_s]
-    for name, of_method in series.by_method.items():
+def _parameter_table(
+    time_s: Array, series: Mapping[str, FittedSeries], joints: tuple[str, ...]
+) -> tuple[list[list[str]], list[list[float]]]:
+    columns, values = ["time_s"], [time_s]
+    for name, of_method in series.items():
         if name == "weighted":
             columns += [f"weighted_{joint}" for joint in joints]
         elif name in PARAMETERS:
@@ -582,16 +520,14 @@ def write_figures(solved: IKRun, folder: Path) -> None:
 
     limb = solved.limb
     if solved.series is not None:
-        found = solved.series
-        figure = plots.parameter_series(found.time_s, found.by_method, limb.names)
-        save(figure, folder, "parameters")
+        save(plots.parameter_series(solved.series_time_s, solved.series, limb.names), folder, "parameters")
     if solved.drives:
         figure = plots.task_space(solved.drives, solved.target_m, chain=limb.chain, base=limb.base)
         save(figure, folder, "target_task_space")
         save(plots.joint_space(solved.drives, limb.names), folder, "target_joint_space")
         save(plots.distances(solved.drives), folder, "target_distance")
     if solved.follows:
-        figure = plots.task_space(solved.follows, path_m=solved.found.stride.path_m, chain=limb.chain, base=limb.base)
+        figure = plots.task_space(solved.follows, path_m=solved.stride.path_m, chain=limb.chain, base=limb.base)
         save(figure, folder, "follow_task_space")
         save(plots.joint_space(solved.follows, limb.names), folder, "follow_joint_space")
         save(plots.distances(solved.follows), folder, "follow_distance")

@@ -15,7 +15,6 @@ is spread evenly over the path.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -35,13 +34,13 @@ AWAY, BACK, SPAN = 0.5, 0.25, 0.8
 
 
 @dataclass(frozen=True, eq=False)
-class Stride:
-    """A stride of F frames in a clip whose frame 0 is at 0 s; its end may lie between two."""
+class StridePath:
+    """A stride of F frames in a clip whose frame 0 is at 0 s, as a task; its end may lie between two."""
 
     start_s: float
     end_s: float
-    how: Literal["given", "return", "whole clip"]
-    """One of "given", "return" or "whole clip"."""
+    how: str
+    """How it was found: "given", "return" or "whole clip", or the rule that found it complete, "ground" or "body"."""
     q: Array
     """(F, n): the animal's joint angles, NaN where missing, of which the first is where to start from."""
     path_m: Array
@@ -51,6 +50,8 @@ class Stride:
     """The gap that was closed."""
     gap_percent: float
     """The same, of the path's diameter."""
+    notes: tuple[str, ...] = ()
+    """Strides that do not count, and what else is to be known of it."""
 
 
 def find_stride(
@@ -60,7 +61,7 @@ def find_stride(
     start_s: float | None = None,
     end_s: float | None = None,
     lasts_s: tuple[float, float] = (0.0, np.inf),
-) -> Stride:
+) -> StridePath:
     """The stride of a chain's joint angles q (T, n) at the frames, NaN where missing; see the module.
 
     start_s, end_s: both or none; lasts_s: how long a return may take, as far as that is known. Only the longest stretch
@@ -104,7 +105,7 @@ def find_stride(
     closed = path - np.linspace(0.0, 1.0, points)[:, None] * gap
     closed[-1] = closed[0]
     size = float(np.linalg.norm(gap))
-    return Stride(
+    return StridePath(
         start_s=start / fps,
         end_s=end / fps,
         how=how,

@@ -50,8 +50,6 @@ def leg_of(robot: str | Path, label: str, angles: ArrayLike | None, foot_m: Arra
     """A leg's table and limits; its foot, body axes, at angles, as typed (degrees, metres of joints
     that slide); all angles that put the foot at foot_m (3,)."""
     machine = load_robot(robot)
-    if label not in LEGS:
-        raise InputError(Problem("LEG", "leg", repr(label), ", ".join(LEGS)))
     leg = machine.legs[label]
     answer = _chain_answer(leg.chain, leg.joints, _table_answer(leg.chain)) | {"robot": machine.title, "leg": label}
     answer |= {"stands_at_m": leg.neutral_m}
@@ -64,7 +62,7 @@ def leg_of(robot: str | Path, label: str, angles: ArrayLike | None, foot_m: Arra
     return answer
 
 
-def table_of(
+def table_answer(
     file: Path,
     tip: str | None,
     angles: ArrayLike | None,

@@ -27,6 +27,7 @@ from recon.robotics.robot.reference import (
 )
 from recon.robotics.robot.retarget import LEGS_APART, Retargeted, RobotMotion, retarget
 from recon.robotics.robot.robot_file import load_robot
+from recon.robotics.settings import RetargetSettings
 from recon.show.report import to_json
 
 REPORT = "report.json"
@@ -49,34 +50,21 @@ class RetargetRun:
     """What report.json holds."""
 
 
-def run_retarget(
-    folder: Path,
-    robot: str | Path,
-    out: Path,
-    scale: float | None = None,
-    slower: float | None = None,
-    lag: float = 0.0,
-    overwrite: bool = False,
-    stride_s: tuple[float, float] | None = None,
-) -> RetargetRun:
-    """`recon retarget`: tables, report and playback into `out`. Raises InputError.
-
-    scale, slower: as `recon.robotics.robot.retarget.retarget`; lag: of a chain, of which one side is measured, by how
-    much of a stride the other side follows it; stride_s: from when to when a stride lasts, None: one that is found.
-    """
-    results, machine, *_ = all_of(
+def run_retarget(settings: RetargetSettings) -> RetargetRun:
+    """`recon retarget`: tables, report and playback into a folder. Raises InputError."""
+    out, folder, lag = settings.out, settings.folder, settings.lag
+    results, machine, _ = all_of(
         lambda: read_results(folder),
-        lambda: load_robot(robot),
-        lambda: _check(scale, slower, lag),
-        lambda: require_free_folder(out, (REPORT,), overwrite),
+        lambda: load_robot(settings.robot),
+        lambda: require_free_folder(out, (REPORT,), settings.overwrite),
     )
-    animal = reference_of(results, stride_s)
+    animal = reference_of(results, settings.stride)
     if lag and len(animal.reference.feet) == len(LEGS):
         found = f"{lag:g}, for an animal of which both sides are measured"
         raise InputError(Problem("--lag", "share of a stride", found, "none, or a chain of one side"))
     with sole_writer(out):
-        require_free_folder(out, (REPORT,), overwrite)
-        solved = solve(animal, machine, scale, slower, lag)
+        require_free_folder(out, (REPORT,), settings.overwrite)
+        solved = solve(animal, machine, settings.scale, settings.slower, lag)
         solved.report["animal"]["results"] = seen_from(out, folder)
         solved.report["robot"]["source"] = name_seen_from(out, machine.source)
         with staged_results(out) as staging:
@@ -94,18 +82,6 @@ def solve(
     motion = retarget(clip, stride, robot, scale, slower)
     report = _report(animal, window, clip, motion, lag, slower is None)
     return RetargetRun(animal, window, clip, motion, report)
-
-
-def _check(scale: float | None, slower: float | None, lag: float) -> None:
-    problems = [
-        Problem(option, "factor", f"{value:g}", "a positive number")
-        for option, value in (("--scale", scale), ("--slower", slower))
-        if value is not None and not (np.isfinite(value) and value > 0)
-    ]
-    if not -0.5 <= lag <= 0.5:
-        problems.append(Problem("--lag", "share of a stride", f"{lag:g}", "-0.5 to 0.5"))
-    if problems:
-        raise InputError(problems)
 
 
 # -- the report ------------------------------------------------------------------------------------------------------

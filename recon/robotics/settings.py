@@ -1,0 +1,262 @@
+"""What the commands of the wing are told: one class for each, from which options, help and what Python takes follow."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Annotated, Any, Literal, get_args
+
+from pydantic import BeforeValidator, Field
+
+from recon.base.errors import Problem
+from recon.base.settings import Integer, Number, Option, Positive, Settings
+
+Extended = Literal["extended-differences", "extended-energy", "extended-harmonic"]
+MethodName = Literal[
+    "least-norm", "transpose", "gradient-projection", "weighted", "damped", "selectively-damped", Extended, "extended"
+]
+EXTENDED = "extended"
+"""The extended Jacobian with the cost that is asked for."""
+METHODS: tuple[str, ...] = tuple(name for name in get_args(MethodName) if name != EXTENDED)
+STRIDE_MAX = "stride-max"
+
+
+def _times(given: Any) -> Any:
+    return tuple(given.split(":")) if isinstance(given, str) else given
+
+
+StrideTimes = Annotated[tuple[Number, Number], BeforeValidator(_times)]
+"""From when to when, seconds; as text with a colon between them."""
+_STRIDE = Option(
+    "A stride from when to when, in seconds since frame 0, as in 0.31:0.62. (default: one that is found)",
+    "START:END in seconds, as in 0.31:0.62",
+    metavar="START:END",
+)
+_RESULTS = Option("Folder of results, as in results/clip.", argument="DIR")
+_FIGURES = Option("PNG and SVG beside the tables.")
+_OVERWRITE = Option("Replace earlier ones.")
+
+
+class IkSettings(Settings):
+    """What `recon ik` is told."""
+
+    folder: Annotated[Path, _RESULTS]
+    method: Annotated[
+        MethodName,
+        Option(
+            f"{', '.join(METHODS)}, or {EXTENDED} with --cost.",
+            f"{', '.join(METHODS)}, or {EXTENDED} with --cost",
+            metavar="METHOD",
+        ),
+    ] = "damped"
+    target: Annotated[
+        str | None,
+        Option(
+            "Drive the foot there: stride-max, its foremost place in the stride, from its rearmost; or x,y,z in metres "
+            "from the chain's base, as in 0.8,0.1,-0.5."
+        ),
+    ] = None
+    follow: Annotated[
+        Literal["stride"] | None, Option("Follow a path with the foot: stride, one of its own, closed.")
+    ] = None
+    compare: Annotated[bool, Option("All methods in one table; both jobs unless one is asked for.")] = False
+    foot: Annotated[
+        str | None, Option("LF, RF, LH, RH, or the joint's name. (default: the first fore foot)", metavar="FOOT")
+    ] = None
+    stride: Annotated[StrideTimes | None, _STRIDE] = None
+    dim: Annotated[
+        Annotated[Integer, Field(ge=2, le=3)], Option("2: in the vertical plane of travel; 3: in space.")
+    ] = 3
+    turns: Annotated[Annotated[Integer, Field(ge=1)], Option("How often to follow the stride.")] = 1
+    limits: Annotated[bool, Option("Limits of the joints.")] = True
+    fitted: Annotated[
+        bool,
+        Option("With the methods' parameters fitted to this clip; also fits them to each frame of the stride."),
+    ] = False
+    cost: Annotated[
+        str | None,
+        Option(
+            "Of the method extended, and of gradient-projection: differences, energy, harmonic, pose (distance from "
+            "the clip's mean pose), or a sum with weights, as in energy,differences=0.1."
+        ),
+    ] = None
+    alpha: Annotated[
+        Literal["step"] | Number | None,
+        Option(
+            "Factor on the joints' rates of every method: a number, or step, at every step the one with which the foot "
+            "moves nearest to what is asked for. (default: none)",
+            "step, or a number other than 0",
+        ),
+    ] = None
+    out: Annotated[Path | None, Option("Folder for tables and figures. (default: ik in DIR)")] = None
+    figures: Annotated[bool, _FIGURES] = True
+    overwrite: Annotated[bool, _OVERWRITE] = False
+
+    @property
+    def methods(self) -> tuple[str, ...]:
+        """Those that are run."""
+        own = () if self.cost is None else (EXTENDED,)
+        return (*METHODS, *own) if self.compare else (self.method,)
+
+    @property
+    def both(self) -> bool:
+        """Whether no single job is asked for."""
+        return self.target is None and self.follow is None
+
+    @property
+    def out_folder(self) -> Path:
+        return self.folder / "ik" if self.out is None else self.out
+
+    def problems(self) -> Iterator[Problem]:
+        if self.both and not self.compare:
+            yield Problem("options", "job", "none", "--target, --follow stride or --compare")
+        if self.method == EXTENDED and self.cost is None:
+            yield Problem("settings", "method", repr(EXTENDED), self.infos()["method"].expected())
+        if self.alpha == 0:
+            yield Problem("settings", "alpha", "0", self.infos()["alpha"].expected())
+
+
+class RetargetSettings(Settings):
+    """What `recon retarget` is told."""
+
+    folder: Annotated[Path, _RESULTS]
+    robot: Annotated[str, Option("a1, aibo, or a file .urdf or .toml.")]
+    out: Annotated[Path, Option("Folder for tables, report and playback.")]
+    scale: Annotated[
+        Positive | None,
+        Option("Factor on the animal's lengths. (default: the largest within reach and limits)", "a number above 0"),
+    ] = None
+    slower: Annotated[
+        Positive | None,
+        Option(
+            "Factor on the animal's times. (default: what the joints' rates ask for, at least 1)", "a number above 0"
+        ),
+    ] = None
+    lag: Annotated[
+        Annotated[Number, Field(ge=-0.5, le=0.5)],
+        Option(
+            "Of a chain, of which one side is measured: by how much of a stride the other side follows it; 0 is a "
+            "bound, some 0.1 a gallop, 0.5 a trot.",
+            "a share of a stride, -0.5 to 0.5",
+        ),
+    ] = 0.0
+    stride: Annotated[StrideTimes | None, _STRIDE] = None
+    overwrite: Annotated[bool, _OVERWRITE] = False
+
+
+class ClimbSettings(Settings):
+    """What `recon climb` is told."""
+
+    recipe: Annotated[
+        str,
+        Option(
+            "found-50, published-50, published-35, spatial-50, highest, highest-spatial, or a file .toml.",
+            argument="RECIPE",
+        ),
+    ] = "found-50"
+    out: Annotated[Path, Option("Folder for tables, figures and playback.")]
+    height: Annotated[
+        Positive | None,
+        Option(
+            "Of the step, metres; the footfalls' heights are in proportion. (default: the recipe's)",
+            "metres, as in 0.045",
+        ),
+    ] = None
+    robot: Annotated[
+        str | None,
+        Option(
+            "aibo, or a file .toml of a robot with its kind of legs; lengths are in proportion to its legs. "
+            "(default: the recipe's)"
+        ),
+    ] = None
+    method: Annotated[
+        Literal["solve", "ride"], Option("How the torso finds its equilibrium: solve, or ride, as published.")
+    ] = "solve"
+    at: Annotated[
+        Number | None,
+        Option("When its field is drawn, seconds. (default: where a margin is least)", "seconds, as in 3.5"),
+    ] = None
+    after: Annotated[
+        Path | None,
+        Option("Folder of results, whose animal's motion the robot follows up to the step.", metavar="DIR"),
+    ] = None
+    figures: Annotated[bool, _FIGURES] = True
+    overwrite: Annotated[bool, _OVERWRITE] = False
+
+
+# -- recon robot -----------------------------------------------------------------------------------------------------
+
+
+def _split(given: Any) -> Any:
+    return tuple(given.split(",")) if isinstance(given, str) else given
+
+
+_NUMBERS = "numbers with commas, as in 0.1,-20,3"
+Two = Annotated[tuple[Number, Number], BeforeValidator(_split)]
+Three = Annotated[tuple[Number, Number, Number], BeforeValidator(_split)]
+Four = Annotated[tuple[Number, Number, Number, Number], BeforeValidator(_split)]
+"""Several numbers; as text with commas between them."""
+_ROBOT = Option("a1, aibo, or a file .urdf or .toml.", argument="ROBOT")
+_ANGLES = Option("Where is the end at these, degrees (metres of joints that slide)? As in 0,45,-90.", metavar="NUMBERS")
+
+
+def _three(help: str) -> Option:
+    return Option(help, f"3 {_NUMBERS}", metavar="X,Y,Z")
+
+
+class PoseSettings(Settings):
+    """What `recon robot pose` is told."""
+
+    robot: Annotated[str, _ROBOT]
+    move: Annotated[
+        Three | None,
+        _three("The body forwards, left and up from where it stands, metres, as in 0,0,-0.02. (default: 0,0,0)"),
+    ] = None
+    roll: Annotated[Number, Option("Degrees, right side down.", "degrees, as in 10")] = 0.0
+    pitch: Annotated[Number, Option("Degrees, nose down.", "degrees, as in 10")] = 0.0
+    yaw: Annotated[Number, Option("Degrees, to the left.", "degrees, as in 10")] = 0.0
+
+
+class LegSettings(Settings):
+    """What `recon robot leg` is told."""
+
+    robot: Annotated[str, _ROBOT]
+    leg: Annotated[Literal["LF", "RF", "LH", "RH"], Option("LF, RF, LH or RH.", argument="LEG")]
+    angles: Annotated[str | None, _ANGLES] = None
+    foot: Annotated[
+        Three | None, _three("All angles that put the foot there: body axes, metres, as in 0.1,0.1,-0.2.")
+    ] = None
+
+
+class TableSettings(Settings):
+    """What `recon robot dh` is told."""
+
+    file: Annotated[Path, Option("A table of parameters (.toml), or a .urdf.", argument="FILE")]
+    tip: Annotated[str | None, Option("Of a URDF: the link at the end. (default: the only leaf)")] = None
+    angles: Annotated[str | None, _ANGLES] = None
+    place: Annotated[
+        Three | None, _three("All angles that put the end there: base axes, metres, as in 0.4,0.1,0.2.")
+    ] = None
+    turned: Annotated[
+        Three | None, _three("With --place: the end's roll, pitch and yaw, degrees, as in 0,90,0. (default: any)")
+    ] = None
+
+
+class ArmSettings(Settings):
+    """What `recon robot arm` is told."""
+
+    lengths: Annotated[
+        Two, Option("The two links, as in 4.5,4, in any unit.", f"2 {_NUMBERS}", argument="LENGTHS", metavar="L1,L2")
+    ]
+    hand: Annotated[
+        Three | None, _three("Both branches of a hand at x, y and angle (degrees), as in 3.165,-7.811,-45.")
+    ] = None
+    height: Annotated[Number, Option("Of the hand.", "a number")] = 0.0
+    angles: Annotated[
+        Four | None,
+        Option(
+            "Where is the hand at this height and these degrees? As in 0.5,-75,15,15.",
+            f"4 {_NUMBERS}",
+            metavar="NUMBERS",
+        ),
+    ] = None
