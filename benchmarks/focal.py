@@ -43,7 +43,7 @@ def speed_m_s(run: Run, solution: TrajectorySolution) -> float:
 
 def sought(run: Run) -> list[str]:
     views = [run.views[camera] for camera in cameras_of(run)["all"]]
-    wrong = [*views[:-1], views[-1].lengthened(float(np.log(WRONG)))]
+    wrong = [*views[:-1], views[-1].with_focal_scale(float(np.log(WRONG)))]
     body, prior = body_of(run.subject), prior_of(PRIOR)
     held = solve_trajectory(wrong, body, prior, run.fps)
     found, as_is = (

@@ -266,7 +266,7 @@ def test_a_camera_beside_its_pose():
     """A view and a camera lie beside their poses alike."""
     placing, points = np.array([0.02, -0.03, 0.05, 0.1, -0.2, 0.05]), truth_m()
     camera = replace(CAMERA, rotation=ASIDE[:3, :3], translation_m=ASIDE[:3, 3])
-    turned, view = camera.placed(placing), view_of(points, ASIDE).placed(placing)
+    turned, view = camera.corrected(placing), view_of(points, ASIDE).corrected(placing)
     np.testing.assert_allclose(view.project(points)[0], turned.project(turned.world_to_camera(points))[0], atol=1e-9)
 
 
@@ -274,7 +274,7 @@ def test_cameras_beside_their_poses_come_back():
     """The second of two is turned by a degree and a half, moved by 4 cm; the pose is as good as with true ones."""
     placing = np.array([0.015, 0.02, -0.01, 0.03, 0.02, -0.02])
     views = [view_of(truth_m(), AHEAD), view_of(truth_m(), ASIDE, seed=1)]
-    wrong = [views[0], views[1].placed(-placing)]
+    wrong = [views[0], views[1].corrected(-placing)]
     options = TrajectoryOptions(fast=True, refine_cameras=True)
     found = solve_trajectory(wrong, BODY, PRIOR, FPS, options)
     assert not found.placing[0].any()
@@ -290,7 +290,7 @@ def test_a_wrong_focal_length_is_found_by_two_cameras():
     """Of the second, taken for 8 % too short; one camera alone has it held."""
     views = [view_of(truth_m(), AHEAD), view_of(truth_m(), ASIDE, seed=1)]
     options = TrajectoryOptions(fast=True, focal_sigma=0.1)
-    found = solve_trajectory([views[0], views[1].lengthened(-0.08)], BODY, PRIOR, FPS, options)
+    found = solve_trajectory([views[0], views[1].with_focal_scale(-0.08)], BODY, PRIOR, FPS, options)
     assert found.focal[1] - found.focal[0] == pytest.approx(0.08, abs=0.03)
     assert (found.focal_sigma > 0).all()
     assert np.nanmean(found.weight[1]) > 0.8

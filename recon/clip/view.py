@@ -91,16 +91,17 @@ class View:
         near = self.camera.near(self.xy_px)
         return near & self.camera.rays(np.where(near[..., None], self._unzoomed_px, np.nan))[1]
 
-    def placed(self, placing: Array) -> View:
-        """Of a camera that lies beside its pose by a placing (6,): turned by angles about its axes
+    def corrected(self, correction: Array) -> View:
+        """With an extrinsic correction (6,) of the camera: turned by angles about its axes
         (`recon.geometry.rotations`), then moved along them, X_camera = R(angles) X + metres."""
-        if not placing.any():
+        if not correction.any():
             return self
-        return replace(self, T_camera_world=rigid(euler_rotation(placing[:3]), placing[3:]) @ self.T_camera_world)
+        by = rigid(euler_rotation(correction[:3]), correction[3:])
+        return replace(self, T_camera_world=by @ self.T_camera_world)
 
-    def lengthened(self, logarithm: float) -> View:
-        """With a camera whose focal lengths are longer by a factor, of a camera that does not zoom."""
-        return replace(self, camera=self.camera.lengthened(logarithm)) if logarithm else self
+    def with_focal_scale(self, log_scale: float) -> View:
+        """With a camera whose focal lengths are longer by a factor, given by its logarithm; not of one that zooms."""
+        return replace(self, camera=self.camera.with_focal_scale(log_scale)) if log_scale else self
 
     def credible(self) -> View:
         """Without what no detector can have found in the picture (`Camera.sees`)."""

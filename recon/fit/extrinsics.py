@@ -62,7 +62,7 @@ class Rig:
     T_camera_world: tuple[Array, ...]
     """(4, 4) each. The world is the given one, or level, with the first camera in its origin."""
     sigma: Array
-    """(V, 6): of each one's place beside the first, as in `View.placed`."""
+    """(V, 6): of each one's place beside the first, as in `View.corrected`."""
     ground_m: float
     """Height of the ground below the middle of the animal's longest path; NaN where none was found."""
     height_sigma_m: Array
@@ -278,7 +278,7 @@ def _disagreement(settings: Sequence[Setting], reduced: Sequence[tuple[int, _Red
 
 def _moved(setting: Setting, step: Array) -> Setting:
     """With cameras that lie beside their places by (V, 6)."""
-    return replace(setting, views=tuple(view.placed(own) for view, own in zip(setting.views, step, strict=True)))
+    return replace(setting, views=tuple(view.corrected(own) for view, own in zip(setting.views, step, strict=True)))
 
 
 def _beside_first(poses: Sequence[Array], covariance: Array) -> Array:

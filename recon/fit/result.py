@@ -161,7 +161,7 @@ class TrajectorySolution(Solution):
     lag_sigma_frames: Array
     """(V,): their standard deviations; 0 of a lag that is not an unknown."""
     placing: Array
-    """(V, 6): how far each camera lies beside its pose, as in `View.placed`; 0 where that is not an unknown."""
+    """(V, 6): how far each camera lies beside its pose, as in `View.corrected`; 0 where that is not an unknown."""
     placing_sigma: Array
     """(V, 6)"""
     focal: Array

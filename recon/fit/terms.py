@@ -58,7 +58,7 @@ def beside(view: int) -> str:
 
 
 def placing(view: int) -> str:
-    """The shared unknowns (6,): how far a camera lies beside its pose, as in `View.placed`."""
+    """The shared unknowns (6,): how far a camera lies beside its pose, as in `View.corrected`."""
     return f"placing {view}"
 
 
@@ -270,9 +270,9 @@ class Reprojection:
         if late is not None and self.drift_m is not None:
             points = points + late * self.drift_m[frames]
         world, place = self.origin_m + size * points, span.shared.get(placing(self.number))
-        before, view = view, view if place is None else view.placed(place)
+        before, view = view, view if place is None else view.corrected(place)
         longer = span.shared.get(focal(self.number))
-        view = view if longer is None else view.lengthened(float(longer[0]))
+        view = view if longer is None else view.with_focal_scale(float(longer[0]))
         if jacobian:
             projected, by_point, valid = view.project_with_jacobian(world)
         else:

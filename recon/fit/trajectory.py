@@ -269,7 +269,7 @@ def _found(
     views: Sequence[View], late: Iterable[float], places: Iterable[Array], longer: Iterable[float]
 ) -> tuple[View, ...]:
     return tuple(
-        replace(view, lead_frames=view.lead_frames + frames).placed(place).lengthened(factor)
+        replace(view, lead_frames=view.lead_frames + frames).corrected(place).with_focal_scale(factor)
         for view, frames, place, factor in zip(views, late, places, longer, strict=True)
     )
 

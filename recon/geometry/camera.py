@@ -260,17 +260,17 @@ class Camera:
             raise ValueError(f"camera {self.name!r} has no rotation and translation, so its place is unknown")
         return self.rotation, self.translation_m
 
-    def placed(self, placing: Array) -> Camera:
-        """A camera that lies beside this one's pose by a placing (6,): turned by angles about its own axes
+    def corrected(self, correction: Array) -> Camera:
+        """This camera with an extrinsic correction (6,): turned by angles about its own axes
         (`recon.geometry.rotations`), then moved along them by metres. Raises ValueError when the pose is unknown."""
         rotation, translation = self._pose()
-        turn = euler_rotation(placing[:3])
-        return replace(self, rotation=turn @ rotation, translation_m=turn @ translation + placing[3:])
+        turn = euler_rotation(correction[:3])
+        return replace(self, rotation=turn @ rotation, translation_m=turn @ translation + correction[3:])
 
-    def lengthened(self, logarithm: float) -> Camera:
+    def with_focal_scale(self, log_scale: float) -> Camera:
         """With focal lengths that are longer by a factor, given by its logarithm."""
         matrix = self.matrix.copy()
-        matrix[:2, :2] *= math.exp(logarithm)
+        matrix[:2, :2] *= math.exp(log_scale)
         return replace(self, matrix=matrix)
 
     # ---- plain data ----

@@ -81,29 +81,21 @@ def read(path: Path, individual: str | None = None) -> StoredPoints:
     if kind != "poses":
         raise InputError(Problem(path, "ds_type", str(kind), "poses: keypoints, not boxes"))
     problems = [] if "position" in stored else [Problem(path, "position", "none", ", ".join(POSITION))]
-    problems += [
-        Problem(path, name, f"{stored[name].values.dtype} with the dimensions {', '.join(stored[name].dims)}", expected)
-        for name, dims in (("position", POSITION), ("confidence", CONFIDENCE))
-        for expected in [", ".join(dims)]
-        if name in stored
-        if sorted(stored[name].dims) != sorted(dims) or stored[name].values.dtype.kind not in "fiu"
-    ]
+    for name, dims in (("position", POSITION), ("confidence", CONFIDENCE)):
+        v = stored.get(name)
+        if v is not None and (sorted(v.dims) != sorted(dims) or v.values.dtype.kind not in "fiu"):
+            found = f"{v.values.dtype} with the dimensions {', '.join(v.dims)}"
+            problems.append(Problem(path, name, found, ", ".join(dims)))
     if problems:
         raise InputError(problems)
-    position = stored["position"]
+    position, confidence = stored["position"], stored.get("confidence")
     sizes = dict(zip(position.dims, position.values.shape, strict=True))
-    problems += [
-        Problem(path, name, f"{v.values.shape} ({', '.join(v.dims)})", f"{sizes[name]}, along {name}")
-        for name, v in stored.items()
-        if name in POSITION and v.values.shape != (sizes[name],)
-    ]
+    for name, v in stored.items():
+        expected = tuple(sizes[dim] for dim in (v.dims if name == "confidence" else (name,)) if dim in sizes)
+        if name in (*POSITION, "confidence") and v.values.shape != expected:
+            problems.append(Problem(path, name, f"{v.values.shape} ({', '.join(v.dims)})", f"{expected}, as position"))
     if not sizes["time"]:
         problems.append(Problem(path, "time", "no frames", "at least one"))
-    confidence = stored.get("confidence")
-    if confidence is not None and dict(zip(confidence.dims, confidence.values.shape, strict=True)) != {
-        dim: n for dim, n in sizes.items() if dim != "space"
-    }:
-        problems.append(Problem(path, "confidence", f"{confidence.values.shape}", "as large as position"))
     if problems:
         raise InputError(problems)
     labels = {dim: [str(t) for t in stored[dim].values.tolist()] if dim in stored else [] for dim in POSITION[1:]}

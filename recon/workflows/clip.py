@@ -122,7 +122,7 @@ def fit_clip(settings: FitSettings, progress: Progress = silent) -> Motion:
     found = (*outliers, *found, *agreement_findings(motion, options.sigma_px, options.keypoint_noise_m(body)))
     if settings.seeks_cameras:
         placed = zip(sources, solution.placing, solution.focal, strict=True)
-        sources = tuple(replace(s, camera=s.camera.placed(by).lengthened(longer)) for s, by, longer in placed)
+        sources = tuple(replace(s, camera=s.camera.corrected(by).with_focal_scale(longer)) for s, by, longer in placed)
     motion = replace(flagged(motion, found), sources=sources, findings=found)
     return replace(motion, findings=findings_of(motion))
 

@@ -32,7 +32,7 @@ DISAGREEMENT = 16.0
 @dataclass(frozen=True, eq=False)
 class ExtrinsicsRun:
     """cameras: with poses in a world with z up, the ground at z = 0, or that of the camera file if those are refined.
-    sigma (V, 6): of each one's place beside the first (`Camera.placed`)."""
+    sigma (V, 6): of each one's place beside the first (`Camera.corrected`)."""
 
     cameras: tuple[Camera, ...]
     sigma: Array
