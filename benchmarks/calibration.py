@@ -40,7 +40,7 @@ def views_of(board_text: str, camera: Camera, count: int, rng: np.random.Generat
         if corners is None:
             without.append(str(number))
         else:
-            views.append(BoardView(str(number), corners))
+            views.append(BoardView(str(number), *corners))
     return BoardViews(board, camera.image_size_px, tuple(views), tuple(without), count, len(views))
 
 

@@ -21,7 +21,6 @@ from recon.calibrate.intrinsics import (
     BoardViews,
     Charuco,
     Chessboard,
-    Corners,
     calibrate,
     check,
     collect,
@@ -62,7 +61,7 @@ def exact_views(camera: Camera, board: Chessboard, where: list, noise_px: float 
     for number, (rotation, translation) in enumerate(where):
         xy, valid = camera.project(board.points_m @ rotation.T + translation)
         assert valid.all()
-        views.append(BoardView(f"{number}.png", Corners(np.arange(len(xy)), xy + rng.normal(0, noise_px, xy.shape))))
+        views.append(BoardView(f"{number}.png", np.arange(len(xy)), xy + rng.normal(0, noise_px, xy.shape)))
     return BoardViews(board, camera.image_size_px, tuple(views), (), len(views), len(views))
 
 
@@ -133,8 +132,9 @@ def test_corners_are_found_to_a_fraction_of_a_pixel(lens, text):
     corners = board.detect(render(board, camera, rotation, translation, blur_px=0.6, noise=2.0, rng=rng))
     assert corners is not None
     truth, _ = camera.project(board.points_m @ rotation.T + translation)
-    off = corners.xy_px - truth[corners.ids]
-    assert len(corners.ids) >= 0.8 * len(board.points_m)
+    ids, xy_px = corners
+    off = xy_px - truth[ids]
+    assert len(ids) >= 0.8 * len(board.points_m)
     assert np.sqrt((off**2).sum(axis=1).mean()) < 0.15
     assert np.abs(off.mean(axis=0)).max() < 0.03  # no half pixel between the conventions
 
@@ -148,7 +148,7 @@ def test_intrinsics_come_back(lens, text):
     camera, board = CAMERAS[lens], parse_board(text)
     count = 14 if text == CHESS else 24  # its corners are half as many and half as exact
     found = [board.detect(picture) for picture in pictures(camera, text, count)]
-    views = tuple(BoardView(str(n), corners) for n, corners in enumerate(found) if corners is not None)
+    views = tuple(BoardView(str(n), *corners) for n, corners in enumerate(found) if corners is not None)
     assert len(views) >= count - 1
     calibration = calibrate(BoardViews(board, SIZE, views, (), count, len(views)), camera.model)
     for name, index in {"fx": (0, 0), "fy": (1, 1), "cx": (0, 2), "cy": (1, 2)}.items():
@@ -174,7 +174,7 @@ def test_standard_deviations_are_those_of_opencv(chess_views, model):
     used = {view.name for view in calibration.used}
     rms, matrix, _, _, _, sigma, _, errors = cv2.calibrateCameraExtended(
         [points for _ in used],
-        [v.corners.xy_px.astype(np.float32)[:, None] for v in views.views if v.name in used],
+        [v.xy_px.astype(np.float32)[:, None] for v in views.views if v.name in used],
         SIZE, np.eye(3), np.zeros(5), flags=flags, criteria=(3, 200, 1e-10),
     )  # fmt: skip
     n = len(calibration.sigma)
@@ -196,9 +196,9 @@ def test_standard_deviations_of_a_fisheye_are_the_scatter_over_noise():
 
 def test_a_picture_with_wrong_corners_is_left_out(chess_views):
     wrong = chess_views.views[4]
-    shifted = wrong.corners.xy_px.copy()
+    shifted = wrong.xy_px.copy()
     shifted[:9] += [6.0, -4.0]
-    spoiled = replace(wrong, corners=replace(wrong.corners, xy_px=shifted))
+    spoiled = replace(wrong, xy_px=shifted)
     views = tuple(spoiled if view is wrong else view for view in chess_views.views)
     calibration = calibrate(replace(chess_views, views=views), "radtan")
     assert [view.name for view in calibration.views if not view.used] == ["4.png"]
@@ -274,7 +274,7 @@ def test_coverage_is_the_area_of_the_boards():
     xy = board.points_m[:, :2] / [0.2, 0.125] * [266.6, 200] + [266.7, 200]
     views = exact_views(camera, board, poses(board, camera, 6, np.random.default_rng(0)))
     calibration = calibrate(views, "pinhole")
-    one = replace(calibration.views[0], corners=Corners(np.arange(54), xy))
+    one = replace(calibration.views[0], ids=np.arange(54), xy_px=xy)
     assert coverage(replace(calibration, views=(one,))).mean() == pytest.approx(1 / 9, rel=0.03)
     values = {c.name: c for c in check(replace(calibration, views=(one,)))}
     assert values["coverage"].verdict == "refused"
@@ -306,7 +306,7 @@ def test_sharpness_falls_with_blur_and_with_motion_in_one_direction():
     assert corners is not None
 
     def sharpness(image: np.ndarray) -> float:
-        return corner_sharpness(np.asarray(image, np.uint8), corners.xy_px)
+        return corner_sharpness(np.asarray(image, np.uint8), corners[1])
 
     blurred = [sharpness(cv2.GaussianBlur(picture, (0, 0), s)) for s in (0.7, 1.5, 3.0)]
     assert blurred == sorted(blurred, reverse=True)
@@ -357,7 +357,7 @@ def test_picture_shows_corners_where_they_were_found(chess_views):
     calibration = calibrate(chess_views, "radtan")
     picture = draw(calibration)
     scale = 1400 / 800
-    x, y = np.rint((calibration.used[0].corners.xy_px[0] + 0.5) * scale - 0.5 + 40).astype(int)
+    x, y = np.rint((calibration.used[0].xy_px[0] + 0.5) * scale - 0.5 + 40).astype(int)
     spread = picture[y, x].max().astype(int) - picture[y, x].min()
     assert spread > 40  # a colour, on paper that is grey
     assert picture.shape == (600 * 1400 // 800 + 170, 1480, 3)

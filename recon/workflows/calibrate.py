@@ -58,7 +58,7 @@ class CalibrationRun:
                 {
                     "name": view.name,
                     "used": view.used,
-                    "corners": len(view.corners.ids),
+                    "corners": len(view.ids),
                     "rms_px": view.rms_px,
                     "max_px": view.max_px,
                     "tilt_rad": view.tilt_rad,

@@ -27,14 +27,8 @@ CHESSBOARD_FORM = "chessboard:9x6:25mm (inner corners, one fewer than squares ea
 CHARUCO_FORM = "charuco:5x7:40mm:30mm:DICT_4X4_50 (squares; side of a square; side of a marker; dictionary)"
 
 
-@dataclass(frozen=True)
-class Corners:
-    """Corners of a board in one picture."""
-
-    ids: Index
-    """(N,), rows of the board's `points_m`."""
-    xy_px: Array
-    """(N, 2)"""
+Corners = tuple[Index, Array]
+"""Corners of a board in one picture: rows (N,) of the board's `points_m`, and pixels (N, 2)."""
 
 
 @dataclass(frozen=True)
@@ -72,7 +66,7 @@ class Chessboard:
         xy = np.asarray(xy, dtype=float).reshape(-1, 2)
         if xy[0].sum() > xy[-1].sum():
             xy = xy[::-1]  # half a turn maps the board onto itself, and which end comes first is arbitrary
-        return Corners(np.arange(len(xy)), _refined_corners(image, xy, 0.28))
+        return np.arange(len(xy)), _refined_corners(image, xy, 0.28)
 
 
 @dataclass(frozen=True)
@@ -126,7 +120,7 @@ class Charuco:
         # As far as the nearest marker, which would pull the corner towards its own.
         reach = 0.45 * (1 - self.marker_m / self.square_m)
         xy = _refined_corners(image, np.asarray(xy, dtype=float).reshape(-1, 2), reach)
-        return Corners(np.ravel(ids).astype(np.intp), xy)
+        return np.ravel(ids).astype(np.intp), xy
 
 
 Board = Chessboard | Charuco

@@ -111,7 +111,7 @@ def check(calibration: Calibration) -> tuple[CalibrationCheck, ...]:
     width, height = camera.image_size_px
     values, sigma = calibration.parameters, calibration.sigma
     covered = coverage(calibration)
-    corners = np.concatenate([view.corners.xy_px for view in used])
+    corners = np.concatenate([view.xy_px for view in used])
     gaps = [*(corners.min(axis=0) / (width, height)), *(1 - (corners.max(axis=0) + 1) / (width, height))]
     normals = np.array([view.rotation[:, 2] * np.sign(view.rotation[2, 2] or 1.0) for view in used])
     measured = {
@@ -137,7 +137,7 @@ def coverage(calibration: Calibration, columns: int = 320) -> Bools:
     scale = columns / width
     mask = np.zeros((max(1, round(height * scale)), columns), dtype=np.uint8)
     for view in calibration.used:
-        hull = cv2.convexHull(((view.corners.xy_px + 0.5) * scale - 0.5).astype(np.float32))
+        hull = cv2.convexHull(((view.xy_px + 0.5) * scale - 0.5).astype(np.float32))
         cv2.fillConvexPoly(mask, np.rint(hull).astype(np.int32), 1)
     return mask.astype(bool)
 

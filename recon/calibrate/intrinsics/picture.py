@@ -45,7 +45,7 @@ def draw(calibration: Calibration) -> Image:
 
     top = max(view.rms_px for view in calibration.used)
     for view in calibration.views:
-        spots = place(view.corners.xy_px)
+        spots = place(view.xy_px)
         for x, y in spots:
             if view.used:
                 colour = _colours(np.array([view.rms_px / top]))[0]

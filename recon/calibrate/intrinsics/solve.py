@@ -24,7 +24,7 @@ import numpy as np
 
 from recon.base.arrays import Array
 from recon.base.errors import InputError, Problem
-from recon.calibrate.intrinsics.board import Board, Corners
+from recon.calibrate.intrinsics.board import Board
 from recon.calibrate.intrinsics.views import BoardView, BoardViews
 from recon.geometry.camera import Camera
 from recon.geometry.lens import LENS_MODELS
@@ -39,11 +39,9 @@ _CRITERIA = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 200, 1e-10)
 
 
 @dataclass(frozen=True)
-class FittedBoardView:
+class FittedBoardView(BoardView):
     """One picture, of N corners."""
 
-    name: str
-    corners: Corners
     rotation: Array
     """(3, 3): X_camera = rotation X_board + translation_m."""
     translation_m: Array
@@ -125,11 +123,11 @@ def _fitted_view(
 ) -> FittedBoardView:
     rotation = np.asarray(cv2.Rodrigues(rotation_vector)[0], dtype=float)
     translation = np.ravel(translation)
-    projected, valid = camera.project(points[view.corners.ids] @ rotation.T + translation)
+    projected, valid = camera.project(points[view.ids] @ rotation.T + translation)
     # Where the lens model folds there is no projection: as wrong as can be, and finite.
     far = float(np.hypot(*camera.image_size_px))
-    residual = np.where(valid[:, None], projected - view.corners.xy_px, far)
-    return FittedBoardView(view.name, view.corners, rotation, translation, residual, used=True)
+    residual = np.where(valid[:, None], projected - view.xy_px, far)
+    return FittedBoardView(view.name, view.ids, view.xy_px, rotation, translation, residual, used=True)
 
 
 def _solve(
@@ -149,8 +147,8 @@ def _solve(
 def _solve_standard(views: Sequence[BoardView], points: Array, size: tuple[int, int], coefficients: int) -> Any:
     """With OpenCV's first five coefficients, or with none."""
     fixed = cv2.CALIB_ZERO_TANGENT_DIST | cv2.CALIB_FIX_K1 | cv2.CALIB_FIX_K2 | cv2.CALIB_FIX_K3
-    objects = [points[view.corners.ids].astype(np.float32) for view in views]
-    images = [view.corners.xy_px.astype(np.float32).reshape(-1, 1, 2) for view in views]
+    objects = [points[view.ids].astype(np.float32) for view in views]
+    images = [view.xy_px.astype(np.float32).reshape(-1, 1, 2) for view in views]
     _, matrix, distortion, rotations, translations = cv2.calibrateCamera(
         objects, images, size, np.eye(3), np.zeros(5), flags=0 if coefficients else fixed, criteria=_CRITERIA
     )
@@ -159,8 +157,8 @@ def _solve_standard(views: Sequence[BoardView], points: Array, size: tuple[int, 
 
 def _solve_fisheye(views: Sequence[BoardView], points: Array, size: tuple[int, int], coefficients: int) -> Any:
     """Started from several fields of view, because OpenCV keeps to the one it is given."""
-    objects = [points[view.corners.ids].reshape(1, -1, 3) for view in views]
-    images = [view.corners.xy_px.reshape(1, -1, 2) for view in views]
+    objects = [points[view.ids].reshape(1, -1, 3) for view in views]
+    images = [view.xy_px.reshape(1, -1, 2) for view in views]
     names = ("CALIB_USE_INTRINSIC_GUESS", "CALIB_RECOMPUTE_EXTRINSIC", "CALIB_FIX_SKEW")
     # OpenCV 4 has flags of its own for fisheyes, of other values; OpenCV 5 has one set for all lenses.
     flags = sum(getattr(cv2.fisheye if hasattr(cv2.fisheye, "CALIB_FIX_SKEW") else cv2, name) for name in names)
@@ -185,9 +183,9 @@ def _solve_fisheye(views: Sequence[BoardView], points: Array, size: tuple[int, i
 
 def _pose(view: BoardView, points: Array, camera: Camera) -> tuple[Array, Array]:
     """Pose of the board in a picture that the camera was not found from."""
-    rays, valid = camera.rays(view.corners.xy_px)
+    rays, valid = camera.rays(view.xy_px)
     flat = rays[valid, :2] / rays[valid, 2:]
-    objects = points[view.corners.ids][valid]
+    objects = points[view.ids][valid]
     if len(flat) >= 4:
         found, rotation, translation = cv2.solvePnP(objects, flat, np.eye(3), None)
         if found:
@@ -223,7 +221,7 @@ def _sigma(views: Sequence[FittedBoardView], points: Array, camera: Camera) -> A
 def _jacobian(view: FittedBoardView, points: Array, camera: Camera) -> tuple[Array, Array]:
     """Derivatives of a view's pixels with respect to the camera (2N, 4 + coefficients) and the pose (2N, 6)."""
     rotation = np.asarray(cv2.Rodrigues(view.rotation)[0], dtype=float)
-    objects = points[view.corners.ids].reshape(-1, 1, 3)
+    objects = points[view.ids].reshape(-1, 1, 3)
     pose, n = (rotation, view.translation_m), camera.distortion.size
     if camera.lens.opencv == "fisheye":
         _, jacobian = cv2.fisheye.projectPoints(objects, *pose, camera.matrix, camera.distortion)

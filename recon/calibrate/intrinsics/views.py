@@ -11,10 +11,10 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from recon.base.arrays import Array
+from recon.base.arrays import Array, Index
 from recon.base.errors import InputError, Problem
 from recon.base.progress import Progress, silent
-from recon.calibrate.intrinsics.board import Board, Corners, Gray
+from recon.calibrate.intrinsics.board import Board, Gray
 from recon.io.video import SUFFIXES as VIDEO_SUFFIXES
 from recon.io.video import probe, read_frames
 
@@ -37,7 +37,10 @@ class BoardView:
     """One picture in which the board was found. name: the file's, or the frame's number."""
 
     name: str
-    corners: Corners
+    ids: Index
+    """(N,), rows of the board's `points_m`."""
+    xy_px: Array
+    """(N, 2)"""
 
 
 @dataclass(frozen=True)
@@ -125,7 +128,7 @@ def _from_images(files: Sequence[Path], board: Board, progress: Progress) -> Boa
         if corners is None:
             without.append(name)
         else:
-            views.append(BoardView(name, corners))
+            views.append(BoardView(name, *corners))
     if len(set(sizes.values())) > 1:
         problems.append(_mixed_sizes(sizes))
     if problems:
@@ -175,9 +178,9 @@ def _from_video(path: Path, board: Board, progress: Progress) -> BoardViews:
         if corners is None:
             without.append(f"frame {number}")
             continue
-        found.append(BoardView(f"frame {number}", corners))
-        sharpness.append(corner_sharpness(gray, corners.xy_px))
-        outlines.append(_outline(board, corners) / math.hypot(*info.size_px))
+        found.append(BoardView(f"frame {number}", *corners))
+        sharpness.append(corner_sharpness(gray, corners[1]))
+        outlines.append(_outline(board, *corners) / math.hypot(*info.size_px))
     chosen = choose(np.array(sharpness), np.array(outlines)) if found else []
     views = tuple(found[i] for i in chosen)
     return BoardViews(board, info.size_px, views, tuple(without), len(found) + len(without), len(found))
@@ -223,10 +226,10 @@ def corner_sharpness(image: Gray, xy_px: Array) -> float:
     return float(np.median(scores)) if scores else 0.0
 
 
-def _outline(board: Board, corners: Corners) -> Array:
+def _outline(board: Board, ids: Index, xy_px: Array) -> Array:
     """The board's outermost corners (4, 2) in the picture, extrapolated as if there was no distortion."""
-    points = board.points_m[corners.ids, :2]
-    homography, _ = cv2.findHomography(points, corners.xy_px)
+    points = board.points_m[ids, :2]
+    homography, _ = cv2.findHomography(points, xy_px)
     if homography is None:  # all corners on one line
-        return np.tile(corners.xy_px.mean(axis=0), (4, 1))
+        return np.tile(xy_px.mean(axis=0), (4, 1))
     return cv2.perspectiveTransform(board.outline_m[None, :, :2], np.asarray(homography, dtype=float))[0]

@@ -42,7 +42,7 @@ def _print(run: CalibrationRun, console: Console) -> None:
     for view in calibration.views:
         table.add_row(
             Text(view.name),
-            str(len(view.corners.ids)),
+            str(len(view.ids)),
             f"{view.rms_px:.2f}",
             f"{view.max_px:.2f}",
             f"{math.degrees(view.tilt_rad):.0f}°",
