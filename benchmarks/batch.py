@@ -145,10 +145,9 @@ def ended(out: Path) -> int:
 def finished(out: Path) -> dict[str, int]:
     """The moment at which each finished clip's report was written."""
     found = {}
-    for record in out.glob("*/batch.json"):
-        known = read_record(record.parent)
-        if known is not None and known["state"] == "finished":
-            found[record.parent.name] = (record.parent / "report.json").stat().st_mtime_ns
+    for name, row in read_record(out).items():
+        if row["state"] == "finished":
+            found[name] = (out / name / "report.json").stat().st_mtime_ns
     return found
 
 
@@ -265,7 +264,7 @@ def on_dask(clips: Path, work: Path, total: int, broken: int) -> None:
     names = [row["clip"] for row in rows]
     statuses = [row["status"] for row in rows]
     print_table(
-        ["clips", "seconds", "done", "failed", "twice in the summary", "clips tried more than once"],
+        ["clips", "seconds", "done", "failed", "twice in the summary"],
         [
             [
                 total,
@@ -273,7 +272,6 @@ def on_dask(clips: Path, work: Path, total: int, broken: int) -> None:
                 statuses.count("done"),
                 statuses.count("failed"),
                 len(names) - len(set(names)),
-                sum(row["attempts"] > 1 for row in rows),
             ]
         ],
     )

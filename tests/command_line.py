@@ -6,13 +6,16 @@ import io
 import shutil
 import subprocess
 import sys
+from collections.abc import Callable, Sequence
 from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import pytest
 
 from recon.base.manifest import write_manifest
+from recon.base.parallel import STARTING, Event, Work, outcome_of
+from recon.base.progress import silent
 from recon.workflows.cli import main
 from recon.workflows.settings import read_settings
 
@@ -56,3 +59,10 @@ def copy_results(results: Path, to: Path) -> Path:
     (to / "config.toml").write_text(read_settings(results / "config.toml", {}).to_toml(to), encoding="utf-8")
     write_manifest(to)
     return to
+
+
+def carry_out_here(work: Work, tasks: Sequence[tuple[str, Any]], tell: Callable[[Event], None], **_: Any) -> None:
+    """`carry_out` in this process: tests of what it does need no other."""
+    for name, task in tasks:
+        tell(Event("progress", name, stage=STARTING))
+        tell(Event("ended", name, outcome=outcome_of(work, task, silent)))

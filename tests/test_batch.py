@@ -5,30 +5,42 @@ from __future__ import annotations
 import csv
 import io
 import json
+import multiprocessing
 import os
 import shutil
 import signal
 import subprocess
 import sys
 import time
-import uuid
 import warnings
 from collections.abc import Iterator
 from contextlib import redirect_stderr, redirect_stdout
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import pytest
 import tomli_w
+from command_line import carry_out_here
 
-import recon.workflows.batch.worker as worker_module
+import recon.base.parallel as parallel
 from recon.base.errors import InputError
 from recon.base.files import sole_writer
+from recon.base.parallel import Event, carry_out, outcome_of
+from recon.base.progress import Progress, silent
 from recon.io.calibration import read_cameras
 from recon.workflows.analyse import run_analyse
-from recon.workflows.batch import COLUMNS, Clip, Event, Summary, find_clips, input_problems, plan_batch, run_batch
-from recon.workflows.batch.record import RECORD, finish_record, read_record, start_record
-from recon.workflows.batch.worker import Worker, WorkerDied, done_with, task_of
+from recon.workflows.batch import (
+    COLUMNS,
+    Clip,
+    Summary,
+    find_clips,
+    fit_planned,
+    input_problems,
+    plan_batch,
+    run_batch,
+)
+from recon.workflows.batch.record import RECORD, note_end, note_start, read_record
 from recon.workflows.cli import main
 from recon.workflows.clip import fit_clip, run_clip
 from recon.workflows.settings import FitSettings
@@ -451,9 +463,11 @@ def test_a_camera_more_or_less_is_the_same_clip_again(tmp_path):
     filmed(tmp_path / "clips", "walk-cam1.csv", "walk-cam2.csv")
     both, _ = find_clips([tmp_path / "clips"], TWO)
     (planned,) = plan_batch(both, out)
-    start_record(planned.out, "run", planned.clip.settings, planned.identity)
+    planned.out.mkdir(parents=True)
     (planned.out / "pose3d.csv").write_text("results")
-    finish_record(planned.out, "run", 1, planned.clip.settings, planned.identity, {})
+    note_start(out, planned)
+    assert plan_batch(both, out)[0].reason == "not finished before"
+    note_end(out, planned, {})
     assert plan_batch(both, out)[0].reason == "not complete"
     assert Summary([planned], out).rows["walk"]["cameras"] == 2
     for camera in ("cam1", "cam2"):
@@ -486,10 +500,10 @@ def test_a_look_says_which_cameras_a_clip_has(tmp_path):
 def fit(clips: list[Clip], out: Path, overwrite: bool = False) -> list[tuple[str, str]]:
     """(action, reason) of each clip, and do it, in this process."""
     plan = plan_batch(clips, out, overwrite)
-    for planned in plan:
-        if planned.action != "done":
-            outcome = done_with(task_of(planned, uuid.uuid4().hex), lambda stage, share: None)
-            assert outcome["status"] == "done"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("recon.workflows.batch.carry_out", carry_out_here)
+        summary = run_batch(plan, out)
+    assert {*summary.counts()} <= {"done", "done earlier"}
     return [(planned.action, planned.reason) for planned in plan]
 
 
@@ -531,7 +545,7 @@ def test_finished_clips_are_known_by_their_content(clips, tmp_path):
 def test_another_version_does_not_count(clips, tmp_path):
     out = tmp_path / "out"
     fit(found(clips / "a.csv"), out)
-    record = out / "a" / RECORD
+    record = out / RECORD
     record.write_text(record.read_text().replace('"version": "', '"version": "0.0.'))
     assert plan_batch(found(clips / "a.csv"), out)[0].reason == "changed: version of recon"
 
@@ -540,9 +554,10 @@ def test_a_fit_that_was_killed_is_not_finished(clips, tmp_path):
     """Between the results' arrival and the end of the record."""
     out = tmp_path / "out"
     fit(found(clips / "a.csv"), out)
-    record = out / "a" / RECORD
-    plain = json.loads(record.read_text()) | {"state": "started"}
-    record.write_text(json.dumps(plain))
+    started, finished = (out / RECORD).read_text().splitlines()
+    for left in (started, f"{started}\n{finished[:-20]}"):  # the second after a full disk
+        (out / RECORD).write_text(left)
+        assert plan_batch(found(clips / "a.csv"), out)[0].reason == "not finished before"
     assert fit(found(clips / "a.csv"), out) == [("refit", "not finished before")]
     assert fit(found(clips / "a.csv"), out) == [("done", "")]
 
@@ -580,54 +595,58 @@ def test_what_comes_after_the_fit_does_not_have_it_made_again(clips, tmp_path):
 
 
 def test_what_another_process_is_writing_to_is_left_alone(clips, tmp_path, monkeypatch):
-    monkeypatch.setattr("recon.workflows.batch.worker.DYING_S", 0.0)
+    monkeypatch.setattr("recon.workflows.batch.DYING_S", 0.0)
     out = tmp_path / "out"
     (planned,) = plan_batch(found(clips / "a.csv"), out)
     with sole_writer(out):
         with pytest.raises(InputError, match=r"another process .*, which is writing to it, expected one at a time"):
             run_batch([planned], out, jobs=1)
         with sole_writer(out / "a"):
-            outcome = done_with(task_of(planned, "run"), lambda stage, share: None)
+            outcome = outcome_of(fit_planned, planned, silent)
     assert outcome["status"] == "failed"
     assert outcome["error"].startswith(f"{out / 'a'}: folder: found another process")
     assert not out.exists()
 
 
-def test_a_clip_that_fails_leaves_nothing_but_older_results(clips, tmp_path):
+def test_a_clip_that_fails_leaves_nothing_but_older_results(clips, tmp_path, monkeypatch):
     out = tmp_path / "out"
     fit(found(clips / "a.csv"), out)
     for name in "ab":
         (clips / f"{name}.csv").write_text("scorer,x\n")
-    (out / "c").mkdir()
-    for planned in plan_batch(found(clips / "a.csv", clips / "b.csv"), out):
-        outcome = done_with(task_of(planned, "run"), lambda stage, share: None)
-        assert outcome["status"] == "failed"
-        assert outcome["error"].startswith(f"{planned.clip.settings.keypoints_text}: header: ")
-        assert outcome["attempts"] == 1
-    assert sorted(path.name for path in out.iterdir()) == ["a", "c"]
+    monkeypatch.setattr("recon.workflows.batch.carry_out", carry_out_here)
+    plan = plan_batch(found(clips / "a.csv", clips / "b.csv"), out)
+    summary = run_batch(plan, out)
+    for planned in plan:
+        row = summary.rows[planned.clip.name]
+        assert (row["status"], row["attempts"]) == ("failed", 1)
+        assert row["error"].startswith(f"{planned.clip.settings.keypoints_text}: header: ")
+    assert sorted(path.name for path in out.iterdir() if path.is_dir()) == ["a"]
     assert (out / "a" / "pose3d.csv").is_file()
     assert plan_batch(found(clips / "a.csv"), out)[0].reason == "not finished before"
 
 
-def test_a_clip_is_fitted_once_in_a_run(clips, tmp_path):
-    """A cluster's scheduler asks again where a worker has died after it was done."""
-    (planned,) = plan_batch(found(clips / "a.csv"), tmp_path / "out")
-    first = done_with(task_of(planned, "run"), lambda stage, share: None)
-    written = (tmp_path / "out" / "a" / "report.json").stat().st_mtime_ns
-    assert done_with(task_of(planned, "run"), lambda stage, share: None) == first
-    assert (tmp_path / "out" / "a" / "report.json").stat().st_mtime_ns == written
-    done_with(task_of(planned, "another run"), lambda stage, share: None)
-    assert (tmp_path / "out" / "a" / "report.json").stat().st_mtime_ns > written
-
-
 def test_another_version_on_the_worker(clips, tmp_path):
     (planned,) = plan_batch(found(clips / "a.csv"), tmp_path / "out")
-    task = task_of(planned, "run")
-    task["identity"]["version"] = "99"
-    outcome = done_with(task, lambda stage, share: None)
+    planned = replace(planned, identity={**planned.identity, "version": "99"})
+    outcome = outcome_of(fit_planned, planned, silent)
     assert outcome["status"] == "failed"
     assert "99 where the batch runs" in outcome["error"]
     assert not (tmp_path / "out" / "a").exists()
+
+
+def test_the_record_has_one_row_a_clip_when_a_batch_begins(clips, tmp_path):
+    out = tmp_path / "out"
+    fit(found(clips / "a.csv", clips / "b.csv"), out)
+    assert len((out / RECORD).read_text().splitlines()) == 4
+    before = read_record(out)
+    with (out / RECORD).open("a") as file:
+        file.write('{"schema": 1}\n[]\nnonsense\n{"clip": "a", "sch')
+    assert fit(found(clips), out) == [("done", ""), ("done", ""), ("new", "")]
+    rows = [json.loads(line) for line in (out / RECORD).read_text().splitlines()]
+    assert [(row["clip"], row["state"]) for row in rows] == [
+        ("a", "finished"), ("b", "finished"), ("c", "started"), ("c", "finished"),
+    ]  # fmt: skip
+    assert read_record(out).items() > before.items()
 
 
 def test_input_problems(clips, tmp_path):
@@ -685,10 +704,10 @@ def killer(*, once: str = "", always: str = "") -> Any:
     killed: set[int] = set()
 
     def on_event(event: Event, summary: Summary) -> None:
-        wanted = event.clip == always or (event.clip == once and not killed)
+        wanted = event.name == always or (event.name == once and not killed)
         if event.kind == "progress" and wanted and event.pid not in killed:
             assert event.pid is not None
-            if event.clip == once:
+            if event.name == once:
                 killed.add(event.pid)
             os.kill(event.pid, signal.SIGKILL)
 
@@ -707,7 +726,7 @@ def test_faults_take_only_their_clip(clips, tmp_path):
 
     def both(event: Event, summary: Summary) -> None:
         on_event(event, summary)
-        if event.clip != "a":
+        if event.name != "a":
             also(event, summary)
 
     run_batch(plan, out, jobs=2, retries=1, on_event=both)
@@ -745,7 +764,7 @@ def test_faults_take_only_their_clip(clips, tmp_path):
 def test_what_failed_is_done_again_beside_what_is_done(clips, tmp_path):
     out = tmp_path / "out"
     fit(found(clips / "a.csv"), out)
-    speed = str(json.loads((out / "a" / "batch.json").read_text())["row"]["peak_speed_m_s"])
+    speed = str(read_record(out)["a"]["row"]["peak_speed_m_s"])
     (out / "b").mkdir()
     (out / "b" / "crash.log").write_text("the worker was killed")
     run_batch(plan_batch(found(clips / "[ab].csv"), out), out, jobs=1)
@@ -755,39 +774,87 @@ def test_what_failed_is_done_again_beside_what_is_done(clips, tmp_path):
     assert not (out / "b" / "crash.log").exists()
 
 
-@linux
-def test_worker(clips, tmp_path, monkeypatch):
-    """Its threads, a crash of Python, its replacement after some clips, and its end."""
-    monkeypatch.setattr(worker_module, "CLIPS_PER_WORKER", 2)
-    for library in ("OMP", "OPENBLAS"):  # which the tests set, too
-        monkeypatch.delenv(f"{library}_NUM_THREADS")
-    (clips / "a.csv").write_text("scorer,x\n")
-    (planned,) = plan_batch(found(clips / "a.csv"), tmp_path / "out")
-    task = task_of(planned, "run")
-    worker, pids = Worker(), []
-    for _ in range(3):
-        assert worker.fit(task, 0, lambda stage, share: None)["status"] == "failed"
-        pids.append(worker.pid)
-    assert pids[0] == pids[1] != pids[2]
-    environment = Path(f"/proc/{worker.pid}/environ").read_bytes().split(b"\0")
-    assert {b"OMP_NUM_THREADS=1", b"OPENBLAS_NUM_THREADS=1"} <= {*environment}
+def work(task: str, progress: Progress) -> dict[str, Any]:
+    """Of the tasks of the tests below, in another process."""
+    if task == "environment":
+        return {"pid": os.getpid(), "threads": os.environ["OMP_NUM_THREADS"], "numpy": "numpy" in sys.modules}
+    if task == "crash":
+        print("last words", flush=True)
+        os.abort()
+    if task == "exit":
+        sys.stderr.write("told why\n")
+        os._exit(7)
+    if task == "wait":
+        try:
+            progress("waiting", 0.5)
+            time.sleep(60)
+        finally:
+            print("cleaned up", flush=True)
+    raise KeyError(task)
 
-    crash = {**task, "identity": {}, "out": str(tmp_path / "crash")}
-    assert worker.fit(crash, 0, lambda stage, share: None) == {
-        "status": "failed",
-        "error": "the worker crashed: KeyError: 'version'",
-        "attempts": 1,
+
+def ended(*tasks: str, **more: Any) -> dict[str, Any]:
+    """Outcomes by the tasks, which are their own names but for what follows a colon."""
+    outcomes: dict[str, Any] = {}
+
+    def tell(event: Event) -> None:
+        if event.kind == "ended":
+            outcomes[event.name] = event.outcome
+
+    carry_out(work, [(task, task.split(":")[0]) for task in tasks], tell, **more)
+    return outcomes
+
+
+def test_processes_have_one_thread_and_are_replaced(monkeypatch):
+    monkeypatch.setattr(parallel, "TASKS_PER_PROCESS", 2)
+    for library in ("OMP", "OPENBLAS"):  # which the tests set, too
+        monkeypatch.delenv(f"{library}_NUM_THREADS", raising=False)
+    first, second, third = ended("environment:1", "environment:2", "environment:3", jobs=1).values()
+    assert first["pid"] == second["pid"] != third["pid"] != os.getpid()
+    assert first["threads"] == "1"
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals are of POSIX")
+def test_processes_that_die_are_failures():
+    outcomes = ended("crash", "environment", "exit", "fault", jobs=1)
+    assert outcomes["environment"]["attempts"] == 1
+    errors = {name: (outcomes[name]["status"], outcomes[name]["error"]) for name in ("crash", "exit", "fault")}
+    assert errors == {
+        "crash": ("failed", "the worker was killed (SIGABRT)"),
+        "exit": ("failed", "the worker crashed: told why"),
+        "fault": ("failed", "the worker crashed: KeyError: 'fault'"),
     }
-    log = (tmp_path / "crash" / "crash.log").read_text()
-    assert "Traceback" in log
-    assert "_fit_alone" in log
-    worker.start()
-    last = worker.pid
-    worker.stop()
-    with pytest.raises(WorkerDied):
-        worker.fit(task, 5, lambda stage, share: None)
-    worker.end()
-    assert not Path(f"/proc/{last}").exists()
+    assert outcomes["crash"]["log"].startswith("last words\n")
+    assert "in work" in outcomes["crash"]["log"]  # where in Python
+    assert "Traceback" in outcomes["fault"]["log"]
+    assert {outcome["attempts"] for outcome in ended("exit", "fault", jobs=2, retries=1).values()} == {2}
+
+
+def test_an_interrupt_stops_the_processes():
+    seen = []
+
+    def interrupt(event: Event) -> None:
+        seen.append(event.stage)
+        if event.stage == "waiting":
+            raise KeyboardInterrupt
+
+    began = time.monotonic()
+    with pytest.raises(KeyboardInterrupt):
+        carry_out(work, [("wait", "wait")] * 3, interrupt, jobs=2)
+    assert time.monotonic() - began < 30
+    assert seen[-1] == "waiting"
+    assert not multiprocessing.active_children()
+
+
+def test_a_script_needs_no_main(tmp_path):
+    """What it does is not done again in the processes, as with multiprocessing alone."""
+    script = tmp_path / "script.py"
+    script.write_text(
+        "from recon.base.parallel import carry_out\nfrom recon.workflows.page import _page_of\n"
+        "print('once')\ncarry_out(_page_of, [('one', 1)], lambda event: print(event.kind), jobs=1)\n"
+    )
+    done = subprocess.run([sys.executable, script], capture_output=True, text=True, check=False, timeout=60)
+    assert (done.stdout.split(), done.stderr) == (["once", "progress", "ended"], "")
 
 
 # ---- the command ----
@@ -849,10 +916,11 @@ def test_unusable_input_ends_it_before_any_work(clips, tmp_path):
     assert not out.exists()
 
 
-def children(pid: int) -> list[int]:
-    """Also those that threads have started."""
+def workers(pid: int) -> list[int]:
+    """The processes that fit clips: its children but for Python's own helper, which ends with it."""
     lists = Path(f"/proc/{pid}/task").glob("*/children")
-    return [int(child) for path in lists for child in path.read_text().split()]
+    children = [int(child) for path in lists for child in path.read_text().split()]
+    return [child for child in children if b"resource_tracker" not in Path(f"/proc/{child}/cmdline").read_bytes()]
 
 
 def wait_for(condition: Any, seconds: float = 60) -> None:
@@ -891,8 +959,7 @@ def in_the_middle(clips, tmp_path) -> Iterator[tuple[subprocess.Popen[str], Path
 
 def finished(out: Path) -> dict[str, int]:
     """The moment of each finished clip."""
-    records = {path.name: read_record(path) for path in out.iterdir() if path.is_dir()}
-    done = [name for name, record in records.items() if record is not None and record["state"] == "finished"]
+    done = [name for name, row in read_record(out).items() if row["state"] == "finished"]
     return {name: (out / name / "report.json").stat().st_mtime_ns for name in done}
 
 
@@ -907,7 +974,7 @@ def some_left(clips: Path, done: dict[str, int]) -> int:
 @linux
 def test_ctrl_c_keeps_what_is_done(clips, in_the_middle):
     process, out, command = in_the_middle
-    (worker,) = children(process.pid)
+    (worker,) = workers(process.pid)
     process.send_signal(signal.SIGINT)
     said, errors = process.communicate(timeout=30)
     assert process.returncode == 130
@@ -931,7 +998,7 @@ def test_ctrl_c_keeps_what_is_done(clips, in_the_middle):
 @linux
 def test_after_a_kill_nothing_that_is_finished_is_done_again(clips, in_the_middle):
     process, out, command = in_the_middle
-    (worker,) = children(process.pid)
+    (worker,) = workers(process.pid)
     process.kill()
     wait_for(lambda: not Path(f"/proc/{worker}").exists() or "Z" in Path(f"/proc/{worker}/stat").read_text().split())
     done = finished(out)
@@ -968,7 +1035,7 @@ def test_dask_cluster(clips, tmp_path, cluster):
     killed: list[int] = []
 
     def kill_one(event: Event, summary: Summary) -> None:
-        if summary.rows[event.clip]["status"] == "done" and not killed:
+        if summary.rows[event.name]["status"] == "done" and not killed:
             nanny = next(iter(cluster.workers.values()))
             pid = pids[nanny.worker_address]
             nanny.close_gracefully()  # it starts no other in its place: the one that is left does its clips

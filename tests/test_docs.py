@@ -204,9 +204,7 @@ def folder_after(made_once, whole_results, of_results) -> Callable[[Path, int], 
             with pytest.MonkeyPatch.context() as patch:
                 patch.chdir(folder)
                 draw_small(patch)
-                patch.setattr(
-                    "recon.workflows.batch.available_cores", lambda: 1
-                )  # of the processes that fit many clips
+                patch.setattr("recon.base.parallel.available_cores", lambda: 1)  # of the processes that fit many clips
                 do(steps(page)[count - 1], Workshop(folder, name_of(page), whole_results, of_results))
 
         return made_once(re.sub(r"\W+", "-", f"{name_of(page)}-{count}"), make)

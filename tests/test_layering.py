@@ -38,17 +38,6 @@ WINGS = ("robotics", "keypoint_net", "thesis")
 NOT_YET: dict[str, set[str]] = {}
 """Wings that a room still imports, by room. May only become fewer."""
 
-CIRCLES = [
-    [
-        "recon.workflows.batch",
-        "recon.workflows.batch.pool",
-        "recon.workflows.batch.worker",
-        "recon.workflows.page",
-        "recon.workflows.run",
-    ]
-]
-"""Files that still import each other. May only become fewer."""
-
 IMPORT_NAMES = {"opencv-python-headless": "cv2", "rerun-sdk": "rerun"}
 """Distributions whose modules have another name."""
 
@@ -228,7 +217,7 @@ def test_layers_are_named_once():
 
 
 def test_no_files_import_each_other():
-    assert circles(imports()) == CIRCLES
+    assert circles(imports()) == []
 
 
 def test_finds_circles():

@@ -14,7 +14,7 @@ from urllib.parse import quote, unquote
 
 import numpy as np
 import pytest
-from command_line import run
+from command_line import carry_out_here, run
 from motions import with_first
 
 from recon.base.errors import InputError
@@ -25,9 +25,8 @@ from recon.show.page.clip import doubtful_frames
 from recon.show.page.render import inline
 from recon.show.plots.angles import AngleCurve, angle_over_time, together
 from recon.show.plots.style import drawing
-from recon.workflows.batch import COLUMNS, Event
+from recon.workflows.batch import COLUMNS
 from recon.workflows.batch.summary import write_summary_page
-from recon.workflows.batch.worker import done_with
 from recon.workflows.clip import write_clip
 from recon.workflows.page import run_page
 from recon.workflows.settings import FitSettings
@@ -288,12 +287,7 @@ def test_pages_of_a_batch_are_made_beside_each_other(batch, monkeypatch):
     """What is not a result any more is said, and the others are made."""
     pages = []
 
-    def carry_out(pool, tasks, tell) -> None:
-        for clip, task in tasks:
-            outcome = done_with(task, lambda stage, share: None)
-            tell(Event("ended", clip, outcome=outcome))
-
-    monkeypatch.setattr("recon.workflows.page.carry_out", carry_out)
+    monkeypatch.setattr("recon.workflows.page.carry_out", carry_out_here)
     monkeypatch.setattr(
         "recon.workflows.page.clip_page", lambda results, *_: pages.append(results.folder.name) or GENERATED
     )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import pickle
 import shutil
 from itertools import count
 from pathlib import Path
@@ -10,13 +11,11 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from command_line import run
+from command_line import carry_out_here, run
 
 from recon.base.errors import InputError
 from recon.base.files import staged_results
 from recon.io.video import video_writer
-from recon.workflows.batch import Event
-from recon.workflows.batch.worker import done_with
 from recon.workflows.clip import output_files, write_clip
 from recon.workflows.run import Job, job_of, run_video
 from recon.workflows.run_folder import jobs_of, keypoints_of, run_folder
@@ -296,13 +295,6 @@ def test_the_stages_are_those_of_the_commands(tmp_path, monkeypatch):
 # -- folders ----------------------------------------------------------------------------------------------------------
 
 
-def test_a_job_travels_as_json(film):
-    here = job(film, camera_motion="turns", first_frame=3, start="fit")
-    assert Job.from_plain(json.loads(json.dumps(here.plain()))) == here
-    of_network = job(film, model=film.parent / "net")
-    assert Job.from_plain(json.loads(json.dumps(of_network.plain()))) == of_network
-
-
 def test_the_keypoints_of_a_video_have_its_name(tmp_path):
     for name in ("run.csv", "runDLC_resnet50.h5", "run2DLC_a.csv", "run2DLC_b.csv", "run3-labels.csv"):
         shutil.copy(SAMPLES / "whole.csv", tmp_path / name.replace(".h5", ".csv"))
@@ -319,13 +311,11 @@ def test_the_keypoints_of_a_video_have_its_name(tmp_path):
 
 
 def test_a_folder_is_a_batch(tmp_path, called, monkeypatch):
-    def carry_out(pool, tasks, tell, now_and_then) -> None:
-        for clip, task in tasks:
-            assert task["job"]["threads"] == 1
-            outcome = done_with(json.loads(json.dumps(task)), lambda stage, share: None)
-            tell(Event("ended", clip, outcome=outcome))
+    def carry_out(work, tasks, tell, **more) -> None:
+        assert [job.threads for _, job in tasks] == [1] * len(tasks)
+        carry_out_here(work, pickle.loads(pickle.dumps(tasks)), tell, **more)
 
-    monkeypatch.setattr("recon.workflows.batch.carry_out", carry_out)
+    monkeypatch.setattr("recon.workflows.run_folder.carry_out", carry_out)
     videos = tmp_path / "videos"
     videos.mkdir()
     for name in ("a", "b"):

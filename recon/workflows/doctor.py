@@ -20,8 +20,8 @@ from typing import Any, Literal
 from threadpoolctl import threadpool_info
 
 from recon.base.package import DISTRIBUTION, install_command, version
+from recon.base.parallel import available_cores
 from recon.base.progress import Progress, silent
-from recon.workflows.batch import available_cores
 
 Status = Literal["ok", "absent", "note", "broken"]
 

@@ -5,15 +5,14 @@ from __future__ import annotations
 from pathlib import Path
 
 from recon.base.files import sole_writer, staged_file
+from recon.base.parallel import Event, carry_out
 from recon.base.progress import Progress, silent
 from recon.fit.results import REPORT, Results
 from recon.show.overlay import draw_tiles
 from recon.show.page import PAGE, require_own_page
 from recon.show.page.clip import Still, clip_page
 from recon.show.page.render import jpeg
-from recon.workflows.batch import available_cores
 from recon.workflows.batch.inputs import SUMMARY
-from recon.workflows.batch.pool import Event, LocalPool, carry_out
 from recon.workflows.batch.summary import write_summary_page
 from recon.workflows.overlay import overlay_of, pictures_of, result_and_video, rows_to_show
 
@@ -76,9 +75,13 @@ def run_batch_pages(out: Path, jobs: int | None = None, progress: Progress = sil
             if event.kind == "ended":
                 done += 1
                 if event.outcome["status"] == "failed":
-                    failed[event.clip] = event.outcome["error"]
+                    failed[event.name] = event.outcome["error"]
                 progress(f"{done} of {len(clips)} pages", done / len(clips))
 
-        tasks = [(clip.name, {"work": "page", "out": str(clip.absolute())}) for clip in clips]
-        carry_out(LocalPool(jobs or available_cores(), retries=0), tasks, tell)
+        carry_out(_page_of, [(clip.name, clip.absolute()) for clip in clips], tell, jobs=jobs)
         return write_summary_page(out), failed
+
+
+def _page_of(folder: Path, progress: Progress) -> dict[str, str]:
+    run_page(folder, progress=progress)
+    return {"status": "done"}

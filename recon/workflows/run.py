@@ -6,7 +6,6 @@ version of recon) and what it wrote. A stage that has begun and not ended has wr
 
 from __future__ import annotations
 
-import dataclasses
 import json
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -62,17 +61,6 @@ class Job:
     """The stage from which on all is done again."""
     overwrite: bool = False
     """Whether files that no run has made, or that were changed since, may be replaced."""
-
-    def plain(self) -> dict[str, Any]:
-        """As JSON has it."""
-        values = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
-        paths = {name: str(value.absolute()) for name, value in values.items() if isinstance(value, Path)}
-        return {**values, **paths, "settings": self.settings.plain()}
-
-    @staticmethod
-    def from_plain(plain: Mapping[str, Any]) -> Job:
-        paths = {name: Path(plain[name]) for name in ("video", "out", "model") if plain[name] is not None}
-        return Job(**{**plain, **paths, "settings": FitSettings(**plain["settings"])})
 
     @property
     def track(self) -> Path:

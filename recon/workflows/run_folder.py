@@ -1,23 +1,26 @@
-"""`recon run` on a folder of videos: a batch of it, in the worker processes of `recon.workflows.batch`."""
+"""`recon run` on a folder of videos: a batch of it."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from recon.base.errors import InputError, Problem
 from recon.base.files import sole_writer
+from recon.base.parallel import Event, carry_out
+from recon.base.progress import Progress
 from recon.io import recognised
 from recon.io.video import SUFFIXES
 from recon.show.page import SUMMARY_PAGE, require_own_page
-from recon.workflows.batch import available_cores, work_off
-from recon.workflows.batch.inputs import Clip, file_names
-from recon.workflows.batch.pool import Event, LocalPool
-from recon.workflows.batch.record import Planned, identity
-from recon.workflows.batch.summary import Summary
-from recon.workflows.run import Job, job_of
+from recon.show.report import is_unsolved
+from recon.workflows.batch import Clip, Planned, Summary, work_off
+from recon.workflows.batch.inputs import file_names
+from recon.workflows.batch.record import identity
+from recon.workflows.batch.summary import results_of
+from recon.workflows.run import Job, job_of, run_video
 
 
 def jobs_of(
@@ -72,5 +75,12 @@ def run_folder(
     with sole_writer(out):
         require_own_page(out / SUMMARY_PAGE)
         plan = [Planned(Clip(job.out.name, job.settings), job.out, "new", "", identity(job.settings)) for job in jobs]
-        tasks = [(job.out.name, {"work": "run", "job": replace(job, threads=1).plain()}) for job in jobs]
-        return work_off(plan, out, LocalPool(processes or available_cores(), retries=0), tasks, on_event)
+        tasks = [(job.out.name, replace(job, threads=1)) for job in jobs]
+        return work_off(plan, out, partial(carry_out, _row_of, tasks, jobs=processes), on_event)
+
+
+def _row_of(job: Job, progress: Progress) -> dict[str, Any]:
+    """All of `recon run` on one video: columns of its summary."""
+    done = run_video(job, progress)
+    status = "unsolved" if is_unsolved(done.report) else "done earlier" if done.unchanged else "done"
+    return {"status": status, **results_of(done.report)}

@@ -222,8 +222,8 @@ def _texts() -> Iterator[Seed]:
     batch += f"{SAMPLES}/noisy.csv,{SAMPLES}/camera.toml,30,,frame\n"
     yield Seed("batch.csv", batch.encode(), lambda path: find_clips([path], {}), 2.0)
     yield Seed("rates.json", b'{"fps": [120, 90]}', _rates, 0.5)
-    record = {"schema": {"name": "recon.batch.clip", "version": 1}, "state": "started", "attempt": 1, "run": "a"}
-    yield Seed("record.json", json.dumps(record).encode(), _record, 0.5)
+    record = {"schema": {"name": "recon.batch", "version": 3}, "clip": "a", "state": "started", "keypoints": ["a.csv"]}
+    yield Seed("record.jsonl", json.dumps(record).encode(), _record, 0.5)
 
 
 def _by_map(path: Path) -> object:
@@ -241,7 +241,7 @@ def _rates(path: Path) -> object:
 def _record(path: Path) -> object:
     folder = path.with_name("clip")
     folder.mkdir(exist_ok=True)
-    (folder / "batch.json").write_bytes(path.read_bytes())
+    (folder / "batch.jsonl").write_bytes(path.read_bytes())
     return read_record(folder)
 
 

@@ -2,36 +2,48 @@
 
 from __future__ import annotations
 
-import os
-import uuid
+import time
 from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
+from typing import Any
+
+from threadpoolctl import threadpool_limits
 
 from recon.base.files import sole_writer
+from recon.base.package import version
+from recon.base.parallel import STARTING, Event, Outcome, carry_out
+from recon.base.progress import Progress
 from recon.show.page import SUMMARY_PAGE, require_own_page
+from recon.show.report import is_unsolved
 from recon.workflows.batch.checks import check_shared, input_problems, repeated
+from recon.workflows.batch.cluster import carry_out_on_cluster
 from recon.workflows.batch.inputs import Clip, find_clips
-from recon.workflows.batch.pool import DaskPool, Event, LocalPool, Pool, Task, carry_out
-from recon.workflows.batch.record import Planned, plan_batch
-from recon.workflows.batch.summary import COLUMNS, STATUSES, Summary, write_summary_page
-from recon.workflows.batch.worker import task_of
+from recon.workflows.batch.record import Planned, note_end, note_start, plan_batch, tidy_record
+from recon.workflows.batch.summary import COLUMNS, STATUSES, Summary, results_of, write_summary_page
+from recon.workflows.clip import fit_clip, write_clip
 
 __all__ = [
     "COLUMNS",
     "STATUSES",
     "Clip",
-    "Event",
     "Planned",
     "Summary",
-    "available_cores",
     "check_shared",
     "find_clips",
+    "fit_planned",
     "input_problems",
     "plan_batch",
     "repeated",
     "run_batch",
     "work_off",
 ]
+
+CRASH_LOG = "crash.log"
+DYING_S = 5.0
+"""So long a process may hold a clip's folder after the batch that it belonged to was killed."""
 
 
 def run_batch(
@@ -46,42 +58,73 @@ def run_batch(
     summary.html comes last.
 
     jobs: processes on this machine, by default one for each core; scheduler: the address of a Dask cluster instead.
-    retries: how often a clip at which a worker died is tried again. A clip that fails stops nothing. KeyboardInterrupt
+    retries: how often a clip at which a process died is tried again. A clip that fails stops nothing. KeyboardInterrupt
     stops the fits under way, writes the summary and is raised again. Raises InputError where the cluster is not there,
     or goes away, and where another batch is writing to `out`.
     """
+    todo = {planned.clip.name: planned for planned in plan if planned.action != "done"}
+
+    def note(event: Event, summary: Summary) -> None:
+        planned = todo[event.name]
+        if event.stage == STARTING:
+            note_start(out, planned)
+        elif event.kind == "ended":
+            _note_outcome(out, planned, event.outcome)
+        on_event(event, summary)
+
     with sole_writer(out):
         require_own_page(out / SUMMARY_PAGE)
-        run = uuid.uuid4().hex
-        tasks = [(p.clip.name, task_of(p, run)) for p in plan if p.action != "done"]
-        pool = DaskPool(scheduler, retries, run) if scheduler else LocalPool(jobs or available_cores(), retries)
-        return work_off(plan, out, pool, tasks, on_event)
+        tidy_record(out)
+        tasks = [(name, replace(planned, out=planned.out.absolute())) for name, planned in todo.items()]
+        run = partial(carry_out_on_cluster, scheduler) if scheduler else partial(carry_out, jobs=jobs)
+        return work_off(plan, out, partial(run, fit_planned, tasks, retries=retries), note)
 
 
 def work_off(
     plan: Sequence[Planned],
     out: Path,
-    pool: Pool,
-    tasks: Sequence[tuple[str, Task]],
+    run: Callable[..., None],
     on_event: Callable[[Event, Summary], None],
 ) -> Summary:
-    """The tasks of a plan, each with its clip's name, and the summary of it all, written again and again."""
+    """The clips of a plan by `carry_out` with its tasks given, and the summary of it all, written again and again."""
     summary = Summary(plan, out)
 
     def tell(event: Event) -> None:
         if event.kind == "ended":
-            summary.end(event.clip, event.outcome)
+            summary.end(event.name, event.outcome)
         on_event(event, summary)
 
     summary.write()
     try:
-        carry_out(pool, tasks, tell, summary.write_now_and_then)
+        run(tell, now_and_then=summary.write_now_and_then)
     finally:
         summary.write()
         write_summary_page(out)
     return summary
 
 
-def available_cores() -> int:
-    """Those that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+def fit_planned(planned: Planned, progress: Progress) -> dict[str, Any]:
+    """Fit and write one clip, in a process that does nothing else meanwhile: columns of its summary."""
+    here, there = version(), planned.identity["version"]
+    if here != there:
+        return {"status": "failed", "error": f"recon {here} on the worker, {there} where the batch runs"}
+    began = time.perf_counter()
+    with sole_writer(planned.out, DYING_S), threadpool_limits(1):
+        motion = fit_clip(planned.clip.settings, progress)
+        solve_s = time.perf_counter() - began
+        progress("writing", 1.0)
+        known = planned.identity["inputs"]
+        report = write_clip(motion, planned.clip.settings, planned.out, solve_s, sha256=known)
+    return {"status": "unsolved" if is_unsolved(report) else "done", **results_of(report)}
+
+
+def _note_outcome(out: Path, planned: Planned, outcome: Outcome) -> None:
+    log = planned.out / CRASH_LOG
+    if outcome["status"] != "failed":
+        log.unlink(missing_ok=True)
+        row = {name: outcome[name] for name in COLUMNS if name in outcome and name != "attempts"}
+        note_end(out, planned, row)
+    elif "log" in outcome:
+        with suppress(OSError):
+            planned.out.mkdir(parents=True, exist_ok=True)
+            log.write_text(f"{outcome['error']}\n\n{outcome['log']}", encoding="utf-8")

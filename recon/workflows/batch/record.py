@@ -1,7 +1,9 @@
-"""`batch.json` in the folder of each clip: what its results were made from, so that a later run knows them again.
+"""`batch.jsonl` in the folder of a batch: what each clip's results were made from, so that a later run knows them.
 
-It is written first, with the state "started", which makes the folder the batch's own, and again when all results are
-in place, with the state "finished". A run that is killed at any moment therefore leaves no folder that looks finished.
+It is a table of which lines of JSON are the rows, and the last one of a clip counts. Only the process that runs the
+batch writes it. A clip has a row with the state "started" before its fit begins, which makes its folder the batch's
+own, and one with the state "finished" when all results are in place: a run that is killed at any moment leaves no clip
+that looks finished.
 """
 
 from __future__ import annotations
@@ -23,9 +25,8 @@ from recon.workflows.clip import output_files
 from recon.workflows.made_from import digest, input_files
 from recon.workflows.settings import FitSettings, beside
 
-RECORD = "batch.json"
-CRASH_LOG = "crash.log"
-SCHEMA = {"name": "recon.batch.clip", "version": 2}
+RECORD = "batch.jsonl"
+SCHEMA = {"name": "recon.batch", "version": 3}
 Action = Literal["new", "refit", "done"]
 
 
@@ -52,10 +53,11 @@ def plan_batch(clips: Sequence[Clip], out: Path, overwrite: bool = False) -> lis
     """
     require_free_folder(out, (), overwrite=True)
     file_sha256.cache_clear()  # files may have changed since the last plan of this process
+    record = read_record(out)
     planned, problems = [], []
     for clip in clips:
         try:
-            planned.append(_planned(clip, out / clip.name, overwrite))
+            planned.append(_planned(clip, out / clip.name, record.get(clip.name), overwrite))
         except InputError as error:
             problems += error.problems
     if problems:
@@ -63,9 +65,8 @@ def plan_batch(clips: Sequence[Clip], out: Path, overwrite: bool = False) -> lis
     return planned
 
 
-def _planned(clip: Clip, out: Path, overwrite: bool) -> Planned:
+def _planned(clip: Clip, out: Path, record: Mapping[str, Any] | None, overwrite: bool) -> Planned:
     mine = identity(clip.settings)
-    record = read_record(out)
     there = [name for name in output_files(out) if (out / name).exists()]
     if not there:
         return Planned(clip, out, "new", "", mine)
@@ -74,7 +75,7 @@ def _planned(clip: Clip, out: Path, overwrite: bool) -> Planned:
     if record is None or (record["state"] == "finished" and not _is_own(out, record)):
         raise InputError(_occupied_problem(out, "results that no batch has made"))
     theirs = record["identity"]
-    there_before = beside(out, "keypoints", record["keypoints"].split(", "))
+    there_before = beside(out.parent, "keypoints", record["keypoints"])
     same_files = {*there_before} & {str(path) for path in clip.settings.keypoints}
     if not same_files and not _keypoints(theirs) & _keypoints(mine):
         raise InputError(_occupied_problem(out, f"results of {', '.join(there_before)}"))
@@ -139,44 +140,10 @@ def short_hash(part: Any) -> str:
     return hashlib.sha256(json.dumps(part, sort_keys=True).encode()).hexdigest()[:16]
 
 
-# -- the file -----------------------------------------------------------------------------------------------------
-
-
-def read_record(out: Path) -> dict[str, Any] | None:
-    try:
-        record = json.loads((out / RECORD).read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError):
-        return None
-    return record if isinstance(record, dict) and record.get("schema") == SCHEMA else None
-
-
-def start_record(out: Path, run: str, settings: FitSettings, known: Mapping[str, Any]) -> int:
-    """Make a clip's folder the batch's own; which attempt of this run it is, 1 or more."""
-    before = read_record(out)
-    attempt = before["attempt"] + 1 if before is not None and before["run"] == run else 1
-    _write(out, "started", run, attempt, settings, known)
-    return attempt
-
-
-def finish_record(
-    out: Path, run: str, attempt: int, settings: FitSettings, known: Mapping[str, Any], row: Mapping[str, Any]
-) -> None:
-    """When all results are in place."""
-    (out / CRASH_LOG).unlink(missing_ok=True)
-    results = {"manifest_sha256": digest(out / MANIFEST), "row": row}
-    _write(out, "finished", run, attempt, settings, known, results)
-
-
-def drop_record(out: Path) -> None:
-    """After a fit that failed: the record goes, unless there are older results."""
-    if not any((out / name).exists() for name in output_files(out)):
-        (out / RECORD).unlink(missing_ok=True)
-
-
-def _is_own(out: Path, record: Mapping[str, Any]) -> bool:
+def _is_own(out: Path, row: Mapping[str, Any]) -> bool:
     """Whether the results are those that the batch has written: each report has its own times, and so each manifest its
     own hashes. Without a manifest they are what is left of some run."""
-    return not (out / MANIFEST).exists() or digest(out / MANIFEST) == record["manifest_sha256"]
+    return not (out / MANIFEST).exists() or digest(out / MANIFEST) == row["manifest_sha256"]
 
 
 def _is_whole(out: Path) -> bool:
@@ -187,17 +154,48 @@ def _is_whole(out: Path) -> bool:
         return False
 
 
-def _write(
-    out: Path,
-    state: str,
-    run: str,
-    attempt: int,
-    settings: FitSettings,
-    known: Mapping[str, Any],
-    results: Mapping[str, Any] | None = None,
-) -> None:
-    head = {"schema": SCHEMA, "state": state, "run": run, "attempt": attempt}
-    head["keypoints"] = ", ".join(settings.keypoints_from(out))
-    text = json.dumps({**head, "identity": known, **(results or {})}, indent=1)
+# -- the table ----------------------------------------------------------------------------------------------------
+
+
+def read_record(out: Path) -> dict[str, dict[str, Any]]:
+    """The last row of each clip, by its name. Rows that are damaged, as a kill or a full disk leaves the last one, and
+    those of other versions count as none."""
+    try:
+        lines = (out / RECORD).read_text(encoding="utf-8", errors="replace").splitlines()
+    except OSError:
+        return {}
+    rows = {}
+    for line in lines:
+        try:
+            row = json.loads(line)
+            if row["schema"] == SCHEMA:
+                rows[row["clip"]] = row
+        except (ValueError, KeyError, TypeError, RecursionError):
+            continue
+    return rows
+
+
+def tidy_record(out: Path) -> None:
+    """Leave the last row of each clip, before others come behind it."""
     with staged_file(out / RECORD) as staged:
-        staged.write_text(text + "\n", encoding="utf-8")
+        staged.write_text("".join(map(_line, read_record(out).values())), encoding="utf-8")
+
+
+def note_start(out: Path, planned: Planned) -> None:
+    """From now on what is in a clip's folder is of the batch in `out`."""
+    _append(out, planned, state="started")
+
+
+def note_end(out: Path, planned: Planned, row: Mapping[str, Any]) -> None:
+    """All results of a clip are in place. row: of the summary."""
+    _append(out, planned, state="finished", manifest_sha256=digest(planned.out / MANIFEST), row=row)
+
+
+def _append(out: Path, planned: Planned, **more: Any) -> None:
+    row = {"schema": SCHEMA, "clip": planned.clip.name, "keypoints": planned.clip.settings.keypoints_from(out)}
+    with (out / RECORD).open("a", encoding="utf-8") as file:
+        file.write(_line({**row, "identity": planned.identity, **more}))
+
+
+def _line(row: Mapping[str, Any]) -> str:
+    return json.dumps(row) + "\n"

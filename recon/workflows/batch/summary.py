@@ -73,7 +73,7 @@ class Summary:
 
     def end(self, clip: str, outcome: Mapping[str, Any]) -> None:
         """outcome: some of the columns."""
-        self.rows[clip] |= outcome
+        self.rows[clip] |= {column: outcome[column] for column in COLUMNS if column in outcome}
         self._changed = True
 
     def counts(self) -> dict[str, int]:

@@ -24,7 +24,8 @@ from recon.workflows.settings import SETTINGS, FitSettings
 
 if TYPE_CHECKING:
     from recon.base.errors import Problem
-    from recon.workflows.batch import Event, Planned, Summary
+    from recon.base.parallel import Event
+    from recon.workflows.batch import Planned, Summary
 
 EXIT_STRICT = 1
 CANNOT = "cannot be fitted"
@@ -203,7 +204,7 @@ def _shown(console: Console, left: int) -> Iterator[Any]:
             nonlocal ended
             if event.kind == "ended":
                 ended += 1
-                row = summary.rows[event.clip]
+                row = summary.rows[event.name]
                 where = errors if row["status"] == "failed" else console
                 say(where, Text(f"[{ended}/{left}] ").append_text(_row_text(row)))
 
@@ -216,16 +217,16 @@ def _shown(console: Console, left: int) -> Iterator[Any]:
 
         def bars(event: Event, summary: Summary) -> None:
             if event.kind == "progress":
-                if event.clip not in running:
-                    running[event.clip] = bar.add_task(event.clip, total=100)
+                if event.name not in running:
+                    running[event.name] = bar.add_task(event.name, total=100)
                 bar.update(
-                    running[event.clip], description=f"{event.clip}: {event.stage}", completed=int(100 * event.share)
+                    running[event.name], description=f"{event.name}: {event.stage}", completed=int(100 * event.share)
                 )
             else:
-                if event.clip in running:
-                    bar.remove_task(running.pop(event.clip))
+                if event.name in running:
+                    bar.remove_task(running.pop(event.name))
                 bar.advance(overall)
-                row = summary.rows[event.clip]
+                row = summary.rows[event.name]
                 if row["status"] != "done":
                     say(bar.console, _row_text(row))
 
