@@ -11,7 +11,7 @@ import numpy as np
 
 from recon.base.errors import InputError, Problem
 from recon.base.package import install_command
-from recon.workflows.batch import available_cores
+from recon.base.parallel import available_cores
 
 if TYPE_CHECKING:
     import torch  # pyright: ignore[reportMissingImports]
