@@ -237,15 +237,16 @@ def test_the_command_says_what_was_done(film, called):
 
 
 def test_all_mistakes_are_said_before_any_work(film, called):
-    options = ("--camera-motion", "spins", "--from", "detect", "--fps", -1, "--keypoints", film.parent / "points.csv")
-    options += ("--quality", "high")
-    ended = run("run", film, "--out", film.parent / "out", *options)
+    given = ("run", film, "--out", film.parent / "out", "--keypoints", film.parent / "points.csv")
+    ended = run(*given, "--camera-motion", "spins", "--quality", "high")
+    assert ended.code == 2
+    assert "--camera-motion: found 'spins', expected turns or zooms" in ended.err
+    assert "--quality: found 'high', expected fast or best" in ended.err
+    ended = run(*given, "--camera-motion", "turns", "--from", "detect", "--fps", -1)
     assert ended.code == 2
     for said in (
         "--fps: found '-1'",
-        "--camera-motion: motion: found 'spins', expected turns or zooms",
         "--camera-motion: camera: found nothing",
-        "--quality: found 'high', expected fast or best",
         "--from: stage: found 'detect', expected one of camera-motion, fit, analyse, overlay, page",
     ):
         assert said in ended.err
