@@ -148,31 +148,30 @@ def gather(
 def read_csv(path: Path) -> PointTable:
     """A file with DeepLabCut's header rows (see `HEADERS`), whatever its coordinates. Raises InputError."""
     rows = text_rows(path, ",")
-    columns, index_columns, notes, scorers = _read_header(path, rows)
+    levels, index_columns = _read_header(path, rows)
+    labels = list(zip(*levels.values(), strict=True))
     index: list[tuple[str, ...]] = []
     values = array("d")
     bad: list[tuple[int, int, str]] = []
     problems: list[Problem] = []
-    width = index_columns + len(columns)
+    width = index_columns + len(labels)
     for line, row in rows:
         if len(row) == width:
             values.extend(_numbers(row[index_columns:], len(index), bad))
             index.append(tuple(row[:index_columns]))
         else:
             problems.append(Problem(path, f"line {line}", f"{len(row)} cells", f"{width}, as in the header"))
-    table = _table(path, columns, np.array(values).reshape(-1, len(columns)), index, bad, problems, notes)
-    return replace(table, fps=_fps(scorers), has_scorer=bool(scorers))
+    cells = np.array(values).reshape(len(index), len(labels))
+    return _table(path, tuple(levels), labels, index, cells, bad, problems)
 
 
-def _read_header(
-    path: Path, rows: Iterator[tuple[int, list[str]]]
-) -> tuple[tuple[Column, ...], int, tuple[str, ...], list[str]]:
-    """Columns, number of index columns, notes, and the scorers of all columns, none where that row is missing."""
+def _read_header(path: Path, rows: Iterator[tuple[int, list[str]]]) -> tuple[dict[str, list[str]], int]:
+    """The texts of the data's columns by level, and the number of columns before them."""
     header: dict[str, list[str]] = {}
     first = ""
     for _, row in rows:
         first = row[0].strip()
-        if first not in ("scorer", "individuals", "bodyparts", "coords") or first in header:
+        if first not in HEADERS[1] or first in header:
             break
         header[first] = row
         if first == "coords":
@@ -187,17 +186,13 @@ def _read_header(
         lengths = ", ".join(f"{len(row)} in {name}" for name, row in header.items())
         raise InputError(Problem(path, "header rows", f"cells: {lengths}", "the same number of cells in each"))
     # Label files name the image in three columns, which have blank cells in all header rows but for the first cell.
-    coords = header["coords"]
-    index_columns = 3 if [cell.strip() for cell in coords[1:3]] == ["", ""] else 1
-    blank = [""] * len(coords)
-    levels = (header.get("individuals", blank), header["bodyparts"], coords)
-    columns, notes = _columns(path, [level[index_columns:] for level in levels])
-    return columns, index_columns, notes, header.get("scorer", [])[index_columns:]
+    index_columns = 3 if [cell.strip() for cell in header["coords"][1:3]] == ["", ""] else 1
+    return {level: row[index_columns:] for level, row in header.items()}, index_columns
 
 
-def _fps(scorers: Sequence[str]) -> float | None:
+def _fps(scorer: str) -> float | None:
     """The frame rate, if the file is ours and has it."""
-    match = re.fullmatch(rf"{SCORER}_([0-9.e+-]+)fps", scorers[0]) if scorers else None
+    match = re.fullmatch(rf"{SCORER}_([0-9.e+-]+)fps", scorer)
     return rate(match[1]) if match else None
 
 
@@ -206,27 +201,17 @@ def _read_h5(path: Path) -> PointTable:
     if len(keys) != 1:
         raise InputError(Problem(path, "keys", ", ".join(keys) or "none", "one table"))
     frame = pandas_hdf.read_frame(path, keys[0])
-    levels = _h5_levels(path, frame)
-    columns, notes = _columns(path, levels)
+    levels = frame.levels
+    if not any(levels):
+        levels = {2: HEADERS[2], 3: HEADERS[0], 4: HEADERS[1]}.get(len(levels), levels)
+    if levels not in HEADERS:
+        raise InputError(_header_problem(path, f"column levels {', '.join(map(str, levels))}"))
     bad: list[tuple[int, int, str]] = []
-    values = frame.cells
-    if values.dtype == object:
-        rows = [["" if cell != cell else str(cell) for cell in row] for row in values.tolist()]
-        values = np.array([_numbers(row, i, bad) for i, row in enumerate(rows)]).reshape(-1, len(columns))
-    scorer = [column[frame.levels.index("scorer")] for column in frame.columns[:1] if "scorer" in frame.levels]
-    table = _table(path, columns, values, frame.index, bad, [], notes)
-    return replace(table, fps=_fps(scorer), has_scorer=bool(scorer))
-
-
-def _h5_levels(path: Path, frame: pandas_hdf.StoredTable) -> list[list[str]]:
-    """The individuals, bodyparts and coords of each column."""
-    names = list(frame.levels)
-    if not any(names):
-        names = list({2: HEADERS[2], 3: HEADERS[0], 4: HEADERS[1]}.get(len(names), names))
-    if tuple(names) not in HEADERS:
-        raise InputError(_header_problem(path, f"column levels {', '.join(map(str, names))}"))
-    wanted = (names.index(level) if level in names else None for level in ("individuals", "bodyparts", "coords"))
-    return [["" if i is None else column[i] for column in frame.columns] for i in wanted]
+    cells = frame.cells
+    if cells.dtype == object:
+        rows = [["" if cell != cell else str(cell) for cell in row] for row in cells.tolist()]
+        cells = np.array([_numbers(row, i, bad) for i, row in enumerate(rows)]).reshape(cells.shape)
+    return _table(path, levels, frame.columns, frame.index, cells, bad, [])
 
 
 def image_names(path: Path) -> list[str]:
@@ -235,9 +220,8 @@ def image_names(path: Path) -> list[str]:
     return ["/".join(label) for label in pandas_hdf.read_frame(path, key).index]
 
 
-def _columns(path: Path, levels: Sequence[Sequence[str]]) -> tuple[tuple[Column, ...], tuple[str, ...]]:
+def _columns(path: Path, raw: Sequence[Column]) -> tuple[tuple[Column, ...], tuple[str, ...]]:
     """Columns with stray blanks removed from their names, and a note for each name that had some."""
-    raw = [Column(*parts) for parts in zip(*levels, strict=True)]
     columns = tuple(Column(*(part.strip() for part in column)) for column in raw)
     problems = [
         Problem(path, f"column {column or j + 1}", f"coordinate '{column.coord}'", ", ".join(COORDS))
@@ -264,17 +248,20 @@ def _columns(path: Path, levels: Sequence[Sequence[str]]) -> tuple[tuple[Column,
 
 def _table(
     path: Path,
-    columns: tuple[Column, ...],
-    values: np.ndarray,
+    levels: tuple[str | None, ...],
+    labels: Sequence[tuple[str, ...]],
     index: Sequence[tuple[str, ...]],
+    values: np.ndarray,
     bad: Sequence[tuple[int, int, str]],
     problems: list[Problem],
-    notes: tuple[str, ...],
 ) -> PointTable:
-    """The table, once every cell and frame number of it is in order.
+    """The table, once every label, cell and frame number of it is in order.
 
-    bad: (row, column, text) of the cells that are no numbers; problems: others that are known already.
+    labels: of its C columns, one text for each level; index: of its T rows; values (T, C); bad: (row, column, text) of
+    the cells that are no numbers; problems: others that are known already.
     """
+    named = [dict(zip(levels, label, strict=True)) for label in labels]
+    columns, notes = _columns(path, [Column(n.get("individuals", ""), n["bodyparts"], n["coords"]) for n in named])
     if not index and not problems:
         raise InputError(Problem(path, "rows", "no frames", "at least one row below the header"))
     frames, frame_problems = _frame_numbers(path, index)
@@ -292,7 +279,9 @@ def _table(
     order = np.argsort(frames)
     if np.any(np.diff(order) != 1):
         notes += ("The rows were not in the order of their frame numbers and have been sorted.",)
-    return PointTable(columns, values[order], np.array(frames, dtype=np.int64)[order], notes)
+    in_order = np.array(frames, dtype=np.int64)[order]
+    scorer = named[0].get("scorer")
+    return PointTable(columns, values[order], in_order, notes, _fps(scorer or ""), scorer is not None)
 
 
 def _frame_numbers(path: Path, index: Sequence[tuple[str, ...]]) -> tuple[list[int | str], list[Problem]]:
