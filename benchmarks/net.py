@@ -32,7 +32,7 @@ from recon.io.video import video_writer
 from recon.keypoint_net.evaluate2d import Evaluation2D, evaluate_2d_files
 from recon.keypoint_net.labels import read_label_file
 from recon.keypoint_net.model import build_network
-from recon.keypoint_net.predict import predict_video
+from recon.keypoint_net.predict import PredictSettings, predict_video
 from recon.keypoint_net.run import TrainSettings
 from recon.keypoint_net.torch_extra import choose_device, fast_half, require_torch
 from recon.keypoint_net.trained import CHANNELS, Spec, Trained, load_model, prepared
@@ -106,7 +106,7 @@ def speed(args: argparse.Namespace, out: Path) -> None:
         _noise_video(video, size, frames)
         for half in (False, True) if fast_half(device) else (False,):
             start = time.perf_counter()
-            predict_video(trained, video, half=half, threads=args.threads)
+            predict_video(trained, _settings(video, args.threads, half))
             rate = frames / (time.perf_counter() - start)
             print_row((f"{size[0]}x{size[1]}", "16 bits" if half else "float32", f"{rate:.0f}"))
     print()
@@ -117,6 +117,11 @@ def speed(args: argparse.Namespace, out: Path) -> None:
         with ProcessPoolExecutor(1, get_context("spawn")) as pool:
             megabytes = pool.submit(_most_memory, args.model, args.device, args.threads, video).result()
         print_row((frames, f"{megabytes:.0f}"))
+
+
+def _settings(video: Path, threads: int | None, half: bool = True) -> PredictSettings:
+    """Of a prediction that is not written."""
+    return PredictSettings(video=video, model=Path(), out=Path(), threads=threads, half=half)
 
 
 def _network(model: Path | None, device: str) -> Trained:
@@ -137,7 +142,7 @@ def _noise_video(path: Path, size_px: tuple[int, int], frames: int) -> None:
 def _most_memory(model: Path | None, device: str, threads: int | None, video: Path) -> float:
     import resource
 
-    predict_video(_network(model, device), video, threads=threads)
+    predict_video(_network(model, device), _settings(video, threads))
     most = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     return most / (2**20 if sys.platform == "darwin" else 2**10)
 

@@ -4,9 +4,10 @@ It needs torch (extra `net`), which is imported where it is used.
 """
 
 from recon.keypoint_net.evaluate2d import evaluate_2d_files
+from recon.keypoint_net.predict import PredictSettings
 from recon.keypoint_net.run import TrainSettings
 from recon.keypoint_net.trained import model_file
-from recon.keypoint_net.workflows import LabelSource, PredictSettings, run_prediction, run_training
+from recon.keypoint_net.workflows import LabelSource, run_prediction, run_training
 
 __all__ = [
     "LabelSource",

@@ -10,19 +10,21 @@ from contextlib import ExitStack, closing
 from functools import partial as partial_of
 from itertools import islice
 from pathlib import Path
+from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from recon.base.errors import InputError, Problem
 from recon.base.progress import Progress, silent
+from recon.base.settings import Count, Number, Option, Settings
 from recon.clip.keypoints import Keypoints
 from recon.io.video import Image, VideoInfo, probe, read_frames, video_writer
 from recon.keypoint_net.ahead import ahead
 from recon.keypoint_net.background import background_of_video
 from recon.keypoint_net.draw import draw_points
 from recon.keypoint_net.labels import resize
-from recon.keypoint_net.torch_extra import fast_half, fastest_threads, use_threads
+from recon.keypoint_net.torch_extra import DEVICE, THREADS, fast_half, fastest_threads, use_threads
 from recon.keypoint_net.trained import Trained
 
 PIXELS = 2**20
@@ -39,44 +41,61 @@ Chunk = tuple[list[int], list[Image], list[Image]]
 """Numbers of consecutive frames, their pictures at the network's scale, and as they are, if they are drawn on."""
 
 
-def predict_video(
-    trained: Trained,
-    video: Path,
-    *,
-    quality: str = "fast",
-    still_background: bool = True,
-    half: bool = True,
-    overlay: Path | None = None,
-    likelihood_min: float = 0.5,
-    partial: bool = False,
-    threads: int | None = None,
-    progress: Progress = silent,
-) -> Keypoints:
-    """Every frame's points as the network sees them, without smoothing, with calibrated likelihoods.
+class PredictSettings(Settings):
+    """What `recon predict` does."""
 
-    overlay: a new video with the points drawn, those less likely than likelihood_min small and pale. partial: whether
-    a video that ends before its stated end is good enough. threads: for the CPU; None: as many as are fastest for the
-    first frames of a long video, one for a short one. Raises InputError.
-    """
+    video: Annotated[Path, Option("The video, as in run.mp4.", argument="VIDEO")]
+    model: Annotated[Path, Option("Folder of a trained network, as in models/run.", metavar="DIR")]
+    out: Annotated[Path, Option("The keypoint file, .csv or .h5, in DeepLabCut's layout.")]
+    overlay: Annotated[
+        Path | None, Option("A new video with the points drawn, .mp4 (MPEG-4) or .avi (Motion JPEG).")
+    ] = None
+    quality: Annotated[
+        Literal["fast", "best"],
+        Option(
+            "fast, or best: averaged over three scales and, if trained with them, mirror pictures; three to six times "
+            "the work."
+        ),
+    ] = "fast"
+    likelihood_min: Annotated[
+        Number,
+        Option(
+            "Points less likely than this are small rings in the overlay; the file has them all.",
+            "a number from 0 to 1",
+        ),
+    ] = 0.5
+    background: Annotated[bool, Option("Use the still background of a camera that stands still.")] = True
+    half: Annotated[bool, Option("Compute in 16 bits where the device is faster with them.")] = True
+    device: Annotated[str, DEVICE] = "auto"
+    threads: Annotated[Count | None, THREADS] = None
+    partial: Annotated[bool, Option("Accept a video of which fewer frames can be decoded than it states.")] = False
+    overwrite: Annotated[bool, Option("Replace files that are there.")] = False
+
+
+def predict_video(trained: Trained, settings: PredictSettings, progress: Progress = silent) -> Keypoints:
+    """Every frame's points as the network sees them, without smoothing, with calibrated likelihoods; without a number
+    of threads with as many as are fastest for the first frames of a long video, and one for a short one. Raises
+    InputError."""
+    video, quality = settings.video, settings.quality
     info = probe(video)
     spec = trained.spec
     progress("background", 0.0)
-    background = background_of_video(video, spec.scale) if still_background else None
-    precision = fast_half(trained.device) if half else None
+    background = background_of_video(video, spec.scale) if settings.background else None
+    precision = fast_half(trained.device) if settings.half else None
     numbers: list[int] = []
     xy_px: list[NDArray[np.float32]] = []
     likelihood: list[NDArray[np.float32]] = []
     total = max(info.stated_frames or 0, 1)
     with ExitStack() as stack:
         write = None
-        if overlay is not None:
+        if settings.overlay is not None:
             even = (info.size_px[0] // 2 * 2, info.size_px[1] // 2 * 2)
-            write = stack.enter_context(video_writer(overlay, even, info.fps or 30.0))
+            write = stack.enter_context(video_writer(settings.overlay, even, info.fps or 30.0))
         made = chunks(video, info, spec.scale, keep=write is not None)
         for of_chunk, pictures, originals in stack.enter_context(closing(ahead(made, 1 + WAITING))):
             points = partial_of(trained.points, pictures, background, quality, precision)
             if not numbers:
-                _choose_threads(threads, points, total / len(of_chunk), trained.device.type == "cpu")
+                _choose_threads(settings.threads, points, total / len(of_chunk), trained.device.type == "cpu")
             xy, raw = points()
             sure = spec.likelihood(raw, quality)
             numbers += of_chunk
@@ -84,10 +103,10 @@ def predict_video(
             likelihood.append(sure.astype(np.float32))
             if write is not None:
                 for picture, points, how in zip(originals, xy, sure, strict=True):
-                    drawn = draw_points(picture, points, how, likelihood_min)
+                    drawn = draw_points(picture, points, how, settings.likelihood_min)
                     write(drawn[: drawn.shape[0] // 2 * 2, : drawn.shape[1] // 2 * 2])
             progress(f"frame {numbers[-1]}", min(1.0, len(numbers) / total))
-        _check_count(video, info, len(numbers), partial)
+        _check_count(video, info, len(numbers), settings.partial)
     return Keypoints(
         spec.names,
         np.concatenate(xy_px).astype(float),

@@ -12,6 +12,7 @@ import numpy as np
 from recon.base.errors import InputError, Problem
 from recon.base.package import install_command
 from recon.base.parallel import available_cores
+from recon.base.settings import Option
 
 if TYPE_CHECKING:
     import torch  # pyright: ignore[reportMissingImports]
@@ -21,6 +22,8 @@ TIMED = 3
 SLOWER = 1.2
 """From which on more threads are not tried, either."""
 DEVICES = ("auto", "cpu", "cuda", "mps")
+DEVICE = Option("auto, cpu, cuda or mps.")
+THREADS = Option("Threads on the CPU. (default: the fastest)", "1 or more")
 
 
 def require_torch() -> Any:

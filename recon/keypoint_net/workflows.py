@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 from recon.base.errors import InputError, Problem, all_of
 from recon.base.files import require_free_file, sole_writer, staged_file, staged_folder
 from recon.base.progress import Progress, silent
-from recon.base.settings import Count, Integer, Number, Option, Settings
+from recon.base.settings import Integer, Option, Settings
 from recon.clip.keypoints import Keypoints
 from recon.io.deeplabcut import write_csv, write_h5
 from recon.io.video import require_codec
 from recon.keypoint_net.labels import read_labels
-from recon.keypoint_net.predict import predict_video
+from recon.keypoint_net.predict import PredictSettings, predict_video
 from recon.keypoint_net.report import write_training_report
 from recon.keypoint_net.run import CHECKPOINT_FILE, SPLIT, TrainSettings, prepare
 from recon.keypoint_net.split import parse_choice, split_labels
@@ -23,10 +23,6 @@ from recon.keypoint_net.trained import MODEL_FILE, load_model, model_file
 from recon.workflows.settings import RENAME
 
 WRITERS = {".csv": write_csv, ".h5": write_h5}
-
-
-DEVICE = Option("auto, cpu, cuda or mps.")
-THREADS = Option("Threads on the CPU. (default: the fastest)", "1 or more")
 
 
 class LabelSource(Settings):
@@ -77,37 +73,6 @@ def run_training(
             return write_training_report(run, state, staging)
 
 
-class PredictSettings(Settings):
-    """What `recon predict` does."""
-
-    video: Annotated[Path, Option("The video, as in run.mp4.", argument="VIDEO")]
-    model: Annotated[Path, Option("Folder of a trained network, as in models/run.", metavar="DIR")]
-    out: Annotated[Path, Option("The keypoint file, .csv or .h5, in DeepLabCut's layout.")]
-    overlay: Annotated[
-        Path | None, Option("A new video with the points drawn, .mp4 (MPEG-4) or .avi (Motion JPEG).")
-    ] = None
-    quality: Annotated[
-        Literal["fast", "best"],
-        Option(
-            "fast, or best: averaged over three scales and, if trained with them, mirror pictures; three to six times "
-            "the work."
-        ),
-    ] = "fast"
-    likelihood_min: Annotated[
-        Number,
-        Option(
-            "Points less likely than this are small rings in the overlay; the file has them all.",
-            "a number from 0 to 1",
-        ),
-    ] = 0.5
-    background: Annotated[bool, Option("Use the still background of a camera that stands still.")] = True
-    half: Annotated[bool, Option("Compute in 16 bits where the device is faster with them.")] = True
-    device: Annotated[str, DEVICE] = "auto"
-    threads: Annotated[Count | None, THREADS] = None
-    partial: Annotated[bool, Option("Accept a video of which fewer frames can be decoded than it states.")] = False
-    overwrite: Annotated[bool, Option("Replace files that are there.")] = False
-
-
 def run_prediction(video: Path, model: Path, out: Path, *, progress: Progress = silent, **options: Any) -> Keypoints:
     """`recon predict`: a keypoint file in DeepLabCut's layout. options: the other fields of `PredictSettings`. Raises
     InputError; then nothing is written."""
@@ -118,18 +83,7 @@ def run_prediction(video: Path, model: Path, out: Path, *, progress: Progress = 
         lambda: require_free_file(out, s.overwrite, suffixes=WRITERS),
         lambda: _check_overlay(s),
     )
-    keypoints = predict_video(
-        load_model(model, device),
-        video,
-        quality=s.quality,
-        still_background=s.background,
-        half=s.half,
-        overlay=s.overlay,
-        likelihood_min=s.likelihood_min,
-        partial=s.partial,
-        threads=s.threads,
-        progress=progress,
-    )
+    keypoints = predict_video(load_model(model, device), s, progress)
     with staged_file(out) as staged:
         WRITERS[out.suffix.lower()](keypoints, staged)
     return keypoints

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import time
 
-from recon.keypoint_net.workflows import PredictSettings, run_prediction
+from recon.keypoint_net.predict import PredictSettings
+from recon.keypoint_net.workflows import run_prediction
 from recon.workflows.cli.common import progress_bar, say, terminal
 
 

@@ -8,7 +8,8 @@ from typing import Annotated, Any
 
 from recon.base.settings import Count, Option
 from recon.keypoint_net.run import CHECKPOINT_FILE, TrainSettings
-from recon.keypoint_net.workflows import DEVICE, THREADS, LabelSource, run_training
+from recon.keypoint_net.torch_extra import DEVICE, THREADS
+from recon.keypoint_net.workflows import LabelSource, run_training
 from recon.workflows.cli.common import progress_bar, say, stop, terminal
 
 
