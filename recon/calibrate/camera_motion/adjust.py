@@ -19,7 +19,7 @@ FLOOR_PX = 0.1
 
 
 @dataclass(frozen=True, eq=False)
-class Link:
+class FrameLink:
     """A frame's points in a keyframe (both by their place among the frames). Their cost is e'He - 2 g'e; e: how much
     further the frame is turned (rad) from the keyframe than by `turn` (3, 3), and how far the log zooms of frame and
     keyframe are from `log_zooms` (2,). normal: H (5, 5). gradient: g (5,)."""
@@ -33,7 +33,7 @@ class Link:
 
 
 def adjust(
-    turns: Sequence[Orientation], links: Sequence[Link], solve_zoom: bool, floor_rad: float
+    turns: Sequence[Orientation], links: Sequence[FrameLink], solve_zoom: bool, floor_rad: float
 ) -> tuple[tuple[Orientation, ...], Array, Array]:
     """The turns of the N frames, of which the first stays; their standard deviations (N,), rad per axis, against the
     first frame; and those of the zooms (N,), relative. links: of every other frame at least one. floor_rad: see

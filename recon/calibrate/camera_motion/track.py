@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 
 from recon.base.arrays import Array, Bools, Integers
-from recon.calibrate.camera_motion.adjust import FLOOR_PX, Link, adjust
+from recon.calibrate.camera_motion.adjust import FLOOR_PX, FrameLink, adjust
 from recon.calibrate.camera_motion.features import (
     GreyPicture,
     alike,
@@ -112,7 +112,7 @@ class Tracker:
     frames: list[int] = field(default_factory=list)
     turns: list[Orientation] = field(default_factory=list)
     supports: list[tuple[int, float]] = field(default_factory=list)
-    links: list[Link] = field(default_factory=list)
+    links: list[FrameLink] = field(default_factory=list)
     lost: list[int] = field(default_factory=list)
     apart: int = 0
     support: float = 0.0
@@ -269,7 +269,7 @@ class Tracker:
             if own.sum() >= 8:
                 self.links.append(self._link(place, key, agreement, seen, own))
 
-    def _link(self, place: int, key: _Keyframe, agreement: AgreedOrientation, seen: _Seen, own: Bools) -> Link:
+    def _link(self, place: int, key: _Keyframe, agreement: AgreedOrientation, seen: _Seen, own: Bools) -> FrameLink:
         turn, J = agreement.turn, agreement.jacobian[own]
         by_key = np.zeros((len(J), 2, 1))
         if self.solve_zoom:
@@ -283,7 +283,7 @@ class Tracker:
         weights = agreement.weights[own] / agreement.sigma_px**2
         normal, gradient = normal_equations(J, weights, agreement.residual_px[own])
         zooms = np.log([turn.zoom, key.turn.zoom])
-        return Link(place, key.number, turn.rotation @ key.turn.rotation.T, zooms, normal, gradient)
+        return FrameLink(place, key.number, turn.rotation @ key.turn.rotation.T, zooms, normal, gradient)
 
     def _new_key(
         self, frame: GreyPicture, picture: Image, mask: Bools | None, agreement: AgreedOrientation, seen: _Seen
