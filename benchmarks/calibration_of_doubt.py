@@ -48,12 +48,12 @@ from recon.animal.prior import ANGLES, MotionPrior, as_one_gaussian, builtin_pri
 from recon.base.errors import InputError
 from recon.clip import View, still_view
 from recon.fit import TrajectoryOptions, constants, solve_trajectory
+from recon.fit.clip_problem import ClipProblem
 from recon.fit.posterior import factored
+from recon.fit.prior_misfit import LASTS_S
 from recon.fit.regions import share_below, share_inside
-from recon.fit.setting import Setting
-from recon.fit.surprise import LASTS_S
 from recon.fit.terms import dynamics_term, pose_term
-from recon.fit.trajectory import Solved, solve_spells
+from recon.fit.trajectory import Solved, solve_segments
 from recon.geometry.kinematics import ROOT, YAW
 
 FPS, T = 90.0, 36
@@ -155,12 +155,14 @@ def one_clip(skeleton: str, motion_s: float, noise_s: float, animal: str | None,
     body, (n, J, _) = motion.body, motion.points_m.shape
     options, scale, size = TrajectoryOptions(ground="none"), extent(body), 1.0 + body.size_sigma * rng.normal()
     blank = still_view(camera, np.zeros((n, J, 2)), np.ones((n, J)))
-    setting = Setting.of([blank], body, motion.prior, motion.fps, options)
+    setting = ClipProblem.of([blank], body, motion.prior, motion.fps, options)
     place_m = scale * np.array([0.0, rng.uniform(3.0, 12.0), -rng.uniform(0.0, 1.5)])
     points_m, marked_m = motion.points_m + place_m, motion.marked_m + place_m
     px_per_m = setting.px_per_m(marked_m)[0]
-    late_m = marked_m + options.lag_frames * rng.normal() * np.gradient(marked_m, axis=0)
-    beside_m = setting.shared()[1][-1].sigma.reshape(J, 2) * np.sqrt(setting.alike) * rng.normal(size=(J, 2))
+    late_m = marked_m + options.time_offset_frames * rng.normal() * np.gradient(marked_m, axis=0)
+    beside_m = (
+        setting.shared()[1][-1].sigma.reshape(J, 2) * np.sqrt(setting.correlation_frames) * rng.normal(size=(J, 2))
+    )
     in_frame_m = np.sqrt(np.maximum(setting.in_frame_m**2 - beside_m.var(), 0.0))
     noise_px = np.hypot(options.sigma_px, in_frame_m * px_per_m[:, None])[..., None] * lasting_noise(
         (n, J, 2), max(noise_s * motion.fps, 1.0), rng
@@ -174,13 +176,13 @@ def one_clip(skeleton: str, motion_s: float, noise_s: float, animal: str | None,
     view = View(camera, blank.T_camera_world, pixels, (~gone).astype(float))
     rear, front = (points_m[:, body.markers.index(marker)].mean(axis=0) for marker in body.forward)
     x, y = (front - rear)[:2]
-    return _scored(Setting.of([view], body, motion.prior, motion.fps, options), size * points_m) | {
+    return _scored(ClipProblem.of([view], body, motion.prior, motion.fps, options), size * points_m) | {
         "end on": float(abs(x) < np.sin(np.radians(END_ON_DEG)) * np.hypot(x, y)),
         "seen": float(1 - gone.mean()),
     }
 
 
-def _scored(setting: Setting, truth_m: np.ndarray) -> dict[str, float]:
+def _scored(setting: ClipProblem, truth_m: np.ndarray) -> dict[str, float]:
     body, prior = setting.body, setting.prior
     solution = solve_trajectory(setting.views, body, prior, setting.fps, setting.options)
     off = solution.joints_m - truth_m
@@ -198,18 +200,18 @@ def _scored(setting: Setting, truth_m: np.ndarray) -> dict[str, float]:
     ray = truth_m[t, j] / np.linalg.norm(truth_m[t, j])
     sigma_m = float(np.sqrt(ray @ solution.covariance_m2[t, j] @ ray))
     found, true = (np.linalg.norm(points[t].mean(axis=0)) for points in (solution.joints_m, truth_m))
-    mode = pull_of_the_mode(setting, *solve_spells(setting))
+    mode = pull_of_the_mode(setting, *solve_segments(setting))
     return row | {
         "mpjpe mm": 1000 * float(np.linalg.norm(centred, axis=-1).mean()),
         "rank": share_below(float(true - found) / sigma_m),
         "rank without": share_below(float(true - found * np.exp(-mode)) / sigma_m),
         "too far": float(np.log(found / true)),
         "mode": mode,
-        "surprise": solution.spells[0].surprise or np.nan,
+        "surprise": solution.segments[0].prior_misfit or np.nan,
     }
 
 
-def pull_of_the_mode(setting: Setting, solved: Solved) -> float:
+def pull_of_the_mode(setting: ClipProblem, solved: Solved) -> float:
     """By how much the logarithm of the distance at the joint minimum is expected to lie above its own distribution.
 
     That has the density exp(-cost / l) / sqrt(det H) where the other unknowns follow the distance, H theirs, and l the

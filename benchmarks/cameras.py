@@ -31,9 +31,9 @@ from recon import Body, FitSettings
 from recon.animal.detector import detector_toml
 from recon.clip import Source, View, views_of
 from recon.fit import TrajectoryOptions, TrajectorySolution, solve_trajectory
+from recon.fit.clip_problem import ClipProblem
 from recon.fit.points import solve_points
 from recon.fit.regions import share_inside
-from recon.fit.setting import Setting
 from recon.fit.shape import POSED_OFFSET_SIGMA_M, Shape, fit_shape
 from recon.geometry.kinematics import ROOT
 from recon.workflows.clip import prepare
@@ -132,9 +132,9 @@ def too_far(run: Run, solution: TrajectorySolution) -> float:
     return float(np.nanmean(np.log(found / true)))
 
 
-def with_poses(run: Run, cameras: Iterable[int], body: Body) -> Setting:
+def with_poses(run: Run, cameras: Iterable[int], body: Body) -> ClipProblem:
     """Some cameras' setting, with the poses and headings that the reference has."""
-    plain = Setting.of([run.views[c] for c in cameras], body, prior_of(PRIOR), run.fps, TrajectoryOptions())
+    plain = ClipProblem.of([run.views[c] for c in cameras], body, prior_of(PRIOR), run.fps, TrajectoryOptions())
     return replace(plain, known=states_of(run, plain.origin_m))
 
 
@@ -255,7 +255,7 @@ def ways(runs: Sequence[Run]) -> list[dict]:
             {
                 "run": run.folder.name,
                 "reference, rad": f"{apart.mean():+.3f} ± {apart.std():.3f}",
-                "all cameras": f"{found.crab_rad:+.3f} ± {found.crab_sigma_rad:.3f}",
+                "all cameras": f"{found.sideslip_rad:+.3f} ± {found.sideslip_sigma_rad:.3f}",
             }
         )
     return rows
@@ -265,7 +265,7 @@ def lags(runs: Sequence[Run]) -> list[dict]:
     """What each camera's lag comes out as, in frames, with all of them."""
     rows = []
     for run in runs:
-        found = solved(run, list(run.views), as_seen(body_of(run.subject), run, runs, posed=True)).lag_frames
+        found = solved(run, list(run.views), as_seen(body_of(run.subject), run, runs, posed=True)).time_offset_frames
         by_camera = dict(zip(run.views, found, strict=True))
         cameras = range(1, 1 + max(max(other.views) for other in runs))
         rows.append(

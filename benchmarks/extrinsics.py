@@ -30,8 +30,8 @@ from trajectory import body_of, prior_of
 from recon import Body
 from recon.clip import View, still_view
 from recon.fit import TrajectoryOptions, solve_trajectory
+from recon.fit.clip_problem import ClipProblem
 from recon.fit.extrinsics import Rig, search_offsets, solve_extrinsics
-from recon.fit.setting import Setting
 
 PARTS = {
     "projections of the truth": (0, 0, 0),
@@ -54,10 +54,10 @@ FIELD_M = 1.5
 """How far the middle of a simulated way lies from that of the run, along each axis."""
 
 
-def without_poses(views: Sequence[View], body: Body, fps: float, **options: bool) -> Setting:
+def without_poses(views: Sequence[View], body: Body, fps: float, **options: bool) -> ClipProblem:
     lenses = [replace(view.camera, rotation=None, translation_m=None) for view in views]
     bare = [still_view(lens, view.xy_px, view.confidence) for lens, view in zip(lenses, views, strict=True)]
-    return Setting.of(bare, body, prior_of(PRIOR), fps, TrajectoryOptions(**options), ground_near_zero=False)
+    return ClipProblem.of(bare, body, prior_of(PRIOR), fps, TrajectoryOptions(**options), ground_near_zero=False)
 
 
 def found(views: Sequence[Sequence[View]], bodies: Sequence[Body], fps: Sequence[float]) -> Rig:
@@ -228,7 +228,9 @@ def out_of_step(clips: Sequence[Run], runs: Sequence[Run]) -> dict:
     as_they_are, rig = solved_at(own), solved_at(mended)
     off = [
         frames + lags - k - beside
-        for frames, lags, k, beside in zip(whole, rig.lag_frames, put, as_they_are.lag_frames, strict=True)
+        for frames, lags, k, beside in zip(
+            whole, rig.time_offset_frames, put, as_they_are.time_offset_frames, strict=True
+        )
     ]
     degrees = {
         f"rotation of pairs, {name}": f"{beside(of, own[0])['rotation of pairs, median']:.1f}°"

@@ -71,12 +71,12 @@ def row(case: Case, prior: MotionPrior, plain_mm: tuple[float, float]) -> dict:
     """plain_mm: the errors with each angle on its own."""
     solution = fitted(case, prior)
     mpjpe, mpe = errors_mm(case, solution)
-    worst = max(solution.spells, key=lambda spell: spell.surprise or 0.0)
+    worst = max(solution.segments, key=lambda segment: segment.prior_misfit or 0.0)
     return {
         "clip": case.name,
         "frames": len(case.truth_m),
         "prior from": prior.name,
-        "surprise": worst.surprise,
+        "surprise": worst.prior_misfit,
         "weight": worst.prior_weight,
         "named": worst.unlike_prior,
         "mpjpe_mm": mpjpe,

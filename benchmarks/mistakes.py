@@ -42,7 +42,7 @@ from recon.check.inputs.swaps import Stretch, exchanged, pairs_of, swaps
 from recon.clip import Source, views_of
 from recon.clip.keypoints import Keypoints, clean
 from recon.fit import TrajectoryOptions, constants, solve_trajectory
-from recon.fit.setting import Setting
+from recon.fit.clip_problem import ClipProblem
 from recon.gait.evaluation import centre, joint_errors
 from recon.io.deeplabcut import write_csv
 
@@ -310,10 +310,10 @@ def share_rows(view: View, name: str, folder: Path) -> list[dict[str, Any]]:
     are named wrongly."""
     motion, _ = fitted(view, CASES[name], folder)
     solution, given_share, rows = motion.solution, likelihood.TOGETHER, []
-    setting = Setting.of(solution.views, motion.body, prior_of(PRIOR), motion.fps, TrajectoryOptions())
-    setting = replace(setting, trust=min(spell.prior_weight for spell in solution.spells))
+    setting = ClipProblem.of(solution.views, motion.body, prior_of(PRIOR), motion.fps, TrajectoryOptions())
+    setting = replace(setting, prior_weight=min(segment.prior_weight for segment in solution.segments))
     given = baseline_of(setting, 0, solution.states, solution.size)
-    unlike = any(spell.unlike_prior for spell in solution.spells)
+    unlike = any(segment.unlike_prior for segment in solution.segments)
     for share in SHARES:
         likelihood.TOGETHER = share
         found = swaps(replace(given), unlike)  # without what was found with another share

@@ -76,7 +76,11 @@ def rows(run: Run) -> Iterator[dict]:
         truth_m = np.full((len(sources[0].keypoints.frames), *run.truth_m.shape[1:]), np.nan)
         truth_m[first.keypoints.frames - sources[0].keypoints.frames[0]] = run.truth_m
         error_mm = errors(replace(run, truth_m=truth_m), solution)["mpjpe_mm"]
-        return sources[1].offset_s * fps + solution.lag_frames[1], solution.lag_sigma_frames[1], error_mm
+        return (
+            sources[1].offset_s * fps + solution.time_offset_frames[1],
+            solution.time_offset_sigma_frames[1],
+            error_mm,
+        )
 
     for put in OFFSETS:
         offset, sigma, error_mm = found(taken_later(second, put))

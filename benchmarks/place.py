@@ -26,7 +26,7 @@ from recon.animal.prior import prior_from_body
 from recon.fit import constants, solve_trajectory
 from recon.fit.least_squares import Estimate, LeastSquares
 from recon.fit.terms import Reprojection
-from recon.fit.trajectory import Solved, refined, solve_spells
+from recon.fit.trajectory import Solved, refined, solve_segments
 
 ROUNDS = 3
 COMMON_M, OWN_M = np.arange(0.0, 0.031, 0.001), np.arange(0.01, 0.041, 0.001)
@@ -115,8 +115,8 @@ def told(run: Run, camera: int, body: Body, segments: Sequence[str]) -> np.ndarr
     setting, points_m = with_poses(run, [camera], body), np.full(run.truth_m.shape, np.nan)
     own = [any(part in name for part in segments) for name in body.tree.state_names]
     setting = replace(setting, known=np.where(own, states_of(run, setting.origin_m), np.nan))
-    for spell in solve_spells(setting):
-        points_m[spell.rows] = setting.in_world(body.tree.pose(spell.estimate.states).points_m)
+    for segment in solve_segments(setting):
+        points_m[segment.rows] = setting.in_world(body.tree.pose(segment.estimate.states).points_m)
     return points_m
 
 

@@ -32,8 +32,8 @@ from trajectory import body_of, prior_of
 from recon import Body
 from recon.clip import View
 from recon.fit import TrajectoryOptions, TrajectorySolution, solve_trajectory
+from recon.fit.clip_problem import ClipProblem
 from recon.fit.extrinsics import solve_extrinsics
-from recon.fit.setting import Setting
 from recon.geometry.frames import rigid
 
 TURN_DEG, SHIFT_M, DRAWS = 2.0, 0.05, 3
@@ -77,7 +77,7 @@ def rows(run: Run) -> Iterator[dict]:
     for draw in range(DRAWS):
         wrong = displaced(views, np.random.default_rng(draw))
         found = solved(wrong, True)
-        far, sigma = apart(found.views, refined.views), found.placing_sigma[1:]
+        far, sigma = apart(found.views, refined.views), found.extrinsic_correction_sigma[1:]
         yield {
             "run": run.folder.name[:28],
             "poses": f"displaced, {draw + 1}",
@@ -86,7 +86,7 @@ def rows(run: Run) -> Iterator[dict]:
             "MPJPE mm": errors(run, found)["mpjpe_mm"],
             "not refined": errors(run, solved(wrong, False))["mpjpe_mm"],
             "sigma": f"{np.degrees(sigma[:, :3].max()):.2f}°, {100 * sigma[:, 3:].max():.1f} cm",
-            "off / stated": off_in_sigmas(found.views, views, found.placing_sigma),
+            "off / stated": off_in_sigmas(found.views, views, found.extrinsic_correction_sigma),
         }
 
 
@@ -99,7 +99,7 @@ def together(clips: Sequence[Run], views: Sequence[Sequence[View]], bodies: Sequ
         settings = []
         for run, of, body in zip(clips, views, bodies, strict=True):
             placed = [replace(view, T_camera_world=at.T_camera_world) for view, at in zip(of, first, strict=True)]
-            settings.append(Setting.of(placed, body, prior_of(PRIOR), run.fps, TrajectoryOptions()))
+            settings.append(ClipProblem.of(placed, body, prior_of(PRIOR), run.fps, TrajectoryOptions()))
         rig = solve_extrinsics(settings, posed=True)
         return [replace(view, T_camera_world=T) for view, T in zip(first, rig.T_camera_world, strict=True)], rig.sigma
 

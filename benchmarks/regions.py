@@ -28,10 +28,10 @@ from scipy.special import gammaln
 from trajectory import body_of, prior_of
 
 from recon.fit import TrajectoryOptions
+from recon.fit.clip_problem import ClipProblem
 from recon.fit.posterior import factored
 from recon.fit.regions import DEGREES_OF_FREEDOM, radius, sigmas
-from recon.fit.setting import Setting
-from recon.fit.trajectory import Solved, solve_spells
+from recon.fit.trajectory import Solved, solve_segments
 
 NUMBERS = (2.5, 3, 3.5, 4, 4.5, 5, 5.5, 6, 6.5, 7, 7.5, 8, 9, 10, 12, 15, 20, 30, 50, 100, 1e6)
 """Degrees of freedom that are compared; the last are a Gaussian's."""
@@ -118,7 +118,7 @@ def heaviness(found: Sequence[Fit]) -> None:
 # -- what is stated, drawn ---------------------------------------------------------------------------------------------
 
 
-def drawn(setting: Setting, solved: Solved, rng: np.random.Generator) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+def drawn(setting: ClipProblem, solved: Solved, rng: np.random.Generator) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     """(DRAWS, n): how many standard deviations the joints are off that are drawn as stated, pose and place; and
     (DRAWS,) how many mm in the mean."""
     problem, states = solved.problem, solved.estimate.states
@@ -129,7 +129,7 @@ def drawn(setting: Setting, solved: Solved, rng: np.random.Generator) -> dict[st
     S = normal.corner - np.tensordot(normal.border, Y, ((0, 1), (0, 1)))
     shared = np.linalg.solve(np.linalg.cholesky(S).T, rng.normal(size=(len(S), DRAWS)))
     moved, _ = dtbtrs(own.band, rng.normal(size=(T * D, DRAWS)), uplo="L", trans="T")
-    moved = np.sqrt(setting.alike) * (moved.reshape(T, D, DRAWS) - Y @ shared)
+    moved = np.sqrt(setting.correlation_frames) * (moved.reshape(T, D, DRAWS) - Y @ shared)
     pose = setting.body.tree.pose_with_jacobian(states)
     assert pose.jacobian is not None
     place = np.einsum("tjid,tdn->ntji", pose.jacobian, moved)
@@ -150,13 +150,13 @@ def worst_views(runs: Sequence[Run], found: Sequence[Fit]) -> None:
     for run in runs:
         body = as_seen(body_of(run.subject), run, runs, posed=True)
         for view in run.views.values():
-            setting = Setting.of([view], body, prior_of(PRIOR), run.fps, TrajectoryOptions())
-            spell = max(solve_spells(setting), key=lambda one: one.rows.stop - one.rows.start)
-            part, truth_m = setting.part(spell.rows), run.truth_m[spell.rows] - setting.origin_m
-            for what, (off, off_mm) in drawn(part, spell, rng).items():
+            setting = ClipProblem.of([view], body, prior_of(PRIOR), run.fps, TrajectoryOptions())
+            segment = max(solve_segments(setting), key=lambda one: one.rows.stop - one.rows.start)
+            part, truth_m = setting.part(segment.rows), run.truth_m[segment.rows] - setting.origin_m
+            for what, (off, off_mm) in drawn(part, segment, rng).items():
                 shares[what].append(np.mean(off < radius(0.9, 3), axis=1))
                 mm[what].append(off_mm)
-            found_m, pull = body.tree.pose(spell.estimate.states).points_m, pull_of_the_mode(part, spell)
+            found_m, pull = body.tree.pose(segment.estimate.states).points_m, pull_of_the_mode(part, segment)
             both = [found_m, np.exp(-pull) * found_m]
             off_m.append([np.nanmean(np.linalg.norm(points_m - truth_m, axis=-1)) for points_m in both])
             middles = [np.linalg.norm(points_m.mean(axis=1), axis=-1) for points_m in (*both, truth_m)]

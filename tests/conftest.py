@@ -23,7 +23,7 @@ from motions import with_first
 from recon.animal.skeleton_file import load_chain, load_skeleton
 from recon.clip import Source, camera_poses, still_view, views_of
 from recon.clip.keypoints import Keypoints, clean
-from recon.fit import Ground, Spell, Start, TrajectorySolution
+from recon.fit import Ground, MotionSegment, Start, TrajectorySolution
 from recon.fit.motion import Motion
 from recon.geometry.camera import Camera
 from recon.geometry.frames import inverse, moved
@@ -250,19 +250,19 @@ def small_trajectory() -> Motion:
         alternative_m=np.array([0.05] * 5 + [0.3] + [0.05] * 2),
         alternative_cost=3.5,
         contact=contact,
-        spells=(Spell(slice(0, 8), Ground(float(joints[0, paw, 2]), np.array([0.0, 0.02]), 0.03)),),
+        segments=(MotionSegment(slice(0, 8), Ground(float(joints[0, paw, 2]), np.array([0.0, 0.02]), 0.03)),),
         prior="running-cheetah",
         status="converged",
         cost_by_term={"reprojection": 120.0, "pose prior": 30.0},
         iterations=25,
-        lag_frames=np.zeros(1),
-        lag_sigma_frames=np.zeros(1),
-        placing=np.zeros((1, 6)),
-        placing_sigma=np.zeros((1, 6)),
+        time_offset_frames=np.zeros(1),
+        time_offset_sigma_frames=np.zeros(1),
+        extrinsic_correction=np.zeros((1, 6)),
+        extrinsic_correction_sigma=np.zeros((1, 6)),
         focal=np.zeros(1),
         focal_sigma=np.zeros(1),
-        crab_rad=0.0,
-        crab_sigma_rad=0.0,
+        sideslip_rad=0.0,
+        sideslip_sigma_rad=0.0,
         starts=(Start(0.1, 150.0, True), Start(np.pi - 0.1, 155.0, False)),
         stage_s={"starts": 0.2, "all": 0.5},
     )
@@ -282,11 +282,12 @@ def world_trajectory(small_trajectory: Motion) -> Motion:
     states = level.states.copy()
     states[:, :3] = moved(T_world_level, states[:, :3])
     states[:, 3] += np.arctan2(R[1, 0], R[0, 0])
-    spells = tuple(
-        Spell(
-            spell.rows, spell.ground and replace(spell.ground, slope=R[:2, :2] @ spell.ground.slope).about(origin_m, 1)
+    segments = tuple(
+        MotionSegment(
+            segment.rows,
+            segment.ground and replace(segment.ground, slope=R[:2, :2] @ segment.ground.slope).about(origin_m, 1),
         )
-        for spell in level.spells
+        for segment in level.segments
     )
     solution = replace(
         level,
@@ -295,7 +296,7 @@ def world_trajectory(small_trajectory: Motion) -> Motion:
         joints_m=moved(T_world_level, level.joints_m),
         covariance_m2=R @ level.covariance_m2 @ R.T,
         relative_covariance_m2=R @ level.relative_covariance_m2 @ R.T,
-        spells=spells,
+        segments=segments,
     )
     return replace(with_first(small_trajectory, camera=camera), solution=solution)
 
@@ -321,9 +322,9 @@ def two_cameras(world_trajectory: Motion) -> Motion:
         views=(*motion.solution.views, still_view(camera, xy_px, seen.astype(float))),
         noise_px=np.concatenate([motion.solution.noise_px, np.full((1, *seen.shape), 20.0)]),
         weight=np.concatenate([motion.solution.weight, np.where(seen, 0.5, np.nan)[None]]),
-        lag_sigma_frames=np.full(2, 0.1),
-        placing=np.zeros((2, 6)),
-        placing_sigma=np.zeros((2, 6)),
+        time_offset_sigma_frames=np.full(2, 0.1),
+        extrinsic_correction=np.zeros((2, 6)),
+        extrinsic_correction_sigma=np.zeros((2, 6)),
         focal=np.zeros(2),
         focal_sigma=np.zeros(2),
         size_from=("prior", "views"),

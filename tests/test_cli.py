@@ -396,7 +396,7 @@ def test_options_of_a_trajectory(tmp_path):
     assert "Jules" in report["size"]["lengths"]
     assert (report["size"]["measured"], report["size"]["prior_sigma"]) == (True, 0.01)
     assert report["size"]["factor"] == pytest.approx(1, abs=0.1)
-    assert (report["prior"]["name"], report["spells"][0]["ground"]) == ("none", None)
+    assert (report["prior"]["name"], report["segments"][0]["ground"]) == ("none", None)
     assert any("fast" in sentence for sentence in report["assumptions"]["sentences"])
     again = tmp_path / "again"
     assert run("fit", "--config", tmp_path / "config.toml", "--set", "fast=false", "--out", again).code == 0

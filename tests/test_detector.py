@@ -12,7 +12,7 @@ from recon.animal.detector import detector_toml, seen_by
 from recon.animal.prior import prior_from_body
 from recon.clip import still_view
 from recon.fit import TrajectoryOptions
-from recon.fit.setting import Setting
+from recon.fit.clip_problem import ClipProblem
 from recon.workflows.clip import prepare
 from tests.test_cameras import folder, settings  # noqa: F401
 
@@ -66,7 +66,7 @@ def test_each_markers_noise_is_its_own():
 
     def noise_px(sigma_m: float | None) -> np.ndarray:
         options = TrajectoryOptions(sigma_px=0.0, keypoint_sigma_m=sigma_m)
-        setting = Setting.of([view], seen, prior_from_body(seen), 90.0, options)
+        setting = ClipProblem.of([view], seen, prior_from_body(seen), 90.0, options)
         return setting.noise_px(points_m, np.ones((1, 24)))[0, 0]
 
     own, alike = noise_px(None), noise_px(0.03)

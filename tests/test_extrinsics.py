@@ -10,8 +10,8 @@ import pytest
 from recon.base.progress import silent
 from recon.clip import View, still_view
 from recon.fit import TrajectoryOptions
+from recon.fit.clip_problem import ClipProblem
 from recon.fit.extrinsics import TooLittleInCommonError, _beside_first, _level, _placed, solve_extrinsics
-from recon.fit.setting import Setting
 from recon.geometry.frames import inverse, moved, rigid
 from recon.geometry.rotations import euler_rotation
 from recon.workflows.extrinsics import DISAGREEMENT
@@ -28,10 +28,10 @@ def across() -> np.ndarray:
     return (points - middle) @ rigid(euler_rotation([0, 0, 1.2]), np.zeros(3))[:3, :3].T + middle
 
 
-def setting(views: list[View], posed: bool = False) -> Setting:
+def setting(views: list[View], posed: bool = False) -> ClipProblem:
     lenses = [replace(view.camera, rotation=None, translation_m=None) for view in views]
     bare = [still_view(lens, view.xy_px, view.confidence) for lens, view in zip(lenses, views, strict=True)]
-    return Setting.of(views if posed else bare, BODY, PRIOR, FPS, TrajectoryOptions(fast=True), False)
+    return ClipProblem.of(views if posed else bare, BODY, PRIOR, FPS, TrajectoryOptions(fast=True), False)
 
 
 def blind(view: View) -> View:
@@ -85,7 +85,7 @@ def test_cameras_are_placed_beside_those_already_placed(monkeypatch):
     poses, points, unseen = [AHEAD, ASIDE, BEHIND], truth_m(), [np.s_[20:], np.r_[0:10, 30:40], np.s_[:20]]
     views = [view_of(points, p) for p in poses]
 
-    def alone(_: Setting, view: View) -> np.ndarray:
+    def alone(_: ClipProblem, view: View) -> np.ndarray:
         i = next(i for i, own in enumerate(views) if np.array_equal(own.xy_px, view.xy_px, equal_nan=True))
         joints = replace(view, T_camera_world=poses[i]).to_camera(points).copy()
         joints[unseen[i]] = np.nan

@@ -147,7 +147,7 @@ def test_every_spell_has_its_own_ground():
     level = pose_tracks(replace(whole, xyz_m=xyz), FPS)
     xyz = xyz.copy()
     xyz[second, :, 2] -= 0.3
-    moved = pose_tracks(replace(whole, xyz_m=xyz), FPS, spells=(first, second))
+    moved = pose_tracks(replace(whole, xyz_m=xyz), FPS, segments=(first, second))
     assert [rows for rows, _ in moved.grounds] == [first, second]
     (_, above), (_, below) = moved.grounds
     on_it = np.array([[*below.middle_m, 0.0]])

@@ -19,8 +19,8 @@ from recon.check.inputs.swaps import Stretch, exchanged, jumps, opposites, pairs
 from recon.clip import Source, View, still_view
 from recon.clip.keypoints import CleaningReport, Keypoints, clean
 from recon.fit import TrajectoryOptions
+from recon.fit.clip_problem import ClipProblem
 from recon.fit.motion import Motion
-from recon.fit.setting import Setting
 from recon.geometry.kinematics import ROOT
 from recon.io import read_keypoints
 from recon.io.deeplabcut import write_csv
@@ -40,7 +40,7 @@ def view() -> View:
 
 
 def given(changed: View, **options):
-    setting = Setting.of([changed], BODY, PRIOR, FPS, TrajectoryOptions(**options))
+    setting = ClipProblem.of([changed], BODY, PRIOR, FPS, TrajectoryOptions(**options))
     return baseline_of(setting, 0, plain().states, plain().size)
 
 
@@ -187,7 +187,7 @@ def test_without_a_prior_of_motions_neither_sides_nor_rates_are_judged():
     (found,) = input_findings(wrong, PRIOR, TrajectoryOptions(), FACTS)
     assert (found.code, found.frames, found.camera) == ("left_right_swap", (115, 125), CAMERA.name)
     assert input_findings(wrong, prior_from_body(BODY), TrajectoryOptions(), FACTS) == ()
-    setting = Setting.of([view()], BODY, prior_from_body(BODY), 2 * FPS, TrajectoryOptions())
+    setting = ClipProblem.of([view()], BODY, prior_from_body(BODY), 2 * FPS, TrajectoryOptions())
     assert other_rate(setting, given(view()).states, None) is None
 
 
@@ -289,7 +289,7 @@ def test_the_name_of_another_camera_is_taken_at_its_word():
 
 
 def test_the_frame_rate_that_the_file_states():
-    setting = Setting.of([view()], BODY, PRIOR, FPS, TrajectoryOptions())
+    setting = ClipProblem.of([view()], BODY, PRIOR, FPS, TrajectoryOptions())
     found = other_rate(setting, plain().states, 120.0)
     assert found == finding("frame_rate_stated", given_hz=FPS, other_hz=120.0)
     assert other_rate(setting, plain().states, 90.5) is None
@@ -297,7 +297,7 @@ def test_the_frame_rate_that_the_file_states():
 
 @pytest.mark.parametrize("factor", [0.5, 2.0])
 def test_a_motion_at_another_rate_than_it_was_filmed_at(factor):
-    setting = Setting.of([view()], BODY, PRIOR, FPS * factor, TrajectoryOptions())
+    setting = ClipProblem.of([view()], BODY, PRIOR, FPS * factor, TrajectoryOptions())
     found = other_rate(setting, given(view()).states, None)
     assert found is not None
     assert found.code == "frame_rate"

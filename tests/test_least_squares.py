@@ -13,21 +13,21 @@ from recon.fit.banded import BlockBanded
 from recon.fit.least_squares import Estimate, LeastSquares, Shared
 from recon.fit.posterior import posterior
 from recon.fit.terms import (
-    CRAB,
-    DISPLACED,
+    COMMON_KEYPOINT_BIAS,
+    SIDESLIP,
     SIZE,
     Heading,
     Linear,
     Reprojection,
     Standing,
-    beside,
     climb_term,
     dynamics_term,
+    extrinsic_correction,
     focal,
-    lag,
-    placing,
+    keypoint_bias,
     pose_term,
     root_term,
+    time_offset,
 )
 from recon.geometry.kinematics import Marker, Segment, Tree
 from tests.test_banded import to_dense
@@ -85,12 +85,12 @@ def seen_late(shared: bool = True) -> LeastSquares:
         Reprojection(of, sigma, 3.0, np.zeros(3), i, 0.1 * rng.normal(size=(T, J, 3)), rng.uniform(100, 200, T))
         for i, of in enumerate((view(xy_px), replace(view(xy_px), lead_frames=0.3)))
     ]
-    unknown = [Shared(SIZE, np.ones(1), np.array([0.1])), Shared(CRAB, np.zeros(1), np.array([0.2]))]
-    unknown += [Shared(lag(i), np.zeros(1), np.array([0.3])) for i in range(2)]
+    unknown = [Shared(SIZE, np.ones(1), np.array([0.1])), Shared(SIDESLIP, np.zeros(1), np.array([0.2]))]
+    unknown += [Shared(time_offset(i), np.zeros(1), np.array([0.3])) for i in range(2)]
     unknown += [Shared(focal(i), np.zeros(1), np.array([0.1])) for i in range(2)]
-    unknown += [Shared(placing(1), np.zeros(6), np.repeat([0.1, 0.5], 3))]
-    displaced = [Shared(beside(i), np.zeros(2 * J), np.full(2 * J, 0.03)) for i in range(2)]
-    common = [] if shared else [Shared(DISPLACED, np.zeros(3 * J), np.full(3 * J, 0.02))]
+    unknown += [Shared(extrinsic_correction(1), np.zeros(6), np.repeat([0.1, 0.5], 3))]
+    displaced = [Shared(keypoint_bias(i), np.zeros(2 * J), np.full(2 * J, 0.03)) for i in range(2)]
+    common = [] if shared else [Shared(COMMON_KEYPOINT_BIAS, np.zeros(3 * J), np.full(3 * J, 0.02))]
     linear = [t for t in terms() if isinstance(t, Linear)]
     held = Linear("held", (0,), 0.01 * np.eye(BODY.n_state)[None], np.zeros(BODY.n_state))  # the last frame by one view
     free = [*unknown, *displaced] if shared else unknown
@@ -130,12 +130,12 @@ def test_keypoints_that_all_cameras_see_displaced():
     """How residuals follow, at zero, from bodies with keypoints beside their markers, between two frames too."""
     problem, states, h = seen_late(shared=False), some_states(), 1e-6
     J = len(BODY.markers)
-    shared = problem.expected() | {DISPLACED: np.zeros(3 * J)}
+    shared = problem.expected() | {COMMON_KEYPOINT_BIAS: np.zeros(3 * J)}
     (span,) = problem.spans(states, shared, jacobian=True)
     for term in problem.terms[:2]:
         rows = term.evaluate(span, jacobian=True)
         assert rows.jacobian is not None
-        of_marker = rows.by_shared[DISPLACED].reshape(*rows.by_shared[DISPLACED].shape[:2], J, 3)
+        of_marker = rows.by_shared[COMMON_KEYPOINT_BIAS].reshape(*rows.by_shared[COMMON_KEYPOINT_BIAS].shape[:2], J, 3)
         for marker in ("l_hip", "nose"):
             moved = []
             for step in (h, -h):

@@ -189,15 +189,15 @@ def test_mean_weight(small_trajectory):
 
 
 def test_ground_below_the_animal(small_trajectory, world_trajectory):
-    (spell,) = small_trajectory.solution.spells
-    below, ground = small_trajectory.below_m(spell), spell.ground
+    (segment,) = small_trajectory.solution.segments
+    below, ground = small_trajectory.below_m(segment), segment.ground
     assert below is not None
     assert below[:2] == pytest.approx([-1.5 + 0.15 * 7, 9.0])
     assert below[2] == pytest.approx(ground.height_m + 0.02 * 9.0)
     # The camera stands 3 m high.
-    (spell,) = world_trajectory.solution.spells
-    assert world_trajectory.below_m(spell)[2] == pytest.approx(3 + below[2])
-    assert world_trajectory.below_m(replace(spell, ground=None)) is None
+    (segment,) = world_trajectory.solution.segments
+    assert world_trajectory.below_m(segment)[2] == pytest.approx(3 + below[2])
+    assert world_trajectory.below_m(replace(segment, ground=None)) is None
 
 
 def test_refuses_keypoints_of_another_skeleton(small_motion, small_trajectory):

@@ -39,9 +39,9 @@ def test_lags_are_found_with_their_uncertainty():
     """By a solver that is told that they may be large, beside the first camera's."""
     views = [replace(view, lead_frames=lead) for view, lead in zip(cameras(2), (0.0, 0.75), strict=True)]
     found = solve_trajectory(views, BODY, PRIOR, FPS, TrajectoryOptions(fast=True, find_offsets=True))
-    assert (found.lag_frames[0], found.lag_sigma_frames[0]) == (0, 0)
-    assert found.lag_frames[1] == pytest.approx(-0.75, abs=0.1)
-    assert abs(found.lag_frames[1] + 0.75) < 3 * found.lag_sigma_frames[1] < 1
+    assert (found.time_offset_frames[0], found.time_offset_sigma_frames[0]) == (0, 0)
+    assert found.time_offset_frames[1] == pytest.approx(-0.75, abs=0.1)
+    assert abs(found.time_offset_frames[1] + 0.75) < 3 * found.time_offset_sigma_frames[1] < 1
 
 
 def sources() -> list[Source]:
@@ -57,17 +57,17 @@ def test_found_lags_put_the_sources_in_step_until_they_are_small():
     def solve(of: tuple[Source, ...]) -> TrajectorySolution:
         asked.append([one.offset_s * FPS for one in of])
         lag = np.array([0.0, 2.4 - asked[-1][1]])
-        return SimpleNamespace(lag_frames=0.98 * lag, lag_sigma_frames=np.array([0.0, 0.1]))  # type: ignore[return-value]
+        return SimpleNamespace(time_offset_frames=0.98 * lag, time_offset_sigma_frames=np.array([0.0, 0.1]))  # type: ignore[return-value]
 
     found, solution = solved_in_step(sources(), [0.0, 0.0], solve, 2.0, KEYPOINT_M)
-    assert found[1].offset_s * FPS + solution.lag_frames[1] == pytest.approx(2.4, abs=0.01)
+    assert found[1].offset_s * FPS + solution.time_offset_frames[1] == pytest.approx(2.4, abs=0.01)
     assert found[1].lead_frames == pytest.approx(0.35, abs=0.02)
     assert len(asked) == 2
 
 
 def test_a_motion_that_does_not_tell_is_refused():
     def solve(of: tuple[Source, ...]) -> TrajectorySolution:
-        return SimpleNamespace(lag_frames=np.array([0.0, 0.04]), lag_sigma_frames=np.array([0.0, 1.9]))  # type: ignore[return-value]
+        return SimpleNamespace(time_offset_frames=np.array([0.0, 0.04]), time_offset_sigma_frames=np.array([0.0, 1.9]))  # type: ignore[return-value]
 
     with pytest.raises(InputError) as error:
         solved_in_step(sources(), [0.0, 0.0], solve, 2.0, KEYPOINT_M)

@@ -174,7 +174,7 @@ def test_a_page_goes_with_its_results(small_trajectory, tmp_path):
 def test_a_page_without_any_pose(small_trajectory, tmp_path):
     names = ("states", "joints_m", "covariance_m2", "relative_covariance_m2", "alternative_m", "contact", "noise_px")
     nothing = {name: np.full_like(getattr(small_trajectory.solution, name), np.nan) for name in names}
-    solution = replace(small_trajectory.solution, **nothing, spells=(), flags=(("no data",),) * 8)
+    solution = replace(small_trajectory.solution, **nothing, segments=(), flags=(("no data",),) * 8)
     motion = replace(small_trajectory, solution=solution)
     write_clip(
         replace(motion, findings=findings_of(motion)),

@@ -14,7 +14,7 @@ from motions import with_first
 from rich.console import Console
 
 from recon.check import findings_of
-from recon.fit import Spell
+from recon.fit import MotionSegment
 from recon.show import report as reports
 from recon.show.report import (
     SCHEMA_VERSION,
@@ -346,51 +346,54 @@ def test_size_says_what_it_comes_from(trajectory, small_trajectory):
 
 
 def test_ground_and_stances(trajectory, small_trajectory, world_trajectory):
-    (spell,) = small_trajectory.solution.spells
-    ground, below = trajectory["spells"][0]["ground"], small_trajectory.below_m(spell)[2]
+    (segment,) = small_trajectory.solution.segments
+    ground, below = trajectory["segments"][0]["ground"], small_trajectory.below_m(segment)[2]
     assert (ground["frame"], ground["sigma_m"], ground["slope"]) == ("level", 0.03, [0, 0.02])
     feet = {"LF": "l_front_paw", "RF": "r_front_paw", "LH": "l_back_paw", "RH": "r_back_paw"}
     assert trajectory["skeleton"]["feet"] == feet
     assert ground["height_m"] == pytest.approx(below) == -ground["camera_height_m"]
     assert trajectory["stances"] == {"l_front_paw": [[11, 13]], "r_front_paw": [], "l_back_paw": [], "r_back_paw": []}
-    ground = build_report(world_trajectory, {})["spells"][0]["ground"]
+    ground = build_report(world_trajectory, {})["segments"][0]["ground"]
     assert (ground["frame"], ground["height_m"]) == ("world", pytest.approx(3 + below))
     assert ground["slope"] == pytest.approx([0.02, 0])  # away from this camera is along x
-    unknown = with_solution(small_trajectory, spells=(replace(spell, ground=None),))
+    unknown = with_solution(small_trajectory, segments=(replace(segment, ground=None),))
     for settings, text in (({}, "not found"), ({"ground": "none"}, "not looked for")):
         report = build_report(unknown, settings)
-        assert report["spells"][0]["ground"] is None
+        assert report["segments"][0]["ground"] is None
         assert dict(summary_lines(report))["ground"] == text
 
 
 def test_every_spell_keeps_its_ground(small_trajectory):
     """The second one's ground, 0.4 m lower, stands in the report; between them is nothing."""
     solution = small_trajectory.solution
-    ground = solution.spells[0].ground
+    ground = solution.segments[0].ground
     states = solution.states.copy()
     states[3:5] = np.nan
-    first, second = Spell(slice(0, 3), ground), Spell(slice(5, 8), replace(ground, height_m=ground.height_m - 0.4))
-    report = build_report(with_solution(small_trajectory, states=states, spells=(first, second)), {})
-    assert [spell["frames"] for spell in report["spells"]] == [[10, 13], [15, 18]]
-    one, other = (spell["ground"] for spell in report["spells"])
+    first, second = (
+        MotionSegment(slice(0, 3), ground),
+        MotionSegment(slice(5, 8), replace(ground, height_m=ground.height_m - 0.4)),
+    )
+    report = build_report(with_solution(small_trajectory, states=states, segments=(first, second)), {})
+    assert [segment["frames"] for segment in report["segments"]] == [[10, 13], [15, 18]]
+    one, other = (segment["ground"] for segment in report["segments"])
     assert one["middle_m"] == pytest.approx([-1.2, 9.0])
     assert other["middle_m"] == pytest.approx([0.3, 9.0])
     assert other["height_m"] == pytest.approx(one["height_m"] - 0.4)
-    higher = Spell(slice(0, 3), replace(ground, height_m=ground.height_m + 2.0))
-    above = build_report(with_solution(small_trajectory, states=states, spells=(higher, second)), {})
-    said = f"{-above['spells'][0]['ground']['camera_height_m']:.2f} ± 0.03 m above the camera"
+    higher = MotionSegment(slice(0, 3), replace(ground, height_m=ground.height_m + 2.0))
+    above = build_report(with_solution(small_trajectory, states=states, segments=(higher, second)), {})
+    said = f"{-above['segments'][0]['ground']['camera_height_m']:.2f} ± 0.03 m above the camera"
     assert dict(summary_lines(above))["ground"].startswith(said)
     (found,) = (one for one in above["findings"] if one["code"] == "ground_above_camera")
     assert found["frames"] == [10, 13]
     assert found["text"].startswith(f"The ground comes out {said}")
-    heights = [f"{spell['camera_height_m']:.2f} ± 0.03 m below the camera" for spell in (one, other)]
+    heights = [f"{segment['camera_height_m']:.2f} ± 0.03 m below the camera" for segment in (one, other)]
     text = dict(summary_lines(report))["ground"]
     assert text.startswith(f"{heights[0]} (frames 10 to 12), {heights[1]} (frames 15 to 17); stances")
-    assert any("2 spells" in sentence for sentence in report["assumptions"]["sentences"])
-    spells = (replace(first, ground=None), second)
-    report = build_report(with_solution(small_trajectory, states=states, spells=spells), {})
-    assert report["spells"][0]["ground"] is None
-    assert report["spells"][1]["ground"] == other
+    assert any("2 segments" in sentence for sentence in report["assumptions"]["sentences"])
+    segments = (replace(first, ground=None), second)
+    report = build_report(with_solution(small_trajectory, states=states, segments=segments), {})
+    assert report["segments"][0]["ground"] is None
+    assert report["segments"][1]["ground"] == other
 
 
 def test_prior_and_uncertainty(trajectory):
@@ -403,17 +406,17 @@ def test_prior_and_uncertainty(trajectory):
 
 
 def test_a_motion_that_the_prior_does_not_know_is_named_first(trajectory, small_trajectory):
-    """Of the spell that it fits least; nothing is said where it fits."""
-    assert (trajectory["prior"]["surprise"], trajectory["prior"]["weight"]) == (None, 1)
+    """Of the segment that it fits least; nothing is said where it fits."""
+    assert (trajectory["prior"]["prior_misfit"], trajectory["prior"]["weight"]) == (None, 1)
     assert "motion_unlike_prior" not in codes(trajectory)
-    (spell,) = small_trajectory.solution.spells
-    spells = (
-        replace(spell, rows=slice(0, 4), surprise=0.8),
-        replace(spell, rows=slice(4, 8), surprise=2.5, prior_weight=0.16, unlike_prior=True),
+    (segment,) = small_trajectory.solution.segments
+    segments = (
+        replace(segment, rows=slice(0, 4), prior_misfit=0.8),
+        replace(segment, rows=slice(4, 8), prior_misfit=2.5, prior_weight=0.16, unlike_prior=True),
     )
-    report = build_report(with_solution(small_trajectory, spells=spells), {})
+    report = build_report(with_solution(small_trajectory, segments=segments), {})
     prior = report["prior"]
-    assert (prior["surprise"], prior["weight"]) == (2.5, 0.16)
+    assert (prior["prior_misfit"], prior["weight"]) == (2.5, 0.16)
     assert codes(report)[0] == "motion_unlike_prior"
     found = {"prior": "running-cheetah", "misfit": 2.5, "limit": 2, "weight": 0.16}
     assert numbers(report, "motion_unlike_prior") == found
@@ -536,7 +539,7 @@ def test_no_pose_at_all(small_trajectory):
         "data_share": np.full(24, np.nan),
     }
     motion = with_solution(
-        small_trajectory, **arrays, spells=(), flags=(("no data",),) * 8, starts=(), status="not_converged"
+        small_trajectory, **arrays, segments=(), flags=(("no data",),) * 8, starts=(), status="not_converged"
     )
     report = build_report(motion, {})
     json.dumps(report, allow_nan=False)

@@ -110,23 +110,23 @@ def test_feet_do_not_depend_on_what_the_clip_shows(whole_results):
 
 
 def test_spells_and_their_grounds(whole_results, frame_results):
-    """The ground is a plane in the upright frame; where there were two spells, each has its own."""
+    """The ground is a plane in the upright frame; where there were two segments, each has its own."""
     found = read_results(whole_results)
-    ((written,), (spell,)) = found.report["spells"], found.spells
-    assert spell.rows == slice(0, 60)
-    assert spell.ground is not None
+    ((written,), (segment,)) = found.report["segments"], found.segments
+    assert segment.rows == slice(0, 60)
+    assert segment.ground is not None
     at = np.array(written["ground"]["middle_m"])
-    assert spell.ground.height_m + spell.ground.slope @ at == pytest.approx(written["ground"]["height_m"])
+    assert segment.ground.height_m + segment.ground.slope @ at == pytest.approx(written["ground"]["height_m"])
     feet = found.pose.xyz_m[:, [found.pose.names.index(foot) for foot in found.feet.values()], 2]
     assert np.percentile(feet, 10) == pytest.approx(written["ground"]["height_m"], abs=0.1)
     lower = {**written["ground"], "height_m": written["ground"]["height_m"] - 0.5}
     two = [{"frames": [0, 20], "ground": None}, {"frames": [40, 60], "ground": lower}]
-    first, second = replace(found, report=found.report | {"spells": two}).spells
+    first, second = replace(found, report=found.report | {"segments": two}).segments
     assert (first.rows, first.ground, second.rows) == (slice(0, 20), None, slice(40, 60))
     assert second.ground is not None
-    assert second.ground.height_m == pytest.approx(spell.ground.height_m - 0.5)
+    assert second.ground.height_m == pytest.approx(segment.ground.height_m - 0.5)
     frame = read_results(frame_results)
-    assert [(one.rows, one.ground) for one in frame.spells] == [(slice(0, len(frame.pose.frames)), None)]
+    assert [(one.rows, one.ground) for one in frame.segments] == [(slice(0, len(frame.pose.frames)), None)]
 
 
 def test_sides_of_limbs(whole_results, frame_results):
@@ -276,7 +276,7 @@ def test_results_that_are_replaced_while_they_are_read(whole_results, tmp_path, 
         ("image_error_px.others", [[]], "image_error_px.values: found something else"),
         ("cameras", [{"camera": {}}] * 2, "cameras[1].camera: found 'name'"),
         ("cameras.0.camera.name", "other", "outliers: found something else"),
-        ("spells", [{"frames": [0]}], "spells[0].frames: found [0]"),
+        ("segments", [{"frames": [0]}], "segments[0].frames: found [0]"),
     ],
 )
 def test_altered_fields_of_a_report(tmp_path, whole_results, field, value, said):

@@ -10,8 +10,8 @@ import pytest
 
 from recon import Body, InputError, load_skeleton
 from recon.fit import TrajectoryOptions, constants
+from recon.fit.clip_problem import ClipProblem
 from recon.fit.points import solve_points
-from recon.fit.setting import Setting
 from recon.fit.shape import Shape, ShapeFit, fit_shape
 from recon.io.deeplabcut import write_csv
 from recon.io.pose3d import Pose3D
@@ -59,7 +59,7 @@ def fitted(shape: Shape, true: np.ndarray, posed: bool = False) -> ShapeFit:
     points = _run_of(shape.applied(body(), true))
     views = [view_of(points, AHEAD, 1.0), view_of(points, ASIDE, 1.0, seed=1)]
     options = TrajectoryOptions(fast=True, keypoint_sigma_m=0.005, sigma_px=1.0)
-    setting = Setting.of(views, shape.body, PRIOR, FPS, options)
+    setting = ClipProblem.of(views, shape.body, PRIOR, FPS, options)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(constants, "ERROR_TIME_S", 0.0)
         return fit_shape(shape, [replace(setting, known=solve_points(BODY, truth_m())[0] if posed else None)])

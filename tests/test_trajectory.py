@@ -189,12 +189,12 @@ def test_long_holes_split_the_clip():
     xy_px[:30], xy_px[-30:] = seen(truth), seen(lower, seed=1)
     solution = solve(xy_px)
     paws = [BODY.markers.index(foot) for foot in BODY.feet]
-    for spell in solution.spells:
-        assert np.isfinite(solution.states[spell.rows]).all()
-        assert spell.ground is not None
-        down = solution.joints_camera_m[spell.rows][:, paws, 1]
-        assert -spell.ground.height_m == pytest.approx(np.percentile(down, 90), abs=0.15)
-    first, second = (spell.ground.height_m for spell in solution.spells if spell.ground is not None)
+    for segment in solution.segments:
+        assert np.isfinite(solution.states[segment.rows]).all()
+        assert segment.ground is not None
+        down = solution.joints_camera_m[segment.rows][:, paws, 1]
+        assert -segment.ground.height_m == pytest.approx(np.percentile(down, 90), abs=0.15)
+    first, second = (segment.ground.height_m for segment in solution.segments if segment.ground is not None)
     assert first - second == pytest.approx(0.6, abs=0.1)
     assert np.isnan(solution.states[100:200]).all()
     assert all("no data" in flags for flags in solution.flags[60:230])
@@ -269,10 +269,10 @@ def test_the_size_follows_from_the_ground():
     names = chain.keypoint_names(clip.side)
     xy_px = clip.keypoints.xy_px[:, [clip.keypoints.names.index(n) for n in names]]
     known = solve(xy_px, body=body, prior=prior_from_body(body), camera=clip.camera)
-    assert [spell.ground is not None for spell in known.spells] == [True]
+    assert [segment.ground is not None for segment in known.segments] == [True]
     assert known.size_sigma < 0.1
     unknown = solve(xy_px, body=body, prior=prior_from_body(body), camera=clip.camera, ground="none")
-    assert [spell.ground for spell in unknown.spells] == [None]
+    assert [segment.ground for segment in unknown.segments] == [None]
     assert unknown.size_sigma == pytest.approx(0.1)
 
 

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from recon.base.errors import InputError
 from recon.clip import Source, views_of
-from recon.fit import Solution, Spell
+from recon.fit import MotionSegment, Solution
 from recon.fit.motion import Motion
 from recon.show.view import open_viewer, write
 from recon.show.view.world import BRIGHT_BLUE, FAINT_BLUE, UNSEEN, share_colours
@@ -251,7 +251,7 @@ def test_without_extrinsics_the_camera_is_the_origin(small_motion: Motion, tmp_p
 def without_poses(solution: Solution, **changes: Any) -> Solution:
     fields = ("states", "joints_m", "covariance_m2", "relative_covariance_m2", "noise_px", "weight", "contact")
     nothing = {name: np.full_like(getattr(solution, name), np.nan) for name in fields}
-    return replace(solution, **nothing, spells=(), **changes)
+    return replace(solution, **nothing, segments=(), **changes)
 
 
 def without_points(source: Source) -> Source:
@@ -359,7 +359,7 @@ def test_feet_that_stand_are_marked(played: Recording, world_trajectory: Motion)
 
 def test_ground_that_was_found_is_drawn(played: Recording, world_trajectory: Motion) -> None:
     points = np.reshape(played.static["/world/ground"]["LineStrips3D:strips"], (-1, 3))
-    ground = world_trajectory.solution.spells[0].ground
+    ground = world_trajectory.solution.segments[0].ground
     assert ground is not None
     # It rises along x, the way that the camera at (1, 2, 3) looks.
     np.testing.assert_allclose(points[:, 2], ground.height_m + 0.02 * points[:, 0], atol=1e-5)
@@ -367,12 +367,12 @@ def test_ground_that_was_found_is_drawn(played: Recording, world_trajectory: Mot
 
 
 def test_every_spell_has_its_ground(world_trajectory: Motion, tmp_path: Path) -> None:
-    """Two spells, the second one's ground 0.4 m lower: each is drawn under its path, from its first frame on."""
+    """Two segments, the second one's ground 0.4 m lower: each is drawn under its path, from its first frame on."""
     solution = world_trajectory.solution
-    ground = solution.spells[0].ground
+    ground = solution.segments[0].ground
     assert ground is not None
     lower = replace(ground, height_m=ground.height_m - 0.4)
-    solution = replace(solution, spells=(Spell(slice(0, 3), ground), Spell(slice(5, 8), lower)))
+    solution = replace(solution, segments=(MotionSegment(slice(0, 3), ground), MotionSegment(slice(5, 8), lower)))
     write(replace(world_trajectory, solution=solution), tmp_path / "motion.rrd")
     recording = Recording(tmp_path / "motion.rrd")
     assert "LineStrips3D:strips" not in recording.static["/world/ground"]

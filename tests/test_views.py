@@ -10,7 +10,7 @@ import pytest
 
 from recon.clip import View, camera_poses, still_view
 from recon.fit import TrajectoryOptions, TrajectorySolution, constants, solve_trajectory
-from recon.fit.setting import Setting
+from recon.fit.clip_problem import ClipProblem
 from recon.geometry.frames import inverse, level_from_camera, moved, rigid
 from recon.io.pose3d import read_pose3d
 from tests.conftest import SAMPLES
@@ -98,7 +98,7 @@ def test_keypoints_noise_is_as_many_pixels_as_the_lens_makes_of_it():
     found = []
     for heading in (np.pi / 2, np.pi / 2 + 0.5):
         view = replace(view_of(points, pose([0.0, 0.0, 0.0], heading)), camera=lens)
-        found.append(Setting.of([view], BODY, PRIOR, FPS, TrajectoryOptions()).px_per_m(points)[0])
+        found.append(ClipProblem.of([view], BODY, PRIOR, FPS, TrajectoryOptions()).px_per_m(points)[0])
         middle = np.median(points, axis=1, keepdims=True)
         steps = 1e-6 * np.concatenate([np.eye(3), -np.eye(3)])
         moved, at = view.project(middle + steps)[0], view.project(middle)[0]
@@ -161,9 +161,9 @@ def test_an_animal_that_goes_beside_where_it_looks(monkeypatch):
     with monkeypatch.context() as patch:
         patch.setattr(constants, "SIDESLIP_RAD", 1e-4)
         held = solve_trajectory(views, BODY, PRIOR, FPS, TrajectoryOptions(fast=True))
-    assert found.crab_rad == pytest.approx(turn, abs=3 * found.crab_sigma_rad)
-    assert found.crab_sigma_rad < 0.05
-    assert abs(two().crab_rad) < 3 * two().crab_sigma_rad
+    assert found.sideslip_rad == pytest.approx(turn, abs=3 * found.sideslip_sigma_rad)
+    assert found.sideslip_sigma_rad < 0.05
+    assert abs(two().sideslip_rad) < 3 * two().sideslip_sigma_rad
     errors = [np.linalg.norm(solution.joints_m - beside, axis=-1).mean() for solution in (found, held)]
     assert errors[0] < 0.9 * errors[1]
 
@@ -201,7 +201,7 @@ def test_a_camera_late_by_less_than_a_frame_is_found(monkeypatch):
 
     of_three = (late, view_of(points, ASIDE, seed=1), third)
     found, held = (known_to(frames, *of_three) for frames in (constants.TIME_OFFSET_FRAMES, 1e-3))
-    assert found.lag_frames[0] - found.lag_frames[1:].mean() == pytest.approx(0.4, abs=0.1)
+    assert found.time_offset_frames[0] - found.time_offset_frames[1:].mean() == pytest.approx(0.4, abs=0.1)
     error = [np.linalg.norm(solution.joints_m - points, axis=-1).mean() for solution in (found, held)]
     assert error[0] < error[1]
     step_m = 9.0 / FPS
@@ -264,21 +264,21 @@ def test_a_camera_driven_along_shows_the_size_by_feet_that_stand():
 
 def test_a_camera_beside_its_pose():
     """A view and a camera lie beside their poses alike."""
-    placing, points = np.array([0.02, -0.03, 0.05, 0.1, -0.2, 0.05]), truth_m()
+    extrinsic_correction, points = np.array([0.02, -0.03, 0.05, 0.1, -0.2, 0.05]), truth_m()
     camera = replace(CAMERA, rotation=ASIDE[:3, :3], translation_m=ASIDE[:3, 3])
-    turned, view = camera.corrected(placing), view_of(points, ASIDE).corrected(placing)
+    turned, view = camera.corrected(extrinsic_correction), view_of(points, ASIDE).corrected(extrinsic_correction)
     np.testing.assert_allclose(view.project(points)[0], turned.project(turned.world_to_camera(points))[0], atol=1e-9)
 
 
 def test_cameras_beside_their_poses_come_back():
     """The second of two is turned by a degree and a half, moved by 4 cm; the pose is as good as with true ones."""
-    placing = np.array([0.015, 0.02, -0.01, 0.03, 0.02, -0.02])
+    extrinsic_correction = np.array([0.015, 0.02, -0.01, 0.03, 0.02, -0.02])
     views = [view_of(truth_m(), AHEAD), view_of(truth_m(), ASIDE, seed=1)]
-    wrong = [views[0], views[1].corrected(-placing)]
+    wrong = [views[0], views[1].corrected(-extrinsic_correction)]
     options = TrajectoryOptions(fast=True, refine_cameras=True)
     found = solve_trajectory(wrong, BODY, PRIOR, FPS, options)
-    assert not found.placing[0].any()
-    assert found.placing_sigma[1].all()
+    assert not found.extrinsic_correction[0].any()
+    assert found.extrinsic_correction_sigma[1].all()
     turned = found.views[1].T_camera_world[:3, :3] @ views[1].T_camera_world[:3, :3].T
     assert np.degrees(np.arccos((np.trace(turned) - 1) / 2)) < 0.7
     off = found.joints_m - truth_m()

@@ -17,9 +17,9 @@ from recon.animal import Body, MotionPrior
 from recon.base.arrays import Array
 from recon.clip import View, still_view
 from recon.fit import constants
+from recon.fit.clip_problem import ClipProblem, TrajectoryOptions
 from recon.fit.least_squares import Estimate
 from recon.fit.posterior import posterior
-from recon.fit.setting import Setting, TrajectoryOptions
 from recon.geometry.camera import Camera
 from recon.geometry.kinematics import ROOT
 
@@ -128,12 +128,12 @@ def known(
     views = [_seen(body, states, camera) for camera in cameras]
     if not any(view.present.any() for view in views):
         return np.inf, 0.0
-    setting = Setting.of(views, body, prior, FPS, options)
+    clip = ClipProblem.of(views, body, prior, FPS, options)
     at_origin = states.copy()
-    at_origin[:, ROOT] -= setting.origin_m
-    around_m = setting.markers(at_origin)
-    noise_px = setting.noise_px(around_m, np.ones((len(views), len(body.markers))))
-    problem = setting.problem(noise_px, temperature=1.0, around_m=around_m)
+    at_origin[:, ROOT] -= clip.origin_m
+    around_m = clip.markers(at_origin)
+    noise_px = clip.noise_px(around_m, np.ones((len(views), len(body.markers))))
+    problem = clip.problem(noise_px, temperature=1.0, around_m=around_m)
     found = Estimate(at_origin, 0.0, 0, True, problem.expected())
     result = posterior(problem, body, found, max(constants.ERROR_TIME_S * FPS, 1.0))
     if angle is not None:

@@ -18,8 +18,8 @@ from recon.check.inputs import FASTEST_M_S
 from recon.fit import TrajectorySolution, constants
 from recon.fit.finding import Finding
 from recon.fit.motion import Motion
+from recon.fit.prior_misfit import LEVEL
 from recon.fit.results import MEASURED_SHARE
-from recon.fit.surprise import LEVEL
 from recon.fit.trajectory import ALTERNATIVE_M
 
 Rule = Callable[[Motion], Iterator[Finding]]
@@ -125,24 +125,24 @@ def cameras_out_of_step(motion: Motion) -> Iterator[Finding]:
 
 
 def motion_unlike_prior(motion: Motion) -> Iterator[Finding]:
-    """Of the spell that the prior fits least; nothing where another frame rate explains it."""
+    """Of the segment that the prior fits least; nothing where another frame rate explains it."""
     solution = _solution(motion)
-    if any(spell.unlike_prior for spell in solution.spells) and not any(
+    if any(segment.unlike_prior for segment in solution.segments) and not any(
         one.code in ("frame_rate", "frame_rate_stated") for one in motion.findings
     ):
-        misfit = max(spell.surprise for spell in solution.spells if spell.surprise is not None)
-        weight = min(spell.prior_weight for spell in solution.spells)
+        misfit = max(segment.prior_misfit for segment in solution.segments if segment.prior_misfit is not None)
+        weight = min(segment.prior_weight for segment in solution.segments)
         yield finding("motion_unlike_prior", prior=solution.prior, misfit=misfit, limit=LEVEL, weight=weight)
 
 
 def ground_above_camera(motion: Motion) -> Iterator[Finding]:
-    for spell in motion.solution.spells:
-        ground, below = spell.ground, motion.below_m(spell)
+    for segment in motion.solution.segments:
+        ground, below = segment.ground, motion.below_m(segment)
         if ground is None or below is None:
             continue
         height = float(below[2] - motion.solution.views[0].centre_m[:, 2].mean())
         if height > 0:
-            frames = (int(motion.frames[spell.rows.start]), int(motion.frames[spell.rows.stop - 1]) + 1)
+            frames = (int(motion.frames[segment.rows.start]), int(motion.frames[segment.rows.stop - 1]) + 1)
             camera = motion.pictures[0].name
             yield finding("ground_above_camera", frames, camera, height_m=height, sigma_m=ground.sigma_m)
 

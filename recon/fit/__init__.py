@@ -4,15 +4,15 @@ The only place that solves for an animal's motion, besides the wings' own method
 """
 
 from recon.fit import constants
+from recon.fit.clip_problem import TrajectoryOptions
 from recon.fit.points import solve_points
-from recon.fit.result import Ground, Solution, Spell, Start, TrajectorySolution
-from recon.fit.setting import TrajectoryOptions
+from recon.fit.result import Ground, MotionSegment, Solution, Start, TrajectorySolution
 from recon.fit.trajectory import solve_trajectory
 
 __all__ = [
     "Ground",
+    "MotionSegment",
     "Solution",
-    "Spell",
     "Start",
     "TrajectoryOptions",
     "TrajectorySolution",

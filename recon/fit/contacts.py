@@ -6,29 +6,29 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recon.fit import constants
+from recon.fit.clip_problem import ClipProblem
 from recon.fit.result import Ground
-from recon.fit.setting import Setting
 from recon.fit.terms import REFERENCE_HZ, OnGround, Standing, Term
 
 Array = NDArray[np.float64]
 
 
-def contacts(setting: Setting, points_m: Array, size: float) -> tuple[Array, Ground | None, tuple[Term, ...]]:
+def contacts(clip: ClipProblem, points_m: Array, size: float) -> tuple[Array, Ground | None, tuple[Term, ...]]:
     """Contact (T, F) of every foot, the ground under them, and the terms that hold both, for markers (T, J, 3) at
     nominal size about the origin."""
-    feet = setting.feet
-    stance = Standing(feet, setting.fps, constants.SLIP_M_S, constants.SLIP_C)
+    feet = clip.feet
+    stance = Standing(feet, clip.fps, constants.SLIP_M_S, constants.SLIP_C)
     _, _, still = stance.contact(points_m, size)
     middle = 0.5 * (points_m[1:, feet] + points_m[:-1, feet])
     height, sigma = float(np.percentile(middle[..., 2], 10)), 10.0
-    if setting.ground_known:
-        height = -float(setting.origin_m[2]) / size
-        sigma = float(np.hypot(constants.GROUND_HEIGHT_M, setting.size_sigma * height))
+    if clip.ground_known:
+        height = -float(clip.origin_m[2]) / size
+        sigma = float(np.hypot(constants.GROUND_HEIGHT_M, clip.size_sigma * height))
     spread = np.array([sigma, constants.GROUND_SLOPE, constants.GROUND_SLOPE])
     centre = np.median(middle[..., :2].reshape(-1, 2), axis=0)
     rows = np.concatenate([np.ones((*middle.shape[:2], 1)), middle[..., :2] - centre], axis=-1)
     plane, covariance, contact = np.array([height, 0.0, 0.0]), np.diag(spread**2), still
-    count = REFERENCE_HZ / setting.fps / constants.GROUND_FOOT_M**2
+    count = REFERENCE_HZ / clip.fps / constants.GROUND_FOOT_M**2
     for _ in range(5):
         above = middle[..., 2] - rows @ plane
         contact = still / (1.0 + (above / (3 * constants.GROUND_FOOT_M)) ** 2) ** 2
@@ -39,8 +39,8 @@ def contacts(setting: Setting, points_m: Array, size: float) -> tuple[Array, Gro
     both = np.concatenate([contact[:1], np.maximum(contact[1:], contact[:-1]), contact[-1:]])
     if contact.sum() < 3:  # no foot stands: nothing is known of the ground
         return both, None, (stance,)
-    on_ground = OnGround(feet, contact, plane, centre, setting.fps, constants.GROUND_FOOT_M)
+    on_ground = OnGround(feet, contact, plane, centre, clip.fps, constants.GROUND_FOOT_M)
     slope = plane[1:]
-    sigma = float(np.sqrt(covariance[0, 0] * setting.alike))
+    sigma = float(np.sqrt(covariance[0, 0] * clip.correlation_frames))
     ground = Ground(float(plane[0] - slope @ centre), slope, sigma)
     return both, ground, (stance, on_ground)

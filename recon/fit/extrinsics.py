@@ -25,19 +25,19 @@ from recon.base.arrays import Array
 from recon.base.progress import Progress, silent
 from recon.clip import View
 from recon.fit import constants
+from recon.fit.clip_problem import ClipProblem
 from recon.fit.least_squares import Shared
 from recon.fit.posterior import factored
-from recon.fit.setting import Setting
-from recon.fit.terms import OnGround, placing
-from recon.fit.trajectory import Solved, refined, solve_spells, solve_trajectory
+from recon.fit.terms import OnGround, extrinsic_correction
+from recon.fit.trajectory import Solved, refined, solve_segments, solve_trajectory
 from recon.geometry.frames import level_from_camera, rigid
 
-_PLACING_RAD, _PLACING_M = float(np.radians(10.0)), 1.0
+_UNKNOWN_RAD, _UNKNOWN_M = float(np.radians(10.0)), 1.0
 """How far off the first poses are, about each axis and along it."""
 LEVEL_RAD = float(np.radians(5.0))
 """How far cameras are from level, or from the tilt that is said, about each axis, if nobody looked."""
 _HELD, _SIZE_SIGMA, _MIN_FRAMES = 1e-6, 1e-3, 5
-_LAG_FRAMES = 1.0
+_TIME_OFFSET_FRAMES = 1.0
 """How far out of step cameras are that began together: in two clips a camera's turn would stand for what is more."""
 _SEARCHED_S = 1.0
 """How much later or earlier than said a camera may have begun."""
@@ -70,14 +70,14 @@ class Rig:
     disagreement: Array
     """(C, V): squared deviations by which each of C clips would have each camera elsewhere than all do together; about
     6 at most, from errors of the size that is stated."""
-    lag_frames: tuple[Array, ...]
+    time_offset_frames: tuple[Array, ...]
     """(V,) of each clip: how much later than said the cameras' pictures were taken; 0 of one that saw nothing."""
     converged: bool
     """Whether the last step was small."""
 
 
 def solve_extrinsics(
-    settings: Sequence[Setting], posed: bool = False, level_rad: float = LEVEL_RAD, progress: Progress = silent
+    clips: Sequence[ClipProblem], posed: bool = False, level_rad: float = LEVEL_RAD, progress: Progress = silent
 ) -> Rig:
     """settings: of clips, each with the same V cameras in the same order; one that did not film a clip saw nothing
     in it. posed: the cameras stand where the views say, but for `constants.CAMERA_TURN_RAD` and `CAMERA_SHIFT_M`.
@@ -85,48 +85,50 @@ def solve_extrinsics(
 
     Raises TooLittleInCommonError.
     """
-    settings = [_as_rig(one, posed) for one in settings]
-    turn_rad, shift_m = (constants.CAMERA_TURN_RAD, constants.CAMERA_SHIFT_M) if posed else (_PLACING_RAD, _PLACING_M)
-    sigma = np.tile(np.repeat([turn_rad, shift_m], 3), len(settings[0].views))
+    clips = [_as_rig(one, posed) for one in clips]
+    turn_rad, shift_m = (constants.CAMERA_TURN_RAD, constants.CAMERA_SHIFT_M) if posed else (_UNKNOWN_RAD, _UNKNOWN_M)
+    sigma = np.tile(np.repeat([turn_rad, shift_m], 3), len(clips[0].views))
     sigma[: 6 if posed else 0] = sigma[3:6] = _HELD
     with threadpool_limits(1, user_api="blas"):
         if not posed:
-            settings = _placed(settings, lambda what, done: progress(what, 0.5 * done))
-        spells = [(i, spell) for i, one in enumerate(settings) for spell in solve_spells(one)]
+            clips = _placed(clips, lambda what, done: progress(what, 0.5 * done))
+        segments = [(i, segment) for i, one in enumerate(clips) for segment in solve_segments(one)]
         values, converged, total, reduced = np.zeros(len(sigma)), False, np.diag(sigma**-2.0), []
         for i in range(ROUNDS):
             progress("all cameras", 0.5 * (1 + i / ROUNDS))
-            total, pull = _level(settings[0].views, np.inf if posed else level_rad)
+            total, pull = _level(clips[0].views, np.inf if posed else level_rad)
             total, pull = total + np.diag(sigma**-2.0), pull + values / sigma**2
-            reduced = [(clip, _reduced(settings[clip], spell)) for clip, spell in spells]
-            for clip, one in reduced:
-                total += one.curvature / settings[clip].alike
-                pull += one.gradient / settings[clip].alike
+            reduced = [(number, _reduced(clips[number], segment)) for number, segment in segments]
+            for number, one in reduced:
+                total += one.curvature / clips[number].correlation_frames
+                pull += one.gradient / clips[number].correlation_frames
             step = np.asarray(np.linalg.solve(total, -pull), dtype=float)
             values = values + step
-            settings = [_moved(one, step.reshape(-1, 6)) for one in settings]
-            spells = [(clip, refined(settings[clip], one.follow(step))) for clip, one in reduced]
+            clips = [_moved(one, step.reshape(-1, 6)) for one in clips]
+            segments = [(number, refined(clips[number], one.follow(step))) for number, one in reduced]
             converged = bool(step @ total @ step < CLOSE_ENOUGH**2 * len(step))
             if converged:
                 break
-    poses = tuple(view.T_camera_world for view in settings[0].views)
+    poses = tuple(view.T_camera_world for view in clips[0].views)
     covariance = np.asarray(np.linalg.inv(total), dtype=float)
-    lags = tuple(_lags([spell for clip, spell in spells if clip == i], one) for i, one in enumerate(settings))
-    sigma, apart = _beside_first(poses, covariance), _disagreement(settings, reduced)
-    return Rig(poses, sigma, *_above_ground(settings, spells, reduced, covariance), apart, lags, converged)
+    time_offsets = tuple(
+        _time_offsets([segment for number, segment in segments if number == i], one) for i, one in enumerate(clips)
+    )
+    sigma, apart = _beside_first(poses, covariance), _disagreement(clips, reduced)
+    return Rig(poses, sigma, *_above_ground(clips, segments, reduced, covariance), apart, time_offsets, converged)
 
 
-def _as_rig(setting: Setting, posed: bool) -> Setting:
-    size_sigma = setting.options.size_sigma if posed else _SIZE_SIGMA
-    options = replace(setting.options, refine_cameras=False, size_sigma=size_sigma)
-    return replace(setting, options=options, time_offset_frames=_LAG_FRAMES)
+def _as_rig(clip: ClipProblem, posed: bool) -> ClipProblem:
+    size_sigma = clip.options.size_sigma if posed else _SIZE_SIGMA
+    options = replace(clip.options, refine_cameras=False, size_sigma=size_sigma)
+    return replace(clip, options=options, time_offset_frames=_TIME_OFFSET_FRAMES)
 
 
-def search_offsets(setting: Setting) -> Array:
+def search_offsets(clip: ClipProblem) -> Array:
     """(V,): by how many whole frames cameras without poses began later, beside the first, than the views say: where the
     joints that each sees by itself are most nearly the first one's from elsewhere. NaN where they are never near."""
-    joints = [_alone(setting, view) for view in setting.views]
-    return np.array([_offset(joints[0], own, round(_SEARCHED_S * setting.fps)) for own in joints])
+    joints = [_alone(clip, view) for view in clip.views]
+    return np.array([_offset(joints[0], own, round(_SEARCHED_S * clip.fps)) for own in joints])
 
 
 def _offset(first: Array, own: Array, most: int) -> float:
@@ -149,13 +151,13 @@ def _offset(first: Array, own: Array, most: int) -> float:
     return found
 
 
-def _lags(spells: Sequence[Solved], setting: Setting) -> Array:
-    """(V,): those of the longest spell."""
-    V = range(len(setting.views))
-    if not spells:
+def _time_offsets(segments: Sequence[Solved], clip: ClipProblem) -> Array:
+    """(V,): those of the longest segment."""
+    V = range(len(clip.views))
+    if not segments:
         return np.zeros(len(V))
-    longest = max(spells, key=lambda spell: len(spell.estimate.states))
-    return np.array([longest.lag_frames(i) if setting.views[i].present.any() else 0.0 for i in V])
+    longest = max(segments, key=lambda segment: len(segment.estimate.states))
+    return np.array([longest.time_offset_frames(i) if clip.views[i].present.any() else 0.0 for i in V])
 
 
 def _level(views: Sequence[View], sigma_rad: float) -> tuple[Array, Array]:
@@ -169,12 +171,12 @@ def _level(views: Sequence[View], sigma_rad: float) -> tuple[Array, Array]:
     return curvature, gradient
 
 
-def _placed(settings: Sequence[Setting], progress: Progress) -> list[Setting]:
+def _placed(clips: Sequence[ClipProblem], progress: Progress) -> list[ClipProblem]:
     """With each view solved by itself, and placed where most of its joints meet those of the others."""
-    V = len(settings[0].views)
+    V = len(clips[0].views)
     joints: list[list[Array]] = []
     for i in range(V):
-        joints.append([_alone(one, one.views[i]) for one in settings])
+        joints.append([_alone(one, one.views[i]) for one in clips])
         progress("each camera", (i + 1) / V)
     known, T_camera_first = np.concatenate(joints[0]), {0: np.eye(4)}
     while len(T_camera_first) < V:
@@ -187,23 +189,23 @@ def _placed(settings: Sequence[Setting], progress: Progress) -> list[Setting]:
         T_camera_first[best] = T
         there = (own[best] - T[:3, 3]) @ T[:3, :3]
         known = np.where(np.isfinite(known), known, there)
-    level = rigid(level_from_camera(settings[0].views[0].camera.up).T, np.zeros(3))
+    level = rigid(level_from_camera(clips[0].views[0].camera.up).T, np.zeros(3))
     return [
         replace(
             one,
             views=tuple(replace(v, T_camera_world=T_camera_first[i] @ level) for i, v in enumerate(one.views)),
             origin_m=np.zeros(3),
         )
-        for one in settings
+        for one in clips
     ]
 
 
-def _alone(setting: Setting, view: View) -> Array:
+def _alone(clip: ClipProblem, view: View) -> Array:
     """(T, J, 3): the joints in the camera's frame, NaN where there is no pose."""
     level = rigid(level_from_camera(view.camera.up).T, np.zeros(3))
     views = [replace(view, T_camera_world=level)]
     return solve_trajectory(
-        views, setting.body, setting.prior, setting.fps, setting.options, ground_near_zero=False
+        views, clip.body, clip.prior, clip.fps, clip.options, ground_near_zero=False
     ).joints_camera_m
 
 
@@ -223,7 +225,7 @@ def _aligned(a: Array, b: Array, rounds: int = 30) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class _Reduced:
-    """A spell's cost by all cameras' places, all else eliminated: curvature (6V, 6V) and gradient (6V,)."""
+    """A segment's cost by all cameras' places, all else eliminated: curvature (6V, 6V) and gradient (6V,)."""
 
     curvature: Array
     gradient: Array
@@ -234,7 +236,7 @@ class _Reduced:
     """(P, 6V + 1): the same of the clip's own shared unknowns."""
 
     def follow(self, step: Array) -> Solved:
-        """The spell as it is expected to be after a step of the places (6V,)."""
+        """The segment as it is expected to be after a step of the places (6V,)."""
         estimate, columns, by = self.solved.estimate, self.solved.problem.columns, np.append(step, 1.0)
         own = -self.own @ by
         shared = {name: value + own[columns[name]] for name, value in estimate.shared.items()}
@@ -243,10 +245,10 @@ class _Reduced:
         )
 
 
-def _reduced(setting: Setting, solved: Solved) -> _Reduced:
+def _reduced(clip: ClipProblem, solved: Solved) -> _Reduced:
     """Without the ground, whose plane follows the feet: as it is, it would hold the world's tilt."""
-    V, problem = len(setting.views), solved.problem
-    places = [Shared(placing(i), np.zeros(6), np.full(6, np.inf)) for i in range(V)]
+    V, problem = len(clip.views), solved.problem
+    places = [Shared(extrinsic_correction(i), np.zeros(6), np.full(6, np.inf)) for i in range(V)]
     problem = replace(
         problem,
         terms=[term for term in problem.terms if not isinstance(term, OnGround)],
@@ -263,22 +265,22 @@ def _reduced(setting: Setting, solved: Solved) -> _Reduced:
     return _Reduced(left[:, :-1], left[:, -1], solved, Y[..., n:] - Y[..., :n] @ own, own)
 
 
-def _disagreement(settings: Sequence[Setting], reduced: Sequence[tuple[int, _Reduced]]) -> Array:
+def _disagreement(clips: Sequence[ClipProblem], reduced: Sequence[tuple[int, _Reduced]]) -> Array:
     """(C, V), see `Rig`: the drop of each clip's cost if that camera stood elsewhere for this clip alone, twice."""
-    C, V = len(settings), len(settings[0].views)
+    C, V = len(clips), len(clips[0].views)
     curvature, gradient = np.zeros((C, V, 6, 6)), np.zeros((C, V, 6))
-    for clip, one in reduced:
+    for number, one in reduced:
         for i in range(V):
             own = slice(6 * i, 6 * i + 6)
-            curvature[clip, i] += one.curvature[own, own] / settings[clip].alike
-            gradient[clip, i] += one.gradient[own] / settings[clip].alike
+            curvature[number, i] += one.curvature[own, own] / clips[number].correlation_frames
+            gradient[number, i] += one.gradient[own] / clips[number].correlation_frames
     held = curvature + 1e-9 * np.eye(6)  # nothing is known of a camera that saw nothing
     return np.sum(gradient * np.linalg.solve(held, gradient[..., None])[..., 0], axis=-1)
 
 
-def _moved(setting: Setting, step: Array) -> Setting:
+def _moved(clip: ClipProblem, step: Array) -> ClipProblem:
     """With cameras that lie beside their places by (V, 6)."""
-    return replace(setting, views=tuple(view.corrected(own) for view, own in zip(setting.views, step, strict=True)))
+    return replace(clip, views=tuple(view.corrected(own) for view, own in zip(clip.views, step, strict=True)))
 
 
 def _beside_first(poses: Sequence[Array], covariance: Array) -> Array:
@@ -296,24 +298,24 @@ def _beside_first(poses: Sequence[Array], covariance: Array) -> Array:
 
 
 def _above_ground(
-    settings: Sequence[Setting],
-    spells: Sequence[tuple[int, Solved]],
+    clips: Sequence[ClipProblem],
+    segments: Sequence[tuple[int, Solved]],
     reduced: Sequence[tuple[int, _Reduced]],
     covariance: Array,
 ) -> tuple[float, Array]:
     """The ground's height and the deviations (V,) of the cameras' heights above it, see `Rig`. The ground follows the
     cameras' places as the animal does."""
-    V = len(settings[0].views)
-    both = [(settings[clip], spell, one) for (clip, spell), (_, one) in zip(spells, reduced, strict=True)]
+    V = len(clips[0].views)
+    both = [(clips[number], segment, one) for (number, segment), (_, one) in zip(segments, reduced, strict=True)]
     on_ground = [of for of in both if of[1].ground is not None]
     if not on_ground:
         return float("nan"), np.full(V, np.nan)
-    setting, spell, one = max(on_ground, key=lambda of: len(of[1].estimate.states))
-    assert spell.ground is not None
-    ground = spell.ground.about(setting.origin_m, spell.size)
-    middle = setting.in_world(np.mean(spell.estimate.states[:, :3], axis=0), spell.size)
-    by = np.tile(spell.size * one.states[:, 2, : 6 * V].mean(axis=0), (V, 1))
-    for i, view in enumerate(setting.views):
+    clip, segment, one = max(on_ground, key=lambda of: len(of[1].estimate.states))
+    assert segment.ground is not None
+    ground = segment.ground.about(clip.origin_m, segment.size)
+    middle = clip.in_world(np.mean(segment.estimate.states[:, :3], axis=0), segment.size)
+    by = np.tile(segment.size * one.states[:, 2, : 6 * V].mean(axis=0), (V, 1))
+    for i, view in enumerate(clip.views):
         by[i, 6 * i + 3 : 6 * i + 6] -= view.T_camera_world[:3, 2]
     variance = np.einsum("vi,ij,vj->v", by, covariance, by) + ground.sigma_m**2
     return float(ground.height_m + ground.slope @ middle[:2]), np.sqrt(variance)

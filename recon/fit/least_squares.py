@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recon.fit.banded import BlockBanded, Normal, add_normal
-from recon.fit.terms import DISPLACED, Linear, Span, Term
+from recon.fit.terms import COMMON_KEYPOINT_BIAS, Linear, Span, Term
 from recon.geometry.kinematics import Tree
 
 Array = NDArray[np.float64]
@@ -185,7 +185,7 @@ class LeastSquares:
         for first in range(0, len(states), _FRAMES_AT_ONCE):
             piece = states[first : first + _FRAMES_AT_ONCE + 1]
             last = first + len(piece) == len(states)
-            turned = self.tree.orientations(piece)[:, at] if jacobian and DISPLACED in shared else None
+            turned = self.tree.orientations(piece)[:, at] if jacobian and COMMON_KEYPOINT_BIAS in shared else None
             yield Span(first, piece, pose(piece), last, shared, turned)
             if last:
                 return

@@ -18,7 +18,7 @@ from recon.base.manifest import MANIFEST, read_manifest
 from recon.base.records import load_record, save_record
 from recon.clip import Source, world_from_reference
 from recon.clip.keypoints import CleaningReport, Keypoints
-from recon.fit import Solution, Spell
+from recon.fit import MotionSegment, Solution
 from recon.fit.finding import Finding
 from recon.fit.result import OUTLIER_SIGMAS
 from recon.geometry.camera import Camera
@@ -387,15 +387,15 @@ class Motion:
         """(T, 3)"""
         return self.in_reference(self.states[:, ROOT])
 
-    def below_m(self, spell: Spell) -> Array | None:
-        """(3,): the ground below the middle of the root's path in a spell, the solution's world frame; None where it is
-        not known."""
-        xy_m = self.states[spell.rows, :2]
+    def below_m(self, segment: MotionSegment) -> Array | None:
+        """(3,): the ground below the middle of the root's path in a segment, the solution's world frame; None where
+        it is not known."""
+        xy_m = self.states[segment.rows, :2]
         xy_m = xy_m[np.isfinite(xy_m[:, 0])]
-        if spell.ground is None or not len(xy_m):
+        if segment.ground is None or not len(xy_m):
             return None
         middle = xy_m.mean(axis=0)
-        return np.append(middle, spell.ground.height_m + spell.ground.slope @ middle)
+        return np.append(middle, segment.ground.height_m + segment.ground.slope @ middle)
 
     # -- pictures -------------------------------------------------------------------------------------------------
 

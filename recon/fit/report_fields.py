@@ -121,7 +121,7 @@ class _Report(_Part):
     outliers: list[_Outlier]
     image_error_px: _ImageError
     size: _Size | None = None
-    spells: list[_Spell] = []
+    segments: list[_Spell] = []
 
 
 def require_fields(report: dict[str, Any], path: Path) -> tuple[Camera, ...]:

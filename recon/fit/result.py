@@ -46,13 +46,13 @@ class Ground:
 
 
 @dataclass(frozen=True)
-class Spell:
+class MotionSegment:
     """A stretch of the clip that was solved by itself, as nothing was seen for long before and after: its rows of the
-    clip, and the ground under its feet, None where none stood. Spells lie in the order of their rows, and apart."""
+    clip, and the ground under its feet, None where none stood. Segments lie in the order of their rows, and apart."""
 
     rows: slice
     ground: Ground | None
-    surprise: float | None = None
+    prior_misfit: float | None = None
     """How surprising the motion is under the prior, about 1 where that fits; None where there is none."""
     prior_weight: float = 1.0
     """The part of its weight that the prior kept, each angle on its own having the rest: less than 1 where the motion
@@ -101,7 +101,7 @@ class Solution:
     """(T,): mean distance of the joints in the second best solution, both centred, NaN where there is none."""
     contact: Array
     """(T, F): of the feet with the ground, 0 to 1; 0 of a method that does not look for it."""
-    spells: tuple[Spell, ...]
+    segments: tuple[MotionSegment, ...]
     """The stretches of the clip that have a pose, each with its own ground."""
     stage_s: dict[str, float]
     """Seconds by stage, where the method tells them apart."""
@@ -156,21 +156,21 @@ class TrajectorySolution(Solution):
     """Half the squared norm, robust."""
     iterations: int
     starts: tuple[Start, ...]
-    lag_frames: Array
+    time_offset_frames: Array
     """(V,): how much later than said each camera's pictures were taken, where several cameras show it, else 0."""
-    lag_sigma_frames: Array
+    time_offset_sigma_frames: Array
     """(V,): their standard deviations; 0 of a lag that is not an unknown."""
-    placing: Array
+    extrinsic_correction: Array
     """(V, 6): how far each camera lies beside its pose, as in `View.corrected`; 0 where that is not an unknown."""
-    placing_sigma: Array
+    extrinsic_correction_sigma: Array
     """(V, 6)"""
     focal: Array
     """(V,): by what factor each camera's focal lengths are longer than said, its logarithm; 0 where that is not an
     unknown."""
     focal_sigma: Array
     """(V,)"""
-    crab_rad: float
+    sideslip_rad: float
     """By how much the animal goes to the left of where it looks, all the time; 0 where that is not an unknown."""
-    crab_sigma_rad: float
+    sideslip_sigma_rad: float
 
     method: ClassVar = "trajectory"

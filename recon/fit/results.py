@@ -24,7 +24,7 @@ from recon.base.errors import InputError, Problem, all_of
 from recon.base.manifest import Manifest, read_manifest
 from recon.clip import world_from_reference
 from recon.fit.report_fields import require_fields, require_fitting
-from recon.fit.result import Ground, Spell
+from recon.fit.result import Ground, MotionSegment
 from recon.geometry.camera import Camera
 from recon.geometry.frames import moved
 from recon.io.pose3d import Pose3D, read_pose3d
@@ -149,19 +149,21 @@ class Results:
         return self.body.limb_sides(self.report["side"]["fitted"])
 
     @cached_property
-    def spells(self) -> tuple[Spell, ...]:
+    def segments(self) -> tuple[MotionSegment, ...]:
         """The stretches of the clip that were solved, each by itself, and the ground that was found under them, in the
         upright frame. One with all frames where the fit wrote none down."""
-        spells = []
-        for spell in self.report.get("spells", ()):
-            first, stop = np.searchsorted(self.pose.frames, spell["frames"])
-            ground = spell["ground"]
+        segments = []
+        for segment in self.report.get("segments", ()):
+            first, stop = np.searchsorted(self.pose.frames, segment["frames"])
+            ground = segment["ground"]
             if ground is not None:
                 slope = np.array(ground["slope"], dtype=float)
                 origin = float(ground["height_m"] - slope @ np.array(ground["middle_m"], dtype=float))
                 ground = Ground(origin, slope, float(ground["sigma_m"]))
-            spells.append(Spell(slice(int(first), int(stop)), ground, prior_weight=spell.get("prior_weight", 1.0)))
-        return tuple(spells) or (Spell(slice(0, len(self.pose.frames)), None),)
+            segments.append(
+                MotionSegment(slice(int(first), int(stop)), ground, prior_weight=segment.get("prior_weight", 1.0))
+            )
+        return tuple(segments) or (MotionSegment(slice(0, len(self.pose.frames)), None),)
 
     @cached_property
     def state_names(self) -> tuple[str, ...]:

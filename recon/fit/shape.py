@@ -19,9 +19,9 @@ from threadpoolctl import threadpool_limits
 
 from recon.animal.body import Body, other_side, side_of
 from recon.fit.banded import factor
-from recon.fit.setting import Setting
+from recon.fit.clip_problem import ClipProblem
 from recon.fit.terms import OnGround, Reprojection, Span, Standing
-from recon.fit.trajectory import Solved, in_step, refined, solve_spells
+from recon.fit.trajectory import Solved, in_step, refined, solve_segments
 from recon.geometry.kinematics import TreePose
 
 Array = NDArray[np.float64]
@@ -167,39 +167,39 @@ class ShapeFit:
         return replace(shaped, keypoint_sigma_m=sigma_m, keypoint_spread_m=spread_m, keypoint_noise_m=noise_m)
 
 
-def fit_shape(shape: Shape, settings: Sequence[Setting]) -> ShapeFit:
+def fit_shape(shape: Shape, clips: Sequence[ClipProblem]) -> ShapeFit:
     """The shape of the animal in several clips.
 
     Each setting's body has the segments and markers of `shape.body`, and its own lengths; its size is not free.
 
     Raises ValueError without any clip that can be solved.
     """
-    expected = shape.expected_precision(settings[0].size_sigma)
-    given = [replace(one, options=replace(one.options, size_sigma=SIZE_HELD)) for one in settings]
+    expected = shape.expected_precision(clips[0].size_sigma)
+    given = [replace(one, options=replace(one.options, size_sigma=SIZE_HELD)) for one in clips]
     values, converged, total = np.zeros(len(shape)), False, expected
     with threadpool_limits(1, user_api="blas"):
-        solved = [(one, spell) for one in given for spell in solve_spells(one)]
+        solved = [(one, segment) for one in given for segment in solve_segments(one)]
         firsts = [one for one, _ in solved]
         if not solved:
             raise ValueError("no clip has a frame with enough detections")
         for _ in range(ROUNDS):
             total, pull = expected.copy(), expected @ values
-            for one, spell in solved:
-                curvature, gradient = _reduced(shape, one, spell)
-                total += curvature / one.alike
-                pull += gradient / one.alike
+            for one, segment in solved:
+                curvature, gradient = _reduced(shape, one, segment)
+                total += curvature / one.correlation_frames
+                pull += gradient / one.correlation_frames
             step = -np.linalg.solve(total, pull)
             values = values + step
             solved = [
-                (now := replace(one, body=shape.applied(first.body, values)), refined(now, spell))
-                for first, (one, spell) in zip(firsts, solved, strict=True)
+                (now := replace(one, body=shape.applied(first.body, values)), refined(now, segment))
+                for first, (one, segment) in zip(firsts, solved, strict=True)
             ]
             converged = bool(step @ total @ step < CLOSE_ENOUGH**2 * len(step))
             if converged:
                 break
     covariance = np.asarray(np.linalg.inv(total), dtype=float)
     # (J, views), of each marker's logarithm
-    noise_m = np.concatenate([np.log(one.in_frame_m) + 0.5 * np.log(spell.noise) for one, spell in solved]).T
+    noise_m = np.concatenate([np.log(one.in_frame_m) + 0.5 * np.log(segment.noise) for one, segment in solved]).T
     by_marker: dict[str, list[Array]] = {}
     for name, of in zip(shape.body.markers, noise_m, strict=True):
         by_marker.setdefault(shape.leader(name), []).append(of)
@@ -214,22 +214,22 @@ def fit_shape(shape: Shape, settings: Sequence[Setting]) -> ShapeFit:
     )
 
 
-def _spread_m(body: Body, solved: Sequence[tuple[Setting, Solved]]) -> dict[str, float]:
+def _spread_m(body: Body, solved: Sequence[tuple[ClipProblem, Solved]]) -> dict[str, float]:
     """From the mean residuals of every marker in every view, less what all markers of the view share, and as if as many
     more had been as is expected: few say little."""
-    setting = solved[0][0]
-    expected_m = setting.keypoint_bias_m
+    clip = solved[0][0]
+    expected_m = clip.keypoint_bias_m
     squares: dict[str, list[float]] = {name: [] for name in body.markers if not _follows(name, body)}
-    for one, spell in solved:
-        part = in_step(one.part(spell.rows), spell)
-        points_m = one.markers(spell.estimate.states)
-        world_m, px_per_m = part.in_world(points_m, spell.size), part.px_per_m(points_m, spell.size)
-        terms = [term for term in spell.problem.terms if isinstance(term, Reprojection)]
+    for one, segment in solved:
+        part = in_step(one.part(segment.rows), segment)
+        points_m = one.markers(segment.estimate.states)
+        world_m, px_per_m = part.in_world(points_m, segment.size), part.px_per_m(points_m, segment.size)
+        terms = [term for term in segment.problem.terms if isinstance(term, Reprojection)]
         for view, term, scale in zip(part.views, terms, px_per_m, strict=True):
             at = view.at_its_time(world_m)
             weight = np.nan_to_num(term.weights(at))[..., None]
             off_m = np.where(weight > 0, view.xy_px - view.project(at)[0], 0.0) / scale[:, None, None]
-            seen = np.flatnonzero(view.present.sum(axis=0) >= one.alike)
+            seen = np.flatnonzero(view.present.sum(axis=0) >= one.correlation_frames)
             mean_m = (weight * off_m).sum(axis=0)[seen] / np.maximum(weight.sum(axis=0)[seen], 1e-9)
             for j, own in zip(seen, mean_m - np.median(mean_m, axis=0), strict=True):
                 name = body.markers[j]
@@ -240,14 +240,14 @@ def _spread_m(body: Body, solved: Sequence[tuple[Setting, Solved]]) -> dict[str,
     }
 
 
-def _reduced(shape: Shape, setting: Setting, solved: Solved) -> tuple[Array, Array]:
-    """Curvature (K, K) and gradient (K,) of a spell's cost by the shape, the states eliminated."""
+def _reduced(shape: Shape, clip: ClipProblem, solved: Solved) -> tuple[Array, Array]:
+    """Curvature (K, K) and gradient (K,) of a segment's cost by the shape, the states eliminated."""
     states, problem = solved.estimate.states, solved.problem
     normal = problem.normal(states, solved.estimate.shared)
     K = len(shape)
     border, corner, gradient = np.zeros((*states.shape, K)), np.zeros((K, K)), np.zeros(K)
     pose = problem.tree.pose_with_jacobian(states)
-    by_shape = shape.jacobian(setting.body, states)
+    by_shape = shape.jacobian(clip.body, states)
     for term in problem.terms:
         if not isinstance(term, Reprojection | Standing | OnGround):
             continue

@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from recon.animal.chain import MIN_JOINTS
 from recon.animal.prior import ANGLES
+from recon.fit.clip_problem import UP, ClipProblem
+from recon.fit.constant_velocity import constant_velocity, run_path
 from recon.fit.least_squares import Estimate
-from recon.fit.setting import UP, Setting
-from recon.fit.straight_runs import run_path, straight_runs
 from recon.geometry.kinematics import ROOT, YAW
 
 Array = NDArray[np.float64]
@@ -41,18 +41,18 @@ class Approached:
     """It was carried to the end."""
 
 
-def approach(setting: Setting) -> list[Approached]:
+def approach(clip: ClipProblem) -> list[Approached]:
     """The starts of one window, approached with noise that narrows: best first, only the first ones to the end."""
-    fast, ones = setting.options.fast, np.ones((len(setting.views), len(setting.body.markers)))
-    step = max(1, round(setting.fps / APPROACH_HZ))
-    thin, every = setting.thinned(step), np.arange(0, len(setting), step)
+    fast, ones = clip.options.fast, np.ones((len(clip.views), len(clip.body.markers)))
+    step = max(1, round(clip.fps / APPROACH_HZ))
+    thin, every = clip.thinned(step), np.arange(0, len(clip), step)
 
     def minimum(states: Array, widen: float, tolerance: float, iterations: int) -> Estimate:
         noise = thin.noise_px(thin.markers(states), ones) * widen
         return thin.problem(noise).minimise(states, tolerance, iterations)
 
     tried = []
-    for heading_rad, states in _starts(setting):
+    for heading_rad, states in _starts(clip):
         estimate = minimum(states[every], _WIDE[0], 1e-2, 12)
         tried.append(Approached(heading_rad, estimate.cost, estimate))
     tried.sort(key=lambda a: a.first_cost)
@@ -60,7 +60,7 @@ def approach(setting: Setting) -> list[Approached]:
         estimate = start.estimate
         for widen in _WIDE[1:]:
             estimate = minimum(estimate.states, widen, 3e-3 if fast else 1e-3, 15)
-        full = replace(estimate, states=between(estimate.states, every, len(setting)))
+        full = replace(estimate, states=between(estimate.states, every, len(clip)))
         tried[i] = replace(start, estimate=full, finished=True)
     return sorted(tried, key=lambda a: (not a.finished, a.estimate.cost))
 
@@ -72,47 +72,47 @@ def between(states: Array, at: Index, T: int) -> Array:
     return np.stack([np.interp(np.arange(T), at, column) for column in states.T], axis=1)
 
 
-def _starts(setting: Setting) -> list[tuple[float, Array]]:
+def _starts(clip: ClipProblem) -> list[tuple[float, Array]]:
     """(heading, states) of the best runs, and for one camera of the best one's mirror image in depth."""
-    misfit, headings_rad, states = _runs(setting)
+    misfit, headings_rad, states = _runs(clip)
     best = int(np.argmin(misfit))
     dips = [i for i in range(len(misfit)) if misfit[i] <= misfit[i - 1] and misfit[i] <= misfit[(i + 1) % len(misfit)]]
-    order = sorted(dips, key=lambda i: misfit[i])[: 2 if setting.options.fast else 3]
+    order = sorted(dips, key=lambda i: misfit[i])[: 2 if clip.options.fast else 3]
     chosen: list[int] = []
-    for i in [*order, -best % len(misfit)] if len(setting.views) == 1 else order:
+    for i in [*order, -best % len(misfit)] if len(clip.views) == 1 else order:
         apart = [abs(np.angle(np.exp(1j * (headings_rad[i] - headings_rad[j])))) for j in chosen]
         if all(a > _APART_RAD for a in apart):
             chosen.append(i)
     return [(float(headings_rad[i]), states[i]) for i in chosen]
 
 
-def _runs(setting: Setting) -> tuple[Array, Array, Array]:
+def _runs(clip: ClipProblem) -> tuple[Array, Array, Array]:
     """Misfits (H,) and states (H, T, D) of the mean pose on a straight run, for headings (H,) around the clock."""
-    T, count = len(setting), _HEADINGS // 2 if setting.options.fast else _HEADINGS
-    rays, centres, frames = _rays(setting)
-    time_s, middle = np.arange(T) / setting.fps, frames.mean() / setting.fps
+    T, count = len(clip), _HEADINGS // 2 if clip.options.fast else _HEADINGS
+    rays, centres, frames = _rays(clip)
+    time_s, middle = np.arange(T) / clip.fps, frames.mean() / clip.fps
     headings_rad = 2 * np.pi * np.arange(count) / count
-    yaw_rad = headings_rad + np.arctan2(setting.right[1], setting.right[0])
-    turned = np.zeros((count, setting.body.n_state))
-    turned[:, YAW], turned[:, ANGLES] = yaw_rad, setting.prior.mean
+    yaw_rad = headings_rad + np.arctan2(clip.right[1], clip.right[0])
+    turned = np.zeros((count, clip.body.n_state))
+    turned[:, YAW], turned[:, ANGLES] = yaw_rad, clip.prior.mean
     headings = np.stack([np.cos(yaw_rad), np.sin(yaw_rad), np.zeros(count)], axis=1)
-    shapes = setting.markers(turned)
-    misfits, runs = straight_runs(headings, shapes, UP, rays, frames / setting.fps - middle, centres)
+    shapes = clip.markers(turned)
+    misfits, runs = constant_velocity(headings, shapes, UP, rays, frames / clip.fps - middle, centres)
     states = np.repeat(turned[:, None], T, axis=1)
     for heading, run, of_run in zip(headings, runs, states, strict=True):
         of_run[:, ROOT] = run_path(heading, UP, time_s - middle) @ run
     return misfits, headings_rad, states
 
 
-def _rays(setting: Setting) -> tuple[Array, Array, Array]:
+def _rays(clip: ClipProblem) -> tuple[Array, Array, Array]:
     """Rays (F, J, 3), the centres (F, 3) that they come from, about the origin, and their frames (F,), of all views."""
     rays, centres, frames = [], [], []
-    counts = [view.present.sum(axis=1) for view in setting.views]
+    counts = [view.present.sum(axis=1) for view in clip.views]
     enough = MIN_JOINTS if max(count.max() for count in counts) >= MIN_JOINTS else _MIN_RAYS
-    for view, count in zip(setting.views, counts, strict=True):
+    for view, count in zip(clip.views, counts, strict=True):
         usable = np.flatnonzero(count >= enough)
         some = usable[:: max(1, min(3, len(usable) // 6))]
         rays.append(view.part(some).rays())
-        centres.append(view.centre_m[some] - setting.origin_m)
+        centres.append(view.centre_m[some] - clip.origin_m)
         frames.append(some)
     return np.concatenate(rays), np.concatenate(centres), np.concatenate(frames)

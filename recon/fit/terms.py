@@ -38,28 +38,28 @@ Index = NDArray[np.intp]
 
 SIZE = "size"
 """The shared unknown: a factor on all lengths. 1 where it is not one."""
-DISPLACED = "displaced"
+COMMON_KEYPOINT_BIAS = "common keypoint bias"
 """The shared unknowns (3J,): how far all cameras see the keypoints of each marker beside it all the time, metres in its
 segment. Held at zero: they count in the doubt only."""
-CRAB = "crab"
+SIDESLIP = "sideslip"
 """The shared unknown: by how much an animal goes to the left of where it looks all the time, rad."""
 _ONE, _ZERO = np.ones(1), np.zeros(1)
 
 
-def lag(view: int) -> str:
+def time_offset(view: int) -> str:
     """The shared unknown: by how many frames a camera's pictures were taken later than its view says."""
-    return f"lag {view}"
+    return f"time offset {view}"
 
 
-def beside(view: int) -> str:
+def keypoint_bias(view: int) -> str:
     """The shared unknowns (2J,): how far a view's keypoints of each marker lie beside it all the time, metres to the
     right and down at the animal's distance."""
-    return f"beside {view}"
+    return f"keypoint bias {view}"
 
 
-def placing(view: int) -> str:
+def extrinsic_correction(view: int) -> str:
     """The shared unknowns (6,): how far a camera lies beside its pose, as in `View.corrected`."""
-    return f"placing {view}"
+    return f"extrinsic correction {view}"
 
 
 def focal(view: int) -> str:
@@ -93,7 +93,7 @@ class Span:
     last: bool
     shared: Mapping[str, Array] = field(default_factory=dict)
     turned: Array | None = None
-    """(n, J, 3, 3): orientations of the markers' segments, where `DISPLACED` is asked for."""
+    """(n, J, 3, 3): orientations of the markers' segments, where `COMMON_KEYPOINT_BIAS` is asked for."""
 
     @property
     def own(self) -> slice:
@@ -250,11 +250,12 @@ class Reprojection:
     c: float
     origin_m: Array
     number: int = 0
-    """Of the view, in the names of the unknowns that are its own: `lag`, `beside`, `placing` and `focal`."""
+    """Of the view, in the names of the unknowns that are its own (`time_offset`, `keypoint_bias`,
+    `extrinsic_correction`, `focal`)."""
     drift_m: Array | None = None
     """(T, J, 3), frozen: how far the markers go in a frame, at nominal size. None: no lag is read."""
     px_per_m: Array | None = None
-    """(T,), frozen: how large a metre is in the picture at the animal's distance. None: no `beside` is read."""
+    """(T,), frozen: how large a metre is in the picture at the animal's distance. None: no `keypoint_bias` is read."""
     name: str = "reprojection"
 
     @property
@@ -266,10 +267,14 @@ class Reprojection:
         points = np.sum([share * span.pose.points_m[part] for part, share in parts], axis=0)
         frames = np.arange(span.first, span.first + len(points))
         view, sigma = self.view.part(slice(span.first, span.first + len(points))), self.sigma_px[frames]
-        size, late, off = size_of(span.shared), span.shared.get(lag(self.number)), span.shared.get(beside(self.number))
+        size, late, off = (
+            size_of(span.shared),
+            span.shared.get(time_offset(self.number)),
+            span.shared.get(keypoint_bias(self.number)),
+        )
         if late is not None and self.drift_m is not None:
             points = points + late * self.drift_m[frames]
-        world, place = self.origin_m + size * points, span.shared.get(placing(self.number))
+        world, place = self.origin_m + size * points, span.shared.get(extrinsic_correction(self.number))
         before, view = view, view if place is None else view.corrected(place)
         longer = span.shared.get(focal(self.number))
         view = view if longer is None else view.with_focal_scale(float(longer[0]))
@@ -298,23 +303,23 @@ class Reprojection:
         rows = slots[0] if len(slots) == 1 else np.concatenate(slots, axis=2)
         by_shared = {SIZE: (by_point @ points[..., None]).reshape(N, 2 * J, 1)} if SIZE in span.shared else {}
         if late is not None and self.drift_m is not None:
-            by_shared[lag(self.number)] = (by_state @ self.drift_m[frames, ..., None]).reshape(N, 2 * J, 1)
+            by_shared[time_offset(self.number)] = (by_state @ self.drift_m[frames, ..., None]).reshape(N, 2 * J, 1)
         if off is not None and self.px_per_m is not None:
             each = np.repeat((root / sigma[..., None])[..., 0] * self.px_per_m[frames, None], 2, axis=1)
-            by_shared[beside(self.number)] = each[..., None] * np.eye(2 * J)
+            by_shared[keypoint_bias(self.number)] = each[..., None] * np.eye(2 * J)
         if span.turned is not None:
             of_marker, each = np.zeros((N, J, 2, J, 3)), np.arange(J)
             for part, share in parts:
                 of_marker[:, each, :, each] += (by_state * share @ span.turned[part]).swapaxes(0, 1)
-            by_shared[DISPLACED] = of_marker.reshape(N, 2 * J, 3 * J)
+            by_shared[COMMON_KEYPOINT_BIAS] = of_marker.reshape(N, 2 * J, 3 * J)
         if longer is not None:
             off_centre = np.where(seen[..., None], in_picture - view.camera.matrix[:2, 2], 0.0)
             by_shared[focal(self.number)] = (off_centre * root / sigma[..., None]).reshape(N, 2 * J, 1)
         if place is not None:
             by_camera = by_point @ view.rotation.swapaxes(-1, -2)
             turn = euler_rotation_with_jacobian(place[:3])[1] @ before.to_camera(world)[..., None, :, None]
-            by_placing = np.concatenate([by_camera @ turn[..., 0].swapaxes(-1, -2), by_camera], axis=-1)
-            by_shared[placing(self.number)] = by_placing.reshape(N, 2 * J, 6)
+            by_correction = np.concatenate([by_camera @ turn[..., 0].swapaxes(-1, -2), by_camera], axis=-1)
+            by_shared[extrinsic_correction(self.number)] = by_correction.reshape(N, 2 * J, 6)
         return Rows(frames, cost, (e * root).reshape(N, 2 * J), rows, by_shared)
 
     def _parts(self, span: Span) -> list[tuple[slice, float]]:
@@ -352,7 +357,7 @@ class KnownAngles:
 
 @dataclass(frozen=True)
 class Heading:
-    """The animal goes where it looks, or `CRAB` beside it: the root's velocity across that level direction is small.
+    """The animal goes where it looks, or `SIDESLIP` beside it: the root's velocity across that direction is small.
 
     rear, front: the markers that give the trunk's direction. One row a pair of frames: (v x u) / sigma, m/s.
     """
@@ -369,8 +374,8 @@ class Heading:
         forward = span.pose.points_m[:, self.front, :2] - span.pose.points_m[:, self.rear, :2]
         length = np.maximum(np.linalg.norm(forward, axis=1, keepdims=True), 1e-6)
         u = forward / length
-        beside = float(span.shared.get(CRAB, _ZERO)[0])
-        turned = np.array([[np.cos(beside), np.sin(beside)], [-np.sin(beside), np.cos(beside)]])
+        angle = float(span.shared.get(SIDESLIP, _ZERO)[0])
+        turned = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
         v = np.diff(span.states[:, :2], axis=0) * self.fps @ turned.T
         scale = _rate(self.fps, 1.0) / self.sigma_m_s
         mean = 0.5 * (u[1:] + u[:-1])
@@ -389,7 +394,7 @@ class Heading:
             rows[:, 0, slot] = 0.5 * scale * (across[:, None] @ d_u[slot : n + slot])[:, 0]
             rows[:, 0, slot, :2] += sign * scale * self.fps * by_velocity
         along = -scale * np.sum(mean * v, axis=1)
-        by_shared = {CRAB: along[:, None, None]} if CRAB in span.shared else {}
+        by_shared = {SIDESLIP: along[:, None, None]} if SIDESLIP in span.shared else {}
         return Rows(frames, 0.5 * r**2, r[:, None], rows, by_shared)
 
 

@@ -6,13 +6,13 @@ that stays there sees the same for any size, so that the size is known as its pr
 views or the ground's distance below the camera say it. The way to the minimum:
 
 1. Starts. The prior's mean pose runs straight through about a second of clip, in 18 headings, and is fitted to the
-   viewing rays (`recon.fit.straight_runs`); the best headings, and the best one mirrored in depth, start the clip.
+   viewing rays (`recon.fit.constant_velocity`); the best headings, and the best one mirrored in depth, start the clip.
 2. Approach, at a lower frame rate, each start with one Gaussian of poses and wide noise that narrows; the two best
    starts go to the end.
 3. The mixture of poses takes the Gaussian's place, flattened at first.
 4. Rounds of: the noise of every joint in every view from its residuals (maximum likelihood under the robust loss),
    contacts and the ground from the feet, and the minimum again, the size free where several views show it. If the
-   first finds the motion surprising under the prior, this loses weight for the rest (`recon.fit.surprise`).
+   first finds the motion surprising under the prior, this loses weight for the rest (`recon.fit.prior_misfit`).
 5. The posterior covariance from the banded factor.
 
 Clips of several seconds are started and approached about a second at a time, and then solved as one. Where nothing is
@@ -36,14 +36,14 @@ from recon.animal.prior import ANGLES, NONE, MotionPrior
 from recon.base.progress import Progress, silent
 from recon.clip import View
 from recon.fit import constants
+from recon.fit.clip_problem import ClipProblem, TrajectoryOptions
 from recon.fit.contacts import contacts
 from recon.fit.least_squares import Estimate, LeastSquares
 from recon.fit.posterior import Posterior, posterior, with_size
-from recon.fit.result import Ground, Spell, Start, TrajectorySolution
-from recon.fit.setting import Setting, TrajectoryOptions
+from recon.fit.prior_misfit import PriorMisfit, prior_misfit_of
+from recon.fit.result import Ground, MotionSegment, Start, TrajectorySolution
 from recon.fit.starts import Approached, approach, between
-from recon.fit.surprise import Surprise, surprise_of
-from recon.fit.terms import CRAB, Reprojection, focal, lag, placing, size_of
+from recon.fit.terms import SIDESLIP, Reprojection, extrinsic_correction, focal, size_of, time_offset
 from recon.geometry.kinematics import ROOT, YAW
 
 Array = NDArray[np.float64]
@@ -87,13 +87,13 @@ def solve_trajectory(
     times as long on a machine that is busy otherwise.
     """
     began = time.perf_counter()
-    setting = Setting.of(views, body, prior, fps, options or TrajectoryOptions(), ground_near_zero)
+    clip = ClipProblem.of(views, body, prior, fps, options or TrajectoryOptions(), ground_near_zero)
     with threadpool_limits(1, user_api="blas"):
-        solved = solve_spells(setting, progress)
-        return _solution(setting, solved, began)
+        solved = solve_segments(clip, progress)
+        return _solution(clip, solved, began)
 
 
-def _spells(usable: NDArray[np.bool_], fps: float) -> list[slice]:
+def _segments(usable: NDArray[np.bool_], fps: float) -> list[slice]:
     """Stretches of frames that are solved as one clip each."""
     at = np.flatnonzero(usable)
     if len(at) == 0:
@@ -106,12 +106,12 @@ def _spells(usable: NDArray[np.bool_], fps: float) -> list[slice]:
     ]
 
 
-# -- one spell -----------------------------------------------------------------------------------------------------
+# -- one segment -----------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, eq=False)
 class Solved:
-    """A solved spell of n frames."""
+    """A solved segment of n frames."""
 
     rows: slice
     """Of the clip."""
@@ -125,9 +125,9 @@ class Solved:
     """(n, F)"""
     ground: Ground | None
     """At nominal size about the origin."""
-    surprise: Surprise | None = None
+    prior_misfit: PriorMisfit | None = None
     """Of the motion under the prior, as first found."""
-    trust: float = 1.0
+    prior_weight: float = 1.0
     """The part of its weight that the prior has."""
     windows: list[tuple[slice, list[Approached]]] = field(default_factory=list)
     stage_s: dict[str, float] = field(default_factory=dict)
@@ -137,41 +137,41 @@ class Solved:
     def size(self) -> float:
         return size_of(self.estimate.shared)
 
-    def lag_frames(self, view: int) -> float:
-        return float(self.estimate.shared.get(lag(view), np.zeros(1))[0])
+    def time_offset_frames(self, view: int) -> float:
+        return float(self.estimate.shared.get(time_offset(view), np.zeros(1))[0])
 
-    def placing(self, view: int) -> Array:
+    def extrinsic_correction(self, view: int) -> Array:
         """(6,)"""
-        return self.estimate.shared.get(placing(view), np.zeros(6))
+        return self.estimate.shared.get(extrinsic_correction(view), np.zeros(6))
 
     def focal(self, view: int) -> float:
         """By the logarithm."""
         return float(self.estimate.shared.get(focal(view), np.zeros(1))[0])
 
 
-def solve_spells(setting: Setting, progress: Progress = silent) -> list[Solved]:
+def solve_segments(clip: ClipProblem, progress: Progress = silent) -> list[Solved]:
     """Every stretch of a clip between which nothing is seen for long."""
-    spells = _spells(setting.present().sum(axis=1) >= MIN_JOINTS, setting.fps)
+    segments = _segments(clip.present().sum(axis=1) >= MIN_JOINTS, clip.fps)
     return [
-        _solve_spell(setting.part(rows), rows, lambda stage, share, i=i: progress(stage, (i + share) / len(spells)))
-        for i, rows in enumerate(spells)
+        _solve_segment(clip.part(rows), rows, lambda stage, share, i=i: progress(stage, (i + share) / len(segments)))
+        for i, rows in enumerate(segments)
     ]
 
 
-def refined(setting: Setting, solved: Solved) -> Solved:
+def refined(clip: ClipProblem, solved: Solved) -> Solved:
     """One more round from a solution, of the clip's setting that may have changed a little."""
-    return _round(replace(setting.part(solved.rows), trust=solved.trust), solved, 1.0, whole=True)
+    return _round(replace(clip.part(solved.rows), prior_weight=solved.prior_weight), solved, 1.0, whole=True)
 
 
-def _solve_spell(setting: Setting, rows: slice, progress: Progress) -> Solved:
-    o, T = setting.options, len(setting)
+def _solve_segment(clip: ClipProblem, rows: slice, progress: Progress) -> Solved:
+    o, T = clip.options, len(clip)
     clock = time.perf_counter()
-    windows = _windows(setting, progress)
+    windows = _windows(clip, progress)
     iterations = sum(a.estimate.iterations for _, starts in windows for a in starts)
     began, clock = clock, time.perf_counter()
     stage_s = {"starts": clock - began}
 
-    temperatures = [t for t in _TEMPERATURES if t > 1 and not o.fast and len(setting.prior.weights) > 1]
+    temperatures = [t for t in _TEMPERATURES if t > 1 and not o.fast and len(clip.prior.weights) > 1]
     steps: list[tuple[float | None, bool]] = [
         *((t, False) for t in temperatures),
         *((1.0, True) for _ in range(o.noise_rounds)),
@@ -179,35 +179,35 @@ def _solve_spell(setting: Setting, rows: slice, progress: Progress) -> Solved:
     if len(windows) > 1:
         steps.insert(0, (None, False))
     estimate = Estimate(_joined(T, windows), np.inf, 0, False)
-    noise = np.ones((len(setting.views), len(setting.body.markers)))
-    nothing = LeastSquares(setting.body.detected, [], [])
-    solved = Solved(rows, estimate, nothing, noise, np.zeros(0), np.zeros((T, len(setting.feet))), None)
+    noise = np.ones((len(clip.views), len(clip.body.markers)))
+    nothing = LeastSquares(clip.body.detected, [], [])
+    solved = Solved(rows, estimate, nothing, noise, np.zeros(0), np.zeros((T, len(clip.feet))), None)
     for i, (temperature, whole) in enumerate(steps):
-        solved, last = _round(setting, solved, temperature, whole), i == len(steps) - 1
-        unsettled = solved.surprise is None or (solved.trust < 1 and not last)
-        if whole and unsettled and setting.prior.name != NONE:
-            found = surprise_of(solved.problem, solved.estimate, setting.fps)
-            setting = replace(setting, trust=setting.trust * found.trust)
-            solved = replace(solved, surprise=solved.surprise or found, trust=setting.trust)
+        solved, last = _round(clip, solved, temperature, whole), i == len(steps) - 1
+        unsettled = solved.prior_misfit is None or (solved.prior_weight < 1 and not last)
+        if whole and unsettled and clip.prior.name != NONE:
+            found = prior_misfit_of(solved.problem, solved.estimate, clip.fps)
+            clip = replace(clip, prior_weight=clip.prior_weight * found.prior_weight)
+            solved = replace(solved, prior_misfit=solved.prior_misfit or found, prior_weight=clip.prior_weight)
         progress("whole clip", 0.4 + 0.6 * (i + 1) / len(steps))
-    settled = solved.surprise is None or not solved.surprise.unlike
-    for _ in range(int(o.noise_rounds == 1 and solved.trust < 1) if settled else _MORE_ROUNDS):
-        solved = _round(setting, solved, 1.0, whole=True)
+    settled = solved.prior_misfit is None or not solved.prior_misfit.unlike
+    for _ in range(int(o.noise_rounds == 1 and solved.prior_weight < 1) if settled else _MORE_ROUNDS):
+        solved = _round(clip, solved, 1.0, whole=True)
     stage_s["whole clip"] = time.perf_counter() - clock
     return replace(solved, windows=windows, stage_s=stage_s, iterations=solved.iterations + iterations)
 
 
-def _round(setting: Setting, solved: Solved, temperature: float | None, whole: bool) -> Solved:
+def _round(clip: ClipProblem, solved: Solved, temperature: float | None, whole: bool) -> Solved:
     """The minimum from a solution; whole: with the noise, the contacts and the ground that follow from it."""
-    o = setting.options
+    o = clip.options
     estimate, noise, contact, ground, contact_terms = solved.estimate, solved.noise, solved.contact, solved.ground, ()
-    points, size = setting.markers(estimate.states), solved.size
+    points, size = clip.markers(estimate.states), solved.size
     if whole:
-        noise = _noise_factors(in_step(setting, solved), points, size, noise)
-        if o.ground == "auto" and len(setting.feet) and len(setting) > 2:
-            contact, ground, contact_terms = contacts(setting, points, size)
-    noise_px = setting.noise_px(points, noise, size)
-    problem = setting.problem(noise_px, temperature, contact_terms, points, size)
+        noise = _noise_factors(in_step(clip, solved), points, size, noise)
+        if o.ground == "auto" and len(clip.feet) and len(clip) > 2:
+            contact, ground, contact_terms = contacts(clip, points, size)
+    noise_px = clip.noise_px(points, noise, size)
+    problem = clip.problem(noise_px, temperature, contact_terms, points, size)
     limit, tolerance = (constants.MAX_ITERATIONS, o.tolerance) if whole else (8, 1e-3)
     estimate = problem.minimise(estimate.states, tolerance, limit, problem.expected() | dict(estimate.shared))
     return replace(
@@ -223,13 +223,13 @@ def _round(setting: Setting, solved: Solved, temperature: float | None, whole: b
 
 
 def _of_views(
-    setting: Setting, solved: Sequence[Solved], known: Sequence[Posterior], name: Callable[[int], str], count: int
+    clip: ClipProblem, solved: Sequence[Solved], known: Sequence[Posterior], name: Callable[[int], str], count: int
 ) -> tuple[Array, Array]:
     """(V, count): unknowns that each view has of its own, and their standard deviations; 0 where they are none.
 
-    Over the spells, by how many of their frames several cameras saw."""
-    V, none = range(len(setting.views)), np.zeros(count)
-    together = np.sum([view.present.any(axis=1) for view in setting.views], axis=0) > 1
+    Over the segments, by how many of their frames several cameras saw."""
+    V, none = range(len(clip.views)), np.zeros(count)
+    together = np.sum([view.present.any(axis=1) for view in clip.views], axis=0) > 1
     frames = np.array([together[one.rows].sum() for one in solved])
     if not frames.any():
         return np.zeros((len(V), count)), np.zeros((len(V), count))
@@ -239,30 +239,32 @@ def _of_views(
     return np.average(found, axis=0, weights=frames), np.linalg.norm(shares * np.array(sigmas), axis=0)
 
 
-def _of_clip(setting: Setting, solved: Sequence[Solved], known: Sequence[Posterior]) -> dict[str, Any]:
+def _of_clip(clip: ClipProblem, solved: Sequence[Solved], known: Sequence[Posterior]) -> dict[str, Any]:
     """The solution's fields of what all frames share, besides the size."""
-    late, late_sigma = _of_views(setting, solved, known, lag, 1)
-    places, places_sigma = _of_views(setting, solved, known, placing, 6)
-    longer, longer_sigma = _of_views(setting, solved, known, focal, 1)
-    crab, crab_sigma = _of_views(setting, solved, known, lambda _: CRAB, 1)
+    late, late_sigma = _of_views(clip, solved, known, time_offset, 1)
+    places, places_sigma = _of_views(clip, solved, known, extrinsic_correction, 6)
+    longer, longer_sigma = _of_views(clip, solved, known, focal, 1)
+    sideslip, sideslip_sigma = _of_views(clip, solved, known, lambda _: SIDESLIP, 1)
     return {
-        "lag_frames": late[:, 0],
-        "lag_sigma_frames": late_sigma[:, 0],
-        "placing": places,
-        "placing_sigma": places_sigma,
+        "time_offset_frames": late[:, 0],
+        "time_offset_sigma_frames": late_sigma[:, 0],
+        "extrinsic_correction": places,
+        "extrinsic_correction_sigma": places_sigma,
         "focal": longer[:, 0],
         "focal_sigma": longer_sigma[:, 0],
-        "crab_rad": float(crab[0, 0]),
-        "crab_sigma_rad": float(crab_sigma[0, 0]),
+        "sideslip_rad": float(sideslip[0, 0]),
+        "sideslip_sigma_rad": float(sideslip_sigma[0, 0]),
     }
 
 
-def in_step(setting: Setting, solved: Solved) -> Setting:
+def in_step(clip: ClipProblem, solved: Solved) -> ClipProblem:
     """With the lags and the cameras' places of a solution in its views."""
-    V = range(len(setting.views))
-    of_views = zip(*((solved.lag_frames(i), solved.placing(i), solved.focal(i)) for i in V), strict=True)
-    views = _found(setting.views, *of_views)
-    return replace(setting, views=views)
+    V = range(len(clip.views))
+    of_views = zip(
+        *((solved.time_offset_frames(i), solved.extrinsic_correction(i), solved.focal(i)) for i in V), strict=True
+    )
+    views = _found(clip.views, *of_views)
+    return replace(clip, views=views)
 
 
 def _found(
@@ -274,14 +276,14 @@ def _found(
     )
 
 
-def _windows(setting: Setting, progress: Progress) -> list[tuple[slice, list[Approached]]]:
+def _windows(clip: ClipProblem, progress: Progress) -> list[tuple[slice, list[Approached]]]:
     """The starts of every stretch of about a second in which something is seen."""
-    windows, present, T = [], setting.present(), len(setting)
-    parts = np.array_split(np.arange(T), min(max(1, round(T / setting.fps / WINDOW_S)), T))
+    windows, present, T = [], clip.present(), len(clip)
+    parts = np.array_split(np.arange(T), min(max(1, round(T / clip.fps / WINDOW_S)), T))
     for i, part in enumerate(parts):
         frames = slice(int(part[0]), int(part[-1]) + 1)
         if np.any(present[frames].sum(axis=1) >= MIN_JOINTS):
-            windows.append((frames, approach(setting.part(frames))))
+            windows.append((frames, approach(clip.part(frames))))
         progress("starts", 0.4 * (i + 1) / len(parts))
     return windows
 
@@ -293,17 +295,17 @@ def _joined(T: int, windows: Sequence[tuple[slice, list[Approached]]]) -> Array:
     return between(np.concatenate([estimate.states for _, estimate in pieces]), at, T)
 
 
-def _noise_factors(setting: Setting, points_m: Array, size: float, factors: Array) -> Array:
+def _noise_factors(clip: ClipProblem, points_m: Array, size: float, factors: Array) -> Array:
     """(V, J): variance of each joint's detections relative to the expected one, as the robust loss would have it.
 
     The mean of weight times squared residual per coordinate, with eight detections' worth of the expectation. Between
     1/4 and 6, that is half and two and a half times the expected standard deviation: a joint is neither followed
     blindly nor given up.
     """
-    world = setting.in_world(points_m, size)
+    world = clip.in_world(points_m, size)
     found = []
-    expected = setting.noise_px(points_m, np.ones_like(factors), size)
-    for view, factor, expected_px in zip(setting.views, factors, expected, strict=True):
+    expected = clip.noise_px(points_m, np.ones_like(factors), size)
+    for view, factor, expected_px in zip(clip.views, factors, expected, strict=True):
         projected, valid = view.project(view.at_its_time(world))
         seen = view.present & valid
         q = np.where(seen, np.sum((projected - view.xy_px) ** 2, axis=-1) / expected_px**2, 0.0)
@@ -317,53 +319,53 @@ def _noise_factors(setting: Setting, points_m: Array, size: float, factors: Arra
 # -- the result ----------------------------------------------------------------------------------------------------
 
 
-def _solution(setting: Setting, solved: Sequence[Solved], began: float) -> TrajectorySolution:
+def _solution(clip: ClipProblem, solved: Sequence[Solved], began: float) -> TrajectorySolution:
     clock = time.perf_counter()
-    known = [posterior(one.problem, setting.body, one.estimate, setting.alike) for one in solved]
-    size, size_sigma, size_from = _size(setting, solved, known)
+    known = [posterior(one.problem, clip.body, one.estimate, clip.correlation_frames) for one in solved]
+    size, size_sigma, size_from = _size(clip, solved, known)
     stage_s = {"posterior": time.perf_counter() - clock}
-    of_frames, of_views = _arrays(setting)
-    second = _Second(np.full(len(setting), np.nan), np.zeros(len(setting), dtype=bool), np.inf)
+    of_frames, of_views = _arrays(clip)
+    second = _Second(np.full(len(clip), np.nan), np.zeros(len(clip), dtype=bool), np.inf)
     for one, of_one in zip(solved, known, strict=True):
-        by_frame, by_view = _of_spell(setting, one, of_one, size, size_sigma)
+        by_frame, by_view = _of_segment(clip, one, of_one, size, size_sigma)
         for name, values in by_frame.items():
             of_frames[name][one.rows] = values
         for name, values in by_view.items():
             of_views[name][:, one.rows] = values
-        second = _with_seconds(setting, one, size, second)
+        second = _with_seconds(clip, one, size, second)
     posed = np.isfinite(of_frames["states"][:, 0]).sum()
-    away = _out_of_sight(setting, of_frames["joints_m"])
-    flags = _flags(setting, of_frames["joints_m"], of_views["weight"], second, away)
+    away = _out_of_sight(clip, of_frames["joints_m"])
+    flags = _flags(clip, of_frames["joints_m"], of_views["weight"], second, away)
     for values in (*of_frames.values(), *(np.moveaxis(v, 0, 1) for v in of_views.values()), second.apart_m):
         values[away] = np.nan
     shares = [of_one.data_share * (one.rows.stop - one.rows.start) for one, of_one in zip(solved, known, strict=True)]
-    shared = _of_clip(setting, solved, known)
+    shared = _of_clip(clip, solved, known)
     costs = _summed([one.problem.costs(one.estimate.states, one.estimate.shared) for one in solved])
     return TrajectorySolution(
-        body=setting.body,
-        views=_found(setting.views, shared["lag_frames"], shared["placing"], shared["focal"]),
+        body=clip.body,
+        views=_found(clip.views, shared["time_offset_frames"], shared["extrinsic_correction"], shared["focal"]),
         **of_frames,
         **of_views,
         size=size,
         size_sigma=size_sigma,
-        size_prior_sigma=setting.size_sigma,
+        size_prior_sigma=clip.size_sigma,
         size_from=size_from,
-        data_share=np.sum(shares, axis=0) / posed if shares else np.full(len(setting.body.markers), np.nan),
+        data_share=np.sum(shares, axis=0) / posed if shares else np.full(len(clip.body.markers), np.nan),
         flags=flags,
         alternative_m=second.apart_m,
         alternative_cost=second.extra_cost if np.isfinite(second.extra_cost) else np.nan,
-        spells=tuple(
-            Spell(
+        segments=tuple(
+            MotionSegment(
                 one.rows,
-                one.ground and one.ground.about(setting.origin_m, size),
-                one.surprise and one.surprise.level,
-                one.trust,
-                one.surprise is not None and one.surprise.unlike,
+                one.ground and one.ground.about(clip.origin_m, size),
+                one.prior_misfit and one.prior_misfit.level,
+                one.prior_weight,
+                one.prior_misfit is not None and one.prior_misfit.unlike,
             )
             for one in solved
             if not away[one.rows].all()
         ),
-        prior=setting.prior.name,
+        prior=clip.prior.name,
         status="converged" if solved and all(one.estimate.converged for one in solved) else "not_converged",
         cost_by_term=costs,
         iterations=sum(one.iterations for one in solved),
@@ -375,9 +377,9 @@ def _solution(setting: Setting, solved: Sequence[Solved], began: float) -> Traje
     )
 
 
-def _arrays(setting: Setting) -> tuple[dict[str, Array], dict[str, Array]]:
+def _arrays(clip: ClipProblem) -> tuple[dict[str, Array], dict[str, Array]]:
     """The solution's arrays with a row a frame, and those of each view, all NaN."""
-    T, V, J, D = len(setting), len(setting.views), len(setting.body.markers), setting.body.n_state
+    T, V, J, D = len(clip), len(clip.views), len(clip.body.markers), clip.body.n_state
     of_frames = {
         "states": (T, D),
         "joints_m": (T, J, 3),
@@ -385,7 +387,7 @@ def _arrays(setting: Setting) -> tuple[dict[str, Array], dict[str, Array]]:
         "relative_covariance_m2": (T, J, 3, 3),
         "angle_sigma_rad": (T, D - 3),
         "angle_data_share": (T, D - 3),
-        "contact": (T, len(setting.feet)),
+        "contact": (T, len(clip.feet)),
     }
     of_views = {"noise_px": (V, T, J), "weight": (V, T, J)}
 
@@ -403,20 +405,20 @@ def _summed(tables: Sequence[dict[str, float]]) -> dict[str, float]:
     return total
 
 
-def _of_spell(
-    setting: Setting, one: Solved, known: Posterior, size: float, size_sigma: float
+def _of_segment(
+    clip: ClipProblem, one: Solved, known: Posterior, size: float, size_sigma: float
 ) -> tuple[dict[str, Array], dict[str, Array]]:
-    """The solution's arrays in the frames of one spell: those with a row a frame, and those of each view."""
+    """The solution's arrays in the frames of one segment: those with a row a frame, and those of each view."""
     states = one.estimate.states + known.state_by_size * (size - one.size)
-    points = setting.body.tree.pose(states).points_m
-    by_size, markers = known.joint_by_size_m, setting.in_world(setting.markers(states), size)
+    points = clip.body.tree.pose(states).points_m
+    by_size, markers = known.joint_by_size_m, clip.in_world(clip.markers(states), size)
     centred = by_size - by_size.mean(axis=1, keepdims=True)
     reprojections = [term for term in one.problem.terms if isinstance(term, Reprojection)]
-    views = in_step(setting.part(one.rows), one).views
+    views = in_step(clip.part(one.rows), one).views
     seen_by = [replace(term, view=view) for term, view in zip(reprojections, views, strict=True)]
     weight = [term.weights(term.view.at_its_time(markers)) for term in seen_by]
-    in_world, joints_m = states.copy(), setting.in_world(points, size)
-    in_world[:, ROOT] = setting.in_world(states[:, ROOT], size)
+    in_world, joints_m = states.copy(), clip.in_world(points, size)
+    in_world[:, ROOT] = clip.in_world(states[:, ROOT], size)
     covariance_m2 = with_size(known.covariance_m2, by_size, size, size_sigma)
     if len(views) == 1:  # of several, one's turn is known by the others
         covariance_m2 = covariance_m2 + views[0].turn_covariance_m2(joints_m)
@@ -432,42 +434,42 @@ def _of_spell(
 
 
 def _size(
-    setting: Setting, solved: Sequence[Solved], known: Sequence[Posterior]
+    clip: ClipProblem, solved: Sequence[Solved], known: Sequence[Posterior]
 ) -> tuple[float, float, tuple[str, ...]]:
     """The size, its standard deviation, and what says it.
 
     The prior's 1 with its sigma; what several views say; and where the ground's distance below the camera is known: the
     feet on the ground are so far below the camera at nominal size, and the size makes that the camera's height.
     """
-    of_prior, lasting = setting.size_sigma**-2, _size_of_offsets(setting) ** 2
+    of_prior, lasting = clip.size_sigma**-2, _size_of_offsets(clip) ** 2
     precision, pull, told = of_prior, of_prior, ["prior"]
     for one, of_one in zip(solved, known, strict=True):
         if of_one.size_precision > 0:
             # What the views alone say: the minimum is drawn to the prior's 1.
-            of_views = of_one.size_precision * setting.alike
+            of_views = of_one.size_precision * clip.correlation_frames
             seen = 1.0 / (1.0 / of_one.size_precision + lasting)
             precision += seen
             pull += seen * (one.size + (one.size - 1.0) * of_prior / of_views)
             told.append("views")
-        if setting.ground_known and one.ground is not None:
+        if clip.ground_known and one.ground is not None:
             at = one.contact / one.contact.sum()
-            below = -float(np.sum(at * setting.markers(one.estimate.states)[:, setting.feet, 2]))
-            variance = float(np.sum(at * of_one.covariance_m2[:, setting.feet, 2, 2]))
+            below = -float(np.sum(at * clip.markers(one.estimate.states)[:, clip.feet, 2]))
+            variance = float(np.sum(at * of_one.covariance_m2[:, clip.feet, 2, 2]))
             variance += constants.GROUND_HEIGHT_M**2
             precision += below**2 / variance
-            pull += float(setting.origin_m[2]) * below / variance
+            pull += float(clip.origin_m[2]) * below / variance
             told.append("ground")
     return float(pull / precision), float(precision**-0.5), tuple(dict.fromkeys(told))
 
 
-def _size_of_offsets(setting: Setting) -> float:
+def _size_of_offsets(clip: ClipProblem) -> float:
     """What keypoints beside their markers look like as a size: each lies off by the body's keypoint_sigma_m in a
     direction of its own, the same in every frame and for every camera."""
-    body = setting.body
+    body = clip.body
     state = np.zeros((1, body.n_state))
-    state[0, ANGLES] = setting.prior.mean
+    state[0, ANGLES] = clip.prior.mean
     points = body.tree.pose(state).points_m[0]
-    return setting.keypoint_sigma_m / float(np.linalg.norm(points - points.mean(axis=0)))
+    return clip.keypoint_sigma_m / float(np.linalg.norm(points - points.mean(axis=0)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -480,49 +482,49 @@ class _Second:
     extra_cost: float
 
 
-def _with_seconds(setting: Setting, one: Solved, size: float, second: _Second) -> _Second:
-    """With those of one spell: where a second start was carried to the end."""
+def _with_seconds(clip: ClipProblem, one: Solved, size: float, second: _Second) -> _Second:
+    """With those of one segment: where a second start was carried to the end."""
     apart_m, mirrored, extra_cost = second.apart_m.copy(), second.mirrored.copy(), second.extra_cost
-    points = setting.body.tree.pose(one.estimate.states).points_m
+    points = clip.body.tree.pose(one.estimate.states).points_m
     for window, (best, *others) in one.windows:
         other = next((a for a in others if a.finished), None)
         if other is None or other.estimate.cost > best.estimate.cost + ALTERNATIVE_COST:
             continue
-        there = setting.body.tree.pose(other.estimate.states).points_m
+        there = clip.body.tree.pose(other.estimate.states).points_m
         here, there = (p - p.mean(axis=1, keepdims=True) for p in (points[window], there))
         at = slice(one.rows.start + window.start, one.rows.start + window.stop)
         apart_m[at] = size * np.linalg.norm(here - there, axis=-1).mean(axis=1)
-        mirrored[at] = np.sum((here @ setting.away) * (there @ setting.away), axis=1) < 0
+        mirrored[at] = np.sum((here @ clip.away) * (there @ clip.away), axis=1) < 0
         extra_cost = min(extra_cost, other.estimate.cost - best.estimate.cost)
     return _Second(apart_m, mirrored, extra_cost)
 
 
-def _out_of_sight(setting: Setting, joints_m: Array) -> NDArray[np.bool_]:
+def _out_of_sight(clip: ClipProblem, joints_m: Array) -> NDArray[np.bool_]:
     """(T,): whether a pose of joints (T, J, 3) is further off than any camera can see it."""
-    at = setting.body.markers.index
-    limbs = (joints_m[:, [at(marker) for marker in along]] for along in setting.body.limbs.values())
+    at = clip.body.markers.index
+    limbs = (joints_m[:, [at(marker) for marker in along]] for along in clip.body.limbs.values())
     reach_m = sum(np.linalg.norm(np.diff(limb, axis=1), axis=2).sum(axis=1) for limb in limbs)
     return np.all(
         [
             reach_m * view.focal_px < MIN_REACH_PX * np.median(view.to_camera(joints_m)[..., 2], axis=1)
-            for view in setting.views
+            for view in clip.views
         ],
         axis=0,
     )
 
 
 def _flags(
-    setting: Setting, joints_m: Array, weight: Array, second: _Second, away: NDArray[np.bool_]
+    clip: ClipProblem, joints_m: Array, weight: Array, second: _Second, away: NDArray[np.bool_]
 ) -> tuple[tuple[str, ...], ...]:
     """weight (V, T, J)."""
-    detected = setting.present().sum(axis=1)
+    detected = clip.present().sum(axis=1)
     trusted = np.where(np.isfinite(weight), weight, 0.0).max(axis=0).sum(axis=1)
     good = np.percentile(trusted[detected > 0], 90) if detected.any() else 0.0
-    rear, front = (joints_m[:, setting.body.markers.index(marker)] for marker in setting.body.forward)
+    rear, front = (joints_m[:, clip.body.markers.index(marker)] for marker in clip.body.forward)
     trunk, middle = front - rear, joints_m.mean(axis=1)
-    sees = np.array([view.present.sum(axis=1) >= MIN_JOINTS for view in setting.views])
+    sees = np.array([view.present.sum(axis=1) >= MIN_JOINTS for view in clip.views])
     end_on = []
-    for view in setting.views:
+    for view in clip.views:
         sight = middle - view.centre_m
         lengths = np.linalg.norm(sight, axis=1) * np.linalg.norm(trunk, axis=1)
         end_on.append(np.abs(np.sum(sight * trunk, axis=1)) / lengths > np.cos(END_ON_RAD))

@@ -297,6 +297,6 @@ def _gaits(results: Results, pose: Pose3D) -> dict[Method, Gait]:
     if not results.feet:
         return {}
     body = BODY if set(BODY) <= {*pose.names} else results.forward
-    spells = [spell.rows for spell in results.spells]
-    moved = pose_tracks(pose, results.fps, feet=results.feet, body=body, spells=spells)
+    segments = [segment.rows for segment in results.segments]
+    moved = pose_tracks(pose, results.fps, feet=results.feet, body=body, segments=segments)
     return gaits(moved)

@@ -24,7 +24,7 @@ threshold would be nearer to the lift-off, but noise would cut the stance: a swi
 0.05 of a stride too long in all. A marker lies some centimetres above the sole and rises with the heel, hence 0.15 of
 the leg (9 cm of 0.6 m) to count as low at all, and 0.3 for the end of the push-off. Stances shorter than `MIN_STANCE_S`
 are noise. The ground is a plane through the slow feet's positions, fitted with Tukey weights; clips of a few strides
-hardly fix its slope across the track, so that slopes have a prior of 0 +- `SLOPE_SIGMA`. Every spell of a clip, a
+hardly fix its slope across the track, so that slopes have a prior of 0 +- `SLOPE_SIGMA`. Every segment of a clip, a
 stretch that was reconstructed by itself, has a plane of its own.
 
 The leg's length is the body's median height above the ground, the length of Froude numbers.
@@ -153,11 +153,11 @@ class Tracks:
     height_m: Array
     """(N, F): above the ground."""
     grounds: tuple[tuple[slice, Plane], ...]
-    """The clip's rows and the plane under the feet in them, one for every spell of the clip."""
+    """The clip's rows and the plane under the feet in them, one for every segment of the clip."""
     leg_m: float
 
     def above_ground(self, xyz_m: Array) -> Array:
-        """Heights (N, ...) of points (N, ..., 3), each above its spell's ground; NaN outside of all."""
+        """Heights (N, ...) of points (N, ..., 3), each above its segment's ground; NaN outside of all."""
         return _above(self.grounds, xyz_m)
 
 
@@ -254,10 +254,10 @@ def tracks(
     feet: tuple[str, ...],
     feet_sigma_m: Array | None = None,
     body_sigma_m: Array | None = None,
-    spells: Sequence[slice] = (slice(None),),
+    segments: Sequence[slice] = (slice(None),),
 ) -> Tracks:
     """Feet (T, F, 3) and body (T, 3) at times (T,), metres, z up, NaN where missing. With standard deviations, of the
-    same shapes, the splines smooth by as much; without, they are exact. spells: rows that have a ground of their own.
+    same shapes, the splines smooth by as much; without, they are exact. segments: rows that have a ground of their own.
     Raises ValueError."""
     if feet_m.shape != (len(time_s), len(feet), 3) or body_m.shape != (len(time_s), 3):
         raise ValueError(f"{len(time_s)} times, {len(feet)} feet, but positions {feet_m.shape} and {body_m.shape}")
@@ -271,7 +271,7 @@ def tracks(
     body_speed = np.linalg.norm(body.rate[:, :2], axis=1)
     reach = np.einsum("nfk,nk->nf", (foot - body.value[:, None])[..., :2], _travel(body.time_s, body.value))
     slow = foot_speed < SLOW[0] * body_speed[:, None]
-    grounds = tuple((rows, _ground_under(foot[_fine(rows)], slow[_fine(rows)])) for rows in spells)
+    grounds = tuple((rows, _ground_under(foot[_fine(rows)], slow[_fine(rows)])) for rows in segments)
     return Tracks(
         feet=feet,
         time_s=body.time_s,
@@ -293,11 +293,11 @@ def pose_tracks(
     sigma_m: Array | None = None,
     feet: Mapping[str, str] = FEET,
     body: tuple[str, ...] = BODY,
-    spells: Sequence[slice] = (slice(None),),
+    segments: Sequence[slice] = (slice(None),),
 ) -> Tracks:
     """The tracks of a pose; sigma_m (T, J, 3) smooths as in `tracks`; feet: joint of each foot, by LH, RH, LF, RF;
-    body: joints whose mean stands for the body; spells: see `tracks`. Raises InputError with every joint that the pose
-    lacks, ValueError."""
+    body: joints whose mean stands for the body; segments: see `tracks`. Raises InputError with every joint that the
+    pose lacks, ValueError."""
     where, n = joint_index(pose, (*feet.values(), *body)), len(feet)
     points = pose.xyz_m[:, where]
     feet_sigma = body_sigma = None
@@ -306,7 +306,7 @@ def pose_tracks(
         # Errors of a body's joints go together: the mean is no better than they are.
         body_sigma = np.sqrt(np.mean(sigma_m[:, where[n:]] ** 2, axis=1))
     body_m = points[:, n:].mean(axis=1)
-    return tracks(frame_times(pose.frames, fps), points[:, :n], body_m, tuple(feet), feet_sigma, body_sigma, spells)
+    return tracks(frame_times(pose.frames, fps), points[:, :n], body_m, tuple(feet), feet_sigma, body_sigma, segments)
 
 
 def _path(time_s: Array, points_m: Array, sigma_m: Array | None) -> Series:

@@ -20,7 +20,7 @@ from recon.animal.chain import MIN_JOINTS, MIN_REACH_PX, Chain, Posed
 from recon.base.arrays import Array, median
 from recon.check import Finding, finding
 from recon.clip import View
-from recon.fit.result import OUTLIER_SIGMAS, Solution, Spell
+from recon.fit.result import OUTLIER_SIGMAS, MotionSegment, Solution
 from recon.fit.results import MEASURED_SHARE
 from recon.geometry.camera import Camera
 from recon.geometry.frames import inverse, moved
@@ -332,7 +332,7 @@ def in_world(
         flags=_flags(view, chain, states, joints_m, reports, sigma_px, trusted, fps),
         alternative_m=np.full(T, np.nan),  # of all starts only the best is kept
         contact=np.zeros((T, len(chain.feet))),
-        spells=(Spell(slice(0, T), None),),
+        segments=(MotionSegment(slice(0, T), None),),
         stage_s={},
         chain=chain,
         chain_states=states,

@@ -20,8 +20,8 @@ from recon.base.errors import InputError, Problem
 from recon.base.files import require_free_folder, sole_writer, staged_folder
 from recon.base.progress import Progress, silent
 from recon.clip import Source, together, views_of
+from recon.fit.clip_problem import ClipProblem
 from recon.fit.results import Results, read_results
-from recon.fit.setting import Setting
 from recon.io.calibration import read_cameras
 from recon.io.table import write_rows
 from recon.show import plots
@@ -110,12 +110,12 @@ def read_solver(results: Results) -> SolverRecord:
         told = 0.5 * sum(frame["squared_norm"] for frame in results.report["frames"] if frame["unknowns"])
     else:
         assert model.prior is not None
-        setting = Setting.of(views, model.body, model.prior, given.fps, settings.trajectory_options())
+        setting = ClipProblem.of(views, model.body, model.prior, given.fps, settings.trajectory_options())
         problem = linearised_clip(setting, results)
         told = sum(results.report["convergence"]["cost_by_term"].values())
     if not problem.solved.any():
         expected = "one between two gaps, at least, with a pose in every frame"
-        raise InputError(Problem(results.folder, "spells", "none with a pose throughout", expected))
+        raise InputError(Problem(results.folder, "segments", "none with a pose throughout", expected))
     cost = sum(float(np.nansum(of_term)) for of_term in problem.cost.values())
     if problem.solved.all() and max(cost, told) > _ALIKE * max(min(cost, told), 1.0):
         raise InputError(Problem(config, "camera", f"a cost of {cost:.4g}, where the fit had {told:.4g}", EXPECTED))

@@ -19,11 +19,11 @@ from recon.animal.chain import Chain
 from recon.base.arrays import Array, Bools, Index
 from recon.base.files import write_bytes
 from recon.clip import View
+from recon.fit.clip_problem import ClipProblem
 from recon.fit.contacts import contacts
 from recon.fit.least_squares import LeastSquares
 from recon.fit.results import Results
-from recon.fit.setting import Setting
-from recon.fit.terms import CRAB, SIZE, lag
+from recon.fit.terms import SIDESLIP, SIZE, time_offset
 from recon.geometry.kinematics import ROOT, YAW
 from recon.thesis.frame import FrameOptions, beyond_range_rad, beyond_rate_rad_s, frame_rows
 
@@ -152,18 +152,20 @@ def linearised_frames(view: View, chain: Chain, fps: float, options: FrameOption
     return Linearised(chain.state_names, len(frames), lambda: rows, np.full(states.shape, np.nan))
 
 
-def linearised_clip(setting: Setting, results: Results) -> Linearised:
-    """Of the trajectory method. The noise of the joints is the report's, the mean of several spells; contacts follow
-    from the solution. A spell with a frame that ran away is left out."""
-    o, told_px = setting.options, np.array([camera["noise_px"] for camera in results.report["cameras"]], dtype=float)
-    size = results.size if setting.shows_size else 1.0
-    told = {lag(i): np.array([camera["lag_frames"]]) for i, camera in enumerate(results.report["cameras"])}
-    told |= {SIZE: np.array([size]), CRAB: np.array([results.report["heading"].get("crab_rad") or 0.0])}
+def linearised_clip(clip: ClipProblem, results: Results) -> Linearised:
+    """Of the trajectory method. The noise of the joints is the report's, the mean of several segments; contacts follow
+    from the solution. A segment with a frame that ran away is left out."""
+    o, told_px = clip.options, np.array([camera["noise_px"] for camera in results.report["cameras"]], dtype=float)
+    size = results.size if clip.shows_size else 1.0
+    told = {
+        time_offset(i): np.array([camera["time_offset_frames"]]) for i, camera in enumerate(results.report["cameras"])
+    }
+    told |= {SIZE: np.array([size]), SIDESLIP: np.array([results.report["heading"].get("sideslip_rad") or 0.0])}
     states = results.states.copy()
-    states[:, ROOT] = (states[:, ROOT] - setting.origin_m) / results.size
-    spells, step = [], np.full(states.shape, np.nan)
-    for spell in results.spells:
-        part, found = replace(setting.part(spell.rows), trust=spell.prior_weight), states[spell.rows]
+    states[:, ROOT] = (states[:, ROOT] - clip.origin_m) / results.size
+    segments, step = [], np.full(states.shape, np.nan)
+    for segment in results.segments:
+        part, found = replace(clip.part(segment.rows), prior_weight=segment.prior_weight), states[segment.rows]
         if not np.isfinite(found).all():
             continue
         points = part.markers(found)
@@ -172,15 +174,15 @@ def linearised_clip(setting: Setting, results: Results) -> Linearised:
         stand = o.ground == "auto" and len(part.feet) > 0 and len(found) > 2
         problem = part.problem(noise_px, 1.0, contacts(part, points, size)[2] if stand else (), points, size)
         shared = {name: (problem.expected() | told)[name] for name in problem.columns}  # refined cameras are in place
-        step[spell.rows] = replace(problem).normal(found, shared).step(_LEAST_DAMPING)[0]  # what a copy caches goes
-        spells.append((spell.rows.start, problem, found, shared))
+        step[segment.rows] = replace(problem).normal(found, shared).step(_LEAST_DAMPING)[0]  # what a copy caches goes
+        segments.append((segment.rows.start, problem, found, shared))
 
     def rows() -> Iterator[Rows]:
-        for start, *of_spell in spells:
+        for start, *of_spell in segments:
             for one in _rows(*of_spell):
                 yield replace(one, frames=one.frames + start)
 
-    return Linearised(setting.body.state_names, len(states), rows, step)
+    return Linearised(clip.body.state_names, len(states), rows, step)
 
 
 def _rows(problem: LeastSquares, states: Array, shared: Mapping[str, Array]) -> Iterator[Rows]:

@@ -1,6 +1,6 @@
 """Where the frame method starts: direction of travel, and a rough placement of the chain, from geometry alone.
 
-The mean pose is put at the detections' bearings (`recon.fit.straight_runs`), over many headings and all frames of a
+The mean pose is put at the detections' bearings (`recon.fit.constant_velocity`), over many headings and all frames of a
 stretch: the heading is chosen whose chain fits and which agrees with the path that it implies.
 """
 
@@ -12,7 +12,7 @@ import numpy as np
 
 from recon.animal.chain import MIN_JOINTS, Chain, upright_rotation
 from recon.base.arrays import Array
-from recon.fit.straight_runs import place_on_rays, straight_runs
+from recon.fit.constant_velocity import constant_velocity, place_on_rays
 from recon.geometry.camera import Camera
 from recon.geometry.frames import level_axes
 from recon.geometry.rotations import euler_angles
@@ -77,7 +77,7 @@ def _stretch_travel(headings: Array, shapes: Array, up: Array, rays: Array, time
     heading whose run fits all the rays best decides. It is seen in the shape's foreshortening and in the path alike.
     """
     time_s = time_s - time_s.mean()
-    misfit, runs = straight_runs(headings, shapes, up, rays, time_s)
+    misfit, runs = constant_velocity(headings, shapes, up, rays, time_s)
     speeds = np.abs(runs[:, 3])
     best = int(np.argmin(misfit))
     # The minimum between grid points, from the parabola through the best three.

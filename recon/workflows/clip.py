@@ -121,7 +121,7 @@ def fit_clip(settings: FitSettings, progress: Progress = silent) -> Motion:
     motion = replace(motion, sources=sources, solution=replace(solution, stage_s=stage_s))
     found = (*outliers, *found, *agreement_findings(motion, options.sigma_px, options.keypoint_noise_m(body)))
     if settings.seeks_cameras:
-        placed = zip(sources, solution.placing, solution.focal, strict=True)
+        placed = zip(sources, solution.extrinsic_correction, solution.focal, strict=True)
         sources = tuple(replace(s, camera=s.camera.corrected(by).with_focal_scale(longer)) for s, by, longer in placed)
     motion = replace(flagged(motion, found), sources=sources, findings=found)
     return replace(motion, findings=findings_of(motion))

@@ -15,8 +15,8 @@ from recon.base.errors import InputError, Problem, all_of
 from recon.base.files import require_free_file
 from recon.base.progress import Progress, silent
 from recon.clip import Source, View, camera_poses, together
+from recon.fit.clip_problem import ClipProblem
 from recon.fit.extrinsics import LEVEL_RAD, TooLittleInCommonError, search_offsets, solve_extrinsics
-from recon.fit.setting import Setting
 from recon.geometry.camera import Camera
 from recon.geometry.frames import level_from_camera, rigid
 from recon.io import write_cameras
@@ -143,7 +143,7 @@ def run_extrinsics(
     )
     write_cameras(found, out)
     offsets_s = []
-    for sources, fps, lags in zip(in_step, (of[0].fps for of in given), rig.lag_frames, strict=True):
+    for sources, fps, lags in zip(in_step, (of[0].fps for of in given), rig.time_offset_frames, strict=True):
         late_s = {camera.name: lag / fps for camera, lag in zip(cameras, lags, strict=True)}
         began_s = np.array([source.offset_s + late_s[source.camera.name] for source in sources])
         offsets_s.append(tuple((began_s - began_s[0]).tolist()))
@@ -176,7 +176,7 @@ def _setting(
     sources: Sequence[Source],
     cameras: Sequence[Camera],
     poses: Sequence[Array],
-) -> Setting:
+) -> ClipProblem:
     """A clip with a view of every camera; one that did not film it has seen nothing."""
     model, by_name = given[0].model, {source.camera.name: source for source in sources}
     assert model.prior is not None
@@ -190,7 +190,7 @@ def _setting(
             points = source.keypoints
             views.append(View(camera, pose, points.xy_px, points.confidence, lead_frames=source.lead_frames))
     knows_up = bool(clip.refine_cameras) and None  # where the ground is, the camera file says
-    return Setting.of(views, model.body, model.prior, given[0].fps, clip.trajectory_options(), knows_up)
+    return ClipProblem.of(views, model.body, model.prior, given[0].fps, clip.trajectory_options(), knows_up)
 
 
 def _each_alone(settings: FitSettings) -> list[Prepared]:

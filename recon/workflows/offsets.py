@@ -41,12 +41,12 @@ def solved_in_step(
     sources = together(apart, later.tolist())
     solution = solve(sources)
     for _ in range(1, ROUNDS):
-        if np.abs(solution.lag_frames).max() < CLOSE_FRAMES:
+        if np.abs(solution.time_offset_frames).max() < CLOSE_FRAMES:
             break
-        later = later + solution.lag_frames
+        later = later + solution.time_offset_frames
         sources = together(apart, later.tolist())
         solution = solve(sources)
-    problems = list(_problems(names, later, solution.lag_frames, solution.lag_sigma_frames))
+    problems = list(_problems(names, later, solution.time_offset_frames, solution.time_offset_sigma_frames))
     if problems:
         raise InputError(problems)
     return sources, solution

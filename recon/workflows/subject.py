@@ -17,8 +17,8 @@ from recon.base.errors import InputError, Problem, all_of
 from recon.base.files import require_free_file, staged_file
 from recon.base.settings import OneOrMore, Option, Settings
 from recon.clip import views_of
+from recon.fit.clip_problem import ClipProblem
 from recon.fit.points import MIN_MARKERS, solve_points
-from recon.fit.setting import Setting
 from recon.fit.shape import POSED_OFFSET_SIGMA_M, Shape, ShapeFit, fit_shape
 from recon.io import Pose3D, read_pose3d
 from recon.workflows.clip import prepare
@@ -165,8 +165,8 @@ def _require_one_skeleton(settings: Sequence[FitSettings], clips: Sequence[Path]
         raise InputError(Problem("CLIPS", "skeleton", found, "clips of the same skeleton"))
 
 
-def _setting_reader(settings: FitSettings, path: Path, pose: Pose3D | None) -> Callable[[], Setting]:
-    def read() -> Setting:
+def _setting_reader(settings: FitSettings, path: Path, pose: Pose3D | None) -> Callable[[], ClipProblem]:
+    def read() -> ClipProblem:
         if settings.method != "trajectory":
             raise InputError(Problem(path, "method", settings.method, "the trajectory method"))
         given = prepare(settings)
@@ -174,7 +174,9 @@ def _setting_reader(settings: FitSettings, path: Path, pose: Pose3D | None) -> C
         if model.body.one_sided or model.prior is None:
             expected = "a whole animal: a chain's lengths stand in its own skeleton file"
             raise InputError(Problem(path, "skeleton", model.body.name, expected))
-        setting = Setting.of(views_of(given.sources), model.body, model.prior, given.fps, settings.trajectory_options())
+        setting = ClipProblem.of(
+            views_of(given.sources), model.body, model.prior, given.fps, settings.trajectory_options()
+        )
         if not setting.shows_size:
             found = f"one camera that stands still, {given.sources[0].camera.name}"
             raise InputError(
@@ -187,7 +189,7 @@ def _setting_reader(settings: FitSettings, path: Path, pose: Pose3D | None) -> C
     return read
 
 
-def _states_known(setting: Setting, frames: NDArray[np.int_], pose: Pose3D) -> Array:
+def _states_known(setting: ClipProblem, frames: NDArray[np.int_], pose: Pose3D) -> Array:
     """(T, D): states of the setting's body, whose markers are nearest to a pose, NaN where it has none. Raises
     InputError where it has no frame or too few of the markers."""
     markers = setting.body.markers

@@ -222,7 +222,7 @@ SPOILT: tuple[Callable[[Spoiling], None], ...] = (
 )
 LENGTHS = (1, 2, 3, 4, 6, 12, 24, 40)
 LONGEST = 200
-"""Frames of one clip in forty: several spells and windows."""
+"""Frames of one clip in forty: several segments and windows."""
 RATES_HZ = (60.0, 60.0, 25.0, 400.0, 1.0, 1e4)
 """What a clip may be said to be filmed at; the points are those of 60 Hz."""
 ABSURD_RATES_HZ = (1e-300, 1e-3, 0.2, 0.5, 0.999, 10001.0, 1e5, 1e7, 1e300)

@@ -18,9 +18,9 @@ from recon.check.inputs.picture import of_other_camera, of_smaller_video, of_uni
 from recon.check.inputs.rate import other_rate
 from recon.check.inputs.swaps import swap_finding, swaps
 from recon.fit import TrajectoryOptions, TrajectorySolution
+from recon.fit.clip_problem import ClipProblem
 from recon.fit.finding import Finding
 from recon.fit.motion import Motion
-from recon.fit.setting import Setting
 from recon.geometry.camera import Camera
 from recon.geometry.kinematics import ROOT
 
@@ -47,24 +47,24 @@ def input_findings(
     sides nor rates."""
     solution, body, fps = motion.solution, motion.body, motion.fps
     assert isinstance(solution, TrajectorySolution)
-    setting = Setting.of(solution.views, body, prior, fps, options)
-    weighed = replace(setting, trust=min((spell.prior_weight for spell in solution.spells), default=1.0))
+    clip = ClipProblem.of(solution.views, body, prior, fps, options)
+    weighed = replace(clip, prior_weight=min((segment.prior_weight for segment in solution.segments), default=1.0))
     too_fast = mean_speed_m_s(solution.states, fps) > FASTEST_M_S  # nor does the prior know it
-    unlike = too_fast or any(spell.unlike_prior for spell in solution.spells)
+    unlike = too_fast or any(segment.unlike_prior for segment in solution.segments)
     seeks_swaps = facts.swaps and prior.name != NONE and bool(solution.posed.any())
     found: list[Finding] = []
     with threadpool_limits(1, user_api="blas"):
         for number, source in enumerate(motion.sources):
-            given = baseline_of(setting, number, solution.states, solution.size)
+            given = baseline_of(clip, number, solution.states, solution.size)
             of_picture = _of_picture(given, facts.others[number], facts.named[number])
             if of_picture is not None:
                 found.append(of_picture)
             elif seeks_swaps:
-                if weighed.trust < 1:
+                if weighed.prior_weight < 1:
                     given = baseline_of(weighed, number, solution.states, solution.size)
                 found += [swap_finding(trial, source, body) for trial in swaps(given, unlike)]
         if not any(one.code == "keypoints_normalised" for one in found):
-            found += _of_rate(setting, solution, facts.stated_hz)
+            found += _of_rate(clip, solution, facts.stated_hz)
     return tuple(found)
 
 
@@ -75,15 +75,15 @@ def _of_picture(given: Baseline, others: Sequence[Camera], named: str | None) ->
     )
 
 
-def _of_rate(setting: Setting, solution: TrajectorySolution, stated_hz: float | None) -> Sequence[Finding]:
+def _of_rate(clip: ClipProblem, solution: TrajectorySolution, stated_hz: float | None) -> Sequence[Finding]:
     posed = np.isfinite(solution.states[:, 0])
-    spells = [spell.rows for spell in solution.spells if posed[spell.rows].all()]
-    if not spells:
+    segments = [segment.rows for segment in solution.segments if posed[segment.rows].all()]
+    if not segments:
         return ()
-    longest = max(spells, key=lambda rows: rows.stop - rows.start)
+    longest = max(segments, key=lambda rows: rows.stop - rows.start)
     states = solution.states[longest].copy()
-    states[:, ROOT] = (states[:, ROOT] - setting.origin_m) / solution.size
-    found = other_rate(setting.part(longest), states, stated_hz)
+    states[:, ROOT] = (states[:, ROOT] - clip.origin_m) / solution.size
+    found = other_rate(clip.part(longest), states, stated_hz)
     return () if found is None else (found,)
 
 

@@ -1,8 +1,8 @@
 """How likely what a camera saw is, under what is expected of an animal and its motion, as it was given or otherwise.
 
-A hypothesis is a `Setting`: other keypoints, or another camera. Its animal is sought from the start, as the fast search
-does, at the approach's frame rate; or from the motion that was found, where the hypothesis leaves the animal there:
-its minimum is then nearly always the same one, in a third of the time.
+A hypothesis is a `ClipProblem`: other keypoints, or another camera. Its animal is sought from the start, as the fast
+search does, at the approach's frame rate; or from the motion that was found, where the hypothesis leaves the animal
+there: its minimum is then nearly always the same one, in a third of the time.
 
 A detector's errors last, and keypoints of one limb err together. An error that stays is hardly surprising, one that
 jumps is (`unlikely`): where sides are exchanged, the motion or the errors of all of a limb's keypoints jump at once.
@@ -22,10 +22,10 @@ from recon.base.arrays import Array, Bools
 from recon.clip import View
 from recon.clip.keypoints import frame_ranges
 from recon.fit import constants
+from recon.fit.clip_problem import ClipProblem
 from recon.fit.least_squares import LeastSquares
-from recon.fit.setting import Setting
+from recon.fit.prior_misfit import LASTS_S
 from recon.fit.starts import APPROACH_HZ, approach, between
-from recon.fit.surprise import LASTS_S
 from recon.fit.terms import POSE, REFERENCE_HZ
 from recon.geometry.kinematics import ROOT, YAW
 
@@ -48,10 +48,10 @@ LOW_FEET = 0.1
 """Of the frames, the part in which the lowest foot is taken to be on the ground."""
 
 
-def alone(setting: Setting, view: View) -> Setting:
+def alone(clip: ClipProblem, view: View) -> ClipProblem:
     """Of one camera's view, by the fast search."""
     origin_m = np.mean(view.centre_m, axis=0)
-    return replace(setting, views=(view,), origin_m=origin_m, options=replace(setting.options, fast=True))
+    return replace(clip, views=(view,), origin_m=origin_m, options=replace(clip.options, fast=True))
 
 
 @dataclass(frozen=True)
@@ -74,22 +74,22 @@ class Likelihood:
         """Against another stretch of the clip: what is unlikely of its poses lasts as long as it."""
         return self.seen + POSES * self.poses + self.rest
 
-    def lasting(self, alike: float) -> float:
+    def lasting(self, correlation_frames: float) -> float:
         """Where all that is expected is off in the same way all the time, and counts once in so many frames."""
-        return self.seen + (self.poses + self.rest) / alike
+        return self.seen + (self.poses + self.rest) / correlation_frames
 
 
 def judged(
-    setting: Setting, start: Array | None = None, widen: Sequence[float] = (1.0,), wanted: float = np.inf
+    clip: ClipProblem, start: Array | None = None, widen: Sequence[float] = (1.0,), wanted: float = np.inf
 ) -> Likelihood:
     """Infinite without keypoints. start: states (T, D) to begin with; by default it is sought. widen: factors on the
     noise of the fits on the way in from there. wanted: the cost of what it is compared with; a fit that will not come
     to it ends early."""
-    if (setting.present().sum(axis=1) >= MIN_JOINTS).sum() < 2:
+    if (clip.present().sum(axis=1) >= MIN_JOINTS).sum() < 2:
         return Likelihood(np.inf, 0.0, 0.0)
-    step = max(1, round(setting.fps / APPROACH_HZ))
-    thin, ones = setting.thinned(step), np.ones((1, len(setting.body.markers)))
-    states = (approach(setting)[0].estimate.states if start is None else start)[::step]
+    step = max(1, round(clip.fps / APPROACH_HZ))
+    thin, ones = clip.thinned(step), np.ones((1, len(clip.body.markers)))
+    states = (approach(clip)[0].estimate.states if start is None else start)[::step]
 
     def minimum(states: Array, times: float, temperature: float | None) -> tuple[LeastSquares, Array]:
         problem = thin.problem(times * thin.noise_px(thin.markers(states), ones), temperature)
@@ -99,31 +99,31 @@ def judged(
         _, states = minimum(states, times, None)
     problem, states = minimum(states, widen[-1], 1.0)
     costs = problem.costs(states)
-    seen = _seen(setting, between(states, np.arange(0, len(setting), step), len(setting)))
+    seen = _seen(clip, between(states, np.arange(0, len(clip), step), len(clip)))
     rest = sum(cost for name, cost in costs.items() if name not in ("reprojection", POSE))
-    return Likelihood(seen + off_ground(setting, states), costs[POSE], rest, sum(costs.values()))
+    return Likelihood(seen + off_ground(clip, states), costs[POSE], rest, sum(costs.values()))
 
 
-def _seen(setting: Setting, states: Array) -> float:
+def _seen(clip: ClipProblem, states: Array) -> float:
     """Of one view's keypoints around a motion (T, D)."""
-    (view,), markers = setting.views, setting.markers(states)
-    (sigma_px,) = setting.noise_px(markers, np.ones((1, markers.shape[1])))
-    projected, _ = view.project(view.at_its_time(setting.in_world(markers)))
-    return unlikely(view, projected, sigma_px, setting.alike)
+    (view,), markers = clip.views, clip.markers(states)
+    (sigma_px,) = clip.noise_px(markers, np.ones((1, markers.shape[1])))
+    projected, _ = view.project(view.at_its_time(clip.in_world(markers)))
+    return unlikely(view, projected, sigma_px, clip.correlation_frames)
 
 
-def unlikely(view: View, projected: Array, sigma_px: Array, alike: float) -> float:
+def unlikely(view: View, projected: Array, sigma_px: Array, correlation_frames: float) -> float:
     """Minus the logarithm of the density in pixels of a view's keypoints around where a motion has them (T, J, 2), with
     noise (T, J), but for a constant.
 
     Of each error a part is the one before, so that alike neighbouring frames count once, and the rest is its own. The
     noise's size, which only follows the distance, counts once in that time.
     """
-    off, kept = (projected - view.xy_px) / sigma_px[..., None], (alike - 1) / (alike + 1)
+    off, kept = (projected - view.xy_px) / sigma_px[..., None], (correlation_frames - 1) / (correlation_frames + 1)
     own = off.copy()
     own[1:] = np.where(np.isfinite(off[:-1]), (off[1:] - kept * off[:-1]) / np.sqrt(1 - kept**2), off[1:])
     weight = np.where(view.present, view.confidence, 0.0)
-    spread = 2.0 * float(np.sum(np.log(sigma_px) * weight)) / alike
+    spread = 2.0 * float(np.sum(np.log(sigma_px) * weight)) / correlation_frames
     return TOGETHER * float(np.sum(log_tail(own) * weight)) + spread
 
 
@@ -138,16 +138,16 @@ class Baseline:
     """A view of a clip as it is, alone, and the states (T, D) that were found for it, at nominal size about its origin;
     NaN where there are none."""
 
-    setting: Setting
+    clip: ClipProblem
     states: Array
 
     @property
     def view(self) -> View:
-        return self.setting.views[0]
+        return self.clip.views[0]
 
-    def other(self, view: View) -> Setting:
+    def other(self, view: View) -> ClipProblem:
         """With another view in its place."""
-        return alone(self.setting, view)
+        return alone(self.clip, view)
 
     @cached_property
     def _known(self) -> dict[tuple[int, int, tuple[float, ...]], Likelihood]:
@@ -157,7 +157,7 @@ class Baseline:
         """Of a part of the clip, from the states that were found."""
         key = (part.start, part.stop, widen)
         if key not in self._known:
-            self._known[key] = judged(self.setting.part(part), self.found(part), widen)
+            self._known[key] = judged(self.clip.part(part), self.found(part), widen)
         return self._known[key]
 
     def found(self, part: slice) -> Array | None:
@@ -170,7 +170,7 @@ class Baseline:
         found = self.found(part)
         if found is None:
             return None
-        to, sign = self.setting.body.mirror
+        to, sign = self.clip.body.mirror
         return np.where(to == np.arange(len(to)), found, found[:, to] * sign)
 
     def mirrored(self, part: slice) -> Array | None:
@@ -178,33 +178,33 @@ class Baseline:
         found = self.found(part)
         if found is None:
             return None
-        start, right, away = _mean_pose(self.setting, found), self.setting.right, self.setting.away
+        start, right, away = _mean_pose(self.clip, found), self.clip.right, self.clip.away
         start[:, YAW] = 2 * np.arctan2(right[1], right[0]) - start[:, YAW]
         off = start[:, ROOT] - start[:, ROOT].mean(axis=0)
         start[:, ROOT] -= 2 * np.outer(off @ away, away)
         return start
 
 
-def _mean_pose(setting: Setting, found: Array) -> Array:
+def _mean_pose(clip: ClipProblem, found: Array) -> Array:
     """States (n, D) of the mean pose where the animal was found."""
     start = np.zeros_like(found)
-    start[:, ANGLES], start[:, ROOT], start[:, YAW] = setting.prior.mean, found[:, ROOT], found[:, YAW]
+    start[:, ANGLES], start[:, ROOT], start[:, YAW] = clip.prior.mean, found[:, ROOT], found[:, YAW]
     return start
 
 
 def either_side(given: Baseline, other: View, which: Bools) -> tuple[Array, Array]:
     """Where a fit to both views of a clip, half each, has the keypoints in the picture, (T, J, 2), and their noise
     (T, J): NaN in frames without states. which (J,): the markers that the views have on different sides."""
-    setting, posed = given.setting, np.flatnonzero(np.isfinite(given.states[:, 0]))
+    clip, posed = given.clip, np.flatnonzero(np.isfinite(given.states[:, 0]))
     shares = (np.where(which, 0.5, 1.0), np.where(which, 0.5, 0.0))
     views = [replace(v, confidence=v.confidence * of) for v, of in zip((given.view, other), shares, strict=True)]
     projected, sigma_px = np.full(other.xy_px.shape, np.nan), np.full(other.confidence.shape, np.nan)
     for rows in (slice(first, stop) for first, stop in frame_ranges(posed)):
-        part = replace(setting, views=tuple(view.part(rows) for view in views))
-        step = max(1, round(setting.fps / APPROACH_HZ))
+        part = replace(clip, views=tuple(view.part(rows) for view in views))
+        step = max(1, round(clip.fps / APPROACH_HZ))
         every, ones = np.arange(0, len(part), step), np.ones((2, len(which)))
         thin = part.thinned(step)
-        states = _mean_pose(setting, given.states[rows])[every]
+        states = _mean_pose(clip, given.states[rows])[every]
         problem = thin.problem(LOOSE * thin.noise_px(thin.markers(states), ones))
         states = problem.minimise(states, _TOLERANCE, _ITERATIONS).states
         markers = part.markers(between(states, every, len(part)))
@@ -213,22 +213,22 @@ def either_side(given: Baseline, other: View, which: Bools) -> tuple[Array, Arra
     return projected, sigma_px
 
 
-def baseline_of(setting: Setting, number: int, states: Array, size: float) -> Baseline:
+def baseline_of(clip: ClipProblem, number: int, states: Array, size: float) -> Baseline:
     """Of one view of a clip. states (T, D) with the root in the world."""
-    own = alone(setting, setting.views[number])
+    own = alone(clip, clip.views[number])
     found = states.copy()
     found[:, ROOT] = (states[:, ROOT] - own.origin_m) / size
     return Baseline(own, found)
 
 
-def off_ground(setting: Setting, states: Array) -> float:
+def off_ground(clip: ClipProblem, states: Array) -> float:
     """Where the ground's height is known: of feet that are off it all the time."""
-    if not setting.ground_known or not len(setting.feet):
+    if not clip.ground_known or not len(clip.feet):
         return 0.0
-    feet_m = setting.markers(states)[:, setting.feet, 2]
+    feet_m = clip.markers(states)[:, clip.feet, 2]
     low_m = float(np.quantile(feet_m.min(axis=1), LOW_FEET))
-    sigma_m = np.hypot(constants.GROUND_HEIGHT_M, setting.size_sigma * low_m)
-    return 0.5 * float((setting.origin_m[2] + low_m) / sigma_m) ** 2
+    sigma_m = np.hypot(constants.GROUND_HEIGHT_M, clip.size_sigma * low_m)
+    return 0.5 * float((clip.origin_m[2] + low_m) / sigma_m) ** 2
 
 
 def best_seen(view: View, fps: float) -> slice:

@@ -15,8 +15,8 @@ from recon.base.arrays import Array
 from recon.check.codes import finding
 from recon.check.inputs.likelihood import CLEAR, Baseline, best_seen, judged, off_ground
 from recon.clip import View, camera_poses
+from recon.fit.clip_problem import ClipProblem
 from recon.fit.finding import Finding
-from recon.fit.setting import Setting
 from recon.geometry.camera import Camera
 
 SMALLER = (2, 3, 4)
@@ -34,14 +34,14 @@ def of_unit_square(given: Baseline) -> Finding | None:
         return None
     width, height = view.camera.image_size_px
     frames = float(view.present.any(axis=1).sum())
-    ratio = float(np.log(width * height / 4.0)) * max(frames / given.setting.alike, 1.0)
+    ratio = float(np.log(width * height / 4.0)) * max(frames / given.clip.correlation_frames, 1.0)
     return finding("keypoints_normalised", camera=view.camera.name, log_likelihood_ratio=ratio)
 
 
 def turned_over(given: Baseline) -> Finding | None:
     """A picture upside down, or with y up: the feet are above the trunk."""
     view = given.view
-    if not _feet_up(given.setting, view):
+    if not _feet_up(given.clip, view):
         return None
     width, height = view.camera.image_size_px
     turned = {
@@ -55,13 +55,13 @@ def turned_over(given: Baseline) -> Finding | None:
     return finding(code, camera=view.camera.name, log_likelihood_ratio=ratios[code])
 
 
-def _feet_up(setting: Setting, view: View) -> bool:
+def _feet_up(clip: ClipProblem, view: View) -> bool:
     """Whether the feet are above the trunk's ends in the picture, for the most part."""
-    trunk = [setting.body.markers.index(marker) for marker in setting.body.forward]
+    trunk = [clip.body.markers.index(marker) for marker in clip.body.forward]
     up = view.rotation.reshape(-1, 3, 3)[0, :2, 2]  # of the camera, in its picture
     height = view.xy_px @ up
     with np.errstate(invalid="ignore"):
-        above = _mean(height[:, setting.feet]) - _mean(height[:, trunk])
+        above = _mean(height[:, clip.feet]) - _mean(height[:, trunk])
     above = above[np.isfinite(above)]
     return bool(len(above)) and float(np.median(above)) > 0.0
 
@@ -102,17 +102,20 @@ def of_other_camera(given: Baseline, others: Sequence[Camera], named: str | None
 
     Where no name says so, the height of the ground may: cameras look alike, but stand elsewhere and are tilted.
     """
-    view, part = given.view, best_seen(given.view, given.setting.fps)
+    view, part = given.view, best_seen(given.view, given.clip.fps)
     name = view.camera.name
     if named is not None:
         return finding("other_camera_named", camera=name, given=name, other=named)
     posed = np.isfinite(given.states[part]).all()
-    if not (others and posed and off_ground(given.setting, given.states[part]) > CLEAR):
+    if not (others and posed and off_ground(given.clip, given.states[part]) > CLEAR):
         return None
-    alike = given.setting.alike
-    seen = [(judged(given.other(_seen_by(view, camera)).part(part)).lasting(alike), camera.name) for camera in others]
+    correlation_frames = given.clip.correlation_frames
+    seen = [
+        (judged(given.other(_seen_by(view, camera)).part(part)).lasting(correlation_frames), camera.name)
+        for camera in others
+    ]
     least, other = min(seen)
-    ratio = given.judged(part).lasting(alike) - least
+    ratio = given.judged(part).lasting(correlation_frames) - least
     if not ratio > CLEAR:
         return None
     return finding("other_camera", camera=name, given=name, other=other, log_likelihood_ratio=ratio)
@@ -124,5 +127,5 @@ def _seen_by(view: View, camera: Camera) -> View:
 
 def _ratio(given: Baseline, other: View) -> float:
     """How many times as likely the keypoints are with another view in place of the given one, as a logarithm."""
-    part = best_seen(given.view, given.setting.fps)
+    part = best_seen(given.view, given.clip.fps)
     return given.judged(part).surprise - judged(given.other(other).part(part)).surprise

@@ -14,11 +14,11 @@ from recon.animal.prior import ANGLES, NONE
 from recon.base.arrays import Array
 from recon.check.codes import finding
 from recon.check.inputs.likelihood import CLEAR
+from recon.fit.clip_problem import ClipProblem
 from recon.fit.finding import Finding
 from recon.fit.least_squares import Estimate, LeastSquares
-from recon.fit.setting import Setting
+from recon.fit.prior_misfit import prior_misfit_of
 from recon.fit.starts import APPROACH_HZ
-from recon.fit.surprise import surprise_of
 
 OTHER_RATES = (0.25, 1 / 3, 0.5, 2.0, 3.0, 4.0)
 """Videos are slowed down, sped up and thinned by such factors."""
@@ -27,33 +27,33 @@ NEARLY = 1.02
 _TOLERANCE, _ITERATIONS = 1e-3, 10
 
 
-def other_rate(setting: Setting, states: Array, stated_hz: float | None) -> Finding | None:
+def other_rate(clip: ClipProblem, states: Array, stated_hz: float | None) -> Finding | None:
     """states (T, D) at nominal size about the origin, without gaps, of a solved stretch. stated_hz: what the file
     says."""
-    if stated_hz is not None and not 1 / NEARLY < stated_hz / setting.fps < NEARLY:
-        return finding("frame_rate_stated", given_hz=setting.fps, other_hz=stated_hz)
-    learned = setting.prior.name != NONE
-    factors = [factor for factor in OTHER_RATES if learned and _swings_better(setting, states, factor)]
+    if stated_hz is not None and not 1 / NEARLY < stated_hz / clip.fps < NEARLY:
+        return finding("frame_rate_stated", given_hz=clip.fps, other_hz=stated_hz)
+    learned = clip.prior.name != NONE
+    factors = [factor for factor in OTHER_RATES if learned and _swings_better(clip, states, factor)]
     if not factors:
         return None
-    given = _cost(setting, states, 1.0)
-    cost, factor = min((_cost(setting, states, factor), factor) for factor in factors)
-    if not (given - cost > CLEAR and _known(setting, states, factor)):
+    given = _cost(clip, states, 1.0)
+    cost, factor = min((_cost(clip, states, factor), factor) for factor in factors)
+    if not (given - cost > CLEAR and _known(clip, states, factor)):
         return None
-    other_hz = setting.fps * factor
-    return finding("frame_rate", given_hz=setting.fps, other_hz=other_hz, log_likelihood_ratio=given - cost)
+    other_hz = clip.fps * factor
+    return finding("frame_rate", given_hz=clip.fps, other_hz=other_hz, log_likelihood_ratio=given - cost)
 
 
-def _swings_better(setting: Setting, states: Array, factor: float) -> bool:
+def _swings_better(clip: ClipProblem, states: Array, factor: float) -> bool:
     """Whether the angles as they are could be likelier at another rate: at a lower one they accelerate less than the
     noise that is expected, at a higher one they follow the expected swing more closely."""
-    given, other = (_unexplained(setting, states, setting.fps * by) for by in (1.0, factor))
+    given, other = (_unexplained(clip, states, clip.fps * by) for by in (1.0, factor))
     return other * min(factor, 1.0) ** 3 < given
 
 
-def _unexplained(setting: Setting, states: Array, fps: float) -> float:
+def _unexplained(clip: ClipProblem, states: Array, fps: float) -> float:
     """What the motion prior does not expect of the angles' bends from frame to frame, squared."""
-    prior, z = setting.prior, states[:, ANGLES]
+    prior, z = clip.prior, states[:, ANGLES]
     A = z.shape[1]
     if len(z) < 3:
         return 0.0
@@ -63,23 +63,23 @@ def _unexplained(setting: Setting, states: Array, fps: float) -> float:
     return float(np.einsum("na,ab,nb->", off, np.linalg.inv(prior.acceleration_covariance), off))
 
 
-def _cost(setting: Setting, states: Array, factor: float) -> float:
+def _cost(clip: ClipProblem, states: Array, factor: float) -> float:
     """Of the keypoints and of how the angles move, not of the poses, which are as likely at any rate."""
-    step = max(1, round(setting.fps / APPROACH_HZ))
-    problem, found = _at_rate(setting.thinned(step), states[::step], factor)
+    step = max(1, round(clip.fps / APPROACH_HZ))
+    problem, found = _at_rate(clip.thinned(step), states[::step], factor)
     costs = problem.costs(found.states)
-    return costs["reprojection"] / setting.alike + costs.get("motion prior", 0.0)
+    return costs["reprojection"] / clip.correlation_frames + costs.get("motion prior", 0.0)
 
 
-def _known(setting: Setting, states: Array, factor: float) -> bool:
+def _known(clip: ClipProblem, states: Array, factor: float) -> bool:
     """Whether the prior knows the motion at that rate, or better than at the given one: one that is as much of a
     surprise there says nothing of the rate."""
-    given, there = (surprise_of(*_at_rate(setting, states, by), setting.fps * by) for by in (1.0, factor))
+    given, there = (prior_misfit_of(*_at_rate(clip, states, by), clip.fps * by) for by in (1.0, factor))
     return not there.unlike or there.level < given.level
 
 
-def _at_rate(setting: Setting, states: Array, factor: float) -> tuple[LeastSquares, Estimate]:
+def _at_rate(clip: ClipProblem, states: Array, factor: float) -> tuple[LeastSquares, Estimate]:
     """The minimum at another rate. With the noise that is expected: what a fit found depends on its rate."""
-    noise_px = setting.noise_px(setting.markers(states), np.ones((len(setting.views), len(setting.body.markers))))
-    problem = replace(setting, fps=setting.fps * factor).problem(noise_px)
+    noise_px = clip.noise_px(clip.markers(states), np.ones((len(clip.views), len(clip.body.markers))))
+    problem = replace(clip, fps=clip.fps * factor).problem(noise_px)
     return problem, problem.minimise(states, _TOLERANCE, _ITERATIONS)

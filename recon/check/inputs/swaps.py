@@ -86,9 +86,9 @@ def pairs_of(body: Body) -> dict[str, Index]:
 def swaps(given: Baseline, unlike: bool = False) -> list[SwapTrial]:
     """Of one view of a clip, under a prior learned from motions. Stretches that are clear by a quick fit are judged
     again by one that knows less of the sides, and so is the clip as it is. unlike: the prior does
-    not know this motion (`recon.fit.surprise`); a whole clip, in which no keypoints jump, is then not tried: nothing
-    but the prior tells it."""
-    kinds, view = pairs_of(given.setting.body), given.view
+    not know this motion (`recon.fit.prior_misfit`); a whole clip, in which no keypoints jump, is then not tried:
+    nothing but the prior tells it."""
+    kinds, view = pairs_of(given.clip.body), given.view
     found: list[SwapTrial] = []
     while len(found) < STRETCHES and "all" in kinds:
         whole = [] if unlike else [_whole(given, kinds["all"])]
@@ -115,7 +115,7 @@ class SwapTrial:
 
 def tried(given: Baseline, kinds: dict[str, Index]) -> list[SwapTrial]:
     """The stretches that tracks and looks say most of."""
-    T, fps = len(given.view.xy_px), given.setting.fps
+    T, fps = len(given.view.xy_px), given.clip.fps
     if not np.isfinite(given.states).any():
         return []
     looks = _looks(given, kinds)
@@ -129,7 +129,7 @@ def tried(given: Baseline, kinds: dict[str, Index]) -> list[SwapTrial]:
 
 def _judged(given: Baseline, stretch: Stretch, widen: tuple[float, ...] = (1.0,)) -> SwapTrial:
     """By a fit from what was found, with noise that is so many times as wide on the way in."""
-    part = _around(stretch.rows, len(given.view.xy_px), given.setting.fps)
+    part = _around(stretch.rows, len(given.view.xy_px), given.clip.fps)
     as_given, other = given.judged(part, widen), given.other(exchanged(given.view, stretch)).part(part)
     return SwapTrial(stretch, as_given.of_stretch - judged(other, given.found(part), widen, as_given.cost).of_stretch)
 
@@ -143,7 +143,7 @@ def _parts(first: int, stop: int, T: int) -> list[tuple[int, int]]:
 def _whole(given: Baseline, places: Index) -> SwapTrial:
     """The whole clip exchanged, judged where most is seen. What was found need not be the best even of the clip as it
     is: before that is doubted, it is sought anew."""
-    view, part = given.view, best_seen(given.view, given.setting.fps)
+    view, part = given.view, best_seen(given.view, given.clip.fps)
     stretch = Stretch(slice(0, len(view.xy_px)), places)
     other = given.other(exchanged(view, stretch)).part(part)
     as_given = given.judged(part)
@@ -152,7 +152,7 @@ def _whole(given: Baseline, places: Index) -> SwapTrial:
     likely = min(one.surprise for one in tries or [judged(other)])
     ratio = as_given.surprise - likely
     if ratio > CLEAR:
-        ratio = min(ratio, judged(given.setting.part(part)).surprise - likely)
+        ratio = min(ratio, judged(given.clip.part(part)).surprise - likely)
     return SwapTrial(stretch, ratio)
 
 

@@ -35,7 +35,7 @@ SECTIONS: tuple[Section, ...] = (
     Section("uncertainty", fitted.uncertainty, fitted.uncertainty_lines),
     Section("angles", given.angles),
     Section("prior", fitted.prior, fitted.prior_lines),
-    Section("spells", fitted.spells),
+    Section("segments", fitted.segments),
     Section("stances", fitted.stances, fitted.ground_lines),
     Section("alternative", fitted.alternative, fitted.alternative_lines),
     Section("convergence", fitted.convergence, fitted.effort_lines),

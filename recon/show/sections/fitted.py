@@ -17,7 +17,7 @@ from recon.check import FLAGS
 from recon.clip.keypoints import frame_ranges
 from recon.fit import TrajectoryOptions
 from recon.fit.motion import Motion
-from recon.fit.result import Spell, TrajectorySolution
+from recon.fit.result import MotionSegment, TrajectorySolution
 from recon.fit.results import MEASURED_SHARE
 from recon.gait.path import MIN_POINTS
 from recon.show.plain import by_name, file_name, frame_count, number
@@ -69,12 +69,12 @@ def _sentences(motion: Motion) -> Iterator[str]:
         else f"as in the motions that the prior {file_name(solution.prior)} was made from."
     )
     yield from sentences(motion)
-    if any(spell.ground is not None for spell in solution.spells):
+    if any(segment.ground is not None for segment in solution.segments):
         yield "The ground is a plane, and feet that stand stand still on it."
-    if len(solution.spells) > 1:
+    if len(solution.segments) > 1:
         yield (
-            f"The clip has {len(solution.spells)} spells, between which nothing was seen for long: each was solved by "
-            "itself, with a ground of its own."
+            f"The clip has {len(solution.segments)} segments, between which nothing was seen for long: each was solved "
+            "by itself, with a ground of its own."
         )
     if motion.settings.get("fast"):
         yield "The fast search was asked for: fewer headings to start from, and looser tolerances."
@@ -146,8 +146,8 @@ def heading(motion: Motion) -> dict[str, Any]:
     away = np.cross([0.0, 0.0, 1.0], right)
     return {
         "heading_to_picture_rad": median(np.arcsin(np.clip(np.sum(level * away, axis=-1), -1.0, 1.0))),
-        "crab_rad": solution.crab_rad if solution.crab_sigma_rad else None,
-        "crab_sigma_rad": solution.crab_sigma_rad or None,
+        "sideslip_rad": solution.sideslip_rad if solution.sideslip_sigma_rad else None,
+        "sideslip_sigma_rad": solution.sideslip_sigma_rad or None,
     }
 
 
@@ -211,14 +211,16 @@ def uncertainty_lines(motion: Motion, data: Any) -> Iterator[Line]:
 
 
 def prior(motion: Motion) -> dict[str, Any]:
-    """The surprise and the weight are those of the spell that the prior fits least."""
+    """The surprise and the weight are those of the segment that the prior fits least."""
     solution = _solution(motion)
     return {
         "name": file_name(solution.prior),
         "mean_data_share": mean(solution.data_share),
         "data_share": by_name(motion.names, list(solution.data_share)),
-        "surprise": max((spell.surprise for spell in solution.spells if spell.surprise is not None), default=None),
-        "weight": min((spell.prior_weight for spell in solution.spells), default=1.0),
+        "prior_misfit": max(
+            (segment.prior_misfit for segment in solution.segments if segment.prior_misfit is not None), default=None
+        ),
+        "weight": min((segment.prior_weight for segment in solution.segments), default=1.0),
     }
 
 
@@ -230,21 +232,21 @@ def prior_lines(motion: Motion, data: Any) -> Iterator[Line]:
 # -- the ground and the stances ---------------------------------------------------------------------------------------
 
 
-def spells(motion: Motion) -> list[dict[str, Any]]:
+def segments(motion: Motion) -> list[dict[str, Any]]:
     """The stretches that were solved, each by itself, and the ground under them."""
     return [
         {
-            "frames": (motion.frames[spell.rows.start], motion.frames[spell.rows.stop - 1] + 1),
-            "ground": _ground(motion, spell),
-            "prior_weight": spell.prior_weight,
+            "frames": (motion.frames[segment.rows.start], motion.frames[segment.rows.stop - 1] + 1),
+            "ground": _ground(motion, segment),
+            "prior_weight": segment.prior_weight,
         }
-        for spell in motion.solution.spells
+        for segment in motion.solution.segments
     ]
 
 
-def _ground(motion: Motion, spell: Spell) -> dict[str, Any] | None:
-    """Below the middle of the root's path in the spell."""
-    ground, below = spell.ground, motion.below_m(spell)
+def _ground(motion: Motion, segment: MotionSegment) -> dict[str, Any] | None:
+    """Below the middle of the root's path in the segment."""
+    ground, below = segment.ground, motion.below_m(segment)
     if ground is None or below is None:
         return None
     return {
@@ -265,8 +267,8 @@ def stances(motion: Motion) -> dict[str, Any]:
 
 def ground_lines(motion: Motion, data: Any) -> Iterator[Line]:
     found = []
-    for spell in spells(motion):
-        ground, (first, stop) = spell["ground"], spell["frames"]
+    for segment in segments(motion):
+        ground, (first, stop) = segment["ground"], segment["frames"]
         text = "not found"
         if ground is not None:
             height, side = ground["camera_height_m"], "below" if ground["camera_height_m"] > 0 else "above"

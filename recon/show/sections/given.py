@@ -210,15 +210,19 @@ def cameras(motion: Motion) -> list[dict[str, Any]]:
 
 
 def _camera(motion: Motion, number: int) -> dict[str, Any]:
-    picture, solution, found = motion.pictures[number], motion.solution, {"lag_sigma_frames": 0.0}
+    picture, solution, found = motion.pictures[number], motion.solution, {"time_offset_sigma_frames": 0.0}
     source, errors = picture.source, finite(picture.distance_px)
-    found |= {"placing": None, "focal": None}
+    found |= {"extrinsic_correction": None, "focal": None}
     if isinstance(solution, TrajectorySolution):
-        by, sigma, focal = solution.placing[number], solution.placing_sigma[number], solution.focal_sigma[number]
-        placing = {"turn_rad": by[:3], "turn_sigma_rad": sigma[:3], "shift_m": by[3:], "shift_sigma_m": sigma[3:]}
+        by, sigma, focal = (
+            solution.extrinsic_correction[number],
+            solution.extrinsic_correction_sigma[number],
+            solution.focal_sigma[number],
+        )
+        correction = {"turn_rad": by[:3], "turn_sigma_rad": sigma[:3], "shift_m": by[3:], "shift_sigma_m": sigma[3:]}
         found = {
-            "lag_sigma_frames": solution.lag_sigma_frames[number],
-            "placing": placing if sigma.any() else None,
+            "time_offset_sigma_frames": solution.time_offset_sigma_frames[number],
+            "extrinsic_correction": correction if sigma.any() else None,
             "focal": {"factor": math.exp(solution.focal[number]), "sigma": focal} if focal else None,
         }
     return {
@@ -226,7 +230,7 @@ def _camera(motion: Motion, number: int) -> dict[str, Any]:
         "keypoints": file_name(source.keypoints.source),
         "camera": picture.camera.to_dict(),
         "offset_s": source.offset_s,
-        "lag_frames": solution.views[number].lead_frames - source.lead_frames,
+        "time_offset_frames": solution.views[number].lead_frames - source.lead_frames,
         **found,
         "track": _track(source),
         "frames_seen": int(picture.present.any(axis=1).sum()),
@@ -276,13 +280,13 @@ def camera_lines(motion: Motion, data: Any) -> Iterator[Line]:
 
 def _found_text(motion: Motion, camera: dict[str, Any]) -> str:
     """What was sought of a camera besides the animal."""
-    text, sigma_frames = "", camera["lag_sigma_frames"]
+    text, sigma_frames = "", camera["time_offset_sigma_frames"]
     if motion.settings.get("find_offsets") and sigma_frames:
-        later_s = camera["offset_s"] + camera["lag_frames"] / motion.fps
+        later_s = camera["offset_s"] + camera["time_offset_frames"] / motion.fps
         text += f"; began {later_s:.4f} ± {sigma_frames / motion.fps:.4f} s later"
-    if (placing := camera["placing"]) is not None:
-        turn, turn_sigma = (math.degrees(np.linalg.norm(placing[name])) for name in ("turn_rad", "turn_sigma_rad"))
-        shift, shift_sigma = (100 * float(np.linalg.norm(placing[name])) for name in ("shift_m", "shift_sigma_m"))
+    if (correction := camera["extrinsic_correction"]) is not None:
+        turn, turn_sigma = (math.degrees(np.linalg.norm(correction[name])) for name in ("turn_rad", "turn_sigma_rad"))
+        shift, shift_sigma = (100 * float(np.linalg.norm(correction[name])) for name in ("shift_m", "shift_sigma_m"))
         text += f"; turned by {turn:.1f} ± {turn_sigma:.1f}° and moved by {shift:.0f} ± {shift_sigma:.0f} cm"
     if (focal := camera["focal"]) is not None:
         text += f"; focal length times {focal['factor']:.3f} ± {focal['sigma']:.3f}"

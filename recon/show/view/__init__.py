@@ -3,7 +3,7 @@
 Entities of the recording; those without "(static)" have a row a frame, which is empty where the frame has no pose:
 
 - `world`: metres, in the motion's frame of reference. `world/skeleton` and its joints, `world/path` (static) and
-  `world/trail` of the reference point, `world/ground` (static; of a clip with several spells each one's, from its
+  `world/trail` of the reference point, `world/ground` (static; of a clip with several segments each one's, from its
   first frame on), `world/camera` (static, but for one that moves), its frustum, and `world/followed`, invisible;
   `world/body`, capsules along the segments, which a view of its own shows in place of the skeleton;
   `world/uncertainty`, one sigma of the joints' positions relative to their mean, `world/stance`, the feet that stand,

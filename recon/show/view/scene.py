@@ -10,7 +10,7 @@ import rerun as rr
 
 from recon.animal import Side
 from recon.base.arrays import Array, Bools, Integers
-from recon.fit import Spell
+from recon.fit import MotionSegment
 from recon.fit.motion import Motion, Picture
 from recon.geometry.frames import level_from_camera
 
@@ -74,7 +74,7 @@ class Floor:
 class Scene:
     """Geometry that views and entities share, in the motion's frame of reference.
 
-    axes (3, 3): rows are two level unit vectors and the upward one. floors: the ground of every spell of the clip.
+    axes (3, 3): rows are two level unit vectors and the upward one. floors: the ground of every segment of the clip.
     low_m, high_m (3,): bounds of the animal over the clip along the axes. size_m: diagonal of the animal.
     camera_m (3,): centre of projection of the first camera, of one that moves the mean.
     """
@@ -100,7 +100,7 @@ class Scene:
             return cls(axes, (floor,), -np.ones(3), np.ones(3), 1.0, centre)
         low, high = _bounds(joints)
         size = float(np.median(np.linalg.norm(np.ptp(joints, axis=1), axis=1)))
-        floors = tuple(_floor(motion, axes, spell) for spell in motion.solution.spells)
+        floors = tuple(_floor(motion, axes, segment) for segment in motion.solution.segments)
         return cls(axes, floors, low, high, size, centre)
 
     @property
@@ -121,17 +121,17 @@ def _bounds(joints_m: Array) -> tuple[Array, Array]:
     return low, high
 
 
-def _floor(motion: Motion, axes: Array, spell: Spell) -> Floor:
+def _floor(motion: Motion, axes: Array, segment: MotionSegment) -> Floor:
     """Where no foot stood, the ground is level, and as low as the feet."""
-    joints = motion.joints_m[spell.rows][motion.solved[spell.rows]] @ axes.T
+    joints = motion.joints_m[segment.rows][motion.solved[segment.rows]] @ axes.T
     low, high = _bounds(joints)
-    below = motion.below_m(spell)
-    if below is None or spell.ground is None:
+    below = motion.below_m(segment)
+    if below is None or segment.ground is None:
         lowest = joints[:, motion.feet or slice(None), 2]
-        return Floor(spell.rows.start, float(np.percentile(lowest, 10)) * axes[2], axes[2], low[:2], high[:2])
-    below, above = motion.in_reference(np.stack((below, below + np.append(-spell.ground.slope, 1.0))))
+        return Floor(segment.rows.start, float(np.percentile(lowest, 10)) * axes[2], axes[2], low[:2], high[:2])
+    below, above = motion.in_reference(np.stack((below, below + np.append(-segment.ground.slope, 1.0))))
     normal = (above - below) / np.linalg.norm(above - below)
-    return Floor(spell.rows.start, below, normal, low[:2], high[:2])
+    return Floor(segment.rows.start, below, normal, low[:2], high[:2])
 
 
 def by_camera(root: str, pictures: Sequence[Picture]) -> list[str]:

@@ -222,7 +222,7 @@ def share_colours(share: Array) -> NDArray[np.uint8]:
 
 
 def _write_ground(scene: Scene, log: Log) -> None:
-    """A clip with several spells shows each one's ground from the spell's first frame on."""
+    """A clip with several segments shows each one's ground from the segment's first frame on."""
     radii = rr.Radius.ui_points(0.75)
     grids = [_grid(scene, floor) for floor in scene.floors]
     if len(grids) == 1:

@@ -9,8 +9,8 @@ from gallop import gallop
 from recon.animal.body import facing_side
 from recon.animal.chain import upright_rotation
 from recon.animal.skeleton_file import load_chain
-from recon.fit import straight_runs as runs
-from recon.fit.straight_runs import place_on_rays, straight_runs
+from recon.fit import constant_velocity as runs
+from recon.fit.constant_velocity import constant_velocity, place_on_rays
 from recon.thesis.starts import estimate_travel, geometric_start, mean_pose, state_from_joints
 
 SK = load_chain("cheetah-8u")
@@ -83,7 +83,7 @@ def test_rays_that_are_all_one_give_a_start():
     shape = SK.local_joints(mean_pose(SK)[None])[0] @ upright_rotation(heading, up).transpose(0, 2, 1)
     for frames in (1, 2, 7):
         rays = np.broadcast_to(ray, (frames, 9, 3))
-        misfit, run = straight_runs(heading, shape, up, rays, np.arange(frames) - (frames - 1) / 2)
+        misfit, run = constant_velocity(heading, shape, up, rays, np.arange(frames) - (frames - 1) / 2)
         assert np.isfinite(misfit).all()
         assert np.isfinite(run).all()
 

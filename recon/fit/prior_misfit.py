@@ -25,7 +25,7 @@ of 100 clips."""
 
 
 @dataclass(frozen=True)
-class Surprise:
+class PriorMisfit:
     """level: the squared residuals against the prior, relative to what is expected where it fits, 1; freedom: how many
     unknowns the pixels say."""
 
@@ -33,7 +33,7 @@ class Surprise:
     freedom: float
 
     @property
-    def trust(self) -> float:
+    def prior_weight(self) -> float:
         """The part of its weight that the prior keeps: one over the scale, 1 at most."""
         return 1.0 / max(self.level, 1.0)
 
@@ -45,10 +45,10 @@ class Surprise:
         return self.level >= max(LEVEL, by_chance)
 
 
-def surprise_of(problem: LeastSquares, found: Estimate, fps: float) -> Surprise:
+def prior_misfit_of(problem: LeastSquares, found: Estimate, fps: float) -> PriorMisfit:
     """Of the prior as the problem weighs it, at its minimum."""
     covariance = factored(problem.normal(found.states, found.shared).H).marginal_blocks()
     prior = problem.only(PRIOR_TERMS)
     said = covariance * prior.normal(found.states).H.blocks
     freedom = max(found.states[:, ANGLES].size - float(said[:, 0].sum() + 2 * said[:, 1:].sum()), 1.0)
-    return Surprise(prior.squares(found.states) / freedom / max(LASTS_S * fps, 1.0), freedom)
+    return PriorMisfit(prior.squares(found.states) / freedom / max(LASTS_S * fps, 1.0), freedom)

@@ -12,7 +12,7 @@ from recon.animal.skeleton_file import load_skeleton
 from recon.clip import still_view
 from recon.fit import TrajectoryOptions, TrajectorySolution, solve_trajectory
 from recon.fit.least_squares import Estimate, LeastSquares
-from recon.fit.surprise import LASTS_S, Surprise, surprise_of
+from recon.fit.prior_misfit import LASTS_S, PriorMisfit, prior_misfit_of
 from recon.fit.terms import POSE, Linear, pose_term
 from recon.geometry.camera import Camera
 
@@ -42,10 +42,10 @@ def test_the_level_is_the_scale_of_the_variances():
         # seen so well that the prior hardly draws
         seen = Linear("seen", (0,), 1e3 * np.eye(BODY.n_state)[None], np.zeros(BODY.n_state))
         problem = LeastSquares(BODY.tree, [prior, seen], [])
-        found = surprise_of(problem, Estimate(truth, 0.0, 1, True), fps)
+        found = prior_misfit_of(problem, Estimate(truth, 0.0, 1, True), fps)
         assert found.freedom == pytest.approx(truth[:, ANGLES].size, rel=1e-2)
         assert found.level == pytest.approx(scale**2, rel=0.05)
-        assert found.trust == pytest.approx(weight, rel=0.1)
+        assert found.prior_weight == pytest.approx(weight, rel=0.1)
 
 
 def test_pixels_that_say_nothing_make_no_surprise():
@@ -53,20 +53,20 @@ def test_pixels_that_say_nothing_make_no_surprise():
     states[:, ANGLES] = NARROW.mean
     hardly = Linear("seen", (0,), 1e-3 * np.eye(BODY.n_state)[None], np.zeros(BODY.n_state))
     problem = LeastSquares(BODY.tree, [pose_term(NARROW, BODY.n_state, FPS, 1.0), hardly], [])
-    found = surprise_of(problem, Estimate(states, 0.0, 1, True), FPS)
-    assert (found.level, found.freedom, found.trust) == (pytest.approx(0.0, abs=1e-9), 1.0, 1.0)
+    found = prior_misfit_of(problem, Estimate(states, 0.0, 1, True), FPS)
+    assert (found.level, found.freedom, found.prior_weight) == (pytest.approx(0.0, abs=1e-9), 1.0, 1.0)
     assert [term.name for term in problem.only((POSE,)).linear] == [POSE]
 
 
 def test_few_unknowns_have_to_be_further_off():
-    assert not Surprise(1.99, 1e4).unlike
-    assert Surprise(2.01, 1e4).unlike
-    assert not Surprise(2.2, 10.0).unlike  # 2.32 of a chi square with ten degrees of freedom: one in 100
-    assert Surprise(2.4, 10.0).unlike
+    assert not PriorMisfit(1.99, 1e4).unlike
+    assert PriorMisfit(2.01, 1e4).unlike
+    assert not PriorMisfit(2.2, 10.0).unlike  # 2.32 of a chi square with ten degrees of freedom: one in 100
+    assert PriorMisfit(2.4, 10.0).unlike
 
 
 def test_a_prior_loses_its_weight_little_by_little():
-    trusts = [Surprise(level, 1e3).trust for level in (0.5, 1.0, 1.001, 1.999, 2.001)]
+    trusts = [PriorMisfit(level, 1e3).prior_weight for level in (0.5, 1.0, 1.001, 1.999, 2.001)]
     assert trusts == pytest.approx([1.0, 1.0, 1 / 1.001, 1 / 1.999, 1 / 2.001])
 
 
@@ -88,24 +88,24 @@ def test_a_prior_that_does_not_know_the_motion_gives_way(fast, monkeypatch):
     """The angles are about where the skeleton expects them, and the prior expects others."""
     at = PLAIN.mean + 0.1 * np.random.default_rng(3).normal(size=len(PLAIN.mean))
     solution, error_m = solved(NARROW, at, fast=fast)
-    (spell,) = solution.spells
-    assert spell.surprise is not None
-    assert spell.surprise > 2
-    assert spell.prior_weight <= (1 + 1e-9) / spell.surprise
-    assert spell.unlike_prior
-    monkeypatch.setattr(Surprise, "trust", 1.0)
+    (segment,) = solution.segments
+    assert segment.prior_misfit is not None
+    assert segment.prior_misfit > 2
+    assert segment.prior_weight <= (1 + 1e-9) / segment.prior_misfit
+    assert segment.unlike_prior
+    monkeypatch.setattr(PriorMisfit, "prior_weight", 1.0)
     held, held_m = solved(NARROW, at, fast=fast)
-    assert held.spells[0].prior_weight == 1.0
+    assert held.segments[0].prior_weight == 1.0
     assert error_m < (0.9 if fast else 0.7) * held_m
 
 
 def test_without_a_prior_nothing_is_a_surprise():
-    (spell,) = solved(PLAIN, NARROW.mean, fast=True)[0].spells
-    assert (spell.surprise, spell.prior_weight) == (None, 1.0)
+    (segment,) = solved(PLAIN, NARROW.mean, fast=True)[0].segments
+    assert (segment.prior_misfit, segment.prior_weight) == (None, 1.0)
 
 
 def test_a_prior_that_fits_keeps_its_weight():
-    (spell,) = solved(NARROW, NARROW.mean)[0].spells
-    assert spell.surprise is not None
-    assert spell.surprise < 1
-    assert spell.prior_weight == 1
+    (segment,) = solved(NARROW, NARROW.mean)[0].segments
+    assert segment.prior_misfit is not None
+    assert segment.prior_misfit < 1
+    assert segment.prior_weight == 1

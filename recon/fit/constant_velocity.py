@@ -72,7 +72,7 @@ def _normal(off: Array, slope: Array, weight: Array) -> tuple[Array, Array]:
 
 
 def run_path(heading: Array, up: Array, time_s: Array) -> Array:
-    """(F, 3, 6): places at times (F,) by the unknowns of `straight_runs`."""
+    """(F, 3, 6): places at times (F,) by the unknowns of `constant_velocity`."""
     motion = np.zeros((len(time_s), 3, 6))
     motion[:, :, :3] = np.eye(3)
     motion[:, :, 3] = heading * time_s[:, None]
@@ -81,7 +81,7 @@ def run_path(heading: Array, up: Array, time_s: Array) -> Array:
     return motion
 
 
-def straight_runs(
+def constant_velocity(
     headings: Array, shapes: Array, up: Array, rays: Array, time_s: Array, centres_m: Array | None = None
 ) -> tuple[Array, Array]:
     """Shapes (H, J, 3), each running along its heading (H, 3), fitted to rays (F, J, 3) at times (F,) of mean zero.

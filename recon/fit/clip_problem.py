@@ -15,8 +15,8 @@ from recon.clip import View
 from recon.fit import constants
 from recon.fit.least_squares import LeastSquares, Shared
 from recon.fit.terms import (
-    CRAB,
-    DISPLACED,
+    COMMON_KEYPOINT_BIAS,
+    SIDESLIP,
     SIZE,
     Heading,
     KnownAngles,
@@ -24,14 +24,14 @@ from recon.fit.terms import (
     PoseMixture,
     Reprojection,
     Term,
-    beside,
     climb_term,
     dynamics_term,
+    extrinsic_correction,
     focal,
-    lag,
-    placing,
+    keypoint_bias,
     pose_term,
     root_term,
+    time_offset,
 )
 
 Array = NDArray[np.float64]
@@ -79,7 +79,7 @@ class TrajectoryOptions:
 
 
 @dataclass(frozen=True, eq=False)
-class Setting:
+class ClipProblem:
     """What does not change on the way to a solution, of all T frames of a clip or a part of them."""
 
     views: tuple[View, ...]
@@ -94,8 +94,8 @@ class Setting:
     time_offset_frames: float
     """Standard deviation: how much later or earlier than said a camera's pictures are taken, where that is not to be
     found (`TrajectoryOptions.find_offsets`)."""
-    trust: float = 1.0
-    """The part of its weight that the prior has; each angle on its own has the rest (`recon.fit.surprise`)."""
+    prior_weight: float = 1.0
+    """The part of its weight that the prior has; each angle on its own has the rest (`recon.fit.prior_misfit`)."""
     known: Array | None = None
     """(T, D): states whose heading and angles the animal has, NaN in frames where they are not known."""
 
@@ -108,7 +108,7 @@ class Setting:
         fps: float,
         options: TrajectoryOptions,
         ground_near_zero: bool | None = None,
-    ) -> Setting:
+    ) -> ClipProblem:
         """Of a whole clip: see `recon.fit.trajectory.solve_trajectory`."""
         if ground_near_zero is None:
             ground_near_zero = all(view.camera.knows_up for view in views)
@@ -120,11 +120,11 @@ class Setting:
         """T"""
         return len(self.views[0].xy_px)
 
-    def part(self, frames: slice | Index) -> Setting:
+    def part(self, frames: slice | Index) -> ClipProblem:
         known = None if self.known is None else self.known[frames]
         return replace(self, views=tuple(view.part(frames) for view in self.views), known=known)
 
-    def thinned(self, step: int) -> Setting:
+    def thinned(self, step: int) -> ClipProblem:
         """Of every step-th frame, which counts for those left out."""
         thin = self.part(slice(None, None, step))
         views = tuple(
@@ -179,7 +179,7 @@ class Setting:
     # -- the problem ----------------------------------------------------------------------------------------------
 
     @property
-    def alike(self) -> float:
+    def correlation_frames(self) -> float:
         """How many neighbouring frames' errors are alike and count once in the uncertainty."""
         return max(constants.ERROR_TIME_S * self.fps, 1.0)
 
@@ -233,23 +233,29 @@ class Setting:
         that of what lasts: the frames' number makes it no better known.
         """
         o, J, V = self.options, len(self.body.markers), len(self.views)
-        root = np.sqrt(self.alike)
+        root = np.sqrt(self.correlation_frames)
         size = [Shared(SIZE, np.ones(1), np.array([self.size_sigma]))] if self.shows_size else []
         first, late = (1, constants.SOUGHT_OFFSET_FRAMES) if o.find_offsets else (0, self.time_offset_frames)
-        lags = [Shared(lag(i), np.zeros(1), np.array([late / root])) for i in range(first, V)]
-        crab = [Shared(CRAB, np.zeros(1), np.array([constants.SIDESLIP_RAD / root]))] if len(self) > 1 else []
+        time_offsets = [Shared(time_offset(i), np.zeros(1), np.array([late / root])) for i in range(first, V)]
+        sideslip = [Shared(SIDESLIP, np.zeros(1), np.array([constants.SIDESLIP_RAD / root]))] if len(self) > 1 else []
         sigma = np.repeat([constants.CAMERA_TURN_RAD, constants.CAMERA_SHIFT_M], 3) / root
-        placings = [Shared(placing(i), np.zeros(6), sigma) for i in range(1, V)] if o.refine_cameras else []
+        corrections = (
+            [Shared(extrinsic_correction(i), np.zeros(6), sigma) for i in range(1, V)] if o.refine_cameras else []
+        )
         if o.focal_sigma is not None and V > 1:
             width = np.array([o.focal_sigma / root])
-            placings += [Shared(focal(i), np.zeros(1), width) for i in range(V)]
+            corrections += [Shared(focal(i), np.zeros(1), width) for i in range(V)]
         spread_m = self.body.keypoint_spread_m
         off_m = np.array([spread_m.get(m, self.keypoint_bias_m) for m in self.body.markers]) / root
         common = constants.COMMON_BIAS_SHARE if V > 1 else 0.0
         own_m, common_m = np.repeat(off_m * (1 - common) ** 0.5, 2), np.repeat(off_m * common**0.5, 3)
-        displaced = [Shared(beside(i), np.zeros(2 * J), own_m) for i in range(V)] if own_m.all() else []
-        displaced += [Shared(DISPLACED, np.zeros(3 * J), common_m)] if common_m.all() else []
-        return ([*size, *crab, *lags, *placings], displaced) if V > 1 else (size, [*lags, *displaced])
+        displaced = [Shared(keypoint_bias(i), np.zeros(2 * J), own_m) for i in range(V)] if own_m.all() else []
+        displaced += [Shared(COMMON_KEYPOINT_BIAS, np.zeros(3 * J), common_m)] if common_m.all() else []
+        return (
+            ([*size, *sideslip, *time_offsets, *corrections], displaced)
+            if V > 1
+            else (size, [*time_offsets, *displaced])
+        )
 
     def problem(
         self,
@@ -278,20 +284,20 @@ class Setting:
         linear: list[Linear] = []
         terms: list[Term] = [*seen]
         if temperature is None:
-            linear.append(pose_term(self.prior, D, self.fps, constants.POSE_WEIGHT * self.trust))
+            linear.append(pose_term(self.prior, D, self.fps, constants.POSE_WEIGHT * self.prior_weight))
         else:
-            terms.append(PoseMixture(self.prior, self.fps, constants.POSE_WEIGHT * self.trust, temperature))
-        if self.trust < 1:
+            terms.append(PoseMixture(self.prior, self.fps, constants.POSE_WEIGHT * self.prior_weight, temperature))
+        if self.prior_weight < 1:
             plain = prior_from_body(self.body)
-            linear.append(pose_term(plain, D, self.fps, constants.POSE_WEIGHT * (1 - self.trust)))
-            linear.append(dynamics_term(plain, D, self.fps, constants.MOTION_WEIGHT * (1 - self.trust)))
+            linear.append(pose_term(plain, D, self.fps, constants.POSE_WEIGHT * (1 - self.prior_weight)))
+            linear.append(dynamics_term(plain, D, self.fps, constants.MOTION_WEIGHT * (1 - self.prior_weight)))
         if self.known is not None:
             terms.append(KnownAngles(self.known))
         if T > 1:
             linear.append(climb_term(D, self.fps, constants.CLIMB_M_S))
             terms.append(Heading(rear, front, self.fps, constants.LATERAL_M_S))
         if T > 2:
-            linear.append(dynamics_term(self.prior, D, self.fps, constants.MOTION_WEIGHT * self.trust))
+            linear.append(dynamics_term(self.prior, D, self.fps, constants.MOTION_WEIGHT * self.prior_weight))
             accelerations = np.array(constants.ACCELERATION_M_S2), constants.YAW_ACCELERATION_RAD_S2
             linear.append(root_term(D, self.fps, *accelerations))
         return LeastSquares(self.body.detected, linear, [*terms, *contact_terms], shared, doubtful)
