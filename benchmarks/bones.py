@@ -226,7 +226,7 @@ def main() -> None:
     from recon import FitSettings
     from recon.fit.results import read_results
     from recon.workflows.clip import run_clip
-    from recon.workflows.convert import convert
+    from recon.workflows.convert import ConvertSettings, convert
 
     samples = Path(__file__).resolve().parents[1] / "data" / "samples"
     print_header(["file", "read by", "whole animal, mm", "chain, mm"])
@@ -238,7 +238,7 @@ def main() -> None:
             clips[clip] = read_results(out).pose
         for extension, readers in READERS.items():
             for clip in clips:
-                convert(Path(folder) / clip, Path(folder) / f"{clip}{extension}")
+                convert(ConvertSettings(source=Path(folder) / clip, out=Path(folder) / f"{clip}{extension}"))
             for name, read in readers:
                 try:
                     off = [

@@ -16,10 +16,10 @@ from PIL import Image
 
 from recon import FitSettings, read_results, samples_folder
 from recon.io.video import read_frames, video_writer
-from recon.workflows.analyse import run_analyse
+from recon.workflows.analyse import AnalyseSettings, run_analyse
 from recon.workflows.camera_advice import CameraAdviceSettings, run_camera_advice
 from recon.workflows.clip import run_clip
-from recon.workflows.overlay import run_overlay, run_sheet
+from recon.workflows.overlay import OverlaySettings, run_overlay, run_sheet
 from recon.workflows.skeleton_check import SkeletonCheckSettings, run_skeleton_check
 
 HERE = Path(__file__).resolve().parent
@@ -57,13 +57,13 @@ def main() -> None:
         clip = out / "clip"
         run_clip(FitSettings(keypoints=samples / "whole.csv", camera=samples / "camera.toml", fps=60), clip)
         result = read_results(clip)
-        run_analyse(clip)
+        run_analyse(AnalyseSettings(folder=clip))
         for name in ("speed", "footfalls", "phase_portraits", "observability", "body_fixed"):
             save(clip / "analysis" / f"{name}.png", f"{name}.png", 900)
         plain_video(out / "clip.avi", result.camera.image_size_px, result.fps, len(result.pose.frames))
-        run_overlay(clip, out / "clip.avi", out / "overlay.avi")
+        run_overlay(OverlaySettings(folder=clip, video=out / "clip.avi", out=out / "overlay.avi"))
         ((_, image),) = read_frames(out / "overlay.avi", FRAME, FRAME + 1)
-        run_sheet(clip, out / "sheet.png")
+        run_sheet(OverlaySettings(folder=clip, sheet=out / "sheet.png"))
         save(out / "sheet.png", "sheet.png", 1200)
         cv2.imwrite(str(out / "overlay.png"), image)
         save(out / "overlay.png", "overlay.png", 960)

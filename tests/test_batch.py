@@ -29,7 +29,7 @@ from recon.base.files import sole_writer
 from recon.base.parallel import Event, carry_out, outcome_of
 from recon.base.progress import Progress, silent
 from recon.io.calibration import read_cameras
-from recon.workflows.analyse import run_analyse
+from recon.workflows.analyse import AnalyseSettings, run_analyse
 from recon.workflows.batch import (
     COLUMNS,
     Clip,
@@ -584,7 +584,7 @@ def test_what_comes_after_the_fit_does_not_have_it_made_again(clips, tmp_path):
     """But results that are not as they were written do."""
     out = tmp_path / "out"
     fit(found(clips / "a.csv"), out)
-    run_analyse(out / "a", figures=False)
+    run_analyse(AnalyseSettings(folder=out / "a", figures=False))
     (out / "a" / "video.rrd").write_bytes(b"of recon view --video")
     (planned,) = plan_batch(found(clips / "a.csv"), out)
     assert planned.action == "done"

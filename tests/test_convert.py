@@ -18,7 +18,7 @@ from recon.clip.keypoints import Keypoints
 from recon.io import CONVERTED, FORMATS, Format, choose_format, read_keypoints
 from recon.io.pose3d import Pose3D, read_pose3d
 from recon.workflows.cli import app, main
-from recon.workflows.convert import Options, convert
+from recon.workflows.convert import ConvertSettings, convert
 
 NAN = float("nan")
 FRAMES = np.array([7, 8, 9, 10, 14])
@@ -95,7 +95,7 @@ def files_3d(tmp_path_factory) -> dict[str, Path]:
 @pytest.mark.parametrize("start", OF_2D, ids=label)
 def test_pairs_of_2d_formats(files_2d, start, end, tmp_path):
     out = tmp_path / f"out{end.suffixes[0]}"
-    done = convert(files_2d[label(start)], out, end.name)
+    done = convert(ConvertSettings(source=files_2d[label(start)], out=out, to=end.name))
     assert done.format is end
     assert done.notes == ()
     assert_same_keypoints(read_keypoints(out), a_clip())
@@ -105,7 +105,7 @@ def test_pairs_of_2d_formats(files_2d, start, end, tmp_path):
 @pytest.mark.parametrize("start", OF_3D, ids=label)
 def test_pairs_of_3d_formats(files_3d, start, end, tmp_path):
     out = tmp_path / f"out{end.suffixes[0]}"
-    done = convert(files_3d[label(start)], out)
+    done = convert(ConvertSettings(source=files_3d[label(start)], out=out))
     assert done.format is end
     assert done.notes == ()
     tolerance_m = max(TOLERANCE_M.get(start.name, 0), TOLERANCE_M.get(end.name, 0))
@@ -420,16 +420,16 @@ def test_choice_of_format():
 
 def test_2d_does_not_become_3d_nor_3d_2d(files_2d, files_3d, tmp_path):
     with pytest.raises(InputError, match=r"found 2D keypoints, expected 3D positions for TRC: fit the clip first"):
-        convert(files_2d["movement.nc"], tmp_path / "a.trc")
+        convert(ConvertSettings(source=files_2d["movement.nc"], out=tmp_path / "a.trc"))
     with pytest.raises(InputError, match=r"found 3D positions, expected 2D keypoints for COCO JSON"):
-        convert(files_3d["movement.nc"], tmp_path / "a.json")
+        convert(ConvertSettings(source=files_3d["movement.nc"], out=tmp_path / "a.json"))
     assert list(tmp_path.iterdir()) == []
 
 
 def test_every_problem_at_once(tmp_path):
     (tmp_path / "a.csv").write_text("nothing of use\n")
     with pytest.raises(InputError) as error:
-        convert(tmp_path / "a.csv", tmp_path / "a.csv", "fbx")
+        convert(ConvertSettings(source=tmp_path / "a.csv", out=tmp_path / "a.csv", to="fbx"))
     said = [str(p) for p in error.value.problems]
     assert len(said) == 3
     assert "begins with 'nothing of use'" in said[0]
@@ -443,33 +443,33 @@ def test_whole_or_not_at_all(files_2d, tmp_path):
     no_rate = replace(a_clip(), fps=None)
     FORMATS[0].write(no_rate, tmp_path / "a.csv")
     with pytest.raises(InputError, match="--fps"):
-        convert(tmp_path / "a.csv", out)
+        convert(ConvertSettings(source=tmp_path / "a.csv", out=out))
     assert not out.parent.exists()
-    convert(tmp_path / "a.csv", out, options=Options(fps=50))
+    convert(ConvertSettings(source=tmp_path / "a.csv", out=out, fps=50))
     found = read_keypoints(out)
     assert found.fps == 50
     assert found.frames.tolist() == FRAMES.tolist()
     assert [p.name for p in out.parent.iterdir()] == ["a.nwb"]
     with pytest.raises(InputError, match="found one that is there already, expected another name, or --overwrite"):
-        convert(files_2d["coco.json"], out)
-    convert(files_2d["coco.json"], out, overwrite=True)
+        convert(ConvertSettings(source=files_2d["coco.json"], out=out))
+    convert(ConvertSettings(source=files_2d["coco.json"], out=out, overwrite=True))
     assert read_keypoints(out).fps == FPS
 
 
 def test_frame_rate_as_given_overrules_the_file(files_2d, tmp_path):
-    done = convert(files_2d["movement.nc"], tmp_path / "a.nc", options=Options(fps=240))
+    done = convert(ConvertSettings(source=files_2d["movement.nc"], out=tmp_path / "a.nc", fps=240))
     assert done.notes == ("119.88 frames per second in the source, 240 as given.",)
     found = read_keypoints(tmp_path / "a.nc")
     assert found.fps == 240
     assert found.frames.tolist() == FRAMES.tolist()
-    with pytest.raises(InputError, match="--fps: found -3"):
-        convert(files_2d["movement.nc"], tmp_path / "b.nc", options=Options(fps=-3))
+    with pytest.raises(InputError, match="fps: found -3"):
+        convert(ConvertSettings(source=files_2d["movement.nc"], out=tmp_path / "b.nc", fps=-3))
 
 
 def test_zero_zero_is_missing_everywhere(tmp_path):
     text = "scorer,n,n,n\nbodyparts,nose,nose,nose\ncoords,x,y,likelihood\n0,0,0,0\n1,0,0,0.9\n2,3,4,\n"
     (tmp_path / "a.csv").write_text(text)
-    done = convert(tmp_path / "a.csv", tmp_path / "a.nc")
+    done = convert(ConvertSettings(source=tmp_path / "a.csv", out=tmp_path / "a.nc"))
     assert done.notes == ("1 points that were stored as (0, 0) are missing ones.",)
     found = read_keypoints(tmp_path / "a.nc")
     np.testing.assert_array_equal(found.xy_px[:, 0], [[NAN, NAN], [0, 0], [3, 4]])
@@ -479,15 +479,15 @@ def test_zero_zero_is_missing_everywhere(tmp_path):
 def test_columns_by_a_map(tmp_path):
     (tmp_path / "a.csv").write_text("Nr;Node;U;V;Q\n3;nose;1.5;2;0.5\n4;nose;;;\n", encoding="utf-8")
     named = "frame=Nr, bodypart=Node, x=U, y=V, likelihood=Q"
-    convert(tmp_path / "a.csv", tmp_path / "b.csv", options=Options(columns=named, fps=25))
+    convert(ConvertSettings(source=tmp_path / "a.csv", out=tmp_path / "b.csv", columns=named, fps=25))
     found = read_keypoints(tmp_path / "b.csv")
     assert (found.names, found.frames.tolist(), found.fps) == (("nose",), [3, 4], 25)
     np.testing.assert_array_equal(found.xy_px[:, 0], [[1.5, 2], [NAN, NAN]])
     (tmp_path / "c.csv").write_text("t,X of a,Y of a,Z of a\n0,1,2,3\n0.5,4,5,6\n", encoding="utf-8")
     wide = "time=t,x=X of {bodypart},y=Y of {bodypart},z=Z of {bodypart}"
     with pytest.raises(InputError, match=r"unit: found none in the file, expected one of: m, cm, mm"):
-        convert(tmp_path / "c.csv", tmp_path / "c.trc", options=Options(columns=wide))
-    convert(tmp_path / "c.csv", tmp_path / "c.trc", options=Options(columns=wide, unit="cm", up="y"))
+        convert(ConvertSettings(source=tmp_path / "c.csv", out=tmp_path / "c.trc", columns=wide))
+    convert(ConvertSettings(source=tmp_path / "c.csv", out=tmp_path / "c.trc", columns=wide, unit="cm", up="y"))
     pose = read_pose3d(tmp_path / "c.trc")
     np.testing.assert_allclose(pose.xyz_m[:, 0], [[0.01, -0.03, 0.02], [0.04, -0.06, 0.05]])
     assert (pose.fps, pose.frames.tolist()) == (2, [0, 1])
@@ -508,14 +508,14 @@ def test_folder_of_results(results, tmp_path):
     """The joints upright, with the frame rate of the report and the limbs of the skeleton."""
     from recon.fit.results import read_results
 
-    done = convert(results, tmp_path / "a.nwb")
+    done = convert(ConvertSettings(source=results, out=tmp_path / "a.nwb"))
     assert "level frame" in done.notes[0]
     expected = read_results(results).pose
     found = read_pose3d(tmp_path / "a.nwb")
     assert_same_pose(found, replace(expected, fps=30.0))
     assert ("neck_base", "nose") in found.edges or ("nose", "neck_base") in found.edges
     with pytest.raises(InputError, match=r"no report\.json"):
-        convert(tmp_path, tmp_path / "b.nwb")
+        convert(ConvertSettings(source=tmp_path, out=tmp_path / "b.nwb"))
 
 
 # The command
@@ -556,4 +556,4 @@ def test_command_names_problems(monkeypatch, capsys, tmp_path):
 def test_missing_library_says_what_to_install(monkeypatch, files_3d, tmp_path):
     monkeypatch.setitem(__import__("sys").modules, "pyarrow", None)
     with pytest.raises(InputError, match=r"needs the package pyarrow, which is not installed.*\[formats\]"):
-        convert(files_3d["parquet.parquet"], tmp_path / "a.csv")
+        convert(ConvertSettings(source=files_3d["parquet.parquet"], out=tmp_path / "a.csv"))

@@ -36,7 +36,7 @@ from recon.show.plots.skeleton import expected_pose
 from recon.show.report import build_report
 from recon.workflows.batch.record import file_sha256, identity
 from recon.workflows.clip import prepare, run_clip
-from recon.workflows.convert import Options, read_any
+from recon.workflows.convert import ConvertSettings, read_any
 from recon.workflows.skeleton_check import check_skeleton
 from recon.workflows.skeleton_draft import draft_skeleton
 
@@ -349,7 +349,7 @@ def test_renaming_works_in_files_of_several_animals(tmp_path):
 
 def test_positions_in_3d_are_not_renamed(tmp_path):
     with pytest.raises(InputError, match=r"--rename: names: found 3D positions in .*whole_truth.csv, expected 2D"):
-        read_any(SAMPLES / "whole_truth.csv", Options(rename=str(in_file(tmp_path, "spine,mid_back"))))
+        read_any(SAMPLES / "whole_truth.csv", ConvertSettings(rename=str(in_file(tmp_path, "spine,mid_back"))))
 
 
 def test_labels_and_predictions_of_other_names(tmp_path):

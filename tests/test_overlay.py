@@ -32,7 +32,7 @@ from recon.show.overlay import (
 )
 from recon.workflows.cli import app
 from recon.workflows.clip import write_clip
-from recon.workflows.overlay import camera_number, overlay_of, run_overlay
+from recon.workflows.overlay import OverlaySettings, camera_number, overlay_of, run_overlay
 from recon.workflows.settings import FitSettings
 
 SIZE = (1920, 1080)
@@ -184,7 +184,7 @@ def test_headings_are_averaged_and_reach_into_gaps():
 def test_every_frame_of_the_clip_is_drawn_on_its_own_picture(folder, video, tmp_path):
     """The result has frames 10 to 17; the video begins with number 7, so that they are its pictures 3 to 10."""
     out = tmp_path / "o.avi"
-    run = run_overlay(folder, video, out, first_frame=7, speed=0.5)
+    run = run_overlay(OverlaySettings(folder=folder, video=video, out=out, first_frame=7, speed=0.5))
     assert (run.frames, run.fps, run.speed) == (8, 15.0, 0.5)
     info = probe(out)
     assert (info.size_px, info.fps) == (canvas_size(SIZE), 15.0)
@@ -196,7 +196,7 @@ def test_every_frame_of_the_clip_is_drawn_on_its_own_picture(folder, video, tmp_
 def test_a_video_that_is_too_short_is_said_so(folder, video, tmp_path):
     message = r"found 12 frames that can be decoded, expected 18 or more, for the result's frames 10 to 17"
     with pytest.raises(InputError, match=message):
-        run_overlay(folder, video, tmp_path / "o.mp4")
+        run_overlay(OverlaySettings(folder=folder, video=video, out=tmp_path / "o.mp4"))
     assert list(tmp_path.iterdir()) == []
 
 
@@ -205,10 +205,10 @@ def test_what_does_not_fit_is_named_at_once(folder, tmp_path):
     with video_writer(small, (64, 48), 30.0) as write:
         write(np.zeros((48, 64, 3), np.uint8))
     with pytest.raises(InputError) as caught:
-        run_overlay(folder, small, tmp_path / "o.mp4", first_frame=11, speed=-1)
+        run_overlay(OverlaySettings(folder=folder, video=small, out=tmp_path / "o.mp4", first_frame=11, speed=-1))
     assert [problem.field for problem in caught.value.problems] == ["size", "number", "factor"]
     with pytest.raises(InputError) as caught:
-        run_overlay(tmp_path, tmp_path / "none.mp4", small)
+        run_overlay(OverlaySettings(folder=tmp_path, video=tmp_path / "none.mp4", out=small))
     assert [problem.field for problem in caught.value.problems] == ["folder", "video", "file"]
 
 
@@ -267,17 +267,23 @@ def test_what_is_wrong_with_one_cameras_detections_is_not_said_of_anothers(filme
 
 def test_the_camera_of_the_video_is_chosen_by_name(filmed_twice, folder, video, tmp_path):
     out = tmp_path / "o.avi"
-    run = run_overlay(filmed_twice, video, out, first_frame=7, camera="cam2")
+    run = run_overlay(OverlaySettings(folder=filmed_twice, video=video, out=out, first_frame=7, camera_name="cam2"))
     assert run.frames == 8
     for camera in (None, "cam3"):
         with pytest.raises(InputError, match="expected one of cam1, cam2, whose video it is"):
-            run_overlay(filmed_twice, video, tmp_path / "p.avi", first_frame=7, camera=camera)
+            run_overlay(
+                OverlaySettings(
+                    folder=filmed_twice, video=video, out=tmp_path / "p.avi", first_frame=7, camera_name=camera
+                )
+            )
     named = tmp_path / "clip_cam2.avi"
     named.symlink_to(video)
     result = read_results(filmed_twice)
     assert [camera_number(result, None, of) for of in (named, None)] == [1, 0]  # of no video: the first
     with pytest.raises(InputError, match="expected one of cam1, whose video it is"):
-        run_overlay(folder, video, tmp_path / "p.avi", first_frame=7, camera="cam2")
+        run_overlay(
+            OverlaySettings(folder=folder, video=video, out=tmp_path / "p.avi", first_frame=7, camera_name="cam2")
+        )
 
 
 def test_a_small_animal_is_shown_enlarged_where_it_is_not(overlay):

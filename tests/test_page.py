@@ -28,7 +28,7 @@ from recon.show.plots.style import drawing
 from recon.workflows.batch import COLUMNS
 from recon.workflows.batch.summary import write_summary_page
 from recon.workflows.clip import write_clip
-from recon.workflows.page import run_page
+from recon.workflows.page import PageSettings, run_page
 from recon.workflows.settings import FitSettings
 
 EVIL = '<img src=x onerror="alert(1)">&\'.csv'
@@ -87,7 +87,7 @@ def folder(small_trajectory, tmp_path_factory) -> Path:
 
 @pytest.fixture(scope="module")
 def page(folder) -> Page:
-    return Page(run_page(folder))
+    return Page(run_page(PageSettings(folder=folder)))
 
 
 def test_a_page_is_one_file_in_which_names_are_text(page, folder):
@@ -136,20 +136,20 @@ def test_a_page_has_the_video_behind_its_pictures(folder, tmp_path, monkeypatch)
     monkeypatch.setattr("recon.workflows.page.clip_page", clip_page)
     copy = tmp_path / "copy"
     shutil.copytree(folder, copy)
-    run_page(copy)
-    run_page(copy, video=video)
+    run_page(PageSettings(folder=copy))
+    run_page(PageSettings(folder=copy, video=video))
     assert [*shown] == [None, "run & away.avi"]
     assert len(shown[None]) == len(shown["run & away.avi"]) == 8
     assert not {*shown[None]} & {*shown["run & away.avi"]}
     with pytest.raises(InputError, match=r"--first-frame: number: found 11, expected 10 or less"):
-        run_page(folder, video=video, first_frame=11)
+        run_page(PageSettings(folder=folder, video=video, first_frame=11))
 
 
 def test_of_several_cameras_the_page_says_whose_pictures_they_are(two_cameras, tmp_path):
     files = (Path("run_cam1.csv"), Path("run_cam2.csv"))
     write_clip(two_cameras, FitSettings(keypoints=files, camera=Path("scene.json"), fps=30), tmp_path)
     for camera, name in ((None, "cam1"), ("cam2", "cam2")):
-        page = run_page(tmp_path, camera=camera)
+        page = run_page(PageSettings(folder=tmp_path, camera_name=camera))
         assert f"The pose as {name} sees it" in page.read_text(encoding="utf-8")
 
 
@@ -158,11 +158,11 @@ def test_a_page_goes_with_its_results(small_trajectory, tmp_path):
     write_clip(small_trajectory, settings, tmp_path)
     (tmp_path / "report.html").write_text("my own")
     with pytest.raises(InputError, match=r"report.html: file: found one that recon has not made"):
-        run_page(tmp_path)
+        run_page(PageSettings(folder=tmp_path))
     assert (tmp_path / "report.html").read_text() == "my own"
     (tmp_path / "report.html").unlink()
     (tmp_path / "quality.csv").unlink()  # nothing reads it
-    assert 'href="angles.csv"' in (page := run_page(tmp_path).read_text(encoding="utf-8"))
+    assert 'href="angles.csv"' in (page := run_page(PageSettings(folder=tmp_path)).read_text(encoding="utf-8"))
     assert "quality.csv" not in page
     assert f"note: no longer in {tmp_path}: quality.csv;" in run("report", tmp_path).out
     write_clip(small_trajectory, settings, tmp_path)

@@ -20,7 +20,7 @@ from recon.io import bvh, gltf, opensim
 from recon.io.bones import Armature
 from recon.io.pose3d import read_pose3d
 from recon.show.export.rig import make_rig, rig_of
-from recon.workflows.convert import convert
+from recon.workflows.convert import ConvertSettings, convert
 
 FRAMES = np.array([10, 11, 13, 14])
 MOST_M = 1e-5
@@ -199,5 +199,5 @@ def test_points_are_no_bones(tmp_path):
     samples = Path(__file__).parents[1] / "data" / "samples"
     for name, kind in (("whole.csv", "2D keypoints"), ("whole_truth.csv", "3D positions")):
         with pytest.raises(InputError, match=f"found {kind}, expected a folder of results of recon fit: BVH has bones"):
-            convert(samples / name, tmp_path / "a.bvh")
+            convert(ConvertSettings(source=samples / name, out=tmp_path / "a.bvh"))
     assert list(tmp_path.iterdir()) == []

@@ -435,7 +435,7 @@ def test_help_is_printed_whole():
     "arguments",
     [
         ["convert", "a.csv", "b.csv", "--fps", "90fps"],
-        ["overlay", "dir", "a.mp4", "b.mp4", "--speed", "90fps"],
+        ["overlay", "dir", "--speed", "90fps"],
         ["retarget", "dir", "--lag", "90fps"],
         ["evaluate-2d", "a.csv", "b.csv", "--likelihood-min", "90fps"],
         ["train", "a.csv", "--minutes", "90fps"],

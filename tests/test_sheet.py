@@ -14,7 +14,7 @@ from recon.fit.results import read_results
 from recon.io.video import video_writer
 from recon.show.overlay import DETECTION, LEFT, PAPER, TILE_PX, draw_sheet
 from recon.workflows.clip import write_clip
-from recon.workflows.overlay import overlay_of, run_sheet
+from recon.workflows.overlay import OverlaySettings, overlay_of, run_sheet
 from recon.workflows.settings import FitSettings
 
 WIDTH, HEIGHT = TILE_PX
@@ -47,7 +47,7 @@ def tiles(path: Path) -> np.ndarray:
 
 
 def test_every_frame_has_a_tile_with_its_animal(folder, tmp_path):
-    assert run_sheet(folder, tmp_path / "sheet.png", count=20) == 8
+    assert run_sheet(OverlaySettings(folder=folder, sheet=tmp_path / "sheet.png", count=20)) == 8
     found = tiles(tmp_path / "sheet.png")
     assert found.shape[:2] == (2, 4)
     for tile in found.reshape(8, HEIGHT, WIDTH, 3):
@@ -71,7 +71,7 @@ def test_rings_are_where_the_joints_were_seen(folder):
 
 
 def test_video_is_behind_each_of_them(folder, video, tmp_path):
-    run_sheet(folder, tmp_path / "sheet.png", video=video, count=3)
+    run_sheet(OverlaySettings(folder=folder, sheet=tmp_path / "sheet.png", video=video, count=3))
     found = tiles(tmp_path / "sheet.png")[0]
     levels = [float(np.median(tile[-40:-4])) for tile in found]
     np.testing.assert_allclose(levels, [100, 140, 170], atol=8)  # frames 10, 14 and 17
@@ -79,7 +79,7 @@ def test_video_is_behind_each_of_them(folder, video, tmp_path):
 
 def test_video_that_is_too_short(folder, video, tmp_path):
     with pytest.raises(InputError, match=r"no frame 17"):
-        run_sheet(folder, tmp_path / "sheet.png", video=video, first_frame=-5, count=2)
+        run_sheet(OverlaySettings(folder=folder, sheet=tmp_path / "sheet.png", video=video, first_frame=-5, count=2))
     assert not (tmp_path / "sheet.png").exists()
 
 

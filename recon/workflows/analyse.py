@@ -6,19 +6,21 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
 from recon.base.files import require_free_folder, sole_writer, staged_folder
 from recon.base.progress import Progress, silent
+from recon.base.settings import Option, Settings
 from recon.fit.results import MEASURED_SHARE, read_results
 from recon.gait.clip import ClipAnalysis, analyse
 from recon.gait.gait import Gait, doubt_text
 from recon.gait.kinematics import peak_doubt
 from recon.show.export import analysis_csv
 from recon.show.report import to_json
+from recon.workflows.settings import STRIDE, StrideTimes
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -46,37 +48,43 @@ class Analysed:
     plots: Path | None
 
 
-def run_analyse(
-    folder: Path,
-    out: Path | None = None,
-    smooth: bool | None = None,
-    figures: bool = True,
-    overwrite: bool = False,
-    stride_s: tuple[float, float] | None = None,
-    progress: Progress = silent,
-) -> Analysed:
+class AnalyseSettings(Settings):
+    """What `recon analyse` is told."""
+
+    folder: Annotated[Path, Option("Folder of results, as in results/clip.", argument="DIR")]
+    out: Annotated[Path | None, Option("Folder for tables and figures. (default: analysis in DIR)")] = None
+    smooth: Annotated[
+        bool | None,
+        Option("Smooth paths and angles by their jitter. (default: only where the fit gives no uncertainty)"),
+    ] = None
+    stride: Annotated[StrideTimes | None, STRIDE] = None
+    figures: Annotated[bool, Option("PNG and SVG beside the tables.")] = True
+    overwrite: Annotated[bool, Option("Replace an earlier analysis.")] = False
+
+
+def run_analyse(settings: AnalyseSettings, progress: Progress = silent) -> Analysed:
     """`recon analyse`: into `out`, by default the folder analysis in the results' own. smooth, stride_s: see `analyse`.
 
     The results are not written to. Figures come last: whatever befalls them, the tables are there. Raises InputError:
     no results, too few frames, or files in the way.
     """
-    out = folder / FOLDER if out is None else out
+    out = settings.folder / FOLDER if settings.out is None else settings.out
     progress("reading", 0.0)
-    results = read_results(folder)
+    results = read_results(settings.folder)
     with sole_writer(out):
-        require_free_folder(out, (SUMMARY, PLOTS, *analysis_csv.TABLES), overwrite, "an analysis")
+        require_free_folder(out, (SUMMARY, PLOTS, *analysis_csv.TABLES), settings.overwrite, "an analysis")
         progress("analysis", 0.1)
         with threadpool_limits(1, user_api="blas"):  # of small matrices, threads cost more than they bring
-            found = analyse(results, smooth, stride_s, lean=True)
+            found = analyse(results, settings.smooth, settings.stride, lean=True)
         summary = summarise(found)
         progress("tables", FIGURES_BEGIN - 0.1)
         with staged_folder(out) as staging:
             analysis_csv.write(found, staging)
             (staging / SUMMARY).write_text(to_json(summary), encoding="utf-8")
-            if (folder / PLAYBACK).is_file():
+            if (settings.folder / PLAYBACK).is_file():
                 _write_plots(found, staging)
             files = [path.name for path in staging.iterdir()]
-        if figures:
+        if settings.figures:
             with staged_folder(out) as staging:
                 write_figures(found, staging, progress)
                 files += [path.name for path in staging.iterdir()]

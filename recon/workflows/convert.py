@@ -6,35 +6,50 @@ from dataclasses import dataclass, replace
 from functools import partial
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 from recon.animal.naming import load_names, renamed
 from recon.base.errors import InputError, Problem, all_of
 from recon.base.files import staged_file
+from recon.base.settings import Option, Positive, Settings
 from recon.clip.keypoints import Keypoints, mark_missing
 from recon.fit.results import read_results
 from recon.io import Format, Pose3D, as_keypoints, choose_format, in_metres, read_points
 from recon.io.column_map import parse_map
-from recon.io.common import rate
 from recon.show.export.rig import rig_of
+from recon.workflows.settings import RENAME
 
 
-@dataclass(frozen=True)
-class Options:
-    """What the user says about a file."""
+class ConvertSettings(Settings):
+    """What `recon convert` is told."""
 
-    fps: float | None = None
-    """In place of the file's."""
-    individual: str | None = None
-    """Which animal."""
-    columns: str | None = None
-    """Of a plain CSV (see `recon.io.column_map`)."""
-    unit: str | None = None
-    """m, cm or mm: of 3D positions, where the file does not say."""
-    up: str | None = None
-    """y or z: of 3D positions, where the file does not say."""
-    rename: str | None = None
-    """A map of the names of 2D keypoints (see `recon.animal.naming`)."""
+    source: Annotated[Path | None, Option("File, or folder of results, as in results/clip.", argument="IN")] = None
+    out: Annotated[Path | None, Option("File to write, as in clip.trc.", argument="OUT")] = None
+    to: Annotated[
+        str | None, Option("Format, where the extension has several, as in long or sleap. (default: see --list)")
+    ] = None
+    fps: Annotated[
+        Positive | None,
+        Option(
+            "Frame rate in Hz, as in 120, if the file does not say it or is wrong.",
+            "a number of frames per second above 0, as in 120",
+        ),
+    ] = None
+    individual: Annotated[str | None, Option("Which animal of a multi-animal file, as in animal1.")] = None
+    columns: Annotated[
+        str | None,
+        Option(
+            "Columns of a plain CSV, as in 'frame=Frame,bodypart=Node,x=X,y=Y,likelihood=Score', or for one row per "
+            "frame 'frame=Frame,x={bodypart} X,y={bodypart} Y'. (default: by their names)"
+        ),
+    ] = None
+    unit: Annotated[str | None, Option("Unit of 3D positions, if the file does not say it: m, cm or mm.")] = None
+    up: Annotated[str | None, Option("Axis of 3D positions that points up, if the file does not say it: y or z.")] = (
+        None
+    )
+    rename: Annotated[str | None, RENAME] = None
+    overwrite: Annotated[bool, Option("Replace the file.")] = False
+    show_list: Annotated[bool, Option("Print the formats.", name="--list")] = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,23 +61,24 @@ class Conversion:
     notes: tuple[str, ...]
 
 
-def convert(
-    source: str | Path, out: str | Path, to: str | None = None, options: Options | None = None, overwrite: bool = False
-) -> Conversion:
+def convert(settings: ConvertSettings) -> Conversion:
     """Read a file, or a folder of results (its 3D positions), and write it as `out`, whole or not at all.
 
     to: the name of a format where the extension of `out` leaves a choice. A missing point is written as the format has
     it, whichever way the source had it. Raises InputError for what cannot be read or written.
     """
-    source, out = Path(source), Path(out)
+    source, out = settings.source, settings.out
+    if source is None or out is None:
+        found = "nothing" if source is None else "one file"
+        raise InputError(Problem("recon convert", "files", found, "IN and OUT, as in recon convert clip.csv clip.nc"))
     data, target, _ = all_of(
-        lambda: read_any(source, options or Options()),
-        lambda: choose_format(out, to),
-        lambda: _require_free(out, overwrite),
+        lambda: read_any(source, settings),
+        lambda: choose_format(out, settings.to),
+        lambda: _require_free(out, settings.overwrite),
     )
     notes = data.notes
     if "bones" in target.writes:
-        return _as_bones(source, data, target, out, overwrite)
+        return _as_bones(source, data, target, out, settings.overwrite)
     if isinstance(data, Keypoints):
         if "2D" not in target.writes:
             expected = f"3D positions for {target.title}: fit the clip first (recon fit)"
@@ -98,29 +114,27 @@ def _write(target: Format, data: Any, out: Path) -> None:
         target.write(data, staged)
 
 
-def read_any(source: Path, options: Options) -> Keypoints | Pose3D:
+def read_any(source: Path, settings: ConvertSettings) -> Keypoints | Pose3D:
     """2D keypoints or 3D positions, whichever the source holds. Raises InputError."""
-    if options.fps is not None and rate(options.fps) is None:
-        raise InputError(Problem("--fps", "fps", f"{options.fps:g}", "frames per second above 0, as in 90"))
     if source.is_dir():
         data = _of_results(source)
     else:
-        by = None if options.columns is None else parse_map(options.columns)
-        found, stored = read_points(source, options.individual, by=by)
+        by = None if settings.columns is None else parse_map(settings.columns)
+        found, stored = read_points(source, settings.individual, by=by)
         if stored.in_space:
-            data = in_metres(source, found, stored, options.unit, options.up)
+            data = in_metres(source, found, stored, settings.unit, settings.up)
         else:
             data = as_keypoints(source, stored)
-    if options.rename is not None:
+    if settings.rename is not None:
         if not isinstance(data, Keypoints):
             raise InputError(Problem("--rename", "names", f"3D positions in {source}", "2D keypoints"))
-        data = renamed(data, load_names(options.rename))
-    if options.fps is None or options.fps == data.fps:
+        data = renamed(data, load_names(settings.rename))
+    if settings.fps is None or settings.fps == data.fps:
         return data
     notes = data.notes
     if data.fps is not None:
-        notes += (f"{data.fps:g} frames per second in the source, {options.fps:g} as given.",)
-    return replace(data, fps=options.fps, notes=notes)
+        notes += (f"{data.fps:g} frames per second in the source, {settings.fps:g} as given.",)
+    return replace(data, fps=settings.fps, notes=notes)
 
 
 def _of_results(folder: Path) -> Pose3D:

@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import Annotated
 
 import cv2
 import numpy as np
@@ -15,6 +16,7 @@ from recon.base.arrays import Array, Index
 from recon.base.errors import InputError, Problem, all_of
 from recon.base.files import require_free_file, staged_file, write_bytes
 from recon.base.progress import Progress, silent
+from recon.base.settings import Integer, Number, Option, Settings
 from recon.check import FLAG_OF
 from recon.clip.keypoints import Keypoints
 from recon.fit.results import Results, read_results
@@ -23,6 +25,7 @@ from recon.io.video import Image, VideoInfo, probe, read_frames, require_codec, 
 from recon.show.export.clip_csv import camera_files
 from recon.show.overlay import LEFT, MIDDLE, RIGHT, Colour, Overlay, canvas_size, draw_frame, draw_sheet
 from recon.workflows.cameras import cameras_in
+from recon.workflows.settings import FIRST_FRAME
 
 SLOW_FPS = 30.0
 """Every frame is shown, and no more than this many in a second, unless a speed is given."""
@@ -42,25 +45,55 @@ class OverlayRun:
     speed: float
 
 
-def run_overlay(
-    folder: Path,
-    video: Path,
-    out: Path,
-    *,
-    first_frame: int = 0,
-    camera: str | None = None,
-    speed: float | None = None,
-    overwrite: bool = False,
-    progress: Progress = silent,
-) -> OverlayRun:
+class OverlaySettings(Settings):
+    """What `recon overlay` is told."""
+
+    folder: Annotated[Path, Option("Folder of results, as in results/clip.", argument="DIR")]
+    video: Annotated[Path | None, Option("The video that the keypoints came from, as in clip.mp4.")] = None
+    out: Annotated[Path | None, Option("The new video, .mp4 (MPEG-4) or .avi (Motion JPEG), as in overlay.mp4.")] = None
+    sheet: Annotated[Path | None, Option("Stills side by side, as in sheet.png; without --video plain.")] = None
+    count: Annotated[Integer, Option("Of the stills.")] = COUNT
+    camera_name: Annotated[
+        str | None,
+        Option(
+            "Whose video it is, of a clip with several cameras, as in cam2. (default: whose name the video's has; of "
+            "plain stills the first)"
+        ),
+    ] = None
+    first_frame: Annotated[Integer, FIRST_FRAME] = 0
+    speed: Annotated[
+        Number | None,
+        Option(
+            "Of the playback, 1 is real time. (default: so that 30 frames are shown in a second)",
+            "a number above 0, as in 0.25",
+        ),
+    ] = None
+    overwrite: Annotated[bool, Option("Replace the new files.")] = False
+
+    def problems(self) -> Iterator[Problem]:
+        if self.out is None and self.sheet is None:
+            yield Problem("--out", "file", "nothing", "the new video, or --sheet with a picture")
+        if self.out is not None and self.video is None:
+            yield Problem("--video", "file", "nothing", "the video that the keypoints came from")
+
+
+def run_overlay(settings: OverlaySettings, progress: Progress = silent) -> OverlayRun:
     """`recon overlay`: every frame of a result's clip, drawn on the video that it came from.
 
     first_frame: the number that the video's first frame has in the result. camera: whose video it is, by name, which
     may be left out where the result has one, or the video's own name contains it. speed: of the playback. Raises
     InputError, with every problem, for inputs that do not belong together; then nothing is written.
     """
+    video, out, speed = settings.video, settings.out, settings.speed
+    if video is None or out is None:
+        raise InputError(Problem("--out", "file", "nothing", "the new video, and --video beside it"))
     result, number, (wide, high) = result_and_video(
-        folder, video, camera, first_frame, lambda: _check_out(out, overwrite, video), lambda: _check_speed(speed)
+        settings.folder,
+        video,
+        settings.camera_name,
+        settings.first_frame,
+        lambda: _check_out(out, settings.overwrite, video),
+        lambda: _check_speed(speed),
     )
     if speed is None:
         speed = min(1.0, SLOW_FPS / result.fps)
@@ -71,41 +104,42 @@ def run_overlay(
     fps = result.fps * speed
     written = 0
     with video_writer(out, canvas_size((zoom * wide, zoom * high)), fps) as write:
-        for index, picture in read_frames(video, first - first_frame, last + 1 - first_frame):
-            frame = index + first_frame
+        for index, picture in read_frames(video, first - settings.first_frame, last + 1 - settings.first_frame):
+            frame = index + settings.first_frame
             enlarged = np.asarray(cv2.resize(picture, None, fx=zoom, fy=zoom), dtype=np.uint8)
             write(draw_frame(overlay, rows.get(frame), frame, enlarged))
             written += 1
             progress("drawing", written / (last + 1 - first))
         if written < last + 1 - first:
-            found = f"{first - first_frame + written} frames that can be decoded"
-            expected = f"{last + 1 - first_frame} or more, for the result's frames {first} to {last}" + (
-                f" (the video's first frame being {first_frame})" if first_frame else ""
+            found = f"{first - settings.first_frame + written} frames that can be decoded"
+            expected = f"{last + 1 - settings.first_frame} or more, for the result's frames {first} to {last}" + (
+                f" (the video's first frame being {settings.first_frame})" if settings.first_frame else ""
             )
             raise InputError(Problem(video, "video", found, f"{expected}: the video of this clip, or --first-frame"))
     return OverlayRun(written, fps, speed)
 
 
-def run_sheet(
-    folder: Path,
-    sheet: Path,
-    *,
-    video: Path | None = None,
-    first_frame: int = 0,
-    camera: str | None = None,
-    count: int = COUNT,
-    overwrite: bool = False,
-) -> int:
+def run_sheet(settings: OverlaySettings) -> int:
     """`recon overlay --sheet`: `count` frames with a pose, evenly spaced, as one PNG; how many there are. video: what
     is behind them, plain without one, and then the first camera's unless another is named; the others: see
     `run_overlay`. Raises InputError, with every problem."""
-    free = partial(require_free_file, sheet, overwrite, "--sheet", video, (".png",))
-    result, number, _ = result_and_video(folder, video, camera, first_frame, free, lambda: _check_count(count))
+    sheet = settings.sheet
+    if sheet is None:
+        raise InputError(Problem("--sheet", "file", "nothing", "a picture, as in sheet.png"))
+    free = partial(require_free_file, sheet, settings.overwrite, "--sheet", settings.video, (".png",))
+    result, number, _ = result_and_video(
+        settings.folder,
+        settings.video,
+        settings.camera_name,
+        settings.first_frame,
+        free,
+        lambda: _check_count(settings.count),
+    )
     overlay = overlay_of(result, number=number)
-    rows = rows_to_show(overlay, count)
+    rows = rows_to_show(overlay, settings.count)
     if not len(rows):
-        raise InputError(Problem(folder, "frames", "none with a pose", "one at least"))
-    pictures = None if video is None else pictures_of(video, result, rows, first_frame)
+        raise InputError(Problem(settings.folder, "frames", "none with a pose", "one at least"))
+    pictures = None if settings.video is None else pictures_of(settings.video, result, rows, settings.first_frame)
     with staged_file(sheet) as staged:
         write_bytes(staged, cv2.imencode(".png", draw_sheet(overlay, rows, pictures))[1].tobytes())
     return len(rows)

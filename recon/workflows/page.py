@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Annotated
 
 from recon.base.files import sole_writer, staged_file
 from recon.base.parallel import Event, carry_out
 from recon.base.progress import Progress, silent
+from recon.base.settings import Integer, Option, Settings
 from recon.fit.results import REPORT, Results
 from recon.show.overlay import draw_tiles
 from recon.show.page import PAGE, require_own_page
@@ -15,28 +17,33 @@ from recon.show.page.render import jpeg
 from recon.workflows.batch.inputs import SUMMARY
 from recon.workflows.batch.summary import write_summary_page
 from recon.workflows.overlay import overlay_of, pictures_of, result_and_video, rows_to_show
+from recon.workflows.settings import FIRST_FRAME
 
 STILLS = 9
 BESIDE = ("overlay.mp4", "analysis/analysis.json")
 """Files that a page has links to, besides the fit's own, where they are there when it is made."""
 
 
-def run_page(
-    folder: Path,
-    *,
-    video: Path | None = None,
-    first_frame: int = 0,
-    camera: str | None = None,
-    progress: Progress = silent,
-) -> Path:
+class PageSettings(Settings):
+    """What `recon report` is told."""
+
+    folder: Annotated[Path, Option("Folder of results, as in results/clip, or of a batch.", argument="DIR")]
+    video: Annotated[Path | None, Option("The video that the keypoints came from, to be seen in the pictures.")] = None
+    camera_name: Annotated[str | None, Option("Whose pictures, of a clip with several cameras, as in cam2.")] = None
+    first_frame: Annotated[Integer, FIRST_FRAME] = 0
+
+
+def run_page(settings: PageSettings, progress: Progress = silent) -> Path:
     """`recon report`: the page of a result, in its folder; an earlier one is replaced. video: what is behind the
     pictures, plain without one; the others: see `run_overlay`. Raises InputError, with every problem."""
-    page = folder / PAGE
-    result, number, _ = result_and_video(folder, video, camera, first_frame, lambda: require_own_page(page))
+    page = settings.folder / PAGE
+    result, number, _ = result_and_video(
+        settings.folder, settings.video, settings.camera_name, settings.first_frame, lambda: require_own_page(page)
+    )
     progress("pictures", 0.1)
-    stills = _stills(result, video, first_frame, number)
+    stills = _stills(result, settings.video, settings.first_frame, number)
     progress("figures", 0.3)
-    html = clip_page(result, stills, None if video is None else video.name, _files(result), number)
+    html = clip_page(result, stills, None if settings.video is None else settings.video.name, _files(result), number)
     with staged_file(page) as staged:
         staged.write_text(html, encoding="utf-8")
     return page
@@ -83,5 +90,5 @@ def run_batch_pages(out: Path, jobs: int | None = None, progress: Progress = sil
 
 
 def _page_of(folder: Path, progress: Progress) -> dict[str, str]:
-    run_page(folder, progress=progress)
+    run_page(PageSettings(folder=folder), progress)
     return {"status": "done"}

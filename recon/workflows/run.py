@@ -25,7 +25,7 @@ from recon.io.video import probe
 from recon.show.page import PAGE
 from recon.workflows.batch.record import file_sha256, identity, identity_of
 from recon.workflows.clip import fit_clip, output_files, read_model_and_cameras, write_clip
-from recon.workflows.overlay import run_overlay
+from recon.workflows.overlay import OverlaySettings, run_overlay
 from recon.workflows.settings import FitSettings, read_settings
 
 RECORD = "run.json"
@@ -285,24 +285,27 @@ def _fit(job: Job, progress: Progress) -> list[Path]:
 
 
 def _analysis(job: Job, progress: Progress) -> list[Path]:
-    from recon.workflows.analyse import run_analyse
+    from recon.workflows.analyse import AnalyseSettings, run_analyse
 
-    done = run_analyse(job.out, overwrite=True, progress=progress)
+    done = run_analyse(AnalyseSettings(folder=job.out, overwrite=True), progress=progress)
     return [done.out / name for name in done.files]
 
 
 def _overlay(job: Job, progress: Progress) -> list[Path]:
     out = job.out / OVERLAY
-    run_overlay(job.out, job.video, out, first_frame=job.first_frame, overwrite=True, progress=progress)
+    run_overlay(
+        OverlaySettings(folder=job.out, video=job.video, out=out, first_frame=job.first_frame, overwrite=True),
+        progress=progress,
+    )
     return [out]
 
 
 def _page(job: Job, progress: Progress) -> list[Path]:
-    from recon.workflows.page import run_page
+    from recon.workflows.page import PageSettings, run_page
 
     posed = _report(job.out)["summary"]["frames_with_pose"] > 0
     video = job.video if posed else None
-    return [run_page(job.out, video=video, first_frame=job.first_frame, progress=progress)]
+    return [run_page(PageSettings(folder=job.out, video=video, first_frame=job.first_frame), progress=progress)]
 
 
 # -- what was done ----------------------------------------------------------------------------------------------------

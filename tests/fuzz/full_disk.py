@@ -54,13 +54,15 @@ def read_results(out: Path) -> object:
 
 
 def read_data(out: Path) -> object:
-    from recon.workflows.convert import Options, read_any
+    from recon.workflows.convert import ConvertSettings, read_any
 
     if out.suffix in (".osim", ".glb"):  # by others
         sizes = [path.stat().st_size for path in out.parent.glob(f"{out.stem}.*")]
         assert len(sizes) == (3 if out.suffix == ".osim" else 1)
         return sizes
-    return read_any(out, Options(fps=60, unit="m", up="z") if out.suffix in (".csv", ".bvh") else Options())
+    return read_any(
+        out, ConvertSettings(fps=60, unit="m", up="z") if out.suffix in (".csv", ".bvh") else ConvertSettings()
+    )
 
 
 def read_manifest(out: Path) -> object:

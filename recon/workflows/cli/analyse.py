@@ -4,61 +4,36 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.table import Table
 
+from recon.show.report import to_json
+from recon.workflows.analyse import Analysed, AnalyseSettings, run_analyse
 from recon.workflows.cli.common import (
-    STRIDE,
     counted,
     progress_bar,
     say,
     say_what_is_gone,
-    stride_times,
     table_of,
     terminal,
 )
-
-if TYPE_CHECKING:
-    from recon.workflows.analyse import Analysed
 
 MOST_STANCES = 100
 """That are printed, of all feet by both methods."""
 
 
-def analyse(
-    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of results, as in results/clip.")],
-    out: Annotated[
-        Path | None, typer.Option(help="Folder for tables and figures. (default: analysis in DIR)", show_default=False)
-    ] = None,
-    smooth: Annotated[
-        bool | None,
-        typer.Option(
-            "--smooth/--no-smooth",
-            help="Smooth paths and angles by their jitter. (default: only where the fit gives no uncertainty)",
-            show_default=False,
-        ),
-    ] = None,
-    stride: Annotated[str | None, STRIDE] = None,
-    figures: Annotated[bool, typer.Option("--figures/--no-figures", help="PNG and SVG beside the tables.")] = True,
-    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace an earlier analysis.")] = False,
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print errors only.")] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print the summary as JSON.")] = False,
-) -> None:
+def analyse(settings: AnalyseSettings, as_json: bool, quiet: bool) -> None:
     """Kinematics, gait, vector fields and phase portraits of a reconstruction.
 
     Writes tables (CSV), figures (PNG, SVG), and plots that recon view shows beside the playback.
 
     Example: recon analyse results/clip
     """
-    from recon.show.report import to_json
-    from recon.workflows.analyse import run_analyse
 
     console = terminal(quiet=quiet, stderr=as_json)
     with progress_bar(console) as progress:
-        done = run_analyse(folder, out, smooth, figures, overwrite, stride_times(stride), progress)
+        done = run_analyse(settings, progress)
     if as_json:
         typer.echo(to_json(done.summary), nl=False)
         return
@@ -71,7 +46,7 @@ def analyse(
         console.print(_stances(done))
     for note in done.summary["notes"]:
         say(console, f"note: {note}")
-    say_what_is_gone(console, folder)
+    say_what_is_gone(console, settings.folder)
     say(console, f"{len(done.files)} files are in {done.out}.")
     if done.plots is not None:
         results = done.found.results.folder

@@ -85,9 +85,10 @@ class Takes:
     def call(self, **arguments: Any) -> None:
         """Raises InputError with everything that is wrong with the command's own settings."""
         flags = {name: arguments.pop(name) for name in _FLAGS if name in arguments}
-        values = arguments | self._set(arguments.pop(_SET, None) or ())
-        own = {name: value for name, value in values.items() if name in self.own_infos and value != []}
-        given = {name: value for name, value in values.items() if name not in own and value != []}
+        by_set = self._set(arguments.pop(_SET, None) or [])
+        values = by_set | {name: value for name, value in arguments.items() if value not in (None, [])}
+        own = {name: value for name, value in values.items() if name in self.own_infos}
+        given = {name: value for name, value in values.items() if name not in own}
         more = {} if self.others is None else {"given": given}
         try:
             settings = {"settings": self.own(**own)} if "settings" in self.parameters else {}
