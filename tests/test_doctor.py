@@ -55,7 +55,7 @@ def test_all_is_well_here(doctor, monkeypatch):
 
 
 def test_prints_a_table_of_80_columns_or_json_and_ends_with_0_or_1(doctor, monkeypatch):
-    monkeypatch.setattr(module, "run_doctor", lambda progress: doctor)
+    monkeypatch.setattr("recon.workflows.cli.doctor.run_doctor", lambda progress: doctor)
     ended = run("doctor")
     assert ended.code == 0
     assert ended.out.endswith("recon works here.\n")
@@ -65,7 +65,7 @@ def test_prints_a_table_of_80_columns_or_json_and_ends_with_0_or_1(doctor, monke
     shown = json.loads(run("doctor", "--json").out)
     assert shown == {"ok": True, "checks": [check.__dict__ for check in doctor.checks]}
     bad = Doctor((*doctor.checks, Check("machine", "moon", "broken", "it is new", "wait [two] weeks")))
-    monkeypatch.setattr(module, "run_doctor", lambda progress: bad)
+    monkeypatch.setattr("recon.workflows.cli.doctor.run_doctor", lambda progress: bad)
     ended = run("doctor")
     assert ended.code == 1
     assert "wait [two] weeks" in ended.out

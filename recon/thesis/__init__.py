@@ -21,7 +21,7 @@ if TYPE_CHECKING:
         solve_frames,
         solve_joints,
     )
-    from recon.thesis.inspection import read_solver, run_solver
+    from recon.thesis.inspection import SolverSettings, read_solver, run_solver
     from recon.thesis.solver import SolverRecord
 
 __all__ = [
@@ -29,6 +29,7 @@ __all__ = [
     "FrameReport",
     "FrameSolution",
     "SolverRecord",
+    "SolverSettings",
     "base_length",
     "fit_clip",
     "frame_objectives",
@@ -53,7 +54,7 @@ __getattr__ = lazily(
             "solve_frames",
             "solve_joints",
         ),
-        "inspection": ("read_solver", "run_solver"),
+        "inspection": ("SolverSettings", "read_solver", "run_solver"),
         "solver": ("SolverRecord",),
     },
 )

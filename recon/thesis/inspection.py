@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -19,6 +19,7 @@ from recon.base.arrays import Array
 from recon.base.errors import InputError, Problem
 from recon.base.files import require_free_folder, sole_writer, staged_folder
 from recon.base.progress import Progress, silent
+from recon.base.settings import Option, Settings
 from recon.clip import Source, together, views_of
 from recon.fit.clip_problem import ClipProblem
 from recon.fit.results import Results, read_results
@@ -50,23 +51,26 @@ _ALIKE, _ALIKE_PX = 2.0, 0.1
 """Costs that differ by a larger factor are of another camera, and points that differ by more are other keypoints."""
 
 
-def run_solver(
-    folder: Path,
-    out: Path | None = None,
-    figures: bool = True,
-    overwrite: bool = False,
-    progress: Progress = silent,
-) -> tuple[SolverRecord, Path, list[str]]:
+class SolverSettings(Settings):
+    """What `recon solver` is told."""
+
+    folder: Annotated[Path, Option("Folder of results, as in results/clip.", argument="DIR")]
+    out: Annotated[Path | None, Option("Folder for tables and figures. (default: solver in DIR)")] = None
+    figures: Annotated[bool, Option("PNG and SVG beside the tables.")] = True
+    overwrite: Annotated[bool, Option("Replace earlier tables.")] = False
+
+
+def run_solver(settings: SolverSettings, progress: Progress = silent) -> tuple[SolverRecord, Path, list[str]]:
     """`recon solver`: what was found, the folder that it was written to, and the names of its files.
 
     out: by default the folder "solver" in the results' own, which are not written to otherwise. Raises InputError: no
     results, other inputs than those of the fit, or files in the way.
     """
-    out = folder / FOLDER if out is None else out
+    out = settings.folder / FOLDER if settings.out is None else settings.out
     progress("reading", 0.0)
-    results = read_results(folder)
+    results = read_results(settings.folder)
     with sole_writer(out):
-        require_free_folder(out, (SUMMARY, PLOTS, *TABLES, JACOBIAN), overwrite, "what the optimiser did")
+        require_free_folder(out, (SUMMARY, PLOTS, *TABLES, JACOBIAN), settings.overwrite, "what the optimiser did")
         progress("problem", 0.1)
         with threadpool_limits(1, user_api="blas"):  # of small matrices, threads cost more than they bring
             record = read_solver(results)
@@ -75,10 +79,10 @@ def run_solver(
         with staged_folder(out) as staging:
             write_tables(record, staging)
             (staging / SUMMARY).write_text(to_json(summary), encoding="utf-8")
-            if (folder / PLAYBACK).is_file():
-                _write_plots(record, folder / PLAYBACK, staging / PLOTS)
+            if (settings.folder / PLAYBACK).is_file():
+                _write_plots(record, settings.folder / PLAYBACK, staging / PLOTS)
             files = [path.name for path in staging.iterdir()]
-        if figures:
+        if settings.figures:
             drawn = solver_figures(record)
             with staged_folder(out) as staging:
                 for done, (name, draw) in enumerate(drawn.items()):

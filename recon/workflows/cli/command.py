@@ -150,8 +150,6 @@ def _no_options(args: list[str], by_set: Mapping[str, SettingInfo]) -> Iterator[
 
 def make_command(name: str, function: Callable[..., None]) -> TyperCommand:
     """The command of a function, see the text of the module."""
-    if _is_typers(function):
-        return _of_typer(name, function)
     takes = Takes.of(function)
     of_others = {} if takes.others is None else takes.others.infos
     parameters = [_parameter(info, name in of_others) for name, info in takes.infos.items() if info.option.common]
@@ -170,20 +168,6 @@ def make_command(name: str, function: Callable[..., None]) -> TyperCommand:
     command = typer.main.get_command(app)
     assert isinstance(command, _Command)
     command.takes = takes
-    return command
-
-
-def _is_typers(function: Callable[..., None]) -> bool:
-    """Whether the function declares options of typer's itself."""
-    hints = typing.get_type_hints(function, include_extras=True).values()
-    return any("typer" in type(one).__module__ for hint in hints for one in getattr(hint, "__metadata__", ()))
-
-
-def _of_typer(name: str, function: Callable[..., None]) -> TyperCommand:
-    app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
-    app.command(name, context_settings=HELP)(function)
-    command = typer.main.get_command(app)
-    assert isinstance(command, TyperCommand)
     return command
 
 

@@ -23,10 +23,6 @@ from recon.base.errors import InputError, Problem
 from recon.base.interrupts import EXIT_INTERRUPTED, MESSAGE, installed
 from recon.base.manifest import read_manifest
 
-NUMBER = "<number>"
-FPS = "a number of frames per second above 0, as in 120"
-"""What is expected of an option --fps."""
-
 EXIT_UNSOLVED = 1
 EXIT_BAD_INPUT = 2
 
@@ -93,18 +89,6 @@ def leave_pandas_out() -> None:
         sys.meta_path.remove(_NoPandas)
 
 
-def number_option(help: str, expected: str, **more: Any) -> Any:
-    """An option that is a number; anything else is said to be one in the form of all other mistakes."""
-
-    def number(parameter: typer.CallbackParam, given: str | None) -> float | None:
-        try:
-            return None if given is None else float(given)
-        except ValueError:
-            raise InputError(Problem(parameter.opts[0], str(parameter.name), repr(given), expected)) from None
-
-    return typer.Option(help=help, metavar=NUMBER, parser=str, callback=number, **more)
-
-
 def numbers(option: str, given: str, count: int | None = None) -> list[float]:
     """Of "1,2.5,-3"; count: how many, None: any. Raises InputError."""
     try:
@@ -115,30 +99,6 @@ def numbers(option: str, given: str, count: int | None = None) -> list[float]:
         expected = f"{'' if count is None else f'{count} '}numbers with commas, as in 0.1,-20,3"
         raise InputError(Problem(option, "numbers", repr(given), expected))
     return found
-
-
-RENAME = typer.Option(
-    help="New names of the keypoints: a CSV file with two columns, old and new, or a built-in map, as in "
-    "superanimal-quadruped.",
-    show_default=False,
-)
-FIRST_FRAME = typer.Option(help="Number that the video's first frame has in the keypoint file, if it was cut.")
-STRIDE = typer.Option(
-    metavar="START:END",
-    help="A stride from when to when, in seconds since frame 0, as in 0.31:0.62. (default: one that is found)",
-    show_default=False,
-)
-
-
-def stride_times(given: str | None) -> tuple[float, float] | None:
-    """What `--stride` says, seconds. Raises InputError."""
-    if given is None:
-        return None
-    try:
-        start, end = map(float, given.split(":"))
-    except ValueError:
-        raise InputError(Problem("--stride", "times", repr(given), "START:END in seconds, as in 0.31:0.62")) from None
-    return start, end
 
 
 @contextmanager
