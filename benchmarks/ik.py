@@ -35,7 +35,7 @@ from recon.robotics.ik.animal import body_chain, body_chain_angles, chain_angles
 from recon.robotics.ik.chain import SerialChain
 from recon.robotics.ik.clip import stride_lasts_s
 from recon.robotics.ik.costs import harmonic_map, joint_differences, pose_distance, rotational_energy
-from recon.robotics.ik.drive import Closures, degree_of_closure, drive_to, follow
+from recon.robotics.ik.drive import degree_of_closure, drive_to, follow
 from recon.robotics.ik.fit import (
     Fit,
     Frames,
@@ -85,7 +85,7 @@ def chains(limited: bool) -> dict[str, SerialChain]:
     return {
         "2D, 5 joints": spine_front_leg(skeleton, dim=2, limited=limited),
         "3D, 10 joints": spine_front_leg(skeleton, limited=limited),
-        "whole animal, 9 joints": body_chain(body, "l_front_paw", limited=limited)[0],
+        "whole animal, 9 joints": body_chain(body, "l_front_paw", limited=limited),
     }
 
 
@@ -186,7 +186,7 @@ def circle_closure(chain: SerialChain, q: Array, name: str) -> str:
     run = follow(chain, q, path, method, turns=TURNS)
     closures = run.closures()
     singular = ", singular on the way" if run.singular.any() else ""
-    return f"{np.nanmin(closures.angle):.2f} / {np.nanmin(closures.plane):.2f}{singular}"
+    return f"{np.nanmin(closures['angle']):.2f} / {np.nanmin(closures['plane']):.2f}{singular}"
 
 
 def print_circle() -> None:
@@ -241,7 +241,7 @@ def real_legs(folder: Path) -> dict[str, list[Leg]]:
             base_m = float(np.nanmedian(published[:, skeleton.base_index]))
             summed = spine_front_leg(skeleton, base_m, 3, limited=False)
             legs["3D"].append(Leg(name, summed, chain_angles(skeleton, states), fps, lasts_s))
-            whole, _ = body_chain(body, leg[-1], size, limited=False)
+            whole = body_chain(body, leg[-1], size, limited=False)
             q = body_chain_angles(body, leg[-1], body_states)
             legs["whole animal"].append(Leg(name, whole, q, fps, lasts_s))
     return legs
@@ -252,13 +252,14 @@ def stride_cell(stride: StridePath) -> str:
     return f"{1000 * (stride.end_s - stride.start_s):.0f} ms, {stride.gap_percent:.0f} %{whole}"
 
 
-def animal_closures(stride: StridePath, fps: float) -> Closures:
+def animal_closures(stride: StridePath, fps: float) -> dict[str, np.ndarray]:
     """Of the animal itself."""
     q = stride.q[np.isfinite(stride.q).all(axis=1)]
     paths = np.stack([q, np.gradient(q, 1 / fps, axis=0)], axis=2).transpose(1, 0, 2)
-    return Closures(
-        np.array([degree_of_closure(path[:, 0]) for path in paths]), np.array([degree_of_closure(p) for p in paths])
-    )
+    return {
+        "angle": np.array([degree_of_closure(path[:, 0]) for path in paths]),
+        "plane": np.array([degree_of_closure(path) for path in paths]),
+    }
 
 
 def print_strides(folder: Path) -> None:
@@ -292,8 +293,8 @@ def print_strides(folder: Path) -> None:
         print_table(["method", *joints, "least", "angle alone", "off the path, mm", "singular strides"], rows)
 
 
-def closure_row(name: str, closures: list[Closures], off_m: float, singular: int) -> list[str]:
-    plane, angle = np.array([c.plane for c in closures]), np.array([c.angle for c in closures])
+def closure_row(name: str, closures: list[dict[str, np.ndarray]], off_m: float, singular: int) -> list[str]:
+    plane, angle = np.array([c["plane"] for c in closures]), np.array([c["angle"] for c in closures])
     cells = [*np.nanmedian(plane, axis=0), np.nanmin(plane), np.nanmedian(angle)]
     return [name, *(f"{v:.0f}" for v in cells), f"{1000 * off_m:.1f}", str(singular)]
 

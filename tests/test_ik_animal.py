@@ -90,7 +90,8 @@ def random_states(body, count=6, seed=0):
 def test_body_chain_ends_where_the_tree_has_the_marker(foot):
     body, size = cheetah(), 1.07
     states, travel = random_states(body), np.array([-0.4, 1.1, 0.3])
-    chain, names = body_chain(body, foot, size)
+    chain = body_chain(body, foot, size)
+    names = chain.names
     q = body_chain_angles(body, foot, states, travel)
     assert names[:3] == ("rear_trunk_yaw", "rear_trunk_pitch", "rear_trunk_roll")
     assert q.shape == (len(states), chain.n)
@@ -104,8 +105,8 @@ def test_body_chain_ends_where_the_tree_has_the_marker(foot):
 
 def test_body_chain_of_a_front_leg():
     body = cheetah()
-    chain, names = body_chain(body, "l_front_paw")
-    assert names[3:] == (
+    chain = body_chain(body, "l_front_paw")
+    assert chain.names[3:] == (
         *("front_trunk_yaw", "front_trunk_pitch", "front_trunk_roll"),
         *("l_fore_upper_pitch", "l_fore_lower_pitch", "l_fore_foot_pitch"),
     )
@@ -114,7 +115,7 @@ def test_body_chain_of_a_front_leg():
     assert chain.lower_rad[6] == pytest.approx(body.mean_rad[pitch - 4] - 3 * body.sigma_rad[pitch - 4])
     assert chain.upper_rad[6] == pytest.approx(body.mean_rad[pitch - 4] + 3 * body.sigma_rad[pitch - 4])
     np.testing.assert_allclose((chain.lower_rad[0], chain.upper_rad[0]), (-np.pi, np.pi))
-    assert np.isinf(body_chain(body, "l_front_paw", limited=False)[0].upper_rad).all()
+    assert np.isinf(body_chain(body, "l_front_paw", limited=False).upper_rad).all()
     # The trunk's joints turn the piece from the spine to the shoulder, the next ones the upper arm and so on.
     shoulder = np.hypot(0.444, 0.1141)
     np.testing.assert_allclose(chain.joint_lengths_m[:8], [*[shoulder] * 6, 0.25, 0.275])

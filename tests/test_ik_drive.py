@@ -165,10 +165,10 @@ def test_extended_jacobian_closes_paths_and_least_norm_drifts(dim):
         assert run.turns == 10
     closures = {name: run.closures() for name, run in runs.items()}
     assert not runs["full"].singular.any()
-    assert closures["full"].angle.min() >= 99.9
-    assert closures["full"].plane.min() >= 99.9
-    assert closures["constant"].angle.min() < 99.5
-    assert closures["least norm"].angle.min() < 95
+    assert closures["full"]["angle"].min() >= 99.9
+    assert closures["full"]["plane"].min() >= 99.9
+    assert closures["constant"]["angle"].min() < 99.5
+    assert closures["least norm"]["angle"].min() < 95
 
 
 def test_without_correction_the_error_shrinks_with_the_step():

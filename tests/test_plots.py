@@ -21,7 +21,7 @@ from recon.gait.kinematics import Errors, angle_kinematics, point_kinematics
 from recon.gait.phase import Closure, Portrait, phase_portrait, vector_field
 from recon.robotics.ik import plots as ik_plots
 from recon.robotics.ik.chain import planar_chain, summed_chain
-from recon.robotics.ik.drive import Closures, drive_to, follow
+from recon.robotics.ik.drive import drive_to, follow
 from recon.robotics.ik.fit import FittedSeries
 from recon.robotics.ik.methods import JacobianTranspose, LeastNorm, damped_least_squares
 from recon.show import plots
@@ -242,7 +242,7 @@ def test_nothing_known_is_said():
         assert "no data" in texts(figure), i
     still = gait(still_tracks())
     assert "no stances" in texts(plots.footfall({"ground": replace(still, stances=(), strides=())}, FPS))
-    unmoved = ik_plots.closures({"a": Closures(np.array([99.0, np.nan]), np.array([98.0, np.nan]))})
+    unmoved = ik_plots.closures({"a": {"angle": np.array([99.0, np.nan]), "plane": np.array([98.0, np.nan])}})
     assert texts(unmoved).count("does not move") == 2
 
 
@@ -617,8 +617,8 @@ def test_parameters_of_each_configuration():
 
 def test_closures_by_joint_and_method():
     found = {
-        "a": Closures(np.array([90.0, 80.0]), np.array([70.0, 60.0])),
-        "b": Closures(*np.array([[99.0, np.nan]] * 2)),
+        "a": {"angle": np.array([90.0, 80.0]), "plane": np.array([70.0, 60.0])},
+        "b": dict.fromkeys(("angle", "plane"), np.array([99.0, np.nan])),
     }
     figure = ik_plots.closures(found, names=("hip", "knee"))
     left, right = figure.axes
@@ -626,7 +626,7 @@ def test_closures_by_joint_and_method():
     for axes, kind in ((left, "angle"), (right, "plane")):
         dots = [line for line in axes.get_lines() if line.get_linestyle() == "None"]
         for line, values in zip(dots, found.values(), strict=True):
-            np.testing.assert_array_equal(line.get_xdata(), getattr(values, kind))
+            np.testing.assert_array_equal(line.get_xdata(), values[kind])
             assert np.all(np.abs(np.array(line.get_ydata()) - [0, 1]) < 0.5)
         assert dots[0].get_marker() != dots[1].get_marker()
 

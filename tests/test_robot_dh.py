@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from recon.robotics.ik.chain import joint_chain
 from recon.robotics.ik.costs import joint_differences
 from recon.robotics.ik.drive import drive_to
 from recon.robotics.ik.methods import (
@@ -15,7 +16,7 @@ from recon.robotics.ik.methods import (
     weighted_least_norm,
 )
 from recon.robotics.robot.dh import DHRow, dh_chain, dh_table
-from recon.robotics.robot.lift_arm import lift_arm, lift_arm_chain, lift_arm_hand
+from recon.robotics.robot.lift_arm import lift_arm, lift_arm_hand
 from recon.robotics.robot.solutions import all_solutions
 
 QUARTER = np.pi / 2
@@ -213,6 +214,12 @@ def test_lift_arm_published_values(hand, height, expected):
     found = np.column_stack([solution.branches[:, 0], np.degrees(solution.branches[:, 1:])])
     # The published place has three decimals, and angles near the stretched arm hang on them.
     np.testing.assert_allclose(found, expected, atol=0.05)
+
+
+def lift_arm_chain(lengths):
+    """The same arm joint by joint; its end effector is the hand's place."""
+    offsets = [(0, 0, 0), (0, 0, 0), (lengths[0], 0, 0), (lengths[1], 0, 0)]
+    return joint_chain(offsets, np.tile([0.0, 0.0, 1.0], (4, 1)), sliding=[True, False, False, False])
 
 
 def test_lift_arm_there_and_back():

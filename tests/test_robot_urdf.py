@@ -61,29 +61,29 @@ def test_chain_against_the_readers_own_kinematics(arm):
     from yourdfpy import URDF
 
     found = urdf_chain(arm, "hand")
-    assert found.joints == ("turn", "slide", "swing", "bend")
-    np.testing.assert_allclose(found.chain.lower_rad, [-np.inf, -0.1, -1.5, -2])
-    np.testing.assert_allclose(found.chain.upper_rad, [np.inf, 0.3, 1.5, 2])
-    np.testing.assert_allclose(found.chain.max_rate_rad_s, [3, 21, 21, 21])
+    assert found.names == ("turn", "slide", "swing", "bend")
+    np.testing.assert_allclose(found.lower_rad, [-np.inf, -0.1, -1.5, -2])
+    np.testing.assert_allclose(found.upper_rad, [np.inf, 0.3, 1.5, 2])
+    np.testing.assert_allclose(found.max_rate_rad_s, [3, 21, 21, 21])
     oracle = URDF.load(str(arm), load_meshes=False)
     for q in np.random.default_rng(0).uniform(-1, 1, (10, 4)):
-        oracle.update_cfg(dict(zip(found.joints, q, strict=True)))
+        oracle.update_cfg(dict(zip(found.names, q, strict=True)))
         T = oracle.get_transform("hand", "base")
-        R, p = found.chain.pose(q)
+        R, p = found.pose(q)
         np.testing.assert_allclose(R, T[:3, :3], atol=1e-9)
         np.testing.assert_allclose(p, T[:3, 3], atol=1e-9)
 
 
 def test_part_of_a_chain(arm):
     found = urdf_chain(arm, "e", base="b")
-    assert found.joints == ("slide", "swing", "bend")
-    whole = urdf_chain(arm, "e").chain
-    R, p = urdf_chain(arm, "b").chain.pose(np.zeros(1))
-    assert R @ found.chain.end(np.array([0.1, 0.2, 0.3])) + p == pytest.approx(whole.end(np.array([0, 0.1, 0.2, 0.3])))
+    assert found.names == ("slide", "swing", "bend")
+    whole = urdf_chain(arm, "e")
+    R, p = urdf_chain(arm, "b").pose(np.zeros(1))
+    assert R @ found.end(np.array([0.1, 0.2, 0.3])) + p == pytest.approx(whole.end(np.array([0, 0.1, 0.2, 0.3])))
 
 
 def test_every_method_drives_it(arm):
-    chain = urdf_chain(arm, "hand").chain
+    chain = urdf_chain(arm, "hand")
     start, goal = np.array([0.0, 0.1, 0.2, 0.3]), np.array([0.2, 0.15, 0.5, -0.1])
     for method in (
         LeastNorm(),

@@ -15,7 +15,7 @@ ROUNDING_M = 1e-9
 
 
 @dataclass(frozen=True)
-class Row:
+class LeastMargin:
     """The least margin of one rule."""
 
     what: str
@@ -32,7 +32,7 @@ class Row:
 class ClimbCheck:
     """What a plan's margins are."""
 
-    rows: dict[str, Row]
+    rows: dict[str, LeastMargin]
     """By the names of `RULES`."""
     deepest_m: float
     """How far a foot came under the ground or the step."""
@@ -65,7 +65,7 @@ def check(climb: Climb) -> ClimbCheck:
         rule, least = RULES[name], values.min(axis=-1)
         frame = int(least.argmin())
         lifted = LEGS[climb.lifted[frame]] if climb.lifted[frame] >= 0 else "none"
-        rows[name] = Row(rule.what, float(least[frame]) * rule.per_unit, rule.unit, frame, lifted)
+        rows[name] = LeastMargin(rule.what, float(least[frame]) * rule.per_unit, rule.unit, frame, lifted)
     last = climb.feet_m[-1]
     rates = np.abs(np.diff(climb.angles_rad, axis=0)) * climb.recipe.fps
     return ClimbCheck(

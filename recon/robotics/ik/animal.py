@@ -123,8 +123,8 @@ def _angle_index(chain: Chain, links: list[int]) -> list[int | None]:
 # -- whole animals ---------------------------------------------------------------------------------------------------
 
 
-def body_chain(body: Body, foot: str, size: float = 1.0, limited: bool = True) -> tuple[SerialChain, tuple[str, ...]]:
-    """The chain from the root segment's origin to a marker, and its joints' names, those of the state.
+def body_chain(body: Body, foot: str, size: float = 1.0, limited: bool = True) -> SerialChain:
+    """The chain from the root segment's origin to a marker, its joints' names those of the state.
 
     The first joints are the root's yaw against the direction of travel, its pitch and its roll. Limits are the body's
     expectations, `LIMIT_SIGMAS` standard deviations each way, of the yaw half a turn. limited: False leaves them out,
@@ -148,8 +148,7 @@ def body_chain(body: Body, foot: str, size: float = 1.0, limited: bool = True) -
     groups = (tuple(i for i, about in enumerate(tree.axes) if about == axis) for axis in "zyx")
     limits = (low, high) if limited else None
     columns = 3 + np.arange(len(names))
-    chain = SerialChain.of(tree, columns, limits, MAX_RATE_RAD_S, tuple(group for group in groups if group))
-    return chain, names
+    return SerialChain.of(tree, columns, limits, MAX_RATE_RAD_S, tuple(group for group in groups if group))
 
 
 def _scaled(item: _Item, size: float) -> _Item:
@@ -163,8 +162,7 @@ def body_chain_angles(body: Body, foot: str, states: Array, travel: Array | None
     travel: direction of travel, (3,) or (T, 3), of which the level part counts; None: from the first to the last place
     of the root, or the way the animal faces where that is short.
     """
-    names = body_chain(body, foot)[1]
-    q = states[:, [body.state_names.index(name) for name in names]]
+    q = states[:, [body.state_names.index(name) for name in body_chain(body, foot).names]]
     ahead = body_travel(states) if travel is None else np.asarray(travel, float)
     yaw = q[:, 0] - np.arctan2(ahead[..., 1], ahead[..., 0])
     q[:, 0] = _unwrapped(np.angle(np.exp(1j * yaw)))

@@ -50,6 +50,8 @@ class SerialChain:
     """(n,)"""
     max_rate_rad_s: Array
     """(n,), finite."""
+    names: tuple[str, ...]
+    """(n,): what the joints are called."""
     groups: tuple[tuple[int, ...], ...]
     """The joints that follow each other along the chain, one tuple for each kind of angle."""
     base: Array
@@ -67,9 +69,10 @@ class SerialChain:
         groups: tuple[tuple[int, ...], ...] | None = None,
         base: Array | None = None,
         tool_rotation: Array | None = None,
+        names: tuple[str, ...] | None = None,
     ) -> SerialChain:
         """limits_rad: lower and upper, each one number or (n,); max_rate_rad_s: one or (n,); groups: None: all joints
-        are of one kind. Raises ValueError."""
+        are of one kind; names: None: those of the tree's state. Raises ValueError."""
         n = len(columns)
         lower, upper = (-np.inf, np.inf) if limits_rad is None else limits_rad
         lower, upper, rate = (np.array(np.broadcast_to(x, n), float) for x in (lower, upper, max_rate_rad_s))
@@ -79,7 +82,8 @@ class SerialChain:
             raise ValueError("rate limits must be positive and finite")
         groups = (tuple(range(n)),) if groups is None else groups
         base, tool = (np.eye(3) if rotation is None else rotation for rotation in (base, tool_rotation))
-        return cls(tree, columns, lower, upper, rate, groups, base, tool)
+        names = tuple(tree.state_names[column] for column in columns) if names is None else names
+        return cls(tree, columns, lower, upper, rate, names, groups, base, tool)
 
     @property
     def n(self) -> int:
@@ -231,12 +235,13 @@ def joint_chain(
     tool_rotation: Rotation | None = None,
     limits_rad: Limits | None = None,
     max_rate_rad_s: ArrayLike = MAX_RATE_RAD_S,
+    names: tuple[str, ...] | None = None,
 ) -> SerialChain:
     """n joints in space: q (n,), rad, or metres of those that slide.
 
     offsets_m (n, 3), rotations (n): each joint's place on the link before it, None: not turned; axes (n, 3): in its own
     frame; sliding: one or (n,), which slide along their axes; tool_m (3,), tool_rotation: the end effector on the last
-    link; limits and rates as `SerialChain.of`. Raises ValueError.
+    link; names: None: joint 1 and so on; limits and rates as `SerialChain.of`. Raises ValueError.
     """
     offsets, axes, tool = (np.array(x, float) for x in (offsets_m, axes, tool_m))
     n = len(offsets)
@@ -259,7 +264,8 @@ def joint_chain(
         segments.append(Segment(f"joint_{j + 1}", segments[-1].name, kind, offset, rotation))
     tree = Tree(tuple(segments), (Marker("end", segments[-1].name, _triple(before[n] @ tool)),))
     end = before[n] if tool_rotation is None else before[n] @ tool_rotation.as_matrix()
-    return SerialChain.of(tree, 3 + np.arange(n), limits_rad, max_rate_rad_s, tool_rotation=end)
+    names = tuple(f"joint {j + 1}" for j in range(n)) if names is None else names
+    return SerialChain.of(tree, 3 + np.arange(n), limits_rad, max_rate_rad_s, tool_rotation=end, names=names)
 
 
 def _triple(v: Array) -> tuple[float, float, float]:
@@ -299,7 +305,7 @@ def null_basis(J: Array, like: Array | None = None) -> Array:
     like: a basis at a neighbouring configuration. N is then the nearest basis to it, without turning within the null
     space, which makes it continuous along a path.
     """
-    N = np.linalg.qr(J.T, mode="complete")[0][:, len(J) :]
+    N = np.asarray(np.linalg.qr(J.T, mode="complete")[0][:, len(J) :], float)
     if like is None:
         return N
     u, _, vt = np.linalg.svd(N.T @ like)

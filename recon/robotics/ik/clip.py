@@ -104,7 +104,6 @@ class Limb:
 
     foot: str
     chain: SerialChain
-    names: tuple[str, ...]
     q: Array
     """(T, n)"""
     fps: float
@@ -114,6 +113,11 @@ class Limb:
     """What the base frame's axes mean, U forwards, V down and W left, or x forwards, y left and z up."""
     misfit_m: float
     """Distance of the chain's end from the foot, median."""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """(n,): of the joints, in everything that is written."""
+        return self.chain.names
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,10 +164,10 @@ class IKRun:
                 "worst_error_m": float(run.distance_m.max()),
                 "note": run.note,
                 **shared(run),
-                "least_closure_angle_percent": _least(closed.angle),
-                "least_closure_plane_percent": _least(closed.plane),
-                "closure_angle_percent": dict(zip(limb.names, closed.angle.tolist(), strict=True)),
-                "closure_plane_percent": dict(zip(limb.names, closed.plane.tolist(), strict=True)),
+                "least_closure_angle_percent": _least(closed["angle"]),
+                "least_closure_plane_percent": _least(closed["plane"]),
+                "closure_angle_percent": dict(zip(limb.names, closed["angle"].tolist(), strict=True)),
+                "closure_plane_percent": dict(zip(limb.names, closed["plane"].tolist(), strict=True)),
             }
         return {
             "schema": {"name": "recon.ik", "version": 1},
@@ -220,13 +224,14 @@ def limb_of(results: Results, foot: str | None = None, dim: Dim = 3, limited: bo
     travel, first_s = body_travel(results.states), float(results.time_s[0])
     if dim == 3:
         marker = next(joint for joint, keypoint in results.keypoint_of.items() if keypoint == name)
-        chain, names = body_chain(results.body, marker, results.size, limited)
+        chain = body_chain(results.body, marker, results.size, limited)
         q = body_chain_angles(results.body, marker, results.states)
-        return Limb(name, chain, names, q, results.fps, first_s, "xyz", 0.0)
+        return Limb(name, chain, q, results.fps, first_s, "xyz", 0.0)
     along = next(along for along in limb_chains(results).values() if along[-1] == name)
     points = results.pose.xyz_m[:, [results.pose.names.index(joint) for joint in along]]
     chain, q, misfit = projected_chain(points, travel)
-    return Limb(name, chain, along[:-1], q, results.fps, first_s, "UVW", float(np.nanmedian(misfit)))
+    named = replace(chain, names=tuple(along[:-1]))
+    return Limb(name, named, q, results.fps, first_s, "UVW", float(np.nanmedian(misfit)))
 
 
 def _foot_label(results: Results, foot: str | None) -> str:
@@ -246,7 +251,8 @@ def _spine_front_leg(results: Results, chain: Chain, label: str, dim: Dim, limit
     leg = spine_front_leg(chain, results.size * chain.nominal_base_length_m, dim, limited)
     q = chain_angles(chain, results.states, dim=dim)
     names = tuple(f"{kind}_{k}" for kind in ("theta", "phi")[: dim - 1] for k in range(1, len(leg.lengths_m) + 1))
-    return Limb(results.feet[label], leg, names, q, results.fps, float(results.time_s[0]), "UVW", 0.0)
+    leg = replace(leg, names=names)
+    return Limb(results.feet[label], leg, q, results.fps, float(results.time_s[0]), "UVW", 0.0)
 
 
 # -- methods ---------------------------------------------------------------------------------------------------------

@@ -34,17 +34,7 @@ STILL_RAD = 1e-10
 
 
 @dataclass(frozen=True, eq=False)
-class Closures:
-    """Degrees of closure in percent, by joint. NaN for a joint that does not move."""
-
-    angle: Array
-    """(n,): of the joint's angle."""
-    plane: Array
-    """(n,): of its path in the (angle, rate) plane."""
-
-
-@dataclass(frozen=True, eq=False)
-class Run:
+class _Run:
     """What the chain did: K configurations, K - 1 steps."""
 
     q: Array
@@ -78,17 +68,16 @@ class Run:
         """Mean over the inner configurations of |q_{k+1} - 2 q_k + q_{k-1}|^2: 0 is smoothest."""
         return roughness(self.q)
 
-    def closures(self) -> Closures:
-        """Of each joint, from the first configuration to the last."""
-        joints = range(self.q.shape[1])
-        return Closures(
-            np.array([degree_of_closure(self.q[:, j]) for j in joints]),
-            np.array([degree_of_closure(np.column_stack([self.q[:, j], self.dq[:, j]])) for j in joints]),
-        )
+    def closures(self) -> dict[str, Array]:
+        """Degrees of closure in percent of each joint (n,), from the first configuration to the last: of its "angle",
+        and of its path in the (angle, rate) "plane". NaN for a joint that does not move."""
+        paths = [(angle, np.column_stack([angle, rate])) for angle, rate in zip(self.q.T, self.dq.T, strict=True)]
+        angle, plane = np.array([[degree_of_closure(path) for path in of_joint] for of_joint in paths]).T
+        return {"angle": angle, "plane": plane}
 
 
 @dataclass(frozen=True, eq=False)
-class Drive(Run):
+class Drive(_Run):
     """The way to a target, where the chain stops: the last rates are 0.
 
     reason: "reached", or what stopped it: "unreachable: ...", "singular: ...", "limits: ..." or "no progress: ...".
@@ -102,7 +91,7 @@ class Drive(Run):
 
 
 @dataclass(frozen=True, eq=False)
-class Follow(Run):
+class Follow(_Run):
     """The way along a path, turns times. The last rates are those with which a closed path begins anew, or an open
     one ends."""
 
@@ -212,7 +201,7 @@ class _Taken:
         return step, stopped
 
     def run(self, last_dq: Array, distance_m: Array) -> dict[str, Any]:
-        """The fields of `Run`."""
+        """The fields of `_Run`."""
         return {
             "q": np.array(self.path),
             "dq": np.array([*self.rates, last_dq]),

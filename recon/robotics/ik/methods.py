@@ -249,7 +249,7 @@ def _inverse(gram: Array, damping: float = 0.0) -> tuple[Array, bool]:
     singular = bool(np.linalg.det(gram) <= SINGULAR * trace * (trace / others) ** others)
     if singular:
         damping = max(damping, SINGULAR * trace)
-    return np.linalg.inv(gram + damping * np.eye(len(gram))), singular
+    return np.asarray(np.linalg.inv(gram + damping * np.eye(len(gram))), float), singular
 
 
 def _reduced_inverse(M: Array, N: Array) -> tuple[Array, bool]:

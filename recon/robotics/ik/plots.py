@@ -9,7 +9,7 @@ import numpy as np
 
 from recon.base.arrays import Array
 from recon.robotics.ik.chain import SerialChain
-from recon.robotics.ik.drive import TOLERANCE_M, Closures, Drive, Follow
+from recon.robotics.ik.drive import TOLERANCE_M, Drive, Follow
 from recon.robotics.ik.fit import FittedSeries
 from recon.show.plots.style import (
     COLOURS,
@@ -197,12 +197,13 @@ _ROW = 0.7
 """Of a joint's row, all methods together."""
 
 
-def closures(found: Mapping[str, Closures], names: Sequence[str] | None = None, title: str = "") -> Figure:
-    """Closure of each joint's path (percent) by method: of the angle, and in the (angle, rate) plane. names (n,).
+def closures(found: Mapping[str, Mapping[str, Array]], names: Sequence[str] | None = None, title: str = "") -> Figure:
+    """Closure of each joint's path (percent) by method, as `Follow.closures` gives it: of the angle, and
+    in the (angle, rate) plane. names (n,).
 
     A joint that does not move has no closure and no mark.
     """
-    n = next((len(c.angle) for c in found.values()), 0)
+    n = next((len(c["angle"]) for c in found.values()), 0)
     row_mm, legend_mm = max(6.0, 1.5 * len(found)), legend_shape([*found])[1]
     with drawing(row_mm * n + 20 + legend_mm, title=title) as figure:
         if not n:
@@ -212,7 +213,7 @@ def closures(found: Mapping[str, Closures], names: Sequence[str] | None = None, 
             for k, (name, values) in enumerate(found.items()):
                 rows = [j + _ROW * ((k + 0.5) / len(found) - 0.5) for j in range(n)]
                 axes.plot(
-                    getattr(values, kind),
+                    values[kind],
                     rows,
                     linestyle="",
                     marker=MARKERS[k % len(MARKERS)],
@@ -223,7 +224,7 @@ def closures(found: Mapping[str, Closures], names: Sequence[str] | None = None, 
                     clip_on=False,
                 )
             for row in range(n):
-                if not any(np.isfinite(getattr(values, kind)[row]) for values in found.values()):
+                if not any(np.isfinite(values[kind][row]) for values in found.values()):
                     axes.text(1.5, row, "does not move", va="center", fontsize=SMALL, color=GREY)
             for row in range(1, n):
                 axes.axhline(row - 0.5, color=PALE, lw=0.5, zorder=0)

@@ -76,14 +76,14 @@ def table_answer(
         ends = [tip] if tip is not None else list(robot.leaves())
         if len(ends) > 1:
             raise InputError(Problem("--tip", "link", "none", f"one of {', '.join(ends)}"))
-        found = urdf_chain(robot, ends[0])
-        chain, joints, table = found.chain, found.joints, _table_answer(found.chain)
+        chain = urdf_chain(robot, ends[0])
+        table = _table_answer(chain)
     else:
         if tip is not None:
             raise InputError(Problem("--tip", "link", tip, "none: the file has one chain"))
         chain, convention, rows = load_dh(file)
-        joints, table = tuple(f"joint {k + 1}" for k in range(chain.n)), _table(convention, rows)
-    answer = _chain_answer(chain, joints, table)
+        table = _table(convention, rows)
+    answer = _chain_answer(chain, chain.names, table)
     if angles is not None:
         answer["forward"] = _forward(chain, _joints(angles, chain))
     if place_m is not None:

@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from recon.base.arrays import Array
-from recon.robotics.ik.chain import MAX_RATE_RAD_S, SerialChain, joint_chain
 from recon.robotics.ik.two_link import two_link
 
 
@@ -47,19 +46,3 @@ def lift_arm_hand(lengths_m: tuple[float, float], q: ArrayLike) -> tuple[Array, 
     x = l1 * np.cos(q1) + l2 * np.cos(q1 + q2)
     y = l1 * np.sin(q1) + l2 * np.sin(q1 + q2)
     return np.stack([x, y, q1 + q2 + q3], axis=-1), height
-
-
-def lift_arm_chain(
-    lengths_m: tuple[float, float],
-    limits_rad: tuple[ArrayLike, ArrayLike] | None = None,
-    max_rate_rad_s: ArrayLike = MAX_RATE_RAD_S,
-) -> SerialChain:
-    """The same arm joint by joint, for `recon.robotics.ik`; its end effector is the hand's place."""
-    l1, l2 = lengths_m
-    return joint_chain(
-        [(0, 0, 0), (0, 0, 0), (l1, 0, 0), (l2, 0, 0)],
-        np.tile([0.0, 0.0, 1.0], (4, 1)),
-        sliding=[True, False, False, False],
-        limits_rad=limits_rad,
-        max_rate_rad_s=max_rate_rad_s,
-    )

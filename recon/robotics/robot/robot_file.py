@@ -186,7 +186,7 @@ def quadruped_from_urdf(robot: UrdfRobot) -> Quadruped:
         moving = tuple(joint.name for joint in robot.way(leaf, robot.base) if joint.type in MOVING)
         if len(moving) >= 3:
             chain = urdf_chain(robot, leaf)
-            low = chain.chain.end(_middle(chain.chain.lower_rad, chain.chain.upper_rad))[2]
+            low = chain.end(_middle(chain.lower_rad, chain.upper_rad))[2]
             if moving not in found or low < found[moving][0]:
                 found[moving] = (low, leaf, chain)
     if len(found) != 4:
@@ -194,23 +194,23 @@ def quadruped_from_urdf(robot: UrdfRobot) -> Quadruped:
         expected = "four legs of three or more joints, and no arm"
         raise InputError(Problem(robot.path, "legs", f"{len(found)} chains: {ends}", expected))
     chains = [chain for _, _, chain in found.values()]
-    hips = np.array([chain.chain.positions(np.zeros(chain.chain.n))[1] for chain in chains])
+    hips = np.array([chain.positions(np.zeros(chain.n))[1] for chain in chains])
     middle = hips.mean(axis=0)
     labels = [f"{'L' if y > 0 else 'R'}{'F' if x > 0 else 'H'}" for x, y, _ in hips - middle]
     if sorted(labels) != sorted(LEGS):
         places = "; ".join(f"({x:.2f}, {y:.2f})" for x, y, _ in hips)
         expected = "one at each corner, x forwards and y left"
         raise InputError(Problem(robot.path, "hips", places, expected))
-    lengths = [float(chain.chain.lengths_m[1:].sum()) for chain in chains]
+    lengths = [float(chain.lengths_m[1:].sum()) for chain in chains]
     stand = STAND * min(lengths)
     legs, problems = {}, []
     for label, hip, chain in zip(labels, hips, chains, strict=True):
         neutral = hip - [0.0, 0.0, stand]
-        home = standing(chain.chain, neutral)
+        home = standing(chain, neutral)
         if home is None:
             problems.append(Problem(robot.path, f"leg {label}", f"no way to stand {stand:.3f} m high", "one"))
         else:
-            legs[label] = ChainLeg(chain.joints, chain.chain, neutral, home)
+            legs[label] = ChainLeg(chain.names, chain, neutral, home)
     if problems:
         raise InputError(problems)
     ordered = {label: legs[label] for label in LEGS}

@@ -23,15 +23,6 @@ MOVING = ("revolute", "continuous", "prismatic")
 
 
 @dataclass(frozen=True, eq=False)
-class UrdfChain:
-    """A chain in the axes of its base link, its end effector the origin of the tip link."""
-
-    chain: SerialChain
-    joints: tuple[str, ...]
-    """Those that move."""
-
-
-@dataclass(frozen=True, eq=False)
 class UrdfRobot:
     """A robot as its file describes it."""
 
@@ -110,8 +101,10 @@ def _ring(joint_of: dict[str, Any], links: list[str]) -> list[str]:
     return []
 
 
-def urdf_chain(robot: str | Path | UrdfRobot, tip: str, base: str | None = None) -> UrdfChain:
+def urdf_chain(robot: str | Path | UrdfRobot, tip: str, base: str | None = None) -> SerialChain:
     """The chain from a link, by default the root, to another, with its limits; fixed joints are part of the links.
+
+    It is in the axes of its base link, its end effector the origin of the tip link, its joints those that move.
 
     Joints without limits of their angle turn freely, without one of the rate as fast as `MAX_RATE_RAD_S`. Raises
     InputError.
@@ -136,7 +129,7 @@ def urdf_chain(robot: str | Path | UrdfRobot, tip: str, base: str | None = None)
     moving = [joint for joint in way if joint.type in MOVING]
     places = np.array(placed)
     limits = np.array([_limits(joint) for joint in moving])
-    chain = joint_chain(
+    return joint_chain(
         places[:, :3, 3],
         np.array([_axis(joint) for joint in moving]),
         Rotation.from_matrix(places[:, :3, :3]),
@@ -145,8 +138,8 @@ def urdf_chain(robot: str | Path | UrdfRobot, tip: str, base: str | None = None)
         Rotation.from_matrix(here[:3, :3]),
         (limits[:, 0], limits[:, 1]),
         limits[:, 2],
+        tuple(joint.name for joint in moving),
     )
-    return UrdfChain(chain, tuple(joint.name for joint in moving))
 
 
 def _problems(robot: UrdfRobot, tip: str, base: str, way: list[Any]) -> Iterator[Problem]:
