@@ -41,7 +41,7 @@ from recon.show.view.layout import blueprint
 from recon.show.view.picture import write_pictures
 from recon.show.view.scene import Log, Scene, limb_colours
 from recon.show.view.series import write_series, write_states
-from recon.show.view.world import write_doubt, write_observability, write_world
+from recon.show.view.world import write_observability, write_uncertainty, write_world
 
 
 def write(motion: Motion, path: Path, start_frame: int | None = None) -> None:
@@ -58,7 +58,7 @@ def write(motion: Motion, path: Path, start_frame: int | None = None) -> None:
         write_world(motion, scene, log)
         write_pictures(motion, log)
         write_series(motion, log)
-        write_doubt(motion, scene, log)
+        write_uncertainty(motion, scene, log)
         write_observability(motion, scene, log)
         write_states(motion, log)
 

@@ -17,7 +17,7 @@ from recon.show.view.world import STANCE
 
 MAX_LINES = 4
 """Of angles in one plot, as far as they can be told apart by what they belong to: their names stand above them."""
-DOUBT = "doubtful"
+FLAGGED = "doubtful"
 LINE_COLOURS: tuple[Colour, ...] = (*LIMB_COLOURS, LINK, (213, 94, 0), (200, 200, 210))
 
 
@@ -50,8 +50,8 @@ def write_states(motion: Motion, log: Log) -> None:
         log.send(entity, state_columns(values))
         log.fix(entity, state_style(colours))
 
-    doubts = [", ".join(flags) for flags in motion.flags]
-    state(DOUBT, doubts, dict.fromkeys(dict.fromkeys(filter(None, doubts)), OUTLIER))
+    flagged = [", ".join(flags) for flags in motion.flags]
+    state(FLAGGED, flagged, dict.fromkeys(dict.fromkeys(filter(None, flagged)), OUTLIER))
     colours = {"L": LEFT, "R": RIGHT}
     for foot, label, contact in zip(motion.feet, motion.foot_labels, motion.solution.contact.T, strict=True):
         stances = ["stance" if c > STANCE else "" for c in contact]
@@ -60,7 +60,7 @@ def write_states(motion: Motion, log: Log) -> None:
 
 def state_entities(motion: Motion) -> list[str]:
     """What `write_states` writes."""
-    return [DOUBT, *(state_entity(motion.names[foot]) for foot in motion.feet)]
+    return [FLAGGED, *(state_entity(motion.names[foot]) for foot in motion.feet)]
 
 
 # -- how it is written ----------------------------------------------------------------------------------------------

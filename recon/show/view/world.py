@@ -124,11 +124,11 @@ def _write_camera_names(pictures: Sequence[Picture], log: Log) -> None:
     log.fix("world/camera_names", style)
 
 
-def write_doubt(motion: Motion, scene: Scene, log: Log) -> None:
+def write_uncertainty(motion: Motion, scene: Scene, log: Log) -> None:
     """How far the pose can be trusted: an ellipsoid around every joint, and a label in frames with a flag. And the feet
     that stand."""
     flags = motion.flags
-    # The frame method has poses whose doubt cannot be told.
+    # The frame method has poses whose uncertainty is not known.
     solved = motion.solved & np.isfinite(motion.relative_rms_m)
     counts = np.where(solved, len(motion.joints), 0)
     variance, axes = np.linalg.eigh(motion.relative_covariance_m2[solved].reshape(-1, 3, 3))
