@@ -12,6 +12,8 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
+from pydantic import ValidationError
+
 from recon.base.errors import InputError, Problem
 
 if TYPE_CHECKING:
@@ -97,8 +99,6 @@ _Model = TypeVar("_Model", bound="BaseModel")
 
 def validated(model: type[_Model], table: Mapping[str, Any], source: str | Path) -> _Model:
     """A table with the fields of a model. Raises InputError with everything that is wrong with it."""
-    from pydantic import ValidationError  # slow to import
-
     try:
         return model.model_validate(table)
     except ValidationError as error:

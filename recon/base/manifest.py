@@ -6,6 +6,7 @@ that is killed in between leaves none.
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 from collections.abc import Iterable, Mapping
@@ -104,7 +105,5 @@ def write_manifest(folder: Path) -> None:
 
 
 def sha256_of(path: str | os.PathLike[str]) -> str:
-    import hashlib  # slow to import
-
     with open(path, "rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()

@@ -12,6 +12,7 @@ from importlib import metadata, resources
 from importlib.resources.abc import Traversable
 from pathlib import Path
 from urllib.parse import urlsplit
+from urllib.request import url2pathname
 
 DISTRIBUTION = "recon-motion"
 
@@ -40,8 +41,6 @@ def install_command(extra: str) -> str:
 
 def _source(extra: str) -> str:
     """As pip notes it: https://packaging.python.org/en/latest/specifications/direct-url/"""
-    from urllib.request import url2pathname  # slow to import
-
     noted = json.loads(metadata.distribution(DISTRIBUTION).read_text("direct_url.json") or "{}")
     url = urlsplit(noted.get("url", ""))
     path = Path(url2pathname(url.path))

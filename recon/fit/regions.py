@@ -9,6 +9,7 @@ error e in k dimensions is k (nu - 2) / nu times a variable of Fisher's F with k
 from __future__ import annotations
 
 import numpy as np
+from scipy.special import fdtri, stdtr
 
 from recon.base.arrays import Array
 
@@ -21,15 +22,11 @@ _ROUNDING_M2 = 1e-12
 
 def radius(level: float, dimensions: int = 1, nu: float = DEGREES_OF_FREEDOM) -> float:
     """In standard deviations (square root of e' S^-1 e), of the region that holds a share `level` of the truth."""
-    from scipy.special import fdtri  # slow to import
-
     return float(np.sqrt(dimensions * fdtri(dimensions, nu, level) * (nu - 2) / nu))
 
 
 def share_below(off: float) -> float:
     """The share of the distribution of one quantity that lies below `off` standard deviations from its middle."""
-    from scipy.special import stdtr
-
     nu = DEGREES_OF_FREEDOM
     return float(stdtr(nu, off * np.sqrt(nu / (nu - 2))))
 

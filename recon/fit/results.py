@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from recon.animal.body import Body, Side
 from recon.animal.skeleton_file import load_skeleton
@@ -325,8 +326,6 @@ def _table(path: Path, header_rows: int, columns: list[Any]) -> Array:
     try:
         with path.open(encoding="utf-8", newline="") as file:
             header = [row for _, row in zip(range(header_rows), csv.reader(file), strict=False)]
-        import pandas as pd  # slow to import
-
         # Not with the header: pandas takes a first frame without a pose for a part of it.
         values = pd.read_csv(path, header=None, skiprows=header_rows, dtype=float, skip_blank_lines=False).to_numpy()
     except (OSError, ValueError):

@@ -28,10 +28,12 @@ from typing import Any
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
+from scipy.interpolate import CubicSpline, make_smoothing_spline
+from scipy.optimize import brentq
 
 from recon.base.arrays import Array, Index
 from recon.base.errors import InputError, Problem
-from recon.gait.path import MAX_GAP_S, MIN_POINTS, exact_spline, frame_jitter_m, stretches
+from recon.gait.path import MAX_GAP_S, MIN_POINTS, frame_jitter_m, stretches
 from recon.io.pose3d import Pose3D
 
 Curve = Callable[[Array, int], Array]
@@ -195,7 +197,7 @@ def series_kinematics(
         t, at = time_s[rows], fine_s[where]
         lam = np.zeros(d)
         if not smooth:
-            out[:, where] = _evaluate(exact_spline(t, values[rows]), at)
+            out[:, where] = _evaluate(CubicSpline(t, values[rows]), at)
         for k in range(d) if smooth else ():
             lam[k] = _discrepancy_lam(t, values[rows, k], weight[rows, k])
             out[:, where, k] = _evaluate(_curve(t, values[rows, k, None], weight[rows, k], lam[k]), at)[..., 0]
@@ -236,9 +238,7 @@ def _check_series(time_s: Array, values: Array, errors: Sequence[Errors], smooth
 def _curve(t: Array, x: Array, weight: Array, lam: float) -> Curve:
     """curve(time (M,), order of the derivative) -> (M, m) through x (n, m); lam 0: exact."""
     if lam == 0:
-        return exact_spline(t, x)
-    from scipy.interpolate import make_smoothing_spline  # slow to import, as below
-
+        return CubicSpline(t, x)
     # Least squares weighs by w, not by its square.
     curves = [make_smoothing_spline(t, column, w=weight**2, lam=lam) for column in x.T]
     return lambda at, order: np.stack([c(at, nu=order) for c in curves], axis=-1)
@@ -251,9 +251,6 @@ def _evaluate(curve: Curve, at: Array) -> Array:
 
 def _discrepancy_lam(t: Array, x: Array, weight: Array) -> float:
     """The lam with sum((weight (x - f))^2) = n; the largest in range where a straight line is as close as that."""
-    from scipy.interpolate import make_smoothing_spline
-    from scipy.optimize import brentq
-
     scale = np.mean(weight**2) * ((t[-1] - t[0]) / len(t)) ** 3
 
     def excess(log10_lam: float) -> float:
@@ -291,7 +288,7 @@ def _amid(t: Array, errors: Sequence[Errors], per: int) -> Array:
     """Variances (3, M, d) of an exact spline through evenly spaced values (n,), `per` samples a frame, without the
     `_REACH` frames at either end: there every frame's samples depend alike on the values about it."""
     wide, step = 2 * _REACH, (t[-1] - t[0]) / (len(t) - 1)
-    spline = exact_spline(step * np.arange(2 * wide), np.eye(2 * wide))
+    spline = CubicSpline(step * np.arange(2 * wide), np.eye(2 * wide))
     shares = _evaluate(spline, step * (wide - 1 + np.arange(per) / per))[:, :, _REACH:-_REACH].reshape(3 * per, wide)
     frames = len(t) - 1 - wide
     variance = np.zeros((3 * per, frames, errors[0].sigma.shape[1]))

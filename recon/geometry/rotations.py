@@ -1,4 +1,4 @@
-"""Rotations from Euler angles with their derivatives: what scipy's `Rotation` does not give.
+"""Rotations: Euler angles with their derivatives, which scipy's `Rotation` does not give; quaternions, of arrays.
 
 One convention throughout: R = Rx(xi) Ry(psi) Rz(zeta), elementary right-handed rotations about X, Y and Z multiplied in
 that order (scipy's intrinsic "XYZ"), angles in radians in the order (xi, psi, zeta).
@@ -10,6 +10,7 @@ import warnings
 
 import numpy as np
 import numpy.typing as npt
+from scipy.spatial.transform import Rotation
 
 from recon.base.arrays import Array
 
@@ -44,8 +45,6 @@ def euler_angles(rotation: npt.ArrayLike) -> Array:
     psi lies in [-pi/2, pi/2]. At psi = +-pi/2 only xi + zeta or xi - zeta is determined; zeta is then set to 0.
     Raises ValueError for a matrix that is not a rotation (determinant not positive).
     """
-    from scipy.spatial.transform import Rotation  # slow to import
-
     matrices = np.asarray(rotation, dtype=float)
     if (np.linalg.det(matrices) <= 0).any():  # older scipy takes them for rotations
         raise ValueError("a matrix with a determinant that is not positive is no rotation")
@@ -56,44 +55,18 @@ def euler_angles(rotation: npt.ArrayLike) -> Array:
 
 
 def quaternions(rotations: Array) -> Array:
-    """Unit quaternions (N, 4), x, y, z, w, of rotation matrices (N, 3, 3). scipy's take long to import."""
-    m = rotations
-    x, y, z = np.eye(3)
-    diagonal = np.einsum("nii->ni", m)
-    squares = 1 + diagonal @ np.array([2 * x - 1, 2 * y - 1, 2 * z - 1, [1, 1, 1]]).T  # 4 q_i^2
-    xy, xz, yz = m[:, 0, 1] + m[:, 1, 0], m[:, 0, 2] + m[:, 2, 0], m[:, 1, 2] + m[:, 2, 1]
-    xw, yw, zw = m[:, 2, 1] - m[:, 1, 2], m[:, 0, 2] - m[:, 2, 0], m[:, 1, 0] - m[:, 0, 1]
-    products = np.array(
-        [
-            [squares[:, 0], xy, xz, xw],
-            [xy, squares[:, 1], yz, yw],
-            [xz, yz, squares[:, 2], zw],
-            [xw, yw, zw, squares[:, 3]],
-        ]
-    )  # 4 q_i q_j: every row is a multiple of the quaternion, that of its largest element the most exact
-    found = products[squares.argmax(axis=1), :, np.arange(len(m))]
-    return found / np.linalg.norm(found, axis=1, keepdims=True)
+    """Unit quaternions (N, 4), x, y, z, w, of rotation matrices (N, 3, 3)."""
+    return Rotation.from_matrix(rotations).as_quat()
 
 
 def quaternion_rotations(quaternions: Array) -> Array:
-    """Rotation matrices (N, 3, 3) of unit quaternions (N, 4), x, y, z, w: the inverse of `quaternions`."""
-    x, y, z, w = quaternions.T
-    rows = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-    ]
-    return np.moveaxis(np.array(rows), -1, 0)
+    """Rotation matrices (N, 3, 3) of quaternions (N, 4), x, y, z, w: the inverse of `quaternions`."""
+    return Rotation.from_quat(quaternions).as_matrix()
 
 
 def part_of_turn(rotations: Array, share: Array) -> Array:
     """Rotations (N, 3, 3) about the same axes, by a share (N,) of the angle, the shorter way round."""
-    q = quaternions(rotations)
-    q = np.where(q[:, 3:] < 0, -q, q)
-    sine = np.linalg.norm(q[:, :3], axis=1)
-    half = share * np.arctan2(sine, q[:, 3])
-    axis = q[:, :3] / np.where(sine > 0, sine, 1.0)[:, None]
-    return quaternion_rotations(np.column_stack([np.sin(half)[:, None] * axis, np.cos(half)]))
+    return Rotation.from_rotvec(share[:, None] * Rotation.from_matrix(rotations).as_rotvec()).as_matrix()
 
 
 def _matrix_entries(angles: Array):

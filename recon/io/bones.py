@@ -10,6 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from recon.animal.capsules import Capsule
 from recon.base.arrays import Array
@@ -67,8 +68,6 @@ class Armature:
 
 def turned(turns: tuple[BoneAngle, ...], count: int) -> Array:
     """(count, 3, 3): rotations from a bone's frame to its parent's, in each frame."""
-    from scipy.spatial.transform import Rotation  # slow to import
-
     R = Rotation.identity(count)
     for turn in turns:
         R = R * Rotation.from_rotvec(np.outer(turn.angle_rad, AXIS[turn.kind]))

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from recon.base.documents import read_text
 from recon.base.errors import InputError, Problem
@@ -129,8 +130,6 @@ def _value(lines: Iterator[str], pattern: str) -> str:
 
 def _positions(joints: list[_Joint], motion: np.ndarray) -> np.ndarray:
     """(T, J, 3): p = p_parent + R_parent t, with R = R_parent R_1 R_2 R_3 in the order of the channels."""
-    from scipy.spatial.transform import Rotation  # slow to import
-
     T = len(motion)
     xyz = np.zeros((T, len(joints), 3))
     turned: list[np.ndarray] = []

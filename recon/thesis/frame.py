@@ -12,9 +12,11 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, ClassVar, Literal
+from typing import ClassVar, Literal
 
 import numpy as np
+from scipy.linalg import eigh
+from scipy.optimize import OptimizeResult, least_squares
 
 from recon.animal.chain import MIN_JOINTS, MIN_REACH_PX, Chain, Posed
 from recon.base.arrays import Array, median
@@ -38,10 +40,6 @@ from recon.thesis.objectives import (
     TravelPrior,
 )
 from recon.thesis.starts import Travel, estimate_travel, geometric_start, state_from_joints
-
-if TYPE_CHECKING:
-    from scipy.optimize import OptimizeResult
-
 
 Status = Literal["converged", "not_converged", "no_data"]
 
@@ -420,8 +418,6 @@ def solve_joints(chain: Chain, joints_m: Array, up: Array, tolerance: float = 1e
     For joints from several cameras or motion capture. The roll about the first link is not determined by joints and
     stays near zero against the unit vector up (3,). NaN for frames in which a joint is missing.
     """
-    from scipy.optimize import least_squares  # slow to import
-
     target = JointPositions(joints_m, sigma_m=0.01)
     states = np.full((len(joints_m), chain.n_state), np.nan)
     for frame in np.flatnonzero(np.isfinite(joints_m).all(axis=(1, 2))):
@@ -576,8 +572,6 @@ class _FrameSolver:
                 residual(y)
             return last["J"][:, free]
 
-        from scipy.optimize import least_squares  # slow to import
-
         tolerance = max(tolerance, float(np.finfo(float).eps))  # less is the same to MINPACK
         result = least_squares(
             residual,
@@ -699,8 +693,6 @@ def by_term(
 
 def posterior_covariance(J: Array) -> Array:
     """(D, D): C = (J'J)^-1 for the Jacobian J (M, D) of all residuals; all NaN where J'J is singular."""
-    from scipy.linalg import eigh  # slow to import
-
     scale = np.maximum(np.linalg.norm(J, axis=0), 1e-12)
     values, vectors = eigh((J / scale).T @ (J / scale))
     if values[0] < 1e-10 * values[-1]:

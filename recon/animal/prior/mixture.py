@@ -5,6 +5,9 @@ from __future__ import annotations
 import warnings
 
 import numpy as np
+from scipy.cluster.vq import kmeans2
+from scipy.linalg import solve_triangular
+from scipy.special import logsumexp
 
 from recon.animal.prior.model import ANGLES, MotionPrior
 from recon.base.arrays import Array, Bools
@@ -26,9 +29,6 @@ def mixture(
 
     shrink: how far each covariance is moved towards the average within all components; extra (A, A): added to it.
     """
-    from scipy.cluster.vq import kmeans2  # slow to import
-    from scipy.special import logsumexp
-
     scaled = poses / np.maximum(poses.std(axis=0), MISSING_BELOW_RAD)
     with warnings.catch_warnings(action="ignore"):  # of a cluster that stays empty, where poses repeat
         _, nearest = kmeans2(scaled, components, _K_MEANS_ITERATIONS, minit="++", rng=rng)
@@ -41,8 +41,6 @@ def mixture(
 
 def log_likelihood(prior: MotionPrior, states: Array) -> float:
     """Mean over frames of the natural logarithm of the mixture's density (per rad^A) at states (T, D)."""
-    from scipy.special import logsumexp  # slow to import
-
     poses = states[np.isfinite(states).all(axis=1)][:, ANGLES]
     return float(logsumexp(_log_densities(poses, prior.weights, prior.means, prior.covariances), axis=1).mean())
 
@@ -58,8 +56,6 @@ def _mixture_parameters(poses: Array, share: Array, shrink: float, extra: Array)
 
 def _log_densities(poses: Array, weights: Array, means: Array, covariances: Array) -> Array:
     """(N, K): the logarithm of each component's density times its weight."""
-    from scipy.linalg import solve_triangular  # slow to import
-
     roots = np.linalg.cholesky(covariances)
     white = (solve_triangular(L, (poses - mean).T, lower=True) for L, mean in zip(roots, means, strict=True))
     squares = np.stack([(one**2).sum(axis=0) for one in white], axis=1)

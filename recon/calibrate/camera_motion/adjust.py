@@ -9,6 +9,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.linalg import splu
+from scipy.spatial.transform import Rotation
 
 from recon.base.arrays import Array, Index
 from recon.calibrate.camera_motion.rotation import Orientation
@@ -38,10 +41,6 @@ def adjust(
     """The turns of the N frames, of which the first stays; their standard deviations (N,), rad per axis, against the
     first frame; and those of the zooms (N,), relative. links: of every other frame at least one. floor_rad: see
     FLOOR_PX."""
-    from scipy.sparse import coo_array
-    from scipy.sparse.linalg import splu
-    from scipy.spatial.transform import Rotation
-
     n, p = len(turns), 4 if solve_zoom else 3
     rotation = np.stack([turn.rotation for turn in turns])
     log_zoom = np.log([turn.zoom for turn in turns])

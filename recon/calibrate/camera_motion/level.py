@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from recon.base.arrays import Array
 from recon.base.documents import read_text
@@ -44,8 +45,6 @@ def as_level(turns: Sequence[Orientation], up: Array | None) -> tuple[Orientatio
     """
     reference = turns[0].rotation
     if up is None:
-        from scipy.spatial.transform import Rotation  # slow to import
-
         reference, up = Rotation.from_matrix([turn.rotation for turn in turns]).mean().as_matrix(), tilted(0.0)
     level = level_from_camera(up) @ reference  # of the old world
     return tuple(replace(turn, rotation=turn.rotation @ level.T) for turn in turns)

@@ -10,6 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from recon.base.arrays import Array, Bools
 from recon.calibrate.camera_motion.features import focus_px, pixels_of
@@ -128,8 +129,6 @@ def refined(
     camera: Camera, rays: Array, seen_px: Array, turn: Orientation, *, solve_zoom: bool, limit_px: float
 ) -> AgreedOrientation | None:
     """Robust least squares in pixels, from a turn nearby (Tukey's weights, with a limit that follows the scatter)."""
-    from scipy.spatial.transform import Rotation
-
     free = slice(0, 4 if solve_zoom else 3)
     limit = limit_px
     for _ in range(ROUNDS):

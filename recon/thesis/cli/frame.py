@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 from recon.base.settings import Option, Settings
 from recon.workflows.cli.command import OptionsOf
-from recon.workflows.cli.common import finish, leave_pandas_out, progress_bar, terminal
+from recon.workflows.cli.common import finish, progress_bar, terminal
 from recon.workflows.settings import SETTINGS, FitSettings, read_settings
 
 _OPTIONS = tuple(name for name, info in SETTINGS.items() if name != "method" and info.option.method in (None, "frame"))
@@ -38,7 +38,6 @@ def frame(
 
     given = {**given, "method": "frame"}
     fitted = read_settings(None, given) if settings.config is None else read_config(settings.config, given)
-    leave_pandas_out()
     with progress_bar(terminal(quiet=quiet, stderr=as_json), "fitting: ") as progress:
         report = run_clip(fitted, settings.out, settings.overwrite, progress)
     finish(terminal(quiet=quiet, stderr=as_json), report, settings.out, as_json)

@@ -97,7 +97,7 @@ class Summary:
 
 def write_summary_page(out: Path) -> Path:
     """summary.html, of what summary.csv in the folder says. Raises InputError for another file in its place."""
-    from recon.show.page.batch import batch_page  # slow to import
+    from recon.show.page.batch import batch_page  # needs matplotlib, which the processes that fit do not
 
     page = out / SUMMARY_PAGE
     require_own_page(page)

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import json
 import shlex
-import sys
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
-from importlib import import_module
 from math import isfinite
 from pathlib import Path
 from typing import Any, NoReturn
@@ -67,26 +65,6 @@ def stop(message: str = MESSAGE) -> NoReturn:
         interrupts.said = True
     terminal(stderr=True, soft_wrap=True).print(Text(message, "bold"))
     raise typer.Exit(EXIT_INTERRUPTED)
-
-
-class _NoPandas:
-    @staticmethod
-    def find_spec(name: str, *_: Any) -> None:
-        if name == "pandas":
-            raise ModuleNotFoundError(name=name)
-
-
-def leave_pandas_out() -> None:
-    """In a process that only fits, for its playback: rerun writes with pyarrow, which imports pandas (0.3 to 0.4 s) to
-    ask whether a list of names is a column of pandas'. It asks once, and is content if there is none."""
-    if installed() is None or "pandas" in sys.modules:
-        return
-    lib = import_module("pyarrow.lib")
-    sys.meta_path.insert(0, _NoPandas)
-    try:
-        getattr(getattr(lib, "_pandas_api", None), "have_pandas", None)
-    finally:
-        sys.meta_path.remove(_NoPandas)
 
 
 def numbers(option: str, given: str, count: int | None = None) -> list[float]:

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Annotated
 
 from recon.base.settings import Option, Settings
-from recon.workflows.cli.common import finish, leave_pandas_out, progress_bar, terminal
+from recon.workflows.cli.common import finish, progress_bar, terminal
 from recon.workflows.demo import run_demo
 
 
@@ -23,7 +23,6 @@ def demo(settings: DemoSettings, as_json: bool, quiet: bool) -> None:
     Example: recon demo --out demo-output
     """
     console = terminal(quiet=quiet, stderr=as_json)
-    leave_pandas_out()
     with progress_bar(console, "fitting: ") as progress:
         report, evaluation = run_demo(settings.out, settings.overwrite, progress)
     finish(console, report, settings.out, as_json, mpjpe_mm=1000 * evaluation.mpjpe_m.mean)

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 from recon.base.errors import InputError, Problem
 from recon.base.settings import Option, Settings
 from recon.workflows.cli.command import OptionsOf
-from recon.workflows.cli.common import finish, leave_pandas_out, progress_bar, say, terminal
+from recon.workflows.cli.common import finish, progress_bar, say, terminal
 from recon.workflows.settings import FitSettings, read_settings
 
 
@@ -48,7 +48,6 @@ def fit(
     console = terminal(quiet=quiet, stderr=as_json)
     for path in [] if config is None else replaced_files(config, given, fitted):
         say(console, f"note: {path} is not the file that {config} was written for: its content is another")
-    leave_pandas_out()
     with progress_bar(console, "fitting: ") as progress:
         report = run_clip(fitted, out, settings.overwrite, progress, settings.camera_motion)
     finish(console, report, out, as_json)
