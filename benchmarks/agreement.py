@@ -97,7 +97,7 @@ def named(findings: Sequence[Finding], views: Sequence[View]) -> set[tuple[str, 
     """Codes but for notes, and the cameras that they are about."""
     names = [view.camera.name for view in views]
     return {
-        (one.code, tuple(names.index(name) for name in one.numbers.get("cameras", (one.camera,))))
+        (one.code, tuple(names.index(name) for name in one.names("cameras") or (str(one.camera),)))
         for one in findings
         if one.severity != "note"
     }

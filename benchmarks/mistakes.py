@@ -185,7 +185,7 @@ def of_input(motion: Motion) -> list[Finding]:
 
 def stretch_of(motion: Motion, one: Finding) -> Stretch:
     """The rows, and the permutation of the keypoints, of a swap."""
-    places, to = np.arange(len(motion.names)), [motion.names.index(name) for name in one.numbers["keypoints"]]
+    places, to = np.arange(len(motion.names)), [motion.names.index(name) for name in one.names("keypoints")]
     places[to] = _opposites(motion.names, None)[to]
     first, stop = np.searchsorted(motion.frames, one.frames or ())
     return Stretch(slice(int(first), int(stop)), places)

@@ -35,7 +35,7 @@ def judged(views: list[View]) -> tuple[Finding, ...]:
 def findings(found: Sequence[Finding]) -> list[tuple[str, tuple[int, ...]]]:
     """Codes but for notes, and the cameras that they are about, by their places."""
     return [
-        (one.code, tuple(int(name[3:]) - 1 for name in one.numbers.get("cameras", (one.camera,))))
+        (one.code, tuple(int(name[3:]) - 1 for name in one.names("cameras") or (str(one.camera),)))
         for one in found
         if one.severity != "note"
     ]

@@ -22,3 +22,8 @@ class Finding:
     """The name of the camera that it is about; None: all of them, or the clip."""
     numbers: dict[str, Number] = field(default_factory=dict)
     """What says so, plain numbers and names. Radians, metres, seconds and pixels, as the names end."""
+
+    def names(self, number: str) -> tuple[str, ...]:
+        """The names that stand there; none where there is none."""
+        found = self.numbers.get(number, ())
+        return found if isinstance(found, tuple) else ()

@@ -254,7 +254,7 @@ def without_swaps(
         number = next(v for v, source in enumerate(sources) if source.camera.name == one.camera)
         keypoints = mended[number].keypoints
         rows = slice(*np.searchsorted(keypoints.frames, one.frames))
-        to = [keypoints.names.index(name) for name in one.numbers["keypoints"]]
+        to = [keypoints.names.index(name) for name in one.names("keypoints")]
         xy_px, confidence = keypoints.xy_px.copy(), keypoints.confidence.copy()
         for values in (xy_px, confidence):
             values[rows, to] = values[rows][:, places[to]]
