@@ -216,7 +216,7 @@ def _texts() -> Iterator[Seed]:
     yield Seed("segments.csv", SEGMENTS.encode(), read_pose_segments)
     yield Seed("map.txt", b"frame=Frame, bodypart=Node, x=X, y=Y, likelihood=Score", _by_map)
     yield Seed("map-wide.txt", b"frame=Frame, x={bodypart} X, y={bodypart} Y", _by_map)
-    settings = FitSettings(SAMPLES / "whole.csv", camera=SAMPLES / "camera.toml", fps=60, frames="0:30")
+    settings = FitSettings(keypoints=SAMPLES / "whole.csv", camera=SAMPLES / "camera.toml", fps=60, frames="0:30")
     yield Seed("config.toml", settings.to_toml().encode(), lambda path: read_settings(path, {}), 2.0)
     batch = f"keypoints,camera,fps,frames,method\n{SAMPLES}/whole.csv,{SAMPLES}/camera.toml,60,0:20,\n"
     batch += f"{SAMPLES}/noisy.csv,{SAMPLES}/camera.toml,30,,frame\n"
@@ -306,7 +306,9 @@ def _results(folder: Path) -> Iterator[Seed]:
     """A folder of a fit; one of its files is spoilt, and the manifest says it is as it was written, or not."""
     results = folder / "results"
     run_clip(
-        FitSettings(SAMPLES / "noisy.csv", camera=SAMPLES / "camera.toml", fps=30, frames="0:3", method="frame"),
+        FitSettings(
+            keypoints=SAMPLES / "noisy.csv", camera=SAMPLES / "camera.toml", fps=30, frames="0:3", method="frame"
+        ),
         results,
     )
     files = {name: (results / name).read_bytes() for name in ("report.json", "pose3d.csv", "angles.csv", MANIFEST)}
