@@ -31,6 +31,7 @@ from docs_files import FILES, OF_PAGE
 
 from recon.workflows.batch import find_clips
 from recon.workflows.cli import app
+from recon.workflows.cli import commands as commands_of_recon
 
 ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / "docs"
@@ -273,19 +274,27 @@ def test_reasons_are_used():
         assert any(re.match(pattern, command + " ") for command in everything), pattern
 
 
-def options_of(command: typer.core.TyperGroup | object) -> Iterator[str]:
-    for parameter in getattr(command, "params", ()):
-        yield from (*parameter.opts, *parameter.secondary_opts)
-    for inner in getattr(command, "commands", {}).values():
-        yield from options_of(inner)
+def all_options() -> Iterator[str]:
+    for command in (typer.main.get_command(app), *commands_of_recon().values()):
+        for parameter in command.params:
+            yield from (*parameter.opts, *parameter.secondary_opts)
 
 
-OTHERS_OPTIONS = {"--only", "--set", "--write-prior", "--nthreads", "--help", "--index-url", "--random-half"}
+OTHERS_OPTIONS = {
+    "--folds",
+    "--others",
+    "--only",
+    "--write-prior",
+    "--nthreads",
+    "--help",
+    "--index-url",
+    "--random-half",
+}
 """Of the benchmarks, and of other programs."""
 
 
 def test_options_in_the_text_exist():
-    known = {*options_of(typer.main.get_command(app)), *OTHERS_OPTIONS}
+    known = {*all_options(), *OTHERS_OPTIONS}
     for page in PAGES:
         text = FENCE.sub("", page.read_text(encoding="utf-8"))
         unknown = {

@@ -53,9 +53,9 @@ def called(monkeypatch, report) -> list[str]:
         return path
 
     def does(name: str, file: str, give=lambda path: path):
-        def work(folder: Path, *args, **options):
+        def work(settings, *args, **options):
             names.append(name)
-            return give(write(folder / file, name))
+            return give(write(settings.folder / file, name))
 
         return work
 

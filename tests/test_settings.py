@@ -391,6 +391,15 @@ def test_every_setting_is_listed():
     assert run("settings", "fitt").err.startswith("error: COMMAND: command: found 'fitt', expected one of fit, batch, ")
 
 
+def test_settings_that_are_no_options_are_in_the_docs():
+    text = (Path(__file__).parents[1] / "docs" / "commands.md").read_text(encoding="utf-8")
+    for info in SETTINGS.values():
+        if not info.option.common and info.option.method != "frame":
+            default = "" if info.default is None else str(info.plain(info.default))
+            cells = [info.field.replace("_", "-").join("``"), default.lower(), info.option.help.replace("|", "\\|")]
+            assert "| " + " | ".join(cells).replace("  ", " ") + " |" in text.replace("  ", " "), info.field
+
+
 @pytest.mark.parametrize(
     ("words", "said"),
     [

@@ -6,11 +6,10 @@ import sys
 from typing import Annotated, Any
 
 import typer
-from typer.core import TyperCommand
 
 from recon.base.errors import InputError
 from recon.base.interrupts import Interrupts, installed
-from recon.workflows.cli.command import HELP, CommandGroup, Entry
+from recon.workflows.cli.command import HELP, CommandGroup, Entry, SettingsCommand
 from recon.workflows.cli.common import EXIT_BAD_INPUT, error_text, stop, terminal
 
 _CORE, _ROBOTICS, _NET = "recon.workflows.cli.", "recon.robotics.cli.", "recon.keypoint_net.cli."
@@ -116,7 +115,7 @@ app = typer.Typer(
 )
 
 
-def commands() -> dict[str, TyperCommand]:
+def commands() -> dict[str, SettingsCommand]:
     """All commands by name, each made."""
     table = _Commands().table
     return {name: entry.load(name) for name, entry in table.items()}

@@ -116,7 +116,7 @@ class Takes:
         return found
 
 
-class _Command(TyperCommand):
+class SettingsCommand(TyperCommand):
     """A command whose settings say themselves what is missing or wrong, all at once."""
 
     takes: Takes
@@ -148,7 +148,7 @@ def _no_options(args: list[str], by_set: Mapping[str, SettingInfo]) -> Iterator[
             yield Problem(option, info.field, "no option of this name", f"--set {name}={value or 'VALUE'}")
 
 
-def make_command(name: str, function: Callable[..., None]) -> TyperCommand:
+def make_command(name: str, function: Callable[..., None]) -> SettingsCommand:
     """The command of a function, see the text of the module."""
     takes = Takes.of(function)
     of_others = {} if takes.others is None else takes.others.infos
@@ -164,9 +164,9 @@ def make_command(name: str, function: Callable[..., None]) -> TyperCommand:
     call.__dict__["__signature__"] = inspect.Signature(parameters)
     call.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
     app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
-    app.command(name, help=inspect.getdoc(function), cls=_Command, context_settings=HELP)(call)
+    app.command(name, help=inspect.getdoc(function), cls=SettingsCommand, context_settings=HELP)(call)
     command = typer.main.get_command(app)
-    assert isinstance(command, _Command)
+    assert isinstance(command, SettingsCommand)
     command.takes = takes
     return command
 
@@ -209,7 +209,7 @@ class Entry:
     help: str
     panel: str | None = None
 
-    def load(self, name: str) -> TyperCommand:
+    def load(self, name: str) -> SettingsCommand:
         module, _, function = self.function.partition(":")
         return make_command(name, getattr(import_module(module), function))
 
@@ -234,7 +234,7 @@ class CommandGroup(TyperGroup):
             else:
                 self.add_command(TyperCommand(name, help=entry.help, rich_help_panel=entry.panel))
 
-    def load(self, name: str) -> TyperCommand:
+    def load(self, name: str) -> SettingsCommand:
         """A command by its name, of one word or two."""
         return self.table[name].load(name)
 
