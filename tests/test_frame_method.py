@@ -14,7 +14,7 @@ from recon.fit.synthetic import add_noise
 from recon.geometry.frames import inverse
 from recon.thesis import FrameOptions, base_length, frame, solve_frames, solve_joints
 from recon.thesis.frame import CONVERGED, evaluate, posterior_covariance, precision_shares
-from recon.thesis.objectives import JointPositions, Reprojection
+from recon.thesis.objectives import JointPositions, JointReprojection
 from recon.thesis.starts import Travel, mean_pose
 
 SK = load_chain("cheetah-8u")
@@ -93,7 +93,7 @@ def test_rank_18_from_pixels_and_20_from_joints(seed: int):
     camera = gallop().camera
     state = level_states(5)[seed]
     joints = SK.pose(state[None]).joints_m
-    pixels = Reprojection(camera, camera.project(joints)[0], np.ones((1, 9)), 1.0, 1e9)
+    pixels = JointReprojection(camera, camera.project(joints)[0], np.ones((1, 9)), 1.0, 1e9)
     for term, rank in ((pixels, 18), (JointPositions(joints, 1.0), 20)):
         _, J = evaluate((term,), SK, 0, state, None, 0.0)
         singular = np.linalg.svd(J / np.linalg.norm(J, axis=0), compute_uv=False)

@@ -14,9 +14,9 @@ from recon.thesis.objectives import (
     GaussianPrior,
     HeadingTie,
     JointPositions,
+    JointReprojection,
     Objective,
     RateLimit,
-    Reprojection,
     RollPrior,
     TravelPrior,
 )
@@ -49,7 +49,7 @@ DETECTED[2, 3] = np.nan
 HEADING = np.tile(np.array([1.0, 0, 0]), (N, 1))
 
 TERMS: list[Objective] = [
-    Reprojection(CAMERA, DETECTED, RNG.uniform(0.2, 1, (N, 9)), 8.0, 4.0),
+    JointReprojection(CAMERA, DETECTED, RNG.uniform(0.2, 1, (N, 9)), 8.0, 4.0),
     *(AngleRange("theta range", SK.theta_slice, SK.theta, 0.15, form) for form in ("deadband", "printed")),
     *(AngleRange("phi range", SK.phi_slice, SK.phi, 0.15, form) for form in ("deadband", "printed")),
     *(RateLimit("theta rate", SK.theta_slice, SK.theta.max_rate_rad_s, 0.15, f) for f in ("deadband", "printed")),
@@ -118,7 +118,7 @@ def test_rate_limit_counts_the_chord_so_that_a_flip_is_not_free():
 
 def test_reprojection_is_zero_at_the_target_and_saturates():
     exact = CAMERA.project(SK.pose(NOW).joints_m)[0]
-    term = Reprojection(CAMERA, exact, np.ones((N, 9)), 2.0, 4.0)
+    term = JointReprojection(CAMERA, exact, np.ones((N, 9)), 2.0, 4.0)
     np.testing.assert_allclose(evaluate(term, NOW)[0], 0, atol=1e-9)
     far = replace(term, xy_px=exact + np.array([1e5, 0]))
     np.testing.assert_allclose(np.linalg.norm(evaluate(far, NOW)[0].reshape(N, 9, 2), axis=2), 4.0, rtol=1e-6)

@@ -1,22 +1,61 @@
 """Views of a clip -> an animal's motion over the whole clip.
 
-The only place that solves for an animal's motion, besides the wings' own methods.
+The only place that solves for an animal's motion, besides the wings' own methods. `recon.fit.constants` has the numbers
+that no user sets.
 """
 
-from recon.fit import constants
-from recon.fit.clip_problem import TrajectoryOptions
-from recon.fit.points import solve_points
-from recon.fit.result import Ground, MotionSegment, Solution, Start, TrajectorySolution
-from recon.fit.trajectory import solve_trajectory
+from typing import TYPE_CHECKING
+
+from recon.base.front_door import lazily
+
+if TYPE_CHECKING:
+    from recon.fit.clip_problem import ClipProblem, TrajectoryOptions
+    from recon.fit.extrinsics import Rig, solve_extrinsics
+    from recon.fit.finding import Finding
+    from recon.fit.least_squares import Estimate, LeastSquares, Shared
+    from recon.fit.motion import Motion, Picture
+    from recon.fit.points import solve_points, solve_points_and_size
+    from recon.fit.result import Ground, MotionSegment, Solution, Start, TrajectorySolution
+    from recon.fit.shape import Shape, ShapeFit, fit_shape
+    from recon.fit.trajectory import Solved, solve_segments, solve_trajectory
 
 __all__ = [
+    "ClipProblem",
+    "Estimate",
+    "Finding",
     "Ground",
+    "LeastSquares",
+    "Motion",
     "MotionSegment",
+    "Picture",
+    "Rig",
+    "Shape",
+    "ShapeFit",
+    "Shared",
     "Solution",
+    "Solved",
     "Start",
     "TrajectoryOptions",
     "TrajectorySolution",
-    "constants",
+    "fit_shape",
+    "solve_extrinsics",
     "solve_points",
+    "solve_points_and_size",
+    "solve_segments",
     "solve_trajectory",
 ]
+
+__getattr__ = lazily(
+    __name__,
+    {
+        "clip_problem": ("ClipProblem", "TrajectoryOptions"),
+        "extrinsics": ("Rig", "solve_extrinsics"),
+        "finding": ("Finding",),
+        "least_squares": ("Estimate", "LeastSquares", "Shared"),
+        "motion": ("Motion", "Picture"),
+        "points": ("solve_points", "solve_points_and_size"),
+        "result": ("Ground", "MotionSegment", "Solution", "Start", "TrajectorySolution"),
+        "shape": ("Shape", "ShapeFit", "fit_shape"),
+        "trajectory": ("Solved", "solve_segments", "solve_trajectory"),
+    },
+)

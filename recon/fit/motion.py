@@ -18,9 +18,8 @@ from recon.base.manifest import MANIFEST, read_manifest
 from recon.base.records import load_record, save_record
 from recon.clip import Source, world_from_reference
 from recon.clip.keypoints import CleaningReport, Keypoints
-from recon.fit import MotionSegment, Solution
 from recon.fit.finding import Finding
-from recon.fit.result import OUTLIER_SIGMAS
+from recon.fit.result import OUTLIER_SIGMAS, MotionSegment, Solution
 from recon.geometry.camera import Camera
 from recon.geometry.frames import inverse, moved
 from recon.geometry.kinematics import PITCH, ROOT, YAW

@@ -101,7 +101,7 @@ class Span:
 
 
 @dataclass(frozen=True)
-class Rows:
+class TermRows:
     """See the module's text. Without Jacobian, residual and what follows are left out."""
 
     frames: Index
@@ -118,7 +118,7 @@ class Term(Protocol):
     def name(self) -> str: ...
     @property
     def stencil(self) -> tuple[int, ...]: ...
-    def evaluate(self, span: Span, jacobian: bool) -> Rows: ...
+    def evaluate(self, span: Span, jacobian: bool) -> TermRows: ...
 
 
 @dataclass(frozen=True)
@@ -214,7 +214,7 @@ class PoseMixture:
         object.__setattr__(self, "_precision", white.swapaxes(1, 2) @ white)
         object.__setattr__(self, "_offset", offset - offset.min())
 
-    def evaluate(self, span: Span, jacobian: bool) -> Rows:
+    def evaluate(self, span: Span, jacobian: bool) -> TermRows:
         z = span.states[span.own, ANGLES]
         N, A = z.shape
         off = (z[:, None] - self.prior.means).transpose(1, 0, 2)  # (K, N, A)
@@ -227,14 +227,14 @@ class PoseMixture:
         frames = np.arange(span.first, span.first + N)
         cost = weight * (least[:, 0] - self.temperature * np.log(total))
         if not jacobian:
-            return Rows(frames, cost)
+            return TermRows(frames, cost)
         share /= total[:, None]
         gradient = weight * np.einsum("nk,kna->na", share, white @ self._white)
         precision = weight * (share @ self._precision.reshape(-1, A * A)).reshape(N, A, A)
         root = np.linalg.cholesky(precision)  # root root' = precision; rows root' dz, residual root^-1 gradient
         rows = np.zeros((N, A, 1, span.states.shape[1]))
         rows[:, :, 0, ANGLES] = root.swapaxes(1, 2)
-        return Rows(frames, cost, np.linalg.solve(root, gradient[..., None])[..., 0], rows)
+        return TermRows(frames, cost, np.linalg.solve(root, gradient[..., None])[..., 0], rows)
 
 
 @dataclass(frozen=True)
@@ -262,7 +262,7 @@ class Reprojection:
     def stencil(self) -> tuple[int, ...]:
         return (0, 1) if self.view.lead_frames else (0,)
 
-    def evaluate(self, span: Span, jacobian: bool) -> Rows:
+    def evaluate(self, span: Span, jacobian: bool) -> TermRows:
         parts = self._parts(span)
         points = np.sum([share * span.pose.points_m[part] for part, share in parts], axis=0)
         frames = np.arange(span.first, span.first + len(points))
@@ -293,7 +293,7 @@ class Reprojection:
         loss = np.where(valid, np.log1p(q), OUT_OF_SIGHT)
         cost = 0.5 * self.c**2 * np.sum(loss * trust, axis=1)
         if by_point is None:
-            return Rows(frames, cost)
+            return TermRows(frames, cost)
         assert span.pose.jacobian is not None
         root = np.sqrt(np.where(seen, trust / (1.0 + q), 0.0))[..., None]
         by_point = by_point * np.where(seen[..., None], root / sigma[..., None], 0.0)[..., None]
@@ -320,7 +320,7 @@ class Reprojection:
             turn = euler_rotation_with_jacobian(place[:3])[1] @ before.to_camera(world)[..., None, :, None]
             by_correction = np.concatenate([by_camera @ turn[..., 0].swapaxes(-1, -2), by_camera], axis=-1)
             by_shared[extrinsic_correction(self.number)] = by_correction.reshape(N, 2 * J, 6)
-        return Rows(frames, cost, (e * root).reshape(N, 2 * J), rows, by_shared)
+        return TermRows(frames, cost, (e * root).reshape(N, 2 * J), rows, by_shared)
 
     def _parts(self, span: Span) -> list[tuple[slice, float]]:
         """The span's frames that each picture lies between, and their shares."""
@@ -343,16 +343,16 @@ class KnownAngles:
     name: str = "known angles"
     stencil: tuple[int, ...] = (0,)
 
-    def evaluate(self, span: Span, jacobian: bool) -> Rows:
+    def evaluate(self, span: Span, jacobian: bool) -> TermRows:
         own = span.states[span.own]
         frames = np.arange(span.first, span.first + len(own))
         r = np.nan_to_num((own - self.states[frames])[:, YAW:] / self.sigma_rad)
         cost = 0.5 * np.sum(r * r, axis=1)
         if not jacobian:
-            return Rows(frames, cost)
+            return TermRows(frames, cost)
         known = np.isfinite(self.states[frames][:, YAW:])[..., None]
         rows = np.where(known, np.eye(own.shape[1])[YAW:] / self.sigma_rad, 0.0)
-        return Rows(frames, cost, r, rows[:, :, None])
+        return TermRows(frames, cost, r, rows[:, :, None])
 
 
 @dataclass(frozen=True)
@@ -369,7 +369,7 @@ class Heading:
     name: str = "heading"
     stencil: tuple[int, ...] = (0, 1)
 
-    def evaluate(self, span: Span, jacobian: bool) -> Rows:
+    def evaluate(self, span: Span, jacobian: bool) -> TermRows:
         n = len(span.states) - 1
         forward = span.pose.points_m[:, self.front, :2] - span.pose.points_m[:, self.rear, :2]
         length = np.maximum(np.linalg.norm(forward, axis=1, keepdims=True), 1e-6)
@@ -382,7 +382,7 @@ class Heading:
         r = scale * (mean[:, 0] * v[:, 1] - mean[:, 1] * v[:, 0])
         frames = np.arange(span.first, span.first + n)
         if not jacobian:
-            return Rows(frames, 0.5 * r**2)
+            return TermRows(frames, 0.5 * r**2)
         assert span.pose.jacobian is not None
         D = span.states.shape[1]
         turn = span.pose.jacobian[:, self.front, :2] - span.pose.jacobian[:, self.rear, :2]  # (n + 1, 2, D)
@@ -395,7 +395,7 @@ class Heading:
             rows[:, 0, slot, :2] += sign * scale * self.fps * by_velocity
         along = -scale * np.sum(mean * v, axis=1)
         by_shared = {SIDESLIP: along[:, None, None]} if SIDESLIP in span.shared else {}
-        return Rows(frames, 0.5 * r**2, r[:, None], rows, by_shared)
+        return TermRows(frames, 0.5 * r**2, r[:, None], rows, by_shared)
 
 
 @dataclass(frozen=True)
@@ -420,7 +420,7 @@ class Standing:
         shrink = 1.0 / (1.0 + q / self.c**2)
         return v, q * shrink, shrink**2
 
-    def evaluate(self, span: Span, jacobian: bool) -> Rows:
+    def evaluate(self, span: Span, jacobian: bool) -> TermRows:
         n, F = len(span.states) - 1, len(self.feet)
         size = size_of(span.shared)
         v, loss, slope = self.contact(span.pose.points_m, size)
@@ -428,13 +428,13 @@ class Standing:
         frames = np.arange(span.first, span.first + n)
         cost = 0.5 * weight * loss.sum(axis=1)
         if not jacobian:
-            return Rows(frames, cost)
+            return TermRows(frames, cost)
         assert span.pose.jacobian is not None
         root = np.sqrt(weight * slope)[..., None] / self.sigma_m_s
         foot = span.pose.jacobian[:, self.feet] * self.fps * size
         rows = np.stack([-foot[:-1] * root[..., None], foot[1:] * root[..., None]], axis=3)
         by_shared = {SIZE: (v / size * root).reshape(n, 3 * F, 1)} if SIZE in span.shared else {}
-        return Rows(frames, cost, (v * root).reshape(n, 3 * F), rows.reshape(n, 3 * F, 2, -1), by_shared)
+        return TermRows(frames, cost, (v * root).reshape(n, 3 * F), rows.reshape(n, 3 * F, 2, -1), by_shared)
 
 
 @dataclass(frozen=True)
@@ -453,7 +453,7 @@ class OnGround:
     name: str = "ground"
     stencil: tuple[int, ...] = (0, 1)
 
-    def evaluate(self, span: Span, jacobian: bool) -> Rows:
+    def evaluate(self, span: Span, jacobian: bool) -> TermRows:
         n = len(span.states) - 1
         frames = np.arange(span.first, span.first + n)
         foot = span.pose.points_m[:, self.feet]
@@ -462,9 +462,9 @@ class OnGround:
         r = (middle[..., 2] - self.plane[0] - (middle[..., :2] - self.middle) @ self.plane[1:]) * root
         cost = 0.5 * np.sum(r * r, axis=1)
         if not jacobian:
-            return Rows(frames, cost)
+            return TermRows(frames, cost)
         assert span.pose.jacobian is not None
         normal = np.array([-self.plane[1], -self.plane[2], 1.0])
         lift = 0.5 * np.einsum("a,njad->njd", normal, span.pose.jacobian[:, self.feet])
         rows = np.stack([lift[:-1] * root[..., None], lift[1:] * root[..., None]], axis=2)
-        return Rows(frames, cost, r, rows)
+        return TermRows(frames, cost, r, rows)

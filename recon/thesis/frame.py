@@ -33,9 +33,9 @@ from recon.thesis.objectives import (
     GaussianPrior,
     HeadingTie,
     JointPositions,
+    JointReprojection,
     Objective,
     RateLimit,
-    Reprojection,
     RollPrior,
     TravelPrior,
 )
@@ -192,7 +192,7 @@ def frame_objectives(
     """
     s, form = chain.scales, options.form
     terms: list[Objective] = [
-        Reprojection(camera, xy_px, confidence, options.sigma_px, options.robust_c),
+        JointReprojection(camera, xy_px, confidence, options.sigma_px, options.robust_c),
         AngleRange("theta range", chain.theta_slice, chain.theta, s.softness_rad, form),
         AngleRange("phi range", chain.phi_slice, chain.phi, s.softness_rad, form),
         RateLimit("theta rate", chain.theta_slice, chain.theta.max_rate_rad_s, s.softness_rad, form),
@@ -462,7 +462,7 @@ class _FrameSolver:
         self.camera, self.chain, self.options = camera, chain, options
         self.objectives = objectives
         reprojection, *self.others = objectives
-        assert isinstance(reprojection, Reprojection)
+        assert isinstance(reprojection, JointReprojection)
         self.reprojection = reprojection
         self.focal_px = float(np.sqrt(camera.matrix[0, 0] * camera.matrix[1, 1]))
         self.evaluations_left = SPARE_SEARCHES * options.max_evaluations

@@ -26,7 +26,7 @@ from recon.base.arrays import Array
 from recon.geometry.camera import Camera
 
 Form = Literal["deadband", "printed"]
-Rows = tuple[Array, Array]
+ResidualAndJacobian = tuple[Array, Array]
 
 
 class Objective(Protocol):
@@ -36,7 +36,7 @@ class Objective(Protocol):
 
     @property
     def name(self) -> str: ...
-    def evaluate(self, now: Posed, before: Posed | None, frame: int, dt_s: float) -> Rows: ...
+    def evaluate(self, now: Posed, before: Posed | None, frame: int, dt_s: float) -> ResidualAndJacobian: ...
 
 
 def _diagonal(values: Array, where: slice, n_state: int) -> Array:
@@ -47,7 +47,7 @@ def _diagonal(values: Array, where: slice, n_state: int) -> Array:
 
 
 @dataclass(frozen=True)
-class Reprojection:
+class JointReprojection:
     """f1: projected minus detected position, robust.
 
     With u = sqrt(confidence) (projected - detected) / sigma_px, the row pair of a joint is u / sqrt(1 + |u|^2 / c^2)
@@ -66,7 +66,7 @@ class Reprojection:
     name: str = "reprojection"
     ties: ClassVar[bool] = False
 
-    def evaluate(self, now: Posed, before: Posed | None, frame: int, dt_s: float) -> Rows:
+    def evaluate(self, now: Posed, before: Posed | None, frame: int, dt_s: float) -> ResidualAndJacobian:
         assert now.joints_jacobian is not None
         projected, d_point, valid = self.camera.project_with_jacobian(now.joints_m[0])
         detected = self.xy_px[frame]
@@ -95,7 +95,7 @@ class AngleRange:
     form: Form
     ties: ClassVar[bool] = False
 
-    def evaluate(self, now: Posed, before: Posed | None, frame: int, dt_s: float) -> Rows:
+    def evaluate(self, now: Posed, before: Posed | None, frame: int, dt_s: float) -> ResidualAndJacobian:
         state = now.state[0]
         off = state[self.where] - self.ranges.mean_rad
         residual = (np.abs(off) - self.ranges.tolerance_rad) / self.softness_rad
@@ -123,7 +123,7 @@ class RateLimit:
     form: Form
     ties: ClassVar[bool] = True
 
-    def evaluate(self, now: Posed, before: Posed | None, frame: int, dt_s: float) -> Rows:
+    def evaluate(self, now: Posed, before: Posed | None, frame: int, dt_s: float) -> ResidualAndJacobian:
         assert before is not None
         a = (now.state - before.state)[0, self.where]
         if self.form == "deadband":
@@ -150,7 +150,7 @@ class GaussianPrior:
     sigma: float
     ties: ClassVar[bool] = False
 
-    def evaluate(self, now: Posed, before: Posed | None, frame: int, dt_s: float) -> Rows:
+    def evaluate(self, now: Posed, before: Posed | None, frame: int, dt_s: float) -> ResidualAndJacobian:
         residual = (now.state[0, self.where] - self.mean) / self.sigma
         return residual, _diagonal(np.full_like(residual, 1.0 / self.sigma), self.where, now.state.shape[1])
 
@@ -169,7 +169,7 @@ class RollPrior:
     name: str = "roll prior"
     ties: ClassVar[bool] = False
 
-    def evaluate(self, now: Posed, before: Posed | None, frame: int, dt_s: float) -> Rows:
+    def evaluate(self, now: Posed, before: Posed | None, frame: int, dt_s: float) -> ResidualAndJacobian:
         assert now.rotation_jacobian is not None
         jacobian = np.zeros_like(now.state)
         jacobian[0, self.euler] = self.up @ now.rotation_jacobian[0, ..., 2].T / self.sigma_rad
@@ -189,7 +189,7 @@ class HeadingTie:
     name: str = "heading tie"
     ties: ClassVar[bool] = True
 
-    def evaluate(self, now: Posed, before: Posed | None, frame: int, dt_s: float) -> Rows:
+    def evaluate(self, now: Posed, before: Posed | None, frame: int, dt_s: float) -> ResidualAndJacobian:
         assert before is not None
         assert now.rotation_jacobian is not None
         level = np.eye(3) - np.outer(self.up, self.up)
@@ -214,7 +214,7 @@ class TravelPrior:
     name: str = "travel prior"
     ties: ClassVar[bool] = False
 
-    def evaluate(self, now: Posed, before: Posed | None, frame: int, dt_s: float) -> Rows:
+    def evaluate(self, now: Posed, before: Posed | None, frame: int, dt_s: float) -> ResidualAndJacobian:
         assert now.rotation_jacobian is not None
         residual, jacobian = np.zeros(3), np.zeros((3, now.state.shape[1]))
         direction = self.direction[frame]
@@ -237,7 +237,7 @@ class JointPositions:
     name: str = "joint positions"
     ties: ClassVar[bool] = False
 
-    def evaluate(self, now: Posed, before: Posed | None, frame: int, dt_s: float) -> Rows:
+    def evaluate(self, now: Posed, before: Posed | None, frame: int, dt_s: float) -> ResidualAndJacobian:
         assert now.joints_jacobian is not None
         target = self.target_m[frame]
         known = np.isfinite(target)

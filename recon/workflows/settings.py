@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -412,9 +412,7 @@ class FitSettings(Settings):
     def trajectory_options(self) -> TrajectoryOptions:
         from recon.fit import TrajectoryOptions
 
-        names = ("fast", "ground", "sigma_px", "keypoint_sigma_m", "size_sigma")
-        names += ("find_offsets", "refine_cameras", "focal_sigma")
-        return TrajectoryOptions(**{name: getattr(self, name) for name in names})
+        return TrajectoryOptions(**{field.name: getattr(self, field.name) for field in fields(TrajectoryOptions)})
 
     def plain(self, folder: Path | None = None) -> dict[str, Any]:
         """All that the method reads, as plain JSON types; None for what is not given and has no default. folder: that
