@@ -131,3 +131,41 @@ def test_many_frames_and_none(some_tree: Tree):
     assert none.jacobian is not None
     assert none.jacobian.shape == (0, len(some_tree.markers), 3, some_tree.n_state)
     assert some_tree.pose(states[:0]).points_m.shape == (0, len(some_tree.markers), 3)
+
+
+MACHINE = Tree(
+    (
+        Segment("base", None, "free"),
+        Segment("a", "base", "turn", (0.1, 0.2, 0.3), ((1.0, 0.0, 0.0), (0.0, 0.6, -0.8), (0.0, 0.8, 0.6))),
+        Segment("b", "a", "slide", (0.0, 0.1, -0.2), ((0.6, 0.0, 0.8), (0.0, 1.0, 0.0), (-0.8, 0.0, 0.6))),
+        Segment("c", "b", "turn", (0.3, 0.0, 0.0)),
+    ),
+    (Marker("on_b", "b"), Marker("tip", "c", (0.2, -0.1, 0.1))),
+)
+
+
+@pytest.mark.parametrize("some_tree", [*TREES.values(), MACHINE], ids=[*TREES, "machine"])
+def test_second_derivatives_against_central_differences(some_tree: Tree):
+    rng, h = np.random.default_rng(2), 1e-5
+    for state in rng.uniform(-2, 2, (3, some_tree.n_state)):
+        weights = rng.normal(size=(len(some_tree.markers), 3))
+        jacobian, _, curvature = some_tree.derivatives(state)
+        whole = some_tree.pose_with_jacobian(state[None])
+        assert whole.jacobian is not None
+        np.testing.assert_allclose(jacobian, whole.jacobian[0], atol=1e-14)
+        steps = h * np.eye(some_tree.n_state)
+        both = [(some_tree.derivatives(state + s)[0], some_tree.derivatives(state - s)[0]) for s in steps]
+        numeric = np.array([((a - b) / (2 * h) * weights[..., None]).sum(axis=(0, 1)) for a, b in both])
+        np.testing.assert_allclose(curvature(weights), numeric[3:, 3:], atol=1e-7)
+
+
+def test_a_slide_shifts_what_hangs_on_it_along_its_axis():
+    state = np.random.default_rng(3).uniform(-1, 1, (1, MACHINE.n_state))
+    moved = state.copy()
+    moved[0, MACHINE.state_names.index("b_slide")] += 0.25
+    axis = MACHINE.orientations(state)[0, 2, :, 2]
+    np.testing.assert_allclose(
+        MACHINE.pose(moved).points_m - MACHINE.pose(state).points_m, [[0.25 * axis] * 2], atol=1e-14
+    )
+    shifts = (MACHINE.origins(moved) - MACHINE.origins(state))[0]
+    np.testing.assert_allclose(shifts, [0 * axis, 0 * axis, 0.25 * axis, 0.25 * axis], atol=1e-14)
