@@ -224,7 +224,7 @@ def worst_m(found: Joints, names: tuple[str, ...], xyz_m: Array) -> float:
 
 def main() -> None:
     from recon import FitSettings
-    from recon.fit.results import read_results
+    from recon.fit.motion import Motion
     from recon.workflows.clip import run_clip
     from recon.workflows.convert import ConvertSettings, convert
 
@@ -235,7 +235,7 @@ def main() -> None:
         for clip, skeleton in (("whole", None), ("noisy", "cheetah-8u")):
             camera, out = samples / "camera.toml", Path(folder) / clip
             run_clip(FitSettings(keypoints=(samples / f"{clip}.csv",), camera=camera, fps=FPS, skeleton=skeleton), out)
-            clips[clip] = read_results(out).pose
+            clips[clip] = Motion.load(out).upright
         for extension, readers in READERS.items():
             for clip in clips:
                 convert(ConvertSettings(source=Path(folder) / clip, out=Path(folder) / f"{clip}{extension}"))

@@ -23,7 +23,7 @@ from markdown_table import print_table
 from recordings import recordings
 
 from recon import FitSettings, Pose3D, read_pose3d
-from recon.fit.results import read_results
+from recon.fit.motion import Motion
 from recon.gait.clip import analyse
 from recon.gait.gait import FEET, gait, match_stances, pose_tracks, stances
 from recon.gait.kinematics import joint_kinematics, spine_flexion
@@ -116,8 +116,8 @@ def fitted_row(name: str, sample: str, fps: int, options: dict, truth: Pose3D, t
             keypoints=(SAMPLES / f"{sample}.csv",), camera=SAMPLES / "camera.toml", fps=fps, **options
         )
         run_clip(settings, Path(folder) / "fit")
-        found = analyse(read_results(Path(folder) / "fit"))
-    row = sample_row(name, found.pose, fps, truth, truth_fps, found.results.feet)
+        found = analyse(Motion.load(Path(folder) / "fit"))
+    row = sample_row(name, found.pose, fps, truth, truth_fps, found.motion.foot_names)
     sigma = found.joints[REFERENCE].speed_sigma_m_s
     return row | {"stated sigma m/s": "-" if sigma is None else f"{np.nanmedian(sigma):.1f}"}
 

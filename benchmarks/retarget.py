@@ -21,7 +21,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from recon import FitSettings
-from recon.fit.results import Results, read_results
+from recon.fit.motion import Motion
 from recon.robotics.robot.playback import write_robot
 from recon.robotics.robot.reference import reference_of
 from recon.robotics.robot.retarget_clip import RetargetRun, companion, solve
@@ -49,7 +49,7 @@ COLUMNS = (
 )
 
 
-def fits(folder: Path, work: Path) -> Iterator[tuple[str, Results]]:
+def fits(folder: Path, work: Path) -> Iterator[tuple[str, Motion]]:
     """The samples and the runs, fitted."""
     samples = ROOT / "data" / "samples"
     yield (
@@ -67,9 +67,9 @@ def fits(folder: Path, work: Path) -> Iterator[tuple[str, Results]]:
         yield run.name, fitted(work / run.name, settings)
 
 
-def fitted(out: Path, settings: FitSettings) -> Results:
+def fitted(out: Path, settings: FitSettings) -> Motion:
     run_clip(settings, out)
-    return read_results(out)
+    return Motion.load(out)
 
 
 def row(clip: str, solved: RetargetRun, seconds: float) -> list[str]:

@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 from PIL import Image
 
-from recon import FitSettings, read_results, samples_folder
+from recon import FitSettings, Motion, samples_folder
 from recon.io.video import read_frames, video_writer
 from recon.workflows.analyse import AnalyseSettings, run_analyse
 from recon.workflows.camera_advice import CameraAdviceSettings, run_camera_advice
@@ -56,11 +56,11 @@ def main() -> None:
         out = Path(folder)
         clip = out / "clip"
         run_clip(FitSettings(keypoints=samples / "whole.csv", camera=samples / "camera.toml", fps=60), clip)
-        result = read_results(clip)
+        result = Motion.load(clip)
         run_analyse(AnalyseSettings(folder=clip))
         for name in ("speed", "footfalls", "phase_portraits", "observability", "body_fixed"):
             save(clip / "analysis" / f"{name}.png", f"{name}.png", 900)
-        plain_video(out / "clip.avi", result.camera.image_size_px, result.fps, len(result.pose.frames))
+        plain_video(out / "clip.avi", result.camera.image_size_px, result.fps, len(result.frames))
         run_overlay(OverlaySettings(folder=clip, video=out / "clip.avi", out=out / "overlay.avi"))
         ((_, image),) = read_frames(out / "overlay.avi", FRAME, FRAME + 1)
         run_sheet(OverlaySettings(folder=clip, sheet=out / "sheet.png"))

@@ -15,8 +15,8 @@ config = tomllib.loads(FILE.read_text(encoding="utf-8"))
 out = FILE.parent / config["out"]
 
 # A result folder read back, and all that there is to work out from it.
-results = recon.read_results(FILE.parent / config["results"])
-analysis = recon.analyse(results)
+motion = recon.Motion.load(FILE.parent / config["results"])
+analysis = recon.analyse(motion)
 root = analysis.joints[analysis.reference]
 print(f"{analysis.reference}: {root.mean_speed_m_s:.1f} m/s, at most {root.peak_speed_m_s:.1f} m/s")
 
@@ -26,7 +26,7 @@ for method, gait in analysis.gaits.items():
     print(
         "touchdowns: " + ", ".join(f"{stance.foot} {stance.start_s:.2f} s" for stance in gait.stances if stance.begins)
     )
-plots.save(plots.footfall(analysis.gaits, results.fps), out, "footfalls")
+plots.save(plots.footfall(analysis.gaits, motion.fps), out, "footfalls")
 
 # Angles: how far and how fast they go, and over a stride against their rates.
 angles = {name: analysis.skeleton_angles[name] for name in config["angles"]}
@@ -37,10 +37,10 @@ portraits = {name: analysis.portraits[name] for name in angles}
 plots.save(plots.phase_portraits(portraits, analysis.closures), out, "phase_portraits")
 
 # The poses one upon the other, the speed with its uncertainty, and how the links of a limb swing.
-poses = plots.composites(analysis.pose.xyz_m, results.limbs, results.time_s, sides=results.limb_sides)
+poses = plots.composites(analysis.pose.xyz_m, motion.limbs, motion.time_s, sides=motion.limb_sides)
 plots.save(poses, out, "poses")
 plots.save(plots.speeds({analysis.reference: root}), out, "speed")
-field = plots.vector_fields(analysis.fields[config["limb"]], results.time_s, title=config["limb"])
+field = plots.vector_fields(analysis.fields[config["limb"]], motion.time_s, title=config["limb"])
 plots.save(field, out, "vector_field")
 
 print(f"The figures are in {out}")

@@ -30,7 +30,7 @@ for name, row in summary.rows.items():
     if row["status"] not in ("done", "done earlier"):
         print(f"{name}: {row['status']}, {row['error']}")
         continue
-    analysis = recon.analyse(recon.read_results(results / name))
+    analysis = recon.analyse(recon.Motion.load(results / name))
     speed = analysis.joints[analysis.reference].mean_speed_m_s
     gaits = ", ".join(gait.name.name for gait in analysis.gaits.values())
     print(f"{name}: {speed:.1f} m/s, {row['outliers']} outliers, {gaits}")

@@ -16,7 +16,6 @@ if TYPE_CHECKING:
     from recon.base.errors import InputError
     from recon.clip.keypoints import Keypoints, clean
     from recon.fit.motion import Motion
-    from recon.fit.results import Results, read_results
     from recon.gait.clip import ClipAnalysis, analyse
     from recon.gait.evaluation import Evaluation, evaluate, evaluate_files
     from recon.geometry.camera import Camera
@@ -46,7 +45,6 @@ __all__ = [
     "Motion",
     "Pose3D",
     "PriorFitSettings",
-    "Results",
     "SubjectFitSettings",
     "TrainSettings",
     "analyse",
@@ -61,7 +59,6 @@ __all__ = [
     "read_cameras",
     "read_keypoints",
     "read_pose3d",
-    "read_results",
     "read_settings",
     "run_batch",
     "run_calibration",
@@ -91,7 +88,6 @@ _NAMES_OF = {
     "recon.workflows.prior": ("PriorFitSettings", "run_prior_fit"),
     "recon.workflows.subject": ("SubjectFitSettings", "run_subject_fit"),
     "recon.keypoint_net.run": ("TrainSettings",),
-    "recon.fit.results": ("Results", "read_results"),
     "recon.workflows.settings": ("FitSettings", "read_settings"),
     "recon.animal.skeleton_file": ("load_skeleton",),
 }

@@ -13,7 +13,6 @@ import pytest
 from recon import FitSettings, InputError, Motion, fit_clip, read_keypoints
 from recon.clip import View, held, views_of
 from recon.clip.keypoints import Keypoints
-from recon.fit.results import read_results
 from recon.geometry.frames import rigid
 from recon.geometry.rotations import part_of_turn, quaternion_rotations, quaternions
 from recon.io.camera_track import read_camera_track
@@ -384,7 +383,7 @@ def test_command(tmp_path):
     (found,) = (one for one in report["findings"] if one["code"] == "track_gaps")
     assert found["numbers"]["count"] == 5
     assert report["cameras"][0]["track"]["frames_without_pose"] == 5
-    results = read_results(out)
+    results = Motion.load(out)
     truth = SAMPLES / "whole_truth.csv"
     assert results.knows_up
     scored = command("evaluate", out, truth, "--json")

@@ -15,9 +15,7 @@ import pytest
 from command_line import run
 
 from recon.base.errors import InputError
-from recon.base.manifest import write_manifest
 from recon.fit.motion import Motion
-from recon.fit.results import read_results
 from recon.gait.clip import ClipAnalysis, analyse, limb_chains
 from recon.io.pose3d import read_pose3d
 from recon.show.export import analysis_csv
@@ -31,17 +29,17 @@ SAMPLES = Path(__file__).parents[1] / "data" / "samples"
 
 @pytest.fixture(scope="module")
 def whole(whole_results) -> ClipAnalysis:
-    return analyse(read_results(whole_results))
+    return analyse(Motion.load(whole_results))
 
 
 @pytest.fixture(scope="module")
 def one_sided(frame_results) -> ClipAnalysis:
-    return analyse(read_results(frame_results))
+    return analyse(Motion.load(frame_results))
 
 
 @pytest.fixture(scope="module")
 def chain(chain_results) -> ClipAnalysis:
-    return analyse(read_results(chain_results))
+    return analyse(Motion.load(chain_results))
 
 
 @pytest.fixture(scope="module")
@@ -91,12 +89,12 @@ def test_a_place_that_moves_as_a_whole_turns_no_angle(whole):
 
 
 def test_chains_begin_with_the_trunk(whole, one_sided):
-    chains = limb_chains(whole.results)
+    chains = limb_chains(whole.motion)
     assert chains["trunk"] == ("tail_base", "spine", "neck_base")
     assert chains["left hind leg"][:3] == ("spine", "tail_base", "l_hip")
     assert chains["right front leg"][:3] == ("spine", "neck_base", "r_shoulder")
     assert "eyes" not in chains
-    assert limb_chains(one_sided.results) == {
+    assert limb_chains(one_sided.motion) == {
         "hind leg": ("spine", "tail_base", "r_back_knee", "r_back_ankle", "r_back_paw"),
         "spine": ("tail_base", "spine", "neck_base"),
         "front leg": ("spine", "neck_base", "r_front_knee", "r_front_ankle", "r_front_paw"),
@@ -128,7 +126,7 @@ def test_strides_and_closures(whole, tables):
     assert row["stride_length_m"] == pytest.approx(of_method["length_m"].mean())
     assert whole.stride is not None
     closures = tables["closures"].set_index("angle")
-    assert {*closures.index} == {*whole.results.angle_names}
+    assert {*closures.index} == {*whole.motion.posture_names}
     angle = whole.skeleton_angles["l_hind_thigh_pitch"].series
     inside = (angle.time_s >= whole.stride.start_s - 1e-9) & (angle.time_s <= whole.stride.end_s + 1e-9)
     path = angle.value[inside, 0]
@@ -138,7 +136,7 @@ def test_strides_and_closures(whole, tables):
 
 def test_every_closure_has_a_deviation_and_the_share_of_its_angle(whole, tables):
     closures = tables["closures"].set_index("angle")
-    assert dict(closures["data_share"]) == pytest.approx(whole.results.data_shares)
+    assert dict(closures["data_share"]) == pytest.approx(whole.motion.data_shares)
     assert closures["closure_angle_sigma_percent"].between(5, 35).all()
     assert closures["closure_plane_sigma_percent"].between(5, 35).all()
     angles = tables["joint_angles"].set_index("angle")
@@ -149,11 +147,11 @@ def test_every_closure_has_a_deviation_and_the_share_of_its_angle(whole, tables)
 @pytest.mark.parametrize("fit", ["one_sided", "chain"])
 def test_from_the_side_the_transverse_angles_are_not_seen(fit, request):
     found = request.getfixturevalue(fit)
-    phis = [name for name in found.results.angle_names if name.startswith("phi")]
+    phis = [name for name in found.motion.posture_names if name.startswith("phi")]
     assert {*phis} < {*found.not_measured}
     assert not any(name.startswith("theta") for name in found.not_measured)
-    assert max(found.results.data_shares[name] for name in phis) < 0.02
-    assert summarise(found)["angles"]["not_measured"] == [*found.not_measured]
+    assert max(found.motion.data_shares[name] for name in phis) < 0.02
+    assert summarise(found, "clip")["angles"]["not_measured"] == [*found.not_measured]
     assert f"grey in figures: {', '.join(found.not_measured)}." in notes(found)[fit == "one_sided"]
 
 
@@ -206,7 +204,7 @@ def test_the_frame_method_is_smoothed_by_its_jitter(one_sided, frame_results):
     truth = read_pose3d(SAMPLES / "noisy_truth.csv")
     true = truth.xyz_m[:, truth.names.index("tail_base")]
     speed = np.linalg.norm(true[2:] - true[:-2], axis=1) * 15
-    raw = analyse(read_results(frame_results), smooth=False)
+    raw = analyse(Motion.load(frame_results), smooth=False)
     assert one_sided.smoothed
     assert not raw.smoothed
     errors = [
@@ -224,8 +222,8 @@ def test_a_path_that_jitters_too_much_gives_way_to_the_straight_run(frame_result
     motion = Motion.load(frame_results)
     told = dict(build_report(motion)["lines"])
     assert told["path"] == "13.3 m, peak 15.8 m/s (world frame, smoothed)"
-    assert summarise(one_sided)["speed"]["doubt"] is None
-    assert told["path"].startswith(f"{summarise(one_sided)['speed']['distance_m']:.1f} m")  # the same path
+    assert summarise(one_sided, "clip")["speed"]["doubt"] is None
+    assert told["path"].startswith(f"{summarise(one_sided, 'clip')['speed']['distance_m']:.1f} m")  # the same path
     states, noise = motion.states.copy(), np.random.default_rng(0).normal(size=(30, 3)) * [0, 1.0, 0]
     states[:, :3] += noise
     told = dict(build_report(replace(motion, solution=replace(motion.solution, states=states)))["lines"])
@@ -234,17 +232,18 @@ def test_a_path_that_jitters_too_much_gives_way_to_the_straight_run(frame_result
     assert told["speed"].startswith("14.4 m/s, of a straight run")
 
 
-def test_too_few_poses(frame_results, tmp_path):
-    folder = Path(shutil.copytree(frame_results, tmp_path / "fit"))
-    for name, header in (("pose3d.csv", 2), ("angles.csv", 1)):
-        rows = (folder / name).read_text().splitlines()
-        for i, row in enumerate(rows[header + 3 :], start=header + 3):  # without a pose
-            frame, *cells = row.split(",")
-            rows[i] = ",".join([frame, *("" for _ in cells)])
-        (folder / name).write_text("\n".join(rows) + "\n")
-    write_manifest(folder)
+def test_too_few_poses(frame_results):
+    motion = Motion.load(frame_results)
+    joints_m = motion.solution.joints_m.copy()
+    joints_m[3:] = np.nan
     with pytest.raises(InputError, match="found 3 frames with a pose, expected at least 4"):
-        analyse(read_results(folder))
+        analyse(replace(motion, solution=replace(motion.solution, joints_m=joints_m)))
+
+
+def test_a_motion_that_was_just_fitted(small_trajectory):
+    """Without any folder."""
+    found = analyse(small_trajectory)
+    assert found.joints["spine"].mean_speed_m_s == pytest.approx(9.0, abs=0.05)
 
 
 FIGURES = (
@@ -331,7 +330,7 @@ def test_command_says_what_is_missing(frame_results, tmp_path):
 
 
 def test_lean_holds_what_is_written_all_the_same(whole, whole_results, tables, tmp_path):
-    lean = analyse(read_results(whole_results), lean=True)
+    lean = analyse(Motion.load(whole_results), lean=True)
     analysis_csv.write(lean, tmp_path)
     for path in tmp_path.iterdir():
         pd.testing.assert_frame_equal(pd.read_csv(path), tables[path.stem])

@@ -506,11 +506,11 @@ def results(small_trajectory, tmp_path_factory) -> Path:
 
 def test_folder_of_results(results, tmp_path):
     """The joints upright, with the frame rate of the report and the limbs of the skeleton."""
-    from recon.fit.results import read_results
+    from recon.fit.motion import Motion
 
     done = convert(ConvertSettings(source=results, out=tmp_path / "a.nwb"))
     assert "level frame" in done.notes[0]
-    expected = read_results(results).pose
+    expected = Motion.load(results).upright
     found = read_pose3d(tmp_path / "a.nwb")
     assert_same_pose(found, replace(expected, fps=30.0))
     assert ("neck_base", "nose") in found.edges or ("nose", "neck_base") in found.edges

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,8 +14,7 @@ from command_line import run
 from gallop import RISE_S, START_STRIDES_HZ, TOP_STRIDES_HZ, gallop
 
 from recon.base.errors import InputError
-from recon.base.manifest import write_manifest
-from recon.fit.results import read_results
+from recon.fit.motion import Motion
 from recon.gait.gait import pose_gait
 from recon.io.pose3d import Pose3D
 from recon.robotics.ik.clip import (
@@ -49,11 +49,11 @@ def ends(limb) -> np.ndarray:
 @pytest.mark.parametrize("foot", ["LF", "r_front_paw", "LH"])
 def test_chain_of_a_whole_animal_ends_at_its_foot(whole_results, foot):
     """Relative to the root, along and across the travel, from the joints in pose3d.csv."""
-    results = read_results(whole_results)
+    results = Motion.load(whole_results)
     limb = limb_of(results, foot)
-    name = results.feet.get(foot, foot)
-    at = results.pose.names.index
-    root, paw = results.pose.xyz_m[:, at("spine")], results.pose.xyz_m[:, at(name)]
+    name = results.foot_names.get(foot, foot)
+    at = results.names.index
+    root, paw = results.upright.xyz_m[:, at("spine")], results.upright.xyz_m[:, at(name)]
     ahead = (root[-1] - root[0]) * (1, 1, 0) / np.linalg.norm((root[-1] - root[0])[:2])
     left = np.cross([0, 0, 1], ahead)
     expected = (paw - root) @ np.stack([ahead, left, [0, 0, 1]], axis=1)
@@ -63,11 +63,11 @@ def test_chain_of_a_whole_animal_ends_at_its_foot(whole_results, foot):
 
 
 def test_planar_chain_of_a_whole_animal(whole_results):
-    results = read_results(whole_results)
+    results = Motion.load(whole_results)
     limb = limb_of(results, "LF", dim=2)
     assert limb.names[:3] == ("spine", "neck_base", "l_shoulder")
-    at = results.pose.names.index
-    base, paw = results.pose.xyz_m[:, at("spine")], results.pose.xyz_m[:, at("l_front_paw")]
+    at = results.names.index
+    base, paw = results.upright.xyz_m[:, at("spine")], results.upright.xyz_m[:, at("l_front_paw")]
     down = base[:, 2] - paw[:, 2]
     # Its lengths are those of the projections in the median: to the misfit, the foot's place.
     assert np.median(np.abs(ends(limb)[:, 1] - down)) < 2 * limb.misfit_m
@@ -76,14 +76,14 @@ def test_planar_chain_of_a_whole_animal(whole_results):
 
 @pytest.mark.parametrize("dim", [2, 3])
 def test_chain_of_the_8u_skeleton(frame_results, dim):
-    results = read_results(frame_results)
+    results = Motion.load(frame_results)
     limb = limb_of(results, dim=dim)
     assert limb.foot == "r_front_paw"
     assert limb.chain.n == 5 * (dim - 1)
-    root, paw = results.pose.xyz_m[:, 0], results.pose.xyz_m[:, results.pose.names.index("r_front_paw")]
+    root, paw = results.upright.xyz_m[:, 0], results.upright.xyz_m[:, results.names.index("r_front_paw")]
     if dim == 3:
         # The base length is its median over the clip.
-        base = np.array([frame["unknowns"][-1] for frame in results.report["frames"]])
+        base = results.solution.chain_states[:, -1]
         scaled = np.linalg.norm(paw - root, axis=1) * np.median(base) / base
         np.testing.assert_allclose(np.linalg.norm(ends(limb), axis=1), scaled, rtol=1e-6)
     with pytest.raises(InputError, match="expected RF"):
@@ -91,7 +91,7 @@ def test_chain_of_the_8u_skeleton(frame_results, dim):
 
 
 def test_fitted_parameters_explain_more_than_nothing(whole_results):
-    limb = limb_of(read_results(whole_results))
+    limb = limb_of(Motion.load(whole_results))
     parameters = fit_parameters(limb)
     assert set(parameters) == set(FITTED)
     least = parameters["least-norm"].explained
@@ -182,8 +182,8 @@ def true_stride_s(start_s: float) -> float:
 @pytest.mark.parametrize("fit", ["frame_results", "chain_results", "whole_results"])
 def test_the_stride_takes_as_long_as_it_does_and_can_be_followed(fit, dim, request):
     """Both skeletons, both methods, all feet that have a chain."""
-    results = read_results(request.getfixturevalue(fit))
-    feet = ["RF"] if len(results.feet) == 2 else list(results.feet)
+    results = Motion.load(request.getfixturevalue(fit))
+    feet = ["RF"] if len(results.foot_names) == 2 else list(results.foot_names)
     for foot in feet:
         limb = limb_of(results, foot, dim)
         stride = stride_of(results, limb)
@@ -229,14 +229,10 @@ def test_how_long_a_stride_may_last_in_a_clip_without_a_complete_one():
 
 
 def test_clip_without_a_stride_is_said(frame_results, tmp_path):
-    folder = Path(shutil.copytree(frame_results, tmp_path / "fit"))
-    for name, header in (("pose3d.csv", 2), ("angles.csv", 1)):
-        rows = (folder / name).read_text().splitlines()
-        for i, row in enumerate(rows[header + 9 :], start=header + 9):  # without a pose
-            frame, *cells = row.split(",")
-            rows[i] = ",".join([frame, *("" for _ in cells)])
-        (folder / name).write_text("\n".join(rows) + "\n")
-    write_manifest(folder)
+    folder, motion = tmp_path / "fit", Motion.load(frame_results)
+    states, joints_m = motion.states.copy(), motion.solution.joints_m.copy()
+    states[9:] = joints_m[9:] = np.nan  # without a pose
+    replace(motion, solution=replace(motion.solution, states=states, joints_m=joints_m)).save(folder)
     done = run_ik(IkSettings(folder=folder, follow="stride", dim=2, out=tmp_path / "a", figures=False))
     assert done.summary["stride"]["how"] in ("return", "whole clip")
     assert done.follows["damped"].distance_m.max() < 0.02

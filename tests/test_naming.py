@@ -24,7 +24,7 @@ from recon.animal.naming import (
     renamed,
     suggestions,
 )
-from recon.fit.results import read_results
+from recon.fit.motion import Motion
 from recon.gait.clip import gaits_of
 from recon.io import read_keypoints
 from recon.io.deeplabcut import write_csv
@@ -300,13 +300,13 @@ def test_from_superanimals_file_to_a_robot(whole_results, tmp_path):
     skeleton's own names give."""
     detector_files.superanimal(tmp_path / "clip.csv")
     run_clip(settings(tmp_path / "clip.csv", rename="superanimal-quadruped"), tmp_path / "clip")
-    found, native = read_results(tmp_path / "clip"), read_results(whole_results)
-    assert found.feet == {"LF": "l_front_paw", "RF": "r_front_paw", "LH": "l_back_paw", "RH": "r_back_paw"}
+    found, native = Motion.load(tmp_path / "clip"), Motion.load(whole_results)
+    assert found.foot_names == {"LF": "l_front_paw", "RF": "r_front_paw", "LH": "l_back_paw", "RH": "r_back_paw"}
     assert all(side == limb.partition(" ")[0] for limb, side in found.limb_sides.items() if "leg" in limb)
     assert gaits_of(found)["ground"].name.name == gaits_of(native)["ground"].name.name == "transverse gallop"
     assert solve(reference_of(found), load_robot("a1")).motion.clip.margin_rad.min() >= 0
     truth = read_pose3d(SAMPLES / "whole_truth.csv")
-    renamed_m, native_m = (evaluate(results.pose, truth).mpjpe_m.mean for results in (found, native))
+    renamed_m, native_m = (evaluate(results.upright, truth).mpjpe_m.mean for results in (found, native))
     assert renamed_m < 1.3 * native_m
 
 

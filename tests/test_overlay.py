@@ -12,9 +12,8 @@ from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
 from recon.base.errors import InputError
-from recon.base.manifest import write_manifest
+from recon.fit.finding import Finding
 from recon.fit.motion import Motion
-from recon.fit.results import read_results
 from recon.io.video import probe, read_frames, video_writer
 from recon.show.overlay import (
     CLOSE_UP,
@@ -51,7 +50,7 @@ def folder(small_trajectory, tmp_path_factory) -> Path:
 
 @pytest.fixture(scope="module")
 def overlay(folder) -> Overlay:
-    return overlay_of(read_results(folder))
+    return overlay_of(Motion.load(folder))
 
 
 @pytest.fixture(scope="module")
@@ -79,7 +78,7 @@ def test_folder_holds_what_is_drawn(overlay, small_trajectory):
 
 def test_small_videos_are_enlarged(folder):
     """Twice as large: the middle of pixel 10 lies between the new pixels 20 and 21."""
-    small, large = (overlay_of(read_results(folder), zoom=zoom) for zoom in (1, 2))
+    small, large = (overlay_of(Motion.load(folder), zoom=zoom) for zoom in (1, 2))
     np.testing.assert_allclose(large.reprojected_px, 2 * small.reprojected_px + 0.5)
     np.testing.assert_allclose(large.detected_px, 2 * small.detected_px + 0.5)
 
@@ -87,7 +86,7 @@ def test_small_videos_are_enlarged(folder):
 @pytest.mark.parametrize("fixture", ["small_trajectory", "world_trajectory"])
 def test_near_and_far_are_along_the_camera_axis(fixture, request, tmp_path):
     motion = request.getfixturevalue(fixture)
-    overlay = overlay_of(read_results(folder_of(motion, tmp_path / "run")))
+    overlay = overlay_of(Motion.load(folder_of(motion, tmp_path / "run")))
     depth = motion.joints_camera_m[..., 2]
     relative = depth - depth.mean(axis=1, keepdims=True)
     scale = np.percentile(np.abs(relative), 95)
@@ -212,18 +211,6 @@ def test_what_does_not_fit_is_named_at_once(folder, tmp_path):
     assert [problem.field for problem in caught.value.problems] == ["folder", "video", "file"]
 
 
-def test_a_table_of_another_fit_is_refused(folder, tmp_path):
-    for file in folder.iterdir():
-        (tmp_path / file.name).write_bytes(file.read_bytes())
-    lines = (tmp_path / "reprojection.csv").read_text().splitlines()
-    (tmp_path / "reprojection.csv").write_text("\n".join(lines[:-1]) + "\n")
-    with pytest.raises(InputError, match=r"reprojection\.csv: content: found other than manifest\.json says"):
-        overlay_of(read_results(tmp_path))
-    write_manifest(tmp_path)
-    with pytest.raises(InputError, match=r"reprojection\.csv.*other joints or frames"):
-        overlay_of(read_results(tmp_path))
-
-
 def test_command(folder, video, tmp_path):
     out = tmp_path / "o.mp4"
     args = ["overlay", str(folder), "--video", str(video), "--out", str(out), "--first-frame", "10"]
@@ -244,7 +231,7 @@ def filmed_twice(two_cameras, tmp_path_factory) -> Path:
 
 @pytest.mark.parametrize("number", [0, 1])
 def test_each_camera_has_its_picture(filmed_twice, two_cameras, number):
-    result, picture = read_results(filmed_twice), two_cameras.pictures[number]
+    result, picture = Motion.load(filmed_twice), two_cameras.pictures[number]
     assert [camera.name for camera in result.cameras] == ["cam1", "cam2"]
     overlay = overlay_of(result, number=number)
     np.testing.assert_allclose(overlay.reprojected_px, picture.reprojected_px, atol=1e-6)
@@ -256,11 +243,11 @@ def test_each_camera_has_its_picture(filmed_twice, two_cameras, number):
 
 
 def test_what_is_wrong_with_one_cameras_detections_is_not_said_of_anothers(filmed_twice):
-    result = read_results(filmed_twice)
+    result = Motion.load(filmed_twice)
     flags = [["gross outliers"] * (t < 3) + ["data poor"] * (t == 2) for t in range(8)]
-    wrong = {"code": "gross_outliers", "camera": "cam2", "frames": [10, 13]}
-    frames = [frame | {"flags": own} for frame, own in zip(result.report["frames"], flags, strict=True)]
-    result = replace(result, report=result.report | {"frames": frames, "findings": [wrong]})
+    wrong = Finding("gross_outliers", "warning", (10, 13), "cam2")
+    solution = replace(result.solution, flags=tuple(tuple(own) for own in flags))
+    result = replace(result, solution=solution, findings=(wrong,))
     assert overlay_of(result, number=1).flags == flags
     assert overlay_of(result, number=0).flags == [["data poor"] if t == 2 else [] for t in range(8)]
 
@@ -278,7 +265,7 @@ def test_the_camera_of_the_video_is_chosen_by_name(filmed_twice, folder, video, 
             )
     named = tmp_path / "clip_cam2.avi"
     named.symlink_to(video)
-    result = read_results(filmed_twice)
+    result = Motion.load(filmed_twice)
     assert [camera_number(result, None, of) for of in (named, None)] == [1, 0]  # of no video: the first
     with pytest.raises(InputError, match="expected one of cam1, whose video it is"):
         run_overlay(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import html
-import json
 import re
 import shutil
 from dataclasses import replace
@@ -18,13 +17,15 @@ from command_line import carry_out_here, run
 from motions import with_first
 
 from recon.base.errors import InputError
+from recon.base.manifest import read_manifest, write_manifest
 from recon.check import findings_of
-from recon.fit.results import read_results
+from recon.fit.motion import Motion
 from recon.io.video import video_writer
 from recon.show.page.clip import doubtful_frames
 from recon.show.page.render import inline
 from recon.show.plots.angles import AngleCurve, angle_over_time, together
 from recon.show.plots.style import drawing
+from recon.show.report import build_report
 from recon.workflows.batch import COLUMNS
 from recon.workflows.batch.summary import write_summary_page
 from recon.workflows.clip import write_clip
@@ -98,12 +99,13 @@ def test_a_page_is_one_file_in_which_names_are_text(page, folder):
 
 
 def test_a_page_says_what_the_report_says(page, folder):
-    results = read_results(folder)
+    results = Motion.load(folder)
+    report = build_report(results)
     for text in (
         "Frames: 8 of 8 with a pose, 2 doubtful (1 no data, 1 data poor, 1 ambiguous depth).",
         "It ran 2.1 m, at 9.0 m/s in the mean and 9.0",
-        *(one["text"] for one in results.report["findings"]),
-        *results.report["assumptions"]["sentences"],
+        *(one["text"] for one in report["findings"]),
+        *report["assumptions"]["sentences"],
         "few joints were seen and trusted",
         "The acceleration is hardly known: most of the time it is less than its standard deviation.",
     ):
@@ -116,10 +118,10 @@ def test_a_page_says_what_the_report_says(page, folder):
     ]  # fmt: skip
     assert len(page.attributes("img", "src")) == 8
     assert set(page.attributes("img", "alt")) == {f"frame {frame}" for frame in range(10, 18)}
-    panels = together(dict.fromkeys(results.angle_names, None))
+    panels = together(dict.fromkeys(results.posture_names, None))
     assert len(panels) == 18
     assert page.html.count("<svg") == 3 + len(panels)
-    assert set(page.attributes("a", "href")) == set(results.manifest.files)
+    assert set(page.attributes("a", "href")) == set(read_manifest(folder).files)
 
 
 def test_a_page_has_the_video_behind_its_pictures(folder, tmp_path, monkeypatch):
@@ -246,9 +248,10 @@ def batch(folder, tmp_path_factory) -> Path:
             )
     for name in ("good", EVIL):
         shutil.copytree(folder, out / name, ignore=shutil.ignore_patterns("motion.rrd", "report.html"))
-    report = json.loads((out / "good" / "report.json").read_text())
-    report["summary"]["frames_flagged"] = 0
-    (out / "good" / "report.json").write_text(json.dumps(report))
+    motion = Motion.load(folder)
+    no_flags = tuple(() for _ in motion.flags)
+    replace(motion, solution=replace(motion.solution, flags=no_flags)).save(out / "good")
+    write_manifest(out / "good")
     (out / EVIL / "report.html").write_text("a page")
     return out
 
@@ -288,19 +291,19 @@ def test_pages_of_a_batch_are_made_beside_each_other(batch, monkeypatch):
     pages = []
 
     monkeypatch.setattr("recon.workflows.page.carry_out", carry_out_here)
-    monkeypatch.setattr(
-        "recon.workflows.page.clip_page", lambda results, *_: pages.append(results.folder.name) or GENERATED
-    )
+    monkeypatch.setattr("recon.workflows.page.clip_page", lambda motion, *_: pages.append(motion) or GENERATED)
+    with (batch / "good" / "motion.npz").open("ab") as file:
+        file.write(b"more")
     ended = run("report", batch)
     assert ended.code == 0
     assert pages == []
     assert "good: " in ended.err
-    assert "report.json" in ended.err  # other than the manifest says
+    assert "motion.npz" in ended.err  # other than the manifest says
     assert "report.html: file: found one that recon has not made" in ended.err
     assert "summary.html in a browser" in ended.out
     (batch / EVIL / "report.html").unlink()
     run("report", batch)
-    assert pages == [EVIL]
+    assert len(pages) == 1
     assert "found a file, expected the folder of results" in run("report", batch / "summary.csv").err
     ended = run("report", batch, "--video", "clip.mp4")
     assert (ended.code, "the folder of one clip's results" in ended.err) == (2, True)

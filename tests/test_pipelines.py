@@ -58,14 +58,14 @@ def test_one_clip(said, folder):
     assert "frame 57: data poor\n60 of 60 frames have a pose\nmean speed 13.6 m/s over 0.98 s\n" in text
     (error_mm,) = re.findall(r"joints (\d+) mm off the truth", text)
     assert int(error_mm) < 60
-    assert recon.read_results(folder / "results" / "one_clip").fps == 60
+    assert recon.Motion.load(folder / "results" / "one_clip").fps == 60
 
 
 def test_several_cameras(said, folder):
     text = said("several_cameras")
     assert text.startswith("cam1: 60 frames, 1368 points\ncam2: 60 frames, 1368 points\nThe cameras agree.\nsize 0.99")
     assert re.search(r"whole_cam1.csv alone puts it 0.\d\d m elsewhere", text)
-    assert [camera.name for camera in recon.read_results(folder / "results" / "several_cameras").cameras] == [
+    assert [camera.name for camera in recon.Motion.load(folder / "results" / "several_cameras").cameras] == [
         "cam1",
         "cam2",
     ]

@@ -30,7 +30,7 @@ from recon.animal.prior.fit import POSE_FLOOR_RAD
 from recon.animal.prior.motion import ACCELERATION_FLOOR_RAD_S2, RIDGE_PER_ROW
 from recon.animal.skeleton_file import load_chain, load_skeleton
 from recon.base.errors import InputError
-from recon.fit.results import read_results
+from recon.fit.motion import Motion
 from recon.io.pose3d import read_pose_segments
 from recon.workflows.cli import app
 from recon.workflows.clip import write_clip
@@ -468,7 +468,7 @@ def test_results(whole_results, body, tmp_path):
         ("run1", 60.0, None),
         ("run2", 60.0, None),
     ]
-    found = read_results(whole_results)
+    found = Motion.load(whole_results)
     with (whole_results / "quality.csv").open(newline="") as file:
         flags = [row["flags"] for row in csv.DictReader(file)]
     assert [";".join(one) for one in found.flags] == flags
@@ -485,7 +485,7 @@ def test_flagged_frames_and_those_without_a_pose_are_left_out(small_trajectory, 
     motion = replace(small_trajectory, solution=replace(small_trajectory.solution, states=states))
     settings = FitSettings(keypoints=(Path("run.csv"),), hfov_deg=64, image_size_px=(1920, 1080), fps=30)
     write_clip(motion, settings, tmp_path)
-    sound = _sound_states(read_results(tmp_path))
+    sound = _sound_states(Motion.load(tmp_path))
     left_out = np.isnan(sound).all(axis=1)
     np.testing.assert_array_equal(left_out, [True, False, False, True, False, True, False, False])
     np.testing.assert_allclose(sound[~left_out], states[~left_out])
@@ -528,7 +528,7 @@ def test_what_results_do_not_go_with(whole_results, frame_results, body, tmp_pat
         ([whole_results], None, "60", None, ["--fps: frame rate: found 60, expected nothing: results have their own"]),
         ([whole_results], None, None, "phantom", ["--skeleton: name or file: found nothing"]),
         ([file], None, None, None, ["--skeleton: name or file: found nothing", "--fps: frame rate: found nothing"]),
-        ([tmp_path], None, None, None, ["no report.json"]),
+        ([tmp_path], None, None, None, ["no motion.npz"]),
     ):
         with pytest.raises(InputError) as error:
             run_prior_fit(

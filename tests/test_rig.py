@@ -15,7 +15,7 @@ from command_line import run
 
 from recon.animal.skeleton_file import builtin_names, load_skeleton
 from recon.base.errors import InputError
-from recon.fit.results import read_results
+from recon.fit.motion import Motion
 from recon.io import bvh, gltf, opensim
 from recon.io.bones import Armature
 from recon.io.pose3d import read_pose3d
@@ -165,10 +165,10 @@ def test_recon_convert(whole_results, tmp_path, extension):
     out = tmp_path / f"run{extension}"
     ended = run("convert", whole_results, out)
     assert (ended.code, ended.err) == (0, "")
-    results = read_results(whole_results)
+    results = Motion.load(whole_results)
     name = {".osim": "its XML, `.osim` and `.mot`", ".glb": "its JSON", ".bvh": "bvhio"}[extension]
     joints = dict(bones.READERS[extension])[name](out)
-    assert bones.worst_m(joints, results.pose.names, results.pose.xyz_m) < 1e-3
+    assert bones.worst_m(joints, results.names, results.upright.xyz_m) < 1e-3
     beside = [f"{tmp_path}/run.mot", f"{tmp_path}/run.trc"] if extension == ".osim" else []
     assert ended.out.splitlines()[1:] == ([f"Beside it: {', '.join(beside)}."] if beside else [])
     for path in [str(out), *beside]:
@@ -178,21 +178,25 @@ def test_recon_convert(whole_results, tmp_path, extension):
         Path(path).unlink()
 
 
+def with_solution(motion: Motion, **changes) -> Motion:
+    return replace(motion, solution=replace(motion.solution, **changes))
+
+
 def test_frames_without_a_pose(whole_results):
-    results = read_results(whole_results)
-    states, xyz_m = results.states.copy(), results.pose.xyz_m.copy()
+    results = Motion.load(whole_results)
+    states, xyz_m = results.states.copy(), results.upright.xyz_m.copy()
     for rows in (slice(0, 2), slice(5, 7), slice(9, 10)):
         states[rows] = xyz_m[rows] = np.nan
-    rig = rig_of(replace(results, states=states, pose=replace(results.pose, xyz_m=xyz_m)))
+    rig = rig_of(with_solution(results, states=states, joints_m=xyz_m))
     assert rig.notes == ("Without a pose, and interpolated: frames 5-6, 9.",)
     assert rig.pose.frames.tolist() == list(range(2, 60))
     np.testing.assert_allclose(rig.pose.xyz_m[[0, 2, 8, -1]], xyz_m[[2, 4, 10, 59]], atol=1e-8)
     assert np.isfinite(rig.pose.xyz_m).all()
     with pytest.raises(InputError, match="frames: found none with a pose"):
-        rig_of(replace(results, states=np.nan * states))
-    longer = replace(results.pose, xyz_m=results.pose.xyz_m * np.linspace(1, 1.1, 60)[:, None, None])
+        rig_of(with_solution(results, states=np.nan * states))
+    longer = results.upright.xyz_m * np.linspace(1, 1.1, 60)[:, None, None]
     with pytest.raises(InputError, match=r"size: found lengths that change .* expected bones of one length"):
-        rig_of(replace(results, pose=longer))
+        rig_of(with_solution(results, joints_m=longer))
 
 
 def test_points_are_no_bones(tmp_path):

@@ -13,7 +13,7 @@ from robot_urdf import a1_urdf
 
 from recon.animal.skeleton_file import load_skeleton
 from recon.base.errors import InputError
-from recon.fit.results import read_results
+from recon.fit.motion import Motion
 from recon.robotics.robot.body_pose import feet_in_world
 from recon.robotics.robot.footholds import planted, stances
 from recon.robotics.robot.playback import Companion, write_robot
@@ -72,16 +72,16 @@ def test_a_stride_repeats_with_a_stance_over_its_seam():
 
 @pytest.fixture(scope="module")
 def whole(whole_results):
-    return reference_of(read_results(whole_results))
+    return reference_of(Motion.load(whole_results))
 
 
 @pytest.fixture(scope="module")
 def chain(frame_results):
-    return reference_of(read_results(frame_results))
+    return reference_of(Motion.load(frame_results))
 
 
 def test_a_stride_of_ones_own(whole_results):
-    animal = reference_of(read_results(whole_results), (0.31, 0.62))
+    animal = reference_of(Motion.load(whole_results), (0.31, 0.62))
     window, time = stride_window(animal), animal.reference.time_s
     assert window.how == "given"
     assert (time[window.first], time[window.last]) == (pytest.approx(0.31, abs=2e-3), pytest.approx(0.62, abs=2e-3))
@@ -89,11 +89,11 @@ def test_a_stride_of_ones_own(whole_results):
 
 def test_reference_of_a_whole_animal(whole):
     """Trunk and feet are those of pose3d.csv, turned along the travel."""
-    reference, results = whole.reference, whole.analysis.results
+    reference, results = whole.reference, whole.analysis.motion
     assert reference.feet == LEGS
-    at = results.pose.names.index
+    at = results.names.index
     rows = whole.rows[::10] // 10
-    trunk = (results.pose.xyz_m[:, at("neck_base")] + results.pose.xyz_m[:, at("tail_base")])[rows] / 2
+    trunk = (results.upright.xyz_m[:, at("neck_base")] + results.upright.xyz_m[:, at("tail_base")])[rows] / 2
     way = np.linalg.norm((trunk - trunk[0])[:, :2], axis=1)
     np.testing.assert_allclose(np.linalg.norm(reference.base_m[::10, :2], axis=1), way, atol=1e-9)
     assert reference.base_m[-1, 0] == pytest.approx(way[-1])
@@ -102,11 +102,11 @@ def test_reference_of_a_whole_animal(whole):
     left = np.array([-ahead[1], ahead[0]])
     yaw = reference.roll_pitch_yaw_rad[::10, 2]
     for k, label in enumerate(LEGS):
-        paw = (results.pose.xyz_m[rows, at(results.feet[label])] - trunk)[:, :2]
+        paw = (results.upright.xyz_m[rows, at(results.foot_names[label])] - trunk)[:, :2]
         along, aside = paw @ ahead, paw @ left
         turned = np.column_stack([np.cos(yaw) * along + np.sin(yaw) * aside, np.cos(yaw) * aside - np.sin(yaw) * along])
         np.testing.assert_allclose(np.ptp(turned - reference.feet_m[::10, k, :2], axis=0), 0, atol=1e-9)
-    world = whole.in_world(results.pose.xyz_m[rows, at("spine")])
+    world = whole.in_world(results.upright.xyz_m[rows, at("spine")])
     assert (world[:, 2] > 0.3).all()
     assert world[-1, 0] - world[0, 0] == pytest.approx(way[-1], rel=0.02)
 
@@ -289,7 +289,7 @@ def test_the_animal_beside_the_robot_has_the_colours_of_its_sides(whole, chain, 
     assert len(contents) == 2
     assert {"- world/animal/**" in c for c in contents} == {"- world/robot/**" in c for c in contents} == {True, False}
     assert companion(solved).limb_sides["left front leg"] == "left"
-    assert chain.analysis.results.limb_sides == {"hind leg": "right", "spine": None, "front leg": "right"}
+    assert chain.analysis.motion.limb_sides == {"hind leg": "right", "spine": None, "front leg": "right"}
 
 
 # -- the command -------------------------------------------------------------------------------------------------------
@@ -348,7 +348,7 @@ def test_urdf_file(whole, tmp_path):
     assert found[1].slip_m.max() < 0.0005
     assert found[1].closing_percent < 0.1
     ended = run("retarget", tmp_path, "--robot", path, "--out", tmp_path / "out")
-    assert "no report.json" in ended.err
+    assert "no motion.npz" in ended.err
 
 
 def test_every_problem_at_once(tmp_path):

@@ -10,7 +10,7 @@ import pytest
 from command_line import run
 
 from recon.base.errors import InputError
-from recon.fit.results import read_results
+from recon.fit.motion import Motion
 from recon.io.video import video_writer
 from recon.show.overlay import DETECTION, LEFT, PAPER, TILE_PX, draw_sheet
 from recon.workflows.clip import write_clip
@@ -58,7 +58,7 @@ def test_every_frame_has_a_tile_with_its_animal(folder, tmp_path):
 
 def test_rings_are_where_the_joints_were_seen(folder):
     """Of a pose whose joints are exactly where they were detected, rings lie on the skeleton."""
-    overlay = overlay_of(read_results(folder))
+    overlay = overlay_of(Motion.load(folder))
     picture = draw_sheet(overlay, [0])
     xy = overlay.reprojected_px[0]
     low, high = np.nanmin(xy, axis=0), np.nanmax(xy, axis=0)

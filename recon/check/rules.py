@@ -17,9 +17,8 @@ from recon.check.codes import finding, ordered
 from recon.check.inputs import FASTEST_M_S
 from recon.fit import TrajectorySolution, constants
 from recon.fit.finding import Finding
-from recon.fit.motion import Motion
+from recon.fit.motion import MEASURED_SHARE, Motion
 from recon.fit.prior_misfit import LEVEL
-from recon.fit.results import MEASURED_SHARE
 from recon.fit.trajectory import ALTERNATIVE_M
 
 Rule = Callable[[Motion], Iterator[Finding]]

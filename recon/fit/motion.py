@@ -12,6 +12,7 @@ from typing import Any, Literal
 import numpy as np
 
 from recon.animal.body import Body, Side
+from recon.animal.chain import Chain
 from recon.base.arrays import Array, Bools, Integers, median
 from recon.base.errors import InputError, Problem
 from recon.base.manifest import MANIFEST, read_manifest
@@ -104,6 +105,8 @@ class Motion:
     """What the method found, and what else it says: a `TrajectorySolution`, or that of another method."""
     findings: tuple[Finding, ...] = ()
     """What checks of the input and of the fit found (`recon.check`), the most serious first."""
+    chain: Chain | None = None
+    """Of a skeleton that is one: its own form, which `body` is made from."""
     settings: Mapping[str, Any] = field(default_factory=dict)
     """All that the fit was told, as JSON has it; its paths are absolute, and in a folder of results relative to it."""
     timing_s: Mapping[str, float] = field(default_factory=dict)
@@ -207,6 +210,11 @@ class Motion:
         """Joints along each limb, as indices, for drawing."""
         return self.body.limb_rows
 
+    @property
+    def size(self) -> float:
+        """The factor on the body's lengths; of the frame method, which has one for each frame, their median."""
+        return self.solution.size
+
     @cached_property
     def limb_sides(self) -> dict[str, Side | None]:
         """The side of each limb; None: the middle."""
@@ -218,6 +226,12 @@ class Motion:
         rear, front = self.body.forward
         return self.joints.index(rear), self.joints.index(front)
 
+    @property
+    def forward_names(self) -> tuple[str, str]:
+        """The same by their keypoints."""
+        rear, front = self.forward
+        return self.names[rear], self.names[front]
+
     @cached_property
     def feet(self) -> tuple[int, ...]:
         return tuple(self.joints.index(foot) for foot in self.body.feet)
@@ -226,6 +240,16 @@ class Motion:
     def foot_labels(self) -> tuple[str, ...]:
         """Of the feet: LF, RF, LH, RH."""
         return tuple(self.body.feet_by_label(self.side))
+
+    @cached_property
+    def foot_names(self) -> dict[str, str]:
+        """Keypoints of the feet by label, those that there are."""
+        return {label: self.names[foot] for label, foot in zip(self.foot_labels, self.feet, strict=True)}
+
+    @property
+    def reference(self) -> str:
+        """The keypoint that stands for the animal's position: the root's, or that of the trunk's rear joint."""
+        return self.names[self.joints.index(self.root_name)] if self.root_name in self.joints else self.forward_names[0]
 
     # -- what was fitted, of the first camera ---------------------------------------------------------------------
 
@@ -236,6 +260,15 @@ class Motion:
     @property
     def keypoints(self) -> Keypoints:
         return self.sources[0].keypoints
+
+    @property
+    def file(self) -> str:
+        """The first keypoint file, for messages."""
+        return self.keypoints.source or "keypoints"
+
+    @property
+    def cameras(self) -> tuple[Camera, ...]:
+        return tuple(source.camera for source in self.sources)
 
     @property
     def cleaning(self) -> CleaningReport:
@@ -311,12 +344,30 @@ class Motion:
         """(T, A)"""
         return self.states[:, YAW:]
 
+    @property
+    def posture_names(self) -> tuple[str, ...]:
+        """(P,), P = A - 1: the angles without the root's yaw, which says where the animal heads, not how it stands."""
+        return self.state_names[PITCH:]
+
+    @property
+    def posture_rad(self) -> Array:
+        """(T, P)"""
+        return self.states[:, PITCH:]
+
+    @property
+    def posture_sigma_rad(self) -> Array:
+        """(T, P): their standard deviations."""
+        return self.solution.angle_sigma_rad[:, PITCH - YAW :]
+
+    @property
+    def posture_data_share(self) -> Array:
+        """(T, P): the part of their precision that comes from the pixels, 0 to 1."""
+        return self.solution.angle_data_share[:, PITCH - YAW :]
+
     @cached_property
     def data_shares(self) -> dict[str, float]:
-        """By angle, without the root's yaw: the part of its precision that comes from the pixels, the median over the
-        frames; NaN where it is not known."""
-        shares = self.solution.angle_data_share[:, PITCH - YAW :]
-        return dict(zip(self.state_names[PITCH:], map(median, shares.T), strict=True))
+        """The same by name, the median over the frames; NaN where it is not known."""
+        return dict(zip(self.posture_names, map(median, self.posture_data_share.T), strict=True))
 
     # -- upright: in the frame that the motion was solved in, z up, the world or the level frame --------------------
 
@@ -337,6 +388,11 @@ class Motion:
     def upright_relative_sigma_m(self) -> Array:
         """(T, J, 3): the same of the joints relative to the mean of all joints."""
         return _sigmas(self.solution.relative_covariance_m2)
+
+    @property
+    def segments(self) -> tuple[MotionSegment, ...]:
+        """The stretches of the clip that have a pose, each with its own ground; all of it where there are none."""
+        return self.solution.segments or (MotionSegment(slice(0, len(self.frames)), None),)
 
     # -- in the frame of reference --------------------------------------------------------------------------------
 

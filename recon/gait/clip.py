@@ -19,7 +19,7 @@ import numpy as np
 
 from recon.base.arrays import Array, Bools
 from recon.base.errors import InputError, Problem
-from recon.fit.results import MEASURED_SHARE, Results
+from recon.fit.motion import MEASURED_SHARE, Motion
 from recon.gait.gait import BODY, Gait, Match, Method, Stride, gaits, match_stances, pose_tracks
 from recon.gait.kinematics import (
     AngleKinematics,
@@ -53,7 +53,7 @@ PLACE_LASTS_S, POSE_LASTS_S = 0.2, 0.05
 class ClipAnalysis:
     """T frames of a clip, N times on the grid of ten times the frame rate."""
 
-    results: Results
+    motion: Motion
     pose: Pose3D
     """What all is worked out from, upright, smoothed where `smoothed` says so."""
     smoothed: bool
@@ -94,12 +94,12 @@ class ClipAnalysis:
     @cached_property
     def not_measured(self) -> tuple[str, ...]:
         """The fit's angles with less than `MEASURED_SHARE` of their precision from the pixels."""
-        return tuple(name for name, share in self.results.data_shares.items() if share < MEASURED_SHARE)
+        return tuple(name for name, share in self.motion.data_shares.items() if share < MEASURED_SHARE)
 
     @property
     def during_stride(self) -> Bools:
         """(T,): the frames of `stride`, or without one all."""
-        time_s, half = self.results.time_s, 0.5 / self.results.fps
+        time_s, half = self.motion.time_s, 0.5 / self.motion.fps
         if self.stride is None:
             return np.ones(len(time_s), dtype=bool)
         return (time_s >= self.stride.start_s - half) & (time_s <= self.stride.end_s + half)
@@ -122,7 +122,7 @@ class ClipAnalysis:
 
 
 def analyse(
-    results: Results, smooth: bool | None = None, stride_s: tuple[float, float] | None = None, lean: bool = False
+    motion: Motion, smooth: bool | None = None, stride_s: tuple[float, float] | None = None, lean: bool = False
 ) -> ClipAnalysis:
     """smooth: whether to smooth paths and angles by their jitter; None: where the fit gives no uncertainty. stride_s:
     from when to when a stride lasts; None: one that is found. lean: the series of joints other than the reference, and
@@ -130,15 +130,15 @@ def analyse(
 
     Raises InputError for a clip with fewer than four frames with a pose, or a stride that it does not hold.
     """
-    given = None if stride_s is None else stride_given(results, stride_s)
-    known = np.isfinite(results.pose.xyz_m).all(axis=(1, 2))
+    given = None if stride_s is None else stride_given(motion, stride_s)
+    known = np.isfinite(motion.upright.xyz_m).all(axis=(1, 2))
     if known.sum() < MIN_POINTS:
         found = f"{known.sum()} frames with a pose"
-        raise InputError(Problem(results.folder, "frames", found, f"at least {MIN_POINTS}"))
-    smooth = results.jitters if smooth is None else smooth
-    pose, fps, options = results.pose, results.fps, {"smooth": smooth}
-    errors = jitter_errors(pose.xyz_m) if smooth else _errors(results)
-    reference = results.report["root_path"]["keypoint"]
+        raise InputError(Problem(motion.file, "frames", found, f"at least {MIN_POINTS}"))
+    smooth = motion.jitters if smooth is None else smooth
+    pose, fps, options = motion.upright, motion.fps, {"smooth": smooth}
+    errors = jitter_errors(pose.xyz_m) if smooth else _errors(motion)
+    reference = motion.reference
     joints = {}
     for name in pose.names:
         moved = joint_kinematics(pose, name, fps, errors, **options)
@@ -147,62 +147,62 @@ def analyse(
         pose = _on_paths(pose, joints.values())
     # A common displacement of all joints turns none of the angles.
     of_pose = [] if smooth else errors[1:]
-    chains = limb_chains(results)
-    both = _gaits(results, pose)
+    chains = limb_chains(motion)
+    both = _gaits(motion, pose)
     skeleton_angles = {
-        name: angle_kinematics(results.time_s, angle, error, **options)
+        name: angle_kinematics(motion.time_s, angle, error, **options)
         for name, angle, error in zip(
-            results.angle_names, results.angles_rad.T, _angle_errors(results, smooth), strict=True
+            motion.posture_names, motion.posture_rad.T, _angle_errors(motion, smooth), strict=True
         )
     }
-    fields = {limb: pose_vector_field(pose, chain, fps, results.forward) for limb, chain in chains.items()}
+    fields = {limb: pose_vector_field(pose, chain, fps, motion.forward_names) for limb, chain in chains.items()}
     return ClipAnalysis(
-        results=results,
+        motion=motion,
         pose=pose,
         smoothed=smooth,
         reference=reference,
         joints=joints,
-        angles=_angles(results, pose, chains, of_pose, lean),
+        angles=_angles(motion, pose, chains, of_pose, lean),
         skeleton_angles=skeleton_angles,
         gaits=both,
         match=match_stances(both["body"].stances, both["ground"].stances) if both else None,
-        fields=_with_sigma(fields, results, chains, [*skeleton_angles.values()]),
+        fields=_with_sigma(fields, motion, chains, [*skeleton_angles.values()]),
         given=given,
     )
 
 
-def stride_given(results: Results, stride_s: tuple[float, float]) -> Stride:
+def stride_given(motion: Motion, stride_s: tuple[float, float]) -> Stride:
     """As `--stride` gives it, of no foot. Raises InputError for times that are not in the clip."""
     start_s, end_s = stride_s
-    first_s, last_s = results.time_s[[0, -1]]
-    slack = 0.5 / results.fps
-    if not first_s - slack <= start_s < end_s <= last_s + slack or end_s - start_s < 2 / results.fps:
+    first_s, last_s = motion.time_s[[0, -1]]
+    slack = 0.5 / motion.fps
+    if not first_s - slack <= start_s < end_s <= last_s + slack or end_s - start_s < 2 / motion.fps:
         expected = f"two frames or more within {first_s:.3f}:{last_s:.3f}, in seconds"
         raise InputError(Problem("--stride", "times", f"{start_s:g}:{end_s:g}", expected))
     return Stride("", start_s, end_s, np.nan, np.nan, "given")
 
 
-def gaits_of(results: Results) -> dict[Method, Gait]:
+def gaits_of(motion: Motion) -> dict[Method, Gait]:
     """Only the gaits of `analyse`, by method; none without feet."""
-    pose = results.pose
-    if results.jitters:
+    pose = motion.upright
+    if motion.jitters:
         of_joint = partial(joint_kinematics, errors=jitter_errors(pose.xyz_m), smooth=True, propagate=False)
-        pose = _on_paths(pose, [of_joint(pose, name, results.fps) for name in pose.names])
-    return _gaits(results, pose)
+        pose = _on_paths(pose, [of_joint(pose, name, motion.fps) for name in pose.names])
+    return _gaits(motion, pose)
 
 
-def reference_motion(results: Results) -> JointKinematics:
+def reference_motion(motion: Motion) -> JointKinematics:
     """Only the motion of the joint that stands for the animal's place, as `analyse` has it."""
-    errors = jitter_errors(results.pose.xyz_m) if results.jitters else _errors(results)
-    name = results.report["root_path"]["keypoint"]
-    return joint_kinematics(results.pose, name, results.fps, errors, smooth=results.jitters)
+    errors = jitter_errors(motion.upright.xyz_m) if motion.jitters else _errors(motion)
+    name = motion.reference
+    return joint_kinematics(motion.upright, name, motion.fps, errors, smooth=motion.jitters)
 
 
-def limb_chains(results: Results) -> dict[str, tuple[str, ...]]:
+def limb_chains(motion: Motion) -> dict[str, tuple[str, ...]]:
     """The joints along every limb that hangs on the trunk, at least three, begun with the trunk's joint before it, so
     that the limb's first link has a parent; and the trunk itself."""
-    limbs = {limb: tuple(results.pose.names[j] for j in along) for limb, along in results.limbs.items()}
-    trunk = next((along for along in limbs.values() if set(results.forward) <= {*along}), results.forward)
+    limbs = {limb: tuple(motion.names[j] for j in along) for limb, along in motion.limbs.items()}
+    trunk = next((along for along in limbs.values() if set(motion.forward_names) <= {*along}), motion.forward_names)
     chains = {}
     for limb, along in limbs.items():
         if along[0] in trunk and along != trunk:
@@ -215,31 +215,31 @@ def limb_chains(results: Results) -> dict[str, tuple[str, ...]]:
     return chains
 
 
-def _errors(results: Results) -> Sequence[Errors]:
+def _errors(motion: Motion) -> Sequence[Errors]:
     """Of the place, of the pose; none where the fit does not give them over time."""
-    if results.jitters:
+    if motion.jitters:
         return []
     # What is common to all joints; the relative errors of a single one can be larger than its absolute ones.
     floor = 1e-4
-    place = np.sqrt(np.maximum(results.sigma_m**2 - results.relative_sigma_m**2, floor**2))
-    pose = np.maximum(results.relative_sigma_m, floor)
+    place = np.sqrt(np.maximum(motion.upright_sigma_m**2 - motion.upright_relative_sigma_m**2, floor**2))
+    pose = np.maximum(motion.upright_relative_sigma_m, floor)
     return [Errors(place, PLACE_LASTS_S), Errors(pose, POSE_LASTS_S)]
 
 
-def _angle_errors(results: Results, smooth: bool) -> list[Sequence[Errors]]:
+def _angle_errors(motion: Motion, smooth: bool) -> list[Sequence[Errors]]:
     """Of each of the fit's own angles."""
     if smooth:
-        return [jitter_errors(angle) for angle in results.angles_rad.T]
-    if results.jitters:
-        return [() for _ in results.angle_names]
+        return [jitter_errors(angle) for angle in motion.posture_rad.T]
+    if motion.jitters:
+        return [() for _ in motion.posture_names]
     least = 1e-6
-    sigma = np.maximum(np.nan_to_num(results.angle_sigma_rad), least)
+    sigma = np.maximum(np.nan_to_num(motion.posture_sigma_rad), least)
     return [[Errors(of_one, POSE_LASTS_S)] for of_one in sigma.T]
 
 
 def _with_sigma(
     fields: dict[str, tuple[LinkField, ...]],
-    results: Results,
+    motion: Motion,
     chains: Mapping[str, tuple[str, ...]],
     angles: Sequence[AngleKinematics],
 ) -> dict[str, tuple[LinkField, ...]]:
@@ -247,15 +247,15 @@ def _with_sigma(
     rates = [angle.series.rate_sigma for angle in angles]
     if not fields or any(rate is None for rate in rates):
         return fields
-    names, step = results.pose.names, 1e-5
+    names, step = motion.names, 1e-5
     moved: dict[str, list[Array]] = {limb: [] for limb in chains}
     for k, (angle, rate) in enumerate(zip(angles, rates, strict=True)):
         assert rate is not None
-        ends = [results.states.copy(), results.states.copy()]
+        ends = [motion.states.copy(), motion.states.copy()]
         ends[0][:, 4 + k] -= step
         ends[1][:, 4 + k] += step
-        joints = [results.body.tree.pose(end, results.size).points_m for end in ends]
-        rear, front = (names.index(joint) for joint in results.forward)
+        joints = [motion.body.tree.pose(end, motion.size).points_m for end in ends]
+        rear, front = (names.index(joint) for joint in motion.forward_names)
         turned = (joints[0] != joints[1]).any(axis=(0, 2))
         for limb, chain in chains.items():
             at = [names.index(joint) for joint in chain]
@@ -276,27 +276,27 @@ def _on_paths(pose: Pose3D, joints: Iterable[JointKinematics]) -> Pose3D:
 
 
 def _angles(
-    results: Results, pose: Pose3D, chains: Mapping[str, tuple[str, ...]], errors: Sequence[Errors], lean: bool
+    motion: Motion, pose: Pose3D, chains: Mapping[str, tuple[str, ...]], errors: Sequence[Errors], lean: bool
 ) -> dict[str, AngleKinematics]:
     found = {}
-    rear, front = results.forward
+    rear, front = motion.forward_names
     for along in chains.values():
         for i in range(1, len(along) - 1):
             if along[i] not in found:
-                angle = joint_angle(pose, (along[i - 1], along[i], along[i + 1]), results.fps, errors)
+                angle = joint_angle(pose, (along[i - 1], along[i], along[i + 1]), motion.fps, errors)
                 found[along[i]] = angle.at_frames() if lean else angle
         if {rear, front} <= {*along}:
             first, last = sorted((along.index(rear), along.index(front)))
             if between := along[first + 1 : last]:
                 middle = between[len(between) // 2]
-                found["spine_flexion"] = spine_flexion(pose, results.fps, errors, (rear, middle, front))
+                found["spine_flexion"] = spine_flexion(pose, motion.fps, errors, (rear, middle, front))
     return found
 
 
-def _gaits(results: Results, pose: Pose3D) -> dict[Method, Gait]:
-    if not results.feet:
+def _gaits(motion: Motion, pose: Pose3D) -> dict[Method, Gait]:
+    if not motion.foot_names:
         return {}
-    body = BODY if set(BODY) <= {*pose.names} else results.forward
-    segments = [segment.rows for segment in results.segments]
-    moved = pose_tracks(pose, results.fps, feet=results.feet, body=body, segments=segments)
+    body = BODY if set(BODY) <= {*pose.names} else motion.forward_names
+    segments = [segment.rows for segment in motion.segments]
+    moved = pose_tracks(pose, motion.fps, feet=motion.foot_names, body=body, segments=segments)
     return gaits(moved)

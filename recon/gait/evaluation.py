@@ -16,11 +16,11 @@ from typing import Any
 import numpy as np
 
 from recon.base.errors import InputError, Problem, all_of
-from recon.base.manifest import MANIFEST, read_manifest
+from recon.base.manifest import MANIFEST
 from recon.check import mismatches, sentence
 from recon.clip.keypoints import frame_ranges
+from recon.fit.motion import Motion
 from recon.fit.regions import radius
-from recon.fit.results import SIGMAS, TABLES, read_sigmas
 from recon.io.pose3d import Pose3D, read_pose3d
 
 PCK_THRESHOLDS_M = (0.05, 0.1, 0.15)
@@ -107,27 +107,27 @@ class Evaluation:
 def evaluate_files(pose_path: str | Path, truth_path: str | Path) -> Evaluation:
     """Evaluates a file of 3D positions (see `read_pose3d`) against another; either may be the folder of results that
     `recon fit` wrote, whose standard deviations are then compared with the errors. Raises InputError."""
-    pose, truth = all_of(*(lambda path=path: read_pose3d(_pose_file(Path(path))) for path in (pose_path, truth_path)))
-    scored = _pose_file(Path(pose_path))
-    folder, is_fit = scored.parent, _is_result(Path(pose_path)) and scored.name == TABLES[0]
-    has_sigmas = is_fit and (folder / SIGMAS).is_file()
-    if has_sigmas and (folder / MANIFEST).is_file():  # both of one fit
-        read_manifest(folder).require(TABLES[0], SIGMAS)
-    found = evaluate(pose, truth, read_sigmas(folder, pose, np.eye(3)) if has_sigmas else None)
-    if _is_result(Path(truth_path)) and not _is_result(Path(pose_path)):
+    pose_path, truth_path = Path(pose_path), Path(truth_path)
+    (pose, sigmas_m), (truth, _) = all_of(lambda: _positions(pose_path), lambda: _positions(truth_path))
+    found = evaluate(pose, truth, sigmas_m)
+    if _is_result(truth_path) and not _is_result(pose_path):
         note = f"the reference, {truth_path}, is a result of recon fit, and what is scored is not: perhaps exchanged"
         return replace(found, notes=(*found.notes, note))
     return found
 
 
+def _positions(path: Path) -> tuple[Pose3D, tuple[np.ndarray, np.ndarray] | None]:
+    """Those of a file, or of a folder of results in their frame of reference, with standard deviations of the positions
+    and of those relative to the mean of all joints."""
+    if not path.is_dir():
+        return read_pose3d(path), None
+    motion = Motion.load(path)
+    pose = Pose3D(motion.names, motion.joints_m, motion.frames, str(path), motion.fps)
+    return pose, (motion.joint_sigma_m, motion.relative_sigma_m)
+
+
 def _is_result(path: Path) -> bool:
     return path.is_dir() or (path.parent / MANIFEST).is_file()
-
-
-def _pose_file(path: Path) -> Path:
-    if path.is_dir() and not (path / "pose3d.csv").is_file():
-        raise InputError(Problem(path, "folder", "no pose3d.csv", "results that `recon fit` wrote, or a file"))
-    return path / "pose3d.csv" if path.is_dir() else path
 
 
 def evaluate(pose: Pose3D, truth: Pose3D, sigmas_m: tuple[np.ndarray, np.ndarray] | None = None) -> Evaluation:

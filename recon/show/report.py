@@ -12,7 +12,6 @@ from rich.text import Text
 from recon.base.package import version
 from recon.check import sentences
 from recon.fit.motion import Motion
-from recon.fit.results import SCHEMA_NAME, SCHEMA_VERSION
 from recon.show.plain import to_json, to_plain, write_report
 from recon.show.sections import sections_of
 
@@ -27,6 +26,9 @@ __all__ = [
     "warnings",
     "write_report",
 ]
+
+SCHEMA_NAME, SCHEMA_VERSION = "recon.fit.report", 3
+REPORT = "report.json"
 
 
 def build_report(motion: Motion) -> dict[str, Any]:

@@ -24,7 +24,8 @@ def fit_clip(settings: FitSettings, progress: Progress = silent) -> Motion:
     given, chain = prepare(settings), load_chain(settings.skeleton_name)
     (view,), T = views_of(given.sources), len(given.sources[0].keypoints.frames)
     solution = solve_frames(view, chain, given.fps, frame_options(settings), lambda done: progress("frames", done / T))
-    motion = Motion(given.sources, given.side, given.side_reason, solution, settings=settings.plain())
+    plain = settings.plain()
+    motion = Motion(given.sources, given.side, given.side_reason, solution, chain=chain, settings=plain)
     return replace(motion, findings=findings_of(motion))
 
 

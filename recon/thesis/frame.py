@@ -22,8 +22,8 @@ from recon.animal.chain import MIN_JOINTS, MIN_REACH_PX, Chain, Posed
 from recon.base.arrays import Array, median
 from recon.check import Finding, finding
 from recon.clip import View
+from recon.fit.motion import MEASURED_SHARE
 from recon.fit.result import OUTLIER_SIGMAS, MotionSegment, Solution
-from recon.fit.results import MEASURED_SHARE
 from recon.geometry.camera import Camera
 from recon.geometry.frames import inverse, moved
 from recon.geometry.kinematics import ROLL, YAW

@@ -1,12 +1,11 @@
-"""What the optimiser did for a result: its problem again, from the files that it was fitted to; tables and figures.
+"""What the optimiser did for a result: its problem again, at the solution; tables and figures.
 
 Columns of the tables: docs/solver.md.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -14,27 +13,25 @@ from typing import TYPE_CHECKING, Annotated
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from recon.animal.skeleton_file import load_chain
+from recon.animal.prior import load_prior
 from recon.base.arrays import Array
 from recon.base.errors import InputError, Problem
 from recon.base.files import require_free_folder, sole_writer, staged_folder
+from recon.base.manifest import read_manifest
 from recon.base.progress import Progress, silent
 from recon.base.settings import Option, Settings
-from recon.clip import Source, together, views_of
+from recon.clip import views_of
 from recon.fit.clip_problem import ClipProblem
-from recon.fit.results import Results, read_results
-from recon.io.calibration import read_cameras
+from recon.fit.motion import Motion
 from recon.io.table import write_rows
 from recon.show import plots
 from recon.show.export.analysis_csv import Table
 from recon.show.report import to_json
 from recon.thesis.clip import frame_options
 from recon.thesis.plots import image_errors, solver_root, solver_search, solver_unknowns
-from recon.thesis.solver import SolverRecord, linearised_clip, linearised_frames
+from recon.thesis.solver import SolverRecord, frame_solution, linearised_clip, linearised_frames, trajectory_solution
 from recon.workflows.analyse import PLAYBACK, PLOTS
-from recon.workflows.clip import REFINED_CAMERAS, prepare
 from recon.workflows.made_from import read_config
-from recon.workflows.overlay import overlay_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -46,9 +43,9 @@ FOLDER, SUMMARY, JACOBIAN = "solver", "solver.json", "jacobian.npz"
 FIGURES_BEGIN = 0.5
 """Of the progress."""
 CONFIG = "config.toml"
-EXPECTED = "the keypoints and cameras of the fit, as they were: fit the clip again"
-_ALIKE, _ALIKE_PX = 2.0, 0.1
-"""Costs that differ by a larger factor are of another camera, and points that differ by more are other keypoints."""
+EXPECTED = "the prior and the settings of the fit, as they were: fit the clip again"
+_ALIKE = 2.0
+"""Costs that differ by a larger factor are of another prior, or other settings."""
 
 
 class SolverSettings(Settings):
@@ -64,16 +61,16 @@ def run_solver(settings: SolverSettings, progress: Progress = silent) -> tuple[S
     """`recon solver`: what was found, the folder that it was written to, and the names of its files.
 
     out: by default the folder "solver" in the results' own, which are not written to otherwise. Raises InputError: no
-    results, other inputs than those of the fit, or files in the way.
+    results, another prior than that of the fit, or files in the way.
     """
     out = settings.folder / FOLDER if settings.out is None else settings.out
     progress("reading", 0.0)
-    results = read_results(settings.folder)
+    motion = Motion.load(settings.folder)
     with sole_writer(out):
         require_free_folder(out, (SUMMARY, PLOTS, *TABLES, JACOBIAN), settings.overwrite, "what the optimiser did")
         progress("problem", 0.1)
         with threadpool_limits(1, user_api="blas"):  # of small matrices, threads cost more than they bring
-            record = read_solver(results)
+            record = read_solver(motion, settings.folder)
             summary = record.summary()
         progress("tables", FIGURES_BEGIN - 0.1)
         with staged_folder(out) as staging:
@@ -92,53 +89,30 @@ def run_solver(settings: SolverSettings, progress: Progress = silent) -> tuple[S
     return record, out, sorted(files)
 
 
-def read_solver(results: Results) -> SolverRecord:
-    """Raises InputError where the keypoints or the camera of the fit are no longer there, or are others."""
-    results.manifest.require(CONFIG)
-    config = results.folder / CONFIG
+def read_solver(motion: Motion, folder: Path) -> SolverRecord:
+    """folder: of the results that the motion was loaded from, for the fit's settings. Raises InputError where these, or
+    the prior, are no longer there, or are others."""
+    read_manifest(folder).require(CONFIG)
+    config = folder / CONFIG
     settings = read_config(config, {})
-    given = prepare(settings)
-    model, sources = given.model, given.sources
-    if settings.find_offsets:
-        later = [round(camera["offset_s"] * given.fps, 9) for camera in results.report["cameras"]]
-        sources = together(given.apart, later)
-    if settings.seeks_cameras:
-        results.manifest.require(REFINED_CAMERAS)
-        cameras = read_cameras(results.folder / REFINED_CAMERAS)
-        sources = tuple(replace(source, camera=camera) for source, camera in zip(sources, cameras, strict=True))
-    views = views_of(sources)
-    _require_the_same(sources, results)
-    chain = load_chain(results.skeleton_name) if results.body.one_sided else None
-    if chain is not None and settings.method == "frame":
-        problem = linearised_frames(views[0], chain, given.fps, frame_options(settings), results)
-        told = 0.5 * sum(frame["squared_norm"] for frame in results.report["frames"] if frame["unknowns"])
+    if motion.jitters:
+        problem = linearised_frames(motion, frame_options(settings))
+        posed = [one for one, solved in zip(frame_solution(motion).reports, motion.solved, strict=True) if solved]
+        told = 0.5 * sum(one.squared_norm for one in posed if one is not None)
     else:
-        assert model.prior is not None
-        setting = ClipProblem.of(views, model.body, model.prior, given.fps, settings.trajectory_options())
-        problem = linearised_clip(setting, results)
-        told = sum(results.report["convergence"]["cost_by_term"].values())
+        prior, views = load_prior(settings.prior, motion.body), views_of(motion.sources)
+        if prior.name != (fitted := trajectory_solution(motion).prior):
+            raise InputError(Problem(config, "prior", prior.name, f"{fitted}: {EXPECTED}"))
+        clip = ClipProblem.of(views, motion.body, prior, motion.fps, settings.trajectory_options())
+        problem = linearised_clip(clip, motion)
+        told = sum(trajectory_solution(motion).cost_by_term.values())
     if not problem.solved.any():
         expected = "one between two gaps, at least, with a pose in every frame"
-        raise InputError(Problem(results.folder, "segments", "none with a pose throughout", expected))
+        raise InputError(Problem(folder, "segments", "none with a pose throughout", expected))
     cost = sum(float(np.nansum(of_term)) for of_term in problem.cost.values())
     if problem.solved.all() and max(cost, told) > _ALIKE * max(min(cost, told), 1.0):
-        raise InputError(Problem(config, "camera", f"a cost of {cost:.4g}, where the fit had {told:.4g}", EXPECTED))
-    return SolverRecord(results, problem, chain)
-
-
-def _require_the_same(sources: Sequence[Source], results: Results) -> None:
-    """Raises InputError unless these are the detections of the fit."""
-    for number, source in enumerate(sources):
-        keypoints, detected_px = source.keypoints, overlay_of(results, number=number).detected_px
-        known = np.isfinite(detected_px)
-        solved = np.isfinite(results.states[:, 0])
-        if (
-            not np.array_equal(keypoints.frames, results.pose.frames)
-            or not np.array_equal(known[solved], np.isfinite(keypoints.xy_px[solved]))
-            or np.abs(detected_px - keypoints.xy_px)[known].max(initial=0.0) > _ALIKE_PX
-        ):
-            path = keypoints.source or results.folder / CONFIG
-            raise InputError(Problem(path, "keypoints", "others than those of the fit", EXPECTED))
+        raise InputError(Problem(config, "settings", f"a cost of {cost:.4g}, where the fit had {told:.4g}", EXPECTED))
+    return SolverRecord(motion, problem, motion.chain)
 
 
 # -- tables -------------------------------------------------------------------------------------------------------
@@ -146,15 +120,15 @@ def _require_the_same(sources: Sequence[Source], results: Results) -> None:
 
 def _frames(record: SolverRecord) -> Table:
     """What the optimiser did, frame by frame."""
-    results, jitters = record.results, record.results.jitters
-    columns = {"time_s": results.time_s}
+    motion, jitters = record.motion, record.motion.jitters
+    columns = {"time_s": motion.time_s}
     if jitters:
         columns |= {name: record.of_frames(name) for name in ("iterations", "function_evaluations", "starts")}
     columns |= {"optimality": record.optimality, "last_step" if jitters else "next_step": record.step_norm}
     columns |= {f"cost_{term.replace(' ', '_')}": cost for term, cost in record.problem.cost.items()}
     columns |= {f"{limit}_passed": count for limit, count in record.active.items()}
     columns |= {f"{name}_rad": values for name, values in record.rotation_rad.items()} | record.length
-    rows = zip(results.pose.frames, *(values.tolist() for values in columns.values()), strict=True)
+    rows = zip(motion.frames, *(values.tolist() for values in columns.values()), strict=True)
     return ["frame", *columns], rows
 
 
@@ -171,7 +145,7 @@ def _unknowns(record: SolverRecord) -> Table:
 
 def _image_errors(record: SolverRecord) -> Table:
     """Distances of detections from reprojections, a column for each joint."""
-    pose = record.results.pose
+    pose = record.motion.upright
     rows = [
         (camera, int(frame), *errors.tolist())
         for camera, of_camera in record.image_error_px.items()
@@ -208,7 +182,7 @@ def solver_figures(record: SolverRecord) -> dict[str, Callable[[], Figure]]:
 def _write_plots(record: SolverRecord, playback: Path, path: Path) -> None:
     from recon.show.view.added import write_plots  # rerun is slow to import
 
-    record.results.manifest.require(PLAYBACK)
+    read_manifest(playback.parent).require(PLAYBACK)
     write_plots(path, playback, [*playback_series(record)], [])
 
 
@@ -224,11 +198,11 @@ def playback_series(record: SolverRecord) -> Iterator[AddedSeries]:
     shown = [
         ("cost", "Cost by term (log10)", cost),
         ("optimality", "Gradient and step (log10)", search),
-        ("iterations", "Iterations", {"iterations": record.of_frames("iterations")} if record.results.jitters else {}),
+        ("iterations", "Iterations", {"iterations": record.of_frames("iterations")} if record.motion.jitters else {}),
         ("limits", "Limits passed", {name: count.astype(float) for name, count in record.active.items()}),
         ("image_error", "Error in the picture (px), worst joint", worst),
         ("rotation", "Rotation of the root (°)", rotation),
-        ("length", "Base length (m)" if record.results.jitters else "Size", record.length),
+        ("length", "Base length (m)" if record.motion.jitters else "Size", record.length),
     ]
     for entity, title, lines in shown:
         if not lines:
@@ -239,7 +213,7 @@ def playback_series(record: SolverRecord) -> Iterator[AddedSeries]:
             names=[*lines],
             colours=[LINE_COLOURS[i % len(LINE_COLOURS)] for i in range(len(lines))],
             values=np.stack([*lines.values()], axis=1),
-            time_s=record.results.time_s,
+            time_s=record.motion.time_s,
             tab="Picture and root" if entity in ("image_error", "rotation", "length") else "Solver",
         )
 

@@ -22,7 +22,7 @@ from recon.show.plots.style import (
     look,
     plain_logarithm,
 )
-from recon.thesis.solver import SolverRecord
+from recon.thesis.solver import SolverRecord, frame_solution, trajectory_solution
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -37,10 +37,10 @@ NAMES = {"base_length_m": "base length (m)", "size": "size"}
 
 def solver_search(record: SolverRecord) -> Figure:
     """Over time: cost by term, the largest part of the gradient, the steps' length, iterations and limits passed."""
-    time_s, cost = record.results.time_s, record.problem.cost
-    step = "last step (rad, m)" if record.results.jitters else "next step (rad, m)"
+    time_s, cost = record.motion.time_s, record.problem.cost
+    step = "last step (rad, m)" if record.motion.jitters else "next step (rad, m)"
     panels = [("cost", "cost (½σ²)"), ("optimality", "max |gradient|"), ("step", step)]
-    if record.results.jitters:
+    if record.motion.jitters:
         panels.append(("iterations", "iterations"))
     if record.limits:
         panels.append(("limits", "limits passed"))
@@ -55,7 +55,7 @@ def solver_search(record: SolverRecord) -> Figure:
             elif name in ("optimality", "step"):
                 _logarithmic(axes, time_s, [record.optimality if name == "optimality" else record.step_norm])
             elif name == "iterations":
-                axes.bar(time_s, record.of_frames("iterations"), 0.7 / record.results.fps, color=look(0)["color"])
+                axes.bar(time_s, record.of_frames("iterations"), 0.7 / record.motion.fps, color=look(0)["color"])
             else:
                 for i, (limit, count) in enumerate(record.active.items()):
                     axes.step(time_s, count, where="mid", label=limit, **look(i))
@@ -75,7 +75,7 @@ def solver_root(record: SolverRecord) -> Figure:
     with drawing(24 * len(shown) + 14) as figure:
         rows = figure.subplots(len(shown), 1, sharex=True)
         for axes, (label, (values, least)) in zip(rows, shown.items(), strict=True):
-            axes.plot(record.results.time_s, values, **dots(len(values), 2.2), **look(0))
+            axes.plot(record.motion.time_s, values, **dots(len(values), 2.2), **look(0))
             axes.set_ylabel(label)
             axes.ticklabel_format(useOffset=False)
             axes.margins(y=0.15)
@@ -89,8 +89,8 @@ def solver_root(record: SolverRecord) -> Figure:
 
 def image_errors(record: SolverRecord) -> Figure:
     """Distances of detections from reprojections, joints x frames, one panel for each camera; white: not detected."""
-    errors, names = record.image_error_px, record.results.pose.names
-    frames = record.results.pose.frames
+    errors, names = record.image_error_px, record.motion.names
+    frames = record.motion.frames
     known = np.concatenate([one[np.isfinite(one)] for one in errors.values()])
     top = max(float(np.max(known, initial=0.0)), 10.0)
     height = min(4.0 * len(names) + 8, PAGE_MM - 20)
@@ -157,10 +157,9 @@ def _logarithmic(axes: Axes, time_s: Array, curves: Sequence[Array]) -> None:
 
 
 def _outcome(record: SolverRecord) -> str:
-    report = record.results.report
-    if record.results.jitters:
-        summary = report["summary"]
-        return f"{summary['frames_converged']} of {summary['frames']} frames converged, each solved by itself"
-    found = report["convergence"]
-    status = found["status"].replace("_", " ")
-    return f"all frames at once: {status}, {found['iterations']} iterations from {len(found['starts'])} starts"
+    if record.motion.jitters:
+        status = frame_solution(record.motion).status
+        return f"{status.count('converged')} of {len(status)} frames converged, each solved by itself"
+    found = trajectory_solution(record.motion)
+    status = found.status.replace("_", " ")
+    return f"all frames at once: {status}, {found.iterations} iterations from {len(found.starts)} starts"

@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 
 from recon.base.arrays import Array, finite, mean, median
-from recon.fit.motion import Motion
-from recon.fit.results import MEASURED_SHARE
+from recon.fit.motion import MEASURED_SHARE, Motion
 from recon.gait.kinematics import peak_doubt
 from recon.geometry.frames import level_axes
 from recon.show.plain import by_name, number, spread

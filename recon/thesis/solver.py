@@ -16,16 +16,16 @@ from pathlib import Path
 import numpy as np
 
 from recon.animal.chain import Chain
-from recon.base.arrays import Array, Bools, Index
+from recon.base.arrays import Array, Bools, Index, mean
 from recon.base.files import write_bytes
-from recon.clip import View
+from recon.fit import TrajectorySolution
 from recon.fit.clip_problem import ClipProblem
 from recon.fit.contacts import contacts
 from recon.fit.least_squares import LeastSquares
-from recon.fit.results import Results
+from recon.fit.motion import Motion
 from recon.fit.terms import SIDESLIP, SIZE, time_offset
 from recon.geometry.kinematics import ROOT, YAW
-from recon.thesis.frame import FrameOptions, beyond_range_rad, beyond_rate_rad_s, frame_rows
+from recon.thesis.frame import FrameOptions, FrameSolution, beyond_range_rad, beyond_rate_rad_s, frame_rows
 
 _LEAST_DAMPING = 1e-4
 """Of the step that is left: as of the solver's last ones."""
@@ -139,32 +139,32 @@ def _add(file: zipfile.ZipFile, name: str, dtype: np.dtype, length: int, parts: 
             member.write(part.astype(dtype).tobytes())
 
 
-def linearised_frames(view: View, chain: Chain, fps: float, options: FrameOptions, results: Results) -> Linearised:
+def linearised_frames(motion: Motion, options: FrameOptions) -> Linearised:
     """Of the frame method: every frame's unknowns, the frame before being held."""
-    frames, D = results.report["frames"], chain.n_state
-    states = np.array([frame["unknowns"] or [np.nan] * D for frame in frames], dtype=float)
-    sigma_px = np.array([frame["sigma_px"] for frame in frames], dtype=float)
+    solution = frame_solution(motion)
+    chain, (view,) = solution.chain, solution.views
+    states = _unknowns(motion)
+    sigma_px = np.array([np.nan if one is None else one.sigma_px for one in solution.reports])
     rows = [
         Rows(term, np.array([t]), (0,), np.array([0.5 * r @ r]), r[None], J[None, :, None])
-        for t, by_term in frame_rows(view, chain, fps, options, states, sigma_px)
+        for t, by_term in frame_rows(view, chain, motion.fps, options, states, sigma_px)
         for term, (r, J) in by_term.items()
     ]
-    return Linearised(chain.state_names, len(frames), lambda: rows, np.full(states.shape, np.nan))
+    return Linearised(chain.state_names, len(states), lambda: rows, np.full(states.shape, np.nan))
 
 
-def linearised_clip(clip: ClipProblem, results: Results) -> Linearised:
-    """Of the trajectory method. The noise of the joints is the report's, the mean of several segments; contacts follow
-    from the solution. A segment with a frame that ran away is left out."""
-    o, told_px = clip.options, np.array([camera["noise_px"] for camera in results.report["cameras"]], dtype=float)
-    size = results.size if clip.shows_size else 1.0
-    told = {
-        time_offset(i): np.array([camera["time_offset_frames"]]) for i, camera in enumerate(results.report["cameras"])
-    }
-    told |= {SIZE: np.array([size]), SIDESLIP: np.array([results.report["heading"].get("sideslip_rad") or 0.0])}
-    states = results.states.copy()
-    states[:, ROOT] = (states[:, ROOT] - clip.origin_m) / results.size
+def linearised_clip(clip: ClipProblem, motion: Motion) -> Linearised:
+    """Of the trajectory method. The noise of the joints is the solution's, the mean of several segments; contacts
+    follow from the solution. A segment with a frame that ran away is left out."""
+    o, solution = clip.options, trajectory_solution(motion)
+    told_px = np.array([[mean(of_joint) for of_joint in noise_px.T] for noise_px in solution.noise_px])
+    size = motion.size if clip.shows_size else 1.0
+    told = {time_offset(i): np.array([later]) for i, later in enumerate(solution.time_offset_frames)}
+    told |= {SIZE: np.array([size]), SIDESLIP: np.array([solution.sideslip_rad])}
+    states = motion.states.copy()
+    states[:, ROOT] = (states[:, ROOT] - clip.origin_m) / motion.size
     segments, step = [], np.full(states.shape, np.nan)
-    for segment in results.segments:
+    for segment in motion.segments:
         part, found = replace(clip.part(segment.rows), prior_weight=segment.prior_weight), states[segment.rows]
         if not np.isfinite(found).all():
             continue
@@ -207,7 +207,7 @@ def _rows(problem: LeastSquares, states: Array, shared: Mapping[str, Array]) -> 
 class SolverRecord:
     """What `recon solver` shows, of T frames. problem: at the solution. chain: of a result of a chain."""
 
-    results: Results
+    motion: Motion
     problem: Linearised
     chain: Chain | None
 
@@ -219,27 +219,25 @@ class SolverRecord:
     @cached_property
     def step_norm(self) -> Array:
         """(T,): the frame method's last step; what one more step of the trajectory method would change."""
-        return self.of_frames("step_norm") if self.results.jitters else np.linalg.norm(self.problem.step, axis=1)
+        return self.of_frames("step_norm") if self.motion.jitters else np.linalg.norm(self.problem.step, axis=1)
 
     def of_frames(self, field: str) -> Array:
-        """(T,): a field of the report's frames, NaN where it has none."""
-        return np.array([frame.get(field) for frame in self.results.report["frames"]], dtype=float)
+        """(T,): what the frame method reports of each frame, NaN where it does not, as by the other method."""
+        reports = getattr(self.motion.solution, "reports", (None,) * len(self.motion.frames))
+        return np.array([np.nan if one is None else getattr(one, field) for one in reports], dtype=float)
 
     @cached_property
     def image_error_px(self) -> dict[str, Array]:
         """By camera (J, T): from detections to reprojections, NaN without one of them."""
-        given = self.results.report["image_error_px"]
-        values = [np.array(one, dtype=float) for one in (given["values"], *given.get("others", ()))]
-        names = [camera.name for camera in self.results.cameras]
-        return {name: np.linalg.norm(one, axis=1) for name, one in zip(names, values, strict=True)}
+        return {picture.name: picture.distance_px.T for picture in self.motion.pictures}
 
     @cached_property
     def rotation_rad(self) -> dict[str, Array]:
         """The root's angles by name, (T,)."""
-        results = self.results
-        if results.jitters:
+        motion = self.motion
+        if motion.jitters:
             return self._named("xi", "psi", "zeta")
-        turned = results.states[:, YAW : YAW + 3].copy()
+        turned = motion.states[:, YAW : YAW + 3].copy()
         known = np.isfinite(turned[:, 0])
         if known.any():
             turned[known] = np.unwrap(turned[known], axis=0)
@@ -249,9 +247,9 @@ class SolverRecord:
     @cached_property
     def length(self) -> dict[str, Array]:
         """The base length, metres, or the size of all frames, by name (T,)."""
-        if self.results.jitters:
+        if self.motion.jitters:
             return self._named("base_length_m")
-        return {"size": np.where(np.isfinite(self.results.states[:, 0]), self.results.size, np.nan)}
+        return {"size": np.where(np.isfinite(self.motion.states[:, 0]), self.motion.size, np.nan)}
 
     @cached_property
     def limits(self) -> dict[str, Array]:
@@ -259,8 +257,8 @@ class SolverRecord:
         their limits, rad/s; negative within. Empty without a chain."""
         if self.chain is None:
             return {}
-        states = self._unknowns if self.results.jitters else self.results.states[:, self.chain.body_angles]
-        rates = beyond_rate_rad_s(self.chain, states, self.results.fps)
+        states = _unknowns(self.motion) if self.motion.jitters else self.motion.states[:, self.chain.body_angles]
+        rates = beyond_rate_rad_s(self.chain, states, self.motion.fps)
         return {"ranges": beyond_range_rad(self.chain, states), "rates": rates}
 
     @cached_property
@@ -269,30 +267,40 @@ class SolverRecord:
         return {name: (beyond > 0).sum(axis=1) for name, beyond in self.limits.items()}
 
     def _named(self, *names: str) -> dict[str, Array]:
-        at = [self.results.report["skeleton"]["unknowns"].index(name) for name in names]
-        return dict(zip(names, self._unknowns[:, at].T, strict=True))
-
-    @cached_property
-    def _unknowns(self) -> Array:
-        """(T, D): of the frame method."""
-        none = [np.nan] * len(self.results.report["skeleton"]["unknowns"])
-        return np.array([frame["unknowns"] or none for frame in self.results.report["frames"]], dtype=float)
+        at = [frame_solution(self.motion).chain.state_names.index(name) for name in names]
+        return dict(zip(names, _unknowns(self.motion)[:, at].T, strict=True))
 
     def summary(self) -> dict[str, object]:
         """For solver.json."""
-        report, cost = self.results.report, {name: float(np.nansum(c)) for name, c in self.problem.cost.items()}
+        cost = {name: float(np.nansum(c)) for name, c in self.problem.cost.items()}
         found: dict[str, object] = {
             "cost_by_term": cost,
             "largest_gradient": _largest(self.optimality),
             "largest_step": _largest(self.step_norm),
             "limits_passed": {name: int(count.sum()) for name, count in self.active.items()},
         }
-        if self.results.jitters:
+        if self.motion.jitters:
             found["iterations"] = int(np.nansum(self.of_frames("iterations")))
-            found["frames_converged"] = report["summary"]["frames_converged"]
+            found["frames_converged"] = frame_solution(self.motion).status.count("converged")
         else:
-            found |= {name: report["convergence"][name] for name in ("iterations", "status")}
+            solution = trajectory_solution(self.motion)
+            found |= {"iterations": solution.iterations, "status": solution.status}
         return found
+
+
+def frame_solution(motion: Motion) -> FrameSolution:
+    assert isinstance(motion.solution, FrameSolution)
+    return motion.solution
+
+
+def trajectory_solution(motion: Motion) -> TrajectorySolution:
+    assert isinstance(motion.solution, TrajectorySolution)
+    return motion.solution
+
+
+def _unknowns(motion: Motion) -> Array:
+    """(T, D): of the frame method, NaN without a pose."""
+    return np.where(motion.solved[:, None], frame_solution(motion).chain_states, np.nan)
 
 
 def _largest(values: Iterable[float]) -> float:

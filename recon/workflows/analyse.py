@@ -12,14 +12,15 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from recon.base.files import require_free_folder, sole_writer, staged_folder
+from recon.base.manifest import read_manifest
 from recon.base.progress import Progress, silent
 from recon.base.settings import Option, Settings
-from recon.fit.results import MEASURED_SHARE, read_results
+from recon.fit.motion import MEASURED_SHARE, Motion
 from recon.gait.clip import ClipAnalysis, analyse
 from recon.gait.gait import Gait, doubt_text
 from recon.gait.kinematics import peak_doubt
 from recon.show.export import analysis_csv
-from recon.show.report import to_json
+from recon.show.report import build_report, to_json
 from recon.workflows.settings import STRIDE, StrideTimes
 
 if TYPE_CHECKING:
@@ -70,19 +71,19 @@ def run_analyse(settings: AnalyseSettings, progress: Progress = silent) -> Analy
     """
     out = settings.folder / FOLDER if settings.out is None else settings.out
     progress("reading", 0.0)
-    results = read_results(settings.folder)
+    motion = Motion.load(settings.folder)
     with sole_writer(out):
         require_free_folder(out, (SUMMARY, PLOTS, *analysis_csv.TABLES), settings.overwrite, "an analysis")
         progress("analysis", 0.1)
         with threadpool_limits(1, user_api="blas"):  # of small matrices, threads cost more than they bring
-            found = analyse(results, settings.smooth, settings.stride, lean=True)
-        summary = summarise(found)
+            found = analyse(motion, settings.smooth, settings.stride, lean=True)
+        summary = summarise(found, settings.folder.absolute().name)
         progress("tables", FIGURES_BEGIN - 0.1)
         with staged_folder(out) as staging:
             analysis_csv.write(found, staging)
             (staging / SUMMARY).write_text(to_json(summary), encoding="utf-8")
             if (settings.folder / PLAYBACK).is_file():
-                _write_plots(found, staging)
+                _write_plots(found, settings.folder, staging)
             files = [path.name for path in staging.iterdir()]
         if settings.figures:
             with staged_folder(out) as staging:
@@ -91,23 +92,23 @@ def run_analyse(settings: AnalyseSettings, progress: Progress = silent) -> Analy
     return Analysed(found, summary, out, tuple(sorted(files)), out / PLOTS if PLOTS in files else None)
 
 
-def _write_plots(found: ClipAnalysis, folder: Path) -> None:
+def _write_plots(found: ClipAnalysis, folder: Path, out: Path) -> None:
     from recon.show.view.analysis import write_analysis  # rerun is slow to import
 
-    found.results.manifest.require(PLAYBACK)
-    write_analysis(found, folder / PLOTS, found.results.folder / PLAYBACK)
+    read_manifest(folder).require(PLAYBACK)
+    write_analysis(found, out / PLOTS, folder / PLAYBACK)
 
 
 # -- summary ---------------------------------------------------------------------------------------------------------
 
 
-def summarise(found: ClipAnalysis) -> dict[str, Any]:
-    """The figures of a clip in short; what they are is in docs/gait.md."""
+def summarise(found: ClipAnalysis, results: str) -> dict[str, Any]:
+    """The figures of a clip in short; what they are is in docs/gait.md. results: what its folder is called."""
     moved = found.joints[found.reference]
     return {
         "schema": {"name": "recon.analysis", "version": 1},
-        "results": found.results.folder.absolute().name,
-        "fps": found.results.fps,
+        "results": results,
+        "fps": found.motion.fps,
         "frames": len(found.pose.frames),
         "smoothed": found.smoothed,
         "reference_joint": found.reference,
@@ -119,10 +120,10 @@ def summarise(found: ClipAnalysis) -> dict[str, Any]:
             "peak_time_s": moved.peak_speed_time_s,
             "peak_acceleration_m_s2": moved.peak_acceleration_m_s2,
             "doubt": _doubt(found),
-            "straight_run_m_s": found.results.report.get("travel", {}).get("median_speed_m_s"),
+            "straight_run_m_s": _straight_run_m_s(found.motion),
         },
         "spine_flexion_rad": found.angles["spine_flexion"].range_rad if "spine_flexion" in found.angles else None,
-        "angles": {"data_share": found.results.data_shares, "not_measured": list(found.not_measured)},
+        "angles": {"data_share": found.motion.data_shares, "not_measured": list(found.not_measured)},
         "gait": {method: _gait_summary(gait) for method, gait in found.gaits.items()},
         "stride": None
         if found.stride is None
@@ -145,13 +146,18 @@ def summarise(found: ClipAnalysis) -> dict[str, Any]:
     }
 
 
+def _straight_run_m_s(motion: Motion) -> float | None:
+    """The speed of a straight run through all frames, of a method that begins with one."""
+    return build_report(motion)["travel"]["median_speed_m_s"] if motion.jitters else None
+
+
 def _doubt(found: ClipAnalysis) -> str | None:
     """Why not to trust the path's speed, of a fit that does not say how uncertain it is."""
-    results = found.results
-    if not results.jitters:
+    motion = found.motion
+    if not motion.jitters:
         return None
-    points_m = results.pose.xyz_m[:, results.pose.names.index(found.reference)]
-    return peak_doubt(results.time_s, points_m, found.smoothed)
+    points_m = motion.upright.xyz_m[:, motion.names.index(found.reference)]
+    return peak_doubt(motion.time_s, points_m, found.smoothed)
 
 
 def notes(found: ClipAnalysis) -> list[str]:
@@ -159,7 +165,7 @@ def notes(found: ClipAnalysis) -> list[str]:
     said = []
     if found.smoothed:
         said.append("Paths and angles are smoothed by their jitter from frame to frame.")
-    elif found.results.jitters:
+    elif found.motion.jitters:
         said.append("Nothing is smoothed and the fit gives no uncertainty: rates and accelerations hold its jitter.")
     if count := len(found.not_measured):
         said.append(
@@ -169,8 +175,8 @@ def notes(found: ClipAnalysis) -> list[str]:
         )
     if not found.gaits:
         said.append("The skeleton has no feet: no gait.")
-    elif len(found.results.feet) < 4:
-        said.append(f"Only the feet {', '.join(found.results.feet)} were fitted: the gait has no name.")
+    elif len(found.motion.foot_names) < 4:
+        said.append(f"Only the feet {', '.join(found.motion.foot_names)} were fitted: the gait has no name.")
     for method, gait in found.gaits.items():
         said += [doubt_text(method, doubt) for doubt in gait.doubtful[:SHOWN]]
         if (more := len(gait.doubtful) - SHOWN) > 0:
@@ -214,29 +220,27 @@ def figures_of(found: ClipAnalysis) -> dict[str, Callable[[], Figure]]:
     """By file name, what draws it."""
     from recon.show import plots
 
-    results, time_s, during = found.results, found.results.time_s, found.during_stride
+    motion, time_s, during = found.motion, found.motion.time_s, found.during_stride
     ground = found.gaits["ground"].tracks.grounds if found.gaits else None
-    joints_m = plots.in_body(results.body, results.states[during], results.size, results.report["root_path"]["joint"])
+    joints_m = plots.in_body(motion.body, motion.states[during], motion.size, motion.root_name)
     title = {
         None: "whole clip: no complete stride",
         "given": "the stride that was given",
     }.get(found.stride_by, f"one stride of {found.stride.foot if found.stride else ''}")
-    own = (joints_m, results.limbs, time_s[during], results.limb_sides, title)
+    own = (joints_m, motion.limbs, time_s[during], motion.limb_sides, title)
     return {
-        "composites": lambda: plots.composites(
-            found.pose.xyz_m, results.limbs, time_s, ground, sides=results.limb_sides
-        ),
+        "composites": lambda: plots.composites(found.pose.xyz_m, motion.limbs, time_s, ground, sides=motion.limb_sides),
         "speed": lambda: plots.speeds({found.reference: found.joints[found.reference]}),
-        **({"footfalls": lambda: plots.footfall(found.gaits, results.fps)} if found.gaits else {}),
+        **({"footfalls": lambda: plots.footfall(found.gaits, motion.fps)} if found.gaits else {}),
         **{
             f"vector_field_{limb.replace(' ', '_')}": partial(plots.vector_fields, fields, time_s, title=limb)
             for limb, fields in found.fields.items()
         },
         "phase_portraits": lambda: plots.phase_portraits(
-            found.portraits, found.closures, title=title, shares=results.data_shares
+            found.portraits, found.closures, title=title, shares=motion.data_shares
         ),
         "observability": lambda: plots.observability(
-            results.body, results.angle_data_share[during], time_s[during], title=title
+            motion.body, motion.posture_data_share[during], time_s[during], title=title
         ),
         "body_fixed": partial(plots.body_fixed, *own),
         "body_fixed_limbs": partial(plots.limbs_apart, *own),

@@ -14,7 +14,7 @@ from recon.base.errors import InputError, Problem
 from recon.base.files import require_free_folder, staged_folder
 from recon.base.settings import Integer, Number, Option, Settings
 from recon.calibrate.camera_advice import PICTURE_PX, Advice, advise
-from recon.fit.results import MEASURED_SHARE
+from recon.fit.motion import MEASURED_SHARE
 from recon.io import write_rows
 from recon.show import plots
 from recon.show.plots.advice import in_words

@@ -19,7 +19,7 @@ from recon.animal.body import Body, Side, facing_side
 from recon.animal.detector import seen_by
 from recon.animal.naming import fitting_maps, load_names, map_to_write, renamed
 from recon.animal.prior import MotionPrior, load_prior
-from recon.animal.skeleton_file import load_skeleton
+from recon.animal.skeleton_file import load_chain, load_skeleton
 from recon.base.arrays import Array, Bools
 from recon.base.errors import InputError, Problem, all_of
 from recon.base.files import require_free_folder, sole_writer, staged_results, write_bytes
@@ -112,7 +112,8 @@ def fit_clip(settings: FitSettings, progress: Progress = silent) -> Motion:
         sources, solution = cleaned, again
     else:  # a fit that gets nowhere without them was wrong about them
         outliers = ()
-    motion = Motion(sources, given.side, given.side_reason, solution, settings=settings.plain())
+    chain = load_chain(settings.skeleton_name) if body.one_sided else None
+    motion = Motion(sources, given.side, given.side_reason, solution, chain=chain, settings=settings.plain())
     found = input_findings(motion, prior, options, _file_facts(given, settings))
     if settings.fix_swaps and any(one.code == "left_right_swap" for one in found):
         sources, found = without_swaps(sources, found, body)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -13,7 +12,7 @@ from recon.base.errors import InputError, Problem, all_of
 from recon.base.files import staged_file
 from recon.base.settings import Option, Positive, Settings
 from recon.clip.keypoints import Keypoints, mark_missing
-from recon.fit.results import read_results
+from recon.fit.motion import Motion
 from recon.io import Format, Pose3D, as_keypoints, choose_format, in_metres, read_points
 from recon.io.column_map import parse_map
 from recon.show.export.rig import rig_of
@@ -100,7 +99,7 @@ def _as_bones(source: Path, data: Keypoints | Pose3D, target: Format, out: Path,
         raise InputError(Problem(source, "content", found, expected))
     beside = [out.with_suffix(extension) for extension in target.beside]
     all_of(*(partial(_require_free, path, overwrite) for path in beside))
-    rig = rig_of(read_results(source), data.fps)
+    rig = rig_of(Motion.load(source), data.fps)
     _write(target, rig, out)
     notes = data.notes + rig.notes
     if beside:
@@ -139,13 +138,11 @@ def read_any(source: Path, settings: ConvertSettings) -> Keypoints | Pose3D:
 
 def _of_results(folder: Path) -> Pose3D:
     """The joints of a fit, upright, with their frame rate and limbs."""
-    results = read_results(folder)
-    names = results.pose.names
-    edges = [(names[a], names[b]) for along in results.limbs.values() for a, b in pairwise(along)]
-    notes = ()
-    if not results.knows_up:
-        notes = ("Positions are in the level frame, z up: the camera file does not say where the camera is.",)
-    return replace(results.pose, fps=results.fps, edges=tuple(dict.fromkeys(edges)), notes=notes)
+    motion = Motion.load(folder)
+    if motion.knows_up:
+        return motion.upright
+    note = "Positions are in the level frame, z up: the camera file does not say where the camera is."
+    return replace(motion.upright, notes=(note,))
 
 
 def _require_free(out: Path, overwrite: bool) -> None:

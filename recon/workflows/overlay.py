@@ -18,11 +18,8 @@ from recon.base.files import require_free_file, staged_file, write_bytes
 from recon.base.progress import Progress, silent
 from recon.base.settings import Integer, Number, Option, Settings
 from recon.check import FLAG_OF
-from recon.clip.keypoints import Keypoints
-from recon.fit.results import Results, read_results
-from recon.io import read_keypoints
+from recon.fit.motion import Motion
 from recon.io.video import Image, VideoInfo, probe, read_frames, require_codec, video_writer
-from recon.show.export.clip_csv import camera_files
 from recon.show.overlay import LEFT, MIDDLE, RIGHT, Colour, Overlay, canvas_size, draw_frame, draw_sheet
 from recon.workflows.cameras import cameras_in
 from recon.workflows.settings import FIRST_FRAME
@@ -87,7 +84,7 @@ def run_overlay(settings: OverlaySettings, progress: Progress = silent) -> Overl
     video, out, speed = settings.video, settings.out, settings.speed
     if video is None or out is None:
         raise InputError(Problem("--out", "file", "nothing", "the new video, and --video beside it"))
-    result, number, (wide, high) = result_and_video(
+    motion, number, (wide, high) = result_and_video(
         settings.folder,
         video,
         settings.camera_name,
@@ -96,12 +93,12 @@ def run_overlay(settings: OverlaySettings, progress: Progress = silent) -> Overl
         lambda: _check_speed(speed),
     )
     if speed is None:
-        speed = min(1.0, SLOW_FPS / result.fps)
+        speed = min(1.0, SLOW_FPS / motion.fps)
     zoom = -(-MIN_WIDTH_PX // wide)
-    overlay = overlay_of(result, speed, zoom, number)
-    rows = {int(frame): t for t, frame in enumerate(result.pose.frames)}
+    overlay = overlay_of(motion, speed, zoom, number)
+    rows = {int(frame): t for t, frame in enumerate(motion.frames)}
     first, last = min(rows), max(rows)
-    fps = result.fps * speed
+    fps = motion.fps * speed
     written = 0
     with video_writer(out, canvas_size((zoom * wide, zoom * high)), fps) as write:
         for index, picture in read_frames(video, first - settings.first_frame, last + 1 - settings.first_frame):
@@ -127,7 +124,7 @@ def run_sheet(settings: OverlaySettings) -> int:
     if sheet is None:
         raise InputError(Problem("--sheet", "file", "nothing", "a picture, as in sheet.png"))
     free = partial(require_free_file, sheet, settings.overwrite, "--sheet", settings.video, (".png",))
-    result, number, _ = result_and_video(
+    motion, number, _ = result_and_video(
         settings.folder,
         settings.video,
         settings.camera_name,
@@ -135,11 +132,11 @@ def run_sheet(settings: OverlaySettings) -> int:
         free,
         lambda: _check_count(settings.count),
     )
-    overlay = overlay_of(result, number=number)
+    overlay = overlay_of(motion, number=number)
     rows = rows_to_show(overlay, settings.count)
     if not len(rows):
         raise InputError(Problem(settings.folder, "frames", "none with a pose", "one at least"))
-    pictures = None if settings.video is None else pictures_of(settings.video, result, rows, settings.first_frame)
+    pictures = None if settings.video is None else pictures_of(settings.video, motion, rows, settings.first_frame)
     with staged_file(sheet) as staged:
         write_bytes(staged, cv2.imencode(".png", draw_sheet(overlay, rows, pictures))[1].tobytes())
     return len(rows)
@@ -151,9 +148,9 @@ def rows_to_show(overlay: Overlay, count: int) -> Index:
     return posed[np.unique(np.round(np.linspace(0, len(posed) - 1, count)).astype(int))] if len(posed) else posed
 
 
-def pictures_of(video: Path, result: Results, rows: Index, first_frame: int) -> list[Image]:
+def pictures_of(video: Path, motion: Motion, rows: Index, first_frame: int) -> list[Image]:
     """The video's frames for these rows of a result. Raises InputError for one that is not in it."""
-    wanted = [int(result.pose.frames[t]) - first_frame for t in rows]
+    wanted = [int(motion.frames[t]) - first_frame for t in rows]
     found = {at: picture for at, picture in read_frames(video, wanted[0], wanted[-1] + 1) if at in wanted}
     if len(found) < len(wanted):
         number = next(at for at in wanted if at not in found) + first_frame
@@ -163,24 +160,24 @@ def pictures_of(video: Path, result: Results, rows: Index, first_frame: int) -> 
 
 def result_and_video(
     folder: Path, video: Path | None, camera: str | None, first_frame: int, *checks: Callable[[], None]
-) -> tuple[Results, int, tuple[int, int]]:
+) -> tuple[Motion, int, tuple[int, int]]:
     """A result, which of its cameras is meant, and the size of the pictures: the video's, if there is one, which has to
     be of that camera. checks: of what else was given. The others: see `run_overlay`. Raises InputError."""
 
-    def opened() -> tuple[Results, int]:
-        result, info = all_of(lambda: read_results(folder), lambda: None if video is None else probe(video))
-        number = camera_number(result, camera, video)
+    def opened() -> tuple[Motion, int]:
+        motion, info = all_of(lambda: Motion.load(folder), lambda: None if video is None else probe(video))
+        number = camera_number(motion, camera, video)
         if video is not None:
-            _check_video(result, number, video, info, first_frame)
-        return result, number
+            _check_video(motion, number, video, info, first_frame)
+        return motion, number
 
-    (result, number), *_ = all_of(opened, *checks)
-    return result, number, result.cameras[number].image_size_px
+    (motion, number), *_ = all_of(opened, *checks)
+    return motion, number, motion.cameras[number].image_size_px
 
 
-def camera_number(result: Results, camera: str | None, video: Path | None) -> int:
+def camera_number(motion: Motion, camera: str | None, video: Path | None) -> int:
     """By name, or by the video's, which may contain it; without either the first. Raises InputError."""
-    names = [one.name for one in result.cameras]
+    names = [one.name for one in motion.cameras]
     if camera is None and video is not None and len(names) > 1:
         named = [*cameras_in(video.stem, names)]
         camera = named[0] if len(named) == 1 else None
@@ -192,46 +189,34 @@ def camera_number(result: Results, camera: str | None, video: Path | None) -> in
     raise InputError(Problem("--camera-name", "camera", found, f"one of {', '.join(names)}, whose video it is"))
 
 
-def overlay_of(result: Results, speed: float = 1.0, zoom: int = 1, number: int = 0) -> Overlay:
-    """What there is to draw of a result in a camera's picture, by its number, enlarged by zoom. Raises InputError
-    where its files do not fit each other."""
-    reprojected = _reprojection(result, number)
-    # Reprojected less detected, joints x {x, y} x frames; null is None, which becomes NaN.
-    values = result.report["image_error_px"]["values"]
-    values = result.report["image_error_px"]["others"][number - 1] if number else values
-    errors = np.array(values, dtype=float).transpose(2, 0, 1)
-    at = {name: j for j, name in enumerate(result.pose.names)}
-    row = {int(frame): t for t, frame in enumerate(result.pose.frames)}
-    outliers = np.zeros(errors.shape[:2], dtype=bool)
-    for outlier in result.report["outliers"]:
-        if outlier.get("camera", result.camera.name) != result.cameras[number].name:
-            continue
-        outliers[row[outlier["frame"]], at[outlier["keypoint"]]] = True
-    rear, front = (at[name] for name in result.forward)
+def overlay_of(motion: Motion, speed: float = 1.0, zoom: int = 1, number: int = 0) -> Overlay:
+    """What there is to draw of a result in a camera's picture, by its number, enlarged by zoom."""
+    picture, view = motion.pictures[number], motion.solution.views[number]
+    ahead = np.broadcast_to(view.T_camera_world[..., 2, :3], (len(motion.frames), 3))
     return Overlay(
-        frames=result.pose.frames,
-        fps=result.fps,
-        limbs=list(result.limbs.values()),
-        colours=[SIDES[result.limb_sides[limb]] for limb in result.limbs],
-        detected_px=_enlarged(reprojected.xy_px - errors, zoom),
-        reprojected_px=_enlarged(reprojected.xy_px, zoom),
-        outliers=outliers,
-        depth_m=np.einsum("tjk,tk->tj", result.pose.xyz_m, _viewing_directions(result, number)),
-        upright_m=result.pose.xyz_m,
-        trunk=(rear, front),
-        flags=[*_flags(result, number)],
+        frames=motion.frames,
+        fps=motion.fps,
+        limbs=list(motion.limbs.values()),
+        colours=[SIDES[motion.limb_sides[limb]] for limb in motion.limbs],
+        detected_px=_enlarged(picture.reprojected_px - picture.image_error_px, zoom),
+        reprojected_px=_enlarged(picture.reprojected_px, zoom),
+        outliers=picture.outliers,
+        depth_m=np.einsum("tjk,tk->tj", motion.upright.xyz_m, ahead),
+        upright_m=motion.upright.xyz_m,
+        trunk=motion.forward,
+        flags=[*_flags(motion, number)],
         speed=speed,
     )
 
 
-def _flags(result: Results, number: int) -> Iterator[list[str]]:
+def _flags(motion: Motion, number: int) -> Iterator[list[str]]:
     """By frame: what is doubtful about it in a camera's picture, without what is wrong with others' detections."""
     own = [
-        (FLAG_OF[one["code"]], *one["frames"])
-        for one in result.report["findings"]
-        if one["code"] in FLAG_OF and one["camera"] in (None, result.cameras[number].name)
+        (FLAG_OF[one.code], *(one.frames or (motion.frames[0], motion.frames[-1] + 1)))
+        for one in motion.findings
+        if one.code in FLAG_OF and one.camera in (None, motion.cameras[number].name)
     ]
-    for frame, flags in zip(result.pose.frames.tolist(), result.flags, strict=True):
+    for frame, flags in zip(motion.frames.tolist(), motion.flags, strict=True):
         here = {flag for flag, first, stop in own if first <= frame < stop}
         yield [flag for flag in flags if flag in here or flag not in FLAG_OF.values()]
 
@@ -241,35 +226,13 @@ def _enlarged(xy_px: Array, zoom: int) -> Array:
     return zoom * xy_px + 0.5 * (zoom - 1)
 
 
-def _viewing_directions(result: Results, number: int) -> Array:
-    """(T, 3): unit vectors along a camera's axis in the upright frame (`recon.fit.results`), zero where it is not
-    known."""
-    track = result.track(number)
-    if track is not None:
-        return np.nan_to_num(np.array(track["rotation"], dtype=float)[:, 2])
-    rotation = result.cameras[number].rotation
-    ahead = np.array([0.0, 0.0, 1.0]) if rotation is None else rotation[2]
-    return np.tile(result.R_upright_reference @ ahead, (len(result.pose.frames), 1))
-
-
-def _reprojection(result: Results, number: int) -> Keypoints:
-    files = camera_files("reprojection.csv", [camera.name for camera in result.cameras])
-    path = result.folder / files[number]
-    result.manifest.require(path.name)
-    found = read_keypoints(path)
-    result.manifest.require_same()
-    if found.names != result.pose.names or not np.array_equal(found.frames, result.pose.frames):
-        raise InputError(Problem(path, "content", "other joints or frames", "those of pose3d.csv, of the same fit"))
-    return found
-
-
-def _check_video(result: Results, number: int, video: Path, info: VideoInfo, first_frame: int) -> None:
+def _check_video(motion: Motion, number: int, video: Path, info: VideoInfo, first_frame: int) -> None:
     problems = []
-    size = result.cameras[number].image_size_px
+    size = motion.cameras[number].image_size_px
     if info.size_px != size:
         expected = f"{size[0]}x{size[1]}, the size that the camera is calibrated for"
         problems.append(Problem(video, "size", f"{info.size_px[0]}x{info.size_px[1]}", expected))
-    first = int(result.pose.frames.min())
+    first = int(motion.frames.min())
     if first_frame > first:
         expected = f"{first} or less: the result begins with frame {first}"
         problems.append(Problem("--first-frame", "number", str(first_frame), expected))

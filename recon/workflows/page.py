@@ -6,14 +6,16 @@ from pathlib import Path
 from typing import Annotated
 
 from recon.base.files import sole_writer, staged_file
+from recon.base.manifest import MANIFEST, read_manifest
 from recon.base.parallel import Event, carry_out
 from recon.base.progress import Progress, silent
 from recon.base.settings import Integer, Option, Settings
-from recon.fit.results import REPORT, Results
+from recon.fit.motion import Motion
 from recon.show.overlay import draw_tiles
 from recon.show.page import PAGE, require_own_page
 from recon.show.page.clip import Still, clip_page
 from recon.show.page.render import jpeg
+from recon.show.report import REPORT
 from recon.workflows.batch.inputs import SUMMARY
 from recon.workflows.batch.summary import write_summary_page
 from recon.workflows.overlay import overlay_of, pictures_of, result_and_video, rows_to_show
@@ -37,31 +39,33 @@ def run_page(settings: PageSettings, progress: Progress = silent) -> Path:
     """`recon report`: the page of a result, in its folder; an earlier one is replaced. video: what is behind the
     pictures, plain without one; the others: see `run_overlay`. Raises InputError, with every problem."""
     page = settings.folder / PAGE
-    result, number, _ = result_and_video(
+    motion, number, _ = result_and_video(
         settings.folder, settings.video, settings.camera_name, settings.first_frame, lambda: require_own_page(page)
     )
     progress("pictures", 0.1)
-    stills = _stills(result, settings.video, settings.first_frame, number)
+    stills = _stills(motion, settings.video, settings.first_frame, number)
     progress("figures", 0.3)
-    html = clip_page(result, stills, None if settings.video is None else settings.video.name, _files(result), number)
+    html = clip_page(
+        motion, stills, None if settings.video is None else settings.video.name, _files(settings.folder), number
+    )
     with staged_file(page) as staged:
         staged.write_text(html, encoding="utf-8")
     return page
 
 
-def _stills(result: Results, video: Path | None, first_frame: int, number: int) -> list[Still]:
-    overlay = overlay_of(result, number=number)
+def _stills(motion: Motion, video: Path | None, first_frame: int, number: int) -> list[Still]:
+    overlay = overlay_of(motion, number=number)
     rows = rows_to_show(overlay, STILLS)
     if not len(rows):
         return []
-    pictures = None if video is None else pictures_of(video, result, rows, first_frame)
+    pictures = None if video is None else pictures_of(video, motion, rows, first_frame)
     tiles = draw_tiles(overlay, rows, pictures)
     return [Still(jpeg(tile), f"frame {overlay.frames[t]}") for tile, t in zip(tiles, rows, strict=True)]
 
 
-def _files(result: Results) -> list[str]:
-    names = [*BESIDE, *sorted(result.manifest.files)]
-    return [name for name in names if (result.folder / name).is_file()]
+def _files(folder: Path) -> list[str]:
+    names = [*BESIDE, *(sorted(read_manifest(folder).files) if (folder / MANIFEST).is_file() else ())]
+    return [name for name in names if (folder / name).is_file()]
 
 
 def is_batch(folder: Path) -> bool:

@@ -18,8 +18,8 @@ from recon.base.documents import read_json
 from recon.base.errors import InputError, Problem, all_of
 from recon.base.files import require_free_file
 from recon.base.settings import Integer, Number, OneOrMore, Option, Settings
+from recon.fit.motion import Motion
 from recon.fit.points import MIN_MARKERS, solve_points_and_size
-from recon.fit.results import Results, read_results
 from recon.io import Pose3D, read_pose_segments
 from recon.workflows.batch.inputs import file_names
 
@@ -130,7 +130,7 @@ def run_prior_fit(settings: PriorFitSettings) -> PriorFit:
     folders, tables = [path for path in paths if path.is_dir()], [path for path in paths if not path.is_dir()]
     given, results, files, rates, *_ = all_of(
         lambda: _body(settings.skeleton, settings.subject, folders),
-        lambda: _by_path(_results, folders),
+        lambda: _by_path(_motion, folders),
         lambda: _by_path(read_pose_segments, tables),
         lambda: _rates(settings.fps, tables),
         lambda: require_free_file(settings.out, settings.overwrite, suffixes=(".npz",)),
@@ -166,10 +166,10 @@ def _lacking(body: Body, files: Mapping[Path, Mapping[str, Pose3D]]) -> tuple[st
     return tuple(marker for marker in body.markers if files and marker not in there)
 
 
-def _sound_states(results: Results) -> Array:
+def _sound_states(motion: Motion) -> Array:
     """(T, D), NaN in frames without a pose and in those that a flag calls doubtful."""
-    flagged = np.array([bool(flags) for flags in results.flags])
-    return np.where(flagged[:, None], np.nan, results.states)
+    flagged = np.array([bool(flags) for flags in motion.flags])
+    return np.where(flagged[:, None], np.nan, motion.states)
 
 
 def _solved_segments(
@@ -254,7 +254,7 @@ def _body(skeleton: str | None, subject: str | None, folders: Sequence[Path]) ->
     return body
 
 
-def _common_body(given: Body | None, results: Mapping[Path, Results]) -> Body:
+def _common_body(given: Body | None, results: Mapping[Path, Motion]) -> Body:
     bodies = ({} if given is None else {Path("--skeleton"): given}) | {path: one.body for path, one in results.items()}
     if len({(body.name, body.state_names) for body in bodies.values()}) > 1:
         found = ", ".join(f"{path}: {body.name}" for path, body in bodies.items())
@@ -266,11 +266,11 @@ def _by_path(read: Callable[[Path], T], paths: Sequence[Path]) -> dict[Path, T]:
     return dict(zip(paths, all_of(*(lambda path=path: read(path) for path in paths)), strict=True))
 
 
-def _results(folder: Path) -> Results:
-    results = read_results(folder)
-    if results.body.one_sided:
-        raise InputError(Problem(folder, "skeleton", results.body.name, "a whole animal, with [[segments]]"))
-    return results
+def _motion(folder: Path) -> Motion:
+    motion = Motion.load(folder)
+    if motion.body.one_sided:
+        raise InputError(Problem(folder, "skeleton", motion.body.name, "a whole animal, with [[segments]]"))
+    return motion
 
 
 def _rates(fps: str | None, tables: Sequence[Path]) -> list[float]:

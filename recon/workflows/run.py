@@ -19,10 +19,10 @@ from recon.base.errors import InputError, Problem, all_of
 from recon.base.files import sole_writer, staged_file
 from recon.base.manifest import MANIFEST, read_manifest, sha256_of
 from recon.base.progress import Progress, silent
-from recon.fit.results import REPORT
 from recon.gait.path import MIN_POINTS
 from recon.io.video import probe
 from recon.show.page import PAGE
+from recon.show.report import REPORT
 from recon.workflows.batch.record import file_sha256, identity, identity_of
 from recon.workflows.clip import fit_clip, output_files, read_model_and_cameras, write_clip
 from recon.workflows.overlay import OverlaySettings, run_overlay

@@ -18,7 +18,7 @@ from recon.animal.skeleton_file import builtin_subjects, load_skeleton
 from recon.base.errors import InputError
 from recon.base.manifest import MANIFEST, write_manifest
 from recon.clip.keypoints import Keypoints, clean
-from recon.fit.results import read_results
+from recon.fit.motion import Motion
 from recon.geometry.camera import Camera
 from recon.io import FORMATS, bvh, columns, read_cameras, read_keypoints, write_camera
 from recon.io.camera_track import read_camera_track
@@ -321,7 +321,7 @@ def _results(folder: Path) -> Iterator[Seed]:
             (made / other).write_bytes(path.read_bytes() if other == name else content)
         if name != MANIFEST:
             write_manifest(made)
-        found = read_results(made)
+        found = Motion.load(made)
         return (
             found.body,
             found.feet,

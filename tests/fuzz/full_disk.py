@@ -47,10 +47,10 @@ class Case(NamedTuple):
 
 
 def read_results(out: Path) -> object:
-    from recon.fit.results import read_results
+    from recon.fit.motion import Motion
 
     read_manifest(out)
-    return read_results(out)
+    return Motion.load(out)
 
 
 def read_data(out: Path) -> object:

@@ -25,7 +25,7 @@ from typing import Any
 
 from recon.base.errors import InputError
 from recon.base.files import staged_results
-from recon.fit.results import read_results
+from recon.fit.motion import Motion
 from recon.workflows.clip import OUTPUT_FILES, run_clip
 from recon.workflows.settings import FitSettings
 
@@ -94,7 +94,7 @@ def killed(source: Path, out: Path, after_steps: int | None, after_s: float) -> 
 def found(out: Path, known: list[dict[str, bytes]]) -> str:
     """What there is to read."""
     try:
-        read_results(out)
+        Motion.load(out)
     except InputError:
         return "refused"
     there = contents(out)

@@ -13,12 +13,10 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from threadpoolctl import threadpool_limits
 
-from recon.animal.chain import Chain
-from recon.animal.skeleton_file import load_chain
 from recon.base.arrays import Array
 from recon.base.errors import InputError, Problem
 from recon.base.files import require_free_folder, sole_writer, staged_folder
-from recon.fit.results import Results, read_results
+from recon.fit.motion import Motion
 from recon.gait.clip import gaits_of, limb_chains, stride_given
 from recon.gait.gait import AGREE, OVERSAMPLING, Gait, doubt_text, pose_return_s
 from recon.gait.gait import Method as Rule
@@ -211,48 +209,50 @@ class IKRun:
 # -- the animal's chain ----------------------------------------------------------------------------------------------
 
 
-def limb_of(results: Results, foot: str | None = None, dim: Dim = 3, limited: bool = True) -> Limb:
+def limb_of(motion: Motion, foot: str | None = None, dim: Dim = 3, limited: bool = True) -> Limb:
     """The chain to a foot, by its label (LF) or joint, by default the first fore foot. Raises InputError.
 
     Of the 8U chain that is the spine and the front leg. Of a whole animal, in space, all joints from the root to the
     foot, and in the plane the joints' projections onto the vertical plane of travel.
     """
-    label = _foot_label(results, foot)
-    name = results.feet[label]
-    if results.body.one_sided:
-        return _spine_front_leg(results, load_chain(results.skeleton_name), label, dim, limited)
-    travel, first_s = body_travel(results.states), float(results.time_s[0])
+    label = _foot_label(motion, foot)
+    name = motion.foot_names[label]
+    if motion.chain is not None:
+        return _spine_front_leg(motion, label, dim, limited)
+    travel, first_s = body_travel(motion.states), float(motion.time_s[0])
     if dim == 3:
-        marker = next(joint for joint, keypoint in results.keypoint_of.items() if keypoint == name)
-        chain = body_chain(results.body, marker, results.size, limited)
-        q = body_chain_angles(results.body, marker, results.states)
-        return Limb(name, chain, q, results.fps, first_s, "xyz", 0.0)
-    along = next(along for along in limb_chains(results).values() if along[-1] == name)
-    points = results.pose.xyz_m[:, [results.pose.names.index(joint) for joint in along]]
+        marker = motion.joints[motion.names.index(name)]
+        chain = body_chain(motion.body, marker, motion.size, limited)
+        q = body_chain_angles(motion.body, marker, motion.states)
+        return Limb(name, chain, q, motion.fps, first_s, "xyz", 0.0)
+    along = next(along for along in limb_chains(motion).values() if along[-1] == name)
+    points = motion.upright.xyz_m[:, [motion.names.index(joint) for joint in along]]
     chain, q, misfit = projected_chain(points, travel)
     named = replace(chain, names=tuple(along[:-1]))
-    return Limb(name, named, q, results.fps, first_s, "UVW", float(np.nanmedian(misfit)))
+    return Limb(name, named, q, motion.fps, first_s, "UVW", float(np.nanmedian(misfit)))
 
 
-def _foot_label(results: Results, foot: str | None) -> str:
+def _foot_label(motion: Motion, foot: str | None) -> str:
     """LH, RH, LF or RF."""
-    chain = results.body.one_sided
-    there = [label for label in results.feet if label.endswith("F")] if chain else list(results.feet)
+    chain = motion.body.one_sided
+    there = [label for label in motion.foot_names if label.endswith("F")] if chain else list(motion.foot_names)
     if foot is None and there:
         return next((label for label in there if label.endswith("F")), there[0])
-    found = next((label for label in there if foot in (label, results.feet[label])), None)
+    found = next((label for label in there if foot in (label, motion.foot_names[label])), None)
     if found is None:
-        expected = ", ".join(f"{label} ({results.feet[label]})" for label in there) or "a skeleton with feet"
+        expected = ", ".join(f"{label} ({motion.foot_names[label]})" for label in there) or "a skeleton with feet"
         raise InputError(Problem("--foot", "foot", repr(foot or "none"), expected))
     return found
 
 
-def _spine_front_leg(results: Results, chain: Chain, label: str, dim: Dim, limited: bool) -> Limb:
-    leg = spine_front_leg(chain, results.size * chain.nominal_base_length_m, dim, limited)
-    q = chain_angles(chain, results.states, dim=dim)
+def _spine_front_leg(motion: Motion, label: str, dim: Dim, limited: bool) -> Limb:
+    chain = motion.chain
+    assert chain is not None
+    leg = spine_front_leg(chain, motion.size * chain.nominal_base_length_m, dim, limited)
+    q = chain_angles(chain, motion.states, dim=dim)
     names = tuple(f"{kind}_{k}" for kind in ("theta", "phi")[: dim - 1] for k in range(1, len(leg.lengths_m) + 1))
     leg = replace(leg, names=names)
-    return Limb(results.feet[label], leg, q, results.fps, float(results.time_s[0]), "UVW", 0.0)
+    return Limb(motion.foot_names[label], leg, q, motion.fps, float(motion.time_s[0]), "UVW", 0.0)
 
 
 # -- methods ---------------------------------------------------------------------------------------------------------
@@ -372,15 +372,15 @@ def _rates_of(limb: Limb) -> Frames:
 def run_ik(settings: IkSettings) -> IKRun:
     """`recon ik`: tables and figures into a folder. With parameters fitted to the clip, these are fitted to each frame
     of the stride, too. Raises InputError."""
-    out, results = settings.out_folder, read_results(settings.folder)
+    out, motion = settings.out_folder, Motion.load(settings.folder)
     with sole_writer(out):
         require_free_folder(out, (SUMMARY,), settings.overwrite)
-        limb = limb_of(results, settings.foot, 2 if settings.dim == 2 else 3, settings.limits)
+        limb = limb_of(motion, settings.foot, 2 if settings.dim == 2 else 3, settings.limits)
         cost = None if settings.cost is None else cost_of(limb, settings.cost)
         target = STRIDE_MAX if settings.both else settings.target
         goal = _coordinates(target, limb.chain.dim) if target not in (None, STRIDE_MAX) else None
         with threadpool_limits(1, user_api="blas"):
-            stride = stride_of(results, limb, settings.stride)
+            stride = stride_of(motion, limb, settings.stride)
             parameters = fit_parameters(limb, cost)
             times, series = fit_parameter_series(limb, stride, cost) if settings.fitted else (np.empty(0), None)
             methods = methods_of(limb, settings.methods, parameters, settings.fitted, cost, settings.alpha)
@@ -410,21 +410,21 @@ def _coordinates(target: str, dim: int) -> Array:
     return values
 
 
-def stride_of(results: Results, limb: Limb, stride_s: tuple[float, float] | None = None) -> StridePath:
+def stride_of(motion: Motion, limb: Limb, stride_s: tuple[float, float] | None = None) -> StridePath:
     """The stride that is given; or the first of the foot that counts (`recon.gait.gait`), by the rule of the ground
     or else by that of the body; or, of a clip without any, where the foot comes back to nearest in the time that a
     stride takes. Raises InputError for a clip that shows too little."""
     if stride_s is not None:
-        stride = stride_given(results, stride_s)
-        return _found_stride(results, limb, "given", (stride.start_s, stride.end_s))
-    gaits = gaits_of(results)
-    label = next(label for label, joint in results.feet.items() if joint == limb.foot)
+        stride = stride_given(motion, stride_s)
+        return _found_stride(motion, limb, "given", (stride.start_s, stride.end_s))
+    gaits = gaits_of(motion)
+    label = next(label for label, joint in motion.foot_names.items() if joint == limb.foot)
     doubts = [doubt_text(rule, d) for rule, gait in gaits.items() for d in gait.doubtful if d.stride.foot == label]
     rules: tuple[Rule, ...] = ("ground", "body")
     for rule in rules:
         if complete := next((s for s in gaits[rule].strides if s.foot == label), None):
-            return _found_stride(results, limb, rule, (complete.start_s, complete.end_s), doubts)
-    return _found_stride(results, limb, notes=doubts, lasts_s=stride_lasts_s(gaits["ground"]))
+            return _found_stride(motion, limb, rule, (complete.start_s, complete.end_s), doubts)
+    return _found_stride(motion, limb, notes=doubts, lasts_s=stride_lasts_s(gaits["ground"]))
 
 
 def stride_lasts_s(ground: Gait) -> tuple[float, float]:
@@ -443,7 +443,7 @@ def stride_lasts_s(ground: Gait) -> tuple[float, float]:
 
 
 def _found_stride(
-    results: Results,
+    motion: Motion,
     limb: Limb,
     how: str = "",
     span_s: tuple[float, float] | None = None,
@@ -454,7 +454,7 @@ def _found_stride(
     try:
         stride = find_stride(limb.chain, limb.q, limb.fps, start_s, end_s, lasts_s)
     except ValueError as error:
-        raise InputError(Problem(results.folder, "stride", str(error), "a clip that shows more of one")) from None
+        raise InputError(Problem(motion.file, "stride", str(error), "a clip that shows more of one")) from None
     return replace(stride, how=how or stride.how, notes=tuple(notes))
 
 

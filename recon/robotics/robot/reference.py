@@ -21,7 +21,7 @@ from scipy.spatial.transform import Rotation
 
 from recon.base.arrays import Array, Bools, Index
 from recon.base.errors import InputError, Problem
-from recon.fit.results import Results
+from recon.fit.motion import Motion
 from recon.gait.clip import ClipAnalysis, analyse
 from recon.gait.gait import Method, Stance, Tracks
 
@@ -97,10 +97,10 @@ class Animal:
 # -- the clip --------------------------------------------------------------------------------------------------------
 
 
-def reference_of(results: Results, stride_s: tuple[float, float] | None = None) -> Animal:
+def reference_of(motion: Motion, stride_s: tuple[float, float] | None = None) -> Animal:
     """stride_s: as `analyse`. Raises InputError where the clip shows no feet, or too few frames of all of them."""
-    analysis = analyse(results, stride_s=stride_s)
-    _check(results, analysis)
+    analysis = analyse(motion, stride_s=stride_s)
+    _check(motion, analysis)
     tracks = analysis.gaits["ground"].tracks
     trunk = _trunk(analysis)
     feet_m, n = tracks.foot_m, len(tracks.time_s)
@@ -108,7 +108,7 @@ def reference_of(results: Results, stride_s: tuple[float, float] | None = None) 
     rows = _longest(np.asarray(np.isfinite(known).all(axis=1)))
     if len(rows) < MIN_SAMPLES:
         found = f"{len(rows) // 10} frames in a row with all feet and the trunk"
-        raise InputError(Problem(results.folder, "frames", found, f"at least {MIN_SAMPLES // 10}"))
+        raise InputError(Problem(motion.file, "frames", found, f"at least {MIN_SAMPLES // 10}"))
     time, body = tracks.time_s[rows], tracks.body_m[rows]
     trunk = trunk[rows]
     chord = body[-1] - body[0]
@@ -145,15 +145,15 @@ def reference_of(results: Results, stride_s: tuple[float, float] | None = None) 
     return Animal(reference, analysis, to_world, origin, rows, stances, method)
 
 
-def _check(results: Results, analysis: ClipAnalysis) -> None:
-    feet = set(results.feet)
+def _check(motion: Motion, analysis: ClipAnalysis) -> None:
+    feet = set(motion.foot_names)
     if not analysis.gaits or not any({f"{side}F", f"{side}H"} <= feet for side in "LR"):
         found = ", ".join(sorted(feet)) or "none"
         expected = "a fore and a hind foot of one side at least, the feet of the skeleton"
-        raise InputError(Problem(results.folder, "feet", found, expected))
+        raise InputError(Problem(motion.file, "feet", found, expected))
     lonely = [foot for foot in FEET if foot in feet and {"L": "R", "R": "L"}[foot[0]] + foot[1] not in feet]
     if len(feet) == 3:
-        raise InputError(Problem(results.folder, "feet", f"no counterpart of {', '.join(lonely)}", "two or four feet"))
+        raise InputError(Problem(motion.file, "feet", f"no counterpart of {', '.join(lonely)}", "two or four feet"))
 
 
 def _stances(analysis: ClipAnalysis) -> tuple[tuple[Stance, ...], Method]:
@@ -170,7 +170,7 @@ def _stances(analysis: ClipAnalysis) -> tuple[tuple[Stance, ...], Method]:
 
 def _trunk(analysis: ClipAnalysis) -> Array:
     """From rear to front (N, 3) on the fine grid."""
-    rear, front = (analysis.joints[name].series.value for name in analysis.results.forward)
+    rear, front = (analysis.joints[name].series.value for name in analysis.motion.forward_names)
     return front - rear
 
 
@@ -180,7 +180,7 @@ def _angles(analysis: ClipAnalysis, rows: Index, to_world: Rotation, trunk: Arra
     yaw = np.unwrap(np.arctan2(ahead[:, 1], ahead[:, 0]))
     pitch = -np.arctan2(ahead[:, 2], np.hypot(ahead[:, 0], ahead[:, 1]))
     across = np.zeros((len(rows), 3))
-    for left, right in _pairs(analysis.results):
+    for left, right in _pairs(analysis.motion):
         across += analysis.joints[left].series.value[rows] - analysis.joints[right].series.value[rows]
     if not np.isfinite(across).all() or not across.any():
         return np.column_stack([np.zeros(len(rows)), pitch, yaw])
@@ -188,10 +188,10 @@ def _angles(analysis: ClipAnalysis, rows: Index, to_world: Rotation, trunk: Arra
     return np.column_stack([np.arctan2(in_body[:, 2], in_body[:, 1]), pitch, yaw])
 
 
-def _pairs(results: Results) -> list[tuple[str, str]]:
+def _pairs(motion: Motion) -> list[tuple[str, str]]:
     """Where the legs hang on the trunk: the first joints of the limbs to a left and a right foot that differ."""
-    limbs = [[results.pose.names[j] for j in along] for along in results.limbs.values()]
-    to_foot = {label: next((a for a in limbs if a[-1] == foot), []) for label, foot in results.feet.items()}
+    limbs = [[motion.names[j] for j in along] for along in motion.limbs.values()]
+    to_foot = {label: next((a for a in limbs if a[-1] == foot), []) for label, foot in motion.foot_names.items()}
     legs = [(to_foot.get(f"L{end}", []), to_foot.get(f"R{end}", [])) for end in "FH"]
     first = [next((pair for pair in zip(*both, strict=False) if pair[0] != pair[1]), None) for both in legs]
     return [pair for pair in first if pair is not None]

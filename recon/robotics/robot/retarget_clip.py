@@ -12,7 +12,7 @@ from scipy.spatial.transform import RigidTransform
 from recon.base.arrays import Array
 from recon.base.errors import InputError, Problem, all_of
 from recon.base.files import name_seen_from, require_free_folder, seen_from, sole_writer, staged_results
-from recon.fit.results import read_results
+from recon.fit.motion import Motion
 from recon.gait.gait import doubt_text
 from recon.io.table import write_rows
 from recon.robotics.robot.quadruped import LEGS, Quadruped
@@ -54,7 +54,7 @@ def run_retarget(settings: RetargetSettings) -> RetargetRun:
     """`recon retarget`: tables, report and playback into a folder. Raises InputError."""
     out, folder, lag = settings.out, settings.folder, settings.lag
     results, machine, _ = all_of(
-        lambda: read_results(folder),
+        lambda: Motion.load(folder),
         lambda: load_robot(settings.robot),
         lambda: require_free_folder(out, (REPORT,), settings.overwrite),
     )
@@ -90,7 +90,7 @@ def solve(
 def _report(
     animal: Animal, window: StrideWindow, clip: Reference, motion: Retargeted, lag: float, timed: bool
 ) -> dict[str, Any]:
-    results, robot = animal.analysis.results, motion.clip.robot
+    fitted, robot = animal.analysis.motion, motion.clip.robot
     mirrored = [foot for foot in LEGS if foot not in animal.reference.feet]
     doubts = [doubt_text(animal.method, doubt) for doubt in animal.analysis.gaits[animal.method].doubtful]
     notes = _notes(window, motion, mirrored, lag, doubts)
@@ -110,8 +110,8 @@ def _report(
             },
         },
         "animal": {
-            "results": str(results.folder),
-            "title": results.title,
+            "results": fitted.file,
+            "title": fitted.title,
             "leg_m": animal.reference.leg_m,
             "stances_by": animal.method,
             "mirrored_feet": mirrored,
@@ -229,14 +229,14 @@ def companion(solved: RetargetRun) -> Any:
     from recon.robotics.robot.playback import Companion
 
     animal, motion = solved.animal, solved.motion.clip
-    results = animal.analysis.results
+    fitted = animal.analysis.motion
     first = int(np.argmin(np.abs(animal.reference.time_s - solved.clip.time_s[0])))
     rows = animal.rows[first : first + len(motion.time_s)]
-    points = np.stack([animal.analysis.joints[name].series.value[rows] for name in results.pose.names], axis=1)
+    points = np.stack([animal.analysis.joints[name].series.value[rows] for name in fitted.names], axis=1)
     hips = np.array([motion.points(label)[0, 0] for label in LEGS])
     beside = np.ptp(hips[:, 1]) + 2 * motion.robot.stand_m
     placed = motion.scale * animal.in_world(points) + [0.0, beside, 0.0]
-    return Companion(placed, results.limbs, results.limb_sides, results.title)
+    return Companion(placed, fitted.limbs, fitted.limb_sides, fitted.title)
 
 
 def repeated(stride: RobotMotion, times: int) -> RobotMotion:

@@ -42,7 +42,7 @@ def reference(found: ClipAnalysis) -> Columns:
     """The reference joint on the fine grid."""
     moved = found.joints[found.reference]
     series = moved.series
-    columns = {"time_s": series.time_s, "frame": series.time_s * found.results.fps} | _axes("{}_m", series.value)
+    columns = {"time_s": series.time_s, "frame": series.time_s * found.motion.fps} | _axes("{}_m", series.value)
     columns |= _axes("v{}_m_s", series.rate) | _axes("a{}_m_s2", series.acceleration)
     columns |= {"speed_m_s": moved.speed_m_s, "speed_sigma_m_s": _or_nan(moved.speed_sigma_m_s, series.time_s)}
     deviation = _or_nan(moved.acceleration_sigma_m_s2, series.time_s)
@@ -51,7 +51,7 @@ def reference(found: ClipAnalysis) -> Columns:
 
 def velocities(found: ClipAnalysis) -> Columns:
     """Velocity and acceleration vectors of every joint at every frame, and the velocities' standard deviations."""
-    columns = {"frame": found.pose.frames, "time_s": found.results.time_s}
+    columns = {"frame": found.pose.frames, "time_s": found.motion.time_s}
     for name, moved in found.joints.items():
         s = moved.series
         for column, of in (("v{}_m_s", s.rate), ("v{}_sigma_m_s", s.rate_sigma), ("a{}_m_s2", s.acceleration)):
@@ -63,7 +63,7 @@ def velocities(found: ClipAnalysis) -> Columns:
 def angles(found: ClipAnalysis) -> Table:
     """Range of motion and peak rates: the angles at the joints and the spine's flexion, then the skeleton's own."""
     columns = "angle, kind, least_rad, greatest_rad, range_of_motion_rad, peak_rate_rad_s, peak_acceleration_rad_s2"
-    shares = found.results.data_shares
+    shares = found.motion.data_shares
     kinds = (("joint", found.angles), ("skeleton", found.skeleton_angles))
     rows = [
         (
@@ -79,7 +79,7 @@ def angles(found: ClipAnalysis) -> Table:
 
 def angle_rates(found: ClipAnalysis) -> Columns:
     """Every angle, its rate and acceleration at every frame, with standard deviations where there are any."""
-    columns = {"frame": found.pose.frames, "time_s": found.results.time_s}
+    columns = {"frame": found.pose.frames, "time_s": found.motion.time_s}
     named: list[tuple[str, AngleKinematics]] = [
         *((f"{name}_angle" if name != "spine_flexion" else name, angle) for name, angle in found.angles.items()),
         *found.skeleton_angles.items(),
@@ -104,7 +104,7 @@ def stances(found: ClipAnalysis) -> Table:
     pair = {id(stance): i for i, two in enumerate(found.match.pairs if found.match else (), start=1) for stance in two}
     rows = [
         (
-            *(method, s.foot, found.results.feet[s.foot], s.start_s, s.end_s),
+            *(method, s.foot, found.motion.foot_names[s.foot], s.start_s, s.end_s),
             *(file_frame(found, s.start_frame), file_frame(found, s.end_frame), s.duration_s),
             *(_yes(s.begins), _yes(s.ends), pair.get(id(s), "")),
         )
@@ -128,7 +128,7 @@ def strides(found: ClipAnalysis) -> Table:
 def gait(found: ClipAnalysis) -> Table:
     """One row a method: the gait's name and criterion, and means over complete strides."""
     columns = "method, gait, criterion, speed_m_s, strides, stride_length_m, stride_frequency_hz, duty_factor"
-    feet = list(found.results.feet)
+    feet = list(found.motion.foot_names)
     columns += "".join(f", duty_factor_{foot}, phase_{foot}" for foot in feet) + ", footfalls"
     return columns.split(", "), [_gait_row(method, one, feet) for method, one in found.gaits.items()]
 
@@ -144,7 +144,7 @@ def vector_field(found: ClipAnalysis) -> Columns:
     names = {"limb": [limb for limb, _ in links]}
     names |= {name: ["-".join(getattr(field, name)) for _, field in links] for name in ("link", "parent")}
     columns = {column: np.repeat(np.array(some, dtype=str), T) for column, some in names.items()}
-    columns |= {"frame": np.tile(found.pose.frames, len(links)), "time_s": np.tile(found.results.time_s, len(links))}
+    columns |= {"frame": np.tile(found.pose.frames, len(links)), "time_s": np.tile(found.motion.time_s, len(links))}
     for k, axis in enumerate("xyz"):
         columns[f"{axis}_m"] = of_all(lambda field, k=k: field.position_m[:, k])
     for k, axis in enumerate("xyz"):
@@ -177,7 +177,7 @@ def closures(found: ClipAnalysis) -> Table:
     )
     rows = []
     if (s := found.stride) is not None:
-        shares = found.results.data_shares
+        shares = found.motion.data_shares
         rows = [
             (name, s.foot, s.start_s, s.end_s, c.angle, c.plane, c.angle_sigma, c.plane_sigma, shares[name])
             for name, c in found.closures.items()

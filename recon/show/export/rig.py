@@ -13,7 +13,7 @@ from recon.animal.body import Body
 from recon.animal.capsules import capsules
 from recon.base.arrays import Array, Index
 from recon.base.errors import InputError, Problem
-from recon.fit.results import Results
+from recon.fit.motion import Motion
 from recon.geometry.kinematics import ANGLE_OF_AXIS, AXES, ROOT, Tree
 from recon.io.bones import Armature, Bone, BoneAngle
 from recon.io.common import frames_text, require_span
@@ -24,26 +24,26 @@ SAME_M = 1e-4
 """Lengths by which joints are further off than this are others."""
 
 
-def rig_of(results: Results, fps: float | None = None) -> Armature:
+def rig_of(motion: Motion, fps: float | None = None) -> Armature:
     """From the first to the last frame with a pose; those without one in between are interpolated, which a note says.
 
-    fps: in place of the results'. Raises InputError without any pose, and where lengths change from frame to frame.
+    fps: in place of the motion's. Raises InputError without any pose, and where lengths change from frame to frame.
     """
-    frames, states, joints_m = results.pose.frames, results.states, results.pose.xyz_m
-    off_m = np.abs(results.body.tree.pose(states, results.size).points_m - joints_m).max(axis=(1, 2))
+    frames, states, joints_m = motion.frames, motion.states, motion.upright.xyz_m
+    off_m = np.abs(motion.body.tree.pose(states, motion.size).points_m - joints_m).max(axis=(1, 2))
     known = np.isfinite(off_m)
     if not known.any():
-        raise InputError(Problem(results.folder, "frames", "none with a pose", "at least one"))
+        raise InputError(Problem(motion.file, "frames", "none with a pose", "at least one"))
     if off_m[known].max() > SAME_M:
         expected = "bones of one length: fit with --set method=trajectory"
-        raise InputError(Problem(results.folder, "size", "lengths that change from frame to frame", expected))
+        raise InputError(Problem(motion.file, "size", "lengths that change from frame to frame", expected))
     rig = make_rig(
-        results.body,
-        results.size,
-        results.pose.names,
+        motion.body,
+        motion.size,
+        motion.names,
         frames[known],
         states[known],
-        results.fps if fps is None else fps,
+        motion.fps if fps is None else fps,
     )
     filled = np.setdiff1d(rig.pose.frames, frames[known])
     note = f"Without a pose, and interpolated: frames {', '.join(frames_text(filled))}."

@@ -2,24 +2,16 @@
 
 from __future__ import annotations
 
-import csv
-import json
 import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from recon.animal.body import Body
-from recon.animal.skeleton_file import load_skeleton
-from recon.base.arrays import Array
 from recon.base.errors import InputError
-from recon.fit.results import REPORT, skeleton_names
-from recon.show.export.clip_csv import camera_files
+from recon.fit.motion import Motion
 from recon.show.page import PAGE
 from recon.show.page.render import rendered
 
@@ -96,43 +88,24 @@ def _clip_row(out: Path, cells: Mapping[str, str]) -> ClipRow:
     cells = {**cells, "error": FOLDERS.sub("", cells["error"])}
     page = f"{cells['clip']}/{PAGE}" if (folder / PAGE).is_file() else None
     try:
-        report = json.loads((folder / REPORT).read_text(encoding="utf-8"))
-        doubtful = report["summary"]["frames_flagged"]
-        return ClipRow(cells, page, doubtful, _thumbnail(folder, report))
-    except (OSError, ValueError, TypeError, LookupError, InputError):  # failed, or damaged since
+        motion = Motion.load(folder)
+        return ClipRow(cells, page, sum(map(bool, motion.flags)), _thumbnail(motion))
+    except (OSError, InputError):  # failed, or damaged since
         return ClipRow(cells, page, None, None)
 
 
-def _thumbnail(folder: Path, report: Mapping[str, Any]) -> Thumbnail | None:
+def _thumbnail(motion: Motion) -> Thumbnail | None:
     """Of the frame with a pose that is nearest to the middle, in the first camera's picture."""
-    names = [camera["name"] for camera in report["cameras"]]
-    points = _middle_points(folder / camera_files("reprojection.csv", names)[0])
-    if points is None:
+    reprojected_px = motion.pictures[0].reprojected_px
+    posed = np.flatnonzero(np.isfinite(reprojected_px).any(axis=(1, 2)))
+    if not len(posed):
         return None
-    body = _body(*skeleton_names(report, folder))
+    points = reprojected_px[min(posed, key=lambda t: abs(t - len(reprojected_px) / 2))]
     low, high = np.nanmin(points, axis=0), np.nanmax(points, axis=0)
     scale = float(np.min(0.9 * np.array(THUMBNAIL_PX) / np.maximum(high - low, 1.0)))
     places = (points - (low + high) / 2) * scale + np.array(THUMBNAIL_PX) / 2
-    sides = body.limb_sides(report["side"]["fitted"])
     lines = [
-        (str(sides[limb] or "middle"), " ".join(f"{x:.0f},{y:.0f}" for x, y in places[list(along)]))
-        for limb, along in body.limb_rows.items()
+        (str(motion.limb_sides[limb] or "middle"), " ".join(f"{x:.0f},{y:.0f}" for x, y in places[list(along)]))
+        for limb, along in motion.limbs.items()
     ]
     return Thumbnail([line for line in lines if "nan" not in line[1]])
-
-
-def _middle_points(path: Path) -> Array | None:
-    """(J, 2), of a table of reprojections."""
-    with path.open(encoding="utf-8", newline="") as file:
-        rows = list(csv.reader(file))[3:]
-    middle = len(rows) / 2
-    for place in sorted(range(len(rows)), key=lambda t: abs(t - middle)):
-        cells = np.array([float(cell or "nan") for cell in rows[place][1:]]).reshape(-1, 3)
-        if np.isfinite(cells[:, :2]).any():
-            return cells[:, :2]
-    return None
-
-
-@cache
-def _body(skeleton: str, subject: str | None) -> Body:
-    return load_skeleton(skeleton, subject)

@@ -11,7 +11,7 @@ import numpy as np
 
 from recon.base.arrays import Array
 from recon.check import FLAGS
-from recon.fit.results import MEASURED_SHARE, Results
+from recon.fit.motion import MEASURED_SHARE, Motion
 from recon.gait.clip import gaits_of, reference_motion
 from recon.gait.gait import Gait, Method
 from recon.gait.kinematics import JointKinematics
@@ -19,7 +19,7 @@ from recon.gait.path import MIN_POINTS
 from recon.show import plots
 from recon.show.page.render import inline, rendered
 from recon.show.plots.angles import AngleCurve, angle_over_time, together
-from recon.show.report import warnings
+from recon.show.report import build_report, warnings
 
 SECTION_CHARACTERS = 600_000
 """The most that the vector graphics of a section take; three sections and the stills are below 3 MB."""
@@ -51,27 +51,27 @@ class Still:
 
 
 def clip_page(
-    results: Results, stills: Sequence[Still], behind: str | None, files: Sequence[str], number: int = 0
+    motion: Motion, stills: Sequence[Still], behind: str | None, files: Sequence[str], number: int = 0
 ) -> str:
-    """HTML of a result. behind: the video's name behind the stills, None: a plain ground; files: their names beside the
+    """HTML of a motion. behind: the video's name behind the stills, None: a plain ground; files: their names beside the
     page, with forward slashes, for links; number: of the camera whose stills they are."""
-    report = results.report
-    posed = np.isfinite(results.pose.xyz_m).all(axis=(1, 2))
-    moved, gaits = (reference_motion(results), gaits_of(results)) if posed.sum() >= MIN_POINTS else (None, {})
-    doubtful = list(doubtful_frames(results))
+    report = build_report(motion)
+    posed = np.isfinite(motion.upright.xyz_m).all(axis=(1, 2))
+    moved, gaits = (reference_motion(motion), gaits_of(motion)) if posed.sum() >= MIN_POINTS else (None, {})
+    doubtful = list(doubtful_frames(motion))
     return rendered(
         "report.html",
         title=", ".join(dict.fromkeys(_base(camera["keypoints"]) for camera in report["cameras"])),
-        subtitle=_subtitle(results),
-        words=list(_words(results, moved, gaits)),
+        subtitle=_subtitle(motion),
+        words=list(_words(motion, report, moved, gaits)),
         warnings=warnings(report),
         stills=stills,
         behind=behind,
-        camera=results.cameras[number].name if len(results.cameras) > 1 else "the camera",
-        sections=[] if moved is None else list(_sections(results, moved, gaits)),
+        camera=motion.cameras[number].name if len(motion.cameras) > 1 else "the camera",
+        sections=[] if moved is None else list(_sections(motion, moved, gaits)),
         doubtful=doubtful[:SHOWN],
         more_doubtful=max(0, len(doubtful) - SHOWN),
-        meaning={flag: text for flag, text in FLAGS.items() if any(flag in flags for flags in results.flags)},
+        meaning={flag: text for flag, text in FLAGS.items() if any(flag in flags for flags in motion.flags)},
         summary=report["lines"],
         assumptions=report["assumptions"]["sentences"],
         settings=[(name, _plain(value)) for name, value in report["settings"].items() if value is not None],
@@ -89,33 +89,34 @@ def _plain(value: Any) -> str:
     return ", ".join(map(_plain, value)) if isinstance(value, list) else _base(str(value))
 
 
-def _subtitle(results: Results) -> str:
-    frames = results.pose.frames
-    many = f" · {len(results.cameras)} cameras" if len(results.cameras) > 1 else ""
-    return f"frames {frames[0]} to {frames[-1]} · {results.fps:g} a second, times since frame 0{many} · {results.title}"
+def _subtitle(motion: Motion) -> str:
+    frames = motion.frames
+    many = f" · {len(motion.cameras)} cameras" if len(motion.cameras) > 1 else ""
+    return f"frames {frames[0]} to {frames[-1]} · {motion.fps:g} a second, times since frame 0{many} · {motion.title}"
 
 
 # -- words ------------------------------------------------------------------------------------------------------------
 
 
-def _words(results: Results, moved: JointKinematics | None, gaits: Mapping[Method, Gait]) -> Iterator[str]:
+def _words(
+    motion: Motion, report: Mapping[str, Any], moved: JointKinematics | None, gaits: Mapping[Method, Gait]
+) -> Iterator[str]:
     """The result in a few sentences."""
-    lines = dict(results.report["lines"])
+    lines = dict(report["lines"])
     yield f"Frames: {lines['frames']}."
     if moved is None:
         yield "Too few frames have a pose for a speed or a gait."
         return
-    yield _speed_sentence(results, moved)
+    yield _speed_sentence(report, moved)
     yield from _gait_sentences(gaits)
     if "uncertainty" in lines:
         yield f"Uncertainty: {lines['uncertainty']}."
 
 
-def _speed_sentence(results: Results, moved: JointKinematics) -> str:
-    if results.jitters:
-        run = results.report.get("travel", {}).get("median_speed_m_s")
-        if run is not None:
-            return f"A straight run through all frames has {run:.1f} m/s; this method's path jitters in depth."
+def _speed_sentence(report: Mapping[str, Any], moved: JointKinematics) -> str:
+    run = report.get("travel", {}).get("median_speed_m_s")
+    if run is not None:
+        return f"A straight run through all frames has {run:.1f} m/s; this method's path jitters in depth."
     sigma = moved.peak_speed_sigma_m_s
     spread = "" if np.isnan(sigma) else f" ± {sigma:.1f}"
     return (
@@ -138,27 +139,27 @@ def _gait_sentences(gaits: Mapping[Method, Gait]) -> Iterator[str]:
         )
 
 
-def doubtful_frames(results: Results) -> Iterator[tuple[str, str]]:
+def doubtful_frames(motion: Motion) -> Iterator[tuple[str, str]]:
     """Runs of frames with the same flags: numbers and flags in words."""
-    for flags, run in groupby(range(len(results.flags)), lambda t: results.flags[t]):
+    for flags, run in groupby(range(len(motion.flags)), lambda t: motion.flags[t]):
         if flags:
             rows = [*run]
-            first, last = results.pose.frames[[rows[0], rows[-1]]]
+            first, last = motion.frames[[rows[0], rows[-1]]]
             yield (f"{first}" if first == last else f"{first} to {last}"), ", ".join(flags)
 
 
 # -- figures ----------------------------------------------------------------------------------------------------------
 
 
-def _sections(results: Results, moved: JointKinematics, gaits: Mapping[Method, Gait]) -> Iterator[Section]:
+def _sections(motion: Motion, moved: JointKinematics, gaits: Mapping[Method, Gait]) -> Iterator[Section]:
     ground = gaits["ground"].tracks.grounds if gaits else None
-    drawn = {"ground": ground, "sides": results.limb_sides}
+    drawn = {"ground": ground, "sides": motion.limb_sides}
     yield Section(
         "From the side, from above and from ahead",
         "Poses evenly spaced in time, turned so that the animal runs to the right.",
-        _inline([plots.composites(m, results.limbs, results.time_s, **drawn) for m in _stretches(results, moved)]),
+        _inline([plots.composites(m, motion.limbs, motion.time_s, **drawn) for m in _stretches(motion, moved)]),
     )
-    name = results.report["root_path"]["keypoint"]
+    name = motion.reference
     yield Section(
         "Speed",
         f"Of {name}, along its path"
@@ -169,14 +170,14 @@ def _sections(results: Results, moved: JointKinematics, gaits: Mapping[Method, G
     )
     if gaits:
         text = "When each foot stands: by its speed over the ground and its height, and by its path below the body."
-        yield Section("Footfalls", text, _inline([plots.footfall(gaits, results.fps)]))
-    panels = together(_angle_curves(results)).items()
-    doubtful = np.array([bool(flags) for flags in results.flags])
+        yield Section("Footfalls", text, _inline([plots.footfall(gaits, motion.fps)]))
+    panels = together(_angle_curves(motion)).items()
+    doubtful = np.array([bool(flags) for flags in motion.flags])
     yield Section(
         "Angles",
         "Of each joint of the model, with bands of one standard deviation: left sides blue and dashed, right sides "
         "orange, the middle as the axes; grey ones are mostly expected, not seen. Doubtful frames have a grey ground.",
-        _inline([angle_over_time(results.time_s, curves, doubtful, title) for title, curves in panels]),
+        _inline([angle_over_time(motion.time_s, curves, doubtful, title) for title, curves in panels]),
         "small",
     )
 
@@ -186,9 +187,9 @@ def _is_unknown(values: Array, sigma: Array | None) -> bool:
     return sigma is not None and float(np.mean(sigma > values, where=np.isfinite(values))) > 0.5
 
 
-def _stretches(results: Results, moved: JointKinematics) -> Iterator[Array]:
+def _stretches(motion: Motion, moved: JointKinematics) -> Iterator[Array]:
     """Some of the poses (T, J, 3), in parts of the clip that are short enough to be seen; the rest is NaN."""
-    joints_m = results.pose.xyz_m
+    joints_m = motion.upright.xyz_m
     posed = np.flatnonzero(np.isfinite(joints_m).all(axis=(1, 2)))
     long_m = float(np.median(np.ptp(joints_m[posed], axis=1), axis=0).max())
     count = int(np.clip(np.round(moved.distance_m / (LENGTHS * long_m)), 1, STRETCHES))
@@ -203,7 +204,7 @@ def _inline(figures: Sequence[Any]) -> list[str]:
     return [inline(figure, SECTION_CHARACTERS // len(figures)) for figure in figures]
 
 
-def _angle_curves(results: Results) -> dict[str, AngleCurve]:
-    shares = results.data_shares
-    columns: Iterable[Any] = zip(results.angle_names, results.angles_rad.T, results.angle_sigma_rad.T, strict=True)
+def _angle_curves(motion: Motion) -> dict[str, AngleCurve]:
+    shares = motion.data_shares
+    columns: Iterable[Any] = zip(motion.posture_names, motion.posture_rad.T, motion.posture_sigma_rad.T, strict=True)
     return {name: AngleCurve(angle, sigma, not shares[name] < MEASURED_SHARE) for name, angle, sigma in columns}

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from recon.calibrate.camera_advice import Advice
-from recon.fit.results import MEASURED_SHARE
+from recon.fit.motion import MEASURED_SHARE
 from recon.show.plots.observability import share_colours
 from recon.show.plots.style import GREY, SMALL, drawing
 

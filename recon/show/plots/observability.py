@@ -10,7 +10,7 @@ import numpy as np
 
 from recon.animal import Body, side_of
 from recon.base.arrays import Array, median
-from recon.fit.results import MEASURED_SHARE
+from recon.fit.motion import MEASURED_SHARE
 from recon.geometry.kinematics import AXES, Marker, Tree
 from recon.show.plots.skeleton import VIEWS, draw_limbs, expected_pose
 from recon.show.plots.style import GREY, PAGE_MM, PALE, SMALL, drawing

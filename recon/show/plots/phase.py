@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from recon.base.arrays import Array, Bools
-from recon.fit.results import MEASURED_SHARE
+from recon.fit.motion import MEASURED_SHARE
 from recon.gait.phase import Closure, Portrait
 from recon.show.plots.style import COLUMN_MM, GREY, SMALL, WIDTH_MM, blank, drawing, grid_shape, time_colours
 

@@ -16,9 +16,8 @@ from recon.base.arrays import Array, finite, mean, median
 from recon.check import FLAGS
 from recon.clip.keypoints import frame_ranges
 from recon.fit import TrajectoryOptions
-from recon.fit.motion import Motion
+from recon.fit.motion import MEASURED_SHARE, Motion
 from recon.fit.result import MotionSegment, TrajectorySolution
-from recon.fit.results import MEASURED_SHARE
 from recon.gait.path import MIN_POINTS
 from recon.show.plain import by_name, file_name, frame_count, number
 from recon.show.sections.given import counts, heading_text, sentences, upright

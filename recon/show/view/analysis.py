@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from recon.base.arrays import Array
-from recon.fit.results import MEASURED_SHARE
+from recon.fit.motion import MEASURED_SHARE
 from recon.gait.clip import ClipAnalysis
 from recon.show.view.added import AddedSeries, AddedStates, StateRow, write_plots
 from recon.show.view.scene import GRID, LEFT, LIMB_COLOURS, LINK, MIDDLE, RIGHT, TRAIL
@@ -47,7 +47,7 @@ def _with_sigma(found: ClipAnalysis, entity: str, title: str, values: Array, sig
 
 
 def _links(found: ClipAnalysis) -> Iterator[AddedSeries]:
-    paws = {*found.results.feet.values()}
+    paws = {*found.motion.foot_names.values()}
     for limb, fields in found.fields.items():
         yield AddedSeries(
             entity=f"links/{limb.replace(' ', '_')}",
@@ -55,19 +55,19 @@ def _links(found: ClipAnalysis) -> Iterator[AddedSeries]:
             names=[field.link[1].replace("_", " ") for field in fields],
             colours=[LIMB_COLOURS[i % len(LIMB_COLOURS)] for i in range(len(fields))],
             values=np.stack([field.speed_m_s for field in fields], axis=1),
-            time_s=found.results.time_s,
+            time_s=found.motion.time_s,
             tab="Legs, tips about parents" if paws & {fields[-1].link[1]} else "Trunk, tips about parents",
         )
 
 
 def _observability(found: ClipAnalysis) -> Iterator[AddedStates]:
     """Of every angle, when the pixels show it."""
-    results, rows = found.results, []
-    for name, share in zip(results.angle_names, results.angle_data_share.T, strict=True):
+    motion, rows = found.motion, []
+    for name, share in zip(motion.posture_names, motion.posture_data_share.T, strict=True):
         texts = ["" if np.isnan(s) else "seen" if s >= MEASURED_SHARE else "expected" for s in share]
         rows.append(StateRow(name, texts, {"seen": LEFT, "expected": GRID}))
     title = f"Angles: seen, {MEASURED_SHARE:.0%} or more of their precision is the pixels', or mostly expected"
-    yield AddedStates(title=title, rows=rows, time_s=results.time_s, tab="What is seen")
+    yield AddedStates(title=title, rows=rows, time_s=motion.time_s, tab="What is seen")
 
 
 def _stances(found: ClipAnalysis) -> list[AddedStates]:
@@ -75,7 +75,7 @@ def _stances(found: ClipAnalysis) -> list[AddedStates]:
     plots = []
     for method, gait in found.gaits.items():
         rows = []
-        for foot, joint in found.results.feet.items():
+        for foot, joint in found.motion.foot_names.items():
             stands = np.zeros(len(time_s), dtype=bool)
             for s in gait.stances:
                 if s.foot == foot:

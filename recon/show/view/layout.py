@@ -10,8 +10,7 @@ import rerun.blueprint as rrb
 from rerun.blueprint.archetypes import PlotBackground
 from rerun.encodings import AbsoluteTimeRange
 
-from recon.fit.motion import Motion, Picture
-from recon.fit.results import MEASURED_SHARE
+from recon.fit.motion import MEASURED_SHARE, Motion, Picture
 from recon.show.view.picture import middle_and_reach_px, picture_bounds
 from recon.show.view.scene import BACKGROUND, BODY, CLOSEUP, GRID_SPACING_M, PICTURE, Scene, by_camera
 from recon.show.view.series import TimePlot, angle_series, other_series, state_entities

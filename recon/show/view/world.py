@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from rerun.components import FillMode
 
 from recon.animal.capsules import capsule_ends, capsules
-from recon.fit.motion import Motion, Picture
-from recon.fit.results import MEASURED_SHARE
+from recon.fit.motion import MEASURED_SHARE, Motion, Picture
 from recon.geometry.kinematics import AXES, Marker
 from recon.geometry.rotations import quaternions
 from recon.show.view.scene import (

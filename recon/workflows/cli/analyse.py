@@ -49,9 +49,8 @@ def analyse(settings: AnalyseSettings, as_json: bool, quiet: bool) -> None:
     say_what_is_gone(console, settings.folder)
     say(console, f"{len(done.files)} files are in {done.out}.")
     if done.plots is not None:
-        results = done.found.results.folder
-        own = "" if done.out == results / "analysis" else f" --analysis {done.out}"
-        say(console, f"See them beside the playback with: recon view {results}{own}")
+        own = "" if done.out == settings.folder / "analysis" else f" --analysis {done.out}"
+        say(console, f"See them beside the playback with: recon view {settings.folder}{own}")
 
 
 def _lines(done: Analysed) -> Iterator[str]:
@@ -86,7 +85,7 @@ def _stances(done: Analysed) -> Table:
     """By foot: what both methods found."""
     found, title = done.found, "times: seconds since frame 0"
     table = table_of("foot", *(f"stances by {method}, s" for method in found.gaits), title=title)
-    for foot, joint in found.results.feet.items():
+    for foot, joint in found.motion.foot_names.items():
         cells = []
         for gait in found.gaits.values():
             spans = [
