@@ -10,6 +10,7 @@ from pydantic import BeforeValidator, Field
 
 from recon.base.errors import Problem
 from recon.base.settings import Integer, Number, Option, Positive, Settings
+from recon.workflows.settings import STRIDE, StrideTimes
 
 Extended = Literal["extended-differences", "extended-energy", "extended-harmonic"]
 MethodName = Literal[
@@ -20,18 +21,6 @@ EXTENDED = "extended"
 METHODS: tuple[str, ...] = tuple(name for name in get_args(MethodName) if name != EXTENDED)
 STRIDE_MAX = "stride-max"
 
-
-def _times(given: Any) -> Any:
-    return tuple(given.split(":")) if isinstance(given, str) else given
-
-
-StrideTimes = Annotated[tuple[Number, Number], BeforeValidator(_times)]
-"""From when to when, seconds; as text with a colon between them."""
-_STRIDE = Option(
-    "A stride from when to when, in seconds since frame 0, as in 0.31:0.62. (default: one that is found)",
-    "START:END in seconds, as in 0.31:0.62",
-    metavar="START:END",
-)
 _RESULTS = Option("Folder of results, as in results/clip.", argument="DIR")
 _FIGURES = Option("PNG and SVG beside the tables.")
 _OVERWRITE = Option("Replace earlier ones.")
@@ -63,7 +52,7 @@ class IkSettings(Settings):
     foot: Annotated[
         str | None, Option("LF, RF, LH, RH, or the joint's name. (default: the first fore foot)", metavar="FOOT")
     ] = None
-    stride: Annotated[StrideTimes | None, _STRIDE] = None
+    stride: Annotated[StrideTimes | None, STRIDE] = None
     dim: Annotated[
         Annotated[Integer, Field(ge=2, le=3)], Option("2: in the vertical plane of travel; 3: in space.")
     ] = 3
@@ -140,7 +129,7 @@ class RetargetSettings(Settings):
             "a share of a stride, -0.5 to 0.5",
         ),
     ] = 0.0
-    stride: Annotated[StrideTimes | None, _STRIDE] = None
+    stride: Annotated[StrideTimes | None, STRIDE] = None
     overwrite: Annotated[bool, _OVERWRITE] = False
 
 
