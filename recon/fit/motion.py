@@ -134,7 +134,12 @@ class Motion:
         if (folder / MANIFEST).exists() or (folder / _REPORT).exists():
             read_manifest(folder).require(MOTION)
         motion = load_record(cls, path, SCHEMA, EXPECTED)
-        if faults := motion._misfits():
+        try:
+            faults = motion._misfits()
+            _ = motion.limbs, motion.foot_names, motion.forward_names  # names of joints that there are
+        except (KeyError, ValueError, IndexError) as error:
+            raise InputError(Problem(path, "solution.body", f"a joint {error}", EXPECTED)) from None
+        if faults:
             raise InputError(Problem(path, name, found, expected) for name, found, expected in faults)
         return motion
 

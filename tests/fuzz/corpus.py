@@ -18,7 +18,7 @@ from recon.animal.skeleton_file import builtin_subjects, load_skeleton
 from recon.base.errors import InputError
 from recon.base.manifest import MANIFEST, write_manifest
 from recon.clip.keypoints import Keypoints, clean
-from recon.fit.motion import Motion
+from recon.fit.motion import MOTION, Motion
 from recon.geometry.camera import Camera
 from recon.io import FORMATS, bvh, columns, read_cameras, read_keypoints, write_camera
 from recon.io.camera_track import read_camera_track
@@ -311,7 +311,7 @@ def _results(folder: Path) -> Iterator[Seed]:
         ),
         results,
     )
-    files = {name: (results / name).read_bytes() for name in ("report.json", "pose3d.csv", "angles.csv", MANIFEST)}
+    files = {name: (results / name).read_bytes() for name in (MOTION, MANIFEST)}
 
     def read(path: Path) -> object:
         name = path.name.partition("-")[2]
@@ -324,17 +324,17 @@ def _results(folder: Path) -> Iterator[Seed]:
         found = Motion.load(made)
         return (
             found.body,
-            found.feet,
+            found.foot_names,
             found.limbs,
-            found.angles_rad,
+            found.posture_rad,
             found.size,
             found.title,
             found.time_s,
-            found.forward,
+            found.forward_names,
         )
 
     for name, content in files.items():
-        yield Seed(f"results-{name}", content, read, 3.0 if name == "report.json" else 0.7)
+        yield Seed(f"results-{name}", content, read, 3.0 if name == MOTION else 0.7)
 
 
 def _models(folder: Path) -> Iterator[Seed]:
