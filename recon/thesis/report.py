@@ -14,7 +14,6 @@ from recon.gait.kinematics import peak_doubt
 from recon.geometry.frames import level_axes
 from recon.show.plain import by_name, number, spread
 from recon.show.sections import given
-from recon.show.sections.arrays import image_errors, outliers
 from recon.show.sections.section import Line, Section
 from recon.thesis.frame import FrameOptions, FrameReport, FrameSolution, base_length
 
@@ -256,7 +255,5 @@ SECTIONS: tuple[Section, ...] = (
     Section("cost_shares", cost_shares),
     Section("limits", limits),
     Section("frames", frames, effort_lines),
-    Section("outliers", outliers),
-    Section("image_error_px", image_errors),
 )
 """In the order of the summary."""

@@ -10,10 +10,9 @@ from importlib import import_module
 
 from recon.fit.motion import Motion
 from recon.show.sections import fitted, given
-from recon.show.sections.arrays import ARRAYS
 from recon.show.sections.section import Line, Section
 
-__all__ = ["ARRAYS", "SECTIONS", "Line", "Section", "sections_of"]
+__all__ = ["SECTIONS", "Line", "Section", "sections_of"]
 
 SECTIONS: tuple[Section, ...] = (
     Section("input", given.clip, given.clip_lines),
@@ -39,7 +38,6 @@ SECTIONS: tuple[Section, ...] = (
     Section("stances", fitted.stances, fitted.ground_lines),
     Section("alternative", fitted.alternative, fitted.alternative_lines),
     Section("convergence", fitted.convergence, fitted.effort_lines),
-    *ARRAYS,
 )
 """Of the trajectory method, in the order of the summary."""
 

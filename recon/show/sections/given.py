@@ -14,7 +14,6 @@ from recon.animal.detector import NONE
 from recon.animal.naming import suggestions
 from recon.base.arrays import Array, finite, mean, median
 from recon.check import names_text
-from recon.clip import Source
 from recon.clip.keypoints import KeypointCounts
 from recon.fit import TrajectorySolution
 from recon.fit.motion import Motion, Picture
@@ -211,7 +210,7 @@ def cameras(motion: Motion) -> list[dict[str, Any]]:
 
 def _camera(motion: Motion, number: int) -> dict[str, Any]:
     picture, solution, found = motion.pictures[number], motion.solution, {"time_offset_sigma_frames": 0.0}
-    source, errors = picture.source, finite(picture.distance_px)
+    source, errors, poses = picture.source, finite(picture.distance_px), picture.source.poses
     found |= {"extrinsic_correction": None, "focal": None}
     if isinstance(solution, TrajectorySolution):
         by, sigma, focal = (
@@ -232,13 +231,12 @@ def _camera(motion: Motion, number: int) -> dict[str, Any]:
         "offset_s": source.offset_s,
         "time_offset_frames": solution.views[number].lead_frames - source.lead_frames,
         **found,
-        "track": _track(source),
+        "track": None if poses is None else {"frames_without_pose": int((~poses.known).sum())},
         "frames_seen": int(picture.present.any(axis=1).sum()),
         "points": _points(picture),
         "reprojection_px": {"mean": mean(errors), "median": median(errors)},
         "outliers": int(picture.outliers.sum()),
         "mean_weight": mean(picture.weight),
-        "noise_px": [mean(of_joint) for of_joint in picture.sigma_px.T],
         "distance_m": mean(picture.distance_m),
         "notes": source.cleaning.notes,
     }
@@ -249,19 +247,6 @@ def _points(picture: Picture) -> dict[str, int]:
     names = set(source.keypoints.names)
     rejected = sum(counted.rejected for counted in source.cleaning.keypoints if counted.name in names)
     return {"used": used, "missing": max(picture.present.size - used - rejected, 0), "rejected": rejected}
-
-
-def _track(source: Source) -> dict[str, Any] | None:
-    """Where a camera was that moves: X_camera = R X_world + t."""
-    if source.poses is None:
-        return None
-    poses = source.poses.T_camera_world
-    return {
-        "frames_without_pose": int((~source.poses.known).sum()),
-        "rotation": poses[:, :3, :3],
-        "translation_m": poses[:, :3, 3],
-        "intrinsics_px": source.poses.intrinsics_px,
-    }
 
 
 def camera_lines(motion: Motion, data: Any) -> Iterator[Line]:
