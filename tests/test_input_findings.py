@@ -108,7 +108,7 @@ def test_a_clip_without_states_has_no_exchanged_stretch():
 
 def test_where_an_exchanged_animal_is_sought():
     clip, part = given(view()), slice(0, T)
-    setting, found = clip.setting, clip.found(part)
+    setting, found = clip.clip, clip.found(part)
     assert found is not None
     turned, mirrored = clip.exchanged(part), clip.mirrored(part)
     assert turned is not None
@@ -168,7 +168,7 @@ def test_ten_frames_of_the_sample_are_found(tmp_path):
     xy_px[rows], confidence[rows] = xy_px[rows][:, other], confidence[rows][:, other]
     write_csv(replace(clip, xy_px=xy_px, confidence=confidence), tmp_path / "exchanged.csv")
     camera = samples_folder() / "camera.toml"
-    motion = fit_clip(FitSettings(keypoints=tmp_path / "exchanged.csv", camera=camera, fps=60))
+    motion = fit_clip(FitSettings(keypoints=(tmp_path / "exchanged.csv",), camera=camera, fps=60))
     found = motion.findings[0]
     assert (found.code, found.frames) == ("left_right_swap", (20, 30))
     assert len(number(found, "keypoints")) == 18
@@ -315,7 +315,7 @@ def test_a_motion_at_another_rate_than_it_was_filmed_at(factor):
 
 def test_half_the_frame_rate_of_the_sample_is_named():
     camera = samples_folder() / "camera.toml"
-    motion = fit_clip(FitSettings(keypoints=samples_folder() / "whole.csv", camera=camera, fps=30))
+    motion = fit_clip(FitSettings(keypoints=(samples_folder() / "whole.csv",), camera=camera, fps=30))
     found = motion.findings[0]
     assert (found.code, found.numbers["other_hz"]) == ("frame_rate", 60.0)
     assert "motion_unlike_prior" not in [one.code for one in motion.findings]
@@ -323,7 +323,7 @@ def test_half_the_frame_rate_of_the_sample_is_named():
 
 def test_of_an_animal_that_is_too_fast_no_whole_clip_is_exchanged():
     camera = samples_folder() / "camera.toml"
-    motion = fit_clip(FitSettings(keypoints=samples_folder() / "whole.csv", camera=camera, fps=240))
+    motion = fit_clip(FitSettings(keypoints=(samples_folder() / "whole.csv",), camera=camera, fps=240))
     codes = {one.code: one for one in motion.findings}
     assert not {"left_right_swap", "frame_rate"} & {*codes}
     assert number(codes["too_fast"], "speed_m_s") > 40
@@ -343,9 +343,9 @@ def test_a_file_says_which_rate_it_is_of(tmp_path):
 
 def test_a_file_of_another_camera():
     settings = FitSettings(
-        keypoints=samples_folder() / "whole_cam1.csv",
+        keypoints=(samples_folder() / "whole_cam1.csv",),
         camera=samples_folder() / "whole_scene.json",
-        camera_name="cam2",
+        camera_name=("cam2",),
         fps=60,
         frames="0:12",
         fast=True,
