@@ -331,7 +331,9 @@ def test_frames_without_a_pose_have_no_detections(folder, tmp_path):
 
 def panned(folder: Path) -> dict[str, Any]:
     """The sample as seen by a camera that turns to and fro about its centre: keypoints and track, for settings."""
-    (view,) = views_of(prepare(FitSettings(SAMPLES / "whole.csv", camera=SAMPLES / "camera.toml", fps=60)).sources)
+    (view,) = views_of(
+        prepare(FitSettings(keypoints=SAMPLES / "whole.csv", camera=SAMPLES / "camera.toml", fps=60)).sources
+    )
     keypoints = read_keypoints(SAMPLES / "whole.csv")
     T = len(keypoints.frames)
     angle = 0.05 * np.sin(np.arange(T) / 10)
@@ -356,7 +358,9 @@ def test_a_camera_that_pans_gives_the_motion_of_a_still_one(tmp_path):
     """Its ground is not known from the camera's height, and so it is not looked for in either."""
     options: dict[str, Any] = {"ground": "none"}
     pan = fit_clip(FitSettings(**panned(tmp_path), **options))
-    still = fit_clip(FitSettings(SAMPLES / "whole.csv", camera=SAMPLES / "camera.toml", fps=60, fast=True, **options))
+    still = fit_clip(
+        FitSettings(keypoints=SAMPLES / "whole.csv", camera=SAMPLES / "camera.toml", fps=60, fast=True, **options)
+    )
     assert isinstance(pan, Motion)
     assert isinstance(still, Motion)
     assert np.linalg.norm(pan.joints_m - still.joints_m, axis=-1).mean() < 0.001
