@@ -12,8 +12,7 @@ from recon.workflows.cli.common import progress_bar, say, terminal
 def solver(settings: SolverSettings, as_json: bool, quiet: bool) -> None:
     """What the optimiser did for a reconstruction: cost, gradient, Jacobian, limits.
 
-    Writes tables (CSV), the Jacobian (NPZ), figures (PNG, SVG), and plots beside the playback. The keypoints and the
-    camera of the fit have to be where they were.
+    Writes tables (CSV), the Jacobian (NPZ), figures (PNG, SVG), and plots beside the playback.
 
     Example: recon solver results/clip
     """
