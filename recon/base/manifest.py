@@ -21,7 +21,7 @@ AGAIN = "the results of one run as they were written: run the command again, wit
 
 
 @dataclass(frozen=True)
-class Entry:
+class FileEntry:
     """One file."""
 
     size: int
@@ -35,7 +35,7 @@ class Manifest:
     """What one run wrote into a folder."""
 
     folder: Path
-    files: Mapping[str, Entry]
+    files: Mapping[str, FileEntry]
     """By name."""
 
     def __contains__(self, name: str) -> bool:
@@ -84,7 +84,9 @@ def read_manifest(folder: Path) -> Manifest:
         content = json.loads(path.read_text(encoding="utf-8"))
         if content["schema"] != SCHEMA:
             raise ValueError
-        files = {str(name): Entry(int(entry["size"]), str(entry["sha256"])) for name, entry in content["files"].items()}
+        files = {
+            str(name): FileEntry(int(entry["size"]), str(entry["sha256"])) for name, entry in content["files"].items()
+        }
     except FileNotFoundError:
         found = f"no {MANIFEST}: of an interrupted run, or of an earlier version"
         raise InputError(Problem(folder, "folder", found, AGAIN)) from None

@@ -18,7 +18,7 @@ SEPARATORS = "-_. "
 
 
 @dataclass(frozen=True)
-class Draft:
+class ClipDraft:
     """A clip without a name of its own."""
 
     paths: tuple[Path, ...]
@@ -50,7 +50,7 @@ class Draft:
 class _Named:
     """What a file's name says."""
 
-    draft: Draft
+    draft: ClipDraft
     camera: str
     title: Path
     """The clip without its camera."""
@@ -59,11 +59,11 @@ class _Named:
 
 
 def join_cameras(
-    drafts: Sequence[Draft],
+    drafts: Sequence[ClipDraft],
     cameras_by: str,
     camera_name: str | Sequence[str] | None,
-    cameras_of: Callable[[Draft], Sequence[str]],
-) -> tuple[list[Draft], list[str]]:
+    cameras_of: Callable[[ClipDraft], Sequence[str]],
+) -> tuple[list[ClipDraft], list[str]]:
     """The files of one clip in one draft, in the order of the drafts, and notes. camera_name: as given for every clip.
 
     cameras_by: a pattern; `AUTO`: Anipose's pattern, or the names of a draft's cameras, as `cameras_of` gives them, if
@@ -75,7 +75,7 @@ def join_cameras(
     if pattern is not None and camera_name is not None:
         found = f"{camera_name if isinstance(camera_name, str) else ', '.join(camera_name)} beside {OPTION}"
         raise InputError(Problem("--camera-name", "camera_name", found, "one of the two"))
-    read: list[Draft | _Named] = []
+    read: list[ClipDraft | _Named] = []
     left_out: list[Path] = []
     for draft in drafts:
         if draft.where is not None:
@@ -98,7 +98,7 @@ def join_cameras(
     several = any(len(group) > 1 for group in groups.values())
     joined, problems = [], []
     for one in read:
-        if isinstance(one, Draft):
+        if isinstance(one, ClipDraft):
             joined.append(one)
         elif one.by == AUTO and not several:
             joined.append(one.draft)
@@ -113,7 +113,7 @@ def join_cameras(
     return joined, notes
 
 
-def missing_cameras(drafts: Sequence[Draft], names: Sequence[str]) -> list[str]:
+def missing_cameras(drafts: Sequence[ClipDraft], names: Sequence[str]) -> list[str]:
     """A note of the joined clips, by name, that do not have all the cameras that others have."""
     joined = [(draft, name) for draft, name in zip(drafts, names, strict=True) if draft.joined]
     every: dict[Any, dict[str, None]] = {}  # by project, whose cameras have names of their own
@@ -136,7 +136,7 @@ def _compiled_pattern(text: str, where: Path | str) -> re.Pattern[str]:
 
 
 def _named(
-    draft: Draft, pattern: re.Pattern[str] | None, cameras_by: str, cameras_of: Callable[[Draft], Sequence[str]]
+    draft: ClipDraft, pattern: re.Pattern[str] | None, cameras_by: str, cameras_of: Callable[[ClipDraft], Sequence[str]]
 ) -> _Named | None:
     if pattern is not None:
         return _by_pattern(draft, pattern, OPTION)
@@ -146,7 +146,7 @@ def _named(
     return None if cameras_by == NONE else _by_names(draft, draft.title, cameras_of(draft))
 
 
-def _by_pattern(draft: Draft, pattern: re.Pattern[str], by: str, path: Path | None = None) -> _Named | None:
+def _by_pattern(draft: ClipDraft, pattern: re.Pattern[str], by: str, path: Path | None = None) -> _Named | None:
     """The pattern's first group is the camera's name, or all of it, as in Anipose."""
     title = path or draft.title
     match = pattern.search(title.stem)
@@ -154,7 +154,7 @@ def _by_pattern(draft: Draft, pattern: re.Pattern[str], by: str, path: Path | No
     return None if match is None or not camera.strip() else _Named(draft, camera.strip(), _clip_title(title, match), by)
 
 
-def _by_names(draft: Draft, title: Path, cameras: Sequence[str]) -> _Named | None:
+def _by_names(draft: ClipDraft, title: Path, cameras: Sequence[str]) -> _Named | None:
     found = cameras_in(title.stem, cameras)
     if len(found) > 1:
         names = " and ".join(found)
@@ -177,7 +177,7 @@ def _clip_key(one: _Named, cameras_by: str) -> Any:
     return one.draft.title.parent, one.title.name.casefold(), repr(one.draft.row)
 
 
-def _clip_draft(group: Sequence[_Named], cameras_by: str) -> Draft:
+def _clip_draft(group: Sequence[_Named], cameras_by: str) -> ClipDraft:
     first = group[0]
     cameras = tuple(one.camera for one in group)
     return replace(
@@ -189,7 +189,9 @@ def _clip_draft(group: Sequence[_Named], cameras_by: str) -> Draft:
     )
 
 
-def _draft_of_row(draft: Draft, pattern: re.Pattern[str] | None, cameras_of: Callable[[Draft], Sequence[str]]) -> Draft:
+def _draft_of_row(
+    draft: ClipDraft, pattern: re.Pattern[str] | None, cameras_of: Callable[[ClipDraft], Sequence[str]]
+) -> ClipDraft:
     """A manifest's row with the cameras that the pattern finds, called after what its files have in common."""
     if pattern is not None:
         named = [_by_pattern(draft, pattern, OPTION, path) for path in draft.paths]

@@ -19,7 +19,7 @@ from recon.io import file_head, individuals, recognised, titles
 from recon.io.calibration import read_cameras
 from recon.show.page import SUMMARY_PAGE
 from recon.workflows.batch.anipose import Session, sessions_in
-from recon.workflows.batch.groups import AUTO, Draft, join_cameras, missing_cameras
+from recon.workflows.batch.groups import AUTO, ClipDraft, join_cameras, missing_cameras
 from recon.workflows.settings import SETTINGS, FitSettings, beside, read_settings
 
 SUMMARY = "summary.csv"
@@ -72,7 +72,7 @@ def find_clips(
         notes += said
     except InputError as error:
         problems += error.problems
-    every: list[tuple[Draft, FitSettings]] = []
+    every: list[tuple[ClipDraft, FitSettings]] = []
     for draft in drafts:
         try:
             every += _each_animal(draft, _settings(draft, common, config))
@@ -93,7 +93,7 @@ def find_clips(
 # -- inputs -------------------------------------------------------------------------------------------------------
 
 
-def _drafts_of(given: str, common: Mapping[str, Any]) -> tuple[list[Draft], list[str]]:
+def _drafts_of(given: str, common: Mapping[str, Any]) -> tuple[list[ClipDraft], list[str]]:
     path = Path(given)
     if os.path.isdir(path):  # a Path raises OSError where a name is too long
         files, notes = _files_in(path)
@@ -102,7 +102,7 @@ def _drafts_of(given: str, common: Mapping[str, Any]) -> tuple[list[Draft], list
             return _drafts_of_sessions(of_anipose, common)
         if not files:
             raise InputError(Problem(path, "files", "no keypoint files", f"files of a known format: {_format_names()}"))
-        return [Draft((file,)) for file in files], notes
+        return [ClipDraft((file,)) for file in files], notes
     if not os.path.exists(path) and glob.has_magic(given):
         matches = [Path(match) for match in sorted(glob.glob(given, recursive=True))]
         files = [match for match in matches if not match.is_dir()]
@@ -113,11 +113,11 @@ def _drafts_of(given: str, common: Mapping[str, Any]) -> tuple[list[Draft], list
     return _drafts_of_file(path), []
 
 
-def _drafts_of_file(path: Path) -> list[Draft]:
-    return _drafts_of_manifest(path) if is_manifest(path) else [Draft((path.absolute(),))]
+def _drafts_of_file(path: Path) -> list[ClipDraft]:
+    return _drafts_of_manifest(path) if is_manifest(path) else [ClipDraft((path.absolute(),))]
 
 
-def _drafts_of_sessions(sessions: Sequence[Session], common: Mapping[str, Any]) -> tuple[list[Draft], list[str]]:
+def _drafts_of_sessions(sessions: Sequence[Session], common: Mapping[str, Any]) -> tuple[list[ClipDraft], list[str]]:
     """A draft for each file of 2D poses, with the calibration of its session unless another camera is given."""
     own_cameras = common.get("camera") is None and common.get("hfov_deg") is None
     drafts, notes, problems = [], [], []
@@ -137,7 +137,7 @@ def _drafts_of_sessions(sessions: Sequence[Session], common: Mapping[str, Any]) 
                     Problem(session.config_file or session.folder, "board_square_side_length", found, expected)
                 )
         drafts += [
-            Draft((file,), row, called=session.folder / file.name, cam_regex=session.cam_regex) for file in files
+            ClipDraft((file,), row, called=session.folder / file.name, cam_regex=session.cam_regex) for file in files
         ]
     if problems:
         raise InputError(dict.fromkeys(problems))
@@ -184,7 +184,7 @@ def _format_names() -> str:
     return titles("2D")
 
 
-def _without_repeats(drafts: Sequence[Draft]) -> list[Draft]:
+def _without_repeats(drafts: Sequence[ClipDraft]) -> list[ClipDraft]:
     """A file that two patterns name is one clip; the rows of a manifest are all meant."""
     seen: set[Path] = set()
     kept = []
@@ -219,7 +219,7 @@ def _delimiter(line: str) -> str:
     return ";" if ";" in line and "," not in line else ","
 
 
-def _drafts_of_manifest(path: Path) -> list[Draft]:
+def _drafts_of_manifest(path: Path) -> list[ClipDraft]:
     """One draft a row. Raises InputError with everything that is wrong with the table itself."""
     header = _header(path)
     known = ("out", *SETTINGS)
@@ -257,7 +257,7 @@ def _drafts_of_manifest(path: Path) -> list[Draft]:
         if not files:
             problems.append(Problem(path, f"{line}, keypoints", f"no files that match {row['keypoints']}", "some"))
             continue
-        drafts.append(Draft(tuple(files), values, out, (path, line)))
+        drafts.append(ClipDraft(tuple(files), values, out, (path, line)))
     if not drafts and not problems:
         problems.append(Problem(path, "rows", "none", "one row a clip below the header"))
     if problems:
@@ -280,7 +280,7 @@ def _matching_files(path: Path) -> list[Path]:
 # -- settings -----------------------------------------------------------------------------------------------------
 
 
-def _settings(draft: Draft, common: Mapping[str, Any], config: Path | None) -> FitSettings:
+def _settings(draft: ClipDraft, common: Mapping[str, Any], config: Path | None) -> FitSettings:
     """A row over the common options over config. Problems of a row are said of the manifest's line."""
     row = draft.row
     under = {name: value for name, value in common.items() if value is not None and name not in row}
@@ -296,7 +296,7 @@ def _settings(draft: Draft, common: Mapping[str, Any], config: Path | None) -> F
         raise InputError(_problem_of_row(problem, draft, under) for problem in error.problems) from None
 
 
-def _each_animal(draft: Draft, settings: FitSettings) -> list[tuple[Draft, FitSettings]]:
+def _each_animal(draft: ClipDraft, settings: FitSettings) -> list[tuple[ClipDraft, FitSettings]]:
     animals = () if settings.individual is not None else individuals(settings.keypoints[0])
     if not animals:
         return [(draft, settings)]
@@ -325,7 +325,7 @@ class _CamerasOf:
         self._posed = posed
         self._known: dict[tuple[Path, tuple[int, int] | None], tuple[str, ...]] = {}
 
-    def __call__(self, draft: Draft) -> tuple[str, ...]:
+    def __call__(self, draft: ClipDraft) -> tuple[str, ...]:
         try:
             settings = _settings(
                 replace(draft, paths=draft.paths[:1], row=_without_lists(draft.row)), self._common, self._config
@@ -355,7 +355,7 @@ def _effect_problems(common: Mapping[str, Any], settings: Sequence[FitSettings])
             yield Problem(SETTINGS[name].on_command_line, name, found, f"nothing, or --set method={method} with it")
 
 
-def _problem_of_row(problem: Problem, draft: Draft, common: Mapping[str, Any]) -> Problem:
+def _problem_of_row(problem: Problem, draft: ClipDraft, common: Mapping[str, Any]) -> Problem:
     in_row = problem.field in draft.row or (problem.found == "nothing" and problem.field not in common)
     if draft.where is None or not in_row:
         return problem
@@ -366,7 +366,7 @@ def _problem_of_row(problem: Problem, draft: Draft, common: Mapping[str, Any]) -
 # -- names --------------------------------------------------------------------------------------------------------
 
 
-def _name_problems(drafts: Sequence[Draft]) -> list[Problem]:
+def _name_problems(drafts: Sequence[ClipDraft]) -> list[Problem]:
     """Of names given in manifests: they must be plain, and different."""
     problems = []
     first: dict[str, str] = {}
@@ -385,7 +385,7 @@ def _name_problems(drafts: Sequence[Draft]) -> list[Problem]:
     return problems
 
 
-def _names(drafts: Sequence[Draft]) -> list[str]:
+def _names(drafts: Sequence[ClipDraft]) -> list[str]:
     """As given; else the file's name, with its suffix or its folders where files share it, the animal and the frames
     where the row says them, and a number where that is still not enough."""
     base = file_names(dict.fromkeys(draft.title for draft in drafts))
