@@ -32,7 +32,7 @@ UNKNOWN_ACCELERATION = " The acceleration is hardly known: most of the time it i
 
 
 @dataclass(frozen=True)
-class Section:
+class FigureGroup:
     """Figures with a heading and what they show."""
 
     heading: str
@@ -151,16 +151,16 @@ def doubtful_frames(motion: Motion) -> Iterator[tuple[str, str]]:
 # -- figures ----------------------------------------------------------------------------------------------------------
 
 
-def _sections(motion: Motion, moved: JointKinematics, gaits: Mapping[Method, Gait]) -> Iterator[Section]:
+def _sections(motion: Motion, moved: JointKinematics, gaits: Mapping[Method, Gait]) -> Iterator[FigureGroup]:
     ground = gaits["ground"].tracks.grounds if gaits else None
     drawn = {"ground": ground, "sides": motion.limb_sides}
-    yield Section(
+    yield FigureGroup(
         "From the side, from above and from ahead",
         "Poses evenly spaced in time, turned so that the animal runs to the right.",
         _inline([plots.composites(m, motion.limbs, motion.time_s, **drawn) for m in _stretches(motion, moved)]),
     )
     name = motion.reference
-    yield Section(
+    yield FigureGroup(
         "Speed",
         f"Of {name}, along its path"
         + ("." if moved.speed_sigma_m_s is None else ", with bands of one standard deviation.")
@@ -170,10 +170,10 @@ def _sections(motion: Motion, moved: JointKinematics, gaits: Mapping[Method, Gai
     )
     if gaits:
         text = "When each foot stands: by its speed over the ground and its height, and by its path below the body."
-        yield Section("Footfalls", text, _inline([plots.footfall(gaits, motion.fps)]))
+        yield FigureGroup("Footfalls", text, _inline([plots.footfall(gaits, motion.fps)]))
     panels = together(_angle_curves(motion)).items()
     doubtful = np.array([bool(flags) for flags in motion.flags])
-    yield Section(
+    yield FigureGroup(
         "Angles",
         "Of each joint of the model, with bands of one standard deviation: left sides blue and dashed, right sides "
         "orange, the middle as the axes; grey ones are mostly expected, not seen. Doubtful frames have a grey ground.",
