@@ -212,7 +212,7 @@ class _Unpacker:
             return {key: self.unpacked(one, get_args(arm)[1], f"{where}.{key}") for key, one in value.items()}
         if (of := _elements(arm, len(value) if isinstance(value, list) else 0)) is not None:
             return get_origin(arm)(self.unpacked(one, of[i], f"{where}.{i}") for i, one in enumerate(value))
-        return slice(*value) if arm is slice else Path(value) if arm is Path else value
+        return slice(*value) if arm is slice else Path(str(value)) if arm is Path else value
 
     def _dataclass(self, fields: dict[str, Any], of: Any, where: str) -> Any:
         of = _subclass(fields.pop(CLASS), of) if CLASS in fields else of
