@@ -17,7 +17,11 @@ pictures = [FILE.parent / path for path in config["pictures"]]
 # Nothing is written where a check refuses the calibration.
 run = recon.run_calibration(
     recon.CalibrationSettings(
-        inputs=pictures, board=config["board"], model=config["lens"], out=FILE.parent / config["camera"], overwrite=True
+        inputs=tuple(pictures),
+        board=config["board"],
+        model=config["lens"],
+        out=FILE.parent / config["camera"],
+        overwrite=True,
     )
 )
 views = run.calibration.views

@@ -30,13 +30,13 @@ first = [fit(name, "1-first", prior="none") for name in config["runs"]]
 
 # The animal's lengths, which several cameras measure.
 measured = recon.run_subject_fit(
-    recon.SubjectFitSettings(clips=first, out=subject, offsets=config["offsets"], overwrite=True)
+    recon.SubjectFitSettings(clips=tuple(first), out=subject, offsets=config["offsets"], overwrite=True)
 )
 print(f"size {measured.size:.3f} ± {measured.size_sigma:.3f} of the skeleton's lengths")
 
 # The runs with these lengths, and what its motion is like.
 runs = [fit(name, "2-measured", prior="none", subject=subject) for name in config["runs"]]
-learned = recon.run_prior_fit(recon.PriorFitSettings(poses=runs, out=prior, overwrite=True))
+learned = recon.run_prior_fit(recon.PriorFitSettings(poses=tuple(runs), out=prior, overwrite=True))
 print("\n".join(learned.notes()))
 
 # From now on, one camera is enough.
