@@ -241,6 +241,8 @@ def _begin(messages: Connection, log: str) -> None:
     """Before anything else is imported: one thread for each library, and what is printed goes into the log."""
     global _parent
     os.environ.update(ONE_THREAD)
+    if hasattr(os, "setsid"):
+        os.setsid()  # a session of its own, which systems give a fair share of the processor
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(KILLED))  # tasks clean up behind them
     file = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_APPEND, 0o600)
