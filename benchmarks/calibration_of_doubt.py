@@ -159,7 +159,7 @@ def one_clip(skeleton: str, motion_s: float, noise_s: float, animal: str | None,
     place_m = scale * np.array([0.0, rng.uniform(3.0, 12.0), -rng.uniform(0.0, 1.5)])
     points_m, marked_m = motion.points_m + place_m, motion.marked_m + place_m
     px_per_m = setting.px_per_m(marked_m)[0]
-    late_m = marked_m + options.time_offset_frames * rng.normal() * np.gradient(marked_m, axis=0)
+    late_m = marked_m + constants.TIME_OFFSET_FRAMES * rng.normal() * np.gradient(marked_m, axis=0)
     beside_m = (
         setting.shared()[1][-1].sigma.reshape(J, 2) * np.sqrt(setting.correlation_frames) * rng.normal(size=(J, 2))
     )

@@ -251,7 +251,7 @@ def write_prior(clips: Sequence[Clip], out: Path) -> Path:
         poses = write_poses(clips, Path(folder))
         run_prior_fit(
             PriorFitSettings(
-                poses=poses,
+                poses=tuple(poses),
                 out=out,
                 skeleton=SKELETON,
                 fps=f"{clips[0].fps:g}",

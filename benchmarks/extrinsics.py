@@ -54,10 +54,12 @@ FIELD_M = 1.5
 """How far the middle of a simulated way lies from that of the run, along each axis."""
 
 
-def without_poses(views: Sequence[View], body: Body, fps: float, **options: bool) -> ClipProblem:
+def without_poses(views: Sequence[View], body: Body, fps: float, find_offsets: bool = False) -> ClipProblem:
     lenses = [replace(view.camera, rotation=None, translation_m=None) for view in views]
     bare = [still_view(lens, view.xy_px, view.confidence) for lens, view in zip(lenses, views, strict=True)]
-    return ClipProblem.of(bare, body, prior_of(PRIOR), fps, TrajectoryOptions(**options), ground_near_zero=False)
+    return ClipProblem.of(
+        bare, body, prior_of(PRIOR), fps, TrajectoryOptions(find_offsets=find_offsets), ground_near_zero=False
+    )
 
 
 def found(views: Sequence[Sequence[View]], bodies: Sequence[Body], fps: Sequence[float]) -> Rig:

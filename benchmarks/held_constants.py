@@ -14,10 +14,12 @@ def holding(**values: Any) -> Iterator[None]:
     """Constants by their names, as in ROBUST_C."""
     before = {name: getattr(constants, name) for name in values}
     try:
-        vars(constants).update(values)
+        for name, value in values.items():
+            setattr(constants, name, value)
         yield
     finally:
-        vars(constants).update(before)
+        for name, value in before.items():
+            setattr(constants, name, value)
 
 
 @contextmanager

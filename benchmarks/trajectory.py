@@ -480,7 +480,7 @@ def ablation(runs: Sequence[Path]) -> dict[str, Rows]:
             path = Path(folder) / "all-segments.npz"
             run_prior_fit(
                 PriorFitSettings(
-                    poses=[poses / "training_positions.csv"],
+                    poses=(poses / "training_positions.csv",),
                     out=path,
                     skeleton=SKELETON,
                     fps=str(poses / "segments.json"),

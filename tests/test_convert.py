@@ -514,7 +514,7 @@ def test_folder_of_results(results, tmp_path):
     found = read_pose3d(tmp_path / "a.nwb")
     assert_same_pose(found, replace(expected, fps=30.0))
     assert ("neck_base", "nose") in found.edges or ("nose", "neck_base") in found.edges
-    with pytest.raises(InputError, match=r"no report\.json"):
+    with pytest.raises(InputError, match=r"no motion\.npz"):
         convert(ConvertSettings(source=tmp_path, out=tmp_path / "b.nwb"))
 
 

@@ -68,7 +68,7 @@ def load_record(of: type[_Class], path: Path, schema: Mapping[str, Any], expecte
             if len(infos) > MAX_ARRAYS or sum(info.file_size for info in infos) > MAX_BYTES:
                 raise ValueError(f"{len(infos)} arrays of {sum(i.file_size for i in infos) >> 20} MB are too much")
             arrays = {info.filename.removesuffix(".npy"): _array(archive.read(info)) for info in infos}
-        text = arrays.pop(RECORD).astype(np.uint8).tobytes().decode()
+        text = _text(arrays.pop(RECORD))
     except (*_DAMAGE, zipfile.BadZipFile, zlib.error) as error:
         found = f"data that cannot be read ({' '.join(str(error).split())[:100] or type(error).__name__})"
         raise InputError(Problem(path, "content", found, expected)) from None
@@ -82,6 +82,13 @@ def load_record(of: type[_Class], path: Path, schema: Mapping[str, Any], expecte
         return _Unpacker(arrays).unpacked(record["value"], of, "")
     except (*_DAMAGE, AttributeError, IndexError, OverflowError, RecursionError) as error:
         raise InputError(Problem(path, "content", " ".join(str(error).split())[:200], expected)) from None
+
+
+def _text(array: np.ndarray) -> str:
+    """What bytes (n,) say. Raises ValueError for an array of another type."""
+    if array.dtype != np.uint8:
+        raise ValueError(f"a text of {array.dtype}")
+    return array.tobytes().decode()
 
 
 def _array(content: bytes) -> np.ndarray:

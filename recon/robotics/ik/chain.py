@@ -278,7 +278,7 @@ def _with_z_along(z: Array) -> Array:
     x = np.eye(3)[np.argmin(np.abs(z))]
     x = x - (x @ z) * z
     x /= np.linalg.norm(x)
-    return np.column_stack([x, np.cross(z, x), z])
+    return np.column_stack([x, np.asarray(np.cross(z, x), dtype=float), z])
 
 
 # -- what is asked of them -------------------------------------------------------------------------------------------

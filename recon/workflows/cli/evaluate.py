@@ -77,7 +77,7 @@ def _table_notes(result: Evaluation) -> Iterator[str]:
     yield f"PCK     share of the joints within {thresholds} mm, centred"
     for what, shares in result.inside.items():
         stated, held = (" and ".join(f"{100 * p:.0f}".replace("nan", "-") for p in of) for of in (LEVELS, shares))
-        yield f"Doubt of the {what}: intervals of {stated} % hold {held} % of the reference's coordinates"
+        yield f"Uncertainty of the {what}: intervals of {stated} % hold {held} % of the reference's coordinates"
     yield f"Compared: {len(result.frames) - result.frames_not_scored} frames, {len(result.names)} joints."
     for what, reconstruction, reference in (
         ("Joints", result.joints_only_in_pose, result.joints_only_in_truth),
