@@ -33,6 +33,8 @@ MEASURED_SHARE = 0.5
 """A quantity with less of its precision from the pixels is not called measured."""
 _REPORT, _CONFIG = "report.json", "config.toml"
 """Beside a motion, in the folder of results that `recon fit` wrote."""
+_OF_A_FIT = (_REPORT, _CONFIG, "angles.csv", "pose3d.csv", "quality.csv")
+"""Files that a fit puts beside the motion. Where one is there and the manifest is not, a run was interrupted."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,7 +133,7 @@ class Motion:
         path = folder / MOTION
         if not path.is_file():
             raise InputError(_no_motion(folder))
-        if (folder / MANIFEST).exists() or (folder / _REPORT).exists():
+        if any((folder / name).exists() for name in (MANIFEST, *_OF_A_FIT)):  # not a motion that was saved by itself
             read_manifest(folder).require(MOTION)
         motion = load_record(cls, path, SCHEMA, EXPECTED)
         try:
