@@ -35,6 +35,11 @@ SENTENCES = {
     "camera_late": ("-2.5 frames late", {"late_frames": -2.5, "offset_s": 0.1, **AGAINST}),
     "camera_off": ("cam1 does not agree with the other cameras (31 px", AGAINST),
     "cameras_out_of_step": ("by 1.5 frames or more", {"cameras": ("cam1", "cam2"), "apart_frames": 1.5}),
+    "fit_explains_little": ("are 2.4 standard deviations or more off the pose", {"sigmas": 2.41}),
+    "motion_unexplained": (
+        "the prior cats knows (misfit 3.1, where 1 is usual), and 17% of the detections",
+        {"prior": "cats", "misfit": 3.1, "share": 0.17},
+    ),
     "motion_unlike_prior": (
         "prior cats knows (misfit 2.5, where 1 is usual and 2 the limit). The prior has 16% of its weight",
         {"prior": "cats", "misfit": 2.5, "limit": 2.0, "weight": 0.16},

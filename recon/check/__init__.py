@@ -1,7 +1,7 @@
 """Every diagnosis of an input or of a fit: a `Finding` has a code and numbers, `CODES` its severity and its words.
 
-`findings_of` are those of a motion; those that fit a clip again are `input_findings`, those that compare its cameras
-`agreement_findings`.
+`judged` gives a motion its findings and the verdict that follows from them. Findings that fit a clip again are
+`input_findings`, those that compare its cameras `agreement_findings`.
 """
 
 from recon.check.agreement import agreement_findings
@@ -11,6 +11,7 @@ from recon.check.inputs.outliers import without_gross_outliers
 from recon.check.inputs.swaps import without_swaps
 from recon.check.mismatch import mismatches
 from recon.check.rules import findings_of
+from recon.check.verdict import judged, verdict_lines
 from recon.fit.finding import Finding, Severity
 
 __all__ = [
@@ -25,10 +26,12 @@ __all__ = [
     "findings_of",
     "flagged",
     "input_findings",
+    "judged",
     "mismatches",
     "names_text",
     "sentence",
     "sentences",
+    "verdict_lines",
     "without_gross_outliers",
     "without_swaps",
 ]

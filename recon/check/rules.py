@@ -23,8 +23,13 @@ from recon.fit.trajectory import ALTERNATIVE_M
 
 Rule = Callable[[Motion], Iterator[Finding]]
 
-MANY_OUTLIERS = 0.05
-"""Share of the detections from which outliers are named."""
+MANY_OUTLIERS = 0.2
+"""Share of the detections from which outliers are named: views that are right have up to 15 % (32 real ones)."""
+EXPLAINED_SIGMAS = 1.9
+"""A median detection further off than that many standard deviations is not explained: right views have 1.0 to 1.4."""
+UNKNOWN_MOTION, UNKNOWN_SHARE = 3.0, 0.15
+"""A prior's misfit from which on a motion is no animal's of its kind, and the share of outliers from which on any is
+that the prior does not know."""
 KEYPOINT_SHARE, KEYPOINT_LEAST, KEYPOINTS_NAMED = 1 / 3, 10, 5
 """Share, and number, of one keypoint's detections from which it is named, and up to how many are, each by itself."""
 OUT_OF_STEP_SIGMAS = 3.0
@@ -56,12 +61,17 @@ def missing_keypoints(motion: Motion) -> Iterator[Finding]:
 
 
 def many_outliers(motion: Motion) -> Iterator[Finding]:
-    count, detections = (
-        sum(int(values.sum()) for values in of_all)
-        for of_all in zip(*((picture.outliers, picture.present) for picture in motion.pictures), strict=True)
-    )
-    if count > MANY_OUTLIERS * max(detections, 1):
-        yield finding("many_outliers", count=count, share=count / detections)
+    count, share = _outliers(motion)
+    if share > MANY_OUTLIERS:
+        yield finding("many_outliers", count=count, share=share)
+
+
+def detections_not_explained(motion: Motion) -> Iterator[Finding]:
+    """Of the outliers a few are far off, whatever the fit; the median detection is not where a fit is right."""
+    off = np.concatenate([(one.distance_px / one.sigma_px)[one.present] for one in motion.pictures])
+    sigmas = float(np.median(off[np.isfinite(off)])) if np.isfinite(off).any() else 0.0
+    if sigmas >= EXPLAINED_SIGMAS:
+        yield finding("fit_explains_little", sigmas=sigmas)
 
 
 def keypoints_that_do_not_fit(motion: Motion) -> Iterator[Finding]:
@@ -84,7 +94,13 @@ def camera_taken_level(motion: Motion) -> Iterator[Finding]:
         yield finding("camera_taken_level")
 
 
-COMMON: tuple[Rule, ...] = (missing_keypoints, many_outliers, keypoints_that_do_not_fit, camera_taken_level)
+COMMON: tuple[Rule, ...] = (
+    missing_keypoints,
+    many_outliers,
+    detections_not_explained,
+    keypoints_that_do_not_fit,
+    camera_taken_level,
+)
 
 # -- trajectory method ------------------------------------------------------------------------------------------------
 
@@ -131,6 +147,10 @@ def motion_unlike_prior(motion: Motion) -> Iterator[Finding]:
     ):
         misfit = max(segment.prior_misfit for segment in solution.segments if segment.prior_misfit is not None)
         weight = min(segment.prior_weight for segment in solution.segments)
+        share = _outliers(motion)[1]
+        if misfit >= UNKNOWN_MOTION or share > UNKNOWN_SHARE:
+            yield finding("motion_unexplained", prior=solution.prior, misfit=misfit, share=share)
+            return
         yield finding("motion_unlike_prior", prior=solution.prior, misfit=misfit, limit=LEVEL, weight=weight)
 
 
@@ -200,6 +220,15 @@ OF_TRAJECTORY: tuple[Rule, ...] = (
     pose_mostly_expected,
     track_gaps,
 )
+
+
+def _outliers(motion: Motion) -> tuple[int, float]:
+    """Detections that the pose does not explain: their number, and their share of all."""
+    count, detections = (
+        sum(int(values.sum()) for values in of_all)
+        for of_all in zip(*((picture.outliers, picture.present) for picture in motion.pictures), strict=True)
+    )
+    return count, count / max(detections, 1)
 
 
 def _flagged(motion: Motion, flag: str) -> int:

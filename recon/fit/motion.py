@@ -21,6 +21,7 @@ from recon.clip import Source, world_from_reference
 from recon.clip.keypoints import CleaningReport, Keypoints
 from recon.fit.finding import Finding
 from recon.fit.result import OUTLIER_SIGMAS, MotionSegment, Solution
+from recon.fit.verdict import Verdict
 from recon.geometry.camera import Camera
 from recon.geometry.frames import inverse, moved
 from recon.geometry.kinematics import PITCH, ROOT, YAW
@@ -107,6 +108,8 @@ class Motion:
     """What the method found, and what else it says: a `TrajectorySolution`, or that of another method."""
     findings: tuple[Finding, ...] = ()
     """What checks of the input and of the fit found (`recon.check`), the most serious first."""
+    verdict: Verdict | None = None
+    """Whether it may be used, and how far off it is expected to be; None before `recon.check.judged`."""
     chain: Chain | None = None
     """Of a skeleton that is one: its own form, which `body` is made from."""
     settings: Mapping[str, Any] = field(default_factory=dict)

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import fields, replace
+from dataclasses import fields
 
 from recon.animal.body import Body
 from recon.animal.skeleton_file import load_chain
 from recon.base.progress import Progress, silent
-from recon.check import findings_of
+from recon.check import judged
 from recon.clip import views_of
 from recon.fit.motion import Motion
 from recon.thesis.frame import FrameOptions, solve_frames
@@ -26,7 +26,7 @@ def fit_clip(settings: FitSettings, progress: Progress = silent) -> Motion:
     solution = solve_frames(view, chain, given.fps, frame_options(settings), lambda done: progress("frames", done / T))
     plain = settings.plain()
     motion = Motion(given.sources, given.side, given.side_reason, solution, chain=chain, settings=plain)
-    return replace(motion, findings=findings_of(motion))
+    return judged(motion)
 
 
 def load_body(settings: FitSettings) -> Body:

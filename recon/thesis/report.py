@@ -233,6 +233,7 @@ def _field_of_frames(solution: FrameSolution, field: str, *shape: int) -> Array:
 
 
 SECTIONS: tuple[Section, ...] = (
+    Section("verdict", given.verdict, given.verdict_lines),
     Section("input", given.clip, given.clip_lines),
     Section("side", given.side, given.side_lines),
     Section("frame_of_reference", lambda motion: motion.frame_of_reference),

@@ -28,9 +28,9 @@ from recon.base.progress import Progress, silent
 from recon.check import (
     FileFacts,
     agreement_findings,
-    findings_of,
     flagged,
     input_findings,
+    judged,
     without_gross_outliers,
     without_swaps,
 )
@@ -125,7 +125,7 @@ def fit_clip(settings: FitSettings, progress: Progress = silent) -> Motion:
         placed = zip(sources, solution.extrinsic_correction, solution.focal, strict=True)
         sources = tuple(replace(s, camera=s.camera.corrected(by).with_focal_scale(longer)) for s, by, longer in placed)
     motion = replace(flagged(motion, found), sources=sources, findings=found)
-    return replace(motion, findings=findings_of(motion))
+    return judged(motion)
 
 
 def _file_facts(given: Prepared, settings: FitSettings) -> FileFacts:

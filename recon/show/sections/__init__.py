@@ -15,6 +15,7 @@ from recon.show.sections.section import Line, Section
 __all__ = ["SECTIONS", "Line", "Section", "sections_of"]
 
 SECTIONS: tuple[Section, ...] = (
+    Section("verdict", given.verdict, given.verdict_lines),
     Section("input", given.clip, given.clip_lines),
     Section("side", given.side, given.side_lines),
     Section("frame_of_reference", lambda motion: motion.frame_of_reference),
@@ -31,7 +32,7 @@ SECTIONS: tuple[Section, ...] = (
     Section("root_path", given.root_path, fitted.speed_lines),
     Section("heading", fitted.heading, fitted.heading_lines),
     Section("size", fitted.size, fitted.size_lines),
-    Section("uncertainty", fitted.uncertainty, fitted.uncertainty_lines),
+    Section("uncertainty", fitted.uncertainty),
     Section("angles", given.angles),
     Section("prior", fitted.prior, fitted.prior_lines),
     Section("segments", fitted.segments),

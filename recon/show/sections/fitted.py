@@ -200,15 +200,6 @@ def uncertainty(motion: Motion) -> dict[str, Any]:
     return {"joint_sigma_m": medians(motion.joint_sigma_m), "relative_sigma_m": medians(motion.relative_sigma_m)}
 
 
-def uncertainty_lines(motion: Motion, data: Any) -> Iterator[Line]:
-    within, place = median(motion.relative_rms_m), median(motion.place_sigma_m)
-    yield (
-        "uncertainty",
-        f"{number(within, '.2f')} m of a joint within the pose, {number(place, '.2f')} m of the animal's place in "
-        "depth (one sigma, median)",
-    )
-
-
 def prior(motion: Motion) -> dict[str, Any]:
     """The surprise and the weight are those of the segment that the prior fits least."""
     solution = _solution(motion)

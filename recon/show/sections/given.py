@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import fields
+from dataclasses import asdict, fields
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from recon import check
 from recon.animal.detector import NONE
 from recon.animal.naming import suggestions
 from recon.base.arrays import Array, finite, mean, median
-from recon.check import names_text
 from recon.clip.keypoints import KeypointCounts
 from recon.fit import TrajectorySolution
 from recon.fit.motion import Motion, Picture
@@ -24,6 +24,18 @@ from recon.show.plain import by_name, file_name, number
 from recon.show.sections.section import Line
 
 BEST_SHARE = 0.9
+
+# -- the verdict ------------------------------------------------------------------------------------------------------
+
+
+def verdict(motion: Motion) -> dict[str, Any] | None:
+    """None of a motion that was not judged."""
+    return None if motion.verdict is None else asdict(motion.verdict)
+
+
+def verdict_lines(motion: Motion, data: Any) -> Iterator[Line]:
+    yield from zip(("verdict", "expected"), check.verdict_lines(motion.verdict), strict=False)
+
 
 # -- the clip ---------------------------------------------------------------------------------------------------------
 
@@ -170,7 +182,7 @@ def keypoint_lines(motion: Motion, data: Any) -> Iterator[Line]:
         "not used": motion.unused_keypoints,
         "perhaps the same (--rename)": [f"{a} for {b}" for a, b in near.items()],
     }
-    listed = "".join(f"; {what}: {names_text(names)}" for what, names in parts.items() if names)
+    listed = "".join(f"; {what}: {check.names_text(names)}" for what, names in parts.items() if names)
     share = f"{found['keypoints']['used']}" if lacking else "all"
     yield "keypoints", f"{share} of the skeleton's {len(fitted)} used{listed}"
     points = [_points(picture) for picture in motion.pictures]

@@ -1,0 +1,168 @@
+"""The verdict on a clip: use, check or do not use, why, and the errors that are expected of its poses and its place.
+
+What the posterior states is right on average, and does not tell a good view from a bad one. The expected error of the
+pose is therefore a product of powers of what does: the stated deviation, the misfit of the prior, the distance, and how
+far the animal is seen from its front or back. `benchmarks/verdict.py` fits the powers and prints what they are worth on
+runs left out. The place is expected as far off as the posterior states.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import astuple, dataclass, replace
+
+import numpy as np
+
+from recon.base.arrays import Array
+from recon.check.codes import sentence
+from recon.check.rules import findings_of
+from recon.fit import TrajectorySolution
+from recon.fit.finding import Finding
+from recon.fit.motion import Motion
+from recon.fit.regions import radius
+from recon.fit.verdict import Expected, Level, Verdict
+
+LIMIT_OF_TRUNK = 0.2
+"""A mean error of the joints as large as this, of the trunk's length, spoils most uses: with a cheetah 14 cm. A clip is
+to be used if its error is below that with 95 %, and not to be used if it is above more likely than not."""
+POWERS = {"posterior": 0.85, "misfit": 0.37, "distance": 0.19, "end_on": 0.49}
+SCALE, SPREAD = -0.82, 0.25
+"""Of the logarithm of the pose's error, relative to the trunk: its constant, and the standard deviation that is left in
+runs left out (`benchmarks/verdict.py`)."""
+USUAL = {"posterior": -2.4, "misfit": 0.0, "distance": 1.9, "end_on": 0.1}
+"""`Evidence.factors` of a view like most."""
+WHY = {
+    "posterior": "The detections leave the poses too uncertain.",
+    "misfit": "The motion is unlike those that the prior knows, so that the poses are uncertain.",
+    "distance": "The animal is far away, so that the poses are uncertain.",
+    "end_on": "The animal is seen from the front or the back, which hardly shows its pose.",
+}
+_SIGMAS = 1.645
+"""5 % of a normal distribution lie further up."""
+_MEAN_OF_NORM = 0.92
+"""Mean length of a vector of three equal normal components, in roots of their summed variance."""
+_LEAST_M2 = 1e-8
+"""A variance that is all the size's has rounding left."""
+_MEAN_OF_SIGMA = 0.8
+"""The mean distance of a quantity from its middle, in standard deviations."""
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """What an expected error is worked out from, means over the frames with a pose."""
+
+    trunk_m: float
+    posterior_m: float
+    """Mean distance of the joints that the posterior expects, both poses centred, at the size that was found: how large
+    the animal is moves all joints alike, and animals are as large as expected more often than stated."""
+    misfit: float
+    """Of the prior, 1 where there is none."""
+    distance_m: float
+    """From the nearest camera."""
+    end_on: float
+    """The cosine between the trunk and the line of sight of the camera that sees the animal most from the side."""
+    position_sigma_m: float
+
+    @property
+    def factors(self) -> dict[str, float]:
+        """Whose powers make the error relative to the trunk, as logarithms."""
+        return {
+            "posterior": math.log(self.posterior_m / self.trunk_m),
+            "misfit": math.log(self.misfit),
+            "distance": math.log(self.distance_m / self.trunk_m),
+            "end_on": self.end_on**4,
+        }
+
+
+def evidence_of(motion: Motion) -> Evidence:
+    """Of a motion of which some frame has a pose."""
+    solution, posed = motion.solution, motion.solved
+    joints_m, relative = solution.joints_m[posed], solution.relative_covariance_m2[posed]
+    middle_m = joints_m.mean(axis=1)
+    variance = np.trace(relative, axis1=2, axis2=3)
+    if isinstance(solution, TrajectorySolution):
+        from_middle_m = np.linalg.norm(joints_m - middle_m[:, None], axis=-1)
+        variance = variance - (from_middle_m * solution.size_sigma / solution.size) ** 2
+    of_middle = np.trace((solution.covariance_m2[posed] - relative).mean(axis=1), axis1=1, axis2=2)
+    rear, front = motion.forward
+    trunk_m = joints_m[:, front] - joints_m[:, rear]
+    sights_m = [middle_m - np.broadcast_to(view.centre_m, (len(posed), 3))[posed] for view in solution.views]
+    misfits = [segment.prior_misfit for segment in solution.segments if segment.prior_misfit is not None]
+    return Evidence(
+        trunk_m=float(np.linalg.norm(trunk_m, axis=-1).mean()),
+        posterior_m=_MEAN_OF_NORM * float(np.sqrt(np.maximum(variance, _LEAST_M2)).mean()),
+        misfit=max(misfits, default=1.0),
+        distance_m=min(float(np.linalg.norm(sight_m, axis=-1).mean()) for sight_m in sights_m),
+        end_on=min(float(np.abs(_cosine(trunk_m, sight_m)).mean()) for sight_m in sights_m),
+        position_sigma_m=float(np.sqrt(np.maximum(of_middle, 0.0)).mean()),
+    )
+
+
+def _cosine(a: Array, b: Array) -> Array:
+    return np.sum(a * b, axis=-1) / (np.linalg.norm(a, axis=-1) * np.linalg.norm(b, axis=-1))
+
+
+def expected_pose_of_trunk(evidence: Evidence) -> Expected:
+    """The mean error of the joints, both poses centred, relative to the length of the trunk."""
+    middle = SCALE + sum(POWERS[name] * value for name, value in evidence.factors.items())
+    return Expected(*(math.exp(middle + off * SPREAD) for off in (0.0, -_SIGMAS, _SIGMAS)))
+
+
+def expected_position(evidence: Evidence) -> Expected:
+    """How far the animal's middle is off, mean over the frames: in one clip, nearly all of it is common to them."""
+    low, high = radius(0.05), radius(0.95)
+    return Expected(_MEAN_OF_SIGMA, low, high).times(evidence.position_sigma_m)
+
+
+def judged(motion: Motion) -> Motion:
+    """With all its findings (`recon.check.findings_of`), and the verdict that follows from them."""
+    motion = replace(motion, findings=findings_of(motion))
+    return replace(motion, verdict=_verdict(motion))
+
+
+def _verdict(motion: Motion) -> Verdict:
+    errors = [one for one in motion.findings if one.severity == "error"]
+    if errors:  # what is expected of errors does not hold for data that are none of this animal, camera or time
+        return Verdict("do not use", _said(motion, errors[0]))
+    if not motion.solved.any():
+        return Verdict("do not use", "No frame has a pose.")
+    evidence = evidence_of(motion)
+    pose, position = expected_pose_of_trunk(evidence), expected_position(evidence)
+    warnings = [one for one in motion.findings if one.severity == "warning"]
+    level: Level = "use" if pose.high <= LIMIT_OF_TRUNK and not warnings else "check"
+    if pose.expected > LIMIT_OF_TRUNK:
+        level = "do not use"
+    reason = _why_uncertain(evidence) if pose.high > LIMIT_OF_TRUNK else "Nothing speaks against it."
+    if warnings and level != "do not use":
+        reason = _said(motion, warnings[0])
+    return Verdict(level, reason, pose.times(evidence.trunk_m), pose, position)
+
+
+def verdict_lines(verdict: Verdict | None) -> tuple[str, ...]:
+    """In words, as everything begins that is made of a clip: the level and why, and what errors are expected, where
+    that is known; nothing of a motion that was not judged."""
+    if verdict is None:
+        return ()
+    said = f"{verdict.level}: {verdict.reason}"
+    if verdict.pose_m is None or verdict.pose_of_trunk is None or verdict.position_m is None:
+        return (said,)
+    share = f"{verdict.pose_of_trunk.expected:.0%} of the trunk's length"
+    pose, position = _length_text(verdict.pose_m), _length_text(verdict.position_m)
+    return said, f"pose off by {pose}, {share}; position by {position}"
+
+
+def _length_text(error_m: Expected) -> str:
+    """Metres, or millimetres where the largest is below half a metre."""
+    unit, error = ("mm", error_m.times(1000.0)) if error_m.high < 0.5 else ("m", error_m)
+    expected, low, high = (f"{value:.2g}" if value < 10 else f"{value:.0f}" for value in astuple(error))
+    return f"{expected} {unit} ({low} to {high})"
+
+
+def _said(motion: Motion, one: Finding) -> str:
+    return sentence(one, named=len(motion.sources) > 1)
+
+
+def _why_uncertain(evidence: Evidence) -> str:
+    """The factor that is furthest above what it is in a good view."""
+    off = {name: POWERS[name] * (value - USUAL[name]) for name, value in evidence.factors.items()}
+    return WHY[max(off, key=lambda name: off[name])]

@@ -1,0 +1,83 @@
+"""The verdict on a clip: from findings and from what its error is expected to be."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from recon.check import finding, judged, verdict_lines
+from recon.check.verdict import LIMIT_OF_TRUNK, evidence_of, expected_pose_of_trunk, expected_position
+from recon.fit.motion import Motion
+
+
+def level(motion: Motion) -> str:
+    verdict = judged(motion).verdict
+    assert verdict is not None
+    return verdict.level
+
+
+def test_the_most_serious_finding_decides(small_trajectory):
+    warned = replace(small_trajectory, findings=(finding("ground_above_camera", height_m=1.0, sigma_m=0.1),))
+    assert level(warned) in ("check", "do not use")
+    wrong = judged(replace(small_trajectory, findings=(finding("keypoints_y_up"), *warned.findings)))
+    assert wrong.verdict.level == "do not use"
+    assert wrong.verdict.reason.startswith("The keypoints look as if y went up")
+    assert wrong.verdict.pose_m is wrong.verdict.position_m is None
+    assert verdict_lines(wrong.verdict) == (f"do not use: {wrong.verdict.reason}",)
+
+
+def test_expected_errors(small_trajectory):
+    evidence = evidence_of(small_trajectory)
+    solution = small_trajectory.solution
+    rear, front = small_trajectory.forward
+    trunk = np.linalg.norm(solution.joints_m[:, front] - solution.joints_m[:, rear], axis=-1).mean()
+    assert evidence.trunk_m == pytest.approx(trunk)
+    pose, position = expected_pose_of_trunk(evidence), expected_position(evidence)
+    assert 0 < pose.low < pose.expected < pose.high
+    assert pose.expected / pose.low == pytest.approx(pose.high / pose.expected)
+    assert 0 < position.low < position.expected < position.high
+    verdict = judged(small_trajectory).verdict
+    assert verdict.pose_m == pose.times(evidence.trunk_m)
+    assert verdict.pose_of_trunk == pose
+    twice = replace(solution, relative_covariance_m2=4 * solution.relative_covariance_m2)
+    less_sure = evidence_of(replace(small_trajectory, solution=replace(twice, size_sigma=2 * solution.size_sigma)))
+    assert less_sure.posterior_m == pytest.approx(2 * evidence.posterior_m)
+    assert expected_pose_of_trunk(less_sure).expected > 1.5 * pose.expected
+
+
+@pytest.mark.parametrize("name", ["posterior_m", "misfit", "distance_m", "end_on"])
+def test_worse_evidence_expects_more(small_trajectory, name):
+    evidence = evidence_of(small_trajectory)
+    worse = replace(evidence, **{name: 1.0 if name == "end_on" else 3 * getattr(evidence, name)})
+    assert expected_pose_of_trunk(worse).expected > expected_pose_of_trunk(evidence).expected
+
+
+def test_an_uncertain_pose_is_not_to_be_used(small_trajectory):
+    solution = small_trajectory.solution
+    vague = replace(solution, relative_covariance_m2=1e4 * solution.relative_covariance_m2)
+    verdict = judged(replace(small_trajectory, solution=vague)).verdict
+    assert verdict.level == "do not use"
+    assert verdict.pose_of_trunk.expected > LIMIT_OF_TRUNK
+    assert verdict.reason == "The detections leave the poses too uncertain."
+
+
+def test_no_pose_is_not_to_be_used(small_trajectory):
+    nowhere = np.full_like(small_trajectory.solution.joints_m, np.nan)
+    motion = replace(small_trajectory, solution=replace(small_trajectory.solution, joints_m=nowhere))
+    assert judged(motion).verdict.level == "do not use"
+
+
+def test_words_are_in_the_unit_that_fits(small_trajectory):
+    said, errors = verdict_lines(judged(small_trajectory).verdict)
+    assert said.split(":")[0] in ("use", "check", "do not use")
+    assert "pose off by" in errors
+    assert "of the trunk's length; position by" in errors
+    assert verdict_lines(None) == ()
+
+
+def test_it_is_saved_and_loaded(small_trajectory, tmp_path):
+    motion = judged(small_trajectory)
+    motion.save(tmp_path)
+    assert Motion.load(tmp_path).verdict == motion.verdict
