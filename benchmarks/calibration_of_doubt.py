@@ -82,8 +82,8 @@ def model(skeleton: str) -> tuple[Body, MotionPrior]:
         raise SystemExit(f"{skeleton}: expected a whole animal")
     for name in builtin_priors():
         with suppress(InputError):  # it is another animal's
-            return seen_by(body, None), as_one_gaussian(load_prior(name, body))
-    return seen_by(body, None), prior_from_body(body)
+            return seen_by(body, "acinoset"), as_one_gaussian(load_prior(name, body))
+    return seen_by(body, "acinoset"), prior_from_body(body)
 
 
 def extent(body: Body) -> float:
@@ -121,7 +121,7 @@ def recorded_motions(animal: str) -> list[Motion]:
     motions = []
     for path in sorted(recordings("cheetah-runs").resolve().glob("*/meta.json")):
         run = run_of(path.parent)
-        body, known = seen_by(body_of(run.subject), None), np.isfinite(run.truth_m).all(axis=(1, 2))
+        body, known = seen_by(body_of(run.subject), "acinoset"), np.isfinite(run.truth_m).all(axis=(1, 2))
         marked_m = body.detected.pose(states_of(run, np.zeros(3))).points_m
         motions.append(Motion(body, prior_of(PRIOR), run.fps, run.truth_m[known], marked_m[known]))
     return motions

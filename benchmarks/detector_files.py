@@ -169,7 +169,9 @@ FILES: dict[str, tuple[str | None, Callable[[Path], None]]] = {
 def mpjpe_m(keypoints: Path, rename: str | None = None, skeleton: str = "cheetah-24") -> tuple[float, int]:
     """Of a fit, all joints of the skeleton that the truth has; and how many of them the file has."""
     camera = SAMPLES / "camera.toml"
-    motion = fit_clip(FitSettings(keypoints=(keypoints,), camera=camera, fps=60.0, rename=rename, skeleton=skeleton))
+    detector = "acinoset" if skeleton == "cheetah-24" else None  # the sample's, under whatever names
+    given = {"camera": camera, "fps": 60.0, "rename": rename, "skeleton": skeleton, "detector": detector}
+    motion = fit_clip(FitSettings(keypoints=(keypoints,), **given))
     pose = Pose3D(motion.names, motion.joints_m, motion.frames)
     error = evaluate(pose, read_pose3d(SAMPLES / "whole_truth.csv")).mpjpe_m.mean
     return error, len(motion.names) - len(motion.missing_keypoints)

@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 
-from recon import Body, Camera, InputError, load_skeleton
+from recon import Body, Camera, FitSettings, InputError, load_skeleton, read_keypoints
 from recon.animal.detector import detector_toml, seen_by
 from recon.animal.prior import prior_from_body
 from recon.clip import still_view
 from recon.fit import TrajectoryOptions
 from recon.fit.clip_problem import ClipProblem
+from recon.io import coco
+from recon.show.report import build_report
 from recon.workflows.clip import prepare
 from tests.test_cameras import folder, settings  # noqa: F401
 
@@ -21,12 +25,82 @@ def body(subject: str | None = "phantom") -> Body:
     return load_skeleton("cheetah-24", subject)
 
 
-def test_the_cheetahs_detector_is_chosen_by_itself(folder):  # noqa: F811
-    model = prepare(settings(folder, 1, 2)).model
-    assert model.body.detector == "acinoset"
-    assert set(model.body.keypoint_offset_m) == set(model.body.markers)
-    plain = prepare(replace(settings(folder, 1, 2), detector="none")).model
+OF_ACINOSET = "DLC_resnet152_CheetahOct14shuffle4_650000"
+
+
+def with_scorers(run: Path, out: Path, *scorers: str | None, suffix: str = ".csv") -> FitSettings:
+    """The run of `tests.test_cameras` in files of these scorers; None: a format that has none."""
+    files = []
+    for number, scorer in enumerate(scorers, start=1):
+        csv, path = run / f"run_cam{number}.csv", out / f"run_cam{number}{suffix}"
+        if scorer is None:
+            path = path.with_suffix(".json")
+            coco.write(read_keypoints(csv), path)
+        else:
+            table = pd.read_csv(csv, header=[0, 1, 2], index_col=0)
+            named = [(scorer, *rest) for _, *rest in table.columns]
+            table.columns = pd.MultiIndex.from_tuples(named, names=table.columns.names)
+            table.to_csv(path) if suffix == ".csv" else table.to_hdf(path, key="df_with_missing", mode="w")
+        files.append(path)
+    return replace(settings(run, *range(1, len(files) + 1)), keypoints=tuple(files))
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".h5"])
+def test_the_files_scorer_says_which_detector_it_is(folder, tmp_path, suffix):  # noqa: F811
+    given = with_scorers(folder, tmp_path, OF_ACINOSET, OF_ACINOSET, suffix=suffix)
+    body = prepare(given).model.body
+    assert body.detector == "acinoset"
+    assert set(body.keypoint_offset_m) == set(body.markers)
+    plain = prepare(replace(given, detector="none")).model
     assert (plain.body.detector, plain.body.keypoint_offset_m) == ("none", {})
+
+
+@pytest.mark.parametrize("scorers", [("DLC",), ("DLC", "another"), (None, "DLC"), ("x" + OF_ACINOSET,)])
+def test_a_detector_that_nobody_knows_is_none(folder, tmp_path, scorers):  # noqa: F811
+    given = with_scorers(folder, tmp_path, *scorers)
+    body = prepare(given).model.body
+    assert (body.detector, body.keypoint_offset_m) == ("none", {})
+    assert prepare(replace(given, detector="acinoset")).model.body.detector == "acinoset"
+
+
+@pytest.mark.parametrize("other", ["DLC", None])
+def test_cameras_of_two_detectors_are_not_mixed(folder, tmp_path, other):  # noqa: F811
+    given = with_scorers(folder, tmp_path, OF_ACINOSET, other)
+    said = (
+        rf"detector: found run_cam1.csv of acinoset \(scorer '{OF_ACINOSET}'\), run_cam2.*of none.*--set detector=none"
+    )
+    with pytest.raises(InputError, match=said):
+        prepare(given)
+    assert prepare(replace(given, detector="none")).model.body.detector == "none"
+
+
+@pytest.mark.parametrize(
+    ("scorer", "stated", "line"),
+    [
+        (OF_ACINOSET, None, f"acinoset: by the file's scorer '{OF_ACINOSET}'"),
+        (OF_ACINOSET, "none", "none: as given"),
+        ("DLC", "acinoset", "acinoset: as given"),
+        (
+            "DLC",
+            None,
+            "none: the scorer 'DLC' is of no detector known here; "
+            "with several clips of it: recon subject fit --offsets",
+        ),
+        (None, None, "none: the keypoint file names no scorer"),
+    ],
+)
+def test_the_summary_says_which_detector_was_taken_and_why(small_trajectory, scorer, stated, line):
+    sources = [replace(s, keypoints=replace(s.keypoints, scorer=scorer)) for s in small_trajectory.sources]
+    seen = seen_by(small_trajectory.body, stated, {"clip.csv": scorer})
+    motion = replace(
+        small_trajectory,
+        sources=tuple(sources),
+        solution=replace(small_trajectory.solution, body=seen),
+        settings={} if stated is None else {"detector": stated},
+    )
+    report = build_report(motion)
+    assert dict(map(tuple, report["lines"]))["detector"] == line
+    assert f"{report['detector']['name']}: {report['detector']['reason']}" == line.partition("; ")[0]
 
 
 def test_the_offsets_of_a_measured_animal_come_first():

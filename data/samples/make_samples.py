@@ -21,13 +21,15 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "benchmarks"))
 from gallop import SyntheticClip, gallop
 
 SCORER = "recon_synthetic"
+AS_ACINOSET = "recon_synthetic_acinoset"
+"""Of keypoints that lie where those of a measured detector do."""
 SAMPLES = Path(__file__).parent
 
 
-def write_keypoints(keypoints: Keypoints, path: Path, decimals: int) -> None:
+def write_keypoints(keypoints: Keypoints, path: Path, decimals: int, scorer: str = SCORER) -> None:
     """DeepLabCut's CSV layout; a missing point has empty coordinates and likelihood 0."""
     rows = [
-        ["scorer"] + [SCORER] * 3 * len(keypoints.names),
+        ["scorer"] + [scorer] * 3 * len(keypoints.names),
         ["bodyparts"] + [name for name in keypoints.names for _ in range(3)],
         ["coords"] + ["x", "y", "likelihood"] * len(keypoints.names),
     ]
@@ -149,7 +151,7 @@ def make(folder: Path) -> None:
     # Fewer digits: these poses are the result of an optimisation, whose last digits differ between machines.
     whole, detected = whole_animal()
     noisy, outliers = add_noise(seen_by(whole.camera, detected), sigma_px=2.0, dropout=0.05, outlier=0.02, seed=2)
-    write_keypoints(noisy, folder / "whole.csv", decimals=2)
+    write_keypoints(noisy, folder / "whole.csv", decimals=2, scorer=AS_ACINOSET)
     write_truth(whole, folder / "whole_truth.csv", decimals=4)
     write_outliers(noisy, outliers, folder / "whole_outliers.csv")
 
@@ -157,7 +159,7 @@ def make(folder: Path) -> None:
     write_scene(cameras, folder / "whole_scene.json")
     for number, camera in enumerate(cameras, start=1):
         noisy, _ = add_noise(seen_by(camera, detected), sigma_px=2.0, dropout=0.05, outlier=0.02, seed=2 + number)
-        write_keypoints(noisy, folder / f"whole_{camera.name}.csv", decimals=2)
+        write_keypoints(noisy, folder / f"whole_{camera.name}.csv", decimals=2, scorer=AS_ACINOSET)
 
 
 if __name__ == "__main__":

@@ -2,13 +2,14 @@
 
 A network marks what its labellers took for a joint, on the skin and each in their own way; a model's markers lie where
 its bones meet. Built-in detectors are the files of `recon/animal/detectors`; `recon subject fit --offsets --no-lengths`
-makes one.
+makes one. Which one a keypoint file is of, its scorer says.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Annotated
 
@@ -16,6 +17,7 @@ from pydantic import Field
 
 from recon.animal.body import Body, other_side, side_of
 from recon.animal.skeleton_file import FileTable, Number, Sigma, parsed_file, read_named
+from recon.base import package
 from recon.base.errors import InputError, Problem
 
 NONE = "none"
@@ -33,19 +35,32 @@ class _Keypoint(FileTable):
 class _DetectorFile(FileTable):
     skeleton: str
     title: str
+    scorers: tuple[str, ...] = ()
     keypoint_sigma_m: Sigma
     keypoints: Annotated[dict[str, _Keypoint], Field(min_length=1)]
 
 
-def seen_by(body: Body, detector: str | Path | None) -> Body:
-    """The body as a detector sees it, by name, file or "none"; by default as the animal's or the skeleton's file says.
+def of_scorer(scorer: str | None, skeleton: str) -> str:
+    """The built-in detector that writes that scorer into its files, for a skeleton; "none" where there is none."""
+    for name in package.builtin_names("animal/detectors", ".toml") if scorer else ():
+        raw, _ = read_named(name, "detector")
+        if raw["skeleton"] == skeleton and any(fnmatchcase(scorer or "", one) for one in raw.get("scorers", ())):
+            return name
+    return NONE
+
+
+def seen_by(body: Body, detector: str | Path | None, scorers: Mapping[str, str | None] | None = None) -> Body:
+    """The body as a detector sees it, by name, file or "none"; by default as the animal's or the skeleton's file says,
+    and where they say nothing as the scorers of the keypoint files do, by file. Without scorers it is not known then.
 
     Markers of the right side follow those of the left, mirrored, unless the file has both. Raises InputError for a file
-    that does not fit the body.
+    that does not fit the body, and for scorers of two detectors.
     """
     if detector is None and body.keypoint_offset_m:
         return replace(body, detector=OWN)
     detector = body.detector if detector is None else detector
+    if detector is None and scorers:
+        detector = _of_scorers(scorers, body.name)
     if detector is None:
         return body
     if str(detector) == NONE:
@@ -77,6 +92,15 @@ def seen_by(body: Body, detector: str | Path | None) -> Body:
         keypoint_spread_m=spread_m,
         keypoint_noise_m=noise_m,
     )
+
+
+def _of_scorers(scorers: Mapping[str, str | None], skeleton: str) -> str:
+    found = {file: of_scorer(scorer, skeleton) for file, scorer in scorers.items()}
+    if len({*found.values()}) > 1:
+        each = (f"{Path(file).name} of {of} (scorer {str(scorers[file])[:60]!r})" for file, of in found.items())
+        expected = f"files of one detector, or the one to take for all cameras: --set detector={NONE}, or its name"
+        raise InputError(Problem("KEYPOINTS", "detector", ", ".join(each), expected))
+    return next(iter(found.values()))
 
 
 def detector_toml(body: Body, title: str, notes: Sequence[str] = ()) -> str:

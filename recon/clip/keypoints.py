@@ -40,6 +40,8 @@ class Keypoints:
     """The animal's name in a file of several."""
     source: str | None = None
     """The file they came from."""
+    scorer: str | None = None
+    """Who found them, as the file names the network or the labeller; None where it does not."""
     notes: tuple[str, ...] = ()
     """What the reader had to decide, in plain sentences."""
 

@@ -74,8 +74,8 @@ class PointTable:
     notes: tuple[str, ...]
     fps: float | None = None
     """As the scorer of our own files has it."""
-    has_scorer: bool = True
-    """Whether there is a header row or level of that name."""
+    scorer: str | None = ""
+    """Of the first column; None where there is no header row or level of that name."""
 
 
 def recognises_h5(path: Path) -> bool:
@@ -104,11 +104,10 @@ def read(path: Path, individual: str | None = None) -> StoredPoints:
     names, values = gather(table, path, required=("x", "y"), optional=("likelihood",))
     values[(values == PADDING).all(axis=2)] = np.nan, np.nan, 0.0
     notes = table.notes
-    if not table.has_scorer:
+    if table.scorer is None:
         notes += ("The header's first row, scorer, is missing; the others say what each column is.",)
-    return StoredPoints(
-        names, values[..., :2], table.frames, values[..., 2], fps=table.fps, individual=animal, notes=notes
-    )
+    likelihood = values[..., 2]
+    return StoredPoints(names, values[..., :2], table.frames, likelihood, table.fps, animal, table.scorer, notes=notes)
 
 
 def read_table(path: Path) -> PointTable:
@@ -281,7 +280,7 @@ def _table(
         notes += ("The rows were not in the order of their frame numbers and have been sorted.",)
     in_order = np.array(frames, dtype=np.int64)[order]
     scorer = named[0].get("scorer")
-    return PointTable(columns, values[order], in_order, notes, _fps(scorer or ""), scorer is not None)
+    return PointTable(columns, values[order], in_order, notes, _fps(scorer or ""), scorer)
 
 
 def _frame_numbers(path: Path, index: Sequence[tuple[str, ...]]) -> tuple[list[int | str], list[Problem]]:

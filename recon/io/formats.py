@@ -211,6 +211,7 @@ def _require_kind(path: Path, kind: Kind | None, found: Format, stored: StoredPo
 
 def as_keypoints(path: Path, stored: StoredPoints) -> Keypoints:
     """The 2D points of a file. Raises InputError for likelihoods that are none."""
+    scorer = (stored.scorer or "").strip()
     keypoints = Keypoints(
         stored.names,
         stored.values,
@@ -220,6 +221,7 @@ def as_keypoints(path: Path, stored: StoredPoints) -> Keypoints:
         image_size_px=stored.image_size_px,
         individual=stored.individual,
         source=str(path),
+        scorer=scorer if scorer.isprintable() and scorer else None,
         notes=stored.notes,
     )
     return with_likelihoods(keypoints, path)

@@ -69,6 +69,8 @@ class StoredPoints:
     """(T, K), NaN = unknown; None where the file has none."""
     fps: float | None = None
     individual: str | None = None
+    scorer: str | None = None
+    """Of points in the picture: the network or the labeller that found them, where the file names it."""
     image_size_px: tuple[int, int] | None = None
     unit: str | None = None
     """Of points in space: m, cm or mm; None where the file does not say."""

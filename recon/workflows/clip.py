@@ -183,18 +183,19 @@ def prepare(
     fps = files[0].fps
     assert fps is not None
     later_frames = tuple((s - later[0]) * fps for s in later)
-    cleaned = all_of(
+    seen, *cleaned = all_of(
+        lambda: _as_its_files_say(body, files),
         *(
             lambda file=file, camera=camera, late=late: _cleaned(file, wanted, body.name, camera, settings, late, fps)
             for file, camera, late in zip(files, cameras, later_frames, strict=True)
-        )
+        ),
     )
     side, reason = None, "both sides are fitted"
     if body.one_sided:
         side, reason = _side(body, cleaned[0].keypoints, settings)
     names = body.keypoint_names(side)
     sources = tuple(replace(source, keypoints=arrange(source.keypoints, names)) for source in cleaned)
-    return Prepared(model, sources, later_frames, fps, side, reason)
+    return Prepared(replace(model, body=seen), sources, later_frames, fps, side, reason)
 
 
 def read_model_and_cameras(settings: FitSettings) -> tuple[Model, Cameras]:
@@ -339,6 +340,13 @@ def _model(settings: FitSettings) -> Model:
     body = seen_by(load_skeleton(settings.skeleton_name, settings.subject), settings.detector)
     prior, _ = all_of(lambda: load_prior(settings.prior, body), lambda: _require_no_side(settings, body))
     return Model(body, prior)
+
+
+def _as_its_files_say(body: Body, files: Sequence[Keypoints]) -> Body:
+    """As the detector sees it that found the keypoints, where nothing else says which one."""
+    if body.detector is not None:
+        return body
+    return seen_by(body, None, {file.source or f"camera {i}": file.scorer for i, file in enumerate(files, start=1)})
 
 
 def _require_no_side(settings: FitSettings, body: Body) -> None:

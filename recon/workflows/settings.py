@@ -251,7 +251,7 @@ class FitSettings(Settings):
         NameOrFile | None,
         Option(
             "Where the detector's keypoints lie beside the markers: a built-in name, as in acinoset, a TOML "
-            "file, or none. (default: as the subject's or the skeleton's file says)",
+            "file, or none. (default: as the subject's or the skeleton's file says, or the keypoint file's scorer)",
             "the name of a built-in detector, a file that `recon subject fit` wrote, or none",
             common=False,
             method="trajectory",

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from recon import check
-from recon.animal.detector import NONE
+from recon.animal.detector import NONE, OWN, of_scorer
 from recon.animal.naming import suggestions
 from recon.base.arrays import Array, finite, mean, median
 from recon.clip.keypoints import KeypointCounts
@@ -24,6 +24,8 @@ from recon.show.plain import by_name, file_name, number
 from recon.show.sections.section import Line
 
 BEST_SHARE = 0.9
+SCORER_SHOWN = 60
+"""Characters."""
 
 # -- the verdict ------------------------------------------------------------------------------------------------------
 
@@ -78,8 +80,30 @@ def skeleton(motion: Motion) -> dict[str, Any]:
     }
 
 
-def detector(motion: Motion) -> str:
-    return file_name(motion.body.detector) or NONE
+def detector(motion: Motion) -> dict[str, str]:
+    """Whose keypoints they were taken for, and why."""
+    name, body = file_name(motion.body.detector) or NONE, motion.body
+    scorers = {source.keypoints.scorer for source in motion.sources}
+    named = " and ".join(sorted(repr(one[:SCORER_SHOWN]) for one in scorers if one))
+    if motion.settings.get("detector") is not None:
+        reason = "as given"
+    elif name == OWN:
+        reason = "as the subject's or the skeleton's file says"
+    elif name != NONE:
+        by_scorer = name in {of_scorer(one, body.name) for one in scorers}
+        reason = f"by the file's scorer {named}" if by_scorer else "as the skeleton's file says"
+    elif named:
+        reason = f"the scorer {named} is of no detector known here"
+    else:
+        reason = "the keypoint file names no scorer"
+    return {"name": name, "reason": reason}
+
+
+def detector_lines(motion: Motion, data: Any) -> Iterator[Line]:
+    if motion.body.one_sided:
+        return
+    offer = "; with several clips of it: recon subject fit --offsets" if "is of no detector" in data["reason"] else ""
+    yield "detector", f"{data['name']}: {data['reason']}{offer}"
 
 
 def upright(motion: Motion) -> dict[str, Any]:
