@@ -338,7 +338,7 @@ def test_coco_of_several_animals(tmp_path):
         ({"images": [{"file_name": "x.png"}]}, "an entry without 'id'"),
         ({"images": {}}, "images: found no list"),
         ({"images": [{"id": 5}, {"id": 5}]}, "frame numbers that are not unique"),
-        ({"images": [{"id": -1}, {"id": 5}]}, "frame numbers from -1 to 5"),
+        ({"images": [{"id": -(10**14)}, {"id": 6}]}, "frame numbers from -100000000000000 to 6"),
         ({"images": [{"id": 0}, {"id": 2**70}]}, "frame numbers from 0 to 1.18"),
     ],
 )

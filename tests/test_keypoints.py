@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 
 import numpy as np
@@ -207,3 +208,11 @@ def test_points_left_out_count_as_rejected_and_are_named():
     assert (b.used, b.rejected, b.likelihood_unknown) == (1, 2, 1)
     assert told.notes == ("2 points are of no use, and left out: b in frame 8, ...",)
     assert leave_out(cleaned, report, points & False, "of no use") == (cleaned, report)
+
+
+def test_points_left_out_of_a_clip_that_has_more_keypoints_than_its_file():
+    cleaned, report = clean(Keypoints(("b",), np.ones((3, 1, 2)), np.full((3, 1), np.nan), np.arange(3)), 0.5)
+    xy_px = np.concatenate([np.full((3, 1, 2), np.nan), cleaned.xy_px], axis=1)
+    wider = dataclasses.replace(cleaned, names=("a", "b"), xy_px=xy_px, confidence=np.ones((3, 2)))
+    _, told = leave_out(wider, report, np.array([[False, True], [False, False], [False, False]]), "of no use")
+    assert [(k.name, k.used, k.rejected) for k in told.keypoints] == [("b", 2, 1)]

@@ -197,16 +197,17 @@ def leave_out(
     """
     if not points.any():
         return keypoints, report
-    out = points.sum(axis=0)
+    out = dict(zip(keypoints.names, points.sum(axis=0).tolist(), strict=True))
+    left = ((k, k.used - out.get(k.name, 0)) for k in report.keypoints)  # those of the file; the clip may have more
     counts = tuple(
         dataclasses.replace(
-            k, used=k.used - n, rejected=k.rejected + n, likelihood_unknown=min(k.likelihood_unknown, k.used - n)
+            k, used=n, rejected=k.rejected + k.used - n, likelihood_unknown=min(k.likelihood_unknown, n)
         )
-        for k, n in zip(report.keypoints, out.tolist(), strict=True)
+        for k, n in left
     )
     frame, first = (int(i) for i in np.argwhere(points)[0])
-    note = f"{out.sum()} points are {why}, and left out: {keypoints.names[first]} in frame {keypoints.frames[frame]}"
-    note += ", ..." if out.sum() > 1 else ""
+    note = f"{points.sum()} points are {why}, and left out: {keypoints.names[first]} in frame {keypoints.frames[frame]}"
+    note += ", ..." if points.sum() > 1 else ""
     report = dataclasses.replace(report, keypoints=counts, notes=(*report.notes, note))
     return _without_points(keypoints, points), report
 

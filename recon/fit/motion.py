@@ -257,9 +257,14 @@ class Motion:
         return {label: self.names[foot] for label, foot in zip(self.foot_labels, self.feet, strict=True)}
 
     @property
+    def reference_joint(self) -> str:
+        """What stands for the animal's position: the root's joint, or, where none is there, the trunk's rear one."""
+        return self.root_name if self.root_name in self.joints else self.body.forward[0]
+
+    @property
     def reference(self) -> str:
-        """The keypoint that stands for the animal's position: the root's, or that of the trunk's rear joint."""
-        return self.names[self.joints.index(self.root_name)] if self.root_name in self.joints else self.forward_names[0]
+        """Its keypoint."""
+        return self.names[self.joints.index(self.reference_joint)]
 
     # -- what was fitted, of the first camera ---------------------------------------------------------------------
 

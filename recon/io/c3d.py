@@ -250,7 +250,7 @@ def write(pose: Pose3D, path: Path) -> None:
     file["data"]["points"] = points
     file["data"]["meta_points"]["residuals"] = np.where(missing.T[None], -1.0, 0.0)
     first = int(pose.frames[0])
-    file["header"]["points"]["first_frame"] = min(first, WORD_MAX - len(xyz))
+    file["header"]["points"]["first_frame"] = min(max(first, 0), WORD_MAX - len(xyz))
     point = file["parameters"]["POINT"]
     point["RATE"]["value"], point["UNITS"]["value"] = [fps], [UNIT]
     point["LABELS"]["value"] = list(pose.names)

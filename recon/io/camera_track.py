@@ -220,7 +220,7 @@ def _read_csv(path: Path) -> CameraTrack:
             continue
         values, others = numbers(cells[column] for column in at)
         wrong = {i for i in others if np.isnan(values[i])}
-        if not (0 <= values[0] <= MAX_FRAME and values[0] == int(values[0])):  # also 7.0, as spreadsheets write it
+        if not (abs(values[0]) <= MAX_FRAME and values[0] == int(values[0])):  # also 7.0, as spreadsheets write it
             wrong.add(0)
         if wrong:
             said = ", ".join(f"{wanted[i]} {cells[at[i]].strip()!r}" for i in sorted(wrong))

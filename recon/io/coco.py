@@ -142,7 +142,7 @@ def _frame_numbers(path: Path, images: list[dict[str, Any]]) -> tuple[dict[Any, 
     ids = [image["id"] for image in images]
     if len(set(numbers)) != len(numbers) or len(set(ids)) != len(ids) or not all(type(n) is int for n in numbers):
         raise InputError(Problem(path, "images", "frame numbers that are not unique", "one image for each frame"))
-    if numbers and not 0 <= min(numbers) <= max(numbers) < MAX_FRAME:
+    if numbers and not -MAX_FRAME <= min(numbers) <= max(numbers) <= MAX_FRAME:
         found = f"frame numbers from {min(numbers):.15g} to {max(numbers):.15g}"
         raise InputError(Problem(path, "images", found, "0, 1, 2, ..."))
     return dict(zip(ids, numbers, strict=True)), notes

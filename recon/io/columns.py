@@ -93,7 +93,7 @@ def gather(path: Path, table: Columns, layout: ColumnLayout, individual: str | N
 
 def _clock_problems(path: Path, column: str, ticks: np.ndarray, rows: np.ndarray, frames: bool) -> Iterator[Problem]:
     """Rows without a time, or without a frame number."""
-    bad = ~((ticks >= 0) & (ticks < MAX_FRAME) & (np.rint(ticks) == ticks)) if frames else np.isnan(ticks)
+    bad = ~((np.abs(ticks) <= MAX_FRAME) & (np.rint(ticks) == ticks)) if frames else np.isnan(ticks)
     expected = "a frame number: 0, 1, 2, ..." if frames else "a time in seconds"
     for i in np.flatnonzero(bad & ~np.isinf(ticks)):
         found = "nothing" if np.isnan(ticks[i]) else f"{ticks[i]:g}"

@@ -19,7 +19,9 @@ UNNAMED = ("individual_0", "id_0", "track_0")
 MISSING = ("", "nan", "na", "none", "null")
 # Enough to see what is wrong with a file; a file of the wrong kind has thousands.
 PROBLEMS_SHOWN = 10
-MAX_FRAME = 10**15
+MAX_FRAME = 10**9
+"""Frame numbers on either side of 0 up to it, three months at 120 Hz; larger ones are time stamps or accidents. Those
+below 0 are of before the first camera's first frame."""
 POINTS_MAX = 20_000_000
 """That are written to a file which has a row for every frame."""
 LIKELIHOOD_MARGIN = 0.5
@@ -129,9 +131,10 @@ def numbers(cells: Iterable[object]) -> tuple[np.ndarray, list[int]]:
     return found, sorted([*wrong, *np.flatnonzero(np.isinf(found)).tolist()])
 
 
-def frame_number(text: str) -> int | None:
-    """Digits as a number; None for anything else, and for longer numbers, which are time stamps or accidents."""
-    return int(text) if re.fullmatch(r"[0-9]{1,15}", text) else None
+def frame_number(text: str, least: int = 0) -> int | None:
+    """Digits, after a minus sign or none, as a number from `least` to `MAX_FRAME`; None for anything else."""
+    number = int(text) if re.fullmatch(r"-?[0-9]{1,15}", text) else None
+    return number if number is not None and least <= number <= MAX_FRAME else None
 
 
 def with_likelihoods(keypoints: Keypoints, path: Path) -> Keypoints:
@@ -172,10 +175,7 @@ def frames_of_times(path: Path, times_s: np.ndarray, fps: float | None) -> tuple
         raise InputError(Problem(path, "time", found, "a frame rate; gaps are whole frames"))
     if fps is None:
         fps = float(f"{since_start[-1] / (times_s[-1] - times_s[0]):.9g}")
-    first = round(float(times_s[0]) * fps)
-    if first < 0:
-        raise InputError(Problem(path, "time", f"{times_s[0]:g} s", "times from 0 s on, which is frame 0"))
-    return since_start + first, fps
+    return since_start + round(float(times_s[0]) * fps), fps
 
 
 def frames_text(frames: np.ndarray) -> list[str]:
@@ -186,11 +186,11 @@ def frames_text(frames: np.ndarray) -> list[str]:
 def frames_of_text(ranges: Iterable[str]) -> np.ndarray | None:
     """The opposite of `frames_text`; None for anything else."""
     frames: list[np.ndarray] = []
-    last = -1
+    last = -MAX_FRAME - 1
     for text in ranges:
-        match = re.fullmatch(r"([0-9]{1,15})(?:-([0-9]{1,15}))?", text)
+        match = re.fullmatch(r"(-?[0-9]{1,10})(?:-(-?[0-9]{1,10}))?", text)
         first, end = (int(match[1]), int(match[2] or match[1])) if match else (0, -1)
-        if not last < first <= end or end - first > 10**7:
+        if not last < first <= end <= MAX_FRAME or end - first > 10**7:
             return None
         frames.append(np.arange(first, end + 1))
         last = end

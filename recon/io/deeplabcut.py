@@ -22,7 +22,7 @@ from recon.base.errors import InputError, Problem
 from recon.base.files import write_bytes
 from recon.clip.keypoints import Keypoints
 from recon.io import pandas_hdf
-from recon.io.common import PROBLEMS_SHOWN, choose, first_problems, frame_number, numbers, rate
+from recon.io.common import MAX_FRAME, PROBLEMS_SHOWN, choose, first_problems, frame_number, numbers, rate
 from recon.io.hdf5 import is_hdf5
 from recon.io.pose import Pose3D, StoredPoints, points_of
 from recon.io.table import text_rows, write_table
@@ -298,8 +298,8 @@ def _frame_numbers(path: Path, index: Sequence[tuple[str, ...]]) -> tuple[list[i
             folders[image.parent.as_posix()] = None
             match = re.search(r"([0-9]+)$", image.stem)
         else:
-            match = re.fullmatch(r"([0-9]+)(\.0*)?", text)
-        frame = frame_number(match[1]) if match else None
+            match = re.fullmatch(r"(-?[0-9]+)(\.0*)?", text)
+        frame = frame_number(match[1], -MAX_FRAME) if match else None
         if frame is None:
             expected = "an image name that ends in the frame number" if images else "a frame number (0, 1, 2, ...)"
             problems.append(Problem(path, f"row {len(frames) + 1} below the header", f"'{text}'", expected))

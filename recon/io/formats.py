@@ -33,7 +33,7 @@ from recon.io import (
     sleap,
     trc,
 )
-from recon.io.common import NoChoiceError, with_likelihoods
+from recon.io.common import MAX_FRAME, NoChoiceError, with_likelihoods
 from recon.io.hdf5 import is_hdf5
 from recon.io.pose import StoredPoints
 
@@ -196,6 +196,9 @@ def read_points(
         _require_kind(path, kind, found, found.read(path, error.animals[0]))  # or else a choice would not help
         raise
     stored = _require_kind(path, kind, found, stored)
+    if np.abs(stored.frames).max(initial=0) > MAX_FRAME:
+        said = f"{stored.frames[0]} to {stored.frames[-1]}"
+        raise InputError(Problem(path, "frames", said, f"frame numbers up to {MAX_FRAME}, not time stamps"))
     if np.isinf(stored.values).any():
         raise InputError(Problem(path, "points", "infinite coordinates", "numbers, or nothing where one is missing"))
     return found, stored

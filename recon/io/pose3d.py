@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from recon.base.errors import InputError, Problem
-from recon.io.common import PROBLEMS_SHOWN, frame_number, numbers
+from recon.io.common import MAX_FRAME, PROBLEMS_SHOWN, frame_number, numbers
 from recon.io.deeplabcut import Column, PointTable, gather
 from recon.io.formats import Format, file_head, read_points
 from recon.io.pose import PER_METRE, Pose3D, StoredPoints, z_up_from_y_up
@@ -96,8 +96,8 @@ def _segment_problems(path: Path, names: list[str], coords: list[str], rows: lis
         if len(row) != len(names):
             yield Problem(path, f"line {line}", f"{len(row)} cells", f"{len(names)}, as in the header")
             continue
-        frame = frame_number(row[1])
-        if frame is None or frame <= last.get(row[0], -1):
+        frame = frame_number(row[1], -MAX_FRAME)
+        if frame is None or frame <= last.get(row[0], -MAX_FRAME - 1):
             expected = f"a frame number after {last[row[0]]}" if row[0] in last else "a frame number (0, 1, 2, ...)"
             yield Problem(path, f"line {line}, frame", f"'{row[1]}'", expected)
         else:

@@ -130,6 +130,8 @@ def _checked_arrays(
 def write(keypoints: Keypoints, path: Path) -> None:
     with formats_extra(TITLE):
         import h5py
+    if keypoints.frames[0] < 0:
+        raise InputError(Problem(TITLE, "frames", f"{keypoints.frames[0]}", "numbers from 0 on"))
     T, K = int(keypoints.frames[-1]) + 1, len(keypoints.names)
     require_span(T, K, TITLE)
     tracks, scores = np.full((1, 2, K, T), np.nan), np.full((1, K, T), np.nan)

@@ -9,6 +9,7 @@ import numpy as np
 from recon.base.documents import read_text
 from recon.base.errors import InputError, Problem
 from recon.io.common import (
+    MAX_FRAME,
     choose,
     first_problems,
     frame_number,
@@ -85,7 +86,7 @@ def _row(path: Path, line: int, row: list[str], width: int) -> tuple[int, list[f
     if len(row) < width or any(row[width:]):
         problems.append(Problem(path, f"line {line}", f"{len(row)} cells", f"{width}, as in the header"))
         return 0, [], problems
-    frame = frame_number(row[0])
+    frame = frame_number(row[0], -MAX_FRAME)
     if frame is None:
         frame = 0
         problems.append(Problem(path, f"line {line}, Frame#", f"'{row[0]}'", "a frame number"))

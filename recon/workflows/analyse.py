@@ -222,7 +222,7 @@ def figures_of(found: ClipAnalysis) -> dict[str, Callable[[], Figure]]:
 
     motion, time_s, during = found.motion, found.motion.time_s, found.during_stride
     ground = found.gaits["ground"].tracks.grounds if found.gaits else None
-    joints_m = plots.in_body(motion.body, motion.states[during], motion.size, motion.root_name)
+    joints_m = plots.in_body(motion.body, motion.states[during], motion.size, motion.reference_joint)
     title = {
         None: "whole clip: no complete stride",
         "given": "the stride that was given",

@@ -1,0 +1,126 @@
+"""Whatever a fit writes, everything behind it reads: skeletons, cameras, offsets, tracks, files that lack markers."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from recon import Camera, FitSettings, Keypoints, Motion, read_keypoints
+from recon.animal.body import Body
+from recon.animal.skeleton_file import builtin_names, load_skeleton
+from recon.clip import camera_poses
+from recon.gait.clip import analyse
+from recon.gait.evaluation import evaluate_files
+from recon.io import CONVERTED, read_points, write_camera
+from recon.io.camera_files import write_cameras
+from recon.io.deeplabcut import write_csv
+from recon.workflows import analyse as analysis
+from recon.workflows.clip import run_clip
+from recon.workflows.convert import ConvertSettings, convert
+from recon.workflows.page import PageSettings, run_page
+from tests.test_camera_track import write_track
+from tests.test_views import pose
+
+FPS, FRAMES = 60.0, 12
+LENS = Camera.from_hfov(60.0, (1920, 1080), name="cam1")
+
+
+def placed(name: str, centre_m: list[float], yaw: float) -> Camera:
+    T = pose(centre_m, yaw)
+    return replace(LENS, name=name, rotation=T[:3, :3], translation_m=T[:3, 3], world_z_up=True)
+
+
+CAMERAS = [placed("cam1", [0.0, -7.0, 1.0], np.pi / 2), placed("cam2", [4.0, -6.0, 1.3], np.pi / 2 + 0.5)]
+
+
+def keypoints_of(body: Body, camera: Camera, first: int = 0) -> Keypoints:
+    """The animal in its expected pose, which trots past; none of its first marker, and garbage in one frame."""
+    t = np.arange(FRAMES) + first
+    states = np.zeros((FRAMES, body.n_state))
+    states[:, 4:] = body.mean_rad + 0.05 * np.sin(t[:, None] / 5 + np.arange(body.n_state - 4))
+    states[:, 0], states[:, 2] = 3.0 * t / FPS - 0.3, 0.7
+    xy_px, _ = camera.project(body.tree.pose(states).points_m @ _pose(camera)[:3, :3].T + _pose(camera)[:3, 3])
+    random = np.random.default_rng(0)
+    xy_px = xy_px + random.normal(0, 1, xy_px.shape)
+    xy_px[4] = random.uniform(0, 1000, xy_px[4].shape)
+    names = body.keypoint_names("right")
+    return Keypoints(names[1:], xy_px[:, 1:], np.full(xy_px.shape[:2], 0.9)[:, 1:], np.arange(FRAMES), fps=FPS)
+
+
+def _pose(camera: Camera) -> np.ndarray:
+    return camera_poses([camera])[0]
+
+
+def settings_of(folder: Path, skeleton: str | Path, cameras: list[Camera], later: tuple[int, ...], **more: object):
+    """Of a clip in files in a folder; later: by how many frames the cameras began later than the first."""
+    body, files = load_skeleton(skeleton), []
+    for camera, first in zip(cameras, later, strict=True):
+        files.append(folder / f"run_{camera.name}.csv")
+        write_csv(keypoints_of(body, camera, first), files[-1])
+    write_cameras(cameras, folder / "cameras.toml")
+    offsets = {"offset_s": tuple(n / FPS for n in later)} if any(later) else {}
+    given = {"keypoints": tuple(files), "camera": folder / "cameras.toml", "fps": FPS, "skeleton": str(skeleton)}
+    return FitSettings(**given | {"fast": True, "prior": "none"} | offsets | more)
+
+
+def one_camera(name: str) -> Callable[[Path], FitSettings]:
+    return lambda folder: settings_of(folder, name, CAMERAS[:1], (0,))
+
+
+def one_began_earlier(folder: Path) -> FitSettings:
+    return settings_of(folder, "quadruped", CAMERAS, (0, -3))
+
+
+def bare_root(folder: Path) -> FitSettings:
+    """No marker lies at the root's origin."""
+    text = (Path(__file__).parents[1] / "recon" / "animal" / "skeletons" / "quadruped.toml").read_text()
+    moved = text.replace(
+        'name = "spine"\nsegment = "rear_trunk"\n', 'name = "spine"\nsegment = "rear_trunk"\nat_m = [0.05, 0.0, 0.0]\n'
+    )
+    assert moved != text
+    (folder / "bare.toml").write_text(moved)
+    return settings_of(folder, folder / "bare.toml", CAMERAS[:1], (0,))
+
+
+def followed(folder: Path) -> FitSettings:
+    """By a camera with a track."""
+    found = settings_of(folder, "quadruped", CAMERAS[:1], (0,))
+    write_camera(LENS, folder / "lens.toml")
+    track = write_track(folder / "track.csv", np.arange(FRAMES), np.tile(_pose(CAMERAS[0]), (FRAMES, 1, 1)))
+    return replace(found, camera=folder / "lens.toml", camera_track=(track,))
+
+
+CLIPS = {name: one_camera(name) for name in builtin_names()}
+ODD = ("offset", "bare root")
+"""Whose points are written in every format, too."""
+CLIPS |= {"offset": one_began_earlier, "bare root": bare_root, "track": followed}
+
+
+@pytest.mark.parametrize("clip", CLIPS)
+def test_what_a_fit_writes_is_read_by_all_behind_it(clip, tmp_path, monkeypatch):
+    settings, out = CLIPS[clip](tmp_path), tmp_path / "out"
+    run_clip(settings, out)
+    motion = Motion.load(out)
+    assert motion.solved.sum() > FRAMES / 2
+    assert (motion.frames[0] < 0) == (clip == "offset")
+    assert len(evaluate_files(out / "pose3d.csv", out).frames) == motion.solved.sum()
+    for path in out.glob("reprojection*.csv"):
+        np.testing.assert_array_equal(read_keypoints(path).frames, motion.frames)
+    found = analyse(motion)
+    assert found.reference in motion.names
+    monkeypatch.setattr("recon.show.plots.save", lambda *_: None)
+    assert analysis.figures_of(found)
+    analysis.summarise(found, "out")
+    for target in CONVERTED:
+        if target.writes == ("2D",) or (clip not in ODD and "3D" in target.writes):
+            continue
+        made = tmp_path / f"pose.{target.name}{target.suffixes[0]}"
+        convert(ConvertSettings(source=out, out=made, to=target.name))
+        if "3D" in target.reads and "3D" in target.writes:
+            np.testing.assert_array_equal(read_points(made, None, "3D")[1].frames, motion.frames)
+    if clip == "bare root":  # figures take long
+        run_page(PageSettings(folder=out))
