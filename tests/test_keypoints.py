@@ -92,6 +92,19 @@ def test_zero_zero_is_missing_only_without_likelihood():
     assert counts.likelihood_unknown == 1
 
 
+@pytest.mark.parametrize("at", [(-1.0, -1.0), (0.0, 0.0)])
+def test_a_corner_that_several_keypoints_have_stands_for_missing_points(at):
+    rng = np.random.default_rng(0)
+    xy_px, missing = rng.uniform(10, 100, (40, 4, 2)), rng.random((40, 4)) < 0.2
+    raw = Keypoints(tuple("abcd"), np.where(missing[..., None], at, xy_px), np.ones((40, 4)), np.arange(40))
+    cleaned, report = clean(raw, 0.5)
+    np.testing.assert_array_equal(cleaned.present, ~missing)
+    assert report.constant_px == at
+    assert report.total("missing_constant") == missing.sum()
+    xy_px[:, 0] = at  # one keypoint in the corner all the time is where it is
+    assert clean(Keypoints(tuple("abcd"), xy_px, np.ones((40, 4)), np.arange(40)), 0.5)[1].constant_px is None
+
+
 def test_nan_with_any_likelihood_is_missing():
     clip = one_point((NAN, NAN, 1), (NAN, 3, 0.2), (3, NAN, NAN), (NAN, NAN, NAN), (NAN, NAN, 0), (1, 2, 0.6))
     cleaned, report = clean(clip, 0.5)
@@ -177,7 +190,9 @@ def test_counts_add_up_and_nothing_else_changes():
             + counts.missing_nan_with_likelihood
             + counts.missing_empty
             + counts.missing_absent_frame
+            + counts.missing_constant
         )
+    assert report.constant_px == (0.0, 0.0)
     again, second = clean(cleaned, 0.4)
     np.testing.assert_array_equal(again.xy_px, cleaned.xy_px)
     np.testing.assert_array_equal(again.confidence, cleaned.confidence)

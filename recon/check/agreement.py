@@ -32,6 +32,9 @@ MAX_LEVEL = 1.6
 """A camera agrees up to this level, or more where the others are noisier than expected."""
 NOISIEST = 2.0
 """Up to how many times the expected errors are taken for noise of the detector."""
+NOISIEST_OF_TWO = 1.1
+"""The same of two cameras, which have no third to say that it is noise: up to 1.5 of 68 real pairs' levels, and it is
+only across the line between them that a turned camera is seen at all."""
 EXPLAINED = 0.25
 """A cause that leaves no more than this part of a camera's level explains it, too."""
 CLEAR_TURN_RAD, CLEAR_LAG, CLEAR_GAIN = np.radians(3.0), 3.0, 1.5
@@ -116,7 +119,8 @@ def camera_findings(
         trials = {pair: sights_of(_with_exchanged(views, *pair), *noise) for pair in pairs}
         of_trials = {pair: _levels(trial, everyone) for pair, trial in trials.items()}
         without = [_levels(sights, rest) for rest in combinations(everyone, len(everyone) - 1) if len(rest) > 1]
-        limit *= float(np.clip(min(_median_level(of) for of in (*without, *of_trials.values())), 1.0, NOISIEST))
+        noisiest = NOISIEST if len(views) > 2 else NOISIEST_OF_TWO
+        limit *= float(np.clip(min(_median_level(of) for of in (*without, *of_trials.values())), 1.0, noisiest))
         exchanged = _exchanged_pair(levels, of_trials, limit)
         judged = trials[exchanged] if exchanged else sights
     among = _agreeing(judged, fps, limit)

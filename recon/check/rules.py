@@ -11,7 +11,9 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
+from recon.animal.body import Body
 from recon.animal.prior import mean_speed_m_s
+from recon.animal.skeleton_file import builtin_names, load_skeleton
 from recon.base.arrays import mean
 from recon.check.codes import finding, ordered
 from recon.check.inputs import FASTEST_M_S
@@ -40,6 +42,11 @@ POOR_SHARE = 0.2
 """Share of the frames from which few data are named."""
 SIZE_SIGMAS = 2.5
 """A size further off what is expected, in standard deviations, says that something else is wrong."""
+UNITS_PER_M = {"feet": 3.2808, "inches": 39.37, "cm": 100.0, "mm": 1000.0}
+NEARLY_UNIT = 1.35
+"""A camera's height that is so many times right, or wrong, is still of a unit: an animal's size is not known better."""
+SUBJECT_SIGMAS = 3.0
+"""An animal's lengths further off its kind's, in standard deviations of the sizes there are, are probably wrong."""
 
 
 def findings_of(motion: Motion) -> tuple[Finding, ...]:
@@ -94,8 +101,17 @@ def camera_taken_level(motion: Motion) -> Iterator[Finding]:
         yield finding("camera_taken_level")
 
 
+def missing_as_constant(motion: Motion) -> Iterator[Finding]:
+    for source in motion.sources:
+        if source.cleaning.constant_px is not None:
+            x, y = source.cleaning.constant_px
+            count = source.cleaning.total("missing_constant")
+            yield finding("missing_as_constant", camera=source.camera.name, x_px=x, y_px=y, count=count)
+
+
 COMMON: tuple[Rule, ...] = (
     missing_keypoints,
+    missing_as_constant,
     many_outliers,
     detections_not_explained,
     keypoints_that_do_not_fit,
@@ -166,6 +182,40 @@ def ground_above_camera(motion: Motion) -> Iterator[Finding]:
             yield finding("ground_above_camera", frames, camera, height_m=height, sigma_m=ground.sigma_m)
 
 
+def ground_elsewhere(motion: Motion) -> Iterator[Finding]:
+    """Of the first segment whose feet stand elsewhere than near z = 0; a camera about as many times too high as there
+    are of another unit in a metre is in that unit."""
+    for segment in motion.solution.segments:
+        ground, below = segment.ground, motion.below_m(segment)
+        if ground is not None and below is not None and ground.near_zero is False:
+            camera_m = motion.solution.views[0].centre_m[0]
+            times = camera_m[2] / (camera_m[2] - below[2])
+            for unit, per_m in UNITS_PER_M.items():
+                far = math.hypot(camera_m[0], camera_m[1]) > abs(camera_m[2]) or per_m < 10
+                if far and 1 / NEARLY_UNIT < times / per_m < NEARLY_UNIT:
+                    yield finding("camera_unit", unit=unit, times=times)
+                    return
+            yield finding("ground_elsewhere", height_m=float(below[2]), sigma_m=ground.sigma_m)
+            return
+
+
+def subject_unlike_species(motion: Motion) -> Iterator[Finding]:
+    """Measured lengths against those of the skeleton that they belong to."""
+    skeleton = motion.settings.get("skeleton") or motion.body.name
+    if motion.body.subject is None or (motion.settings.get("skeleton") is None and skeleton not in builtin_names()):
+        return
+    species = load_skeleton(skeleton)
+    times = _span(motion.body) / _span(species)
+    if abs(times - 1) > SUBJECT_SIGMAS * species.size_sigma:
+        yield finding("subject_unlike_species", times=times, expected_sigma=species.size_sigma)
+
+
+def _span(body: Body) -> float:
+    """Root mean square of the markers' distances from their mean, all angles being 0."""
+    points = body.tree.pose(np.zeros((1, body.n_state))).points_m[0]
+    return float(np.sqrt(np.mean(np.sum((points - points.mean(axis=0)) ** 2, axis=1))))
+
+
 def not_converged(motion: Motion) -> Iterator[Finding]:
     if _solution(motion).status != "converged":
         yield finding("not_converged")
@@ -212,6 +262,8 @@ OF_TRAJECTORY: tuple[Rule, ...] = (
     cameras_out_of_step,
     motion_unlike_prior,
     ground_above_camera,
+    ground_elsewhere,
+    subject_unlike_species,
     not_converged,
     size,
     too_fast,

@@ -11,6 +11,10 @@ import numpy as np
 
 from recon.base.errors import InputError, Problem
 
+CORNER_PX, CONSTANT_SHARE, CONSTANT_KEYPOINTS = 1.0, 0.005, 3
+"""A point stands for missing ones if it lies no further in the picture than this, and so many of all points and of the
+keypoints are just there."""
+
 
 @dataclass(frozen=True, eq=False)
 class Keypoints:
@@ -85,6 +89,8 @@ class KeypointCounts:
     """No coordinates and no likelihood."""
     missing_absent_frame: int
     """A frame that the file lacks."""
+    missing_constant: int
+    """Stored, with a likelihood, as the one point that stands for missing ones (`CleaningReport.constant_px`)."""
     likelihood_unknown: int
     """The used points that came without a likelihood."""
 
@@ -103,6 +109,8 @@ class CleaningReport:
     keypoints: tuple[KeypointCounts, ...]
     notes: tuple[str, ...] = ()
     """What the reader had to decide."""
+    constant_px: tuple[float, float] | None = None
+    """The point, such as (-1, -1), that stands for missing ones although it has a likelihood; None: there is none."""
 
     def total(self, count: str) -> int:
         """Sum over the keypoints of one field of `KeypointCounts`, such as "rejected"."""
@@ -184,6 +192,7 @@ def clean(
         inserted=inserted,
         keypoints=counts,
         notes=keypoints.notes,
+        constant_px=constant_px(selected),
     )
     return cleaned, report
 
@@ -244,12 +253,32 @@ def mark_missing(keypoints: Keypoints) -> tuple[Keypoints, dict[str, np.ndarray]
     has_likelihood = keypoints.confidence > 0
     no_xy = ~keypoints.present
     zero_zero = (keypoints.xy_px == 0).all(axis=2) & ~has_likelihood
+    constant = (keypoints.xy_px == (constant_px(keypoints) or np.nan)).all(axis=2) & ~zero_zero
     counts = {
         "missing_zero_zero": zero_zero.sum(axis=0),
         "missing_nan_with_likelihood": (no_xy & has_likelihood).sum(axis=0),
         "missing_empty": (no_xy & ~has_likelihood).sum(axis=0),
+        "missing_constant": constant.sum(axis=0),
     }
-    return _without_points(keypoints, no_xy | zero_zero), counts
+    return _without_points(keypoints, no_xy | zero_zero | constant), counts
+
+
+def constant_px(keypoints: Keypoints) -> tuple[float, float] | None:
+    """The point in the picture's corner, or outside it, that several keypoints have to the last digit: no detector
+    finds that, and it stands for missing points; None where there is none."""
+    points, names = keypoints.xy_px[keypoints.present], np.nonzero(keypoints.present)[1]
+    corner = (points <= CORNER_PX).all(axis=1) & (keypoints.confidence[keypoints.present] != 0)
+    values, which, counts = np.unique(points[corner], axis=0, return_inverse=True, return_counts=True)
+    if not len(values) or counts.max() < max(CONSTANT_SHARE * len(points), 2 * CONSTANT_KEYPOINTS):
+        return None
+    most = int(np.argmax(counts))
+    if (
+        len(np.unique(names[corner][which.ravel() == most])) < CONSTANT_KEYPOINTS
+        or counts[most] < 2 * CONSTANT_KEYPOINTS
+    ):
+        return None
+    x, y = values[most].tolist()
+    return x, y
 
 
 def assume_likely(keypoints: Keypoints) -> tuple[Keypoints, np.ndarray]:

@@ -13,6 +13,21 @@ from recon.fit.terms import REFERENCE_HZ, OnGround, Standing, Term
 Array = NDArray[np.float64]
 
 
+LOW_FEET = 0.1
+"""Of the frames, the part in which the lowest foot is taken to be on the ground."""
+ELSEWHERE = 2.5
+"""A ground further off z = 0, in standard deviations of what is expected, is not taken to lie there."""
+
+
+def above_ground(clip: ClipProblem, points_m: Array, size: float = 1.0) -> float:
+    """By how many standard deviations the lowest feet are above where a ground at z = 0 would be, for markers (T, J, 3)
+    at nominal size about the origin."""
+    low_m = float(np.quantile(points_m[:, clip.feet, 2].min(axis=1), LOW_FEET))
+    return (float(clip.origin_m[2]) / size + low_m) / float(
+        np.hypot(constants.GROUND_HEIGHT_M, clip.size_sigma * low_m)
+    )
+
+
 def contacts(clip: ClipProblem, points_m: Array, size: float) -> tuple[Array, Ground | None, tuple[Term, ...]]:
     """Contact (T, F) of every foot, the ground under them, and the terms that hold both, for markers (T, J, 3) at
     nominal size about the origin."""
@@ -21,7 +36,8 @@ def contacts(clip: ClipProblem, points_m: Array, size: float) -> tuple[Array, Gr
     _, _, still = stance.contact(points_m, size)
     middle = 0.5 * (points_m[1:, feet] + points_m[:-1, feet])
     height, sigma = float(np.percentile(middle[..., 2], 10)), 10.0
-    if clip.ground_known:
+    near_zero = abs(above_ground(clip, points_m, size)) < ELSEWHERE if clip.ground_known else None
+    if near_zero:
         height = -float(clip.origin_m[2]) / size
         sigma = float(np.hypot(constants.GROUND_HEIGHT_M, clip.size_sigma * height))
     spread = np.array([sigma, constants.GROUND_SLOPE, constants.GROUND_SLOPE])
@@ -42,5 +58,5 @@ def contacts(clip: ClipProblem, points_m: Array, size: float) -> tuple[Array, Gr
     on_ground = OnGround(feet, contact, plane, centre, clip.fps, constants.GROUND_FOOT_M)
     slope = plane[1:]
     sigma = float(np.sqrt(covariance[0, 0] * clip.correlation_frames))
-    ground = Ground(float(plane[0] - slope @ centre), slope, sigma)
+    ground = Ground(float(plane[0] - slope @ centre), slope, sigma, near_zero)
     return both, ground, (stance, on_ground)

@@ -38,6 +38,9 @@ class Ground:
     height_m: float
     slope: Array
     sigma_m: float
+    near_zero: bool | None = None
+    """Whether it was taken to lie near z = 0, which then says how large the animal is; None: nothing says that it
+    should."""
 
     def about(self, origin_m: Array, size: float) -> Ground:
         """The same where the scene is scaled and its origin lies at (3,)."""

@@ -451,7 +451,7 @@ def _size(
             precision += seen
             pull += seen * (one.size + (one.size - 1.0) * of_prior / of_views)
             told.append("views")
-        if clip.ground_known and one.ground is not None:
+        if one.ground is not None and one.ground.near_zero:
             at = one.contact / one.contact.sum()
             below = -float(np.sum(at * clip.markers(one.estimate.states)[:, clip.feet, 2]))
             variance = float(np.sum(at * of_one.covariance_m2[:, clip.feet, 2, 2]))

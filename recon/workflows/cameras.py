@@ -192,3 +192,14 @@ def cameras_in(stem: str, names: Iterable[str]) -> dict[str, re.Match[str]]:
         if found:
             return found
     return {}
+
+
+def other_camera_in(stem: str, name: str) -> str | None:
+    """The camera that a file's name says, if it is called as this one but for its number: cam1 in run_cam1DLC, where
+    the camera is cam3. None where it says none, or this one."""
+    called = re.fullmatch(r"([A-Za-z]{3,})([-_ ]?)([0-9]+)", name)
+    if called is None:
+        return None
+    word, between, number = called.groups()
+    found = re.findall(rf"(?<![0-9A-Za-z]){word}[-_ ]?([0-9]+)", stem, re.IGNORECASE)
+    return None if not found or int(number) in map(int, found) else f"{word}{between}{found[0]}"

@@ -44,7 +44,7 @@ from recon.io.camera_track import MAX_GAP_S, CameraTrack
 from recon.show.export.clip_csv import CAMERA_OUTPUTS, CLIP_OUTPUTS, of_any_camera, write_tables
 from recon.show.page import PAGE
 from recon.show.report import build_report, write_report
-from recon.workflows.cameras import Cameras, ClipCamera, cameras_in, other_cameras, read_clip_cameras
+from recon.workflows.cameras import Cameras, ClipCamera, cameras_in, other_camera_in, other_cameras, read_clip_cameras
 from recon.workflows.made_from import digests
 from recon.workflows.offsets import solved_in_step
 from recon.workflows.settings import METHODS, FitSettings
@@ -135,7 +135,8 @@ def _file_facts(given: Prepared, settings: FitSettings) -> FileFacts:
         cameras = () if source.moves else other_cameras(source.camera, settings)
         names = cameras_in(path.stem, [source.camera.name, *(camera.name for camera in cameras)])
         others.append(() if names else tuple(camera for camera in cameras if camera.has_extrinsics))
-        named.append(None if not names or source.camera.name in names else next(iter(names)))
+        other = next(iter(names), None) or other_camera_in(path.stem, source.camera.name)
+        named.append(None if source.camera.name in names else other)
     stated_hz = next((s.keypoints.stated_fps for s in given.sources if s.keypoints.stated_fps is not None), None)
     return FileFacts(tuple(others), tuple(named), stated_hz, swaps=not settings.fast or bool(settings.fix_swaps))
 

@@ -85,6 +85,8 @@ def convert(settings: ConvertSettings) -> Conversion:
         data, missing = mark_missing(data)
         if zeros := missing["missing_zero_zero"].sum():
             notes += (f"{zeros} points that were stored as (0, 0) are missing ones.",)
+        if constants := missing["missing_constant"].sum():
+            notes += (f"{constants} points that were stored as one constant are missing ones.",)
     elif "3D" not in target.writes:
         raise InputError(Problem(source, "content", "3D positions", f"2D keypoints for {target.title}"))
     _write(target, data, out)

@@ -1,6 +1,8 @@
-"""Input findings: left-right swaps, gross outliers, a picture turned over, another camera's, a wrong frame rate.
+"""Input findings: copied coordinates, a camera that moves, left-right swaps, gross outliers, a picture turned over,
+another camera's, a wrong frame rate.
 
-Each is recognised by how much likelier the clip is with it undone (`likelihood`), where that can be told.
+What was copied, and how no animal moves, is said first: it is certain, and leaves nothing else to be told. The rest is
+recognised by how much likelier the clip is with it undone (`likelihood`), where that can be told.
 """
 
 from __future__ import annotations
@@ -13,7 +15,9 @@ from threadpoolctl import threadpool_limits
 
 from recon.animal.prior import NONE, MotionPrior, mean_speed_m_s
 from recon.check.codes import FLAG_OF
+from recon.check.inputs.copies import copies
 from recon.check.inputs.likelihood import Baseline, baseline_of
+from recon.check.inputs.movement import movement
 from recon.check.inputs.picture import of_other_camera, of_smaller_video, of_unit_square, turned_over
 from recon.check.inputs.rate import other_rate
 from recon.check.inputs.swaps import swap_finding, swaps
@@ -26,6 +30,9 @@ from recon.geometry.kinematics import ROOT
 
 FASTEST_M_S = 40.0
 """No animal runs as fast: cheetahs reach 29 m/s (N. Sharp, *Timed running speed of a cheetah*, J. Zool. 1997)."""
+
+MOVES = ("animal_still", "time_reversed", "camera_moves")
+"""What makes sides doubtful by itself."""
 
 
 @dataclass(frozen=True)
@@ -51,27 +58,41 @@ def input_findings(
     weighed = replace(clip, prior_weight=min((segment.prior_weight for segment in solution.segments), default=1.0))
     too_fast = mean_speed_m_s(solution.states, fps) > FASTEST_M_S  # nor does the prior know it
     unlike = too_fast or any(segment.unlike_prior for segment in solution.segments)
+    found = [*copies(motion.sources, resampled=bool(motion.settings.get("camera_fps")))]
+    certain = any(one.severity == "error" for one in found)
+    elsewhere = any(segment.ground and segment.ground.near_zero is False for segment in solution.segments)
+    misfit = max((segment.prior_misfit or 0.0 for segment in solution.segments), default=0.0)
+    moves = [] if certain else [*movement(motion)]
     seeks_swaps = facts.swaps and prior.name != NONE and bool(solution.posed.any())
-    found: list[Finding] = []
+    seeks_swaps = seeks_swaps and not certain and not any(one.code in MOVES for one in moves)
+    pictures: list[Finding] = []
     with threadpool_limits(1, user_api="blas"):
         for number, source in enumerate(motion.sources):
             given = baseline_of(clip, number, solution.states, solution.size)
-            of_picture = _of_picture(given, facts.others[number], facts.named[number])
+            of_picture = _of_picture(given, facts.others[number], facts.named[number], misfit)
             if of_picture is not None:
-                found.append(of_picture)
+                pictures.append(of_picture)
             elif seeks_swaps:
-                if weighed.prior_weight < 1:
-                    given = baseline_of(weighed, number, solution.states, solution.size)
+                if weighed.prior_weight < 1 or elsewhere:
+                    on_ground = replace(weighed, ground_near_zero=weighed.ground_near_zero and not elsewhere)
+                    given = baseline_of(on_ground, number, solution.states, solution.size)
                 found += [swap_finding(trial, source, body) for trial in swaps(given, unlike)]
-        if not any(one.code == "keypoints_normalised" for one in found):
+        found += pictures
+        seeks_rate = not certain and not any(one.code in ("animal_still", "time_reversed") for one in moves)
+        if seeks_rate and not any(one.code == "keypoints_normalised" for one in found):
             found += _of_rate(clip, solution, facts.stated_hz)
+    if not pictures and not any(one.code.startswith("frame_rate") for one in found):
+        found += moves
     return tuple(found)
 
 
-def _of_picture(given: Baseline, others: Sequence[Camera], named: str | None) -> Finding | None:
+def _of_picture(given: Baseline, others: Sequence[Camera], named: str | None, misfit: float) -> Finding | None:
     """The first of those that leave nothing else to be told."""
     return (
-        of_unit_square(given) or turned_over(given) or of_smaller_video(given) or of_other_camera(given, others, named)
+        of_unit_square(given)
+        or turned_over(given, misfit)
+        or of_smaller_video(given)
+        or of_other_camera(given, others, named)
     )
 
 

@@ -21,8 +21,8 @@ from recon.animal.prior import ANGLES
 from recon.base.arrays import Array, Bools
 from recon.clip import View
 from recon.clip.keypoints import frame_ranges
-from recon.fit import constants
 from recon.fit.clip_problem import ClipProblem
+from recon.fit.contacts import above_ground
 from recon.fit.least_squares import LeastSquares
 from recon.fit.prior_misfit import LASTS_S
 from recon.fit.starts import APPROACH_HZ, approach, between
@@ -44,8 +44,6 @@ AT_ONCE_S = 1.0
 """So much of a clip is judged at once."""
 LOOSE = 2.0
 """Factor on the noise of a fit that does not know which side is which."""
-LOW_FEET = 0.1
-"""Of the frames, the part in which the lowest foot is taken to be on the ground."""
 
 
 def alone(clip: ClipProblem, view: View) -> ClipProblem:
@@ -225,10 +223,7 @@ def off_ground(clip: ClipProblem, states: Array) -> float:
     """Where the ground's height is known: of feet that are off it all the time."""
     if not clip.ground_known or not len(clip.feet):
         return 0.0
-    feet_m = clip.markers(states)[:, clip.feet, 2]
-    low_m = float(np.quantile(feet_m.min(axis=1), LOW_FEET))
-    sigma_m = np.hypot(constants.GROUND_HEIGHT_M, clip.size_sigma * low_m)
-    return 0.5 * float((clip.origin_m[2] + low_m) / sigma_m) ** 2
+    return 0.5 * above_ground(clip, clip.markers(states)) ** 2
 
 
 def best_seen(view: View, fps: float) -> slice:

@@ -1,0 +1,156 @@
+"""Wrong inputs that look right: each is named, and nothing where nothing is wrong."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from recon.check.inputs.copies import copies
+from recon.check.inputs.movement import movement
+from recon.check.rules import ground_elsewhere, subject_unlike_species
+from recon.clip import Source
+from recon.clip.keypoints import Keypoints, clean
+from recon.fit.motion import Motion
+from recon.fit.result import Ground
+from recon.workflows.cameras import other_camera_in
+from tests.test_trajectory import BODY, CAMERA, CAMERA_FROM_LEVEL, FPS, errors_m, plain, run, seen, solve
+
+NAMES = BODY.keypoint_names(None)
+
+
+def source(xy_px: np.ndarray, name: str = "cam1") -> Source:
+    keypoints = Keypoints(NAMES, xy_px, np.ones(xy_px.shape[:2]), np.arange(len(xy_px)), FPS)
+    return Source(replace(CAMERA, name=name), *clean(keypoints, 0.0), NAMES)
+
+
+def noisy(seed: int = 0) -> np.ndarray:
+    return seen(run()) + np.random.default_rng(seed).normal(0, 1, seen(run()).shape)
+
+
+def frozen(xy_px: np.ndarray) -> np.ndarray:
+    return np.where(np.arange(len(xy_px))[:, None, None] < 20, xy_px, xy_px[20])
+
+
+def interpolated(xy_px: np.ndarray) -> np.ndarray:
+    t = np.arange(len(xy_px))
+    columns = [np.interp(t, t[::4], column[::4]) for column in xy_px.reshape(len(t), -1).T]
+    return np.round(np.stack(columns, axis=1).reshape(xy_px.shape), 3)
+
+
+def copied(xy_px: np.ndarray) -> np.ndarray:
+    return xy_px[:, [NAMES.index(f"l_{n[2:]}") if n.startswith("r_") else i for i, n in enumerate(NAMES)]]
+
+
+@pytest.mark.parametrize(
+    ("change", "code"),
+    [
+        (frozen, "detections_frozen"),
+        (lambda xy_px: np.repeat(xy_px, 2, axis=0), "detections_repeated"),
+        (interpolated, "detections_interpolated"),
+        (copied, "far_side_copied"),
+    ],
+)
+def test_copies_are_named(change, code):
+    (found,) = copies([source(change(noisy()))])
+    assert found.code == code
+    if code == "detections_frozen":
+        assert found.frames == (20, 40)
+    if code == "detections_repeated":
+        assert (found.numbers["times"], found.numbers["other_hz"]) == (2, FPS / 2)
+
+
+def test_one_file_of_two_cameras_is_named_and_measured_points_are_not():
+    (found,) = copies([source(noisy()), source(noisy(), "cam2")])
+    assert found.code == "same_keypoints"
+    assert found.names("cameras") == ("cam1", "cam2")
+    assert not [*copies([source(noisy()), source(noisy(1), "cam2")])]
+    assert not [*copies([source(seen(run()))])]
+    assert not [*copies([source(interpolated(noisy())[:37])], resampled=True)]
+
+
+def moved(states: np.ndarray) -> Motion:
+    """A motion whose body goes along these states."""
+    solution, body = plain(), plain().body
+    joints_m = body.tree.pose(states, solution.size).points_m
+    return Motion((source(noisy()),), None, "", replace(solution, states=states, joints_m=joints_m))
+
+
+def test_an_animal_that_runs_is_nothing_to_name():
+    assert not [*movement(moved(plain().states))]
+
+
+@pytest.mark.parametrize("code", ["animal_still", "time_reversed", "camera_moves"])
+def test_what_no_animal_does_is_named(code):
+    states = plain().states.copy()
+    if code == "animal_still":
+        states = np.repeat(states[:1], len(states), axis=0)
+    elif code == "time_reversed":
+        states = states[::-1].copy()
+    else:
+        states[:, :2] = states[:1, :2]
+    (found,) = movement(moved(states))
+    assert found.code == code
+
+
+def test_a_path_that_no_animal_takes_is_named():
+    motion = moved(plain().states)
+    costs = {**plain().cost_by_term, "heading": 2.0 * 90 * len(motion.frames) / FPS}
+    (found,) = movement(replace(motion, solution=replace(motion.solution, cost_by_term=costs)))
+    assert (found.code, found.numbers["of"], found.numbers["cost"]) == ("path_jolts", "heading", pytest.approx(2.0))
+
+
+@pytest.mark.parametrize(("name", "other"), [("cam3", "cam1"), ("cam1", None), ("left", None), ("GoPro_2", None)])
+def test_a_file_says_another_camera_by_its_number(name, other):
+    assert other_camera_in("run2_cam1DLC_resnet50", name) == other
+
+
+def ground(near_zero: bool | None, height_m: float, camera_m: tuple[float, float, float]) -> Motion:
+    """A motion before a camera there, whose feet stand on a ground at that height."""
+    solution = plain()
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]]), (0, 0, 0)
+    pose[:3, 3] = -pose[:3, :3] @ camera_m
+    views = (replace(solution.views[0], T_camera_world=pose),)
+    segment = replace(solution.segments[0], ground=Ground(height_m, np.zeros(2), 0.04, near_zero))
+    return replace(moved(solution.states), solution=replace(solution, views=views, segments=(segment,)))
+
+
+@pytest.mark.parametrize(
+    ("near_zero", "height_m", "camera_m", "code"),
+    [
+        (True, 0.1, (0, -8, 0.6), None),
+        (None, -0.6, (0, 0, 0), None),
+        (False, 0.5, (0, -8, 1.1), "ground_elsewhere"),
+        (False, 100.0, (0, -8, 100.5), "ground_elsewhere"),
+        (False, 49.5, (0, -800, 50.0), "camera_unit"),
+        (False, 1.14, (0, -26, 1.64), "camera_unit"),
+    ],
+)
+def test_a_ground_that_is_not_at_zero_is_named(near_zero, height_m, camera_m, code):
+    found = [*ground_elsewhere(ground(near_zero, height_m, camera_m))]
+    assert [one.code for one in found] == ([] if code is None else [code])
+
+
+def test_lengths_that_no_animal_of_its_kind_has_are_named():
+    motion = moved(plain().states)
+    assert not [*subject_unlike_species(motion)]
+    tree = BODY.tree
+    segments = tuple(replace(one, offset_m=tuple(1.5 * x for x in one.offset_m)) for one in tree.segments)
+    markers = tuple(replace(one, offset_m=tuple(1.5 * x for x in one.offset_m)) for one in tree.markers)
+    body = replace(BODY, tree=replace(tree, segments=segments, markers=markers))
+    (found,) = subject_unlike_species(replace(motion, solution=replace(motion.solution, body=body)))
+    assert found.numbers["times"] == pytest.approx(1.5, abs=0.1)
+
+
+@pytest.mark.parametrize("height_m", [0.0, 0.6, 100.0])
+def test_a_fit_is_the_same_wherever_the_ground_is(height_m):
+    """A camera 0.85 m above a ground at that height: the pose is as good, and the ground is found there."""
+    camera = replace(CAMERA, rotation=CAMERA_FROM_LEVEL, translation_m=-CAMERA_FROM_LEVEL @ [0.0, 0.0, height_m + 0.85])
+    solution = solve(seen(run()), camera=camera)
+    assert errors_m(solution, run()).mean() < 0.03
+    (segment,) = solution.segments
+    assert segment.ground is not None
+    assert segment.ground.near_zero is (height_m == 0)
+    assert segment.ground.height_m == pytest.approx(height_m, abs=0.2)
