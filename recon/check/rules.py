@@ -29,9 +29,11 @@ MANY_OUTLIERS = 0.2
 """Share of the detections from which outliers are named: views that are right have up to 15 % (32 real ones)."""
 EXPLAINED_SIGMAS = 1.9
 """A median detection further off than that many standard deviations is not explained: right views have 1.0 to 1.4."""
-UNKNOWN_MOTION, UNKNOWN_SHARE = 3.0, 0.15
-"""A prior's misfit from which on a motion is no animal's of its kind, and the share of outliers from which on any is
-that the prior does not know."""
+UNEXPLAINED_SHARE = 0.1
+"""Share of outliers from which a motion that the prior does not know is not an animal's. Another gait than the prior's
+has misfits of up to 5, and hardly an outlier more (dogs that run, with the prior of dogs that walk)."""
+AMBIGUOUS_SHARE = 0.1
+"""Share of the frames that another solution explains, from which it is named."""
 KEYPOINT_SHARE, KEYPOINT_LEAST, KEYPOINTS_NAMED = 1 / 3, 10, 5
 """Share, and number, of one keypoint's detections from which it is named, and up to how many are, each by itself."""
 OUT_OF_STEP_SIGMAS = 3.0
@@ -164,7 +166,7 @@ def motion_unlike_prior(motion: Motion) -> Iterator[Finding]:
         misfit = max(segment.prior_misfit for segment in solution.segments if segment.prior_misfit is not None)
         weight = min(segment.prior_weight for segment in solution.segments)
         share = _outliers(motion)[1]
-        if misfit >= UNKNOWN_MOTION or share > UNKNOWN_SHARE:
+        if share > UNEXPLAINED_SHARE:
             yield finding("motion_unexplained", prior=solution.prior, misfit=misfit, share=share)
             return
         yield finding("motion_unlike_prior", prior=solution.prior, misfit=misfit, limit=LEVEL, weight=weight)
@@ -240,7 +242,7 @@ def too_fast(motion: Motion) -> Iterator[Finding]:
 def second_solution(motion: Motion) -> Iterator[Finding]:
     named = np.array([bool({"ambiguous depth", "second solution"} & {*flags}) for flags in motion.flags])
     rows = named & (np.nan_to_num(motion.alternative_m) > ALTERNATIVE_M)
-    if rows.any():
+    if rows.sum() > AMBIGUOUS_SHARE * len(rows):
         apart = float(motion.alternative_m[rows].max())
         yield finding("second_solution", count=int(rows.sum()), frames_total=len(rows), apart_m=apart)
 

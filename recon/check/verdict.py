@@ -129,13 +129,18 @@ def _verdict(motion: Motion) -> Verdict:
     evidence = evidence_of(motion)
     pose, position = expected_pose_of_trunk(evidence), expected_position(evidence)
     warnings = [one for one in motion.findings if one.severity == "warning"]
-    level: Level = "use" if pose.high <= LIMIT_OF_TRUNK and not warnings else "check"
-    if pose.expected > LIMIT_OF_TRUNK:
-        level = "do not use"
+    level = level_of(pose, error=False, warning=bool(warnings))
     reason = _why_uncertain(evidence) if pose.high > LIMIT_OF_TRUNK else "Nothing speaks against it."
     if warnings and level != "do not use":
         reason = _said(motion, warnings[0])
     return Verdict(level, reason, pose.times(evidence.trunk_m), pose, position)
+
+
+def level_of(pose_of_trunk: Expected, error: bool, warning: bool) -> Level:
+    """From what is expected, and whether there are findings of that severity."""
+    if error or pose_of_trunk.expected > LIMIT_OF_TRUNK:
+        return "do not use"
+    return "check" if warning or pose_of_trunk.high > LIMIT_OF_TRUNK else "use"
 
 
 def verdict_lines(verdict: Verdict | None) -> tuple[str, ...]:
