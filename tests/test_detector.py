@@ -15,7 +15,7 @@ from recon.animal.prior import prior_from_body
 from recon.clip import still_view
 from recon.fit import TrajectoryOptions
 from recon.fit.clip_problem import ClipProblem
-from recon.io import coco
+from recon.io import coco, deeplabcut
 from recon.show.report import build_report
 from recon.workflows.clip import prepare
 from tests.test_cameras import folder, settings  # noqa: F401
@@ -168,3 +168,14 @@ def test_what_is_wrong_with_a_file_is_said(tmp_path, old, new, said):
         InputError, match="--set detector: name or file: found 'zebra', expected one of acinoset, or a detector"
     ):
         seen_by(body(), "zebra")
+
+
+@pytest.mark.parametrize(("fps", "written"), [(None, OF_ACINOSET), (90.0, f"{OF_ACINOSET}_recon_90fps")])
+def test_a_converted_file_keeps_its_scorer(folder, tmp_path, fps, written):  # noqa: F811
+    """And with it what it says of the detector."""
+    (path,) = with_scorers(folder, tmp_path, OF_ACINOSET).keypoints
+    keypoints = replace(read_keypoints(path), fps=fps)
+    deeplabcut.write_csv(keypoints, tmp_path / "copy.csv")
+    assert (tmp_path / "copy.csv").read_text().split(",")[1] == written
+    again = read_keypoints(tmp_path / "copy.csv")
+    assert (again.scorer, again.fps) == (OF_ACINOSET, fps)

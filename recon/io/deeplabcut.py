@@ -189,10 +189,19 @@ def _read_header(path: Path, rows: Iterator[tuple[int, list[str]]]) -> tuple[dic
     return {level: row[index_columns:] for level, row in header.items()}, index_columns
 
 
-def _fps(scorer: str) -> float | None:
-    """The frame rate, if the file is ours and has it."""
-    match = re.fullmatch(rf"{SCORER}_([0-9.e+-]+)fps", scorer)
-    return rate(match[1]) if match else None
+def _without_fps(scorer: str) -> tuple[str, float | None]:
+    """The scorer, and the frame rate that files of ours have behind it."""
+    match = re.fullmatch(rf"(?:(.*)_)?{SCORER}_([0-9.e+-]+)fps", scorer)
+    fps = rate(match[2]) if match else None
+    return (scorer, None) if match is None or fps is None else (match[1] or SCORER, fps)
+
+
+def _with_fps(scorer: str | None, fps: float | None) -> str:
+    """The opposite: of points that another program found, its scorer stays."""
+    ours = SCORER if fps is None else f"{SCORER}_{_shortest(fps)}fps"
+    if scorer in (None, SCORER):
+        return ours
+    return str(scorer) if fps is None else f"{scorer}_{ours}"
 
 
 def _read_h5(path: Path) -> PointTable:
@@ -280,7 +289,8 @@ def _table(
         notes += ("The rows were not in the order of their frame numbers and have been sorted.",)
     in_order = np.array(frames, dtype=np.int64)[order]
     scorer = named[0].get("scorer")
-    return PointTable(columns, values[order], in_order, notes, _fps(scorer or ""), scorer)
+    scorer, fps = (None, None) if scorer is None else _without_fps(scorer)
+    return PointTable(columns, values[order], in_order, notes, fps, scorer)
 
 
 def _frame_numbers(path: Path, index: Sequence[tuple[str, ...]]) -> tuple[list[int | str], list[Problem]]:
@@ -383,7 +393,7 @@ def _layout(data: Keypoints | Pose3D) -> tuple[dict[str, list[str]], np.ndarray,
     if points.likelihood is not None:
         coords, values = ("x", "y", "likelihood"), np.concatenate([values, points.likelihood[..., None]], axis=2)
     n = len(points.names) * len(coords)
-    header = {"scorer": [SCORER if points.fps is None else f"{SCORER}_{_shortest(points.fps)}fps"] * n}
+    header = {"scorer": [_with_fps(points.scorer, points.fps)] * n}
     if points.individual is not None:
         header["individuals"] = [points.individual] * n
     header |= {"bodyparts": [name for name in points.names for _ in coords], "coords": [*coords] * len(points.names)}

@@ -90,7 +90,7 @@ def points_of(data: Keypoints | Pose3D) -> StoredPoints:
     """As a file is to have them: px, or metres with z up."""
     if isinstance(data, Keypoints):
         return StoredPoints(
-            data.names, data.xy_px, data.frames, data.confidence, fps=data.fps, individual=data.individual
+            data.names, data.xy_px, data.frames, data.confidence, data.fps, data.individual, scorer=data.scorer
         )
     return StoredPoints(data.names, data.xyz_m, data.frames, fps=data.fps, unit="m", up="z", edges=data.edges)
 
