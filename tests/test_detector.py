@@ -15,7 +15,7 @@ from recon.animal.prior import prior_from_body
 from recon.clip import still_view
 from recon.fit import TrajectoryOptions
 from recon.fit.clip_problem import ClipProblem
-from recon.io import coco, deeplabcut
+from recon.io import coco, deeplabcut, nwb
 from recon.show.report import build_report
 from recon.workflows.clip import prepare
 from tests.test_cameras import folder, settings  # noqa: F401
@@ -168,6 +168,14 @@ def test_what_is_wrong_with_a_file_is_said(tmp_path, old, new, said):
         InputError, match="--set detector: name or file: found 'zebra', expected one of acinoset, or a detector"
     ):
         seen_by(body(), "zebra")
+
+
+@pytest.mark.parametrize(("name", "write"), [("copy.h5", deeplabcut.write_h5), ("copy.nwb", nwb.write)])
+def test_other_files_keep_it_too(folder, tmp_path, name, write):  # noqa: F811
+    (path,) = with_scorers(folder, tmp_path, OF_ACINOSET).keypoints
+    write(replace(read_keypoints(path), fps=90.0), tmp_path / name)
+    again = read_keypoints(tmp_path / name)
+    assert (again.scorer, again.fps) == (OF_ACINOSET, 90.0)
 
 
 @pytest.mark.parametrize(("fps", "written"), [(None, OF_ACINOSET), (90.0, f"{OF_ACINOSET}_recon_90fps")])

@@ -62,6 +62,7 @@ class _Container:
     series: list[_PoseSeries]
     nodes: list[str]
     edges: np.ndarray
+    scorer: str
 
 
 def recognises(path: Path) -> bool:
@@ -84,6 +85,7 @@ def read(path: Path, individual: str | None = None) -> StoredPoints:
         np.stack([s.confidence for s in series], axis=1),
         fps=fps,
         individual=container.name if named else None,
+        scorer=container.scorer,
         unit=UNIT_NAMES.get(series[0].unit),
         up="z" if series[0].z_up else None,
         edges=tuple((container.nodes[a], container.nodes[b]) for a, b in edges),
@@ -104,7 +106,9 @@ def _load(path: Path) -> list[_Container]:
                 series = [_series(path, point) for point in points]
                 order = {node: i for i, node in enumerate(nodes)}
                 series.sort(key=lambda s: order.get(s.name, len(order)))
-                found.append(_Container(_last_part(group.name), series, nodes, edges))
+                stored = child(group, "scorer")
+                scorer = "" if stored is None else "".join(texts(stored))
+                found.append(_Container(_last_part(group.name), series, nodes, edges, scorer))
     if not found:
         raise InputError(Problem(path, "PoseEstimationSeries", "none", "poses of the extension ndx-pose"))
     return found
@@ -225,7 +229,7 @@ def write(data: Keypoints | Pose3D, path: Path) -> None:
         name=container,
         pose_estimation_series=series,
         description="Points of one animal.",
-        scorer="recon",
+        scorer=points.scorer or "recon",
         source_software="recon",
         skeleton=skeleton,
     )
