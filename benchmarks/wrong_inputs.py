@@ -49,7 +49,7 @@ CAUSES = {
 }
 """Codes that say what is wrong with an input."""
 SWAPS = ("left_right_swap",)
-OFF = ("cameras_disagree", "cameras_exchanged", "cameras_out_of_step", "size_unexpected")
+OFF = ("cameras_disagree", "cameras_exchanged", "cameras_out_of_step", "size_unexpected", "size_by_two_cameras")
 
 
 @dataclass(frozen=True, eq=False)

@@ -30,6 +30,7 @@ SENTENCES = {
     "path_jolts": ("cost of its heading 1.2, where 0.55", {"of": "heading", "cost": 1.2, "limit": 0.55}),
     "ground_elsewhere": ("stand at z = 0.47 ± 0.04 m", {"height_m": 0.47, "sigma_m": 0.04}),
     "camera_unit": ("100 times too far", {"unit": "cm", "times": 100.2}),
+    "size_by_two_cameras": ("cam1, cam2 make the animal 0.84 times", {"cameras": ("cam1", "cam2"), "size": 0.84}),
     "subject_unlike_species": ("are 1.50 times those", {"times": 1.5, "expected_sigma": 0.1}),
     "keypoints_normalised": ("parts of the picture, from 0 to 1", {}),
     "keypoints_y_up": ("as if y went up", {}),

@@ -44,6 +44,9 @@ POOR_SHARE = 0.2
 """Share of the frames from which few data are named."""
 SIZE_SIGMAS = 2.5
 """A size further off what is expected, in standard deviations, says that something else is wrong."""
+TWO_CAMERAS_SIGMA, TWO_CAMERAS_SIGMAS = 0.03, 1.1
+"""Relative standard deviation of a size that two cameras measure, and how many of those, with the sizes' spread, say
+that a camera may be off: 12 real pairs found 0.92 to 1.03 of the mean cheetah."""
 UNITS_PER_M = {"feet": 3.2808, "inches": 39.37, "cm": 100.0, "mm": 1000.0}
 NEARLY_UNIT = 1.35
 """A camera's height that is so many times right, or wrong, is still of a unit: an animal's size is not known better."""
@@ -201,6 +204,16 @@ def ground_elsewhere(motion: Motion) -> Iterator[Finding]:
             return
 
 
+def size_by_two_cameras(motion: Motion) -> Iterator[Finding]:
+    """Of exactly two: a third would tell a camera that is turned or moved from an animal of another size."""
+    solution = _solution(motion)
+    expected = math.hypot(solution.size_prior_sigma, TWO_CAMERAS_SIGMA)
+    off = abs(solution.size - 1)
+    if len(motion.sources) == 2 and TWO_CAMERAS_SIGMAS * expected < off <= SIZE_SIGMAS * solution.size_prior_sigma:
+        names = tuple(source.camera.name for source in motion.sources)
+        yield finding("size_by_two_cameras", cameras=names, size=solution.size)
+
+
 def subject_unlike_species(motion: Motion) -> Iterator[Finding]:
     """Measured lengths against those of the skeleton that they belong to."""
     skeleton = motion.settings.get("skeleton") or motion.body.name
@@ -265,6 +278,7 @@ OF_TRAJECTORY: tuple[Rule, ...] = (
     motion_unlike_prior,
     ground_above_camera,
     ground_elsewhere,
+    size_by_two_cameras,
     subject_unlike_species,
     not_converged,
     size,
