@@ -84,7 +84,7 @@ def test_cameras_of_two_detectors_are_not_mixed(folder, tmp_path, other):  # noq
             "DLC",
             None,
             "none: the scorer 'DLC' is of no detector known here; "
-            "with several clips of it: recon subject fit --offsets",
+            "two runs with four cameras can measure it: recon subject fit --no-lengths --offsets",
         ),
         (None, None, "none: the keypoint file names no scorer"),
     ],

@@ -102,7 +102,9 @@ def detector(motion: Motion) -> dict[str, str]:
 def detector_lines(motion: Motion, data: Any) -> Iterator[Line]:
     if motion.body.one_sided:
         return
-    offer = "; with several clips of it: recon subject fit --offsets" if "is of no detector" in data["reason"] else ""
+    offer = ""
+    if "is of no detector" in data["reason"]:
+        offer = "; two runs with four cameras can measure it: recon subject fit --no-lengths --offsets"
     yield "detector", f"{data['name']}: {data['reason']}{offer}"
 
 
