@@ -69,6 +69,8 @@ samples: $(BASE)
 benchmark: $(BASE)
 	$(BIN)/python benchmarks/trajectory.py $(RUNS)
 	$(BIN)/python benchmarks/agreement.py $(RUNS)
+	$(BIN)/python benchmarks/verdict.py
+	$(BIN)/python benchmarks/wrong_inputs.py
 	$(BIN)/python benchmarks/cheetah_runs.py $(RUNS)
 	$(BIN)/python benchmarks/moving.py $(RUNS)
 	$(BIN)/python benchmarks/samples.py
