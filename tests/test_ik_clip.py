@@ -90,6 +90,46 @@ def test_chain_of_the_8u_skeleton(frame_results, dim):
         limb_of(results, "RH")
 
 
+@pytest.mark.parametrize("dim", [2, 3])
+def test_joints_of_the_8u_chain_are_called_as_in_the_analysis(frame_results, tmp_path, dim):
+    """A stride starts in the animal's pose, so that its first row is that of `recon analyse` under the same names."""
+    ask = ("--method", "damped", "--follow", "stride", "--dim", dim, "--stride", "0.4333:0.735", "--no-figures")
+    assert run("ik", frame_results, *ask, "--out", tmp_path / "ik").code == 0
+    assert run("analyse", frame_results, "--no-smooth", "--no-figures", "--out", tmp_path / "analysis").code == 0
+    start = pd.read_csv(tmp_path / "ik" / "follow_damped.csv").iloc[0]
+    rates = pd.read_csv(tmp_path / "analysis" / "angle_rates.csv")
+    angles = rates.iloc[(rates["time_s"] - 13 / 30).abs().argmin()]
+    joints = [f"theta_{k}" for k in (1, 2, 3, 4)]
+    assert [c for c in start.index if c.startswith("theta") and c.endswith("_rad")] == [
+        f"{joint}_rad" for joint in ("theta_9", *joints)
+    ]
+    # But for the first link, which lies on the skeleton's own axis there, and the roll that the plane leaves out.
+    found, expected = ([row[f"{joint}_rad"] for joint in joints] for row in (start, angles))
+    np.testing.assert_allclose(found, expected, atol=0.1)
+    assert np.ptp(expected) > 1
+
+
+@pytest.mark.parametrize("limits", [(), ("--no-limits",)])
+def test_the_limit_that_keeps_a_path_from_closing_is_named(frame_results, tmp_path, limits):
+    ask = ("--method", "extended-energy", "--follow", "stride", "--dim", "2", "--no-figures", *limits)
+    done = run("ik", frame_results, *ask, "--out", tmp_path / "a")
+    row = json.loads((tmp_path / "a" / "ik.json").read_text(encoding="utf-8"))["along_stride"]["extended-energy"]
+    if limits:
+        assert row["least_closure_angle_percent"] > 99
+        assert (row["limits_hit"], row["first_limit"]) == ([], "")
+        assert "stopped by" not in done.out
+        return
+    assert row["least_closure_angle_percent"] < 50
+    joint = row["limits_hit"][0]
+    chain = limb_of(Motion.load(frame_results), dim=2).chain
+    at = chain.names.index(joint)
+    side, limit = ("upper", chain.upper_rad[at]) if "upper" in row["first_limit"] else ("lower", chain.lower_rad[at])
+    assert row["first_limit"].startswith(f"{joint} at its {side} limit of {limit:.2f} rad (step ")
+    said = " ".join(done.out.split())
+    assert f"extended-energy does not close, stopped by {row['first_limit']}" in said
+    assert pd.read_csv(tmp_path / "a" / "follow.csv")["first_limit"].iloc[0] == row["first_limit"]
+
+
 def test_fitted_parameters_explain_more_than_nothing(whole_results):
     limb = limb_of(Motion.load(whole_results))
     parameters = fit_parameters(limb)

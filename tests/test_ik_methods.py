@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -281,7 +282,7 @@ def test_what_is_fitted_to_some_frames_is_held_against_others(chain):
     assert explained_by(found.formula(others), others.dq) > 1 - 1e-8
     # Rates that are half as large want twice the factor, and explain 1 - 0.5^2.
     assert abs(explained_by(0.5 * others.dq, others.dq) - 0.75) < 1e-12
-    half = fit_least_norm(Frames(every.q, every.jacobian, 0.5 * every.dx, every.dq))
+    half = fit_least_norm(replace(every, dx=0.5 * every.dx))
     assert abs(half.alpha - 2 * fit_least_norm(every).alpha) < 1e-9
 
 

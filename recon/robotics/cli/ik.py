@@ -12,6 +12,8 @@ from recon.robotics.settings import IkSettings
 from recon.workflows.cli.common import say, table_of, terminal
 
 WIDE_GAP_PERCENT = 25
+CLOSES_PERCENT = 90
+"""Above what the joints' paths of a stride close to of methods that no limit stops."""
 
 
 def ik(settings: IkSettings, as_json: bool) -> None:
@@ -75,11 +77,15 @@ def _print(console: Console, summary: dict[str, Any], out: Path) -> None:
         for name, row in summary["along_stride"].items():
             if row["note"]:
                 say(console, f"{name}: {row['note']}")
-    if summary["along_stride"]:
-        say(
-            console,
-            "closure: the least of any joint, of its angle/of angle and rate; limits: joints that reached one",
-        )
+        for name, row in summary["along_stride"].items():
+            if row["limits_hit"] and row["least_closure_angle_percent"] < CLOSES_PERCENT:
+                also = "" if len(row["limits_hit"]) == 1 else f"; then {', '.join(row['limits_hit'][1:])}"
+                say(console, f"{name} does not close, stopped by {row['first_limit']}{also}")
+        if any(row["limits_hit"] for row in summary["along_stride"].values()):
+            say(console, "What a method does without the limits of the joints: --no-limits.")
+        say(console, "closure: the least of any joint, of its angle/of angle and rate")
+    if summary["to_target"] or summary["along_stride"]:
+        say(console, "limits: the first joint that one stopped, and how many more")
     parameters = summary["parameters"]
     explained = ", ".join(f"{name} {fit['explained']:.0%}" for name, fit in parameters["fitted"].items())
     say(console, f"parameters: {parameters['used']}. Fitted to the clip, they explain of its joint rates: {explained}")
@@ -87,9 +93,9 @@ def _print(console: Console, summary: dict[str, Any], out: Path) -> None:
 
 
 def _shared(row: dict[str, Any]) -> tuple[str, ...]:
-    us = row["us_per_step"]
+    us, hit = row["us_per_step"], row["limits_hit"]
     return (
         "-" if us is None else f"{us:.0f}",
         f"{row['length_m']:.2f}",
-        str(len(row["limits_hit"])),
+        hit[0] + (f" +{len(hit) - 1}" if len(hit) > 1 else "") if hit else "-",
     )

@@ -38,8 +38,9 @@ def spine_front_leg(
 ) -> SerialChain:
     """The chain from the root to the front foot, r5, r1, r2, r3, r4 of the 8U skeleton, in its level base frame.
 
-    base_length_m: None for the nominal one. Limits are the skeleton's expected ranges, those of the first link
-    `BASE_THETA_RAD` and three standard deviations of the heading about the direction of travel; it turns no faster
+    Its joints are called as the chain's own angles, after the joint at the link's end: theta_9, theta_1 to theta_4, and
+    so the phis. base_length_m: None for the nominal one. Limits are the skeleton's expected ranges, those of the first
+    link `BASE_THETA_RAD` and three standard deviations of the heading about the direction of travel; it turns no faster
     than the next one. limited: False leaves them out, but for the rates'.
     """
     links = _path(chain)
@@ -55,7 +56,9 @@ def spine_front_leg(
             rate.append(rates[0] if k is None else ranges.max_rate_rad_s[k])
     kind = planar_chain if dim == 2 else summed_chain
     n = len(links) * (dim - 1)
-    return kind(lengths, (lower[:n], upper[:n]) if limited else None, rate[:n])
+    numbers = [chain.links[i].end.lstrip("J") for i in links]
+    names = tuple(f"{angle}_{number}" for angle in ("theta", "phi")[: dim - 1] for number in numbers)
+    return replace(kind(lengths, (lower[:n], upper[:n]) if limited else None, rate[:n]), names=names)
 
 
 def chain_angles(chain: Chain, states: Array, travel: Array | None = None, dim: Literal[2, 3] = 3) -> Array:

@@ -87,11 +87,12 @@ SLOWER = 10
 """How many times slower than the animal a stride is followed: rate limits are what is expected of its joints, and would
 hold back a method that moves others than the animal does. Closures do not depend on it."""
 TARGET_TABLE = (
-    "method, reached, reason, iterations, us_per_step, length_m, roughness_rad2, least_manipulability, limits_hit"
+    "method, reached, reason, iterations, us_per_step, length_m, roughness_rad2, least_manipulability, limits_hit, "
+    "first_limit"
 )
 FOLLOW_TABLE = (
     "method, worst_error_m, note, us_per_step, length_m, roughness_rad2, least_manipulability, limits_hit, "
-    "least_closure_angle_percent, least_closure_plane_percent"
+    "first_limit, least_closure_angle_percent, least_closure_plane_percent"
 )
 SUMMARY = "ik.json"
 
@@ -143,16 +144,14 @@ class IKRun:
         """What ik.json holds."""
         limb, stride, settings = self.limb, self.stride, self.settings
 
-        def names(joints: tuple[int, ...]) -> list[str]:
-            return [limb.names[j] for j in joints]
-
         def shared(run: Drive | Follow) -> dict[str, Any]:
             return {
                 "us_per_step": 1e6 * float(np.median(run.solve_s)) if len(run.solve_s) else None,
                 "length_m": run.length_m,
                 "roughness_rad2": run.roughness_rad2,
                 "least_manipulability": float(run.manipulability.min()),
-                "limits_hit": names(run.limits_hit),
+                "limits_hit": [limb.names[stop.joint] for stop in run.limits],
+                "first_limit": run.limits[0].text(limb.names) if run.limits else "",
             }
 
         followed = {}
@@ -250,8 +249,6 @@ def _spine_front_leg(motion: Motion, label: str, dim: Dim, limited: bool) -> Lim
     assert chain is not None
     leg = spine_front_leg(chain, motion.size * chain.nominal_base_length_m, dim, limited)
     q = chain_angles(chain, motion.states, dim=dim)
-    names = tuple(f"{kind}_{k}" for kind in ("theta", "phi")[: dim - 1] for k in range(1, len(leg.lengths_m) + 1))
-    leg = replace(leg, names=names)
     return Limb(motion.foot_names[label], leg, q, motion.fps, float(motion.time_s[0]), "UVW", 0.0)
 
 

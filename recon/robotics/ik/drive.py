@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -33,6 +34,22 @@ STILL_RAD = 1e-10
 """Rounding, no motion."""
 
 
+@dataclass(frozen=True)
+class LimitStop:
+    """A limit that stopped a joint."""
+
+    joint: int
+    limit_rad: float
+    upper: bool
+    step: int
+    """The first in which it did."""
+
+    def text(self, names: Sequence[str]) -> str:
+        """names (n,): of the chain's joints."""
+        at = f"{'upper' if self.upper else 'lower'} limit of {self.limit_rad:.2f} rad"
+        return f"{names[self.joint]} at its {at} (step {self.step})"
+
+
 @dataclass(frozen=True, eq=False)
 class _Run:
     """What the chain did: K configurations, K - 1 steps."""
@@ -51,8 +68,13 @@ class _Run:
     """(K - 1,): whether the step was damped at a singular configuration."""
     solve_s: Array
     """(K - 1,): computing time of each step."""
-    limits_hit: tuple[int, ...]
-    """The joints that were stopped by a limit."""
+    limits: tuple[LimitStop, ...]
+    """Of every joint that one stopped the first, in their order."""
+
+    @property
+    def limits_hit(self) -> tuple[int, ...]:
+        """The joints that were stopped by a limit."""
+        return tuple(sorted(stop.joint for stop in self.limits))
 
     @property
     def iterations(self) -> int:
@@ -129,7 +151,7 @@ def drive_to(
     while not reason and distance > tolerance_m:
         k = len(taken.rates)
         if k >= max_iterations or k - best_at >= PATIENCE or (k and float(np.abs(last.dq).max()) <= STILL_RAD):
-            reason = _reason(k, max_iterations, distance, last, stopped)
+            reason = _reason(chain, k, max_iterations, distance, last, stopped)
             break
         dx = (target - taken.end) * (min(1.0, MAX_STEP_M / distance) / interval_s)
         last, stopped = taken.step(dx, method, interval_s)
@@ -185,19 +207,22 @@ class _Taken:
         self.rates: list[Array] = []
         self.singular: list[bool] = []
         self.times: list[float] = []
-        self.hit: set[int] = set()
+        self.limits: dict[int, LimitStop] = {}
 
     def step(self, dx: Array, method: Method, interval_s: float) -> tuple[JointRates, tuple[int, ...]]:
         """One interval at the velocity dx; what the method gave, and the joints that a limit stopped."""
         started = time.perf_counter()
         step, self.q, stopped = _one_interval(self.chain, self.q, dx, method, interval_s)
         self.times.append(time.perf_counter() - started)
+        for joint in stopped:
+            low, high = float(self.chain.lower_rad[joint]), float(self.chain.upper_rad[joint])
+            upper = 2 * float(self.q[joint]) > low + high
+            self.limits.setdefault(joint, LimitStop(joint, high if upper else low, upper, len(self.rates)))
         self.end = self.chain.end(self.q)
         self.path.append(self.q)
         self.ends.append(self.end)
         self.rates.append(step.dq)
         self.singular.append(step.singular)
-        self.hit.update(stopped)
         return step, stopped
 
     def run(self, last_dq: Array, distance_m: Array) -> dict[str, Any]:
@@ -210,7 +235,7 @@ class _Taken:
             "manipulability": np.array([manipulability(self.chain.jacobian(q)) for q in self.path]),
             "singular": np.array(self.singular, bool),
             "solve_s": np.array(self.times),
-            "limits_hit": tuple(sorted(self.hit)),
+            "limits": tuple(self.limits.values()),
         }
 
 
@@ -260,10 +285,12 @@ def _with_gain(method: Method, interval_s: float) -> Method:
     return method
 
 
-def _reason(k: int, max_iterations: int, distance: float, step: JointRates, stopped: tuple[int, ...]) -> str:
+def _reason(
+    chain: SerialChain, k: int, max_iterations: int, distance: float, step: JointRates, stopped: tuple[int, ...]
+) -> str:
     left = f"{1000 * distance:.1f} mm left after {k} iterations"
     if stopped:
-        return f"limits: joints {listed(stopped)} at theirs, {left}"
+        return f"limits: joints {listed(chain, stopped)} at theirs, {left}"
     if step.singular:
         return f"{step.note}, {left}"
     return f"no progress: {left}" + (", the most that are allowed" if k >= max_iterations else "")

@@ -51,6 +51,8 @@ class Frames:
     """(T, dim), m/s."""
     dq: Array
     """(T, n), rad/s."""
+    names: tuple[str, ...]
+    """(n,): of the joints."""
 
     @classmethod
     def of(cls, chain: SerialChain, q: Array, dx: Array, dq: Array) -> Frames:
@@ -63,17 +65,18 @@ class Frames:
         known = np.isfinite(np.concatenate([q, dx, dq], axis=1)).all(axis=1)
         if not known.any():
             raise ValueError("no frame without a missing value")
-        return cls(q[known], np.stack([chain.jacobian(x) for x in q[known]]), dx[known], dq[known])
+        return cls(q[known], np.stack([chain.jacobian(x) for x in q[known]]), dx[known], dq[known], chain.names)
 
     @classmethod
     def joined(cls, parts: Sequence[Frames]) -> Frames:
-        return cls(*(np.concatenate([getattr(p, name) for p in parts]) for name in ("q", "jacobian", "dx", "dq")))
+        joined = (np.concatenate([getattr(p, name) for p in parts]) for name in ("q", "jacobian", "dx", "dq"))
+        return cls(*joined, parts[0].names)
 
     def __len__(self) -> int:
         return len(self.q)
 
     def __getitem__(self, rows: slice) -> Frames:
-        return Frames(self.q[rows], self.jacobian[rows], self.dx[rows], self.dq[rows])
+        return Frames(self.q[rows], self.jacobian[rows], self.dx[rows], self.dq[rows], self.names)
 
 
 Formula = Callable[[Frames], Array]
@@ -186,7 +189,7 @@ def fit_weights(frames: Frames, pull: float = 0.0) -> Fitted:
     p = least_squares(residuals, np.zeros(n), derivatives, bounds=(-bound, bound), x_scale=1.0).x
     w = np.exp(p) / np.exp(p).mean()
     edge = np.flatnonzero(np.abs(p) > 0.99 * bound)
-    note = f"weights of joints {', '.join(map(str, edge))} at the edge of their range" if len(edge) else ""
+    note = f"weights of {', '.join(frames.names[j] for j in edge)} at the edge of their range" if len(edge) else ""
     return _fitted(weighted_least_norm(w), w, lambda f: _weighted(f, w)[0], frames, note)
 
 

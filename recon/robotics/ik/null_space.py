@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -61,7 +62,7 @@ def _null_space_newton(chain: SerialChain, q0: Array, cost: Cost, descend: bool)
         free = ~stuck
         J, curvature = derivatives(chain, q, free)
         if J.shape[1] <= chain.dim:
-            reason = f"limits: joints {listed(stuck.nonzero()[0])}"
+            reason = f"limits: joints {listed(chain, stuck.nonzero()[0].tolist())}"
             break
         N = null_basis(J)
         g, M = reduced_gradient(cost, q, right_inverse(J)[0], curvature, free)
@@ -118,5 +119,5 @@ def inside_limits(chain: SerialChain, q: Array) -> Array:
     return np.minimum(np.maximum(q, chain.lower_rad), chain.upper_rad)
 
 
-def listed(joints: ArrayLike) -> str:
-    return ", ".join(str(int(j)) for j in np.asarray(joints))
+def listed(chain: SerialChain, joints: Iterable[int]) -> str:
+    return ", ".join(chain.names[joint] for joint in joints)
