@@ -12,14 +12,26 @@ import pytest
 from recon.animal.body import other_side
 from recon.animal.prior import prior_from_body
 from recon.check import FileFacts, Finding, finding, flagged, input_findings, without_gross_outliers, without_swaps
-from recon.check.inputs.likelihood import CLEAR, baseline_of, unlikely
+from recon.check.inputs.likelihood import CLEAR, MARGIN, baseline_of, refitted, unlikely
 from recon.check.inputs.outliers import outlier_ratios
 from recon.check.inputs.picture import of_other_camera, of_smaller_video, of_unit_square, smaller, turned_over
 from recon.check.inputs.rate import other_rate
-from recon.check.inputs.swaps import Stretch, exchanged, jumps, opposites, pairs_of, swaps, tried
+from recon.check.inputs.swaps import (
+    Stretch,
+    SwapTrial,
+    contradicts,
+    exchanged,
+    jumps,
+    opposites,
+    pairs_of,
+    swap_finding,
+    swaps,
+    tried,
+    undone,
+)
 from recon.clip import Source, View, still_view
 from recon.clip.keypoints import CleaningReport, Keypoints, clean
-from recon.fit import TrajectoryOptions, TrajectorySolution
+from recon.fit import TrajectoryOptions, TrajectorySolution, solve_trajectory
 from recon.fit.clip_problem import ClipProblem
 from recon.fit.motion import Motion
 from recon.geometry.kinematics import ROOT
@@ -47,6 +59,17 @@ def view() -> View:
 def given(changed: View, **options):
     setting = ClipProblem.of([changed], BODY, PRIOR, FPS, TrajectoryOptions(**options))
     return baseline_of(setting, 0, plain().states, plain().size)
+
+
+@cache
+def solved(changed: View) -> TrajectorySolution:
+    return solve_trajectory([changed], BODY, PRIOR, FPS)
+
+
+def fitted(changed: View):
+    """As a fit to these keypoints finds it."""
+    setting = ClipProblem.of([changed], BODY, PRIOR, FPS, TrajectoryOptions())
+    return baseline_of(setting, 0, solved(changed).states, solved(changed).size)
 
 
 def moved(xy_px: np.ndarray) -> View:
@@ -95,10 +118,36 @@ def test_missing_points_say_nothing_of_jumps():
 
 @pytest.mark.parametrize(("kind", "first", "stop"), [("all", 15, 25), ("all", 0, T), ("fore", 20, T), ("hind", 0, 20)])
 def test_exchanged_sides_are_found(kind, first, stop):
-    (found,) = swaps(given(exchanged(view(), stretch(kind, first, stop))))
+    (found,) = swaps(fitted(exchanged(view(), stretch(kind, first, stop))))
     assert found.stretch.rows == slice(first, stop)
     assert found.stretch.markers == stretch(kind, first, stop).markers
-    assert found.ratio > CLEAR
+    assert found.ratio > MARGIN
+    assert found.clear
+
+
+def test_what_is_not_clear_is_not_said():
+    assert swaps(fitted(exchanged(view(), stretch("hind", 14, 24)))) == []
+    place = Stretch(slice(14, 24), pairs_of(BODY)["hind"])
+    best = SwapTrial(place, MARGIN + 10.0, rival=SwapTrial(stretch("fore", 24, T), 11.0))
+    (source,) = motion_of(plain()).sources
+    unclear = swap_finding(best, source, BODY)
+    assert (unclear.code, unclear.frames) == ("left_right_swap_unclear", (114, 124))
+    assert unclear.numbers["part"] == "the hind legs"
+    assert unclear.numbers["other_part"] == "the fore legs"
+    assert (unclear.numbers["other_first"], unclear.numbers["other_last"]) == (124, 139)
+    assert swap_finding(replace(best, ratio=MARGIN + 12.0), source, BODY).code == "left_right_swap"
+    assert not any("left-right swap" in flags for flags in flagged(motion_of(plain()), [unclear]).flags)
+
+
+def test_of_two_that_exclude_each_other_the_likelier_has_to_lead():
+    one, other = stretch("hind", 0, 20), stretch("hind", 20, T)
+    swapped = fitted(exchanged(view(), other))
+    part = swapped.clip.part(slice(0, T))
+    first, second = (refitted(swapped.other(exchanged(part.views[0], by))) for by in (other, one))
+    assert first.likelier(swapped.refit(slice(0, T))) > MARGIN
+    assert first.likelier(second) > MARGIN
+    assert contradicts(undone(swapped, other, first), other, one)
+    assert not contradicts(undone(swapped, other, first), other, stretch("hind", 21, T))
 
 
 def test_a_clip_without_states_has_no_exchanged_stretch():
@@ -133,13 +182,13 @@ def test_an_end_of_a_clip_is_judged_beside_the_rest_of_it():
 
 
 def given_half():
-    return given(exchanged(view(), stretch("hind", 20, T)))
+    return fitted(exchanged(view(), stretch("hind", 20, T)))
 
 
 def test_of_a_motion_that_the_prior_does_not_know_a_stretch_is_found_but_no_whole_clip():
     (found,) = swaps(given_half(), unlike=True)
     assert found.stretch.rows == slice(20, T)
-    assert swaps(given(exchanged(view(), stretch("all", 0, T))), unlike=True) == []
+    assert swaps(fitted(exchanged(view(), stretch("all", 0, T))), unlike=True) == []
 
 
 def test_an_error_that_lasts_is_likelier_than_one_that_jumps():
@@ -189,7 +238,7 @@ def test_an_untouched_clip_has_no_findings():
 
 
 def test_without_a_prior_of_motions_neither_sides_nor_rates_are_judged():
-    wrong = motion_of(replace(plain(), views=(exchanged(view(), stretch("all", 15, 25)),)))
+    wrong = motion_of(solved(exchanged(view(), stretch("all", 15, 25))))
     (found,) = input_findings(wrong, PRIOR, TrajectoryOptions(), FACTS)
     assert (found.code, found.frames, found.camera) == ("left_right_swap", (115, 125), CAMERA.name)
     assert input_findings(wrong, prior_from_body(BODY), TrajectoryOptions(), FACTS) == ()

@@ -21,6 +21,7 @@ from recon.animal.prior import ANGLES
 from recon.base.arrays import Array, Bools
 from recon.clip import View
 from recon.clip.keypoints import frame_ranges
+from recon.fit import solve_trajectory
 from recon.fit.clip_problem import ClipProblem
 from recon.fit.contacts import above_ground
 from recon.fit.least_squares import LeastSquares
@@ -32,7 +33,12 @@ from recon.geometry.kinematics import ROOT, YAW
 _TOLERANCE, _ITERATIONS = 3e-3, 12
 """When a minimum is good enough."""
 CLEAR = float(np.log(1000.0))
-"""A hypothesis is believed where it makes what was seen so many times as likely, as a logarithm."""
+"""A hypothesis is worth a closer look, or believed where nothing is like it, if it makes what was seen so many times as
+likely, as a logarithm."""
+MARGIN = 20.0
+"""A swap or another frame rate is believed where it makes a solution so much likelier, as a logarithm, than without it
+and than any other in its place. Far more than chance needs: what a model of the animal gets wrong is not noise. Chosen
+on real clips, by leaving runs out (docs/benchmarks.md, mistakes)."""
 TOGETHER = 0.4
 """Keypoints of one limb err together: so much of what they say is each one's own. Chosen on real clips, by leaving runs
 out (docs/benchmarks.md, mistakes)."""
@@ -75,6 +81,42 @@ class Likelihood:
     def lasting(self, correlation_frames: float) -> float:
         """Where all that is expected is off in the same way all the time, and counts once in so many frames."""
         return self.seen + (self.poses + self.rest) / correlation_frames
+
+
+@dataclass(frozen=True, eq=False)
+class Refit:
+    """The solution of a part of a clip, as it is or otherwise: states (n, D) at nominal size about the origin, and
+    minus the logarithm of the likelihood but for a constant, if errors of neighbouring frames are alike and if each
+    frame has its own."""
+
+    states: Array
+    alike: float
+    own: float
+
+    @classmethod
+    def of(cls, clip: ClipProblem, states: Array) -> Refit:
+        """Infinite where a frame has no states."""
+        if not np.isfinite(states).all():
+            return cls(states, np.inf, np.inf)
+        noise_px = clip.noise_px(clip.markers(states), np.ones((1, len(clip.body.markers))))
+        costs = clip.problem(noise_px, 1.0).costs(states)
+        ground, pixels, own = off_ground(clip, states), costs["reprojection"], sum(costs.values())
+        return cls(states, _seen(clip, states) + ground + own - pixels, own)
+
+    def likelier(self, other: Refit) -> float:
+        """Than another by so much, whichever the errors are."""
+        by = min(other.alike - self.alike, other.own - self.own)
+        return by if np.isfinite(by) else -np.inf
+
+
+def refitted(clip: ClipProblem) -> Refit:
+    """Of one camera's view, solved as a clip of its own."""
+    options = replace(clip.options, fast=False)
+    solution = solve_trajectory(
+        clip.views, clip.body, clip.prior, clip.fps, options, ground_near_zero=clip.ground_near_zero
+    )
+    solved = baseline_of(replace(clip, views=solution.views), 0, solution.states, solution.size)
+    return Refit.of(solved.clip, solved.states)
 
 
 def judged(
@@ -148,15 +190,21 @@ class Baseline:
         return alone(self.clip, view)
 
     @cached_property
-    def _known(self) -> dict[tuple[int, int, tuple[float, ...]], Likelihood]:
+    def _judged(self) -> dict[tuple[int, int], Likelihood]:
         return {}
 
-    def judged(self, part: slice, widen: tuple[float, ...] = (1.0,)) -> Likelihood:
-        """Of a part of the clip, from the states that were found."""
-        key = (part.start, part.stop, widen)
-        if key not in self._known:
-            self._known[key] = judged(self.clip.part(part), self.found(part), widen)
-        return self._known[key]
+    def judged(self, part: slice) -> Likelihood:
+        """Of a part of the clip, by a quick fit from the states that were found."""
+        key = (part.start, part.stop)
+        if key not in self._judged:
+            self._judged[key] = judged(self.clip.part(part), self.found(part))
+        return self._judged[key]
+
+    def refit(self, part: slice) -> Refit:
+        """Of a part of the clip as it is: of all of it, what was found."""
+        if part.stop - part.start == len(self.states):
+            return Refit.of(self.clip, self.states)
+        return refitted(self.clip.part(part))
 
     def found(self, part: slice) -> Array | None:
         """The states (n, D) of a part; None where some frame has none."""

@@ -1,10 +1,13 @@
 """Left-right swaps: in single frames, a stretch or a whole clip, of all keypoints or of one pair of legs.
 
-A fit follows exchanged keypoints, and its residuals say little. Three things together say it. Where an exchange begins
-or ends, the keypoints of both sides jump at once, unless the legs cross there: their tracks in the picture say where
-that may be. A fit to which each keypoint of a leg may be either side's says which of them it looks like in each frame.
-The likelihood of the clip with each of the few best stretches exchanged says whether one is. A whole clip is tried in
-any case; exchanged, it looks like the animal mirrored in depth.
+A fit follows exchanged keypoints, and its residuals say little. Stretches are proposed cheaply. Where an exchange
+begins or ends, the keypoints of both sides jump at once, unless the legs cross there: their tracks in the picture say
+where that may be. A fit to which each keypoint of a leg may be either side's says which of them it looks like in each
+frame. A whole clip is proposed in any case; exchanged, it looks like the animal mirrored in depth.
+
+Of the stretches that a quick fit makes likelier, the few best are undone, one by one, and their second of the clip is
+solved anew. What makes it clearly likelier than it is (`MARGIN`) is a swap, and clearly means: than with any other
+stretch undone that contradicts it, too. Between two that are about as likely, none is chosen.
 """
 
 from __future__ import annotations
@@ -12,22 +15,26 @@ from __future__ import annotations
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from recon.animal.body import Body, other_side
-from recon.base.arrays import Array, Index
+from recon.base.arrays import Array, Bools, Index
 from recon.check.codes import finding
 from recon.check.inputs.likelihood import (
     AT_ONCE_S,
     CLEAR,
     LOOSE,
+    MARGIN,
     TAILS,
     Baseline,
+    Refit,
     best_seen,
     either_side,
     judged,
     log_tail,
+    refitted,
 )
 from recon.clip import Source, View
 from recon.fit.finding import Finding
@@ -37,6 +44,8 @@ JUMP = -3.0
 LIKELY, TRIED, STRETCHES = 6.0, 3, 4
 """Stretches are tried of which tracks and looks say so much, so many of them for each second, and so many exchanges
 found in a clip."""
+REFITTED = 3
+"""So many of the likeliest are solved anew."""
 OF_LEG = 3
 """Of a leg, the last markers: what is above hardly tells its side."""
 _STRAIGHT = 3
@@ -48,7 +57,7 @@ STEADY = 1.0
 
 @dataclass(frozen=True, eq=False)
 class Stretch:
-    """Rows of a clip, and the permutation (J,) of its markers there."""
+    """Rows of a clip, first and stop, and the permutation (J,) of its markers there."""
 
     rows: slice
     places: Index
@@ -56,6 +65,12 @@ class Stretch:
     @property
     def markers(self) -> tuple[int, ...]:
         return tuple(int(j) for j in np.flatnonzero(self.places != np.arange(len(self.places))))
+
+    def mask(self, T: int) -> Bools:
+        """(T, J): what is exchanged."""
+        of = np.zeros((T, len(self.places)), dtype=bool)
+        of[self.rows, self.markers] = True
+        return of
 
 
 def exchanged(view: View, stretch: Stretch) -> View:
@@ -84,33 +99,67 @@ def pairs_of(body: Body) -> dict[str, Index]:
 
 
 def swaps(given: Baseline, unlike: bool = False) -> list[SwapTrial]:
-    """Of one view of a clip, under a prior learned from motions. Stretches that are clear by a quick fit are judged
-    again by one that knows less of the sides, and so is the clip as it is. unlike: the prior does
-    not know this motion (`recon.fit.prior_misfit`); a whole clip, in which no keypoints jump, is then not tried:
-    nothing but the prior tells it."""
-    kinds, view = pairs_of(given.clip.body), given.view
-    found: list[SwapTrial] = []
+    """Of one view of a clip, under a prior learned from motions; the last may have a rival, and nothing follows it. unlike: the prior does not know this motion
+    (`recon.fit.prior_misfit`); a whole clip, in which no keypoints jump, is then not tried: nothing but the prior tells
+    it."""
+    kinds, found = pairs_of(given.clip.body), list[SwapTrial]()
     while len(found) < STRETCHES and "all" in kinds:
-        whole = [] if unlike else [_whole(given, kinds["all"])]
-        clear = [one for one in tried(given, kinds) if one.ratio > CLEAR]
-        again = [_judged(given, one.stretch, (LOOSE, 1.0)) for one in clear]
-        best = max([*again, *whole], key=lambda one: one.ratio, default=None)
-        if best is None or not best.ratio > CLEAR:  # nor where nothing is known
+        compared = sorted(refits(given, kinds, unlike), key=lambda one: -one[0].ratio)
+        if not compared or not compared[0][0].ratio > MARGIN:
             break
-        found.append(best)
-        if best in whole:  # the states are the other way round, and nothing more is told by them
+        (best, refit), *others = compared
+        then = undone(given, best.stretch, refit)
+        rival = next((one for one, _ in others if contradicts(then, best.stretch, one.stretch)), None)
+        found.append(replace(best, rival=rival))
+        if not found[-1].clear:
             break
-        view = exchanged(view, best.stretch)
-        given = Baseline(given.other(view), given.states)
+        given = then
     return found
+
+
+def contradicts(then: Baseline, best: Stretch, other: Stretch) -> bool:
+    """Whether another stretch is none of nearly the same keypoints, and undoing it, too, makes the clip less likely."""
+    of_best, of_other = (one.mask(len(then.states)) for one in (best, other))
+    return 2 * (of_best & of_other).sum() < (of_best | of_other).sum() and _judged(then, other).ratio < 0
+
+
+def refits(given: Baseline, kinds: dict[str, Index], unlike: bool) -> list[tuple[SwapTrial, Refit]]:
+    """The likeliest stretches, each undone and its part of the clip solved anew, against that part as it is."""
+    whole = [] if unlike else [_judged(given, Stretch(slice(0, len(given.states)), kinds["all"]))]
+    likely = sorted((one for one in [*tried(given, kinds), *whole] if one.ratio > CLEAR), key=lambda one: -one.ratio)
+    compared = []
+    for one in likely[:REFITTED]:
+        part = _part(given.view, one.stretch.rows, given.clip.fps)
+        refit = refitted(given.other(exchanged(given.view, one.stretch)).part(part))
+        compared.append((SwapTrial(one.stretch, refit.likelier(given.refit(part))), refit))
+    return compared
+
+
+def undone(given: Baseline, stretch: Stretch, refit: Refit) -> Baseline:
+    """With a stretch exchanged, and the motion that was found then."""
+    states = given.states.copy()
+    states[_part(given.view, stretch.rows, given.clip.fps)] = refit.states
+    return Baseline(given.other(exchanged(given.view, stretch)), states)
 
 
 @dataclass(frozen=True, eq=False)
 class SwapTrial:
-    """A stretch that was exchanged: how much likelier that makes the clip, as a logarithm."""
+    """A stretch that was exchanged: how much likelier that makes the clip, as a logarithm. rival: the likeliest that
+    may be exchanged in its place."""
 
     stretch: Stretch
     ratio: float
+    rival: SwapTrial | None = None
+
+    @property
+    def lead(self) -> float:
+        """How much likelier than its rival."""
+        return self.ratio - (self.rival.ratio if self.rival else 0.0)
+
+    @property
+    def clear(self) -> bool:
+        """Which of the two is exchanged."""
+        return self.lead > MARGIN
 
 
 def tried(given: Baseline, kinds: dict[str, Index]) -> list[SwapTrial]:
@@ -127,11 +176,17 @@ def tried(given: Baseline, kinds: dict[str, Index]) -> list[SwapTrial]:
     return [_judged(given, Stretch(slice(*ends), kinds[name])) for name, ends in dict.fromkeys(chosen)]
 
 
-def _judged(given: Baseline, stretch: Stretch, widen: tuple[float, ...] = (1.0,)) -> SwapTrial:
-    """By a fit from what was found, with noise that is so many times as wide on the way in."""
-    part = _around(stretch.rows, len(given.view.xy_px), given.clip.fps)
-    as_given, other = given.judged(part, widen), given.other(exchanged(given.view, stretch)).part(part)
-    return SwapTrial(stretch, as_given.of_stretch - judged(other, given.found(part), widen, as_given.cost).of_stretch)
+def _judged(given: Baseline, stretch: Stretch) -> SwapTrial:
+    """By a quick fit from what was found; of a whole clip, from that exchanged, and mirrored."""
+    whole = stretch.rows.stop - stretch.rows.start == len(given.states)
+    part = _part(given.view, stretch.rows, given.clip.fps)
+    as_given, other = given.judged(part), given.other(exchanged(given.view, stretch)).part(part)
+    if not whole:
+        found = judged(other, given.found(part), wanted=as_given.cost)
+        return SwapTrial(stretch, as_given.of_stretch - found.of_stretch)
+    starts = {(1.0,): given.exchanged(part), (LOOSE, 1.0): given.mirrored(part)}
+    tries = [judged(other, start, widen, as_given.cost) for widen, start in starts.items()]
+    return SwapTrial(stretch, as_given.surprise - min(one.surprise for one in tries))
 
 
 def _parts(first: int, stop: int, T: int) -> list[tuple[int, int]]:
@@ -140,26 +195,13 @@ def _parts(first: int, stop: int, T: int) -> list[tuple[int, int]]:
     return [(first, stop), *rest]
 
 
-def _whole(given: Baseline, places: Index) -> SwapTrial:
-    """The whole clip exchanged, judged where most is seen. What was found need not be the best even of the clip as it
-    is: before that is doubted, it is sought anew."""
-    view, part = given.view, best_seen(given.view, given.clip.fps)
-    stretch = Stretch(slice(0, len(view.xy_px)), places)
-    other = given.other(exchanged(view, stretch)).part(part)
-    as_given = given.judged(part)
-    starts = {(1.0,): given.exchanged(part), (LOOSE, 1.0): given.mirrored(part)}
-    tries = [judged(other, start, widen, as_given.cost) for widen, start in starts.items() if start is not None]
-    likely = min(one.surprise for one in tries or [judged(other)])
-    ratio = as_given.surprise - likely
-    if ratio > CLEAR:
-        ratio = min(ratio, judged(given.clip.part(part)).surprise - likely)
-    return SwapTrial(stretch, ratio)
-
-
-def _around(rows: slice, T: int, fps: float) -> slice:
-    """The second around a stretch, or around the beginning or the end of a longer one."""
-    n = max(round(AT_ONCE_S * fps), 4)
+def _part(view: View, rows: slice, fps: float) -> slice:
+    """The second around a stretch, or around the beginning or the end of a longer one; of a whole clip that in which
+    most is seen."""
+    T, n = len(view.xy_px), max(round(AT_ONCE_S * fps), 4)
     inner = [edge for edge in (rows.start, rows.stop) if 0 < edge < T]
+    if not inner:
+        return best_seen(view, fps)
     middle = sum(inner) // 2 if inner[-1] - inner[0] < n else inner[0]
     first = int(np.clip(middle - n // 2, 0, max(T - n, 0)))
     return slice(first, min(first + n, T))
@@ -231,16 +273,21 @@ PARTS = {"all": "all keypoints", "fore": "the fore legs", "hind": "the hind legs
 
 def swap_finding(trial: SwapTrial, source: Source, body: Body) -> Finding:
     """What a swap in one camera's keypoints is said by."""
-    numbers, rows, places = source.keypoints.frames, trial.stretch.rows, trial.stretch.places
-    part = next(PARTS[name] for name, of_part in pairs_of(body).items() if np.array_equal(of_part, places))
-    return finding(
-        "left_right_swap",
-        (int(numbers[rows.start]), int(numbers[rows.stop - 1]) + 1),
-        source.camera.name,
-        part=part,
-        keypoints=tuple(source.keypoints.names[j] for j in trial.stretch.markers),
-        log_likelihood_ratio=trial.ratio,
-    )
+    numbers: dict[str, Any] = {"log_likelihood_ratio": trial.ratio}
+    frames, part = _told_as(trial.stretch, source, body)
+    if trial.rival is not None and not trial.clear:
+        rival, other_part = _told_as(trial.rival.stretch, source, body)
+        numbers |= {"part": part, "other_part": other_part, "other_first": rival[0], "other_last": rival[1] - 1}
+        return finding("left_right_swap_unclear", frames, source.camera.name, **numbers)
+    names = tuple(source.keypoints.names[j] for j in trial.stretch.markers)
+    return finding("left_right_swap", frames, source.camera.name, part=part, keypoints=names, **numbers)
+
+
+def _told_as(stretch: Stretch, source: Source, body: Body) -> tuple[tuple[int, int], str]:
+    """Its frames, the first and the one after the last, and its keypoints in words."""
+    numbers, rows = source.keypoints.frames, stretch.rows
+    part = next(PARTS[name] for name, places in pairs_of(body).items() if np.array_equal(places, stretch.places))
+    return (int(numbers[rows.start]), int(numbers[rows.stop - 1]) + 1), part
 
 
 def without_swaps(
