@@ -1,11 +1,13 @@
 """Mistakes put into real clips: which are found, what is named in untouched ones, and what mending leaves.
 
-    python benchmarks/mistakes.py [FOLDER] [--views 1] [--csv TABLE.csv]
+    python benchmarks/mistakes.py [FOLDER ...] [--views 1] [--csv TABLE.csv]
 
-Each run is a folder as in `cheetah_runs.py`. Every view is changed in its file or in what `recon fit` is told,
-and fitted as it does. Errors are means of the joints' distances, both poses centred. Without FOLDER:
-the cheetah-runs of $RECON_SHARED_DATA, or of ../shared/data; without any runs, nothing. --views: every so many of them.
---folds: how much of what keypoints say is each one's own, chosen on all runs but one, for each of them. --bound: which
+Each run is a folder as in `cheetah_runs.py`, or with one calibration file for each camera. Every view is changed in its
+file or in what `recon fit` is told, and fitted as it does. Errors are means of the joints' distances, both poses
+centred. Without FOLDER: the cheetah-runs and plate-trials of $RECON_SHARED_DATA, or of ../shared/data; without any
+runs, nothing. --views: every so many of them. --folds: the margin of swaps, chosen on all runs but one, for each of
+them. --varied: what is named in views that are none of those: thinned, halves of them, with noise, with points left
+out, with another run's errors of detections around this one's truth, or fitted with another detector. --bound: which
 exchanges of legs could be told at all, by somebody who knows the poses: those of the reconstruction. --others: what is
 named in untouched clips of other animals: dogs as in `dog.py`, with the prior of the other clips and with each angle on
 its own, and a horse's labels by hand, its camera guessed, of the dog-mocap and the horse-side of $RECON_SHARED_DATA.
@@ -20,7 +22,8 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import argparse
 import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -32,9 +35,10 @@ from markdown_table import print_header, print_row
 from recordings import recordings
 from trajectory import GROUPS, PRIOR, body_of, meta_of, prior_of, view_of
 
-from recon import FitSettings, Motion, fit_clip, read_keypoints
+from recon import Camera, FitSettings, Motion, fit_clip, read_keypoints
 from recon.animal.body import other_side
 from recon.animal.prior import fit_prior, prior_from_body
+from recon.animal.skeleton_file import builtin_subjects
 from recon.check import FileFacts, Finding, input_findings
 from recon.check.inputs import likelihood
 from recon.check.inputs.likelihood import CLEAR, baseline_of, unlikely
@@ -46,26 +50,34 @@ from recon.fit.clip_problem import ClipProblem
 from recon.gait.evaluation import centre, joint_errors
 from recon.io.deeplabcut import write_csv
 
-SWAP, OUTLIERS = "left_right_swap", "gross_outliers"
+SWAP, UNCLEAR, OUTLIERS = "left_right_swap", "left_right_swap_unclear", "gross_outliers"
 TEN, END = 10, 12
 """Frames exchanged in the middle, and of garbage at an end."""
 FALSE = 0.02
 """So many frames of untouched clips may be named wrongly."""
 LEGS = {"fore": "fore legs exchanged, second half", "hind": "hind legs exchanged, second half"}
 FOLDED = ("untouched", "ten frames exchanged", *LEGS.values(), "whole clip exchanged")
-SHARES = (0.2, 0.3, 0.4, 0.5, 0.6)
-"""Of `recon.check.inputs.likelihood.TOGETHER`."""
+MARGINS = (5.0, 10.0, 15.0, 20.0, 25.0, 30.0)
+"""Of `recon.check.inputs.likelihood.MARGIN`."""
+WORSE = 1.02
+"""No clip may be so many times worse when mended."""
 Change = Callable[["View"], tuple[np.ndarray, np.ndarray]]
 
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """Of a run: what the file has in the order of the body's markers, xy_px (T, J, 2)."""
+    """Of a run: what the file has in the order of the body's markers, xy_px (T, J, 2), and the truth (T, J, 3) in the
+    camera's frame, NaN if none."""
 
     run: Path
     camera: int
     file: Keypoints
-    size_px: tuple[int, int]
+    lens: Camera
+    truth_m: np.ndarray
+
+    @property
+    def size_px(self) -> tuple[int, int]:
+        return self.lens.image_size_px
 
     @property
     def xy_px(self) -> np.ndarray:
@@ -132,7 +144,7 @@ def _half(view: View) -> int:
 
 
 CASES = {
-    "untouched": Case(_as_given),
+    "untouched": Case(_as_given, mends=True),
     "ten frames exchanged": Case(lambda v: _exchanged(v, _half(v) - TEN // 2, _half(v) + TEN // 2), SWAP, mends=True),
     "fore legs exchanged, second half": Case(
         lambda v: _exchanged(v, _half(v), len(v.xy_px), "fore legs"), SWAP, mends=True
@@ -154,25 +166,31 @@ CASES = {
 }
 
 
+def of_run(run: Path, camera: int) -> View:
+    lens, xy_px, confidence, truth_m = view_of(run, camera)
+    file = replace(read_keypoints(run / f"cam{camera}.csv"), names=body_of().markers)
+    return View(run, camera, replace(file, xy_px=xy_px, confidence=confidence, fps=meta_of(run)["fps"]), lens, truth_m)
+
+
 def fitted(view: View, case: Case, folder: Path, **told: Any) -> tuple[Motion, np.ndarray]:
     """The motion, and which frames were changed."""
     xy_px, changed = case.change(view)
     path = folder / f"cam{view.camera}.csv"
     write_csv(replace(view.file, xy_px=xy_px, fps=None), path)
-    meta = meta_of(view.run)
+    scene, subject = view.run / "scene.json", meta_of(view.run)["subject"]
+    of_scene = {"camera": scene, "camera_name": f"cam{view.camera}"}
     settings = {
         "keypoints": path,
-        "camera": view.run / "scene.json",
-        "camera_name": f"cam{view.camera}",
-        "fps": meta["fps"],
-        "subject": meta["subject"],
+        **(of_scene if scene.is_file() else {"camera": view.run / f"cam{view.camera}.toml"}),
+        "fps": view.file.fps,
+        "subject": subject if subject in builtin_subjects() else None,
     }
     return fit_clip(FitSettings(**settings | case.told(view) | told)), changed
 
 
 def error_mm(view: View, motion: Motion, frames: np.ndarray) -> float:
     """Over those (T,) frames."""
-    truth_m = view_of(view.run, view.camera)[3][frames]
+    truth_m = view.truth_m[frames]
     if not np.isfinite(motion.joints_camera_m[frames]).any():
         return np.nan
     return 1000 * float(np.nanmean(joint_errors(centre(motion.joints_camera_m[frames], truth_m), truth_m)))
@@ -202,8 +220,7 @@ def named(motion: Motion, code: str, markers: tuple[int, ...] | None = None) -> 
 
 def agreed(view: View, motion: Motion, one: Stretch) -> bool:
     """Whether the reconstruction from all cameras says, too, that the detector exchanged those keypoints there."""
-    lens, _, _, truth_m = view_of(view.run, view.camera)
-    projected, _ = lens.project(truth_m)
+    projected, _ = view.lens.project(view.truth_m)
     sigma_px = motion.solution.noise_px[0]
     q = [np.sum((to - view.xy_px) ** 2, axis=-1) / sigma_px**2 for to in (projected, projected[:, one.places])]
     return float(np.nansum((np.log1p(q[0] / 3.0) - np.log1p(q[1] / 3.0))[one.rows][:, [*one.markers]])) > 0.0
@@ -240,6 +257,8 @@ def row(view: View, name: str, case: Case, folder: Path, untouched_mm: float) ->
         "changed_flagged": float(found[changed].mean()) if changed.any() else np.nan,
         "other_flags": float(flagged[others].mean()) if others.any() else np.nan,
         "real_flags": float(real[others].mean()) if others.any() else np.nan,
+        "wrong": float((named(motion, SWAP) & ~real).mean()),
+        "unclear": any(one.code == UNCLEAR for one in motion.findings),
         "kinds": " ".join(sorted({one.code for one in of_input(motion)})),
         "untouched_mm": untouched_mm,
         "mistakes_s": motion.solution.stage_s["input_findings"],
@@ -262,19 +281,9 @@ def rows_of(view: View, only: str | None) -> list[dict[str, Any]]:
 
 
 def print_tables(table: pd.DataFrame) -> None:
-    print_header(
-        [
-            "case",
-            "views",
-            "kind named",
-            "frames right",
-            "changed frames flagged",
-            "others flagged",
-            "of these real",
-            "error / untouched",
-            "mended / untouched",
-        ]
-    )
+    """Worse: of one view, mended over as it was fitted."""
+    head = ["case", "views", "kind named", "frames right", "or unclear", "others flagged", "of these real"]
+    print_header([*head, "error / untouched", "mended / untouched", "worst: mended / not"])
     for name, of_case in table.groupby("case", sort=False):
 
         def ratio(column: str, of_case: pd.DataFrame = of_case) -> str:
@@ -282,18 +291,19 @@ def print_tables(table: pd.DataFrame) -> None:
                 return ""
             return f"{of_case[column].sum() / of_case['untouched_mm'].sum():.2f}"
 
-        is_case = CASES[str(name)].code
+        case = CASES[str(name)]
         print_row(
             [
                 name,
                 len(of_case),
-                f"{of_case['kind_right'].mean():.0%}" if is_case else "",
-                f"{of_case['frames_right'].mean():.0%}" if is_case else "",
-                f"{of_case['changed_flagged'].mean():.0%}" if is_case else "",
+                f"{of_case['kind_right'].mean():.0%}" if case.code else "",
+                f"{of_case['frames_right'].mean():.0%}" if case.code else "",
+                f"{(of_case['unclear'] | of_case['kind_right']).mean():.0%}" if case.code in (SWAP, None) else "",
                 f"{of_case['other_flags'].mean():.1%}",
                 f"{of_case['real_flags'].mean():.1%}",
                 ratio("mm"),
                 ratio("mended_mm"),
+                f"{(of_case['mended_mm'] / of_case['mm']).max():.2f}" if case.mends else "",
             ]
         )
     untouched = table[table["case"] == "untouched"]
@@ -301,54 +311,169 @@ def print_tables(table: pd.DataFrame) -> None:
         wrong = untouched["kinds"].ne("").sum()
         print(
             f"\nUntouched: something is named in {wrong} of {len(untouched)} views. Looking for mistakes took "
-            f"{untouched['mistakes_s'].sum() / untouched['solve_s'].sum():.2f} times the time of the solution."
+            f"{untouched['mistakes_s'].sum() / untouched['solve_s'].sum():.2f} times the time of the solution.\n"
         )
+        print_by_run(table)
 
 
-def share_rows(view: View, name: str, folder: Path) -> list[dict[str, Any]]:
-    """For each of `SHARES`: whether the exchange put in is found, and of an untouched view the part of its frames that
-    are named wrongly."""
-    motion, _ = fitted(view, CASES[name], folder)
-    solution, given_share, rows = motion.solution, likelihood.TOGETHER, []
+def print_by_run(table: pd.DataFrame) -> None:
+    print_header(["run", "views", "untouched frames named wrongly", "of all cases", "worst: mended / not"])
+    for run, rows in table.groupby("run"):
+        untouched = rows[rows["case"] == "untouched"]
+        worst = (rows["mended_mm"] / rows["mm"]).max()
+        print_row([run, len(untouched), f"{untouched['wrong'].mean():.1%}", f"{rows['wrong'].mean():.1%}", worst])
+
+
+@contextmanager
+def least_margin() -> Iterator[None]:
+    """All swaps that the least of `MARGINS` lets through."""
+    given, likelihood.MARGIN = likelihood.MARGIN, MARGINS[0]
+    try:
+        yield
+    finally:
+        likelihood.MARGIN = given
+
+
+def margin_rows(view: View, name: str, case: Case, folder: Path, **told: Any) -> list[dict[str, Any]]:
+    """For each of `MARGINS`: whether the exchange put in is found, the part of the frames that are named wrongly, and
+    the error of the clip mended over that as it is. told: settings of the fit."""
+    motion, changed = fitted(view, case, folder, **told)
+    solution, everywhere = motion.solution, np.ones(len(changed), dtype=bool)
     setting = ClipProblem.of(solution.views, motion.body, prior_of(PRIOR), motion.fps, TrajectoryOptions())
     setting = replace(setting, prior_weight=min(segment.prior_weight for segment in solution.segments))
     given = baseline_of(setting, 0, solution.states, solution.size)
-    unlike = any(segment.unlike_prior for segment in solution.segments)
-    for share in SHARES:
-        likelihood.TOGETHER = share
-        found = swaps(replace(given), unlike)  # without what was found with another share
-        wrong = np.zeros(len(view.xy_px), dtype=bool)
-        for one in found:
-            wrong[one.stretch.rows] |= not agreed(view, motion, one.stretch)
-        right = any(one.stretch.markers == _wanted(motion.names, name) for one in found)
-        wrong_part = float(wrong.mean()) if name == "untouched" else np.nan
-        rows.append({"run": view.run.name, "case": name, "share": share, "right": right, "wrong": wrong_part})
-    likelihood.TOGETHER = given_share
-    return rows
+    with least_margin():
+        trials = swaps(given, any(segment.unlike_prior for segment in solution.segments))
+    ratios, wrong, right, mended = [1.0], [np.zeros(len(changed), dtype=bool)], [False], view_in(view, case)
+    mm = error_mm(view, motion, everywhere)
+    for trial in trials:
+        rows, places = trial.stretch.rows, trial.stretch.places
+        xy_px = mended.xy_px.copy()
+        wrongly = wrong[-1].copy()
+        wrongly[rows] |= not agreed(mended, motion, trial.stretch)
+        xy_px[rows] = xy_px[rows][:, places]
+        mended = replace(mended, file=replace(mended.file, xy_px=xy_px))
+        again, _ = fitted(mended, CASES["untouched"], folder, **told)
+        wrong.append(wrongly)
+        ratios.append(error_mm(view, again, everywhere) / mm)
+        overlap = 2 * changed[rows].sum() >= (changed | _of(rows, len(changed))).sum()
+        right.append(
+            right[-1] or (case.code == SWAP and overlap and trial.stretch.markers == _wanted(motion.names, name))
+        )
+    found = []
+    for margin in MARGINS:
+        passed = [trial.ratio > margin and trial.lead > margin for trial in trials]
+        n = next((i for i, one in enumerate(passed) if not one), len(passed))
+        unclear = n < len(trials) and trials[n].ratio > margin
+        said = {"wrong": wrong[n].mean(), "mended": ratios[n], "right": right[n], "unclear": unclear}
+        found.append({"run": view.run.name, "case": name, "margin": margin, **said})
+    return found
+
+
+def view_in(view: View, case: Case) -> View:
+    return replace(view, file=replace(view.file, xy_px=case.change(view)[0]))
+
+
+def _of(rows: slice, T: int) -> np.ndarray:
+    frames = np.zeros(T, dtype=bool)
+    frames[rows] = True
+    return frames
 
 
 def print_folds(table: pd.DataFrame) -> None:
-    """The share that finds most in the other runs with at most `FALSE` of their untouched frames named wrongly, the
-    smallest of equals, and what it does on the run that was left out; last, on all runs."""
-    print_header(["left out", "share", "ten frames", "fore legs", "hind legs", "whole clip", "named wrongly"])
+    """The least margin with which in no other run more than `FALSE` of the frames are named wrongly and no clip is
+    `WORSE` when mended, as given or with an exchange put in, and what it does on the run that was left out; last, on
+    all runs."""
+    head = ["left out", "margin", "named wrongly", "with exchanges", "worst mended / not", "ten frames", "fore legs"]
+    print_header([*head, "hind legs", "whole clip", "one or other"])
     for run in [*table["run"].unique(), "none"]:
         rest = table[table["run"] != run]
-        allowed = rest.groupby("share")["wrong"].mean() <= FALSE
-        best = rest[rest["case"] != "untouched"].groupby("share")["right"].sum().where(allowed).idxmax()
-        part = (table if run == "none" else table[table["run"] == run]).loc[lambda t, best=best: t["share"] == best]
-        of_case = part[part["case"] != "untouched"].groupby("case", sort=False)["right"]
-        found = [f"{int(one.sum())} of {len(one)}" for _, one in of_case]
-        print_row([run, f"{best:.1f}", *found, f"{part['wrong'].mean():.1%}"])
+        wrong = rest.groupby(["margin", "run"])["wrong"].mean().groupby("margin").max()
+        allowed = (wrong <= FALSE) & (rest.groupby("margin")["mended"].max() <= WORSE)
+        best = next((margin for margin in MARGINS if allowed[margin]), MARGINS[-1])
+        part = (table if run == "none" else table[table["run"] == run]).loc[lambda t, best=best: t["margin"] == best]
+        untouched, of_case = part[part["case"] == "untouched"], part[part["case"] != "untouched"]
+        found = [f"{int(one.sum())} of {len(one)}" for _, one in of_case.groupby("case", sort=False)["right"]]
+        told = f"{int((of_case['right'] | of_case['unclear']).sum())} of {len(of_case)}"
+        shares = [f"{one['wrong'].mean():.1%}" for one in (untouched, of_case)]
+        print_row([run, f"{best:.0f}", *shares, f"{part['mended'].max():.2f}", *found, told])
+
+
+# -- views that are none of those --------------------------------------------------------------------------------------
+
+
+def cut(view: View, rows: slice, step: int = 1) -> View:
+    """Every so many of some frames."""
+    of = slice(rows.start, rows.stop, step)
+    file, fps = view.file, view.file.fps
+    assert fps is not None
+    points = replace(
+        file, xy_px=file.xy_px[of], confidence=file.confidence[of], frames=file.frames[: len(file.frames[of])]
+    )
+    return replace(view, file=replace(points, fps=fps / step), truth_m=view.truth_m[of])
+
+
+def at(view: View, xy_px: np.ndarray) -> View:
+    seen = np.where(np.isfinite(xy_px[..., 0]), np.maximum(view.file.confidence, 0.9), 0.0)
+    return replace(view, file=replace(view.file, xy_px=xy_px, confidence=seen))
+
+
+def _extent_px(xy_px: np.ndarray) -> float:
+    return float(np.nanmedian(np.nanmax(xy_px, axis=1) - np.nanmin(xy_px, axis=1)))
+
+
+def with_errors_of(view: View, other: View) -> View:
+    """Detections with another view's errors, as large beside the animal, around the truth."""
+    theirs, ours = (of.lens.project(of.truth_m)[0] for of in (other, view))
+    off = (other.xy_px - theirs) * _extent_px(ours) / _extent_px(theirs)
+    there_and_back = np.concatenate([off, off[::-1]])
+    return at(view, ours + there_and_back[np.arange(len(ours)) % len(there_and_back)])
+
+
+def varied(view: View, other: View) -> Iterator[tuple[str, View, dict[str, Any]]]:
+    """By name, the view, and settings of its fit."""
+    T, xy_px, rng = len(view.xy_px), view.xy_px, view.rng
+    yield "every second frame", cut(view, slice(0, T), 2), {}
+    yield "first half", cut(view, slice(0, T // 2)), {}
+    yield "second half", cut(view, slice(T // 2, T)), {}
+    yield "noise of 2 %", at(view, xy_px + rng.normal(0, 0.02 * _extent_px(xy_px), xy_px.shape)), {}
+    yield "30 % left out", at(view, np.where(rng.uniform(size=(*xy_px.shape[:2], 1)) < 0.3, np.nan, xy_px)), {}
+    yield "another run's errors", with_errors_of(view, other), {}
+    yield "another detector", view, {"detector": "none" if (view.run / "scene.json").is_file() else "acinoset"}
+
+
+def varied_rows(view: View, other: View) -> list[dict[str, Any]]:
+    rows = []
+    for variant, changed, told in varied(view, other):
+        for name in ("untouched", *LEGS.values(), "whole clip exchanged"):
+            with tempfile.TemporaryDirectory() as folder:
+                found = margin_rows(changed, name, CASES[name], Path(folder), **told)
+            rows += [{"variant": variant, **one} for one in found if one["margin"] == likelihood.MARGIN]
+    return rows
+
+
+def print_varied(table: pd.DataFrame) -> None:
+    head = ["variant", "views", "untouched: named wrongly", "worst run", "worst mended / not", "worse than 1.02"]
+    print_header([*head, "exchanged: named wrongly", "worst mended / not", "found", "or one of two"])
+    for variant, rows in [*table.groupby("variant", sort=False), ("all", table)]:
+        is_given = rows["case"] == "untouched"
+        untouched, changed = rows[is_given], rows[~is_given]
+        by_run = untouched.groupby("run")["wrong"].mean().max()
+        given = [f"{untouched['wrong'].mean():.1%}", f"{by_run:.1%}", f"{untouched['mended'].max():.2f}"]
+        worse, told = int((untouched["mended"] > WORSE).sum()), changed["right"] | changed["unclear"]
+        put_in = [f"{changed['wrong'].mean():.1%}", f"{changed['mended'].max():.2f}"]
+        print_row(
+            [variant, len(untouched), *given, worse, *put_in, f"{changed['right'].mean():.0%}", f"{told.mean():.0%}"]
+        )
 
 
 def bound_rows(view: View, folder: Path) -> list[dict[str, Any]]:
     """By pair of legs: how much likelier the reconstruction's poses make the untouched keypoints than those with the
     second half exchanged; and of the untouched ones, with which stretch exchanged they are likelier, and how much."""
     motion, _ = fitted(view, CASES["untouched"], folder)
-    lens, _, _, truth_m = view_of(view.run, view.camera)
     (seen,), sigma_px, T = motion.solution.views, motion.solution.noise_px[0], len(view.xy_px)
     alike = max(constants.ERROR_TIME_S * motion.fps, 1.0)
-    projected, _ = lens.project(truth_m)
+    projected, _ = view.lens.project(view.truth_m)
 
     def surprise(stretch: Stretch) -> float:
         return unlikely(exchanged(seen, stretch), projected, sigma_px, alike)
@@ -418,39 +543,43 @@ def print_others(table: pd.DataFrame) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("folder", type=Path, nargs="?", default=recordings("cheetah-runs"))
+    both = [recordings("cheetah-runs"), recordings("plate-trials")]
+    parser.add_argument("folder", type=Path, nargs="*", default=both)
     parser.add_argument("--views", type=int, default=1, help="every so many views")
     parser.add_argument("--first", type=int, default=0, help="from this view on")
     parser.add_argument("--only", help="cases whose name has this in it")
-    parser.add_argument("--folds", action="store_true", help="choose the share, leaving runs out")
+    parser.add_argument("--folds", action="store_true", help="choose the margin, leaving runs out")
+    parser.add_argument("--varied", action="store_true", help="what is named in views that are none of those")
     parser.add_argument("--others", action="store_true", help="what is named in clips of other animals")
     parser.add_argument("--bound", action="store_true", help="what could be told by the poses of the reconstruction")
     parser.add_argument("--csv", type=Path, help="write all rows here")
     arguments = parser.parse_args()
-    runs = sorted(p.parent for p in arguments.folder.glob("*/meta.json"))
+    runs = sorted(p.parent for folder in arguments.folder for p in folder.glob("*/meta.json"))
     if not runs:
-        parser.exit(message=f"no runs in {arguments.folder}: nothing measured\n")
-    rows = []
+        parser.exit(message=f"no runs in {', '.join(map(str, arguments.folder))}: nothing measured\n")
     if arguments.others:
         print_others(pd.DataFrame(dog_rows(recordings("dog-mocap")) + horse_rows(recordings("horse-side"))))
         return
     views = [(run, camera) for run in runs for camera in meta_of(run)["cameras"]]
-    for run, camera in views[arguments.first :: arguments.views]:
-        lens, xy_px, confidence, _ = view_of(run, camera)
-        file = read_keypoints(run / f"cam{camera}.csv")
-        file = replace(file, names=body_of().markers, xy_px=xy_px, confidence=confidence)
-        view = View(run, camera, file, lens.image_size_px)
-        if arguments.folds or arguments.bound:
+    rows = []
+    for number, (run, camera) in enumerate(views[arguments.first :: arguments.views]):
+        view = of_run(run, camera)
+        if arguments.folds:
             with tempfile.TemporaryDirectory() as folder:
-                cases = FOLDED if arguments.folds else ()
-                rows += [row for name in cases for row in share_rows(view, name, Path(folder))]
-                rows += bound_rows(view, Path(folder)) if arguments.bound else []
+                rows += [row for name in FOLDED for row in margin_rows(view, name, CASES[name], Path(folder))]
+        elif arguments.varied:
+            elsewhere = [one for one in views if one[0] != run]
+            rows += varied_rows(view, of_run(*elsewhere[7 * number % len(elsewhere)]))
+        elif arguments.bound:
+            with tempfile.TemporaryDirectory() as folder:
+                rows += bound_rows(view, Path(folder))
         else:
             rows += rows_of(view, arguments.only)
     table = pd.DataFrame(rows)
     if arguments.csv:
         table.to_csv(arguments.csv, index=False)
-    (print_folds if arguments.folds else print_bound if arguments.bound else print_tables)(table)
+    chosen = {"folds": print_folds, "varied": print_varied, "bound": print_bound}
+    next((show for name, show in chosen.items() if getattr(arguments, name)), print_tables)(table)
 
 
 if __name__ == "__main__":

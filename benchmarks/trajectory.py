@@ -148,7 +148,8 @@ def truth_of(run: Path) -> tuple[np.ndarray, np.ndarray]:
 def view_of(run: Path, camera: int) -> tuple[Camera, np.ndarray, np.ndarray, np.ndarray]:
     """The camera, detections (T, J, 2), confidence (T, J) and the truth (T, J, 3) in the camera frame, NaN if none."""
     keypoints, _ = clean(replace(read_keypoints(run / f"cam{camera}.csv"), fps=meta_of(run)["fps"]), 0.5)
-    keypoints, lens = arrange(keypoints, body_of().markers), read_camera(run / "scene.json", f"cam{camera}")
+    keypoints, scene = arrange(keypoints, body_of().markers), run / "scene.json"
+    lens = read_camera(scene, f"cam{camera}") if scene.is_file() else read_camera(run / f"cam{camera}.toml")
     frames, points_m = truth_of(run)
     _, here, there = np.intersect1d(keypoints.frames, frames, return_indices=True)
     truth_m = np.full((*keypoints.xy_px.shape[:2], 3), np.nan)

@@ -52,6 +52,11 @@ LOOSE = 2.0
 """Factor on the noise of a fit that does not know which side is which."""
 
 
+def believed(ratio: float) -> bool:
+    """Whether a swap or another frame rate is, by how much likelier it is, as a logarithm."""
+    return ratio > MARGIN
+
+
 def alone(clip: ClipProblem, view: View) -> ClipProblem:
     """Of one camera's view, by the fast search."""
     origin_m = np.mean(view.centre_m, axis=0)

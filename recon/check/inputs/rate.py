@@ -13,7 +13,7 @@ import numpy as np
 from recon.animal.prior import ANGLES, NONE
 from recon.base.arrays import Array
 from recon.check.codes import finding
-from recon.check.inputs.likelihood import MARGIN
+from recon.check.inputs.likelihood import believed
 from recon.fit.clip_problem import ClipProblem
 from recon.fit.finding import Finding
 from recon.fit.least_squares import Estimate, LeastSquares
@@ -38,7 +38,7 @@ def other_rate(clip: ClipProblem, states: Array, stated_hz: float | None) -> Fin
         return None
     given = _cost(clip, states, 1.0)
     cost, factor = min((_cost(clip, states, factor), factor) for factor in factors)
-    if not (given - cost > MARGIN and _known(clip, states, factor)):
+    if not (believed(given - cost) and _known(clip, states, factor)):
         return None
     other_hz = clip.fps * factor
     return finding("frame_rate", given_hz=clip.fps, other_hz=other_hz, log_likelihood_ratio=given - cost)

@@ -6,7 +6,7 @@ where that may be. A fit to which each keypoint of a leg may be either side's sa
 frame. A whole clip is proposed in any case; exchanged, it looks like the animal mirrored in depth.
 
 Of the stretches that a quick fit makes likelier, the few best are undone, one by one, and their second of the clip is
-solved anew. What makes it clearly likelier than it is (`MARGIN`) is a swap, and clearly means: than with any other
+solved anew. What makes it clearly likelier than it is (`believed`) is a swap, and clearly means: than with any other
 stretch undone that contradicts it, too. Between two that are about as likely, none is chosen.
 """
 
@@ -26,10 +26,10 @@ from recon.check.inputs.likelihood import (
     AT_ONCE_S,
     CLEAR,
     LOOSE,
-    MARGIN,
     TAILS,
     Baseline,
     Refit,
+    believed,
     best_seen,
     either_side,
     judged,
@@ -99,13 +99,13 @@ def pairs_of(body: Body) -> dict[str, Index]:
 
 
 def swaps(given: Baseline, unlike: bool = False) -> list[SwapTrial]:
-    """Of one view of a clip, under a prior learned from motions; the last may have a rival, and nothing follows it. unlike: the prior does not know this motion
-    (`recon.fit.prior_misfit`); a whole clip, in which no keypoints jump, is then not tried: nothing but the prior tells
-    it."""
+    """Of one view of a clip, under a prior learned from motions; nothing follows one that is not clear. unlike: the
+    prior does not know this motion (`recon.fit.prior_misfit`); a whole clip, in which no keypoints jump, is then not
+    tried: nothing but the prior tells it."""
     kinds, found = pairs_of(given.clip.body), list[SwapTrial]()
     while len(found) < STRETCHES and "all" in kinds:
         compared = sorted(refits(given, kinds, unlike), key=lambda one: -one[0].ratio)
-        if not compared or not compared[0][0].ratio > MARGIN:
+        if not compared or not believed(compared[0][0].ratio):
             break
         (best, refit), *others = compared
         then = undone(given, best.stretch, refit)
@@ -159,7 +159,7 @@ class SwapTrial:
     @property
     def clear(self) -> bool:
         """Which of the two is exchanged."""
-        return self.lead > MARGIN
+        return believed(self.lead)
 
 
 def tried(given: Baseline, kinds: dict[str, Index]) -> list[SwapTrial]:
