@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     from tests.fuzz.pool import Tally
 
 ROOT = Path(__file__).resolve().parents[1]
-PART = 250
-"""Cases of one test. There are as many tests of formats and of other files as their shares in all cases say."""
+CASES = {"formats": 750, "settings": 1250}
+"""As their shares in all cases say."""
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="the cases run in forked processes")
 
@@ -39,21 +39,21 @@ def make(kinds: str, folder: Path) -> None:
     good_files(kinds, folder)
 
 
-def cases(kinds: str, folder: Path, first: int) -> Tally:
+def cases(kinds: str, folder: Path, count: int) -> Tally:
     from tests.fuzz.pool import run_all
 
-    return run_all(first, first + PART, 1, good_files(kinds, folder), folder, 1)
+    return run_all(0, count, 1, good_files(kinds, folder), folder, 1)
 
 
 @contextmanager
 def prepared(kinds: str, folder: Path) -> Iterator[Callable[[int], Tally]]:
-    """`cases_from(first)` is what becomes of the cases from `first` on: in a process that has no threads, so that it
+    """`cases_from(count)` is what becomes of the first so many cases: in a process that has no threads, so that it
     can be forked, and in which the good files are made once."""
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(ROOT)
         with ProcessPoolExecutor(1, get_context("spawn")) as pool:
             pool.submit(make, kinds, folder).result()
-            yield lambda first: pool.submit(cases, kinds, folder, first).result()
+            yield lambda count: pool.submit(cases, kinds, folder, count).result()
 
 
 @pytest.fixture(scope="session")
@@ -68,21 +68,19 @@ def setting_cases(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable
         yield cases_from
 
 
-@pytest.mark.parametrize("first", range(0, 750, PART))
-def test_spoilt_clips_and_poses_are_read_or_refused(first: int, format_cases) -> None:
-    check(format_cases(first), PART // 10)
+def test_spoilt_clips_and_poses_are_read_or_refused(format_cases) -> None:
+    check(format_cases(CASES["formats"]), CASES["formats"])
 
 
-@pytest.mark.parametrize("first", range(0, 1250, PART))
-def test_other_spoilt_files_are_read_or_refused(first: int, setting_cases) -> None:
-    check(setting_cases(first), 15)
+def test_other_spoilt_files_are_read_or_refused(setting_cases) -> None:
+    check(setting_cases(CASES["settings"]), CASES["settings"])
 
 
-def check(tally: Tally, least: int) -> None:
-    """least: how many are read, as not all are spoilt beyond recognition; in all parts together, more than a tenth."""
+def check(tally: Tally, cases: int) -> None:
+    """More than a tenth is read, as not all are spoilt beyond recognition."""
     assert tally.causes == {}
-    assert tally.done == tally.read + tally.refused == PART
-    assert tally.read > least
+    assert tally.done == tally.read + tally.refused == cases
+    assert tally.read > cases / 10
 
 
 FEW_KINDS = """

@@ -9,6 +9,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
+from zipfile import ZIP_DEFLATED, ZipFile
 
 import h5py
 import numpy as np
@@ -16,10 +17,17 @@ import pandas as pd
 import pytest
 from typer.testing import CliRunner
 
+from recon.animal.naming import load_names
+from recon.animal.prior import load_prior
+from recon.animal.skeleton_file import load_skeleton
 from recon.base.errors import InputError
+from recon.calibrate.camera_motion.level import read_marks
 from recon.clip.keypoints import Keypoints
 from recon.io import deeplabcut, movement, nwb, plain_pickle, read_keypoints
-from recon.workflows.cli import app
+from recon.io.camera_track import read_camera_track
+from recon.io.pose3d import read_pose3d
+from recon.keypoint_net.labels import read_label_file
+from recon.workflows.cli import app, main
 
 CLIP = Keypoints(("nose", "tail"), np.arange(12.0).reshape(3, 2, 2), np.ones((3, 2)), np.arange(3), fps=50.0)
 
@@ -155,6 +163,57 @@ def test_small_file_that_asks_for_terabytes(tmp_path):
     assert path.stat().st_size < 10_000
     with pytest.raises(InputError, match=r"/tracks asks for 4.8e\+12 bytes, of which the file has 0"):
         read_keypoints(path)
+
+
+def archive_of(path: Path, header: bytes | None = None, size_mb: int = 0) -> Path:
+    """Positions, with a header that is none, or as large as that once unpacked."""
+    with ZipFile(path, "w", ZIP_DEFLATED, compresslevel=1) as archive, archive.open("xyz_m.npy", "w") as member:
+        if header is None:
+            of = {"descr": "<f8", "fortran_order": False, "shape": (size_mb << 17,)}
+            np.lib.format.write_array_header_1_0(member, of)
+        else:
+            member.write(b"\x93NUMPY\x01\x00" + len(header).to_bytes(2, "little") + header)
+        for _ in range(size_mb):
+            member.write(bytes(1 << 20))
+    return path
+
+
+@pytest.mark.parametrize("read", [read_pose3d, lambda path: load_prior(path, load_skeleton("cheetah-24"))])
+def test_archives_that_ask_for_the_memory_or_have_no_header(read, tmp_path, monkeypatch):
+    monkeypatch.setattr("recon.base.records.MAX_BYTES", 1 << 22)
+    with pytest.raises(InputError, match="1 arrays of 5 MB are too much"):
+        read(archive_of(tmp_path / "bomb.npz", size_mb=5))
+    with pytest.raises(InputError, match=r"(file|content): found"):
+        read(archive_of(tmp_path / "header.npz", b"{'descr': '<f8', 'shape': (3,\n"))
+
+
+def test_a_table_of_equal_rows_that_asks_for_the_memory(tmp_path, monkeypatch):
+    arrow, parquet = pytest.importorskip("pyarrow"), pytest.importorskip("pyarrow.parquet")
+    columns = {name: np.zeros(10_000) for name in ("frame", "x_m", "y_m", "z_m")}
+    parquet.write_table(arrow.table({"joint": ["a"] * 10_000, **columns}), tmp_path / "equal.parquet")
+    monkeypatch.setattr("recon.io.parquet.VALUES_MAX", 40_000)
+    with pytest.raises(InputError, match="10000 rows of 5 columns are too much"):
+        read_pose3d(tmp_path / "equal.parquet")
+
+
+def test_out_of_memory_is_one_line(monkeypatch, capsys):
+    def starved() -> None:
+        raise MemoryError("Unable to allocate 12 GiB")
+
+    monkeypatch.setattr("recon.workflows.cli.app", starved)
+    with pytest.raises(SystemExit) as stopped:
+        main()
+    assert stopped.value.code == 1
+    assert capsys.readouterr().err.splitlines() == [
+        "error: not enough memory (Unable to allocate 12 GiB): try fewer frames at once (--frames)"
+    ]
+
+
+@pytest.mark.parametrize("read", [read_keypoints, read_label_file, read_marks, load_names, read_camera_track])
+def test_a_cell_that_is_too_long(read, tmp_path):
+    (tmp_path / "long.csv").write_text(f"scorer,a\n{'1' * 131_073},2\n")
+    with pytest.raises(InputError):
+        read(tmp_path / "long.csv")
 
 
 def test_heap_without_an_end(tmp_path):

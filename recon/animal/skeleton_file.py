@@ -258,12 +258,16 @@ def subject_toml(skeleton: str | Path, body: Body, title: str, notes: Sequence[s
 def _load_chain(raw: dict[str, Any], source: str) -> Chain:
     if "extends" in raw:
         raw = _extended(raw, source)
+    return _chain(_checked_chain(raw, source))
+
+
+def _checked_chain(raw: dict[str, Any], source: str) -> _ChainFile:
     parsed, problems = parsed_file(_ChainFile, raw, source)
     if parsed is not None:
         problems = list(_chain_problems(parsed, source))
     if parsed is None or problems:
         raise InputError(problems)
-    return _chain(parsed)
+    return parsed
 
 
 def _extended(raw: dict[str, Any], source: str) -> dict[str, Any]:
@@ -277,15 +281,17 @@ def _extended(raw: dict[str, Any], source: str) -> dict[str, Any]:
         raise InputError(Problem(source, "extends", parent_source, "a skeleton that does not extend another"))
     if lengths and "links" in raw:
         raise InputError(Problem(source, "length_m", "links beside it", "one of the two"))
-    links = [dict(link) for link in parent.get("links", [])]
-    base = raw.get("base_length", parent.get("base_length", {})).get("nominal_m")
+    _checked_chain(parent, parent_source)
+    links = [dict(link) for link in parent["links"]]
+    base = raw.get("base_length", parent.get("base_length"))
+    base = base.get("nominal_m") if isinstance(base, dict) else base
     names = {str(link.get("name")) for link in links}
     problems = [
         Problem(source, f"length_m.{name}", repr(length), f"a length in metres of one of {', '.join(sorted(names))}")
         for name, length in lengths.items()
         if name not in names
     ]
-    if lengths and not isinstance(base, int | float):
+    if lengths and not (isinstance(base, int | float) and 0 < base < float("inf")):
         problems.append(Problem(source, "base_length.nominal_m", repr(base), "a length in metres"))
     if problems:
         raise InputError(problems)

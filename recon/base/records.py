@@ -10,7 +10,10 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import lzma
 import math
+import struct
+import tokenize
 import zipfile
 import zlib
 from collections.abc import Mapping
@@ -37,6 +40,8 @@ PACKAGE, CLASS = __name__.partition(".")[0], "class"
 KINDS = "biuf"
 """Of the arrays' types, as NumPy names them: truth values, whole numbers and floats."""
 _DAMAGE = (OSError, ValueError, KeyError, TypeError, EOFError, MemoryError, RuntimeError, ImportError)
+_DAMAGE_OF_ZIP = (zipfile.BadZipFile, zlib.error, lzma.LZMAError, struct.error, SyntaxError, tokenize.TokenError)
+"""The last two are of an array's header."""
 
 _Class = TypeVar("_Class")
 
@@ -63,13 +68,9 @@ def load_record(of: type[_Class], path: Path, schema: Mapping[str, Any], expecte
     that is in it are checked before anything is unpacked."""
     content = read_content(path, expected, MAX_BYTES)
     try:
-        with zipfile.ZipFile(BytesIO(content)) as archive:
-            infos = archive.infolist()
-            if len(infos) > MAX_ARRAYS or sum(info.file_size for info in infos) > MAX_BYTES:
-                raise ValueError(f"{len(infos)} arrays of {sum(i.file_size for i in infos) >> 20} MB are too much")
-            arrays = {info.filename.removesuffix(".npy"): _array(archive.read(info)) for info in infos}
+        arrays = arrays_of(content, KINDS)
         text = _text(arrays.pop(RECORD))
-    except (*_DAMAGE, zipfile.BadZipFile, zlib.error) as error:
+    except _DAMAGE as error:
         found = f"data that cannot be read ({' '.join(str(error).split())[:100] or type(error).__name__})"
         raise InputError(Problem(path, "content", found, expected)) from None
     record = parse_json(text, path, expected)
@@ -84,6 +85,27 @@ def load_record(of: type[_Class], path: Path, schema: Mapping[str, Any], expecte
         raise InputError(Problem(path, "content", " ".join(str(error).split())[:200], expected)) from None
 
 
+def arrays_of(content: bytes, kinds: str) -> dict[str, np.ndarray]:
+    """The arrays of a NumPy archive by name. kinds: of their types, as NumPy names them; "O", pickles, is none.
+
+    Raises ValueError for a damaged archive, other types, and one that would take too much memory: sizes are checked
+    before anything is unpacked."""
+    try:
+        with zipfile.ZipFile(BytesIO(content)) as archive:
+            check_unpacked_size(archive)
+            return {one.filename.removesuffix(".npy"): _array(archive.read(one), kinds) for one in archive.infolist()}
+    except (*_DAMAGE, *_DAMAGE_OF_ZIP) as error:
+        raise ValueError(" ".join(str(error).split())[:200] or type(error).__name__) from None
+
+
+def check_unpacked_size(archive: zipfile.ZipFile) -> None:
+    """Raises ValueError for a zip archive that is unpacked to more than `MAX_BYTES`, or to too many files."""
+    infos = archive.infolist()
+    size = sum(info.file_size for info in infos)
+    if len(infos) > MAX_ARRAYS or size > MAX_BYTES:
+        raise ValueError(f"{len(infos)} arrays of {size >> 20} MB are too much")
+
+
 def _text(array: np.ndarray) -> str:
     """What bytes (n,) say. Raises ValueError for an array of another type."""
     if array.dtype != np.uint8:
@@ -91,14 +113,14 @@ def _text(array: np.ndarray) -> str:
     return array.tobytes().decode()
 
 
-def _array(content: bytes) -> np.ndarray:
+def _array(content: bytes, kinds: str) -> np.ndarray:
     """Of an .npy file whose header says what follows. Raises ValueError for any other."""
     file = BytesIO(content)
     version = np.lib.format.read_magic(file)
     read_header = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}[version]
     shape, fortran, dtype = read_header(file)
     start = file.tell()
-    if dtype.kind not in KINDS or dtype.itemsize * math.prod(shape) != len(content) - start:
+    if dtype.kind not in kinds or not dtype.itemsize or dtype.itemsize * math.prod(shape) != len(content) - start:
         raise ValueError(f"an array of {dtype} with shape {shape} in {len(content)} bytes")
     flat = np.frombuffer(content, dtype, offset=start)
     return flat.reshape(shape, order="F" if fortran else "C").copy(order="K")

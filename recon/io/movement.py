@@ -83,7 +83,8 @@ def read(path: Path, individual: str | None = None) -> StoredPoints:
     problems = [] if "position" in stored else [Problem(path, "position", "none", ", ".join(POSITION))]
     for name, dims in (("position", POSITION), ("confidence", CONFIDENCE)):
         v = stored.get(name)
-        if v is not None and (sorted(v.dims) != sorted(dims) or v.values.dtype.kind not in "fiu"):
+        fits = v is None or (sorted(v.dims) == sorted(dims) and v.values.ndim == len(dims))
+        if v is not None and not (fits and v.values.dtype.kind in "fiu"):
             found = f"{v.values.dtype} with the dimensions {', '.join(v.dims)}"
             problems.append(Problem(path, name, found, ", ".join(dims)))
     if problems:

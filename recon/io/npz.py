@@ -4,22 +4,18 @@ from __future__ import annotations
 
 import struct
 import zipfile
-import zlib
 from io import BytesIO
 from pathlib import Path
 
 import numpy as np
 
+from recon.base.documents import read_content
 from recon.base.errors import InputError, Problem
 from recon.base.files import write_bytes
+from recon.base.records import KINDS, MAX_BYTES, arrays_of
 from recon.io.common import choose, name_problems, rate, starts_with
 from recon.io.pose import Pose3D, StoredPoints, index_edges
 
-DAMAGE = (
-    *(OSError, ValueError, KeyError, EOFError, NotImplementedError, MemoryError, RuntimeError, TypeError),
-    *(zipfile.BadZipFile, zlib.error, struct.error),
-)
-"""What zipfile and NumPy say of damaged files."""
 WANTED = {"names": "U", "xyz_m": "f", "frames": "i", "fps": "f", "edges": "i"}
 """Arrays and the kinds of their types."""
 
@@ -31,17 +27,18 @@ def recognises(path: Path) -> bool:
     try:
         with zipfile.ZipFile(path) as archive:
             return "xyz_m.npy" in archive.namelist()
-    except DAMAGE:
+    except (zipfile.BadZipFile, OSError, ValueError, EOFError, NotImplementedError, RuntimeError, struct.error):
         return True
 
 
 def read(path: Path, individual: str | None = None) -> StoredPoints:
     """Raises InputError for a damaged file or arrays that do not fit, and for a choice of animals: it has one."""
     choose(path, [""], individual)
+    content = read_content(path, "a whole file", MAX_BYTES)
     try:
-        with path.open("rb") as opened, np.load(opened, allow_pickle=False) as file:
-            arrays = {name: file[name] for name in file.files}
-    except DAMAGE as error:
+        arrays = arrays_of(content, f"{KINDS}U")
+        names = [str(name) for name in np.atleast_1d(arrays.get("names", [])).tolist()]
+    except ValueError as error:
         raise InputError(Problem(path, "content", f"data that cannot be read ({error})", "a whole file")) from None
     problems = [
         Problem(path, name, "nothing" if name not in arrays else f"values of type {arrays[name].dtype}", expected)
@@ -51,7 +48,6 @@ def read(path: Path, individual: str | None = None) -> StoredPoints:
     ]
     if problems:
         raise InputError(problems)
-    names = [str(name) for name in np.atleast_1d(arrays["names"])]
     xyz, frames, edges = arrays["xyz_m"].astype(float), np.atleast_1d(arrays["frames"]), arrays["edges"]
     problems = name_problems(path, "names", names)
     if xyz.shape != (len(frames), len(names), 3) or not len(frames):

@@ -13,9 +13,10 @@ from recon.base.errors import InputError, Problem
 from recon.base.files import write_bytes
 from recon.io.column_map import find_layout
 from recon.io.columns import gather
-from recon.io.common import formats_extra, rate, starts_with
+from recon.io.common import POINTS_MAX, formats_extra, rate, starts_with
 from recon.io.pose import Pose3D, StoredPoints
 
+VALUES_MAX = 4 * POINTS_MAX
 METADATA = b"recon"
 """Key of our own metadata: JSON with fps and up."""
 
@@ -30,6 +31,9 @@ def read(path: Path, individual: str | None = None) -> StoredPoints:
         import pyarrow as pa
         import pyarrow.parquet as pq
     try:
+        size = pq.read_metadata(path)  # a column of equal values takes no room in the file
+        if size.num_rows * size.num_columns > VALUES_MAX:
+            raise ValueError(f"{size.num_rows} rows of {size.num_columns} columns are too much")
         table = pq.read_table(path)
         own = json.loads((table.schema.metadata or {}).get(METADATA, b"{}"))
         columns = {}

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import re
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -18,6 +17,7 @@ from recon.clip.keypoints import Keypoints, mark_missing
 from recon.io import as_keypoints, deeplabcut, file_head
 from recon.io.common import first_problems
 from recon.io.hdf5 import is_hdf5
+from recon.io.table import text_rows
 from recon.io.video import Image, probe, read_frames
 
 OUTSIDE = 0.1
@@ -153,13 +153,12 @@ def _image_names(path: Path) -> list[tuple[int, str]]:
     if is_hdf5(path):
         return _numbered(deeplabcut.image_names(path))
     found, wide = [], False
-    with path.open(encoding="utf-8-sig", newline="") as file:
-        for row in csv.reader(file):
-            if row and row[0].strip() in ("scorer", "individuals", "bodyparts", "coords"):
-                wide = len(row) > 3 and not row[1].strip() and not row[2].strip()
-                continue
-            cells = row[: 3 if wide else 1]
-            found.append("/".join(cell for cell in cells if cell))
+    for _, row in text_rows(path, ","):
+        if row[0].strip() in ("scorer", "individuals", "bodyparts", "coords"):
+            wide = len(row) > 3 and not row[1].strip() and not row[2].strip()
+            continue
+        cells = row[: 3 if wide else 1]
+        found.append("/".join(cell for cell in cells if cell))
     return _numbered(found)
 
 

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from recon.base.arrays import Array
 from recon.base.errors import InputError, Problem
 from recon.base.files import staged_file, write_bytes
+from recon.base.records import check_unpacked_size
 from recon.io.video import Image
 from recon.keypoint_net.calibrate import LikelihoodCalibration
 from recon.keypoint_net.decode import Window, decode, probabilities, variance
@@ -297,8 +298,8 @@ def load_file(path: Path) -> Any:
     torch = require_torch()
     try:
         # torch writes a zip archive; what it makes of other and damaged files is almost any exception.
-        if not zipfile.is_zipfile(path):
-            raise EOFError
+        with zipfile.ZipFile(path) as archive:
+            check_unpacked_size(archive)
         return torch.load(path, map_location="cpu", weights_only=True)
     except Exception as error:
         found = "a file that torch cannot read, of another kind or damaged"

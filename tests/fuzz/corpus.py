@@ -26,6 +26,9 @@ from recon.io.column_map import parse_map
 from recon.io.pose3d import Pose3D, read_pose3d, read_pose_segments
 from recon.keypoint_net.labels import read_label_file
 from recon.robotics.climb.recipe import load_recipe
+from recon.robotics.robot.quadruped import LEGS
+from recon.robotics.robot.reference import Reference
+from recon.robotics.robot.retarget import place
 from recon.robotics.robot.robot_file import load_dh, load_robot
 from recon.show.export.rig import make_rig
 from recon.workflows.batch.inputs import find_clips
@@ -44,6 +47,10 @@ SEGMENTS = (
     "segment,frame,nose,nose,nose,tail,tail,tail\n,,x,y,z,x,y,z\na,0,1,2,3,4,5,6\na,1,1,2,3,,,\nb,0,1,2,3,4,5,6\n"
 )
 DH = b'convention = "modified"\njoints = [{}, { a_m = 0.4, alpha_rad = 1.57, slides = true, limits = [-1, 1] }]\n'
+EXTENDED = b"""extends = "cheetah-8u"
+length_m = { r1 = 0.4, r4 = 0.2 }
+base_length = { nominal_m = 0.25, sigma_m = 0.02 }
+"""
 OPENCV = """%YAML:1.0
 ---
 image_width: 1920
@@ -277,6 +284,7 @@ def _built_in() -> Iterator[Seed]:
     package = resources.files("recon") / "animal"
     for name in ("cheetah-8u", "cheetah-24", "horse-22"):
         yield Seed(f"{name}.toml", (package / "skeletons" / f"{name}.toml").read_bytes(), _body_of, 1.5)
+    yield Seed("extended.toml", EXTENDED, _body_of)
     subject = builtin_subjects()[0]
     content = (package / "subjects" / f"{subject}.toml").read_bytes()
     yield Seed(f"subject-{subject}.toml", content, lambda path: load_skeleton("cheetah-24", path), 1.5)
@@ -288,12 +296,20 @@ def _built_in() -> Iterator[Seed]:
     yield Seed("prior.npz", prior, lambda path: load_prior(path, body), 1.5)
     for name in ("aibo", "a1"):
         content = (resources.files("recon.robotics.robot") / "robots" / f"{name}.toml").read_bytes()
-        yield Seed(f"robot-{name}.toml", content, load_robot, 1.5)
+        yield Seed(f"robot-{name}.toml", content, _walking, 1.5)
     yield Seed("dh.toml", DH, load_dh)
     if find_spec("yourdfpy") is not None:
-        yield Seed("robot.urdf", _urdf().encode(), load_robot, 0.3)
+        yield Seed("robot.urdf", _urdf().encode(), _walking, 0.3)
     recipe = sorted((resources.files("recon.robotics.climb") / "recipes").iterdir(), key=str)[0]
     yield Seed("recipe.toml", recipe.read_bytes(), load_recipe)
+
+
+def _walking(path: Path) -> object:
+    """A robot that follows an animal for some samples."""
+    t = np.linspace(0.0, 0.1, 4)
+    zero, feet = np.zeros((4, 3)), np.zeros((4, len(LEGS), 3))
+    feet[1:3, :, 2] = 0.05
+    return place(Reference(t, zero, zero.copy(), LEGS, feet, feet[..., 2] == 0, 0.5), load_robot(path), 0.3)
 
 
 def _urdf() -> str:

@@ -7,6 +7,7 @@ import io
 import json
 import re
 import tomllib
+import zipfile
 from collections.abc import Callable
 from random import Random
 from typing import Any
@@ -37,6 +38,8 @@ ODD_WORDS = (
     b"\xff\xff",
     (2**62).to_bytes(8, "little"),
 )
+LONG_CELL = "1" * 131_073
+"""Longer than the csv module takes."""
 MOST = 1 << 18
 """Bytes of a spoilt text: longer ones only take time."""
 
@@ -125,7 +128,7 @@ def lines(content: bytes, random: Random) -> bytes:
         rows = [row.replace("\n", random.choice(("\r", "\r\n", "\n\n"))) for row in rows]
     elif what == 7:
         cells = rows[at].split(",")
-        cells[random.randrange(len(cells))] = random.choice((*ODD_TEXTS, *ODD_NUMBERS))
+        cells[random.randrange(len(cells))] = random.choice((*ODD_TEXTS, *ODD_NUMBERS, LONG_CELL))
         rows[at] = ",".join(cells)
     else:
         rows = rows[:at] + rows[other:]
@@ -272,13 +275,29 @@ def in_npz(content: bytes, random: Random) -> bytes:
     return stream.getvalue()
 
 
+def in_zip(content: bytes, random: Random) -> bytes:
+    """The bytes of one file of the archive, whose checksum is right again; or a size that it has not."""
+    with zipfile.ZipFile(io.BytesIO(content)) as archive:
+        files = {info: archive.read(info) for info in archive.infolist()}
+    chosen = random.choice(list(files))
+    files[chosen] = in_bytes(files[chosen], random)
+    if random.random() < 0.3:
+        files[chosen] = numbers(files[chosen], random)
+    stream = io.BytesIO()
+    with zipfile.ZipFile(stream, "w", random.choice((zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED))) as archive:
+        for info, own in files.items():
+            archive.writestr(info.filename, own)
+    return stream.getvalue()
+
+
 Mutation = Callable[[bytes, Random], bytes]
 BINARY: tuple[Mutation, ...] = (in_bytes, in_bytes, in_bytes, cut, replaced)
 TEXT: tuple[Mutation, ...] = (lines, lines, numbers, numbers, words, in_bytes, cut, replaced)
 KINDS: dict[str, tuple[Mutation, ...]] = {
     **dict.fromkeys((".h5", ".nc", ".nwb"), (*BINARY, *BINARY, *((in_hdf5,) * 6))),
-    **dict.fromkeys((".c3d", ".parquet", ".pt", ".cdf"), BINARY),
-    ".npz": (*BINARY, *(in_npz,) * 6),
+    **dict.fromkeys((".c3d", ".parquet", ".cdf"), BINARY),
+    ".npz": (*BINARY, *(in_npz,) * 6, *(in_zip,) * 4),
+    ".pt": (*BINARY, *(in_zip,) * 4),
     ".json": (*TEXT, *(in_json,) * 8),
     ".toml": (*TEXT, *(in_toml,) * 8),
     **dict.fromkeys((".csv", ".trc", ".bvh", ".yml", ".xml", ".urdf", ".txt"), TEXT),

@@ -16,9 +16,11 @@ from pydantic import ConfigDict, Json
 from recon.animal.body import Body
 from recon.animal.prior.model import ANGLES, NONE, SHAPES, MotionPrior, SegmentRow, misfits, prior_from_body
 from recon.animal.skeleton_file import FileTable, parsed_file
+from recon.base.documents import read_content
 from recon.base.errors import InputError, Problem
 from recon.base.files import staged_file, write_bytes
 from recon.base.package import builtin_file, builtin_names
+from recon.base.records import KINDS, MAX_BYTES, arrays_of
 
 _FORMAT = 1
 _EXPECTED = "a motion prior, as `recon prior fit` writes it"
@@ -73,20 +75,19 @@ def load_prior(name_or_path: str | Path | None, body: Body) -> MotionPrior:
     if not path.is_file():
         expected = f"one of {', '.join((*builtin_priors(), NONE))}, or a prior file (.npz)"
         raise InputError(Problem("--prior", "name or file", repr(str(name_or_path)), expected))
-    return _prior(path.read_bytes(), str(path), body)
+    return _prior(read_content(path, _EXPECTED, MAX_BYTES), str(path), body)
 
 
 def _prior(content: bytes, source: str, body: Body) -> MotionPrior:
     try:
-        with np.load(io.BytesIO(content), allow_pickle=False) as file:
-            stored = {key: file[key] for key in file.files}
-    except Exception as error:
-        # A damaged file surfaces as almost any exception of zip and numpy.
+        stored = arrays_of(content, f"{KINDS}U")
+        text = str(stored["about"]) if "about" in stored else ""
+    except ValueError as error:
         raise InputError(Problem(source, "file", f"none that can be read ({error})", _EXPECTED)) from None
     lacking = [key for key in ("about", *SHAPES) if key not in stored]
     if lacking:
         raise InputError([Problem(source, key, "nothing", _EXPECTED) for key in lacking])
-    texts, problems = parsed_file(_Texts, {"about": str(stored["about"])}, source)
+    texts, problems = parsed_file(_Texts, {"about": text}, source)
     about, arrays = None if texts is None else texts.about, {}
     for key in SHAPES:
         if stored[key].dtype.kind == "f":

@@ -92,7 +92,11 @@ def up_by_marks(
 
 def read_marks(path: Path) -> tuple[LevelMark, ...]:
     """From a CSV table of `COLUMNS`. Raises InputError with every problem."""
-    rows = list(csv.reader(read_text(path, EXPECTED).splitlines()))
+    reader = csv.reader(read_text(path, EXPECTED).splitlines())
+    try:
+        rows = list(reader)
+    except csv.Error as error:
+        raise InputError(Problem(path, f"line {reader.line_num}", str(error), EXPECTED)) from None
     if not rows or tuple(cell.strip() for cell in rows[0]) != COLUMNS:
         raise InputError(Problem(path, "header", repr(",".join(rows[0] if rows else []))[:80], EXPECTED))
     marks = [_mark(cells) for cells in rows[1:]]

@@ -37,6 +37,8 @@ CLEARANCE = 0.7
 SPREADS = (0.0, 0.1, 0.2, 0.3, 0.4)
 LEGS_APART = 0.15
 """Both of the height that the hips stand at; legs are about as thick."""
+TINY_M = 1e-9
+"""How high the feet of a robot that cannot bend its legs are lifted."""
 SMALLEST = 0.1
 """Scale below which none is sought, of the largest."""
 STEP = 0.97
@@ -215,7 +217,7 @@ def place(
     neutral = np.array([leg.neutral_m * (1.0, 1.0, 0.0) for leg in _legs(robot)])
     neutral[:, 1] += [spread_m * (label[1] == "H") * (1 if label[0] == "L" else -1) for label in LEGS]
     ways = scale * reference.feet_m[:, columns]
-    room = CLEARANCE * robot.folding_m
+    room = np.maximum(CLEARANCE * robot.folding_m, TINY_M)
     ways[..., 2] = np.where(ways[..., 2] > 0, room * np.tanh(ways[..., 2] / room), ways[..., 2])
     standing = reference.standing[:, columns]
     advance = None if reference.advance_m is None else scale * reference.advance_m

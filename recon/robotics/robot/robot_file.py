@@ -21,6 +21,8 @@ from recon.robotics.robot.quadruped import LEGS, ChainLeg, ClosedLeg, Quadruped,
 from recon.robotics.robot.urdf import MOVING, UrdfRobot, read_urdf, urdf_chain
 
 STAND = 0.7
+SHORTEST_M = 1e-3
+"""Below which a leg of a URDF is none."""
 """Height of the hips of a robot from a URDF file, of the stretched leg's length."""
 
 
@@ -203,6 +205,8 @@ def quadruped_from_urdf(robot: UrdfRobot) -> Quadruped:
         raise InputError(Problem(robot.path, "hips", places, expected))
     lengths = [float(chain.lengths_m[1:].sum()) for chain in chains]
     stand = STAND * min(lengths)
+    if not stand > SHORTEST_M:
+        raise InputError(Problem(robot.path, "legs", f"{min(lengths):g} m long", f"legs longer than {SHORTEST_M:g} m"))
     legs, problems = {}, []
     for label, hip, chain in zip(labels, hips, chains, strict=True):
         neutral = hip - [0.0, 0.0, stand]

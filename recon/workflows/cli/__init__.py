@@ -10,7 +10,7 @@ import typer
 from recon.base.errors import InputError
 from recon.base.interrupts import Interrupts, installed
 from recon.workflows.cli.command import HELP, CommandGroup, Entry, SettingsCommand
-from recon.workflows.cli.common import EXIT_BAD_INPUT, error_text, stop, terminal
+from recon.workflows.cli.common import EXIT_BAD_INPUT, EXIT_UNSOLVED, error_text, stop, terminal
 
 _CORE, _ROBOTICS, _NET = "recon.workflows.cli.", "recon.robotics.cli.", "recon.keypoint_net.cli."
 _THESIS = "recon.thesis.cli."
@@ -131,6 +131,12 @@ def main() -> None:
             first, *more = problem.lines
             console.print(error_text(first), *more, sep="\n")
         sys.exit(EXIT_BAD_INPUT)
+    except MemoryError as error:
+        said = " ".join(str(error).split())
+        console.print(
+            error_text(f"not enough memory{f' ({said})' if said else ''}: try fewer frames at once (--frames)")
+        )
+        sys.exit(EXIT_UNSOLVED)
     except OSError as error:
         where = f"{error.filename}: " if error.filename else ""
         console.print(error_text(f"{where}{error.strerror or error}"))
