@@ -13,6 +13,7 @@ import json
 import lzma
 import math
 import struct
+import sys
 import tokenize
 import zipfile
 import zlib
@@ -122,6 +123,11 @@ def _array(content: bytes, kinds: str) -> np.ndarray:
     start = file.tell()
     if dtype.kind not in kinds or not dtype.itemsize or dtype.itemsize * math.prod(shape) != len(content) - start:
         raise ValueError(f"an array of {dtype} with shape {shape} in {len(content)} bytes")
+    if (
+        dtype.kind == "U"
+        and np.frombuffer(content, f"{dtype.byteorder}u4", offset=start).max(initial=0) > sys.maxunicode
+    ):
+        raise ValueError("texts of characters that there are not")
     flat = np.frombuffer(content, dtype, offset=start)
     return flat.reshape(shape, order="F" if fortran else "C").copy(order="K")
 
