@@ -105,7 +105,10 @@ def test_every_problem_of_a_file_is_named(tmp_path):
         ('extends = "cheetah-8u"\n[length_m]\nr99 = 1.0', "length_m.r99"),
         ('extends = "cheetah-8u"\nlength_m = 3', "length_m"),
         ('extends = "cheetah-8u"\nbase_length = 3\n[length_m]\nr1 = 1.0', "base_length"),
-        ('extends = "cheetah-8u"\n[base_length]\nnominal_m = 0\nsigma_m = 1\n[length_m]\nr1 = 1.0', "base_length.nominal_m"),
+        (
+            'extends = "cheetah-8u"\n[base_length]\nnominal_m = 0\nsigma_m = 1\n[length_m]\nr1 = 1.0',
+            "base_length.nominal_m",
+        ),
         ("extends = 3", "extends"),
         ('extends = "cheetah-8u-jules"', "extends"),
         ("name = ", "content"),
