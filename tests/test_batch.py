@@ -41,6 +41,7 @@ from recon.workflows.batch import (
     run_batch,
 )
 from recon.workflows.batch.record import RECORD, note_end, note_start, read_record
+from recon.workflows.batch.summary import _meant
 from recon.workflows.cli import main
 from recon.workflows.clip import fit_clip, run_clip
 from recon.workflows.settings import FitSettings
@@ -125,6 +126,25 @@ def test_files_patterns_and_folders(clips):
     assert [clip.settings.keypoints[0] for clip in of_folder] == [clips / f"{name}.csv" for name in "abc"]
     assert notes == [f"Left out of {clips}, of no known format: notes.csv, video.mp4"]
     assert {clip.settings.fps for clip in of_folder} == {30}
+
+
+def test_a_file_that_may_not_be_read_is_said(clips, monkeypatch):
+    readable = os.access
+    monkeypatch.setattr("os.access", lambda path, mode: Path(path).name != "b.csv" and readable(path, mode))
+    _, notes = find_clips([clips], QUICK)
+    assert notes == [f"Left out of {clips}, not readable: b.csv"]
+
+
+def test_no_cell_of_the_summary_is_a_formula(tmp_path):
+    summary = Summary([], tmp_path)
+    names = ["=1+1", "@a", "'b", "'=c", "plain"]
+    summary.rows = {name: dict.fromkeys(COLUMNS, name) | {"frames": -1} for name in names}
+    summary.write()
+    with summary.path.open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [row["clip"] for row in rows] == ["'=1+1", "'@a", "'b", "''=c", "plain"]
+    assert {row["frames"] for row in rows} == {"-1"}
+    assert [_meant(row["clip"]) for row in rows] == names
 
 
 def test_a_folder_has_one_clip_for_a_table_in_two_formats(clips):

@@ -26,7 +26,7 @@ from recon.animal.chain import MIN_JOINTS
 from recon.gait.evaluation import evaluate_files
 from recon.io import read_keypoints
 from recon.show.view.added import AddedSeries, write_plots
-from recon.workflows.cli.common import terminal
+from recon.workflows.cli.common import error_text, say, table_of, terminal
 from recon.workflows.clip import OUTPUT_FILES
 from recon.workflows.settings import FitSettings, read_settings
 
@@ -923,3 +923,15 @@ def test_brackets_in_names_are_no_markup():
         if " Console(" in path.read_text("utf-8")
     ]
     assert others == ["common.py"]
+
+
+def test_commands_to_a_terminal_in_names_are_shown_as_codes(capsys):
+    console = terminal()
+    say(console, "file \x1b[31mred\n.csv")
+    console.print(table_of("a\x1b]0;x", title="one\ntwo"))
+    console.print(error_text("a\nb"))
+    said = capsys.readouterr().out
+    assert "\x1b" not in said
+    assert said.startswith(r"file \x1b[31mred\n.csv" + "\n")
+    assert "one" in said.splitlines()[1]
+    assert r"error: a\nb" in said

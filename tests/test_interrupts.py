@@ -138,13 +138,22 @@ def work():
 
 
 @posix
+def test_a_request_to_end_is_answered_as_ctrl_c_is():
+    code = "def work():\n    os.kill(os.getpid(), signal.SIGTERM); time.sleep(60)"
+    assert recon_in(code) == Ended(130, "cleaned up\n", f"{MESSAGE}\n")
+    assert recon_in(f"{code}\nsignal.signal(signal.SIGINT, signal.SIG_IGN)").out == "cleaned up\n"
+
+
+@posix
 def test_where_it_is_ignored_it_stays_so():
     code = "def work():\n    ctrl_c(); print('done'); sys.exit(3)\nsignal.signal(signal.SIGINT, signal.SIG_IGN)"
     assert recon_in(code) == Ended(3, "done\ncleaned up\n", "")
 
 
 @posix
-@pytest.mark.parametrize(("end", "code", "said"), [("sys.exit(5)", 5, ""), ("raise MemoryError", 1, "MemoryError\n")])
+@pytest.mark.parametrize(
+    ("end", "code", "said"), [("sys.exit(5)", 5, ""), ("raise ArithmeticError", 1, "ArithmeticError\n")]
+)
 def test_the_process_ends_with_its_own_code(end, code, said):
     """What is registered for the exit is done, and what is printed there is not lost."""
     ended = recon_in(f"def work():\n    atexit.register(print, 'at the exit'); {end}")

@@ -14,6 +14,7 @@ from urllib.parse import quote, unquote
 import numpy as np
 import pytest
 from command_line import carry_out_here, run
+from markupsafe import Markup
 from motions import with_first
 
 from recon.base.errors import InputError
@@ -22,7 +23,7 @@ from recon.check import findings_of
 from recon.fit.motion import Motion
 from recon.io.video import video_writer
 from recon.show.page.clip import doubtful_frames
-from recon.show.page.render import inline
+from recon.show.page.render import _without_direction, inline
 from recon.show.plots.angles import AngleCurve, angle_over_time, together
 from recon.show.plots.style import drawing
 from recon.show.report import build_report
@@ -96,6 +97,12 @@ def test_a_page_is_one_file_in_which_names_are_text(page, folder):
     assert EVIL in page.text
     assert "<script>.toml" in page.text
     assert page.text.count("\n") > 20
+
+
+def test_marks_of_direction_are_shown_as_codes():
+    assert _without_direction("a\u202egnp.exe") == r"a\u202egnp.exe"
+    assert isinstance(_without_direction(Markup("<b>\u2067</b>")), Markup)
+    assert _without_direction("Jürgen: 3\u00a0m") == "Jürgen: 3\u00a0m"
 
 
 def test_a_page_says_what_the_report_says(page, folder):

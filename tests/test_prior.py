@@ -352,7 +352,7 @@ def test_no_prior_at_all(body, tmp_path, content):
 
 
 def test_pickles_are_refused(body, prior, tmp_path):
-    with pytest.raises(InputError, match=r"cannot be loaded|Object arrays"):
+    with pytest.raises(InputError, match="an array of object"):
         load_prior(altered(prior, tmp_path / "x.npz", {"mean": np.array([{}] * 24)}), body)
 
 

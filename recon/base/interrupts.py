@@ -1,4 +1,4 @@
-"""Ctrl-C on the command line: one line on stderr and exit code 130, at any moment from the start to the end.
+"""Ctrl-C on the command line, and SIGTERM: one line on stderr and exit code 130, at any moment.
 
 This is imported before anything else, and therefore imports next to nothing.
 """
@@ -22,10 +22,12 @@ STUCK_S = 3.0
 CLEAN_UP_S = 10.0
 """Time to remove what is half written, and for a batch to stop its workers."""
 TICK_S = 0.05
+STOPPING = (signal.SIGINT, signal.SIGTERM)
+"""What a cluster or a system sends before it ends a process is answered as Ctrl-C is."""
 
 
 class Interrupts:
-    """The handler of SIGINT in a process that runs one command.
+    """The handler of `STOPPING` in a process that runs one command.
 
     While the command runs, the first Ctrl-C is a KeyboardInterrupt, so that the command can clean up. At any other
     time the process ends at once, and within imports, too: there, libraries turn exceptions into others, or print them.
@@ -48,10 +50,10 @@ class Interrupts:
 
     def install(self) -> None:
         """In the main thread. Where SIGINT is ignored, as in the background jobs of a shell script, it stays so."""
-        if signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
-            return
-        signal.signal(signal.SIGINT, self)
-        if os.name == "posix":
+        taken = [one for one in STOPPING if signal.getsignal(one) in (signal.default_int_handler, signal.SIG_DFL)]
+        for one in taken:
+            signal.signal(one, self)
+        if taken and os.name == "posix":
             self._start_watch()
 
     def leave(self) -> NoReturn:
@@ -93,7 +95,7 @@ class Interrupts:
 
     def _watch(self, reader: int, main: int) -> None:
         """Python runs signal handlers between two steps of the main thread, which may be in a library for long."""
-        while signal.SIGINT not in os.read(reader, 64):
+        while not {*STOPPING} & {*os.read(reader, 64)}:
             pass
         began = time.monotonic()
         while True:
@@ -107,8 +109,7 @@ class Interrupts:
 
 def installed() -> Interrupts | None:
     """This process's handler, where it is a `recon` of its own."""
-    handler = signal.getsignal(signal.SIGINT)
-    return handler if isinstance(handler, Interrupts) else None
+    return next((h for h in map(signal.getsignal, STOPPING) if isinstance(h, Interrupts)), None)
 
 
 def _is_importing(frame: FrameType | None) -> bool:

@@ -8,10 +8,15 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numpy as np
+
 from recon.base.errors import InputError, Problem, all_of
 from recon.geometry.camera import Camera
 from recon.io import CameraTrack, read_camera, read_camera_track, read_cameras, track_label
 from recon.workflows.settings import UNITS_M, FitSettings, Unit
+
+LONGEST_ZOOM = 20.0
+"""Of lenses that film animals, from their shortest focal length to the longest."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,7 +87,19 @@ def _cameras_of_one(settings: FitSettings, tracks: Sequence[CameraTrack]) -> Cam
     else:
         found = "nothing" if track is None else f"nothing, and {track.source.name} comes without a lens"
         raise InputError(Problem("settings", "camera", found, "a camera file, or hfov_deg with image_size_px"))
+    if track is not None:
+        _require_like_lens(camera, track)
     return (ClipCamera(camera, track),)
+
+
+def _require_like_lens(camera: Camera, track: CameraTrack) -> None:
+    """Raises InputError for focal lengths that no zoom has beside that of the camera file."""
+    if track.intrinsics_px is not None:
+        of_file, of_track = float(camera.matrix[0, 0]), track.intrinsics_px[:, 0]
+        off = of_track[np.abs(np.log(of_track / of_file)) > np.log(LONGEST_ZOOM)]
+        if len(off):
+            found = f"{off[0]:.0f} px, beside {of_file:.0f} px in the camera file"
+            raise InputError(Problem(track.source, "fx", found, f"at most {LONGEST_ZOOM:g} times as long or short"))
 
 
 def _own_lens(camera: Camera, settings: FitSettings, place: int) -> Camera:
@@ -112,6 +129,8 @@ def _cameras_of_several(settings: FitSettings, tracks: Sequence[CameraTrack]) ->
     for i, camera in enumerate(cameras):
         track = next((one for one in tracks if camera.name in cameras_in(track_label(one.source), names)), None)
         lens = None if track is None else track.camera
+        if track is not None and lens is None:
+            _require_like_lens(camera, track)
         chosen.append(
             ClipCamera(camera if lens is None else _own_lens(replace(lens, name=camera.name), settings, i), track)
         )

@@ -153,16 +153,19 @@ def _drafts_of_sessions(sessions: Sequence[Session], common: Mapping[str, Any]) 
 
 def _files_in(folder: Path) -> tuple[list[Path], list[str]]:
     chosen: dict[str, Path] = {}
-    twins, others = [], []
+    twins, others, unreadable = [], [], []
     for path in sorted(p for p in folder.iterdir() if p.is_file() and not p.name.startswith(".")):
-        if not _is_recognised(path):
+        if not os.access(path, os.R_OK):
+            unreadable.append(path)
+        elif not _is_recognised(path):
             others.append(path)
         else:
             if path.stem in chosen:
                 twins.append(chosen[path.stem])
             chosen[path.stem] = path
     notes = []
-    for left_out, why in ((twins, "beside a file of the same name"), (others, "of no known format")):
+    reasons = {"beside a file of the same name": twins, "of no known format": others, "not readable": unreadable}
+    for why, left_out in reasons.items():
         if left_out:
             notes.append(f"Left out of {folder}, {why}: {names_text([path.name for path in left_out])}")
     return [path.absolute() for path in chosen.values()], notes

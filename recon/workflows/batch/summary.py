@@ -42,6 +42,7 @@ COLUMNS = (
 STATUSES = ("done", "done earlier", "unsolved", "failed", "pending")
 """unsolved: fitted, but no frame has a pose. pending: not tried, because the batch was interrupted."""
 WRITE_EVERY_S = 0.5
+FORMULAS = ("=", "+", "-", "@", "\t", "\r")
 
 
 def results_of(report: Mapping[str, Any]) -> dict[str, Any]:
@@ -91,7 +92,7 @@ class Summary:
         with staged_file(self.path) as staged, staged.open("w", encoding="utf-8", newline="") as f:
             writer = csv.writer(f, lineterminator="\n")
             writer.writerow(COLUMNS)
-            writer.writerows([row[column] for column in COLUMNS] for row in self.rows.values())
+            writer.writerows([_no_formula(row[column]) for column in COLUMNS] for row in self.rows.values())
         self._written_s, self._changed = time.monotonic(), False
 
 
@@ -102,10 +103,20 @@ def write_summary_page(out: Path) -> Path:
     page = out / SUMMARY_PAGE
     require_own_page(page)
     with (out / SUMMARY).open(encoding="utf-8", newline="") as file:
-        html = batch_page(out, list(csv.DictReader(file)))
+        rows = [{name: _meant(cell) for name, cell in row.items()} for row in csv.DictReader(file)]
+    html = batch_page(out, rows)
     with staged_file(page) as staged:
         staged.write_text(html, encoding="utf-8")
     return page
+
+
+def _no_formula(cell: Any) -> Any:
+    """A text that a spreadsheet would take for a formula after an apostrophe, which makes it a text there."""
+    return f"'{cell}" if isinstance(cell, str) and cell.lstrip("'").startswith(FORMULAS) else cell
+
+
+def _meant(cell: str) -> str:
+    return cell[1:] if cell.startswith("'") and cell.lstrip("'").startswith(FORMULAS) else cell
 
 
 def _row(planned: Planned, out: Path) -> dict[str, Any]:

@@ -14,10 +14,11 @@ import typer
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
+from rich.segment import Segment
 from rich.table import Column, Table
 from rich.text import Text
 
-from recon.base.errors import InputError, Problem
+from recon.base.errors import InputError, Problem, printable
 from recon.base.interrupts import EXIT_INTERRUPTED, MESSAGE, installed
 from recon.base.manifest import read_manifest
 
@@ -26,13 +27,23 @@ EXIT_BAD_INPUT = 2
 
 
 def terminal(**given: Any) -> Console:
-    """Where a command prints. Brackets and colons in names are no markup."""
-    return Console(markup=False, emoji=False, **given)
+    """Where a command prints. Brackets and colons in names are no markup, and a terminal's commands are shown."""
+    return _Terminal(markup=False, emoji=False, **given)
+
+
+class _Terminal(Console):
+    def render(self, renderable: Any, options: Any = None) -> Iterator[Segment]:
+        for segment in super().render(renderable, options):
+            if segment.control or segment.text.isprintable():
+                yield segment
+            else:
+                text = "\n".join(map(printable, segment.text.split("\n")))
+                yield Segment(text, segment.style)
 
 
 def say(console: Console, text: str | Text, style: str = "") -> None:
     """One line, however long: no markup, and no breaks that a terminal would not make."""
-    console.print(Text(text, style) if isinstance(text, str) else text, soft_wrap=True)
+    console.print(Text(printable(text), style) if isinstance(text, str) else text, soft_wrap=True)
 
 
 def say_what_is_gone(console: Console, folder: Path) -> None:
@@ -55,7 +66,7 @@ def table_of(*texts: str, numbers: Iterable[str] = (), **more: Any) -> Table:
 
 
 def error_text(message: str) -> Text:
-    return Text.assemble(("error:", "bold red"), " ", message)
+    return Text.assemble(("error:", "bold red"), " ", printable(message))
 
 
 def stop(message: str = MESSAGE) -> NoReturn:
