@@ -168,6 +168,31 @@ def test_both_jobs_with_all_methods(folder):
     assert pd.read_csv(folder / "ik" / "target.csv").set_index("method").loc["damped", "reached"] == "yes"
 
 
+def test_rates_for_control(folder, tmp_path):
+    """Of every method and joint over the animal's time; those of a path that closes meet at its ends."""
+    options = {"compare": True, "dim": 2, "limits": False, "out": tmp_path / "a"}
+    done = run_ik(IkSettings(folder=folder, **options))
+    begins_s, stride = done.limb.first_s + done.stride.start_s, done.stride
+    for name in METHODS:
+        table = pd.read_csv(tmp_path / "a" / f"follow_{name}.csv")
+        time_s = table["time_s"].to_numpy()
+        assert time_s[[0, -1]] == pytest.approx([begins_s, begins_s + stride.end_s - stride.start_s])
+        for joint in done.limb.names:
+            angle, rate, acceleration = (
+                table[f"{joint}_{what}"].to_numpy() for what in ("rad", "rate_rad_s", "acceleration_rad_s2")
+            )
+            np.testing.assert_allclose(rate[1:-1], np.gradient(angle, time_s)[1:-1], atol=1e-6)
+            bend = np.diff(angle, 2) / stride.interval_s**2
+            np.testing.assert_allclose(acceleration[1:-1], bend, atol=1e-3)
+            if name == "extended-energy":
+                assert abs(rate[0] - rate[-1]) < 0.01 * np.ptp(rate)
+                assert abs(acceleration[0] - acceleration[-1]) < 0.1 * np.abs(acceleration).max()
+        assert (tmp_path / "a" / f"follow_phase_{name}.svg").is_file()
+    drive = done.drives["damped"]
+    target = pd.read_csv(tmp_path / "a" / "target_damped.csv")
+    assert target["time_s"].iloc[-1] == pytest.approx(drive.iterations / 90)
+
+
 def test_a_cost_of_ones_own_a_factor_and_parameters_of_each_frame(folder):
     asked = {"target": "stride-max", "compare": True, "dim": 2, "fitted": True, "figures": False}
     done = run_ik(IkSettings(folder=folder, **asked, cost="energy,pose=0.5", alpha=0.5))

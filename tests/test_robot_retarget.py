@@ -320,7 +320,19 @@ def test_command(whole_results, tmp_path):
     assert (report["robot"]["source"], report["animal"]["results"]) == ("a1", os.path.relpath(whole_results, out))
     for prefix in ("", "stride_"):
         header, joints = table(out / f"{prefix}joints.csv")
-        assert header == ["time_s", *robot.joints]
+        n = len(robot.joints)
+        assert header[: 1 + n] == ["time_s", *robot.joints]
+        assert header[1 + n] == f"{robot.joints[0]}_rate_rad_s"
+        assert header[-1] == f"{robot.joints[-1]}_acceleration_rad_s2"
+        angles, rates, accelerations = np.split(joints[:, 1:], 3, axis=1)
+        interval_s = np.diff(joints[:, 0])[:, None]
+        # The mean of two rates is what the angle changes by, and so it is of accelerations and rates.
+        for value, change in ((angles, rates), (rates, accelerations)):
+            moved = (change[1:] + change[:-1]) / 2 * interval_s
+            np.testing.assert_allclose(moved[2:-2], np.diff(value, axis=0)[2:-2], atol=0.15 * np.ptp(value))
+        if prefix:
+            np.testing.assert_allclose(rates[0], rates[-1], atol=1e-9)
+            assert np.abs(accelerations[0] - accelerations[-1]).max() < 0.02 * np.abs(accelerations).max()
         _, base = table(out / f"{prefix}base.csv")
         names, feet = table(out / f"{prefix}feet.csv")
         # Feet from the tables of the joints and the base, as a controller would have them.

@@ -21,7 +21,9 @@ from recon.gait.clip import gaits_of, limb_chains, stride_given
 from recon.gait.gait import AGREE, OVERSAMPLING, Gait, doubt_text, pose_return_s
 from recon.gait.gait import Method as Rule
 from recon.gait.path import MIN_POINTS
+from recon.gait.phase import Closure, Portrait
 from recon.io.table import write_rows
+from recon.robotics.control import control_columns
 from recon.robotics.ik.animal import (
     body_chain,
     body_chain_angles,
@@ -456,12 +458,13 @@ def _found_stride(
 
 
 def follow_stride(chain: SerialChain, stride: StridePath, method: Method, turns: int = 1) -> Follow:
-    """Along the stride, `SLOWER` than the animal. The extended Jacobian starts where its cost is stationary, with the
-    foot in the same place."""
+    """Along the stride, `SLOWER` than the animal; times and rates are the animal's again. The extended Jacobian starts
+    where its cost is stationary, with the foot in the same place."""
     q0 = stride.q[0]
     if (cost := kept_cost(method)) is not None:
         q0 = to_null_space_optimum(chain, q0, cost).q[-1]
-    return follow(chain, q0, stride.path_m, method, turns, SLOWER * stride.interval_s)
+    run = follow(chain, q0, stride.path_m, method, turns, SLOWER * stride.interval_s)
+    return replace(run, dq=SLOWER * run.dq, interval_s=stride.interval_s)
 
 
 # -- what is written -------------------------------------------------------------------------------------------------
@@ -491,8 +494,10 @@ def _write(solved: IKRun, folder: Path) -> None:
     axes = list(solved.limb.base)[: solved.limb.chain.dim]
     for job, runs in (("target", solved.drives), ("follow", solved.follows)):
         for name, run in runs.items():
-            columns = ["step", *(f"{joint}_rad" for joint in names), *(f"end_{axis}_m" for axis in axes), "distance_m"]
-            values = np.column_stack((run.q, run.end_m, run.distance_m)).tolist()
+            time_s = run.time_s + (0.0 if job == "target" else solved.limb.first_s + solved.stride.start_s)
+            columns = ["step", "time_s", *(f"{joint}_rad" for joint in names), *control_columns(names)]
+            columns += [*(f"end_{axis}_m" for axis in axes), "distance_m"]
+            values = np.column_stack((time_s, run.q, *run.control, run.end_m, run.distance_m)).tolist()
             write_rows(folder / f"{job}_{name}.csv", [columns], [[k, *row] for k, row in enumerate(values)])
 
 
@@ -517,8 +522,10 @@ def _cell(value: Any) -> Any:
 
 
 def write_figures(solved: IKRun, folder: Path) -> None:
-    """Paths in task and joint space, distances, closures, parameters, PNG and SVG."""
+    """Paths in task and joint space, distances, closures, phase portraits by
+    method, parameters, PNG and SVG."""
     from recon.robotics.ik import plots
+    from recon.show.plots.phase import phase_portraits
     from recon.show.plots.style import save
 
     limb = solved.limb
@@ -536,3 +543,13 @@ def write_figures(solved: IKRun, folder: Path) -> None:
         save(plots.distances(solved.follows), folder, "follow_distance")
         found = {name: run.closures() for name, run in solved.follows.items()}
         save(plots.closures(found, limb.names), folder, "follow_closures")
+        begins_s = limb.first_s + solved.stride.start_s
+        for name, run in solved.follows.items():
+            rates, closed = run.control[0], zip(found[name]["angle"], found[name]["plane"], strict=True)
+            portraits = [Portrait(begins_s + run.time_s, *of_joint) for of_joint in zip(run.q.T, rates.T, strict=True)]
+            figure = phase_portraits(
+                dict(zip(limb.names, portraits, strict=True)),
+                {joint: Closure(*values) for joint, values in zip(limb.names, closed, strict=True)},
+                name,
+            )
+            save(figure, folder, f"follow_phase_{name}")

@@ -13,6 +13,7 @@ import math
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -20,6 +21,7 @@ from numpy.typing import ArrayLike
 
 from recon.base.arrays import Array, Bools
 from recon.gait import phase
+from recon.robotics.control import control_rates
 from recon.robotics.ik.chain import SerialChain, manipulability, unreachable
 from recon.robotics.ik.methods import INTERVAL_S, ExtendedJacobian, JointRates, Method, Scaled, kept_cost
 from recon.robotics.ik.null_space import inside_limits, listed, to_null_space_optimum
@@ -58,6 +60,8 @@ class _Run:
     """(K, n), rad."""
     dq: Array
     """(K, n), rad/s: the rates with which each configuration is left."""
+    interval_s: float
+    """From one configuration to the next."""
     end_m: Array
     """(K, dim)"""
     distance_m: Array
@@ -70,6 +74,21 @@ class _Run:
     """(K - 1,): computing time of each step."""
     limits: tuple[LimitStop, ...]
     """Of every joint that one stopped the first, in their order."""
+    closed: bool
+    """Whether it was along a closed path."""
+
+    @property
+    def time_s(self) -> Array:
+        """(K,): from the start."""
+        return self.interval_s * np.arange(len(self.q))
+
+    @cached_property
+    def control(self) -> tuple[Array, Array]:
+        """Rates and accelerations (K, n) as a controller takes them: `control_rates`. The way along a closed path comes
+        from where its last step came from, any other starts at rest."""
+        q = self.q
+        before = q[0] - (q[-1] - q[-2]) if self.closed else q[0]
+        return control_rates(q, self.interval_s, before, q[-1] + self.interval_s * self.dq[-1])
 
     @property
     def limits_hit(self) -> tuple[int, ...]:
@@ -159,7 +178,7 @@ def drive_to(
         if distance < (1 - PROGRESS) * best:
             best, best_at = distance, k + 1
         distances.append(distance)
-    return Drive(**taken.run(np.zeros(chain.n), np.array(distances)), reason=reason or "reached")
+    return Drive(**taken.run(np.zeros(chain.n), np.array(distances), interval_s, False), reason=reason or "reached")
 
 
 def follow(
@@ -180,7 +199,7 @@ def follow(
     path = np.asarray(path_m, float)
     if path.ndim != 2 or len(path) < 2 or path.shape[1] != chain.dim or not np.isfinite(path).all():
         raise ValueError(f"a finite path (K, {chain.dim}) of two points or more expected, got {path.shape}")
-    closed = np.allclose(path[0], path[-1], rtol=0, atol=1e-9)
+    closed = bool(np.allclose(path[0], path[-1], rtol=0, atol=1e-9))
     if turns > 1 and not closed:
         raise ValueError("only a closed path can be followed more than once")
     points = np.concatenate([path[:1], *[path[1:]] * turns])
@@ -195,7 +214,7 @@ def follow(
     again = path[1] - path[0] if closed else path[-1] - path[-2]
     last = _one_interval(chain, taken.q, again / interval_s, method, interval_s)[0].dq
     error = np.linalg.norm(np.array(taken.ends) - points, axis=1)
-    return Follow(**taken.run(last, error), note=note, turns=turns)
+    return Follow(**taken.run(last, error, interval_s, closed), note=note, turns=turns)
 
 
 class _Taken:
@@ -225,11 +244,13 @@ class _Taken:
         self.singular.append(step.singular)
         return step, stopped
 
-    def run(self, last_dq: Array, distance_m: Array) -> dict[str, Any]:
+    def run(self, last_dq: Array, distance_m: Array, interval_s: float, closed: bool) -> dict[str, Any]:
         """The fields of `_Run`."""
         return {
             "q": np.array(self.path),
             "dq": np.array([*self.rates, last_dq]),
+            "interval_s": interval_s,
+            "closed": closed,
             "end_m": np.array(self.ends),
             "distance_m": distance_m,
             "manipulability": np.array([manipulability(self.chain.jacobian(q)) for q in self.path]),

@@ -94,7 +94,7 @@ def task_space(
 
 
 def joint_space(moves: Mapping[str, Drive | Follow], names: Sequence[str] | None = None, title: str = "") -> Figure:
-    """Each joint's angle (deg) by method, over the iterations to a target or the points of a path. names (n,)."""
+    """Each joint's angle (deg) by method, over the iterations to a target or the time along a path. names (n,)."""
     n = next((m.q.shape[1] for m in moves.values()), 0)
     least, aspect = (3, 0.62) if n <= 6 else (5, 0.9)
     rows, columns = grid_shape(n, WIDTH_MM, aspect, least) if n else (0, 0)
@@ -105,14 +105,15 @@ def joint_space(moves: Mapping[str, Drive | Follow], names: Sequence[str] | None
         panels = figure.subplots(rows, columns, sharex=True, squeeze=False).ravel()
         for joint, axes in enumerate(panels[:n]):
             for k, move in enumerate(moves.values()):
-                axes.plot(np.degrees(move.q[:, joint]), **look(k))
+                along = np.arange(len(move.q)) if isinstance(move, Drive) else move.time_s
+                axes.plot(along, np.degrees(move.q[:, joint]), **look(k))
             axes.set_title(f"joint {joint + 1}" if names is None else names[joint], fontsize=SMALL, pad=2)
             axes.locator_params(axis="y", nbins=4)
         for axes in panels[n:]:
             axes.set_axis_off()
         driven = any(isinstance(m, Drive) for m in moves.values())
         for axes in panels[max(0, n - columns) : n]:
-            axes.set_xlabel("iteration" if driven else "point of the path")
+            axes.set_xlabel("iteration" if driven else "time (s)")
             axes.tick_params(labelbottom=True)
         figure.supylabel("angle (deg)", fontsize=8)
         add_legend(figure, panels[0].get_lines(), labels)

@@ -25,6 +25,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from recon.base.arrays import Array, Bools
+from recon.robotics.control import control_rates
 from recon.robotics.robot.body_pose import body_pose, feet_in_world, leg_targets
 from recon.robotics.robot.footholds import planted, stances
 from recon.robotics.robot.quadruped import LEGS, Quadruped, RobotLeg
@@ -84,6 +85,15 @@ class RobotMotion:
     def rates_rad_s(self) -> Array:
         """(N - 1, joints), between the samples."""
         return np.diff(self.angles_rad, axis=0) / np.diff(self.time_s)[:, None]
+
+    @cached_property
+    def control(self) -> tuple[Array, Array]:
+        """Rates and accelerations (N, joints) as a controller takes them: `control_rates`. The last of a stride that
+        repeats are the first, too."""
+        q, interval_s = self.angles_rad, float(self.time_s[-1] - self.time_s[0]) / (len(self.time_s) - 1)
+        if self.advance_m is None:
+            return control_rates(q, interval_s, None, None)
+        return control_rates(q, interval_s, q[0] - (q[-1] - q[-2]), q[-1] + (q[1] - q[0]))
 
     @cached_property
     def rate_share(self) -> Array:

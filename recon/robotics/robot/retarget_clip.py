@@ -15,6 +15,7 @@ from recon.base.files import name_seen_from, require_free_folder, seen_from, sol
 from recon.fit.motion import Motion
 from recon.gait.gait import doubt_text
 from recon.io.table import write_rows
+from recon.robotics.control import control_columns
 from recon.robotics.robot.quadruped import LEGS, Quadruped
 from recon.robotics.robot.reference import (
     Animal,
@@ -207,7 +208,12 @@ def write(solved: RetargetRun, folder: Path) -> None:
 
 def write_tables(motion: RobotMotion, folder: Path, prefix: str) -> None:
     time = motion.time_s[:, None]
-    _table(folder / f"{prefix}joints.csv", ["time_s", *motion.robot.joints], time, motion.angles_rad)
+    joints = motion.robot.joints
+    _table(
+        folder / f"{prefix}joints.csv",
+        ["time_s", *joints, *control_columns(joints)],
+        *(time, motion.angles_rad, *motion.control),
+    )
     columns = ["time_s", "x_m", "y_m", "z_m", "qx", "qy", "qz", "qw"]
     quaternions = motion.pose.rotation.as_quat(canonical=True)
     _table(folder / f"{prefix}base.csv", columns, time, motion.pose.translation, quaternions)
