@@ -125,7 +125,9 @@ def ground(near_zero: bool | None, height_m: float, camera_m: tuple[float, float
         (False, 0.5, (0, -8, 1.1), "ground_elsewhere"),
         (False, 100.0, (0, -8, 100.5), "ground_elsewhere"),
         (False, 49.5, (0, -800, 50.0), "camera_unit"),
-        (False, 1.14, (0, -26, 1.64), "camera_unit"),
+        (False, 49.5, (0, 0, 50.0), "camera_unit"),
+        (False, 100.0, (0, -8, 101.0), "ground_elsewhere"),
+        (False, 1.14, (0, -26, 1.64), "ground_elsewhere"),
     ],
 )
 def test_a_ground_that_is_not_at_zero_is_named(near_zero, height_m, camera_m, code):

@@ -47,7 +47,9 @@ SIZE_SIGMAS = 2.5
 TWO_CAMERAS_SIGMA, TWO_CAMERAS_SIGMAS = 0.03, 1.1
 """Relative standard deviation of a size that two cameras measure, and how many of those, with the sizes' spread, say
 that a camera may be off: 12 real pairs found 0.92 to 1.03 of the mean cheetah."""
-UNITS_PER_M = {"feet": 3.2808, "inches": 39.37, "cm": 100.0, "mm": 1000.0}
+OF_PICTURE = ("keypoints_y_up", "picture_upside_down", "picture_turned", "world_not_z_up", "other_camera_named")
+"""Codes after which the ground says nothing."""
+UNITS_PER_M = {"inches": 39.37, "cm": 100.0, "mm": 1000.0}
 NEARLY_UNIT = 1.35
 """A camera's height that is so many times right, or wrong, is still of a unit: an animal's size is not known better."""
 SUBJECT_SIGMAS = 3.0
@@ -189,16 +191,19 @@ def ground_above_camera(motion: Motion) -> Iterator[Finding]:
 
 def ground_elsewhere(motion: Motion) -> Iterator[Finding]:
     """Of the first segment whose feet stand elsewhere than near z = 0; a camera about as many times too high as there
-    are of another unit in a metre is in that unit."""
+    are of another unit in a metre is in that unit. Nothing where the picture or the world is another."""
+    if any(one.code in OF_PICTURE for one in motion.findings):
+        return
     for segment in motion.solution.segments:
         ground, below = segment.ground, motion.below_m(segment)
         if ground is not None and below is not None and ground.near_zero is False:
             camera_m = motion.solution.views[0].centre_m[0]
             times = camera_m[2] / (camera_m[2] - below[2])
+            aside_m = math.hypot(camera_m[0], camera_m[1])
             for unit, per_m in UNITS_PER_M.items():
-                far = math.hypot(camera_m[0], camera_m[1]) > abs(camera_m[2]) or per_m < 10
-                if far and 1 / NEARLY_UNIT < times / per_m < NEARLY_UNIT:
-                    yield finding("camera_unit", unit=unit, times=times)
+                in_metres = 1.0 < aside_m < min(50.0, 0.5 * per_m)  # in that unit the camera would stand in the origin
+                if not in_metres and 1 / NEARLY_UNIT < times / per_m < NEARLY_UNIT:
+                    yield finding("camera_unit", unit=unit, times=float(times))
                     return
             yield finding("ground_elsewhere", height_m=float(below[2]), sigma_m=ground.sigma_m)
             return

@@ -82,8 +82,9 @@ def input_findings(
                     given = baseline_of(on_ground, number, solution.states, solution.size)
                 found += [swap_finding(trial, source, body) for trial in swaps(given, unlike)]
         found += pictures
-        seeks_rate = not certain and not any(one.code in ("animal_still", "time_reversed") for one in moves)
-        if seeks_rate and not any(one.code == "keypoints_normalised" for one in found):
+        slides = [one.numbers.get("slide_m_s") for one in moves]
+        glides = any(isinstance(one, float) and one > 0 for one in slides)  # as at a rate that is too high
+        if glides or not (certain or pictures or any(one.code in MOVES for one in moves)):
             found += _of_rate(clip, solution, facts.stated_hz)
     if not pictures and not any(one.code.startswith("frame_rate") for one in found):
         found += moves

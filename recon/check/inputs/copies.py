@@ -43,8 +43,8 @@ def copies(sources: Sequence[Source], resampled: bool = False) -> Iterator[Findi
 
 def _identical(a: np.ndarray, b: np.ndarray) -> tuple[Bools, Bools]:
     """Of points (..., 2): which are the same in both, and which are in both."""
-    both = np.isfinite(a).all(axis=-1) & np.isfinite(b).all(axis=-1)
-    return both & (a == b).all(axis=-1), both
+    both = np.asarray(np.isfinite(a + b).all(axis=-1))
+    return both & np.asarray((a == b).all(axis=-1)), both
 
 
 def _many(identical: Bools, of: Bools) -> bool:
