@@ -72,10 +72,12 @@ def test_a_file_is_that_of_the_camera_that_its_name_contains(folder):
         ("a1-walk-camB", ["B"]),
         ("run1_1-cam-2", ["2"]),
         ("run_1-B", ["B", "1"]),
+        ("run_cam_02_DLC", ["cam02"]),
+        ("run_cam-2_DLC", ["2"]),
     ],
 )
 def test_names_of_cameras_in_names_of_files(name, found):
-    assert [*cameras_in(name, ["top1", "A", "B", "1", "2"])] == found
+    assert [*cameras_in(name, ["top1", "A", "B", "1", "2", "cam02"])] == found
 
 
 def test_cameras_in_millimetres(folder):
@@ -134,6 +136,39 @@ def test_a_clip_of_two_cameras(folder):
     assert np.linalg.norm(motion.joints_m - truth_m(), axis=-1).mean() < 0.025
     assert [source.camera.name for source in motion.sources] == ["cam1", "cam2"]
     assert motion.solution.weight.shape == (2, 40, len(BODY.markers))
+
+
+@pytest.mark.parametrize(("up", "turned"), [("z", False), ("-y", True), ("0,-2,0", True), ("first-camera", None)])
+def test_up_as_it_is_said(folder, tmp_path, up, turned):
+    """Cameras in a world of which -y is up, as OpenCV's boards have it, or z."""
+    R = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]]) if turned else np.eye(3)  # from z up to the file's axes
+    given = read_cameras(folder / "scene.json")
+    cameras = [replace(one, rotation=one.rotation @ R.T, world_z_up=False) for one in given]
+    write_cameras(cameras, tmp_path / "rig.toml")
+    found = prepare(settings(folder, 1, 2, camera=tmp_path / "rig.toml", up=up)).sources
+    assert [source.camera.knows_up for source in found] == [turned is not None] * 2
+    for source, pose in zip(found if turned is not None else (), (AHEAD, ASIDE), strict=False):
+        assert source.camera.rotation is not None
+        np.testing.assert_allclose(source.camera.rotation[:, 2], pose[:3, 2], atol=1e-9)
+        assert np.linalg.det(source.camera.rotation) == pytest.approx(1)
+
+
+def test_up_is_not_said_twice_or_in_other_words(folder):
+    with pytest.raises(InputError) as error:
+        prepare(settings(folder, 1, 2, up="upwards"))
+    assert "--set up: direction: found 'upwards'" in problems(error)
+    with pytest.raises(InputError) as error:
+        prepare(settings(folder, 1, camera=None, hfov_deg=60.0, image_size_px=(1920, 1080), up="z"))
+    assert "found no pose" in problems(error)
+
+
+def test_a_copied_entry_of_a_calibration_is_named(folder, tmp_path):
+    first, second = read_cameras(folder / "scene.json")
+    copied = replace(second, rotation=first.rotation, translation_m=first.translation_m)
+    write_cameras([first, copied], tmp_path / "copied.toml")
+    with pytest.raises(InputError) as error:
+        prepare(settings(folder, 1, 2, camera=tmp_path / "copied.toml"))
+    assert "camera cam2: found the pose of cam1, to the last digit, expected its own" in problems(error)
 
 
 def test_what_is_wrong_is_said(folder, tmp_path):

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from recon.check import CODES, FLAG_OF, FLAGS, Finding, finding, findings_of, sentence
+from recon.check.rules import likelihoods_low, no_pose
 from recon.fit.motion import Motion
 
 DOCS = Path(__file__).resolve().parents[1] / "docs" / "findings.md"
@@ -47,6 +48,8 @@ SENTENCES = {
     "frame_rate_stated": ("file says 60 frames per second, but --fps is 30", {"other_hz": 60.0, "given_hz": 30.0}),
     "frame_rate": ("at about 60 frames per second, not 30", {"other_hz": 60.0, "given_hz": 30.0}),
     "no_pose": ("too few points were detected in every frame", {}),
+    "no_pose_unit": ("Is the calibration in mm? Then say so", {"apart_m": 512.3, "times": 5100.0, "unit": "mm"}),
+    "likelihoods_low": ("67% of the points of cam1 have a likelihood below 0.5", {"share": 0.667, "limit": 0.5}),
     "no_pose_diverged": ("too far off to be seen", {}),
     "cameras_apart_in_time": ("No two cameras see a point at the same time. Check --set offset-s", {}),
     "cameras_exchanged": ("cam1, cam2 look as if their files", {"cameras": ("cam1", "cam2"), **AGAINST}),
@@ -144,3 +147,20 @@ def test_every_code_and_every_flag_is_documented():
     assert {*CODES, *FLAGS} <= {*documented}
     assert {*FLAG_OF} <= {*CODES}
     assert {*FLAG_OF.values()} <= {*FLAGS}
+
+
+def test_a_rig_in_another_unit_and_likelihoods_that_are_low(small_trajectory):
+    motion = small_trajectory
+    view, source = motion.solution.views[0], motion.sources[0]
+    moved = view.T_camera_world.copy()
+    moved[:3, 3] += (3000.0, 0.0, 0.0)
+    away = replace(view, T_camera_world=moved)
+    flags = (("ran away",),) * len(motion.frames)
+    solution = replace(motion.solution, views=(view, away), flags=flags, states=motion.states * np.nan)
+    (one,) = no_pose(replace(motion, solution=solution))
+    assert (one.code, one.numbers["unit"]) == ("no_pose_unit", "mm")
+    counts = tuple(replace(k, used=k.frames // 4, rejected=k.frames // 2) for k in source.cleaning.keypoints)
+    cleaning = replace(source.cleaning, keypoints=counts)
+    (low,) = likelihoods_low(replace(motion, sources=(replace(source, cleaning=cleaning),)))
+    assert low.numbers["share"] == pytest.approx(2 / 3, abs=0.05)
+    assert not [*likelihoods_low(motion)]

@@ -38,6 +38,10 @@ KEYPOINT_SHARE, KEYPOINT_LEAST, KEYPOINTS_NAMED = 1 / 3, 10, 5
 """Share, and number, of one keypoint's detections from which it is named, and up to how many are, each by itself."""
 OUT_OF_STEP_SIGMAS = 3.0
 """Two cameras' lags further apart than this, of what is expected of their difference, are a mistake in time."""
+MOST_REJECTED = 0.5
+"""Share of the points below the least likelihood from which it is named."""
+USUAL, FARTHEST = 10.0, 100.0
+"""Distance between cameras in animals' sizes: what is usual, and what can only be another unit."""
 FEW_FRAMES = 12
 """Fewer tell little more than one does."""
 POOR_SHARE = 0.2
@@ -116,7 +120,18 @@ def missing_as_constant(motion: Motion) -> Iterator[Finding]:
             yield finding("missing_as_constant", camera=source.camera.name, x_px=x, y_px=y, count=count)
 
 
+def likelihoods_low(motion: Motion) -> Iterator[Finding]:
+    for source in motion.sources:
+        used, rejected = source.cleaning.total("used"), source.cleaning.total("rejected")
+        if rejected > MOST_REJECTED * (used + rejected):
+            share = rejected / (used + rejected)
+            yield finding(
+                "likelihoods_low", camera=source.camera.name, share=share, limit=source.cleaning.likelihood_min
+            )
+
+
 COMMON: tuple[Rule, ...] = (
+    likelihoods_low,
     missing_keypoints,
     missing_as_constant,
     many_outliers,
@@ -129,6 +144,13 @@ COMMON: tuple[Rule, ...] = (
 
 
 def no_pose(motion: Motion) -> Iterator[Finding]:
+    centres = np.array([view.centre_m[0] for view in motion.solution.views if view.still])
+    apart = max((float(np.linalg.norm(a - b)) for a in centres for b in centres), default=0.0)
+    times = apart / _span(motion.body)
+    if _flagged(motion, "ran away") and times > FARTHEST:
+        unit = min(("cm", "mm"), key=lambda unit: abs(math.log(times / UNITS_PER_M[unit] / USUAL)))
+        yield finding("no_pose_unit", apart_m=apart, times=times, unit=unit)
+        return
     yield finding("no_pose_diverged" if _flagged(motion, "ran away") else "no_pose")
 
 

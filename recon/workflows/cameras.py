@@ -10,11 +10,14 @@ from pathlib import Path
 
 import numpy as np
 
+from recon.base.arrays import Array
 from recon.base.errors import InputError, Problem, all_of
 from recon.geometry.camera import Camera
 from recon.io import CameraTrack, read_camera, read_camera_track, read_cameras, track_label
+from recon.io.common import numbers
 from recon.workflows.settings import UNITS_M, FitSettings, Unit
 
+AXES, FIRST_CAMERA = ("x", "y", "z"), "first-camera"
 LONGEST_ZOOM = 20.0
 """Of lenses that film animals, from their shortest focal length to the longest."""
 
@@ -40,13 +43,54 @@ def read_clip_cameras(settings: FitSettings) -> Cameras:
         _cameras_of_one(settings, tracks) if len(settings.keypoints) == 1 else _cameras_of_several(settings, tracks)
     )
     moving = tuple(_in_metres(_moving(one), settings.camera_unit) for one in chosen)
+    if settings.up is not None:
+        moving = _turned_up(moving, settings.up)
     if settings.tilt_deg is None:
         return moving
-    if any(one.camera.knows_up for one in chosen):
+    if any(one.camera.knows_up for one in moving):
         found = f"{settings.tilt_deg:g} beside the pose in {settings.camera}, which says which way is up"
         raise InputError(Problem("--tilt-deg", "tilt_deg", found, "one of the two"))
     tilt_rad = math.radians(settings.tilt_deg)
     return tuple(replace(one, camera=replace(one.camera, tilt_rad=tilt_rad)) for one in moving)
+
+
+def _turned_up(cameras: Cameras, up: str) -> Cameras:
+    """Cameras whose calibration does not say which way is up, in a world with z up. Raises InputError."""
+    if up == FIRST_CAMERA:
+        return cameras
+    sign, axis = (-1.0, up[1:]) if up[:1] == "-" and up[1:] in AXES else (1.0, up)
+    if axis in AXES:
+        direction = sign * np.eye(3)[AXES.index(axis)]
+    else:
+        cells = [cell.strip() for cell in up.split(",")]
+        values, wrong = numbers(cells)
+        direction = values if len(cells) == 3 and not wrong and np.isfinite(values).all() else np.zeros(3)
+    if not np.linalg.norm(direction) > 0:
+        raise InputError(
+            Problem("--set up", "direction", repr(up), f"x, y or z, -x, -y or -z, {FIRST_CAMERA}, or 0,-1,0")
+        )
+    problems = [
+        Problem("--set up", f"camera {one.camera.name}", why, "poses that do not say which way is up")
+        for one in cameras
+        for why in (
+            ["no pose"] if not one.camera.has_extrinsics else ["a pose that says it"] if one.camera.world_z_up else []
+        )
+    ]
+    if problems:
+        raise InputError(problems)
+    R = _z_up_from(direction / np.linalg.norm(direction))
+    turned = (replace(one.camera, rotation=one.camera.rotation @ R.T, world_z_up=True) for one in cameras)
+    return tuple(replace(one, camera=camera) for one, camera in zip(cameras, turned, strict=True))
+
+
+def _z_up_from(up: Array) -> Array:
+    """R (3, 3) that turns this unit vector to z."""
+    forwards = (
+        np.array([1.0, 0.0, 0.0]) if abs(up[0]) < abs(up[1]) or abs(up[0]) < abs(up[2]) else np.array([0.0, 1, 0])
+    )
+    x = forwards - (forwards @ up) * up
+    x /= np.linalg.norm(x)
+    return np.stack([x, np.cross(up, x), up])
 
 
 def other_cameras(camera: Camera, settings: FitSettings) -> tuple[Camera, ...]:
@@ -194,9 +238,16 @@ def _problems_of_several(
             continue
         if not camera.has_extrinsics:
             yield Problem(file, f"camera {camera.name}", "no pose", "its rotation and translation beside the others'")
+        elif twin := next((o for o in cameras if o is not camera and _stands_as(o, camera)), None):
+            yield Problem(file, f"camera {camera.name}", f"the pose of {twin.name}, to the last digit", "its own")
         elif tracks and not camera.knows_up:
             expected = "one in the world of the camera track, z up (world_z_up)"
             yield Problem(file, f"camera {camera.name}", "a pose that does not say which way is up", expected)
+
+
+def _stands_as(one: Camera, other: Camera) -> bool:
+    """Whether two entries of a file have the same pose: one was copied."""
+    return np.array_equal(one.rotation, other.rotation) and np.array_equal(one.translation_m, other.translation_m)
 
 
 def cameras_in(stem: str, names: Iterable[str]) -> dict[str, re.Match[str]]:
@@ -205,12 +256,18 @@ def cameras_in(stem: str, names: Iterable[str]) -> dict[str, re.Match[str]]:
     names = tuple(names)
     for before in ("cam(?:era)?[-_ ]?", ""):
         ends = {name: "(?![0-9])" if name[-1:].isdigit() else "(?![0-9])(?=DLC|[^a-z]|$)" for name in names}
-        patterns = {name: rf"(?<![0-9A-Za-z]){before}{re.escape(name)}{ends[name]}" for name in names}
+        patterns = {name: rf"(?<![0-9A-Za-z]){before}{_any_joint(name)}{ends[name]}" for name in names}
         matches = {name: re.search(pattern, stem, re.IGNORECASE) for name, pattern in patterns.items()}
         found = {name: match for name, match in matches.items() if match is not None}
         if found:
             return found
     return {}
+
+
+def _any_joint(name: str) -> str:
+    """A pattern of a camera's name; cam01 is also cam_01 and cam-01."""
+    called = re.fullmatch(r"([A-Za-z]+)[-_ ]?([0-9]+)", name)
+    return re.escape(name) if called is None else f"{called[1]}[-_ ]?{called[2]}"
 
 
 def other_camera_in(stem: str, name: str) -> str | None:

@@ -14,6 +14,7 @@ from recon.base.arrays import Array
 from recon.base.errors import InputError, Problem, all_of
 from recon.base.files import require_free_file
 from recon.base.progress import Progress, silent
+from recon.base.words import length_text
 from recon.clip import Source, View, camera_poses, together
 from recon.fit.clip_problem import ClipProblem
 from recon.fit.extrinsics import LEVEL_RAD, TooLittleInCommonError, search_offsets, solve_extrinsics
@@ -74,9 +75,10 @@ class ExtrinsicsRun:
         for camera, sigma, high in zip(self.cameras, self.sigma, self.height_sigma_m, strict=True):
             place = camera.camera_to_world(np.zeros(3))
             turn, shift = math.degrees(np.linalg.norm(sigma[:3])), float(np.linalg.norm(sigma[3:]))
-            known = f", known to {turn:.1f}° and {shift:.2f} m" if sigma.any() else ""
-            height = f"{place[2]:.2f} m" if math.isnan(high) else f"{place[2]:.2f} ± {high:.2f} m"
-            yield f"{camera.name}: {height} high, {np.linalg.norm(place - first):.2f} m from the first{known}"
+            known = f", known to {turn:.1f}° and {length_text(shift)}" if sigma.any() else ""
+            height = length_text(place[2], None if math.isnan(high) else high)
+            apart = length_text(float(np.linalg.norm(place - first)))
+            yield f"{camera.name}: {height} high, {apart} from the first{known}"
         for clip, offsets in zip(self.clips, self.offsets_s, strict=True):
             if clip.find_offsets:
                 both = zip(clip.keypoints[1:], offsets[1:], strict=True)

@@ -163,6 +163,14 @@ class FitSettings(Settings):
             name="--image-size",
         ),
     ] = None
+    up: Annotated[
+        str | None,
+        Option(
+            "Where the calibration's poses do not say it: which of their axes points up, as in z or -y, or a "
+            "direction, as in 0,-0.9,0.4. (default: what the file says; otherwise first-camera, which counts as level)",
+            common=False,
+        ),
+    ] = None
     tilt_deg: Annotated[
         Annotated[Number, Field(gt=-90, lt=90)] | None,
         Option(

@@ -10,6 +10,7 @@ from typing import Any, Literal
 import numpy as np
 
 from recon.base.arrays import Array
+from recon.base.words import length_text
 from recon.check import FLAGS
 from recon.fit.motion import MEASURED_SHARE, Motion
 from recon.gait.clip import gaits_of, reference_motion
@@ -134,8 +135,8 @@ def _gait_sentences(gaits: Mapping[Method, Gait]) -> Iterator[str]:
     yield f"Gait, from {by}: {gait.name.name} ({gait.name.criterion})."
     if gait.strides:
         yield (
-            f"Strides are {gait.stride_length_m:.2f} m long, {gait.stride_frequency_hz:.2f} a second (means over "
-            f"{len(gait.strides)} of single feet); a foot stands {gait.name.duty_factor:.0%} of the time."
+            f"Strides are {length_text(gait.stride_length_m)} long, {gait.stride_frequency_hz:.2f} a second (means "
+            f"over {len(gait.strides)} of single feet); a foot stands {gait.name.duty_factor:.0%} of the time."
         )
 
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from recon.base.words import length_text
 from recon.gait.gait import Gait, Method, Stance
 from recon.show.plots.style import COLOURS, PALE, SMALL, add_legend, drawing
 
@@ -85,7 +86,7 @@ def _bars(axes: Axes, stances: Sequence[Stance], y: float, height: float, m: int
 def _caption(name: str, gait: Gait) -> str:
     text = f"{name}: {gait.name.name} ({gait.name.criterion})"
     if gait.strides:
-        text += f"; stride {gait.stride_length_m:.2f} m, {gait.stride_frequency_hz:.2f} Hz"
+        text += f"; stride {length_text(gait.stride_length_m)}, {gait.stride_frequency_hz:.2f} Hz"
     return textwrap.fill(text, 125)
 
 

@@ -13,6 +13,7 @@ from recon.animal.detector import NONE as NO_DETECTOR
 from recon.animal.detector import OWN
 from recon.animal.prior import NONE
 from recon.base.arrays import Array, finite, mean, median
+from recon.base.words import length_text
 from recon.check import FLAGS
 from recon.clip.keypoints import frame_ranges
 from recon.fit import TrajectoryOptions
@@ -262,7 +263,7 @@ def ground_lines(motion: Motion, data: Any) -> Iterator[Line]:
         text = "not found"
         if ground is not None:
             height, side = ground["camera_height_m"], "below" if ground["camera_height_m"] > 0 else "above"
-            text = f"{abs(height):.2f} ± {ground['sigma_m']:.2f} m {side} {_called(motion)}"
+            text = f"{length_text(abs(height), ground['sigma_m'])} {side} {_called(motion)}"
         found.append((text, f" (frames {first} to {stop - 1})"))
     if all(text == "not found" for text, _ in found):
         yield "ground", "not looked for" if motion.settings.get("ground") == "none" else "not found"
@@ -290,10 +291,10 @@ def alternative_lines(motion: Motion, data: Any) -> Iterator[Line]:
     if data is None:
         text = "no other solution nearly as good"
     elif not any(one.code == "second_solution" for one in motion.findings):
-        text = f"another start ended nearby, with joints {data['mean_m']:.2f} m away on average"
+        text = f"another start ended nearby, with joints {length_text(data['mean_m'])} away on average"
     else:
         text = (
-            f"joints {data['mean_m']:.2f} m away on average in {frame_count(data['frames'])}, "
+            f"joints {length_text(data['mean_m'])} away on average in {frame_count(data['frames'])}, "
             f"at a cost higher by {number(data['cost_difference'], '.1f')}"
         )
     yield "alternative", text

@@ -8,6 +8,7 @@ from collections.abc import Iterator
 import typer
 from rich.table import Table
 
+from recon.base.words import length_text
 from recon.show.report import to_json
 from recon.workflows.analyse import Analysed, AnalyseSettings, run_analyse
 from recon.workflows.cli.common import (
@@ -73,8 +74,9 @@ def _lines(done: Analysed) -> Iterator[str]:
         yield f"gait by {method}: {gait.name.name} ({gait.name.criterion})"
         if gait.strides:
             yield (
-                f"  means over {counted(len(gait.strides), 'stride')} of single feet: {gait.stride_length_m:.2f} m, "
-                f"{gait.stride_frequency_hz:.2f} Hz, duty factor {gait.name.duty_factor:.2f}"
+                f"  means over {counted(len(gait.strides), 'stride')} of single feet: "
+                f"{length_text(gait.stride_length_m)}, {gait.stride_frequency_hz:.2f} Hz, "
+                f"duty factor {gait.name.duty_factor:.2f}"
             )
     if (stride := found.stride) is not None:
         which = "as given" if found.stride_by == "given" else f"of {stride.foot}, by {found.stride_by}"

@@ -12,6 +12,7 @@ import typer
 from rich.table import Table
 from rich.text import Text
 
+from recon.base.words import length_text
 from recon.geometry.kinematics import Marker
 from recon.workflows.cli.common import say, table_of, terminal
 from recon.workflows.skeleton_check import (
@@ -85,7 +86,7 @@ def _summary(check: SkeletonCheck) -> Iterator[str]:
     yield f"{check.name}: {check.title}"
     yield (
         f"A {check.kind} with {len(check.body.markers)} markers and {check.unknowns} unknowns a frame, "
-        f"{check.length_m:.2f} m long and {check.height_m:.2f} m high in its expected pose "
+        f"{length_text(check.length_m)} long and {length_text(check.height_m)} high in its expected pose "
         f"(size ± {100 * check.size_sigma:.0f} %, keypoints within {100 * check.keypoint_sigma_m:.0f} cm)."
     )
 

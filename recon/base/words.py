@@ -1,0 +1,13 @@
+"""Numbers as sentences have them."""
+
+from __future__ import annotations
+
+SHORT_M = 0.1
+"""Lengths below it are in millimetres: those of a mouse are 0.00 m otherwise."""
+
+
+def length_text(length_m: float, sigma_m: float | None = None) -> str:
+    """As in 1.23 m, 1.23 ± 0.04 m, 56 mm."""
+    scale, unit, form = (1e3, "mm", ".0f") if abs(length_m) < SHORT_M else (1.0, "m", ".2f")
+    values = [format(scale * value, form) for value in (length_m, sigma_m) if value is not None]
+    return f"{' ± '.join(values)} {unit}"

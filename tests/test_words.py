@@ -1,0 +1,15 @@
+"""Numbers in sentences."""
+
+from __future__ import annotations
+
+import pytest
+
+from recon.base.words import length_text
+
+
+@pytest.mark.parametrize(
+    ("length_m", "sigma_m", "text"),
+    [(1.234, None, "1.23 m"), (0.0312, 0.004, "31 ± 4 mm"), (12.0, 0.05, "12.00 ± 0.05 m"), (-0.05, None, "-50 mm")],
+)
+def test_lengths_of_small_animals_are_in_millimetres(length_m, sigma_m, text):
+    assert length_text(length_m, sigma_m) == text
