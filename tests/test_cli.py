@@ -23,6 +23,8 @@ import recon.show.export.clip_csv
 import recon.show.view
 import recon.workflows.cli
 from recon.animal.chain import MIN_JOINTS
+from recon.check import verdict_lines
+from recon.fit.motion import Motion
 from recon.gait.evaluation import evaluate_files
 from recon.io import read_keypoints
 from recon.show.view.added import AddedSeries, write_plots
@@ -808,7 +810,8 @@ def test_evaluate_prints_the_numbers_of_the_function(fitted):
     assert "Compared: 30 frames, 9 joints." in lines
     assert any(line.startswith("Joints only in the reference: l_front_knee, ") for line in lines)
     assert "Look at this" not in ended.out
-    of_folder = run("evaluate", fitted[0], TRUTH).out.splitlines()
+    verdict, expected, *of_folder = run("evaluate", fitted[0], TRUTH).out.splitlines()
+    assert (verdict, expected) == verdict_lines(Motion.load(fitted[0]).verdict)
     assert [line for line in of_folder if not line.startswith("Uncertainty of the ")] == [
         line.replace(str(pose), str(fitted[0])) for line in ended.out.splitlines()
     ]

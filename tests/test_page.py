@@ -243,11 +243,13 @@ def batch(folder, tmp_path_factory) -> Path:
     """The folder of a batch of five clips: one has failed, one has no word of its frames, one is doubtful."""
     out = tmp_path_factory.mktemp("batch")
     names = {"good": "done", EVIL: "done", "gone": "done earlier", "bad": "failed", "dark": "unsolved"}
+    verdicts = {"good": "use", EVIL: "check", "gone": "do not use"}
     with (out / "summary.csv").open("w", encoding="utf-8", newline="") as file:
         writer = csv.DictWriter(file, COLUMNS, restval="")
         writer.writeheader()
         for name, status in names.items():
             row = {"clip": name, "status": status, "frames": 8, "mean_reprojection_px": 7.77, "size": 1}
+            row |= {"verdict": verdicts.get(name, ""), "reason": "why not"}
             writer.writerow(
                 row
                 if status != "failed"
@@ -263,21 +265,22 @@ def batch(folder, tmp_path_factory) -> Path:
     return out
 
 
-def test_a_batch_has_a_table_with_the_doubtful_first(batch):
+def test_a_batch_has_a_table_with_what_is_to_be_looked_at_first(batch):
     page = Page(write_summary_page(batch))
     require_self_contained(page, batch, scripts=1)
     rows = [re.sub(r"\s+", " ", row) for row in re.findall(r"<tr>(<td>.*?)</tr>", page.html, re.DOTALL)]
     shown = [[html.unescape(v) for v in re.findall(r'data-v="([^"]*)"', row)][:3] for row in rows]
     assert shown == [
-        ["bad", "failed", ""], ["dark", "unsolved", ""], [EVIL, "done", "0.25"], ["good", "done", "0.0"],
-        ["gone", "done earlier", ""],
+        ["bad", "failed", ""], ["dark", "unsolved", ""], ["gone", "done earlier", "0"], [EVIL, "done", "1"],
+        ["good", "done", "2"],
     ]  # fmt: skip
     assert page.attributes("a", "href") == [f"{quote(EVIL)}/report.html"]
-    assert "5 clips: 2 done, 1 done earlier, 1 failed, 1 unsolved" in page.text
+    assert "5 clips: 1 failed, 1 unsolved, 1 do not use, 1 check, 1 use" in page.text
+    assert page.text.count("why not") == 2  # of what is to be used it would say nothing
     assert "a.csv: <b>no</b>" in page.text
     assert "/home" not in page.html
     assert page.text.count("7.8") == 5
-    assert [row.count("<polyline") for row in rows] == [0, 0, 8, 8, 0]
+    assert [row.count("<polyline") for row in rows] == [0, 0, 0, 8, 8]
 
 
 def test_a_thumbnail_is_the_pose_in_the_middle_as_the_camera_saw_it(batch, folder):

@@ -7,9 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from recon.check import finding, judged, verdict_lines
+from recon.check import finding, judged, usable, verdict_lines
 from recon.check.verdict import LIMIT_OF_TRUNK, evidence_of, expected_pose_of_trunk, expected_position
 from recon.fit.motion import Motion
+from recon.io.deeplabcut import write_csv
+from tests.command_line import run
 
 
 def level(motion: Motion) -> str:
@@ -81,3 +83,28 @@ def test_it_is_saved_and_loaded(small_trajectory, tmp_path):
     motion = judged(small_trajectory)
     motion.save(tmp_path)
     assert Motion.load(tmp_path).verdict == motion.verdict
+
+
+def test_what_is_made_of_a_clip_refuses_one_that_is_not_to_be_used(small_trajectory, tmp_path):
+    wrong = judged(replace(small_trajectory, findings=(finding("keypoints_y_up"),)))
+    wrong.save(tmp_path / "clip")
+    truth, out = tmp_path / "truth.csv", tmp_path / "out"
+    write_csv(wrong.upright, truth)
+    for command in (
+        ("analyse", tmp_path / "clip", "--out", out),
+        ("convert", tmp_path / "clip", out.with_suffix(".trc")),
+        ("evaluate", tmp_path / "clip", truth),
+        ("overlay", tmp_path / "clip", "--sheet", out.with_suffix(".png")),
+        ("ik", tmp_path / "clip", "--compare", "--out", out),
+        ("retarget", tmp_path / "clip", "--robot", "a1", "--out", out),
+        ("prior", "fit", tmp_path / "clip", "--out", out.with_suffix(".npz")),
+    ):
+        ended = run(*command)
+        assert (ended.code, ended.out) == (2, ""), command
+        assert "verdict: found do not use: The keypoints look as if y went up" in ended.err
+        assert "--anyway" in ended.err
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["clip", "truth.csv"]
+    anyway = run("evaluate", tmp_path / "clip", truth, "--anyway")
+    assert anyway.out.startswith("do not use: The keypoints look as if y went up")
+    assert usable(wrong, tmp_path, anyway=True) is wrong
+    assert usable(replace(wrong, verdict=None), tmp_path, anyway=False).verdict is None

@@ -11,7 +11,7 @@ from recon.check.inputs.outliers import without_gross_outliers
 from recon.check.inputs.swaps import without_swaps
 from recon.check.mismatch import mismatches
 from recon.check.rules import findings_of
-from recon.check.verdict import judged, verdict_lines
+from recon.check.verdict import judged, usable, verdict_fields, verdict_lines
 from recon.fit.finding import Finding, Severity
 
 __all__ = [
@@ -31,6 +31,8 @@ __all__ = [
     "names_text",
     "sentence",
     "sentences",
+    "usable",
+    "verdict_fields",
     "verdict_lines",
     "without_gross_outliers",
     "without_swaps",

@@ -9,11 +9,14 @@ runs left out. The place is expected as far off as the posterior states.
 from __future__ import annotations
 
 import math
-from dataclasses import astuple, dataclass, replace
+from dataclasses import asdict, astuple, dataclass, replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from recon.base.arrays import Array
+from recon.base.errors import InputError, Problem
 from recon.check.codes import sentence
 from recon.check.rules import findings_of
 from recon.fit import TrajectorySolution
@@ -141,6 +144,19 @@ def level_of(pose_of_trunk: Expected, error: bool, warning: bool) -> Level:
     if error or pose_of_trunk.expected > LIMIT_OF_TRUNK:
         return "do not use"
     return "check" if warning or pose_of_trunk.high > LIMIT_OF_TRUNK else "use"
+
+
+def usable(motion: Motion, folder: Path | str, anyway: bool) -> Motion:
+    """The motion of a folder. Raises InputError for one whose verdict is "do not use", unless it is wanted anyway."""
+    verdict = motion.verdict
+    if verdict is not None and verdict.level == "do not use" and not anyway:
+        raise InputError(Problem(folder, "verdict", f"do not use: {verdict.reason}", "a clip to be used, or --anyway"))
+    return motion
+
+
+def verdict_fields(motion: Motion) -> dict[str, Any] | None:
+    """As JSON has it, in everything that is made of a clip; None of a motion that was not judged."""
+    return None if motion.verdict is None else asdict(motion.verdict)
 
 
 def verdict_lines(verdict: Verdict | None) -> tuple[str, ...]:

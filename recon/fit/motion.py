@@ -94,7 +94,7 @@ class Picture:
         return np.linalg.norm(self.joints_camera_m.mean(axis=1), axis=-1)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Motion:
     """T frames of an animal with J joints and D unknowns, of which A are angles."""
 
@@ -116,6 +116,11 @@ class Motion:
     """All that the fit was told, as JSON has it; its paths are absolute, and in a folder of results relative to it."""
     timing_s: Mapping[str, float] = field(default_factory=dict)
     """Seconds that the fit took, by name, besides those of the solution's stages."""
+
+    def __repr__(self) -> str:
+        """One line: what it is of, and the verdict on it."""
+        posed, level = int(self.solved.sum()), "not judged" if self.verdict is None else self.verdict.level
+        return f"<Motion of {Path(self.file).name}: {self.body.name}, {posed} of {len(self.frames)} frames, {level}>"
 
     # -- saved and loaded -----------------------------------------------------------------------------------------
 

@@ -5,7 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-Level = Literal["use", "check", "do not use"]
+Level = Literal["do not use", "check", "use"]
+LEVELS: tuple[Level, ...] = ("do not use", "check", "use")
+"""In the order in which they are to be looked at."""
 
 
 @dataclass(frozen=True)

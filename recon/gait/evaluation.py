@@ -9,7 +9,7 @@ are known.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,10 +17,11 @@ import numpy as np
 
 from recon.base.errors import InputError, Problem, all_of
 from recon.base.manifest import MANIFEST
-from recon.check import mismatches, sentence
+from recon.check import mismatches, sentence, usable
 from recon.clip.keypoints import frame_ranges
 from recon.fit.motion import Motion
 from recon.fit.regions import radius
+from recon.fit.verdict import Verdict
 from recon.io.pose3d import Pose3D, read_pose3d
 
 PCK_THRESHOLDS_M = (0.05, 0.1, 0.15)
@@ -71,11 +72,14 @@ class Evaluation:
     notes: tuple[str, ...]
     """What is probably wrong, where one motion of the whole clip, or an exchange of names, takes most of the error
     away."""
+    verdict: Verdict | None = None
+    """On the clip that is scored, where it is a folder of results."""
 
     def to_dict(self) -> dict[str, Any]:
         """Plain JSON types: keys that end in `_mm` are millimetres, pck are fractions, NaN is None."""
         errors = {name: getattr(self, f"{name}_m") for name in ("mpjpe", "mpe", "scale_mpjpe", "pa_mpjpe")}
-        result: dict[str, Any] = {"pose": self.pose, "truth": self.truth}
+        verdict = None if self.verdict is None else asdict(self.verdict)
+        result: dict[str, Any] = {"pose": self.pose, "truth": self.truth, "verdict": verdict}
         result |= {f"{name}_mm": _plain_types(score.mean * 1e3) for name, score in errors.items()}
         for name, score in errors.items():
             result[f"{name}_per_joint_mm"] = dict(zip(self.names, _plain_types(score.per_joint * 1e3), strict=True))
@@ -104,26 +108,29 @@ class Evaluation:
         return result
 
 
-def evaluate_files(pose_path: str | Path, truth_path: str | Path) -> Evaluation:
+def evaluate_files(pose_path: str | Path, truth_path: str | Path, anyway: bool = True) -> Evaluation:
     """Evaluates a file of 3D positions (see `read_pose3d`) against another; either may be the folder of results that
-    `recon fit` wrote, whose standard deviations are then compared with the errors. Raises InputError."""
+    `recon fit` wrote, whose standard deviations are then compared with the errors. anyway: also results that are not to
+    be used. Raises InputError."""
     pose_path, truth_path = Path(pose_path), Path(truth_path)
-    (pose, sigmas_m), (truth, _) = all_of(lambda: _positions(pose_path), lambda: _positions(truth_path))
-    found = evaluate(pose, truth, sigmas_m)
+    (pose, sigmas_m, verdict), (truth, *_) = all_of(
+        lambda: _positions(pose_path, anyway), lambda: _positions(truth_path, anyway)
+    )
+    found = replace(evaluate(pose, truth, sigmas_m), verdict=verdict)
     if _is_result(truth_path) and not _is_result(pose_path):
         note = f"the reference, {truth_path}, is a result of recon fit, and what is scored is not: perhaps exchanged"
         return replace(found, notes=(*found.notes, note))
     return found
 
 
-def _positions(path: Path) -> tuple[Pose3D, tuple[np.ndarray, np.ndarray] | None]:
+def _positions(path: Path, anyway: bool) -> tuple[Pose3D, tuple[np.ndarray, np.ndarray] | None, Verdict | None]:
     """Those of a file, or of a folder of results in their frame of reference, with standard deviations of the positions
-    and of those relative to the mean of all joints."""
+    and of those relative to the mean of all joints, and the verdict on them."""
     if not path.is_dir():
-        return read_pose3d(path), None
-    motion = Motion.load(path)
+        return read_pose3d(path), None, None
+    motion = usable(Motion.load(path), path, anyway)
     pose = Pose3D(motion.names, motion.joints_m, motion.frames, str(path), motion.fps)
-    return pose, (motion.joint_sigma_m, motion.relative_sigma_m)
+    return pose, (motion.joint_sigma_m, motion.relative_sigma_m), motion.verdict
 
 
 def _is_result(path: Path) -> bool:

@@ -10,7 +10,7 @@ from pydantic import BeforeValidator, Field
 
 from recon.base.errors import Problem
 from recon.base.settings import Integer, Number, Option, Positive, Settings
-from recon.workflows.settings import STRIDE, StrideTimes
+from recon.workflows.settings import ANYWAY, STRIDE, StrideTimes
 
 Extended = Literal["extended-differences", "extended-energy", "extended-harmonic"]
 MethodName = Literal[
@@ -79,6 +79,7 @@ class IkSettings(Settings):
     ] = None
     out: Annotated[Path | None, Option("Folder for tables and figures. (default: ik in DIR)")] = None
     figures: Annotated[bool, _FIGURES] = True
+    anyway: Annotated[bool, ANYWAY] = False
     overwrite: Annotated[bool, _OVERWRITE] = False
 
     @property
@@ -130,6 +131,7 @@ class RetargetSettings(Settings):
         ),
     ] = 0.0
     stride: Annotated[StrideTimes | None, STRIDE] = None
+    anyway: Annotated[bool, ANYWAY] = False
     overwrite: Annotated[bool, _OVERWRITE] = False
 
 
@@ -170,6 +172,7 @@ class ClimbSettings(Settings):
         Option("Folder of results, whose animal's motion the robot follows up to the step.", metavar="DIR"),
     ] = None
     figures: Annotated[bool, _FIGURES] = True
+    anyway: Annotated[bool, ANYWAY] = False
     overwrite: Annotated[bool, _OVERWRITE] = False
 
 

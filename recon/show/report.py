@@ -29,6 +29,8 @@ __all__ = [
 
 SCHEMA_NAME, SCHEMA_VERSION = "recon.fit.report", 3
 REPORT = "report.json"
+STYLES = {"use": "bold green", "check": "bold yellow", "do not use": "bold red"}
+"""Of the levels of a verdict, on a terminal."""
 
 
 def build_report(motion: Motion) -> dict[str, Any]:
@@ -67,8 +69,12 @@ def console_summary(report: Mapping[str, Any]) -> Table:
     table = Table.grid(padding=(0, 2))
     table.add_column(no_wrap=True)
     table.add_column()
+    verdict = report["verdict"] or {"level": "", "reason": ""}
     for label, text in report["lines"]:
-        table.add_row(Text(label, style="bold"), Text(text))
-    for text in warnings(report):
-        table.add_row(Text("warning", style="bold yellow"), Text(text, "yellow"))
+        level = verdict["level"] if label == "verdict" else ""
+        table.add_row(Text(label, style="bold"), Text.assemble((level, STYLES.get(level, "")), text[len(level) :]))
+    for one in report["findings"]:
+        if one["severity"] != "note" and one["text"] != verdict["reason"]:
+            colour = {"error": "red", "warning": "yellow"}[one["severity"]]
+            table.add_row(Text(one["severity"], style=f"bold {colour}"), Text(one["text"], colour))
     return table

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from recon.base.arrays import Array, finite, mean, median
+from recon.check import verdict_fields
 from recon.fit.motion import MEASURED_SHARE, Motion
 from recon.gait.kinematics import peak_doubt
 from recon.geometry.frames import level_axes
@@ -233,7 +234,7 @@ def _field_of_frames(solution: FrameSolution, field: str, *shape: int) -> Array:
 
 
 SECTIONS: tuple[Section, ...] = (
-    Section("verdict", given.verdict, given.verdict_lines),
+    Section("verdict", verdict_fields, given.verdict_lines),
     Section("input", given.clip, given.clip_lines),
     Section("side", given.side, given.side_lines),
     Section("frame_of_reference", lambda motion: motion.frame_of_reference),

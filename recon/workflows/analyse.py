@@ -15,13 +15,14 @@ from recon.base.files import require_free_folder, sole_writer, staged_folder
 from recon.base.manifest import read_manifest
 from recon.base.progress import Progress, silent
 from recon.base.settings import Option, Settings
+from recon.check import usable, verdict_fields
 from recon.fit.motion import MEASURED_SHARE, Motion
 from recon.gait.clip import ClipAnalysis, analyse
 from recon.gait.gait import Gait, doubt_text
 from recon.gait.kinematics import peak_doubt
 from recon.show.export import analysis_csv
 from recon.show.report import build_report, to_json
-from recon.workflows.settings import STRIDE, StrideTimes
+from recon.workflows.settings import ANYWAY, STRIDE, StrideTimes
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -60,6 +61,7 @@ class AnalyseSettings(Settings):
     ] = None
     stride: Annotated[StrideTimes | None, STRIDE] = None
     figures: Annotated[bool, Option("PNG and SVG beside the tables.")] = True
+    anyway: Annotated[bool, ANYWAY] = False
     overwrite: Annotated[bool, Option("Replace an earlier analysis.")] = False
 
 
@@ -71,7 +73,7 @@ def run_analyse(settings: AnalyseSettings, progress: Progress = silent) -> Analy
     """
     out = settings.folder / FOLDER if settings.out is None else settings.out
     progress("reading", 0.0)
-    motion = Motion.load(settings.folder)
+    motion = usable(Motion.load(settings.folder), settings.folder, settings.anyway)
     with sole_writer(out):
         require_free_folder(out, (SUMMARY, PLOTS, *analysis_csv.TABLES), settings.overwrite, "an analysis")
         progress("analysis", 0.1)
@@ -108,6 +110,7 @@ def summarise(found: ClipAnalysis, results: str) -> dict[str, Any]:
     return {
         "schema": {"name": "recon.analysis", "version": 1},
         "results": results,
+        "verdict": verdict_fields(found.motion),
         "fps": found.motion.fps,
         "frames": len(found.pose.frames),
         "smoothed": found.smoothed,

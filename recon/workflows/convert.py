@@ -11,12 +11,13 @@ from recon.animal.naming import load_names, renamed
 from recon.base.errors import InputError, Problem, all_of
 from recon.base.files import staged_file
 from recon.base.settings import Option, Positive, Settings
+from recon.check import usable, verdict_lines
 from recon.clip.keypoints import Keypoints, mark_missing
 from recon.fit.motion import Motion
 from recon.io import Format, Pose3D, as_keypoints, choose_format, in_metres, read_points
 from recon.io.column_map import parse_map
 from recon.show.export.rig import rig_of
-from recon.workflows.settings import RENAME
+from recon.workflows.settings import ANYWAY, RENAME
 
 
 class ConvertSettings(Settings):
@@ -47,6 +48,7 @@ class ConvertSettings(Settings):
         None
     )
     rename: Annotated[str | None, RENAME] = None
+    anyway: Annotated[bool, ANYWAY] = False
     overwrite: Annotated[bool, Option("Replace the file.")] = False
     show_list: Annotated[bool, Option("Print the formats.", name="--list")] = False
 
@@ -118,7 +120,7 @@ def _write(target: Format, data: Any, out: Path) -> None:
 def read_any(source: Path, settings: ConvertSettings) -> Keypoints | Pose3D:
     """2D keypoints or 3D positions, whichever the source holds. Raises InputError."""
     if source.is_dir():
-        data = _of_results(source)
+        data = _of_results(source, settings.anyway)
     else:
         by = None if settings.columns is None else parse_map(settings.columns)
         found, stored = read_points(source, settings.individual, by=by)
@@ -138,13 +140,13 @@ def read_any(source: Path, settings: ConvertSettings) -> Keypoints | Pose3D:
     return replace(data, fps=settings.fps, notes=notes)
 
 
-def _of_results(folder: Path) -> Pose3D:
+def _of_results(folder: Path, anyway: bool) -> Pose3D:
     """The joints of a fit, upright, with their frame rate and limbs."""
-    motion = Motion.load(folder)
-    if motion.knows_up:
-        return motion.upright
-    note = "Positions are in the level frame, z up: the camera file does not say where the camera is."
-    return replace(motion.upright, notes=(note,))
+    motion = usable(Motion.load(folder), folder, anyway)
+    notes = verdict_lines(motion.verdict)
+    if not motion.knows_up:
+        notes += ("Positions are in the level frame, z up: the camera file does not say where the camera is.",)
+    return replace(motion.upright, notes=notes)
 
 
 def _require_free(out: Path, overwrite: bool) -> None:

@@ -17,12 +17,13 @@ from recon.base.errors import InputError, Problem, all_of
 from recon.base.files import require_free_file, staged_file, write_bytes
 from recon.base.progress import Progress, silent
 from recon.base.settings import Integer, Number, Option, Settings
-from recon.check import FLAG_OF
+from recon.check import FLAG_OF, usable
 from recon.fit.motion import Motion
+from recon.fit.verdict import Verdict
 from recon.io.video import Image, VideoInfo, probe, read_frames, require_codec, video_writer
 from recon.show.overlay import LEFT, MIDDLE, RIGHT, Colour, Overlay, canvas_size, draw_frame, draw_sheet
 from recon.workflows.cameras import cameras_in
-from recon.workflows.settings import FIRST_FRAME
+from recon.workflows.settings import ANYWAY, FIRST_FRAME
 
 SLOW_FPS = 30.0
 """Every frame is shown, and no more than this many in a second, unless a speed is given."""
@@ -40,6 +41,8 @@ class OverlayRun:
     frames: int
     fps: float
     speed: float
+    verdict: Verdict | None
+    """On the clip."""
 
 
 class OverlaySettings(Settings):
@@ -58,6 +61,7 @@ class OverlaySettings(Settings):
         ),
     ] = None
     first_frame: Annotated[Integer, FIRST_FRAME] = 0
+    anyway: Annotated[bool, ANYWAY] = False
     speed: Annotated[
         Number | None,
         Option(
@@ -92,6 +96,7 @@ def run_overlay(settings: OverlaySettings, progress: Progress = silent) -> Overl
         lambda: _check_out(out, settings.overwrite, video),
         lambda: _check_speed(speed),
     )
+    usable(motion, settings.folder, settings.anyway)
     if speed is None:
         speed = min(1.0, SLOW_FPS / motion.fps)
     zoom = -(-MIN_WIDTH_PX // wide)
@@ -113,7 +118,7 @@ def run_overlay(settings: OverlaySettings, progress: Progress = silent) -> Overl
                 f" (the video's first frame being {settings.first_frame})" if settings.first_frame else ""
             )
             raise InputError(Problem(video, "video", found, f"{expected}: the video of this clip, or --first-frame"))
-    return OverlayRun(written, fps, speed)
+    return OverlayRun(written, fps, speed, motion.verdict)
 
 
 def run_sheet(settings: OverlaySettings) -> int:
@@ -132,6 +137,7 @@ def run_sheet(settings: OverlaySettings) -> int:
         free,
         lambda: _check_count(settings.count),
     )
+    usable(motion, settings.folder, settings.anyway)
     overlay = overlay_of(motion, number=number)
     rows = rows_to_show(overlay, settings.count)
     if not len(rows):

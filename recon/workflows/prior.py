@@ -6,6 +6,7 @@ import math
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
@@ -18,10 +19,12 @@ from recon.base.documents import read_json
 from recon.base.errors import InputError, Problem, all_of
 from recon.base.files import require_free_file
 from recon.base.settings import Integer, Number, OneOrMore, Option, Settings
+from recon.check import usable
 from recon.fit.motion import Motion
 from recon.fit.points import MIN_MARKERS, solve_points_and_size
 from recon.io import Pose3D, read_pose_segments
 from recon.workflows.batch.inputs import file_names
+from recon.workflows.settings import ANYWAY
 
 Segment = tuple[str, Array, float]
 """Name, states (T, D), frames per second."""
@@ -116,6 +119,7 @@ class PriorFitSettings(Settings):
     name: Annotated[str | None, Option("Name of the prior. (default: the file's)")] = None
     source: Annotated[str, Option("Where the poses come from, for the record.")] = ""
     check: Annotated[bool, Option("Score each segment under a prior from the others.")] = False
+    anyway: Annotated[bool, ANYWAY] = False
     overwrite: Annotated[bool, Option("Replace the file.")] = False
 
 
@@ -130,7 +134,7 @@ def run_prior_fit(settings: PriorFitSettings) -> PriorFit:
     folders, tables = [path for path in paths if path.is_dir()], [path for path in paths if not path.is_dir()]
     given, results, files, rates, *_ = all_of(
         lambda: _body(settings.skeleton, settings.subject, folders),
-        lambda: _by_path(_motion, folders),
+        lambda: _by_path(partial(_motion, anyway=settings.anyway), folders),
         lambda: _by_path(read_pose_segments, tables),
         lambda: _rates(settings.fps, tables),
         lambda: require_free_file(settings.out, settings.overwrite, suffixes=(".npz",)),
@@ -266,8 +270,8 @@ def _by_path(read: Callable[[Path], T], paths: Sequence[Path]) -> dict[Path, T]:
     return dict(zip(paths, all_of(*(lambda path=path: read(path) for path in paths)), strict=True))
 
 
-def _motion(folder: Path) -> Motion:
-    motion = Motion.load(folder)
+def _motion(folder: Path, anyway: bool) -> Motion:
+    motion = usable(Motion.load(folder), folder, anyway)
     if motion.body.one_sided:
         raise InputError(Problem(folder, "skeleton", motion.body.name, "a whole animal, with [[segments]]"))
     return motion

@@ -64,6 +64,7 @@ StrideTimes = Annotated[tuple[Number, Number], BeforeValidator(_start_and_end)]
 """(start, end) in seconds since frame 0, or the text "0.31:0.62"."""
 
 FIRST_FRAME = Option("Number that the video's first frame has in the keypoint file, if it was cut.")
+ANYWAY = Option('Also of a clip whose verdict is "do not use".')
 RENAME = Option(
     "New names of the keypoints: a CSV file with two columns, old and new, or a built-in map, as in "
     "superanimal-quadruped."

@@ -9,7 +9,7 @@ import typer
 from rich.console import Console
 
 from recon.robotics.settings import IkSettings
-from recon.workflows.cli.common import say, table_of, terminal
+from recon.workflows.cli.common import say, say_verdict, table_of, terminal
 
 WIDE_GAP_PERCENT = 25
 CLOSES_PERCENT = 90
@@ -24,11 +24,14 @@ def ik(settings: IkSettings, as_json: bool) -> None:
     from recon.robotics.ik.clip import run_ik
     from recon.show.report import to_json
 
-    summary = run_ik(settings).summary
+    done = run_ik(settings)
+    summary = done.summary
     if as_json:
         typer.echo(to_json(summary), nl=False)
         return
-    _print(terminal(), summary, settings.out_folder)
+    console = terminal()
+    say_verdict(console, done.motion.verdict)
+    _print(console, summary, settings.out_folder)
 
 
 def _print(console: Console, summary: dict[str, Any], out: Path) -> None:

@@ -9,7 +9,7 @@ import typer
 from rich.console import Console
 
 from recon.robotics.settings import RetargetSettings
-from recon.workflows.cli.common import say, terminal
+from recon.workflows.cli.common import say, say_verdict, terminal
 
 
 def retarget(settings: RetargetSettings, as_json: bool) -> None:
@@ -20,11 +20,14 @@ def retarget(settings: RetargetSettings, as_json: bool) -> None:
     from recon.robotics.robot.retarget_clip import run_retarget
     from recon.show.report import to_json
 
-    report = run_retarget(settings).report
+    done = run_retarget(settings)
+    report = done.report
     if as_json:
         typer.echo(to_json(report), nl=False)
         return
-    _print(terminal(), report, settings.out)
+    console = terminal()
+    say_verdict(console, done.animal.analysis.motion.verdict)
+    _print(console, report, settings.out)
 
 
 def _print(console: Console, report: dict[str, Any], out: Path) -> None:

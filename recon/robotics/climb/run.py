@@ -11,6 +11,7 @@ import numpy as np
 from recon.base.arrays import Array
 from recon.base.errors import InputError, Problem, all_of
 from recon.base.files import name_seen_from, require_free_folder, seen_from, sole_writer, staged_results
+from recon.check import usable
 from recon.fit.motion import Motion
 from recon.io.table import write_rows
 from recon.robotics.climb import Climb, Walker, check, load_recipe, plan, plots, raised, scaled
@@ -35,7 +36,7 @@ def run_climb(settings: ClimbSettings) -> dict[str, Any]:
     out, after = settings.out, settings.after
     recipe, results, _ = all_of(
         lambda: load_recipe(settings.recipe),
-        lambda: None if after is None else Motion.load(after),
+        lambda: None if after is None else usable(Motion.load(after), after, settings.anyway),
         lambda: require_free_folder(out, (REPORT,), settings.overwrite),
     )
     machine, own = all_of(lambda: load_robot(settings.robot or recipe.robot), lambda: load_robot(recipe.robot))

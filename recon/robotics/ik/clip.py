@@ -16,6 +16,7 @@ from threadpoolctl import threadpool_limits
 from recon.base.arrays import Array
 from recon.base.errors import InputError, Problem
 from recon.base.files import require_free_folder, sole_writer, staged_folder
+from recon.check import usable, verdict_fields
 from recon.fit.motion import Motion
 from recon.gait.clip import gaits_of, limb_chains, stride_given
 from recon.gait.gait import AGREE, OVERSAMPLING, Gait, doubt_text, pose_return_s
@@ -126,6 +127,7 @@ class IKRun:
     """What was moved, and how."""
 
     settings: IkSettings
+    motion: Motion
     limb: Limb
     stride: StridePath
     target_m: Array | None
@@ -170,6 +172,7 @@ class IKRun:
             }
         return {
             "schema": {"name": "recon.ik", "version": 1},
+            "verdict": verdict_fields(self.motion),
             "foot": limb.foot,
             "dimensions": limb.chain.dim,
             "joints": list(limb.names),
@@ -371,7 +374,7 @@ def _rates_of(limb: Limb) -> Frames:
 def run_ik(settings: IkSettings) -> IKRun:
     """`recon ik`: tables and figures into a folder. With parameters fitted to the clip, these are fitted to each frame
     of the stride, too. Raises InputError."""
-    out, motion = settings.out_folder, Motion.load(settings.folder)
+    out, motion = settings.out_folder, usable(Motion.load(settings.folder), settings.folder, settings.anyway)
     with sole_writer(out):
         require_free_folder(out, (SUMMARY,), settings.overwrite)
         limb = limb_of(motion, settings.foot, 2 if settings.dim == 2 else 3, settings.limits)
@@ -388,7 +391,7 @@ def run_ik(settings: IkSettings) -> IKRun:
             drives = {} if goal is None else {n: drive_to(limb.chain, start, goal, m) for n, m in methods.items()}
             followed = methods if settings.both or settings.follow is not None else {}
             follows = {n: follow_stride(limb.chain, stride, m, settings.turns) for n, m in followed.items()}
-        solved = IKRun(settings, limb, stride, goal, drives, follows, parameters, series, times)
+        solved = IKRun(settings, motion, limb, stride, goal, drives, follows, parameters, series, times)
         with staged_folder(out) as staging:
             _write(solved, staging)
         if settings.figures:  # after the tables, which are there whatever befalls them

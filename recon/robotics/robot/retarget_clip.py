@@ -12,6 +12,7 @@ from scipy.spatial.transform import RigidTransform
 from recon.base.arrays import Array
 from recon.base.errors import InputError, Problem, all_of
 from recon.base.files import name_seen_from, require_free_folder, seen_from, sole_writer, staged_results
+from recon.check import usable, verdict_fields
 from recon.fit.motion import Motion
 from recon.gait.gait import doubt_text
 from recon.io.table import write_rows
@@ -55,7 +56,7 @@ def run_retarget(settings: RetargetSettings) -> RetargetRun:
     """`recon retarget`: tables, report and playback into a folder. Raises InputError."""
     out, folder, lag = settings.out, settings.folder, settings.lag
     results, machine, _ = all_of(
-        lambda: Motion.load(folder),
+        lambda: usable(Motion.load(folder), folder, settings.anyway),
         lambda: load_robot(settings.robot),
         lambda: require_free_folder(out, (REPORT,), settings.overwrite),
     )
@@ -97,6 +98,7 @@ def _report(
     notes = _notes(window, motion, mirrored, lag, doubts)
     return {
         "schema": {"name": "recon.retarget", "version": 1},
+        "verdict": verdict_fields(fitted),
         "robot": {
             "name": robot.name,
             "title": robot.title,

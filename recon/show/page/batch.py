@@ -12,14 +12,16 @@ import numpy as np
 
 from recon.base.errors import InputError
 from recon.fit.motion import Motion
+from recon.fit.verdict import LEVELS
 from recon.show.page import PAGE
 from recon.show.page.render import rendered
 
 FIRST = ("failed", "unsolved", "pending")
 """Of the statuses, those above all others."""
 NUMBERS = {
+    "pose_mm": ("pose ± mm", ".0f"),
+    "position_m": ("position ± m", ".2f"),
     "frames": ("frames", "d"),
-    "warnings": ("warnings", "d"),
     "outliers": ("outliers", "d"),
     "mean_reprojection_px": ("off by, px", ".1f"),
     "mean_speed_m_s": ("mean m/s", ".1f"),
@@ -61,22 +63,23 @@ class ClipRow:
         return format(int(cell) if spec == "d" else float(cell), spec) if cell else ""
 
     @property
-    def rank(self) -> tuple[int, float, float]:
-        """The smallest is the most doubtful."""
-        status = self.cells["status"]
+    def rank(self) -> tuple[int, int, float]:
+        """The smallest is the one to look at first."""
+        status, level = self.cells["status"], self.cells["verdict"]
         place = FIRST.index(status) if status in FIRST else len(FIRST)
-        return place, -self.share, -float(self.cells["mean_reprojection_px"] or 0)
+        return place, LEVELS.index(level) if level in LEVELS else 0, -float(self.cells["pose_mm"] or 0)
 
 
 def batch_page(out: Path, rows: Sequence[Mapping[str, str]]) -> str:
     """HTML of the batch in a folder, whose summary.csv has these rows."""
     clips = sorted((_clip_row(out, row) for row in rows), key=lambda clip: clip.rank)
-    counts = Counter(row["status"] for row in rows)
+    counted = Counter(row["verdict"] or row["status"] for row in rows)
+    counts = {name: counted[name] for name in dict.fromkeys((*FIRST, *LEVELS, *counted)) if counted[name]}
     return rendered(
         "summary.html",
         title=out.absolute().name or "batch",
         clips=clips,
-        counts=", ".join(f"{count} {status}" for status, count in counts.items()),
+        counts=", ".join(f"{count} {name}" for name, count in counts.items()),
         numbers=NUMBERS,
         pages=any(clip.page for clip in clips),
         box=THUMBNAIL_PX,

@@ -11,7 +11,7 @@ import numpy as np
 
 from recon.base.arrays import Array
 from recon.base.words import length_text
-from recon.check import FLAGS
+from recon.check import FLAGS, verdict_lines
 from recon.fit.motion import MEASURED_SHARE, Motion
 from recon.gait.clip import gaits_of, reference_motion
 from recon.gait.gait import Gait, Method
@@ -65,7 +65,10 @@ def clip_page(
         title=", ".join(dict.fromkeys(_base(camera["keypoints"]) for camera in report["cameras"])),
         subtitle=_subtitle(motion),
         words=list(_words(motion, report, moved, gaits)),
-        warnings=warnings(report),
+        verdict=motion.verdict,
+        expected=verdict_lines(motion.verdict)[1:],
+        warnings=[text for text in warnings(report) if motion.verdict is None or text != motion.verdict.reason],
+        notes=[one["text"] for one in report["findings"] if one["severity"] == "note"],
         stills=stills,
         behind=behind,
         camera=motion.cameras[number].name if len(motion.cameras) > 1 else "the camera",
@@ -110,8 +113,6 @@ def _words(
         return
     yield _speed_sentence(report, moved)
     yield from _gait_sentences(gaits)
-    if "uncertainty" in lines:
-        yield f"Uncertainty: {lines['uncertainty']}."
 
 
 def _speed_sentence(report: Mapping[str, Any], moved: JointKinematics) -> str:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from importlib import import_module
 
+from recon.check import verdict_fields
 from recon.fit.motion import Motion
 from recon.show.sections import fitted, given
 from recon.show.sections.section import Line, Section
@@ -15,7 +16,7 @@ from recon.show.sections.section import Line, Section
 __all__ = ["SECTIONS", "Line", "Section", "sections_of"]
 
 SECTIONS: tuple[Section, ...] = (
-    Section("verdict", given.verdict, given.verdict_lines),
+    Section("verdict", verdict_fields, given.verdict_lines),
     Section("input", given.clip, given.clip_lines),
     Section("side", given.side, given.side_lines),
     Section("frame_of_reference", lambda motion: motion.frame_of_reference),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import asdict, fields
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -28,11 +28,6 @@ SCORER_SHOWN = 60
 """Characters."""
 
 # -- the verdict ------------------------------------------------------------------------------------------------------
-
-
-def verdict(motion: Motion) -> dict[str, Any] | None:
-    """None of a motion that was not judged."""
-    return None if motion.verdict is None else asdict(motion.verdict)
 
 
 def verdict_lines(motion: Motion, data: Any) -> Iterator[Line]:

@@ -11,12 +11,16 @@ from pathlib import Path
 from typing import Any
 
 from recon.base.files import seen_from, staged_file
+from recon.fit.verdict import LEVELS
 from recon.show.page import SUMMARY_PAGE, require_own_page
 from recon.show.report import warnings
 from recon.workflows.batch.inputs import SUMMARY
 from recon.workflows.batch.record import Planned, short_hash
 
 RESULTS = (
+    "verdict",
+    "reason",
+    *(f"{error}{end}" for error in ("pose_mm", "position_m") for end in ("", "_low", "_high")),
     "frames",
     "frames_with_pose",
     "warnings",
@@ -49,9 +53,17 @@ def results_of(report: Mapping[str, Any]) -> dict[str, Any]:
     """The columns `RESULTS`. Speeds are the root's, without the jitter from frame to frame where that can be told;
     warnings is how many the report has; size is the factor on the skeleton's lengths, which only the trajectory method
     has."""
-    summary, path = report["summary"], report["root_path"]
+    summary, path, verdict = report["summary"], report["root_path"], report["verdict"] or {}
     speeds = path["smoothed"] or path["exact"]
+    expected = {}
+    for name, of, unit in (("pose_mm", "pose_m", 1000.0), ("position_m", "position_m", 1.0)):
+        error = verdict.get(of)
+        for end, key in (("", "expected"), ("_low", "low"), ("_high", "high")):
+            expected[name + end] = None if error is None else float(f"{unit * error[key]:.4g}")
     return {
+        "verdict": verdict.get("level"),
+        "reason": verdict.get("reason"),
+        **expected,
         "frames": summary["frames"],
         "frames_with_pose": summary["frames_with_pose"],
         "warnings": len(warnings(report)),
@@ -82,6 +94,11 @@ class Summary:
         count = Counter(row["status"] for row in self.rows.values())
         return {status: count[status] for status in STATUSES if count[status]}
 
+    def verdicts(self) -> dict[str, int]:
+        """How many clips have each verdict, in the order of `LEVELS`, without those that none has."""
+        count = Counter(row["verdict"] for row in self.rows.values() if row["status"].startswith("done"))
+        return {level: count[level] for level in LEVELS if count[level]}
+
     def write_now_and_then(self) -> None:
         """If something has changed, but not all the time; a file that is open elsewhere can wait."""
         if self._changed and time.monotonic() - self._written_s >= WRITE_EVERY_S:
@@ -92,8 +109,13 @@ class Summary:
         with staged_file(self.path) as staged, staged.open("w", encoding="utf-8", newline="") as f:
             writer = csv.writer(f, lineterminator="\n")
             writer.writerow(COLUMNS)
-            writer.writerows([_no_formula(row[column]) for column in COLUMNS] for row in self.rows.values())
+            rows = sorted(self.rows.values(), key=_rank)
+            writer.writerows([_no_formula(row[column]) for column in COLUMNS] for row in rows)
         self._written_s, self._changed = time.monotonic(), False
+
+
+def _rank(row: Mapping[str, Any]) -> int:
+    return LEVELS.index(row["verdict"]) if row["verdict"] in LEVELS else -1
 
 
 def write_summary_page(out: Path) -> Path:

@@ -15,6 +15,7 @@ from recon.workflows.cli.common import (
     counted,
     progress_bar,
     say,
+    say_verdict,
     say_what_is_gone,
     table_of,
     terminal,
@@ -38,6 +39,7 @@ def analyse(settings: AnalyseSettings, as_json: bool, quiet: bool) -> None:
     if as_json:
         typer.echo(to_json(done.summary), nl=False)
         return
+    say_verdict(console, done.found.motion.verdict)
     for line in _lines(done):
         say(console, line)
     count = sum(len(gait.stances) for gait in done.found.gaits.values())

@@ -18,6 +18,7 @@ from rich.table import Column, Table
 from rich.text import Text
 
 from recon.base.settings import Count, Integer, OneOrMore, Option, Settings
+from recon.show.report import STYLES
 from recon.workflows.cli.command import OptionsOf
 from recon.workflows.cli.common import counted, say, stop, terminal
 from recon.workflows.settings import SETTINGS, FitSettings
@@ -31,7 +32,8 @@ EXIT_STRICT = 1
 CANNOT = "cannot be fitted"
 NAMED = 3
 """Clips with the same problem are named up to this number."""
-_STYLES = {"done": "green", "done earlier": "green", "unsolved": "yellow", "failed": "red", "pending": ""}
+_STYLES = {"done": "", "done earlier": "", "unsolved": "red", "failed": "red", "pending": "yellow"}
+"""Of the statuses; what is done has a verdict."""
 _COMMON, _WORK = "Settings of every clip", "How the work is done"
 _OF_CLIPS = tuple(name for name in SETTINGS if name != "keypoints")
 
@@ -185,7 +187,8 @@ def _print_plan(
 
 def _print_end(console: Console, summary: Summary, seconds: float) -> None:
     counts = summary.counts()
-    parts = [Text(f"{n} {status}", _STYLES[status]) for status, n in counts.items()]
+    parts = [Text(f"{n} {level}", STYLES[level]) for level, n in reversed(summary.verdicts().items())]
+    parts += [Text(f"{n} {status}", style) for status, n in counts.items() if (style := _STYLES[status])]
     say(console, Text.assemble(Text(", ").join(parts), f" in {seconds:.0f} s. Summary: {summary.path}"))
 
 
@@ -227,7 +230,7 @@ def _shown(console: Console, left: int) -> Iterator[Any]:
                     bar.remove_task(running.pop(event.name))
                 bar.advance(overall)
                 row = summary.rows[event.name]
-                if row["status"] != "done":
+                if row["verdict"] != "use":
                     say(bar.console, _row_text(row))
 
         yield bars
@@ -238,5 +241,9 @@ def _row_text(row: Mapping[str, Any]) -> Text:
     text = Text.assemble((row["status"], _STYLES[row["status"]]), f"  {row['clip']}")
     if row["error"]:
         return text.append(f": {row['error']}")
-    warned = f", {counted(row['warnings'], 'warning')}: see report.json" if row["warnings"] else ""
-    return text.append(f"  {row['frames']} frames, {row['seconds']:.1f} s{warned}")
+    level = row["verdict"] or ""
+    text.append("  ").append(level, STYLES.get(level, ""))
+    if row["pose_mm"] is not None:
+        text.append(f", pose ± {row['pose_mm']:.0f} mm")
+    why = "" if level in ("", "use") else f": {row['reason']}"
+    return text.append(f", {row['frames']} frames, {row['seconds']:.1f} s{why}")

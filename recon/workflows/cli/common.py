@@ -21,6 +21,9 @@ from rich.text import Text
 from recon.base.errors import InputError, Problem, printable
 from recon.base.interrupts import EXIT_INTERRUPTED, MESSAGE, installed
 from recon.base.manifest import read_manifest
+from recon.check import verdict_lines
+from recon.fit.verdict import Verdict
+from recon.show.report import STYLES
 
 EXIT_UNSOLVED = 1
 EXIT_BAD_INPUT = 2
@@ -51,6 +54,13 @@ def say_what_is_gone(console: Console, folder: Path) -> None:
     names = read_manifest(folder).gone()
     if names:
         say(console, f"note: no longer in {folder}: {', '.join(names)}; left out where it would be shown")
+
+
+def say_verdict(console: Console, verdict: Verdict | None) -> None:
+    """The first lines of what is made of a clip; nothing of a motion that was not judged."""
+    for line in verdict_lines(verdict):
+        level = next((level for level in STYLES if line.startswith(f"{level}:")), "")
+        say(console, Text.assemble((level, STYLES.get(level, "")), line[len(level) :]))
 
 
 def counted(count: int, what: str) -> str:

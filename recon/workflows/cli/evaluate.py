@@ -12,7 +12,8 @@ from rich.table import Table
 from rich.text import Text
 
 from recon.base.settings import Option, Settings
-from recon.workflows.cli.common import say, table_of, terminal
+from recon.workflows.cli.common import say, say_verdict, table_of, terminal
+from recon.workflows.settings import ANYWAY
 
 if TYPE_CHECKING:
     from recon.gait.evaluation import Evaluation
@@ -27,6 +28,7 @@ class EvaluateSettings(Settings):
     truth: Annotated[
         Path, Option("The reference, with the same frame numbers: likewise, as truth.csv.", argument="TRUTH")
     ]
+    anyway: Annotated[bool, ANYWAY] = False
 
 
 def evaluate(settings: EvaluateSettings, as_json: bool) -> None:
@@ -36,11 +38,12 @@ def evaluate(settings: EvaluateSettings, as_json: bool) -> None:
     """
     from recon.gait.evaluation import evaluate_files
 
-    result = evaluate_files(settings.pose3d, settings.truth)
+    result = evaluate_files(settings.pose3d, settings.truth, settings.anyway)
     if as_json:
         typer.echo(json.dumps(result.to_dict(), indent=1))
         return
     console = terminal()
+    say_verdict(console, result.verdict)
     say(console, f"{result.pose} against the reference {result.truth}")
     console.print(_table(result))
     for line in _table_notes(result):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from recon.workflows.cli.common import progress_bar, say, terminal
+from recon.workflows.cli.common import progress_bar, say, say_verdict, terminal
 from recon.workflows.overlay import OverlaySettings, run_overlay, run_sheet
 
 
@@ -20,6 +20,7 @@ def overlay(settings: OverlaySettings, quiet: bool) -> None:
         return
     with progress_bar(console) as progress:
         run = run_overlay(settings, progress)
+    say_verdict(console, run.verdict)
     say(
         console,
         f"{run.frames} frames at {run.speed:.3g} times their speed ({run.fps:.4g} a second) are in {settings.out}.",
