@@ -57,7 +57,7 @@ FALSE = 0.02
 """So many frames of untouched clips may be named wrongly."""
 LEGS = {"fore": "fore legs exchanged, second half", "hind": "hind legs exchanged, second half"}
 FOLDED = ("untouched", "ten frames exchanged", *LEGS.values(), "whole clip exchanged")
-MARGINS = (5.0, 10.0, 15.0, 20.0, 25.0, 30.0)
+MARGINS = (5.0, 10.0, 14.0, 16.0, 18.0, 20.0, 22.0, 25.0, 30.0)
 """Of `recon.check.inputs.likelihood.MARGIN`."""
 WORSE = 1.02
 """No clip may be so many times worse when mended."""

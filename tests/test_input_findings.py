@@ -116,7 +116,7 @@ def test_missing_points_say_nothing_of_jumps():
     assert np.isinf(jumps(view().part(slice(0, 5)), pairs_of(BODY)["all"])).all()
 
 
-@pytest.mark.parametrize(("kind", "first", "stop"), [("all", 15, 25), ("all", 0, T), ("fore", 20, T), ("hind", 0, 20)])
+@pytest.mark.parametrize(("kind", "first", "stop"), [("all", 15, 25), ("all", 0, T), ("fore", 20, T), ("hind", 20, T)])
 def test_exchanged_sides_are_found(kind, first, stop):
     (found,) = swaps(fitted(exchanged(view(), stretch(kind, first, stop))))
     assert found.stretch.rows == slice(first, stop)
@@ -145,7 +145,7 @@ def test_of_two_that_exclude_each_other_the_likelier_has_to_lead():
     part = swapped.clip.part(slice(0, T))
     first, second = (refitted(swapped.other(exchanged(part.views[0], by))) for by in (other, one))
     assert first.likelier(swapped.refit(slice(0, T))) > MARGIN
-    assert first.likelier(second) > MARGIN
+    assert first.likelier(second) > CLEAR
     assert contradicts(undone(swapped, other, first), other, one)
     assert not contradicts(undone(swapped, other, first), other, stretch("hind", 21, T))
 

@@ -24,7 +24,6 @@ from recon.base.arrays import Array, Bools, Index
 from recon.check.codes import finding
 from recon.check.inputs.likelihood import (
     AT_ONCE_S,
-    CLEAR,
     LOOSE,
     TAILS,
     Baseline,
@@ -44,8 +43,8 @@ JUMP = -3.0
 LIKELY, TRIED, STRETCHES = 6.0, 3, 4
 """Stretches are tried of which tracks and looks say so much, so many of them for each second, and so many exchanges
 found in a clip."""
-REFITTED = 3
-"""So many of the likeliest are solved anew."""
+QUICK, REFITTED = 10.0, 3
+"""Stretches that a quick fit makes so much likelier are solved anew, so many of them at a time."""
 OF_LEG = 3
 """Of a leg, the last markers: what is above hardly tells its side."""
 _STRAIGHT = 3
@@ -126,7 +125,7 @@ def contradicts(then: Baseline, best: Stretch, other: Stretch) -> bool:
 def refits(given: Baseline, kinds: dict[str, Index], unlike: bool) -> list[tuple[SwapTrial, Refit]]:
     """The likeliest stretches, each undone and its part of the clip solved anew, against that part as it is."""
     whole = [] if unlike else [_judged(given, Stretch(slice(0, len(given.states)), kinds["all"]))]
-    likely = sorted((one for one in [*tried(given, kinds), *whole] if one.ratio > CLEAR), key=lambda one: -one.ratio)
+    likely = sorted((one for one in [*tried(given, kinds), *whole] if one.ratio > QUICK), key=lambda one: -one.ratio)
     compared = []
     for one in likely[:REFITTED]:
         part = _part(given.view, one.stretch.rows, given.clip.fps)
