@@ -9,6 +9,7 @@ import multiprocessing
 import os
 import shutil
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -1079,3 +1080,19 @@ def test_no_cluster(clips, tmp_path):
     ended = run(*args(clips, tmp_path / "out", "--scheduler", "nonsense://here"))
     assert ended.code == 2
     assert "expected a running Dask scheduler" in ended.err
+
+
+@pytest.mark.parametrize("scheme", ["tcp", "tls"])
+def test_a_scheduler_that_says_nothing_is_not_waited_for(scheme, monkeypatch):
+    pytest.importorskip("distributed")
+    from recon.workflows.batch import cluster
+
+    monkeypatch.setattr(cluster, "CONNECT_S", 0.3)
+    with socket.socket() as silent:
+        silent.bind(("127.0.0.1", 0))
+        silent.listen()
+        began = time.monotonic()
+        with pytest.raises(InputError, match="expected a running Dask scheduler") as error:
+            cluster._client(f"{scheme}://127.0.0.1:{silent.getsockname()[1]}")
+        assert time.monotonic() - began < 5
+    assert ("certificates of Dask's configuration" in str(error.value)) == (scheme == "tls")

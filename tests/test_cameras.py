@@ -12,6 +12,7 @@ import pytest
 from recon import FitSettings, InputError, Motion, fit_clip
 from recon.clip import Source, View, together
 from recon.clip.keypoints import Keypoints, clean
+from recon.fit import solve_trajectory
 from recon.geometry.camera import Camera
 from recon.io import read_cameras, write_cameras
 from recon.io.deeplabcut import write_csv
@@ -228,6 +229,26 @@ def test_refined_cameras_are_those_of_the_result(folder, tmp_path):
     (tmp_path / "cameras.toml").write_text('[[cameras]]\nformat = "recon-camera"\nversion = 99\n')
     with pytest.raises(InputError, match=r"cameras\[0\]\.format"):
         read_cameras(tmp_path / "cameras.toml")
+
+
+def test_refined_cameras_are_taken_only_where_every_camera_fits(folder, monkeypatch):
+    """A refinement that throws one camera away, as the robust cost of a small rig allows, is not taken."""
+
+    def solve(views, body, prior, fps, options, progress):
+        found = solve_trajectory(views, body, prior, fps, replace(options, refine_cameras=False), progress)
+        if not options.refine_cameras:
+            return found
+        thrown = np.array([0.0, 0.3, 0.0, 0.0, 0.0, 0.0])
+        turned = replace(found.views[1], T_camera_world=found.views[1].corrected(thrown).T_camera_world)
+        return replace(found, views=(found.views[0], turned), extrinsic_correction=np.stack([0 * thrown, thrown]))
+
+    monkeypatch.setattr("recon.workflows.clip.solve_trajectory", solve)
+    motion = fit_clip(settings(folder, 1, 2, frames="10:36", refine_cameras=True))
+    (one,) = [one for one in motion.findings if one.code == "cameras_not_refined"]
+    assert (one.camera, one.numbers["after_px"] > 10 * one.numbers["before_px"]) == ("cam2", True)
+    assert not motion.solution.extrinsic_correction.any()
+    given = prepare(settings(folder, 1, 2, frames="10:36")).sources
+    assert [s.camera.to_dict() for s in motion.sources] == [s.camera.to_dict() for s in given]
 
 
 def test_only_several_cameras_that_stand_still_are_refined(folder):

@@ -27,6 +27,7 @@ from recon.base.manifest import MANIFEST
 from recon.base.progress import Progress, silent
 from recon.check import (
     FileFacts,
+    Finding,
     agreement_findings,
     flagged,
     input_findings,
@@ -47,6 +48,7 @@ from recon.show.report import build_report, write_report
 from recon.workflows.cameras import Cameras, ClipCamera, cameras_in, other_camera_in, other_cameras, read_clip_cameras
 from recon.workflows.made_from import digests
 from recon.workflows.offsets import solved_in_step
+from recon.workflows.refined import cameras_made_worse
 from recon.workflows.settings import METHODS, FitSettings
 
 REFINED_CAMERAS = "cameras.toml"
@@ -105,6 +107,12 @@ def fit_clip(settings: FitSettings, progress: Progress = silent) -> Motion:
         sources, solution = solved_in_step(given.apart, given.later_frames, solved, *noise)
     else:
         solution = solved(sources)
+    unrefined: tuple[Finding, ...] = ()
+    if options.refine_cameras:
+        tried, options = solution, replace(options, refine_cameras=False)
+        held = solved(sources)
+        unrefined = cameras_made_worse(tried, held)
+        solution, options = (held, options) if unrefined else (tried, replace(options, refine_cameras=True))
     began = time.perf_counter()
     cleaned, outliers = without_gross_outliers(sources, solution)
     again = solved(cleaned) if outliers else solution
@@ -120,7 +128,12 @@ def fit_clip(settings: FitSettings, progress: Progress = silent) -> Motion:
         solution = solved(sources)
     stage_s = solution.stage_s | {"input_findings": time.perf_counter() - began}
     motion = replace(motion, sources=sources, solution=replace(solution, stage_s=stage_s))
-    found = (*outliers, *found, *agreement_findings(motion, options.sigma_px, options.keypoint_noise_m(body)))
+    found = (
+        *unrefined,
+        *outliers,
+        *found,
+        *agreement_findings(motion, options.sigma_px, options.keypoint_noise_m(body)),
+    )
     if settings.seeks_cameras:
         placed = zip(sources, solution.extrinsic_correction, solution.focal, strict=True)
         sources = tuple(replace(s, camera=s.camera.corrected(by).with_focal_scale(longer)) for s, by, longer in placed)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import queue
+import threading
 import uuid
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
@@ -71,11 +72,27 @@ def _client(address: str) -> Client:
     except ImportError:
         expected = f"Dask: {install_command('cluster')}"
         raise InputError(Problem("--scheduler", "package", "no package distributed", expected)) from None
+    made: queue.SimpleQueue[Client | Exception] = queue.SimpleQueue()
+
+    def connect() -> None:
+        try:
+            made.put(Client(address, timeout=CONNECT_S, set_as_default=False))
+        except Exception as error:  # of addresses, of the network, of certificates that there are not
+            made.put(error)
+
+    # Dask's own limit of time does not hold at a port that accepts and says nothing.
+    threading.Thread(target=connect, daemon=True, name="connect to the scheduler").start()
     try:
-        return Client(address, timeout=CONNECT_S, set_as_default=False)
-    except (OSError, ValueError) as error:
+        client = made.get(timeout=CONNECT_S + TICK_S)
+    except queue.Empty:
+        client = TimeoutError(f"no answer within {CONNECT_S:g} s")
+    if isinstance(client, Exception):
+        found = " ".join(str(client).split())[:200] or type(client).__name__
         expected = "a running Dask scheduler, as in tcp://host:8786"
-        raise InputError(Problem("--scheduler", address, str(error), expected)) from None
+        if address.startswith("tls://"):
+            expected += ", or tls:// with the certificates of Dask's configuration (distributed.comm.tls)"
+        raise InputError(Problem("--scheduler", address, found, expected))
+    return client
 
 
 def _outcome(future: Future) -> dict[str, Any]:
