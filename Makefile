@@ -75,6 +75,7 @@ benchmark: $(BASE)
 	$(BIN)/python benchmarks/moving.py $(RUNS)
 	$(BIN)/python benchmarks/samples.py
 	$(BIN)/python benchmarks/gait.py $(RUNS)
+	$(BIN)/python benchmarks/speeds.py $(RUNS)
 	$(BIN)/python benchmarks/ik.py $(RUNS)
 	$(BIN)/python benchmarks/mistakes.py $(RUNS)
 	$(BIN)/python benchmarks/calibration.py

@@ -6,7 +6,16 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
 
-from recon.gait.kinematics import JointKinematics, jitter_errors, peak_doubt, point_kinematics, speed_at_frames
+from recon.gait.kinematics import (
+    Errors,
+    JointKinematics,
+    jitter_errors,
+    lasting_errors,
+    net_acceleration,
+    peak_doubt,
+    point_kinematics,
+    speed_at_frames,
+)
 from recon.gait.path import MAX_GAP_S, frame_jitter_m
 
 FPS = 30.0
@@ -181,3 +190,35 @@ def test_no_jitter():
 def test_times_must_increase():
     with pytest.raises(ValueError, match="times must increase"):
         point_kinematics(TIME_S[::-1], straight(TIME_S))
+
+
+def test_errors_that_last_are_in_the_deviations_of_speeds():
+    """Noise that each frame takes over in part from the one before, as a method does that starts there."""
+    rng, points = np.random.default_rng(3), np.zeros((120, 3))
+    points[:, 0] = 12 * np.arange(120) / 90
+    noise = rng.normal(0, 0.05, points.shape)
+    for frame in range(1, len(noise)):
+        noise[frame] += 0.8 * noise[frame - 1]
+    time_s = np.arange(120) / 90
+    found = point_kinematics(time_s, points + noise, lasting_errors(points + noise, 90), smooth=True).series
+    independent = point_kinematics(time_s, points + noise, jitter_errors(points + noise), smooth=True).series
+    # Smoothing goes by what is independent: only the deviations differ.
+    np.testing.assert_array_equal(found.rate, independent.rate)
+    error = found.rate - [12, 0, 0]
+    ratios = [float(np.sqrt(np.mean((error / of.rate_sigma) ** 2))) for of in (found, independent)]
+    assert 0.4 < ratios[0] < 1.3
+    assert ratios[1] > 1.5 * ratios[0]
+
+
+def test_net_acceleration_of_a_known_one_and_its_deviation():
+    time_s, rng = np.arange(60) / 90, np.random.default_rng(0)
+    along = 8 * time_s + 0.5 * 6 * time_s**2
+    points = np.stack([-0.6 * along, 0.8 * along, 0.4 + 0.05 * np.sin(20 * time_s)], axis=1)
+    assert net_acceleration(time_s, points)[0] == pytest.approx(6)
+    errors = [Errors(np.full(points.shape, 0.03))]
+    found = [net_acceleration(time_s, points + rng.normal(0, 0.03, points.shape), errors) for _ in range(300)]
+    values, sigmas = np.array(found).T
+    assert values.std() == pytest.approx(sigmas.mean(), rel=0.15)
+    points[20:25] = np.nan
+    assert net_acceleration(time_s, points)[0] == pytest.approx(6)
+    assert np.isnan(net_acceleration(time_s[:3], points[:3])[0])

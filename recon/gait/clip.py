@@ -29,6 +29,9 @@ from recon.gait.kinematics import (
     jitter_errors,
     joint_angle,
     joint_kinematics,
+    lasting_errors,
+    net_acceleration,
+    peak_doubt,
     spine_flexion,
 )
 from recon.gait.path import MIN_POINTS
@@ -96,6 +99,11 @@ class ClipAnalysis:
         """The fit's angles with less than `MEASURED_SHARE` of their precision from the pixels."""
         return tuple(name for name, share in self.motion.data_shares.items() if share < MEASURED_SHARE)
 
+    @cached_property
+    def speed_doubt(self) -> str | None:
+        """Why no joint's speed is known; None where they are. An error of the animal's depth is one of all joints."""
+        return speed_doubt(self.motion, self.smoothed)
+
     @property
     def during_stride(self) -> Bools:
         """(T,): the frames of `stride`, or without one all."""
@@ -137,7 +145,7 @@ def analyse(
         raise InputError(Problem(motion.file, "frames", found, f"at least {MIN_POINTS}"))
     smooth = motion.jitters if smooth is None else smooth
     pose, fps, options = motion.upright, motion.fps, {"smooth": smooth}
-    errors = jitter_errors(pose.xyz_m) if smooth else _errors(motion)
+    errors = lasting_errors(pose.xyz_m, fps) if smooth else _errors(motion)
     reference = motion.reference
     joints = {}
     for name in pose.names:
@@ -193,9 +201,24 @@ def gaits_of(motion: Motion) -> dict[Method, Gait]:
 
 def reference_motion(motion: Motion) -> JointKinematics:
     """Only the motion of the joint that stands for the animal's place, as `analyse` has it."""
-    errors = jitter_errors(motion.upright.xyz_m) if motion.jitters else _errors(motion)
+    errors = lasting_errors(motion.upright.xyz_m, motion.fps) if motion.jitters else _errors(motion)
     name = motion.reference
     return joint_kinematics(motion.upright, name, motion.fps, errors, smooth=motion.jitters)
+
+
+def net_acceleration_m_s2(motion: Motion) -> tuple[float, float]:
+    """`net_acceleration` of the joint that stands for the animal's place."""
+    points_m, at = motion.upright.xyz_m, motion.names.index(motion.reference)
+    errors = lasting_errors(points_m, motion.fps) if motion.jitters else _errors(motion)
+    return net_acceleration(motion.time_s, points_m[:, at], [error[:, at] for error in errors])
+
+
+def speed_doubt(motion: Motion, smooth: bool = True) -> str | None:
+    """Why the speed of the animal's path is not known; None where it is, or where the fit says how uncertain it is.
+    smooth: by its jitter."""
+    if not motion.jitters:
+        return None
+    return peak_doubt(motion.time_s, motion.upright.xyz_m[:, motion.names.index(motion.reference)], smooth)
 
 
 def limb_chains(motion: Motion) -> dict[str, tuple[str, ...]]:

@@ -49,6 +49,11 @@ along it. Trunks of real cheetahs and dogs that walk or run are 1.02 to 1.34 tim
 STEADY = 0.1
 """How much of a peak speed may be due to how strongly the path is smoothed."""
 
+JITTER_LASTS_S, JITTER_TIMES = 0.05, 2.0
+"""How long errors of a method last that solves frame by frame, and how much larger they are than what jitters in that
+time: with both the deviations of its speeds are right in each of five real runs to a quarter
+(`python benchmarks/speeds.py`)."""
+
 _WINDOW, _MARGIN = 200, 40
 """Frames of an exact spline whose deviations are worked out at once, and how many on either side count: a value's share
 in the spline falls by 2 - sqrt(3) from frame to frame, to 1e-23 over the margin."""
@@ -179,7 +184,7 @@ def series_kinematics(
 ) -> Series:
     """Values (T, d) at increasing times (T,) -> their spline; NaN in any dimension is a missing frame.
 
-    errors: what adds up to the values' errors, sigma (T, d) each; with smooth, all together are the weights as well. A
+    errors: what adds up to the values' errors, sigma (T, d) each; with smooth, the first is the weights as well. A
     span needs four values (five with smooth). propagate: whether to work out deviations, which with smooth takes memory
     of 8 bytes x N x T, and a spline for each value. Raises ValueError.
     """
@@ -190,7 +195,7 @@ def series_kinematics(
     fine_s = np.interp(np.arange(N) / oversampling, np.arange(T), time_s) if T else np.empty(0)
     out = np.full((3, N, d), np.nan)
     spread = np.full((3, N, d), np.nan) if len(errors) and propagate else None
-    weight = 1.0 / np.sqrt(sum(e.sigma**2 for e in errors)) if smooth else np.ones((T, d))
+    weight = 1.0 / errors[0].sigma if smooth else np.ones((T, d))
     spans, lams = [], []
     for rows in stretches(time_s, values, max_gap_s, MIN_SMOOTHING_POINTS if smooth else MIN_POINTS):
         where = slice(rows[0] * oversampling, rows[-1] * oversampling + 1)
@@ -392,6 +397,38 @@ def jitter_errors(values: Array, times: float = 1.0) -> tuple[Errors]:
     jitter = times * frame_jitter_m(values.reshape(len(values), -1)).reshape(values.shape[1:])
     smallest = 1e-9  # an exact series has none
     return (Errors(np.broadcast_to(np.maximum(np.nan_to_num(jitter, nan=smallest), smallest), values.shape)),)
+
+
+def lasting_errors(values: Array, fps: float) -> tuple[Errors, Errors]:
+    """Of values (T, ...) of a method that starts a frame from the one before and repeats its errors for some time:
+    `jitter_errors`, which smoothing goes by, and what comes with `JITTER_TIMES` the jitter from one `JITTER_LASTS_S` to
+    the next, single large errors included."""
+    (independent,) = jitter_errors(values)
+    step = max(1, round(JITTER_LASTS_S * fps))
+    differences = values[3 * step :] - 3 * values[2 * step : -step] + 3 * values[step : -2 * step] - values[: -3 * step]
+    squares = np.where(np.isfinite(differences), differences**2 / 20, np.nan)
+    known = np.isfinite(squares).any(axis=0)
+    variance = np.where(known, np.nanmean(np.where(known, squares, 0.0), axis=0) if len(squares) else 0.0, 0.0)
+    lasting = np.sqrt(np.maximum(JITTER_TIMES**2 * variance - independent.sigma**2, 1e-18))
+    return independent, Errors(lasting, JITTER_LASTS_S)
+
+
+def net_acceleration(time_s: Array, xyz_m: Array, errors: Sequence[Errors] = ()) -> tuple[float, float]:
+    """Acceleration along the way over a whole clip, m/s^2, and its standard deviation, NaN without errors: of the
+    parabola in time through a path (T, 3), z up, along its level direction from first to last, by least squares.
+    errors (T, 3): as of `series_kinematics`. NaN with fewer than four frames, or without a way."""
+    known = np.flatnonzero(np.isfinite(xyz_m).all(axis=1))
+    way = xyz_m[known[-1], :2] - xyz_m[known[0], :2] if len(known) >= MIN_POINTS else np.zeros(2)
+    if not way.any():
+        return np.nan, np.nan
+    ahead, t = way / np.linalg.norm(way), time_s[known] - time_s[known].mean()
+    shares = 2 * np.linalg.pinv(np.stack([np.ones(len(t)), t, t**2], axis=1))[2]
+    variance = sum(
+        float(_propagate((shares * ahead[k] * e.sigma[known, k])[None], t, e.correlation_s)[0])
+        for e in errors
+        for k in range(2)
+    )
+    return float(shares @ xyz_m[known, :2] @ ahead), float(np.sqrt(variance)) if len(errors) else np.nan
 
 
 def speed_at_frames(time_s: Array, xyz_m: Array, smooth: bool = False) -> Array:

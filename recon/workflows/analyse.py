@@ -17,9 +17,8 @@ from recon.base.progress import Progress, silent
 from recon.base.settings import Option, Settings
 from recon.check import usable, verdict_fields
 from recon.fit.motion import MEASURED_SHARE, Motion
-from recon.gait.clip import ClipAnalysis, analyse
+from recon.gait.clip import ClipAnalysis, analyse, net_acceleration_m_s2
 from recon.gait.gait import Gait, doubt_text
-from recon.gait.kinematics import peak_doubt
 from recon.show.export import analysis_csv
 from recon.show.report import build_report, to_json
 from recon.workflows.settings import ANYWAY, STRIDE, StrideTimes
@@ -32,6 +31,8 @@ FOLDER = "analysis"
 """In the results' own, by default."""
 PLAYBACK, PLOTS = "motion.rrd", "analysis.rrd"
 """What the fit wrote, and what goes with it."""
+INTERVAL = 1.96
+"""Standard deviations to either side that hold 95 %."""
 FIGURES_BEGIN = 0.5
 """Of the progress."""
 SHOWN = 3
@@ -107,6 +108,7 @@ def _write_plots(found: ClipAnalysis, folder: Path, out: Path) -> None:
 def summarise(found: ClipAnalysis, results: str) -> dict[str, Any]:
     """The figures of a clip in short; what they are is in docs/gait.md. results: what its folder is called."""
     moved = found.joints[found.reference]
+    net, net_sigma = net_acceleration_m_s2(found.motion)
     return {
         "schema": {"name": "recon.analysis", "version": 1},
         "results": results,
@@ -122,7 +124,9 @@ def summarise(found: ClipAnalysis, results: str) -> dict[str, Any]:
             "peak_sigma_m_s": None if np.isnan(moved.peak_speed_sigma_m_s) else moved.peak_speed_sigma_m_s,
             "peak_time_s": moved.peak_speed_time_s,
             "peak_acceleration_m_s2": moved.peak_acceleration_m_s2,
-            "doubt": _doubt(found),
+            "doubt": found.speed_doubt,
+            "net_acceleration_m_s2": net,
+            "net_acceleration_interval_m_s2": [net - INTERVAL * net_sigma, net + INTERVAL * net_sigma],
             "straight_run_m_s": _straight_run_m_s(found.motion),
         },
         "spine_flexion_rad": found.angles["spine_flexion"].range_rad if "spine_flexion" in found.angles else None,
@@ -152,15 +156,6 @@ def summarise(found: ClipAnalysis, results: str) -> dict[str, Any]:
 def _straight_run_m_s(motion: Motion) -> float | None:
     """The speed of a straight run through all frames, of a method that begins with one."""
     return build_report(motion)["travel"]["median_speed_m_s"] if motion.jitters else None
-
-
-def _doubt(found: ClipAnalysis) -> str | None:
-    """Why not to trust the path's speed, of a fit that does not say how uncertain it is."""
-    motion = found.motion
-    if not motion.jitters:
-        return None
-    points_m = motion.upright.xyz_m[:, motion.names.index(found.reference)]
-    return peak_doubt(motion.time_s, points_m, found.smoothed)
 
 
 def notes(found: ClipAnalysis) -> list[str]:
@@ -233,7 +228,9 @@ def figures_of(found: ClipAnalysis) -> dict[str, Callable[[], Figure]]:
     own = (joints_m, motion.limbs, time_s[during], motion.limb_sides, title)
     return {
         "composites": lambda: plots.composites(found.pose.xyz_m, motion.limbs, time_s, ground, sides=motion.limb_sides),
-        "speed": lambda: plots.speeds({found.reference: found.joints[found.reference]}),
+        "speed": lambda: plots.speeds(
+            {found.reference: found.joints[found.reference]}, unknown=found.speed_doubt is not None
+        ),
         **({"footfalls": lambda: plots.footfall(found.gaits, motion.fps)} if found.gaits else {}),
         **{
             f"vector_field_{limb.replace(' ', '_')}": partial(plots.vector_fields, fields, time_s, title=limb)

@@ -22,17 +22,20 @@ Columns = dict[str, np.ndarray]
 
 
 def joints(found: ClipAnalysis) -> Table:
-    """Distance, mean and peak speed and peak acceleration of every joint."""
+    """Distance, mean and peak speed and peak acceleration of every joint; empty where none is known."""
     columns = (
         "joint, distance_m, mean_speed_m_s, peak_speed_m_s, peak_speed_sigma_m_s, peak_speed_time_s, "
-        "peak_acceleration_m_s2, peak_acceleration_sigma_m_s2"
+        "peak_acceleration_m_s2, peak_acceleration_sigma_m_s2, known"
     )
+    known = found.speed_doubt is None
     rows = [
         (
             *(name, moved.distance_m, moved.mean_speed_m_s, moved.peak_speed_m_s),
             *(moved.peak_speed_sigma_m_s, moved.peak_speed_time_s),
-            *(moved.peak_acceleration_m_s2, moved.peak_acceleration_sigma_m_s2),
+            *(moved.peak_acceleration_m_s2, moved.peak_acceleration_sigma_m_s2, "yes"),
         )
+        if known
+        else (name, *[np.nan] * 7, "no")
         for name, moved in found.joints.items()
     ]
     return columns.split(", "), rows

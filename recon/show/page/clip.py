@@ -13,7 +13,7 @@ from recon.base.arrays import Array
 from recon.base.words import length_text
 from recon.check import FLAGS, verdict_lines
 from recon.fit.motion import MEASURED_SHARE, Motion
-from recon.gait.clip import gaits_of, reference_motion
+from recon.gait.clip import gaits_of, reference_motion, speed_doubt
 from recon.gait.gait import Gait, Method
 from recon.gait.kinematics import JointKinematics
 from recon.gait.path import MIN_POINTS
@@ -167,7 +167,7 @@ def _sections(motion: Motion, moved: JointKinematics, gaits: Mapping[Method, Gai
         f"Of {name}, along its path"
         + ("." if moved.speed_sigma_m_s is None else ", with bands of one standard deviation.")
         + (UNKNOWN_ACCELERATION if _is_unknown(moved.acceleration_m_s2, moved.acceleration_sigma_m_s2) else ""),
-        _inline([plots.speeds({name: moved}, width_mm=SPEED_MM)]),
+        _inline([plots.speeds({name: moved}, width_mm=SPEED_MM, unknown=speed_doubt(motion) is not None)]),
         "narrow",
     )
     if gaits:

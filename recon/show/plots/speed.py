@@ -9,7 +9,18 @@ import numpy as np
 
 from recon.base.arrays import Array
 from recon.gait.kinematics import JointKinematics
-from recon.show.plots.style import WIDTH_MM, add_legend, blank, dots, draw_band, drawing, legend_shape, look, telling
+from recon.show.plots.style import (
+    GREY,
+    WIDTH_MM,
+    add_legend,
+    blank,
+    dots,
+    draw_band,
+    drawing,
+    legend_shape,
+    look,
+    telling,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -21,19 +32,22 @@ BAND_ROOM = 1.6
 """Bands may take the axis up to this times the highest curve: at a spline's ends they are several times as wide."""
 
 
-def speeds(curves: Mapping[str, JointKinematics], title: str = "", width_mm: float = WIDTH_MM) -> Figure:
+def speeds(
+    curves: Mapping[str, JointKinematics], title: str = "", width_mm: float = WIDTH_MM, unknown: bool = False
+) -> Figure:
     """Speed and acceleration of one joint or of several, by name, with bands of one sigma where known.
 
     Dots are frames, the rest is the spline between them; it is open where the path is not known. The legend gives the
-    peak, which has a ring.
+    peak, which has a ring. unknown: that they are errors of the path rather than speeds; grey, without peaks.
     """
-    labels = [f"{name}: {_peak(motion)}" for name, motion in curves.items()]
+    peaks = ["not known, errors of the path" if unknown else _peak(motion) for motion in curves.values()]
+    labels = [f"{name}: {peak}" for name, peak in zip(curves, peaks, strict=True)]
     with drawing(98 + legend_shape(labels, width_mm)[1], width_mm, title) as figure:
         above, below = figure.subplots(2, 1, sharex=True)
         handles = []
         for i, motion in enumerate(curves.values()):
-            handles.append(_curve(above, i, motion, motion.speed_m_s, motion.speed_sigma_m_s))
-            _curve(below, i, motion, motion.acceleration_m_s2, motion.acceleration_sigma_m_s2)
+            handles.append(_curve(above, i, motion, motion.speed_m_s, motion.speed_sigma_m_s, unknown))
+            _curve(below, i, motion, motion.acceleration_m_s2, motion.acceleration_sigma_m_s2, unknown)
         for axes, unit, values, sigmas in (
             (above, "speed (m/s)", "speed_m_s", "speed_sigma_m_s"),
             (below, "acceleration (m/s²)", "acceleration_m_s2", "acceleration_sigma_m_s2"),
@@ -45,14 +59,14 @@ def speeds(curves: Mapping[str, JointKinematics], title: str = "", width_mm: flo
     return figure
 
 
-def _curve(axes: Axes, i: int, motion: JointKinematics, value: Array, sigma: Array | None) -> Line2D:
-    style, t = look(i), motion.series.time_s
+def _curve(axes: Axes, i: int, motion: JointKinematics, value: Array, sigma: Array | None, unknown: bool) -> Line2D:
+    style, t = look(i) | ({"color": GREY} if unknown else {}), motion.series.time_s
     every = motion.series.oversampling
     rows = telling(value)
     (line,) = axes.plot(t[rows], value[rows], **dots(len(t) // every, 2.2), markevery=every, zorder=3, **style)
     if sigma is not None:
         draw_band(axes, t, value, sigma, style["color"])
-    if np.isfinite(value).any():
+    if np.isfinite(value).any() and not unknown:
         k = int(np.nanargmax(value))
         axes.plot(t[k], value[k], "o", ms=6, mfc="none", mec=style["color"], mew=1.0, zorder=4)
     return line

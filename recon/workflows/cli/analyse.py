@@ -69,6 +69,12 @@ def _lines(done: Analysed) -> Iterator[str]:
         run = speed["straight_run_m_s"]
         other = "" if run is None else f"{run:.1f} m/s, of a straight run through all frames; "
         yield f"speed of {found.reference}: {other}its path is too uncertain in depth for it: {speed['doubt']}"
+    if speed["net_acceleration_m_s2"] is not None and math.isfinite(speed["net_acceleration_m_s2"]):
+        low, high = speed["net_acceleration_interval_m_s2"]
+        yield (
+            f"acceleration along the way, over the whole clip: {speed['net_acceleration_m_s2']:+.1f} m/s² "
+            f"(95 %: {low:+.1f} to {high:+.1f})"
+        )
     if "spine_flexion" in found.angles:
         low, high = (math.degrees(angle) for angle in found.angles["spine_flexion"].range_rad)
         yield f"flexion of the spine: {low:+.0f}° to {high:+.0f}° (positive: arched up)"
