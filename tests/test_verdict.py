@@ -49,6 +49,13 @@ def test_expected_errors(small_trajectory):
     assert expected_pose_of_trunk(less_sure).expected > 1.5 * pose.expected
 
 
+def test_how_well_a_focal_length_is_known_is_expected_of_the_position(small_trajectory):
+    evidence = evidence_of(small_trajectory)
+    vague = evidence_of(replace(small_trajectory, settings={**small_trajectory.settings, "focal_sigma": 0.5}))
+    assert vague.position_sigma_m == pytest.approx(np.hypot(evidence.position_sigma_m, 0.5 * evidence.distance_m))
+    assert expected_pose_of_trunk(vague) == expected_pose_of_trunk(evidence)
+
+
 @pytest.mark.parametrize("name", ["posterior_m", "misfit", "distance_m", "end_on"])
 def test_worse_evidence_expects_more(small_trajectory, name):
     evidence = evidence_of(small_trajectory)

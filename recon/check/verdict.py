@@ -65,6 +65,7 @@ class Evidence:
     end_on: float
     """The cosine between the trunk and the line of sight of the camera that sees the animal most from the side."""
     position_sigma_m: float
+    """As the posterior states, and with what is said of one camera's focal length: the distance goes with it."""
 
     @property
     def factors(self) -> dict[str, float]:
@@ -91,13 +92,15 @@ def evidence_of(motion: Motion) -> Evidence:
     trunk_m = joints_m[:, front] - joints_m[:, rear]
     sights_m = [middle_m - np.broadcast_to(view.centre_m, (len(posed), 3))[posed] for view in solution.views]
     misfits = [segment.prior_misfit for segment in solution.segments if segment.prior_misfit is not None]
+    distance_m = min(float(np.linalg.norm(sight_m, axis=-1).mean()) for sight_m in sights_m)
+    stated = (motion.settings.get("focal_sigma") or 0.0) if len(motion.sources) == 1 else 0.0
     return Evidence(
         trunk_m=float(np.linalg.norm(trunk_m, axis=-1).mean()),
         posterior_m=_MEAN_OF_NORM * float(np.sqrt(np.maximum(variance, _LEAST_M2)).mean()),
         misfit=max(misfits, default=1.0),
-        distance_m=min(float(np.linalg.norm(sight_m, axis=-1).mean()) for sight_m in sights_m),
+        distance_m=distance_m,
         end_on=min(float(np.abs(_cosine(trunk_m, sight_m)).mean()) for sight_m in sights_m),
-        position_sigma_m=float(np.sqrt(np.maximum(of_middle, 0.0)).mean()),
+        position_sigma_m=math.hypot(float(np.sqrt(np.maximum(of_middle, 0.0)).mean()), stated * distance_m),
     )
 
 

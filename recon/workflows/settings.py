@@ -232,8 +232,9 @@ class FitSettings(Settings):
     focal_sigma: Annotated[
         Positive | None,
         Option(
-            "How well the cameras' focal lengths are known, relative, as in 0.1; of several cameras they are "
-            "found with the fit and go into cameras.toml. (default: exactly)",
+            "How well the cameras' focal lengths are known, relative, as in 0.1: one camera's makes the position so "
+            "much less certain; of several cameras they are found with the fit and go into cameras.toml. (default: "
+            "exactly)",
             "a share of the focal length above 0, as in 0.1",
             common=False,
             method="trajectory",
@@ -379,7 +380,7 @@ class FitSettings(Settings):
                 expected = f"one for each keypoint file, that is {count}"
                 yield Problem("settings", name, f"{len(values)}: {', '.join(map(str, values))}", expected)
         for name in ("find_offsets", "refine_cameras", "focal_sigma"):
-            if getattr(self, name) and count == 1:
+            if getattr(self, name) and name != "focal_sigma" and count == 1:
                 yield Problem("settings", name, "one keypoint file", "files of several cameras")
             if getattr(self, name) and name != "find_offsets" and self.camera_track is not None:
                 yield Problem("settings", name, "beside a camera track", "cameras that stand still")
@@ -416,7 +417,7 @@ class FitSettings(Settings):
     @property
     def seeks_cameras(self) -> bool:
         """Whether cameras come out otherwise than their file says."""
-        return bool(self.refine_cameras) or self.focal_sigma is not None
+        return bool(self.refine_cameras) or (self.focal_sigma is not None and len(self.keypoints) > 1)
 
     def trajectory_options(self) -> TrajectoryOptions:
         from recon.fit import TrajectoryOptions

@@ -63,11 +63,7 @@ def input_findings(
     elsewhere = any(segment.ground and segment.ground.near_zero is False for segment in solution.segments)
     misfit = max((segment.prior_misfit or 0.0 for segment in solution.segments), default=0.0)
     seeks_swaps = facts.swaps and prior.name != NONE and bool(solution.posed.any())
-    with threadpool_limits(1, user_api="blas"):
-        alone = (
-            [baseline_of(clip, 0, solution.states, solution.size)] if len(motion.sources) == 1 and seeks_swaps else []
-        )
-        moves = [] if certain else [*movement(motion, alone)]
+    moves = [] if certain else [*movement(motion)]
     seeks_swaps = seeks_swaps and not certain and not any(one.code in MOVES for one in moves)
     pictures: list[Finding] = []
     with threadpool_limits(1, user_api="blas"):

@@ -6,14 +6,12 @@ that stand in a real run then slide, all of them alike.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from collections.abc import Iterator
 
 import numpy as np
 
 from recon.base.arrays import Array
 from recon.check.codes import finding
-from recon.check.inputs.likelihood import Baseline, best_seen, judged
 from recon.fit import TrajectorySolution
 from recon.fit.finding import Finding
 from recon.fit.motion import Motion
@@ -33,16 +31,9 @@ JOLTS = {"root acceleration": 1.2, "heading": 0.55, "climb": 1.1}
 """Costs in 1/90 s, half squared sigmas, from which a body's path is no animal's; up to 0.5, 0.35 and 0.7 in real views,
 and 0.8 of the first in the drawn film (benchmarks/wrong_inputs.py)."""
 
-UNUSUAL = {"root acceleration": 0.4, "heading": 0.15}
-"""From these a camera that moves is tried; one in eight real views has more."""
-ZOOM, PAN = 1.5, 0.2
-"""What is tried."""
-LIKELIER = 13.0
-"""So much likelier, as a logarithm: up to 8.6 in 26 views of still cameras, above 13 in 17 of 24 that zoom."""
 
-
-def movement(motion: Motion, given: Sequence[Baseline] = ()) -> Iterator[Finding]:
-    """At most one: the clearest. given: its views, each alone."""
+def movement(motion: Motion) -> Iterator[Finding]:
+    """At most one: the clearest."""
     solution, posed = motion.solution, motion.solved
     assert isinstance(solution, TrajectorySolution)
     if posed.sum() < max(LEAST_S * motion.fps, 3):
@@ -62,33 +53,6 @@ def movement(motion: Motion, given: Sequence[Baseline] = ()) -> Iterator[Finding
         worst = max(JOLTS, key=lambda name: costs[name] / JOLTS[name])
         if costs[worst] > JOLTS[worst]:
             yield finding("path_jolts", of=worst, cost=costs[worst])
-        elif any(costs[name] > limit for name, limit in UNUSUAL.items()):
-            yield from _likelier_moving(given)
-
-
-def _likelier_moving(given: Sequence[Baseline]) -> Iterator[Finding]:
-    """A path that is a little odd, where what is expected of motions, not of pictures, is much likelier if the camera
-    zooms by `ZOOM`, or pans by `PAN` of its picture, evenly over the clip."""
-    for one in given:
-        view, part = one.view, best_seen(one.view, one.clip.fps)
-        if view.intrinsics_px is not None or one.found(part) is None:
-            continue
-        matrix, width = view.camera.matrix, view.camera.image_size_px[0]
-        over = np.linspace(0.0, 1.0, len(view.xy_px))[:, None]
-        still = np.array([matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2]])
-        zoom, pan = still * [1, 1, 0, 0] * over, np.array([0, 0, PAN * width, 0]) * (over - 0.5)
-        centre = still * [0, 0, 1, 1]
-        moving = [
-            still + (ZOOM - 1) * zoom,
-            centre + (still - centre) / (1 + (ZOOM - 1) * over),
-            still + pan,
-            still - pan,
-        ]
-        rest = [judged(one.other(replace(view, intrinsics_px=px)).part(part)).rest for px in moving]
-        gain = one.judged(part).rest - min(rest)
-        if gain > LIKELIER:
-            yield finding("path_jolts", camera=view.camera.name, of="motion", log_likelihood_ratio=gain)
-            return
 
 
 def _along(motion: Motion) -> tuple[Array, Array]:
