@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
-from recon.robotics.ik.chain import manipulability, null_basis, planar_chain, summed_chain
+from recon import load_skeleton
+from recon.robotics.ik.animal import body_chain
+from recon.robotics.ik.chain import joint_chain, manipulability, null_basis, planar_chain, summed_chain
 from recon.robotics.ik.costs import (
     harmonic_map,
     joint_differences,
@@ -151,3 +154,18 @@ def test_two_link_on_the_edge():
         assert found.reachable
         assert how in found.reason
         np.testing.assert_allclose(planar_chain((1.0, 0.5)).end(found.branches_rad[0]), target, atol=1e-12)
+
+
+def test_one_configuration_is_as_many_are():
+    """Floats for one, the tree for many: the same place and Jacobian, of chains of every kind of joint."""
+    rng = np.random.default_rng(7)
+    turned = Rotation.random(4, rng=rng)
+    sliding = joint_chain(rng.normal(size=(4, 3)), rng.normal(size=(4, 3)), turned, sliding=[False, True, False, True])
+    animal = body_chain(load_skeleton("cheetah-24"), "l_front_paw")
+    for chain in (planar_chain([0.3, 0.2, 0.1]), summed_chain([0.3, 0.2, 0.1]), sliding, animal):
+        q = 0.7 * rng.normal(size=(5, chain.n))
+        np.testing.assert_allclose([chain.end(one) for one in q], chain.end(q), atol=1e-14)
+        step = 1e-6 * np.eye(chain.n)
+        for one in q:
+            slopes = (chain.end(one + step) - chain.end(one - step)).T / 2e-6
+            np.testing.assert_allclose(chain.jacobian(one), slopes, atol=1e-8)

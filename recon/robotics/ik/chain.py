@@ -103,6 +103,8 @@ class SerialChain:
 
     def end(self, q: Array) -> Array:
         """The end effector (..., dim), metres."""
+        if q.ndim == 1:
+            return self.base @ self._moved(q)[0]
         return (self.tree.pose(self._states(q)).points_m[:, 0] @ self.base.T).reshape(*q.shape[:-1], self.dim)
 
     def pose(self, q: Array) -> tuple[Array, Array]:
@@ -112,14 +114,17 @@ class SerialChain:
     # -- how it moves, for q (n,) ------------------------------------------------------------------------------------
 
     def derivatives(self, q: Array) -> tuple[Array, Curvature]:
-        """The end effector's Jacobian (dim, n) and its curvature, for both of which the chain is gone through once."""
-        jacobian, _, curvature = self.tree.derivatives(self._states(q)[0])
+        """The end effector's Jacobian (dim, n), and its curvature, which is worked out where it is asked for."""
         pick = np.ix_(self.columns - 3, self.columns - 3)
-        return self.base @ jacobian[0].take(self.columns, axis=1), lambda mu: curvature(mu[None] @ self.base)[pick]
+
+        def curvature(mu: Array) -> Array:
+            return self.tree.derivatives(self._states(q)[0])[2](mu[None] @ self.base)[pick]
+
+        return self.jacobian(q), curvature
 
     def jacobian(self, q: Array) -> Array:
         """(dim, n) of the end effector."""
-        return self.derivatives(q)[0]
+        return self.base @ self._moved(q)[1]
 
     def hessian(self, q: Array) -> Array:
         """(dim, n, n)"""
@@ -140,6 +145,60 @@ class SerialChain:
         states = np.zeros((q.size // self.n, self.tree.n_state))
         states[:, self.columns] = q.reshape(-1, self.n)
         return states
+
+    # -- one configuration, in floats: numpy takes as long for one of so few numbers as all of this does -----------
+
+    @cached_property
+    def _steps(self) -> list[tuple[str, tuple[float, ...], tuple[tuple[float, ...], ...] | None, list[int]]]:
+        """Of each segment its joint, offset and rotation, and which of the joints turn it about z, y, x; -1: none."""
+        joint_of = {int(column): j for j, column in enumerate(self.columns)}
+        steps, column = [], 3
+        for segment in self.tree.segments:
+            turning = [joint_of.get(k, -1) for k in range(column, column + len(AXES[segment.joint]))]
+            column += len(turning)
+            steps.append((segment.joint, segment.offset_m, segment.rotation, turning))
+        return steps
+
+    def _moved(self, q: Array) -> tuple[Array, Array]:
+        """The end effector (3,) and its Jacobian (3, n) for q (n,), in the axes of the tree's world."""
+        angles = [*q.tolist(), 0.0]
+        place, x, y, z = (0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
+        moving = []  # (joint, whether it turns, axis, place of a joint that turns)
+        links = []  # of summed joints: (of theta, of phi, own axis of theta, place)
+        theta = phi = 0.0
+        for joint, offset, rotation, turning in self._steps:
+            place = _combined(place, offset, x, y, z)
+            if joint == "summed":
+                phi, theta = phi + angles[turning[0]], theta + angles[turning[1]]
+                c, s, ct, st = math.cos(phi), math.sin(phi), math.cos(theta), math.sin(theta)
+                x, y, z = (c * ct, s * ct, -st), (-s, c, 0.0), (c * st, s * st, ct)
+                links.append((turning[1], turning[0], y, place))
+                continue
+            if rotation is not None:
+                x, y, z = (_combined((0.0, 0.0, 0.0), column, x, y, z) for column in zip(*rotation, strict=True))
+            for axis, j in zip(AXES[joint], turning, strict=True):
+                if axis == "s":
+                    place = _combined(place, (0.0, 0.0, angles[j]), x, y, z)
+                    moving.append((j, False, z, place))
+                    continue
+                c, s = math.cos(angles[j]), math.sin(angles[j])
+                moving.append((j, True, {"x": x, "y": y, "z": z}[axis], place))
+                if axis == "z":
+                    x, y = _mixed(x, y, c, s), _mixed(y, x, c, -s)
+                elif axis == "y":
+                    z, x = _mixed(z, x, c, s), _mixed(x, z, c, -s)
+                else:
+                    y, z = _mixed(y, z, c, s), _mixed(z, y, c, -s)
+        end = _combined(place, self.tree.markers[0].offset_m, x, y, z)
+        columns = [(0.0, 0.0, 0.0)] * (self.n + 1)
+        for j, turns, axis, at in moving:
+            columns[j] = _cross(axis, _less(end, at)) if turns else axis
+        swept, tip = (0.0, 0.0, 0.0), end
+        for of_theta, of_phi, axis, at in reversed(links):
+            along = _cross(axis, _less(tip, at))  # theta turns each later link about that link's own axis
+            swept, tip = (swept[0] + along[0], swept[1] + along[1], swept[2] + along[2]), at
+            columns[of_theta], columns[of_phi] = swept, (at[1] - end[1], end[0] - at[0], 0.0)
+        return np.array(end), np.array(columns[: self.n]).T
 
     # -- how long it is ----------------------------------------------------------------------------------------------
 
@@ -188,6 +247,32 @@ class SerialChain:
         shortest, longest = np.array(hops).T
         others = [longest[np.arange(len(hops)) != k].sum() for k in range(len(hops))]
         return max(0.0, float((shortest - others).max())), float(longest.sum())
+
+
+_Vector = tuple[float, float, float]
+
+
+def _combined(start: _Vector, of: tuple[float, ...], x: _Vector, y: _Vector, z: _Vector) -> _Vector:
+    """start + of[0] x + of[1] y + of[2] z."""
+    a, b, c = of
+    return (
+        start[0] + a * x[0] + b * y[0] + c * z[0],
+        start[1] + a * x[1] + b * y[1] + c * z[1],
+        start[2] + a * x[2] + b * y[2] + c * z[2],
+    )
+
+
+def _mixed(u: _Vector, v: _Vector, c: float, s: float) -> _Vector:
+    """c u + s v."""
+    return c * u[0] + s * v[0], c * u[1] + s * v[1], c * u[2] + s * v[2]
+
+
+def _less(u: _Vector, v: _Vector) -> _Vector:
+    return u[0] - v[0], u[1] - v[1], u[2] - v[2]
+
+
+def _cross(u: _Vector, v: _Vector) -> _Vector:
+    return u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]
 
 
 # -- chains that are made --------------------------------------------------------------------------------------------
