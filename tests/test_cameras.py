@@ -172,6 +172,19 @@ def test_a_copied_entry_of_a_calibration_is_named(folder, tmp_path):
     assert "camera cam2: found the pose of cam1, to the last digit, expected its own" in problems(error)
 
 
+def test_an_animal_of_a_tenth_of_the_skeleton_before_a_rig_of_a_tenth(folder, tmp_path):
+    """The pictures are the same, and so is the motion, in metres a tenth."""
+    cameras = [replace(one, translation_m=0.1 * one.translation_m) for one in read_cameras(folder / "scene.json")]
+    write_cameras(cameras, tmp_path / "small.toml")
+    more = {"frames": "10:30", "prior": "none", "ground": "none"}
+    large = fit_clip(settings(folder, 1, 2, **more))
+    small = fit_clip(settings(folder, 1, 2, camera=tmp_path / "small.toml", size=0.1, **more))
+    assert small.size == pytest.approx(large.size, abs=0.02)
+    assert small.body.keypoint_sigma_m == pytest.approx(0.1 * large.body.keypoint_sigma_m)
+    off_m = np.linalg.norm(10 * small.joints_m - large.joints_m, axis=-1)
+    assert np.nanmedian(off_m) < 0.02
+
+
 def test_what_is_wrong_is_said(folder, tmp_path):
     with pytest.raises(InputError) as error:
         settings(folder, 1, 2, camera_name=["cam1"], offset_s=[0.0, 0.1, 0.2])

@@ -153,6 +153,24 @@ class Body:
     subject: str | None = None
     """The measured animal whose lengths these are, as it was named; None: those of the skeleton."""
 
+    def scaled(self, size: float) -> Body:
+        """Of an animal with the same proportions that is so many times as large."""
+
+        def times(lengths_m: dict[str, float]) -> dict[str, float]:
+            return {name: size * length_m for name, length_m in lengths_m.items()}
+
+        return replace(
+            self,
+            title=f"{self.title}, {size:g} times as large",
+            tree=self.tree.scaled(size),
+            keypoint_sigma_m=size * self.keypoint_sigma_m,
+            keypoint_offset_m={
+                name: (size * x, size * y, size * z) for name, (x, y, z) in self.keypoint_offset_m.items()
+            },
+            keypoint_spread_m=times(self.keypoint_spread_m),
+            keypoint_noise_m=times(self.keypoint_noise_m),
+        )
+
     @cached_property
     def detected(self) -> Tree:
         """The tree with its markers where a detector sees them."""

@@ -27,7 +27,7 @@ the inner moves: the second derivative is the outer's axis x the derivative by t
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
 from typing import Literal
@@ -151,6 +151,18 @@ class Tree:
 
     segments: tuple[Segment, ...]
     markers: tuple[Marker, ...]
+
+    def scaled(self, size: float) -> Tree:
+        """With all lengths times a factor."""
+
+        def longer(offset_m: tuple[float, float, float]) -> tuple[float, float, float]:
+            x, y, z = offset_m
+            return size * x, size * y, size * z
+
+        return Tree(
+            tuple(replace(s, offset_m=longer(s.offset_m)) for s in self.segments),
+            tuple(replace(m, offset_m=longer(m.offset_m)) for m in self.markers),
+        )
 
     @cached_property
     def state_names(self) -> tuple[str, ...]:

@@ -352,6 +352,7 @@ def _model(settings: FitSettings) -> Model:
     if settings.method in METHODS:
         return Model(import_module(METHODS[settings.method]).load_body(settings))
     body = seen_by(load_skeleton(settings.skeleton_name, settings.subject), settings.detector)
+    body = body if settings.size is None else body.scaled(settings.size)
     prior, _ = all_of(lambda: load_prior(settings.prior, body), lambda: _require_no_side(settings, body))
     return Model(body, prior)
 

@@ -283,6 +283,15 @@ class FitSettings(Settings):
             method="trajectory",
         ),
     ] = "auto"
+    size: Annotated[
+        Positive | None,
+        Option(
+            "How many times as large as the skeleton the animal is, as in 0.1: a factor on all its lengths.",
+            "a factor above 0, as in 0.1",
+            common=False,
+            method="trajectory",
+        ),
+    ] = None
     size_sigma: Annotated[
         Positive | None,
         Option(

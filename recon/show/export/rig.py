@@ -14,7 +14,7 @@ from recon.animal.capsules import capsules
 from recon.base.arrays import Array, Index
 from recon.base.errors import InputError, Problem
 from recon.fit.motion import Motion
-from recon.geometry.kinematics import ANGLE_OF_AXIS, AXES, ROOT, Tree
+from recon.geometry.kinematics import ANGLE_OF_AXIS, AXES, ROOT
 from recon.io.bones import Armature, Bone, BoneAngle
 from recon.io.common import frames_text, require_span
 from recon.io.pose import Pose3D, y_up_from_z_up
@@ -52,7 +52,7 @@ def rig_of(motion: Motion, fps: float | None = None) -> Armature:
 
 def make_rig(body: Body, size: float, names: tuple[str, ...], frames: Index, states: Array, fps: float) -> Armature:
     """Of states (N, D) in these frames (N,), and between them. names: of the J joints."""
-    tree = _scaled(body.tree, size)
+    tree = body.tree.scaled(size)
     frames, states = _without_gaps(frames, states)
     at = {segment.name: i for i, segment in enumerate(tree.segments)}
     bones = tuple(
@@ -76,17 +76,6 @@ def make_rig(body: Body, size: float, names: tuple[str, ...], frames: Index, sta
         pose=Pose3D(names, tree.pose(states).points_m, frames, fps=fps),
         fps=fps,
         notes=(),
-    )
-
-
-def _scaled(tree: Tree, size: float) -> Tree:
-    def longer(offset_m: tuple[float, float, float]) -> tuple[float, float, float]:
-        x, y, z = offset_m
-        return size * x, size * y, size * z
-
-    return Tree(
-        tuple(replace(s, offset_m=longer(s.offset_m)) for s in tree.segments),
-        tuple(replace(m, offset_m=longer(m.offset_m)) for m in tree.markers),
     )
 
 
