@@ -14,7 +14,7 @@ from recon.clip import Source, View, together
 from recon.clip.keypoints import Keypoints, clean
 from recon.fit import solve_trajectory
 from recon.geometry.camera import Camera
-from recon.io import read_cameras, write_cameras
+from recon.io import read_cameras, read_keypoints, write_cameras
 from recon.io.deeplabcut import write_csv
 from recon.workflows.cameras import cameras_in
 from recon.workflows.clip import prepare
@@ -403,3 +403,14 @@ def test_one_camera_has_no_place_beside_others(folder, tmp_path):
         "run_cam1.csv: cameras: found cam1, expected two or more, each once",
         f"--out: file: found '{tmp_path / 'found.csv'}', expected a file name that ends in .toml",
     ]
+
+
+def test_an_animal_that_stays_does_not_tell_where_cameras_stand(folder, tmp_path):
+    for number in (1, 2):
+        moving = read_keypoints(folder / f"run_cam{number}.csv")
+        stays = moving.xy_px - np.nanmean(moving.xy_px, axis=1, keepdims=True) + (960.0, 540.0)
+        write_csv(replace(moving, xy_px=stays), tmp_path / f"run_cam{number}.csv")
+    clip = settings(tmp_path, 1, 2, camera=folder / "scene.json")
+    with pytest.raises(InputError, match="expected clips in which it moves by its own length or more"):
+        run_extrinsics([clip], tmp_path / "found.toml")
+    assert not (tmp_path / "found.toml").exists()

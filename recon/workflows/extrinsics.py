@@ -28,6 +28,8 @@ from recon.workflows.settings import FitSettings, read_settings
 
 DISAGREEMENT = 16.0
 """Squared deviations, of 6 unknowns, from which on a camera that stood still is unlikely (1 in 70)."""
+LEAST_MOVED = 0.5
+"""Of an animal's length in the picture: on its feet it swings by less."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,6 +132,8 @@ def run_extrinsics(
             cameras = [replace(camera, tilt_rad=tilt_rad) for camera in cameras]
         poses = [rigid(level_from_camera(camera.up).T, np.zeros(3)) for camera in cameras]
     in_step = [_in_step(*of) for of in zip(clips, given, strict=True)]
+    if not posed:
+        _require_motion(in_step)
     settings = [_setting(*of, cameras, poses) for of in zip(clips, given, in_step, strict=True)]
     try:
         rig = solve_extrinsics(settings, posed, LEVEL_RAD if level_rad is None else level_rad, progress)
@@ -153,6 +157,28 @@ def run_extrinsics(
     return ExtrinsicsRun(
         found, rig.sigma, high_sigma, rig.converged, tuple(clips), rig.disagreement, tuple(offsets_s), out
     )
+
+
+def _require_motion(clips: Sequence[Sequence[Source]]) -> None:
+    """Raises InputError for an animal that stays where it is in all pictures of all clips: where cameras stand beside
+    each other is told by where it goes."""
+    moved = max(_lengths_moved(source.keypoints.xy_px) for sources in clips for source in sources)
+    if moved < LEAST_MOVED:
+        found = f"an animal that moves by {moved:.1f} of its length in the pictures"
+        expected = "clips in which it moves by its own length or more: one that stays cannot tell where cameras stand"
+        raise InputError(Problem("KEYPOINTS", "motion", found, expected))
+
+
+def _lengths_moved(xy_px: Array) -> float:
+    """How far the keypoints (T, K, 2) go through the picture, of the animal's extent in it; 0 where nothing tells."""
+
+    known = np.isfinite(xy_px[..., 0])
+    xy_px = xy_px[known.any(axis=1)][:, known.any(axis=0)]
+    if not xy_px.size:
+        return 0.0
+    path, length = (np.diff(np.nanpercentile(xy_px, (5, 95), axis=axis), axis=0)[0] for axis in (0, 1))
+    path_px, length_px = (float(np.median(np.linalg.norm(extent, axis=-1))) for extent in (path, length))
+    return path_px / max(length_px, 1.0)
 
 
 def _in_step(clip: FitSettings, given: Sequence[Prepared]) -> tuple[Source, ...]:
