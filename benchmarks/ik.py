@@ -1,6 +1,6 @@
 """Inverse kinematics: time per step, success rates, iterations and closures, and strides of a folder of real runs.
 
-    python benchmarks/ik.py [FOLDER] [--only steps targets circle strides fits held-out]
+    python benchmarks/ik.py [FOLDER] [--only steps targets alphas circle strides fits held-out]
 
 Joints of `cheetah-8u`'s spine and front leg in their level base frame, and of `cheetah-24`'s left front leg. One core,
 warm. Tables in Markdown, as in docs/ik.md. The last three need real runs: each is a folder with truth.csv and meta.json
@@ -23,7 +23,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import time
 
 import numpy as np
-from markdown_table import print_table
+from markdown_table import print_header, print_row, print_table
 from recordings import recordings
 from scipy.interpolate import CubicSpline
 
@@ -54,6 +54,7 @@ from recon.robotics.ik.methods import (
     JacobianTranspose,
     LeastNorm,
     Method,
+    Scaled,
     SelectivelyDamped,
     damped_least_squares,
     weighted_least_norm,
@@ -64,6 +65,8 @@ from recon.thesis import solve_joints
 
 Array = np.ndarray
 
+ALPHAS = (0.1, 0.3, 0.5, 0.8, 1.0, 1.3, 1.6, 1.9, 2.1, 2.3)
+ALPHA_TASKS = 10
 TASKS, SEED = 50, 0
 STEPS, WARM = 4000, 500
 TURNS, POINTS, RADIUS_M = 10, 400, 0.1
@@ -162,6 +165,23 @@ def print_targets() -> None:
         context = ["published, another target"] if free.dim == 2 else []
         measures = ["path, m", "roughness, rad2", "reached within limits"]
         print_table(["method", "reached", "iterations, median (max)", *context, *measures], rows)
+
+
+def print_alphas() -> None:
+    """One factor on the rates of every method: from steps that are too short to some that go beyond their points."""
+    chain = next(iter(chains(False).values()))
+    some = tasks(next(iter(chains(True).values())))[:ALPHA_TASKS]
+    print(f"\nIterations to {ALPHA_TASKS} targets in the plane by alpha, median; in brackets how many were reached:\n")
+    print_header(["method", *(f"{alpha:g}" for alpha in ALPHAS)])
+    for name, method in methods(chain).items():
+        cells = []
+        for alpha in ALPHAS:
+            drives = [drive_to(chain, q, x, Scaled(method, alpha)) for q, x in some]
+            steps = [drive.iterations for drive in drives if drive.reached]
+            all_of_them = len(steps) == len(drives)
+            cells.append((f"{np.median(steps):.0f}" if steps else "") + ("" if all_of_them else f" ({len(steps)})"))
+        print_row([name, *cells])
+    print(flush=True)
 
 
 # -- closed paths ----------------------------------------------------------------------------------------------------
@@ -444,7 +464,7 @@ def held_out_row(
 
 def main() -> None:
     default = recordings("cheetah-runs")
-    tables = {"steps": print_steps, "targets": print_targets, "circle": print_circle}
+    tables = {"steps": print_steps, "targets": print_targets, "alphas": print_alphas, "circle": print_circle}
     real = {"strides": print_strides, "fits": print_fits, "held-out": print_held_out}
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path, nargs="?", default=default)

@@ -7,8 +7,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from recon import load_skeleton
+from recon.animal.skeleton_file import load_chain
 from recon.robotics.ik.animal import body_chain
-from recon.robotics.ik.chain import joint_chain, manipulability, null_basis, planar_chain, summed_chain
+from recon.robotics.ik.chain import joint_chain, manipulability, mobility, null_basis, planar_chain, summed_chain
 from recon.robotics.ik.costs import (
     harmonic_map,
     joint_differences,
@@ -169,3 +170,13 @@ def test_one_configuration_is_as_many_are():
         for one in q:
             slopes = (chain.end(one + step) - chain.end(one - step)).T / 2e-6
             np.testing.assert_allclose(chain.jacobian(one), slopes, atol=1e-8)
+
+
+def test_mobility_by_gruebler():
+    """The 8U chain: eight links and the ground, the first link free in space, seven universal joints."""
+    skeleton = load_chain("cheetah-8u")
+    joints = [2 for link in skeleton.links if link.free] + [6]
+    assert mobility(len(skeleton.links) + 1, joints) == 20 == skeleton.n_state - 1
+    assert mobility(4, [1, 1, 1, 1], of_a_body=3) == 1  # the four-bar linkage
+    assert mobility(7, [1] * 6) == 6  # an arm of six hinges
+    assert mobility(14, [2] * 6 + [1] * 6 + [3] * 6) == 6  # Stewart's platform, with universal and ball joints

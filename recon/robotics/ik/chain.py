@@ -13,7 +13,7 @@ before it, which turn about their axes or slide along them: tables of Denavit an
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Literal
@@ -276,6 +276,15 @@ def _cross(u: _Vector, v: _Vector) -> _Vector:
 
 
 # -- chains that are made --------------------------------------------------------------------------------------------
+
+
+def mobility(bodies: int, freedoms: Sequence[int], of_a_body: Literal[3, 6] = 6) -> int:
+    """Grübler's count of what a mechanism is free to do: b (bodies - 1 - joints) + the joints' freedoms.
+
+    bodies: with the ground; freedoms: of every joint, of a hinge 1, of a universal joint 2, of a free body 6;
+    of_a_body: b, 6 in space, 3 in a plane. It takes constraints for independent of each other.
+    """
+    return of_a_body * (bodies - 1 - len(freedoms)) + sum(freedoms)
 
 
 def planar_chain(
