@@ -80,7 +80,7 @@ class Given:
         keypoints = replace(self.keypoints, xy_px=xy_px, confidence=confidence, frames=frames)
         return replace(self, keypoints=keypoints, **more)
 
-    def moved(self, R: np.ndarray | None = None, t: Sequence[float] = (0, 0, 0)) -> Given:
+    def moved(self, R: np.ndarray | None = None, t: Sequence[float] | np.ndarray = (0, 0, 0)) -> Given:
         """In another world."""
         R, t_m = np.eye(3) if R is None else R, np.asarray(t, dtype=float)
         assert self.camera.rotation is not None
@@ -492,7 +492,7 @@ def horse_as_cheetah() -> str:
         rename = Path(folder) / "names.csv"
         rename.write_text("old,new\n" + "".join(f"{old},{new}\n" for old, new in names.items()))
         camera = {"hfov_deg": 50.0, "image_size_px": (288, 162)}
-        motion = fit_clip(FitSettings(keypoints=(labels,), rename=rename, fps=24.0, **camera))
+        motion = fit_clip(FitSettings(keypoints=(labels,), rename=str(rename), fps=24.0, **camera))
     assert motion.verdict is not None
     return f"{motion.verdict.level}, " + ", ".join(one.code for one in motion.findings if one.severity != "note")
 
