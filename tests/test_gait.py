@@ -28,6 +28,7 @@ from recon.gait.gait import (
     stances,
     strides,
     tracks,
+    undisputed,
 )
 from recon.io.pose3d import Pose3D, read_pose3d
 
@@ -399,3 +400,12 @@ def test_the_methods_agree_on_real_runs(shared_data: Path):
         total += sum(s.end_frame <= last for s in (*match.only_first, *match.only_second))
     assert total >= 10
     assert pairs >= 0.9 * total
+
+
+def test_no_name_where_the_methods_contradict_each_other():
+    gallop, walk = (pose_gait(runner(*PATTERNS[name]), FPS) for name in ("rotary gallop", "walk"))
+    assert undisputed({"ground": gallop, "body": gallop})["ground"].name == gallop.name
+    found = undisputed({"ground": gallop, "body": walk})
+    assert [gait.name.name for gait in found.values()] == ["unknown", "unknown"]
+    assert found["ground"].name.criterion.endswith("rotary gallop by these stances, but the stances by body say walk")
+    assert found["body"].name.criterion.endswith("walk by these stances, but the stances by ground say rotary gallop")

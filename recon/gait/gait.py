@@ -40,7 +40,7 @@ not return, in a motion that changes, the other method decides; where nothing ca
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from types import MappingProxyType
 from typing import Literal
@@ -90,6 +90,9 @@ ALTERNATE = 0.4
 """They alternate if at least this lies between (0.5 is exact): a symmetrical gait."""
 IN_PHASE = 0.125
 """Trot and pace: how far the fore foot may be from its diagonal or same-sided hind foot (Hildebrand's eighths)."""
+
+SYMMETRICAL = ("walk", "trot", "pace")
+"""Gaits whose feet of a pair land half a stride apart."""
 
 
 @dataclass(frozen=True)
@@ -502,10 +505,25 @@ def gaits(moved: Tracks) -> dict[Method, Gait]:
     methods: tuple[Method, ...] = ("ground", "body")
     found = {method: stances(moved, method) for method in methods}
     complete = {method: strides(moved, found[method]) for method in methods}
-    return {
-        method: _gait(moved, method, found[method], *checked(moved, complete[method], complete[_OTHER[method]]))
-        for method in methods
-    }
+    return undisputed(
+        {
+            method: _gait(moved, method, found[method], *checked(moved, complete[method], complete[_OTHER[method]]))
+            for method in methods
+        }
+    )
+
+
+def undisputed(found: dict[Method, Gait]) -> dict[Method, Gait]:
+    """The gaits by both methods, without names where one method's is symmetrical and the other's is not: the times of
+    their touch-downs contradict each other."""
+    if len({gait.name.name in SYMMETRICAL for gait in found.values() if gait.name.name != "unknown"}) < 2:
+        return found
+    open_ = {}
+    for method, gait in found.items():
+        other = f"the stances by {_OTHER[method]} say {found[_OTHER[method]].name.name}"
+        criterion = f"{gait.name.criterion}: {gait.name.name} by these stances, but {other}"
+        open_[method] = replace(gait, name=replace(gait.name, name="unknown", criterion=criterion))
+    return open_
 
 
 def _gait(
