@@ -15,7 +15,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from typing import Literal
 
 import numpy as np
@@ -104,7 +104,7 @@ class SerialChain:
     def end(self, q: Array) -> Array:
         """The end effector (..., dim), metres."""
         if q.ndim == 1:
-            return self.base @ self._moved(q)[0]
+            return self._moved(q)[0]
         return (self.tree.pose(self._states(q)).points_m[:, 0] @ self.base.T).reshape(*q.shape[:-1], self.dim)
 
     def pose(self, q: Array) -> tuple[Array, Array]:
@@ -116,15 +116,16 @@ class SerialChain:
     def derivatives(self, q: Array) -> tuple[Array, Curvature]:
         """The end effector's Jacobian (dim, n), and its curvature, which is worked out where it is asked for."""
         pick = np.ix_(self.columns - 3, self.columns - 3)
+        of_tree = cache(lambda: self.tree.derivatives(self._states(q)[0])[2])
 
         def curvature(mu: Array) -> Array:
-            return self.tree.derivatives(self._states(q)[0])[2](mu[None] @ self.base)[pick]
+            return of_tree()(mu[None] @ self.base)[pick]
 
         return self.jacobian(q), curvature
 
     def jacobian(self, q: Array) -> Array:
         """(dim, n) of the end effector."""
-        return self.base @ self._moved(q)[1]
+        return self._moved(q)[1]
 
     def hessian(self, q: Array) -> Array:
         """(dim, n, n)"""
@@ -160,7 +161,7 @@ class SerialChain:
         return steps
 
     def _moved(self, q: Array) -> tuple[Array, Array]:
-        """The end effector (3,) and its Jacobian (3, n) for q (n,), in the axes of the tree's world."""
+        """The end effector (dim,) and its Jacobian (dim, n) for q (n,)."""
         angles = [*q.tolist(), 0.0]
         place, x, y, z = (0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
         moving = []  # (joint, whether it turns, axis, place of a joint that turns)
@@ -198,7 +199,7 @@ class SerialChain:
             along = _cross(axis, _less(tip, at))  # theta turns each later link about that link's own axis
             swept, tip = (swept[0] + along[0], swept[1] + along[1], swept[2] + along[2]), at
             columns[of_theta], columns[of_phi] = swept, (at[1] - end[1], end[0] - at[0], 0.0)
-        return np.array(end), np.array(columns[: self.n]).T
+        return self.base @ end, self.base @ np.array(columns[: self.n]).T
 
     # -- how long it is ----------------------------------------------------------------------------------------------
 
