@@ -225,7 +225,7 @@ def worst_m(found: Joints, names: tuple[str, ...], xyz_m: Array) -> float:
 def main() -> None:
     from recon import FitSettings
     from recon.fit.motion import Motion
-    from recon.workflows.clip import run_clip
+    from recon.workflows.clip_results import run_clip
     from recon.workflows.convert import ConvertSettings, convert
 
     samples = Path(__file__).resolve().parents[1] / "data" / "samples"

@@ -28,7 +28,7 @@ from recon.gait.clip import analyse
 from recon.gait.gait import FEET, gait, match_stances, pose_tracks, stances
 from recon.gait.kinematics import joint_kinematics, spine_flexion
 from recon.gait.phase import field_means, pose_vector_field
-from recon.workflows.clip import run_clip
+from recon.workflows.clip_results import run_clip
 
 SAMPLES = Path(__file__).resolve().parents[1] / "data" / "samples"
 REFERENCE = "spine"

@@ -17,7 +17,7 @@ from recon.keypoint_net.evaluate2d import Evaluation2D, evaluate_2d
 from recon.keypoint_net.labels import body_length_px, read_label_file
 from recon.keypoint_net.run import TrainSettings
 from recon.keypoint_net.workflows import LabelSource, run_prediction, run_training
-from recon.workflows.clip import run_clip
+from recon.workflows.clip_results import run_clip
 from recon.workflows.demo import samples_folder
 from recon.workflows.settings import FitSettings
 

@@ -26,7 +26,7 @@ from recon.robotics.robot.playback import write_robot
 from recon.robotics.robot.reference import reference_of
 from recon.robotics.robot.retarget_clip import RetargetRun, companion, solve
 from recon.robotics.robot.robot_file import builtin_robots, load_robot
-from recon.workflows.clip import run_clip
+from recon.workflows.clip_results import run_clip
 
 ROOT = Path(__file__).resolve().parents[1]
 COLUMNS = (

@@ -18,7 +18,7 @@ from recon import FitSettings, Motion, samples_folder
 from recon.io.video import read_frames, video_writer
 from recon.workflows.analyse import AnalyseSettings, run_analyse
 from recon.workflows.camera_advice import CameraAdviceSettings, run_camera_advice
-from recon.workflows.clip import run_clip
+from recon.workflows.clip_results import run_clip
 from recon.workflows.overlay import OverlaySettings, run_overlay, run_sheet
 from recon.workflows.skeleton_check import SkeletonCheckSettings, run_skeleton_check
 

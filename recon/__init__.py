@@ -24,7 +24,8 @@ if TYPE_CHECKING:
     from recon.keypoint_net.workflows import LabelSource, run_prediction, run_training
     from recon.workflows.batch import find_clips, plan_batch, run_batch
     from recon.workflows.calibrate import CalibrationSettings, run_calibration
-    from recon.workflows.clip import fit_clip, write_clip
+    from recon.workflows.clip import fit_clip
+    from recon.workflows.clip_results import write_clip
     from recon.workflows.demo import samples_folder
     from recon.workflows.prior import PriorFitSettings, run_prior_fit
     from recon.workflows.settings import FitSettings, read_settings
@@ -82,7 +83,8 @@ _NAMES_OF = {
     "recon.fit.motion": ("Motion",),
     "recon.workflows.batch": ("find_clips", "plan_batch", "run_batch"),
     "recon.workflows.calibrate": ("CalibrationSettings", "run_calibration"),
-    "recon.workflows.clip": ("fit_clip", "write_clip"),
+    "recon.workflows.clip": ("fit_clip",),
+    "recon.workflows.clip_results": ("write_clip",),
     "recon.workflows.demo": ("samples_folder",),
     "recon.keypoint_net.workflows": ("LabelSource", "run_prediction", "run_training"),
     "recon.workflows.prior": ("PriorFitSettings", "run_prior_fit"),

@@ -31,7 +31,7 @@ from recon.show.plots import style
 from recon.thesis import FrameOptions, solve_frames
 from recon.thesis.starts import mean_pose
 from recon.workflows import analyse
-from recon.workflows.clip import run_clip
+from recon.workflows.clip_results import run_clip
 from recon.workflows.settings import FitSettings
 
 if TYPE_CHECKING:

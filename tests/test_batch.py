@@ -44,7 +44,8 @@ from recon.workflows.batch import (
 from recon.workflows.batch.record import RECORD, note_end, note_start, read_record
 from recon.workflows.batch.summary import _meant
 from recon.workflows.cli import main
-from recon.workflows.clip import fit_clip, run_clip
+from recon.workflows.clip import fit_clip
+from recon.workflows.clip_results import run_clip
 from recon.workflows.settings import FitSettings
 
 SAMPLES = Path(__file__).parents[1] / "data" / "samples"

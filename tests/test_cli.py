@@ -29,7 +29,7 @@ from recon.gait.evaluation import evaluate_files
 from recon.io import read_keypoints
 from recon.show.view.added import AddedSeries, write_plots
 from recon.workflows.cli.common import error_text, say, table_of, terminal
-from recon.workflows.clip import OUTPUT_FILES
+from recon.workflows.clip_results import OUTPUT_FILES
 from recon.workflows.settings import FitSettings, read_settings
 
 SAMPLES = Path(__file__).parents[1] / "data" / "samples"

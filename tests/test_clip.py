@@ -16,7 +16,8 @@ from recon.io import read_keypoints
 from recon.io.calibration import read_camera
 from recon.io.deeplabcut import write_csv
 from recon.thesis import FrameOptions, solve_frames
-from recon.workflows.clip import OUTPUT_FILES, fit_clip, prepare, run_clip, write_clip
+from recon.workflows.clip import fit_clip, prepare
+from recon.workflows.clip_results import OUTPUT_FILES, run_clip, write_clip
 from recon.workflows.demo import samples_folder
 from recon.workflows.settings import FitSettings
 

@@ -495,7 +495,7 @@ def test_columns_by_a_map(tmp_path):
 
 @pytest.fixture(scope="module")
 def results(small_trajectory, tmp_path_factory) -> Path:
-    from recon.workflows.clip import write_clip
+    from recon.workflows.clip_results import write_clip
     from recon.workflows.settings import FitSettings
 
     folder = tmp_path_factory.mktemp("results")

@@ -22,7 +22,7 @@ from recon.io import CONVERTED, FORMATS, Format
 from recon.io.pose import Pose3D
 from recon.io.video import video_writer
 from recon.show.export.rig import make_rig
-from recon.workflows.clip import write_clip
+from recon.workflows.clip_results import write_clip
 from recon.workflows.settings import FitSettings
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="limits are of POSIX")

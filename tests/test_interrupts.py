@@ -32,9 +32,9 @@ def run_clip(*args):
     finally:
         print("cleaned up", flush=True)
 
-pipeline = types.ModuleType("recon.workflows.clip")
-pipeline.run_clip, pipeline.keypoint_problems = run_clip, None
-sys.modules["recon.workflows.clip"] = pipeline
+clip, results = types.ModuleType("recon.workflows.clip"), types.ModuleType("recon.workflows.clip_results")
+clip.keypoint_problems, results.run_clip = None, run_clip
+sys.modules |= {module.__name__: module for module in (clip, results)}
 sys.modules["pandas"] = types.ModuleType("pandas")
 """
 IN_A_LIBRARY = "hashlib.pbkdf2_hmac('sha256', b'', b'', 10**9)"
@@ -72,7 +72,7 @@ def test_a_command_called_from_python_ends_with_one_line(monkeypatch):
     def interrupted(*args: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("recon.workflows.clip.run_clip", interrupted)
+    monkeypatch.setattr("recon.workflows.clip_results.run_clip", interrupted)
     assert run(*FIT) == Ended(130, "", f"{MESSAGE}\n")
 
 

@@ -30,7 +30,7 @@ from recon.show.overlay import (
     smoothed_headings,
 )
 from recon.workflows.cli import app
-from recon.workflows.clip import write_clip
+from recon.workflows.clip_results import write_clip
 from recon.workflows.overlay import OverlaySettings, camera_number, overlay_of, run_overlay
 from recon.workflows.settings import FitSettings
 

@@ -29,7 +29,7 @@ from recon.show.plots.style import drawing
 from recon.show.report import build_report
 from recon.workflows.batch import COLUMNS
 from recon.workflows.batch.summary import write_summary_page
-from recon.workflows.clip import write_clip
+from recon.workflows.clip_results import write_clip
 from recon.workflows.page import PageSettings, run_page
 from recon.workflows.settings import FitSettings
 

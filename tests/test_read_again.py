@@ -19,7 +19,7 @@ from recon.io import CONVERTED, read_points, write_camera
 from recon.io.camera_files import write_cameras
 from recon.io.deeplabcut import write_csv
 from recon.workflows import analyse as analysis
-from recon.workflows.clip import run_clip
+from recon.workflows.clip_results import run_clip
 from recon.workflows.convert import ConvertSettings, convert
 from recon.workflows.page import PageSettings, run_page
 from tests.test_camera_track import write_track

@@ -377,7 +377,7 @@ def test_every_problem_at_once(tmp_path):
 
 def test_a_real_run(shared_data, tmp_path):
     """A clip without a complete stride: nearest return, said so."""
-    from recon.workflows.clip import run_clip
+    from recon.workflows.clip_results import run_clip
     from recon.workflows.settings import FitSettings
 
     run_folder = shared_data / "cheetah-runs" / "2017_09_02-top-phantom-run1_2"

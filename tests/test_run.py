@@ -16,7 +16,7 @@ from command_line import carry_out_here, run
 from recon.base.errors import InputError
 from recon.base.files import staged_results
 from recon.io.video import video_writer
-from recon.workflows.clip import output_files, write_clip
+from recon.workflows.clip_results import output_files, write_clip
 from recon.workflows.run import Job, job_of, run_video
 from recon.workflows.run_folder import jobs_of, keypoints_of, run_folder
 from recon.workflows.settings import FitSettings

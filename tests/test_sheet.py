@@ -13,7 +13,7 @@ from recon.base.errors import InputError
 from recon.fit.motion import Motion
 from recon.io.video import video_writer
 from recon.show.overlay import DETECTION, LEFT, PAPER, TILE_PX, draw_sheet
-from recon.workflows.clip import write_clip
+from recon.workflows.clip_results import write_clip
 from recon.workflows.overlay import OverlaySettings, overlay_of, run_sheet
 from recon.workflows.settings import FitSettings
 

@@ -8,7 +8,7 @@ from typing import Any
 from recon.base.errors import InputError, Problem
 from recon.base.progress import Progress
 from recon.gait.evaluation import Evaluation, evaluate_files
-from recon.workflows.clip import run_clip
+from recon.workflows.clip_results import run_clip
 from recon.workflows.settings import FitSettings
 
 

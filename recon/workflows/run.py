@@ -24,7 +24,8 @@ from recon.io.video import probe
 from recon.show.page import PAGE
 from recon.show.report import REPORT
 from recon.workflows.batch.record import file_sha256, identity, identity_of
-from recon.workflows.clip import fit_clip, output_files, read_model_and_cameras, write_clip
+from recon.workflows.clip import fit_clip, read_model_and_cameras
+from recon.workflows.clip_results import output_files, write_clip
 from recon.workflows.overlay import OverlaySettings, run_overlay
 from recon.workflows.settings import FitSettings, read_settings
 

@@ -33,7 +33,7 @@ from recon.robotics.robot.robot_file import load_dh, load_robot
 from recon.show.export.rig import make_rig
 from recon.workflows.batch.inputs import find_clips
 from recon.workflows.batch.record import read_record
-from recon.workflows.clip import run_clip
+from recon.workflows.clip_results import run_clip
 from recon.workflows.settings import FitSettings, read_settings
 
 SAMPLES = Path(__file__).resolve().parents[2] / "data" / "samples"

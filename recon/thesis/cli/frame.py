@@ -33,7 +33,7 @@ def frame(
 
     Exit code 0: done. 1: no frame could be solved. 2: the input cannot be used.
     """
-    from recon.workflows.clip import run_clip
+    from recon.workflows.clip_results import run_clip
     from recon.workflows.made_from import read_config
 
     given = {**given, "method": "frame"}

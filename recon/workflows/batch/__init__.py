@@ -23,7 +23,8 @@ from recon.workflows.batch.cluster import carry_out_on_cluster
 from recon.workflows.batch.inputs import Clip, find_clips
 from recon.workflows.batch.record import Planned, note_end, note_start, plan_batch, tidy_record
 from recon.workflows.batch.summary import COLUMNS, STATUSES, Summary, results_of, write_summary_page
-from recon.workflows.clip import fit_clip, write_clip
+from recon.workflows.clip import fit_clip
+from recon.workflows.clip_results import write_clip
 
 __all__ = [
     "COLUMNS",

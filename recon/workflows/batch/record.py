@@ -21,7 +21,7 @@ from recon.base.files import require_free_folder, staged_file
 from recon.base.manifest import MANIFEST, read_manifest
 from recon.base.package import version
 from recon.workflows.batch.inputs import Clip
-from recon.workflows.clip import output_files
+from recon.workflows.clip_results import output_files
 from recon.workflows.made_from import digest, input_files
 from recon.workflows.settings import FitSettings, beside
 

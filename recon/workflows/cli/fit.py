@@ -33,7 +33,8 @@ def fit(
 
     Exit code 0: done. 1: no frame could be solved. 2: the input cannot be used.
     """
-    from recon.workflows.clip import keypoint_problems, run_clip
+    from recon.workflows.clip import keypoint_problems
+    from recon.workflows.clip_results import run_clip
     from recon.workflows.made_from import read_config, replaced_files
 
     out, config = settings.out, settings.config
