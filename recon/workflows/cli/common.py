@@ -21,9 +21,7 @@ from rich.text import Text
 from recon.base.errors import InputError, Problem, printable
 from recon.base.interrupts import EXIT_INTERRUPTED, MESSAGE, installed
 from recon.base.manifest import read_manifest
-from recon.check import verdict_lines
 from recon.fit.verdict import Verdict
-from recon.show.report import STYLES
 
 EXIT_UNSOLVED = 1
 EXIT_BAD_INPUT = 2
@@ -58,6 +56,9 @@ def say_what_is_gone(console: Console, folder: Path) -> None:
 
 def say_verdict(console: Console, verdict: Verdict | None) -> None:
     """The first lines of what is made of a clip; nothing of a motion that was not judged."""
+    from recon.check import verdict_lines  # numpy is slow to import
+    from recon.show.report import STYLES
+
     for line in verdict_lines(verdict):
         level = next((level for level in STYLES if line.startswith(f"{level}:")), "")
         say(console, Text.assemble((level, STYLES.get(level, "")), line[len(level) :]))
