@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
 from typing import Any, Literal
 
@@ -16,23 +17,7 @@ import numpy as np
 from recon.base.documents import require_file
 from recon.base.errors import InputError, Problem
 from recon.clip.keypoints import Keypoints
-from recon.io import (
-    bvh,
-    c3d,
-    camera_files,
-    coco,
-    columns,
-    deeplabcut,
-    gltf,
-    mmpose,
-    movement,
-    npz,
-    nwb,
-    opensim,
-    parquet,
-    sleap,
-    trc,
-)
+from recon.io import camera_files, deeplabcut
 from recon.io.common import MAX_FRAME, NoChoiceError, with_likelihoods
 from recon.io.hdf5 import is_hdf5
 from recon.io.pose import StoredPoints
@@ -74,6 +59,13 @@ class Format:
     """Suffixes of further files that are written under the same name."""
 
 
+def _of(name: str) -> Callable[..., Any]:
+    """A function of a module of this room, "module.function", which is imported when it is called: a fit reads one
+    format, or two."""
+    module, function = name.split(".")
+    return lambda *args: getattr(import_module(f"recon.io.{module}"), function)(*args)
+
+
 _2D: tuple[Kind, ...] = ("2D",)
 _3D: tuple[Kind, ...] = ("3D",)
 _BOTH: tuple[Kind, ...] = ("2D", "3D")
@@ -86,33 +78,33 @@ FORMATS: tuple[Format, ...] = (
            deeplabcut.write_csv, _BOTH, "in the scorer", "kept", "m, z up", unit="m"),
     Format("deeplabcut", "DeepLabCut H5", (".h5", ".hdf5"), deeplabcut.recognises_h5, deeplabcut.read, _BOTH,
            deeplabcut.write_h5, _BOTH, "in the scorer", "kept", "m, z up", unit="m"),
-    Format("sleap", "SLEAP analysis H5", (".analysis.h5", ".h5"), sleap.recognises, sleap.read, _2D,
-           sleap.write, _2D, "in provenance", "from frame 0"),
-    Format("movement", "movement netCDF", (".nc",), movement.recognises, movement.read, _BOTH,
-           movement.write, _BOTH, "kept", "as times", "m, z up"),
-    Format("nwb", "ndx-pose NWB", (".nwb",), nwb.recognises, nwb.read, _BOTH,
-           nwb.write, _BOTH, "needed", "as times", "m, z up"),
-    Format("coco", "COCO JSON", (".json",), coco.recognises, coco.read, _2D,
-           coco.write, _2D, "in info", "kept"),
-    Format("mmpose", "MMPose JSON", (".json",), mmpose.recognises, mmpose.read, _2D),
-    Format("trc", "TRC", (".trc",), trc.recognises, trc.read, _3D,
-           trc.write, _3D, "needed", "kept", "m, y up", up="y"),
-    Format("c3d", "C3D", (".c3d",), c3d.recognises, c3d.read, _3D,
-           c3d.write, _3D, "needed", "RECON:FRAMES", "mm, z up"),
-    Format("npz", "NPZ", (".npz",), npz.recognises, npz.read, _3D,
-           npz.write, _3D, "kept", "kept", "m, z up"),
-    Format("parquet", "Parquet", (".parquet",), parquet.recognises, parquet.read, _3D,
-           parquet.write, _3D, "in metadata", "kept", "m, z up"),
-    Format("bvh", "BVH", (".bvh",), bvh.recognises, bvh.read, _3D,
-           bvh.write, _BONES, "kept", "from 0", "m, y up", up="y"),
+    Format("sleap", "SLEAP analysis H5", (".analysis.h5", ".h5"), _of("sleap.recognises"), _of("sleap.read"), _2D,
+           _of("sleap.write"), _2D, "in provenance", "from frame 0"),
+    Format("movement", "movement netCDF", (".nc",), _of("movement.recognises"), _of("movement.read"), _BOTH,
+           _of("movement.write"), _BOTH, "kept", "as times", "m, z up"),
+    Format("nwb", "ndx-pose NWB", (".nwb",), _of("nwb.recognises"), _of("nwb.read"), _BOTH,
+           _of("nwb.write"), _BOTH, "needed", "as times", "m, z up"),
+    Format("coco", "COCO JSON", (".json",), _of("coco.recognises"), _of("coco.read"), _2D,
+           _of("coco.write"), _2D, "in info", "kept"),
+    Format("mmpose", "MMPose JSON", (".json",), _of("mmpose.recognises"), _of("mmpose.read"), _2D),
+    Format("trc", "TRC", (".trc",), _of("trc.recognises"), _of("trc.read"), _3D,
+           _of("trc.write"), _3D, "needed", "kept", "m, y up", up="y"),
+    Format("c3d", "C3D", (".c3d",), _of("c3d.recognises"), _of("c3d.read"), _3D,
+           _of("c3d.write"), _3D, "needed", "RECON:FRAMES", "mm, z up"),
+    Format("npz", "NPZ", (".npz",), _of("npz.recognises"), _of("npz.read"), _3D,
+           _of("npz.write"), _3D, "kept", "kept", "m, z up"),
+    Format("parquet", "Parquet", (".parquet",), _of("parquet.recognises"), _of("parquet.read"), _3D,
+           _of("parquet.write"), _3D, "in metadata", "kept", "m, z up"),
+    Format("bvh", "BVH", (".bvh",), _of("bvh.recognises"), _of("bvh.read"), _3D,
+           _of("bvh.write"), _BONES, "kept", "from 0", "m, y up", up="y"),
     Format("opensim", "OpenSim model", (".osim",), None, None, (),
-           opensim.write, _BONES, "as times", "as times", "m, y up", beside=opensim.BESIDE),
+           _of("opensim.write"), _BONES, "as times", "as times", "m, y up", beside=(".mot", ".trc")),
     Format("gltf", "glTF", (".glb",), None, None, (),
-           gltf.write, _BONES, "as times", "from 0", "m, y up"),
-    Format("long", "long CSV", (".csv",), columns.recognises, columns.read, _BOTH,
-           columns.write_long, _2D, "as a column", "kept"),
-    Format("wide", "wide CSV", (".csv",), columns.recognises, columns.read, _BOTH,
-           columns.write_wide, _2D, "as a column", "kept"),
+           _of("gltf.write"), _BONES, "as times", "from 0", "m, y up"),
+    Format("long", "long CSV", (".csv",), _of("columns.recognises"), _of("columns.read"), _BOTH,
+           _of("columns.write_long"), _2D, "as a column", "kept"),
+    Format("wide", "wide CSV", (".csv",), _of("columns.recognises"), _of("columns.read"), _BOTH,
+           _of("columns.write_wide"), _2D, "as a column", "kept"),
     Format("camera", "camera file of recon", (".toml",), camera_files.recognises_own, camera_files.read_own, _CAMERAS,
            camera_files.write_cameras, _CAMERAS),
     Format("anipose", "Anipose or Pose2Sim TOML", (".toml",),
@@ -127,7 +119,7 @@ FORMATS: tuple[Format, ...] = (
 `--to` names another."""
 CONVERTED = tuple(f for f in FORMATS if f.writes and "cameras" not in f.writes)
 """What `recon convert` can write."""
-PLAIN = next(f for f in FORMATS if f.read is columns.read)
+PLAIN = next(f for f in FORMATS if f.name == "long")
 
 
 def choose_format(out: Path, name: str | None) -> Format:
@@ -186,6 +178,8 @@ def read_points(
     path = Path(path)
     head = file_head(path)
     if by is not None:
+        from recon.io import columns
+
         return PLAIN, columns.read(path, individual, by)
     found = recognised(path)
     if found is None or found.read is None:

@@ -18,8 +18,6 @@ from recon.io.common import require_names
 from recon.io.pose import y_up_from_z_up
 
 TITLE = "OpenSim model"
-BESIDE = (".mot", ".trc")
-"""What is written with a model."""
 VERSION = "40000"
 PLACE = {"x_m": (1, 0, 0), "y_m": (0, 0, -1), "z_m": (0, 1, 0)}
 """Coordinates of the root's origin, and along which axes they lie."""
