@@ -55,7 +55,7 @@ def _pose(camera: Camera) -> np.ndarray:
     return camera_poses([camera])[0]
 
 
-def settings_of(folder: Path, skeleton: str | Path, cameras: list[Camera], later: tuple[int, ...], **more: object):
+def settings_of(folder: Path, skeleton: str | Path, cameras: list[Camera], later: tuple[int, ...]) -> FitSettings:
     """Of a clip in files in a folder; later: by how many frames the cameras began later than the first."""
     body, files = load_skeleton(skeleton), []
     for camera, first in zip(cameras, later, strict=True):
@@ -63,8 +63,8 @@ def settings_of(folder: Path, skeleton: str | Path, cameras: list[Camera], later
         write_csv(keypoints_of(body, camera, first), files[-1])
     write_cameras(cameras, folder / "cameras.toml")
     offsets = {"offset_s": tuple(n / FPS for n in later)} if any(later) else {}
-    given = {"keypoints": tuple(files), "camera": folder / "cameras.toml", "fps": FPS, "skeleton": str(skeleton)}
-    return FitSettings(**given | {"fast": True, "prior": "none"} | offsets | more)
+    given = {"camera": folder / "cameras.toml", "skeleton": str(skeleton), "prior": "none"} | offsets
+    return FitSettings(keypoints=tuple(files), fps=FPS, fast=True, **given)  # pyright: ignore[reportArgumentType]
 
 
 def one_camera(name: str) -> Callable[[Path], FitSettings]:

@@ -291,13 +291,14 @@ def _extended(raw: dict[str, Any], source: str) -> dict[str, Any]:
         for name, length in lengths.items()
         if name not in names
     ]
-    if lengths and not (isinstance(base, int | float) and 0 < base < float("inf")):
+    known_m = base if isinstance(base, int | float) and 0 < base < float("inf") else None
+    if lengths and known_m is None:
         problems.append(Problem(source, "base_length.nominal_m", repr(base), "a length in metres"))
     if problems:
         raise InputError(problems)
     for link in links:
-        if link["name"] in lengths:
-            link["length_ratio"] = lengths[link["name"]] / base
+        if known_m is not None and link["name"] in lengths:
+            link["length_ratio"] = lengths[link["name"]] / known_m
     own = {key: value for key, value in raw.items() if key not in ("extends", "length_m")}
     return {**parent, "links": links, **own}
 

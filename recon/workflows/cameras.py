@@ -79,7 +79,7 @@ def _turned_up(cameras: Cameras, up: str) -> Cameras:
     if problems:
         raise InputError(problems)
     R = _z_up_from(direction / np.linalg.norm(direction))
-    turned = (replace(one.camera, rotation=one.camera.rotation @ R.T, world_z_up=True) for one in cameras)
+    turned = (replace(one.camera, rotation=np.asarray(one.camera.rotation) @ R.T, world_z_up=True) for one in cameras)
     return tuple(replace(one, camera=camera) for one, camera in zip(cameras, turned, strict=True))
 
 
@@ -247,7 +247,8 @@ def _problems_of_several(
 
 def _stands_as(one: Camera, other: Camera) -> bool:
     """Whether two entries of a file have the same pose: one was copied."""
-    return np.array_equal(one.rotation, other.rotation) and np.array_equal(one.translation_m, other.translation_m)
+    poses = [(camera.rotation, camera.translation_m) for camera in (one, other)]
+    return all(a is not None and b is not None and np.array_equal(a, b) for a, b in zip(*poses, strict=True))
 
 
 def cameras_in(stem: str, names: Iterable[str]) -> dict[str, re.Match[str]]:
