@@ -3,10 +3,11 @@
     python benchmarks/gait.py [FOLDER]
 
 The samples: speeds and stance events of the true joints, and of reconstructions, against the formula at 3600 fps. Each
-run is a folder with truth.csv and meta.json (fps). Prints how well the two methods of `recon.gait.gait` agree
-on the stances, what the clips show of the gait, and the mean magnitudes of the links' motion relative to their parents.
-Stances that end in the last ten frames by both methods are not counted. Without FOLDER: the cheetah-runs of
-$RECON_SHARED_DATA, or of ../shared/data; without any runs, the samples only.
+run is a folder with truth.csv and meta.json (fps). Prints what the clips show of the gait, and the mean magnitudes of
+the links' motion relative to their parents. Without FOLDER: the cheetah-runs of $RECON_SHARED_DATA, or of
+../shared/data; without any runs, the samples only. Of the same place the plate-trials, single views and the
+multi-camera reconstruction against the force plates' stances, and the dog-mocap, motion capture of walks, runs and a
+turn.
 """
 
 from __future__ import annotations
@@ -18,11 +19,13 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
+from dog import read_clips
 from gallop import gallop
 from markdown_table import print_table
 from recordings import recordings
 
-from recon import FitSettings, Pose3D, read_pose3d
+from recon import FitSettings, Pose3D, fit_clip, load_skeleton, read_pose3d
 from recon.fit.motion import Motion
 from recon.gait.clip import analyse
 from recon.gait.gait import FEET, gait, match_stances, pose_tracks, stances
@@ -32,7 +35,6 @@ from recon.workflows.clip_results import run_clip
 
 SAMPLES = Path(__file__).resolve().parents[1] / "data" / "samples"
 REFERENCE = "spine"
-LAST_FRAMES = 10
 CHAINS = {
     "hind": ("spine", "tail_base", "{}_back_knee", "{}_back_ankle", "{}_back_paw"),
     "spine": ("tail_base", "spine", "neck_base"),
@@ -45,32 +47,21 @@ LINKS = {"hind": "678", "spine": "1", "front": "234"}
 def run_row(pose: Pose3D, fps: float) -> dict:
     """One run as one row of the tables of stances and gaits."""
     tracks = pose_tracks(pose, fps)
-    ground, body = gait(tracks, "ground"), gait(tracks, "body")
+    found = gait(tracks)
     ((_, plane),) = tracks.grounds
-    match = match_stances(body.stances, ground.stances)
-    last = tracks.frame[-1] - LAST_FRAMES
-    matched = sum(min(a.end_frame, b.end_frame) <= last for a, b in match.pairs)
-    alone = sum(s.end_frame <= last for s in (*match.only_first, *match.only_second))
-    whole = [s for s in ground.stances if s.begins and s.ends]
+    whole = [s for s in found.stances if s.begins and s.ends]
     flexion = spine_flexion(pose, fps)
     return {
         "frames": len(pose.frames),
         "fps": f"{fps:g}",
-        "speed_m_s": f"{ground.speed_m_s:.1f}",
+        "speed_m_s": f"{found.speed_m_s:.1f}",
         "leg_m": f"{tracks.leg_m:.2f}",
-        "body": len(body.stances),
-        "ground": len(ground.stances),
-        "pairs": len(match.pairs),
-        "counted": matched + alone,
-        "matched": matched,
-        "start_lag": f"{match.start_lag_frames:+.1f}",
-        "end_lag": f"{match.end_lag_frames:+.1f}",
+        "stances": len(found.stances),
         "stance_ms": f"{1000 * np.mean([s.duration_s for s in whole]):.0f}" if whole else "-",
-        "landed": " ".join(ground.order),
-        "strides": len(ground.strides),
-        "gait by ground": ground.name.name,
-        "gait by body": body.name.name,
-        "criterion": ground.name.criterion,
+        "landed": " ".join(found.order),
+        "strides": len(found.strides),
+        "gait": found.name.name,
+        "criterion": found.name.criterion,
         "slope_percent": f"{100 * np.hypot(*plane.slope):.1f}",
         "spread_mm": f"{1000 * plane.spread_m:.0f}",
         "flexion_deg": "{:+.0f} to {:+.0f}".format(*np.degrees(flexion.range_rad)),
@@ -143,18 +134,78 @@ def sample_row(name: str, pose: Pose3D, fps: int, truth: Pose3D, truth_fps: int,
         "largest error of any joint's peak": f"{max(of_joints, key=abs):+.1%}",
         "peak acceleration m/s2 (true)": f"{moved.peak_acceleration_m_s2:.0f} ({true.peak_acceleration_m_s2:.0f})",
     }
-    for method in ("ground", "body"):
-        found, exact = (stances(t, method) for t in tracks)
-        match = match_stances(exact, found)
-        off = [fps * (b.start_s - a.start_s) for a, b in match.pairs if a.begins and b.begins]
-        off += [fps * (b.end_s - a.end_s) for a, b in match.pairs if a.ends and b.ends]
-        row[f"stances by {method}: paired, missed, extra"] = (
-            f"{len(match.pairs)}, {len(match.only_first)}, {len(match.only_second)}"
-        )
-        row[f"events by {method}: median, worst error, frames"] = (
-            f"{np.median(np.abs(off)):.1f}, {np.max(np.abs(off)):.1f}" if off else "-"
-        )
+    found, exact = (stances(t) for t in tracks)
+    match = match_stances(exact, found)
+    off = [fps * (b.start_s - a.start_s) for a, b in match.pairs if a.begins and b.begins]
+    off += [fps * (b.end_s - a.end_s) for a, b in match.pairs if a.ends and b.ends]
+    row["stances: paired, missed, extra"] = f"{len(match.pairs)}, {len(match.only_first)}, {len(match.only_second)}"
+    row["events: median, worst error, frames"] = (
+        f"{np.median(np.abs(off)):.1f}, {np.max(np.abs(off)):.1f}" if off else "-"
+    )
     return row
+
+
+# -- force plates and motion capture ---------------------------------------------------------------------------------
+
+
+def plate_rows() -> list[dict]:
+    """Times off those of the force plates, of the stance of each foot that is nearest to the measured one."""
+    kinds: dict[str, list[tuple[float, float, float]]] = {"single views": [], "multi-camera reconstruction": []}
+    missed = dict.fromkeys(kinds, 0)
+    for run in sorted(path.parent for path in recordings("plate-trials").glob("*/stances.csv")):
+        about = json.loads((run / "meta.json").read_text(encoding="utf-8"))
+        fps, measured = about["fps"], pd.read_csv(run / "stances.csv").set_index("joint")
+        views = [
+            fit_clip(FitSettings(keypoints=(run / f"cam{c}.csv",), camera=run / f"cam{c}.toml", fps=fps)).upright
+            for c in about["cameras"]
+        ]
+        for kind, poses in zip(kinds, (views, [read_pose3d(run / "truth.csv")]), strict=True):
+            for pose in poses:
+                found = stances(pose_tracks(pose, fps))
+                for foot, joint in FEET.items():
+                    down, up = measured.loc[joint] - pose.frames[0]
+                    own = [s for s in found if s.foot == foot]
+                    missed[kind] += not own
+                    if own:
+                        near = min(own, key=lambda s: abs(s.start_frame + s.end_frame - down - up))
+                        late = 1000 * (near.start_frame - down) / fps, 1000 * (near.end_frame - up) / fps
+                        kinds[kind].append((*late, (near.end_frame - near.start_frame) / (up - down)))
+    rows = []
+    for kind, values in kinds.items():
+        if values:
+            down, up, duration = np.array(values).T
+            rows.append(
+                {
+                    "of": kind,
+                    "stances": len(values),
+                    "missed": missed[kind],
+                    "touch-down late ms: median, absolute": f"{np.median(down):+.1f}, {np.median(np.abs(down)):.1f}",
+                    "lift-off late ms: median, absolute": f"{np.median(up):+.1f}, {np.median(np.abs(up)):.1f}",
+                    "duration / measured": f"{np.median(duration):.2f}",
+                }
+            )
+    return rows
+
+
+def dog_rows() -> list[dict]:
+    """What a dog's clips are called, and how much of the time the marker of a foot is slow."""
+    folder, body = recordings("dog-mocap"), load_skeleton("dog-27")
+    rows = []
+    for clip in read_clips(folder) if folder.is_dir() else ():
+        pose = Pose3D(body.markers, clip.markers(body), np.arange(len(clip.points_m)))
+        tracks = pose_tracks(pose, clip.fps, feet=body.feet_by_label(), body=body.forward)
+        found = gait(tracks)
+        rows.append(
+            {
+                "clip": clip.name,
+                "speed m/s": f"{found.speed_m_s:.1f}",
+                "gait": found.name.name,
+                "strides": len(found.strides),
+                "duty factor": f"{found.name.duty_factor:.2f}",
+                "feet below 0.6 m/s": f"{np.nanmean(tracks.foot_speed_m_s < 0.6):.2f}",
+            }
+        )
+    return rows
 
 
 def print_rows(rows: list[dict]) -> None:
@@ -169,6 +220,10 @@ def main() -> None:
     runs = sorted(p.parent for p in arguments.folder.glob("*/meta.json") if (p.parent / "truth.csv").is_file())
     print("### Samples\n")
     print_rows(sample_rows())
+    for title, measured in (("Force plates", plate_rows()), ("A dog", dog_rows())):
+        if measured:
+            print(f"\n\n### {title}\n")
+            print_rows(measured)
     if not runs:
         parser.exit(message=f"no runs in {arguments.folder}\n")
     rows, links = [], []
@@ -181,9 +236,6 @@ def main() -> None:
     at = columns.index("landed")
     print("\n### Stances\n")
     print_rows([{name: row[name] for name in columns[:at]} for row in rows])
-    matched, counted = (sum(row[name] for row in rows) for name in ("matched", "counted"))
-    share = f"{matched / counted:.0%}" if counted else "none"
-    print(f"\nMatched one to one: {matched} of {counted} that end {LAST_FRAMES} frames before the clip does ({share}).")
     print("\n### Gait\n")
     print_rows([{name: row[name] for name in ("run", *columns[at:])} for row in rows])
     print("\n### Mean speed of links relative to their parents, m/s\n")

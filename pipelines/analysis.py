@@ -20,13 +20,11 @@ analysis = recon.analyse(motion)
 root = analysis.joints[analysis.reference]
 print(f"{analysis.reference}: {root.mean_speed_m_s:.1f} m/s, at most {root.peak_speed_m_s:.1f} m/s")
 
-# Gait: which foot stood when, by both methods, and what that is called.
-for method, gait in analysis.gaits.items():
-    print(f"{gait.name.name} by the {method}, since {gait.name.criterion}; strides of {gait.stride_length_m:.2f} m")
-    print(
-        "touchdowns: " + ", ".join(f"{stance.foot} {stance.start_s:.2f} s" for stance in gait.stances if stance.begins)
-    )
-plots.save(plots.footfall(analysis.gaits, motion.fps), out, "footfalls")
+# Gait: which foot stood when, and what that is called.
+gait = analysis.gait
+print(f"{gait.name.name}, since {gait.name.criterion}; strides of {gait.stride_length_m:.2f} m")
+print("touchdowns: " + ", ".join(f"{stance.foot} {stance.start_s:.2f} s" for stance in gait.stances if stance.begins))
+plots.save(plots.footfall({"gait": gait}, motion.fps), out, "footfalls")
 
 # Angles: how far and how fast they go, and over a stride against their rates.
 angles = {name: analysis.skeleton_angles[name] for name in config["angles"]}

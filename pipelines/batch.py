@@ -32,7 +32,6 @@ for name, row in summary.rows.items():
         continue
     analysis = recon.analyse(recon.Motion.load(results / name))
     speed = analysis.joints[analysis.reference].mean_speed_m_s
-    gaits = ", ".join(gait.name.name for gait in analysis.gaits.values())
-    print(f"{name}: {speed:.1f} m/s, {row['outliers']} outliers, {gaits}")
+    print(f"{name}: {speed:.1f} m/s, {row['outliers']} outliers, {analysis.gait.name.name}")
 
 print(f"Results are in {results}, their figures in {summary.path}")

@@ -912,7 +912,7 @@ def test_command(clips, tmp_path):
     fit(found(clips / "a.csv", clips / "b.csv"), out)
     ended = run(*args(clips, out))
     assert ended.code == 0
-    assert ended.out.startswith("2 of 3 clips are done already.\n2 use, 1 failed in ")
+    assert ended.out.startswith("2 of 3 clips are done already.\n2 check, 1 failed in ")
     assert ended.err.startswith(f"[1/1] failed  c: {clips / 'c.csv'}: header: ")
     ended = run(*args(clips, out, "--strict", "--quiet", "--json"))
     assert ended.code == 1

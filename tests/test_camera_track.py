@@ -344,6 +344,7 @@ def panned(folder: Path) -> dict[str, Any]:
     poses = rigid(rotation, -(rotation @ centre))
     pans = View(view.camera, poses, view.xy_px, view.confidence)
     seen = Keypoints(BODY.markers, pans.project(centre + view.rays())[0], view.confidence, keypoints.frames, fps=60.0)
+    seen = replace(seen, scorer=keypoints.scorer)
     write_csv(seen, folder / "pan.csv")
     return {
         "keypoints": folder / "pan.csv",

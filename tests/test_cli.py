@@ -925,7 +925,7 @@ def test_brackets_in_names_are_no_markup():
         for path in Path(recon.workflows.cli.__file__).parent.glob("*.py")
         if " Console(" in path.read_text("utf-8")
     ]
-    assert others == ["common.py"]
+    assert others == []
 
 
 def test_commands_to_a_terminal_in_names_are_shown_as_codes(capsys):

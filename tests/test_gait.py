@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
+from dog import read_clips
 from gallop import KEYPOINT_NAMES, gallop
 
 from recon.animal.skeleton_file import load_skeleton
@@ -28,7 +29,6 @@ from recon.gait.gait import (
     stances,
     strides,
     tracks,
-    undisputed,
 )
 from recon.io.pose3d import Pose3D, read_pose3d
 
@@ -89,9 +89,9 @@ def test_gaits_are_named(name):
     assert found.name.name == name, found.name
     for foot in FEET:
         assert (found.name.phase[foot] - phase[foot] + 0.5) % 1 == pytest.approx(0.5, abs=0.02)
-        # A foot counts as standing until it has a quarter of the body's speed: a little more than it stands still.
-        swing = 1 - duty
-        extra = 2 * swing * np.arcsin(SLOW[0] * 2 * swing / np.pi) / np.pi
+        # A foot counts as standing until it has a sixth of its speed in the swing, a half sine: a little more than it
+        # stands still.
+        extra = 2 * (1 - duty) * np.arcsin(SLOW[0]) / np.pi
         assert found.duty_factor[foot] == pytest.approx(duty + extra, abs=0.015)
     assert found.stride_frequency_hz == pytest.approx(2.5, rel=1e-3)
     assert found.stride_length_m == pytest.approx(2.4, rel=1e-3)
@@ -109,17 +109,16 @@ def test_footfall_order():
 
 
 def test_events_of_still_feet():
-    """The body method's stances enclose the times of standing still; those of the ground method, tightly."""
+    """Stances enclose the times of standing still, tightly."""
     phase, duty = PATTERNS["trot"]
     moved = pose_tracks(runner(phase, duty), FPS)
-    for method, slack_s in (("ground", 0.02), ("body", 0.06)):
-        whole = [s for s in stances(moved, method) if s.begins and s.ends and s.foot == "LF"]
-        assert len(whole) >= 3
-        for s in whole:
-            k = round((s.start_s + s.end_s) / 2 / 0.4 - 0.5 - duty / 2)
-            start, end = (k + 0.5) * 0.4, (k + 0.5 + duty) * 0.4
-            assert start - slack_s < s.start_s <= start + 0.011
-            assert end - 0.011 <= s.end_s < end + slack_s
+    whole = [s for s in stances(moved) if s.begins and s.ends and s.foot == "LF"]
+    assert len(whole) >= 3
+    for s in whole:
+        k = round((s.start_s + s.end_s) / 2 / 0.4 - 0.5 - duty / 2)
+        start, end = (k + 0.5) * 0.4, (k + 0.5 + duty) * 0.4
+        assert start - 0.02 < s.start_s <= start + 0.011
+        assert end - 0.011 <= s.end_s < end + 0.02
 
 
 def test_ground_is_found_where_it_lies():
@@ -167,35 +166,23 @@ def test_default_feet_are_the_cheetahs():
 
 
 def test_stances_of_the_simulated_gallop():
-    """At 90 fps, against the slow phases and the turning points of the formula at 3600 fps, within one frame.
-
-    Later in the clip a simulated forefoot slides at over a quarter of the body's speed: the ground method does not call
-    that a stance, and neither do the slow phases.
-    """
+    """At 90 fps, against the slow phases of the formula at 3600 fps, within one frame."""
     moved = pose_tracks(simulated(90.0, 90), 90.0)
     truth = simulated(3600.0, 3560)
     where = {name: i for i, name in enumerate(truth.names)}
-    body = truth.xyz_m[:, [where["neck_base"], where["tail_base"]], :2].mean(axis=1)
-    body_speed = np.linalg.norm(np.gradient(body, axis=0), axis=1) * 3600
     total = 0
     for foot, joint in FEET.items():
         paw = truth.xyz_m[:, where[joint], :2]
         speed = np.linalg.norm(np.gradient(paw, axis=0), axis=1) * 3600
-        edges = np.flatnonzero(np.diff(np.r_[0, (speed < SLOW[0] * body_speed).astype(int), 0]))
+        edges = np.flatnonzero(np.diff(np.r_[0, (speed < SLOW[0] * np.percentile(speed, 95)).astype(int), 0]))
         slow = [(a, b - 1) for a, b in edges.reshape(-1, 2)]
-        found = [s for s in stances(moved, "ground") if s.foot == foot]
+        found = [s for s in stances(moved) if s.foot == foot]
         assert len(found) == len(slow)
         for (a, b), s in zip(slow, found, strict=True):
             total += 1
             assert s.start_frame == pytest.approx(a / 40, abs=1.0)
             assert s.end_frame == pytest.approx(b / 40, abs=1.0)
-        reach = (paw - body)[:, 0]
-        for s in (s for s in stances(moved, "body") if s.foot == foot and s.begins and s.ends):
-            for frame, sign in ((s.start_frame, 1), (s.end_frame, -1)):
-                near = np.arange(max(int(40 * frame) - 120, 0), int(40 * frame) + 120)
-                assert near[np.argmax(sign * reach[near])] / 40 == pytest.approx(frame, abs=1.0)
-    assert total == 12
-    assert len(match_stances(stances(moved, "body"), stances(moved, "ground")).pairs) == 12
+    assert total >= 12
 
 
 def test_the_simulated_gallop_is_transverse():
@@ -203,7 +190,7 @@ def test_the_simulated_gallop_is_transverse():
     found = gait(pose_tracks(simulated(90.0, 90), 90.0))
     assert found.name.name == "transverse gallop"
     assert (found.name.phase["LH"] - found.name.phase["RH"]) % 1 == pytest.approx(0.08, abs=0.01)
-    assert (found.name.phase["LF"] - found.name.phase["RF"]) % 1 == pytest.approx(0.11, abs=0.01)
+    assert (found.name.phase["LF"] - found.name.phase["RF"]) % 1 == pytest.approx(0.12, abs=0.01)
     assert 3.2 < found.stride_frequency_hz < 3.4
     assert found.stride_length_m == pytest.approx(found.speed_m_s / found.stride_frequency_hz, rel=0.05)
 
@@ -281,10 +268,9 @@ def test_within_a_stride_a_pair_may_be_too_near_to_call():
 def test_an_animal_that_stands_has_no_gait():
     pose = runner(*PATTERNS["trot"], n=20)
     still = replace(pose, xyz_m=np.tile(pose.xyz_m[:1], (20, 1, 1)))
-    for method in ("ground", "body"):
-        found = pose_gait(still, FPS, method)
-        assert found.stances == ()
-        assert found.name.name == "unknown"
+    found = pose_gait(still, FPS)
+    assert found.stances == ()
+    assert found.name.name == "unknown"
 
 
 @pytest.mark.parametrize(
@@ -363,9 +349,9 @@ def test_strides_with_a_stance_too_few_or_too_many_do_not_count():
     assert took[-1] > 0.6
     assert found.stride_frequency_hz == pytest.approx(2.5, rel=0.01)
     assert len(found.strides) >= 8
-    text = doubt_text("ground", found.doubtful[0])
-    assert text.startswith("by ground, RF's stride from ")
-    assert " does not count: the pose " in text
+    text = doubt_text(found.doubtful[0])
+    assert text.startswith("RF's stride from ")
+    assert " does not count: the pose returns after 0.4" in text
 
 
 def test_bad_input():
@@ -384,28 +370,29 @@ def test_bad_input():
     assert pose_gait(empty, FPS).stances == ()
 
 
-def test_the_methods_agree_on_real_runs(shared_data: Path):
-    """Nine in ten of the stances that end at least ten frames before the clip does match one to one."""
-    folders = sorted(p.parent for p in (shared_data / "cheetah-runs").glob("*/truth.csv"))
+def test_stances_are_those_of_the_force_plates(shared_data: Path):
+    """Of multi-camera reconstructions at 200 Hz: every stance, touch-downs to two frames, lift-offs to four."""
+    folders = sorted(p.parent for p in (shared_data / "plate-trials").glob("*/stances.csv"))
     if not folders:
-        pytest.skip("no cheetah runs")
-    pairs = total = 0
+        pytest.skip("no plate trials")
     for folder in folders:
-        fps = json.loads((folder / "meta.json").read_text(encoding="utf-8"))["fps"]
-        moved = pose_tracks(read_pose3d(folder / "truth.csv"), fps)
-        match = match_stances(stances(moved, "body"), stances(moved, "ground"))
-        last = moved.frame[-1] - 10
-        pairs += sum(min(a.end_frame, b.end_frame) <= last for a, b in match.pairs)
-        total += sum(min(a.end_frame, b.end_frame) <= last for a, b in match.pairs)
-        total += sum(s.end_frame <= last for s in (*match.only_first, *match.only_second))
-    assert total >= 10
-    assert pairs >= 0.9 * total
+        pose = read_pose3d(folder / "truth.csv")
+        found, measured = stances(pose_tracks(pose, 200.0)), pd.read_csv(folder / "stances.csv").set_index("joint")
+        assert sorted(s.foot for s in found) == sorted(FEET)
+        off = np.array([(s.start_frame, s.end_frame) - measured.loc[FEET[s.foot]].to_numpy() for s in found])
+        touch_down, lift_off = np.median(off + pose.frames[0], axis=0)
+        assert abs(touch_down) <= 2
+        assert abs(lift_off) <= 4
 
 
-def test_no_name_where_the_methods_contradict_each_other():
-    gallop, walk = (pose_gait(runner(*PATTERNS[name]), FPS) for name in ("rotary gallop", "walk"))
-    assert undisputed({"ground": gallop, "body": gallop})["ground"].name == gallop.name
-    found = undisputed({"ground": gallop, "body": walk})
-    assert [gait.name.name for gait in found.values()] == ["unknown", "unknown"]
-    assert found["ground"].name.criterion.endswith("rotary gallop by these stances, but the stances by body say walk")
-    assert found["body"].name.criterion.endswith("walk by these stances, but the stances by ground say rotary gallop")
+def test_a_walking_dog_walks(shared_data: Path):
+    """At a walk a dog's foot stands 55 to 65 % of the time, whatever the speed that the body has."""
+    folder = shared_data / "dog-mocap"
+    if not folder.is_dir():
+        pytest.skip("no dog")
+    body = load_skeleton("dog-27")
+    for clip in (one for one in read_clips(folder) if one.name in ("walk00", "walk01", "walk02")):
+        pose = Pose3D(body.markers, clip.markers(body), np.arange(len(clip.points_m)))
+        found = gait(pose_tracks(pose, clip.fps, feet=body.feet_by_label(), body=body.forward))
+        assert found.name.name == "walk", found.name.criterion
+        assert 0.54 < found.name.duty_factor < 0.66

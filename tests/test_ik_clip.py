@@ -147,7 +147,7 @@ def test_both_jobs_with_all_methods(folder):
     done = run("ik", folder, "--compare", "--no-limits", "--no-figures")
     assert (done.code, done.err) == (0, "")
     summary = json.loads((folder / "ik" / "ik.json").read_text(encoding="utf-8"))
-    assert summary["stride"]["how"] == "ground"  # the sample holds complete strides
+    assert summary["stride"]["how"] == "gait"  # the sample holds complete strides
     assert {*summary["to_target"]} == {*summary["along_stride"]} == {*METHODS}
     target = np.array(summary["target_m"])
     for name in METHODS:
@@ -252,17 +252,18 @@ def test_the_stride_takes_as_long_as_it_does_and_can_be_followed(fit, dim, reque
     for foot in feet:
         limb = limb_of(results, foot, dim)
         stride = stride_of(results, limb)
-        assert stride.how in ("ground", "body")
-        assert stride.end_s - stride.start_s == pytest.approx(true_stride_s(stride.start_s), rel=0.05)
+        assert stride.how == ("return" if results.jitters else "gait")
+        assert stride.end_s - stride.start_s == pytest.approx(
+            true_stride_s(stride.start_s), rel=0.08 if results.jitters else 0.05
+        )
         assert follow_stride(limb.chain, stride, damped_least_squares()).distance_m.max() < 0.005
-        assert stride.gap_percent < 15
+        assert stride.gap_percent < 16
 
 
 def test_a_stride_that_misses_a_stance_is_said_and_not_taken(frame_results, tmp_path):
     done = run("ik", frame_results, "--follow", "stride", "--no-figures", "--out", tmp_path / "a")
     said = " ".join(done.out.split())
-    assert "from one foremost place of the foot to the next" in said
-    assert "note: by ground, RF's stride from 0.320 to 0.963 s does not count: the pose returns after 0.300 s" in said
+    assert "the nearest return of the foot to the same place" in said
 
 
 def test_a_stride_of_ones_own(frame_results, tmp_path):

@@ -25,7 +25,7 @@ from recon.animal.naming import (
     suggestions,
 )
 from recon.fit.motion import Motion
-from recon.gait.clip import gaits_of
+from recon.gait.clip import gait_of
 from recon.io import read_keypoints
 from recon.io.deeplabcut import write_csv
 from recon.keypoint_net.evaluate2d import evaluate_2d_files
@@ -304,7 +304,7 @@ def test_from_superanimals_file_to_a_robot(whole_results, tmp_path):
     found, native = Motion.load(tmp_path / "clip"), Motion.load(whole_results)
     assert found.foot_names == {"LF": "l_front_paw", "RF": "r_front_paw", "LH": "l_back_paw", "RH": "r_back_paw"}
     assert all(side == limb.partition(" ")[0] for limb, side in found.limb_sides.items() if "leg" in limb)
-    assert gaits_of(found)["ground"].name.name == gaits_of(native)["ground"].name.name == "transverse gallop"
+    assert gait_of(found).name.name == gait_of(native).name.name == "transverse gallop"
     assert solve(reference_of(found), load_robot("a1")).motion.clip.margin_rad.min() >= 0
     truth = read_pose3d(SAMPLES / "whole_truth.csv")
     renamed_m, native_m = (evaluate(results.upright, truth).mpjpe_m.mean for results in (found, native))

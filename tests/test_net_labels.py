@@ -88,10 +88,12 @@ def test_a_project_folder(tmp_path):
 
 def test_a_project_whose_pictures_are_gone(tmp_path):
     folder = tmp_path / "labeled-data" / "a"
-    write_labels(folder / "CollectedData_me.csv", ["img0.png", "img1.png"], np.ones((2, 3, 2)))
+    write_labels(folder / "CollectedData_me.csv", ["img0.png", "img1.png"], np.arange(1.0, 13.0).reshape(2, 3, 2))
     cv2.imwrite(str(folder / "img0.png"), grey(9))
     (folder / "img1.png").write_bytes(b"no picture")
-    write_labels(tmp_path / "labeled-data" / "b" / "CollectedData_me.csv", ["img7.png"], np.ones((1, 3, 2)))
+    write_labels(
+        tmp_path / "labeled-data" / "b" / "CollectedData_me.csv", ["img7.png"], np.arange(1.0, 7.0).reshape(1, 3, 2)
+    )
     with pytest.raises(InputError) as error:
         read_labels(tmp_path)
     assert [p.found for p in error.value.problems] == ["a picture that cannot be read", "no such picture"]

@@ -1,4 +1,4 @@
-"""All that `recon.gait` says of a fitted clip: kinematics, angles, gait by both methods, vector fields, closures.
+"""All that `recon.gait` says of a fitted clip: kinematics, angles, gait, vector fields, closures.
 
 Where the fit gives no uncertainty (the frame method), its joints jitter from frame to frame, and derivatives of the
 exact splines are mostly noise: paths and angles are then smoothed by their own jitter, unless told otherwise, and all
@@ -20,7 +20,7 @@ import numpy as np
 from recon.base.arrays import Array, Bools
 from recon.base.errors import InputError, Problem
 from recon.fit.motion import MEASURED_SHARE, Motion
-from recon.gait.gait import BODY, Gait, Match, Method, Stride, gaits, match_stances, pose_tracks
+from recon.gait.gait import BODY, Gait, Stride, gait, pose_tracks
 from recon.gait.kinematics import (
     AngleKinematics,
     Errors,
@@ -68,10 +68,8 @@ class ClipAnalysis:
     """The angle at every inner joint of a chain and the flexion of the spine, where the skeleton has one."""
     skeleton_angles: Mapping[str, AngleKinematics]
     """The fit's own angles."""
-    gaits: Mapping[Method, Gait]
-    """By method, the ground's first, none without feet."""
-    match: Match | None
-    """Of the stances of "body" (first) and "ground"."""
+    gait: Gait | None
+    """None without feet."""
     fields: Mapping[str, tuple[LinkField, ...]]
     """By limb."""
     given: Stride | None = None
@@ -80,19 +78,12 @@ class ClipAnalysis:
     @cached_property
     def stride(self) -> Stride | None:
         """The stride that phase portraits are shown for: the one that was given, or the first complete one of the foot
-        with the most, by the rule of the ground or else by that of the body; None without."""
+        with the most; None without."""
         if self.given is not None:
             return self.given
-        strides = next((gait.strides for gait in self.gaits.values() if gait.strides), ())
+        strides = () if self.gait is None else self.gait.strides
         feet = [stride.foot for stride in strides]
         return min(strides, key=lambda s: (-feet.count(s.foot), s.start_s), default=None)
-
-    @property
-    def stride_by(self) -> str | None:
-        """What found `stride`: "given", "ground" or "body"."""
-        if self.stride is self.given:
-            return None if self.given is None else "given"
-        return next(method for method, gait in self.gaits.items() if gait.strides)
 
     @cached_property
     def not_measured(self) -> tuple[str, ...]:
@@ -156,7 +147,6 @@ def analyse(
     # A common displacement of all joints turns none of the angles.
     of_pose = [] if smooth else errors[1:]
     chains = limb_chains(motion)
-    both = _gaits(motion, pose)
     skeleton_angles = {
         name: angle_kinematics(motion.time_s, angle, error, **options)
         for name, angle, error in zip(
@@ -172,8 +162,7 @@ def analyse(
         joints=joints,
         angles=_angles(motion, pose, chains, of_pose, lean),
         skeleton_angles=skeleton_angles,
-        gaits=both,
-        match=match_stances(both["body"].stances, both["ground"].stances) if both else None,
+        gait=_gait(motion, pose),
         fields=_with_sigma(fields, motion, chains, [*skeleton_angles.values()]),
         given=given,
     )
@@ -190,13 +179,13 @@ def stride_given(motion: Motion, stride_s: tuple[float, float]) -> Stride:
     return Stride("", start_s, end_s, np.nan, np.nan, "given")
 
 
-def gaits_of(motion: Motion) -> dict[Method, Gait]:
-    """Only the gaits of `analyse`, by method; none without feet."""
+def gait_of(motion: Motion) -> Gait | None:
+    """Only the gait of `analyse`; None without feet."""
     pose = motion.upright
     if motion.jitters:
         of_joint = partial(joint_kinematics, errors=jitter_errors(pose.xyz_m), smooth=True, propagate=False)
         pose = _on_paths(pose, [of_joint(pose, name, motion.fps) for name in pose.names])
-    return _gaits(motion, pose)
+    return _gait(motion, pose)
 
 
 def reference_motion(motion: Motion) -> JointKinematics:
@@ -316,10 +305,10 @@ def _angles(
     return found
 
 
-def _gaits(motion: Motion, pose: Pose3D) -> dict[Method, Gait]:
+def _gait(motion: Motion, pose: Pose3D) -> Gait | None:
     if not motion.foot_names:
-        return {}
+        return None
     body = BODY if set(BODY) <= {*pose.names} else motion.forward_names
     segments = [segment.rows for segment in motion.segments]
-    moved = pose_tracks(pose, motion.fps, feet=motion.foot_names, body=body, segments=segments)
-    return gaits(moved)
+    moved = pose_tracks(pose, motion.fps, feet=motion.foot_names, body=body, segments=segments, restless=motion.jitters)
+    return gait(moved)

@@ -1,46 +1,35 @@
-"""Gait: stances by two methods, strides, duty factors, footfall order and the gait's name.
+"""Gait: stances, strides, duty factors, footfall order and the gait's name.
 
 Feet are LH, RH, LF, RF (left and right, hind and fore). World frame, z up, metres; the ground may lie anywhere and
 slope. Paths are cubic splines on a grid of ten times the frame rate (`recon.gait.kinematics`), and so are the
 events' times. The body is the mean of `body`'s joints; its direction of travel at a time is the horizontal chord of its
 path over `CHORD_S` on either side.
 
-Method "body" (end effector): a foot's horizontal position relative to the body along the direction of travel, x = (foot
-- body) . d, rises in the swing and falls in the stance. The published rule is "stance where the horizontal position is
-a local minimum, the height an extremum and the horizontal velocity crosses zero". In the world neither a minimum nor a
-zero is well defined, as a standing foot has zero velocity all the time; relative to the body both are: the velocity
-crosses zero at the foremost and at the rearmost position, and the rearmost, a minimum, ends the stance. A stance is
-here the time from a foremost to the next rearmost position (the retraction), if the sweep between them is at least
-`SWEEP` of the leg's length and the foot is lowest, a minimum of its height, somewhere within it rather than at one of
-its ends (an end that the clip cuts excepted). The rule needs no ground and no speed, but it begins early and ends late:
-a foot at an extremum moves over the ground as fast as the body.
-
-Method "ground": a foot may stand where its speed over the ground is below `SLOW[1]` of the body's speed and its height
-below `LOW[1]` of the leg's length; such a time is a stance if at least one instant in it is below `SLOW[0]` and
-`LOW[0]` too (hysteresis), and the stance lasts from the first to the last instant in it below `SLOW[0]`. Reasons: at
-half the body's speed a foot is as near to standing as to travelling with the body; a quarter leaves room for a marker
-that rolls over the paw and for the noise of a reconstruction. A foot starts from rest into the swing, so that a lower
-threshold would be nearer to the lift-off, but noise would cut the stance: a swing with a half sine of speed makes it
-0.05 of a stride too long in all. A marker lies some centimetres above the sole and rises with the heel, hence 0.15 of
-the leg (9 cm of 0.6 m) to count as low at all, and 0.3 for the end of the push-off. Stances shorter than `MIN_STANCE_S`
-are noise. The ground is a plane through the slow feet's positions, fitted with Tukey weights; clips of a few strides
-hardly fix its slope across the track, so that slopes have a prior of 0 +- `SLOPE_SIGMA`. Every segment of a clip, a
-stretch that was reconstructed by itself, has a plane of its own.
+Stances: a foot may stand where its speed over the ground is below `SLOW[1]` of its own speed in the swing and its
+height below `LOW[1]` of the leg's length; such a time is a stance if at least one instant in it is below `SLOW[0]` and
+`LOW[0]` too (hysteresis), and the stance lasts from the first to the last instant in it below `SLOW[0]`. A foot's speed
+in the swing is its 95th percentile, or `SWING` times the body's mean speed where a clip shows less of it: at a gallop
+that is twice the body's speed and at a walk four times, because the swing is short or long. Held against the body's
+speed, one threshold cannot be right for both. The marker lies some centimetres above the sole, rolls over the paw and
+rises with the heel while the foot stands, hence not less than a sixth of the swing's speed, 0.15 of the leg (9 cm of
+0.6 m) to count as low at all, and 0.3 for the end of the push-off. Stances shorter than `MIN_STANCE_S` are noise. The
+ground is a plane through the slow feet's positions, fitted with Tukey weights; clips of a few strides hardly fix its
+slope across the track, so that slopes have a prior of 0 +- `SLOPE_SIGMA`. Every segment of a clip, a stretch that was
+reconstructed by itself, has a plane of its own. What it is worth against force plates and motion capture:
+`benchmarks/gait.py`.
 
 The leg's length is the body's median height above the ground, the length of Froude numbers.
 
 Strides: a stance that was missed makes two strides one, and a stance that was cut makes one two. Each stride is held
-against the other method's stride of the same foot at that time, and against the return of the pose, the feet's places
-before and below the body: the first lag after which, in the mean over the time of two such strides, they are less than
-`BACK` of the distance apart that two poses taken at random are, having been `AWAY` of it apart. Where the pose returns
-it decides, as all feet and two strides are in it: a stride counts if it is within `AGREE` of that time. Where it does
-not return, in a motion that changes, the other method decides; where nothing can be said, it counts.
+against the return of the pose, the feet's places before and below the body: the first lag after which, in the mean over
+the time of two such strides, they are less than `BACK` of the distance apart that two poses taken at random are, having
+been `AWAY` of it apart. A stride counts if it is within `AGREE` of that time, or if nothing can be said.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
 from types import MappingProxyType
 from typing import Literal
@@ -55,8 +44,6 @@ from recon.gait.kinematics import Errors, Series, frame_times, joint_index, seri
 from recon.gait.path import MIN_POINTS
 from recon.io.pose3d import Pose3D
 
-Method = Literal["body", "ground"]
-
 FEET: Mapping[str, str] = MappingProxyType(
     {"LH": "l_back_paw", "RH": "r_back_paw", "LF": "l_front_paw", "RF": "r_front_paw"}
 )
@@ -66,10 +53,9 @@ OVERSAMPLING = 10
 MAX_GAP_S = 0.05
 """Longer gaps of a foot or the body are not bridged: they could hide a touchdown."""
 CHORD_S = 0.25
-SWEEP = 0.25
-"""Least sweep of a stance relative to the body, leg lengths. Galloping cheetahs sweep 1.3 to 2.1."""
-SLOW = (0.25, 0.5)
-"""Speed over the ground of a standing foot, of the body's: surely, and at most."""
+SLOW, SWING = (0.16, 0.32), 1.3
+"""Speed over the ground of a standing foot, of its speed in the swing: surely, and at most; and the least speed in the
+swing, of the body's."""
 LOW = (0.15, 0.3)
 """Height of a standing foot above the ground, leg lengths: surely, and at most."""
 MIN_STANCE_S = 0.02
@@ -81,6 +67,8 @@ AWAY, BACK = 0.7, 0.5
 """Root mean square distances of poses, of that between two taken at random, that make a return."""
 RETURN_SEEN = 0.5
 """A lag is told only from a clip that is longer by this share of it: fewer pairs of poses meet by chance."""
+WIDER = (1, 2, 4)
+"""Times as long as a stride, in which the pose is looked for: a stance that was cut makes a part of a stride one."""
 AGREE = 0.2
 """A stride that misses a stance is twice as long; the ends of a right one are off by two frames of some ten at most."""
 
@@ -90,9 +78,6 @@ ALTERNATE = 0.4
 """They alternate if at least this lies between (0.5 is exact): a symmetrical gait."""
 IN_PHASE = 0.125
 """Trot and pace: how far the fore foot may be from its diagonal or same-sided hind foot (Hildebrand's eighths)."""
-
-SYMMETRICAL = ("walk", "trot", "pace")
-"""Gaits whose feet of a pair land half a stride apart."""
 
 
 @dataclass(frozen=True)
@@ -151,6 +136,8 @@ class Tracks:
     """(N, F): horizontal."""
     body_speed_m_s: Array
     """(N,): horizontal."""
+    slow_m_s: Array
+    """(2, F): below which speed each foot surely stands, and may stand at most."""
     reach_m: Array
     """(N, F): of the foot before the body along the travel."""
     height_m: Array
@@ -189,10 +176,8 @@ class Doubt:
     """A stride that is not counted."""
 
     stride: Stride
-    other_s: float | None
-    """Duration of the other method's stride of the foot at that time; None where there is nothing to tell it from."""
-    returns_s: float | None
-    """After how long the pose returns about then, NaN if it does not; None where there is nothing to tell it from."""
+    returns_s: float
+    """After how long the pose returns about then."""
 
 
 @dataclass(frozen=True)
@@ -211,9 +196,8 @@ class GaitName:
 
 @dataclass(frozen=True, eq=False)
 class Gait:
-    """The gait of a clip by one method. Means are over complete strides, NaN without any."""
+    """The gait of a clip. Means are over complete strides, NaN without any."""
 
-    method: Method
     tracks: Tracks
     stances: tuple[Stance, ...]
     strides: tuple[Stride, ...]
@@ -225,13 +209,12 @@ class Gait:
     speed_m_s: float
     name: GaitName
     doubtful: tuple[Doubt, ...] = ()
-    """Strides by the method that the return of the pose, or the other method, speaks against; none of them is in
-    `strides`."""
+    """Strides that the return of the pose speaks against; none of them is in `strides`."""
 
 
 @dataclass(frozen=True)
 class Match:
-    """Stances of two methods, paired one to one. Lags are second less first, in frames; means over pairs whose ends
+    """Two lists of stances, paired one to one. Lags are second less first, in frames; means over pairs whose ends
     both lie in the clip, NaN without any."""
 
     pairs: tuple[tuple[Stance, Stance], ...]
@@ -258,9 +241,11 @@ def tracks(
     feet_sigma_m: Array | None = None,
     body_sigma_m: Array | None = None,
     segments: Sequence[slice] = (slice(None),),
+    restless: bool = False,
 ) -> Tracks:
     """Feet (T, F, 3) and body (T, 3) at times (T,), metres, z up, NaN where missing. With standard deviations, of the
     same shapes, the splines smooth by as much; without, they are exact. segments: rows that have a ground of their own.
+    restless: feet seem to move even when they stand, of poses that jitter; how fast, their own 10th percentile says.
     Raises ValueError."""
     if feet_m.shape != (len(time_s), len(feet), 3) or body_m.shape != (len(time_s), 3):
         raise ValueError(f"{len(time_s)} times, {len(feet)} feet, but positions {feet_m.shape} and {body_m.shape}")
@@ -273,7 +258,12 @@ def tracks(
     foot_speed = np.stack([np.linalg.norm(p.rate[:, :2], axis=1) for p in paths], axis=1)
     body_speed = np.linalg.norm(body.rate[:, :2], axis=1)
     reach = np.einsum("nfk,nk->nf", (foot - body.value[:, None])[..., :2], _travel(body.time_s, body.value))
-    slow = foot_speed < SLOW[0] * body_speed[:, None]
+    fast = [np.nanpercentile(of, 95) if np.isfinite(of).any() else 0.0 for of in foot_speed.T]
+    rest = (
+        np.nan_to_num(np.nanpercentile(foot_speed, 10, axis=0)) if restless and np.isfinite(foot_speed).any() else 0.0
+    )
+    slow_m_s = rest + np.multiply.outer(SLOW, np.maximum(fast, SWING * mean(body_speed)) - rest)
+    slow = foot_speed < slow_m_s[0]
     grounds = tuple((rows, _ground_under(foot[_fine(rows)], slow[_fine(rows)])) for rows in segments)
     return Tracks(
         feet=feet,
@@ -283,6 +273,7 @@ def tracks(
         body_m=body.value,
         foot_speed_m_s=foot_speed,
         body_speed_m_s=body_speed,
+        slow_m_s=slow_m_s,
         reach_m=reach,
         height_m=_above(grounds, foot),
         grounds=grounds,
@@ -297,10 +288,11 @@ def pose_tracks(
     feet: Mapping[str, str] = FEET,
     body: tuple[str, ...] = BODY,
     segments: Sequence[slice] = (slice(None),),
+    restless: bool = False,
 ) -> Tracks:
     """The tracks of a pose; sigma_m (T, J, 3) smooths as in `tracks`; feet: joint of each foot, by LH, RH, LF, RF;
-    body: joints whose mean stands for the body; segments: see `tracks`. Raises InputError with every joint that the
-    pose lacks, ValueError."""
+    body: joints whose mean stands for the body; segments, restless: see `tracks`. Raises InputError with every joint
+    that the pose lacks, ValueError."""
     where, n = joint_index(pose, (*feet.values(), *body)), len(feet)
     points = pose.xyz_m[:, where]
     feet_sigma = body_sigma = None
@@ -309,7 +301,9 @@ def pose_tracks(
         # Errors of a body's joints go together: the mean is no better than they are.
         body_sigma = np.sqrt(np.mean(sigma_m[:, where[n:]] ** 2, axis=1))
     body_m = points[:, n:].mean(axis=1)
-    return tracks(frame_times(pose.frames, fps), points[:, :n], body_m, tuple(feet), feet_sigma, body_sigma, segments)
+    return tracks(
+        frame_times(pose.frames, fps), points[:, :n], body_m, tuple(feet), feet_sigma, body_sigma, segments, restless
+    )
 
 
 def _path(time_s: Array, points_m: Array, sigma_m: Array | None) -> Series:
@@ -384,25 +378,22 @@ def _travel(time_s: Array, body_m: Array) -> Array:
     return np.divide(chord, length, out=np.full_like(chord, np.nan), where=(length > 1e-9) & known[:, None])
 
 
-_OTHER: Mapping[Method, Method] = MappingProxyType({"ground": "body", "body": "ground"})
-
 # -- stances ---------------------------------------------------------------------------------------------------------
 
 
-def stances(moved: Tracks, method: Method = "ground") -> tuple[Stance, ...]:
+def stances(moved: Tracks) -> tuple[Stance, ...]:
     """All feet's stances in the order of their beginnings (see the module)."""
-    find = _body_stances if method == "body" else _ground_stances
-    found = [s for k in range(len(moved.feet)) for s in find(moved, k)]
+    found = [s for k in range(len(moved.feet)) for s in _stances_of(moved, k)]
     return tuple(sorted(found, key=lambda s: (s.start_s, s.foot)))
 
 
-def _ground_stances(moved: Tracks, k: int) -> list[Stance]:
-    speed, height = moved.foot_speed_m_s[:, k], moved.height_m[:, k]
-    still = np.flatnonzero(speed < SLOW[0] * moved.body_speed_m_s)
+def _stances_of(moved: Tracks, k: int) -> list[Stance]:
+    speed, height, (surely, at_most) = moved.foot_speed_m_s[:, k], moved.height_m[:, k], moved.slow_m_s[:, k]
+    still = np.flatnonzero(speed < surely)
     sure = still[height[still] < LOW[0] * moved.leg_m]
-    known = np.isfinite(speed + moved.body_speed_m_s)
+    known = np.isfinite(speed)
     found = []
-    slow = np.less(speed, SLOW[1] * moved.body_speed_m_s) & np.less(height, LOW[1] * moved.leg_m)
+    slow = np.less(speed, at_most) & np.less(height, LOW[1] * moved.leg_m)
     for first, end in frame_ranges(np.flatnonzero(slow)):
         if np.any((sure >= first) & (sure < end)):
             inside = still[(still >= first) & (still < end)]
@@ -410,45 +401,6 @@ def _ground_stances(moved: Tracks, k: int) -> list[Stance]:
             begins, ends = _inside(known, first - 1), _inside(known, end)
             found.append(_stance(moved, k, int(inside[0]), int(inside[-1]), begins, ends))
     return [s for s in found if s.duration_s >= MIN_STANCE_S or not (s.begins and s.ends)]
-
-
-def _body_stances(moved: Tracks, k: int) -> list[Stance]:
-    reach, height = moved.reach_m[:, k], moved.height_m[:, k]
-    known = np.isfinite(reach) & np.isfinite(height)
-    found = []
-    for first, end in frame_ranges(np.flatnonzero(known)):
-        for a, b in pairwise(_turning_points(reach[first:end], SWEEP * moved.leg_m)):
-            if reach[first + a] <= reach[first + b]:
-                continue
-            a, b = first + a, first + b
-            lowest = a + int(np.argmin(height[a : b + 1]))
-            begins, ends = a > first, b < end - 1
-            if (lowest > a or not begins) and (lowest < b or not ends):
-                found.append(_stance(moved, k, a, b, begins, ends))
-    return found
-
-
-def _turning_points(x: Array, least: float) -> list[int]:
-    """Indices of the maxima and minima of x in turn, each at least `least` from the next, the two ends included."""
-    points, low, high, rising = [], 0, 0, None
-    for i in range(len(x)):
-        if x[i] > x[high]:
-            high = i
-        if x[i] < x[low]:
-            low = i
-        if rising is not False and x[high] - x[i] >= least:
-            points.append(high)
-            rising, low = False, i
-        elif rising is not True and x[i] - x[low] >= least:
-            points.append(low)
-            rising, high = True, i
-        if rising is True:
-            low = i
-        elif rising is False:
-            high = i
-    if rising is not None:
-        points.append(high if rising else low)
-    return points
 
 
 def _inside(known: Bools, i: int) -> bool:
@@ -495,44 +447,13 @@ def _without(found: Sequence[Stance], paired: Sequence[Stance]) -> tuple[Stance,
 # -- strides and gait ------------------------------------------------------------------------------------------------
 
 
-def gait(moved: Tracks, method: Method = "ground") -> Gait:
-    """Stances, strides and the gait's name by one method, its strides held against the other and the pose's return."""
-    return gaits(moved)[method]
-
-
-def gaits(moved: Tracks) -> dict[Method, Gait]:
-    """The same by both methods, the ground's first."""
-    methods: tuple[Method, ...] = ("ground", "body")
-    found = {method: stances(moved, method) for method in methods}
-    complete = {method: strides(moved, found[method]) for method in methods}
-    return undisputed(
-        {
-            method: _gait(moved, method, found[method], *checked(moved, complete[method], complete[_OTHER[method]]))
-            for method in methods
-        }
-    )
-
-
-def undisputed(found: dict[Method, Gait]) -> dict[Method, Gait]:
-    """The gaits by both methods, without names where one method's is symmetrical and the other's is not: the times of
-    their touch-downs contradict each other."""
-    if len({gait.name.name in SYMMETRICAL for gait in found.values() if gait.name.name != "unknown"}) < 2:
-        return found
-    open_ = {}
-    for method, gait in found.items():
-        other = f"the stances by {_OTHER[method]} say {found[_OTHER[method]].name.name}"
-        criterion = f"{gait.name.criterion}: {gait.name.name} by these stances, but {other}"
-        open_[method] = replace(gait, name=replace(gait.name, name="unknown", criterion=criterion))
-    return open_
-
-
-def _gait(
-    moved: Tracks, method: Method, found: tuple[Stance, ...], taken: tuple[Stride, ...], doubtful: tuple[Doubt, ...]
-) -> Gait:
+def gait(moved: Tracks) -> Gait:
+    """Stances, strides and the gait's name, the strides held against the pose's return."""
+    found = stances(moved)
+    taken, doubtful = checked(moved, strides(moved, found))
     lengths, durations = [s.length_m for s in taken], [s.end_s - s.start_s for s in taken]
     landed = sorted((s for s in found if s.begins), key=lambda s: s.start_s)
     return Gait(
-        method=method,
         tracks=moved,
         stances=found,
         strides=taken,
@@ -546,9 +467,9 @@ def _gait(
     )
 
 
-def pose_gait(pose: Pose3D, fps: float, method: Method = "ground", sigma_m: Array | None = None, **options) -> Gait:
+def pose_gait(pose: Pose3D, fps: float, sigma_m: Array | None = None, **options) -> Gait:
     """The gait of a pose; options as `pose_tracks`. Raises InputError, ValueError."""
-    return gait(pose_tracks(pose, fps, sigma_m, **options), method)
+    return gait(pose_tracks(pose, fps, sigma_m, **options))
 
 
 def strides(moved: Tracks, found: tuple[Stance, ...]) -> tuple[Stride, ...]:
@@ -569,43 +490,26 @@ def strides(moved: Tracks, found: tuple[Stance, ...]) -> tuple[Stride, ...]:
     return tuple(sorted(taken, key=lambda s: (s.start_s, s.foot)))
 
 
-def checked(
-    moved: Tracks, own: tuple[Stride, ...], others: tuple[Stride, ...]
-) -> tuple[tuple[Stride, ...], tuple[Doubt, ...]]:
-    """Strides of one method that count, and those that do not, held against the other's and the return of the pose."""
+def checked(moved: Tracks, own: tuple[Stride, ...]) -> tuple[tuple[Stride, ...], tuple[Doubt, ...]]:
+    """Strides that count, and those that do not, held against the return of the pose."""
     counted, doubtful = [], []
-    by_foot = {foot: [s for s in others if s.foot == foot] for foot in moved.feet}
     for stride in own:
-        other_s = _other_s(stride, by_foot[stride.foot])
-        returns_s = pose_return_s(moved, stride.start_s, stride.end_s)
-        decides = returns_s if returns_s is not None and (returns_s > 0 or other_s is None) else other_s
-        if decides is None or abs(decides * stride.frequency_hz - 1) <= AGREE:
+        middle_s, half_s = (stride.start_s + stride.end_s) / 2, (stride.end_s - stride.start_s) / 2
+        about = (pose_return_s(moved, middle_s - n * half_s, middle_s + n * half_s) for n in WIDER)
+        returns_s = next((found for found in about if found is not None and found > 0), None)
+        # Without a return nothing speaks against it: in a motion that changes, the pose need not come back.
+        if returns_s is None or abs(returns_s * stride.frequency_hz - 1) <= AGREE:
             counted.append(stride)
         else:
-            doubtful.append(Doubt(stride, other_s, returns_s))
+            doubtful.append(Doubt(stride, returns_s))
     return tuple(counted), tuple(doubtful)
 
 
-def _other_s(stride: Stride, others: Sequence[Stride]) -> float | None:
-    """Duration of the stride that overlaps most with it, of those of its foot by the other method."""
-    if not others:
-        return None
-    (shared,) = _overlap([stride], others)
-    other = others[int(shared.argmax())]
-    return other.end_s - other.start_s if shared.max() > 0 else None
-
-
-def doubt_text(method: Method, doubt: Doubt) -> str:
+def doubt_text(doubt: Doubt) -> str:
     """One sentence."""
     stride = doubt.stride
-    text = f"by {method}, {stride.foot}'s stride from {stride.start_s:.3f} to {stride.end_s:.3f} s does not count: "
-    said = []
-    if doubt.returns_s is not None:
-        after = f"returns after {doubt.returns_s:.3f} s" if doubt.returns_s > 0 else "does not return about then"
-        said.append(f"the pose {after}")
-    if doubt.other_s is not None:
-        said.append(f"by {_OTHER[method]} the foot's stride there takes {doubt.other_s:.3f} s")
-    return text + ", and ".join(said)
+    text = f"{stride.foot}'s stride from {stride.start_s:.3f} to {stride.end_s:.3f} s does not count"
+    return f"{text}: the pose returns after {doubt.returns_s:.3f} s"
 
 
 def pose_return_s(moved: Tracks, start_s: float, end_s: float) -> float | None:

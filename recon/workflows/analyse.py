@@ -131,23 +131,14 @@ def summarise(found: ClipAnalysis, results: str) -> dict[str, Any]:
         },
         "spine_flexion_rad": found.angles["spine_flexion"].range_rad if "spine_flexion" in found.angles else None,
         "angles": {"data_share": found.motion.data_shares, "not_measured": list(found.not_measured)},
-        "gait": {method: _gait_summary(gait) for method, gait in found.gaits.items()},
+        "gait": None if found.gait is None else _gait_summary(found.gait),
         "stride": None
         if found.stride is None
         else {
             "foot": found.stride.foot,
             "start_s": found.stride.start_s,
             "end_s": found.stride.end_s,
-            "by": found.stride_by,
-        },
-        "methods_agree": None
-        if found.match is None
-        else {
-            "pairs": len(found.match.pairs),
-            "only_body": len(found.match.only_first),
-            "only_ground": len(found.match.only_second),
-            "ground_starts_later_frames": found.match.start_lag_frames,
-            "ground_ends_later_frames": found.match.end_lag_frames,
+            "by": "given" if found.given is not None else "gait",
         },
         "notes": notes(found),
     }
@@ -171,17 +162,16 @@ def notes(found: ClipAnalysis) -> list[str]:
             f"{MEASURED_SHARE:.0%} of their precision from the pixels), and grey in figures: "
             f"{', '.join(found.not_measured)}."
         )
-    if not found.gaits:
+    if found.gait is None:
         said.append("The skeleton has no feet: no gait.")
     elif len(found.motion.foot_names) < 4:
         said.append(f"Only the feet {', '.join(found.motion.foot_names)} were fitted: the gait has no name.")
-    for method, gait in found.gaits.items():
-        said += [doubt_text(method, doubt) for doubt in gait.doubtful[:SHOWN]]
-        if (more := len(gait.doubtful) - SHOWN) > 0:
-            said.append(f"{more} more strides by {method} do not count, for reasons of the same kind")
-    if found.stride_by == "body":
-        said.append("No complete stride by ground: phase portraits and closures are of one by body.")
-    if found.gaits and found.stride is None:
+    if found.gait is not None:
+        doubtful = found.gait.doubtful
+        said += [doubt_text(doubt) for doubt in doubtful[:SHOWN]]
+        if (more := len(doubtful) - SHOWN) > 0:
+            said.append(f"{more} more strides do not count, for reasons of the same kind")
+    if found.gait is not None and found.stride is None:
         said.append("No complete stride in the clip: no stride figures, and phase portraits are of the whole clip.")
     return said
 
@@ -219,19 +209,17 @@ def figures_of(found: ClipAnalysis) -> dict[str, Callable[[], Figure]]:
     from recon.show import plots
 
     motion, time_s, during = found.motion, found.motion.time_s, found.during_stride
-    ground = found.gaits["ground"].tracks.grounds if found.gaits else None
+    ground = None if found.gait is None else found.gait.tracks.grounds
     joints_m = plots.in_body(motion.body, motion.states[during], motion.size, motion.reference_joint)
-    title = {
-        None: "whole clip: no complete stride",
-        "given": "the stride that was given",
-    }.get(found.stride_by, f"one stride of {found.stride.foot if found.stride else ''}")
+    title = f"one stride of {found.stride.foot}" if found.stride else "whole clip: no complete stride"
+    title = "the stride that was given" if found.given is not None else title
     own = (joints_m, motion.limbs, time_s[during], motion.limb_sides, title)
     return {
         "composites": lambda: plots.composites(found.pose.xyz_m, motion.limbs, time_s, ground, sides=motion.limb_sides),
         "speed": lambda: plots.speeds(
             {found.reference: found.joints[found.reference]}, unknown=found.speed_doubt is not None
         ),
-        **({"footfalls": lambda: plots.footfall(found.gaits, motion.fps)} if found.gaits else {}),
+        **({} if found.gait is None else {"footfalls": partial(plots.footfall, {"gait": found.gait}, motion.fps)}),
         **{
             f"vector_field_{limb.replace(' ', '_')}": partial(plots.vector_fields, fields, time_s, title=limb)
             for limb, fields in found.fields.items()

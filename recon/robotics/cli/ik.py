@@ -38,8 +38,7 @@ def _print(console: Console, summary: dict[str, Any], out: Path) -> None:
     stride = summary["stride"]
     how = {
         "given": "as given",
-        "ground": "from touchdown to touchdown",
-        "body": "from one foremost place of the foot to the next: the ground shows none that counts",
+        "gait": "from touchdown to touchdown",
         "return": "the clip has no complete one: the nearest return of the foot to the same place",
         "whole clip": "the clip has no complete one: the whole clip",
     }[stride["how"]]

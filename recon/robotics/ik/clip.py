@@ -18,9 +18,8 @@ from recon.base.errors import InputError, Problem
 from recon.base.files import require_free_folder, sole_writer, staged_folder
 from recon.check import usable, verdict_fields
 from recon.fit.motion import Motion
-from recon.gait.clip import gaits_of, limb_chains, stride_given
+from recon.gait.clip import gait_of, limb_chains, stride_given
 from recon.gait.gait import AGREE, OVERSAMPLING, Gait, doubt_text, pose_return_s
-from recon.gait.gait import Method as Rule
 from recon.gait.path import MIN_POINTS
 from recon.gait.phase import Closure, Portrait
 from recon.io.table import write_rows
@@ -413,31 +412,31 @@ def _coordinates(target: str, dim: int) -> Array:
 
 
 def stride_of(motion: Motion, limb: Limb, stride_s: tuple[float, float] | None = None) -> StridePath:
-    """The stride that is given; or the first of the foot that counts (`recon.gait.gait`), by the rule of the ground
-    or else by that of the body; or, of a clip without any, where the foot comes back to nearest in the time that a
-    stride takes. Raises InputError for a clip that shows too little."""
+    """The stride that is given; or the first of the foot that counts (`recon.gait.gait`); or, of a clip without any,
+    where the foot comes back to nearest in the time that a stride takes. Raises InputError for a clip that shows too
+    little."""
     if stride_s is not None:
         stride = stride_given(motion, stride_s)
         return _found_stride(motion, limb, "given", (stride.start_s, stride.end_s))
-    gaits = gaits_of(motion)
+    gait = gait_of(motion)
+    assert gait is not None  # the limb has a foot
     label = next(label for label, joint in motion.foot_names.items() if joint == limb.foot)
-    doubts = [doubt_text(rule, d) for rule, gait in gaits.items() for d in gait.doubtful if d.stride.foot == label]
-    rules: tuple[Rule, ...] = ("ground", "body")
-    for rule in rules:
-        if complete := next((s for s in gaits[rule].strides if s.foot == label), None):
-            return _found_stride(motion, limb, rule, (complete.start_s, complete.end_s), doubts)
-    return _found_stride(motion, limb, notes=doubts, lasts_s=stride_lasts_s(gaits["ground"]))
+    doubts = [doubt_text(doubt) for doubt in gait.doubtful if doubt.stride.foot == label]
+    # Of poses that jitter, touch-downs are told worse than the pose's return is.
+    if not motion.jitters and (complete := next((s for s in gait.strides if s.foot == label), None)):
+        return _found_stride(motion, limb, "gait", (complete.start_s, complete.end_s), doubts)
+    return _found_stride(motion, limb, notes=doubts, lasts_s=stride_lasts_s(gait))
 
 
-def stride_lasts_s(ground: Gait) -> tuple[float, float]:
+def stride_lasts_s(gait: Gait) -> tuple[float, float]:
     """How long a stride of a clip without a complete one lasts, at least and at most: about as long as the pose takes
     to return. In a clip that is too short to tell, and in which no foot lands twice, it takes the time from the first
     touchdown to the end at least, to half a frame."""
-    time_s = ground.tracks.time_s
-    back_s = pose_return_s(ground.tracks, time_s[0], time_s[-1])
+    time_s = gait.tracks.time_s
+    back_s = pose_return_s(gait.tracks, time_s[0], time_s[-1])
     if back_s is not None and back_s > 0:
         return (1 - AGREE) * back_s, (1 + AGREE) * back_s
-    landed = [s for s in ground.stances if s.begins]
+    landed = [s for s in gait.stances if s.begins]
     if len({s.foot for s in landed}) < len(landed):
         return 0.0, np.inf
     first_s = min((s.start_s for s in landed), default=time_s[-1])

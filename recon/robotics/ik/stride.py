@@ -40,7 +40,7 @@ class StridePath:
     start_s: float
     end_s: float
     how: str
-    """How it was found: "given", "return" or "whole clip", or the rule that found it complete, "ground" or "body"."""
+    """How it was found: "given", "gait" where it is a complete one, "return" or "whole clip"."""
     q: Array
     """(F, n): the animal's joint angles, NaN where missing, of which the first is where to start from."""
     path_m: Array

@@ -23,7 +23,7 @@ from recon.base.arrays import Array, Bools, Index
 from recon.base.errors import InputError, Problem
 from recon.fit.motion import Motion
 from recon.gait.clip import ClipAnalysis, analyse
-from recon.gait.gait import Method, Stance, Tracks
+from recon.gait.gait import Gait, Stance, Tracks
 
 SMOOTH_S = 0.02
 MIN_SAMPLES = 40
@@ -86,8 +86,6 @@ class Animal:
     """(N,), samples of the analysis' fine grid that the reference is made from."""
     stances: tuple[Stance, ...]
     """Those that the reference has."""
-    method: Method
-    """That the stances are by."""
 
     def in_world(self, points_m: Array) -> Array:
         """Points (..., 3) of the upright frame in the reference's world, still of the animal's size."""
@@ -100,8 +98,8 @@ class Animal:
 def reference_of(motion: Motion, stride_s: tuple[float, float] | None = None) -> Animal:
     """stride_s: as `analyse`. Raises InputError where the clip shows no feet, or too few frames of all of them."""
     analysis = analyse(motion, stride_s=stride_s)
-    _check(motion, analysis)
-    tracks = analysis.gaits["ground"].tracks
+    gait = _checked(motion, analysis)
+    tracks = gait.tracks
     trunk = _trunk(analysis)
     feet_m, n = tracks.foot_m, len(tracks.time_s)
     known = np.column_stack([feet_m.reshape(n, -1), tracks.body_m, trunk])
@@ -127,8 +125,7 @@ def reference_of(motion: Motion, stride_s: tuple[float, float] | None = None) ->
     smoothed[:, :3] -= smoothed[:, :3].mean(axis=0)
     heading = Rotation.from_euler("z", -smoothed[:, 3:])
     feet = np.stack([heading.apply(to_world.apply(feet_m[rows, k] - body)) for k in range(len(tracks.feet))], 1)
-    stances, method = _stances(analysis)
-    standing = standing_mask(stances, tracks.feet, time)
+    standing = standing_mask(gait.stances, tracks.feet, time)
     order = [tracks.feet.index(foot) for foot in FEET if foot in tracks.feet]
     feet[..., 2] = _above_standing(tracks, rows, standing)
     feet[..., 0] -= (feet[..., 0].min(axis=0) + feet[..., 0].max(axis=0)) / 2
@@ -142,30 +139,19 @@ def reference_of(motion: Motion, stride_s: tuple[float, float] | None = None) ->
         standing=standing[:, order],
         leg_m=tracks.leg_m,
     )
-    return Animal(reference, analysis, to_world, origin, rows, stances, method)
+    return Animal(reference, analysis, to_world, origin, rows, gait.stances)
 
 
-def _check(motion: Motion, analysis: ClipAnalysis) -> None:
+def _checked(motion: Motion, analysis: ClipAnalysis) -> Gait:
     feet = set(motion.foot_names)
-    if not analysis.gaits or not any({f"{side}F", f"{side}H"} <= feet for side in "LR"):
+    if analysis.gait is None or not any({f"{side}F", f"{side}H"} <= feet for side in "LR"):
         found = ", ".join(sorted(feet)) or "none"
         expected = "a fore and a hind foot of one side at least, the feet of the skeleton"
         raise InputError(Problem(motion.file, "feet", found, expected))
     lonely = [foot for foot in FEET if foot in feet and {"L": "R", "R": "L"}[foot[0]] + foot[1] not in feet]
     if len(feet) == 3:
         raise InputError(Problem(motion.file, "feet", f"no counterpart of {', '.join(lonely)}", "two or four feet"))
-
-
-def _stances(analysis: ClipAnalysis) -> tuple[tuple[Stance, ...], Method]:
-    """By the method "ground"; of a fit that jitters, in which feet hardly ever stand by it, the middle halves of those
-    by the method "body", which begin early and end late."""
-    if not analysis.smoothed:
-        return analysis.gaits["ground"].stances, "ground"
-    halves = [
-        replace(s, start_s=0.75 * s.start_s + 0.25 * s.end_s, end_s=0.25 * s.start_s + 0.75 * s.end_s)
-        for s in analysis.gaits["body"].stances
-    ]
-    return tuple(halves), "body"
+    return analysis.gait
 
 
 def _trunk(analysis: ClipAnalysis) -> Array:
@@ -238,7 +224,7 @@ def stride_window(animal: Animal) -> StrideWindow:
         return StrideWindow(first, last, "given", _gap_percent(reference.feet_m, first, last))
     strides = [
         s
-        for s in animal.analysis.gaits[animal.method].strides
+        for s in (animal.analysis.gait.strides if animal.analysis.gait else ())
         if time[0] - 1e-9 <= s.start_s and s.end_s <= time[-1] + 1e-9
     ]
     if strides:

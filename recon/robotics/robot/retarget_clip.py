@@ -94,7 +94,7 @@ def _report(
 ) -> dict[str, Any]:
     fitted, robot = animal.analysis.motion, motion.clip.robot
     mirrored = [foot for foot in LEGS if foot not in animal.reference.feet]
-    doubts = [doubt_text(animal.method, doubt) for doubt in animal.analysis.gaits[animal.method].doubtful]
+    doubts = [doubt_text(doubt) for doubt in (animal.analysis.gait.doubtful if animal.analysis.gait else ())]
     notes = _notes(window, motion, mirrored, lag, doubts)
     return {
         "schema": {"name": "recon.retarget", "version": 1},
@@ -116,7 +116,6 @@ def _report(
             "results": fitted.file,
             "title": fitted.title,
             "leg_m": animal.reference.leg_m,
-            "stances_by": animal.method,
             "mirrored_feet": mirrored,
             "lag": lag if mirrored else None,
         },

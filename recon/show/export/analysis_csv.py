@@ -102,38 +102,35 @@ def angle_rates(found: ClipAnalysis) -> Columns:
 
 
 def stances(found: ClipAnalysis) -> Table:
-    """Every stance by both methods; `pair` numbers those that both found."""
-    columns = "method, foot, joint, start_s, end_s, start_frame, end_frame, duration_s, begins, ends, pair"
-    pair = {id(stance): i for i, two in enumerate(found.match.pairs if found.match else (), start=1) for stance in two}
+    """Every stance."""
+    columns = "foot, joint, start_s, end_s, start_frame, end_frame, duration_s, begins, ends"
     rows = [
         (
-            *(method, s.foot, found.motion.foot_names[s.foot], s.start_s, s.end_s),
+            *(s.foot, found.motion.foot_names[s.foot], s.start_s, s.end_s),
             *(file_frame(found, s.start_frame), file_frame(found, s.end_frame), s.duration_s),
-            *(_yes(s.begins), _yes(s.ends), pair.get(id(s), "")),
+            *(_yes(s.begins), _yes(s.ends)),
         )
-        for method, gait in found.gaits.items()
-        for s in gait.stances
+        for s in (found.gait.stances if found.gait else ())
     ]
     return columns.split(", "), rows
 
 
 def strides(found: ClipAnalysis) -> Table:
-    """Every complete stride by both methods."""
-    columns = "method, foot, at, start_s, end_s, duration_s, length_m, frequency_hz, duty_factor"
+    """Every complete stride."""
+    columns = "foot, at, start_s, end_s, duration_s, length_m, frequency_hz, duty_factor"
     rows = [
-        (method, s.foot, s.at, s.start_s, s.end_s, s.end_s - s.start_s, s.length_m, s.frequency_hz, s.duty_factor)
-        for method, gait in found.gaits.items()
-        for s in gait.strides
+        (s.foot, s.at, s.start_s, s.end_s, s.end_s - s.start_s, s.length_m, s.frequency_hz, s.duty_factor)
+        for s in (found.gait.strides if found.gait else ())
     ]
     return columns.split(", "), rows
 
 
 def gait(found: ClipAnalysis) -> Table:
-    """One row a method: the gait's name and criterion, and means over complete strides."""
-    columns = "method, gait, criterion, speed_m_s, strides, stride_length_m, stride_frequency_hz, duty_factor"
+    """One row: the gait's name and criterion, and means over complete strides; none without feet."""
+    columns = "gait, criterion, speed_m_s, strides, stride_length_m, stride_frequency_hz, duty_factor"
     feet = list(found.motion.foot_names)
     columns += "".join(f", duty_factor_{foot}, phase_{foot}" for foot in feet) + ", footfalls"
-    return columns.split(", "), [_gait_row(method, one, feet) for method, one in found.gaits.items()]
+    return columns.split(", "), [] if found.gait is None else [_gait_row(found.gait, feet)]
 
 
 def vector_field(found: ClipAnalysis) -> Columns:
@@ -219,11 +216,11 @@ def file_frame(found: ClipAnalysis, row: float) -> float:
     return float(np.interp(row, np.arange(len(found.pose.frames)), found.pose.frames))
 
 
-def _gait_row(method: str, one: Gait, feet: list[str]) -> Sequence[Any]:
+def _gait_row(one: Gait, feet: list[str]) -> Sequence[Any]:
     name = one.name
     by_foot = [value for f in feet for value in (one.duty_factor.get(f, np.nan), name.phase.get(f, np.nan))]
     return (
-        *(method, name.name, name.criterion, one.speed_m_s, len(one.strides), one.stride_length_m),
+        *(name.name, name.criterion, one.speed_m_s, len(one.strides), one.stride_length_m),
         *(one.stride_frequency_hz, name.duty_factor, *by_foot, " ".join(one.order)),
     )
 

@@ -13,8 +13,8 @@ from recon.base.arrays import Array
 from recon.base.words import length_text
 from recon.check import FLAGS, verdict_lines
 from recon.fit.motion import MEASURED_SHARE, Motion
-from recon.gait.clip import gaits_of, reference_motion, speed_doubt
-from recon.gait.gait import Gait, Method
+from recon.gait.clip import gait_of, reference_motion, speed_doubt
+from recon.gait.gait import Gait
 from recon.gait.kinematics import JointKinematics
 from recon.gait.path import MIN_POINTS
 from recon.show import plots
@@ -58,13 +58,13 @@ def clip_page(
     page, with forward slashes, for links; number: of the camera whose stills they are."""
     report = build_report(motion)
     posed = np.isfinite(motion.upright.xyz_m).all(axis=(1, 2))
-    moved, gaits = (reference_motion(motion), gaits_of(motion)) if posed.sum() >= MIN_POINTS else (None, {})
+    moved, gait = (reference_motion(motion), gait_of(motion)) if posed.sum() >= MIN_POINTS else (None, None)
     doubtful = list(doubtful_frames(motion))
     return rendered(
         "report.html",
         title=", ".join(dict.fromkeys(_base(camera["keypoints"]) for camera in report["cameras"])),
         subtitle=_subtitle(motion),
-        words=list(_words(motion, report, moved, gaits)),
+        words=list(_words(motion, report, moved, gait)),
         verdict=motion.verdict,
         expected=verdict_lines(motion.verdict)[1:],
         warnings=[text for text in warnings(report) if motion.verdict is None or text != motion.verdict.reason],
@@ -72,7 +72,7 @@ def clip_page(
         stills=stills,
         behind=behind,
         camera=motion.cameras[number].name if len(motion.cameras) > 1 else "the camera",
-        sections=[] if moved is None else list(_sections(motion, moved, gaits)),
+        sections=[] if moved is None else list(_sections(motion, moved, gait)),
         doubtful=doubtful[:SHOWN],
         more_doubtful=max(0, len(doubtful) - SHOWN),
         meaning={flag: text for flag, text in FLAGS.items() if any(flag in flags for flags in motion.flags)},
@@ -103,7 +103,7 @@ def _subtitle(motion: Motion) -> str:
 
 
 def _words(
-    motion: Motion, report: Mapping[str, Any], moved: JointKinematics | None, gaits: Mapping[Method, Gait]
+    motion: Motion, report: Mapping[str, Any], moved: JointKinematics | None, gait: Gait | None
 ) -> Iterator[str]:
     """The result in a few sentences."""
     lines = dict(report["lines"])
@@ -112,7 +112,7 @@ def _words(
         yield "Too few frames have a pose for a speed or a gait."
         return
     yield _speed_sentence(report, moved)
-    yield from _gait_sentences(gaits)
+    yield from _gait_sentences(gait)
 
 
 def _speed_sentence(report: Mapping[str, Any], moved: JointKinematics) -> str:
@@ -127,13 +127,11 @@ def _speed_sentence(report: Mapping[str, Any], moved: JointKinematics) -> str:
     )
 
 
-def _gait_sentences(gaits: Mapping[Method, Gait]) -> Iterator[str]:
-    if not gaits:
+def _gait_sentences(gait: Gait | None) -> Iterator[str]:
+    if gait is None:
         yield "The skeleton has no feet: no gait."
         return
-    method, gait = next(((m, g) for m, g in gaits.items() if g.strides), next(iter(gaits.items())))
-    by = {"ground": "feet that are slow and low", "body": "feet that move backwards below the body"}[method]
-    yield f"Gait, from {by}: {gait.name.name} ({gait.name.criterion})."
+    yield f"Gait: {gait.name.name} ({gait.name.criterion})."
     if gait.strides:
         yield (
             f"Strides are {length_text(gait.stride_length_m)} long, {gait.stride_frequency_hz:.2f} a second (means "
@@ -153,8 +151,8 @@ def doubtful_frames(motion: Motion) -> Iterator[tuple[str, str]]:
 # -- figures ----------------------------------------------------------------------------------------------------------
 
 
-def _sections(motion: Motion, moved: JointKinematics, gaits: Mapping[Method, Gait]) -> Iterator[FigureGroup]:
-    ground = gaits["ground"].tracks.grounds if gaits else None
+def _sections(motion: Motion, moved: JointKinematics, gait: Gait | None) -> Iterator[FigureGroup]:
+    ground = None if gait is None else gait.tracks.grounds
     drawn = {"ground": ground, "sides": motion.limb_sides}
     yield FigureGroup(
         "From the side, from above and from ahead",
@@ -170,9 +168,9 @@ def _sections(motion: Motion, moved: JointKinematics, gaits: Mapping[Method, Gai
         _inline([plots.speeds({name: moved}, width_mm=SPEED_MM, unknown=speed_doubt(motion) is not None)]),
         "narrow",
     )
-    if gaits:
+    if gait is not None:
         text = "When each foot stands: by its speed over the ground and its height, and by its path below the body."
-        yield FigureGroup("Footfalls", text, _inline([plots.footfall(gaits, motion.fps)]))
+        yield FigureGroup("Footfalls", text, _inline([plots.footfall({"gait": gait}, motion.fps)]))
     panels = together(_angle_curves(motion)).items()
     doubtful = np.array([bool(flags) for flags in motion.flags])
     yield FigureGroup(

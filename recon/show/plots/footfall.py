@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from recon.base.words import length_text
-from recon.gait.gait import Gait, Method, Stance
+from recon.gait.gait import Gait, Stance
 from recon.show.plots.style import COLOURS, PALE, SMALL, add_legend, drawing
 
 if TYPE_CHECKING:
@@ -20,14 +20,15 @@ ROWS = ("LH", "RH", "RF", "LF")
 """From the top."""
 HATCHES = ("", "////", "....", "xxxx")
 _BAR = 0.76
-"""Of a row, all methods together."""
+"""Of a row, all gaits together."""
 
 
-def footfall(gaits: Mapping[str, Gait] | Mapping[Method, Gait], fps: float, title: str = "") -> Figure:
-    """Stances by foot, the methods' bars one above the other; the second axis counts frames, of which 0 is at 0 s.
+def footfall(gaits: Mapping[str, Gait], fps: float, title: str = "") -> Figure:
+    """Stances by foot, those of several gaits, by name, one above the other; the second axis counts frames,
+    of which 0 is at 0 s.
 
     A stance that the clip cuts has no edge there, but an arrow: it is at least as long as its bar. Thin lines with
-    ticks are complete strides. Below: each method's name of the gait and why.
+    ticks are complete strides. Below: what each gait is called and why.
     """
     captions = [_caption(name, gait) for name, gait in gaits.items()]
     lines = sum(caption.count("\n") + 1 for caption in captions)
@@ -90,7 +91,7 @@ def _caption(name: str, gait: Gait) -> str:
     return textwrap.fill(text, 125)
 
 
-def _legend(figure: Figure, gaits: Mapping[str, Gait] | Mapping[Method, Gait]) -> None:
+def _legend(figure: Figure, gaits: Mapping[str, Gait]) -> None:
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
@@ -103,7 +104,7 @@ def _legend(figure: Figure, gaits: Mapping[str, Gait] | Mapping[Method, Gait]) -
 
 
 def _fill(m: int) -> dict[str, Any]:
-    """Pale, with a hatch and an edge, of the m-th method."""
+    """Pale, with a hatch and an edge, of the m-th gait."""
     from matplotlib.colors import to_rgb
 
     colour = COLOURS[m % len(COLOURS)]

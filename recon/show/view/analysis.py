@@ -15,7 +15,7 @@ from recon.show.view.scene import GRID, LEFT, LIMB_COLOURS, LINK, MIDDLE, RIGHT,
 
 
 def write_analysis(found: ClipAnalysis, path: Path, playback: Path) -> None:
-    """Speed, acceleration and flexion with one sigma, the links' speeds, the stances by both methods, and which
+    """Speed, acceleration and flexion with one sigma, the links' speeds, the stances, and which
     angles the pixels show. Raises InputError as `write_plots`."""
     write_plots(path, playback, [*_kinematics(found), *_links(found)], [*_stances(found), *_observability(found)])
 
@@ -70,18 +70,15 @@ def _observability(found: ClipAnalysis) -> Iterator[AddedStates]:
     yield AddedStates(title=title, rows=rows, time_s=motion.time_s, tab="What is seen")
 
 
-def _stances(found: ClipAnalysis) -> list[AddedStates]:
-    time_s = found.joints[found.reference].series.time_s
-    plots = []
-    for method, gait in found.gaits.items():
-        rows = []
-        for foot, joint in found.motion.foot_names.items():
-            stands = np.zeros(len(time_s), dtype=bool)
-            for s in gait.stances:
-                if s.foot == foot:
-                    stands[np.searchsorted(time_s, s.start_s) : np.searchsorted(time_s, s.end_s, "right")] = True
-            texts = ["stance" if down else "" for down in stands]
-            rows.append(StateRow(f"{joint}.{method}", texts, {"stance": {"L": LEFT, "R": RIGHT}.get(foot[0], MIDDLE)}))
-        title = f"Stances by {method}: {gait.name.name}"
-        plots.append(AddedStates(title=title, rows=rows, time_s=time_s, tab="Gait"))
-    return plots
+def _stances(found: ClipAnalysis) -> Iterator[AddedStates]:
+    if found.gait is None:
+        return
+    time_s, rows = found.joints[found.reference].series.time_s, []
+    for foot, joint in found.motion.foot_names.items():
+        stands = np.zeros(len(time_s), dtype=bool)
+        for s in found.gait.stances:
+            if s.foot == foot:
+                stands[np.searchsorted(time_s, s.start_s) : np.searchsorted(time_s, s.end_s, "right")] = True
+        texts = ["stance" if down else "" for down in stands]
+        rows.append(StateRow(joint, texts, {"stance": {"L": LEFT, "R": RIGHT}.get(foot[0], MIDDLE)}))
+    yield AddedStates(title=f"Stances: {found.gait.name.name}", rows=rows, time_s=time_s, tab="Gait")

@@ -9,6 +9,7 @@ import typer
 from rich.table import Table
 
 from recon.base.words import length_text
+from recon.gait.gait import Gait
 from recon.show.report import to_json
 from recon.workflows.analyse import Analysed, AnalyseSettings, run_analyse
 from recon.workflows.cli.common import (
@@ -22,7 +23,7 @@ from recon.workflows.cli.common import (
 )
 
 MOST_STANCES = 100
-"""That are printed, of all feet by both methods."""
+"""That are printed, of all feet."""
 
 
 def analyse(settings: AnalyseSettings, as_json: bool, quiet: bool) -> None:
@@ -42,11 +43,11 @@ def analyse(settings: AnalyseSettings, as_json: bool, quiet: bool) -> None:
     say_verdict(console, done.found.motion.verdict)
     for line in _lines(done):
         say(console, line)
-    count = sum(len(gait.stances) for gait in done.found.gaits.values())
+    count = 0 if done.found.gait is None else len(done.found.gait.stances)
     if count > MOST_STANCES:
         say(console, f"{count} stances are in {done.out / 'stances.csv'}.")
-    elif done.found.gaits:
-        console.print(_stances(done))
+    elif done.found.gait is not None:
+        console.print(_stances(done, done.found.gait))
     for note in done.summary["notes"]:
         say(console, f"note: {note}")
     say_what_is_gone(console, settings.folder)
@@ -78,8 +79,8 @@ def _lines(done: Analysed) -> Iterator[str]:
     if "spine_flexion" in found.angles:
         low, high = (math.degrees(angle) for angle in found.angles["spine_flexion"].range_rad)
         yield f"flexion of the spine: {low:+.0f}° to {high:+.0f}° (positive: arched up)"
-    for method, gait in found.gaits.items():
-        yield f"gait by {method}: {gait.name.name} ({gait.name.criterion})"
+    if (gait := found.gait) is not None:
+        yield f"gait: {gait.name.name} ({gait.name.criterion})"
         if gait.strides:
             yield (
                 f"  means over {counted(len(gait.strides), 'stride')} of single feet: "
@@ -87,22 +88,18 @@ def _lines(done: Analysed) -> Iterator[str]:
                 f"duty factor {gait.name.duty_factor:.2f}"
             )
     if (stride := found.stride) is not None:
-        which = "as given" if found.stride_by == "given" else f"of {stride.foot}, by {found.stride_by}"
+        which = "as given" if found.given is not None else f"of {stride.foot}"
         yield f"phase portraits: the stride from {stride.start_s:.3f} to {stride.end_s:.3f} s, {which}"
 
 
-def _stances(done: Analysed) -> Table:
-    """By foot: what both methods found."""
-    found, title = done.found, "times: seconds since frame 0"
-    table = table_of("foot", *(f"stances by {method}, s" for method in found.gaits), title=title)
-    for foot, joint in found.motion.foot_names.items():
-        cells = []
-        for gait in found.gaits.values():
-            spans = [
-                f"{'' if s.begins else '≤'}{s.start_s:.3f}-{s.end_s:.3f}{'' if s.ends else '+'}"
-                for s in gait.stances
-                if s.foot == foot
-            ]
-            cells.append(", ".join(spans) or "none")
-        table.add_row(f"{foot} {joint}", *cells)
+def _stances(done: Analysed, gait: Gait) -> Table:
+    """By foot."""
+    table = table_of("foot", "stances, s", title="times: seconds since frame 0")
+    for foot, joint in done.found.motion.foot_names.items():
+        spans = [
+            f"{'' if s.begins else '≤'}{s.start_s:.3f}-{s.end_s:.3f}{'' if s.ends else '+'}"
+            for s in gait.stances
+            if s.foot == foot
+        ]
+        table.add_row(f"{foot} {joint}", ", ".join(spans) or "none")
     return table
