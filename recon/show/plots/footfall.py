@@ -95,7 +95,7 @@ def _legend(figure: Figure, gaits: Mapping[str, Gait]) -> None:
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
-    handles: list = [Patch(**_fill(m), label=name) for m, name in enumerate(gaits)]
+    handles: list = [Patch(**_fill(m), label=name if len(gaits) > 1 else "stance") for m, name in enumerate(gaits)]
     if not all(s.begins and s.ends for g in gaits.values() for s in g.stances):
         handles.append(Line2D([], [], linestyle="", marker=">", ms=4, color="k", label="cut by the clip"))
     if any(g.strides for g in gaits.values()):
