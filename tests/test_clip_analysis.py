@@ -369,3 +369,10 @@ def test_speeds_that_are_not_known_are_in_no_table_and_grey(frame_results, whole
     low, high = summarise(found, "clip")["speed"]["net_acceleration_interval_m_s2"]
     known_low, known_high = summarise(analyse(motion), "clip")["speed"]["net_acceleration_interval_m_s2"]
     assert high - low > known_high - known_low
+
+
+def test_the_summary_and_the_analysis_have_the_same_stances(whole):
+    report = build_report(whole.motion)
+    for foot, joint in whole.motion.foot_names.items():
+        own = [s for s in whole.gait.stances if s.foot == foot]
+        assert report["stances"][joint] == [[round(s.start_frame), round(s.end_frame) + 1] for s in own]

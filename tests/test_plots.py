@@ -83,7 +83,7 @@ def gaits():
     second = (Stance("RF", 1.65, 1.75, 32.5, 37.5),)
     return {
         "ground": replace(found, stances=first, strides=(stride,), stride_length_m=2.0, stride_frequency_hz=1 / 0.3),
-        "body": replace(found, method="body", stances=second, strides=()),
+        "body": replace(found, stances=second, strides=()),
     }
 
 

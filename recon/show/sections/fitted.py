@@ -15,17 +15,15 @@ from recon.animal.prior import NONE
 from recon.base.arrays import Array, finite, mean, median
 from recon.base.words import length_text
 from recon.check import FLAGS
-from recon.clip.keypoints import frame_ranges
 from recon.fit import TrajectoryOptions
 from recon.fit.motion import MEASURED_SHARE, Motion
 from recon.fit.result import MotionSegment, TrajectorySolution
+from recon.gait.clip import gait_of
 from recon.gait.path import MIN_POINTS
 from recon.show.plain import by_name, file_name, frame_count, number
 from recon.show.sections.given import counts, heading_text, sentences, upright
 from recon.show.sections.section import Line
 
-STANCE = 0.5
-"""A foot with more contact than this stands."""
 HARDLY_TOLD = 0.1
 """Standard deviation of the distance, relative to it, from which the summary begins with it."""
 SAID_BY = {"views": "where the cameras are", "ground": "the camera's height above the ground"}
@@ -251,9 +249,13 @@ def _ground(motion: Motion, segment: MotionSegment) -> dict[str, Any] | None:
 
 
 def stances(motion: Motion) -> dict[str, Any]:
-    """By foot: the ranges of frame numbers in which it stands."""
-    ranges = [[*frame_ranges(motion.frames[contact > STANCE])] for contact in motion.solution.contact.T]
-    return by_name([motion.names[foot] for foot in motion.feet], ranges)
+    """By foot: the ranges of frame numbers in which it stands, as `recon.gait` has them."""
+    found = gait_of(motion) if motion.solved.sum() >= MIN_POINTS else None
+    first, ranges = int(motion.frames[0]), {name: [] for name in motion.foot_names.values()}
+    for stance in found.stances if found else ():
+        frames = (first + round(stance.start_frame), first + round(stance.end_frame) + 1)
+        ranges[motion.foot_names[stance.foot]].append(frames)
+    return ranges
 
 
 def ground_lines(motion: Motion, data: Any) -> Iterator[Line]:
