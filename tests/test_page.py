@@ -117,7 +117,7 @@ def test_a_page_says_what_the_report_says(page, folder):
         "The acceleration is hardly known: most of the time it is less than its standard deviation.",
     ):
         assert text in page.text
-    assert "another pose explains it" not in page.text  # no frame has that flag
+    assert "as if left and right were swapped" not in page.text  # no frame has that flag
     assert list(doubtful_frames(results)) == [("13", "no data"), ("15", "data poor, ambiguous depth")]
     headings = re.findall(r"<h2>(.*?)</h2>", page.html)
     assert headings[:6] == [

@@ -288,7 +288,6 @@ def test_summary_of_a_trajectory_adds_up(trajectory):
         "ran away": 0,
         "data poor": 1,
         "ambiguous depth": 1,
-        "second solution": 0,
         "left-right swap": 0,
         "gross outliers": 0,
     }

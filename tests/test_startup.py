@@ -48,7 +48,7 @@ def test_a_fit_imports_what_it_uses(tmp_path):
     modules = imported_by(*fit, "--out", tmp_path)
     assert (tmp_path / "motion.rrd").is_file()
     assert {"numpy", "rerun"} <= modules
-    unused = {"recon.gait.clip", "recon.workflows.batch", "h5py", "cv2", "torch", "matplotlib", "tables"}
+    unused = {"recon.gait.evaluation", "recon.workflows.batch", "h5py", "cv2", "torch", "matplotlib", "tables"}
     assert modules & unused == set()
 
 

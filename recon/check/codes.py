@@ -26,11 +26,12 @@ FLAG_OF: Mapping[str, str] = {
 FLAGS: Mapping[str, str] = {
     "no data": "nothing was detected: the pose, if there is one, comes from the frames around",
     "ran away": "the best pose was out of the camera's sight, and the frame has none",
-    "data poor": "few joints were seen and trusted",
-    "ambiguous depth": "another pose, with near and far exchanged, explains it nearly as well",
-    "second solution": "another pose explains it nearly as well",
-    SWAPPED: "the detections look as if left and right were swapped",
-    OUTLIERS: "the detections are not those of an animal",
+    "data poor": "few joints were seen and trusted: the pose is mostly what is expected",
+    "ambiguous depth": (
+        "seen from the front or the back, or another pose explains it nearly as well: depths in the pose may be wrong"
+    ),
+    SWAPPED: "the detections look as if left and right were swapped: the pose follows them",
+    OUTLIERS: "the detections are not those of an animal: they are left out, and the pose comes from the frames around",
 }
 """What a flag of a frame means, in the order of a summary."""
 CODES: Mapping[str, tuple[Severity, str]] = {

@@ -280,7 +280,7 @@ def too_fast(motion: Motion) -> Iterator[Finding]:
 
 
 def second_solution(motion: Motion) -> Iterator[Finding]:
-    named = np.array([bool({"ambiguous depth", "second solution"} & {*flags}) for flags in motion.flags])
+    named = np.array(["ambiguous depth" in flags for flags in motion.flags])
     rows = named & (np.nan_to_num(motion.alternative_m) > ALTERNATIVE_M)
     if rows.sum() > AMBIGUOUS_SHARE * len(rows):
         apart = float(motion.alternative_m[rows].max())

@@ -141,7 +141,7 @@ class Solution:
 
 @dataclass(frozen=True, eq=False)
 class TrajectorySolution(Solution):
-    """Of the trajectory method. Flags: "no data", "ran away", "data poor", "ambiguous depth", "second solution"."""
+    """Of the trajectory method. Flags: "no data", "ran away", "data poor", "ambiguous depth"."""
 
     size_sigma: float
     """Of the size: its posterior standard deviation."""

@@ -325,7 +325,7 @@ def _solution(clip: ClipProblem, solved: Sequence[Solved], began: float) -> Traj
     size, size_sigma, size_from = _size(clip, solved, known)
     stage_s = {"posterior": time.perf_counter() - clock}
     of_frames, of_views = _arrays(clip)
-    second = _Second(np.full(len(clip), np.nan), np.zeros(len(clip), dtype=bool), np.inf)
+    second = _Second(np.full(len(clip), np.nan), np.inf)
     for one, of_one in zip(solved, known, strict=True):
         by_frame, by_view = _of_segment(clip, one, of_one, size, size_sigma)
         for name, values in by_frame.items():
@@ -475,16 +475,15 @@ def _size_of_offsets(clip: ClipProblem) -> float:
 @dataclass(frozen=True, eq=False)
 class _Second:
     """The second best solution of T frames: apart_m (T,), mean distance of its joints from the best one's, both
-    centred, NaN where there is none; mirrored (T,): its order in depth is the other way round; and its extra cost."""
+    centred, NaN where there is none; and its extra cost."""
 
     apart_m: Array
-    mirrored: NDArray[np.bool_]
     extra_cost: float
 
 
 def _with_seconds(clip: ClipProblem, one: Solved, size: float, second: _Second) -> _Second:
     """With those of one segment: where a second start was carried to the end."""
-    apart_m, mirrored, extra_cost = second.apart_m.copy(), second.mirrored.copy(), second.extra_cost
+    apart_m, extra_cost = second.apart_m.copy(), second.extra_cost
     points = clip.body.tree.pose(one.estimate.states).points_m
     for window, (best, *others) in one.windows:
         other = next((a for a in others if a.finished), None)
@@ -494,9 +493,8 @@ def _with_seconds(clip: ClipProblem, one: Solved, size: float, second: _Second) 
         here, there = (p - p.mean(axis=1, keepdims=True) for p in (points[window], there))
         at = slice(one.rows.start + window.start, one.rows.start + window.stop)
         apart_m[at] = size * np.linalg.norm(here - there, axis=-1).mean(axis=1)
-        mirrored[at] = np.sum((here @ clip.away) * (there @ clip.away), axis=1) < 0
         extra_cost = min(extra_cost, other.estimate.cost - best.estimate.cost)
-    return _Second(apart_m, mirrored, extra_cost)
+    return _Second(apart_m, extra_cost)
 
 
 def _out_of_sight(clip: ClipProblem, joints_m: Array) -> NDArray[np.bool_]:
@@ -533,7 +531,6 @@ def _flags(
         "no data": ~np.isfinite(joints_m[:, 0, 0]) | (detected == 0),
         "ran away": away,
         "data poor": (detected > 0) & (trusted < max(POOR_SHARE * weight.shape[2], POORER_SHARE * good)),
-        "ambiguous depth": alone | (second.mirrored & (second.apart_m > ALTERNATIVE_M)),
-        "second solution": ~second.mirrored & (second.apart_m > ALTERNATIVE_M),
+        "ambiguous depth": alone | (second.apart_m > ALTERNATIVE_M),
     }
     return tuple(tuple(name for name, which in doubtful.items() if which[t]) for t in range(len(joints_m)))

@@ -82,5 +82,6 @@ def write(pose: Pose3D, path: Path) -> None:
         frames=pose.frames,
         fps=np.array(np.nan if pose.fps is None else pose.fps),
         edges=index_edges(pose.names, pose.edges),
+        notes=np.array(pose.notes, dtype=str),
     )
     write_bytes(path, made.getvalue())

@@ -68,7 +68,7 @@ def write(pose: Pose3D, path: Path) -> None:
             **{f"{axis}_m": pa.array(pose.xyz_m[..., i].ravel(), pa.float64()) for i, axis in enumerate("xyz")},
         }
     )
-    about = {"fps": pose.fps, "unit": "m", "up": "z"}
+    about = {"fps": pose.fps, "unit": "m", "up": "z", "notes": pose.notes}
     made = BytesIO()
     pq.write_table(table.replace_schema_metadata({METADATA: json.dumps(about)}), made)
     write_bytes(path, made.getvalue())
