@@ -13,6 +13,7 @@ from __future__ import annotations
 import json
 import sys
 from pathlib import Path
+from typing import Any
 from unittest import mock
 
 import numpy as np
@@ -58,7 +59,7 @@ class Faded:
         return FADED * residual, FADED * jacobian
 
 
-def measured(run: Path, kept: tuple[str, ...], options: dict[str, str]) -> tuple[float, float, float, float]:
+def measured(run: Path, kept: tuple[str, ...], options: dict[str, Any]) -> tuple[float, float, float, float]:
     """Pixels, MPJPE in mm, the share of f2 to f5, and the jitter of the thetas in degrees."""
     every, meta = frame.frame_objectives, json.loads((run / "meta.json").read_text())
     camera = meta["monocular_camera"]
@@ -72,7 +73,7 @@ def measured(run: Path, kept: tuple[str, ...], options: dict[str, str]) -> tuple
         **options,
     )
 
-    def some(*given) -> tuple[Objective, ...]:
+    def some(*given) -> tuple[Any, ...]:
         first, *others = every(*given)
         return (first, *(term if term.name in kept else Faded(term) for term in others))
 

@@ -39,8 +39,8 @@ def measured(motion: Motion, truth: Pose3D) -> tuple[float, float, float, float,
     points[here] = truth.xyz_m[there, at]
     net, net_sigma = net_acceleration_m_s2(motion)
     off = net - net_acceleration(motion.time_s, points)[0]
-    rms = [float(np.sqrt(np.nanmean(values**2))) for values in (error, sigma, error / sigma)]
-    return *rms, off, net_sigma, speed_doubt(motion) is None
+    off_by, stated, share = (float(np.sqrt(np.nanmean(values**2))) for values in (error, sigma, error / sigma))
+    return off_by, stated, share, off, net_sigma, speed_doubt(motion) is None
 
 
 def main() -> None:

@@ -22,6 +22,7 @@ print(f"{analysis.reference}: {root.mean_speed_m_s:.1f} m/s, at most {root.peak_
 
 # Gait: which foot stood when, and what that is called.
 gait = analysis.gait
+assert gait is not None  # this skeleton has feet
 print(f"{gait.name.name}, since {gait.name.criterion}; strides of {gait.stride_length_m:.2f} m")
 print("touchdowns: " + ", ".join(f"{stance.foot} {stance.start_s:.2f} s" for stance in gait.stances if stance.begins))
 plots.save(plots.footfall({"gait": gait}, motion.fps), out, "footfalls")

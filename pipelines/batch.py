@@ -32,6 +32,7 @@ for name, row in summary.rows.items():
         continue
     analysis = recon.analyse(recon.Motion.load(results / name))
     speed = analysis.joints[analysis.reference].mean_speed_m_s
-    print(f"{name}: {speed:.1f} m/s, {row['outliers']} outliers, {analysis.gait.name.name}")
+    gait = "no feet" if analysis.gait is None else analysis.gait.name.name
+    print(f"{name}: {speed:.1f} m/s, {row['outliers']} outliers, {gait}")
 
 print(f"Results are in {results}, their figures in {summary.path}")

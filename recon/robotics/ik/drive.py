@@ -80,7 +80,7 @@ class _Run:
     @property
     def time_s(self) -> Array:
         """(K,): from the start."""
-        return self.interval_s * np.arange(len(self.q))
+        return np.asarray(self.interval_s * np.arange(len(self.q)), float)
 
     @cached_property
     def control(self) -> tuple[Array, Array]:

@@ -69,8 +69,8 @@ class Frames:
 
     @classmethod
     def joined(cls, parts: Sequence[Frames]) -> Frames:
-        joined = (np.concatenate([getattr(p, name) for p in parts]) for name in ("q", "jacobian", "dx", "dq"))
-        return cls(*joined, parts[0].names)
+        q, jacobian, dx, dq = (np.concatenate([getattr(p, of) for p in parts]) for of in ("q", "jacobian", "dx", "dq"))
+        return cls(q, jacobian, dx, dq, parts[0].names)
 
     def __len__(self) -> int:
         return len(self.q)

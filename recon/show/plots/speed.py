@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -60,7 +60,8 @@ def speeds(
 
 
 def _curve(axes: Axes, i: int, motion: JointKinematics, value: Array, sigma: Array | None, unknown: bool) -> Line2D:
-    style, t = look(i) | ({"color": GREY} if unknown else {}), motion.series.time_s
+    style: dict[str, Any] = look(i) | ({"color": GREY} if unknown else {})
+    t = motion.series.time_s
     every = motion.series.oversampling
     rows = telling(value)
     (line,) = axes.plot(t[rows], value[rows], **dots(len(t) // every, 2.2), markevery=every, zorder=3, **style)
