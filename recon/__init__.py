@@ -7,8 +7,9 @@ motion = recon.fit_clip(settings)
 motion.joints_m  # (frames, joints, 3), metres
 """
 
-from importlib import import_module
 from typing import TYPE_CHECKING, Any
+
+from recon.base.front_door import lazily
 
 if TYPE_CHECKING:
     from recon.animal.body import Body
@@ -72,29 +73,7 @@ __all__ = [
     "write_clip",
 ]
 
-_NAMES_OF = {
-    "recon.gait.clip": ("ClipAnalysis", "analyse"),
-    "recon.gait.evaluation": ("Evaluation", "evaluate", "evaluate_files"),
-    "recon.animal.body": ("Body",),
-    "recon.geometry.camera": ("Camera",),
-    "recon.base.errors": ("InputError",),
-    "recon.io": ("Pose3D", "read_camera", "read_cameras", "read_keypoints", "read_pose3d", "write_camera"),
-    "recon.clip.keypoints": ("Keypoints", "clean"),
-    "recon.fit.motion": ("Motion",),
-    "recon.workflows.batch": ("find_clips", "plan_batch", "run_batch"),
-    "recon.workflows.calibrate": ("CalibrationSettings", "run_calibration"),
-    "recon.workflows.clip": ("fit_clip",),
-    "recon.workflows.clip_results": ("write_clip",),
-    "recon.workflows.demo": ("samples_folder",),
-    "recon.keypoint_net.workflows": ("LabelSource", "run_prediction", "run_training"),
-    "recon.workflows.prior": ("PriorFitSettings", "run_prior_fit"),
-    "recon.workflows.subject": ("SubjectFitSettings", "run_subject_fit"),
-    "recon.keypoint_net.run": ("TrainSettings",),
-    "recon.workflows.settings": ("FitSettings", "read_settings"),
-    "recon.animal.skeleton_file": ("load_skeleton",),
-}
-"""Where each name comes from. It is imported when it is first used: `recon --help` needs none of them."""
-_MODULE_OF = {name: module for module, names in _NAMES_OF.items() for name in names}
+_public = lazily(__name__, __file__)
 
 
 def __getattr__(name: str) -> Any:
@@ -102,10 +81,8 @@ def __getattr__(name: str) -> Any:
         from recon.base.package import version
 
         value: Any = version()
-    elif name in _MODULE_OF:
-        value = getattr(import_module(_MODULE_OF[name]), name)
     else:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        value = _public(name)
     globals()[name] = value
     return value
 

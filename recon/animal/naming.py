@@ -15,7 +15,7 @@ from pathlib import Path
 
 from recon.animal.body import side_of, without_side
 from recon.base.documents import read_text
-from recon.base.errors import InputError, Problem
+from recon.base.errors import InputError, Problem, refuse
 from recon.base.package import builtin_file, builtin_names
 from recon.clip.keypoints import Keypoints
 
@@ -73,8 +73,7 @@ def load_names(name_or_path: str | Path) -> NameMap:
             names[cells[0]] = cells[1]
     if not names and not problems:
         problems = [Problem(source, "lines", "none", _EXPECTED)]
-    if problems:
-        raise InputError(problems)
+    refuse(problems)
     return NameMap(source, names)
 
 
@@ -117,8 +116,7 @@ def new_names(names: Sequence[str], by: NameMap, source: str) -> tuple[list[int]
     ]
     if not olds:
         problems = [Problem(by.source, "names", f"every keypoint of {source} left out", "a name for some of them")]
-    if problems:
-        raise InputError(problems)
+    refuse(problems)
     note = f"{len(known)} of {len(names)} keypoints have their names from {Path(by.source).name}"
     note += f"; left out: {', '.join(left_out)}" if left_out else ""
     absent = [] if by.source in builtin_maps() else [name for name in by.names if name not in names]

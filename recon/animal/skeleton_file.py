@@ -18,7 +18,7 @@ from recon.animal.body import CHAIN_PLACES, PLACES, Body, other_side, side_of
 from recon.animal.chain import MIN_JOINTS, AngleRanges, Chain, Link, PriorScales
 from recon.base import package
 from recon.base.documents import parse_toml, read_toml, validated
-from recon.base.errors import InputError, Problem
+from recon.base.errors import InputError, Problem, refuse
 from recon.geometry.kinematics import ANGLE_OF_AXIS, AXES, Marker, Segment, Tree
 
 Number = Annotated[float, Field(gt=-1e6, lt=1e6, allow_inf_nan=False)]
@@ -294,8 +294,7 @@ def _extended(raw: dict[str, Any], source: str) -> dict[str, Any]:
     known_m = base if isinstance(base, int | float) and 0 < base < float("inf") else None
     if lengths and known_m is None:
         problems.append(Problem(source, "base_length.nominal_m", repr(base), "a length in metres"))
-    if problems:
-        raise InputError(problems)
+    refuse(problems)
     for link in links:
         if known_m is not None and link["name"] in lengths:
             link["length_ratio"] = lengths[link["name"]] / known_m

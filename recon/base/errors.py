@@ -52,6 +52,13 @@ class InputError(ValueError):
         super().__init__("\n".join(line for p in self.problems for line in p.lines))
 
 
+def refuse(problems: Iterable[Problem]) -> None:
+    """Raise InputError with the problems, if there are any."""
+    found = tuple(problems)
+    if found:
+        raise InputError(found)
+
+
 def all_of(*reads: Callable[[], Any]) -> list[Any]:
     """Every result, or one InputError with the problems of all."""
     results, problems = [], []
@@ -60,6 +67,5 @@ def all_of(*reads: Callable[[], Any]) -> list[Any]:
             results.append(read())
         except InputError as error:
             problems.extend(error.problems)
-    if problems:
-        raise InputError(problems)
+    refuse(problems)
     return results

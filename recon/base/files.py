@@ -12,7 +12,7 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from recon.base.errors import InputError, Problem
+from recon.base.errors import InputError, Problem, refuse
 from recon.base.manifest import MANIFEST, read_manifest, write_manifest
 
 if sys.platform == "win32":
@@ -183,13 +183,11 @@ def _in_place(name: str | bytes | int | None, staging: Path | None, folder: Path
 
 def _require_places(folder: Path, names: Iterable[str]) -> None:
     """Raises InputError where a folder is in the place of a file."""
-    problems = [
+    refuse(
         Problem(folder / name, "file", "a folder of that name", f"a place for {name}: move the folder away")
         for name in names
         if (folder / name).is_dir()
-    ]
-    if problems:
-        raise InputError(problems)
+    )
 
 
 def _exchange(staging: Path, folder: Path, obsolete: Iterable[str]) -> None:

@@ -2,21 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+import ast
+from collections.abc import Callable
 from importlib import import_module
+from pathlib import Path
 from typing import Any
 
 
-def lazily(package: str, names_of: Mapping[str, Iterable[str]]) -> Callable[[str], Any]:
-    """The `__getattr__` of a package: it takes the names from the package's modules, `names_of` by module.
+def lazily(package: str, file: str) -> Callable[[str], Any]:
+    """The `__getattr__` of a package that names what others may use in imports under `if TYPE_CHECKING:` only.
 
-    A room then costs nothing until one of its names is used: `recon --help` imports the commands of all rooms.
+    file: the package's `__file__`. A room then costs nothing until one of its names is used: `recon --help` imports the
+    commands of all rooms.
     """
-    module_of = {name: module for module, names in names_of.items() for name in names}
+    tree = ast.parse(Path(file).read_text(encoding="utf-8"))
+    imports = [node for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)]
+    module_of = {alias.name: str(node.module) for node in imports for alias in node.names}
 
     def attribute(name: str) -> Any:
         if name not in module_of:
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
-        return getattr(import_module(f"{package}.{module_of[name]}"), name)
+        return getattr(import_module(module_of[name]), name)
 
     return attribute

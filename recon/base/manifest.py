@@ -13,7 +13,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from recon.base.errors import InputError, Problem
+from recon.base.errors import InputError, Problem, refuse
 
 MANIFEST = "manifest.json"
 SCHEMA = {"name": "recon.manifest", "version": 1}
@@ -55,9 +55,7 @@ class Manifest:
 
     def require(self, *names: str) -> None:
         """Raises InputError unless these files are there and as the run wrote them."""
-        problems = self.changed(names)
-        if problems:
-            raise InputError(problems)
+        refuse(self.changed(names))
 
     def require_same(self) -> None:
         """Raises InputError where the folder has been written to since: what was read may be of two runs."""

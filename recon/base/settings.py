@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeVar, dataclass_transform
 import pydantic
 from pydantic import AfterValidator, BeforeValidator, Field, ValidationError
 
-from recon.base.errors import InputError, Problem
+from recon.base.errors import Problem, refuse
 
 FILE_SUFFIXES = (".toml", ".npz", ".csv")
 """What ends so is no name of something built in."""
@@ -171,8 +171,7 @@ class Settings:
                 problems += self.problems_of_given(given)
                 if not problems:
                     problems += self.problems()
-                if problems:
-                    raise InputError(problems)
+                refuse(problems)
 
             cls.__init__ = __init__
 

@@ -14,26 +14,3 @@ from recon.clip.keypoints import (
 )
 from recon.clip.source import FramePoses, Source, at_rate, held, together, views_of
 from recon.clip.view import View, camera_poses, still_view, world_from_reference
-
-__all__ = [
-    "CleaningReport",
-    "FramePoses",
-    "KeypointCounts",
-    "Keypoints",
-    "Source",
-    "View",
-    "at_rate",
-    "camera_poses",
-    "clean",
-    "fill_gaps",
-    "frame_ranges",
-    "held",
-    "leave_out",
-    "mark_missing",
-    "parse_frame_range",
-    "select_frames",
-    "still_view",
-    "together",
-    "views_of",
-    "world_from_reference",
-]

@@ -19,43 +19,4 @@ if TYPE_CHECKING:
     from recon.fit.shape import Shape, ShapeFit, fit_shape
     from recon.fit.trajectory import Solved, solve_segments, solve_trajectory
 
-__all__ = [
-    "ClipProblem",
-    "Estimate",
-    "Finding",
-    "Ground",
-    "LeastSquares",
-    "Motion",
-    "MotionSegment",
-    "Picture",
-    "Rig",
-    "Shape",
-    "ShapeFit",
-    "Shared",
-    "Solution",
-    "Solved",
-    "Start",
-    "TrajectoryOptions",
-    "TrajectorySolution",
-    "fit_shape",
-    "solve_extrinsics",
-    "solve_points",
-    "solve_points_and_size",
-    "solve_segments",
-    "solve_trajectory",
-]
-
-__getattr__ = lazily(
-    __name__,
-    {
-        "clip_problem": ("ClipProblem", "TrajectoryOptions"),
-        "extrinsics": ("Rig", "solve_extrinsics"),
-        "finding": ("Finding",),
-        "least_squares": ("Estimate", "LeastSquares", "Shared"),
-        "motion": ("Motion", "Picture"),
-        "points": ("solve_points", "solve_points_and_size"),
-        "result": ("Ground", "MotionSegment", "Solution", "Start", "TrajectorySolution"),
-        "shape": ("Shape", "ShapeFit", "fit_shape"),
-        "trajectory": ("Solved", "solve_segments", "solve_trajectory"),
-    },
-)
+__getattr__ = lazily(__name__, __file__)

@@ -7,10 +7,10 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from recon.animal.body import Body
 from recon.animal.prior import MotionPrior, prior_from_body
+from recon.base.arrays import Array, Bools, Index
 from recon.clip import View
 from recon.fit import constants
 from recon.fit.least_squares import LeastSquares, Shared
@@ -33,9 +33,6 @@ from recon.fit.terms import (
     root_term,
     time_offset,
 )
-
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 
 UP = np.array([0.0, 0.0, 1.0])
 _NEAREST_M = 0.3
@@ -164,7 +161,7 @@ class ClipProblem:
         """Whether a picture was taken from elsewhere than the origin."""
         return any(np.abs(view.centre_m - self.origin_m).max() > _APART_M for view in self.views)
 
-    def present(self) -> NDArray[np.bool_]:
+    def present(self) -> Bools:
         """(T, J): seen by a camera."""
         return np.any([view.present for view in self.views], axis=0)
 

@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from recon.base.arrays import Array
 from recon.fit import constants
 from recon.fit.clip_problem import ClipProblem
 from recon.fit.result import Ground
 from recon.fit.terms import REFERENCE_HZ, OnGround, Standing, Term
-
-Array = NDArray[np.float64]
-
 
 LOW_FEET = 0.1
 """Of the frames, the part in which the lowest foot is taken to be on the ground."""

@@ -19,13 +19,11 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from recon.base.arrays import Array
 from recon.fit.banded import BlockBanded, Normal, add_normal
 from recon.fit.terms import COMMON_KEYPOINT_BIAS, Linear, Span, Term
 from recon.geometry.kinematics import Tree
-
-Array = NDArray[np.float64]
 
 BANDS = 2
 """Frames before and after that a frame is coupled with."""

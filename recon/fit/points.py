@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from recon.animal.body import Body
+from recon.base.arrays import Array
 from recon.geometry.kinematics import PITCH, ROOT, YAW
-
-Array = NDArray[np.float64]
 
 MIN_MARKERS = 8
 """A frame with fewer known markers stays without a state."""

@@ -15,15 +15,13 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from recon.animal.body import Body
+from recon.base.arrays import Array
 from recon.fit.banded import BlockBanded, Factor, factor
 from recon.fit.least_squares import Estimate, LeastSquares
 from recon.fit.terms import SIZE, size_of
 from recon.geometry.kinematics import ROOT, YAW
-
-Array = NDArray[np.float64]
 
 _HELD = 1e8
 """Precision that holds an unknown fixed."""

@@ -7,13 +7,11 @@ from functools import cached_property
 from typing import ClassVar, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from recon.animal.body import Body
+from recon.base.arrays import Array, Bools
 from recon.clip import View
 from recon.fit.finding import Finding
-
-Array = NDArray[np.float64]
 
 OUTLIER_SIGMAS = 3.0
 """A detection further than this from its joint's reprojection is named an outlier."""
@@ -119,7 +117,7 @@ class Solution:
         return None
 
     @property
-    def posed(self) -> NDArray[np.bool_]:
+    def posed(self) -> Bools:
         """(T,): frames that have a pose."""
         return np.asarray(np.isfinite(self.joints_m[:, 0, 0]))
 

@@ -14,17 +14,15 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from recon.animal.body import Body, other_side, side_of
+from recon.base.arrays import Array
 from recon.fit.banded import factor
 from recon.fit.clip_problem import ClipProblem
 from recon.fit.terms import OnGround, Reprojection, Span, Standing
 from recon.fit.trajectory import Solved, in_step, refined, solve_segments
 from recon.geometry.kinematics import TreePose
-
-Array = NDArray[np.float64]
 
 LENGTH_SIGMA = 0.05
 """How far single lengths of an animal are from its size times the skeleton's, relative."""

@@ -5,17 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from recon.animal.chain import MIN_JOINTS
 from recon.animal.prior import ANGLES
+from recon.base.arrays import Array, Index
 from recon.fit.clip_problem import UP, ClipProblem
 from recon.fit.constant_velocity import constant_velocity, run_path
 from recon.fit.least_squares import Estimate
 from recon.geometry.kinematics import ROOT, YAW
-
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 
 APPROACH_HZ = 30.0
 """Frames a second that are enough on the way in."""

@@ -26,15 +26,12 @@ from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from recon.animal.prior import ANGLES, MotionPrior
+from recon.base.arrays import Array, Index
 from recon.clip import View
 from recon.geometry.kinematics import ROOT, YAW, TreePose
 from recon.geometry.rotations import euler_rotation_with_jacobian
-
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 
 SIZE = "size"
 """The shared unknown: a factor on all lengths. 1 where it is not one."""

@@ -27,12 +27,12 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from recon.animal.body import Body
 from recon.animal.chain import MIN_JOINTS, MIN_REACH_PX
 from recon.animal.prior import ANGLES, NONE, MotionPrior
+from recon.base.arrays import Array, Bools
 from recon.base.progress import Progress, silent
 from recon.clip import View
 from recon.fit import constants
@@ -45,8 +45,6 @@ from recon.fit.result import Ground, MotionSegment, Start, TrajectorySolution
 from recon.fit.starts import Approached, approach, between
 from recon.fit.terms import SIDESLIP, Reprojection, extrinsic_correction, focal, size_of, time_offset
 from recon.geometry.kinematics import ROOT, YAW
-
-Array = NDArray[np.float64]
 
 BRIDGED_S = 2.0
 """Without detections for longer than this, what comes before and after are two clips."""
@@ -93,7 +91,7 @@ def solve_trajectory(
         return _solution(clip, solved, began)
 
 
-def _segments(usable: NDArray[np.bool_], fps: float) -> list[slice]:
+def _segments(usable: Bools, fps: float) -> list[slice]:
     """Stretches of frames that are solved as one clip each."""
     at = np.flatnonzero(usable)
     if len(at) == 0:
@@ -497,7 +495,7 @@ def _with_seconds(clip: ClipProblem, one: Solved, size: float, second: _Second) 
     return _Second(apart_m, extra_cost)
 
 
-def _out_of_sight(clip: ClipProblem, joints_m: Array) -> NDArray[np.bool_]:
+def _out_of_sight(clip: ClipProblem, joints_m: Array) -> Bools:
     """(T,): whether a pose of joints (T, J, 3) is further off than any camera can see it."""
     at = clip.body.markers.index
     limbs = (joints_m[:, [at(marker) for marker in along]] for along in clip.body.limbs.values())
@@ -512,7 +510,7 @@ def _out_of_sight(clip: ClipProblem, joints_m: Array) -> NDArray[np.bool_]:
 
 
 def _flags(
-    clip: ClipProblem, joints_m: Array, weight: Array, second: _Second, away: NDArray[np.bool_]
+    clip: ClipProblem, joints_m: Array, weight: Array, second: _Second, away: Bools
 ) -> tuple[tuple[str, ...], ...]:
     """weight (V, T, J)."""
     detected = clip.present().sum(axis=1)

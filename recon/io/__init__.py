@@ -23,36 +23,3 @@ from recon.io.formats import (
 from recon.io.pose import Pose3D, StoredPoints
 from recon.io.pose3d import in_metres, read_pose3d, read_pose_segments
 from recon.io.table import write_columns, write_rows, write_table
-
-__all__ = [
-    "CONVERTED",
-    "FORMATS",
-    "Armature",
-    "Bone",
-    "BoneAngle",
-    "CameraTrack",
-    "Format",
-    "Pose3D",
-    "StoredPoints",
-    "as_keypoints",
-    "choose_format",
-    "file_head",
-    "in_metres",
-    "individuals",
-    "read_camera",
-    "read_camera_track",
-    "read_cameras",
-    "read_keypoints",
-    "read_points",
-    "read_pose3d",
-    "read_pose_segments",
-    "recognised",
-    "titles",
-    "track_files",
-    "track_label",
-    "write_camera",
-    "write_cameras",
-    "write_columns",
-    "write_rows",
-    "write_table",
-]

@@ -15,7 +15,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from recon.base.documents import read_text
-from recon.base.errors import InputError, Problem
+from recon.base.errors import InputError, Problem, refuse
 from recon.io.bones import AXIS, Armature
 from recon.io.common import choose, frame_number, name_problems, number, require_names, starts_with_text
 from recon.io.pose import StoredPoints
@@ -72,8 +72,7 @@ def read(path: Path, individual: str | None = None) -> StoredPoints:
     motion = np.array(rows) if not problems else np.zeros((0, width))
     if not np.isfinite(motion).all():
         problems.append(Problem(path, "MOTION", "numbers that are not finite", "numbers"))
-    if problems:
-        raise InputError(problems)
+    refuse(problems)
     xyz = _positions(joints, motion)[:, kept]
     fps = float(f"{1 / frame_time_s:.9g}")
     inner = {j: joints[j].parent for j in kept}

@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from recon.base.errors import InputError, Problem
+from recon.base.errors import InputError, Problem, refuse
 from recon.base.files import write_bytes
 from recon.io.common import (
     choose,
@@ -87,8 +87,7 @@ def read(path: Path, individual: str | None = None) -> StoredPoints:
         problems.append(Problem(path, "points", "no frames", "at least one"))
     if fps is None:
         problems.append(Problem(path, "POINT:RATE", "nothing", "frames per second"))
-    if problems:
-        raise InputError(problems)
+    refuse(problems)
     listed = frames_of_text(_texts(content.parameters.get(OWN_GROUP, {}).get("FRAMES")))
     frames = np.arange(T) + content.first - 1
     if listed is not None and len(listed) <= T and listed[-1] - listed[0] == T - 1:

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from recon.base.arrays import Array
 from recon.base.documents import parse_json, read_text
-from recon.base.errors import InputError, Problem
+from recon.base.errors import InputError, Problem, refuse
 from recon.geometry.camera import Camera, is_rotation
 from recon.geometry.lens import LENS_MODELS
 from recon.io.camera_files import MAX_BYTES, CameraRecord
@@ -42,8 +42,7 @@ def read_cameras(path: str | Path, image_size_px: tuple[int, int] | None = None)
         for name in dict.fromkeys(names)
         if names.count(name) > 1
     ]
-    if problems:
-        raise InputError(_contradicted_once(problems))
+    refuse(_contradicted_once(problems))
     return tuple(camera for camera in cameras if camera)
 
 

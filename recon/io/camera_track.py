@@ -21,7 +21,7 @@ import numpy as np
 
 from recon.base.arrays import Array, Bools, Integers
 from recon.base.documents import read_text, require_file
-from recon.base.errors import InputError, Problem
+from recon.base.errors import InputError, Problem, refuse
 from recon.clip import FramePoses
 from recon.geometry.camera import Camera
 from recon.geometry.frames import inverse, rigid
@@ -161,8 +161,7 @@ def _checked_track(
     if (count > 1).any():
         expected = "one pose for each frame, of one camera"
         problems.append(Problem(path, "frame", f"{_some(distinct[count > 1].tolist())} more than once", expected))
-    if problems:
-        raise InputError(problems)
+    refuse(problems)
     order = np.argsort(frames)
     table = table[order]
     quaternion = table[:, :4] / np.linalg.norm(table[:, :4], axis=1, keepdims=True)
@@ -210,8 +209,7 @@ def _read_csv(path: Path) -> CameraTrack:
     problems += [
         Problem(path, "columns", f"{name} more than once", "each once") for name in wanted if header.count(name) > 1
     ]
-    if problems:
-        raise InputError(problems)
+    refuse(problems)
     at = [header.index(name) for name in wanted]
     places, found = [], []
     for line, cells in rows:
@@ -302,8 +300,7 @@ def _lenses(path: Path, wanted: dict[str, None]) -> dict[str, Camera]:
     if not problems and len({_bending(lens) for lens in found.values()}) > 1:
         expected = "one lens, whose focal length and centre alone may change from image to image"
         problems.append(Problem(path, "cameras", f"{len(found)} with different lenses or picture sizes", expected))
-    if problems:
-        raise InputError(first_problems(problems, path))
+    refuse(first_problems(problems, path))
     return found
 
 

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from recon.base.documents import read_json
-from recon.base.errors import InputError, Problem
+from recon.base.errors import InputError, Problem, refuse
 from recon.clip.keypoints import Keypoints
 from recon.io.common import MAX_FRAME, choose, first_problems, name_problems, rate, starts_with_text
 from recon.io.pose import StoredPoints
@@ -90,8 +90,7 @@ def _keypoints(path: Path, content: dict[str, Any], individual: str | None) -> S
             score[t] = scores if len(scores) else np.where(known, np.nan, 0.0)
     if not frames.size:
         problems.append(Problem(path, "images", "none", "at least one"))
-    if problems:
-        raise InputError(first_problems(problems, path))
+    refuse(first_problems(problems, path))
     info = content.get("info")
     return StoredPoints(
         names,
@@ -114,8 +113,7 @@ def _names(path: Path, categories: list[dict[str, Any]], annotations: list[dict[
     if len(lists) != 1:
         raise InputError(Problem(path, "categories", f"{len(lists)} lists of keypoints in use", "one"))
     (names,) = lists
-    if problems := name_problems(path, "categories, keypoints", names):
-        raise InputError(problems)
+    refuse(name_problems(path, "categories, keypoints", names))
     return names
 
 

@@ -15,7 +15,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from recon.base.errors import InputError, Problem
+from recon.base.errors import InputError, Problem, refuse
 
 ROLES: dict[str, tuple[str, ...]] = {
     "frame": ("frame", "frames", "frame_idx", "frame_index", "frame_id", "frame_number", "framenumber", "fnum"),
@@ -73,8 +73,7 @@ def parse_map(text: str) -> dict[str, str]:
         found = f"{PART} in {', '.join(sorted(wide))}"
         expected = f"a wide table with {PART} in x, y and likelihood, or a long one with bodypart=COLUMN"
         problems.append(Problem("--columns", "map", found, expected))
-    if problems:
-        raise InputError(problems)
+    refuse(problems)
     return given
 
 

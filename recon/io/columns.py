@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from recon.base.errors import InputError, Problem
+from recon.base.errors import InputError, Problem, refuse
 from recon.clip.keypoints import Keypoints
 from recon.io.column_map import ColumnLayout, find_layout, layout_by_name
 from recon.io.common import MAX_FRAME, choose, first_problems, frames_of_times, name_problems, numbers, rate
@@ -62,8 +62,7 @@ def gather(path: Path, table: Columns, layout: ColumnLayout, individual: str | N
     clock = layout.of_role.get("frame") or layout.of_role["time"]
     ticks = cells_of(clock)
     problems += _clock_problems(path, clock, ticks, rows, "frame" in layout.of_role)
-    if problems:
-        raise InputError(first_problems(problems, path))
+    refuse(first_problems(problems, path))
     distinct, row_of = np.unique(ticks, return_inverse=True)
     names, placed, faults = _placed(path, table, layout, coords, rows, row_of)
     problems += faults
@@ -71,8 +70,7 @@ def gather(path: Path, table: Columns, layout: ColumnLayout, individual: str | N
     for column, k, c in placed:
         both[row_of, k, c] = cells_of(column)
     problems += name_problems(path, "bodypart", names)
-    if problems:
-        raise InputError(first_problems(problems, path))
+    refuse(first_problems(problems, path))
     if "frame" in layout.of_role:
         frames = distinct.astype(np.int64)
     else:
@@ -172,8 +170,7 @@ def _read_csv(path: Path) -> dict[str, list[str]]:
         table.append(row)
         if len(row) != len(header):
             problems.append(Problem(path, f"line {line}", f"{len(row)} cells", f"{len(header)}, as in line 1"))
-    if problems:
-        raise InputError(first_problems(problems, path))
+    refuse(first_problems(problems, path))
     columns = list(zip(*table, strict=True)) or [()] * len(header)
     return {name: list(cells) for name, cells in zip(header, columns, strict=True)}
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from recon.base.errors import InputError, Problem
+from recon.base.errors import InputError, Problem, refuse
 from recon.base.package import install_command
 from recon.clip.keypoints import Keypoints, frame_ranges
 
@@ -229,8 +229,7 @@ def require_names(names: Sequence[str], forbidden: str, title: str, bytes_max: i
         for name in names
         if bytes_max is not None and len(name.encode()) > bytes_max
     ]
-    if problems:
-        raise InputError(problems[:10])
+    refuse(problems[:10])
 
 
 def without_gaps(frames: np.ndarray, values: np.ndarray, title: str) -> np.ndarray:

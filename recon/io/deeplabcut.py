@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from recon.base.errors import InputError, Problem
+from recon.base.errors import InputError, Problem, refuse
 from recon.base.files import write_bytes
 from recon.clip.keypoints import Keypoints
 from recon.io import pandas_hdf
@@ -139,8 +139,7 @@ def gather(
         for i, coord in enumerate(coords):
             if (name, coord) in where:
                 values[:, k, i] = table.numbers[:, where[name, coord]]
-    if problems:
-        raise InputError(first_problems(problems, path))
+    refuse(first_problems(problems, path))
     return names, values
 
 
@@ -248,8 +247,7 @@ def _columns(path: Path, raw: Sequence[Column]) -> tuple[tuple[Column, ...], tup
     ]
     if not columns:
         problems = [Problem(path, "header rows", "no columns", "at least one bodypart")]
-    if problems:
-        raise InputError(first_problems(problems, path))
+    refuse(first_problems(problems, path))
     names = dict.fromkeys(name for column in raw for name in column[:2])
     return columns, tuple(f"'{name}' is read as '{name.strip()}'." for name in names if name != name.strip())
 
@@ -282,8 +280,7 @@ def _table(
     if not problems:
         distinct, count = np.unique(np.array(frames), return_counts=True)
         problems = [Problem(path, f"frame {frame}", "more than one row", "one") for frame in distinct[count > 1]]
-    if problems:
-        raise InputError(first_problems(problems, path))
+    refuse(first_problems(problems, path))
     order = np.argsort(frames)
     if np.any(np.diff(order) != 1):
         notes += ("The rows were not in the order of their frame numbers and have been sorted.",)

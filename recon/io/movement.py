@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from recon.base.errors import InputError, Problem
+from recon.base.errors import InputError, Problem, refuse
 from recon.base.files import write_bytes
 from recon.clip.keypoints import Keypoints
 from recon.io.common import UNNAMED, choose, formats_extra, frames_of_times, name_problems, rate, starts_with
@@ -87,8 +87,7 @@ def read(path: Path, individual: str | None = None) -> StoredPoints:
         if v is not None and not (fits and v.values.dtype.kind in "fiu"):
             found = f"{v.values.dtype} with the dimensions {', '.join(v.dims)}"
             problems.append(Problem(path, name, found, ", ".join(dims)))
-    if problems:
-        raise InputError(problems)
+    refuse(problems)
     position, confidence = stored["position"], stored.get("confidence")
     sizes = dict(zip(position.dims, position.values.shape, strict=True))
     for name, v in stored.items():
@@ -97,8 +96,7 @@ def read(path: Path, individual: str | None = None) -> StoredPoints:
             problems.append(Problem(path, name, f"{v.values.shape} ({', '.join(v.dims)})", f"{expected}, as position"))
     if not sizes["time"]:
         problems.append(Problem(path, "time", "no frames", "at least one"))
-    if problems:
-        raise InputError(problems)
+    refuse(problems)
     labels = {dim: [str(t) for t in stored[dim].values.tolist()] if dim in stored else [] for dim in POSITION[1:]}
     labels["individual"] = labels["individual"] or [f"individual_{i}" for i in range(sizes["individual"])]
     labels["space"] = labels["space"] or list("xyz"[: sizes["space"]])

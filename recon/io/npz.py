@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from recon.base.documents import read_content
-from recon.base.errors import InputError, Problem
+from recon.base.errors import InputError, Problem, refuse
 from recon.base.files import write_bytes
 from recon.base.records import KINDS, MAX_BYTES, arrays_of
 from recon.io.common import choose, name_problems, rate, starts_with
@@ -40,14 +40,12 @@ def read(path: Path, individual: str | None = None) -> StoredPoints:
         names = [str(name) for name in np.atleast_1d(arrays.get("names", [])).tolist()]
     except ValueError as error:
         raise InputError(Problem(path, "content", f"data that cannot be read ({error})", "a whole file")) from None
-    problems = [
+    refuse(
         Problem(path, name, "nothing" if name not in arrays else f"values of type {arrays[name].dtype}", expected)
         for name, kind in WANTED.items()
         for expected in [{"U": "texts", "f": "floats", "i": "whole numbers"}[kind]]
         if name not in arrays or arrays[name].dtype.kind != kind
-    ]
-    if problems:
-        raise InputError(problems)
+    )
     xyz, frames, edges = arrays["xyz_m"].astype(float), np.atleast_1d(arrays["frames"]), arrays["edges"]
     problems = name_problems(path, "names", names)
     if xyz.shape != (len(frames), len(names), 3) or not len(frames):
@@ -57,8 +55,7 @@ def read(path: Path, individual: str | None = None) -> StoredPoints:
         problems.append(Problem(path, "frames", "numbers that do not increase", "increasing frame numbers"))
     if edges.ndim != 2 or edges.shape[1] != 2 or ((edges < 0) | (edges >= len(names))).any():
         problems.append(Problem(path, "edges", f"{edges.shape}", "(E, 2), places in names"))
-    if problems:
-        raise InputError(problems)
+    refuse(problems)
     return StoredPoints(
         tuple(names),
         xyz,

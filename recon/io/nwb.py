@@ -16,7 +16,7 @@ from uuid import uuid4
 
 import numpy as np
 
-from recon.base.errors import InputError, Problem
+from recon.base.errors import InputError, Problem, refuse
 from recon.base.files import write_bytes
 from recon.clip.keypoints import Keypoints
 from recon.io.common import (
@@ -183,8 +183,7 @@ def _checked_series(path: Path, container: _Container) -> tuple[list[_PoseSeries
             problems.append(Problem(path, where, f"other times than in {first.name}", "one time line"))
     if not len(first.times_s):
         problems.append(Problem(path, container.name, "no frames", "at least one"))
-    if problems:
-        raise InputError(problems)
+    refuse(problems)
     frames, fps = frames_of_times(path, first.times_s, first.fps)
     return series, frames, fps
 

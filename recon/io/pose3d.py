@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from recon.base.errors import InputError, Problem
+from recon.base.errors import InputError, Problem, refuse
 from recon.io.common import MAX_FRAME, PROBLEMS_SHOWN, frame_number, numbers
 from recon.io.deeplabcut import Column, PointTable, gather
 from recon.io.formats import Format, file_head, read_points
@@ -72,8 +72,7 @@ def read_pose_segments(path: str | Path) -> dict[str, Pose3D]:
         raise InputError(Problem(path, "text", f"{len(rows)} rows", "two header rows and a row per frame"))
     names, coords, *rows = rows
     problems = list(_segment_problems(path, names, coords, rows))
-    if problems:
-        raise InputError(problems[:PROBLEMS_SHOWN])
+    refuse(problems[:PROBLEMS_SHOWN])
     columns = tuple(Column("", name.strip(), c.strip()) for name, c in zip(names[2:], coords[2:], strict=True))
     values = np.array([numbers(row[2:])[0] for row in rows])
     pieces = np.array([row[0] for row in rows])

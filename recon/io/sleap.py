@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from recon.base.errors import InputError, Problem
+from recon.base.errors import InputError, Problem, refuse
 from recon.base.files import write_bytes
 from recon.clip.keypoints import Keypoints
 from recon.io.common import choose, formats_extra, name_problems, rate, require_span
@@ -119,8 +119,7 @@ def _checked_arrays(
         if array.shape != shape:
             axes = ", ".join(WANTED[name])
             problems.append(Problem(path, name, f"{array.shape} ({axes})", f"{shape}, as in tracks"))
-    if problems:
-        raise InputError(problems)
+    refuse(problems)
     return xy, score, occupied > 0
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from recon.base.documents import read_text
-from recon.base.errors import InputError, Problem
+from recon.base.errors import InputError, Problem, refuse
 from recon.io.common import (
     MAX_FRAME,
     choose,
@@ -64,8 +64,7 @@ def read(path: Path, individual: str | None = None) -> StoredPoints:
         problems.append(Problem(path, "rows", "no frames", "at least one below the header"))
     if not problems and (np.diff(frames) <= 0).any():
         problems.append(Problem(path, "Frame#", "numbers that do not increase", "an increasing number in each row"))
-    if problems:
-        raise InputError(first_problems(problems, path))
+    refuse(first_problems(problems, path))
     notes = ()
     if header.get("NumFrames") != str(len(rows)):
         notes = (f"The header announces {header.get('NumFrames', 'no number of')} frames, the file has {len(rows)}.",)

@@ -8,13 +8,3 @@ from recon.keypoint_net.predict import PredictSettings
 from recon.keypoint_net.run import TrainSettings
 from recon.keypoint_net.trained import model_file
 from recon.keypoint_net.workflows import LabelSource, run_prediction, run_training
-
-__all__ = [
-    "LabelSource",
-    "PredictSettings",
-    "TrainSettings",
-    "evaluate_2d_files",
-    "model_file",
-    "run_prediction",
-    "run_training",
-]

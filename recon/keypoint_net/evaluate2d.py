@@ -9,7 +9,7 @@ import numpy as np
 
 from recon.animal import load_names, map_to_write, renamed
 from recon.base.arrays import Array, Bools
-from recon.base.errors import InputError, Problem, all_of
+from recon.base.errors import Problem, all_of, refuse
 from recon.clip.keypoints import Keypoints, mark_missing
 from recon.io import read_keypoints
 from recon.keypoint_net.calibrate import Reliability, reliability
@@ -100,8 +100,7 @@ def evaluate_2d_files(
             f"some of the labels' frames {truth.frames[0]} to {truth.frames[-1]} that are asked for; --first-frame"
         )
         problems.append(Problem(predicted, "frames", found, expected))
-    if problems:
-        raise InputError(problems)
+    refuse(problems)
     rows_g, rows_t = map(list, zip(*both, strict=True))
     g, t = [guess.names.index(n) for n in common], [truth.names.index(n) for n in common]
     return evaluate_2d(

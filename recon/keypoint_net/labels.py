@@ -12,7 +12,7 @@ import numpy as np
 
 from recon.animal import load_names, new_names
 from recon.base.arrays import Array, Bools, Integers, median
-from recon.base.errors import InputError, Problem, all_of
+from recon.base.errors import InputError, Problem, all_of, refuse
 from recon.clip.keypoints import Keypoints, mark_missing
 from recon.io import as_keypoints, deeplabcut, file_head
 from recon.io.common import first_problems
@@ -189,8 +189,7 @@ def _read_video(video: Path, path: Path, first_frame: int, individual: str | Non
             f"{missing[0]} first. --first-frame says which number the labels give to the video's first frame"
         )
         problems.append(Problem(video, "frames", f"{decoded} frames that can be decoded{stated}", expected))
-    if problems:
-        raise InputError(problems)
+    refuse(problems)
     return _of_clip(video, keypoints, images, found, path)
 
 
@@ -210,13 +209,11 @@ def _read_project(folder: Path, individual: str | None) -> Labels:
     if not parts:
         raise InputError(Problem(folder, "labels", "none in any label file", "at least one labelled point"))
     names = parts[0].names
-    problems = [
+    refuse(
         Problem(p.source, "bodyparts", ", ".join(p.names), f"those of {parts[0].source}: {', '.join(names)}")
         for p in parts
         if sorted(p.names) != sorted(names)
-    ]
-    if problems:
-        raise InputError(problems)
+    )
     return Labels(
         names,
         np.concatenate([p.xy_px[:, [p.names.index(n) for n in names]] for p in parts]),
@@ -259,8 +256,7 @@ def _read_folder(path: Path, individual: str | None) -> Labels | None:
     if len(sizes) > 1:
         shown = ", ".join(f"{w}x{h}" for w, h in sizes)
         problems.append(Problem(path.parent, "pictures", f"several sizes: {shown} px", "one size, that of the video"))
-    if problems:
-        raise InputError(first_problems(problems, path))
+    refuse(first_problems(problems, path))
     return _of_clip(path.parent, keypoints, images, pictures, path)
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from pydantic import Field
 
 from recon.base.arrays import Array, Bools
-from recon.base.errors import InputError, Problem
+from recon.base.errors import InputError, Problem, refuse
 from recon.base.files import staged_file, write_bytes
 from recon.base.settings import Count, Integer, Number, Option, Settings
 from recon.io.video import Image
@@ -185,8 +185,7 @@ def resumed(run: TrainingRun, out: Path) -> State:
             problems.append(Problem(path, f"setting {name}", str(value), f"{given.get(name)}, as now given"))
     if not problems and content["split"] != run.split.to_dict(run.labels):
         problems.append(Problem(path, "pictures", "another split of them", "the labels and split of the run so far"))
-    if problems:
-        raise InputError(problems)
+    refuse(problems)
     state = begin(run)
     if content["network"].keys() != state.network.state_dict().keys():
         expected = "one of this version of recon; --overwrite begins again"

@@ -14,25 +14,4 @@ if TYPE_CHECKING:
     from recon.robotics.robot.robot_file import load_robot
     from recon.robotics.settings import ClimbSettings, IkSettings, RetargetSettings
 
-__all__ = [
-    "ClimbSettings",
-    "IkSettings",
-    "RetargetSettings",
-    "limb_of",
-    "load_robot",
-    "methods_of",
-    "run_climb",
-    "run_ik",
-    "run_retarget",
-]
-
-__getattr__ = lazily(
-    __name__,
-    {
-        "climb.run": ("run_climb",),
-        "ik.clip": ("limb_of", "methods_of", "run_ik"),
-        "robot.retarget_clip": ("run_retarget",),
-        "robot.robot_file": ("load_robot",),
-        "settings": ("ClimbSettings", "IkSettings", "RetargetSettings"),
-    },
-)
+__getattr__ = lazily(__name__, __file__)

@@ -24,37 +24,4 @@ if TYPE_CHECKING:
     from recon.thesis.inspection import SolverSettings, read_solver, run_solver
     from recon.thesis.solver import SolverRecord
 
-__all__ = [
-    "FrameOptions",
-    "FrameReport",
-    "FrameSolution",
-    "SolverRecord",
-    "SolverSettings",
-    "base_length",
-    "fit_clip",
-    "frame_objectives",
-    "frame_options",
-    "load_body",
-    "read_solver",
-    "run_solver",
-    "solve_frames",
-    "solve_joints",
-]
-
-__getattr__ = lazily(
-    __name__,
-    {
-        "clip": ("fit_clip", "frame_options", "load_body"),
-        "frame": (
-            "FrameOptions",
-            "FrameReport",
-            "FrameSolution",
-            "base_length",
-            "frame_objectives",
-            "solve_frames",
-            "solve_joints",
-        ),
-        "inspection": ("SolverSettings", "read_solver", "run_solver"),
-        "solver": ("SolverRecord",),
-    },
-)
+__getattr__ = lazily(__name__, __file__)

@@ -10,7 +10,7 @@ from typing import Annotated, Any
 import numpy as np
 
 from recon.animal import Body, load_prior, load_skeleton
-from recon.base.errors import InputError, Problem
+from recon.base.errors import Problem, refuse
 from recon.base.files import require_free_folder, staged_folder
 from recon.base.settings import Integer, Number, Option, Settings
 from recon.calibrate.camera_advice import PICTURE_PX, Advice, advise
@@ -128,9 +128,7 @@ def _require(
         (0 < hfov_deg < 180, "--hfov-deg", f"{hfov_deg:g}", "degrees between 0 and 180"),
         (distance_m is None or 0 < distance_m < 1e4, "--distance-m", f"{distance_m}", "metres above 0, up to 10,000"),
     ]
-    problems = [Problem(option, "value", found, expected) for ok, option, found, expected in checks if not ok]
-    if problems:
-        raise InputError(problems)
+    refuse(Problem(option, "value", found, expected) for ok, option, found, expected in checks if not ok)
 
 
 def _report(found: Sequence[Advice], body: Body, prior: str, hfov_deg: float) -> dict[str, Any]:

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from recon.base.arrays import Array
-from recon.base.errors import InputError, Problem, all_of
+from recon.base.errors import InputError, Problem, all_of, refuse
 from recon.geometry.camera import Camera
 from recon.io import CameraTrack, read_camera, read_camera_track, read_cameras, track_label
 from recon.io.common import numbers
@@ -69,15 +69,13 @@ def _turned_up(cameras: Cameras, up: str) -> Cameras:
         raise InputError(
             Problem("--set up", "direction", repr(up), f"x, y or z, -x, -y or -z, {FIRST_CAMERA}, or 0,-1,0")
         )
-    problems = [
+    refuse(
         Problem("--set up", f"camera {one.camera.name}", why, "poses that do not say which way is up")
         for one in cameras
         for why in (
             ["no pose"] if not one.camera.has_extrinsics else ["a pose that says it"] if one.camera.world_z_up else []
         )
-    ]
-    if problems:
-        raise InputError(problems)
+    )
     R = _z_up_from(direction / np.linalg.norm(direction))
     turned = (replace(one.camera, rotation=np.asarray(one.camera.rotation) @ R.T, world_z_up=True) for one in cameras)
     return tuple(replace(one, camera=camera) for one, camera in zip(cameras, turned, strict=True))
@@ -166,9 +164,7 @@ def _cameras_of_several(settings: FitSettings, tracks: Sequence[CameraTrack]) ->
     else:
         assert settings.camera is not None
         cameras = _cameras_in_file(settings.camera, settings)
-    problems = list(_problems_of_several(settings.camera, cameras, tracks))
-    if problems:
-        raise InputError(problems)
+    refuse(_problems_of_several(settings.camera, cameras, tracks))
     chosen, names = [], [camera.name for camera in cameras]
     for i, camera in enumerate(cameras):
         track = next((one for one in tracks if camera.name in cameras_in(track_label(one.source), names)), None)
@@ -212,8 +208,7 @@ def _cameras_in_file(path: Path, settings: FitSettings) -> tuple[Camera, ...]:
             found += f" for {file.name}" if len(settings.keypoints) > 1 else ""
             expected = f"one of {', '.join(camera.name for camera in cameras)} by --camera-name, or in the file's name"
             problems.append(Problem(path, "camera", found, expected))
-    if problems:
-        raise InputError(problems)
+    refuse(problems)
     return tuple(chosen)
 
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from recon.base.arrays import Array
-from recon.base.errors import InputError, Problem, all_of
+from recon.base.errors import InputError, Problem, all_of, refuse
 from recon.base.files import require_free_file
 from recon.base.progress import Progress, silent
 from recon.base.words import length_text
@@ -266,8 +266,7 @@ def _tilt_rad(clips: Sequence[FitSettings], level_rad: float | None, posed: bool
             problems.append(Problem(option, name, found, "one of the two"))
         elif len(values) > 1:
             problems.append(Problem(option, name, found, "one for all clips, whose cameras stand still"))
-    if problems:
-        raise InputError(problems)
+    refuse(problems)
     return math.radians(tilts[0]) if tilts else None
 
 

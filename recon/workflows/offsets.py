@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 import numpy as np
 
 from recon.base.arrays import Array
-from recon.base.errors import InputError, Problem
+from recon.base.errors import InputError, Problem, refuse
 from recon.check.offsets import search_offsets
 from recon.clip import Source, together, views_of
 from recon.fit import TrajectorySolution
@@ -46,9 +46,7 @@ def solved_in_step(
         later = later + solution.time_offset_frames
         sources = together(apart, later.tolist())
         solution = solve(sources)
-    problems = list(_problems(names, later, solution.time_offset_frames, solution.time_offset_sigma_frames))
-    if problems:
-        raise InputError(problems)
+    refuse(_problems(names, later, solution.time_offset_frames, solution.time_offset_sigma_frames))
     return sources, solution
 
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from recon.animal.body import Side
 from recon.base.arrays import Array, Index
-from recon.base.errors import InputError, Problem, all_of
+from recon.base.errors import InputError, Problem, all_of, refuse
 from recon.base.files import require_free_file, staged_file, write_bytes
 from recon.base.progress import Progress, silent
 from recon.base.settings import Integer, Number, Option, Settings
@@ -242,8 +242,7 @@ def _check_video(motion: Motion, number: int, video: Path, info: VideoInfo, firs
     if first_frame > first:
         expected = f"{first} or less: the result begins with frame {first}"
         problems.append(Problem("--first-frame", "number", str(first_frame), expected))
-    if problems:
-        raise InputError(problems)
+    refuse(problems)
 
 
 def _check_speed(speed: float | None) -> None:

@@ -16,7 +16,7 @@ from recon.animal import Body, MotionPrior, fit_prior, load_skeleton, save_prior
 from recon.animal.prior import FRAMES_PER_COMPONENT, as_one_gaussian, log_likelihood, mean_speed_m_s
 from recon.base.arrays import Array, Integers
 from recon.base.documents import read_json
-from recon.base.errors import InputError, Problem, all_of
+from recon.base.errors import InputError, Problem, all_of, refuse
 from recon.base.files import require_free_file
 from recon.base.settings import Integer, Number, OneOrMore, Option, Settings
 from recon.check import usable
@@ -307,8 +307,7 @@ def _check_options(components: int, min_speed_m_s: float) -> None:
         problems.append(Problem("--components", "number", f"{components}", "1 or more"))
     if not (math.isfinite(min_speed_m_s) and min_speed_m_s >= 0):
         problems.append(Problem("--min-speed-m-s", "speed", f"{min_speed_m_s:g}", "0 m/s or more"))
-    if problems:
-        raise InputError(problems)
+    refuse(problems)
 
 
 def _require_markers(body: Body, files: dict[Path, dict[str, Pose3D]]) -> None:
@@ -319,8 +318,7 @@ def _require_markers(body: Body, files: dict[Path, dict[str, Pose3D]]) -> None:
         if there < MIN_MARKERS:
             expected = f"at least {MIN_MARKERS} markers of {body.name}: {', '.join(body.markers)}"
             problems.append(Problem(path, "joints", f"{there} of {len(body.markers)}: {', '.join(names)}", expected))
-    if problems:
-        raise InputError(problems)
+    refuse(problems)
 
 
 def _require_rates(rates: list[float], files: dict[Path, dict[str, Pose3D]], fps: str) -> None:

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from recon.base.documents import read_json
-from recon.base.errors import InputError, Problem, all_of
+from recon.base.errors import InputError, Problem, all_of, refuse
 from recon.base.files import sole_writer, staged_file
 from recon.base.manifest import MANIFEST, read_manifest, sha256_of
 from recon.base.progress import Progress, silent
@@ -157,8 +157,7 @@ def _check(
     stages = [name for name in STAGES if not left_out.get(name)]
     if start is not None and start not in stages:
         problems.append(Problem("--from", "stage", repr(start), f"one of {', '.join(stages)}"))
-    if problems:
-        raise InputError(problems)
+    refuse(problems)
 
 
 # -- the work ---------------------------------------------------------------------------------------------------------

@@ -8,7 +8,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from recon.base.errors import InputError, Problem
+from recon.base.errors import InputError, Problem, refuse
 from recon.base.files import sole_writer
 from recon.base.parallel import Event, carry_out
 from recon.base.progress import Progress
@@ -45,8 +45,7 @@ def jobs_of(
             jobs.append(job_of(video, out / names[video], given, config, keypoints=own, **more))
         except InputError as error:
             problems += error.problems
-    if problems:
-        raise InputError(dict.fromkeys(problems))  # what all videos have in common is said once
+    refuse(dict.fromkeys(problems))  # what all videos have in common is said once
     return jobs
 
 

@@ -8,18 +8,3 @@ from recon.animal.prior.file import builtin_priors, load_prior, save_prior
 from recon.animal.prior.fit import FRAMES_PER_COMPONENT, fit_prior, mean_speed_m_s
 from recon.animal.prior.mixture import log_likelihood
 from recon.animal.prior.model import ANGLES, NONE, MotionPrior, as_one_gaussian, prior_from_body
-
-__all__ = [
-    "ANGLES",
-    "FRAMES_PER_COMPONENT",
-    "NONE",
-    "MotionPrior",
-    "as_one_gaussian",
-    "builtin_priors",
-    "fit_prior",
-    "load_prior",
-    "log_likelihood",
-    "mean_speed_m_s",
-    "prior_from_body",
-    "save_prior",
-]

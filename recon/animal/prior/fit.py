@@ -11,7 +11,7 @@ from recon.animal.prior.mixture import mixture, still
 from recon.animal.prior.model import ANGLES, MotionPrior, SegmentRow
 from recon.animal.prior.motion import ridge
 from recon.base.arrays import Array
-from recon.base.errors import InputError, Problem
+from recon.base.errors import Problem, refuse
 
 FRAMES_PER_COMPONENT = 20
 """Fewer would let a component of the mixture be one short piece of one segment."""
@@ -58,8 +58,7 @@ def fit_prior(
     problems += [Problem("prior", "apart", repr(s), expected) for s in apart if s not in owners]
     if not len(accelerations):
         problems.append(Problem("prior", "frames", "no three in a row", "segments without gaps"))
-    if problems:
-        raise InputError(problems)
+    refuse(problems)
 
     mean = poses.mean(axis=0)
     extra = np.diag(POSE_FLOOR_RAD**2 + np.where(still(poses), missing_sigma_rad**2, 0.0))

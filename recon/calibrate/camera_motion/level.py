@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from recon.base.arrays import Array
 from recon.base.documents import read_text
-from recon.base.errors import InputError, Problem
+from recon.base.errors import InputError, Problem, refuse
 from recon.calibrate.camera_motion.features import rays_of
 from recon.calibrate.camera_motion.rotation import Orientation
 from recon.geometry.camera import Camera
@@ -76,8 +76,7 @@ def up_by_marks(
         else:
             level = rays if mark.kind == "horizon" else np.cross(*rays)[None]
             rows.append(level @ turn.rotation @ first.T)
-    if problems:
-        raise InputError(dict.fromkeys(problems))
+    refuse(dict.fromkeys(problems))
     # A ray is as exact as a mark over the focal length; a plane's normal as two marks over the length between them,
     # which is that of the cross product.
     A = np.concatenate(rows) * camera.matrix[0, 0] / MARKED_PX

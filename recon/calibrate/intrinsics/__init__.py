@@ -7,22 +7,3 @@ from recon.calibrate.intrinsics.checks import LIMITS, CalibrationCheck, check, c
 from recon.calibrate.intrinsics.picture import draw
 from recon.calibrate.intrinsics.solve import Calibration, FittedBoardView, calibrate
 from recon.calibrate.intrinsics.views import BoardView, BoardViews, collect, find_views
-
-__all__ = [
-    "LIMITS",
-    "Board",
-    "BoardView",
-    "BoardViews",
-    "Calibration",
-    "CalibrationCheck",
-    "Charuco",
-    "Chessboard",
-    "FittedBoardView",
-    "calibrate",
-    "check",
-    "collect",
-    "coverage",
-    "draw",
-    "find_views",
-    "parse_board",
-]

@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from recon.base.arrays import Array, Index
-from recon.base.errors import InputError, Problem
+from recon.base.errors import InputError, Problem, refuse
 
 Gray = npt.NDArray[np.uint8]
 UNITS_M = {"mm": 1e-3, "cm": 1e-2, "m": 1.0}
@@ -148,8 +148,7 @@ def parse_board(text: str) -> Board:
         fault(what, repr(parts[0]), "columns x rows, three or more of each, as in 9x6")
     square = _length(parts[1], "side of a square", fault)
     if kind == "chessboard":
-        if problems:
-            raise InputError(problems)
+        refuse(problems)
         return Chessboard(columns, rows, square)
     marker = _length(parts[2], "side of a marker", fault)
     if 0 < square <= marker:
@@ -164,8 +163,7 @@ def parse_board(text: str) -> Board:
             fault("dictionary", f"{held} markers in {dictionary}", f"{columns * rows // 2} for {parts[0]} squares")
     if len(parts) == 5 and parts[4] != "legacy":
         fault("layout", repr(parts[4]), "legacy (printed with OpenCV before 4.6), or nothing")
-    if problems:
-        raise InputError(problems)
+    refuse(problems)
     return Charuco(columns, rows, square, marker, dictionary, legacy=len(parts) == 5)
 
 

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 
 from recon.base.arrays import Array, Index
-from recon.base.errors import InputError, Problem
+from recon.base.errors import InputError, Problem, refuse
 from recon.base.progress import Progress, silent
 from recon.calibrate.intrinsics.board import Board, Gray
 from recon.io.video import SUFFIXES as VIDEO_SUFFIXES
@@ -81,8 +81,7 @@ def collect(paths: Iterable[Path]) -> list[Path]:
     if videos and len(files) > 1:
         expected = "one video alone, or pictures and folders of pictures"
         problems.append(Problem(videos[0], "inputs", f"a video among {len(files)} files", expected))
-    if problems:
-        raise InputError(problems)
+    refuse(problems)
     return list(dict.fromkeys(files))
 
 
@@ -131,8 +130,7 @@ def _from_images(files: Sequence[Path], board: Board, progress: Progress) -> Boa
             views.append(BoardView(name, *corners))
     if len(set(sizes.values())) > 1:
         problems.append(_mixed_sizes(sizes))
-    if problems:
-        raise InputError(problems)
+    refuse(problems)
     return BoardViews(board, next(iter(sizes.values())), tuple(views), tuple(without), len(files), len(views))
 
 

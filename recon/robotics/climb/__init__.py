@@ -7,16 +7,3 @@ from recon.robotics.climb.check import ClimbCheck, check
 from recon.robotics.climb.plan import Climb, plan
 from recon.robotics.climb.recipe import Recipe, bundled, load_recipe, raised, scaled
 from recon.robotics.climb.walker import Walker
-
-__all__ = [
-    "Climb",
-    "ClimbCheck",
-    "Recipe",
-    "Walker",
-    "bundled",
-    "check",
-    "load_recipe",
-    "plan",
-    "raised",
-    "scaled",
-]

@@ -9,19 +9,3 @@ from recon.show.plots.observability import observability
 from recon.show.plots.phase import phase_portraits
 from recon.show.plots.speed import speeds
 from recon.show.plots.style import COLUMN_MM, WIDTH_MM, save
-
-__all__ = [
-    "COLUMN_MM",
-    "WIDTH_MM",
-    "body_fixed",
-    "camera_advice",
-    "composites",
-    "footfall",
-    "in_body",
-    "limbs_apart",
-    "observability",
-    "phase_portraits",
-    "save",
-    "speeds",
-    "vector_fields",
-]

@@ -13,8 +13,6 @@ from recon.fit.motion import Motion
 from recon.show.sections import fitted, given
 from recon.show.sections.section import Line, Section
 
-__all__ = ["SECTIONS", "Line", "Section", "sections_of"]
-
 SECTIONS: tuple[Section, ...] = (
     Section("verdict", verdict_fields, given.verdict_lines),
     Section("input", given.clip, given.clip_lines),

@@ -16,7 +16,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 from numpy.typing import NDArray
 
-from recon.base.errors import InputError, Problem
+from recon.base.errors import Problem, refuse
 from recon.show.recording import recording
 from recon.show.view.layout import held_at, plot, state_rows
 from recon.show.view.scene import Array, Colour
@@ -80,15 +80,13 @@ def write_plots(
         raise ValueError(f"entities must differ: {', '.join(entities)}")
     whole = replace(Playback.read(playback), data=())  # of a long clip a lot of memory
     found = [whole.on_frames(p.time_s) for p in plots]
-    problems = [
+    refuse(
         Problem(
             playback, "frames", f"none at the {len(p.time_s)} times of {p.title!r}", "the playback of the same clip"
         )
         for p, (rows, _) in zip(plots, found, strict=True)
         if not len(rows)  # an empty chunk would make the viewer crash
-    ]
-    if problems:
-        raise InputError(problems)
+    )
 
     with recording(path, _layout(whole, plots, start_frame), part_of=whole.id) as stream:
         for p, (rows, frames) in zip(plots, found, strict=True):

@@ -17,7 +17,7 @@ import numpy as np
 import rerun as rr
 from rerun.chunk import Chunk
 
-from recon.base.errors import InputError, Problem
+from recon.base.errors import InputError, Problem, refuse
 from recon.base.progress import Progress, silent
 from recon.io.video import Image, probe, read_frames
 from recon.show.recording import recording
@@ -62,8 +62,7 @@ def write_video(
     if first_frame > first:
         expected = f"{first} or less: the playback begins with frame {first}"
         problems.append(Problem("--first-frame", "number", str(first_frame), expected))
-    if problems:
-        raise InputError(problems)
+    refuse(problems)
     quality = _quality(video, first - first_frame, last + 1 - first_frame, len(playback.frames), max_bytes)
     _write(playback, origin, video, first_frame, quality, path, progress)
     return quality

@@ -26,22 +26,6 @@ from recon.workflows.batch.summary import COLUMNS, STATUSES, Summary, results_of
 from recon.workflows.clip import fit_clip
 from recon.workflows.clip_results import write_clip
 
-__all__ = [
-    "COLUMNS",
-    "STATUSES",
-    "Clip",
-    "Planned",
-    "Summary",
-    "check_shared",
-    "find_clips",
-    "fit_planned",
-    "input_problems",
-    "plan_batch",
-    "repeated",
-    "run_batch",
-    "work_off",
-]
-
 CRASH_LOG = "crash.log"
 DYING_S = 5.0
 """So long a process may hold a clip's folder after the batch that it belonged to was killed."""

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from recon.base.errors import InputError, Problem
+from recon.base.errors import InputError, Problem, refuse
 from recon.check import names_text
 from recon.workflows.cameras import cameras_in
 
@@ -106,8 +106,7 @@ def join_cameras(
             group = groups[_clip_key(one, cameras_by)]
             problems += _repeated_cameras(group)
             joined.append(_clip_draft(group, cameras_by))
-    if problems:
-        raise InputError(problems)
+    refuse(problems)
     if several:
         notes.append(_joined_text([group for group in groups.values() if len(group) > 1]))
     return joined, notes

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from recon.base.errors import InputError, Problem
+from recon.base.errors import InputError, Problem, refuse
 from recon.check import names_text
 from recon.io import file_head, individuals, recognised, titles
 from recon.io.calibration import read_cameras
@@ -81,8 +81,7 @@ def find_clips(
     problems += _name_problems(drafts)
     drafts, settings = [draft for draft, _ in every], [its for _, its in every]
     problems += _effect_problems(common, settings)
-    if problems:
-        raise InputError(dict.fromkeys(problems))  # what all clips have in common is said once
+    refuse(dict.fromkeys(problems))  # what all clips have in common is said once
     if not drafts:
         raise InputError(Problem("INPUT", "clips", "none", "keypoint files, a folder of them, or a manifest"))
     names = _names(drafts)
@@ -139,8 +138,7 @@ def _drafts_of_sessions(sessions: Sequence[Session], common: Mapping[str, Any]) 
         drafts += [
             ClipDraft((file,), row, called=session.folder / file.name, cam_regex=session.cam_regex) for file in files
         ]
-    if problems:
-        raise InputError(dict.fromkeys(problems))
+    refuse(dict.fromkeys(problems))
     if not drafts:
         places = names_text([str(session.poses) for session in sessions])
         raise InputError(Problem(places, "files", "no keypoint files", f"files of a known format: {_format_names()}"))
@@ -263,8 +261,7 @@ def _drafts_of_manifest(path: Path) -> list[ClipDraft]:
         drafts.append(ClipDraft(tuple(files), values, out, (path, line)))
     if not drafts and not problems:
         problems.append(Problem(path, "rows", "none", "one row a clip below the header"))
-    if problems:
-        raise InputError(problems)
+    refuse(problems)
     return drafts
 
 

@@ -16,7 +16,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any, Literal
 
-from recon.base.errors import InputError, Problem
+from recon.base.errors import InputError, Problem, refuse
 from recon.base.files import require_free_folder, staged_file
 from recon.base.manifest import MANIFEST, read_manifest
 from recon.base.package import version
@@ -60,8 +60,7 @@ def plan_batch(clips: Sequence[Clip], out: Path, overwrite: bool = False) -> lis
             planned.append(_planned(clip, out / clip.name, record.get(clip.name), overwrite))
         except InputError as error:
             problems += error.problems
-    if problems:
-        raise InputError(problems)
+    refuse(problems)
     return planned
 
 

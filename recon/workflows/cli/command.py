@@ -22,7 +22,7 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperCommand, TyperGroup
 
-from recon.base.errors import InputError, Problem
+from recon.base.errors import InputError, Problem, refuse
 from recon.base.settings import SettingInfo, Settings, on_command_line
 
 _FLAGS = {
@@ -111,8 +111,7 @@ class Takes:
                 found.setdefault(name, []).append(value)
             else:
                 found[name] = value
-        if problems:
-            raise InputError(problems)
+        refuse(problems)
         return found
 
 
@@ -122,9 +121,7 @@ class SettingsCommand(TyperCommand):
     takes: Takes
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        problems = [*_no_options(args, self.takes.by_set)]
-        if problems:
-            raise InputError(problems)
+        refuse(_no_options(args, self.takes.by_set))
         return super().parse_args(ctx, args)
 
     def format_help(self, ctx: Any, formatter: Any) -> None:
