@@ -21,7 +21,7 @@ from command_line import run, run_process
 import recon.workflows.doctor as module
 from recon.base.package import install_command
 from recon.workflows.cli import GROUPS, app, commands
-from recon.workflows.doctor import Check, Doctor, extras, run_doctor, self_test, temporary_folder, versions, viewer
+from recon.workflows.doctor import Check, extras, run_doctor, self_test, temporary_folder, versions, viewer
 
 SAMPLES = Path(__file__).parents[1] / "data" / "samples"
 
@@ -31,7 +31,7 @@ def statuses(checks) -> dict[str, str]:
 
 
 @pytest.fixture(scope="module")
-def doctor() -> Doctor:
+def doctor() -> tuple[Check, ...]:
     """Of this machine; the shortest way through all checks."""
     return run_doctor()
 
@@ -40,8 +40,8 @@ def doctor() -> Doctor:
 
 
 def test_all_is_well_here(doctor, monkeypatch):
-    assert doctor.ok, [check for check in doctor.checks if check.status == "broken"]
-    found = {check.name: check.found for check in doctor.checks}
+    assert [check for check in doctor if check.status == "broken"] == []
+    found = {check.name: check.found for check in doctor}
     assert found["numpy"] == metadata.version("numpy")
     assert found["recon"].startswith(metadata.version("recon-motion"))
     assert found["python"].startswith(".".join(map(str, sys.version_info[:3])))
@@ -60,11 +60,11 @@ def test_prints_a_table_of_80_columns_or_json_and_ends_with_0_or_1(doctor, monke
     assert ended.code == 0
     assert ended.out.endswith("recon works here.\n")
     assert max(map(len, ended.out.splitlines())) <= 80
-    for check in doctor.checks:
+    for check in doctor:
         assert re.search(rf"^ *{re.escape(check.name)} +{check.status} ", ended.out, re.MULTILINE)
     shown = json.loads(run("doctor", "--json").out)
-    assert shown == {"ok": True, "checks": [check.__dict__ for check in doctor.checks]}
-    bad = Doctor((*doctor.checks, Check("machine", "moon", "broken", "it is new", "wait [two] weeks")))
+    assert shown == {"ok": True, "checks": [check.__dict__ for check in doctor]}
+    bad = (*doctor, Check("machine", "moon", "broken", "it is new", "wait [two] weeks"))
     monkeypatch.setattr("recon.workflows.cli.doctor.run_doctor", lambda progress: bad)
     ended = run("doctor")
     assert ended.code == 1

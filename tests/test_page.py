@@ -24,7 +24,7 @@ from recon.fit.motion import Motion
 from recon.io.video import video_writer
 from recon.show.page.clip import doubtful_frames
 from recon.show.page.render import _without_direction, inline
-from recon.show.plots.angles import AngleCurve, angle_over_time, together
+from recon.show.plots.angles import angle_over_time, together
 from recon.show.plots.style import drawing
 from recon.show.report import build_report
 from recon.workflows.batch import COLUMNS
@@ -139,7 +139,7 @@ def test_a_page_has_the_video_behind_its_pictures(folder, tmp_path, monkeypatch)
     shown = {}
 
     def clip_page(results, stills, behind, files, number) -> str:
-        shown[behind] = [still.source for still in stills]
+        shown[behind] = [source for source, _ in stills]
         return GENERATED
 
     monkeypatch.setattr("recon.workflows.page.clip_page", clip_page)
@@ -216,9 +216,9 @@ def test_figures_stand_in_a_page_as_vectors_or_where_those_are_large_as_pixels()
 def test_angles_of_both_sides_share_a_figure():
     time_s, ones = np.arange(5) / 10.0, np.ones(5)
     curves = {
-        "l_hip_pitch": AngleCurve(0.1 * ones, 0.01 * ones, True),
-        "r_hip_pitch": AngleCurve(0.2 * ones, 0.02 * ones, False),
-        "head_yaw": AngleCurve(0.3 * ones, 0.03 * ones, True),
+        "l_hip_pitch": (0.1 * ones, 0.01 * ones, True),
+        "r_hip_pitch": (0.2 * ones, 0.02 * ones, False),
+        "head_yaw": (0.3 * ones, 0.03 * ones, True),
     }
     assert {title: list(both) for title, both in together(curves).items()} == {
         "l/r hip pitch": ["l_hip_pitch", "r_hip_pitch"],

@@ -65,7 +65,7 @@ def called(monkeypatch, report) -> list[str]:
 
     def track(settings, **options):
         names.append("camera-motion")
-        return SimpleNamespace(files=(write(settings.out, "track"),))
+        return {}, (write(settings.out, "track"),)
 
     def write_results(motion, settings, out: Path, seconds: float) -> None:
         names.append("fit")

@@ -16,7 +16,7 @@ from rerun.chunk import Chunk, RrdReader
 from recon.base.errors import InputError
 from recon.fit.motion import Motion
 from recon.show.view import write
-from recon.show.view.added import AddedSeries, AddedStates, StateRow, write_plots
+from recon.show.view.added import AddedSeries, AddedStates, write_plots
 from recon.show.view.together import put_together
 
 BLUE, ORANGE = (86, 180, 233), (230, 159, 0)
@@ -34,8 +34,8 @@ STANDS = ["", "", "stance", "stance", "stance", "", "", "late", *[""] * 8]
 STANCE = AddedStates(
     title="Stances",
     rows=[
-        StateRow("LF.ground", STANDS, {"stance": BLUE, "late": ORANGE}),
-        StateRow("RF/by body", [""] * 16, {"stance": ORANGE}),
+        ("LF.ground", STANDS, {"stance": BLUE, "late": ORANGE}),
+        ("RF/by body", [""] * 16, {"stance": ORANGE}),
     ],
     time_s=TIME_S,
     tab="Gait",
@@ -355,7 +355,7 @@ def test_what_is_no_playback_is_refused_and_left(copy: Path, spoil: Callable[[Pa
 def test_series_of_another_clip_are_refused(copy: Path) -> None:
     later = AddedSeries("x", "Far away", ["x"], [BLUE], FEET_M[:, 1:], time_s=TIME_S + 100.0, tab="x")
     between = AddedSeries("y", "Between", ["y"], [BLUE], FEET_M[:, 1:], time_s=TIME_S + 1 / 300, tab="x")
-    empty = AddedStates(title="Empty", rows=[StateRow("LF", [], {})], time_s=np.empty(0), tab="x")
+    empty = AddedStates(title="Empty", rows=[("LF", [], {})], time_s=np.empty(0), tab="x")
     with pytest.raises(InputError) as caught:
         write_plots(copy.with_name("plots.rrd"), copy, [SPEED, later, between], [STANCE, empty])
     assert [problem.found for problem in caught.value.problems] == [

@@ -21,22 +21,12 @@ AGAIN = "the results of one run as they were written: run the command again, wit
 
 
 @dataclass(frozen=True)
-class FileEntry:
-    """One file."""
-
-    size: int
-    """In bytes."""
-    sha256: str
-    """Of the content, in hexadecimal digits."""
-
-
-@dataclass(frozen=True)
 class Manifest:
     """What one run wrote into a folder."""
 
     folder: Path
-    files: Mapping[str, FileEntry]
-    """By name."""
+    files: Mapping[str, tuple[int, str]]
+    """By name: size in bytes, and the SHA-256 of the content in hexadecimal digits."""
 
     def __contains__(self, name: str) -> bool:
         return name in self.files
@@ -57,17 +47,12 @@ class Manifest:
         """Raises InputError unless these files are there and as the run wrote them."""
         refuse(self.changed(names))
 
-    def require_same(self) -> None:
-        """Raises InputError where the folder has been written to since: what was read may be of two runs."""
-        if read_manifest(self.folder) != self:
-            raise InputError(Problem(self.folder, "folder", "another run's results, since its files were read", AGAIN))
-
     def _fault(self, name: str) -> tuple[str, str] | None:
         entry, path = self.files.get(name), self.folder / name
         if entry is None:
             return "file", f"no word of it in {MANIFEST}"
         try:
-            if path.stat().st_size == entry.size and sha256_of(path) == entry.sha256:
+            if path.stat().st_size == entry[0] and sha256_of(path) == entry[1]:
                 return None
         except OSError as error:
             there = not isinstance(error, FileNotFoundError)
@@ -82,9 +67,7 @@ def read_manifest(folder: Path) -> Manifest:
         content = json.loads(path.read_text(encoding="utf-8"))
         if content["schema"] != SCHEMA:
             raise ValueError
-        files = {
-            str(name): FileEntry(int(entry["size"]), str(entry["sha256"])) for name, entry in content["files"].items()
-        }
+        files = {str(name): (int(entry["size"]), str(entry["sha256"])) for name, entry in content["files"].items()}
     except FileNotFoundError:
         found = f"no {MANIFEST}: of an interrupted run, or of an earlier version"
         raise InputError(Problem(folder, "folder", found, AGAIN)) from None

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -29,31 +28,23 @@ HIGH_RAD = ((np.radians(15), "level with its middle"), (np.radians(45), "raised"
 ABOVE = "almost above it"
 
 
-@dataclass(frozen=True, eq=False)
-class CameraAdvice:
-    """found: one camera, or the best first one and a second beside it."""
-
-    found: tuple[Advice, ...]
-    report: dict[str, Any]
-
-    @property
-    def lines(self) -> Iterator[str]:
-        """In words."""
-        for number, advice in enumerate(self.found, start=1):
-            camera = "the camera" if len(self.found) == 1 else f"camera {number}"
-            share, sigma = (float(values[advice.best]) for values in (advice.share, advice.sigma))
-            yield (
-                f"Put {camera} {where(*advice.place)}, {advice.distance_m * np.sin(advice.place[1]):.2g} m above its "
-                f"middle and {advice.distance_m:.3g} m away: {share:.0%} of the precision of {advice.of} comes from "
-                f"the pixels, ±{in_words(sigma, advice.unit)}."
-            )
-        worst = np.unravel_index(int(np.argmax(self.found[0].sigma)), self.found[0].sigma.shape)
-        place = self.found[0].azimuths_rad[worst[1]], self.found[0].elevations_rad[worst[0]]
-        sigma = float(self.found[0].sigma[worst])
-        said = f"±{in_words(sigma, self.found[0].unit)}" if np.isfinite(sigma) else "it is not in the picture"
-        yield f"The worst place for one camera is {where(*map(float, place))}: {said}."
-        if self.found[-1].share.max() < MEASURED_SHARE:
-            yield "No place shows it well: what is expected of it says more than the pixels everywhere."
+def in_sentences(found: Sequence[Advice]) -> Iterator[str]:
+    """What to do: of one camera, or of the best first one and a second beside it."""
+    for number, advice in enumerate(found, start=1):
+        camera = "the camera" if len(found) == 1 else f"camera {number}"
+        share, sigma = (float(values[advice.best]) for values in (advice.share, advice.sigma))
+        yield (
+            f"Put {camera} {where(*advice.place)}, {advice.distance_m * np.sin(advice.place[1]):.2g} m above its "
+            f"middle and {advice.distance_m:.3g} m away: {share:.0%} of the precision of {advice.of} comes from "
+            f"the pixels, ±{in_words(sigma, advice.unit)}."
+        )
+    worst = np.unravel_index(int(np.argmax(found[0].sigma)), found[0].sigma.shape)
+    place = found[0].azimuths_rad[worst[1]], found[0].elevations_rad[worst[0]]
+    sigma = float(found[0].sigma[worst])
+    said = f"±{in_words(sigma, found[0].unit)}" if np.isfinite(sigma) else "it is not in the picture"
+    yield f"The worst place for one camera is {where(*map(float, place))}: {said}."
+    if found[-1].share.max() < MEASURED_SHARE:
+        yield "No place shows it well: what is expected of it says more than the pixels everywhere."
 
 
 def where(azimuth_rad: float, elevation_rad: float) -> str:
@@ -85,9 +76,9 @@ class CameraAdviceSettings(Settings):
 
 def run_camera_advice(
     settings: CameraAdviceSettings, progress: Callable[[str, float], None] = lambda stage, share: None
-) -> CameraAdvice:
+) -> dict[str, Any]:
     """See `recon.calibrate.camera_advice.advise`; cameras: 1, or 2, of which the second is looked for beside the best
-    first one. Writes a report, a table and a figure into `out`. Raises InputError."""
+    first one. Writes a report, which it gives, a table and a figure into `out`. Raises InputError."""
     body = load_skeleton(settings.skeleton, settings.subject)
     _require(body, settings.angle, settings.joint, settings.cameras, settings.hfov_deg, settings.distance_m)
     motions = load_prior(settings.prior, body)
@@ -107,13 +98,13 @@ def run_camera_advice(
                 progress=lambda share, done=number: progress("cameras", (done + share) / settings.cameras),
             )
         )
-    advice = CameraAdvice(tuple(found), _report(found, body, motions.name, settings.hfov_deg))
+    report = _report(found, body, motions.name, settings.hfov_deg) | {"words": [*in_sentences(found)]}
     with staged_folder(settings.out) as staging:
-        (staging / REPORT).write_text(to_json(advice.report | {"words": [*advice.lines]}), encoding="utf-8")
+        (staging / REPORT).write_text(to_json(report), encoding="utf-8")
         columns = "camera, azimuth_rad, elevation_rad, height_m, sigma_" + found[0].unit + ", data_share"
         write_rows(staging / TABLE, [columns.split(", ")], _rows(found))
         plots.save(plots.camera_advice(found), staging, FIGURE)
-    return advice
+    return report
 
 
 def _require(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -46,14 +46,6 @@ NOTES = (
 )
 
 
-@dataclass(frozen=True, eq=False)
-class CameraMotionRun:
-    """report: what is in the report file. files: what was written."""
-
-    report: dict[str, Any]
-    files: tuple[Path, ...]
-
-
 class CameraMotionSettings(Settings):
     """What `recon camera-motion` is told."""
 
@@ -84,9 +76,13 @@ class CameraMotionSettings(Settings):
     overwrite: Annotated[bool, Option("Replace the track and the video.")] = False
 
 
-def run_camera_motion(settings: CameraMotionSettings, progress: Progress = silent) -> CameraMotionRun:
-    """`recon camera-motion`: write `out` (`recon.io.camera_track`), and beside it <stem>_report.json and
-    <stem>_panorama.png; `stabilised` is the video laid over the panorama.
+def run_camera_motion(
+    settings: CameraMotionSettings, progress: Progress = silent
+) -> tuple[dict[str, Any], tuple[Path, ...]]:
+    """`recon camera-motion`: the report and the files.
+
+    Writes `out` (`recon.io.camera_track`), and beside it <stem>_report.json and <stem>_panorama.png;
+    `stabilised` is the video laid over the panorama.
 
     first_frame: the number that the video's first frame has in the keypoint file and the track. tilt_deg: how far the
     camera looks down in the first frame, level to the sides; level_marks: a table of horizons and verticals in its
@@ -133,7 +129,7 @@ def run_camera_motion(settings: CameraMotionSettings, progress: Progress = silen
         (folder / report_file.name).write_text(to_json(report), encoding="utf-8")
         write_bytes(folder / picture_file.name, cv2.imencode(".png", picture)[1].tobytes())
     written = (settings.out, report_file, picture_file, *([] if settings.stabilised is None else [settings.stabilised]))
-    return CameraMotionRun(report, written)
+    return report, written
 
 
 # -- what cannot be used ----------------------------------------------------------------------------------------------

@@ -12,10 +12,10 @@ import sys
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from importlib import import_module, metadata, util
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 from threadpoolctl import threadpool_info
 
@@ -57,19 +57,7 @@ class Check:
     """What to do, or empty."""
 
 
-@dataclass(frozen=True)
-class Doctor:
-    checks: tuple[Check, ...]
-
-    @property
-    def ok(self) -> bool:
-        return all(check.status != "broken" for check in self.checks)
-
-    def to_dict(self) -> dict[str, Any]:
-        return {"ok": self.ok, "checks": [asdict(check) for check in self.checks]}
-
-
-def run_doctor(progress: Progress = silent) -> Doctor:
+def run_doctor(progress: Progress = silent) -> tuple[Check, ...]:
     """Every check; none of them raises for what it finds."""
     checks: list[Check] = []
     looks: Sequence[tuple[str, Callable[[], Iterator[Check]]]] = (
@@ -83,7 +71,7 @@ def run_doctor(progress: Progress = silent) -> Doctor:
     for i, (name, look) in enumerate(looks):
         progress(name, i / len(looks))
         checks += look()
-    return Doctor(tuple(checks))
+    return tuple(checks)
 
 
 # -- what is installed --------------------------------------------------------------------------------------------

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Annotated
@@ -32,17 +31,6 @@ COUNT, MOST = 12, 60
 """Of the stills of a sheet."""
 MIN_WIDTH_PX = 640
 """Smaller videos are enlarged, by a whole number: the text would not be read."""
-
-
-@dataclass(frozen=True)
-class OverlayRun:
-    """frames: how many were written. fps: of the new video. speed: 1 is real time."""
-
-    frames: int
-    fps: float
-    speed: float
-    verdict: Verdict | None
-    """On the clip."""
 
 
 class OverlaySettings(Settings):
@@ -78,8 +66,9 @@ class OverlaySettings(Settings):
             yield Problem("--video", "file", "nothing", "the video that the keypoints came from")
 
 
-def run_overlay(settings: OverlaySettings, progress: Progress = silent) -> OverlayRun:
-    """`recon overlay`: every frame of a result's clip, drawn on the video that it came from.
+def run_overlay(settings: OverlaySettings, progress: Progress = silent) -> tuple[int, float, float, Verdict | None]:
+    """`recon overlay`: every frame of a result's clip, drawn on the video that it came from. Gives how many there are,
+    how many a second, the speed, 1 being real time, and the verdict on the clip.
 
     first_frame: the number that the video's first frame has in the result. camera: whose video it is, by name, which
     may be left out where the result has one, or the video's own name contains it. speed: of the playback. Raises
@@ -118,7 +107,7 @@ def run_overlay(settings: OverlaySettings, progress: Progress = silent) -> Overl
                 f" (the video's first frame being {settings.first_frame})" if settings.first_frame else ""
             )
             raise InputError(Problem(video, "video", found, f"{expected}: the video of this clip, or --first-frame"))
-    return OverlayRun(written, fps, speed, motion.verdict)
+    return written, fps, speed, motion.verdict
 
 
 def run_sheet(settings: OverlaySettings) -> int:

@@ -13,7 +13,7 @@ from recon.base.settings import Integer, Option, Settings
 from recon.fit.motion import Motion
 from recon.show.overlay import draw_tiles
 from recon.show.page import PAGE, require_own_page
-from recon.show.page.clip import Still, clip_page
+from recon.show.page.clip import clip_page
 from recon.show.page.render import jpeg
 from recon.show.report import REPORT
 from recon.workflows.batch.inputs import SUMMARY
@@ -53,14 +53,14 @@ def run_page(settings: PageSettings, progress: Progress = silent) -> Path:
     return page
 
 
-def _stills(motion: Motion, video: Path | None, first_frame: int, number: int) -> list[Still]:
+def _stills(motion: Motion, video: Path | None, first_frame: int, number: int) -> list[tuple[str, str]]:
     overlay = overlay_of(motion, number=number)
     rows = rows_to_show(overlay, STILLS)
     if not len(rows):
         return []
     pictures = None if video is None else pictures_of(video, motion, rows, first_frame)
     tiles = draw_tiles(overlay, rows, pictures)
-    return [Still(jpeg(tile), f"frame {overlay.frames[t]}") for tile, t in zip(tiles, rows, strict=True)]
+    return [(jpeg(tile), f"frame {overlay.frames[t]}") for tile, t in zip(tiles, rows, strict=True)]
 
 
 def _files(folder: Path) -> list[str]:

@@ -259,7 +259,7 @@ def _camera_motion(job: Job, progress: Progress) -> Iterable[Path]:
 
     settings = job.settings
     assert settings.camera is not None
-    run = run_camera_motion(
+    _, files = run_camera_motion(
         CameraMotionSettings(
             video=job.video,
             camera=settings.camera,
@@ -274,7 +274,7 @@ def _camera_motion(job: Job, progress: Progress) -> Iterable[Path]:
         ),
         progress=progress,
     )
-    return run.files
+    return files
 
 
 def _fit(job: Job, progress: Progress) -> list[Path]:

@@ -35,14 +35,7 @@ FOLDERS = re.compile(r"(?<![\w.])(?:[A-Za-z]:)?[/\\](?:[^/\\:]+[/\\])+")
 
 
 @dataclass(frozen=True)
-class Thumbnail:
-    """A pose as the camera saw it: its lines, each with its side, in a box of `THUMBNAIL_PX`."""
-
-    lines: Sequence[tuple[str, str]]
-
-
-@dataclass(frozen=True)
-class ClipRow:
+class _ClipRow:
     """One clip: its row of summary.csv, and what its results say."""
 
     cells: Mapping[str, str]
@@ -50,7 +43,8 @@ class ClipRow:
     """Beside the summary, with forward slashes."""
     doubtful: int | None
     """Frames with a flag; None where there is no report."""
-    thumbnail: Thumbnail | None
+    thumbnail: Sequence[tuple[str, str]]
+    """A pose as the camera saw it: its lines, each with its side, in a box of `THUMBNAIL_PX`."""
 
     @property
     def share(self) -> float:
@@ -86,23 +80,23 @@ def batch_page(out: Path, rows: Sequence[Mapping[str, str]]) -> str:
     )
 
 
-def _clip_row(out: Path, cells: Mapping[str, str]) -> ClipRow:
+def _clip_row(out: Path, cells: Mapping[str, str]) -> _ClipRow:
     folder = out / cells["clip"]
     cells = {**cells, "error": FOLDERS.sub("", cells["error"])}
     page = f"{cells['clip']}/{PAGE}" if (folder / PAGE).is_file() else None
     try:
         motion = Motion.load(folder)
-        return ClipRow(cells, page, sum(map(bool, motion.flags)), _thumbnail(motion))
+        return _ClipRow(cells, page, sum(map(bool, motion.flags)), _thumbnail(motion))
     except (OSError, InputError):  # failed, or damaged since
-        return ClipRow(cells, page, None, None)
+        return _ClipRow(cells, page, None, ())
 
 
-def _thumbnail(motion: Motion) -> Thumbnail | None:
+def _thumbnail(motion: Motion) -> list[tuple[str, str]]:
     """Of the frame with a pose that is nearest to the middle, in the first camera's picture."""
     reprojected_px = motion.pictures[0].reprojected_px
     posed = np.flatnonzero(np.isfinite(reprojected_px).any(axis=(1, 2)))
     if not len(posed):
-        return None
+        return []
     points = reprojected_px[min(posed, key=lambda t: abs(t - len(reprojected_px) / 2))]
     low, high = np.nanmin(points, axis=0), np.nanmax(points, axis=0)
     scale = float(np.min(0.9 * np.array(THUMBNAIL_PX) / np.maximum(high - low, 1.0)))
@@ -111,4 +105,4 @@ def _thumbnail(motion: Motion) -> Thumbnail | None:
         (str(motion.limb_sides[limb] or "middle"), " ".join(f"{x:.0f},{y:.0f}" for x, y in places[list(along)]))
         for limb, along in motion.limbs.items()
     ]
-    return Thumbnail([line for line in lines if "nan" not in line[1]])
+    return [line for line in lines if "nan" not in line[1]]

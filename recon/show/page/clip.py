@@ -33,7 +33,7 @@ UNKNOWN_ACCELERATION = " The acceleration is hardly known: most of the time it i
 
 
 @dataclass(frozen=True)
-class FigureGroup:
+class _FigureGroup:
     """Figures with a heading and what they show."""
 
     heading: str
@@ -43,19 +43,12 @@ class FigureGroup:
     """small: several beside each other; a wide one scrolls on a phone."""
 
 
-@dataclass(frozen=True)
-class Still:
-    """A frame's picture: its source, and what to say where it is not shown."""
-
-    source: str
-    text: str
-
-
 def clip_page(
-    motion: Motion, stills: Sequence[Still], behind: str | None, files: Sequence[str], number: int = 0
+    motion: Motion, stills: Sequence[tuple[str, str]], behind: str | None, files: Sequence[str], number: int = 0
 ) -> str:
-    """HTML of a motion. behind: the video's name behind the stills, None: a plain ground; files: their names beside the
-    page, with forward slashes, for links; number: of the camera whose stills they are."""
+    """HTML of a motion. stills: frames' pictures, and what to say where one is not shown; behind: the video's name
+    behind the stills, None: a plain ground; files: their names beside the page, with forward slashes, for links;
+    number: of the camera whose stills they are."""
     report = build_report(motion)
     posed = np.isfinite(motion.upright.xyz_m).all(axis=(1, 2))
     moved, gait = (reference_motion(motion), gait_of(motion)) if posed.sum() >= MIN_POINTS else (None, None)
@@ -151,16 +144,16 @@ def doubtful_frames(motion: Motion) -> Iterator[tuple[str, str]]:
 # -- figures ----------------------------------------------------------------------------------------------------------
 
 
-def _sections(motion: Motion, moved: JointKinematics, gait: Gait | None) -> Iterator[FigureGroup]:
+def _sections(motion: Motion, moved: JointKinematics, gait: Gait | None) -> Iterator[_FigureGroup]:
     ground = None if gait is None else gait.tracks.grounds
     drawn = {"ground": ground, "sides": motion.limb_sides}
-    yield FigureGroup(
+    yield _FigureGroup(
         "From the side, from above and from ahead",
         "Poses evenly spaced in time, turned so that the animal runs to the right.",
         _inline([plots.composites(m, motion.limbs, motion.time_s, **drawn) for m in _stretches(motion, moved)]),
     )
     name = motion.reference
-    yield FigureGroup(
+    yield _FigureGroup(
         "Speed",
         f"Of {name}, along its path"
         + ("." if moved.speed_sigma_m_s is None else ", with bands of one standard deviation.")
@@ -170,10 +163,10 @@ def _sections(motion: Motion, moved: JointKinematics, gait: Gait | None) -> Iter
     )
     if gait is not None:
         text = "When each foot stands: by its speed over the ground and its height, and by its path below the body."
-        yield FigureGroup("Footfalls", text, _inline([plots.footfall({"gait": gait}, motion.fps)]))
+        yield _FigureGroup("Footfalls", text, _inline([plots.footfall({"gait": gait}, motion.fps)]))
     panels = together(_angle_curves(motion)).items()
     doubtful = np.array([bool(flags) for flags in motion.flags])
-    yield FigureGroup(
+    yield _FigureGroup(
         "Angles",
         "Of each joint of the model, with bands of one standard deviation: left sides blue and dashed, right sides "
         "orange, the middle as the axes; grey ones are mostly expected, not seen. Doubtful frames have a grey ground.",
@@ -207,4 +200,4 @@ def _inline(figures: Sequence[Any]) -> list[str]:
 def _angle_curves(motion: Motion) -> dict[str, AngleCurve]:
     shares = motion.data_shares
     columns: Iterable[Any] = zip(motion.posture_names, motion.posture_rad.T, motion.posture_sigma_rad.T, strict=True)
-    return {name: AngleCurve(angle, sigma, not shares[name] < MEASURED_SHARE) for name, angle, sigma in columns}
+    return {name: (angle, sigma, not shares[name] < MEASURED_SHARE) for name, angle, sigma in columns}

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -21,16 +20,9 @@ ANGLES_MM = (62.0, 36.0)
 _BOX = (0.12, 0.21, 0.85, 0.64)
 
 
-@dataclass(frozen=True, eq=False)
-class AngleCurve:
-    """One angle of a clip of T frames."""
-
-    angle_rad: Array
-    """(T,), NaN where there is none."""
-    sigma_rad: Array
-    """(T,): one standard deviation."""
-    measured: bool
-    """Whether the pixels say more of it than what was expected."""
+AngleCurve = tuple[Array, Array, bool]
+"""One angle of a clip of T frames: (T,) rad, NaN where there is none, its standard deviation (T,), and whether the
+pixels say more of it than what was expected."""
 
 
 def together(curves: Mapping[str, AngleCurve]) -> dict[str, dict[str, AngleCurve]]:
@@ -48,10 +40,10 @@ def angle_over_time(time_s: Array, curves: Mapping[str, AngleCurve], doubtful: B
     with drawing(height, width) as figure:
         figure.set_layout_engine("none")  # which takes longer than all the rest
         axes = figure.add_axes(_BOX)
-        for name, curve in curves.items():
+        for name, (angle_rad, sigma_rad, measured) in curves.items():
             side = side_of(name)
-            colour = {"left": COLOURS[0], "right": COLOURS[1], None: "k"}[side] if curve.measured else GREY
-            degrees, spread = np.degrees(curve.angle_rad), np.degrees(curve.sigma_rad)
+            colour = {"left": COLOURS[0], "right": COLOURS[1], None: "k"}[side] if measured else GREY
+            degrees, spread = np.degrees(angle_rad), np.degrees(sigma_rad)
             axes.plot(time_s, degrees, color=colour, lw=1.0, linestyle=(0, (4, 1.2)) if side == "left" else "-")
             axes.fill_between(time_s, degrees - spread, degrees + spread, color=colour, alpha=0.2, lw=0)
         half = 0.5 * float(np.median(np.diff(time_s))) if len(time_s) > 1 else 0.5

@@ -39,22 +39,14 @@ class AddedSeries(TimePlot):
     tab: str
 
 
-@dataclass(frozen=True)
-class StateRow:
-    """One row of a plot of states: a text for each of N samples, "" for none, and the texts' colours."""
-
-    name: str
-    texts: Sequence[str]
-    colours: Mapping[str, Colour]
-
-
 @dataclass(frozen=True, kw_only=True)
 class AddedStates:
     """A plot of states over time, at time_s (N,). Rows are entities of their own, and the viewer shows and sorts
     their names, such as `l_front_paw.ground`."""
 
     title: str
-    rows: Sequence[StateRow]
+    rows: Sequence[tuple[str, Sequence[str], Mapping[str, Colour]]]
+    """Each with its name, a text for each of the samples, "" for none, and the texts' colours."""
     time_s: Array
     tab: str
 
@@ -75,7 +67,7 @@ def write_plots(
     """
     series = [replace(s, entity=f"{ROOT}/{s.entity}") for s in series]
     plots = [*series, *states]
-    entities = [*(s.entity for s in series), *(state_entity(row.name) for s in states for row in s.rows)]
+    entities = [*(s.entity for s in series), *(state_entity(name) for s in states for name, *_ in s.rows)]
     if len({*entities}) < len(entities):
         raise ValueError(f"entities must differ: {', '.join(entities)}")
     whole = replace(Playback.read(playback), data=())  # of a long clip a lot of memory
@@ -112,16 +104,16 @@ def _lines(series: AddedSeries) -> Iterator[_Entity]:
 
 
 def _states(states: AddedStates) -> Iterator[_Entity]:
-    for row in states.rows:
-        texts = np.array(row.texts, dtype=object)
-        yield state_entity(row.name), texts, lambda values: state_columns(values.tolist()), state_style(row.colours)
+    for name, row, colours in states.rows:
+        texts = np.array(row, dtype=object)
+        yield state_entity(name), texts, lambda values: state_columns(values.tolist()), state_style(colours)
 
 
 def _layout(playback: Playback, plots: Sequence[AddedSeries | AddedStates], start_frame: int | None) -> rrb.Blueprint:
     tabs = {
         tab: rrb.Horizontal(
             *(
-                plot(p) if isinstance(p, AddedSeries) else state_rows([state_entity(r.name) for r in p.rows], p.title)
+                plot(p) if isinstance(p, AddedSeries) else state_rows([state_entity(row[0]) for row in p.rows], p.title)
                 for p in plots
                 if p.tab == tab
             ),

@@ -10,7 +10,7 @@ import numpy as np
 from recon.base.arrays import Array
 from recon.fit.motion import MEASURED_SHARE
 from recon.gait.clip import ClipAnalysis
-from recon.show.view.added import AddedSeries, AddedStates, StateRow, write_plots
+from recon.show.view.added import AddedSeries, AddedStates, write_plots
 from recon.show.view.scene import GRID, LEFT, LIMB_COLOURS, LINK, MIDDLE, RIGHT, TRAIL
 
 
@@ -65,7 +65,7 @@ def _observability(found: ClipAnalysis) -> Iterator[AddedStates]:
     motion, rows = found.motion, []
     for name, share in zip(motion.posture_names, motion.posture_data_share.T, strict=True):
         texts = ["" if np.isnan(s) else "seen" if s >= MEASURED_SHARE else "expected" for s in share]
-        rows.append(StateRow(name, texts, {"seen": LEFT, "expected": GRID}))
+        rows.append((name, texts, {"seen": LEFT, "expected": GRID}))
     title = f"Angles: seen, {MEASURED_SHARE:.0%} or more of their precision is the pixels', or mostly expected"
     yield AddedStates(title=title, rows=rows, time_s=motion.time_s, tab="What is seen")
 
@@ -80,5 +80,5 @@ def _stances(found: ClipAnalysis) -> Iterator[AddedStates]:
             if s.foot == foot:
                 stands[np.searchsorted(time_s, s.start_s) : np.searchsorted(time_s, s.end_s, "right")] = True
         texts = ["stance" if down else "" for down in stands]
-        rows.append(StateRow(joint, texts, {"stance": {"L": LEFT, "R": RIGHT}.get(foot[0], MIDDLE)}))
+        rows.append((joint, texts, {"stance": {"L": LEFT, "R": RIGHT}.get(foot[0], MIDDLE)}))
     yield AddedStates(title=f"Stances: {found.gait.name.name}", rows=rows, time_s=time_s, tab="Gait")

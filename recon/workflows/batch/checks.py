@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -33,23 +33,16 @@ def check_shared(clips: Sequence[Clip]) -> None:
         raise InputError(dict.fromkeys(_of_all_files(problem, each) for problem in first))
 
 
-@dataclass(frozen=True)
-class Repeated:
-    """A problem, as it was found first, and the places among all clips of those that have the same."""
-
-    problem: Problem
-    clips: tuple[int, ...]
-
-
-def repeated(each: Sequence[Problems]) -> list[Repeated]:
-    """What several clips have in common is said once, whatever the files are called."""
+def repeated(each: Sequence[Problems]) -> list[tuple[Problem, tuple[int, ...]]]:
+    """What several clips have in common is said once, whatever the files are called: each problem, as it was found
+    first, and the places among all clips of those that have the same."""
     found: dict[tuple[str, str, str], list[int]] = {}
     first: dict[tuple[str, str, str], Problem] = {}
     for place, problems in enumerate(each):
         for problem in problems:
             first.setdefault(_without_file(problem), problem)
             found.setdefault(_without_file(problem), []).append(place)
-    return [Repeated(first[what], tuple(dict.fromkeys(places))) for what, places in found.items()]
+    return [(first[what], tuple(dict.fromkeys(places))) for what, places in found.items()]
 
 
 def _without_file(problem: Problem) -> tuple[str, str, str]:

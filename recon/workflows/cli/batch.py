@@ -174,10 +174,10 @@ def _print_plan(
         cameras = [", ".join(row["cameras"])] if named else []
         table.add_row(*map(Text, (row["clip"], *cameras, row["out"], row["action"] + reason)))
     console.print(table)
-    for same in repeated(problems):
-        names = ", ".join(rows[place]["clip"] for place in same.clips[:NAMED])
-        more = "" if len(same.clips) <= NAMED else f" and {len(same.clips) - NAMED} more clips"
-        say(console, Text.assemble((f"{names}{more}: ", "bold red"), str(same.problem)))
+    for problem, places in repeated(problems):
+        names = ", ".join(rows[place]["clip"] for place in places[:NAMED])
+        more = "" if len(places) <= NAMED else f" and {len(places) - NAMED} more clips"
+        say(console, Text.assemble((f"{names}{more}: ", "bold red"), str(problem)))
     count = [row["action"] for row in rows]
     bad = count.count(CANNOT)
     parts = [f"{count.count('new')} new", f"{count.count('refit')} to fit again", f"{count.count('done')} done"]

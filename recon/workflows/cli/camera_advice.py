@@ -15,10 +15,10 @@ def camera_advice(settings: CameraAdviceSettings, as_json: bool) -> None:
     Example: recon camera-advice --skeleton cheetah-24 --angle front_trunk_yaw --out advice
     """
     with progress_bar(terminal(stderr=True)) as progress:
-        advice = run_camera_advice(settings, progress)
+        report = run_camera_advice(settings, progress)
     if as_json:
-        typer.echo(to_json(advice.report), nl=False)
+        typer.echo(to_json(report), nl=False)
         return
-    for line in advice.lines:
+    for line in report["words"]:
         say(terminal(), line)
     say(terminal(), f"The figure and the table are in {settings.out}.")

@@ -16,11 +16,11 @@ def camera_motion(settings: CameraMotionSettings, as_json: bool) -> None:
     Example: recon camera-motion clip.mp4 --camera camera.toml --keypoints clip.csv --out track.csv
     """
     with progress_bar(terminal(stderr=True)) as progress:
-        run = run_camera_motion(settings, progress)
+        report, files = run_camera_motion(settings, progress)
     if as_json:
-        typer.echo(json.dumps(run.report, indent=1))
+        typer.echo(json.dumps(report, indent=1))
         return
-    console, report = terminal(), run.report
+    console = terminal()
     lost = len(report["frames_without_background"])
     keyframes = counted(len(report["keyframes"]), "keyframe")
     say(console, f"{report['frames'] - lost} of {report['frames']} frames placed, {keyframes}.")
@@ -28,4 +28,4 @@ def camera_motion(settings: CameraMotionSettings, as_json: bool) -> None:
         say(console, f"{lost} frames have too little background: no pose there.")
     say(console, f"Off by {report['residual_px']:.2f} px, turned to {report['sigma_deg']:.3f} degrees.")
     say(console, f"Level: {report['level']}. A rolling shutter is not modelled.")
-    say(console, "Written: " + ", ".join(map(str, run.files)))
+    say(console, "Written: " + ", ".join(map(str, files)))

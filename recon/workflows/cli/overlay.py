@@ -19,9 +19,6 @@ def overlay(settings: OverlaySettings, quiet: bool) -> None:
     if settings.out is None:
         return
     with progress_bar(console) as progress:
-        run = run_overlay(settings, progress)
-    say_verdict(console, run.verdict)
-    say(
-        console,
-        f"{run.frames} frames at {run.speed:.3g} times their speed ({run.fps:.4g} a second) are in {settings.out}.",
-    )
+        frames, fps, speed, verdict = run_overlay(settings, progress)
+    say_verdict(console, verdict)
+    say(console, f"{frames} frames at {speed:.3g} times their speed ({fps:.4g} a second) are in {settings.out}.")
