@@ -6,8 +6,8 @@ The samples: speeds and stance events of the true joints, and of reconstructions
 run is a folder with truth.csv and meta.json (fps). Prints what the clips show of the gait, and the mean magnitudes of
 the links' motion relative to their parents. Without FOLDER: the cheetah-runs of $RECON_SHARED_DATA, or of
 ../shared/data; without any runs, the samples only. Of the same place the plate-trials, single views and the
-multi-camera reconstruction against the force plates' stances, and the dog-mocap, motion capture of walks, runs and a
-turn.
+multi-camera reconstruction against the force plates' stances; the dog-mocap, motion capture of walks, runs and a turn,
+by its markers and by one camera beside it; and the horse-side, labels by hand.
 """
 
 from __future__ import annotations
@@ -15,20 +15,22 @@ from __future__ import annotations
 import argparse
 import json
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from functools import cache
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from dog import read_clips
+from dog import Clip, read_clips, write_view
 from gallop import gallop
 from markdown_table import print_table
 from recordings import recordings
 
 from recon import FitSettings, Pose3D, fit_clip, load_skeleton, read_pose3d
 from recon.fit.motion import Motion
-from recon.gait.clip import analyse
-from recon.gait.gait import FEET, gait, match_stances, pose_tracks, stances
+from recon.fit.regions import radius
+from recon.gait.clip import analyse, gait_of
+from recon.gait.gait import FEET, INTERVAL, Gait, Stance, gait, match_stances, pose_tracks, stances
 from recon.gait.kinematics import joint_kinematics, spine_flexion
 from recon.gait.phase import field_means, pose_vector_field
 from recon.workflows.clip_results import run_clip
@@ -148,64 +150,127 @@ def sample_row(name: str, pose: Pose3D, fps: int, truth: Pose3D, truth_fps: int,
 # -- force plates and motion capture ---------------------------------------------------------------------------------
 
 
+Events = list[tuple[float, float, bool]]
+"""Of each event: seconds late, standard deviation, and whether it is a touch-down."""
+
+
+def fitted(run: Path, camera: int, about: dict) -> Motion:
+    scene = run / "scene.json"
+    where = (
+        {"camera": scene, "camera_name": (f"cam{camera}",)}
+        if scene.is_file()
+        else {"camera": run / f"cam{camera}.toml"}
+    )
+    return fit_clip(FitSettings(keypoints=(run / f"cam{camera}.csv",), fps=about["fps"], **where))
+
+
+def found_gait(motion: Motion) -> Gait:
+    found = gait_of(motion)
+    assert found is not None
+    return found
+
+
+def events(found: Sequence[Stance], exact: Sequence[Stance]) -> Events:
+    """Of the stances that are in both."""
+    both = match_stances(tuple(exact), tuple(found)).pairs
+    late = [(b.start_s - a.start_s, b.start_sigma_s, True) for a, b in both if a.begins and b.begins]
+    return late + [(b.end_s - a.end_s, b.end_sigma_s, False) for a, b in both if a.ends and b.ends]
+
+
+def plate_stances(run: Path, fps: float) -> list[Stance]:
+    measured = pd.read_csv(run / "stances.csv").set_index("joint")
+    rows = [(foot, *measured.loc[joint]) for foot, joint in FEET.items()]
+    return [Stance(foot, down / fps, up / fps, down, up) for foot, down, up in rows]
+
+
 def plate_rows() -> list[dict]:
-    """Times off those of the force plates, of the stance of each foot that is nearest to the measured one."""
-    kinds: dict[str, list[tuple[float, float, float]]] = {"single views": [], "multi-camera reconstruction": []}
-    missed = dict.fromkeys(kinds, 0)
+    """Against the force plates, and what is known of the stances' ends by the intervals."""
+    kinds: dict[str, list[tuple[tuple[Stance, ...], list[Stance]]]] = {"single views": [], "reconstructions": []}
     for run in sorted(path.parent for path in recordings("plate-trials").glob("*/stances.csv")):
         about = json.loads((run / "meta.json").read_text(encoding="utf-8"))
-        fps, measured = about["fps"], pd.read_csv(run / "stances.csv").set_index("joint")
-        views = [
-            fit_clip(FitSettings(keypoints=(run / f"cam{c}.csv",), camera=run / f"cam{c}.toml", fps=fps)).upright
-            for c in about["cameras"]
-        ]
-        for kind, poses in zip(kinds, (views, [read_pose3d(run / "truth.csv")]), strict=True):
-            for pose in poses:
-                found = stances(pose_tracks(pose, fps))
-                for foot, joint in FEET.items():
-                    down, up = measured.loc[joint] - pose.frames[0]
-                    own = [s for s in found if s.foot == foot]
-                    missed[kind] += not own
-                    if own:
-                        near = min(own, key=lambda s: abs(s.start_frame + s.end_frame - down - up))
-                        late = 1000 * (near.start_frame - down) / fps, 1000 * (near.end_frame - up) / fps
-                        kinds[kind].append((*late, (near.end_frame - near.start_frame) / (up - down)))
-    rows = []
-    for kind, values in kinds.items():
-        if values:
-            down, up, duration = np.array(values).T
-            rows.append(
-                {
-                    "of": kind,
-                    "stances": len(values),
-                    "missed": missed[kind],
-                    "touch-down late ms: median, absolute": f"{np.median(down):+.1f}, {np.median(np.abs(down)):.1f}",
-                    "lift-off late ms: median, absolute": f"{np.median(up):+.1f}, {np.median(np.abs(up)):.1f}",
-                    "duration / measured": f"{np.median(duration):.2f}",
-                }
-            )
-    return rows
+        exact = plate_stances(run, about["fps"])
+        for camera in about["cameras"]:
+            kinds["single views"].append((found_gait(fitted(run, camera, about)).stances, exact))
+        found = stances(pose_tracks(read_pose3d(run / "truth.csv"), about["fps"]))
+        kinds["reconstructions"].append((found, exact))
+    return [event_row(kind, some) for kind, some in kinds.items() if some]
 
 
-def dog_rows() -> list[dict]:
-    """What a dog's clips are called, and how much of the time the marker of a foot is slow."""
-    folder, body = recordings("dog-mocap"), load_skeleton("dog-27")
+def event_row(kind: str, some: Sequence[tuple[Sequence[Stance], Sequence[Stance]]]) -> dict:
+    late = [event for found, exact in some for event in events(found, exact)]
+    pairs = [pair for found, exact in some for pair in match_stances(tuple(exact), tuple(found)).pairs]
+    down, up = (1000 * np.array([off for off, _, lands in late if lands == which]) for which in (True, False))
+    whole = [(a, b) for a, b in pairs if b.begins and b.ends and a.begins and a.ends]
+    known = np.array([abs(off) < radius(INTERVAL) * sigma for off, sigma, _ in late])
+    return {
+        "of": kind,
+        "stances": sum(len(exact) for _, exact in some),
+        "missed": sum(len(exact) for _, exact in some) - len(pairs),
+        "touch-down late ms: median, absolute": f"{np.median(down):+.1f}, {np.median(np.abs(down)):.1f}",
+        "lift-off late ms: median, absolute": f"{np.median(up):+.1f}, {np.median(np.abs(up)):.1f}",
+        "duration / measured": f"{np.median([b.duration_s / a.duration_s for a, b in whole]):.2f}",
+        "sigma ms, median": f"{1000 * np.median([sigma for _, sigma, _ in late]):.0f}",
+        "in intervals of 90 %": f"{known.mean():.0%}",
+    }
+
+
+def view_rows(runs: Sequence[Path]) -> list[dict]:
+    """Single views against the same rule of stances by what all cameras or the markers say."""
+    rows, cheetahs, dogs = [], [], []
+    for run in runs:
+        about = json.loads((run / "meta.json").read_text(encoding="utf-8"))
+        exact = stances(pose_tracks(read_pose3d(run / "truth.csv"), about["fps"]))
+        cheetahs += [(found_gait(fitted(run, camera, about)).stances, exact) for camera in about["cameras"]]
+    if cheetahs:
+        rows.append(event_row("cheetahs, all cameras", cheetahs))
+    for clip, marked, seen in dog_gaits():
+        if not clip.name.startswith("turn"):
+            dogs.append((seen.stances, marked.stances))
+    return [*rows, event_row("a dog, markers", dogs)] if dogs else rows
+
+
+@cache
+def dog_gaits() -> tuple[tuple[Clip, Gait, Gait], ...]:
+    """Of each clip by its markers, and by one camera beside it."""
+    folder, body, found = recordings("dog-mocap"), load_skeleton("dog-27"), []
+    with tempfile.TemporaryDirectory() as written:
+        for seed, clip in enumerate(read_clips(folder) if folder.is_dir() else ()):
+            pose = Pose3D(body.markers, clip.markers(body), np.arange(len(clip.points_m)))
+            marked = gait(pose_tracks(pose, clip.fps, feet=body.feet_by_label(), body=body.forward))
+            settings, _ = write_view(clip, Path(written), seed)
+            found.append((clip, marked, found_gait(fit_clip(settings))))
+    return tuple(found)
+
+
+def animal_rows() -> list[dict]:
+    """What a dog's clips and a horse's are called."""
     rows = []
-    for clip in read_clips(folder) if folder.is_dir() else ():
-        pose = Pose3D(body.markers, clip.markers(body), np.arange(len(clip.points_m)))
-        tracks = pose_tracks(pose, clip.fps, feet=body.feet_by_label(), body=body.forward)
-        found = gait(tracks)
+    for clip, marked, seen in dog_gaits():
+        low, high = seen.name.duty_interval
         rows.append(
             {
                 "clip": clip.name,
-                "speed m/s": f"{found.speed_m_s:.1f}",
-                "gait": found.name.name,
-                "strides": len(found.strides),
-                "duty factor": f"{found.name.duty_factor:.2f}",
-                "feet below 0.6 m/s": f"{np.nanmean(tracks.foot_speed_m_s < 0.6):.2f}",
+                "speed m/s": f"{marked.speed_m_s:.1f}",
+                "markers: gait, strides, duty factor": shown(marked),
+                "one view": shown(seen),
+                "90 %": f"{low:.2f} to {high:.2f}",
+                "feet below 0.6 m/s": f"{np.nanmean(marked.tracks.foot_speed_m_s < 0.6):.2f}",
             }
         )
+    labels = recordings("horse-side") / "CollectedData_Byron.csv"
+    if labels.is_file():
+        settings = FitSettings(
+            keypoints=(labels,), skeleton="horse-22", fps=24.0, hfov_deg=50.0, image_size_px=(288, 162)
+        )
+        seen = found_gait(fit_clip(settings))
+        row = {"clip": "horse, labels by hand", "speed m/s": f"{seen.speed_m_s:.1f}", "one view": shown(seen)}
+        rows.append({key: row.get(key, "") for key in (rows[0] if rows else row)})
+        rows[-1] |= {"90 %": "{:.2f} to {:.2f}".format(*seen.name.duty_interval)}
     return rows
+
+
+def shown(found: Gait) -> str:
+    return f"{found.name.name}, {len(found.strides)}, {found.name.duty_factor:.2f}"
 
 
 def print_rows(rows: list[dict]) -> None:
@@ -220,7 +285,8 @@ def main() -> None:
     runs = sorted(p.parent for p in arguments.folder.glob("*/meta.json") if (p.parent / "truth.csv").is_file())
     print("### Samples\n")
     print_rows(sample_rows())
-    for title, measured in (("Force plates", plate_rows()), ("A dog", dog_rows())):
+    tables = (("Force plates", plate_rows()), ("Single views", view_rows(runs)), ("A dog and a horse", animal_rows()))
+    for title, measured in tables:
         if measured:
             print(f"\n\n### {title}\n")
             print_rows(measured)

@@ -79,7 +79,7 @@ def gaits():
         Stance("LH", 1.4, 1.5, 20.0, 25.0),
         Stance("RF", 1.7, 1.8, 35.0, 40.0, ends=False),
     )
-    stride = Stride("LH", 1.1, 1.4, 2.0, 1 / 3, "touchdown")
+    stride = Stride("LH", 1.1, 1.4, 2.0, 1 / 3, 0.02, "touchdown")
     second = (Stance("RF", 1.65, 1.75, 32.5, 37.5),)
     return {
         "ground": replace(found, stances=first, strides=(stride,), stride_length_m=2.0, stride_frequency_hz=1 / 0.3),

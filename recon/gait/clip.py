@@ -11,6 +11,7 @@ benchmarks/trajectory.py --only rates`).
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
@@ -19,8 +20,9 @@ import numpy as np
 
 from recon.base.arrays import Array, Bools
 from recon.base.errors import InputError, Problem
+from recon.clip.keypoints import frame_ranges
 from recon.fit.motion import MEASURED_SHARE, Motion
-from recon.gait.gait import BODY, Gait, Stride, gait, pose_tracks
+from recon.gait.gait import BODY, Gait, Stride, Tracks, gait, pose_tracks, stances
 from recon.gait.kinematics import (
     AngleKinematics,
     Errors,
@@ -50,6 +52,8 @@ from recon.io.pose3d import Pose3D
 
 PLACE_LASTS_S, POSE_LASTS_S = 0.2, 0.05
 """`Errors.correlation_s` of the animal's place and of the joints relative to their mean."""
+UNSEEN_S = 0.2
+"""For about as long, what was seen before and after says where a foot is; then only how animals of its kind move."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,16 +180,31 @@ def stride_given(motion: Motion, stride_s: tuple[float, float]) -> Stride:
     if not first_s - slack <= start_s < end_s <= last_s + slack or end_s - start_s < 2 / motion.fps:
         expected = f"two frames or more within {first_s:.3f}:{last_s:.3f}, in seconds"
         raise InputError(Problem("--stride", "times", f"{start_s:g}:{end_s:g}", expected))
-    return Stride("", start_s, end_s, np.nan, np.nan, "given")
+    return Stride("", start_s, end_s, np.nan, np.nan, np.nan, "given")
 
 
 def gait_of(motion: Motion) -> Gait | None:
     """Only the gait of `analyse`; None without feet."""
+    return _gait(motion, _quiet(motion))
+
+
+def standing(motion: Motion) -> Bools:
+    """(T, F): whether each of `motion.feet` stands, by the stances of `analyse`."""
+    stands = np.zeros((len(motion.frames), len(motion.feet)), dtype=bool)
+    if len(motion.feet) and len(stands) >= MIN_POINTS:
+        for stance in stances(_tracks(motion, _quiet(motion))):
+            rows = slice(math.ceil(stance.start_frame), math.floor(stance.end_frame) + 1)
+            stands[rows, motion.foot_labels.index(stance.foot)] = True
+    return stands & motion.solved[:, None]
+
+
+def _quiet(motion: Motion) -> Pose3D:
+    """The upright pose, smoothed by its jitter where the fit gives no uncertainty."""
     pose = motion.upright
-    if motion.jitters:
-        of_joint = partial(joint_kinematics, errors=jitter_errors(pose.xyz_m), smooth=True, propagate=False)
-        pose = _on_paths(pose, [of_joint(pose, name, motion.fps) for name in pose.names])
-    return _gait(motion, pose)
+    if not motion.jitters:
+        return pose
+    of_joint = partial(joint_kinematics, errors=jitter_errors(pose.xyz_m), smooth=True, propagate=False)
+    return _on_paths(pose, [of_joint(pose, name, motion.fps) for name in pose.names])
 
 
 def reference_motion(motion: Motion) -> JointKinematics:
@@ -308,7 +327,26 @@ def _angles(
 def _gait(motion: Motion, pose: Pose3D) -> Gait | None:
     if not motion.foot_names:
         return None
+    errors = lasting_errors(motion.upright.xyz_m, motion.fps) if motion.jitters else _errors(motion)
+    return gait(_tracks(motion, pose, errors))
+
+
+def _tracks(motion: Motion, pose: Pose3D, errors: Sequence[Errors] = ()) -> Tracks:
     body = BODY if set(BODY) <= {*pose.names} else motion.forward_names
     segments = [segment.rows for segment in motion.segments]
-    moved = pose_tracks(pose, motion.fps, feet=motion.foot_names, body=body, segments=segments, restless=motion.jitters)
-    return gait(moved)
+    feet = motion.foot_names
+    return pose_tracks(_seen(motion, pose), motion.fps, errors, feet, body, segments, restless=motion.jitters)
+
+
+def _seen(motion: Motion, pose: Pose3D) -> Pose3D:
+    """Without the feet while no camera sees them or the joint above them for more than `UNSEEN_S`."""
+    xyz_m = pose.xyz_m.copy()
+    for joint in motion.foot_names.values():
+        foot = motion.names.index(joint)
+        limb = next(limb for limb in motion.limbs.values() if foot in limb)
+        end = [*limb[max(limb.index(foot) - 1, 0) : limb.index(foot) + 1]]
+        seen = np.any([picture.present[:, end].any(axis=1) for picture in motion.pictures], axis=0)
+        for first, stop in frame_ranges(np.flatnonzero(~seen)):
+            if stop - first > UNSEEN_S * motion.fps:
+                xyz_m[first:stop, pose.names.index(joint)] = np.nan
+    return replace(pose, xyz_m=xyz_m)

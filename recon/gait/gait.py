@@ -7,15 +7,20 @@ path over `CHORD_S` on either side.
 
 Stances: a foot may stand where its speed over the ground is below `SLOW[1]` of its own speed in the swing and its
 height below `LOW[1]` of the leg's length; such a time is a stance if at least one instant in it is below `SLOW[0]` and
-`LOW[0]` too (hysteresis), and the stance lasts from the first to the last instant in it below `SLOW[0]`. A foot's speed
-in the swing is its 95th percentile, or `SWING` times the body's mean speed where a clip shows less of it: at a gallop
-that is twice the body's speed and at a walk four times, because the swing is short or long. Held against the body's
-speed, one threshold cannot be right for both. The marker lies some centimetres above the sole, rolls over the paw and
-rises with the heel while the foot stands, hence not less than a sixth of the swing's speed, 0.15 of the leg (9 cm of
-0.6 m) to count as low at all, and 0.3 for the end of the push-off. Stances shorter than `MIN_STANCE_S` are noise. The
-ground is a plane through the slow feet's positions, fitted with Tukey weights; clips of a few strides hardly fix its
-slope across the track, so that slopes have a prior of 0 +- `SLOPE_SIGMA`. Every segment of a clip, a stretch that was
-reconstructed by itself, has a plane of its own. What it is worth against force plates and motion capture:
+`LOW[0]` too (hysteresis). The stance lasts from the first instant in it below `LANDS` (`SLOW[0]` where it never is) to
+the last below `LIFTS`: a foot lands flat, and rolls over its toes before it lifts. A foot's speed in the swing is its
+95th percentile, or `SWING` times the body's mean speed where a clip shows less of it: at a gallop that is twice the
+body's speed and at a walk four times, because the swing is short or long. Held against the body's speed, one threshold
+cannot be right for both. The marker lies some centimetres above the sole and rises with the heel while the foot stands,
+hence 0.15 of the leg (9 cm of 0.6 m) to count as low at all, and 0.3 for the end of the push-off. Stances shorter than
+`MIN_STANCE_S` are noise. The ground is a plane through the slow feet's positions, fitted with Tukey weights; clips of a
+few strides hardly fix its slope across the track, so that slopes have a prior of 0 +- `SLOPE_SIGMA`. Every segment of a
+clip, a stretch that was reconstructed by itself, has a plane of its own. Where no foot is slow, or the slow ones are
+`LOW[0]` of the leg off a plane, the ground cannot be told, and there are no stances.
+
+Events' standard deviations: a foot's speed is known to what the path's errors leave, and the speed at which it lands or
+lifts to `EVENT_SIGMA` of that in the swing; both over the foot's acceleration at the event are a time. No event is
+further off than the stance's middle. What stances and intervals are worth against force plates and motion capture:
 `benchmarks/gait.py`.
 
 The leg's length is the body's median height above the ground, the length of Froude numbers.
@@ -40,6 +45,7 @@ from scipy.spatial.distance import cdist
 
 from recon.base.arrays import Array, Bools, mean, median
 from recon.clip.keypoints import frame_ranges
+from recon.fit.regions import radius
 from recon.gait.kinematics import Errors, Series, frame_times, joint_index, series_kinematics
 from recon.gait.path import MIN_POINTS
 from recon.io.pose3d import Pose3D
@@ -56,8 +62,12 @@ CHORD_S = 0.25
 SLOW, SWING = (0.16, 0.32), 1.3
 """Speed over the ground of a standing foot, of its speed in the swing: surely, and at most; and the least speed in the
 swing, of the body's."""
+LANDS, LIFTS, EVENT_SIGMA = 0.12, 0.22, 0.05
+"""The same when it lands and when it lifts, against force plates, and one standard deviation of either."""
 LOW = (0.15, 0.3)
 """Height of a standing foot above the ground, leg lengths: surely, and at most."""
+INTERVAL = 0.9
+"""What the intervals of times and duty factors hold."""
 MIN_STANCE_S = 0.02
 """Far below a galloping cheetah's stances, some 0.06 s."""
 SLOPE_SIGMA, HEIGHT_SIGMA_M = 0.1, 0.03
@@ -78,6 +88,9 @@ ALTERNATE = 0.4
 """They alternate if at least this lies between (0.5 is exact): a symmetrical gait."""
 IN_PHASE = 0.125
 """Trot and pace: how far the fore foot may be from its diagonal or same-sided hind foot (Hildebrand's eighths)."""
+STEADY, MOST = 0.5, 2 / 3
+"""What makes a gait of strides: mean resultant length of the phases; and the share of strides with a duty factor above
+a half, of a walk, or below, of a run."""
 
 
 @dataclass(frozen=True)
@@ -95,10 +108,28 @@ class Stance:
     """False where the clip, or a gap in it, cuts the beginning, so that the time is only a bound."""
     ends: bool = True
     """The same of the end."""
+    start_sigma_s: float = np.nan
+    """One standard deviation, NaN where the clip cuts the beginning."""
+    end_sigma_s: float = np.nan
+    """The same of the end."""
 
     @property
     def duration_s(self) -> float:
         return self.end_s - self.start_s
+
+    @property
+    def duration_sigma_s(self) -> float:
+        return float(np.hypot(self.start_sigma_s, self.end_sigma_s))
+
+    @property
+    def start_interval_s(self) -> tuple[float, float]:
+        """Holds the touch-down with `INTERVAL`; NaN where the clip cuts it."""
+        return _interval(self.start_s, self.start_sigma_s)
+
+    @property
+    def end_interval_s(self) -> tuple[float, float]:
+        """Holds the lift-off with `INTERVAL`; NaN where the clip cuts it."""
+        return _interval(self.end_s, self.end_sigma_s)
 
 
 @dataclass(frozen=True)
@@ -134,10 +165,14 @@ class Tracks:
     """(N, 3)"""
     foot_speed_m_s: Array
     """(N, F): horizontal."""
+    foot_speed_sigma_m_s: Array
+    """(N, F): one standard deviation; 0 of paths without errors."""
     body_speed_m_s: Array
     """(N,): horizontal."""
     slow_m_s: Array
-    """(2, F): below which speed each foot surely stands, and may stand at most."""
+    """(4, F): below which speed each foot surely stands, may stand at most, has landed, and has not lifted."""
+    swing_m_s: Array
+    """(F,): each foot's speed in the swing, above that at rest."""
     reach_m: Array
     """(N, F): of the foot before the body along the travel."""
     height_m: Array
@@ -163,6 +198,8 @@ class Stride:
     """The body's horizontal travel."""
     duty_factor: float
     """Of its stance, which lies in the clip from its beginning to its end."""
+    duty_sigma: float
+    """One standard deviation of it."""
     at: Literal["touchdown", "lift-off", "given"]
     """What it goes from and to."""
 
@@ -191,12 +228,22 @@ class GaitName:
     phase: Mapping[str, float]
     """Each foot's touchdown after the first foot's, in strides, [0, 1)."""
     duty_factor: float
-    """Mean, or NaN."""
+    """Median over the strides, which one that was cut does not move, or NaN."""
+    duty_sigma: float
+    """One standard deviation of it, or NaN. What shifts a foot's events shifts them alike in all its strides, so that
+    the feet count, not the strides."""
+
+    @property
+    def duty_interval(self) -> tuple[float, float]:
+        """Holds the duty factor with `INTERVAL`."""
+        low, high = _interval(self.duty_factor, self.duty_sigma)
+        return max(low, 0.0), min(high, 1.0)
 
 
 @dataclass(frozen=True, eq=False)
 class Gait:
-    """The gait of a clip. Means are over complete strides, NaN without any."""
+    """The gait of a clip. Lengths and frequencies are means over complete strides, duty factors medians; NaN without
+    any."""
 
     tracks: Tracks
     stances: tuple[Stance, ...]
@@ -230,6 +277,11 @@ class Match:
         return len(self.pairs) / total if total else np.nan
 
 
+def _interval(value: float, sigma: float) -> tuple[float, float]:
+    reach = radius(INTERVAL) * sigma
+    return value - reach, value + reach
+
+
 # -- tracks ----------------------------------------------------------------------------------------------------------
 
 
@@ -238,31 +290,29 @@ def tracks(
     feet_m: Array,
     body_m: Array,
     feet: tuple[str, ...],
-    feet_sigma_m: Array | None = None,
-    body_sigma_m: Array | None = None,
+    errors: Sequence[Errors] = (),
     segments: Sequence[slice] = (slice(None),),
     restless: bool = False,
 ) -> Tracks:
-    """Feet (T, F, 3) and body (T, 3) at times (T,), metres, z up, NaN where missing. With standard deviations, of the
-    same shapes, the splines smooth by as much; without, they are exact. segments: rows that have a ground of their own.
-    restless: feet seem to move even when they stand, of poses that jitter; how fast, their own 10th percentile says.
-    Raises ValueError."""
+    """Feet (T, F, 3) and body (T, 3) at times (T,), metres, z up, NaN where missing. errors: what adds up to the feet's
+    errors, sigma (T, F, 3) each. segments: rows that have a ground of their own. restless: feet seem to move even when
+    they stand, of poses that jitter; how fast, their own 10th percentile says. Raises ValueError."""
     if feet_m.shape != (len(time_s), len(feet), 3) or body_m.shape != (len(time_s), 3):
         raise ValueError(f"{len(time_s)} times, {len(feet)} feet, but positions {feet_m.shape} and {body_m.shape}")
     if len(time_s) < MIN_POINTS:
         raise ValueError(f"a gait needs at least {MIN_POINTS} frames, got {len(time_s)}")
-    sigmas = [None] * len(feet) if feet_sigma_m is None else [*np.moveaxis(feet_sigma_m, 1, 0)]
-    paths = [_path(time_s, points, sigma) for points, sigma in zip(np.moveaxis(feet_m, 1, 0), sigmas, strict=True)]
-    body = _path(time_s, body_m, body_sigma_m)
+    paths = [_path(time_s, feet_m[:, k], [error[:, k] for error in errors]) for k in range(len(feet))]
+    body = _path(time_s, body_m)
     foot = np.stack([p.value for p in paths], axis=1)
-    foot_speed = np.stack([np.linalg.norm(p.rate[:, :2], axis=1) for p in paths], axis=1)
+    foot_speed, foot_speed_sigma = np.stack([_level_speed(p) for p in paths], axis=-1)
     body_speed = np.linalg.norm(body.rate[:, :2], axis=1)
     reach = np.einsum("nfk,nk->nf", (foot - body.value[:, None])[..., :2], _travel(body.time_s, body.value))
     fast = [np.nanpercentile(of, 95) if np.isfinite(of).any() else 0.0 for of in foot_speed.T]
     rest = (
         np.nan_to_num(np.nanpercentile(foot_speed, 10, axis=0)) if restless and np.isfinite(foot_speed).any() else 0.0
     )
-    slow_m_s = rest + np.multiply.outer(SLOW, np.maximum(fast, SWING * mean(body_speed)) - rest)
+    swing_m_s = np.maximum(fast, SWING * mean(body_speed)) - rest
+    slow_m_s = rest + np.multiply.outer((*SLOW, LANDS, LIFTS), swing_m_s)
     slow = foot_speed < slow_m_s[0]
     grounds = tuple((rows, _ground_under(foot[_fine(rows)], slow[_fine(rows)])) for rows in segments)
     return Tracks(
@@ -272,8 +322,10 @@ def tracks(
         foot_m=foot,
         body_m=body.value,
         foot_speed_m_s=foot_speed,
+        foot_speed_sigma_m_s=foot_speed_sigma,
         body_speed_m_s=body_speed,
         slow_m_s=slow_m_s,
+        swing_m_s=swing_m_s,
         reach_m=reach,
         height_m=_above(grounds, foot),
         grounds=grounds,
@@ -284,38 +336,33 @@ def tracks(
 def pose_tracks(
     pose: Pose3D,
     fps: float,
-    sigma_m: Array | None = None,
+    errors: Sequence[Errors] = (),
     feet: Mapping[str, str] = FEET,
     body: tuple[str, ...] = BODY,
     segments: Sequence[slice] = (slice(None),),
     restless: bool = False,
 ) -> Tracks:
-    """The tracks of a pose; sigma_m (T, J, 3) smooths as in `tracks`; feet: joint of each foot, by LH, RH, LF, RF;
-    body: joints whose mean stands for the body; segments, restless: see `tracks`. Raises InputError with every joint
-    that the pose lacks, ValueError."""
+    """The tracks of a pose with errors (T, J, 3) each; feet: joint of each foot, by LH, RH, LF, RF; body: joints whose
+    mean stands for the body; segments, restless: see `tracks`. Raises InputError with every joint that the pose lacks,
+    ValueError."""
     where, n = joint_index(pose, (*feet.values(), *body)), len(feet)
-    points = pose.xyz_m[:, where]
-    feet_sigma = body_sigma = None
-    if sigma_m is not None:
-        feet_sigma = sigma_m[:, where[:n]]
-        # Errors of a body's joints go together: the mean is no better than they are.
-        body_sigma = np.sqrt(np.mean(sigma_m[:, where[n:]] ** 2, axis=1))
+    points, of_feet = pose.xyz_m[:, where], [error[:, where[:n]] for error in errors]
     body_m = points[:, n:].mean(axis=1)
-    return tracks(
-        frame_times(pose.frames, fps), points[:, :n], body_m, tuple(feet), feet_sigma, body_sigma, segments, restless
-    )
+    return tracks(frame_times(pose.frames, fps), points[:, :n], body_m, tuple(feet), of_feet, segments, restless)
 
 
-def _path(time_s: Array, points_m: Array, sigma_m: Array | None) -> Series:
-    return series_kinematics(
-        time_s,
-        points_m,
-        () if sigma_m is None else (Errors(sigma_m),),
-        smooth=sigma_m is not None,
-        propagate=False,
-        oversampling=OVERSAMPLING,
-        max_gap_s=MAX_GAP_S,
-    )
+def _path(time_s: Array, points_m: Array, errors: Sequence[Errors] = ()) -> Series:
+    return series_kinematics(time_s, points_m, errors, oversampling=OVERSAMPLING, max_gap_s=MAX_GAP_S)
+
+
+def _level_speed(path: Series) -> Array:
+    """(2, N): horizontal speed and its standard deviation, 0 without errors."""
+    velocity = path.rate[:, :2]
+    speed = np.linalg.norm(velocity, axis=1)
+    if path.rate_sigma is None:
+        return np.stack([speed, np.zeros_like(speed)])
+    along = velocity / np.maximum(speed, 1e-9)[:, None]
+    return np.stack([speed, np.linalg.norm(along * path.rate_sigma[:, :2], axis=1)])
 
 
 def _fine(rows: slice) -> slice:
@@ -382,13 +429,27 @@ def _travel(time_s: Array, body_m: Array) -> Array:
 
 
 def stances(moved: Tracks) -> tuple[Stance, ...]:
-    """All feet's stances in the order of their beginnings (see the module)."""
+    """All feet's stances in the order of their beginnings (see the module); none where the ground cannot be told."""
+    if ground_doubt(moved):
+        return ()
     found = [s for k in range(len(moved.feet)) for s in _stances_of(moved, k)]
     return tuple(sorted(found, key=lambda s: (s.start_s, s.foot)))
 
 
+def ground_doubt(moved: Tracks) -> str | None:
+    """Why the ground under the feet cannot be told; None where it can."""
+    planes = [plane for _, plane in moved.grounds if plane.samples]
+    if not planes:
+        return "the ground cannot be told: no foot is slow enough to stand"
+    spread_m = max(plane.spread_m for plane in planes)
+    if not spread_m < LOW[0] * moved.leg_m:
+        return f"the ground cannot be told: slow feet are {spread_m:.2f} m off a plane (median)"
+    return None
+
+
 def _stances_of(moved: Tracks, k: int) -> list[Stance]:
-    speed, height, (surely, at_most) = moved.foot_speed_m_s[:, k], moved.height_m[:, k], moved.slow_m_s[:, k]
+    speed, height = moved.foot_speed_m_s[:, k], moved.height_m[:, k]
+    surely, at_most, lands, lifts = moved.slow_m_s[:, k]
     still = np.flatnonzero(speed < surely)
     sure = still[height[still] < LOW[0] * moved.leg_m]
     known = np.isfinite(speed)
@@ -396,10 +457,11 @@ def _stances_of(moved: Tracks, k: int) -> list[Stance]:
     slow = np.less(speed, at_most) & np.less(height, LOW[1] * moved.leg_m)
     for first, end in frame_ranges(np.flatnonzero(slow)):
         if np.any((sure >= first) & (sure < end)):
-            inside = still[(still >= first) & (still < end)]
+            within = speed[first:end]
+            landed = within < (lands if within.min() < lands else surely)
+            a, b = first + int(landed.argmax()), end - 1 - int((within < lifts)[::-1].argmax())
             # A time that the clip cuts may have begun earlier, even if the foot is not quite still at the edge.
-            begins, ends = _inside(known, first - 1), _inside(known, end)
-            found.append(_stance(moved, k, int(inside[0]), int(inside[-1]), begins, ends))
+            found.append(_stance(moved, k, a, b, _inside(known, first - 1), _inside(known, end)))
     return [s for s in found if s.duration_s >= MIN_STANCE_S or not (s.begins and s.ends)]
 
 
@@ -409,7 +471,19 @@ def _inside(known: Bools, i: int) -> bool:
 
 def _stance(moved: Tracks, k: int, a: int, b: int, begins: bool, ends: bool) -> Stance:
     t, f = moved.time_s, moved.frame
-    return Stance(moved.feet[k], float(t[a]), float(t[b]), float(f[a]), float(f[b]), begins, ends)
+    half_s = (t[b] - t[a]) / 2
+    sigmas = [_event_sigma_s(moved, k, i, half_s) if known else np.nan for i, known in ((a, begins), (b, ends))]
+    return Stance(moved.feet[k], float(t[a]), float(t[b]), float(f[a]), float(f[b]), begins, ends, *sigmas)
+
+
+def _event_sigma_s(moved: Tracks, k: int, i: int, most_s: float) -> float:
+    """Of a landing or lift-off of the k-th foot at an instant, most_s from the stance's middle (see the module)."""
+    about = slice(max(i - OVERSAMPLING // 2, 0), i + OVERSAMPLING // 2 + 1)
+    speed, time = moved.foot_speed_m_s[about, k], moved.time_s[about]
+    known = np.isfinite(speed)
+    changes = np.ptp(speed[known]) / np.ptp(time[known])
+    sigma = float(np.hypot(moved.foot_speed_sigma_m_s[i, k], EVENT_SIGMA * moved.swing_m_s[k]))
+    return min(sigma / max(changes, 1e-9), most_s / radius(INTERVAL))
 
 
 def match_stances(first: tuple[Stance, ...], second: tuple[Stance, ...]) -> Match:
@@ -460,16 +534,16 @@ def gait(moved: Tracks) -> Gait:
         order=tuple(s.foot for s in landed),
         stride_length_m=mean(lengths),
         stride_frequency_hz=1.0 / mean(durations) if durations else np.nan,
-        duty_factor={foot: mean([s.duty_factor for s in taken if s.foot == foot]) for foot in moved.feet},
+        duty_factor={foot: median([s.duty_factor for s in taken if s.foot == foot]) for foot in moved.feet},
         speed_m_s=mean(moved.body_speed_m_s),
-        name=name_gait(found, taken, float(moved.time_s[-1])),
+        name=name_gait(found, taken, float(moved.time_s[-1]), ground_doubt(moved)),
         doubtful=doubtful,
     )
 
 
-def pose_gait(pose: Pose3D, fps: float, sigma_m: Array | None = None, **options) -> Gait:
+def pose_gait(pose: Pose3D, fps: float, errors: Sequence[Errors] = (), **options) -> Gait:
     """The gait of a pose; options as `pose_tracks`. Raises InputError, ValueError."""
-    return gait(pose_tracks(pose, fps, sigma_m, **options))
+    return gait(pose_tracks(pose, fps, errors, **options))
 
 
 def strides(moved: Tracks, found: tuple[Stance, ...]) -> tuple[Stride, ...]:
@@ -477,8 +551,8 @@ def strides(moved: Tracks, found: tuple[Stance, ...]) -> tuple[Stride, ...]:
     taken = []
     for foot in moved.feet:
         own = [s for s in found if s.foot == foot]
-        landings = [(a.start_s, b.start_s, a.duration_s) for a, b in pairwise(own) if a.begins and a.ends and b.begins]
-        liftings = [(a.end_s, b.end_s, b.duration_s) for a, b in pairwise(own) if a.ends and b.begins and b.ends]
+        landings = [(a.start_s, b.start_s, a) for a, b in pairwise(own) if a.begins and a.ends and b.begins]
+        liftings = [(a.end_s, b.end_s, b) for a, b in pairwise(own) if a.ends and b.begins and b.ends]
         at: Literal["touchdown", "lift-off"] = "touchdown" if landings else "lift-off"
         for start, end, stance in landings or liftings:
             a, b = np.searchsorted(moved.time_s, [start, end])
@@ -486,7 +560,8 @@ def strides(moved: Tracks, found: tuple[Stance, ...]) -> tuple[Stride, ...]:
             step = np.diff(moved.body_m[a : b + 1, :2], axis=0)
             if np.isfinite(step).all() and np.isfinite(moved.foot_m[a : b + 1, moved.feet.index(foot)]).all():
                 length = float(np.linalg.norm(step, axis=1).sum())
-                taken.append(Stride(foot, start, end, length, stance / (end - start), at))
+                duty, sigma = (of / (end - start) for of in (stance.duration_s, stance.duration_sigma_s))
+                taken.append(Stride(foot, start, end, length, duty, sigma, at))
     return tuple(sorted(taken, key=lambda s: (s.start_s, s.foot)))
 
 
@@ -547,30 +622,37 @@ def _return_lag(values: Array) -> int | None:
     return None
 
 
-def name_gait(found: tuple[Stance, ...], taken: tuple[Stride, ...], until_s: float) -> GaitName:
+def name_gait(
+    found: tuple[Stance, ...], taken: tuple[Stride, ...], until_s: float, doubt: str | None = None
+) -> GaitName:
     """The gait by the four feet's phases: see `classify`. The stride's period is the median over the strides; without a
-    complete one see `classify_within`. until_s: the end of the clip."""
-    duty = mean([s.duty_factor for s in taken])
+    complete one see `classify_within`. until_s: the end of the clip; doubt: why there are no stances."""
+    duties = np.array([s.duty_factor for s in taken])
+    feet = len({s.foot for s in taken})
+    duty = median(duties), float(np.sqrt(mean([s.duty_sigma**2 for s in taken]) / feet)) if feet else np.nan
     lacking = [foot for foot in FEET if not any(s.foot == foot for s in found)]
     if lacking:
-        return GaitName("unknown", f"no stance of {', '.join(lacking)}", dict.fromkeys(FEET, np.nan), duty)
+        return GaitName("unknown", doubt or f"no stance of {', '.join(lacking)}", dict.fromkeys(FEET, np.nan), *duty)
     if not taken:
         landed = {s.foot: s.start_s for s in reversed(found) if s.begins}
-        return GaitName(*classify_within(landed, until_s), dict.fromkeys(FEET, np.nan), duty)
+        return GaitName(*classify_within(landed, until_s), dict.fromkeys(FEET, np.nan), *duty)
     period = float(np.median([s.end_s - s.start_s for s in taken]))
     phase = {"LH": 0.0} | {foot: _lag(found, "LH", foot, period) for foot in ("RH", "LF", "RF")}
     # A foot that never landed together with LH in view may have done so with RH.
     for foot in ("LF", "RF"):
         if np.isnan(phase[foot]):
             phase[foot] = (phase["RH"] + _lag(found, "RH", foot, period)) % 1.0
-    name, criterion = classify(phase, duty)
-    return GaitName(name, criterion, phase, duty)
+    name, criterion = classify(phase, duty[0])
+    if name in ("walk", "trot", "pace") and 1 - MOST < (share := float(np.mean(duties > 0.5))) < MOST:
+        name, criterion = "unknown", f"{criterion}: over 0.5 in {share:.0%} of the strides, walk or run is open"
+    return GaitName(name, criterion, phase, *duty)
 
 
 def _lag(found: tuple[Stance, ...], reference: str, foot: str, period_s: float) -> float:
     """Circular mean, [0, 1), of the time from a foot's touchdown to the nearest of another, in strides.
 
-    Of the lift-offs where the clip holds no touchdown of one of them; NaN if it holds neither.
+    Of the lift-offs where the clip holds no touchdown of one of them; NaN if it holds neither, or if the times are not
+    `STEADY`.
     """
     for known, event in (("begins", "start_s"), ("ends", "end_s")):
         a, b = (
@@ -580,7 +662,8 @@ def _lag(found: tuple[Stance, ...], reference: str, foot: str, period_s: float) 
             off = b - a[np.argmin(np.abs(b[:, None] - a), axis=1)]
             # Events further apart than a stride have drifted out of step.
             near = off[np.abs(off) <= max(period_s, np.abs(off).min())]
-            return float(np.angle(np.mean(np.exp(2j * np.pi * near / period_s))) / (2 * np.pi) % 1.0)
+            towards = np.mean(np.exp(2j * np.pi * near / period_s))
+            return float(np.angle(towards) / (2 * np.pi) % 1.0) if np.abs(towards) >= STEADY else np.nan
     return np.nan
 
 
@@ -593,7 +676,8 @@ def classify(phase: Mapping[str, float], duty_factor: float) -> tuple[str, str]:
     does; gallop if neither does, transverse if the same side leads (lands second) in both pairs, rotary if not.
     """
     if any(np.isnan(phase[foot]) for foot in FEET):
-        return "unknown", "phases not known for " + ", ".join(foot for foot in FEET if np.isnan(phase[foot]))
+        lacking = ", ".join(foot for foot in FEET if np.isnan(phase[foot]))
+        return "unknown", f"no steady phase of {lacking} over the strides"
     hind, fore = _signed(phase["RH"] - phase["LH"]), _signed(phase["RF"] - phase["LF"])
     seen = f"hind feet {abs(hind):.2f} of a stride apart, {_first(hind)}; fore feet {abs(fore):.2f}, {_first(fore)}"
     if min(abs(hind), abs(fore)) >= ALTERNATE:

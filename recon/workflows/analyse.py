@@ -186,6 +186,7 @@ def _gait_summary(gait: Gait) -> dict[str, Any]:
         "stride_length_m": gait.stride_length_m,
         "stride_frequency_hz": gait.stride_frequency_hz,
         "duty_factor": gait.name.duty_factor,
+        "duty_factor_interval": gait.name.duty_interval,
         "duty_factor_by_foot": dict(gait.duty_factor),
     }
 

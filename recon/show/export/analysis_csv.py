@@ -103,16 +103,16 @@ def angle_rates(found: ClipAnalysis) -> Columns:
 
 def stances(found: ClipAnalysis) -> Table:
     """Every stance."""
-    columns = "foot, joint, start_s, end_s, start_frame, end_frame, duration_s, begins, ends"
+    columns = "foot, joint, start_s, end_s, start_frame, end_frame, duration_s, begins, ends, start_low_s, start_high_s"
     rows = [
         (
             *(s.foot, found.motion.foot_names[s.foot], s.start_s, s.end_s),
             *(file_frame(found, s.start_frame), file_frame(found, s.end_frame), s.duration_s),
-            *(_yes(s.begins), _yes(s.ends)),
+            *(_yes(s.begins), _yes(s.ends), *s.start_interval_s, *s.end_interval_s),
         )
         for s in (found.gait.stances if found.gait else ())
     ]
-    return columns.split(", "), rows
+    return [*columns.split(", "), "end_low_s", "end_high_s"], rows
 
 
 def strides(found: ClipAnalysis) -> Table:
@@ -126,8 +126,9 @@ def strides(found: ClipAnalysis) -> Table:
 
 
 def gait(found: ClipAnalysis) -> Table:
-    """One row: the gait's name and criterion, and means over complete strides; none without feet."""
-    columns = "gait, criterion, speed_m_s, strides, stride_length_m, stride_frequency_hz, duty_factor"
+    """One row: the gait's name and criterion, and what complete strides have in the mean; none without feet."""
+    columns = "gait, criterion, speed_m_s, strides, stride_length_m, stride_frequency_hz, duty_factor, "
+    columns += "duty_factor_low, duty_factor_high"
     feet = list(found.motion.foot_names)
     columns += "".join(f", duty_factor_{foot}, phase_{foot}" for foot in feet) + ", footfalls"
     return columns.split(", "), [] if found.gait is None else [_gait_row(found.gait, feet)]
@@ -221,7 +222,7 @@ def _gait_row(one: Gait, feet: list[str]) -> Sequence[Any]:
     by_foot = [value for f in feet for value in (one.duty_factor.get(f, np.nan), name.phase.get(f, np.nan))]
     return (
         *(name.name, name.criterion, one.speed_m_s, len(one.strides), one.stride_length_m),
-        *(one.stride_frequency_hz, name.duty_factor, *by_foot, " ".join(one.order)),
+        *(one.stride_frequency_hz, name.duty_factor, *name.duty_interval, *by_foot, " ".join(one.order)),
     )
 
 

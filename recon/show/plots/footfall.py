@@ -27,8 +27,9 @@ def footfall(gaits: Mapping[str, Gait], fps: float, title: str = "") -> Figure:
     """Stances by foot, those of several gaits, by name, one above the other; the second axis counts frames,
     of which 0 is at 0 s.
 
-    A stance that the clip cuts has no edge there, but an arrow: it is at least as long as its bar. Thin lines with
-    ticks are complete strides. Below: what each gait is called and why.
+    A stance that the clip cuts has no edge there, but an arrow: it is at least as long as its bar. Lines across the
+    edges hold touch-downs and lift-offs with 90 %; thin lines with ticks are complete strides. Below: what each gait is
+    called and why.
     """
     captions = [_caption(name, gait) for name, gait in gaits.items()]
     lines = sum(caption.count("\n") + 1 for caption in captions)
@@ -82,6 +83,9 @@ def _bars(axes: Axes, stances: Sequence[Stance], y: float, height: float, m: int
             axes.plot(at, y, marker=marker, ms=4, color=colour, mec="w", mew=0.4, zorder=4, clip_on=False)
     lines = LineCollection(edges, color=colour, lw=1.1, capstyle="projecting", zorder=3)
     axes.add_collection(lines, autolim=False)
+    intervals = np.array([of for stance in stances for of in (stance.start_interval_s, stance.end_interval_s)])
+    known = [[(left, y + height / 4), (right, y + height / 4)] for left, right in intervals if np.isfinite(left)]
+    axes.add_collection(LineCollection(known, color="0.35", lw=0.7, zorder=3.2), autolim=False)
 
 
 def _caption(name: str, gait: Gait) -> str:
@@ -98,6 +102,8 @@ def _legend(figure: Figure, gaits: Mapping[str, Gait]) -> None:
     handles: list = [Patch(**_fill(m), label=name if len(gaits) > 1 else "stance") for m, name in enumerate(gaits)]
     if not all(s.begins and s.ends for g in gaits.values() for s in g.stances):
         handles.append(Line2D([], [], linestyle="", marker=">", ms=4, color="k", label="cut by the clip"))
+    if any(np.isfinite((s.start_sigma_s, s.end_sigma_s)).any() for g in gaits.values() for s in g.stances):
+        handles.append(Line2D([], [], color="0.35", lw=0.7, label="90 % of its ends"))
     if any(g.strides for g in gaits.values()):
         handles.append(Line2D([], [], color="k", lw=0.7, marker="|", ms=5, label="complete stride"))
     add_legend(figure, handles, [h.get_label() for h in handles])

@@ -36,6 +36,7 @@ import rerun as rr
 
 from recon.base.errors import InputError, Problem
 from recon.fit.motion import Motion
+from recon.gait.clip import standing
 from recon.show.recording import recording
 from recon.show.view.layout import blueprint
 from recon.show.view.picture import write_pictures
@@ -58,9 +59,10 @@ def write(motion: Motion, path: Path, start_frame: int | None = None) -> None:
         write_world(motion, scene, log)
         write_pictures(motion, log)
         write_series(motion, log)
-        write_uncertainty(motion, scene, log)
+        stands = standing(motion)
+        write_uncertainty(motion, scene, log, stands)
         write_observability(motion, scene, log)
-        write_states(motion, log)
+        write_states(motion, log, stands)
 
 
 def open_viewer(path: Path) -> None:

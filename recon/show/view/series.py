@@ -9,11 +9,11 @@ import numpy as np
 import rerun as rr
 
 from recon.animal import side_of, without_side
+from recon.base.arrays import Bools
 from recon.fit.motion import Motion
 from recon.gait.kinematics import speed_at_frames
 from recon.gait.path import frame_jitter_m
 from recon.show.view.scene import EDGE, LEFT, LIMB_COLOURS, LINK, OUTLIER, RIGHT, TRAIL, Array, Colour, Log, shade
-from recon.show.view.world import STANCE
 
 MAX_LINES = 4
 """Of angles in one plot, as far as they can be told apart by what they belong to: their names stand above them."""
@@ -43,8 +43,8 @@ def write_series(motion: Motion, log: Log) -> None:
         log.fix(s.entity, line_style(s))
 
 
-def write_states(motion: Motion, log: Log) -> None:
-    """Which flags a frame has, and which feet stand (`state_entities`)."""
+def write_states(motion: Motion, log: Log, stands: Bools) -> None:
+    """Which flags a frame has, and which feet stand, (T, F) (`state_entities`)."""
 
     def state(entity: str, values: list[str], colours: dict[str, Colour]) -> None:
         log.send(entity, state_columns(values))
@@ -53,8 +53,8 @@ def write_states(motion: Motion, log: Log) -> None:
     flagged = [", ".join(flags) for flags in motion.flags]
     state(FLAGGED, flagged, dict.fromkeys(dict.fromkeys(filter(None, flagged)), OUTLIER))
     colours = {"L": LEFT, "R": RIGHT}
-    for foot, label, contact in zip(motion.feet, motion.foot_labels, motion.solution.contact.T, strict=True):
-        stances = ["stance" if c > STANCE else "" for c in contact]
+    for foot, label, stood in zip(motion.feet, motion.foot_labels, stands.T, strict=True):
+        stances = ["stance" if on_ground else "" for on_ground in stood]
         state(state_entity(motion.names[foot]), stances, {"stance": colours[label[0]]})
 
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from rerun.components import FillMode
 
 from recon.animal.capsules import capsule_ends, capsules
+from recon.base.arrays import Bools
 from recon.fit.motion import MEASURED_SHARE, Motion, Picture
 from recon.geometry.kinematics import AXES, Marker
 from recon.geometry.rotations import quaternions
@@ -44,8 +45,6 @@ from recon.show.view.scene import (
 AXIS_SHARE = 0.06
 """Of the animal's size: half an axis."""
 UNSEEN, FAINT_BLUE, BRIGHT_BLUE = (120, 112, 104), (30, 100, 190), (150, 220, 255)
-STANCE = 0.5
-"""A foot with more contact than this stands."""
 
 
 def write_world(motion: Motion, scene: Scene, log: Log) -> None:
@@ -123,9 +122,9 @@ def _write_camera_names(pictures: Sequence[Picture], log: Log) -> None:
     log.fix("world/camera_names", style)
 
 
-def write_uncertainty(motion: Motion, scene: Scene, log: Log) -> None:
+def write_uncertainty(motion: Motion, scene: Scene, log: Log, stands: Bools) -> None:
     """How far the pose can be trusted: an ellipsoid around every joint, and a label in frames with a flag. And the feet
-    that stand."""
+    that stand, (T, F)."""
     flags = motion.flags
     # The frame method has poses whose uncertainty is not known.
     solved = motion.solved & np.isfinite(motion.relative_rms_m)
@@ -156,7 +155,6 @@ def write_uncertainty(motion: Motion, scene: Scene, log: Log) -> None:
     log.send("world/doubt", columns.partition(np.array(shown, dtype=int)))
     log.fix("world/doubt", rr.Points3D.from_fields(colors=OUTLIER, radii=rr.Radius.ui_points(3.0), show_labels=True))
 
-    stands = motion.solution.contact > STANCE
     feet = motion.joints_m[:, motion.feet]
     log.send("world/stance", rr.Points3D.columns(positions=feet[stands]).partition(stands.sum(axis=1)))
     log.fix("world/stance", rr.Points3D.from_fields(colors=DETECTION, radii=0.05))

@@ -85,7 +85,7 @@ def _lines(done: Analysed) -> Iterator[str]:
             yield (
                 f"  means over {counted(len(gait.strides), 'stride')} of single feet: "
                 f"{length_text(gait.stride_length_m)}, {gait.stride_frequency_hz:.2f} Hz, "
-                f"duty factor {gait.name.duty_factor:.2f}"
+                "duty factor {:.2f} (90 %: {:.2f} to {:.2f})".format(gait.name.duty_factor, *gait.name.duty_interval)
             )
     if (stride := found.stride) is not None:
         which = "as given" if found.given is not None else f"of {stride.foot}"
