@@ -40,6 +40,7 @@ from cameras import PRIOR, run_of, states_of
 from markdown_table import print_table
 from recordings import recordings
 from scipy.stats import kstest
+from shares import share_below, share_inside
 from trajectory import body_of, prior_of
 
 from recon import Body, Camera, load_skeleton
@@ -51,7 +52,6 @@ from recon.fit import TrajectoryOptions, constants, solve_trajectory
 from recon.fit.clip_problem import ClipProblem
 from recon.fit.posterior import factored
 from recon.fit.prior_misfit import LASTS_S
-from recon.fit.regions import share_below, share_inside
 from recon.fit.terms import dynamics_term, pose_term
 from recon.fit.trajectory import Solved, solve_segments
 from recon.geometry.kinematics import ROOT, YAW

@@ -25,6 +25,7 @@ import numpy as np
 from held_constants import options_with
 from markdown_table import print_table
 from recordings import recordings
+from shares import share_inside
 from trajectory import SKELETON, body_of, meta_of, prior_of, truth_of
 
 from recon import Body, FitSettings
@@ -33,7 +34,6 @@ from recon.clip import Source, View, views_of
 from recon.fit import TrajectoryOptions, TrajectorySolution, solve_trajectory
 from recon.fit.clip_problem import ClipProblem
 from recon.fit.points import solve_points
-from recon.fit.regions import share_inside
 from recon.fit.shape import POSED_OFFSET_SIGMA_M, Shape, fit_shape
 from recon.geometry.kinematics import ROOT
 from recon.workflows.clip import prepare

@@ -173,7 +173,7 @@ def horse(args: argparse.Namespace, out: Path) -> None:
             if args.random_half:
                 result = evaluate_2d_files(points, held_out, first_frame=FIRST)
             else:
-                result = evaluate_2d_files(points, labels, first_frame=FIRST, frames=(FIRST + 150, FIRST + 200))
+                result = evaluate_2d_files(points, labels, first_frame=FIRST, frames=f"{FIRST + 150}:{FIRST + 200}")
             print_row(_row(seed, quality, report, result))
         if args.random_half:
             print(f"Interpolation of the labels in time: {_interpolated(file, held_out):.2f} px (median)", flush=True)

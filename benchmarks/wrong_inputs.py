@@ -32,12 +32,12 @@ import numpy as np
 import pandas as pd
 from markdown_table import print_table
 from recordings import recordings
+from shares import share_inside
 
 from recon import Camera, FitSettings, InputError, Motion, fit_clip, read_camera, read_keypoints, read_pose3d
 from recon.animal.body import other_side
 from recon.base.package import builtin_file
 from recon.clip.keypoints import Keypoints
-from recon.fit.regions import share_inside
 from recon.io import write_cameras
 from recon.io.deeplabcut import write_csv
 

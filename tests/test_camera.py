@@ -252,7 +252,6 @@ def test_a_camera_without_a_pose_may_look_down_by_a_known_angle():
     posed = make_camera("pinhole", rotation=rotation, translation_m=(0, 0, 0))
     assert (posed.camera_to_world((0, 0, 1)))[2] == pytest.approx(-np.sin(tilt))  # down
     np.testing.assert_allclose(camera.up, posed.up)
-    assert Camera.from_dict(camera.to_dict()).tilt_rad == tilt
     board = make_camera("pinhole", rotation=rotation, translation_m=(0, 0, 0), world_z_up=False, tilt_rad=tilt)
     np.testing.assert_allclose(board.up, posed.up)
 
@@ -310,13 +309,13 @@ def test_does_not_change_with_its_inputs_and_is_read_only():
 
 
 @pytest.mark.parametrize("posed", [False, True])
-def test_dict_and_pickle_round_trips(posed):
+def test_a_pickle_is_the_same(posed):
     pose = {"rotation": euler_rotation((0.1, 0.2, 0.3)), "translation_m": (1, 2, 3)} if posed else {}
     camera = make_camera("fisheye mild", world_z_up=False, **pose)
     camera.project((0, 0, 1))
-    for copy in (Camera.from_dict(camera.to_dict()), pickle.loads(pickle.dumps(camera))):
-        assert copy.to_dict() == camera.to_dict()
-        np.testing.assert_array_equal(copy.project((0.1, 0.2, 1))[0], camera.project((0.1, 0.2, 1))[0])
+    copy = pickle.loads(pickle.dumps(camera))
+    assert copy.to_dict() == camera.to_dict()
+    np.testing.assert_array_equal(copy.project((0.1, 0.2, 1))[0], camera.project((0.1, 0.2, 1))[0])
 
 
 def test_points_that_no_detector_can_have_found_are_not_seen():

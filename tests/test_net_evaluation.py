@@ -98,7 +98,7 @@ def test_files_are_matched_by_frame_and_name(tmp_path):
     assert result.frames == 2
     assert result.per_keypoint["nose"].median_px == pytest.approx(1)
     assert result.per_keypoint["hip"].median_px == pytest.approx(3)
-    assert evaluate_2d_files(points, labels, first_frame=50, frames=(53, None)).frames == 1
+    assert evaluate_2d_files(points, labels, first_frame=50, frames="53:").frames == 1
     with pytest.raises(InputError, match="--first-frame"):
         evaluate_2d_files(points, labels)
 

@@ -1,8 +1,9 @@
 import numpy as np
 import pytest
 from scipy.stats import chi2, t
+from shares import share_below, share_inside
 
-from recon.fit.regions import DEGREES_OF_FREEDOM, radius, share_below, share_inside, sigmas
+from recon.fit.regions import DEGREES_OF_FREEDOM, radius, sigmas
 
 
 def test_intervals_are_those_of_students_t_with_the_stated_variance():

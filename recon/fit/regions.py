@@ -9,7 +9,7 @@ error e in k dimensions is k (nu - 2) / nu times a variable of Fisher's F with k
 from __future__ import annotations
 
 import numpy as np
-from scipy.special import fdtri, stdtr
+from scipy.special import fdtri
 
 from recon.base.arrays import Array
 
@@ -25,12 +25,6 @@ def radius(level: float, dimensions: int = 1, nu: float = DEGREES_OF_FREEDOM) ->
     return float(np.sqrt(dimensions * fdtri(dimensions, nu, level) * (nu - 2) / nu))
 
 
-def share_below(off: float) -> float:
-    """The share of the distribution of one quantity that lies below `off` standard deviations from its middle."""
-    nu = DEGREES_OF_FREEDOM
-    return float(stdtr(nu, off * np.sqrt(nu / (nu - 2))))
-
-
 def sigmas(error: Array, covariance: Array) -> Array:
     """(...): how many standard deviations errors (..., k) with covariances (..., k, k) are, NaN where not known."""
     known = np.isfinite(error).all(axis=-1) & np.isfinite(covariance).all(axis=(-2, -1))
@@ -38,9 +32,3 @@ def sigmas(error: Array, covariance: Array) -> Array:
     e, S = error[known], covariance[known] + _ROUNDING_M2 * np.eye(error.shape[-1])
     off[known] = np.sqrt(np.sum(e * np.linalg.solve(S, e[..., None])[..., 0], axis=-1))
     return off
-
-
-def share_inside(error: Array, covariance: Array, level: float) -> float:
-    """Of the known errors (..., k), the part inside the regions that are to hold the share `level`; NaN of none."""
-    off = sigmas(error, covariance)
-    return float(np.mean(off[np.isfinite(off)] < radius(level, error.shape[-1]))) if np.isfinite(off).any() else np.nan

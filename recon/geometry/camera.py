@@ -8,7 +8,6 @@ normalised coordinates (x/z, y/z) after the distortion of the lens (`recon.geome
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -289,21 +288,6 @@ class Camera:
         if self.tilt_rad:
             plain["tilt_rad"] = self.tilt_rad
         return plain | {"world_z_up": self.world_z_up}
-
-    @classmethod
-    def from_dict(cls, plain: Mapping[str, Any]) -> Camera:
-        """The inverse of `to_dict`. Raises ValueError for values that are no camera, KeyError for missing ones."""
-        return cls(
-            name=plain["name"],
-            matrix=plain["matrix"],
-            distortion=plain["distortion"],
-            model=plain["model"],
-            image_size_px=plain["image_size_px"],
-            rotation=plain.get("rotation"),
-            translation_m=plain.get("translation_m"),
-            world_z_up=plain["world_z_up"],
-            tilt_rad=plain.get("tilt_rad", 0.0),
-        )
 
 
 def is_rotation(matrix: Array, tolerance: float) -> bool:

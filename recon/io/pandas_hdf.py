@@ -24,7 +24,7 @@ Label = tuple[str, ...]
 
 
 @dataclass(frozen=True, eq=False)
-class StoredTable:
+class _StoredTable:
     """A table of T rows and C columns."""
 
     levels: tuple[str | None, ...]
@@ -45,7 +45,7 @@ def keys(path: Path) -> list[str]:
         return [str(group.name) for group in groups(file) if h5py.h5a.exists(group.id, b"pandas_type")]
 
 
-def read_frame(path: Path, key: str) -> StoredTable:
+def read_frame(path: Path, key: str) -> _StoredTable:
     """The table under a key. Raises InputError for anything else than a table, and for cells or labels that are pickled
     Python objects."""
     with opened(path) as file:
@@ -69,7 +69,7 @@ class _NotPlain(Exception):
 # -- fixed layout: the axes and the blocks of columns of one type, each an array ---------------------------------
 
 
-def _fixed_frame(group: Any) -> StoredTable:
+def _fixed_frame(group: Any) -> _StoredTable:
     levels, columns = _axis(group, "axis0")
     _, index = _axis(group, "axis1")
     free: dict[Label, list[int]] = {}
@@ -83,7 +83,7 @@ def _fixed_frame(group: Any) -> StoredTable:
         if values.shape != (len(index), len(items)):
             raise ValueError(f"{values.shape} cells for {len(index)} rows and {len(items)} columns")
         parts.append(([free[label].pop(0) for label in items], values))
-    return StoredTable(levels, columns, index, _table_of_blocks(len(index), len(columns), parts))
+    return _StoredTable(levels, columns, index, _table_of_blocks(len(index), len(columns), parts))
 
 
 def _axis(group: Any, name: str) -> tuple[tuple[str | None, ...], tuple[Label, ...]]:
@@ -150,7 +150,7 @@ def _require_plain_cells(dataset: Any) -> None:
 # -- table layout: one array of records, and the labels of its columns pickled -----------------------------------
 
 
-def _table_frame(group: Any) -> StoredTable:
+def _table_frame(group: Any) -> _StoredTable:
     if (kind := attribute(group, "table_type")) != "appendable_frame":
         raise ValueError(f"a table of type {kind}")
     axes = _attribute_value(group, "non_index_axes")
@@ -178,7 +178,7 @@ def _table_frame(group: Any) -> StoredTable:
             raise ValueError(f"{values.shape[1]} columns of {values.dtype} with {len(labels)} labels in {name}")
         parts.append(([places[label] for label in labels], values))
     cells = _table_of_blocks(len(rows), len(columns), parts)
-    return StoredTable(_level_names(group, depth.pop()), columns, tuple((label,) for label in index), cells)
+    return _StoredTable(_level_names(group, depth.pop()), columns, tuple((label,) for label in index), cells)
 
 
 def _field(rows: np.ndarray, name: str) -> np.ndarray:

@@ -4,22 +4,38 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated, Any
 
 import numpy as np
 
 from recon.animal import load_names, map_to_write, renamed
 from recon.base.arrays import Array, Bools
 from recon.base.errors import Problem, all_of, refuse
-from recon.clip.keypoints import Keypoints, mark_missing
+from recon.base.settings import Integer, Number, Option, Positive, Settings
+from recon.clip.keypoints import Keypoints, mark_missing, parse_frame_range
 from recon.io import read_keypoints
 from recon.keypoint_net.calibrate import Reliability, reliability
 from recon.keypoint_net.labels import body_length_px, known_points, read_label_file, sides
+from recon.workflows.settings import RENAME, FrameRange
 
 PCK_PX = (2.5, 5.0, 10.0)
 PCK_RELATIVE = (0.05, 0.1, 0.2)
 """Of the body length, the median diagonal of the box around an animal's labels."""
-LIKELIHOOD_MIN = 0.5
-TOLERANCE_PX = 5.0
+
+
+class Evaluate2DSettings(Settings):
+    """What `recon evaluate-2d` compares."""
+
+    predicted: Annotated[Path, Option("Keypoints of any known format, as in run.csv.", argument="PREDICTED")]
+    labels: Annotated[Path, Option("Labels in DeepLabCut's layout, as in CollectedData_me.csv.", argument="LABELS")]
+    first_frame: Annotated[Integer, Option("Number that the labels give to frame 0 of the predictions.")] = 0
+    frames: Annotated[FrameRange | None, Option("Frame numbers of the labels to compare, A:B (B excluded).")] = None
+    individual: Annotated[str | None, Option("The animal, where the files name several.")] = None
+    rename: Annotated[str | None, RENAME] = None
+    likelihood_min: Annotated[Number, Option("Cut-off for the rows of likely points.", "a number from 0 to 1")] = 0.5
+    tolerance_px: Annotated[
+        Positive, Option("Within this a point is right, for the likelihoods' reliability.", "pixels above 0")
+    ] = 5.0
 
 
 @dataclass(frozen=True)
@@ -58,27 +74,17 @@ class Evaluation2D:
     reliability: Reliability | None
 
 
-def evaluate_2d_files(
-    predicted: Path,
-    labels: Path,
-    *,
-    first_frame: int = 0,
-    frames: tuple[int | None, int | None] | None = None,
-    individual: str | None = None,
-    rename: str | None = None,
-    likelihood_min: float = LIKELIHOOD_MIN,
-    tolerance_px: float = TOLERANCE_PX,
-) -> Evaluation2D:
-    """first_frame: the number that the labels give to frame 0 of the predictions. frames: a half-open range of the
-    labels' numbers. rename: a map of the predictions' names to the labels' (see `recon.animal.naming`). Raises
-    InputError for files that cannot be read or have nothing in common."""
+def evaluate_2d_files(predicted: Path, labels: Path, **options: Any) -> Evaluation2D:
+    """options: further fields of `Evaluate2DSettings`. Raises InputError for files that cannot be read or have nothing
+    in common."""
+    o = Evaluate2DSettings(predicted=predicted, labels=labels, **options)
 
     def read() -> Keypoints:
-        return read_label_file(labels, individual)[0]
+        return read_label_file(labels, o.individual)[0]
 
     def read_predicted() -> Keypoints:
-        keypoints = mark_missing(read_keypoints(predicted, individual))[0]
-        return keypoints if rename is None else renamed(keypoints, load_names(rename))
+        keypoints = mark_missing(read_keypoints(predicted, o.individual))[0]
+        return keypoints if o.rename is None else renamed(keypoints, load_names(o.rename))
 
     guess, truth = all_of(read_predicted, read)
     common = [name for name in truth.names if name in guess.names]
@@ -87,15 +93,17 @@ def evaluate_2d_files(
         expected = f"some of: {', '.join(truth.names)}; --rename with a file of these lines, completed"
         lines = tuple(map_to_write(guess.names, truth.names))
         problems.append(Problem(predicted, "keypoints", ", ".join(guess.names), expected, lines))
-    low, high = frames or (None, None)
-    row = {int(n) + first_frame: t for t, n in enumerate(guess.frames)}
+    low, high = parse_frame_range(o.frames) if o.frames else (None, None)
+    row = {int(n) + o.first_frame: t for t, n in enumerate(guess.frames)}
     both = [
         (row[int(n)], t)
         for t, n in enumerate(truth.frames)
         if int(n) in row and (low is None or n >= low) and (high is None or n < high)
     ]
     if not both:
-        found = f"frames {guess.frames[0] + first_frame} to {guess.frames[-1] + first_frame}, in the labels' numbers"
+        found = (
+            f"frames {guess.frames[0] + o.first_frame} to {guess.frames[-1] + o.first_frame}, in the labels' numbers"
+        )
         expected = (
             f"some of the labels' frames {truth.frames[0]} to {truth.frames[-1]} that are asked for; --first-frame"
         )
@@ -109,8 +117,8 @@ def evaluate_2d_files(
         guess.confidence[rows_g][:, g],
         truth.xy_px[rows_t][:, t],
         body_length_px(truth.xy_px[rows_t]),
-        likelihood_min,
-        tolerance_px,
+        o.likelihood_min,
+        o.tolerance_px,
     )
 
 
@@ -120,8 +128,8 @@ def evaluate_2d(
     likelihood: Array,
     label_px: Array,
     length_px: float,
-    likelihood_min: float = LIKELIHOOD_MIN,
-    tolerance_px: float = TOLERANCE_PX,
+    likelihood_min: float = 0.5,
+    tolerance_px: float = 5.0,
 ) -> Evaluation2D:
     """Of points (N, K, 2) with likelihoods (N, K), against labels (N, K, 2), each NaN where there is none."""
     labelled = known_points(label_px)

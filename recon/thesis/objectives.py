@@ -17,7 +17,7 @@ a roll of the chain about its axis and one mode of depth undetermined, and depth
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar, Literal, Protocol
+from typing import ClassVar, Literal
 
 import numpy as np
 
@@ -29,14 +29,14 @@ Form = Literal["deadband", "printed"]
 ResidualAndJacobian = tuple[Array, Array]
 
 
-class Objective(Protocol):
+class Objective:
     """A term of the problem: see the module's text."""
 
-    ties: ClassVar[bool]
+    name: str
+    ties: ClassVar[bool] = False
 
-    @property
-    def name(self) -> str: ...
-    def evaluate(self, now: Posed, before: Posed | None, frame: int, dt_s: float) -> ResidualAndJacobian: ...
+    def evaluate(self, now: Posed, before: Posed | None, frame: int, dt_s: float) -> ResidualAndJacobian:
+        raise NotImplementedError
 
 
 def _diagonal(values: Array, where: slice, n_state: int) -> Array:
@@ -47,7 +47,7 @@ def _diagonal(values: Array, where: slice, n_state: int) -> Array:
 
 
 @dataclass(frozen=True)
-class JointReprojection:
+class JointReprojection(Objective):
     """f1: projected minus detected position, robust.
 
     With u = sqrt(confidence) (projected - detected) / sigma_px, the row pair of a joint is u / sqrt(1 + |u|^2 / c^2)
@@ -64,7 +64,6 @@ class JointReprojection:
     sigma_px: float
     c: float
     name: str = "reprojection"
-    ties: ClassVar[bool] = False
 
     def evaluate(self, now: Posed, before: Posed | None, frame: int, dt_s: float) -> ResidualAndJacobian:
         assert now.joints_jacobian is not None
@@ -85,7 +84,7 @@ class JointReprojection:
 
 
 @dataclass(frozen=True)
-class AngleRange:
+class AngleRange(Objective):
     """f2 (theta) and f3 (phi): (|angle - mean| - tolerance) / softness; deadband: only where that is positive."""
 
     name: str
@@ -93,7 +92,6 @@ class AngleRange:
     ranges: AngleRanges
     softness_rad: float
     form: Form
-    ties: ClassVar[bool] = False
 
     def evaluate(self, now: Posed, before: Posed | None, frame: int, dt_s: float) -> ResidualAndJacobian:
         state = now.state[0]
@@ -107,7 +105,7 @@ class AngleRange:
 
 
 @dataclass(frozen=True)
-class RateLimit:
+class RateLimit(Objective):
     """f4 (theta) and f5 (phi): the speed of a link's tip stays below length times max_rate.
 
     For a relative angle change a over the interval dt the tip moves along a chord of 2 r |sin(a / 2)|. deadband: that
@@ -121,7 +119,7 @@ class RateLimit:
     max_rate_rad_s: Array
     softness_rad: float
     form: Form
-    ties: ClassVar[bool] = True
+    ties = True
 
     def evaluate(self, now: Posed, before: Posed | None, frame: int, dt_s: float) -> ResidualAndJacobian:
         assert before is not None
@@ -141,14 +139,13 @@ class RateLimit:
 
 
 @dataclass(frozen=True)
-class GaussianPrior:
+class GaussianPrior(Objective):
     """On some unknowns (A,): (unknown - mean) / sigma. That on the base length fixes the metric scale."""
 
     name: str
     where: slice
     mean: Array | float
     sigma: float
-    ties: ClassVar[bool] = False
 
     def evaluate(self, now: Posed, before: Posed | None, frame: int, dt_s: float) -> ResidualAndJacobian:
         residual = (now.state[0, self.where] - self.mean) / self.sigma
@@ -156,7 +153,7 @@ class GaussianPrior:
 
 
 @dataclass(frozen=True)
-class RollPrior:
+class RollPrior(Objective):
     """Gaussian prior on the roll: the lateral axis W is level, (W . up) / sigma = sin(roll) cos(pitch) / sigma.
 
     up (3,): unit vector, camera frame. Measured against the vertical and not as one of R's angles, because R's axes
@@ -167,7 +164,6 @@ class RollPrior:
     sigma_rad: float
     euler: slice
     name: str = "roll prior"
-    ties: ClassVar[bool] = False
 
     def evaluate(self, now: Posed, before: Posed | None, frame: int, dt_s: float) -> ResidualAndJacobian:
         assert now.rotation_jacobian is not None
@@ -177,7 +173,7 @@ class RollPrior:
 
 
 @dataclass(frozen=True)
-class HeadingTie:
+class HeadingTie(Objective):
     """The heading, the level part of the forward axis U, walks randomly: (h_now - h_before) / (sigma sqrt(dt)).
 
     up (3,): unit vector, camera frame. Three rows of rank two.
@@ -187,7 +183,7 @@ class HeadingTie:
     sigma_rad_per_sqrt_s: float
     euler: slice
     name: str = "heading tie"
-    ties: ClassVar[bool] = True
+    ties = True
 
     def evaluate(self, now: Posed, before: Posed | None, frame: int, dt_s: float) -> ResidualAndJacobian:
         assert before is not None
@@ -201,7 +197,7 @@ class HeadingTie:
 
 
 @dataclass(frozen=True)
-class TravelPrior:
+class TravelPrior(Objective):
     """The animal faces the way it travels: (level part of U - direction) / sigma.
 
     direction (T, 3): level unit vectors, camera frame, NaN where the travel says nothing (zero rows). up (3,).
@@ -212,7 +208,6 @@ class TravelPrior:
     sigma_rad: float
     euler: slice
     name: str = "travel prior"
-    ties: ClassVar[bool] = False
 
     def evaluate(self, now: Posed, before: Posed | None, frame: int, dt_s: float) -> ResidualAndJacobian:
         assert now.rotation_jacobian is not None
@@ -226,7 +221,7 @@ class TravelPrior:
 
 
 @dataclass(frozen=True)
-class JointPositions:
+class JointPositions(Objective):
     """Joints against known places in the camera frame, as from several cameras: (joint - target) / sigma.
 
     target_m (T, J, 3), NaN where unknown (zero rows).
@@ -235,7 +230,6 @@ class JointPositions:
     target_m: Array
     sigma_m: float
     name: str = "joint positions"
-    ties: ClassVar[bool] = False
 
     def evaluate(self, now: Posed, before: Posed | None, frame: int, dt_s: float) -> ResidualAndJacobian:
         assert now.joints_jacobian is not None

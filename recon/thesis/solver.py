@@ -48,7 +48,7 @@ class Rows:
 
 
 @dataclass(frozen=True, eq=False)
-class Linearised:
+class _Linearised:
     """The problem at the solution, of T frames with D unknowns each. What all frames share, the size, is left out."""
 
     unknowns: tuple[str, ...]
@@ -139,7 +139,7 @@ def _add(file: zipfile.ZipFile, name: str, dtype: np.dtype, length: int, parts: 
             member.write(part.astype(dtype).tobytes())
 
 
-def linearised_frames(motion: Motion, options: FrameOptions) -> Linearised:
+def linearised_frames(motion: Motion, options: FrameOptions) -> _Linearised:
     """Of the frame method: every frame's unknowns, the frame before being held."""
     solution = frame_solution(motion)
     chain, (view,) = solution.chain, solution.views
@@ -150,10 +150,10 @@ def linearised_frames(motion: Motion, options: FrameOptions) -> Linearised:
         for t, by_term in frame_rows(view, chain, motion.fps, options, states, sigma_px)
         for term, (r, J) in by_term.items()
     ]
-    return Linearised(chain.state_names, len(states), lambda: rows, np.full(states.shape, np.nan))
+    return _Linearised(chain.state_names, len(states), lambda: rows, np.full(states.shape, np.nan))
 
 
-def linearised_clip(clip: ClipProblem, motion: Motion) -> Linearised:
+def linearised_clip(clip: ClipProblem, motion: Motion) -> _Linearised:
     """Of the trajectory method. The noise of the joints is the solution's, the mean of several segments; contacts
     follow from the solution. A segment with a frame that ran away is left out."""
     o, solution = clip.options, trajectory_solution(motion)
@@ -182,7 +182,7 @@ def linearised_clip(clip: ClipProblem, motion: Motion) -> Linearised:
             for one in _rows(*of_spell):
                 yield replace(one, frames=one.frames + start)
 
-    return Linearised(clip.body.state_names, len(states), rows, step)
+    return _Linearised(clip.body.state_names, len(states), rows, step)
 
 
 def _rows(problem: LeastSquares, states: Array, shared: Mapping[str, Array]) -> Iterator[Rows]:
@@ -208,7 +208,7 @@ class SolverRecord:
     """What `recon solver` shows, of T frames. problem: at the solution. chain: of a result of a chain."""
 
     motion: Motion
-    problem: Linearised
+    problem: _Linearised
     chain: Chain | None
 
     @cached_property

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
@@ -94,7 +94,7 @@ def run_camera_motion(
         lambda: read_camera(settings.camera, settings.camera_name),
         lambda: None if settings.keypoints is None else read_keypoints(settings.keypoints, settings.individual),
         lambda: () if settings.level_marks is None else read_marks(settings.level_marks),
-        lambda: _require_out(settings.out, settings.stabilised, settings.overwrite, settings.video),
+        lambda: _require_out(settings),
         lambda: _require_tilt(settings.tilt_deg, settings.level_marks),
     )
     if info.size_px != lens.image_size_px:
@@ -110,22 +110,24 @@ def run_camera_motion(
             break
         progress("following the background", min(1.0, number / (info.stated_frames or number + 1)))
     motion = tracker.finish()
-    _require_turning(settings.video, motion, settings.zoom, settings.first_frame)
+    _require_turning(settings, motion)
     if animal is not None:
-        _require_same_frames(settings.keypoints, points, motion, settings.video)
-    up, level = _up(motion, lens, settings.first_frame, settings.tilt_deg, settings.level_marks, marks)
+        _require_same_frames(settings, points, motion)
+    up, level = _up(settings, motion, lens, marks)
     motion = replace(motion, turns=as_level(motion.turns, up))
-    report = _report(settings.video, settings.camera, motion, lens, settings.first_frame, level, settings.zoom)
+    report = _report(settings, motion, lens, level)
     canvas, background, picture = _pictures(lens, motion, points)
     report_file, picture_file = (
         settings.out.with_name(settings.out.stem + end) for end in ("_report.json", "_panorama.png")
     )
     if settings.stabilised is not None:
-        _write_stabilised(
-            settings.stabilised, settings.video, lens, motion, points, canvas, background, info.fps or 30.0, progress
-        )
+        path = _animal(lens, motion.frames, motion.turns, points)
+        with video_writer(settings.stabilised, canvas.size_px, info.fps or 30.0) as write:
+            for number, drawn in _stabilised(settings.video, lens, motion, path, canvas, background):
+                write(drawn)
+                progress("writing the stabilised video", number / (len(motion.frames) + len(motion.lost)))
     with staged_folder(settings.out.absolute().parent) as folder:
-        _write_track(folder / settings.out.name, motion, lens, settings.first_frame, settings.zoom)
+        _write_track(folder / settings.out.name, settings, motion, lens)
         (folder / report_file.name).write_text(to_json(report), encoding="utf-8")
         write_bytes(folder / picture_file.name, cv2.imencode(".png", picture)[1].tobytes())
     written = (settings.out, report_file, picture_file, *([] if settings.stabilised is None else [settings.stabilised]))
@@ -135,11 +137,11 @@ def run_camera_motion(
 # -- what cannot be used ----------------------------------------------------------------------------------------------
 
 
-def _require_out(out: Path, stabilised: Path | None, overwrite: bool, video: Path) -> None:
-    require_free_file(out, overwrite, suffixes=(".csv",))
-    if stabilised is not None:
-        require_codec(stabilised)
-        require_free_file(stabilised, overwrite, "--stabilised", source=video)
+def _require_out(s: CameraMotionSettings) -> None:
+    require_free_file(s.out, s.overwrite, suffixes=(".csv",))
+    if s.stabilised is not None:
+        require_codec(s.stabilised)
+        require_free_file(s.stabilised, s.overwrite, "--stabilised", source=s.video)
 
 
 def _require_tilt(tilt_deg: float | None, level_marks: Path | None) -> None:
@@ -149,35 +151,35 @@ def _require_tilt(tilt_deg: float | None, level_marks: Path | None) -> None:
         raise InputError(Problem("--tilt-deg", "angle", f"{tilt_deg:g}", "between -60 and 60 degrees, down positive"))
 
 
-def _require_turning(video: Path, motion: TurningMotion, zoom: bool, first_frame: int) -> None:
+def _require_turning(s: CameraMotionSettings, motion: TurningMotion) -> None:
     """Raises InputError for a cut, for too little background, and for a camera that did more than turn."""
     if motion.cut is not None:
-        found = f"a cut, or a jump of the whole view, at frame {motion.cut + first_frame}"
-        raise InputError(Problem(video, "video", found, "one take: cut the video there"))
+        found = f"a cut, or a jump of the whole view, at frame {motion.cut + s.first_frame}"
+        raise InputError(Problem(s.video, "video", found, "one take: cut the video there"))
     if not motion.turned_only:
         found = "a background that no turn explains: parts of it move against each other"
-        if not zoom:
+        if not s.zoom:
             found += ", or it grows"
         expected = "a camera that turns about a fixed point, and is calibrated"
-        expected += "" if zoom else " (--zoom if its focal length changes)"
+        expected += "" if s.zoom else " (--zoom if its focal length changes)"
         expected += "; of one that is carried or driven, make the track with COLMAP, and give that to --camera-track"
-        raise InputError(Problem(video, "motion", found, expected))
+        raise InputError(Problem(s.video, "motion", found, expected))
     number = len(motion.frames) + len(motion.lost)
     if not len(motion.frames) or len(motion.lost) > MAX_LOST * number:
         found = (
             f"too little background that can be followed in {len(motion.lost)} of {number} frames: blurred, without "
         )
         found += "structure, or hidden"
-        raise InputError(Problem(video, "background", found, f"no more than {MAX_LOST:.0%} of such frames"))
+        raise InputError(Problem(s.video, "background", found, f"no more than {MAX_LOST:.0%} of such frames"))
 
 
-def _require_same_frames(path: Path | None, points: dict[int, Array], motion: TurningMotion, video: Path) -> None:
+def _require_same_frames(s: CameraMotionSettings, points: dict[int, Array], motion: TurningMotion) -> None:
     """Raises InputError where the keypoint file counts otherwise than the video."""
     last = len(motion.frames) + len(motion.lost) - 1
     outside = [number for number in points if not 0 <= number <= last]
     if outside:
-        found = f"{len(outside)} of {len(points)} frames that {video} does not have ({last + 1} frames)"
-        raise InputError(Problem(path or "--keypoints", "frames", found, "the video's frames, or --first-frame"))
+        found = f"{len(outside)} of {len(points)} frames that {s.video} does not have ({last + 1} frames)"
+        raise InputError(Problem(s.keypoints or "--keypoints", "frames", found, "the video's frames, or --first-frame"))
 
 
 def _points(keypoints: Keypoints, first_frame: int) -> dict[int, Array]:
@@ -192,64 +194,57 @@ def _points(keypoints: Keypoints, first_frame: int) -> dict[int, Array]:
 
 
 def _up(
-    motion: TurningMotion,
-    lens: Camera,
-    first_frame: int,
-    tilt_deg: float | None,
-    source: Path | None,
-    marks: Sequence[LevelMark],
+    s: CameraMotionSettings, motion: TurningMotion, lens: Camera, marks: Sequence[LevelMark]
 ) -> tuple[Array | None, str]:
     """Up (3,) in the first frame's camera, None if the mean frame is to be level, and how that is known."""
-    if tilt_deg is not None:
-        level = f"the first frame looks {tilt_deg:g} degrees down, as given, and its roll is taken as 0"
-        return tilted(np.radians(tilt_deg)), level
-    if source is None:
+    if s.tilt_deg is not None:
+        level = f"the first frame looks {s.tilt_deg:g} degrees down, as given, and its roll is taken as 0"
+        return tilted(np.radians(s.tilt_deg)), level
+    if s.level_marks is None:
         return None, "the mean of all frames is taken as level: its tilt and roll are 0"
-    by_frame = dict(zip((motion.frames + first_frame).tolist(), motion.turns, strict=True))
-    up, sigma = up_by_marks(source, marks, lens, by_frame)
-    return up, f"by {len(marks)} marks in {source}, to {np.degrees(sigma):.1g} degrees if they are 2 px off"
+    by_frame = dict(zip((motion.frames + s.first_frame).tolist(), motion.turns, strict=True))
+    up, sigma = up_by_marks(s.level_marks, marks, lens, by_frame)
+    return up, f"by {len(marks)} marks in {s.level_marks}, to {np.degrees(sigma):.1g} degrees if they are 2 px off"
 
 
 # -- what comes out ---------------------------------------------------------------------------------------------------
 
 
-def _write_track(path: Path, motion: TurningMotion, camera: Camera, first_frame: int, zoom: bool) -> None:
+def _write_track(path: Path, s: CameraMotionSettings, motion: TurningMotion, camera: Camera) -> None:
     q = quaternions(np.stack([turn.rotation for turn in motion.turns]))[:, [3, 0, 1, 2]]
     q *= np.where(q[:, :1] < 0, -1.0, 1.0)
     poses = np.round(np.concatenate([q, np.zeros((len(q), 3))], axis=1), 9)
-    if zoom:
+    if s.zoom:
         K, zooms = camera.matrix, np.array([turn.zoom for turn in motion.turns])[:, None]
         lens = [zooms * [K[0, 0], K[1, 1]], np.tile(K[:2, 2], (len(q), 1))]
         poses = np.concatenate([poses, np.round(np.concatenate(lens, axis=1), 4)], axis=1)
     poses = np.concatenate([poses, np.round(np.degrees(motion.sigma_rad)[:, None], 5)], axis=1)
-    write_table(path, [["frame", *POSE, *(INTRINSICS if zoom else ()), SIGMA]], motion.frames + first_frame, poses)
+    write_table(path, [["frame", *POSE, *(INTRINSICS if s.zoom else ()), SIGMA]], motion.frames + s.first_frame, poses)
 
 
-def _report(
-    video: Path, camera: Path, motion: TurningMotion, lens: Camera, first_frame: int, level: str, zoom: bool
-) -> dict[str, Any]:
+def _report(s: CameraMotionSettings, motion: TurningMotion, lens: Camera, level: str) -> dict[str, Any]:
     axes = np.stack([turn.rotation[2] for turn in motion.turns])
     pan = np.degrees(np.unwrap(np.arctan2(axes[:, 0], axes[:, 1])))
     tilt = np.degrees(-np.arcsin(np.clip(axes[:, 2], -1, 1)))
     down = np.stack([turn.rotation[:, 2] for turn in motion.turns])
     roll = np.degrees(np.arctan2(down[:, 0], -down[:, 1]))
     rounded = {"pan_deg": pan, "tilt_deg": tilt, "roll_deg": roll, "sigma_deg": np.degrees(motion.sigma_rad)}
-    if zoom:
+    if s.zoom:
         rounded |= {"zoom": np.array([turn.zoom for turn in motion.turns]), "sigma_zoom": motion.sigma_zoom}
     rounded["residual_px"] = motion.residual_px
     return {
-        "video": video.name,
-        "camera": {"file": camera.name, "name": lens.name},
+        "video": s.video.name,
+        "camera": {"file": s.camera.name, "name": lens.name},
         "level": level,
-        "notes": [*NOTES, *(["the first frame has the camera file's focal length"] if zoom else [])],
+        "notes": [*NOTES, *(["the first frame has the camera file's focal length"] if s.zoom else [])],
         "frames": len(motion.frames) + len(motion.lost),
-        "frames_without_background": (motion.lost + first_frame).tolist(),
-        "keyframes": (motion.frames[motion.keys] + first_frame).tolist(),
+        "frames_without_background": (motion.lost + s.first_frame).tolist(),
+        "keyframes": (motion.frames[motion.keys] + s.first_frame).tolist(),
         "residual_px": float(np.median(motion.residual_px)),
         "inliers": float(np.median(motion.inliers)),
         "sigma_deg": float(np.degrees(np.median(motion.sigma_rad))),
         "by_frame": {
-            "frame": (motion.frames + first_frame).tolist(),
+            "frame": (motion.frames + s.first_frame).tolist(),
             **{name: np.round(values, 5).tolist() for name, values in rounded.items()},
             "inliers": motion.inliers.tolist(),
         },
@@ -277,28 +272,17 @@ def _animal(camera: Camera, frames: Integers, turns: tuple[Orientation, ...], po
     return rays
 
 
-def _write_stabilised(
-    out: Path,
-    video: Path,
-    camera: Camera,
-    motion: TurningMotion,
-    points: dict[int, Array],
-    canvas: Canvas,
-    background: Image,
-    fps: float,
-    progress: Progress,
-) -> None:
-    """Every frame where it belongs in the panorama, which stands still behind it, darker."""
+def _stabilised(
+    video: Path, camera: Camera, motion: TurningMotion, path: Array, canvas: Canvas, background: Image
+) -> Iterator[tuple[int, Image]]:
+    """Every frame where it belongs in the panorama, which stands still behind it, darker, with the animal's path."""
     turns = dict(zip(motion.frames.tolist(), motion.turns, strict=True))
     dark = (background * 0.4).astype(np.uint8)
-    path = _animal(camera, motion.frames, motion.turns, points)
-    with video_writer(out, canvas.size_px, fps) as write:
-        for number, picture in read_frames(video):
-            drawn = dark.copy()
-            if number in turns:
-                warped, depth = canvas.warped(camera, turns[number], picture)
-                drawn = np.where(depth[..., None] > 0, warped, dark)
-                draw_view(canvas, drawn, camera, turns[number])
-            draw_path(canvas, drawn, path[: np.searchsorted(motion.frames, number, side="right")], ANIMAL)
-            write(drawn)
-            progress("writing the stabilised video", number / (len(motion.frames) + len(motion.lost)))
+    for number, picture in read_frames(video):
+        drawn = dark.copy()
+        if number in turns:
+            warped, depth = canvas.warped(camera, turns[number], picture)
+            drawn = np.where(depth[..., None] > 0, warped, dark)
+            draw_view(canvas, drawn, camera, turns[number])
+        draw_path(canvas, drawn, path[: np.searchsorted(motion.frames, number, side="right")], ANIMAL)
+        yield number, drawn

@@ -15,14 +15,14 @@ from recon.base.arrays import Array, Index
 from recon.base.errors import InputError, Problem, all_of, refuse
 from recon.base.files import require_free_file, staged_file, write_bytes
 from recon.base.progress import Progress, silent
-from recon.base.settings import Integer, Number, Option, Settings
+from recon.base.settings import Integer, Number, Option
 from recon.check import FLAG_OF, usable
 from recon.fit.motion import Motion
 from recon.fit.verdict import Verdict
 from recon.io.video import Image, VideoInfo, probe, read_frames, require_codec, video_writer
 from recon.show.overlay import LEFT, MIDDLE, RIGHT, Colour, Overlay, canvas_size, draw_frame, draw_sheet
 from recon.workflows.cameras import cameras_in
-from recon.workflows.settings import ANYWAY, FIRST_FRAME
+from recon.workflows.settings import ANYWAY, ResultSettings
 
 SLOW_FPS = 30.0
 """Every frame is shown, and no more than this many in a second, unless a speed is given."""
@@ -33,22 +33,12 @@ MIN_WIDTH_PX = 640
 """Smaller videos are enlarged, by a whole number: the text would not be read."""
 
 
-class OverlaySettings(Settings):
+class OverlaySettings(ResultSettings):
     """What `recon overlay` is told."""
 
-    folder: Annotated[Path, Option("Folder of results, as in results/clip.", argument="DIR")]
-    video: Annotated[Path | None, Option("The video that the keypoints came from, as in clip.mp4.")] = None
     out: Annotated[Path | None, Option("The new video, .mp4 (MPEG-4) or .avi (Motion JPEG), as in overlay.mp4.")] = None
     sheet: Annotated[Path | None, Option("Stills side by side, as in sheet.png; without --video plain.")] = None
     count: Annotated[Integer, Option("Of the stills.")] = COUNT
-    camera_name: Annotated[
-        str | None,
-        Option(
-            "Whose video it is, of a clip with several cameras, as in cam2. (default: whose name the video's has; of "
-            "plain stills the first)"
-        ),
-    ] = None
-    first_frame: Annotated[Integer, FIRST_FRAME] = 0
     anyway: Annotated[bool, ANYWAY] = False
     speed: Annotated[
         Number | None,
@@ -78,12 +68,7 @@ def run_overlay(settings: OverlaySettings, progress: Progress = silent) -> tuple
     if video is None or out is None:
         raise InputError(Problem("--out", "file", "nothing", "the new video, and --video beside it"))
     motion, number, (wide, high) = result_and_video(
-        settings.folder,
-        video,
-        settings.camera_name,
-        settings.first_frame,
-        lambda: _check_out(out, settings.overwrite, video),
-        lambda: _check_speed(speed),
+        settings, lambda: _check_out(out, settings.overwrite, video), lambda: _check_speed(speed)
     )
     usable(motion, settings.folder, settings.anyway)
     if speed is None:
@@ -118,14 +103,7 @@ def run_sheet(settings: OverlaySettings) -> int:
     if sheet is None:
         raise InputError(Problem("--sheet", "file", "nothing", "a picture, as in sheet.png"))
     free = partial(require_free_file, sheet, settings.overwrite, "--sheet", settings.video, (".png",))
-    motion, number, _ = result_and_video(
-        settings.folder,
-        settings.video,
-        settings.camera_name,
-        settings.first_frame,
-        free,
-        lambda: _check_count(settings.count),
-    )
+    motion, number, _ = result_and_video(settings, free, lambda: _check_count(settings.count))
     usable(motion, settings.folder, settings.anyway)
     overlay = overlay_of(motion, number=number)
     rows = rows_to_show(overlay, settings.count)
@@ -153,17 +131,16 @@ def pictures_of(video: Path, motion: Motion, rows: Index, first_frame: int) -> l
     return [found[at] for at in wanted]
 
 
-def result_and_video(
-    folder: Path, video: Path | None, camera: str | None, first_frame: int, *checks: Callable[[], None]
-) -> tuple[Motion, int, tuple[int, int]]:
+def result_and_video(settings: ResultSettings, *checks: Callable[[], None]) -> tuple[Motion, int, tuple[int, int]]:
     """A result, which of its cameras is meant, and the size of the pictures: the video's, if there is one, which has to
-    be of that camera. checks: of what else was given. The others: see `run_overlay`. Raises InputError."""
+    be of that camera. checks: of what else was given. Raises InputError."""
+    video = settings.video
 
     def opened() -> tuple[Motion, int]:
-        motion, info = all_of(lambda: Motion.load(folder), lambda: None if video is None else probe(video))
-        number = camera_number(motion, camera, video)
+        motion, info = all_of(lambda: Motion.load(settings.folder), lambda: None if video is None else probe(video))
+        number = camera_number(motion, settings.camera_name, video)
         if video is not None:
-            _check_video(motion, number, video, info, first_frame)
+            _check_video(motion, number, video, info, settings.first_frame)
         return motion, number
 
     (motion, number), *_ = all_of(opened, *checks)

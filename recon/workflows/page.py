@@ -9,7 +9,7 @@ from recon.base.files import sole_writer, staged_file
 from recon.base.manifest import MANIFEST, read_manifest
 from recon.base.parallel import Event, carry_out
 from recon.base.progress import Progress, silent
-from recon.base.settings import Integer, Option, Settings
+from recon.base.settings import Option
 from recon.fit.motion import Motion
 from recon.show.overlay import draw_tiles
 from recon.show.page import PAGE, require_own_page
@@ -19,29 +19,24 @@ from recon.show.report import REPORT
 from recon.workflows.batch.inputs import SUMMARY
 from recon.workflows.batch.summary import write_summary_page
 from recon.workflows.overlay import overlay_of, pictures_of, result_and_video, rows_to_show
-from recon.workflows.settings import FIRST_FRAME
+from recon.workflows.settings import ResultSettings
 
 STILLS = 9
 BESIDE = ("overlay.mp4", "analysis/analysis.json")
 """Files that a page has links to, besides the fit's own, where they are there when it is made."""
 
 
-class PageSettings(Settings):
+class PageSettings(ResultSettings):
     """What `recon report` is told."""
 
     folder: Annotated[Path, Option("Folder of results, as in results/clip, or of a batch.", argument="DIR")]
-    video: Annotated[Path | None, Option("The video that the keypoints came from, to be seen in the pictures.")] = None
-    camera_name: Annotated[str | None, Option("Whose pictures, of a clip with several cameras, as in cam2.")] = None
-    first_frame: Annotated[Integer, FIRST_FRAME] = 0
 
 
 def run_page(settings: PageSettings, progress: Progress = silent) -> Path:
     """`recon report`: the page of a result, in its folder; an earlier one is replaced. video: what is behind the
     pictures, plain without one; the others: see `run_overlay`. Raises InputError, with every problem."""
     page = settings.folder / PAGE
-    motion, number, _ = result_and_video(
-        settings.folder, settings.video, settings.camera_name, settings.first_frame, lambda: require_own_page(page)
-    )
+    motion, number, _ = result_and_video(settings, lambda: require_own_page(page))
     progress("pictures", 0.1)
     stills = _stills(motion, settings.video, settings.first_frame, number)
     progress("figures", 0.3)
@@ -73,9 +68,9 @@ def is_batch(folder: Path) -> bool:
     return (folder / SUMMARY).is_file() and not (folder / REPORT).is_file()
 
 
-def run_batch_pages(out: Path, jobs: int | None = None, progress: Progress = silent) -> tuple[Path, dict[str, str]]:
+def run_batch_pages(out: Path, progress: Progress = silent) -> tuple[Path, dict[str, str]]:
     """`recon report` on the folder of a batch: the page of every result in it, in parallel, and the summary's page; its
-    path, and what went wrong by clip. jobs: as `run_batch`."""
+    path, and what went wrong by clip."""
     failed: dict[str, str] = {}
     with sole_writer(out):
         clips = [path.parent for path in sorted(out.glob(f"*/{REPORT}"))]
@@ -89,7 +84,7 @@ def run_batch_pages(out: Path, jobs: int | None = None, progress: Progress = sil
                     failed[event.name] = event.outcome["error"]
                 progress(f"{done} of {len(clips)} pages", done / len(clips))
 
-        carry_out(_page_of, [(clip.name, clip.absolute()) for clip in clips], tell, jobs=jobs)
+        carry_out(_page_of, [(clip.name, clip.absolute()) for clip in clips], tell)
         return write_summary_page(out), failed
 
 

@@ -76,7 +76,7 @@ class Job:
 
 
 @dataclass(frozen=True)
-class Stage:
+class _Stage:
     """A part of the work."""
 
     name: str
@@ -185,7 +185,7 @@ def run_video(job: Job, progress: Progress = silent, ended: Callable[[Done], Non
         return Run(tuple(dones), _report(job.out))
 
 
-def _carry_out(stage: Stage, job: Job, record: dict[str, Any], again: bool, progress: Progress) -> Done:
+def _carry_out(stage: _Stage, job: Job, record: dict[str, Any], again: bool, progress: Progress) -> Done:
     began, known, before = time.perf_counter(), stage.identity(), record.get(stage.name)
     changed = _changed(job.out, before)
     if not again and not job.overwrite:
@@ -214,21 +214,21 @@ def _check_inputs(job: Job) -> None:
         raise InputError(Problem(job.video, "size", found, expected))
 
 
-def _stages(job: Job) -> Iterator[Stage]:
+def _stages(job: Job) -> Iterator[_Stage]:
     """Those that this job has."""
     keypoints = job.settings.keypoints[0]
     if job.model is not None:
         files = {"video": job.video, "model": import_module(DETECTOR).model_file(job.model)}
-        yield Stage("detect", lambda: identity_of(files, {"quality": job.quality}), (keypoints,), _detection)
+        yield _Stage("detect", lambda: identity_of(files, {"quality": job.quality}), (keypoints,), _detection)
     if job.camera_motion is not None:
-        yield Stage("camera-motion", lambda: _motion_identity(job), (job.track,), _camera_motion)
+        yield _Stage("camera-motion", lambda: _motion_identity(job), (job.track,), _camera_motion)
     places = tuple(job.out / name for name in output_files(job.out) if name != PAGE)
-    yield Stage("fit", lambda: identity(job.fitted), places, _fit)
+    yield _Stage("fit", lambda: identity(job.fitted), places, _fit)
     fit, film = {"fit": job.out / MANIFEST}, {"video": job.video}
     options = {"first_frame": job.first_frame}
-    yield Stage("analyse", lambda: identity_of(fit, {}), (job.out / "analysis" / "analysis.json",), _analysis)
-    yield Stage("overlay", lambda: identity_of(fit | film, options), (job.out / OVERLAY,), _overlay)
-    yield Stage("page", lambda: identity_of(fit | film, options), (), _page)
+    yield _Stage("analyse", lambda: identity_of(fit, {}), (job.out / "analysis" / "analysis.json",), _analysis)
+    yield _Stage("overlay", lambda: identity_of(fit | film, options), (job.out / OVERLAY,), _overlay)
+    yield _Stage("page", lambda: identity_of(fit | film, options), (), _page)
 
 
 def _detection(job: Job, progress: Progress) -> list[Path]:
@@ -335,7 +335,7 @@ def _changed(out: Path, before: Mapping[str, Any] | None) -> list[Path]:
     return [path for path, digest in files.items() if not path.is_file() or sha256_of(path) != digest]
 
 
-def _require_own(stage: Stage, before: Mapping[str, Any] | None, changed: Iterable[Path]) -> None:
+def _require_own(stage: _Stage, before: Mapping[str, Any] | None, changed: Iterable[Path]) -> None:
     """Raises InputError where files are in the way of a stage that no run has made, or that were changed since."""
     if not stage.places:
         return

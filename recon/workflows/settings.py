@@ -18,6 +18,7 @@ from recon.base.errors import InputError, Problem
 from recon.base.settings import (
     Count,
     File,
+    Integer,
     NameOrFile,
     NotNegative,
     Number,
@@ -74,6 +75,21 @@ STRIDE = Option(
     "START:END in seconds, as in 0.31:0.62",
     metavar="START:END",
 )
+
+
+class ResultSettings(Settings):
+    """A folder of results, and the video of one of its cameras."""
+
+    folder: Annotated[Path, Option("Folder of results, as in results/clip.", argument="DIR")]
+    video: Annotated[Path | None, Option("The video that the keypoints came from, as in clip.mp4.")] = None
+    camera_name: Annotated[
+        str | None,
+        Option(
+            "Whose video it is, of a clip with several cameras, as in cam2. (default: whose name the video's has; "
+            "without a video the first)"
+        ),
+    ] = None
+    first_frame: Annotated[Integer, FIRST_FRAME] = 0
 
 
 class FitSettings(Settings):

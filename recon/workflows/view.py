@@ -11,26 +11,23 @@ from typing import Annotated
 from recon.base.errors import InputError, Problem
 from recon.base.files import require_free_file, staged_file
 from recon.base.manifest import read_manifest
-from recon.base.settings import Integer, Option, Settings
+from recon.base.settings import Option
 from recon.show.view import open_viewer
 from recon.show.view.together import put_together
 from recon.show.view.video import write_video
 from recon.workflows.analyse import FOLDER, PLAYBACK, PLOTS
-from recon.workflows.settings import FIRST_FRAME
+from recon.workflows.settings import ResultSettings
 
 VIDEO = "video.rrd"
 
 
-class ViewSettings(Settings):
+class ViewSettings(ResultSettings):
     """What `recon view` is told."""
 
-    folder: Annotated[Path, Option("Folder of results, as in results/clip.", argument="DIR")]
+    video: Annotated[Path | None, Option("Show the frames of this video with it from now on, as in clip.mp4.")] = None
     analysis: Annotated[Path | None, Option("Folder of recon analyse. (default: analysis in DIR, if there is one)")] = (
         None
     )
-    video: Annotated[Path | None, Option("Show the frames of this video with it from now on, as in clip.mp4.")] = None
-    first_frame: Annotated[Integer, FIRST_FRAME] = 0
-    camera_name: Annotated[str | None, Option("Whose video it is, of a clip with several cameras, as in cam2.")] = None
     out: Annotated[
         Path | None, Option("Write all that is shown as one recording, and open nothing, as in clip.rrd.")
     ] = None

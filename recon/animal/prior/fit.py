@@ -20,6 +20,10 @@ POSE_FLOOR_RAD = 0.1
 best (docs/priors.md)."""
 
 
+STILL_SIGMA_RAD = 0.15
+"""The spread of angles that do not move in the data."""
+
+
 def fit_prior(
     body: Body,
     segments: Sequence[tuple[str, Array, float]],
@@ -28,15 +32,13 @@ def fit_prior(
     components: int = 16,
     shrink: float = 0.6,
     min_speed_m_s: float = 0.0,
-    missing_sigma_rad: float = 0.15,
     apart: Sequence[str] = (),
-    seed: int = 0,
 ) -> MotionPrior:
     """The statistics of segments, each (name, states (T, D), frames per second); NaN frames are left out.
 
     Every segment counts a second time mirrored left to right. shrink: how far the covariance of a component is moved
     towards the average within all of them. Segments slower than min_speed_m_s are listed, but not used.
-    missing_sigma_rad: the spread of angles that do not move in the data. apart: segments of the body, such as a tail,
+    apart: segments of the body, such as a tail,
     whose movement neither follows from the pose nor says anything about the others'; their acceleration is noise.
     Raises InputError where there are too few frames, or apart names what is no segment with angles.
     """
@@ -61,8 +63,8 @@ def fit_prior(
     refuse(problems)
 
     mean = poses.mean(axis=0)
-    extra = np.diag(POSE_FLOOR_RAD**2 + np.where(still(poses), missing_sigma_rad**2, 0.0))
-    weights, means, covariances = mixture(poses, components, shrink, extra, np.random.default_rng(seed))
+    extra = np.diag(POSE_FLOOR_RAD**2 + np.where(still(poses), STILL_SIGMA_RAD**2, 0.0))
+    weights, means, covariances = mixture(poses, components, shrink, extra, np.random.default_rng(0))
     loose = np.isin(owners, apart)
     drift, acceleration_covariance = ridge(np.concatenate([at - mean, rates], axis=1), accelerations, loose)
     covariance = np.cov(poses.T, bias=True) + extra

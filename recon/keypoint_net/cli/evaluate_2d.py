@@ -4,34 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import asdict
-from pathlib import Path
-from typing import Annotated
 
 import typer
 from rich.table import Table
 from rich.text import Text
 
-from recon.base.settings import Integer, Number, Option, Positive, Settings
-from recon.clip.keypoints import parse_frame_range
-from recon.keypoint_net.evaluate2d import PCK_PX, PCK_RELATIVE, Evaluation2D, Score2D, evaluate_2d_files
+from recon.keypoint_net.evaluate2d import (
+    PCK_PX,
+    PCK_RELATIVE,
+    Evaluate2DSettings,
+    Evaluation2D,
+    Score2D,
+    evaluate_2d_files,
+)
 from recon.show.report import to_json
 from recon.workflows.cli.common import table_of, terminal
-from recon.workflows.settings import RENAME, FrameRange
-
-
-class Evaluate2DSettings(Settings):
-    """What `recon evaluate-2d` compares."""
-
-    predicted: Annotated[Path, Option("Keypoints of any known format, as in run.csv.", argument="PREDICTED")]
-    labels: Annotated[Path, Option("Labels in DeepLabCut's layout, as in CollectedData_me.csv.", argument="LABELS")]
-    first_frame: Annotated[Integer, Option("Number that the labels give to frame 0 of the predictions.")] = 0
-    frames: Annotated[FrameRange | None, Option("Frame numbers of the labels to compare, A:B (B excluded).")] = None
-    individual: Annotated[str | None, Option("The animal, where the files name several.")] = None
-    rename: Annotated[str | None, RENAME] = None
-    likelihood_min: Annotated[Number, Option("Cut-off for the rows of likely points.", "a number from 0 to 1")] = 0.5
-    tolerance_px: Annotated[
-        Positive, Option("Within this a point is right, for the likelihoods' reliability.", "pixels above 0")
-    ] = 5.0
 
 
 def evaluate_2d(settings: Evaluate2DSettings, as_json: bool) -> None:
@@ -39,16 +26,7 @@ def evaluate_2d(settings: Evaluate2DSettings, as_json: bool) -> None:
 
     Example: recon evaluate-2d run.csv CollectedData_me.csv
     """
-    result = evaluate_2d_files(
-        settings.predicted,
-        settings.labels,
-        first_frame=settings.first_frame,
-        frames=parse_frame_range(settings.frames) if settings.frames else None,
-        individual=settings.individual,
-        rename=settings.rename,
-        likelihood_min=settings.likelihood_min,
-        tolerance_px=settings.tolerance_px,
-    )
+    result = evaluate_2d_files(**{name: getattr(settings, name) for name in settings.infos()})
     if as_json:
         typer.echo(to_json(asdict(result)), nl=False)
         return

@@ -13,7 +13,7 @@ from recon.keypoint_net.workflows import LabelSource, run_training
 from recon.workflows.cli.common import progress_bar, say, stop, terminal
 
 
-class TrainRunSettings(LabelSource, TrainSettings):
+class _TrainRunSettings(LabelSource, TrainSettings):
     """What `recon train` does: labels, how to learn from them, and where and with what."""
 
     out: Annotated[Path, Option("Folder for the network and its report, as in models/horse.", metavar="DIR")]
@@ -23,7 +23,7 @@ class TrainRunSettings(LabelSource, TrainSettings):
     overwrite: Annotated[bool, Option("Begin again in a DIR that has a network.")] = False
 
 
-def train(settings: TrainRunSettings, quiet: bool) -> None:
+def train(settings: _TrainRunSettings, quiet: bool) -> None:
     """Train a small keypoint network on a few labels in DeepLabCut's layout.
 
     Example: recon train run.mp4 --labels CollectedData_me.csv --out models/run

@@ -31,7 +31,7 @@ class Part:
 
     id: str
     data: Sequence[Chunk]
-    layout: Layout
+    layout: _Layout
 
     @classmethod
     def read(cls, path: Path) -> Part:
@@ -48,7 +48,7 @@ class Part:
             raise InputError(_problem(path, "a file that has lost its end")) from warning
         except (RuntimeError, ValueError) as error:
             raise InputError(_problem(path, f"a file that rerun cannot read ({error})")) from error
-        layout = Layout.of(views)
+        layout = _Layout.of(views)
         if len(recordings) != 1 or len(layouts) != 1 or layout is None:
             raise InputError(_problem(path, "a rerun recording of another kind"))
         return cls(recordings[0].recording_id, data, layout)
@@ -80,7 +80,7 @@ class Playback(Part):
 
 
 @dataclass(frozen=True)
-class Layout:
+class _Layout:
     """A stored blueprint. root: path of its outermost container; values: by path and component."""
 
     chunks: Sequence[Chunk]
@@ -88,7 +88,7 @@ class Layout:
     values: dict[str, dict[str, list[Any]]]
 
     @classmethod
-    def of(cls, chunks: Sequence[Chunk]) -> Layout | None:
+    def of(cls, chunks: Sequence[Chunk]) -> _Layout | None:
         """None where nothing is laid out."""
         values: dict[str, dict[str, list[Any]]] = {}
         for chunk in chunks:
@@ -152,7 +152,7 @@ class _Restored(rrb.Blueprint):
 class _InFront(rrb.Blueprint):
     """A stored layout, with the tabs in front that lead to the view of this entity; without one, as it is."""
 
-    def __init__(self, layout: Layout, origin: str | None) -> None:
+    def __init__(self, layout: _Layout, origin: str | None) -> None:
         super().__init__(auto_layout=False, auto_views=False)
         self.layout, self.origin = layout, origin
 

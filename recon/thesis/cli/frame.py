@@ -13,7 +13,7 @@ from recon.workflows.settings import SETTINGS, FitSettings, read_settings
 _OPTIONS = tuple(name for name, info in SETTINGS.items() if name != "method" and info.option.method in (None, "frame"))
 
 
-class FrameRunSettings(Settings):
+class _FrameRunSettings(Settings):
     """What `recon frame` is told besides the settings of the fit itself."""
 
     out: Annotated[Path, Option("Folder for the results, as in results/clip1.")]
@@ -22,7 +22,7 @@ class FrameRunSettings(Settings):
 
 
 def frame(
-    settings: FrameRunSettings,
+    settings: _FrameRunSettings,
     given: Annotated[dict[str, Any], OptionsOf(FitSettings, _OPTIONS)],
     as_json: bool,
     quiet: bool,

@@ -38,7 +38,7 @@ _COMMON, _WORK = "Settings of every clip", "How the work is done"
 _OF_CLIPS = tuple(name for name in SETTINGS if name != "keypoints")
 
 
-class BatchSettings(Settings):
+class _BatchSettings(Settings):
     """What `recon batch` is told besides the settings of every clip's fit."""
 
     inputs: Annotated[
@@ -78,7 +78,7 @@ class BatchSettings(Settings):
 
 
 def batch(
-    settings: BatchSettings,
+    settings: _BatchSettings,
     given: Annotated[dict[str, Any], OptionsOf(FitSettings, _OF_CLIPS, _COMMON)],
     as_json: bool,
     quiet: bool,

@@ -10,14 +10,14 @@ from recon.workflows.cli.common import finish, progress_bar, terminal
 from recon.workflows.demo import run_demo
 
 
-class DemoSettings(Settings):
+class _DemoSettings(Settings):
     """What `recon demo` is told."""
 
     out: Annotated[Path, Option("Folder for the results.")] = Path("demo-output")
     overwrite: Annotated[bool, Option("Replace results in the folder.")] = False
 
 
-def demo(settings: DemoSettings, as_json: bool, quiet: bool) -> None:
+def demo(settings: _DemoSettings, as_json: bool, quiet: bool) -> None:
     """Reconstruct the bundled sample, a noisy synthetic gallop, and compare it with its truth.
 
     Example: recon demo --out demo-output

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from recon.gait.evaluation import Evaluation
 
 
-class EvaluateSettings(Settings):
+class _EvaluateSettings(Settings):
     """What `recon evaluate` is told."""
 
     pose3d: Annotated[
@@ -31,7 +31,7 @@ class EvaluateSettings(Settings):
     anyway: Annotated[bool, ANYWAY] = False
 
 
-def evaluate(settings: EvaluateSettings, as_json: bool) -> None:
+def evaluate(settings: _EvaluateSettings, as_json: bool) -> None:
     """Compare a reconstruction with a reference, over the joints and frames that both have.
 
     Example: recon evaluate results/clip truth.csv

@@ -24,7 +24,7 @@ _SETTINGS = (
 """Those of a fit that are read."""
 
 
-class ExtrinsicsSettings(Settings):
+class _ExtrinsicsSettings(Settings):
     """What `recon calibrate extrinsics` is told besides the settings of the clips."""
 
     inputs: Annotated[
@@ -48,7 +48,7 @@ class ExtrinsicsSettings(Settings):
 
 
 def extrinsics(
-    settings: ExtrinsicsSettings, given: Annotated[dict[str, Any], OptionsOf(FitSettings, _SETTINGS)], as_json: bool
+    settings: _ExtrinsicsSettings, given: Annotated[dict[str, Any], OptionsOf(FitSettings, _SETTINGS)], as_json: bool
 ) -> None:
     """Find where cameras stand, from their lenses and clips of the animal: one tells it roughly, several well.
 

@@ -12,7 +12,7 @@ from recon.workflows.cli.common import finish, progress_bar, say, terminal
 from recon.workflows.settings import FitSettings, read_settings
 
 
-class FitRunSettings(Settings):
+class _FitRunSettings(Settings):
     """What `recon fit` is told besides the settings of the fit itself."""
 
     out: Annotated[Path | None, Option("Folder for the results, as in results/clip1.")] = None
@@ -25,7 +25,7 @@ class FitRunSettings(Settings):
 
 
 def fit(
-    settings: FitRunSettings, given: Annotated[dict[str, Any], OptionsOf(FitSettings)], as_json: bool, quiet: bool
+    settings: _FitRunSettings, given: Annotated[dict[str, Any], OptionsOf(FitSettings)], as_json: bool, quiet: bool
 ) -> None:
     """Reconstruct one clip: keypoints and a camera in, 3D poses, angles, report and playback out.
 

@@ -19,7 +19,7 @@ _OF_THE_FIT = tuple(name for name in SETTINGS if name != "keypoints")
 _STAGES = "detect, camera-motion, fit, analyse, overlay, page"
 
 
-class RunSettings(Settings):
+class _RunSettings(Settings):
     """What `recon run` is told besides the settings of the fit."""
 
     video: Annotated[Path, Option("The video, as in run.mp4, or a folder of videos.", argument="VIDEO")]
@@ -49,7 +49,7 @@ class RunSettings(Settings):
 
 
 def run(
-    settings: RunSettings,
+    settings: _RunSettings,
     given: Annotated[dict[str, Any], OptionsOf(FitSettings, _OF_THE_FIT, "Settings of the fit")],
     as_json: bool,
     quiet: bool,

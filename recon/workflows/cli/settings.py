@@ -14,13 +14,13 @@ from recon.base.settings import Option, SettingInfo, Settings
 from recon.workflows.cli.common import table_of, terminal
 
 
-class ListedSettings(Settings):
+class _ListedSettings(Settings):
     """What `recon settings` is told."""
 
     command: Annotated[str, Option("The command, as in fit.", argument="COMMAND")] = "fit"
 
 
-def settings(settings: ListedSettings, as_json: bool) -> None:
+def settings(settings: _ListedSettings, as_json: bool) -> None:
     """List all settings of a command: those that are options, and those that only --set and config.toml have.
 
     Example: recon settings fit
