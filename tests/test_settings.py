@@ -6,6 +6,7 @@ import json
 import tomllib
 from pathlib import Path
 
+import numpy as np
 import pytest
 from command_line import run
 from rich.text import Text
@@ -190,6 +191,16 @@ def test_wrong_value_is_named_in_plain_words(name, value, message):
 def test_field_of_view_lies_between_0_and_180(degrees):
     (found,) = messages({"keypoints": Path("c.csv"), "fps": 30.0, "hfov_deg": degrees, "image_size_px": "1920x1080"})
     assert found == (f"--hfov-deg: found {degrees}, expected a field of view in degrees, above 0 and below 180")
+
+
+@pytest.mark.parametrize("given", ["64+-6", "64 ± 6", "64.0+/-6"])
+def test_a_field_of_view_has_its_uncertainty_beside_it(given):
+    settings = FitSettings(keypoints=(Path("c.csv"),), fps=30.0, hfov_deg=given, image_size_px="1920x1080")
+    assert settings.hfov_deg == 64.0
+    focal = [1 / np.tan(np.radians(degrees) / 2) for degrees in (63.9, 64.1)]
+    assert settings.focal_sigma == pytest.approx(6 * abs(np.log(focal[1] / focal[0])) / 0.2, rel=1e-3)
+    (found,) = messages({"keypoints": Path("c.csv"), "fps": 30.0, "hfov_deg": "264+-6", "image_size_px": "9x9"})
+    assert found == "--hfov-deg: found '264+-6', expected a field of view in degrees, above 0 and below 180"
 
 
 def test_every_wrong_setting_is_named_at_once():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import re
 from collections.abc import Callable, Iterator, Mapping
@@ -10,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tomli_w
-from pydantic import AfterValidator, BeforeValidator, Field
+from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from recon.base import files
 from recon.base.documents import read_toml
@@ -40,6 +41,9 @@ METHODS = {"frame": "recon.thesis"}
 """By the name of another method, the package that fits by it. It is imported by its name: no room needs a wing."""
 DEFAULT_SKELETONS: dict[Method, str] = {"trajectory": "cheetah-24", "frame": "cheetah-8u"}
 """By method."""
+
+
+NUMBER = r"[0-9]+(?:\.[0-9]*)?"
 
 
 def _size(given: Any) -> Any:
@@ -168,7 +172,8 @@ class FitSettings(Settings):
     hfov_deg: Annotated[
         Annotated[Number, Field(gt=0, lt=180)] | None,
         Option(
-            "Without a calibration: horizontal field of view in degrees, as in 64.",
+            "Without a calibration: horizontal field of view in degrees, as in 64, or 64+-6 if that is how well it is "
+            "known.",
             "a field of view in degrees, above 0 and below 180",
         ),
     ] = None
@@ -390,6 +395,19 @@ class FitSettings(Settings):
             method="frame",
         ),
     ] = 400
+
+    @model_validator(mode="before")
+    @classmethod
+    def _uncertain_field_of_view(cls, given: Any) -> Any:
+        """`hfov_deg` with its uncertainty, as in "64+-6", is that and `focal_sigma`."""
+        of = given.kwargs or {}
+        match = re.fullmatch(rf"\s*({NUMBER})\s*(?:±|\+/?-)\s*({NUMBER})\s*", str(of.get("hfov_deg")))
+        if match:
+            hfov_deg, sigma_deg = map(float, match.groups())
+            # The focal length goes with the cotangent of half the angle.
+            share = math.radians(sigma_deg) / math.sin(math.radians(hfov_deg)) if 0 < hfov_deg < 180 else None
+            of |= {"focal_sigma": of.get("focal_sigma", share), "hfov_deg": hfov_deg}
+        return given
 
     @classmethod
     def problems_of_given(cls, given: Mapping[str, Any]) -> Iterator[Problem]:
