@@ -25,7 +25,7 @@ def convert(settings: ConvertSettings, as_json: bool) -> None:
         _print_formats(as_json)
         return
     done = workflow.convert(settings)
-    typer.echo(f"{settings.out}: {_summary(done)}")
+    typer.echo("\n".join([*done.notes, f"{settings.out}: {_summary(done)}"]))
 
 
 def _summary(done: Conversion) -> str:
@@ -33,7 +33,7 @@ def _summary(done: Conversion) -> str:
     what = f"{len(data.names)} keypoints, 2D" if isinstance(data, Keypoints) else f"{len(data.names)} joints, 3D"
     frames = f"frames {data.frames[0]} to {data.frames[-1]} ({len(data.frames)})"
     fps = "frame rate not known" if data.fps is None else f"{data.fps:g} frames per second"
-    return "\n".join([f"{done.format.title}, {what}, {frames}, {fps}", *done.notes])
+    return f"{done.format.title}, {what}, {frames}, {fps}"
 
 
 def _print_formats(as_json: bool) -> None:
