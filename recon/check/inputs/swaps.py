@@ -6,8 +6,9 @@ where that may be. A fit to which each keypoint of a leg may be either side's sa
 frame. A whole clip is proposed in any case; exchanged, it looks like the animal mirrored in depth.
 
 Of the stretches that a quick fit makes likelier, the few best are undone, one by one, and their second of the clip is
-solved anew. What makes it clearly likelier than it is (`believed`) is a swap, and clearly means: than with any other
-stretch undone that contradicts it, too. Between two that are about as likely, none is chosen.
+solved anew; of a whole clip that is long, some of its seconds. What makes it clearly likelier than it is (`believed`)
+is a swap, and clearly means: than with any other stretch undone that contradicts it, too. Between two that are about as
+likely, none is chosen.
 """
 
 from __future__ import annotations
@@ -45,6 +46,8 @@ LIKELY, TRIED, STRETCHES = 6.0, 3, 4
 found in a clip."""
 QUICK, REFITTED = 10.0, 3
 """Stretches that a quick fit makes so much likelier are solved anew, so many of them at a time."""
+ELSEWHERE = 3
+"""Of a whole clip, so many seconds besides the one in which most is seen."""
 OF_LEG = 3
 """Of a leg, the last markers: what is above hardly tells its side."""
 _STRAIGHT = 3
@@ -128,10 +131,23 @@ def refits(given: Baseline, kinds: dict[str, Index], unlike: bool) -> list[tuple
     likely = sorted((one for one in [*tried(given, kinds), *whole] if one.ratio > QUICK), key=lambda one: -one.ratio)
     compared = []
     for one in likely[:REFITTED]:
-        part = _part(given.view, one.stretch.rows, given.clip.fps)
-        refit = refitted(given.other(exchanged(given.view, one.stretch)).part(part))
-        compared.append((SwapTrial(one.stretch, refit.likelier(given.refit(part))), refit))
+        part, other = (
+            _part(given.view, one.stretch.rows, given.clip.fps),
+            given.other(exchanged(given.view, one.stretch)),
+        )
+        first, *more = (
+            (refit := refitted(other.part(rows)), refit.likelier(given.refit(rows)))
+            for rows in (part, *_elsewhere(part, one.stretch.rows, len(given.states)))
+        )
+        compared.append((SwapTrial(one.stretch, first[1] + sum(ratio for _, ratio in more)), first[0]))
     return compared
+
+
+def _elsewhere(part: slice, rows: slice, T: int) -> list[slice]:
+    """More parts of a whole clip, as long: what is so in one second of a long clip need not be so in another."""
+    n = part.stop - part.start
+    firsts = np.linspace(0, T - n, ELSEWHERE, dtype=int) if rows == slice(0, T) else ()
+    return [slice(int(i), int(i) + n) for i in firsts if i + n <= part.start or part.stop <= i]
 
 
 def undone(given: Baseline, stretch: Stretch, refit: Refit) -> Baseline:
