@@ -450,7 +450,7 @@ def test_whole_or_not_at_all(files_2d, tmp_path):
     assert found.fps == 50
     assert found.frames.tolist() == FRAMES.tolist()
     assert [p.name for p in out.parent.iterdir()] == ["a.nwb"]
-    with pytest.raises(InputError, match="found one that is there already, expected another name, or --overwrite"):
+    with pytest.raises(InputError, match="which is there already, expected a new name, or --overwrite"):
         convert(ConvertSettings(source=files_2d["coco.json"], out=out))
     convert(ConvertSettings(source=files_2d["coco.json"], out=out, overwrite=True))
     assert read_keypoints(out).fps == FPS

@@ -326,8 +326,8 @@ def _require_usable(out: Path) -> None:
 def require_free_file(
     out: Path, overwrite: bool, option: str = "--out", source: Path | None = None, suffixes: Iterable[str] = ()
 ) -> None:
-    """Raises InputError where a file is there already that may not be replaced, as the source never may. suffixes: one
-    of which the name has to end in; any, if none are given."""
+    """Raises InputError where a file is there already that may not be replaced, as the source never may, or where none
+    can be. suffixes: one of which the name has to end in; any, if none are given."""
     if suffixes and out.suffix.lower() not in suffixes:
         expected = f"a file name that ends in {' or '.join(suffixes)}"
         raise InputError(Problem(option, "file", repr(str(out)), expected))
@@ -335,4 +335,5 @@ def require_free_file(
         raise InputError(Problem(option, "file", f"{out}, which is the input", "a new name"))
     if out.exists() and not overwrite:
         raise InputError(Problem(option, "file", f"{out}, which is there already", "a new name, or --overwrite"))
+    _require_usable(out.parent)
     _require_places(out.parent, [out.name])

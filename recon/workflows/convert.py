@@ -9,7 +9,7 @@ from typing import Annotated, Any
 
 from recon.animal.naming import load_names, renamed
 from recon.base.errors import InputError, Problem, all_of
-from recon.base.files import staged_file
+from recon.base.files import require_free_file, staged_file
 from recon.base.settings import Option, Positive, Settings
 from recon.check import usable, verdict_lines
 from recon.clip.keypoints import Keypoints, mark_missing
@@ -75,7 +75,7 @@ def convert(settings: ConvertSettings) -> Conversion:
     data, target, _ = all_of(
         lambda: read_any(source, settings),
         lambda: choose_format(out, settings.to),
-        lambda: _require_free(out, settings.overwrite),
+        lambda: require_free_file(out, settings.overwrite, "OUT"),
     )
     notes = data.notes
     if "bones" in target.writes:
@@ -102,7 +102,7 @@ def _as_bones(source: Path, data: Keypoints | Pose3D, target: Format, out: Path,
         expected = f"a folder of results of recon fit: {target.title} has bones, which turn"
         raise InputError(Problem(source, "content", found, expected))
     beside = [out.with_suffix(extension) for extension in target.beside]
-    all_of(*(partial(_require_free, path, overwrite) for path in beside))
+    all_of(*(partial(require_free_file, path, overwrite, "OUT") for path in beside))
     rig = rig_of(Motion.load(source), data.fps)
     _write(target, rig, out)
     notes = data.notes + rig.notes
@@ -147,13 +147,3 @@ def _of_results(folder: Path, anyway: bool) -> Pose3D:
     if not motion.knows_up:
         notes += ("Positions are in the level frame, z up: the camera file does not say where the camera is.",)
     return replace(motion.upright, notes=notes)
-
-
-def _require_free(out: Path, overwrite: bool) -> None:
-    if out.is_dir():
-        raise InputError(Problem(out, "file", "a folder", "a file to write"))
-    if out.exists() and not overwrite:
-        raise InputError(Problem(out, "file", "one that is there already", "another name, or --overwrite"))
-    above = next(path for path in out.absolute().parents if path.exists())
-    if not above.is_dir():
-        raise InputError(Problem(out, "folder", f"the file {above}", "a folder, which is made if need be"))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -13,13 +12,14 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from recon.base.arrays import Array
-from recon.base.documents import read_text
+from recon.base.documents import require_file
 from recon.base.errors import InputError, Problem, refuse
 from recon.calibrate.camera_motion.features import rays_of
 from recon.calibrate.camera_motion.rotation import Orientation
 from recon.geometry.camera import Camera
 from recon.geometry.frames import level_from_camera
 from recon.io.common import first_problems, frame_number, number
+from recon.io.table import text_rows
 
 COLUMNS = ("kind", "frame", "x1", "y1", "x2", "y2")
 EXPECTED = f"a table (.csv) with the columns {', '.join(COLUMNS)}: horizon or vertical, and two points of it, px"
@@ -91,22 +91,17 @@ def up_by_marks(
 
 def read_marks(path: Path) -> tuple[LevelMark, ...]:
     """From a CSV table of `COLUMNS`. Raises InputError with every problem."""
-    reader = csv.reader(read_text(path, EXPECTED).splitlines())
-    try:
-        rows = list(reader)
-    except csv.Error as error:
-        raise InputError(Problem(path, f"line {reader.line_num}", str(error), EXPECTED)) from None
-    if not rows or tuple(cell.strip() for cell in rows[0]) != COLUMNS:
-        raise InputError(Problem(path, "header", repr(",".join(rows[0] if rows else []))[:80], EXPECTED))
-    marks = [_mark(cells) for cells in rows[1:]]
+    require_file(path, EXPECTED)
+    (_, header), *rows = [*text_rows(path, ",")] or [(1, [])]
+    if tuple(cell.strip() for cell in header) != COLUMNS:
+        raise InputError(Problem(path, "header", repr(",".join(header))[:80], EXPECTED))
+    marks = [(line, cells, _mark(cells)) for line, cells in rows]
     problems = [
-        Problem(path, f"line {line}", repr(",".join(cells))[:80], EXPECTED)
-        for line, (cells, mark) in enumerate(zip(rows[1:], marks, strict=True), start=2)
-        if mark is None
+        Problem(path, f"line {line}", repr(",".join(cells))[:80], EXPECTED) for line, cells, mark in marks if not mark
     ]
     if problems or not marks:
         raise InputError(first_problems(problems, path) if marks else Problem(path, "lines", "none", EXPECTED))
-    return tuple(mark for mark in marks if mark)
+    return tuple(mark for _, _, mark in marks if mark)
 
 
 def _mark(cells: Sequence[str]) -> LevelMark | None:

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import csv
 import glob
-import io
 import os
 import re
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +17,7 @@ from recon.base.errors import InputError, Problem, refuse
 from recon.check import names_text
 from recon.io import file_head, individuals, recognised, titles
 from recon.io.calibration import read_cameras
+from recon.io.table import SEPARATORS, text_rows
 from recon.show.page import SUMMARY_PAGE
 from recon.workflows.batch.anipose import Session, sessions_in
 from recon.workflows.batch.groups import AUTO, ClipDraft, join_cameras, missing_cameras
@@ -210,14 +211,9 @@ def _header(path: Path) -> list[str]:
         line = file.readline(65536).decode("utf-8-sig", errors="replace")
     line = next(iter(line.strip().splitlines()), "")  # lines may end as on old Macs
     try:
-        return [cell.strip() for cell in next(csv.reader([line], delimiter=_delimiter(line)), [])]
+        return [cell.strip() for cell in next(csv.reader([line], delimiter=max(SEPARATORS, key=line.count)), [])]
     except csv.Error:
         return []
-
-
-def _delimiter(line: str) -> str:
-    """Spreadsheets of some languages separate by semicolons."""
-    return ";" if ";" in line and "," not in line else ","
 
 
 def _drafts_of_manifest(path: Path) -> list[ClipDraft]:
@@ -231,21 +227,9 @@ def _drafts_of_manifest(path: Path) -> list[ClipDraft]:
     ]
     twice = [name for name, count in Counter(header).items() if count > 1 and name in known]
     problems += [Problem(path, f"column {name!r}", "more than one", "one") for name in twice]
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise InputError(Problem(path, "content", str(error), "text in UTF-8")) from None
-    first = next(iter(text.strip().splitlines()), "")
-    reader = csv.reader(io.StringIO(text, newline=""), delimiter=_delimiter(first))
-    try:
-        rows = [(reader.line_num, cells) for cells in reader]
-    except csv.Error as error:
-        raise InputError(Problem(path, f"line {reader.line_num}", str(error), "rows of a CSV table")) from None
     drafts = []
-    for line_number, cells in rows[1:]:
+    for line_number, cells in islice(text_rows(path), 1, None):
         line = f"line {line_number}"
-        if not any(cell.strip() for cell in cells):
-            continue
         if len(cells) > len(header):
             problems.append(Problem(path, line, f"{len(cells)} cells", f"{len(header)}, as in the header"))
         row = {name: cell.strip() for name, cell in zip(header, cells, strict=False) if cell.strip()}
