@@ -28,7 +28,7 @@ from recon.fit import constants
 from recon.fit.clip_problem import ClipProblem
 from recon.fit.least_squares import Shared
 from recon.fit.posterior import factored
-from recon.fit.terms import OnGround, extrinsic_correction
+from recon.fit.terms import OnGround, extrinsic_correction, time_offset
 from recon.fit.trajectory import Solved, refined, solve_segments, solve_trajectory
 from recon.geometry.frames import level_from_camera, rigid
 
@@ -157,7 +157,7 @@ def _time_offsets(segments: Sequence[Solved], clip: ClipProblem) -> Array:
     if not segments:
         return np.zeros(len(V))
     longest = max(segments, key=lambda segment: len(segment.estimate.states))
-    return np.array([longest.time_offset_frames(i) if clip.views[i].present.any() else 0.0 for i in V])
+    return np.array([float(longest.found(time_offset(i))[0]) if clip.views[i].present.any() else 0.0 for i in V])
 
 
 def _level(views: Sequence[View], sigma_rad: float) -> tuple[Array, Array]:

@@ -135,16 +135,9 @@ class Solved:
     def size(self) -> float:
         return size_of(self.estimate.shared)
 
-    def time_offset_frames(self, view: int) -> float:
-        return float(self.estimate.shared.get(time_offset(view), np.zeros(1))[0])
-
-    def extrinsic_correction(self, view: int) -> Array:
-        """(6,)"""
-        return self.estimate.shared.get(extrinsic_correction(view), np.zeros(6))
-
-    def focal(self, view: int) -> float:
-        """By the logarithm."""
-        return float(self.estimate.shared.get(focal(view), np.zeros(1))[0])
+    def found(self, name: str, count: int = 1) -> Array:
+        """(count,): the values of shared unknowns, 0 where they are none."""
+        return self.estimate.shared.get(name, np.zeros(count))
 
 
 def solve_segments(clip: ClipProblem, progress: Progress = silent) -> list[Solved]:
@@ -231,7 +224,7 @@ def _of_views(
     frames = np.array([together[one.rows].sum() for one in solved])
     if not frames.any():
         return np.zeros((len(V), count)), np.zeros((len(V), count))
-    found = [[one.estimate.shared.get(name(i), none) for i in V] for one in solved]
+    found = [[one.found(name(i), count) for i in V] for one in solved]
     sigmas = [[of_one.shared_sigma.get(name(i), none) for i in V] for of_one in known]
     shares = (frames / frames.sum())[:, None, None]
     return np.average(found, axis=0, weights=frames), np.linalg.norm(shares * np.array(sigmas), axis=0)
@@ -258,11 +251,9 @@ def _of_clip(clip: ClipProblem, solved: Sequence[Solved], known: Sequence[Poster
 def in_step(clip: ClipProblem, solved: Solved) -> ClipProblem:
     """With the lags and the cameras' places of a solution in its views."""
     V = range(len(clip.views))
-    of_views = zip(
-        *((solved.time_offset_frames(i), solved.extrinsic_correction(i), solved.focal(i)) for i in V), strict=True
-    )
-    views = _found(clip.views, *of_views)
-    return replace(clip, views=views)
+    late = [float(solved.found(time_offset(i))[0]) for i in V]
+    places = [solved.found(extrinsic_correction(i), 6) for i in V]
+    return replace(clip, views=_found(clip.views, late, places, [float(solved.found(focal(i))[0]) for i in V]))
 
 
 def _found(

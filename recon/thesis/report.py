@@ -17,11 +17,7 @@ from recon.show.plain import by_name, number, spread
 from recon.show.sections import given
 from recon.show.sections.section import Line, Section
 from recon.thesis.frame import FrameOptions, FrameReport, FrameSolution, base_length
-
-
-def _solution(motion: Motion) -> FrameSolution:
-    assert isinstance(motion.solution, FrameSolution)
-    return motion.solution
+from recon.thesis.solver import frame_solution
 
 
 def _options(motion: Motion) -> FrameOptions:
@@ -30,7 +26,7 @@ def _options(motion: Motion) -> FrameOptions:
 
 
 def skeleton(motion: Motion) -> dict[str, Any]:
-    solution = _solution(motion)
+    solution = frame_solution(motion)
     return given.skeleton(motion) | {"unknowns": solution.chain.state_names, "objectives": solution.objectives}
 
 
@@ -51,21 +47,21 @@ def assumptions(motion: Motion) -> dict[str, Any]:
 
 
 def _base_length(motion: Motion) -> dict[str, Any]:
-    solution = _solution(motion)
+    solution = frame_solution(motion)
     nominal, sigma = base_length(solution.chain, _options(motion))
     share = median(_field_of_frames(solution, "data_share", solution.chain.n_state)[:, solution.chain.base_index])
     return {"nominal_m": nominal, "sigma_m": sigma, "data_share": share, "measured": bool(share >= MEASURED_SHARE)}
 
 
 def solver(motion: Motion) -> dict[str, Any]:
-    solution, options = _solution(motion), _options(motion)
+    solution, options = frame_solution(motion), _options(motion)
     nominal, sigma = base_length(solution.chain, options)
     of_chain = {"keypoint_sigma_m": solution.chain.scales.keypoint_m, "base_length_m": nominal, "base_sigma_m": sigma}
     return {name: of_chain.get(name) if value is None else value for name, value in asdict(options).items()}
 
 
 def summary(motion: Motion) -> dict[str, Any]:
-    solution = _solution(motion)
+    solution = frame_solution(motion)
     solved = [r for r in solution.reports if r is not None]
     sigma = _joint_sigma_camera_m(solution)
     return {
@@ -92,7 +88,7 @@ def summary_lines(motion: Motion, data: Any) -> Iterator[Line]:
 
 
 def data_share(motion: Motion) -> dict[str, Any]:
-    solution = _solution(motion)
+    solution = frame_solution(motion)
     states = _field_of_frames(solution, "data_share", solution.chain.n_state)
     joints = _field_of_frames(solution, "joint_data_share", len(motion.names))
     return {
@@ -109,7 +105,7 @@ def _joint_sigma_camera_m(solution: FrameSolution) -> Array:
 
 def joint_sigma(motion: Motion) -> dict[str, Any]:
     """Median over the frames, camera x, y, z."""
-    sigma = _joint_sigma_camera_m(_solution(motion))
+    sigma = _joint_sigma_camera_m(frame_solution(motion))
     return by_name(motion.names, [[median(sigma[:, j, axis]) for axis in range(3)] for j in range(len(motion.names))])
 
 
@@ -124,7 +120,7 @@ def sigma_lines(motion: Motion, data: Any) -> Iterator[Line]:
 
 def cost_shares(motion: Motion) -> dict[str, Any]:
     """Median over the frames with a pose that have the term."""
-    solution = _solution(motion)
+    solution = frame_solution(motion)
     solved = [r.cost_shares for r in solution.reports if r is not None and r.in_view]
     return {
         name: median(np.array([shares[name] for shares in solved if name in shares])) for name in solution.objectives
@@ -132,7 +128,7 @@ def cost_shares(motion: Motion) -> dict[str, Any]:
 
 
 def limits(motion: Motion) -> dict[str, Any]:
-    solution = _solution(motion)
+    solution = frame_solution(motion)
     beyond_rate = solution.beyond_rate_rad_s
 
     def passed(beyond: Array, largest: str) -> dict[str, Any]:
@@ -151,7 +147,7 @@ def limits(motion: Motion) -> dict[str, Any]:
 
 
 def travel(motion: Motion) -> dict[str, Any]:
-    found = _solution(motion).travel
+    found = frame_solution(motion).travel
     _, away = level_axes(motion.camera.up)
     to_picture = np.arcsin(np.clip(found.heading @ away, -1.0, 1.0))
     moving = found.speed_m_s > 0
@@ -181,7 +177,7 @@ def _path_text(motion: Motion, has_speed: bool) -> str:
 
 
 def base_length_m(motion: Motion) -> dict[str, float]:
-    solution = _solution(motion)
+    solution = frame_solution(motion)
     return spread(solution.chain_states[:, solution.chain.base_index])
 
 
@@ -196,7 +192,7 @@ def size_lines(motion: Motion, data: Any) -> Iterator[Line]:
 
 
 def frames(motion: Motion) -> list[dict[str, Any]]:
-    solution, names = _solution(motion), [f.name for f in fields(FrameReport) if f.name != "status"]
+    solution, names = frame_solution(motion), [f.name for f in fields(FrameReport) if f.name != "status"]
     distance_px, sigma = motion.pictures[0].distance_px, _joint_sigma_camera_m(solution)
     return [
         {
@@ -217,7 +213,7 @@ def frames(motion: Motion) -> list[dict[str, Any]]:
 
 def effort_lines(motion: Motion, data: Any) -> Iterator[Line]:
     """By the optimiser's own counts."""
-    solved, timing = [r for r in _solution(motion).reports if r is not None], motion.timing_s
+    solved, timing = [r for r in frame_solution(motion).reports if r is not None], motion.timing_s
     iterations = median(np.array([r.iterations for r in solved], dtype=float))
     text = f"{number(iterations, '.0f')} iterations a frame (median)"
     if "solve_s" in timing:

@@ -9,7 +9,7 @@ import typer
 
 from recon.base.errors import InputError
 from recon.base.interrupts import Interrupts, installed
-from recon.workflows.cli.command import HELP, CommandGroup, Entry, SettingsCommand
+from recon.workflows.cli.command import HELP, CommandGroup, SettingsCommand
 from recon.workflows.cli.common import EXIT_BAD_INPUT, EXIT_UNSOLVED, error_text, stop, terminal
 
 _CORE, _ROBOTICS, _NET = "recon.workflows.cli.", "recon.robotics.cli.", "recon.keypoint_net.cli."
@@ -87,7 +87,7 @@ class _Commands(CommandGroup):
 
     def __init__(self, **more: Any) -> None:
         table = {
-            name: Entry(function, help, panel)
+            name: (function, help, panel)
             for panel, entries in COMMANDS.items()
             for name, (function, help) in entries.items()
         }
@@ -117,8 +117,8 @@ app = typer.Typer(
 
 def commands() -> dict[str, SettingsCommand]:
     """All commands by name, each made."""
-    table = _Commands().table
-    return {name: entry.load(name) for name, entry in table.items()}
+    group = _Commands()
+    return {name: group.load(name) for name in group.table}
 
 
 def main() -> None:

@@ -197,43 +197,36 @@ def _parameter(info: SettingInfo, overrules: bool) -> inspect.Parameter:
 # -- many commands ------------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class Entry:
-    """A command in the table of all: where its function is, and what the list of commands says of it."""
-
-    function: str
-    """As in recon.workflows.cli.fit:fit. Its module is imported when the command is called."""
-    help: str
-    panel: str | None = None
-
-    def load(self, name: str) -> SettingsCommand:
-        module, _, function = self.function.partition(":")
-        return make_command(name, getattr(import_module(module), function))
-
-
 class CommandGroup(TyperGroup):
     """Commands by name, of which only the one that is called is imported.
 
-    table: by name; the first word of several may be that of a group, whose help stands in `groups`, or a command."""
+    table: by name, where the function is, as in recon.workflows.cli.fit:fit, and what the list of commands says of it,
+    and under which heading. The first word of several may be that of a group, whose help stands in `groups`, or a
+    command."""
 
     def __init__(
-        self, *, table: Mapping[str, Entry] | None = None, groups: Mapping[str, str] | None = None, **more: Any
+        self,
+        *,
+        table: Mapping[str, tuple[str, str, str]] | None = None,
+        groups: Mapping[str, str] | None = None,
+        **more: Any,
     ) -> None:
         super().__init__(**more)
         self.table = dict(table or {})
-        for name, entry in self.table.items():
+        for name, (function, help, panel) in self.table.items():
             first, _, rest = name.partition(" ")
             if first in (groups or {}):
-                group = self.commands.setdefault(first, _group(first, (groups or {})[first], entry.panel))
+                group = self.commands.setdefault(first, _group(first, (groups or {})[first], panel))
                 assert isinstance(group, CommandGroup)
-                group.table[rest] = entry
-                group.add_command(TyperCommand(rest, help=entry.help))
+                group.table[rest] = (function, help, panel)
+                group.add_command(TyperCommand(rest, help=help))
             else:
-                self.add_command(TyperCommand(name, help=entry.help, rich_help_panel=entry.panel))
+                self.add_command(TyperCommand(name, help=help, rich_help_panel=panel))
 
     def load(self, name: str) -> SettingsCommand:
         """A command by its name, of one word or two."""
-        return self.table[name].load(name)
+        module, _, function = self.table[name][0].partition(":")
+        return make_command(name, getattr(import_module(module), function))
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
         both = " ".join(args[:2])
