@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from recon.gait.clip import ClipAnalysis, analyse
     from recon.gait.evaluation import Evaluation, evaluate, evaluate_files
     from recon.geometry.camera import Camera
-    from recon.io import Pose3D, read_camera, read_cameras, read_keypoints, read_pose3d, write_camera
+    from recon.io import Pose3D, read_camera, read_cameras, read_keypoints, read_pose3d, write_camera, write_cameras
     from recon.keypoint_net.run import TrainSettings
     from recon.keypoint_net.workflows import LabelSource, run_prediction, run_training
     from recon.workflows.batch import find_clips, plan_batch, run_batch
@@ -70,6 +70,7 @@ __all__ = [
     "run_training",
     "samples_folder",
     "write_camera",
+    "write_cameras",
     "write_clip",
 ]
 

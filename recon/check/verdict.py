@@ -9,7 +9,7 @@ runs left out. The place is expected as far off as the posterior states.
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, astuple, dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -168,23 +168,8 @@ def verdict_fields(motion: Motion) -> dict[str, Any] | None:
 
 
 def verdict_lines(verdict: Verdict | None) -> tuple[str, ...]:
-    """In words, as everything begins that is made of a clip: the level and why, and what errors are expected, where
-    that is known; nothing of a motion that was not judged."""
-    if verdict is None:
-        return ()
-    said = f"{verdict.level}: {verdict.reason}"
-    if verdict.pose_m is None or verdict.pose_of_trunk is None or verdict.position_m is None:
-        return (said,)
-    share = f"{verdict.pose_of_trunk.expected:.0%} of the trunk's length"
-    pose, position = _length_text(verdict.pose_m), _length_text(verdict.position_m)
-    return said, f"pose off by {pose}, {share}; position by {position}"
-
-
-def _length_text(error_m: Expected) -> str:
-    """Metres, or millimetres where the largest is below half a metre."""
-    unit, error = ("mm", error_m.times(1000.0)) if error_m.high < 0.5 else ("m", error_m)
-    expected, low, high = (f"{value:.2g}" if value < 10 else f"{value:.0f}" for value in astuple(error))
-    return f"{expected} {unit} ({low} to {high})"
+    """In words, as everything begins that is made of a clip; nothing of a motion that was not judged."""
+    return () if verdict is None else verdict.lines
 
 
 def _said(motion: Motion, one: Finding) -> str:

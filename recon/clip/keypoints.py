@@ -5,11 +5,14 @@ from __future__ import annotations
 import dataclasses
 import re
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from recon.base.errors import InputError, Problem
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 CORNER_PX, CONSTANT_SHARE, CONSTANT_KEYPOINTS = 1.0, 0.005, 3
 """A point stands for missing ones if it lies no further in the picture than this, and so many of all points and of the
@@ -64,6 +67,30 @@ class Keypoints:
             raise ValueError("frames must be strictly increasing")
         if self.fps is not None and not 0 < self.fps < float("inf"):
             raise ValueError(f"fps must be positive: {self.fps}")
+
+    @classmethod
+    def from_dataframe(cls, table: pd.DataFrame, fps: float | None = None, individual: str | None = None) -> Keypoints:
+        """Of a pandas table: as DeepLabCut's (levels scorer, bodyparts, coords, and individuals where there are
+        several), its index the frames; or long, with columns frame, keypoint (or bodypart), x, y and confidence (or
+        likelihood). Pixels. individual: which of several animals. Raises InputError."""
+        from recon.clip.tables import from_dataframe
+
+        return cls._checked("DataFrame", from_dataframe(table, fps, individual))
+
+    @classmethod
+    def from_xarray(cls, dataset: Any, fps: float | None = None, individual: str | None = None) -> Keypoints:
+        """Of movement's dataset of poses, in pixels; its times are seconds where it, or fps, says the frame rate.
+        individual: which of several animals. Raises InputError."""
+        from recon.clip.tables import from_xarray
+
+        return cls._checked("Dataset", from_xarray(dataset, fps, individual))
+
+    @classmethod
+    def _checked(cls, where: str, found: dict[str, Any]) -> Keypoints:
+        try:
+            return cls(**found)
+        except ValueError as error:
+            raise InputError(Problem(where, "content", str(error), "keypoints of increasing frames")) from None
 
     @property
     def present(self) -> np.ndarray:

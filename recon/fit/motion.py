@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -26,6 +26,9 @@ from recon.geometry.camera import Camera
 from recon.geometry.frames import inverse, moved
 from recon.geometry.kinematics import PITCH, ROOT, YAW
 from recon.io.pose import Pose3D
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 MOTION = "motion.npz"
 SCHEMA = {"name": "recon.motion", "version": 1}
@@ -121,6 +124,37 @@ class Motion:
         """One line: what it is of, and the verdict on it."""
         posed, level = int(self.solved.sum()), "not judged" if self.verdict is None else self.verdict.level
         return f"<Motion of {Path(self.file).name}: {self.body.name}, {posed} of {len(self.frames)} frames, {level}>"
+
+    def _repr_html_(self) -> str:
+        """What a notebook shows: the verdict, the errors to expect, a picture of the poses, and what they are of."""
+        from recon.fit.html import from_the_side, table
+
+        said = () if self.verdict is None else self.verdict.lines
+        rows: dict[str, str] = dict(zip(("verdict", "expected"), said, strict=False))
+        rows["clip"] = f"{Path(self.file).name}, frames {self.frames[0]} to {self.frames[-1]} at {self.fps:g} fps"
+        rows["camera"] = ", ".join(camera.name for camera in self.cameras)
+        rows["animal"] = self.title
+        rows["frames"] = f"{self.solved.sum()} of {len(self.frames)} with a pose, {sum(map(bool, self.flags))} flagged"
+        return f"<div>{table(rows)}{from_the_side(self.upright.xyz_m, [*self.limbs.values()])}</div>"
+
+    # -- handed over ----------------------------------------------------------------------------------------------
+
+    def to_dataframe(self, wide: bool = False) -> pd.DataFrame:
+        """The joints in the frame of `upright`, z up, metres, with standard deviations (`upright_sigma_m`); NaN
+        without a pose. A row for each frame and joint: frame, time_s, joint, x_m, y_m, z_m, x_sigma_m, y_sigma_m,
+        z_sigma_m, flags; or, wide, a row for each frame, its columns by joint and value."""
+        from recon.fit.tables import dataframe
+
+        return dataframe(self.upright, self.upright_sigma_m, self.time_s, self.flags, wide)
+
+    def to_xarray(self) -> Any:
+        """The same as movement's dataset of poses: `position` and `position_sigma` (time, space, keypoint, individual)
+        in metres, `confidence`, which is NaN, the frame rate, the source and the verdict as attributes. Raises
+        InputError where xarray is not installed."""
+        from recon.fit.tables import dataset
+
+        said = {} if self.verdict is None else {"verdict": self.verdict.level, "verdict_reason": self.verdict.reason}
+        return dataset(self.upright, self.upright_sigma_m, said | {"source_file": self.file})
 
     # -- saved and loaded -----------------------------------------------------------------------------------------
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 from typing import Literal
 
 Level = Literal["do not use", "check", "use"]
@@ -17,6 +17,13 @@ class Expected:
     expected: float
     low: float
     high: float
+
+    @property
+    def in_words(self) -> str:
+        """Of metres, in metres, or in millimetres where the largest is below half a metre."""
+        unit, error = ("mm", self.times(1000.0)) if self.high < 0.5 else ("m", self)
+        expected, low, high = (f"{value:.2g}" if value < 10 else f"{value:.0f}" for value in astuple(error))
+        return f"{expected} {unit} ({low} to {high})"
 
     def times(self, factor: float) -> Expected:
         """The same in another unit."""
@@ -37,3 +44,12 @@ class Verdict:
     """The same, relative to the length of the trunk."""
     position_m: Expected | None = None
     """Distance of the mean of all joints from its true place, mean over the frames."""
+
+    @property
+    def lines(self) -> tuple[str, ...]:
+        """In words: the level and why, and what errors are expected, where that is known."""
+        said = f"{self.level}: {self.reason}"
+        if self.pose_m is None or self.pose_of_trunk is None or self.position_m is None:
+            return (said,)
+        share = f"{self.pose_of_trunk.expected:.0%} of the trunk's length"
+        return said, f"pose off by {self.pose_m.in_words}, {share}; position by {self.position_m.in_words}"

@@ -15,6 +15,7 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -22,7 +23,8 @@ from recon.base.arrays import Array, Bools
 from recon.base.errors import InputError, Problem
 from recon.clip.keypoints import frame_ranges
 from recon.fit.motion import MEASURED_SHARE, Motion
-from recon.gait.gait import BODY, Gait, Stride, Tracks, gait, pose_tracks, stances
+from recon.fit.regions import radius
+from recon.gait.gait import BODY, INTERVAL, Gait, Stride, Tracks, gait, pose_tracks, stances
 from recon.gait.kinematics import (
     AngleKinematics,
     Errors,
@@ -49,6 +51,9 @@ from recon.gait.phase import (
     tips,
 )
 from recon.io.pose3d import Pose3D
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 PLACE_LASTS_S, POSE_LASTS_S = 0.2, 0.05
 """`Errors.correlation_s` of the animal's place and of the joints relative to their mean."""
@@ -88,6 +93,22 @@ class ClipAnalysis:
         strides = () if self.gait is None else self.gait.strides
         feet = [stride.foot for stride in strides]
         return min(strides, key=lambda s: (-feet.count(s.foot), s.start_s), default=None)
+
+    @property
+    def speed(self) -> pd.DataFrame:
+        """The speed of the reference joint along its path: speed_m_s, sigma_m_s, and low_m_s and high_m_s, between
+        which it lies with 90 %; by time_s, ten times for each frame. Raises InputError where no speed is known
+        (`speed_doubt`)."""
+        import pandas as pd
+
+        if self.speed_doubt is not None:
+            raise InputError(Problem(self.motion.file, "speed", self.speed_doubt, "a path whose speed can be told"))
+        moved = self.joints[self.reference]
+        sigma = np.full_like(moved.speed_m_s, np.nan) if moved.speed_sigma_m_s is None else moved.speed_sigma_m_s
+        reach = radius(INTERVAL) * sigma
+        values = {"speed_m_s": moved.speed_m_s, "sigma_m_s": sigma}
+        values |= {"low_m_s": np.maximum(moved.speed_m_s - reach, 0.0), "high_m_s": moved.speed_m_s + reach}
+        return pd.DataFrame(values, index=pd.Index(moved.series.time_s, name="time_s"))
 
     @cached_property
     def not_measured(self) -> tuple[str, ...]:

@@ -222,6 +222,12 @@ def write(data: Keypoints | Pose3D, path: Path) -> None:
     """x, y in pixels, or x, y, z in metres with z up; of these the confidence, which the format asks for, is NaN."""
     with formats_extra("movement netCDF"):
         import h5netcdf  # noqa: F401  what xarray writes with
+    write_bytes(path, bytes(dataset_of(data).to_netcdf(None, engine="h5netcdf")))
+
+
+def dataset_of(data: Keypoints | Pose3D) -> Any:
+    """The same as an `xarray.Dataset`. Raises InputError where xarray is not installed."""
+    with formats_extra("movement netCDF"):
         import xarray
     points = points_of(data)
     unknown = np.full(points.values.shape[:2], np.nan)
@@ -229,7 +235,7 @@ def write(data: Keypoints | Pose3D, path: Path) -> None:
     attributes: dict[str, Any] = {"source_software": "recon", "ds_type": "poses", "source_file": ""}
     attributes |= {"length_unit": points.unit, "up_axis": points.up} if points.in_space else {}
     attributes |= {"time_unit": "frames"} if points.fps is None else {"time_unit": "seconds", "fps": points.fps}
-    made = xarray.Dataset(
+    return xarray.Dataset(
         data_vars={
             "position": (("time", "space", "keypoint", "individual"), points.values.transpose(0, 2, 1)[..., None]),
             "confidence": (("time", "keypoint", "individual"), confidence[..., None]),
@@ -242,4 +248,3 @@ def write(data: Keypoints | Pose3D, path: Path) -> None:
         },
         attrs=attributes,
     )
-    write_bytes(path, bytes(made.to_netcdf(None, engine="h5netcdf")))

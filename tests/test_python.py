@@ -1,0 +1,118 @@
+"""What Python users have: motions and keypoints as tables of other packages, and what a notebook shows."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import recon
+from recon.fit.motion import Motion
+from recon.io.movement import dataset_of
+
+SAMPLES = Path(__file__).resolve().parents[1] / "data" / "samples"
+
+
+def test_a_motion_is_a_table(world_trajectory: Motion):
+    motion = world_trajectory
+    long, wide = motion.to_dataframe(), motion.to_dataframe(wide=True)
+    assert list(long.columns[:6]) == ["frame", "time_s", "joint", "x_m", "y_m", "z_m"]
+    one = long[(long["joint"] == "nose") & (long["frame"] == motion.frames[3])]
+    nose = motion.names.index("nose")
+    np.testing.assert_array_equal(one[["x_m", "y_m", "z_m"]].to_numpy()[0], motion.upright.xyz_m[3, nose])
+    np.testing.assert_array_equal(one["y_sigma_m"], motion.upright_sigma_m[3, nose, 1])
+    assert one["flags"].item() == ", ".join(motion.flags[3])
+    assert wide.loc[motion.frames[3], ("nose", "z_m")] == one["z_m"].item()
+    assert wide.shape == (len(motion.frames), 6 * len(motion.names))
+
+
+def test_a_motion_is_movements_dataset(world_trajectory: Motion):
+    pytest.importorskip("xarray")
+    motion = world_trajectory
+    data = motion.to_xarray()
+    assert data["position"].dims == ("time", "space", "keypoint", "individual")
+    at = {"keypoint": "nose", "space": "z", "individual": "individual_0"}
+    nose = motion.names.index("nose")
+    np.testing.assert_array_equal(data["position"].sel(at), motion.upright.xyz_m[:, nose, 2])
+    np.testing.assert_array_equal(data["position_sigma"].sel(at), motion.upright_sigma_m[:, nose, 2])
+    np.testing.assert_allclose(data["time"], motion.time_s)
+    assert (data.attrs["fps"], data.attrs["source_file"]) == (motion.fps, motion.file)
+
+
+def test_a_notebook_shows_verdict_picture_and_summary(sample_fit: Motion):
+    shown = sample_fit._repr_html_()
+    assert sample_fit.verdict is not None
+    assert f">{sample_fit.verdict.level}:" in shown
+    assert shown.count("<polyline") == 8 * len(sample_fit.limbs)
+    assert re.search(r"<th[^>]*>clip</th><td[^>]*>whole.csv, frames 0 to 59 at 60 fps<", shown)
+    assert "http" not in shown
+    assert len(repr(sample_fit)) < 120
+
+
+def test_speed_has_its_times_and_its_band(sample_fit: Motion):
+    speed = recon.analyse(sample_fit).speed
+    assert speed.index.name == "time_s"
+    known = speed.dropna()
+    assert len(known) > 100
+    assert ((known["low_m_s"] < known["speed_m_s"]) & (known["speed_m_s"] < known["high_m_s"])).all()
+
+
+@pytest.fixture(scope="module")
+def sample_fit() -> Motion:
+    return recon.fit_clip(recon.FitSettings(keypoints=SAMPLES / "whole.csv", camera=SAMPLES / "camera.toml", fps=60))
+
+
+def same(a: recon.Keypoints, b: recon.Keypoints) -> None:
+    order = [a.names.index(name) for name in b.names]
+    np.testing.assert_array_equal(a.xy_px[:, order], b.xy_px)
+    np.testing.assert_array_equal(a.confidence[:, order], b.confidence)
+    np.testing.assert_array_equal(a.frames, b.frames)
+    assert a.fps == b.fps == 60
+
+
+def test_keypoints_are_read_from_tables_in_memory():
+    file = SAMPLES / "whole.csv"
+    expected = recon.clean(recon.read_keypoints(file), 0.0)[0]
+    expected = recon.Keypoints(expected.names, expected.xy_px, expected.confidence, expected.frames, 60)
+    columns = pd.MultiIndex.from_product([["net"], expected.names, ["x", "y", "likelihood"]])
+    columns.names = ["scorer", "bodyparts", "coords"]
+    values = np.concatenate([expected.xy_px, expected.confidence[..., None]], axis=2)
+    same(
+        recon.Keypoints.from_dataframe(
+            pd.DataFrame(values.reshape(len(values), -1), index=expected.frames, columns=columns), fps=60
+        ),
+        expected,
+    )
+    count = len(expected.names)
+    long = pd.DataFrame(
+        {
+            "frame": np.repeat(expected.frames, count),
+            "keypoint": [*expected.names] * len(expected.frames),
+            "x": expected.xy_px[..., 0].ravel(),
+            "y": expected.xy_px[..., 1].ravel(),
+            "confidence": expected.confidence.ravel(),
+        }
+    )
+    same(recon.Keypoints.from_dataframe(long, fps=60), expected)
+    pytest.importorskip("xarray")
+    same(recon.Keypoints.from_xarray(dataset_of(expected)), expected)
+    several = pd.concat([long.assign(individual=animal) for animal in ("a", "b")])
+    same(recon.Keypoints.from_dataframe(several, fps=60, individual="b"), expected)
+    with pytest.raises(recon.InputError, match="individual: found 2 animals, expected one of: a, b"):
+        recon.Keypoints.from_dataframe(several, fps=60)
+
+
+@pytest.mark.parametrize(
+    ("table", "message"),
+    [
+        (pd.DataFrame({"x": [1.0]}), "expected columns frame, keypoint, x, y and confidence"),
+        (pd.DataFrame({"frame": [0, 0], "keypoint": ["a", "a"], "x": [1, 2], "y": [1, 2]}), "two of one keypoint"),
+        (pd.DataFrame({"frame": [0], "keypoint": ["a"], "x": ["left"], "y": [2]}), "numbers"),
+    ],
+)
+def test_other_tables_are_refused(table: pd.DataFrame, message: str):
+    with pytest.raises(recon.InputError, match=message):
+        recon.Keypoints.from_dataframe(table)
