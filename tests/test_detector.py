@@ -15,7 +15,7 @@ from recon.animal.prior import prior_from_body
 from recon.clip import still_view
 from recon.fit import TrajectoryOptions
 from recon.fit.clip_problem import ClipProblem
-from recon.io import coco, deeplabcut, nwb
+from recon.io import coco, deeplabcut, deeplabcut_h5, nwb
 from recon.show.report import build_report
 from recon.workflows.clip import prepare
 from tests.test_cameras import folder, settings  # noqa: F401
@@ -170,7 +170,7 @@ def test_what_is_wrong_with_a_file_is_said(tmp_path, old, new, said):
         seen_by(body(), "zebra")
 
 
-@pytest.mark.parametrize(("name", "write"), [("copy.h5", deeplabcut.write_h5), ("copy.nwb", nwb.write)])
+@pytest.mark.parametrize(("name", "write"), [("copy.h5", deeplabcut_h5.write), ("copy.nwb", nwb.write)])
 def test_other_files_keep_it_too(folder, tmp_path, name, write):  # noqa: F811
     (path,) = with_scorers(folder, tmp_path, OF_ACINOSET).keypoints
     write(replace(read_keypoints(path), fps=90.0), tmp_path / name)

@@ -13,7 +13,7 @@ import pytest
 
 from recon.base.errors import InputError
 from recon.clip.keypoints import Keypoints, clean
-from recon.io import deeplabcut, individuals, read_keypoints
+from recon.io import deeplabcut_h5, individuals, read_keypoints
 from recon.io.pose3d import Pose3D, read_pose3d
 
 NAN = float("nan")
@@ -172,7 +172,7 @@ def test_real_labels(shared_data):
     "name", ["sleap/small_robot.000_small_robot_3_frame.analysis.h5", "ndx-pose/0.3.0_poseestimation_one_camera.nwb"]
 )
 def test_real_hdf5_of_other_kinds_is_no_deeplabcut_file(shared_data, name):
-    assert not deeplabcut.recognises_h5(shared_data / "importer-files" / name)
+    assert not deeplabcut_h5.recognises(shared_data / "importer-files" / name)
 
 
 def test_hdf5_of_another_kind(tmp_path):

@@ -23,7 +23,7 @@ from recon.animal.skeleton_file import load_skeleton
 from recon.base.errors import InputError
 from recon.calibrate.camera_motion.level import read_marks
 from recon.clip.keypoints import Keypoints
-from recon.io import deeplabcut, movement, nwb, plain_pickle, read_keypoints
+from recon.io import deeplabcut_h5, movement, nwb, plain_pickle, read_keypoints
 from recon.io.camera_track import read_camera_track
 from recon.io.pose3d import read_pose3d
 from recon.keypoint_net.labels import read_label_file
@@ -51,7 +51,7 @@ def attribute_of(where: str, name: str) -> Callable[[Path, Path], None]:
     """A table of DeepLabCut's with one attribute replaced."""
 
     def make(path: Path, marker: Path) -> None:
-        deeplabcut.write_h5(CLIP, path)
+        deeplabcut_h5.write(CLIP, path)
         with h5py.File(path, "a") as file:
             file[where].attrs[name] = harm(marker)
 

@@ -16,7 +16,6 @@ torch = pytest.importorskip("torch")
 from recon.base.errors import InputError  # noqa: E402
 from recon.base.package import install_command  # noqa: E402
 from recon.io import read_keypoints  # noqa: E402
-from recon.io.deeplabcut import write_h5  # noqa: E402
 from recon.io.video import VideoInfo, probe, video_writer  # noqa: E402
 from recon.keypoint_net import predict as predict_module  # noqa: E402
 from recon.keypoint_net import train as train_module  # noqa: E402
@@ -232,7 +231,6 @@ def test_h5_and_csv_hold_the_same(clip, model, tmp_path):
     one, other = read_keypoints(tmp_path / "points.csv"), read_keypoints(tmp_path / "points.h5")
     np.testing.assert_allclose(one.xy_px, other.xy_px, atol=1e-9)
     assert pd.DataFrame(pd.read_hdf(tmp_path / "points.h5")).columns.names == ["scorer", "bodyparts", "coords"]
-    assert write_h5.__module__ == "recon.io.deeplabcut"
 
 
 def test_averaged_views_agree_with_the_plain_one(clip, model):

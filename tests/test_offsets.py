@@ -10,12 +10,11 @@ import pytest
 from test_cameras import folder, keypoints_of, problems, settings
 
 from recon.base.errors import InputError
-from recon.check.offsets import search_offsets
+from recon.check.offsets import search_offsets, solved_in_step
 from recon.clip import Source, at_rate
 from recon.clip.keypoints import clean
 from recon.fit import TrajectoryOptions, TrajectorySolution, solve_trajectory
 from recon.workflows.clip import fit_clip, prepare
-from recon.workflows.offsets import solved_in_step
 from tests.test_agreement import KEYPOINT_M, cameras, late
 from tests.test_trajectory import BODY, CAMERA, FPS, PRIOR
 

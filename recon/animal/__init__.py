@@ -1,24 +1,31 @@
 """Animals: their bodies as trees of segments, files of skeletons, subjects and detectors, names, and motion priors."""
 
-from recon.animal.body import Body, Side, both_sides, facing_side, other_side, side_of, without_side
-from recon.animal.chain import MIN_JOINTS, Chain
-from recon.animal.detector import detector_toml, seen_by
-from recon.animal.naming import (
-    NameMap,
-    builtin_maps,
-    fitting_maps,
-    load_names,
-    map_to_write,
-    new_names,
-    renamed,
-    suggestions,
-)
-from recon.animal.prior import MotionPrior, builtin_priors, fit_prior, load_prior, prior_from_body, save_prior
-from recon.animal.skeleton_file import (
-    builtin_chains,
-    builtin_names,
-    builtin_subjects,
-    load_chain,
-    load_skeleton,
-    subject_toml,
-)
+from typing import TYPE_CHECKING
+
+from recon.base.front_door import lazily
+
+if TYPE_CHECKING:
+    from recon.animal.body import Body, Side, both_sides, facing_side, other_side, side_of, without_side
+    from recon.animal.chain import MIN_JOINTS, Chain
+    from recon.animal.detector import detector_toml, seen_by
+    from recon.animal.naming import (
+        NameMap,
+        builtin_maps,
+        fitting_maps,
+        load_names,
+        map_to_write,
+        new_names,
+        renamed,
+        suggestions,
+    )
+    from recon.animal.prior import MotionPrior, builtin_priors, fit_prior, load_prior, prior_from_body, save_prior
+    from recon.animal.skeleton_file import (
+        builtin_chains,
+        builtin_names,
+        builtin_subjects,
+        load_chain,
+        load_skeleton,
+        subject_toml,
+    )
+
+__getattr__ = lazily(__name__, __file__)

@@ -4,36 +4,21 @@
 `input_findings`, those that compare its cameras `agreement_findings`.
 """
 
-from recon.check.agreement import agreement_findings
-from recon.check.codes import CODES, FLAG_OF, FLAGS, finding, names_text, sentence, sentences
-from recon.check.inputs import FileFacts, flagged, input_findings
-from recon.check.inputs.outliers import without_gross_outliers
-from recon.check.inputs.swaps import without_swaps
-from recon.check.mismatch import mismatches
-from recon.check.rules import findings_of
-from recon.check.verdict import judged, usable, verdict_fields, verdict_lines
-from recon.fit.finding import Finding, Severity
+from typing import TYPE_CHECKING
 
-__all__ = [
-    "CODES",
-    "FLAGS",
-    "FLAG_OF",
-    "FileFacts",
-    "Finding",
-    "Severity",
-    "agreement_findings",
-    "finding",
-    "findings_of",
-    "flagged",
-    "input_findings",
-    "judged",
-    "mismatches",
-    "names_text",
-    "sentence",
-    "sentences",
-    "usable",
-    "verdict_fields",
-    "verdict_lines",
-    "without_gross_outliers",
-    "without_swaps",
-]
+from recon.base.front_door import lazily
+
+if TYPE_CHECKING:
+    from recon.check.agreement import agreement_findings
+    from recon.check.codes import CODES, FLAG_OF, FLAGS, finding, names_text, sentence, sentences
+    from recon.check.inputs import FileFacts, flagged, input_findings
+    from recon.check.inputs.outliers import without_gross_outliers
+    from recon.check.inputs.swaps import without_swaps
+    from recon.check.mismatch import mismatches
+    from recon.check.offsets import solved_in_step
+    from recon.check.refined import cameras_made_worse
+    from recon.check.rules import findings_of
+    from recon.check.verdict import judged, usable, verdict_fields, verdict_lines
+    from recon.fit.finding import Finding, Severity
+
+__getattr__ = lazily(__name__, __file__)

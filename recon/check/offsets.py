@@ -1,14 +1,17 @@
-"""By how many frames cameras are out of step, sought in what they see: where rays of the same keypoint meet."""
+"""By how many frames cameras are out of step: sought in what they see, where rays of the same keypoint meet, and then
+solved with the fit."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
 from recon.base.arrays import Array, Index
+from recon.base.errors import InputError, Problem, refuse
 from recon.check.agreement import Sight, pair_level, sights_of
-from recon.clip import View
+from recon.clip import Source, View, together, views_of
+from recon.fit import TrajectorySolution
 
 REACH_S = 1.0
 """How far off a camera is sought, at most; and not further than half a clip."""
@@ -19,6 +22,50 @@ _ROWS = 200
 _ENOUGH = 0.3
 """A lag that leaves less than this part of the most points that can be compared says nothing."""
 _ROUNDS = 3
+FIT_ROUNDS = 5
+CLOSE_FRAMES = 0.05
+"""Lags this small are left to the solver, which takes the motion for straight over them."""
+MAX_SIGMA_FRAMES = 1.0
+"""Offsets that are known less well, or do not settle so far, are refused."""
+
+Solve = Callable[[tuple[Source, ...]], TrajectorySolution]
+
+
+def solved_in_step(
+    apart: Sequence[Source], later_frames: Sequence[float], solve: Solve, sigma_px: float, keypoint_sigma_m: float
+) -> tuple[tuple[Source, ...], TrajectorySolution]:
+    """Sources on their own frames put on those of one clip, with the offsets that were found, and their solution.
+
+    later_frames: where the search begins. solve: with `find_offsets`. Raises InputError where the motion does not tell.
+    """
+    later, fps = np.array(later_frames), apart[0].keypoints.fps
+    assert fps is not None
+    begun = views_of(together(apart, later_frames))
+    found = search_offsets(begun, fps, sigma_px, keypoint_sigma_m)
+    names = [source.camera.name for source in apart]
+    alone = [name for name, frames in zip(names, found, strict=True) if np.isnan(frames)]
+    if alone:
+        expected = "keypoints that it sees together with another camera, in 30 or more points"
+        raise InputError(Problem("--set find-offsets", f"camera {name}", "too few", expected) for name in alone)
+    later = later + found
+    sources = together(apart, later.tolist())
+    solution = solve(sources)
+    for _ in range(1, FIT_ROUNDS):
+        if np.abs(solution.time_offset_frames).max() < CLOSE_FRAMES:
+            break
+        later = later + solution.time_offset_frames
+        sources = together(apart, later.tolist())
+        solution = solve(sources)
+    refuse(_problems(names, later, solution.time_offset_frames, solution.time_offset_sigma_frames))
+    return sources, solution
+
+
+def _problems(names: Sequence[str], later: Array, lags: Array, sigmas: Array) -> Iterator[Problem]:
+    for name, frames, lag, sigma in zip(names, later, lags, sigmas, strict=True):
+        if sigma > MAX_SIGMA_FRAMES or abs(lag) > MAX_SIGMA_FRAMES:
+            found = f"{frames + lag:.1f} ± {max(sigma, abs(lag)):.1f} frames later, from a motion that hardly tells"
+            expected = f"a clip that tells it to {MAX_SIGMA_FRAMES:g}, or --set offset-s as measured otherwise"
+            yield Problem("--set find-offsets", f"camera {name}", found, expected)
 
 
 def search_offsets(views: Sequence[View], fps: float, sigma_px: float, keypoint_sigma_m: float) -> Array:

@@ -1,16 +1,23 @@
 """What a clip consists of: for each camera its keypoints, and where it saw them from."""
 
-from recon.clip.keypoints import (
-    CleaningReport,
-    KeypointCounts,
-    Keypoints,
-    clean,
-    fill_gaps,
-    frame_ranges,
-    leave_out,
-    mark_missing,
-    parse_frame_range,
-    select_frames,
-)
-from recon.clip.source import FramePoses, Source, at_rate, held, together, views_of
-from recon.clip.view import View, camera_poses, still_view, world_from_reference
+from typing import TYPE_CHECKING
+
+from recon.base.front_door import lazily
+
+if TYPE_CHECKING:
+    from recon.clip.keypoints import (
+        CleaningReport,
+        KeypointCounts,
+        Keypoints,
+        clean,
+        fill_gaps,
+        frame_ranges,
+        leave_out,
+        mark_missing,
+        parse_frame_range,
+        select_frames,
+    )
+    from recon.clip.source import FramePoses, Source, at_rate, held, together, views_of
+    from recon.clip.view import View, camera_poses, still_view, world_from_reference
+
+__getattr__ = lazily(__name__, __file__)

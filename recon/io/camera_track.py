@@ -15,7 +15,7 @@ import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -30,8 +30,6 @@ from recon.geometry.rotations import part_of_turn, quaternion_rotations
 from recon.io.common import MAX_FRAME, first_problems, frame_number, number, numbers
 from recon.io.table import text_rows
 
-MAX_GAP_S = 0.1
-"""Poses further apart have none in between."""
 POSE, INTRINSICS = ("qw", "qx", "qy", "qz", "tx", "ty", "tz"), ("fx", "fy", "cx", "cy")
 SIGMA = "sigma_deg"
 UNIT_TOLERANCE = 1e-2
@@ -50,6 +48,9 @@ COLMAP_MODELS = {name: (lens, of_it) for lens in LENS_MODELS.values() for name, 
 class CameraTrack:
     """The poses of one camera in N frames of its video."""
 
+    max_gap_s: ClassVar[float] = 0.1
+    """Poses further apart have none in between."""
+
     source: Path
     frames: Integers
     """(N,), increasing."""
@@ -63,14 +64,14 @@ class CameraTrack:
     """(N,): standard deviation of each pose's rotation about any axis, where the track says it."""
 
     def at(self, frames: Integers, fps: float) -> tuple[FramePoses, Bools]:
-        """In each of T increasing frames; between poses no more than `MAX_GAP_S` apart turned and moved evenly. And
+        """In each of T increasing frames; between poses no more than `max_gap_s` apart turned and moved evenly. And
         which these are, (T,)."""
         after = np.clip(np.searchsorted(self.frames, frames), 0, len(self.frames) - 1)
         before = np.maximum(after - (self.frames[after] > frames), 0)
         gap = self.frames[after] - self.frames[before]
         exact = self.frames[after] == frames
         inside = (self.frames[before] < frames) & (frames < self.frames[after])
-        filled = inside & (gap <= MAX_GAP_S * fps + 1e-9)
+        filled = inside & (gap <= self.max_gap_s * fps + 1e-9)
         share = np.where(filled, (frames - self.frames[before]) / np.maximum(gap, 1), 1.0)
         known = exact | filled
         poses = _between(self.T_camera_world[before], self.T_camera_world[after], share)

@@ -1,29 +1,26 @@
-"""DeepLabCut's CSV and H5 files: predictions and labels, of one animal or several, and 3D positions.
+"""DeepLabCut's files: predictions and labels, of one animal or several, and 3D positions.
 
 Both are a table with one row per frame and a header of several levels: `scorer`, `individuals` (several animals only),
 `bodyparts`, `coords`. Prediction files number their rows by frame. Label files index them by image path, in one column
 or three, and have no likelihood. Our own have the frame rate in the scorer, `recon_90fps`: there is no other place.
+
+Here are the table and its CSV files; `recon.io.deeplabcut_h5` has its H5 files.
 """
 
 from __future__ import annotations
 
-import pickle
 import re
 from array import array
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from io import BytesIO
 from pathlib import Path, PureWindowsPath
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from recon.base.errors import InputError, Problem, refuse
-from recon.base.files import write_bytes
 from recon.clip.keypoints import Keypoints
-from recon.io import pandas_hdf
 from recon.io.common import MAX_FRAME, PROBLEMS_SHOWN, choose, first_problems, frame_number, numbers, rate
-from recon.io.hdf5 import is_hdf5
 from recon.io.pose import Pose3D, StoredPoints, points_of
 from recon.io.table import text_rows, write_table
 
@@ -43,12 +40,6 @@ MIN_PARTS = 3
 """What names of one animal's bodyparts may begin with, and of how many each animal has that names tell apart."""
 SCORER = "recon"
 """Of our own files; where the frame rate is known, it stands in it: recon_90fps."""
-KEY = "df_with_missing"
-ANY_PANDAS = "0.15.2"
-"""As the version of pandas that wrote a file: with it, pandas 2 and 3 read it alike."""
-BLOCK = "values_block_0"
-MAX_SMALL_ATTRIBUTE = 60_000
-"""Bytes; larger ones need HDF5's format of version 1.8."""
 
 
 class Column(NamedTuple):
@@ -78,12 +69,7 @@ class PointTable:
     """Of the first column; None where there is no header row or level of that name."""
 
 
-def recognises_h5(path: Path) -> bool:
-    """Whether an HDF5 file has a pandas table. Raises InputError for one that cannot be opened."""
-    return is_hdf5(path) and bool(pandas_hdf.keys(path))
-
-
-def recognises_csv(path: Path) -> bool:
+def recognises(path: Path) -> bool:
     """Whether a text has DeepLabCut's header rows."""
     with path.open("rb") as file:
         head = file.read(64).removeprefix(b"\xef\xbb\xbf")
@@ -91,13 +77,18 @@ def recognises_csv(path: Path) -> bool:
 
 
 def read(path: Path, individual: str | None = None) -> StoredPoints:
+    """The points of one animal in a CSV file (see `points_in`). Raises InputError."""
+    return points_in(read_csv(path), path, individual)
+
+
+def points_in(table: PointTable, path: Path, individual: str | None) -> StoredPoints:
     """The points of one animal as the file states them: likelihoods are NaN where it has none, and the unit of 3D
     positions is not in it.
 
     individual: which animal, where there are several. Raises InputError naming what is wrong: header, cells, frame
     numbers, or a choice that is missing.
     """
-    table, animal = of_one_animal(read_table(path), path, individual)
+    table, animal = of_one_animal(table, path, individual)
     if any(c.coord == "z" for c in table.columns):
         names, xyz = gather(table, path, required=("x", "y", "z"))
         return StoredPoints(names, xyz, table.frames, fps=table.fps, notes=table.notes)
@@ -108,11 +99,6 @@ def read(path: Path, individual: str | None = None) -> StoredPoints:
         notes += ("The header's first row, scorer, is missing; the others say what each column is.",)
     likelihood = values[..., 2]
     return StoredPoints(names, values[..., :2], table.frames, likelihood, table.fps, animal, table.scorer, notes=notes)
-
-
-def read_table(path: Path) -> PointTable:
-    """A file that is recognised, 2D or 3D, with all its animals. Raises InputError."""
-    return _read_h5(path) if is_hdf5(path) else read_csv(path)
 
 
 def gather(
@@ -155,12 +141,12 @@ def read_csv(path: Path) -> PointTable:
     width = index_columns + len(labels)
     for line, row in rows:
         if len(row) == width:
-            values.extend(_numbers(row[index_columns:], len(index), bad))
+            values.extend(row_numbers(row[index_columns:], len(index), bad))
             index.append(tuple(row[:index_columns]))
         else:
             problems.append(Problem(path, f"line {line}", f"{len(row)} cells", f"{width}, as in the header"))
     cells = np.array(values).reshape(len(index), len(labels))
-    return _table(path, tuple(levels), labels, index, cells, bad, problems)
+    return table_of(path, tuple(levels), labels, index, cells, bad, problems)
 
 
 def _read_header(path: Path, rows: Iterator[tuple[int, list[str]]]) -> tuple[dict[str, list[str]], int]:
@@ -179,7 +165,7 @@ def _read_header(path: Path, rows: Iterator[tuple[int, list[str]]]) -> tuple[dic
             if separator in first:
                 raise InputError(Problem(path, "separator", name, "','"))
         found = ", ".join(dict.fromkeys((*header, first[:40])))
-        raise InputError(_header_problem(path, f"rows that begin with '{found}'"))
+        raise InputError(header_problem(path, f"rows that begin with '{found}'"))
     if len({len(row) for row in header.values()}) != 1:
         lengths = ", ".join(f"{len(row)} in {name}" for name, row in header.items())
         raise InputError(Problem(path, "header rows", f"cells: {lengths}", "the same number of cells in each"))
@@ -201,30 +187,6 @@ def _with_fps(scorer: str | None, fps: float | None) -> str:
     if scorer in (None, SCORER):
         return ours
     return str(scorer) if fps is None else f"{scorer}_{ours}"
-
-
-def _read_h5(path: Path) -> PointTable:
-    keys = pandas_hdf.keys(path)
-    if len(keys) != 1:
-        raise InputError(Problem(path, "keys", ", ".join(keys) or "none", "one table"))
-    frame = pandas_hdf.read_frame(path, keys[0])
-    levels = frame.levels
-    if not any(levels):
-        levels = {2: HEADERS[2], 3: HEADERS[0], 4: HEADERS[1]}.get(len(levels), levels)
-    if levels not in HEADERS:
-        raise InputError(_header_problem(path, f"column levels {', '.join(map(str, levels))}"))
-    bad: list[tuple[int, int, str]] = []
-    cells = frame.cells
-    if cells.dtype == object:
-        rows = [["" if cell != cell else str(cell) for cell in row] for row in cells.tolist()]
-        cells = np.array([_numbers(row, i, bad) for i, row in enumerate(rows)]).reshape(cells.shape)
-    return _table(path, levels, frame.columns, frame.index, cells, bad, [])
-
-
-def image_names(path: Path) -> list[str]:
-    """The labels of the rows of an HDF5 file's table, parts of paths joined. Raises InputError."""
-    (key,) = pandas_hdf.keys(path)
-    return ["/".join(label) for label in pandas_hdf.read_frame(path, key).index]
 
 
 def _columns(path: Path, raw: Sequence[Column]) -> tuple[tuple[Column, ...], tuple[str, ...]]:
@@ -252,7 +214,7 @@ def _columns(path: Path, raw: Sequence[Column]) -> tuple[tuple[Column, ...], tup
     return columns, tuple(f"'{name}' is read as '{name.strip()}'." for name in names if name != name.strip())
 
 
-def _table(
+def table_of(
     path: Path,
     levels: tuple[str | None, ...],
     labels: Sequence[tuple[str, ...]],
@@ -317,7 +279,7 @@ def _frame_numbers(path: Path, index: Sequence[tuple[str, ...]]) -> tuple[list[i
     return frames, problems
 
 
-def _numbers(cells: Sequence[str], row: int, bad: list[tuple[int, int, str]]) -> list[float]:
+def row_numbers(cells: Sequence[str], row: int, bad: list[tuple[int, int, str]]) -> list[float]:
     """The cells of one row as floats; those that are none are added to `bad` as (row, column, text)."""
     values, wrong = numbers(cells)
     bad += [(row, j, cells[j]) for j in wrong if np.isnan(values[j])]
@@ -364,7 +326,7 @@ def _has_points(table: PointTable, animal: str) -> bool:
     return not np.isin(np.nan_to_num(table.numbers[:, columns]), (0.0, PADDING)).all()
 
 
-def _header_problem(path: Path, found: str) -> Problem:
+def header_problem(path: Path, found: str) -> Problem:
     return Problem(path, "header", found, "; or ".join(", ".join(h) for h in HEADERS))
 
 
@@ -373,17 +335,11 @@ def _header_problem(path: Path, found: str) -> Problem:
 
 def write_csv(data: Keypoints | Pose3D, path: Path) -> None:
     """x, y and likelihood, or x, y, z in metres with z up."""
-    header, frames, values = _layout(data)
+    header, frames, values = layout(data)
     write_table(path, [[level, *cells] for level, cells in header.items()], frames, values)
 
 
-def write_h5(data: Keypoints | Pose3D, path: Path) -> None:
-    """The same, as `pandas.DataFrame.to_hdf(key=KEY, format="table")` would, but without PyTables' index of the
-    frames."""
-    _write_h5(path, *_layout(data))
-
-
-def _layout(data: Keypoints | Pose3D) -> tuple[dict[str, list[str]], np.ndarray, np.ndarray]:
+def layout(data: Keypoints | Pose3D) -> tuple[dict[str, list[str]], np.ndarray, np.ndarray]:
     """Header cells by level, frame numbers (T,) and values (T, 3K)."""
     points = points_of(data)
     coords, values = ("x", "y", "z"), points.values
@@ -400,61 +356,3 @@ def _layout(data: Keypoints | Pose3D) -> tuple[dict[str, list[str]], np.ndarray,
 def _shortest(fps: float) -> str:
     """Text that reads back exactly: 90, 29.97."""
     return repr(fps).removesuffix(".0")
-
-
-def _write_h5(path: Path, header: dict[str, list[str]], frames: np.ndarray, values: np.ndarray) -> None:
-    import h5py
-
-    columns = list(zip(*header.values(), strict=True))
-    rows = np.empty(len(frames), [("index", "<i8"), (BLOCK, "<f8", (len(columns),))])
-    rows["index"], rows[BLOCK] = frames, values
-    group_attributes = {
-        "pandas_type": "frame_table",
-        "pandas_version": ANY_PANDAS,
-        "encoding": "UTF-8",
-        "errors": "strict",
-        "table_type": "appendable_frame",
-        "index_cols": [(0, "index")],
-        "values_cols": [BLOCK],
-        "data_columns": [],
-        "non_index_axes": [(1, columns)],
-        "nan_rep": "nan",
-        "levels": 1,
-        "info": {1: {"names": list(header), "type": "MultiIndex"}, "index": {}},
-    }
-    table_attributes = {
-        "CLASS": "TABLE",
-        "VERSION": "2.7",
-        "FIELD_0_NAME": "index",
-        "FIELD_1_NAME": BLOCK,
-        "FIELD_0_FILL": 0,
-        "FIELD_1_FILL": 0.0,
-        "NROWS": len(frames),
-        "index_kind": "integer",
-        f"{BLOCK}_dtype": "float64",
-        f"{BLOCK}_kind": columns,
-        f"{BLOCK}_meta": None,
-    }
-    large = len(pickle.dumps(columns, 0)) > MAX_SMALL_ATTRIBUTE
-    content = BytesIO()
-    with h5py.File(content, "w", libver=("v108", "latest") if large else ("earliest", "latest")) as file:
-        _describe(file, {"CLASS": "GROUP", "VERSION": "1.0", "PYTABLES_FORMAT_VERSION": "2.1"})
-        group = file.create_group(KEY)
-        _describe(group, {"CLASS": "GROUP", "VERSION": "1.0", **group_attributes})
-        _describe(group.create_dataset("table", data=rows, chunks=True, maxshape=(None,)), table_attributes)
-    write_bytes(path, content.getvalue())
-
-
-def _describe(holder: Any, attributes: dict[str, Any]) -> None:
-    """Attributes as PyTables has them: texts and numbers as they are, everything else pickled."""
-    import h5py
-
-    holder.attrs["TITLE"] = h5py.Empty("S1")
-    for name, value in attributes.items():
-        if isinstance(value, str):
-            text = value.encode()
-            holder.attrs.create(name, np.array(text), dtype=h5py.string_dtype("utf-8", len(text)))
-        elif isinstance(value, int | float):
-            holder.attrs[name] = value
-        else:
-            holder.attrs[name] = np.bytes_(pickle.dumps(value, 0))

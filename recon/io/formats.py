@@ -19,7 +19,6 @@ from recon.base.errors import InputError, Problem
 from recon.clip.keypoints import Keypoints
 from recon.io import camera_files, deeplabcut
 from recon.io.common import MAX_FRAME, NoChoiceError, with_likelihoods
-from recon.io.hdf5 import is_hdf5
 from recon.io.pose import StoredPoints
 
 Kind = Literal["2D", "3D", "bones", "cameras"]
@@ -74,10 +73,11 @@ _CAMERAS: tuple[Kind, ...] = ("cameras",)
 
 # fmt: off
 FORMATS: tuple[Format, ...] = (
-    Format("deeplabcut", "DeepLabCut CSV", (".csv",), deeplabcut.recognises_csv, deeplabcut.read, _BOTH,
+    Format("deeplabcut", "DeepLabCut CSV", (".csv",), deeplabcut.recognises, deeplabcut.read, _BOTH,
            deeplabcut.write_csv, _BOTH, "in the scorer", "kept", "m, z up", unit="m"),
-    Format("deeplabcut", "DeepLabCut H5", (".h5", ".hdf5"), deeplabcut.recognises_h5, deeplabcut.read, _BOTH,
-           deeplabcut.write_h5, _BOTH, "in the scorer", "kept", "m, z up", unit="m"),
+    Format("deeplabcut", "DeepLabCut H5", (".h5", ".hdf5"), _of("deeplabcut_h5.recognises"),
+           _of("deeplabcut_h5.read"), _BOTH, _of("deeplabcut_h5.write"), _BOTH,
+           "in the scorer", "kept", "m, z up", unit="m"),
     Format("sleap", "SLEAP analysis H5", (".analysis.h5", ".h5"), _of("sleap.recognises"), _of("sleap.read"), _2D,
            _of("sleap.write"), _2D, "in provenance", "from frame 0"),
     Format("movement", "movement netCDF", (".nc",), _of("movement.recognises"), _of("movement.read"), _BOTH,
@@ -239,7 +239,7 @@ def individuals(path: str | Path) -> tuple[str, ...]:
 def _is_of_one(path: Path) -> bool:
     """Whether it can be told without reading all of it: DeepLabCut's CSV names animals in its first rows."""
     head = file_head(path, 1 << 18)  # a row with the network's name in every column is before those that count
-    if b"individuals" in head or is_hdf5(path) or not deeplabcut.recognises_csv(path):
+    if b"individuals" in head or not deeplabcut.recognises(path):
         return False
     row = next((line for line in head.splitlines() if line.startswith(b"bodyparts")), b"")
     return not deeplabcut.prefixes(row.decode(errors="replace").split(",")[1:] or [""])

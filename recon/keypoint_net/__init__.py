@@ -3,8 +3,15 @@
 It needs torch (extra `net`), which is imported where it is used.
 """
 
-from recon.keypoint_net.evaluate2d import evaluate_2d_files
-from recon.keypoint_net.predict import PredictSettings
-from recon.keypoint_net.run import TrainSettings
-from recon.keypoint_net.trained import model_file
-from recon.keypoint_net.workflows import LabelSource, run_prediction, run_training
+from typing import TYPE_CHECKING
+
+from recon.base.front_door import lazily
+
+if TYPE_CHECKING:
+    from recon.keypoint_net.evaluate2d import evaluate_2d_files
+    from recon.keypoint_net.predict import PredictSettings
+    from recon.keypoint_net.run import TrainSettings
+    from recon.keypoint_net.trained import model_file
+    from recon.keypoint_net.workflows import LabelSource, run_prediction, run_training
+
+__getattr__ = lazily(__name__, __file__)

@@ -14,7 +14,7 @@ from recon.animal import load_names, new_names
 from recon.base.arrays import Array, Bools, Integers, median
 from recon.base.errors import InputError, Problem, all_of, refuse
 from recon.clip.keypoints import Keypoints, mark_missing
-from recon.io import as_keypoints, deeplabcut, file_head
+from recon.io import as_keypoints, deeplabcut, deeplabcut_h5, file_head
 from recon.io.common import first_problems
 from recon.io.hdf5 import is_hdf5
 from recon.io.table import text_rows
@@ -141,9 +141,10 @@ def read_label_file(path: Path, individual: str | None = None) -> tuple[Keypoint
 
 def _read_rows(path: Path, individual: str | None) -> tuple[Keypoints, tuple[str, ...]]:
     file_head(path)
-    if not (deeplabcut.recognises_csv(path) or deeplabcut.recognises_h5(path)):
+    tables = deeplabcut_h5 if is_hdf5(path) else deeplabcut
+    if not tables.recognises(path):
         raise InputError(Problem(path, "format", "another kind of file", "labels in DeepLabCut's layout, CSV or H5"))
-    keypoints, _ = mark_missing(as_keypoints(path, deeplabcut.read(path, individual)))
+    keypoints, _ = mark_missing(as_keypoints(path, tables.read(path, individual)))
     named = dict(_image_names(path))
     return keypoints, tuple(named.get(int(n), str(n)) for n in keypoints.frames)
 
@@ -151,7 +152,7 @@ def _read_rows(path: Path, individual: str | None) -> tuple[Keypoints, tuple[str
 def _image_names(path: Path) -> list[tuple[int, str]]:
     """Frame numbers and image names of a CSV file of labels."""
     if is_hdf5(path):
-        return _numbered(deeplabcut.image_names(path))
+        return _numbered(deeplabcut_h5.image_names(path))
     found, wide = [], False
     for _, row in text_rows(path, ","):
         if row[0].strip() in ("scorer", "individuals", "bodyparts", "coords"):

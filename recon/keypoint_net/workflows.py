@@ -10,7 +10,8 @@ from recon.base.files import require_free_file, sole_writer, staged_file, staged
 from recon.base.progress import Progress, silent
 from recon.base.settings import Integer, Option, Settings
 from recon.clip.keypoints import Keypoints
-from recon.io.deeplabcut import write_csv, write_h5
+from recon.io import deeplabcut_h5
+from recon.io.deeplabcut import write_csv
 from recon.io.video import require_codec
 from recon.keypoint_net.labels import read_labels
 from recon.keypoint_net.predict import PredictSettings, predict_video
@@ -22,7 +23,7 @@ from recon.keypoint_net.train import train
 from recon.keypoint_net.trained import MODEL_FILE, load_model, model_file
 from recon.workflows.settings import RENAME
 
-WRITERS = {".csv": write_csv, ".h5": write_h5}
+WRITERS = {".csv": write_csv, ".h5": deeplabcut_h5.write}
 
 
 class LabelSource(Settings):

@@ -10,10 +10,10 @@ from pathlib import Path
 
 import numpy as np
 
+from recon import io
 from recon.base.arrays import Array
 from recon.base.errors import InputError, Problem, all_of, refuse
 from recon.geometry.camera import Camera
-from recon.io import CameraTrack, read_camera, read_camera_track, read_cameras, track_label
 from recon.io.common import numbers
 from recon.workflows.settings import UNITS_M, FitSettings, Unit
 
@@ -28,7 +28,7 @@ class ClipCamera:
 
     camera: Camera
     """With a track its lens only: it has no pose."""
-    track: CameraTrack | None = None
+    track: io.CameraTrack | None = None
     """Of a camera that moves."""
 
 
@@ -37,7 +37,7 @@ Cameras = tuple[ClipCamera, ...]
 
 def read_clip_cameras(settings: FitSettings) -> Cameras:
     """The camera of each keypoint file. Raises InputError."""
-    reads = (lambda path=path: read_camera_track(path) for path in settings.camera_track or ())
+    reads = (lambda path=path: io.read_camera_track(path) for path in settings.camera_track or ())
     tracks = tuple(all_of(*reads))
     chosen = (
         _cameras_of_one(settings, tracks) if len(settings.keypoints) == 1 else _cameras_of_several(settings, tracks)
@@ -95,7 +95,7 @@ def other_cameras(camera: Camera, settings: FitSettings) -> tuple[Camera, ...]:
     """The cameras of the camera file that the clip is not said to be of, none where there is no such file."""
     if settings.camera is None:
         return ()
-    cameras = read_cameras(settings.camera, settings.image_size_px)
+    cameras = io.read_cameras(settings.camera, settings.image_size_px)
     return tuple(other for other in cameras if other.name != camera.name)
 
 
@@ -113,7 +113,7 @@ def _in_metres(one: ClipCamera, unit: Unit) -> ClipCamera:
     return replace(one, camera=replace(one.camera, translation_m=UNITS_M[unit] * one.camera.translation_m))
 
 
-def _cameras_of_one(settings: FitSettings, tracks: Sequence[CameraTrack]) -> Cameras:
+def _cameras_of_one(settings: FitSettings, tracks: Sequence[io.CameraTrack]) -> Cameras:
     """A clip with one keypoint file, whose camera any track is."""
     track = tracks[0] if tracks else None
     given = "a camera file" if settings.camera is not None else "--hfov-deg" if settings.hfov_deg is not None else None
@@ -134,7 +134,7 @@ def _cameras_of_one(settings: FitSettings, tracks: Sequence[CameraTrack]) -> Cam
     return (ClipCamera(camera, track),)
 
 
-def _require_like_lens(camera: Camera, track: CameraTrack) -> None:
+def _require_like_lens(camera: Camera, track: io.CameraTrack) -> None:
     """Raises InputError for focal lengths that no zoom has beside that of the camera file."""
     if track.intrinsics_px is not None:
         of_file, of_track = float(camera.matrix[0, 0]), track.intrinsics_px[:, 0]
@@ -153,7 +153,7 @@ def _own_lens(camera: Camera, settings: FitSettings, place: int) -> Camera:
     return camera if settings.camera_name is None else replace(camera, name=settings.camera_name[place])
 
 
-def _cameras_of_several(settings: FitSettings, tracks: Sequence[CameraTrack]) -> Cameras:
+def _cameras_of_several(settings: FitSettings, tracks: Sequence[io.CameraTrack]) -> Cameras:
     """A track is that of the camera whose name its own contains."""
     if settings.camera_name is not None:
         reads = (
@@ -167,7 +167,7 @@ def _cameras_of_several(settings: FitSettings, tracks: Sequence[CameraTrack]) ->
     refuse(_problems_of_several(settings.camera, cameras, tracks))
     chosen, names = [], [camera.name for camera in cameras]
     for i, camera in enumerate(cameras):
-        track = next((one for one in tracks if camera.name in cameras_in(track_label(one.source), names)), None)
+        track = next((one for one in tracks if camera.name in cameras_in(io.track_label(one.source), names)), None)
         lens = None if track is None else track.camera
         if track is not None and lens is None:
             _require_like_lens(camera, track)
@@ -177,22 +177,22 @@ def _cameras_of_several(settings: FitSettings, tracks: Sequence[CameraTrack]) ->
     return tuple(chosen)
 
 
-def _camera_by_name(settings: FitSettings, place: int, name: str, tracks: Sequence[CameraTrack]) -> Camera:
+def _camera_by_name(settings: FitSettings, place: int, name: str, tracks: Sequence[io.CameraTrack]) -> Camera:
     """Of a track with a lens, or from the camera file."""
     for track in tracks:
-        if track.camera is not None and name in cameras_in(track_label(track.source), settings.camera_name or ()):
+        if track.camera is not None and name in cameras_in(io.track_label(track.source), settings.camera_name or ()):
             return _own_lens(track.camera, settings, place)
     if settings.camera is None:
         raise InputError(Problem("--camera", "camera", f"no lens of {name}", "a camera file with it"))
-    return read_camera(settings.camera, name, settings.image_size_px)
+    return io.read_camera(settings.camera, name, settings.image_size_px)
 
 
 def _cameras_in_file(path: Path, settings: FitSettings) -> tuple[Camera, ...]:
     """By name as given; else the only one, or the one whose name the keypoint file's name contains."""
     if settings.camera_name is not None:
-        named = (lambda name=name: read_camera(path, name, settings.image_size_px) for name in settings.camera_name)
+        named = (lambda name=name: io.read_camera(path, name, settings.image_size_px) for name in settings.camera_name)
         return tuple(all_of(*named))
-    cameras = read_cameras(path, settings.image_size_px)
+    cameras = io.read_cameras(path, settings.image_size_px)
     if len(cameras) == 1 == len(settings.keypoints):
         return cameras
     if len(cameras) < len(settings.keypoints):
@@ -213,17 +213,17 @@ def _cameras_in_file(path: Path, settings: FitSettings) -> tuple[Camera, ...]:
 
 
 def _problems_of_several(
-    path: Path | None, cameras: Sequence[Camera], tracks: Sequence[CameraTrack]
+    path: Path | None, cameras: Sequence[Camera], tracks: Sequence[io.CameraTrack]
 ) -> Iterator[Problem]:
     """What cameras that film together must have."""
     file = path or "--camera"
     names = [camera.name for camera in cameras]
     for name in sorted({name for name in names if names.count(name) > 1}):
         yield Problem(file, "camera", f"{name} for two keypoint files", "a camera for each, by --camera-name")
-    of_track = {track.source: list(cameras_in(track_label(track.source), dict.fromkeys(names))) for track in tracks}
+    of_track = {track.source: list(cameras_in(io.track_label(track.source), dict.fromkeys(names))) for track in tracks}
     for track, owners in of_track.items():
         if len(owners) != 1:
-            found = f"{track_label(track)}, with the name of {' and of '.join(owners) or 'no camera'}"
+            found = f"{io.track_label(track)}, with the name of {' and of '.join(owners) or 'no camera'}"
             yield Problem(track, "name", found, f"the name of one of {', '.join(names)} in it")
     owned = [owners[0] for owners in of_track.values() if len(owners) == 1]
     for name in sorted({name for name in owned if owned.count(name) > 1}):

@@ -12,9 +12,9 @@ from pathlib import Path
 
 import numpy as np
 
+from recon import animal, check, io
 from recon.animal.body import Body, Side, facing_side
 from recon.animal.detector import seen_by
-from recon.animal.naming import fitting_maps, load_names, map_to_write, renamed
 from recon.animal.prior import MotionPrior, load_prior
 from recon.animal.skeleton_file import load_chain, load_skeleton
 from recon.base.arrays import Array, Bools
@@ -23,7 +23,6 @@ from recon.base.progress import Progress, silent
 from recon.check import (
     FileFacts,
     Finding,
-    agreement_findings,
     flagged,
     input_findings,
     judged,
@@ -35,11 +34,7 @@ from recon.clip.keypoints import CleaningReport, Keypoints, clean, leave_out, pa
 from recon.fit import TrajectorySolution, solve_trajectory
 from recon.fit.motion import Motion
 from recon.geometry.camera import Camera
-from recon.io import read_keypoints
-from recon.io.camera_track import MAX_GAP_S, CameraTrack
 from recon.workflows.cameras import Cameras, ClipCamera, cameras_in, other_camera_in, other_cameras, read_clip_cameras
-from recon.workflows.offsets import solved_in_step
-from recon.workflows.refined import cameras_made_worse
 from recon.workflows.settings import METHODS, FitSettings
 
 RATES_HZ = (1.0, 10_000.0)
@@ -73,14 +68,14 @@ def fit_clip(settings: FitSettings, progress: Progress = silent) -> Motion:
 
     if options.find_offsets:
         noise = (options.sigma_px, options.keypoint_noise_m(body))
-        sources, solution = solved_in_step(given.apart, given.later_frames, solved, *noise)
+        sources, solution = check.solved_in_step(given.apart, given.later_frames, solved, *noise)
     else:
         solution = solved(sources)
     unrefined: tuple[Finding, ...] = ()
     if options.refine_cameras:
         tried, options = solution, replace(options, refine_cameras=False)
         held = solved(sources)
-        unrefined = cameras_made_worse(tried, held)
+        unrefined = check.cameras_made_worse(tried, held)
         solution, options = (held, options) if unrefined else (tried, replace(options, refine_cameras=True))
     began = time.perf_counter()
     cleaned, outliers = without_gross_outliers(sources, solution)
@@ -97,12 +92,10 @@ def fit_clip(settings: FitSettings, progress: Progress = silent) -> Motion:
         solution = solved(sources)
     stage_s = solution.stage_s | {"input_findings": time.perf_counter() - began}
     motion = replace(motion, sources=sources, solution=replace(solution, stage_s=stage_s))
-    found = (
-        *unrefined,
-        *outliers,
-        *found,
-        *agreement_findings(motion, options.sigma_px, options.keypoint_noise_m(body)),
-    )
+    agreement: tuple[Finding, ...] = ()
+    if len(sources) > 1:
+        agreement = check.agreement_findings(motion, options.sigma_px, options.keypoint_noise_m(body))
+    found = (*unrefined, *outliers, *found, *agreement)
     if settings.seeks_cameras:
         placed = zip(sources, solution.extrinsic_correction, solution.focal, strict=True)
         sources = tuple(replace(s, camera=s.camera.corrected(by).with_focal_scale(longer)) for s, by, longer in placed)
@@ -218,16 +211,16 @@ def read_clips(settings: FitSettings) -> list[Keypoints]:
 def keypoint_problems(paths: Iterable[Path], individual: str | None) -> list[Problem]:
     """Of the files themselves, beside settings that cannot be used."""
     try:
-        all_of(*(lambda path=path: read_keypoints(path, individual) for path in paths))
+        all_of(*(lambda path=path: io.read_keypoints(path, individual) for path in paths))
     except InputError as error:
         return list(error.problems)
     return []
 
 
 def _read_clip(path: Path, given_fps: float | None, settings: FitSettings) -> Keypoints:
-    file = read_keypoints(path, settings.individual)
+    file = io.read_keypoints(path, settings.individual)
     if settings.rename is not None:
-        file = renamed(file, load_names(settings.rename))
+        file = animal.renamed(file, animal.load_names(settings.rename))
     fps = file.fps if given_fps is None else given_fps
     if fps is not None and not RATES_HZ[0] <= fps <= RATES_HZ[1]:
         where = path if given_fps is None else "--fps" if settings.camera_fps is None else "--set camera-fps"
@@ -298,7 +291,7 @@ def _cleaned(
 
 
 def _with_pose(
-    keypoints: Keypoints, cleaning: CleaningReport, poses: FramePoses, filled: Bools, track: CameraTrack
+    keypoints: Keypoints, cleaning: CleaningReport, poses: FramePoses, filled: Bools, track: io.CameraTrack
 ) -> tuple[Keypoints, CleaningReport]:
     """Without detections in frames for which a track has no pose. Raises InputError where there are no others."""
     if not (keypoints.present & poses.known[:, None]).any():
@@ -306,7 +299,7 @@ def _with_pose(
         found = f"{track.frames[0]} to {track.frames[-1]}, none in common with {keypoints.source or 'the keypoints'}"
         raise InputError(Problem(track.source, "frame", found, f"the numbers of the clip's frames, {first} to {last}"))
     if filled.any():
-        between = f"between two of its track that are {MAX_GAP_S:g} s apart or less"
+        between = f"between two of its track that are {track.max_gap_s:g} s apart or less"
         note = f"{filled.sum()} frames have a camera pose {between}"
         cleaning = replace(cleaning, notes=(*cleaning.notes, note))
     return leave_out(keypoints, cleaning, keypoints.present & ~poses.known[:, None], _WITHOUT_POSE)
@@ -317,7 +310,7 @@ def _require_keypoints_of(wanted: Sequence[str], skeleton: str, keypoints: Keypo
     known = [name for name in keypoints.names if name in wanted]
     if known and (len(known) >= FEW_OF_SKELETON * len(wanted) or len(known) >= FEW_OF_FILE * len(keypoints.names)):
         return
-    maps = fitting_maps(keypoints.names, wanted)
+    maps = animal.fitting_maps(keypoints.names, wanted)
     hint = f"--rename {maps[0]}, or" if maps else "another animal's --skeleton, or"
     raise InputError(
         Problem(
@@ -326,7 +319,7 @@ def _require_keypoints_of(wanted: Sequence[str], skeleton: str, keypoints: Keypo
             f"{', '.join(keypoints.names)}: {', '.join(known) or 'none'} of the skeleton's",
             f"those of the skeleton {skeleton}: {', '.join(wanted)}; {hint} --rename with a file of these lines, "
             "completed",
-            tuple(map_to_write(keypoints.names, wanted)),
+            tuple(animal.map_to_write(keypoints.names, wanted)),
         )
     )
 

@@ -6,10 +6,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from recon import io
 from recon.base.documents import read_toml
 from recon.base.errors import InputError, Problem
 from recon.base.manifest import sha256_of
-from recon.io.camera_track import track_files
 from recon.workflows.settings import FitSettings, read_settings
 
 
@@ -19,7 +19,7 @@ def input_files(settings: FitSettings) -> dict[str, Path]:
     files = {"keypoints": first} | {f"keypoints {i}": path for i, path in enumerate(others, start=2)}
     if settings.camera is not None:
         files["camera"] = settings.camera
-    tracks = [path for track in settings.camera_track or () for path in track_files(track)]
+    tracks = [path for track in settings.camera_track or () for path in io.track_files(track)]
     files |= {f"camera_track {i}" if i else "camera_track": path for i, path in enumerate(tracks)}
     for role in ("skeleton", "subject", "detector", "prior", "rename"):
         name = getattr(settings, role)

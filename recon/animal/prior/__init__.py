@@ -4,7 +4,14 @@ A prior is about a body's angles z = state[4:], the root's pitch and roll and th
 animal is, where it heads or how large it is. Built-in priors are the files of `recon/animal/priors`, statistics only.
 """
 
-from recon.animal.prior.file import builtin_priors, load_prior, save_prior
-from recon.animal.prior.fit import FRAMES_PER_COMPONENT, fit_prior, mean_speed_m_s
-from recon.animal.prior.mixture import log_likelihood
-from recon.animal.prior.model import ANGLES, NONE, MotionPrior, as_one_gaussian, prior_from_body
+from typing import TYPE_CHECKING
+
+from recon.base.front_door import lazily
+
+if TYPE_CHECKING:
+    from recon.animal.prior.file import builtin_priors, load_prior, save_prior
+    from recon.animal.prior.fit import FRAMES_PER_COMPONENT, fit_prior
+    from recon.animal.prior.mixture import log_likelihood
+    from recon.animal.prior.model import ANGLES, NONE, MotionPrior, as_one_gaussian, mean_speed_m_s, prior_from_body
+
+__getattr__ = lazily(__name__, __file__)

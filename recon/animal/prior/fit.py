@@ -8,7 +8,7 @@ import numpy as np
 
 from recon.animal.body import Body
 from recon.animal.prior.mixture import mixture, still
-from recon.animal.prior.model import ANGLES, MotionPrior, SegmentRow
+from recon.animal.prior.model import ANGLES, MotionPrior, SegmentRow, mean_speed_m_s
 from recon.animal.prior.motion import ridge
 from recon.base.arrays import Array
 from recon.base.errors import Problem, refuse
@@ -70,12 +70,6 @@ def fit_prior(
     covariance = np.cov(poses.T, bias=True) + extra
     arrays = (weights, means, covariances, mean, covariance, drift, acceleration_covariance)
     return MotionPrior(name, angles, *arrays, source=source, segments=rows)
-
-
-def mean_speed_m_s(states: Array, fps: float) -> float:
-    """Mean horizontal speed of the root over states (T, D), 0 if no two frames follow each other."""
-    steps = np.linalg.norm(np.diff(states[:, :2], axis=0), axis=1) * fps
-    return float(np.nanmean(steps)) if np.isfinite(steps).any() else 0.0
 
 
 def _poses_and_changes(body: Body, segments: Sequence[tuple[Array, float]]) -> tuple[Array, Array, Array, Array]:

@@ -102,3 +102,9 @@ def prior_from_body(body: Body) -> MotionPrior:
 def as_one_gaussian(prior: MotionPrior) -> MotionPrior:
     """The same prior with its one Gaussian of poses in the place of the mixture."""
     return replace(prior, weights=np.ones(1), means=prior.mean[None], covariances=prior.covariance[None])
+
+
+def mean_speed_m_s(states: Array, fps: float) -> float:
+    """Mean horizontal speed of the root over states (T, D), 0 if no two frames follow each other."""
+    steps = np.linalg.norm(np.diff(states[:, :2], axis=0), axis=1) * fps
+    return float(np.nanmean(steps)) if np.isfinite(steps).any() else 0.0

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from recon.check import Finding, finding
+from recon.check.codes import finding
 from recon.fit import TrajectorySolution
+from recon.fit.finding import Finding
 
 WORSE = 1.1
 """Times a camera's median reprojection that is no change: what one camera gains, another may lose a little."""
