@@ -21,7 +21,7 @@ export PYRIGHT_PYTHON_IGNORE_WARNINGS := 1
 # Compiled modules are kept, whatever the environment says: the tests start many processes.
 export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: help demo test lint format docs docs-figures notebooks samples benchmark clean
+.PHONY: help demo test lint format docs docs-figures notebooks samples benchmark wheel clean
 
 help:
 	@echo 'make demo       reconstruct the sample clip into $(DEMO_OUT)/'
@@ -32,6 +32,7 @@ help:
 	@echo 'make notebooks  run the notebooks and save their outputs'
 	@echo 'make samples    make the clips in data/samples again'
 	@echo 'make benchmark  tables of accuracy and speed; real recordings: RUNS=folder'
+	@echo 'make wheel      the package into dist/, installed and tried in a clean environment'
 	@echo 'make clean      remove outputs and caches; $(VENV) stays'
 
 demo: $(BASE)
@@ -86,6 +87,16 @@ benchmark: $(BASE)
 	$(BIN)/python benchmarks/batch.py
 	$(BIN)/python benchmarks/startup.py
 	$(BIN)/python benchmarks/analyse.py
+
+# What is released: built, installed into an environment of its own, and run there.
+wheel: $(BASE)
+	rm -rf dist build/clean
+	$(PIP) build
+	$(BIN)/python -m build --outdir dist
+	$(PYTHON) -m venv build/clean
+	build/clean/bin/python -m pip install --quiet -c constraints.txt dist/*.whl
+	cd build && clean/bin/recon --version && clean/bin/recon demo --out clean/demo --quiet
+	cd build && clean/bin/python -c 'import recon; print(recon.Motion.load("clean/demo"))'
 
 clean:
 	rm -rf $(DEMO_OUT) build dist site .cache .pytest_cache .ruff_cache

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import sys
 import tomllib
 from importlib import metadata
@@ -38,6 +39,22 @@ def test_the_name_of_the_distribution_is_that_of_pyproject():
     assert recon.__version__ == package.version() == project["version"]
     own = [line for lines in project["optional-dependencies"].values() for line in lines if line.startswith("recon")]
     assert all(line.startswith(f"{DISTRIBUTION}[") for line in own)
+
+
+def test_one_version_everywhere():
+    """Of the package, the citation, the recipe, and the changelog's latest section; and what is required to run it."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    recipe = (ROOT / "packaging" / "meta.yaml").read_text(encoding="utf-8")
+    cited = re.search(r"^version: (\S+)$", (ROOT / "CITATION.cff").read_text(encoding="utf-8"), re.MULTILINE)
+    latest = re.search(r"^## \[([0-9].*?)\]", (ROOT / "CHANGELOG.md").read_text(encoding="utf-8"), re.MULTILINE)
+    assert cited is not None
+    assert latest is not None
+    assert {cited[1], latest[1], project["version"]} == {project["version"]}
+    assert f'{{% set version = "{project["version"]}" %}}' in recipe
+    conda = {"opencv-python-headless": "py-opencv", "matplotlib": "matplotlib-base"}
+    for requirement in project["dependencies"]:
+        name, least = requirement.split(">=")
+        assert f"- {conda.get(name, name)} >={least}\n" in recipe, requirement
 
 
 def test_extras_come_from_where_the_package_came(installed, monkeypatch, tmp_path):
