@@ -95,9 +95,9 @@ def files_3d(tmp_path_factory) -> dict[str, Path]:
 @pytest.mark.parametrize("start", OF_2D, ids=label)
 def test_pairs_of_2d_formats(files_2d, start, end, tmp_path):
     out = tmp_path / f"out{end.suffixes[0]}"
-    done = convert(ConvertSettings(source=files_2d[label(start)], out=out, to=end.name))
-    assert done.format is end
-    assert done.notes == ()
+    _, written, notes = convert(ConvertSettings(source=files_2d[label(start)], out=out, to=end.name))
+    assert written is end
+    assert notes == ()
     assert_same_keypoints(read_keypoints(out), a_clip())
 
 
@@ -105,9 +105,9 @@ def test_pairs_of_2d_formats(files_2d, start, end, tmp_path):
 @pytest.mark.parametrize("start", OF_3D, ids=label)
 def test_pairs_of_3d_formats(files_3d, start, end, tmp_path):
     out = tmp_path / f"out{end.suffixes[0]}"
-    done = convert(ConvertSettings(source=files_3d[label(start)], out=out))
-    assert done.format is end
-    assert done.notes == ()
+    _, written, notes = convert(ConvertSettings(source=files_3d[label(start)], out=out))
+    assert written is end
+    assert notes == ()
     tolerance_m = max(TOLERANCE_M.get(start.name, 0), TOLERANCE_M.get(end.name, 0))
     assert_same_pose(read_pose3d(out), a_pose(), tolerance_m)
 
@@ -457,8 +457,8 @@ def test_whole_or_not_at_all(files_2d, tmp_path):
 
 
 def test_frame_rate_as_given_overrules_the_file(files_2d, tmp_path):
-    done = convert(ConvertSettings(source=files_2d["movement.nc"], out=tmp_path / "a.nc", fps=240))
-    assert done.notes == ("119.88 frames per second in the source, 240 as given.",)
+    *_, notes = convert(ConvertSettings(source=files_2d["movement.nc"], out=tmp_path / "a.nc", fps=240))
+    assert notes == ("119.88 frames per second in the source, 240 as given.",)
     found = read_keypoints(tmp_path / "a.nc")
     assert found.fps == 240
     assert found.frames.tolist() == FRAMES.tolist()
@@ -469,8 +469,8 @@ def test_frame_rate_as_given_overrules_the_file(files_2d, tmp_path):
 def test_zero_zero_is_missing_everywhere(tmp_path):
     text = "scorer,n,n,n\nbodyparts,nose,nose,nose\ncoords,x,y,likelihood\n0,0,0,0\n1,0,0,0.9\n2,3,4,\n"
     (tmp_path / "a.csv").write_text(text)
-    done = convert(ConvertSettings(source=tmp_path / "a.csv", out=tmp_path / "a.nc"))
-    assert done.notes == ("1 points that were stored as (0, 0) are missing ones.",)
+    *_, notes = convert(ConvertSettings(source=tmp_path / "a.csv", out=tmp_path / "a.nc"))
+    assert notes == ("1 points that were stored as (0, 0) are missing ones.",)
     found = read_keypoints(tmp_path / "a.nc")
     np.testing.assert_array_equal(found.xy_px[:, 0], [[NAN, NAN], [0, 0], [3, 4]])
     np.testing.assert_array_equal(found.confidence[:, 0], [0, 0.9, NAN])
@@ -508,8 +508,8 @@ def test_folder_of_results(results, tmp_path):
     """The joints upright, with the frame rate of the report and the limbs of the skeleton."""
     from recon.fit.motion import Motion
 
-    done = convert(ConvertSettings(source=results, out=tmp_path / "a.nwb"))
-    assert "level frame" in done.notes[0]
+    *_, notes = convert(ConvertSettings(source=results, out=tmp_path / "a.nwb"))
+    assert "level frame" in notes[0]
     expected = Motion.load(results).upright
     found = read_pose3d(tmp_path / "a.nwb")
     assert_same_pose(found, replace(expected, fps=30.0))

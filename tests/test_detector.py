@@ -48,19 +48,19 @@ def with_scorers(run: Path, out: Path, *scorers: str | None, suffix: str = ".csv
 @pytest.mark.parametrize("suffix", [".csv", ".h5"])
 def test_the_files_scorer_says_which_detector_it_is(folder, tmp_path, suffix):  # noqa: F811
     given = with_scorers(folder, tmp_path, OF_ACINOSET, OF_ACINOSET, suffix=suffix)
-    body = prepare(given).model.body
+    body = prepare(given).body
     assert body.detector == "acinoset"
     assert set(body.keypoint_offset_m) == set(body.markers)
-    plain = prepare(replace(given, detector="none")).model
-    assert (plain.body.detector, plain.body.keypoint_offset_m) == ("none", {})
+    plain = prepare(replace(given, detector="none")).body
+    assert (plain.detector, plain.keypoint_offset_m) == ("none", {})
 
 
 @pytest.mark.parametrize("scorers", [("DLC",), ("DLC", "another"), (None, "DLC"), ("x" + OF_ACINOSET,)])
 def test_a_detector_that_nobody_knows_is_none(folder, tmp_path, scorers):  # noqa: F811
     given = with_scorers(folder, tmp_path, *scorers)
-    body = prepare(given).model.body
+    body = prepare(given).body
     assert (body.detector, body.keypoint_offset_m) == ("none", {})
-    assert prepare(replace(given, detector="acinoset")).model.body.detector == "acinoset"
+    assert prepare(replace(given, detector="acinoset")).body.detector == "acinoset"
 
 
 @pytest.mark.parametrize("other", ["DLC", None])
@@ -71,7 +71,7 @@ def test_cameras_of_two_detectors_are_not_mixed(folder, tmp_path, other):  # noq
     )
     with pytest.raises(InputError, match=said):
         prepare(given)
-    assert prepare(replace(given, detector="none")).model.body.detector == "none"
+    assert prepare(replace(given, detector="none")).body.detector == "none"
 
 
 @pytest.mark.parametrize(

@@ -207,18 +207,18 @@ def test_the_summary_names_what_is_used_and_near_misses(small_trajectory):
 )
 def test_a_skeleton_is_drafted_from_names(names, placed, tmp_path):
     """It can be used, and has the quadruped's pose; a keypoint may be called as one of its segments, such as neck."""
-    draft = draft_skeleton(names, "mine", Path("clip.csv"))
-    assert len(draft.markers) == placed
-    assert {*draft.markers} | {*draft.others} == {*names}
+    markers, others, text = draft_skeleton(names, "mine", Path("clip.csv"))
+    assert len(markers) == placed
+    assert {*markers} | {*others} == {*names}
     file = tmp_path / "mine.toml"
-    file.write_text(draft.text, encoding="utf-8")
+    file.write_text(text, encoding="utf-8")
     body, quadruped = load_skeleton(file), load_skeleton("quadruped")
-    assert {*body.markers} == {*draft.markers}
+    assert {*body.markers} == {*markers}
     at, of = (dict(zip(b.markers, expected_pose(b), strict=True)) for b in (body, quadruped))
-    for name, marker in draft.markers.items():
+    for name, marker in markers.items():
         np.testing.assert_allclose(at[name], of[marker], atol=1e-12)
-    assert {label: draft.markers[foot] for label, foot in body.feet_by_label().items()} == quadruped.feet_by_label()
-    tail = () if "tail2" in draft.markers.values() else ("tail_1_yaw, tail_1_pitch, tail_2_yaw, tail_2_pitch",)
+    assert {label: markers[foot] for label, foot in body.feet_by_label().items()} == quadruped.feet_by_label()
+    tail = () if "tail2" in markers.values() else ("tail_1_yaw, tail_1_pitch, tail_2_yaw, tail_2_pitch",)
     remarks = tuple(f"segments: no marker is moved by {angles}: they stay at their means." for angles in tail)
     assert check_skeleton(file).remarks == remarks
     assert {*body.limb_sides().values()} == {"left", "right", None}
@@ -239,7 +239,7 @@ def test_recon_skeleton_from_keypoints(tmp_path):
     assert load_skeleton(out).name == "mine"
     again = run("skeleton", "from-keypoints", clip, "--out", out)
     assert (again.code, "which is there already" in again.err) == (2, True)
-    assert prepare(settings(clip, skeleton=out)).model.body.name == "mine"
+    assert prepare(settings(clip, skeleton=out)).body.name == "mine"
 
 
 # -- commands ------------------------------------------------------------------------------------------------------

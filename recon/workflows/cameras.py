@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -22,16 +22,8 @@ LONGEST_ZOOM = 20.0
 """Of lenses that film animals, from their shortest focal length to the longest."""
 
 
-@dataclass(frozen=True, eq=False)
-class ClipCamera:
-    """The camera of a keypoint file."""
-
-    camera: Camera
-    """With a track its lens only: it has no pose."""
-    track: io.CameraTrack | None = None
-    """Of a camera that moves."""
-
-
+ClipCamera = tuple[Camera, "io.CameraTrack | None"]
+"""The camera of a keypoint file, with a track its lens only: it has no pose; and the track of a camera that moves."""
 Cameras = tuple[ClipCamera, ...]
 
 
@@ -42,16 +34,16 @@ def read_clip_cameras(settings: FitSettings) -> Cameras:
     chosen = (
         _cameras_of_one(settings, tracks) if len(settings.keypoints) == 1 else _cameras_of_several(settings, tracks)
     )
-    moving = tuple(_in_metres(_moving(one), settings.camera_unit) for one in chosen)
+    moving = tuple((_as_it_stands(*one, settings.camera_unit), one[1]) for one in chosen)
     if settings.up is not None:
         moving = _turned_up(moving, settings.up)
     if settings.tilt_deg is None:
         return moving
-    if any(one.camera.knows_up for one in moving):
+    if any(camera.knows_up for camera, _ in moving):
         found = f"{settings.tilt_deg:g} beside the pose in {settings.camera}, which says which way is up"
         raise InputError(Problem("--tilt-deg", "tilt_deg", found, "one of the two"))
     tilt_rad = math.radians(settings.tilt_deg)
-    return tuple(replace(one, camera=replace(one.camera, tilt_rad=tilt_rad)) for one in moving)
+    return tuple((replace(camera, tilt_rad=tilt_rad), track) for camera, track in moving)
 
 
 def _turned_up(cameras: Cameras, up: str) -> Cameras:
@@ -70,15 +62,15 @@ def _turned_up(cameras: Cameras, up: str) -> Cameras:
             Problem("--set up", "direction", repr(up), f"x, y or z, -x, -y or -z, {FIRST_CAMERA}, or 0,-1,0")
         )
     refuse(
-        Problem("--set up", f"camera {one.camera.name}", why, "poses that do not say which way is up")
-        for one in cameras
-        for why in (
-            ["no pose"] if not one.camera.has_extrinsics else ["a pose that says it"] if one.camera.world_z_up else []
-        )
+        Problem("--set up", f"camera {camera.name}", why, "poses that do not say which way is up")
+        for camera, _ in cameras
+        for why in (["no pose"] if not camera.has_extrinsics else ["a pose that says it"] if camera.world_z_up else [])
     )
     R = _z_up_from(direction / np.linalg.norm(direction))
-    turned = (replace(one.camera, rotation=np.asarray(one.camera.rotation) @ R.T, world_z_up=True) for one in cameras)
-    return tuple(replace(one, camera=camera) for one, camera in zip(cameras, turned, strict=True))
+    return tuple(
+        (replace(camera, rotation=np.asarray(camera.rotation) @ R.T, world_z_up=True), track)
+        for camera, track in cameras
+    )
 
 
 def _z_up_from(up: Array) -> Array:
@@ -99,18 +91,13 @@ def other_cameras(camera: Camera, settings: FitSettings) -> tuple[Camera, ...]:
     return tuple(other for other in cameras if other.name != camera.name)
 
 
-def _moving(one: ClipCamera) -> ClipCamera:
-    """Where a track says where the camera was, the camera file does not."""
-    if one.track is None:
-        return one
-    return replace(one, camera=replace(one.camera, rotation=None, translation_m=None, tilt_rad=0.0))
-
-
-def _in_metres(one: ClipCamera, unit: Unit) -> ClipCamera:
-    """Where a camera file says where the camera is, in that unit."""
-    if one.camera.translation_m is None or unit == "m":
-        return one
-    return replace(one, camera=replace(one.camera, translation_m=UNITS_M[unit] * one.camera.translation_m))
+def _as_it_stands(camera: Camera, track: io.CameraTrack | None, unit: Unit) -> Camera:
+    """Where the camera file says in that unit where it is; with a track, only that says it."""
+    if track is not None:
+        return replace(camera, rotation=None, translation_m=None, tilt_rad=0.0)
+    if camera.translation_m is None or unit == "m":
+        return camera
+    return replace(camera, translation_m=UNITS_M[unit] * camera.translation_m)
 
 
 def _cameras_of_one(settings: FitSettings, tracks: Sequence[io.CameraTrack]) -> Cameras:
@@ -121,7 +108,7 @@ def _cameras_of_one(settings: FitSettings, tracks: Sequence[io.CameraTrack]) -> 
         if given is not None:
             found = f"{given} beside {track.source}, which has the lens"
             raise InputError(Problem("--camera-track", "camera", found, "one of the two"))
-        return (ClipCamera(_own_lens(track.camera, settings, 0), track),)
+        return ((_own_lens(track.camera, settings, 0), track),)
     if settings.camera is not None:
         (camera,) = _cameras_in_file(settings.camera, settings)
     elif settings.hfov_deg is not None and settings.image_size_px is not None:
@@ -131,7 +118,7 @@ def _cameras_of_one(settings: FitSettings, tracks: Sequence[io.CameraTrack]) -> 
         raise InputError(Problem("settings", "camera", found, "a camera file, or hfov_deg with image_size_px"))
     if track is not None:
         _require_like_lens(camera, track)
-    return (ClipCamera(camera, track),)
+    return ((camera, track),)
 
 
 def _require_like_lens(camera: Camera, track: io.CameraTrack) -> None:
@@ -171,9 +158,7 @@ def _cameras_of_several(settings: FitSettings, tracks: Sequence[io.CameraTrack])
         lens = None if track is None else track.camera
         if track is not None and lens is None:
             _require_like_lens(camera, track)
-        chosen.append(
-            ClipCamera(camera if lens is None else _own_lens(replace(lens, name=camera.name), settings, i), track)
-        )
+        chosen.append((camera if lens is None else _own_lens(replace(lens, name=camera.name), settings, i), track))
     return tuple(chosen)
 
 

@@ -60,8 +60,7 @@ def fit_clip(settings: FitSettings, progress: Progress = silent) -> Motion:
     if settings.method in METHODS:
         return import_module(METHODS[settings.method]).fit_clip(settings, progress)
     given = prepare(settings)
-    body, prior, sources, options = given.model.body, given.model.prior, given.sources, settings.trajectory_options()
-    assert prior is not None
+    body, prior, sources, options = given.body, given.prior, given.sources, settings.trajectory_options()
 
     def solved(sources: tuple[Source, ...]) -> TrajectorySolution:
         return solve_trajectory(views_of(sources), body, prior, given.fps, options, progress)
@@ -116,20 +115,17 @@ def _file_facts(given: Prepared, settings: FitSettings) -> FileFacts:
     return FileFacts(tuple(others), tuple(named), stated_hz, swaps=not settings.fast or bool(settings.fix_swaps))
 
 
-@dataclass(frozen=True)
-class Model:
-    """What is fitted: the animal, and what is expected of its motion, where the method has a prior of it."""
-
-    body: Body
-    prior: MotionPrior | None = None
+Shared = tuple[Body, MotionPrior, Cameras]
+"""What clips of one animal before the same cameras share."""
 
 
 @dataclass(frozen=True)
 class Prepared:
-    """All that a fit works on: the model, and for each camera its keypoints on its own frames, which began so many
-    frames later than the first's. side: whose limbs, None for a whole animal."""
+    """All that a fit works on: the animal, what is expected of its motion, and for each camera its keypoints on its own
+    frames, which began so many frames later than the first's. side: whose limbs, None for a whole animal."""
 
-    model: Model
+    body: Body
+    prior: MotionPrior
     apart: tuple[Source, ...]
     later_frames: tuple[float, ...]
     fps: float
@@ -142,18 +138,14 @@ class Prepared:
         return together(self.apart, self.later_frames) if len(self.apart) > 1 else self.apart
 
 
-def prepare(
-    settings: FitSettings, read_shared: Callable[[FitSettings], tuple[Model, Cameras]] | None = None
-) -> Prepared:
+def prepare(settings: FitSettings, read_shared: Callable[[FitSettings], Shared] | None = None) -> Prepared:
     """Everything that comes before solving: the one list of checks, of a fit and of who asks whether it can be done.
 
     read_shared: `read_model_and_cameras`, or one that remembers. Raises InputError as `fit_clip`.
     """
-    files, (model, cameras) = all_of(
-        lambda: read_clips(settings),
-        lambda: (read_shared or read_model_and_cameras)(settings),
+    files, (body, prior, cameras) = all_of(
+        lambda: read_clips(settings), lambda: (read_shared or read_model_and_cameras)(settings)
     )
-    body = model.body
     wanted = tuple(dict.fromkeys(name for pair in body.keypoints for name in pair))
     later = settings.offset_s or (0.0,) * len(files)
     fps = files[0].fps
@@ -162,8 +154,8 @@ def prepare(
     seen, *cleaned = all_of(
         lambda: _as_its_files_say(body, files),
         *(
-            lambda file=file, camera=camera, late=late: _cleaned(file, wanted, body.name, camera, settings, late, fps)
-            for file, camera, late in zip(files, cameras, later_frames, strict=True)
+            lambda file=file, of=of, late=late: _cleaned(file, wanted, body.name, of, settings, late, fps)
+            for file, of, late in zip(files, cameras, later_frames, strict=True)
         ),
     )
     side, reason = None, "both sides are fitted"
@@ -171,13 +163,13 @@ def prepare(
         side, reason = _side(body, cleaned[0].keypoints, settings)
     names = body.keypoint_names(side)
     sources = tuple(replace(source, keypoints=arrange(source.keypoints, names)) for source in cleaned)
-    return Prepared(replace(model, body=seen), sources, later_frames, fps, side, reason)
+    return Prepared(seen, prior, sources, later_frames, fps, side, reason)
 
 
-def read_model_and_cameras(settings: FitSettings) -> tuple[Model, Cameras]:
-    """What clips of one animal before the same cameras share. Raises InputError with the problems of both."""
+def read_model_and_cameras(settings: FitSettings) -> Shared:
+    """Raises InputError with the problems of both."""
     model, cameras = all_of(lambda: _model(settings), lambda: read_clip_cameras(settings))
-    return model, cameras
+    return *model, cameras
 
 
 def arrange(keypoints: Keypoints, names: tuple[str, ...]) -> Keypoints:
@@ -229,13 +221,14 @@ def _read_clip(path: Path, given_fps: float | None, settings: FitSettings) -> Ke
     return replace(file, fps=fps, stated_fps=file.fps if file.fps != fps else None)
 
 
-def _model(settings: FitSettings) -> Model:
+def _model(settings: FitSettings) -> tuple[Body, MotionPrior]:
     if settings.method in METHODS:
-        return Model(import_module(METHODS[settings.method]).load_body(settings))
+        body = import_module(METHODS[settings.method]).load_body(settings)
+        return body, load_prior(None, body)
     body = seen_by(load_skeleton(settings.skeleton_name, settings.subject), settings.detector)
     body = body if settings.size is None else body.scaled(settings.size)
     prior, _ = all_of(lambda: load_prior(settings.prior, body), lambda: _require_no_side(settings, body))
-    return Model(body, prior)
+    return body, prior
 
 
 def _as_its_files_say(body: Body, files: Sequence[Keypoints]) -> Body:
@@ -264,6 +257,7 @@ def _cleaned(
     to. Raises InputError without any of them, or where they lie outside the camera's picture; a few that are far
     outside are left out, and those of frames in which it is not known where the camera was."""
     _require_keypoints_of(wanted, skeleton, file)
+    camera, track = of
     first, stop = parse_frame_range(settings.frames) if settings.frames else (None, None)
     assert file.fps is not None
     shift, per_frame = math.floor(later_frames), file.fps / fps  # the clip's frames are the first camera's
@@ -272,22 +266,22 @@ def _cleaned(
         return None if frame is None else math.ceil((frame - shift) * per_frame)
 
     keypoints, cleaning = clean(file, settings.likelihood_min, (own(first), own(stop)))
-    _require_inside(of.camera, keypoints, settings)
+    _require_inside(camera, keypoints, settings)
     if file.fps != fps:
-        if of.track is not None:
+        if track is not None:
             expected = f"that of the first camera, {fps:g}: one that moves cannot have another"
-            raise InputError(Problem(of.track.source, "fps", f"{file.fps:g}", expected))
+            raise InputError(Problem(track.source, "fps", f"{file.fps:g}", expected))
         keypoints = at_rate(keypoints, fps)
-        note = f"{of.camera.name} filmed at {file.fps:g} Hz: its points are taken between its frames, at {fps:g} Hz"
+        note = f"{camera.name} filmed at {file.fps:g} Hz: its points are taken between its frames, at {fps:g} Hz"
         cleaning = replace(cleaning, notes=(*cleaning.notes, note))
     poses = None
-    if of.track is not None:
-        poses, filled = of.track.at(keypoints.frames, fps)
-        keypoints, cleaning = _with_pose(keypoints, cleaning, poses, filled, of.track)
+    if track is not None:
+        poses, filled = track.at(keypoints.frames, fps)
+        keypoints, cleaning = _with_pose(keypoints, cleaning, poses, filled, track)
     lenses = None if poses is None else poses.each(held).intrinsics_px
-    view = View(of.camera, np.eye(4), keypoints.xy_px, keypoints.confidence, lenses)
+    view = View(camera, np.eye(4), keypoints.xy_px, keypoints.confidence, lenses)
     keypoints, cleaning = leave_out(keypoints, cleaning, keypoints.present & ~view.seen, _FAR_OUTSIDE)
-    return Source(of.camera, keypoints, cleaning, file.names, 0.0, poses)
+    return Source(camera, keypoints, cleaning, file.names, 0.0, poses)
 
 
 def _with_pose(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
@@ -53,13 +53,8 @@ class ConvertSettings(Settings):
     show_list: Annotated[bool, Option("Print the formats.", name="--list")] = False
 
 
-@dataclass(frozen=True, eq=False)
-class Conversion:
-    """What was read, and the format that it was written in."""
-
-    data: Keypoints | Pose3D
-    format: Format
-    notes: tuple[str, ...]
+Conversion = tuple[Keypoints | Pose3D, Format, tuple[str, ...]]
+"""What was read, the format that it was written in, and notes."""
 
 
 def convert(settings: ConvertSettings) -> Conversion:
@@ -92,7 +87,7 @@ def convert(settings: ConvertSettings) -> Conversion:
     elif "3D" not in target.writes:
         raise InputError(Problem(source, "content", "3D positions", f"2D keypoints for {target.title}"))
     _write(target, data, out)
-    return Conversion(data, target, notes)
+    return data, target, notes
 
 
 def _as_bones(source: Path, data: Keypoints | Pose3D, target: Format, out: Path, overwrite: bool) -> Conversion:
@@ -108,7 +103,7 @@ def _as_bones(source: Path, data: Keypoints | Pose3D, target: Format, out: Path,
     notes = data.notes + rig.notes
     if beside:
         notes += (f"Beside it: {', '.join(map(str, beside))}.",)
-    return Conversion(rig.pose, target, notes)
+    return rig.pose, target, notes
 
 
 def _write(target: Format, data: Any, out: Path) -> None:

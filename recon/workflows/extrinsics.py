@@ -206,8 +206,7 @@ def _setting(
     poses: Sequence[Array],
 ) -> ClipProblem:
     """A clip with a view of every camera; one that did not film it has seen nothing."""
-    model, by_name = given[0].model, {source.camera.name: source for source in sources}
-    assert model.prior is not None
+    first, by_name = given[0], {source.camera.name: source for source in sources}
     nothing = np.full_like(sources[0].keypoints.xy_px, np.nan)
     views = []
     for camera, pose in zip(cameras, poses, strict=True):
@@ -218,7 +217,7 @@ def _setting(
             points = source.keypoints
             views.append(View(camera, pose, points.xy_px, points.confidence, lead_frames=source.lead_frames))
     knows_up = bool(clip.refine_cameras) and None  # where the ground is, the camera file says
-    return ClipProblem.of(views, model.body, model.prior, given[0].fps, clip.trajectory_options(), knows_up)
+    return ClipProblem.of(views, first.body, first.prior, first.fps, clip.trajectory_options(), knows_up)
 
 
 def _each_alone(settings: FitSettings) -> list[Prepared]:

@@ -99,18 +99,6 @@ class Done:
     """Relative to the folder."""
 
 
-@dataclass(frozen=True)
-class Run:
-    """What became of a video. report: of its fit."""
-
-    stages: tuple[Done, ...]
-    report: dict[str, Any]
-
-    @property
-    def unchanged(self) -> bool:
-        return all(done.status != "done" for done in self.stages)
-
-
 def job_of(
     video: Path,
     out: Path,
@@ -163,9 +151,11 @@ def _check(
 # -- the work ---------------------------------------------------------------------------------------------------------
 
 
-def run_video(job: Job, progress: Progress = silent, ended: Callable[[Done], None] = lambda done: None) -> Run:
-    """`recon run`: all stages of a video; ended: told of each. Raises InputError where one cannot be done; what was
-    done before stays."""
+def run_video(
+    job: Job, progress: Progress = silent, ended: Callable[[Done], None] = lambda done: None
+) -> tuple[list[Done], dict[str, Any]]:
+    """`recon run`: all stages of a video, and the report of its fit; ended: told of each. Raises InputError where one
+    cannot be done; what was done before stays."""
     file_sha256.cache_clear()  # files may have changed since
     with sole_writer(job.out):
         record = _read_record(job.out)
@@ -182,7 +172,7 @@ def run_video(job: Job, progress: Progress = silent, ended: Callable[[Done], Non
                 done = _carry_out(stage, job, record, again, tell)
             dones.append(done)
             ended(done)
-        return Run(tuple(dones), _report(job.out))
+        return dones, _report(job.out)
 
 
 def _carry_out(stage: _Stage, job: Job, record: dict[str, Any], again: bool, progress: Progress) -> Done:
@@ -206,8 +196,8 @@ def _carry_out(stage: _Stage, job: Job, record: dict[str, Any], again: bool, pro
 
 def _check_inputs(job: Job) -> None:
     """What would only be said after minutes of work. Raises InputError."""
-    info, (_, cameras) = all_of(lambda: probe(job.video), lambda: read_model_and_cameras(job.settings))
-    size = cameras[0].camera.image_size_px
+    info, (_, _, cameras) = all_of(lambda: probe(job.video), lambda: read_model_and_cameras(job.settings))
+    size = cameras[0][0].image_size_px
     if info.size_px != size:
         found = "{}x{}".format(*info.size_px)
         expected = "{}x{}, the size that the camera is calibrated for".format(*size)

@@ -80,6 +80,6 @@ def run_folder(
 
 def _row_of(job: Job, progress: Progress) -> dict[str, Any]:
     """All of `recon run` on one video: columns of its summary."""
-    done = run_video(job, progress)
-    status = "unsolved" if is_unsolved(done.report) else "done earlier" if done.unchanged else "done"
-    return {"status": status, **results_of(done.report)}
+    stages, report = run_video(job, progress)
+    new = any(done.status == "done" for done in stages)
+    return {"status": "unsolved" if is_unsolved(report) else "done" if new else "done earlier", **results_of(report)}

@@ -7,6 +7,7 @@ import os
 import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import fields, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -42,6 +43,10 @@ METHODS = {"frame": "recon.thesis"}
 DEFAULT_SKELETONS: dict[Method, str] = {"trajectory": "cheetah-24", "frame": "cheetah-8u"}
 """By method."""
 
+
+_RareOption = partial(Option, common=False)
+_TrajectoryOption = partial(_RareOption, method="trajectory")
+_FrameOption = partial(_RareOption, method="frame")
 
 NUMBER = r"[0-9]+(?:\.[0-9]*)?"
 
@@ -187,10 +192,9 @@ class FitSettings(Settings):
     ] = None
     up: Annotated[
         str | None,
-        Option(
+        _RareOption(
             "Where the calibration's poses do not say it: which of their axes points up, as in z or -y, or a "
-            "direction, as in 0,-0.9,0.4. (default: what the file says; otherwise first-camera, which counts as level)",
-            common=False,
+            "direction, as in 0,-0.9,0.4. (default: what the file says; otherwise first-camera, which counts as level)"
         ),
     ] = None
     tilt_deg: Annotated[
@@ -224,176 +228,130 @@ class FitSettings(Settings):
     ] = False
     offset_s: Annotated[
         OneOrMore[Number] | None,
-        Option(
+        _TrajectoryOption(
             "How much later a camera began to film than the first, in seconds, as in 0.025 or -1.5; once for "
             "each keypoint file, in their order. (default: all began together)",
             "seconds, as in 0.025 or -1.5, one for each keypoint file",
-            common=False,
-            method="trajectory",
         ),
     ] = None
     find_offsets: Annotated[
         bool,
-        Option(
+        _TrajectoryOption(
             "Find how much later than the first each camera began to film, from the animal's motion; "
-            "offset-s is where the search begins.",
-            common=False,
-            method="trajectory",
+            "offset-s is where the search begins."
         ),
     ] = False
     refine_cameras: Annotated[
         bool,
-        Option(
+        _TrajectoryOption(
             "Take the poses of all cameras but the first for as good as 2 degrees and 5 cm, and find them with "
-            "the fit; the refined cameras go into cameras.toml.",
-            common=False,
-            method="trajectory",
+            "the fit; the refined cameras go into cameras.toml."
         ),
     ] = False
     focal_sigma: Annotated[
         Positive | None,
-        Option(
+        _TrajectoryOption(
             "How well the cameras' focal lengths are known, relative, as in 0.1: one camera's makes the position so "
             "much less certain; of several cameras they are found with the fit and go into cameras.toml. (default: "
             "exactly)",
             "a share of the focal length above 0, as in 0.1",
-            common=False,
-            method="trajectory",
         ),
     ] = None
     camera_fps: Annotated[
         OneOrMore[Positive] | None,
-        Option(
+        _TrajectoryOption(
             "Frame rates of cameras that differ in it, once for each keypoint file, as in 120 and 59.94. The "
             "result has the first one's. (default: all have the same)",
             "frames per second above 0, one number for each keypoint file",
-            common=False,
-            method="trajectory",
         ),
     ] = None
     method: Annotated[
         Method,
-        Option(
-            "trajectory: the whole animal over the whole clip; frame: one side, one frame after the other.",
-            common=False,
-        ),
+        _RareOption("trajectory: the whole animal over the whole clip; frame: one side, one frame after the other."),
     ] = "trajectory"
     detector: Annotated[
         NameOrFile | None,
-        Option(
+        _TrajectoryOption(
             "Where the detector's keypoints lie beside the markers: a built-in name, as in acinoset, a TOML "
             "file, or none. (default: as the subject's or the skeleton's file says, or the keypoint file's scorer)",
             "the name of a built-in detector, a file that `recon subject fit` wrote, or none",
-            common=False,
-            method="trajectory",
         ),
     ] = None
     likelihood_min: Annotated[
         Annotated[Number, Field(ge=0, le=1)],
-        Option("Leave out points less likely than this, 0 to 1.", "a number from 0 to 1", common=False),
+        _RareOption("Leave out points less likely than this, 0 to 1.", "a number from 0 to 1"),
     ] = 0.5
     side: Annotated[
         Literal["auto", "left", "right"],
-        Option("With a skeleton of one side, which to fit: auto, left or right.", common=False),
+        _RareOption("With a skeleton of one side, which to fit: auto, left or right."),
     ] = "auto"
     ground: Annotated[
         Literal["auto", "none"],
-        Option(
-            "auto: feet that stand are still and on one plane; none: nothing is said about them.",
-            common=False,
-            method="trajectory",
-        ),
+        _TrajectoryOption("auto: feet that stand are still and on one plane; none: nothing is said about them."),
     ] = "auto"
     size: Annotated[
         Positive | None,
-        Option(
+        _TrajectoryOption(
             "How many times as large as the skeleton the animal is, as in 0.1: a factor on all its lengths.",
             "a factor above 0, as in 0.1",
-            common=False,
-            method="trajectory",
         ),
     ] = None
     size_sigma: Annotated[
         Positive | None,
-        Option(
+        _TrajectoryOption(
             "Standard deviation of the animal's size, relative, as in 0.1. (default: the skeleton's)",
             "a share of the size above 0, as in 0.1",
-            common=False,
-            method="trajectory",
         ),
     ] = None
-    fast: Annotated[bool, Option("Quicker: fewer directions to start from.", common=False, method="trajectory")] = False
+    fast: Annotated[bool, _TrajectoryOption("Quicker: fewer directions to start from.")] = False
     form: Annotated[
         Literal["deadband", "printed"],
-        Option("Ranges and rates: deadband (beyond the limit) or printed (two-sided).", common=False, method="frame"),
+        _FrameOption("Ranges and rates: deadband (beyond the limit) or printed (two-sided)."),
     ] = "deadband"
     angle_prior: Annotated[
         Literal["gaussian", "none"],
-        Option("Gaussian priors on angles and heading: gaussian or none.", common=False, method="frame"),
+        _FrameOption("Gaussian priors on angles and heading: gaussian or none."),
     ] = "gaussian"
     camera_rotation: Annotated[
         Literal["free", "fixed"],
-        Option("The body's rotation: free, or fixed to the first frame's.", common=False, method="frame"),
+        _FrameOption("The body's rotation: free, or fixed to the first frame's."),
     ] = "free"
     base_length_m: Annotated[
         Positive | None,
-        Option(
-            "Base length of the chain in metres, as in 0.203. (default: the skeleton's)",
-            "metres above 0, as in 0.203",
-            common=False,
-            method="frame",
+        _FrameOption(
+            "Base length of the chain in metres, as in 0.203. (default: the skeleton's)", "metres above 0, as in 0.203"
         ),
     ] = None
     base_sigma_m: Annotated[
         Positive | None,
-        Option(
+        _FrameOption(
             "Standard deviation of the base length in metres, as in 0.001. (default: the skeleton's)",
             "metres above 0, as in 0.001",
-            common=False,
-            method="frame",
         ),
     ] = None
     sigma_px: Annotated[
         Positive,
-        Option("Noise of the detector in pixels, one standard deviation.", "pixels above 0, as in 3", common=False),
+        _RareOption("Noise of the detector in pixels, one standard deviation.", "pixels above 0, as in 3"),
     ] = 3.0
     keypoint_sigma_m: Annotated[
         NotNegative | None,
-        Option(
+        _RareOption(
             "How far keypoints lie from the joints, metres, as in 0.05. (default: the skeleton's)",
             "metres, 0 or more, as in 0.05",
-            common=False,
         ),
     ] = None
     keypoint_sigma_max_px: Annotated[
         Positive,
-        Option(
-            "The most that keypoint_sigma_m may be in the picture, pixels.",
-            "pixels above 0, as in 12",
-            common=False,
-            method="frame",
-        ),
+        _FrameOption("The most that keypoint_sigma_m may be in the picture, pixels.", "pixels above 0, as in 12"),
     ] = 12.0
     robust_c: Annotated[
         Positive,
-        Option(
-            "Residuals of this many standard deviations count half.",
-            "a number above 0, as in 4.5",
-            common=False,
-            method="frame",
-        ),
+        _FrameOption("Residuals of this many standard deviations count half.", "a number above 0, as in 4.5"),
     ] = 4.5
-    tolerance: Annotated[
-        Positive, Option("When the optimiser stops.", "a number above 0, as in 1e-8", common=False, method="frame")
-    ] = 1e-08
+    tolerance: Annotated[Positive, _FrameOption("When the optimiser stops.", "a number above 0, as in 1e-8")] = 1e-08
     max_evaluations: Annotated[
         Count,
-        Option(
-            "How often the optimiser may evaluate a frame.",
-            "a whole number above 0, as in 400",
-            common=False,
-            method="frame",
-        ),
+        _FrameOption("How often the optimiser may evaluate a frame.", "a whole number above 0, as in 400"),
     ] = 400
 
     @model_validator(mode="before")

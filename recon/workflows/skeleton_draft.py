@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
@@ -22,15 +21,9 @@ REAR, FRONT = ("tail_base", "l_hip", "spine"), ("neck_base", "withers", "l_shoul
 """Markers of it that `forward` may begin and end with, the best first."""
 
 
-@dataclass(frozen=True)
-class SkeletonDraft:
-    """A skeleton file, to be completed."""
-
-    text: str
-    markers: dict[str, str]
-    """The file's keypoints that have a place, and the quadruped's markers that they are taken for."""
-    others: tuple[str, ...]
-    """Those that have none yet."""
+SkeletonDraft = tuple[dict[str, str], tuple[str, ...], str]
+"""A file's keypoints that have a place, and the quadruped's markers that they are taken for; those that have none yet;
+and the text of a skeleton file, to be completed."""
 
 
 class SkeletonDraftSettings(Settings):
@@ -49,7 +42,7 @@ def run_skeleton_draft(settings: SkeletonDraftSettings) -> SkeletonDraft:
         read_keypoints(settings.keypoints, settings.individual).names, settings.out.stem, settings.keypoints
     )
     with staged_file(settings.out) as staged:
-        staged.write_text(draft.text, encoding="utf-8")
+        staged.write_text(draft[-1], encoding="utf-8")
     return draft
 
 
@@ -68,7 +61,7 @@ def draft_skeleton(names: Sequence[str], title: str, source: Path) -> SkeletonDr
         raise InputError(Problem(source, "bodyparts", found, expected))
     others = tuple(name for name in names if name not in known)
     parts = (_head(title, source, rear, front, called, body, others), _segments(body, names))
-    return SkeletonDraft("".join((*parts, *_markers(body, called), *_limbs(body, called))), known, others)
+    return known, others, "".join((*parts, *_markers(body, called), *_limbs(body, called)))
 
 
 def _understood(names: Sequence[str], markers: Sequence[str]) -> dict[str, str]:

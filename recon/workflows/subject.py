@@ -170,13 +170,11 @@ def _setting_reader(settings: FitSettings, path: Path, pose: Pose3D | None) -> C
         if settings.method != "trajectory":
             raise InputError(Problem(path, "method", settings.method, "the trajectory method"))
         given = prepare(settings)
-        model = given.model
-        if model.body.one_sided or model.prior is None:
+        if given.body.one_sided:
             expected = "a whole animal: a chain's lengths stand in its own skeleton file"
-            raise InputError(Problem(path, "skeleton", model.body.name, expected))
-        setting = ClipProblem.of(
-            views_of(given.sources), model.body, model.prior, given.fps, settings.trajectory_options()
-        )
+            raise InputError(Problem(path, "skeleton", given.body.name, expected))
+        views, options = views_of(given.sources), settings.trajectory_options()
+        setting = ClipProblem.of(views, given.body, given.prior, given.fps, options)
         if not setting.shows_size:
             found = f"one camera that stands still, {given.sources[0].camera.name}"
             raise InputError(

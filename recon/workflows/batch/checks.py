@@ -9,8 +9,7 @@ from typing import Any
 
 from recon.base.errors import InputError, Problem
 from recon.workflows.batch.inputs import Clip
-from recon.workflows.cameras import Cameras
-from recon.workflows.clip import Model, prepare, read_model_and_cameras
+from recon.workflows.clip import Shared, prepare, read_model_and_cameras
 from recon.workflows.settings import FitSettings
 
 Problems = tuple[Problem, ...]
@@ -58,9 +57,9 @@ class _Shared:
     """`read_model_and_cameras` for many clips: what they share is read once."""
 
     def __init__(self) -> None:
-        self._known: dict[FitSettings, tuple[Model, Cameras] | InputError] = {}
+        self._known: dict[FitSettings, Shared | InputError] = {}
 
-    def __call__(self, settings: FitSettings) -> tuple[Model, Cameras]:
+    def __call__(self, settings: FitSettings) -> Shared:
         # Names of keypoint files choose cameras.
         names = tuple(
             Path(path.name if settings.camera_name is None else str(i)) for i, path in enumerate(settings.keypoints)

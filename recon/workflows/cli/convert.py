@@ -11,7 +11,7 @@ import recon.workflows.convert as workflow
 from recon.clip.keypoints import Keypoints
 from recon.io import CONVERTED
 from recon.workflows.cli.common import table_of, terminal
-from recon.workflows.convert import Conversion, ConvertSettings
+from recon.workflows.convert import ConvertSettings
 
 
 def convert(settings: ConvertSettings, as_json: bool) -> None:
@@ -24,16 +24,11 @@ def convert(settings: ConvertSettings, as_json: bool) -> None:
     if settings.show_list:
         _print_formats(as_json)
         return
-    done = workflow.convert(settings)
-    typer.echo("\n".join([*done.notes, f"{settings.out}: {_summary(done)}"]))
-
-
-def _summary(done: Conversion) -> str:
-    data = done.data
+    data, written, notes = workflow.convert(settings)
     what = f"{len(data.names)} keypoints, 2D" if isinstance(data, Keypoints) else f"{len(data.names)} joints, 3D"
     frames = f"frames {data.frames[0]} to {data.frames[-1]} ({len(data.frames)})"
     fps = "frame rate not known" if data.fps is None else f"{data.fps:g} frames per second"
-    return f"{done.format.title}, {what}, {frames}, {fps}"
+    typer.echo("\n".join([*notes, f"{settings.out}: {written.title}, {what}, {frames}, {fps}"]))
 
 
 def _print_formats(as_json: bool) -> None:

@@ -78,9 +78,10 @@ def run(
     from recon.workflows.run import job_of, run_video
 
     with progress_bar(console) as progress:
-        done = run_video(job_of(video, out, given, config, **more), progress, lambda stage: _say_stage(console, stage))
-    stages = [{"stage": s.stage, "status": s.status, "seconds": round(s.seconds, 3)} for s in done.stages]
-    finish(console, done.report, out, as_json, stages=stages)
+        job = job_of(video, out, given, config, **more)
+        done, report = run_video(job, progress, lambda stage: _say_stage(console, stage))
+    stages = [{"stage": s.stage, "status": s.status, "seconds": round(s.seconds, 3)} for s in done]
+    finish(console, report, out, as_json, stages=stages)
     if not as_json:
         say(console, f"Open {out / 'report.html'} in a browser.")
 

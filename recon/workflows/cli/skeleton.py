@@ -68,17 +68,14 @@ def skeleton_from_keypoints(settings: SkeletonDraftSettings) -> None:
 
     Example: recon skeleton from-keypoints clip.csv --out my-animal.toml
     """
-    draft, out = run_skeleton_draft(settings), settings.out
+    (markers, others, _), out = run_skeleton_draft(settings), settings.out
     console = terminal()
-    say(
-        console,
-        f"{out}: {len(draft.markers)} of {len(draft.markers) + len(draft.others)} keypoints have a place.",
-    )
-    other = [f"{name} as {marker}" for name, marker in draft.markers.items() if name != marker]
+    say(console, f"{out}: {len(markers)} of {len(markers) + len(others)} keypoints have a place.")
+    other = [f"{name} as {marker}" for name, marker in markers.items() if name != marker]
     if other:
         say(console, f"Taken for the quadruped's: {', '.join(other)}.")
-    if draft.others:
-        say(console, f"Without a place: {', '.join(draft.others)}.")
+    if others:
+        say(console, f"Without a place: {', '.join(others)}.")
     say(console, f"Look at it with: recon skeleton check {shlex.quote(str(out))} --out pictures")
 
 
