@@ -18,6 +18,7 @@ import tempfile
 from collections.abc import Mapping, Sequence
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -156,7 +157,7 @@ Events = list[tuple[float, float, bool]]
 
 def fitted(run: Path, camera: int, about: dict) -> Motion:
     scene = run / "scene.json"
-    where = (
+    where: dict[str, Any] = (
         {"camera": scene, "camera_name": (f"cam{camera}",)}
         if scene.is_file()
         else {"camera": run / f"cam{camera}.toml"}
@@ -178,9 +179,10 @@ def events(found: Sequence[Stance], exact: Sequence[Stance]) -> Events:
 
 
 def plate_stances(run: Path, fps: float) -> list[Stance]:
-    measured = pd.read_csv(run / "stances.csv").set_index("joint")
-    rows = [(foot, *measured.loc[joint]) for foot, joint in FEET.items()]
-    return [Stance(foot, down / fps, up / fps, down, up) for foot, down, up in rows]
+    measured = pd.read_csv(run / "stances.csv")
+    rows = dict(zip(measured["joint"], measured.drop(columns="joint").to_numpy(float), strict=True))
+    ends = [(foot, *map(float, rows[joint])) for foot, joint in FEET.items()]
+    return [Stance(foot, down / fps, up / fps, down, up) for foot, down, up in ends]
 
 
 def plate_rows() -> list[dict]:

@@ -9,6 +9,7 @@ import shlex
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -27,6 +28,7 @@ from recon.fit import Ground, MotionSegment, Start, TrajectorySolution
 from recon.fit.motion import Motion
 from recon.geometry.camera import Camera
 from recon.geometry.frames import inverse, moved
+from recon.robotics.ik import clip as ik_clip
 from recon.show.plots import style
 from recon.thesis import FrameOptions, solve_frames
 from recon.thesis.starts import mean_pose
@@ -113,9 +115,13 @@ def empty_figure() -> Figure:
 def of_results(made_once, whole_results) -> Callable[[str], tuple[str, Path]]:
     """`of_results(command)` is what a command about `results/clip` prints where that is `whole_results`, and the folder
     that it ran in, which is not to be written to. Each command is run once for all tests. Figures of an analysis are
-    there and empty: each is drawn by `test_each_figure_is_drawn`."""
+    there and empty: each is drawn by `test_each_figure_is_drawn`. Those of `recon ik` are of two methods."""
 
-    figures_of = analyse.figures_of
+    figures_of, write_ik_figures = analyse.figures_of, ik_clip.write_figures
+
+    def of_two_methods(solved: ik_clip.IKRun, folder: Path) -> None:
+        two = {kind: dict(islice(getattr(solved, kind).items(), 2)) for kind in ("drives", "follows")}
+        write_ik_figures(replace(solved, **two), folder)
 
     def once(command: str) -> tuple[str, Path]:
         def make(folder: Path) -> None:
@@ -123,6 +129,7 @@ def of_results(made_once, whole_results) -> Callable[[str], tuple[str, Path]]:
             with pytest.MonkeyPatch.context() as patch:
                 draw_small(patch)
                 patch.setattr(analyse, "figures_of", lambda found: dict.fromkeys(figures_of(found), empty_figure))
+                patch.setattr(ik_clip, "write_figures", of_two_methods)
                 patch.chdir(folder)
                 ended = run(*shlex.split(command)[1:])
             assert (ended.code, ended.err) == (0, ""), f"{command}\n{ended.out}{ended.err}"

@@ -16,7 +16,7 @@ from detector_files import mmpose
 from recon.animal.body import Body
 from recon.animal.skeleton_file import load_skeleton
 from recon.calibrate.intrinsics.board import parse_board
-from recon.clip.keypoints import Keypoints
+from recon.clip.keypoints import Keypoints, select_frames
 from recon.geometry.camera import Camera
 from recon.geometry.rotations import quaternions
 from recon.io import bvh, columns, read_keypoints, sleap
@@ -48,11 +48,11 @@ def pose() -> Pose3D:
 
 
 def _clips(path: Path) -> None:
-    """Two, the first 30 frames of the sample."""
+    """Two, the first 20 frames of the sample."""
     path.mkdir()
     lines = (SAMPLES / "whole.csv").read_text().splitlines(keepends=True)
     for name in ("run1", "run2"):
-        (path / f"{name}.csv").write_text("".join(lines[:33]))
+        (path / f"{name}.csv").write_text("".join(lines[:23]))
 
 
 def _filmed_twice(folder: Path, name: str) -> None:
@@ -76,7 +76,7 @@ def _sleap(path: Path) -> None:
 
 def _of_other_names(path: Path) -> None:
     names = {"spine": "mid_back", "l_eye": "left_eye", "r_eye": "left_ear"}
-    file = keypoints()
+    file = select_frames(keypoints(), (0, 30))
     sleap.write(replace(file, names=tuple(names.get(name, name) for name in file.names)), path)
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import io
 import json
-import multiprocessing
 import os
 import shutil
 import signal
@@ -24,11 +23,10 @@ import pytest
 import tomli_w
 from command_line import carry_out_here
 
-import recon.base.parallel as parallel
 from recon.base.errors import InputError
 from recon.base.files import sole_writer
-from recon.base.parallel import Event, carry_out, outcome_of
-from recon.base.progress import Progress, silent
+from recon.base.parallel import Event, outcome_of
+from recon.base.progress import silent
 from recon.io.calibration import read_cameras
 from recon.workflows.analyse import AnalyseSettings, run_analyse
 from recon.workflows.batch import (
@@ -789,94 +787,11 @@ def test_what_failed_is_done_again_beside_what_is_done(clips, tmp_path):
     speed = str(read_record(out)["a"]["row"]["peak_speed_m_s"])
     (out / "b").mkdir()
     (out / "b" / "crash.log").write_text("the worker was killed")
-    run_batch(plan_batch(found(clips / "[ab].csv"), out), out, jobs=1)
+    assert fit(found(clips / "[ab].csv"), out) == [("done", ""), ("new", "")]
     rows = table(out)
     assert (rows["a"]["status"], rows["a"]["attempts"], rows["b"]["status"]) == ("done earlier", "0", "done")
     assert rows["a"]["peak_speed_m_s"] == speed
     assert not (out / "b" / "crash.log").exists()
-
-
-def work(task: str, progress: Progress) -> dict[str, Any]:
-    """Of the tasks of the tests below, in another process."""
-    if task == "environment":
-        return {"pid": os.getpid(), "threads": os.environ["OMP_NUM_THREADS"], "numpy": "numpy" in sys.modules}
-    if task == "crash":
-        print("last words", flush=True)
-        os.abort()
-    if task == "exit":
-        sys.stderr.write("told why\n")
-        os._exit(7)
-    if task == "wait":
-        try:
-            progress("waiting", 0.5)
-            time.sleep(60)
-        finally:
-            print("cleaned up", flush=True)
-    raise KeyError(task)
-
-
-def ended(*tasks: str, **more: Any) -> dict[str, Any]:
-    """Outcomes by the tasks, which are their own names but for what follows a colon."""
-    outcomes: dict[str, Any] = {}
-
-    def tell(event: Event) -> None:
-        if event.kind == "ended":
-            outcomes[event.name] = event.outcome
-
-    carry_out(work, [(task, task.split(":")[0]) for task in tasks], tell, **more)
-    return outcomes
-
-
-def test_processes_have_one_thread_and_are_replaced(monkeypatch):
-    monkeypatch.setattr(parallel, "TASKS_PER_PROCESS", 2)
-    for library in ("OMP", "OPENBLAS"):  # which the tests set, too
-        monkeypatch.delenv(f"{library}_NUM_THREADS", raising=False)
-    first, second, third = ended("environment:1", "environment:2", "environment:3", jobs=1).values()
-    assert first["pid"] == second["pid"] != third["pid"] != os.getpid()
-    assert first["threads"] == "1"
-
-
-@pytest.mark.skipif(os.name != "posix", reason="signals are of POSIX")
-def test_processes_that_die_are_failures():
-    outcomes = ended("crash", "environment", "exit", "fault", jobs=1)
-    assert outcomes["environment"]["attempts"] == 1
-    errors = {name: (outcomes[name]["status"], outcomes[name]["error"]) for name in ("crash", "exit", "fault")}
-    assert errors == {
-        "crash": ("failed", "the worker was killed (SIGABRT)"),
-        "exit": ("failed", "the worker crashed: told why"),
-        "fault": ("failed", "the worker crashed: KeyError: 'fault'"),
-    }
-    assert outcomes["crash"]["log"].startswith("last words\n")
-    assert "in work" in outcomes["crash"]["log"]  # where in Python
-    assert "Traceback" in outcomes["fault"]["log"]
-    assert {outcome["attempts"] for outcome in ended("exit", "fault", jobs=2, retries=1).values()} == {2}
-
-
-def test_an_interrupt_stops_the_processes():
-    seen = []
-
-    def interrupt(event: Event) -> None:
-        seen.append(event.stage)
-        if event.stage == "waiting":
-            raise KeyboardInterrupt
-
-    began = time.monotonic()
-    with pytest.raises(KeyboardInterrupt):
-        carry_out(work, [("wait", "wait")] * 3, interrupt, jobs=2)
-    assert time.monotonic() - began < 30
-    assert seen[-1] == "waiting"
-    assert not multiprocessing.active_children()
-
-
-def test_a_script_needs_no_main(tmp_path):
-    """What it does is not done again in the processes, as with multiprocessing alone."""
-    script = tmp_path / "script.py"
-    script.write_text(
-        "from recon.base.parallel import carry_out\nfrom recon.workflows.page import _page_of\n"
-        "print('once')\ncarry_out(_page_of, [('one', 1)], lambda event: print(event.kind), jobs=1)\n"
-    )
-    done = subprocess.run([sys.executable, script], capture_output=True, text=True, check=False, timeout=60)
-    assert (done.stdout.split(), done.stderr) == (["once", "progress", "ended"], "")
 
 
 # ---- the command ----
@@ -905,11 +820,12 @@ def test_dry_run_looks_only(clips, tmp_path):
     assert {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*")} == before
 
 
-def test_command(clips, tmp_path):
+def test_command(clips, tmp_path, monkeypatch):
     """A line for each clip, --strict and the summary as JSON."""
     out = tmp_path / "out"
     (clips / "c.csv").write_text("scorer,x\n")
     fit(found(clips / "a.csv", clips / "b.csv"), out)
+    monkeypatch.setattr("recon.workflows.batch.carry_out", carry_out_here)
     ended = run(*args(clips, out))
     assert ended.code == 0
     assert ended.out.startswith("2 of 3 clips are done already.\n2 check, 1 failed in ")
@@ -995,7 +911,7 @@ def some_left(clips: Path, done: dict[str, int]) -> int:
 
 
 @linux
-def test_ctrl_c_keeps_what_is_done(clips, in_the_middle):
+def test_ctrl_c_keeps_what_is_done(clips, in_the_middle, monkeypatch):
     process, out, command = in_the_middle
     (worker,) = workers(process.pid)
     process.send_signal(signal.SIGINT)
@@ -1013,13 +929,14 @@ def test_ctrl_c_keeps_what_is_done(clips, in_the_middle):
     assert staging_folders(out) == []
     assert sorted(path.name for path in out.iterdir() if path.is_dir()) == sorted(done)
     left = some_left(clips, done)
+    monkeypatch.setattr("recon.workflows.batch.carry_out", carry_out_here)
     assert run(*command).code == 0
     assert statuses(out) == ["done earlier"] * len(done) + ["done"] * left
     assert finished(out).items() >= done.items()
 
 
 @linux
-def test_after_a_kill_nothing_that_is_finished_is_done_again(clips, in_the_middle):
+def test_after_a_kill_nothing_that_is_finished_is_done_again(clips, in_the_middle, monkeypatch):
     process, out, command = in_the_middle
     (worker,) = workers(process.pid)
     process.kill()
@@ -1027,6 +944,7 @@ def test_after_a_kill_nothing_that_is_finished_is_done_again(clips, in_the_middl
     done = finished(out)
     assert 1 <= len(done) < 8
     left = some_left(clips, done)
+    monkeypatch.setattr("recon.workflows.batch.carry_out", carry_out_here)
     assert run(*command).code == 0
     assert statuses(out).count("done earlier") == len(done)
     assert statuses(out).count("done") == left

@@ -25,7 +25,7 @@ from urllib.parse import unquote, urlsplit
 
 import pytest
 import typer
-from command_line import copy_results, run
+from command_line import carry_out_here, copy_results, run
 from conftest import draw_small
 from docs_files import FILES, OF_PAGE
 
@@ -205,7 +205,7 @@ def folder_after(made_once, whole_results, of_results) -> Callable[[Path, int], 
             with pytest.MonkeyPatch.context() as patch:
                 patch.chdir(folder)
                 draw_small(patch)
-                patch.setattr("recon.base.parallel.available_cores", lambda: 1)  # of the processes that fit many clips
+                patch.setattr("recon.workflows.batch.carry_out", carry_out_here)
                 do(steps(page)[count - 1], Workshop(folder, name_of(page), whole_results, of_results))
 
         return made_once(re.sub(r"\W+", "-", f"{name_of(page)}-{count}"), make)

@@ -1,0 +1,102 @@
+"""Tasks in processes of their own: what these are told, and what becomes of a task whose process dies.
+
+This file imports little: each of the processes that it starts imports it.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import subprocess
+import sys
+import time
+from typing import Any
+
+import pytest
+
+import recon.base.parallel as parallel
+from recon.base.parallel import Event, carry_out
+from recon.base.progress import Progress
+
+
+def work(task: str, progress: Progress) -> dict[str, Any]:
+    """Of the tasks of the tests below, in another process."""
+    if task == "environment":
+        return {"pid": os.getpid(), "threads": os.environ["OMP_NUM_THREADS"], "numpy": "numpy" in sys.modules}
+    if task == "crash":
+        print("last words", flush=True)
+        os.abort()
+    if task == "exit":
+        sys.stderr.write("told why\n")
+        os._exit(7)
+    if task == "wait":
+        try:
+            progress("waiting", 0.5)
+            time.sleep(60)
+        finally:
+            print("cleaned up", flush=True)
+    raise KeyError(task)
+
+
+def ended(*tasks: str, **more: Any) -> dict[str, Any]:
+    """Outcomes by the tasks, which are their own names but for what follows a colon."""
+    outcomes: dict[str, Any] = {}
+
+    def tell(event: Event) -> None:
+        if event.kind == "ended":
+            outcomes[event.name] = event.outcome
+
+    carry_out(work, [(task, task.split(":")[0]) for task in tasks], tell, **more)
+    return outcomes
+
+
+def test_processes_have_one_thread_and_are_replaced(monkeypatch):
+    monkeypatch.setattr(parallel, "TASKS_PER_PROCESS", 2)
+    for library in ("OMP", "OPENBLAS"):  # which the tests set, too
+        monkeypatch.delenv(f"{library}_NUM_THREADS", raising=False)
+    first, second, third = ended("environment:1", "environment:2", "environment:3", jobs=1).values()
+    assert first["pid"] == second["pid"] != third["pid"] != os.getpid()
+    assert first["threads"] == "1"
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals are of POSIX")
+def test_processes_that_die_are_failures():
+    outcomes = ended("crash", "environment", "exit", "fault", jobs=1)
+    assert outcomes["environment"]["attempts"] == 1
+    errors = {name: (outcomes[name]["status"], outcomes[name]["error"]) for name in ("crash", "exit", "fault")}
+    assert errors == {
+        "crash": ("failed", "the worker was killed (SIGABRT)"),
+        "exit": ("failed", "the worker crashed: told why"),
+        "fault": ("failed", "the worker crashed: KeyError: 'fault'"),
+    }
+    assert outcomes["crash"]["log"].startswith("last words\n")
+    assert "in work" in outcomes["crash"]["log"]  # where in Python
+    assert "Traceback" in outcomes["fault"]["log"]
+    assert {outcome["attempts"] for outcome in ended("exit", "fault", jobs=2, retries=1).values()} == {2}
+
+
+def test_an_interrupt_stops_the_processes():
+    seen = []
+
+    def interrupt(event: Event) -> None:
+        seen.append(event.stage)
+        if event.stage == "waiting":
+            raise KeyboardInterrupt
+
+    began = time.monotonic()
+    with pytest.raises(KeyboardInterrupt):
+        carry_out(work, [("wait", "wait")] * 3, interrupt, jobs=2)
+    assert time.monotonic() - began < 30
+    assert seen[-1] == "waiting"
+    assert not multiprocessing.active_children()
+
+
+def test_a_script_needs_no_main(tmp_path):
+    """What it does is not done again in the processes, as with multiprocessing alone."""
+    script = tmp_path / "script.py"
+    script.write_text(
+        "from recon.base.parallel import carry_out\nfrom recon.base.progress import silent\n"
+        "print('once')\ncarry_out(silent, [('one', 1)], lambda event: print(event.kind), jobs=1)\n"
+    )
+    done = subprocess.run([sys.executable, script], capture_output=True, text=True, check=False, timeout=60)
+    assert (done.stdout.split(), done.stderr) == (["once", "progress", "ended"], "")
